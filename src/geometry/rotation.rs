@@ -1,0 +1,90 @@
+use super::{Rotation, Vec3};
+use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion};
+
+/// The rotation of a quaternion given as x, y, z, w of any positive norm.
+///
+/// `None` where the norm is zero, tiny or not finite.
+pub fn rotation_from_xyzw(q_xyzw: [f64; 4]) -> Option<Rotation> {
+    let [x, y, z, w] = q_xyzw;
+    UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-6).filter(|q| q.w.is_finite())
+}
+
+/// The components x, y, z, w of a rotation, with w ≥ 0.
+pub fn xyzw_from_rotation(rotation: &Rotation) -> [f64; 4] {
+    let sign = if rotation.w < 0.0 { -1.0 } else { 1.0 };
+    [rotation.i, rotation.j, rotation.k, rotation.w].map(|c| sign * c)
+}
+
+/// The rotation of a rotation vector (axis times angle, rad): exp([r]×).
+pub fn rotation_from_rotvec(rotvec: Vec3) -> Rotation {
+    Rotation::from_scaled_axis(rotvec)
+}
+
+/// The rotation vector of a rotation, rad, of norm ≤ π.
+///
+/// Accurate for small angles too: `2·atan2(|v|, w)` about `v`
+/// (Solà, "Quaternion kinematics for the error-state Kalman filter", eq. 106).
+pub fn rotvec_from_rotation(rotation: &Rotation) -> Vec3 {
+    let [x, y, z, w] = xyzw_from_rotation(rotation);
+    let v = Vec3::new(x, y, z);
+    let norm = v.norm();
+    if norm < 1e-12 {
+        return v * 2.0;
+    }
+    v * (2.0 * norm.atan2(w) / norm)
+}
+
+/// Roll, pitch, yaw about fixed axes, rad: `Rz(yaw)·Ry(pitch)·Rx(roll)`, as URDF and tf2 mean it.
+pub fn rotation_from_rpy(rpy: [f64; 3]) -> Rotation {
+    Rotation::from_euler_angles(rpy[0], rpy[1], rpy[2])
+}
+
+/// The rotation nearest to a matrix given by its rows, and the matrix's largest deviation from
+/// orthonormality `max |RᵀR − I|`; `None` where it is not finite or not near any rotation
+/// (determinant ≤ 0 or deviation > 0.5).
+pub fn rotation_from_matrix_rows(rows: [[f64; 3]; 3]) -> Option<(Rotation, f64)> {
+    let matrix = Matrix3::from_fn(|r, c| rows[r][c]);
+    let defect = (matrix.transpose() * matrix - Matrix3::identity()).abs().max();
+    if !defect.is_finite() || defect > 0.5 || matrix.determinant() <= 0.0 {
+        return None;
+    }
+    let svd = matrix.svd(true, true);
+    let nearest = svd.u? * svd.v_t?;
+    let rotation = Rotation3::from_matrix_unchecked(nearest);
+    Some((UnitQuaternion::from_rotation_matrix(&rotation), defect))
+}
+
+/// The angle of the rotation that takes `a` to `b`, rad, in [0, π].
+///
+/// This is the orientation error everywhere: never a difference of quaternions or Euler angles.
+pub fn angle_between(a: &Rotation, b: &Rotation) -> f64 {
+    rotvec_from_rotation(&(a.inverse() * b)).norm()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn q_and_minus_q_are_one_rotation() {
+        let q_xyzw = [0.1, -0.2, 0.3, 0.9];
+        let a = rotation_from_xyzw(q_xyzw).unwrap();
+        let b = rotation_from_xyzw(q_xyzw.map(|c| -c)).unwrap();
+        assert!(angle_between(&a, &b) < 1e-15);
+        assert_eq!(rotvec_from_rotation(&a), rotvec_from_rotation(&b));
+    }
+
+    #[test]
+    fn tiny_and_half_turn_rotation_vectors_survive_a_round_trip() {
+        for rotvec in [Vec3::new(1e-9, -2e-9, 0.0), Vec3::new(0.0, 3.141_592, 0.0), Vec3::zeros()] {
+            let back = rotvec_from_rotation(&rotation_from_rotvec(rotvec));
+            assert!((back - rotvec).norm() < 1e-15 + 1e-9 * rotvec.norm(), "{rotvec} became {back}");
+        }
+    }
+
+    #[test]
+    fn a_zero_quaternion_is_no_rotation() {
+        assert_eq!(rotation_from_xyzw([0.0; 4]), None);
+        assert_eq!(rotation_from_xyzw([f64::NAN, 0.0, 0.0, 1.0]), None);
+    }
+}

@@ -1,0 +1,6 @@
+//! Audits robot-arm pose logs.
+#![warn(missing_docs)]
+
+pub mod geometry;
+pub mod stream;
+pub mod time;

@@ -1,0 +1,241 @@
+use crate::time::Clock;
+
+/// The times of every row of a stream, one entry a row in each column, in nanoseconds.
+///
+/// A message without a header stamp has 0 in `header`, as ROS writes an unset stamp.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Times {
+    /// Stamp in the message's header (for /tf: of that transform).
+    pub header: Vec<i64>,
+    /// When the recorder received the message.
+    pub log: Vec<i64>,
+    /// When the sender published it.
+    pub publish: Vec<i64>,
+}
+
+impl Times {
+    /// Appends the times of one row.
+    pub fn push(&mut self, header: i64, log: i64, publish: i64) {
+        self.header.push(header);
+        self.log.push(log);
+        self.publish.push(publish);
+    }
+
+    /// Number of rows.
+    pub fn len(&self) -> usize {
+        self.log.len()
+    }
+
+    /// Whether there is no row.
+    pub fn is_empty(&self) -> bool {
+        self.log.is_empty()
+    }
+
+    /// The column of `clock`, in nanoseconds.
+    pub fn on(&self, clock: Clock) -> &[i64] {
+        match clock {
+            Clock::Header => &self.header,
+            Clock::Log => &self.log,
+            Clock::Publish => &self.publish,
+        }
+    }
+
+    /// The order of rows by the time on `clock` (stable), or `None` when they are in order already.
+    pub fn sort_permutation(&self, clock: Clock) -> Option<Vec<usize>> {
+        let column = self.on(clock);
+        if column.is_sorted() {
+            return None;
+        }
+        let mut order: Vec<usize> = (0..column.len()).collect();
+        order.sort_by_key(|&row| column[row]);
+        Some(order)
+    }
+
+    fn permute(&mut self, order: &[usize]) {
+        permute(&mut self.header, order);
+        permute(&mut self.log, order);
+        permute(&mut self.publish, order);
+    }
+}
+
+fn permute<T: Copy>(column: &mut Vec<T>, order: &[usize]) {
+    *column = order.iter().map(|&row| column[row]).collect();
+}
+
+/// The positions and velocities of one joint, one entry for each row of its [`JointColumns`].
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct JointColumn {
+    /// Joint name as the log spells it.
+    pub name: String,
+    /// Joint position, rad or m; NaN in rows whose message did not carry this joint.
+    pub position: Vec<f64>,
+    /// Joint velocity, rad/s or m/s; NaN where the message carried none.
+    pub velocity: Vec<f64>,
+}
+
+/// A JointState topic: one column a joint name, all over the same rows.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct JointColumns {
+    /// Times of the rows.
+    pub times: Times,
+    /// The header's frame, usually empty.
+    pub frame_id: String,
+    /// One column a joint name, in the order in which names first appeared.
+    pub joints: Vec<JointColumn>,
+    /// Messages dropped whole: lengths of names and positions differ.
+    pub wrong_length: u64,
+    /// Values dropped: NaN or infinite positions in messages that were otherwise kept.
+    pub not_finite: u64,
+}
+
+/// Poses with quaternions: PoseStamped, Odometry, TransformStamped, one (parent, child) of /tf.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PoseColumns {
+    /// Times of the rows.
+    pub times: Times,
+    /// Frame that the poses are expressed in (the parent), without a leading `/`.
+    pub frame_id: String,
+    /// Frame whose pose it is (the child), without a leading `/`; empty where the type has none.
+    pub child_frame_id: String,
+    /// Position as logged, meant to be metres.
+    pub xyz: Vec<[f64; 3]>,
+    /// Quaternion as logged, in the order of the message's fields x, y, z, w.
+    pub q_xyzw: Vec<[f64; 4]>,
+    /// Rows dropped because a value was NaN or infinite.
+    pub not_finite: u64,
+}
+
+/// An IMU topic.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ImuColumns {
+    /// Times of the rows.
+    pub times: Times,
+    /// Frame of the sensor, without a leading `/`.
+    pub frame_id: String,
+    /// `world_from_imu` as logged (REP 145), fields x, y, z, w; all zero where unknown.
+    pub q_xyzw: Vec<[f64; 4]>,
+    /// Angular velocity in the sensor's frame, rad/s.
+    pub gyro: Vec<[f64; 3]>,
+    /// Linear acceleration (specific force) in the sensor's frame, m/s².
+    pub accel: Vec<[f64; 3]>,
+    /// Whether any message says that it has an orientation (`orientation_covariance[0] != -1`).
+    pub has_orientation: bool,
+    /// Rows dropped because a value was NaN or infinite.
+    pub not_finite: u64,
+}
+
+/// Bare arrays of numbers of one length, such as `std_msgs/Float64MultiArray`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ArrayColumns {
+    /// Times of the rows; `header` is 0 throughout where the type has no header.
+    pub times: Times,
+    /// Numbers a row.
+    pub width: usize,
+    /// Row-major values, `width` a row.
+    pub values: Vec<f64>,
+    /// Messages dropped because their length was not `width` (the first message's).
+    pub wrong_length: u64,
+    /// Rows dropped because a value was NaN or infinite.
+    pub not_finite: u64,
+}
+
+/// Texts, such as `robot_description`. Latched topics repeat: equal texts are kept once.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TextColumns {
+    /// Times of the rows.
+    pub times: Times,
+    /// The text of each row.
+    pub text: Vec<String>,
+}
+
+/// What a topic held.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Columns {
+    /// Joint states.
+    Joints(JointColumns),
+    /// Poses, split by (frame, child frame) in the order of first appearance.
+    Poses(Vec<PoseColumns>),
+    /// Transforms of a TF topic, split by (parent, child) in the order of first appearance.
+    Transforms(Vec<PoseColumns>),
+    /// IMU readings.
+    Imu(ImuColumns),
+    /// Bare number arrays.
+    Array(ArrayColumns),
+    /// Texts.
+    Text(TextColumns),
+}
+
+impl JointColumns {
+    /// Puts the rows in the order of `clock`.
+    pub fn sort_by(&mut self, clock: Clock) {
+        let Some(order) = self.times.sort_permutation(clock) else {
+            return;
+        };
+        self.times.permute(&order);
+        for joint in &mut self.joints {
+            permute(&mut joint.position, &order);
+            permute(&mut joint.velocity, &order);
+        }
+    }
+}
+
+impl PoseColumns {
+    /// Puts the rows in the order of `clock`.
+    pub fn sort_by(&mut self, clock: Clock) {
+        let Some(order) = self.times.sort_permutation(clock) else {
+            return;
+        };
+        self.times.permute(&order);
+        permute(&mut self.xyz, &order);
+        permute(&mut self.q_xyzw, &order);
+    }
+}
+
+impl ImuColumns {
+    /// Puts the rows in the order of `clock`.
+    pub fn sort_by(&mut self, clock: Clock) {
+        let Some(order) = self.times.sort_permutation(clock) else {
+            return;
+        };
+        self.times.permute(&order);
+        permute(&mut self.q_xyzw, &order);
+        permute(&mut self.gyro, &order);
+        permute(&mut self.accel, &order);
+    }
+}
+
+impl ArrayColumns {
+    /// The numbers of row `row`.
+    pub fn row(&self, row: usize) -> &[f64] {
+        &self.values[row * self.width..(row + 1) * self.width]
+    }
+
+    /// Puts the rows in the order of `clock`.
+    pub fn sort_by(&mut self, clock: Clock) {
+        let Some(order) = self.times.sort_permutation(clock) else {
+            return;
+        };
+        self.times.permute(&order);
+        self.values = order.iter().flat_map(|&row| self.row(row).to_vec()).collect();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sorting_moves_whole_rows() {
+        let mut poses = PoseColumns::default();
+        for (stamp, x) in [(30, 3.0), (10, 1.0), (20, 2.0)] {
+            poses.times.push(stamp, 100 - stamp, 0);
+            poses.xyz.push([x, 0.0, 0.0]);
+            poses.q_xyzw.push([0.0, 0.0, 0.0, 1.0]);
+        }
+        poses.sort_by(Clock::Header);
+        assert_eq!(poses.times.header, [10, 20, 30]);
+        assert_eq!(poses.times.log, [90, 80, 70]);
+        let x: Vec<f64> = poses.xyz.iter().map(|xyz| xyz[0]).collect();
+        assert_eq!(x, [1.0, 2.0, 3.0]);
+    }
+}

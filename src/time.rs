@@ -1,0 +1,94 @@
+//! Time as logs keep it: whole nanoseconds, and the name of the clock that wrote them.
+//!
+//! A log's epoch stamps do not fit an `f64` to better than a quarter of a microsecond, so a stamp
+//! stays an `i64` until a difference is taken; only differences become seconds.
+
+use std::fmt;
+
+/// Nanoseconds per second.
+pub const NANOS_PER_SECOND: i64 = 1_000_000_000;
+
+/// A point in time: nanoseconds since the epoch of whatever clock wrote it.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default)]
+pub struct Stamp(i64);
+
+impl Stamp {
+    /// The stamp of `nanos` nanoseconds since the clock's epoch.
+    pub const fn from_nanos(nanos: i64) -> Self {
+        Self(nanos)
+    }
+
+    /// Nanoseconds since the clock's epoch.
+    pub const fn nanos(self) -> i64 {
+        self.0
+    }
+
+    /// Seconds from `origin` to this stamp, exact to 1 ns over 100 days.
+    pub fn seconds_since(self, origin: Stamp) -> f64 {
+        seconds(self.0.saturating_sub(origin.0))
+    }
+
+    /// This stamp moved by `offset_s` seconds.
+    pub fn shifted(self, offset_s: f64) -> Self {
+        Self(self.0.saturating_add(nanos(offset_s)))
+    }
+}
+
+impl fmt::Display for Stamp {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.0)
+    }
+}
+
+/// Seconds in a difference of `nanos` nanoseconds.
+pub fn seconds(nanos: i64) -> f64 {
+    nanos as f64 / NANOS_PER_SECOND as f64
+}
+
+/// Nanoseconds in a difference of `seconds` seconds, to the nearest; saturates.
+pub fn nanos(seconds: f64) -> i64 {
+    (seconds * NANOS_PER_SECOND as f64).round() as i64
+}
+
+/// Which of a message's times places its content on the time line.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub enum Clock {
+    /// The stamp in the message's own header: when the content was true.
+    #[default]
+    Header,
+    /// When the recorder received the message.
+    Log,
+    /// When the sender published the message.
+    Publish,
+}
+
+impl Clock {
+    /// The name used on the command line and in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Clock::Header => "header",
+            Clock::Log => "log",
+            Clock::Publish => "publish",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_difference_of_epoch_stamps_keeps_every_nanosecond() {
+        let origin = Stamp::from_nanos(1_780_000_000_123_456_789);
+        let later = Stamp::from_nanos(1_780_000_000_123_456_790);
+        assert_eq!(later.seconds_since(origin), 1e-9);
+        assert_eq!(origin.shifted(1e-9), later);
+    }
+
+    #[test]
+    fn hostile_stamps_saturate_instead_of_overflowing() {
+        let (low, high) = (Stamp::from_nanos(i64::MIN), Stamp::from_nanos(i64::MAX));
+        assert!(high.seconds_since(low) > 0.0);
+        assert_eq!(high.shifted(1e300), high);
+    }
+}
