@@ -6,7 +6,9 @@
 //! (`_xyzw`, raw arrays); only `geometry` turns numbers into rotations.
 
 mod columns;
+mod tracks;
 
 pub use columns::{
     ArrayColumns, Columns, ImuColumns, JointColumn, JointColumns, PoseColumns, TextColumns, Times,
 };
+pub use tracks::{ImuTrack, JointTrack, Orientations, PoseTrack};

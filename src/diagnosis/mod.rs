@@ -1,0 +1,266 @@
+//! Pure estimators on streams and a robot: each returns an estimate with its interval, or why it
+//! cannot tell.
+//!
+//! Nothing here reads files, knows topics, holds a rule's threshold or writes prose; `checks` turns
+//! these numbers into verdicts and words.
+
+mod measured;
+
+use crate::geometry::{Misreading, MisreadingClass, Pose, QuaternionSlip, Convention, Vec3};
+use crate::robot::Chain;
+use crate::stream::{ImuTrack, JointTrack, PoseTrack};
+
+pub use measured::Measured;
+
+/// Why an estimate does not exist. Each case carries what the words need.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Unseen {
+    /// Fewer samples overlap than the estimate needs.
+    TooFewSamples {
+        /// Samples of both streams at common times.
+        have: usize,
+        /// Samples needed.
+        need: usize,
+    },
+    /// The streams share no time span.
+    NoOverlap,
+    /// The arm does not move enough.
+    AtRest,
+    /// The motion repeats itself, so several lags fit; the candidates in seconds.
+    Periodic(Vec<f64>),
+    /// No lag makes the stream follow the arm: the best correlation found, from 0 to 1.
+    DoesNotFollow(f64),
+    /// The orientation changes too little; the span of orientations in rad.
+    LittleRotation(f64),
+    /// The parameter moves nothing that the log shows, or the same as other unknowns do.
+    NotExcited,
+    /// The stream carries no orientation.
+    NoOrientation,
+    /// Another estimate that this one rests on could not be had.
+    RestsOn(&'static str),
+}
+
+/// An estimate, or why there is none.
+pub type Seen<T> = Result<T, Unseen>;
+
+/// One pose stream, as the estimators see it.
+#[derive(Clone, Copy, Debug)]
+pub struct PoseStream<'a> {
+    /// The poses as logged.
+    pub track: &'a PoseTrack,
+    /// The chain from the stream's reference link to the link whose pose it is.
+    pub chain: &'a Chain,
+    /// For each joint of `chain`, its column in the joint track.
+    pub columns: &'a [usize],
+    /// Whether the reference frame is tied to the robot's base; if not its pose is estimated.
+    pub reference_known: bool,
+    /// Standard error that aligning a foreign clock left in the stamps, s; 0 on a shared clock.
+    pub stamp_error_s: f64,
+    /// Whether the stream's stamps are copies of the joints' stamps.
+    pub stamps_copied: bool,
+}
+
+/// How the numbers of a stream must be read so that they follow the arm.
+#[derive(Clone, Copy, Debug)]
+pub enum Reading {
+    /// As the log says.
+    AsLogged,
+    /// Three numbers of one convention were read as another; any member says the same.
+    Misread(&'static MisreadingClass),
+    /// The quaternion's components are in another order.
+    QuaternionOrder(QuaternionSlip),
+    /// The rotation is transposed, the position is not.
+    Transposed,
+    /// The pose is inverted as a whole (parent and child exchanged).
+    Inverted,
+    /// Bare numbers that are of this convention (no fault).
+    Numbers(Convention),
+}
+
+impl Reading {
+    /// The misreading that names this reading, where it is one.
+    pub fn misreading(&self) -> Option<Misreading> {
+        match self {
+            Reading::Misread(class) => class.members.first().copied(),
+            _ => None,
+        }
+    }
+}
+
+/// Which reading of a stream's orientation follows the arm, and by how much.
+#[derive(Clone, Debug)]
+pub struct ReadingEstimate {
+    /// The reading with the least residual; `AsLogged` wherever that explains the stream.
+    pub best: Reading,
+    /// Residual angle as logged, rms rad; `None` for bare numbers.
+    pub as_logged_rad: Option<f64>,
+    /// Residual angle of the best reading, rms rad.
+    pub best_rad: f64,
+    /// The next best reading that is another map on this motion, with its residual, rms rad.
+    pub runner_up: Option<(Reading, f64)>,
+    /// Readings that this motion cannot tell from the best.
+    pub equivalent: Vec<Reading>,
+}
+
+/// Units of a stream's positions or angles that are not what they should be.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct UnitSlip {
+    /// Residual as logged, in the quantity's SI unit.
+    pub as_logged: f64,
+    /// Residual with the other unit, in the quantity's SI unit.
+    pub corrected: f64,
+}
+
+/// A constant frame error, and how it was weighed.
+#[derive(Clone, Debug)]
+pub struct FrameEstimate {
+    /// The pose: for the reference frame `reference_from_stream`, for the tool `tip_from_stream`.
+    pub pose: Pose,
+    /// Norm of its translation, m.
+    pub translation_m: Measured,
+    /// Its rotation angle, rad.
+    pub rotation_rad: Measured,
+    /// Chance of an estimate this large if the frame were right (joint test on the six numbers).
+    pub p_value: f64,
+    /// Whether the smallest explanation of the log contains this frame error.
+    pub chosen: bool,
+}
+
+/// A cause that does to this log what another one does.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Twin {
+    /// Zero offset of a joint (index in the chain), rad or m.
+    JointZero(usize, f64),
+    /// Rotation or shift of the reference frame of pose stream `usize`: amount in rad or m.
+    Reference(usize, f64),
+    /// Rotation or shift of the tool frame of pose stream `usize`: amount in rad or m.
+    Tool(usize, f64),
+}
+
+/// The zero offset of one joint: `q_true = q_reported + offset`.
+#[derive(Clone, Debug)]
+pub struct JointOffset {
+    /// The offset, rad or m.
+    pub offset: Seen<Measured>,
+    /// Whether the smallest explanation of the log contains it.
+    pub chosen: bool,
+    /// What the offset moves the tip by at full stretch, m.
+    pub effect_m: f64,
+    /// Causes that this log cannot tell from it.
+    pub twins: Vec<Twin>,
+}
+
+/// What is left of a stream when everything found is taken off.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Residual {
+    /// Position, rms m, beyond the sample-to-sample noise.
+    pub excess_m: Measured,
+    /// Rotation, rms rad, beyond the sample-to-sample noise.
+    pub excess_rad: Measured,
+    /// Position, rms m.
+    pub rms_m: f64,
+    /// Rotation, rms rad.
+    pub rms_rad: f64,
+    /// Position against FK as recorded, at equal stamps, rms m.
+    pub before_m: f64,
+    /// Rotation against FK as recorded, at equal stamps, rms rad.
+    pub before_rad: f64,
+}
+
+/// A stream's samples beside what FK says at the same stamps. One entry a sample in each column.
+#[derive(Clone, Debug, Default)]
+pub struct Aligned {
+    /// Stamp of the sample, s from the run's origin.
+    pub t_s: Vec<f64>,
+    /// `reference_from_child` as logged.
+    pub logged: Vec<Pose>,
+    /// `reference_from_tip` by FK of the joint states as recorded, at the same stamp.
+    pub fk: Vec<Pose>,
+    /// The logged pose with everything found taken off: what should lie on `fk_at_truth`.
+    pub corrected: Vec<Pose>,
+    /// `reference_from_tip` by FK with the joint offsets found, when the content was true.
+    pub fk_at_truth: Vec<Pose>,
+}
+
+/// All that was estimated on one pose stream.
+#[derive(Clone, Debug)]
+pub struct PoseDiagnosis {
+    /// Convention and direction of the rotations.
+    pub reading: Seen<ReadingEstimate>,
+    /// Positions in millimetres.
+    pub millimetres: Seen<Option<UnitSlip>>,
+    /// Rotation numbers in degrees (bare number streams).
+    pub degrees: Option<UnitSlip>,
+    /// Latency against the joint states, s.
+    pub latency_s: Seen<Measured>,
+    /// Clock skew, s/s.
+    pub skew: Seen<Measured>,
+    /// Signed radial growth of positions, m/m.
+    pub growth: Seen<Measured>,
+    /// Error of the reference frame, `reference_from_stream`; the estimated pose of the reference
+    /// where that was not known.
+    pub reference: Seen<FrameEstimate>,
+    /// Error of the tool frame, `tip_from_stream`.
+    pub tool: Seen<FrameEstimate>,
+    /// What is left.
+    pub residual: Seen<Residual>,
+    /// Largest speed of the tip by FK, m/s.
+    pub top_speed_m_s: f64,
+    /// The aligned samples.
+    pub aligned: Aligned,
+}
+
+/// How the joint states must be read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JointReading {
+    /// Whether positions are degrees.
+    pub degrees: Option<UnitSlip>,
+    /// The order that positions are really in: entry `i` is the index of the joint whose position
+    /// stands under the name of joint `i`.
+    pub permutation: Option<(Vec<usize>, UnitSlip)>,
+    /// Residual of the next best reading, m.
+    pub runner_up_m: Option<f64>,
+}
+
+/// All that was estimated from the joint states and the pose streams together.
+#[derive(Clone, Debug)]
+pub struct ArmDiagnosis {
+    /// Names and units of the joint states.
+    pub joints: Seen<JointReading>,
+    /// Zero offset of each joint of the chain, from all pose streams.
+    pub offsets: Vec<JointOffset>,
+    /// One entry for each pose stream given.
+    pub streams: Vec<PoseDiagnosis>,
+}
+
+/// An IMU, as the estimators see it.
+#[derive(Clone, Copy, Debug)]
+pub struct ImuStream<'a> {
+    /// The readings.
+    pub track: &'a ImuTrack,
+    /// The chain from the robot's base to the link that carries the IMU.
+    pub chain: &'a Chain,
+    /// For each joint of `chain`, its column in the joint track.
+    pub columns: &'a [usize],
+    /// Standard error that aligning a foreign clock left in the stamps, s; 0 on a shared clock.
+    pub stamp_error_s: f64,
+    /// `link_from_imu` by the log's frames, where they say.
+    pub link_from_imu: Option<Pose>,
+}
+
+/// All that was estimated on one IMU.
+#[derive(Clone, Debug)]
+pub struct ImuDiagnosis {
+    /// Convention and direction of the orientation.
+    pub reading: Seen<ReadingEstimate>,
+    /// Latency against the joint states, s.
+    pub latency_s: Seen<Measured>,
+    /// Drift of the IMU's yaw against FK's about gravity, rad/s.
+    pub yaw_drift_rad_s: Seen<Measured>,
+    /// The best-fitting `link_from_imu` rotation error against the log's frames, rad.
+    pub mount_rad: Seen<Measured>,
+    /// Constant part of (gyro − rate by FK), sensor frame, rad/s.
+    pub gyro_bias_rad_s: Seen<(Vec3, Measured)>,
+    /// Stamp (s from the origin), yaw of IMU against FK (rad), for the pictures.
+    pub yaw_error: Vec<(f64, f64)>,
+}

@@ -1,0 +1,163 @@
+use crate::geometry::{Rotation, Vec3};
+
+/// Positions of a chain's joints over time, on one common time grid.
+///
+/// Times are seconds from the run's origin, strictly increasing.
+#[derive(Clone, Debug, Default)]
+pub struct JointTrack {
+    /// Sample times, s.
+    pub t_s: Vec<f64>,
+    /// Number of joints.
+    pub dof: usize,
+    /// Positions, row-major, `dof` a row, rad or m.
+    pub q: Vec<f64>,
+    /// Velocities at the same places, rad/s or m/s; as logged where they agree with the positions,
+    /// else differentiated.
+    pub qd: Vec<f64>,
+}
+
+impl JointTrack {
+    /// Number of samples.
+    pub fn len(&self) -> usize {
+        self.t_s.len()
+    }
+
+    /// Whether there is no sample.
+    pub fn is_empty(&self) -> bool {
+        self.t_s.is_empty()
+    }
+
+    /// Positions at sample `row`, rad or m.
+    pub fn row(&self, row: usize) -> &[f64] {
+        &self.q[row * self.dof..(row + 1) * self.dof]
+    }
+
+    /// First and last sample time, s.
+    pub fn span(&self) -> Option<(f64, f64)> {
+        Some((*self.t_s.first()?, *self.t_s.last()?))
+    }
+
+    /// Positions and velocities at time `t_s` by cubic Hermite interpolation, written to `q` and
+    /// `qd` (`dof` each). Returns false, and writes nothing, outside the track's span.
+    ///
+    /// `cursor` remembers the last interval, so that a sweep in time order costs O(1) a call.
+    /// Hermite basis: Press et al., *Numerical Recipes*, 3rd ed., §3.3 (cubic with given slopes).
+    pub fn at(&self, t_s: f64, cursor: &mut usize, q: &mut [f64], qd: &mut [f64]) -> bool {
+        let Some(left) = bracket(&self.t_s, t_s, cursor) else {
+            return false;
+        };
+        let h = self.t_s[left + 1] - self.t_s[left];
+        let s = (t_s - self.t_s[left]) / h;
+        let (s2, s3) = (s * s, s * s * s);
+        let (h00, h10) = (2.0 * s3 - 3.0 * s2 + 1.0, s3 - 2.0 * s2 + s);
+        let (h01, h11) = (3.0 * s2 - 2.0 * s3, s3 - s2);
+        let (d00, d10) = ((6.0 * s2 - 6.0 * s) / h, 3.0 * s2 - 4.0 * s + 1.0);
+        let d11 = 3.0 * s2 - 2.0 * s;
+        let (a, b) = (left * self.dof, (left + 1) * self.dof);
+        for j in 0..self.dof {
+            let (qa, qb) = (self.q[a + j], self.q[b + j]);
+            let (va, vb) = (self.qd[a + j], self.qd[b + j]);
+            q[j] = h00 * qa + h10 * h * va + h01 * qb + h11 * h * vb;
+            qd[j] = d00 * (qa - qb) + d10 * va + d11 * vb;
+        }
+        true
+    }
+}
+
+/// The index `i` with `t[i] ≤ t_s ≤ t[i+1]`, or `None` outside the span of `t`.
+fn bracket(t: &[f64], t_s: f64, cursor: &mut usize) -> Option<usize> {
+    let last = t.len().checked_sub(1)?;
+    if last == 0 || !(t[0]..=t[last]).contains(&t_s) {
+        return None;
+    }
+    let mut left = (*cursor).min(last - 1);
+    if t[left] > t_s || t[(left + 8).min(last)] < t_s {
+        left = t.partition_point(|&x| x <= t_s).saturating_sub(1).min(last - 1);
+    }
+    while t[left + 1] < t_s {
+        left += 1;
+    }
+    *cursor = left;
+    Some(left)
+}
+
+/// What a pose stream says of orientation.
+#[derive(Clone, Debug)]
+pub enum Orientations {
+    /// Rotations `reference_from_child` as logged.
+    Rotations(Vec<Rotation>),
+    /// Three bare numbers a sample, whose convention the log does not say.
+    Numbers(Vec<[f64; 3]>),
+}
+
+impl Orientations {
+    /// Number of samples.
+    pub fn len(&self) -> usize {
+        match self {
+            Orientations::Rotations(rotations) => rotations.len(),
+            Orientations::Numbers(numbers) => numbers.len(),
+        }
+    }
+
+    /// Whether there is no sample.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+}
+
+/// Poses over time. Times are seconds from the run's origin, strictly increasing.
+#[derive(Clone, Debug)]
+pub struct PoseTrack {
+    /// Sample times, s.
+    pub t_s: Vec<f64>,
+    /// Positions in the reference frame as logged, meant to be m.
+    pub xyz: Vec<Vec3>,
+    /// Orientations, as many as positions.
+    pub orientation: Orientations,
+}
+
+/// IMU readings over time. Times are seconds from the run's origin, strictly increasing.
+#[derive(Clone, Debug, Default)]
+pub struct ImuTrack {
+    /// Sample times, s.
+    pub t_s: Vec<f64>,
+    /// `world_from_imu`, one a sample, or empty where the log has no orientation.
+    pub orientation: Vec<Rotation>,
+    /// Angular velocity in the sensor's frame, rad/s.
+    pub gyro: Vec<Vec3>,
+    /// Specific force in the sensor's frame, m/s².
+    pub accel: Vec<Vec3>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cubic(t: f64) -> (f64, f64) {
+        (1.0 - 2.0 * t + 3.0 * t * t * t, -2.0 + 9.0 * t * t)
+    }
+
+    fn track() -> JointTrack {
+        let t_s: Vec<f64> = (0..40).map(|i| i as f64 * 0.01 + if i % 3 == 0 { 0.002 } else { 0.0 }).collect();
+        let (q, qd) = t_s.iter().map(|&t| cubic(t)).unzip();
+        JointTrack { t_s, dof: 1, q, qd }
+    }
+
+    #[test]
+    fn a_cubic_is_interpolated_exactly_in_any_order_of_times() {
+        let (track, mut cursor) = (track(), 0);
+        for t in [0.35, 0.0021, 0.2, 0.2, 0.38999, 0.01, 0.1234] {
+            let (mut q, mut qd) = ([0.0], [0.0]);
+            assert!(track.at(t, &mut cursor, &mut q, &mut qd));
+            assert!((q[0] - cubic(t).0).abs() < 1e-12 && (qd[0] - cubic(t).1).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn outside_the_span_there_is_no_value() {
+        let (track, mut cursor) = (track(), 7);
+        for t in [-0.1, 0.0, 0.4, f64::NAN] {
+            assert!(!track.at(t, &mut cursor, &mut [0.0], &mut [0.0]));
+        }
+    }
+}
