@@ -4,12 +4,23 @@
 //! Nothing here reads files, knows topics, holds a rule's threshold or writes prose; `checks` turns
 //! these numbers into verdicts and words.
 
+mod arm;
+mod explain;
+mod frames;
+mod joints;
+mod latency;
 mod measured;
+mod model;
+mod noise;
+mod reading;
+
 
 use crate::geometry::{Misreading, MisreadingClass, Pose, QuaternionSlip, Convention, Vec3};
 use crate::robot::Chain;
-use crate::stream::{ImuTrack, JointTrack, PoseTrack};
+use crate::stream::{ImuTrack, PoseTrack};
 
+pub use arm::{diagnose_arm, diagnose_derived, follows};
+pub use latency::Peak;
 pub use measured::Measured;
 
 /// Why an estimate does not exist. Each case carries what the words need.

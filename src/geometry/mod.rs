@@ -3,10 +3,16 @@
 //! `a_from_b` maps coordinates in frame b to coordinates in frame a; ROS TF with parent a and child
 //! b is `a_from_b`. Outside this room nobody builds a quaternion from numbers.
 
+mod convention;
+mod euler;
+mod reading;
 mod rotation;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
+pub use convention::{Convention, ConventionError};
+pub use euler::EulerOrder;
+pub use reading::{Misreading, MisreadingClass, QuaternionSlip, misreading_classes};
 pub use rotation::{
     angle_between, rotation_from_matrix_rows, rotation_from_rotvec, rotation_from_rpy,
     rotation_from_xyzw, rotvec_from_rotation, xyzw_from_rotation,
@@ -29,4 +35,27 @@ pub fn pose(xyz: [f64; 3], rotation: Rotation) -> Pose {
 /// The translation of `pose` as an array, m.
 pub fn xyz_of(pose: &Pose) -> [f64; 3] {
     pose.translation.vector.into()
+}
+
+#[cfg(test)]
+mod test_random {
+    /// Knuth's 64-bit linear congruential generator (MMIX); the same numbers in every run.
+    pub struct Lcg(u64);
+
+    impl Lcg {
+        pub fn new() -> Self {
+            Self(20_170)
+        }
+
+        /// A number in [0, `below`).
+        pub fn number(&mut self, below: f64) -> f64 {
+            self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            below * (self.0 >> 11) as f64 / (1_u64 << 53) as f64
+        }
+
+        /// Three numbers in [−`bound`, `bound`).
+        pub fn triple(&mut self, bound: f64) -> [f64; 3] {
+            [(); 3].map(|()| self.number(2.0 * bound) - bound)
+        }
+    }
 }

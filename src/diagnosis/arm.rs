@@ -1,0 +1,781 @@
+//! The arm and its pose streams: everything that is estimated from joint states and poses together.
+
+use super::explain::{Cause, Explanation, Menu, explain};
+use super::frames::{frame_estimate, starts};
+use super::joints::{corrected, read_joints, spread, tool_misfit};
+use super::latency::{Peak, arm_speeds, linear_speed, median_period_s, pose_peaks, top};
+use super::model::{State, StreamState, Sweep, Witness};
+use super::reading::{Fit, Logged, Samples, nearest_truth, read};
+use super::{
+    Aligned, ArmDiagnosis, JointOffset, JointReading, Measured, PoseDiagnosis, PoseStream, Reading,
+    ReadingEstimate, Residual, Seen, Twin, UnitSlip, Unseen,
+};
+use crate::geometry::{Pose, Rotation, Vec3, pose, rotvec_from_rotation};
+use crate::robot::{Chain, JointKind};
+use crate::stream::{JointTrack, Orientations};
+
+/// Samples a stream in the search for the explanation, and in the final fit.
+const SEARCH_SAMPLES: usize = 500;
+const FIT_SAMPLES: usize = 4000;
+/// Samples that readings are tried on.
+const READING_SAMPLES: usize = 72;
+/// Speeds correlate less than this where a stream does not follow the arm.
+const FOLLOWS: f64 = 0.3;
+/// Moving samples without which a latency is not sought.
+const MOVING_SAMPLES: usize = 10;
+
+/// Diagnoses the joint states and all pose streams that are witnesses to them.
+///
+/// `most_lag_s` bounds the latency that is sought, s.
+pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64) -> ArmDiagnosis {
+    let scales: Vec<Seen<f64>> = streams.iter().map(|stream| position_scale(joints, stream)).collect();
+    let factors: Vec<f64> = scales.iter().map(|scale| *scale.as_ref().unwrap_or(&1.0)).collect();
+    let reading = read_joints(joints, streams, &factors, most_lag_s);
+    let joints_read = match &reading {
+        Ok(reading) => corrected(joints, reading, &prismatic(joints.dof, streams)),
+        Err(_) => joints.clone(),
+    };
+    let (offsets, diagnoses) = diagnose(joints, &joints_read, streams, &scales, most_lag_s, true);
+    ArmDiagnosis { joints: reading, offsets, streams: diagnoses }
+}
+
+/// Diagnoses a stream that is computed from the joint states, such as /tf: it can be late or
+/// wrongly assembled, but it is no witness to the joints' zeros.
+///
+/// It is held against the joint states as recorded, or as `reading` corrects them, whichever it
+/// follows.
+pub fn diagnose_derived(
+    joints: &JointTrack,
+    reading: Option<&JointReading>,
+    stream: &PoseStream,
+    most_lag_s: f64,
+) -> PoseDiagnosis {
+    let streams = std::slice::from_ref(stream);
+    let scales = [position_scale(joints, stream)];
+    let by = |track: &JointTrack| {
+        let (_, mut diagnoses) = diagnose(joints, track, streams, &scales, most_lag_s, false);
+        diagnoses.remove(0)
+    };
+    let left = |diagnosis: &PoseDiagnosis| diagnosis.residual.as_ref().map_or(f64::INFINITY, |r| r.rms_m);
+    let as_recorded = by(joints);
+    match reading {
+        Some(reading) if reading.degrees.is_some() || reading.permutation.is_some() => {
+            let mended = by(&corrected(joints, reading, &prismatic(joints.dof, streams)));
+            if left(&mended) < left(&as_recorded) { mended } else { as_recorded }
+        }
+        _ => as_recorded,
+    }
+}
+
+/// How well a pose stream follows the arm: the best correlation of its speeds with FK's.
+pub fn follows(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Option<Peak> {
+    let rotation = as_rotations(&stream.track.orientation);
+    stream_peaks(joints, stream, rotation, most_lag_s).first().copied()
+}
+
+fn prismatic(dof: usize, streams: &[PoseStream]) -> Vec<bool> {
+    let mut prismatic = vec![false; dof];
+    for stream in streams {
+        for (kind, &column) in stream.chain.joint_kinds().iter().zip(stream.columns) {
+            prismatic[column] = *kind == JointKind::Prismatic;
+        }
+    }
+    prismatic
+}
+
+fn as_rotations(orientation: &Orientations) -> Option<&[Rotation]> {
+    match orientation {
+        Orientations::Rotations(rotations) => Some(rotations),
+        Orientations::Numbers(_) => None,
+    }
+}
+
+fn stream_peaks(joints: &JointTrack, stream: &PoseStream, rotation: Option<&[Rotation]>, most_lag_s: f64) -> Vec<Peak> {
+    let PoseStream { track, chain, columns, .. } = stream;
+    pose_peaks(joints, chain, columns, &track.t_s, &track.xyz, rotation, most_lag_s)
+}
+
+/// Factor that takes a stream's positions to metres: 1, or 0.001 where they are millimetres.
+///
+/// Extent of motion against the arm's tells, or at rest the distance from a known base.
+fn position_scale(joints: &JointTrack, stream: &PoseStream) -> Seen<f64> {
+    let reach = stream.chain.max_reach_m();
+    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+    let track = stream.track;
+    let step = track.t_s.len().div_ceil(500).max(1);
+    let mut fk = Vec::new();
+    let mut xyz = Vec::new();
+    for k in (0..track.t_s.len()).step_by(step) {
+        if joints.at(track.t_s[k], &mut cursor, &mut q, &mut qd) {
+            let own: Vec<f64> = stream.columns.iter().map(|&c| q[c]).collect();
+            fk.push(stream.chain.forward(&own).translation.vector);
+            xyz.push(track.xyz[k]);
+        }
+    }
+    if fk.len() < 2 {
+        return Err(Unseen::NoOverlap);
+    }
+    let (moved, extent) = (spread(&fk), spread(&xyz));
+    let ratio = if moved > 0.01 * reach {
+        extent / moved
+    } else {
+        let norm = |points: &[Vec3]| points.iter().map(Vec3::norm).sum::<f64>() / points.len() as f64;
+        if !stream.reference_known {
+            return Err(Unseen::AtRest);
+        }
+        norm(&xyz) / norm(&fk).max(0.05 * reach)
+    };
+    Ok(if (80.0..12_500.0).contains(&ratio) { 1e-3 } else { 1.0 })
+}
+
+/// A stream whose reading is settled, with what settled it.
+struct Prepared<'a> {
+    witness: Witness<'a>,
+    reading: ReadingEstimate,
+    degrees: Option<UnitSlip>,
+    fit: Fit,
+    peaks: Vec<Peak>,
+    moves: bool,
+}
+
+/// Fits all streams together and writes each one's diagnosis.
+fn diagnose(
+    recorded: &JointTrack,
+    joints: &JointTrack,
+    streams: &[PoseStream],
+    scales: &[Seen<f64>],
+    most_lag_s: f64,
+    with_offsets: bool,
+) -> (Vec<JointOffset>, Vec<PoseDiagnosis>) {
+    let still = still_speeds(joints);
+    let prepared: Vec<Seen<Prepared>> = streams
+        .iter()
+        .zip(scales)
+        .map(|(stream, scale)| prepare(joints, stream, *scale.as_ref().unwrap_or(&1.0), &still, most_lag_s))
+        .collect();
+    let usable: Vec<&Prepared> = prepared.iter().flatten().collect();
+    let fitted = fit(&usable, joints.dof, with_offsets);
+    let offsets = match &fitted {
+        Some(fitted) => joint_offsets(fitted, &usable, joints),
+        None => unseen_offsets(joints.dof),
+    };
+    let mut used = 0;
+    let diagnoses = streams
+        .iter()
+        .zip(prepared.iter().zip(scales))
+        .map(|(stream, (prepared, scale))| match (prepared, &fitted) {
+            (Ok(prepared), Some(fitted)) => {
+                used += 1;
+                stream_diagnosis(recorded, stream, scale, prepared, fitted, used - 1)
+            }
+            (Ok(_), None) => no_diagnosis(stream, scale, Unseen::NoOverlap),
+            (Err(why), _) => no_diagnosis(stream, scale, why.clone()),
+        })
+        .collect();
+    (offsets, diagnoses)
+}
+
+/// Settles reading and units of a stream and chooses the branch of each sample.
+fn prepare<'a>(
+    joints: &'a JointTrack,
+    stream: &PoseStream<'a>,
+    scale: f64,
+    still: &'a [f64],
+    most_lag_s: f64,
+) -> Seen<Prepared<'a>> {
+    let PoseStream { track, chain, columns, reference_known, .. } = *stream;
+    let xyz: Vec<Vec3> = track.xyz.iter().map(|p| p * scale).collect();
+    let peaks: Vec<Peak> = stream_peaks(joints, stream, as_rotations(&track.orientation), most_lag_s)
+        .into_iter()
+        .filter(|peak| peak.correlation > FOLLOWS)
+        .collect();
+    let lag_s = peaks.first().map_or(0.0, |peak| peak.lag_s);
+    let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, lag_s);
+    if rows.is_empty() {
+        return Err(Unseen::NoOverlap);
+    }
+    let fk_rotation: Vec<Rotation> = fk.iter().map(|pose| pose.rotation).collect();
+    let fk_xyz: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
+    let xyz_there: Vec<Vec3> = rows.iter().map(|&k| xyz[k]).collect();
+    let (numbers, degrees) = numbers_in_radians(&track.orientation, &rows, &fk_rotation, reference_known);
+    let logged_all = match (&track.orientation, &numbers) {
+        (Orientations::Rotations(rotations), _) => Logged::Rotations(rotations),
+        (Orientations::Numbers(_), numbers) => Logged::Numbers(numbers),
+    };
+    let logged_rotations: Vec<Rotation>;
+    let logged_numbers: Vec<[f64; 3]>;
+    let logged = match &logged_all {
+        Logged::Rotations(all) => {
+            logged_rotations = rows.iter().map(|&k| all[k]).collect();
+            Logged::Rotations(&logged_rotations)
+        }
+        Logged::Numbers(all) => {
+            logged_numbers = rows.iter().map(|&k| all[k]).collect();
+            Logged::Numbers(&logged_numbers)
+        }
+    };
+    let inverted_xyz: Option<Vec<Vec3>> = match &logged {
+        Logged::Rotations(all) => {
+            Some(all.iter().zip(&xyz_there).map(|(r, p)| -(r.inverse() * p)).collect())
+        }
+        Logged::Numbers(_) => None,
+    };
+    let plain = tool_misfit(&xyz_there, &fk_xyz, &fk_rotation);
+    let inverted = inverted_xyz.as_ref().map_or(f64::INFINITY, |xyz| tool_misfit(xyz, &fk_xyz, &fk_rotation));
+    let placed = plain.min(inverted) < 0.1 * spread(&fk_xyz);
+    let samples = Samples { logged, fk: &fk_rotation, reference_free: !placed, reference_known };
+    let (mut reading, mut fit) = read(&samples)?;
+    if matches!(fit.reading, Reading::Transposed) && inverted * 2.0 < plain {
+        fit.reading = Reading::Inverted;
+        reading.best = Reading::Inverted;
+    }
+
+    let mut witness = Witness {
+        joints,
+        chain,
+        columns,
+        reference_known,
+        still,
+        t_s: track.t_s.clone(),
+        xyz,
+        rotation: Vec::new(),
+        middle_s: 0.5 * (track.t_s[0] + track.t_s[track.t_s.len() - 1]),
+    };
+    choose_branches(&mut witness, &logged_all, &fit, lag_s);
+    if witness.len() < 3 {
+        return Err(Unseen::TooFewSamples { have: witness.len(), need: 3 });
+    }
+    let moves = moving_samples(&witness, lag_s) >= MOVING_SAMPLES && !peaks.is_empty();
+    Ok(Prepared { witness, reading, degrees, fit, peaks, moves })
+}
+
+/// Rotation numbers in radians, and the slip where the log has degrees.
+fn numbers_in_radians(
+    orientation: &Orientations,
+    rows: &[usize],
+    fk: &[Rotation],
+    reference_known: bool,
+) -> (Vec<[f64; 3]>, Option<UnitSlip>) {
+    let Orientations::Numbers(numbers) = orientation else {
+        return (Vec::new(), None);
+    };
+    let radians: Vec<[f64; 3]> = numbers.iter().map(|n| n.map(f64::to_radians)).collect();
+    let residual = |numbers: &[[f64; 3]]| {
+        let there: Vec<[f64; 3]> = rows.iter().map(|&k| numbers[k]).collect();
+        let samples = Samples {
+            logged: Logged::Numbers(&there),
+            fk,
+            reference_free: true,
+            reference_known,
+        };
+        read(&samples).map_or(std::f64::consts::PI, |(_, fit)| fit.residual_rad)
+    };
+    let (as_logged, corrected) = (residual(numbers), residual(&radians));
+    if corrected * 3.0 < as_logged {
+        (radians, Some(UnitSlip { as_logged, corrected }))
+    } else {
+        (numbers.clone(), None)
+    }
+}
+
+/// Slow samples spread over the run, and FK at the moments that they speak of.
+fn slow_samples(joints: &JointTrack, chain: &Chain, columns: &[usize], t_s: &[f64], lag_s: f64) -> (Vec<usize>, Vec<Pose>) {
+    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+    let mut covered: Vec<(usize, f64)> = Vec::new();
+    for (k, t) in t_s.iter().enumerate() {
+        if joints.at(t - lag_s, &mut cursor, &mut q, &mut qd) {
+            covered.push((k, qd.iter().map(|v| v * v).sum()));
+        }
+    }
+    let mut slowest = covered;
+    let kept = slowest.len().div_ceil(2);
+    slowest.sort_by(|a, b| a.1.total_cmp(&b.1));
+    slowest.truncate(kept);
+    let mut rows: Vec<usize> = slowest.iter().map(|(k, _)| *k).collect();
+    rows.sort_unstable();
+    let step = rows.len().div_ceil(READING_SAMPLES).max(1);
+    let rows: Vec<usize> = rows.into_iter().step_by(step).collect();
+    cursor = 0;
+    let fk = rows
+        .iter()
+        .map(|&k| {
+            joints.at(t_s[k] - lag_s, &mut cursor, &mut q, &mut qd);
+            let own: Vec<f64> = columns.iter().map(|&c| q[c]).collect();
+            chain.forward(&own)
+        })
+        .collect();
+    (rows, fk)
+}
+
+/// Applies the reading to every sample, taking the branch nearest to what FK expects; samples that
+/// the joints do not cover are dropped.
+fn choose_branches(witness: &mut Witness, logged: &Logged, fit: &Fit, lag_s: f64) {
+    let (mut kept_t, mut kept_xyz, mut kept_rotation) = (Vec::new(), Vec::new(), Vec::new());
+    let mut sweep = Sweep::new(witness);
+    let mut buffer = Vec::new();
+    let offsets = vec![0.0; witness.joints.dof];
+    let state = StreamState::at_latency(lag_s);
+    for k in 0..witness.len() {
+        let Some(fk) = witness.pose_at(k, &state, &offsets, &mut sweep) else {
+            continue;
+        };
+        let expected = fit.reference * fk.rotation * fit.tool;
+        let Some(rotation) = nearest_truth(&fit.reading, logged, k, &expected, &mut buffer) else {
+            continue;
+        };
+        kept_t.push(witness.t_s[k]);
+        kept_xyz.push(match fit.reading {
+            Reading::Inverted => -(rotation * witness.xyz[k]),
+            _ => witness.xyz[k],
+        });
+        kept_rotation.push(rotation);
+    }
+    (witness.t_s, witness.xyz, witness.rotation) = (kept_t, kept_xyz, kept_rotation);
+}
+
+/// Samples at which some joint moves.
+fn moving_samples(witness: &Witness, lag_s: f64) -> usize {
+    let dof = witness.joints.dof;
+    let state = StreamState::at_latency(lag_s);
+    witness.linearize(&state, &vec![0.0; dof], witness.len().div_ceil(SEARCH_SAMPLES)).moving
+}
+
+/// Joint speeds that are no motion: five times the noise of the velocities, at least 0.2 mrad/s.
+///
+/// Noise by the median magnitude of second differences, which smooth motion hardly has.
+fn still_speeds(joints: &JointTrack) -> Vec<f64> {
+    let column = |j: usize| joints.qd.iter().skip(j).step_by(joints.dof.max(1)).copied();
+    (0..joints.dof)
+        .map(|j| {
+            let velocity: Vec<f64> = column(j).collect();
+            let mut bends: Vec<f64> =
+                velocity.windows(3).map(|w| (w[0] - 2.0 * w[1] + w[2]).abs()).collect();
+            if bends.is_empty() {
+                return f64::INFINITY;
+            }
+            let middle = bends.len() / 2;
+            let median = *bends.select_nth_unstable_by(middle, f64::total_cmp).1;
+            (5.0 * 1.4826 * median / 6f64.sqrt()).max(2e-4)
+        })
+        .collect()
+}
+
+/// The fit of all streams together.
+struct Fitted {
+    explanation: Explanation,
+    menu: Menu,
+}
+
+fn fit(prepared: &[&Prepared], dof: usize, with_offsets: bool) -> Option<Fitted> {
+    if prepared.is_empty() {
+        return None;
+    }
+    let alone: Vec<StreamState> = prepared
+        .iter()
+        .map(|prepared| best_start(prepared, dof, with_offsets))
+        .collect();
+    let witnesses: Vec<&Witness> = prepared.iter().map(|prepared| &prepared.witness).collect();
+    let menu = menu(prepared, dof, with_offsets);
+    let start = State { offsets: vec![0.0; dof], streams: alone };
+    let explanation = explain(&witnesses, start, &menu, FIT_SAMPLES);
+    Some(Fitted { explanation, menu })
+}
+
+fn menu(prepared: &[&Prepared], dof: usize, with_offsets: bool) -> Menu {
+    let (mut always, mut optional) = (Vec::new(), Vec::new());
+    if with_offsets {
+        let seen = |joint: &usize| prepared.iter().any(|p| p.witness.columns.contains(joint));
+        optional.extend((0..dof).filter(seen).map(Cause::Zero));
+    }
+    for (s, prepared) in prepared.iter().enumerate() {
+        if prepared.moves {
+            always.push(Cause::Latency(s));
+            optional.push(Cause::Skew(s));
+        }
+        if prepared.witness.reference_known {
+            optional.push(Cause::Reference(s));
+        } else {
+            always.push(Cause::Reference(s));
+        }
+        optional.push(Cause::Tool(s));
+        optional.push(Cause::Growth(s));
+    }
+    Menu { always, optional }
+}
+
+/// The start from which a stream alone is explained best.
+fn best_start(prepared: &Prepared, dof: usize, with_offsets: bool) -> StreamState {
+    let menu = menu(&[prepared], dof, with_offsets);
+    let best_lag = prepared.peaks.first().map_or(0.0, |peak| peak.correlation);
+    let lags: Vec<f64> = if prepared.moves {
+        let near = |peak: &&Peak| peak.correlation > best_lag - 0.1;
+        prepared.peaks.iter().filter(near).take(3).map(|peak| peak.lag_s).collect()
+    } else {
+        vec![0.0]
+    };
+    lags.iter()
+        .flat_map(|&lag_s| starts(&prepared.witness, lag_s))
+        .map(|stream| {
+            let state = State { offsets: vec![0.0; dof], streams: vec![stream] };
+            explain(&[&prepared.witness], state, &menu, SEARCH_SAMPLES)
+        })
+        .min_by(|a, b| a.score.total_cmp(&b.score))
+        .map_or_else(|| StreamState::at_latency(0.0), |mut best| best.state.streams.remove(0))
+}
+
+fn unseen_offsets(dof: usize) -> Vec<JointOffset> {
+    let offset = || JointOffset {
+        offset: Err(Unseen::NoOverlap),
+        chosen: false,
+        effect_m: 0.0,
+        twins: Vec::new(),
+    };
+    (0..dof).map(|_| offset()).collect()
+}
+
+/// The offset of every joint: those chosen with the chosen causes alone, the others with all
+/// joints free.
+fn joint_offsets(fitted: &Fitted, prepared: &[&Prepared], joints: &JointTrack) -> Vec<JointOffset> {
+    let Fitted { explanation, menu } = fitted;
+    let moved = moved_joints(joints);
+    let zeros: Vec<Cause> =
+        menu.optional.iter().copied().filter(|cause| matches!(cause, Cause::Zero(_))).collect();
+    let everyone: Vec<Cause> = explanation.causes.iter().copied().chain(zeros.iter().copied()).collect();
+    (0..joints.dof)
+        .map(|joint| {
+            let cause = Cause::Zero(joint);
+            let chosen = explanation.causes.contains(&cause);
+            let offset = if !zeros.contains(&cause) {
+                Err(Unseen::NotExcited)
+            } else if chosen {
+                measured(fitted, &explanation.causes, cause, 0)
+            } else if !moved[joint] || moved.iter().filter(|m| **m).count() < 2 {
+                Err(Unseen::NotExcited)
+            } else {
+                measured(fitted, &everyone, cause, 0)
+            };
+            let twins = if chosen { twins(fitted, cause) } else { Vec::new() };
+            let amount = offset.as_ref().map_or(0.0, |offset| offset.value);
+            JointOffset { offset, chosen, effect_m: amount.abs() * lever_m(prepared, joint), twins }
+        })
+        .collect()
+}
+
+/// Joints that move by more than 3° (or 5 mm) over the run.
+fn moved_joints(joints: &JointTrack) -> Vec<bool> {
+    (0..joints.dof)
+        .map(|j| {
+            let column = || joints.q.iter().skip(j).step_by(joints.dof);
+            let low = column().copied().fold(f64::INFINITY, f64::min);
+            let high = column().copied().fold(f64::NEG_INFINITY, f64::max);
+            high - low > 0.05
+        })
+        .collect()
+}
+
+/// Distance from a joint's axis to the tip at full stretch, m a rad (1 for a sliding joint).
+fn lever_m(prepared: &[&Prepared], joint: usize) -> f64 {
+    prepared
+        .iter()
+        .filter_map(|prepared| {
+            let own = prepared.witness.columns.iter().position(|&column| column == joint)?;
+            let chain = prepared.witness.chain;
+            if chain.joint_kinds()[own] == JointKind::Prismatic {
+                return Some(1.0);
+            }
+            let mut frames = Vec::new();
+            let rows = prepared.witness.joints;
+            let step = rows.len().div_ceil(200).max(1);
+            let mut lever: f64 = 0.0;
+            for row in (0..rows.len()).step_by(step) {
+                let q: Vec<f64> =
+                    prepared.witness.columns.iter().map(|&c| rows.row(row)[c]).collect();
+                chain.joint_frames(&q, &mut frames);
+                let mut jacobian = vec![[0.0; 6]; q.len()];
+                chain.forward_with_jacobian(&q, &mut jacobian);
+                let [x, y, z, ..] = jacobian[own];
+                lever = lever.max(Vec3::new(x, y, z).norm());
+            }
+            Some(lever)
+        })
+        .fold(0.0, f64::max)
+}
+
+/// The estimate of one parameter of `cause` when `causes` and what is always free are free.
+fn measured(fitted: &Fitted, causes: &[Cause], cause: Cause, which: usize) -> Seen<Measured> {
+    let Fitted { explanation, menu } = fitted;
+    let state = &explanation.state;
+    let mut parameters: Vec<usize> = menu
+        .always
+        .iter()
+        .chain(causes)
+        .flat_map(|cause| cause.parameters(state))
+        .collect();
+    parameters.sort_unstable();
+    parameters.dedup();
+    let wanted = cause.parameters(state).start + which;
+    let at = parameters.binary_search(&wanted).map_err(|_| Unseen::NotExcited)?;
+    explanation.linear.measured(&parameters, at, state).ok_or(Unseen::NotExcited)
+}
+
+/// Causes that explain the log as well in the place of `cause`.
+fn twins(fitted: &Fitted, cause: Cause) -> Vec<Twin> {
+    let Fitted { explanation, menu } = fitted;
+    let (state, linear) = (&explanation.state, &explanation.linear);
+    let parameters = |causes: &[Cause]| -> Vec<usize> {
+        let mut list: Vec<usize> =
+            menu.always.iter().chain(causes).flat_map(|c| c.parameters(state)).collect();
+        list.sort_unstable();
+        list
+    };
+    let cost = linear.cost(&parameters(&explanation.causes));
+    let rest: Vec<Cause> = explanation.causes.iter().copied().filter(|c| *c != cause).collect();
+    menu.optional
+        .iter()
+        .filter(|other| !explanation.causes.contains(other))
+        .filter_map(|&other| {
+            let swapped: Vec<Cause> = rest.iter().copied().chain([other]).collect();
+            let parameters = parameters(&swapped);
+            if linear.cost(&parameters) > cost + 12.0 {
+                return None;
+            }
+            let values = state.values() + linear.step(&parameters);
+            let own: Vec<f64> = other.parameters(state).map(|p| values[p]).collect();
+            match other {
+                Cause::Zero(joint) => Some(Twin::JointZero(joint, own[0])),
+                Cause::Reference(s) => Some(Twin::Reference(s, frame_amount(&own))),
+                Cause::Tool(s) => Some(Twin::Tool(s, frame_amount(&own))),
+                Cause::Latency(_) | Cause::Skew(_) | Cause::Growth(_) => None,
+            }
+        })
+        .collect()
+}
+
+/// The size of a frame change: its angle in rad, or where it does not turn its length in m.
+fn frame_amount(twist: &[f64]) -> f64 {
+    let length = Vec3::new(twist[0], twist[1], twist[2]).norm();
+    let angle = Vec3::new(twist[3], twist[4], twist[5]).norm();
+    if angle > 1e-5 { angle } else { length }
+}
+
+fn no_diagnosis(stream: &PoseStream, scale: &Seen<f64>, why: Unseen) -> PoseDiagnosis {
+    let rests = || Unseen::RestsOn("the reading of the rotations");
+    let top_speed_m_s = 0.0;
+    let aligned = Aligned::default();
+    let _ = stream;
+    PoseDiagnosis {
+        reading: Err(why),
+        millimetres: millimetres(scale, None),
+        degrees: None,
+        latency_s: Err(rests()),
+        skew: Err(rests()),
+        growth: Err(rests()),
+        reference: Err(rests()),
+        tool: Err(rests()),
+        residual: Err(rests()),
+        top_speed_m_s,
+        aligned,
+    }
+}
+
+fn millimetres(scale: &Seen<f64>, residual: Option<&Residual>) -> Seen<Option<UnitSlip>> {
+    match scale {
+        Ok(scale) if *scale < 1.0 => {
+            let corrected = residual.map_or(0.0, |residual| residual.rms_m);
+            let as_logged = residual.map_or(0.0, |residual| residual.before_m);
+            Ok(Some(UnitSlip { as_logged, corrected }))
+        }
+        Ok(_) => Ok(None),
+        Err(why) => Err(why.clone()),
+    }
+}
+
+fn stream_diagnosis(
+    recorded: &JointTrack,
+    stream: &PoseStream,
+    scale: &Seen<f64>,
+    prepared: &Prepared,
+    fitted: &Fitted,
+    index: usize,
+) -> PoseDiagnosis {
+    let Fitted { explanation, menu } = fitted;
+    let causes = &explanation.causes;
+    let with = |cause: Cause| -> Vec<Cause> {
+        let mut with = causes.clone();
+        if !with.contains(&cause) && !menu.always.contains(&cause) {
+            with.push(cause);
+        }
+        with
+    };
+    let one = |cause: Cause| {
+        if menu.all().contains(&cause) { measured(fitted, &with(cause), cause, 0) } else { Err(Unseen::AtRest) }
+    };
+    let latency_s = one(Cause::Latency(index)).map(|latency| Measured {
+        std_error: latency.std_error.hypot(stream.stamp_error_s),
+        ..latency
+    });
+    let latency_s = match aliases(prepared, explanation, index) {
+        Some(lags) => Err(Unseen::Periodic(lags)),
+        None => latency_s,
+    };
+    let frame = |cause: Cause| frame_estimate(explanation, menu, &with(cause), cause, index);
+    let aligned = align(recorded, stream, prepared, explanation, index);
+    let residual = residual(&aligned, prepared);
+    let (linear, _) = arm_speeds(prepared.witness.joints, stream.chain, stream.columns);
+    PoseDiagnosis {
+        reading: Ok(prepared.reading.clone()),
+        millimetres: millimetres(scale, residual.as_ref().ok()),
+        degrees: prepared.degrees,
+        latency_s,
+        skew: one(Cause::Skew(index)),
+        growth: one(Cause::Growth(index)),
+        reference: frame(Cause::Reference(index)),
+        tool: frame(Cause::Tool(index)),
+        residual,
+        top_speed_m_s: top(&linear),
+        aligned,
+    }
+}
+
+/// Other lags at which the stream lies as well on the arm as at the one found: repeating motion.
+fn aliases(prepared: &Prepared, explanation: &Explanation, index: usize) -> Option<Vec<f64>> {
+    let found = &explanation.state.streams[index];
+    let witness = &prepared.witness;
+    let misfit = |latency_s: f64| -> f64 {
+        let state = StreamState { latency_s, ..found.clone() };
+        let linear = witness.linearize(&state, &explanation.state.offsets, witness.len().div_ceil(SEARCH_SAMPLES));
+        let squares: f64 = linear.position.iter().flatten().map(|c| c * c).sum();
+        (squares / linear.len().max(1) as f64).sqrt()
+    };
+    let best = misfit(found.latency_s);
+    let apart = 4.0 * median_period_s(&witness.t_s).max(0.02);
+    let others: Vec<f64> = prepared
+        .peaks
+        .iter()
+        .take(6)
+        .map(|peak| peak.lag_s)
+        .filter(|lag| (lag - found.latency_s).abs() > apart)
+        .filter(|&lag| misfit(lag) < 2.0 * best.max(1e-5))
+        .collect();
+    if others.is_empty() {
+        return None;
+    }
+    let mut lags = vec![found.latency_s];
+    lags.extend(others);
+    lags.sort_by(f64::total_cmp);
+    Some(lags)
+}
+
+/// The stream's samples beside FK, before and after the explanation.
+fn align(
+    recorded: &JointTrack,
+    stream: &PoseStream,
+    prepared: &Prepared,
+    explanation: &Explanation,
+    index: usize,
+) -> Aligned {
+    let witness = &prepared.witness;
+    let found = &explanation.state.streams[index];
+    let plain = StreamState::at_latency(0.0);
+    let as_recorded = Witness {
+        joints: recorded,
+        chain: witness.chain,
+        columns: witness.columns,
+        reference_known: witness.reference_known,
+        still: witness.still,
+        t_s: witness.t_s.clone(),
+        xyz: Vec::new(),
+        rotation: Vec::new(),
+        middle_s: witness.middle_s,
+    };
+    let zero = vec![0.0; recorded.dof];
+    let (mut sweep, mut truth_sweep) = (Sweep::new(&as_recorded), Sweep::new(witness));
+    let truth_state = StreamState {
+        latency_s: found.latency_s,
+        skew: found.skew,
+        ..StreamState::at_latency(0.0)
+    };
+    let mut aligned = Aligned::default();
+    let mut source = 0;
+    for k in 0..witness.len() {
+        let truth = witness.pose_at(k, &truth_state, &explanation.state.offsets, &mut truth_sweep);
+        let fk = as_recorded.pose_at(k, &plain, &zero, &mut sweep);
+        let (Some(truth), Some(fk)) = (truth, fk) else {
+            continue;
+        };
+        while stream.track.t_s[source] < witness.t_s[k] {
+            source += 1;
+        }
+        let rotation = match &stream.track.orientation {
+            Orientations::Rotations(rotations) => rotations[source],
+            Orientations::Numbers(_) => witness.rotation[k],
+        };
+        let read = pose(witness.xyz[k].into(), witness.rotation[k]);
+        let mut in_base = found.reference.inverse() * read;
+        in_base.translation.vector /= 1.0 + found.growth;
+        aligned.t_s.push(witness.t_s[k]);
+        aligned.logged.push(pose(stream.track.xyz[source].into(), rotation));
+        aligned.fk.push(fk);
+        aligned.corrected.push(in_base * found.tool.inverse());
+        aligned.fk_at_truth.push(truth);
+    }
+    aligned
+}
+
+/// What is left of a stream, beyond what differs from sample to sample.
+fn residual(aligned: &Aligned, prepared: &Prepared) -> Seen<Residual> {
+    let n = aligned.t_s.len();
+    if n < 8 {
+        return Err(Unseen::TooFewSamples { have: n, need: 8 });
+    }
+    let position = |a: &Pose, b: &Pose| a.translation.vector - b.translation.vector;
+    let rotation = |a: &Pose, b: &Pose| rotvec_from_rotation(&(a.rotation * b.rotation.inverse()));
+    let pairs = |a: &[Pose], b: &[Pose], difference: &dyn Fn(&Pose, &Pose) -> Vec3| -> Vec<Vec3> {
+        a.iter().zip(b).map(|(a, b)| difference(a, b)).collect()
+    };
+    let left_m = pairs(&aligned.corrected, &aligned.fk_at_truth, &position);
+    let left_rad = pairs(&aligned.corrected, &aligned.fk_at_truth, &rotation);
+    let before_m = rms(&pairs(&aligned.logged, &aligned.fk, &position));
+    let before_rad = rms(&pairs(&aligned.logged, &aligned.fk, &rotation));
+    let _ = prepared;
+    Ok(Residual {
+        excess_m: excess(&left_m),
+        excess_rad: excess(&left_rad),
+        rms_m: rms(&left_m),
+        rms_rad: rms(&left_rad),
+        before_m,
+        before_rad,
+    })
+}
+
+fn rms(vectors: &[Vec3]) -> f64 {
+    (vectors.iter().map(Vec3::norm_squared).sum::<f64>() / vectors.len().max(1) as f64).sqrt()
+}
+
+/// Root mean square beyond the noise from sample to sample (half the mean square of successive
+/// differences, von Neumann 1941), with a standard error from the spread over blocks.
+fn excess(vectors: &[Vec3]) -> Measured {
+    let blocks = 20.min(vectors.len() / 2).max(1);
+    let size = vectors.len() / blocks;
+    let beyond: Vec<f64> = vectors
+        .chunks_exact(size)
+        .map(|block| {
+            let square = rms(block).powi(2);
+            let steps: Vec<Vec3> = block.windows(2).map(|w| w[1] - w[0]).collect();
+            square - 0.5 * rms(&steps).powi(2)
+        })
+        .collect();
+    let n = beyond.len() as f64;
+    let mean = beyond.iter().sum::<f64>() / n;
+    let spread = beyond.iter().map(|b| (b - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
+    let value = mean.max(0.0).sqrt();
+    let mean_error = (spread / n).sqrt();
+    // d(√x) = dx / 2√x, and near zero no more than √dx.
+    let std_error = (mean_error / (2.0 * value).max(mean_error.sqrt())).max(1e-9);
+    Measured { value, std_error, dof: n - 1.0 }
+}
+
+/// Largest linear speed of a track, for streams that have no FK beside them, m/s.
+pub(super) fn track_speed(t_s: &[f64], xyz: &[Vec3]) -> f64 {
+    top(&linear_speed(t_s, xyz))
+}

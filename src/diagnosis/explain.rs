@@ -1,0 +1,427 @@
+//! The smallest explanation: which few causes bring the residual to the noise floor.
+//!
+//! The model is linearised once with every cause in it; each set of causes is then judged on the
+//! normal equations alone, so that hundreds of sets cost less than one pass over the samples. Around
+//! that, Gauss–Newton moves the state until the chosen set no longer changes.
+
+use super::Measured;
+use super::model::{
+    GROWTH, LATENCY, Linear, Normal, REFERENCE, SKEW, STREAM_WIDTH, State, TOOL, Weights, Witness,
+};
+use super::noise::Noise;
+use nalgebra::{DMatrix, DVector};
+
+/// Standard deviations below these are no statistics: 1 µm and 1 µrad.
+const FLOOR_M: f64 = 1e-6;
+const FLOOR_RAD: f64 = 1e-6;
+
+/// Residuals beyond this many standard deviations lose weight (Huber).
+const HUBER: f64 = 3.0;
+
+/// Eigenvalues of the scaled normal matrix below this are directions that the log does not show.
+const BLIND: f64 = 1e-9;
+
+/// Most causes that are searched exhaustively.
+const EXHAUSTIVE: usize = 4;
+
+/// One thing that may be wrong: a group of parameters that come together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Cause {
+    /// Zero offset of a joint of the track.
+    Zero(usize),
+    /// Latency of a stream.
+    Latency(usize),
+    /// Clock skew of a stream.
+    Skew(usize),
+    /// Radial growth of a stream's positions.
+    Growth(usize),
+    /// Reference frame of a stream.
+    Reference(usize),
+    /// Tool frame of a stream.
+    Tool(usize),
+}
+
+impl Cause {
+    /// The parameters of this cause in a model's order.
+    pub fn parameters(self, state: &State) -> std::ops::Range<usize> {
+        let (stream, first, count) = match self {
+            Cause::Zero(joint) => return joint..joint + 1,
+            Cause::Latency(stream) => (stream, LATENCY, 1),
+            Cause::Skew(stream) => (stream, SKEW, 1),
+            Cause::Growth(stream) => (stream, GROWTH, 1),
+            Cause::Reference(stream) => (stream, REFERENCE, 6),
+            Cause::Tool(stream) => (stream, TOOL, 6),
+        };
+        let start = state.index(stream, first);
+        start..start + count
+    }
+}
+
+/// Parameters of a set of causes, ascending.
+fn parameters_of(causes: &[Cause], state: &State) -> Vec<usize> {
+    let mut parameters: Vec<usize> = causes.iter().flat_map(|cause| cause.parameters(state)).collect();
+    parameters.sort_unstable();
+    parameters
+}
+
+/// The model linearised about a state, with its noise.
+pub(super) struct Linearized {
+    pub streams: Vec<Linear>,
+    pub weights: Vec<Weights>,
+    pub normal: Normal,
+    values: DVector<f64>,
+}
+
+/// Columns of a stream's own parameters in the whole model.
+fn columns_of(state: &State, stream: usize) -> Vec<usize> {
+    let joints = state.offsets.len();
+    let start = state.index(stream, 0);
+    (0..joints).chain(start..start + STREAM_WIDTH).collect()
+}
+
+impl Linearized {
+    /// Linearises all streams about `state`, taking about `most` samples of each, and weighs them
+    /// by the noise that is left when the causes in `all` are all free.
+    pub fn at(witnesses: &[&Witness], state: &State, most: usize, all: &[Cause]) -> Self {
+        let streams: Vec<Linear> = witnesses
+            .iter()
+            .zip(&state.streams)
+            .map(|(witness, stream)| witness.linearize(stream, &state.offsets, witness.len().div_ceil(most)))
+            .collect();
+        let values = state.values();
+        let mut weights: Vec<Weights> = streams.iter().map(|linear| first_weights(linear)).collect();
+        let mut normal = normal_of(&streams, &weights, state);
+        let free = parameters_of(all, state);
+        for _ in 0..2 {
+            let step = restricted_step(&normal, &values, &free);
+            weights = (0..streams.len())
+                .map(|s| weights_after(&streams[s], &own_part(&step, state, s)))
+                .collect();
+            normal = normal_of(&streams, &weights, state);
+        }
+        Self { streams, weights, normal, values }
+    }
+
+    /// The step that frees `parameters` and returns all others to "no such cause".
+    pub fn step(&self, parameters: &[usize]) -> DVector<f64> {
+        restricted_step(&self.normal, &self.values, parameters)
+    }
+
+    /// The weighted cost after that step.
+    pub fn cost(&self, parameters: &[usize]) -> f64 {
+        let step = self.step(parameters);
+        self.normal.cost - 2.0 * self.normal.right.dot(&step) + step.dot(&(&self.normal.matrix * &step))
+    }
+
+    /// Covariance of `parameters` when only they are free, under correlated noise
+    /// (`H⁻¹ S H⁻¹`, White 1980); infinite variances where the log does not show a parameter.
+    pub fn covariance(&self, parameters: &[usize], state: &State) -> DMatrix<f64> {
+        let n = parameters.len();
+        let (mut scores, mut information) = (DMatrix::zeros(n, n), DMatrix::zeros(n, n));
+        for (s, linear) in self.streams.iter().enumerate() {
+            let columns: Vec<Option<usize>> = columns_of(state, s)
+                .into_iter()
+                .map(|column| parameters.binary_search(&column).ok())
+                .collect();
+            linear.accumulate_scores(&self.weights[s], &columns, &mut scores);
+            linear.accumulate_information(&self.weights[s], &columns, &mut information);
+        }
+        let (inverse, blind) = pseudo_inverse(&information);
+        let mut covariance = &inverse * scores * &inverse;
+        for (i, &share) in blind.iter().enumerate() {
+            if share > 1e-3 {
+                covariance[(i, i)] = f64::INFINITY;
+            }
+        }
+        covariance
+    }
+
+    /// Degrees of freedom behind the covariance: independent residual components less parameters.
+    pub fn dof(&self, parameters: usize) -> f64 {
+        (self.normal.independent - parameters as f64).max(3.0)
+    }
+
+    /// The estimate of parameter `parameters[which]` when all of `parameters` are free.
+    pub fn measured(&self, parameters: &[usize], which: usize, state: &State) -> Option<Measured> {
+        let covariance = self.covariance(parameters, state);
+        let variance = covariance[(which, which)];
+        let step = self.step(parameters);
+        let value = self.values[parameters[which]] + step[parameters[which]];
+        variance.is_finite().then(|| Measured {
+            value,
+            std_error: variance.max(0.0).sqrt(),
+            dof: self.dof(parameters.len()),
+        })
+    }
+}
+
+fn own_part(step: &DVector<f64>, state: &State, stream: usize) -> Vec<f64> {
+    columns_of(state, stream).into_iter().map(|column| step[column]).collect()
+}
+
+fn normal_of(streams: &[Linear], weights: &[Weights], state: &State) -> Normal {
+    let mut normal = Normal::zeros(state.width());
+    for (s, linear) in streams.iter().enumerate() {
+        linear.accumulate(&weights[s], &columns_of(state, s), &mut normal);
+    }
+    normal
+}
+
+/// Weights before anything is known: the spread of the residuals themselves.
+fn first_weights(linear: &Linear) -> Weights {
+    let ones = vec![1.0; linear.len()];
+    let white = |residual: &[[f64; 3]], floor: f64| Noise {
+        sigma: median_component(residual).mul_add(1.4826, 0.0).max(floor),
+        share: 0.0,
+        rho: 0.0,
+    };
+    Weights {
+        position: white(&linear.position, FLOOR_M),
+        rotation: white(&linear.rotation, FLOOR_RAD),
+        robust_position: ones.clone(),
+        robust_rotation: ones,
+    }
+}
+
+/// Weights from what a step leaves of the residuals.
+fn weights_after(linear: &Linear, step: &[f64]) -> Weights {
+    let (position, rotation) = linear.after(step);
+    let robust_position = huber(&position, FLOOR_M);
+    let robust_rotation = huber(&rotation, FLOOR_RAD);
+    Weights {
+        position: Noise::of(&position, &robust_position, FLOOR_M),
+        rotation: Noise::of(&rotation, &robust_rotation, FLOOR_RAD),
+        robust_position,
+        robust_rotation,
+    }
+}
+
+/// Huber weights of three-component residuals against their own robust spread.
+fn huber(residual: &[[f64; 3]], floor: f64) -> Vec<f64> {
+    let sigma = (1.4826 * median_component(residual)).max(floor);
+    let limit = HUBER * sigma * 3f64.sqrt();
+    residual
+        .iter()
+        .map(|r| {
+            let norm = r.iter().map(|c| c * c).sum::<f64>().sqrt();
+            if norm <= limit { 1.0 } else { limit / norm }
+        })
+        .collect()
+}
+
+/// Median magnitude of all components.
+fn median_component(residual: &[[f64; 3]]) -> f64 {
+    let mut magnitudes: Vec<f64> = residual.iter().flatten().map(|c| c.abs()).collect();
+    if magnitudes.is_empty() {
+        return 0.0;
+    }
+    let middle = magnitudes.len() / 2;
+    *magnitudes.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// The step that minimises the cost over `free` and takes every other parameter back to zero.
+fn restricted_step(normal: &Normal, values: &DVector<f64>, free: &[usize]) -> DVector<f64> {
+    let mut step = -values;
+    for &parameter in free {
+        step[parameter] = 0.0;
+    }
+    if free.is_empty() {
+        return step;
+    }
+    let right = &normal.right - &normal.matrix * &step;
+    let n = free.len();
+    let matrix = DMatrix::from_fn(n, n, |i, j| normal.matrix[(free[i], free[j])]);
+    let right = DVector::from_fn(n, |i, _| right[free[i]]);
+    let scale = DVector::from_fn(n, |i, _| matrix[(i, i)].max(f64::MIN_POSITIVE).sqrt().recip());
+    let scaled = DMatrix::from_fn(n, n, |i, j| matrix[(i, j)] * scale[i] * scale[j]);
+    let solution = match scaled.clone().cholesky() {
+        Some(cholesky) if cholesky.l().diagonal().min() > BLIND.sqrt() => {
+            cholesky.solve(&right.component_mul(&scale)).component_mul(&scale)
+        }
+        _ => pseudo_inverse(&matrix).0 * right,
+    };
+    for (i, &parameter) in free.iter().enumerate() {
+        step[parameter] = solution[i];
+    }
+    step
+}
+
+/// Inverse on the directions that the log shows, and for each parameter the share of it (0 to 1)
+/// that lies in directions that it does not.
+fn pseudo_inverse(matrix: &DMatrix<f64>) -> (DMatrix<f64>, Vec<f64>) {
+    let n = matrix.nrows();
+    let scale = DVector::from_fn(n, |i, _| {
+        let diagonal = matrix[(i, i)];
+        if diagonal > 0.0 { diagonal.sqrt().recip() } else { 0.0 }
+    });
+    let scaled = DMatrix::from_fn(n, n, |i, j| matrix[(i, j)] * scale[i] * scale[j]);
+    let eigen = scaled.symmetric_eigen();
+    let mut inverse = DMatrix::zeros(n, n);
+    let mut blind: Vec<f64> = scale.iter().map(|&s| if s > 0.0 { 0.0 } else { 1.0 }).collect();
+    for (k, &value) in eigen.eigenvalues.iter().enumerate() {
+        let direction = eigen.eigenvectors.column(k);
+        if value > BLIND {
+            inverse += direction * direction.transpose() / value;
+        } else {
+            for i in 0..n {
+                blind[i] += direction[i] * direction[i];
+            }
+        }
+    }
+    let inverse = DMatrix::from_fn(n, n, |i, j| inverse[(i, j)] * scale[i] * scale[j]);
+    (inverse, blind)
+}
+
+/// What the search may use.
+#[derive(Clone)]
+pub(super) struct Menu {
+    /// Causes that are always free.
+    pub always: Vec<Cause>,
+    /// Causes that are free only where they pay.
+    pub optional: Vec<Cause>,
+}
+
+impl Menu {
+    /// Every cause.
+    pub fn all(&self) -> Vec<Cause> {
+        self.always.iter().chain(&self.optional).copied().collect()
+    }
+}
+
+/// A set of causes with its cost; less is better.
+#[derive(Clone, Debug)]
+pub(super) struct Choice {
+    pub causes: Vec<Cause>,
+    /// Weighted cost plus the price of the parameters.
+    pub score: f64,
+}
+
+/// Price of one parameter: the Bayesian information criterion's `ln n`, and as much again as makes
+/// a needless cause a one-in-ten-thousand event rather than a one-in-a-hundred one.
+fn price(independent: f64) -> f64 {
+    independent.max(2.0).ln() + 8.0
+}
+
+/// The cheapest set of optional causes at a linearisation, with the runners-up of equal cost.
+fn choose(linear: &Linearized, menu: &Menu, state: &State) -> Choice {
+    let price = price(linear.normal.independent);
+    let score_of = |set: &[Cause]| -> f64 {
+        let causes: Vec<Cause> = menu.always.iter().chain(set).copied().collect();
+        let parameters = parameters_of(&causes, state);
+        let optional: usize = set.iter().map(|cause| cause.parameters(state).len()).sum();
+        linear.cost(&parameters) + price * optional as f64
+    };
+    let mut best = Choice { score: score_of(&[]), causes: Vec::new() };
+    let mut set = Vec::new();
+    let depth = if menu.optional.len() > 16 { EXHAUSTIVE - 1 } else { EXHAUSTIVE };
+    subsets(&menu.optional, depth, &mut set, &mut |set| {
+        let score = score_of(set);
+        if score < best.score {
+            best = Choice { score, causes: set.to_vec() };
+        }
+    });
+    // Beyond the exhaustive depth: add while it pays, then drop while it pays.
+    while best.causes.len() >= depth {
+        let grown = menu
+            .optional
+            .iter()
+            .filter(|cause| !best.causes.contains(cause))
+            .map(|&cause| {
+                let causes: Vec<Cause> = best.causes.iter().copied().chain([cause]).collect();
+                Choice { score: score_of(&causes), causes }
+            })
+            .min_by(|a, b| a.score.total_cmp(&b.score));
+        match grown {
+            Some(grown) if grown.score < best.score => best = prune(grown, &score_of),
+            _ => break,
+        }
+    }
+    best.causes.sort_unstable();
+    best
+}
+
+fn prune(mut choice: Choice, score_of: &dyn Fn(&[Cause]) -> f64) -> Choice {
+    loop {
+        let shrunk = (0..choice.causes.len())
+            .map(|drop| {
+                let mut causes = choice.causes.clone();
+                causes.remove(drop);
+                Choice { score: score_of(&causes), causes }
+            })
+            .min_by(|a, b| a.score.total_cmp(&b.score));
+        match shrunk {
+            Some(shrunk) if shrunk.score < choice.score => choice = shrunk,
+            _ => return choice,
+        }
+    }
+}
+
+/// Calls `visit` with every subset of 1 to `depth` of `causes`.
+fn subsets(causes: &[Cause], depth: usize, set: &mut Vec<Cause>, visit: &mut dyn FnMut(&[Cause])) {
+    if depth == 0 {
+        return;
+    }
+    for (i, &cause) in causes.iter().enumerate() {
+        set.push(cause);
+        visit(set);
+        subsets(&causes[i + 1..], depth - 1, set, visit);
+        set.pop();
+    }
+}
+
+/// An explanation: the state, the causes in it, and how good it is.
+pub(super) struct Explanation {
+    pub state: State,
+    /// The optional causes chosen, ascending.
+    pub causes: Vec<Cause>,
+    pub linear: Linearized,
+    /// Profile-likelihood score in which explanations with different noise compare; less is better.
+    pub score: f64,
+}
+
+/// Finds the smallest explanation from a starting state, on about `most` samples a stream.
+pub(super) fn explain(witnesses: &[&Witness], start: State, menu: &Menu, most: usize) -> Explanation {
+    let all = menu.all();
+    let mut state = start;
+    let mut causes: Vec<Cause> = all.clone();
+    let mut linear = Linearized::at(witnesses, &state, most, &all);
+    // A few full steps first, so that sets are compared near the truth and not across a curve.
+    for round in 0..12 {
+        let full = round < 3;
+        let next = if full { menu.optional.clone() } else { choose(&linear, menu, &state).causes };
+        let free: Vec<Cause> = menu.always.iter().chain(&next).copied().collect();
+        let step = linear.step(&parameters_of(&free, &state));
+        let settled = !full && next == causes && small(&step);
+        state.step(&step);
+        causes = next;
+        linear = Linearized::at(witnesses, &state, most, &all);
+        if settled {
+            break;
+        }
+    }
+    let score = likelihood_score(&linear, &causes, menu, &state);
+    Explanation { state, causes, linear, score }
+}
+
+/// Whether a step is below what any estimate resolves.
+fn small(step: &DVector<f64>) -> bool {
+    step.amax() < 1e-7
+}
+
+/// `Σ n·ln σ²` of what the explanation leaves, plus the price of its parameters and round slips.
+fn likelihood_score(linear: &Linearized, causes: &[Cause], menu: &Menu, state: &State) -> f64 {
+    let free: Vec<Cause> = menu.always.iter().chain(causes).copied().collect();
+    let step = linear.step(&parameters_of(&free, state));
+    let mut score = 0.0;
+    for (s, stream) in linear.streams.iter().enumerate() {
+        let weights = weights_after(stream, &own_part(&step, state, s));
+        let samples = stream.len() as f64;
+        // Noise memory is capped so that a bad explanation's smooth residual does not count as few samples.
+        for noise in [weights.position, weights.rotation] {
+            score += 2.0 * 3.0 * samples / noise.inflation().min(20.0) * noise.sigma.ln();
+        }
+    }
+    let optional: usize = causes.iter().map(|cause| cause.parameters(state).len()).sum();
+    let rounds = state.streams.iter().flat_map(|s| [&s.round_reference, &s.round_tool]).flatten().count();
+    score + price(linear.normal.independent) * (optional + rounds) as f64
+}

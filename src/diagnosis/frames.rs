@@ -1,0 +1,226 @@
+//! Constant frame errors: first guesses from which the fit starts, and what it says of them.
+
+use super::explain::{Cause, Explanation, Menu};
+use super::model::{StreamState, Sweep, Witness, twist_of};
+use super::reading::{mean_rotation, wahba};
+use super::{FrameEstimate, Measured, Seen, Unseen};
+use crate::geometry::{Pose, Rotation, Vec3, angle_between, pose, rotation_from_matrix_rows, rotvec_from_rotation};
+use nalgebra::{DMatrix, DVector, Matrix3};
+use statrs::distribution::{ChiSquared, ContinuousCDF};
+use std::sync::LazyLock;
+
+/// Samples from which first guesses are made.
+const SAMPLES: usize = 120;
+/// Rotations and translations within which the fit needs no first guess, rad and m.
+const NEAR_RAD: f64 = 0.06;
+const NEAR_M: f64 = 0.03;
+/// A turn this near to a round one may be that round one, rad.
+const ROUND_RAD: f64 = 0.06;
+
+/// The states from which a stream's explanation is sought: no frame error, and where the stream
+/// lies far off, each simple frame error in closed form and as a round slip.
+pub(super) fn starts(witness: &Witness, latency_s: f64) -> Vec<StreamState> {
+    let plain = StreamState::at_latency(latency_s);
+    let (fk, logged) = pairs(witness, &plain);
+    if fk.len() < 3 {
+        return vec![plain];
+    }
+    let with = |reference: Pose, tool: Pose| StreamState { reference, tool, ..plain.clone() };
+    let identity = Pose::identity();
+    let (reference, tool) = both_frames(&fk, &logged);
+    let mut starts = Vec::new();
+    if !witness.reference_known {
+        starts.push(with(reference_frame(&fk, &logged), identity));
+        starts.push(with(reference, tool));
+        return starts;
+    }
+    starts.push(plain.clone());
+    let far = fk.iter().zip(&logged).filter(|(fk, logged)| {
+        angle_between(&fk.rotation, &logged.rotation) > NEAR_RAD
+            || (fk.translation.vector - logged.translation.vector).norm() > NEAR_M
+    });
+    if far.count() * 4 < fk.len() {
+        return starts;
+    }
+    let reference_only = reference_frame(&fk, &logged);
+    let tool_only = tool_frame(&fk, &logged);
+    starts.push(with(identity, tool_only));
+    starts.push(with(reference_only, identity));
+    starts.push(with(reference, tool));
+    if let Some(round) = round(&reference_only.rotation) {
+        let turned: Vec<Pose> = fk.iter().map(|fk| round * fk).collect();
+        let start = StreamState { round_reference: Some(round), ..with(round, identity) };
+        starts.push(StreamState { tool: tool_frame(&turned, &logged), ..start.clone() });
+        starts.push(start);
+    }
+    if let Some(round) = round(&reference.rotation) {
+        let turned: Vec<Pose> = fk.iter().map(|fk| round * fk).collect();
+        starts.push(StreamState { round_reference: Some(round), ..with(round, tool_frame(&turned, &logged)) });
+    }
+    if let Some(round) = round(&tool_only.rotation) {
+        let shifted = pose(tool_only.translation.vector.into(), round.rotation);
+        starts.push(StreamState { round_tool: Some(round), ..with(identity, round) });
+        starts.push(StreamState { round_tool: Some(round), ..with(identity, shifted) });
+    }
+    starts
+}
+
+/// FK and logged poses side by side at a few samples.
+fn pairs(witness: &Witness, state: &StreamState) -> (Vec<Pose>, Vec<Pose>) {
+    let mut sweep = Sweep::new(witness);
+    let offsets = vec![0.0; witness.joints.dof];
+    let step = witness.len().div_ceil(SAMPLES).max(1);
+    (0..witness.len())
+        .step_by(step)
+        .filter_map(|k| {
+            let fk = witness.pose_at(k, state, &offsets, &mut sweep)?;
+            Some((fk, pose(witness.xyz[k].into(), witness.rotation[k])))
+        })
+        .unzip()
+}
+
+fn mean(points: impl ExactSizeIterator<Item = Vec3>) -> Vec3 {
+    let n = points.len().max(1) as f64;
+    points.sum::<Vec3>() / n
+}
+
+/// The reference frame that best takes FK to the logged poses.
+fn reference_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
+    let turns: Vec<Rotation> = fk.iter().zip(logged).map(|(fk, l)| l.rotation * fk.rotation.inverse()).collect();
+    let turn = mean_rotation(&turns);
+    let at = |(fk, l): (&Pose, &Pose)| l.translation.vector - turn * fk.translation.vector;
+    pose(mean(fk.iter().zip(logged).map(at)).into(), turn)
+}
+
+/// The tool frame that best takes FK to the logged poses.
+fn tool_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
+    let tools: Vec<Pose> = fk.iter().zip(logged).map(|(fk, l)| fk.inverse() * l).collect();
+    let turns: Vec<Rotation> = tools.iter().map(|tool| tool.rotation).collect();
+    pose(mean(tools.iter().map(|tool| tool.translation.vector)).into(), mean_rotation(&turns))
+}
+
+/// Reference and tool frame together (`A X = X B`; Park and Martin 1994).
+fn both_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
+    let n = fk.len();
+    let stride = (n / 3).max(1);
+    let mut correlation = Matrix3::zeros();
+    for a in 0..n {
+        let b = (a + stride) % n;
+        let by_stream = rotvec_from_rotation(&(logged[b].rotation * logged[a].rotation.inverse()));
+        let by_fk = rotvec_from_rotation(&(fk[b].rotation * fk[a].rotation.inverse()));
+        correlation += by_stream * by_fk.transpose();
+    }
+    let turn = wahba(&correlation);
+    let tools: Vec<Rotation> =
+        fk.iter().zip(logged).map(|(fk, l)| (turn * fk.rotation).inverse() * l.rotation).collect();
+    let tool_turn = mean_rotation(&tools);
+    // p = t + turn·(p_fk + R_fk·c): linear in the reference's t and the tool's c.
+    let mut normal = DMatrix::zeros(6, 6);
+    let mut right = DVector::zeros(6);
+    for (fk, l) in fk.iter().zip(logged) {
+        let r = (turn * fk.rotation).to_rotation_matrix();
+        let mut rows = DMatrix::zeros(3, 6);
+        rows.view_mut((0, 0), (3, 3)).copy_from(&Matrix3::identity());
+        rows.view_mut((0, 3), (3, 3)).copy_from(r.matrix());
+        let target = l.translation.vector - turn * fk.translation.vector;
+        normal += rows.transpose() * &rows;
+        right += rows.transpose() * target;
+    }
+    for i in 0..6 {
+        normal[(i, i)] += 1e-9 * n as f64;
+    }
+    let solution = normal.cholesky().map_or_else(|| DVector::zeros(6), |c| c.solve(&right));
+    let xyz = |first: usize| [solution[first], solution[first + 1], solution[first + 2]];
+    (pose(xyz(0), turn), pose(xyz(3), tool_turn))
+}
+
+/// The quarter-turn rotation, other than none, that lies within [`ROUND_RAD`] of `rotation`.
+fn round(rotation: &Rotation) -> Option<Pose> {
+    static QUARTER_TURNS: LazyLock<Vec<Rotation>> = LazyLock::new(quarter_turns);
+    QUARTER_TURNS
+        .iter()
+        .find(|quarter| angle_between(quarter, rotation) < ROUND_RAD)
+        .map(|quarter| pose([0.0; 3], *quarter))
+}
+
+/// The 23 rotations, other than none, that take the axes to each other.
+fn quarter_turns() -> Vec<Rotation> {
+    let axes = [0usize, 1, 2];
+    let signs = [1.0, -1.0];
+    let mut turns = Vec::new();
+    for x in axes {
+        for y in axes.into_iter().filter(|&y| y != x) {
+            for (sx, sy) in signs.into_iter().flat_map(|sx| signs.map(|sy| (sx, sy))) {
+                let first = Vec3::ith(x, sx);
+                let second = Vec3::ith(y, sy);
+                let third = first.cross(&second);
+                let rows = std::array::from_fn(|r| [first[r], second[r], third[r]]);
+                turns.extend(rotation_from_matrix_rows(rows).map(|(rotation, _)| rotation));
+            }
+        }
+    }
+    turns.retain(|turn| turn.angle() > 0.1);
+    turns
+}
+
+/// What the explanation says of one frame when `causes` and what is always free are free.
+pub(super) fn frame_estimate(
+    explanation: &Explanation,
+    menu: &Menu,
+    causes: &[Cause],
+    cause: Cause,
+    stream: usize,
+) -> Seen<FrameEstimate> {
+    let (state, linear) = (&explanation.state, &explanation.linear);
+    let mut parameters: Vec<usize> =
+        menu.always.iter().chain(causes).flat_map(|cause| cause.parameters(state)).collect();
+    parameters.sort_unstable();
+    parameters.dedup();
+    let own = cause.parameters(state);
+    let first = parameters.binary_search(&own.start).map_err(|_| Unseen::NotExcited)?;
+    let covariance = linear.covariance(&parameters, state);
+    let block = covariance.view((first, first), (6, 6)).into_owned();
+    if !block.diagonal().iter().all(|variance| variance.is_finite()) {
+        return Err(Unseen::NotExcited);
+    }
+    let mut moved = state.clone();
+    moved.step(&linear.step(&parameters));
+    let found = &moved.streams[stream];
+    let (frame, round) = match cause {
+        Cause::Tool(_) => (found.tool, found.round_tool),
+        _ => (found.reference, found.round_reference),
+    };
+    let twist = twist_of(&frame);
+    let dof = linear.dof(parameters.len());
+    let tuned = moved.values().rows(own.start, 6).into_owned();
+    let p_value = if round.is_some() { 0.0 } else { joint_p_value(&tuned, &block) };
+    let chosen = round.is_some() || explanation.causes.contains(&cause);
+    Ok(FrameEstimate {
+        pose: frame,
+        translation_m: norm_of(&twist[..3], &block.view((0, 0), (3, 3)).into_owned(), dof),
+        rotation_rad: norm_of(&twist[3..], &block.view((3, 3), (3, 3)).into_owned(), dof),
+        p_value,
+        chosen,
+    })
+}
+
+/// The norm of a vector with its standard error along the vector; for a vector lost in its noise,
+/// the largest standard error in any direction.
+fn norm_of(vector: &[f64], covariance: &DMatrix<f64>, dof: f64) -> Measured {
+    let v = DVector::from_column_slice(vector);
+    let value = v.norm();
+    let largest = covariance.clone().symmetric_eigen().eigenvalues.max().max(0.0).sqrt();
+    let along = if value > 0.0 { ((v.transpose() * covariance * &v)[(0, 0)].max(0.0)).sqrt() / value } else { 0.0 };
+    let std_error = if value > 3.0 * largest { along } else { largest };
+    Measured { value, std_error, dof }
+}
+
+/// Chance of a vector at least this large if it were truly zero (Wald's test, χ² with as many
+/// degrees of freedom as components).
+fn joint_p_value(vector: &DVector<f64>, covariance: &DMatrix<f64>) -> f64 {
+    let Some(cholesky) = covariance.clone().cholesky() else {
+        return 1.0;
+    };
+    let statistic = vector.dot(&cholesky.solve(vector));
+    ChiSquared::new(vector.len() as f64).map_or(1.0, |chi| chi.sf(statistic))
+}

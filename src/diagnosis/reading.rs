@@ -1,0 +1,369 @@
+//! Which convention a stream's rotations are written in.
+//!
+//! Every reading (as logged, 443 different misreadings, swapped quaternion components, transposed)
+//! is applied to a few dozen samples and held against FK, alone and with a constant frame error that
+//! it may need. The simplest reading near the least residual wins. Frame-free invariants alone
+//! cannot do this: several readings differ by a constant frame only.
+
+use super::{Reading, ReadingEstimate, Seen, Unseen};
+use crate::geometry::{
+    Convention, QuaternionSlip, Rotation, Vec3, angle_between, misreading_classes,
+    rotation_from_rotvec, rotation_from_xyzw, rotvec_from_rotation, xyzw_from_rotation,
+};
+use nalgebra::Matrix3;
+
+/// A reading fits when its residual is within this factor of the least one …
+const NEAR: f64 = 5.0;
+/// … or within this angle of it, rad (0.05°).
+const NEAR_RAD: f64 = 8.7e-4;
+/// No reading fits where the least residual is above this, rad (20°).
+const HOPELESS_RAD: f64 = 0.35;
+
+/// Samples to read, and what FK says at the same moments.
+pub(super) struct Samples<'a> {
+    pub logged: Logged<'a>,
+    pub fk: &'a [Rotation],
+    /// Whether a constant error of the reference frame may be needed.
+    pub reference_free: bool,
+    /// Whether the reference frame is known at all; if not, its error is no fault.
+    pub reference_known: bool,
+}
+
+/// Orientations as the log has them.
+pub(super) enum Logged<'a> {
+    Rotations(&'a [Rotation]),
+    Numbers(&'a [[f64; 3]]),
+}
+
+/// Constant frames that a reading is allowed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Frames {
+    None,
+    Tool,
+    Reference,
+    Both,
+}
+
+/// A reading with the frames that it needs.
+#[derive(Clone, Copy)]
+pub(super) struct Fit {
+    pub reading: Reading,
+    pub frames: Frames,
+    pub reference: Rotation,
+    pub tool: Rotation,
+    /// Residual angle, rms rad over the best nine tenths of the samples.
+    pub residual_rad: f64,
+}
+
+/// The candidate true rotations of every sample under one reading.
+#[derive(Default)]
+struct Truths {
+    ends: Vec<usize>,
+    rotations: Vec<Rotation>,
+}
+
+impl Truths {
+    fn of(&self, sample: usize) -> &[Rotation] {
+        let start = sample.checked_sub(1).map_or(0, |before| self.ends[before]);
+        &self.rotations[start..self.ends[sample]]
+    }
+
+    fn fill(&mut self, reading: &Reading, logged: &Logged, buffer: &mut Vec<Rotation>) {
+        self.ends.clear();
+        self.rotations.clear();
+        let count = match logged {
+            Logged::Rotations(rotations) => rotations.len(),
+            Logged::Numbers(numbers) => numbers.len(),
+        };
+        for sample in 0..count {
+            truths(reading, logged, sample, buffer);
+            self.rotations.extend_from_slice(buffer);
+            self.ends.push(self.rotations.len());
+        }
+    }
+}
+
+/// Replaces `out` by the rotations that sample `sample` may mean under `reading`.
+fn truths(reading: &Reading, logged: &Logged, sample: usize, out: &mut Vec<Rotation>) {
+    out.clear();
+    match (reading, logged) {
+        (Reading::Numbers(convention), Logged::Numbers(numbers)) => {
+            out.push(convention.rotation(numbers[sample]));
+        }
+        (_, Logged::Numbers(_)) => {}
+        (Reading::AsLogged | Reading::Numbers(_), Logged::Rotations(rotations)) => {
+            out.push(rotations[sample]);
+        }
+        (Reading::Transposed | Reading::Inverted, Logged::Rotations(rotations)) => {
+            out.push(rotations[sample].inverse());
+        }
+        (Reading::QuaternionOrder(slip), Logged::Rotations(rotations)) => {
+            let q_xyzw = slip.truth(xyzw_from_rotation(&rotations[sample]));
+            out.extend(rotation_from_xyzw(q_xyzw));
+        }
+        (Reading::Misread(class), Logged::Rotations(rotations)) => {
+            class.members[0].truths(&rotations[sample], out);
+        }
+    }
+}
+
+/// The rotation of one sample under `reading` that lies nearest to `expected`.
+pub(super) fn nearest_truth(
+    reading: &Reading,
+    logged: &Logged,
+    sample: usize,
+    expected: &Rotation,
+    buffer: &mut Vec<Rotation>,
+) -> Option<Rotation> {
+    truths(reading, logged, sample, buffer);
+    nearest(buffer, expected).map(|(rotation, _)| rotation)
+}
+
+/// The candidate nearest to `expected`, with the cosine of half the angle between them.
+fn nearest(candidates: &[Rotation], expected: &Rotation) -> Option<(Rotation, f64)> {
+    candidates
+        .iter()
+        .map(|candidate| (*candidate, candidate.coords.dot(&expected.coords).abs()))
+        .max_by(|a, b| a.1.total_cmp(&b.1))
+}
+
+/// Which reading follows FK.
+///
+/// # Errors
+/// Too few samples, or none of the readings follows.
+pub(super) fn read(samples: &Samples) -> Seen<(ReadingEstimate, Fit)> {
+    let need = 3;
+    if samples.fk.len() < need {
+        return Err(Unseen::TooFewSamples { have: samples.fk.len(), need });
+    }
+    let fits = all_fits(samples);
+    let Some(least) = fits.iter().map(|fit| fit.residual_rad).min_by(f64::total_cmp) else {
+        return Err(Unseen::NoOrientation);
+    };
+    if least > HOPELESS_RAD {
+        return Err(Unseen::DoesNotFollow(least.cos()));
+    }
+    let accepted = (NEAR * least).max(least + NEAR_RAD).min(HOPELESS_RAD);
+    let best = *fits
+        .iter()
+        .filter(|fit| fit.residual_rad <= accepted)
+        .min_by(|a, b| {
+            let rank = |fit: &Fit| simplicity(fit, samples.reference_known);
+            rank(a).cmp(&rank(b)).then(a.residual_rad.total_cmp(&b.residual_rad))
+        })
+        .unwrap_or(&fits[0]);
+    let near_best = (NEAR * best.residual_rad).max(best.residual_rad + NEAR_RAD);
+    let (mut equivalent, mut runner_up): (Vec<Reading>, Option<(Reading, f64)>) = (Vec::new(), None);
+    let others = fits
+        .iter()
+        .filter(|fit| fit.frames == best.frames && !same_reading(&fit.reading, &best.reading));
+    for fit in others {
+        if fit.residual_rad <= near_best {
+            equivalent.push(fit.reading);
+        } else if runner_up.is_none_or(|(_, residual)| fit.residual_rad < residual) {
+            runner_up = Some((fit.reading, fit.residual_rad));
+        }
+    }
+    let as_logged = fits
+        .iter()
+        .find(|fit| matches!(fit.reading, Reading::AsLogged) && fit.frames == best.frames);
+    let estimate = ReadingEstimate {
+        best: best.reading,
+        as_logged_rad: as_logged.map(|fit| fit.residual_rad),
+        best_rad: best.residual_rad,
+        runner_up,
+        equivalent,
+    };
+    Ok((estimate, best))
+}
+
+fn same_reading(a: &Reading, b: &Reading) -> bool {
+    match (a, b) {
+        (Reading::Misread(a), Reading::Misread(b)) => std::ptr::eq(*a, *b),
+        (Reading::QuaternionOrder(a), Reading::QuaternionOrder(b)) => a == b,
+        (Reading::Numbers(a), Reading::Numbers(b)) => a == b,
+        _ => std::mem::discriminant(a) == std::mem::discriminant(b),
+    }
+}
+
+/// Less is simpler: no fault before one fault before several. Where the reference frame is not
+/// known, turning it is no fault, and no fault comes before any.
+fn simplicity(fit: &Fit, reference_known: bool) -> u8 {
+    let fault = u8::from(!matches!(fit.reading, Reading::AsLogged | Reading::Numbers(_)));
+    match (reference_known, fit.frames) {
+        (true, Frames::None) => fault,
+        (true, Frames::Tool | Frames::Reference) => 2 + fault,
+        (true, Frames::Both) => 4 + fault,
+        (false, Frames::None | Frames::Reference) => 2 * fault,
+        (false, Frames::Tool | Frames::Both) => 1 + 2 * fault,
+    }
+}
+
+fn readings(logged: &Logged) -> Vec<Reading> {
+    match logged {
+        Logged::Numbers(_) => Convention::all().iter().map(|&c| Reading::Numbers(c)).collect(),
+        Logged::Rotations(_) => [
+            Reading::AsLogged,
+            Reading::Transposed,
+            Reading::QuaternionOrder(QuaternionSlip::WxyzReadAsXyzw),
+            Reading::QuaternionOrder(QuaternionSlip::XyzwReadAsWxyz),
+        ]
+        .into_iter()
+        .chain(misreading_classes().iter().map(Reading::Misread))
+        .collect(),
+    }
+}
+
+fn all_fits(samples: &Samples) -> Vec<Fit> {
+    let allowed: &[Frames] = match (samples.reference_known, samples.reference_free) {
+        (false, _) => &[Frames::Reference, Frames::Both],
+        (true, false) => &[Frames::None, Frames::Tool],
+        (true, true) => &[Frames::None, Frames::Tool, Frames::Reference, Frames::Both],
+    };
+    let (mut truths, mut buffer) = (Truths::default(), Vec::new());
+    let mut fits = Vec::new();
+    for reading in readings(&samples.logged) {
+        truths.fill(&reading, &samples.logged, &mut buffer);
+        for &frames in allowed {
+            let (reference, tool) = match frames {
+                Frames::None => (Rotation::identity(), Rotation::identity()),
+                Frames::Tool => (Rotation::identity(), one_frame(&truths, samples.fk, Side::Tool)),
+                Frames::Reference => (one_frame(&truths, samples.fk, Side::Reference), Rotation::identity()),
+                Frames::Both => both_frames(&truths, samples.fk),
+            };
+            let residual_rad = residual(&truths, samples.fk, &reference, &tool);
+            fits.push(Fit { reading, frames, reference, tool, residual_rad });
+        }
+    }
+    fits
+}
+
+/// Rms angle of the best nine tenths of the samples between the nearest truths and
+/// `reference · fk · tool`.
+fn residual(truths: &Truths, fk: &[Rotation], reference: &Rotation, tool: &Rotation) -> f64 {
+    let mut squares: Vec<f64> = fk
+        .iter()
+        .enumerate()
+        .map(|(sample, fk)| {
+            let expected = reference * fk * tool;
+            nearest(truths.of(sample), &expected)
+                .map_or(std::f64::consts::PI, |(truth, _)| angle_between(&truth, &expected))
+                .powi(2)
+        })
+        .collect();
+    let kept = (squares.len() * 9).div_ceil(10);
+    squares.sort_unstable_by(f64::total_cmp);
+    (squares[..kept].iter().sum::<f64>() / kept as f64).sqrt()
+}
+
+#[derive(Clone, Copy)]
+enum Side {
+    Reference,
+    Tool,
+}
+
+/// The one constant frame that best takes FK to the truths.
+///
+/// A few samples' candidates are tried as anchors, since a wrong branch at one of them must not
+/// decide; the best is then averaged over all samples.
+fn one_frame(truths: &Truths, fk: &[Rotation], side: Side) -> Rotation {
+    let frame_at = |truth: &Rotation, fk: &Rotation| match side {
+        Side::Reference => truth * fk.inverse(),
+        Side::Tool => fk.inverse() * truth,
+    };
+    let apply = |frame: &Rotation, fk: &Rotation| match side {
+        Side::Reference => frame * fk,
+        Side::Tool => fk * frame,
+    };
+    let step = fk.len().div_ceil(4);
+    let anchors = (0..fk.len()).step_by(step).flat_map(|sample| {
+        truths.of(sample).iter().map(move |truth| (sample, truth))
+    });
+    let closeness = |frame: &Rotation| -> f64 {
+        let cosine = |(sample, fk): (usize, &Rotation)| {
+            nearest(truths.of(sample), &apply(frame, fk)).map_or(0.0, |(_, cosine)| cosine)
+        };
+        fk.iter().enumerate().map(cosine).sum()
+    };
+    let anchored = anchors
+        .map(|(sample, truth)| frame_at(truth, &fk[sample]))
+        .map(|frame| (closeness(&frame), frame))
+        .max_by(|a, b| a.0.total_cmp(&b.0));
+    let Some((_, mut frame)) = anchored else {
+        return Rotation::identity();
+    };
+    for _ in 0..2 {
+        let mean: Vec3 = fk
+            .iter()
+            .enumerate()
+            .filter_map(|(sample, fk)| {
+                let (truth, _) = nearest(truths.of(sample), &apply(&frame, fk))?;
+                Some(rotvec_from_rotation(&(frame.inverse() * frame_at(&truth, fk))))
+            })
+            .sum::<Vec3>()
+            / fk.len() as f64;
+        frame *= rotation_from_rotvec(mean);
+    }
+    frame
+}
+
+/// Reference and tool rotation together: relative rotations of the stream are those of FK turned by
+/// the reference (`AX = XB`), whose axes give the reference by Wahba's problem; the tool follows.
+///
+/// Park and Martin, "Robot sensor calibration: solving AX = XB on the Euclidean group", 1994, with
+/// the singular value solution of Wahba's problem (Markley 1988).
+fn both_frames(truths: &Truths, fk: &[Rotation]) -> (Rotation, Rotation) {
+    let (mut reference, mut tool) = (None, Rotation::identity());
+    for _ in 0..3 {
+        let chosen: Vec<Option<Rotation>> = (0..fk.len())
+            .map(|sample| match reference {
+                None => truths.of(sample).first().copied(),
+                Some(reference) => nearest(truths.of(sample), &(reference * fk[sample] * tool)).map(|n| n.0),
+            })
+            .collect();
+        let mut correlation = Matrix3::zeros();
+        let stride = (fk.len() / 3).max(1);
+        for a in 0..fk.len() {
+            let b = (a + stride) % fk.len();
+            let (Some(truth_a), Some(truth_b)) = (chosen[a], chosen[b]) else { continue };
+            let by_stream = rotvec_from_rotation(&(truth_b * truth_a.inverse()));
+            let by_fk = rotvec_from_rotation(&(fk[b] * fk[a].inverse()));
+            correlation += by_stream * by_fk.transpose();
+        }
+        let turned = wahba(&correlation);
+        reference = Some(turned);
+        let offsets: Vec<Rotation> = chosen
+            .iter()
+            .zip(fk)
+            .filter_map(|(truth, fk)| truth.map(|truth| (turned * fk).inverse() * truth))
+            .collect();
+        tool = mean_rotation(&offsets);
+    }
+    (reference.unwrap_or_default(), tool)
+}
+
+/// The rotation `a_from_b` that best takes vectors b to vectors a, from `Σ a·bᵀ`.
+pub(super) fn wahba(correlation: &Matrix3<f64>) -> Rotation {
+    let svd = correlation.svd(true, true);
+    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
+        return Rotation::identity();
+    };
+    let mut flip = Matrix3::identity();
+    flip[(2, 2)] = (u * v_t).determinant().signum();
+    let matrix = u * flip * v_t;
+    Rotation::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(matrix))
+}
+
+/// The mean of rotations that lie close together, by averaging rotation vectors about the median
+/// of the first guesses.
+pub(super) fn mean_rotation(rotations: &[Rotation]) -> Rotation {
+    let Some(first) = rotations.get(rotations.len() / 2) else {
+        return Rotation::identity();
+    };
+    let mut mean = *first;
+    for _ in 0..4 {
+        let sum: Vec3 = rotations.iter().map(|r| rotvec_from_rotation(&(mean.inverse() * r))).sum();
+        mean *= rotation_from_rotvec(sum / rotations.len() as f64);
+    }
+    mean
+}

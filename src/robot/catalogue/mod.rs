@@ -1,0 +1,110 @@
+//! Arms whose kinematics come with the crate: one data file a vendor, with source and licence.
+
+use std::sync::LazyLock;
+
+use serde::Deserialize;
+
+use super::Robot;
+use super::error::RobotError;
+use super::names::{NameMatch, nearest};
+use super::table::{RobotTable, parse};
+
+/// The embedded files.
+pub(super) const VENDORS: [(&str, &str); 15] = [
+    ("abb.toml", include_str!("abb.toml")),
+    ("annin.toml", include_str!("annin.toml")),
+    ("aubo.toml", include_str!("aubo.toml")),
+    ("doosan.toml", include_str!("doosan.toml")),
+    ("fanuc.toml", include_str!("fanuc.toml")),
+    ("franka.toml", include_str!("franka.toml")),
+    ("jaka.toml", include_str!("jaka.toml")),
+    ("kinova.toml", include_str!("kinova.toml")),
+    ("kuka.toml", include_str!("kuka.toml")),
+    ("openarm.toml", include_str!("openarm.toml")),
+    ("so_arm.toml", include_str!("so_arm.toml")),
+    ("techman.toml", include_str!("techman.toml")),
+    ("ufactory.toml", include_str!("ufactory.toml")),
+    ("universal_robots.toml", include_str!("universal_robots.toml")),
+    ("yaskawa.toml", include_str!("yaskawa.toml")),
+];
+
+#[derive(Deserialize)]
+struct Vendor {
+    robot: Vec<RobotTable>,
+}
+
+/// A catalogue arm whose joint names fit a log.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Candidate {
+    /// The arm under its catalogue names.
+    pub robot: &'static Robot,
+    /// How its names meet the log's.
+    pub names: NameMatch,
+}
+
+impl Candidate {
+    /// The arm under the log's names; `None` where these are not unique.
+    pub fn renamed(&self) -> Option<Robot> {
+        self.robot.with_prefix_replaced(&self.names.from_prefix, &self.names.to_prefix)
+    }
+}
+
+/// All arms, by vendor.
+pub fn entries() -> &'static [Robot] {
+    static ENTRIES: LazyLock<Vec<Robot>> = LazyLock::new(|| {
+        let tables = VENDORS.iter().map(|(file, text)| read_vendor(file, text));
+        let robots: Result<Vec<_>, _> = tables.collect();
+        robots.expect("the embedded catalogue is valid").concat()
+    });
+    &ENTRIES
+}
+
+/// The names of all arms, by vendor.
+pub fn names() -> impl Iterator<Item = &'static str> {
+    entries().iter().map(|robot| robot.name.as_str())
+}
+
+/// The arm of that name or alias; case, `-` and spaces for `_` do not matter.
+pub fn find(name: &str) -> Option<&'static Robot> {
+    let wanted = normalised(name);
+    entries().iter().find(|robot| robot.name == wanted || robot.aliases.contains(&wanted))
+}
+
+/// Up to three names or aliases that a misspelt `name` may mean, nearest first.
+pub fn nearest_names(name: &str) -> Vec<&'static str> {
+    let aliases = entries().iter().flat_map(|robot| &robot.aliases).map(String::as_str);
+    nearest(&normalised(name), names().chain(aliases))
+}
+
+/// The arms of which at least half the joints are among the `logged` names, best first.
+///
+/// Best is the arm with the largest part of its joints in the log, then the one with the most,
+/// then the one whose prefixes are the least strange. Two arms in one log give candidates each,
+/// told apart by `names.to_prefix`. Many arms share names such as `joint_1`:
+/// equals stay in the catalogue's order, and only the motion can tell them apart.
+pub fn candidates_for<S: AsRef<str>>(logged: &[S]) -> Vec<Candidate> {
+    let mut candidates: Vec<Candidate> = entries()
+        .iter()
+        .flat_map(|robot| {
+            let matches = robot.match_joint_names(logged);
+            matches.into_iter().map(move |names| Candidate { robot, names })
+        })
+        .filter(|candidate| 2 * candidate.names.matched >= candidate.names.joints)
+        .collect();
+    candidates.sort_by(|a, b| {
+        let (a, b) = (&a.names, &b.names);
+        let by_part = (b.matched * a.joints).cmp(&(a.matched * b.joints));
+        by_part.then(b.matched.cmp(&a.matched)).then(a.strangeness.cmp(&b.strangeness))
+    });
+    candidates
+}
+
+fn normalised(name: &str) -> String {
+    name.trim().to_lowercase().replace(['-', ' '], "_")
+}
+
+fn read_vendor(file: &str, text: &str) -> Result<Vec<Robot>, RobotError> {
+    let vendor: Vendor = parse(text, file)?;
+    let robots = vendor.robot.into_iter().map(|table| table.into_robot("catalogue"));
+    robots.collect::<Result<_, _>>().map_err(|located| RobotError::located(file, text, located))
+}

@@ -1,0 +1,160 @@
+//! Denavit-Hartenberg tables as joints.
+//!
+//! Standard (Denavit & Hartenberg 1955; Spong, Hutchinson & Vidyasagar, "Robot Modeling and
+//! Control", eq. 3.10): `T_i = Rz(θ_i)·Dz(d_i)·Dx(a_i)·Rx(α_i)`.
+//! Modified (Craig, "Introduction to Robotics", eq. 3.6):
+//! `T_i = Rx(α_{i−1})·Dx(a_{i−1})·Rz(θ_i)·Dz(d_i)`; row i holds `a_{i−1}` and `α_{i−1}`.
+//! A revolute joint adds its position to θ, a prismatic one to d.
+
+use serde::Deserialize;
+
+use crate::geometry::{Pose, Vec3, pose, rotation_from_rpy};
+
+use super::error::Problem;
+use super::model::{JointDraft, JointKind, Limits};
+
+/// Which of the two formulas the rows belong to; never guessed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Convention {
+    Standard,
+    Modified,
+}
+
+/// How the joint of a row moves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum RowKind {
+    #[default]
+    Revolute,
+    Prismatic,
+}
+
+/// The `[dh]` table; rows are `[a, d, alpha, theta_offset]` in m and rad.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct DhTable {
+    pub convention: Convention,
+    pub rows: Vec<[f64; 4]>,
+    pub base: Option<String>,
+    pub tip: Option<String>,
+    pub joint_names: Option<Vec<String>>,
+    pub joint_types: Option<Vec<RowKind>>,
+    #[serde(default)]
+    pub pre_xyz: [f64; 3],
+    #[serde(default)]
+    pub pre_rpy: [f64; 3],
+    #[serde(default)]
+    pub post_xyz: [f64; 3],
+    #[serde(default)]
+    pub post_rpy: [f64; 3],
+    #[serde(rename = "note")]
+    _note: Option<String>,
+    #[serde(rename = "max_diff_vs_urdf_m")]
+    _max_diff_vs_urdf_m: Option<f64>,
+    #[serde(rename = "max_diff_vs_urdf_rad")]
+    _max_diff_vs_urdf_rad: Option<f64>,
+}
+
+impl DhTable {
+    /// One moving joint a row about its z axis, then a fixed joint to the tip.
+    ///
+    /// `link_i` is the link that joint i moves; in the modified convention its frame is frame i.
+    pub(super) fn joints(&self, at: usize) -> Result<Vec<JointDraft>, Problem> {
+        self.check_finite()?;
+        let names = self.per_row("joint_names", self.joint_names.as_deref(), |row| {
+            format!("joint_{}", row + 1)
+        })?;
+        let kinds =
+            self.per_row("joint_types", self.joint_types.as_deref(), |_| RowKind::default())?;
+        let mut from = self.base_name().to_owned();
+        let mut before = pose(self.pre_xyz, rotation_from_rpy(self.pre_rpy));
+        let mut joints = Vec::with_capacity(self.rows.len() + 1);
+        for (index, ((row, name), kind)) in self.rows.iter().zip(names).zip(kinds).enumerate() {
+            let (ahead, after) = split(self.convention, *row);
+            let to = format!("link_{}", index + 1);
+            joints.push(draft(name, kind.into(), from, to.clone(), before * ahead, at));
+            (from, before) = (to, after);
+        }
+        let post = pose(self.post_xyz, rotation_from_rpy(self.post_rpy));
+        let tip = self.tip_name().to_owned();
+        joints.push(draft(format!("{from}-{tip}"), JointKind::Fixed, from, tip, before * post, at));
+        Ok(joints)
+    }
+
+    pub(super) fn base_name(&self) -> &str {
+        self.base.as_deref().unwrap_or("base")
+    }
+
+    pub(super) fn tip_name(&self) -> &str {
+        self.tip.as_deref().unwrap_or("tip")
+    }
+
+    fn check_finite(&self) -> Result<(), Problem> {
+        let ends = [self.pre_xyz, self.pre_rpy, self.post_xyz, self.post_rpy];
+        let mut numbers = self.rows.iter().flatten().chain(ends.iter().flatten());
+        if numbers.all(|number| number.is_finite()) {
+            return Ok(());
+        }
+        Err(Problem::NotFinite { element: "[dh]".to_owned() })
+    }
+
+    /// The given values, one a row, or the default of each row.
+    fn per_row<T: Clone>(
+        &self,
+        what: &str,
+        given: Option<&[T]>,
+        default: impl Fn(usize) -> T,
+    ) -> Result<Vec<T>, Problem> {
+        let rows = self.rows.len();
+        match given {
+            Some(values) if values.len() != rows => {
+                Err(Problem::DhCount { found: format!("{} {what}", values.len()), rows })
+            }
+            Some(values) => Ok(values.to_vec()),
+            None => Ok((0..rows).map(default).collect()),
+        }
+    }
+}
+
+impl From<RowKind> for JointKind {
+    fn from(kind: RowKind) -> Self {
+        match kind {
+            RowKind::Revolute => JointKind::Revolute,
+            RowKind::Prismatic => JointKind::Prismatic,
+        }
+    }
+}
+
+/// The fixed parts of a row before and after its motion, which is about or along z.
+///
+/// Motion, `Rz(theta_offset)` and `Dz(d)` share the axis and so commute.
+fn split(convention: Convention, [a, d, alpha, theta_offset]: [f64; 4]) -> (Pose, Pose) {
+    let across = pose([a, 0.0, 0.0], rotation_from_rpy([alpha, 0.0, 0.0]));
+    let along = pose([0.0, 0.0, d], rotation_from_rpy([0.0, 0.0, theta_offset]));
+    match convention {
+        Convention::Standard => (Pose::identity(), along * across),
+        Convention::Modified => (across * along, Pose::identity()),
+    }
+}
+
+fn draft(
+    name: String,
+    kind: JointKind,
+    parent: String,
+    child: String,
+    parent_from_joint: Pose,
+    at: usize,
+) -> JointDraft {
+    JointDraft {
+        name,
+        kind,
+        parent,
+        child,
+        parent_from_joint,
+        axis: Vec3::z(),
+        limits: Limits::default(),
+        mimic: None,
+        at,
+    }
+}

@@ -1,0 +1,51 @@
+//! The arm as a tree of joints, where it comes from, and its forward kinematics.
+//!
+//! A [`Robot`] is read from a URDF, from TOML (joints or a Denavit-Hartenberg table) or taken from
+//! the [`catalogue`]. [`Robot::chain`] cuts the path between two links out of it; a [`Chain`]
+//! turns joint positions into `base_from_tip`.
+
+pub mod catalogue;
+mod chain;
+mod dh;
+mod error;
+mod model;
+mod names;
+mod table;
+mod urdf;
+
+pub use chain::Chain;
+pub use error::{ChainError, Problem, RobotError};
+pub use model::{Joint, JointKind, Limits, LinkId, Mimic, Provenance, Robot};
+pub use names::NameMatch;
+
+use std::path::Path;
+
+impl Robot {
+    /// Reads the URDF or TOML file at `path`; the content tells which, not the extension.
+    ///
+    /// # Errors
+    /// As [`Robot::from_text`], or where the file cannot be read as text.
+    pub fn from_file(path: &Path) -> Result<Robot, RobotError> {
+        let file = path.display().to_string();
+        let text = std::fs::read_to_string(path)
+            .map_err(|e| RobotError::new(&file, None, Problem::Unreadable(e)))?;
+        Robot::from_text(&text, &file)
+    }
+
+    /// Reads `text` as a URDF where it begins with `<`, else as TOML; `source` names it in errors.
+    ///
+    /// # Errors
+    /// What is wrong with the model, with its line.
+    pub fn from_text(text: &str, source: &str) -> Result<Robot, RobotError> {
+        if without_bom(text).trim_start().starts_with('<') {
+            Robot::from_urdf(text, source)
+        } else {
+            Robot::from_toml(text, source)
+        }
+    }
+}
+
+/// `text` without the byte order mark that some editors put first.
+fn without_bom(text: &str) -> &str {
+    text.strip_prefix('\u{feff}').unwrap_or(text)
+}

@@ -1,0 +1,456 @@
+//! The tree of links and joints, and what can be asked of it.
+
+use std::collections::HashMap;
+
+use crate::geometry::{Pose, Vec3};
+
+use super::error::{ChainError, Problem};
+use super::names::nearest;
+
+/// A robot: links joined into one tree.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Robot {
+    /// The model's own name.
+    pub name: String,
+    /// Where the model came from: a file, a topic, or `catalogue`.
+    pub source: String,
+    /// The base link that the model's author names.
+    pub default_base: Option<String>,
+    /// The tip link that the model's author names.
+    pub default_tip: Option<String>,
+    /// The link that the controller reports its poses in.
+    pub controller_base: Option<String>,
+    /// The link whose pose the controller reports.
+    pub controller_tip: Option<String>,
+    /// Prefixes that this arm's joints and links carry, one or the other, in the wild.
+    pub joint_prefixes: Vec<String>,
+    /// Other names of the arm.
+    pub aliases: Vec<String>,
+    /// Whose numbers these are, where the file says so.
+    pub provenance: Option<Provenance>,
+    links: Vec<Link>,
+    joints: Vec<Joint>,
+    link_ids: HashMap<String, LinkId>,
+    /// Index of each joint by its name.
+    joint_ids: HashMap<String, usize>,
+    root: LinkId,
+}
+
+/// Whose numbers a catalogue arm is made of.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Provenance {
+    /// The arm's maker.
+    pub vendor: String,
+    /// The arm's name in the maker's words.
+    pub model: String,
+    /// The repository and commit that the numbers were read from.
+    pub source: String,
+    /// The licence of that source.
+    pub licence: String,
+}
+
+/// A link of the robot that gave it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct LinkId(usize);
+
+#[derive(Debug, Clone, PartialEq)]
+struct Link {
+    name: String,
+    /// Index of the joint above it.
+    parent: Option<usize>,
+    /// Indices of the joints below it, in the file's order.
+    children: Vec<usize>,
+}
+
+/// A joint between two links.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Joint {
+    /// The joint's name, unique in its robot.
+    pub name: String,
+    /// How it moves.
+    pub kind: JointKind,
+    /// The link on the root's side.
+    pub parent: LinkId,
+    /// The link on the leaves' side; its frame is the joint's frame after the motion.
+    pub child: LinkId,
+    /// `parent_from_joint`: the pose of the child link in the parent link at position zero.
+    pub parent_from_joint: Pose,
+    /// The axis of motion in the joint's frame, of unit length.
+    pub axis: Vec3,
+    /// The limits that the model states.
+    pub limits: Limits,
+    /// The joint that drives this one, if any.
+    pub mimic: Option<Mimic>,
+}
+
+/// How a joint moves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum JointKind {
+    /// Turns about its axis between limits, rad.
+    Revolute,
+    /// Turns about its axis without end, rad.
+    Continuous,
+    /// Slides along its axis, m.
+    Prismatic,
+    /// Does not move.
+    Fixed,
+    /// Moves freely; no chain leads over it.
+    Floating,
+    /// Moves in a plane; no chain leads over it.
+    Planar,
+}
+
+impl JointKind {
+    const ALL: [JointKind; 6] = [
+        Self::Revolute,
+        Self::Continuous,
+        Self::Prismatic,
+        Self::Fixed,
+        Self::Floating,
+        Self::Planar,
+    ];
+
+    /// The name that URDF gives it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Revolute => "revolute",
+            Self::Continuous => "continuous",
+            Self::Prismatic => "prismatic",
+            Self::Fixed => "fixed",
+            Self::Floating => "floating",
+            Self::Planar => "planar",
+        }
+    }
+
+    /// The kind of that URDF name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.name() == name)
+    }
+
+    /// Whether one number says where the joint stands.
+    pub const fn has_position(self) -> bool {
+        matches!(self, Self::Revolute | Self::Continuous | Self::Prismatic)
+    }
+}
+
+/// A joint's limits, each where the model states it: rad and rad/s, or m and m/s if prismatic.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Limits {
+    /// The lowest position.
+    pub lower: Option<f64>,
+    /// The highest position.
+    pub upper: Option<f64>,
+    /// The highest speed.
+    pub velocity: Option<f64>,
+}
+
+/// `position = multiplier · master's position + offset`, as URDF's `<mimic>`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Mimic {
+    /// The name of the driving joint.
+    pub joint: String,
+    /// The factor on its position.
+    pub multiplier: f64,
+    /// What is added, rad or m.
+    pub offset: f64,
+}
+
+/// The unit vector along `xyz`; any where the kind has no axis.
+///
+/// # Errors
+/// Where the axis matters and has no direction.
+pub(super) fn unit_axis(joint: &str, kind: JointKind, xyz: [f64; 3]) -> Result<Vec3, Problem> {
+    if !kind.has_position() {
+        return Ok(Vec3::x());
+    }
+    let axis = Vec3::from(xyz).try_normalize(1e-9);
+    axis.ok_or_else(|| Problem::ZeroAxis { joint: joint.to_owned() })
+}
+
+/// A name and where in the text it was declared, byte offset.
+pub(super) struct LinkDraft {
+    pub name: String,
+    pub at: usize,
+}
+
+/// A joint as read, its links still names.
+pub(super) struct JointDraft {
+    pub name: String,
+    pub kind: JointKind,
+    pub parent: String,
+    pub child: String,
+    pub parent_from_joint: Pose,
+    pub axis: Vec3,
+    pub limits: Limits,
+    pub mimic: Option<Mimic>,
+    pub at: usize,
+}
+
+/// A problem and where in the text it stands, byte offset.
+pub(super) type Located = (usize, Problem);
+
+/// Where links and joints were declared, in their order.
+struct Offsets {
+    links: Vec<usize>,
+    joints: Vec<usize>,
+}
+
+impl Robot {
+    /// The tree of these links and joints.
+    ///
+    /// # Errors
+    /// Where they are not one tree with unique names.
+    pub(super) fn assemble(
+        name: &str,
+        source: &str,
+        link_drafts: Vec<LinkDraft>,
+        joint_drafts: Vec<JointDraft>,
+    ) -> Result<Robot, Located> {
+        let at = Offsets {
+            links: link_drafts.iter().map(|draft| draft.at).collect(),
+            joints: joint_drafts.iter().map(|draft| draft.at).collect(),
+        };
+        let (mut links, link_ids) = collect_links(link_drafts)?;
+        let (joints, joint_ids) = connect(joint_drafts, &mut links, &link_ids)?;
+        let root = find_root(&links, &joints, &at)?;
+        Ok(Robot {
+            name: name.to_owned(),
+            source: source.to_owned(),
+            default_base: None,
+            default_tip: None,
+            controller_base: None,
+            controller_tip: None,
+            joint_prefixes: Vec::new(),
+            aliases: Vec::new(),
+            provenance: None,
+            links,
+            joints,
+            link_ids,
+            joint_ids,
+            root,
+        })
+    }
+
+    /// All links, in the file's order.
+    pub fn links(&self) -> impl Iterator<Item = LinkId> + '_ {
+        (0..self.links.len()).map(LinkId)
+    }
+
+    /// All joints, in the file's order.
+    pub fn joints(&self) -> &[Joint] {
+        &self.joints
+    }
+
+    /// The joint of that name.
+    pub fn joint(&self, name: &str) -> Option<&Joint> {
+        self.joint_ids.get(name).map(|&joint| &self.joints[joint])
+    }
+
+    /// The link of that name.
+    pub fn link(&self, name: &str) -> Option<LinkId> {
+        self.link_ids.get(name).copied()
+    }
+
+    /// The link of that name, for a name that a person gave.
+    ///
+    /// # Errors
+    /// [`ChainError::UnknownLink`] with the names that come nearest, else the tree's ends.
+    pub fn link_or_nearest(&self, name: &str) -> Result<LinkId, ChainError> {
+        self.link(name).ok_or_else(|| {
+            let mut instead = self.nearest_link_names(name);
+            if instead.is_empty() {
+                let ends = std::iter::once(self.root).chain(self.leaf_links());
+                instead = ends.take(4).map(|link| self.link_name(link)).collect();
+            }
+            ChainError::UnknownLink {
+                robot: self.name.clone(),
+                link: name.to_owned(),
+                instead: instead.into_iter().map(str::to_owned).collect(),
+            }
+        })
+    }
+
+    /// The name of a link.
+    pub fn link_name(&self, link: LinkId) -> &str {
+        &self.links[link.0].name
+    }
+
+    /// The link that no joint leads to.
+    pub fn root(&self) -> LinkId {
+        self.root
+    }
+
+    /// The joint that leads to `link`; none for the root.
+    pub fn parent_joint(&self, link: LinkId) -> Option<&Joint> {
+        self.links[link.0].parent.map(|joint| &self.joints[joint])
+    }
+
+    /// The joints that lead away from `link`, in the file's order.
+    pub fn child_joints(&self, link: LinkId) -> impl Iterator<Item = &Joint> {
+        self.links[link.0].children.iter().map(|&joint| &self.joints[joint])
+    }
+
+    /// The links that no joint leads away from, in the file's order.
+    pub fn leaf_links(&self) -> impl Iterator<Item = LinkId> + '_ {
+        self.links().filter(|link| self.links[link.0].children.is_empty())
+    }
+
+    /// Up to three links whose names come near to a misspelt `name`, nearest first.
+    pub fn nearest_link_names(&self, name: &str) -> Vec<&str> {
+        nearest(name, self.links.iter().map(|link| link.name.as_str()))
+    }
+
+    /// `a_from_b` where only fixed joints lie between the two links.
+    pub fn fixed_transform(&self, a: LinkId, b: LinkId) -> Option<Pose> {
+        let path = self.path(a, b);
+        let fixed = path.iter().all(|step| step.joint.kind == JointKind::Fixed);
+        fixed.then(|| path.iter().fold(Pose::identity(), |pose, step| pose * step.fixed_part()))
+    }
+
+    /// The joints from `from` to `to`: up the tree to where the two branches meet, then down.
+    pub(super) fn path(&self, from: LinkId, to: LinkId) -> Vec<PathStep<'_>> {
+        let (mut up, mut down) = (self.joints_to_root(from), self.joints_to_root(to));
+        while let (Some(a), Some(b)) = (up.last(), down.last())
+            && std::ptr::eq(*a, *b)
+        {
+            up.pop();
+            down.pop();
+        }
+        let climb = up.into_iter().map(|joint| PathStep { joint, upwards: true });
+        let descent = down.into_iter().rev().map(|joint| PathStep { joint, upwards: false });
+        climb.chain(descent).collect()
+    }
+
+    fn joints_to_root(&self, link: LinkId) -> Vec<&Joint> {
+        std::iter::successors(self.parent_joint(link), |joint| self.parent_joint(joint.parent))
+            .collect()
+    }
+
+    /// The same robot with every link and joint name passed through `rename`; `None` where two
+    /// names would become one.
+    pub(super) fn renamed(&self, rename: impl Fn(&str) -> String) -> Option<Robot> {
+        let mut robot = self.clone();
+        for link in &mut robot.links {
+            link.name = rename(&link.name);
+        }
+        for joint in &mut robot.joints {
+            joint.name = rename(&joint.name);
+            if let Some(mimic) = &mut joint.mimic {
+                mimic.joint = rename(&mimic.joint);
+            }
+        }
+        let named = [
+            &mut robot.default_base,
+            &mut robot.default_tip,
+            &mut robot.controller_base,
+            &mut robot.controller_tip,
+        ];
+        for link in named.into_iter().flatten() {
+            *link = rename(link);
+        }
+        let links = robot.links.iter().enumerate();
+        robot.link_ids = links.map(|(index, link)| (link.name.clone(), LinkId(index))).collect();
+        let joints = robot.joints.iter().enumerate();
+        robot.joint_ids = joints.map(|(index, joint)| (joint.name.clone(), index)).collect();
+        let unique = robot.link_ids.len() == robot.links.len()
+            && robot.joint_ids.len() == robot.joints.len();
+        unique.then_some(robot)
+    }
+}
+
+/// One joint of a path through the tree.
+pub(super) struct PathStep<'a> {
+    pub joint: &'a Joint,
+    /// From the child link to the parent link.
+    pub upwards: bool,
+}
+
+impl PathStep<'_> {
+    /// The transform from the link before the step to the link after it at position zero.
+    pub(super) fn fixed_part(&self) -> Pose {
+        if self.upwards {
+            self.joint.parent_from_joint.inverse()
+        } else {
+            self.joint.parent_from_joint
+        }
+    }
+}
+
+fn collect_links(drafts: Vec<LinkDraft>) -> Result<(Vec<Link>, HashMap<String, LinkId>), Located> {
+    let mut link_ids = HashMap::new();
+    let mut links = Vec::with_capacity(drafts.len());
+    for LinkDraft { name, at } in drafts {
+        if link_ids.insert(name.clone(), LinkId(links.len())).is_some() {
+            return Err((at, Problem::DuplicateName { what: "link", name }));
+        }
+        links.push(Link { name, parent: None, children: Vec::new() });
+    }
+    Ok((links, link_ids))
+}
+
+fn connect(
+    drafts: Vec<JointDraft>,
+    links: &mut [Link],
+    link_ids: &HashMap<String, LinkId>,
+) -> Result<(Vec<Joint>, HashMap<String, usize>), Located> {
+    let mut joints: Vec<Joint> = Vec::with_capacity(drafts.len());
+    let mut joint_ids = HashMap::new();
+    for draft in drafts {
+        let JointDraft { name, at, .. } = draft;
+        if joint_ids.insert(name.clone(), joints.len()).is_some() {
+            return Err((at, Problem::DuplicateName { what: "joint", name }));
+        }
+        let find = |end, link: String| {
+            let unknown =
+                || (at, Problem::UnknownLink { joint: name.clone(), end, link: link.clone() });
+            link_ids.get(&link).copied().ok_or_else(unknown)
+        };
+        let (parent, child) = (find("parent", draft.parent)?, find("child", draft.child)?);
+        if let Some(first) = links[child.0].parent.replace(joints.len()) {
+            let link = links[child.0].name.clone();
+            let first = joints[first].name.clone();
+            return Err((at, Problem::TwoParents { link, first, second: name }));
+        }
+        links[parent.0].children.push(joints.len());
+        joints.push(Joint {
+            name,
+            kind: draft.kind,
+            parent,
+            child,
+            parent_from_joint: draft.parent_from_joint,
+            axis: draft.axis,
+            limits: draft.limits,
+            mimic: draft.mimic,
+        });
+    }
+    Ok((joints, joint_ids))
+}
+
+/// The one link above all others; every link has at most one parent already.
+fn find_root(links: &[Link], joints: &[Joint], at: &Offsets) -> Result<LinkId, Located> {
+    let reached = reach(links, joints);
+    let looped = links.iter().zip(reached).find(|(_, reached)| !reached);
+    if let Some(joint) = looped.and_then(|(link, _)| link.parent) {
+        return Err((at.joints[joint], Problem::Loop { joint: joints[joint].name.clone() }));
+    }
+    let mut roots = (0..links.len()).filter(|&link| links[link].parent.is_none());
+    let first = roots.next().ok_or((0, Problem::NoLink))?;
+    if let Some(second) = roots.next() {
+        let [first_name, second_name] = [first, second].map(|link| links[link].name.clone());
+        let problem = Problem::TwoRoots { first: first_name, second: second_name };
+        return Err((at.links[second], problem));
+    }
+    Ok(LinkId(first))
+}
+
+/// For every link, whether a link without a parent stands above it.
+fn reach(links: &[Link], joints: &[Joint]) -> Vec<bool> {
+    let mut reached = vec![false; links.len()];
+    let mut pending: Vec<usize> =
+        (0..links.len()).filter(|&link| links[link].parent.is_none()).collect();
+    while let Some(link) = pending.pop() {
+        reached[link] = true;
+        pending.extend(links[link].children.iter().map(|&joint| joints[joint].child.0));
+    }
+    reached
+}

@@ -1,0 +1,176 @@
+//! Names as logs write them: prefixed, or misspelt.
+
+use std::cmp::Reverse;
+use std::collections::{BTreeSet, HashSet};
+
+use super::model::Robot;
+
+/// How a robot's joint names meet the names in a log.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct NameMatch {
+    /// The prefix to take off the robot's names.
+    pub from_prefix: String,
+    /// The prefix to put there; see [`Robot::with_prefix_replaced`].
+    pub to_prefix: String,
+    /// How many of the robot's joints are in the log under that prefix.
+    pub matched: usize,
+    /// How many joints the robot has that move by themselves.
+    pub joints: usize,
+    /// How many characters of the two prefixes are strange to this robot.
+    pub strangeness: usize,
+}
+
+impl NameMatch {
+    /// Whether every joint of the robot is in the log.
+    pub fn is_complete(&self) -> bool {
+        self.matched == self.joints
+    }
+
+    /// The name in the log of the robot's joint or link `name`.
+    pub fn logged_name(&self, name: &str) -> String {
+        with_prefix_replaced(name, &self.from_prefix, &self.to_prefix)
+    }
+}
+
+impl Robot {
+    /// The prefixes under which this robot's joints are among the `logged` names, best first: most
+    /// joints, then least strange. Two equal arms in one log give two matches.
+    ///
+    /// A log may put a namespace or `tf_prefix` before the names, or use another of
+    /// `joint_prefixes`.
+    pub fn match_joint_names<S: AsRef<str>>(&self, logged: &[S]) -> Vec<NameMatch> {
+        let logged: HashSet<&str> = logged.iter().map(AsRef::as_ref).collect();
+        let own = self.own_joint_names();
+        let own_prefixes = self.own_prefixes(&own);
+        let mut matches = Vec::new();
+        for from in &own_prefixes {
+            let stems: Vec<&str> = own.iter().filter_map(|name| name.strip_prefix(from)).collect();
+            for to in logged_prefixes(&stems, &logged) {
+                let present = |stem: &&&str| logged.contains(format!("{to}{stem}").as_str());
+                matches.push(NameMatch {
+                    matched: stems.iter().filter(present).count(),
+                    joints: own.len(),
+                    strangeness: strangeness(from, &to, &own_prefixes, &self.joint_prefixes),
+                    from_prefix: (*from).to_owned(),
+                    to_prefix: to,
+                });
+            }
+        }
+        matches.sort_by_key(|m| (Reverse(m.matched), m.strangeness));
+        let mut seen = HashSet::new();
+        matches.retain(|m| seen.insert(own.first().map(|name| m.logged_name(name))));
+        matches
+    }
+
+    /// The same robot with `from` at the start of its link and joint names replaced by `to`.
+    ///
+    /// Names that do not start with `from` stay. `None` where two names would become one.
+    pub fn with_prefix_replaced(&self, from: &str, to: &str) -> Option<Robot> {
+        self.renamed(|name| with_prefix_replaced(name, from, to))
+    }
+
+    fn own_joint_names(&self) -> Vec<&str> {
+        let moving = |joint: &&super::Joint| joint.kind.has_position() && joint.mimic.is_none();
+        self.joints().iter().filter(moving).map(|joint| joint.name.as_str()).collect()
+    }
+
+    /// The prefixes that all of the joint names have: none, the declared ones, the common one.
+    fn own_prefixes<'a>(&'a self, names: &[&'a str]) -> BTreeSet<&'a str> {
+        let declared = self.joint_prefixes.iter().map(String::as_str);
+        let shared = |prefix: &&str| names.iter().all(|name| name.starts_with(prefix));
+        [""].into_iter().chain(declared.filter(shared)).chain(common_prefix(names)).collect()
+    }
+}
+
+fn with_prefix_replaced(name: &str, from: &str, to: &str) -> String {
+    match name.strip_prefix(from) {
+        Some(rest) => format!("{to}{rest}"),
+        None => name.to_owned(),
+    }
+}
+
+/// The prefixes before any of `stems` in the logged names, sorted.
+fn logged_prefixes(stems: &[&str], logged: &HashSet<&str>) -> BTreeSet<String> {
+    let before = |name: &str, stem: &str| {
+        let prefix = name.strip_suffix(stem)?;
+        (prefix.is_empty() || prefix.ends_with(is_separator)).then(|| prefix.to_owned())
+    };
+    logged.iter().flat_map(|name| stems.iter().filter_map(move |stem| before(name, stem))).collect()
+}
+
+/// The characters of `to` beyond a prefix that the robot is known by, else of both prefixes.
+fn strangeness(from: &str, to: &str, own: &BTreeSet<&str>, declared: &[String]) -> usize {
+    if from.is_empty() {
+        return to.len();
+    }
+    let known = own.iter().copied().chain(declared.iter().map(String::as_str));
+    known
+        .filter(|prefix| !prefix.is_empty())
+        .filter_map(|prefix| to.strip_suffix(prefix))
+        .map(str::len)
+        .min()
+        .unwrap_or(from.len() + to.len())
+}
+
+/// The prefix of all names up to a separator, after which each goes on with a letter.
+fn common_prefix<'a>(names: &[&'a str]) -> Option<&'a str> {
+    let first = names.first()?;
+    let ends = first.rmatch_indices(is_separator).map(|(at, separator)| at + separator.len());
+    ends.map(|end| &first[..end]).find(|prefix| {
+        names.iter().all(|name| {
+            name.strip_prefix(prefix).is_some_and(|stem| stem.starts_with(char::is_alphabetic))
+        })
+    })
+}
+
+fn is_separator(c: char) -> bool {
+    matches!(c, '_' | '-' | '/' | '.' | ':')
+}
+
+/// Up to three of `candidates` that a misspelt `name` may mean, nearest first.
+pub(super) fn nearest<'a>(name: &str, candidates: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
+    let furthest = (name.chars().count() / 3).max(1);
+    let mut near: Vec<(usize, &str)> = candidates
+        .map(|candidate| (edit_distance(name, candidate), candidate))
+        .filter(|(distance, _)| *distance <= furthest)
+        .collect();
+    near.sort_by_key(|(distance, _)| *distance);
+    near.into_iter().take(3).map(|(_, candidate)| candidate).collect()
+}
+
+/// The number of characters to insert, delete or replace, upper and lower case being the same
+/// (Levenshtein, by Wagner and Fischer's rows).
+fn edit_distance(a: &str, b: &str) -> usize {
+    let (a, b) = (a.to_lowercase(), b.to_lowercase());
+    let mut row: Vec<usize> = (0..=b.chars().count()).collect();
+    for (i, a_char) in a.chars().enumerate() {
+        let mut diagonal = row[0];
+        row[0] = i + 1;
+        for (j, b_char) in b.chars().enumerate() {
+            let replaced = diagonal + usize::from(a_char != b_char);
+            diagonal = row[j + 1];
+            row[j + 1] = replaced.min(row[j] + 1).min(diagonal + 1);
+        }
+    }
+    row[row.len() - 1]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn edits_are_counted_without_regard_to_case() {
+        assert_eq!(edit_distance("tool0", "Tool0"), 0);
+        assert_eq!(edit_distance("tol0", "tool0"), 1);
+        assert_eq!(edit_distance("", "abc"), 3);
+        assert_eq!(edit_distance("kitten", "sitting"), 3);
+    }
+
+    #[test]
+    fn a_common_prefix_leaves_stems_that_start_with_a_letter() {
+        assert_eq!(common_prefix(&["fer_joint1", "fer_joint2"]), Some("fer_"));
+        assert_eq!(common_prefix(&["joint_1", "joint_2"]), None);
+        assert_eq!(common_prefix(&["shoulder_pan", "elbow"]), None);
+    }
+}
