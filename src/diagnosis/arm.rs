@@ -1,6 +1,6 @@
 //! The arm and its pose streams: everything that is estimated from joint states and poses together.
 
-use super::explain::{Cause, Explanation, Menu, explain};
+use super::explain::{Approach, Cause, Explanation, Menu, explain};
 use super::frames::{frame_estimate, starts};
 use super::joints::{corrected, read_joints, spread, tool_misfit};
 use super::latency::{Peak, arm_speeds, linear_speed, median_period_s, pose_peaks, top};
@@ -370,14 +370,19 @@ fn fit(prepared: &[&Prepared], dof: usize, with_offsets: bool) -> Option<Fitted>
     if prepared.is_empty() {
         return None;
     }
-    let alone: Vec<StreamState> = prepared
+    let alone: Vec<State> = prepared
         .iter()
         .map(|prepared| best_start(prepared, dof, with_offsets))
         .collect();
     let witnesses: Vec<&Witness> = prepared.iter().map(|prepared| &prepared.witness).collect();
     let menu = menu(prepared, dof, with_offsets);
-    let start = State { offsets: vec![0.0; dof], streams: alone };
-    let explanation = explain(&witnesses, start, &menu, FIT_SAMPLES);
+    // Streams share the joints: the offsets of the stream with most samples start all.
+    let most = (0..prepared.len()).max_by_key(|&s| prepared[s].witness.len()).unwrap_or(0);
+    let start = State {
+        offsets: alone[most].offsets.clone(),
+        streams: alone.into_iter().flat_map(|state| state.streams).collect(),
+    };
+    let explanation = explain(&witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
     Some(Fitted { explanation, menu })
 }
 
@@ -404,7 +409,7 @@ fn menu(prepared: &[&Prepared], dof: usize, with_offsets: bool) -> Menu {
 }
 
 /// The start from which a stream alone is explained best.
-fn best_start(prepared: &Prepared, dof: usize, with_offsets: bool) -> StreamState {
+fn best_start(prepared: &Prepared, dof: usize, with_offsets: bool) -> State {
     let menu = menu(&[prepared], dof, with_offsets);
     let best_lag = prepared.peaks.first().map_or(0.0, |peak| peak.correlation);
     let lags: Vec<f64> = if prepared.moves {
@@ -415,12 +420,13 @@ fn best_start(prepared: &Prepared, dof: usize, with_offsets: bool) -> StreamStat
     };
     lags.iter()
         .flat_map(|&lag_s| starts(&prepared.witness, lag_s))
-        .map(|stream| {
+        .flat_map(|stream| [(stream.clone(), Approach::Careful), (stream, Approach::Bold)])
+        .map(|(stream, approach)| {
             let state = State { offsets: vec![0.0; dof], streams: vec![stream] };
-            explain(&[&prepared.witness], state, &menu, SEARCH_SAMPLES)
+            explain(&[&prepared.witness], state, &menu, approach, SEARCH_SAMPLES)
         })
         .min_by(|a, b| a.score.total_cmp(&b.score))
-        .map_or_else(|| StreamState::at_latency(0.0), |mut best| best.state.streams.remove(0))
+        .map_or_else(|| State { offsets: vec![0.0; dof], streams: vec![StreamState::at_latency(0.0)] }, |best| best.state)
 }
 
 fn unseen_offsets(dof: usize) -> Vec<JointOffset> {

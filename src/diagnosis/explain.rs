@@ -164,6 +164,9 @@ fn normal_of(streams: &[Linear], weights: &[Weights], state: &State) -> Normal {
     for (s, linear) in streams.iter().enumerate() {
         linear.accumulate(&weights[s], &columns_of(state, s), &mut normal);
     }
+    for (parameter, scale) in state.scales().into_iter().enumerate() {
+        normal.matrix[(parameter, parameter)] += scale.powi(-2);
+    }
     normal
 }
 
@@ -379,15 +382,31 @@ pub(super) struct Explanation {
     pub score: f64,
 }
 
+/// How a search begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Approach {
+    /// From the start itself: right where the start is near, or the log shows little.
+    Careful,
+    /// By a few steps with every cause free, so that sets are compared near the truth and not
+    /// across a curve: right where large causes add up.
+    Bold,
+}
+
 /// Finds the smallest explanation from a starting state, on about `most` samples a stream.
-pub(super) fn explain(witnesses: &[&Witness], start: State, menu: &Menu, most: usize) -> Explanation {
+pub(super) fn explain(
+    witnesses: &[&Witness],
+    start: State,
+    menu: &Menu,
+    approach: Approach,
+    most: usize,
+) -> Explanation {
     let all = menu.all();
     let mut state = start;
     let mut causes: Vec<Cause> = all.clone();
     let mut linear = Linearized::at(witnesses, &state, most, &all);
-    // A few full steps first, so that sets are compared near the truth and not across a curve.
+    let bold_rounds = if approach == Approach::Bold { 3 } else { 0 };
     for round in 0..12 {
-        let full = round < 3;
+        let full = round < bold_rounds;
         let next = if full { menu.optional.clone() } else { choose(&linear, menu, &state).causes };
         let free: Vec<Cause> = menu.always.iter().chain(&next).copied().collect();
         let step = linear.step(&parameters_of(&free, &state));

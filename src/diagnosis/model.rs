@@ -115,6 +115,15 @@ impl State {
         self.offsets.len() + stream * STREAM_WIDTH + parameter
     }
 
+    /// The scale at which steps are damped (Levenberg 1944): what the log shows is known far better
+    /// than this and hardly notices; what it does not show stays in place.
+    pub fn scales(&self) -> Vec<f64> {
+        let mut stream = [0.02; STREAM_WIDTH];
+        stream[SKEW] = 1e-4;
+        let joints = std::iter::repeat_n(0.02, self.offsets.len());
+        joints.chain(self.streams.iter().flat_map(|_| stream)).collect()
+    }
+
     /// Present values of all tuned parameters.
     pub fn values(&self) -> DVector<f64> {
         let streams = self.streams.iter().flat_map(StreamState::values);

@@ -1,0 +1,213 @@
+//! A cursor over a CDR message.
+
+use super::schema::Primitive;
+
+/// A message that is not in a representation read here.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+pub(in crate::log) enum EncapsulationError {
+    #[error("the message has {len} bytes, expected at least the 4 of the CDR header")]
+    Short { len: usize },
+    #[error("CDR header {id:#06x} is not plain CDR (0x0000, 0x0001, 0x0006 or 0x0007)")]
+    Unknown { id: u16 },
+}
+
+/// A value that reaches beyond the end of the message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("byte {offset} of the message: {wanted} bytes wanted, {left} left")]
+pub(in crate::log) struct Short {
+    /// Offset of the value from the message's first byte.
+    offset: usize,
+    /// Bytes it would take.
+    wanted: u64,
+    /// Bytes that are there.
+    left: usize,
+}
+
+/// A bounds-checked walk over the body of one message.
+///
+/// Values are aligned to their size, counted from the end of the encapsulation header; PLAIN_CDR2
+/// never aligns to more than 4.
+#[derive(Debug)]
+pub(super) struct Cursor<'a> {
+    body: &'a [u8],
+    at: usize,
+    big_endian: bool,
+    max_align: usize,
+}
+
+/// Bytes of the encapsulation header.
+const HEADER: usize = 4;
+
+impl<'a> Cursor<'a> {
+    /// A cursor at the first value of `message`.
+    pub(super) fn new(message: &'a [u8]) -> Result<Self, EncapsulationError> {
+        let Some((&[high, low, _, _], body)) = message.split_first_chunk::<HEADER>() else {
+            return Err(EncapsulationError::Short { len: message.len() });
+        };
+        let id = u16::from_be_bytes([high, low]);
+        let max_align = match id {
+            0x0000 | 0x0001 => 8,
+            0x0006 | 0x0007 => 4,
+            _ => return Err(EncapsulationError::Unknown { id }),
+        };
+        Ok(Self { body, at: 0, big_endian: id & 1 == 0, max_align })
+    }
+
+    /// Where the next value of `size` bytes begins.
+    fn aligned(&self, size: usize) -> usize {
+        let align = size.min(self.max_align);
+        self.at + (self.at.wrapping_neg() & (align - 1))
+    }
+
+    /// The bytes of `count` values of `size` bytes each, after their padding.
+    fn take(&mut self, size: usize, count: u64) -> Result<&'a [u8], Short> {
+        if count == 0 {
+            return Ok(&[]);
+        }
+        let start = self.aligned(size);
+        let left = self.body.len().saturating_sub(start);
+        let wanted = count.saturating_mul(size as u64);
+        if wanted > left as u64 {
+            return Err(Short { offset: HEADER + start, wanted, left });
+        }
+        self.at = start + wanted as usize;
+        Ok(&self.body[start..self.at])
+    }
+
+    /// The bytes of one value of `N` bytes, lowest byte first.
+    #[inline]
+    fn value<const N: usize>(&mut self) -> Result<[u8; N], Short> {
+        let start = self.aligned(N);
+        let rest = self.body.get(start..).unwrap_or_default();
+        let Some(mut value) = rest.first_chunk::<N>().copied() else {
+            return Err(Short { offset: HEADER + start, wanted: N as u64, left: rest.len() });
+        };
+        self.at = start + N;
+        if self.big_endian {
+            value.reverse();
+        }
+        Ok(value)
+    }
+
+    /// Passes over `count` values of `size` bytes each.
+    pub(super) fn skip(&mut self, size: usize, count: u64) -> Result<(), Short> {
+        self.take(size, count).map(|_| ())
+    }
+
+    /// The length that stands before a sequence whose elements take at least a byte each.
+    pub(super) fn length(&mut self) -> Result<u32, Short> {
+        let length = u32::from_le_bytes(self.value()?);
+        let left = self.body.len() - self.at;
+        if length as usize > left {
+            return Err(Short { offset: HEADER + self.at, wanted: length.into(), left });
+        }
+        Ok(length)
+    }
+
+    /// A string, without its terminating zero.
+    pub(super) fn text(&mut self) -> Result<&'a [u8], Short> {
+        let length = self.length()?;
+        let bytes = self.take(1, length.into())?;
+        Ok(bytes.strip_suffix(&[0]).unwrap_or(bytes))
+    }
+
+    /// A whole number; fractions are cut off.
+    pub(super) fn integer(&mut self, primitive: Primitive) -> Result<i64, Short> {
+        Ok(match primitive {
+            Primitive::U64 => i64::try_from(u64::from_le_bytes(self.value()?)).unwrap_or(i64::MAX),
+            Primitive::I64 => i64::from_le_bytes(self.value()?),
+            other => self.number(other)? as i64,
+        })
+    }
+
+    /// A number of any type.
+    #[inline]
+    pub(super) fn number(&mut self, primitive: Primitive) -> Result<f64, Short> {
+        Ok(match primitive {
+            Primitive::U8 => u8::from_le_bytes(self.value()?).into(),
+            Primitive::I8 => i8::from_le_bytes(self.value()?).into(),
+            Primitive::U16 => u16::from_le_bytes(self.value()?).into(),
+            Primitive::I16 => i16::from_le_bytes(self.value()?).into(),
+            Primitive::U32 => u32::from_le_bytes(self.value()?).into(),
+            Primitive::I32 => i32::from_le_bytes(self.value()?).into(),
+            Primitive::U64 => u64::from_le_bytes(self.value()?) as f64,
+            Primitive::I64 => i64::from_le_bytes(self.value()?) as f64,
+            Primitive::F32 => f32::from_le_bytes(self.value()?).into(),
+            Primitive::F64 => f64::from_le_bytes(self.value()?),
+        })
+    }
+
+    /// Replaces `list` by `count` numbers of one type.
+    pub(super) fn numbers(
+        &mut self,
+        primitive: Primitive,
+        count: u32,
+        list: &mut Vec<f64>,
+    ) -> Result<(), Short> {
+        list.clear();
+        // Before anything is allocated for them: are they there?
+        let bytes = self.take(primitive.size(), count.into())?;
+        if primitive == Primitive::F64 && !self.big_endian {
+            list.extend(bytes.as_chunks().0.iter().map(|&value| f64::from_le_bytes(value)));
+            return Ok(());
+        }
+        let mut values = Cursor { body: bytes, at: 0, ..*self };
+        list.reserve(count as usize);
+        for _ in 0..count {
+            list.push(values.number(primitive)?);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_aligned_after_the_header() {
+        let mut message = vec![0, 1, 0, 0, 7, 0, 0, 0, 0, 0, 0, 0];
+        message.extend(1.5f64.to_le_bytes());
+        let mut cursor = Cursor::new(&message).unwrap();
+        assert_eq!(cursor.number(Primitive::U8), Ok(7.0));
+        assert_eq!(cursor.number(Primitive::F64), Ok(1.5));
+    }
+
+    #[test]
+    fn the_second_cdr_aligns_doubles_to_four() {
+        let mut message = vec![0, 7, 0, 0, 7, 0, 0, 0];
+        message.extend(1.5f64.to_le_bytes());
+        let mut cursor = Cursor::new(&message).unwrap();
+        assert_eq!(cursor.number(Primitive::U8), Ok(7.0));
+        assert_eq!(cursor.number(Primitive::F64), Ok(1.5));
+    }
+
+    #[test]
+    fn big_endian_is_told_by_the_header() {
+        let mut message = vec![0, 0, 0, 0];
+        message.extend((-5i32).to_be_bytes());
+        message.extend([0, 0, 0, 3, b'a', b'b', 0]);
+        let mut cursor = Cursor::new(&message).unwrap();
+        assert_eq!(cursor.integer(Primitive::I32), Ok(-5));
+        assert_eq!(cursor.text(), Ok(b"ab".as_slice()));
+    }
+
+    #[test]
+    fn a_hostile_length_is_refused_before_allocation() {
+        let message = [0, 1, 0, 0, 0xff, 0xff, 0xff, 0xff, 1, 2];
+        let mut cursor = Cursor::new(&message).unwrap();
+        let short = Short { offset: 8, wanted: u32::MAX.into(), left: 2 };
+        assert_eq!(cursor.text(), Err(short));
+        let mut list = Vec::new();
+        let mut cursor = Cursor::new(&message).unwrap();
+        assert!(cursor.numbers(Primitive::F64, u32::MAX, &mut list).is_err());
+        assert_eq!(list.capacity(), 0);
+    }
+
+    #[test]
+    fn other_representations_are_named() {
+        let unknown = Cursor::new(&[0, 3, 0, 0]).unwrap_err();
+        assert_eq!(unknown, EncapsulationError::Unknown { id: 3 });
+        assert_eq!(Cursor::new(&[0, 1]).unwrap_err(), EncapsulationError::Short { len: 2 });
+    }
+}

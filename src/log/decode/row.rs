@@ -1,0 +1,173 @@
+//! The scratch row between wire formats and columns.
+
+/// Index into [`Row::texts`]: the header's frame.
+pub(super) const FRAME: usize = 0;
+/// Index into [`Row::texts`]: the child frame.
+pub(super) const CHILD: usize = 1;
+/// Index into [`Row::texts`]: the text of a type that is only a text.
+pub(super) const BODY: usize = 0;
+
+/// Index into [`Row::numbers`]: four numbers x, y, z, w.
+pub(super) const QUATERNION: usize = 0;
+/// Index into [`Row::numbers`]: three numbers of a pose.
+pub(super) const POSITION: usize = 4;
+/// Index into [`Row::numbers`]: three numbers of an IMU reading.
+pub(super) const GYRO: usize = 4;
+/// Index into [`Row::numbers`]: three numbers of an IMU reading.
+pub(super) const ACCEL: usize = 7;
+
+/// Index into [`Row::lists`]: positions, a bare array, or a covariance.
+pub(super) const VALUES: usize = 0;
+/// Index into [`Row::lists`]: velocities.
+pub(super) const VELOCITIES: usize = 1;
+
+/// What a field of a message fills.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Slot {
+    /// The time at which the content was true.
+    Stamp,
+    /// One of [`Row::texts`].
+    Text(usize),
+    /// One of [`Row::numbers`].
+    Number(usize),
+    /// [`Row::names`].
+    Names,
+    /// One of [`Row::lists`].
+    List(usize),
+}
+
+impl Slot {
+    /// What a schema must declare for this slot.
+    pub(super) const fn expected(self) -> &'static str {
+        match self {
+            Slot::Stamp => "a time",
+            Slot::Text(_) => "a string",
+            Slot::Number(_) => "a number",
+            Slot::Names => "an array of strings",
+            Slot::List(_) => "an array of numbers",
+        }
+    }
+}
+
+/// The times of a message, in nanoseconds.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub(in crate::log) struct RowTimes {
+    /// When the recorder received it.
+    pub(in crate::log) log: i64,
+    /// When the sender published it.
+    pub(in crate::log) publish: i64,
+}
+
+/// The fields of one row, as the wire had them.
+///
+/// One `Row` serves all messages of a channel: its buffers are cleared and filled again, so that
+/// decoding allocates only while they grow. A plan fills every slot of its recipe for every row;
+/// the others keep their defaults.
+#[derive(Debug, Default)]
+pub(in crate::log) struct Row {
+    pub(super) seconds: i64,
+    pub(super) nanoseconds: i64,
+    pub(super) numbers: [f64; 10],
+    pub(super) texts: [String; 2],
+    pub(super) names: Names,
+    pub(super) lists: [Vec<f64>; 2],
+}
+
+impl Row {
+    /// The stamp in nanoseconds; saturates.
+    pub(super) fn stamp(&self) -> i64 {
+        self.seconds.saturating_mul(1_000_000_000).saturating_add(self.nanoseconds)
+    }
+
+    /// The `N` numbers from index `first` on.
+    pub(super) fn numbers<const N: usize>(&self, first: usize) -> [f64; N] {
+        std::array::from_fn(|i| self.numbers[first + i])
+    }
+
+    /// Replaces the text at `index`.
+    pub(super) fn set_text(&mut self, index: usize, bytes: &[u8]) {
+        let text = &mut self.texts[index];
+        text.clear();
+        push_lossy(text, bytes);
+    }
+
+    /// The frame at `index`, without the leading `/` of ROS 1.
+    pub(super) fn frame(&self, index: usize) -> &str {
+        let frame = &self.texts[index];
+        frame.strip_prefix('/').unwrap_or(frame)
+    }
+}
+
+/// A list of names in one buffer.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Names {
+    text: String,
+    ends: Vec<usize>,
+}
+
+impl Names {
+    pub(super) fn clear(&mut self) {
+        self.text.clear();
+        self.ends.clear();
+    }
+
+    pub(super) fn push(&mut self, bytes: &[u8]) {
+        push_lossy(&mut self.text, bytes);
+        self.ends.push(self.text.len());
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.ends.len()
+    }
+
+    pub(super) fn iter(&self) -> impl Iterator<Item = &str> {
+        let mut start = 0;
+        self.ends.iter().map(move |&end| {
+            let name = &self.text[start..end];
+            start = end;
+            name
+        })
+    }
+}
+
+/// Appends `bytes` with a replacement character for what is not UTF-8, without allocating a copy.
+fn push_lossy(text: &mut String, bytes: &[u8]) {
+    if let Ok(valid) = std::str::from_utf8(bytes) {
+        text.push_str(valid);
+        return;
+    }
+    for chunk in bytes.utf8_chunks() {
+        text.push_str(chunk.valid());
+        if !chunk.invalid().is_empty() {
+            text.push(char::REPLACEMENT_CHARACTER);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_that_are_not_utf8_are_kept_readable() {
+        let mut row = Row::default();
+        row.set_text(FRAME, b"/base\xff_link");
+        assert_eq!(row.frame(FRAME), "base\u{fffd}_link");
+    }
+
+    #[test]
+    fn names_come_back_as_they_went_in() {
+        let mut names = Names::default();
+        for name in ["elbow", "", "wrist_1"] {
+            names.push(name.as_bytes());
+        }
+        assert_eq!(names.iter().collect::<Vec<_>>(), ["elbow", "", "wrist_1"]);
+        assert_eq!(names.len(), 3);
+    }
+
+    #[test]
+    fn hostile_stamps_saturate() {
+        let row = Row { seconds: i64::MAX, nanoseconds: 1, ..Row::default() };
+        assert_eq!(row.stamp(), i64::MAX);
+    }
+}

@@ -1,0 +1,118 @@
+use std::path::{Path, PathBuf};
+
+use super::{Extent, Loss};
+
+/// Most losses listed of a file; those beyond are counted into the last.
+const MAX_LOSSES: usize = 100;
+
+/// The damage to one file, as a container meets it.
+#[derive(Debug)]
+pub(super) struct Losses {
+    file: PathBuf,
+    list: Vec<Loss>,
+}
+
+impl Losses {
+    /// No damage to `file` yet.
+    pub(super) fn of(file: &Path) -> Self {
+        Self { file: file.to_owned(), list: Vec::new() }
+    }
+
+    /// Takes down damage at `offset` that took `messages`, if that is known.
+    pub(super) fn add(
+        &mut self,
+        offset: usize,
+        extent: Extent,
+        messages: Option<u64>,
+        what: String,
+    ) {
+        let loss = Loss { file: self.file.clone(), offset: offset as u64, what, messages, extent };
+        if self.list.len() < MAX_LOSSES {
+            self.list.push(loss);
+        } else if let Some(last) = self.list.last_mut() {
+            const MORE: &str = ", and more damage after that";
+            if !last.what.ends_with(MORE) {
+                last.what.push_str(MORE);
+            }
+            last.extent = last.extent.max(loss.extent);
+            last.messages = last.messages.zip(loss.messages).map(|(a, b)| a.saturating_add(b));
+        }
+    }
+
+    /// Says that the damage met last took `messages` more.
+    pub(super) fn add_to_last(&mut self, messages: u64) {
+        if let Some(last) = self.list.last_mut() {
+            last.messages = Some(last.messages.unwrap_or(0).saturating_add(messages));
+        }
+    }
+
+    /// Settles what is not known by what must be missing in all: `recorded` messages were written,
+    /// `read` were read.
+    pub(super) fn settle(&mut self, recorded: u64, read: u64, offset: usize) {
+        let known: u64 = self.list.iter().filter_map(|loss| loss.messages).sum();
+        let missing = recorded.saturating_sub(read).saturating_sub(known);
+        let mut unknown: Vec<&mut Loss> =
+            self.list.iter_mut().filter(|loss| loss.messages.is_none()).collect();
+        match unknown.as_mut_slice() {
+            [] if missing > 0 => {
+                let what = format!("the summary counts {recorded} messages, {read} were found");
+                self.add(offset, Extent::Messages, Some(missing), what);
+            }
+            [only] if missing > 0 => only.messages = Some(missing),
+            several if missing == 0 => {
+                for loss in several {
+                    loss.messages = Some(0);
+                    loss.extent = Extent::Index;
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Whether there is no damage.
+    pub(super) fn is_empty(&self) -> bool {
+        self.list.is_empty()
+    }
+
+    /// The damage in the order of bytes.
+    pub(super) fn finish(mut self) -> Vec<Loss> {
+        self.list.sort_by_key(|loss| loss.offset);
+        self.list
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_hostile_file_cannot_fill_the_memory_with_losses() {
+        let mut losses = Losses::of(Path::new("x"));
+        for offset in 0..1000 {
+            losses.add(offset, Extent::Index, Some(1), "broken".to_owned());
+        }
+        let losses = losses.finish();
+        assert_eq!(losses.len(), MAX_LOSSES);
+        assert_eq!(losses.iter().filter_map(|loss| loss.messages).sum::<u64>(), 1000);
+    }
+
+    #[test]
+    fn the_summary_settles_what_one_loss_took() {
+        let mut losses = Losses::of(Path::new("x"));
+        losses.add(5, Extent::Messages, None, "broken".to_owned());
+        losses.add(9, Extent::Messages, Some(2), "broken".to_owned());
+        losses.settle(20, 11, 0);
+        let losses = losses.finish();
+        assert_eq!(losses[0].messages, Some(7));
+        assert_eq!(losses[1].messages, Some(2));
+    }
+
+    #[test]
+    fn damage_that_took_no_message_is_damage_to_the_index() {
+        let mut losses = Losses::of(Path::new("x"));
+        losses.add(5, Extent::Messages, None, "broken".to_owned());
+        losses.settle(20, 20, 0);
+        let losses = losses.finish();
+        assert_eq!((losses[0].messages, losses[0].extent), (Some(0), Extent::Index));
+    }
+}

@@ -1,0 +1,442 @@
+//! MCAP files, read from their first byte to their last, past what is damaged.
+//!
+//! The summary is looked at first, because it repeats the schemas and channels that a damaged chunk
+//! would take with it. The messages are then found by walking the records themselves, so that files
+//! with and without an index are read alike.
+
+mod chunk;
+mod record;
+#[cfg(test)]
+mod tests;
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use mcap::MAGIC;
+use mcap::records::op;
+
+use self::chunk::Unpacker;
+use self::record::{Broken, Frame};
+use super::decode::Format;
+use super::intake::{ChannelId, Intake, Message};
+use super::losses::Losses;
+use super::{Crc, Extent, ReadOptions};
+
+/// Reads the file `bytes`, which begin with [`MAGIC`], into `intake`.
+pub(super) fn read(path: &Path, bytes: &[u8], options: &ReadOptions, intake: &mut Intake) -> Crc {
+    let before = intake.messages();
+    let mut reader = Reader {
+        bytes,
+        options,
+        intake,
+        losses: Losses::of(path),
+        schemas: HashMap::new(),
+        channels: Vec::new(),
+        covered: 0,
+        orphans: None,
+        in_lost_chunk: false,
+    };
+    let summary = reader.summary();
+    let end = reader.walk();
+    let read = reader.intake.messages() - before;
+    reader.close(&summary, end, read);
+    let crc = match reader.covered {
+        0 => Crc::None,
+        covered if covered < read => Crc::Partial,
+        _ => Crc::All,
+    };
+    reader.intake.losses(reader.losses);
+    crc
+}
+
+struct Reader<'a> {
+    bytes: &'a [u8],
+    options: &'a ReadOptions,
+    intake: &'a mut Intake,
+    losses: Losses,
+    schemas: HashMap<u16, Schema>,
+    /// By channel id.
+    channels: Vec<Option<Channel>>,
+    /// Messages under a checksum that held.
+    covered: u64,
+    /// Messages of channels that no record describes: how many, and where the first is.
+    orphans: Option<(u64, usize)>,
+    /// Whether the record before belongs to a chunk that was lost.
+    in_lost_chunk: bool,
+}
+
+/// A schema as it was read last; chunks repeat them.
+struct Schema {
+    name: String,
+    encoding: String,
+    data: Vec<u8>,
+}
+
+/// A channel as it was read last; chunks repeat them.
+struct Channel {
+    id: ChannelId,
+    schema_id: u16,
+    topic: String,
+    encoding: String,
+}
+
+/// What the end of the file says of the rest.
+enum Summary {
+    /// Nothing: the file was not closed.
+    Unclosed,
+    /// The file was closed; its messages may have been counted.
+    Closed { messages: Option<u64> },
+}
+
+/// How the walk over the data section ended.
+enum End<'a> {
+    /// At the record that closes it.
+    Closed(Frame<'a>),
+    /// After a whole record, at the end of the file.
+    Open,
+    /// In damage, which was taken down.
+    Damaged,
+}
+
+impl<'a> Reader<'a> {
+    /// Takes schemas and channels from the summary, if the file has one.
+    fn summary(&mut self) -> Summary {
+        let Some(content) = self.bytes.strip_suffix(MAGIC) else {
+            return Summary::Unclosed;
+        };
+        let footer_start = content.len().saturating_sub(record::Footer::SIZE);
+        let footer = match record::frame(content, footer_start) {
+            Ok(frame) if frame.opcode == op::FOOTER => record::Footer::parse(frame.body),
+            _ => None,
+        };
+        let Some(footer) = footer else {
+            self.lose_summary(footer_start, "there is no footer before the end of the file");
+            return Summary::Closed { messages: None };
+        };
+        let start = usize::try_from(footer.summary_start).unwrap_or(usize::MAX);
+        if start == 0 {
+            return Summary::Closed { messages: None };
+        }
+        let Some(records) = content.get(..footer_start).filter(|records| start <= records.len())
+        else {
+            self.lose_summary(footer_start, "the footer points beyond the end of the file");
+            return Summary::Closed { messages: None };
+        };
+        // The checksum covers the footer, too, up to itself.
+        let covered = &content[start..content.len() - size_of::<u32>()];
+        if footer.summary_crc != 0 && crc32fast::hash(covered) != footer.summary_crc {
+            self.lose_summary(start, "the summary fails its checksum");
+            return Summary::Closed { messages: None };
+        }
+        let mut messages = None;
+        // Schemas first: a channel may stand before its schema.
+        for wanted in [op::SCHEMA, op::CHANNEL, op::STATISTICS] {
+            let frames = record::frames(records, start).flatten();
+            for frame in frames.filter(|frame| frame.opcode == wanted) {
+                match wanted {
+                    op::STATISTICS => messages = record::recorded_messages(frame.body),
+                    _ if self.definition(&frame).is_none() => {
+                        self.lose_record(&frame, frame.offset);
+                    }
+                    _ => {}
+                }
+            }
+        }
+        Summary::Closed { messages }
+    }
+
+    fn lose_summary(&mut self, offset: usize, what: &str) {
+        self.losses.add(offset, Extent::Index, Some(0), what.to_owned());
+    }
+
+    /// Walks the records of the data section.
+    fn walk(&mut self) -> End<'a> {
+        let mut unpacker = Unpacker::default();
+        let mut offset = MAGIC.len();
+        // Where to look for the next chunk should the records not go on at `offset`: it may be the
+        // record before that said a wrong length.
+        let mut sound = offset;
+        while offset < self.bytes.len() {
+            match record::frame(self.bytes, offset) {
+                Ok(frame) if matches!(frame.opcode, op::DATA_END | op::FOOTER) => {
+                    return End::Closed(frame);
+                }
+                Ok(frame) => {
+                    let intact = self.record(&frame, &mut unpacker);
+                    sound = if intact { frame.end() } else { offset + 1 };
+                    offset = frame.end();
+                }
+                Err(broken) => {
+                    let Some(chunk) = record::find_chunk(self.bytes, sound) else {
+                        self.lose_rest(offset, broken, &mut unpacker);
+                        return End::Damaged;
+                    };
+                    let what =
+                        format!("expected a record, found {broken}; read on at byte {chunk}");
+                    self.losses.add(offset, Extent::Messages, None, what);
+                    offset = chunk;
+                }
+            }
+        }
+        End::Open
+    }
+
+    /// Reads one record of the data section; whether its length is beyond doubt.
+    fn record(&mut self, frame: &Frame<'a>, unpacker: &mut Unpacker) -> bool {
+        let in_lost_chunk = std::mem::take(&mut self.in_lost_chunk);
+        match frame.opcode {
+            op::CHUNK => return self.chunk(frame, unpacker),
+            op::MESSAGE_INDEX if in_lost_chunk => {
+                // The index of a lost chunk says how many messages were in it.
+                self.losses.add_to_last(record::indexed_messages(frame.body).unwrap_or(0));
+                self.in_lost_chunk = true;
+            }
+            op::ATTACHMENT => self.attachment(frame),
+            op::METADATA => self.metadata(frame),
+            _ => {
+                if self.content(frame, frame.offset).is_none() {
+                    self.lose_record(frame, frame.offset);
+                }
+            }
+        }
+        false
+    }
+
+    /// Reads the records of a chunk; whether all of them could be.
+    fn chunk(&mut self, frame: &Frame<'a>, unpacker: &mut Unpacker) -> bool {
+        let chunk = record::Chunk::parse(frame.body).filter(record::Chunk::is_whole);
+        let Some(chunk) = chunk else {
+            self.lose_chunk(frame.offset, "chunk is shorter than it says".to_owned());
+            return false;
+        };
+        match unpacker.unpack(&chunk) {
+            Ok(records) => {
+                let before = self.intake.messages();
+                self.chunk_records(records, frame.offset);
+                if chunk.crc != 0 {
+                    self.covered += self.intake.messages() - before;
+                }
+                true
+            }
+            Err(error) => {
+                self.lose_chunk(frame.offset, error.to_string());
+                false
+            }
+        }
+    }
+
+    /// Reads the records inside the chunk at `offset`.
+    fn chunk_records(&mut self, records: &[u8], offset: usize) {
+        for frame in record::frames(records, 0) {
+            match frame {
+                Ok(frame) => {
+                    if self.content(&frame, offset).is_none() {
+                        self.lose_record(&frame, offset);
+                    }
+                }
+                Err(broken) => {
+                    let what = format!("in the chunk, expected a record, found {broken}");
+                    self.losses.add(offset, Extent::Messages, None, what);
+                }
+            }
+        }
+    }
+
+    /// Reads a schema, channel or message; `None` if it is malformed.
+    fn content(&mut self, frame: &Frame<'_>, offset: usize) -> Option<()> {
+        if frame.opcode != op::MESSAGE {
+            return self.definition(frame);
+        }
+        let message = record::Message::parse(frame.body)?;
+        let channel = self.channels.get(usize::from(message.channel_id));
+        let Some(Some(Channel { id, .. })) = channel else {
+            self.orphans.get_or_insert((0, offset)).0 += 1;
+            return Some(());
+        };
+        self.intake.message(
+            *id,
+            Message {
+                log_time: message.log_time,
+                publish_time: message.publish_time,
+                data: message.data,
+                offset: offset as u64,
+            },
+        );
+        Some(())
+    }
+
+    /// Takes up a schema or a channel; `None` if it is malformed.
+    fn definition(&mut self, frame: &Frame<'_>) -> Option<()> {
+        match frame.opcode {
+            op::SCHEMA => self.schema(record::Schema::parse(frame.body)?),
+            op::CHANNEL => self.channel(record::Channel::parse(frame.body)?),
+            _ => {}
+        }
+        Some(())
+    }
+
+    fn schema(&mut self, schema: record::Schema<'_>) {
+        let known = self.schemas.get(&schema.id).is_some_and(|known| {
+            (known.name.as_str(), known.encoding.as_str(), known.data.as_slice())
+                == (schema.name, schema.encoding, schema.data)
+        });
+        if !known {
+            self.schemas.insert(
+                schema.id,
+                Schema {
+                    name: schema.name.to_owned(),
+                    encoding: schema.encoding.to_owned(),
+                    data: schema.data.to_owned(),
+                },
+            );
+        }
+    }
+
+    fn channel(&mut self, channel: record::Channel<'_>) {
+        let index = usize::from(channel.id);
+        if index >= self.channels.len() {
+            self.channels.resize_with(index + 1, || None);
+        }
+        let slot = &mut self.channels[index];
+        let known = slot.as_ref().is_some_and(|known| {
+            (known.schema_id, known.topic.as_str(), known.encoding.as_str())
+                == (channel.schema_id, channel.topic, channel.encoding)
+        });
+        if known {
+            return;
+        }
+        let schema = self.schemas.get(&channel.schema_id);
+        let format = Format {
+            encoding: channel.encoding,
+            type_name: schema.map_or("", |schema| &schema.name),
+            schema_encoding: schema.map_or("", |schema| &schema.encoding),
+            schema: schema.map_or(&[], |schema| &schema.data),
+        };
+        *slot = Some(Channel {
+            id: self.intake.channel(channel.topic, format),
+            schema_id: channel.schema_id,
+            topic: channel.topic.to_owned(),
+            encoding: channel.encoding.to_owned(),
+        });
+    }
+
+    fn attachment(&mut self, frame: &Frame<'_>) {
+        /// Largest attachment whose checksum is looked at unasked.
+        const SMALL: usize = 16 << 20;
+        let Some(attachment) = record::Attachment::parse(frame.body) else {
+            return self.lose_summary(frame.offset, "attachment is shorter than it says");
+        };
+        let checked = self.options.verify || attachment.covered.len() <= SMALL;
+        if checked && attachment.crc != 0 && crc32fast::hash(attachment.covered) != attachment.crc {
+            let what = format!("attachment `{}` fails its checksum", attachment.name);
+            return self.lose_summary(frame.offset, &what);
+        }
+        self.intake.text(attachment.name, attachment.data);
+    }
+
+    fn metadata(&mut self, frame: &Frame<'_>) {
+        let Some((name, pairs)) = record::metadata(frame.body) else {
+            return self.lose_summary(frame.offset, "metadata is shorter than it says");
+        };
+        for (key, value) in pairs {
+            self.intake.text(&format!("{name}/{key}"), value.as_bytes());
+        }
+    }
+
+    fn lose_chunk(&mut self, offset: usize, what: String) {
+        self.losses.add(offset, Extent::Messages, None, what);
+        self.in_lost_chunk = true;
+    }
+
+    fn lose_record(&mut self, frame: &Frame<'_>, offset: usize) {
+        let what = format!("malformed record (opcode {:#04x})", frame.opcode);
+        let (extent, messages) = match frame.opcode {
+            op::MESSAGE => (Extent::Messages, Some(1)),
+            _ => (Extent::Index, Some(0)),
+        };
+        self.losses.add(offset, extent, messages, what);
+    }
+
+    /// Takes down that no record can be read from `offset` on, and reads what is left of a chunk.
+    fn lose_rest(&mut self, offset: usize, broken: Broken<'a>, unpacker: &mut Unpacker) {
+        let closed = self.bytes.ends_with(MAGIC);
+        let (extent, messages, what) = match broken {
+            Broken::Cut { opcode: op::CHUNK, body, .. } if !closed => {
+                let before = self.intake.messages();
+                if let Some(chunk) = record::Chunk::parse(body) {
+                    self.cut_chunk(unpacker.unpack_cut(&chunk), offset);
+                }
+                let saved = self.intake.messages() - before;
+                let what =
+                    format!("the file ends within a chunk; {saved} messages of it were read");
+                (Extent::Tail, None, what)
+            }
+            Broken::Cut { opcode: op::MESSAGE, .. } if !closed => {
+                (Extent::Tail, Some(1), "the file ends within a message".to_owned())
+            }
+            Broken::Cut { opcode: 0x01..=0x0f, .. } | Broken::Stub { .. } if !closed => {
+                (Extent::Index, Some(0), "the file ends within a record".to_owned())
+            }
+            Broken::Zero if self.bytes[offset..].iter().all(|&byte| byte == 0) => {
+                (Extent::Tail, None, "the file ends in zeros, as after a crash".to_owned())
+            }
+            _ => {
+                let what = format!("expected a record, found {broken}; nothing after it was read");
+                (Extent::Messages, None, what)
+            }
+        };
+        self.losses.add(offset, extent, messages, what);
+    }
+
+    /// Reads the whole records at the beginning of a chunk that is cut.
+    fn cut_chunk(&mut self, records: &[u8], offset: usize) {
+        for frame in record::frames(records, 0).flatten() {
+            if self.content(&frame, offset).is_none() {
+                self.lose_record(&frame, offset);
+            }
+        }
+    }
+
+    /// Holds what was read against what the end of the file says.
+    fn close(&mut self, summary: &Summary, end: End<'_>, read: u64) {
+        if let Some((messages, offset)) = self.orphans {
+            let what = format!("{messages} messages are of channels that no record describes");
+            self.losses.add(offset, Extent::Messages, Some(messages), what);
+        }
+        match (summary, end) {
+            (Summary::Unclosed, End::Open | End::Closed(_)) => {
+                let what = "the file ends without a footer: the recording was not closed";
+                self.lose_summary(self.bytes.len(), what);
+            }
+            (Summary::Closed { .. }, End::Closed(frame)) if self.options.verify => {
+                self.check_data(&frame, read);
+            }
+            _ => {}
+        }
+        if let Summary::Closed { messages: Some(recorded) } = *summary {
+            self.losses.settle(recorded, read, self.bytes.len());
+        }
+    }
+
+    /// Checks the checksum over the whole data section, which the record `end` closes.
+    fn check_data(&mut self, end: &Frame<'_>, read: u64) {
+        let crc = match end.opcode {
+            op::DATA_END => record::data_crc(end.body).unwrap_or(0),
+            _ => 0,
+        };
+        if crc == 0 {
+            return;
+        }
+        if crc32fast::hash(&self.bytes[..end.offset]) == crc {
+            self.covered = read;
+        } else if self.losses.is_empty() {
+            let what = "the data section fails its checksum";
+            if self.covered == read {
+                self.lose_summary(end.offset, &format!("{what}, though every chunk holds"));
+            } else {
+                let what = format!("{what}: messages outside of chunks may be altered");
+                self.losses.add(end.offset, Extent::Messages, None, what);
+            }
+        }
+    }
+}

@@ -1,0 +1,289 @@
+//! MCAP records, borrowed from the bytes that hold them.
+//!
+//! The `mcap` crate's own record types copy every string and trust attachments to be long enough;
+//! here a record that is too short is `None`.
+
+use mcap::records::op;
+
+/// Bytes before a record's body: its opcode and its length.
+pub(super) const FRAME_HEADER: usize = 9;
+
+/// One record, not yet looked into.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Frame<'a> {
+    /// Where it begins.
+    pub(super) offset: usize,
+    /// What it is: one of [`op`].
+    pub(super) opcode: u8,
+    /// What follows its length.
+    pub(super) body: &'a [u8],
+}
+
+impl Frame<'_> {
+    /// Where the next record begins.
+    pub(super) fn end(&self) -> usize {
+        self.offset + FRAME_HEADER + self.body.len()
+    }
+}
+
+/// What stands where a record should begin.
+#[derive(Clone, Copy, Debug, thiserror::Error)]
+pub(super) enum Broken<'a> {
+    /// Fewer bytes than a record's opcode and length take.
+    #[error("{left} bytes, too few for a record")]
+    Stub { left: usize },
+    /// An opcode that no record has.
+    #[error("opcode 0, which no record has")]
+    Zero,
+    /// A record that is longer than the rest.
+    #[error("a record (opcode {opcode:#04x}) of {length} bytes, of which {} are there", body.len())]
+    Cut { opcode: u8, length: u64, body: &'a [u8] },
+}
+
+/// The record at `offset`, which is at most the length of `bytes`.
+pub(super) fn frame(bytes: &[u8], offset: usize) -> Result<Frame<'_>, Broken<'_>> {
+    let rest = &bytes[offset..];
+    let mut fields = Fields(rest);
+    let (Some(opcode), Some(length)) = (fields.u8(), fields.u64()) else {
+        return Err(Broken::Stub { left: rest.len() });
+    };
+    if opcode == 0 {
+        return Err(Broken::Zero);
+    }
+    let Fields(body) = fields;
+    match usize::try_from(length).ok().and_then(|length| body.get(..length)) {
+        Some(body) => Ok(Frame { offset, opcode, body }),
+        None => Err(Broken::Cut { opcode, length, body }),
+    }
+}
+
+/// The records of `bytes` from `offset` on, up to and with the first that is broken.
+pub(super) fn frames(
+    bytes: &[u8],
+    mut offset: usize,
+) -> impl Iterator<Item = Result<Frame<'_>, Broken<'_>>> {
+    std::iter::from_fn(move || {
+        if offset >= bytes.len() {
+            return None;
+        }
+        let frame = frame(bytes, offset);
+        offset = frame.map_or(bytes.len(), |frame| frame.end());
+        Some(frame)
+    })
+}
+
+/// Where the next whole chunk begins, at `from` or after it.
+///
+/// A chunk states its length twice, in the record and with its compressed data; that both agree
+/// and that its compression is a known one does not happen by chance.
+pub(super) fn find_chunk(bytes: &[u8], from: usize) -> Option<usize> {
+    let starts = bytes.iter().enumerate().skip(from).filter(|&(_, &byte)| byte == op::CHUNK);
+    starts.map(|(offset, _)| offset).find(|&offset| {
+        let Ok(frame) = frame(bytes, offset) else {
+            return false;
+        };
+        let Some(chunk) = Chunk::parse(frame.body) else {
+            return false;
+        };
+        let header = CHUNK_HEADER + chunk.compression.len();
+        let known = matches!(chunk.compression, "" | "zstd" | "lz4");
+        known && chunk.is_whole() && header + chunk.data.len() == frame.body.len()
+    })
+}
+
+/// Bytes of a chunk's fields without its compression's name and its data.
+const CHUNK_HEADER: usize = 8 + 8 + 8 + 4 + 4 + 8;
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Schema<'a> {
+    pub(super) id: u16,
+    pub(super) name: &'a str,
+    pub(super) encoding: &'a str,
+    pub(super) data: &'a [u8],
+}
+
+impl<'a> Schema<'a> {
+    pub(super) fn parse(body: &'a [u8]) -> Option<Self> {
+        let mut fields = Fields(body);
+        let (id, name, encoding) = (fields.u16()?, fields.text()?, fields.text()?);
+        let length = fields.u32()?;
+        Some(Self { id, name, encoding, data: fields.bytes(length.into())? })
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Channel<'a> {
+    pub(super) id: u16,
+    /// 0 where the channel has no schema.
+    pub(super) schema_id: u16,
+    pub(super) topic: &'a str,
+    pub(super) encoding: &'a str,
+}
+
+impl<'a> Channel<'a> {
+    pub(super) fn parse(body: &'a [u8]) -> Option<Self> {
+        let mut fields = Fields(body);
+        Some(Self {
+            id: fields.u16()?,
+            schema_id: fields.u16()?,
+            topic: fields.text()?,
+            encoding: fields.text()?,
+        })
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Message<'a> {
+    pub(super) channel_id: u16,
+    pub(super) log_time: u64,
+    pub(super) publish_time: u64,
+    pub(super) data: &'a [u8],
+}
+
+impl<'a> Message<'a> {
+    pub(super) fn parse(body: &'a [u8]) -> Option<Self> {
+        let mut fields = Fields(body);
+        let channel_id = fields.u16()?;
+        let _sequence = fields.u32()?;
+        let (log_time, publish_time) = (fields.u64()?, fields.u64()?);
+        Some(Self { channel_id, log_time, publish_time, data: fields.0 })
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Chunk<'a> {
+    /// Bytes of the records inside.
+    pub(super) size: u64,
+    /// Checksum of the records inside; 0 where there is none.
+    pub(super) crc: u32,
+    pub(super) compression: &'a str,
+    /// Bytes that `data` should have.
+    compressed_size: u64,
+    /// The compressed records, as far as they are there.
+    pub(super) data: &'a [u8],
+}
+
+impl<'a> Chunk<'a> {
+    pub(super) fn parse(body: &'a [u8]) -> Option<Self> {
+        let mut fields = Fields(body);
+        let _first_and_last_time = fields.bytes(16)?;
+        let (size, crc, compression) = (fields.u64()?, fields.u32()?, fields.text()?);
+        let compressed_size = fields.u64()?;
+        let there = compressed_size.min(fields.0.len() as u64);
+        Some(Self { size, crc, compression, compressed_size, data: fields.bytes(there)? })
+    }
+
+    /// Whether all of the compressed records are there.
+    pub(super) fn is_whole(&self) -> bool {
+        self.data.len() as u64 == self.compressed_size
+    }
+}
+
+/// How many messages a message index lists.
+pub(super) fn indexed_messages(body: &[u8]) -> Option<u64> {
+    const ENTRY: u32 = 16;
+    let mut fields = Fields(body);
+    let _channel_id = fields.u16()?;
+    Some((fields.u32()? / ENTRY).into())
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Attachment<'a> {
+    pub(super) name: &'a str,
+    pub(super) data: &'a [u8],
+    /// What the checksum covers.
+    pub(super) covered: &'a [u8],
+    /// The checksum; 0 where there is none.
+    pub(super) crc: u32,
+}
+
+impl<'a> Attachment<'a> {
+    pub(super) fn parse(body: &'a [u8]) -> Option<Self> {
+        let mut fields = Fields(body);
+        let _times = fields.bytes(16)?;
+        let name = fields.text()?;
+        let _media_type = fields.text()?;
+        let length = fields.u64()?;
+        let data = fields.bytes(length)?;
+        let covered = &body[..body.len() - fields.0.len()];
+        Some(Self { name, data, covered, crc: fields.u32()? })
+    }
+}
+
+/// The name of a metadata record and its pairs of key and value.
+pub(super) fn metadata(body: &[u8]) -> Option<(&str, impl Iterator<Item = (&str, &str)>)> {
+    let mut fields = Fields(body);
+    let name = fields.text()?;
+    let length = fields.u32()?;
+    let mut pairs = Fields(fields.bytes(length.into())?);
+    Some((name, std::iter::from_fn(move || pairs.text().zip(pairs.text()))))
+}
+
+/// How many messages the statistics count.
+pub(super) fn recorded_messages(body: &[u8]) -> Option<u64> {
+    Fields(body).u64()
+}
+
+/// The checksum of a data end record; 0 where there is none.
+pub(super) fn data_crc(body: &[u8]) -> Option<u32> {
+    Fields(body).u32()
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Footer {
+    /// Where the summary begins; 0 where there is none.
+    pub(super) summary_start: u64,
+    /// Checksum from there to itself; 0 where there is none.
+    pub(super) summary_crc: u32,
+}
+
+impl Footer {
+    /// Bytes of a footer record.
+    pub(super) const SIZE: usize = FRAME_HEADER + 20;
+
+    pub(super) fn parse(body: &[u8]) -> Option<Self> {
+        let mut fields = Fields(body);
+        let summary_start = fields.u64()?;
+        let _summary_offset_start = fields.u64()?;
+        Some(Self { summary_start, summary_crc: fields.u32()? })
+    }
+}
+
+/// The fields of a record that are left to read.
+#[derive(Clone, Copy)]
+struct Fields<'a>(&'a [u8]);
+
+impl<'a> Fields<'a> {
+    fn bytes(&mut self, length: u64) -> Option<&'a [u8]> {
+        let (bytes, rest) = self.0.split_at_checked(usize::try_from(length).ok()?)?;
+        self.0 = rest;
+        Some(bytes)
+    }
+
+    fn array<const N: usize>(&mut self) -> Option<[u8; N]> {
+        let (&bytes, rest) = self.0.split_first_chunk()?;
+        self.0 = rest;
+        Some(bytes)
+    }
+
+    fn u8(&mut self) -> Option<u8> {
+        self.array().map(u8::from_le_bytes)
+    }
+
+    fn u16(&mut self) -> Option<u16> {
+        self.array().map(u16::from_le_bytes)
+    }
+
+    fn u32(&mut self) -> Option<u32> {
+        self.array().map(u32::from_le_bytes)
+    }
+
+    fn u64(&mut self) -> Option<u64> {
+        self.array().map(u64::from_le_bytes)
+    }
+
+    fn text(&mut self) -> Option<&'a str> {
+        let length = self.u32()?;
+        std::str::from_utf8(self.bytes(length.into())?).ok()
+    }
+}

@@ -1,0 +1,264 @@
+//! Sound and damaged files.
+
+use std::borrow::Cow;
+
+use mcap::{Compression, WriteOptions};
+
+use super::super::testing::{self, Cdr, LogWriter};
+use super::super::{Container, Log, LogFile, Loss};
+use super::*;
+use crate::stream::{Columns, PoseColumns};
+
+const MESSAGES: u64 = 100;
+
+/// A file of poses at log times 0, 1, 2, ….
+fn poses(mut log: LogWriter) -> Vec<u8> {
+    let channel = log.channel("/pose", "geometry_msgs/msg/PoseStamped", testing::POSE_STAMPED);
+    for time in 0..MESSAGES {
+        let message = Cdr::pose_stamped(0, time as u32, "base", [time as f64, 0.5, 0.25]);
+        log.message(channel, time, &message);
+    }
+    log.finish()
+}
+
+fn read_with(bytes: &[u8], options: ReadOptions) -> Log {
+    let (path, mut intake) = (Path::new("run.mcap"), Intake::default());
+    let crc = read(path, bytes, &options, &mut intake);
+    let bytes = bytes.len() as u64;
+    let container = Container::Mcap;
+    intake.finish(vec![LogFile { path: path.to_owned(), container, bytes, crc }])
+}
+
+fn read_all(bytes: &[u8]) -> Log {
+    read_with(bytes, ReadOptions { verify: true })
+}
+
+fn rows(log: &Log) -> &PoseColumns {
+    match log.topics[0].columns.as_ref() {
+        Some(Columns::Poses(poses)) => &poses[0],
+        other => panic!("{other:?}"),
+    }
+}
+
+fn lost(log: &Log) -> Vec<(Extent, Option<u64>)> {
+    log.losses.iter().map(|loss| (loss.extent, loss.messages)).collect()
+}
+
+/// Offsets of the chunk records of a sound file.
+fn chunks(bytes: &[u8]) -> Vec<usize> {
+    let frames = record::frames(bytes, MAGIC.len()).map_while(Result::ok);
+    frames.filter(|frame| frame.opcode == op::CHUNK).map(|frame| frame.offset).collect()
+}
+
+#[test]
+fn every_compression_gives_the_same_rows() {
+    for compression in [None, Some(Compression::Zstd), Some(Compression::Lz4)] {
+        let log = read_all(&poses(LogWriter::new(compression)));
+        assert_eq!(log.losses, []);
+        assert_eq!(log.files[0].crc, Crc::All);
+        assert_eq!(log.messages, MESSAGES);
+        let topic = &log.topics[0];
+        assert_eq!((topic.name.as_str(), topic.encoding.as_str()), ("/pose", "cdr"));
+        assert_eq!(topic.type_name, "geometry_msgs/msg/PoseStamped");
+        assert_eq!(topic.messages, MESSAGES);
+        assert_eq!(rows(&log).times.publish, (1..=MESSAGES as i64).collect::<Vec<_>>());
+        assert_eq!(rows(&log).xyz[99], [99.0, 0.5, 0.25]);
+    }
+}
+
+#[test]
+fn files_without_chunks_or_without_index_are_read_alike() {
+    let unchunked = WriteOptions::new().use_chunks(false);
+    let bare = WriteOptions::new()
+        .chunk_size(Some(512))
+        .emit_summary_records(false)
+        .emit_message_indexes(false)
+        .calculate_chunk_crcs(false)
+        .calculate_data_section_crc(false);
+    for (options, verify, crc) in [
+        (unchunked.clone(), true, Crc::All),
+        (unchunked, false, Crc::None),
+        (bare, true, Crc::None),
+    ] {
+        let log = read_with(&poses(LogWriter::with(options)), ReadOptions { verify });
+        assert_eq!(log.losses, []);
+        assert_eq!(rows(&log).times.len() as u64, MESSAGES);
+        assert_eq!(log.files[0].crc, crc);
+    }
+}
+
+#[test]
+fn a_file_cut_anywhere_is_read_up_to_the_cut() {
+    for compression in [None, Some(Compression::Zstd), Some(Compression::Lz4)] {
+        let whole = poses(LogWriter::new(compression));
+        let mut most = 0;
+        for length in (MAGIC.len()..whole.len()).step_by(7) {
+            let log = read_all(&whole[..length]);
+            assert!(!log.losses.is_empty(), "cut at {length}");
+            assert!(log.losses.iter().all(|loss| loss.extent != Extent::Messages), "{log:?}");
+            assert!(log.messages >= most, "cut at {length}");
+            most = log.messages;
+            if log.messages > 0 {
+                let expected: Vec<i64> = (0..log.messages as i64).collect();
+                assert_eq!(rows(&log).times.header, expected, "cut at {length}");
+            }
+        }
+        assert_eq!(most, MESSAGES);
+    }
+}
+
+#[test]
+fn the_messages_before_a_cut_within_a_chunk_are_saved() {
+    let whole = poses(LogWriter::new(None));
+    let [_, second, third, ..] = chunks(&whole)[..] else { panic!("chunks") };
+    let before = read_all(&whole[..second]).messages;
+    let log = read_all(&whole[..third - 200]);
+    assert!(log.messages > before);
+    let [Loss { offset, extent: Extent::Tail, what, .. }] = log.losses.as_slice() else {
+        panic!("{:?}", log.losses)
+    };
+    assert_eq!(*offset, second as u64);
+    assert_eq!(
+        *what,
+        format!("the file ends within a chunk; {} messages of it were read", log.messages - before)
+    );
+    assert_eq!(log.files[0].crc, Crc::Partial);
+}
+
+#[test]
+fn a_corrupt_chunk_is_lost_alone_and_its_messages_are_counted() {
+    for compression in [None, Some(Compression::Zstd), Some(Compression::Lz4)] {
+        let mut bytes = poses(LogWriter::new(compression));
+        let chunks = chunks(&bytes);
+        // The first chunk is the one that defines the channel.
+        for &chunk in [chunks[0], chunks[2]].iter() {
+            let damaged = chunk + 120;
+            bytes[damaged] ^= 0x10;
+            let log = read_all(&bytes);
+            bytes[damaged] ^= 0x10;
+            let [loss] = log.losses.as_slice() else { panic!("{:?}", log.losses) };
+            assert_eq!((loss.offset, loss.extent), (chunk as u64, Extent::Messages));
+            assert_eq!(loss.messages, Some(MESSAGES - log.messages));
+            assert!(log.messages > MESSAGES / 2);
+        }
+    }
+}
+
+#[test]
+fn a_wrong_length_costs_no_more_than_its_record() {
+    let mut bytes = poses(LogWriter::default());
+    let chunk = chunks(&bytes)[1];
+    for garbage in [0x7f, 0xff] {
+        bytes[chunk + 7] = garbage;
+        let log = read_all(&bytes);
+        let [loss] = log.losses.as_slice() else { panic!("{:?}", log.losses) };
+        assert_eq!((loss.offset, loss.extent), (chunk as u64, Extent::Messages));
+        assert_eq!(loss.messages, Some(MESSAGES - log.messages));
+        assert!(loss.what.contains("read on at byte"), "{}", loss.what);
+        assert!(log.messages > MESSAGES / 2);
+    }
+}
+
+#[test]
+fn no_flipped_byte_stops_the_reading_or_goes_unseen() {
+    for compression in [None, Some(Compression::Zstd), Some(Compression::Lz4)] {
+        let mut bytes = poses(LogWriter::new(compression));
+        let sound = read_all(&bytes);
+        for index in (MAGIC.len()..bytes.len()).step_by(3) {
+            bytes[index] ^= 0xff;
+            let log = read_all(&bytes);
+            bytes[index] ^= 0xff;
+            assert!(log.messages <= MESSAGES);
+            let unseen = log.losses.is_empty() && log.files[0].crc == Crc::All;
+            assert!(!unseen || log.topics == sound.topics, "byte {index}");
+            assert!(log.topics.iter().all(|topic| topic.undecodable.is_none()), "byte {index}");
+        }
+    }
+}
+
+#[test]
+fn a_file_that_ends_in_zeros_is_cut() {
+    let whole = poses(LogWriter::default());
+    let mut bytes = whole[..chunks(&whole)[1]].to_vec();
+    bytes.extend([0; 4096]);
+    let log = read_all(&bytes);
+    assert!(log.messages > 0);
+    assert_eq!(lost(&log), [(Extent::Tail, None)]);
+}
+
+#[test]
+fn a_missing_footer_is_damage_to_the_index() {
+    let whole = poses(LogWriter::default());
+    let log = read_all(&whole[..whole.len() - 40]);
+    assert_eq!(log.messages, MESSAGES);
+    assert_eq!(lost(&log), [(Extent::Index, Some(0))]);
+}
+
+#[test]
+fn hostile_chunk_sizes_are_refused() {
+    let mut bytes = poses(LogWriter::default());
+    let size = chunks(&bytes)[0] + record::FRAME_HEADER + 16;
+    for (high, expected) in [(0xff, "larger than"), (0x00, "its header says 805306368")] {
+        bytes[size..size + 8].copy_from_slice(&[0, 0, 0, 0x30, 0, 0, 0, high]);
+        let log = read_all(&bytes);
+        assert!(log.losses[0].what.contains(expected), "{:?}", log.losses);
+        assert!(log.messages > 0);
+    }
+}
+
+#[test]
+fn topics_that_cannot_be_decoded_do_not_stop_the_others() {
+    let mut log = LogWriter::default();
+    let pose = "geometry_msgs/msg/PoseStamped";
+    let json = log.encoded_channel("/json", pose, "json", testing::POSE_STAMPED);
+    let cdr = log.channel("/cdr", pose, testing::POSE_STAMPED);
+    log.message(json, 1, b"{}");
+    log.message(json, 2, b"{}");
+    log.message(cdr, 3, &Cdr::pose_stamped(1, 2, "base", [0.0; 3]));
+    log.message(cdr, 4, &Cdr::pose_stamped(1, 2, "base", [0.0; 3])[..30]);
+    let log = read_all(&log.finish());
+    assert_eq!(log.losses, []);
+    let [cdr, json] = log.topics.as_slice() else { panic!("two topics") };
+    let undecodable = cdr.undecodable.as_ref().unwrap();
+    assert_eq!(undecodable.messages, 1);
+    assert!(undecodable.first.starts_with("field `pose.position.x`: byte 28 of the message: 8 "));
+    assert!(matches!(&cdr.columns, Some(Columns::Poses(poses)) if poses[0].times.len() == 1));
+    assert_eq!(json.columns, None);
+    let undecodable = json.undecodable.as_ref().unwrap();
+    assert_eq!(undecodable.messages, 2);
+    assert!(undecodable.first.starts_with("messages are encoded as `json`, expected `cdr`"));
+}
+
+#[test]
+fn a_pose_does_not_inherit_the_child_frame_of_a_transform() {
+    let mut log = LogWriter::default();
+    let tf = log.channel("/tf", "tf2_msgs/msg/TFMessage", testing::TF_MESSAGE);
+    let pose = log.channel("/pose", "geometry_msgs/msg/PoseStamped", testing::POSE_STAMPED);
+    let transform = Cdr::little().u32(1).header(1, 0, "base").text("flange");
+    log.message(tf, 1, &transform.all(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]).done());
+    log.message(pose, 2, &Cdr::pose_stamped(1, 2, "base", [0.0; 3]));
+    let log = read_all(&log.finish());
+    assert_eq!(rows(&log).child_frame_id, "");
+}
+
+#[test]
+fn robot_descriptions_beside_the_messages_are_found() {
+    let urdf = "<?xml version=\"1.0\"?>\n<robot name=\"arm\"/>";
+    let mut log = LogWriter::default();
+    let attachment = |name: &str, text: &'static str| mcap::Attachment {
+        log_time: 0,
+        create_time: 0,
+        name: name.to_owned(),
+        media_type: "text/xml".to_owned(),
+        data: Cow::Borrowed(text.as_bytes()),
+    };
+    log.writer().attach(&attachment("arm.urdf", urdf)).unwrap();
+    log.writer().attach(&attachment("notes.txt", "the <robot> is new")).unwrap();
+    let metadata = [("robot_description".to_owned(), urdf.to_owned())].into();
+    let metadata = mcap::records::Metadata { name: "run".to_owned(), metadata };
+    log.writer().write_metadata(&metadata).unwrap();
+    let log = read_all(&log.finish());
+    let names: Vec<&str> = log.descriptions.iter().map(|found| found.name.as_str()).collect();
+    assert_eq!(names, ["arm.urdf", "run/robot_description"]);
+    assert_eq!(log.descriptions[0].text, urdf);
+}

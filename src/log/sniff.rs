@@ -1,0 +1,93 @@
+//! What a file is, told from its first bytes.
+
+/// What the first bytes of a file say.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Kind {
+    /// An MCAP file.
+    Mcap,
+    /// A kind of file that is known, but not read here.
+    Known {
+        /// What it is, with its article.
+        looks: &'static str,
+        /// What to do about it.
+        instead: &'static str,
+    },
+    /// Anything else.
+    Unknown {
+        /// What it looks like.
+        looks: &'static str,
+    },
+}
+
+const TO_MCAP: &str = "convert it to MCAP first";
+const UNPACK: &str = "unpack it first";
+
+/// Magic bytes of the known kinds that are not read here.
+const KNOWN: &[(&[u8], &str, &str)] = &[
+    (b"#ROSBAG V2.0", "a ROS 1 bag", TO_MCAP),
+    (b"#ROSBAG", "an old ROS 1 bag", TO_MCAP),
+    (b"SQLite format 3\0", "a SQLite database (a rosbag2 .db3?)", TO_MCAP),
+    (b"\x89MCAP", "an MCAP file of another version than 0", "write it as MCAP version 0"),
+    (b"ULog\x01\x12\x35", "a PX4 ULog", TO_MCAP),
+    (b"RRF", "a Rerun recording", "give the log that it was made from"),
+    (b"PAR1", "a Parquet file", "give the log that it was made from"),
+    (b"\x28\xb5\x2f\xfd", "a zstd archive", UNPACK),
+    (b"\x04\x22\x4d\x18", "an lz4 archive", UNPACK),
+    (b"\x1f\x8b", "a gzip archive", UNPACK),
+    (b"PK\x03\x04", "a zip archive", UNPACK),
+];
+
+/// How many bytes are looked at to tell text from binary data.
+const GLANCE: usize = 4096;
+
+/// What `bytes` are.
+pub(super) fn kind(bytes: &[u8]) -> Kind {
+    if bytes.starts_with(mcap::MAGIC) {
+        return Kind::Mcap;
+    }
+    if mcap::MAGIC.starts_with(bytes) {
+        return Kind::Unknown { looks: "an MCAP file that was cut off within its first 8 bytes" };
+    }
+    let known = KNOWN.iter().find(|(magic, ..)| bytes.starts_with(magic));
+    if let Some(&(_, looks, instead)) = known {
+        return Kind::Known { looks, instead };
+    }
+    let glance = &bytes[..bytes.len().min(GLANCE)];
+    let looks = if glance.iter().all(|&byte| byte == 0) {
+        "a file of zeros"
+    } else if is_text(glance) {
+        "text"
+    } else {
+        "unknown binary data"
+    };
+    Kind::Unknown { looks }
+}
+
+/// Whether `bytes` read as UTF-8 text, of which the last character may be cut.
+fn is_text(bytes: &[u8]) -> bool {
+    let text = match std::str::from_utf8(bytes) {
+        Ok(text) => text,
+        Err(error) if error.error_len().is_none() => {
+            std::str::from_utf8(&bytes[..error.valid_up_to()]).unwrap_or_default()
+        }
+        Err(_) => return false,
+    };
+    text.chars().all(|c| !c.is_control() || c.is_ascii_whitespace())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_may_end_within_a_character() {
+        assert_eq!(kind("Grüße, 1.0\nü".as_bytes()), Kind::Unknown { looks: "text" });
+        assert_eq!(kind(b"Gr\xc3"), Kind::Unknown { looks: "text" });
+        assert_eq!(kind(b"Gr\xc3(("), Kind::Unknown { looks: "unknown binary data" });
+    }
+
+    #[test]
+    fn another_mcap_version_is_named() {
+        assert!(matches!(kind(b"\x89MCAP9\r\n...."), Kind::Known { .. }));
+    }
+}
