@@ -21,6 +21,10 @@ const HUBER: f64 = 3.0;
 /// Eigenvalues of the scaled normal matrix below this are directions that the log does not show.
 const BLIND: f64 = 1e-9;
 
+/// A set of causes in which one is this near to a mix of the others (unexplained share of its
+/// effect) is no explanation: the log cannot say how much of each there is.
+const ENTANGLED: f64 = 1e-4;
+
 /// Most causes that are searched exhaustively.
 const EXHAUSTIVE: usize = 4;
 
@@ -105,6 +109,12 @@ impl Linearized {
     /// The step that frees `parameters` and returns all others to "no such cause".
     pub fn step(&self, parameters: &[usize]) -> DVector<f64> {
         restricted_step(&self.normal, &self.values, parameters)
+    }
+
+    /// Whether the log tells all of `parameters` apart.
+    fn separates(&self, parameters: &[usize]) -> bool {
+        let matrix = scaled(&self.normal.matrix, parameters).0;
+        matrix.cholesky().is_some_and(|cholesky| cholesky.l_dirty().diagonal().min().powi(2) > ENTANGLED)
     }
 
     /// The weighted cost after that step.
@@ -233,20 +243,31 @@ fn restricted_step(normal: &Normal, values: &DVector<f64>, free: &[usize]) -> DV
     }
     let right = &normal.right - &normal.matrix * &step;
     let n = free.len();
-    let matrix = DMatrix::from_fn(n, n, |i, j| normal.matrix[(free[i], free[j])]);
     let right = DVector::from_fn(n, |i, _| right[free[i]]);
-    let scale = DVector::from_fn(n, |i, _| matrix[(i, i)].max(f64::MIN_POSITIVE).sqrt().recip());
-    let scaled = DMatrix::from_fn(n, n, |i, j| matrix[(i, j)] * scale[i] * scale[j]);
-    let solution = match scaled.clone().cholesky() {
-        Some(cholesky) if cholesky.l().diagonal().min() > BLIND.sqrt() => {
+    let (matrix, scale) = scaled(&normal.matrix, free);
+    let solution = match matrix.cholesky() {
+        Some(cholesky) if cholesky.l_dirty().diagonal().min() > BLIND.sqrt() => {
             cholesky.solve(&right.component_mul(&scale)).component_mul(&scale)
         }
-        _ => pseudo_inverse(&matrix).0 * right,
+        _ => {
+            let matrix = DMatrix::from_fn(n, n, |i, j| normal.matrix[(free[i], free[j])]);
+            pseudo_inverse(&matrix).0 * right
+        }
     };
     for (i, &parameter) in free.iter().enumerate() {
         step[parameter] = solution[i];
     }
     step
+}
+
+/// The rows and columns `parameters` of a normal matrix, scaled to a unit diagonal, and the scale.
+fn scaled(matrix: &DMatrix<f64>, parameters: &[usize]) -> (DMatrix<f64>, DVector<f64>) {
+    let n = parameters.len();
+    let scale = DVector::from_fn(n, |i, _| {
+        matrix[(parameters[i], parameters[i])].max(f64::MIN_POSITIVE).sqrt().recip()
+    });
+    let scaled = DMatrix::from_fn(n, n, |i, j| matrix[(parameters[i], parameters[j])] * scale[i] * scale[j]);
+    (scaled, scale)
 }
 
 /// Inverse on the directions that the log shows, and for each parameter the share of it (0 to 1)
@@ -311,6 +332,9 @@ fn choose(linear: &Linearized, menu: &Menu, state: &State) -> Choice {
     let score_of = |set: &[Cause]| -> f64 {
         let causes: Vec<Cause> = menu.always.iter().chain(set).copied().collect();
         let parameters = parameters_of(&causes, state);
+        if !set.is_empty() && !linear.separates(&parameters) {
+            return f64::INFINITY;
+        }
         let optional: usize = set.iter().map(|cause| cause.parameters(state).len()).sum();
         linear.cost(&parameters) + price * optional as f64
     };
@@ -418,7 +442,7 @@ pub(super) fn explain(
             break;
         }
     }
-    let score = likelihood_score(&linear, &causes, menu, &state);
+    let score = likelihood_score(&linear, &causes, &state);
     Explanation { state, causes, linear, score }
 }
 
@@ -427,13 +451,12 @@ fn small(step: &DVector<f64>) -> bool {
     step.amax() < 1e-7
 }
 
-/// `Σ n·ln σ²` of what the explanation leaves, plus the price of its parameters and round slips.
-fn likelihood_score(linear: &Linearized, causes: &[Cause], menu: &Menu, state: &State) -> f64 {
-    let free: Vec<Cause> = menu.always.iter().chain(causes).copied().collect();
-    let step = linear.step(&parameters_of(&free, state));
+/// `Σ n·ln σ²` of the residuals at the state reached, plus the price of its parameters and round
+/// slips. A state that has not settled leaves more than its causes could take off, and pays for it.
+fn likelihood_score(linear: &Linearized, causes: &[Cause], state: &State) -> f64 {
     let mut score = 0.0;
-    for (s, stream) in linear.streams.iter().enumerate() {
-        let weights = weights_after(stream, &own_part(&step, state, s));
+    for stream in &linear.streams {
+        let weights = weights_after(stream, &vec![0.0; stream.width]);
         let samples = stream.len() as f64;
         // Noise memory is capped so that a bad explanation's smooth residual does not count as few samples.
         for noise in [weights.position, weights.rotation] {

@@ -1,0 +1,354 @@
+//! Makes the logs of the demo and the tests: an arm in motion, its streams, and planted faults.
+//!
+//! A [`Scenario`] says what moves, what is recorded and what is wrong; [`Scenario::write_mcap`]
+//! writes the log as a ROS 2 recorder would. Faults are planted in the signs and names in which the
+//! audit reports them, so a finding can be compared with the field that planted it. Nothing here
+//! estimates anything.
+//!
+//! The same scenario gives the same bytes. Motion and streams draw from random numbers of their
+//! own: a fault planted in one stream leaves the rest of the log as it was.
+
+mod cdr;
+mod messages;
+mod motion;
+mod noise;
+mod streams;
+mod truth;
+mod urdf;
+
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
+use std::io::{Seek, Write};
+
+use mcap::records::MessageHeader;
+use mcap::{Compression, McapError, WriteOptions};
+
+use crate::geometry::{
+    Convention, Misreading, Pose, QuaternionSlip, Vec3, pose, rotation_from_rotvec,
+};
+use crate::robot::{ChainError, Robot, catalogue};
+use crate::time::Stamp;
+
+use messages::Topic;
+pub use motion::Motion;
+pub use noise::Noise;
+use truth::Truth;
+pub use urdf::urdf_text;
+
+/// When every run starts, on the recorder's clock.
+pub const START: Stamp = Stamp::from_nanos(1_780_000_000_000_000_000);
+
+/// The topic of the joint states.
+pub const JOINT_STATES: &str = "/joint_states";
+/// The topic of the pose stream.
+pub const POSE: &str = "/tcp_pose_broadcaster/pose";
+/// The topic of the transforms that move.
+pub const TF: &str = "/tf";
+/// The topic of the transforms that do not.
+pub const TF_STATIC: &str = "/tf_static";
+/// The topic of the IMU.
+pub const IMU: &str = "/imu/data";
+/// The topic of the arm's URDF.
+pub const ROBOT_DESCRIPTION: &str = "/robot_description";
+
+/// The frame of the IMU.
+const IMU_FRAME: &str = "imu_link";
+
+/// One recorded run: an arm, how it moves, what is logged, and what is wrong with it.
+///
+/// A new scenario has noise and no fault; each fault is a field of the stream that shows it.
+///
+/// ```
+/// # use poseaudit::synth::Scenario;
+/// let mut run = Scenario::ur5e();
+/// run.pose.timing.latency_s = 0.015;
+/// run.joints.zero_offsets = vec![0.0, 0.0, 0.6_f64.to_radians()];
+/// run.write_mcap(std::io::Cursor::new(Vec::new()), None)?;
+/// # Ok::<(), poseaudit::synth::SynthError>(())
+/// ```
+#[derive(Debug, Clone)]
+pub struct Scenario {
+    /// The arm.
+    pub robot: Robot,
+    /// The link that poses are in; its z axis points up.
+    pub base: String,
+    /// The link whose pose is logged, and which carries the IMU.
+    pub tip: String,
+    /// Length of the run, s.
+    pub duration_s: f64,
+    /// Seed of all random numbers.
+    pub seed: u64,
+    /// How the arm moves.
+    pub motion: Motion,
+    /// Where the motion stays near, rad or m, one a joint from base to tip; joints beyond its end
+    /// are in the middle of their range.
+    pub home: Vec<f64>,
+    /// The largest distance of a joint from home, rad; a quarter of it in m where the joint slides.
+    pub amplitude: f64,
+    /// The largest speed of a joint, rad/s; a quarter of it in m/s where the joint slides.
+    pub speed: f64,
+    /// The noise of the streams.
+    pub noise: Noise,
+    /// The joint states.
+    pub joints: JointStream,
+    /// The stream of tool poses.
+    pub pose: PoseStream,
+    /// The transforms that move.
+    pub tf: TfStream,
+    /// The IMU at the tip.
+    pub imu: ImuStream,
+    /// Whether the arm's URDF is in the log.
+    pub description: bool,
+}
+
+/// When the messages of a stream are made, stamped and received.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Timing {
+    /// Messages a second; 0 leaves the stream out.
+    pub rate_hz: f64,
+    /// When the content of the first message is true, s after the start.
+    pub phase_s: f64,
+    /// Latency, s: what is stamped *t* was true at *t − latency*. With a skew, the value at mid-run.
+    pub latency_s: f64,
+    /// By how much the latency grows with each second of stamp, s/s.
+    pub skew: f64,
+    /// The clock of the stamps minus the recorder's, s, beyond latency and skew.
+    pub clock_offset_s: f64,
+    /// Whether header stamps are set; they are zero where not.
+    pub stamped: bool,
+}
+
+/// The joint states.
+#[derive(Debug, Clone, PartialEq)]
+pub struct JointStream {
+    /// Its times.
+    pub timing: Timing,
+    /// Whether velocities are logged.
+    pub with_velocity: bool,
+    /// `q_true − q_reported`, rad or m, one a joint from base to tip; joints beyond its end have
+    /// none. The pose stream and the IMU know the truth, /tf follows the joint states.
+    pub zero_offsets: Vec<f64>,
+    /// Whether the numbers are degrees. /tf takes them for radians, as a state publisher does.
+    pub in_degrees: bool,
+    /// The joints in the order that the numbers are in, each counted from the base, where that is
+    /// not the order of the names. /tf believes the names.
+    pub number_order: Option<Vec<usize>>,
+}
+
+/// The stream of tool poses.
+///
+/// Its rows are `reference_from_stream⁻¹ · base_from_tip · tip_from_stream`, then grown, then coded.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PoseStream {
+    /// Its times.
+    pub timing: Timing,
+    /// The frame that the messages name.
+    pub frame_id: String,
+    /// Pose of the frame that the numbers are in, in the base.
+    pub reference_from_stream: Pose,
+    /// Pose of the frame that the numbers are of, in the tip.
+    pub tip_from_stream: Pose,
+    /// Scale of the logged over the true position, minus 1.
+    pub growth: f64,
+    /// What became of the pose on its way into the log.
+    pub coding: Coding,
+    /// Whether positions are in mm.
+    pub in_millimetres: bool,
+}
+
+/// The transforms of the arm's joints, as a state publisher computes them from the joint states, and
+/// the fixed ones.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TfStream {
+    /// Its times. Rate and phase of the joint states, or a fraction of that rate, give it stamps
+    /// that are copies of theirs.
+    pub timing: Timing,
+    /// What became of the transforms on their way into the log.
+    pub coding: Coding,
+    /// Whether /tf_static is there.
+    pub with_static: bool,
+}
+
+/// The IMU at the tip: gyro, accelerometer and an orientation in a world of its own yaw.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ImuStream {
+    /// Its times.
+    pub timing: Timing,
+    /// `tip_from_imu` as /tf_static has it.
+    pub tip_from_imu: Pose,
+    /// How the IMU is truly mounted: `imu_as_published_from_imu`.
+    pub mount_error: Pose,
+    /// Whether the orientation is logged; where not, its covariance says so (REP 145).
+    pub with_orientation: bool,
+    /// Yaw of the base in the IMU's world at the start, rad. No fault.
+    pub world_yaw_rad: f64,
+    /// By how much the logged yaw runs ahead of the true one, rad/s about the base's z axis.
+    pub yaw_drift_rad_s: f64,
+    /// Bias of the gyro in its own frame, rad/s.
+    pub gyro_bias_rad_s: Vec3,
+    /// What became of the orientation on its way into the log.
+    pub coding: Coding,
+}
+
+/// What became of a pose on its way into the log.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Coding {
+    /// Nothing.
+    #[default]
+    Faithful,
+    /// The rotation was shown as three numbers and these were read otherwise.
+    Misread(Misreading),
+    /// The quaternion's components were taken in the wrong order.
+    Slipped(QuaternionSlip),
+    /// The rotation was transposed, the position left.
+    Transposed,
+    /// The whole pose was inverted.
+    Inverted,
+}
+
+/// Why a log could not be made.
+#[derive(Debug, thiserror::Error)]
+pub enum SynthError {
+    /// There is no chain from the scenario's base to its tip.
+    #[error(transparent)]
+    Chain(#[from] ChainError),
+    /// The log could not be written.
+    #[error("cannot write the log")]
+    Write(#[from] McapError),
+}
+
+impl Scenario {
+    /// A run of `robot` without faults: 20 s of pick and place, all streams on.
+    pub fn new(robot: Robot, base: &str, tip: &str) -> Self {
+        Self {
+            robot,
+            base: base.to_owned(),
+            tip: tip.to_owned(),
+            duration_s: 20.0,
+            seed: 1,
+            motion: Motion::PickAndPlace,
+            home: Vec::new(),
+            amplitude: 1.2,
+            speed: 1.2,
+            noise: Noise::default(),
+            joints: JointStream {
+                timing: Timing::every(125.0, 0.0),
+                with_velocity: true,
+                zero_offsets: Vec::new(),
+                in_degrees: false,
+                number_order: None,
+            },
+            pose: PoseStream {
+                timing: Timing::every(125.0, 0.0037),
+                frame_id: base.to_owned(),
+                reference_from_stream: Pose::identity(),
+                tip_from_stream: Pose::identity(),
+                growth: 0.0,
+                coding: Coding::Faithful,
+                in_millimetres: false,
+            },
+            tf: TfStream {
+                timing: Timing::every(50.0, 0.0083),
+                coding: Coding::Faithful,
+                with_static: true,
+            },
+            imu: ImuStream {
+                timing: Timing::every(200.0, 0.0011),
+                tip_from_imu: pose(
+                    [0.02, -0.01, 0.03],
+                    rotation_from_rotvec(Vec3::new(0.1, -0.2, 0.4)),
+                ),
+                mount_error: Pose::identity(),
+                with_orientation: true,
+                world_yaw_rad: 0.6,
+                yaw_drift_rad_s: 0.0,
+                gyro_bias_rad_s: Vec3::zeros(),
+                coding: Coding::Faithful,
+            },
+            description: true,
+        }
+    }
+
+    /// A run of the catalogue's UR5e without faults, about the posture that it is parked in.
+    pub fn ur5e() -> Self {
+        use std::f64::consts::FRAC_PI_2;
+        let robot = catalogue::find("ur5e").expect("the catalogue has the ur5e").clone();
+        let home = vec![0.0, -FRAC_PI_2, FRAC_PI_2, -FRAC_PI_2, -FRAC_PI_2, 0.0];
+        Self { home, ..Self::new(robot, "base", "tool0") }
+    }
+
+    /// Writes the run as an MCAP file, its chunks compressed or not; `out` is flushed.
+    ///
+    /// # Errors
+    /// Where `base` and `tip` are no two links with a chain between them, or `out` cannot be
+    /// written.
+    ///
+    /// # Panics
+    /// Where `motion` names a joint that the chain does not have, or `number_order` is no order of
+    /// its joints.
+    pub fn write_mcap(
+        &self,
+        out: impl Write + Seek,
+        compression: Option<Compression>,
+    ) -> Result<(), SynthError> {
+        let messages = streams::messages(self, &Truth::new(self)?);
+        // Compressing on other threads would cut the data elsewhere on other machines.
+        let options = WriteOptions::new()
+            .profile("ros2")
+            .library("poseaudit")
+            .compression(compression)
+            .compression_threads(0);
+        let mut writer = options.create(out)?;
+        let mut channels = BTreeMap::new();
+        for message in messages {
+            let header = match channels.entry(message.topic) {
+                Entry::Occupied(known) => known.into_mut(),
+                Entry::Vacant(new) => new.insert(MessageHeader {
+                    channel_id: add_channel(&mut writer, message.topic)?,
+                    sequence: 0,
+                    log_time: 0,
+                    publish_time: 0,
+                }),
+            };
+            header.sequence += 1;
+            header.log_time = message.received.nanos().cast_unsigned();
+            header.publish_time = header.log_time;
+            writer.write_to_known_channel(header, &message.cdr)?;
+        }
+        writer.finish()?;
+        Ok(writer.into_inner().flush().map_err(McapError::from)?)
+    }
+}
+
+fn add_channel<W: Write + Seek>(
+    writer: &mut mcap::Writer<W>,
+    topic: Topic,
+) -> Result<u16, McapError> {
+    let schema = writer.add_schema(topic.type_name(), "ros2msg", topic.definition().as_bytes())?;
+    writer.add_channel(schema, topic.name(), "cdr", &BTreeMap::new())
+}
+
+impl Timing {
+    /// `rate_hz` messages a second from `phase_s` after the start on, in time and on the recorder's
+    /// clock.
+    pub fn every(rate_hz: f64, phase_s: f64) -> Self {
+        Self { rate_hz, phase_s, latency_s: 0.0, skew: 0.0, clock_offset_s: 0.0, stamped: true }
+    }
+}
+
+/// The demo's run: 20 s of a UR5e with four faults at once.
+///
+/// The tool pose's rotation vector was read as roll, pitch and yaw; the tool pose is 22 ms late; the
+/// zero of shoulder_lift_joint is off by 0.5°; the IMU's yaw drifts by 3 °/min.
+pub fn demo() -> Scenario {
+    let mut run = Scenario::ur5e();
+    run.pose.coding =
+        Coding::Misread(Misreading { is: Convention::RotVec, read_as: Convention::RPY });
+    run.pose.timing.latency_s = 0.022;
+    run.joints.zero_offsets = vec![0.0, 0.5_f64.to_radians()];
+    run.imu.yaw_drift_rad_s = 3.0_f64.to_radians() / 60.0;
+    run
+}
+
+#[cfg(test)]
+mod tests;

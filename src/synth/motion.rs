@@ -1,0 +1,204 @@
+//! Where the joints are at every moment: smooth, within limits, no faster than an arm.
+
+use std::f64::consts::{PI, TAU};
+
+use rand::RngExt;
+use rand_pcg::Pcg64;
+
+use super::Scenario;
+use super::noise::{Purpose, random};
+use crate::robot::{Chain, JointKind, Limits};
+
+/// How the arm moves.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Motion {
+    /// From one random posture to the next, with a rest of 0.15 to 0.5 s at each.
+    PickAndPlace,
+    /// All joints at once and without rest, each to its own rhythm.
+    Continuous,
+    /// As [`Motion::Continuous`], but the same over and over.
+    Periodic {
+        /// After how long the motion repeats, s.
+        period_s: f64,
+    },
+    /// As [`Motion::PickAndPlace`], but only of one joint, counted from the base.
+    OneJoint(usize),
+    /// Not at all.
+    AtRest,
+}
+
+/// The part of a joint's range and speed limit that the motion keeps to.
+const COMFORT: f64 = 0.9;
+/// How far a sliding joint goes where a turning one would turn by a radian, m.
+const METRES_PER_RADIAN: f64 = 0.25;
+
+/// Joint positions over time, with two continuous derivatives.
+#[derive(Debug, Clone)]
+pub(super) enum Trajectory {
+    /// From knot to knot; at rest before the first and after the last.
+    Knots(Vec<Knot>),
+    /// About a home position, one sum of sines a joint.
+    Sines { home: Vec<f64>, sines: Vec<[Sine; 2]> },
+}
+
+/// A posture in which the arm stands still for at least a moment.
+#[derive(Debug, Clone)]
+pub(super) struct Knot {
+    time_s: f64,
+    q: Vec<f64>,
+}
+
+/// `amplitude · sin(rate · t + phase)`.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Sine {
+    amplitude: f64,
+    rate_rad_s: f64,
+    phase_rad: f64,
+}
+
+/// Where one joint may go, rad and rad/s or m and m/s.
+#[derive(Debug, Clone, Copy)]
+struct Room {
+    home: f64,
+    amplitude: f64,
+    speed: f64,
+}
+
+impl Trajectory {
+    pub(super) fn new(scenario: &Scenario, chain: &Chain) -> Self {
+        let rooms: Vec<Room> =
+            (0..chain.dof()).map(|joint| Room::new(scenario, chain, joint)).collect();
+        match scenario.motion {
+            Motion::PickAndPlace => Self::knots(scenario, &rooms),
+            Motion::OneJoint(moving) => {
+                assert!(moving < rooms.len(), "joint {moving} of {} joints moves", rooms.len());
+                let mut held = rooms;
+                for (joint, room) in held.iter_mut().enumerate() {
+                    if joint != moving {
+                        room.amplitude = 0.0;
+                    }
+                }
+                Self::knots(scenario, &held)
+            }
+            Motion::Continuous => Self::sines(scenario, &rooms, |random| {
+                [random.random_range(0.08..0.15), random.random_range(0.2..0.3)]
+            }),
+            Motion::Periodic { period_s } => {
+                Self::sines(scenario, &rooms, |_| [1.0 / period_s, 2.0 / period_s])
+            }
+            Motion::AtRest => {
+                let q = rooms.iter().map(|room| room.home).collect();
+                Self::Knots(vec![Knot { time_s: 0.0, q }])
+            }
+        }
+    }
+
+    fn knots(scenario: &Scenario, rooms: &[Room]) -> Self {
+        /// Peak speed of a blend over its mean speed.
+        const PEAK: f64 = 1.875;
+        let mut random = random(scenario.seed, Purpose::Motion);
+        let mut knots: Vec<Knot> = Vec::new();
+        let mut time_s = 0.0;
+        while time_s < scenario.duration_s {
+            let q: Vec<f64> = rooms
+                .iter()
+                .map(|room| room.home + room.amplitude * random.random_range(-1.0..=1.0))
+                .collect();
+            if let Some(last) = knots.last() {
+                let needed_s = |((to, from), room): ((&f64, &f64), &Room)| {
+                    PEAK * (to - from).abs() / room.speed
+                };
+                time_s += q.iter().zip(&last.q).zip(rooms).map(needed_s).fold(0.2, f64::max);
+            }
+            knots.push(Knot { time_s, q: q.clone() });
+            time_s += random.random_range(0.15..0.5);
+            knots.push(Knot { time_s, q });
+        }
+        Self::Knots(knots)
+    }
+
+    /// Sums of sines of which `rates_hz` gives each joint its two rates.
+    fn sines(
+        scenario: &Scenario,
+        rooms: &[Room],
+        rates_hz: impl Fn(&mut Pcg64) -> [f64; 2],
+    ) -> Self {
+        let mut random = random(scenario.seed, Purpose::Motion);
+        let sines = rooms
+            .iter()
+            .map(|room| {
+                let rates_rad_s = rates_hz(&mut random).map(|rate| TAU * rate);
+                let share = room.amplitude / 2.0;
+                let peak_speed = share * (rates_rad_s[0] + rates_rad_s[1]);
+                let amplitude = share * (room.speed / peak_speed).min(1.0);
+                rates_rad_s.map(|rate_rad_s| Sine {
+                    amplitude,
+                    rate_rad_s,
+                    phase_rad: random.random_range(0.0..TAU),
+                })
+            })
+            .collect();
+        Self::Sines { home: rooms.iter().map(|room| room.home).collect(), sines }
+    }
+
+    /// Positions and velocities of the joints `time_s` after the start.
+    pub(super) fn at(&self, time_s: f64) -> (Vec<f64>, Vec<f64>) {
+        match self {
+            Self::Knots(knots) => {
+                let next = knots.partition_point(|knot| knot.time_s <= time_s);
+                match (next.checked_sub(1).map(|last| &knots[last]), knots.get(next)) {
+                    (Some(from), Some(to)) => between(from, to, time_s),
+                    (Some(knot), None) | (None, Some(knot)) => at_rest(knot),
+                    (None, None) => unreachable!("a trajectory has a knot"),
+                }
+            }
+            Self::Sines { home, sines } => home
+                .iter()
+                .zip(sines)
+                .map(|(home, sines)| {
+                    let angle = |sine: &Sine| sine.rate_rad_s * time_s + sine.phase_rad;
+                    let position: f64 = sines.iter().map(|s| s.amplitude * angle(s).sin()).sum();
+                    let velocity: f64 =
+                        sines.iter().map(|s| s.amplitude * s.rate_rad_s * angle(s).cos()).sum();
+                    (home + position, velocity)
+                })
+                .unzip(),
+        }
+    }
+}
+
+fn at_rest(knot: &Knot) -> (Vec<f64>, Vec<f64>) {
+    (knot.q.clone(), vec![0.0; knot.q.len()])
+}
+
+/// A quintic blend, which starts and ends without speed or acceleration.
+fn between(from: &Knot, to: &Knot, time_s: f64) -> (Vec<f64>, Vec<f64>) {
+    let length_s = to.time_s - from.time_s;
+    let u = (time_s - from.time_s) / length_s;
+    let blend = u * u * u * (10.0 + u * (-15.0 + 6.0 * u));
+    let speed = 30.0 * u * u * (1.0 - u) * (1.0 - u) / length_s;
+    let pairs = from.q.iter().zip(&to.q);
+    pairs.map(|(from, to)| (from + blend * (to - from), speed * (to - from))).unzip()
+}
+
+impl Room {
+    fn new(scenario: &Scenario, chain: &Chain, joint: usize) -> Self {
+        let Limits { lower, upper, velocity } = chain.limits()[joint];
+        let (unit, range) = match chain.joint_kinds()[joint] {
+            JointKind::Prismatic => (METRES_PER_RADIAN, METRES_PER_RADIAN),
+            _ => (1.0, PI),
+        };
+        let (lower, upper) = (lower.unwrap_or(-range), upper.unwrap_or(range));
+        let middle = (lower + upper) / 2.0;
+        let comfortable = COMFORT * (upper - lower).max(0.0) / 2.0;
+        let amplitude = (scenario.amplitude * unit).min(comfortable);
+        let most = comfortable - amplitude;
+        let home = scenario.home.get(joint).copied().unwrap_or(middle);
+        let limit = velocity.filter(|limit| *limit > 0.0).unwrap_or(f64::INFINITY);
+        Self {
+            home: home.clamp(middle - most, middle + most),
+            amplitude,
+            speed: (scenario.speed * unit).min(COMFORT * limit),
+        }
+    }
+}

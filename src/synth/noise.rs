@@ -1,0 +1,95 @@
+//! Random numbers: one independent sequence for each use.
+
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64;
+
+/// Standard deviations of the streams' noise.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Noise {
+    /// Of the joint positions in the joint states and behind /tf, rad or m.
+    pub joints: f64,
+    /// Of the tool's position in each direction, m.
+    pub pose_m: f64,
+    /// Of the tool's rotation about each axis, rad.
+    pub pose_rad: f64,
+    /// Of the IMU's orientation about each axis, rad.
+    pub imu_rad: f64,
+    /// Of the gyro, rad/s.
+    pub gyro_rad_s: f64,
+    /// Of the accelerometer, m/s².
+    pub accel_m_s2: f64,
+    /// Correlation of each sample with the one before, from 0 (white) to below 1.
+    pub correlation: f64,
+}
+
+impl Noise {
+    /// None at all.
+    pub const NONE: Self = Self {
+        joints: 0.0,
+        pose_m: 0.0,
+        pose_rad: 0.0,
+        imu_rad: 0.0,
+        gyro_rad_s: 0.0,
+        accel_m_s2: 0.0,
+        correlation: 0.0,
+    };
+}
+
+impl Default for Noise {
+    /// White, of the size that encoders and a good IMU have.
+    fn default() -> Self {
+        Self {
+            joints: 2e-5,
+            pose_m: 2e-5,
+            pose_rad: 2e-5,
+            imu_rad: 3e-4,
+            gyro_rad_s: 2e-3,
+            accel_m_s2: 0.02,
+            correlation: 0.0,
+        }
+    }
+}
+
+/// What random numbers are for; each has a sequence of its own.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Purpose {
+    Motion,
+    JointNoise,
+    JointTransport,
+    PoseNoise,
+    PoseTransport,
+    TfNoise,
+    TfTransport,
+    ImuNoise,
+    ImuTransport,
+}
+
+/// The random numbers of `purpose`.
+pub(super) fn random(seed: u64, purpose: Purpose) -> Pcg64 {
+    Pcg64::seed_from_u64(seed.rotate_left(8) ^ purpose as u64)
+}
+
+/// Noise of unit variance in some components, white or coloured over time (AR(1)).
+pub(super) struct UnitNoise {
+    random: Pcg64,
+    correlation: f64,
+    last: Vec<f64>,
+}
+
+impl UnitNoise {
+    pub(super) fn new(mut random: Pcg64, components: usize, correlation: f64) -> Self {
+        let last = (0..components).map(|_| StandardNormal.sample(&mut random)).collect();
+        Self { random, correlation, last }
+    }
+
+    /// The next sample, one number a component.
+    pub(super) fn next(&mut self) -> &[f64] {
+        let fresh = (1.0 - self.correlation * self.correlation).sqrt();
+        for value in &mut self.last {
+            let innovation: f64 = StandardNormal.sample(&mut self.random);
+            *value = self.correlation * *value + fresh * innovation;
+        }
+        &self.last
+    }
+}

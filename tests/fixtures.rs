@@ -1,0 +1,34 @@
+//! The logs in `fixtures/` are what the generator makes today.
+
+use std::collections::BTreeMap;
+use std::io::Cursor;
+use std::path::Path;
+
+#[path = "../fixtures/scenarios.rs"]
+mod scenarios;
+
+/// Of each topic the log times and sizes of its messages: the numbers in them may differ in their
+/// last digits between platforms, and with them the compressed bytes.
+fn outline(log: &[u8]) -> BTreeMap<String, Vec<(u64, usize)>> {
+    let mut topics: BTreeMap<String, Vec<(u64, usize)>> = BTreeMap::new();
+    for message in mcap::MessageStream::new(log).unwrap().map(Result::unwrap) {
+        let topic = topics.entry(message.channel.topic.clone()).or_default();
+        topic.push((message.log_time, message.data.len()));
+    }
+    topics
+}
+
+#[test]
+fn fixtures_are_small_and_current() {
+    for (name, run) in scenarios::all() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures").join(name);
+        let kept = std::fs::read(&path).unwrap();
+        let mut made = Vec::new();
+        run.write_mcap(Cursor::new(&mut made), Some(mcap::Compression::Zstd)).unwrap();
+        assert!(kept.len() < 300_000, "{name} has {} bytes", kept.len());
+        assert!(
+            outline(&kept) == outline(&made),
+            "{name} is not what the generator makes: run `cargo run --example fixtures`"
+        );
+    }
+}
