@@ -1,6 +1,71 @@
 //! Audits robot-arm pose logs.
+//!
+//! poseaudit reads one recorded run of a robot arm, recomputes by forward kinematics where the arm
+//! must have been, and says which of the recorded poses, stamps and conventions cannot be right, by
+//! how much, and how sure it is.
+//!
+//! ```no_run
+//! let options = poseaudit::Options { logs: vec!["run.mcap".into()], ..Default::default() };
+//! let report = poseaudit::audit(&options)?;
+//! for finding in &report.findings {
+//!     println!("{} {}", finding.code, finding.message);
+//! }
+//! # Ok::<(), poseaudit::report::Trouble>(())
+//! ```
+//!
+//! Data walks one way: bytes → [`log`] → [`run`] → [`diagnosis`] → [`checks`] → [`report`].
+//! [`robot`] feeds the diagnosis; [`stream`], [`geometry`] and [`time`] are the ground floor.
 #![warn(missing_docs)]
 
+mod audit;
+mod demo;
+
+pub mod checks;
+pub mod diagnosis;
+pub mod finding;
 pub mod geometry;
+pub mod log;
+pub mod report;
+pub mod robot;
+pub mod run;
 pub mod stream;
+pub mod synth;
 pub mod time;
+
+pub use audit::Options;
+pub use demo::{Demo, Planted, demo};
+
+use std::path::PathBuf;
+
+use log::ReadOptions;
+use report::{Report, Trouble};
+use run::{Run, RunOptions};
+
+/// Audits one run.
+///
+/// # Errors
+/// Where the call is wrong or the log cannot be read. A log without an arm or a model is reported
+/// on, with the trouble in [`Report::error`].
+pub fn audit(options: &Options) -> Result<Report, Trouble> {
+    let log = log::open(&options.logs, &ReadOptions { verify: options.verify })?;
+    let read = audit::Read::of(&log);
+    let mut run = Run::assemble(log, &options.run()).map_err(|error| Trouble::from(&error))?;
+    audit::settle_candidates(&mut run, options.max_latency_s);
+    let diagnoses = audit::diagnose(&run, options.max_latency_s);
+    let facts = audit::facts(&run, diagnoses, &read);
+    let evaluation = checks::evaluate(&facts, &options.rules);
+    Ok(audit::report(&run, read, evaluation, options))
+}
+
+/// What a log holds: its topics, and which role each gets and why. Nothing is audited.
+///
+/// # Errors
+/// Where the log cannot be read.
+pub fn info(logs: &[PathBuf]) -> Result<Report, Trouble> {
+    let log = log::open(logs, &ReadOptions { verify: false })?;
+    let read = audit::Read::of(&log);
+    let options = RunOptions::default();
+    let mut run = Run::assemble(log, &options).map_err(|error| Trouble::from(&error))?;
+    audit::settle_candidates(&mut run, options.max_latency_s);
+    Ok(audit::summary(&run, read))
+}

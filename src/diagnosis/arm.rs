@@ -2,9 +2,9 @@
 
 use super::explain::{Approach, Cause, Explanation, Menu, explain};
 use super::frames::{frame_estimate, starts};
-use super::joints::{corrected, read_joints, spread, tool_misfit};
-use super::latency::{Peak, arm_speeds, linear_speed, median_period_s, pose_peaks, top};
-use super::model::{State, StreamState, Sweep, Witness};
+use super::joints::{corrected, lies_on_arm, read_joints, spread, tool_misfit};
+use super::latency::{Peak, arm_speeds, median_period_s, pose_peaks, top};
+use super::model::{POSITION, State, StreamState, Sweep, Witness};
 use super::reading::{Fit, Logged, Samples, nearest_truth, read};
 use super::{
     Aligned, ArmDiagnosis, JointOffset, JointReading, Measured, PoseDiagnosis, PoseStream, Reading,
@@ -28,7 +28,8 @@ const MOVING_SAMPLES: usize = 10;
 ///
 /// `most_lag_s` bounds the latency that is sought, s.
 pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64) -> ArmDiagnosis {
-    let scales: Vec<Seen<f64>> = streams.iter().map(|stream| position_scale(joints, stream)).collect();
+    let scales: Vec<Seen<f64>> =
+        streams.iter().map(|stream| position_scale(joints, stream)).collect();
     let factors: Vec<f64> = scales.iter().map(|scale| *scale.as_ref().unwrap_or(&1.0)).collect();
     let reading = read_joints(joints, streams, &factors, most_lag_s);
     let joints_read = match &reading {
@@ -56,7 +57,8 @@ pub fn diagnose_derived(
         let (_, mut diagnoses) = diagnose(joints, track, streams, &scales, most_lag_s, false);
         diagnoses.remove(0)
     };
-    let left = |diagnosis: &PoseDiagnosis| diagnosis.residual.as_ref().map_or(f64::INFINITY, |r| r.rms_m);
+    let left =
+        |diagnosis: &PoseDiagnosis| diagnosis.residual.as_ref().map_or(f64::INFINITY, |r| r.rms_m);
     let as_recorded = by(joints);
     match reading {
         Some(reading) if reading.degrees.is_some() || reading.permutation.is_some() => {
@@ -67,10 +69,39 @@ pub fn diagnose_derived(
     }
 }
 
+impl ArmDiagnosis {
+    /// The joint states as they should have been recorded: names and units as found, and the joint
+    /// offsets of the smallest explanation added.
+    ///
+    /// `prismatic` says for each column of `joints` whether that joint slides.
+    pub fn corrected_joints(&self, joints: &JointTrack, prismatic: &[bool]) -> JointTrack {
+        let mut track = match &self.joints {
+            Ok(reading) => corrected(joints, reading, prismatic),
+            Err(_) => joints.clone(),
+        };
+        let offset = |offset: &JointOffset| match &offset.offset {
+            Ok(measured) if offset.chosen => measured.value,
+            _ => 0.0,
+        };
+        let offsets: Vec<f64> = self.offsets.iter().map(offset).collect();
+        for row in track.q.chunks_exact_mut(offsets.len().max(1)) {
+            for (q, offset) in row.iter_mut().zip(&offsets) {
+                *q += offset;
+            }
+        }
+        track
+    }
+}
+
 /// How well a pose stream follows the arm: the best correlation of its speeds with FK's.
+///
+/// Bare numbers must also lie where the arm is: joint angles in an array move when the arm moves.
 pub fn follows(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Option<Peak> {
     let rotation = as_rotations(&stream.track.orientation);
-    stream_peaks(joints, stream, rotation, most_lag_s).first().copied()
+    let peak = stream_peaks(joints, stream, rotation, most_lag_s).first().copied()?;
+    let scale = position_scale(joints, stream).unwrap_or(1.0);
+    let placed = rotation.is_some() || lies_on_arm(joints, stream, scale, peak.lag_s);
+    Some(if placed { peak } else { Peak { correlation: 0.0, ..peak } })
 }
 
 fn prismatic(dof: usize, streams: &[PoseStream]) -> Vec<bool> {
@@ -90,7 +121,12 @@ fn as_rotations(orientation: &Orientations) -> Option<&[Rotation]> {
     }
 }
 
-fn stream_peaks(joints: &JointTrack, stream: &PoseStream, rotation: Option<&[Rotation]>, most_lag_s: f64) -> Vec<Peak> {
+fn stream_peaks(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    rotation: Option<&[Rotation]>,
+    most_lag_s: f64,
+) -> Vec<Peak> {
     let PoseStream { track, chain, columns, .. } = stream;
     pose_peaks(joints, chain, columns, &track.t_s, &track.xyz, rotation, most_lag_s)
 }
@@ -119,7 +155,8 @@ fn position_scale(joints: &JointTrack, stream: &PoseStream) -> Seen<f64> {
     let ratio = if moved > 0.01 * reach {
         extent / moved
     } else {
-        let norm = |points: &[Vec3]| points.iter().map(Vec3::norm).sum::<f64>() / points.len() as f64;
+        let norm =
+            |points: &[Vec3]| points.iter().map(Vec3::norm).sum::<f64>() / points.len() as f64;
         if !stream.reference_known {
             return Err(Unseen::AtRest);
         }
@@ -133,7 +170,6 @@ struct Prepared<'a> {
     witness: Witness<'a>,
     reading: ReadingEstimate,
     degrees: Option<UnitSlip>,
-    fit: Fit,
     peaks: Vec<Peak>,
     moves: bool,
 }
@@ -151,7 +187,9 @@ fn diagnose(
     let prepared: Vec<Seen<Prepared>> = streams
         .iter()
         .zip(scales)
-        .map(|(stream, scale)| prepare(joints, stream, *scale.as_ref().unwrap_or(&1.0), &still, most_lag_s))
+        .map(|(stream, scale)| {
+            prepare(joints, stream, *scale.as_ref().unwrap_or(&1.0), &still, most_lag_s)
+        })
         .collect();
     let usable: Vec<&Prepared> = prepared.iter().flatten().collect();
     let fitted = fit(&usable, joints.dof, with_offsets);
@@ -168,8 +206,8 @@ fn diagnose(
                 used += 1;
                 stream_diagnosis(recorded, stream, scale, prepared, fitted, used - 1)
             }
-            (Ok(_), None) => no_diagnosis(stream, scale, Unseen::NoOverlap),
-            (Err(why), _) => no_diagnosis(stream, scale, why.clone()),
+            (Ok(_), None) => no_diagnosis(scale, Unseen::NoOverlap),
+            (Err(why), _) => no_diagnosis(scale, why.clone()),
         })
         .collect();
     (offsets, diagnoses)
@@ -185,10 +223,11 @@ fn prepare<'a>(
 ) -> Seen<Prepared<'a>> {
     let PoseStream { track, chain, columns, reference_known, .. } = *stream;
     let xyz: Vec<Vec3> = track.xyz.iter().map(|p| p * scale).collect();
-    let peaks: Vec<Peak> = stream_peaks(joints, stream, as_rotations(&track.orientation), most_lag_s)
-        .into_iter()
-        .filter(|peak| peak.correlation > FOLLOWS)
-        .collect();
+    let peaks: Vec<Peak> =
+        stream_peaks(joints, stream, as_rotations(&track.orientation), most_lag_s)
+            .into_iter()
+            .filter(|peak| peak.correlation > FOLLOWS)
+            .collect();
     let lag_s = peaks.first().map_or(0.0, |peak| peak.lag_s);
     let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, lag_s);
     if rows.is_empty() {
@@ -197,7 +236,8 @@ fn prepare<'a>(
     let fk_rotation: Vec<Rotation> = fk.iter().map(|pose| pose.rotation).collect();
     let fk_xyz: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
     let xyz_there: Vec<Vec3> = rows.iter().map(|&k| xyz[k]).collect();
-    let (numbers, degrees) = numbers_in_radians(&track.orientation, &rows, &fk_rotation, reference_known);
+    let (numbers, degrees) =
+        numbers_in_radians(&track.orientation, &rows, &fk_rotation, reference_known);
     let logged_all = match (&track.orientation, &numbers) {
         (Orientations::Rotations(rotations), _) => Logged::Rotations(rotations),
         (Orientations::Numbers(_), numbers) => Logged::Numbers(numbers),
@@ -221,7 +261,8 @@ fn prepare<'a>(
         Logged::Numbers(_) => None,
     };
     let plain = tool_misfit(&xyz_there, &fk_xyz, &fk_rotation);
-    let inverted = inverted_xyz.as_ref().map_or(f64::INFINITY, |xyz| tool_misfit(xyz, &fk_xyz, &fk_rotation));
+    let inverted =
+        inverted_xyz.as_ref().map_or(f64::INFINITY, |xyz| tool_misfit(xyz, &fk_xyz, &fk_rotation));
     let placed = plain.min(inverted) < 0.1 * spread(&fk_xyz);
     let samples = Samples { logged, fk: &fk_rotation, reference_free: !placed, reference_known };
     let (mut reading, mut fit) = read(&samples)?;
@@ -245,8 +286,8 @@ fn prepare<'a>(
     if witness.len() < 3 {
         return Err(Unseen::TooFewSamples { have: witness.len(), need: 3 });
     }
-    let moves = moving_samples(&witness, lag_s) >= MOVING_SAMPLES && !peaks.is_empty();
-    Ok(Prepared { witness, reading, degrees, fit, peaks, moves })
+    let moves = witness.moving(lag_s, SEARCH_SAMPLES) >= MOVING_SAMPLES && !peaks.is_empty();
+    Ok(Prepared { witness, reading, degrees, peaks, moves })
 }
 
 /// Rotation numbers in radians, and the slip where the log has degrees.
@@ -262,12 +303,8 @@ fn numbers_in_radians(
     let radians: Vec<[f64; 3]> = numbers.iter().map(|n| n.map(f64::to_radians)).collect();
     let residual = |numbers: &[[f64; 3]]| {
         let there: Vec<[f64; 3]> = rows.iter().map(|&k| numbers[k]).collect();
-        let samples = Samples {
-            logged: Logged::Numbers(&there),
-            fk,
-            reference_free: true,
-            reference_known,
-        };
+        let samples =
+            Samples { logged: Logged::Numbers(&there), fk, reference_free: true, reference_known };
         read(&samples).map_or(std::f64::consts::PI, |(_, fit)| fit.residual_rad)
     };
     let (as_logged, corrected) = (residual(numbers), residual(&radians));
@@ -279,7 +316,13 @@ fn numbers_in_radians(
 }
 
 /// Slow samples spread over the run, and FK at the moments that they speak of.
-fn slow_samples(joints: &JointTrack, chain: &Chain, columns: &[usize], t_s: &[f64], lag_s: f64) -> (Vec<usize>, Vec<Pose>) {
+fn slow_samples(
+    joints: &JointTrack,
+    chain: &Chain,
+    columns: &[usize],
+    t_s: &[f64],
+    lag_s: f64,
+) -> (Vec<usize>, Vec<Pose>) {
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
     let mut covered: Vec<(usize, f64)> = Vec::new();
     for (k, t) in t_s.iter().enumerate() {
@@ -333,17 +376,10 @@ fn choose_branches(witness: &mut Witness, logged: &Logged, fit: &Fit, lag_s: f64
     (witness.t_s, witness.xyz, witness.rotation) = (kept_t, kept_xyz, kept_rotation);
 }
 
-/// Samples at which some joint moves.
-fn moving_samples(witness: &Witness, lag_s: f64) -> usize {
-    let dof = witness.joints.dof;
-    let state = StreamState::at_latency(lag_s);
-    witness.linearize(&state, &vec![0.0; dof], witness.len().div_ceil(SEARCH_SAMPLES)).moving
-}
-
 /// Joint speeds that are no motion: five times the noise of the velocities, at least 0.2 mrad/s.
 ///
 /// Noise by the median magnitude of second differences, which smooth motion hardly has.
-fn still_speeds(joints: &JointTrack) -> Vec<f64> {
+pub(super) fn still_speeds(joints: &JointTrack) -> Vec<f64> {
     let column = |j: usize| joints.qd.iter().skip(j).step_by(joints.dof.max(1)).copied();
     (0..joints.dof)
         .map(|j| {
@@ -370,10 +406,8 @@ fn fit(prepared: &[&Prepared], dof: usize, with_offsets: bool) -> Option<Fitted>
     if prepared.is_empty() {
         return None;
     }
-    let alone: Vec<State> = prepared
-        .iter()
-        .map(|prepared| best_start(prepared, dof, with_offsets))
-        .collect();
+    let alone: Vec<State> =
+        prepared.iter().map(|prepared| best_start(prepared, dof, with_offsets)).collect();
     let witnesses: Vec<&Witness> = prepared.iter().map(|prepared| &prepared.witness).collect();
     let menu = menu(prepared, dof, with_offsets);
     // Streams share the joints: the offsets of the stream with most samples start all.
@@ -426,7 +460,10 @@ fn best_start(prepared: &Prepared, dof: usize, with_offsets: bool) -> State {
             explain(&[&prepared.witness], state, &menu, approach, SEARCH_SAMPLES)
         })
         .min_by(|a, b| a.score.total_cmp(&b.score))
-        .map_or_else(|| State { offsets: vec![0.0; dof], streams: vec![StreamState::at_latency(0.0)] }, |best| best.state)
+        .map_or_else(
+            || State { offsets: vec![0.0; dof], streams: vec![StreamState::at_latency(0.0)] },
+            |best| best.state,
+        )
 }
 
 fn unseen_offsets(dof: usize) -> Vec<JointOffset> {
@@ -446,7 +483,8 @@ fn joint_offsets(fitted: &Fitted, prepared: &[&Prepared], joints: &JointTrack) -
     let moved = moved_joints(joints);
     let zeros: Vec<Cause> =
         menu.optional.iter().copied().filter(|cause| matches!(cause, Cause::Zero(_))).collect();
-    let everyone: Vec<Cause> = explanation.causes.iter().copied().chain(zeros.iter().copied()).collect();
+    let everyone: Vec<Cause> =
+        explanation.causes.iter().copied().chain(zeros.iter().copied()).collect();
     (0..joints.dof)
         .map(|joint| {
             let cause = Cause::Zero(joint);
@@ -511,12 +549,8 @@ fn lever_m(prepared: &[&Prepared], joint: usize) -> f64 {
 fn measured(fitted: &Fitted, causes: &[Cause], cause: Cause, which: usize) -> Seen<Measured> {
     let Fitted { explanation, menu } = fitted;
     let state = &explanation.state;
-    let mut parameters: Vec<usize> = menu
-        .always
-        .iter()
-        .chain(causes)
-        .flat_map(|cause| cause.parameters(state))
-        .collect();
+    let mut parameters: Vec<usize> =
+        menu.always.iter().chain(causes).flat_map(|cause| cause.parameters(state)).collect();
     parameters.sort_unstable();
     parameters.dedup();
     let wanted = cause.parameters(state).start + which;
@@ -564,11 +598,8 @@ fn frame_amount(twist: &[f64]) -> f64 {
     if angle > 1e-5 { angle } else { length }
 }
 
-fn no_diagnosis(stream: &PoseStream, scale: &Seen<f64>, why: Unseen) -> PoseDiagnosis {
+fn no_diagnosis(scale: &Seen<f64>, why: Unseen) -> PoseDiagnosis {
     let rests = || Unseen::RestsOn("the reading of the rotations");
-    let top_speed_m_s = 0.0;
-    let aligned = Aligned::default();
-    let _ = stream;
     PoseDiagnosis {
         reading: Err(why),
         millimetres: millimetres(scale, None),
@@ -579,8 +610,8 @@ fn no_diagnosis(stream: &PoseStream, scale: &Seen<f64>, why: Unseen) -> PoseDiag
         reference: Err(rests()),
         tool: Err(rests()),
         residual: Err(rests()),
-        top_speed_m_s,
-        aligned,
+        top_speed_m_s: 0.0,
+        aligned: Aligned::default(),
     }
 }
 
@@ -614,7 +645,11 @@ fn stream_diagnosis(
         with
     };
     let one = |cause: Cause| {
-        if menu.all().contains(&cause) { measured(fitted, &with(cause), cause, 0) } else { Err(Unseen::AtRest) }
+        if menu.all().contains(&cause) {
+            measured(fitted, &with(cause), cause, 0)
+        } else {
+            Err(Unseen::AtRest)
+        }
     };
     let latency_s = one(Cause::Latency(index)).map(|latency| Measured {
         std_error: latency.std_error.hypot(stream.stamp_error_s),
@@ -626,7 +661,7 @@ fn stream_diagnosis(
     };
     let frame = |cause: Cause| frame_estimate(explanation, menu, &with(cause), cause, index);
     let aligned = align(recorded, stream, prepared, explanation, index);
-    let residual = residual(&aligned, prepared);
+    let residual = residual(&aligned);
     let (linear, _) = arm_speeds(prepared.witness.joints, stream.chain, stream.columns);
     PoseDiagnosis {
         reading: Ok(prepared.reading.clone()),
@@ -649,8 +684,12 @@ fn aliases(prepared: &Prepared, explanation: &Explanation, index: usize) -> Opti
     let witness = &prepared.witness;
     let misfit = |latency_s: f64| -> f64 {
         let state = StreamState { latency_s, ..found.clone() };
-        let linear = witness.linearize(&state, &explanation.state.offsets, witness.len().div_ceil(SEARCH_SAMPLES));
-        let squares: f64 = linear.position.iter().flatten().map(|c| c * c).sum();
+        let linear = witness.linearize(
+            &state,
+            &explanation.state.offsets,
+            witness.len().div_ceil(SEARCH_SAMPLES),
+        );
+        let squares: f64 = linear.residual[POSITION].iter().flatten().map(|c| c * c).sum();
         (squares / linear.len().max(1) as f64).sqrt()
     };
     let best = misfit(found.latency_s);
@@ -729,7 +768,7 @@ fn align(
 }
 
 /// What is left of a stream, beyond what differs from sample to sample.
-fn residual(aligned: &Aligned, prepared: &Prepared) -> Seen<Residual> {
+fn residual(aligned: &Aligned) -> Seen<Residual> {
     let n = aligned.t_s.len();
     if n < 8 {
         return Err(Unseen::TooFewSamples { have: n, need: 8 });
@@ -743,7 +782,6 @@ fn residual(aligned: &Aligned, prepared: &Prepared) -> Seen<Residual> {
     let left_rad = pairs(&aligned.corrected, &aligned.fk_at_truth, &rotation);
     let before_m = rms(&pairs(&aligned.logged, &aligned.fk, &position));
     let before_rad = rms(&pairs(&aligned.logged, &aligned.fk, &rotation));
-    let _ = prepared;
     Ok(Residual {
         excess_m: excess(&left_m),
         excess_rad: excess(&left_rad),
@@ -779,9 +817,4 @@ fn excess(vectors: &[Vec3]) -> Measured {
     // d(√x) = dx / 2√x, and near zero no more than √dx.
     let std_error = (mean_error / (2.0 * value).max(mean_error.sqrt())).max(1e-9);
     Measured { value, std_error, dof: n - 1.0 }
-}
-
-/// Largest linear speed of a track, for streams that have no FK beside them, m/s.
-pub(super) fn track_speed(t_s: &[f64], xyz: &[Vec3]) -> f64 {
-    top(&linear_speed(t_s, xyz))
 }

@@ -5,21 +5,9 @@
 //! that, Gauss–Newton moves the state until the chosen set no longer changes.
 
 use super::Measured;
-use super::model::{
-    GROWTH, LATENCY, Linear, Normal, REFERENCE, SKEW, STREAM_WIDTH, State, TOOL, Weights, Witness,
-};
-use super::noise::Noise;
+use super::linear::{Linear, Normal, Weight, sandwich};
+use super::model::{GROWTH, LATENCY, REFERENCE, SKEW, STREAM_WIDTH, State, TOOL, Witness};
 use nalgebra::{DMatrix, DVector};
-
-/// Standard deviations below these are no statistics: 1 µm and 1 µrad.
-const FLOOR_M: f64 = 1e-6;
-const FLOOR_RAD: f64 = 1e-6;
-
-/// Residuals beyond this many standard deviations lose weight (Huber).
-const HUBER: f64 = 3.0;
-
-/// Eigenvalues of the scaled normal matrix below this are directions that the log does not show.
-const BLIND: f64 = 1e-9;
 
 /// A set of causes in which one is this near to a mix of the others (unexplained share of its
 /// effect) is no explanation: the log cannot say how much of each there is.
@@ -63,7 +51,8 @@ impl Cause {
 
 /// Parameters of a set of causes, ascending.
 fn parameters_of(causes: &[Cause], state: &State) -> Vec<usize> {
-    let mut parameters: Vec<usize> = causes.iter().flat_map(|cause| cause.parameters(state)).collect();
+    let mut parameters: Vec<usize> =
+        causes.iter().flat_map(|cause| cause.parameters(state)).collect();
     parameters.sort_unstable();
     parameters
 }
@@ -71,7 +60,7 @@ fn parameters_of(causes: &[Cause], state: &State) -> Vec<usize> {
 /// The model linearised about a state, with its noise.
 pub(super) struct Linearized {
     pub streams: Vec<Linear>,
-    pub weights: Vec<Weights>,
+    weights: Vec<Vec<Weight>>,
     pub normal: Normal,
     values: DVector<f64>,
 }
@@ -90,16 +79,18 @@ impl Linearized {
         let streams: Vec<Linear> = witnesses
             .iter()
             .zip(&state.streams)
-            .map(|(witness, stream)| witness.linearize(stream, &state.offsets, witness.len().div_ceil(most)))
+            .map(|(witness, stream)| {
+                witness.linearize(stream, &state.offsets, witness.len().div_ceil(most))
+            })
             .collect();
         let values = state.values();
-        let mut weights: Vec<Weights> = streams.iter().map(|linear| first_weights(linear)).collect();
+        let mut weights: Vec<Vec<Weight>> = streams.iter().map(Linear::first_weights).collect();
         let mut normal = normal_of(&streams, &weights, state);
         let free = parameters_of(all, state);
         for _ in 0..2 {
-            let step = restricted_step(&normal, &values, &free);
+            let step = normal.step(&values, &free);
             weights = (0..streams.len())
-                .map(|s| weights_after(&streams[s], &own_part(&step, state, s)))
+                .map(|s| streams[s].weights_after(&own_part(&step, state, s)))
                 .collect();
             normal = normal_of(&streams, &weights, state);
         }
@@ -108,19 +99,12 @@ impl Linearized {
 
     /// The step that frees `parameters` and returns all others to "no such cause".
     pub fn step(&self, parameters: &[usize]) -> DVector<f64> {
-        restricted_step(&self.normal, &self.values, parameters)
-    }
-
-    /// Whether the log tells all of `parameters` apart.
-    fn separates(&self, parameters: &[usize]) -> bool {
-        let matrix = scaled(&self.normal.matrix, parameters).0;
-        matrix.cholesky().is_some_and(|cholesky| cholesky.l_dirty().diagonal().min().powi(2) > ENTANGLED)
+        self.normal.step(&self.values, parameters)
     }
 
     /// The weighted cost after that step.
     pub fn cost(&self, parameters: &[usize]) -> f64 {
-        let step = self.step(parameters);
-        self.normal.cost - 2.0 * self.normal.right.dot(&step) + step.dot(&(&self.normal.matrix * &step))
+        self.normal.cost_after(&self.step(parameters))
     }
 
     /// Covariance of `parameters` when only they are free, under correlated noise
@@ -133,17 +117,9 @@ impl Linearized {
                 .into_iter()
                 .map(|column| parameters.binary_search(&column).ok())
                 .collect();
-            linear.accumulate_scores(&self.weights[s], &columns, &mut scores);
-            linear.accumulate_information(&self.weights[s], &columns, &mut information);
+            linear.accumulate_covariance(&self.weights[s], &columns, &mut information, &mut scores);
         }
-        let (inverse, blind) = pseudo_inverse(&information);
-        let mut covariance = &inverse * scores * &inverse;
-        for (i, &share) in blind.iter().enumerate() {
-            if share > 1e-3 {
-                covariance[(i, i)] = f64::INFINITY;
-            }
-        }
-        covariance
+        sandwich(&information, &scores)
     }
 
     /// Degrees of freedom behind the covariance: independent residual components less parameters.
@@ -169,7 +145,7 @@ fn own_part(step: &DVector<f64>, state: &State, stream: usize) -> Vec<f64> {
     columns_of(state, stream).into_iter().map(|column| step[column]).collect()
 }
 
-fn normal_of(streams: &[Linear], weights: &[Weights], state: &State) -> Normal {
+fn normal_of(streams: &[Linear], weights: &[Vec<Weight>], state: &State) -> Normal {
     let mut normal = Normal::zeros(state.width());
     for (s, linear) in streams.iter().enumerate() {
         linear.accumulate(&weights[s], &columns_of(state, s), &mut normal);
@@ -178,122 +154,6 @@ fn normal_of(streams: &[Linear], weights: &[Weights], state: &State) -> Normal {
         normal.matrix[(parameter, parameter)] += scale.powi(-2);
     }
     normal
-}
-
-/// Weights before anything is known: the spread of the residuals themselves.
-fn first_weights(linear: &Linear) -> Weights {
-    let ones = vec![1.0; linear.len()];
-    let white = |residual: &[[f64; 3]], floor: f64| Noise {
-        sigma: median_component(residual).mul_add(1.4826, 0.0).max(floor),
-        share: 0.0,
-        rho: 0.0,
-    };
-    Weights {
-        position: white(&linear.position, FLOOR_M),
-        rotation: white(&linear.rotation, FLOOR_RAD),
-        robust_position: ones.clone(),
-        robust_rotation: ones,
-    }
-}
-
-/// Weights from what a step leaves of the residuals.
-fn weights_after(linear: &Linear, step: &[f64]) -> Weights {
-    let (position, rotation) = linear.after(step);
-    let robust_position = huber(&position, FLOOR_M);
-    let robust_rotation = huber(&rotation, FLOOR_RAD);
-    Weights {
-        position: Noise::of(&position, &robust_position, FLOOR_M),
-        rotation: Noise::of(&rotation, &robust_rotation, FLOOR_RAD),
-        robust_position,
-        robust_rotation,
-    }
-}
-
-/// Huber weights of three-component residuals against their own robust spread.
-fn huber(residual: &[[f64; 3]], floor: f64) -> Vec<f64> {
-    let sigma = (1.4826 * median_component(residual)).max(floor);
-    let limit = HUBER * sigma * 3f64.sqrt();
-    residual
-        .iter()
-        .map(|r| {
-            let norm = r.iter().map(|c| c * c).sum::<f64>().sqrt();
-            if norm <= limit { 1.0 } else { limit / norm }
-        })
-        .collect()
-}
-
-/// Median magnitude of all components.
-fn median_component(residual: &[[f64; 3]]) -> f64 {
-    let mut magnitudes: Vec<f64> = residual.iter().flatten().map(|c| c.abs()).collect();
-    if magnitudes.is_empty() {
-        return 0.0;
-    }
-    let middle = magnitudes.len() / 2;
-    *magnitudes.select_nth_unstable_by(middle, f64::total_cmp).1
-}
-
-/// The step that minimises the cost over `free` and takes every other parameter back to zero.
-fn restricted_step(normal: &Normal, values: &DVector<f64>, free: &[usize]) -> DVector<f64> {
-    let mut step = -values;
-    for &parameter in free {
-        step[parameter] = 0.0;
-    }
-    if free.is_empty() {
-        return step;
-    }
-    let right = &normal.right - &normal.matrix * &step;
-    let n = free.len();
-    let right = DVector::from_fn(n, |i, _| right[free[i]]);
-    let (matrix, scale) = scaled(&normal.matrix, free);
-    let solution = match matrix.cholesky() {
-        Some(cholesky) if cholesky.l_dirty().diagonal().min() > BLIND.sqrt() => {
-            cholesky.solve(&right.component_mul(&scale)).component_mul(&scale)
-        }
-        _ => {
-            let matrix = DMatrix::from_fn(n, n, |i, j| normal.matrix[(free[i], free[j])]);
-            pseudo_inverse(&matrix).0 * right
-        }
-    };
-    for (i, &parameter) in free.iter().enumerate() {
-        step[parameter] = solution[i];
-    }
-    step
-}
-
-/// The rows and columns `parameters` of a normal matrix, scaled to a unit diagonal, and the scale.
-fn scaled(matrix: &DMatrix<f64>, parameters: &[usize]) -> (DMatrix<f64>, DVector<f64>) {
-    let n = parameters.len();
-    let scale = DVector::from_fn(n, |i, _| {
-        matrix[(parameters[i], parameters[i])].max(f64::MIN_POSITIVE).sqrt().recip()
-    });
-    let scaled = DMatrix::from_fn(n, n, |i, j| matrix[(parameters[i], parameters[j])] * scale[i] * scale[j]);
-    (scaled, scale)
-}
-
-/// Inverse on the directions that the log shows, and for each parameter the share of it (0 to 1)
-/// that lies in directions that it does not.
-fn pseudo_inverse(matrix: &DMatrix<f64>) -> (DMatrix<f64>, Vec<f64>) {
-    let n = matrix.nrows();
-    let scale = DVector::from_fn(n, |i, _| {
-        let diagonal = matrix[(i, i)];
-        if diagonal > 0.0 { diagonal.sqrt().recip() } else { 0.0 }
-    });
-    let scaled = DMatrix::from_fn(n, n, |i, j| matrix[(i, j)] * scale[i] * scale[j]);
-    let eigen = scaled.symmetric_eigen();
-    let mut inverse = DMatrix::zeros(n, n);
-    let mut blind: Vec<f64> = scale.iter().map(|&s| if s > 0.0 { 0.0 } else { 1.0 }).collect();
-    for (k, &value) in eigen.eigenvalues.iter().enumerate() {
-        let direction = eigen.eigenvectors.column(k);
-        if value > BLIND {
-            inverse += direction * direction.transpose() / value;
-        } else {
-            for i in 0..n {
-                blind[i] += direction[i] * direction[i];
-            }
-        }
-    }
-    let inverse = DMatrix::from_fn(n, n, |i, j| inverse[(i, j)] * scale[i] * scale[j]);
-    (inverse, blind)
 }
 
 /// What the search may use.
@@ -332,7 +192,7 @@ fn choose(linear: &Linearized, menu: &Menu, state: &State) -> Choice {
     let score_of = |set: &[Cause]| -> f64 {
         let causes: Vec<Cause> = menu.always.iter().chain(set).copied().collect();
         let parameters = parameters_of(&causes, state);
-        if !set.is_empty() && !linear.separates(&parameters) {
+        if !set.is_empty() && linear.normal.separation(&parameters) < ENTANGLED {
             return f64::INFINITY;
         }
         let optional: usize = set.iter().map(|cause| cause.parameters(state).len()).sum();
@@ -456,14 +316,14 @@ fn small(step: &DVector<f64>) -> bool {
 fn likelihood_score(linear: &Linearized, causes: &[Cause], state: &State) -> f64 {
     let mut score = 0.0;
     for stream in &linear.streams {
-        let weights = weights_after(stream, &vec![0.0; stream.width]);
         let samples = stream.len() as f64;
         // Noise memory is capped so that a bad explanation's smooth residual does not count as few samples.
-        for noise in [weights.position, weights.rotation] {
+        for Weight { noise, .. } in stream.weights_after(&vec![0.0; stream.width]) {
             score += 2.0 * 3.0 * samples / noise.inflation().min(20.0) * noise.sigma.ln();
         }
     }
     let optional: usize = causes.iter().map(|cause| cause.parameters(state).len()).sum();
-    let rounds = state.streams.iter().flat_map(|s| [&s.round_reference, &s.round_tool]).flatten().count();
+    let rounds =
+        state.streams.iter().flat_map(|s| [&s.round_reference, &s.round_tool]).flatten().count();
     score + price(linear.normal.independent) * (optional + rounds) as f64
 }

@@ -4,7 +4,9 @@ use super::explain::{Cause, Explanation, Menu};
 use super::model::{StreamState, Sweep, Witness, twist_of};
 use super::reading::{mean_rotation, wahba};
 use super::{FrameEstimate, Measured, Seen, Unseen};
-use crate::geometry::{Pose, Rotation, Vec3, angle_between, pose, rotation_from_matrix_rows, rotvec_from_rotation};
+use crate::geometry::{
+    Pose, Rotation, Vec3, angle_between, pose, rotation_from_matrix_rows, rotvec_from_rotation,
+};
 use nalgebra::{DMatrix, DVector, Matrix3};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 use std::sync::LazyLock;
@@ -55,7 +57,10 @@ pub(super) fn starts(witness: &Witness, latency_s: f64) -> Vec<StreamState> {
     }
     if let Some(round) = round(&reference.rotation) {
         let turned: Vec<Pose> = fk.iter().map(|fk| round * fk).collect();
-        starts.push(StreamState { round_reference: Some(round), ..with(round, tool_frame(&turned, &logged)) });
+        starts.push(StreamState {
+            round_reference: Some(round),
+            ..with(round, tool_frame(&turned, &logged))
+        });
     }
     if let Some(round) = round(&tool_only.rotation) {
         let shifted = pose(tool_only.translation.vector.into(), round.rotation);
@@ -86,7 +91,8 @@ fn mean(points: impl ExactSizeIterator<Item = Vec3>) -> Vec3 {
 
 /// The reference frame that best takes FK to the logged poses.
 fn reference_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
-    let turns: Vec<Rotation> = fk.iter().zip(logged).map(|(fk, l)| l.rotation * fk.rotation.inverse()).collect();
+    let turns: Vec<Rotation> =
+        fk.iter().zip(logged).map(|(fk, l)| l.rotation * fk.rotation.inverse()).collect();
     let turn = mean_rotation(&turns);
     let at = |(fk, l): (&Pose, &Pose)| l.translation.vector - turn * fk.translation.vector;
     pose(mean(fk.iter().zip(logged).map(at)).into(), turn)
@@ -210,7 +216,11 @@ fn norm_of(vector: &[f64], covariance: &DMatrix<f64>, dof: f64) -> Measured {
     let v = DVector::from_column_slice(vector);
     let value = v.norm();
     let largest = covariance.clone().symmetric_eigen().eigenvalues.max().max(0.0).sqrt();
-    let along = if value > 0.0 { ((v.transpose() * covariance * &v)[(0, 0)].max(0.0)).sqrt() / value } else { 0.0 };
+    let along = if value > 0.0 {
+        ((v.transpose() * covariance * &v)[(0, 0)].max(0.0)).sqrt() / value
+    } else {
+        0.0
+    };
     let std_error = if value > 3.0 * largest { along } else { largest };
     Measured { value, std_error, dof }
 }

@@ -20,12 +20,14 @@ const MOST_JOINTS: usize = 7;
 const BETTER: f64 = 5.0;
 /// Residual below which the joint states are not questioned, as a share of the motion's extent.
 const FINE: f64 = 0.05;
+/// Residual below which positions lie on the arm, as a share of their extent.
+const ON_ARM: f64 = 0.3;
 
 /// Positions of a stream and the joint rows at the same moments.
-pub(super) struct Moments {
-    pub xyz: Vec<Vec3>,
+struct Moments {
+    xyz: Vec<Vec3>,
     /// Row-major, in the chain's order.
-    pub q: Vec<f64>,
+    q: Vec<f64>,
 }
 
 /// Judges names and units of the joint states by the stream with the most samples.
@@ -81,7 +83,11 @@ pub(super) fn read_joints(
 }
 
 /// The joint track as it should have been recorded.
-pub(super) fn corrected(joints: &JointTrack, reading: &JointReading, prismatic: &[bool]) -> JointTrack {
+pub(super) fn corrected(
+    joints: &JointTrack,
+    reading: &JointReading,
+    prismatic: &[bool],
+) -> JointTrack {
     let mut track = joints.clone();
     if reading.degrees.is_some() {
         let dof = track.dof;
@@ -95,7 +101,8 @@ pub(super) fn corrected(joints: &JointTrack, reading: &JointReading, prismatic: 
     }
     if let Some((permutation, _)) = &reading.permutation {
         for (to, from) in [(&mut track.q, &joints.q), (&mut track.qd, &joints.qd)] {
-            for (row, source) in to.chunks_exact_mut(joints.dof).zip(from.chunks_exact(joints.dof)) {
+            for (row, source) in to.chunks_exact_mut(joints.dof).zip(from.chunks_exact(joints.dof))
+            {
                 for (named, &really) in permutation.iter().enumerate() {
                     row[really] = source[named];
                 }
@@ -103,6 +110,18 @@ pub(super) fn corrected(joints: &JointTrack, reading: &JointReading, prismatic: 
         }
     }
     track
+}
+
+/// Whether a stream's positions lie on the arm at latency `lag_s`, up to a tool offset or a turned
+/// reference frame.
+pub(super) fn lies_on_arm(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    scale: f64,
+    lag_s: f64,
+) -> bool {
+    let moments = slow_moments(joints, stream, scale, lag_s);
+    moments.xyz.len() >= 6 && misfit(stream.chain, &moments) < ON_ARM * spread(&moments.xyz)
 }
 
 /// Slow moments spread over the run, so that what is left of the latency hardly matters.
@@ -113,6 +132,12 @@ fn moments(joints: &JointTrack, stream: &PoseStream, scale: f64, most_lag_s: f64
         .first()
         .filter(|peak| peak.correlation > 0.5)
         .map_or(0.0, |peak| peak.lag_s);
+    slow_moments(joints, stream, scale, lag_s)
+}
+
+/// Slow moments at a latency, spread over the run.
+fn slow_moments(joints: &JointTrack, stream: &PoseStream, scale: f64, lag_s: f64) -> Moments {
+    let track = stream.track;
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
     let mut covered: Vec<(usize, f64, Vec<f64>)> = Vec::new();
     for (k, t_s) in track.t_s.iter().enumerate() {
@@ -183,7 +208,8 @@ fn reference_misfit(xyz: &[Vec3], fk: &[Vec3]) -> f64 {
 /// The pairing of names and positions with the least misfit, and the least of all others.
 fn best_pairing(chain: &Chain, moments: &Moments) -> (Vec<usize>, f64, f64) {
     let n = chain.dof();
-    let (mut best, mut runner_up): ((Vec<usize>, f64), f64) = ((Vec::new(), f64::INFINITY), f64::INFINITY);
+    let (mut best, mut runner_up): ((Vec<usize>, f64), f64) =
+        ((Vec::new(), f64::INFINITY), f64::INFINITY);
     let mut paired = Moments { xyz: moments.xyz.clone(), q: moments.q.clone() };
     let mut order: Vec<usize> = (0..n).collect();
     permutations(&mut order, 0, &mut |order| {

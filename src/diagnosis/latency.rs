@@ -4,7 +4,7 @@
 //! correlation with FK's says how late the stream is before anything else is known. It is coarse by
 //! design: a tool offset or a wrong convention biases it by milliseconds, so the model refines it.
 
-use crate::geometry::{Pose, Rotation, Vec3, angle_between};
+use crate::geometry::{Rotation, Vec3, angle_between};
 use crate::robot::Chain;
 use crate::stream::JointTrack;
 
@@ -132,9 +132,8 @@ pub(super) fn peaks(arm: &Speed, stream: &Speed, most_s: f64) -> Vec<Peak> {
     let offset = ((stream_start - arm_start) / step).round() as isize;
     let stream_count = ((stream_end - stream_start) / step) as usize + 1;
     let stream = gridded(stream, arm_start + offset as f64 * step, step, stream_count);
-    let correlations: Vec<f64> = (-lags..=lags)
-        .map(|lag| correlation(&arm, &stream, lag - offset))
-        .collect();
+    let correlations: Vec<f64> =
+        (-lags..=lags).map(|lag| correlation(&arm, &stream, lag - offset)).collect();
     let mut peaks: Vec<Peak> = (1..correlations.len().saturating_sub(1))
         .filter(|&i| {
             let c = &correlations[i - 1..=i + 1];
@@ -191,7 +190,11 @@ fn correlation(arm: &[f64], stream: &[f64], lag: isize) -> f64 {
         sxy += x * y;
     }
     let (vx, vy) = (sxx - sx * sx / n, syy - sy * sy / n);
-    if vx <= 1e-12 * sxx || vy <= 1e-12 * syy { f64::NAN } else { (sxy - sx * sy / n) / (vx * vy).sqrt() }
+    if vx <= 1e-12 * sxx || vy <= 1e-12 * syy {
+        f64::NAN
+    } else {
+        (sxy - sx * sy / n) / (vx * vy).sqrt()
+    }
 }
 
 /// The best peak of the linear and angular speeds of a pose stream, against those by FK.
@@ -219,18 +222,14 @@ pub(super) fn top(speed: &Speed) -> f64 {
     speed.value.iter().copied().fold(0.0, f64::max)
 }
 
-/// A pose as position and rotation apart, for streams kept in columns.
-pub(super) fn split(poses: &[Pose]) -> (Vec<Vec3>, Vec<Rotation>) {
-    poses.iter().map(|pose| (pose.translation.vector, pose.rotation)).unzip()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn bumps(offset_s: f64, from: f64, to: f64, rate: f64) -> Speed {
         let shape = |t: f64| (1.3 * t).sin().powi(2) + 0.5 * (0.37 * t * t).sin().powi(2);
-        let t_s: Vec<f64> = (0..((to - from) * rate) as usize).map(|i| from + i as f64 / rate).collect();
+        let t_s: Vec<f64> =
+            (0..((to - from) * rate) as usize).map(|i| from + i as f64 / rate).collect();
         let value = t_s.iter().map(|t| shape(t - offset_s)).collect();
         Speed { t_s, value }
     }
@@ -245,7 +244,8 @@ mod tests {
 
     #[test]
     fn a_constant_speed_has_no_peak() {
-        let still = Speed { t_s: (0..1000).map(|i| i as f64 * 0.01).collect(), value: vec![0.3; 1000] };
+        let still =
+            Speed { t_s: (0..1000).map(|i| i as f64 * 0.01).collect(), value: vec![0.3; 1000] };
         assert!(peaks(&still, &bumps(0.0, 0.0, 10.0, 100.0), 1.0).is_empty());
     }
 }

@@ -7,19 +7,21 @@
 mod arm;
 mod explain;
 mod frames;
+mod imu;
 mod joints;
 mod latency;
+mod linear;
 mod measured;
 mod model;
 mod noise;
 mod reading;
 
-
-use crate::geometry::{Misreading, MisreadingClass, Pose, QuaternionSlip, Convention, Vec3};
+use crate::geometry::{Convention, Misreading, MisreadingClass, Pose, QuaternionSlip, Vec3};
 use crate::robot::Chain;
 use crate::stream::{ImuTrack, PoseTrack};
 
 pub use arm::{diagnose_arm, diagnose_derived, follows};
+pub use imu::diagnose_imu;
 pub use latency::Peak;
 pub use measured::Measured;
 

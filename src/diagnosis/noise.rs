@@ -31,7 +31,9 @@ impl Noise {
         let correlation: Vec<(usize, f64)> = lags
             .into_iter()
             .filter(|&lag| lag * 8 <= residual.len())
-            .map(|lag| (lag, autocovariance(residual, weights, lag) / variance.max(f64::MIN_POSITIVE)))
+            .map(|lag| {
+                (lag, autocovariance(residual, weights, lag) / variance.max(f64::MIN_POSITIVE))
+            })
             .collect();
         let (share, rho) = fit_autoregression(&correlation);
         Self { sigma: variance.sqrt().max(floor), share, rho }
@@ -117,7 +119,10 @@ mod tests {
             let noise = Noise::of(&r, &vec![1.0; r.len()], 0.0);
             let share = 1.0 / (1.0 + white * white);
             let expected = 1.0 + 2.0 * share * rho / (1.0 - rho);
-            assert!((noise.inflation() / expected - 1.0).abs() < 0.25, "{noise:?} against {expected}");
+            assert!(
+                (noise.inflation() / expected - 1.0).abs() < 0.25,
+                "{noise:?} against {expected}"
+            );
         }
     }
 }

@@ -153,7 +153,8 @@ pub(super) fn read(samples: &Samples) -> Seen<(ReadingEstimate, Fit)> {
         })
         .unwrap_or(&fits[0]);
     let near_best = (NEAR * best.residual_rad).max(best.residual_rad + NEAR_RAD);
-    let (mut equivalent, mut runner_up): (Vec<Reading>, Option<(Reading, f64)>) = (Vec::new(), None);
+    let (mut equivalent, mut runner_up): (Vec<Reading>, Option<(Reading, f64)>) =
+        (Vec::new(), None);
     let others = fits
         .iter()
         .filter(|fit| fit.frames == best.frames && !same_reading(&fit.reading, &best.reading));
@@ -228,7 +229,9 @@ fn all_fits(samples: &Samples) -> Vec<Fit> {
             let (reference, tool) = match frames {
                 Frames::None => (Rotation::identity(), Rotation::identity()),
                 Frames::Tool => (Rotation::identity(), one_frame(&truths, samples.fk, Side::Tool)),
-                Frames::Reference => (one_frame(&truths, samples.fk, Side::Reference), Rotation::identity()),
+                Frames::Reference => {
+                    (one_frame(&truths, samples.fk, Side::Reference), Rotation::identity())
+                }
                 Frames::Both => both_frames(&truths, samples.fk),
             };
             let residual_rad = residual(&truths, samples.fk, &reference, &tool);
@@ -276,9 +279,9 @@ fn one_frame(truths: &Truths, fk: &[Rotation], side: Side) -> Rotation {
         Side::Tool => fk * frame,
     };
     let step = fk.len().div_ceil(4);
-    let anchors = (0..fk.len()).step_by(step).flat_map(|sample| {
-        truths.of(sample).iter().map(move |truth| (sample, truth))
-    });
+    let anchors = (0..fk.len())
+        .step_by(step)
+        .flat_map(|sample| truths.of(sample).iter().map(move |truth| (sample, truth)));
     let closeness = |frame: &Rotation| -> f64 {
         let cosine = |(sample, fk): (usize, &Rotation)| {
             nearest(truths.of(sample), &apply(frame, fk)).map_or(0.0, |(_, cosine)| cosine)
@@ -318,7 +321,9 @@ fn both_frames(truths: &Truths, fk: &[Rotation]) -> (Rotation, Rotation) {
         let chosen: Vec<Option<Rotation>> = (0..fk.len())
             .map(|sample| match reference {
                 None => truths.of(sample).first().copied(),
-                Some(reference) => nearest(truths.of(sample), &(reference * fk[sample] * tool)).map(|n| n.0),
+                Some(reference) => {
+                    nearest(truths.of(sample), &(reference * fk[sample] * tool)).map(|n| n.0)
+                }
             })
             .collect();
         let mut correlation = Matrix3::zeros();

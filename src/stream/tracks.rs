@@ -38,7 +38,8 @@ impl JointTrack {
     }
 
     /// Positions and velocities at time `t_s` by cubic Hermite interpolation, written to `q` and
-    /// `qd` (`dof` each). Returns false, and writes nothing, outside the track's span.
+    /// `qd` (`dof` each). Returns false, and writes nothing, outside the track's span and in gaps
+    /// through which a joint moved: longer than 0.1 s and than ten intervals beside them.
     ///
     /// `cursor` remembers the last interval, so that a sweep in time order costs O(1) a call.
     /// Hermite basis: Press et al., *Numerical Recipes*, 3rd ed., §3.3 (cubic with given slopes).
@@ -47,6 +48,9 @@ impl JointTrack {
             return false;
         };
         let h = self.t_s[left + 1] - self.t_s[left];
+        if self.is_gap(left) && t_s != self.t_s[left] && t_s != self.t_s[left + 1] {
+            return false;
+        }
         let s = (t_s - self.t_s[left]) / h;
         let (s2, s3) = (s * s, s * s * s);
         let (h00, h10) = (2.0 * s3 - 3.0 * s2 + 1.0, s3 - 2.0 * s2 + s);
@@ -61,6 +65,28 @@ impl JointTrack {
             qd[j] = d00 * (qa - qb) + d10 * va + d11 * vb;
         }
         true
+    }
+
+    /// Whether the interval from sample `left` on is too long to tell how the joints moved in it.
+    fn is_gap(&self, left: usize) -> bool {
+        const LONG_S: f64 = 0.1;
+        const PERIODS: f64 = 10.0;
+        /// Less than this a joint at rest may show: rad or m, and rad/s or m/s.
+        const STILL: (f64, f64) = (1e-3, 1e-2);
+        let interval = |left: usize| Some(self.t_s.get(left + 1)? - self.t_s[left]);
+        let is_longer =
+            |h: f64, beside: Option<f64>| beside.is_some_and(|beside| h > PERIODS * beside);
+        let h = self.t_s[left + 1] - self.t_s[left];
+        if h <= LONG_S
+            || !(is_longer(h, left.checked_sub(1).and_then(interval))
+                || is_longer(h, interval(left + 1)))
+        {
+            return false;
+        }
+        let (a, b) = (self.row(left), self.row(left + 1));
+        let speeds = &self.qd[left * self.dof..(left + 2) * self.dof];
+        a.iter().zip(b).any(|(a, b)| (a - b).abs() > STILL.0)
+            || speeds.iter().any(|speed| speed.abs() > STILL.1)
     }
 }
 
@@ -138,7 +164,8 @@ mod tests {
     }
 
     fn track() -> JointTrack {
-        let t_s: Vec<f64> = (0..40).map(|i| i as f64 * 0.01 + if i % 3 == 0 { 0.002 } else { 0.0 }).collect();
+        let t_s: Vec<f64> =
+            (0..40).map(|i| i as f64 * 0.01 + if i % 3 == 0 { 0.002 } else { 0.0 }).collect();
         let (q, qd) = t_s.iter().map(|&t| cubic(t)).unzip();
         JointTrack { t_s, dof: 1, q, qd }
     }
@@ -151,6 +178,27 @@ mod tests {
             assert!(track.at(t, &mut cursor, &mut q, &mut qd));
             assert!((q[0] - cubic(t).0).abs() < 1e-12 && (qd[0] - cubic(t).1).abs() < 1e-9);
         }
+    }
+
+    #[test]
+    fn a_gap_is_bridged_only_by_joints_at_rest() {
+        let t_s: Vec<f64> =
+            (0..20).map(|i| f64::from(i) * 0.01 + if i < 10 { 0.0 } else { 0.5 }).collect();
+        let mut track = JointTrack { q: t_s.clone(), qd: vec![1.0; 20], dof: 1, t_s };
+        let (mut q, mut qd) = ([0.0], [0.0]);
+        assert!(!track.at(0.3, &mut 0, &mut q, &mut qd));
+        assert!(track.at(0.09, &mut 0, &mut q, &mut qd) && track.at(0.6, &mut 0, &mut q, &mut qd));
+        track.q.fill(2.0);
+        track.qd.fill(0.0);
+        assert!(track.at(0.3, &mut 0, &mut q, &mut qd));
+        assert_eq!((q, qd), ([2.0], [0.0]));
+    }
+
+    #[test]
+    fn slow_sampling_is_no_gap() {
+        let t_s: Vec<f64> = (0..20).map(|i| f64::from(i) * 0.2).collect();
+        let track = JointTrack { q: t_s.clone(), qd: vec![1.0; 20], dof: 1, t_s };
+        assert!(track.at(0.3, &mut 0, &mut [0.0], &mut [0.0]));
     }
 
     #[test]

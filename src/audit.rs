@@ -1,0 +1,311 @@
+//! What joins the rooms: a run's streams into the diagnosis, its results into facts for the rules,
+//! and both into the report.
+
+use std::path::PathBuf;
+
+use crate::checks::{
+    ArmFacts, Evaluation, Facts, ImuFacts, JointFacts, PoseFacts, Settings, StampFacts,
+    UndecodableTopic,
+};
+use crate::diagnosis::{
+    ArmDiagnosis, ImuDiagnosis, ImuStream, PoseDiagnosis, PoseStream, diagnose_arm,
+    diagnose_derived, diagnose_imu, follows,
+};
+use crate::finding::{Severity, Span};
+use crate::log::{Log, Loss};
+use crate::report::{FileRow, LogSummary, Report, RobotRow, StreamRow};
+use crate::robot::JointKind;
+use crate::run::{Arm, Declaration, ImuSource, PoseSource, RobotSource, Role, Run, RunOptions};
+use crate::stream::Orientations;
+use crate::time::Clock;
+
+/// What to audit, and how.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The files of one run.
+    pub logs: Vec<PathBuf>,
+    /// The robots in it; where none is named, the log is asked and then the catalogue.
+    pub robots: Vec<RobotSource>,
+    /// The link that the chain begins at.
+    pub base: Option<String>,
+    /// The link that it ends at.
+    pub tip: Option<String>,
+    /// The time that places a sample.
+    pub stamp: Clock,
+    /// The largest latency that is sought, s; what is off by more is on another clock.
+    pub max_latency_s: f64,
+    /// Whether every checksum in the files is checked.
+    pub verify: bool,
+    /// How the rotations of single streams are coded.
+    pub declarations: Vec<Declaration>,
+    /// Which rules are asked.
+    pub rules: Settings,
+    /// Findings of this severity or above fail the run; `None`: none does.
+    pub fail_on: Option<Severity>,
+    /// Where to write a recording for the Rerun viewer.
+    pub recording: Option<PathBuf>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        let run = RunOptions::default();
+        Self {
+            logs: Vec::new(),
+            robots: run.robots,
+            base: run.base,
+            tip: run.tip,
+            stamp: run.stamp,
+            max_latency_s: run.max_latency_s,
+            verify: false,
+            declarations: run.declared,
+            rules: Settings::default(),
+            fail_on: Some(Severity::Warning),
+            recording: None,
+        }
+    }
+}
+
+impl Options {
+    /// The part that concerns the run.
+    pub(crate) fn run(&self) -> RunOptions {
+        RunOptions {
+            robots: self.robots.clone(),
+            base: self.base.clone(),
+            tip: self.tip.clone(),
+            stamp: self.stamp,
+            max_latency_s: self.max_latency_s,
+            declared: self.declarations.clone(),
+        }
+    }
+}
+
+/// What the report says of the files themselves.
+pub(crate) struct Read {
+    summary: LogSummary,
+    losses: Vec<Loss>,
+    undecodable: Vec<UndecodableTopic>,
+}
+
+impl Read {
+    pub fn of(log: &Log) -> Self {
+        let files = log.files.iter().map(|file| FileRow {
+            path: file.path.clone(),
+            container: file.container.name(),
+            bytes: file.bytes,
+            crc: file.crc.name(),
+        });
+        let undecodable = log.topics.iter().filter_map(|topic| {
+            let undecodable = topic.undecodable.as_ref()?;
+            Some(UndecodableTopic {
+                topic: topic.name.clone(),
+                type_name: topic.type_name.clone(),
+                messages: undecodable.messages,
+                why: undecodable.first.clone(),
+            })
+        });
+        Self {
+            summary: LogSummary {
+                files: files.collect(),
+                messages: log.messages,
+                start_ns: log.span.map(|span| span.0),
+                end_ns: log.span.map(|span| span.1),
+                duration_s: log.span.map(|(start, end)| end.seconds_since(start)),
+            },
+            losses: log.losses.clone(),
+            undecodable: undecodable.collect(),
+        }
+    }
+}
+
+fn pose_stream(source: &PoseSource) -> PoseStream<'_> {
+    PoseStream {
+        track: &source.track,
+        chain: &source.chain,
+        columns: &source.columns,
+        reference_known: source.reference_known,
+        stamp_error_s: source.stamp_error_s,
+        stamps_copied: source.stamps_copied,
+    }
+}
+
+fn imu_stream(source: &ImuSource) -> ImuStream<'_> {
+    ImuStream {
+        track: &source.track,
+        chain: &source.chain,
+        columns: &source.columns,
+        link_from_imu: source.link_from_imu,
+        stamp_error_s: source.stamp_error_s,
+    }
+}
+
+/// Settles which candidates are tool poses, by whether they follow the arm.
+pub(crate) fn settle_candidates(run: &mut Run, most_lag_s: f64) {
+    let candidates: Vec<usize> = run.candidates().collect();
+    for candidate in candidates {
+        let source = run
+            .arms
+            .iter()
+            .flat_map(|arm| arm.poses.iter().map(move |source| (arm, source)))
+            .find(|(_, source)| source.stream == candidate);
+        let peak =
+            source.and_then(|(arm, source)| follows(&arm.joints, &pose_stream(source), most_lag_s));
+        run.settle(candidate, peak.map(|peak| peak.correlation));
+    }
+}
+
+/// What was estimated on one arm.
+pub(crate) struct Diagnosis {
+    pub arm: ArmDiagnosis,
+    pub tf: Option<PoseDiagnosis>,
+    pub imus: Vec<ImuDiagnosis>,
+}
+
+/// Diagnoses every arm of a run.
+pub(crate) fn diagnose(run: &Run, most_lag_s: f64) -> Vec<Diagnosis> {
+    run.arms.iter().map(|arm| diagnose_one(arm, most_lag_s)).collect()
+}
+
+fn diagnose_one(arm: &Arm, most_lag_s: f64) -> Diagnosis {
+    let streams: Vec<PoseStream> = arm.poses.iter().map(pose_stream).collect();
+    let diagnosis = diagnose_arm(&arm.joints, &streams, most_lag_s);
+    let reading = diagnosis.joints.as_ref().ok();
+    let tf = arm
+        .tf
+        .as_ref()
+        .ok()
+        .map(|source| diagnose_derived(&arm.joints, reading, &pose_stream(source), most_lag_s));
+    let corrected = diagnosis.corrected_joints(&arm.joints, &prismatic(arm));
+    let imus = arm
+        .imus
+        .iter()
+        .map(|source| diagnose_imu(&corrected, &imu_stream(source), most_lag_s))
+        .collect();
+    Diagnosis { arm: diagnosis, tf, imus }
+}
+
+/// For each column of an arm's joint track, whether that joint slides.
+fn prismatic(arm: &Arm) -> Vec<bool> {
+    let mut prismatic = vec![false; arm.joint_names.len()];
+    for (kind, &column) in arm.chain.joint_kinds().iter().zip(&arm.columns) {
+        prismatic[column] = *kind == JointKind::Prismatic;
+    }
+    prismatic
+}
+
+/// The facts for the rules.
+pub(crate) fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read) -> Facts {
+    let robots =
+        run.arms.iter().zip(diagnoses).map(|(arm, diagnosis)| arm_facts(run, arm, diagnosis));
+    let stamps = run.clocks.iter().filter_map(|clock| {
+        let stream = run.streams.get(clock.stream)?;
+        let judged = matches!(stream.role, Role::Joints | Role::Pose | Role::Tf | Role::Imu);
+        judged.then(|| StampFacts {
+            robot: stream.arm.and_then(|arm| run.arms.get(arm)).map(|arm| arm.name.clone()),
+            topic: stream.topic.clone(),
+            span: span_of(run, clock.stream),
+            clock: clock.clone(),
+        })
+    });
+    Facts {
+        robots: robots.collect(),
+        no_robot: run.no_arm.as_ref().map(|error| error.what()),
+        stamps: stamps.collect(),
+        simulated: run.has_clock_topic,
+        losses: read.losses.clone(),
+        undecodable: read.undecodable.clone(),
+    }
+}
+
+fn span_of(run: &Run, stream: usize) -> Option<Span> {
+    let stream = run.streams.get(stream)?;
+    Some(Span { start: stream.start?, end: stream.end? })
+}
+
+fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis) -> ArmFacts {
+    let joints_stream = arm.joint_facts.first().map_or(0, |facts| facts.stream);
+    let whole = run.span.unwrap_or((run.origin, run.origin));
+    let whole = Span { start: whole.0, end: whole.1 };
+    let pose_facts = |source: &PoseSource| PoseFacts {
+        topic: run.streams[source.stream].topic.clone(),
+        span: span_of(run, source.stream).unwrap_or(whole),
+        reference: if source.reference_known {
+            source.chain.base_name().to_owned()
+        } else {
+            run.streams[source.stream].frame_id.clone()
+        },
+        reference_known: source.reference_known,
+        tip: source.chain.tip_name().to_owned(),
+        tip_named: source.tip_named,
+        independent: !source.stamps_copied,
+        bare_numbers: matches!(source.track.orientation, Orientations::Numbers(_)),
+    };
+    let tf = arm.tf.as_ref().ok().zip(diagnosis.tf);
+    let imus = arm.imus.iter().zip(diagnosis.imus).map(|(source, diagnosis)| {
+        let facts = ImuFacts {
+            topic: run.streams[source.stream].topic.clone(),
+            span: span_of(run, source.stream).unwrap_or(whole),
+            independent: !source.stamps_copied,
+        };
+        (facts, diagnosis)
+    });
+    let joints = arm.joint_names.iter().zip(prismatic(arm));
+    ArmFacts {
+        name: arm.name.clone(),
+        joints_topic: run.streams[joints_stream].topic.clone(),
+        span: span_of(run, joints_stream).unwrap_or(whole),
+        joints: joints
+            .map(|(name, prismatic)| JointFacts { name: name.clone(), prismatic })
+            .collect(),
+        reach_m: arm.chain.max_reach_m(),
+        diagnosis: diagnosis.arm,
+        poses: arm.poses.iter().map(pose_facts).collect(),
+        tf: tf.into_iter().map(|(source, diagnosis)| (pose_facts(source), diagnosis)).collect(),
+        imus: imus.collect(),
+    }
+}
+
+/// The report on an audited run.
+pub(crate) fn report(run: &Run, read: Read, evaluation: Evaluation, options: &Options) -> Report {
+    let report = Report::new(read.summary, robots(run), streams(run), evaluation, options.fail_on);
+    match &run.no_arm {
+        Some(error) if options.rules.need_model() => report.with_trouble(error.into()),
+        _ => report,
+    }
+}
+
+/// The report on a run that was only looked at.
+pub(crate) fn summary(run: &Run, read: Read) -> Report {
+    Report::of_log(read.summary, robots(run), streams(run))
+}
+
+fn robots(run: &Run) -> Vec<RobotRow> {
+    let row = |arm: &Arm| RobotRow {
+        name: arm.name.clone(),
+        source: arm.found.clone(),
+        base: arm.chain.base_name().to_owned(),
+        tip: arm.chain.tip_name().to_owned(),
+        joints: arm.chain.joint_names().to_vec(),
+    };
+    run.arms.iter().map(row).collect()
+}
+
+fn streams(run: &Run) -> Vec<StreamRow> {
+    let named = |text: &String| (!text.is_empty()).then(|| text.clone());
+    let rows = run.streams.iter().map(|stream| StreamRow {
+        topic: stream.topic.clone(),
+        type_name: stream.type_name.clone(),
+        role: stream.role.name(),
+        reason: stream.reason.clone(),
+        robot: stream.arm.and_then(|arm| run.arms.get(arm)).map(|arm| arm.name.clone()),
+        frame_id: named(&stream.frame_id),
+        child_frame_id: named(&stream.child_frame_id),
+        reference: stream.reference.clone(),
+        link: stream.link.clone(),
+        count: stream.count,
+        dropped: stream.dropped,
+        rate_hz: stream.rate_hz,
+        start_ns: stream.start,
+        end_ns: stream.end,
+    });
+    rows.collect()
+}

@@ -1,0 +1,185 @@
+//! What the rules judge: the diagnosis of every stream beside the names that words need.
+//!
+//! The pipeline fills these from `run` and `diagnosis`; the rules only read them.
+
+use crate::diagnosis::{ArmDiagnosis, ImuDiagnosis, PoseDiagnosis};
+use crate::finding::{Span, Subject, Unit};
+use crate::log::Loss;
+use crate::run::StreamClock;
+
+/// All that is known of one run.
+#[derive(Clone, Debug, Default)]
+pub struct Facts {
+    /// The robots in the log that have a model, each with its streams.
+    pub robots: Vec<ArmFacts>,
+    /// Why there is none, where there is none.
+    pub no_robot: Option<String>,
+    /// Every stream that plays a role, by its stamps.
+    pub stamps: Vec<StampFacts>,
+    /// Whether the log holds `/clock`, the mark of simulation.
+    pub simulated: bool,
+    /// Damage to the files.
+    pub losses: Vec<Loss>,
+    /// Topics that the audit wants and that could not be decoded.
+    pub undecodable: Vec<UndecodableTopic>,
+}
+
+impl Facts {
+    /// Number of subjects (streams and joints) in the run, by which intervals are corrected.
+    pub fn subjects(&self) -> usize {
+        self.robots.iter().map(ArmFacts::subjects).sum::<usize>().max(1)
+    }
+}
+
+/// One robot and its streams.
+#[derive(Clone, Debug)]
+pub struct ArmFacts {
+    /// Name of the robot.
+    pub name: String,
+    /// Topic of its joint states.
+    pub joints_topic: String,
+    /// First and last stamp of its joint states.
+    pub span: Span,
+    /// The joints of its chain, as `diagnosis` numbers them.
+    pub joints: Vec<JointFacts>,
+    /// Distance of the tip from the base at full stretch, m.
+    pub reach_m: f64,
+    /// What was estimated; its `streams` stand beside `poses`.
+    pub diagnosis: ArmDiagnosis,
+    /// The pose streams, one for each entry of `diagnosis.streams`.
+    pub poses: Vec<PoseFacts>,
+    /// What /tf says of the tip, against FK of the joint states as recorded.
+    pub tf: Vec<(PoseFacts, PoseDiagnosis)>,
+    /// The IMUs on the arm.
+    pub imus: Vec<(ImuFacts, ImuDiagnosis)>,
+}
+
+impl ArmFacts {
+    fn subjects(&self) -> usize {
+        self.joints.len() + self.poses.len() + self.tf.len() + self.imus.len()
+    }
+
+    /// The pose streams, each with what was estimated on it.
+    pub fn poses(&self) -> impl Iterator<Item = (&PoseFacts, &PoseDiagnosis)> {
+        self.poses.iter().zip(&self.diagnosis.streams)
+    }
+
+    /// The pose streams and then /tf, each with what was estimated on it.
+    pub fn poses_and_tf(&self) -> impl Iterator<Item = (&PoseFacts, &PoseDiagnosis)> {
+        self.poses().chain(self.tf.iter().map(|(facts, diagnosis)| (facts, diagnosis)))
+    }
+
+    /// Largest speed of the tip by FK, m/s; 0 where no stream says.
+    pub fn top_speed_m_s(&self) -> f64 {
+        self.poses_and_tf().map(|(_, diagnosis)| diagnosis.top_speed_m_s).fold(0.0, f64::max)
+    }
+
+    /// The robot as a subject.
+    pub fn subject(&self) -> Subject {
+        Subject { robot: Some(self.name.clone()), ..Subject::default() }
+    }
+
+    /// A topic of this robot as a subject.
+    pub fn topic(&self, topic: &str) -> Subject {
+        Subject { topic: Some(topic.to_owned()), ..self.subject() }
+    }
+
+    /// A frame that a topic of this robot speaks of, as a subject.
+    pub fn frame(&self, topic: &str, frame: &str) -> Subject {
+        Subject { frame: Some(frame.to_owned()), ..self.topic(topic) }
+    }
+
+    /// A joint of this robot as a subject.
+    pub fn joint(&self, index: usize) -> Subject {
+        let joint = self.joints.get(index).map(|joint| joint.name.clone());
+        Subject { joint, ..self.subject() }
+    }
+
+    /// The unit of a joint's positions.
+    pub fn joint_unit(&self, index: usize) -> Unit {
+        match self.joints.get(index) {
+            Some(joint) if joint.prismatic => Unit::Metre,
+            _ => Unit::Radian,
+        }
+    }
+}
+
+/// One joint of a chain.
+#[derive(Clone, Debug)]
+pub struct JointFacts {
+    /// Its name, as the log spells it.
+    pub name: String,
+    /// Whether it slides.
+    pub prismatic: bool,
+}
+
+/// One stream of poses.
+#[derive(Clone, Debug)]
+pub struct PoseFacts {
+    /// Its topic.
+    pub topic: String,
+    /// First and last stamp.
+    pub span: Span,
+    /// The frame that its poses are expressed in.
+    pub reference: String,
+    /// Whether that frame is tied to the robot; if not its pose is estimated and not judged.
+    pub reference_known: bool,
+    /// The frame whose poses they are.
+    pub tip: String,
+    /// Whether somebody named the tip (`--tip`, the stream's child frame), so that an offset from it
+    /// is a fault and not the active TCP.
+    pub tip_named: bool,
+    /// Whether its stamps are its own, not copies of the joints'.
+    pub independent: bool,
+    /// Whether its rotations are bare numbers, which may be degrees.
+    pub bare_numbers: bool,
+}
+
+/// One IMU.
+#[derive(Clone, Debug)]
+pub struct ImuFacts {
+    /// Its topic.
+    pub topic: String,
+    /// First and last stamp.
+    pub span: Span,
+    /// Whether its stamps are its own, not copies of the joints'.
+    pub independent: bool,
+}
+
+/// The stamps of one stream.
+#[derive(Clone, Debug)]
+pub struct StampFacts {
+    /// Name of the robot it belongs to, where one is known.
+    pub robot: Option<String>,
+    /// Its topic.
+    pub topic: String,
+    /// First and last stamp used.
+    pub span: Option<Span>,
+    /// What its headers say, and whose time that is.
+    pub clock: StreamClock,
+}
+
+impl StampFacts {
+    /// The stream as a subject.
+    pub fn subject(&self) -> Subject {
+        Subject {
+            robot: self.robot.clone(),
+            topic: Some(self.topic.clone()),
+            frame: self.clock.frame.clone(),
+            joint: None,
+        }
+    }
+}
+
+/// A topic that could not be decoded.
+#[derive(Clone, Debug)]
+pub struct UndecodableTopic {
+    /// Its name.
+    pub topic: String,
+    /// Its type, as the log spells it.
+    pub type_name: String,
+    /// How many of its messages could not be decoded.
+    pub messages: u64,
+    /// Why the first of them could not.
+    pub why: String,
+}

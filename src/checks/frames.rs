@@ -1,0 +1,130 @@
+//! What FRM002 and FRM003 share: each judges one constant frame of every pose stream.
+
+use serde_json::{Value, json};
+
+use crate::checks::decision::{DEGREE, Decision, Figure, FrameFigures, decide_frame, unseen};
+use crate::checks::{ArmFacts, Facts, Judged, PoseFacts, zer001};
+use crate::diagnosis::{FrameEstimate, JointOffset, PoseDiagnosis, Seen, Twin};
+use crate::finding::{Alternative, Estimate, Fault, Outcome, Severity, Subject, Unit};
+use crate::geometry::{Pose, rotvec_from_rotation, xyz_of, xyzw_from_rotation};
+
+/// The figures of every rule on frames.
+pub const FIGURES: FrameFigures = FrameFigures {
+    length: Figure { unit: Unit::Metre, warning: 1e-3, error: 5e-3 },
+    angle: Figure { unit: Unit::Radian, warning: 0.1 * DEGREE, error: 0.5 * DEGREE },
+};
+
+/// What would tell where a frame could not be had.
+const SETTLE: &str = "turn the wrist through 60° about two axes, at several places";
+
+/// One end of a stream's transform, and how its rule words an offset of it.
+pub struct End {
+    /// Name of the estimate.
+    pub name: &'static str,
+    /// Its estimate.
+    pub estimate: fn(&PoseDiagnosis) -> &Seen<FrameEstimate>,
+    /// The frame.
+    pub frame: fn(&PoseFacts) -> &str,
+    /// Why the offset of this stream is none to judge, where it is none.
+    pub not_judged: fn(&PoseFacts) -> Option<String>,
+    /// The twin that it is to joint offsets, if it is one.
+    pub is_twin: fn(&Twin, usize) -> bool,
+    /// The fault.
+    pub fault: fn(&ArmFacts, &PoseFacts, &FrameEstimate, Severity) -> Fault,
+}
+
+/// Judges one end of every pose stream.
+pub fn judge(facts: &Facts, end: &End) -> Vec<Judged> {
+    let subjects = facts.subjects();
+    let streams = facts.robots.iter().flat_map(|arm| {
+        arm.poses()
+            .enumerate()
+            .map(move |(index, (stream, diagnosis))| (arm, index, stream, diagnosis))
+    });
+    let judged = streams.map(|(arm, index, stream, diagnosis)| {
+        let subject = arm.frame(&stream.topic, (end.frame)(stream));
+        judge_stream(arm, index, stream, diagnosis, end, subject, subjects).within(stream.span)
+    });
+    judged.collect()
+}
+
+fn judge_stream(
+    arm: &ArmFacts,
+    index: usize,
+    stream: &PoseFacts,
+    diagnosis: &PoseDiagnosis,
+    end: &End,
+    subject: Subject,
+    subjects: usize,
+) -> Judged {
+    if let Err(why) = &diagnosis.reading {
+        return Judged::new(subject, unseen(why, SETTLE));
+    }
+    let not_judged = (end.not_judged)(stream);
+    let frame = match ((end.estimate)(diagnosis), &not_judged) {
+        (Ok(frame), _) => frame,
+        (Err(_), Some(why)) => return Judged::new(subject, Outcome::Skipped(why.clone())),
+        (Err(why), None) => return Judged::new(subject, unseen(why, SETTLE)),
+    };
+    let twins = twins(arm, end, index);
+    let outcome = match (decide_frame(frame, &FIGURES, subjects), not_judged) {
+        (_, Some(why)) => Outcome::sound_because(why),
+        (Decision::Fail(severity), None) if frame.chosen => {
+            let mut fault = (end.fault)(arm, stream, frame, severity);
+            fault.evidence.indistinguishable.extend(twins.into_iter().map(|(_, cause)| cause));
+            Outcome::faulty(fault)
+        }
+        (Decision::Pass, None) => Outcome::sound(),
+        (decision, None) => match twins.iter().find(|(offset, _)| offset.chosen && !frame.chosen) {
+            Some((_, cause)) => {
+                let joint = cause.subject.label();
+                let why = format!(
+                    "it cannot be told from {} on {joint}, which is named instead",
+                    cause.code
+                );
+                Outcome::Indistinguishable(why)
+            }
+            None => Outcome::Inconclusive(undecided(&decision, frame)),
+        },
+    };
+    Judged::new(subject, outcome)
+        .estimated(Estimate::frame(end.name, &frame.translation_m, &frame.rotation_rad))
+        .with_evidence("pose", pose_json(&frame.pose))
+}
+
+fn undecided(decision: &Decision, frame: &FrameEstimate) -> String {
+    match decision {
+        Decision::Undecided(why) => format!("{why}; {SETTLE}"),
+        _ => format!(
+            "{} would fit, but what is found explains the log without it; {SETTLE}",
+            show(frame)
+        ),
+    }
+}
+
+/// The joint offsets that do the same as this end of stream `index`.
+fn twins<'a>(arm: &'a ArmFacts, end: &End, index: usize) -> Vec<(&'a JointOffset, Alternative)> {
+    let offsets = arm.diagnosis.offsets.iter().enumerate();
+    let same =
+        offsets.filter(|(_, offset)| offset.twins.iter().any(|twin| (end.is_twin)(twin, index)));
+    same.map(|(joint, offset)| (offset, zer001::cause(arm, joint))).collect()
+}
+
+/// The two norms of a frame error with their intervals.
+pub fn show(frame: &FrameEstimate) -> String {
+    let length = Unit::Metre.show_measured(&frame.translation_m);
+    format!("{length} and {}", Unit::Radian.show_measured(&frame.rotation_rad))
+}
+
+/// A pose in words: `xyz (0, 0, 0.14) m, rotation vector (0, 0, 180)°`.
+pub fn show_pose(pose: &Pose) -> String {
+    let list = |numbers: [f64; 3], decimals: usize| {
+        numbers.map(|number| format!("{:.decimals$}", number + 0.0)).join(", ")
+    };
+    let degrees: [f64; 3] = rotvec_from_rotation(&pose.rotation).map(f64::to_degrees).into();
+    format!("xyz ({}) m, rotation vector ({})°", list(xyz_of(pose), 4), list(degrees, 2))
+}
+
+fn pose_json(pose: &Pose) -> Value {
+    json!({ "xyz": xyz_of(pose), "quaternion_xyzw": xyzw_from_rotation(&pose.rotation) })
+}

@@ -1,0 +1,132 @@
+use crate::checks::decision::{Decision, decide_both, decide_frame, unseen};
+use crate::checks::frames::FIGURES;
+use crate::checks::{Facts, Grade, Judged};
+use crate::diagnosis::{Measured, PoseDiagnosis, Unseen};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Unit};
+
+rule! {
+    /// /tf disagrees with forward kinematics of the joint states.
+    ///
+    /// ## What it means
+    /// The pose that /tf gives for the tip is not the one that the robot's description gives for
+    /// the joint positions of the same moment, after /tf's own latency has been taken off (that is
+    /// LAT001).
+    ///
+    /// ## Why it matters
+    /// Everything that asks tf2 (planning, sensors, visualisation) lives in another robot than
+    /// everything that computes kinematics itself.
+    ///
+    /// ## Evidence
+    /// The constant offset where there is one, else the rms that is left beyond the noise.
+    /// `before_m` is what it is with /tf's latency. /tf is compared with the joint states as
+    /// recorded: what a state publisher inherits from a joint fault is listed with that fault.
+    ///
+    /// ## How to fix
+    /// Give the state publisher and the audit the same description: calibrated kinematics, the same
+    /// variant, the same tool. See whether a second publisher sends the same frames.
+    ///
+    /// ## When it misleads
+    /// A description given with `--robot` that is not the one the publisher used is exactly this
+    /// finding. Edges of /tf that are missing and fixed in the model are taken from the model.
+    FRM001 {
+        name: "tf-against-kinematics",
+        grade: Grade::From(&[FIGURES.length, FIGURES.angle]),
+        headline: false,
+        needs_model: true,
+        missing: "no /tf of the arm in this log",
+        check: check,
+    }
+}
+
+/// What would tell where the disagreement could not be had.
+const SETTLE: &str = "record /tf beside the joint states while the arm moves";
+
+/// How /tf disagrees with kinematics, and what is decided on that.
+struct Disagreement {
+    length: Measured,
+    angle: Measured,
+    /// Whether it is the same everywhere.
+    constant: bool,
+    decision: Decision,
+}
+
+impl Disagreement {
+    /// The constant offset, where one explains the disagreement; else what is left beyond the noise.
+    fn of(tf: &PoseDiagnosis, subjects: usize) -> Result<Self, &Unseen> {
+        let offset = [&tf.reference, &tf.tool].into_iter().flatten().find(|frame| frame.chosen);
+        if let Some(offset) = offset {
+            let (length, angle) = (offset.translation_m, offset.rotation_rad);
+            let decision = decide_frame(offset, &FIGURES, subjects);
+            return Ok(Self { length, angle, constant: true, decision });
+        }
+        let residual = tf.residual.as_ref()?;
+        let (length, angle) = (residual.excess_m, residual.excess_rad);
+        let decision = decide_both(&length, &angle, &FIGURES, subjects);
+        Ok(Self { length, angle, constant: false, decision })
+    }
+}
+
+/// Whether /tf says what the joint states as recorded say, so that it inherits their faults.
+pub(super) fn agrees(tf: &PoseDiagnosis, subjects: usize) -> bool {
+    Disagreement::of(tf, subjects).is_ok_and(|found| found.decision == Decision::Pass)
+}
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    let subjects = facts.subjects();
+    let streams = facts.robots.iter().flat_map(|arm| arm.tf.iter().map(move |tf| (arm, tf)));
+    let judged = streams.map(|(arm, (stream, diagnosis))| {
+        let subject = arm.frame(&stream.topic, &stream.tip);
+        let found = match Disagreement::of(diagnosis, subjects) {
+            Ok(found) => found,
+            Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(stream.span),
+        };
+        let estimate = Estimate::frame("disagreement", &found.length, &found.angle);
+        let before = diagnosis.residual.as_ref().ok().map(|residual| residual.before_m);
+        Judged::new(subject, outcome(found))
+            .within(stream.span)
+            .estimated(estimate)
+            .with_evidence("before_m", before)
+    });
+    judged.collect()
+}
+
+fn outcome(found: Disagreement) -> Outcome {
+    let (length, angle) =
+        (Unit::Metre.show(found.length.value), Unit::Radian.show(found.angle.value));
+    let severity = match found.decision {
+        Decision::Pass => {
+            return Outcome::sound_because(format!("it agrees with FK ({length}, {angle})"));
+        }
+        Decision::Undecided(why) => return Outcome::Inconclusive(format!("{why}; {SETTLE}")),
+        Decision::Fail(severity) => severity,
+    };
+    let kind = if found.constant { "everywhere" } else { "rms" };
+    Outcome::faulty(Fault {
+        severity,
+        title: "/tf disagrees with kinematics",
+        message: format!("{length} and {angle} {kind} off from FK of the joint states"),
+        evidence: Evidence { effect_m: Some(found.length.value), ..Evidence::default() },
+        fix: "give the state publisher and the audit the same description of the robot".to_owned(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{ask, clean_run, frame, sure};
+    use crate::diagnosis::FrameEstimate;
+
+    #[test]
+    fn a_constant_offset_and_a_residual_are_both_disagreements() {
+        let mut facts = clean_run();
+        facts.robots[0].tf[0].1.tool = Ok(FrameEstimate { chosen: true, ..frame(0.003) });
+        let constant = ask(&FRM001, &facts).1;
+        assert_eq!(constant[0].message, "3 mm and 0° everywhere off from FK of the joint states");
+
+        let mut facts = clean_run();
+        let residual = facts.robots[0].tf[0].1.residual.as_mut();
+        residual.expect("a residual").excess_m = sure(0.02);
+        let varying = ask(&FRM001, &facts).1;
+        assert_eq!(varying[0].message, "20 mm and 0° rms off from FK of the joint states");
+    }
+}

@@ -1,0 +1,101 @@
+use crate::checks::decision::DEGREE;
+use crate::checks::frames::{self, End, FIGURES, show, show_pose};
+use crate::checks::{ArmFacts, Facts, Grade, Judged, PoseFacts};
+use crate::diagnosis::{FrameEstimate, Twin};
+use crate::finding::{Evidence, Fault, Severity};
+use crate::geometry::{Pose, rotvec_from_rotation};
+
+rule! {
+    /// The reference frame of a stream is off by a constant.
+    ///
+    /// ## What it means
+    /// The poses are expressed in another frame than their `frame_id` says. The usual case: a
+    /// Universal Robots controller speaks of `base`, and somebody labelled its poses `base_link`,
+    /// which is turned by 180° about z.
+    ///
+    /// ## Why it matters
+    /// Every pose is wrong by the same transform, seen from the base: a half turn sends the arm to
+    /// the other side of the table.
+    ///
+    /// ## Evidence
+    /// `pose` is `reference_from_stream`: apply it to a logged pose to have it in the frame that
+    /// the log names. The figure is the norm of its translation; the angle stands in `rotation`.
+    /// The test is joint on all six numbers.
+    ///
+    /// ## How to fix
+    /// Name the frame that the poses are in, or publish the static transform to it.
+    ///
+    /// ## When it misleads
+    /// A base turned about the first joint's axis is the same to any log as an offset of that
+    /// joint's zero: a joint zero is preferred, unless the angle is a round one, and the other
+    /// stands in `indistinguishable`. A frame that is not tied to the robot (a tracker's world) is
+    /// estimated and never a fault.
+    FRM002 {
+        name: "reference-frame",
+        grade: Grade::From(&[FIGURES.length, FIGURES.angle]),
+        headline: false,
+        needs_model: true,
+        missing: "no pose stream beside the joint states",
+        check: check,
+    }
+}
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    const REFERENCE: End = End {
+        name: "reference frame",
+        estimate: |diagnosis| &diagnosis.reference,
+        frame: |stream| &stream.reference,
+        not_judged: |stream| {
+            let why =
+                || format!("{} is not tied to the robot, its pose is estimated", stream.reference);
+            (!stream.reference_known).then(why)
+        },
+        is_twin: |twin, index| matches!(twin, Twin::Reference(stream, _) if *stream == index),
+        fault,
+    };
+    frames::judge(facts, &REFERENCE)
+}
+
+fn fault(arm: &ArmFacts, stream: &PoseFacts, frame: &FrameEstimate, severity: Severity) -> Fault {
+    let reference = &stream.reference;
+    let fix = if is_half_turn_about_z(&frame.pose) {
+        format!(
+            "the poses are in a frame turned by 180° about z (UR's base against base_link), not in {reference}: correct frame_id"
+        )
+    } else {
+        let pose = show_pose(&frame.pose);
+        format!("correct frame_id, or publish {reference}_from_stream = {pose}")
+    };
+    let effect_m = frame.translation_m.value + frame.rotation_rad.value * arm.reach_m;
+    Fault {
+        severity,
+        title: "reference frame is off",
+        message: format!("poses are {} off from {reference}, everywhere", show(frame)),
+        evidence: Evidence { effect_m: Some(effect_m), ..Evidence::default() },
+        fix,
+    }
+}
+
+fn is_half_turn_about_z(pose: &Pose) -> bool {
+    let [x, y, z]: [f64; 3] = rotvec_from_rotation(&pose.rotation).into();
+    let turned = (z.abs() - std::f64::consts::PI).abs() < DEGREE && x.hypot(y) < DEGREE;
+    turned && pose.translation.vector.norm() < FIGURES.length.error
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{ask, clean_run, frame};
+    use crate::finding::Status;
+
+    #[test]
+    fn a_frame_that_is_not_tied_to_the_robot_is_estimated_and_not_judged() {
+        let mut facts = clean_run();
+        let arm = &mut facts.robots[0];
+        arm.poses[0].reference_known = false;
+        arm.diagnosis.streams[0].reference = Ok(FrameEstimate { chosen: true, ..frame(1.2) });
+        let (rows, findings) = ask(&FRM002, &facts);
+        assert!(findings.is_empty() && rows[0].status == Status::Pass, "{rows:?}");
+        assert_eq!(rows[0].evidence["pose"]["xyz"][0], 1.2);
+    }
+}

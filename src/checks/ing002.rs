@@ -1,0 +1,53 @@
+use crate::checks::{Facts, Grade, Judged, UndecodableTopic};
+use crate::finding::{Evidence, Fault, Outcome, Severity, Subject};
+
+rule! {
+    /// A topic that the audit wants cannot be decoded.
+    ///
+    /// ## What it means
+    /// The topic's type is one that an audit uses, but its messages cannot be read: the schema is
+    /// missing or malformed, the encoding is unknown, or messages are shorter than the schema says.
+    ///
+    /// ## Why it matters
+    /// What is on the topic was not audited. That must not be taken for "fine".
+    ///
+    /// ## Evidence
+    /// How many messages are concerned, and why the first of them could not be read.
+    ///
+    /// ## How to fix
+    /// Record with the schema in the log (rosbag2 does so for MCAP since Iron), and with the
+    /// message definitions that the publisher was built with.
+    ///
+    /// ## When it misleads
+    /// A single short message, as of a recorder that was killed, counts like any other.
+    ING002 {
+        name: "undecodable-topic",
+        grade: Grade::Fixed(Severity::Warning),
+        headline: false,
+        needs_model: false,
+        missing: "no log",
+        check: check,
+    }
+}
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    if facts.undecodable.is_empty() {
+        return vec![Judged::new(Subject::default(), Outcome::sound())];
+    }
+    facts.undecodable.iter().map(judge).collect()
+}
+
+fn judge(topic: &UndecodableTopic) -> Judged {
+    let fault = Fault {
+        severity: Severity::Warning,
+        title: "topic cannot be decoded",
+        message: format!(
+            "{} messages of {} cannot be decoded: {}",
+            topic.messages, topic.type_name, topic.why
+        ),
+        evidence: Evidence::default(),
+        fix: "record with the message definitions that the publisher was built with".to_owned(),
+    };
+    let subject = Subject { topic: Some(topic.topic.clone()), ..Subject::default() };
+    Judged::new(subject, Outcome::faulty(fault)).with_evidence("messages", topic.messages)
+}

@@ -1,0 +1,271 @@
+use crate::checks::decision::{Decision, Figure, decide, unseen};
+use crate::checks::{ArmFacts, Facts, Grade, Judged};
+use crate::diagnosis::{Measured, Seen};
+use crate::finding::{
+    Alternative, Estimate, Evidence, Fault, Outcome, Severity, Span, Subject, Unit,
+};
+
+rule! {
+    /// A stream is late or early against the joint states.
+    ///
+    /// ## What it means
+    /// What the stream says at stamp *t* was true at *t − latency*: positive is late, negative is
+    /// early. The reference is the joint states. Where two or more independent streams are early
+    /// by the same amount, it is the joint states that are late, and the one finding is on them.
+    ///
+    /// ## Why it matters
+    /// A latency does nothing at rest and shifts every pose in motion by speed times latency: 20 ms
+    /// at 1 m/s is 20 mm. It makes hand-eye calibrations scatter and visual servoing oscillate.
+    ///
+    /// ## Evidence
+    /// The lag at which the stream follows forward kinematics best, with sub-sample resolution and
+    /// an interval that allows for correlated noise. `effect_m` is what it does at this run's top
+    /// speed. Where no other independent stream tells which side is off, the other side stands in
+    /// `indistinguishable`.
+    ///
+    /// ## How to fix
+    /// Stamp a sample when it is taken, not when it is published or received, and from one clock.
+    /// A latency that is constant can be shifted off.
+    ///
+    /// ## When it misleads
+    /// Motion that repeats itself fits at several lags, and an arm at rest fits at all; both are
+    /// said and not guessed. A filter on the stream is a latency too. /tf of a
+    /// robot_state_publisher copies the joint states' stamps, so it is no witness on whether they
+    /// are late. A stream on another clock (TIM003) is aligned by minimum delay first: then a
+    /// latency as large as the transport's delay cannot be seen.
+    LAT001 {
+        name: "latency",
+        grade: Grade::From(&[FIGURE]),
+        headline: true,
+        needs_model: true,
+        missing: "no pose, /tf or IMU stream beside the joint states",
+        check: check,
+    }
+}
+
+const FIGURE: Figure = Figure { unit: Unit::Second, warning: 2e-3, error: 10e-3 };
+
+/// What would tell where a latency could not be had.
+const SETTLE: &str = "record 10 s of motion that starts, stops and does not repeat";
+
+/// A stream, as far as this rule looks at it.
+struct Stream<'a> {
+    topic: &'a str,
+    span: Span,
+    /// Whether its stamps are its own.
+    independent: bool,
+    latency: &'a Seen<Measured>,
+}
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    facts.robots.iter().flat_map(|arm| judge_arm(arm, facts.subjects())).collect()
+}
+
+fn judge_arm(arm: &ArmFacts, subjects: usize) -> Vec<Judged> {
+    let poses = arm.poses_and_tf().map(|(stream, diagnosis)| Stream {
+        topic: &stream.topic,
+        span: stream.span,
+        independent: stream.independent,
+        latency: &diagnosis.latency_s,
+    });
+    let imus = arm.imus.iter().map(|(imu, diagnosis)| Stream {
+        topic: &imu.topic,
+        span: imu.span,
+        independent: imu.independent,
+        latency: &diagnosis.latency_s,
+    });
+    let streams: Vec<Stream> = poses.chain(imus).collect();
+    match joints_lateness(&streams, subjects) {
+        Some(lateness) => {
+            let joints = joints_late(arm, &streams, &lateness);
+            let witnesses = streams.iter().map(|stream| beside_late_joints(arm, stream, subjects));
+            std::iter::once(joints).chain(witnesses).collect()
+        }
+        None => {
+            streams.iter().map(|stream| judge_stream(arm, stream, &streams, subjects)).collect()
+        }
+    }
+}
+
+/// How late the joint states are, where two or more independent streams agree on it and none
+/// disagrees.
+fn joints_lateness(streams: &[Stream], subjects: usize) -> Option<Measured> {
+    let mut witnesses = Vec::new();
+    for latency in streams.iter().filter(|stream| stream.independent).filter_map(estimate) {
+        match decide(latency, &FIGURE, subjects) {
+            Decision::Fail(_) if latency.value < 0.0 => witnesses.push(*latency),
+            Decision::Undecided(_) => {}
+            Decision::Fail(_) | Decision::Pass => return None,
+        }
+    }
+    let early = (witnesses.len() >= 2).then(|| common(&witnesses))??;
+    let agree = witnesses.iter().all(|one| (one.value - early.value).abs() < FIGURE.warning);
+    agree.then(|| early.scaled(-1.0))
+}
+
+fn estimate<'a>(stream: &Stream<'a>) -> Option<&'a Measured> {
+    stream.latency.as_ref().ok()
+}
+
+/// The mean weighted by inverse variance, its error widened where the parts scatter more than
+/// theirs say (Birge ratio; Particle Data Group, *Review of Particle Physics*, §5.2.2).
+fn common(parts: &[Measured]) -> Option<Measured> {
+    let variance = |part: &Measured| part.std_error.max(FIGURE.unit.noise_floor()).powi(2);
+    let weight: f64 = parts.iter().map(|part| 1.0 / variance(part)).sum();
+    let value = parts.iter().map(|part| part.value / variance(part)).sum::<f64>() / weight;
+    let dof = parts.iter().map(|part| part.dof).fold(f64::INFINITY, f64::min);
+    let chi2: f64 = parts.iter().map(|part| (part.value - value).powi(2) / variance(part)).sum();
+    let birge = (chi2 / (parts.len() as f64 - 1.0)).sqrt().max(1.0);
+    let common = Measured { value, std_error: birge / weight.sqrt(), dof };
+    common.value.is_finite().then_some(common)
+}
+
+/// The one finding where it is the joint states that are late.
+fn joints_late(arm: &ArmFacts, streams: &[Stream], lateness: &Measured) -> Judged {
+    let witnesses: Vec<&Stream> = streams.iter().filter(|stream| stream.independent).collect();
+    let topics: Vec<&str> = witnesses.iter().map(|stream| stream.topic).collect();
+    let topics = topics.join(" and ");
+    let alternatives = witnesses
+        .iter()
+        .filter_map(|stream| Some(alternative(arm.topic(stream.topic), estimate(stream)?)));
+    let (effect, effect_m) = effect(arm, lateness);
+    let fault = Fault {
+        severity: FIGURE.severity(lateness.value).unwrap_or(Severity::Warning),
+        title: "joint states are late",
+        message: format!("{} late against {topics}", FIGURE.unit.show_measured(lateness)),
+        evidence: Evidence {
+            indistinguishable: alternatives.collect(),
+            effect,
+            effect_m,
+            ..Evidence::default()
+        },
+        fix: format!(
+            "stamp the joint states when the encoders are read, or shift {} by {}",
+            arm.joints_topic,
+            shift(lateness),
+        ),
+    };
+    Judged::new(arm.topic(&arm.joints_topic), Outcome::faulty(fault))
+        .within(arm.span)
+        .estimated(Estimate::amount("latency", FIGURE.unit, lateness))
+}
+
+/// A stream beside joint states that were found late: it is not to blame for that.
+fn beside_late_joints(arm: &ArmFacts, stream: &Stream, subjects: usize) -> Judged {
+    let remark = format!("what it is off by is {}'s", arm.joints_topic);
+    let outcome = match stream.latency {
+        Ok(_) if stream.independent => Outcome::sound_because(remark),
+        _ => return judge_stream(arm, stream, &[], subjects),
+    };
+    Judged::new(arm.topic(stream.topic), outcome).within(stream.span).estimated(
+        estimate(stream).map(|latency| Estimate::amount("latency", FIGURE.unit, latency)),
+    )
+}
+
+fn judge_stream(arm: &ArmFacts, stream: &Stream, streams: &[Stream], subjects: usize) -> Judged {
+    let subject = arm.topic(stream.topic);
+    let latency = match stream.latency {
+        Ok(latency) => latency,
+        Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(stream.span),
+    };
+    let outcome = match decide(latency, &FIGURE, subjects) {
+        Decision::Pass => Outcome::sound(),
+        Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
+        Decision::Fail(severity) => {
+            let other_witness = streams.iter().any(|other| {
+                other.independent && other.topic != stream.topic && other.latency.is_ok()
+            });
+            let mut indistinguishable = Vec::new();
+            if stream.independent && !other_witness {
+                let joints = arm.topic(&arm.joints_topic);
+                indistinguishable.push(alternative(joints, &latency.scaled(-1.0)));
+            }
+            let (effect, effect_m) = effect(arm, latency);
+            Outcome::faulty(Fault {
+                severity,
+                title: if latency.value > 0.0 { "stream is late" } else { "stream is early" },
+                message: message(arm, latency),
+                evidence: Evidence { indistinguishable, effect, effect_m, ..Evidence::default() },
+                fix: format!(
+                    "stamp it when it is sampled, or shift {} by {}",
+                    stream.topic,
+                    shift(latency)
+                ),
+            })
+        }
+    };
+    Judged::new(subject, outcome).within(stream.span).estimated(Estimate::amount(
+        "latency",
+        FIGURE.unit,
+        latency,
+    ))
+}
+
+fn message(arm: &ArmFacts, latency: &Measured) -> String {
+    let size = Measured { value: latency.value.abs(), ..*latency };
+    let side = if latency.value > 0.0 { "late" } else { "early" };
+    format!("{} {side} against {}", FIGURE.unit.show_measured(&size), arm.joints_topic)
+}
+
+/// The shift that takes `latency` off, with its sign.
+fn shift(latency: &Measured) -> String {
+    let sign = if latency.value > 0.0 { "−" } else { "+" };
+    format!("{sign}{}", FIGURE.unit.show(latency.value.abs()))
+}
+
+fn effect(arm: &ArmFacts, latency: &Measured) -> (Option<String>, Option<f64>) {
+    let speed = arm.top_speed_m_s();
+    if speed <= 0.0 {
+        return (None, None);
+    }
+    let effect_m = latency.value.abs() * speed;
+    let text = format!("{} at this run's top speed of {speed:.2} m/s", Unit::Metre.show(effect_m));
+    (Some(text), Some(effect_m))
+}
+
+fn alternative(subject: Subject, latency: &Measured) -> Alternative {
+    let estimate = Estimate::amount("latency", FIGURE.unit, latency);
+    Alternative { code: LAT001.code, subject, estimate: Some(estimate) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::Unseen;
+    use crate::time::Stamp;
+
+    const ORIGIN: Stamp = Stamp::from_nanos(0);
+
+    fn latency(value: f64) -> Seen<Measured> {
+        Ok(Measured { value, std_error: 1e-5, dof: 1e3 })
+    }
+
+    fn lateness(latencies: &[(bool, Seen<Measured>)]) -> Option<f64> {
+        let streams = latencies.iter().map(|(independent, latency)| Stream {
+            topic: "/pose",
+            span: Span { start: ORIGIN, end: ORIGIN },
+            independent: *independent,
+            latency,
+        });
+        Some(joints_lateness(&streams.collect::<Vec<_>>(), 5)?.value)
+    }
+
+    #[test]
+    fn streams_that_agree_to_be_early_make_the_joints_late() {
+        let late =
+            lateness(&[(true, latency(-0.02)), (true, latency(-0.0201)), (false, latency(0.0))]);
+        assert!(late.is_some_and(|late| (late - 0.02005).abs() < 1e-9), "{late:?}");
+    }
+
+    #[test]
+    fn one_witness_or_a_disagreement_does_not_blame_the_joints() {
+        assert_eq!(lateness(&[(true, latency(-0.02)), (false, latency(-0.02))]), None);
+        assert_eq!(
+            lateness(&[(true, latency(-0.02)), (true, latency(-0.02)), (true, latency(0.0))]),
+            None
+        );
+        assert_eq!(lateness(&[(true, latency(-0.02)), (true, latency(-0.05))]), None);
+        assert_eq!(lateness(&[(true, latency(0.02)), (true, latency(0.02))]), None);
+        assert_eq!(lateness(&[(true, latency(-0.02)), (true, Err(Unseen::AtRest))]), None);
+    }
+}

@@ -1,0 +1,85 @@
+use crate::checks::decision::{Decision, Figure, decide, unseen};
+use crate::checks::{Facts, Grade, Judged};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Unit};
+
+rule! {
+    /// A residual is left that no modelled cause explains.
+    ///
+    /// ## What it means
+    /// When convention, latency, joint zeros and frames have been taken off, the stream still
+    /// disagrees with the model by more than its noise. Something is wrong that this audit has no
+    /// name for: kinematic parameters, a bent link, gear error, a flexible mount.
+    ///
+    /// ## Why it matters
+    /// It bounds what any correction of the named causes can reach. It is also the warning that the
+    /// description may be of another arm.
+    ///
+    /// ## Evidence
+    /// `value` is the rms of position beyond the sample-to-sample noise, `rotation` that of
+    /// orientation; `rms_m` and `rms_rad` are with the noise, `before_m` and `before_rad` before
+    /// anything was taken off.
+    ///
+    /// ## How to fix
+    /// Use the arm's own calibrated description (for a UR, `calibration.yaml` extracted from the
+    /// controller). If it is a few millimetres everywhere, that is it; if it is centimetres, look
+    /// for the wrong model.
+    ///
+    /// ## When it misleads
+    /// A nominal description against a calibrated arm leaves 1–10 mm; that is no fault of the log.
+    /// Slowly wandering noise of a tracker counts as residual.
+    MDL001 {
+        name: "unexplained-residual",
+        grade: Grade::From(&[FIGURE]),
+        headline: false,
+        needs_model: true,
+        missing: "no pose stream beside the joint states",
+        check: check,
+    }
+}
+
+const FIGURE: Figure = Figure { unit: Unit::Metre, warning: 1e-3, error: 5e-3 };
+
+/// What would tell where the residual could not be had.
+const SETTLE: &str = "record 10 s in which every joint moves";
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    let subjects = facts.subjects();
+    let streams = facts
+        .robots
+        .iter()
+        .flat_map(|arm| arm.poses().map(move |(stream, diagnosis)| (arm, stream, diagnosis)));
+    let judged = streams.map(|(arm, stream, diagnosis)| {
+        let subject = arm.topic(&stream.topic);
+        let residual = match diagnosis.reading.as_ref().and(diagnosis.residual.as_ref()) {
+            Ok(residual) => residual,
+            Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(stream.span),
+        };
+        let length = Unit::Metre.show_measured(&residual.excess_m);
+        let angle = Unit::Radian.show(residual.excess_rad.value);
+        let outcome = match decide(&residual.excess_m, &FIGURE, subjects) {
+            Decision::Pass => Outcome::sound(),
+            Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
+            Decision::Fail(severity) => Outcome::faulty(Fault {
+                severity,
+                title: "unexplained residual",
+                message: format!(
+                    "{length} rms and {angle} are left when all that was found is taken off"
+                ),
+                evidence: Evidence {
+                    effect_m: Some(residual.excess_m.value),
+                    ..Evidence::default()
+                },
+                fix: "use the arm's calibrated description, or see whether it is the right one"
+                    .to_owned(),
+            }),
+        };
+        Judged::new(subject, outcome)
+            .within(stream.span)
+            .estimated(Estimate::frame("residual", &residual.excess_m, &residual.excess_rad))
+            .with_evidence("rms_m", residual.rms_m)
+            .with_evidence("rms_rad", residual.rms_rad)
+            .with_evidence("before_m", residual.before_m)
+            .with_evidence("before_rad", residual.before_rad)
+    });
+    judged.collect()
+}

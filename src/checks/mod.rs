@@ -1,0 +1,386 @@
+//! The rules: one file each, and the registry of them.
+//!
+//! A rule turns numbers from `diagnosis` into verdicts and words. Its documentation, code, name,
+//! figures and logic stand together in its file; everything that lists or explains rules reads the
+//! [`registry`]. Nothing here estimates anything or reads files.
+
+mod decision;
+mod facts;
+mod frames;
+mod reading;
+#[cfg(test)]
+mod testing;
+
+use std::cmp::Reverse;
+use std::fmt;
+use std::str::FromStr;
+
+use serde_json::{Map, Value};
+
+use crate::finding::{
+    CheckRow, Estimate, Finding, Outcome, Ruling, Severity, Span, Status, Subject,
+};
+
+pub use decision::{Decision, Figure, FrameFigures, decide, decide_both, decide_frame};
+pub use facts::{ArmFacts, Facts, ImuFacts, JointFacts, PoseFacts, StampFacts, UndecodableTopic};
+
+/// Declares a rule; its doc comment is the text that `explain` prints.
+macro_rules! rule {
+    ($(#[doc = $line:literal])* $code:ident { $($field:ident: $value:expr),* $(,)? }) => {
+        $(#[doc = $line])*
+        pub(super) static $code: $crate::checks::Rule = $crate::checks::Rule {
+            code: stringify!($code),
+            doc: concat!($($line, "\n"),*),
+            $($field: $value),*
+        };
+    };
+}
+
+/// The rules' files, and the table of them in the order of their codes.
+macro_rules! registry {
+    ($($module:ident::$rule:ident),* $(,)?) => {
+        $(mod $module;)*
+        static REGISTRY: &[&Rule] = &[$(&$module::$rule),*];
+    };
+}
+
+registry! {
+    frm001::FRM001,
+    frm002::FRM002,
+    frm003::FRM003,
+    ing001::ING001,
+    ing002::ING002,
+    lat001::LAT001,
+    mdl001::MDL001,
+    ord001::ORD001,
+    ord002::ORD002,
+    ord003::ORD003,
+    ord004::ORD004,
+    ord005::ORD005,
+    ord008::ORD008,
+    tim003::TIM003,
+    tim005::TIM005,
+    yaw001::YAW001,
+    zer001::ZER001,
+}
+
+/// Every rule, in the order of the codes.
+pub fn registry() -> &'static [&'static Rule] {
+    REGISTRY
+}
+
+/// The rule with this code, in whatever case it is written.
+///
+/// # Errors
+/// If there is none: the nearest codes.
+pub fn find(code: &str) -> Result<&'static Rule, UnknownRule> {
+    let found = REGISTRY.iter().find(|rule| rule.code.eq_ignore_ascii_case(code.trim()));
+    found.copied().ok_or_else(|| UnknownRule::new(code))
+}
+
+/// A rule: what it is called, when it speaks up, and how it judges.
+#[derive(Debug)]
+pub struct Rule {
+    /// Its code, which is never used again for another.
+    pub code: &'static str,
+    /// Its name, in kebab-case.
+    pub name: &'static str,
+    /// From when it speaks up, and how loudly.
+    pub grade: Grade,
+    /// Whether a run of which it decides nothing cannot pass.
+    pub headline: bool,
+    /// Whether it needs a model of the robot.
+    pub needs_model: bool,
+    /// What is not in the log where the rule has no subject.
+    missing: &'static str,
+    /// Asks the rule about each of its subjects.
+    check: fn(&Facts) -> Vec<Judged>,
+    /// Its doc comment, each line with the blank that follows `///`.
+    doc: &'static str,
+}
+
+impl Rule {
+    /// The rule's text in Markdown: one line that says what is wrong, then its sections.
+    pub fn doc(&self) -> String {
+        let lines = self.doc.lines().map(|line| line.strip_prefix(' ').unwrap_or(line));
+        lines.collect::<Vec<_>>().join("\n")
+    }
+
+    /// The first line of its text, without the period.
+    pub fn summary(&self) -> &'static str {
+        self.doc.lines().next().unwrap_or_default().trim().trim_end_matches('.')
+    }
+}
+
+/// From when a rule speaks up, and how loudly.
+#[derive(Clone, Copy, Debug)]
+pub enum Grade {
+    /// The fault is there or it is not; the gravest that it can be.
+    Fixed(Severity),
+    /// From these figures, any one of them.
+    From(&'static [Figure]),
+}
+
+impl fmt::Display for Grade {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Grade::Fixed(severity) => f.write_str(severity.name()),
+            Grade::From(figures) => {
+                let join = |amount: fn(&Figure) -> f64| {
+                    let shown = figures.iter().map(|figure| figure.unit.show(amount(figure)));
+                    shown.collect::<Vec<_>>().join(" or ")
+                };
+                let (warning, error) = (join(|figure| figure.warning), join(|figure| figure.error));
+                write!(f, "warning {warning}, error {error}")
+            }
+        }
+    }
+}
+
+/// What a rule says of one subject.
+#[derive(Clone, Debug)]
+pub struct Judged {
+    subject: Subject,
+    span: Option<Span>,
+    estimate: Option<Estimate>,
+    evidence: Map<String, Value>,
+    outcome: Outcome,
+}
+
+impl Judged {
+    fn new(subject: Subject, outcome: Outcome) -> Self {
+        Self { subject, span: None, estimate: None, evidence: Map::new(), outcome }
+    }
+
+    fn within(self, span: impl Into<Option<Span>>) -> Self {
+        Self { span: span.into(), ..self }
+    }
+
+    fn estimated(self, estimate: impl Into<Option<Estimate>>) -> Self {
+        Self { estimate: estimate.into(), ..self }
+    }
+
+    fn with_evidence(mut self, key: &str, value: impl Into<Value>) -> Self {
+        self.evidence.insert(key.to_owned(), value.into());
+        self
+    }
+}
+
+/// Which rules to ask.
+#[derive(Clone, Debug, Default)]
+pub struct Settings {
+    /// Only these; all where there is none.
+    pub select: Vec<Selector>,
+    /// None of these.
+    pub ignore: Vec<Selector>,
+}
+
+impl Settings {
+    /// Whether `rule` is to be asked.
+    pub fn asks(&self, rule: &Rule) -> bool {
+        let named =
+            |selectors: &[Selector]| selectors.iter().any(|selector| selector.names(rule.code));
+        (self.select.is_empty() || named(&self.select)) && !named(&self.ignore)
+    }
+
+    /// Whether any rule to be asked needs a model of the robot.
+    pub fn need_model(&self) -> bool {
+        REGISTRY.iter().any(|rule| rule.needs_model && self.asks(rule))
+    }
+}
+
+/// A rule's code, or the letters that a family of codes begins with.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Selector(String);
+
+impl Selector {
+    /// Whether it names the rule with this code.
+    pub fn names(&self, code: &str) -> bool {
+        code.starts_with(&self.0)
+    }
+}
+
+impl FromStr for Selector {
+    type Err = UnknownRule;
+
+    fn from_str(text: &str) -> Result<Self, UnknownRule> {
+        let prefix = text.trim().to_ascii_uppercase();
+        let known =
+            !prefix.is_empty() && REGISTRY.iter().any(|rule| rule.code.starts_with(&prefix));
+        known.then_some(Selector(prefix)).ok_or_else(|| UnknownRule::new(text))
+    }
+}
+
+/// There is no rule with this code.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("there is no rule `{code}`; {}", self.remedy())]
+pub struct UnknownRule {
+    /// What was asked for.
+    pub code: String,
+    /// The codes most like it, the nearest first.
+    pub nearest: Vec<&'static str>,
+}
+
+impl UnknownRule {
+    fn new(code: &str) -> Self {
+        const NEAREST: usize = 3;
+        const ALIKE: usize = 3;
+        let code = code.trim();
+        let wanted = code.to_ascii_uppercase();
+        let likeness =
+            |known: &str| known.bytes().zip(wanted.bytes()).filter(|(a, b)| a == b).count();
+        let mut nearest: Vec<_> = REGISTRY.iter().map(|rule| rule.code).collect();
+        nearest.retain(|known| likeness(known) >= ALIKE);
+        nearest.sort_by_key(|known| Reverse(likeness(known)));
+        nearest.truncate(NEAREST);
+        Self { code: code.to_owned(), nearest }
+    }
+
+    /// What the reader can do.
+    pub fn remedy(&self) -> String {
+        match self.nearest.as_slice() {
+            [] => "`poseaudit rules` lists them all".to_owned(),
+            nearest => format!("did you mean {}?", nearest.join(", ")),
+        }
+    }
+}
+
+/// What the rules made of a run.
+#[derive(Clone, Debug, Default)]
+pub struct Evaluation {
+    /// A row for every rule asked and every subject it was asked about.
+    pub checks: Vec<CheckRow>,
+    /// What is wrong: the gravest first, then what moves the arm's tip most.
+    pub findings: Vec<Finding>,
+}
+
+/// Asks every rule that `settings` leaves about every one of its subjects.
+pub fn evaluate(facts: &Facts, settings: &Settings) -> Evaluation {
+    let mut evaluation = Evaluation::default();
+    for rule in REGISTRY.iter().filter(|rule| settings.asks(rule)) {
+        let mut judged = (rule.check)(facts);
+        if judged.is_empty() {
+            let why = match &facts.no_robot {
+                Some(why) if rule.needs_model => why.clone(),
+                _ => rule.missing.to_owned(),
+            };
+            judged.push(Judged::new(Subject::default(), Outcome::Skipped(why)));
+        }
+        for judged in judged {
+            evaluation.enter(rule, judged);
+        }
+    }
+    evaluation.findings.sort_by(|a, b| {
+        let effect = |finding: &Finding| finding.evidence.effect_m.unwrap_or(0.0);
+        b.severity.cmp(&a.severity).then(effect(b).total_cmp(&effect(a)))
+    });
+    evaluation
+}
+
+impl Evaluation {
+    fn enter(&mut self, rule: &Rule, judged: Judged) {
+        let Judged { subject, span, estimate, evidence, outcome } = judged;
+        let mut row = CheckRow {
+            code: rule.code,
+            name: rule.name,
+            subject,
+            status: Status::Pass,
+            reason: None,
+            estimate,
+            evidence,
+            indistinguishable: false,
+        };
+        match outcome {
+            Outcome::Evaluated(Ruling::Sound(remark)) => row.reason = remark,
+            Outcome::Evaluated(Ruling::Faulty(fault)) => {
+                row.status = Status::Fail;
+                let mut evidence = fault.evidence;
+                evidence.more.append(&mut row.evidence);
+                self.findings.push(Finding {
+                    code: rule.code,
+                    severity: fault.severity,
+                    title: fault.title,
+                    message: fault.message,
+                    subject: row.subject.clone(),
+                    estimate: row.estimate.clone(),
+                    evidence,
+                    fix: fault.fix,
+                    start_ns: span.map(|span| span.start),
+                    end_ns: span.map(|span| span.end),
+                });
+            }
+            Outcome::Inconclusive(why) => {
+                (row.status, row.reason) = (Status::Inconclusive, Some(why));
+            }
+            Outcome::Indistinguishable(why) => {
+                (row.status, row.reason) = (Status::Inconclusive, Some(why));
+                row.indistinguishable = true;
+            }
+            Outcome::Skipped(why) => (row.status, row.reason) = (Status::Skipped, Some(why)),
+        }
+        self.checks.push(row);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_selector_is_a_code_or_the_beginning_of_some() -> Result<(), UnknownRule> {
+        let ord: Selector = "ord".parse()?;
+        assert!(ord.names("ORD001") && !ord.names("LAT001"));
+        let settings = Settings { select: vec![ord], ignore: vec!["ORD001".parse()?] };
+        let asked = REGISTRY.iter().filter(|rule| settings.asks(rule)).map(|rule| rule.code);
+        assert_eq!(asked.collect::<Vec<_>>(), ["ORD002", "ORD003", "ORD004", "ORD005", "ORD008"]);
+        Ok(())
+    }
+
+    #[test]
+    fn an_unknown_code_names_the_nearest() {
+        let error = "ORD009".parse::<Selector>().expect_err("no such rule");
+        assert_eq!(error.nearest, ["ORD001", "ORD002", "ORD003"]);
+        let unlike = "".parse::<Selector>().expect_err("names no rule");
+        assert_eq!(unlike.to_string(), "there is no rule ``; `poseaudit rules` lists them all");
+    }
+
+    #[test]
+    fn a_clean_run_passes_every_rule_about_an_arm() {
+        let evaluation = evaluate(&testing::clean_run(), &Settings::default());
+        assert!(evaluation.findings.is_empty(), "{:?}", evaluation.findings);
+        for row in evaluation.checks {
+            let asked = find(row.code).is_ok_and(|rule| rule.needs_model);
+            assert!(!asked || row.status == Status::Pass, "{row:?}");
+        }
+    }
+
+    #[test]
+    fn findings_stand_by_gravity_and_then_by_effect() {
+        let mut facts = testing::clean_run();
+        let diagnosis = &mut facts.robots[0].diagnosis;
+        diagnosis.streams[0].latency_s = Ok(testing::sure(0.003));
+        for (joint, degrees) in [(1, 0.6), (2, 2.0)] {
+            let radians = f64::to_radians(degrees);
+            let offset = &mut diagnosis.offsets[joint];
+            (offset.offset, offset.chosen) = (Ok(testing::sure(radians)), true);
+            offset.effect_m = radians;
+        }
+        let findings = evaluate(&facts, &Settings::default()).findings;
+        let said: Vec<_> = findings.iter().map(|one| (one.code, one.subject.label())).collect();
+        assert_eq!(said, [("ZER001", "elbow"), ("ZER001", "lift"), ("LAT001", testing::POSE)]);
+    }
+
+    #[test]
+    fn a_run_of_which_nothing_is_known_passes_nothing_that_needs_a_model() {
+        let no_robot = "no joint states in this log";
+        let facts = Facts { no_robot: Some(no_robot.to_owned()), ..Facts::default() };
+        let evaluation = evaluate(&facts, &Settings::default());
+        for (rule, row) in REGISTRY.iter().zip(&evaluation.checks) {
+            assert_eq!(rule.code, row.code);
+            if rule.needs_model {
+                assert_eq!((row.status, row.reason.as_deref()), (Status::Skipped, Some(no_robot)));
+            }
+        }
+        assert!(evaluation.findings.is_empty());
+    }
+}

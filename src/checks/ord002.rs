@@ -1,0 +1,67 @@
+use crate::checks::reading::{self, Kind, Wording, quaternion_orders};
+use crate::checks::{Facts, Grade, Judged};
+use crate::diagnosis::{Reading, ReadingEstimate};
+use crate::finding::{Estimate, Severity};
+use crate::geometry::QuaternionSlip;
+
+rule! {
+    /// Quaternion components stand in the wrong order.
+    ///
+    /// ## What it means
+    /// The four numbers are w, x, y, z and were stored as x, y, z, w, or the other way round. ROS
+    /// messages, SciPy and Eigen's storage want x, y, z, w; MuJoCo, transforms3d, ABB's robtargets
+    /// and most constructors take w first.
+    ///
+    /// ## Why it matters
+    /// The result is still a unit quaternion, so nothing complains, but it is another rotation.
+    /// Yaw often looks right over part of its range and then stops, which is taken for drift.
+    ///
+    /// ## Evidence
+    /// The residual against forward kinematics with the components as logged (`as_logged_rad`) and
+    /// in the other order (`corrected_rad`).
+    ///
+    /// ## How to fix
+    /// Reorder where the quaternion is written, by name and not by position. Pose messages have the
+    /// fields x, y, z, w; `Quaternion(w, x, y, z)` is a constructor's order.
+    ///
+    /// ## When it misleads
+    /// With less than some 20° of orientation change, or turning about one axis only, another
+    /// order may fit as well once a constant frame is allowed for; the rule then says that it
+    /// cannot tell.
+    ORD002 {
+        name: "quaternion-order",
+        grade: Grade::Fixed(Severity::Error),
+        headline: false,
+        needs_model: true,
+        missing: "no stream with orientations beside the joint states",
+        check: check,
+    }
+}
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    reading::judge(facts, Kind::QuaternionOrder, word)
+}
+
+fn word(estimate: &ReadingEstimate) -> Option<Wording> {
+    let Reading::QuaternionOrder(slip) = estimate.best else { return None };
+    let (is, read_as) = quaternion_orders(slip);
+    let (right, wrong, fix) = match slip {
+        QuaternionSlip::WxyzReadAsXyzw => (
+            "w, x, y, z",
+            "x, y, z, w",
+            "fill the fields by name: x = q[1], y = q[2], z = q[3], w = q[0]",
+        ),
+        QuaternionSlip::XyzwReadAsWxyz => (
+            "x, y, z, w",
+            "w, x, y, z",
+            "fill the fields by name: x = q[0], y = q[1], z = q[2], w = q[3]",
+        ),
+    };
+    Some(Wording {
+        title: "quaternion components in the wrong order",
+        what: format!("quaternion {right} read as {wrong}"),
+        once: format!("read as {right}"),
+        fix: fix.to_owned(),
+        estimate: Estimate::Slip { name: "quaternion order", is, read_as },
+    })
+}

@@ -1,0 +1,68 @@
+use crate::checks::reading::{self, Kind, Wording};
+use crate::checks::{Facts, Grade, Judged};
+use crate::diagnosis::{Reading, ReadingEstimate};
+use crate::finding::{Estimate, Severity};
+
+rule! {
+    /// A rotation or a whole pose is inverted.
+    ///
+    /// ## What it means
+    /// `pose-inverse`: the stream holds `tip_from_base` where `base_from_tip` belongs; parent and
+    /// child are exchanged. `transpose`: only the rotation is inverted, the position is right;
+    /// somebody mixed active and passive rotations, or read a matrix by columns instead of rows.
+    ///
+    /// ## Why it matters
+    /// An inverted pose moves the wrong way, and a transposed one turns the wrong way. Both look
+    /// plausible at rest, and both make a calibration converge to a wrong answer.
+    ///
+    /// ## Evidence
+    /// The residual against forward kinematics as logged (`as_logged_rad`) and once inverted
+    /// (`corrected_rad`). Positions separate the two: those of an inverted pose are the base seen
+    /// from the tip.
+    ///
+    /// ## How to fix
+    /// Publish `base_from_tip`: in tf2, `lookup_transform(base, tip)` and not the other way round.
+    /// Transpose a matrix that is stored by columns (Franka's `O_T_EE` is) before it is read by
+    /// rows.
+    ///
+    /// ## When it misleads
+    /// Where the reference frame is not tied to the robot, inverse and plain orientation differ by
+    /// constant frames only for motions about few axes; the rule then prefers no fault.
+    ORD003 {
+        name: "inverted-pose",
+        grade: Grade::Fixed(Severity::Error),
+        headline: false,
+        needs_model: true,
+        missing: "no stream with orientations beside the joint states",
+        check: check,
+    }
+}
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    reading::judge(facts, Kind::Direction, word)
+}
+
+fn word(estimate: &ReadingEstimate) -> Option<Wording> {
+    let (title, what, fix, is) = match estimate.best {
+        Reading::Inverted => (
+            "pose is inverted",
+            "the pose is the inverse of what its frames say",
+            "exchange parent and child: publish base_from_tip, as lookup_transform(base, tip) gives it",
+            "pose-inverse",
+        ),
+        Reading::Transposed => (
+            "rotation is transposed",
+            "the rotation is the transpose of what the frames say",
+            "invert the rotation where it is written; a matrix stored by columns is read by columns",
+            "transpose",
+        ),
+        _ => return None,
+    };
+    Some(Wording {
+        title,
+        what: what.to_owned(),
+        once: "inverted".to_owned(),
+        fix: fix.to_owned(),
+        estimate: Estimate::Slip { name: "direction", is, read_as: "pose" },
+    })
+}

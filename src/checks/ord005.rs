@@ -1,0 +1,86 @@
+use crate::checks::decision::unseen;
+use crate::checks::{ArmFacts, Facts, Grade, Judged};
+use crate::diagnosis::JointReading;
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+
+rule! {
+    /// Joint names and positions are paired in the wrong order.
+    ///
+    /// ## What it means
+    /// The positions of a joint state stand under other joints' names. Usually one side sorts by
+    /// alphabet (elbow before shoulder) or by driver, and the other by the chain.
+    ///
+    /// ## Why it matters
+    /// Whoever pairs by name gets another arm: forward kinematics, collision checks and /tf are all
+    /// wrong together, and agree with each other.
+    ///
+    /// ## Evidence
+    /// Every order of the chain's joints is tried against a stream that does not come from the
+    /// names. `permutation` lists the joints in the order that the numbers are in; `as_logged_m`,
+    /// `corrected_m` and `runner_up_m` are what is left as logged, in that order, and in the next
+    /// best one.
+    ///
+    /// ## How to fix
+    /// Fill `position` in the order of `name`, and look joints up by name and never by index. In
+    /// ros2_control, the order of the `joints` parameter is the order of the numbers.
+    ///
+    /// ## When it misleads
+    /// /tf of a robot_state_publisher inherits the mistake and cannot show it: there must be a pose
+    /// from elsewhere. Joints that do not move in the run cannot be told from each other.
+    ORD005 {
+        name: "joint-order",
+        grade: Grade::Fixed(Severity::Error),
+        headline: false,
+        needs_model: true,
+        missing: "no joint states with a stream to hold them against",
+        check: check,
+    }
+}
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    facts.robots.iter().map(judge).collect()
+}
+
+fn judge(arm: &ArmFacts) -> Judged {
+    let subject = arm.topic(&arm.joints_topic);
+    match &arm.diagnosis.joints {
+        Err(why) => Judged::new(subject, unseen(why, "log a pose that does not come from /tf too")),
+        Ok(JointReading { permutation: None, .. }) => Judged::new(subject, Outcome::sound()),
+        Ok(JointReading { permutation: Some((order, slip)), runner_up_m, .. }) => {
+            let names: Vec<String> = arm.joints.iter().map(|joint| joint.name.clone()).collect();
+            let is: Vec<String> =
+                order.iter().filter_map(|&joint| names.get(joint).cloned()).collect();
+            let (before, after) =
+                (Unit::Metre.show(slip.as_logged), Unit::Metre.show(slip.corrected));
+            let next = runner_up_m.map(|m| format!(" (next best order: {})", Unit::Metre.show(m)));
+            let swapped = names.iter().zip(&is).filter(|(name, is)| name != is).count();
+            let fault = Fault {
+                severity: Severity::Error,
+                title: "joint names and positions in different orders",
+                message: format!(
+                    "{swapped} positions stand under other joints' names, {before} off as logged"
+                ),
+                evidence: Evidence {
+                    effect: Some(format!(
+                        "{after} once paired rightly{}",
+                        next.unwrap_or_default()
+                    )),
+                    effect_m: Some(slip.as_logged),
+                    ..Evidence::default()
+                },
+                fix: format!("name the numbers in the order they are in: {}", is.join(", ")),
+            };
+            Judged::new(subject, Outcome::faulty(fault))
+                .estimated(Estimate::Order {
+                    name: "joint order",
+                    is: is.clone(),
+                    read_as: names,
+                    permutation: is,
+                })
+                .with_evidence("as_logged_m", slip.as_logged)
+                .with_evidence("corrected_m", slip.corrected)
+                .with_evidence("runner_up_m", *runner_up_m)
+        }
+    }
+    .within(arm.span)
+}

@@ -1,0 +1,284 @@
+//! What ORD001, ORD002 and ORD003 share: each judges the same estimate for its own kind of fault.
+
+use crate::checks::decision::{DEGREE, unseen};
+use crate::checks::{ArmFacts, Facts, Judged};
+use crate::diagnosis::{Reading, ReadingEstimate, Seen};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, ReadAs, Severity, Unit};
+use crate::geometry::{Convention, Misreading, QuaternionSlip};
+
+/// A fault must leave at least this many times less than the stream as logged, and than the next
+/// best reading, to be named.
+const CLEAR_RATIO: f64 = 2.0;
+
+/// No reading is believed that leaves more than this, rad.
+const FOLLOWS_RAD: f64 = 10.0 * DEGREE;
+
+/// What would tell where a reading could not be had.
+const SETTLE: &str = "turn the wrist through 60° or more about two axes";
+
+/// Which rule a reading belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Three numbers of one convention read as another (ORD001).
+    Convention,
+    /// Quaternion components in another order (ORD002).
+    QuaternionOrder,
+    /// Inverse or transpose (ORD003).
+    Direction,
+}
+
+fn kind(reading: &Reading) -> Option<Kind> {
+    match reading {
+        Reading::AsLogged | Reading::Numbers(_) => None,
+        Reading::Misread(_) => Some(Kind::Convention),
+        Reading::QuaternionOrder(_) => Some(Kind::QuaternionOrder),
+        Reading::Transposed | Reading::Inverted => Some(Kind::Direction),
+    }
+}
+
+/// How a rule words the fault that it found.
+pub struct Wording {
+    /// As in [`Fault::title`].
+    pub title: &'static str,
+    /// What was taken for what, to stand before "…, 64° off as logged".
+    pub what: String,
+    /// How to read it rightly, to stand after "0.01° once".
+    pub once: String,
+    /// As in [`Fault::fix`].
+    pub fix: String,
+    /// The estimate.
+    pub estimate: Estimate,
+}
+
+/// Judges the reading of every stream for faults of one kind, which `word` puts into words.
+pub fn judge(
+    facts: &Facts,
+    asked: Kind,
+    word: fn(&ReadingEstimate) -> Option<Wording>,
+) -> Vec<Judged> {
+    let mut judged = Vec::new();
+    for arm in &facts.robots {
+        let streams = arm
+            .poses_and_tf()
+            .map(|(stream, diagnosis)| (&stream.topic, stream.span, &diagnosis.reading));
+        let imus =
+            arm.imus.iter().map(|(imu, diagnosis)| (&imu.topic, imu.span, &diagnosis.reading));
+        judged.extend(streams.chain(imus).map(|(topic, span, reading)| {
+            let (outcome, estimate) = judge_stream(arm, reading, asked, word);
+            Judged::new(arm.topic(topic), outcome).within(span).estimated(estimate)
+        }));
+    }
+    judged
+}
+
+fn judge_stream(
+    arm: &ArmFacts,
+    reading: &Seen<ReadingEstimate>,
+    asked: Kind,
+    word: fn(&ReadingEstimate) -> Option<Wording>,
+) -> (Outcome, Option<Estimate>) {
+    let reading = match reading {
+        Ok(reading) => reading,
+        Err(why) => return (unseen(why, SETTLE), None),
+    };
+    if reading.best_rad > FOLLOWS_RAD {
+        let left = Unit::Radian.show(reading.best_rad);
+        let why =
+            format!("no reading follows the arm, the best leaves {left}: check --base and --tip");
+        return (Outcome::Inconclusive(why), None);
+    }
+    let runner_up = reading.runner_up.as_ref().map(|(runner_up, _)| runner_up);
+    if !is_clear(reading) {
+        let concerned = [Some(&reading.best), runner_up].into_iter().flatten().filter_map(kind);
+        if concerned.into_iter().any(|concerned| concerned == asked) {
+            return (Outcome::Inconclusive(unclear(reading)), None);
+        }
+    }
+    if kind(&reading.best) != Some(asked) {
+        let remark = match reading.best {
+            Reading::Numbers(convention) => Outcome::sound_because(format!("read as {convention}")),
+            _ => Outcome::sound(),
+        };
+        return (remark, None);
+    }
+    match word(reading) {
+        Some(wording) => fault(arm, reading, wording),
+        None => (Outcome::sound(), None),
+    }
+}
+
+fn fault(
+    arm: &ArmFacts,
+    reading: &ReadingEstimate,
+    wording: Wording,
+) -> (Outcome, Option<Estimate>) {
+    let Wording { title, what, once, fix, estimate } = wording;
+    let left = Unit::Radian.show(reading.best_rad);
+    let next = match reading.runner_up {
+        Some((_, rad)) => format!(" (next best reading: {})", Unit::Radian.show(rad)),
+        None => String::new(),
+    };
+    let message = match reading.as_logged_rad {
+        Some(rad) => format!("{what}, {} off as logged", Unit::Radian.show(rad)),
+        None => format!("{what}, {left} left once {once}"),
+    };
+    let mut evidence = Evidence {
+        effect: Some(format!("{left} once {once}{next}")),
+        effect_m: reading.as_logged_rad.map(|rad| rad * arm.reach_m),
+        ..Evidence::default()
+    };
+    evidence.more.insert("as_logged_rad".to_owned(), reading.as_logged_rad.into());
+    evidence.more.insert("corrected_rad".to_owned(), reading.best_rad.into());
+    let fault = Fault { severity: Severity::Error, title, message, evidence, fix };
+    (Outcome::faulty(fault), Some(estimate))
+}
+
+/// Whether the best reading is far enough from the stream as logged and from the next best.
+fn is_clear(reading: &ReadingEstimate) -> bool {
+    let best = reading.best_rad.max(Unit::Radian.noise_floor());
+    let clear_of = |rad: f64| rad >= CLEAR_RATIO * best;
+    kind(&reading.best).is_none()
+        || reading.as_logged_rad.is_none_or(clear_of)
+            && reading.runner_up.as_ref().is_none_or(|&(_, rad)| clear_of(rad))
+}
+
+fn unclear(reading: &ReadingEstimate) -> String {
+    let best = describe(&reading.best);
+    let left = Unit::Radian.show(reading.best_rad);
+    match &reading.runner_up {
+        Some((runner_up, rad)) => {
+            let (runner_up, rad) = (describe(runner_up), Unit::Radian.show(*rad));
+            format!("{best} leaves {left} and {runner_up} {rad}; {SETTLE}")
+        }
+        None => format!("{best} leaves {left}, hardly less than as logged; {SETTLE}"),
+    }
+}
+
+fn describe(reading: &Reading) -> String {
+    match reading {
+        Reading::AsLogged => "the stream as logged".to_owned(),
+        reading => {
+            let ReadAs { is, read_as } = read_as(reading);
+            format!("{is} read as {read_as}")
+        }
+    }
+}
+
+/// What a reading says the numbers are, and what they were read as, by their contract names.
+pub fn read_as(reading: &Reading) -> ReadAs {
+    let (is, read_as) = match reading {
+        Reading::AsLogged => ("pose".to_owned(), "pose"),
+        Reading::Numbers(convention) => {
+            return ReadAs { is: convention.to_string(), read_as: convention.to_string() };
+        }
+        Reading::Misread(class) => match class.members.first() {
+            Some(misreading) => return read_as_misreading(misreading),
+            None => ("pose".to_owned(), "pose"),
+        },
+        Reading::QuaternionOrder(slip) => {
+            let (is, read_as) = quaternion_orders(*slip);
+            (is.to_owned(), read_as)
+        }
+        Reading::Transposed => ("transpose".to_owned(), "pose"),
+        Reading::Inverted => ("pose-inverse".to_owned(), "pose"),
+    };
+    ReadAs { is, read_as: read_as.to_owned() }
+}
+
+/// A misreading by its contract names.
+pub fn read_as_misreading(misreading: &Misreading) -> ReadAs {
+    ReadAs { is: misreading.is.to_string(), read_as: misreading.read_as.to_string() }
+}
+
+/// The order that quaternion components are in, and the one they were read in.
+pub fn quaternion_orders(slip: QuaternionSlip) -> (&'static str, &'static str) {
+    match slip {
+        QuaternionSlip::WxyzReadAsXyzw => ("quat:wxyz", "quat:xyzw"),
+        QuaternionSlip::XyzwReadAsWxyz => ("quat:xyzw", "quat:wxyz"),
+    }
+}
+
+/// A convention in words.
+pub fn words(convention: Convention) -> String {
+    if convention == Convention::RPY {
+        return "roll-pitch-yaw".to_owned();
+    }
+    let name = convention.to_string();
+    let Some(letters) = name.strip_prefix("euler:") else {
+        return "rotation vector".to_owned();
+    };
+    let (letters, labelled) = match letters.strip_suffix("@axes") {
+        Some(letters) => (letters, " labelled by axis"),
+        None => (letters, ""),
+    };
+    let axes =
+        if letters.starts_with(|c: char| c.is_ascii_lowercase()) { "fixed" } else { "moving" };
+    format!("{axes}-axes {letters} angles{labelled}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::ord001::ORD001;
+    use crate::checks::ord002::ORD002;
+    use crate::checks::ord003::ORD003;
+    use crate::checks::testing::{ask, clean_run};
+    use crate::finding::Status;
+
+    fn read(best: Reading, best_rad: f64, runner_up: Option<(Reading, f64)>) -> Facts {
+        let mut facts = clean_run();
+        let as_logged_rad = Some(1.1);
+        facts.robots[0].diagnosis.streams[0].reading = Ok(ReadingEstimate {
+            best,
+            as_logged_rad,
+            best_rad,
+            runner_up,
+            equivalent: Vec::new(),
+        });
+        facts
+    }
+
+    #[test]
+    fn each_fault_is_found_by_its_own_rule_alone() {
+        for (reading, code) in [
+            (Reading::QuaternionOrder(QuaternionSlip::WxyzReadAsXyzw), "ORD002"),
+            (Reading::Inverted, "ORD003"),
+            (Reading::Transposed, "ORD003"),
+        ] {
+            let facts = read(reading, 1e-4, Some((Reading::AsLogged, 1.1)));
+            for rule in [&ORD001, &ORD002, &ORD003] {
+                let (rows, findings) = ask(rule, &facts);
+                assert_eq!(
+                    findings.len(),
+                    usize::from(rule.code == code),
+                    "{} {rows:?}",
+                    rule.code
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn two_readings_that_fit_alike_leave_both_rules_open() {
+        let facts = read(Reading::Inverted, 1e-3, Some((Reading::Transposed, 1.2e-3)));
+        let (rows, findings) = ask(&ORD003, &facts);
+        assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
+        assert_eq!(ask(&ORD002, &facts).0[0].status, Status::Pass);
+    }
+
+    #[test]
+    fn no_reading_is_believed_that_does_not_follow_the_arm() {
+        let (rows, findings) = ask(&ORD003, &read(Reading::Inverted, 0.5, None));
+        assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
+    }
+
+    #[test]
+    fn conventions_have_words() {
+        let words = |name: &str| name.parse().map(words);
+        assert_eq!(words("euler:xyz").as_deref(), Ok("roll-pitch-yaw"));
+        assert_eq!(words("rotvec").as_deref(), Ok("rotation vector"));
+        assert_eq!(words("euler:ZYX").as_deref(), Ok("moving-axes ZYX angles"));
+        let labelled = "fixed-axes xzy angles labelled by axis";
+        assert_eq!(words("euler:xzy@axes").as_deref(), Ok(labelled));
+    }
+}

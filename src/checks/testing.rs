@@ -1,0 +1,119 @@
+//! A run in which nothing is wrong, for tests to plant estimates in.
+
+use crate::checks::{ArmFacts, Facts, ImuFacts, JointFacts, PoseFacts, Rule, evaluate};
+use crate::diagnosis::{
+    Aligned, ArmDiagnosis, FrameEstimate, ImuDiagnosis, JointOffset, JointReading, Measured,
+    PoseDiagnosis, Reading, ReadingEstimate, Residual, Unseen,
+};
+use crate::finding::{CheckRow, Finding, Span};
+use crate::geometry::Pose;
+use crate::time::Stamp;
+
+pub const POSE: &str = "/pose";
+pub const TF: &str = "/tf";
+pub const IMU: &str = "/imu";
+pub const JOINTS: &str = "/joint_states";
+
+const SPAN: Span = Span { start: Stamp::from_nanos(0), end: Stamp::from_nanos(40_000_000_000) };
+
+/// An amount that is surely within every figure around it.
+pub fn sure(value: f64) -> Measured {
+    Measured { value, std_error: 1e-6, dof: 1e3 }
+}
+
+/// What `rule` says of `facts`: its rows and its findings.
+pub fn ask(rule: &Rule, facts: &Facts) -> (Vec<CheckRow>, Vec<Finding>) {
+    let evaluation = evaluate(facts, &Default::default());
+    let (mut rows, mut findings) = (evaluation.checks, evaluation.findings);
+    rows.retain(|row| row.code == rule.code);
+    findings.retain(|finding| finding.code == rule.code);
+    (rows, findings)
+}
+
+/// One arm with a pose stream, /tf, an IMU and three joints, and nothing wrong with any of them.
+pub fn clean_run() -> Facts {
+    let joint = |name: &str| JointFacts { name: name.to_owned(), prismatic: false };
+    let offset =
+        || JointOffset { offset: Ok(sure(0.0)), chosen: false, effect_m: 0.0, twins: vec![] };
+    let imu = ImuDiagnosis {
+        reading: Ok(as_logged()),
+        latency_s: Ok(sure(0.0)),
+        yaw_drift_rad_s: Ok(sure(0.0)),
+        mount_rad: Err(Unseen::NotExcited),
+        gyro_bias_rad_s: Err(Unseen::NotExcited),
+        yaw_error: Vec::new(),
+    };
+    let arm = ArmFacts {
+        name: "arm".to_owned(),
+        joints_topic: JOINTS.to_owned(),
+        span: SPAN,
+        joints: ["pan", "lift", "elbow"].map(joint).to_vec(),
+        reach_m: 0.85,
+        diagnosis: ArmDiagnosis {
+            joints: Ok(JointReading { degrees: None, permutation: None, runner_up_m: None }),
+            offsets: vec![offset(), offset(), offset()],
+            streams: vec![clean_stream()],
+        },
+        poses: vec![stream(POSE, true)],
+        tf: vec![(stream(TF, false), clean_stream())],
+        imus: vec![(ImuFacts { topic: IMU.to_owned(), span: SPAN, independent: true }, imu)],
+    };
+    Facts { robots: vec![arm], ..Facts::default() }
+}
+
+/// A frame error of `length_m` along x, not chosen.
+pub fn frame(length_m: f64) -> FrameEstimate {
+    FrameEstimate {
+        pose: Pose::translation(length_m, 0.0, 0.0),
+        translation_m: sure(length_m),
+        rotation_rad: sure(0.0),
+        p_value: if length_m > 0.0 { 0.0 } else { 0.5 },
+        chosen: false,
+    }
+}
+
+fn as_logged() -> ReadingEstimate {
+    ReadingEstimate {
+        best: Reading::AsLogged,
+        as_logged_rad: Some(1e-4),
+        best_rad: 1e-4,
+        runner_up: None,
+        equivalent: Vec::new(),
+    }
+}
+
+fn clean_stream() -> PoseDiagnosis {
+    PoseDiagnosis {
+        reading: Ok(as_logged()),
+        millimetres: Ok(None),
+        degrees: None,
+        latency_s: Ok(sure(0.0)),
+        skew: Err(Unseen::NotExcited),
+        growth: Err(Unseen::NotExcited),
+        reference: Ok(frame(0.0)),
+        tool: Ok(frame(0.0)),
+        residual: Ok(Residual {
+            excess_m: sure(0.0),
+            excess_rad: sure(0.0),
+            rms_m: 1e-5,
+            rms_rad: 1e-5,
+            before_m: 1e-5,
+            before_rad: 1e-5,
+        }),
+        top_speed_m_s: 0.8,
+        aligned: Aligned::default(),
+    }
+}
+
+fn stream(topic: &str, independent: bool) -> PoseFacts {
+    PoseFacts {
+        topic: topic.to_owned(),
+        span: SPAN,
+        reference: "base".to_owned(),
+        reference_known: true,
+        tip: "tool0".to_owned(),
+        tip_named: true,
+        independent,
+        bare_numbers: false,
+    }
+}

@@ -1,0 +1,99 @@
+use crate::checks::{Facts, Grade, Judged, StampFacts};
+use crate::diagnosis::Measured;
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
+use crate::run::Epoch;
+use crate::time::seconds;
+
+rule! {
+    /// A stream is stamped by another clock than the others.
+    ///
+    /// ## What it means
+    /// The stream's stamps are from another epoch (time since boot, simulation time), or off by
+    /// more than `--max-latency`: no latency explains that, it is another clock.
+    ///
+    /// ## Why it matters
+    /// tf2 refuses to look such stamps up, or extrapolates; joined by stamp, the data of one moment
+    /// meet the data of another.
+    ///
+    /// ## Evidence
+    /// The offset of the stream's clock from the one that the others share, by the message that
+    /// came through the transport fastest. `spread_s` is how far the transport's delay scatters,
+    /// which no alignment can see through: LAT001 carries it in its interval.
+    ///
+    /// ## How to fix
+    /// Stamp with the ROS clock, synchronise the machines (chrony, PTP), or use receive times with
+    /// `--stamp log`. In simulation set `use_sim_time` on every node.
+    ///
+    /// ## When it misleads
+    /// Where all streams share one clock that is not the recorder's, or the log holds `/clock`, it
+    /// is simulation or a controller's time and the finding is `info`.
+    TIM003 {
+        name: "foreign-clock",
+        grade: Grade::Fixed(Severity::Warning),
+        headline: false,
+        needs_model: false,
+        missing: "no stamped stream in this log",
+        check: check,
+    }
+}
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    let streams = facts.stamps.iter().map(|stream| judge(stream, facts.simulated));
+    shared_clock(facts).into_iter().chain(streams).collect()
+}
+
+/// The one remark where the clock that the streams share is not the recorder's.
+fn shared_clock(facts: &Facts) -> Option<Judged> {
+    let mut offsets: Vec<f64> = facts
+        .stamps
+        .iter()
+        .filter(|stream| stream.clock.epoch == Epoch::CommonButNotTheRecorders)
+        .filter_map(|stream| stream.clock.log_minus_header_s)
+        .map(|log_minus_header_s| -log_minus_header_s)
+        .collect();
+    offsets.sort_by(f64::total_cmp);
+    let offset_s = *offsets.get(offsets.len() / 2)?;
+    let outcome = Outcome::faulty(Fault {
+        severity: Severity::Info,
+        title: "all stamps are from one foreign clock",
+        message: format!("all stamps are {} off the recorder's clock", Unit::Second.show(offset_s)),
+        evidence: Evidence::default(),
+        fix: "nothing, if this is simulation or a controller's own time".to_owned(),
+    });
+    Some(Judged::new(Subject::default(), outcome).estimated(estimate(offset_s, f64::INFINITY)))
+}
+
+fn judge(stream: &StampFacts, simulated: bool) -> Judged {
+    let clock = &stream.clock;
+    if clock.epoch != Epoch::Foreign {
+        return Judged::new(stream.subject(), Outcome::sound()).within(stream.span);
+    }
+    let aligned = clock.alignment.map(|aligned| (-seconds(aligned.offset_nanos), aligned.spread_s));
+    let offset_s = aligned.map(|(offset_s, _)| offset_s).or(clock.log_minus_header_s.map(|s| -s));
+    let by = offset_s.map_or(String::new(), |offset_s| format!("{} ", Unit::Second.show(offset_s)));
+    let effect = match aligned {
+        Some((_, spread_s)) => {
+            let spread = Unit::Second.show(spread_s);
+            format!("aligned by minimum delay, to the transport's spread of {spread}")
+        }
+        None => "not aligned, and not judged against the others".to_owned(),
+    };
+    let fault = Fault {
+        severity: if simulated { Severity::Info } else { Severity::Warning },
+        title: "stream is on another clock",
+        message: format!("stamps are {by}off the other streams' clock"),
+        evidence: Evidence { effect: Some(effect), ..Evidence::default() },
+        fix: format!("stamp {} with the clock of the others, or use --stamp log", stream.topic),
+    };
+    let spread_s = aligned.map(|(_, spread_s)| spread_s);
+    Judged::new(stream.subject(), Outcome::faulty(fault))
+        .within(stream.span)
+        .estimated(offset_s.map(|offset_s| estimate(offset_s, spread_s.unwrap_or(f64::INFINITY))))
+        .with_evidence("spread_s", spread_s)
+}
+
+/// An offset with the standard error `spread_s`.
+fn estimate(offset_s: f64, spread_s: f64) -> Estimate {
+    let offset = Measured { value: offset_s, std_error: spread_s, dof: f64::INFINITY };
+    Estimate::amount("clock offset", Unit::Second, &offset)
+}

@@ -1,0 +1,74 @@
+use crate::checks::{Facts, Grade, Judged, StampFacts};
+use crate::finding::{Evidence, Fault, Outcome, Severity};
+use crate::run::HeaderStamps;
+use crate::time::Clock;
+
+rule! {
+    /// Stamps are zero, constant or missing.
+    ///
+    /// ## What it means
+    /// The messages do not say when their content was true. The audit then takes the time at which
+    /// the recorder received them.
+    ///
+    /// ## Why it matters
+    /// Receive times carry the transport's delay and its scatter: a latency found on such a stream
+    /// is that of content and transport together.
+    ///
+    /// ## Evidence
+    /// `samples` is how many samples there are, `zero` how many of them carry a zero stamp.
+    ///
+    /// ## How to fix
+    /// Fill `header.stamp` when the sample is taken. Where the type has no header, use one that has
+    /// (PoseStamped for a bare array).
+    ///
+    /// ## When it misleads
+    /// A type without a header cannot carry a stamp; that is said as `info`. Static transforms may
+    /// carry stamp zero by design and are not counted.
+    TIM005 {
+        name: "unusable-stamps",
+        grade: Grade::Fixed(Severity::Warning),
+        headline: false,
+        needs_model: false,
+        missing: "no stream of an arm in this log",
+        check: check,
+    }
+}
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    facts.stamps.iter().map(judge).collect()
+}
+
+fn judge(stream: &StampFacts) -> Judged {
+    let (rows, zero) = (stream.clock.rows, stream.clock.zero);
+    let (severity, title, message) = match stream.clock.stamps {
+        HeaderStamps::Sound if zero == 0 => {
+            return Judged::new(stream.subject(), Outcome::sound()).within(stream.span);
+        }
+        HeaderStamps::Sound | HeaderStamps::Zero => {
+            (Severity::Warning, "stamps are zero", format!("{zero} of {rows} stamps are zero"))
+        }
+        HeaderStamps::Constant => {
+            (Severity::Warning, "stamps stand still", format!("all {rows} stamps are the same"))
+        }
+        HeaderStamps::Absent => (
+            Severity::Info,
+            "messages carry no stamps",
+            format!("{rows} messages carry no stamp, as their type has none"),
+        ),
+    };
+    let effect = match stream.clock.clock {
+        Clock::Header => "the samples without a stamp are left out".to_owned(),
+        clock => format!("judged by {} time, which includes the transport's delay", clock.name()),
+    };
+    let fault = Fault {
+        severity,
+        title,
+        message,
+        evidence: Evidence { effect: Some(effect), ..Evidence::default() },
+        fix: "fill header.stamp when the sample is taken".to_owned(),
+    };
+    Judged::new(stream.subject(), Outcome::faulty(fault))
+        .within(stream.span)
+        .with_evidence("samples", rows)
+        .with_evidence("zero", zero)
+}

@@ -1,0 +1,213 @@
+use crate::checks::decision::{DEGREE, Decision, Figure, decide, unseen};
+use crate::checks::{ArmFacts, Facts, Grade, Judged, frm001, frm002, frm003};
+use crate::diagnosis::{FrameEstimate, JointOffset, Measured, Seen, Twin};
+use crate::finding::{Alternative, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+
+rule! {
+    /// A joint's zero is off.
+    ///
+    /// ## What it means
+    /// The joint reports its position with a constant error: `q_true = q_reported + offset`. One
+    /// finding a joint, from all pose streams together.
+    ///
+    /// ## Why it matters
+    /// The arm repeats perfectly and is wrong everywhere. An offset of 0.5° at the shoulder moves
+    /// the tip of an arm of 0.85 m by 7 mm; programs taught by hand hide it, everything computed
+    /// from kinematics shows it.
+    ///
+    /// ## Evidence
+    /// The smallest set of causes (joint zeros, frames) that explains all streams together with
+    /// their latencies. `effect_m` is what the offset moves the tip by at full stretch. Streams
+    /// that were computed from the faulty joint states are in `inherited_by`. Causes that do the
+    /// same to this log (the first joint's zero and the base's yaw, the last joint's and a twist of
+    /// the tool, a rail's zero and a shift of the base) are in `indistinguishable`.
+    ///
+    /// ## How to fix
+    /// Re-home or re-master the joint, or add the offset in the driver's calibration file. Check
+    /// the robot's description first: a model of another variant of the arm looks the same.
+    ///
+    /// ## When it misleads
+    /// A controller's own pose is computed from the same encoders: against it the rule says that
+    /// this model or these joint states differ from the controller's, and a zero error of the
+    /// mechanics cannot show. For that an outside witness (tracker, camera, IMU) is needed. A
+    /// nominal model against a calibrated arm leaves millimetres that single joints may partly
+    /// explain. An offset that only one of several explanations needs is never a finding.
+    ZER001 {
+        name: "joint-zero",
+        grade: Grade::From(&[ROTARY, PRISMATIC]),
+        headline: true,
+        needs_model: true,
+        missing: "no pose stream beside the joint states",
+        check: check,
+    }
+}
+
+const ROTARY: Figure = Figure { unit: Unit::Radian, warning: 0.1 * DEGREE, error: 0.5 * DEGREE };
+const PRISMATIC: Figure = Figure { unit: Unit::Metre, warning: 0.2e-3, error: 1e-3 };
+
+/// What would tell where an offset could not be had.
+const SETTLE: &str = "move this joint by 30° or more, and the others at other times";
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    facts.robots.iter().flat_map(|arm| judge_arm(arm, facts.subjects())).collect()
+}
+
+fn judge_arm(arm: &ArmFacts, subjects: usize) -> Vec<Judged> {
+    let offsets = arm.diagnosis.offsets.iter().enumerate();
+    offsets.map(|(joint, offset)| judge(arm, joint, offset, subjects)).collect()
+}
+
+fn judge(arm: &ArmFacts, joint: usize, offset: &JointOffset, subjects: usize) -> Judged {
+    let subject = arm.joint(joint);
+    let figure = figure(arm.joint_unit(joint));
+    let measured = match &offset.offset {
+        Ok(measured) => measured,
+        Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(arm.span),
+    };
+    let outcome = match (decide(measured, figure, subjects), named_instead(arm, offset)) {
+        (Decision::Fail(severity), _) if offset.chosen => {
+            Outcome::faulty(fault(arm, joint, measured, severity, subjects))
+        }
+        (Decision::Pass, _) => Outcome::sound(),
+        (_, Some(twin)) if !offset.chosen => Outcome::Indistinguishable(format!(
+            "it cannot be told from {twin}, which is named instead"
+        )),
+        (Decision::Fail(_), _) => {
+            let shown = figure.unit.show_signed(measured);
+            let why = format!("{shown} would fit, but what is found explains the log without it");
+            Outcome::Inconclusive(format!("{why}; {SETTLE}"))
+        }
+        (Decision::Undecided(why), _) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
+    };
+    Judged::new(subject, outcome).within(arm.span).estimated(estimate(figure.unit, measured))
+}
+
+fn figure(unit: Unit) -> &'static Figure {
+    match unit {
+        Unit::Metre => &PRISMATIC,
+        _ => &ROTARY,
+    }
+}
+
+fn estimate(unit: Unit, offset: &Measured) -> Estimate {
+    Estimate::amount("joint zero offset", unit, offset)
+}
+
+fn fault(
+    arm: &ArmFacts,
+    joint: usize,
+    measured: &Measured,
+    severity: Severity,
+    subjects: usize,
+) -> Fault {
+    let (offset, unit) = (&arm.diagnosis.offsets[joint], arm.joint_unit(joint));
+    let left = arm.poses().filter_map(|(_, stream)| stream.residual.as_ref().ok());
+    let left = left.map(|residual| residual.rms_m).reduce(f64::max);
+    let left =
+        left.map_or(String::new(), |m| format!(", {} left when corrected", Unit::Metre.show(m)));
+    let (moved, reach) = (Unit::Metre.show(offset.effect_m), arm.reach_m);
+    let mut evidence = Evidence {
+        indistinguishable: offset.twins.iter().map(|twin| twin_cause(arm, twin, unit)).collect(),
+        effect: Some(format!("{moved} at full reach ({reach:.2} m){left}")),
+        effect_m: Some(offset.effect_m),
+        ..Evidence::default()
+    };
+    let heirs = arm.tf.iter().filter(|(_, tf)| frm001::agrees(tf, subjects));
+    let heirs: Vec<&str> = heirs.map(|(stream, _)| stream.topic.as_str()).collect();
+    if !heirs.is_empty() {
+        evidence.more.insert("inherited_by".to_owned(), heirs.into());
+    }
+    let sign = if measured.value < 0.0 { "−" } else { "+" };
+    let (size, symbol) = (measured.value.abs(), unit.symbol());
+    Fault {
+        severity,
+        title: "joint zero is off",
+        message: format!("zero off by {}", unit.show_signed(measured)),
+        evidence,
+        fix: format!("q_true = q_reported {sign} {size:.5} {symbol}, or re-home the joint"),
+    }
+}
+
+/// The offset of joint `joint` as a cause that another rule cannot tell from its own.
+pub(super) fn cause(arm: &ArmFacts, joint: usize) -> Alternative {
+    let offset = arm.diagnosis.offsets.get(joint).and_then(|offset| offset.offset.as_ref().ok());
+    let estimate = offset.map(|offset| estimate(arm.joint_unit(joint), offset));
+    Alternative { code: ZER001.code, subject: arm.joint(joint), estimate }
+}
+
+/// A twin of an offset in `unit`, as a cause.
+fn twin_cause(arm: &ArmFacts, twin: &Twin, unit: Unit) -> Alternative {
+    let topic = |stream: usize| arm.poses.get(stream).map_or("", |stream| &stream.topic);
+    let (code, subject, name, value, unit) = match *twin {
+        Twin::JointZero(joint, value) => {
+            (ZER001.code, arm.joint(joint), "joint zero offset", value, arm.joint_unit(joint))
+        }
+        Twin::Reference(stream, value) => {
+            (frm002::FRM002.code, arm.topic(topic(stream)), "reference frame", value, unit)
+        }
+        Twin::Tool(stream, value) => {
+            (frm003::FRM003.code, arm.topic(topic(stream)), "tool frame", value, unit)
+        }
+    };
+    let estimate = Estimate::Amount { name, value, unit: unit.symbol(), ci95: None };
+    Alternative { code, subject, estimate: Some(estimate) }
+}
+
+/// The twin of `offset` that the smallest explanation contains, in words.
+fn named_instead(arm: &ArmFacts, offset: &JointOffset) -> Option<String> {
+    let chosen = |frame: &Seen<FrameEstimate>| frame.as_ref().is_ok_and(|frame| frame.chosen);
+    let streams = &arm.diagnosis.streams;
+    let named = offset.twins.iter().find(|twin| match **twin {
+        Twin::JointZero(joint, _) => {
+            arm.diagnosis.offsets.get(joint).is_some_and(|other| other.chosen)
+        }
+        Twin::Reference(stream, _) => streams.get(stream).is_some_and(|s| chosen(&s.reference)),
+        Twin::Tool(stream, _) => streams.get(stream).is_some_and(|s| chosen(&s.tool)),
+    })?;
+    let cause = twin_cause(arm, named, Unit::Radian);
+    Some(format!("{} on {}", cause.code, cause.subject.label()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{TF, ask, clean_run, frame, sure};
+    use crate::finding::Status;
+
+    #[test]
+    fn a_chosen_offset_is_a_finding_that_lists_its_twins_and_its_heirs() {
+        let mut facts = clean_run();
+        let pan = &mut facts.robots[0].diagnosis.offsets[0];
+        (pan.offset, pan.chosen) = (Ok(sure(-0.01)), true);
+        pan.twins = vec![Twin::Reference(0, -0.01)];
+        let (_, findings) = ask(&ZER001, &facts);
+        let [finding] = findings.as_slice() else { panic!("{findings:?}") };
+        assert_eq!(finding.subject.joint.as_deref(), Some("pan"));
+        assert_eq!(finding.message, "zero off by -0.573 ± 0.001°");
+        assert_eq!(finding.fix, "q_true = q_reported − 0.01000 rad, or re-home the joint");
+        let twins = finding.evidence.indistinguishable.iter().map(|twin| twin.code);
+        assert_eq!(twins.collect::<Vec<_>>(), ["FRM002"]);
+        assert_eq!(finding.evidence.more["inherited_by"], serde_json::json!([TF]));
+    }
+
+    #[test]
+    fn an_offset_that_is_not_chosen_never_fails() {
+        let mut facts = clean_run();
+        facts.robots[0].diagnosis.offsets[0].offset = Ok(sure(-0.01));
+        let (rows, findings) = ask(&ZER001, &facts);
+        assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
+    }
+
+    #[test]
+    fn where_its_twin_is_named_it_does_not_count() {
+        let mut facts = clean_run();
+        let diagnosis = &mut facts.robots[0].diagnosis;
+        diagnosis.offsets[0].offset = Ok(sure(-0.01));
+        diagnosis.offsets[0].twins = vec![Twin::Reference(0, -0.01)];
+        diagnosis.streams[0].reference = Ok(FrameEstimate { chosen: true, ..frame(0.1) });
+        let (rows, findings) = ask(&ZER001, &facts);
+        assert!(findings.is_empty() && rows[0].indistinguishable, "{rows:?}");
+        let (_, named) = ask(&frm002::FRM002, &facts);
+        assert_eq!(named[0].evidence.indistinguishable[0].code, "ZER001");
+    }
+}

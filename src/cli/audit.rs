@@ -1,0 +1,170 @@
+//! `poseaudit audit`.
+
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+use poseaudit::checks::{Selector, Settings};
+use poseaudit::finding::Severity;
+use poseaudit::report::{Report, Trouble, json, text};
+use poseaudit::run::{Declaration, RobotSource};
+use poseaudit::time::Clock;
+
+use super::{Outcome, output};
+
+/// Audit one recorded run: what is wrong with its poses, by how much, and how sure that is
+///
+/// Exit status: 0 nothing at or above --fail-on; 1 a finding, or a rule of --require that could not
+/// conclude; 2 the call is wrong; 3 the log cannot be audited.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The log; several files of one run are merged
+    #[arg(value_name = "LOG", required = true)]
+    logs: Vec<PathBuf>,
+
+    /// The robot's URDF or DH table, or its name in the catalogue; PREFIX=FILE with several arms
+    #[arg(long = "robot", value_name = "FILE|NAME")]
+    robots: Vec<RobotSource>,
+
+    /// Link that the chain begins at
+    #[arg(long, value_name = "LINK")]
+    base: Option<String>,
+
+    /// Link that the chain ends at, and whose poses the streams are
+    #[arg(long, value_name = "LINK")]
+    tip: Option<String>,
+
+    /// Format of the report
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    format: Format,
+
+    /// Write the report to this file instead of stdout
+    #[arg(long, value_name = "PATH")]
+    output: Option<PathBuf>,
+
+    /// Write a Rerun recording of the run
+    #[arg(long, value_name = "FILE")]
+    rrd: Option<PathBuf>,
+
+    /// Ask only these rules: codes, or the letters a family begins with
+    #[arg(long, value_name = "CODES", value_delimiter = ',')]
+    select: Vec<Selector>,
+
+    /// Do not ask these rules
+    #[arg(long, value_name = "CODES", value_delimiter = ',')]
+    ignore: Vec<Selector>,
+
+    /// Exit with 1 from findings of this severity
+    #[arg(long, value_enum, value_name = "SEVERITY", default_value_t = FailOn::Warning)]
+    fail_on: FailOn,
+
+    /// Exit with 1 also where one of these rules cannot conclude
+    #[arg(long, value_name = "CODES", value_delimiter = ',')]
+    require: Vec<Selector>,
+
+    /// The time that places a sample; streams without header stamps fall back to log time
+    #[arg(long, value_enum, value_name = "CLOCK", default_value_t = StampSource::Header)]
+    stamp: StampSource,
+
+    /// Largest latency in seconds; what is off by more is on another clock
+    #[arg(long, value_name = "S", default_value = "5", value_parser = positive_seconds)]
+    max_latency: f64,
+
+    /// Check every checksum in the files
+    #[arg(long)]
+    verify: bool,
+
+    /// How a stream's rotations are coded: rotvec, euler:SEQ, quat:xyzw or quat:wxyz
+    #[arg(long, value_name = "TOPIC=CONVENTION[,deg][,mm]")]
+    declare: Vec<Declaration>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Format {
+    /// For people
+    Text,
+    /// For programs, in SI units
+    Json,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum FailOn {
+    /// Errors
+    Error,
+    /// Warnings and errors
+    Warning,
+    /// Nothing
+    Never,
+}
+
+impl From<FailOn> for Option<Severity> {
+    fn from(fail_on: FailOn) -> Self {
+        match fail_on {
+            FailOn::Error => Some(Severity::Error),
+            FailOn::Warning => Some(Severity::Warning),
+            FailOn::Never => None,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum StampSource {
+    /// The stamp in the message's header
+    Header,
+    /// When the recorder received the message
+    Log,
+    /// When the sender published the message
+    Publish,
+}
+
+impl From<StampSource> for Clock {
+    fn from(source: StampSource) -> Self {
+        match source {
+            StampSource::Header => Clock::Header,
+            StampSource::Log => Clock::Log,
+            StampSource::Publish => Clock::Publish,
+        }
+    }
+}
+
+fn positive_seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(seconds) if seconds > 0.0 && seconds.is_finite() => Ok(seconds),
+        _ => Err("expected a number of seconds above 0".to_owned()),
+    }
+}
+
+pub fn run(args: Args) -> Result<Outcome, Trouble> {
+    let Args { format, output, require, .. } = args;
+    let options = poseaudit::Options {
+        logs: args.logs,
+        robots: args.robots,
+        base: args.base,
+        tip: args.tip,
+        stamp: args.stamp.into(),
+        max_latency_s: args.max_latency,
+        verify: args.verify,
+        declarations: args.declare,
+        rules: Settings { select: args.select, ignore: args.ignore },
+        fail_on: args.fail_on.into(),
+        recording: args.rrd,
+    };
+    let report = match poseaudit::audit(&options) {
+        Ok(report) => report,
+        Err(trouble) if format == Format::Json => Report::of_trouble(trouble),
+        Err(trouble) => return Err(trouble),
+    };
+    output::emit(output.as_deref(), |out| match format {
+        Format::Text => text::write(&report, out),
+        Format::Json => json::write(&report, out),
+    })?;
+    if let Some(trouble) = &report.error {
+        output::error(trouble);
+    }
+    let outcome = Outcome::from(&report);
+    let open = report.not_concluded(&require);
+    if outcome == Outcome::Clean && !open.is_empty() {
+        output::error(format_args!("--require {}: could not conclude", open.join(",")));
+        return Ok(Outcome::Findings);
+    }
+    Ok(outcome)
+}

@@ -1,0 +1,87 @@
+//! `poseaudit info`.
+
+use std::io::{self, Write};
+use std::path::PathBuf;
+
+use comfy_table::{CellAlignment, Table};
+use poseaudit::report::{LogSummary, Report, StreamRow, Trouble};
+use poseaudit::time::seconds;
+
+use super::{Outcome, output};
+
+/// List the topics of a log, and the role that each of them gets and why
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The log; several files of one run are merged
+    #[arg(value_name = "LOG", required = true)]
+    logs: Vec<PathBuf>,
+}
+
+pub fn run(args: &Args) -> Result<Outcome, Trouble> {
+    let report = poseaudit::info(&args.logs)?;
+    output::emit(None, |out| write(&report, out))?;
+    if let Some(trouble) = &report.error {
+        output::error(trouble);
+    }
+    Ok(match &report.error {
+        Some(trouble) => trouble.kind.into(),
+        None => Outcome::Clean,
+    })
+}
+
+fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
+    let LogSummary { files, messages, duration_s, .. } = &report.log;
+    for file in files {
+        let (path, container, bytes) = (file.path.display(), file.container, file.bytes);
+        writeln!(out, "{path}: {container}, {bytes} bytes, checksums: {}", file.crc)?;
+    }
+    writeln!(out, "{:.1} s, {messages} messages", duration_s.unwrap_or(0.0))?;
+    for robot in &report.robots {
+        let joints = robot.joints.join(", ");
+        writeln!(
+            out,
+            "{} (from {}), {} → {}: {joints}",
+            robot.name, robot.source, robot.base, robot.tip
+        )?;
+    }
+    writeln!(out, "\n{}", table(&report.streams).trim_fmt())
+}
+
+fn table(streams: &[StreamRow]) -> Table {
+    const COUNT: usize = 4;
+    const SPAN: usize = 6;
+    let header = ["topic", "type", "frames", "role", "count", "Hz", "span s", "why"];
+    let mut table = output::table(header);
+    for stream in streams {
+        table.add_row([
+            stream.topic.clone(),
+            stream.type_name.clone(),
+            frames(stream),
+            stream.role.to_owned(),
+            stream.count.to_string(),
+            stream.rate_hz.map_or(String::new(), |rate_hz| format!("{rate_hz:.1}")),
+            span_s(stream).map_or(String::new(), |span_s| format!("{span_s:.1}")),
+            stream.reason.clone(),
+        ]);
+    }
+    for number in COUNT..=SPAN {
+        if let Some(column) = table.column_mut(number) {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+    }
+    table
+}
+
+/// `parent → child`, as far as the messages name them.
+fn frames(stream: &StreamRow) -> String {
+    match (&stream.frame_id, &stream.child_frame_id) {
+        (Some(parent), Some(child)) => format!("{parent} → {child}"),
+        (Some(frame), None) | (None, Some(frame)) => frame.clone(),
+        (None, None) => String::new(),
+    }
+}
+
+fn span_s(stream: &StreamRow) -> Option<f64> {
+    let (start, end) = (stream.start_ns?, stream.end_ns?);
+    Some(seconds(end.nanos().saturating_sub(start.nanos())))
+}

@@ -1,0 +1,98 @@
+//! The command line: what is asked, and how that ended.
+//!
+//! Reports go to stdout or to `--output`; messages go to stderr.
+
+mod audit;
+mod demo;
+mod explain;
+mod info;
+mod output;
+mod rules;
+
+use clap::{Parser, Subcommand};
+use poseaudit::report::{Report, Trouble, TroubleKind, Verdict};
+
+/// How a command ended, as its exit status tells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// Nothing at or above `--fail-on`.
+    Clean,
+    /// A finding, or a required rule that could not conclude.
+    Findings,
+    /// The call cannot be followed.
+    Misuse,
+    /// The log cannot be audited.
+    Unusable,
+}
+
+impl From<TroubleKind> for Outcome {
+    fn from(kind: TroubleKind) -> Self {
+        match kind {
+            TroubleKind::Call => Outcome::Misuse,
+            TroubleKind::Log => Outcome::Unusable,
+        }
+    }
+}
+
+impl From<&Report> for Outcome {
+    fn from(report: &Report) -> Self {
+        match (&report.error, report.verdict) {
+            (Some(trouble), _) => trouble.kind.into(),
+            (None, Verdict::Fail) => Outcome::Findings,
+            (None, Verdict::Pass | Verdict::Inconclusive) => Outcome::Clean,
+        }
+    }
+}
+
+/// Says which of a robot arm's recorded poses, stamps and conventions cannot be right.
+///
+/// Reads one recorded run, recomputes where the arm must have been, and names the cause, by how
+/// much, and how sure it is.
+#[derive(Debug, Parser)]
+#[command(version, disable_help_subcommand = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Audit(Box<audit::Args>),
+    Info(info::Args),
+    Demo(demo::Args),
+    Rules(rules::Args),
+    Explain(explain::Args),
+}
+
+/// Follows the command line. What is wrong with the call itself is said by `clap`, which ends the
+/// process with status 2.
+pub fn run() -> Outcome {
+    let result = match Cli::parse().command {
+        Command::Audit(args) => audit::run(*args),
+        Command::Info(args) => info::run(&args),
+        Command::Demo(args) => demo::run(&args),
+        Command::Rules(args) => rules::run(&args),
+        Command::Explain(args) => explain::run(&args),
+    };
+    result.unwrap_or_else(|trouble| {
+        output::error(&trouble);
+        trouble.kind.into()
+    })
+}
+
+/// A trouble with the option `place`.
+fn misuse(place: impl Into<String>, what: impl Into<String>, remedy: impl Into<String>) -> Trouble {
+    let kind = TroubleKind::Call;
+    Trouble { kind, what: what.into(), place: place.into(), remedy: remedy.into() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_arguments_are_consistent() {
+        Cli::command().debug_assert();
+    }
+}

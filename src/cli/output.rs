@@ -1,0 +1,64 @@
+//! Where output goes: stdout with colours only where somebody sees them, files without.
+
+use std::fmt::Display;
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::Path;
+
+use anstream::{AutoStream, StripStream};
+use anstyle::{AnsiColor, Style};
+use comfy_table::{Table, presets};
+use poseaudit::report::Trouble;
+
+const ERROR: Style = AnsiColor::Red.on_default().bold();
+
+/// One line on stderr that says what is wrong.
+pub fn error(what: impl Display) {
+    anstream::eprintln!("{ERROR}error:{ERROR:#} {what}");
+}
+
+/// A table without lines around its cells.
+pub fn table<'a>(header: impl IntoIterator<Item = &'a str>) -> Table {
+    let mut table = Table::new();
+    table.load_preset(presets::NOTHING).set_header(header);
+    for column in table.column_iter_mut() {
+        column.set_padding((0, 2));
+    }
+    table
+}
+
+/// Hands what `write` writes to the file at `path`, whose parents are made, else to stdout.
+///
+/// A reader of stdout who has seen enough is no error.
+pub fn emit(
+    path: Option<&Path>,
+    write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+) -> Result<(), Trouble> {
+    let mut text = Vec::new();
+    match path {
+        None => match write(&mut text).and_then(|()| to_stdout(&text)) {
+            Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+                let remedy = "see where stdout goes, or use --output PATH";
+                Err(super::misuse("stdout", format!("cannot be written: {error}"), remedy))
+            }
+            _ => Ok(()),
+        },
+        Some(path) => write(&mut text).and_then(|()| to_file(path, &text)).map_err(|error| {
+            let place = path.display().to_string();
+            super::misuse(place, format!("cannot be written: {error}"), "name another --output")
+        }),
+    }
+}
+
+fn to_stdout(text: &[u8]) -> io::Result<()> {
+    let mut stdout = AutoStream::auto(io::stdout().lock());
+    stdout.write_all(text)?;
+    stdout.flush()
+}
+
+fn to_file(path: &Path, text: &[u8]) -> io::Result<()> {
+    if let Some(parent) = path.parent() {
+        fs::create_dir_all(parent)?;
+    }
+    StripStream::new(File::create(path)?).write_all(text)
+}

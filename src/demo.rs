@@ -1,0 +1,109 @@
+//! The demo: a log with four faults planted together, audited, and held against what was planted.
+
+use std::fs::{self, File};
+use std::io::BufWriter;
+use std::path::Path;
+
+use crate::audit::Options;
+use crate::finding::{Estimate, Finding};
+use crate::report::{Report, Trouble, TroubleKind};
+use crate::synth;
+
+/// A demo run: what was planted, and what the audit made of it.
+#[derive(Clone, Debug)]
+pub struct Demo {
+    /// The report on the log.
+    pub report: Report,
+    /// The faults.
+    pub planted: Vec<Planted>,
+}
+
+/// A planted fault.
+#[derive(Clone, Debug)]
+pub struct Planted {
+    /// The fault, in words, with its amount.
+    pub what: String,
+    /// Whether the audit named it with its amount.
+    pub recovered: bool,
+}
+
+/// Writes a faulty log of a UR5e into `dir` as `demo.mcap`, and audits it.
+///
+/// # Errors
+/// Where the log cannot be written, or the audit has trouble with it.
+pub fn demo(dir: &Path) -> Result<Demo, Trouble> {
+    let log = dir.join("demo.mcap");
+    write(dir, &log).map_err(|error| Trouble {
+        kind: TroubleKind::Call,
+        what: error.to_string(),
+        place: log.display().to_string(),
+        remedy: "name a folder that can be written to".to_owned(),
+    })?;
+    let report = crate::audit(&Options { logs: vec![log], ..Options::default() })?;
+    let planted = planted(&report.findings);
+    Ok(Demo { report, planted })
+}
+
+fn write(dir: &Path, log: &Path) -> Result<(), Box<dyn std::error::Error>> {
+    fs::create_dir_all(dir)?;
+    let out = BufWriter::new(File::create(log)?);
+    synth::demo().write_mcap(out, Some(mcap::Compression::Zstd))?;
+    Ok(())
+}
+
+/// Each fault of [`synth::demo`], and whether a finding names it with its amount.
+fn planted(findings: &[Finding]) -> Vec<Planted> {
+    let named = |code: &str, topic: Option<&str>, joint: Option<&str>| {
+        let subject = move |finding: &&Finding| {
+            finding.code == code
+                && finding.subject.topic.as_deref() == topic
+                && finding.subject.joint.as_deref() == joint
+        };
+        findings
+            .iter()
+            .filter(subject)
+            .filter_map(|finding| finding.estimate.as_ref())
+            .collect::<Vec<_>>()
+    };
+    let amount = |estimates: Vec<&Estimate>, value: f64, tolerance: f64| {
+        estimates
+            .iter()
+            .filter_map(|estimate| estimate.value())
+            .any(|found| (found - value).abs() <= tolerance)
+    };
+    let run = synth::demo();
+    let latency_s = run.pose.timing.latency_s;
+    let (lift, zero_rad) = ("shoulder_lift_joint", run.joints.zero_offsets[1]);
+    let drift_rad_s = run.imu.yaw_drift_rad_s;
+    let degrees_a_minute = |rad_s: f64| rad_s.to_degrees() * 60.0;
+    let misread = named("ORD001", Some(synth::POSE), None)
+        .iter()
+        .any(|estimate| estimate.convention() == Some(("rotvec", "euler:xyz")));
+    let pose = synth::POSE;
+    vec![
+        Planted {
+            what: format!("rotation vector read as roll-pitch-yaw on {pose}"),
+            recovered: misread,
+        },
+        Planted {
+            what: format!("{pose} {:.0} ms late", latency_s * 1e3),
+            recovered: amount(named("LAT001", Some(pose), None), latency_s, 1e-3),
+        },
+        Planted {
+            what: format!("zero of {lift} off by {:+.1}°", zero_rad.to_degrees()),
+            recovered: amount(named("ZER001", None, Some(lift)), zero_rad, 0.05_f64.to_radians()),
+        },
+        Planted {
+            what: format!(
+                "yaw of {} drifting {:+.1} °/min",
+                synth::IMU,
+                degrees_a_minute(drift_rad_s)
+            ),
+            recovered: amount(
+                named("YAW001", Some(synth::IMU), None),
+                drift_rad_s,
+                0.15_f64.to_radians() / 60.0,
+            ),
+        },
+    ]
+}

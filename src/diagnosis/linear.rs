@@ -1,0 +1,346 @@
+//! Linear least squares under correlated noise: residuals with their design, weights, normal
+//! equations, and the covariance of what they give.
+
+use super::noise::Noise;
+use nalgebra::{DMatrix, DVector};
+
+/// Residuals beyond this many standard deviations lose weight (Huber).
+const HUBER: f64 = 3.0;
+
+/// Eigenvalues of the scaled normal matrix below this are directions that the log does not show.
+const BLIND: f64 = 1e-9;
+
+/// A stream's residuals and design, linearised about a state.
+///
+/// Each sample has one residual of three components a kind: position and rotation of a pose, the
+/// rotation alone of an IMU.
+pub(super) struct Linear {
+    /// Parameters.
+    pub width: usize,
+    /// Residuals by kind, one a sample.
+    pub residual: Vec<Vec<[f64; 3]>>,
+    /// No statistics below these standard deviations, by kind, in the kind's unit.
+    floor: Vec<f64>,
+    /// Three rows a kind and sample of `width` derivatives.
+    design: Vec<f64>,
+}
+
+/// The rows of one sample, to be filled.
+pub(super) struct Rows<'a> {
+    values: &'a mut [f64],
+    width: usize,
+}
+
+impl Rows<'_> {
+    /// Sets the derivatives of the residual of `kind` by parameter `column`.
+    pub fn set(&mut self, kind: usize, column: usize, derivative: [f64; 3]) {
+        for (axis, value) in derivative.into_iter().enumerate() {
+            self.values[(kind * 3 + axis) * self.width + column] = value;
+        }
+    }
+}
+
+/// How much each residual of one kind counts.
+pub(super) struct Weight {
+    pub noise: Noise,
+    /// Huber weight of each sample, 0 to 1.
+    robust: Vec<f64>,
+}
+
+impl Linear {
+    /// No samples yet of `width` parameters, with one kind for each entry of `floor`.
+    pub fn new(width: usize, floor: &[f64]) -> Self {
+        let residual = floor.iter().map(|_| Vec::new()).collect();
+        Self { width, residual, floor: floor.to_vec(), design: Vec::new() }
+    }
+
+    /// Appends a sample with its residual of each kind; its derivatives, all zero, are handed out.
+    pub fn push(&mut self, residuals: &[[f64; 3]]) -> Rows<'_> {
+        for (column, residual) in self.residual.iter_mut().zip(residuals) {
+            column.push(*residual);
+        }
+        let start = self.design.len();
+        self.design.resize(start + 3 * self.kinds() * self.width, 0.0);
+        Rows { values: &mut self.design[start..], width: self.width }
+    }
+
+    /// Number of samples.
+    pub fn len(&self) -> usize {
+        self.residual.first().map_or(0, Vec::len)
+    }
+
+    fn kinds(&self) -> usize {
+        self.floor.len()
+    }
+
+    fn row(&self, sample: usize, row: usize) -> &[f64] {
+        let start = (sample * 3 * self.kinds() + row) * self.width;
+        &self.design[start..start + self.width]
+    }
+
+    fn residual(&self, sample: usize, row: usize) -> f64 {
+        self.residual[row / 3][sample][row % 3]
+    }
+
+    /// The residuals that remain after a step of the parameters, by kind.
+    fn after(&self, step: &[f64]) -> Vec<Vec<[f64; 3]>> {
+        let remaining = |sample: usize, kind: usize| -> [f64; 3] {
+            std::array::from_fn(|axis| {
+                let row = self.row(sample, 3 * kind + axis);
+                let explained: f64 = row.iter().zip(step).map(|(a, d)| a * d).sum();
+                self.residual[kind][sample][axis] - explained
+            })
+        };
+        let of_kind = |kind: usize| (0..self.len()).map(|sample| remaining(sample, kind)).collect();
+        (0..self.kinds()).map(of_kind).collect()
+    }
+
+    /// Weights before anything is known: the spread of the residuals themselves, taken as white.
+    pub fn first_weights(&self) -> Vec<Weight> {
+        let of_kind = |(residual, &floor): (&Vec<[f64; 3]>, &f64)| Weight {
+            noise: Noise { sigma: robust_sigma(residual).max(floor), share: 0.0, rho: 0.0 },
+            robust: vec![1.0; residual.len()],
+        };
+        self.residual.iter().zip(&self.floor).map(of_kind).collect()
+    }
+
+    /// Weights from what a step leaves of the residuals.
+    pub fn weights_after(&self, step: &[f64]) -> Vec<Weight> {
+        let of_kind = |(residual, &floor): (Vec<[f64; 3]>, &f64)| {
+            let robust = huber(&residual, floor);
+            Weight { noise: Noise::of(&residual, &robust, floor), robust }
+        };
+        self.after(step).into_iter().zip(&self.floor).map(of_kind).collect()
+    }
+
+    /// Adds this stream's normal equations into `normal`; `columns` maps its parameters.
+    ///
+    /// Each row counts as `1 / inflation` independent ones, so that costs are those of
+    /// independent samples.
+    pub fn accumulate(&self, weights: &[Weight], columns: &[usize], normal: &mut Normal) {
+        let width = self.width;
+        let mut block = DMatrix::<f64>::zeros(width, width);
+        let mut right = DVector::<f64>::zeros(width);
+        for sample in 0..self.len() {
+            for r in 0..3 * self.kinds() {
+                let weight = weights[r / 3].of(sample) / weights[r / 3].noise.inflation();
+                let (row, residual) = (self.row(sample, r), self.residual(sample, r));
+                normal.cost += weight * residual * residual;
+                for i in 0..width {
+                    let scaled = weight * row[i];
+                    if scaled == 0.0 {
+                        continue;
+                    }
+                    right[i] += scaled * residual;
+                    for j in 0..=i {
+                        block[(i, j)] += scaled * row[j];
+                    }
+                }
+            }
+        }
+        for i in 0..width {
+            normal.right[columns[i]] += right[i];
+            for j in 0..=i {
+                let value = block[(i, j)];
+                normal.matrix[(columns[i], columns[j])] += value;
+                if i != j {
+                    normal.matrix[(columns[j], columns[i])] += value;
+                }
+            }
+        }
+        let samples = self.len() as f64;
+        let independent = weights.iter().map(|weight| 3.0 * samples / weight.noise.inflation());
+        normal.independent += independent.sum::<f64>();
+    }
+
+    /// Adds `Aᵀ W A` over the chosen parameters into `information`, and into `scores` the covariance
+    /// of the score under correlated noise, `Σ_k Σ_l A_kᵀ W γ(k−l) W A_l`: the two parts of a
+    /// sandwich covariance (White 1980; Newey and West 1987, with the autocovariance of [`Noise`] in
+    /// place of a truncated one). `columns` says where each own parameter goes, if anywhere.
+    pub fn accumulate_covariance(
+        &self,
+        weights: &[Weight],
+        columns: &[Option<usize>],
+        information: &mut DMatrix<f64>,
+        scores: &mut DMatrix<f64>,
+    ) {
+        let chosen: Vec<(usize, usize)> = columns
+            .iter()
+            .enumerate()
+            .filter_map(|(own, target)| target.map(|t| (own, t)))
+            .collect();
+        let rows = 3 * self.kinds();
+        let mut past = vec![0.0; chosen.len() * rows];
+        let mut now = vec![0.0; chosen.len() * rows];
+        for sample in 0..self.len() {
+            for r in 0..rows {
+                let weight = weights[r / 3].of(sample);
+                let row = self.row(sample, r);
+                for (c, &(own, _)) in chosen.iter().enumerate() {
+                    now[c * rows + r] = weight * row[own];
+                }
+            }
+            for (a, &(own_a, target_a)) in chosen.iter().enumerate() {
+                for (b, &(_, target_b)) in chosen[..=a].iter().enumerate() {
+                    let (mut score, mut seen) = (0.0, 0.0);
+                    for r in 0..rows {
+                        let Noise { sigma, share, .. } = weights[r / 3].noise;
+                        let (a, b) = (a * rows + r, b * rows + r);
+                        let crossed = now[a] * past[b] + past[a] * now[b];
+                        score += sigma * sigma * (now[a] * now[b] + share * crossed);
+                        seen += self.row(sample, r)[own_a] * now[b];
+                    }
+                    for (matrix, sum) in [(&mut *scores, score), (&mut *information, seen)] {
+                        matrix[(target_a, target_b)] += sum;
+                        if target_a != target_b {
+                            matrix[(target_b, target_a)] += sum;
+                        }
+                    }
+                }
+            }
+            for (i, (past, now)) in past.iter_mut().zip(&now).enumerate() {
+                *past = weights[(i % rows) / 3].noise.rho * (*past + now);
+            }
+        }
+    }
+}
+
+impl Weight {
+    fn of(&self, sample: usize) -> f64 {
+        self.robust[sample] / self.noise.sigma.powi(2)
+    }
+}
+
+/// Normal equations over all parameters of a model.
+pub(super) struct Normal {
+    /// `Aᵀ W A`.
+    pub matrix: DMatrix<f64>,
+    /// `Aᵀ W r`.
+    pub right: DVector<f64>,
+    /// `rᵀ W r`.
+    pub cost: f64,
+    /// Number of residual components, counted as independent ones.
+    pub independent: f64,
+}
+
+impl Normal {
+    /// Those of no samples.
+    pub fn zeros(width: usize) -> Self {
+        Self {
+            matrix: DMatrix::zeros(width, width),
+            right: DVector::zeros(width),
+            cost: 0.0,
+            independent: 0.0,
+        }
+    }
+
+    /// The step that minimises the cost over `free` and takes every other parameter, now at
+    /// `values`, back to zero.
+    pub fn step(&self, values: &DVector<f64>, free: &[usize]) -> DVector<f64> {
+        let mut step = -values;
+        for &parameter in free {
+            step[parameter] = 0.0;
+        }
+        if free.is_empty() {
+            return step;
+        }
+        let right = &self.right - &self.matrix * &step;
+        let n = free.len();
+        let right = DVector::from_fn(n, |i, _| right[free[i]]);
+        let (matrix, scale) = self.scaled(free);
+        let solution = match matrix.cholesky() {
+            Some(cholesky) if cholesky.l_dirty().diagonal().min() > BLIND.sqrt() => {
+                cholesky.solve(&right.component_mul(&scale)).component_mul(&scale)
+            }
+            _ => {
+                let matrix = DMatrix::from_fn(n, n, |i, j| self.matrix[(free[i], free[j])]);
+                pseudo_inverse(&matrix).0 * right
+            }
+        };
+        for (i, &parameter) in free.iter().enumerate() {
+            step[parameter] = solution[i];
+        }
+        step
+    }
+
+    /// The cost after a step.
+    pub fn cost_after(&self, step: &DVector<f64>) -> f64 {
+        self.cost - 2.0 * self.right.dot(step) + step.dot(&(&self.matrix * step))
+    }
+
+    /// The least share of any of `parameters`' effects that the others before it do not explain.
+    pub fn separation(&self, parameters: &[usize]) -> f64 {
+        let cholesky = self.scaled(parameters).0.cholesky();
+        cholesky.map_or(0.0, |cholesky| cholesky.l_dirty().diagonal().min().powi(2))
+    }
+
+    /// The rows and columns `parameters` scaled to a unit diagonal, and the scale.
+    fn scaled(&self, parameters: &[usize]) -> (DMatrix<f64>, DVector<f64>) {
+        let n = parameters.len();
+        let at = |i: usize, j: usize| self.matrix[(parameters[i], parameters[j])];
+        let scale = DVector::from_fn(n, |i, _| at(i, i).max(f64::MIN_POSITIVE).sqrt().recip());
+        (DMatrix::from_fn(n, n, |i, j| at(i, j) * scale[i] * scale[j]), scale)
+    }
+}
+
+/// The sandwich covariance `H⁻¹ S H⁻¹`; infinite variances where the log does not show a parameter.
+pub(super) fn sandwich(information: &DMatrix<f64>, scores: &DMatrix<f64>) -> DMatrix<f64> {
+    let (inverse, blind) = pseudo_inverse(information);
+    let mut covariance = &inverse * scores * &inverse;
+    for (i, &share) in blind.iter().enumerate() {
+        if share > 1e-3 {
+            covariance[(i, i)] = f64::INFINITY;
+        }
+    }
+    covariance
+}
+
+/// Huber weights of three-component residuals against their own robust spread.
+fn huber(residual: &[[f64; 3]], floor: f64) -> Vec<f64> {
+    let limit = HUBER * robust_sigma(residual).max(floor) * 3f64.sqrt();
+    residual
+        .iter()
+        .map(|r| {
+            let norm = r.iter().map(|c| c * c).sum::<f64>().sqrt();
+            if norm <= limit { 1.0 } else { limit / norm }
+        })
+        .collect()
+}
+
+/// Standard deviation of one component by the median magnitude of all.
+fn robust_sigma(residual: &[[f64; 3]]) -> f64 {
+    /// Standard deviations in a median magnitude of normal noise.
+    const NORMAL: f64 = 1.4826;
+    let mut magnitudes: Vec<f64> = residual.iter().flatten().map(|c| c.abs()).collect();
+    if magnitudes.is_empty() {
+        return 0.0;
+    }
+    let middle = magnitudes.len() / 2;
+    NORMAL * *magnitudes.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// Inverse on the directions that the log shows, and for each parameter the share of it (0 to 1)
+/// that lies in directions that it does not.
+fn pseudo_inverse(matrix: &DMatrix<f64>) -> (DMatrix<f64>, Vec<f64>) {
+    let n = matrix.nrows();
+    let scale = DVector::from_fn(n, |i, _| {
+        let diagonal = matrix[(i, i)];
+        if diagonal > 0.0 { diagonal.sqrt().recip() } else { 0.0 }
+    });
+    let scaled = DMatrix::from_fn(n, n, |i, j| matrix[(i, j)] * scale[i] * scale[j]);
+    let eigen = scaled.symmetric_eigen();
+    let mut inverse = DMatrix::zeros(n, n);
+    let mut blind: Vec<f64> = scale.iter().map(|&s| if s > 0.0 { 0.0 } else { 1.0 }).collect();
+    for (k, &value) in eigen.eigenvalues.iter().enumerate() {
+        let direction = eigen.eigenvectors.column(k);
+        if value > BLIND {
+            inverse += direction * direction.transpose() / value;
+        } else {
+            for i in 0..n {
+                blind[i] += direction[i] * direction[i];
+            }
+        }
+    }
+    let inverse = DMatrix::from_fn(n, n, |i, j| inverse[(i, j)] * scale[i] * scale[j]);
+    (inverse, blind)
+}

@@ -1,0 +1,523 @@
+//! What an audit says: a finding, its estimate with the interval, and the outcome it comes from.
+
+use serde::{Serialize, Serializer};
+use serde_json::{Map, Value};
+
+use crate::diagnosis::Measured;
+use crate::time::Stamp;
+
+/// How grave a finding is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Severity {
+    /// Worth knowing; nothing is wrong.
+    Info,
+    /// Wrong, by more than the rule's first figure.
+    Warning,
+    /// Wrong, by more than the rule's second figure, or a fault that has no amount.
+    Error,
+}
+
+impl Severity {
+    /// The word used in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Severity::Info => "info",
+            Severity::Warning => "warning",
+            Severity::Error => "error",
+        }
+    }
+}
+
+/// What a rule was asked about.
+#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub struct Subject {
+    /// Name of the robot.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub robot: Option<String>,
+    /// Topic, or the file where a whole file is meant.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub topic: Option<String>,
+    /// Joint name.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub joint: Option<String>,
+    /// Name of a coordinate frame.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frame: Option<String>,
+}
+
+impl Subject {
+    /// Joint, topic, or whatever says most shortly what is meant; empty for the whole run.
+    pub fn label(&self) -> &str {
+        let first =
+            [&self.joint, &self.topic, &self.frame, &self.robot].into_iter().flatten().next();
+        first.map_or("", String::as_str)
+    }
+}
+
+/// First and last stamp of what was looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Span {
+    /// First stamp.
+    pub start: Stamp,
+    /// Last stamp.
+    pub end: Stamp,
+}
+
+impl Span {
+    /// Length of the span, s.
+    pub fn seconds(&self) -> f64 {
+        self.end.seconds_since(self.start)
+    }
+}
+
+/// The unit of an amount: SI where it is stored, everyday units where it is shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unit {
+    /// Metres; people read mm.
+    Metre,
+    /// Radians; people read degrees.
+    Radian,
+    /// Seconds; people read ms.
+    Second,
+    /// Radians a second; people read degrees a minute.
+    RadianPerSecond,
+}
+
+impl Unit {
+    /// The unit's symbol in SI, as the JSON report has it.
+    pub const fn symbol(self) -> &'static str {
+        match self {
+            Unit::Metre => "m",
+            Unit::Radian => "rad",
+            Unit::Second => "s",
+            Unit::RadianPerSecond => "rad/s",
+        }
+    }
+
+    /// Amounts smaller than this are zero, before any statistics.
+    pub const fn noise_floor(self) -> f64 {
+        match self {
+            Unit::Metre | Unit::Radian | Unit::Second => 1e-6,
+            Unit::RadianPerSecond => 0.0,
+        }
+    }
+
+    /// The 95 % interval of `measured`, never narrower than the noise floor; `None` where there is
+    /// none.
+    pub fn interval95(self, measured: &Measured) -> Option<[f64; 2]> {
+        let half = self.half_width(measured, 0.95);
+        let interval = [measured.value - half, measured.value + half];
+        interval.iter().all(|end| end.is_finite()).then_some(interval)
+    }
+
+    /// Half the width of the interval at `confidence`, never below the noise floor.
+    pub fn half_width(self, measured: &Measured, confidence: f64) -> f64 {
+        measured.half_width(confidence).max(self.noise_floor())
+    }
+
+    /// `value` as a person says it: `22.03 ms`, `0.5°`.
+    pub fn show(self, value: f64) -> String {
+        let (factor, suffix) = self.everyday(value.abs());
+        let shown = value * factor;
+        format!("{}{suffix}", trimmed(shown, significant_decimals(shown.abs(), 3).min(4)))
+    }
+
+    /// The amount with the half-width of its 95 % interval: `22.03 ± 0.02 ms`.
+    pub fn show_measured(self, measured: &Measured) -> String {
+        self.show_interval(measured.value, self.half_width(measured, 0.95), false)
+    }
+
+    /// As [`Unit::show_measured`], with the sign always there: `+0.500 ± 0.001°`.
+    pub fn show_signed(self, measured: &Measured) -> String {
+        self.show_interval(measured.value, self.half_width(measured, 0.95), true)
+    }
+
+    fn show_interval(self, value: f64, half: f64, signed: bool) -> String {
+        if !half.is_finite() {
+            return format!("{} ± ?", self.show(value));
+        }
+        let (factor, suffix) = self.everyday(value.abs().max(half));
+        let (value, half) = (value * factor, half * factor);
+        let decimals = significant_decimals(half, 1).min(3);
+        // Rounded up, so that the interval shown covers the one meant.
+        let ulp = 10f64.powi(-(decimals as i32));
+        let half = ((half / ulp - 1e-9).ceil() * ulp).max(ulp);
+        match signed {
+            true => format!("{value:+.decimals$} ± {half:.decimals$}{suffix}"),
+            false => format!("{value:.decimals$} ± {half:.decimals$}{suffix}"),
+        }
+    }
+
+    /// Factor and suffix of the everyday unit that suits an amount of size `size`.
+    fn everyday(self, size: f64) -> (f64, &'static str) {
+        match self {
+            Unit::Metre if size >= 1.0 => (1.0, " m"),
+            Unit::Metre if size >= 1e-4 => (1e3, " mm"),
+            Unit::Metre => (1e6, " µm"),
+            Unit::Radian => (1f64.to_degrees(), "°"),
+            Unit::Second if size >= 1.0 => (1.0, " s"),
+            Unit::Second if size >= 1e-4 => (1e3, " ms"),
+            Unit::Second => (1e6, " µs"),
+            Unit::RadianPerSecond => (60.0 * 1f64.to_degrees(), " °/min"),
+        }
+    }
+}
+
+/// Decimals that show `digits` significant digits of `size`.
+fn significant_decimals(size: f64, digits: i32) -> usize {
+    if size <= 0.0 || !size.is_finite() {
+        return 0;
+    }
+    let leading = size.log10().floor() as i32;
+    (digits - 1 - leading).clamp(0, 12) as usize
+}
+
+/// `value` with at most `decimals` decimals, without zeros at the end.
+fn trimmed(value: f64, decimals: usize) -> String {
+    let text = format!("{value:.decimals$}");
+    if !text.contains('.') {
+        return text;
+    }
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+/// An amount, or a reading, as the contract's table of estimates has it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum Estimate {
+    /// One number.
+    Amount {
+        /// What it is.
+        name: &'static str,
+        /// The number, in `unit`.
+        value: f64,
+        /// SI symbol.
+        unit: &'static str,
+        /// 95 % interval.
+        ci95: Option<[f64; 2]>,
+    },
+    /// A length and an angle: the norms of a frame error, or two rms.
+    Frame {
+        /// What it is.
+        name: &'static str,
+        /// Length, m.
+        value: f64,
+        /// SI symbol of `value`.
+        unit: &'static str,
+        /// 95 % interval of `value`.
+        ci95: Option<[f64; 2]>,
+        /// The angle, rad.
+        rotation: Angle,
+    },
+    /// Three numbers that are of one convention, and that somebody read as another.
+    Convention {
+        /// Always `convention`.
+        name: &'static str,
+        /// What the numbers are.
+        is: String,
+        /// What they were read as.
+        read_as: String,
+        /// Readings that no log, or not this one, can tell from it.
+        equivalent: Vec<ReadAs>,
+        /// The next best reading, and how many times more it leaves.
+        runner_up: Option<RunnerUp>,
+    },
+    /// One of two ways to write the same thing, taken for the other.
+    Slip {
+        /// What was mixed up.
+        name: &'static str,
+        /// What it is.
+        is: &'static str,
+        /// What it was read as.
+        read_as: &'static str,
+    },
+    /// Numbers that stand under the wrong names.
+    Order {
+        /// What is out of order.
+        name: &'static str,
+        /// Whose number stands at each place.
+        is: Vec<String>,
+        /// Whose name stands at each place.
+        read_as: Vec<String>,
+        /// The same as `is`: the names in the order that the numbers are in.
+        permutation: Vec<String>,
+    },
+}
+
+impl Estimate {
+    /// The number, in SI units, where it is one.
+    pub fn value(&self) -> Option<f64> {
+        match self {
+            Estimate::Amount { value, .. } | Estimate::Frame { value, .. } => Some(*value),
+            Estimate::Convention { .. } | Estimate::Slip { .. } | Estimate::Order { .. } => None,
+        }
+    }
+
+    /// What the numbers are and what they were read as, where it is a convention.
+    pub fn convention(&self) -> Option<(&str, &str)> {
+        match self {
+            Estimate::Convention { is, read_as, .. } => Some((is, read_as)),
+            _ => None,
+        }
+    }
+
+    /// The estimate of one number.
+    pub fn amount(name: &'static str, unit: Unit, measured: &Measured) -> Self {
+        Estimate::Amount {
+            name,
+            value: measured.value,
+            unit: unit.symbol(),
+            ci95: unit.interval95(measured),
+        }
+    }
+
+    /// The estimate of a length in m and an angle in rad, neither of which can be negative.
+    pub fn frame(name: &'static str, length: &Measured, angle: &Measured) -> Self {
+        let of_norm = |ends: [f64; 2]| ends.map(|end| end.max(0.0));
+        Estimate::Frame {
+            name,
+            value: length.value,
+            unit: Unit::Metre.symbol(),
+            ci95: Unit::Metre.interval95(length).map(of_norm),
+            rotation: Angle {
+                value: angle.value,
+                ci95: Unit::Radian.interval95(angle).map(of_norm),
+            },
+        }
+    }
+}
+
+/// The angle of a frame estimate.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Angle {
+    /// The angle, rad.
+    pub value: f64,
+    /// 95 % interval, rad.
+    pub ci95: Option<[f64; 2]>,
+}
+
+/// What numbers are, and what they were read as.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct ReadAs {
+    /// What they are.
+    pub is: String,
+    /// What they were read as.
+    pub read_as: String,
+}
+
+/// The reading that comes second.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RunnerUp {
+    /// What the numbers would be.
+    pub is: String,
+    /// What they would have been read as.
+    pub read_as: String,
+    /// Its residual over that of the best reading.
+    pub ratio: f64,
+}
+
+/// Another cause that does the same to this log.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Alternative {
+    /// The rule that would name it.
+    pub code: &'static str,
+    /// Its subject.
+    pub subject: Subject,
+    /// How much of it would be needed.
+    pub estimate: Option<Estimate>,
+}
+
+/// What a finding rests on.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Evidence {
+    /// Causes that this log cannot tell from the one named.
+    pub indistinguishable: Vec<Alternative>,
+    /// What the fault does, in words.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub effect: Option<String>,
+    /// What the fault moves the tip by, m, where that can be said.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub effect_m: Option<f64>,
+    /// What the rule adds; its documentation names the keys.
+    #[serde(flatten)]
+    pub more: Map<String, Value>,
+}
+
+/// What a rule found wrong with its subject.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Fault {
+    /// How grave it is.
+    pub severity: Severity,
+    /// The fault in a few words, without figures.
+    pub title: &'static str,
+    /// The fault in one clause: lower-case start, no final period, the figure with its unit.
+    pub message: String,
+    /// What it rests on.
+    pub evidence: Evidence,
+    /// What to do about it.
+    pub fix: String,
+}
+
+/// What came of asking a rule about a subject.
+///
+/// "Not looked at" cannot be taken for "fine": only [`Outcome::Evaluated`] decides.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Outcome {
+    /// The rule decided.
+    Evaluated(Ruling),
+    /// The log does not tell; why, and what would.
+    Inconclusive(String),
+    /// No such log could tell it from another cause; from which.
+    Indistinguishable(String),
+    /// The input is not in the log; which.
+    Skipped(String),
+}
+
+/// What a rule decided.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Ruling {
+    /// Nothing is wrong; a remark where that needs one.
+    Sound(Option<String>),
+    /// Something is.
+    Faulty(Box<Fault>),
+}
+
+impl Outcome {
+    /// Nothing is wrong.
+    pub fn sound() -> Self {
+        Outcome::Evaluated(Ruling::Sound(None))
+    }
+
+    /// Nothing is wrong, and why that can be said.
+    pub fn sound_because(remark: impl Into<String>) -> Self {
+        Outcome::Evaluated(Ruling::Sound(Some(remark.into())))
+    }
+
+    /// Something is wrong.
+    pub fn faulty(fault: Fault) -> Self {
+        Outcome::Evaluated(Ruling::Faulty(Box::new(fault)))
+    }
+}
+
+/// A finding, as reports list it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Finding {
+    /// Code of the rule.
+    pub code: &'static str,
+    /// How grave it is.
+    pub severity: Severity,
+    /// The fault in a few words.
+    pub title: &'static str,
+    /// The fault in one clause, with its figure.
+    pub message: String,
+    /// What is at fault.
+    pub subject: Subject,
+    /// By how much.
+    pub estimate: Option<Estimate>,
+    /// What it rests on.
+    pub evidence: Evidence,
+    /// What to do about it.
+    pub fix: String,
+    /// First stamp of what was looked at.
+    #[serde(serialize_with = "decimal")]
+    pub start_ns: Option<Stamp>,
+    /// Last stamp of what was looked at.
+    #[serde(serialize_with = "decimal")]
+    pub end_ns: Option<Stamp>,
+}
+
+/// Writes a stamp as the decimal string of its nanoseconds, which JSON's numbers cannot hold.
+pub(crate) fn decimal<S: Serializer>(stamp: &Option<Stamp>, s: S) -> Result<S::Ok, S::Error> {
+    match stamp {
+        Some(stamp) => s.collect_str(stamp),
+        None => s.serialize_none(),
+    }
+}
+
+/// How asking a rule about a subject ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Status {
+    /// Decided: nothing wrong.
+    Pass,
+    /// Decided: there is a finding.
+    Fail,
+    /// The log does not tell.
+    Inconclusive,
+    /// The input is not in the log.
+    Skipped,
+}
+
+impl Status {
+    /// Whether the rule decided.
+    pub fn is_decided(self) -> bool {
+        matches!(self, Status::Pass | Status::Fail)
+    }
+}
+
+/// A rule and a subject it was asked about, as reports list them.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CheckRow {
+    /// Code of the rule.
+    pub code: &'static str,
+    /// Name of the rule.
+    pub name: &'static str,
+    /// What it was asked about.
+    pub subject: Subject,
+    /// How that ended.
+    pub status: Status,
+    /// Why, where the status alone does not say.
+    pub reason: Option<String>,
+    /// What was estimated, whether or not it decided anything.
+    pub estimate: Option<Estimate>,
+    /// What else was seen, where no finding says it.
+    #[serde(skip_serializing_if = "Map::is_empty")]
+    pub evidence: Map<String, Value>,
+    /// Whether no such log could decide it, so that it does not count against the verdict.
+    #[serde(skip)]
+    pub indistinguishable: bool,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn measured(value: f64, std_error: f64) -> Measured {
+        Measured { value, std_error, dof: 1e6 }
+    }
+
+    #[test]
+    fn amounts_read_as_people_say_them() {
+        assert_eq!(Unit::Second.show(0.0231), "23.1 ms");
+        assert_eq!(Unit::Second.show(2.5e-5), "25 µs");
+        assert_eq!(Unit::Metre.show(0.002), "2 mm");
+        assert_eq!(Unit::Metre.show(0.8512), "851 mm");
+        assert_eq!(Unit::Radian.show(0.1f64.to_radians()), "0.1°");
+        assert_eq!(Unit::RadianPerSecond.show(0.2f64.to_radians() / 60.0), "0.2 °/min");
+    }
+
+    #[test]
+    fn an_interval_gives_the_digits_and_is_rounded_up() {
+        assert_eq!(Unit::Second.show_measured(&measured(0.02203, 1.05e-5)), "22.03 ± 0.03 ms");
+        assert_eq!(
+            Unit::Radian.show_signed(&measured(0.5f64.to_radians(), 1e-9)),
+            "+0.500 ± 0.001°"
+        );
+        assert_eq!(Unit::Metre.show_measured(&measured(0.002, f64::NAN)), "2 mm ± ?");
+    }
+
+    #[test]
+    fn an_interval_is_never_narrower_than_the_noise_floor() {
+        assert_eq!(Unit::Metre.interval95(&measured(0.0, 0.0)), Some([-1e-6, 1e-6]));
+        assert_eq!(Unit::Metre.interval95(&measured(0.0, f64::INFINITY)), None);
+    }
+
+    #[test]
+    fn what_is_not_finite_becomes_null() -> Result<(), serde_json::Error> {
+        let estimate = Estimate::amount("latency", Unit::Second, &measured(f64::NAN, 1.0));
+        let json = serde_json::to_string(&estimate)?;
+        assert_eq!(json, r#"{"name":"latency","value":null,"unit":"s","ci95":null}"#);
+        Ok(())
+    }
+}

@@ -1,0 +1,312 @@
+//! What an audit hands out: the report, and one file for each format of it.
+//!
+//! A format only renders. What is in a report is settled when it is made.
+
+pub mod json;
+pub mod text;
+mod trouble;
+
+use std::fmt;
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use crate::checks::{self, Evaluation};
+use crate::finding::{CheckRow, Finding, Severity, Status, decimal};
+use crate::time::Stamp;
+
+pub use trouble::{Trouble, TroubleKind};
+
+/// The report on one run. Its fields stand in the order of the JSON object.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    schema: &'static str,
+    tool: Tool,
+    /// The answer in one word.
+    pub verdict: Verdict,
+    /// Why next to nothing could be evaluated, where that is so.
+    pub error: Option<Trouble>,
+    /// The files.
+    pub log: LogSummary,
+    /// The arms.
+    pub robots: Vec<RobotRow>,
+    /// The topics.
+    pub streams: Vec<StreamRow>,
+    /// A row for every rule asked and every subject it was asked about.
+    pub checks: Vec<CheckRow>,
+    /// What is wrong: the gravest first, then what moves the arm's tip most.
+    pub findings: Vec<Finding>,
+}
+
+#[derive(Clone, Copy, Debug, Serialize)]
+struct Tool {
+    name: &'static str,
+    version: &'static str,
+}
+
+/// The answer in one word.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Verdict {
+    /// Nothing wrong, and the headline rules could tell.
+    Pass,
+    /// There is a finding at or above the severity that fails.
+    Fail,
+    /// Nothing wrong was found, but a headline rule could not tell.
+    Inconclusive,
+}
+
+/// What was read.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct LogSummary {
+    /// The files, in the order given.
+    pub files: Vec<FileRow>,
+    /// Messages read.
+    pub messages: u64,
+    /// First log time.
+    #[serde(serialize_with = "decimal")]
+    pub start_ns: Option<Stamp>,
+    /// Last log time.
+    #[serde(serialize_with = "decimal")]
+    pub end_ns: Option<Stamp>,
+    /// From the first to the last log time, s.
+    pub duration_s: Option<f64>,
+}
+
+/// One file.
+#[derive(Clone, Debug, Serialize)]
+pub struct FileRow {
+    /// Path as given.
+    pub path: PathBuf,
+    /// What kind of file it is.
+    pub container: &'static str,
+    /// Its size.
+    pub bytes: u64,
+    /// How much of it a checksum vouches for: `all`, `partial` or `none`.
+    pub crc: &'static str,
+}
+
+/// One arm.
+#[derive(Clone, Debug, Serialize)]
+pub struct RobotRow {
+    /// Its name.
+    pub name: String,
+    /// Where its model comes from.
+    pub source: String,
+    /// The link that the chain begins at.
+    pub base: String,
+    /// The link that it ends at.
+    pub tip: String,
+    /// Its joints, from base to tip.
+    pub joints: Vec<String>,
+}
+
+/// One topic, or one pair of frames of it.
+#[derive(Clone, Debug, Serialize)]
+pub struct StreamRow {
+    /// Its topic.
+    pub topic: String,
+    /// Type, as the log spells it.
+    #[serde(rename = "type")]
+    pub type_name: String,
+    /// The part it plays.
+    pub role: &'static str,
+    /// Why it plays that part.
+    pub reason: String,
+    /// The robot it belongs to.
+    pub robot: Option<String>,
+    /// The frame its messages name.
+    pub frame_id: Option<String>,
+    /// The child frame its messages name.
+    pub child_frame_id: Option<String>,
+    /// The link that its poses are taken to be in.
+    pub reference: Option<String>,
+    /// The link whose poses they are taken to be.
+    pub link: Option<String>,
+    /// Messages or samples.
+    pub count: u64,
+    /// Samples that could not be used.
+    pub dropped: u64,
+    /// Samples a second.
+    pub rate_hz: Option<f64>,
+    /// First stamp.
+    #[serde(serialize_with = "decimal")]
+    pub start_ns: Option<Stamp>,
+    /// Last stamp.
+    #[serde(serialize_with = "decimal")]
+    pub end_ns: Option<Stamp>,
+}
+
+impl Report {
+    /// The report on what was read and evaluated. A finding of severity `fail_on` or above fails
+    /// the run; `None` lets nothing fail it.
+    pub fn new(
+        log: LogSummary,
+        robots: Vec<RobotRow>,
+        streams: Vec<StreamRow>,
+        evaluation: Evaluation,
+        fail_on: Option<Severity>,
+    ) -> Self {
+        let Evaluation { checks, findings } = evaluation;
+        let verdict = verdict(&checks, &findings, fail_on);
+        let trouble = nothing_evaluated(&log, &checks);
+        let report = Self { verdict, log, robots, streams, checks, findings, ..Self::empty() };
+        match trouble {
+            Some(trouble) => report.with_trouble(trouble),
+            None => report,
+        }
+    }
+
+    /// The report on what a log holds, with nothing evaluated.
+    pub fn of_log(log: LogSummary, robots: Vec<RobotRow>, streams: Vec<StreamRow>) -> Self {
+        Self { log, robots, streams, ..Self::empty() }
+    }
+
+    /// The report where there is nothing to report on but the trouble.
+    pub fn of_trouble(trouble: Trouble) -> Self {
+        Self { error: Some(trouble), ..Self::empty() }
+    }
+
+    /// This report, with what kept it from saying more. It cannot be a pass then.
+    pub fn with_trouble(self, trouble: Trouble) -> Self {
+        let verdict = match self.verdict {
+            Verdict::Pass => Verdict::Inconclusive,
+            verdict => verdict,
+        };
+        Self { verdict, error: Some(trouble), ..self }
+    }
+
+    fn empty() -> Self {
+        Self {
+            schema: "poseaudit.report/1",
+            tool: Tool { name: env!("CARGO_PKG_NAME"), version: env!("CARGO_PKG_VERSION") },
+            verdict: Verdict::Inconclusive,
+            error: None,
+            log: LogSummary::default(),
+            robots: Vec::new(),
+            streams: Vec::new(),
+            checks: Vec::new(),
+            findings: Vec::new(),
+        }
+    }
+
+    /// The rules in `required` that decided nothing, or left a subject open that could be decided.
+    pub fn not_concluded(&self, required: &[checks::Selector]) -> Vec<&'static str> {
+        let rules = checks::registry().iter().map(|rule| rule.code);
+        let required = rules.filter(|code| required.iter().any(|selector| selector.names(code)));
+        required
+            .filter(|code| {
+                let mut rows = self.checks.iter().filter(|row| row.code == *code);
+                let open =
+                    |row: &CheckRow| row.status == Status::Inconclusive && !row.indistinguishable;
+                rows.clone().any(open) || !rows.any(|row| row.status.is_decided())
+            })
+            .collect()
+    }
+}
+
+/// The trouble where rules about an arm were asked and none found its input in the log.
+fn nothing_evaluated(log: &LogSummary, checks: &[CheckRow]) -> Option<Trouble> {
+    let needs_model = |row: &&CheckRow| checks::find(row.code).is_ok_and(|rule| rule.needs_model);
+    let about_arm: Vec<&CheckRow> = checks.iter().filter(needs_model).collect();
+    if about_arm.iter().any(|row| row.status != Status::Skipped) {
+        return None;
+    }
+    let why = about_arm.first()?.reason.as_deref().unwrap_or_default();
+    let file = log.files.first().map(|file| file.path.display().to_string());
+    Some(Trouble {
+        kind: TroubleKind::Log,
+        what: format!("nothing can be audited: {why}"),
+        place: file.unwrap_or_else(|| "the log".to_owned()),
+        remedy: "record the joint states with a pose, /tf or an IMU".to_owned(),
+    })
+}
+
+/// Fail with a finding at or above `fail_on`; else inconclusive where a headline rule found its
+/// input and decided none of its subjects; else pass. Subjects that no such log could decide do not
+/// count.
+fn verdict(checks: &[CheckRow], findings: &[Finding], fail_on: Option<Severity>) -> Verdict {
+    if fail_on.is_some_and(|least| findings.iter().any(|finding| finding.severity >= least)) {
+        return Verdict::Fail;
+    }
+    let undecided = checks::registry().iter().filter(|rule| rule.headline).any(|rule| {
+        let rows = checks.iter().filter(|row| row.code == rule.code);
+        let asked = rows.filter(|row| row.status != Status::Skipped && !row.indistinguishable);
+        let mut asked = asked.peekable();
+        asked.peek().is_some() && !asked.any(|row| row.status.is_decided())
+    });
+    if undecided { Verdict::Inconclusive } else { Verdict::Pass }
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Verdict::Pass => "PASS",
+            Verdict::Fail => "FAIL",
+            Verdict::Inconclusive => "INCONCLUSIVE",
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::finding::Subject;
+    use serde_json::Map;
+
+    fn row(code: &'static str, status: Status, indistinguishable: bool) -> CheckRow {
+        CheckRow {
+            code,
+            name: "",
+            subject: Subject::default(),
+            status,
+            reason: None,
+            estimate: None,
+            evidence: Map::new(),
+            indistinguishable,
+        }
+    }
+
+    fn verdict_of(checks: Vec<CheckRow>) -> Verdict {
+        verdict(&checks, &[], Some(Severity::Warning))
+    }
+
+    #[test]
+    fn a_headline_rule_that_decided_nothing_is_no_pass() {
+        let (open, decided) = (Status::Inconclusive, Status::Pass);
+        assert_eq!(verdict_of(vec![row("LAT001", open, false)]), Verdict::Inconclusive);
+        let one_decided = vec![row("LAT001", open, false), row("LAT001", decided, false)];
+        assert_eq!(verdict_of(one_decided), Verdict::Pass);
+        let skipped = vec![row("LAT001", Status::Skipped, false)];
+        assert_eq!(verdict_of(skipped.clone()), Verdict::Pass);
+        let evaluation = Evaluation { checks: skipped, findings: Vec::new() };
+        let report = Report::new(LogSummary::default(), vec![], vec![], evaluation, None);
+        assert!(report.error.is_some() && report.verdict == Verdict::Inconclusive);
+        assert_eq!(verdict_of(vec![row("FRM001", open, false)]), Verdict::Pass);
+        assert_eq!(verdict_of(vec![row("ZER001", open, true)]), Verdict::Pass);
+    }
+
+    #[test]
+    fn a_required_rule_must_decide_and_leave_nothing_open() -> Result<(), checks::UnknownRule> {
+        let required = ["LAT001".parse()?];
+        let not_concluded = |checks| {
+            Report::new(
+                LogSummary::default(),
+                vec![],
+                vec![],
+                Evaluation { checks, findings: vec![] },
+                None,
+            )
+            .not_concluded(&required)
+        };
+        let pass = row("LAT001", Status::Pass, false);
+        assert!(not_concluded(vec![pass.clone()]).is_empty());
+        assert_eq!(not_concluded(vec![]), ["LAT001"]);
+        assert_eq!(not_concluded(vec![row("LAT001", Status::Skipped, false)]), ["LAT001"]);
+        let open = row("LAT001", Status::Inconclusive, false);
+        assert_eq!(not_concluded(vec![pass.clone(), open]), ["LAT001"]);
+        let by_construction = row("LAT001", Status::Inconclusive, true);
+        assert!(not_concluded(vec![pass, by_construction]).is_empty());
+        Ok(())
+    }
+}

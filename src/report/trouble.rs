@@ -1,0 +1,88 @@
+use serde::Serialize;
+
+use crate::log::LogError;
+use crate::run::RunError;
+
+/// Why a call or a log cannot be worked with: one line, and what to do.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, thiserror::Error)]
+#[error("{place}: {what}; {remedy}")]
+pub struct Trouble {
+    /// Whose fault it is.
+    #[serde(skip)]
+    pub kind: TroubleKind,
+    /// What is wrong.
+    pub what: String,
+    /// Where: a file, a topic, an option.
+    #[serde(rename = "where")]
+    pub place: String,
+    /// What the reader can do.
+    #[serde(rename = "do")]
+    pub remedy: String,
+}
+
+/// Whose fault a [`Trouble`] is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TroubleKind {
+    /// The call's: an option, a file that is not there.
+    Call,
+    /// The log's: unreadable, no arm in it, no model of the arm.
+    Log,
+}
+
+impl From<&RunError> for Trouble {
+    fn from(error: &RunError) -> Self {
+        let kind = match error {
+            RunError::NoJointStates { .. }
+            | RunError::NoSamples { .. }
+            | RunError::NoModel { .. }
+            | RunError::Ambiguous { .. }
+            | RunError::UnknownJoints { .. }
+            | RunError::MissingJoints { .. } => TroubleKind::Log,
+            RunError::UnknownRobot { .. }
+            | RunError::Robot(_)
+            | RunError::UnknownLink { .. }
+            | RunError::Chain(_)
+            | RunError::Declared { .. } => TroubleKind::Call,
+        };
+        let remedy = error.remedy().to_owned();
+        Trouble { kind, what: error.what(), place: error.place(), remedy }
+    }
+}
+
+impl From<LogError> for Trouble {
+    fn from(error: LogError) -> Self {
+        let kind = match error {
+            LogError::NotFound { .. } => TroubleKind::Call,
+            _ => TroubleKind::Log,
+        };
+        let another = "name a log that a recorder wrote";
+        let (path, what, remedy) = match error {
+            LogError::NotFound { path } => (path, "no such file".to_owned(), another),
+            LogError::Permission { path } => {
+                (path, "permission denied".to_owned(), "make it readable")
+            }
+            LogError::Directory { path } => {
+                (path, "it is a directory".to_owned(), "name the log files in it")
+            }
+            LogError::NotAFile { path } => {
+                (path, "it is not a regular file".to_owned(), "save the log to a file first")
+            }
+            LogError::Io { path, source } => {
+                (path, format!("it cannot be read: {source}"), another)
+            }
+            LogError::Empty { path } => {
+                (path, "the file is empty (0 bytes)".to_owned(), "see whether it was ever written")
+            }
+            LogError::Unsupported { path, looks, instead } => {
+                (path, format!("it is {looks}, which is not supported"), instead)
+            }
+            LogError::NotALog { path, looks } => {
+                (path, format!("not a robot log: it looks like {looks}"), "name an MCAP file")
+            }
+            LogError::NoMessages { path, cause } => {
+                (path, format!("no messages can be read: {cause}"), "record again")
+            }
+        };
+        Trouble { kind, what, place: path.display().to_string(), remedy: remedy.to_owned() }
+    }
+}

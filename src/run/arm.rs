@@ -1,0 +1,291 @@
+//! One arm of a run: its joints over time and the streams that say where it was.
+
+use crate::geometry::Pose;
+use crate::robot::{Chain, LinkId, Robot};
+use crate::stream::{ImuTrack, JointTrack, PoseTrack};
+use crate::time::Stamp;
+
+use super::error::RunError;
+use super::joints::{JointFacts, JointTopic, merge};
+use super::models::{FrameNames, Model};
+use super::role::Place;
+use super::skeleton::{self, ArmPath};
+use super::tf_tree::{TfError, TfTree, without_slash};
+
+/// One arm of a run.
+#[derive(Clone, Debug)]
+pub struct Arm {
+    /// Its name in reports.
+    pub name: String,
+    /// The robot that it is a part of, its joints named as in the log.
+    pub robot: Robot,
+    /// How the robot was found, in words.
+    pub found: String,
+    /// The chain from base to tip.
+    pub chain: Chain,
+    /// For each joint of `chain`, its column in `joints`.
+    pub columns: Vec<usize>,
+    /// Whether the caller named the tip.
+    pub tip_named: bool,
+    /// Names of the columns of `joints`.
+    pub joint_names: Vec<String>,
+    /// The joint states.
+    pub joints: JointTrack,
+    /// How each column came about.
+    pub joint_facts: Vec<JointFacts>,
+    /// Streams of measured tool poses, and candidates.
+    pub poses: Vec<PoseSource>,
+    /// The chain from base to tip by the log's transforms, or why there is none.
+    pub tf: Result<PoseSource, NoTf>,
+    /// Transforms that the log does not publish, which `tf` takes from the model: parent, child.
+    pub from_model: Vec<(String, String)>,
+    /// The IMUs that it carries.
+    pub imus: Vec<ImuSource>,
+    pub(super) base: LinkId,
+    pub(super) tip: LinkId,
+    /// The link that poses are in whose stream names no frame.
+    pub(super) unnamed_base: LinkId,
+    pub(super) frames: FrameNames,
+    pub(super) joint_stamps: Vec<Stamp>,
+}
+
+/// A stream of poses of one arm.
+#[derive(Clone, Debug)]
+pub struct PoseSource {
+    /// Index of the stream.
+    pub stream: usize,
+    /// The chain from the reference link to the link whose pose it is.
+    pub chain: Chain,
+    /// For each joint of `chain`, its column in the arm's joint track.
+    pub columns: Vec<usize>,
+    /// The poses, in the frame of the chain's base where that is known.
+    pub track: PoseTrack,
+    /// Whether the stream's frame is a link, or tied to one; if not, its pose is to be estimated.
+    pub reference_known: bool,
+    /// Whether its stamps are copies of the joints' stamps.
+    pub stamps_copied: bool,
+    /// Standard error that aligning a foreign clock left in the stamps, s; 0 on a shared clock.
+    pub stamp_error_s: f64,
+    /// Whether the link was named: by the caller, or as the stream's child frame.
+    pub tip_named: bool,
+}
+
+/// An IMU that an arm carries.
+#[derive(Clone, Debug)]
+pub struct ImuSource {
+    /// Index of the stream.
+    pub stream: usize,
+    /// The chain from the base to the link that carries it.
+    pub chain: Chain,
+    /// For each joint of `chain`, its column in the arm's joint track.
+    pub columns: Vec<usize>,
+    /// The readings.
+    pub track: ImuTrack,
+    /// Its pose in the carrying link by the log's frames, where they say.
+    pub link_from_imu: Option<Pose>,
+    /// Whether its stamps are copies of the joints' stamps.
+    pub stamps_copied: bool,
+    /// Standard error that aligning a foreign clock left in the stamps, s; 0 on a shared clock.
+    pub stamp_error_s: f64,
+}
+
+/// Why the log's transforms do not lead from base to tip.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum NoTf {
+    /// There are none.
+    #[error("the log has no transforms over time")]
+    NoTransforms,
+    /// They do not connect base and tip.
+    #[error(transparent)]
+    NoPath(#[from] TfError),
+    /// No transform over time stands for these joints.
+    #[error("no transform over time crosses {}", joints.join(", "))]
+    NotCovered {
+        /// The joints.
+        joints: Vec<String>,
+    },
+    /// They are never all known at one time.
+    #[error("the transforms from base to tip are at no two times all known")]
+    NoSamples,
+}
+
+/// A link, and a frame's pose in it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Anchor {
+    pub link: LinkId,
+    pub link_from_frame: Pose,
+}
+
+/// The options of the caller that concern an arm.
+#[derive(Clone, Copy)]
+pub(super) struct Ends<'a> {
+    pub base: Option<&'a str>,
+    pub tip: Option<&'a str>,
+}
+
+impl Arm {
+    /// The arm of `model` along `path`, with its joint states.
+    ///
+    /// # Errors
+    /// Where base or tip are no links, the joint states lack joints between them, or no time has
+    /// samples of all.
+    pub(super) fn new(
+        model: &Model,
+        path: &ArmPath,
+        ends: Ends<'_>,
+        topics: &[JointTopic<'_>],
+        origin: Stamp,
+    ) -> Result<Self, RunError> {
+        let robot = &model.robot;
+        let link = |option: &'static str, name: &str| {
+            let name = without_slash(name);
+            let found = robot.link(name).or_else(|| model.frames.link_of(robot, name));
+            found.ok_or_else(|| RunError::UnknownLink {
+                option,
+                link: name.to_owned(),
+                source: robot.source.clone(),
+                nearest: robot.nearest_link_names(name).into_iter().map(str::to_owned).collect(),
+            })
+        };
+        let tip = match ends.tip {
+            Some(name) => link("--tip", name)?,
+            None => {
+                let preferred = model.controller_tip.map(|link| robot.link_name(link));
+                skeleton::tip(robot, path.end, preferred)
+            }
+        };
+        let base = match ends.base {
+            Some(name) => link("--base", name)?,
+            None => default_base(model, path),
+        };
+        let chain = robot.chain(base, tip)?;
+        let mut joint_names = path.joints.clone();
+        joint_names
+            .extend(chain.joint_names().iter().filter(|name| !path.joints.contains(name)).cloned());
+        let is_logged = |name: &&String| topics.iter().any(|topic| topic.holds(name));
+        let missing: Vec<String> =
+            joint_names.iter().filter(|name| !is_logged(name)).cloned().collect();
+        if !missing.is_empty() {
+            return Err(RunError::MissingJoints {
+                base: chain.base_name().to_owned(),
+                tip: chain.tip_name().to_owned(),
+                joints: missing,
+            });
+        }
+        let merged = merge(topics, &joint_names, origin).ok_or_else(|| RunError::NoSamples {
+            robot: robot.name.clone(),
+            joints: joint_names.clone(),
+        })?;
+        let columns = columns_of(&joint_names, &chain).unwrap_or_default();
+        Ok(Self {
+            name: robot.name.clone(),
+            robot: robot.clone(),
+            found: model.found.clone(),
+            chain,
+            columns,
+            tip_named: ends.tip.is_some(),
+            joint_names,
+            joints: merged.track,
+            joint_facts: merged.facts,
+            poses: Vec::new(),
+            tf: Err(NoTf::NoTransforms),
+            from_model: Vec::new(),
+            imus: Vec::new(),
+            base,
+            tip,
+            unnamed_base: model.controller_base.unwrap_or(base),
+            frames: model.frames.clone(),
+            joint_stamps: merged.stamps,
+        })
+    }
+
+    /// Whether this arm is the one along `path`, and not only part of the same robot.
+    pub(super) fn is_along(&self, path: &ArmPath) -> bool {
+        self.chain.joint_names().iter().any(|joint| path.joints.contains(joint))
+    }
+
+    /// The chain between two links and the columns of its joints, if the joint states hold them.
+    pub(super) fn chain_between(&self, base: LinkId, tip: LinkId) -> Option<(Chain, Vec<usize>)> {
+        let chain = self.robot.chain(base, tip).ok()?;
+        let columns = columns_of(&self.joint_names, &chain)?;
+        Some((chain, columns))
+    }
+
+    /// What is known of a frame that a stream names, and the link that it is, or is tied to.
+    pub(super) fn place(&self, tf: &TfTree, frame: &str) -> (Place, Option<Anchor>) {
+        if frame.is_empty() {
+            return (Place::Unnamed, None);
+        }
+        let link_of = |frame: &str| self.frames.link_of(&self.robot, frame);
+        let (anchor, is_link) = match link_of(frame) {
+            Some(link) => (Anchor { link, link_from_frame: Pose::identity() }, true),
+            None => {
+                let tied = tf.tied(frame, |other| link_of(other).is_some());
+                let anchor = tied.and_then(|(name, link_from_frame)| {
+                    Some(Anchor { link: link_of(name)?, link_from_frame })
+                });
+                match anchor {
+                    Some(anchor) => (anchor, false),
+                    None => return (Place::Unknown, None),
+                }
+            }
+        };
+        let place = match (self.moves(anchor.link), is_link) {
+            (true, _) => Place::MovingLink,
+            (false, true) => Place::StillLink,
+            (false, false) => Place::Tied,
+        };
+        (place, Some(anchor))
+    }
+
+    /// The joints between two frames, if both are links of this robot.
+    pub(super) fn joints_between(&self, a: &str, b: &str) -> Option<Vec<String>> {
+        let link = |frame| self.frames.link_of(&self.robot, frame);
+        let chain = self.robot.chain(link(a)?, link(b)?);
+        Some(chain.map(|chain| chain.joint_names().to_vec()).unwrap_or_default())
+    }
+
+    /// Whether a joint of this arm moves `link`.
+    fn moves(&self, link: LinkId) -> bool {
+        self.joints_above(link) > 0
+    }
+
+    /// How many joints of this arm move `link`.
+    fn joints_above(&self, link: LinkId) -> usize {
+        let above = skeleton::moving_joints_above(&self.robot, link);
+        above.filter(|joint| self.joint_names.contains(&joint.name)).count()
+    }
+
+    /// Whether the frame called `name` is a link that most of the arm's joints move.
+    pub(super) fn is_far_out(&self, name: &str) -> bool {
+        let link = self.frames.link_of(&self.robot, name);
+        link.is_some_and(|link| 2 * self.joints_above(link) > self.joint_names.len())
+    }
+
+    /// The word that the names of all its joints start with.
+    pub(super) fn namespace(&self) -> Option<&str> {
+        let word = self.joint_names.first()?.split(['_', '/', '-', '.']).next()?;
+        self.joint_names.iter().all(|name| name.starts_with(word)).then_some(word)
+    }
+
+    /// The frame that the log calls `link`.
+    pub(super) fn frame_of(&self, link: LinkId) -> String {
+        self.frames.frame_of(self.robot.link_name(link))
+    }
+}
+
+/// The controller's base, else the root; the arm's own first link where a joint above it moves that
+/// the joint states do not hold.
+fn default_base(model: &Model, path: &ArmPath) -> LinkId {
+    let robot = &model.robot;
+    let known = |joint: &crate::robot::Joint| path.joints.contains(&joint.name);
+    let wanted = model.controller_base.unwrap_or(robot.root());
+    let is_reachable = skeleton::moving_joints_above(robot, path.base).all(known)
+        && skeleton::moving_joints_above(robot, wanted).all(known);
+    if is_reachable { wanted } else { path.base }
+}
+
+fn columns_of(joint_names: &[String], chain: &Chain) -> Option<Vec<usize>> {
+    let column = |name: &String| joint_names.iter().position(|known| known == name);
+    chain.joint_names().iter().map(column).collect()
+}

@@ -1,0 +1,386 @@
+//! Which time places each stream, and which streams run on another clock than the rest.
+
+use crate::stream::Times;
+use crate::time::{Clock, Stamp, seconds};
+
+/// What the headers of a stream say of time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum HeaderStamps {
+    /// Stamps that advance; a few of them may be zero, see [`StreamClock::zero`].
+    Sound,
+    /// The messages' type has no header.
+    Absent,
+    /// At least half of them are zero, as when nobody sets them.
+    Zero,
+    /// They stand still.
+    Constant,
+}
+
+/// Whose time a stream's header stamps are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Epoch {
+    /// The clock of most streams, within the largest latency of the recorder's.
+    Common,
+    /// Another clock than that of most streams.
+    Foreign,
+    /// The clock of most streams, which is not the recorder's: simulation, or a replay.
+    CommonButNotTheRecorders,
+}
+
+/// How the stamps of a stream were brought onto the clock of most streams.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Alignment {
+    /// Added to every stamp, ns: clocks may be decades apart, which seconds in an `f64` blur.
+    pub offset_nanos: i64,
+    /// Standard error of the offset, s: how far the typical delay of the two streams' transport
+    /// lies above the least, which is as much as their least delays may differ by.
+    pub spread_s: f64,
+}
+
+/// The time of one stream.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StreamClock {
+    /// Index of the stream.
+    pub stream: usize,
+    /// The child frame of the first transform concerned, where the transforms of a TF topic are on
+    /// several clocks.
+    pub frame: Option<String>,
+    /// The clock that places the stream's rows.
+    pub clock: Clock,
+    /// What the headers say.
+    pub stamps: HeaderStamps,
+    /// Rows of the stream.
+    pub rows: u64,
+    /// Rows whose header stamp is zero.
+    pub zero: u64,
+    /// Median of log time minus header stamp, s; `None` where the headers are not [`HeaderStamps::Sound`].
+    pub log_minus_header_s: Option<f64>,
+    /// Whose time the header stamps are.
+    pub epoch: Epoch,
+    /// How the stamps were moved, where they were.
+    pub alignment: Option<Alignment>,
+}
+
+impl StreamClock {
+    /// When each row of `times` was; `None` for rows that have no stamp on the stream's clock.
+    pub fn stamps_of(&self, times: &Times) -> Vec<Option<Stamp>> {
+        let offset = self.alignment.map_or(0, |alignment| alignment.offset_nanos);
+        let column = times.on(self.clock).iter();
+        column
+            .map(|&nanos| {
+                let set = self.clock != Clock::Header || nanos != 0;
+                set.then(|| Stamp::from_nanos(nanos.saturating_add(offset)))
+            })
+            .collect()
+    }
+}
+
+/// What the clocks are told from: a stream, or some transforms of a TF topic.
+pub(super) struct Source<'a> {
+    pub stream: usize,
+    pub frame: Option<&'a str>,
+    /// The times of all rows, in pieces: one a transform.
+    pub times: Vec<&'a Times>,
+    pub has_header: bool,
+    /// Whether the stream holds joint states: they decide where as many streams say the one as the
+    /// other.
+    pub is_joints: bool,
+}
+
+impl Source<'_> {
+    fn rows(&self) -> usize {
+        self.times.iter().map(|times| times.len()).sum()
+    }
+
+    fn header_stamps(&self) -> (HeaderStamps, usize) {
+        let mut stamps: Vec<i64> =
+            self.times.iter().flat_map(|times| &times.header).copied().collect();
+        let rows = stamps.len();
+        let zero = stamps.iter().filter(|&&stamp| stamp == 0).count();
+        stamps.sort_unstable();
+        stamps.dedup();
+        let state = if !self.has_header {
+            HeaderStamps::Absent
+        } else if 2 * zero >= rows.max(1) {
+            HeaderStamps::Zero
+        } else if rows > 1 && stamps.len() == 1 {
+            HeaderStamps::Constant
+        } else {
+            HeaderStamps::Sound
+        };
+        (state, zero)
+    }
+
+    /// Log time minus time on `clock`, sorted, ns; rows without a stamp left out.
+    fn delays(&self, clock: Clock) -> Vec<i64> {
+        let rows = self.times.iter().flat_map(|times| times.log.iter().zip(times.on(clock)));
+        let stamped = rows.filter(|(_, stamp)| clock != Clock::Header || **stamp != 0);
+        let mut delays: Vec<i64> = stamped.map(|(log, stamp)| log.saturating_sub(*stamp)).collect();
+        delays.sort_unstable();
+        delays
+    }
+}
+
+/// The transforms of TF topic `stream`, each given by its child frame and times, grouped by clock:
+/// those whose stamps are of one kind and, in the median, within `max_latency_s` of each other.
+/// With each group come the indices of its transforms.
+pub(super) fn by_clock<'a>(
+    stream: usize,
+    transforms: impl Iterator<Item = (&'a str, &'a Times)>,
+    max_latency_s: f64,
+) -> Vec<(Source<'a>, Vec<usize>)> {
+    let mut groups: Vec<(Source<'a>, Vec<usize>)> = Vec::new();
+    let mut seen: Vec<(HeaderStamps, Option<Delay>)> = Vec::new();
+    for (index, (child, times)) in transforms.enumerate() {
+        let frame = Some(child);
+        let alone =
+            Source { stream, frame, times: vec![times], has_header: true, is_joints: false };
+        let (stamps, _) = alone.header_stamps();
+        let delay = Delay::of(&alone.delays(Clock::Header));
+        let fits = |(other, group): &(HeaderStamps, Option<Delay>)| {
+            let close =
+                delay.zip(*group).is_some_and(|(a, b)| a.is_within(max_latency_s, b.median));
+            stamps == *other && (stamps != HeaderStamps::Sound || close)
+        };
+        match seen.iter().position(fits) {
+            Some(group) => {
+                groups[group].0.times.push(times);
+                groups[group].1.push(index);
+            }
+            None => {
+                seen.push((stamps, delay));
+                groups.push((alone, vec![index]));
+            }
+        }
+    }
+    if let [(whole, _)] = groups.as_mut_slice() {
+        whole.frame = None;
+    }
+    groups
+}
+
+/// What the delays of one stream come to, ns.
+#[derive(Clone, Copy, Debug)]
+struct Delay {
+    median: i64,
+    /// The 1 % quantile: robust against a single stamp from the future, and close to the least.
+    floor: i64,
+}
+
+impl Delay {
+    fn of(sorted: &[i64]) -> Option<Self> {
+        let quantile = |part: usize| sorted.get(sorted.len() * part / 100).copied();
+        Some(Self { median: quantile(50)?, floor: quantile(1)? })
+    }
+
+    fn spread_s(self) -> f64 {
+        seconds(self.median.saturating_sub(self.floor))
+    }
+
+    fn is_within(self, limit_s: f64, other: i64) -> bool {
+        seconds(self.median.saturating_sub(other)).abs() <= limit_s
+    }
+}
+
+/// Chooses the clock of every stream and aligns those whose clock is not that of most.
+///
+/// Streams whose header stamps lie more than `max_latency_s` off the others' (in the median, seen
+/// from the recorder) are on another clock. They are aligned by the least delay: transport can only
+/// delay a message, so the lower envelope of log time minus stamp is the clocks' offset plus the
+/// least transport, and that of a stream on the common clock takes the transport off. A stream
+/// that falls back to log time is aligned in the same way where the common clock is not the
+/// recorder's.
+pub(super) fn settle(
+    sources: &[Source<'_>],
+    wanted: Clock,
+    max_latency_s: f64,
+) -> Vec<StreamClock> {
+    let mut clocks = Vec::with_capacity(sources.len());
+    let mut delays = Vec::with_capacity(sources.len());
+    for source in sources {
+        let (stamps, zero) = source.header_stamps();
+        let falls_back = wanted == Clock::Header && stamps != HeaderStamps::Sound;
+        let clock = if falls_back { Clock::Log } else { wanted };
+        let header = (stamps == HeaderStamps::Sound)
+            .then(|| Delay::of(&source.delays(Clock::Header)))
+            .flatten();
+        delays.push(if clock == Clock::Header { header } else { Delay::of(&source.delays(clock)) });
+        clocks.push(StreamClock {
+            stream: source.stream,
+            frame: source.frame.map(str::to_owned),
+            clock,
+            stamps,
+            rows: source.rows() as u64,
+            zero: zero as u64,
+            log_minus_header_s: header.map(|delay| seconds(delay.median)),
+            epoch: Epoch::Common,
+            alignment: None,
+        });
+    }
+    if wanted == Clock::Header {
+        align(sources, &mut clocks, &delays, max_latency_s);
+    }
+    clocks
+}
+
+fn align(
+    sources: &[Source<'_>],
+    clocks: &mut [StreamClock],
+    delays: &[Option<Delay>],
+    max_latency_s: f64,
+) {
+    let votes: Vec<(usize, Delay)> = (0..clocks.len())
+        .filter(|&i| clocks[i].clock == Clock::Header)
+        .filter_map(|i| Some((i, delays[i]?)))
+        .collect();
+    let agreeing = |delay: Delay| {
+        votes.iter().filter(|(_, other)| other.is_within(max_latency_s, delay.median)).count()
+    };
+    // Joint states before others, then the earlier stream.
+    let rank = |&&(i, delay): &&(usize, Delay)| {
+        (agreeing(delay), sources[i].is_joints, std::cmp::Reverse(i))
+    };
+    let Some(&(_, common)) = votes.iter().max_by_key(rank) else { return };
+    let is_recorders = common.is_within(max_latency_s, 0);
+    for (clock, delay) in clocks.iter_mut().zip(delays) {
+        let Some(delay) = delay else { continue };
+        let agrees = delay.is_within(max_latency_s, common.median);
+        if clock.clock == Clock::Header {
+            clock.epoch = match (agrees, is_recorders) {
+                (false, _) => Epoch::Foreign,
+                (true, true) => Epoch::Common,
+                (true, false) => Epoch::CommonButNotTheRecorders,
+            };
+        }
+        if !agrees {
+            clock.alignment = Some(Alignment {
+                offset_nanos: delay.floor.saturating_sub(common.floor),
+                spread_s: delay.spread_s().hypot(common.spread_s()),
+            });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const JOINTS: usize = 7;
+    const START: i64 = 1_760_000_000_000_000_000;
+
+    /// 1000 rows at 100 Hz whose transport takes 100 µs to 2.1 ms; `header` changes true stamps.
+    fn times(header: impl Fn(usize, i64) -> i64) -> Times {
+        let mut times = Times::default();
+        for row in 0..1000 {
+            let truth = START + row as i64 * 10_000_000;
+            let delay = 100_000 + (row as i64 * 7919 % 1000) * 2_000;
+            times.push(header(row, truth), truth + delay, truth + delay / 2);
+        }
+        times
+    }
+
+    fn source(stream: usize, times: &Times) -> Source<'_> {
+        Source {
+            stream,
+            frame: None,
+            times: vec![times],
+            has_header: true,
+            is_joints: stream == JOINTS,
+        }
+    }
+
+    #[test]
+    fn a_foreign_clock_is_aligned_to_the_others_within_its_spread() {
+        let good = times(|_, truth| truth);
+        let foreign = times(|_, truth| truth - 1_700_000_000_000_000_000);
+        let sources = [source(0, &foreign), source(JOINTS, &good), source(2, &good)];
+        let clocks = settle(&sources, Clock::Header, 5.0);
+        assert_eq!(
+            clocks.iter().map(|c| c.epoch).collect::<Vec<_>>(),
+            [Epoch::Foreign, Epoch::Common, Epoch::Common]
+        );
+        let alignment = clocks[0].alignment.unwrap();
+        assert_eq!(alignment.offset_nanos, 1_700_000_000_000_000_000);
+        assert!((0.0005..0.003).contains(&alignment.spread_s), "{alignment:?}");
+        let first = clocks[0].stamps_of(&foreign)[0].unwrap();
+        assert_eq!(first, Stamp::from_nanos(START));
+        assert_eq!(clocks[1].alignment, None);
+    }
+
+    #[test]
+    fn lateness_within_the_largest_latency_is_not_taken_off() {
+        let good = times(|_, truth| truth);
+        let late = times(|_, truth| truth + 1_500_000_000);
+        let sources = [source(JOINTS, &good), source(0, &late)];
+        let clocks = settle(&sources, Clock::Header, 5.0);
+        assert!(
+            clocks.iter().all(|clock| clock.alignment.is_none() && clock.epoch == Epoch::Common)
+        );
+    }
+
+    #[test]
+    fn where_two_streams_disagree_the_joints_are_right() {
+        let good = times(|_, truth| truth);
+        let foreign = times(|_, truth| truth - 100_000_000_000);
+        let sources = [source(0, &good), source(JOINTS, &foreign)];
+        let clocks = settle(&sources, Clock::Header, 5.0);
+        assert_eq!(clocks[0].epoch, Epoch::Foreign);
+        assert_eq!(clocks[1].epoch, Epoch::CommonButNotTheRecorders);
+        assert_eq!(clocks[0].alignment.unwrap().offset_nanos, -100_000_000_000);
+    }
+
+    #[test]
+    fn zero_constant_and_missing_stamps_fall_back_to_log_time() {
+        let zero = times(|_, _| 0);
+        let constant = times(|_, _| START);
+        let some_zero = times(|row, truth| if row % 10 == 0 { 0 } else { truth });
+        let mut sources =
+            [source(0, &zero), source(1, &constant), source(2, &some_zero), source(3, &zero)];
+        sources[3].has_header = false;
+        let clocks = settle(&sources, Clock::Header, 5.0);
+        let seen: Vec<_> = clocks.iter().map(|c| (c.clock, c.stamps, c.zero)).collect();
+        assert_eq!(
+            seen,
+            [
+                (Clock::Log, HeaderStamps::Zero, 1000),
+                (Clock::Log, HeaderStamps::Constant, 0),
+                (Clock::Header, HeaderStamps::Sound, 100),
+                (Clock::Log, HeaderStamps::Absent, 1000),
+            ]
+        );
+        assert_eq!(clocks[0].stamps_of(&zero)[3], Some(Stamp::from_nanos(zero.log[3])));
+        assert_eq!(clocks[2].stamps_of(&some_zero)[10], None);
+    }
+
+    #[test]
+    fn log_time_is_moved_onto_simulated_time() {
+        let simulated = times(|_, truth| truth - START);
+        let array = times(|_, _| 0);
+        let mut sources = [source(JOINTS, &simulated), source(1, &array)];
+        sources[1].has_header = false;
+        let clocks = settle(&sources, Clock::Header, 5.0);
+        assert_eq!(clocks[0].epoch, Epoch::CommonButNotTheRecorders);
+        let first = clocks[1].stamps_of(&array)[0].unwrap();
+        assert!(seconds(first.nanos()).abs() < 0.003, "{first}");
+    }
+
+    #[test]
+    fn transforms_of_one_topic_are_grouped_by_clock() {
+        let good = times(|_, truth| truth);
+        let foreign = times(|_, truth| truth - 100_000_000_000);
+        let unset = times(|_, _| 0);
+        let edges = [("a", &good), ("b", &foreign), ("c", &good), ("d", &unset), ("e", &unset)];
+        let groups = by_clock(3, edges.into_iter(), 5.0);
+        let members: Vec<_> =
+            groups.iter().map(|(source, of)| (source.frame, of.as_slice())).collect();
+        assert_eq!(members, [(Some("a"), &[0, 2][..]), (Some("b"), &[1]), (Some("d"), &[3, 4])]);
+        assert_eq!(by_clock(3, [("a", &good), ("c", &good)].into_iter(), 5.0)[0].0.frame, None);
+    }
+
+    #[test]
+    fn other_clocks_are_taken_as_they_are() {
+        let foreign = times(|_, truth| truth - 100_000_000_000);
+        let clocks = settle(&[source(JOINTS, &foreign)], Clock::Log, 5.0);
+        assert_eq!((clocks[0].clock, clocks[0].alignment), (Clock::Log, None));
+    }
+}

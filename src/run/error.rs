@@ -1,0 +1,228 @@
+use std::fmt;
+
+use crate::robot::{ChainError, RobotError};
+
+/// Why a run has no arm to audit, or why the caller's options cannot be followed.
+///
+/// Each case says what is wrong, where, and what to do about it; its text is all three in one line.
+#[derive(Debug)]
+pub enum RunError {
+    /// No topic holds joint states.
+    NoJointStates {
+        /// JointState topics that hold commands, not states.
+        commands: Vec<String>,
+    },
+    /// The joint states hold no finite sample of the joints that the arm needs.
+    NoSamples {
+        /// The robot.
+        robot: String,
+        /// Its joints.
+        joints: Vec<String>,
+    },
+    /// There is no model of the robot.
+    NoModel {
+        /// Joints in the log.
+        logged: Vec<String>,
+    },
+    /// Several catalogue arms have these joint names, and the log cannot tell them apart.
+    Ambiguous {
+        /// The arms.
+        arms: Vec<String>,
+    },
+    /// The model's joints are not those of the log.
+    UnknownJoints {
+        /// The model.
+        robot: String,
+        /// Where it came from.
+        source: String,
+        /// Joints in the log.
+        logged: Vec<String>,
+        /// Joints of the model.
+        modelled: Vec<String>,
+    },
+    /// A `--robot` is neither a file nor an arm of the catalogue.
+    UnknownRobot {
+        /// What was asked for.
+        name: String,
+        /// Catalogue names that come near.
+        nearest: Vec<String>,
+    },
+    /// A model could not be read.
+    Robot(RobotError),
+    /// `--base` or `--tip` is no link of the robot.
+    UnknownLink {
+        /// The option: `--base` or `--tip`.
+        option: &'static str,
+        /// The name given.
+        link: String,
+        /// Where the model came from.
+        source: String,
+        /// Links whose names come near.
+        nearest: Vec<String>,
+    },
+    /// No chain leads from base to tip.
+    Chain(ChainError),
+    /// Joints between base and tip that the joint states do not hold.
+    MissingJoints {
+        /// The base link.
+        base: String,
+        /// The tip link.
+        tip: String,
+        /// The joints.
+        joints: Vec<String>,
+    },
+    /// A declared topic is not in the log, or holds nothing that the declaration fits.
+    Declared {
+        /// The topic.
+        topic: String,
+        /// What is wrong with it.
+        what: String,
+    },
+}
+
+impl RunError {
+    /// Whether the caller's options are at fault, not what the log holds.
+    pub(super) fn is_of_the_call(&self) -> bool {
+        match self {
+            Self::UnknownRobot { .. }
+            | Self::UnknownLink { .. }
+            | Self::Chain(_)
+            | Self::MissingJoints { .. }
+            | Self::Declared { .. } => true,
+            Self::NoJointStates { .. }
+            | Self::NoSamples { .. }
+            | Self::NoModel { .. }
+            | Self::Ambiguous { .. }
+            | Self::UnknownJoints { .. }
+            | Self::Robot(_) => false,
+        }
+    }
+
+    /// What is wrong.
+    pub fn what(&self) -> String {
+        match self {
+            Self::NoJointStates { commands } if commands.is_empty() => {
+                "the log has no joint states".to_owned()
+            }
+            Self::NoJointStates { commands } => {
+                format!("the log has joint commands ({}) but no joint states", few(commands))
+            }
+            Self::NoSamples { robot, joints } => {
+                format!("no sample holds all joints of '{robot}' ({})", few(joints))
+            }
+            Self::NoModel { logged } => {
+                format!("there is no model of the robot with the joints {}", few(logged))
+            }
+            Self::Ambiguous { arms } => {
+                format!(
+                    "{} arms of the catalogue have these joint names: {}",
+                    arms.len(),
+                    few(arms)
+                )
+            }
+            Self::UnknownJoints { robot, logged, modelled, .. } => format!(
+                "'{robot}' has none of the logged joints: the log has {}, the model has {}",
+                few(logged),
+                few(modelled)
+            ),
+            Self::UnknownRobot { name, nearest } => {
+                format!(
+                    "'{name}' is neither a file nor an arm of the catalogue{}",
+                    did_you_mean(nearest)
+                )
+            }
+            Self::Robot(error) => error.problem().to_string(),
+            Self::UnknownLink { option, link, nearest, .. } => {
+                format!("{option} '{link}' is not a link of the robot{}", did_you_mean(nearest))
+            }
+            Self::Chain(error) => error.to_string(),
+            Self::MissingJoints { base, tip, joints } => {
+                format!(
+                    "the joint states lack joints between '{base}' and '{tip}': {}",
+                    few(joints)
+                )
+            }
+            Self::Declared { what, .. } => what.clone(),
+        }
+    }
+
+    /// Where it is wrong: a file with its line, a topic, an option.
+    pub fn place(&self) -> String {
+        match self {
+            Self::NoJointStates { .. } | Self::NoModel { .. } | Self::Ambiguous { .. } => {
+                "the log".to_owned()
+            }
+            Self::NoSamples { .. } | Self::MissingJoints { .. } => "joint states".to_owned(),
+            Self::UnknownJoints { source, .. } | Self::UnknownLink { source, .. } => source.clone(),
+            Self::UnknownRobot { .. } => "--robot".to_owned(),
+            Self::Robot(error) => error.place(),
+            Self::Chain(_) => "--base, --tip".to_owned(),
+            Self::Declared { topic, .. } => format!("--declare {topic}"),
+        }
+    }
+
+    /// What the reader of the message can do, as a short clause.
+    pub fn remedy(&self) -> &'static str {
+        match self {
+            Self::NoJointStates { .. } => "record the topic /joint_states (sensor_msgs/JointState)",
+            Self::NoSamples { .. } => "record the joint states of the whole arm",
+            Self::NoModel { .. } => {
+                "pass --robot FILE with the arm's URDF, or --robot NAME from `poseaudit robots`"
+            }
+            Self::Ambiguous { .. } => "pass --robot NAME with the one it is",
+            Self::UnknownJoints { .. } => "pass the --robot that was recorded",
+            Self::UnknownRobot { .. } => {
+                "pass a URDF or TOML file, or a name from `poseaudit robots`"
+            }
+            Self::Robot(error) => error.problem().advice(),
+            Self::UnknownLink { .. } => "name a link of the model, or leave the option out",
+            Self::Chain(_) => "or leave --base and --tip out",
+            Self::MissingJoints { .. } => "choose a tip before these joints, or record them",
+            Self::Declared { .. } => "check the topic's name and type with `poseaudit info`",
+        }
+    }
+}
+
+impl fmt::Display for RunError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}; {}", self.place(), self.what(), self.remedy())
+    }
+}
+
+impl std::error::Error for RunError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Robot(error) => std::error::Error::source(error),
+            _ => None,
+        }
+    }
+}
+
+impl From<RobotError> for RunError {
+    fn from(error: RobotError) -> Self {
+        Self::Robot(error)
+    }
+}
+
+impl From<ChainError> for RunError {
+    fn from(error: ChainError) -> Self {
+        Self::Chain(error)
+    }
+}
+
+/// The first few of `names`, and how many more there are.
+fn few(names: &[String]) -> String {
+    const SHOWN: usize = 8;
+    let shown = names.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
+    match names.len().checked_sub(SHOWN) {
+        None | Some(0) => shown,
+        Some(more) => format!("{shown} and {more} more"),
+    }
+}
+
+fn did_you_mean(nearest: &[String]) -> String {
+    match nearest {
+        [] => String::new(),
+        names => format!(" (did you mean '{}'?)", names.join("' or '")),
+    }
+}

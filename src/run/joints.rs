@@ -1,0 +1,355 @@
+//! The joint states of all topics, merged to one track on one time grid.
+
+use crate::stream::{JointColumns, JointTrack};
+use crate::time::Stamp;
+
+/// Where the velocities of a joint come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Velocities {
+    /// The log's, which agree with the positions.
+    Logged,
+    /// Differentiated: the log has none, or they do not agree with the positions.
+    Derived,
+}
+
+/// How one joint of a track came about.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct JointFacts {
+    /// The joint, as the log names it.
+    pub name: String,
+    /// Index of the stream that it was read from.
+    pub stream: usize,
+    /// Samples on that stream.
+    pub samples: usize,
+    /// Where its velocities come from.
+    pub velocities: Velocities,
+}
+
+/// A JointState topic.
+pub(super) struct JointTopic<'a> {
+    /// Index of its stream.
+    pub stream: usize,
+    pub columns: &'a JointColumns,
+    /// When each row was.
+    pub stamps: Vec<Option<Stamp>>,
+}
+
+impl JointTopic<'_> {
+    /// Whether it has a sample of the joint called `name`.
+    pub fn holds(&self, name: &str) -> bool {
+        let joint = self.columns.joints.iter().find(|joint| joint.name == name);
+        let has_sample = |position: &[f64]| {
+            position.iter().zip(&self.stamps).any(|(q, stamp)| q.is_finite() && stamp.is_some())
+        };
+        joint.is_some_and(|joint| has_sample(&joint.position))
+    }
+}
+
+/// The track of some joints, and how it came about.
+pub(super) struct Merged {
+    pub track: JointTrack,
+    /// The stamps of the track's samples.
+    pub stamps: Vec<Stamp>,
+    pub facts: Vec<JointFacts>,
+}
+
+/// The finite samples of one joint, strictly increasing in time.
+#[derive(Default)]
+struct Samples {
+    stamps: Vec<Stamp>,
+    position: Vec<f64>,
+    velocity: Vec<f64>,
+}
+
+/// The joints called `names`, in that order, on the time grid of the one with the most samples.
+///
+/// Each joint is read from one topic: the one with the most of these joints, of equals the one with
+/// the most rows, that has it. Where another joint has no sample at a time of the grid it is
+/// interpolated; where it cannot be, because it has not begun, has ended or moved through a gap, the
+/// time is left out. Times are relative to `origin`. `None` where a joint has no sample, or fewer
+/// than two times are left.
+pub(super) fn merge(topics: &[JointTopic<'_>], names: &[String], origin: Stamp) -> Option<Merged> {
+    let mut ranked: Vec<&JointTopic<'_>> = topics.iter().collect();
+    let holds = |topic: &JointTopic<'_>| {
+        topic.columns.joints.iter().filter(|joint| names.contains(&joint.name)).count()
+    };
+    ranked.sort_by_key(|topic| std::cmp::Reverse((holds(topic), topic.stamps.len())));
+
+    let mut facts = Vec::with_capacity(names.len());
+    let mut joints = Vec::with_capacity(names.len());
+    for name in names {
+        let (topic, samples) = ranked
+            .iter()
+            .map(|topic| (topic, Samples::of(topic, name)))
+            .find(|(_, samples)| !samples.stamps.is_empty())?;
+        let (track, velocities) = samples.track(origin);
+        let count = samples.stamps.len();
+        facts.push(JointFacts {
+            name: name.clone(),
+            stream: topic.stream,
+            samples: count,
+            velocities,
+        });
+        joints.push((samples.stamps, track));
+    }
+    let (grid, _) = joints.iter().rev().max_by_key(|(stamps, _)| stamps.len())?;
+
+    let mut merged = Merged {
+        track: JointTrack { dof: names.len(), ..Default::default() },
+        stamps: Vec::new(),
+        facts,
+    };
+    let mut cursors: Vec<Cursor> = joints.iter().map(|_| Cursor::default()).collect();
+    for &stamp in grid {
+        let t_s = stamp.seconds_since(origin);
+        let row: Option<Vec<(f64, f64)>> = joints
+            .iter()
+            .zip(&mut cursors)
+            .map(|((stamps, track), cursor)| cursor.sample(stamps, track, stamp, t_s))
+            .collect();
+        let Some(row) = row else { continue };
+        merged.stamps.push(stamp);
+        merged.track.t_s.push(t_s);
+        merged.track.q.extend(row.iter().map(|(position, _)| position));
+        merged.track.qd.extend(row.iter().map(|(_, velocity)| velocity));
+    }
+    (merged.track.len() > 1).then_some(merged)
+}
+
+/// Where a sweep over one joint's samples has come.
+#[derive(Default)]
+struct Cursor {
+    next: usize,
+    interval: usize,
+}
+
+impl Cursor {
+    /// Position and velocity at `stamp`: the sample itself where there is one, else interpolated.
+    fn sample(
+        &mut self,
+        stamps: &[Stamp],
+        track: &JointTrack,
+        stamp: Stamp,
+        t_s: f64,
+    ) -> Option<(f64, f64)> {
+        while stamps.get(self.next).is_some_and(|&own| own < stamp) {
+            self.next += 1;
+        }
+        if stamps.get(self.next) == Some(&stamp) {
+            return Some((track.q[self.next], track.qd[self.next]));
+        }
+        let (mut q, mut qd) = ([0.0], [0.0]);
+        track.at(t_s, &mut self.interval, &mut q, &mut qd).then_some((q[0], qd[0]))
+    }
+}
+
+impl Samples {
+    /// The finite samples of `name`, in order of time; of equal stamps the first.
+    fn of(topic: &JointTopic<'_>, name: &str) -> Self {
+        let Some(joint) = topic.columns.joints.iter().find(|joint| joint.name == name) else {
+            return Self::default();
+        };
+        let mut rows: Vec<(Stamp, usize)> = topic
+            .stamps
+            .iter()
+            .enumerate()
+            .filter(|(row, _)| joint.position[*row].is_finite())
+            .filter_map(|(row, stamp)| Some(((*stamp)?, row)))
+            .collect();
+        rows.sort_by_key(|(stamp, _)| *stamp);
+        rows.dedup_by_key(|(stamp, _)| *stamp);
+        Self {
+            stamps: rows.iter().map(|(stamp, _)| *stamp).collect(),
+            position: rows.iter().map(|(_, row)| joint.position[*row]).collect(),
+            velocity: rows.iter().map(|(_, row)| joint.velocity[*row]).collect(),
+        }
+    }
+
+    fn track(&self, origin: Stamp) -> (JointTrack, Velocities) {
+        let t_s: Vec<f64> = self.stamps.iter().map(|stamp| stamp.seconds_since(origin)).collect();
+        let q = self.position.clone();
+        let derived = derivative(&t_s, &q);
+        let velocities = if agree(&t_s, &q, &self.velocity, &derived) {
+            Velocities::Logged
+        } else {
+            Velocities::Derived
+        };
+        let qd = if velocities == Velocities::Logged { self.velocity.clone() } else { derived };
+        (JointTrack { t_s, dof: 1, q, qd }, velocities)
+    }
+}
+
+/// The derivative of `q` over `t_s`: of the parabola through each sample and its neighbours, exact
+/// to second order also where samples are not evenly spaced (Fornberg, "Generation of finite
+/// difference formulas on arbitrarily spaced grids", 1988); at the ends that of the parabola through
+/// the outermost three.
+fn derivative(t_s: &[f64], q: &[f64]) -> Vec<f64> {
+    let slope = |left: usize| (q[left + 1] - q[left]) / (t_s[left + 1] - t_s[left]);
+    let rows = t_s.len();
+    if rows < 3 {
+        return vec![if rows == 2 { slope(0) } else { 0.0 }; rows];
+    }
+    let at = |row: usize| {
+        let middle = row.clamp(1, rows - 2);
+        let (before, after) = (slope(middle - 1), slope(middle));
+        let curvature = (after - before) / (t_s[middle + 1] - t_s[middle - 1]);
+        before + curvature * (2.0 * t_s[row] - t_s[middle - 1] - t_s[middle])
+    };
+    (0..rows).map(at).collect()
+}
+
+/// Whether logged velocities are those of the positions.
+///
+/// Over windows of 0.1 s their integral (trapezoids) must be the change of position within 2 % of
+/// its rms: integrals rather than derivatives, so that noise of positions does not decide. A joint
+/// that does not move has no velocity above what its positions' derivative shows.
+fn agree(t_s: &[f64], q: &[f64], velocity: &[f64], derived: &[f64]) -> bool {
+    const WINDOW_S: f64 = 0.1;
+    const MOVES: f64 = 1e-3;
+    const DISAGREEMENT: f64 = 0.02;
+    if velocity.len() < 2 || velocity.iter().any(|v| !v.is_finite()) {
+        return false;
+    }
+    let (mut moved, mut differed) = (0.0, 0.0);
+    let (mut start, mut integral, mut largest) = (0, 0.0, 0.0_f64);
+    for row in 1..t_s.len() {
+        integral += 0.5 * (velocity[row] + velocity[row - 1]) * (t_s[row] - t_s[row - 1]);
+        if t_s[row] - t_s[start] < WINDOW_S {
+            continue;
+        }
+        let change = q[row] - q[start];
+        largest = largest.max(change.abs());
+        moved += change * change;
+        differed += (integral - change).powi(2);
+        (start, integral) = (row, 0.0);
+    }
+    if largest < MOVES {
+        let peak = |values: &[f64]| values.iter().fold(0.0_f64, |peak, v| peak.max(v.abs()));
+        return peak(velocity) <= peak(derived);
+    }
+    differed <= DISAGREEMENT * DISAGREEMENT * moved
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stream::JointColumn;
+
+    /// Two joints at 100 Hz for 3 s; `velocity` makes the logged velocity of time and true velocity.
+    fn columns(velocity: impl Fn(f64, f64) -> f64) -> JointColumns {
+        let mut columns = JointColumns::default();
+        for name in ["a", "b"] {
+            columns.joints.push(JointColumn { name: name.into(), ..Default::default() });
+        }
+        for row in 0..300 {
+            let t = row as f64 * 0.01;
+            columns.times.push(1 + row * 10_000_000, 0, 0);
+            for (joint, rate) in columns.joints.iter_mut().zip([2.0_f64, 3.0]) {
+                joint.position.push((rate * t).sin());
+                joint.velocity.push(velocity(t, rate * (rate * t).cos()));
+            }
+        }
+        columns
+    }
+
+    fn topic(columns: &JointColumns) -> JointTopic<'_> {
+        let stamps = columns.times.header.iter().map(|&t| Some(Stamp::from_nanos(t))).collect();
+        JointTopic { stream: 0, columns, stamps }
+    }
+
+    fn merged(topics: &[JointTopic<'_>]) -> Merged {
+        merge(topics, &["b".to_owned(), "a".to_owned()], Stamp::from_nanos(1)).unwrap()
+    }
+
+    #[test]
+    fn joints_are_in_the_order_asked_for() {
+        let columns = columns(|_, v| v);
+        let Merged { track, facts, .. } = merged(&[topic(&columns)]);
+        assert_eq!((track.len(), track.dof), (300, 2));
+        assert_eq!(track.row(50), [1.5_f64.sin(), 1.0_f64.sin()]);
+        assert!(facts.iter().all(|joint| joint.velocities == Velocities::Logged));
+    }
+
+    #[test]
+    fn velocities_that_the_positions_do_not_have_are_not_used() {
+        for wrong in
+            [|_: f64, _: f64| 0.0, |_, v: f64| v.to_degrees(), |_, v: f64| -v, |_, _| f64::NAN]
+        {
+            let columns = columns(wrong);
+            let Merged { track, facts, .. } = merged(&[topic(&columns)]);
+            assert!(facts.iter().all(|joint| joint.velocities == Velocities::Derived));
+            for row in 0..track.len() {
+                let truth = 3.0 * (3.0 * track.t_s[row]).cos();
+                assert!((track.qd[2 * row] - truth).abs() < 2e-3, "row {row}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_joint_at_rest_keeps_its_zero_velocities() {
+        let t_s: Vec<f64> = (0..100).map(|row| row as f64 * 0.01).collect();
+        let noise: Vec<f64> = (0..100).map(|row| 1e-5 * f64::from(row % 3)).collect();
+        let derived = derivative(&t_s, &noise);
+        assert!(agree(&t_s, &noise, &[0.0; 100], &derived));
+        assert!(!agree(&t_s, &noise, &[0.3; 100], &derived));
+    }
+
+    #[test]
+    fn samples_that_are_not_finite_are_interpolated_and_not_used() {
+        let mut columns = columns(|_, v| v);
+        columns.joints[0].position[77] = f64::NAN;
+        let Merged { track, facts, .. } = merged(&[topic(&columns)]);
+        assert_eq!(facts.iter().map(|joint| joint.samples).collect::<Vec<_>>(), [300, 299]);
+        assert_eq!(track.len(), 300);
+        assert!((track.row(77)[1] - 1.54_f64.sin()).abs() < 1e-7);
+    }
+
+    #[test]
+    fn a_gap_in_one_moving_joint_is_a_gap_in_the_track() {
+        let mut columns = columns(|_, v| v);
+        columns.joints[0].position[100..150].fill(f64::NAN);
+        assert_eq!(merged(&[topic(&columns)]).track.len(), 250);
+    }
+
+    #[test]
+    fn joints_on_several_topics_meet_on_the_finer_grid() {
+        let (mut arm, mut rail) = (columns(|_, v| v), columns(|_, v| v));
+        arm.joints.remove(0);
+        rail.joints.remove(1);
+        for time in &mut rail.times.header {
+            *time += 3_000_000;
+        }
+        let rail_rows = 0..150;
+        rail.times.header.truncate(150);
+        rail.joints[0].position.truncate(150);
+        rail.joints[0].velocity.truncate(150);
+        let mut topics = [topic(&arm), topic(&rail)];
+        topics[1].stream = 7;
+        let Merged { track, facts, .. } = merged(&topics);
+        assert_eq!((facts[0].stream, facts[1].stream), (0, 7));
+        assert_eq!(track.len(), rail_rows.len() - 1);
+        let truth = (2.0 * (track.t_s[40] - 0.003)).sin();
+        assert!((track.row(40)[1] - truth).abs() < 1e-7);
+    }
+
+    #[test]
+    fn repeated_and_unordered_stamps_leave_a_strictly_increasing_track() {
+        let mut columns = columns(|_, v| v);
+        columns.times.header[10] = columns.times.header[9];
+        columns.times.header.swap(20, 21);
+        let Merged { track, .. } = merged(&[topic(&columns)]);
+        assert_eq!(track.len(), 299);
+        assert!(track.t_s.is_sorted_by(|a, b| a < b));
+    }
+
+    #[test]
+    fn the_derivative_of_a_parabola_is_exact_on_any_grid() {
+        let t_s = [0.0, 0.1, 0.15, 0.4, 0.41, 0.9];
+        let q: Vec<f64> = t_s.iter().map(|t| 1.0 - 2.0 * t + 3.0 * t * t).collect();
+        for (t, slope) in t_s.iter().zip(derivative(&t_s, &q)) {
+            assert!((slope - (6.0 * t - 2.0)).abs() < 1e-12, "{t}");
+        }
+        assert_eq!(derivative(&[0.0, 2.0], &[1.0, 2.0]), [0.5, 0.5]);
+        assert_eq!(derivative(&[0.0], &[1.0]), [0.0]);
+    }
+}

@@ -1,0 +1,139 @@
+//! One run: which part each topic plays and why, the arms in it, and the frames between them.
+//!
+//! [`Run::assemble`] turns what was decoded into what the estimators need: joint states on one time
+//! grid, pose and IMU streams with the chains that predict them, transforms with interpolation, and
+//! every stream on one clock. What a stream is cannot always be told from its name: such streams are
+//! [`Role::Candidate`]s until [`Run::settle`] is told whether they follow the arm.
+//!
+//! A log without an arm, or without a model of it, is no error here: its streams, clocks and
+//! transforms can still be audited, and [`Run::no_arm`] says what is missing.
+
+mod arm;
+mod assemble;
+mod clock;
+mod declaration;
+mod error;
+mod joints;
+mod models;
+mod poses;
+mod role;
+mod skeleton;
+mod streams;
+#[cfg(test)]
+mod tests;
+mod tf_tree;
+
+use crate::time::{Clock, Stamp};
+
+pub use arm::{Arm, ImuSource, NoTf, PoseSource};
+pub use clock::{Alignment, Epoch, HeaderStamps, StreamClock};
+pub use declaration::{Coding, Declaration, DeclarationError, RobotSource};
+pub use error::RunError;
+pub use joints::{JointFacts, Velocities};
+pub use role::Role;
+pub use streams::Stream;
+pub use tf_tree::{Edge, EdgeKind, TfError, TfPath, TfTree};
+
+/// Correlation of speeds from which a stream follows the arm.
+const FOLLOWS: f64 = 0.7;
+
+/// Correlation of speeds below which a stream does not follow the arm, whatever its frame says. Less
+/// than [`FOLLOWS`], because a bad clock or convention lowers it too.
+const CONTRADICTS: f64 = 0.4;
+
+/// What the caller says of a run.
+#[derive(Clone, Debug)]
+pub struct RunOptions {
+    /// The robots in it; where none is named, the log is asked and then the catalogue.
+    pub robots: Vec<RobotSource>,
+    /// The link to take as base.
+    pub base: Option<String>,
+    /// The link to take as tip.
+    pub tip: Option<String>,
+    /// The clock to place messages by.
+    pub stamp: Clock,
+    /// Stamps further than this off the other streams', s, are of another clock.
+    pub max_latency_s: f64,
+    /// What the caller says of single streams.
+    pub declared: Vec<Declaration>,
+}
+
+impl Default for RunOptions {
+    fn default() -> Self {
+        Self {
+            robots: Vec::new(),
+            base: None,
+            tip: None,
+            stamp: Clock::Header,
+            max_latency_s: 5.0,
+            declared: Vec::new(),
+        }
+    }
+}
+
+/// One run, ready to be diagnosed.
+#[derive(Debug)]
+pub struct Run {
+    /// The stamp that times in seconds are relative to: the earliest of the joint states or, without
+    /// any, of all streams.
+    pub origin: Stamp,
+    /// First and last stamp of all streams, on the clock that the audit uses.
+    pub span: Option<(Stamp, Stamp)>,
+    /// All topics, in the order of the log; after them transforms of TF topics that are measured
+    /// poses.
+    pub streams: Vec<Stream>,
+    /// The arms.
+    pub arms: Vec<Arm>,
+    /// The frames, and the transforms between them.
+    pub tf: TfTree,
+    /// The clock of every stream that moves in time.
+    pub clocks: Vec<StreamClock>,
+    /// Whether the log holds `/clock`, the mark of simulated time.
+    pub has_clock_topic: bool,
+    /// Why there is no arm.
+    pub no_arm: Option<RunError>,
+}
+
+impl Run {
+    /// The candidates of an arm: indices of their streams.
+    pub fn candidates(&self) -> impl Iterator<Item = usize> + '_ {
+        let is_candidate =
+            |index: &usize| matches!(self.streams[*index].role, Role::Candidate { .. });
+        (0..self.streams.len()).filter(is_candidate)
+    }
+
+    /// Settles whether candidate `stream` is a tool pose: `peak` is the highest correlation of its
+    /// speeds with the arm's, from 0 to 1, or `None` where the motion cannot tell.
+    ///
+    /// A stream that is no tool pose is unassigned with the reason, and leaves its arm. A stream
+    /// that is no candidate keeps its role.
+    pub fn settle(&mut self, stream: usize, peak: Option<f64>) {
+        let Some(settled) = self.streams.get_mut(stream) else { return };
+        let Role::Candidate { presumed } = settled.role else { return };
+        let (is_pose, verdict) = match peak {
+            Some(peak) if peak >= FOLLOWS => {
+                (true, format!("it follows the arm: its speed correlates by {peak:.2}"))
+            }
+            Some(peak) if presumed && peak >= CONTRADICTS => (
+                true,
+                format!("its motion does not contradict that: its speed correlates by {peak:.2}"),
+            ),
+            Some(peak) => (
+                false,
+                format!(
+                    "it does not follow the arm: its speed correlates by {peak:.2}, not {FOLLOWS}"
+                ),
+            ),
+            None if presumed => (true, "the motion cannot tell".to_owned()),
+            None => (false, "the motion cannot tell whether it follows the arm".to_owned()),
+        };
+        settled.role = if is_pose { Role::Pose } else { Role::Unassigned };
+        settled.reason = format!("{}; {verdict}", settled.reason);
+        if !is_pose {
+            (settled.arm, settled.reference, settled.link) = (None, None, None);
+            for arm in &mut self.arms {
+                arm.poses.retain(|source| source.stream != stream);
+            }
+        }
+    }
+}

@@ -1,0 +1,390 @@
+//! Which robots the log is about, under the names that the log uses.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use crate::robot::{LinkId, Robot, catalogue};
+
+use super::declaration::RobotSource;
+use super::error::RunError;
+use super::skeleton::is_own;
+
+/// A robot of the log.
+#[derive(Clone, Debug)]
+pub(super) struct Model {
+    /// The robot, its joints named as in the log.
+    pub robot: Robot,
+    /// How it was found, in words.
+    pub found: String,
+    /// How the log names its links.
+    pub frames: FrameNames,
+    /// The link that the controller reports poses in, if the robot has it.
+    pub controller_base: Option<LinkId>,
+    /// The link whose pose the controller reports, if the robot has it.
+    pub controller_tip: Option<LinkId>,
+}
+
+/// A robot that the caller named, and what its joints start with in the log.
+pub(super) struct Given {
+    robot: Robot,
+    prefix: Option<String>,
+}
+
+/// What the log says of its robots.
+pub(super) struct Clues<'a> {
+    /// Joints with at least one sample, in the order in which they appear.
+    pub joints: &'a [String],
+    /// Frames that streams and transforms name.
+    pub frames: &'a BTreeSet<String>,
+    /// Robot descriptions, each with the name of where it was.
+    pub descriptions: &'a [(String, String)],
+}
+
+/// Reads the robots that the caller named.
+///
+/// # Errors
+/// Where one is neither a file nor in the catalogue, or its file is no robot.
+pub(super) fn given(sources: &[RobotSource]) -> Result<Vec<Given>, RunError> {
+    sources
+        .iter()
+        .map(|source| Ok(Given { robot: load(&source.model)?, prefix: source.prefix.clone() }))
+        .collect()
+}
+
+fn load(model: &str) -> Result<Robot, RunError> {
+    let path = Path::new(model);
+    if path.exists() || path.extension().is_some() {
+        return Ok(Robot::from_file(path)?);
+    }
+    catalogue::find(model).cloned().ok_or_else(|| RunError::UnknownRobot {
+        name: model.to_owned(),
+        nearest: catalogue::nearest_names(model).into_iter().map(str::to_owned).collect(),
+    })
+}
+
+/// The robots of the log: those that the caller named, else those described in the log, else those
+/// of the catalogue whose joint names match; of catalogue arms with the same names the one that
+/// `misfit_m` (of a robot and how the log names its links) says is the closest.
+///
+/// # Errors
+/// Where there is none whose joints are in the log.
+pub(super) fn models(
+    given: Vec<Given>,
+    clues: &Clues<'_>,
+    misfit_m: impl Fn(&Robot, &FrameNames) -> Option<f64>,
+) -> Result<Vec<Model>, RunError> {
+    if !given.is_empty() {
+        let alone = given.len() == 1;
+        return given
+            .into_iter()
+            .map(|given| of_given(&given, alone, clues))
+            .collect::<Result<Vec<_>, _>>()
+            .map(|models| models.concat());
+    }
+    let mut refusal = None;
+    let mut described: Vec<Model> = Vec::new();
+    for (place, text) in clues.descriptions {
+        let found = format!("the description in the log ({place})");
+        let models = Robot::from_text(text, place)
+            .map_err(RunError::from)
+            .and_then(|robot| named(&robot, clues, clues.joints.to_vec(), true, &found));
+        match models {
+            Ok(models) => {
+                let is_new =
+                    |model: &Model| !described.iter().any(|other| same_joints(other, model));
+                let new: Vec<Model> = models.into_iter().filter(is_new).collect();
+                described.extend(new);
+            }
+            Err(error) => refusal = refusal.or(Some(error)),
+        }
+    }
+    if !described.is_empty() {
+        return Ok(described);
+    }
+    let catalogued = from_catalogue(clues, misfit_m)?;
+    if catalogued.is_empty() {
+        let none = || RunError::NoModel { logged: clues.joints.to_vec() };
+        return Err(refusal.unwrap_or_else(none));
+    }
+    Ok(catalogued)
+}
+
+fn of_given(given: &Given, alone: bool, clues: &Clues<'_>) -> Result<Vec<Model>, RunError> {
+    let fits =
+        |name: &&String| given.prefix.as_deref().is_none_or(|prefix| name.starts_with(prefix));
+    let joints: Vec<String> = clues.joints.iter().filter(fits).cloned().collect();
+    let may_repeat = alone && given.prefix.is_none();
+    named(&given.robot, clues, joints, may_repeat, "--robot")
+}
+
+/// `robot` under the names among `joints` that fit best and, if it `may_repeat`, once more for each
+/// further set of names that fits as well (two arms of one model).
+fn named(
+    robot: &Robot,
+    clues: &Clues<'_>,
+    mut joints: Vec<String>,
+    may_repeat: bool,
+    found: &str,
+) -> Result<Vec<Model>, RunError> {
+    let mut models: Vec<Model> = Vec::new();
+    let mut fitted = 0;
+    while let Some(names) = robot.match_joint_names(&joints).into_iter().next() {
+        let is_enough = match models.is_empty() {
+            true => names.matched > 1 || names.is_complete(),
+            false => may_repeat && names.matched == fitted,
+        };
+        if !is_enough {
+            break;
+        }
+        fitted = names.matched;
+        let Some(renamed) = robot.with_prefix_replaced(&names.from_prefix, &names.to_prefix) else {
+            break;
+        };
+        joints.retain(|joint| renamed.joint(joint).is_none());
+        let found = match names.from_prefix == names.to_prefix {
+            true => found.to_owned(),
+            false => format!(
+                "{found}, with '{}' for '{}' in its names",
+                names.to_prefix, names.from_prefix
+            ),
+        };
+        models.push(Model::new(renamed, found, &names.to_prefix, clues));
+    }
+    if models.is_empty() {
+        let own = robot.joints().iter().filter(|joint| is_own(joint));
+        return Err(RunError::UnknownJoints {
+            robot: robot.name.clone(),
+            source: robot.source.clone(),
+            logged: clues.joints.to_vec(),
+            modelled: own.map(|joint| joint.name.clone()).collect(),
+        });
+    }
+    Ok(models)
+}
+
+fn same_joints(a: &Model, b: &Model) -> bool {
+    let names = |model: &Model| -> BTreeSet<String> {
+        model
+            .robot
+            .joints()
+            .iter()
+            .filter(|joint| is_own(joint))
+            .map(|joint| joint.name.clone())
+            .collect()
+    };
+    names(a) == names(b)
+}
+
+/// The arms of the catalogue whose joint names are in the log, each of equals the closest. One whose
+/// names the log has only behind a prefix that it does not know must fit too: names such as `joint_1`
+/// are anybody's.
+fn from_catalogue(
+    clues: &Clues<'_>,
+    misfit_m: impl Fn(&Robot, &FrameNames) -> Option<f64>,
+) -> Result<Vec<Model>, RunError> {
+    /// An arm that is further from the log than this is another one.
+    const FITS_M: f64 = 0.01;
+    /// An arm that is closer by less than this is not clearly closer.
+    const APART_M: f64 = 1e-3;
+    let mut joints = clues.joints.to_vec();
+    let mut models = Vec::new();
+    loop {
+        let found = catalogue::candidates_for(&joints);
+        let best: Vec<_> = found
+            .iter()
+            .filter(|other| {
+                other.names.is_complete() && other.names.joints == found[0].names.joints
+            })
+            .filter(|other| other.names.strangeness == found[0].names.strangeness)
+            .filter_map(|candidate| Some((candidate.renamed()?, &candidate.names)))
+            .collect();
+        if best.is_empty() {
+            return Ok(models);
+        }
+        let mut ranked: Vec<(f64, Model)> = best
+            .into_iter()
+            .map(|(robot, names)| {
+                let model = Model::new(robot, String::new(), &names.to_prefix, clues);
+                (misfit_m(&model.robot, &model.frames).unwrap_or(f64::INFINITY), model)
+            })
+            .collect();
+        ranked.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+        let names: Vec<String> = ranked.iter().map(|(_, model)| model.robot.name.clone()).collect();
+        let is_stranger = found[0].names.strangeness > 0;
+        let mut ranked = ranked.into_iter();
+        let Some((misfit, mut model)) = ranked.next() else { return Ok(models) };
+        model.found = match ranked.next() {
+            None if is_stranger && misfit >= FITS_M => return Ok(models),
+            None => "the one arm of the catalogue with these joint names".to_owned(),
+            Some((next, _)) if misfit < FITS_M && next > 2.0 * misfit + APART_M => format!(
+                "of {} arms of the catalogue with these joint names the closest: the log fits it \
+                 within {:.1} mm, and the next within {:.1} mm",
+                names.len(),
+                1e3 * misfit,
+                1e3 * next
+            ),
+            Some(_) => return Err(RunError::Ambiguous { arms: names }),
+        };
+        joints.retain(|joint| model.robot.joint(joint).is_none());
+        models.push(model);
+    }
+}
+
+impl Model {
+    fn new(robot: Robot, found: String, joint_prefix: &str, clues: &Clues<'_>) -> Self {
+        let frames = FrameNames::fit(&robot, joint_prefix, clues.frames);
+        let known = controller_links(&robot, clues.joints);
+        let link = |own: &Option<String>, known: Option<String>| {
+            own.as_deref().and_then(|own| robot.link(own)).or_else(|| robot.link(&known?))
+        };
+        let controller_base = link(&robot.controller_base, known.0);
+        let controller_tip = link(&robot.controller_tip, known.1);
+        Self { robot, found, frames, controller_base, controller_tip }
+    }
+}
+
+/// The base and tip that controllers of catalogue arms with the joints of `robot` report in, each
+/// where all of these arms agree.
+fn controller_links(robot: &Robot, joints: &[String]) -> (Option<String>, Option<String>) {
+    let own: Vec<&String> = joints.iter().filter(|joint| robot.joint(joint).is_some()).collect();
+    let arms: Vec<Robot> = catalogue::candidates_for(&own)
+        .iter()
+        .filter(|candidate| candidate.names.is_complete())
+        .filter_map(catalogue::Candidate::renamed)
+        .collect();
+    let agreed = |link: fn(&Robot) -> &Option<String>| {
+        let first = link(arms.first()?);
+        arms.iter().all(|arm| link(arm) == first).then(|| first.clone()).flatten()
+    };
+    (agreed(|arm| &arm.controller_base), agreed(|arm| &arm.controller_tip))
+}
+
+/// How the log's frames are named after a robot's links: a prefix taken off, another put on.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct FrameNames {
+    strip: String,
+    add: String,
+}
+
+impl FrameNames {
+    /// The naming under which most links are among the logged `frames`: as the joints are, without
+    /// the joints' prefix, or with a prefix that the joints do not have, as where only a `tf_prefix`
+    /// was set.
+    fn fit(robot: &Robot, joint_prefix: &str, frames: &BTreeSet<String>) -> Self {
+        let links: Vec<&str> = robot.links().map(|link| robot.link_name(link)).collect();
+        let prefixes: BTreeSet<&str> = frames
+            .iter()
+            .flat_map(|frame| links.iter().filter_map(move |link| frame.strip_suffix(link)))
+            .filter(|prefix| prefix.ends_with(['/', '_', '-', '.']))
+            .collect();
+        let mut namings =
+            vec![Self::default(), Self { strip: joint_prefix.to_owned(), ..Self::default() }];
+        namings.extend(
+            prefixes.into_iter().map(|add| Self { add: add.to_owned(), ..Self::default() }),
+        );
+        let logged = |naming: &Self| {
+            links.iter().filter(|link| frames.contains(&naming.frame_of(link))).count()
+        };
+        // Of namings that fit as well the first, which is to change nothing.
+        namings.into_iter().rev().max_by_key(logged).unwrap_or_default()
+    }
+
+    /// The frame of a link.
+    pub fn frame_of(&self, link: &str) -> String {
+        format!("{}{}", self.add, link.strip_prefix(&self.strip).unwrap_or(link))
+    }
+
+    /// The link of a frame.
+    pub fn link_of(&self, robot: &Robot, frame: &str) -> Option<LinkId> {
+        robot.links().find(|link| self.frame_of(robot.link_name(*link)) == frame)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const UR: [&str; 6] = [
+        "shoulder_pan_joint",
+        "shoulder_lift_joint",
+        "elbow_joint",
+        "wrist_1_joint",
+        "wrist_2_joint",
+        "wrist_3_joint",
+    ];
+
+    fn prefixed(prefix: &str) -> Vec<String> {
+        UR.iter().map(|name| format!("{prefix}{name}")).collect()
+    }
+
+    fn ur5e(joints: &[String], frames: &[&str]) -> Result<Vec<Model>, RunError> {
+        let frames = frames.iter().map(|&frame| frame.to_owned()).collect();
+        let clues = Clues { joints, frames: &frames, descriptions: &[] };
+        models(given(&["ur5e".into()])?, &clues, |_, _| None)
+    }
+
+    #[test]
+    fn a_prefix_of_the_joints_is_put_before_the_models_names() {
+        let models = ur5e(&prefixed("left_"), &["left_base_link", "left_tool0"]).unwrap();
+        assert!(models[0].robot.joint("left_elbow_joint").is_some());
+        assert!(models[0].frames.link_of(&models[0].robot, "left_tool0").is_some());
+    }
+
+    #[test]
+    fn frames_may_carry_a_prefix_that_joints_do_not_and_the_other_way_round() {
+        let model = &ur5e(&prefixed(""), &["ur5e/base", "ur5e/tool0", "world"]).unwrap()[0];
+        let tool = model.frames.link_of(&model.robot, "ur5e/tool0").unwrap();
+        assert_eq!(model.robot.link_name(tool), "tool0");
+        assert_eq!(model.frames.frame_of("flange"), "ur5e/flange");
+        let model = &ur5e(&prefixed("a/"), &["base", "tool0"]).unwrap()[0];
+        assert_eq!(model.frames.frame_of("a/tool0"), "tool0");
+    }
+
+    #[test]
+    fn one_model_may_stand_in_the_log_twice() {
+        let joints = [prefixed("left_"), prefixed("right_")].concat();
+        let models = ur5e(&joints, &[]).unwrap();
+        assert_eq!(models.len(), 2);
+        assert!(models[1].robot.joint("right_elbow_joint").is_some());
+    }
+
+    #[test]
+    fn joints_of_another_robot_are_an_error_that_shows_both() {
+        let error = ur5e(&["panda_joint1".to_owned(), "panda_joint2".to_owned()], &[]).unwrap_err();
+        let text = error.to_string();
+        assert!(text.contains("panda_joint1") && text.contains("elbow_joint"), "{text}");
+    }
+
+    #[test]
+    fn of_catalogue_arms_with_the_same_joints_the_closest_is_taken_and_said() {
+        let joints = prefixed("");
+        let clues = Clues { joints: &joints, frames: &BTreeSet::new(), descriptions: &[] };
+        let misfit =
+            |robot: &Robot, _: &FrameNames| Some(if robot.name == "ur10e" { 1e-4 } else { 0.1 });
+        let found = models(Vec::new(), &clues, misfit).unwrap();
+        assert_eq!(found[0].robot.name, "ur10e");
+        assert!(found[0].found.contains("within 0.1 mm"), "{}", found[0].found);
+        let unknown = models(Vec::new(), &clues, |_, _| None).unwrap_err();
+        assert!(matches!(unknown, RunError::Ambiguous { .. }), "{unknown}");
+    }
+
+    #[test]
+    fn common_names_behind_a_strange_prefix_are_not_enough() {
+        let joints: Vec<String> = (1..=7).map(|i| format!("iiwa_joint_{i}")).collect();
+        let clues = Clues { joints: &joints, frames: &BTreeSet::new(), descriptions: &[] };
+        let error = models(Vec::new(), &clues, |_, _| Some(0.2)).unwrap_err();
+        assert!(matches!(error, RunError::NoModel { .. }), "{error}");
+    }
+
+    #[test]
+    fn controllers_links_are_known_from_the_joint_names() {
+        let model = &ur5e(&prefixed(""), &[]).unwrap()[0];
+        assert_eq!(model.controller_base.map(|link| model.robot.link_name(link)), Some("base"));
+    }
+
+    #[test]
+    fn what_is_neither_file_nor_name_is_said_with_its_neighbours() {
+        let text = given(&["ur5f".into()]).err().map(|error| error.to_string()).unwrap();
+        assert!(text.contains("did you mean 'ur5"), "{text}");
+    }
+}

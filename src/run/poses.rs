@@ -1,0 +1,356 @@
+//! Columns of poses, arrays and IMU readings as tracks.
+
+use crate::geometry::{Pose, Rotation, Vec3, rotation_from_matrix_rows, rotation_from_xyzw};
+use crate::stream::{ArrayColumns, ImuColumns, ImuTrack, Orientations, PoseColumns, PoseTrack};
+use crate::time::Stamp;
+
+use super::declaration::{Coding, Declaration};
+
+/// A track, and the stamps of its samples.
+#[derive(Clone, Debug)]
+pub(super) struct Stamped<T> {
+    pub track: T,
+    pub stamps: Vec<Stamp>,
+}
+
+/// The stamped rows that `keep` takes, in the order of time; of equal stamps the first.
+fn rows_in_order(stamps: &[Option<Stamp>], keep: impl Fn(usize) -> bool) -> Vec<(Stamp, usize)> {
+    let stamped = stamps.iter().enumerate().filter_map(|(row, stamp)| Some(((*stamp)?, row)));
+    let mut rows: Vec<(Stamp, usize)> = stamped.filter(|(_, row)| keep(*row)).collect();
+    rows.sort_by_key(|(stamp, _)| *stamp);
+    rows.dedup_by_key(|(stamp, _)| *stamp);
+    rows
+}
+
+/// Cuts a track of the rows that `sample` can read.
+fn track_of(
+    stamps: &[Option<Stamp>],
+    origin: Stamp,
+    sample: impl Fn(usize) -> Option<(Vec3, Rotation)>,
+) -> Stamped<PoseTrack> {
+    let samples: Vec<_> = (0..stamps.len()).map(sample).collect();
+    let rows = rows_in_order(stamps, |row| samples[row].is_some());
+    let (xyz, rotations) = rows.iter().filter_map(|(_, row)| samples[*row]).unzip();
+    let orientation = Orientations::Rotations(rotations);
+    stamped(&rows, origin, |t_s| PoseTrack { t_s, xyz, orientation })
+}
+
+fn stamped<T>(
+    rows: &[(Stamp, usize)],
+    origin: Stamp,
+    track: impl FnOnce(Vec<f64>) -> T,
+) -> Stamped<T> {
+    let stamps: Vec<Stamp> = rows.iter().map(|(stamp, _)| *stamp).collect();
+    let t_s = stamps.iter().map(|stamp| stamp.seconds_since(origin)).collect();
+    Stamped { track: track(t_s), stamps }
+}
+
+/// The track of logged poses; rows whose quaternion is no rotation are left out.
+///
+/// # Errors
+/// Where the declaration does not fit quaternions.
+pub(super) fn from_poses(
+    poses: &PoseColumns,
+    stamps: &[Option<Stamp>],
+    declared: Option<&Declaration>,
+    origin: Stamp,
+) -> Result<Stamped<PoseTrack>, String> {
+    if declared.is_some_and(|declared| matches!(declared.coding, Coding::Three(_))) {
+        return Err("the topic holds quaternions, not three rotation numbers".to_owned());
+    }
+    let scale = unit_m(declared);
+    Ok(track_of(stamps, origin, |row| {
+        let rotation = rotation_from_xyzw(as_xyzw(poses.q_xyzw[row], declared))?;
+        Some((Vec3::from(poses.xyz[row]) * scale, rotation))
+    }))
+}
+
+/// The track of bare arrays: 6 numbers are position and three rotation numbers, 7 position and
+/// quaternion, 12 and 16 a matrix.
+///
+/// # Errors
+/// Where the declaration does not fit, or 12 or 16 numbers are no matrix of a pose.
+pub(super) fn from_array(
+    array: &ArrayColumns,
+    stamps: &[Option<Stamp>],
+    declared: Option<&Declaration>,
+    origin: Stamp,
+) -> Result<Stamped<PoseTrack>, String> {
+    let scale = unit_m(declared);
+    let xyz = |row: usize| Vec3::from_column_slice(&array.row(row)[..3]) * scale;
+    let is_quaternion = declared.map(|declared| !matches!(declared.coding, Coding::Three(_)));
+    match array.width {
+        6 if is_quaternion == Some(true) => {
+            Err("the topic holds three rotation numbers, not a quaternion".to_owned())
+        }
+        6 => {
+            let rows = rows_in_order(stamps, |_| true);
+            let numbers = rows.iter().map(|(_, row)| {
+                let row = array.row(*row);
+                angles([row[3], row[4], row[5]], declared)
+            });
+            let orientation = match declared.map(|declared| declared.coding) {
+                Some(Coding::Three(convention)) => Orientations::Rotations(
+                    numbers.map(|numbers| convention.rotation(numbers)).collect(),
+                ),
+                _ => Orientations::Numbers(numbers.collect()),
+            };
+            let xyz = rows.iter().map(|(_, row)| xyz(*row)).collect();
+            Ok(stamped(&rows, origin, |t_s| PoseTrack { t_s, xyz, orientation }))
+        }
+        7 if is_quaternion == Some(false) => {
+            Err("the topic holds a quaternion, not three rotation numbers".to_owned())
+        }
+        7 => Ok(track_of(stamps, origin, |row| {
+            let values = array.row(row);
+            let logged = [values[3], values[4], values[5], values[6]];
+            Some((xyz(row), rotation_from_xyzw(as_xyzw(logged, declared))?))
+        })),
+        _ => {
+            let layout = Layout::of(array).ok_or_else(|| {
+                format!("its {} numbers a row are no matrix of a pose", array.width)
+            })?;
+            Ok(track_of(stamps, origin, |row| {
+                let (translation, rows) = layout.split(array.row(row));
+                let (rotation, _) = rotation_from_matrix_rows(rows)?;
+                Some((Vec3::from(translation) * scale, rotation))
+            }))
+        }
+    }
+}
+
+fn unit_m(declared: Option<&Declaration>) -> f64 {
+    if declared.is_some_and(|declared| declared.millimetres) { 1e-3 } else { 1.0 }
+}
+
+fn angles(numbers: [f64; 3], declared: Option<&Declaration>) -> [f64; 3] {
+    let degrees = declared.is_some_and(|declared| declared.degrees);
+    if degrees { numbers.map(f64::to_radians) } else { numbers }
+}
+
+fn as_xyzw(logged: [f64; 4], declared: Option<&Declaration>) -> [f64; 4] {
+    match declared.map(|declared| declared.coding) {
+        Some(Coding::QuaternionWxyz) => [logged[1], logged[2], logged[3], logged[0]],
+        _ => logged,
+    }
+}
+
+/// How a matrix lies in its row of numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Layout {
+    RowMajor,
+    ColumnMajor,
+}
+
+impl Layout {
+    /// The layout in which most rows are poses: of 16 numbers by where 0 0 0 1 stands, of 12 by
+    /// where an orthonormal matrix stands.
+    fn of(array: &ArrayColumns) -> Option<Self> {
+        let rows = array.times.len();
+        [Self::RowMajor, Self::ColumnMajor].into_iter().find(|layout| {
+            let fits = (0..rows).filter(|&row| layout.fits(array.row(row))).count();
+            rows > 0 && 2 * fits > rows
+        })
+    }
+
+    fn fits(self, values: &[f64]) -> bool {
+        const BOTTOM: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
+        let bottom = match (self, values.len()) {
+            (Self::RowMajor, 16) => Some([12, 13, 14, 15]),
+            (Self::ColumnMajor, 16) => Some([3, 7, 11, 15]),
+            _ => None,
+        };
+        let is_bottom = |places: [usize; 4]| {
+            places.iter().zip(BOTTOM).all(|(&place, wanted)| (values[place] - wanted).abs() < 1e-6)
+        };
+        bottom.is_none_or(is_bottom) && rotation_from_matrix_rows(self.split(values).1).is_some()
+    }
+
+    /// Translation, and the rows of the rotation matrix.
+    fn split(self, values: &[f64]) -> ([f64; 3], [[f64; 3]; 3]) {
+        let height = values.len() / 4;
+        let at = |row: usize, column: usize| match self {
+            Self::RowMajor => values[4 * row + column],
+            Self::ColumnMajor => values[height * column + row],
+        };
+        let rows = [0, 1, 2].map(|row| [0, 1, 2].map(|column| at(row, column)));
+        ([0, 1, 2].map(|row| at(row, 3)), rows)
+    }
+}
+
+/// The track `a_from_c` of a track `b_from_c`-like stream: `before · logged · after`.
+///
+/// Bare numbers have no frames, so there is nothing to change in them.
+pub(super) fn reframed(mut track: PoseTrack, before: &Pose, after: &Pose) -> PoseTrack {
+    let Orientations::Rotations(rotations) = &mut track.orientation else { return track };
+    for (xyz, rotation) in track.xyz.iter_mut().zip(rotations) {
+        let pose = before * Pose::from_parts((*xyz).into(), *rotation) * after;
+        (*xyz, *rotation) = (pose.translation.vector, pose.rotation);
+    }
+    track
+}
+
+/// The track of `poses`, whose stamps increase strictly.
+pub(super) fn from_samples(samples: Vec<(Stamp, Pose)>, origin: Stamp) -> Stamped<PoseTrack> {
+    let stamps: Vec<Option<Stamp>> = samples.iter().map(|(stamp, _)| Some(*stamp)).collect();
+    track_of(&stamps, origin, |row| {
+        let pose = samples[row].1;
+        Some((pose.translation.vector, pose.rotation))
+    })
+}
+
+/// The track of an IMU. It has orientation where most rows have one; rows without are then left
+/// out.
+pub(super) fn from_imu(
+    imu: &ImuColumns,
+    stamps: &[Option<Stamp>],
+    origin: Stamp,
+) -> Stamped<ImuTrack> {
+    let rotations: Vec<Option<Rotation>> =
+        imu.q_xyzw.iter().map(|&q_xyzw| rotation_from_xyzw(q_xyzw)).collect();
+    let known = rotations.iter().flatten().count();
+    let has_orientation = imu.has_orientation && 2 * known > rotations.len();
+    let rows = rows_in_order(stamps, |row| !has_orientation || rotations[row].is_some());
+    let kept = || rows.iter().map(|(_, row)| *row);
+    let orientation = if has_orientation {
+        kept().filter_map(|row| rotations[row]).collect()
+    } else {
+        Vec::new()
+    };
+    let gyro = kept().map(|row| Vec3::from(imu.gyro[row])).collect();
+    let accel = kept().map(|row| Vec3::from(imu.accel[row])).collect();
+    stamped(&rows, origin, |t_s| ImuTrack { t_s, orientation, gyro, accel })
+}
+
+/// Whether at least 90 % of `stamps` are among `of`, exactly; both in order.
+pub(super) fn are_copies(stamps: &[Stamp], of: &[Stamp]) -> bool {
+    let copies = stamps.iter().filter(|stamp| of.binary_search(stamp).is_ok()).count();
+    !stamps.is_empty() && 10 * copies >= 9 * stamps.len()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{angle_between, rotation_from_rpy, xyzw_from_rotation};
+
+    fn stamps(count: i64) -> Vec<Option<Stamp>> {
+        (0..count).map(|row| Some(Stamp::from_nanos(row * 1_000_000))).collect()
+    }
+
+    fn rotation(row: usize) -> Rotation {
+        rotation_from_rpy([0.3, -0.2 * row as f64, 1.0])
+    }
+
+    fn array(width: usize, row_of: impl Fn(usize) -> Vec<f64>) -> ArrayColumns {
+        let mut array = ArrayColumns { width, ..Default::default() };
+        for row in 0..5 {
+            array.times.push(0, row as i64, 0);
+            array.values.extend(row_of(row));
+        }
+        array
+    }
+
+    fn rotations(track: &PoseTrack) -> &[Rotation] {
+        match &track.orientation {
+            Orientations::Rotations(rotations) => rotations,
+            Orientations::Numbers(_) => panic!("rotations expected"),
+        }
+    }
+
+    #[test]
+    fn matrices_are_read_by_rows_or_by_columns() {
+        let matrix = |row: usize| {
+            let mut matrix = rotation(row).to_homogeneous();
+            matrix[(0, 3)] = row as f64;
+            matrix
+        };
+        let by_columns = |row: usize| matrix(row).as_slice().to_vec();
+        let by_rows = |row: usize| matrix(row).transpose().as_slice().to_vec();
+        let short_by_rows = |row: usize| by_rows(row)[..12].to_vec();
+        let short_by_columns =
+            |row: usize| matrix(row).fixed_rows::<3>(0).iter().copied().collect::<Vec<f64>>();
+        for array in [
+            array(16, by_columns),
+            array(16, by_rows),
+            array(12, short_by_rows),
+            array(12, short_by_columns),
+        ] {
+            let track = from_array(&array, &stamps(5), None, Stamp::default()).unwrap().track;
+            for row in 0..5 {
+                assert_eq!(track.xyz[row], Vec3::new(row as f64, 0.0, 0.0));
+                assert!(angle_between(&rotations(&track)[row], &rotation(row)) < 1e-12);
+            }
+        }
+        let junk = array(16, |row| vec![row as f64; 16]);
+        assert!(from_array(&junk, &stamps(5), None, Stamp::default()).is_err());
+    }
+
+    #[test]
+    fn six_numbers_stay_numbers_until_declared() {
+        let array = array(6, |row| vec![1000.0, 0.0, 0.0, 90.0, 0.0, row as f64]);
+        let bare = from_array(&array, &stamps(5), None, Stamp::default()).unwrap().track;
+        assert!(matches!(&bare.orientation, Orientations::Numbers(n) if n[3] == [90.0, 0.0, 3.0]));
+        let declared: Declaration = "/tcp=euler:xyz,deg,mm".parse().unwrap();
+        let track =
+            from_array(&array, &stamps(5), Some(&declared), Stamp::default()).unwrap().track;
+        assert_eq!(track.xyz[0], Vec3::x());
+        let quarter = rotation_from_rpy([90_f64.to_radians(), 0.0, 0.0]);
+        assert!(angle_between(&rotations(&track)[0], &quarter) < 1e-12);
+        let wrong: Declaration = "/tcp=quat:wxyz".parse().unwrap();
+        assert!(from_array(&array, &stamps(5), Some(&wrong), Stamp::default()).is_err());
+    }
+
+    #[test]
+    fn seven_numbers_are_a_quaternion_with_its_scalar_last_unless_declared() {
+        let [x, y, z, w] = xyzw_from_rotation(&rotation(1));
+        let array = array(7, |_| vec![0.0, 0.0, 0.0, w, x, y, z]);
+        let declared: Declaration = "/tcp=quat:wxyz".parse().unwrap();
+        let track =
+            from_array(&array, &stamps(5), Some(&declared), Stamp::default()).unwrap().track;
+        assert!(angle_between(&rotations(&track)[0], &rotation(1)) < 1e-12);
+    }
+
+    #[test]
+    fn rows_without_stamp_or_rotation_and_repeated_stamps_are_left_out() {
+        let mut poses = PoseColumns::default();
+        for row in 0..6 {
+            poses.times.push(row, 0, 0);
+            poses.xyz.push([row as f64, 0.0, 0.0]);
+            poses.q_xyzw.push(if row == 2 { [0.0; 4] } else { [0.0, 0.0, 0.0, 1.0] });
+        }
+        let mut stamps = stamps(6);
+        stamps[0] = None;
+        stamps[4] = stamps[3];
+        stamps.swap(1, 5);
+        let Stamped { track, stamps } =
+            from_poses(&poses, &stamps, None, Stamp::default()).unwrap();
+        let x: Vec<f64> = track.xyz.iter().map(|xyz| xyz.x).collect();
+        assert_eq!(x, [5.0, 3.0, 1.0]);
+        assert!(stamps.is_sorted_by(|a, b| a < b));
+    }
+
+    #[test]
+    fn copies_of_stamps_are_told_from_stamps_of_their_own() {
+        let joints: Vec<Stamp> = (0..100).map(|i| Stamp::from_nanos(i * 8)).collect();
+        let decimated: Vec<Stamp> = joints.iter().copied().step_by(5).collect();
+        let own: Vec<Stamp> =
+            joints.iter().map(|stamp| Stamp::from_nanos(stamp.nanos() + 1)).collect();
+        assert!(are_copies(&decimated, &joints));
+        assert!(!are_copies(&own, &joints) && !are_copies(&[], &joints));
+    }
+
+    #[test]
+    fn an_imu_without_orientation_has_an_empty_column() {
+        let mut imu = ImuColumns { has_orientation: false, ..Default::default() };
+        for row in 0..3 {
+            imu.times.push(row, 0, 0);
+            imu.q_xyzw.push([0.0, 0.0, 0.0, 1.0]);
+            imu.gyro.push([row as f64, 0.0, 0.0]);
+            imu.accel.push([0.0, 0.0, 9.8]);
+        }
+        let track = from_imu(&imu, &stamps(3), Stamp::default()).track;
+        assert_eq!((track.orientation.len(), track.gyro.len()), (0, 3));
+        imu.has_orientation = true;
+        assert_eq!(from_imu(&imu, &stamps(3), Stamp::default()).track.orientation.len(), 3);
+    }
+}

@@ -1,0 +1,366 @@
+//! Which part a topic plays, told from its name, its type and its frames.
+
+use crate::stream::Columns;
+
+/// The part that a stream plays in the audit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// Joint states.
+    Joints,
+    /// A measured pose of the tool.
+    Pose,
+    /// A pose that is the tool's if it follows the arm; see `Run::settle`.
+    Candidate {
+        /// Whether its frame speaks for it, so that a motion that cannot tell leaves it a tool pose.
+        presumed: bool,
+    },
+    /// A command, goal or plan.
+    Reference,
+    /// What a camera sees: a tag, a board, an object.
+    Target,
+    /// Transforms over time.
+    Tf,
+    /// Transforms that hold at all times.
+    TfStatic,
+    /// An inertial measurement unit.
+    Imu,
+    /// A description of the robot.
+    Description,
+    /// A pose that belongs to no arm as far as can be told.
+    Unassigned,
+    /// Of no use to an audit.
+    Ignored,
+}
+
+impl Role {
+    /// The name used in reports; a candidate that nobody settled is unassigned.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Role::Joints => "joints",
+            Role::Pose => "pose",
+            Role::Reference => "reference",
+            Role::Target => "target",
+            Role::Tf => "tf",
+            Role::TfStatic => "tf_static",
+            Role::Imu => "imu",
+            Role::Description => "description",
+            Role::Candidate { .. } | Role::Unassigned => "unassigned",
+            Role::Ignored => "ignored",
+        }
+    }
+}
+
+/// A role, and why in words.
+pub(super) type Verdict = (Role, String);
+
+/// Words of topics that carry what shall be, not what is.
+const GOALS: &[&str] = &[
+    "goal",
+    "goals",
+    "target",
+    "targets",
+    "command",
+    "commands",
+    "cmd",
+    "commanded",
+    "desired",
+    "setpoint",
+    "setpoints",
+    "reference",
+    "ref",
+    "equilibrium",
+    "waypoint",
+    "waypoints",
+    "plan",
+    "planned",
+    "interactive",
+];
+
+/// Words of topics that carry what a camera found.
+const SIGHTS: &[&str] = &[
+    "tag",
+    "tags",
+    "apriltag",
+    "aruco",
+    "charuco",
+    "marker",
+    "markers",
+    "board",
+    "chessboard",
+    "checkerboard",
+    "fiducial",
+    "fiducials",
+    "detection",
+    "detections",
+    "object",
+    "objects",
+];
+
+/// Words of a camera's own frame.
+const CAMERAS: &[&str] = &["camera", "cam", "optical", "rgb", "depth"];
+
+/// Words of topics that carry where a mobile base is.
+const MOBILE: &[&str] =
+    &["odom", "odometry", "amcl", "slam", "localization", "gps", "initialpose", "footprint"];
+
+/// Words of number arrays that are no pose.
+const NO_POSE: &[&str] = &[
+    "joint",
+    "joints",
+    "velocity",
+    "velocities",
+    "speed",
+    "torque",
+    "torques",
+    "effort",
+    "efforts",
+    "wrench",
+    "force",
+    "forces",
+    "twist",
+    "temperature",
+    "temperatures",
+];
+
+/// Words, in this order, of topics on which arm drivers publish the measured tool pose, and whose.
+const DRIVERS: &[(&[&str], &str)] = &[
+    (&["tcp", "pose"], "UR drivers"),
+    (&["o", "t", "ee"], "Franka drivers"),
+    (&["current", "pose"], "Cartesian controllers"),
+    (&["cartesian", "pose"], "iiwa drivers"),
+    (&["tool", "pose"], "arm drivers"),
+    (&["tool", "position"], "JAKA drivers"),
+    (&["tool", "vector"], "UR interfaces"),
+    (&["measured", "cp"], "surgical robots"),
+    (&["flange", "pose"], "arm drivers"),
+    (&["ee", "pose"], "arm drivers"),
+    (&["eef", "pose"], "arm drivers"),
+    (&["end", "effector", "pose"], "arm drivers"),
+];
+
+/// What is known of a frame that a stream names.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Place {
+    /// The stream names none.
+    Unnamed,
+    /// A link between which and the root no joint of the arm lies.
+    StillLink,
+    /// A link that the arm moves.
+    MovingLink,
+    /// Tied to a link that the arm does not move, by static transforms.
+    Tied,
+    /// None of these.
+    Unknown,
+}
+
+/// What the role of a pose stream is told from.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PoseTopic<'a> {
+    pub topic: &'a str,
+    pub frame_id: &'a str,
+    pub child_frame_id: &'a str,
+    pub frame: Place,
+    pub child: Place,
+    pub is_declared: bool,
+}
+
+/// The role of a topic by what it holds, as far as that settles it: all but poses and arrays.
+pub(super) fn plain_role(topic: &str, columns: &Columns) -> Option<Verdict> {
+    let words = words(topic);
+    let verdict = match columns {
+        Columns::Joints(_) => match shared(&words, GOALS) {
+            Some(word) => (Role::Reference, format!("joint commands, by the word '{word}'")),
+            None => (Role::Joints, "joint states".to_owned()),
+        },
+        Columns::Transforms(_) if topic.ends_with("tf_static") => {
+            (Role::TfStatic, "transforms that hold at all times".to_owned())
+        }
+        Columns::Transforms(_) => (Role::Tf, "transforms over time".to_owned()),
+        Columns::Imu(_) => (Role::Imu, "inertial measurements".to_owned()),
+        Columns::Text(_) if topic.ends_with("robot_description") => {
+            (Role::Description, "a description of the robot".to_owned())
+        }
+        Columns::Text(_) => (Role::Ignored, "text that is no robot description".to_owned()),
+        Columns::Poses(_) | Columns::Array(_) => return None,
+    };
+    Some(verdict)
+}
+
+/// The role of a stream of poses with frames.
+pub(super) fn pose_role(pose: &PoseTopic<'_>) -> Verdict {
+    let PoseTopic { topic, frame_id, child_frame_id, .. } = *pose;
+    let topic_words = words(topic);
+    if pose.is_declared {
+        return (Role::Pose, "declared".to_owned());
+    }
+    if let Some(word) = shared(&topic_words, SIGHTS) {
+        return (Role::Target, format!("seen by a camera, by the word '{word}' in its name"));
+    }
+    if pose.child != Place::MovingLink && shared(&words(frame_id), CAMERAS).is_some() {
+        return (Role::Target, format!("seen by a camera: it is in the frame '{frame_id}'"));
+    }
+    if let Some(word) = shared(&topic_words, GOALS) {
+        return (Role::Reference, format!("what shall be, by the word '{word}' in its name"));
+    }
+    match pose.child {
+        Place::MovingLink => {
+            return (
+                Role::Pose,
+                format!("its child frame '{child_frame_id}' is a link that the arm moves"),
+            );
+        }
+        Place::StillLink | Place::Tied => {
+            return (
+                Role::Unassigned,
+                format!("the arm does not move its child frame '{child_frame_id}'"),
+            );
+        }
+        Place::Unnamed | Place::Unknown => {}
+    }
+    let child_words = words(child_frame_id);
+    if let Some(word) = shared(&topic_words, MOBILE).or_else(|| shared(&child_words, MOBILE)) {
+        return (Role::Unassigned, format!("the pose of a mobile base, by the word '{word}'"));
+    }
+    if let Some(driver) = driver_of(&topic_words) {
+        return (Role::Pose, format!("the name that {driver} give the tool pose"));
+    }
+    match pose.frame {
+        Place::MovingLink => {
+            (Role::Unassigned, format!("it is in '{frame_id}', which the arm itself moves"))
+        }
+        Place::StillLink => (
+            Role::Candidate { presumed: true },
+            format!("its frame '{frame_id}' is a link of the robot"),
+        ),
+        Place::Tied | Place::Unnamed | Place::Unknown => (
+            Role::Candidate { presumed: false },
+            "neither its name nor its frames say whose pose it is".to_owned(),
+        ),
+    }
+}
+
+/// The role of a stream of bare numbers, `width` a row.
+pub(super) fn array_role(topic: &str, width: usize, is_declared: bool) -> Verdict {
+    let topic_words = words(topic);
+    let is_pose_width = matches!(width, 6 | 7 | 12 | 16);
+    if is_declared && is_pose_width {
+        return (Role::Pose, "declared".to_owned());
+    }
+    if let Some(word) = shared(&topic_words, GOALS) {
+        return (Role::Reference, format!("what shall be, by the word '{word}' in its name"));
+    }
+    if let Some(word) = shared(&topic_words, NO_POSE) {
+        return (Role::Ignored, format!("no pose, by the word '{word}' in its name"));
+    }
+    if !is_pose_width {
+        return (Role::Ignored, format!("{width} numbers a row are no pose (6, 7, 12 or 16 are)"));
+    }
+    (Role::Candidate { presumed: false }, format!("{width} numbers a row may be a pose"))
+}
+
+fn driver_of(topic_words: &[String]) -> Option<&'static str> {
+    let has =
+        |sequence: &[&str]| topic_words.windows(sequence.len()).any(|window| window == sequence);
+    DRIVERS.iter().find(|(sequence, _)| has(sequence)).map(|(_, driver)| *driver)
+}
+
+fn shared(words: &[String], known: &[&'static str]) -> Option<&'static str> {
+    known.iter().copied().find(|known| words.iter().any(|word| word == known))
+}
+
+/// The words of a topic or frame, in lower case: cut at everything that is no letter or digit, and
+/// where a capital follows a small letter.
+fn words(name: &str) -> Vec<String> {
+    let mut words: Vec<String> = Vec::new();
+    let mut last = '/';
+    for c in name.chars() {
+        let starts = !last.is_alphanumeric() || (last.is_lowercase() && c.is_uppercase());
+        match words.last_mut() {
+            _ if !c.is_alphanumeric() => {}
+            Some(word) if !starts => word.extend(c.to_lowercase()),
+            _ => words.push(c.to_lowercase().collect()),
+        }
+        last = c;
+    }
+    words
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use Place::{MovingLink, StillLink, Tied, Unknown, Unnamed};
+
+    fn role(
+        topic: &str,
+        (frame_id, frame): (&str, Place),
+        (child_frame_id, child): (&str, Place),
+    ) -> Role {
+        pose_role(&PoseTopic { topic, frame_id, child_frame_id, frame, child, is_declared: false })
+            .0
+    }
+
+    #[test]
+    fn words_are_cut_at_marks_and_capitals() {
+        assert_eq!(words("/iiwa/state/CartesianPose"), ["iiwa", "state", "cartesian", "pose"]);
+        assert_eq!(words("O_T_EE"), ["o", "t", "ee"]);
+        assert_eq!(words("//"), [""; 0]);
+    }
+
+    #[test]
+    fn the_role_table() {
+        let (weak, strong) =
+            (Role::Candidate { presumed: false }, Role::Candidate { presumed: true });
+        let (base, map, none) = (("base", StillLink), ("map", Unknown), ("", Unnamed));
+        for (topic, frame, child, expected) in [
+            ("/tcp_pose_broadcaster/pose", base, none, Role::Pose),
+            ("/tcp_pose_broadcaster/pose", ("mocap_world", Unknown), none, Role::Pose),
+            ("/franka_robot_state_broadcaster/current_pose", none, none, Role::Pose),
+            ("/franka_robot_state_broadcaster/o_t_ee", base, none, Role::Pose),
+            ("/iiwa/state/CartesianPose", base, none, Role::Pose),
+            ("/iiwa/command/CartesianPose", base, none, Role::Reference),
+            ("/arm/equilibrium_pose", base, none, Role::Reference),
+            ("/goal_pose", map, none, Role::Reference),
+            ("/setpoint_cp", base, none, Role::Reference),
+            ("/target_pose", ("camera", Unknown), none, Role::Target),
+            ("/target_pose", base, none, Role::Reference),
+            ("/aruco_single/pose", base, none, Role::Target),
+            ("/vision/pose", ("camera_color_optical_frame", MovingLink), none, Role::Target),
+            ("/hand_pose", base, none, strong),
+            ("/hand_pose", ("world", Tied), none, weak),
+            ("/camera_mount_pose", map, none, weak),
+            ("/vrpn/tool", map, none, weak),
+            ("/vrpn/tool", ("odom", Unknown), ("tool0", MovingLink), Role::Pose),
+            ("/odom", ("odom", Unknown), ("base_link", StillLink), Role::Unassigned),
+            ("/odom", ("odom", Unknown), ("base_footprint", Unknown), Role::Unassigned),
+            ("/amcl_pose", map, none, Role::Unassigned),
+            ("/grasp", ("tool0", MovingLink), none, Role::Unassigned),
+        ] {
+            assert_eq!(role(topic, frame, child), expected, "{topic} in {frame:?} of {child:?}");
+        }
+    }
+
+    #[test]
+    fn arrays_must_follow_the_arm_or_be_declared() {
+        let candidate = Role::Candidate { presumed: false };
+        for (topic, width, declared, expected) in [
+            ("/ur/actual_tcp_pose", 6, false, candidate),
+            ("/ur/actual_tcp_pose", 6, true, Role::Pose),
+            ("/O_T_EE", 16, false, candidate),
+            ("/forward_position_controller/commands", 6, false, Role::Reference),
+            ("/arm/joint_torques", 6, false, Role::Ignored),
+            ("/ft_sensor/wrench", 6, false, Role::Ignored),
+            ("/battery", 3, false, Role::Ignored),
+            ("/battery", 3, true, Role::Ignored),
+        ] {
+            assert_eq!(array_role(topic, width, declared).0, expected, "{topic}");
+        }
+    }
+
+    #[test]
+    fn joint_commands_are_no_joint_states() {
+        let joints = Columns::Joints(crate::stream::JointColumns::default());
+        assert_eq!(plain_role("/joint_states", &joints).map(|(role, _)| role), Some(Role::Joints));
+        let commands = plain_role("/isaac_joint_commands", &joints).map(|(role, _)| role);
+        assert_eq!(commands, Some(Role::Reference));
+    }
+}

@@ -1,0 +1,285 @@
+//! Which path through a robot is the arm, and which link is its tip.
+
+use crate::robot::{Joint, JointKind, LinkId, Robot};
+
+/// A path of joints that the joint states hold.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct ArmPath {
+    /// The link above the first joint.
+    pub base: LinkId,
+    /// The link that the last joint moves.
+    pub end: LinkId,
+    /// Names of the joints that move by themselves, from base to end.
+    pub joints: Vec<String>,
+}
+
+/// Words of joints that open and close a gripper.
+const GRIPPER: &[&str] = &["gripper", "finger", "jaw", "claw", "knuckle"];
+
+/// Words of joints that turn a whole gripper.
+const TURNS: &[&str] = &["roll", "rot", "pitch", "yaw", "turn", "wrist"];
+
+/// Whether a joint moves by itself and with one coordinate.
+pub(super) fn is_own(joint: &Joint) -> bool {
+    joint.kind.has_position() && joint.mimic.is_none()
+}
+
+/// The arms of `robot`: the longest path of own joints that `logged` holds, and further ones with
+/// at least four joints of their own, of which there are more than they share.
+///
+/// A path ends where the tree forks into moving branches all of which have fewer joints than the
+/// path so far (a gripper), and before a last joint named as a gripper's.
+pub(super) fn arms(robot: &Robot, logged: impl Fn(&str) -> bool) -> Vec<ArmPath> {
+    const OWN: usize = 4;
+    let mut walk = Walk { robot, logged, ends: Vec::new() };
+    walk.descend(
+        robot.root(),
+        ArmPath { base: robot.root(), end: robot.root(), joints: Vec::new() },
+    );
+    let mut ends = walk.ends;
+    ends.sort_by_key(|path| std::cmp::Reverse(path.joints.len()));
+    let mut arms: Vec<ArmPath> = Vec::new();
+    for path in ends {
+        let taken = |joint: &&String| arms.iter().any(|arm| arm.joints.contains(joint));
+        let shared = path.joints.iter().filter(taken).count();
+        let own = path.joints.len() - shared;
+        if own > 0 && (arms.is_empty() || own >= OWN.max(shared + 1)) {
+            arms.push(path);
+        }
+    }
+    arms
+}
+
+struct Walk<'a, F> {
+    robot: &'a Robot,
+    logged: F,
+    ends: Vec<ArmPath>,
+}
+
+impl<F: Fn(&str) -> bool> Walk<'_, F> {
+    /// Follows the tree below `link`, reached over `path`.
+    fn descend(&mut self, link: LinkId, path: ArmPath) {
+        let robot = self.robot;
+        let branches: Vec<(&Joint, usize)> = robot
+            .child_joints(link)
+            .filter(|joint| self.moves(joint))
+            .map(|joint| (joint, self.depth(joint)))
+            .collect();
+        let deepest = branches.iter().map(|(_, depth)| *depth).max().unwrap_or(0);
+        let is_gripper = branches.len() > 1 && deepest < path.joints.len();
+        let ways: Vec<&Joint> = branches
+            .into_iter()
+            .filter(|(joint, depth)| {
+                *depth > 0 && !is_gripper && !opens_gripper(joint, *depth, &path)
+            })
+            .map(|(joint, _)| joint)
+            .collect();
+        if ways.is_empty() {
+            if !path.joints.is_empty() {
+                self.ends.push(path);
+            }
+            return;
+        }
+        for joint in ways {
+            self.descend(joint.child, self.extended(&path, joint));
+        }
+    }
+
+    fn extended(&self, path: &ArmPath, joint: &Joint) -> ArmPath {
+        let mut path = path.clone();
+        if is_own(joint) && (self.logged)(&joint.name) {
+            if path.joints.is_empty() {
+                path.base = joint.parent;
+            }
+            path.joints.push(joint.name.clone());
+            path.end = joint.child;
+        } else if is_own(joint) || (!joint.kind.has_position() && !is_fixed(joint)) {
+            // Where this joint stands is not known, so the arm can only begin below it.
+            path = ArmPath { base: joint.child, end: joint.child, joints: Vec::new() };
+        }
+        path
+    }
+
+    /// Whether anything below `joint`, or itself, moves.
+    fn moves(&self, joint: &Joint) -> bool {
+        !is_fixed(joint) || self.robot.child_joints(joint.child).any(|below| self.moves(below))
+    }
+
+    /// The most logged own joints on a path from `joint` down.
+    fn depth(&self, joint: &Joint) -> usize {
+        let below = self.robot.child_joints(joint.child).map(|below| self.depth(below)).max();
+        usize::from(is_own(joint) && (self.logged)(&joint.name)) + below.unwrap_or(0)
+    }
+}
+
+fn is_fixed(joint: &Joint) -> bool {
+    joint.kind == JointKind::Fixed
+}
+
+/// Whether `joint` is the last of an arm and named as one that opens a gripper.
+fn opens_gripper(joint: &Joint, depth: usize, path: &ArmPath) -> bool {
+    let name = joint.name.to_lowercase();
+    let has = |words: &[&str]| words.iter().any(|word| name.contains(word));
+    depth == 1 && path.joints.len() > 1 && is_own(joint) && has(GRIPPER) && !has(TURNS)
+}
+
+/// The tip that the model itself suggests: of the links fixed to `end`, `preferred` if it is one of
+/// them, else the first called `tool0`, `flange`, `*_tcp` or `*_link8`, in this order, else the one
+/// behind the most fixed joints.
+pub(super) fn tip(robot: &Robot, end: LinkId, preferred: Option<&str>) -> LinkId {
+    let fixed = fixed_below(robot, end);
+    let named = |fits: &dyn Fn(&str) -> bool| {
+        fixed.iter().map(|(link, _)| *link).find(|link| fits(robot.link_name(*link)))
+    };
+    let is = |name: &str, bare: &str| {
+        name == bare || name.ends_with(&format!("_{bare}")) || name.ends_with(&format!("/{bare}"))
+    };
+    preferred
+        .and_then(|preferred| named(&|name| name == preferred))
+        .or_else(|| named(&|name| is(name, "tool0")))
+        .or_else(|| named(&|name| is(name, "flange")))
+        .or_else(|| named(&|name| name.ends_with("_tcp")))
+        .or_else(|| named(&|name| name.ends_with("_link8")))
+        .or_else(|| fixed.iter().rev().max_by_key(|(_, depth)| *depth).map(|(link, _)| *link))
+        .unwrap_or(end)
+}
+
+/// `link` and the links fixed to it below it, with the number of joints between, parents first.
+fn fixed_below(robot: &Robot, link: LinkId) -> Vec<(LinkId, usize)> {
+    let mut found = vec![(link, 0)];
+    let mut next = 0;
+    while let Some(&(link, depth)) = found.get(next) {
+        let below = robot.child_joints(link).filter(|joint| is_fixed(joint));
+        found.extend(below.map(|joint| (joint.child, depth + 1)));
+        next += 1;
+    }
+    found
+}
+
+/// The joints that move on the way from the root to `link`.
+pub(super) fn moving_joints_above(robot: &Robot, link: LinkId) -> impl Iterator<Item = &Joint> {
+    let up =
+        std::iter::successors(robot.parent_joint(link), |joint| robot.parent_joint(joint.parent));
+    up.filter(|joint| !is_fixed(joint))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A URDF of joints given as "name type parent child".
+    fn robot(joints: &[&str]) -> Robot {
+        let mut links: Vec<&str> = Vec::new();
+        let mut body = String::new();
+        for joint in joints {
+            let [name, kind, parent, child] = joint.split(' ').collect::<Vec<_>>()[..] else {
+                panic!("{joint}")
+            };
+            links.extend([parent, child]);
+            let (kind, mimic) = match kind.split_once('=') {
+                Some((kind, master)) => (kind, format!("<mimic joint=\"{master}\"/>")),
+                None => (kind, String::new()),
+            };
+            body += &format!(
+                "<joint name=\"{name}\" type=\"{kind}\"><parent link=\"{parent}\"/><child link=\"{child}\"/>\
+                 <axis xyz=\"0 0 1\"/><limit lower=\"-1\" upper=\"1\" effort=\"1\" velocity=\"1\"/>{mimic}</joint>"
+            );
+        }
+        links.sort_unstable();
+        links.dedup();
+        let links: String = links.iter().map(|link| format!("<link name=\"{link}\"/>")).collect();
+        Robot::from_urdf(&format!("<robot name=\"r\">{links}{body}</robot>"), "test").unwrap()
+    }
+
+    const ARM: [&str; 6] = [
+        "j1 revolute base l1",
+        "j2 revolute l1 l2",
+        "j3 revolute l2 l3",
+        "j4 revolute l3 l4",
+        "f fixed l4 flange",
+        "t fixed flange tool0",
+    ];
+
+    fn with<'a>(more: &[&'a str]) -> Vec<&'a str> {
+        ARM.into_iter().chain(more.iter().copied()).collect()
+    }
+
+    fn only_arm(robot: &Robot) -> (Vec<String>, &str) {
+        let arms = arms(robot, |_| true);
+        assert_eq!(arms.len(), 1, "{arms:?}");
+        (arms[0].joints.clone(), robot.link_name(tip(robot, arms[0].end, None)))
+    }
+
+    #[test]
+    fn the_path_ends_before_a_branching_gripper() {
+        let joints = with(&[
+            "h fixed tool0 hand",
+            "finger1 prismatic hand left",
+            "finger2 prismatic=finger1 hand right",
+            "c fixed hand hand_tcp",
+        ]);
+        assert_eq!(
+            only_arm(&robot(&joints)),
+            (vec!["j1".into(), "j2".into(), "j3".into(), "j4".into()], "tool0")
+        );
+    }
+
+    #[test]
+    fn fingers_with_joints_of_their_own_are_no_arms() {
+        let joints = with(&[
+            "a1 revolute tool0 a",
+            "a2 revolute a aa",
+            "a3 revolute aa aaa",
+            "b1 revolute tool0 b",
+            "b2 revolute b bb",
+            "b3 revolute bb bbb",
+        ]);
+        assert_eq!(only_arm(&robot(&joints)).0.len(), 4);
+    }
+
+    #[test]
+    fn the_path_ends_before_a_single_jaw_and_not_before_a_wrist_that_turns_the_gripper() {
+        assert_eq!(only_arm(&robot(&with(&["gripper revolute tool0 jaw"]))).0.len(), 4);
+        let turning = robot(&with(&["gripper_roll revolute tool0 wrist", "e fixed wrist ee_tcp"]));
+        assert_eq!(only_arm(&turning).0.len(), 5);
+        assert_eq!(only_arm(&turning).1, "ee_tcp");
+    }
+
+    #[test]
+    fn two_arms_on_a_torso_are_two() {
+        let mut joints = vec!["torso revolute base chest"];
+        let names: Vec<String> = ["left", "right"]
+            .iter()
+            .flat_map(|side| {
+                (0..4).map(move |i| {
+                    let parent = if i == 0 { "chest".to_owned() } else { format!("{side}_l{i}") };
+                    format!("{side}_j{i} revolute {parent} {side}_l{}", i + 1)
+                })
+            })
+            .collect();
+        joints.extend(names.iter().map(String::as_str));
+        let robot = robot(&joints);
+        let found = arms(&robot, |_| true);
+        assert_eq!(found.iter().map(|arm| arm.joints.len()).collect::<Vec<_>>(), [5, 5]);
+    }
+
+    #[test]
+    fn an_arm_begins_below_a_joint_that_is_not_logged() {
+        let robot = robot(&ARM);
+        let arms = arms(&robot, |name| name != "j1");
+        assert_eq!(arms[0].joints, ["j2", "j3", "j4"]);
+        assert_eq!(robot.link_name(arms[0].base), "l1");
+    }
+
+    #[test]
+    fn the_tip_is_the_preferred_link_or_the_best_known_name() {
+        let robot = robot(&with(&["c fixed tool0 camera", "o fixed camera optical"]));
+        let end = robot.link("l4").unwrap();
+        assert_eq!(robot.link_name(tip(&robot, end, None)), "tool0");
+        assert_eq!(robot.link_name(tip(&robot, end, Some("camera"))), "camera");
+        assert_eq!(robot.link_name(tip(&robot, end, Some("l2"))), "tool0");
+        let plain =
+            self::robot(&["j revolute base l", "a fixed l x", "b fixed l y", "c fixed y z"]);
+        assert_eq!(plain.link_name(tip(&plain, plain.link("l").unwrap(), None)), "z");
+    }
+}

@@ -1,0 +1,261 @@
+//! The streams of a run: its topics, and where a topic carries several poses, each of them.
+
+use crate::log::Topic;
+use crate::stream::{Columns, PoseColumns, Times};
+use crate::time::{Clock, Stamp};
+
+use super::clock::{self, Source, StreamClock};
+use super::role::{Role, plain_role};
+use super::tf_tree::without_slash;
+
+/// One stream, the part it plays, and why.
+#[derive(Clone, Debug)]
+pub struct Stream {
+    /// Topic name.
+    pub topic: String,
+    /// Type name as the log spells it.
+    pub type_name: String,
+    /// The part it plays.
+    pub role: Role,
+    /// Why, in words.
+    pub reason: String,
+    /// Index of the arm that it belongs to.
+    pub arm: Option<usize>,
+    /// Frame that its content is in; empty where the type has none or it is not set.
+    pub frame_id: String,
+    /// Frame whose pose it is; empty likewise.
+    pub child_frame_id: String,
+    /// The link that its poses are audited in.
+    pub reference: Option<String>,
+    /// The link whose pose it is taken to be, or that carries the IMU.
+    pub link: Option<String>,
+    /// Messages; of a topic with several poses the rows of this one.
+    pub count: u64,
+    /// What of them was dropped: not decodable, of wrong length, not finite, without a stamp.
+    pub dropped: u64,
+    /// Rows a second; of a TF topic those of its most frequent transform.
+    pub rate_hz: Option<f64>,
+    /// Time of the first row, on the clock that the audit uses.
+    pub start: Option<Stamp>,
+    /// Time of the last row.
+    pub end: Option<Stamp>,
+    /// What it held, as logged.
+    pub columns: Option<Columns>,
+}
+
+impl Stream {
+    /// The times of its rows, in pieces: one a transform.
+    pub fn times(&self) -> Vec<&Times> {
+        match &self.columns {
+            Some(Columns::Joints(joints)) => vec![&joints.times],
+            Some(Columns::Poses(poses) | Columns::Transforms(poses)) => {
+                poses.iter().map(|poses| &poses.times).collect()
+            }
+            Some(Columns::Imu(imu)) => vec![&imu.times],
+            Some(Columns::Array(array)) => vec![&array.times],
+            Some(Columns::Text(text)) => vec![&text.times],
+            None => Vec::new(),
+        }
+    }
+
+    /// The stream of one pose of many on a topic.
+    pub(super) fn of_pose(&self, poses: PoseColumns) -> Self {
+        let (count, dropped) = (poses.times.len() as u64, poses.not_finite);
+        Stream {
+            frame_id: without_slash(&poses.frame_id).to_owned(),
+            child_frame_id: without_slash(&poses.child_frame_id).to_owned(),
+            count,
+            dropped,
+            columns: Some(Columns::Poses(vec![poses])),
+            ..self.clone_without_columns()
+        }
+    }
+
+    fn clone_without_columns(&self) -> Self {
+        Stream {
+            topic: self.topic.clone(),
+            type_name: self.type_name.clone(),
+            role: self.role,
+            reason: self.reason.clone(),
+            arm: self.arm,
+            frame_id: self.frame_id.clone(),
+            child_frame_id: self.child_frame_id.clone(),
+            reference: self.reference.clone(),
+            link: self.link.clone(),
+            columns: None,
+            ..*self
+        }
+    }
+}
+
+/// The streams of `topics`, in their order, as far as their roles can be told without a robot.
+pub(super) fn split(topics: Vec<Topic>) -> Vec<Stream> {
+    topics.into_iter().flat_map(of_topic).collect()
+}
+
+fn of_topic(topic: Topic) -> Vec<Stream> {
+    let undecodable = topic.undecodable.as_ref().map_or(0, |undecodable| undecodable.messages);
+    let mut stream = Stream {
+        topic: topic.name,
+        type_name: topic.type_name,
+        role: Role::Ignored,
+        reason: "an audit does not use this type".to_owned(),
+        arm: None,
+        frame_id: String::new(),
+        child_frame_id: String::new(),
+        reference: None,
+        link: None,
+        count: topic.messages,
+        dropped: undecodable,
+        rate_hz: None,
+        start: topic.span.map(|(start, _)| start),
+        end: topic.span.map(|(_, end)| end),
+        columns: None,
+    };
+    let Some(columns) = topic.columns else {
+        if let Some(undecodable) = topic.undecodable {
+            stream.reason = format!("it cannot be decoded: {}", undecodable.first);
+        }
+        return vec![stream];
+    };
+    if let Columns::Poses(poses) = columns {
+        (stream.role, stream.reason) =
+            (Role::Unassigned, "no arm that it could belong to".to_owned());
+        let mut streams: Vec<Stream> =
+            poses.into_iter().map(|poses| stream.of_pose(poses)).collect();
+        if let Some(first) = streams.first_mut() {
+            first.dropped += undecodable;
+        }
+        if let [only] = streams.as_mut_slice() {
+            only.count = stream.count;
+        }
+        return streams;
+    }
+    match plain_role(&stream.topic, &columns) {
+        Some((role, reason)) => (stream.role, stream.reason) = (role, reason),
+        None => {
+            stream.role = Role::Unassigned;
+            stream.reason = "no arm that it could belong to".to_owned();
+        }
+    }
+    stream.frame_id = match &columns {
+        Columns::Joints(joints) => without_slash(&joints.frame_id).to_owned(),
+        Columns::Imu(imu) => without_slash(&imu.frame_id).to_owned(),
+        _ => String::new(),
+    };
+    stream.dropped += dropped_in(&columns);
+    stream.columns = Some(columns);
+    vec![stream]
+}
+
+/// Rows and values that the decoder dropped.
+fn dropped_in(columns: &Columns) -> u64 {
+    match columns {
+        Columns::Joints(joints) => joints.wrong_length + joints.not_finite,
+        Columns::Poses(poses) | Columns::Transforms(poses) => {
+            poses.iter().map(|poses| poses.not_finite).sum()
+        }
+        Columns::Imu(imu) => imu.not_finite,
+        Columns::Array(array) => array.wrong_length + array.not_finite,
+        Columns::Text(_) => 0,
+    }
+}
+
+/// The clocks of all streams.
+pub(super) struct Timing {
+    pub clocks: Vec<StreamClock>,
+    /// For every stream, for every piece of it, the index of its clock.
+    of: Vec<Vec<usize>>,
+}
+
+impl Timing {
+    /// Settles the clock of every stream that moves in time.
+    pub fn settle(streams: &[Stream], wanted: Clock, max_latency_s: f64) -> Self {
+        let mut sources = Vec::new();
+        let mut of: Vec<Vec<usize>> = vec![Vec::new(); streams.len()];
+        for (index, stream) in streams.iter().enumerate() {
+            match &stream.columns {
+                Some(Columns::Transforms(transforms)) if stream.role == Role::Tf => {
+                    let pieces = transforms
+                        .iter()
+                        .map(|poses| (poses.child_frame_id.as_str(), &poses.times));
+                    of[index] = vec![0; transforms.len()];
+                    for (source, members) in clock::by_clock(index, pieces, max_latency_s) {
+                        for member in members {
+                            of[index][member] = sources.len();
+                        }
+                        sources.push(source);
+                    }
+                }
+                Some(Columns::Transforms(_) | Columns::Text(_)) | None => {}
+                Some(columns) => {
+                    of[index] = vec![sources.len()];
+                    sources.push(Source {
+                        stream: index,
+                        frame: None,
+                        times: stream.times(),
+                        has_header: !matches!(columns, Columns::Array(_)),
+                        is_joints: stream.role == Role::Joints,
+                    });
+                }
+            }
+        }
+        let clocks = clock::settle(&sources, wanted, max_latency_s);
+        Self { clocks, of }
+    }
+
+    /// The clock of a piece of a stream; none for what holds at all times.
+    pub fn clock(&self, stream: usize, piece: usize) -> Option<&StreamClock> {
+        self.clocks.get(*self.of.get(stream)?.get(piece)?)
+    }
+
+    /// When each row of a piece of a stream was.
+    pub fn stamps(&self, streams: &[Stream], stream: usize, piece: usize) -> Vec<Option<Stamp>> {
+        let times = streams[stream].times();
+        match (self.clock(stream, piece), times.get(piece)) {
+            (Some(clock), Some(times)) => clock.stamps_of(times),
+            _ => Vec::new(),
+        }
+    }
+
+    /// Makes the clock of one piece that of another stream too, which is appended.
+    pub fn share(&mut self, stream: usize, piece: usize) {
+        let clock = self.of[stream][piece];
+        self.of.push(vec![clock]);
+    }
+
+    /// Standard error of the time between two streams that alignment left, s.
+    pub fn alignment_error_s(&self, a: (usize, usize), b: (usize, usize)) -> f64 {
+        let spread = |(stream, piece)| {
+            let alignment = self.clock(stream, piece).and_then(|clock| clock.alignment);
+            alignment.map_or(0.0, |alignment| alignment.spread_s)
+        };
+        f64::hypot(spread(a), spread(b))
+    }
+
+    /// Fills in first and last time and rate of every stream, and counts rows without a stamp.
+    pub fn measure(&self, streams: &mut [Stream]) {
+        for index in 0..streams.len() {
+            let pieces = self.of[index].len();
+            let (mut rate_hz, mut bounds, mut unstamped) = (None, None, 0);
+            for piece in 0..pieces {
+                let stamps = self.stamps(streams, index, piece);
+                let known = || stamps.iter().flatten().copied();
+                unstamped += stamps.len() - known().count();
+                let (Some(first), Some(last)) = (known().min(), known().max()) else { continue };
+                let (start, end) = bounds.unwrap_or((first, last));
+                bounds = Some((first.min(start), last.max(end)));
+                let span_s = last.seconds_since(first);
+                if span_s > 0.0 {
+                    let rate = (known().count() - 1) as f64 / span_s;
+                    rate_hz = Some(rate_hz.map_or(rate, |other: f64| rate.max(other)));
+                }
+            }
+            let stream = &mut streams[index];
+            stream.dropped += unstamped as u64;
+            if let Some((start, end)) = bounds {
+                (stream.start, stream.end, stream.rate_hz) = (Some(start), Some(end), rate_hz);
+            }
+        }
+    }
+}

@@ -1,0 +1,442 @@
+//! Whole runs, from columns to arms.
+
+use super::*;
+use crate::geometry::{Pose, pose, rotation_from_rpy, xyz_of, xyzw_from_rotation};
+use crate::log::{Log, Topic};
+use crate::robot::{JointKind, Robot, catalogue};
+use crate::stream::{
+    ArrayColumns, Columns, ImuColumns, JointColumn, JointColumns, Orientations, PoseColumns,
+};
+
+const START: i64 = 1_760_000_000_000_000_000;
+const ROWS: i64 = 400;
+const PERIOD: i64 = 8_000_000;
+const TRANSPORT: i64 = 300_000;
+
+/// A log of a UR5e that turns all its joints.
+struct Recording {
+    robot: Robot,
+    topics: Vec<(String, Columns)>,
+}
+
+fn q_at(nanos: i64) -> [f64; 6] {
+    let t_s = (nanos - START) as f64 * 1e-9;
+    [0, 1, 2, 3, 4, 5].map(|joint| {
+        let joint = f64::from(joint);
+        0.2 * joint - 0.5 + 0.4 * ((1.0 + 0.3 * joint) * t_s + joint).sin()
+    })
+}
+
+fn stamps() -> impl Iterator<Item = i64> {
+    (0..ROWS).map(|row| START + row * PERIOD)
+}
+
+fn poses(frame_id: &str, child_frame_id: &str, pose_at: impl Fn(i64) -> Pose) -> PoseColumns {
+    let mut columns = PoseColumns {
+        frame_id: frame_id.to_owned(),
+        child_frame_id: child_frame_id.to_owned(),
+        ..Default::default()
+    };
+    for nanos in stamps() {
+        let pose = pose_at(nanos);
+        columns.times.push(nanos, nanos + TRANSPORT, nanos);
+        columns.xyz.push(xyz_of(&pose));
+        columns.q_xyzw.push(xyzw_from_rotation(&pose.rotation));
+    }
+    columns
+}
+
+fn some_pose() -> Pose {
+    pose([0.3, -0.2, 0.9], rotation_from_rpy([0.4, -0.7, 2.0]))
+}
+
+impl Recording {
+    fn new() -> Self {
+        let robot = catalogue::find("ur5e").unwrap().clone();
+        let mut recording = Self { robot, topics: Vec::new() };
+        let mut joints = recording.joint_states();
+        joints.joints.reverse();
+        recording.add("/joint_states", Columns::Joints(joints));
+        recording
+    }
+
+    fn add(&mut self, topic: &str, columns: Columns) {
+        self.topics.push((topic.to_owned(), columns));
+    }
+
+    fn joint_states(&self) -> JointColumns {
+        let mut columns = JointColumns::default();
+        let chain = self.chain("base", "tool0");
+        for name in chain.joint_names() {
+            columns.joints.push(JointColumn { name: name.clone(), ..Default::default() });
+        }
+        for nanos in stamps() {
+            columns.times.push(nanos, nanos + TRANSPORT, nanos);
+            for (joint, q) in columns.joints.iter_mut().zip(q_at(nanos)) {
+                joint.position.push(q);
+                joint.velocity.push(f64::NAN);
+            }
+        }
+        columns
+    }
+
+    fn chain(&self, base: &str, tip: &str) -> crate::robot::Chain {
+        let link = |name| self.robot.link(name).unwrap();
+        self.robot.chain(link(base), link(tip)).unwrap()
+    }
+
+    fn fk(&self, base: &str, tip: &str) -> impl Fn(i64) -> Pose + use<> {
+        let chain = self.chain(base, tip);
+        move |nanos| chain.forward(&q_at(nanos))
+    }
+
+    /// Adds what a robot_state_publisher writes; `prefix` stands before every frame.
+    fn add_tf(&mut self, prefix: &str, with_fixed: bool) {
+        let (mut fixed, mut moving) = (Vec::new(), Vec::new());
+        for joint in self.robot.joints() {
+            let [parent, child] =
+                [joint.parent, joint.child].map(|link| self.robot.link_name(link));
+            let frames = [parent, child].map(|link| format!("{prefix}{link}"));
+            if joint.kind == JointKind::Fixed {
+                fixed.push(poses(&frames[0], &frames[1], |_| joint.parent_from_joint));
+            } else {
+                let chain = self.chain(parent, child);
+                let names = self.chain("base", "tool0").joint_names().to_vec();
+                let column = names.iter().position(|name| *name == joint.name).unwrap();
+                moving.push(poses(&frames[0], &frames[1], |nanos| {
+                    chain.forward(&[q_at(nanos)[column]])
+                }));
+            }
+        }
+        self.add("/tf", Columns::Transforms(moving));
+        if with_fixed {
+            self.add("/tf_static", Columns::Transforms(fixed));
+        }
+    }
+
+    fn add_pose(&mut self, topic: &str, poses: PoseColumns) {
+        self.add(topic, Columns::Poses(vec![poses]));
+    }
+
+    fn log(self) -> Log {
+        let topic = |(name, columns): (String, Columns)| Topic {
+            name,
+            type_name: String::new(),
+            encoding: "cdr".to_owned(),
+            messages: ROWS as u64,
+            columns: Some(columns),
+            undecodable: None,
+            span: None,
+        };
+        Log {
+            files: Vec::new(),
+            topics: self.topics.into_iter().map(topic).collect(),
+            descriptions: Vec::new(),
+            messages: 0,
+            span: None,
+            losses: Vec::new(),
+        }
+    }
+
+    fn run(self) -> Run {
+        self.run_with(RunOptions::default())
+    }
+
+    fn run_with(self, mut options: RunOptions) -> Run {
+        options.robots = vec!["ur5e".into()];
+        Run::assemble(self.log(), &options).unwrap()
+    }
+}
+
+/// The largest distance between a source's positions and what its chain predicts, m.
+fn misfit_m(arm: &Arm, source: &PoseSource) -> f64 {
+    let (mut q, mut qd) = (vec![0.0; arm.joints.dof], vec![0.0; arm.joints.dof]);
+    let gaps = source.track.t_s.iter().zip(&source.track.xyz).map(|(&t_s, xyz)| {
+        assert!(arm.joints.at(t_s, &mut 0, &mut q, &mut qd));
+        let q: Vec<f64> = source.columns.iter().map(|&column| q[column]).collect();
+        (source.chain.forward(&q).translation.vector - xyz).norm()
+    });
+    gaps.fold(0.0, f64::max)
+}
+
+fn role_of<'a>(run: &'a Run, topic: &str) -> (&'static str, &'a str) {
+    let stream = run.streams.iter().find(|stream| stream.topic == topic).unwrap();
+    (stream.role.name(), &stream.reason)
+}
+
+#[test]
+fn poses_and_transforms_meet_the_chain_that_predicts_them() {
+    let mut recording = Recording::new();
+    let fk = recording.fk("base", "tool0");
+    recording.add_pose("/tcp_pose_broadcaster/pose", poses("base", "", fk));
+    recording.add_tf("", true);
+    let run = recording.run();
+    let [arm] = run.arms.as_slice() else { panic!("{:?}", run.no_arm) };
+    assert_eq!((arm.chain.base_name(), arm.chain.tip_name()), ("base", "tool0"));
+    assert_eq!(arm.joints.len(), ROWS as usize);
+    let [source] = arm.poses.as_slice() else { panic!("one pose stream") };
+    assert!(source.reference_known && source.stamps_copied && !source.tip_named);
+    assert!(misfit_m(arm, source) < 1e-9);
+    let tf = arm.tf.as_ref().unwrap();
+    assert_eq!(tf.track.t_s.len(), ROWS as usize);
+    assert!(misfit_m(arm, tf) < 1e-9);
+    assert_eq!(arm.from_model, []);
+    assert_eq!(run.origin, Stamp::from_nanos(START));
+    assert!((run.streams[0].rate_hz.unwrap() - 125.0).abs() < 1e-9);
+}
+
+#[test]
+fn fixed_transforms_that_the_log_lacks_are_taken_from_the_model_and_said() {
+    let mut recording = Recording::new();
+    recording.add_tf("", false);
+    let run = recording.run();
+    let arm = &run.arms[0];
+    assert!(misfit_m(arm, arm.tf.as_ref().unwrap()) < 1e-9);
+    let children: Vec<&str> = arm.from_model.iter().map(|(_, child)| child.as_str()).collect();
+    assert_eq!(children, ["base", "base_link_inertia", "flange", "tool0"]);
+}
+
+#[test]
+fn frames_may_carry_a_prefix() {
+    let mut recording = Recording::new();
+    let fk = recording.fk("base", "tool0");
+    recording.add_tf("ur5e/", true);
+    recording.add_pose("/hand", poses("ur5e/base", "ur5e/tool0", fk));
+    let run = recording.run();
+    let arm = &run.arms[0];
+    assert!(misfit_m(arm, arm.tf.as_ref().unwrap()) < 1e-9);
+    assert!(arm.poses[0].reference_known && arm.poses[0].tip_named);
+    assert!(misfit_m(arm, &arm.poses[0]) < 1e-9);
+    assert_eq!(run.streams[3].link.as_deref(), Some("ur5e/tool0"));
+}
+
+#[test]
+fn a_frame_tied_to_a_link_by_static_transforms_is_known() {
+    let mut recording = Recording::new();
+    let (fk, cell_from_base) = (recording.fk("base", "tool0"), some_pose());
+    let statics = vec![poses("cell", "base", |_| cell_from_base)];
+    recording.add("/tf_static", Columns::Transforms(statics));
+    recording.add_pose("/tcp_pose", poses("cell", "", |nanos| cell_from_base * fk(nanos)));
+    let run = recording.run();
+    let (arm, source) = (&run.arms[0], &run.arms[0].poses[0]);
+    assert!(source.reference_known);
+    assert!(misfit_m(arm, source) < 1e-9);
+    assert!(role_of(&run, "/tcp_pose").1.contains("'cell' is tied to 'base'"));
+}
+
+#[test]
+fn a_frame_that_nothing_ties_is_unknown() {
+    let mut recording = Recording::new();
+    let fk = recording.fk("base", "tool0");
+    recording.add_pose("/tcp_pose", poses("mocap_world", "", fk));
+    let run = recording.run();
+    assert!(!run.arms[0].poses[0].reference_known);
+    assert_eq!(run.streams[1].reference.as_deref(), Some("mocap_world"));
+}
+
+#[test]
+fn the_callers_tip_stands_before_the_streams_own_child() {
+    let mut recording = Recording::new();
+    let fk = recording.fk("base", "tool0");
+    recording.add_pose("/pose", poses("base", "wrist_3_link", fk));
+    let options = RunOptions { tip: Some("flange".to_owned()), ..Default::default() };
+    let run = recording.run_with(options);
+    assert_eq!(run.arms[0].poses[0].chain.tip_name(), "flange");
+    assert!(role_of(&run, "/pose").1.contains("audited as 'flange'"));
+}
+
+#[test]
+fn a_pose_measured_onto_tf_is_a_candidate_and_no_part_of_the_arm() {
+    let mut recording = Recording::new();
+    let fk = recording.fk("base", "tool0");
+    recording.add_tf("", true);
+    let Some((_, Columns::Transforms(transforms))) = recording.topics.get_mut(1) else {
+        panic!("/tf")
+    };
+    transforms.push(poses("base", "tool0_controller", &fk));
+    transforms.push(poses("base", "tool0", fk));
+    transforms.push(poses("odom", "base_link", |_| Pose::identity()));
+    let mut run = recording.run();
+    assert!(misfit_m(&run.arms[0], run.arms[0].tf.as_ref().unwrap()) < 1e-9);
+    let children: Vec<(&str, &str)> = run.streams[3..]
+        .iter()
+        .map(|stream| (stream.child_frame_id.as_str(), stream.role.name()))
+        .collect();
+    assert_eq!(children, [("tool0_controller", "unassigned"), ("tool0", "pose")]);
+    assert_eq!(run.candidates().collect::<Vec<_>>(), [3]);
+    run.settle(3, Some(0.97));
+    assert_eq!(run.streams[3].role, Role::Pose);
+    assert_eq!(run.arms[0].poses.len(), 2);
+}
+
+#[test]
+fn a_candidate_that_does_not_follow_is_unassigned_with_the_reason() {
+    let mut recording = Recording::new();
+    recording.add_pose("/camera_mount_pose", poses("map", "", |_| some_pose()));
+    recording.add_pose("/hand_pose", poses("base", "", |_| some_pose()));
+    let mut run = recording.run();
+    for (stream, peak) in [(1, Some(0.5)), (2, Some(0.5))] {
+        run.settle(stream, peak);
+    }
+    assert_eq!(role_of(&run, "/camera_mount_pose").0, "unassigned");
+    assert!(role_of(&run, "/camera_mount_pose").1.contains("correlates by 0.50"));
+    assert_eq!(role_of(&run, "/hand_pose").0, "pose");
+    assert_eq!(run.arms[0].poses.iter().map(|source| source.stream).collect::<Vec<_>>(), [2]);
+}
+
+#[test]
+fn transforms_that_cross_not_all_joints_are_no_source() {
+    let mut recording = Recording::new();
+    recording.add_tf("", true);
+    let Some((_, Columns::Transforms(transforms))) = recording.topics.get_mut(1) else {
+        panic!("/tf")
+    };
+    let elbow = transforms.remove(2);
+    let Some((_, Columns::Transforms(fixed))) = recording.topics.get_mut(2) else {
+        panic!("/tf_static")
+    };
+    fixed.push(elbow);
+    let run = recording.run();
+    let expected = NoTf::NotCovered { joints: vec!["elbow_joint".to_owned()] };
+    assert_eq!(run.arms[0].tf.as_ref().unwrap_err(), &expected);
+    assert!(role_of(&run, "/tf").1.contains("crosses elbow_joint"));
+}
+
+#[test]
+fn joints_outside_the_arm_are_ignored_with_the_reason() {
+    let mut recording = Recording::new();
+    let Some((_, Columns::Joints(joints))) = recording.topics.get_mut(0) else { panic!("joints") };
+    let finger = JointColumn {
+        name: "finger_joint".to_owned(),
+        position: vec![0.0; ROWS as usize],
+        velocity: vec![f64::NAN; ROWS as usize],
+    };
+    joints.joints.push(finger);
+    joints.joints[2].position[100] = f64::NAN;
+    let commands = joints.clone();
+    recording.add("/joint_commands", Columns::Joints(commands));
+    let run = recording.run();
+    assert!(role_of(&run, "/joint_states").1.contains("finger_joint"));
+    assert_eq!(role_of(&run, "/joint_commands").0, "reference");
+    assert_eq!(run.arms[0].joints.len(), ROWS as usize);
+    let samples: Vec<usize> = run.arms[0].joint_facts.iter().map(|joint| joint.samples).collect();
+    assert_eq!(samples.iter().sum::<usize>(), 6 * ROWS as usize - 1);
+}
+
+fn imu(frame_id: &str, clock_offset: i64) -> Columns {
+    let mut imu =
+        ImuColumns { frame_id: frame_id.to_owned(), has_orientation: true, ..Default::default() };
+    for nanos in stamps() {
+        imu.times.push(nanos - clock_offset, nanos + TRANSPORT, nanos);
+        imu.q_xyzw.push([0.0, 0.0, 0.0, 1.0]);
+        imu.gyro.push([0.0; 3]);
+        imu.accel.push([0.0; 3]);
+    }
+    Columns::Imu(imu)
+}
+
+#[test]
+fn an_imu_is_on_the_link_that_its_frame_is_tied_to() {
+    let mut recording = Recording::new();
+    let mount = some_pose();
+    let statics = vec![poses("wrist_1_link", "imu_link", |_| mount)];
+    recording.add("/tf_static", Columns::Transforms(statics));
+    recording.add("/imu/tied", imu("imu_link", 0));
+    recording.add("/imu/unknown", imu("xsens", 0));
+    recording.add("/imu/base", imu("base_link", 0));
+    let run = recording.run();
+    let [tied, unknown] = run.arms[0].imus.as_slice() else { panic!("two IMUs") };
+    assert_eq!((tied.chain.tip_name(), tied.chain.dof()), ("wrist_1_link", 4));
+    let error = tied.link_from_imu.unwrap().inverse() * mount;
+    assert!(error.translation.vector.norm() + error.rotation.angle() < 1e-9);
+    assert_eq!((unknown.chain.tip_name(), unknown.link_from_imu), ("tool0", None));
+    assert!(role_of(&run, "/imu/base").1.contains("does not move"));
+}
+
+#[test]
+fn a_stream_on_a_foreign_clock_meets_the_joints() {
+    let mut recording = Recording::new();
+    recording.add("/imu/data", imu("tool0", 1_700_000_000_000_000_000));
+    let run = recording.run();
+    let [first, .., last] = run.arms[0].imus[0].track.t_s.as_slice() else { panic!("samples") };
+    assert!(first.abs() < 1e-9 && (last - 3.192).abs() < 1e-9, "{first} {last}");
+    assert_eq!(run.clocks[1].epoch, Epoch::Foreign);
+}
+
+#[test]
+fn numbers_wait_to_follow_the_arm_and_declared_ones_do_not() {
+    let mut array = ArrayColumns { width: 6, ..Default::default() };
+    for nanos in stamps() {
+        array.times.push(0, nanos, 0);
+        array.values.extend([0.0, 0.0, 0.0, 0.1, 0.2, 0.3]);
+    }
+    let mut recording = Recording::new();
+    recording.add("/ur/tcp", Columns::Array(array.clone()));
+    let run = recording.run();
+    assert_eq!(run.streams[1].role, Role::Candidate { presumed: false });
+    assert!(matches!(run.arms[0].poses[0].track.orientation, Orientations::Numbers(_)));
+
+    let mut recording = Recording::new();
+    recording.add("/ur/tcp", Columns::Array(array));
+    let declared = vec!["/ur/tcp=rotvec".parse().unwrap()];
+    let run = recording.run_with(RunOptions { declared, ..Default::default() });
+    assert_eq!(run.streams[1].role, Role::Pose);
+    assert!(matches!(run.arms[0].poses[0].track.orientation, Orientations::Rotations(_)));
+    assert_eq!(run.arms[0].poses[0].chain.base_name(), "base");
+}
+
+#[test]
+fn a_log_without_an_arm_keeps_its_streams() {
+    let mut recording = Recording::new();
+    recording.add("/imu/data", imu("imu_link", 0));
+    recording.topics.remove(0);
+    let run = Run::assemble(recording.log(), &RunOptions::default()).unwrap();
+    assert!(matches!(run.no_arm, Some(RunError::NoJointStates { .. })));
+    assert_eq!((run.streams.len(), run.clocks.len()), (1, 1));
+    assert_eq!(run.origin, Stamp::from_nanos(START));
+}
+
+#[test]
+fn what_the_call_has_wrong_is_an_error_that_says_what_to_do() {
+    let call = |options: RunOptions| {
+        let robots = if options.robots.is_empty() { vec!["ur5e".into()] } else { options.robots };
+        let options = RunOptions { robots, ..options };
+        Run::assemble(Recording::new().log(), &options).unwrap_err().to_string()
+    };
+    let some = |name: &str| Some(name.to_owned());
+    let tip = call(RunOptions { tip: some("tol0"), ..Default::default() });
+    assert!(
+        tip.contains("--tip 'tol0' is not a link of the robot (did you mean 'tool0'?)"),
+        "{tip}"
+    );
+    let base = call(RunOptions { base: some("nowhere"), ..Default::default() });
+    assert!(base.contains("--base 'nowhere'"), "{base}");
+    let robot = call(RunOptions { robots: vec!["/nowhere.urdf".into()], ..Default::default() });
+    assert!(robot.contains("/nowhere.urdf"), "{robot}");
+    let topic = vec!["/nothing=rotvec".parse().unwrap()];
+    let declared = call(RunOptions { declared: topic, ..Default::default() });
+    assert!(declared.contains("no such topic"), "{declared}");
+    for line in [tip, base, robot, declared] {
+        assert!(!line.contains('\n'), "{line}");
+    }
+}
+
+#[test]
+fn two_arms_of_one_model_are_two_with_their_own_streams() {
+    let mut recording = Recording::new();
+    let mut both = recording.joint_states();
+    for side in ["left_", "right_"] {
+        for joint in recording.joint_states().joints {
+            both.joints.push(JointColumn { name: format!("{side}{}", joint.name), ..joint });
+        }
+    }
+    both.joints.drain(..6);
+    recording.topics[0].1 = Columns::Joints(both);
+    let fk = recording.fk("base", "tool0");
+    recording.add_pose("/right/tcp_pose", poses("right_base", "right_tool0", fk));
+    let run = recording.run();
+    let names: Vec<&str> = run.arms.iter().map(|arm| arm.name.as_str()).collect();
+    assert_eq!(names, ["ur5e (left_tool0)", "ur5e (right_tool0)"]);
+    assert!(run.arms[0].poses.is_empty());
+    assert!(misfit_m(&run.arms[1], &run.arms[1].poses[0]) < 1e-9);
+}

@@ -1,0 +1,513 @@
+//! The frames of a log and the transforms between them.
+
+use std::collections::{HashMap, VecDeque};
+
+use crate::geometry::{Pose, rotation_from_rotvec, rotvec_from_rotation};
+use crate::time::Stamp;
+
+/// Where the transform between two frames comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EdgeKind {
+    /// A static TF topic: one transform for all times.
+    Static,
+    /// A TF topic: samples, interpolated between.
+    Dynamic,
+    /// A fixed joint of the robot's model, which the log does not publish.
+    Model,
+}
+
+/// The transform between a frame and one of its parents.
+#[derive(Clone, Debug)]
+pub struct Edge {
+    /// Where it comes from.
+    pub kind: EdgeKind,
+    parent: usize,
+    child: usize,
+    /// Sample times, strictly increasing; one entry, without meaning, unless dynamic.
+    stamps: Vec<Stamp>,
+    parent_from_child: Vec<Pose>,
+}
+
+impl Edge {
+    /// `parent_from_child` at `at`, interpolated: position linearly, rotation along the shortest
+    /// turn (slerp). `None` before the first and after the last sample.
+    fn at(&self, at: Stamp) -> Option<Pose> {
+        if self.kind != EdgeKind::Dynamic {
+            return self.parent_from_child.first().copied();
+        }
+        let right = self.stamps.partition_point(|&stamp| stamp < at);
+        let (stamp, pose) = (self.stamps.get(right)?, self.parent_from_child.get(right)?);
+        if *stamp == at {
+            return Some(*pose);
+        }
+        let left = right.checked_sub(1)?;
+        let part = at.seconds_since(self.stamps[left]) / stamp.seconds_since(self.stamps[left]);
+        Some(between(&self.parent_from_child[left], pose, part))
+    }
+
+    /// `parent_from_child` of its first sample.
+    pub fn first(&self) -> Option<&Pose> {
+        self.parent_from_child.first()
+    }
+
+    /// By how much `at` lies outside the samples, s: negative before the first.
+    fn outside_by_s(&self, at: Stamp) -> f64 {
+        match (self.stamps.first(), self.stamps.last()) {
+            (Some(&first), _) if at < first => at.seconds_since(first),
+            (_, Some(&last)) => at.seconds_since(last),
+            _ => 0.0,
+        }
+    }
+}
+
+/// The pose at `part` of the way from `a` to `b`.
+fn between(a: &Pose, b: &Pose, part: f64) -> Pose {
+    let turn = rotvec_from_rotation(&(a.rotation.inverse() * b.rotation));
+    Pose::from_parts(
+        a.translation.vector.lerp(&b.translation.vector, part).into(),
+        a.rotation * rotation_from_rotvec(turn * part),
+    )
+}
+
+/// Why a transform cannot be told.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum TfError {
+    /// No edge of the tree has this frame.
+    #[error("frame '{frame}' is not in the tree{}", did_you_mean(.nearest))]
+    UnknownFrame {
+        /// The frame asked for.
+        frame: String,
+        /// Frames whose names come near.
+        nearest: Vec<String>,
+    },
+    /// The frames are in different trees.
+    #[error(
+        "'{target}' and '{source_frame}' are not connected: their trees have the roots '{target_root}' and '{source_root}'"
+    )]
+    NotConnected {
+        /// The frame asked for.
+        target: String,
+        /// The other frame asked for.
+        source_frame: String,
+        /// The root above the one.
+        target_root: String,
+        /// The root above the other.
+        source_root: String,
+    },
+    /// A transform on the way has no samples on both sides of the time.
+    #[error("'{parent}' to '{child}' has no transform at that time: it is {} s {} of its samples", outside_by_s.abs(), side(*.outside_by_s))]
+    Extrapolation {
+        /// The parent frame of the transform.
+        parent: String,
+        /// The child frame of the transform.
+        child: String,
+        /// How far outside the samples the time lies, s: negative before the first.
+        outside_by_s: f64,
+    },
+}
+
+fn side(outside_by_s: f64) -> &'static str {
+    if outside_by_s < 0.0 { "before the first" } else { "after the last" }
+}
+
+fn did_you_mean(nearest: &[String]) -> String {
+    match nearest {
+        [] => String::new(),
+        names => format!("; did you mean '{}'?", names.join("' or '")),
+    }
+}
+
+/// The frames of a log and the transforms between them.
+///
+/// Nothing here requires the edges to be a tree: a log may give a frame two parents, or a cycle.
+/// The way between two frames is the one with the fewest edges, of equals the one whose edges were
+/// inserted first.
+#[derive(Clone, Debug, Default)]
+pub struct TfTree {
+    frames: Vec<String>,
+    ids: HashMap<String, usize>,
+    edges: Vec<Edge>,
+    /// For every frame the edges that touch it, in the order of insertion.
+    touching: Vec<Vec<usize>>,
+}
+
+impl TfTree {
+    /// Adds a transform that holds at all times.
+    pub fn insert_fixed(
+        &mut self,
+        parent: &str,
+        child: &str,
+        kind: EdgeKind,
+        parent_from_child: Pose,
+    ) {
+        self.insert(parent, child, kind, vec![Stamp::default()], vec![parent_from_child]);
+    }
+
+    /// Adds the samples of a transform; `stamps` must increase strictly.
+    pub fn insert_samples(
+        &mut self,
+        parent: &str,
+        child: &str,
+        stamps: Vec<Stamp>,
+        parent_from_child: Vec<Pose>,
+    ) {
+        self.insert(parent, child, EdgeKind::Dynamic, stamps, parent_from_child);
+    }
+
+    fn insert(
+        &mut self,
+        parent: &str,
+        child: &str,
+        kind: EdgeKind,
+        stamps: Vec<Stamp>,
+        parent_from_child: Vec<Pose>,
+    ) {
+        let (parent, child) = (self.intern(parent), self.intern(child));
+        for frame in [parent, child] {
+            self.touching[frame].push(self.edges.len());
+        }
+        self.edges.push(Edge { kind, parent, child, stamps, parent_from_child });
+    }
+
+    fn intern(&mut self, frame: &str) -> usize {
+        let frame = without_slash(frame);
+        if let Some(&id) = self.ids.get(frame) {
+            return id;
+        }
+        let id = self.frames.len();
+        self.frames.push(frame.to_owned());
+        self.ids.insert(frame.to_owned(), id);
+        self.touching.push(Vec::new());
+        id
+    }
+
+    /// The frames, in the order in which they first appeared.
+    pub fn frames(&self) -> impl Iterator<Item = &str> {
+        self.frames.iter().map(String::as_str)
+    }
+
+    /// Whether a frame of that name is in the tree.
+    pub fn contains(&self, frame: &str) -> bool {
+        self.ids.contains_key(without_slash(frame))
+    }
+
+    /// The first transform inserted between these two frames, in this direction.
+    pub fn edge(&self, parent: &str, child: &str) -> Option<&Edge> {
+        let names = (without_slash(parent), without_slash(child));
+        self.edges.iter().find(|edge| self.names(edge) == names)
+    }
+
+    /// Whether some transform has this frame as its child.
+    pub fn has_parent(&self, child: &str) -> bool {
+        self.edges.iter().any(|edge| self.names(edge).1 == without_slash(child))
+    }
+
+    /// The transforms, in the order of insertion.
+    pub fn edges(&self) -> &[Edge] {
+        &self.edges
+    }
+
+    /// The names of an edge's parent and child.
+    pub fn names(&self, edge: &Edge) -> (&str, &str) {
+        (&self.frames[edge.parent], &self.frames[edge.child])
+    }
+
+    /// `target_from_source` at `at`, as tf2's `lookup_transform`.
+    ///
+    /// # Errors
+    /// Where a frame is unknown, the two are not connected, or a transform on the way has no
+    /// samples on both sides of `at`.
+    pub fn lookup(&self, target: &str, source: &str, at: Stamp) -> Result<Pose, TfError> {
+        self.path(target, source, |_| true)?.at(at)
+    }
+
+    /// The way from `source` to `target` over the edges that `admits` lets through.
+    ///
+    /// # Errors
+    /// Where a frame is unknown or the two are not connected.
+    pub fn path(
+        &self,
+        target: &str,
+        source: &str,
+        admits: impl Fn(&Edge) -> bool,
+    ) -> Result<TfPath<'_>, TfError> {
+        let (from, to) = (self.id(target)?, self.id(source)?);
+        let came_by = self.flood(from, |frame| frame == to, admits);
+        let mut steps = Vec::new();
+        let mut frame = to;
+        while frame != from {
+            let Some(edge) = came_by[frame] else {
+                return Err(TfError::NotConnected {
+                    target: self.frames[from].clone(),
+                    source_frame: self.frames[to].clone(),
+                    target_root: self.root_above(from).to_owned(),
+                    source_root: self.root_above(to).to_owned(),
+                });
+            };
+            let downwards = self.edges[edge].child == frame;
+            steps.push(Step { edge: &self.edges[edge], downwards });
+            frame = if downwards { self.edges[edge].parent } else { self.edges[edge].child };
+        }
+        steps.reverse();
+        Ok(TfPath { tree: self, steps })
+    }
+
+    /// The nearest frame that `accepts` takes and that transforms which never change tie to
+    /// `frame`, with `accepted_from_frame`.
+    pub fn tied(&self, frame: &str, accepts: impl Fn(&str) -> bool) -> Option<(&str, Pose)> {
+        let from = self.id(frame).ok()?;
+        let fixed = |edge: &Edge| edge.kind != EdgeKind::Dynamic;
+        let mut found = None;
+        self.flood(
+            from,
+            |reached| {
+                let accepted = accepts(&self.frames[reached]);
+                if accepted {
+                    found = Some(reached);
+                }
+                accepted
+            },
+            fixed,
+        );
+        let name = &self.frames[found?];
+        let accepted_from_frame = self.lookup_fixed(name, frame)?;
+        Some((name, accepted_from_frame))
+    }
+
+    /// `target_from_source` over transforms that never change, if there are such.
+    fn lookup_fixed(&self, target: &str, source: &str) -> Option<Pose> {
+        let path = self.path(target, source, |edge| edge.kind != EdgeKind::Dynamic).ok()?;
+        path.at(Stamp::default()).ok()
+    }
+
+    /// Walks outwards from `from`, nearest frames first, until `stop` takes one; returns for each
+    /// frame reached the edge it was reached by. A frame is entered once, so cycles end.
+    fn flood(
+        &self,
+        from: usize,
+        mut stop: impl FnMut(usize) -> bool,
+        admits: impl Fn(&Edge) -> bool,
+    ) -> Vec<Option<usize>> {
+        let mut came_by = vec![None; self.frames.len()];
+        let mut seen = vec![false; self.frames.len()];
+        seen[from] = true;
+        let mut pending = VecDeque::from([from]);
+        while let Some(frame) = pending.pop_front() {
+            if stop(frame) {
+                break;
+            }
+            for &index in &self.touching[frame] {
+                let edge = &self.edges[index];
+                let next = if edge.parent == frame { edge.child } else { edge.parent };
+                if !seen[next] && admits(edge) {
+                    seen[next] = true;
+                    came_by[next] = Some(index);
+                    pending.push_back(next);
+                }
+            }
+        }
+        came_by
+    }
+
+    /// Whether `upper` is a parent of `lower`, or above one, over first parents.
+    pub fn is_above(&self, upper: &str, lower: &str) -> bool {
+        let (Ok(upper), Ok(lower)) = (self.id(upper), self.id(lower)) else { return false };
+        self.ancestors(lower).any(|frame| frame == upper)
+    }
+
+    /// The frame above all others over first parents; a frame of the cycle where there is one.
+    fn root_above(&self, frame: usize) -> &str {
+        &self.frames[self.ancestors(frame).last().unwrap_or(frame)]
+    }
+
+    /// The frames above `frame` over first parents; no more than there are frames, so cycles end.
+    fn ancestors(&self, frame: usize) -> impl Iterator<Item = usize> {
+        let parent = |frame: &usize| {
+            let up = self.touching[*frame].iter().find(|&&edge| self.edges[edge].child == *frame);
+            up.map(|&edge| self.edges[edge].parent)
+        };
+        std::iter::successors(parent(&frame), parent).take(self.frames.len())
+    }
+
+    fn id(&self, frame: &str) -> Result<usize, TfError> {
+        let frame = without_slash(frame);
+        self.ids.get(frame).copied().ok_or_else(|| TfError::UnknownFrame {
+            frame: frame.to_owned(),
+            nearest: nearest(frame, self.frames()).into_iter().map(str::to_owned).collect(),
+        })
+    }
+}
+
+/// The transforms that lead from one frame to another.
+#[derive(Clone, Debug)]
+pub struct TfPath<'a> {
+    tree: &'a TfTree,
+    /// From the target to the source.
+    steps: Vec<Step<'a>>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Step<'a> {
+    edge: &'a Edge,
+    /// From parent to child.
+    downwards: bool,
+}
+
+impl TfPath<'_> {
+    /// `target_from_source` at `at`.
+    ///
+    /// # Errors
+    /// [`TfError::Extrapolation`] where a transform has no samples on both sides of `at`.
+    pub fn at(&self, at: Stamp) -> Result<Pose, TfError> {
+        let mut target_from_here = Pose::identity();
+        for Step { edge, downwards } in &self.steps {
+            let parent_from_child = edge.at(at).ok_or_else(|| {
+                let (parent, child) = self.tree.names(edge);
+                TfError::Extrapolation {
+                    parent: parent.to_owned(),
+                    child: child.to_owned(),
+                    outside_by_s: edge.outside_by_s(at),
+                }
+            })?;
+            target_from_here *=
+                if *downwards { parent_from_child } else { parent_from_child.inverse() };
+        }
+        Ok(target_from_here)
+    }
+
+    /// The edges of the path, from the target to the source.
+    pub fn edges(&self) -> impl Iterator<Item = &Edge> {
+        self.steps.iter().map(|step| step.edge)
+    }
+
+    /// The stamps of all its dynamic transforms, in order and each once.
+    pub fn stamps(&self) -> Vec<Stamp> {
+        let dynamic = self.edges().filter(|edge| edge.kind == EdgeKind::Dynamic);
+        let mut stamps: Vec<Stamp> = dynamic.flat_map(|edge| edge.stamps.iter().copied()).collect();
+        stamps.sort_unstable();
+        stamps.dedup();
+        stamps
+    }
+}
+
+/// A frame's name without the leading `/` that older logs write.
+pub(super) fn without_slash(frame: &str) -> &str {
+    frame.trim_start_matches('/')
+}
+
+/// Up to three of `names` that share at least half of `name` with it, counted from both ends; the
+/// most alike first.
+pub(super) fn nearest<'a>(name: &str, names: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
+    let shared = |other: &str| {
+        let ends = name.bytes().zip(other.bytes()).take_while(|(a, b)| a == b).count()
+            + name.bytes().rev().zip(other.bytes().rev()).take_while(|(a, b)| a == b).count();
+        ends.min(name.len()).min(other.len())
+    };
+    let mut near: Vec<(usize, &str)> = names
+        .map(|other| (shared(other), other))
+        .filter(|(shared, _)| 2 * shared >= name.len().max(1))
+        .collect();
+    near.sort_by_key(|(shared, _)| std::cmp::Reverse(*shared));
+    near.into_iter().take(3).map(|(_, other)| other).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{pose, rotation_from_rpy};
+    use crate::time::NANOS_PER_SECOND;
+
+    fn stamp(s: f64) -> Stamp {
+        Stamp::from_nanos((s * NANOS_PER_SECOND as f64) as i64)
+    }
+
+    fn some_pose(seed: f64) -> Pose {
+        pose([seed, 0.5 - seed, 2.0 * seed], rotation_from_rpy([0.3 * seed, -0.2, 1.1 * seed]))
+    }
+
+    fn distance(a: &Pose, b: &Pose) -> f64 {
+        let gap = a.inverse() * b;
+        gap.translation.vector.norm() + gap.rotation.angle()
+    }
+
+    /// world ─static→ base ─dynamic→ arm ─static→ tool, and world ─static→ camera.
+    fn tree() -> TfTree {
+        let mut tree = TfTree::default();
+        tree.insert_fixed("world", "base", EdgeKind::Static, some_pose(0.1));
+        tree.insert_samples(
+            "/base",
+            "arm",
+            vec![stamp(1.0), stamp(2.0)],
+            vec![some_pose(0.2), some_pose(0.9)],
+        );
+        tree.insert_fixed("arm", "tool", EdgeKind::Model, some_pose(0.3));
+        tree.insert_fixed("world", "camera", EdgeKind::Static, some_pose(0.4));
+        tree
+    }
+
+    #[test]
+    fn a_lookup_is_the_product_over_the_common_ancestor() {
+        let camera_from_tool = tree().lookup("camera", "tool", stamp(2.0)).unwrap();
+        let by_hand = some_pose(0.4).inverse() * some_pose(0.1) * some_pose(0.9) * some_pose(0.3);
+        assert!(distance(&camera_from_tool, &by_hand) < 1e-12);
+        let back = tree().lookup("tool", "camera", stamp(2.0)).unwrap();
+        assert!(distance(&(back * camera_from_tool), &Pose::identity()) < 1e-12);
+    }
+
+    #[test]
+    fn between_samples_position_is_linear_and_rotation_a_slerp() {
+        let (a, b) = (some_pose(0.2), some_pose(0.9));
+        let got = tree().lookup("base", "arm", stamp(1.25)).unwrap();
+        let slerp = a.rotation.slerp(&b.rotation, 0.25);
+        let lerp = a.translation.vector.lerp(&b.translation.vector, 0.25);
+        assert!(distance(&got, &Pose::from_parts(lerp.into(), slerp)) < 1e-12);
+    }
+
+    #[test]
+    fn outside_the_samples_the_error_says_by_how_much() {
+        let error = tree().lookup("world", "tool", stamp(2.043)).unwrap_err();
+        let TfError::Extrapolation { parent, outside_by_s, .. } = &error else { panic!("{error}") };
+        assert_eq!(parent, "base");
+        assert!((outside_by_s - 0.043).abs() < 1e-9);
+        assert!(error.to_string().contains("0.043 s after the last"), "{error}");
+        let early = tree().lookup("world", "tool", stamp(0.5)).unwrap_err().to_string();
+        assert!(early.contains("0.5 s before the first"), "{early}");
+        assert!(tree().lookup("world", "camera", stamp(9.0)).is_ok());
+    }
+
+    #[test]
+    fn an_unknown_frame_is_named_with_its_neighbours() {
+        let error = tree().lookup("world", "tol", stamp(1.0)).unwrap_err().to_string();
+        assert_eq!(error, "frame 'tol' is not in the tree; did you mean 'tool'?");
+    }
+
+    #[test]
+    fn trees_in_pieces_are_named_by_their_roots() {
+        let mut tree = tree();
+        tree.insert_fixed("map", "tag", EdgeKind::Static, some_pose(0.0));
+        let error = tree.lookup("tool", "tag", stamp(1.0)).unwrap_err().to_string();
+        assert!(error.contains("roots 'world' and 'map'"), "{error}");
+    }
+
+    #[test]
+    fn two_parents_and_cycles_end() {
+        let mut tree = tree();
+        tree.insert_fixed("camera", "tool", EdgeKind::Static, some_pose(0.5));
+        tree.insert_fixed("tool", "world", EdgeKind::Static, some_pose(0.6));
+        tree.insert_fixed("tool", "tool", EdgeKind::Static, some_pose(0.7));
+        assert!(tree.lookup("base", "tool", stamp(1.5)).is_ok());
+        tree.insert_fixed("a", "b", EdgeKind::Static, some_pose(0.1));
+        tree.insert_fixed("b", "a", EdgeKind::Static, some_pose(0.1));
+        assert!(tree.is_above("a", "b") && !tree.is_above("a", "world"));
+        assert!(matches!(tree.lookup("a", "world", stamp(1.0)), Err(TfError::NotConnected { .. })));
+    }
+
+    #[test]
+    fn a_frame_is_tied_to_the_nearest_accepted_one_by_fixed_transforms_only() {
+        let tree = tree();
+        let (name, base_from_camera) = tree.tied("camera", |name| name == "base").unwrap();
+        assert_eq!(name, "base");
+        assert!(distance(&base_from_camera, &(some_pose(0.1).inverse() * some_pose(0.4))) < 1e-12);
+        assert_eq!(tree.tied("camera", |name| name == "arm"), None);
+    }
+}

@@ -1,0 +1,218 @@
+//! The process boundary: what the binary prints where, and how it exits.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+const CLEAN: &str = "fixtures/clean.mcap";
+const FAULTY: &str = "fixtures/faulty.mcap";
+
+fn poseaudit(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_poseaudit"))
+        .args(args)
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .output()
+        .expect("the binary runs")
+}
+
+fn status(output: &Output) -> i32 {
+    output.status.code().expect("the binary exits by itself")
+}
+
+fn stdout(output: &Output) -> &str {
+    std::str::from_utf8(&output.stdout).expect("stdout is UTF-8")
+}
+
+fn stderr(output: &Output) -> &str {
+    std::str::from_utf8(&output.stderr).expect("stderr is UTF-8")
+}
+
+fn json(output: &Output) -> Value {
+    serde_json::from_slice(&output.stdout).expect("stdout is JSON")
+}
+
+/// Asserts that the call ends with `expected`, says so in one line that holds `part`, and prints no
+/// report.
+#[track_caller]
+fn assert_refused(args: &[&str], expected: i32, part: &str) {
+    let output = poseaudit(args);
+    assert_eq!(status(&output), expected, "{}", stderr(&output));
+    let line = stderr(&output).trim_end();
+    assert!(line.starts_with("error: ") && !line.contains('\n'), "{line}");
+    assert!(line.contains(part), "{line}");
+    assert!(output.stdout.is_empty(), "{}", stdout(&output));
+}
+
+#[test]
+fn what_is_no_log_gets_one_line() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str, content: &[u8]| {
+        let path = folder.path().join(name);
+        fs::write(&path, content).expect("a file");
+        path.display().to_string()
+    };
+    assert_refused(&["audit", "no/such.mcap"], 2, "no/such.mcap");
+    assert_refused(&["audit", &path("empty.mcap", b"")], 3, "empty.mcap");
+    assert_refused(&["audit", &path("text.mcap", b"t,x,y\n0,1,2\n")], 3, "text");
+    assert_refused(&["audit", &folder.path().display().to_string()], 3, "directory");
+    assert_refused(&["info", "no/such.mcap"], 2, "no/such.mcap");
+}
+
+#[test]
+fn trouble_is_a_report_in_json() {
+    let output = poseaudit(&["audit", "no/such.mcap", "--format", "json"]);
+    let report = json(&output);
+    assert_eq!(status(&output), 2);
+    assert_eq!(report["schema"], "poseaudit.report/1");
+    assert_eq!(report["verdict"], "inconclusive");
+    for key in ["what", "where", "do"] {
+        assert!(report["error"][key].as_str().is_some_and(|text| !text.is_empty()), "{key}");
+    }
+}
+
+#[test]
+fn a_log_that_is_cut_off_is_audited_as_far_as_it_goes() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("cut.mcap");
+    let whole = fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join(CLEAN)).expect("the fixture");
+    fs::write(&path, &whole[..whole.len() * 2 / 3]).expect("a file");
+    let report = json(&poseaudit(&["audit", &path.display().to_string(), "--format", "json"]));
+    assert_eq!(codes(&report), ["ING001"]);
+}
+
+#[test]
+fn a_wrong_call_ends_with_2() {
+    for args in [
+        &["audit"][..],
+        &["audit", CLEAN, "--select", "FOO001"],
+        &["audit", CLEAN, "--format", "yaml"],
+        &["audit", CLEAN, "--max-latency", "-1"],
+        &["audit", CLEAN, "--declare", "/tcp"],
+        &["audit", CLEAN, "--parquet", "out"],
+        &["audit", CLEAN, "--robot", "no/such.urdf"],
+        &["audit", CLEAN, "--tip", "no_such_link"],
+        &["explain", "LAT999"],
+        &["no-such-command"],
+    ] {
+        let output = poseaudit(args);
+        assert_eq!(status(&output), 2, "{args:?}: {}", stderr(&output));
+        assert!(stderr(&output).starts_with("error: "), "{args:?}: {}", stderr(&output));
+        assert!(output.stdout.is_empty(), "{args:?}");
+    }
+}
+
+#[test]
+fn an_unknown_rule_names_the_nearest() {
+    assert_refused(&["explain", "lat9"], 2, "did you mean LAT001");
+}
+
+#[test]
+fn every_rule_is_listed_and_explained() {
+    let rules = poseaudit(&["rules"]);
+    assert_eq!(status(&rules), 0);
+    for rule in poseaudit::checks::registry() {
+        assert!(stdout(&rules).contains(rule.code), "{}", rule.code);
+        let explained = poseaudit(&["explain", &rule.code.to_lowercase()]);
+        assert_eq!(status(&explained), 0);
+        assert!(stdout(&explained).starts_with(rule.code), "{}", stdout(&explained));
+        assert!(stdout(&explained).contains("\nWhen it misleads\n"), "{}", rule.code);
+    }
+}
+
+#[test]
+fn a_clean_log_passes() {
+    let output = poseaudit(&["audit", CLEAN]);
+    assert_eq!(status(&output), 0, "{}", stdout(&output));
+    assert!(stdout(&output).contains("\nPASS "), "{}", stdout(&output));
+    assert!(!stdout(&output).contains('\u{1b}'), "colours belong to terminals");
+}
+
+#[test]
+fn a_faulty_log_fails_as_its_findings_say() {
+    let output = poseaudit(&["audit", FAULTY, "--format", "json"]);
+    assert_eq!(status(&output), 1, "{}", stdout(&output));
+    assert_eq!(json(&output)["verdict"], "fail");
+    let never = poseaudit(&["audit", FAULTY, "--fail-on", "never"]);
+    assert_eq!(status(&never), 0, "{}", stdout(&never));
+    let ignored = poseaudit(&["audit", FAULTY, "--select", "ING", "--format", "json"]);
+    assert_eq!(status(&ignored), 0, "{}", stdout(&ignored));
+}
+
+#[test]
+fn messages_are_clauses_with_a_figure() {
+    let report = json(&poseaudit(&["audit", FAULTY, "--format", "json"]));
+    let findings = report["findings"].as_array().expect("a list");
+    assert!(!findings.is_empty());
+    for finding in findings {
+        let message = finding["message"].as_str().expect("a text");
+        assert!(!message.starts_with(char::is_uppercase), "{message}");
+        assert!(!message.ends_with('.'), "{message}");
+        assert!(message.contains(|c: char| c.is_ascii_digit()), "{message}");
+        assert!(!message.contains('\n'), "{message}");
+        assert!(finding["fix"].as_str().is_some_and(|fix| !fix.is_empty()), "{message}");
+        let title = finding["title"].as_str().expect("a text");
+        assert!(!title.contains(|c: char| c.is_ascii_digit()) && !title.ends_with('.'), "{title}");
+    }
+}
+
+#[test]
+fn the_json_has_the_keys_of_the_contract_in_their_order() {
+    let report = json(&poseaudit(&["audit", FAULTY, "--format", "json"]));
+    let keys = |value: &Value| -> Vec<String> {
+        value.as_object().expect("an object").keys().cloned().collect()
+    };
+    assert_eq!(
+        keys(&report),
+        ["schema", "tool", "verdict", "error", "log", "robots", "streams", "checks", "findings"]
+    );
+    assert_eq!(
+        keys(&report["findings"][0]),
+        [
+            "code", "severity", "title", "message", "subject", "estimate", "evidence", "fix",
+            "start_ns", "end_ns"
+        ]
+    );
+    assert_eq!(keys(&report["log"]), ["files", "messages", "start_ns", "end_ns", "duration_s"]);
+    assert!(report["log"]["start_ns"].is_string());
+}
+
+#[test]
+fn same_input_same_bytes() {
+    let once = poseaudit(&["audit", FAULTY, "--format", "json"]);
+    assert_eq!(once.stdout, poseaudit(&["audit", FAULTY, "--format", "json"]).stdout);
+}
+
+#[test]
+fn a_report_goes_where_it_is_sent() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("reports/today/clean.txt");
+    let output = poseaudit(&["audit", CLEAN, "--output", &path.display().to_string()]);
+    assert_eq!(status(&output), 0, "{}", stderr(&output));
+    assert!(output.stdout.is_empty());
+    let text = fs::read_to_string(&path).expect("the report");
+    assert!(text.contains("PASS") && !text.contains('\u{1b}'), "{text}");
+}
+
+#[test]
+fn a_required_rule_that_cannot_conclude_fails_the_call() {
+    let args = ["audit", CLEAN, "--select", "ING", "--require", "LAT001"];
+    let output = poseaudit(&args);
+    assert_eq!(status(&output), 1, "{}", stderr(&output));
+    assert!(stderr(&output).contains("--require LAT001"), "{}", stderr(&output));
+}
+
+#[test]
+fn info_lists_topics_and_roles() {
+    let output = poseaudit(&["info", CLEAN]);
+    assert_eq!(status(&output), 0, "{}", stderr(&output));
+    for part in ["/joint_states", "joints", "/tf_static", "/imu/data", "imu"] {
+        assert!(stdout(&output).contains(part), "{part} is not in\n{}", stdout(&output));
+    }
+}
+
+fn codes(report: &Value) -> Vec<&str> {
+    let findings = report["findings"].as_array().expect("a list");
+    findings.iter().filter_map(|finding| finding["code"].as_str()).collect()
+}
