@@ -80,8 +80,14 @@ pub enum Unit {
     Radian,
     /// Seconds; people read ms.
     Second,
-    /// Radians a second; people read degrees a minute.
+    /// Radians a second of a drift; people read degrees a minute.
     RadianPerSecond,
+    /// Radians a second of a gyro; people read degrees a second.
+    GyroRate,
+    /// Seconds a second; people read parts per million.
+    SecondPerSecond,
+    /// Metres a metre; people read millimetres a metre.
+    MetrePerMetre,
 }
 
 impl Unit {
@@ -91,7 +97,9 @@ impl Unit {
             Unit::Metre => "m",
             Unit::Radian => "rad",
             Unit::Second => "s",
-            Unit::RadianPerSecond => "rad/s",
+            Unit::RadianPerSecond | Unit::GyroRate => "rad/s",
+            Unit::SecondPerSecond => "s/s",
+            Unit::MetrePerMetre => "m/m",
         }
     }
 
@@ -99,7 +107,8 @@ impl Unit {
     pub const fn noise_floor(self) -> f64 {
         match self {
             Unit::Metre | Unit::Radian | Unit::Second => 1e-6,
-            Unit::RadianPerSecond => 0.0,
+            Unit::RadianPerSecond | Unit::GyroRate => 0.0,
+            Unit::SecondPerSecond | Unit::MetrePerMetre => 0.0,
         }
     }
 
@@ -160,6 +169,9 @@ impl Unit {
             Unit::Second if size >= 1e-4 => (1e3, " ms"),
             Unit::Second => (1e6, " µs"),
             Unit::RadianPerSecond => (60.0 * 1f64.to_degrees(), " °/min"),
+            Unit::GyroRate => (1f64.to_degrees(), " °/s"),
+            Unit::SecondPerSecond => (1e6, " ppm"),
+            Unit::MetrePerMetre => (1e3, " mm/m"),
         }
     }
 }

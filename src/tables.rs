@@ -1,57 +1,35 @@
-//! The one bridge to Polars: a pose stream beside forward kinematics, one row a sample.
+//! The one bridge to Polars: a stream's samples beside forward kinematics, as a frame.
 //!
-//! Pictures, recordings and files read this table, so that they all show the same numbers. Units
-//! stand last in a column's name; components of unit quaternions have none.
-//!
-//! | column | what |
-//! |---|---|
-//! | `stamp_ns` | stamp of the sample, ns since the epoch of the run's clock |
-//! | `t_s` | the same from the run's origin |
-//! | `true_t_s` | when the content was true: `t_s` less the latency found |
-//! | `logged_…` | `reference_from_child` as logged |
-//! | `fk_…` | `reference_from_tip` by FK of the joint states as recorded, at the stamp |
-//! | `corrected_…` | the logged pose with everything found taken off |
-//! | `fk_at_truth_…` | `reference_from_tip` by FK with the joint offsets found, when the content was true |
-//! | `residual_before_m`, `residual_before_rad` | distance and angle between `logged` and `fk` |
-//! | `residual_after_m`, `residual_after_rad` | distance and angle between `corrected` and `fk_at_truth` |
-//! | `reach_m` | distance of `fk` from the origin of the reference frame |
-//!
-//! Each of the four poses is the columns `…_x_m`, `…_y_m`, `…_z_m`, `…_qx`, `…_qy`, `…_qz`, `…_qw`.
+//! Whatever shows or stores samples reads this frame, so that a recording, a plot and a table say
+//! the same. Units stand last in a column's name.
 
 use polars::prelude::{Column, DataFrame, PolarsResult};
 
-use crate::diagnosis::{Aligned, PoseDiagnosis};
+use crate::diagnosis::Aligned;
 use crate::geometry::{Pose, angle_between, xyz_of, xyzw_from_rotation};
 use crate::time::Stamp;
 
-/// By how much the stamps of a stream lag behind its content.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Lag {
-    /// Latency at mid-run, s: what is stamped *t* was true at *t − latency*.
-    pub latency_s: f64,
-    /// By how much it grows with each second of stamp, s/s.
-    pub skew: f64,
-}
+/// Stamp of the sample, ns since the epoch of its clock (`i64`; every other column is `f64`).
+pub const STAMP_NS: &str = "stamp_ns";
+/// Stamp of the sample, s from the run's origin.
+pub const T_S: &str = "t_s";
+/// Distance of the logged position from FK's as recorded, m.
+pub const BEFORE_M: &str = "before_m";
+/// Angle of the rotation from the logged orientation to FK's as recorded, rad.
+pub const BEFORE_RAD: &str = "before_rad";
+/// Distance of the corrected position from where the tip truly was, m.
+pub const AFTER_M: &str = "after_m";
+/// Angle of the rotation from the corrected orientation to the tip's true one, rad.
+pub const AFTER_RAD: &str = "after_rad";
+/// Distance of FK's position as recorded from the origin of the reference frame, m.
+pub const REACH_M: &str = "reach_m";
 
-impl Lag {
-    /// The lag that was estimated. What could not be estimated is zero, and so is a skew whose 95 %
-    /// interval holds zero.
-    pub fn of(diagnosis: &PoseDiagnosis) -> Self {
-        let skew = diagnosis.skew.as_ref().ok();
-        let skew = skew.filter(|skew| skew.value.abs() > skew.half_width(0.95));
-        Self {
-            latency_s: diagnosis.latency_s.as_ref().map_or(0.0, |latency| latency.value),
-            skew: skew.map_or(0.0, |skew| skew.value),
-        }
-    }
-}
-
-/// Which of a sample's four poses.
+/// One of the frame's poses; each is seven columns, `{name}_x_m` … `{name}_qw`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Version {
+pub enum Posed {
     /// `reference_from_child` as logged.
     Logged,
-    /// `reference_from_tip` by FK of the joint states as recorded, at the stamp.
+    /// `reference_from_tip` by FK of the joint states as recorded, at the sample's stamp.
     Fk,
     /// The logged pose with everything found taken off.
     Corrected,
@@ -59,177 +37,208 @@ pub enum Version {
     FkAtTruth,
 }
 
-impl Version {
-    /// The columns of its position (m) and of its quaternion.
-    const fn columns(self) -> [&'static str; 7] {
-        macro_rules! columns {
-            ($name:literal) => {
-                [
-                    concat!($name, "_x_m"),
-                    concat!($name, "_y_m"),
-                    concat!($name, "_z_m"),
-                    concat!($name, "_qx"),
-                    concat!($name, "_qy"),
-                    concat!($name, "_qz"),
-                    concat!($name, "_qw"),
-                ]
-            };
-        }
+impl Posed {
+    /// All of them, in the order of their columns.
+    pub const ALL: [Posed; 4] = [Posed::Logged, Posed::Fk, Posed::Corrected, Posed::FkAtTruth];
+
+    /// The columns of the position, m.
+    pub fn xyz_columns(self) -> [String; 3] {
+        ["x_m", "y_m", "z_m"].map(|part| format!("{}_{part}", self.name()))
+    }
+
+    /// The columns of the unit quaternion, x y z w.
+    pub fn xyzw_columns(self) -> [String; 4] {
+        ["qx", "qy", "qz", "qw"].map(|part| format!("{}_{part}", self.name()))
+    }
+
+    const fn name(self) -> &'static str {
         match self {
-            Version::Logged => columns!("logged"),
-            Version::Fk => columns!("fk"),
-            Version::Corrected => columns!("corrected"),
-            Version::FkAtTruth => columns!("fk_at_truth"),
+            Posed::Logged => "logged",
+            Posed::Fk => "fk",
+            Posed::Corrected => "corrected",
+            Posed::FkAtTruth => "fk_at_truth",
         }
     }
-}
 
-/// A number of every sample that is not part of a pose.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Quantity {
-    /// Stamp, s from the run's origin.
-    Time,
-    /// When the content was true, s from the run's origin.
-    TrueTime,
-    /// Distance of the logged pose from FK, m.
-    DistanceBefore,
-    /// Angle of the logged pose to FK, rad.
-    AngleBefore,
-    /// Distance of the corrected pose from FK when it was true, m.
-    DistanceAfter,
-    /// Angle of the corrected pose to FK when it was true, rad.
-    AngleAfter,
-    /// Distance of the FK position from the origin of the reference frame, m.
-    Reach,
-}
-
-impl Quantity {
-    const fn column(self) -> &'static str {
+    fn of(self, aligned: &Aligned) -> &[Pose] {
         match self {
-            Quantity::Time => "t_s",
-            Quantity::TrueTime => "true_t_s",
-            Quantity::DistanceBefore => "residual_before_m",
-            Quantity::AngleBefore => "residual_before_rad",
-            Quantity::DistanceAfter => "residual_after_m",
-            Quantity::AngleAfter => "residual_after_rad",
-            Quantity::Reach => "reach_m",
+            Posed::Logged => &aligned.logged,
+            Posed::Fk => &aligned.fk,
+            Posed::Corrected => &aligned.corrected,
+            Posed::FkAtTruth => &aligned.fk_at_truth,
         }
     }
 }
 
-const STAMP: &str = "stamp_ns";
-
-/// The aligned samples of one pose stream and what they miss FK by, as a Polars frame.
-#[derive(Clone, Debug)]
-pub struct AlignedTable {
-    frame: DataFrame,
+/// The aligned samples of a stream and their residuals, one row a sample in the order of time.
+///
+/// # Errors
+/// Where the columns of `aligned` differ in length.
+pub fn aligned_frame(aligned: &Aligned, origin: Stamp) -> PolarsResult<DataFrame> {
+    let stamps_ns: Vec<i64> = aligned.t_s.iter().map(|&t_s| origin.shifted(t_s).nanos()).collect();
+    let mut columns = vec![Column::new(STAMP_NS.into(), stamps_ns), column(T_S, &aligned.t_s)];
+    for posed in Posed::ALL {
+        let poses = posed.of(aligned);
+        let (xyz, xyzw): (Vec<_>, Vec<_>) =
+            poses.iter().map(|pose| (xyz_of(pose), xyzw_from_rotation(&pose.rotation))).unzip();
+        columns.extend(split(posed.xyz_columns(), &xyz));
+        columns.extend(split(posed.xyzw_columns(), &xyzw));
+    }
+    let (before_m, before_rad) = residuals(&aligned.logged, &aligned.fk);
+    let (after_m, after_rad) = residuals(&aligned.corrected, &aligned.fk_at_truth);
+    let reach_m: Vec<f64> = aligned.fk.iter().map(|fk| fk.translation.vector.norm()).collect();
+    columns.extend([
+        column(BEFORE_M, &before_m),
+        column(BEFORE_RAD, &before_rad),
+        column(AFTER_M, &after_m),
+        column(AFTER_RAD, &after_rad),
+        column(REACH_M, &reach_m),
+    ]);
+    DataFrame::new(aligned.t_s.len(), columns)
 }
 
-impl AlignedTable {
-    /// The table of `aligned`, whose times count from `origin` and lag by `lag`.
-    ///
-    /// # Panics
-    /// Where the columns of `aligned` are not of one length.
-    pub fn new(aligned: &Aligned, lag: Lag, origin: Stamp) -> Self {
-        let Aligned { t_s, logged, fk, corrected, fk_at_truth } = aligned;
-        let middle_s = t_s.first().zip(t_s.last()).map_or(0.0, |(first, last)| 0.5 * (first + last));
-        let true_t_s = t_s.iter().map(|t_s| t_s - lag.latency_s - lag.skew * (t_s - middle_s));
-        let stamps_ns = t_s.iter().map(|&t_s| origin.shifted(t_s).nanos());
-        let poses = [
-            (Version::Logged, logged),
-            (Version::Fk, fk),
-            (Version::Corrected, corrected),
-            (Version::FkAtTruth, fk_at_truth),
-        ];
-        let mut columns = vec![
-            Column::new(STAMP.into(), stamps_ns.collect::<Vec<_>>()),
-            numbers(Quantity::Time, t_s.iter().copied()),
-            numbers(Quantity::TrueTime, true_t_s),
-        ];
-        columns.extend(poses.into_iter().flat_map(|(version, poses)| components(version, poses)));
-        columns.extend([
-            numbers(Quantity::DistanceBefore, pairwise(logged, fk, distance_m)),
-            numbers(Quantity::AngleBefore, pairwise(logged, fk, angle_rad)),
-            numbers(Quantity::DistanceAfter, pairwise(corrected, fk_at_truth, distance_m)),
-            numbers(Quantity::AngleAfter, pairwise(corrected, fk_at_truth, angle_rad)),
-            numbers(Quantity::Reach, fk.iter().map(|pose| pose.translation.vector.norm())),
-        ]);
-        let frame = DataFrame::new(t_s.len(), columns).expect("columns of one length");
-        Self { frame }
-    }
-
-    /// The frame, with the columns that the module's documentation lists.
-    pub fn frame(&self) -> &DataFrame {
-        &self.frame
-    }
-
-    /// Number of samples.
-    pub fn len(&self) -> usize {
-        self.frame.height()
-    }
-
-    /// Whether there is no sample.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
-    /// One number of every sample, in the unit that the quantity says.
-    pub fn numbers(&self, quantity: Quantity) -> &[f64] {
-        self.column(quantity.column())
-    }
-
-    /// One pose of every sample.
-    pub fn poses(&self, version: Version) -> PoseColumns<'_> {
-        PoseColumns { columns: version.columns().map(|name| self.column(name)) }
-    }
-
-    fn column(&self, name: &str) -> &[f64] {
-        let column = || -> PolarsResult<&[f64]> { self.frame.column(name)?.f64()?.cont_slice() };
-        column().expect("every table has every column, in one piece")
-    }
+/// The stamps of a frame's rows, ns.
+///
+/// # Errors
+/// Where `frame` is not one of [`aligned_frame`]'s.
+pub fn stamps_ns(frame: &DataFrame) -> PolarsResult<Vec<i64>> {
+    Ok(frame.column(STAMP_NS)?.i64()?.into_no_null_iter().collect())
 }
 
-/// The poses of one version in every sample.
-#[derive(Clone, Copy, Debug)]
-pub struct PoseColumns<'a> {
-    columns: [&'a [f64]; 7],
+/// A column of numbers.
+///
+/// # Errors
+/// Where `frame` has no such column, or it holds something else.
+pub fn numbers(frame: &DataFrame, name: &str) -> PolarsResult<Vec<f64>> {
+    Ok(frame.column(name)?.f64()?.into_no_null_iter().collect())
 }
 
-impl PoseColumns<'_> {
-    /// Position of sample `row` in the reference frame, m.
-    pub fn xyz(&self, row: usize) -> [f64; 3] {
-        let [x, y, z, ..] = self.columns;
-        [x[row], y[row], z[row]]
+/// The positions of a frame's rows in the reference frame, m.
+///
+/// # Errors
+/// Where `frame` is not one of [`aligned_frame`]'s.
+pub fn positions(frame: &DataFrame, posed: Posed) -> PolarsResult<Vec<[f64; 3]>> {
+    joined(frame, posed.xyz_columns())
+}
+
+/// The orientations of a frame's rows in the reference frame, as unit quaternions x y z w.
+///
+/// # Errors
+/// Where `frame` is not one of [`aligned_frame`]'s.
+pub fn quaternions_xyzw(frame: &DataFrame, posed: Posed) -> PolarsResult<Vec<[f64; 4]>> {
+    joined(frame, posed.xyzw_columns())
+}
+
+fn column(name: &str, values: &[f64]) -> Column {
+    Column::new(name.into(), values)
+}
+
+/// A column for each component of `rows`.
+fn split<const N: usize>(names: [String; N], rows: &[[f64; N]]) -> impl Iterator<Item = Column> {
+    names.into_iter().enumerate().map(|(part, name)| {
+        let values: Vec<f64> = rows.iter().map(|row| row[part]).collect();
+        Column::new(name.into(), values)
+    })
+}
+
+fn joined<const N: usize>(frame: &DataFrame, names: [String; N]) -> PolarsResult<Vec<[f64; N]>> {
+    let mut rows = vec![[0.0; N]; frame.height()];
+    for (part, name) in names.iter().enumerate() {
+        for (row, value) in rows.iter_mut().zip(numbers(frame, name)?) {
+            row[part] = value;
+        }
+    }
+    Ok(rows)
+}
+
+/// Distance (m) and angle (rad) between the poses of each pair.
+fn residuals(a: &[Pose], b: &[Pose]) -> (Vec<f64>, Vec<f64>) {
+    let pair = |(a, b): (&Pose, &Pose)| {
+        let distance_m = (a.translation.vector - b.translation.vector).norm();
+        (distance_m, angle_between(&a.rotation, &b.rotation))
+    };
+    a.iter().zip(b).map(pair).unzip()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Vec3, pose, rotation_from_rotvec};
+    use polars::prelude::DataType;
+
+    const ORIGIN: Stamp = Stamp::from_nanos(1_780_000_000_000_000_001);
+
+    fn turned_about_z(xyz: [f64; 3], angle_rad: f64) -> Pose {
+        pose(xyz, rotation_from_rotvec(Vec3::new(0.0, 0.0, angle_rad)))
     }
 
-    /// Unit quaternion of sample `row`, x, y, z, w with w ≥ 0.
-    pub fn xyzw(&self, row: usize) -> [f64; 4] {
-        let [.., x, y, z, w] = self.columns;
-        [x[row], y[row], z[row], w[row]]
+    fn aligned() -> Aligned {
+        Aligned {
+            t_s: vec![0.0, 0.5],
+            logged: vec![turned_about_z([3.0, 4.0, 0.0], 0.3), turned_about_z([0.0; 3], -0.2)],
+            fk: vec![turned_about_z([0.0; 3], 0.1), turned_about_z([1.0, 2.0, 2.0], 0.2)],
+            corrected: vec![turned_about_z([1.0, 1.0, 1.0], 0.0), Pose::identity()],
+            fk_at_truth: vec![turned_about_z([1.0, 1.0, 1.5], 0.25), Pose::identity()],
+        }
     }
-}
 
-fn numbers(quantity: Quantity, values: impl Iterator<Item = f64>) -> Column {
-    Column::new(quantity.column().into(), values.collect::<Vec<_>>())
-}
-
-fn components(version: Version, poses: &[Pose]) -> impl Iterator<Item = Column> {
-    let mut values = [(); 7].map(|()| Vec::with_capacity(poses.len()));
-    for pose in poses {
-        let components = xyz_of(pose).into_iter().chain(xyzw_from_rotation(&pose.rotation));
-        values.iter_mut().zip(components).for_each(|(values, component)| values.push(component));
+    fn assert_close(found: &[f64], expected: &[f64]) {
+        assert_eq!(found.len(), expected.len());
+        for (found, expected) in found.iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-12, "{found} is not {expected}");
+        }
     }
-    version.columns().into_iter().zip(values).map(|(name, values)| Column::new(name.into(), values))
-}
 
-fn pairwise(a: &[Pose], b: &[Pose], measure: fn(&Pose, &Pose) -> f64) -> impl Iterator<Item = f64> {
-    a.iter().zip(b).map(move |(a, b)| measure(a, b))
-}
+    #[test]
+    fn a_row_a_sample_and_the_units_in_the_names() -> PolarsResult<()> {
+        let frame = aligned_frame(&aligned(), ORIGIN)?;
+        assert_eq!(frame.shape(), (2, 2 + 4 * 7 + 5));
+        let names: Vec<&str> =
+            frame.columns().iter().map(|column| column.name().as_str()).collect();
+        assert_eq!(names[..5], ["stamp_ns", "t_s", "logged_x_m", "logged_y_m", "logged_z_m"]);
+        assert_eq!(
+            names[26..30],
+            ["fk_at_truth_qx", "fk_at_truth_qy", "fk_at_truth_qz", "fk_at_truth_qw"]
+        );
+        let integers = frame.columns().iter().filter(|column| column.dtype() == &DataType::Int64);
+        assert_eq!(integers.count(), 1);
+        Ok(())
+    }
 
-fn distance_m(a: &Pose, b: &Pose) -> f64 {
-    (a.translation.vector - b.translation.vector).norm()
-}
+    #[test]
+    fn residuals_are_those_computed_by_hand() -> PolarsResult<()> {
+        let frame = aligned_frame(&aligned(), ORIGIN)?;
+        assert_close(&numbers(&frame, BEFORE_M)?, &[5.0, 3.0]);
+        assert_close(&numbers(&frame, BEFORE_RAD)?, &[0.2, 0.4]);
+        assert_close(&numbers(&frame, AFTER_M)?, &[0.5, 0.0]);
+        assert_close(&numbers(&frame, AFTER_RAD)?, &[0.25, 0.0]);
+        assert_close(&numbers(&frame, REACH_M)?, &[0.0, 3.0]);
+        Ok(())
+    }
 
-fn angle_rad(a: &Pose, b: &Pose) -> f64 {
-    angle_between(&a.rotation, &b.rotation)
+    #[test]
+    fn stamps_keep_every_nanosecond_and_poses_come_back() -> PolarsResult<()> {
+        let frame = aligned_frame(&aligned(), ORIGIN)?;
+        let origin_ns = ORIGIN.nanos();
+        assert_eq!(stamps_ns(&frame)?, [origin_ns, origin_ns + 500_000_000]);
+        assert_eq!(positions(&frame, Posed::Fk)?, [[0.0; 3], [1.0, 2.0, 2.0]]);
+        let xyzw = quaternions_xyzw(&frame, Posed::Logged)?;
+        assert_close(&xyzw[0], &[0.0, 0.0, 0.15f64.sin(), 0.15f64.cos()]);
+        Ok(())
+    }
+
+    #[test]
+    fn columns_of_unlike_length_are_an_error() {
+        let mut aligned = aligned();
+        aligned.corrected.pop();
+        assert!(aligned_frame(&aligned, ORIGIN).is_err());
+    }
+
+    #[test]
+    fn no_samples_make_an_empty_frame() -> PolarsResult<()> {
+        let frame = aligned_frame(&Aligned::default(), ORIGIN)?;
+        assert_eq!(frame.height(), 0);
+        assert!(positions(&frame, Posed::Corrected)?.is_empty());
+        Ok(())
+    }
 }

@@ -124,6 +124,7 @@ pub fn unseen(unseen: &Unseen, settle: &str) -> Outcome {
         }
         Unseen::NoOverlap => "it shares no time with the joint states".to_owned(),
         Unseen::AtRest => "the arm hardly moves".to_owned(),
+        Unseen::NeverRests => "the arm never rests".to_owned(),
         Unseen::Periodic(lags) => {
             let lags: Vec<String> = lags.iter().map(|&lag| Unit::Second.show(lag)).collect();
             format!("the motion repeats itself, so that several lags fit ({})", lags.join(", "))
@@ -136,6 +137,13 @@ pub fn unseen(unseen: &Unseen, settle: &str) -> Outcome {
         }
         Unseen::NotExcited => "this motion does not show it".to_owned(),
         Unseen::NoOrientation => return Outcome::Skipped("it carries no orientation".to_owned()),
+        Unseen::NominalKinematics => {
+            return Outcome::Inconclusive(
+                "the model is a drawing held against a calibrated arm, and causes this small cannot \
+                 be told from that; use the arm's own calibration"
+                    .to_owned(),
+            );
+        }
         Unseen::RestsOn(what) => format!("it rests on {what}, which this log does not tell"),
     };
     Outcome::Inconclusive(format!("{why}; {settle}"))

@@ -61,12 +61,18 @@ fn judge_stream(
         return Judged::new(subject, unseen(why, SETTLE));
     }
     let not_judged = (end.not_judged)(stream);
+    let twins = twins(arm, end, index);
     let frame = match ((end.estimate)(diagnosis), &not_judged) {
         (Ok(frame), _) => frame,
         (Err(_), Some(why)) => return Judged::new(subject, Outcome::Skipped(why.clone())),
-        (Err(why), None) => return Judged::new(subject, unseen(why, SETTLE)),
+        (Err(why), None) => {
+            let outcome = match twins.iter().find(|(offset, _)| offset.chosen) {
+                Some((_, cause)) => named_instead(cause),
+                None => unseen(why, SETTLE),
+            };
+            return Judged::new(subject, outcome);
+        }
     };
-    let twins = twins(arm, end, index);
     let outcome = match (decide_frame(frame, &FIGURES, subjects), not_judged) {
         (_, Some(why)) => Outcome::sound_because(why),
         (Decision::Fail(severity), None) if frame.chosen => {
@@ -76,20 +82,20 @@ fn judge_stream(
         }
         (Decision::Pass, None) => Outcome::sound(),
         (decision, None) => match twins.iter().find(|(offset, _)| offset.chosen && !frame.chosen) {
-            Some((_, cause)) => {
-                let joint = cause.subject.label();
-                let why = format!(
-                    "it cannot be told from {} on {joint}, which is named instead",
-                    cause.code
-                );
-                Outcome::Indistinguishable(why)
-            }
+            Some((_, cause)) => named_instead(cause),
             None => Outcome::Inconclusive(undecided(&decision, frame)),
         },
     };
     Judged::new(subject, outcome)
         .estimated(Estimate::frame(end.name, &frame.translation_m, &frame.rotation_rad))
         .with_evidence("pose", pose_json(&frame.pose))
+}
+
+fn named_instead(cause: &Alternative) -> Outcome {
+    let (code, joint) = (cause.code, cause.subject.label());
+    Outcome::Indistinguishable(format!(
+        "it cannot be told from {code} on {joint}, which is named instead"
+    ))
 }
 
 fn undecided(decision: &Decision, frame: &FrameEstimate) -> String {

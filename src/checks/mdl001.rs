@@ -1,6 +1,6 @@
 use crate::checks::decision::{Decision, Figure, decide, unseen};
 use crate::checks::{Facts, Grade, Judged};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Unit};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
     /// A residual is left that no modelled cause explains.
@@ -57,6 +57,19 @@ fn check(facts: &Facts) -> Vec<Judged> {
         let length = Unit::Metre.show_measured(&residual.excess_m);
         let angle = Unit::Radian.show(residual.excess_rad.value);
         let outcome = match decide(&residual.excess_m, &FIGURE, subjects) {
+            _ if diagnosis.nominal => Outcome::faulty(Fault {
+                severity: Severity::Info,
+                title: "nominal kinematics",
+                message: format!(
+                    "{length} rms and {angle} are left, as of a drawing against a calibrated arm"
+                ),
+                evidence: Evidence {
+                    effect_m: Some(residual.excess_m.value),
+                    ..Evidence::default()
+                },
+                fix: "use the arm's calibration; for a UR, calibration.yaml from the controller"
+                    .to_owned(),
+            }),
             Decision::Pass => Outcome::sound(),
             Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
             Decision::Fail(severity) => Outcome::faulty(Fault {

@@ -51,6 +51,7 @@ registry! {
     ing001::ING001,
     ing002::ING002,
     lat001::LAT001,
+    lat002::LAT002,
     mdl001::MDL001,
     ord001::ORD001,
     ord002::ORD002,
@@ -61,7 +62,11 @@ registry! {
     tim003::TIM003,
     tim005::TIM005,
     yaw001::YAW001,
+    yaw002::YAW002,
+    yaw003::YAW003,
+    yaw004::YAW004,
     zer001::ZER001,
+    zer002::ZER002,
 }
 
 /// Every rule, in the order of the codes.

@@ -40,7 +40,9 @@ pub fn clean_run() -> Facts {
         latency_s: Ok(sure(0.0)),
         yaw_drift_rad_s: Ok(sure(0.0)),
         mount_rad: Err(Unseen::NotExcited),
-        gyro_bias_rad_s: Err(Unseen::NotExcited),
+        link_from_imu: None,
+        tilt_rad: Err(Unseen::NotExcited),
+        gyro_bias: Err(Unseen::NotExcited),
         yaw_error: Vec::new(),
     };
     let arm = ArmFacts {
@@ -89,7 +91,9 @@ fn clean_stream() -> PoseDiagnosis {
         degrees: None,
         latency_s: Ok(sure(0.0)),
         skew: Err(Unseen::NotExcited),
+        skew_chosen: false,
         growth: Err(Unseen::NotExcited),
+        growth_chosen: false,
         reference: Ok(frame(0.0)),
         tool: Ok(frame(0.0)),
         residual: Ok(Residual {
@@ -100,6 +104,7 @@ fn clean_stream() -> PoseDiagnosis {
             before_m: 1e-5,
             before_rad: 1e-5,
         }),
+        nominal: false,
         top_speed_m_s: 0.8,
         aligned: Aligned::default(),
     }

@@ -62,7 +62,15 @@ fn judge(arm: &ArmFacts, joint: usize, offset: &JointOffset, subjects: usize) ->
     let figure = figure(arm.joint_unit(joint));
     let measured = match &offset.offset {
         Ok(measured) => measured,
-        Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(arm.span),
+        Err(why) => {
+            let outcome = match named_instead(arm, offset) {
+                Some(twin) => Outcome::Indistinguishable(format!(
+                    "it cannot be told from {twin}, which is named instead"
+                )),
+                None => unseen(why, SETTLE),
+            };
+            return Judged::new(subject, outcome).within(arm.span);
+        }
     };
     let outcome = match (decide(measured, figure, subjects), named_instead(arm, offset)) {
         (Decision::Fail(severity), _) if offset.chosen => {
@@ -161,7 +169,10 @@ fn named_instead(arm: &ArmFacts, offset: &JointOffset) -> Option<String> {
         Twin::JointZero(joint, _) => {
             arm.diagnosis.offsets.get(joint).is_some_and(|other| other.chosen)
         }
-        Twin::Reference(stream, _) => streams.get(stream).is_some_and(|s| chosen(&s.reference)),
+        Twin::Reference(stream, _) => {
+            let unknown = arm.poses.get(stream).is_some_and(|stream| !stream.reference_known);
+            unknown || streams.get(stream).is_some_and(|s| chosen(&s.reference))
+        }
         Twin::Tool(stream, _) => streams.get(stream).is_some_and(|s| chosen(&s.tool)),
     })?;
     let cause = twin_cause(arm, named, Unit::Radian);

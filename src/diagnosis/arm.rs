@@ -1,10 +1,11 @@
 //! The arm and its pose streams: everything that is estimated from joint states and poses together.
 
-use super::explain::{Approach, Cause, Explanation, Menu, explain};
+use super::explain::{Approach, Cause, ENTANGLED, Explanation, Menu, explain, price};
 use super::frames::{frame_estimate, starts};
 use super::joints::{corrected, lies_on_arm, read_joints, spread, tool_misfit};
 use super::latency::{Peak, arm_speeds, median_period_s, pose_peaks, top};
 use super::model::{POSITION, State, StreamState, Sweep, Witness};
+use super::nominal::{MOST_M, MOST_RAD, is_nominal};
 use super::reading::{Fit, Logged, Samples, nearest_truth, read};
 use super::{
     Aligned, ArmDiagnosis, JointOffset, JointReading, Measured, PoseDiagnosis, PoseStream, Reading,
@@ -400,6 +401,9 @@ pub(super) fn still_speeds(joints: &JointTrack) -> Vec<f64> {
 struct Fitted {
     explanation: Explanation,
     menu: Menu,
+    /// Whether the model is a drawing held against a calibrated arm, so that no single cause of
+    /// that size is named.
+    nominal: bool,
 }
 
 fn fit(prepared: &[&Prepared], dof: usize, with_offsets: bool) -> Option<Fitted> {
@@ -417,7 +421,41 @@ fn fit(prepared: &[&Prepared], dof: usize, with_offsets: bool) -> Option<Fitted>
         streams: alone.into_iter().flat_map(|state| state.streams).collect(),
     };
     let explanation = explain(&witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
-    Some(Fitted { explanation, menu })
+    let plain: Vec<StreamState> =
+        (0..witnesses.len()).map(|s| without_small_causes(&explanation, s)).collect();
+    let price = price(explanation.linear.normal.independent);
+    let nominal = with_offsets
+        && (0..witnesses.len())
+            .any(|s| is_nominal(witnesses[s], s, &explanation.state, &plain[s], price));
+    if !nominal {
+        return Some(Fitted { explanation, menu, nominal });
+    }
+    let kept = |cause: &Cause| match *cause {
+        Cause::Zero(_) | Cause::Growth(_) => false,
+        Cause::Latency(_) | Cause::Skew(_) => true,
+        Cause::Reference(s) => plain[s].reference != Pose::identity(),
+        Cause::Tool(s) => plain[s].tool != Pose::identity(),
+    };
+    let menu = Menu { optional: menu.optional.into_iter().filter(kept).collect(), ..menu };
+    let start = State { offsets: vec![0.0; dof], streams: plain };
+    let explanation = explain(&witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
+    Some(Fitted { explanation, menu, nominal })
+}
+
+/// A stream's state without the causes that a calibration may feign: frames stay where they are
+/// unknown, round, or larger than calibrations are.
+fn without_small_causes(explanation: &Explanation, stream: usize) -> StreamState {
+    let found = &explanation.state.streams[stream];
+    let is_large = |frame: &Pose| {
+        frame.translation.vector.norm() > MOST_M || frame.rotation.angle() > MOST_RAD
+    };
+    let kept = |frame: &Pose| if is_large(frame) { *frame } else { Pose::identity() };
+    StreamState {
+        growth: 0.0,
+        reference: kept(&found.reference),
+        tool: kept(&found.tool),
+        ..found.clone()
+    }
 }
 
 fn menu(prepared: &[&Prepared], dof: usize, with_offsets: bool) -> Menu {
@@ -479,7 +517,7 @@ fn unseen_offsets(dof: usize) -> Vec<JointOffset> {
 /// The offset of every joint: those chosen with the chosen causes alone, the others with all
 /// joints free.
 fn joint_offsets(fitted: &Fitted, prepared: &[&Prepared], joints: &JointTrack) -> Vec<JointOffset> {
-    let Fitted { explanation, menu } = fitted;
+    let Fitted { explanation, menu, .. } = fitted;
     let moved = moved_joints(joints);
     let zeros: Vec<Cause> =
         menu.optional.iter().copied().filter(|cause| matches!(cause, Cause::Zero(_))).collect();
@@ -489,7 +527,9 @@ fn joint_offsets(fitted: &Fitted, prepared: &[&Prepared], joints: &JointTrack) -
         .map(|joint| {
             let cause = Cause::Zero(joint);
             let chosen = explanation.causes.contains(&cause);
-            let offset = if !zeros.contains(&cause) {
+            let offset = if fitted.nominal {
+                Err(Unseen::NominalKinematics)
+            } else if !zeros.contains(&cause) {
                 Err(Unseen::NotExcited)
             } else if chosen {
                 measured(fitted, &explanation.causes, cause, 0)
@@ -498,7 +538,7 @@ fn joint_offsets(fitted: &Fitted, prepared: &[&Prepared], joints: &JointTrack) -
             } else {
                 measured(fitted, &everyone, cause, 0)
             };
-            let twins = if chosen { twins(fitted, cause) } else { Vec::new() };
+            let twins = if chosen { twins(fitted, cause) } else { frame_twins(fitted, cause) };
             let amount = offset.as_ref().map_or(0.0, |offset| offset.value);
             JointOffset { offset, chosen, effect_m: amount.abs() * lever_m(prepared, joint), twins }
         })
@@ -547,7 +587,7 @@ fn lever_m(prepared: &[&Prepared], joint: usize) -> f64 {
 
 /// The estimate of one parameter of `cause` when `causes` and what is always free are free.
 fn measured(fitted: &Fitted, causes: &[Cause], cause: Cause, which: usize) -> Seen<Measured> {
-    let Fitted { explanation, menu } = fitted;
+    let Fitted { explanation, menu, .. } = fitted;
     let state = &explanation.state;
     let mut parameters: Vec<usize> =
         menu.always.iter().chain(causes).flat_map(|cause| cause.parameters(state)).collect();
@@ -560,7 +600,7 @@ fn measured(fitted: &Fitted, causes: &[Cause], cause: Cause, which: usize) -> Se
 
 /// Causes that explain the log as well in the place of `cause`.
 fn twins(fitted: &Fitted, cause: Cause) -> Vec<Twin> {
-    let Fitted { explanation, menu } = fitted;
+    let Fitted { explanation, menu, .. } = fitted;
     let (state, linear) = (&explanation.state, &explanation.linear);
     let parameters = |causes: &[Cause]| -> Vec<usize> {
         let mut list: Vec<usize> =
@@ -591,6 +631,35 @@ fn twins(fitted: &Fitted, cause: Cause) -> Vec<Twin> {
         .collect()
 }
 
+/// Frames of the explanation that do to this log what the joint offset `cause` does.
+fn frame_twins(fitted: &Fitted, cause: Cause) -> Vec<Twin> {
+    let Fitted { explanation, menu, .. } = fitted;
+    let (state, linear) = (&explanation.state, &explanation.linear);
+    let values = state.values();
+    let frames = menu.always.iter().chain(&explanation.causes);
+    let round = (0..state.streams.len()).flat_map(|s| {
+        let stream = &state.streams[s];
+        let reference = stream.round_reference.map(|_| Cause::Reference(s));
+        reference.into_iter().chain(stream.round_tool.map(|_| Cause::Tool(s)))
+    });
+    let round: Vec<Cause> = round.collect();
+    frames
+        .chain(&round)
+        .filter_map(|&frame| {
+            let mut parameters: Vec<usize> = frame.parameters(state).collect();
+            let own: Vec<f64> = parameters.iter().map(|&p| values[p]).collect();
+            parameters.extend(cause.parameters(state));
+            parameters.sort_unstable();
+            let same = linear.normal.separation(&parameters) < ENTANGLED;
+            match frame {
+                Cause::Reference(s) if same => Some(Twin::Reference(s, frame_amount(&own))),
+                Cause::Tool(s) if same => Some(Twin::Tool(s, frame_amount(&own))),
+                _ => None,
+            }
+        })
+        .collect()
+}
+
 /// The size of a frame change: its angle in rad, or where it does not turn its length in m.
 fn frame_amount(twist: &[f64]) -> f64 {
     let length = Vec3::new(twist[0], twist[1], twist[2]).norm();
@@ -606,10 +675,13 @@ fn no_diagnosis(scale: &Seen<f64>, why: Unseen) -> PoseDiagnosis {
         degrees: None,
         latency_s: Err(rests()),
         skew: Err(rests()),
+        skew_chosen: false,
         growth: Err(rests()),
+        growth_chosen: false,
         reference: Err(rests()),
         tool: Err(rests()),
         residual: Err(rests()),
+        nominal: false,
         top_speed_m_s: 0.0,
         aligned: Aligned::default(),
     }
@@ -635,7 +707,7 @@ fn stream_diagnosis(
     fitted: &Fitted,
     index: usize,
 ) -> PoseDiagnosis {
-    let Fitted { explanation, menu } = fitted;
+    let Fitted { explanation, menu, .. } = fitted;
     let causes = &explanation.causes;
     let with = |cause: Cause| -> Vec<Cause> {
         let mut with = causes.clone();
@@ -645,7 +717,9 @@ fn stream_diagnosis(
         with
     };
     let one = |cause: Cause| {
-        if menu.all().contains(&cause) {
+        if fitted.nominal && matches!(cause, Cause::Growth(_)) {
+            Err(Unseen::NominalKinematics)
+        } else if menu.all().contains(&cause) {
             measured(fitted, &with(cause), cause, 0)
         } else {
             Err(Unseen::AtRest)
@@ -659,20 +733,33 @@ fn stream_diagnosis(
         Some(lags) => Err(Unseen::Periodic(lags)),
         None => latency_s,
     };
-    let frame = |cause: Cause| frame_estimate(explanation, menu, &with(cause), cause, index);
+    let frame = |cause: Cause| {
+        if fitted.nominal && !menu.all().contains(&cause) {
+            return Err(Unseen::NominalKinematics);
+        }
+        frame_estimate(explanation, menu, &with(cause), cause, index)
+    };
     let aligned = align(recorded, stream, prepared, explanation, index);
     let residual = residual(&aligned);
     let (linear, _) = arm_speeds(prepared.witness.joints, stream.chain, stream.columns);
+    let mut reading = prepared.reading.clone();
+    if let Ok(residual) = &residual {
+        // Latency, offsets and frames have been taken off since the readings were compared.
+        reading.best_rad = reading.best_rad.min(residual.rms_rad);
+    }
     PoseDiagnosis {
-        reading: Ok(prepared.reading.clone()),
+        reading: Ok(reading),
         millimetres: millimetres(scale, residual.as_ref().ok()),
         degrees: prepared.degrees,
         latency_s,
         skew: one(Cause::Skew(index)),
+        skew_chosen: causes.contains(&Cause::Skew(index)),
         growth: one(Cause::Growth(index)),
+        growth_chosen: causes.contains(&Cause::Growth(index)),
         reference: frame(Cause::Reference(index)),
         tool: frame(Cause::Tool(index)),
         residual,
+        nominal: fitted.nominal,
         top_speed_m_s: top(&linear),
         aligned,
     }

@@ -11,7 +11,7 @@ use nalgebra::{DMatrix, DVector};
 
 /// A set of causes in which one is this near to a mix of the others (unexplained share of its
 /// effect) is no explanation: the log cannot say how much of each there is.
-const ENTANGLED: f64 = 1e-4;
+pub(super) const ENTANGLED: f64 = 1e-4;
 
 /// Most causes that are searched exhaustively.
 const EXHAUSTIVE: usize = 4;
@@ -182,7 +182,7 @@ pub(super) struct Choice {
 
 /// Price of one parameter: the Bayesian information criterion's `ln n`, and as much again as makes
 /// a needless cause a one-in-ten-thousand event rather than a one-in-a-hundred one.
-fn price(independent: f64) -> f64 {
+pub(super) fn price(independent: f64) -> f64 {
     independent.max(2.0).ln() + 8.0
 }
 

@@ -11,7 +11,7 @@ use super::latency::{Peak, angular_speed, arm_speeds, norms, peaks};
 use super::linear::{Linear, Normal, Weight, sandwich};
 use super::model::FLOOR_RAD;
 use super::reading::{Fit, Logged, Samples, mean_rotation, nearest_truth, read, wahba};
-use super::{ImuDiagnosis, ImuStream, Measured, ReadingEstimate, Seen, Unseen};
+use super::{GyroBias, ImuDiagnosis, ImuStream, Measured, ReadingEstimate, Seen, Unseen};
 use crate::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use crate::stream::JointTrack;
 use nalgebra::{DMatrix, DVector, Matrix3};
@@ -24,6 +24,8 @@ const READING_SAMPLES: usize = 72;
 const FOLLOWS: f64 = 0.3;
 /// Gyro noise below this is no statistics, rad/s.
 const FLOOR_RAD_S: f64 = 1e-6;
+/// An arm rests where it also does this long before and after, s.
+const SETTLING_S: f64 = 0.05;
 /// Samples without which nothing is fitted.
 const NEED: usize = 20;
 
@@ -61,14 +63,18 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
             ..latency
         }),
     };
-    let gyro_bias_rad_s = gyro.map(|fit| fit.bias_rad_s).and_then(|bias| bias);
+    let turned = gyro.as_ref().ok().filter(|_| moves).map(|fit| fit.link_from_imu);
+    let gyro_bias = gyro.and_then(|fit| fit.bias);
+    let tilt_rad = link.tilt(lag_s);
     match orientation {
         Ok(fit) => ImuDiagnosis {
             reading: Ok(fit.reading),
             latency_s,
             yaw_drift_rad_s: fit.drift_rad_s,
             mount_rad: fit.mount_rad,
-            gyro_bias_rad_s,
+            link_from_imu: Some(fit.link_from_imu),
+            tilt_rad,
+            gyro_bias,
             yaw_error: fit.yaw_error,
         },
         Err(why) => ImuDiagnosis {
@@ -76,7 +82,9 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
             latency_s,
             yaw_drift_rad_s: Err(why.clone()),
             mount_rad: Err(why),
-            gyro_bias_rad_s,
+            link_from_imu: turned,
+            tilt_rad,
+            gyro_bias,
             yaw_error: Vec::new(),
         },
     }
@@ -125,13 +133,15 @@ struct OrientationFit {
     latency_s: Seen<Measured>,
     drift_rad_s: Seen<Measured>,
     mount_rad: Seen<Measured>,
+    link_from_imu: Rotation,
     yaw_error: Vec<(f64, f64)>,
 }
 
 /// What a fit of angular rates gives.
 struct GyroFit {
     latency_s: Seen<Measured>,
-    bias_rad_s: Seen<(Vec3, Measured)>,
+    bias: Seen<GyroBias>,
+    link_from_imu: Rotation,
 }
 
 impl<'a> Link<'a> {
@@ -236,6 +246,7 @@ impl<'a> Link<'a> {
                 solved.norm_of(&mount, &error)
             }
         };
+        let link_from_imu = fitted.link_from_imu;
         let mount_stands = known_mount.is_some_and(|known| {
             let error = rotvec_from_rotation(&(known.inverse() * fitted.link_from_imu)).norm();
             mount_rad.as_ref().map_or(true, |measured| error < 4.0 * measured.std_error)
@@ -258,6 +269,7 @@ impl<'a> Link<'a> {
             latency_s,
             drift_rad_s: solved.one(OrientationModel::DRIFT, model.drift_rad_s),
             mount_rad,
+            link_from_imu,
             yaw_error: model.yaw_error(),
         })
     }
@@ -281,6 +293,22 @@ impl<'a> Link<'a> {
             reference_known: false,
         };
         read(&samples)
+    }
+
+    /// The IMU's lean against gravity, from the moments at which the arm rests.
+    fn tilt(&self, lag_s: f64) -> Seen<Measured> {
+        let track = self.stream.track;
+        if track.orientation.is_empty() {
+            return Err(Unseen::NoOrientation);
+        }
+        let mut sweep = self.sweep();
+        let mut rests = |t_s: f64| self.at(t_s, &mut sweep).is_some_and(|moment| !moment.moving);
+        let resting = (0..track.t_s.len()).step_by(self.stride()).filter(|&k| {
+            let t_s = track.t_s[k] - lag_s;
+            rests(t_s - SETTLING_S) && rests(t_s) && rests(t_s + SETTLING_S)
+        });
+        let forces: Vec<Vec3> = resting.map(|k| track.orientation[k] * track.accel[k]).collect();
+        tilt(&forces)
     }
 
     fn fit_gyro(&self, lag_s: f64, moves: bool) -> Seen<GyroFit> {
@@ -318,9 +346,34 @@ impl<'a> Link<'a> {
             Err(Unseen::AtRest)
         };
         let vector = DVector::from_column_slice(model.bias_rad_s.as_slice());
-        let bias_rad_s = solved.norm_of(&bias, &vector).map(|norm| (model.bias_rad_s, norm));
-        Ok(GyroFit { latency_s, bias_rad_s })
+        let bias = solved.norm_of(&bias, &vector).map(|norm_rad_s| GyroBias {
+            vector_rad_s: model.bias_rad_s,
+            norm_rad_s,
+            yaw_rate_rad_s: model.yaw_rate(),
+        });
+        Ok(GyroFit { latency_s, bias, link_from_imu: model.link_from_imu })
     }
+}
+
+/// Angle between the mean of the specific `forces` felt at rest, in the world by the logged
+/// orientation, and the vertical; the standard error is from the spread over blocks.
+fn tilt(forces: &[Vec3]) -> Seen<Measured> {
+    const BLOCKS: usize = 20;
+    let n = forces.len();
+    if n < 2 * BLOCKS {
+        return Err(Unseen::NeverRests);
+    }
+    let mean = |forces: &[Vec3]| forces.iter().sum::<Vec3>() / forces.len() as f64;
+    let whole = mean(forces);
+    if whole.norm() < 1.0 {
+        return Err(Unseen::RestsOn("an accelerometer that feels gravity"));
+    }
+    let blocks: Vec<Vec3> = forces.chunks_exact(n / BLOCKS).map(mean).collect();
+    let leaning = |force: &Vec3| (force - whole).xy().norm_squared() / whole.norm_squared();
+    let count = blocks.len() as f64;
+    let variance = blocks.iter().map(leaning).sum::<f64>() / 2.0 / (count - 1.0) / count;
+    let value = whole.xy().norm().atan2(whole.z);
+    Ok(Measured { value, std_error: variance.sqrt(), dof: count - 1.0 })
 }
 
 /// Covariance of the parameters that a fit left free.
@@ -530,6 +583,20 @@ impl GyroModel<'_> {
             }
         }
         linear
+    }
+
+    /// Mean rate about the base's z that the bias would feign, rad/s.
+    fn yaw_rate(&self) -> f64 {
+        let mut sweep = self.link.sweep();
+        let t_s = &self.link.stream.track.t_s;
+        let (mut sum, mut count) = (0.0, 0.0);
+        for &k in &self.rows {
+            if let Some(moment) = self.link.at(t_s[k] - self.latency_s, &mut sweep) {
+                sum += (moment.rotation * (self.link_from_imu * self.bias_rad_s)).z;
+                count += 1.0;
+            }
+        }
+        if count > 0.0 { sum / count } else { 0.0 }
     }
 
     fn solve(&mut self, free: &[usize]) -> Solved {

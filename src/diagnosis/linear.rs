@@ -274,6 +274,13 @@ impl Normal {
         cholesky.map_or(0.0, |cholesky| cholesky.l_dirty().diagonal().min().powi(2))
     }
 
+    /// Number of directions that the log shows.
+    pub fn rank(&self) -> usize {
+        let all: Vec<usize> = (0..self.right.len()).collect();
+        let eigenvalues = self.scaled(&all).0.symmetric_eigenvalues();
+        eigenvalues.iter().filter(|&&value| value > BLIND).count()
+    }
+
     /// The rows and columns `parameters` scaled to a unit diagonal, and the scale.
     fn scaled(&self, parameters: &[usize]) -> (DMatrix<f64>, DVector<f64>) {
         let n = parameters.len();

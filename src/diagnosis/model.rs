@@ -25,7 +25,7 @@ pub(super) const POSITION: usize = 0;
 const ROTATION: usize = 1;
 
 /// Standard deviations below these are no statistics: 1 µm and 1 µrad.
-const FLOOR_M: f64 = 1e-6;
+pub(super) const FLOOR_M: f64 = 1e-6;
 pub(super) const FLOOR_RAD: f64 = 1e-6;
 
 /// A pose stream whose reading and units are settled, ready for the fit.
@@ -183,6 +183,23 @@ impl Sweep {
     }
 }
 
+impl Sweep {
+    /// Joint positions of the last prediction, in the chain's order.
+    pub fn q(&self) -> &[f64] {
+        &self.q
+    }
+
+    /// Linear and angular velocity of the link at the last prediction, in the chain's base.
+    pub fn twist(&self) -> (Vec3, Vec3) {
+        let mut twist = (Vec3::zeros(), Vec3::zeros());
+        for (column, rate) in self.jacobian.iter().zip(&self.qd) {
+            twist.0 += Vec3::new(column[0], column[1], column[2]) * *rate;
+            twist.1 += Vec3::new(column[3], column[4], column[5]) * *rate;
+        }
+        twist
+    }
+}
+
 impl Witness<'_> {
     /// Number of samples.
     pub fn len(&self) -> usize {
@@ -238,7 +255,7 @@ impl Witness<'_> {
     }
 
     /// Logged minus predicted: position in m, rotation vector in rad.
-    fn residual(&self, k: usize, predicted: &Pose) -> [[f64; 3]; 2] {
+    pub fn residual(&self, k: usize, predicted: &Pose) -> [[f64; 3]; 2] {
         let position = self.xyz[k] - predicted.translation.vector;
         let rotation = rotvec_from_rotation(&(self.rotation[k] * predicted.rotation.inverse()));
         [position.into(), rotation.into()]

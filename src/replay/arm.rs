@@ -1,13 +1,14 @@
 //! The arm: a tube along its joints, the frames of its links, and its tool.
 
-use re_sdk_types::archetypes::{LineStrips3D, TransformAxes3D, ViewCoordinates};
-use re_sdk_types::components::{Color, LineStrip3D, Radius};
+use re_sdk_types::archetypes::{LineStrips3D, ViewCoordinates};
+use re_sdk_types::components::Color;
 use rerun::{EntityPath, entity_path};
 
 use crate::geometry::{Pose, xyz_of};
 use crate::stream::JointTrack;
 
 use super::recorder::{Recorded, Recorder};
+use super::tool::{Tool, Weight, axes, scene_units};
 use super::{MOST_POSES, ReplayArm, palette, thinning};
 
 /// Sizes of what is drawn, as parts of the arm's reach.
@@ -15,8 +16,6 @@ mod part {
     pub const TUBE: f64 = 0.016;
     pub const THIN_TUBE: f64 = 0.006;
     pub const LINK_AXES: f64 = 0.06;
-    pub const TOOL: f64 = 0.16;
-    pub const TOOL_AXES: f64 = 0.1;
 }
 
 /// Records the arm where it was and, where that is not the same, by the joint states as recorded.
@@ -27,58 +26,17 @@ pub fn record(arm: &ReplayArm, recorder: &Recorder) -> Recorded {
     let motion = Motion::of(arm, arm.joints());
     motion.tube(&moved, palette::ARM, part::TUBE * reach_m, recorder)?;
     motion.links(&moved, arm.chain.joint_names(), part::LINK_AXES * reach_m, recorder)?;
-    motion.tool(&moved, reach_m, palette::ARM, recorder)?;
+    motion.tip(&moved, recorder)?;
+    let tool = Tool { colour: palette::ARM, weight: Weight::Thin, label: None };
+    tool.record(tip_of(&moved), reach_m, recorder)?;
     if arm.corrected.is_some() {
         let as_recorded = arm.entity().join(&entity_path!["arm_as_recorded"]);
         let motion = Motion::of(arm, arm.recorded);
         motion.tube(&as_recorded, palette::AS_RECORDED, part::THIN_TUBE * reach_m, recorder)?;
-        motion.tool(&as_recorded, reach_m, palette::AS_RECORDED, recorder)?;
+        motion.tip(&as_recorded, recorder)?;
+        recorder.fixed(tip_of(&as_recorded), &axes(part::LINK_AXES * reach_m))?;
     }
     Ok(())
-}
-
-/// A gripper in the frame of `entity`, with the frame's axes: it shows at a glance which way a pose
-/// points. Sizes are for an arm of reach `reach_m`.
-pub fn tool(
-    entity: EntityPath,
-    reach_m: f64,
-    colour: Color,
-    label: Option<&str>,
-    recorder: &Recorder,
-) -> Recorded {
-    let size = part::TOOL * reach_m;
-    let (half_width, palm) = (0.3 * size, 0.5 * size);
-    // Thumb, stem to the origin, both fingers: in one stroke.
-    let stroke = [
-        [0.0, half_width, palm],
-        [0.0, 0.0, palm],
-        [0.0, 0.0, 0.0],
-        [0.0, 0.0, palm],
-        [-half_width, 0.0, palm],
-        [-half_width, 0.0, size],
-        [-half_width, 0.0, palm],
-        [half_width, 0.0, palm],
-        [half_width, 0.0, size],
-    ];
-    let strip = LineStrips3D::new([LineStrip3D::from_iter(stroke)])
-        .with_colors([colour])
-        .with_radii([scene_units(0.03 * size)]);
-    let strip = match label {
-        Some(label) => strip.with_labels([label]).with_show_labels(true),
-        None => strip,
-    };
-    recorder.fixed(entity.clone(), &strip)?;
-    recorder.fixed(entity, &axes(part::TOOL_AXES * reach_m))
-}
-
-/// The axes of a frame, in metres.
-fn axes(length_m: f64) -> TransformAxes3D {
-    TransformAxes3D::new(length_m as f32)
-}
-
-/// A radius in metres.
-fn scene_units(radius_m: f64) -> Radius {
-    Radius::new_scene_units(radius_m as f32)
 }
 
 /// Where the joints and the tip of an arm were, in its base.
@@ -130,11 +88,13 @@ impl Motion {
         Ok(())
     }
 
-    fn tool(&self, arm: &EntityPath, reach_m: f64, colour: Color, recorder: &Recorder) -> Recorded {
-        let entity = arm.join(&entity_path!["tool"]);
-        recorder.frame(entity.clone(), &self.t_s, &self.tip)?;
-        tool(entity, reach_m, colour, None, recorder)
+    fn tip(&self, arm: &EntityPath, recorder: &Recorder) -> Recorded {
+        recorder.frame(tip_of(arm), &self.t_s, &self.tip)
     }
+}
+
+fn tip_of(arm: &EntityPath) -> EntityPath {
+    arm.join(&entity_path!["tool"])
 }
 
 /// Writes the entries of `row` that `columns` names to `out`.

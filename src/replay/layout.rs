@@ -1,52 +1,49 @@
-//! How the viewer lays the recording out: the arm beside the plots, the words below.
+//! How the viewer opens a recording: the scene left, the plots right, the text below.
 
-use re_sdk_types::blueprint::components::{LoopMode, PanelState, PlayState};
+use re_sdk_types::blueprint::components::PanelState;
 use rerun::blueprint::{
     Blueprint, BlueprintPanel, ContainerLike, Horizontal, SelectionPanel, Spatial3DView, Tabs,
     TextDocumentView, TextLogView, TimePanel, TimeSeriesView, Vertical,
 };
 
-use super::plots::Plot;
-use super::recorder::SINCE_ORIGIN;
-use super::{Replay, ReplayArm, words};
+use super::plots::Quantity;
+use super::{Replay, ReplayArm, page, scene, tape};
 
-/// The layout; several arms are tabs. The viewer plays the run over and over.
-pub fn blueprint(replay: &Replay) -> Blueprint {
-    let arms: Vec<ContainerLike> = replay.arms.iter().map(arm).collect();
-    let text: [ContainerLike; 2] = [
-        TextDocumentView::new("report").with_origin(words::REPORT).into(),
-        TextLogView::new("findings on the time line").with_origin(words::FINDINGS).into(),
-    ];
-    let text = Horizontal::new(text).with_column_shares([3.0, 2.0]);
-    let root = match arms.is_empty() {
-        true => text.into(),
-        false => ContainerLike::from(
-            Vertical::new([Tabs::new(arms).into(), text.into()]).with_row_shares([5.0, 2.0]),
-        ),
+/// The blueprint of a recording.
+pub(super) fn blueprint(replay: &Replay<'_>) -> Blueprint {
+    let text = Horizontal::new([
+        TextDocumentView::new("report").with_origin(page::report()).into(),
+        TextLogView::new("findings").with_origin(page::findings()).into(),
+    ]);
+    let root: ContainerLike = match replay.arms.as_slice() {
+        [] => text.into(),
+        [arm] => Vertical::new([of_arm(arm), text.into()]).with_row_shares([7.0, 3.0]).into(),
+        arms => Vertical::new([Tabs::new(arms.iter().map(of_arm)).into(), text.into()])
+            .with_row_shares([7.0, 3.0])
+            .into(),
     };
     Blueprint::new(root)
         .with_auto_views(false)
         .with_blueprint_panel(BlueprintPanel::from_state(PanelState::Collapsed))
         .with_selection_panel(SelectionPanel::from_state(PanelState::Collapsed))
         .with_time_panel(
-            TimePanel::new()
-                .with_state(PanelState::Collapsed)
-                .with_timeline(SINCE_ORIGIN)
-                .with_play_state(PlayState::Playing)
-                .with_loop_mode(LoopMode::All),
+            TimePanel::new().with_state(PanelState::Collapsed).with_timeline(tape::RUN),
         )
 }
 
-/// The scene of one arm beside its plots.
-fn arm(arm: &ReplayArm) -> ContainerLike {
-    let scene = Spatial3DView::new(arm.name)
-        .with_origin(arm.entity())
-        .with_contents(["$origin/**", "- $origin/plots/**"]);
-    let plots = Plot::ALL.into_iter().filter(|plot| plot.has_data(arm)).map(|plot| {
-        let view = TimeSeriesView::new(plot.title()).with_origin(plot.entity(arm));
-        ContainerLike::from(view)
-    });
-    let plots: Vec<ContainerLike> = plots.collect();
+fn of_arm(arm: &ReplayArm<'_>) -> ContainerLike {
+    let scene = Spatial3DView::new(arm.name).with_origin(scene::root(arm.name));
+    let plots: Vec<ContainerLike> = [
+        (Quantity::Position, !arm.streams.is_empty()),
+        (Quantity::Rotation, !arm.streams.is_empty()),
+        (Quantity::Yaw, !arm.imus.is_empty()),
+    ]
+    .into_iter()
+    .filter(|&(_, is_there)| is_there)
+    .map(|(quantity, _)| {
+        TimeSeriesView::new(quantity.title()).with_origin(quantity.root(arm.name)).into()
+    })
+    .collect();
     if plots.is_empty() {
         return scene.into();
     }

@@ -1,179 +1,218 @@
-//! The recording of a run for the [Rerun](https://rerun.io) viewer: the arm as it moved, every pose
-//! stream as logged and as corrected, the errors over time and the findings.
+//! The recording for the Rerun viewer: the arm, what was logged of it and what it should have said.
 //!
-//! | entity | what it shows |
+//! Nothing is computed here but where things are drawn. Streams are decimated to about 4 000 rows
+//! each: evenly for what moves, by the lowest and highest value of each stretch for what is plotted.
+//!
+//! | entity | what it is |
 //! |---|---|
-//! | `ROBOT/arm` | the arm by FK of the joint states, everything found taken off; its links and tool below |
-//! | `ROBOT/arm_as_recorded` | the arm by FK of the joint states as recorded, where these are at fault |
-//! | `ROBOT/streams/TOPIC/logged` | the pose as logged, at its stamp |
-//! | `ROBOT/streams/TOPIC/corrected` | its ghost: everything found taken off, when it was true |
-//! | `ROBOT/streams/TOPIC/trail/…` | the ways that both went, over the whole run |
-//! | `ROBOT/plots/…` | errors over the stamp, before and after the correction |
-//! | `findings`, `report` | the findings on the time line, and all of them on a page |
+//! | `/arms/NAME/arm` | the arm by FK, its joints as they should have been recorded |
+//! | `/arms/NAME/arm_as_recorded` | the same as recorded, where that differs |
+//! | `/arms/NAME/tip` | frame of the tip, at the end of `arm` |
+//! | `/arms/NAME/TOPIC/…` | a stream's tool `as_logged` and `as_explained`, and their trails |
+//! | `/errors/NAME/{position_mm,rotation_deg}/TOPIC/…` | distance from FK, before and after |
+//! | `/errors/NAME/yaw_deg/TOPIC` | yaw of an IMU against FK |
+//! | `/findings`, `/report` | the findings on the time line, and as a page |
 //!
-//! All of a robot is in the frame of its base, in metres. There are two timelines: `t`, the time
-//! since the run's origin, and `stamp`, the run's own clock.
-//!
-//! A long run is thinned, so that the viewer stays quick: see [`MOST_POSES`] and [`MOST_POINTS`].
+//! Two timelines: `stamp` as the log has it, and `run`, the time since the run's origin.
 
-mod arm;
 mod layout;
-mod palette;
+mod page;
 mod plots;
-mod recorder;
-mod streams;
-mod thinning;
-mod words;
+mod scene;
+mod tape;
+mod thin;
 
-use std::io;
 use std::path::{Path, PathBuf};
 
-use rerun::external::re_log_encoding::EncodeError;
-use rerun::{EntityPath, RecordingStreamBuilder, RecordingStreamError};
+use polars::prelude::{DataFrame, PolarsError};
+use rerun::sink::SinkFlushError;
+use rerun::{RecordingStreamBuilder, RecordingStreamError, SerializationError};
 
+use crate::finding::Finding;
 use crate::geometry::Pose;
-use crate::report::Report;
+use crate::report::Verdict;
 use crate::robot::Chain;
 use crate::stream::JointTrack;
-use crate::tables::AlignedTable;
 use crate::time::Stamp;
 
-use recorder::Recorder;
+use tape::Tape;
 
-/// Most poses of a stream, or of the arm, that move over time; of more every k-th and the last is
-/// shown.
-pub const MOST_POSES: usize = 20_000;
-
-/// Most points of a trail, of which every k-th and the last is shown, and of a plotted series, of
-/// which the least and the greatest value in every stretch of equally many samples are shown.
-pub const MOST_POINTS: usize = 5_000;
-
-/// What to show of a run.
+/// What a recording shows.
 #[derive(Clone, Debug)]
 pub struct Replay<'a> {
-    /// The stamp that times in seconds count from.
+    /// The run's origin, from which times in seconds count.
     pub origin: Stamp,
-    /// The arms.
+    /// The arms, each in its own space.
     pub arms: Vec<ReplayArm<'a>>,
-    /// What was found.
-    pub report: &'a Report,
+    /// The answer in one word.
+    pub verdict: Verdict,
+    /// What is wrong, the gravest first.
+    pub findings: &'a [Finding],
 }
 
-/// An arm and what the log says of it.
+/// One arm and its streams.
 #[derive(Clone, Debug)]
 pub struct ReplayArm<'a> {
-    /// The robot's name; no two arms of a run share it.
+    /// Its name.
     pub name: &'a str,
-    /// The chain from the robot's base to its tip.
+    /// The chain from base to tip.
     pub chain: &'a Chain,
     /// For each joint of `chain`, its column in the joint tracks.
     pub columns: &'a [usize],
     /// The joint states as recorded.
     pub recorded: &'a JointTrack,
-    /// The joint states with everything found taken off; `None` where nothing was found.
-    pub corrected: Option<&'a JointTrack>,
-    /// Its pose streams.
+    /// The joint states as they should have been recorded.
+    pub corrected: JointTrack,
+    /// Its streams of poses, and /tf.
     pub streams: Vec<ReplayStream<'a>>,
-    /// The IMUs that it carries.
+    /// Its IMUs.
     pub imus: Vec<ReplayImu<'a>>,
 }
 
-/// A pose stream beside FK.
+impl ReplayArm<'_> {
+    /// What a drawing of `stream` is called: what is said of the tool, and the topic where that
+    /// alone does not tell.
+    fn label(&self, stream: &ReplayStream<'_>, state: State) -> String {
+        let measured = self.streams.iter().filter(|other| other.kind == StreamKind::Pose);
+        match stream.kind {
+            StreamKind::Tf => stream.topic.to_owned(),
+            StreamKind::Pose if measured.count() == 1 => state.words().to_owned(),
+            StreamKind::Pose => format!("{} {}", stream.topic, state.words()),
+        }
+    }
+}
+
+/// One stream of tool poses.
 #[derive(Clone, Debug)]
 pub struct ReplayStream<'a> {
     /// Its topic.
     pub topic: &'a str,
-    /// The chain from the stream's reference link to the link whose pose it is.
-    pub chain: &'a Chain,
-    /// For each joint of `chain`, its column in the joint tracks.
-    pub columns: &'a [usize],
-    /// Its samples.
-    pub table: AlignedTable,
-    /// Whether it is computed from the joint states, as /tf is. It then says nothing new of where
-    /// the arm was, and is shown as logged only.
-    pub derived: bool,
-    /// `reference_from_stream` as estimated, where the log does not tie the stream's frame to the
-    /// robot. The logged poses are then shown through it, and have no error of their own.
-    pub estimated_reference: Option<Pose>,
+    /// Where its poses come from.
+    pub kind: StreamKind,
+    /// Its samples and residuals, by [`tables::aligned_frame`](crate::tables::aligned_frame).
+    pub frame: DataFrame,
+    /// The frame of the samples in the base of the arm's chain.
+    pub base_from_reference: Pose,
+    /// Whether the log ties that frame to the arm. If not, what was logged has no place in the
+    /// scene and no error against FK; what it says once the frame is estimated has both.
+    pub reference_known: bool,
+    /// How much later than true its content is stamped, s; the explained pose is drawn at the time
+    /// when it was true.
+    pub latency_s: f64,
 }
 
-/// An IMU beside FK.
-#[derive(Clone, Copy, Debug)]
+/// Where a stream's poses come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StreamKind {
+    /// Measured, and logged as poses.
+    Pose,
+    /// Derived from the joint states, in the log's transforms.
+    Tf,
+}
+
+/// What is said of the tool.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    /// What the log says.
+    Logged,
+    /// The same with everything found taken off.
+    Explained,
+}
+
+impl State {
+    /// Of what `stream` is drawn. Transforms derived from the joints are only as they are, and what
+    /// is logged in a frame that nothing ties to the arm has no place beside it.
+    fn drawn(stream: &ReplayStream<'_>) -> impl Iterator<Item = State> {
+        let logged = stream.reference_known.then_some(State::Logged);
+        let explained = (stream.kind == StreamKind::Pose).then_some(State::Explained);
+        logged.into_iter().chain(explained)
+    }
+
+    /// Last part of its entities.
+    const fn entity(self) -> &'static str {
+        match self {
+            State::Logged => "as_logged",
+            State::Explained => "as_explained",
+        }
+    }
+
+    const fn words(self) -> &'static str {
+        match self {
+            State::Logged => "as logged",
+            State::Explained => "as explained",
+        }
+    }
+
+    /// Red as logged, green as explained, violet in /tf.
+    const fn rgb(self, kind: StreamKind) -> [u8; 3] {
+        match (kind, self) {
+            (StreamKind::Tf, _) => [200, 150, 255],
+            (StreamKind::Pose, State::Logged) => [240, 80, 60],
+            (StreamKind::Pose, State::Explained) => [60, 200, 110],
+        }
+    }
+}
+
+/// One IMU.
+#[derive(Clone, Debug)]
 pub struct ReplayImu<'a> {
     /// Its topic.
     pub topic: &'a str,
-    /// Time from the origin (s), and its yaw minus FK's about gravity (rad).
+    /// Stamp, s from the run's origin, and yaw against FK, rad.
     pub yaw_error: &'a [(f64, f64)],
 }
 
 /// Why a recording could not be written.
 #[derive(Debug, thiserror::Error)]
-pub enum ReplayError {
-    /// Rerun could not take the data.
-    #[error("the recording cannot be made: {0}")]
-    Record(#[from] RecordingStreamError),
-    /// Rerun could not put the data in its format.
-    #[error("the recording cannot be encoded: {0}")]
-    Encode(#[from] EncodeError),
-    /// The file cannot be written.
-    #[error("{}: cannot be written: {source}", path.display())]
-    Write {
-        /// The path as given.
-        path: PathBuf,
-        /// What the operating system said.
-        source: io::Error,
-    },
+#[error("{}: the recording cannot be written: {cause}", path.display())]
+pub struct ReplayError {
+    /// The recording.
+    pub path: PathBuf,
+    /// What went wrong.
+    #[source]
+    pub cause: ReplayCause,
 }
 
-/// Writes the recording to the file at `path`; nothing is written where it cannot be made.
+/// What went wrong with a recording.
+#[derive(Debug, thiserror::Error)]
+#[error(transparent)]
+pub enum ReplayCause {
+    /// Its folder cannot be made.
+    Folder(#[from] std::io::Error),
+    /// It cannot be opened or added to.
+    Recording(#[from] RecordingStreamError),
+    /// Values have no form in a recording.
+    Values(#[from] SerializationError),
+    /// It does not arrive on disk.
+    Flush(#[from] SinkFlushError),
+    /// A stream's frame lacks a column.
+    Frame(#[from] PolarsError),
+}
+
+/// Writes the recording to `path`, whose folders are made.
 ///
 /// # Errors
-/// Where the recording cannot be made, or the file cannot be written.
-pub fn write(path: &Path, replay: &Replay) -> Result<(), ReplayError> {
-    let recording = encode(replay)?;
-    std::fs::write(path, recording)
-        .map_err(|source| ReplayError::Write { path: path.to_owned(), source })
+/// Where the file cannot be written, or a stream's frame lacks a column.
+pub fn write(path: &Path, replay: &Replay<'_>) -> Result<(), ReplayError> {
+    record(path, replay).map_err(|cause| ReplayError { path: path.to_owned(), cause })
 }
 
-/// The recording as the bytes of an `.rrd` file.
-///
-/// It is made in memory, because Rerun's own file sink tells of a full disk only in its log.
-fn encode(replay: &Replay) -> Result<Vec<u8>, ReplayError> {
-    let application = env!("CARGO_PKG_NAME");
-    // Explicitly enabled: the environment variable RERUN must not empty a file that was asked for.
-    let (stream, storage) = RecordingStreamBuilder::new(application)
-        .recording_name(words::name(replay.report))
+fn record(path: &Path, replay: &Replay<'_>) -> Result<(), ReplayCause> {
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder)?;
+    }
+    let recording = RecordingStreamBuilder::new(env!("CARGO_PKG_NAME"))
         .enabled(true)
-        .memory()?;
-    layout::blueprint(replay).send(&stream, Default::default())?;
-    let recorder = Recorder::new(stream, replay.origin);
+        .with_blueprint(layout::blueprint(replay))
+        .save(path)?;
+    let tape = Tape::new(recording, replay.origin);
     for arm in &replay.arms {
-        arm::record(arm, &recorder)?;
-        streams::record(arm, &recorder)?;
-        plots::record(arm, &recorder)?;
+        scene::draw(&tape, arm)?;
+        plots::draw(&tape, arm)?;
     }
-    words::record(replay, &recorder)?;
-    Ok(storage.drain_as_bytes()?)
+    page::write(&tape, replay)?;
+    tape.finish()
 }
 
-impl ReplayArm<'_> {
-    /// The entity below which everything of this arm lies.
-    fn entity(&self) -> EntityPath {
-        rerun::entity_path![self.name]
-    }
-
-    /// A name for its stream `index` that no other has: the topic, and a number where several
-    /// streams are of one topic.
-    fn stream_name(&self, index: usize) -> String {
-        let topic = self.streams[index].topic;
-        match self.streams[..index].iter().filter(|stream| stream.topic == topic).count() {
-            0 => topic.to_owned(),
-            before => format!("{topic} ({})", before + 1),
-        }
-    }
-
-    /// The joint states that say best where the arm was.
-    fn joints(&self) -> &JointTrack {
-        self.corrected.unwrap_or(self.recorded)
-    }
-}
+#[cfg(test)]
+mod tests;

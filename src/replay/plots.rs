@@ -1,115 +1,128 @@
-//! Errors over time: positions in mm, rotations and yaw in degrees, as people read them.
+//! Errors over time, in the units that people read.
 
 use re_sdk_types::archetypes::{Scalars, SeriesLines};
-use re_sdk_types::components::Color;
-use rerun::{EntityPath, entity_path};
+use rerun::EntityPath;
 
-use crate::tables::Quantity;
+use super::tape::{Tape, entity};
+use super::{ReplayArm, ReplayCause, ReplayImu, ReplayStream, State, StreamKind, thin};
+use crate::tables::{self, AFTER_M, AFTER_RAD, BEFORE_M, BEFORE_RAD};
 
-use super::recorder::{Recorded, Recorder};
-use super::{MOST_POINTS, ReplayArm, palette, thinning};
+const ERRORS: &str = "errors";
 
-/// A plot of an arm, and what is in it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Plot {
-    /// Distance of poses from FK.
+/// What is plotted; one view each.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Quantity {
     Position,
-    /// Angle of poses to FK.
     Rotation,
-    /// Yaw of IMUs minus FK's.
     Yaw,
 }
 
-impl Plot {
-    /// All plots, in the order in which they stand.
-    pub const ALL: [Plot; 3] = [Plot::Position, Plot::Rotation, Plot::Yaw];
-
-    /// What is over the plot.
+impl Quantity {
+    /// Title of its view.
     pub const fn title(self) -> &'static str {
         match self {
-            Plot::Position => "position error (mm)",
-            Plot::Rotation => "rotation error (°)",
-            Plot::Yaw => "IMU yaw − FK yaw (°)",
+            Quantity::Position => "position against FK, mm",
+            Quantity::Rotation => "rotation against FK, °",
+            Quantity::Yaw => "IMU yaw against FK, °",
         }
     }
 
-    /// Whether `arm` has anything for it.
-    pub fn has_data(self, arm: &ReplayArm) -> bool {
+    /// The entity above its series.
+    pub fn root(self, arm: &str) -> EntityPath {
+        entity(&[ERRORS, arm, self.name()])
+    }
+
+    const fn name(self) -> &'static str {
         match self {
-            Plot::Position | Plot::Rotation => arm.streams.iter().any(|stream| !stream.table.is_empty()),
-            Plot::Yaw => arm.imus.iter().any(|imu| !imu.yaw_error.is_empty()),
+            Quantity::Position => "position_mm",
+            Quantity::Rotation => "rotation_deg",
+            Quantity::Yaw => "yaw_deg",
         }
     }
 
-    /// The entity below which its series lie.
-    pub fn entity(self, arm: &ReplayArm) -> EntityPath {
-        let name = match self {
-            Plot::Position => "position_mm",
-            Plot::Rotation => "rotation_deg",
-            Plot::Yaw => "yaw_deg",
-        };
-        arm.entity().join(&entity_path!["plots", name])
-    }
-
-    /// The residuals before and after the correction, and what takes them to the plot's unit.
-    fn residuals(self) -> Option<(Quantity, Quantity, f64)> {
+    /// From SI to the unit shown.
+    fn factor(self) -> f64 {
         match self {
-            Plot::Position => Some((Quantity::DistanceBefore, Quantity::DistanceAfter, 1e3)),
-            Plot::Rotation => {
-                Some((Quantity::AngleBefore, Quantity::AngleAfter, 1f64.to_degrees()))
-            }
-            Plot::Yaw => None,
+            Quantity::Position => 1e3,
+            Quantity::Rotation | Quantity::Yaw => 1f64.to_degrees(),
         }
     }
 }
 
-/// Records the series of all plots of `arm`.
-pub fn record(arm: &ReplayArm, recorder: &Recorder) -> Recorded {
-    for plot in Plot::ALL {
-        let Some((before, after, factor)) = plot.residuals() else { continue };
-        for (index, stream) in arm.streams.iter().enumerate() {
-            let name = arm.stream_name(index);
-            let t_s = stream.table.numbers(Quantity::Time);
-            let series = |version: &str, quantity, colour| {
-                let entity = plot.entity(arm).join(&entity_path![name, version]);
-                let values: Vec<f64> =
-                    stream.table.numbers(quantity).iter().map(|value| factor * value).collect();
-                line(entity, &format!("{name} {version}"), colour, t_s, &values, recorder)
-            };
-            let (logged, corrected) = palette::stream(index);
-            if stream.derived {
-                series("as logged", before, palette::DERIVED)?;
-                continue;
-            }
-            if stream.estimated_reference.is_none() {
-                series("as logged", before, logged)?;
-            }
-            series("corrected", after, corrected)?;
-        }
+/// Adds the errors of an arm's streams and the yaw of its IMUs.
+pub(super) fn draw(tape: &Tape, arm: &ReplayArm<'_>) -> Result<(), ReplayCause> {
+    for stream in &arm.streams {
+        residuals(tape, arm, stream)?;
     }
-    for (index, imu) in arm.imus.iter().enumerate() {
-        let entity = Plot::Yaw.entity(arm).join(&entity_path![imu.topic]);
-        let (t_s, yaw_deg): (Vec<f64>, Vec<f64>) =
-            imu.yaw_error.iter().map(|(t_s, yaw)| (t_s, yaw.to_degrees())).unzip();
-        line(entity, imu.topic, palette::imu(index), &t_s, &yaw_deg, recorder)?;
+    for imu in &arm.imus {
+        yaw(tape, arm.name, imu)?;
     }
     Ok(())
 }
 
+fn residuals(
+    tape: &Tape,
+    arm: &ReplayArm<'_>,
+    stream: &ReplayStream<'_>,
+) -> Result<(), ReplayCause> {
+    let stamps_ns = tables::stamps_ns(&stream.frame)?;
+    for quantity in [Quantity::Position, Quantity::Rotation] {
+        for state in State::drawn(stream) {
+            let column = match (quantity, state) {
+                (Quantity::Position, State::Logged) => BEFORE_M,
+                (Quantity::Position, State::Explained) => AFTER_M,
+                (_, State::Logged) => BEFORE_RAD,
+                (_, State::Explained) => AFTER_RAD,
+            };
+            let series = Series {
+                path: entity(&[ERRORS, arm.name, quantity.name(), stream.topic, state.entity()]),
+                label: arm.label(stream, state),
+                rgb: state.rgb(stream.kind),
+                width: if state == State::Explained { 2.5 } else { 1.0 },
+                factor: quantity.factor(),
+            };
+            series.draw(tape, &stamps_ns, &tables::numbers(&stream.frame, column)?)?;
+        }
+    }
+    Ok(())
+}
+
+fn yaw(tape: &Tape, arm: &str, imu: &ReplayImu<'_>) -> Result<(), ReplayCause> {
+    let series = Series {
+        path: entity(&[ERRORS, arm, Quantity::Yaw.name(), imu.topic]),
+        label: imu.topic.to_owned(),
+        rgb: State::Logged.rgb(StreamKind::Pose),
+        width: 1.0,
+        factor: Quantity::Yaw.factor(),
+    };
+    let (stamps_ns, yaw_rad): (Vec<i64>, Vec<f64>) =
+        imu.yaw_error.iter().map(|&(t_s, yaw_rad)| (tape.stamp_ns(t_s), yaw_rad)).unzip();
+    series.draw(tape, &stamps_ns, &yaw_rad)
+}
+
 /// One line of a plot.
-fn line(
-    entity: EntityPath,
-    name: &str,
-    colour: Color,
-    t_s: &[f64],
-    values: &[f64],
-    recorder: &Recorder,
-) -> Recorded {
-    let rows = thinning::extremes(values, MOST_POINTS);
-    let times: Vec<f64> = rows.iter().map(|&row| t_s[row]).collect();
-    let kept = rows.iter().map(|&row| values[row]);
-    let columns = Scalars::update_fields().with_scalars(kept).columns_of_unit_batches();
-    recorder.moving(entity.clone(), &times, columns)?;
-    let look = SeriesLines::new().with_colors([colour]).with_names([name]).with_widths([1.5]);
-    recorder.fixed(entity, &look)
+struct Series {
+    path: EntityPath,
+    label: String,
+    rgb: [u8; 3],
+    /// Width, UI points; what lies under another line is broader.
+    width: f32,
+    /// From SI to the unit shown.
+    factor: f64,
+}
+
+impl Series {
+    /// Adds the line through `values`, in SI.
+    fn draw(&self, tape: &Tape, stamps_ns: &[i64], values: &[f64]) -> Result<(), ReplayCause> {
+        let rows = thin::extremes(values);
+        let kept_ns: Vec<i64> = rows.iter().map(|&row| stamps_ns[row]).collect();
+        let shown = rows.iter().map(|&row| values[row] * self.factor);
+        let style = SeriesLines::new()
+            .with_names([self.label.as_str()])
+            .with_colors([self.rgb])
+            .with_widths([self.width]);
+        tape.still(&self.path, &style)?;
+        tape.columns(&self.path, &kept_ns, Scalars::new(shown).columns_of_unit_batches()?)?;
+        Ok(())
+    }
 }

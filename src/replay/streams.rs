@@ -1,15 +1,17 @@
 //! The pose streams: where they say that the tool was, and their ghosts.
 
 use re_sdk_types::archetypes::LineStrips3D;
-use re_sdk_types::components::{Color, LineStrip3D, Radius};
+use re_sdk_types::components::{LineStrip3D, Radius};
 use rerun::{EntityPath, entity_path};
 
 use crate::geometry::{Pose, pose, rotation_from_xyzw, xyz_of};
 use crate::robot::Chain;
 use crate::tables::{PoseColumns, Quantity, Version};
 
+use super::arm::pick;
 use super::recorder::{Recorded, Recorder};
-use super::{MOST_POINTS, MOST_POSES, ReplayArm, ReplayStream, arm, palette, thinning};
+use super::tool::{Tool, Weight};
+use super::{MOST_POINTS, MOST_POSES, ReplayArm, ReplayStream, palette, thinning};
 
 /// Half the thickness of a trail, in points on the screen.
 const TRAIL_UI_POINTS: f32 = 0.75;
@@ -19,13 +21,18 @@ pub fn record(arm: &ReplayArm, recorder: &Recorder) -> Recorded {
     let reach_m = arm.chain.max_reach_m();
     for (index, stream) in arm.streams.iter().enumerate() {
         let entity = arm.entity().join(&entity_path!["streams", arm.stream_name(index)]);
-        let (logged, corrected) = palette::stream(index);
-        let logged = if stream.derived { palette::DERIVED } else { logged };
         let show = Show { arm, stream, entity, reach_m, recorder };
-        show.version("logged", Version::Logged, Quantity::Time, logged)?;
-        if !stream.derived {
-            show.version("corrected", Version::Corrected, Quantity::TrueTime, corrected)?;
+        let (logged, corrected) = palette::stream(index);
+        if stream.derived {
+            let tool = Tool { colour: palette::DERIVED, weight: Weight::Thin, label: None };
+            show.version("logged", Version::Logged, Quantity::Time, &tool)?;
+            continue;
         }
+        let label = |version: &str| Some(arm.label(index, version));
+        let tool = Tool { colour: logged, weight: Weight::Bold, label: label("logged") };
+        show.version("logged", Version::Logged, Quantity::Time, &tool)?;
+        let tool = Tool { colour: corrected, weight: Weight::Bold, label: label("corrected") };
+        show.version("corrected", Version::Corrected, Quantity::TrueTime, &tool)?;
     }
     Ok(())
 }
@@ -41,18 +48,18 @@ struct Show<'a> {
 
 impl Show<'_> {
     /// One version of the stream: a tool that moves, and the way that it went.
-    fn version(&self, name: &str, version: Version, when: Quantity, colour: Color) -> Recorded {
+    fn version(&self, name: &str, version: Version, when: Quantity, tool: &Tool) -> Recorded {
         let t_s = self.stream.table.numbers(when);
         let entity = self.entity.join(&entity_path![name]);
         let rows: Vec<usize> = thinning::every_kth(t_s.len(), MOST_POSES).collect();
         let t_s: Vec<f64> = rows.iter().map(|&row| t_s[row]).collect();
         let poses = self.in_base(version, &rows, &t_s);
         self.recorder.frame(entity.clone(), &t_s, &poses)?;
-        arm::tool(entity, self.reach_m, colour, Some(name), self.recorder)?;
+        tool.record(entity, self.reach_m, self.recorder)?;
 
         let points = thinning::every_kth(poses.len(), MOST_POINTS).map(|row| xyz_of(&poses[row]));
         let trail = LineStrips3D::new([LineStrip3D::from_iter(points)])
-            .with_colors([colour])
+            .with_colors([tool.colour])
             .with_radii([Radius::new_ui_points(TRAIL_UI_POINTS)]);
         self.recorder.fixed(self.entity.join(&entity_path!["trail", name]), &trail)
     }
@@ -120,7 +127,7 @@ impl<'a> Reference<'a> {
 /// The child link of joint `joint` in the base of `chain`, for a row of the joint track.
 fn link(chain: &Chain, columns: &[usize], row: &[f64], joint: usize) -> Pose {
     let (mut q, mut frames) = (vec![0.0; chain.dof()], Vec::new());
-    arm::pick(row, columns, &mut q);
+    pick(row, columns, &mut q);
     chain.joint_frames(&q, &mut frames);
     frames[joint]
 }

@@ -1,0 +1,111 @@
+use crate::checks::decision::{Decision, Figure, decide, unseen};
+use crate::checks::{ArmFacts, Facts, Grade, Judged, PoseFacts};
+use crate::diagnosis::{Measured, PoseDiagnosis};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+
+rule! {
+    /// A stream's latency grows: its clock and the joint states' run at different rates.
+    ///
+    /// ## What it means
+    /// The latency of the stream against the joint states changes by this much per second of stamp:
+    /// positive where it grows. Two clocks that are not disciplined by each other do that.
+    ///
+    /// ## Why it matters
+    /// A calibration of the latency holds for a moment only: at 200 ppm a stream is 12 ms later
+    /// after a minute and 0.7 s later after an hour.
+    ///
+    /// ## Evidence
+    /// The slope of the latency over the run, estimated together with it. `effect` says how far the
+    /// latency moved over this run. LAT001 states the latency at mid-run.
+    ///
+    /// ## How to fix
+    /// Discipline both clocks by NTP, PTP or chrony, or stamp on one host.
+    ///
+    /// ## When it misleads
+    /// A buffer that fills up grows like a clock that runs away, until it drops samples. A run of a
+    /// few seconds knows a rate to some ten ppm at best.
+    LAT002 {
+        name: "clock-skew",
+        grade: Grade::From(&[FIGURE]),
+        headline: false,
+        needs_model: true,
+        missing: "no pose stream beside the joint states",
+        check: check,
+    }
+}
+
+const FIGURE: Figure = Figure { unit: Unit::SecondPerSecond, warning: 50e-6, error: 500e-6 };
+
+/// What would tell where the skew could not be had.
+const SETTLE: &str = "record a minute or more in which the arm moves from first to last";
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    let subjects = facts.subjects();
+    let streams = facts
+        .robots
+        .iter()
+        .flat_map(|arm| arm.poses().map(move |(stream, diagnosis)| (arm, stream, diagnosis)));
+    streams.map(|(arm, stream, diagnosis)| judge(arm, stream, diagnosis, subjects)).collect()
+}
+
+fn judge(arm: &ArmFacts, stream: &PoseFacts, diagnosis: &PoseDiagnosis, subjects: usize) -> Judged {
+    let subject = arm.topic(&stream.topic);
+    let skew = match &diagnosis.skew {
+        Ok(skew) => skew,
+        Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(stream.span),
+    };
+    let outcome = match decide(skew, &FIGURE, subjects) {
+        Decision::Pass => Outcome::sound(),
+        Decision::Fail(severity) if diagnosis.skew_chosen => {
+            Outcome::faulty(fault(arm, stream, skew, severity))
+        }
+        Decision::Fail(_) => {
+            let shown = FIGURE.unit.show_signed(skew);
+            let why = format!("{shown} would fit, but what is found explains the log without it");
+            Outcome::Inconclusive(format!("{why}; {SETTLE}"))
+        }
+        Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
+    };
+    let estimate = Estimate::amount("clock skew", FIGURE.unit, skew);
+    Judged::new(subject, outcome).within(stream.span).estimated(estimate)
+}
+
+fn fault(arm: &ArmFacts, stream: &PoseFacts, skew: &Measured, severity: Severity) -> Fault {
+    let seconds = stream.span.seconds();
+    let moved_s = skew.value.abs() * seconds;
+    let moved = Unit::Second.show(moved_s);
+    Fault {
+        severity,
+        title: "clock runs at another rate",
+        message: format!(
+            "latency grows by {} against {}",
+            FIGURE.unit.show_signed(skew),
+            arm.joints_topic
+        ),
+        evidence: Evidence {
+            effect: Some(format!("{moved} over this run of {seconds:.1} s")),
+            effect_m: Some(moved_s * arm.top_speed_m_s()),
+            ..Evidence::default()
+        },
+        fix: "discipline the two clocks (NTP, PTP), or stamp both streams on one host".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{ask, clean_run, sure};
+    use crate::finding::Status;
+
+    #[test]
+    fn a_skew_is_a_finding_only_where_the_explanation_needs_it() {
+        let mut facts = clean_run();
+        let stream = &mut facts.robots[0].diagnosis.streams[0];
+        stream.skew = Ok(Measured { std_error: 1e-7, ..sure(2e-4) });
+        let (rows, findings) = ask(&LAT002, &facts);
+        assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
+        facts.robots[0].diagnosis.streams[0].skew_chosen = true;
+        let (_, findings) = ask(&LAT002, &facts);
+        assert_eq!(findings[0].message, "latency grows by +200.0 ± 0.2 ppm against /joint_states");
+    }
+}

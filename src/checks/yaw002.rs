@@ -1,0 +1,84 @@
+use crate::checks::decision::{DEGREE, Decision, Figure, decide, unseen};
+use crate::checks::{Facts, Grade, Judged};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Unit};
+
+rule! {
+    /// The roll and pitch of an IMU disagree with gravity.
+    ///
+    /// ## What it means
+    /// The orientation says where up is, and the accelerometer feels it; the two differ by this
+    /// angle on average over the run.
+    ///
+    /// ## Why it matters
+    /// A tilt of 1° feigns an acceleration of 0.17 m/s² and turns every pose that is taken from the
+    /// IMU.
+    ///
+    /// ## Evidence
+    /// The angle between the mean specific force, turned into the world by the logged orientation,
+    /// and the world's vertical, with an interval from its spread over the run.
+    ///
+    /// ## How to fix
+    /// Calibrate the accelerometer's bias, or level the IMU's world.
+    ///
+    /// ## When it misleads
+    /// An accelerometer whose bias is 0.1 m/s² leans by 0.6°. A run that ends far from where it
+    /// began has a mean acceleration, but a small one. Without an accelerometer it cannot be told.
+    YAW002 {
+        name: "imu-tilt",
+        grade: Grade::From(&[FIGURE]),
+        headline: false,
+        needs_model: true,
+        missing: "no IMU on the arm",
+        check: check,
+    }
+}
+
+const FIGURE: Figure =
+    Figure { unit: Unit::Radian, warning: 0.5 * DEGREE, error: 2.0 * DEGREE };
+
+/// What would tell where the tilt could not be had.
+const SETTLE: &str = "record 10 s with rests";
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    let subjects = facts.subjects();
+    let imus = facts.robots.iter().flat_map(|arm| arm.imus.iter().map(move |imu| (arm, imu)));
+    let judged = imus.map(|(arm, (imu, diagnosis))| {
+        let subject = arm.topic(&imu.topic);
+        let tilt = match &diagnosis.tilt_rad {
+            Ok(tilt) => tilt,
+            Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(imu.span),
+        };
+        let outcome = match decide(tilt, &FIGURE, subjects) {
+            Decision::Pass => Outcome::sound(),
+            Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
+            Decision::Fail(severity) => Outcome::faulty(Fault {
+                severity,
+                title: "IMU leans",
+                message: format!(
+                    "roll and pitch are {} off gravity",
+                    FIGURE.unit.show_measured(tilt)
+                ),
+                evidence: Evidence::default(),
+                fix: "calibrate the accelerometer's bias, or level the IMU's world".to_owned(),
+            }),
+        };
+        let estimate = Estimate::amount("tilt against gravity", FIGURE.unit, tilt);
+        Judged::new(subject, outcome).within(imu.span).estimated(estimate)
+    });
+    judged.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{IMU, ask, clean_run, sure};
+
+    #[test]
+    fn a_lean_beyond_the_figure_is_named_on_its_topic() {
+        let mut facts = clean_run();
+        facts.robots[0].imus[0].1.tilt_rad = Ok(sure(1.0 * DEGREE));
+        let (_, findings) = ask(&YAW002, &facts);
+        assert_eq!(findings[0].subject.topic.as_deref(), Some(IMU));
+        assert_eq!(findings[0].message, "roll and pitch are 1.000 ± 0.001° off gravity");
+    }
+}
