@@ -1,7 +1,9 @@
 //! What joins the rooms: a run's streams into the diagnosis, its results into facts for the rules,
 //! and both into the report.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+use polars::prelude::PolarsResult;
 
 use crate::checks::{
     ArmFacts, Evaluation, Facts, ImuFacts, JointFacts, PoseFacts, Settings, StampFacts,
@@ -12,11 +14,14 @@ use crate::diagnosis::{
     diagnose_derived, diagnose_imu, follows,
 };
 use crate::finding::{Severity, Span};
+use crate::geometry::Pose;
 use crate::log::{Log, Loss};
-use crate::report::{FileRow, LogSummary, Report, RobotRow, StreamRow};
+use crate::replay::{self, Replay, ReplayArm, ReplayImu, ReplayStream, StreamKind};
+use crate::report::{FileRow, LogSummary, Report, RobotRow, StreamRow, Trouble, TroubleKind};
 use crate::robot::JointKind;
 use crate::run::{Arm, Declaration, ImuSource, PoseSource, RobotSource, Role, Run, RunOptions};
 use crate::stream::Orientations;
+use crate::tables::aligned_frame;
 use crate::time::Clock;
 
 /// What to audit, and how.
@@ -308,4 +313,64 @@ fn streams(run: &Run) -> Vec<StreamRow> {
         end_ns: stream.end,
     });
     rows.collect()
+}
+
+/// Writes the recording of an audited run.
+pub(crate) fn record(
+    path: &Path,
+    run: &Run,
+    facts: &Facts,
+    report: &Report,
+) -> Result<(), Trouble> {
+    let trouble = |what: String| Trouble {
+        kind: TroubleKind::Call,
+        what,
+        place: path.display().to_string(),
+        remedy: "name a file that can be written with --rrd".to_owned(),
+    };
+    let arms = run.arms.iter().zip(&facts.robots).map(|(arm, facts)| replay_arm(run, arm, facts));
+    let replay = Replay {
+        origin: run.origin,
+        arms: arms.collect::<Result<_, _>>().map_err(|error| trouble(error.to_string()))?,
+        verdict: report.verdict,
+        findings: &report.findings,
+    };
+    replay::write(path, &replay).map_err(|error| trouble(error.cause.to_string()))
+}
+
+fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmFacts) -> PolarsResult<ReplayArm<'a>> {
+    let stream = |kind, source: &PoseSource, facts: &'a PoseFacts, found: &PoseDiagnosis| {
+        let base_from_reference = base_from_link(arm, source.chain.base_name());
+        Ok(ReplayStream {
+            topic: &facts.topic,
+            kind,
+            frame: aligned_frame(&found.aligned, run.origin)?,
+            base_from_reference: base_from_reference.unwrap_or_default(),
+            reference_known: facts.reference_known && base_from_reference.is_some(),
+            latency_s: found.latency_s.as_ref().map_or(0.0, |latency| latency.value),
+        })
+    };
+    let poses = arm.poses.iter().zip(facts.poses());
+    let poses =
+        poses.map(|(source, (facts, found))| stream(StreamKind::Pose, source, facts, found));
+    let tf = arm.tf.iter().zip(&facts.tf);
+    let tf = tf.map(|(source, (facts, found))| stream(StreamKind::Tf, source, facts, found));
+    let imus = facts.imus.iter();
+    Ok(ReplayArm {
+        name: &arm.name,
+        chain: &arm.chain,
+        columns: &arm.columns,
+        recorded: &arm.joints,
+        corrected: facts.diagnosis.corrected_joints(&arm.joints, &prismatic(arm)),
+        streams: poses.chain(tf).collect::<PolarsResult<_>>()?,
+        imus: imus
+            .map(|(facts, found)| ReplayImu { topic: &facts.topic, yaw_error: &found.yaw_error })
+            .collect(),
+    })
+}
+
+/// The pose of a still link in the base of an arm's chain; `None` where it is not still there.
+fn base_from_link(arm: &Arm, link: &str) -> Option<Pose> {
+    let base = arm.robot.link(arm.chain.base_name())?;
+    arm.robot.fixed_transform(base, arm.robot.link(link)?)
 }

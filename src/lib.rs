@@ -25,11 +25,13 @@ pub mod diagnosis;
 pub mod finding;
 pub mod geometry;
 pub mod log;
+pub mod replay;
 pub mod report;
 pub mod robot;
 pub mod run;
 pub mod stream;
 pub mod synth;
+pub mod tables;
 pub mod time;
 
 pub use audit::Options;
@@ -54,7 +56,11 @@ pub fn audit(options: &Options) -> Result<Report, Trouble> {
     let diagnoses = audit::diagnose(&run, options.max_latency_s);
     let facts = audit::facts(&run, diagnoses, &read);
     let evaluation = checks::evaluate(&facts, &options.rules);
-    Ok(audit::report(&run, read, evaluation, options))
+    let report = audit::report(&run, read, evaluation, options);
+    if let Some(path) = &options.recording {
+        audit::record(path, &run, &facts, &report)?;
+    }
+    Ok(report)
 }
 
 /// What a log holds: its topics, and which role each gets and why. Nothing is audited.

@@ -3,6 +3,8 @@
 //! `a_from_b` maps coordinates in frame b to coordinates in frame a; ROS TF with parent a and child
 //! b is `a_from_b`. Outside this room nobody builds a quaternion from numbers.
 
+#![allow(clippy::disallowed_methods, reason = "the one room where numbers become rotations")]
+
 mod convention;
 mod euler;
 mod reading;

@@ -1,0 +1,74 @@
+#!/usr/bin/env python3
+"""Makes report.png: what `poseaudit demo` prints, with its colours, as a picture.
+
+    python3 docs/images/report.py target/debug/poseaudit
+
+Needs Chromium and Pillow. The text is the program's own output, nothing is typed in here.
+"""
+
+import html
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from PIL import Image, ImageChops
+
+BACKGROUND, TEXT, BRIGHT, DIM = "#0d1117", "#c9d1d9", "#f0f6fc", "#8b949e"
+COLOURS = {31: "#ff7b72", 32: "#7ee787", 33: "#e3b341", 36: "#79c0ff"}
+MARGIN = 24
+
+
+def page(ansi: str) -> str:
+    bold, dim, colour, spans = False, False, None, []
+    for part in re.split(r"(\x1b\[[\d;]*m)", ansi):
+        codes = re.fullmatch(r"\x1b\[([\d;]*)m", part)
+        if codes:
+            for code in map(int, (codes[1] or "0").split(";")):
+                if code == 0:
+                    bold, dim, colour = False, False, None
+                elif code == 1:
+                    bold = True
+                elif code == 2:
+                    dim = True
+                else:
+                    colour = COLOURS[code]
+        elif part:
+            shown = colour or (DIM if dim else BRIGHT if bold else TEXT)
+            weight = 700 if bold else 400
+            spans.append(f'<span style="color:{shown};font-weight:{weight}">{html.escape(part)}</span>')
+    return (
+        f'<!doctype html><meta charset="utf-8"><body style="margin:0;background:{BACKGROUND}">'
+        f'<pre style="margin:{MARGIN}px;font:15px/1.45 \'DejaVu Sans Mono\',monospace">'
+        f'<span style="color:{DIM}">$ poseaudit demo</span>\n{"".join(spans)}</pre>'
+    )
+
+
+def main() -> None:
+    program = Path(sys.argv[1]).resolve()
+    to = Path(__file__).with_name("report.png")
+    with tempfile.TemporaryDirectory() as folder:
+        env = {**os.environ, "CLICOLOR_FORCE": "1"}
+        run = subprocess.run([program, "demo"], cwd=folder, env=env, capture_output=True, check=True)
+        text = run.stdout.decode()
+        widest = max(len(re.sub(r"\x1b\[[\d;]*m", "", line)) for line in text.splitlines())
+        source, shot = Path(folder, "report.html"), Path(folder, "report.png")
+        source.write_text(page(text), encoding="utf-8")
+        size = f"--window-size={int(widest * 9.1) + 3 * MARGIN},{len(text.splitlines()) * 23 + 200}"
+        chromium = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
+        subprocess.run(
+            [*chromium, size, "--force-device-scale-factor=1.5", f"--screenshot={shot}", source.as_uri()],
+            capture_output=True, check=True,
+        )
+        image = Image.open(shot).convert("RGB")
+        empty = Image.new("RGB", image.size, BACKGROUND)
+        left, top, right, bottom = ImageChops.difference(image, empty).getbbox()
+        edge = int(MARGIN * 1.5)
+        image = image.crop((max(left - edge, 0), max(top - edge, 0), right + edge, bottom + edge))
+        image.quantize(128, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(to, optimize=True)
+    print(f"{to}: {image.size[0]} x {image.size[1]}, {to.stat().st_size} bytes")
+
+
+main()
