@@ -190,11 +190,10 @@ fn diagnose_one(arm: &Arm, most_lag_s: f64) -> Diagnosis {
 
 /// For each column of an arm's joint track, whether that joint slides.
 fn prismatic(arm: &Arm) -> Vec<bool> {
-    let mut prismatic = vec![false; arm.joint_names.len()];
-    for (kind, &column) in arm.chain.joint_kinds().iter().zip(&arm.columns) {
-        prismatic[column] = *kind == JointKind::Prismatic;
-    }
-    prismatic
+    let slides = |name: &String| {
+        arm.robot.joint(name).is_some_and(|joint| joint.kind == JointKind::Prismatic)
+    };
+    arm.joint_names.iter().map(slides).collect()
 }
 
 /// The facts for the rules.

@@ -1,6 +1,6 @@
 use crate::checks::decision::{Decision, decide_both, decide_frame, unseen};
 use crate::checks::frames::FIGURES;
-use crate::checks::{Facts, Grade, Judged};
+use crate::checks::{ArmFacts, Facts, Grade, Judged};
 use crate::diagnosis::{Measured, PoseDiagnosis, Unseen};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Unit};
 
@@ -80,6 +80,10 @@ fn check(facts: &Facts) -> Vec<Judged> {
             Ok(found) => found,
             Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(stream.span),
         };
+        if let (Decision::Fail(_), Some(what)) = (&found.decision, misread(arm)) {
+            let why = format!("it rests on the joint states, whose {what}");
+            return Judged::new(subject, Outcome::Inconclusive(why)).within(stream.span);
+        }
         let estimate = Estimate::frame("disagreement", &found.length, &found.angle);
         let before = diagnosis.residual.as_ref().ok().map(|residual| residual.before_m);
         Judged::new(subject, outcome(found))
@@ -88,6 +92,17 @@ fn check(facts: &Facts) -> Vec<Judged> {
             .with_evidence("before_m", before)
     });
     judged.collect()
+}
+
+/// What is wrong with the joint states as recorded, so that nothing computed from them, and no
+/// interpolation of them, can be judged.
+fn misread(arm: &ArmFacts) -> Option<&'static str> {
+    let joints = arm.diagnosis.joints.as_ref().ok()?;
+    match joints {
+        joints if joints.degrees.is_some() => Some("units are wrong (ORD004)"),
+        joints if joints.permutation.is_some() => Some("names are mixed up (ORD005)"),
+        _ => None,
+    }
 }
 
 fn outcome(found: Disagreement) -> Outcome {

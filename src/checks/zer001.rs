@@ -53,6 +53,9 @@ fn check(facts: &Facts) -> Vec<Judged> {
 }
 
 fn judge_arm(arm: &ArmFacts, subjects: usize) -> Vec<Judged> {
+    if arm.poses.is_empty() {
+        return Vec::new();
+    }
     let offsets = arm.diagnosis.offsets.iter().enumerate();
     offsets.map(|(joint, offset)| judge(arm, joint, offset, subjects)).collect()
 }

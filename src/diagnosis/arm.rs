@@ -2,10 +2,11 @@
 
 use super::explain::{Approach, Cause, ENTANGLED, Explanation, Menu, explain, price};
 use super::frames::{frame_estimate, starts};
-use super::joints::{corrected, lies_on_arm, read_joints, spread, tool_misfit};
+use super::joints::{corrected, lies_on_arm, read_joints};
 use super::latency::{Peak, arm_speeds, median_period_s, pose_peaks, top};
-use super::model::{POSITION, State, StreamState, Sweep, Witness};
+use super::model::{State, StreamState, Sweep, Witness};
 use super::nominal::{MOST_M, MOST_RAD, is_nominal};
+use super::placing::{Expected, spread};
 use super::reading::{Fit, Logged, Samples, nearest_truth, read};
 use super::{
     Aligned, ArmDiagnosis, JointOffset, JointReading, Measured, PoseDiagnosis, PoseStream, Reading,
@@ -22,6 +23,8 @@ const FIT_SAMPLES: usize = 4000;
 const READING_SAMPLES: usize = 72;
 /// Speeds correlate less than this where a stream does not follow the arm.
 const FOLLOWS: f64 = 0.3;
+/// Residuals below this cannot tell two latencies apart, rms rad and m at an arm's length of 1 m.
+const ALIAS_FLOOR: f64 = 2e-5;
 /// Moving samples without which a latency is not sought.
 const MOVING_SAMPLES: usize = 10;
 
@@ -234,11 +237,10 @@ fn prepare<'a>(
     if rows.is_empty() {
         return Err(Unseen::NoOverlap);
     }
-    let fk_rotation: Vec<Rotation> = fk.iter().map(|pose| pose.rotation).collect();
-    let fk_xyz: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
+    let expected = Expected::of(&fk);
     let xyz_there: Vec<Vec3> = rows.iter().map(|&k| xyz[k]).collect();
     let (numbers, degrees) =
-        numbers_in_radians(&track.orientation, &rows, &fk_rotation, reference_known);
+        numbers_in_radians(&track.orientation, &rows, &expected.rotation, reference_known);
     let logged_all = match (&track.orientation, &numbers) {
         (Orientations::Rotations(rotations), _) => Logged::Rotations(rotations),
         (Orientations::Numbers(_), numbers) => Logged::Numbers(numbers),
@@ -261,12 +263,23 @@ fn prepare<'a>(
         }
         Logged::Numbers(_) => None,
     };
-    let plain = tool_misfit(&xyz_there, &fk_xyz, &fk_rotation);
-    let inverted =
-        inverted_xyz.as_ref().map_or(f64::INFINITY, |xyz| tool_misfit(xyz, &fk_xyz, &fk_rotation));
-    let placed = plain.min(inverted) < 0.1 * spread(&fk_xyz);
-    let samples = Samples { logged, fk: &fk_rotation, reference_free: !placed, reference_known };
+    // Positions tell the reference frame whatever the rotations are read as.
+    let plain = expected.misfit(&xyz_there);
+    let inverted = inverted_xyz.as_ref().map_or(f64::INFINITY, |xyz| expected.misfit(xyz));
+    let lies = if inverted < plain { inverted_xyz.as_ref() } else { Some(&xyz_there) };
+    let reference = lies.and_then(|xyz| expected.reference(xyz)).map(|pose| pose.rotation);
+    let turned: Vec<Rotation> = match reference {
+        Some(reference) => expected.rotation.iter().map(|fk| reference * fk).collect(),
+        None => expected.rotation.clone(),
+    };
+    let samples = Samples {
+        logged,
+        fk: &turned,
+        reference_free: reference.is_none(),
+        reference_known: reference_known || reference.is_some(),
+    };
     let (mut reading, mut fit) = read(&samples)?;
+    fit.reference *= reference.unwrap_or_default();
     if matches!(fit.reading, Reading::Transposed) && inverted * 2.0 < plain {
         fit.reading = Reading::Inverted;
         reading.best = Reading::Inverted;
@@ -469,13 +482,16 @@ fn menu(prepared: &[&Prepared], dof: usize, with_offsets: bool) -> Menu {
             always.push(Cause::Latency(s));
             optional.push(Cause::Skew(s));
         }
-        if prepared.witness.reference_known {
-            optional.push(Cause::Reference(s));
-        } else {
+        if !prepared.witness.reference_known {
             always.push(Cause::Reference(s));
+        } else if with_offsets {
+            optional.push(Cause::Reference(s));
         }
-        optional.push(Cause::Tool(s));
-        optional.push(Cause::Growth(s));
+        // A stream that is derived from the joint states agrees with them or does not: nothing is
+        // to be explained away.
+        if with_offsets {
+            optional.extend([Cause::Tool(s), Cause::Growth(s)]);
+        }
     }
     Menu { always, optional }
 }
@@ -486,12 +502,16 @@ fn best_start(prepared: &Prepared, dof: usize, with_offsets: bool) -> State {
     let best_lag = prepared.peaks.first().map_or(0.0, |peak| peak.correlation);
     let lags: Vec<f64> = if prepared.moves {
         let near = |peak: &&Peak| peak.correlation > best_lag - 0.1;
-        prepared.peaks.iter().filter(near).take(3).map(|peak| peak.lag_s).collect()
+        // Streams that copy the joints' stamps lie exactly at none, in a hole of their own noise.
+        prepared.peaks.iter().filter(near).take(3).map(|peak| peak.lag_s).chain([0.0]).collect()
     } else {
         vec![0.0]
     };
     lags.iter()
-        .flat_map(|&lag_s| starts(&prepared.witness, lag_s))
+        .flat_map(|&lag_s| match with_offsets {
+            true => starts(&prepared.witness, lag_s),
+            false => vec![StreamState::at_latency(lag_s)],
+        })
         .flat_map(|stream| [(stream.clone(), Approach::Careful), (stream, Approach::Bold)])
         .map(|(stream, approach)| {
             let state = State { offsets: vec![0.0; dof], streams: vec![stream] };
@@ -769,25 +789,24 @@ fn stream_diagnosis(
 fn aliases(prepared: &Prepared, explanation: &Explanation, index: usize) -> Option<Vec<f64>> {
     let found = &explanation.state.streams[index];
     let witness = &prepared.witness;
-    let misfit = |latency_s: f64| -> f64 {
+    let at = |latency_s: f64| {
         let state = StreamState { latency_s, ..found.clone() };
-        let linear = witness.linearize(
-            &state,
-            &explanation.state.offsets,
-            witness.len().div_ceil(SEARCH_SAMPLES),
-        );
-        let squares: f64 = linear.residual[POSITION].iter().flatten().map(|c| c * c).sum();
-        (squares / linear.len().max(1) as f64).sqrt()
+        witness.at_latency(&state, &explanation.state.offsets, SEARCH_SAMPLES)
     };
-    let best = misfit(found.latency_s);
+    let (best, _) = at(found.latency_s);
     let apart = 4.0 * median_period_s(&witness.t_s).max(0.02);
     let others: Vec<f64> = prepared
         .peaks
         .iter()
         .take(6)
         .map(|peak| peak.lag_s)
-        .filter(|lag| (lag - found.latency_s).abs() > apart)
-        .filter(|&lag| misfit(lag) < 2.0 * best.max(1e-5))
+        .chain([0.0])
+        .filter(|lag_s| (lag_s - found.latency_s).abs() > apart)
+        .filter_map(|lag_s| {
+            let settled = (0..4).fold(lag_s, |lag_s, _| lag_s + at(lag_s).1);
+            let same = (settled - found.latency_s).abs() < apart;
+            (!same && at(settled).0 < 2.0 * best.max(ALIAS_FLOOR)).then_some(settled)
+        })
         .collect();
     if others.is_empty() {
         return None;
@@ -795,6 +814,7 @@ fn aliases(prepared: &Prepared, explanation: &Explanation, index: usize) -> Opti
     let mut lags = vec![found.latency_s];
     lags.extend(others);
     lags.sort_by(f64::total_cmp);
+    lags.dedup_by(|a, b| (*a - *b).abs() < apart);
     Some(lags)
 }
 

@@ -325,5 +325,6 @@ fn likelihood_score(linear: &Linearized, causes: &[Cause], state: &State) -> f64
     let optional: usize = causes.iter().map(|cause| cause.parameters(state).len()).sum();
     let rounds =
         state.streams.iter().flat_map(|s| [&s.round_reference, &s.round_tool]).flatten().count();
-    score + price(linear.normal.independent) * (optional + rounds) as f64
+    // Between equals a round slip comes before a tuned number.
+    score + price(linear.normal.independent) * (optional as f64 + 0.5 * rounds as f64)
 }

@@ -201,8 +201,10 @@ pub(super) fn frame_estimate(
     let tuned = moved.values().rows(own.start, 6).into_owned();
     let p_value = if round.is_some() { 0.0 } else { joint_p_value(&tuned, &block) };
     let chosen = round.is_some() || explanation.causes.contains(&cause);
+    // The model takes base coordinates to the stream's; what is off is told the other way round.
+    let pose = if matches!(cause, Cause::Tool(_)) { frame } else { frame.inverse() };
     Ok(FrameEstimate {
-        pose: frame,
+        pose,
         translation_m: norm_of(&twist[..3], &block.view((0, 0), (3, 3)).into_owned(), dof),
         rotation_rad: norm_of(&twist[3..], &block.view((3, 3), (3, 3)).into_owned(), dof),
         p_value,

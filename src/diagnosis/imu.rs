@@ -21,7 +21,7 @@ const FIT_SAMPLES: usize = 5000;
 /// Samples that readings are tried on.
 const READING_SAMPLES: usize = 72;
 /// Speeds correlate less than this where an IMU does not follow the arm.
-const FOLLOWS: f64 = 0.3;
+const FOLLOWS: f64 = 0.6;
 /// Gyro noise below this is no statistics, rad/s.
 const FLOOR_RAD_S: f64 = 1e-6;
 /// An arm rests where it also does this long before and after, s.

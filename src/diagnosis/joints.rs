@@ -5,12 +5,11 @@
 //! a constant tool offset or a turned reference frame free.
 
 use super::latency::{joint_activity, linear_speed, peaks};
-use super::reading::wahba;
+use super::placing::{Expected, spread};
 use super::{JointReading, PoseStream, Seen, UnitSlip, Unseen};
-use crate::geometry::{Rotation, Vec3};
+use crate::geometry::{Pose, Vec3};
 use crate::robot::{Chain, JointKind};
-use crate::stream::JointTrack;
-use nalgebra::Matrix3;
+use crate::stream::{JointTrack, Orientations};
 
 /// Samples that the pairings are tried on.
 const SAMPLES: usize = 40;
@@ -24,8 +23,11 @@ const FINE: f64 = 0.05;
 const ON_ARM: f64 = 0.3;
 
 /// Positions of a stream and the joint rows at the same moments.
+#[derive(Clone)]
 struct Moments {
     xyz: Vec<Vec3>,
+    /// Positions of the inverse poses, where the stream has rotations.
+    inverse_xyz: Option<Vec<Vec3>>,
     /// Row-major, in the chain's order.
     q: Vec<f64>,
 }
@@ -45,41 +47,78 @@ pub(super) fn read_joints(
         .zip(scales)
         .max_by_key(|(stream, _)| (stream.columns.len(), stream.track.t_s.len()))
         .ok_or(Unseen::NoOverlap)?;
-    let moments = moments(joints, stream, *scale, most_lag_s);
-    let have = moments.xyz.len();
-    if have < 6 {
-        return Err(Unseen::TooFewSamples { have, need: 6 });
-    }
     let chain = stream.chain;
-    let extent = spread(&moments.xyz);
-    let as_logged = misfit(chain, &moments);
-    let named = JointReading { degrees: None, permutation: None, runner_up_m: None };
-    if as_logged <= FINE * extent.max(0.01) {
-        return Ok(named);
-    }
-    let degrees = in_radians(chain, &moments);
-    let corrected = misfit(chain, &degrees);
-    if corrected * BETTER < as_logged && corrected < 0.5 * extent.max(0.1) {
-        let slip = UnitSlip { as_logged, corrected };
-        return Ok(JointReading { degrees: Some(slip), ..named });
-    }
-    if chain.dof() > MOST_JOINTS || extent < 0.01 {
-        return Ok(named);
-    }
-    let (order, corrected, runner_up) = best_pairing(chain, &moments);
-    if corrected * BETTER < as_logged && corrected * 2.0 < runner_up {
-        let mut permutation: Vec<usize> = (0..joints.dof).collect();
-        for (own, &really) in order.iter().enumerate() {
-            permutation[stream.columns[own]] = stream.columns[really];
+    let mut best = Candidate::default();
+    for lag_s in lags(joints, stream, most_lag_s) {
+        let moments = slow_moments(joints, stream, *scale, lag_s);
+        let have = moments.xyz.len();
+        if have < 6 {
+            return Err(Unseen::TooFewSamples { have, need: 6 });
         }
-        let slip = UnitSlip { as_logged, corrected };
-        return Ok(JointReading {
-            permutation: Some((permutation, slip)),
-            runner_up_m: Some(runner_up),
-            ..named
-        });
+        let extent = spread(&moments.xyz).max(0.01);
+        let as_logged = misfit(chain, &moments);
+        if as_logged <= FINE * extent {
+            return Ok(JointReading { degrees: None, permutation: None, runner_up_m: None });
+        }
+        best.consider(chain, &moments, as_logged);
     }
-    Ok(named)
+    let as_logged = best.as_logged;
+    let slip = UnitSlip { as_logged, corrected: best.corrected };
+    let certain = slip.corrected * BETTER < as_logged;
+    let degrees = (certain && best.degrees).then_some(slip);
+    let permutation =
+        best.order.filter(|_| certain && slip.corrected * 2.0 < best.runner_up).map(|order| {
+            let mut permutation: Vec<usize> = (0..joints.dof).collect();
+            for (own, &really) in order.iter().enumerate() {
+                permutation[stream.columns[own]] = stream.columns[really];
+            }
+            (permutation, slip)
+        });
+    let runner_up_m = permutation.as_ref().map(|_| best.runner_up);
+    Ok(JointReading { degrees, permutation, runner_up_m })
+}
+
+/// The best reading of the joint states so far.
+struct Candidate {
+    as_logged: f64,
+    corrected: f64,
+    degrees: bool,
+    /// The order of the positions, where it is not that of the names.
+    order: Option<Vec<usize>>,
+    /// Least misfit of any other order.
+    runner_up: f64,
+}
+
+impl Default for Candidate {
+    fn default() -> Self {
+        let worst = f64::INFINITY;
+        Self { as_logged: worst, corrected: worst, degrees: false, order: None, runner_up: worst }
+    }
+}
+
+impl Candidate {
+    /// Tries both units, and where neither will do every order of the names, at some moments.
+    fn consider(&mut self, chain: &Chain, moments: &Moments, as_logged: f64) {
+        self.as_logged = self.as_logged.min(as_logged);
+        let extent = spread(&moments.xyz).max(0.01);
+        let radians = in_radians(chain, moments);
+        let corrected = misfit(chain, &radians);
+        if corrected < self.corrected {
+            let runner_up = f64::INFINITY;
+            *self = Self { corrected, degrees: true, order: None, runner_up, ..*self };
+        }
+        if corrected <= FINE * extent || chain.dof() > MOST_JOINTS {
+            return;
+        }
+        for (degrees, moments) in [(false, moments), (true, &radians)] {
+            let (order, corrected, runner_up) = best_pairing(chain, moments);
+            if corrected < self.corrected {
+                let named = order.iter().enumerate().all(|(named, &really)| named == really);
+                let order = (!named).then_some(order);
+                *self = Self { corrected, degrees, order, runner_up, ..*self };
+            }
+        }
+    }
 }
 
 /// The joint track as it should have been recorded.
@@ -124,15 +163,14 @@ pub(super) fn lies_on_arm(
     moments.xyz.len() >= 6 && misfit(stream.chain, &moments) < ON_ARM * spread(&moments.xyz)
 }
 
-/// Slow moments spread over the run, so that what is left of the latency hardly matters.
-fn moments(joints: &JointTrack, stream: &PoseStream, scale: f64, most_lag_s: f64) -> Moments {
+/// Latencies at which the stream moves as the joints do, and none: what is left of the latency
+/// hardly matters at slow moments, but a wrong one does.
+fn lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<f64> {
     let track = stream.track;
     let activity = joint_activity(joints);
-    let lag_s = peaks(&activity, &linear_speed(&track.t_s, &track.xyz), most_lag_s)
-        .first()
-        .filter(|peak| peak.correlation > 0.5)
-        .map_or(0.0, |peak| peak.lag_s);
-    slow_moments(joints, stream, scale, lag_s)
+    let peaks = peaks(&activity, &linear_speed(&track.t_s, &track.xyz), most_lag_s);
+    let near = peaks.iter().filter(|peak| peak.correlation > 0.4).take(2).map(|peak| peak.lag_s);
+    std::iter::once(0.0).chain(near.filter(|lag_s| lag_s.abs() > 0.01)).collect()
 }
 
 /// Slow moments at a latency, spread over the run.
@@ -151,9 +189,19 @@ fn slow_moments(joints: &JointTrack, stream: &PoseStream, scale: f64, lag_s: f64
     by_speed.truncate(covered.len().div_ceil(2));
     by_speed.sort_unstable();
     let step = by_speed.len().div_ceil(SAMPLES).max(1);
-    let mut moments = Moments { xyz: Vec::new(), q: Vec::new() };
+    let rotations = match &track.orientation {
+        Orientations::Rotations(rotations) => Some(rotations),
+        Orientations::Numbers(_) => None,
+    };
+    let inverse_xyz = rotations.map(|_| Vec::new());
+    let mut moments = Moments { xyz: Vec::new(), inverse_xyz, q: Vec::new() };
     for &i in by_speed.iter().step_by(step) {
-        moments.xyz.push(track.xyz[covered[i].0] * scale);
+        let k = covered[i].0;
+        let xyz = track.xyz[k] * scale;
+        moments.xyz.push(xyz);
+        if let (Some(inverse_xyz), Some(rotations)) = (&mut moments.inverse_xyz, rotations) {
+            inverse_xyz.push(-(rotations[k].inverse() * xyz));
+        }
         moments.q.extend_from_slice(&covered[i].2);
     }
     moments
@@ -164,45 +212,16 @@ fn in_radians(chain: &Chain, moments: &Moments) -> Moments {
     let convert = |(i, q): (usize, &f64)| {
         if kinds[i % kinds.len()] == JointKind::Prismatic { *q } else { q.to_radians() }
     };
-    Moments { xyz: moments.xyz.clone(), q: moments.q.iter().enumerate().map(convert).collect() }
+    Moments { q: moments.q.iter().enumerate().map(convert).collect(), ..moments.clone() }
 }
 
-/// Root mean square distance of points from their mean.
-pub(super) fn spread(points: &[Vec3]) -> f64 {
-    let mean = points.iter().sum::<Vec3>() / points.len().max(1) as f64;
-    let squares: f64 = points.iter().map(|p| (p - mean).norm_squared()).sum();
-    (squares / points.len().max(1) as f64).sqrt()
-}
-
-/// What is left of the positions, rms m, with the better of a constant tool offset and a turned and
-/// shifted reference frame taken off.
+/// What is left of the positions, rms m, when constant frames are taken off.
 fn misfit(chain: &Chain, moments: &Moments) -> f64 {
-    let poses: Vec<_> = moments.q.chunks_exact(chain.dof()).map(|q| chain.forward(q)).collect();
-    let fk: Vec<Vec3> = poses.iter().map(|pose| pose.translation.vector).collect();
-    let rotation: Vec<Rotation> = poses.iter().map(|pose| pose.rotation).collect();
-    tool_misfit(&moments.xyz, &fk, &rotation).min(reference_misfit(&moments.xyz, &fk))
-}
-
-/// Rms of `xyz − fk − R·t` at the best constant `t`.
-pub(super) fn tool_misfit(xyz: &[Vec3], fk: &[Vec3], rotation: &[Rotation]) -> f64 {
-    let n = xyz.len().max(1) as f64;
-    let in_tool = |i: usize| rotation[i].inverse() * (xyz[i] - fk[i]);
-    let tool = (0..xyz.len()).map(in_tool).sum::<Vec3>() / n;
-    let squares: f64 = (0..xyz.len()).map(|i| (in_tool(i) - tool).norm_squared()).sum();
-    (squares / n).sqrt()
-}
-
-/// Rms of `xyz − B·fk` at the best rigid `B` (Kabsch 1976).
-fn reference_misfit(xyz: &[Vec3], fk: &[Vec3]) -> f64 {
-    let n = xyz.len().max(1) as f64;
-    let (centre, fk_centre) = (xyz.iter().sum::<Vec3>() / n, fk.iter().sum::<Vec3>() / n);
-    let mut correlation = Matrix3::zeros();
-    for (p, f) in xyz.iter().zip(fk) {
-        correlation += (p - centre) * (f - fk_centre).transpose();
-    }
-    let turn = wahba(&correlation);
-    let left = |(p, f): (&Vec3, &Vec3)| (p - centre - turn * (f - fk_centre)).norm_squared();
-    (xyz.iter().zip(fk).map(left).sum::<f64>() / n).sqrt()
+    let poses: Vec<Pose> = moments.q.chunks_exact(chain.dof()).map(|q| chain.forward(q)).collect();
+    let expected = Expected::of(&poses);
+    let plain = expected.misfit(&moments.xyz);
+    // An inverted stream's positions lie on the arm once they are inverted.
+    moments.inverse_xyz.as_ref().map_or(plain, |inverse| plain.min(expected.misfit(inverse)))
 }
 
 /// The pairing of names and positions with the least misfit, and the least of all others.
@@ -210,7 +229,7 @@ fn best_pairing(chain: &Chain, moments: &Moments) -> (Vec<usize>, f64, f64) {
     let n = chain.dof();
     let (mut best, mut runner_up): ((Vec<usize>, f64), f64) =
         ((Vec::new(), f64::INFINITY), f64::INFINITY);
-    let mut paired = Moments { xyz: moments.xyz.clone(), q: moments.q.clone() };
+    let mut paired = moments.clone();
     let mut order: Vec<usize> = (0..n).collect();
     permutations(&mut order, 0, &mut |order| {
         for (row, source) in paired.q.chunks_exact_mut(n).zip(moments.q.chunks_exact(n)) {

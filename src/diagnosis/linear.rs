@@ -82,6 +82,15 @@ impl Linear {
         self.residual[row / 3][sample][row % 3]
     }
 
+    /// The derivative by one parameter beside the residual, of every row.
+    pub fn along(&self, parameter: usize) -> impl Iterator<Item = (f64, f64)> {
+        let rows = 3 * self.kinds();
+        (0..self.len() * rows).map(move |i| {
+            let (sample, r) = (i / rows, i % rows);
+            (self.row(sample, r)[parameter], self.residual(sample, r))
+        })
+    }
+
     /// The residuals that remain after a step of the parameters, by kind.
     fn after(&self, step: &[f64]) -> Vec<Vec<[f64; 3]>> {
         let remaining = |sample: usize, kind: usize| -> [f64; 3] {

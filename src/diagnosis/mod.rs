@@ -15,6 +15,7 @@ mod measured;
 mod model;
 mod noise;
 mod nominal;
+mod placing;
 mod reading;
 
 use crate::geometry::{

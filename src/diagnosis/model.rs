@@ -21,7 +21,7 @@ pub(super) const TOOL: usize = 9;
 pub(super) const STREAM_WIDTH: usize = 15;
 
 /// Kinds of residual, in the order of a sample's rows.
-pub(super) const POSITION: usize = 0;
+const POSITION: usize = 0;
 const ROTATION: usize = 1;
 
 /// Standard deviations below these are no statistics: 1 µm and 1 µrad.
@@ -241,6 +241,20 @@ impl Witness<'_> {
             .filter_map(|k| self.predict(k, &state, &offsets, &mut sweep))
             .filter(|predicted| predicted.moving)
             .count()
+    }
+
+    /// Residual of about `most` samples at the latency of `stream` (rms of m and rad together), and
+    /// the change of latency that would lessen it most, s.
+    pub fn at_latency(&self, stream: &StreamState, offsets: &[f64], most: usize) -> (f64, f64) {
+        let linear = self.linearize(stream, offsets, self.len().div_ceil(most).max(1));
+        let latency = offsets.len() + LATENCY;
+        let (mut square, mut along, mut steep) = (0.0, 0.0, f64::MIN_POSITIVE);
+        for (slope, residual) in linear.along(latency) {
+            square += residual * residual;
+            along += slope * residual;
+            steep += slope * slope;
+        }
+        ((square / linear.len().max(1) as f64).sqrt(), along / steep)
     }
 
     /// `reference_from_tip · tool` for sample `k`, or `None` where the joints do not cover it.

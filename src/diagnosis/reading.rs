@@ -19,6 +19,9 @@ const NEAR_RAD: f64 = 8.7e-4;
 /// No reading fits where the least residual is above this, rad (20°).
 const HOPELESS_RAD: f64 = 0.35;
 
+/// Cosine of the tilt within which a world is upright (10°).
+const UPRIGHT: f64 = 0.985;
+
 /// Samples to read, and what FK says at the same moments.
 pub(super) struct Samples<'a> {
     pub logged: Logged<'a>,
@@ -144,14 +147,15 @@ pub(super) fn read(samples: &Samples) -> Seen<(ReadingEstimate, Fit)> {
         return Err(Unseen::DoesNotFollow(least.cos()));
     }
     let accepted = (NEAR * least).max(least + NEAR_RAD).min(HOPELESS_RAD);
-    let best = *fits
-        .iter()
-        .filter(|fit| fit.residual_rad <= accepted)
-        .min_by(|a, b| {
-            let rank = |fit: &Fit| simplicity(fit, samples.reference_known);
-            rank(a).cmp(&rank(b)).then(a.residual_rad.total_cmp(&b.residual_rad))
-        })
-        .unwrap_or(&fits[0]);
+    let rank = |fit: &Fit| simplicity(fit, samples.reference_known);
+    let simplest = fits.iter().filter(|fit| fit.residual_rad <= accepted).map(rank).min();
+    let simple = || fits.iter().filter(|fit| Some(rank(fit)) == simplest);
+    let least = simple().map(|fit| fit.residual_rad).min_by(f64::total_cmp).unwrap_or(least);
+    let near = (NEAR * least).max(least + NEAR_RAD);
+    // Of those that the log cannot tell apart, the one in an upright world, then the most usual.
+    let leaning = |fit: &&Fit| (fit.reference * Vec3::z()).z < UPRIGHT;
+    let best =
+        *simple().filter(|fit| fit.residual_rad <= near).min_by_key(leaning).unwrap_or(&fits[0]);
     let near_best = (NEAR * best.residual_rad).max(best.residual_rad + NEAR_RAD);
     let (mut equivalent, mut runner_up): (Vec<Reading>, Option<(Reading, f64)>) =
         (Vec::new(), None);

@@ -15,6 +15,7 @@
 //!
 //! Two timelines: `stamp` as the log has it, and `run`, the time since the run's origin.
 
+mod blueprint;
 mod layout;
 mod page;
 mod plots;
@@ -36,6 +37,9 @@ use crate::stream::JointTrack;
 use crate::time::Stamp;
 
 use tape::Tape;
+
+/// Whose recordings these are, in the viewer.
+const APPLICATION: &str = env!("CARGO_PKG_NAME");
 
 /// What a recording shows.
 #[derive(Clone, Debug)]
@@ -201,10 +205,9 @@ fn record(path: &Path, replay: &Replay<'_>) -> Result<(), ReplayCause> {
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder)?;
     }
-    let recording = RecordingStreamBuilder::new(env!("CARGO_PKG_NAME"))
-        .enabled(true)
-        .with_blueprint(layout::blueprint(replay))
-        .save(path)?;
+    // Explicitly enabled: the environment variable RERUN must not empty a file that was asked for.
+    let recording = RecordingStreamBuilder::new(APPLICATION).enabled(true).save(path)?;
+    layout::send(replay, &recording)?;
     let tape = Tape::new(recording, replay.origin);
     for arm in &replay.arms {
         scene::draw(&tape, arm)?;

@@ -1,0 +1,149 @@
+//! Where a stream's positions lie against the arm's: what can be said before any rotation is read.
+
+use super::reading::wahba;
+use crate::geometry::{Pose, Rotation, Vec3, pose};
+use nalgebra::Matrix3;
+
+/// Positions lie on the arm where this share of their extent, or less, is left.
+pub(super) const ON_ARM: f64 = 0.1;
+/// A turn is known from positions where they spread in a second direction by this share of the
+/// first.
+const SPREAD: f64 = 0.02;
+
+/// The poses that FK gives at the moments of a stream's samples, in columns.
+pub(super) struct Expected {
+    pub xyz: Vec<Vec3>,
+    pub rotation: Vec<Rotation>,
+}
+
+impl Expected {
+    /// Those of `poses`.
+    pub fn of(poses: &[Pose]) -> Self {
+        let (xyz, rotation) =
+            poses.iter().map(|pose| (pose.translation.vector, pose.rotation)).unzip();
+        Self { xyz, rotation }
+    }
+
+    /// Rms of `xyz − fk − R·t` at the best constant tool offset `t`.
+    pub fn tool_misfit(&self, xyz: &[Vec3]) -> f64 {
+        self.misfit_at(xyz, &Pose::identity())
+    }
+
+    /// The least misfit of `xyz` with a constant tool offset, a turned and shifted reference, or
+    /// both taken off, rms in the unit of `xyz`.
+    pub fn misfit(&self, xyz: &[Vec3]) -> f64 {
+        let plain = self.tool_misfit(xyz);
+        self.turned(xyz).map_or(plain, |reference| plain.min(self.misfit_at(xyz, &reference)))
+    }
+
+    /// The reference frame in which `xyz` lie on the arm up to a constant tool offset: none, where
+    /// they do so as they are, else the one that positions alone give; `None` where they do not lie
+    /// on the arm in any, or do not tell.
+    pub fn reference(&self, xyz: &[Vec3]) -> Option<Pose> {
+        let near = ON_ARM * spread(&self.xyz);
+        if self.tool_misfit(xyz) < near {
+            return Some(Pose::identity());
+        }
+        self.turned(xyz).filter(|reference| self.misfit_at(xyz, reference) < near)
+    }
+
+    /// Rms of `reference⁻¹·xyz − fk − R·t` at the best constant tool offset `t`.
+    fn misfit_at(&self, xyz: &[Vec3], reference: &Pose) -> f64 {
+        let tool = self.tool(xyz, reference);
+        let left = self.offsets(xyz, reference).map(|offset| (offset - tool).norm_squared());
+        (left.sum::<f64>() / xyz.len().max(1) as f64).sqrt()
+    }
+
+    /// Each sample's offset from FK, in the tool's frame.
+    fn offsets(&self, xyz: &[Vec3], reference: &Pose) -> impl Iterator<Item = Vec3> {
+        let to_base = reference.inverse();
+        let samples = xyz.iter().zip(self.xyz.iter().zip(&self.rotation));
+        samples.map(move |(p, (fk, rotation))| {
+            rotation.inverse() * ((to_base * nalgebra::Point3::from(*p)).coords - fk)
+        })
+    }
+
+    fn tool(&self, xyz: &[Vec3], reference: &Pose) -> Vec3 {
+        self.offsets(xyz, reference).sum::<Vec3>() / xyz.len().max(1) as f64
+    }
+
+    /// The reference frame and tool offset that best take FK to `xyz`, by turns: the frame by
+    /// Kabsch's method (1976), the tool by averaging. `None` where the positions lie on a line.
+    fn turned(&self, xyz: &[Vec3]) -> Option<Pose> {
+        let mut tool = Vec3::zeros();
+        let mut reference = Pose::identity();
+        for _ in 0..30 {
+            let points: Vec<Vec3> = self
+                .xyz
+                .iter()
+                .zip(&self.rotation)
+                .map(|(fk, rotation)| fk + rotation * tool)
+                .collect();
+            reference = rigid(&points, xyz)?;
+            tool = self.tool(xyz, &reference);
+        }
+        Some(reference)
+    }
+}
+
+/// The rigid transform that best takes `from` to `to`; `None` where they lie on a line.
+fn rigid(from: &[Vec3], to: &[Vec3]) -> Option<Pose> {
+    let n = from.len().max(1) as f64;
+    let (centre, target) = (from.iter().sum::<Vec3>() / n, to.iter().sum::<Vec3>() / n);
+    let mut correlation = Matrix3::zeros();
+    for (a, b) in from.iter().zip(to) {
+        correlation += (b - target) * (a - centre).transpose();
+    }
+    let mut singular: Vec<f64> = correlation.singular_values().iter().copied().collect();
+    singular.sort_by(|a, b| b.total_cmp(a));
+    if singular[1] <= SPREAD * SPREAD * singular[0] {
+        return None;
+    }
+    let turn = wahba(&correlation);
+    Some(pose((target - turn * centre).into(), turn))
+}
+
+/// Root mean square distance of points from their mean.
+pub(super) fn spread(points: &[Vec3]) -> f64 {
+    let mean = points.iter().sum::<Vec3>() / points.len().max(1) as f64;
+    let squares: f64 = points.iter().map(|p| (p - mean).norm_squared()).sum();
+    (squares / points.len().max(1) as f64).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{angle_between, rotation_from_rotvec};
+
+    fn arm() -> Expected {
+        let poses: Vec<Pose> = (0..40)
+            .map(|i| {
+                let t = f64::from(i) * 0.2;
+                let turn = rotation_from_rotvec(Vec3::new(t.sin(), (0.7 * t).cos(), 0.5 * t.cos()));
+                pose([0.5 * t.cos(), 0.4 * (1.3 * t).sin(), 0.3 + 0.2 * (0.6 * t).sin()], turn)
+            })
+            .collect();
+        Expected::of(&poses)
+    }
+
+    #[test]
+    fn a_turned_base_and_a_tool_are_told_apart_by_positions_alone() {
+        let arm = arm();
+        let reference = pose([0.2, -0.1, 0.4], rotation_from_rotvec(Vec3::new(0.0, 0.0, 3.1)));
+        let tool = Vec3::new(0.02, 0.0, 0.14);
+        let samples = arm.xyz.iter().zip(&arm.rotation);
+        let xyz: Vec<Vec3> = samples
+            .map(|(fk, r)| (reference * nalgebra::Point3::from(fk + r * tool)).coords)
+            .collect();
+        let found = arm.reference(&xyz).expect("a reference");
+        assert!(angle_between(&found.rotation, &reference.rotation) < 0.01);
+        assert!((found.translation.vector - reference.translation.vector).norm() < 0.01);
+    }
+
+    #[test]
+    fn positions_of_another_arm_have_no_reference() {
+        let arm = arm();
+        let xyz: Vec<Vec3> = arm.xyz.iter().map(|p| Vec3::new(p.y * p.y, p.z, p.x.abs())).collect();
+        assert!(arm.reference(&xyz).is_none());
+    }
+}
