@@ -2,11 +2,11 @@
 
 use crate::checks::{ArmFacts, Facts, ImuFacts, JointFacts, PoseFacts, Rule, evaluate};
 use crate::diagnosis::{
-    Aligned, ArmDiagnosis, FrameEstimate, ImuDiagnosis, JointOffset, JointReading, Measured,
-    PoseDiagnosis, Reading, ReadingEstimate, Residual, Unseen,
+    Aligned, ArmDiagnosis, FrameEstimate, GyroBias, ImuDiagnosis, JointOffset, JointReading,
+    Measured, PoseDiagnosis, Reading, ReadingEstimate, Residual,
 };
 use crate::finding::{CheckRow, Finding, Span};
-use crate::geometry::Pose;
+use crate::geometry::{Pose, Vec3};
 use crate::time::Stamp;
 
 pub const POSE: &str = "/pose";
@@ -39,10 +39,14 @@ pub fn clean_run() -> Facts {
         reading: Ok(as_logged()),
         latency_s: Ok(sure(0.0)),
         yaw_drift_rad_s: Ok(sure(0.0)),
-        mount_rad: Err(Unseen::NotExcited),
+        mount_rad: Ok(sure(0.0)),
         link_from_imu: None,
-        tilt_rad: Err(Unseen::NotExcited),
-        gyro_bias: Err(Unseen::NotExcited),
+        tilt_rad: Ok(sure(0.0)),
+        gyro_bias: Ok(GyroBias {
+            vector_rad_s: Vec3::zeros(),
+            norm_rad_s: sure(0.0),
+            yaw_rate_rad_s: 0.0,
+        }),
         yaw_error: Vec::new(),
     };
     let arm = ArmFacts {
@@ -90,9 +94,9 @@ fn clean_stream() -> PoseDiagnosis {
         millimetres: Ok(None),
         degrees: None,
         latency_s: Ok(sure(0.0)),
-        skew: Err(Unseen::NotExcited),
+        skew: Ok(sure(0.0)),
         skew_chosen: false,
-        growth: Err(Unseen::NotExcited),
+        growth: Ok(sure(0.0)),
         growth_chosen: false,
         reference: Ok(frame(0.0)),
         tool: Ok(frame(0.0)),

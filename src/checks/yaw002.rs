@@ -48,7 +48,11 @@ fn check(facts: &Facts) -> Vec<Judged> {
             Ok(tilt) => tilt,
             Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(imu.span),
         };
+        let as_logged = diagnosis.reading.as_ref().is_ok_and(|reading| reading.best.is_as_logged());
         let outcome = match decide(tilt, &FIGURE, subjects) {
+            _ if !as_logged => Outcome::Inconclusive(
+                "the orientation is not as logged; read it right first (ORD001 to ORD003)".to_owned(),
+            ),
             Decision::Pass => Outcome::sound(),
             Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
             Decision::Fail(severity) => Outcome::faulty(Fault {

@@ -116,10 +116,10 @@ fn fault(
     let left = left.map(|residual| residual.rms_m).reduce(f64::max);
     let left =
         left.map_or(String::new(), |m| format!(", {} left when corrected", Unit::Metre.show(m)));
-    let (moved, reach) = (Unit::Metre.show(offset.effect_m), arm.reach_m);
+    let moved = Unit::Metre.show(offset.effect_m);
     let mut evidence = Evidence {
         indistinguishable: offset.twins.iter().map(|twin| twin_cause(arm, twin, unit)).collect(),
-        effect: Some(format!("{moved} at full reach ({reach:.2} m){left}")),
+        effect: Some(format!("{moved} at full reach{left}")),
         effect_m: Some(offset.effect_m),
         ..Evidence::default()
     };

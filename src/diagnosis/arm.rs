@@ -15,6 +15,7 @@ use super::{
 use crate::geometry::{Pose, Rotation, Vec3, pose, rotvec_from_rotation};
 use crate::robot::{Chain, JointKind};
 use crate::stream::{JointTrack, Orientations};
+use std::f64::consts::TAU;
 
 /// Samples a stream in the search for the explanation, and in the final fit.
 const SEARCH_SAMPLES: usize = 500;
@@ -577,32 +578,43 @@ fn moved_joints(joints: &JointTrack) -> Vec<bool> {
         .collect()
 }
 
-/// Distance from a joint's axis to the tip at full stretch, m a rad (1 for a sliding joint).
+/// Distance from a joint's axis to the tip at full stretch, m a rad (1 for a sliding joint): the
+/// largest over joint positions spread evenly over a turn each (Halton 1960).
 fn lever_m(prepared: &[&Prepared], joint: usize) -> f64 {
-    prepared
-        .iter()
-        .filter_map(|prepared| {
-            let own = prepared.witness.columns.iter().position(|&column| column == joint)?;
-            let chain = prepared.witness.chain;
-            if chain.joint_kinds()[own] == JointKind::Prismatic {
-                return Some(1.0);
-            }
-            let mut frames = Vec::new();
-            let rows = prepared.witness.joints;
-            let step = rows.len().div_ceil(200).max(1);
-            let mut lever: f64 = 0.0;
-            for row in (0..rows.len()).step_by(step) {
-                let q: Vec<f64> =
-                    prepared.witness.columns.iter().map(|&c| rows.row(row)[c]).collect();
-                chain.joint_frames(&q, &mut frames);
-                let mut jacobian = vec![[0.0; 6]; q.len()];
-                chain.forward_with_jacobian(&q, &mut jacobian);
-                let [x, y, z, ..] = jacobian[own];
-                lever = lever.max(Vec3::new(x, y, z).norm());
-            }
-            Some(lever)
-        })
-        .fold(0.0, f64::max)
+    const TRIED: u32 = 500;
+    const BASES: [u32; 10] = [2, 3, 5, 7, 11, 13, 17, 19, 23, 29];
+    let lever = |prepared: &&Prepared| {
+        let own = prepared.witness.columns.iter().position(|&column| column == joint)?;
+        let chain = prepared.witness.chain;
+        let kinds = chain.joint_kinds();
+        if kinds[own] == JointKind::Prismatic {
+            return Some(1.0);
+        }
+        let mut jacobian = vec![[0.0; 6]; chain.dof()];
+        let levers = (1..=TRIED).map(|index| {
+            let at = |(j, kind): (usize, &JointKind)| match kind {
+                JointKind::Prismatic => 0.0,
+                _ => TAU * (radical_inverse(index, BASES[j % BASES.len()]) - 0.5),
+            };
+            let q: Vec<f64> = kinds.iter().enumerate().map(at).collect();
+            chain.forward_with_jacobian(&q, &mut jacobian);
+            let [x, y, z, ..] = jacobian[own];
+            Vec3::new(x, y, z).norm()
+        });
+        Some(levers.fold(0.0, f64::max))
+    };
+    prepared.iter().filter_map(lever).fold(0.0, f64::max)
+}
+
+/// The digits of `index` in `base` mirrored at the point, in [0, 1).
+fn radical_inverse(mut index: u32, base: u32) -> f64 {
+    let (mut value, mut digit) = (0.0, 1.0 / f64::from(base));
+    while index > 0 {
+        value += f64::from(index % base) * digit;
+        index /= base;
+        digit /= f64::from(base);
+    }
+    value
 }
 
 /// The estimate of one parameter of `cause` when `causes` and what is always free are free.

@@ -223,7 +223,8 @@ fn norm_of(vector: &[f64], covariance: &DMatrix<f64>, dof: f64) -> Measured {
     } else {
         0.0
     };
-    let std_error = if value > 3.0 * largest { along } else { largest };
+    // A norm is never negative: lost in its noise, its interval reaches down to zero.
+    let std_error = if value > 4.0 * largest { along } else { largest.max(0.52 * value) };
     Measured { value, std_error, dof }
 }
 

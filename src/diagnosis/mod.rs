@@ -100,6 +100,11 @@ pub enum Reading {
 }
 
 impl Reading {
+    /// Whether the stream means what it says.
+    pub fn is_as_logged(&self) -> bool {
+        matches!(self, Reading::AsLogged | Reading::Numbers(_))
+    }
+
     /// The misreading that names this reading, where it is one.
     pub fn misreading(&self) -> Option<Misreading> {
         match self {

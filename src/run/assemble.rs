@@ -385,7 +385,11 @@ impl Assembly<'_> {
                 (None, (Place::Unknown, Place::Unknown)) => continue,
                 (None, (Place::MovingLink, _)) => false,
                 (None, (_, Place::MovingLink)) => arm.is_far_out(child),
-                (None, (_, child)) => child == Place::Unknown && carries_none(),
+                (None, (_, place)) => {
+                    let carries_more =
+                        self.tf.edges().iter().any(|edge| self.tf.names(edge).0 == child);
+                    place == Place::Unknown && carries_none() && !carries_more
+                }
             };
         }
         !self.arms.is_empty() && carries_none()

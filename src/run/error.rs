@@ -167,12 +167,12 @@ impl RunError {
             Self::NoJointStates { .. } => "record the topic /joint_states (sensor_msgs/JointState)",
             Self::NoSamples { .. } => "record the joint states of the whole arm",
             Self::NoModel { .. } => {
-                "pass --robot FILE with the arm's URDF, or --robot NAME from `poseaudit robots`"
+                "pass --robot FILE with the arm's URDF, or --robot NAME of the catalogue, such as ur5e"
             }
             Self::Ambiguous { .. } => "pass --robot NAME with the one it is",
             Self::UnknownJoints { .. } => "pass the --robot that was recorded",
             Self::UnknownRobot { .. } => {
-                "pass a URDF or TOML file, or a name from `poseaudit robots`"
+                "pass a URDF or TOML file, or a name of the catalogue, such as ur5e"
             }
             Self::Robot(error) => error.problem().advice(),
             Self::UnknownLink { .. } => "name a link of the model, or leave the option out",

@@ -215,10 +215,10 @@ fn from_catalogue(
         let Some((misfit, mut model)) = ranked.next() else { return Ok(models) };
         model.found = match ranked.next() {
             None if is_stranger && misfit >= FITS_M => return Ok(models),
-            None => "the one arm of the catalogue with these joint names".to_owned(),
+            None => "the catalogue: the one arm with these joint names".to_owned(),
             Some((next, _)) if misfit < FITS_M && next > 2.0 * misfit + APART_M => format!(
-                "of {} arms of the catalogue with these joint names the closest: the log fits it \
-                 within {:.1} mm, and the next within {:.1} mm",
+                "the catalogue: the closest of {} arms with these joint names, within {:.1} mm; \
+                 the next is {:.1} mm off",
                 names.len(),
                 1e3 * misfit,
                 1e3 * next
