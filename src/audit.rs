@@ -19,7 +19,9 @@ use crate::log::{Log, Loss};
 use crate::replay::{self, Replay, ReplayArm, ReplayImu, ReplayStream, StreamKind};
 use crate::report::{FileRow, LogSummary, Report, RobotRow, StreamRow, Trouble, TroubleKind};
 use crate::robot::JointKind;
-use crate::run::{Arm, Declaration, ImuSource, PoseSource, RobotSource, Role, Run, RunOptions};
+use crate::run::{
+    Arm, Declaration, HeaderStamps, ImuSource, PoseSource, RobotSource, Role, Run, RunOptions,
+};
 use crate::stream::Orientations;
 use crate::tables::aligned_frame;
 use crate::time::Clock;
@@ -122,13 +124,19 @@ impl Read {
     }
 }
 
-fn pose_stream(source: &PoseSource) -> PoseStream<'_> {
+/// Standard error of receive times, s, where a stream has no stamps of its own: transports differ by
+/// about a millisecond.
+const TRANSPORT_S: f64 = 1e-3;
+
+fn pose_stream<'a>(run: &Run, source: &'a PoseSource) -> PoseStream<'a> {
+    let mut clocks = run.clocks.iter().filter(|clock| clock.stream == source.stream);
+    let received = clocks.any(|clock| clock.stamps != HeaderStamps::Sound);
     PoseStream {
         track: &source.track,
         chain: &source.chain,
         columns: &source.columns,
         reference_known: source.reference_known,
-        stamp_error_s: source.stamp_error_s,
+        stamp_error_s: source.stamp_error_s.max(if received { TRANSPORT_S } else { 0.0 }),
         stamps_copied: source.stamps_copied,
     }
 }
@@ -152,8 +160,8 @@ pub(crate) fn settle_candidates(run: &mut Run, most_lag_s: f64) {
             .iter()
             .flat_map(|arm| arm.poses.iter().map(move |source| (arm, source)))
             .find(|(_, source)| source.stream == candidate);
-        let peak =
-            source.and_then(|(arm, source)| follows(&arm.joints, &pose_stream(source), most_lag_s));
+        let peak = source
+            .and_then(|(arm, source)| follows(&arm.joints, &pose_stream(run, source), most_lag_s));
         run.settle(candidate, peak.map(|peak| peak.correlation));
     }
 }
@@ -167,18 +175,17 @@ pub(crate) struct Diagnosis {
 
 /// Diagnoses every arm of a run.
 pub(crate) fn diagnose(run: &Run, most_lag_s: f64) -> Vec<Diagnosis> {
-    run.arms.iter().map(|arm| diagnose_one(arm, most_lag_s)).collect()
+    run.arms.iter().map(|arm| diagnose_one(run, arm, most_lag_s)).collect()
 }
 
-fn diagnose_one(arm: &Arm, most_lag_s: f64) -> Diagnosis {
-    let streams: Vec<PoseStream> = arm.poses.iter().map(pose_stream).collect();
+fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
+    let streams: Vec<PoseStream> =
+        arm.poses.iter().map(|source| pose_stream(run, source)).collect();
     let diagnosis = diagnose_arm(&arm.joints, &streams, most_lag_s);
     let reading = diagnosis.joints.as_ref().ok();
-    let tf = arm
-        .tf
-        .as_ref()
-        .ok()
-        .map(|source| diagnose_derived(&arm.joints, reading, &pose_stream(source), most_lag_s));
+    let tf = arm.tf.as_ref().ok().map(|source| {
+        diagnose_derived(&arm.joints, reading, &pose_stream(run, source), most_lag_s)
+    });
     let corrected = diagnosis.corrected_joints(&arm.joints, &prismatic(arm));
     let imus = arm
         .imus

@@ -76,6 +76,14 @@ fn judge(arm: &ArmFacts, joint: usize, offset: &JointOffset, subjects: usize) ->
         }
     };
     let outcome = match (decide(measured, figure, subjects), named_instead(arm, offset)) {
+        (Decision::Fail(_), _) if offset.chosen && arm.poses().any(|(_, s)| s.repeats()) => {
+            Outcome::Inconclusive(format!("it rests on a latency that fits at several lags; {SETTLE}"))
+        }
+        (Decision::Fail(_), _) if offset.chosen && left_m(arm) > UNEXPLAINED_M => {
+            let left = Unit::Metre.show(left_m(arm));
+            let why = format!("{left} is left that nothing explains (MDL001); check the model");
+            Outcome::Inconclusive(why)
+        }
         (Decision::Fail(severity), _) if offset.chosen => {
             Outcome::faulty(fault(arm, joint, measured, severity, subjects))
         }
@@ -91,6 +99,15 @@ fn judge(arm: &ArmFacts, joint: usize, offset: &JointOffset, subjects: usize) ->
         (Decision::Undecided(why), _) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
     };
     Judged::new(subject, outcome).within(arm.span).estimated(estimate(figure.unit, measured))
+}
+
+/// Where more than this is left, rms m, the model is another arm's and no offset can be believed.
+const UNEXPLAINED_M: f64 = 5e-3;
+
+/// The largest residual of any pose stream beyond its noise, rms m.
+fn left_m(arm: &ArmFacts) -> f64 {
+    let left = arm.poses().filter_map(|(_, stream)| stream.residual.as_ref().ok());
+    left.map(|residual| residual.excess_m.value).fold(0.0, f64::max)
 }
 
 fn figure(unit: Unit) -> &'static Figure {

@@ -58,6 +58,9 @@ fn judge(arm: &ArmFacts, stream: &PoseFacts, diagnosis: &PoseDiagnosis, subjects
     };
     let outcome = match decide(growth, &FIGURE, subjects) {
         Decision::Pass => Outcome::sound(),
+        Decision::Fail(_) if diagnosis.repeats() => {
+            Outcome::Inconclusive(format!("it rests on a latency that fits at several lags; {SETTLE}"))
+        }
         Decision::Fail(severity) if diagnosis.growth_chosen => {
             Outcome::faulty(fault(arm, growth, severity))
         }

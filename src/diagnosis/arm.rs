@@ -774,6 +774,8 @@ fn stream_diagnosis(
     let aligned = align(recorded, stream, prepared, explanation, index);
     let residual = residual(&aligned);
     let (linear, _) = arm_speeds(prepared.witness.joints, stream.chain, stream.columns);
+    let t_s = &prepared.witness.t_s;
+    let span_s = (t_s[t_s.len() - 1] - t_s[0]).max(f64::MIN_POSITIVE);
     let mut reading = prepared.reading.clone();
     if let Ok(residual) = &residual {
         // Latency, offsets and frames have been taken off since the readings were compared.
@@ -784,7 +786,11 @@ fn stream_diagnosis(
         millimetres: millimetres(scale, residual.as_ref().ok()),
         degrees: prepared.degrees,
         latency_s,
-        skew: one(Cause::Skew(index)),
+        skew: one(Cause::Skew(index)).map(|skew| Measured {
+            // Stamps that are off by this much at either end feign a skew.
+            std_error: skew.std_error.hypot(2.0 * stream.stamp_error_s / span_s),
+            ..skew
+        }),
         skew_chosen: causes.contains(&Cause::Skew(index)),
         growth: one(Cause::Growth(index)),
         growth_chosen: causes.contains(&Cause::Growth(index)),

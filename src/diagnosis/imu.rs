@@ -64,6 +64,7 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
         }),
     };
     let turned = gyro.as_ref().ok().filter(|_| moves).map(|fit| fit.link_from_imu);
+    let mount_by_gyro = gyro.as_ref().map_err(Clone::clone).and_then(|fit| fit.mount_rad.clone());
     let gyro_bias = gyro.and_then(|fit| fit.bias);
     let tilt_rad = link.tilt(lag_s);
     match orientation {
@@ -81,7 +82,7 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
             reading: Err(why.clone()),
             latency_s,
             yaw_drift_rad_s: Err(why.clone()),
-            mount_rad: Err(why),
+            mount_rad: mount_by_gyro,
             link_from_imu: turned,
             tilt_rad,
             gyro_bias,
@@ -141,6 +142,7 @@ struct OrientationFit {
 struct GyroFit {
     latency_s: Seen<Measured>,
     bias: Seen<GyroBias>,
+    mount_rad: Seen<Measured>,
     link_from_imu: Rotation,
 }
 
@@ -351,7 +353,15 @@ impl<'a> Link<'a> {
             norm_rad_s,
             yaw_rate_rad_s: model.yaw_rate(),
         });
-        Ok(GyroFit { latency_s, bias, link_from_imu: model.link_from_imu })
+        let mount_rad = match self.stream.link_from_imu {
+            None => Err(Unseen::RestsOn("the IMU's frame in the log")),
+            Some(known) => {
+                let error = rotvec_from_rotation(&(known.rotation.inverse() * model.link_from_imu));
+                let mount: Vec<usize> = (GyroModel::MOUNT..GyroModel::BIAS).collect();
+                solved.norm_of(&mount, &DVector::from_column_slice(error.as_slice()))
+            }
+        };
+        Ok(GyroFit { latency_s, bias, mount_rad, link_from_imu: model.link_from_imu })
     }
 }
 

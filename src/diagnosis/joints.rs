@@ -139,7 +139,8 @@ pub(super) fn corrected(
         }
     }
     if let Some((permutation, _)) = &reading.permutation {
-        for (to, from) in [(&mut track.q, &joints.q), (&mut track.qd, &joints.qd)] {
+        let named = track.clone();
+        for (to, from) in [(&mut track.q, &named.q), (&mut track.qd, &named.qd)] {
             for (row, source) in to.chunks_exact_mut(joints.dof).zip(from.chunks_exact(joints.dof))
             {
                 for (named, &really) in permutation.iter().enumerate() {

@@ -244,6 +244,14 @@ pub struct PoseDiagnosis {
     pub aligned: Aligned,
 }
 
+impl PoseDiagnosis {
+    /// Whether the motion repeats itself, so that everything found beside the latency may be that
+    /// of a wrong lag.
+    pub fn repeats(&self) -> bool {
+        matches!(self.latency_s, Err(Unseen::Periodic(_)))
+    }
+}
+
 /// How the joint states must be read.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointReading {

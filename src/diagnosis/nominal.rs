@@ -13,6 +13,8 @@ use nalgebra::DVector;
 /// No arm's calibration moves its tip by more, rms: 10 mm and 0.5°.
 pub(super) const MOST_M: f64 = 10e-3;
 pub(super) const MOST_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
+/// Less than this is no calibration's, rms: 0.3 mm.
+const LEAST_M: f64 = 0.3e-3;
 /// Link frames change by no more than about this, m and rad: steps are damped at this scale.
 const SCALE: f64 = 0.01;
 /// Samples that are fitted.
@@ -43,6 +45,9 @@ pub(super) fn is_nominal(
         return false;
     }
     let explained = witness.linearize(&state.streams[stream], &state.offsets, stride);
+    if rms(&explained.residual[0]) < LEAST_M {
+        return false;
+    }
     let frames = link_frames(witness, plain, stride);
     let (step, parameters) = solve(&frames);
     let calibrated = frames.weights_after(step.as_slice());

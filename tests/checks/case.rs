@@ -1,0 +1,362 @@
+//! A case: a log with something done to it, and what its audit must say.
+
+use std::collections::HashMap;
+use std::sync::{Arc, LazyLock, Mutex, OnceLock};
+
+use poseaudit::finding::{CheckRow, Estimate, Finding, Severity, Status, Subject};
+use poseaudit::report::{Report, Trouble};
+use poseaudit::synth::Scenario;
+use poseaudit::{Options, audit};
+
+use crate::recording::{self, Message};
+
+/// What came of a log, once it is audited.
+type Audited = Arc<OnceLock<Result<Report, Trouble>>>;
+
+/// The log of a case, before it is written.
+pub struct Log {
+    /// What it is made of.
+    pub run: Scenario,
+    /// What becomes of its messages.
+    pub edit: Option<fn(&mut Vec<Message>)>,
+    /// What becomes of the file.
+    pub damage: Option<fn(&mut Vec<u8>)>,
+    /// How it is audited.
+    pub options: Options,
+}
+
+/// One rule, one log, one expectation.
+pub struct Case {
+    pub code: &'static str,
+    pub name: &'static str,
+    pub log: fn(&mut Log),
+    pub expected: Expected,
+}
+
+/// What the audit must make of a case's log, for the rule of the case.
+pub enum Expected {
+    /// Planted fault: one finding of the rule, and none of any other.
+    Found(Severity, On, What),
+    /// Clean: the rule passes all its subjects, and nothing is found.
+    Sound,
+    /// Neighbouring fault: the rule named here finds it and no other does. The rule of the case
+    /// passes, or says that no such log could tell.
+    BlamedOn(&'static str),
+    /// Neighbouring fault: the rule named here finds it, no other does, and it leaves the rule of the
+    /// case open, which says why.
+    LeftOpenBy(&'static str, &'static str),
+    /// Missing input: the rule has nothing to look at, and says what.
+    Skipped(&'static str),
+    /// Missing input: the rule cannot tell of any subject, and says why; nothing is found.
+    Undecided(&'static str),
+    /// Missing input: there is no log, and no report.
+    Refused(&'static str),
+}
+
+/// The subject of a finding.
+#[derive(Clone, Copy)]
+pub enum On {
+    Topic(&'static str),
+    Joint(&'static str),
+    /// Of a topic, a frame.
+    Frame(&'static str, &'static str),
+    /// The file itself.
+    File,
+    /// The whole run.
+    Run,
+}
+
+/// The estimate of a finding.
+#[derive(Clone, Copy)]
+pub enum What {
+    /// Value and tolerance, SI.
+    Amount(f64, f64),
+    /// Value and tolerance, SI, of what has no interval.
+    About(f64, f64),
+    /// The same as an amount in degrees.
+    Degrees(f64, f64),
+    /// The same in degrees a minute.
+    DegreesAMinute(f64, f64),
+    /// A length and its tolerance, m; an angle and its tolerance, degrees.
+    Frame([f64; 2], [f64; 2]),
+    /// The length of a residual is between these, m.
+    ResidualBetween(f64, f64),
+    /// What it is, and what it was read as.
+    ReadAs(&'static str, &'static str),
+    /// The joints in the order that the numbers are in.
+    Order(&'static [&'static str]),
+    /// There is no estimate.
+    None,
+}
+
+/// Makes a family's `CASES`, and a test of each case.
+macro_rules! cases {
+    ($($code:ident $name:ident: $log:expr => $expected:expr;)*) => {
+        pub(crate) const CASES: &[$crate::case::Case] = &[$($crate::case::Case {
+            code: stringify!($code),
+            name: stringify!($name),
+            log: $log,
+            expected: $expected,
+        }),*];
+
+        $(
+            #[test]
+            fn $name() {
+                let case = CASES.iter().find(|case| case.name == stringify!($name));
+                case.expect("a test is made of its case").check();
+            }
+        )*
+    };
+}
+pub(crate) use cases;
+
+pub const fn error(on: On, what: What) -> Expected {
+    Expected::Found(Severity::Error, on, what)
+}
+
+pub const fn warning(on: On, what: What) -> Expected {
+    Expected::Found(Severity::Warning, on, what)
+}
+
+pub const fn info(on: On, what: What) -> Expected {
+    Expected::Found(Severity::Info, on, what)
+}
+
+impl Log {
+    /// 8 s of a UR5e, at rates that keep the audit short. No stamp is shared between streams.
+    pub fn sound() -> Self {
+        let mut run = Scenario { duration_s: 8.0, ..Scenario::ur5e() };
+        (run.amplitude, run.speed) = (1.0, 2.0);
+        run.joints.timing.rate_hz = 50.0;
+        run.pose.timing.rate_hz = 25.0;
+        run.tf.timing.rate_hz = 12.5;
+        run.imu.timing.rate_hz = 100.0;
+        Self { run, edit: None, damage: None, options: Options::default() }
+    }
+
+    /// A sound log with something done to it.
+    pub fn with(change: impl FnOnce(&mut Self)) -> Self {
+        let mut log = Self::sound();
+        change(&mut log);
+        log
+    }
+
+    /// The report on it.
+    #[track_caller]
+    pub fn audited(&self) -> Report {
+        self.audit().expect("the log is audited")
+    }
+
+    fn audit(&self) -> Result<Report, Trouble> {
+        if self.edit.is_some() || self.damage.is_some() {
+            return self.audit_anew();
+        }
+        // Neighbours share their faults: what is the same log is audited once.
+        static AUDITED: LazyLock<Mutex<HashMap<String, Audited>>> = LazyLock::new(Mutex::default);
+        let key = format!("{:?} {:?}", self.run, self.options);
+        let audited = Arc::clone(AUDITED.lock().expect("no panic within").entry(key).or_default());
+        audited.get_or_init(|| self.audit_anew()).clone()
+    }
+
+    fn audit_anew(&self) -> Result<Report, Trouble> {
+        let mut bytes = recording::write(&self.run, self.edit);
+        if let Some(damage) = self.damage {
+            damage(&mut bytes);
+        }
+        let file = tempfile::Builder::new().suffix(".mcap").tempfile().expect("a file");
+        std::fs::write(file.path(), bytes).expect("the file is written");
+        audit(&Options { logs: vec![file.path().to_owned()], ..self.options.clone() })
+    }
+}
+
+impl Case {
+    #[track_caller]
+    pub fn check(&self) {
+        let log = Log::with(self.log);
+        if let Expected::Refused(part) = self.expected {
+            let trouble = log.audit().expect_err("there is no log");
+            assert!(trouble.to_string().contains(part), "{trouble}");
+            return;
+        }
+        let report = log.audited();
+        let rows: Vec<&CheckRow> =
+            report.checks.iter().filter(|row| row.code == self.code).collect();
+        assert!(!rows.is_empty(), "{} was not asked", self.code);
+        let found = summary(&report.findings);
+        match &self.expected {
+            Expected::Found(severity, on, what) => {
+                let [finding] = report.findings.as_slice() else {
+                    panic!("{} alone was expected, found:\n{found}", self.code)
+                };
+                assert_eq!(finding.code, self.code, "found:\n{found}");
+                on.assert_is(&finding.subject);
+                what.assert_is(finding.estimate.as_ref());
+                assert_eq!(finding.severity, *severity, "{found}");
+                let failed = rows.iter().filter(|row| row.status == Status::Fail);
+                assert_eq!(failed.count(), 1, "{rows:#?}");
+            }
+            Expected::Sound => {
+                assert!(report.findings.is_empty(), "found:\n{found}");
+                for row in rows {
+                    assert_eq!(row.status, Status::Pass, "{row:#?}");
+                }
+            }
+            Expected::BlamedOn(code) => {
+                assert!(!report.findings.is_empty(), "the neighbour's fault was not found");
+                let others = report.findings.iter().any(|finding| finding.code != *code);
+                assert!(!others, "{code} alone was expected, found:\n{found}");
+                for row in rows {
+                    let is_fine = row.status == Status::Pass || row.indistinguishable;
+                    assert!(is_fine, "{row:#?}");
+                }
+            }
+            Expected::LeftOpenBy(code, part) => {
+                let found_by: Vec<&str> = report.findings.iter().map(|found| found.code).collect();
+                assert_eq!(found_by, [*code], "found:\n{found}");
+                assert_all_say(&rows, Status::Inconclusive, part);
+            }
+            Expected::Skipped(part) => {
+                assert_all_say(&rows, Status::Skipped, part);
+                assert!(report.findings.is_empty(), "found:\n{found}");
+            }
+            Expected::Undecided(part) => {
+                assert_all_say(&rows, Status::Inconclusive, part);
+                assert!(report.findings.is_empty(), "found:\n{found}");
+            }
+            Expected::Refused(_) => unreachable!("answered above"),
+        }
+    }
+}
+
+#[track_caller]
+fn assert_all_say(rows: &[&CheckRow], status: Status, part: &str) {
+    for row in rows {
+        assert_eq!(row.status, status, "{row:#?}");
+        let reason = row.reason.as_deref().unwrap_or_default();
+        assert!(reason.contains(part), "`{part}` is not said in: {reason}");
+    }
+}
+
+/// One line a finding, for messages.
+pub fn summary(findings: &[Finding]) -> String {
+    let line = |finding: &Finding| {
+        let (severity, label) = (finding.severity.name(), finding.subject.label());
+        format!("  {severity} {} {label}: {}\n", finding.code, finding.message)
+    };
+    findings.iter().map(line).collect()
+}
+
+/// The one finding of `code` on `label`.
+#[track_caller]
+pub fn the<'a>(report: &'a Report, code: &str, label: &str) -> &'a Finding {
+    let is_meant = |finding: &&Finding| finding.code == code && finding.subject.label() == label;
+    let meant: Vec<&Finding> = report.findings.iter().filter(is_meant).collect();
+    let [finding] = meant.as_slice() else {
+        panic!("one {code} on {label} was expected, found:\n{}", summary(&report.findings))
+    };
+    finding
+}
+
+impl Expected {
+    pub const KINDS: [&str; 4] = ["planted fault", "clean", "neighbouring fault", "missing input"];
+
+    /// Which of [`Self::KINDS`] it is.
+    pub fn kind(&self) -> &'static str {
+        let [planted, clean, neighbour, missing] = Self::KINDS;
+        match self {
+            Self::Found(..) => planted,
+            Self::Sound => clean,
+            Self::BlamedOn(_) | Self::LeftOpenBy(..) => neighbour,
+            Self::Skipped(_) | Self::Undecided(_) | Self::Refused(_) => missing,
+        }
+    }
+}
+
+impl On {
+    #[track_caller]
+    pub fn assert_is(self, subject: &Subject) {
+        let Subject { topic, joint, frame, .. } = subject;
+        let found = [topic, joint, frame].map(|name| name.as_deref().unwrap_or_default());
+        match self {
+            Self::Topic(topic) => assert_eq!(found, [topic, "", ""]),
+            Self::Joint(joint) => assert_eq!(found, ["", joint, ""]),
+            Self::Frame(topic, frame) => assert_eq!(found, [topic, "", frame]),
+            Self::File => assert!(found[0].ends_with(".mcap"), "{subject:?}"),
+            Self::Run => assert_eq!(*subject, Subject::default()),
+        }
+    }
+}
+
+impl What {
+    #[track_caller]
+    pub fn assert_is(self, estimate: Option<&Estimate>) {
+        const MINUTE_S: f64 = 60.0;
+        match (self, estimate) {
+            (Self::None, None) => {}
+            (Self::Amount(value, tolerance), Some(found)) => {
+                assert_near(found, value, tolerance);
+            }
+            (Self::About(value, tolerance), Some(Estimate::Amount { value: found, ci95, .. })) => {
+                assert!((found - value).abs() <= tolerance, "{found} is not {value} ± {tolerance}");
+                assert_eq!(*ci95, None);
+            }
+            (Self::Degrees(value, tolerance), Some(found)) => {
+                assert_near(found, value.to_radians(), tolerance.to_radians());
+            }
+            (Self::DegreesAMinute(value, tolerance), Some(found)) => {
+                let rate = |degrees: f64| degrees.to_radians() / MINUTE_S;
+                assert_near(found, rate(value), rate(tolerance));
+            }
+            (
+                Self::Frame([length, m], [angle, degrees]),
+                Some(found @ Estimate::Frame { rotation, .. }),
+            ) => {
+                assert_near(found, length, m);
+                let off = (rotation.value - angle.to_radians()).abs();
+                assert!(off <= degrees.to_radians(), "{rotation:?} is not {angle} ± {degrees}°");
+                assert!(rotation.ci95.is_some(), "{rotation:?}");
+            }
+            (Self::ResidualBetween(low, high), Some(Estimate::Frame { value, .. })) => {
+                assert!((low..high).contains(value), "{value} is not within {low} to {high}");
+            }
+            (Self::ReadAs(is, read_as), Some(found)) => assert_read_as(found, is, read_as),
+            (Self::Order(expected), Some(Estimate::Order { permutation, .. })) => {
+                assert_eq!(permutation, expected);
+            }
+            (_, found) => panic!("another estimate was expected than {found:?}"),
+        }
+    }
+}
+
+/// Asserts that the value is `expected` within `tolerance`, and that its interval is honest: the
+/// truth lies within twice its half-width.
+#[track_caller]
+fn assert_near(found: &Estimate, expected: f64, tolerance: f64) {
+    let (Estimate::Amount { value, ci95, .. } | Estimate::Frame { value, ci95, .. }) = found else {
+        panic!("an amount was expected, not {found:?}")
+    };
+    let off = (value - expected).abs();
+    assert!(off <= tolerance, "{value} is not {expected} ± {tolerance}");
+    let half = half_width(found).unwrap_or_else(|| panic!("{value} has no interval: {ci95:?}"));
+    assert!(off <= 2.0 * half, "{value} ± {half} is not {expected}");
+}
+
+/// Half the width of the 95 % interval.
+pub fn half_width(estimate: &Estimate) -> Option<f64> {
+    match estimate {
+        Estimate::Amount { value, ci95, .. } | Estimate::Frame { value, ci95, .. } => {
+            ci95.map(|ends| ends[1] - value)
+        }
+        _ => None,
+    }
+}
+
+#[track_caller]
+fn assert_read_as(found: &Estimate, expected: &str, expected_read_as: &str) {
+    let found = match found {
+        Estimate::Convention { is, read_as, .. } => [is.as_str(), read_as.as_str()],
+        Estimate::Slip { is, read_as, .. } => [*is, *read_as],
+        other => panic!("a reading was expected, not {other:?}"),
+    };
+    assert_eq!(found, [expected, expected_read_as]);
+}

@@ -1,0 +1,152 @@
+//! Faults together: each is found as if it were alone.
+
+use poseaudit::geometry::QuaternionSlip;
+use poseaudit::report::Report;
+use poseaudit::synth::{self, Coding, IMU, POSE};
+
+use crate::case::What::{Amount, Degrees, DegreesAMinute, Frame, ReadAs};
+use crate::case::{Log, What, summary, the};
+use crate::zer::zero;
+
+/// Asserts that these are the findings: rule, subject and estimate.
+#[track_caller]
+fn assert_found(report: &Report, expected: &[(&str, &str, What)]) {
+    assert_eq!(report.findings.len(), expected.len(), "found:\n{}", summary(&report.findings));
+    for (code, label, what) in expected {
+        what.assert_is(the(report, code, label).estimate.as_ref());
+    }
+}
+
+#[test]
+fn the_demos_four() {
+    let mut log = Log::sound();
+    let demo = synth::demo();
+    log.run.pose.coding = demo.pose.coding;
+    log.run.pose.timing.latency_s = demo.pose.timing.latency_s;
+    log.run.joints.zero_offsets = demo.joints.zero_offsets;
+    log.run.imu.yaw_drift_rad_s = demo.imu.yaw_drift_rad_s;
+    assert_found(
+        &log.audited(),
+        &[
+            ("ORD001", POSE, ReadAs("rotvec", "euler:xyz")),
+            ("LAT001", POSE, Amount(0.022, 0.2e-3)),
+            ("ZER001", "shoulder_lift_joint", Degrees(0.5, 0.02)),
+            ("YAW001", IMU, DegreesAMinute(3.0, 0.1)),
+        ],
+    );
+}
+
+#[test]
+fn two_joint_zeros() {
+    let report = Log::with(|log| {
+        log.run.joints.zero_offsets = zero(1, 0.5);
+        log.run.joints.zero_offsets.extend(zero(2, -0.4)[1..].to_vec());
+        assert_eq!(log.run.joints.zero_offsets.len(), 4, "lift and wrist_1");
+    })
+    .audited();
+    assert_found(
+        &report,
+        &[
+            ("ZER001", "shoulder_lift_joint", Degrees(0.5, 0.02)),
+            ("ZER001", "wrist_1_joint", Degrees(-0.4, 0.02)),
+        ],
+    );
+}
+
+#[test]
+fn neighbouring_joint_zeros() {
+    let report = Log::with(|log| {
+        log.run.joints.zero_offsets = zero(2, 0.6);
+        log.run.joints.zero_offsets.push(-0.6_f64.to_radians());
+    })
+    .audited();
+    assert_found(
+        &report,
+        &[
+            ("ZER001", "elbow_joint", Degrees(0.6, 0.02)),
+            ("ZER001", "wrist_1_joint", Degrees(-0.6, 0.02)),
+        ],
+    );
+}
+
+#[test]
+fn a_quaternion_slip_and_a_latency() {
+    let report = Log::with(|log| {
+        log.run.pose.coding = Coding::Slipped(QuaternionSlip::WxyzReadAsXyzw);
+        log.run.pose.timing.latency_s = 0.015;
+    })
+    .audited();
+    assert_found(
+        &report,
+        &[
+            ("ORD002", POSE, ReadAs("quat:wxyz", "quat:xyzw")),
+            ("LAT001", POSE, Amount(0.015, 0.2e-3)),
+        ],
+    );
+}
+
+#[test]
+fn millimetres_and_a_joint_zero() {
+    let report = Log::with(|log| {
+        log.run.pose.in_millimetres = true;
+        log.run.joints.zero_offsets = zero(2, 0.6);
+    })
+    .audited();
+    assert_found(
+        &report,
+        &[("ORD008", POSE, ReadAs("mm", "m")), ("ZER001", "elbow_joint", Degrees(0.6, 0.02))],
+    );
+}
+
+#[test]
+fn degrees_in_the_wrong_order_and_late() {
+    let report = Log::with(|log| {
+        log.run.joints.in_degrees = true;
+        log.run.joints.number_order = Some(vec![2, 1, 0, 3, 4, 5]);
+        log.run.pose.timing.latency_s = 0.015;
+    })
+    .audited();
+    let found: Vec<&str> = report.findings.iter().map(|finding| finding.code).collect();
+    assert_eq!(found.len(), 3, "found:\n{}", summary(&report.findings));
+    for code in ["ORD004", "ORD005", "LAT001"] {
+        assert!(found.contains(&code), "found:\n{}", summary(&report.findings));
+    }
+    Amount(0.015, 0.2e-3).assert_is(the(&report, "LAT001", POSE).estimate.as_ref());
+}
+
+#[test]
+fn a_turned_base_a_tool_and_a_joint_zero() {
+    let report = Log::with(|log| {
+        log.options.tip = Some("tool0".to_owned());
+        log.run.pose.reference_from_stream = crate::frm::half_turn();
+        log.run.pose.tip_from_stream = crate::frm::tool();
+        log.run.joints.zero_offsets = zero(2, 0.6);
+    })
+    .audited();
+    assert_found(
+        &report,
+        &[
+            ("FRM002", POSE, Frame([0.0, 0.1e-3], [180.0, 0.02])),
+            ("FRM003", POSE, Frame([0.14, 0.2e-3], [90.0, 0.02])),
+            ("ZER001", "elbow_joint", Degrees(0.6, 0.02)),
+        ],
+    );
+}
+
+#[test]
+fn an_inverted_pose_with_a_joint_zero_and_late() {
+    let report = Log::with(|log| {
+        log.run.pose.coding = Coding::Inverted;
+        log.run.joints.zero_offsets = zero(2, 0.6);
+        log.run.pose.timing.latency_s = -0.012;
+    })
+    .audited();
+    assert_found(
+        &report,
+        &[
+            ("ORD003", POSE, ReadAs("pose-inverse", "pose")),
+            ("ZER001", "elbow_joint", Degrees(0.6, 0.02)),
+            ("LAT001", POSE, Amount(-0.012, 0.2e-3)),
+        ],
+    );
+}

@@ -1,0 +1,89 @@
+//! ING: what cannot be read.
+
+use poseaudit::synth::{IMU, POSE};
+
+use crate::case::On::{File, Topic};
+use crate::case::{Expected, What, cases, error, warning};
+use Expected::{BlamedOn, Refused, Sound};
+
+cases! {
+    ING001 a_chunk_with_flipped_bits: |log| {
+        log.edit = Some(|_| ());
+        log.damage = Some(flip_bits);
+    } => error(File, What::None);
+    ING001 a_log_that_is_cut_off: |log| {
+        log.edit = Some(|_| ());
+        log.damage = Some(|bytes| bytes.truncate(bytes.len() * 9 / 10));
+    } => warning(File, What::None);
+    ING001 a_log_without_its_summary: |log| log.damage = Some(cut_summary)
+        => warning(File, What::None);
+    ING001 a_compressed_log_is_sound: |log| log.edit = Some(|_| ()) => Sound;
+    ING001 a_schema_that_makes_no_sense_is_no_damage: |log| {
+        log.edit = Some(|messages| {
+            for message in messages.iter_mut().filter(|message| message.topic == POSE) {
+                message.definition = "three numbers, and four\n".to_owned();
+            }
+        });
+    } => BlamedOn("ING002");
+    ING001 an_empty_file: |log| log.damage = Some(Vec::clear) => Refused("empty");
+
+    ING002 a_pose_whose_schema_makes_no_sense: |log| {
+        log.edit = Some(|messages| {
+            for message in messages.iter_mut().filter(|message| message.topic == POSE) {
+                message.definition = "three numbers, and four\n".to_owned();
+            }
+        });
+    } => warning(Topic(POSE), What::None);
+    ING002 an_imu_whose_messages_are_cut: |log| {
+        log.edit = Some(|messages| {
+            for message in messages.iter_mut().filter(|message| message.topic == IMU) {
+                message.cdr.truncate(100);
+            }
+        });
+    } => warning(Topic(IMU), What::None);
+    ING002 a_type_that_no_audit_wants_is_sound: |log| {
+        log.edit = Some(|messages| {
+            let mut foreign = messages[0].clone();
+            foreign.topic = "/diagnostics".to_owned();
+            foreign.type_name = "acme_msgs/msg/Widget".to_owned();
+            foreign.definition = "Gear[] gears\n".to_owned();
+            messages.push(foreign);
+        });
+    } => Sound;
+    ING002 a_log_that_is_cut_off_can_be_decoded: |log| {
+        log.edit = Some(|_| ());
+        log.damage = Some(|bytes| bytes.truncate(bytes.len() * 9 / 10));
+    } => BlamedOn("ING001");
+    ING002 a_text_file: |log| log.damage = Some(|bytes| *bytes = b"t,x,y\n0,1,2\n".to_vec())
+        => Refused("text");
+}
+
+/// Cuts off the footer, and what stands before it up to the end of the data.
+fn cut_summary(bytes: &mut Vec<u8>) {
+    // The footer record ends 8 bytes of magic before the end: its first field is where the summary
+    // begins.
+    let footer = bytes.len() - 8 - 20;
+    let summary = u64::from_le_bytes(bytes[footer..footer + 8].try_into().expect("eight bytes"));
+    bytes.truncate(usize::try_from(summary).expect("it fits into memory"));
+}
+
+/// Flips bits at the end of the chunk in the middle of the log.
+#[allow(clippy::ptr_arg, reason = "one of several edits of whole files")]
+fn flip_bits(bytes: &mut Vec<u8>) {
+    const MAGIC: usize = 8;
+    const CHUNK: u8 = 6;
+    let mut chunk_ends = Vec::new();
+    let mut at = MAGIC;
+    while at < bytes.len() - MAGIC {
+        let length = bytes[at + 1..at + 9].try_into().expect("eight bytes");
+        let end =
+            at + 9 + usize::try_from(u64::from_le_bytes(length)).expect("it fits into memory");
+        if bytes[at] == CHUNK {
+            chunk_ends.push(end);
+        }
+        at = end;
+    }
+    assert!(chunk_ends.len() > 2, "a log of some chunks");
+    let end = chunk_ends[chunk_ends.len() / 2];
+    bytes[end - 64..end].iter_mut().for_each(|byte| *byte ^= 0x55);
+}

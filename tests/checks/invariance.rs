@@ -1,0 +1,139 @@
+//! What must not change what is found: the epoch, a world's place, the order of names, the sign of a
+//! quaternion, the rate.
+
+use poseaudit::finding::{Estimate, Finding};
+use poseaudit::report::Report;
+
+use crate::case::{Log, half_width, summary};
+use crate::frm;
+use crate::ord::{reorder, turn_signs};
+use crate::recording::Message;
+use crate::zer::zero;
+
+/// Three faults of three kinds, so that there is something to find again.
+fn faulty() -> Log {
+    Log::with(|log| {
+        log.run.pose.timing.latency_s = 0.015;
+        log.run.joints.zero_offsets = zero(2, 0.6);
+        log.run.imu.yaw_drift_rad_s = 1e-3;
+    })
+}
+
+/// Rule and subject of each finding, in their order.
+fn named(report: &Report) -> Vec<(&'static str, &str)> {
+    report.findings.iter().map(|finding| (finding.code, finding.subject.label())).collect()
+}
+
+/// Asserts that the audits of both say the same: findings, what every rule made of every subject,
+/// and values within each other's intervals.
+#[track_caller]
+fn assert_same(before: &Report, after: &Report) {
+    assert_eq!(named(before), named(after), "found:\n{}", summary(&after.findings));
+    let rows = |report: &Report| -> Vec<_> {
+        report.checks.iter().map(|row| (row.code, row.subject.clone(), row.status)).collect()
+    };
+    assert_eq!(rows(before), rows(after));
+    assert_eq!(before.verdict, after.verdict);
+    for (a, b) in before.findings.iter().zip(&after.findings) {
+        assert_eq!(a.severity, b.severity);
+        assert_within(a, b);
+    }
+}
+
+#[track_caller]
+fn assert_within(a: &Finding, b: &Finding) {
+    let (Some(a_is), Some(b_is)) = (&a.estimate, &b.estimate) else {
+        return assert_eq!(a.estimate, b.estimate);
+    };
+    let (Some(a_value), Some(b_value)) = (a_is.value(), b_is.value()) else {
+        return assert_eq!(reading(a_is), reading(b_is));
+    };
+    for (estimate, other) in [(a_is, b_value), (b_is, a_value)] {
+        let half = half_width(estimate).expect("an interval");
+        let off = (other - estimate.value().expect("a value")).abs();
+        // Either may lie anywhere in its own interval.
+        assert!(off <= 2.0 * half, "{} moved by {off}, beyond ±{half}", a.code);
+    }
+}
+
+/// What an estimate without a value says.
+fn reading(estimate: &Estimate) -> Option<(&str, &str)> {
+    estimate.convention()
+}
+
+/// The report on the faulty log, with its messages edited.
+fn edited(edit: fn(&mut Vec<Message>)) -> Report {
+    Log { edit: Some(edit), ..faulty() }.audited()
+}
+
+#[test]
+fn another_epoch() {
+    const EARLIER_NS: i64 = -1_779_999_000_123_456_789;
+    let before = faulty().audited();
+    let after = edited(|messages| {
+        messages.iter_mut().for_each(|message| message.shift(EARLIER_NS));
+    });
+    assert_same(&before, &after);
+    for (a, b) in before.findings.iter().zip(&after.findings) {
+        for (a, b) in [(a.start_ns, b.start_ns), (a.end_ns, b.end_ns)] {
+            let (a, b) = (a.expect("a stamp").nanos(), b.expect("a stamp").nanos());
+            assert_eq!(b - a, EARLIER_NS);
+        }
+    }
+}
+
+#[test]
+fn another_place_of_a_world() {
+    let mut log = faulty();
+    log.run.pose.frame_id = "tracker".to_owned();
+    let before = log.audited();
+    assert!(named(&before).contains(&("ZER001", "elbow_joint")), "{:?}", named(&before));
+    for place in [frm::shifted(), frm::far_off(), frm::half_turn()] {
+        log.run.pose.reference_from_stream = place;
+        assert_same(&before, &log.audited());
+    }
+}
+
+#[test]
+fn another_order_of_joints_in_the_messages() {
+    let before = faulty().audited();
+    assert_same(&before, &edited(|messages| reorder(messages, [2, 1, 0, 3, 4, 5])));
+    assert_same(&before, &edited(|messages| reorder(messages, [5, 3, 1, 0, 2, 4])));
+}
+
+#[test]
+fn the_other_sign_of_quaternions() {
+    assert_same(&faulty().audited(), &edited(|messages| turn_signs(messages)));
+}
+
+#[test]
+fn twice_the_rate() {
+    let before = faulty().audited();
+    let mut log = faulty();
+    let run = &mut log.run;
+    for timing in
+        [&mut run.joints.timing, &mut run.pose.timing, &mut run.tf.timing, &mut run.imu.timing]
+    {
+        timing.rate_hz *= 2.0;
+    }
+    assert_same(&before, &log.audited());
+}
+
+#[test]
+fn messages_written_in_another_order() {
+    let after = edited(|messages| messages.reverse());
+    assert_same(&faulty().audited(), &after);
+}
+
+#[test]
+fn another_seed() {
+    let before = faulty().audited();
+    for seed in 2..=4 {
+        let mut log = faulty();
+        log.run.seed = seed;
+        let after = log.audited();
+        let mut found = [named(&before), named(&after)];
+        found.iter_mut().for_each(|names| names.sort_unstable());
+        assert_eq!(found[0], found[1], "seed {seed} found:\n{}", summary(&after.findings));
+    }
+}

@@ -1,0 +1,70 @@
+//! What every rule says of a log with its fault, without it, with another rule's, and without what
+//! it needs.
+//!
+//! A case is a line of a family's `cases!` table: the rule, a name, what is done to a sound log, and
+//! what is expected of the audit. [`Expected`] says which of the four kinds it is, and a rule of the
+//! registry without a case of every kind fails here.
+
+mod case;
+mod combined;
+mod frm;
+mod ing;
+mod invariance;
+mod lat;
+mod mdl;
+mod ord;
+mod recording;
+mod reports;
+mod tim;
+mod yaw;
+mod zer;
+
+use std::collections::BTreeSet;
+
+use poseaudit::checks::registry;
+use poseaudit::finding::Status;
+use poseaudit::report::Verdict;
+
+use case::{Case, Expected, Log};
+
+/// The cases of every family.
+const CASES: &[&[Case]] = &[
+    frm::CASES,
+    ing::CASES,
+    lat::CASES,
+    mdl::CASES,
+    ord::CASES,
+    tim::CASES,
+    yaw::CASES,
+    zer::CASES,
+];
+
+#[test]
+fn every_rule_has_a_case_of_every_kind() {
+    let cases = || CASES.iter().copied().flatten();
+    for rule in registry() {
+        let kinds: BTreeSet<&str> = cases()
+            .filter(|case| case.code == rule.code)
+            .map(|case| case.expected.kind())
+            .collect();
+        let missing: Vec<&str> =
+            Expected::KINDS.into_iter().filter(|kind| !kinds.contains(kind)).collect();
+        assert!(missing.is_empty(), "{} has no case: {}", rule.code, missing.join(", "));
+    }
+    let codes: BTreeSet<&str> = registry().iter().map(|rule| rule.code).collect();
+    for case in cases() {
+        assert!(codes.contains(case.code), "{} is no rule: {}", case.code, case.name);
+    }
+}
+
+#[test]
+fn a_sound_log_passes_every_rule_on_every_subject() {
+    let report = Log::sound().audited();
+    assert_eq!(report.verdict, Verdict::Pass);
+    assert!(report.findings.is_empty(), "{:#?}", report.findings);
+    let asked: BTreeSet<&str> = report.checks.iter().map(|row| row.code).collect();
+    assert_eq!(asked.len(), registry().len());
+    for row in &report.checks {
+        assert_eq!(row.status, Status::Pass, "{row:#?}");
+    }
+}

@@ -1,0 +1,75 @@
+//! MDL: what no modelled cause explains.
+
+use poseaudit::robot::Robot;
+use poseaudit::synth::{POSE, Scenario, urdf_text};
+
+use crate::case::On::Topic;
+use crate::case::What::ResidualBetween;
+use crate::case::{Expected, cases, error, info};
+use Expected::{BlamedOn, Skipped, Sound, Undecided};
+
+cases! {
+    MDL001 nominal_kinematics: |log| calibrate(&mut log.run)
+        => info(Topic(POSE), ResidualBetween(0.5e-3, 6e-3));
+    MDL001 a_forearm_of_another_length: |log| {
+        // 60 mm, along the forearm and the upper arm: no joint does that, and no frame.
+        alter(&mut log.run, "wrist_1_joint", [-0.06, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        alter(&mut log.run, "elbow_joint", [0.06, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    } => error(Topic(POSE), ResidualBetween(0.01, 0.1));
+
+    MDL001 a_tenth_of_a_millimetre_of_link_is_sound: |log| {
+        alter(&mut log.run, "wrist_1_joint", [1e-4, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    } => Sound;
+
+    MDL001 a_joint_zero_leaves_nothing: |log| {
+        log.run.joints.zero_offsets = crate::zer::zero(1, 0.8);
+    } => BlamedOn("ZER001");
+    MDL001 a_misread_rotation_leaves_nothing: |log| {
+        log.run.pose.coding = crate::ord::misread_as_rpy();
+    } => BlamedOn("ORD001");
+    MDL001 a_late_pose_leaves_nothing: |log| log.run.pose.timing.latency_s = 0.05
+        => BlamedOn("LAT001");
+    MDL001 a_frame_leaves_nothing: |log| {
+        log.run.pose.reference_from_stream = crate::frm::shifted();
+    } => BlamedOn("FRM002");
+
+    MDL001 growth_with_reach_leaves_nothing: |log| log.run.pose.growth = 0.01
+        => BlamedOn("ZER002");
+
+    MDL001 no_pose_to_leave_a_residual: |log| log.run.pose.timing.rate_hz = 0.0
+        => Skipped("no pose stream");
+    MDL001 a_handful_of_samples: |log| log.run.pose.timing.rate_hz = 0.3 => Undecided("samples");
+}
+
+/// Makes the arm one of flesh: every link a little other than in the catalogue, by which it is
+/// audited.
+pub fn calibrate(run: &mut Scenario) {
+    alter(run, "shoulder_pan_joint", [0.0, 0.0, 0.6e-3, 0.0, 0.0, 0.0]);
+    alter(run, "shoulder_lift_joint", [0.3e-3, -0.4e-3, 0.0, 0.8e-3, 0.0, -0.5e-3]);
+    alter(run, "elbow_joint", [1.1e-3, 0.4e-3, 0.5e-3, 0.9e-3, -0.6e-3, 0.0]);
+    alter(run, "wrist_1_joint", [-0.9e-3, 0.3e-3, -0.6e-3, -0.7e-3, 0.9e-3, 0.0]);
+    alter(run, "wrist_2_joint", [0.2e-3, 0.5e-3, -0.3e-3, 1.0e-3, 0.0, 0.4e-3]);
+    alter(run, "wrist_3_joint", [-0.3e-3, 0.6e-3, 0.2e-3, -0.8e-3, 0.3e-3, 0.0]);
+}
+
+/// Moves the origin of a joint by x, y, z (m) and roll, pitch, yaw (rad). The log tells neither the
+/// altered model nor its transforms.
+fn alter(run: &mut Scenario, joint: &str, by: [f64; 6]) {
+    let text = urdf_text(&run.robot);
+    let (before, from_joint) = text.split_once(&format!("<joint name=\"{joint}\"")).expect(joint);
+    let (head, rest) = from_joint.split_once("<origin xyz=\"").expect("an origin");
+    let (xyz, rest) = rest.split_once("\" rpy=\"").expect("angles");
+    let (rpy, rest) = rest.split_once('"').expect("an end");
+    let origin = format!("{xyz} {rpy}");
+    let numbers = origin.split(' ').zip(by).map(|(number, by)| {
+        let number: f64 = number.parse().expect("a number");
+        (number + by).to_string()
+    });
+    let [x, y, z, roll, pitch, yaw] = numbers.collect::<Vec<_>>().try_into().expect("six");
+    let altered = format!(
+        "{before}<joint name=\"{joint}\"{head}<origin xyz=\"{x} {y} {z}\" rpy=\"{roll} {pitch} {yaw}\"{rest}"
+    );
+    run.robot = Robot::from_urdf(&altered, "an altered arm").expect("a robot");
+    run.description = false;
+    run.tf.timing.rate_hz = 0.0;
+}

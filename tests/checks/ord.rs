@@ -1,0 +1,228 @@
+//! ORD: conventions, units and orders taken for others.
+
+use poseaudit::finding::{CheckRow, Severity, Status};
+use poseaudit::geometry::{Convention, Misreading, QuaternionSlip, rotation_from_xyzw};
+use poseaudit::report::Report;
+use poseaudit::synth::{Coding, IMU, JOINT_STATES, Motion, POSE};
+
+use crate::case::On::Topic;
+use crate::case::What::{Order, ReadAs};
+use crate::case::{Expected, Log, cases, error, summary, the};
+use crate::recording::{Field, Message};
+use Expected::{BlamedOn, Skipped, Sound, Undecided};
+
+/// The topic of the poses as bare numbers.
+const NUMBERS: &str = "/arm/tool_vector";
+
+cases! {
+    ORD001 a_rotation_vector_read_as_rpy: |log| log.run.pose.coding = misread_as_rpy()
+        => error(Topic(POSE), ReadAs("rotvec", "euler:xyz"));
+    ORD001 moving_axes_for_fixed: |log| log.run.pose.coding = misread("euler:xyz", "euler:XYZ")
+        => error(Topic(POSE), ReadAs("euler:xyz", "euler:XYZ"));
+    ORD001 zyz_read_as_rpy: |log| log.run.pose.coding = misread("euler:ZYZ", "euler:xyz")
+        => error(Topic(POSE), ReadAs("euler:ZYZ", "euler:xyz"));
+    ORD001 zyx_read_as_rpy: |log| log.run.pose.coding = misread("euler:ZYX", "euler:xyz")
+        => error(Topic(POSE), ReadAs("euler:ZYX", "euler:xyz"));
+    ORD001 rpy_read_as_a_rotation_vector: |log| {
+        log.run.pose.coding = misread("euler:xyz", "rotvec");
+    } => error(Topic(POSE), ReadAs("euler:xyz", "rotvec"));
+    ORD001 axes_turned_in_another_order: |log| {
+        log.run.pose.coding = misread("euler:xzy@axes", "euler:xyz");
+    } => error(Topic(POSE), ReadAs("euler:xzy@axes", "euler:xyz"));
+    ORD001 an_imu_that_is_misread: |log| log.run.imu.coding = misread("euler:ZYX", "euler:xyz")
+        => error(Topic(IMU), ReadAs("euler:ZYX", "euler:xyz"));
+
+    ORD001 rotations_through_a_half_turn_are_sound: |log| {
+        // Without a turn the tool's orientation passes 180°, where quaternions change sign.
+        log.run.home = vec![0.4, -1.2, 1.2, -1.6, -1.57, 3.0];
+        log.run.motion = Motion::Continuous;
+    } => Sound;
+
+    ORD001 a_quaternion_slip_is_no_convention: |log| {
+        log.run.pose.coding = Coding::Slipped(QuaternionSlip::WxyzReadAsXyzw);
+    } => BlamedOn("ORD002");
+    ORD001 a_transpose_is_no_convention: |log| log.run.pose.coding = Coding::Transposed
+        => BlamedOn("ORD003");
+    ORD001 a_turned_base_is_no_convention: |log| {
+        log.run.pose.reference_from_stream = crate::frm::half_turn();
+    } => BlamedOn("FRM002");
+    ORD001 a_late_pose_is_no_convention: |log| log.run.pose.timing.latency_s = 0.1
+        => BlamedOn("LAT001");
+
+    ORD001 no_orientations: |log| {
+        log.run.pose.timing.rate_hz = 0.0;
+        log.run.tf.timing.rate_hz = 0.0;
+        log.run.imu.with_orientation = false;
+    } => Skipped("no");
+
+    ORD002 w_first_read_as_w_last: |log| {
+        log.run.pose.coding = Coding::Slipped(QuaternionSlip::WxyzReadAsXyzw);
+    } => error(Topic(POSE), ReadAs("quat:wxyz", "quat:xyzw"));
+    ORD002 w_last_read_as_w_first: |log| {
+        log.run.pose.coding = Coding::Slipped(QuaternionSlip::XyzwReadAsWxyz);
+    } => error(Topic(POSE), ReadAs("quat:xyzw", "quat:wxyz"));
+    ORD002 an_imu_with_w_first: |log| {
+        log.run.imu.coding = Coding::Slipped(QuaternionSlip::WxyzReadAsXyzw);
+    } => error(Topic(IMU), ReadAs("quat:wxyz", "quat:xyzw"));
+    ORD002 quaternions_of_either_sign_are_sound: |log| log.edit = Some(|messages| turn_signs(messages)) => Sound;
+    ORD002 a_misread_rotation_is_no_slip: |log| log.run.pose.coding = misread_as_rpy()
+        => BlamedOn("ORD001");
+    ORD002 an_inverse_is_no_slip: |log| log.run.pose.coding = Coding::Inverted
+        => BlamedOn("ORD003");
+    ORD002 no_quaternions: |log| {
+        log.run.pose.timing.rate_hz = 0.0;
+        log.run.tf.timing.rate_hz = 0.0;
+        log.run.imu.timing.rate_hz = 0.0;
+    } => Skipped("no stream with orientations");
+
+    ORD003 an_inverted_pose: |log| log.run.pose.coding = Coding::Inverted
+        => error(Topic(POSE), ReadAs("pose-inverse", "pose"));
+    ORD003 a_transposed_rotation: |log| log.run.pose.coding = Coding::Transposed
+        => error(Topic(POSE), ReadAs("transpose", "pose"));
+    ORD003 an_inverted_imu: |log| log.run.imu.coding = Coding::Transposed
+        => error(Topic(IMU), ReadAs("transpose", "pose"));
+    ORD003 a_base_out_of_line_is_sound: |log| log.run.imu.world_yaw_rad = 2.9 => Sound;
+    ORD003 a_misread_rotation_is_no_inverse: |log| {
+        log.run.pose.coding = misread("euler:ZYX", "euler:xyz");
+    } => BlamedOn("ORD001");
+    ORD003 a_quaternion_slip_is_no_inverse: |log| {
+        log.run.pose.coding = Coding::Slipped(QuaternionSlip::XyzwReadAsWxyz);
+    } => BlamedOn("ORD002");
+    ORD003 a_tool_is_no_inverse: |log| log.run.pose.tip_from_stream = crate::frm::tool()
+        => BlamedOn("FRM003");
+    ORD003 no_poses: |log| {
+        log.run.pose.timing.rate_hz = 0.0;
+        log.run.tf.timing.rate_hz = 0.0;
+        log.run.imu.timing.rate_hz = 0.0;
+    } => Skipped("no stream with orientations");
+
+    ORD004 joints_in_degrees: |log| log.run.joints.in_degrees = true
+        => error(Topic(JOINT_STATES), ReadAs("deg", "rad"));
+    ORD004 an_arm_that_hardly_leaves_zero_is_sound: |log| {
+        log.run.home = vec![0.0; 6];
+        log.run.amplitude = 0.1;
+    } => Sound;
+    ORD004 joints_in_another_order_are_no_degrees: |log| {
+        log.run.joints.number_order = Some(vec![2, 1, 0, 3, 4, 5]);
+    } => BlamedOn("ORD005");
+    ORD004 millimetres_are_no_degrees: |log| log.run.pose.in_millimetres = true
+        => BlamedOn("ORD008");
+    ORD004 no_joint_states: |log| log.run.joints.timing.rate_hz = 0.0 => Skipped("joint states");
+    ORD004 nothing_to_hold_the_joints_against: |log| {
+        log.run.pose.timing.rate_hz = 0.0;
+        log.run.tf.timing.rate_hz = 0.0;
+        log.run.imu.timing.rate_hz = 0.0;
+    } => Undecided("log a pose");
+
+    ORD005 numbers_in_the_order_of_the_alphabet: |log| {
+        log.run.joints.number_order = Some(vec![2, 1, 0, 3, 4, 5]);
+    } => error(Topic(JOINT_STATES), Order(&[
+        "elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint",
+        "wrist_1_joint", "wrist_2_joint", "wrist_3_joint",
+    ]));
+    ORD005 numbers_in_a_ring: |log| {
+        log.run.joints.number_order = Some(vec![5, 0, 1, 2, 3, 4]);
+    } => error(Topic(JOINT_STATES), Order(&[
+        "wrist_3_joint", "shoulder_pan_joint", "shoulder_lift_joint",
+        "elbow_joint", "wrist_1_joint", "wrist_2_joint",
+    ]));
+    ORD005 names_and_numbers_in_the_same_order_are_sound: |log| {
+        log.edit = Some(|messages| reorder(messages, [2, 1, 0, 3, 4, 5]));
+    } => Sound;
+    ORD005 degrees_are_no_order: |log| log.run.joints.in_degrees = true => BlamedOn("ORD004");
+    ORD005 joint_zeros_are_no_order: |log| {
+        log.run.joints.zero_offsets = vec![0.0, 0.0, 0.0, 0.05];
+    } => BlamedOn("ZER001");
+    ORD005 no_names: |log| log.run.joints.timing.rate_hz = 0.0 => Skipped("joint states");
+    ORD005 only_what_believes_the_names: |log| {
+        log.run.joints.number_order = Some(vec![2, 1, 0, 3, 4, 5]);
+        log.run.pose.timing.rate_hz = 0.0;
+        log.run.imu.timing.rate_hz = 0.0;
+    } => Undecided("log a pose that does not come from /tf");
+
+    ORD008 positions_in_millimetres: |log| log.run.pose.in_millimetres = true
+        => error(Topic(POSE), ReadAs("mm", "m"));
+    ORD008 a_percent_is_no_unit: |log| log.run.pose.growth = 0.3e-3 => Sound;
+    ORD008 degrees_are_no_millimetres: |log| log.run.joints.in_degrees = true
+        => BlamedOn("ORD004");
+    ORD008 a_frame_far_off_is_no_unit: |log| {
+        log.run.pose.reference_from_stream = crate::frm::far_off();
+    } => BlamedOn("FRM002");
+    ORD008 no_positions: |log| {
+        log.run.pose.timing.rate_hz = 0.0;
+        log.run.tf.timing.rate_hz = 0.0;
+    } => Skipped("no pose stream");
+}
+
+/// The report on a log whose poses are bare numbers, beside what is said of their having no stamps.
+fn audited_as_numbers(edit: fn(&mut Vec<Message>)) -> Report {
+    let mut report = Log::with(|log| log.edit = Some(edit)).audited();
+    let stamps = the(&report, "TIM005", NUMBERS);
+    assert_eq!(stamps.severity, Severity::Info);
+    report.findings.retain(|finding| finding.code != "TIM005");
+    report
+}
+
+#[test]
+fn bare_numbers_are_read_as_what_follows_the_arm() {
+    let report = audited_as_numbers(|messages| as_numbers(messages, 1.0));
+    assert!(report.findings.is_empty(), "{}", summary(&report.findings));
+    let is_asked = |row: &&CheckRow| row.code == "ORD001" && row.subject.label() == NUMBERS;
+    let row = report.checks.iter().find(is_asked).expect("it is a pose");
+    assert_eq!(row.status, Status::Pass, "{row:#?}");
+    assert!(row.reason.as_deref().is_some_and(|reason| reason.contains("rotvec")), "{row:#?}");
+}
+
+#[test]
+fn bare_numbers_may_be_degrees() {
+    let report = audited_as_numbers(|messages| as_numbers(messages, 1_f64.to_degrees()));
+    let finding = the(&report, "ORD004", NUMBERS);
+    ReadAs("deg", "rad").assert_is(finding.estimate.as_ref());
+    assert_eq!(report.findings.len(), 1, "{}", summary(&report.findings));
+}
+
+pub fn misread(is: &str, read_as: &str) -> Coding {
+    let convention = |name: &str| name.parse().expect("a convention's name");
+    Coding::Misread(Misreading { is: convention(is), read_as: convention(read_as) })
+}
+
+pub fn misread_as_rpy() -> Coding {
+    Coding::Misread(Misreading { is: Convention::RotVec, read_as: Convention::RPY })
+}
+
+/// Turns the poses into six bare numbers: position and rotation vector, this many to the radian.
+pub fn as_numbers(messages: &mut [Message], to_the_radian: f64) {
+    for message in messages.iter_mut().filter(|message| message.topic == POSE) {
+        let mut numbers = Vec::new();
+        for field in message.fields() {
+            match field {
+                Field::Stamp(_) => {}
+                Field::Xyz(at, _) => numbers.extend(message.floats::<3>(at)),
+                Field::Xyzw(at) => {
+                    let rotation = rotation_from_xyzw(message.floats(at)).expect("a rotation");
+                    let rotvec = Convention::RotVec.numbers(&rotation);
+                    numbers.extend(rotvec.map(|radians| radians * to_the_radian));
+                }
+            }
+        }
+        message.become_array(NUMBERS, &numbers);
+    }
+}
+
+/// Changes the sign of every other quaternion.
+pub fn turn_signs(messages: &mut [Message]) {
+    for message in messages.iter_mut().step_by(2) {
+        for field in message.fields() {
+            if let Field::Xyzw(at) = field {
+                message.set_floats(at, &message.floats::<4>(at).map(|component| -component));
+            }
+        }
+    }
+}
+
+/// Puts the joints of all joint states into another order, names and numbers alike.
+pub fn reorder(messages: &mut [Message], order: [usize; 6]) {
+    for message in messages.iter_mut().filter(|message| message.topic == JOINT_STATES) {
+        message.reorder_joints(&order);
+    }
+}

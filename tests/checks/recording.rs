@@ -1,0 +1,270 @@
+//! A log as its messages, and what can be done to them that the generator does not do.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::io::Cursor;
+use std::sync::Arc;
+
+use mcap::{Channel, Compression, Schema};
+
+use poseaudit::synth::{IMU, JOINT_STATES, POSE, Scenario, TF, TF_STATIC};
+
+/// One message of a log.
+#[derive(Clone)]
+pub struct Message {
+    pub topic: String,
+    pub type_name: String,
+    pub definition: String,
+    pub log_ns: i64,
+    /// Encoded, with the four bytes that say how.
+    pub cdr: Vec<u8>,
+}
+
+/// The bytes of the log of `run`, its messages edited.
+pub fn write(run: &Scenario, edit: Option<fn(&mut Vec<Message>)>) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    run.write_mcap(Cursor::new(&mut bytes), None).expect("the log is written");
+    let Some(edit) = edit else { return bytes };
+    let mut messages = read(&bytes);
+    edit(&mut messages);
+    encode(&messages)
+}
+
+fn read(bytes: &[u8]) -> Vec<Message> {
+    let messages = mcap::MessageStream::new(bytes).expect("a log");
+    let message = |message: mcap::Message| {
+        let schema = message.channel.schema.as_ref().expect("a schema");
+        Message {
+            topic: message.channel.topic.clone(),
+            type_name: schema.name.clone(),
+            definition: String::from_utf8(schema.data.to_vec()).expect("a text"),
+            log_ns: message.log_time.cast_signed(),
+            cdr: message.data.to_vec(),
+        }
+    };
+    messages.map(|read| message(read.expect("a message"))).collect()
+}
+
+/// The log of `messages`, in chunks of some 64 KiB.
+fn encode(messages: &[Message]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let options = mcap::WriteOptions::new()
+        .profile("ros2")
+        .compression(Some(Compression::Zstd))
+        .compression_threads(0)
+        .chunk_size(Some(1 << 16));
+    let mut writer = options.create(Cursor::new(&mut bytes)).expect("a writer");
+    let mut channels: BTreeMap<&str, Arc<Channel>> = BTreeMap::new();
+    for (sequence, message) in (1..).zip(messages) {
+        let id = channels.len() as u16;
+        let channel = channels.entry(&message.topic).or_insert_with(|| {
+            let schema = Schema {
+                id: id + 1,
+                name: message.type_name.clone(),
+                encoding: "ros2msg".to_owned(),
+                data: Cow::Owned(message.definition.clone().into_bytes()),
+            };
+            Arc::new(Channel {
+                id,
+                topic: message.topic.clone(),
+                schema: Some(Arc::new(schema)),
+                message_encoding: "cdr".to_owned(),
+                metadata: BTreeMap::new(),
+            })
+        });
+        let time = message.log_ns.cast_unsigned();
+        let written = mcap::Message {
+            channel: Arc::clone(channel),
+            sequence,
+            log_time: time,
+            publish_time: time,
+            data: Cow::Borrowed(&message.cdr),
+        };
+        writer.write(&written).expect("a message is written");
+    }
+    writer.finish().expect("the log is written");
+    drop(writer);
+    bytes
+}
+
+/// A part of a message, by where its bytes are.
+pub enum Field {
+    /// Seconds and nanoseconds.
+    Stamp(usize),
+    /// Position or translation, of this child frame where it is a transform.
+    Xyz(usize, String),
+    /// A quaternion.
+    Xyzw(usize),
+}
+
+impl Message {
+    /// Its fields that tests change.
+    pub fn fields(&self) -> Vec<Field> {
+        let mut cdr = Reader { bytes: &self.cdr, at: 4 };
+        let mut fields = Vec::new();
+        match self.topic.as_str() {
+            JOINT_STATES => fields.push(cdr.header()),
+            POSE => fields.extend([cdr.header(), cdr.xyz(String::new()), cdr.xyzw()]),
+            IMU => fields.extend([cdr.header(), cdr.xyzw()]),
+            TF | TF_STATIC => {
+                for _ in 0..cdr.u32() {
+                    fields.push(cdr.header());
+                    let child = cdr.string();
+                    fields.extend([cdr.xyz(child), cdr.xyzw()]);
+                }
+            }
+            _ => {}
+        }
+        fields
+    }
+
+    pub fn floats<const N: usize>(&self, at: usize) -> [f64; N] {
+        let float = |i: usize| f64::from_le_bytes(self.cdr[at + 8 * i..][..8].try_into().unwrap());
+        std::array::from_fn(float)
+    }
+
+    pub fn set_floats(&mut self, at: usize, values: &[f64]) {
+        for (i, value) in values.iter().enumerate() {
+            self.cdr[at + 8 * i..][..8].copy_from_slice(&value.to_le_bytes());
+        }
+    }
+
+    /// Moves its stamps and the time of receipt by `by_ns`.
+    pub fn shift(&mut self, by_ns: i64) {
+        const SECOND_NS: i64 = 1_000_000_000;
+        self.log_ns += by_ns;
+        for field in self.fields() {
+            let Field::Stamp(at) = field else { continue };
+            let word = |at: usize| u32::from_le_bytes(self.cdr[at..at + 4].try_into().unwrap());
+            let stamp_ns = i64::from(word(at)) * SECOND_NS + i64::from(word(at + 4)) + by_ns;
+            let seconds = u32::try_from(stamp_ns / SECOND_NS).expect("a stamp after 1970");
+            let nanos = (stamp_ns % SECOND_NS) as u32;
+            self.cdr[at..at + 4].copy_from_slice(&seconds.to_le_bytes());
+            self.cdr[at + 4..at + 8].copy_from_slice(&nanos.to_le_bytes());
+        }
+    }
+
+    /// Puts the joints of a joint state into the order `order`, names and numbers alike.
+    pub fn reorder_joints(&mut self, order: &[usize]) {
+        let mut cdr = Reader { bytes: &self.cdr, at: 4 };
+        cdr.header();
+        let from = cdr.at;
+        let names: Vec<String> = (0..cdr.u32()).map(|_| cdr.string()).collect();
+        let lists: Vec<Vec<f64>> = (0..3).map(|_| cdr.list()).collect();
+        let mut written = self.cdr[..from].to_vec();
+        align(&mut written, 4);
+        written.extend((names.len() as u32).to_le_bytes());
+        for &joint in order {
+            align(&mut written, 4);
+            written.extend((names[joint].len() as u32 + 1).to_le_bytes());
+            written.extend(names[joint].as_bytes());
+            written.push(0);
+        }
+        for list in lists {
+            let numbers: Vec<f64> = match list.as_slice() {
+                [] => Vec::new(),
+                list => order.iter().map(|&joint| list[joint]).collect(),
+            };
+            append_list(&mut written, &numbers);
+        }
+        self.cdr = written;
+    }
+
+    /// Turns it into a `std_msgs/Float64MultiArray` of `numbers`.
+    pub fn become_array(&mut self, topic: &str, numbers: &[f64]) {
+        self.topic = topic.to_owned();
+        self.type_name = "std_msgs/msg/Float64MultiArray".to_owned();
+        let parts = [
+            ("MultiArrayLayout", "MultiArrayDimension[] dim\nuint32 data_offset\n"),
+            ("MultiArrayDimension", "string label\nuint32 size\nuint32 stride\n"),
+        ];
+        self.definition = "MultiArrayLayout layout\nfloat64[] data\n".to_owned();
+        for (name, fields) in parts {
+            self.definition += &format!("{:=<80}\nMSG: std_msgs/{name}\n{fields}", "");
+        }
+        self.cdr.truncate(4);
+        self.cdr.extend([0; 8]);
+        append_list(&mut self.cdr, numbers);
+    }
+}
+
+/// Fills up to where a value of `size` bytes may stand; the encapsulation does not count.
+fn align(cdr: &mut Vec<u8>, size: usize) {
+    cdr.resize((cdr.len() - 4).next_multiple_of(size) + 4, 0);
+}
+
+fn append_list(cdr: &mut Vec<u8>, numbers: &[f64]) {
+    align(cdr, 4);
+    cdr.extend((numbers.len() as u32).to_le_bytes());
+    if !numbers.is_empty() {
+        align(cdr, 8);
+    }
+    for number in numbers {
+        cdr.extend(number.to_le_bytes());
+    }
+}
+
+/// Walks along a message.
+struct Reader<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl Reader<'_> {
+    /// Where the next value of `size` bytes is, `count` of which are passed.
+    fn pass(&mut self, size: usize, count: usize) -> usize {
+        let at = (self.at - 4).next_multiple_of(size) + 4;
+        self.at = at + size * count;
+        at
+    }
+
+    fn u32(&mut self) -> u32 {
+        let at = self.pass(4, 1);
+        u32::from_le_bytes(self.bytes[at..at + 4].try_into().unwrap())
+    }
+
+    fn string(&mut self) -> String {
+        let length = self.u32() as usize;
+        let at = self.pass(1, length);
+        String::from_utf8(self.bytes[at..at + length - 1].to_vec()).expect("a text")
+    }
+
+    fn list(&mut self) -> Vec<f64> {
+        let count = self.u32() as usize;
+        if count == 0 {
+            return Vec::new();
+        }
+        let at = self.pass(8, count);
+        let numbers = self.bytes[at..at + 8 * count].chunks_exact(8);
+        numbers.map(|number| f64::from_le_bytes(number.try_into().unwrap())).collect()
+    }
+
+    /// The stamp; the frame is passed.
+    fn header(&mut self) -> Field {
+        let at = self.pass(4, 2);
+        self.string();
+        Field::Stamp(at)
+    }
+
+    fn xyz(&mut self, child: String) -> Field {
+        Field::Xyz(self.pass(8, 3), child)
+    }
+
+    fn xyzw(&mut self) -> Field {
+        Field::Xyzw(self.pass(8, 4))
+    }
+}
+
+/// Gives all messages of `topic` the stamp of the first.
+pub fn freeze(messages: &mut [Message], topic: &str) {
+    let mut first: Option<[u8; 8]> = None;
+    for message in messages.iter_mut().filter(|message| message.topic == topic) {
+        for field in message.fields() {
+            if let Field::Stamp(at) = field {
+                let stamp = &mut message.cdr[at..at + 8];
+                let own: [u8; 8] = (&*stamp).try_into().unwrap();
+                stamp.copy_from_slice(first.get_or_insert(own).as_slice());
+            }
+        }
+    }
+}

@@ -1,0 +1,77 @@
+//! The reports on the fixture logs, as they stand in `snapshots/`.
+//!
+//! Numbers are cut to three digits, which the last bits of a platform's sine do not reach. After a
+//! change that is meant, run `INSTA_UPDATE=always cargo test --test checks reports` and read the diff.
+
+use std::path::Path;
+
+use poseaudit::report::{Report, json, text};
+use poseaudit::{Options, audit};
+use serde_json::{Number, Value};
+
+fn report(fixture: &str) -> Report {
+    let path = Path::new("fixtures").join(fixture);
+    assert!(path.exists(), "tests run in the folder of the crate");
+    audit(&Options { logs: vec![path], ..Options::default() }).expect("a report")
+}
+
+/// The report for people: as it is, but for the version.
+fn text_of(report: &Report) -> String {
+    let mut out = Vec::new();
+    text::write(report, &mut out).expect("a text");
+    let text = String::from_utf8(out).expect("UTF-8");
+    without_version(&without_styles(&text)).replace('\\', "/")
+}
+
+/// The report for programs, its numbers rounded.
+fn json_of(report: &Report) -> String {
+    let mut out = Vec::new();
+    json::write(report, &mut out).expect("a text");
+    let mut value: Value = serde_json::from_slice(&out).expect("JSON");
+    round(&mut value);
+    value["tool"]["version"] = "[version]".into();
+    without_version(&serde_json::to_string_pretty(&value).expect("JSON")).replace("\\\\", "/")
+}
+
+fn without_version(text: &str) -> String {
+    text.replace(concat!("poseaudit ", env!("CARGO_PKG_VERSION")), "poseaudit [version]")
+}
+
+/// Leaves out the escape sequences of colours.
+fn without_styles(text: &str) -> String {
+    let mut plain = String::new();
+    let mut parts = text.split("\u{1b}[");
+    plain.extend(parts.next());
+    for part in parts {
+        plain.extend(part.split_once('m').map(|(_, rest)| rest));
+    }
+    plain
+}
+
+/// Cuts numbers that are no counts to three significant digits.
+fn round(value: &mut Value) {
+    match value {
+        Value::Number(number) if number.is_f64() => {
+            let short = number.as_f64().map(|number| format!("{number:.2e}"));
+            let short = short.and_then(|text| text.parse().ok()).and_then(Number::from_f64);
+            *number = short.expect("a number in JSON is finite");
+        }
+        Value::Array(values) => values.iter_mut().for_each(round),
+        Value::Object(fields) => fields.values_mut().for_each(round),
+        _ => {}
+    }
+}
+
+#[test]
+fn the_clean_log() {
+    let report = report("clean.mcap");
+    insta::assert_snapshot!("clean.txt", text_of(&report));
+    insta::assert_snapshot!("clean.json", json_of(&report));
+}
+
+#[test]
+fn the_faulty_log() {
+    let report = report("faulty.mcap");
+    insta::assert_snapshot!("faulty.txt", text_of(&report));
+    insta::assert_snapshot!("faulty.json", json_of(&report));
+}

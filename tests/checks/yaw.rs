@@ -1,0 +1,166 @@
+//! YAW: the heading of an IMU.
+
+use poseaudit::geometry::{
+    Pose, Rotation, Vec3, pose, rotation_from_rotvec, rotation_from_xyzw, xyzw_from_rotation,
+};
+use poseaudit::synth::{IMU, Motion};
+
+use crate::case::On::Topic;
+use crate::case::What::{Amount, Degrees, DegreesAMinute};
+use crate::case::{Expected, Log, cases, error, warning};
+use crate::recording::{Field, Message};
+use Expected::{BlamedOn, Skipped, Sound, Undecided};
+
+cases! {
+    YAW001 a_drift_of_three: |log| log.run.imu.yaw_drift_rad_s = degrees_a_minute(3.0)
+        => error(Topic(IMU), DegreesAMinute(3.0, 0.1));
+    YAW001 a_drift_the_other_way: |log| log.run.imu.yaw_drift_rad_s = degrees_a_minute(-1.0)
+        => warning(Topic(IMU), DegreesAMinute(-1.0, 0.1));
+    YAW001 a_drift_of_an_imu_on_its_side: |log| {
+        log.run.imu.tip_from_imu =
+            pose([0.0, 0.05, 0.0], rotation_from_rotvec(Vec3::new(1.2, 0.3, -0.8)));
+        log.run.imu.yaw_drift_rad_s = degrees_a_minute(2.5);
+    } => error(Topic(IMU), DegreesAMinute(2.5, 0.1));
+
+    YAW001 a_yaw_that_is_constant_is_sound: |log| log.run.imu.world_yaw_rad = -2.2 => Sound;
+    YAW001 a_twentieth_of_a_degree_a_minute_is_sound: |log| {
+        log.run.imu.yaw_drift_rad_s = degrees_a_minute(0.05);
+    } => Sound;
+
+    YAW001 a_wrists_zero_is_no_drift: |log| log.run.joints.zero_offsets = crate::zer::zero(3, 1.0)
+        => BlamedOn("ZER001");
+    YAW001 a_late_imu_is_no_drift: |log| log.run.imu.timing.latency_s = 0.02
+        => BlamedOn("LAT001");
+    YAW001 a_gyros_bias_is_no_drift_of_the_orientation: |log| {
+        log.run.imu.gyro_bias_rad_s = bias();
+    } => BlamedOn("YAW004");
+    YAW001 a_turned_mount_is_no_drift: |log| log.run.imu.mount_error = turned(20.0)
+        => BlamedOn("YAW003");
+    YAW001 a_misread_imu_is_no_drift: |log| {
+        log.run.imu.coding = crate::ord::misread("euler:ZYX", "euler:xyz");
+    } => BlamedOn("ORD001");
+
+    YAW001 no_imu: |log| log.run.imu.timing.rate_hz = 0.0 => Skipped("no IMU");
+    YAW001 no_orientation: |log| log.run.imu.with_orientation = false
+        => Skipped("no orientation");
+    YAW001 a_second_of_yaw: |log| log.run.duration_s = 1.2 => Undecided("±0.2 °/min is needed");
+
+    YAW002 an_accelerometer_that_leans: |log| log.edit = Some(|messages| lean(messages))
+        => warning(Topic(IMU), Degrees(1.5, 0.05));
+    YAW002 a_world_that_is_not_level: |log| log.edit = Some(|messages| tilt_world(messages))
+        => error(Topic(IMU), Degrees(3.0, 0.05));
+    YAW002 an_imu_upside_down_is_sound: |log| {
+        log.run.imu.tip_from_imu =
+            pose([0.0, 0.05, 0.0], rotation_from_rotvec(Vec3::new(3.0, 0.3, 0.0)));
+    } => Sound;
+    YAW002 a_drift_of_yaw_is_no_tilt: |log| log.run.imu.yaw_drift_rad_s = degrees_a_minute(3.0)
+        => BlamedOn("YAW001");
+    YAW002 a_turned_mount_is_no_tilt: |log| log.run.imu.mount_error = turned(3.0)
+        => BlamedOn("YAW003");
+    YAW002 a_late_imu_is_no_tilt: |log| log.run.imu.timing.latency_s = 0.02
+        => BlamedOn("LAT001");
+    YAW002 no_imu_to_lean: |log| log.run.imu.timing.rate_hz = 0.0 => Skipped("no IMU");
+    YAW002 no_roll_and_pitch: |log| log.run.imu.with_orientation = false
+        => Skipped("no orientation");
+
+    YAW003 a_quarter_turn: |log| log.run.imu.mount_error = turned(90.0)
+        => error(Topic(IMU), Degrees(90.0, 0.1));
+    YAW003 three_degrees: |log| log.run.imu.mount_error = turned(3.0)
+        => warning(Topic(IMU), Degrees(3.0, 0.1));
+    YAW003 a_quarter_turn_without_orientation: |log| {
+        log.run.imu.mount_error = turned(90.0);
+        log.run.imu.with_orientation = false;
+    } => error(Topic(IMU), Degrees(90.0, 0.5));
+    YAW003 a_twentieth_of_a_degree_is_sound: |log| log.run.imu.mount_error = turned(0.05)
+        => Sound;
+    YAW003 a_wrists_zero_is_no_mount: |log| log.run.joints.zero_offsets = crate::zer::zero(4, 2.0)
+        => BlamedOn("ZER001");
+    YAW003 a_misread_imu_is_no_mount: |log| {
+        log.run.imu.coding = crate::ord::misread("euler:ZYX", "euler:xyz");
+    } => BlamedOn("ORD001");
+    YAW003 a_gyros_bias_is_no_mount: |log| log.run.imu.gyro_bias_rad_s = bias()
+        => BlamedOn("YAW004");
+    YAW003 no_imu_to_mount: |log| log.run.imu.timing.rate_hz = 0.0 => Skipped("no IMU");
+    YAW003 no_frame_of_the_imu: |log| log.run.tf.with_static = false => Skipped("frame");
+
+    YAW004 a_gyro_that_turns_at_rest: |log| log.run.imu.gyro_bias_rad_s = bias()
+        => error(Topic(IMU), Amount(BIAS_RAD_S, 0.5e-3));
+    YAW004 a_gyro_that_turns_a_little: |log| log.run.imu.gyro_bias_rad_s = bias() * 0.2
+        => warning(Topic(IMU), Amount(0.2 * BIAS_RAD_S, 0.5e-3));
+    YAW004 a_gyro_alone: |log| {
+        log.run.imu.gyro_bias_rad_s = bias();
+        log.run.imu.with_orientation = false;
+    } => error(Topic(IMU), Amount(BIAS_RAD_S, 0.5e-3));
+    YAW004 a_hundredth_of_a_degree_a_second_is_sound: |log| {
+        log.run.imu.gyro_bias_rad_s = Vec3::new(0.0, 0.0, 2e-4);
+    } => Sound;
+    YAW004 a_drift_of_the_orientation_is_no_bias: |log| {
+        log.run.imu.yaw_drift_rad_s = degrees_a_minute(3.0);
+    } => BlamedOn("YAW001");
+    YAW004 a_late_imu_is_no_bias: |log| log.run.imu.timing.latency_s = 0.02
+        => BlamedOn("LAT001");
+    YAW004 a_turned_mount_is_no_bias: |log| log.run.imu.mount_error = turned(20.0)
+        => BlamedOn("YAW003");
+    YAW004 no_imu_with_a_gyro: |log| log.run.imu.timing.rate_hz = 0.0 => Skipped("no IMU");
+}
+
+/// Norm of [`bias`].
+const BIAS_RAD_S: f64 = 0.03;
+
+fn bias() -> Vec3 {
+    Vec3::new(0.01, -0.02, 0.02)
+}
+
+/// A mount turned about an axis of its own.
+fn turned(degrees: f64) -> Pose {
+    pose([0.0; 3], rotation_from_rotvec(Vec3::new(0.6, 0.0, 0.8) * degrees.to_radians()))
+}
+
+/// Turns what the accelerometer feels by 1.5° about the world's x axis.
+fn lean(messages: &mut [Message]) {
+    const AFTER_QUATERNION: usize = 8 * (4 + 9 + 3 + 9);
+    let lean = rotation_from_rotvec(Vec3::x() * 1.5_f64.to_radians());
+    for_orientations(messages, |message, at, world_from_imu| {
+        let at = at + AFTER_QUATERNION;
+        let felt = Vec3::from(message.floats::<3>(at));
+        let felt = world_from_imu.inverse() * (lean * (world_from_imu * felt));
+        message.set_floats(at, felt.as_slice());
+    });
+}
+
+/// Turns the world of the orientations by 3° about its y axis.
+fn tilt_world(messages: &mut [Message]) {
+    let tilt = rotation_from_rotvec(Vec3::y() * 3_f64.to_radians());
+    for_orientations(messages, |message, at, world_from_imu| {
+        message.set_floats(at, &xyzw_from_rotation(&(tilt * world_from_imu)));
+    });
+}
+
+/// Calls `change` with each message of the IMU, where its orientation is, and the orientation.
+fn for_orientations(messages: &mut [Message], change: impl Fn(&mut Message, usize, Rotation)) {
+    for message in messages.iter_mut().filter(|message| message.topic == IMU) {
+        for field in message.fields() {
+            if let Field::Xyzw(at) = field {
+                let rotation = rotation_from_xyzw(message.floats(at)).expect("a rotation");
+                change(message, at, rotation);
+            }
+        }
+    }
+}
+
+fn degrees_a_minute(rate: f64) -> f64 {
+    rate.to_radians() / 60.0
+}
+
+#[test]
+fn a_drift_shows_while_the_arm_rests() {
+    let report = Log::with(|log| {
+        log.run.motion = Motion::AtRest;
+        log.run.imu.yaw_drift_rad_s = degrees_a_minute(3.0);
+    })
+    .audited();
+    // At rest nothing tells the IMU's latency, but a yaw that turns does not need it.
+    let found: Vec<&str> = report.findings.iter().map(|finding| finding.code).collect();
+    assert_eq!(found, ["YAW001"]);
+    DegreesAMinute(3.0, 0.1).assert_is(report.findings[0].estimate.as_ref());
+}

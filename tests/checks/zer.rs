@@ -1,0 +1,116 @@
+//! ZER: joint zeros.
+
+use poseaudit::robot::Robot;
+use poseaudit::synth::{Motion, POSE, Scenario, urdf_text};
+
+use crate::case::On::{Joint, Topic};
+use crate::case::What::{Amount, Degrees};
+use crate::case::{Expected, Log, cases, error, the, warning};
+use Expected::{BlamedOn, LeftOpenBy, Skipped, Sound, Undecided};
+
+cases! {
+    ZER001 an_elbow: |log| log.run.joints.zero_offsets = zero(2, 0.6)
+        => error(Joint("elbow_joint"), Degrees(0.6, 0.02));
+    ZER001 a_shoulder_below: |log| log.run.joints.zero_offsets = zero(1, -0.3)
+        => warning(Joint("shoulder_lift_joint"), Degrees(-0.3, 0.02));
+    ZER001 a_wrist: |log| log.run.joints.zero_offsets = zero(3, 1.0)
+        => error(Joint("wrist_1_joint"), Degrees(1.0, 0.02));
+    ZER001 the_first_joint: |log| log.run.joints.zero_offsets = zero(0, 0.4)
+        => warning(Joint("shoulder_pan_joint"), Degrees(0.4, 0.02));
+    ZER001 the_last_joint: |log| log.run.joints.zero_offsets = zero(5, -0.8)
+        => error(Joint("wrist_3_joint"), Degrees(-0.8, 0.02));
+    ZER001 a_rail: |log| {
+        on_a_rail(&mut log.run);
+        log.run.joints.zero_offsets = vec![0.003];
+    } => error(Joint("rail_joint"), Amount(0.003, 0.05e-3));
+
+    ZER001 a_hundredth_of_a_degree_is_sound: |log| log.run.joints.zero_offsets = zero(2, 0.01)
+        => Sound;
+    ZER001 an_arm_on_a_rail_is_sound: |log| on_a_rail(&mut log.run) => Sound;
+
+    ZER001 a_late_pose_is_no_zero: |log| log.run.pose.timing.latency_s = 0.022
+        => BlamedOn("LAT001");
+    ZER001 a_turned_base_is_no_zero: |log| {
+        log.run.pose.reference_from_stream = crate::frm::half_turn();
+    } => BlamedOn("FRM002");
+    ZER001 a_tool_is_no_zero: |log| log.run.pose.tip_from_stream = crate::frm::tool()
+        => BlamedOn("FRM003");
+    ZER001 growth_with_reach_is_no_zero: |log| log.run.pose.growth = 0.01 => BlamedOn("ZER002");
+    ZER001 nominal_kinematics_are_no_zero: |log| crate::mdl::calibrate(&mut log.run)
+        => LeftOpenBy("MDL001", "calibrat");
+    ZER001 a_drifting_imu_is_no_zero: |log| log.run.imu.yaw_drift_rad_s = 1e-3
+        => BlamedOn("YAW001");
+
+    ZER001 no_pose: |log| log.run.pose.timing.rate_hz = 0.0 => Skipped("no pose stream");
+    ZER001 an_arm_that_rests: |log| log.run.motion = Motion::AtRest => Undecided("");
+    ZER001 one_joint_that_moves: |log| log.run.motion = Motion::OneJoint(1) => Undecided("");
+
+    ZER002 positions_too_far_out: |log| log.run.pose.growth = 0.01
+        => error(Topic(POSE), Amount(0.01, 0.1e-3));
+    ZER002 positions_too_near: |log| log.run.pose.growth = -0.002
+        => warning(Topic(POSE), Amount(-0.002, 0.1e-3));
+    ZER002 a_ten_thousandth_is_sound: |log| log.run.pose.growth = 1e-4 => Sound;
+    ZER002 a_joint_zero_is_no_growth: |log| log.run.joints.zero_offsets = zero(2, 0.6)
+        => BlamedOn("ZER001");
+    ZER002 a_tool_is_no_growth: |log| log.run.pose.tip_from_stream = crate::frm::tool()
+        => BlamedOn("FRM003");
+    ZER002 millimetres_are_no_growth: |log| log.run.pose.in_millimetres = true
+        => BlamedOn("ORD008");
+    ZER002 nominal_kinematics_are_no_growth: |log| crate::mdl::calibrate(&mut log.run)
+        => LeftOpenBy("MDL001", "calibrat");
+    ZER002 no_pose_to_grow: |log| log.run.pose.timing.rate_hz = 0.0 => Skipped("no pose stream");
+}
+
+/// An offset of one joint, in degrees.
+pub fn zero(joint: usize, degrees: f64) -> Vec<f64> {
+    let mut offsets = vec![0.0; joint];
+    offsets.push(degrees.to_radians());
+    offsets
+}
+
+/// Puts the arm on a rail along x.
+fn on_a_rail(run: &mut Scenario) {
+    let rail = r#"  <link name="rail"/>
+  <joint name="rail_joint" type="prismatic">
+    <parent link="rail"/>
+    <child link="base_link"/>
+    <axis xyz="1 0 0"/>
+    <limit effort="0" lower="-1" upper="1" velocity="1"/>
+  </joint>
+</robot>"#;
+    let text = urdf_text(&run.robot).replace("</robot>", rail);
+    run.robot = Robot::from_urdf(&text, "a UR5e on a rail").expect("a robot");
+    run.base = "rail".to_owned();
+    run.pose.frame_id = "rail".to_owned();
+    run.home.insert(0, 0.0);
+}
+
+/// What a finding on this joint says it could be instead.
+fn indistinguishable(joint: usize, name: &str) -> Vec<(&'static str, f64)> {
+    let report = Log::with(|log| log.run.joints.zero_offsets = zero(joint, 0.6)).audited();
+    let others = the(&report, "ZER001", name).evidence.indistinguishable.iter();
+    let degrees = |value: f64| (value.to_degrees() * 100.0).round() / 100.0;
+    others
+        .map(|other| {
+            let value = other.estimate.as_ref().and_then(|estimate| estimate.value());
+            (other.code, degrees(value.expect("a value")).abs())
+        })
+        .collect()
+}
+
+#[test]
+fn the_ends_of_the_chain_list_the_frames_that_do_the_same() {
+    assert_eq!(indistinguishable(0, "shoulder_pan_joint"), [("FRM002", 0.6)]);
+    assert_eq!(indistinguishable(2, "elbow_joint"), []);
+    assert_eq!(indistinguishable(5, "wrist_3_joint"), [("FRM003", 0.6)]);
+}
+
+#[test]
+fn what_the_state_publisher_inherits_is_said_with_the_joint() {
+    let report = Log::with(|log| log.run.joints.zero_offsets = zero(2, 0.6)).audited();
+    let finding = the(&report, "ZER001", "elbow_joint");
+    assert_eq!(finding.evidence.more["inherited_by"], serde_json::json!(["/tf"]));
+    // 0.6° at the elbow swing what is beyond it: forearm and wrist, 0.49 m at most.
+    let effect_m = finding.evidence.effect_m.expect("an effect");
+    assert!((0.003..0.006).contains(&effect_m), "{effect_m}");
+}
