@@ -805,7 +805,10 @@ fn interval(case: &Case, row: &CheckRow) -> Vec<Interval> {
     let make = |code: String, value: f64, ci95: Option<[f64; 2]>, truth: f64| {
         let [low, high] = ci95?;
         let covers = (low..=high).contains(&truth);
-        let topic = row.subject.topic.clone().unwrap_or_default();
+        let mut topic = row.subject.topic.clone().unwrap_or("joints".to_owned());
+        if topic == synth::TF && case.scenario.tf.timing.phase_s == 0.0 {
+            topic += " with the joints' stamps";
+        }
         let is_norm = NORMS.iter().any(|norm| code.starts_with(norm));
         Some(Interval {
             code,

@@ -4,7 +4,7 @@ use crate::diagnosis::{Measured, PoseDiagnosis};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
-    /// A stream's latency grows: its clock and the joint states' run at different rates.
+    /// A stream's latency grows, as of a clock that runs at another rate.
     ///
     /// ## What it means
     /// The latency of the stream against the joint states changes by this much per second of stamp:
