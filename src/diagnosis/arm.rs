@@ -1,6 +1,6 @@
 //! The arm and its pose streams: everything that is estimated from joint states and poses together.
 
-use super::explain::{Approach, Cause, ENTANGLED, Explanation, Menu, explain, price};
+use super::explain::{Approach, Cause, ENTANGLED, Explanation, Menu, best, explain, price};
 use super::frames::{frame_estimate, starts};
 use super::joints::{corrected, lies_on_arm, read_joints};
 use super::latency::{Peak, arm_speeds, median_period_s, pose_peaks, top};
@@ -508,7 +508,8 @@ fn best_start(prepared: &Prepared, dof: usize, with_offsets: bool) -> State {
     } else {
         vec![0.0]
     };
-    lags.iter()
+    let explanations = lags
+        .iter()
         .flat_map(|&lag_s| match with_offsets {
             true => starts(&prepared.witness, lag_s),
             false => vec![StreamState::at_latency(lag_s)],
@@ -518,11 +519,11 @@ fn best_start(prepared: &Prepared, dof: usize, with_offsets: bool) -> State {
             let state = State { offsets: vec![0.0; dof], streams: vec![stream] };
             explain(&[&prepared.witness], state, &menu, approach, SEARCH_SAMPLES)
         })
-        .min_by(|a, b| a.score.total_cmp(&b.score))
-        .map_or_else(
-            || State { offsets: vec![0.0; dof], streams: vec![StreamState::at_latency(0.0)] },
-            |best| best.state,
-        )
+        .collect();
+    best(explanations).map_or_else(
+        || State { offsets: vec![0.0; dof], streams: vec![StreamState::at_latency(0.0)] },
+        |best| best.state,
+    )
 }
 
 fn unseen_offsets(dof: usize) -> Vec<JointOffset> {

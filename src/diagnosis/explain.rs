@@ -7,6 +7,7 @@
 use super::Measured;
 use super::linear::{Linear, Normal, Weight, sandwich};
 use super::model::{GROWTH, LATENCY, REFERENCE, SKEW, STREAM_WIDTH, State, TOOL, Witness};
+use super::noise::Noise;
 use nalgebra::{DMatrix, DVector};
 
 /// A set of causes in which one is this near to a mix of the others (unexplained share of its
@@ -262,8 +263,6 @@ pub(super) struct Explanation {
     /// The optional causes chosen, ascending.
     pub causes: Vec<Cause>,
     pub linear: Linearized,
-    /// Profile-likelihood score in which explanations with different noise compare; less is better.
-    pub score: f64,
 }
 
 /// How a search begins.
@@ -302,8 +301,7 @@ pub(super) fn explain(
             break;
         }
     }
-    let score = likelihood_score(&linear, &causes, &state);
-    Explanation { state, causes, linear, score }
+    Explanation { state, causes, linear }
 }
 
 /// Whether a step is below what any estimate resolves.
@@ -311,20 +309,54 @@ fn small(step: &DVector<f64>) -> bool {
     step.amax() < 1e-7
 }
 
-/// `Σ n·ln σ²` of the residuals at the state reached, plus the price of its parameters and round
-/// slips. A state that has not settled leaves more than its causes could take off, and pays for it.
-fn likelihood_score(linear: &Linearized, causes: &[Cause], state: &State) -> f64 {
-    let mut score = 0.0;
-    for stream in &linear.streams {
-        let samples = stream.len() as f64;
-        // Noise memory is capped so that a bad explanation's smooth residual does not count as few samples.
-        for Weight { noise, .. } in stream.weights_after(&vec![0.0; stream.width]) {
-            score += 2.0 * 3.0 * samples / noise.inflation().min(20.0) * noise.sigma.ln();
-        }
+/// The best of several explanations of the same streams: the least `Σ n·ln σ²` of the residuals at
+/// the state reached, plus the price of its parameters and round slips.
+///
+/// A state that has not settled leaves more than its causes could take off, and pays for it. The
+/// noise's memory, which makes `n` smaller, is the same for all: that of the explanation that leaves
+/// least. Memory that differs a little from one to the next would decide between equals.
+pub(super) fn best(explanations: Vec<Explanation>) -> Option<Explanation> {
+    let noises: Vec<Vec<Noise>> = explanations.iter().map(Explanation::noise).collect();
+    let log_sigmas = |noise: &[Noise]| noise.iter().map(|noise| noise.sigma.ln()).sum::<f64>();
+    let quietest = noises.iter().min_by(|a, b| log_sigmas(a).total_cmp(&log_sigmas(b)))?.iter();
+    // Capped, so that a smooth residual does not count as few samples.
+    let memory: Vec<f64> = quietest.map(|noise| noise.inflation().min(20.0)).collect();
+    let score = |(explanation, noise): &(Explanation, Vec<Noise>)| -> f64 {
+        let kinds = noise.len() / explanation.linear.streams.len().max(1);
+        let samples = explanation.linear.streams.iter().flat_map(|stream| {
+            // Three components a sample.
+            std::iter::repeat_n(3.0 * stream.len() as f64, kinds)
+        });
+        let fit: f64 = samples
+            .zip(noise.iter().zip(&memory))
+            .map(|(n, (noise, memory))| 2.0 * n / memory * noise.sigma.ln())
+            .sum();
+        fit + explanation.price()
+    };
+    explanations
+        .into_iter()
+        .zip(noises)
+        .min_by(|a, b| score(a).total_cmp(&score(b)))
+        .map(|(explanation, _)| explanation)
+}
+
+impl Explanation {
+    /// The noise of each stream and kind of residual at the state reached.
+    fn noise(&self) -> Vec<Noise> {
+        let streams = self.linear.streams.iter();
+        streams
+            .flat_map(|stream| stream.weights_after(&vec![0.0; stream.width]))
+            .map(|weight| weight.noise)
+            .collect()
     }
-    let optional: usize = causes.iter().map(|cause| cause.parameters(state).len()).sum();
-    let rounds =
-        state.streams.iter().flat_map(|s| [&s.round_reference, &s.round_tool]).flatten().count();
-    // Between equals a round slip comes before a tuned number.
-    score + price(linear.normal.independent) * (optional as f64 + 0.5 * rounds as f64)
+
+    /// What its parameters and round slips cost.
+    fn price(&self) -> f64 {
+        let tuned: usize =
+            self.causes.iter().map(|cause| cause.parameters(&self.state).len()).sum();
+        let streams = self.state.streams.iter();
+        let round = streams.flat_map(|s| [&s.round_reference, &s.round_tool]).flatten().count();
+        // Between equals a round slip comes before a tuned number.
+        price(self.linear.normal.independent) * (tuned as f64 + 0.5 * round as f64)
+    }
 }

@@ -19,6 +19,9 @@ const MOST_JOINTS: usize = 7;
 const BETTER: f64 = 5.0;
 /// Residual below which the joint states are not questioned, as a share of the motion's extent.
 const FINE: f64 = 0.05;
+/// The same where the reference frame had to be turned: an arm whose joints are read from tip to
+/// base moves much like the inverse of one whose frames are turned.
+const FINE_TURNED: f64 = 0.005;
 /// Residual below which positions lie on the arm, as a share of their extent.
 const ON_ARM: f64 = 0.3;
 
@@ -57,7 +60,7 @@ pub(super) fn read_joints(
         }
         let extent = spread(&moments.xyz).max(0.01);
         let as_logged = misfit(chain, &moments);
-        if as_logged <= FINE * extent {
+        if as_logged <= FINE_TURNED * extent || unturned_misfit(chain, &moments) <= FINE * extent {
             return Ok(JointReading { degrees: None, permutation: None, runner_up_m: None });
         }
         best.consider(chain, &moments, as_logged);
@@ -74,6 +77,10 @@ pub(super) fn read_joints(
             }
             (permutation, slip)
         });
+    if degrees.is_none() && permutation.is_none() && as_logged > ON_ARM * best.extent {
+        // Not as logged, and no one other reading stands out.
+        return Err(Unseen::NotExcited);
+    }
     let runner_up_m = permutation.as_ref().map(|_| best.runner_up);
     Ok(JointReading { degrees, permutation, runner_up_m })
 }
@@ -87,12 +94,21 @@ struct Candidate {
     order: Option<Vec<usize>>,
     /// Least misfit of any other order.
     runner_up: f64,
+    /// Spread of the positions, m.
+    extent: f64,
 }
 
 impl Default for Candidate {
     fn default() -> Self {
         let worst = f64::INFINITY;
-        Self { as_logged: worst, corrected: worst, degrees: false, order: None, runner_up: worst }
+        Self {
+            as_logged: worst,
+            corrected: worst,
+            degrees: false,
+            order: None,
+            runner_up: worst,
+            extent: worst,
+        }
     }
 }
 
@@ -101,6 +117,7 @@ impl Candidate {
     fn consider(&mut self, chain: &Chain, moments: &Moments, as_logged: f64) {
         self.as_logged = self.as_logged.min(as_logged);
         let extent = spread(&moments.xyz).max(0.01);
+        self.extent = self.extent.min(extent);
         let radians = in_radians(chain, moments);
         let corrected = misfit(chain, &radians);
         if corrected < self.corrected {
@@ -214,6 +231,14 @@ fn in_radians(chain: &Chain, moments: &Moments) -> Moments {
         if kinds[i % kinds.len()] == JointKind::Prismatic { *q } else { q.to_radians() }
     };
     Moments { q: moments.q.iter().enumerate().map(convert).collect(), ..moments.clone() }
+}
+
+/// What is left of the positions, rms m, when a constant tool offset is taken off.
+fn unturned_misfit(chain: &Chain, moments: &Moments) -> f64 {
+    let poses: Vec<Pose> = moments.q.chunks_exact(chain.dof()).map(|q| chain.forward(q)).collect();
+    let expected = Expected::of(&poses);
+    let plain = expected.tool_misfit(&moments.xyz);
+    moments.inverse_xyz.as_ref().map_or(plain, |xyz| plain.min(expected.tool_misfit(xyz)))
 }
 
 /// What is left of the positions, rms m, when constant frames are taken off.

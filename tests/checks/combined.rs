@@ -2,9 +2,10 @@
 
 use poseaudit::geometry::QuaternionSlip;
 use poseaudit::report::Report;
-use poseaudit::synth::{self, Coding, IMU, POSE};
+use poseaudit::robot::catalogue;
+use poseaudit::synth::{self, Coding, IMU, JOINT_STATES, POSE, Scenario};
 
-use crate::case::What::{Amount, Degrees, DegreesAMinute, Frame, ReadAs};
+use crate::case::What::{Amount, Degrees, DegreesAMinute, Frame, Order, ReadAs};
 use crate::case::{Log, What, summary, the};
 use crate::zer::zero;
 
@@ -149,4 +150,41 @@ fn an_inverted_pose_with_a_joint_zero_and_late() {
             ("LAT001", POSE, Amount(-0.012, 0.2e-3)),
         ],
     );
+}
+
+/// A log of an iiwa, whose links are of nearly the same lengths from either end.
+fn iiwa(change: impl FnOnce(&mut Log)) -> Report {
+    let robot = catalogue::find("kuka_lbr_iiwa14").expect("the catalogue has it").clone();
+    Log::with(|log| {
+        let sound = log.run.clone();
+        log.run = Scenario::new(robot, "lbr_link_0", "lbr_link_ee");
+        log.run.home = vec![0.0, 0.5, 0.0, -1.4, 0.0, 1.0, 0.0];
+        (log.run.duration_s, log.run.speed) = (sound.duration_s, sound.speed);
+        (log.run.joints.timing, log.run.pose.timing) = (sound.joints.timing, sound.pose.timing);
+        (log.run.tf.timing, log.run.imu.timing) = (sound.tf.timing, sound.imu.timing);
+        log.options.tip = Some("lbr_link_ee".to_owned());
+        change(log);
+    })
+    .audited()
+}
+
+#[test]
+fn joints_read_from_tip_to_base_are_no_inverse_between_turned_frames() {
+    let report = iiwa(|log| log.run.joints.number_order = Some((0..7).rev().collect()));
+    assert_found(
+        &report,
+        &[(
+            "ORD005",
+            JOINT_STATES,
+            Order(&["lbr_A7", "lbr_A6", "lbr_A5", "lbr_A4", "lbr_A3", "lbr_A2", "lbr_A1"]),
+        )],
+    );
+}
+
+#[test]
+fn a_base_turned_by_half_is_no_zero_of_the_first_joint() {
+    let report = iiwa(|log| log.run.pose.reference_from_stream = crate::frm::half_turn());
+    assert_found(&report, &[("FRM002", POSE, Frame([0.0, 0.05e-3], [180.0, 0.01]))]);
+    let twins = &report.findings[0].evidence.indistinguishable;
+    assert!(twins.iter().any(|twin| twin.code == "ZER001"), "{twins:?}");
 }
