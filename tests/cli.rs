@@ -216,3 +216,16 @@ fn codes(report: &Value) -> Vec<&str> {
     let findings = report["findings"].as_array().expect("a list");
     findings.iter().filter_map(|finding| finding["code"].as_str()).collect()
 }
+
+#[test]
+fn the_demo_speaks_json_too() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let dir = folder.path().display().to_string();
+    let output = poseaudit(&["demo", &dir, "--format", "json"]);
+    assert_eq!(status(&output), 0, "{}", stderr(&output));
+    let report = json(&output);
+    assert_eq!(report["schema"], "poseaudit.report/1");
+    assert_eq!(report["verdict"], "fail");
+    let recovered = stderr(&output).lines().filter(|line| line.starts_with("recovered"));
+    assert_eq!(recovered.count(), 4, "{}", stderr(&output));
+}

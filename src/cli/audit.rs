@@ -1,5 +1,6 @@
 //! `poseaudit audit`.
 
+use std::io::{self, Write};
 use std::path::PathBuf;
 
 use clap::ValueEnum;
@@ -79,11 +80,21 @@ pub struct Args {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Format {
+pub enum Format {
     /// For people
     Text,
     /// For programs, in SI units
     Json,
+}
+
+impl Format {
+    /// Writes `report` in this format.
+    pub fn write(self, report: &Report, out: &mut dyn Write) -> io::Result<()> {
+        match self {
+            Format::Text => text::write(report, out),
+            Format::Json => json::write(report, out),
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -153,10 +164,7 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
         Err(trouble) if format == Format::Json => Report::of_trouble(trouble),
         Err(trouble) => return Err(trouble),
     };
-    output::emit(output.as_deref(), |out| match format {
-        Format::Text => text::write(&report, out),
-        Format::Json => json::write(&report, out),
-    })?;
+    output::emit(output.as_deref(), |out| format.write(&report, out))?;
     if let Some(trouble) = &report.error {
         output::error(trouble);
     }

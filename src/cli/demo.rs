@@ -2,8 +2,10 @@
 
 use std::path::PathBuf;
 
-use poseaudit::report::{Trouble, text};
+use poseaudit::Planted;
+use poseaudit::report::Trouble;
 
+use super::audit::Format;
 use super::{Outcome, output};
 
 /// Write a small faulty log of a UR5e, audit it, and see whether every planted fault is found
@@ -14,19 +16,34 @@ pub struct Args {
     /// Folder for the log, which is made
     #[arg(value_name = "DIR", default_value = "poseaudit-demo")]
     dir: PathBuf,
+
+    /// Format of the report
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    format: Format,
 }
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     let demo = poseaudit::demo(&args.dir)?;
     output::emit(None, |out| {
-        text::write(&demo.report, out)?;
-        writeln!(out)?;
-        for planted in &demo.planted {
-            let mark = if planted.recovered { "recovered" } else { "missed" };
-            writeln!(out, "{mark:<16}{}", planted.what)?;
+        args.format.write(&demo.report, out)?;
+        if args.format == Format::Text {
+            writeln!(out)?;
+            for planted in &demo.planted {
+                writeln!(out, "{}", line(planted))?;
+            }
         }
         Ok(())
     })?;
+    if args.format != Format::Text {
+        for planted in &demo.planted {
+            eprintln!("{}", line(planted));
+        }
+    }
     let recovered = demo.planted.iter().all(|planted| planted.recovered);
     Ok(if recovered { Outcome::Clean } else { Outcome::Findings })
+}
+
+fn line(planted: &Planted) -> String {
+    let mark = if planted.recovered { "recovered" } else { "missed" };
+    format!("{mark:<16}{}", planted.what)
 }
