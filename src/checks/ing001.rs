@@ -56,6 +56,7 @@ fn judge(loss: &Loss) -> Judged {
             (Severity::Error, "messages are lost", "record again, or audit the sound part alone")
         }
     };
+    let place = loss.offset.map_or_else(String::new, |offset| format!(" at byte {offset}"));
     let lost = match loss.messages {
         Some(messages) => format!(", {messages} messages lost"),
         None => String::new(),
@@ -63,7 +64,7 @@ fn judge(loss: &Loss) -> Judged {
     let fault = Fault {
         severity,
         title,
-        message: format!("{} at byte {}{lost}", loss.what, loss.offset),
+        message: format!("{}{place}{lost}", loss.what),
         evidence: Evidence::default(),
         fix: fix.to_owned(),
     };

@@ -3,6 +3,9 @@ use std::path::{Path, PathBuf};
 
 use super::Log;
 
+/// What can be read.
+const EXPECTED: &str = "an MCAP file, a ROS 1 bag, a rosbag2 bag or an RTDE CSV";
+
 /// Why nothing could be read from the files given.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
@@ -18,11 +21,21 @@ pub enum LogError {
         /// The path as given.
         path: PathBuf,
     },
-    /// The path is a directory.
-    #[error("{}: is a directory; name the log files in it", path.display())]
+    /// The path is a directory, but not of one recording.
+    #[error("{}: is a directory {cause}; name the log files in it", path.display())]
     Directory {
         /// The path as given.
         path: PathBuf,
+        /// Why it is not read, after "is a directory".
+        cause: &'static str,
+    },
+    /// The same file is among the files more than once.
+    #[error("{}: is given twice{}; name it once", path.display(), same_as(path, first))]
+    Twice {
+        /// The path as given the second time.
+        path: PathBuf,
+        /// The path as given the first time.
+        first: PathBuf,
     },
     /// The path is a pipe, a device or a socket.
     #[error("{}: is not a regular file; save the log to a file first", path.display())]
@@ -55,7 +68,7 @@ pub enum LogError {
         instead: &'static str,
     },
     /// The file is no log.
-    #[error("{}: not a robot log: it looks like {looks}; expected an MCAP file", path.display())]
+    #[error("{}: not a robot log: it looks like {looks}; expected {EXPECTED}", path.display())]
     NotALog {
         /// The path as given.
         path: PathBuf,
@@ -89,9 +102,17 @@ impl LogError {
         match log.losses.first() {
             Some(loss) => Self::NoMessages {
                 path: loss.file.clone(),
-                cause: format!("byte {}: {}", loss.offset, loss.what),
+                cause: match loss.offset {
+                    Some(offset) => format!("byte {offset}: {}", loss.what),
+                    None => loss.what.clone(),
+                },
             },
             None => Self::NoMessages { path, cause: "none were recorded".to_owned() },
         }
     }
+}
+
+/// Under which other path a file was given, if under another.
+fn same_as(path: &Path, first: &Path) -> String {
+    if path == first { String::new() } else { format!(", first as {}", first.display()) }
 }

@@ -1,15 +1,31 @@
 //! What every container hands its content to.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::fmt;
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::path::{Path, PathBuf};
 
 use super::decode::{self, Builder, Format, Plan, Recipe, Row, RowTimes};
 use super::losses::Losses;
-use super::{Description, Log, LogFile, Loss, Topic, Undecodable};
+use super::unpack::{Allowance, Unpacker, ZSTD_MAGIC};
+use super::{Description, Log, LogFile, Loss, Note, Topic, Undecodable};
+use crate::stream::Columns;
 use crate::time::Stamp;
 
 /// Longest robot description taken from an attachment or metadata, in bytes.
 const MAX_DESCRIPTION_BYTES: usize = 16 << 20;
+
+/// Most channels that are told apart. The largest recordings have a few thousand.
+const MAX_CHANNELS: usize = 1 << 14;
+
+/// Most different messages of a latching channel that are known again.
+const MAX_LATCHED: usize = 1 << 12;
+
+/// Most notes kept.
+const MAX_NOTES: usize = 100;
+
+/// First and last log time.
+pub(super) type Span = (Stamp, Stamp);
 
 /// Collects topics, messages and damage over all files of a run.
 #[derive(Default)]
@@ -17,10 +33,20 @@ pub(super) struct Intake {
     topics: Vec<TopicIntake>,
     by_name: HashMap<(String, String), usize>,
     channels: Vec<Channel>,
+    by_format: HashMap<FormatKey, ChannelId>,
     messages: u64,
     descriptions: Vec<Description>,
     losses: Vec<Loss>,
+    notes: Vec<Note>,
+    /// The files that were begun.
+    files: Vec<PathBuf>,
+    /// What the compressed parts of the file begun last may unpack to.
+    pub(super) allowance: Allowance,
+    unpacker: Unpacker,
 }
+
+/// What makes two channels one: their topic, their encoding and type, and a hash of their schema.
+type FormatKey = (String, String, String, u64);
 
 /// A channel that an [`Intake`] knows.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -36,13 +62,38 @@ pub(super) struct Message<'a> {
     /// The encoded message.
     pub(super) data: &'a [u8],
     /// Where in the file it is, or the chunk that holds it.
-    pub(super) offset: u64,
+    pub(super) place: Place,
+    /// Whether it is one that its sender repeats to whoever comes late, and a recorder at the
+    /// beginning of every file.
+    pub(super) latched: bool,
+}
+
+/// Where in a file a message is.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Place {
+    /// At this byte.
+    Byte(u64),
+    /// In this row of a table.
+    Row(i64),
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Place::Byte(offset) => write!(f, "record at byte {offset} of the file"),
+            Place::Row(row) => write!(f, "row {row} of the table `messages`"),
+        }
+    }
 }
 
 /// Where messages of one channel go and how they are decoded.
 struct Channel {
     topic: usize,
     decoding: Decoding,
+    /// Whether each message may be a zstd frame: no CDR message begins like one.
+    may_be_packed: bool,
+    /// Hashes of the latched messages that were taken.
+    latched: HashSet<u64>,
 }
 
 enum Decoding {
@@ -64,83 +115,148 @@ struct TopicIntake {
     encoding: String,
     messages: u64,
     builder: Option<Builder>,
+    /// Rows that were not decoded from messages.
+    columns: Option<Columns>,
     undecodable: Option<Undecodable>,
-    span: Option<(Stamp, Stamp)>,
+    /// The files that hold it, by their number, and the span in each.
+    spans: Vec<(usize, Span)>,
 }
 
 impl TopicIntake {
-    fn undecodable(&mut self, offset: u64, cause: &dyn fmt::Display) {
+    fn undecodable(&mut self, place: Place, cause: &dyn fmt::Display) {
         let undecodable = self.undecodable.get_or_insert_with(|| Undecodable {
             messages: 0,
-            first: format!("{cause} (record at byte {offset} of the file)"),
+            first: format!("{cause} ({place})"),
         });
         undecodable.messages += 1;
     }
 
-    fn finish(self) -> Topic {
-        Topic {
-            name: self.name,
-            type_name: self.type_name,
-            encoding: self.encoding,
-            messages: self.messages,
-            columns: self.builder.map(Builder::finalize),
-            undecodable: self.undecodable,
-            span: self.span,
+    /// Takes down that file number `file` holds a message of log time `at`.
+    fn seen(&mut self, file: usize, at: Stamp) {
+        match self.spans.last_mut() {
+            Some((last, (first_at, last_at))) if *last == file => {
+                *first_at = at.min(*first_at);
+                *last_at = at.max(*last_at);
+            }
+            _ => self.spans.push((file, (at, at))),
         }
+    }
+
+    /// The topic, and one more for each further part of what its messages hold.
+    fn finish(self) -> Vec<Topic> {
+        let span = self.spans.into_iter().map(|(_, span)| span).reduce(join);
+        let parts = match (self.columns, self.builder) {
+            (Some(columns), _) => vec![("", Some(columns))],
+            (None, Some(builder)) => builder.finalize(),
+            (None, None) => vec![("", None)],
+        };
+        let topic = |(part, columns): (&str, _)| Topic {
+            name: format!("{}{part}", self.name),
+            type_name: self.type_name.clone(),
+            encoding: self.encoding.clone(),
+            messages: self.messages,
+            columns,
+            // Told once, for the whole of the messages.
+            undecodable: self.undecodable.clone().filter(|_| part.is_empty()),
+            span,
+        };
+        parts.into_iter().map(topic).collect()
     }
 }
 
 impl Intake {
+    /// Begins with the next file, of `bytes`.
+    pub(super) fn begin_file(&mut self, path: &Path, bytes: u64) {
+        self.files.push(path.to_owned());
+        self.allowance = Allowance::of(bytes);
+    }
+
     /// Takes up a channel; one of the same topic and type goes on where the last one stopped.
-    pub(super) fn channel(&mut self, topic: &str, format: Format<'_>) -> ChannelId {
+    /// `None` where there are more channels than any log has.
+    pub(super) fn channel(&mut self, topic: &str, format: Format<'_>) -> Option<ChannelId> {
+        let key = format_key(topic, format);
+        if let Some(&known) = self.by_format.get(&key) {
+            return Some(known);
+        }
+        if self.channels.len() == MAX_CHANNELS {
+            return None;
+        }
         let recipe = Recipe::of(format.type_name);
         let decoding = match recipe.map(|recipe| recipe.plan(format)) {
             None => Decoding::Ignored,
             Some(Ok(plan)) => Decoding::By { plan, row: Box::default() },
             Some(Err(error)) => Decoding::Impossible { cause: error.to_string() },
         };
+        let index = self.topic(topic, format);
+        if let (Some(recipe), Decoding::By { .. }) = (recipe, &decoding) {
+            self.topics[index].builder.get_or_insert_with(|| recipe.builder());
+        }
+        let id = ChannelId(self.channels.len());
+        self.channels.push(Channel {
+            topic: index,
+            decoding,
+            may_be_packed: format.encoding == "cdr",
+            latched: HashSet::new(),
+        });
+        self.by_format.insert(key, id);
+        Some(id)
+    }
+
+    /// The index of the topic of this name and type.
+    fn topic(&mut self, topic: &str, format: Format<'_>) -> usize {
         let key = (topic.to_owned(), decode::canonical(format.type_name).into_owned());
-        let index = *self.by_name.entry(key).or_insert_with(|| {
+        *self.by_name.entry(key).or_insert_with(|| {
             self.topics.push(TopicIntake {
                 name: topic.to_owned(),
                 type_name: format.type_name.to_owned(),
                 encoding: format.encoding.to_owned(),
                 messages: 0,
                 builder: None,
+                columns: None,
                 undecodable: None,
-                span: None,
+                spans: Vec::new(),
             });
             self.topics.len() - 1
-        });
-        if let (Some(recipe), Decoding::By { .. }) = (recipe, &decoding) {
-            self.topics[index].builder.get_or_insert_with(recipe.builder);
-        }
-        self.channels.push(Channel { topic: index, decoding });
-        ChannelId(self.channels.len() - 1)
+        })
     }
 
     /// Counts a message, and appends its rows where the channel has columns.
     pub(super) fn message(&mut self, channel: ChannelId, message: Message<'_>) {
-        let Channel { topic, decoding } = &mut self.channels[channel.0];
-        let topic = &mut self.topics[*topic];
+        let channel = &mut self.channels[channel.0];
+        let topic = &mut self.topics[channel.topic];
         let times = RowTimes {
             log: saturating(message.log_time),
             publish: saturating(message.publish_time),
         };
         self.messages += 1;
         topic.messages += 1;
-        let at = Stamp::from_nanos(times.log);
-        topic.span = join(topic.span, Some((at, at)));
-        match (decoding, &mut topic.builder) {
+        topic.seen(self.files.len(), Stamp::from_nanos(times.log));
+        if message.latched && channel.is_repeated(message.data) {
+            return;
+        }
+        match (&mut channel.decoding, &mut topic.builder) {
             (Decoding::By { plan, row }, Some(builder)) => {
+                let mut data = message.data;
+                if channel.may_be_packed && data.starts_with(ZSTD_MAGIC) {
+                    match self.unpacker.message(data, &mut self.allowance) {
+                        Ok(unpacked) => data = unpacked,
+                        Err(error) => return topic.undecodable(message.place, &error),
+                    }
+                }
                 let mut append = |row: &Row| builder.append(row, times);
-                if let Err(error) = plan.decode(message.data, row, &mut append) {
-                    topic.undecodable(message.offset, &error);
+                if let Err(error) = plan.decode(data, row, &mut append) {
+                    topic.undecodable(message.place, &error);
                 }
             }
-            (Decoding::Impossible { cause }, _) => topic.undecodable(message.offset, cause),
+            (Decoding::Impossible { cause }, _) => topic.undecodable(message.place, cause),
             (Decoding::By { .. } | Decoding::Ignored, _) => {}
         }
+    }
+
+    /// Gives a channel whose messages are only counted the columns that its reader made of them.
+    pub(super) fn columns(&mut self, channel: ChannelId, columns: Columns) {
+        let topic = self.channels[channel.0].topic;
+        self.topics[topic].columns = Some(columns);
     }
 
     /// Messages taken so far.
@@ -166,24 +282,140 @@ impl Intake {
         }
     }
 
+    /// Takes down what a reader of the report should know of `file`, and is no damage.
+    pub(super) fn note(&mut self, file: &Path, what: String) {
+        if self.notes.len() < MAX_NOTES {
+            self.notes.push(Note { file: file.to_owned(), what });
+        }
+    }
+
     /// Takes down the damage to a file.
     pub(super) fn losses(&mut self, losses: Losses) {
         self.losses.extend(losses.finish());
     }
 
-    /// The log of all that was taken.
-    pub(super) fn finish(self, files: Vec<LogFile>) -> Log {
-        let mut topics: Vec<Topic> = self.topics.into_iter().map(TopicIntake::finish).collect();
+    /// The log of all that was taken from `files`.
+    pub(super) fn finish(mut self, files: Vec<LogFile>) -> Log {
+        self.note_strangers();
+        let mut topics: Vec<Topic> =
+            self.topics.into_iter().flat_map(TopicIntake::finish).collect();
         topics.sort_by(|a, b| (&a.name, &a.type_name).cmp(&(&b.name, &b.type_name)));
         Log {
             files,
-            span: topics.iter().map(|topic| topic.span).fold(None, join),
+            span: topics.iter().filter_map(|topic| topic.span).reduce(join),
             topics,
             descriptions: self.descriptions,
             messages: self.messages,
             losses: self.losses,
+            notes: self.notes,
         }
     }
+
+    /// Says which files do not look like parts of one run.
+    fn note_strangers(&mut self) {
+        let mut notes: Vec<(usize, String)> = Vec::new();
+        let mut told = HashSet::new();
+        for topic in &self.topics {
+            for (earlier, later, shared_s) in overlaps(&topic.spans) {
+                if told.insert((earlier, later)) {
+                    let (name, other) = (&topic.name, self.file(earlier).display());
+                    notes.push((
+                        later,
+                        format!(
+                            "{shared_s:.1} s of `{name}` are in {other}, too: \
+                             are they recordings of one run?"
+                        ),
+                    ));
+                }
+            }
+        }
+        for (earlier, later, apart_s) in gaps(&self.file_spans()) {
+            let (hours, other) = (apart_s / 3600.0, self.file(earlier).display());
+            let what = format!("it begins {hours:.1} h after {other} ends: is it of the same run?");
+            notes.push((later, what));
+        }
+        notes.sort_by_key(|(number, _)| *number);
+        for (number, what) in notes {
+            let file = self.file(number).to_owned();
+            self.note(&file, what);
+        }
+    }
+
+    /// The path of file number `number`, counted from 1.
+    fn file(&self, number: usize) -> &Path {
+        number.checked_sub(1).and_then(|index| self.files.get(index)).map_or(Path::new(""), |p| p)
+    }
+
+    /// The span of each file, by its number.
+    fn file_spans(&self) -> Vec<(usize, Span)> {
+        let mut spans: Vec<(usize, Span)> =
+            self.topics.iter().flat_map(|topic| &topic.spans).copied().collect();
+        spans.sort_by_key(|&(number, _)| number);
+        spans.dedup_by(|next, kept| {
+            let same = next.0 == kept.0;
+            if same {
+                kept.1 = join(kept.1, next.1);
+            }
+            same
+        });
+        spans
+    }
+}
+
+impl Channel {
+    /// Whether a latched message of this channel was taken before.
+    fn is_repeated(&mut self, data: &[u8]) -> bool {
+        let mut hasher = DefaultHasher::new();
+        data.hash(&mut hasher);
+        let hash = hasher.finish();
+        self.latched.contains(&hash)
+            || (self.latched.len() < MAX_LATCHED && !self.latched.insert(hash))
+    }
+}
+
+fn format_key(topic: &str, format: Format<'_>) -> FormatKey {
+    let mut hasher = DefaultHasher::new();
+    (format.schema_encoding, format.schema).hash(&mut hasher);
+    let Format { encoding, type_name, .. } = format;
+    (topic.to_owned(), encoding.to_owned(), type_name.to_owned(), hasher.finish())
+}
+
+/// Pairs of files (the one that begins first, the other) that share more of their time than the
+/// splits of one recording do, and how much, s: longer than a second, or than half of the shorter.
+fn overlaps(spans: &[(usize, Span)]) -> Vec<(usize, usize, f64)> {
+    const SPLIT_S: f64 = 1.0;
+    let length_s = |(first, last): Span| last.seconds_since(first);
+    let shared_s = |a: Span, b: Span| length_s((a.0.max(b.0), a.1.min(b.1)));
+    neighbours(spans)
+        .map(|(a, b)| (a.0, b.0, shared_s(a.1, b.1), length_s(a.1).min(length_s(b.1))))
+        .filter(|&(_, _, shared, shorter)| shared > 0.0 && shared > SPLIT_S.min(0.5 * shorter))
+        .map(|(a, b, shared, _)| (a, b, shared))
+        .collect()
+}
+
+/// Pairs of files between which nothing was recorded for longer than a day, and how long, s.
+fn gaps(spans: &[(usize, Span)]) -> Vec<(usize, usize, f64)> {
+    const DAY_S: f64 = 86_400.0;
+    neighbours(spans)
+        .map(|(a, b)| (a.0, b.0, b.1.0.seconds_since(a.1.1)))
+        .filter(|&(_, _, apart)| apart > DAY_S)
+        .collect()
+}
+
+/// Each file but the first, in the order in which they begin, behind the one that ends last of
+/// those before it.
+fn neighbours(spans: &[(usize, Span)]) -> impl Iterator<Item = ((usize, Span), (usize, Span))> {
+    let mut spans = spans.to_vec();
+    spans.sort_by_key(|&(number, span)| (span.0, number));
+    let mut spans = spans.into_iter();
+    let mut last_ending = spans.next();
+    spans.filter_map(move |next| {
+        let before = last_ending?;
+        if next.1.1 > before.1.1 {
+            last_ending = Some(next);
+        }
+        Some((before, next))
+    })
 }
 
 fn saturating(nanos: u64) -> i64 {
@@ -191,9 +423,95 @@ fn saturating(nanos: u64) -> i64 {
 }
 
 /// The span that covers both.
-fn join(a: Option<(Stamp, Stamp)>, b: Option<(Stamp, Stamp)>) -> Option<(Stamp, Stamp)> {
-    match (a, b) {
-        (Some(a), Some(b)) => Some((a.0.min(b.0), a.1.max(b.1))),
-        (a, b) => a.or(b),
+fn join(a: Span, b: Span) -> Span {
+    (a.0.min(b.0), a.1.max(b.1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{Cdr, POSE_STAMPED};
+    use super::*;
+
+    const HOUR: u64 = 3_600_000_000_000;
+
+    fn poses(schema: &str) -> Format<'_> {
+        Format {
+            encoding: "cdr",
+            type_name: "geometry_msgs/msg/PoseStamped",
+            schema_encoding: "ros2msg",
+            schema: schema.as_bytes(),
+        }
+    }
+
+    fn message(time: u64, data: &[u8], latched: bool) -> Message<'_> {
+        Message { log_time: time, publish_time: time, data, place: Place::Byte(0), latched }
+    }
+
+    #[test]
+    fn a_channel_that_is_described_again_stays_one() {
+        let mut intake = Intake::default();
+        let other = format!("{POSE_STAMPED}# another text\n");
+        let first = intake.channel("/a", poses(POSE_STAMPED));
+        assert_eq!(intake.channel("/a", poses(POSE_STAMPED)), first);
+        assert_ne!(intake.channel("/a", poses(&other)), first);
+        assert_ne!(intake.channel("/b", poses(POSE_STAMPED)), first);
+        assert_eq!(intake.topics.len(), 2);
+    }
+
+    #[test]
+    fn channels_are_bounded() {
+        let mut intake = Intake::default();
+        let taken = |n: usize, intake: &mut Intake| {
+            intake.channel(&n.to_string(), Format { type_name: "a/B", ..poses("") }).is_some()
+        };
+        assert!((0..MAX_CHANNELS).all(|n| taken(n, &mut intake)));
+        assert!(!taken(MAX_CHANNELS, &mut intake));
+        assert!(taken(0, &mut intake));
+    }
+
+    #[test]
+    fn a_latched_message_that_is_repeated_is_counted_but_not_a_row() {
+        let mut intake = Intake::default();
+        intake.begin_file(Path::new("a"), 0);
+        let channel = intake.channel("/a", poses(POSE_STAMPED)).unwrap();
+        let [one, two] = [1, 2].map(|n| Cdr::pose_stamped(n, 0, "base", [0.0; 3]));
+        for (time, data, latched) in
+            [(1, &one, true), (2, &two, true), (3, &one, true), (4, &two, false)]
+        {
+            intake.message(channel, message(time, data, latched));
+        }
+        let log = intake.finish(Vec::new());
+        assert_eq!(log.messages, 4);
+        let Some(Columns::Poses(poses)) = &log.topics[0].columns else { panic!("poses") };
+        assert_eq!(poses[0].times.log, [1, 2, 4]);
+    }
+
+    /// The notes on files whose messages on one topic are at these times.
+    fn notes(files: &[(&str, &[u64])]) -> Vec<String> {
+        let mut intake = Intake::default();
+        for (name, times) in files {
+            intake.begin_file(Path::new(name), 0);
+            let channel = intake.channel("/a", poses(POSE_STAMPED)).unwrap();
+            for &time in *times {
+                intake.message(channel, message(time, &[], false));
+            }
+        }
+        let notes = intake.finish(Vec::new()).notes;
+        notes.iter().map(|note| format!("{}: {}", note.file.display(), note.what)).collect()
+    }
+
+    #[test]
+    fn files_that_are_not_of_one_run_are_said() {
+        let hours: [&[u64]; 3] = [&[0, HOUR], &[HOUR, 2 * HOUR], &[HOUR / 2, 3 * HOUR / 2]];
+        assert_eq!(notes(&[("b", hours[1]), ("a", hours[0])]), [""; 0]);
+        assert_eq!(
+            notes(&[("c", hours[2]), ("a", hours[0])]),
+            ["c: 1800.0 s of `/a` are in a, too: are they recordings of one run?"]
+        );
+        let days: &[u64] = &[49 * HOUR, 50 * HOUR];
+        assert_eq!(
+            notes(&[("a", hours[0]), ("b", days)]),
+            ["b: it begins 48.0 h after a ends: is it of the same run?"]
+        );
     }
 }

@@ -2,6 +2,10 @@ use std::path::{Path, PathBuf};
 
 use super::{Extent, Loss};
 
+/// Why messages of a channel may have none to go to.
+pub(super) const NOT_DESCRIBED: &str =
+    "that no record describes, or that are more than can be told apart";
+
 /// Most losses listed of a file; those beyond are counted into the last.
 const MAX_LOSSES: usize = 100;
 
@@ -26,7 +30,16 @@ impl Losses {
         messages: Option<u64>,
         what: String,
     ) {
-        let loss = Loss { file: self.file.clone(), offset: offset as u64, what, messages, extent };
+        self.add_at(Some(offset as u64), extent, messages, what);
+    }
+
+    /// Takes down damage that is not at one place of the file.
+    pub(super) fn add_unplaced(&mut self, extent: Extent, messages: Option<u64>, what: String) {
+        self.add_at(None, extent, messages, what);
+    }
+
+    fn add_at(&mut self, offset: Option<u64>, extent: Extent, messages: Option<u64>, what: String) {
+        let loss = Loss { file: self.file.clone(), offset, what, messages, extent };
         if self.list.len() < MAX_LOSSES {
             self.list.push(loss);
         } else if let Some(last) = self.list.last_mut() {
@@ -47,16 +60,16 @@ impl Losses {
     }
 
     /// Settles what is not known by what must be missing in all: `recorded` messages were written,
-    /// `read` were read.
-    pub(super) fn settle(&mut self, recorded: u64, read: u64, offset: usize) {
+    /// as `witness` says, `read` were read.
+    pub(super) fn settle(&mut self, witness: &str, recorded: u64, read: u64) {
         let known: u64 = self.list.iter().filter_map(|loss| loss.messages).sum();
         let missing = recorded.saturating_sub(read).saturating_sub(known);
         let mut unknown: Vec<&mut Loss> =
             self.list.iter_mut().filter(|loss| loss.messages.is_none()).collect();
         match unknown.as_mut_slice() {
             [] if missing > 0 => {
-                let what = format!("the summary counts {recorded} messages, {read} were found");
-                self.add(offset, Extent::Messages, Some(missing), what);
+                let what = format!("{witness} counts {recorded} messages, {read} were found");
+                self.add_unplaced(Extent::Messages, Some(missing), what);
             }
             [only] if missing > 0 => only.messages = Some(missing),
             several if missing == 0 => {
@@ -101,7 +114,7 @@ mod tests {
         let mut losses = Losses::of(Path::new("x"));
         losses.add(5, Extent::Messages, None, "broken".to_owned());
         losses.add(9, Extent::Messages, Some(2), "broken".to_owned());
-        losses.settle(20, 11, 0);
+        losses.settle("the summary", 20, 11);
         let losses = losses.finish();
         assert_eq!(losses[0].messages, Some(7));
         assert_eq!(losses[1].messages, Some(2));
@@ -111,7 +124,7 @@ mod tests {
     fn damage_that_took_no_message_is_damage_to_the_index() {
         let mut losses = Losses::of(Path::new("x"));
         losses.add(5, Extent::Messages, None, "broken".to_owned());
-        losses.settle(20, 20, 0);
+        losses.settle("the summary", 20, 20);
         let losses = losses.finish();
         assert_eq!((losses[0].messages, losses[0].extent), (Some(0), Extent::Index));
     }

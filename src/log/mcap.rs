@@ -4,32 +4,35 @@
 //! would take with it. The messages are then found by walking the records themselves, so that files
 //! with and without an index are read alike.
 
-mod chunk;
 mod record;
 #[cfg(test)]
 mod tests;
 
 use std::collections::HashMap;
-use std::path::Path;
 
 use mcap::MAGIC;
 use mcap::records::op;
 
-use self::chunk::Unpacker;
 use self::record::{Broken, Frame};
 use super::decode::Format;
-use super::intake::{ChannelId, Intake, Message};
-use super::losses::Losses;
+use super::intake::{ChannelId, Intake, Message, Place};
+use super::losses::{Losses, NOT_DESCRIBED};
+use super::unpack::Unpacker;
 use super::{Crc, Extent, ReadOptions};
 
 /// Reads the file `bytes`, which begin with [`MAGIC`], into `intake`.
-pub(super) fn read(path: &Path, bytes: &[u8], options: &ReadOptions, intake: &mut Intake) -> Crc {
+pub(super) fn read(
+    bytes: &[u8],
+    options: &ReadOptions<'_>,
+    losses: &mut Losses,
+    intake: &mut Intake,
+) -> Crc {
     let before = intake.messages();
     let mut reader = Reader {
         bytes,
         options,
         intake,
-        losses: Losses::of(path),
+        losses,
         schemas: HashMap::new(),
         channels: Vec::new(),
         covered: 0,
@@ -40,20 +43,14 @@ pub(super) fn read(path: &Path, bytes: &[u8], options: &ReadOptions, intake: &mu
     let end = reader.walk();
     let read = reader.intake.messages() - before;
     reader.close(&summary, end, read);
-    let crc = match reader.covered {
-        0 => Crc::None,
-        covered if covered < read => Crc::Partial,
-        _ => Crc::All,
-    };
-    reader.intake.losses(reader.losses);
-    crc
+    Crc::of(reader.covered, read)
 }
 
 struct Reader<'a> {
     bytes: &'a [u8],
-    options: &'a ReadOptions,
+    options: &'a ReadOptions<'a>,
     intake: &'a mut Intake,
-    losses: Losses,
+    losses: &'a mut Losses,
     schemas: HashMap<u16, Schema>,
     /// By channel id.
     channels: Vec<Option<Channel>>,
@@ -74,7 +71,8 @@ struct Schema {
 
 /// A channel as it was read last; chunks repeat them.
 struct Channel {
-    id: ChannelId,
+    /// `None` where there are too many channels to take it.
+    id: Option<ChannelId>,
     schema_id: u16,
     topic: String,
     encoding: String,
@@ -157,6 +155,7 @@ impl<'a> Reader<'a> {
         // record before that said a wrong length.
         let mut sound = offset;
         while offset < self.bytes.len() {
+            self.options.at(offset);
             match record::frame(self.bytes, offset) {
                 Ok(frame) if matches!(frame.opcode, op::DATA_END | op::FOOTER) => {
                     return End::Closed(frame);
@@ -209,7 +208,7 @@ impl<'a> Reader<'a> {
             self.lose_chunk(frame.offset, "chunk is shorter than it says".to_owned());
             return false;
         };
-        match unpacker.unpack(&chunk) {
+        match chunk.records(unpacker, &mut self.intake.allowance) {
             Ok(records) => {
                 let before = self.intake.messages();
                 self.chunk_records(records, frame.offset);
@@ -249,7 +248,7 @@ impl<'a> Reader<'a> {
         }
         let message = record::Message::parse(frame.body)?;
         let channel = self.channels.get(usize::from(message.channel_id));
-        let Some(Some(Channel { id, .. })) = channel else {
+        let Some(Some(Channel { id: Some(id), .. })) = channel else {
             self.orphans.get_or_insert((0, offset)).0 += 1;
             return Some(());
         };
@@ -259,7 +258,8 @@ impl<'a> Reader<'a> {
                 log_time: message.log_time,
                 publish_time: message.publish_time,
                 data: message.data,
-                offset: offset as u64,
+                place: Place::Byte(offset as u64),
+                latched: false,
             },
         );
         Some(())
@@ -364,7 +364,8 @@ impl<'a> Reader<'a> {
             Broken::Cut { opcode: op::CHUNK, body, .. } if !closed => {
                 let before = self.intake.messages();
                 if let Some(chunk) = record::Chunk::parse(body) {
-                    self.cut_chunk(unpacker.unpack_cut(&chunk), offset);
+                    let records = chunk.cut_records(unpacker, &mut self.intake.allowance);
+                    self.cut_chunk(records, offset);
                 }
                 let saved = self.intake.messages() - before;
                 let what =
@@ -400,7 +401,7 @@ impl<'a> Reader<'a> {
     /// Holds what was read against what the end of the file says.
     fn close(&mut self, summary: &Summary, end: End<'_>, read: u64) {
         if let Some((messages, offset)) = self.orphans {
-            let what = format!("{messages} messages are of channels that no record describes");
+            let what = format!("{messages} messages are of channels {NOT_DESCRIBED}");
             self.losses.add(offset, Extent::Messages, Some(messages), what);
         }
         match (summary, end) {
@@ -414,7 +415,7 @@ impl<'a> Reader<'a> {
             _ => {}
         }
         if let Summary::Closed { messages: Some(recorded) } = *summary {
-            self.losses.settle(recorded, read, self.bytes.len());
+            self.losses.settle("the summary", recorded, read);
         }
     }
 

@@ -10,31 +10,47 @@
 
 mod decode;
 mod error;
+mod files;
 mod intake;
 mod losses;
 mod mcap;
+mod progress;
+mod rosbag1;
+mod rosbag2;
+mod rtde;
 mod sniff;
 #[cfg(test)]
 mod testing;
+mod unpack;
 
-use std::fs::File;
-use std::io;
 use std::path::{Path, PathBuf};
 
-use memmap2::Mmap;
-
+use self::files::{Input, Mapped};
 use self::intake::Intake;
+use self::losses::Losses;
 use self::sniff::Kind;
 use crate::stream::Columns;
 use crate::time::Stamp;
 
 pub use self::error::LogError;
+pub use self::progress::Progress;
 
 /// How to read.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct ReadOptions {
+pub struct ReadOptions<'a> {
     /// Check every checksum in the files, also where that takes another pass over the bytes.
     pub verify: bool,
+    /// Kept up to date while the files are read.
+    pub progress: Option<&'a Progress>,
+}
+
+impl ReadOptions<'_> {
+    /// Says how far the file that is being read was read.
+    fn at(&self, offset: usize) {
+        if let Some(progress) = self.progress {
+            progress.at(offset as u64);
+        }
+    }
 }
 
 /// All that was read from the files of one run.
@@ -52,6 +68,8 @@ pub struct Log {
     pub span: Option<(Stamp, Stamp)>,
     /// What was damaged, in the order of the files and of the bytes in them.
     pub losses: Vec<Loss>,
+    /// What a reader of a report should know of the files, and is no damage.
+    pub notes: Vec<Note>,
 }
 
 impl Log {
@@ -64,7 +82,7 @@ impl Log {
 /// One file that was read.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LogFile {
-    /// Path as given.
+    /// Path as given; of a file in a folder, the folder's path and its name.
     pub path: PathBuf,
     /// What kind of file it is.
     pub container: Container,
@@ -79,6 +97,14 @@ pub struct LogFile {
 pub enum Container {
     /// An MCAP file.
     Mcap,
+    /// A ROS 1 bag of version 2.0.
+    RosBag1,
+    /// A SQLite database of rosbag2.
+    RosBag2Sqlite,
+    /// An MCAP file of a rosbag2 folder.
+    RosBag2Mcap,
+    /// What Universal Robots' RTDE client writes.
+    RtdeCsv,
 }
 
 impl Container {
@@ -86,6 +112,10 @@ impl Container {
     pub const fn name(self) -> &'static str {
         match self {
             Container::Mcap => "mcap",
+            Container::RosBag1 => "rosbag1",
+            Container::RosBag2Sqlite => "rosbag2-sqlite",
+            Container::RosBag2Mcap => "rosbag2-mcap",
+            Container::RtdeCsv => "rtde-csv",
         }
     }
 }
@@ -102,6 +132,15 @@ pub enum Crc {
 }
 
 impl Crc {
+    /// What it is where a checksum holds for `covered` of `read` messages.
+    fn of(covered: u64, read: u64) -> Self {
+        match covered {
+            0 => Crc::None,
+            covered if covered < read => Crc::Partial,
+            _ => Crc::All,
+        }
+    }
+
     /// The name used in reports.
     pub const fn name(self) -> &'static str {
         match self {
@@ -154,14 +193,23 @@ pub struct Description {
 pub struct Loss {
     /// The file.
     pub file: PathBuf,
-    /// Where in the file the damage begins.
-    pub offset: u64,
+    /// Where in the file the damage begins, in bytes; `None` where it is not at one place.
+    pub offset: Option<u64>,
     /// What is wrong there, in one line.
     pub what: String,
     /// How many messages are lost; `None` where nothing in the file says.
     pub messages: Option<u64>,
     /// What kind of content is gone.
     pub extent: Extent,
+}
+
+/// What a reader of a report should know of a file, though nothing in it is damaged.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Note {
+    /// The file.
+    pub file: PathBuf,
+    /// What to know, in one line.
+    pub what: String,
 }
 
 /// What a [`Loss`] took.
@@ -175,29 +223,48 @@ pub enum Extent {
     Messages,
 }
 
-/// Reads the files of one run; rows of the same topic and type are appended in the order given.
+/// Reads the files and rosbag2 folders of one run, of whatever kinds; rows of the same topic and
+/// type are appended in the order given.
 ///
 /// # Errors
 ///
-/// If one of the files cannot be opened or is no log of a supported kind, or if no message can be
-/// read from any of them. Damage to a part of a file is no error: see [`Log::losses`].
-pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
+/// If one of the files cannot be opened or is no log of a supported kind, if the same file is given
+/// twice, or if no message can be read from any of them. Damage to a part of a file is no error: see
+/// [`Log::losses`].
+pub fn open(paths: &[PathBuf], options: &ReadOptions<'_>) -> Result<Log, LogError> {
     let mut intake = Intake::default();
-    let mut files = Vec::with_capacity(paths.len());
-    for path in paths {
-        let map = map(path)?;
-        let (container, crc) = match sniff::kind(&map) {
-            Kind::Mcap => (Container::Mcap, mcap::read(path, &map, options, &mut intake)),
-            Kind::Known { looks, instead } => {
-                return Err(LogError::Unsupported { path: path.clone(), looks, instead });
-            }
-            Kind::Unknown { looks } => {
-                return Err(LogError::NotALog { path: path.clone(), looks });
-            }
-        };
-        let bytes = map.len() as u64;
-        files.push(LogFile { path: path.clone(), container, bytes, crc });
+    let mut rtde = rtde::Recording::default();
+    let inputs = files::inputs(paths, &mut intake)?;
+    files::refuse_repeats(&inputs)?;
+    if let Some(progress) = options.progress {
+        progress.begin(inputs.iter().map(Input::bytes).sum());
     }
+    let mut files = Vec::with_capacity(inputs.len());
+    for input in &inputs {
+        let mut reading = Reading {
+            path: &input.path,
+            in_bag: input.in_bag,
+            options: *options,
+            losses: Losses::of(&input.path),
+            intake: &mut intake,
+            rtde: &mut rtde,
+        };
+        let read = reading.file(input.recorded);
+        let mut losses = reading.losses;
+        match read {
+            Ok(file) => files.push(file),
+            // One file of a recording does not take the others with it.
+            Err(error) if input.in_bag && inputs.len() > 1 => {
+                losses.add_unplaced(Extent::Messages, input.recorded, error.to_string());
+            }
+            Err(error) => return Err(error),
+        }
+        intake.losses(losses);
+        if let Some(progress) = options.progress {
+            progress.file_done(input.bytes());
+        }
+    }
+    rtde.hand_over(&mut intake);
     let log = intake.finish(files);
     if log.messages == 0 {
         return Err(LogError::no_messages(&log));
@@ -205,23 +272,85 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
     Ok(log)
 }
 
-/// Maps a file into memory, or says in one line why it cannot be read.
-fn map(path: &Path) -> Result<Mmap, LogError> {
-    let io_error = |source: io::Error| LogError::io(path, source);
-    let file = File::open(path).map_err(io_error)?;
-    let metadata = file.metadata().map_err(io_error)?;
-    if metadata.is_dir() {
-        return Err(LogError::Directory { path: path.to_owned() });
+/// One file being read.
+struct Reading<'a> {
+    path: &'a Path,
+    in_bag: bool,
+    options: ReadOptions<'a>,
+    losses: Losses,
+    intake: &'a mut Intake,
+    rtde: &'a mut rtde::Recording,
+}
+
+impl Reading<'_> {
+    /// Reads the file, of which `metadata.yaml` says that it has `recorded` messages.
+    fn file(&mut self, recorded: Option<u64>) -> Result<LogFile, LogError> {
+        let mapped = Mapped::open(self.path)?;
+        let bytes = mapped.bytes().len() as u64;
+        self.intake.begin_file(self.path, bytes);
+        let before = self.intake.messages();
+        let (container, crc) = match sniff::kind(mapped.bytes()) {
+            Kind::Zstd => self.archive(mapped.bytes())?,
+            kind => self.content(kind, self.path, mapped.bytes())?,
+        };
+        if let Some(recorded) = recorded {
+            let read = self.intake.messages() - before;
+            self.losses.settle("metadata.yaml", recorded, read);
+        }
+        Ok(LogFile { path: self.path.to_owned(), container, bytes, crc })
     }
-    if !metadata.is_file() {
-        return Err(LogError::NotAFile { path: path.to_owned() });
+
+    /// Reads the log that is packed in `archive`.
+    fn archive(&mut self, archive: &[u8]) -> Result<(Container, Crc), LogError> {
+        let (file, end) = unpack::file(archive, &mut self.intake.allowance)
+            .map_err(|source| LogError::io(self.path, source))?;
+        if let Err(error) = end {
+            self.losses.add_unplaced(Extent::Tail, None, error.to_string());
+        }
+        let looks = "a zstd archive of nothing";
+        let unpacked = Mapped::open(file.path())
+            .map_err(|_| LogError::NotALog { path: self.path.to_owned(), looks })?;
+        // The archive is what counts, and it was read.
+        self.options.progress = None;
+        self.content(sniff::kind(unpacked.bytes()), file.path(), unpacked.bytes())
     }
-    if metadata.len() == 0 {
-        return Err(LogError::Empty { path: path.to_owned() });
+
+    /// Reads the `bytes` of a log, which are at `place`: its own path, or where it was unpacked to.
+    fn content(
+        &mut self,
+        kind: Kind,
+        place: &Path,
+        bytes: &[u8],
+    ) -> Result<(Container, Crc), LogError> {
+        let Self { options, losses, intake, rtde, .. } = self;
+        let path = || self.path.to_owned();
+        Ok(match kind {
+            Kind::Mcap if self.in_bag => {
+                (Container::RosBag2Mcap, mcap::read(bytes, options, losses, intake))
+            }
+            Kind::Mcap => (Container::Mcap, mcap::read(bytes, options, losses, intake)),
+            Kind::RosBag1 => (Container::RosBag1, rosbag1::read(bytes, options, losses, intake)),
+            Kind::Sqlite => {
+                if !rosbag2::read_database(place, options, losses, intake) {
+                    let looks = "a SQLite database without the tables of a rosbag2 bag";
+                    return Err(LogError::NotALog { path: path(), looks });
+                }
+                (Container::RosBag2Sqlite, Crc::None)
+            }
+            Kind::Rtde => {
+                rtde.read(self.path, bytes, options, losses, intake);
+                (Container::RtdeCsv, Crc::None)
+            }
+            Kind::Zstd => {
+                let (looks, instead) = ("a zstd archive within another", "unpack it first");
+                return Err(LogError::Unsupported { path: path(), looks, instead });
+            }
+            Kind::Known { looks, instead } => {
+                return Err(LogError::Unsupported { path: path(), looks, instead });
+            }
+            Kind::Unknown { looks } => return Err(LogError::NotALog { path: path(), looks }),
+        })
     }
-    // SAFETY: the map is read-only and lives only while its file is decoded. Another process that
-    // shortens the file meanwhile ends this one with SIGBUS, as with any memory-mapped reader.
-    unsafe { Mmap::map(&file) }.map_err(io_error)
 }
 
 #[cfg(test)]
@@ -250,9 +379,11 @@ mod tests {
         let text = refusal("run.mcap", b"time,x,y\n0.0,1.0,2.0\n");
         assert!(text.contains("FILE: not a robot log: it looks like text"), "{text}");
         let sqlite = refusal("run.mcap", b"SQLite format 3\0\x10\0");
-        assert!(sqlite.contains("SQLite database"), "{sqlite}");
-        let bag = refusal("run.mcap", b"#ROSBAG V2.0\nabc");
-        assert!(bag.contains("ROS 1 bag"), "{bag}");
+        assert!(sqlite.contains("the database cannot be opened: "), "{sqlite}");
+        let bag = refusal("run.mcap", b"#ROSBAG V1.2\nabc");
+        assert!(bag.contains("ROS 1 bag of another version than 2.0"), "{bag}");
+        let numbers = refusal("run.csv", b"0.0,1.0,2.0\n");
+        assert!(numbers.contains("without a first line that names them"), "{numbers}");
         let empty = refusal("run.mcap", b"");
         assert!(empty.contains("the file is empty"), "{empty}");
         let bytes = refusal("run.mcap", &[0x80, 0xff, 0, 1, 2, 3]);
@@ -268,7 +399,8 @@ mod tests {
         assert!(matches!(missing, LogError::NotFound { .. }), "{missing}");
         let directory = open_one(folder.path()).unwrap_err();
         assert!(matches!(directory, LogError::Directory { .. }), "{directory}");
-        assert!(directory.to_string().contains("name the log files in it"), "{directory}");
+        let text = directory.to_string();
+        assert!(text.contains("is a directory without log files; name the log files"), "{text}");
     }
 
     #[test]
@@ -299,7 +431,7 @@ mod tests {
             fs::write(&path, log.finish()).unwrap();
             paths.push(path);
         }
-        let log = open(&paths, &ReadOptions { verify: true }).unwrap();
+        let log = open(&paths, &ReadOptions { verify: true, progress: None }).unwrap();
         assert_eq!(log.messages, 20);
         assert_eq!(log.span, Some((Stamp::from_nanos(100), Stamp::from_nanos(209))));
         assert_eq!(log.files.len(), 2);
@@ -310,6 +442,68 @@ mod tests {
         assert_eq!(poses.len(), 1);
         assert_eq!(poses[0].times.len(), 20);
         assert_eq!(poses[0].times.header[19], 209);
+    }
+
+    /// A file of ten poses at times from `first` on.
+    fn ten_poses(path: &Path, first: u64) {
+        let mut log = LogWriter::default();
+        let channel = log.channel("/pose", "geometry_msgs/msg/PoseStamped", testing::POSE_STAMPED);
+        for time in first..first + 10 {
+            log.message(channel, time, &Cdr::pose_stamped(0, time as u32, "base", [0.0; 3]));
+        }
+        fs::write(path, log.finish()).unwrap();
+    }
+
+    #[test]
+    fn the_same_file_twice_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let [a, copy, other] = ["a", "copy", "other"].map(|name| folder.path().join(name));
+        ten_poses(&a, 100);
+        ten_poses(&other, 200);
+        fs::copy(&a, &copy).unwrap();
+        let detour = folder.path().join(".").join("a");
+        for second in [&a, &copy, &detour] {
+            let twice = [a.clone(), other.clone(), second.clone()];
+            let error = open(&twice, &ReadOptions::default()).unwrap_err();
+            assert!(matches!(&error, LogError::Twice { first, .. } if *first == a), "{error}");
+            assert!(error.to_string().contains("is given twice"), "{error}");
+        }
+        assert_eq!(open(&[a, other], &ReadOptions::default()).unwrap().messages, 20);
+    }
+
+    #[test]
+    fn files_of_different_kinds_are_merged_by_topic() {
+        let folder = tempfile::tempdir().unwrap();
+        let [mcap, database] = ["a", "b"].map(|name| folder.path().join(name));
+        ten_poses(&mcap, 100);
+        let writer = testing::DatabaseWriter::create(&database);
+        writer.poses(1, "/pose");
+        writer.count_poses(1, 110, 10);
+        drop(writer);
+        let log = open(&[mcap, database], &ReadOptions::default()).unwrap();
+        let kinds: Vec<&str> = log.files.iter().map(|file| file.container.name()).collect();
+        assert_eq!(kinds, ["mcap", "rosbag2-sqlite"]);
+        let [Topic { columns: Some(Columns::Poses(poses)), .. }] = log.topics.as_slice() else {
+            panic!("{:?}", log.topics)
+        };
+        assert_eq!(poses[0].times.log, (100..120).collect::<Vec<_>>());
+        assert_eq!((log.losses.as_slice(), log.notes.as_slice()), ([].as_slice(), [].as_slice()));
+    }
+
+    #[test]
+    fn progress_ends_where_the_files_do() {
+        let folder = tempfile::tempdir().unwrap();
+        let paths = ["a", "b"].map(|name| folder.path().join(name));
+        ten_poses(&paths[0], 100);
+        let writer = testing::DatabaseWriter::create(&paths[1]);
+        writer.poses(1, "/pose");
+        writer.count_poses(1, 200, 10);
+        drop(writer);
+        let progress = Progress::default();
+        let options = ReadOptions { progress: Some(&progress), ..ReadOptions::default() };
+        open(&paths, &options).unwrap();
+        let bytes = paths.map(|path| fs::metadata(path).unwrap().len()).iter().sum();
+        assert_eq!((progress.read(), progress.total()), (bytes, bytes));
     }
 
     #[test]

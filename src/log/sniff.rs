@@ -1,10 +1,21 @@
 //! What a file is, told from its first bytes.
 
+use super::rtde;
+use super::unpack::ZSTD_MAGIC;
+
 /// What the first bytes of a file say.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Kind {
     /// An MCAP file.
     Mcap,
+    /// A ROS 1 bag of version 2.0.
+    RosBag1,
+    /// A SQLite database.
+    Sqlite,
+    /// A zstd archive of whatever.
+    Zstd,
+    /// A table whose first line names RTDE fields.
+    Rtde,
     /// A kind of file that is known, but not read here.
     Known {
         /// What it is, with its article.
@@ -24,17 +35,21 @@ const UNPACK: &str = "unpack it first";
 
 /// Magic bytes of the known kinds that are not read here.
 const KNOWN: &[(&[u8], &str, &str)] = &[
-    (b"#ROSBAG V2.0", "a ROS 1 bag", TO_MCAP),
-    (b"#ROSBAG", "an old ROS 1 bag", TO_MCAP),
-    (b"SQLite format 3\0", "a SQLite database (a rosbag2 .db3?)", TO_MCAP),
+    (b"#ROSBAG", "a ROS 1 bag of another version than 2.0", "convert it by `rosbag fix` first"),
     (b"\x89MCAP", "an MCAP file of another version than 0", "write it as MCAP version 0"),
     (b"ULog\x01\x12\x35", "a PX4 ULog", TO_MCAP),
     (b"RRF", "a Rerun recording", "give the log that it was made from"),
     (b"PAR1", "a Parquet file", "give the log that it was made from"),
-    (b"\x28\xb5\x2f\xfd", "a zstd archive", UNPACK),
     (b"\x04\x22\x4d\x18", "an lz4 archive", UNPACK),
     (b"\x1f\x8b", "a gzip archive", UNPACK),
     (b"PK\x03\x04", "a zip archive", UNPACK),
+];
+
+/// Magic bytes of the kinds that are read, besides MCAP.
+const READ: &[(&[u8], Kind)] = &[
+    (b"#ROSBAG V2.0\n", Kind::RosBag1),
+    (b"SQLite format 3\0", Kind::Sqlite),
+    (ZSTD_MAGIC, Kind::Zstd),
 ];
 
 /// How many bytes are looked at to tell text from binary data.
@@ -44,6 +59,9 @@ const GLANCE: usize = 4096;
 pub(super) fn kind(bytes: &[u8]) -> Kind {
     if bytes.starts_with(mcap::MAGIC) {
         return Kind::Mcap;
+    }
+    if let Some(&(_, kind)) = READ.iter().find(|(magic, _)| bytes.starts_with(magic)) {
+        return kind;
     }
     if mcap::MAGIC.starts_with(bytes) {
         return Kind::Unknown { looks: "an MCAP file that was cut off within its first 8 bytes" };
@@ -56,7 +74,11 @@ pub(super) fn kind(bytes: &[u8]) -> Kind {
     let looks = if glance.iter().all(|&byte| byte == 0) {
         "a file of zeros"
     } else if is_text(glance) {
-        "text"
+        match rtde::first_line(bytes) {
+            rtde::FirstLine::Names => return Kind::Rtde,
+            rtde::FirstLine::Numbers => "a table of numbers without a first line that names them",
+            rtde::FirstLine::Other => "text",
+        }
     } else {
         "unknown binary data"
     };

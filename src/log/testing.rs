@@ -1,7 +1,8 @@
-//! What the tests of this room write: CDR messages and MCAP files.
+//! What the tests of this room write: CDR messages, MCAP files, ROS 1 bags and databases of rosbag2.
 
 use std::collections::BTreeMap;
-use std::io::Cursor;
+use std::io::{Cursor, Read, Write};
+use std::path::Path;
 
 use mcap::records::MessageHeader;
 use mcap::{Compression, WriteOptions, Writer};
@@ -205,5 +206,261 @@ impl LogWriter {
     pub(super) fn finish(mut self) -> Vec<u8> {
         self.0.finish().unwrap();
         self.0.into_inner().into_inner()
+    }
+}
+
+/// A ROS 1 bag being written.
+pub(super) struct BagWriter {
+    bytes: Vec<u8>,
+    compression: &'static str,
+    /// Records of the chunk that is open.
+    chunk: Vec<u8>,
+    connections: Vec<Vec<u8>>,
+    /// Time and place of the messages of the open chunk, by connection.
+    index: BTreeMap<u32, Vec<(u64, u32)>>,
+    chunk_infos: Vec<Vec<u8>>,
+}
+
+impl BagWriter {
+    /// A bag whose chunks are compressed by `none`, `lz4` or `bz2`.
+    pub(super) fn new(compression: &'static str) -> Self {
+        let mut bytes = super::rosbag1::MAGIC.to_vec();
+        bytes.extend(Self::bag_header(0, 0, 0));
+        Self {
+            bytes,
+            compression,
+            chunk: Vec::new(),
+            connections: Vec::new(),
+            index: BTreeMap::new(),
+            chunk_infos: Vec::new(),
+        }
+    }
+
+    fn header(fields: &[(&str, &[u8])]) -> Vec<u8> {
+        let mut header = Vec::new();
+        for (name, value) in fields {
+            header.extend((name.len() as u32 + 1 + value.len() as u32).to_le_bytes());
+            header.extend(name.as_bytes());
+            header.push(b'=');
+            header.extend(*value);
+        }
+        header
+    }
+
+    fn record(fields: &[(&str, &[u8])], data: &[u8]) -> Vec<u8> {
+        let header = Self::header(fields);
+        let mut record = (header.len() as u32).to_le_bytes().to_vec();
+        record.extend(header);
+        record.extend((data.len() as u32).to_le_bytes());
+        record.extend(data);
+        record
+    }
+
+    fn bag_header(index: u64, connections: u32, chunks: u32) -> Vec<u8> {
+        let fields: [(&str, &[u8]); 4] = [
+            ("op", &[3]),
+            ("index_pos", &index.to_le_bytes()),
+            ("conn_count", &connections.to_le_bytes()),
+            ("chunk_count", &chunks.to_le_bytes()),
+        ];
+        // Recorders leave 4096 bytes; less keeps the tests small.
+        Self::record(&fields, &[b' '; 16])
+    }
+
+    fn time(nanos: u64) -> [u8; 8] {
+        let (seconds, rest) = ((nanos / 1_000_000_000) as u32, (nanos % 1_000_000_000) as u32);
+        (u64::from(rest) << 32 | u64::from(seconds)).to_le_bytes()
+    }
+
+    /// Writes the record of a connection and returns its number.
+    pub(super) fn connection(&mut self, topic: &str, type_name: &str, definition: &str) -> u32 {
+        let id = self.connections.len() as u32;
+        let of_sender = Self::header(&[
+            ("callerid", b"/recorder"),
+            ("md5sum", b"*"),
+            ("message_definition", definition.as_bytes()),
+            ("topic", topic.as_bytes()),
+            ("type", type_name.as_bytes()),
+        ]);
+        let fields: [(&str, &[u8]); 3] =
+            [("conn", &id.to_le_bytes()), ("op", &[7]), ("topic", topic.as_bytes())];
+        let record = Self::record(&fields, &of_sender);
+        self.chunk.extend(&record);
+        self.connections.push(record);
+        id
+    }
+
+    pub(super) fn message(&mut self, connection: u32, nanos: u64, data: &[u8]) {
+        let place = self.chunk.len() as u32;
+        self.index.entry(connection).or_default().push((nanos, place));
+        let fields: [(&str, &[u8]); 3] =
+            [("conn", &connection.to_le_bytes()), ("op", &[2]), ("time", &Self::time(nanos))];
+        self.chunk.extend(Self::record(&fields, data));
+    }
+
+    fn packed(&self) -> Vec<u8> {
+        match self.compression {
+            "lz4" => {
+                let checksum = lz4::ContentChecksum::ChecksumEnabled;
+                let builder = lz4::EncoderBuilder::new().checksum(checksum).build(Vec::new());
+                let mut encoder = builder.unwrap();
+                encoder.write_all(&self.chunk).unwrap();
+                let (packed, end) = encoder.finish();
+                end.unwrap();
+                packed
+            }
+            "bz2" => {
+                let mut packed = Vec::new();
+                let level = bzip2::Compression::fast();
+                bzip2::read::BzEncoder::new(&self.chunk[..], level)
+                    .read_to_end(&mut packed)
+                    .unwrap();
+                packed
+            }
+            _ => self.chunk.clone(),
+        }
+    }
+
+    fn chunk_header(&self, size: u32) -> [(&'static str, Vec<u8>); 3] {
+        [
+            ("compression", self.compression.as_bytes().to_vec()),
+            ("op", vec![5]),
+            ("size", size.to_le_bytes().to_vec()),
+        ]
+    }
+
+    /// Closes the chunk; returns where it begins.
+    pub(super) fn end_chunk(&mut self) -> usize {
+        let place = self.bytes.len();
+        let header = self.chunk_header(self.chunk.len() as u32);
+        let fields = header.each_ref().map(|(name, value)| (*name, value.as_slice()));
+        self.bytes.extend(Self::record(&fields, &self.packed()));
+        let mut counts = Vec::new();
+        for (connection, entries) in std::mem::take(&mut self.index) {
+            let (connection, count) = (connection.to_le_bytes(), entries.len() as u32);
+            counts.extend(connection);
+            counts.extend(count.to_le_bytes());
+            let data: Vec<u8> = entries
+                .iter()
+                .flat_map(|&(nanos, place)| [&Self::time(nanos)[..], &place.to_le_bytes()].concat())
+                .collect();
+            let fields: [(&str, &[u8]); 4] = [
+                ("conn", &connection),
+                ("count", &count.to_le_bytes()),
+                ("op", &[4]),
+                ("ver", &[1, 0, 0, 0]),
+            ];
+            self.bytes.extend(Self::record(&fields, &data));
+        }
+        let fields: [(&str, &[u8]); 6] = [
+            ("chunk_pos", &(place as u64).to_le_bytes()),
+            ("count", &(counts.len() as u32 / 8).to_le_bytes()),
+            ("end_time", &[0; 8]),
+            ("op", &[6]),
+            ("start_time", &[0; 8]),
+            ("ver", &[1, 0, 0, 0]),
+        ];
+        self.chunk_infos.push(Self::record(&fields, &counts));
+        self.chunk.clear();
+        place
+    }
+
+    /// Closes the bag.
+    pub(super) fn finish(mut self) -> Vec<u8> {
+        if !self.chunk.is_empty() {
+            self.end_chunk();
+        }
+        let (connections, chunks) = (self.connections.len() as u32, self.chunk_infos.len() as u32);
+        let header = Self::bag_header(self.bytes.len() as u64, connections, chunks);
+        let start = super::rosbag1::MAGIC.len();
+        self.bytes[start..start + header.len()].copy_from_slice(&header);
+        self.bytes.extend(self.connections.concat());
+        self.bytes.extend(self.chunk_infos.concat());
+        self.bytes
+    }
+
+    /// Leaves the bag as a crash does: the last chunk says that it is empty, and there is no index.
+    pub(super) fn abandon(mut self) -> Vec<u8> {
+        let header = self.chunk_header(0);
+        let fields = header.each_ref().map(|(name, value)| (*name, value.as_slice()));
+        self.bytes.extend(Self::record(&fields, &[]));
+        let packed = self.packed();
+        self.bytes.extend(packed);
+        self.bytes
+    }
+}
+
+/// A database of rosbag2 being written.
+pub(super) struct DatabaseWriter(rusqlite::Connection);
+
+impl DatabaseWriter {
+    /// A database of schema version 4.
+    pub(super) fn create(path: &Path) -> Self {
+        let database = rusqlite::Connection::open(path).unwrap();
+        let schema = "
+            PRAGMA page_size = 1024;
+            CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
+            CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL,
+                metadata TEXT NOT NULL);
+            CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,
+                serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL,
+                type_description_hash TEXT NOT NULL);
+            CREATE TABLE message_definitions(id INTEGER PRIMARY KEY, topic_type TEXT NOT NULL,
+                encoding TEXT NOT NULL, encoded_message_definition TEXT NOT NULL,
+                type_description_hash TEXT NOT NULL);
+            CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL,
+                timestamp INTEGER NOT NULL, data BLOB NOT NULL);
+            CREATE INDEX timestamp_idx ON messages (timestamp ASC);
+            INSERT INTO schema VALUES (4, 'jazzy');";
+        database.execute_batch(schema).unwrap();
+        Self(database)
+    }
+
+    /// A database of schema version 1.
+    pub(super) fn create_old(path: &Path) -> Self {
+        let database = rusqlite::Connection::open(path).unwrap();
+        let schema = "
+            CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,
+                serialization_format TEXT NOT NULL);
+            CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL,
+                timestamp INTEGER NOT NULL, data BLOB NOT NULL);";
+        database.execute_batch(schema).unwrap();
+        Self(database)
+    }
+
+    pub(super) fn database(&self) -> &rusqlite::Connection {
+        &self.0
+    }
+
+    /// Lists a topic of poses, with its definition where the schema's version has a place for it.
+    pub(super) fn poses(&self, id: i64, topic: &str) {
+        let type_name = "geometry_msgs/msg/PoseStamped";
+        let columns = "id, name, type, serialization_format";
+        let old = format!("INSERT INTO topics ({columns}) VALUES (?1, ?2, ?3, 'cdr')");
+        let new = format!(
+            "INSERT INTO topics ({columns}, offered_qos_profiles, type_description_hash) \
+             VALUES (?1, ?2, ?3, 'cdr', '', '')"
+        );
+        if self.0.execute(&new, (id, topic, type_name)).is_err() {
+            self.0.execute(&old, (id, topic, type_name)).unwrap();
+            return;
+        }
+        let definition = "INSERT INTO message_definitions (topic_type, encoding, \
+            encoded_message_definition, type_description_hash) VALUES (?1, 'ros2msg', ?2, '')";
+        self.0.execute(definition, (type_name, POSE_STAMPED)).unwrap();
+    }
+
+    pub(super) fn message(&self, topic: i64, nanos: i64, data: &[u8]) {
+        let insert = "INSERT INTO messages (topic_id, timestamp, data) VALUES (?1, ?2, ?3)";
+        self.0.execute(insert, (topic, nanos, data)).unwrap();
+    }
+
+    /// Writes `count` poses with x, time and stamp counting from `first`.
+    pub(super) fn count_poses(&self, topic: i64, first: u32, count: u32) {
+        self.0.execute_batch("BEGIN").unwrap();
+        for n in first..first + count {
+            self.message(topic, n.into(), &Cdr::pose_stamped(0, n, "base", [n.into(), 0.5, 0.25]));
+        }
+        self.0.execute_batch("COMMIT").unwrap();
     }
 }

@@ -52,7 +52,7 @@ impl From<&RunError> for Trouble {
 impl From<LogError> for Trouble {
     fn from(error: LogError) -> Self {
         let kind = match error {
-            LogError::NotFound { .. } => TroubleKind::Call,
+            LogError::NotFound { .. } | LogError::Twice { .. } => TroubleKind::Call,
             _ => TroubleKind::Log,
         };
         let another = "name a log that a recorder wrote";
@@ -61,8 +61,11 @@ impl From<LogError> for Trouble {
             LogError::Permission { path } => {
                 (path, "permission denied".to_owned(), "make it readable")
             }
-            LogError::Directory { path } => {
-                (path, "it is a directory".to_owned(), "name the log files in it")
+            LogError::Directory { path, cause } => {
+                (path, format!("it is a directory {cause}"), "name the log files in it")
+            }
+            LogError::Twice { path, first } => {
+                (path, format!("it is the same as {}", first.display()), "name it once")
             }
             LogError::NotAFile { path } => {
                 (path, "it is not a regular file".to_owned(), "save the log to a file first")
@@ -76,9 +79,11 @@ impl From<LogError> for Trouble {
             LogError::Unsupported { path, looks, instead } => {
                 (path, format!("it is {looks}, which is not supported"), instead)
             }
-            LogError::NotALog { path, looks } => {
-                (path, format!("not a robot log: it looks like {looks}"), "name an MCAP file")
-            }
+            LogError::NotALog { path, looks } => (
+                path,
+                format!("not a robot log: it looks like {looks}"),
+                "name an MCAP file, a bag or an RTDE CSV",
+            ),
             LogError::NoMessages { path, cause } => {
                 (path, format!("no messages can be read: {cause}"), "record again")
             }

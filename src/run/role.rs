@@ -316,6 +316,7 @@ mod tests {
             ("/tcp_pose_broadcaster/pose", ("mocap_world", Unknown), none, Role::Pose),
             ("/franka_robot_state_broadcaster/current_pose", none, none, Role::Pose),
             ("/franka_robot_state_broadcaster/o_t_ee", base, none, Role::Pose),
+            ("/franka_robot_state_broadcaster/robot_state.o_t_ee", base, none, Role::Pose),
             ("/iiwa/state/CartesianPose", base, none, Role::Pose),
             ("/iiwa/command/CartesianPose", base, none, Role::Reference),
             ("/arm/equilibrium_pose", base, none, Role::Reference),
@@ -346,6 +347,7 @@ mod tests {
             ("/ur/actual_tcp_pose", 6, false, candidate),
             ("/ur/actual_tcp_pose", 6, true, Role::Pose),
             ("/O_T_EE", 16, false, candidate),
+            ("/franka_state_controller/franka_states.O_T_EE", 16, false, candidate),
             ("/forward_position_controller/commands", 6, false, Role::Reference),
             ("/arm/joint_torques", 6, false, Role::Ignored),
             ("/ft_sensor/wrench", 6, false, Role::Ignored),
@@ -360,7 +362,10 @@ mod tests {
     fn joint_commands_are_no_joint_states() {
         let joints = Columns::Joints(crate::stream::JointColumns::default());
         assert_eq!(plain_role("/joint_states", &joints).map(|(role, _)| role), Some(Role::Joints));
-        let commands = plain_role("/isaac_joint_commands", &joints).map(|(role, _)| role);
-        assert_eq!(commands, Some(Role::Reference));
+        for topic in ["/isaac_joint_commands", "/arm_controller/state.reference"] {
+            assert_eq!(plain_role(topic, &joints).map(|(role, _)| role), Some(Role::Reference));
+        }
+        let feedback = plain_role("/arm_controller/controller_state", &joints);
+        assert_eq!(feedback.map(|(role, _)| role), Some(Role::Joints));
     }
 }

@@ -46,16 +46,7 @@ pub struct Stream {
 impl Stream {
     /// The times of its rows, in pieces: one a transform.
     pub fn times(&self) -> Vec<&Times> {
-        match &self.columns {
-            Some(Columns::Joints(joints)) => vec![&joints.times],
-            Some(Columns::Poses(poses) | Columns::Transforms(poses)) => {
-                poses.iter().map(|poses| &poses.times).collect()
-            }
-            Some(Columns::Imu(imu)) => vec![&imu.times],
-            Some(Columns::Array(array)) => vec![&array.times],
-            Some(Columns::Text(text)) => vec![&text.times],
-            None => Vec::new(),
-        }
+        self.columns.as_ref().map(Columns::times).unwrap_or_default()
     }
 
     /// The stream of one pose of many on a topic.
@@ -90,7 +81,28 @@ impl Stream {
 
 /// The streams of `topics`, in their order, as far as their roles can be told without a robot.
 pub(super) fn split(topics: Vec<Topic>) -> Vec<Stream> {
-    topics.into_iter().flat_map(of_topic).collect()
+    let mut streams: Vec<Stream> = topics.into_iter().flat_map(of_topic).collect();
+    leave_joints_to_named(&mut streams);
+    streams
+}
+
+/// Ignores joint states without names where another topic has as many joints with names: the same arm
+/// would seem to be there twice, once under the names that its driver usually gives.
+fn leave_joints_to_named(streams: &mut [Stream]) {
+    let joints = |stream: &Stream, unnamed: bool| match (stream.role, &stream.columns) {
+        (Role::Joints, Some(Columns::Joints(joints))) if joints.unnamed == unnamed => {
+            Some(joints.joints.len())
+        }
+        _ => None,
+    };
+    for index in 0..streams.len() {
+        let Some(count) = joints(&streams[index], true) else { continue };
+        let named = streams.iter().find(|stream| joints(stream, false) >= Some(count));
+        if let Some(topic) = named.map(|stream| stream.topic.clone()) {
+            streams[index].role = Role::Ignored;
+            streams[index].reason = format!("its joints carry no names; those on '{topic}' do");
+        }
+    }
 }
 
 fn of_topic(topic: Topic) -> Vec<Stream> {
@@ -112,7 +124,8 @@ fn of_topic(topic: Topic) -> Vec<Stream> {
         end: topic.span.map(|(_, end)| end),
         columns: None,
     };
-    let Some(columns) = topic.columns else {
+    let has_rows = |columns: &Columns| !columns.times().is_empty();
+    let Some(columns) = topic.columns.filter(has_rows) else {
         if let Some(undecodable) = topic.undecodable {
             stream.reason = format!("it cannot be decoded: {}", undecodable.first);
         }
@@ -188,13 +201,13 @@ impl Timing {
                     }
                 }
                 Some(Columns::Transforms(_) | Columns::Text(_)) | None => {}
-                Some(columns) => {
+                Some(_) => {
                     of[index] = vec![sources.len()];
                     sources.push(Source {
                         stream: index,
                         frame: None,
                         times: stream.times(),
-                        has_header: !matches!(columns, Columns::Array(_)),
+                        has_header: stream.times().iter().any(|times| !times.unstamped),
                         is_joints: stream.role == Role::Joints,
                     });
                 }

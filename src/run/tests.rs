@@ -134,6 +134,7 @@ impl Recording {
             descriptions: Vec::new(),
             messages: 0,
             span: None,
+            notes: Vec::new(),
             losses: Vec::new(),
         }
     }
@@ -366,6 +367,7 @@ fn a_stream_on_a_foreign_clock_meets_the_joints() {
 #[test]
 fn numbers_wait_to_follow_the_arm_and_declared_ones_do_not() {
     let mut array = ArrayColumns { width: 6, ..Default::default() };
+    array.times.unstamped = true;
     for nanos in stamps() {
         array.times.push(0, nanos, 0);
         array.values.extend([0.0, 0.0, 0.0, 0.1, 0.2, 0.3]);
@@ -383,6 +385,82 @@ fn numbers_wait_to_follow_the_arm_and_declared_ones_do_not() {
     assert_eq!(run.streams[1].role, Role::Pose);
     assert!(matches!(run.arms[0].poses[0].track.orientation, Orientations::Rotations(_)));
     assert_eq!(run.arms[0].poses[0].chain.base_name(), "base");
+}
+
+#[test]
+fn a_controllers_feedback_is_the_arm_and_its_reference_is_not() {
+    let mut recording = Recording::new();
+    let Columns::Joints(feedback) = recording.topics.remove(0).1 else { panic!("joints") };
+    let mut reference = feedback.clone();
+    reference.joints.iter_mut().for_each(|joint| joint.position.fill(0.0));
+    recording.add("/arm_controller/state", Columns::Joints(feedback));
+    recording.add("/arm_controller/state.reference", Columns::Joints(reference));
+    let run = recording.run();
+    let roles: Vec<Role> = run.streams.iter().map(|stream| stream.role).collect();
+    assert_eq!(roles, [Role::Joints, Role::Reference]);
+    assert!(run.arms[0].joint_facts.iter().all(|joint| joint.stream == 0));
+}
+
+/// A Franka arm as `franka_msgs/FrankaState` has it: joints without names, and a matrix by columns.
+fn franka() -> (JointColumns, ArrayColumns) {
+    let robot = catalogue::find("panda").unwrap();
+    let [base, tip] = ["fer_link0", "fer_hand_tcp"].map(|link| robot.link(link).unwrap());
+    let chain = robot.chain(base, tip).unwrap();
+    let mut joints = JointColumns { unnamed: true, ..Default::default() };
+    for joint in 1..=7 {
+        let name = format!("panda_joint{joint}");
+        joints.joints.push(JointColumn { name, ..Default::default() });
+    }
+    let mut matrix = ArrayColumns { width: 16, ..Default::default() };
+    for nanos in stamps() {
+        let [a, b, c, d, e, f] = q_at(nanos);
+        let q = [a, b, c, d - 1.5, e, f + 1.5, 0.3];
+        joints.times.push(nanos, nanos + TRANSPORT, nanos);
+        matrix.times.push(nanos, nanos + TRANSPORT, nanos);
+        for (joint, q) in joints.joints.iter_mut().zip(q) {
+            joint.position.push(q);
+            joint.velocity.push(f64::NAN);
+        }
+        matrix.values.extend(chain.forward(&q).to_homogeneous().as_slice());
+    }
+    (joints, matrix)
+}
+
+#[test]
+fn the_state_of_a_franka_arm_is_joints_and_the_pose_by_them() {
+    let mut recording = Recording::new();
+    recording.topics.clear();
+    let (joints, matrix) = franka();
+    recording.add("/franka_states", Columns::Joints(joints));
+    recording.add("/franka_states.O_T_EE", Columns::Array(matrix));
+    let run = Run::assemble(recording.log(), &RunOptions::default()).unwrap();
+    assert!(run.no_arm.is_none(), "{:?}", run.no_arm);
+    assert_eq!(run.streams[0].role, Role::Joints);
+    assert_eq!(run.streams[1].role, Role::Candidate { presumed: false });
+    let arm = &run.arms[0];
+    let [source] = arm.poses.as_slice() else { panic!("one pose") };
+    let row = source.track.t_s.len() / 2;
+    let ours = source.chain.forward(arm.joints.row(row)).translation.vector;
+    assert!((ours - source.track.xyz[row]).norm() < 1e-9);
+}
+
+#[test]
+fn joints_without_names_are_left_to_those_with() {
+    let (joints, matrix) = franka();
+    let mut named = joints.clone();
+    named.unnamed = false;
+    for joint in &mut named.joints {
+        joint.name = joint.name.replace("panda", "fer");
+    }
+    let mut recording = Recording::new();
+    recording.topics.clear();
+    recording.add("/franka_states", Columns::Joints(joints));
+    recording.add("/franka_states.O_T_EE", Columns::Array(matrix));
+    recording.add("/joint_states", Columns::Joints(named));
+    let run = Run::assemble(recording.log(), &RunOptions::default()).unwrap();
+    assert_eq!((run.arms.len(), run.streams[0].role), (1, Role::Ignored));
+    assert_eq!(run.streams[0].reason, "its joints carry no names; those on '/joint_states' do");
+    assert_eq!(run.arms[0].poses.len(), 1);
 }
 
 #[test]

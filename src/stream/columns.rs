@@ -2,7 +2,8 @@ use crate::time::Clock;
 
 /// The times of every row of a stream, one entry a row in each column, in nanoseconds.
 ///
-/// A message without a header stamp has 0 in `header`, as ROS writes an unset stamp.
+/// A message without a header stamp has 0 in `header`, as ROS writes an unset stamp; where its type has
+/// none, `unstamped` says so.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Times {
     /// Stamp in the message's header (for /tf: of that transform).
@@ -11,6 +12,9 @@ pub struct Times {
     pub log: Vec<i64>,
     /// When the sender published it.
     pub publish: Vec<i64>,
+    /// Whether the type has no stamp at all, so that `header` is 0 throughout for no fault of its
+    /// sender.
+    pub unstamped: bool,
 }
 
 impl Times {
@@ -86,6 +90,8 @@ pub struct JointColumns {
     pub wrong_length: u64,
     /// Values dropped: NaN or infinite positions in messages that were otherwise kept.
     pub not_finite: u64,
+    /// Whether the type carries no names, so that those here are the driver's usual ones.
+    pub unnamed: bool,
 }
 
 /// Poses with quaternions: PoseStamped, Odometry, TransformStamped, one (parent, child) of /tf.
@@ -127,7 +133,7 @@ pub struct ImuColumns {
 /// Bare arrays of numbers of one length, such as `std_msgs/Float64MultiArray`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ArrayColumns {
-    /// Times of the rows; `header` is 0 throughout where the type has no header.
+    /// Times of the rows.
     pub times: Times,
     /// Numbers a row.
     pub width: usize,
@@ -163,6 +169,34 @@ pub enum Columns {
     Array(ArrayColumns),
     /// Texts.
     Text(TextColumns),
+}
+
+impl Columns {
+    /// The times of each of its parts: of every transform or pose, else of all.
+    pub fn times(&self) -> Vec<&Times> {
+        match self {
+            Columns::Joints(joints) => vec![&joints.times],
+            Columns::Poses(poses) | Columns::Transforms(poses) => {
+                poses.iter().map(|poses| &poses.times).collect()
+            }
+            Columns::Imu(imu) => vec![&imu.times],
+            Columns::Array(array) => vec![&array.times],
+            Columns::Text(text) => vec![&text.times],
+        }
+    }
+
+    /// The same, to change them.
+    pub fn times_mut(&mut self) -> Vec<&mut Times> {
+        match self {
+            Columns::Joints(joints) => vec![&mut joints.times],
+            Columns::Poses(poses) | Columns::Transforms(poses) => {
+                poses.iter_mut().map(|poses| &mut poses.times).collect()
+            }
+            Columns::Imu(imu) => vec![&mut imu.times],
+            Columns::Array(array) => vec![&mut array.times],
+            Columns::Text(text) => vec![&mut text.times],
+        }
+    }
 }
 
 impl JointColumns {

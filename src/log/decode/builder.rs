@@ -1,6 +1,7 @@
 //! Rows appended to columns, then finalized.
 
 use std::collections::HashMap;
+use std::ops::Range;
 
 use super::row::{self, Names, Row, RowTimes};
 use crate::stream::{
@@ -17,45 +18,148 @@ const MAX_TEXTS: usize = 64;
 /// Longest text kept, in bytes.
 const MAX_TEXT_BYTES: usize = 16 << 20;
 
+/// What stands for the child frame of poses that are told apart by their place in the message; the
+/// first has none, as where it is the only one. Particle clouds and paths have more.
+const PLACES: [&str; 16] = [
+    "", "[1]", "[2]", "[3]", "[4]", "[5]", "[6]", "[7]", "[8]", "[9]", "[10]", "[11]", "[12]",
+    "[13]", "[14]", "[15]",
+];
+
+/// Most poses in one message that are told apart by their name.
+const MAX_NAMED: usize = 256;
+
+/// What Gazebo calls the frame that its states are in.
+const SIMULATED_WORLD: &str = "world";
+
 /// A message with more joint names than a topic may have.
 #[derive(Debug, thiserror::Error)]
 #[error("more than {MAX_JOINTS} different joint names on one topic")]
 pub(in crate::log) struct TooManyJoints;
 
 /// The columns of one topic while rows are appended.
+///
+/// A type that holds several kinds of content has a part for each: the first under the topic's own
+/// name, the others under that name with the field after a dot, as in Foxglove's message paths.
 #[derive(Debug)]
-pub(in crate::log) enum Builder {
+pub(in crate::log) struct Builder {
+    parts: Vec<(&'static str, Part)>,
+    /// Whether the type has a stamp.
+    stamped: bool,
+}
+
+/// What comes after the topic's name, and the columns to fill.
+pub(super) type PartOf = (&'static str, fn() -> Part);
+
+/// The columns of one kind of content.
+#[derive(Debug)]
+pub(super) enum Part {
     Joints(Joints),
     Poses(Poses),
+    Crowd(Crowd),
     Transforms(Poses),
     Imu(ImuColumns),
-    Array(ArrayColumns),
+    Array(Array),
     Text(TextColumns),
 }
 
-impl Builder {
+impl Part {
+    /// The names and positions of joints.
     pub(super) fn joints() -> Self {
-        Self::Joints(Joints::default())
+        Self::Joints(Joints::of(row::VALUES, row::VELOCITIES))
     }
 
+    /// The names of joints and the positions that they shall have.
+    pub(super) fn reference() -> Self {
+        Self::Joints(Joints::of(row::REFERENCE, row::REFERENCE_VELOCITIES))
+    }
+
+    /// The positions of a Franka arm's joints, whose names are not in the message: what its drivers
+    /// call them unless told otherwise.
+    pub(super) fn franka_joints() -> Self {
+        let mut joints = Joints::of(row::VALUES, row::VELOCITIES);
+        joints.columns.unnamed = true;
+        Self::Joints(joints)
+    }
+
+    /// Poses by their frames.
     pub(super) fn poses() -> Self {
         Self::Poses(Poses::default())
     }
 
+    /// Poses by their place in the message.
+    pub(super) fn numbered_poses() -> Self {
+        Self::Crowd(Crowd { poses: Poses::default(), naming: Naming::Numbers, too_many: false })
+    }
+
+    /// Poses by the name at their place in the message.
+    pub(super) fn named_poses() -> Self {
+        Self::Crowd(Crowd { poses: Poses::default(), naming: Naming::Names, too_many: false })
+    }
+
+    /// Transforms by their frames.
     pub(super) fn transforms() -> Self {
         Self::Transforms(Poses::default())
     }
 
+    /// Inertial readings.
     pub(super) fn imu() -> Self {
         Self::Imu(ImuColumns::default())
     }
 
+    /// Bare numbers, from a list.
     pub(super) fn array() -> Self {
-        Self::Array(ArrayColumns::default())
+        Self::Array(Array::of(Numbers::List(row::VALUES)))
     }
 
+    /// The numbers of a matrix.
+    pub(super) fn matrix() -> Self {
+        Self::Array(Array::of(Numbers::List(row::MATRIX)))
+    }
+
+    /// The components of a quaternion alone.
+    pub(super) fn quaternion() -> Self {
+        Self::Array(Array::of(Numbers::Fields(row::QUATERNION..row::QUATERNION + 4)))
+    }
+
+    /// The components of a vector alone.
+    pub(super) fn vector() -> Self {
+        Self::Array(Array::of(Numbers::Fields(row::POSITION..row::POSITION + 3)))
+    }
+
+    /// Texts.
     pub(super) fn text() -> Self {
         Self::Text(TextColumns::default())
+    }
+
+    fn append(&mut self, row: &Row, times: RowTimes) -> Result<(), TooManyJoints> {
+        match self {
+            Part::Joints(joints) => joints.append(row, times)?,
+            Part::Poses(poses) | Part::Transforms(poses) => poses.append(row, times),
+            Part::Crowd(crowd) => crowd.append(row, times),
+            Part::Imu(imu) => append_imu(imu, row, times),
+            Part::Array(array) => array.append(row, times),
+            Part::Text(text) => append_text(text, row, times),
+        }
+        Ok(())
+    }
+
+    fn finalize(self) -> Option<Columns> {
+        Some(match self {
+            Part::Joints(joints) => Columns::Joints(joints.columns),
+            Part::Poses(poses) => Columns::Poses(poses.groups),
+            Part::Crowd(crowd) => Columns::Poses(crowd.finalize()?),
+            Part::Transforms(poses) => Columns::Transforms(poses.groups),
+            Part::Imu(imu) => Columns::Imu(imu),
+            Part::Array(array) => Columns::Array(array.columns),
+            Part::Text(text) => Columns::Text(text),
+        })
+    }
+}
+
+impl Builder {
+    /// Empty columns for the parts of a type, which has a stamp or not.
+    pub(super) fn new(parts: &[PartOf], stamped: bool) -> Self {
+        Self { parts: parts.iter().map(|(name, part)| (*name, part())).collect(), stamped }
     }
 
     /// Appends one row, or counts why it is dropped.
@@ -64,32 +168,31 @@ impl Builder {
         row: &Row,
         times: RowTimes,
     ) -> Result<(), TooManyJoints> {
-        match self {
-            Builder::Joints(joints) => joints.append(row, times)?,
-            Builder::Poses(poses) | Builder::Transforms(poses) => poses.append(row, times),
-            Builder::Imu(imu) => append_imu(imu, row, times),
-            Builder::Array(array) => append_array(array, row, times),
-            Builder::Text(text) => append_text(text, row, times),
-        }
-        Ok(())
+        self.parts.iter_mut().try_for_each(|(_, part)| part.append(row, times))
     }
 
-    /// The columns.
-    pub(in crate::log) fn finalize(self) -> Columns {
-        match self {
-            Builder::Joints(joints) => Columns::Joints(joints.columns),
-            Builder::Poses(poses) => Columns::Poses(poses.groups),
-            Builder::Transforms(poses) => Columns::Transforms(poses.groups),
-            Builder::Imu(imu) => Columns::Imu(imu),
-            Builder::Array(array) => Columns::Array(array),
-            Builder::Text(text) => Columns::Text(text),
-        }
+    /// The columns of each part, with what comes after the topic's name; none for a part that turned
+    /// out to be of no use.
+    pub(in crate::log) fn finalize(self) -> Vec<(&'static str, Option<Columns>)> {
+        let unstamped = !self.stamped;
+        let finalized = |(name, part): (&'static str, Part)| {
+            let mut columns = part.finalize();
+            for times in columns.iter_mut().flat_map(Columns::times_mut) {
+                times.unstamped = unstamped;
+            }
+            (name, columns)
+        };
+        self.parts.into_iter().map(finalized).collect()
     }
 }
 
 /// Joint states, with the way from a message's names to their columns.
 #[derive(Debug, Default)]
-pub(in crate::log) struct Joints {
+pub(super) struct Joints {
+    /// Index into [`Row::lists`] of the positions,
+    positions: usize,
+    /// and of the velocities.
+    velocities: usize,
     columns: JointColumns,
     by_name: HashMap<String, usize>,
     /// Names of the message before, which the next one mostly repeats,
@@ -99,13 +202,21 @@ pub(in crate::log) struct Joints {
 }
 
 impl Joints {
+    fn of(positions: usize, velocities: usize) -> Self {
+        Self { positions, velocities, ..Self::default() }
+    }
+
     fn append(&mut self, row: &Row, times: RowTimes) -> Result<(), TooManyJoints> {
-        let [positions, velocities] = [&row.lists[row::VALUES], &row.lists[row::VELOCITIES]];
-        if positions.len() != row.names.len() {
+        let [positions, velocities] =
+            [self.positions, self.velocities].map(|index| row.lists[index].as_slice());
+        let unnamed = self.columns.unnamed;
+        if !unnamed && positions.len() != row.names.len() {
             self.columns.wrong_length += 1;
             return Ok(());
         }
-        if row.names != self.names {
+        if unnamed && positions.len() != self.names.len() {
+            self.map_names(&usual_names(positions.len()))?;
+        } else if !unnamed && row.names != self.names {
             self.map_names(&row.names)?;
         }
         keep_first(&mut self.columns.frame_id, row.frame(row::FRAME));
@@ -158,9 +269,18 @@ impl Joints {
     }
 }
 
+/// What Franka's drivers call `count` joints unless told otherwise.
+fn usual_names(count: usize) -> Names {
+    let mut names = Names::default();
+    for joint in 1..=count {
+        names.push(format!("panda_joint{joint}").as_bytes());
+    }
+    names
+}
+
 /// Poses split by frame and child frame.
 #[derive(Debug, Default)]
-pub(in crate::log) struct Poses {
+pub(super) struct Poses {
     groups: Vec<PoseColumns>,
     by_frames: HashMap<String, usize>,
     /// Scratch for a key of `by_frames`.
@@ -171,7 +291,11 @@ pub(in crate::log) struct Poses {
 
 impl Poses {
     fn append(&mut self, row: &Row, times: RowTimes) {
-        self.last = self.group(row.frame(row::FRAME), row.frame(row::CHILD));
+        self.append_of(row.frame(row::FRAME), row.frame(row::CHILD), row, times);
+    }
+
+    fn append_of(&mut self, frame_id: &str, child_frame_id: &str, row: &Row, times: RowTimes) {
+        self.last = self.group(frame_id, child_frame_id);
         let group = &mut self.groups[self.last];
         let xyz = row.numbers::<3>(row::POSITION);
         let q_xyzw = row.numbers::<4>(row::QUATERNION);
@@ -210,6 +334,72 @@ impl Poses {
     }
 }
 
+/// The poses of messages that hold several at once.
+#[derive(Debug)]
+pub(super) struct Crowd {
+    poses: Poses,
+    naming: Naming,
+    /// Whether a message held too many to be those of an arm.
+    too_many: bool,
+}
+
+/// How the poses of one message are told apart.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+enum Naming {
+    /// By their place; see [`PLACES`].
+    Numbers,
+    /// By the name at their place, in the frame of the simulated world.
+    Names,
+}
+
+impl Naming {
+    const fn most(self) -> usize {
+        match self {
+            Naming::Numbers => PLACES.len(),
+            Naming::Names => MAX_NAMED,
+        }
+    }
+}
+
+impl Crowd {
+    fn append(&mut self, row: &Row, times: RowTimes) {
+        self.too_many |= row.index >= self.naming.most();
+        if self.too_many {
+            return;
+        }
+        match self.naming {
+            Naming::Numbers => {
+                self.poses.append_of(row.frame(row::FRAME), PLACES[row.index], row, times);
+            }
+            Naming::Names => {
+                if let Some(name) = row.names.get(row.index) {
+                    self.poses.append_of(SIMULATED_WORLD, name, row, times);
+                }
+            }
+        }
+    }
+
+    /// The poses, unless they are too many to be an arm's.
+    fn finalize(self) -> Option<Vec<PoseColumns>> {
+        let mut groups = self.poses.groups;
+        if self.naming == Naming::Names {
+            take_off_models(&mut groups);
+        }
+        (!self.too_many).then_some(groups)
+    }
+}
+
+/// Takes the model off `model::link` where the links can be told apart without it.
+fn take_off_models(groups: &mut [PoseColumns]) {
+    let link = |name: &str| name.rsplit("::").next().unwrap_or(name).to_owned();
+    let links: Vec<String> = groups.iter().map(|group| link(&group.child_frame_id)).collect();
+    for (index, group) in groups.iter_mut().enumerate() {
+        if links.iter().filter(|link| **link == links[index]).count() == 1 {
+            group.child_frame_id.clone_from(&links[index]);
+        }
+    }
+}
+
 fn append_imu(imu: &mut ImuColumns, row: &Row, times: RowTimes) {
     keep_first(&mut imu.frame_id, row.frame(row::FRAME));
     // REP 145: −1 in the first place says that there is no orientation.
@@ -228,18 +418,44 @@ fn append_imu(imu: &mut ImuColumns, row: &Row, times: RowTimes) {
     imu.accel.push(accel);
 }
 
-fn append_array(array: &mut ArrayColumns, row: &Row, times: RowTimes) {
-    let values = &row.lists[row::VALUES];
-    if array.width == 0 {
-        array.width = values.len();
+/// Bare numbers, and where they are from.
+#[derive(Debug)]
+pub(super) struct Array {
+    numbers: Numbers,
+    columns: ArrayColumns,
+}
+
+/// Which numbers of a row.
+#[derive(Debug)]
+enum Numbers {
+    /// One of [`Row::lists`].
+    List(usize),
+    /// Some of [`Row::numbers`].
+    Fields(Range<usize>),
+}
+
+impl Array {
+    fn of(numbers: Numbers) -> Self {
+        Self { numbers, columns: ArrayColumns::default() }
     }
-    if values.is_empty() || values.len() != array.width {
-        array.wrong_length += 1;
-    } else if !finite(values) {
-        array.not_finite += 1;
-    } else {
-        push_times(&mut array.times, 0, times);
-        array.values.extend_from_slice(values);
+
+    fn append(&mut self, row: &Row, times: RowTimes) {
+        let array = &mut self.columns;
+        let values = match &self.numbers {
+            Numbers::List(index) => row.lists[*index].as_slice(),
+            Numbers::Fields(fields) => &row.numbers[fields.clone()],
+        };
+        if array.width == 0 {
+            array.width = values.len();
+        }
+        if values.is_empty() || values.len() != array.width {
+            array.wrong_length += 1;
+        } else if !finite(values) {
+            array.not_finite += 1;
+        } else {
+            push_times(&mut array.times, row.stamp(), times);
+            array.values.extend_from_slice(values);
+        }
     }
 }
 

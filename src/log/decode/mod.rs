@@ -1,36 +1,33 @@
 //! From a message's bytes to rows of columns.
 //!
-//! Three things meet here and know nothing of one another: [`RECIPES`] say which fields of a type
+//! Three things meet here and know nothing of one another: the [`recipes`] say which fields of a type
 //! fill which slot of a [`Row`]; a [`Plan`] reads those fields from the wire, by the schema in the
 //! log; a [`Builder`] appends rows to the columns. A new message type is a recipe, a new encoding is
 //! another way to fill a `Row`.
 
 mod builder;
-mod cdr;
+mod cursor;
+mod idl;
+mod json;
+mod msg;
 mod plan;
+mod protobuf;
+mod recipes;
 mod row;
 mod schema;
+mod steps;
 #[cfg(test)]
 mod tests;
 
-use self::row::Slot;
+use self::recipes::Fields;
+use self::schema::{Schema, SchemaError};
+use self::steps::Serialization;
 
 pub(super) use self::builder::Builder;
 pub(super) use self::plan::Plan;
+pub(super) use self::recipes::Recipe;
 pub(super) use self::row::{Row, RowTimes};
 pub(super) use self::schema::canonical;
-
-/// How a message type becomes rows.
-pub(super) struct Recipe {
-    /// Type name as `package/Type`.
-    type_name: &'static str,
-    /// The array whose elements are a row each; without one, a message is a row.
-    each: Option<&'static str>,
-    /// Which field fills which slot, by its path from the message's root. All of them must exist.
-    fields: &'static [(&'static str, Slot)],
-    /// The columns to fill.
-    pub(super) builder: fn() -> Builder,
-}
 
 /// How a log describes the messages of a channel.
 #[derive(Clone, Copy, Debug)]
@@ -49,177 +46,91 @@ pub(super) struct Format<'a> {
 #[derive(Debug, thiserror::Error)]
 pub(super) enum FormatError {
     /// The messages are in an encoding that is not read here.
-    #[error("messages are encoded as `{found}`, expected `cdr`")]
+    #[error("messages are encoded as `{found}`, expected `cdr`, `ros1`, `json` or `protobuf`")]
     Encoding { found: String },
     /// The schema is in a language that is not read here.
-    #[error("schema is written in `{found}`, expected `ros2msg`")]
-    SchemaEncoding { found: String },
+    #[error("schema is written in `{found}`, expected {expected}")]
+    SchemaEncoding { expected: &'static str, found: String },
     /// There is no schema to decode by.
     #[error("the log holds no schema for `{type_name}`")]
     NoSchema { type_name: String },
     /// The schema is broken, or lacks a field that is wanted.
     #[error("schema of `{type_name}`: {source}")]
-    Schema { type_name: String, source: schema::SchemaError },
+    Schema { type_name: String, source: SchemaError },
 }
 
-impl Recipe {
-    /// The recipe for a type, which may be spelled `package/Type` or `package/msg/Type`.
-    pub(super) fn of(type_name: &str) -> Option<&'static Recipe> {
-        let type_name = schema::canonical(type_name);
-        RECIPES.iter().find(|recipe| recipe.type_name == type_name)
+impl Format<'_> {
+    /// How to read the fields of `recipe` from messages in this format.
+    fn plan(self, recipe: &Recipe) -> Result<Plan, FormatError> {
+        match self.encoding {
+            "cdr" => self.steps(recipe, Serialization::Cdr),
+            "ros1" => self.steps(recipe, Serialization::Ros1),
+            "protobuf" => self.protobuf(recipe),
+            // A schema of JSON only repeats what the type's name and the messages say.
+            "json" => Ok(Plan::Json(json::Plan::new(recipe))),
+            other => Err(FormatError::Encoding { found: other.to_owned() }),
+        }
     }
 
-    /// How to read this recipe's fields from messages in `format`.
-    pub(super) fn plan(&self, format: Format<'_>) -> Result<Plan, FormatError> {
-        if format.encoding != "cdr" {
-            return Err(FormatError::Encoding { found: format.encoding.to_owned() });
+    fn steps(self, recipe: &Recipe, serialization: Serialization) -> Result<Plan, FormatError> {
+        let schema = self.message_schema(serialization)?;
+        let compile = |fields| steps::Plan::compile(&schema, fields, recipe.each, serialization);
+        self.first_layout(recipe, compile).map(Plan::Steps)
+    }
+
+    fn message_schema(self, serialization: Serialization) -> Result<Schema, FormatError> {
+        let Format { type_name, schema, .. } = self;
+        let parsed = match (serialization, self.schema_encoding) {
+            (Serialization::Cdr, _) if schema.is_empty() => {
+                return msg::common(type_name).ok_or_else(|| self.no_schema());
+            }
+            (Serialization::Ros1, _) if schema.is_empty() => return Err(self.no_schema()),
+            (Serialization::Cdr, "ros2msg") => msg::parse(type_name, schema, msg::Dialect::Ros2),
+            (Serialization::Cdr, "ros2idl" | "omgidl") => idl::parse(type_name, schema),
+            (Serialization::Ros1, "ros1msg") => msg::parse(type_name, schema, msg::Dialect::Ros1),
+            (Serialization::Cdr, _) => return Err(self.other_schema("`ros2msg` or `ros2idl`")),
+            (Serialization::Ros1, _) => return Err(self.other_schema("`ros1msg`")),
+        };
+        parsed.map_err(|source| self.broken(source))
+    }
+
+    fn protobuf(self, recipe: &Recipe) -> Result<Plan, FormatError> {
+        if self.schema.is_empty() {
+            return Err(self.no_schema());
         }
-        if format.schema.is_empty() {
-            return Err(FormatError::NoSchema { type_name: format.type_name.to_owned() });
+        if self.schema_encoding != "protobuf" {
+            return Err(self.other_schema("`protobuf`"));
         }
-        if format.schema_encoding != "ros2msg" {
-            return Err(FormatError::SchemaEncoding { found: format.schema_encoding.to_owned() });
+        let types = protobuf::Types::parse(self.schema).map_err(|source| self.broken(source))?;
+        let compile = |fields| protobuf::Plan::compile(&types, self.type_name, fields, recipe.each);
+        self.first_layout(recipe, compile).map(Plan::Protobuf)
+    }
+
+    /// The plan for the first of the recipe's layouts that the schema has.
+    fn first_layout<P>(
+        self,
+        recipe: &Recipe,
+        compile: impl Fn(Fields) -> Result<P, SchemaError>,
+    ) -> Result<P, FormatError> {
+        let mut refusal = None;
+        for fields in recipe.layouts {
+            match compile(fields) {
+                Ok(plan) => return Ok(plan),
+                Err(error) => refusal = refusal.or(Some(error)),
+            }
         }
-        schema::Schema::parse(format.type_name, format.schema)
-            .and_then(|schema| Plan::compile(&schema, self))
-            .map_err(|source| FormatError::Schema {
-                type_name: format.type_name.to_owned(),
-                source,
-            })
+        Err(refusal.map_or_else(|| self.no_schema(), |source| self.broken(source)))
+    }
+
+    fn no_schema(self) -> FormatError {
+        FormatError::NoSchema { type_name: self.type_name.to_owned() }
+    }
+
+    fn other_schema(self, expected: &'static str) -> FormatError {
+        FormatError::SchemaEncoding { expected, found: self.schema_encoding.to_owned() }
+    }
+
+    fn broken(self, source: SchemaError) -> FormatError {
+        FormatError::Schema { type_name: self.type_name.to_owned(), source }
     }
 }
-
-/// Slots of a position and a quaternion in two nested messages.
-macro_rules! pose_slots {
-    ($position:literal, $orientation:literal, $($other:expr),*) => {
-        &[
-            $($other,)*
-            (concat!($position, ".x"), Slot::Number(row::POSITION)),
-            (concat!($position, ".y"), Slot::Number(row::POSITION + 1)),
-            (concat!($position, ".z"), Slot::Number(row::POSITION + 2)),
-            (concat!($orientation, ".x"), Slot::Number(row::QUATERNION)),
-            (concat!($orientation, ".y"), Slot::Number(row::QUATERNION + 1)),
-            (concat!($orientation, ".z"), Slot::Number(row::QUATERNION + 2)),
-            (concat!($orientation, ".w"), Slot::Number(row::QUATERNION + 3)),
-        ]
-    };
-}
-
-/// Slots of the three components of a vector.
-macro_rules! vector_slots {
-    ($vector:literal, $first:expr) => {
-        [
-            (concat!($vector, ".x"), Slot::Number($first)),
-            (concat!($vector, ".y"), Slot::Number($first + 1)),
-            (concat!($vector, ".z"), Slot::Number($first + 2)),
-        ]
-    };
-}
-const GYRO: [(&str, Slot); 3] = vector_slots!("angular_velocity", row::GYRO);
-const ACCEL: [(&str, Slot); 3] = vector_slots!("linear_acceleration", row::ACCEL);
-
-/// Every message type that has columns.
-static RECIPES: &[Recipe] = &[
-    Recipe {
-        type_name: "sensor_msgs/JointState",
-        each: None,
-        fields: &[
-            ("header.stamp", Slot::Stamp),
-            ("header.frame_id", Slot::Text(row::FRAME)),
-            ("name", Slot::Names),
-            ("position", Slot::List(row::VALUES)),
-            ("velocity", Slot::List(row::VELOCITIES)),
-        ],
-        builder: Builder::joints,
-    },
-    Recipe {
-        type_name: "geometry_msgs/PoseStamped",
-        each: None,
-        fields: pose_slots!(
-            "pose.position",
-            "pose.orientation",
-            ("header.stamp", Slot::Stamp),
-            ("header.frame_id", Slot::Text(row::FRAME))
-        ),
-        builder: Builder::poses,
-    },
-    Recipe {
-        type_name: "geometry_msgs/PoseWithCovarianceStamped",
-        each: None,
-        fields: pose_slots!(
-            "pose.pose.position",
-            "pose.pose.orientation",
-            ("header.stamp", Slot::Stamp),
-            ("header.frame_id", Slot::Text(row::FRAME))
-        ),
-        builder: Builder::poses,
-    },
-    Recipe {
-        type_name: "nav_msgs/Odometry",
-        each: None,
-        fields: pose_slots!(
-            "pose.pose.position",
-            "pose.pose.orientation",
-            ("header.stamp", Slot::Stamp),
-            ("header.frame_id", Slot::Text(row::FRAME)),
-            ("child_frame_id", Slot::Text(row::CHILD))
-        ),
-        builder: Builder::poses,
-    },
-    Recipe {
-        type_name: "geometry_msgs/TransformStamped",
-        each: None,
-        fields: pose_slots!(
-            "transform.translation",
-            "transform.rotation",
-            ("header.stamp", Slot::Stamp),
-            ("header.frame_id", Slot::Text(row::FRAME)),
-            ("child_frame_id", Slot::Text(row::CHILD))
-        ),
-        builder: Builder::poses,
-    },
-    Recipe {
-        type_name: "tf2_msgs/TFMessage",
-        each: Some("transforms"),
-        fields: pose_slots!(
-            "transforms.transform.translation",
-            "transforms.transform.rotation",
-            ("transforms.header.stamp", Slot::Stamp),
-            ("transforms.header.frame_id", Slot::Text(row::FRAME)),
-            ("transforms.child_frame_id", Slot::Text(row::CHILD))
-        ),
-        builder: Builder::transforms,
-    },
-    Recipe {
-        type_name: "sensor_msgs/Imu",
-        each: None,
-        fields: &[
-            ("header.stamp", Slot::Stamp),
-            ("header.frame_id", Slot::Text(row::FRAME)),
-            ("orientation.x", Slot::Number(row::QUATERNION)),
-            ("orientation.y", Slot::Number(row::QUATERNION + 1)),
-            ("orientation.z", Slot::Number(row::QUATERNION + 2)),
-            ("orientation.w", Slot::Number(row::QUATERNION + 3)),
-            ("orientation_covariance", Slot::List(row::VALUES)),
-            GYRO[0],
-            GYRO[1],
-            GYRO[2],
-            ACCEL[0],
-            ACCEL[1],
-            ACCEL[2],
-        ],
-        builder: Builder::imu,
-    },
-    Recipe {
-        type_name: "std_msgs/Float64MultiArray",
-        each: None,
-        fields: &[("data", Slot::List(row::VALUES))],
-        builder: Builder::array,
-    },
-    Recipe {
-        type_name: "std_msgs/String",
-        each: None,
-        fields: &[("data", Slot::Text(row::BODY))],
-        builder: Builder::text,
-    },
-];

@@ -20,6 +20,15 @@ pub(super) const ACCEL: usize = 7;
 pub(super) const VALUES: usize = 0;
 /// Index into [`Row::lists`]: velocities.
 pub(super) const VELOCITIES: usize = 1;
+/// Index into [`Row::lists`]: positions that the joints shall have.
+pub(super) const REFERENCE: usize = 2;
+/// Index into [`Row::lists`]: velocities that the joints shall have.
+pub(super) const REFERENCE_VELOCITIES: usize = 3;
+/// Index into [`Row::lists`]: the matrix of a pose.
+pub(super) const MATRIX: usize = 2;
+
+/// Most numbers or names in one list; longer lists are left empty, or cut, as of no arm.
+pub(super) const MAX_LIST: usize = 1 << 16;
 
 /// What a field of a message fills.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -70,7 +79,9 @@ pub(in crate::log) struct Row {
     pub(super) numbers: [f64; 10],
     pub(super) texts: [String; 2],
     pub(super) names: Names,
-    pub(super) lists: [Vec<f64>; 2],
+    pub(super) lists: [Vec<f64>; 4],
+    /// Which element of the message's array of rows it is.
+    pub(super) index: usize,
 }
 
 impl Row {
@@ -82,6 +93,32 @@ impl Row {
     /// The `N` numbers from index `first` on.
     pub(super) fn numbers<const N: usize>(&self, first: usize) -> [f64; N] {
         std::array::from_fn(|i| self.numbers[first + i])
+    }
+
+    /// Empties a slot, as where a message leaves out what has the default value.
+    pub(super) fn reset(&mut self, slot: Slot) {
+        match slot {
+            Slot::Stamp => (self.seconds, self.nanoseconds) = (0, 0),
+            Slot::Text(index) => self.texts[index].clear(),
+            Slot::Number(index) => self.numbers[index] = 0.0,
+            Slot::Names => self.names.clear(),
+            Slot::List(index) => self.lists[index].clear(),
+        }
+    }
+
+    /// Appends to the list at `index`; one that is too long is emptied by [`Row::cap_list`].
+    pub(super) fn push(&mut self, index: usize, value: f64) {
+        let list = &mut self.lists[index];
+        if list.len() <= MAX_LIST {
+            list.push(value);
+        }
+    }
+
+    /// Empties the list at `index` if it is too long.
+    pub(super) fn cap_list(&mut self, index: usize) {
+        if self.lists[index].len() > MAX_LIST {
+            self.lists[index].clear();
+        }
     }
 
     /// Replaces the text at `index`.
@@ -112,12 +149,24 @@ impl Names {
     }
 
     pub(super) fn push(&mut self, bytes: &[u8]) {
+        if self.ends.len() == MAX_LIST {
+            return;
+        }
         push_lossy(&mut self.text, bytes);
         self.ends.push(self.text.len());
     }
 
     pub(super) fn len(&self) -> usize {
         self.ends.len()
+    }
+
+    /// The name at `index`.
+    pub(super) fn get(&self, index: usize) -> Option<&str> {
+        let start = match index {
+            0 => 0,
+            _ => *self.ends.get(index - 1)?,
+        };
+        Some(&self.text[start..*self.ends.get(index)?])
     }
 
     pub(super) fn iter(&self) -> impl Iterator<Item = &str> {
@@ -163,6 +212,8 @@ mod tests {
         }
         assert_eq!(names.iter().collect::<Vec<_>>(), ["elbow", "", "wrist_1"]);
         assert_eq!(names.len(), 3);
+        let each: Vec<_> = (0..4).map(|index| names.get(index)).collect();
+        assert_eq!(each, [Some("elbow"), Some(""), Some("wrist_1"), None]);
     }
 
     #[test]

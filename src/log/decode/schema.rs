@@ -1,10 +1,26 @@
-//! Message definitions as rosbag2 writes them: the definition of the type, then those of all that it
-//! contains, each after a line of `=` and a line `MSG: package/Type`.
+//! Message types as a schema describes them, whatever language it is written in.
 
 use std::borrow::Cow;
+use std::collections::HashMap;
+
+/// Most fields that a schema may define in all, and most that a message may have with all that it
+/// contains. Types that double at every level are stopped here.
+pub(super) const MAX_FIELDS: usize = 10_000;
+
+/// Most types that a schema may define.
+pub(super) const MAX_TYPES: usize = 5_000;
+
+/// Deepest nesting of messages. A type that contains itself is stopped here.
+pub(super) const MAX_DEPTH: usize = 32;
+
+/// Longest schema, in bytes. Those of whole message packages have below a tenth of it.
+const MAX_BYTES: usize = 4 << 20;
+
+/// Longest name of a field or type, in bytes.
+pub(super) const MAX_NAME: usize = 256;
 
 /// Why a schema cannot be used.
-#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(in crate::log) enum SchemaError {
     #[error("line {line}: expected `MSG: package/Type` after the separator, found `{found}`")]
     Separator { line: usize, found: String },
@@ -12,21 +28,55 @@ pub(in crate::log) enum SchemaError {
     Field { line: usize, found: String },
     #[error("line {line}: array length of `{found}` is not a number from 1 to 4294967295")]
     ArrayLength { line: usize, found: String },
+    #[error("line {line}: expected {expected}, found `{found}`")]
+    Syntax { line: usize, expected: &'static str, found: String },
+    #[error("line {line}: name of more than {MAX_NAME} bytes")]
+    LongName { line: usize },
+    #[error("not a FileDescriptorSet: {what}")]
+    Descriptor { what: String },
+    #[error("it does not define `{type_name}`")]
+    NoRoot { type_name: String },
     #[error("field `{field}` is of type `{type_name}`, which the schema does not define")]
     Undefined { field: String, type_name: String },
-    #[error("field `{field}` is of type `wstring`, which has no settled encoding")]
-    WideString { field: String },
-    #[error("field `{field}` is nested deeper than {limit}; does its type contain itself?")]
-    TooDeep { field: String, limit: usize },
-    #[error("more than {limit} fields in all; types that contain each other many times over?")]
-    TooLarge { limit: usize },
+    #[error("field `{field}` is of type `{spelled}`, {why}")]
+    Unreadable { field: String, spelled: String, why: &'static str },
+    #[error("field `{field}` is nested deeper than {MAX_DEPTH}; does its type contain itself?")]
+    TooDeep { field: String },
+    #[error("more than {MAX_FIELDS} fields in all; types that contain each other many times over?")]
+    TooManyFields,
+    #[error("more than {MAX_TYPES} types")]
+    TooManyTypes,
+    #[error("{bytes} bytes long, more than {MAX_BYTES}")]
+    TooLong { bytes: usize },
     #[error("expected {expected} in field `{field}`, found `{found}`")]
     Mismatch { field: String, expected: &'static str, found: String },
     #[error("no field `{field}`")]
     Missing { field: &'static str },
 }
 
-/// A number on the wire. `bool`, `byte` and `char` are read as [`Primitive::U8`].
+/// Refuses a schema that is too long to be one.
+pub(super) fn check_length(schema: &[u8]) -> Result<(), SchemaError> {
+    match schema.len() {
+        0..=MAX_BYTES => Ok(()),
+        bytes => Err(SchemaError::TooLong { bytes }),
+    }
+}
+
+/// The schema as text.
+pub(super) fn text(schema: &[u8]) -> Result<Cow<'_, str>, SchemaError> {
+    check_length(schema).map(|()| String::from_utf8_lossy(schema))
+}
+
+/// The start of `text`, for messages to people.
+pub(super) fn excerpt(text: &str) -> String {
+    const LONGEST: usize = 80;
+    match text.char_indices().nth(LONGEST) {
+        Some((end, _)) => format!("{}…", &text[..end]),
+        None => text.to_owned(),
+    }
+}
+
+/// A number on the wire. Truth values, bytes and characters are read as 8-bit numbers.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Primitive {
     U8,
@@ -51,22 +101,6 @@ impl Primitive {
             Primitive::U64 | Primitive::I64 | Primitive::F64 => 8,
         }
     }
-
-    fn named(name: &str) -> Option<Self> {
-        Some(match name {
-            "bool" | "byte" | "char" | "uint8" => Primitive::U8,
-            "int8" => Primitive::I8,
-            "uint16" => Primitive::U16,
-            "int16" => Primitive::I16,
-            "uint32" => Primitive::U32,
-            "int32" => Primitive::I32,
-            "uint64" => Primitive::U64,
-            "int64" => Primitive::I64,
-            "float32" => Primitive::F32,
-            "float64" => Primitive::F64,
-            _ => return None,
-        })
-    }
 }
 
 /// The type of one value of a field.
@@ -74,9 +108,10 @@ impl Primitive {
 pub(super) enum Base {
     Number(Primitive),
     Text,
-    WideText,
     /// Another message, by its name in [`canonical`] form.
     Message(String),
+    /// What cannot be read or passed over, and why.
+    Unreadable(&'static str),
 }
 
 /// How many values a field has.
@@ -97,18 +132,40 @@ pub(super) struct Field {
     pub(super) spelled: String,
 }
 
+/// Whether a type may grow, by which the second CDR tells whether its length stands before it (DDS
+/// XTypes 1.3, §7.4.3.5).
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Extensibility {
+    /// The schema does not say: as the header of each message has it.
+    Unsaid,
+    Final,
+    Appendable,
+    /// Every member carries its id.
+    Mutable,
+}
+
 /// One message type.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(super) struct Definition {
+    /// In [`canonical`] form.
     pub(super) name: String,
     pub(super) fields: Vec<Field>,
+    pub(super) extensibility: Extensibility,
 }
 
-/// A message type with all types that it contains; the first is the message itself.
+impl Definition {
+    /// A type without fields so far.
+    pub(super) fn new(name: impl Into<String>) -> Self {
+        Self { name: name.into(), fields: Vec::new(), extensibility: Extensibility::Unsaid }
+    }
+}
+
+/// A message type with all types that it contains.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(super) struct Schema {
-    root: Definition,
-    nested: Vec<Definition>,
+    definitions: Vec<Definition>,
+    by_name: HashMap<String, usize>,
+    root: usize,
 }
 
 /// Types that a schema may use without defining them, with those of their seconds and nanoseconds.
@@ -126,10 +183,8 @@ fn built_in((name, seconds, nanoseconds): (&str, Primitive, Primitive)) -> Defin
         arity: Arity::One,
         spelled: "a 32-bit number".into(),
     };
-    Definition {
-        name: name.into(),
-        fields: vec![field("sec", seconds), field("nanosec", nanoseconds)],
-    }
+    let fields = vec![field("sec", seconds), field("nanosec", nanoseconds)];
+    Definition { fields, ..Definition::new(name) }
 }
 
 /// `package/Type` for either spelling of a type name, `package/msg/Type` or `package/Type`.
@@ -141,152 +196,29 @@ pub(in crate::log) fn canonical(type_name: &str) -> Cow<'_, str> {
 }
 
 impl Schema {
-    /// Parses the concatenated definitions of `type_name`.
-    pub(super) fn parse(type_name: &str, text: &[u8]) -> Result<Self, SchemaError> {
-        let text = String::from_utf8_lossy(text);
-        let mut done = Vec::new();
-        let mut current = Definition { name: canonical(type_name).into(), fields: Vec::new() };
-        let mut lines = text.lines().map(str::trim).enumerate();
-        while let Some((index, line)) = lines.next() {
-            if line.len() >= 3 && line.bytes().all(|byte| byte == b'=') {
-                let (index, header) = lines.next().unwrap_or((index + 1, ""));
-                let Some(name) = header.strip_prefix("MSG:") else {
-                    return Err(SchemaError::Separator { line: index + 1, found: header.into() });
-                };
-                let name = canonical(name.trim()).into_owned();
-                done.push(std::mem::replace(&mut current, Definition { name, fields: Vec::new() }));
-            } else if let Some(field) = parse_field(&current.name, index + 1, line)? {
-                current.fields.push(field);
-            }
+    /// The type `type_name` with the others of `definitions`; of equal names the first holds.
+    pub(super) fn new(
+        type_name: &str,
+        mut definitions: Vec<Definition>,
+    ) -> Result<Self, SchemaError> {
+        definitions.extend(BUILT_IN.map(built_in));
+        let mut by_name = HashMap::new();
+        for (index, definition) in definitions.iter().enumerate() {
+            by_name.entry(definition.name.clone()).or_insert(index);
         }
-        done.push(current);
-        let mut nested = done.split_off(1);
-        nested.extend(BUILT_IN.map(built_in));
-        Ok(Self { root: done.remove(0), nested })
+        let root = *by_name
+            .get(canonical(type_name).as_ref())
+            .ok_or_else(|| SchemaError::NoRoot { type_name: type_name.to_owned() })?;
+        Ok(Self { definitions, by_name, root })
     }
 
     /// The message itself.
     pub(super) fn root(&self) -> &Definition {
-        &self.root
+        &self.definitions[self.root]
     }
 
     /// The definition of the canonical name `name`.
     pub(super) fn definition(&self, name: &str) -> Option<&Definition> {
-        self.nested.iter().find(|definition| definition.name == name)
-    }
-}
-
-/// The field that a line declares; `None` for a constant, a comment or an empty line.
-fn parse_field(owner: &str, number: usize, line: &str) -> Result<Option<Field>, SchemaError> {
-    // A `#` within the text of a constant or a default may be cut: neither is on the wire.
-    let declaration = line.split('#').next().unwrap_or_default().trim();
-    if declaration.is_empty() {
-        return Ok(None);
-    }
-    let malformed = || SchemaError::Field { line: number, found: line.into() };
-    let (spelled, rest) = declaration.split_once(char::is_whitespace).ok_or_else(malformed)?;
-    let rest = rest.trim_start();
-    let name_end = rest.find(|c: char| c.is_whitespace() || c == '=').unwrap_or(rest.len());
-    let (name, default) = rest.split_at(name_end);
-    if name.is_empty() {
-        return Err(malformed());
-    }
-    if default.trim_start().starts_with('=') {
-        return Ok(None);
-    }
-    let (base, arity) = parse_type(owner, number, spelled)?;
-    Ok(Some(Field { name: name.into(), base, arity, spelled: spelled.into() }))
-}
-
-/// The type `spelled` in the definition of `owner`.
-fn parse_type(owner: &str, line: usize, spelled: &str) -> Result<(Base, Arity), SchemaError> {
-    let (base, arity) = match spelled.strip_suffix(']').and_then(|rest| rest.rsplit_once('[')) {
-        None => (spelled, Arity::One),
-        Some((base, "")) => (base, Arity::Sequence),
-        Some((base, bound)) if bound.starts_with("<=") => (base, Arity::Sequence),
-        Some((base, length)) => match length.parse() {
-            Ok(length) if length > 0 => (base, Arity::Array(length)),
-            _ => return Err(SchemaError::ArrayLength { line, found: spelled.into() }),
-        },
-    };
-    let base = base.split_once("<=").map_or(base, |(unbounded, _)| unbounded);
-    Ok((parse_base(owner, base), arity))
-}
-
-/// The type of one value, `name` in the definition of `owner`.
-fn parse_base(owner: &str, name: &str) -> Base {
-    if let Some(primitive) = Primitive::named(name) {
-        return Base::Number(primitive);
-    }
-    match name {
-        "string" => Base::Text,
-        "wstring" => Base::WideText,
-        "time" | "duration" => Base::Message(name.into()),
-        "Header" => Base::Message("std_msgs/Header".into()),
-        _ if name.contains('/') => Base::Message(canonical(name).into()),
-        _ => match owner.rsplit_once('/') {
-            Some((package, _)) => Base::Message(format!("{package}/{name}")),
-            None => Base::Message(name.into()),
-        },
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn fields(text: &str) -> Vec<(String, Base, Arity)> {
-        let schema = Schema::parse("pkg/msg/Type", text.as_bytes()).unwrap();
-        let fields = schema.root().fields.iter();
-        fields.map(|field| (field.name.clone(), field.base.clone(), field.arity)).collect()
-    }
-
-    fn one(text: &str) -> (Base, Arity) {
-        let mut fields = fields(text);
-        assert_eq!(fields.len(), 1, "{text}");
-        let (_, base, arity) = fields.remove(0);
-        (base, arity)
-    }
-
-    #[test]
-    fn every_kind_of_type_is_read() {
-        assert_eq!(one("float32 x"), (Base::Number(Primitive::F32), Arity::One));
-        assert_eq!(one("uint8[] x"), (Base::Number(Primitive::U8), Arity::Sequence));
-        assert_eq!(one("float64[36] x"), (Base::Number(Primitive::F64), Arity::Array(36)));
-        assert_eq!(one("int32[<=5] x"), (Base::Number(Primitive::I32), Arity::Sequence));
-        assert_eq!(one("string<=10 x"), (Base::Text, Arity::One));
-        assert_eq!(one("string<=10[<=5] x"), (Base::Text, Arity::Sequence));
-        assert_eq!(one("string<=10[5] x"), (Base::Text, Arity::Array(5)));
-        assert_eq!(one("Other x"), (Base::Message("pkg/Other".into()), Arity::One));
-        assert_eq!(one("a/msg/B[] x"), (Base::Message("a/B".into()), Arity::Sequence));
-        assert_eq!(one("Header header"), (Base::Message("std_msgs/Header".into()), Arity::One));
-    }
-
-    #[test]
-    fn constants_comments_and_defaults_are_no_fields() {
-        let text = "# a comment\n\nint32 A=1\nint32 B = 2\nstring C='a # b'\nstring D= \"x\" \n\
-                    int32 with_default 5 # because\nstring text \"a=b # c\"\n  \tfloat64   spaced  \n";
-        let fields = fields(text);
-        let names: Vec<&str> = fields.iter().map(|(name, ..)| name.as_str()).collect();
-        assert_eq!(names, ["with_default", "text", "spaced"]);
-    }
-
-    #[test]
-    fn nested_definitions_are_found_by_either_spelling() {
-        let text = "A a\r\n=====\r\nMSG: pkg/msg/A\r\nB b\r\n=====\r\nMSG: pkg/B\r\nint8 x\r\n";
-        let schema = Schema::parse("pkg/Type", text.as_bytes()).unwrap();
-        assert_eq!(schema.definition("pkg/A").unwrap().fields[0].name, "b");
-        assert_eq!(schema.definition("pkg/B").unwrap().fields[0].name, "x");
-        assert_eq!(schema.definition("pkg/C"), None);
-    }
-
-    #[test]
-    fn broken_schemas_name_the_line() {
-        let error = |text: &str| Schema::parse("p/T", text.as_bytes()).unwrap_err().to_string();
-        assert_eq!(error("int32 a\nint32"), "line 2: expected `type name`, found `int32`");
-        assert!(error("int8 x\n====\nint8 y").starts_with("line 3: expected `MSG: "));
-        assert!(error("int8 x\n====").starts_with("line 3: expected `MSG: "));
-        assert!(error("int8[0] x").contains("array length of `int8[0]`"));
-        assert!(error("int8[99999999999] x").contains("array length"));
+        self.by_name.get(name).map(|&index| &self.definitions[index])
     }
 }

@@ -1,20 +1,23 @@
 //! Messages of every recipe, through plan and builder.
 
+mod encodings;
+mod hostile;
+mod idl;
+mod independent;
+mod vectors;
+
 use super::super::testing::{self, Cdr};
 use super::*;
 use crate::stream::{Columns, ImuColumns, JointColumns, PoseColumns};
 
-/// What the messages decode to, and the first error.
-fn decode(type_name: &str, schema: &str, messages: &[Vec<u8>]) -> (Columns, Option<String>) {
-    let recipe = Recipe::of(type_name).unwrap();
-    let format = Format {
-        encoding: "cdr",
-        type_name,
-        schema_encoding: "ros2msg",
-        schema: schema.as_bytes(),
-    };
+/// What the messages decode to, in parts, and the first error.
+fn decode_all(
+    format: Format<'_>,
+    messages: &[Vec<u8>],
+) -> (Vec<(&'static str, Option<Columns>)>, Option<String>) {
+    let recipe = Recipe::of(format.type_name).unwrap();
     let plan = recipe.plan(format).unwrap();
-    let (mut builder, mut row) = ((recipe.builder)(), Row::default());
+    let (mut builder, mut row) = (recipe.builder(), Row::default());
     let mut first = None;
     for (index, message) in messages.iter().enumerate() {
         let times = RowTimes { log: 1000 + index as i64, publish: 2000 + index as i64 };
@@ -24,6 +27,18 @@ fn decode(type_name: &str, schema: &str, messages: &[Vec<u8>]) -> (Columns, Opti
         }
     }
     (builder.finalize(), first)
+}
+
+/// The same of CDR by a message definition, for types of one part.
+fn decode(type_name: &str, schema: &str, messages: &[Vec<u8>]) -> (Columns, Option<String>) {
+    let (mut parts, error) = decode_all(cdr(type_name, schema), messages);
+    assert_eq!((parts.len(), parts[0].0), (1, ""));
+    (parts.remove(0).1.unwrap(), error)
+}
+
+fn cdr<'a>(type_name: &'a str, schema: &'a str) -> Format<'a> {
+    let (encoding, schema_encoding) = ("cdr", "ros2msg");
+    Format { encoding, type_name, schema_encoding, schema: schema.as_bytes() }
 }
 
 fn joints(schema: &str, messages: &[Vec<u8>]) -> JointColumns {
@@ -48,13 +63,11 @@ fn imu(messages: &[Vec<u8>]) -> ImuColumns {
 }
 
 fn refusal(type_name: &str, schema: &str) -> String {
-    let format = Format {
-        encoding: "cdr",
-        type_name,
-        schema_encoding: "ros2msg",
-        schema: schema.as_bytes(),
-    };
-    Recipe::of(type_name).unwrap().plan(format).unwrap_err().to_string()
+    refused(cdr(type_name, schema))
+}
+
+fn refused(format: Format<'_>) -> String {
+    Recipe::of(format.type_name).unwrap().plan(format).unwrap_err().to_string()
 }
 
 /// Equal, where NaN equals NaN.
@@ -253,6 +266,20 @@ fn arrays_have_one_width() {
 }
 
 #[test]
+fn lone_vectors_and_quaternions_are_numbers_with_a_stamp() {
+    for (type_name, numbers) in [
+        ("geometry_msgs/msg/Vector3Stamped", &[1.0, 2.0, 3.0][..]),
+        ("geometry_msgs/msg/QuaternionStamped", &[0.0, 0.6, 0.0, 0.8]),
+    ] {
+        let format = Format { schema_encoding: "", ..cdr(type_name, "") };
+        let message = Cdr::little().header(1, 2, "imu").all(numbers).done();
+        let (parts, error) = decode_all(format, &[message]);
+        let Some(Columns::Array(array)) = &parts[0].1 else { panic!("array") };
+        assert_eq!((error, array.row(0), array.times.header[0]), (None, numbers, 1_000_000_002));
+    }
+}
+
+#[test]
 fn equal_texts_are_kept_once_and_not_without_end() {
     let mut messages = vec![Cdr::little().text("<robot/>").done(); 3];
     messages.extend((0..100).map(|index| Cdr::little().text(&format!("text {index}")).done()));
@@ -299,7 +326,6 @@ fn schemas_that_do_not_fit_say_why() {
     assert!(undefined.contains("field `header` is of type `std_msgs/Header`, which the schema"));
     let wide = joint_state("wstring w\n");
     assert!(wide.contains("field `w` is of type `wstring`"));
-    assert!(joint_state("").contains("no schema"));
 }
 
 #[test]
@@ -320,16 +346,124 @@ fn schemas_that_contain_themselves_are_refused() {
 }
 
 #[test]
-fn other_encodings_are_named() {
-    let format = Format {
-        encoding: "json",
-        type_name: "sensor_msgs/JointState",
-        schema_encoding: "jsonschema",
-        schema: b"{}",
+fn what_follows_the_wanted_fields_need_not_be_readable() {
+    let header = "time stamp\nstring frame_id\n";
+    let fields = "Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\n\
+        wstring wide\nStrange strange";
+    let schema = testing::schema(fields, &[("std_msgs/Header", header)]);
+    let message = Cdr::joint_state(&["a"], &[1.0], &[]);
+    assert_same(&joints(&schema, &[message]).joints[0].position, &[1.0]);
+}
+
+#[test]
+fn a_message_of_wrong_length_takes_no_other_names_columns() {
+    let joints = joints(
+        testing::JOINT_STATE,
+        &[
+            Cdr::joint_state(&["a", "b"], &[1.0, 2.0], &[]),
+            Cdr::joint_state(&["c"], &[5.0, 6.0], &[]),
+        ],
+    );
+    assert_eq!((joints.joints.len(), joints.times.len(), joints.wrong_length), (2, 1, 1));
+}
+
+#[test]
+fn a_type_without_a_stamp_says_so() {
+    let (columns, _) = decode("std_msgs/String", "string data", &[Cdr::little().text("x").done()]);
+    assert!(columns.times().iter().all(|times| times.unstamped));
+    let message = Cdr::pose_stamped(0, 0, "base", [0.0; 3]);
+    let poses = poses("geometry_msgs/PoseStamped", testing::POSE_STAMPED, &[message]);
+    assert!(!poses[0].times.unstamped && poses[0].times.header == [0]);
+}
+
+#[test]
+fn crowds_of_poses_are_of_no_use() {
+    let format = Format { schema_encoding: "", ..cdr("geometry_msgs/msg/PoseArray", "") };
+    let message = |count: u32| {
+        let cdr = Cdr::little().header(1, 0, "map").u32(count);
+        (0..count).fold(cdr, |cdr, _| cdr.all(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])).done()
     };
-    let recipe = Recipe::of(format.type_name).unwrap();
-    let refusal = |format| recipe.plan(format).unwrap_err().to_string();
-    assert_eq!(refusal(format), "messages are encoded as `json`, expected `cdr`");
-    let idl = Format { encoding: "cdr", schema_encoding: "ros2idl", ..format };
-    assert_eq!(refusal(idl), "schema is written in `ros2idl`, expected `ros2msg`");
+    let (parts, error) = decode_all(format, &[message(16)]);
+    assert!(matches!(&parts[0].1, Some(Columns::Poses(poses)) if poses.len() == 16));
+    assert_eq!(error, None);
+    let (parts, error) = decode_all(format, &[message(1), message(17), message(1)]);
+    assert_eq!((&parts[0].1, error), (&None, None));
+}
+
+#[test]
+fn links_of_two_models_keep_their_models_names() {
+    let format = Format { schema_encoding: "", ..cdr("gazebo_msgs/msg/LinkStates", "") };
+    let names = ["left::tool0", "right::tool0", "right::elbow"];
+    let cdr = names.iter().fold(Cdr::little().texts(&names).u32(3), |cdr, _| {
+        cdr.all(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    });
+    let (parts, _) = decode_all(format, &[cdr.u32(0).done()]);
+    let Some(Columns::Poses(poses)) = &parts[0].1 else { panic!("poses") };
+    let children: Vec<&str> = poses.iter().map(|pose| pose.child_frame_id.as_str()).collect();
+    assert_eq!(children, ["left::tool0", "right::tool0", "elbow"]);
+}
+
+#[test]
+fn json_may_leave_out_numbers_but_no_objects() {
+    let type_name = "geometry_msgs/msg/PoseStamped";
+    let format = Format { encoding: "json", ..cdr(type_name, "") };
+    let decoded = |message: &str| {
+        let (mut parts, error) = decode_all(format, &[message.as_bytes().to_vec()]);
+        let Some(Columns::Poses(poses)) = parts.remove(0).1 else { panic!("poses") };
+        (poses, error)
+    };
+    let header = r#""header":{"stamp":{"sec":1,"nanosec":2},"frame_id":"base"}"#;
+    let whole = format!(
+        r#"{{"pose":{{"orientation":{{"w":1}},"position":{{"x":"1.5","y":null}}}},{header}}}"#
+    );
+    let (poses, error) = decoded(&whole);
+    assert_eq!((error, poses[0].not_finite), (None, 1));
+    let (poses, _) = decoded(&whole.replace("null", "2"));
+    assert_eq!((poses[0].xyz[0], poses[0].q_xyzw[0]), ([1.5, 2.0, 0.0], [0.0, 0.0, 0.0, 1.0]));
+    assert_eq!((poses[0].frame_id.as_str(), poses[0].times.header[0]), ("base", 1_000_000_002));
+    for (message, expected) in [
+        (format!(r#"{{"pose":{{"position":{{}}}},{header}}}"#), "no object `pose.orientation`"),
+        ("{}".to_owned(), "no object `header`"),
+        (whole.replace("1.5", "left"), "expected a number in field `pose.position.x`"),
+        (whole.replace(r#"{"w":1}"#, "[1]"), "an object in field `pose.orientation`"),
+        (whole.replace(r#"{"sec":1,"nanosec":2}"#, "7"), "expected a time in field `header.stamp`"),
+        (whole[..30].to_owned(), "EOF"),
+        ("[1]".to_owned(), "an object"),
+        (format!("{whole}x"), "trailing"),
+    ] {
+        let error = decoded(&message).1.unwrap();
+        assert!(error.contains(expected), "{error}");
+    }
+}
+
+#[test]
+fn protocol_buffers_of_another_type_are_refused() {
+    let foxglove = include_bytes!("tests/foxglove.bin");
+    let format = Format {
+        encoding: "protobuf",
+        type_name: "foxglove.PoseInFrame",
+        schema_encoding: "protobuf",
+        schema: foxglove,
+    };
+    // Field 3 is the pose; here it is a number.
+    let (_, error) = decode_all(format, &[vec![0x18, 0x01]]);
+    assert!(error.unwrap().starts_with("field `pose`: a value of another wire type"), "wire type");
+    let joints = Format { type_name: "sensor_msgs/JointState", ..format };
+    assert!(refused(joints).contains("does not define `sensor_msgs/JointState`"));
+    assert!(refused(Format { schema: b"", ..format }).contains("no schema"));
+    assert!(refused(Format { schema: b"\xff", ..format }).contains("not a FileDescriptorSet"));
+    assert!(refused(Format { schema_encoding: "", ..format }).contains("expected `protobuf`"));
+}
+
+#[test]
+fn other_encodings_are_named() {
+    let format = Format { encoding: "flatbuffer", ..cdr("sensor_msgs/JointState", "x") };
+    let expected =
+        "messages are encoded as `flatbuffer`, expected `cdr`, `ros1`, `json` or `protobuf`";
+    assert_eq!(refused(format), expected);
+    let other = Format { encoding: "cdr", schema_encoding: "ros1msg", ..format };
+    let expected = "schema is written in `ros1msg`, expected `ros2msg` or `ros2idl`";
+    assert_eq!(refused(other), expected);
+    let none = Format { encoding: "ros1", schema: b"", ..format };
+    assert_eq!(refused(none), "the log holds no schema for `sensor_msgs/JointState`");
 }

@@ -5,6 +5,8 @@
 
 use mcap::records::op;
 
+use crate::log::unpack::{Allowance, Compression, UnpackError, Unpacker};
+
 /// Bytes before a record's body: its opcode and its length.
 pub(super) const FRAME_HEADER: usize = 9;
 
@@ -86,13 +88,25 @@ pub(super) fn find_chunk(bytes: &[u8], from: usize) -> Option<usize> {
             return false;
         };
         let header = CHUNK_HEADER + chunk.compression.len();
-        let known = matches!(chunk.compression, "" | "zstd" | "lz4");
-        known && chunk.is_whole() && header + chunk.data.len() == frame.body.len()
+        chunk.compression().is_some()
+            && chunk.is_whole()
+            && header + chunk.data.len() == frame.body.len()
     })
 }
 
 /// Bytes of a chunk's fields without its compression's name and its data.
 const CHUNK_HEADER: usize = 8 + 8 + 8 + 4 + 4 + 8;
+
+/// Why the records of a chunk cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum ChunkError {
+    #[error("chunk is compressed by `{found}`, expected `zstd`, `lz4` or none")]
+    Compression { found: String },
+    #[error(transparent)]
+    Unpack(#[from] UnpackError),
+    #[error("chunk fails its checksum ({found:08x}, its header says {expected:08x})")]
+    Crc { expected: u32, found: u32 },
+}
 
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Schema<'a> {
@@ -171,6 +185,44 @@ impl<'a> Chunk<'a> {
         let compressed_size = fields.u64()?;
         let there = compressed_size.min(fields.0.len() as u64);
         Some(Self { size, crc, compression, compressed_size, data: fields.bytes(there)? })
+    }
+
+    fn compression(&self) -> Option<Compression> {
+        match self.compression {
+            "" => Some(Compression::None),
+            "zstd" => Some(Compression::Zstd),
+            "lz4" => Some(Compression::Lz4),
+            _ => None,
+        }
+    }
+
+    /// The records of a whole chunk, of the size and with the checksum that its header says.
+    pub(super) fn records<'b>(
+        &'b self,
+        unpacker: &'b mut Unpacker,
+        allowance: &mut Allowance,
+    ) -> Result<&'b [u8], ChunkError> {
+        let found = || self.compression.to_owned();
+        let compression =
+            self.compression().ok_or_else(|| ChunkError::Compression { found: found() })?;
+        let records = unpacker.chunk(compression, self.data, self.size, allowance)?;
+        if self.crc != 0 {
+            let found = crc32fast::hash(records);
+            if found != self.crc {
+                return Err(ChunkError::Crc { expected: self.crc, found });
+            }
+        }
+        Ok(records)
+    }
+
+    /// The records at the beginning of a chunk whose end is missing, as far as they can be unpacked.
+    pub(super) fn cut_records<'b>(
+        &'b self,
+        unpacker: &'b mut Unpacker,
+        allowance: &mut Allowance,
+    ) -> &'b [u8] {
+        let compression = self.compression();
+        compression.map_or(&[], |compression| unpacker.cut_chunk(compression, self.data, allowance))
     }
 
     /// Whether all of the compressed records are there.

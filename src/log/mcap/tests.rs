@@ -1,6 +1,7 @@
 //! Sound and damaged files.
 
 use std::borrow::Cow;
+use std::path::Path;
 
 use mcap::{Compression, WriteOptions};
 
@@ -21,16 +22,19 @@ fn poses(mut log: LogWriter) -> Vec<u8> {
     log.finish()
 }
 
-fn read_with(bytes: &[u8], options: ReadOptions) -> Log {
+fn read_with(bytes: &[u8], options: ReadOptions<'_>) -> Log {
     let (path, mut intake) = (Path::new("run.mcap"), Intake::default());
-    let crc = read(path, bytes, &options, &mut intake);
+    let mut losses = Losses::of(path);
+    intake.begin_file(path, bytes.len() as u64);
+    let crc = read(bytes, &options, &mut losses, &mut intake);
+    intake.losses(losses);
     let bytes = bytes.len() as u64;
     let container = Container::Mcap;
     intake.finish(vec![LogFile { path: path.to_owned(), container, bytes, crc }])
 }
 
 fn read_all(bytes: &[u8]) -> Log {
-    read_with(bytes, ReadOptions { verify: true })
+    read_with(bytes, ReadOptions { verify: true, progress: None })
 }
 
 fn rows(log: &Log) -> &PoseColumns {
@@ -80,7 +84,8 @@ fn files_without_chunks_or_without_index_are_read_alike() {
         (unchunked, false, Crc::None),
         (bare, true, Crc::None),
     ] {
-        let log = read_with(&poses(LogWriter::with(options)), ReadOptions { verify });
+        let log =
+            read_with(&poses(LogWriter::with(options)), ReadOptions { verify, progress: None });
         assert_eq!(log.losses, []);
         assert_eq!(rows(&log).times.len() as u64, MESSAGES);
         assert_eq!(log.files[0].crc, crc);
@@ -117,7 +122,7 @@ fn the_messages_before_a_cut_within_a_chunk_are_saved() {
     let [Loss { offset, extent: Extent::Tail, what, .. }] = log.losses.as_slice() else {
         panic!("{:?}", log.losses)
     };
-    assert_eq!(*offset, second as u64);
+    assert_eq!(*offset, Some(second as u64));
     assert_eq!(
         *what,
         format!("the file ends within a chunk; {} messages of it were read", log.messages - before)
@@ -137,7 +142,7 @@ fn a_corrupt_chunk_is_lost_alone_and_its_messages_are_counted() {
             let log = read_all(&bytes);
             bytes[damaged] ^= 0x10;
             let [loss] = log.losses.as_slice() else { panic!("{:?}", log.losses) };
-            assert_eq!((loss.offset, loss.extent), (chunk as u64, Extent::Messages));
+            assert_eq!((loss.offset, loss.extent), (Some(chunk as u64), Extent::Messages));
             assert_eq!(loss.messages, Some(MESSAGES - log.messages));
             assert!(log.messages > MESSAGES / 2);
         }
@@ -152,7 +157,7 @@ fn a_wrong_length_costs_no_more_than_its_record() {
         bytes[chunk + 7] = garbage;
         let log = read_all(&bytes);
         let [loss] = log.losses.as_slice() else { panic!("{:?}", log.losses) };
-        assert_eq!((loss.offset, loss.extent), (chunk as u64, Extent::Messages));
+        assert_eq!((loss.offset, loss.extent), (Some(chunk as u64), Extent::Messages));
         assert_eq!(loss.messages, Some(MESSAGES - log.messages));
         assert!(loss.what.contains("read on at byte"), "{}", loss.what);
         assert!(log.messages > MESSAGES / 2);
@@ -210,23 +215,23 @@ fn hostile_chunk_sizes_are_refused() {
 fn topics_that_cannot_be_decoded_do_not_stop_the_others() {
     let mut log = LogWriter::default();
     let pose = "geometry_msgs/msg/PoseStamped";
-    let json = log.encoded_channel("/json", pose, "json", testing::POSE_STAMPED);
+    let other = log.encoded_channel("/other", pose, "xml", testing::POSE_STAMPED);
     let cdr = log.channel("/cdr", pose, testing::POSE_STAMPED);
-    log.message(json, 1, b"{}");
-    log.message(json, 2, b"{}");
+    log.message(other, 1, b"{}");
+    log.message(other, 2, b"{}");
     log.message(cdr, 3, &Cdr::pose_stamped(1, 2, "base", [0.0; 3]));
     log.message(cdr, 4, &Cdr::pose_stamped(1, 2, "base", [0.0; 3])[..30]);
     let log = read_all(&log.finish());
     assert_eq!(log.losses, []);
-    let [cdr, json] = log.topics.as_slice() else { panic!("two topics") };
+    let [cdr, other] = log.topics.as_slice() else { panic!("two topics") };
     let undecodable = cdr.undecodable.as_ref().unwrap();
     assert_eq!(undecodable.messages, 1);
     assert!(undecodable.first.starts_with("field `pose.position.x`: byte 28 of the message: 8 "));
     assert!(matches!(&cdr.columns, Some(Columns::Poses(poses)) if poses[0].times.len() == 1));
-    assert_eq!(json.columns, None);
-    let undecodable = json.undecodable.as_ref().unwrap();
+    assert_eq!(other.columns, None);
+    let undecodable = other.undecodable.as_ref().unwrap();
     assert_eq!(undecodable.messages, 2);
-    assert!(undecodable.first.starts_with("messages are encoded as `json`, expected `cdr`"));
+    assert!(undecodable.first.starts_with("messages are encoded as `xml`, expected `cdr`"));
 }
 
 #[test]

@@ -1,5 +1,6 @@
-//! A cursor over a CDR message.
+//! A cursor over a message of CDR or of ROS 1 serialization.
 
+use super::row::MAX_LIST;
 use super::schema::Primitive;
 
 /// A message that is not in a representation read here.
@@ -7,7 +8,14 @@ use super::schema::Primitive;
 pub(in crate::log) enum EncapsulationError {
     #[error("the message has {len} bytes, expected at least the 4 of the CDR header")]
     Short { len: usize },
-    #[error("CDR header {id:#06x} is not plain CDR (0x0000, 0x0001, 0x0006 or 0x0007)")]
+    #[error(
+        "CDR header {id:#06x} is a parameter list, in which every field carries its id; expected \
+         plain or delimited CDR (0x0000, 0x0001, 0x0006 to 0x0009)"
+    )]
+    ParameterList { id: u16 },
+    #[error(
+        "CDR header {id:#06x} is not plain or delimited CDR (0x0000, 0x0001, 0x0006 to 0x0009)"
+    )]
     Unknown { id: u16 },
 }
 
@@ -23,34 +31,91 @@ pub(in crate::log) struct Short {
     left: usize,
 }
 
+/// How the values of a message follow each other.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Layout {
+    /// ROS 1: nothing between them.
+    Packed,
+    /// The first CDR: aligned to their size.
+    Cdr,
+    /// The second CDR: aligned to their size, but never to more than 4; lengths stand before
+    /// collections of anything but numbers.
+    Cdr2 {
+        /// Whether a length stands also before messages whose type does not say that it is final.
+        delimited: bool,
+    },
+}
+
 /// A bounds-checked walk over the body of one message.
 ///
-/// Values are aligned to their size, counted from the end of the encapsulation header; PLAIN_CDR2
-/// never aligns to more than 4.
+/// CDR aligns values from the end of the encapsulation header (DDS XTypes 1.3, §7.4.3 and §7.6.3.1.2).
 #[derive(Debug)]
 pub(super) struct Cursor<'a> {
     body: &'a [u8],
     at: usize,
+    /// Bytes of the message before the body.
+    before: usize,
     big_endian: bool,
     max_align: usize,
+    layout: Layout,
 }
+
+/// Where a delimited message ends, and what follows it.
+pub(super) struct Outside<'a>(&'a [u8]);
 
 /// Bytes of the encapsulation header.
 const HEADER: usize = 4;
 
 impl<'a> Cursor<'a> {
-    /// A cursor at the first value of `message`.
-    pub(super) fn new(message: &'a [u8]) -> Result<Self, EncapsulationError> {
+    /// A cursor at the first value of a CDR message.
+    pub(super) fn cdr(message: &'a [u8]) -> Result<Self, EncapsulationError> {
+        // The other two bytes are options; padding at the end, which they count, is never read.
         let Some((&[high, low, _, _], body)) = message.split_first_chunk::<HEADER>() else {
             return Err(EncapsulationError::Short { len: message.len() });
         };
         let id = u16::from_be_bytes([high, low]);
-        let max_align = match id {
-            0x0000 | 0x0001 => 8,
-            0x0006 | 0x0007 => 4,
+        let (layout, max_align) = match id {
+            0x0000 | 0x0001 => (Layout::Cdr, 8),
+            0x0006 | 0x0007 => (Layout::Cdr2 { delimited: false }, 4),
+            0x0008 | 0x0009 => (Layout::Cdr2 { delimited: true }, 4),
+            0x0002 | 0x0003 | 0x000a | 0x000b => {
+                return Err(EncapsulationError::ParameterList { id });
+            }
             _ => return Err(EncapsulationError::Unknown { id }),
         };
-        Ok(Self { body, at: 0, big_endian: id & 1 == 0, max_align })
+        Ok(Self { body, at: 0, before: HEADER, big_endian: id & 1 == 0, max_align, layout })
+    }
+
+    /// A cursor at the first value of a ROS 1 message.
+    pub(super) fn ros1(message: &'a [u8]) -> Self {
+        Self {
+            body: message,
+            at: 0,
+            before: 0,
+            big_endian: false,
+            max_align: 1,
+            layout: Layout::Packed,
+        }
+    }
+
+    /// How the values follow each other.
+    pub(super) fn layout(&self) -> Layout {
+        self.layout
+    }
+
+    /// Enters a message whose length stands before it; nothing beyond its end is read until
+    /// [`Cursor::leave`].
+    pub(super) fn enter(&mut self) -> Result<Outside<'a>, Short> {
+        let length = self.length()? as usize;
+        let outside = Outside(self.body);
+        self.body = &self.body[..self.at + length];
+        Ok(outside)
+    }
+
+    /// Leaves a message, past what a newer version of its type may have at its end.
+    pub(super) fn leave(&mut self, outside: Outside<'a>) {
+        self.at = self.body.len();
+        self.body = outside.0;
     }
 
     /// Where the next value of `size` bytes begins.
@@ -61,14 +126,14 @@ impl<'a> Cursor<'a> {
 
     /// The bytes of `count` values of `size` bytes each, after their padding.
     fn take(&mut self, size: usize, count: u64) -> Result<&'a [u8], Short> {
-        if count == 0 {
+        if count == 0 || size == 0 {
             return Ok(&[]);
         }
         let start = self.aligned(size);
         let left = self.body.len().saturating_sub(start);
         let wanted = count.saturating_mul(size as u64);
         if wanted > left as u64 {
-            return Err(Short { offset: HEADER + start, wanted, left });
+            return Err(Short { offset: self.before + start, wanted, left });
         }
         self.at = start + wanted as usize;
         Ok(&self.body[start..self.at])
@@ -80,7 +145,7 @@ impl<'a> Cursor<'a> {
         let start = self.aligned(N);
         let rest = self.body.get(start..).unwrap_or_default();
         let Some(mut value) = rest.first_chunk::<N>().copied() else {
-            return Err(Short { offset: HEADER + start, wanted: N as u64, left: rest.len() });
+            return Err(Short { offset: self.before + start, wanted: N as u64, left: rest.len() });
         };
         self.at = start + N;
         if self.big_endian {
@@ -99,16 +164,19 @@ impl<'a> Cursor<'a> {
         let length = u32::from_le_bytes(self.value()?);
         let left = self.body.len() - self.at;
         if length as usize > left {
-            return Err(Short { offset: HEADER + self.at, wanted: length.into(), left });
+            return Err(Short { offset: self.before + self.at, wanted: length.into(), left });
         }
         Ok(length)
     }
 
-    /// A string, without its terminating zero.
+    /// A string, without the zero that ends it in CDR.
     pub(super) fn text(&mut self) -> Result<&'a [u8], Short> {
         let length = self.length()?;
         let bytes = self.take(1, length.into())?;
-        Ok(bytes.strip_suffix(&[0]).unwrap_or(bytes))
+        match self.layout {
+            Layout::Packed => Ok(bytes),
+            Layout::Cdr | Layout::Cdr2 { .. } => Ok(bytes.strip_suffix(&[0]).unwrap_or(bytes)),
+        }
     }
 
     /// A whole number; fractions are cut off.
@@ -137,7 +205,7 @@ impl<'a> Cursor<'a> {
         })
     }
 
-    /// Replaces `list` by `count` numbers of one type.
+    /// Replaces `list` by `count` numbers of one type; by none where they are more than [`MAX_LIST`].
     pub(super) fn numbers(
         &mut self,
         primitive: Primitive,
@@ -147,6 +215,9 @@ impl<'a> Cursor<'a> {
         list.clear();
         // Before anything is allocated for them: are they there?
         let bytes = self.take(primitive.size(), count.into())?;
+        if count as usize > MAX_LIST {
+            return Ok(());
+        }
         if primitive == Primitive::F64 && !self.big_endian {
             list.extend(bytes.as_chunks().0.iter().map(|&value| f64::from_le_bytes(value)));
             return Ok(());
@@ -168,7 +239,7 @@ mod tests {
     fn values_are_aligned_after_the_header() {
         let mut message = vec![0, 1, 0, 0, 7, 0, 0, 0, 0, 0, 0, 0];
         message.extend(1.5f64.to_le_bytes());
-        let mut cursor = Cursor::new(&message).unwrap();
+        let mut cursor = Cursor::cdr(&message).unwrap();
         assert_eq!(cursor.number(Primitive::U8), Ok(7.0));
         assert_eq!(cursor.number(Primitive::F64), Ok(1.5));
     }
@@ -177,7 +248,7 @@ mod tests {
     fn the_second_cdr_aligns_doubles_to_four() {
         let mut message = vec![0, 7, 0, 0, 7, 0, 0, 0];
         message.extend(1.5f64.to_le_bytes());
-        let mut cursor = Cursor::new(&message).unwrap();
+        let mut cursor = Cursor::cdr(&message).unwrap();
         assert_eq!(cursor.number(Primitive::U8), Ok(7.0));
         assert_eq!(cursor.number(Primitive::F64), Ok(1.5));
     }
@@ -187,7 +258,7 @@ mod tests {
         let mut message = vec![0, 0, 0, 0];
         message.extend((-5i32).to_be_bytes());
         message.extend([0, 0, 0, 3, b'a', b'b', 0]);
-        let mut cursor = Cursor::new(&message).unwrap();
+        let mut cursor = Cursor::cdr(&message).unwrap();
         assert_eq!(cursor.integer(Primitive::I32), Ok(-5));
         assert_eq!(cursor.text(), Ok(b"ab".as_slice()));
     }
@@ -195,19 +266,48 @@ mod tests {
     #[test]
     fn a_hostile_length_is_refused_before_allocation() {
         let message = [0, 1, 0, 0, 0xff, 0xff, 0xff, 0xff, 1, 2];
-        let mut cursor = Cursor::new(&message).unwrap();
+        let mut cursor = Cursor::cdr(&message).unwrap();
         let short = Short { offset: 8, wanted: u32::MAX.into(), left: 2 };
         assert_eq!(cursor.text(), Err(short));
         let mut list = Vec::new();
-        let mut cursor = Cursor::new(&message).unwrap();
+        let mut cursor = Cursor::cdr(&message).unwrap();
         assert!(cursor.numbers(Primitive::F64, u32::MAX, &mut list).is_err());
         assert_eq!(list.capacity(), 0);
     }
 
     #[test]
+    fn ros_1_has_no_header_no_padding_and_no_zero_after_a_text() {
+        let mut message = vec![7];
+        message.extend(1.5f64.to_le_bytes());
+        message.extend([2, 0, 0, 0, b'a', 0, 1, 2]);
+        let mut cursor = Cursor::ros1(&message);
+        assert_eq!(cursor.number(Primitive::U8), Ok(7.0));
+        assert_eq!(cursor.number(Primitive::F64), Ok(1.5));
+        assert_eq!(cursor.text(), Ok(b"a\0".as_slice()));
+        let short = cursor.number(Primitive::F32).unwrap_err();
+        assert_eq!(short, Short { offset: 15, wanted: 4, left: 2 });
+    }
+
+    #[test]
+    fn nothing_beyond_the_end_of_a_delimited_message_is_read() {
+        let message = [0, 9, 0, 0, 3, 0, 0, 0, 1, 2, 3, 4];
+        let mut cursor = Cursor::cdr(&message).unwrap();
+        let outside = cursor.enter().unwrap();
+        assert_eq!(cursor.number(Primitive::U8), Ok(1.0));
+        let short = Short { offset: 10, wanted: 2, left: 1 };
+        assert_eq!(cursor.number(Primitive::U16), Err(short));
+        cursor.leave(outside);
+        assert_eq!(cursor.number(Primitive::U8), Ok(4.0));
+    }
+
+    #[test]
     fn other_representations_are_named() {
-        let unknown = Cursor::new(&[0, 3, 0, 0]).unwrap_err();
-        assert_eq!(unknown, EncapsulationError::Unknown { id: 3 });
-        assert_eq!(Cursor::new(&[0, 1]).unwrap_err(), EncapsulationError::Short { len: 2 });
+        for id in [2, 3, 10, 11] {
+            let refused = Cursor::cdr(&[0, id, 0, 0]).unwrap_err();
+            assert_eq!(refused, EncapsulationError::ParameterList { id: id.into() });
+        }
+        let unknown = Cursor::cdr(&[0, 12, 0, 0]).unwrap_err();
+        assert_eq!(unknown, EncapsulationError::Unknown { id: 12 });
+        assert_eq!(Cursor::cdr(&[0, 1]).unwrap_err(), EncapsulationError::Short { len: 2 });
     }
 }

@@ -1,0 +1,230 @@
+//! The words and marks of IDL.
+
+use super::super::schema::{MAX_NAME, SchemaError, excerpt};
+
+/// One word or mark.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Token<'a> {
+    /// A word, or several with `::` between or before them.
+    Name(&'a str),
+    /// What begins with a digit.
+    Number(&'a str),
+    /// A text or a character, with its quotes.
+    Text(&'a str),
+    /// Any other character.
+    Mark(char),
+}
+
+/// The tokens of some files, one after the other.
+#[derive(Default)]
+pub(super) struct Tokens<'a> {
+    text: &'a str,
+    /// Where the next token begins.
+    at: usize,
+}
+
+impl<'a> Tokens<'a> {
+    pub(super) fn new(text: &'a str) -> Self {
+        let mut tokens = Self { text, at: 0 };
+        if tokens.is_header(0) {
+            tokens.skip_line();
+        }
+        tokens.skip_blank();
+        tokens
+    }
+
+    pub(super) fn is_at_end(&self) -> bool {
+        self.at == self.text.len()
+    }
+
+    /// A place to give to [`Tokens::since`].
+    pub(super) fn here(&self) -> usize {
+        self.at
+    }
+
+    /// The text since a place.
+    pub(super) fn since(&self, place: usize) -> String {
+        excerpt(self.text[place..self.at].trim())
+    }
+
+    pub(super) fn peek(&self) -> Option<Token<'a>> {
+        let rest = &self.text[self.at..];
+        let first = rest.chars().next()?;
+        Some(match first {
+            '"' | '\'' => Token::Text(&rest[..text_length(rest, first)]),
+            '0'..='9' => Token::Number(word(rest, |c| c.is_alphanumeric() || c == '.' || c == '_')),
+            ':' if rest.starts_with("::") => Token::Name(name(rest)),
+            _ if first.is_alphabetic() || first == '_' => Token::Name(name(rest)),
+            mark => Token::Mark(mark),
+        })
+    }
+
+    pub(super) fn take(&mut self) -> Option<Token<'a>> {
+        let token = self.peek()?;
+        self.at += match token {
+            Token::Name(text) | Token::Number(text) | Token::Text(text) => text.len(),
+            Token::Mark(mark) => mark.len_utf8(),
+        };
+        self.skip_blank();
+        Some(token)
+    }
+
+    /// Takes `mark` if it is next.
+    pub(super) fn accept(&mut self, mark: char) -> bool {
+        let is_next = self.peek() == Some(Token::Mark(mark));
+        if is_next {
+            self.take();
+        }
+        is_next
+    }
+
+    pub(super) fn expect(&mut self, mark: char) -> Result<(), SchemaError> {
+        if self.accept(mark) {
+            return Ok(());
+        }
+        let expected = match mark {
+            '{' => "`{`",
+            '}' => "`}`",
+            ';' => "`;`",
+            '=' => "`=`",
+            '<' => "`<`",
+            '>' => "`>`",
+            ')' => "`)`",
+            _ => "`]`",
+        };
+        self.refuse_next(expected)
+    }
+
+    /// Takes a name, or says that `expected` was.
+    pub(super) fn name(&mut self, expected: &'static str) -> Result<&'a str, SchemaError> {
+        match self.peek() {
+            Some(Token::Name(name)) if name.len() <= MAX_NAME => {
+                self.take();
+                Ok(name)
+            }
+            Some(Token::Name(_)) => Err(SchemaError::LongName { line: self.line() }),
+            _ => self.refuse_next(expected),
+        }
+    }
+
+    /// The error that not `expected` stands here, but `found`.
+    pub(super) fn refuse<T>(&self, expected: &'static str, found: &str) -> Result<T, SchemaError> {
+        Err(SchemaError::Syntax { line: self.line(), expected, found: excerpt(found) })
+    }
+
+    fn refuse_next<T>(&self, expected: &'static str) -> Result<T, SchemaError> {
+        let line = self.text[self.at..].lines().next().unwrap_or("the end");
+        self.refuse(expected, line.trim())
+    }
+
+    fn line(&self) -> usize {
+        self.text[..self.at].matches('\n').count() + 1
+    }
+
+    /// Passes over all up to and with `mark`.
+    pub(super) fn skip_to(&mut self, mark: char) -> Result<(), SchemaError> {
+        while !self.accept(mark) {
+            if self.take().is_none() {
+                return self.expect(mark);
+            }
+        }
+        Ok(())
+    }
+
+    /// Passes over all up to the end of the next `{ … }`.
+    pub(super) fn skip_block(&mut self) -> Result<(), SchemaError> {
+        self.skip_to('{')?;
+        self.skip_nested('{', '}')
+    }
+
+    /// Passes over a bound in `< … >`, if there is one.
+    pub(super) fn skip_bound(&mut self) -> Result<(), SchemaError> {
+        if self.accept('<') { self.skip_nested('<', '>') } else { Ok(()) }
+    }
+
+    /// Passes over the parameters of an annotation, and gives the first word in them.
+    pub(super) fn parenthesized(&mut self) -> Result<Option<&'a str>, SchemaError> {
+        if !self.accept('(') {
+            return Ok(None);
+        }
+        let first = match self.peek() {
+            Some(Token::Name(name)) => Some(name),
+            _ => None,
+        };
+        self.skip_nested('(', ')')?;
+        Ok(first)
+    }
+
+    /// Passes over all up to the mark that closes one that was taken.
+    fn skip_nested(&mut self, open: char, close: char) -> Result<(), SchemaError> {
+        let mut depth = 1_usize;
+        while depth > 0 {
+            match self.take() {
+                Some(Token::Mark(mark)) if mark == open => depth += 1,
+                Some(Token::Mark(mark)) if mark == close => depth -= 1,
+                Some(_) => {}
+                None => return self.expect(close),
+            }
+        }
+        Ok(())
+    }
+
+    /// Passes over blanks, comments, preprocessor lines and the lines between files.
+    fn skip_blank(&mut self) {
+        loop {
+            let rest = &self.text[self.at..];
+            let blank = rest.len() - rest.trim_start().len();
+            let starts_line = self.at == 0 || rest[..blank].contains('\n');
+            self.at += blank;
+            let rest = &self.text[self.at..];
+            let is_line = rest.starts_with("//") || rest.starts_with('#');
+            if is_line || (starts_line && self.is_header(self.at)) {
+                self.skip_line();
+            } else if let Some(comment) = rest.strip_prefix("/*") {
+                self.at += 2 + comment.find("*/").map_or(comment.len(), |end| end + 2);
+            } else {
+                return;
+            }
+        }
+    }
+
+    /// Whether the line at `at` parts two files.
+    fn is_header(&self, at: usize) -> bool {
+        self.text[at..].starts_with("===") || self.text[at..].starts_with("IDL:")
+    }
+
+    fn skip_line(&mut self) {
+        let rest = &self.text[self.at..];
+        self.at += rest.find('\n').unwrap_or(rest.len());
+    }
+}
+
+/// The length of a text in quotes, to the end where it does not end.
+fn text_length(text: &str, quote: char) -> usize {
+    let mut is_escaped = false;
+    for (at, c) in text.char_indices().skip(1) {
+        if c == quote && !is_escaped {
+            return at + c.len_utf8();
+        }
+        is_escaped = c == '\\' && !is_escaped;
+    }
+    text.len()
+}
+
+fn word(text: &str, belongs: impl Fn(char) -> bool) -> &str {
+    &text[..text.find(|c| !belongs(c)).unwrap_or(text.len())]
+}
+
+/// A word, or several with `::` between or before them.
+fn name(text: &str) -> &str {
+    let mut length = 0;
+    loop {
+        if text[length..].starts_with("::") {
+            length += 2;
+        }
+        length += word(&text[length..], |c| c.is_alphanumeric() || c == '_').len();
+        if !text[length..].starts_with("::") {
+            return &text[..length];
+        }
+    }
+}

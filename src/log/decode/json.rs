@@ -1,0 +1,676 @@
+//! JSON messages, read field by field without a tree of them.
+//!
+//! Names are those of the type's fields. ROS types are as rosbridge writes them, Foxglove's as its
+//! schemas have them or as protocol buffers map to JSON: a stamp is an object of seconds and
+//! nanoseconds or a text, a number may be `null` or a text, a field that is left out has its default.
+
+use std::fmt;
+
+use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
+
+use super::plan::{Append, DecodeError};
+use super::recipes::Recipe;
+use super::row::{Row, Slot};
+use super::schema::excerpt;
+
+/// The wanted fields as a tree.
+#[derive(Debug)]
+pub(in crate::log) struct Plan {
+    root: Branch,
+    /// All slots, to be emptied before a message; and those of one row, before each.
+    slots: Vec<Slot>,
+    row_slots: Vec<Slot>,
+    has_rows: bool,
+    /// The objects that a message must have, and those that a row must.
+    required: Marks,
+    row_required: Marks,
+}
+
+/// Why a message could not be read.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+pub(in crate::log) enum JsonError {
+    #[error("not JSON of this type: {what}")]
+    Malformed { what: String },
+    #[error("no object `{path}`")]
+    Missing { path: String },
+}
+
+/// A set of [`Branch::mark`]s.
+type Marks = u64;
+
+/// An object with wanted fields.
+#[derive(Debug)]
+struct Branch {
+    /// From the message's root; empty for the message itself.
+    path: String,
+    /// One bit, of its own.
+    mark: Marks,
+    /// Whether it is the array whose elements are rows.
+    is_rows: bool,
+    children: Vec<(&'static str, Child)>,
+}
+
+#[derive(Debug)]
+enum Child {
+    Leaf { slot: Slot, path: &'static str },
+    Branch(Branch),
+}
+
+impl Plan {
+    /// The fields of all layouts of `recipe`: a message has those of one.
+    pub(super) fn new(recipe: &Recipe) -> Self {
+        let mut marks = 0;
+        let mut root = Branch::new(String::new(), false, &mut marks);
+        let mut plan_slots = Vec::new();
+        for &(path, slot) in recipe.layouts.iter().copied().flatten() {
+            root.insert(path, slot, recipe.each, &mut marks);
+            plan_slots.push((path, slot));
+        }
+        let is_in_row = |path: &str| {
+            let rest = recipe.each.and_then(|each| path.strip_prefix(each));
+            rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
+        };
+        let in_all_layouts = |branch: &Branch| {
+            let holds = |path: &str| {
+                let rest = path.strip_prefix(branch.path.as_str());
+                rest.is_some_and(|rest| rest.starts_with('.'))
+            };
+            recipe.layouts.iter().all(|fields| fields.iter().any(|(path, _)| holds(path)))
+        };
+        let (mut required, mut row_required) = (0, 0);
+        root.visit(&mut |branch| {
+            if branch.path.is_empty() || branch.is_rows || !in_all_layouts(branch) {
+                return;
+            }
+            let marks = if is_in_row(&branch.path) { &mut row_required } else { &mut required };
+            *marks |= branch.mark;
+        });
+        let slots = plan_slots.iter().map(|(_, slot)| *slot).collect();
+        let in_row = plan_slots.iter().filter(|(path, _)| is_in_row(path));
+        let row_slots = in_row.map(|(_, slot)| *slot).collect();
+        Self { root, slots, row_slots, has_rows: recipe.each.is_some(), required, row_required }
+    }
+
+    /// Reads `message` through `row` and gives each of its rows to `append`.
+    pub(super) fn decode<'p>(
+        &'p self,
+        message: &[u8],
+        row: &mut Row,
+        append: &mut Append<'_>,
+    ) -> Result<(), DecodeError<'p>> {
+        self.slots.iter().for_each(|&slot| row.reset(slot));
+        // The array of rows may stand before what all of its rows share.
+        let found = self.walk(message, Pass::Shared, row, append)?;
+        self.require(self.required, found)?;
+        if self.has_rows {
+            self.walk(message, Pass::Rows, row, append)?;
+        } else {
+            append(row)?;
+        }
+        Ok(())
+    }
+
+    fn walk(
+        &self,
+        message: &[u8],
+        pass: Pass,
+        row: &mut Row,
+        append: &mut Append<'_>,
+    ) -> Result<Marks, JsonError> {
+        let mut walk = Walk { plan: self, pass, row, append, found: 0 };
+        let mut deserializer = serde_json::Deserializer::from_slice(message);
+        deserializer
+            .deserialize_map(BranchVisitor { branch: &self.root, walk: &mut walk })
+            .and_then(|()| deserializer.end())
+            .map_err(|error| JsonError::Malformed { what: excerpt(&error.to_string()) })?;
+        Ok(walk.found)
+    }
+
+    /// Refuses where an object is missing: its numbers would all be zero.
+    fn require(&self, required: Marks, found: Marks) -> Result<(), JsonError> {
+        let missing = required & !found;
+        if missing == 0 {
+            return Ok(());
+        }
+        let mut path = String::new();
+        self.root.visit(&mut |branch| {
+            if branch.mark & missing != 0 && path.is_empty() {
+                path.clone_from(&branch.path);
+            }
+        });
+        Err(JsonError::Missing { path })
+    }
+}
+
+impl Branch {
+    fn new(path: String, is_rows: bool, marks: &mut u32) -> Self {
+        let mark = 1_u64.checked_shl(*marks).unwrap_or(0);
+        *marks += 1;
+        Self { path, mark, is_rows, children: Vec::new() }
+    }
+
+    /// Adds the leaf at `path`, and the branches to it.
+    fn insert(
+        &mut self,
+        path: &'static str,
+        slot: Slot,
+        each: Option<&'static str>,
+        marks: &mut u32,
+    ) {
+        let own = if self.path.is_empty() { path } else { &path[self.path.len() + 1..] };
+        let Some((name, _)) = own.split_once('.') else {
+            let is_new = self.children.iter().all(|(child, _)| *child != own);
+            if is_new {
+                self.children.push((own, Child::Leaf { slot, path }));
+            }
+            return;
+        };
+        let index = self.children.iter().position(|(child, _)| *child == name);
+        let index = index.unwrap_or_else(|| {
+            let branch_path = path[..path.len() - own.len() + name.len()].to_owned();
+            let is_rows = each == Some(branch_path.as_str());
+            self.children.push((name, Child::Branch(Self::new(branch_path, is_rows, marks))));
+            self.children.len() - 1
+        });
+        if let Child::Branch(branch) = &mut self.children[index].1 {
+            branch.insert(path, slot, each, marks);
+        }
+    }
+
+    /// Shows this branch and all below it.
+    fn visit(&self, see: &mut dyn FnMut(&Branch)) {
+        see(self);
+        for (_, child) in &self.children {
+            if let Child::Branch(branch) = child {
+                branch.visit(see);
+            }
+        }
+    }
+
+    fn leads_to_rows(&self) -> bool {
+        let mut leads = false;
+        self.visit(&mut |branch| leads |= branch.is_rows);
+        leads
+    }
+}
+
+/// What is read in one pass over a message.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+enum Pass {
+    /// What is not in a row.
+    Shared,
+    /// The rows only.
+    Rows,
+    /// All within one row.
+    Row,
+}
+
+/// One pass over a message.
+struct Walk<'w, 'f> {
+    plan: &'w Plan,
+    pass: Pass,
+    row: &'w mut Row,
+    append: &'w mut Append<'f>,
+    found: Marks,
+}
+
+/// Reads an object.
+struct BranchVisitor<'v, 'w, 'f> {
+    branch: &'v Branch,
+    walk: &'v mut Walk<'w, 'f>,
+}
+
+impl<'de> Visitor<'de> for BranchVisitor<'_, '_, '_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.branch.path.as_str() {
+            "" => f.write_str("an object"),
+            path => write!(f, "an object in field `{path}`"),
+        }
+    }
+
+    fn visit_unit<E: Error>(self) -> Result<(), E> {
+        Ok(())
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
+        let Self { branch, walk } = self;
+        walk.found |= branch.mark;
+        while let Some(child) = map.next_key_seed(Key(&branch.children))? {
+            match child {
+                Some(Child::Leaf { slot, path }) if walk.pass != Pass::Rows => {
+                    map.next_value_seed(SlotVisitor { slot: *slot, path, row: walk.row })?;
+                }
+                Some(Child::Branch(branch)) if walk.enters(branch) => {
+                    map.next_value_seed(BranchSeed { branch, walk: &mut *walk })?;
+                }
+                _ => {
+                    map.next_value::<IgnoredAny>()?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Walk<'_, '_> {
+    fn enters(&self, branch: &Branch) -> bool {
+        match self.pass {
+            Pass::Shared => !branch.is_rows,
+            Pass::Rows => branch.leads_to_rows(),
+            Pass::Row => true,
+        }
+    }
+}
+
+struct BranchSeed<'v, 'w, 'f> {
+    branch: &'v Branch,
+    walk: &'v mut Walk<'w, 'f>,
+}
+
+impl<'de> DeserializeSeed<'de> for BranchSeed<'_, '_, '_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        let Self { branch, walk } = self;
+        if branch.is_rows && walk.pass == Pass::Rows {
+            deserializer.deserialize_any(RowsVisitor { branch, walk })
+        } else {
+            deserializer.deserialize_any(BranchVisitor { branch, walk })
+        }
+    }
+}
+
+/// Reads the array of rows.
+struct RowsVisitor<'v, 'w, 'f> {
+    branch: &'v Branch,
+    walk: &'v mut Walk<'w, 'f>,
+}
+
+impl<'de> Visitor<'de> for RowsVisitor<'_, '_, '_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "an array in field `{}`", self.branch.path)
+    }
+
+    fn visit_unit<E: Error>(self) -> Result<(), E> {
+        Ok(())
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut rows: A) -> Result<(), A::Error> {
+        let Self { branch, walk } = self;
+        let plan = walk.plan;
+        walk.pass = Pass::Row;
+        for index in 0.. {
+            plan.row_slots.iter().for_each(|&slot| walk.row.reset(slot));
+            walk.found = 0;
+            if rows.next_element_seed(BranchSeed { branch, walk: &mut *walk })?.is_none() {
+                break;
+            }
+            plan.require(plan.row_required, walk.found).map_err(A::Error::custom)?;
+            walk.row.index = index;
+            (walk.append)(walk.row).map_err(A::Error::custom)?;
+        }
+        walk.pass = Pass::Rows;
+        Ok(())
+    }
+}
+
+/// Finds a key among the children of a branch.
+struct Key<'v>(&'v [(&'static str, Child)]);
+
+impl<'de, 'v> DeserializeSeed<'de> for Key<'v> {
+    type Value = Option<&'v Child>;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Self::Value, D::Error> {
+        deserializer.deserialize_str(self)
+    }
+}
+
+impl<'v> Visitor<'_> for Key<'v> {
+    type Value = Option<&'v Child>;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a key")
+    }
+
+    fn visit_str<E: Error>(self, key: &str) -> Result<Self::Value, E> {
+        Ok(self.0.iter().find(|(name, _)| *name == key).map(|(_, child)| child))
+    }
+}
+
+/// Reads a value into a slot.
+struct SlotVisitor<'v> {
+    slot: Slot,
+    path: &'static str,
+    row: &'v mut Row,
+}
+
+impl SlotVisitor<'_> {
+    fn mismatch<E: Error>(&self, found: &str) -> E {
+        E::custom(format_args!(
+            "expected {} in field `{}`, found {found}",
+            self.slot.expected(),
+            self.path
+        ))
+    }
+
+    fn number<E: Error>(self, value: f64) -> Result<(), E> {
+        match self.slot {
+            Slot::Number(index) => self.row.numbers[index] = value,
+            _ => return Err(self.mismatch("a number")),
+        }
+        Ok(())
+    }
+}
+
+impl<'de> DeserializeSeed<'de> for SlotVisitor<'_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_any(self)
+    }
+}
+
+impl<'de> Visitor<'de> for SlotVisitor<'_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} in field `{}`", self.slot.expected(), self.path)
+    }
+
+    fn visit_unit<E: Error>(self) -> Result<(), E> {
+        match self.slot {
+            // What JSON cannot say: not a number, or infinite.
+            Slot::Number(_) => self.number(f64::NAN),
+            slot => {
+                self.row.reset(slot);
+                Ok(())
+            }
+        }
+    }
+
+    fn visit_f64<E: Error>(self, value: f64) -> Result<(), E> {
+        self.number(value)
+    }
+
+    fn visit_i64<E: Error>(self, value: i64) -> Result<(), E> {
+        self.number(value as f64)
+    }
+
+    fn visit_u64<E: Error>(self, value: u64) -> Result<(), E> {
+        self.number(value as f64)
+    }
+
+    fn visit_str<E: Error>(self, text: &str) -> Result<(), E> {
+        match self.slot {
+            Slot::Text(index) => self.row.set_text(index, text.as_bytes()),
+            Slot::Stamp => match timestamp(text) {
+                Some(stamp) => (self.row.seconds, self.row.nanoseconds) = stamp,
+                None => return Err(self.mismatch("a text that is none (RFC 3339)")),
+            },
+            Slot::Number(_) => match number(text) {
+                Some(value) => return self.number(value),
+                None => return Err(self.mismatch("a text")),
+            },
+            _ => return Err(self.mismatch("a text")),
+        }
+        Ok(())
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
+        if self.slot != Slot::Stamp {
+            return Err(self.mismatch("an object"));
+        }
+        while let Some(part) = map.next_key_seed(StampKey)? {
+            match part {
+                Some(StampPart::Seconds) => self.row.seconds = map.next_value_seed(Integer)?,
+                Some(StampPart::Nanoseconds) => {
+                    self.row.nanoseconds = map.next_value_seed(Integer)?;
+                }
+                None => {
+                    map.next_value::<IgnoredAny>()?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<(), A::Error> {
+        self.row.reset(self.slot);
+        match self.slot {
+            Slot::List(index) => {
+                while let Some(value) = list.next_element_seed(Number)? {
+                    self.row.push(index, value);
+                }
+                self.row.cap_list(index);
+            }
+            Slot::Names => while list.next_element_seed(Name(&mut *self.row))?.is_some() {},
+            _ => return Err(self.mismatch("an array")),
+        }
+        Ok(())
+    }
+}
+
+/// Reads one number of a list.
+struct Number;
+
+impl<'de> DeserializeSeed<'de> for Number {
+    type Value = f64;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<f64, D::Error> {
+        deserializer.deserialize_any(self)
+    }
+}
+
+impl Visitor<'_> for Number {
+    type Value = f64;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a number")
+    }
+
+    fn visit_unit<E: Error>(self) -> Result<f64, E> {
+        Ok(f64::NAN)
+    }
+
+    fn visit_f64<E: Error>(self, value: f64) -> Result<f64, E> {
+        Ok(value)
+    }
+
+    fn visit_i64<E: Error>(self, value: i64) -> Result<f64, E> {
+        Ok(value as f64)
+    }
+
+    fn visit_u64<E: Error>(self, value: u64) -> Result<f64, E> {
+        Ok(value as f64)
+    }
+
+    fn visit_str<E: Error>(self, text: &str) -> Result<f64, E> {
+        number(text).ok_or_else(|| E::custom("expected a number, found a text"))
+    }
+}
+
+/// Reads a whole number, which protocol buffers write as a text where it has 64 bits.
+struct Integer;
+
+impl<'de> DeserializeSeed<'de> for Integer {
+    type Value = i64;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<i64, D::Error> {
+        deserializer.deserialize_any(self)
+    }
+}
+
+impl Visitor<'_> for Integer {
+    type Value = i64;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a whole number in a time")
+    }
+
+    fn visit_i64<E: Error>(self, value: i64) -> Result<i64, E> {
+        Ok(value)
+    }
+
+    fn visit_u64<E: Error>(self, value: u64) -> Result<i64, E> {
+        Ok(i64::try_from(value).unwrap_or(i64::MAX))
+    }
+
+    fn visit_str<E: Error>(self, text: &str) -> Result<i64, E> {
+        text.parse().map_err(|_| E::custom("expected a whole number in a time, found a text"))
+    }
+}
+
+/// Reads one name of a list.
+struct Name<'r>(&'r mut Row);
+
+impl<'de> DeserializeSeed<'de> for Name<'_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_str(self)
+    }
+}
+
+impl Visitor<'_> for Name<'_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a name")
+    }
+
+    fn visit_str<E: Error>(self, name: &str) -> Result<(), E> {
+        self.0.names.push(name.as_bytes());
+        Ok(())
+    }
+}
+
+/// Finds the parts of a time by the names that ROS 1, ROS 2 and protocol buffers give them.
+struct StampKey;
+
+enum StampPart {
+    Seconds,
+    Nanoseconds,
+}
+
+impl<'de> DeserializeSeed<'de> for StampKey {
+    type Value = Option<StampPart>;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Self::Value, D::Error> {
+        deserializer.deserialize_str(self)
+    }
+}
+
+impl Visitor<'_> for StampKey {
+    type Value = Option<StampPart>;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a key")
+    }
+
+    fn visit_str<E: Error>(self, key: &str) -> Result<Self::Value, E> {
+        Ok(match key {
+            "sec" | "secs" | "seconds" => Some(StampPart::Seconds),
+            "nsec" | "nsecs" | "nanosec" | "nanos" => Some(StampPart::Nanoseconds),
+            _ => None,
+        })
+    }
+}
+
+/// A number that was written as a text, as protocol buffers write those that JSON has no word for.
+fn number(text: &str) -> Option<f64> {
+    match text {
+        "NaN" => Some(f64::NAN),
+        "Infinity" => Some(f64::INFINITY),
+        "-Infinity" => Some(f64::NEG_INFINITY),
+        _ => text.parse().ok(),
+    }
+}
+
+/// Seconds since 1970 and nanoseconds of a time in RFC 3339, such as `2024-05-06T07:08:09.5Z`.
+fn timestamp(text: &str) -> Option<(i64, i64)> {
+    let (date, time) = text.trim().split_once(['T', 't', ' '])?;
+    let mut parts = date.splitn(3, '-');
+    let (year, month, day) = (digits(parts.next()?, 4)?, digits(parts.next()?, 2)?, parts.next()?);
+    let day = digits(day, 2)?;
+    let zone_at = time.find(['Z', 'z', '+', '-'])?;
+    let (clock, zone) = time.split_at(zone_at);
+    let (clock, fraction) = clock.split_once('.').unwrap_or((clock, "0"));
+    let mut parts = clock.splitn(3, ':');
+    let (hour, minute) = (digits(parts.next()?, 2)?, digits(parts.next()?, 2)?);
+    let second = digits(parts.next()?, 2)?;
+    let in_range = (1..=12).contains(&month)
+        && (1..=31).contains(&day)
+        && hour < 24
+        && minute < 60
+        && second <= 60;
+    let days = days_since_1970(year, month, day);
+    let seconds = days * 86_400 + hour * 3600 + minute * 60 + second - zone_offset_s(zone)?;
+    in_range.then_some((seconds, nanoseconds(fraction)?))
+}
+
+/// The number that `text` is in exactly `count` digits.
+fn digits(text: &str, count: usize) -> Option<i64> {
+    let fits = text.len() == count && text.bytes().all(|byte| byte.is_ascii_digit());
+    if fits { text.parse().ok() } else { None }
+}
+
+/// The nanoseconds of decimal places, cut off after the ninth.
+fn nanoseconds(fraction: &str) -> Option<i64> {
+    if fraction.is_empty() || !fraction.bytes().all(|byte| byte.is_ascii_digit()) {
+        return None;
+    }
+    let digit = |place: usize| fraction.as_bytes().get(place).map_or(0, |byte| byte - b'0');
+    Some((0..9).fold(0, |sum, place| 10 * sum + i64::from(digit(place))))
+}
+
+/// How far a zone such as `Z` or `+02:00` is ahead, s.
+fn zone_offset_s(zone: &str) -> Option<i64> {
+    let (sign, offset) = match zone.split_at_checked(1)? {
+        ("Z" | "z", "") => return Some(0),
+        ("+", offset) => (1, offset),
+        ("-", offset) => (-1, offset),
+        _ => return None,
+    };
+    let (hours, minutes) = offset.split_once(':')?;
+    Some(sign * (digits(hours, 2)? * 3600 + digits(minutes, 2)? * 60))
+}
+
+/// Days since 1970-01-01 in the Gregorian calendar: years begin with March, so that the leap day
+/// ends them (Hinnant, "chrono-compatible low-level date algorithms", `days_from_civil`).
+fn days_since_1970(year: i64, month: i64, day: i64) -> i64 {
+    let year = if month <= 2 { year - 1 } else { year };
+    let (era, of_era) = (year.div_euclid(400), year.rem_euclid(400));
+    let of_year = (153 * ((month + 9) % 12) + 2) / 5 + day - 1;
+    era * 146_097 + of_era * 365 + of_era / 4 - of_era / 100 + of_year - 719_468
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_read_as_the_internet_writes_them() {
+        // By `date -u -d … +%s`.
+        for (text, expected) in [
+            ("1970-01-01T00:00:00Z", Some((0, 0))),
+            ("2024-02-29T23:59:59.5Z", Some((1_709_251_199, 500_000_000))),
+            ("2023-11-14T22:13:20.123456789Z", Some((1_700_000_000, 123_456_789))),
+            ("2023-11-15T00:13:20.1234567899+02:00", Some((1_700_000_000, 123_456_789))),
+            ("2023-11-14 17:43:20-04:30", Some((1_700_000_000, 0))),
+            ("1969-12-31T23:59:59.25Z", Some((-1, 250_000_000))),
+            ("2000-03-01T00:00:00Z", Some((951_868_800, 0))),
+            ("2023-13-14T22:13:20Z", None),
+            ("2023-11-14T22:13:20", None),
+            ("2023-11-14T22:13:20.Z", None),
+            ("2023-11-14", None),
+            ("é", None),
+            ("12T+", None),
+        ] {
+            assert_eq!(timestamp(text), expected, "{text}");
+        }
+    }
+}

@@ -1,0 +1,346 @@
+//! Protocol buffers, by the descriptors in the log.
+//!
+//! Field numbers are looked up by name once for a channel; messages are then read from the wire as
+//! they come (protobuf.dev, "Encoding"). Unknown fields are passed over, and a field that is left out
+//! has its default, as proto3 has it: zero or empty.
+
+mod descriptor;
+mod wire;
+
+use super::plan::{Append, DecodeError};
+use super::recipes::Fields;
+use super::row::{Row, Slot};
+use super::schema::SchemaError;
+
+pub(super) use self::descriptor::Types;
+use self::descriptor::{Field, Kind, Message};
+pub(in crate::log) use self::wire::WireError;
+use self::wire::{Fault, Reader, Value};
+
+/// The wanted fields as a tree of field numbers.
+#[derive(Debug)]
+pub(in crate::log) struct Plan {
+    root: Vec<Wanted>,
+    /// All slots, to be emptied before a message; and those of one row, before each.
+    slots: Vec<Slot>,
+    row_slots: Vec<Slot>,
+    has_rows: bool,
+}
+
+/// One wanted field.
+#[derive(Debug)]
+struct Wanted {
+    number: u32,
+    /// From the message's root.
+    path: Box<str>,
+    what: What,
+}
+
+#[derive(Debug)]
+enum What {
+    Seconds(Scalar),
+    Nanoseconds(Scalar),
+    Number(Scalar, usize),
+    List(Scalar, usize),
+    Text(usize),
+    Names,
+    /// A message with wanted fields.
+    Message(Vec<Wanted>),
+    /// A message for each row.
+    Rows(Vec<Wanted>),
+}
+
+/// How the bits of a number are meant.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Scalar {
+    F64,
+    F32,
+    /// 64 bits of which negative numbers take all, also those of fewer bits.
+    Signed,
+    Unsigned,
+    /// The sign in the lowest bit.
+    Zigzag,
+    Fixed32,
+    Fixed64,
+    SignedFixed32,
+    SignedFixed64,
+}
+
+/// What is read in one pass over a message.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+enum Pass {
+    /// What is not in a row.
+    Shared,
+    /// The rows only.
+    Rows,
+}
+
+impl Plan {
+    /// Finds `fields` in the type `type_name`; the elements of the array `each`, if there is one,
+    /// are a row each.
+    pub(super) fn compile(
+        types: &Types,
+        type_name: &str,
+        fields: Fields,
+        each: Option<&'static str>,
+    ) -> Result<Self, SchemaError> {
+        let message = types
+            .message(type_name)
+            .ok_or_else(|| SchemaError::NoRoot { type_name: type_name.to_owned() })?;
+        let fields: Vec<_> = fields.iter().collect();
+        let root = Compiler { types, each }.message(message, "", &fields)?;
+        let is_in_row = |path: &str| {
+            let rest = each.and_then(|each| path.strip_prefix(each));
+            rest.is_some_and(|rest| rest.starts_with('.'))
+        };
+        let in_row = fields.iter().filter(|(path, _)| is_in_row(path));
+        Ok(Self {
+            root,
+            row_slots: in_row.map(|(_, slot)| *slot).collect(),
+            slots: fields.iter().map(|(_, slot)| *slot).collect(),
+            has_rows: each.is_some(),
+        })
+    }
+
+    /// Reads `message` through `row` and gives each of its rows to `append`.
+    pub(super) fn decode<'p>(
+        &'p self,
+        message: &[u8],
+        row: &mut Row,
+        append: &mut Append<'_>,
+    ) -> Result<(), DecodeError<'p>> {
+        self.slots.iter().for_each(|&slot| row.reset(slot));
+        // The rows may stand before what all of them share.
+        self.walk(&self.root, Reader::new(message), Pass::Shared, row, append, &mut 0)?;
+        self.cap_lists(row);
+        if self.has_rows {
+            self.walk(&self.root, Reader::new(message), Pass::Rows, row, append, &mut 0)?;
+        } else {
+            append(row)?;
+        }
+        Ok(())
+    }
+
+    fn walk(
+        &self,
+        wanted: &[Wanted],
+        mut reader: Reader<'_>,
+        pass: Pass,
+        row: &mut Row,
+        append: &mut Append<'_>,
+        rows: &mut usize,
+    ) -> Result<(), DecodeError<'static>> {
+        while let Some((number, value)) = reader.field()? {
+            let Some(Wanted { what, path, .. }) =
+                wanted.iter().find(|wanted| wanted.number == number)
+            else {
+                continue;
+            };
+            let at = |fault| reader.error(fault).in_field(path);
+            match (what, pass) {
+                (What::Message(wanted), _) => {
+                    let inner = reader.message(value).map_err(at)?;
+                    self.walk(wanted, inner, pass, row, append, rows)?;
+                }
+                (What::Rows(wanted), Pass::Rows) => {
+                    self.row_slots.iter().for_each(|&slot| row.reset(slot));
+                    let inner = reader.message(value).map_err(at)?;
+                    self.walk(wanted, inner, Pass::Shared, row, append, rows)?;
+                    self.cap_lists(row);
+                    row.index = *rows;
+                    *rows += 1;
+                    append(row)?;
+                }
+                (What::Rows(_), Pass::Shared) => {}
+                (_, Pass::Rows) => {}
+                (what, Pass::Shared) => what.read(value, row).map_err(at)?,
+            }
+        }
+        Ok(())
+    }
+
+    fn cap_lists(&self, row: &mut Row) {
+        for slot in &self.slots {
+            if let Slot::List(index) = *slot {
+                row.cap_list(index);
+            }
+        }
+    }
+}
+
+impl What {
+    /// Reads a value that has no wanted fields of its own.
+    fn read(&self, value: Value<'_>, row: &mut Row) -> Result<(), Fault> {
+        match *self {
+            What::Seconds(scalar) => row.seconds = scalar.integer(value)?,
+            What::Nanoseconds(scalar) => row.nanoseconds = scalar.integer(value)?,
+            What::Number(scalar, index) => row.numbers[index] = scalar.number(value)?,
+            What::List(scalar, index) => {
+                // Packed into one value, or each of its own.
+                let Value::Bytes(packed) = value else {
+                    row.push(index, scalar.number(value)?);
+                    return Ok(());
+                };
+                let mut reader = Reader::new(packed);
+                while let Some(value) = scalar.next(&mut reader)? {
+                    row.push(index, scalar.number(value)?);
+                }
+            }
+            What::Text(index) => row.set_text(index, value.bytes()?),
+            What::Names => row.names.push(value.bytes()?),
+            What::Message(_) | What::Rows(_) => {}
+        }
+        Ok(())
+    }
+}
+
+impl Scalar {
+    /// The next of packed values.
+    fn next<'a>(self, reader: &mut Reader<'a>) -> Result<Option<Value<'a>>, Fault> {
+        if reader.is_at_end() {
+            return Ok(None);
+        }
+        Ok(Some(match self {
+            Scalar::F64 | Scalar::Fixed64 | Scalar::SignedFixed64 => {
+                Value::Fixed64(reader.fixed()?)
+            }
+            Scalar::F32 | Scalar::Fixed32 | Scalar::SignedFixed32 => {
+                Value::Fixed32(reader.fixed()?)
+            }
+            Scalar::Signed | Scalar::Unsigned | Scalar::Zigzag => Value::Varint(reader.varint()?),
+        }))
+    }
+
+    fn number(self, value: Value<'_>) -> Result<f64, Fault> {
+        Ok(match (self, value) {
+            (Scalar::F64, Value::Fixed64(bytes)) => f64::from_le_bytes(bytes),
+            (Scalar::F32, Value::Fixed32(bytes)) => f32::from_le_bytes(bytes).into(),
+            (Scalar::Unsigned, Value::Varint(bits)) => bits as f64,
+            (Scalar::Fixed64, Value::Fixed64(bytes)) => u64::from_le_bytes(bytes) as f64,
+            _ => self.integer(value)? as f64,
+        })
+    }
+
+    /// A whole number; the largest where it is larger, and fractions are cut off.
+    fn integer(self, value: Value<'_>) -> Result<i64, Fault> {
+        let saturated = |bits: u64| i64::try_from(bits).unwrap_or(i64::MAX);
+        Ok(match (self, value) {
+            (Scalar::Signed, Value::Varint(bits)) => bits.cast_signed(),
+            (Scalar::Unsigned, Value::Varint(bits)) => saturated(bits),
+            (Scalar::Zigzag, Value::Varint(bits)) => {
+                (bits >> 1).cast_signed() ^ -(bits & 1).cast_signed()
+            }
+            (Scalar::Fixed32, Value::Fixed32(bytes)) => u32::from_le_bytes(bytes).into(),
+            (Scalar::SignedFixed32, Value::Fixed32(bytes)) => i32::from_le_bytes(bytes).into(),
+            (Scalar::Fixed64, Value::Fixed64(bytes)) => saturated(u64::from_le_bytes(bytes)),
+            (Scalar::SignedFixed64, Value::Fixed64(bytes)) => i64::from_le_bytes(bytes),
+            (Scalar::F64 | Scalar::F32, Value::Fixed64(_) | Value::Fixed32(_)) => {
+                self.number(value)? as i64
+            }
+            _ => return Err(Fault::WireType),
+        })
+    }
+}
+
+/// What is known while descriptors are walked.
+struct Compiler<'a> {
+    types: &'a Types,
+    each: Option<&'static str>,
+}
+
+impl Compiler<'_> {
+    /// The fields of `message` that lead to the wanted ones, whose paths all begin with `prefix`.
+    fn message(
+        &self,
+        message: &Message,
+        prefix: &str,
+        wanted: &[&'static (&'static str, Slot)],
+    ) -> Result<Vec<Wanted>, SchemaError> {
+        let mut found: Vec<Wanted> = Vec::new();
+        for (index, (path, slot)) in wanted.iter().enumerate() {
+            let name = name_below(path, prefix);
+            let own_path = &path[..path.len() - path[prefix_len(prefix)..].len() + name.len()];
+            let is_first =
+                wanted[..index].iter().all(|(other, _)| name_below(other, prefix) != name);
+            if !is_first {
+                continue;
+            }
+            let field = message.field(name).ok_or(SchemaError::Missing { field: path })?;
+            let what = if own_path == *path {
+                self.leaf(field, path, *slot)?
+            } else {
+                let below =
+                    |wanted: &&&'static (&'static str, Slot)| name_below(wanted.0, prefix) == name;
+                let below: Vec<_> = wanted.iter().filter(below).copied().collect();
+                self.branch(field, own_path, &below)?
+            };
+            found.push(Wanted { number: field.number, path: own_path.into(), what });
+        }
+        Ok(found)
+    }
+
+    fn branch(
+        &self,
+        field: &Field,
+        path: &str,
+        wanted: &[&'static (&'static str, Slot)],
+    ) -> Result<What, SchemaError> {
+        let is_rows = self.each == Some(path);
+        let (Kind::Message(type_name), true) = (&field.kind, field.is_repeated == is_rows) else {
+            let expected = if is_rows { "an array of messages" } else { "a single message" };
+            return Err(mismatch(field, path, expected));
+        };
+        let fields = self.message(self.nested(type_name, path)?, path, wanted)?;
+        Ok(if is_rows { What::Rows(fields) } else { What::Message(fields) })
+    }
+
+    fn leaf(&self, field: &Field, path: &str, slot: Slot) -> Result<What, SchemaError> {
+        Ok(match (slot, &field.kind, field.is_repeated) {
+            (Slot::Stamp, Kind::Message(type_name), false) => {
+                self.stamp(self.nested(type_name, path)?, field, path)?
+            }
+            (Slot::Number(index), &Kind::Number(scalar), false) => What::Number(scalar, index),
+            (Slot::Text(index), Kind::Text, false) => What::Text(index),
+            (Slot::List(index), &Kind::Number(scalar), true) => What::List(scalar, index),
+            (Slot::Names, Kind::Text, true) => What::Names,
+            _ => return Err(mismatch(field, path, slot.expected())),
+        })
+    }
+
+    /// A time: a message of seconds and nanoseconds, as `google.protobuf.Timestamp`.
+    fn stamp(&self, message: &Message, field: &Field, path: &str) -> Result<What, SchemaError> {
+        let part = |names: &[&str], what: fn(Scalar) -> What| {
+            let part = names.iter().find_map(|name| message.field(name))?;
+            let Kind::Number(scalar) = part.kind else { return None };
+            Some(Wanted { number: part.number, path: path.into(), what: what(scalar) })
+        };
+        let seconds = part(&["seconds", "secs", "sec"], What::Seconds);
+        let nanoseconds = part(&["nanos", "nanosec", "nsecs", "nsec"], What::Nanoseconds);
+        match (seconds, nanoseconds) {
+            (Some(seconds), Some(nanoseconds)) => Ok(What::Message(vec![seconds, nanoseconds])),
+            _ => Err(mismatch(field, path, Slot::Stamp.expected())),
+        }
+    }
+
+    fn nested(&self, type_name: &str, path: &str) -> Result<&Message, SchemaError> {
+        self.types.message(type_name).ok_or_else(|| SchemaError::Undefined {
+            field: path.to_owned(),
+            type_name: type_name.to_owned(),
+        })
+    }
+}
+
+/// Bytes of a path before the names below `prefix`.
+fn prefix_len(prefix: &str) -> usize {
+    if prefix.is_empty() { 0 } else { prefix.len() + 1 }
+}
+
+/// The first name of `path` below `prefix`.
+fn name_below<'a>(path: &'a str, prefix: &str) -> &'a str {
+    let rest = &path[prefix_len(prefix)..];
+    rest.split('.').next().unwrap_or(rest)
+}
+
+fn mismatch(field: &Field, path: &str, expected: &'static str) -> SchemaError {
+    SchemaError::Mismatch { field: path.to_owned(), expected, found: field.spelled() }
+}

@@ -1,0 +1,325 @@
+//! Which fields of which message types fill which slots, and the columns that they become.
+
+use super::builder::{Builder, Part, PartOf};
+use super::plan::Plan;
+use super::row::{self, Slot};
+use super::schema::canonical;
+use super::{Format, FormatError};
+
+/// Which field fills which slot, by its path from the message's root.
+pub(super) type Fields = &'static [(&'static str, Slot)];
+
+/// How a message type becomes rows.
+pub(in crate::log) struct Recipe {
+    /// Names of the type as `package/Type`, or as `package.Type` where ROS is not.
+    type_names: &'static [&'static str],
+    /// The array whose elements are a row each; without one, a message is a row.
+    pub(super) each: Option<&'static str>,
+    /// The fields, in each of the ways that the type has had them; of the first layout of which all
+    /// exist they are read.
+    pub(super) layouts: &'static [Fields],
+    /// The columns to fill: the first under the topic's own name.
+    parts: &'static [PartOf],
+}
+
+impl Recipe {
+    /// The recipe for a type, which may be spelled `package/Type` or `package/msg/Type`.
+    pub(in crate::log) fn of(type_name: &str) -> Option<&'static Recipe> {
+        let type_name = canonical(type_name);
+        RECIPES.iter().find(|recipe| recipe.type_names.contains(&type_name.as_ref()))
+    }
+
+    /// How to read this recipe's fields from messages in `format`.
+    pub(in crate::log) fn plan(&self, format: Format<'_>) -> Result<Plan, FormatError> {
+        format.plan(self)
+    }
+
+    /// Empty columns.
+    pub(in crate::log) fn builder(&self) -> Builder {
+        let is_stamp = |(_, slot): &(&str, Slot)| *slot == Slot::Stamp;
+        Builder::new(self.parts, self.layouts.iter().any(|fields| fields.iter().any(is_stamp)))
+    }
+}
+
+/// The one layout of a type.
+macro_rules! layout {
+    ($($field:expr),* $(,)?) => { &[&[$($field),*]] };
+}
+
+/// Slots of a position and a quaternion in two nested messages.
+macro_rules! pose_slots {
+    ($position:literal, $orientation:literal $(, $other:expr)*) => {
+        &[
+            $($other,)*
+            (concat!($position, ".x"), Slot::Number(row::POSITION)),
+            (concat!($position, ".y"), Slot::Number(row::POSITION + 1)),
+            (concat!($position, ".z"), Slot::Number(row::POSITION + 2)),
+            (concat!($orientation, ".x"), Slot::Number(row::QUATERNION)),
+            (concat!($orientation, ".y"), Slot::Number(row::QUATERNION + 1)),
+            (concat!($orientation, ".z"), Slot::Number(row::QUATERNION + 2)),
+            (concat!($orientation, ".w"), Slot::Number(row::QUATERNION + 3)),
+        ]
+    };
+}
+
+/// Slots of the three components of a vector.
+macro_rules! vector_slots {
+    ($vector:literal, $first:expr) => {
+        [
+            (concat!($vector, ".x"), Slot::Number($first)),
+            (concat!($vector, ".y"), Slot::Number($first + 1)),
+            (concat!($vector, ".z"), Slot::Number($first + 2)),
+        ]
+    };
+}
+const VECTOR: [(&str, Slot); 3] = vector_slots!("vector", row::POSITION);
+const GYRO: [(&str, Slot); 3] = vector_slots!("angular_velocity", row::GYRO);
+const ACCEL: [(&str, Slot); 3] = vector_slots!("linear_acceleration", row::ACCEL);
+
+const STAMP: (&str, Slot) = ("header.stamp", Slot::Stamp);
+const FRAME: (&str, Slot) = ("header.frame_id", Slot::Text(row::FRAME));
+const NAMES: (&str, Slot) = ("joint_names", Slot::Names);
+
+/// Every message type that has columns.
+static RECIPES: &[Recipe] = &[
+    Recipe {
+        type_names: &["sensor_msgs/JointState"],
+        each: None,
+        layouts: layout![
+            STAMP,
+            FRAME,
+            ("name", Slot::Names),
+            ("position", Slot::List(row::VALUES)),
+            ("velocity", Slot::List(row::VELOCITIES)),
+        ],
+        parts: &[("", Part::joints)],
+    },
+    Recipe {
+        type_names: &["control_msgs/JointTrajectoryControllerState"],
+        each: None,
+        // `desired` and `actual` are the names that ROS 2 gave up in 2023.
+        layouts: &[
+            &[
+                STAMP,
+                FRAME,
+                NAMES,
+                ("feedback.positions", Slot::List(row::VALUES)),
+                ("feedback.velocities", Slot::List(row::VELOCITIES)),
+                ("reference.positions", Slot::List(row::REFERENCE)),
+                ("reference.velocities", Slot::List(row::REFERENCE_VELOCITIES)),
+            ],
+            &[
+                STAMP,
+                FRAME,
+                NAMES,
+                ("actual.positions", Slot::List(row::VALUES)),
+                ("actual.velocities", Slot::List(row::VELOCITIES)),
+                ("desired.positions", Slot::List(row::REFERENCE)),
+                ("desired.velocities", Slot::List(row::REFERENCE_VELOCITIES)),
+            ],
+        ],
+        parts: &[("", Part::joints), (".reference", Part::reference)],
+    },
+    Recipe {
+        // The arm's own state: ROS 1 spells the matrix in capitals.
+        type_names: &[
+            "franka_msgs/FrankaState",
+            "franka_control/FrankaState",
+            "franka_hw/FrankaState",
+        ],
+        each: None,
+        layouts: &[
+            &[
+                STAMP,
+                FRAME,
+                ("q", Slot::List(row::VALUES)),
+                ("dq", Slot::List(row::VELOCITIES)),
+                ("O_T_EE", Slot::List(row::MATRIX)),
+            ],
+            &[
+                STAMP,
+                FRAME,
+                ("q", Slot::List(row::VALUES)),
+                ("dq", Slot::List(row::VELOCITIES)),
+                ("o_t_ee", Slot::List(row::MATRIX)),
+            ],
+        ],
+        parts: &[("", Part::franka_joints), (".O_T_EE", Part::matrix)],
+    },
+    Recipe {
+        type_names: &["franka_msgs/FrankaRobotState"],
+        each: None,
+        layouts: &[pose_slots!(
+            "o_t_ee.pose.position",
+            "o_t_ee.pose.orientation",
+            STAMP,
+            ("measured_joint_state.name", Slot::Names),
+            ("measured_joint_state.position", Slot::List(row::VALUES)),
+            ("measured_joint_state.velocity", Slot::List(row::VELOCITIES)),
+            ("o_t_ee.header.frame_id", Slot::Text(row::FRAME))
+        )],
+        parts: &[("", Part::joints), (".o_t_ee", Part::poses)],
+    },
+    Recipe {
+        type_names: &["geometry_msgs/PoseStamped"],
+        each: None,
+        layouts: &[pose_slots!("pose.position", "pose.orientation", STAMP, FRAME)],
+        parts: &[("", Part::poses)],
+    },
+    Recipe {
+        type_names: &["geometry_msgs/Pose"],
+        each: None,
+        layouts: &[pose_slots!("position", "orientation")],
+        parts: &[("", Part::poses)],
+    },
+    Recipe {
+        type_names: &["geometry_msgs/PoseWithCovarianceStamped"],
+        each: None,
+        layouts: &[pose_slots!("pose.pose.position", "pose.pose.orientation", STAMP, FRAME)],
+        parts: &[("", Part::poses)],
+    },
+    Recipe {
+        type_names: &["geometry_msgs/PoseArray"],
+        each: Some("poses"),
+        layouts: &[pose_slots!("poses.position", "poses.orientation", STAMP, FRAME)],
+        parts: &[("", Part::numbered_poses)],
+    },
+    Recipe {
+        type_names: &["gazebo_msgs/LinkStates", "gazebo_msgs/ModelStates"],
+        each: Some("pose"),
+        layouts: &[pose_slots!("pose.position", "pose.orientation", ("name", Slot::Names))],
+        parts: &[("", Part::named_poses)],
+    },
+    Recipe {
+        type_names: &["nav_msgs/Odometry"],
+        each: None,
+        layouts: &[pose_slots!(
+            "pose.pose.position",
+            "pose.pose.orientation",
+            STAMP,
+            FRAME,
+            ("child_frame_id", Slot::Text(row::CHILD))
+        )],
+        parts: &[("", Part::poses)],
+    },
+    Recipe {
+        type_names: &["geometry_msgs/TransformStamped"],
+        each: None,
+        layouts: &[pose_slots!(
+            "transform.translation",
+            "transform.rotation",
+            STAMP,
+            FRAME,
+            ("child_frame_id", Slot::Text(row::CHILD))
+        )],
+        parts: &[("", Part::poses)],
+    },
+    Recipe {
+        type_names: &["tf2_msgs/TFMessage", "tf/tfMessage"],
+        each: Some("transforms"),
+        layouts: &[pose_slots!(
+            "transforms.transform.translation",
+            "transforms.transform.rotation",
+            ("transforms.header.stamp", Slot::Stamp),
+            ("transforms.header.frame_id", Slot::Text(row::FRAME)),
+            ("transforms.child_frame_id", Slot::Text(row::CHILD))
+        )],
+        parts: &[("", Part::transforms)],
+    },
+    Recipe {
+        type_names: &["foxglove.FrameTransform", "foxglove_msgs/FrameTransform"],
+        each: None,
+        layouts: &[pose_slots!(
+            "translation",
+            "rotation",
+            ("timestamp", Slot::Stamp),
+            ("parent_frame_id", Slot::Text(row::FRAME)),
+            ("child_frame_id", Slot::Text(row::CHILD))
+        )],
+        parts: &[("", Part::transforms)],
+    },
+    Recipe {
+        type_names: &["foxglove.FrameTransforms", "foxglove_msgs/FrameTransforms"],
+        each: Some("transforms"),
+        layouts: &[pose_slots!(
+            "transforms.translation",
+            "transforms.rotation",
+            ("transforms.timestamp", Slot::Stamp),
+            ("transforms.parent_frame_id", Slot::Text(row::FRAME)),
+            ("transforms.child_frame_id", Slot::Text(row::CHILD))
+        )],
+        parts: &[("", Part::transforms)],
+    },
+    Recipe {
+        type_names: &["foxglove.PoseInFrame", "foxglove_msgs/PoseInFrame"],
+        each: None,
+        layouts: &[pose_slots!(
+            "pose.position",
+            "pose.orientation",
+            ("timestamp", Slot::Stamp),
+            ("frame_id", Slot::Text(row::FRAME))
+        )],
+        parts: &[("", Part::poses)],
+    },
+    Recipe {
+        type_names: &["foxglove.PosesInFrame", "foxglove_msgs/PosesInFrame"],
+        each: Some("poses"),
+        layouts: &[pose_slots!(
+            "poses.position",
+            "poses.orientation",
+            ("timestamp", Slot::Stamp),
+            ("frame_id", Slot::Text(row::FRAME))
+        )],
+        parts: &[("", Part::numbered_poses)],
+    },
+    Recipe {
+        type_names: &["sensor_msgs/Imu"],
+        each: None,
+        layouts: layout![
+            STAMP,
+            FRAME,
+            ("orientation.x", Slot::Number(row::QUATERNION)),
+            ("orientation.y", Slot::Number(row::QUATERNION + 1)),
+            ("orientation.z", Slot::Number(row::QUATERNION + 2)),
+            ("orientation.w", Slot::Number(row::QUATERNION + 3)),
+            ("orientation_covariance", Slot::List(row::VALUES)),
+            GYRO[0],
+            GYRO[1],
+            GYRO[2],
+            ACCEL[0],
+            ACCEL[1],
+            ACCEL[2],
+        ],
+        parts: &[("", Part::imu)],
+    },
+    Recipe {
+        type_names: &["geometry_msgs/QuaternionStamped"],
+        each: None,
+        layouts: layout![
+            STAMP,
+            ("quaternion.x", Slot::Number(row::QUATERNION)),
+            ("quaternion.y", Slot::Number(row::QUATERNION + 1)),
+            ("quaternion.z", Slot::Number(row::QUATERNION + 2)),
+            ("quaternion.w", Slot::Number(row::QUATERNION + 3)),
+        ],
+        parts: &[("", Part::quaternion)],
+    },
+    Recipe {
+        type_names: &["geometry_msgs/Vector3Stamped"],
+        each: None,
+        layouts: layout![STAMP, VECTOR[0], VECTOR[1], VECTOR[2]],
+        parts: &[("", Part::vector)],
+    },
+    Recipe {
+        type_names: &["std_msgs/Float64MultiArray"],
+        each: None,
+        layouts: layout![("data", Slot::List(row::VALUES))],
+        parts: &[("", Part::array)],
+    },
+    Recipe {
+        type_names: &["std_msgs/String"],
+        each: None,
+        layouts: layout![("data", Slot::Text(row::BODY))],
+        parts: &[("", Part::text)],
+    },
+];

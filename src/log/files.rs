@@ -1,0 +1,95 @@
+//! From the paths given to the files to read.
+
+use std::collections::HashMap;
+use std::fs::{self, File};
+use std::io;
+use std::path::{Path, PathBuf};
+
+use memmap2::Mmap;
+
+use super::intake::Intake;
+use super::{LogError, rosbag2};
+
+/// One file to read.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub(super) struct Input {
+    /// Where it is.
+    pub(super) path: PathBuf,
+    /// Whether it is part of a rosbag2 folder.
+    pub(super) in_bag: bool,
+    /// How many messages the folder's `metadata.yaml` says it has.
+    pub(super) recorded: Option<u64>,
+}
+
+impl Input {
+    /// Its size; 0 if that cannot be told.
+    pub(super) fn bytes(&self) -> u64 {
+        fs::metadata(&self.path).map_or(0, |metadata| metadata.len())
+    }
+}
+
+/// The files that `paths` stand for: a folder for those of the recording in it.
+pub(super) fn inputs(paths: &[PathBuf], intake: &mut Intake) -> Result<Vec<Input>, LogError> {
+    let mut inputs = Vec::new();
+    for path in paths {
+        if path.is_dir() {
+            inputs.extend(rosbag2::files_of(path, intake)?);
+        } else {
+            inputs.push(Input { path: path.clone(), in_bag: false, recorded: None });
+        }
+    }
+    Ok(inputs)
+}
+
+/// Refuses a file that is given twice, under the same or another path, and a copy of it.
+pub(super) fn refuse_repeats(inputs: &[Input]) -> Result<(), LogError> {
+    let mut by_size: HashMap<u64, Vec<&Path>> = HashMap::new();
+    for input in inputs {
+        let same_size = by_size.entry(input.bytes()).or_default();
+        for first in same_size.iter() {
+            if is_same(first, &input.path)? {
+                let (path, first) = (input.path.clone(), first.to_path_buf());
+                return Err(LogError::Twice { path, first });
+            }
+        }
+        same_size.push(&input.path);
+    }
+    Ok(())
+}
+
+/// Whether two files of one size are one file, or copies.
+fn is_same(a: &Path, b: &Path) -> Result<bool, LogError> {
+    if let (Ok(a), Ok(b)) = (fs::canonicalize(a), fs::canonicalize(b))
+        && a == b
+    {
+        return Ok(true);
+    }
+    Ok(Mapped::open(a)?.bytes() == Mapped::open(b)?.bytes())
+}
+
+/// A file in memory.
+pub(super) struct Mapped(Mmap);
+
+impl Mapped {
+    /// Maps a file into memory, or says in one line why it cannot be read.
+    pub(super) fn open(path: &Path) -> Result<Self, LogError> {
+        let io_error = |source: io::Error| LogError::io(path, source);
+        let file = File::open(path).map_err(io_error)?;
+        let metadata = file.metadata().map_err(io_error)?;
+        if !metadata.is_file() {
+            return Err(LogError::NotAFile { path: path.to_owned() });
+        }
+        if metadata.len() == 0 {
+            return Err(LogError::Empty { path: path.to_owned() });
+        }
+        // SAFETY: the map is read-only and lives only while its file is decoded. Another process
+        // that shortens the file meanwhile ends this one with SIGBUS, as with any memory-mapped
+        // reader.
+        unsafe { Mmap::map(&file) }.map(Self).map_err(io_error)
+    }
+
+    /// Its content.
+    pub(super) fn bytes(&self) -> &[u8] {
+        &self.0
+    }
+}

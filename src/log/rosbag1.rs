@@ -1,0 +1,420 @@
+//! ROS 1 bags of version 2.0, read from their first byte to their last, past what is damaged.
+//!
+//! The index is looked at first, because it repeats the connections that a damaged chunk would take
+//! with it. The messages are then found by walking the records themselves, so that bags with and
+//! without an index, as a crash leaves them, are read alike.
+
+mod record;
+#[cfg(test)]
+mod tests;
+
+use std::collections::HashMap;
+
+use self::record::{Broken, Chunk, Connection, Record, op};
+use super::decode::Format;
+use super::intake::{ChannelId, Intake, Message, Place};
+use super::losses::{Losses, NOT_DESCRIBED};
+use super::unpack::{Compression, Unpacker};
+use super::{Crc, Extent, ReadOptions};
+
+/// What a bag begins with.
+pub(super) const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
+
+/// Reads the bag `bytes`, which begin with [`MAGIC`], into `intake`.
+pub(super) fn read(
+    bytes: &[u8],
+    options: &ReadOptions<'_>,
+    losses: &mut Losses,
+    intake: &mut Intake,
+) -> Crc {
+    let before = intake.messages();
+    let mut reader = Reader {
+        bytes,
+        options,
+        losses,
+        intake,
+        connections: HashMap::new(),
+        index: Index::Missing,
+        recorded: (0, 0),
+        covered: 0,
+        orphans: None,
+        in_lost_chunk: false,
+    };
+    reader.index();
+    reader.walk();
+    let read = reader.intake.messages() - before;
+    reader.close(read);
+    Crc::of(reader.covered, read)
+}
+
+struct Reader<'a> {
+    bytes: &'a [u8],
+    options: &'a ReadOptions<'a>,
+    losses: &'a mut Losses,
+    intake: &'a mut Intake,
+    /// By their number in the bag; the first record of a number counts.
+    connections: HashMap<u32, Sender>,
+    index: Index,
+    /// Chunk infos that were read, and the messages that they count.
+    recorded: (u32, u64),
+    /// Messages under a checksum that held.
+    covered: u64,
+    /// Messages of connections that no record describes: how many, and where the first is.
+    orphans: Option<(u64, usize)>,
+    /// Whether the record before belongs to a chunk that was lost.
+    in_lost_chunk: bool,
+}
+
+/// A connection as the intake knows it.
+#[derive(Clone, Copy)]
+struct Sender {
+    /// `None` where there are too many channels to take it.
+    channel: Option<ChannelId>,
+    latching: bool,
+}
+
+/// What the bag's header says of its index.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Index {
+    /// It was not written: the recording was not closed.
+    Missing,
+    /// It is, or was, at this byte and lists so many chunks.
+    At { offset: usize, chunks: u32 },
+}
+
+impl<'a> Reader<'a> {
+    /// Takes the connections from the index, if the bag has one.
+    fn index(&mut self) {
+        let Ok(header) = record::record(self.bytes, MAGIC.len()) else {
+            return;
+        };
+        let offset = header.header.u64("index_pos").and_then(|at| usize::try_from(at).ok());
+        let (op::BAG, Some(offset @ 1..)) = (header.op, offset) else {
+            return;
+        };
+        let chunks = header.header.u32("chunk_count").unwrap_or(0);
+        self.index = Index::At { offset, chunks };
+        let mut offset = offset;
+        while offset < self.bytes.len() {
+            match record::record(self.bytes, offset) {
+                Ok(record) if record.op == op::CONNECTION => {
+                    self.connection(&record);
+                    offset = record.end;
+                }
+                // Damage is taken down by the walk, which comes here, too.
+                _ => return,
+            }
+        }
+    }
+
+    /// Walks the records of the file.
+    fn walk(&mut self) {
+        let mut unpacker = Unpacker::default();
+        let mut offset = MAGIC.len();
+        // Where to look for the next record should they not go on at `offset`: it may be the
+        // record before that said a wrong length.
+        let mut sound = offset;
+        // A chunk's lengths are written when it is full. The last of a crash says that it is empty.
+        let mut open: Option<Chunk<'a>> = None;
+        while offset < self.bytes.len() {
+            self.options.at(offset);
+            match record::record(self.bytes, offset) {
+                Ok(record) => {
+                    open = None;
+                    let intact = match record.op {
+                        op::CHUNK => self.chunk(&record, &mut unpacker, &mut open),
+                        _ => self.top(&record),
+                    };
+                    sound = if intact { record.end } else { record.offset + 1 };
+                    offset = record.end;
+                }
+                Err(broken) => {
+                    if let Some(chunk) = open {
+                        return self.open_chunk(chunk, offset, &mut unpacker);
+                    }
+                    let Some(next) = self.next_record(sound, broken) else {
+                        return self.lose_rest(offset, broken, &mut unpacker);
+                    };
+                    let what = format!("expected a record, found {broken}; read on at byte {next}");
+                    self.losses.add(offset, Extent::Messages, None, what);
+                    offset = next;
+                }
+            }
+        }
+    }
+
+    /// Reads a record outside of chunks; whether its length is beyond doubt.
+    fn top(&mut self, record: &Record<'a>) -> bool {
+        let in_lost_chunk = std::mem::take(&mut self.in_lost_chunk);
+        match record.op {
+            op::INDEX if in_lost_chunk => {
+                // The index of a lost chunk says how many messages were in it.
+                self.losses.add_to_last(record.header.u32("count").unwrap_or(0).into());
+                self.in_lost_chunk = true;
+            }
+            op::CHUNK_INFO => {
+                self.recorded.0 += 1;
+                self.recorded.1 += record::chunk_info_messages(record);
+            }
+            op::BAG if record.header.text("encryptor").is_some_and(|name| !name.is_empty()) => {
+                let what = "the bag is encrypted; write it anew without encryption".to_owned();
+                self.losses.add(record.offset, Extent::Messages, None, what);
+            }
+            _ => self.content(record, record.offset),
+        }
+        false
+    }
+
+    /// Reads the records of a chunk; whether its length is beyond doubt.
+    fn chunk(
+        &mut self,
+        record: &Record<'a>,
+        unpacker: &mut Unpacker,
+        open: &mut Option<Chunk<'a>>,
+    ) -> bool {
+        self.in_lost_chunk = false;
+        let Some(chunk) = Chunk::of(record.header, record.data) else {
+            self.lose_chunk(record.offset, "malformed chunk record".to_owned());
+            return false;
+        };
+        if chunk.size == 0 && chunk.data.is_empty() {
+            *open = Some(chunk);
+            return false;
+        }
+        let Some(compression) = chunk.compression else {
+            let found = record.header.text("compression").unwrap_or_default();
+            let what = format!("chunk is compressed by `{found}`, expected `lz4`, `bz2` or `none`");
+            self.lose_chunk(record.offset, what);
+            return false;
+        };
+        if compression == Compression::None && chunk.data.len() != chunk.size as usize {
+            // Not to read its records twice, they are left to the search for the next record.
+            self.lose_chunk(record.offset, "chunk states two lengths that differ".to_owned());
+            return false;
+        }
+        let size = chunk.size.into();
+        match unpacker.chunk(compression, chunk.data, size, &mut self.intake.allowance) {
+            Ok(records) => {
+                let before = self.intake.messages();
+                self.chunk_records(records, record.offset);
+                if chunk.has_checksum() {
+                    self.covered += self.intake.messages() - before;
+                }
+                true
+            }
+            Err(error) => {
+                self.lose_chunk(record.offset, error.to_string());
+                false
+            }
+        }
+    }
+
+    /// Reads the records inside the chunk at `place`.
+    fn chunk_records(&mut self, records: &[u8], place: usize) {
+        let (mut offset, mut sound) = (0, 0);
+        while offset < records.len() {
+            match record::record(records, offset) {
+                Ok(record) => {
+                    self.content(&record, place);
+                    sound = record.offset + 1;
+                    offset = record.end;
+                }
+                Err(broken) => {
+                    let what = format!("in the chunk, expected a record, found {broken}");
+                    self.losses.add(place, Extent::Messages, None, what);
+                    let Some(next) = record::find_record(records, sound, None) else {
+                        return;
+                    };
+                    (offset, sound) = (next, next);
+                }
+            }
+        }
+    }
+
+    /// Reads what is left of a chunk whose end is missing; how many messages that were.
+    fn cut_chunk(
+        &mut self,
+        chunk: &Chunk<'_>,
+        data: &[u8],
+        place: usize,
+        unpacker: &mut Unpacker,
+    ) -> u64 {
+        let before = self.intake.messages();
+        if let Some(compression) = chunk.compression {
+            let records = unpacker.cut_chunk(compression, data, &mut self.intake.allowance);
+            let mut offset = 0;
+            while let Ok(record) = record::record(records, offset) {
+                self.content(&record, place);
+                offset = record.end;
+                if offset >= records.len() {
+                    break;
+                }
+            }
+        }
+        self.intake.messages() - before
+    }
+
+    /// Reads the last chunk of a bag that was not closed: its data go to the end of the file.
+    fn open_chunk(&mut self, chunk: Chunk<'a>, offset: usize, unpacker: &mut Unpacker) {
+        let saved = self.cut_chunk(&chunk, &self.bytes[offset..], offset, unpacker);
+        self.lose_tail(offset, "within a chunk", saved);
+    }
+
+    /// Reads a message or a connection, inside of the chunk at `place` or outside of any.
+    fn content(&mut self, record: &Record<'_>, place: usize) {
+        match record.op {
+            op::MESSAGE => match record::Message::of(record) {
+                Some(header) => self.message(header, record.data, place),
+                None => {
+                    let what = "message record without its connection or its time".to_owned();
+                    self.losses.add(place, Extent::Messages, Some(1), what);
+                }
+            },
+            op::CONNECTION if !self.connection(record) => {
+                let what = "malformed connection record".to_owned();
+                self.losses.add(place, Extent::Index, Some(0), what);
+            }
+            _ => {}
+        }
+    }
+
+    fn message(&mut self, header: record::Message, data: &[u8], place: usize) {
+        let sender = self.connections.get(&header.connection);
+        let Some(&Sender { channel: Some(channel), latching }) = sender else {
+            self.orphans.get_or_insert((0, place)).0 += 1;
+            return;
+        };
+        // A bag keeps one time of a message: when the recorder received it.
+        let message = Message {
+            log_time: header.time,
+            publish_time: header.time,
+            data,
+            place: Place::Byte(place as u64),
+            latched: latching,
+        };
+        self.intake.message(channel, message);
+    }
+
+    /// Takes up a connection; whether it is well formed.
+    fn connection(&mut self, record: &Record<'_>) -> bool {
+        let Some(connection) = Connection::of(record) else {
+            return false;
+        };
+        let intake = &mut *self.intake;
+        self.connections.entry(connection.id).or_insert_with(|| Sender {
+            channel: intake.channel(
+                connection.topic,
+                Format {
+                    encoding: "ros1",
+                    type_name: connection.type_name,
+                    schema_encoding: "ros1msg",
+                    schema: connection.definition,
+                },
+            ),
+            latching: connection.latching,
+        });
+        true
+    }
+
+    fn lose_chunk(&mut self, offset: usize, what: String) {
+        self.losses.add(offset, Extent::Messages, None, what);
+        self.in_lost_chunk = true;
+    }
+
+    fn lose_tail(&mut self, offset: usize, place: &str, saved: u64) {
+        let what = format!("the file ends {place}; {saved} messages of it were read");
+        self.losses.add(offset, Extent::Tail, None, what);
+    }
+
+    /// Takes down that no record can be read from `offset` on, and reads what is left of a chunk.
+    fn lose_rest(&mut self, offset: usize, broken: Broken<'a>, unpacker: &mut Unpacker) {
+        match broken {
+            _ if matches!(self.index, Index::At { offset: index, .. } if index <= offset) => {
+                let what = format!("expected a record of the index, found {broken}");
+                self.losses.add(offset, Extent::Index, Some(0), what);
+            }
+            _ if self.is_whole() => {
+                let what = format!("expected a record, found {broken}; nothing after it was read");
+                self.losses.add(offset, Extent::Messages, None, what);
+            }
+            Broken::Cut { op: op::CHUNK, header, data, .. } => {
+                let saved = Chunk::of(header, data)
+                    .map_or(0, |chunk| self.cut_chunk(&chunk, data, offset, unpacker));
+                self.lose_tail(offset, "within a chunk", saved);
+            }
+            Broken::Cut { op: op::MESSAGE, .. } => {
+                let what = "the file ends within a message".to_owned();
+                self.losses.add(offset, Extent::Tail, Some(1), what);
+            }
+            Broken::Cut { .. } | Broken::Stub { .. } => {
+                let what = "the file ends within a record".to_owned();
+                self.losses.add(offset, Extent::Tail, None, what);
+            }
+            Broken::NoHeader if self.bytes[offset..].iter().all(|&byte| byte == 0) => {
+                let what = "the file ends in zeros, as after a crash".to_owned();
+                self.losses.add(offset, Extent::Tail, None, what);
+            }
+            Broken::NoHeader => {
+                let what = format!("expected a record, found {broken}; nothing after it was read");
+                self.losses.add(offset, Extent::Messages, None, what);
+            }
+        }
+    }
+
+    /// Where to read on after what is `broken`, at `from` or after it.
+    fn next_record(&self, from: usize, broken: Broken<'_>) -> Option<usize> {
+        let chunk = match broken {
+            Broken::Cut { op: op::CHUNK, header, length, data } => {
+                Chunk::of(header, data).map(|chunk| (chunk, length))
+            }
+            _ => None,
+        };
+        match chunk {
+            // Its two lengths agree: it is the end of the file that is missing.
+            Some((Chunk { compression: Some(Compression::None), size, .. }, length))
+                if size == length && !self.is_whole() =>
+            {
+                None
+            }
+            // Compressed data hold pieces of the records inside.
+            Some((Chunk { compression: Some(Compression::Lz4 | Compression::Bz2), .. }, _)) => {
+                record::find_record(self.bytes, from, Some(op::CHUNK))
+            }
+            _ => record::find_record(self.bytes, from, None),
+        }
+    }
+
+    /// Whether the file reaches as far as its index, so that nothing is cut off before it.
+    fn is_whole(&self) -> bool {
+        matches!(self.index, Index::At { offset, .. } if offset < self.bytes.len())
+    }
+
+    /// Holds what was read against what the index says.
+    fn close(&mut self, read: u64) {
+        if let Some((messages, offset)) = self.orphans {
+            let what = format!("{messages} messages are of connections {NOT_DESCRIBED}");
+            self.losses.add(offset, Extent::Messages, Some(messages), what);
+        }
+        match self.index {
+            Index::Missing => {
+                let what = "the bag has no index: the recording was not closed".to_owned();
+                self.losses.add(MAGIC.len(), Extent::Index, Some(0), what);
+            }
+            Index::At { offset, .. } if offset >= self.bytes.len() => {
+                if self.losses.is_empty() {
+                    let what = format!("the file ends before its index, which is at byte {offset}");
+                    self.losses.add(self.bytes.len(), Extent::Tail, None, what);
+                }
+            }
+            Index::At { chunks, .. } if chunks == self.recorded.0 => {
+                self.losses.settle("the index", self.recorded.1, read);
+            }
+            Index::At { offset, chunks } => {
+                if self.losses.is_empty() {
+                    let what = format!("the index lists {} of {chunks} chunks", self.recorded.0);
+                    self.losses.add(offset, Extent::Index, Some(0), what);
+                }
+            }
+        }
+    }
+}

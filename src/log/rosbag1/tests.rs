@@ -1,0 +1,217 @@
+//! Sound and damaged bags.
+
+use std::path::Path;
+
+use super::super::testing::BagWriter;
+use super::super::{Container, Log, LogFile};
+use super::*;
+use crate::time::Stamp;
+
+const MESSAGES: u64 = 60;
+const A_CHUNK: u64 = 20;
+const COMPRESSIONS: [&str; 3] = ["none", "lz4", "bz2"];
+
+/// A message whose bytes are neither all alike nor a record.
+fn content(n: u64) -> Vec<u8> {
+    (0..40).map(|i| (n * 37 + i * 11) as u8).collect()
+}
+
+/// A bag of messages at times 1, 2, 3, … ns, and where its chunks begin.
+fn bag(compression: &'static str) -> (Vec<u8>, Vec<usize>) {
+    let (bag, chunks) = unfinished(compression, MESSAGES);
+    (bag.finish(), chunks)
+}
+
+fn unfinished(compression: &'static str, messages: u64) -> (BagWriter, Vec<usize>) {
+    let mut bag = BagWriter::new(compression);
+    let mut chunks = Vec::new();
+    let a = bag.connection("/a", "test_msgs/Blob", "uint8[] data\n");
+    let b = bag.connection("/b", "test_msgs/Blob", "uint8[] data\n");
+    for n in 1..=messages {
+        bag.message(if n % 3 == 0 { b } else { a }, n, &content(n));
+        if n % A_CHUNK == 0 {
+            chunks.push(bag.end_chunk());
+        }
+    }
+    (bag, chunks)
+}
+
+fn read_bag(bytes: &[u8]) -> Log {
+    let (path, mut intake) = (Path::new("run.bag"), Intake::default());
+    let mut losses = Losses::of(path);
+    intake.begin_file(path, bytes.len() as u64);
+    let crc = read(bytes, &ReadOptions::default(), &mut losses, &mut intake);
+    intake.losses(losses);
+    let (bytes, container) = (bytes.len() as u64, Container::RosBag1);
+    intake.finish(vec![LogFile { path: path.to_owned(), container, bytes, crc }])
+}
+
+fn lost(log: &Log) -> Vec<(Extent, Option<u64>)> {
+    log.losses.iter().map(|loss| (loss.extent, loss.messages)).collect()
+}
+
+#[test]
+fn every_compression_gives_the_same_messages() {
+    for compression in COMPRESSIONS {
+        let log = read_bag(&bag(compression).0);
+        assert_eq!(log.losses, [], "{compression}");
+        assert_eq!(log.messages, MESSAGES);
+        assert_eq!(log.span, Some((Stamp::from_nanos(1), Stamp::from_nanos(60))));
+        let [a, b] = log.topics.as_slice() else { panic!("two topics") };
+        assert_eq!((a.name.as_str(), a.messages), ("/a", 40));
+        assert_eq!((b.name.as_str(), b.messages), ("/b", 20));
+        assert_eq!((a.type_name.as_str(), a.encoding.as_str()), ("test_msgs/Blob", "ros1"));
+        let crc = if compression == "none" { Crc::None } else { Crc::All };
+        assert_eq!(log.files[0].crc, crc, "{compression}");
+    }
+}
+
+#[test]
+fn times_have_whole_seconds_and_nanoseconds() {
+    let mut bag = BagWriter::new("none");
+    let a = bag.connection("/a", "test_msgs/Blob", "");
+    bag.message(a, 1_780_000_000_123_456_789, b"x");
+    let log = read_bag(&bag.finish());
+    assert_eq!(log.span.unwrap().0, Stamp::from_nanos(1_780_000_000_123_456_789));
+}
+
+#[test]
+fn every_cut_keeps_the_messages_before_it() {
+    for compression in COMPRESSIONS {
+        let (whole, chunks) = bag(compression);
+        let mut most = 0;
+        for length in MAGIC.len()..whole.len() {
+            let log = read_bag(&whole[..length]);
+            assert!(log.messages >= most, "{compression}, cut at {length}");
+            most = log.messages;
+            let before = chunks.iter().filter(|&&chunk| chunk < length).count().saturating_sub(1);
+            assert!(log.messages >= before as u64 * A_CHUNK, "{compression}, cut at {length}");
+            assert_ne!(log.losses, [], "{compression}, cut at {length}");
+            let is_cut = log.losses.iter().all(|loss| loss.extent != Extent::Messages);
+            assert!(is_cut, "{compression}, cut at {length}: {:?}", log.losses);
+        }
+        assert_eq!(most, MESSAGES);
+    }
+}
+
+#[test]
+fn a_cut_in_a_plain_chunk_costs_one_message() {
+    let (whole, chunks) = bag("none");
+    let log = read_bag(&whole[..chunks[1] + 1000]);
+    // A message takes 40 bytes of data, 38 of header, and 8 for their lengths.
+    let expected = A_CHUNK + (1000 - 50) / 100;
+    assert!(log.messages.abs_diff(expected) <= 2, "{}", log.messages);
+    let [loss] = log.losses.as_slice() else { panic!("{:?}", log.losses) };
+    assert_eq!((loss.offset, loss.extent), (Some(chunks[1] as u64), Extent::Tail));
+    let saved = log.messages - A_CHUNK;
+    assert!(loss.what.contains(&format!("{saved} messages of it were read")), "{}", loss.what);
+}
+
+#[test]
+fn a_bag_left_by_a_crash_is_read_to_its_last_byte() {
+    for compression in COMPRESSIONS {
+        let (bag, _) = unfinished(compression, MESSAGES + 7);
+        let log = read_bag(&bag.abandon());
+        assert_eq!(log.messages, MESSAGES + 7, "{compression}: {:?}", log.losses);
+        assert!(log.losses.iter().any(|loss| loss.what.contains("no index")), "{:?}", log.losses);
+        assert!(log.losses.iter().all(|loss| loss.extent != Extent::Messages), "{:?}", log.losses);
+    }
+}
+
+#[test]
+fn a_corrupt_chunk_is_lost_alone_and_its_messages_are_counted() {
+    for compression in ["lz4", "bz2"] {
+        let (mut bytes, chunks) = bag(compression);
+        // The first chunk is the one that describes the connections.
+        for chunk in [chunks[0], chunks[2]] {
+            bytes[chunk + 120] ^= 0x10;
+            let log = read_bag(&bytes);
+            bytes[chunk + 120] ^= 0x10;
+            assert_eq!(lost(&log), [(Extent::Messages, Some(A_CHUNK))], "{compression}");
+            assert_eq!(log.losses[0].offset, Some(chunk as u64));
+            assert_eq!(log.messages, MESSAGES - A_CHUNK);
+        }
+    }
+}
+
+#[test]
+fn a_wrong_length_in_a_plain_chunk_costs_few_messages() {
+    let (mut bytes, chunks) = bag("none");
+    // A length of a message in the second chunk: its data are the only 40 bytes in a row.
+    let length = 40u32.to_le_bytes();
+    let at = bytes[chunks[1]..].windows(4).position(|window| window == length).unwrap();
+    for wrong in [[200, 0, 0, 0], [0xff; 4]] {
+        bytes[chunks[1] + at..][..4].copy_from_slice(&wrong);
+        let log = read_bag(&bytes);
+        assert!(log.messages >= MESSAGES - 5, "{} {:?}", log.messages, log.losses);
+        assert!(log.messages <= MESSAGES);
+        assert_ne!(log.losses, []);
+    }
+}
+
+#[test]
+fn a_wrong_chunk_length_is_passed_and_no_message_is_read_twice() {
+    for compression in COMPRESSIONS {
+        let (mut bytes, chunks) = bag(compression);
+        // Where the data's length stands: behind the header, behind the header's length.
+        let header = u32::from_le_bytes(bytes[chunks[1]..][..4].try_into().unwrap()) as usize;
+        let length = chunks[1] + 4 + header;
+        for wrong in [0xff, 0x7f, 0x00] {
+            let was = bytes[length + 1];
+            bytes[length + 1] = wrong;
+            let log = read_bag(&bytes);
+            bytes[length + 1] = was;
+            assert!(log.messages >= MESSAGES - A_CHUNK, "{compression} {wrong}: {}", log.messages);
+            assert!(log.messages <= MESSAGES, "{compression} {wrong}: {}", log.messages);
+            assert_ne!(log.losses, []);
+        }
+    }
+}
+
+#[test]
+fn no_flipped_byte_stops_the_reading() {
+    for compression in COMPRESSIONS {
+        let (mut bytes, _) = bag(compression);
+        // Compressed bytes are all alike to the reader.
+        let step = if compression == "none" { 1 } else { 3 };
+        for index in (MAGIC.len()..bytes.len()).step_by(step) {
+            bytes[index] ^= 0xff;
+            let log = read_bag(&bytes);
+            bytes[index] ^= 0xff;
+            assert!(log.messages <= MESSAGES, "{compression}, byte {index}");
+            assert!(log.messages >= MESSAGES - A_CHUNK, "{compression}, byte {index}");
+        }
+    }
+}
+
+#[test]
+fn messages_that_are_lost_are_counted_by_the_index() {
+    let (mut bytes, chunks) = bag("lz4");
+    bytes[chunks[1]..chunks[2]].fill(0xee);
+    let log = read_bag(&bytes);
+    assert_eq!(log.messages, MESSAGES - A_CHUNK);
+    let lost: u64 = log.losses.iter().filter_map(|loss| loss.messages).sum();
+    assert_eq!(lost, A_CHUNK, "{:?}", log.losses);
+}
+
+#[test]
+fn a_chunk_that_claims_to_unpack_to_gigabytes_is_refused() {
+    let (mut bytes, chunks) = bag("bz2");
+    let size = bytes[chunks[1]..].windows(5).position(|window| window == b"size=").unwrap();
+    bytes[chunks[1] + size + 5..][..4].fill(0xff);
+    let log = read_bag(&bytes);
+    assert!(log.losses[0].what.contains("larger than"), "{:?}", log.losses);
+    assert_eq!(log.messages, MESSAGES - A_CHUNK);
+}
+
+#[test]
+fn more_topics_than_any_log_has_are_a_loss() {
+    let mut bag = BagWriter::new("none");
+    for n in 0..20_000u32 {
+        let connection = bag.connection(&format!("/{n}"), "test_msgs/Blob", "");
+        bag.message(connection, n.into(), b"x");
+    }
+    let log = read_bag(&bag.finish());
+    assert_eq!(lost(&log), [(Extent::Messages, Some(20_000 - log.messages))]);
+    assert!(log.messages > 10_000);
+}

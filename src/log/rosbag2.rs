@@ -1,0 +1,181 @@
+//! rosbag2 recordings: folders of SQLite databases or MCAP files with a `metadata.yaml`, and such a
+//! database alone.
+//!
+//! Nothing is believed of `metadata.yaml` but which files there are and how many messages they had:
+//! what a file is and how it is compressed is told from its bytes.
+
+mod database;
+#[cfg(test)]
+mod tests;
+
+use std::ffi::OsStr;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use super::files::{Input, Mapped};
+use super::intake::Intake;
+use super::losses::Losses;
+use super::sniff::{self, Kind};
+use super::{Extent, LogError};
+
+pub(super) use self::database::read as read_database;
+
+const METADATA: &str = "metadata.yaml";
+
+/// Largest `metadata.yaml` that is read.
+const MAX_METADATA_BYTES: u64 = 16 << 20;
+
+/// What is used of `metadata.yaml`.
+#[derive(Deserialize)]
+struct Document {
+    rosbag2_bagfile_information: Information,
+}
+
+#[derive(Deserialize)]
+struct Information {
+    #[serde(default)]
+    relative_file_paths: Vec<String>,
+    #[serde(default)]
+    message_count: Option<u64>,
+    /// From version 5 on.
+    #[serde(default)]
+    files: Vec<FileInformation>,
+}
+
+#[derive(Deserialize)]
+struct FileInformation {
+    path: String,
+    #[serde(default)]
+    message_count: Option<u64>,
+}
+
+/// The files of the recording in `folder`. Files that are missing are losses.
+///
+/// # Errors
+/// If there is no recording in the folder, or more than one.
+pub(super) fn files_of(folder: &Path, intake: &mut Intake) -> Result<Vec<Input>, LogError> {
+    let path = folder.join(METADATA);
+    if !path.is_file() {
+        let inputs = logs_in(folder)?;
+        let what = format!("it has no {METADATA}: the {} log files in it are read", inputs.len());
+        intake.note(folder, what);
+        return Ok(inputs);
+    }
+    let mut losses = Losses::of(&path);
+    let inputs = match information(&path) {
+        Ok(information) => listed(folder, &information, &mut losses),
+        Err(cause) => {
+            let what = format!("cannot be read: {cause}; the log files beside it are");
+            losses.add_unplaced(Extent::Index, Some(0), what);
+            logs_in(folder)?
+        }
+    };
+    intake.losses(losses);
+    for path in unlisted(folder, &inputs) {
+        intake.note(&path, format!("{METADATA} does not list it: it was not read"));
+    }
+    if inputs.is_empty() {
+        let cause = "none of whose files that metadata.yaml lists is there";
+        return Err(LogError::Directory { path: folder.to_owned(), cause });
+    }
+    Ok(inputs)
+}
+
+/// Reads `metadata.yaml`, or says in one line why it cannot be.
+fn information(path: &Path) -> Result<Information, String> {
+    let bytes = fs::metadata(path).map_err(|error| error.to_string())?.len();
+    if bytes > MAX_METADATA_BYTES {
+        return Err(format!(
+            "it has {bytes} bytes, more than the {MAX_METADATA_BYTES} that are read"
+        ));
+    }
+    let text = fs::read_to_string(path).map_err(|error| error.to_string())?;
+    let document: Document = serde_saphyr::from_str(&text)
+        .map_err(|error| error.to_string().lines().next().unwrap_or_default().to_owned())?;
+    Ok(document.rosbag2_bagfile_information)
+}
+
+/// The files that `metadata.yaml` lists, as far as they are there.
+fn listed(folder: &Path, information: &Information, losses: &mut Losses) -> Vec<Input> {
+    let by_file = information.files.iter().map(|file| file.path.as_str());
+    let by_path = information.relative_file_paths.iter().map(String::as_str);
+    let mut names: Vec<&OsStr> = Vec::new();
+    // Old versions give paths from the folder's parent; the files are in the folder all the same.
+    for name in by_path.chain(by_file).filter_map(|path| Path::new(path).file_name()) {
+        if !names.contains(&name) {
+            names.push(name);
+        }
+    }
+    let recorded = |name: &OsStr| {
+        let is_it = |file: &&FileInformation| Path::new(&file.path).file_name() == Some(name);
+        let count = information.files.iter().find(is_it).and_then(|file| file.message_count);
+        count.or(information.message_count.filter(|_| names.len() == 1))
+    };
+    let mut inputs = Vec::new();
+    for name in &names {
+        let path = folder.join(name);
+        let unpacked = path.with_extension("");
+        let is_packed = path.extension() == Some(OsStr::new("zstd"));
+        if path.is_file() {
+            inputs.push(Input { path, in_bag: true, recorded: recorded(name) });
+        } else if is_packed && unpacked.is_file() {
+            // The recorder was ended before it had packed its last file, or somebody unpacked it.
+            inputs.push(Input { path: unpacked, in_bag: true, recorded: recorded(name) });
+        } else {
+            let what = format!("lists `{}`, which is not there", name.display());
+            losses.add_unplaced(Extent::Messages, recorded(name), what);
+        }
+    }
+    inputs
+}
+
+/// The log files of a folder that nothing lists, which must look like those of one recording.
+fn logs_in(folder: &Path) -> Result<Vec<Input>, LogError> {
+    let refuse = |cause| LogError::Directory { path: folder.to_owned(), cause };
+    let paths = files_in(folder).map_err(|source| LogError::io(folder, source))?;
+    let paths: Vec<PathBuf> = paths.into_iter().filter(|path| is_log(path)).collect();
+    let Some(first) = paths.first() else {
+        return Err(refuse("without log files"));
+    };
+    if paths.iter().any(|path| recording_name(path) != recording_name(first)) {
+        return Err(refuse("with the logs of several runs, or without the metadata.yaml of one"));
+    }
+    Ok(paths.into_iter().map(|path| Input { path, in_bag: true, recorded: None }).collect())
+}
+
+/// Log files of a folder that are not among `inputs`.
+fn unlisted(folder: &Path, inputs: &[Input]) -> Vec<PathBuf> {
+    let mut paths = files_in(folder).unwrap_or_default();
+    paths.retain(|path| !inputs.iter().any(|input| input.path == *path) && is_log(path));
+    paths
+}
+
+/// The regular files of a folder, in the order of their names.
+fn files_in(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
+    let mut paths = Vec::new();
+    for entry in fs::read_dir(folder)? {
+        let path = entry?.path();
+        if path.is_file() {
+            paths.push(path);
+        }
+    }
+    paths.sort();
+    Ok(paths)
+}
+
+fn is_log(path: &Path) -> bool {
+    Mapped::open(path).is_ok_and(|mapped| {
+        let kind = sniff::kind(mapped.bytes());
+        matches!(kind, Kind::Mcap | Kind::RosBag1 | Kind::Sqlite | Kind::Zstd | Kind::Rtde)
+    })
+}
+
+/// What the files of one recording have in common: the name without its extensions and without the
+/// number of the split.
+fn recording_name(path: &Path) -> &str {
+    let name = path.file_name().and_then(OsStr::to_str).unwrap_or_default();
+    let stem = name.split('.').next().unwrap_or_default();
+    stem.trim_end_matches(|c: char| c.is_ascii_digit()).trim_end_matches('_')
+}

@@ -1,0 +1,318 @@
+//! The SQLite database of a rosbag2 recording, of schema versions 1 to 4.
+//!
+//! All versions have the tables `topics` and `messages`; from version 4 on, `message_definitions`
+//! holds the schemas. A database is opened to be read only, and leaves nothing beside it.
+
+use std::collections::HashMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use rusqlite::config::DbConfig;
+use rusqlite::types::ValueRef;
+use rusqlite::{Connection, OpenFlags, Row};
+
+use crate::log::decode::Format;
+use crate::log::intake::{ChannelId, Intake, Message, Place};
+use crate::log::losses::{Losses, NOT_DESCRIBED};
+use crate::log::{Extent, ReadOptions};
+
+/// Most places of a database that are passed over because they are damaged.
+const MAX_BREAKS: usize = 1000;
+
+/// Most topics and definitions that are looked at.
+const MAX_TOPICS: usize = 1 << 20;
+
+/// Reads the database at `path` into `intake`; false if it is sound, but none of rosbag2's.
+pub(in crate::log) fn read(
+    path: &Path,
+    options: &ReadOptions<'_>,
+    losses: &mut Losses,
+    intake: &mut Intake,
+) -> bool {
+    let tables = open(path).and_then(|database| {
+        let tables = Tables::of(&database)?;
+        Ok((database, tables))
+    });
+    let (database, tables) = match tables {
+        Ok(opened) => opened,
+        Err(error) => {
+            lose(losses, None, "the database cannot be opened", &error);
+            return true;
+        }
+    };
+    if !tables.topics || !tables.messages {
+        return false;
+    }
+    let journal = beside(path, "-journal");
+    if fs::metadata(&journal).is_ok_and(|journal| journal.len() > 0) {
+        let what = format!(
+            "{} was left by a crash: what was written last may be half there",
+            journal.display()
+        );
+        losses.add_unplaced(Extent::Tail, None, what);
+    }
+    let mut reader = Reader {
+        database: &database,
+        options,
+        losses,
+        intake,
+        topics: HashMap::new(),
+        bytes: 0,
+        orphans: 0,
+    };
+    reader.topics(tables.definitions);
+    reader.messages();
+    true
+}
+
+/// Opens a database without a lock on it and without a file beside it.
+fn open(path: &Path) -> rusqlite::Result<Connection> {
+    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY
+        | OpenFlags::SQLITE_OPEN_URI
+        | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    let path = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    let has_wal = fs::metadata(beside(&path, "-wal")).is_ok_and(|wal| wal.len() > 0);
+    // An immutable database is read without its write-ahead log. With it, the index of that log is
+    // kept in memory if nobody else may use the database, which is so without locks.
+    let mode = if has_wal && cfg!(unix) { "vfs=unix-none" } else { "immutable=1" };
+    let database = Connection::open_with_flags(uri(&path, mode), flags)?;
+    database.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
+    database.set_db_config(DbConfig::SQLITE_DBCONFIG_DEFENSIVE, true)?;
+    database.set_db_config(DbConfig::SQLITE_DBCONFIG_TRUSTED_SCHEMA, false)?;
+    if has_wal {
+        database.query_row("PRAGMA locking_mode = EXCLUSIVE", [], |_| Ok(()))?;
+    }
+    Ok(database)
+}
+
+/// The file that SQLite keeps beside the database at `path`.
+fn beside(path: &Path, suffix: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(suffix);
+    name.into()
+}
+
+/// `path` as a URI with a parameter.
+fn uri(path: &Path, parameter: &str) -> String {
+    let mut uri = "file:".to_owned();
+    for &byte in path.as_os_str().as_encoded_bytes() {
+        match byte {
+            b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' | b'/' | b'.' | b'_' | b'-' => {
+                uri.push(byte.into());
+            }
+            _ => uri.push_str(&format!("%{byte:02X}")),
+        }
+    }
+    format!("{uri}?mode=ro&{parameter}")
+}
+
+fn lose(losses: &mut Losses, messages: Option<u64>, what: &str, error: &rusqlite::Error) {
+    losses.add_unplaced(Extent::Messages, messages, format!("{what}: {error}"));
+}
+
+/// Which of rosbag2's tables a database has.
+#[derive(Clone, Copy, Default)]
+struct Tables {
+    topics: bool,
+    messages: bool,
+    definitions: bool,
+}
+
+impl Tables {
+    /// Views, virtual tables and computed columns do not count: reading them would run what a
+    /// stranger wrote.
+    fn of(database: &Connection) -> rusqlite::Result<Self> {
+        let has = |name: &str| -> rusqlite::Result<bool> {
+            database.query_row(
+                "SELECT count(*) FROM pragma_table_list WHERE schema = 'main' AND name = ?1 \
+                 AND type = 'table' \
+                 AND NOT EXISTS (SELECT 1 FROM pragma_table_xinfo(?1) WHERE hidden != 0)",
+                [name],
+                |row| Ok(row.get::<_, i64>(0)? > 0),
+            )
+        };
+        Ok(Self {
+            topics: has("topics")?,
+            messages: has("messages")?,
+            definitions: has("message_definitions")?,
+        })
+    }
+}
+
+struct Reader<'a> {
+    database: &'a Connection,
+    options: &'a ReadOptions<'a>,
+    losses: &'a mut Losses,
+    intake: &'a mut Intake,
+    /// By the number that messages give; `None` where there are too many channels to take it.
+    topics: HashMap<i64, Option<ChannelId>>,
+    /// Bytes of the messages read.
+    bytes: usize,
+    /// Messages of topics that the database does not list.
+    orphans: u64,
+}
+
+/// A schema and what it is written in.
+struct Definition {
+    encoding: String,
+    text: Vec<u8>,
+}
+
+impl Reader<'_> {
+    fn topics(&mut self, has_definitions: bool) {
+        let mut definitions = HashMap::new();
+        let mut listed = Vec::new();
+        if has_definitions {
+            let query = "SELECT topic_type, encoding, encoded_message_definition \
+                         FROM message_definitions";
+            self.rows(query, |row| {
+                let definition = Definition { encoding: text(row, 1)?, text: text(row, 2)?.into() };
+                definitions.insert(text(row, 0)?, definition);
+                Ok(())
+            });
+        }
+        self.rows("SELECT id, name, type, serialization_format FROM topics", |row| {
+            listed.push((row.get::<_, i64>(0)?, text(row, 1)?, text(row, 2)?, text(row, 3)?));
+            Ok(())
+        });
+        for (id, name, type_name, encoding) in &listed {
+            let definition = definitions.get(type_name);
+            // A definition that the recorder did not find is an empty text.
+            let definition = definition.filter(|definition| !definition.text.is_empty());
+            let format = Format {
+                encoding,
+                type_name,
+                schema_encoding: definition.map_or("", |definition| &definition.encoding),
+                schema: definition.map_or(&[], |definition| &definition.text),
+            };
+            self.topics.insert(*id, self.intake.channel(name, format));
+        }
+    }
+
+    /// Hands each row of a short table to `take`; what cannot be read is taken down.
+    fn rows(&mut self, query: &str, mut take: impl FnMut(&Row<'_>) -> rusqlite::Result<()>) {
+        let read = self.database.prepare(query).and_then(|mut statement| {
+            let mut rows = statement.query([])?;
+            for _ in 0..MAX_TOPICS {
+                let Some(row) = rows.next()? else {
+                    break;
+                };
+                take(row)?;
+            }
+            Ok(())
+        });
+        if let Err(error) = read {
+            lose(self.losses, None, "not all topics can be read", &error);
+        }
+    }
+
+    /// Reads the messages in the order in which they were written, past what is damaged.
+    fn messages(&mut self) {
+        // Recorders count rows from 1.
+        let mut from = 1;
+        for _ in 0..MAX_BREAKS {
+            let Err(error) = self.messages_from(&mut from) else {
+                break;
+            };
+            let Some(next) = self.next_sound(from) else {
+                let what = format!("no row from {from} on of the table `messages` is readable");
+                lose(self.losses, None, &what, &error);
+                break;
+            };
+            let lost = u64::try_from(next.saturating_sub(from)).ok();
+            let last = next.saturating_sub(1);
+            let what = format!("rows {from} to {last} of the table `messages` are not readable");
+            lose(self.losses, lost, &what, &error);
+            from = next;
+        }
+        if self.orphans > 0 {
+            let what = format!("{} messages are of topics {NOT_DESCRIBED}", self.orphans);
+            self.losses.add_unplaced(Extent::Messages, Some(self.orphans), what);
+        }
+    }
+
+    /// Reads the messages from row `from` on, which is moved past what was read.
+    fn messages_from(&mut self, from: &mut i64) -> rusqlite::Result<()> {
+        let mut statement = self.database.prepare(
+            "SELECT rowid, topic_id, timestamp, data FROM messages \
+             WHERE rowid >= ?1 ORDER BY rowid",
+        )?;
+        let mut rows = statement.query([*from])?;
+        while let Some(row) = rows.next()? {
+            let id: i64 = row.get(0)?;
+            self.message(id, row);
+            *from = id.saturating_add(1);
+        }
+        Ok(())
+    }
+
+    fn message(&mut self, id: i64, row: &Row<'_>) {
+        let content = (row.get_ref(1), row.get_ref(2), row.get_ref(3));
+        let (Ok(ValueRef::Integer(topic)), Ok(ValueRef::Integer(time)), Ok(ValueRef::Blob(data))) =
+            content
+        else {
+            let what = format!("row {id} of the table `messages` is no message");
+            return self.losses.add_unplaced(Extent::Messages, Some(1), what);
+        };
+        self.bytes = self.bytes.saturating_add(data.len());
+        self.options.at(self.bytes);
+        let Some(Some(channel)) = self.topics.get(&topic) else {
+            self.orphans += 1;
+            return;
+        };
+        // A database keeps one time of a message: when the recorder received it.
+        let time = u64::try_from(time).unwrap_or(0);
+        let message = Message {
+            log_time: time,
+            publish_time: time,
+            data,
+            place: Place::Row(id),
+            latched: false,
+        };
+        self.intake.message(*channel, message);
+    }
+
+    /// The next row after `lost` that can be read, found by ever longer leaps and then halving the
+    /// last of them.
+    fn next_sound(&self, mut lost: i64) -> Option<i64> {
+        let mut step: i64 = 1;
+        let mut sound = loop {
+            let from = lost.checked_add(step)?;
+            match self.row_from(from) {
+                Ok(_) => break from,
+                Err(_) => (lost, step) = (from, step.checked_mul(2)?),
+            }
+        };
+        while sound - lost > 1 {
+            let middle = lost + (sound - lost) / 2;
+            match self.row_from(middle) {
+                Ok(_) => sound = middle,
+                Err(_) => lost = middle,
+            }
+        }
+        self.row_from(sound).ok().flatten()
+    }
+
+    /// The first row from `id` on, if its content can be read.
+    fn row_from(&self, id: i64) -> rusqlite::Result<Option<i64>> {
+        let mut statement = self
+            .database
+            .prepare("SELECT rowid, data FROM messages WHERE rowid >= ?1 ORDER BY rowid")?;
+        let mut rows = statement.query([id])?;
+        match rows.next()? {
+            Some(row) => {
+                row.get_ref(1)?;
+                Ok(Some(row.get(0)?))
+            }
+            None => Ok(None),
+        }
+    }
+}
+
+/// A text, or nothing where the column has none.
+fn text(row: &Row<'_>, column: usize) -> rusqlite::Result<String> {
+    Ok(match row.get_ref(column)? {
+        ValueRef::Text(text) | ValueRef::Blob(text) => String::from_utf8_lossy(text).into_owned(),
+        _ => String::new(),
+    })
+}

@@ -1,0 +1,449 @@
+//! Tables of Universal Robots' RTDE client: what its `record.py` writes.
+//!
+//! The first line names the columns, each line after it is a sample. A vector is as many columns,
+//! numbered from 0 (`actual_q_0` …). `timestamp` is the controller's time in seconds since it was
+//! started; nothing says when a sample was received, so that every time of a row is that stamp.
+//! Fields: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", table of robot controller
+//! outputs; angles in rad, poses as metres and rotation vector.
+
+#[cfg(test)]
+mod tests;
+
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::path::Path;
+
+use csv::{ByteRecord, ReaderBuilder};
+
+use super::decode::Format;
+use super::intake::{ChannelId, Intake, Message, Place};
+use super::losses::Losses;
+use super::{Extent, ReadOptions};
+use crate::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times};
+use crate::time;
+
+/// The joints of every UR arm, in the controller's order.
+const JOINTS: [&str; 6] = [
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "elbow_joint",
+    "wrist_1_joint",
+    "wrist_2_joint",
+    "wrist_3_joint",
+];
+
+/// The column of the controller's time, s.
+const TIMESTAMP: &str = "timestamp";
+
+/// Longest first line that is looked at.
+const MAX_HEADER_BYTES: usize = 1 << 16;
+
+/// Most names that are listed of a table.
+const MAX_LISTED: usize = 1000;
+
+/// What a vector is read as.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+enum Meaning {
+    /// Joint positions; with them, the velocities of the vector named.
+    Positions { velocities: &'static str },
+    /// Joint velocities.
+    Velocities,
+    /// Bare numbers.
+    Numbers,
+}
+
+/// A vector that is read.
+#[derive(Debug)]
+struct Vector {
+    name: &'static str,
+    width: usize,
+    meaning: Meaning,
+}
+
+const fn vector(name: &'static str, width: usize, meaning: Meaning) -> Vector {
+    Vector { name, width, meaning }
+}
+
+static VECTORS: [Vector; 8] = [
+    vector("actual_q", 6, Meaning::Positions { velocities: "actual_qd" }),
+    vector("actual_qd", 6, Meaning::Velocities),
+    vector("target_q", 6, Meaning::Positions { velocities: "target_qd" }),
+    vector("target_qd", 6, Meaning::Velocities),
+    vector("actual_TCP_pose", 6, Meaning::Numbers),
+    vector("target_TCP_pose", 6, Meaning::Numbers),
+    vector("actual_TCP_speed", 6, Meaning::Numbers),
+    vector("actual_tool_accelerometer", 3, Meaning::Numbers),
+];
+
+/// What the first line of a text holds.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum FirstLine {
+    /// Names of columns, RTDE's among them.
+    Names,
+    /// Several numbers.
+    Numbers,
+    /// Anything else.
+    Other,
+}
+
+/// What the first line of the text `bytes` holds.
+pub(super) fn first_line(bytes: &[u8]) -> FirstLine {
+    let line = header_line(bytes);
+    let cells: Vec<&[u8]> = cells(line, delimiter(line)).collect();
+    let known = |cell: &&[u8]| {
+        VECTORS.iter().any(|vector| part(cell).is_some_and(|(stem, _)| stem == vector.name))
+    };
+    if cells.iter().any(known) {
+        FirstLine::Names
+    } else if cells.len() > 1 && cells.iter().all(|cell| number(cell, false).is_some()) {
+        FirstLine::Numbers
+    } else {
+        FirstLine::Other
+    }
+}
+
+/// The first line, without a byte order mark.
+fn header_line(bytes: &[u8]) -> &[u8] {
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    let bytes = &bytes[..bytes.len().min(MAX_HEADER_BYTES)];
+    let end = bytes.iter().position(|byte| matches!(byte, b'\r' | b'\n')).unwrap_or(bytes.len());
+    &bytes[..end]
+}
+
+/// What stands between the names; a space where nothing else does.
+fn delimiter(header: &[u8]) -> u8 {
+    let mut usual = [b';', b',', b'\t'].into_iter();
+    usual.find(|delimiter| header.contains(delimiter)).unwrap_or(b' ')
+}
+
+fn cells(line: &[u8], delimiter: u8) -> impl Iterator<Item = &[u8]> {
+    line.split(move |&byte| byte == delimiter).map(bare)
+}
+
+/// A cell without blanks and quotation marks around it.
+fn bare(cell: &[u8]) -> &[u8] {
+    let cell = cell.trim_ascii();
+    cell.strip_prefix(b"\"").and_then(|cell| cell.strip_suffix(b"\"")).unwrap_or(cell)
+}
+
+/// A name that ends in `_` and a number: the name before it, and the number.
+fn part(name: &[u8]) -> Option<(&str, usize)> {
+    let (stem, number) = std::str::from_utf8(name).ok()?.rsplit_once('_')?;
+    number.parse().ok().map(|number| (stem, number))
+}
+
+/// The number in a cell; with `decimal_comma`, `1,5` is one and a half.
+fn number(cell: &[u8], decimal_comma: bool) -> Option<f64> {
+    let cell = std::str::from_utf8(bare(cell)).ok()?;
+    if decimal_comma && cell.contains(',') {
+        return cell.replace(',', ".").parse().ok();
+    }
+    cell.parse().ok()
+}
+
+/// The samples of all tables of a run: different columns of one run may be in different files.
+#[derive(Default)]
+pub(super) struct Recording {
+    /// In the order of [`VECTORS`]; `None` where no file has it.
+    samples: [Option<Samples>; VECTORS.len()],
+}
+
+/// The samples of one vector.
+struct Samples {
+    channel: ChannelId,
+    /// Nanoseconds since the controller was started.
+    stamps: Vec<i64>,
+    /// Row-major, as many a row as the vector has.
+    values: Vec<f64>,
+}
+
+/// Where the columns of one table go.
+struct Layout {
+    columns: usize,
+    timestamp: usize,
+    /// Index into [`VECTORS`], and the column of each of its numbers.
+    vectors: Vec<(usize, Vec<usize>)>,
+    /// What is only counted.
+    others: Vec<ChannelId>,
+}
+
+impl Recording {
+    /// Reads a table.
+    pub(super) fn read(
+        &mut self,
+        path: &Path,
+        bytes: &[u8],
+        options: &ReadOptions<'_>,
+        losses: &mut Losses,
+        intake: &mut Intake,
+    ) {
+        let header = header_line(bytes);
+        let delimiter = delimiter(header);
+        let names: Vec<&[u8]> = cells(header, delimiter).collect();
+        let Some(layout) = self.layout(path, &names, intake) else {
+            let what = format!("no column is named `{TIMESTAMP}`: record it with the others");
+            return losses.add(0, Extent::Messages, None, what);
+        };
+        // Numbers are not quoted; an odd quotation mark must not swallow the lines after it.
+        let mut reader = ReaderBuilder::new()
+            .delimiter(delimiter)
+            .quoting(false)
+            .flexible(true)
+            .has_headers(false)
+            .from_reader(bytes);
+        let ends_in_line = matches!(bytes.last(), Some(b'\n' | b'\r'));
+        let mut table = Table { layout, delimiter, row: vec![Vec::new(); VECTORS.len()] };
+        let mut record = ByteRecord::new();
+        let mut is_first = true;
+        while let Ok(true) = reader.read_byte_record(&mut record) {
+            let (offset, line) =
+                record.position().map_or((0, 0), |position| (position.byte(), position.line()));
+            options.at(offset as usize);
+            if std::mem::take(&mut is_first) || record.iter().map(bare).eq(names.iter().copied()) {
+                continue;
+            }
+            let is_last = reader.position().byte() >= bytes.len() as u64 && !ends_in_line;
+            match table.parse(&record, is_last) {
+                Ok(stamp) => self.take(&table, stamp, offset, intake),
+                Err(Malformed::Cut) => {
+                    let what = format!("the file ends within line {line}");
+                    losses.add(offset as usize, Extent::Tail, Some(table.topics()), what);
+                }
+                Err(Malformed::Row(cause)) => {
+                    let what = format!("line {line}: {cause}");
+                    losses.add(offset as usize, Extent::Messages, Some(table.topics()), what);
+                }
+            }
+        }
+    }
+
+    /// Finds the columns by their `names`; `None` without one for the time.
+    fn layout(&mut self, path: &Path, names: &[&[u8]], intake: &mut Intake) -> Option<Layout> {
+        let timestamp = names.iter().position(|name| *name == TIMESTAMP.as_bytes())?;
+        let mut by_name: HashMap<&[u8], usize> = HashMap::new();
+        for (column, name) in names.iter().enumerate() {
+            by_name.entry(name).or_insert(column);
+        }
+        let mut layout =
+            Layout { columns: names.len(), timestamp, vectors: Vec::new(), others: Vec::new() };
+        for (index, vector) in VECTORS.iter().enumerate() {
+            let parts: Vec<String> =
+                (0..vector.width).map(|part| format!("{}_{part}", vector.name)).collect();
+            let found: Vec<usize> =
+                parts.iter().filter_map(|part| by_name.get(part.as_bytes()).copied()).collect();
+            if found.len() == vector.width {
+                let type_name = format!("VECTOR{}D", vector.width);
+                let Some(channel) = intake.channel(vector.name, format(&type_name)) else {
+                    continue;
+                };
+                self.samples[index].get_or_insert_with(|| Samples {
+                    channel,
+                    stamps: Vec::new(),
+                    values: Vec::new(),
+                });
+                layout.vectors.push((index, found));
+            } else if !found.is_empty() {
+                let (name, there, width) = (vector.name, found.len(), vector.width);
+                let what = format!(
+                    "it has {there} of the {width} columns of `{name}`, which are not used"
+                );
+                intake.note(path, what);
+            }
+        }
+        let others = others(names);
+        if others.len() > MAX_LISTED {
+            let what = format!("of its {} other columns {MAX_LISTED} are listed", others.len());
+            intake.note(path, what);
+        }
+        let listed = others.iter().take(MAX_LISTED);
+        layout.others = listed.filter_map(|name| intake.channel(name, format(""))).collect();
+        Some(layout)
+    }
+
+    /// Appends the row that `table` parsed last.
+    fn take(&mut self, table: &Table, stamp: i64, offset: u64, intake: &mut Intake) {
+        let time = u64::try_from(stamp).unwrap_or(0);
+        let message = Message {
+            log_time: time,
+            publish_time: time,
+            data: &[],
+            place: Place::Byte(offset),
+            latched: false,
+        };
+        for &(vector, _) in &table.layout.vectors {
+            let values = &table.row[vector];
+            if let (Some(samples), false) = (&mut self.samples[vector], values.is_empty()) {
+                samples.stamps.push(stamp);
+                samples.values.extend_from_slice(values);
+                intake.message(samples.channel, message);
+            }
+        }
+        for &channel in &table.layout.others {
+            intake.message(channel, message);
+        }
+    }
+
+    /// Hands the columns of all tables to `intake`.
+    pub(super) fn hand_over(self, intake: &mut Intake) {
+        for (vector, samples) in VECTORS.iter().zip(&self.samples) {
+            let Some(samples) = samples else {
+                continue;
+            };
+            let columns = match vector.meaning {
+                Meaning::Positions { velocities } => {
+                    let place = VECTORS.iter().position(|vector| vector.name == velocities);
+                    let velocities = place.and_then(|place| self.samples[place].as_ref());
+                    Columns::Joints(samples.joints(velocities))
+                }
+                Meaning::Numbers => Columns::Array(samples.array(vector.width)),
+                Meaning::Velocities => continue,
+            };
+            intake.columns(samples.channel, columns);
+        }
+    }
+}
+
+/// The scratch of one table.
+struct Table {
+    layout: Layout,
+    delimiter: u8,
+    /// The numbers of the row parsed last, in the order of [`VECTORS`]; none where all are missing.
+    row: Vec<Vec<f64>>,
+}
+
+/// Why a row is dropped.
+enum Malformed {
+    /// It is the last and its end is missing.
+    Cut,
+    Row(String),
+}
+
+impl Table {
+    /// Parses a row; its stamp in nanoseconds. `is_last` says that no line end follows it.
+    fn parse(&mut self, record: &ByteRecord, is_last: bool) -> Result<i64, Malformed> {
+        let Layout { columns, timestamp, ref vectors, .. } = self.layout;
+        if record.len() != columns {
+            let comma = self.delimiter == b',' && record.len() > columns;
+            let hint = if comma { "; decimal commas need `;` between the columns" } else { "" };
+            let what = format!("{} columns, the first line names {columns}{hint}", record.len());
+            return Err(if is_last { Malformed::Cut } else { Malformed::Row(what) });
+        }
+        let decimal_comma = self.delimiter != b',';
+        let value = |column: usize| {
+            let cell = record.get(column).unwrap_or_default();
+            if bare(cell).is_empty() {
+                return Ok(f64::NAN);
+            }
+            // The digits that the end of the file cut off may have been of use.
+            let is_cut = is_last && column + 1 == columns;
+            match number(cell, decimal_comma) {
+                Some(_) if is_cut => Err(Malformed::Cut),
+                Some(value) => Ok(value),
+                None => {
+                    let shown = String::from_utf8_lossy(&cell[..cell.len().min(40)]).into_owned();
+                    let what =
+                        format!("column {}: `{}` is no number", column + 1, shown.escape_debug());
+                    Err(Malformed::Row(what))
+                }
+            }
+        };
+        let seconds = value(timestamp)?;
+        if !(0.0..=MAX_TIMESTAMP_S).contains(&seconds) {
+            return Err(Malformed::Row(format!("`{TIMESTAMP}` is no time: {seconds}")));
+        }
+        for (vector, columns) in vectors {
+            let row = &mut self.row[*vector];
+            row.clear();
+            let is_empty =
+                |column: &usize| bare(record.get(*column).unwrap_or_default()).is_empty();
+            if columns.iter().all(is_empty) {
+                continue;
+            }
+            for &column in columns {
+                row.push(value(column)?);
+            }
+        }
+        Ok(time::nanos(seconds))
+    }
+
+    /// How many topics a row is a message of.
+    fn topics(&self) -> u64 {
+        (self.layout.vectors.len() + self.layout.others.len()) as u64
+    }
+}
+
+/// Largest `timestamp` that nanoseconds can hold, s.
+const MAX_TIMESTAMP_S: f64 = 9e9;
+
+impl Samples {
+    /// Joint positions, with the velocities of the same stamps.
+    fn joints(&self, velocities: Option<&Samples>) -> JointColumns {
+        let by_stamp: HashMap<i64, &[f64]> = velocities
+            .into_iter()
+            .flat_map(|samples| samples.stamps.iter().copied().zip(samples.rows(JOINTS.len())))
+            .collect();
+        let mut joints = JointColumns { times: self.times(), ..JointColumns::default() };
+        joints.joints = (0..JOINTS.len())
+            .map(|joint| {
+                let velocity = |stamp| by_stamp.get(stamp).map_or(f64::NAN, |row| row[joint]);
+                JointColumn {
+                    name: JOINTS[joint].to_owned(),
+                    position: self.rows(JOINTS.len()).map(|row| finite(row[joint])).collect(),
+                    velocity: self.stamps.iter().map(velocity).collect(),
+                }
+            })
+            .collect();
+        joints.not_finite = self.values.iter().filter(|value| !value.is_finite()).count() as u64;
+        joints
+    }
+
+    /// Bare numbers, `width` a row.
+    fn array(&self, width: usize) -> ArrayColumns {
+        let mut array = ArrayColumns { width, ..ArrayColumns::default() };
+        for (&stamp, row) in self.stamps.iter().zip(self.rows(width)) {
+            if row.iter().all(|value| value.is_finite()) {
+                array.times.push(stamp, stamp, stamp);
+                array.values.extend_from_slice(row);
+            } else {
+                array.not_finite += 1;
+            }
+        }
+        array
+    }
+
+    fn rows(&self, width: usize) -> impl Iterator<Item = &[f64]> {
+        self.values.chunks_exact(width)
+    }
+
+    fn times(&self) -> Times {
+        let stamps = || self.stamps.clone();
+        Times { header: stamps(), log: stamps(), publish: stamps(), unstamped: false }
+    }
+}
+
+/// `value`, or NaN in place of an infinity.
+fn finite(value: f64) -> f64 {
+    if value.is_finite() { value } else { f64::NAN }
+}
+
+/// The names of what is not read, in the order of the columns; the parts of a vector are one.
+fn others(names: &[&[u8]]) -> Vec<String> {
+    let all: HashSet<&[u8]> = names.iter().copied().collect();
+    let mut by_name: BTreeMap<String, usize> = BTreeMap::new();
+    for (column, name) in names.iter().enumerate() {
+        let is_vector = |stem: &&str| all.contains(format!("{stem}_0").as_bytes());
+        let stem = part(name).map(|(stem, _)| stem).filter(is_vector);
+        let is_read = stem.is_some_and(|stem| VECTORS.iter().any(|vector| vector.name == stem));
+        if is_read || name.is_empty() || *name == TIMESTAMP.as_bytes() {
+            continue;
+        }
+        let name = stem.map_or_else(|| String::from_utf8_lossy(name).into_owned(), str::to_owned);
+        by_name.entry(name).or_insert(column);
+    }
+    let mut names: Vec<(String, usize)> = by_name.into_iter().collect();
+    names.sort_by_key(|&(_, column)| column);
+    names.into_iter().map(|(name, _)| name).collect()
+}
+
+fn format(type_name: &str) -> Format<'_> {
+    Format { encoding: "csv", type_name, schema_encoding: "", schema: &[] }
+}

@@ -1,0 +1,201 @@
+//! Sound and damaged tables.
+
+use std::fs;
+use std::path::PathBuf;
+
+use super::super::{Container, Extent, Log, LogError, ReadOptions, open};
+use super::*;
+
+/// A header of numbered columns.
+fn names(vectors: &[(&str, usize)], delimiter: &str) -> String {
+    let mut names = vec![TIMESTAMP.to_owned()];
+    for (name, width) in vectors {
+        names.extend((0..*width).map(|part| format!("{name}_{part}")));
+    }
+    names.join(delimiter)
+}
+
+/// A row of `width` numbers at `seconds`, which counts on from it.
+fn row(seconds: f64, width: usize, delimiter: &str) -> String {
+    let numbers: Vec<String> =
+        (0..=width).map(|part| format!("{:.4}", seconds + part as f64 * 0.25)).collect();
+    numbers.join(delimiter)
+}
+
+/// A table of joint positions and a pose, `rows` rows 0.008 s apart.
+fn table(delimiter: &str, line_end: &str, rows: usize) -> String {
+    let mut text = names(&[("actual_q", 6), ("actual_TCP_pose", 6)], delimiter) + line_end;
+    for n in 0..rows {
+        text += &row(100.0 + n as f64 * 0.008, 12, delimiter);
+        text += line_end;
+    }
+    text
+}
+
+fn read_tables(tables: &[&[u8]]) -> Result<Log, LogError> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |n: usize| folder.path().join(format!("{n}.mcap"));
+    let paths: Vec<PathBuf> = (0..tables.len()).map(path).collect();
+    for (path, table) in paths.iter().zip(tables) {
+        fs::write(path, table).unwrap();
+    }
+    open(&paths, &ReadOptions::default())
+}
+
+fn read(table: &str) -> Log {
+    read_tables(&[table.as_bytes()]).unwrap()
+}
+
+fn joints<'a>(log: &'a Log, topic: &str) -> &'a JointColumns {
+    match log.topics.iter().find(|found| found.name == topic).map(|found| &found.columns) {
+        Some(Some(Columns::Joints(joints))) => joints,
+        other => panic!("{topic}: {other:?}"),
+    }
+}
+
+fn array<'a>(log: &'a Log, topic: &str) -> &'a ArrayColumns {
+    match log.topics.iter().find(|found| found.name == topic).map(|found| &found.columns) {
+        Some(Some(Columns::Array(array))) => array,
+        other => panic!("{topic}: {other:?}"),
+    }
+}
+
+#[test]
+fn every_spelling_of_a_table_gives_the_same_columns() {
+    let plain = read(&table(" ", "\n", 20));
+    assert_eq!(plain.losses, []);
+    assert_eq!(plain.files[0].container, Container::RtdeCsv);
+    let found = joints(&plain, "actual_q");
+    assert_eq!(found.joints[5].name, "wrist_3_joint");
+    assert_eq!(found.joints[0].position[1], 100.258);
+    assert_eq!(found.times.header[1], 100_008_000_000);
+    let pose = array(&plain, "actual_TCP_pose");
+    assert_eq!((pose.width, pose.times.len()), (6, 20));
+    assert_eq!(pose.row(0), [101.75, 102.0, 102.25, 102.5, 102.75, 103.0]);
+    let quoted =
+        table(",", "\n", 20).replace("timestamp,actual_q_0", "\"timestamp\",\"actual_q_0\"");
+    for spelled in [
+        table(",", "\r\n", 20),
+        table("\t", "\r", 20),
+        table(", ", "\n", 20),
+        table(";", "\n", 20).replace('.', ","),
+        format!("\u{feff}{}", table(",", "\n", 20)),
+        quoted,
+    ] {
+        let log = read(&spelled);
+        assert_eq!(log.losses, [], "{spelled}");
+        // Velocities are NaN, which no number equals.
+        assert_eq!(format!("{:?}", log.topics), format!("{:?}", plain.topics), "{spelled}");
+    }
+}
+
+#[test]
+fn tables_with_different_columns_are_merged() {
+    let mut velocities = names(&[("actual_qd", 6), ("joint_temperatures", 6)], ",") + "\n";
+    for n in 0..10 {
+        velocities += &(row(100.0 + f64::from(n) * 0.016, 12, ",") + "\n");
+    }
+    let positions = table(",", "\n", 20);
+    let log = read_tables(&[positions.as_bytes(), velocities.as_bytes()]).unwrap();
+    assert_eq!(log.losses, []);
+    assert_eq!(log.notes, []);
+    let velocity = &joints(&log, "actual_q").joints[0].velocity;
+    assert_eq!(velocity[2], 100.266);
+    assert!(velocity[1].is_nan());
+    let listed = log.topics.iter().find(|topic| topic.name == "joint_temperatures").unwrap();
+    assert_eq!((listed.messages, &listed.columns), (10, &None));
+    // In the other order it is the same run.
+    let turned = read_tables(&[velocities.as_bytes(), positions.as_bytes()]).unwrap();
+    let same = joints(&turned, "actual_q").joints[0].velocity.iter().zip(velocity);
+    assert!(same.into_iter().all(|(a, b)| a.to_bits() == b.to_bits()));
+}
+
+#[test]
+fn a_table_of_another_time_with_the_same_columns_goes_on() {
+    let (first, second) = (table(",", "\n", 200), table(",", "\n", 200).replace(",\n", "\n"));
+    let later = second.lines().skip(1).map(|line| line.replacen("10", "20", 1) + "\n");
+    let later =
+        names(&[("actual_q", 6), ("actual_TCP_pose", 6)], ",") + "\n" + &later.collect::<String>();
+    let log = read_tables(&[first.as_bytes(), later.as_bytes()]).unwrap();
+    assert_eq!(log.notes, []);
+    assert_eq!(joints(&log, "actual_q").times.len(), 400);
+    // The same time twice is said.
+    let overlapping = second.replace("100.0000,", "100.0001,");
+    let log = read_tables(&[first.as_bytes(), overlapping.as_bytes()]).unwrap();
+    let [note] = log.notes.as_slice() else { panic!("{:?}", log.notes) };
+    assert!(note.what.starts_with("1.6 s of `actual_q` are in "), "{}", note.what);
+}
+
+#[test]
+fn malformed_rows_are_said_with_their_line() {
+    let text = table(",", "\n", 10);
+    let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
+    lines[3] = lines[3].replacen("100.0160", "soon", 1);
+    lines[5] = lines[5].rsplit_once(',').unwrap().0.to_owned();
+    lines[7] = lines[7].replacen("100.2980", "nan", 1);
+    let log = read(&(lines.join("\n") + "\n"));
+    let whats: Vec<&str> = log.losses.iter().map(|loss| loss.what.as_str()).collect();
+    let expected =
+        ["line 4: column 1: `soon` is no number", "line 6: 12 columns, the first line names 13"];
+    assert_eq!(whats, expected);
+    assert!(log.losses.iter().all(|loss| loss.messages == Some(2)));
+    assert_eq!(joints(&log, "actual_q").times.len(), 8);
+    assert_eq!(joints(&log, "actual_q").not_finite, 1);
+    assert!(joints(&log, "actual_q").joints[0].position[4].is_nan());
+}
+
+#[test]
+fn decimal_commas_between_commas_are_explained() {
+    let header = names(&[("actual_q", 6)], ",") + "\n";
+    let text = header + "1,0,2,0,3,0,4,0,5,0,6,0,7,0\n";
+    let error = read_tables(&[text.as_bytes()]).unwrap_err().to_string();
+    assert!(error.contains("decimal commas need `;` between the columns"), "{error}");
+}
+
+#[test]
+fn without_the_controllers_time_nothing_can_be_placed() {
+    let text = table(",", "\n", 10).replace("timestamp", "time");
+    let error = read_tables(&[text.as_bytes()]).unwrap_err().to_string();
+    assert!(error.contains("no column is named `timestamp`"), "{error}");
+}
+
+#[test]
+fn a_vector_that_is_not_whole_is_said() {
+    let text = table(",", "\n", 10).replace("actual_q_5", "other");
+    let log = read(&text);
+    let [note] = log.notes.as_slice() else { panic!("{:?}", log.notes) };
+    assert!(note.what.contains("5 of the 6 columns of `actual_q`"), "{}", note.what);
+    assert_eq!(array(&log, "actual_TCP_pose").times.len(), 10);
+}
+
+#[test]
+fn no_cut_gives_a_wrong_number() {
+    let whole = table(" ", "\n", 5);
+    let sound = read(&whole);
+    let sound = &array(&sound, "actual_TCP_pose").values;
+    let header = whole.find('\n').unwrap();
+    for length in header..whole.len() {
+        let cut = read_tables(&[&whole.as_bytes()[..length]]);
+        if let Ok(log) = cut {
+            let values = &array(&log, "actual_TCP_pose").values;
+            assert_eq!(values[..], sound[..values.len()], "cut at {length}");
+            assert!(log.losses.iter().all(|loss| loss.extent == Extent::Tail));
+            let complete = whole[..length].matches('\n').count() - 1;
+            assert_eq!(values.len(), complete * 6, "cut at {length}");
+        }
+    }
+}
+
+#[test]
+fn no_flipped_byte_stops_the_reading() {
+    let whole = table(",", "\n", 3).into_bytes();
+    for index in 0..whole.len() {
+        for flip in [0xff, 0x01] {
+            let mut bytes = whole.clone();
+            bytes[index] ^= flip;
+            if let Ok(log) = read_tables(&[&bytes]) {
+                assert!(log.messages <= 20 * 3, "byte {index}");
+            }
+        }
+    }
+}

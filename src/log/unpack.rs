@@ -1,0 +1,257 @@
+//! Compressed parts of files, unpacked within bounds.
+//!
+//! A few kilobytes can unpack to terabytes. What the parts of a file unpack to is therefore counted
+//! against an [`Allowance`] for the whole file, and no part may be larger than a recorder writes.
+
+use std::fs::File;
+use std::io::{self, Read, Seek, Write};
+
+/// What a zstd frame begins with.
+pub(super) const ZSTD_MAGIC: &[u8] = b"\x28\xb5\x2f\xfd";
+
+/// Largest chunk that is unpacked. Recorders write chunks of a few megabytes.
+const MAX_CHUNK_BYTES: u64 = 1 << 30;
+
+/// Largest message that is unpacked.
+const MAX_MESSAGE_BYTES: u64 = 64 << 20;
+
+/// How a part of a file is compressed.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Compression {
+    /// Not at all.
+    None,
+    /// A zstd frame.
+    Zstd,
+    /// An lz4 frame.
+    Lz4,
+    /// A bzip2 stream.
+    Bz2,
+}
+
+/// Why a part of a file cannot be unpacked.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum UnpackError {
+    #[error("{part} of {size} bytes is larger than the {limit} that are unpacked")]
+    TooLarge { part: &'static str, size: u64, limit: u64 },
+    #[error("{part} is not unpacked further: the file holds more than {limit} bytes when unpacked")]
+    TooMuch { part: &'static str, limit: u64 },
+    #[error("{part} cannot be unpacked: {source}")]
+    Broken { part: &'static str, source: io::Error },
+    #[error("chunk holds {found} bytes, its header says {expected}")]
+    Size { expected: u64, found: u64 },
+}
+
+/// How many bytes the compressed parts of one file may unpack to.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Allowance {
+    limit: u64,
+    used: u64,
+}
+
+impl Allowance {
+    /// What a file may unpack to however small it is.
+    const BASE: u64 = 1 << 30;
+    /// What each of its bytes may unpack to beyond that; logs reach a tenth of it.
+    const RATIO: u64 = 100;
+
+    /// The allowance of a file of `bytes`.
+    pub(super) fn of(bytes: u64) -> Self {
+        Self { limit: bytes.saturating_mul(Self::RATIO).saturating_add(Self::BASE), used: 0 }
+    }
+
+    fn left(&self) -> u64 {
+        self.limit - self.used
+    }
+
+    fn check(&self, part: &'static str, size: u64) -> Result<(), UnpackError> {
+        if size > self.left() {
+            return Err(UnpackError::TooMuch { part, limit: self.limit });
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, bytes: u64) {
+        self.used = self.used.saturating_add(bytes).min(self.limit);
+    }
+}
+
+/// Unpacks one part of a file after the other into one buffer.
+#[derive(Default)]
+pub(super) struct Unpacker {
+    zstd: zstd::bulk::Decompressor<'static>,
+    buffer: Vec<u8>,
+}
+
+impl Unpacker {
+    /// The content of a whole chunk, which its header says to be of `size` bytes.
+    pub(super) fn chunk<'a>(
+        &'a mut self,
+        compression: Compression,
+        data: &'a [u8],
+        size: u64,
+        allowance: &mut Allowance,
+    ) -> Result<&'a [u8], UnpackError> {
+        const PART: &str = "chunk";
+        let broken = |source| UnpackError::Broken { part: PART, source };
+        let content = if compression == Compression::None {
+            data
+        } else {
+            self.make_room(PART, size, MAX_CHUNK_BYTES)?;
+            allowance.check(PART, size)?;
+            let limit = size + 1;
+            match compression {
+                Compression::None => Ok(0),
+                // The capacity bounds what zstd may write, and only what it writes takes memory.
+                Compression::Zstd => self.zstd.decompress_to_buffer(data, &mut self.buffer),
+                Compression::Lz4 => lz4::Decoder::new(data)
+                    .and_then(|stream| stream.take(limit).read_to_end(&mut self.buffer)),
+                Compression::Bz2 => {
+                    bzip2::bufread::BzDecoder::new(data).take(limit).read_to_end(&mut self.buffer)
+                }
+            }
+            .map_err(broken)?;
+            allowance.take(self.buffer.len() as u64);
+            &self.buffer
+        };
+        if content.len() as u64 != size {
+            return Err(UnpackError::Size { expected: size, found: content.len() as u64 });
+        }
+        Ok(content)
+    }
+
+    /// The beginning of a chunk whose end is missing, as far as it can be unpacked.
+    pub(super) fn cut_chunk<'a>(
+        &'a mut self,
+        compression: Compression,
+        data: &'a [u8],
+        allowance: &mut Allowance,
+    ) -> &'a [u8] {
+        let buffer = &mut self.buffer;
+        buffer.clear();
+        let limit = allowance.left().min(MAX_CHUNK_BYTES);
+        // That the stream breaks off is known: what came before stays in the buffer.
+        let _broken_off = match compression {
+            Compression::None => return data,
+            Compression::Zstd => zstd::stream::read::Decoder::with_buffer(data)
+                .and_then(|stream| stream.take(limit).read_to_end(buffer)),
+            Compression::Lz4 => {
+                lz4::Decoder::new(data).and_then(|stream| stream.take(limit).read_to_end(buffer))
+            }
+            Compression::Bz2 => {
+                bzip2::bufread::BzDecoder::new(data).take(limit).read_to_end(buffer)
+            }
+        };
+        allowance.take(buffer.len() as u64);
+        buffer
+    }
+
+    /// The content of a message that is a zstd frame.
+    pub(super) fn message(
+        &mut self,
+        frame: &[u8],
+        allowance: &mut Allowance,
+    ) -> Result<&[u8], UnpackError> {
+        const PART: &str = "message";
+        let stated = zstd::zstd_safe::get_frame_content_size(frame).ok().flatten();
+        let size = stated.unwrap_or(MAX_MESSAGE_BYTES);
+        self.make_room(PART, size, MAX_MESSAGE_BYTES)?;
+        allowance.check(PART, stated.unwrap_or(0))?;
+        self.zstd
+            .decompress_to_buffer(frame, &mut self.buffer)
+            .map_err(|source| UnpackError::Broken { part: PART, source })?;
+        allowance.take(self.buffer.len() as u64);
+        Ok(&self.buffer)
+    }
+
+    /// An empty buffer with the capacity for `size` bytes.
+    fn make_room(&mut self, part: &'static str, size: u64, limit: u64) -> Result<(), UnpackError> {
+        let too_large = || UnpackError::TooLarge { part, size, limit };
+        if size > limit {
+            return Err(too_large());
+        }
+        self.buffer.clear();
+        self.buffer.try_reserve_exact(size as usize).map_err(|_| too_large())
+    }
+}
+
+/// Unpacks a zstd file of any size into an unnamed temporary file, as far as it can be unpacked:
+/// the error says why not to the end.
+///
+/// # Errors
+/// If the temporary file cannot be written.
+pub(super) fn file(
+    archive: &[u8],
+    allowance: &mut Allowance,
+) -> io::Result<(tempfile::NamedTempFile, Result<(), UnpackError>)> {
+    const PART: &str = "archive";
+    let mut unpacked = tempfile::NamedTempFile::new()?;
+    let mut stream = match zstd::stream::read::Decoder::with_buffer(archive) {
+        Ok(stream) => stream,
+        Err(source) => return Ok((unpacked, Err(UnpackError::Broken { part: PART, source }))),
+    };
+    let mut buffer = vec![0; 1 << 16];
+    let end = loop {
+        match stream.read(&mut buffer) {
+            Ok(0) => break Ok(()),
+            Ok(length) => {
+                if let Err(error) = allowance.check(PART, length as u64) {
+                    break Err(error);
+                }
+                allowance.take(length as u64);
+                write_all(unpacked.as_file_mut(), &buffer[..length])?;
+            }
+            Err(source) => break Err(UnpackError::Broken { part: PART, source }),
+        }
+    };
+    unpacked.as_file_mut().rewind()?;
+    Ok((unpacked, end))
+}
+
+fn write_all(file: &mut File, bytes: &[u8]) -> io::Result<()> {
+    file.write_all(bytes).map_err(|source| {
+        io::Error::new(
+            source.kind(),
+            format!("it cannot be unpacked to a temporary file: {source}"),
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn zeros(bytes: usize) -> Vec<u8> {
+        zstd::bulk::compress(&vec![0; bytes], 1).unwrap()
+    }
+
+    #[test]
+    fn many_small_parts_cannot_unpack_to_more_than_the_file_may() {
+        let (mut unpacker, mut allowance) =
+            (Unpacker::default(), Allowance { limit: 2500, used: 0 });
+        let part = zeros(1000);
+        let mut unpack = || unpacker.chunk(Compression::Zstd, &part, 1000, &mut allowance).is_ok();
+        assert_eq!([unpack(), unpack(), unpack(), unpack()], [true, true, false, false]);
+    }
+
+    #[test]
+    fn a_message_larger_than_any_is_not_unpacked() {
+        let (mut unpacker, mut allowance) = (Unpacker::default(), Allowance::of(1000));
+        assert_eq!(unpacker.message(&zeros(70), &mut allowance).unwrap(), [0; 70]);
+        let error = unpacker.message(&zeros(65 << 20), &mut allowance).unwrap_err();
+        assert!(error.to_string().contains("larger than"), "{error}");
+    }
+
+    #[test]
+    fn an_archive_is_unpacked_up_to_its_allowance_or_its_damage() {
+        let archive = zeros(300_000);
+        let unpack = |archive: &[u8], limit| {
+            let (file, end) = file(archive, &mut Allowance { limit, used: 0 }).unwrap();
+            (file.as_file().metadata().unwrap().len(), end.is_ok())
+        };
+        assert_eq!(unpack(&archive, 1 << 20), (300_000, true));
+        let (bytes, whole) = unpack(&archive, 200_000);
+        assert!(bytes <= 200_000 && !whole);
+        assert!(!unpack(&archive[..archive.len() - 3], 1 << 20).1);
+        assert_eq!(unpack(b"\x28\xb5\x2f\xfd garbage", 1 << 20), (0, false));
+    }
+}
