@@ -170,6 +170,7 @@ enum Kind {
     BaseTurned,
     Tool,
     YawDrift,
+    YawJump,
     Mount,
     GyroBias,
     Misread,
@@ -186,7 +187,7 @@ enum Kind {
 
 /// Every kind, with the code that must name it, and the slots of which it needs all: two faults that
 /// share a slot cannot be told apart or cannot be planted together.
-const KINDS: [(Kind, &str, &[&str]); 23] = [
+const KINDS: [(Kind, &str, &[&str]); 24] = [
     (Kind::PoseLate, "LAT001", &["pose time"]),
     (Kind::ImuLate, "LAT001", &["imu time"]),
     (Kind::TfLate, "LAT001", &["tf time"]),
@@ -198,6 +199,7 @@ const KINDS: [(Kind, &str, &[&str]); 23] = [
     (Kind::BaseTurned, "FRM002", &["reference"]),
     (Kind::Tool, "FRM003", &["tool"]),
     (Kind::YawDrift, "YAW001", &["drift"]),
+    (Kind::YawJump, "YAW001", &["drift"]),
     (Kind::Mount, "YAW003", &["mount"]),
     (Kind::GyroBias, "YAW004", &["gyro"]),
     (Kind::Misread, "ORD001", &["pose coding"]),
@@ -496,6 +498,13 @@ fn plant(
         }
         Kind::YawDrift => {
             run.imu.yaw_drift_rad_s = amount;
+            subject = synth::IMU.to_owned();
+        }
+        Kind::YawJump => {
+            let amount = sign * times * figures.last().map_or(0.0, |figure| figure.1);
+            let at_s = run.duration_s * r.random_range(0.2..0.8);
+            run.imu.yaw_jumps = vec![(at_s, amount)];
+            truth = Truth::Amount(amount);
             subject = synth::IMU.to_owned();
         }
         Kind::Mount => {
@@ -821,7 +830,10 @@ fn interval(case: &Case, row: &CheckRow) -> Vec<Interval> {
         })
     };
     match *estimate {
-        Estimate::Amount { value, ci95, .. } => {
+        Estimate::Amount { name, value, ci95, .. } => {
+            // A jump of yaw and a drift have a row each.
+            let is_jump = name == "yaw jump";
+            let planted = planted.filter(|one| (one.kind == Kind::YawJump) == is_jump);
             let mut truth = match planted.map(|planted| planted.truth) {
                 Some(Truth::Amount(truth)) => truth,
                 _ => 0.0,
@@ -829,7 +841,8 @@ fn interval(case: &Case, row: &CheckRow) -> Vec<Interval> {
             if row.code == "LAT001" && row.subject.topic.as_deref() != Some(synth::JOINT_STATES) {
                 truth -= joints_late;
             }
-            make(row.code.to_owned(), value, ci95, truth).into_iter().collect()
+            let code = if is_jump { format!("{} jump", row.code) } else { row.code.to_owned() };
+            make(code, value, ci95, truth).into_iter().collect()
         }
         Estimate::Frame { value, ci95, rotation, .. } => {
             let (length_m, angle_rad) = match planted.map(|planted| planted.truth) {

@@ -11,16 +11,17 @@ use crate::checks::{
 };
 use crate::diagnosis::{
     ArmDiagnosis, ImuDiagnosis, ImuStream, PoseDiagnosis, PoseStream, diagnose_arm,
-    diagnose_derived, diagnose_imu, follows,
+    diagnose_derived, diagnose_imu, follows, position_misfit_m,
 };
 use crate::finding::{Severity, Span};
 use crate::geometry::Pose;
 use crate::log::{Log, Loss};
 use crate::replay::{self, Replay, ReplayArm, ReplayImu, ReplayStream, StreamKind};
 use crate::report::{FileRow, LogSummary, Report, RobotRow, StreamRow, Trouble, TroubleKind};
-use crate::robot::JointKind;
+use crate::robot::{Chain, JointKind, catalogue};
 use crate::run::{
-    Arm, Declaration, HeaderStamps, ImuSource, PoseSource, RobotSource, Role, Run, RunOptions,
+    Arm, CalibrationSource, Declaration, HeaderStamps, ImuSource, PoseSource, RobotSource, Role,
+    Run, RunOptions, Witness,
 };
 use crate::stream::Orientations;
 use crate::tables::aligned_frame;
@@ -33,6 +34,8 @@ pub struct Options {
     pub logs: Vec<PathBuf>,
     /// The robots in it; where none is named, the log is asked and then the catalogue.
     pub robots: Vec<RobotSource>,
+    /// Calibrations of the URs among them; where none is named, the log may hold one.
+    pub calibrations: Vec<CalibrationSource>,
     /// The link that the chain begins at.
     pub base: Option<String>,
     /// The link that it ends at.
@@ -59,6 +62,7 @@ impl Default for Options {
         Self {
             logs: Vec::new(),
             robots: run.robots,
+            calibrations: run.calibrations,
             base: run.base,
             tip: run.tip,
             stamp: run.stamp,
@@ -77,6 +81,7 @@ impl Options {
     pub(crate) fn run(&self) -> RunOptions {
         RunOptions {
             robots: self.robots.clone(),
+            calibrations: self.calibrations.clone(),
             base: self.base.clone(),
             tip: self.tip.clone(),
             stamp: self.stamp,
@@ -247,6 +252,8 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis) -> ArmFacts {
         reference_known: source.reference_known,
         tip: source.chain.tip_name().to_owned(),
         tip_named: source.tip_named,
+        witness: run.streams[source.stream].witness.unwrap_or(Witness::Unknown),
+        better_model: None,
         independent: !source.stamps_copied,
         bare_numbers: matches!(source.track.orientation, Orientations::Numbers(_)),
     };
@@ -260,6 +267,11 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis) -> ArmFacts {
         (facts, diagnosis)
     });
     let joints = arm.joint_names.iter().zip(prismatic(arm));
+    let poses = arm.poses.iter().zip(&diagnosis.arm.streams).map(|(source, found)| PoseFacts {
+        better_model: better_model(run, arm, source, found),
+        ..pose_facts(source)
+    });
+    let poses = poses.collect();
     ArmFacts {
         name: arm.name.clone(),
         joints_topic: run.streams[joints_stream].topic.clone(),
@@ -269,10 +281,45 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis) -> ArmFacts {
             .collect(),
         reach_m: arm.chain.max_reach_m(),
         diagnosis: diagnosis.arm,
-        poses: arm.poses.iter().map(pose_facts).collect(),
+        poses,
         tf: tf.into_iter().map(|(source, diagnosis)| (pose_facts(source), diagnosis)).collect(),
         imus: imus.collect(),
     }
+}
+
+/// The arm of the catalogue with the same joints that fits a stream far better than its model does,
+/// and to how much, rms m. Nothing is looked for where the model leaves little.
+fn better_model(
+    run: &Run,
+    arm: &Arm,
+    source: &PoseSource,
+    found: &PoseDiagnosis,
+) -> Option<(String, f64)> {
+    /// What a model leaves that is the right one, or the drawing of it, m.
+    const LITTLE_M: f64 = 1e-3;
+    /// An arm fits that leaves less than this share of what the model leaves.
+    const SHARE: f64 = 0.1;
+    let left_m = found.residual.as_ref().ok()?.excess_m.value;
+    if left_m < LITTLE_M || found.nominal {
+        return None;
+    }
+    let scale = if matches!(found.millimetres, Ok(Some(_))) { 1e-3 } else { 1.0 };
+    let latency_s = found.latency_s.as_ref().map_or(0.0, |latency| latency.value);
+    let stream = pose_stream(run, source);
+    let misfit_m = |chain: &Chain| {
+        position_misfit_m(&arm.joints, &PoseStream { chain, ..stream }, scale, latency_s)
+    };
+    let most_m = SHARE * misfit_m(&source.chain)?;
+    let candidates = catalogue::candidates_for(&arm.joint_names).into_iter();
+    let fits = candidates.filter(|candidate| candidate.names.is_complete()).filter_map(|other| {
+        let robot = other.renamed()?;
+        let [base, tip] = [source.chain.base_name(), source.chain.tip_name()];
+        let chain = robot.chain(robot.link(base)?, robot.link(tip)?).ok()?;
+        let same_joints = chain.joint_names() == source.chain.joint_names();
+        let misfit_m = misfit_m(&chain).filter(|misfit_m| same_joints && *misfit_m < most_m)?;
+        Some((robot.name, misfit_m))
+    });
+    fits.min_by(|(_, a), (_, b)| a.total_cmp(b))
 }
 
 /// The report on an audited run.
@@ -312,6 +359,7 @@ fn streams(run: &Run) -> Vec<StreamRow> {
         child_frame_id: named(&stream.child_frame_id),
         reference: stream.reference.clone(),
         link: stream.link.clone(),
+        witness: stream.witness.map(Witness::name),
         count: stream.count,
         dropped: stream.dropped,
         rate_hz: stream.rate_hz,

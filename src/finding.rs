@@ -3,7 +3,7 @@
 use serde::{Serialize, Serializer};
 use serde_json::{Map, Value};
 
-use crate::diagnosis::Measured;
+use crate::diagnosis::{Length, Measured};
 use crate::time::Stamp;
 
 /// How grave a finding is.
@@ -282,6 +282,13 @@ impl Estimate {
             unit: unit.symbol(),
             ci95: unit.interval95(measured),
         }
+    }
+
+    /// An estimate of a length, which cannot be negative.
+    pub fn length(name: &'static str, unit: Unit, length: &Length) -> Self {
+        let Length { norm, .. } = length;
+        let ci95 = unit.interval95(norm).map(|ends| ends.map(|end| end.max(0.0)));
+        Estimate::Amount { name, value: norm.value, unit: unit.symbol(), ci95 }
     }
 
     /// The estimate of a length in m and an angle in rad, neither of which can be negative.

@@ -93,6 +93,7 @@ fn a_wrong_call_ends_with_2() {
         &["audit", CLEAN, "--parquet", "out"],
         &["audit", CLEAN, "--robot", "no/such.urdf"],
         &["audit", CLEAN, "--tip", "no_such_link"],
+        &["audit", CLEAN, "--calibration", "no/such.yaml"],
         &["explain", "LAT999"],
         &["no-such-command"],
     ] {
@@ -101,6 +102,14 @@ fn a_wrong_call_ends_with_2() {
         assert!(stderr(&output).starts_with("error: "), "{args:?}: {}", stderr(&output));
         assert!(output.stdout.is_empty(), "{args:?}");
     }
+}
+
+#[test]
+fn what_is_no_calibration_gets_one_line_with_its_place() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("arm.yaml").display().to_string();
+    fs::write(&path, "kinematics:\n  shoulder: {x: 0}\n").expect("a file");
+    assert_refused(&["audit", CLEAN, "--calibration", &path], 2, "arm.yaml:2: no calibration");
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! The one place where a number meets a figure.
 
-use crate::diagnosis::{FrameEstimate, Measured, Unseen};
-use crate::finding::{Outcome, Severity, Unit};
+use crate::diagnosis::{FrameEstimate, Length, Measured, Unseen};
+use crate::finding::{Fault, Outcome, Severity, Unit};
 
 /// Confidence of the interval that must exclude zero before a rule fails.
 const FAIL_CONFIDENCE: f64 = 0.999;
@@ -62,6 +62,32 @@ pub fn decide(measured: &Measured, figure: &Figure, subjects: usize) -> Decision
         }
         None if size.is_finite() && half <= figure.warning => Decision::Pass,
         _ => Decision::Undecided(unsettled(measured, figure)),
+    }
+}
+
+/// Decides on the length of a vector: it fails where the vector's components together are surely not
+/// zero and the length's 95 % interval agrees.
+pub fn decide_length(length: &Length, figure: &Figure, subjects: usize) -> Decision {
+    let norm = &length.norm;
+    let chance = (1.0 - FAIL_CONFIDENCE) / subjects.max(1) as f64;
+    let is_sure = length.p_value <= chance
+        && norm.value > figure.unit.half_width(norm, PASS_CONFIDENCE);
+    match figure.severity(norm.value) {
+        Some(severity) if is_sure => Decision::Fail(severity),
+        Some(_) => Decision::Undecided(unsettled(norm, figure)),
+        None => decide(norm, figure, subjects),
+    }
+}
+
+impl Decision {
+    /// The outcome of a rule that this decides: its fault where it fails, and what would settle it
+    /// where it is open.
+    pub fn into_outcome(self, settle: &str, fault: impl FnOnce(Severity) -> Fault) -> Outcome {
+        match self {
+            Decision::Pass => Outcome::sound(),
+            Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {settle}")),
+            Decision::Fail(severity) => Outcome::faulty(fault(severity)),
+        }
     }
 }
 
@@ -179,6 +205,17 @@ mod tests {
         for vague in [measured(0.0, 2e-3), measured(0.0, f64::INFINITY), measured(f64::NAN, 0.0)] {
             assert!(matches!(decide(&vague, &FIGURE, 1), Decision::Undecided(_)), "{vague:?}");
         }
+    }
+
+    #[test]
+    fn a_length_needs_its_vector_to_be_surely_there() {
+        let length = |value, std_error, p_value| Length { norm: measured(value, std_error), p_value };
+        let decide = |length| decide_length(&length, &FIGURE, 1);
+        assert_eq!(decide(length(0.022, 8e-3, 1e-5)), Decision::Fail(Severity::Error));
+        assert!(matches!(decide(length(0.022, 8e-3, 1e-2)), Decision::Undecided(_)));
+        assert!(matches!(decide(length(0.022, 2e-2, 1e-5)), Decision::Undecided(_)));
+        assert_eq!(decide(length(1e-3, 5e-4, 1e-9)), Decision::Pass);
+        assert!(matches!(decide(length(f64::NAN, 1e-3, f64::NAN)), Decision::Undecided(_)));
     }
 
     #[test]

@@ -5,7 +5,7 @@
 use crate::diagnosis::{ArmDiagnosis, ImuDiagnosis, PoseDiagnosis};
 use crate::finding::{Span, Subject, Unit};
 use crate::log::Loss;
-use crate::run::StreamClock;
+use crate::run::{StreamClock, Witness};
 
 /// All that is known of one run.
 #[derive(Clone, Debug, Default)]
@@ -28,6 +28,18 @@ impl Facts {
     /// Number of subjects (streams and joints) in the run, by which intervals are corrected.
     pub fn subjects(&self) -> usize {
         self.robots.iter().map(ArmFacts::subjects).sum::<usize>().max(1)
+    }
+
+    /// Every pose stream with its robot and what was estimated on it.
+    pub fn poses(&self) -> impl Iterator<Item = (&ArmFacts, &PoseFacts, &PoseDiagnosis)> {
+        self.robots
+            .iter()
+            .flat_map(|arm| arm.poses().map(move |(stream, found)| (arm, stream, found)))
+    }
+
+    /// Every IMU with its robot and what was estimated on it.
+    pub fn imus(&self) -> impl Iterator<Item = (&ArmFacts, &ImuFacts, &ImuDiagnosis)> {
+        self.robots.iter().flat_map(|arm| arm.imus.iter().map(move |(imu, found)| (arm, imu, found)))
     }
 }
 
@@ -67,6 +79,17 @@ impl ArmFacts {
     /// The pose streams and then /tf, each with what was estimated on it.
     pub fn poses_and_tf(&self) -> impl Iterator<Item = (&PoseFacts, &PoseDiagnosis)> {
         self.poses().chain(self.tf.iter().map(|(facts, diagnosis)| (facts, diagnosis)))
+    }
+
+    /// Whose word the arm's pose streams are together: an outside witness stands out, and only where
+    /// all are the controller's is nothing else there.
+    pub fn witness(&self) -> Witness {
+        let of = |witness: Witness| self.poses.iter().filter(move |s| s.witness == witness).count();
+        match (of(Witness::External), of(Witness::Controller)) {
+            (1.., _) => Witness::External,
+            (0, controllers) if controllers == self.poses.len() => Witness::Controller,
+            _ => Witness::Unknown,
+        }
     }
 
     /// Largest speed of the tip by FK, m/s; 0 where no stream says.
@@ -129,6 +152,10 @@ pub struct PoseFacts {
     /// Whether somebody named the tip (`--tip`, the stream's child frame), so that an offset from it
     /// is a fault and not the active TCP.
     pub tip_named: bool,
+    /// Whose word the poses are.
+    pub witness: Witness,
+    /// The arm of the catalogue that fits far better than this model, and to how much, rms m.
+    pub better_model: Option<(String, f64)>,
     /// Whether its stamps are its own, not copies of the joints'.
     pub independent: bool,
     /// Whether its rotations are bare numbers, which may be degrees.

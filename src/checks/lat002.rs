@@ -41,11 +41,10 @@ const SETTLE: &str = "record a minute or more in which the arm moves from first 
 
 fn check(facts: &Facts) -> Vec<Judged> {
     let subjects = facts.subjects();
-    let streams = facts
-        .robots
-        .iter()
-        .flat_map(|arm| arm.poses().map(move |(stream, diagnosis)| (arm, stream, diagnosis)));
-    streams.map(|(arm, stream, diagnosis)| judge(arm, stream, diagnosis, subjects)).collect()
+    facts
+        .poses()
+        .map(|(arm, stream, diagnosis)| judge(arm, stream, diagnosis, subjects))
+        .collect()
 }
 
 fn judge(arm: &ArmFacts, stream: &PoseFacts, diagnosis: &PoseDiagnosis, subjects: usize) -> Judged {

@@ -1,5 +1,5 @@
 use crate::checks::decision::{Decision, Figure, decide, unseen};
-use crate::checks::{Facts, Grade, Judged};
+use crate::checks::{Facts, Grade, Judged, PoseFacts};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
@@ -17,7 +17,8 @@ rule! {
     /// ## Evidence
     /// `value` is the rms of position beyond the sample-to-sample noise, `rotation` that of
     /// orientation; `rms_m` and `rms_rad` are with the noise, `before_m` and `before_rad` before
-    /// anything was taken off.
+    /// anything was taken off. `fits` names an arm of the catalogue with the same joints that fits ten
+    /// times better, and to how much (`misfit_m`, with tool and reference taken off).
     ///
     /// ## How to fix
     /// Use the arm's own calibrated description (for a UR, `calibration.yaml` extracted from the
@@ -72,19 +73,10 @@ fn check(facts: &Facts) -> Vec<Judged> {
             }),
             Decision::Pass => Outcome::sound(),
             Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
-            Decision::Fail(severity) => Outcome::faulty(Fault {
-                severity,
-                title: "unexplained residual",
-                message: format!(
-                    "{length} rms and {angle} are left when all that was found is taken off"
-                ),
-                evidence: Evidence {
-                    effect_m: Some(residual.excess_m.value),
-                    ..Evidence::default()
-                },
-                fix: "use the arm's calibrated description, or see whether it is the right one"
-                    .to_owned(),
-            }),
+            Decision::Fail(severity) => {
+                let left = format!("{length} rms and {angle} are left");
+                Outcome::faulty(unexplained(stream, severity, &left, residual.excess_m.value))
+            }
         };
         Judged::new(subject, outcome)
             .within(stream.span)
@@ -95,4 +87,42 @@ fn check(facts: &Facts) -> Vec<Judged> {
             .with_evidence("before_rad", residual.before_rad)
     });
     judged.collect()
+}
+
+/// What is left, and the arm of the catalogue that leaves less where there is one.
+fn unexplained(stream: &PoseFacts, severity: Severity, left: &str, effect_m: f64) -> Fault {
+    let mut evidence = Evidence { effect_m: Some(effect_m), ..Evidence::default() };
+    let (message, fix) = match &stream.better_model {
+        Some((robot, misfit_m)) => {
+            let fits = serde_json::json!({ "robot": robot, "misfit_m": misfit_m });
+            evidence.more.insert("fits".to_owned(), fits);
+            let misfit = Unit::Metre.show(*misfit_m);
+            (
+                format!("{left}, and the catalogue's {robot} fits to {misfit}"),
+                format!("it is another arm: audit with --robot {robot}"),
+            )
+        }
+        None => (
+            format!("{left} when all that was found is taken off"),
+            "use the arm's calibrated description, or see whether it is the right one".to_owned(),
+        ),
+    };
+    Fault { severity, title: "unexplained residual", message, evidence, fix }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{ask, clean_run, sure};
+
+    #[test]
+    fn an_arm_that_fits_is_named() {
+        let mut facts = clean_run();
+        let arm = &mut facts.robots[0];
+        arm.diagnosis.streams[0].residual.as_mut().unwrap().excess_m = sure(0.028);
+        let message = |facts: &Facts| ask(&MDL001, facts).1.remove(0).message;
+        assert!(message(&facts).ends_with("when all that was found is taken off"));
+        facts.robots[0].poses[0].better_model = Some(("ur5e".to_owned(), 2e-5));
+        assert!(message(&facts).ends_with("the catalogue's ur5e fits to 20 µm"));
+    }
 }

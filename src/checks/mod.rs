@@ -7,6 +7,7 @@
 mod decision;
 mod facts;
 mod frames;
+mod observability;
 mod reading;
 #[cfg(test)]
 mod testing;
@@ -23,6 +24,7 @@ use crate::finding::{
 
 pub use decision::{Decision, Figure, FrameFigures, decide, decide_both, decide_frame};
 pub use facts::{ArmFacts, Facts, ImuFacts, JointFacts, PoseFacts, StampFacts, UndecodableTopic};
+pub use observability::{Blind, Part, StreamObservability, listed};
 
 /// Declares a rule; its doc comment is the text that `explain` prints.
 macro_rules! rule {
@@ -257,6 +259,8 @@ pub struct Evaluation {
     pub checks: Vec<CheckRow>,
     /// What is wrong: the gravest first, then what moves the arm's tip most.
     pub findings: Vec<Finding>,
+    /// What each pose stream cannot show.
+    pub observability: Vec<StreamObservability>,
 }
 
 /// Asks every rule that `settings` leaves about every one of its subjects.
@@ -275,6 +279,7 @@ pub fn evaluate(facts: &Facts, settings: &Settings) -> Evaluation {
             evaluation.enter(rule, judged);
         }
     }
+    evaluation.observability = observability::observability(facts, &mut evaluation.checks);
     evaluation.findings.sort_by(|a, b| {
         let effect = |finding: &Finding| finding.evidence.effect_m.unwrap_or(0.0);
         b.severity.cmp(&a.severity).then(effect(b).total_cmp(&effect(a)))

@@ -3,10 +3,11 @@
 use crate::checks::{ArmFacts, Facts, ImuFacts, JointFacts, PoseFacts, Rule, evaluate};
 use crate::diagnosis::{
     Aligned, ArmDiagnosis, FrameEstimate, GyroBias, ImuDiagnosis, JointOffset, JointReading,
-    Measured, PoseDiagnosis, Reading, ReadingEstimate, Residual,
+    Length, Measured, PoseDiagnosis, Reading, ReadingEstimate, Residual, YawCourse,
 };
 use crate::finding::{CheckRow, Finding, Span};
 use crate::geometry::{Pose, Vec3};
+use crate::run::Witness;
 use crate::time::Stamp;
 
 pub const POSE: &str = "/pose";
@@ -19,6 +20,11 @@ const SPAN: Span = Span { start: Stamp::from_nanos(0), end: Stamp::from_nanos(40
 /// An amount that is surely within every figure around it.
 pub fn sure(value: f64) -> Measured {
     Measured { value, std_error: 1e-6, dof: 1e3 }
+}
+
+/// The length of a vector that is surely there, or surely not.
+pub fn length(value: f64) -> Length {
+    Length { norm: sure(value), p_value: if value > 0.0 { 0.0 } else { 0.5 } }
 }
 
 /// What `rule` says of `facts`: its rows and its findings.
@@ -39,13 +45,15 @@ pub fn clean_run() -> Facts {
         reading: Ok(as_logged()),
         latency_s: Ok(sure(0.0)),
         yaw_drift_rad_s: Ok(sure(0.0)),
-        mount_rad: Ok(sure(0.0)),
+        yaw_course: YawCourse::default(),
+        mount_rad: Ok(length(0.0)),
         link_from_imu: None,
-        tilt_rad: Ok(sure(0.0)),
+        tilt_rad: Ok(length(0.0)),
         gyro_bias: Ok(GyroBias {
             vector_rad_s: Vec3::zeros(),
-            norm_rad_s: sure(0.0),
+            length_rad_s: length(0.0),
             yaw_rate_rad_s: 0.0,
+            shape: None,
         }),
         yaw_error: Vec::new(),
     };
@@ -109,6 +117,7 @@ fn clean_stream() -> PoseDiagnosis {
             before_rad: 1e-5,
         }),
         nominal: false,
+        observability: None,
         top_speed_m_s: 0.8,
         aligned: Aligned::default(),
     }
@@ -122,6 +131,8 @@ fn stream(topic: &str, independent: bool) -> PoseFacts {
         reference_known: true,
         tip: "tool0".to_owned(),
         tip_named: true,
+        witness: Witness::Unknown,
+        better_model: None,
         independent,
         bare_numbers: false,
     }

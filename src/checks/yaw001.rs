@@ -1,35 +1,42 @@
-use crate::checks::decision::{DEGREE, Decision, Figure, decide, unseen};
+use serde_json::{Map, Value, json};
+
+use crate::checks::decision::{DEGREE, Figure, decide, unseen};
 use crate::checks::{ArmFacts, Facts, Grade, ImuFacts, Judged};
-use crate::diagnosis::{ImuDiagnosis, Measured};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::diagnosis::{ImuDiagnosis, Measured, YawCourse, YawJump};
+use crate::finding::{Estimate, Evidence, Fault, Severity, Unit};
 
 rule! {
-    /// The yaw of an IMU drifts against the arm.
+    /// The yaw of an IMU drifts or jumps against the arm.
     ///
     /// ## What it means
     /// The IMU's heading turns about gravity while the arm's kinematics say that it did not. The
-    /// figure is the rate, d/dt of (IMU yaw − FK yaw). A constant yaw between the IMU's world and
-    /// the robot's base is no fault.
+    /// figure is the rate, d/dt of (IMU yaw − FK yaw), or for a sudden change that stays its size. A
+    /// constant yaw between the IMU's world and the robot's base is no fault.
     ///
     /// ## Why it matters
     /// Roll and pitch are held by gravity, yaw is held by nothing unless a magnetometer or another
-    /// reference is there: what is fused with it turns slowly away, a degree in 20 s at 3 °/min.
+    /// reference is there: what is fused with it turns slowly away, a degree in 20 s at 3 °/min, or
+    /// at once where a magnet passes.
     ///
     /// ## Evidence
     /// The slope of the yaw error over the run, with the joint offsets that were found taken into
     /// account and an interval that allows for correlated noise. `effect` says what it adds up to.
+    /// `kind` says what the error does: `drift`, `jump` or `random-walk`, whichever explains it with
+    /// the fewest parts. Jumps and a walk are taken off before the slope is: `jumps` has the time of
+    /// each from the start of the log and its size, `walk_rad_rt_s` the walk's density in rad/√s. A
+    /// walk widens the slope's interval, since it drifts by chance.
     ///
     /// ## How to fix
     /// Take yaw from kinematics, or give the filter a heading reference; calibrate the gyro's bias
-    /// while the arm stands.
+    /// while the arm stands. For a jump, keep the magnetometer from steel and motors, or leave it out.
     ///
     /// ## When it misleads
     /// It needs orientation in the log (`orientation_covariance[0]` not −1). Short runs leave it
     /// open: a run of 1 s knows a drift to half a degree a minute at best. A magnetometer near
-    /// motors makes errors that depend on the pose and not on time.
+    /// motors makes errors that depend on the pose and not on time, which look like a walk.
     YAW001 {
         name: "yaw-drift",
-        grade: Grade::From(&[FIGURE]),
+        grade: Grade::From(&[FIGURE, JUMP]),
         headline: true,
         needs_model: true,
         missing: "no IMU with orientation on the arm",
@@ -43,34 +50,75 @@ const FIGURE: Figure = Figure {
     error: 2.0 * DEGREE / 60.0,
 };
 
+/// A jump is shown from here: some times what a good filter wanders, and what matters to a pose.
+const JUMP: Figure = Figure { unit: Unit::Radian, warning: 0.5 * DEGREE, error: 2.0 * DEGREE };
+
 /// What would tell where the drift could not be had.
 const SETTLE: &str = "record a minute or more, with rests";
 
 fn check(facts: &Facts) -> Vec<Judged> {
     let subjects = facts.subjects();
-    let imus = facts.robots.iter().flat_map(|arm| arm.imus.iter().map(move |imu| (arm, imu)));
-    imus.map(|(arm, (imu, diagnosis))| judge(arm, imu, diagnosis, subjects)).collect()
+    facts.imus().flat_map(|(arm, imu, diagnosis)| judge(arm, imu, diagnosis, subjects)).collect()
 }
 
-fn judge(arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis, subjects: usize) -> Judged {
+/// The drift, and the largest jump where there is one.
+fn judge(arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis, subjects: usize) -> Vec<Judged> {
     let subject = arm.topic(&imu.topic);
     let drift = match &diagnosis.yaw_drift_rad_s {
         Ok(drift) => drift,
-        Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(imu.span),
+        Err(why) => return vec![Judged::new(subject, unseen(why, SETTLE)).within(imu.span)],
     };
-    let outcome = match decide(drift, &FIGURE, subjects) {
-        Decision::Pass => Outcome::sound(),
-        Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
-        Decision::Fail(severity) => Outcome::faulty(fault(imu, drift, severity)),
-    };
-    Judged::new(subject, outcome).within(imu.span).estimated(Estimate::amount(
-        "yaw drift",
-        FIGURE.unit,
-        drift,
-    ))
+    let course = &diagnosis.yaw_course;
+    let outcome = decide(drift, &FIGURE, subjects)
+        .into_outcome(&settle(course), |severity| drifts(imu, drift, severity));
+    let estimate = Estimate::amount("yaw drift", FIGURE.unit, drift);
+    let kind = if course.walk_rad_rt_s.is_some() { "random-walk" } else { "drift" };
+    let mut judged =
+        vec![with_course(Judged::new(subject, outcome).estimated(estimate), course, kind)];
+    let size = |jump: &&YawJump| jump.size_rad.value.abs();
+    let largest = course.jumps.iter().max_by(|a, b| size(a).total_cmp(&size(b)));
+    // A jump that is not worth a word is only taken off the drift.
+    if let Some(jump) = largest.filter(|jump| size(jump) >= JUMP.warning) {
+        let outcome = decide(&jump.size_rad, &JUMP, subjects)
+            .into_outcome(SETTLE, |severity| jumps(jump, severity));
+        let estimate = Estimate::amount("yaw jump", JUMP.unit, &jump.size_rad);
+        let of_jump = Judged::new(arm.topic(&imu.topic), outcome).estimated(estimate);
+        judged.push(with_course(of_jump, course, "jump"));
+    }
+    judged.into_iter().map(|judged| judged.within(imu.span)).collect()
 }
 
-fn fault(imu: &ImuFacts, drift: &Measured, severity: Severity) -> Fault {
+/// What would settle an open drift, after what the yaw does besides.
+fn settle(course: &YawCourse) -> String {
+    match course.walk_rad_rt_s {
+        Some(density) => {
+            format!("the yaw wanders by {} in each √s; {SETTLE}", Unit::Radian.show(density))
+        }
+        None => SETTLE.to_owned(),
+    }
+}
+
+/// The evidence of what the yaw's error does.
+fn with_course(judged: Judged, course: &YawCourse, kind: &str) -> Judged {
+    let mut judged = judged.with_evidence("kind", kind);
+    if let Some(density) = course.walk_rad_rt_s {
+        judged = judged.with_evidence("walk_rad_rt_s", density);
+    }
+    if !course.jumps.is_empty() {
+        judged = judged.with_evidence("jumps", course.jumps.iter().map(shown).collect::<Vec<_>>());
+    }
+    judged
+}
+
+fn shown(jump: &YawJump) -> Value {
+    let mut shown = Map::new();
+    shown.insert("at_s".to_owned(), json!(jump.at_s));
+    shown.insert("rad".to_owned(), json!(jump.size_rad.value));
+    shown.insert("ci95".to_owned(), json!(jump.size_rad.interval(0.95)));
+    Value::Object(shown)
+}
+
+fn drifts(imu: &ImuFacts, drift: &Measured, severity: Severity) -> Fault {
     let seconds = imu.span.seconds();
     let turned = Unit::Radian.show(drift.value.abs() * seconds);
     Fault {
@@ -82,5 +130,56 @@ fn fault(imu: &ImuFacts, drift: &Measured, severity: Severity) -> Fault {
             ..Evidence::default()
         },
         fix: "use FK's yaw, or give the filter a heading reference".to_owned(),
+    }
+}
+
+fn jumps(jump: &YawJump, severity: Severity) -> Fault {
+    let size = JUMP.unit.show_signed(&jump.size_rad);
+    Fault {
+        severity,
+        title: "IMU yaw jumps",
+        message: format!("yaw jumps by {size} against the arm at +{:.2} s", jump.at_s),
+        evidence: Evidence::default(),
+        fix: "use FK's yaw, or keep the magnetometer from steel and motors".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{ask, clean_run, sure};
+    use crate::finding::Status;
+
+    #[test]
+    fn a_jump_is_a_finding_beside_a_drift_that_passes() {
+        let mut facts = clean_run();
+        facts.robots[0].imus[0].1.yaw_course.jumps =
+            vec![YawJump { at_s: 4.5, size_rad: sure(-1.0 * DEGREE) }];
+        let (rows, findings) = ask(&YAW001, &facts);
+        assert_eq!([rows[0].status, rows[1].status], [Status::Pass, Status::Fail]);
+        assert_eq!(findings[0].message, "yaw jumps by -1.000 ± 0.001° against the arm at +4.50 s");
+        assert_eq!(findings[0].evidence.more["kind"], "jump");
+        assert_eq!(findings[0].evidence.more["jumps"][0]["at_s"], 4.5);
+    }
+
+    #[test]
+    fn a_small_jump_is_taken_off_and_not_spoken_of() {
+        let mut facts = clean_run();
+        facts.robots[0].imus[0].1.yaw_course.jumps =
+            vec![YawJump { at_s: 4.5, size_rad: sure(0.3 * DEGREE) }];
+        let (rows, findings) = ask(&YAW001, &facts);
+        assert!(rows.len() == 1 && findings.is_empty(), "{rows:?}");
+    }
+
+    #[test]
+    fn a_drift_in_a_walk_says_so() {
+        let mut facts = clean_run();
+        let imu = &mut facts.robots[0].imus[0].1;
+        imu.yaw_drift_rad_s = Ok(Measured { std_error: 1e-2, ..sure(1e-3) });
+        imu.yaw_course.walk_rad_rt_s = Some(0.5 * DEGREE);
+        let (rows, _) = ask(&YAW001, &facts);
+        assert_eq!(rows[0].status, Status::Inconclusive);
+        let reason = rows[0].reason.as_deref().unwrap_or_default();
+        assert!(reason.contains("the yaw wanders by 0.5° in each √s"), "{reason}");
     }
 }

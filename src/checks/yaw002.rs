@@ -1,6 +1,7 @@
-use crate::checks::decision::{DEGREE, Decision, Figure, decide, unseen};
-use crate::checks::{Facts, Grade, Judged};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Unit};
+use crate::checks::decision::{DEGREE, Figure, decide_length, unseen};
+use crate::checks::{ArmFacts, Facts, Grade, ImuFacts, Judged};
+use crate::diagnosis::{ImuDiagnosis, Length};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
     /// The roll and pitch of an IMU disagree with gravity.
@@ -15,7 +16,7 @@ rule! {
     ///
     /// ## Evidence
     /// The angle between the mean specific force, turned into the world by the logged orientation,
-    /// and the world's vertical, with an interval from its spread over the run.
+    /// and the world's vertical, while the arm rests, with an interval from its spread.
     ///
     /// ## How to fix
     /// Calibrate the accelerometer's bias, or level the IMU's world.
@@ -41,46 +42,47 @@ const SETTLE: &str = "record 10 s with rests";
 
 fn check(facts: &Facts) -> Vec<Judged> {
     let subjects = facts.subjects();
-    let imus = facts.robots.iter().flat_map(|arm| arm.imus.iter().map(move |imu| (arm, imu)));
-    let judged = imus.map(|(arm, (imu, diagnosis))| {
-        let subject = arm.topic(&imu.topic);
-        let tilt = match &diagnosis.tilt_rad {
-            Ok(tilt) => tilt,
-            Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(imu.span),
-        };
-        let as_logged = diagnosis.reading.as_ref().is_ok_and(|reading| reading.best.is_as_logged());
-        let outcome = match decide(tilt, &FIGURE, subjects) {
-            _ if !as_logged => Outcome::Inconclusive(
-                "the orientation is not as logged; read it right first (ORD001 to ORD003)".to_owned(),
-            ),
-            Decision::Pass => Outcome::sound(),
-            Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
-            Decision::Fail(severity) => Outcome::faulty(Fault {
-                severity,
-                title: "IMU leans",
-                message: format!(
-                    "roll and pitch are {} off gravity",
-                    FIGURE.unit.show_measured(tilt)
-                ),
-                evidence: Evidence::default(),
-                fix: "calibrate the accelerometer's bias, or level the IMU's world".to_owned(),
-            }),
-        };
-        let estimate = Estimate::amount("tilt against gravity", FIGURE.unit, tilt);
-        Judged::new(subject, outcome).within(imu.span).estimated(estimate)
-    });
-    judged.collect()
+    facts.imus().map(|(arm, imu, diagnosis)| judge(arm, imu, diagnosis, subjects)).collect()
+}
+
+fn judge(arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis, subjects: usize) -> Judged {
+    let subject = arm.topic(&imu.topic);
+    let tilt = match &diagnosis.tilt_rad {
+        Ok(tilt) => tilt,
+        Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(imu.span),
+    };
+    let as_logged = diagnosis.reading.as_ref().is_ok_and(|reading| reading.best.is_as_logged());
+    let outcome = match as_logged {
+        false => Outcome::Inconclusive(
+            "the orientation is not as logged; read it right first (ORD001 to ORD003)".to_owned(),
+        ),
+        true => decide_length(tilt, &FIGURE, subjects)
+            .into_outcome(SETTLE, |severity| fault(tilt, severity)),
+    };
+    let estimate = Estimate::length("tilt against gravity", FIGURE.unit, tilt);
+    Judged::new(subject, outcome).within(imu.span).estimated(estimate)
+}
+
+fn fault(tilt: &Length, severity: Severity) -> Fault {
+    let shown = FIGURE.unit.show_measured(&tilt.norm);
+    Fault {
+        severity,
+        title: "IMU leans",
+        message: format!("roll and pitch are {shown} off gravity"),
+        evidence: Evidence::default(),
+        fix: "calibrate the accelerometer's bias, or level the IMU's world".to_owned(),
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{IMU, ask, clean_run, sure};
+    use crate::checks::testing::{IMU, ask, clean_run, length};
 
     #[test]
     fn a_lean_beyond_the_figure_is_named_on_its_topic() {
         let mut facts = clean_run();
-        facts.robots[0].imus[0].1.tilt_rad = Ok(sure(1.0 * DEGREE));
+        facts.robots[0].imus[0].1.tilt_rad = Ok(length(1.0 * DEGREE));
         let (_, findings) = ask(&YAW002, &facts);
         assert_eq!(findings[0].subject.topic.as_deref(), Some(IMU));
         assert_eq!(findings[0].message, "roll and pitch are 1.000 ± 0.001° off gravity");

@@ -1,7 +1,7 @@
-use crate::checks::decision::{DEGREE, Decision, Figure, decide, unseen};
-use crate::checks::{Facts, Grade, Judged};
-use crate::diagnosis::Unseen;
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Unit};
+use crate::checks::decision::{DEGREE, Figure, decide_length, unseen};
+use crate::checks::{ArmFacts, Facts, Grade, ImuFacts, Judged};
+use crate::diagnosis::{ImuDiagnosis, Length, Unseen};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::geometry::xyzw_from_rotation;
 
 rule! {
@@ -43,54 +43,52 @@ const SETTLE: &str = "turn the IMU through 60° about two axes";
 
 fn check(facts: &Facts) -> Vec<Judged> {
     let subjects = facts.subjects();
-    let imus = facts.robots.iter().flat_map(|arm| arm.imus.iter().map(move |imu| (arm, imu)));
-    let judged = imus.map(|(arm, (imu, diagnosis))| {
-        let subject = arm.topic(&imu.topic);
-        let quaternion = diagnosis.link_from_imu.map(|rotation| xyzw_from_rotation(&rotation));
-        let judged = match &diagnosis.mount_rad {
-            Err(Unseen::RestsOn(frame)) => {
-                let why = format!("it rests on {frame}, which is not there");
-                Judged::new(subject, Outcome::Skipped(why))
-            }
-            Err(why) => Judged::new(subject, unseen(why, SETTLE)),
-            Ok(mount) => {
-                let outcome = match decide(mount, &FIGURE, subjects) {
-                    Decision::Pass => Outcome::sound(),
-                    Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
-                    Decision::Fail(severity) => Outcome::faulty(Fault {
-                        severity,
-                        title: "IMU mounted otherwise",
-                        message: format!(
-                            "mounted {} off the log's frames",
-                            FIGURE.unit.show_measured(mount)
-                        ),
-                        evidence: Evidence::default(),
-                        fix: "correct the IMU's static transform, or its driver's axes".to_owned(),
-                    }),
-                };
-                let estimate = Estimate::amount("mount error", FIGURE.unit, mount);
-                Judged::new(subject, outcome).estimated(estimate)
-            }
-        };
-        let judged = judged.within(imu.span);
-        match quaternion {
-            Some(q_xyzw) => judged.with_evidence("link_from_imu", q_xyzw.to_vec()),
-            None => judged,
+    facts.imus().map(|(arm, imu, diagnosis)| judge(arm, imu, diagnosis, subjects)).collect()
+}
+
+fn judge(arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis, subjects: usize) -> Judged {
+    let subject = arm.topic(&imu.topic);
+    let judged = match &diagnosis.mount_rad {
+        Err(Unseen::RestsOn(frame)) => {
+            let why = format!("it rests on {frame}, which is not there");
+            Judged::new(subject, Outcome::Skipped(why))
         }
-    });
-    judged.collect()
+        Err(why) => Judged::new(subject, unseen(why, SETTLE)),
+        Ok(mount) => {
+            let decision = decide_length(mount, &FIGURE, subjects);
+            let outcome = decision.into_outcome(SETTLE, |severity| fault(mount, severity));
+            let estimate = Estimate::length("mount error", FIGURE.unit, mount);
+            Judged::new(subject, outcome).estimated(estimate)
+        }
+    };
+    let judged = judged.within(imu.span);
+    match diagnosis.link_from_imu {
+        Some(mount) => judged.with_evidence("link_from_imu", xyzw_from_rotation(&mount).to_vec()),
+        None => judged,
+    }
+}
+
+fn fault(mount: &Length, severity: Severity) -> Fault {
+    let shown = FIGURE.unit.show_measured(&mount.norm);
+    Fault {
+        severity,
+        title: "IMU mounted otherwise",
+        message: format!("mounted {shown} off the log's frames"),
+        evidence: Evidence::default(),
+        fix: "correct the IMU's static transform, or its driver's axes".to_owned(),
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{ask, clean_run, sure};
-    use crate::finding::{Severity, Status};
+    use crate::checks::testing::{ask, clean_run, length};
+    use crate::finding::Status;
 
     #[test]
     fn a_turned_mount_is_an_error_and_no_frame_is_nothing_to_judge() {
         let mut facts = clean_run();
-        facts.robots[0].imus[0].1.mount_rad = Ok(sure(90.0 * DEGREE));
+        facts.robots[0].imus[0].1.mount_rad = Ok(length(90.0 * DEGREE));
         let (_, findings) = ask(&YAW003, &facts);
         assert_eq!(findings[0].severity, Severity::Error);
         facts.robots[0].imus[0].1.mount_rad = Err(Unseen::RestsOn("the IMU's frame in the log"));

@@ -1,9 +1,9 @@
-use serde_json::json;
+use serde_json::{Value, json};
 
-use crate::checks::decision::{DEGREE, Decision, Figure, decide, unseen};
-use crate::checks::{Facts, Grade, Judged};
-use crate::diagnosis::GyroBias;
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::checks::decision::{DEGREE, Figure, decide_length, unseen};
+use crate::checks::{ArmFacts, Facts, Grade, ImuFacts, Judged};
+use crate::diagnosis::{GyroBias, GyroShape, ImuDiagnosis, Measured};
+use crate::finding::{Estimate, Evidence, Fault, Severity, Unit};
 
 rule! {
     /// A gyro has a bias.
@@ -17,8 +17,11 @@ rule! {
     ///
     /// ## Evidence
     /// The constant part of (gyro − angular rate by FK), fitted together with the IMU's latency and
-    /// mount: `vector_rad_s` in the sensor's frame, and `yaw_rate_rad_s`, what yaw that is integrated
-    /// from this gyro would drift by.
+    /// mount to the turns between moments: `vector_rad_s` in the sensor's frame, and
+    /// `yaw_rate_rad_s`, what yaw that is integrated from this gyro would drift by. Where the gyro
+    /// surely reads rates too large, too small or askew, `scale` (along x, y and z) and
+    /// `misalignment_rad` (of y and z, x and z, x and y) say by how much; they are no part of the
+    /// bias.
     ///
     /// ## How to fix
     /// Subtract the bias; estimate it anew whenever the arm rests, since it moves with temperature.
@@ -44,29 +47,38 @@ const SETTLE: &str = "record 10 s with rests";
 
 fn check(facts: &Facts) -> Vec<Judged> {
     let subjects = facts.subjects();
-    let imus = facts.robots.iter().flat_map(|arm| arm.imus.iter().map(move |imu| (arm, imu)));
-    let judged = imus.map(|(arm, (imu, diagnosis))| {
-        let subject = arm.topic(&imu.topic);
-        let bias = match &diagnosis.gyro_bias {
-            Ok(bias) => bias,
-            Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(imu.span),
-        };
-        let outcome = match decide(&bias.norm_rad_s, &FIGURE, subjects) {
-            Decision::Pass => Outcome::sound(),
-            Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
-            Decision::Fail(severity) => Outcome::faulty(fault(bias, severity)),
-        };
-        Judged::new(subject, outcome)
-            .within(imu.span)
-            .estimated(Estimate::amount("gyro bias", FIGURE.unit, &bias.norm_rad_s))
-    });
-    judged.collect()
+    facts.imus().map(|(arm, imu, diagnosis)| judge(arm, imu, diagnosis, subjects)).collect()
+}
+
+fn judge(arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis, subjects: usize) -> Judged {
+    let subject = arm.topic(&imu.topic);
+    let bias = match &diagnosis.gyro_bias {
+        Ok(bias) => bias,
+        Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(imu.span),
+    };
+    let decision = decide_length(&bias.length_rad_s, &FIGURE, subjects);
+    let outcome = decision.into_outcome(SETTLE, |severity| fault(bias, severity));
+    let judged = Judged::new(subject, outcome)
+        .within(imu.span)
+        .estimated(Estimate::length("gyro bias", FIGURE.unit, &bias.length_rad_s));
+    match &bias.shape {
+        Some(GyroShape { scale, misalignment_rad }) => judged
+            .with_evidence("scale", scale.map(shown).to_vec())
+            .with_evidence("misalignment_rad", misalignment_rad.map(shown).to_vec()),
+        None => judged,
+    }
+}
+
+/// A number with its interval, as evidence.
+fn shown(measured: Measured) -> Value {
+    json!({"value": measured.value, "ci95": measured.interval(0.95)})
 }
 
 fn fault(bias: &GyroBias, severity: Severity) -> Fault {
     let vector: [f64; 3] = bias.vector_rad_s.into();
     let [x, y, z] = vector.map(|rate| format!("{rate:+.4}"));
     let drift = Unit::RadianPerSecond.show(bias.yaw_rate_rad_s);
+    let shown = FIGURE.unit.show_measured(&bias.length_rad_s.norm);
     let mut evidence = Evidence {
         effect: Some(format!("yaw that is integrated from it drifts {drift}")),
         ..Evidence::default()
@@ -76,7 +88,7 @@ fn fault(bias: &GyroBias, severity: Severity) -> Fault {
     Fault {
         severity,
         title: "gyro bias",
-        message: format!("gyro reads {} at rest", FIGURE.unit.show_measured(&bias.norm_rad_s)),
+        message: format!("gyro reads {shown} at rest"),
         evidence,
         fix: format!("subtract ({x}, {y}, {z}) rad/s"),
     }
@@ -85,7 +97,7 @@ fn fault(bias: &GyroBias, severity: Severity) -> Fault {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{ask, clean_run, sure};
+    use crate::checks::testing::{ask, clean_run, length};
     use crate::geometry::Vec3;
 
     #[test]
@@ -93,8 +105,9 @@ mod tests {
         let mut facts = clean_run();
         facts.robots[0].imus[0].1.gyro_bias = Ok(GyroBias {
             vector_rad_s: Vec3::new(0.0, 0.03, -0.04),
-            norm_rad_s: sure(0.05),
+            length_rad_s: length(0.05),
             yaw_rate_rad_s: -0.04,
+            shape: None,
         });
         let (_, findings) = ask(&YAW004, &facts);
         assert_eq!(findings[0].severity, Severity::Error);

@@ -2,6 +2,7 @@ use crate::checks::decision::{DEGREE, Decision, Figure, decide, unseen};
 use crate::checks::{ArmFacts, Facts, Grade, Judged, frm001, frm002, frm003};
 use crate::diagnosis::{FrameEstimate, JointOffset, Measured, Seen, Twin};
 use crate::finding::{Alternative, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::run::Witness;
 
 rule! {
     /// A joint's zero is off.
@@ -21,6 +22,9 @@ rule! {
     /// that were computed from the faulty joint states are in `inherited_by`. Causes that do the
     /// same to this log (the first joint's zero and the base's yaw, the last joint's and a twist of
     /// the tool, a rail's zero and a shift of the base) are in `indistinguishable`.
+    ///
+    /// `witness` says whose word the poses are (`controller`, `external`, `unknown`), `meaning` what
+    /// the offset then says of the arm.
     ///
     /// ## How to fix
     /// Re-home or re-master the joint, or add the offset in the driver's calibration file. Check
@@ -145,14 +149,38 @@ fn fault(
     if !heirs.is_empty() {
         evidence.more.insert("inherited_by".to_owned(), heirs.into());
     }
+    let witness = arm.witness();
+    evidence.more.insert("witness".to_owned(), witness.name().into());
+    evidence.more.insert("meaning".to_owned(), meaning(witness).into());
     let sign = if measured.value < 0.0 { "−" } else { "+" };
-    let (size, symbol) = (measured.value.abs(), unit.symbol());
-    Fault {
-        severity,
-        title: "joint zero is off",
-        message: format!("zero off by {}", unit.show_signed(measured)),
-        evidence,
-        fix: format!("q_true = q_reported {sign} {size:.5} {symbol}, or re-home the joint"),
+    let (size, symbol, shown) = (measured.value.abs(), unit.symbol(), unit.show_signed(measured));
+    let (message, fix) = match witness {
+        Witness::Controller => (
+            format!("this model or these joint states differ from the controller's by {shown}"),
+            format!(
+                "audit with the controller's model and calibration; by its poses \
+                 q = q_reported {sign} {size:.5} {symbol}"
+            ),
+        ),
+        Witness::External | Witness::Unknown => (
+            format!("zero off by {shown}"),
+            format!("q_true = q_reported {sign} {size:.5} {symbol}, or re-home the joint"),
+        ),
+    };
+    Fault { severity, title: "joint zero is off", message, evidence, fix }
+}
+
+/// What an offset says of the arm itself, by whose word it is.
+fn meaning(witness: Witness) -> &'static str {
+    match witness {
+        Witness::Controller => {
+            "a physical zero error cannot show in this log: a tracker, camera or IMU would show it"
+        }
+        Witness::External => "an outside witness saw it: the joint itself is off, or the model",
+        Witness::Unknown => {
+            "by the controller's own poses the model or the joint states differ from its; by a \
+             tracker's or camera's the joint itself is off"
+        }
     }
 }
 
@@ -219,6 +247,27 @@ mod tests {
         let twins = finding.evidence.indistinguishable.iter().map(|twin| twin.code);
         assert_eq!(twins.collect::<Vec<_>>(), ["FRM002"]);
         assert_eq!(finding.evidence.more["inherited_by"], serde_json::json!([TF]));
+    }
+
+    #[test]
+    fn what_an_offset_means_follows_whose_word_the_poses_are() {
+        let said = |witness: Witness| {
+            let mut facts = clean_run();
+            let arm = &mut facts.robots[0];
+            let pan = &mut arm.diagnosis.offsets[0];
+            (pan.offset, pan.chosen) = (Ok(sure(-0.01)), true);
+            arm.poses[0].witness = witness;
+            let finding = ask(&ZER001, &facts).1.remove(0);
+            assert_eq!(finding.evidence.more["witness"], witness.name());
+            (finding.message, finding.evidence.more["meaning"].as_str().unwrap().to_owned())
+        };
+        let (message, meaning) = said(Witness::Controller);
+        assert!(message.contains("differ from the controller's by -0.573"), "{message}");
+        assert!(meaning.contains("physical zero error cannot show"), "{meaning}");
+        let (message, meaning) = said(Witness::External);
+        assert!(message.starts_with("zero off") && meaning.contains("joint itself"), "{meaning}");
+        let (_, meaning) = said(Witness::Unknown);
+        assert!(meaning.contains("controller's own") && meaning.contains("tracker"), "{meaning}");
     }
 
     #[test]

@@ -43,11 +43,10 @@ const SETTLE: &str = "reach far out and close in, with every joint moving";
 
 fn check(facts: &Facts) -> Vec<Judged> {
     let subjects = facts.subjects();
-    let streams = facts
-        .robots
-        .iter()
-        .flat_map(|arm| arm.poses().map(move |(stream, diagnosis)| (arm, stream, diagnosis)));
-    streams.map(|(arm, stream, diagnosis)| judge(arm, stream, diagnosis, subjects)).collect()
+    facts
+        .poses()
+        .map(|(arm, stream, diagnosis)| judge(arm, stream, diagnosis, subjects))
+        .collect()
 }
 
 fn judge(arm: &ArmFacts, stream: &PoseFacts, diagnosis: &PoseDiagnosis, subjects: usize) -> Judged {

@@ -7,7 +7,7 @@ use clap::ValueEnum;
 use poseaudit::checks::{Selector, Settings};
 use poseaudit::finding::Severity;
 use poseaudit::report::{Report, Trouble, json, text};
-use poseaudit::run::{Declaration, RobotSource};
+use poseaudit::run::{CalibrationSource, Declaration, RobotSource};
 use poseaudit::time::Clock;
 
 use super::{Outcome, output};
@@ -25,6 +25,10 @@ pub struct Args {
     /// The robot's URDF or DH table, or its name in the catalogue; PREFIX=FILE with several arms
     #[arg(long = "robot", value_name = "FILE|NAME")]
     robots: Vec<RobotSource>,
+
+    /// A UR's calibration, as ur_calibration extracts it; PREFIX=FILE with several arms
+    #[arg(long = "calibration", value_name = "FILE")]
+    calibrations: Vec<CalibrationSource>,
 
     /// Link that the chain begins at
     #[arg(long, value_name = "LINK")]
@@ -149,6 +153,7 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
     let options = poseaudit::Options {
         logs: args.logs,
         robots: args.robots,
+        calibrations: args.calibrations,
         base: args.base,
         tip: args.tip,
         stamp: args.stamp.into(),

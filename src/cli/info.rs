@@ -48,9 +48,9 @@ fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
 }
 
 fn table(streams: &[StreamRow]) -> Table {
-    const COUNT: usize = 4;
-    const SPAN: usize = 6;
-    let header = ["topic", "type", "frames", "role", "count", "Hz", "span s", "why"];
+    const COUNT: usize = 5;
+    const SPAN: usize = 7;
+    let header = ["topic", "type", "frames", "role", "witness", "count", "Hz", "span s", "why"];
     let mut table = output::table(header);
     for stream in streams {
         table.add_row([
@@ -58,6 +58,7 @@ fn table(streams: &[StreamRow]) -> Table {
             stream.type_name.clone(),
             frames(stream),
             stream.role.to_owned(),
+            stream.witness.unwrap_or_default().to_owned(),
             stream.count.to_string(),
             stream.rate_hz.map_or(String::new(), |rate_hz| format!("{rate_hz:.1}")),
             span_s(stream).map_or(String::new(), |span_s| format!("{span_s:.1}")),

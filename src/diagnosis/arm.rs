@@ -1,18 +1,20 @@
 //! The arm and its pose streams: everything that is estimated from joint states and poses together.
 
-use super::explain::{Approach, Cause, ENTANGLED, Explanation, Menu, best, explain, price};
+use super::explain::{Approach, Cause, ENTANGLED, Explanation, Menu, best, explain};
 use super::frames::{frame_estimate, starts};
 use super::joints::{corrected, lies_on_arm, read_joints};
 use super::latency::{Peak, arm_speeds, median_period_s, pose_peaks, top};
 use super::model::{State, StreamState, Sweep, Witness};
 use super::nominal::{MOST_M, MOST_RAD, is_nominal};
+use super::observability::Observability;
 use super::placing::{Expected, spread};
 use super::reading::{Fit, Logged, Samples, nearest_truth, read};
+use super::residual::residual;
 use super::{
     Aligned, ArmDiagnosis, JointOffset, JointReading, Measured, PoseDiagnosis, PoseStream, Reading,
     ReadingEstimate, Residual, Seen, Twin, UnitSlip, Unseen,
 };
-use crate::geometry::{Pose, Rotation, Vec3, pose, rotvec_from_rotation};
+use crate::geometry::{Pose, Rotation, Vec3, pose};
 use crate::robot::{Chain, JointKind};
 use crate::stream::{JointTrack, Orientations};
 use std::f64::consts::TAU;
@@ -331,7 +333,7 @@ fn numbers_in_radians(
 }
 
 /// Slow samples spread over the run, and FK at the moments that they speak of.
-fn slow_samples(
+pub(super) fn slow_samples(
     joints: &JointTrack,
     chain: &Chain,
     columns: &[usize],
@@ -437,10 +439,8 @@ fn fit(prepared: &[&Prepared], dof: usize, with_offsets: bool) -> Option<Fitted>
     let explanation = explain(&witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
     let plain: Vec<StreamState> =
         (0..witnesses.len()).map(|s| without_small_causes(&explanation, s)).collect();
-    let price = price(explanation.linear.normal.independent);
     let nominal = with_offsets
-        && (0..witnesses.len())
-            .any(|s| is_nominal(witnesses[s], s, &explanation.state, &plain[s], price));
+        && (0..witnesses.len()).any(|s| is_nominal(witnesses[s], s, &explanation.state, &plain[s]));
     if !nominal {
         return Some(Fitted { explanation, menu, nominal });
     }
@@ -715,6 +715,7 @@ fn no_diagnosis(scale: &Seen<f64>, why: Unseen) -> PoseDiagnosis {
         tool: Err(rests()),
         residual: Err(rests()),
         nominal: false,
+        observability: None,
         top_speed_m_s: 0.0,
         aligned: Aligned::default(),
     }
@@ -773,7 +774,10 @@ fn stream_diagnosis(
         frame_estimate(explanation, menu, &with(cause), cause, index)
     };
     let aligned = align(recorded, stream, prepared, explanation, index);
-    let residual = residual(&aligned);
+    let (found, zeros) = (&explanation.state.streams[index], &explanation.state.offsets);
+    let residual = residual(&aligned, &prepared.witness, found, zeros);
+    let information = explanation.linear.information_of(index);
+    let observability = Observability::of(&prepared.witness, found, zeros, &information);
     let (linear, _) = arm_speeds(prepared.witness.joints, stream.chain, stream.columns);
     let t_s = &prepared.witness.t_s;
     let span_s = (t_s[t_s.len() - 1] - t_s[0]).max(f64::MIN_POSITIVE);
@@ -799,6 +803,7 @@ fn stream_diagnosis(
         tool: frame(Cause::Tool(index)),
         residual,
         nominal: fitted.nominal,
+        observability: Some(observability),
         top_speed_m_s: top(&linear),
         aligned,
     }
@@ -891,56 +896,4 @@ fn align(
         aligned.fk_at_truth.push(truth);
     }
     aligned
-}
-
-/// What is left of a stream, beyond what differs from sample to sample.
-fn residual(aligned: &Aligned) -> Seen<Residual> {
-    let n = aligned.t_s.len();
-    if n < 8 {
-        return Err(Unseen::TooFewSamples { have: n, need: 8 });
-    }
-    let position = |a: &Pose, b: &Pose| a.translation.vector - b.translation.vector;
-    let rotation = |a: &Pose, b: &Pose| rotvec_from_rotation(&(a.rotation * b.rotation.inverse()));
-    let pairs = |a: &[Pose], b: &[Pose], difference: &dyn Fn(&Pose, &Pose) -> Vec3| -> Vec<Vec3> {
-        a.iter().zip(b).map(|(a, b)| difference(a, b)).collect()
-    };
-    let left_m = pairs(&aligned.corrected, &aligned.fk_at_truth, &position);
-    let left_rad = pairs(&aligned.corrected, &aligned.fk_at_truth, &rotation);
-    let before_m = rms(&pairs(&aligned.logged, &aligned.fk, &position));
-    let before_rad = rms(&pairs(&aligned.logged, &aligned.fk, &rotation));
-    Ok(Residual {
-        excess_m: excess(&left_m),
-        excess_rad: excess(&left_rad),
-        rms_m: rms(&left_m),
-        rms_rad: rms(&left_rad),
-        before_m,
-        before_rad,
-    })
-}
-
-fn rms(vectors: &[Vec3]) -> f64 {
-    (vectors.iter().map(Vec3::norm_squared).sum::<f64>() / vectors.len().max(1) as f64).sqrt()
-}
-
-/// Root mean square beyond the noise from sample to sample (half the mean square of successive
-/// differences, von Neumann 1941), with a standard error from the spread over blocks.
-fn excess(vectors: &[Vec3]) -> Measured {
-    let blocks = 20.min(vectors.len() / 2).max(1);
-    let size = vectors.len() / blocks;
-    let beyond: Vec<f64> = vectors
-        .chunks_exact(size)
-        .map(|block| {
-            let square = rms(block).powi(2);
-            let steps: Vec<Vec3> = block.windows(2).map(|w| w[1] - w[0]).collect();
-            square - 0.5 * rms(&steps).powi(2)
-        })
-        .collect();
-    let n = beyond.len() as f64;
-    let mean = beyond.iter().sum::<f64>() / n;
-    let spread = beyond.iter().map(|b| (b - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
-    let value = mean.max(0.0).sqrt();
-    let mean_error = (spread / n).sqrt();
-    // d(√x) = dx / 2√x, and near zero no more than √dx.
-    let std_error = (mean_error / (2.0 * value).max(mean_error.sqrt())).max(1e-9);
-    Measured { value, std_error, dof: n - 1.0 }
 }

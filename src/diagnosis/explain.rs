@@ -5,7 +5,7 @@
 //! that, Gauss–Newton moves the state until the chosen set no longer changes.
 
 use super::Measured;
-use super::linear::{Linear, Normal, Weight, sandwich};
+use super::linear::{Linear, Normal, Weight, influence, sandwich};
 use super::model::{GROWTH, LATENCY, REFERENCE, SKEW, STREAM_WIDTH, State, TOOL, Witness};
 use super::noise::Noise;
 use nalgebra::{DMatrix, DVector};
@@ -85,17 +85,25 @@ impl Linearized {
             })
             .collect();
         let values = state.values();
-        let mut weights: Vec<Vec<Weight>> = streams.iter().map(Linear::first_weights).collect();
-        let mut normal = normal_of(&streams, &weights, state);
-        let free = parameters_of(all, state);
-        for _ in 0..2 {
-            let step = normal.step(&values, &free);
-            weights = (0..streams.len())
-                .map(|s| streams[s].weights_after(&own_part(&step, state, s)))
-                .collect();
-            normal = normal_of(&streams, &weights, state);
-        }
-        Self { streams, weights, normal, values }
+        let weights: Vec<Vec<Weight>> = streams.iter().map(Linear::first_weights).collect();
+        let normal = normal_of(&streams, &weights, state);
+        let mut linearized = Self { streams, weights, normal, values };
+        linearized.weigh(state, all);
+        linearized.weigh(state, all);
+        linearized
+    }
+
+    /// Weighs the residuals anew, by the noise that is left when `causes` are free.
+    ///
+    /// While the causes are sought that is all of them, so that no fault counts as noise. For the
+    /// intervals it is those that were found: the others take off the slow part of coloured noise,
+    /// and with it most of its memory.
+    fn weigh(&mut self, state: &State, causes: &[Cause]) {
+        let step = self.normal.step(&self.values, &parameters_of(causes, state));
+        self.weights = (0..self.streams.len())
+            .map(|s| self.streams[s].weights_after(&own_part(&step, state, s)))
+            .collect();
+        self.normal = normal_of(&self.streams, &self.weights, state);
     }
 
     /// The step that frees `parameters` and returns all others to "no such cause".
@@ -111,16 +119,24 @@ impl Linearized {
     /// Covariance of `parameters` when only they are free, under correlated noise
     /// (`H⁻¹ S H⁻¹`, White 1980); infinite variances where the log does not show a parameter.
     pub fn covariance(&self, parameters: &[usize], state: &State) -> DMatrix<f64> {
+        let (information, scores) = self.information(parameters, state);
+        sandwich(&information, &scores)
+    }
+
+    /// The information on `parameters`, and the covariance of their score.
+    fn information(&self, parameters: &[usize], state: &State) -> (DMatrix<f64>, DMatrix<f64>) {
         let n = parameters.len();
-        let (mut scores, mut information) = (DMatrix::zeros(n, n), DMatrix::zeros(n, n));
+        let (mut information, mut scores) = (DMatrix::zeros(n, n), DMatrix::zeros(n, n));
         for (s, linear) in self.streams.iter().enumerate() {
-            let columns: Vec<Option<usize>> = columns_of(state, s)
-                .into_iter()
-                .map(|column| parameters.binary_search(&column).ok())
-                .collect();
+            let columns = targets(parameters, state, s);
             linear.accumulate_covariance(&self.weights[s], &columns, &mut information, &mut scores);
         }
-        sandwich(&information, &scores)
+        (information, scores)
+    }
+
+    /// The information of one stream on all its parameters, the joints' first.
+    pub fn information_of(&self, stream: usize) -> DMatrix<f64> {
+        self.streams[stream].information(&self.weights[stream])
     }
 
     /// Degrees of freedom behind the covariance: independent residual components less parameters.
@@ -128,18 +144,37 @@ impl Linearized {
         (self.normal.independent - parameters as f64).max(3.0)
     }
 
+    /// Degrees of freedom behind the variance along `influence`: of the samples that tell.
+    fn dof_along(&self, parameters: &[usize], influence: &DVector<f64>, state: &State) -> f64 {
+        let (mut sum, mut variance) = (0.0, f64::MIN_POSITIVE);
+        for (s, linear) in self.streams.iter().enumerate() {
+            let columns = targets(parameters, state, s);
+            let squares = linear.squares_along(&self.weights[s], &columns, influence);
+            sum += squares.0;
+            variance += squares.1;
+        }
+        (2.0 * sum * sum / variance).clamp(3.0, self.dof(parameters.len()))
+    }
+
     /// The estimate of parameter `parameters[which]` when all of `parameters` are free.
     pub fn measured(&self, parameters: &[usize], which: usize, state: &State) -> Option<Measured> {
-        let covariance = self.covariance(parameters, state);
-        let variance = covariance[(which, which)];
+        let (information, scores) = self.information(parameters, state);
+        let variance = sandwich(&information, &scores)[(which, which)];
+        let along = influence(&information).column(which).into_owned();
         let step = self.step(parameters);
         let value = self.values[parameters[which]] + step[parameters[which]];
         variance.is_finite().then(|| Measured {
             value,
             std_error: variance.max(0.0).sqrt(),
-            dof: self.dof(parameters.len()),
+            dof: self.dof_along(parameters, &along, state),
         })
     }
+}
+
+/// Where each parameter of a stream stands among `parameters`.
+fn targets(parameters: &[usize], state: &State, stream: usize) -> Vec<Option<usize>> {
+    let columns = columns_of(state, stream).into_iter();
+    columns.map(|column| parameters.binary_search(&column).ok()).collect()
 }
 
 fn own_part(step: &DVector<f64>, state: &State, stream: usize) -> Vec<f64> {
@@ -301,6 +336,8 @@ pub(super) fn explain(
             break;
         }
     }
+    let chosen: Vec<Cause> = menu.always.iter().chain(&causes).copied().collect();
+    linear.weigh(&state, &chosen);
     Explanation { state, causes, linear }
 }
 

@@ -3,12 +3,12 @@
 use super::explain::{Cause, Explanation, Menu};
 use super::model::{StreamState, Sweep, Witness, twist_of};
 use super::reading::{mean_rotation, wahba};
-use super::{FrameEstimate, Measured, Seen, Unseen};
+use super::measured::{Length, joint_p_value};
+use super::{FrameEstimate, Seen, Unseen};
 use crate::geometry::{
     Pose, Rotation, Vec3, angle_between, pose, rotation_from_matrix_rows, rotvec_from_rotation,
 };
 use nalgebra::{DMatrix, DVector, Matrix3};
-use statrs::distribution::{ChiSquared, ContinuousCDF};
 use std::sync::LazyLock;
 
 /// Samples from which first guesses are made.
@@ -199,41 +199,19 @@ pub(super) fn frame_estimate(
     let twist = twist_of(&frame);
     let dof = linear.dof(parameters.len());
     let tuned = moved.values().rows(own.start, 6).into_owned();
-    let p_value = if round.is_some() { 0.0 } else { joint_p_value(&tuned, &block) };
+    let p_value = if round.is_some() { 0.0 } else { joint_p_value(&tuned, &block, f64::INFINITY) };
+    let length = |first: usize| {
+        let own = block.view((first, first), (3, 3)).into_owned();
+        Length::of(&twist[first..first + 3], &own, dof).norm
+    };
     let chosen = round.is_some() || explanation.causes.contains(&cause);
     // The model takes base coordinates to the stream's; what is off is told the other way round.
     let pose = if matches!(cause, Cause::Tool(_)) { frame } else { frame.inverse() };
     Ok(FrameEstimate {
         pose,
-        translation_m: norm_of(&twist[..3], &block.view((0, 0), (3, 3)).into_owned(), dof),
-        rotation_rad: norm_of(&twist[3..], &block.view((3, 3), (3, 3)).into_owned(), dof),
+        translation_m: length(0),
+        rotation_rad: length(3),
         p_value,
         chosen,
     })
-}
-
-/// The norm of a vector with its standard error along the vector; for a vector lost in its noise,
-/// the largest standard error in any direction.
-fn norm_of(vector: &[f64], covariance: &DMatrix<f64>, dof: f64) -> Measured {
-    let v = DVector::from_column_slice(vector);
-    let value = v.norm();
-    let largest = covariance.clone().symmetric_eigen().eigenvalues.max().max(0.0).sqrt();
-    let along = if value > 0.0 {
-        ((v.transpose() * covariance * &v)[(0, 0)].max(0.0)).sqrt() / value
-    } else {
-        0.0
-    };
-    // A norm is never negative: lost in its noise, its interval reaches down to zero.
-    let std_error = if value > 4.0 * largest { along } else { largest.max(0.52 * value) };
-    Measured { value, std_error, dof }
-}
-
-/// Chance of a vector at least this large if it were truly zero (Wald's test, χ² with as many
-/// degrees of freedom as components).
-fn joint_p_value(vector: &DVector<f64>, covariance: &DMatrix<f64>) -> f64 {
-    let Some(cholesky) = covariance.clone().cholesky() else {
-        return 1.0;
-    };
-    let statistic = vector.dot(&cholesky.solve(vector));
-    ChiSquared::new(vector.len() as f64).map_or(1.0, |chi| chi.sf(statistic))
 }

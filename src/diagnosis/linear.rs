@@ -92,7 +92,7 @@ impl Linear {
     }
 
     /// The residuals that remain after a step of the parameters, by kind.
-    fn after(&self, step: &[f64]) -> Vec<Vec<[f64; 3]>> {
+    pub fn after(&self, step: &[f64]) -> Vec<Vec<[f64; 3]>> {
         let remaining = |sample: usize, kind: usize| -> [f64; 3] {
             std::array::from_fn(|axis| {
                 let row = self.row(sample, 3 * kind + axis);
@@ -113,6 +113,12 @@ impl Linear {
         self.residual.iter().zip(&self.floor).map(of_kind).collect()
     }
 
+    /// Weights of 1.
+    pub fn even_weights(&self) -> Vec<Weight> {
+        let noise = Noise { sigma: 1.0, share: 0.0, rho: 0.0 };
+        self.residual.iter().map(|r| Weight { noise, robust: vec![1.0; r.len()] }).collect()
+    }
+
     /// Weights from what a step leaves of the residuals.
     pub fn weights_after(&self, step: &[f64]) -> Vec<Weight> {
         let of_kind = |(residual, &floor): (Vec<[f64; 3]>, &f64)| {
@@ -123,16 +129,13 @@ impl Linear {
     }
 
     /// Adds this stream's normal equations into `normal`; `columns` maps its parameters.
-    ///
-    /// Each row counts as `1 / inflation` independent ones, so that costs are those of
-    /// independent samples.
     pub fn accumulate(&self, weights: &[Weight], columns: &[usize], normal: &mut Normal) {
         let width = self.width;
         let mut block = DMatrix::<f64>::zeros(width, width);
         let mut right = DVector::<f64>::zeros(width);
         for sample in 0..self.len() {
             for r in 0..3 * self.kinds() {
-                let weight = weights[r / 3].of(sample) / weights[r / 3].noise.inflation();
+                let weight = weights[r / 3].of(sample);
                 let (row, residual) = (self.row(sample, r), self.residual(sample, r));
                 normal.cost += weight * residual * residual;
                 for i in 0..width {
@@ -162,10 +165,26 @@ impl Linear {
         normal.independent += independent.sum::<f64>();
     }
 
-    /// Adds `Aᵀ W A` over the chosen parameters into `information`, and into `scores` the covariance
-    /// of the score under correlated noise, `Σ_k Σ_l A_kᵀ W γ(k−l) W A_l`: the two parts of a
-    /// sandwich covariance (White 1980; Newey and West 1987, with the autocovariance of [`Noise`] in
-    /// place of a truncated one). `columns` says where each own parameter goes, if anywhere.
+    /// `Aᵀ W A` over all parameters.
+    pub fn information(&self, weights: &[Weight]) -> DMatrix<f64> {
+        let mut normal = Normal::zeros(self.width);
+        let columns: Vec<usize> = (0..self.width).collect();
+        self.accumulate(weights, &columns, &mut normal);
+        normal.matrix
+    }
+
+    /// Adds `Aᵀ W A` over the chosen parameters into `information`, and the covariance of the score
+    /// under the noise that `weights` describe into `scores`: the two parts of a sandwich covariance
+    /// (White 1980). `columns` says where each own parameter goes, if anywhere.
+    ///
+    /// The components of one sample are not independent: a joint's noise moves all six of them
+    /// through its column of the Jacobian, differently in each posture. So what stands for the
+    /// noise of a sample is that sample's own residual `u = W r` as a whole, as in White's estimator.
+    /// Over time the autocovariance is that of [`Noise`], which is far better known than a truncated
+    /// empirical one: the autoregressive part is a sum of innovations, each of which reaches the
+    /// samples around it by the powers of ρ, so that the covariance is a sum of squares,
+    ///
+    /// `Σ_j (1−share)·(A_jᵀu_j)² + share·(1−ρ²)·(P_jᵀu_j)²` with `P_j = Σ_{l≤j} ρ^(j−l) A_l`.
     pub fn accumulate_covariance(
         &self,
         weights: &[Weight],
@@ -173,50 +192,127 @@ impl Linear {
         information: &mut DMatrix<f64>,
         scores: &mut DMatrix<f64>,
     ) {
-        let chosen: Vec<(usize, usize)> = columns
-            .iter()
-            .enumerate()
-            .filter_map(|(own, target)| target.map(|t| (own, t)))
-            .collect();
+        let chosen = chosen(columns);
         let rows = 3 * self.kinds();
-        let mut past = vec![0.0; chosen.len() * rows];
-        let mut now = vec![0.0; chosen.len() * rows];
-        for sample in 0..self.len() {
-            for r in 0..rows {
-                let weight = weights[r / 3].of(sample);
-                let row = self.row(sample, r);
-                for (c, &(own, _)) in chosen.iter().enumerate() {
-                    now[c * rows + r] = weight * row[own];
-                }
-            }
+        let reaching = self.each_score(weights, &chosen, |sample, score| {
             for (a, &(own_a, target_a)) in chosen.iter().enumerate() {
-                for (b, &(_, target_b)) in chosen[..=a].iter().enumerate() {
-                    let (mut score, mut seen) = (0.0, 0.0);
-                    for r in 0..rows {
-                        let Noise { sigma, share, .. } = weights[r / 3].noise;
-                        let (a, b) = (a * rows + r, b * rows + r);
-                        let crossed = now[a] * past[b] + past[a] * now[b];
-                        score += sigma * sigma * (now[a] * now[b] + share * crossed);
-                        seen += self.row(sample, r)[own_a] * now[b];
-                    }
-                    for (matrix, sum) in [(&mut *scores, score), (&mut *information, seen)] {
-                        matrix[(target_a, target_b)] += sum;
-                        if target_a != target_b {
-                            matrix[(target_b, target_a)] += sum;
-                        }
-                    }
+                for (b, &(own_b, target_b)) in chosen[..=a].iter().enumerate() {
+                    let seen: f64 = (0..rows)
+                        .map(|r| {
+                            let row = self.row(sample, r);
+                            weights[r / 3].of(sample) * row[own_a] * row[own_b]
+                        })
+                        .sum();
+                    let square =
+                        score.white[a] * score.white[b] + score.lasting[a] * score.lasting[b];
+                    add_both(information, target_a, target_b, seen);
+                    add_both(scores, target_a, target_b, square);
                 }
             }
-            for (i, (past, now)) in past.iter_mut().zip(&now).enumerate() {
-                *past = weights[(i % rows) / 3].noise.rho * (*past + now);
+        });
+        // Innovations after the last sample have no residual of their own.
+        for (a, &(_, target_a)) in chosen.iter().enumerate() {
+            for (b, &(_, target_b)) in chosen[..=a].iter().enumerate() {
+                let tail = |r: usize| {
+                    let Noise { sigma, share, rho } = weights[r / 3].noise;
+                    let lasting = share * (rho * sigma * weights[r / 3].level()).powi(2);
+                    lasting * reaching[a * rows + r] * reaching[b * rows + r]
+                };
+                add_both(scores, target_a, target_b, (0..rows).map(tail).sum());
             }
         }
+    }
+
+    /// The squares of which the variance along `influence` (one number a target) is the sum: the sum
+    /// itself, and the variance of that sum, by which it is itself known no better than so many
+    /// degrees of freedom (Satterthwaite 1946). Squares of noise that lasts go together.
+    pub fn squares_along(
+        &self,
+        weights: &[Weight],
+        columns: &[Option<usize>],
+        influence: &DVector<f64>,
+    ) -> (f64, f64) {
+        let chosen = chosen(columns);
+        let (mut sum, mut fourth) = (0.0, 0.0);
+        self.each_score(weights, &chosen, |_, score| {
+            let along = |part: &[f64]| -> f64 {
+                part.iter().zip(&chosen).map(|(s, &(_, target))| s * influence[target]).sum()
+            };
+            let square = along(&score.white).powi(2) + along(&score.lasting).powi(2);
+            sum += square;
+            fourth += square * square;
+        });
+        let lasts = weights.iter().map(|weight| weight.noise.inflation_of_squares());
+        // Of a normal variable the fourth power is three squared variances, the variance of the
+        // square two of them.
+        (sum, fourth * 2.0 / 3.0 * lasts.fold(1.0, f64::max))
+    }
+
+    /// Calls `visit` with the score of every sample over the `chosen` parameters, and returns how the
+    /// design reaches beyond the last one.
+    fn each_score(
+        &self,
+        weights: &[Weight],
+        chosen: &[(usize, usize)],
+        mut visit: impl FnMut(usize, &Score),
+    ) -> Vec<f64> {
+        let rows = 3 * self.kinds();
+        let mut reaching = vec![0.0; chosen.len() * rows];
+        let mut score = Score { white: vec![0.0; chosen.len()], lasting: vec![0.0; chosen.len()] };
+        for sample in 0..self.len() {
+            score.white.fill(0.0);
+            score.lasting.fill(0.0);
+            for r in 0..rows {
+                let weight = &weights[r / 3];
+                let Noise { share, rho, .. } = weight.noise;
+                let (row, left) = (self.row(sample, r), self.residual(sample, r));
+                let weighted = weight.of(sample) * left;
+                let at_once = (1.0 - share).sqrt() * weighted;
+                let later = (share * (1.0 - rho * rho)).sqrt() * weighted;
+                for (c, &(own, _)) in chosen.iter().enumerate() {
+                    let reaching = &mut reaching[c * rows + r];
+                    *reaching = rho * *reaching + row[own];
+                    score.white[c] += at_once * row[own];
+                    score.lasting[c] += later * *reaching;
+                }
+            }
+            visit(sample, &score);
+        }
+        reaching
+    }
+}
+
+/// The own parameters that have a target, each with it.
+fn chosen(columns: &[Option<usize>]) -> Vec<(usize, usize)> {
+    let with_target = |(own, target): (usize, &Option<usize>)| target.map(|target| (own, target));
+    columns.iter().enumerate().filter_map(with_target).collect()
+}
+
+/// What the residual of one sample adds to the score of each parameter: by noise of its own, and by
+/// noise that began with it and lasts.
+struct Score {
+    white: Vec<f64>,
+    lasting: Vec<f64>,
+}
+
+/// Adds `value` to the entry of a symmetric matrix.
+fn add_both(matrix: &mut DMatrix<f64>, row: usize, column: usize, value: f64) {
+    matrix[(row, column)] += value;
+    if row != column {
+        matrix[(column, row)] += value;
     }
 }
 
 impl Weight {
+    /// The weight of one residual component.
     fn of(&self, sample: usize) -> f64 {
-        self.robust[sample] / self.noise.sigma.powi(2)
+        self.robust[sample] * self.level()
+    }
+
+    /// Each component counts as `1 / inflation` independent ones, so that costs are those of
+    /// independent samples, and a kind with a long memory does not outvote the other.
+    fn level(&self) -> f64 {
+        1.0 / (self.noise.sigma.powi(2) * self.noise.inflation())
     }
 }
 
@@ -283,13 +379,6 @@ impl Normal {
         cholesky.map_or(0.0, |cholesky| cholesky.l_dirty().diagonal().min().powi(2))
     }
 
-    /// Number of directions that the log shows.
-    pub fn rank(&self) -> usize {
-        let all: Vec<usize> = (0..self.right.len()).collect();
-        let eigenvalues = self.scaled(&all).0.symmetric_eigenvalues();
-        eigenvalues.iter().filter(|&&value| value > BLIND).count()
-    }
-
     /// The rows and columns `parameters` scaled to a unit diagonal, and the scale.
     fn scaled(&self, parameters: &[usize]) -> (DMatrix<f64>, DVector<f64>) {
         let n = parameters.len();
@@ -297,6 +386,11 @@ impl Normal {
         let scale = DVector::from_fn(n, |i, _| at(i, i).max(f64::MIN_POSITIVE).sqrt().recip());
         (DMatrix::from_fn(n, n, |i, j| at(i, j) * scale[i] * scale[j]), scale)
     }
+}
+
+/// How each parameter moves with each score, `H⁻¹` over the directions that the log shows.
+pub(super) fn influence(information: &DMatrix<f64>) -> DMatrix<f64> {
+    pseudo_inverse(information).0
 }
 
 /// The sandwich covariance `H⁻¹ S H⁻¹`; infinite variances where the log does not show a parameter.

@@ -1,4 +1,5 @@
-use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
+use nalgebra::{DMatrix, DVector};
+use statrs::distribution::{ChiSquared, ContinuousCDF, FisherSnedecor, Normal, StudentsT};
 
 /// A number with its standard error.
 ///
@@ -35,11 +36,81 @@ impl Measured {
     }
 }
 
+/// The length of a measured vector, and how surely there is one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Length {
+    /// The length; its interval reaches down to zero or below where zero is not excluded.
+    pub norm: Measured,
+    /// Chance of a vector at least this far from zero if it were truly zero, by all components
+    /// together.
+    pub p_value: f64,
+}
+
+impl Length {
+    /// The length of `vector`, whose errors have this `covariance`, known with `dof` degrees of
+    /// freedom.
+    ///
+    /// Noise makes a vector longer: `E|v̂|² = |v|² + tr C`. So `|v|²` is estimated by `|v̂|² − tr C`,
+    /// whose variance is `4 vᵀCv + 2 tr C²` for normal errors (Mathai and Provost, *Quadratic Forms
+    /// in Random Variables*, 1992, §3.2). `4 v̂ᵀCv̂` is in the mean `2 tr C²` above that, which makes
+    /// up for being smallest where the vector is unluckily short.
+    /// The ends of its interval are those of the length squared.
+    pub(super) fn of(vector: &[f64], covariance: &DMatrix<f64>, dof: f64) -> Self {
+        /// Standard deviations in half a 95 % interval; rounded down, so that an end at zero is one.
+        const HALF: f64 = 1.9599;
+        /// The interval of a vector that may be zero with this chance reaches down to zero.
+        const SURE: f64 = 1e-3;
+        /// Standard deviations by which noise may have shortened a vector.
+        const UNLUCKY: f64 = 1.4;
+        let v = DVector::from_column_slice(vector);
+        let (spread, square_spread) = (covariance.trace(), covariance.norm_squared());
+        let along = (v.transpose() * covariance * &v)[(0, 0)];
+        let square = (v.norm_squared() - spread).max(0.0);
+        let variance = (4.0 * along).max(2.0 * square_spread);
+        let reach = HALF * variance.sqrt();
+        let value = square.sqrt();
+        let p_value = joint_p_value(&v, covariance, dof);
+        let (mut above, mut below) =
+            ((square + reach).sqrt() - value, value - (square - reach).max(0.0).sqrt());
+        if square <= reach || p_value > SURE {
+            // Close to zero the square is skewed: a vector no longer than its noise may be
+            // unluckily so.
+            above = above.max(v.norm() + UNLUCKY * largest_std_error(covariance) - value);
+            below = value;
+        }
+        let std_error = above.max(below) / HALF;
+        Self { norm: Measured { value, std_error, dof }, p_value }
+    }
+}
+
+/// The standard error of a vector in the direction in which it is least known.
+fn largest_std_error(covariance: &DMatrix<f64>) -> f64 {
+    covariance.clone().symmetric_eigenvalues().max().max(0.0).sqrt()
+}
+
+/// Chance of a vector at least this far from zero if it were truly zero: Hotelling's T² test, Wald's
+/// where `dof` is large.
+pub(super) fn joint_p_value(vector: &DVector<f64>, covariance: &DMatrix<f64>, dof: f64) -> f64 {
+    let Some(cholesky) = covariance.clone().cholesky() else {
+        return 1.0;
+    };
+    let count = vector.len() as f64;
+    let statistic = vector.dot(&cholesky.solve(vector));
+    if !statistic.is_finite() {
+        return 1.0;
+    }
+    if dof >= MANY {
+        return ChiSquared::new(count).map_or(1.0, |chi| chi.sf(statistic));
+    }
+    FisherSnedecor::new(count, dof.max(2.0)).map_or(1.0, |f| f.sf(statistic / count))
+}
+
+/// From so many degrees of freedom on the normal quantile is within 0.3 % even at p = 1 − 1e-6, and
+/// the inverse of t no longer needed (nor, for infinite `dof`, finite).
+const MANY: f64 = 2000.0;
+
 /// Quantile `p` of Student's t with `dof` degrees of freedom.
 fn quantile(p: f64, dof: f64) -> f64 {
-    /// From here on the normal quantile is within 0.3 % even at p = 1 − 1e-6, and the inverse of t
-    /// no longer needed (nor, for infinite `dof`, finite).
-    const MANY: f64 = 2000.0;
     if dof >= MANY {
         return Normal::standard().inverse_cdf(p);
     }
@@ -49,6 +120,8 @@ fn quantile(p: f64, dof: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, StandardNormal};
 
     /// Values of SciPy 1.17: `scipy.stats.t.ppf(p, dof)`.
     #[test]
@@ -63,6 +136,53 @@ mod tests {
         }
         let just_below = quantile(1.0 - 1e-6, 1999.0);
         assert!((just_below / quantile(1.0 - 1e-6, 2000.0) - 1.0).abs() < 0.004);
+    }
+
+    /// Lengths of noisy copies of `true_vector`, whose errors have the standard errors `sigma`.
+    fn lengths(true_vector: [f64; 3], sigma: [f64; 3]) -> Vec<Length> {
+        let mut rng = rand_pcg::Pcg64::seed_from_u64(3);
+        let covariance = DMatrix::from_diagonal(&DVector::from_iterator(3, sigma.map(|s| s * s)));
+        (0..4000)
+            .map(|_| {
+                let noisy: [f64; 3] = std::array::from_fn(|i| {
+                    let error: f64 = StandardNormal.sample(&mut rng);
+                    true_vector[i] + sigma[i] * error
+                });
+                Length::of(&noisy, &covariance, f64::INFINITY)
+            })
+            .collect()
+    }
+
+    #[test]
+    fn the_interval_of_a_length_covers_whatever_the_length_and_the_shape_of_the_noise() {
+        for sigma in [[1.0, 1.0, 1.0], [1.0, 1.0, 0.1], [1.0, 0.1, 0.1]] {
+            for direction in [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.6, 0.0, 0.8]] {
+                for size in [0.0, 0.5, 1.0, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, 30.0] {
+                    let all = lengths(direction.map(|part| size * part), sigma);
+                    let covers = |length: &&Length| {
+                        let [low, high] = length.norm.interval(0.95);
+                        (low..=high).contains(&size)
+                    };
+                    let share = all.iter().filter(covers).count() as f64 / all.len() as f64;
+                    assert!(share > 0.9, "{share} of {size} along {direction:?} in {sigma:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_direction_that_is_hardly_known_does_not_lengthen_a_vector() {
+        let all = lengths([3.0, 0.0, 0.0], [0.01, 0.01, 1.0]);
+        let mean = all.iter().map(|length| length.norm.value).sum::<f64>() / all.len() as f64;
+        assert!((mean - 3.0).abs() < 0.06, "{mean}");
+    }
+
+    #[test]
+    fn a_vector_of_noise_is_rarely_taken_for_one() {
+        let all = lengths([0.0; 3], [1.0, 0.3, 2.0]);
+        let taken = |bound: f64| all.iter().filter(|length| length.p_value < bound).count();
+        assert!((150..250).contains(&taken(0.05)) && taken(0.001) < 14, "{}", taken(0.05));
+        assert!(all.iter().filter(|length| length.norm.interval(0.95)[0] > 0.0).count() < 40);
     }
 
     #[test]

@@ -15,8 +15,11 @@ mod measured;
 mod model;
 mod noise;
 mod nominal;
+mod observability;
 mod placing;
 mod reading;
+mod residual;
+mod rival;
 
 use crate::geometry::{
     Convention, Misreading, MisreadingClass, Pose, QuaternionSlip, Rotation, Vec3,
@@ -27,7 +30,9 @@ use crate::stream::{ImuTrack, PoseTrack};
 pub use arm::{diagnose_arm, diagnose_derived, follows};
 pub use imu::diagnose_imu;
 pub use latency::Peak;
-pub use measured::Measured;
+pub use measured::{Length, Measured};
+pub use observability::{BlindDirection, Observability, Parameter};
+pub use rival::position_misfit_m;
 
 /// Why an estimate does not exist. Each case carries what the words need.
 #[derive(Clone, Debug, PartialEq)]
@@ -180,9 +185,10 @@ pub struct JointOffset {
 /// What is left of a stream when everything found is taken off.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Residual {
-    /// Position, rms m, beyond the sample-to-sample noise.
+    /// Position, rms m, beyond the sample-to-sample noise. Its interval excludes zero only where it
+    /// comes again with the posture.
     pub excess_m: Measured,
-    /// Rotation, rms rad, beyond the sample-to-sample noise.
+    /// Rotation, rms rad, likewise.
     pub excess_rad: Measured,
     /// Position, rms m.
     pub rms_m: f64,
@@ -238,6 +244,8 @@ pub struct PoseDiagnosis {
     /// Whether what is left is that of nominal kinematics against a calibrated arm: at most 10 mm
     /// and 0.5°, and explained by small changes of many kinematic parameters.
     pub nominal: bool,
+    /// What this log tells of each parameter of the model; `None` where nothing was fitted.
+    pub observability: Option<Observability>,
     /// Largest speed of the tip by FK, m/s.
     pub top_speed_m_s: f64,
     /// The aligned samples.
@@ -295,10 +303,40 @@ pub struct ImuStream<'a> {
 pub struct GyroBias {
     /// In the sensor's frame, rad/s.
     pub vector_rad_s: Vec3,
-    /// Its norm, rad/s.
-    pub norm_rad_s: Measured,
+    /// Its length, rad/s.
+    pub length_rad_s: Length,
     /// How fast yaw that is integrated from this gyro would drift about the base's z, rad/s.
     pub yaw_rate_rad_s: f64,
+    /// Scale and misalignment, where the gyro surely has them; they are no part of the bias.
+    pub shape: Option<GyroShape>,
+}
+
+/// By what a gyro's rates differ from the true ones beside a bias and a rotation:
+/// `gyro = (1 + S)·ω + bias` with S symmetric.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GyroShape {
+    /// Scale errors along x, y and z; positive where the gyro reads too much.
+    pub scale: [Measured; 3],
+    /// By how much the axes y and z, x and z, x and y lean towards each other, rad each axis.
+    pub misalignment_rad: [Measured; 3],
+}
+
+/// What an IMU's yaw error does beside drifting steadily.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct YawCourse {
+    /// Its jumps, in the order of time.
+    pub jumps: Vec<YawJump>,
+    /// Density of its random walk, rad/√s, where it wanders.
+    pub walk_rad_rt_s: Option<f64>,
+}
+
+/// A sudden change of yaw that stays.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct YawJump {
+    /// When, s from the run's origin.
+    pub at_s: f64,
+    /// By how much, rad; positive to the left.
+    pub size_rad: Measured,
 }
 
 /// All that was estimated on one IMU.
@@ -310,12 +348,14 @@ pub struct ImuDiagnosis {
     pub latency_s: Seen<Measured>,
     /// Drift of the IMU's yaw against FK's about gravity, rad/s.
     pub yaw_drift_rad_s: Seen<Measured>,
+    /// What that yaw does beside drifting.
+    pub yaw_course: YawCourse,
     /// The best-fitting `link_from_imu` rotation error against the log's frames, rad.
-    pub mount_rad: Seen<Measured>,
+    pub mount_rad: Seen<Length>,
     /// `link_from_imu` as it fits best.
     pub link_from_imu: Option<Rotation>,
     /// Angle between gravity by the accelerometer and the vertical of the orientation, rad.
-    pub tilt_rad: Seen<Measured>,
+    pub tilt_rad: Seen<Length>,
     /// Constant part of (gyro − rate by FK).
     pub gyro_bias: Seen<GyroBias>,
     /// Stamp (s from the origin), yaw of IMU against FK (rad), for the pictures.

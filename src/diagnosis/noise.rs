@@ -22,20 +22,19 @@ impl Noise {
         1.0 + 2.0 * self.share * self.rho / (1.0 - self.rho)
     }
 
+    /// The same for the variance of a mean of squares (`1 + 2·Σ (γ(k)/γ(0))²`, of normal noise).
+    pub fn inflation_of_squares(&self) -> f64 {
+        let Self { share, rho, .. } = *self;
+        1.0 + 2.0 * (share * rho).powi(2) / (1.0 - rho * rho)
+    }
+
     /// The noise of a residual of three components a sample, weighted by `weights` (0 to 1 each).
     ///
     /// `sigma` is never below `floor`.
     pub fn of(residual: &[[f64; 3]], weights: &[f64], floor: f64) -> Self {
         let variance = weighted_variance(residual, weights);
-        let lags = [1usize, 2, 4, 8, 16, 32, 64, 128, 256];
-        let correlation: Vec<(usize, f64)> = lags
-            .into_iter()
-            .filter(|&lag| lag * 8 <= residual.len())
-            .map(|lag| {
-                (lag, autocovariance(residual, weights, lag) / variance.max(f64::MIN_POSITIVE))
-            })
-            .collect();
-        let (share, rho) = fit_autoregression(&correlation);
+        let correlations = correlations(residual, weights, variance);
+        let (share, rho) = fit_autoregression(&correlations, residual.len());
         Self { sigma: variance.sqrt().max(floor), share, rho }
     }
 }
@@ -46,33 +45,80 @@ fn weighted_variance(residual: &[[f64; 3]], weights: &[f64]) -> f64 {
     squares / (3.0 * total).max(1.0)
 }
 
-fn autocovariance(residual: &[[f64; 3]], weights: &[f64], lag: usize) -> f64 {
-    let (mut sum, mut total) = (0.0, 0.0);
-    for k in lag..residual.len() {
-        let weight = weights[k] * weights[k - lag];
-        sum += weight * dot(&residual[k], &residual[k - lag]);
-        total += weight;
+/// The mean correlation over lags from `first` to `last`.
+struct Correlation {
+    first: usize,
+    last: usize,
+    mean: f64,
+}
+
+impl Correlation {
+    /// Number of lags.
+    fn width(&self) -> f64 {
+        (self.last - self.first + 1) as f64
     }
-    sum / (3.0 * total).max(1.0)
+
+    /// The mean of `ρ^lag` over the lags.
+    fn of_autoregression(&self, rho: f64) -> f64 {
+        let power = |lag: usize| rho.powi(lag as i32);
+        (power(self.first) - power(self.last + 1)) / ((1.0 - rho) * self.width())
+    }
+}
+
+/// Correlations over lags 1, 2–3, 4–7 and so on up to an eighth of the samples. A long memory of a
+/// small share of the noise shows in no single lag; over many it does.
+fn correlations(residual: &[[f64; 3]], weights: &[f64], variance: f64) -> Vec<Correlation> {
+    // Sums of all samples before each one, so that any window of lags costs one difference.
+    let mut before = vec![([0.0; 3], 0.0)];
+    for (r, w) in residual.iter().zip(weights) {
+        let (sum, total) = before[before.len() - 1];
+        before.push((std::array::from_fn(|axis| sum[axis] + w * r[axis]), total + w));
+    }
+    let longest = residual.len() / 8;
+    let firsts = std::iter::successors(Some(1), |first| Some(2 * first));
+    let windows = firsts.take_while(|&first| first <= longest);
+    let correlation = |first: usize| {
+        let last = (2 * first - 1).min(longest);
+        let (mut products, mut total) = (0.0, 0.0);
+        for k in last..residual.len() {
+            let (from, to) = (&before[k - last], &before[k - first + 1]);
+            let sum: [f64; 3] = std::array::from_fn(|axis| to.0[axis] - from.0[axis]);
+            products += weights[k] * dot(&residual[k], &sum);
+            total += weights[k] * (to.1 - from.1);
+        }
+        let covariance = products / (3.0 * total).max(1.0);
+        Correlation { first, last, mean: covariance / variance.max(f64::MIN_POSITIVE) }
+    };
+    windows.map(correlation).collect()
 }
 
 fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
 
-/// Least squares of `share·ρ^lag` to measured correlations, over a grid of ρ.
-fn fit_autoregression(correlation: &[(usize, f64)]) -> (f64, f64) {
+/// Least squares of `share·ρ^lag` to the correlations of `samples` samples, over a grid of ρ; no
+/// memory where the fit takes off no more than chance does.
+fn fit_autoregression(correlations: &[Correlation], samples: usize) -> (f64, f64) {
+    /// Squares that chance takes off, in those of white noise's correlations: white noise of any
+    /// length was taken for coloured less than once in a hundred times.
+    const CHANCE: f64 = 9.0;
+    // A memory of more than a quarter of the log cannot be told from a constant.
+    let longest = 1.0 - 4.0 / (samples as f64).max(8.0);
     let grid = (1..400).map(|i| 1.0 - (0.0025 * f64::from(i)).powi(2) * 0.9975);
+    // The mean of many lags is the better known, but coloured noise makes them go together.
+    let weight = |one: &Correlation| one.width().sqrt();
     let misfit = |share: f64, rho: f64| -> f64 {
-        correlation.iter().map(|&(lag, c)| (c - share * rho.powi(lag as i32)).powi(2)).sum()
+        let left = |one: &Correlation| one.mean - share * one.of_autoregression(rho);
+        correlations.iter().map(|one| weight(one) * left(one).powi(2)).sum()
     };
-    let mut best = (0.0, 0.0, misfit(0.0, 0.0));
-    for rho in grid {
+    let none = misfit(0.0, 0.0);
+    let mut best = (0.0, 0.0, none);
+    for rho in grid.filter(|&rho| rho <= longest) {
         let (mut num, mut den) = (0.0, 0.0);
-        for &(lag, c) in correlation {
-            let power = rho.powi(lag as i32);
-            num += c * power;
-            den += power * power;
+        for one in correlations {
+            let power = one.of_autoregression(rho);
+            num += weight(one) * one.mean * power;
+            den += weight(one) * power * power;
         }
         if den <= 0.0 {
             continue;
@@ -83,7 +129,8 @@ fn fit_autoregression(correlation: &[(usize, f64)]) -> (f64, f64) {
             best = (share, rho, cost);
         }
     }
-    (best.0, best.1)
+    let is_chance = (none - best.2) * 3.0 * samples as f64 <= CHANCE;
+    if is_chance { (0.0, 0.0) } else { (best.0, best.1) }
 }
 
 #[cfg(test)]
@@ -93,7 +140,11 @@ mod tests {
     use rand_distr::{Distribution, StandardNormal};
 
     fn series(n: usize, rho: f64, white: f64) -> Vec<[f64; 3]> {
-        let mut rng = rand_pcg::Pcg64::seed_from_u64(7);
+        seeded(7, n, rho, white)
+    }
+
+    fn seeded(seed: u64, n: usize, rho: f64, white: f64) -> Vec<[f64; 3]> {
+        let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
         let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
         let mut state = [0.0; 3];
         (0..n)
@@ -105,11 +156,36 @@ mod tests {
     }
 
     #[test]
+    fn a_short_piece_of_white_noise_has_no_memory_either() {
+        let r = series(20_000, 0.0, 0.0);
+        let pieces = r.chunks(200).map(|piece| Noise::of(piece, &vec![1.0; piece.len()], 0.0));
+        let remembering = pieces.filter(|noise| noise.inflation() > 1.5).count();
+        assert!(remembering <= 2, "{remembering} of 100");
+    }
+
+    #[test]
+    fn a_long_memory_of_a_small_part_is_found() {
+        let r = series(20_000, 0.98, 4.0);
+        let noise = Noise::of(&r, &vec![1.0; r.len()], 0.0);
+        let expected = 1.0 + 2.0 / 17.0 * 0.98 / 0.02;
+        assert!((noise.inflation() / expected - 1.0).abs() < 0.4, "{noise:?} against {expected}");
+    }
+
+    #[test]
     fn white_noise_has_no_memory() {
         let r = series(4000, 0.0, 0.0);
         let noise = Noise::of(&r, &vec![1.0; r.len()], 0.0);
         assert!((noise.sigma - 1.0).abs() < 0.03);
         assert!(noise.inflation() < 1.3, "{noise:?}");
+    }
+
+    #[test]
+    fn chance_is_no_memory() {
+        for seed in 0..40 {
+            let r = seeded(seed, 2000, 0.0, 0.0);
+            let noise = Noise::of(&r, &vec![1.0; r.len()], 0.0);
+            assert!(noise.inflation() < 15.0, "{noise:?}");
+        }
     }
 
     #[test]

@@ -4,77 +4,160 @@
 //! axes by hundredths of a degree. Against the controller's calibrated pose the drawing's FK is then
 //! off by millimetres that no one or two joint zeros explain, and that small changes of all link
 //! frames do (Mooring, Roth and Driels, *Fundamentals of Manipulator Calibration*, 1991, ch. 3).
+//!
+//! Forty numbers fit better than seven on any log. So the smallest explanation stands unless what it
+//! leaves is so much that the numbers of a calibration are worth it: their evidence (MacKay 1992,
+//! *Bayesian Interpolation*) pays for every direction that the log makes narrower than calibrations
+//! usually are, and for changes that are larger than theirs. Where few ordinary causes bring the
+//! residual to the noise there is nothing left to pay with, however many of them there are.
 
 use super::linear::{Linear, Normal, Weight};
 use super::model::{FLOOR_M, FLOOR_RAD, State, StreamState, Sweep, Witness};
-use crate::geometry::Vec3;
-use nalgebra::DVector;
+use crate::geometry::{Pose, Vec3};
+use nalgebra::{DMatrix, DVector};
 
 /// No arm's calibration moves its tip by more, rms: 10 mm and 0.5°.
 pub(super) const MOST_M: f64 = 10e-3;
 pub(super) const MOST_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
-/// Less than this is no calibration's, rms: 0.3 mm.
+/// Less than this beyond the noise is no calibration's, rms: 0.3 mm.
 const LEAST_M: f64 = 0.3e-3;
+/// By how much calibrations usually change a link's frame in each direction: half a millimetre and
+/// 0.04° (as UR's factory calibrations do).
+const USUAL_M: f64 = 0.5e-3;
+const USUAL_RAD: f64 = 0.7e-3;
+/// What is not known before: frames and times that may be anything, m, rad or s.
+const ANYTHING: f64 = 0.1;
 /// Link frames change by no more than about this, m and rad: steps are damped at this scale.
 const SCALE: f64 = 0.01;
 /// Samples that are fitted.
 const SAMPLES: usize = 1000;
-/// Small changes leave less than this share of what the smallest explanation leaves.
-const LEFT: f64 = 0.5;
+/// Rounds of weighing and fitting.
+const ROUNDS: usize = 4;
 
-/// Whether small changes of the link frames explain `witness` far better than the causes in
-/// `state` do, with so little to explain that a calibration may account for all of it.
+/// Whether `witness` is of an arm that small changes of the link frames make of the model, rather
+/// than of one with the causes in `state`.
 ///
-/// `plain` is the stream's state without any cause but latency and large frames; `price` is that of
-/// a parameter.
+/// `plain` is the stream's state without any cause but latency and large frames.
 pub(super) fn is_nominal(
     witness: &Witness,
     stream: usize,
     state: &State,
     plain: &StreamState,
-    price: f64,
 ) -> bool {
     let none = vec![0.0; state.offsets.len()];
     let stride = witness.len().div_ceil(SAMPLES).max(1);
     let as_recorded = witness.linearize(plain, &none, stride);
-    let rms = |residual: &[[f64; 3]]| {
-        let squares: f64 = residual.iter().flatten().map(|c| c * c).sum();
-        (squares / residual.len().max(1) as f64).sqrt()
-    };
-    if rms(&as_recorded.residual[0]) > MOST_M || rms(&as_recorded.residual[1]) > MOST_RAD {
+    let rms_m = rms(&as_recorded.residual[0]);
+    if rms_m > MOST_M || rms(&as_recorded.residual[1]) > MOST_RAD {
+        return false;
+    }
+    let calibration = Calibration::fit(witness, plain, stride);
+    let noise_m = 3f64.sqrt() * calibration.weights[0].noise.sigma;
+    if rms_m.powi(2) - noise_m.powi(2) < LEAST_M.powi(2) {
         return false;
     }
     let explained = witness.linearize(&state.streams[stream], &state.offsets, stride);
-    if rms(&explained.residual[0]) < LEAST_M {
-        return false;
-    }
-    let frames = link_frames(witness, plain, stride);
-    let (step, parameters) = solve(&frames);
-    let calibrated = frames.weights_after(step.as_slice());
-    let sparse = explained.weights_after(&vec![0.0; explained.width]);
-    let better = |(a, b): (&Weight, &Weight)| (b.noise.sigma / a.noise.sigma).ln();
-    // Both are weighed with the calibrated fit's memory, the nearer to the log's own noise.
-    let gain: f64 = calibrated
-        .iter()
-        .zip(&sparse)
-        .map(|pair| 2.0 * 3.0 * frames.len() as f64 / pair.0.noise.inflation() * better(pair))
-        .sum();
-    let left = calibrated[0].noise.sigma < LEFT * sparse[0].noise.sigma
-        || calibrated[1].noise.sigma < LEFT * sparse[1].noise.sigma;
-    left && gain > price * parameters as f64
+    let left = explained.weights_after(&vec![0.0; explained.width]);
+    calibration.gain_over(&left) > calibration.price
 }
 
-/// The stream linearised in small changes of the reference and of every joint's child link frame,
-/// each six numbers, and in its latency.
-fn link_frames(witness: &Witness, plain: &StreamState, stride: usize) -> Linear {
+fn rms(residual: &[[f64; 3]]) -> f64 {
+    let squares: f64 = residual.iter().flatten().map(|c| c * c).sum();
+    (squares / residual.len().max(1) as f64).sqrt()
+}
+
+/// The most likely changes of the link frames.
+struct Calibration {
+    samples: usize,
+    /// The weights of what they leave.
+    weights: Vec<Weight>,
+    /// What they cost, in units of a squared deviation.
+    price: f64,
+}
+
+impl Calibration {
+    fn fit(witness: &Witness, plain: &StreamState, stride: usize) -> Self {
+        let rows = (0..witness.len()).step_by(stride);
+        let none = vec![0.0; witness.columns.len()];
+        let frames = link_frames(witness, plain, &none, rows);
+        let all: Vec<usize> = (0..frames.width).collect();
+        let usual: Vec<f64> = all.iter().map(|&i| usual_change(i, witness, plain)).collect();
+        let none = DVector::zeros(frames.width);
+        let mut weights = frames.first_weights();
+        let mut price = 0.0;
+        for _ in 0..ROUNDS {
+            let mut normal = Normal::zeros(frames.width);
+            frames.accumulate(&weights, &all, &mut normal);
+            for (i, usual) in usual.iter().enumerate() {
+                normal.matrix[(i, i)] += usual.powi(-2);
+            }
+            let step = normal.step(&none, &all);
+            weights = frames.weights_after(step.as_slice());
+            price = price_of(&step, &normal, &usual);
+        }
+        Self { samples: frames.len(), weights, price }
+    }
+
+    /// How much likelier the stream is than under causes that leave residuals of weights `left`, as
+    /// twice the log of the likelihoods' ratio. Both count with the memory of the calibrated fit's
+    /// noise, the nearer to the log's own.
+    fn gain_over(&self, left: &[Weight]) -> f64 {
+        let gains = self.weights.iter().zip(left).map(|(own, other)| {
+            let independent = 3.0 * self.samples as f64 / own.noise.inflation();
+            2.0 * independent * (other.noise.sigma / own.noise.sigma).ln()
+        });
+        gains.sum()
+    }
+}
+
+/// By how much parameter `i` of [`link_frames`] usually differs from a drawing. What is free without
+/// any calibration, such as a tool that nobody named, is not known before.
+fn usual_change(i: usize, witness: &Witness, plain: &StreamState) -> f64 {
+    let joints = witness.columns.len();
+    let is_anything = match i / 6 {
+        0 => !witness.reference_known || plain.reference != Pose::identity(),
+        link if link == joints => plain.tool != Pose::identity(),
+        link => link > joints,
+    };
+    match i % 6 {
+        _ if is_anything => ANYTHING,
+        0..3 => USUAL_M,
+        _ => USUAL_RAD,
+    }
+}
+
+/// The changes in `step`, each by its usual size, squared; and how much narrower the log makes them
+/// than they usually are: the log of the determinant by which it does, less that of the parameters
+/// which are free without a calibration.
+fn price_of(step: &DVector<f64>, normal: &Normal, usual: &[f64]) -> f64 {
+    let all: Vec<usize> = (0..usual.len()).collect();
+    let (free, held): (Vec<usize>, Vec<usize>) = all.iter().partition(|&&i| usual[i] == ANYTHING);
+    let narrowing = |chosen: &[usize]| -> f64 {
+        let at = |i: usize, j: usize| normal.matrix[(i, j)] * usual[i] * usual[j];
+        let n = chosen.len();
+        let precision = DMatrix::from_fn(n, n, |i, j| at(chosen[i], chosen[j]));
+        // One is what was known before; less can only be rounding.
+        precision.symmetric_eigenvalues().iter().map(|value| value.max(1.0).ln()).sum()
+    };
+    let size: f64 = held.iter().map(|&i| (step[i] / usual[i]).powi(2)).sum();
+    size + narrowing(&all) - narrowing(&free)
+}
+
+/// Some samples of a stream linearised about `plain` and `offsets`, in small changes of the reference
+/// and of every joint's child link frame, each six numbers, and in its latency.
+pub(super) fn link_frames(
+    witness: &Witness,
+    plain: &StreamState,
+    offsets: &[f64],
+    rows: impl Iterator<Item = usize>,
+) -> Linear {
     let joints = witness.columns.len();
     let width = 6 * (joints + 1) + 1;
     let mut linear = Linear::new(width, &[FLOOR_M, FLOOR_RAD]);
     let mut sweep = Sweep::new(witness);
     let mut links = Vec::new();
-    let none = vec![0.0; witness.joints.dof];
-    for k in (0..witness.len()).step_by(stride) {
-        let Some(predicted) = witness.pose_at(k, plain, &none, &mut sweep) else { continue };
+    for k in rows {
+        let Some(predicted) = witness.pose_at(k, plain, offsets, &mut sweep) else { continue };
         witness.chain.joint_frames(sweep.q(), &mut links);
         let (velocity, rate) = sweep.twist();
         let mut rows = linear.push(&witness.residual(k, &predicted));
@@ -97,22 +180,10 @@ fn link_frames(witness: &Witness, plain: &StreamState, stride: usize) -> Linear 
     linear
 }
 
-/// The least-squares changes, and how many of them the log tells apart.
-fn solve(linear: &Linear) -> (DVector<f64>, usize) {
-    let columns: Vec<usize> = (0..linear.width).collect();
-    let zero = DVector::zeros(linear.width);
-    let mut weights = linear.first_weights();
-    let mut step = zero.clone();
-    let mut seen = 0;
-    for _ in 0..3 {
-        let mut normal = Normal::zeros(linear.width);
-        linear.accumulate(&weights, &columns, &mut normal);
-        seen = normal.rank();
-        for i in 0..linear.width {
-            normal.matrix[(i, i)] += SCALE.powi(-2);
-        }
-        step = normal.step(&zero, &columns);
-        weights = linear.weights_after(step.as_slice());
+/// Normal equations of changes of link frames, damped at the scale of such changes.
+pub(super) fn damped(mut normal: Normal) -> Normal {
+    for i in 0..normal.right.len() {
+        normal.matrix[(i, i)] += SCALE.powi(-2);
     }
-    (step, seen)
+    normal
 }

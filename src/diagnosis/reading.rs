@@ -22,6 +22,9 @@ const HOPELESS_RAD: f64 = 0.35;
 /// Cosine of the tilt within which a world is upright (10°).
 const UPRIGHT: f64 = 0.985;
 
+/// Ranks by which a reading that leaves gravity leaning comes later: it needs a lean besides.
+const LEANS: u8 = 2;
+
 /// Samples to read, and what FK says at the same moments.
 pub(super) struct Samples<'a> {
     pub logged: Logged<'a>,
@@ -135,6 +138,13 @@ fn nearest(candidates: &[Rotation], expected: &Rotation) -> Option<(Rotation, f6
 /// # Errors
 /// Too few samples, or none of the readings follows.
 pub(super) fn read(samples: &Samples) -> Seen<(ReadingEstimate, Fit)> {
+    read_in_gravity(samples, &[])
+}
+
+/// As [`read`], where the specific force in the sensor's frame is known with every sample: a reading
+/// as logged with another mount, and any misreading, must leave gravity upright on average, or they
+/// explain one fault by two.
+pub(super) fn read_in_gravity(samples: &Samples, forces: &[Vec3]) -> Seen<(ReadingEstimate, Fit)> {
     let need = 3;
     if samples.fk.len() < need {
         return Err(Unseen::TooFewSamples { have: samples.fk.len(), need });
@@ -147,9 +157,16 @@ pub(super) fn read(samples: &Samples) -> Seen<(ReadingEstimate, Fit)> {
         return Err(Unseen::DoesNotFollow(least.cos()));
     }
     let accepted = (NEAR * least).max(least + NEAR_RAD).min(HOPELESS_RAD);
-    let rank = |fit: &Fit| simplicity(fit, samples.reference_known);
-    let simplest = fits.iter().filter(|fit| fit.residual_rad <= accepted).map(rank).min();
-    let simple = || fits.iter().filter(|fit| Some(rank(fit)) == simplest);
+    let ranked: Vec<(u8, &Fit)> = fits
+        .iter()
+        .map(|fit| {
+            let leans = fit.residual_rad <= accepted && leans(fit, samples, forces);
+            (simplicity(fit, samples.reference_known) + if leans { LEANS } else { 0 }, fit)
+        })
+        .collect();
+    let accepted_ranks = ranked.iter().filter(|(_, fit)| fit.residual_rad <= accepted);
+    let simplest = accepted_ranks.map(|&(rank, _)| rank).min();
+    let simple = || ranked.iter().filter(|(rank, _)| Some(*rank) == simplest).map(|(_, fit)| *fit);
     let least = simple().map(|fit| fit.residual_rad).min_by(f64::total_cmp).unwrap_or(least);
     let near = (NEAR * least).max(least + NEAR_RAD);
     // Of those that the log cannot tell apart, the one in an upright world, then the most usual.
@@ -180,6 +197,28 @@ pub(super) fn read(samples: &Samples) -> Seen<(ReadingEstimate, Fit)> {
         equivalent,
     };
     Ok((estimate, best))
+}
+
+/// Whether a reading that needs more than a turned world leaves gravity other than upright in it.
+fn leans(fit: &Fit, samples: &Samples, forces: &[Vec3]) -> bool {
+    let turned_world_only = matches!(fit.frames, Frames::None | Frames::Reference);
+    if turned_world_only && matches!(fit.reading, Reading::AsLogged) {
+        return false;
+    }
+    let mut buffer = Vec::new();
+    let felt: Vec3 = forces
+        .iter()
+        .enumerate()
+        .filter_map(|(sample, force)| {
+            let expected = fit.reference * samples.fk[sample] * fit.tool;
+            let truth =
+                nearest_truth(&fit.reading, &samples.logged, sample, &expected, &mut buffer)?;
+            Some(truth * force)
+        })
+        .sum();
+    // Without an accelerometer nothing leans. Forces that cancel each other do.
+    let all: f64 = forces.iter().map(Vec3::norm).sum();
+    all > 0.0 && felt.z < UPRIGHT * felt.norm().max(0.5 * all)
 }
 
 fn same_reading(a: &Reading, b: &Reading) -> bool {

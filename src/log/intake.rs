@@ -264,7 +264,7 @@ impl Intake {
         self.messages
     }
 
-    /// Keeps a text from beside the messages if it is a robot description.
+    /// Keeps a text from beside the messages if it is a robot description, or a UR's calibration.
     pub(super) fn text(&mut self, name: &str, text: &[u8]) {
         if text.len() > MAX_DESCRIPTION_BYTES {
             return;
@@ -273,7 +273,9 @@ impl Intake {
             return;
         };
         let text = text.trim_start_matches('\u{feff}').trim();
-        if !text.starts_with('<') || !text.contains("<robot") {
+        let is_urdf = text.starts_with('<') && text.contains("<robot");
+        let is_calibration = text.contains("kinematics:") && text.contains("upper_arm:");
+        if !is_urdf && !is_calibration {
             return;
         }
         let description = Description { name: name.to_owned(), text: text.to_owned() };

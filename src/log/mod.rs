@@ -60,7 +60,7 @@ pub struct Log {
     pub files: Vec<LogFile>,
     /// The topics of all files, in the order of their names.
     pub topics: Vec<Topic>,
-    /// Robot descriptions found beside the messages, in attachments and metadata.
+    /// Robot descriptions and calibrations found beside the messages, in attachments and metadata.
     pub descriptions: Vec<Description>,
     /// Messages read, of whatever type.
     pub messages: u64,
@@ -179,12 +179,12 @@ pub struct Undecodable {
     pub first: String,
 }
 
-/// A robot description that travelled in the log, but not as a message.
+/// A robot description or a UR's calibration that travelled in the log, but not as a message.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Description {
     /// Name of the attachment or the metadata entry.
     pub name: String,
-    /// The URDF text.
+    /// The text: XML of a URDF, or YAML of a calibration.
     pub text: String,
 }
 

@@ -11,7 +11,7 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use crate::checks::{self, Evaluation};
+use crate::checks::{self, Evaluation, StreamObservability};
 use crate::finding::{CheckRow, Finding, Severity, Status, decimal};
 use crate::time::Stamp;
 
@@ -36,6 +36,8 @@ pub struct Report {
     pub checks: Vec<CheckRow>,
     /// What is wrong: the gravest first, then what moves the arm's tip most.
     pub findings: Vec<Finding>,
+    /// What each pose stream cannot show, and the motion that would.
+    pub observability: Vec<StreamObservability>,
 }
 
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -123,6 +125,8 @@ pub struct StreamRow {
     pub reference: Option<String>,
     /// The link whose poses they are taken to be.
     pub link: Option<String>,
+    /// Whose word its poses are: `controller`, `external` or `unknown`.
+    pub witness: Option<&'static str>,
     /// Messages or samples.
     pub count: u64,
     /// Samples that could not be used.
@@ -147,10 +151,19 @@ impl Report {
         evaluation: Evaluation,
         fail_on: Option<Severity>,
     ) -> Self {
-        let Evaluation { checks, findings } = evaluation;
+        let Evaluation { checks, findings, observability } = evaluation;
         let verdict = verdict(&checks, &findings, fail_on);
         let trouble = nothing_evaluated(&log, &checks);
-        let report = Self { verdict, log, robots, streams, checks, findings, ..Self::empty() };
+        let report = Self {
+            verdict,
+            log,
+            robots,
+            streams,
+            checks,
+            findings,
+            observability,
+            ..Self::empty()
+        };
         match trouble {
             Some(trouble) => report.with_trouble(trouble),
             None => report,
@@ -187,6 +200,7 @@ impl Report {
             streams: Vec::new(),
             checks: Vec::new(),
             findings: Vec::new(),
+            observability: Vec::new(),
         }
     }
 
@@ -279,7 +293,7 @@ mod tests {
         assert_eq!(verdict_of(one_decided), Verdict::Pass);
         let skipped = vec![row("LAT001", Status::Skipped, false)];
         assert_eq!(verdict_of(skipped.clone()), Verdict::Pass);
-        let evaluation = Evaluation { checks: skipped, findings: Vec::new() };
+        let evaluation = Evaluation { checks: skipped, ..Evaluation::default() };
         let report = Report::new(LogSummary::default(), vec![], vec![], evaluation, None);
         assert!(report.error.is_some() && report.verdict == Verdict::Inconclusive);
         assert_eq!(verdict_of(vec![row("FRM001", open, false)]), Verdict::Pass);
@@ -294,7 +308,7 @@ mod tests {
                 LogSummary::default(),
                 vec![],
                 vec![],
-                Evaluation { checks, findings: vec![] },
+                Evaluation { checks, ..Evaluation::default() },
                 None,
             )
             .not_concluded(&required)

@@ -10,6 +10,7 @@ use std::io::{self, Write};
 use anstyle::{AnsiColor, Style};
 
 use super::{Report, Verdict};
+use crate::checks::listed;
 use crate::finding::{Alternative, CheckRow, Estimate, Finding, Severity, Status, Subject, Unit};
 
 /// Width of the column of labels.
@@ -42,6 +43,7 @@ pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     }
     page.passed(out)?;
     page.could_not_tell(out)?;
+    page.cannot_show(out)?;
     page.skipped(out)?;
     page.hints(out)
 }
@@ -142,6 +144,9 @@ impl Page<'_> {
         if let Some(effect) = &finding.evidence.effect {
             line(out, STRONG, "", effect)?;
         }
+        if let Some(meaning) = finding.evidence.more.get("meaning").and_then(|it| it.as_str()) {
+            line(out, STRONG, "", meaning)?;
+        }
         let others = &finding.evidence.indistinguishable;
         if !others.is_empty() {
             let others: Vec<String> = others.iter().map(|other| self.alternative(other)).collect();
@@ -212,14 +217,40 @@ impl Page<'_> {
         Ok(())
     }
 
+    /// What the motion leaves open, a line for each motion that would settle it.
+    fn cannot_show(&self, out: &mut dyn Write) -> io::Result<()> {
+        let mut label = "cannot show";
+        for stream in &self.report.observability {
+            let mut lines: Vec<(&str, Vec<&str>)> = Vec::new();
+            for direction in stream.directions.iter().filter(|direction| direction.left_open) {
+                let at = lines.iter().position(|(motion, _)| *motion == direction.motion);
+                let at = at.unwrap_or_else(|| {
+                    lines.push((&direction.motion, Vec::new()));
+                    lines.len() - 1
+                });
+                let known = &mut lines[at].1;
+                known.extend(direction.causes());
+                known.sort_unstable();
+                known.dedup();
+            }
+            for (motion, causes) in lines {
+                let text = format!("{} in {}: {motion}", listed(&causes), stream.topic);
+                line(out, WARNING, label, &text)?;
+                label = "";
+            }
+        }
+        Ok(())
+    }
+
     fn skipped(&self, out: &mut dyn Write) -> io::Result<()> {
         let rows = self.report.checks.iter().filter(|row| row.status == Status::Skipped);
         let mut label = "skipped";
         for (reason, rows) in grouped_by(rows, |row| row.reason.as_deref()) {
             let mut codes: Vec<&str> = rows.iter().map(|row| row.code).collect();
             codes.dedup();
-            let text = format!("{}: {}", ranges(&codes).join(", "), reason.unwrap_or_default());
-            line(out, QUIET, label, &text)?;
+            let said = self.report.error.as_ref().map(|trouble| trouble.what.as_str());
+            let reason = if reason == said { "as said above" } else { reason.unwrap_or_default() };
+            line(out, QUIET, label, &format!("{}: {reason}", ranges(&codes).join(", ")))?;
             label = "";
         }
         Ok(())

@@ -40,6 +40,8 @@ impl From<&RunError> for Trouble {
             | RunError::MissingJoints { .. } => TroubleKind::Log,
             RunError::UnknownRobot { .. }
             | RunError::Robot(_)
+            | RunError::Calibration(_)
+            | RunError::CalibrationOf { .. }
             | RunError::UnknownLink { .. }
             | RunError::Chain(_)
             | RunError::Declared { .. } => TroubleKind::Call,

@@ -56,6 +56,16 @@ impl std::error::Error for RobotError {
 pub enum Problem {
     #[error("cannot be read as text")]
     Unreadable(#[source] std::io::Error),
+    #[error("cannot be read as text")]
+    UnreadableCalibration(#[source] std::io::Error),
+    #[error("no calibration of a UR: {0}")]
+    Calibration(String),
+    #[error("'{robot}' has no joint '{joint}', which every UR has")]
+    NoSuchJoint { robot: String, joint: String },
+    #[error(
+        "it is not of '{robot}': joint '{joint}' would be {millimetres:.1} mm and {degrees:.2}° off"
+    )]
+    AnotherArm { robot: String, joint: String, millimetres: f64, degrees: f64 },
     #[error("not well-formed XML: {0}")]
     Xml(String),
     #[error("the XML's root element is <{found}>, not <robot>")]
@@ -103,6 +113,13 @@ impl Problem {
     pub fn advice(&self) -> &'static str {
         match self {
             Self::Unreadable(_) => "check that it exists and is a URDF or a TOML file",
+            Self::UnreadableCalibration(_) | Self::Calibration(_) => {
+                "give the YAML that ur_calibration extracts from the controller"
+            }
+            Self::NoSuchJoint { .. } => "give it with a UR, and with its prefix: PREFIX=FILE",
+            Self::AnotherArm { .. } => {
+                "give this arm's calibration, or a model with the frames of ur_description"
+            }
             Self::Xml(_) => "repair the file, or export the URDF again",
             Self::NotARobot { .. } => "give the arm's URDF (not an SDF, SRDF or MJCF file)",
             Self::Xacro { .. } => "expand it first: xacro FILE.xacro > FILE.urdf",

@@ -1,9 +1,10 @@
 //! The arm as a tree of joints, where it comes from, and its forward kinematics.
 //!
 //! A [`Robot`] is read from a URDF, from TOML (joints or a Denavit-Hartenberg table) or taken from
-//! the [`catalogue`]. [`Robot::chain`] cuts the path between two links out of it; a [`Chain`]
+//! the [`catalogue`]; a UR's [`Calibration`] can be laid over it. [`Robot::chain`] cuts the path between two links out of it; a [`Chain`]
 //! turns joint positions into `base_from_tip`.
 
+mod calibration;
 pub mod catalogue;
 mod chain;
 mod dh;
@@ -13,6 +14,7 @@ mod names;
 mod table;
 mod urdf;
 
+pub use calibration::Calibration;
 pub use chain::Chain;
 pub use error::{ChainError, Problem, RobotError};
 pub use model::{Joint, JointKind, Limits, LinkId, Mimic, Provenance, Robot};

@@ -246,6 +246,13 @@ impl Robot {
         self.joint_ids.get(name).map(|&joint| &self.joints[joint])
     }
 
+    /// Puts the origin of the joint called `name`, if it is there, at `parent_from_joint`.
+    pub(super) fn move_joint(&mut self, name: &str, parent_from_joint: Pose) {
+        if let Some(&joint) = self.joint_ids.get(name) {
+            self.joints[joint].parent_from_joint = parent_from_joint;
+        }
+    }
+
     /// The link of that name.
     pub fn link(&self, name: &str) -> Option<LinkId> {
         self.link_ids.get(name).copied()

@@ -12,12 +12,13 @@ use super::arm::{Anchor, Arm, Ends, ImuSource, NoTf, PoseSource};
 use super::declaration::Declaration;
 use super::error::RunError;
 use super::joints::{JointTopic, merge};
-use super::models::{self, Clues, FrameNames, Given};
+use super::models::{self, Clues, FrameNames, Given, GivenCalibration};
 use super::poses::{self, Stamped};
 use super::role::{Place, PoseTopic, Role, Verdict, array_role, pose_role};
 use super::skeleton;
 use super::streams::{Stream, Timing, split};
 use super::tf_tree::{Edge, EdgeKind, TfTree, without_slash};
+use super::witness::{PoseNames, Witness, witness_of};
 use super::{Run, RunOptions};
 
 impl Run {
@@ -29,6 +30,7 @@ impl Run {
     /// [`Run::no_arm`].
     pub fn assemble(log: Log, options: &RunOptions) -> Result<Run, RunError> {
         let given = models::given(&options.robots)?;
+        let calibrations = models::given_calibrations(&options.calibrations)?;
         let has_clock_topic = log.has_clock();
         let mut streams = split(log.topics);
         for declared in &options.declared {
@@ -38,9 +40,19 @@ impl Run {
         timing.measure(&mut streams);
         let origin = origin(&streams);
         let tf = tf_tree(&streams, &timing);
-        let descriptions = descriptions(&streams, log.descriptions);
+        let (attached, logged_calibrations): (Vec<_>, Vec<_>) =
+            log.descriptions.into_iter().partition(|found| found.text.starts_with('<'));
+        let descriptions = descriptions(&streams, attached);
+        let logged_calibrations: Vec<_> =
+            logged_calibrations.into_iter().map(|found| (found.name, found.text)).collect();
         let mut assembly = Assembly { options, streams, timing, origin, tf, arms: Vec::new() };
-        let no_arm = match assembly.find_arms(given, &descriptions) {
+        let said = Said {
+            given,
+            calibrations,
+            descriptions: &descriptions,
+            logged_calibrations: &logged_calibrations,
+        };
+        let no_arm = match assembly.find_arms(said) {
             Ok(()) => None,
             Err(error) if error.is_of_the_call() => return Err(error),
             Err(error) => Some(error),
@@ -54,6 +66,15 @@ impl Run {
         let span = span(streams.iter().filter(|stream| stream.rate_hz.is_some()));
         Ok(Run { origin, span, streams, arms, tf, clocks: timing.clocks, has_clock_topic, no_arm })
     }
+}
+
+/// What the caller and the log say of the robots.
+struct Said<'a> {
+    given: Vec<Given>,
+    calibrations: Vec<GivenCalibration>,
+    /// Text of each description and calibration in the log, after the name of where it was.
+    descriptions: &'a [(String, String)],
+    logged_calibrations: &'a [(String, String)],
 }
 
 /// A run in the making.
@@ -164,11 +185,7 @@ fn misfit_m(tf: &TfTree, robot: &Robot, frames: &FrameNames) -> Option<f64> {
 
 impl Assembly<'_> {
     /// Finds the robots, cuts the arms out of them and follows the transforms along each.
-    fn find_arms(
-        &mut self,
-        given: Vec<Given>,
-        descriptions: &[(String, String)],
-    ) -> Result<(), RunError> {
+    fn find_arms(&mut self, said: Said<'_>) -> Result<(), RunError> {
         let topics = joint_topics(&self.streams, &self.timing);
         let mut joints: Vec<String> = Vec::new();
         for topic in &topics {
@@ -190,11 +207,17 @@ impl Assembly<'_> {
             self.streams.iter().flat_map(|stream| [&stream.frame_id, &stream.child_frame_id]);
         let frames: BTreeSet<String> =
             self.tf.frames().chain(named.map(String::as_str)).map(str::to_owned).collect();
-        let clues = Clues { joints: &joints, frames: &frames, descriptions };
-        let models = models::models(given, &clues, |robot, frames| {
+        let clues = Clues {
+            joints: &joints,
+            frames: &frames,
+            descriptions: said.descriptions,
+            calibrations: said.logged_calibrations,
+        };
+        let mut models = models::models(said.given, &clues, |robot, frames| {
             let by_poses = || self.radial_misfit_m(robot, frames, &topics);
             misfit_m(&self.tf, robot, frames).or_else(by_poses)
         })?;
+        models::calibrate(&mut models, &said.calibrations, &clues)?;
         let ends = Ends { base: self.options.base.as_deref(), tip: self.options.tip.as_deref() };
         let mut refusal = None;
         for model in &models {
@@ -418,6 +441,8 @@ impl Assembly<'_> {
         if let Some(arm) = stream.arm.map(|arm| &self.arms[arm]) {
             stream.reference = Some(arm.frame_of(arm.base));
             stream.link = Some(arm.frame_of(arm.tip));
+            // Transforms of the model's joints: what is measured became a stream of its own.
+            stream.witness = Some(Witness::Controller);
         } else if let Some(Err(reason)) = self.arms.first().map(|arm| &arm.tf) {
             stream.reason = format!("{}; {reason}", stream.reason);
         }
@@ -440,7 +465,16 @@ impl Assembly<'_> {
                         true => self.arms[arm].frame_of(site.base.link),
                         false => stream.frame_id.clone(),
                     };
-                    source = Some((arm, found, reference, self.arms[arm].frame_of(site.tip.link)));
+                    let link = self.arms[arm].frame_of(site.tip.link);
+                    let witness = witness_of(&PoseNames {
+                        topic: &stream.topic,
+                        type_name: &stream.type_name,
+                        frame_id: &stream.frame_id,
+                        child_frame_id: &stream.child_frame_id,
+                        frame: site.frame,
+                        stamps_copied: found.stamps_copied,
+                    });
+                    source = Some((arm, found, reference, link, witness));
                 }
                 Err(what) if declared.is_some() => {
                     return Err(RunError::Declared { topic: stream.topic.clone(), what });
@@ -453,8 +487,9 @@ impl Assembly<'_> {
         }
         let stream = &mut self.streams[index];
         (stream.role, stream.reason) = (role, reason);
-        if let Some((arm, source, reference, link)) = source {
-            stream.arm = Some(arm);
+        if let Some((arm, source, reference, link, (witness, why))) = source {
+            stream.reason += &format!("; witness: {}, by {why}", witness.name());
+            (stream.arm, stream.witness) = (Some(arm), Some(witness));
             (stream.reference, stream.link) = (Some(reference), Some(link));
             self.arms[arm].poses.push(source);
         }
@@ -613,6 +648,7 @@ impl Assembly<'_> {
         let [reference, link] = [arm.base, carrier].map(|link| arm.frame_of(link));
         let stream = &mut self.streams[index];
         (stream.arm, stream.reason) = (Some(owner), reason);
+        stream.witness = Some(Witness::External);
         (stream.reference, stream.link) = (Some(reference), Some(link));
         if source.track.t_s.len() > 1 {
             self.arms[owner].imus.push(source);

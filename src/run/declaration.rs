@@ -1,5 +1,6 @@
 //! What the caller says of robots and streams, as the command line and the config spell it.
 
+use std::path::PathBuf;
 use std::str::FromStr;
 
 use crate::geometry::{Convention, ConventionError};
@@ -15,12 +16,32 @@ pub struct RobotSource {
 
 impl From<&str> for RobotSource {
     fn from(text: &str) -> Self {
-        match text.split_once('=') {
-            Some((prefix, model)) if !prefix.contains(['/', '.']) => {
-                Self { prefix: Some(prefix.to_owned()), model: model.to_owned() }
-            }
-            _ => Self { prefix: None, model: text.to_owned() },
-        }
+        let (prefix, model) = after_prefix(text);
+        Self { prefix, model: model.to_owned() }
+    }
+}
+
+/// The calibration of a UR: `FILE`, or `PREFIX=FILE`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CalibrationSource {
+    /// What the names of that arm's joints start with in the log, where several arms are in it.
+    pub prefix: Option<String>,
+    /// Path of the YAML file that `ur_calibration` wrote.
+    pub file: PathBuf,
+}
+
+impl From<&str> for CalibrationSource {
+    fn from(text: &str) -> Self {
+        let (prefix, file) = after_prefix(text);
+        Self { prefix, file: file.into() }
+    }
+}
+
+/// What stands before and after the `=`, where a prefix does.
+fn after_prefix(text: &str) -> (Option<String>, &str) {
+    match text.split_once('=') {
+        Some((prefix, rest)) if !prefix.contains(['/', '.']) => (Some(prefix.to_owned()), rest),
+        _ => (None, text),
     }
 }
 

@@ -49,6 +49,15 @@ pub enum RunError {
     },
     /// A model could not be read.
     Robot(RobotError),
+    /// A calibration could not be read, or is not of the arm.
+    Calibration(RobotError),
+    /// A calibration whose arm is not in the log, or could be one of several.
+    CalibrationOf {
+        /// Where it was read from.
+        source: String,
+        /// What the joints of the arms that it could be of start with.
+        prefixes: Vec<String>,
+    },
     /// `--base` or `--tip` is no link of the robot.
     UnknownLink {
         /// The option: `--base` or `--tip`.
@@ -85,6 +94,8 @@ impl RunError {
     pub(super) fn is_of_the_call(&self) -> bool {
         match self {
             Self::UnknownRobot { .. }
+            | Self::Calibration(_)
+            | Self::CalibrationOf { .. }
             | Self::UnknownLink { .. }
             | Self::Chain(_)
             | Self::MissingJoints { .. }
@@ -120,6 +131,9 @@ impl RunError {
                     few(arms)
                 )
             }
+            Self::UnknownJoints { robot, logged, modelled, .. } if modelled.is_empty() => {
+                format!("'{robot}' has no joint that moves: the log has {}", few(logged))
+            }
             Self::UnknownJoints { robot, logged, modelled, .. } => format!(
                 "'{robot}' has none of the logged joints: the log has {}, the model has {}",
                 few(logged),
@@ -131,7 +145,14 @@ impl RunError {
                     did_you_mean(nearest)
                 )
             }
-            Self::Robot(error) => error.problem().to_string(),
+            Self::Robot(error) | Self::Calibration(error) => error.problem().to_string(),
+            Self::CalibrationOf { prefixes, .. } if prefixes.is_empty() => {
+                "no arm of the log has the joints of a UR that it could be of".to_owned()
+            }
+            Self::CalibrationOf { prefixes, .. } => {
+                let arms: Vec<String> = prefixes.iter().map(|it| format!("'{it}'")).collect();
+                format!("it could be of several arms, whose joints start with {}", few(&arms))
+            }
             Self::UnknownLink { option, link, nearest, .. } => {
                 format!("{option} '{link}' is not a link of the robot{}", did_you_mean(nearest))
             }
@@ -155,7 +176,8 @@ impl RunError {
             Self::NoSamples { .. } | Self::MissingJoints { .. } => "joint states".to_owned(),
             Self::UnknownJoints { source, .. } | Self::UnknownLink { source, .. } => source.clone(),
             Self::UnknownRobot { .. } => "--robot".to_owned(),
-            Self::Robot(error) => error.place(),
+            Self::Robot(error) | Self::Calibration(error) => error.place(),
+            Self::CalibrationOf { source, .. } => source.clone(),
             Self::Chain(_) => "--base, --tip".to_owned(),
             Self::Declared { topic, .. } => format!("--declare {topic}"),
         }
@@ -174,7 +196,11 @@ impl RunError {
             Self::UnknownRobot { .. } => {
                 "pass a URDF or TOML file, or a name of the catalogue, such as ur5e"
             }
-            Self::Robot(error) => error.problem().advice(),
+            Self::Robot(error) | Self::Calibration(error) => error.problem().advice(),
+            Self::CalibrationOf { prefixes, .. } if prefixes.is_empty() => {
+                "leave --calibration out, or name the --robot that was recorded"
+            }
+            Self::CalibrationOf { .. } => "say which: --calibration PREFIX=FILE",
             Self::UnknownLink { .. } => "name a link of the model, or leave the option out",
             Self::Chain(_) => "or leave --base and --tip out",
             Self::MissingJoints { .. } => "choose a tip before these joints, or record them",
@@ -192,7 +218,7 @@ impl fmt::Display for RunError {
 impl std::error::Error for RunError {
     fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
         match self {
-            Self::Robot(error) => std::error::Error::source(error),
+            Self::Robot(error) | Self::Calibration(error) => std::error::Error::source(error),
             _ => None,
         }
     }

@@ -22,17 +22,19 @@ mod streams;
 #[cfg(test)]
 mod tests;
 mod tf_tree;
+mod witness;
 
 use crate::time::{Clock, Stamp};
 
 pub use arm::{Arm, ImuSource, NoTf, PoseSource};
 pub use clock::{Alignment, Epoch, HeaderStamps, StreamClock};
-pub use declaration::{Coding, Declaration, DeclarationError, RobotSource};
+pub use declaration::{CalibrationSource, Coding, Declaration, DeclarationError, RobotSource};
 pub use error::RunError;
 pub use joints::{JointFacts, Velocities};
 pub use role::Role;
 pub use streams::Stream;
 pub use tf_tree::{Edge, EdgeKind, TfError, TfPath, TfTree};
+pub use witness::Witness;
 
 /// Correlation of speeds from which a stream follows the arm.
 const FOLLOWS: f64 = 0.7;
@@ -46,6 +48,8 @@ const CONTRADICTS: f64 = 0.4;
 pub struct RunOptions {
     /// The robots in it; where none is named, the log is asked and then the catalogue.
     pub robots: Vec<RobotSource>,
+    /// Calibrations of the URs among them; where none is named, the log may hold one.
+    pub calibrations: Vec<CalibrationSource>,
     /// The link to take as base.
     pub base: Option<String>,
     /// The link to take as tip.
@@ -62,6 +66,7 @@ impl Default for RunOptions {
     fn default() -> Self {
         Self {
             robots: Vec::new(),
+            calibrations: Vec::new(),
             base: None,
             tip: None,
             stamp: Clock::Header,
@@ -131,6 +136,7 @@ impl Run {
         settled.reason = format!("{}; {verdict}", settled.reason);
         if !is_pose {
             (settled.arm, settled.reference, settled.link) = (None, None, None);
+            settled.witness = None;
             for arm in &mut self.arms {
                 arm.poses.retain(|source| source.stream != stream);
             }

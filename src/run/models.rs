@@ -3,9 +3,9 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use crate::robot::{LinkId, Robot, catalogue};
+use crate::robot::{Calibration, LinkId, Robot, catalogue};
 
-use super::declaration::RobotSource;
+use super::declaration::{CalibrationSource, RobotSource};
 use super::error::RunError;
 use super::skeleton::is_own;
 
@@ -30,6 +30,12 @@ pub(super) struct Given {
     prefix: Option<String>,
 }
 
+/// A calibration that the caller named, and what the joints of its arm start with in the log.
+pub(super) struct GivenCalibration {
+    calibration: Calibration,
+    prefix: Option<String>,
+}
+
 /// What the log says of its robots.
 pub(super) struct Clues<'a> {
     /// Joints with at least one sample, in the order in which they appear.
@@ -38,6 +44,8 @@ pub(super) struct Clues<'a> {
     pub frames: &'a BTreeSet<String>,
     /// Robot descriptions, each with the name of where it was.
     pub descriptions: &'a [(String, String)],
+    /// Calibrations of a UR, each with the name of where it was.
+    pub calibrations: &'a [(String, String)],
 }
 
 /// Reads the robots that the caller named.
@@ -49,6 +57,71 @@ pub(super) fn given(sources: &[RobotSource]) -> Result<Vec<Given>, RunError> {
         .iter()
         .map(|source| Ok(Given { robot: load(&source.model)?, prefix: source.prefix.clone() }))
         .collect()
+}
+
+/// Reads the calibrations that the caller named.
+///
+/// # Errors
+/// Where one is no calibration.
+pub(super) fn given_calibrations(
+    sources: &[CalibrationSource],
+) -> Result<Vec<GivenCalibration>, RunError> {
+    let read = |source: &CalibrationSource| {
+        let calibration = Calibration::from_file(&source.file).map_err(RunError::Calibration)?;
+        Ok(GivenCalibration { calibration, prefix: source.prefix.clone() })
+    };
+    sources.iter().map(read).collect()
+}
+
+/// Lays the calibrations that the caller `given` over the models or, where there are none, those
+/// that the log holds.
+///
+/// # Errors
+/// Where one of the caller's is of no arm of the log, or could be of several. What travelled in the
+/// log is left out then, and that is said.
+pub(super) fn calibrate(
+    models: &mut [Model],
+    given: &[GivenCalibration],
+    clues: &Clues<'_>,
+) -> Result<(), RunError> {
+    for GivenCalibration { calibration, prefix } in given {
+        overlay(models, calibration, prefix.as_deref())?;
+    }
+    if !given.is_empty() {
+        return Ok(());
+    }
+    for (place, text) in clues.calibrations {
+        let read = Calibration::from_text(text, place).map_err(RunError::Calibration);
+        if let Err(error) = read.and_then(|calibration| overlay(models, &calibration, None)) {
+            for model in models.iter_mut() {
+                model.found += &format!("; a calibration in the log is left out: {}", error.what());
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Lays `calibration` over the one UR whose joints start with `prefix`.
+fn overlay(
+    models: &mut [Model],
+    calibration: &Calibration,
+    prefix: Option<&str>,
+) -> Result<(), RunError> {
+    let urs = models.iter().enumerate().flat_map(|(model, of)| {
+        of.robot.ur_prefixes().into_iter().map(move |prefix| (model, prefix))
+    });
+    let meant = |(_, of): &(usize, String)| prefix.is_none_or(|prefix| of.starts_with(prefix));
+    let urs: Vec<(usize, String)> = urs.filter(meant).collect();
+    let [(model, prefix)] = urs.as_slice() else {
+        return Err(RunError::CalibrationOf {
+            source: calibration.source.clone(),
+            prefixes: urs.into_iter().map(|(_, prefix)| prefix).collect(),
+        });
+    };
+    let model = &mut models[*model];
+    model.robot = model.robot.calibrated(prefix, calibration).map_err(RunError::Calibration)?;
+    model.found += &format!(", with the calibration {}", calibration.label());
+    Ok(())
 }
 
 fn load(model: &str) -> Result<Robot, RunError> {
@@ -313,13 +386,16 @@ mod tests {
         "wrist_3_joint",
     ];
 
+    const NO_CLUES: Clues<'static> =
+        Clues { joints: &[], frames: &BTreeSet::new(), descriptions: &[], calibrations: &[] };
+
     fn prefixed(prefix: &str) -> Vec<String> {
         UR.iter().map(|name| format!("{prefix}{name}")).collect()
     }
 
     fn ur5e(joints: &[String], frames: &[&str]) -> Result<Vec<Model>, RunError> {
         let frames = frames.iter().map(|&frame| frame.to_owned()).collect();
-        let clues = Clues { joints, frames: &frames, descriptions: &[] };
+        let clues = Clues { joints, frames: &frames, ..NO_CLUES };
         models(given(&["ur5e".into()])?, &clues, |_, _| None)
     }
 
@@ -358,7 +434,7 @@ mod tests {
     #[test]
     fn of_catalogue_arms_with_the_same_joints_the_closest_is_taken_and_said() {
         let joints = prefixed("");
-        let clues = Clues { joints: &joints, frames: &BTreeSet::new(), descriptions: &[] };
+        let clues = Clues { joints: &joints, frames: &BTreeSet::new(), ..NO_CLUES };
         let misfit =
             |robot: &Robot, _: &FrameNames| Some(if robot.name == "ur10e" { 1e-4 } else { 0.1 });
         let found = models(Vec::new(), &clues, misfit).unwrap();
@@ -371,7 +447,7 @@ mod tests {
     #[test]
     fn common_names_behind_a_strange_prefix_are_not_enough() {
         let joints: Vec<String> = (1..=7).map(|i| format!("iiwa_joint_{i}")).collect();
-        let clues = Clues { joints: &joints, frames: &BTreeSet::new(), descriptions: &[] };
+        let clues = Clues { joints: &joints, frames: &BTreeSet::new(), ..NO_CLUES };
         let error = models(Vec::new(), &clues, |_, _| Some(0.2)).unwrap_err();
         assert!(matches!(error, RunError::NoModel { .. }), "{error}");
     }
@@ -384,7 +460,71 @@ mod tests {
 
     #[test]
     fn what_is_neither_file_nor_name_is_said_with_its_neighbours() {
-        let text = given(&["ur5f".into()]).err().map(|error| error.to_string()).unwrap();
-        assert!(text.contains("did you mean 'ur5"), "{text}");
+        for (name, meant) in [
+            ("ur5f", "'ur5'"),
+            ("iiwa14", "'kuka_lbr_iiwa14'"),
+            ("fer", "'franka_fer'"),
+            ("xarm6", "'ufactory_xarm6'"),
+            ("iiwa_14", "'kuka_lbr_iiwa14'"),
+        ] {
+            let text = given(&[name.into()]).err().map(|error| error.to_string()).unwrap();
+            assert!(text.contains("did you mean ") && text.contains(meant), "{name}: {text}");
+        }
+    }
+
+    const CALIBRATION: &str = "\
+kinematics:
+  shoulder: {x: 0, y: 0, z: 0.1627, roll: 0, pitch: 0, yaw: 0}
+  upper_arm: {x: 0.0001, y: 0, z: 0, roll: 1.5706, pitch: 0, yaw: 0}
+  forearm: {x: -0.4254, y: 0, z: 0, roll: 0.0009, pitch: 0.0022, yaw: 0}
+  wrist_1: {x: -0.3926, y: 0, z: 0.1339, roll: 0, pitch: -0.0012, yaw: 0}
+  wrist_2: {x: 0.0001, y: -0.0997, z: 0.0001, roll: 1.5694, pitch: 0, yaw: 0}
+  wrist_3: {x: 0, y: 0.0996, z: 0.0001, roll: 1.5716, pitch: 3.14159265, yaw: -3.14159262}
+  hash: calib_1";
+
+    fn height_of_shoulder(model: &Model, prefix: &str) -> f64 {
+        let joint = model.robot.joint(&format!("{prefix}shoulder_pan_joint")).unwrap();
+        joint.parent_from_joint.translation.z
+    }
+
+    #[test]
+    fn a_calibration_in_the_log_is_laid_over_the_ur() {
+        let joints = prefixed("");
+        let found = [("arm.yaml".to_owned(), CALIBRATION.to_owned())];
+        let clues = Clues { joints: &joints, calibrations: &found, ..NO_CLUES };
+        let mut models = models(given(&["ur5e".into()]).unwrap(), &clues, |_, _| None).unwrap();
+        calibrate(&mut models, &[], &clues).unwrap();
+        assert_eq!(height_of_shoulder(&models[0], ""), 0.1627);
+        assert!(models[0].found.ends_with("with the calibration arm.yaml (calib_1)"));
+    }
+
+    #[test]
+    fn a_calibration_in_the_log_that_is_of_another_arm_is_left_out_and_said() {
+        let joints = prefixed("");
+        let found = [("arm.yaml".to_owned(), CALIBRATION.to_owned())];
+        let clues = Clues { joints: &joints, calibrations: &found, ..NO_CLUES };
+        let mut models = models(given(&["ur10e".into()]).unwrap(), &clues, |_, _| None).unwrap();
+        calibrate(&mut models, &[], &clues).unwrap();
+        assert_eq!(height_of_shoulder(&models[0], ""), 0.1807);
+        assert!(models[0].found.contains("is left out"), "{}", models[0].found);
+    }
+
+    #[test]
+    fn of_two_arms_the_prefix_says_whose_calibration_it_is() {
+        let joints = [prefixed("left_"), prefixed("right_")].concat();
+        let both = || ur5e(&joints, &[]).unwrap();
+        let calibration = || Calibration::from_text(CALIBRATION, "arm.yaml").unwrap();
+        let named = |prefix: Option<&str>| {
+            let prefix = prefix.map(str::to_owned);
+            [GivenCalibration { calibration: calibration(), prefix }]
+        };
+        let mut models = both();
+        calibrate(&mut models, &named(Some("right_")), &NO_CLUES).unwrap();
+        assert_eq!(height_of_shoulder(&models[0], "left_"), 0.1625);
+        assert_eq!(height_of_shoulder(&models[1], "right_"), 0.1627);
+        let error = calibrate(&mut both(), &named(None), &NO_CLUES).unwrap_err().to_string();
+        assert!(error.contains("'left_', 'right_'") && error.contains("PREFIX="), "{error}");
+        let error = calibrate(&mut both(), &named(Some("x_")), &NO_CLUES).unwrap_err().to_string();
+        assert!(error.starts_with("arm.yaml: no arm of the log"), "{error}");
     }
 }

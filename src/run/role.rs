@@ -258,19 +258,19 @@ pub(super) fn array_role(topic: &str, width: usize, is_declared: bool) -> Verdic
     (Role::Candidate { presumed: false }, format!("{width} numbers a row may be a pose"))
 }
 
-fn driver_of(topic_words: &[String]) -> Option<&'static str> {
+pub(super) fn driver_of(topic_words: &[String]) -> Option<&'static str> {
     let has =
         |sequence: &[&str]| topic_words.windows(sequence.len()).any(|window| window == sequence);
     DRIVERS.iter().find(|(sequence, _)| has(sequence)).map(|(_, driver)| *driver)
 }
 
-fn shared(words: &[String], known: &[&'static str]) -> Option<&'static str> {
+pub(super) fn shared(words: &[String], known: &[&'static str]) -> Option<&'static str> {
     known.iter().copied().find(|known| words.iter().any(|word| word == known))
 }
 
 /// The words of a topic or frame, in lower case: cut at everything that is no letter or digit, and
 /// where a capital follows a small letter.
-fn words(name: &str) -> Vec<String> {
+pub(super) fn words(name: &str) -> Vec<String> {
     let mut words: Vec<String> = Vec::new();
     let mut last = '/';
     for c in name.chars() {

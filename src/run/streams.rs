@@ -7,6 +7,7 @@ use crate::time::{Clock, Stamp};
 use super::clock::{self, Source, StreamClock};
 use super::role::{Role, plain_role};
 use super::tf_tree::without_slash;
+use super::witness::Witness;
 
 /// One stream, the part it plays, and why.
 #[derive(Clone, Debug)]
@@ -29,6 +30,8 @@ pub struct Stream {
     pub reference: Option<String>,
     /// The link whose pose it is taken to be, or that carries the IMU.
     pub link: Option<String>,
+    /// Whose word its poses are, or its readings; `None` where it has none that an audit uses.
+    pub witness: Option<Witness>,
     /// Messages; of a topic with several poses the rows of this one.
     pub count: u64,
     /// What of them was dropped: not decodable, of wrong length, not finite, without a stamp.
@@ -117,6 +120,7 @@ fn of_topic(topic: Topic) -> Vec<Stream> {
         child_frame_id: String::new(),
         reference: None,
         link: None,
+        witness: None,
         count: topic.messages,
         dropped: undecodable,
         rate_hz: None,

@@ -22,6 +22,7 @@ use std::io::{Seek, Write};
 
 use mcap::records::MessageHeader;
 use mcap::{Compression, McapError, WriteOptions};
+use nalgebra::Matrix3;
 
 use crate::geometry::{
     Convention, Misreading, Pose, QuaternionSlip, Vec3, pose, rotation_from_rotvec,
@@ -184,8 +185,15 @@ pub struct ImuStream {
     pub world_yaw_rad: f64,
     /// By how much the logged yaw runs ahead of the true one, rad/s about the base's z axis.
     pub yaw_drift_rad_s: f64,
+    /// When the logged yaw jumps, s after the start, and by how much, rad.
+    pub yaw_jumps: Vec<(f64, f64)>,
+    /// Density of a random walk of the logged yaw, rad/√s.
+    pub yaw_walk_rad_rt_s: f64,
     /// Bias of the gyro in its own frame, rad/s.
     pub gyro_bias_rad_s: Vec3,
+    /// What the gyro makes of true rates before the bias: 1 on the diagonal where the scale is right,
+    /// 0 beside it where the axes are square.
+    pub gyro_from_rate: Matrix3<f64>,
     /// What became of the orientation on its way into the log.
     pub coding: Coding,
 }
@@ -262,7 +270,10 @@ impl Scenario {
                 with_orientation: true,
                 world_yaw_rad: 0.6,
                 yaw_drift_rad_s: 0.0,
+                yaw_jumps: Vec::new(),
+                yaw_walk_rad_rt_s: 0.0,
                 gyro_bias_rad_s: Vec3::zeros(),
+                gyro_from_rate: Matrix3::identity(),
                 coding: Coding::Faithful,
             },
             description: true,

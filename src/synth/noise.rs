@@ -63,6 +63,7 @@ pub(super) enum Purpose {
     TfTransport,
     ImuNoise,
     ImuTransport,
+    ImuWalk,
 }
 
 /// The random numbers of `purpose`.

@@ -5,7 +5,7 @@ use rand::RngExt;
 use super::messages::{self, LoggedImu, LoggedPose, LoggedTransform, Topic};
 use super::noise::{Purpose, UnitNoise, random};
 use super::truth::{GRAVITY, Truth};
-use super::{Coding, IMU_FRAME, JointStream, START, Scenario, Timing, urdf_text};
+use super::{Coding, IMU_FRAME, ImuStream, JointStream, START, Scenario, Timing, urdf_text};
 use crate::geometry::{
     Pose, QuaternionSlip, Rotation, Vec3, pose, rotation_from_rotvec, xyz_of, xyzw_from_rotation,
 };
@@ -130,16 +130,20 @@ fn imu_samples(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let stream = &scenario.imu;
     let tip_from_imu = stream.tip_from_imu * stream.mount_error;
     let mut noise = scenario.unit_noise(Purpose::ImuNoise, 9);
+    let mut walk = UnitNoise::new(random(scenario.seed, Purpose::ImuWalk), 1, 0.0);
+    let step_rad = stream.yaw_walk_rad_rt_s / stream.timing.rate_hz.sqrt();
+    let mut wandered_rad = 0.0;
     let ticks = scenario.ticks(&stream.timing, Purpose::ImuTransport);
     ticks
         .map(|tick| {
             let noise = noise.next();
+            wandered_rad += step_rad * walk.next()[0];
             let scaled =
                 |at: usize, sigma: f64| sigma * Vec3::from_column_slice(&noise[at..at + 3]);
             let base_from_imu = (truth.base_from_tip(tick.time_s) * tip_from_imu).rotation;
             let imu_from_base = base_from_imu.inverse();
             let acceleration = truth.acceleration(tick.time_s, &tip_from_imu);
-            let yaw_rad = stream.world_yaw_rad + stream.yaw_drift_rad_s * tick.time_s;
+            let yaw_rad = stream.yaw_rad(tick.time_s) + wandered_rad;
             let world_from_base = rotation_from_rotvec(Vec3::z() * yaw_rad);
             let world_from_imu = world_from_base
                 * base_from_imu
@@ -147,7 +151,8 @@ fn imu_samples(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
             let orientation = stream.coding.logged(&pose([0.0; 3], world_from_imu));
             let sample = LoggedImu {
                 orientation_xyzw: stream.with_orientation.then_some(orientation.xyzw),
-                gyro: imu_from_base * truth.angular_velocity(tick.time_s)
+                gyro: stream.gyro_from_rate
+                    * (imu_from_base * truth.angular_velocity(tick.time_s))
                     + stream.gyro_bias_rad_s
                     + scaled(3, scenario.noise.gyro_rad_s),
                 specific_force: imu_from_base * (acceleration + GRAVITY * Vec3::z())
@@ -226,6 +231,16 @@ impl JointStream {
             }
             _ => (0..numbers.len()).map(in_unit).collect(),
         }
+    }
+}
+
+impl ImuStream {
+    /// Yaw of the base in the IMU's world as logged, without its random walk.
+    fn yaw_rad(&self, time_s: f64) -> f64 {
+        let jumped = self.yaw_jumps.iter().filter(|(at_s, _)| time_s > *at_s);
+        self.world_yaw_rad
+            + self.yaw_drift_rad_s * time_s
+            + jumped.map(|(_, size_rad)| size_rad).sum::<f64>()
     }
 }
 

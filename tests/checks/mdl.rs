@@ -1,11 +1,17 @@
 //! MDL: what no modelled cause explains.
 
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::Path;
+
+use poseaudit::geometry::{Pose, xyz_of};
 use poseaudit::robot::Robot;
-use poseaudit::synth::{POSE, Scenario, urdf_text};
+use poseaudit::run::CalibrationSource;
+use poseaudit::synth::{Coding, Noise, POSE, Scenario, urdf_text};
 
 use crate::case::On::Topic;
 use crate::case::What::ResidualBetween;
-use crate::case::{Expected, cases, error, info};
+use crate::case::{Expected, Log, cases, error, info, summary, the};
 use Expected::{BlamedOn, Skipped, Sound, Undecided};
 
 cases! {
@@ -17,6 +23,10 @@ cases! {
         alter(&mut log.run, "elbow_joint", [0.06, 0.0, 0.0, 0.0, 0.0, 0.0]);
     } => error(Topic(POSE), ResidualBetween(0.01, 0.1));
 
+    MDL001 the_arms_own_calibration_leaves_nothing: |log| {
+        calibrate(&mut log.run);
+        log.options.calibrations = vec![calibration_file(&log.run.robot)];
+    } => Sound;
     MDL001 a_tenth_of_a_millimetre_of_link_is_sound: |log| {
         alter(&mut log.run, "wrist_1_joint", [1e-4, 0.0, 0.0, 0.0, 0.0, 0.0]);
     } => Sound;
@@ -50,6 +60,80 @@ pub fn calibrate(run: &mut Scenario) {
     alter(run, "wrist_1_joint", [-0.9e-3, 0.3e-3, -0.6e-3, -0.7e-3, 0.9e-3, 0.0]);
     alter(run, "wrist_2_joint", [0.2e-3, 0.5e-3, -0.3e-3, 1.0e-3, 0.0, 0.4e-3]);
     alter(run, "wrist_3_joint", [-0.3e-3, 0.6e-3, 0.2e-3, -0.8e-3, 0.3e-3, 0.0]);
+}
+
+/// Writes the calibration of a UR as `ur_calibration` does.
+fn calibration_file(robot: &Robot) -> CalibrationSource {
+    const BLOCKS: [(&str, &str); 6] = [
+        ("shoulder", "shoulder_pan_joint"),
+        ("upper_arm", "shoulder_lift_joint"),
+        ("forearm", "elbow_joint"),
+        ("wrist_1", "wrist_1_joint"),
+        ("wrist_2", "wrist_2_joint"),
+        ("wrist_3", "wrist_3_joint"),
+    ];
+    let mut text = "kinematics:\n".to_owned();
+    for (block, joint) in BLOCKS {
+        let origin = robot.joint(joint).expect(joint).parent_from_joint;
+        let [x, y, z] = xyz_of(&origin);
+        let (roll, pitch, yaw) = origin.rotation.euler_angles();
+        text += &format!(
+            "  {block}:\n    x: {x}\n    y: {y}\n    z: {z}\n    \
+             roll: {roll}\n    pitch: {pitch}\n    yaw: {yaw}\n"
+        );
+    }
+    text += "  hash: calib_1234567890\n";
+    let file = Path::new(env!("CARGO_TARGET_TMPDIR")).join("calibration.yaml");
+    fs::write(&file, text).expect("the tests may write there");
+    CalibrationSource { prefix: None, file }
+}
+
+#[test]
+fn a_calibration_is_said_in_the_robots_source() {
+    let report = Log::with(|log| {
+        calibrate(&mut log.run);
+        log.options.calibrations = vec![calibration_file(&log.run.robot)];
+    })
+    .audited();
+    let source = &report.robots[0].source;
+    assert!(source.ends_with("calibration.yaml (calib_1234567890)"), "{source}");
+    assert_eq!(
+        report.streams.iter().find(|s| s.topic == POSE).unwrap().witness,
+        Some("controller")
+    );
+}
+
+#[test]
+fn nominal_kinematics_beside_a_late_inverted_pose_are_still_nominal() {
+    let report = Log::with(|log| {
+        calibrate(&mut log.run);
+        log.run.pose.timing.latency_s = 0.02;
+        log.run.pose.coding = Coding::Inverted;
+    })
+    .audited();
+    let codes: BTreeSet<&str> = report.findings.iter().map(|finding| finding.code).collect();
+    assert_eq!(codes, ["LAT001", "MDL001", "ORD003"].into(), "{}", summary(&report.findings));
+}
+
+#[test]
+fn a_tool_and_growth_are_no_calibration_however_noisy_the_tracker() {
+    let report = Log::with(|log| {
+        log.run.noise = Noise { pose_m: 2e-4, pose_rad: 4e-4, ..log.run.noise };
+        log.run.pose.tip_from_stream = Pose::translation(0.0, 0.003, -0.002);
+        log.run.pose.growth = 0.004;
+        log.run.pose.coding = Coding::Inverted;
+        log.run.pose.timing.rate_hz = 50.0;
+    })
+    .audited();
+    let codes: BTreeSet<&str> = report.findings.iter().map(|finding| finding.code).collect();
+    assert_eq!(codes, ["FRM003", "ORD003", "ZER002"].into(), "{}", summary(&report.findings));
+}
+
+#[test]
+fn the_catalogue_arm_that_fits_is_named_beside_a_model_that_does_not() {
+    let report = Log::with(|log| log.options.robots = vec!["ur10e".into()]).audited();
+    let message = &the(&report, "MDL001", POSE).message;
+    assert!(message.contains("the catalogue's ur5e fits to"), "{message}");
 }
 
 /// Moves the origin of a joint by x, y, z (m) and roll, pitch, yaw (rad). The log tells neither the

@@ -1,5 +1,6 @@
 //! YAW: the heading of an IMU.
 
+use nalgebra::Matrix3;
 use poseaudit::geometry::{
     Pose, Rotation, Vec3, pose, rotation_from_rotvec, rotation_from_xyzw, xyzw_from_rotation,
 };
@@ -7,7 +8,7 @@ use poseaudit::synth::{IMU, Motion};
 
 use crate::case::On::Topic;
 use crate::case::What::{Amount, Degrees, DegreesAMinute};
-use crate::case::{Expected, Log, cases, error, warning};
+use crate::case::{Expected, Log, cases, error, summary, the, warning};
 use crate::recording::{Field, Message};
 use Expected::{BlamedOn, Skipped, Sound, Undecided};
 
@@ -21,6 +22,18 @@ cases! {
             pose([0.0, 0.05, 0.0], rotation_from_rotvec(Vec3::new(1.2, 0.3, -0.8)));
         log.run.imu.yaw_drift_rad_s = degrees_a_minute(2.5);
     } => error(Topic(IMU), DegreesAMinute(2.5, 0.1));
+
+    YAW001 a_magnet_that_passes: |log| log.run.imu.yaw_jumps = vec![(3.3, -2.5_f64.to_radians())]
+        => error(Topic(IMU), Degrees(-2.5, 0.1));
+    YAW001 a_small_jump: |log| log.run.imu.yaw_jumps = vec![(5.1, 0.8_f64.to_radians())]
+        => warning(Topic(IMU), Degrees(0.8, 0.1));
+    YAW001 a_jump_of_a_tenth_of_a_degree_is_sound: |log| {
+        log.run.imu.yaw_jumps = vec![(4.0, 0.1_f64.to_radians())];
+    } => Sound;
+    YAW001 a_yaw_that_wanders: |log| {
+        log.run.duration_s = 20.0;
+        log.run.imu.yaw_walk_rad_rt_s = 0.2_f64.to_radians();
+    } => Undecided("the yaw wanders by 0.2");
 
     YAW001 a_yaw_that_is_constant_is_sound: |log| log.run.imu.world_yaw_rad = -2.2 => Sound;
     YAW001 a_twentieth_of_a_degree_a_minute_is_sound: |log| {
@@ -55,6 +68,9 @@ cases! {
     } => Sound;
     YAW002 a_drift_of_yaw_is_no_tilt: |log| log.run.imu.yaw_drift_rad_s = degrees_a_minute(3.0)
         => BlamedOn("YAW001");
+    YAW002 a_jump_of_yaw_is_no_tilt: |log| {
+        log.run.imu.yaw_jumps = vec![(3.3, 10_f64.to_radians())];
+    } => BlamedOn("YAW001");
     YAW002 a_turned_mount_is_no_tilt: |log| log.run.imu.mount_error = turned(3.0)
         => BlamedOn("YAW003");
     YAW002 a_late_imu_is_no_tilt: |log| log.run.imu.timing.latency_s = 0.02
@@ -78,6 +94,16 @@ cases! {
     YAW003 a_misread_imu_is_no_mount: |log| {
         log.run.imu.coding = crate::ord::misread("euler:ZYX", "euler:xyz");
     } => BlamedOn("ORD001");
+    YAW003 a_jump_of_yaw_is_no_mount: |log| {
+        log.run.imu.yaw_jumps = vec![(5.1, -10_f64.to_radians())];
+    } => BlamedOn("YAW001");
+    YAW003 a_misread_imu_is_no_turned_and_leaning_one: |log| {
+        log.run.imu.coding = crate::ord::misread("euler:zyz", "euler:yzy");
+    } => BlamedOn("ORD001");
+    YAW003 a_gyros_scale_is_no_mount: |log| {
+        log.run.imu.gyro_from_rate = askew();
+        log.run.imu.with_orientation = false;
+    } => Sound;
     YAW003 a_gyros_bias_is_no_mount: |log| log.run.imu.gyro_bias_rad_s = bias()
         => BlamedOn("YAW004");
     YAW003 no_imu_to_mount: |log| log.run.imu.timing.rate_hz = 0.0 => Skipped("no IMU");
@@ -97,6 +123,12 @@ cases! {
     YAW004 a_drift_of_the_orientation_is_no_bias: |log| {
         log.run.imu.yaw_drift_rad_s = degrees_a_minute(3.0);
     } => BlamedOn("YAW001");
+    YAW004 a_gyros_scale_is_no_bias: |log| log.run.imu.gyro_from_rate = askew() => Sound;
+    YAW004 a_gyro_beside_noisy_joints: |log| {
+        log.run.duration_s = 20.0;
+        (log.run.noise.joints, log.run.joints.with_velocity) = (5e-4, false);
+        log.run.imu.gyro_bias_rad_s = bias() * 0.2;
+    } => warning(Topic(IMU), Amount(0.2 * BIAS_RAD_S, 1e-3));
     YAW004 a_late_imu_is_no_bias: |log| log.run.imu.timing.latency_s = 0.02
         => BlamedOn("LAT001");
     YAW004 a_turned_mount_is_no_bias: |log| log.run.imu.mount_error = turned(20.0)
@@ -109,6 +141,12 @@ const BIAS_RAD_S: f64 = 0.03;
 
 fn bias() -> Vec3 {
     Vec3::new(0.01, -0.02, 0.02)
+}
+
+/// A gyro that reads 3 % too much about x, 2 % too little about z, and whose axes x and y lean
+/// towards each other by 0.01 rad each.
+fn askew() -> Matrix3<f64> {
+    Matrix3::new(1.03, 0.01, 0.0, 0.01, 1.0, 0.0, 0.0, 0.0, 0.98)
 }
 
 /// A mount turned about an axis of its own.
@@ -163,4 +201,57 @@ fn a_drift_shows_while_the_arm_rests() {
     let found: Vec<&str> = report.findings.iter().map(|finding| finding.code).collect();
     assert_eq!(found, ["YAW001"]);
     DegreesAMinute(3.0, 0.1).assert_is(report.findings[0].estimate.as_ref());
+}
+
+#[test]
+fn a_jump_says_when_and_leaves_the_drift_beside_it() {
+    let report = Log::with(|log| {
+        log.run.imu.yaw_jumps = vec![(3.3, 3_f64.to_radians())];
+        log.run.imu.yaw_drift_rad_s = degrees_a_minute(6.0);
+    })
+    .audited();
+    let [drift, jump] = report.findings.as_slice() else {
+        panic!("a drift and a jump were expected:\n{}", summary(&report.findings))
+    };
+    DegreesAMinute(6.0, 0.3).assert_is(drift.estimate.as_ref());
+    Degrees(3.0, 0.1).assert_is(jump.estimate.as_ref());
+    assert_eq!([&drift.evidence.more["kind"], &jump.evidence.more["kind"]], ["drift", "jump"]);
+    let at_s = jump.evidence.more["jumps"][0]["at_s"].as_f64().expect("a time");
+    assert!((at_s - 3.3).abs() < 0.1, "{at_s}");
+}
+
+#[test]
+fn a_walk_says_its_density() {
+    let density = 0.3_f64.to_radians();
+    let report = Log::with(|log| {
+        log.run.duration_s = 30.0;
+        log.run.imu.yaw_walk_rad_rt_s = density;
+    })
+    .audited();
+    assert!(report.findings.is_empty(), "{}", summary(&report.findings));
+    let row = report.checks.iter().find(|row| row.code == "YAW001").expect("a row");
+    assert_eq!(row.evidence["kind"], "random-walk");
+    let found = row.evidence["walk_rad_rt_s"].as_f64().expect("a density");
+    assert!((0.7..1.4).contains(&(found / density)), "{found} is not {density}");
+}
+
+#[test]
+fn a_gyros_scale_and_misalignment_are_said() {
+    let report = Log::with(|log| {
+        log.run.imu.gyro_from_rate = askew();
+        log.run.imu.gyro_bias_rad_s = bias();
+    })
+    .audited();
+    let found = the(&report, "YAW004", IMU);
+    Amount(BIAS_RAD_S, 0.5e-3).assert_is(found.estimate.as_ref());
+    let shape = |key: &str| -> Vec<f64> {
+        let entries = found.evidence.more[key].as_array().expect("three numbers");
+        entries.iter().map(|entry| entry["value"].as_f64().expect("a number")).collect()
+    };
+    let near = |found: Vec<f64>, planted: [f64; 3]| {
+        let off = found.iter().zip(planted).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(off < 1e-3, "{found:?} is not {planted:?}");
+    };
+    near(shape("scale"), [0.03, 0.0, -0.02]);
+    near(shape("misalignment_rad"), [0.0, 0.0, 0.01]);
 }

@@ -70,10 +70,28 @@ pub fn find(name: &str) -> Option<&'static Robot> {
     entries().iter().find(|robot| robot.name == wanted || robot.aliases.contains(&wanted))
 }
 
-/// Up to three names or aliases that a misspelt `name` may mean, nearest first.
+/// Up to three names or aliases that a misspelt or shortened `name` may mean, nearest first: those
+/// that contain it, else those that come near as a whole or without their maker's name.
 pub fn nearest_names(name: &str) -> Vec<&'static str> {
-    let aliases = entries().iter().flat_map(|robot| &robot.aliases).map(String::as_str);
-    nearest(&normalised(name), names().chain(aliases))
+    let wanted = normalised(name);
+    let aliases = || entries().iter().flat_map(|robot| &robot.aliases).map(String::as_str);
+    let known = || names().chain(aliases());
+    let is_part = |known: &&str| wanted.len() > 1 && known.contains(wanted.as_str());
+    let mut longer: Vec<&str> = known().filter(is_part).collect();
+    longer.sort_by_key(|known| known.len());
+    longer.truncate(3);
+    if !longer.is_empty() {
+        return longer;
+    }
+    let whole = nearest(&wanted, known());
+    if !whole.is_empty() {
+        return whole;
+    }
+    let model = |known: &'static str| known.rsplit('_').next().unwrap_or(known);
+    let near = nearest(&wanted, known().map(model));
+    let mut meant: Vec<&str> = known().filter(|known| near.contains(&model(known))).collect();
+    meant.truncate(3);
+    meant
 }
 
 /// The arms of which at least half the joints are among the `logged` names, best first.

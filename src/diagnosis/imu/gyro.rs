@@ -1,0 +1,318 @@
+//! The gyro against the rate of the link: `gyro = (1 + shape) · link_from_imu⁻¹ · ω(s − τ) + bias`.
+//!
+//! FK knows orientations and not rates: a rate that is differentiated from noisy joints is as noisy
+//! as their noise over a sample's time. So the gyro is integrated over windows and held against how
+//! far FK turned between their ends (preintegration: Forster et al., "On-manifold preintegration",
+//! IEEE T-RO 2017, with its first-order derivatives). A window is as short as the joints' noise
+//! allows, since a short one tells more of latency and mount.
+
+use super::super::latency::median_period_s;
+use super::super::linear::Linear;
+use super::super::measured::Length;
+use super::super::reading::wahba;
+use super::super::{GyroBias, GyroShape, Measured, Seen, Unseen};
+use super::solve::{Model, Solved, solve};
+use super::{Link, NEED};
+use crate::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
+use nalgebra::{DVector, Matrix3};
+use std::ops::RangeInclusive;
+
+/// Gyro noise below this is no statistics, rad/s.
+const FLOOR_RAD_S: f64 = 1e-6;
+/// The shortest window, s, and the fewest samples in one.
+const WINDOW_S: f64 = 0.1;
+const WINDOW_PERIODS: f64 = 4.0;
+/// Windows that are fitted.
+const FIT_WINDOWS: usize = 2500;
+/// Neighbouring windows share the error of FK at their common end with opposite signs. Where their
+/// residuals are correlated by less than this, that error is what they are made of.
+const SHARED_END: f64 = -0.2;
+/// A gyro's shape is believed below this chance …
+const SHAPE_CHANCE: f64 = 1e-4;
+/// … and from this size on, as a share.
+const SHAPE: f64 = 1e-3;
+
+/// What a fit of angular rates gives.
+pub(super) struct GyroFit {
+    pub latency_s: Seen<Measured>,
+    pub bias: Seen<GyroBias>,
+    pub mount_rad: Seen<Length>,
+    pub link_from_imu: Rotation,
+}
+
+impl Link<'_> {
+    pub(super) fn fit_gyro(&self, lag_s: f64, moves: bool) -> Seen<GyroFit> {
+        let period_s = median_period_s(&self.stream.track.t_s);
+        let mut window_s = WINDOW_S.max(WINDOW_PERIODS * period_s);
+        let mut model = GyroModel {
+            link: self,
+            windows: self.windows(window_s, lag_s),
+            latency_s: lag_s,
+            link_from_imu: self.first_mount(lag_s, moves),
+            bias_rad_s: Vec3::zeros(),
+            shape: Matrix3::zeros(),
+        };
+        if model.windows.len() < NEED {
+            return Err(Unseen::TooFewSamples { have: model.windows.len(), need: NEED });
+        }
+        let mut free: Vec<usize> = GyroModel::BIAS.collect();
+        let mut latency_s = Err(Unseen::AtRest);
+        if moves {
+            free.extend(GyroModel::MOUNT);
+            free.push(GyroModel::LATENCY);
+        }
+        let mut solved = solve(&mut model, &free);
+        if moves {
+            latency_s = solved.one(GyroModel::LATENCY, model.latency_s);
+            free.retain(|&parameter| parameter != GyroModel::LATENCY);
+        }
+        while model.is_made_of_shared_ends() {
+            window_s *= 2.0;
+            let windows = self.windows(window_s, lag_s);
+            if windows.len() < NEED {
+                break;
+            }
+            model.windows = windows;
+            solved = solve(&mut model, &free);
+        }
+        let mut shape = None;
+        if moves {
+            let mut shaped = model.clone();
+            let all: Vec<usize> = free.iter().copied().chain(GyroModel::SHAPE).collect();
+            let with_shape = solve(&mut shaped, &all);
+            if shaped.is_surely_shaped(&with_shape) {
+                (model, solved) = (shaped, with_shape);
+                shape = model.shape(&solved);
+            }
+        }
+        Ok(GyroFit {
+            latency_s,
+            bias: model.bias(&solved, shape),
+            mount_rad: model.mount(&solved),
+            link_from_imu: model.link_from_imu,
+        })
+    }
+
+    /// The mount that best turns the rates of the link to those of the gyro.
+    fn first_mount(&self, lag_s: f64, moves: bool) -> Rotation {
+        if !moves {
+            return self.stream.link_from_imu.map(|pose| pose.rotation).unwrap_or_default();
+        }
+        let track = self.stream.track;
+        let mut sweep = self.sweep();
+        let mut correlation = Matrix3::zeros();
+        for k in (0..track.t_s.len()).step_by(self.stride()) {
+            if let Some(moment) = self.at(track.t_s[k] - lag_s, &mut sweep) {
+                correlation += moment.rotation.inverse() * moment.rate * track.gyro[k].transpose();
+            }
+        }
+        wahba(&correlation)
+    }
+
+    /// Stretches of samples without a gap, at least `window_s` long, whose ends FK covers.
+    fn windows(&self, window_s: f64, lag_s: f64) -> Vec<RangeInclusive<usize>> {
+        /// Periods without a sample that make a gap.
+        const GAP_PERIODS: f64 = 5.0;
+        let t_s = &self.stream.track.t_s;
+        let gap_s = GAP_PERIODS * median_period_s(t_s);
+        let (mut windows, mut start) = (Vec::new(), 0);
+        for k in 1..t_s.len() {
+            if t_s[k] - t_s[k - 1] > gap_s {
+                start = k;
+            } else if t_s[k] - t_s[start] >= window_s {
+                windows.push(start..=k);
+                start = k;
+            }
+        }
+        let mut sweep = self.sweep();
+        windows.retain(|window| {
+            [*window.start(), *window.end()]
+                .into_iter()
+                .all(|k| self.at(t_s[k] - lag_s, &mut sweep).is_some())
+        });
+        let stride = windows.len().div_ceil(FIT_WINDOWS).max(1);
+        windows.into_iter().step_by(stride).collect()
+    }
+}
+
+/// The model of the turns of all windows.
+#[derive(Clone)]
+struct GyroModel<'a> {
+    link: &'a Link<'a>,
+    /// First and last sample of each window.
+    windows: Vec<RangeInclusive<usize>>,
+    latency_s: f64,
+    link_from_imu: Rotation,
+    bias_rad_s: Vec3,
+    /// Symmetric: scale errors on the diagonal, misalignment of the axes beside it. What is not
+    /// symmetric is a rotation, and the mount's.
+    shape: Matrix3<f64>,
+}
+
+/// What the gyro says of one window.
+struct Turn {
+    /// The orientation at the first sample from that at the last.
+    first_from_last: Rotation,
+    /// Derivative of the turn, about axes at the last sample, by a change of the rate at all samples.
+    by_rate: Matrix3<f64>,
+    /// The same by each entry of the shape, for one unit of it, with the sign of the rate's error.
+    by_shape: [Vec3; 6],
+    /// Angular rate at the first and last sample, rad/s.
+    rates: [Vec3; 2],
+    duration_s: f64,
+}
+
+impl<'a> GyroModel<'a> {
+    const LATENCY: usize = 0;
+    const MOUNT: std::ops::Range<usize> = 1..4;
+    const BIAS: std::ops::Range<usize> = 4..7;
+    const SHAPE: std::ops::Range<usize> = 7..13;
+    const WIDTH: usize = 13;
+    /// Row and column of each entry of the shape.
+    const ENTRIES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)];
+
+    /// Integrates the gyro over a window by the midpoint rule.
+    fn turn(&self, window: &RangeInclusive<usize>) -> Turn {
+        let track = self.link.stream.track;
+        let undo = (Matrix3::identity() + self.shape).try_inverse().unwrap_or_default();
+        let rate = |k: usize| undo * (track.gyro[k] - self.bias_rad_s);
+        let (first, last) = (*window.start(), *window.end());
+        let mut turn = Turn {
+            first_from_last: Rotation::identity(),
+            by_rate: Matrix3::zeros(),
+            by_shape: [Vec3::zeros(); 6],
+            rates: [rate(first), rate(last)],
+            duration_s: track.t_s[last] - track.t_s[first],
+        };
+        for k in first..last {
+            let dt = track.t_s[k + 1] - track.t_s[k];
+            let omega = 0.5 * (rate(k) + rate(k + 1));
+            let step = rotation_from_rotvec(omega * dt);
+            let back = step.inverse().to_rotation_matrix();
+            // What was turned before the middle of the step is seen from its end.
+            let half_back = rotation_from_rotvec(-0.5 * dt * omega).to_rotation_matrix();
+            turn.first_from_last *= step;
+            turn.by_rate = back * turn.by_rate + half_back.matrix() * undo * dt;
+            for (sum, (row, column)) in turn.by_shape.iter_mut().zip(Self::ENTRIES) {
+                let mut unit = Matrix3::zeros();
+                unit[(row, column)] = 1.0;
+                unit[(column, row)] = 1.0;
+                *sum = back * *sum + half_back * (undo * (unit * omega)) * dt;
+            }
+        }
+        turn
+    }
+
+    /// Whether the residuals of neighbouring windows are each other's opposites.
+    fn is_made_of_shared_ends(&self) -> bool {
+        let linear = self.linearize();
+        let residual = &linear.residual[0];
+        let dot = |a: &[f64; 3], b: &[f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let own: f64 = residual.iter().map(|r| dot(r, r)).sum();
+        let shared: f64 = residual.windows(2).map(|pair| dot(&pair[0], &pair[1])).sum();
+        shared < SHARED_END * own
+    }
+
+    fn shape_entries(&self) -> [f64; 6] {
+        Self::ENTRIES.map(|at| self.shape[at])
+    }
+
+    fn is_surely_shaped(&self, solved: &Solved) -> bool {
+        let entries = self.shape_entries();
+        let all: Vec<usize> = Self::SHAPE.collect();
+        entries.iter().any(|entry| entry.abs() > SHAPE)
+            && solved.chance(&all, &entries).is_ok_and(|chance| chance < SHAPE_CHANCE)
+    }
+
+    fn shape(&self, solved: &Solved) -> Option<GyroShape> {
+        let entries: Vec<Measured> = Self::SHAPE
+            .zip(self.shape_entries())
+            .map(|(parameter, value)| solved.one(parameter, value))
+            .collect::<Seen<_>>()
+            .ok()?;
+        let [x, y, z, yz, xz, xy] = entries.try_into().ok()?;
+        Some(GyroShape { scale: [x, y, z], misalignment_rad: [yz, xz, xy] })
+    }
+
+    fn bias(&self, solved: &Solved, shape: Option<GyroShape>) -> Seen<GyroBias> {
+        let bias: Vec<usize> = Self::BIAS.collect();
+        let length_rad_s = solved.length(&bias, self.bias_rad_s.as_slice())?;
+        let yaw_rate_rad_s = self.yaw_rate();
+        Ok(GyroBias { vector_rad_s: self.bias_rad_s, length_rad_s, yaw_rate_rad_s, shape })
+    }
+
+    fn mount(&self, solved: &Solved) -> Seen<Length> {
+        let known = self.link.stream.link_from_imu;
+        let known = known.ok_or(Unseen::RestsOn("the IMU's frame in the log"))?;
+        let error = rotvec_from_rotation(&(known.rotation.inverse() * self.link_from_imu));
+        let mount: Vec<usize> = Self::MOUNT.collect();
+        solved.length(&mount, error.as_slice())
+    }
+
+    /// Mean rate about the base's z that the bias would feign, rad/s.
+    fn yaw_rate(&self) -> f64 {
+        let mut sweep = self.link.sweep();
+        let t_s = &self.link.stream.track.t_s;
+        let (mut sum, mut count) = (0.0, 0.0);
+        for window in &self.windows {
+            let truth_s = t_s[*window.start()] - self.latency_s;
+            if let Some(moment) = self.link.at(truth_s, &mut sweep) {
+                sum += (moment.rotation * (self.link_from_imu * self.bias_rad_s)).z;
+                count += 1.0;
+            }
+        }
+        if count > 0.0 { sum / count } else { 0.0 }
+    }
+}
+
+impl Model for GyroModel<'_> {
+    /// The residual is that of the mean rate over each window, in the sensor's frame at its end.
+    fn linearize(&self) -> Linear {
+        let mut linear = Linear::new(Self::WIDTH, &[FLOOR_RAD_S]);
+        let mut sweep = self.link.sweep();
+        let t_s = &self.link.stream.track.t_s;
+        for window in &self.windows {
+            let mut moment =
+                |k: usize| self.link.at(t_s[k] - self.latency_s, &mut sweep);
+            let (Some(first), Some(last)) = (moment(*window.start()), moment(*window.end())) else {
+                continue;
+            };
+            let turn = self.turn(window);
+            let by_fk = (first.rotation * self.link_from_imu).inverse()
+                * (last.rotation * self.link_from_imu);
+            let last_from_first = by_fk.inverse();
+            let per_s = 1.0 / turn.duration_s;
+            let too_far = rotvec_from_rotation(&(last_from_first * turn.first_from_last));
+            let mut rows = linear.push(&[(too_far * per_s).into()]);
+            if first.moving || last.moving {
+                // By the gyro's own rates: those of FK share the joints' noise with the residual.
+                let faster = turn.rates[1] - last_from_first * turn.rates[0];
+                rows.set(0, Self::LATENCY, (-faster * per_s).into());
+            }
+            for axis in 0..3 {
+                let unit = Vec3::ith(axis, 1.0);
+                let turned = (unit - last_from_first * unit) * per_s;
+                rows.set(0, Self::MOUNT.start + axis, turned.into());
+                let biased: Vec3 = turn.by_rate.column(axis) * per_s;
+                rows.set(0, Self::BIAS.start + axis, biased.into());
+            }
+            for (column, by_entry) in Self::SHAPE.zip(&turn.by_shape) {
+                rows.set(0, column, (by_entry * per_s).into());
+            }
+        }
+        linear
+    }
+
+    fn apply(&mut self, delta: &DVector<f64>) {
+        let part = |first: usize| Vec3::new(delta[first], delta[first + 1], delta[first + 2]);
+        self.latency_s += delta[Self::LATENCY];
+        self.link_from_imu *= rotation_from_rotvec(part(Self::MOUNT.start));
+        self.bias_rad_s += part(Self::BIAS.start);
+        for (parameter, (row, column)) in Self::SHAPE.zip(Self::ENTRIES) {
+            self.shape[(row, column)] += delta[parameter];
+            if row != column {
+                self.shape[(column, row)] += delta[parameter];
+            }
+        }
+    }
+}

@@ -1,0 +1,92 @@
+//! Gauss–Newton over the free parameters of a model of an IMU.
+
+use super::super::linear::{Linear, Normal, Weight, sandwich};
+use super::super::measured::{Length, joint_p_value};
+use super::super::{Measured, Seen, Unseen};
+use nalgebra::{DMatrix, DVector};
+
+/// A model with parameters, of which some are fitted.
+pub(super) trait Model {
+    /// Residuals and their derivatives at the parameters as they are.
+    fn linearize(&self) -> Linear;
+
+    /// Moves the parameters by `delta`, one entry a column of the design.
+    fn apply(&mut self, delta: &DVector<f64>);
+}
+
+/// Covariance of the parameters that a fit left free.
+pub(super) struct Solved {
+    free: Vec<usize>,
+    covariance: DMatrix<f64>,
+    dof: f64,
+}
+
+/// Fits the parameters `free` of `model`, and leaves the others as they are.
+pub(super) fn solve(model: &mut impl Model, free: &[usize]) -> Solved {
+    /// Steps after which a fit that still moves is left where it is.
+    const STEPS: usize = 8;
+    /// A step this small is the last, in the parameters' own units.
+    const STILL: f64 = 1e-9;
+    let mut left = STEPS;
+    loop {
+        let (delta, solved) = step(&model.linearize(), free);
+        model.apply(&delta);
+        left -= 1;
+        if left == 0 || delta.amax() < STILL {
+            return solved;
+        }
+    }
+}
+
+/// One Gauss–Newton step of `free` on a linearised model, and the covariance there.
+fn step(linear: &Linear, free: &[usize]) -> (DVector<f64>, Solved) {
+    let columns: Vec<usize> = (0..linear.width).collect();
+    let zero = DVector::zeros(linear.width);
+    let mut weights: Vec<Weight> = linear.first_weights();
+    let mut step = zero.clone();
+    let mut normal = Normal::zeros(linear.width);
+    for _ in 0..2 {
+        normal = Normal::zeros(linear.width);
+        linear.accumulate(&weights, &columns, &mut normal);
+        step = normal.step(&zero, free);
+        weights = linear.weights_after(step.as_slice());
+    }
+    let mut sorted = free.to_vec();
+    sorted.sort_unstable();
+    let targets: Vec<Option<usize>> =
+        columns.iter().map(|c| sorted.binary_search(c).ok()).collect();
+    let mut information = DMatrix::zeros(sorted.len(), sorted.len());
+    let mut scores = information.clone();
+    linear.accumulate_covariance(&weights, &targets, &mut information, &mut scores);
+    let covariance = sandwich(&information, &scores);
+    let dof = (normal.independent - sorted.len() as f64).max(3.0);
+    (step, Solved { free: sorted, covariance, dof })
+}
+
+impl Solved {
+    /// A parameter that the fit left at `value`.
+    pub fn one(&self, parameter: usize, value: f64) -> Seen<Measured> {
+        let variance = self.block(&[parameter])?[(0, 0)];
+        Ok(Measured { value, std_error: variance.max(0.0).sqrt(), dof: self.dof })
+    }
+
+    /// The length of a vector of parameters.
+    pub fn length(&self, parameters: &[usize], vector: &[f64]) -> Seen<Length> {
+        Ok(Length::of(vector, &self.block(parameters)?, self.dof))
+    }
+
+    /// Chance of parameters at least this far from zero if they were truly zero.
+    pub fn chance(&self, parameters: &[usize], vector: &[f64]) -> Seen<f64> {
+        let vector = DVector::from_column_slice(vector);
+        Ok(joint_p_value(&vector, &self.block(parameters)?, self.dof))
+    }
+
+    fn block(&self, parameters: &[usize]) -> Seen<DMatrix<f64>> {
+        let at: Vec<usize> = parameters
+            .iter()
+            .map(|parameter| self.free.binary_search(parameter).map_err(|_| Unseen::NotExcited))
+            .collect::<Seen<_>>()?;
+        let block = DMatrix::from_fn(at.len(), at.len(), |i, j| self.covariance[(at[i], at[j])]);
+        if block.iter().all(|value| value.is_finite()) { Ok(block) } else { Err(Unseen::NotExcited) }
+    }
+}

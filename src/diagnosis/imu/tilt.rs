@@ -1,0 +1,77 @@
+//! An IMU's lean against gravity.
+
+use super::super::measured::Length;
+use super::super::{Seen, Unseen};
+use super::Link;
+use crate::geometry::Vec3;
+use nalgebra::DMatrix;
+
+/// An arm rests where it also does this long before and after, s.
+const SETTLING_S: f64 = 0.05;
+/// Blocks of samples at rest whose means are taken as independent: few, so that each outlasts the
+/// noise's memory.
+const BLOCKS: usize = 10;
+/// Samples at rest without which there is no spread.
+const NEED: usize = 4 * BLOCKS;
+
+impl Link<'_> {
+    /// The IMU's lean against gravity, from the moments at which the arm rests.
+    pub(super) fn tilt(&self, lag_s: f64) -> Seen<Length> {
+        let track = self.stream.track;
+        if track.orientation.is_empty() {
+            return Err(Unseen::NoOrientation);
+        }
+        let mut sweep = self.sweep();
+        let mut rests = |t_s: f64| self.at(t_s, &mut sweep).is_some_and(|moment| !moment.moving);
+        let resting = (0..track.t_s.len()).step_by(self.stride()).filter(|&k| {
+            let t_s = track.t_s[k] - lag_s;
+            rests(t_s - SETTLING_S) && rests(t_s) && rests(t_s + SETTLING_S)
+        });
+        let forces: Vec<Vec3> = resting.map(|k| track.orientation[k] * track.accel[k]).collect();
+        tilt(&forces)
+    }
+}
+
+/// Angle between the mean of the specific `forces` felt at rest, in the world by the logged
+/// orientation, and the vertical; its error is from the spread over blocks.
+fn tilt(forces: &[Vec3]) -> Seen<Length> {
+    let n = forces.len();
+    if n < NEED {
+        return Err(Unseen::NeverRests);
+    }
+    let mean = forces.iter().sum::<Vec3>() / n as f64;
+    let gravity = mean.norm();
+    if gravity < 1.0 {
+        return Err(Unseen::RestsOn("an accelerometer that feels gravity"));
+    }
+    let blocks = forces.chunks_exact(n / BLOCKS).take(BLOCKS);
+    let blocks = blocks.map(|block| block.iter().sum::<Vec3>());
+    let off = |sum: Vec3| (sum / (n / BLOCKS) as f64 - mean).xy().norm_squared();
+    let degrees = 2.0 * (BLOCKS as f64 - 1.0);
+    let variance = blocks.map(off).sum::<f64>() / degrees / BLOCKS as f64 / gravity.powi(2);
+    let sideways = mean.xy().norm();
+    let per_sine = if sideways > 0.0 { sideways.atan2(mean.z) / sideways } else { 0.0 };
+    let lean = [mean.x * per_sine, mean.y * per_sine];
+    let covariance = DMatrix::from_diagonal_element(2, 2, variance);
+    Ok(Length::of(&lean, &covariance, degrees))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_world_upside_down_leans_by_half_a_turn() {
+        let forces: Vec<Vec3> = (0..400)
+            .map(|k| Vec3::new(0.02 * f64::from(k).sin(), 0.02 * f64::from(k).cos(), -9.81))
+            .collect();
+        let tilt = tilt(&forces).unwrap();
+        assert!((tilt.norm.value - std::f64::consts::PI).abs() < 1e-3, "{tilt:?}");
+    }
+
+    #[test]
+    fn without_gravity_there_is_no_lean() {
+        assert!(matches!(tilt(&[Vec3::zeros(); 100]), Err(Unseen::RestsOn(_))));
+        assert!(matches!(tilt(&[Vec3::z() * 9.81; 10]), Err(Unseen::NeverRests)));
+    }
+}

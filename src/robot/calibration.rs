@@ -1,0 +1,276 @@
+//! A UR's factory calibration: where its joints really are.
+//!
+//! Universal Robots measures every arm and keeps what it found in the controller, whose own poses
+//! are by it. The ROS driver's `ur_calibration` extracts it as YAML, and `ur_description` puts each
+//! block's six numbers into the origin of one joint (`urdf/ur_macro.xacro` of
+//! UniversalRobots/Universal_Robots_ROS2_Description): xyz in m and roll, pitch, yaw in rad as in a
+//! URDF's `<origin>`. Blocks are named after the link that the joint carries.
+
+use std::path::Path;
+
+use serde::Deserialize;
+use serde_saphyr::{Location, Spanned};
+
+use super::error::{Problem, RobotError};
+use super::model::Robot;
+use super::without_bom;
+use crate::geometry::{Pose, angle_between, pose, rotation_from_rpy};
+
+/// The joint whose origin each block is, in the order of [`Blocks`].
+const JOINTS: [&str; 6] = [
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "elbow_joint",
+    "wrist_1_joint",
+    "wrist_2_joint",
+    "wrist_3_joint",
+];
+
+/// No calibration moves a joint's origin by more than this, m and rad: it would be another arm's.
+const MOST_M: f64 = 0.05;
+const MOST_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
+
+/// The origins of a UR's joints, as measured.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Calibration {
+    /// What it was read from.
+    pub source: String,
+    /// The controller's name of it, such as `calib_2327696229793275135`.
+    pub hash: Option<String>,
+    /// `parent_from_joint` of each of [`JOINTS`], and the line of its block.
+    origins: [(Pose, usize); 6],
+}
+
+#[derive(Deserialize)]
+struct File {
+    kinematics: Blocks,
+}
+
+#[derive(Deserialize)]
+struct Blocks {
+    shoulder: Spanned<Block>,
+    upper_arm: Spanned<Block>,
+    forearm: Spanned<Block>,
+    wrist_1: Spanned<Block>,
+    wrist_2: Spanned<Block>,
+    wrist_3: Spanned<Block>,
+    hash: Option<String>,
+}
+
+#[derive(Deserialize)]
+struct Block {
+    x: f64,
+    y: f64,
+    z: f64,
+    roll: f64,
+    pitch: f64,
+    yaw: f64,
+}
+
+impl Calibration {
+    /// Reads the file at `path`.
+    ///
+    /// # Errors
+    /// As [`Calibration::from_text`], or where the file cannot be read as text.
+    pub fn from_file(path: &Path) -> Result<Self, RobotError> {
+        let file = path.display().to_string();
+        let text = std::fs::read_to_string(path)
+            .map_err(|e| RobotError::new(&file, None, Problem::UnreadableCalibration(e)))?;
+        Self::from_text(&text, &file)
+    }
+
+    /// Reads the YAML of `ur_calibration`; `source` names it in errors.
+    ///
+    /// # Errors
+    /// Where it is no YAML of that layout, lacks a block or one of its six numbers, or a number is
+    /// none; with the line.
+    pub fn from_text(text: &str, source: &str) -> Result<Self, RobotError> {
+        let file: File = serde_saphyr::from_str(without_bom(text)).map_err(|error| {
+            let what = error.without_snippet().to_string().lines().collect::<Vec<_>>().join(", ");
+            RobotError::new(source, error.location().map(line), Problem::Calibration(what))
+        })?;
+        let Blocks { shoulder, upper_arm, forearm, wrist_1, wrist_2, wrist_3, hash } =
+            file.kinematics;
+        let blocks = [shoulder, upper_arm, forearm, wrist_1, wrist_2, wrist_3];
+        for (block, joint) in blocks.iter().zip(JOINTS) {
+            if !block.value.is_finite() {
+                let element = format!("the block of joint '{joint}'");
+                let line = Some(line(block.referenced));
+                return Err(RobotError::new(source, line, Problem::NotFinite { element }));
+            }
+        }
+        let origins = blocks.map(|block| (block.value.origin(), line(block.referenced)));
+        Ok(Self { source: source.to_owned(), hash, origins })
+    }
+
+    /// What it was read from and the controller's name of it: `arm.yaml (calib_23…)`.
+    pub fn label(&self) -> String {
+        match &self.hash {
+            Some(hash) => format!("{} ({hash})", self.source),
+            None => self.source.clone(),
+        }
+    }
+}
+
+fn line(location: Location) -> usize {
+    usize::try_from(location.line()).unwrap_or(usize::MAX)
+}
+
+impl Block {
+    fn is_finite(&self) -> bool {
+        let Self { x, y, z, roll, pitch, yaw } = self;
+        [x, y, z, roll, pitch, yaw].into_iter().all(|number| number.is_finite())
+    }
+
+    fn origin(&self) -> Pose {
+        let Self { x, y, z, roll, pitch, yaw } = *self;
+        pose([x, y, z], rotation_from_rpy([roll, pitch, yaw]))
+    }
+}
+
+impl Robot {
+    /// What stands before the names of a UR's six joints in this robot, once for each UR in it.
+    pub fn ur_prefixes(&self) -> Vec<String> {
+        let firsts = self.joints().iter().filter_map(|joint| joint.name.strip_suffix(JOINTS[0]));
+        let has_all = |prefix: &&str| {
+            JOINTS.iter().all(|joint| self.joint(&format!("{prefix}{joint}")).is_some())
+        };
+        firsts.filter(has_all).map(str::to_owned).collect()
+    }
+
+    /// The same robot with the origins of the UR joints that `prefix` stands before as `calibration`
+    /// has them.
+    ///
+    /// # Errors
+    /// Where the robot has no such joints, or one of them would move by more than 5 cm or 5°: the
+    /// calibration is another arm's then, or the model has other frames than `ur_description`.
+    pub fn calibrated(&self, prefix: &str, calibration: &Calibration) -> Result<Robot, RobotError> {
+        let mut robot = self.clone();
+        for (joint, (origin, line)) in JOINTS.iter().zip(&calibration.origins) {
+            let refuse = |problem| Err(RobotError::new(&calibration.source, Some(*line), problem));
+            let joint = format!("{prefix}{joint}");
+            let Some(nominal) = self.joint(&joint) else {
+                return refuse(Problem::NoSuchJoint { robot: self.name.clone(), joint });
+            };
+            let nominal = nominal.parent_from_joint;
+            let moved_m = (origin.translation.vector - nominal.translation.vector).norm();
+            let turned_rad = angle_between(&origin.rotation, &nominal.rotation);
+            if moved_m > MOST_M || turned_rad > MOST_RAD {
+                let (millimetres, degrees) = (1e3 * moved_m, turned_rad.to_degrees());
+                let robot = self.name.clone();
+                return refuse(Problem::AnotherArm { robot, joint, millimetres, degrees });
+            }
+            robot.move_joint(&joint, *origin);
+        }
+        Ok(robot)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::catalogue;
+
+    /// `config/ur5e/default_kinematics.yaml` of Universal_Robots_ROS2_Description.
+    const NOMINAL: &str = "\
+kinematics:
+  shoulder: {x: 0, y: 0, z: 0.1625, roll: -0, pitch: 0, yaw: 0}
+  upper_arm: {x: 0, y: 0, z: 0, roll: 1.570796327, pitch: 0, yaw: 0}
+  forearm: {x: -0.425, y: 0, z: 0, roll: 0, pitch: 0, yaw: 0}
+  wrist_1: {x: -0.3922, y: 0, z: 0.1333, roll: 0, pitch: 0, yaw: 0}
+  wrist_2: {x: 0, y: -0.0997, z: -2.044881182297852e-11, roll: 1.570796327, pitch: 0, yaw: 0}
+  wrist_3:
+    x: 0
+    y: 0.0996
+    z: -2.042830148012698e-11
+    roll: 1.570796326589793
+    pitch: 3.141592653589793
+    yaw: 3.141592653589793
+  hash: calib_12788084448423163542
+";
+
+    fn ur5e() -> Robot {
+        catalogue::find("ur5e").unwrap().clone()
+    }
+
+    fn error(text: &str) -> String {
+        Calibration::from_text(text, "arm.yaml").unwrap_err().to_string()
+    }
+
+    fn refusal(robot: &Robot, prefix: &str, text: &str) -> String {
+        let calibration = Calibration::from_text(text, "arm.yaml").unwrap();
+        robot.calibrated(prefix, &calibration).unwrap_err().to_string()
+    }
+
+    fn base_from_tool(robot: &Robot, q: &[f64]) -> Pose {
+        let [base, tool] = ["base_link", "tool0"].map(|link| robot.link(link).unwrap());
+        robot.chain(base, tool).unwrap().forward(q)
+    }
+
+    #[test]
+    fn the_nominal_numbers_change_nothing() {
+        let calibration = Calibration::from_text(NOMINAL, "arm.yaml").unwrap();
+        assert_eq!(calibration.label(), "arm.yaml (calib_12788084448423163542)");
+        let calibrated = ur5e().calibrated("", &calibration).unwrap();
+        for q in [[0.3, -1.2, 0.9, -0.4, 1.1, 2.0], [-2.0, -0.3, 1.7, 0.2, -1.4, 0.6]] {
+            let off = base_from_tool(&ur5e(), &q).inverse() * base_from_tool(&calibrated, &q);
+            assert!(off.translation.vector.norm() < 1e-12 && off.rotation.angle() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn a_block_is_the_origin_of_the_joint_that_carries_its_link() {
+        let text = NOMINAL.replace("forearm: {x: -0.425", "forearm: {x: -0.426");
+        let calibration = Calibration::from_text(&text, "arm.yaml").unwrap();
+        let calibrated = ur5e().calibrated("", &calibration).unwrap();
+        // Stretched along −x of the base with all joints at zero.
+        let zero = [0.0; 6];
+        let tool = |robot: &Robot| base_from_tool(robot, &zero).translation.vector;
+        let moved = tool(&calibrated) - tool(&ur5e());
+        assert!((moved.x.abs() - 1e-3).abs() < 1e-12 && moved.y.abs() < 1e-12, "{moved}");
+    }
+
+    #[test]
+    fn angles_near_a_half_turn_are_the_same_rotation() {
+        let text = NOMINAL.replace(
+            "z: 0.1333, roll: 0, pitch: 0, yaw: 0",
+            "z: 0.1333, roll: 3.1405, pitch: -3.1411, yaw: 3.1415",
+        );
+        let calibration = Calibration::from_text(&text, "arm.yaml").unwrap();
+        assert!(ur5e().calibrated("", &calibration).is_ok());
+    }
+
+    #[test]
+    fn what_is_wrong_with_the_text_is_said_with_its_line() {
+        let lines: Vec<&str> = NOMINAL.lines().collect();
+        let without_wrist_3 = lines[..6].join("\n");
+        assert!(error(&without_wrist_3).contains("wrist_3"), "{}", error(&without_wrist_3));
+        let words = NOMINAL.replace("z: 0.1333", "z: about 13 cm");
+        assert!(error(&words).starts_with("arm.yaml:5: "), "{}", error(&words));
+        let nan = NOMINAL.replace("y: 0.0996", "y: .nan");
+        assert!(error(&nan).starts_with("arm.yaml:8: "), "{}", error(&nan));
+        for text in ["", "kinematics:", "a: [", "<robot/>", "just words", "\u{0}\u{1}"] {
+            let error = error(text);
+            assert!(error.contains("no calibration of a UR") && !error.contains('\n'), "{error}");
+        }
+    }
+
+    #[test]
+    fn the_calibration_of_another_arm_is_refused() {
+        let ur10e = catalogue::find("ur10e").unwrap();
+        let text = refusal(ur10e, "", NOMINAL);
+        assert!(text.starts_with("arm.yaml:4: ") && text.contains("elbow_joint"), "{text}");
+        let panda = catalogue::find("panda").unwrap();
+        assert!(panda.ur_prefixes().is_empty());
+        assert!(refusal(panda, "", NOMINAL).contains("has no joint 'shoulder_pan_joint'"));
+    }
+
+    #[test]
+    fn a_prefix_says_which_arm() {
+        let left = ur5e().with_prefix_replaced("", "left_").unwrap();
+        assert_eq!(left.ur_prefixes(), ["left_"]);
+        let calibration = Calibration::from_text(NOMINAL, "arm.yaml").unwrap();
+        assert!(left.calibrated("left_", &calibration).is_ok());
+        assert!(left.calibrated("right_", &calibration).is_err());
+    }
+}
