@@ -2,6 +2,7 @@
 //! and both into the report.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use polars::prelude::PolarsResult;
 
@@ -15,9 +16,11 @@ use crate::diagnosis::{
 };
 use crate::finding::{Severity, Span};
 use crate::geometry::Pose;
-use crate::log::{Log, Loss};
+use crate::log::{Log, Loss, Progress};
 use crate::replay::{self, Replay, ReplayArm, ReplayImu, ReplayStream, StreamKind};
-use crate::report::{FileRow, LogSummary, Report, RobotRow, StreamRow, Trouble, TroubleKind};
+use crate::report::{
+    FileRow, LogSummary, NoteRow, Report, RobotRow, StreamRow, Trouble, TroubleKind,
+};
 use crate::robot::{Chain, JointKind, catalogue};
 use crate::run::{
     Arm, CalibrationSource, Declaration, HeaderStamps, ImuSource, PoseSource, RobotSource, Role,
@@ -54,6 +57,8 @@ pub struct Options {
     pub fail_on: Option<Severity>,
     /// Where to write a recording for the Rerun viewer.
     pub recording: Option<PathBuf>,
+    /// Kept up to date while the files are read.
+    pub progress: Option<Arc<Progress>>,
 }
 
 impl Default for Options {
@@ -72,6 +77,7 @@ impl Default for Options {
             rules: Settings::default(),
             fail_on: Some(Severity::Warning),
             recording: None,
+            progress: None,
         }
     }
 }
@@ -106,6 +112,10 @@ impl Read {
             bytes: file.bytes,
             crc: file.crc.name(),
         });
+        let notes = log
+            .notes
+            .iter()
+            .map(|note| NoteRow { path: note.file.clone(), note: note.what.clone() });
         let undecodable = log.topics.iter().filter_map(|topic| {
             let undecodable = topic.undecodable.as_ref()?;
             Some(UndecodableTopic {
@@ -118,6 +128,7 @@ impl Read {
         Self {
             summary: LogSummary {
                 files: files.collect(),
+                notes: notes.collect(),
                 messages: log.messages,
                 start_ns: log.span.map(|span| span.0),
                 end_ns: log.span.map(|span| span.1),

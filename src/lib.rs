@@ -49,10 +49,8 @@ use run::{Run, RunOptions};
 /// Where the call is wrong or the log cannot be read. A log without an arm or a model is reported
 /// on, with the trouble in [`Report::error`].
 pub fn audit(options: &Options) -> Result<Report, Trouble> {
-    let log = log::open(
-        &options.logs,
-        &ReadOptions { verify: options.verify, ..ReadOptions::default() },
-    )?;
+    let how = ReadOptions { verify: options.verify, progress: options.progress.as_deref() };
+    let log = log::open(&options.logs, &how)?;
     let read = audit::Read::of(&log);
     let mut run = Run::assemble(log, &options.run()).map_err(|error| Trouble::from(&error))?;
     audit::settle_candidates(&mut run, options.max_latency_s);
@@ -70,8 +68,8 @@ pub fn audit(options: &Options) -> Result<Report, Trouble> {
 ///
 /// # Errors
 /// Where the log cannot be read.
-pub fn info(logs: &[PathBuf]) -> Result<Report, Trouble> {
-    let log = log::open(logs, &ReadOptions::default())?;
+pub fn info(logs: &[PathBuf], how: &ReadOptions<'_>) -> Result<Report, Trouble> {
+    let log = log::open(logs, how)?;
     let read = audit::Read::of(&log);
     let options = RunOptions::default();
     let mut run = Run::assemble(log, &options).map_err(|error| Trouble::from(&error))?;

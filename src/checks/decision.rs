@@ -70,8 +70,8 @@ pub fn decide(measured: &Measured, figure: &Figure, subjects: usize) -> Decision
 pub fn decide_length(length: &Length, figure: &Figure, subjects: usize) -> Decision {
     let norm = &length.norm;
     let chance = (1.0 - FAIL_CONFIDENCE) / subjects.max(1) as f64;
-    let is_sure = length.p_value <= chance
-        && norm.value > figure.unit.half_width(norm, PASS_CONFIDENCE);
+    let is_sure =
+        length.p_value <= chance && norm.value > figure.unit.half_width(norm, PASS_CONFIDENCE);
     match figure.severity(norm.value) {
         Some(severity) if is_sure => Decision::Fail(severity),
         Some(_) => Decision::Undecided(unsettled(norm, figure)),
@@ -209,7 +209,8 @@ mod tests {
 
     #[test]
     fn a_length_needs_its_vector_to_be_surely_there() {
-        let length = |value, std_error, p_value| Length { norm: measured(value, std_error), p_value };
+        let length =
+            |value, std_error, p_value| Length { norm: measured(value, std_error), p_value };
         let decide = |length| decide_length(&length, &FIGURE, 1);
         assert_eq!(decide(length(0.022, 8e-3, 1e-5)), Decision::Fail(Severity::Error));
         assert!(matches!(decide(length(0.022, 8e-3, 1e-2)), Decision::Undecided(_)));

@@ -39,7 +39,9 @@ impl Facts {
 
     /// Every IMU with its robot and what was estimated on it.
     pub fn imus(&self) -> impl Iterator<Item = (&ArmFacts, &ImuFacts, &ImuDiagnosis)> {
-        self.robots.iter().flat_map(|arm| arm.imus.iter().map(move |(imu, found)| (arm, imu, found)))
+        self.robots
+            .iter()
+            .flat_map(|arm| arm.imus.iter().map(move |(imu, found)| (arm, imu, found)))
     }
 }
 

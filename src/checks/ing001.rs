@@ -1,5 +1,5 @@
 use crate::checks::{Facts, Grade, Judged};
-use crate::finding::{Evidence, Fault, Outcome, Severity, Subject};
+use crate::finding::{Evidence, Fault, Outcome, Severity, Span, Subject};
 use crate::log::{Extent, Loss};
 
 rule! {
@@ -14,7 +14,8 @@ rule! {
     ///
     /// ## Evidence
     /// Where the damage begins (`offset`, bytes from the start of the file) and how many messages
-    /// went with it (`messages_lost`), as far as anything in the file says so.
+    /// went with it (`messages_lost`), as far as anything in the file says so. The time of the finding
+    /// is that of what was lost, where the file says so.
     ///
     /// ## How to fix
     /// Record again where messages are lost; see whether the disk was full or the recorder was
@@ -57,10 +58,13 @@ fn judge(loss: &Loss) -> Judged {
         }
     };
     let place = loss.offset.map_or_else(String::new, |offset| format!(" at byte {offset}"));
-    let lost = match loss.messages {
+    let mut lost = match loss.messages {
         Some(messages) => format!(", {messages} messages lost"),
         None => String::new(),
     };
+    if let Some((start, end)) = loss.span {
+        lost += &format!(" of {:.3} s", end.seconds_since(start));
+    }
     let fault = Fault {
         severity,
         title,
@@ -69,6 +73,7 @@ fn judge(loss: &Loss) -> Judged {
         fix: fix.to_owned(),
     };
     Judged::new(Subject { topic: Some(file), ..Subject::default() }, Outcome::faulty(fault))
+        .within(loss.span.map(|(start, end)| Span { start, end }))
         .with_evidence("offset", loss.offset)
         .with_evidence("messages_lost", loss.messages)
 }

@@ -10,6 +10,7 @@ use poseaudit::report::{Report, Trouble, json, text};
 use poseaudit::run::{CalibrationSource, Declaration, RobotSource};
 use poseaudit::time::Clock;
 
+use super::progress::watched;
 use super::{Outcome, output};
 
 /// Audit one recorded run: what is wrong with its poses, by how much, and how sure that is
@@ -163,8 +164,12 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
         rules: Settings { select: args.select, ignore: args.ignore },
         fail_on: args.fail_on.into(),
         recording: args.rrd,
+        progress: None,
     };
-    let report = match poseaudit::audit(&options) {
+    let audited = watched(|progress| {
+        poseaudit::audit(&poseaudit::Options { progress: Some(progress), ..options })
+    });
+    let report = match audited {
         Ok(report) => report,
         Err(trouble) if format == Format::Json => Report::of_trouble(trouble),
         Err(trouble) => return Err(trouble),

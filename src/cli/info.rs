@@ -4,9 +4,11 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 
 use comfy_table::{CellAlignment, Table};
+use poseaudit::log::ReadOptions;
 use poseaudit::report::{LogSummary, Report, StreamRow, Trouble};
 use poseaudit::time::seconds;
 
+use super::progress::watched;
 use super::{Outcome, output};
 
 /// List the topics of a log, and the role that each of them gets and why
@@ -18,7 +20,9 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
-    let report = poseaudit::info(&args.logs)?;
+    let report = watched(|progress| {
+        poseaudit::info(&args.logs, &ReadOptions { progress: Some(&progress), verify: false })
+    })?;
     output::emit(None, |out| write(&report, out))?;
     if let Some(trouble) = &report.error {
         output::error(trouble);
@@ -30,10 +34,13 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
 }
 
 fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
-    let LogSummary { files, messages, duration_s, .. } = &report.log;
+    let LogSummary { files, notes, messages, duration_s, .. } = &report.log;
     for file in files {
         let (path, container, bytes) = (file.path.display(), file.container, file.bytes);
         writeln!(out, "{path}: {container}, {bytes} bytes, checksums: {}", file.crc)?;
+    }
+    for note in notes {
+        writeln!(out, "note: {}: {}", note.path.display(), note.note)?;
     }
     writeln!(out, "{:.1} s, {messages} messages", duration_s.unwrap_or(0.0))?;
     for robot in &report.robots {

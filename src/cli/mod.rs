@@ -7,6 +7,7 @@ mod demo;
 mod explain;
 mod info;
 mod output;
+mod progress;
 mod rules;
 
 use clap::{Parser, Subcommand};

@@ -1,14 +1,14 @@
 //! Where output goes: stdout with colours only where somebody sees them, files without.
 
 use std::fmt::Display;
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{self, Write};
 use std::path::Path;
 
 use anstream::{AutoStream, StripStream};
 use anstyle::{AnsiColor, Style};
 use comfy_table::{Table, presets};
-use poseaudit::report::Trouble;
+use poseaudit::report::{Trouble, write_whole};
 
 const ERROR: Style = AnsiColor::Red.on_default().bold();
 
@@ -57,8 +57,5 @@ fn to_stdout(text: &[u8]) -> io::Result<()> {
 }
 
 fn to_file(path: &Path, text: &[u8]) -> io::Result<()> {
-    if let Some(parent) = path.parent() {
-        fs::create_dir_all(parent)?;
-    }
-    StripStream::new(File::create(path)?).write_all(text)
+    write_whole(path, |staged| StripStream::new(File::create(staged)?).write_all(text))
 }

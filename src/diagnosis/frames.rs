@@ -1,9 +1,9 @@
 //! Constant frame errors: first guesses from which the fit starts, and what it says of them.
 
 use super::explain::{Cause, Explanation, Menu};
+use super::measured::{Length, joint_p_value};
 use super::model::{StreamState, Sweep, Witness, twist_of};
 use super::reading::{mean_rotation, wahba};
-use super::measured::{Length, joint_p_value};
 use super::{FrameEstimate, Seen, Unseen};
 use crate::geometry::{
     Pose, Rotation, Vec3, angle_between, pose, rotation_from_matrix_rows, rotvec_from_rotation,
@@ -207,11 +207,5 @@ pub(super) fn frame_estimate(
     let chosen = round.is_some() || explanation.causes.contains(&cause);
     // The model takes base coordinates to the stream's; what is off is told the other way round.
     let pose = if matches!(cause, Cause::Tool(_)) { frame } else { frame.inverse() };
-    Ok(FrameEstimate {
-        pose,
-        translation_m: length(0),
-        rotation_rad: length(3),
-        p_value,
-        chosen,
-    })
+    Ok(FrameEstimate { pose, translation_m: length(0), rotation_rad: length(3), p_value, chosen })
 }

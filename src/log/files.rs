@@ -47,7 +47,7 @@ pub(super) fn refuse_repeats(inputs: &[Input]) -> Result<(), LogError> {
     for input in inputs {
         let same_size = by_size.entry(input.bytes()).or_default();
         for first in same_size.iter() {
-            if is_same(first, &input.path)? {
+            if is_same(first, &input.path) {
                 let (path, first) = (input.path.clone(), first.to_path_buf());
                 return Err(LogError::Twice { path, first });
             }
@@ -58,13 +58,17 @@ pub(super) fn refuse_repeats(inputs: &[Input]) -> Result<(), LogError> {
 }
 
 /// Whether two files of one size are one file, or copies.
-fn is_same(a: &Path, b: &Path) -> Result<bool, LogError> {
+fn is_same(a: &Path, b: &Path) -> bool {
     if let (Ok(a), Ok(b)) = (fs::canonicalize(a), fs::canonicalize(b))
         && a == b
     {
-        return Ok(true);
+        return true;
     }
-    Ok(Mapped::open(a)?.bytes() == Mapped::open(b)?.bytes())
+    // Why one cannot be opened is said when it is read.
+    match (Mapped::open(a), Mapped::open(b)) {
+        (Ok(a), Ok(b)) => a.bytes() == b.bytes(),
+        _ => false,
+    }
 }
 
 /// A file in memory.
@@ -74,11 +78,12 @@ impl Mapped {
     /// Maps a file into memory, or says in one line why it cannot be read.
     pub(super) fn open(path: &Path) -> Result<Self, LogError> {
         let io_error = |source: io::Error| LogError::io(path, source);
-        let file = File::open(path).map_err(io_error)?;
-        let metadata = file.metadata().map_err(io_error)?;
+        // Before it is opened: a pipe would wait for somebody to write to it.
+        let metadata = fs::metadata(path).map_err(io_error)?;
         if !metadata.is_file() {
             return Err(LogError::NotAFile { path: path.to_owned() });
         }
+        let file = File::open(path).map_err(io_error)?;
         if metadata.len() == 0 {
             return Err(LogError::Empty { path: path.to_owned() });
         }

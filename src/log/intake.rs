@@ -5,7 +5,7 @@ use std::fmt;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
 
-use super::decode::{self, Builder, Format, Plan, Recipe, Row, RowTimes};
+use super::decode::{self, Builder, Format, MAX_FRAMES, Plan, Recipe, Row, RowTimes};
 use super::losses::Losses;
 use super::unpack::{Allowance, Unpacker, ZSTD_MAGIC};
 use super::{Description, Log, LogFile, Loss, Note, Topic, Undecodable};
@@ -18,8 +18,15 @@ const MAX_DESCRIPTION_BYTES: usize = 16 << 20;
 /// Most channels that are told apart. The largest recordings have a few thousand.
 const MAX_CHANNELS: usize = 1 << 14;
 
+/// Most bytes that the schemas of all channels with a use have. What is made of them takes several
+/// times as many.
+const MAX_SCHEMA_BYTES: usize = 32 << 20;
+
 /// Most different messages of a latching channel that are known again.
 const MAX_LATCHED: usize = 1 << 12;
+
+/// Most robot descriptions kept.
+const MAX_DESCRIPTIONS: usize = 64;
 
 /// Most notes kept.
 const MAX_NOTES: usize = 100;
@@ -34,6 +41,8 @@ pub(super) struct Intake {
     by_name: HashMap<(String, String), usize>,
     channels: Vec<Channel>,
     by_format: HashMap<FormatKey, ChannelId>,
+    /// Bytes of the schemas of channels with a use.
+    schema_bytes: usize,
     messages: u64,
     descriptions: Vec<Description>,
     losses: Vec<Loss>,
@@ -145,6 +154,12 @@ impl TopicIntake {
     /// The topic, and one more for each further part of what its messages hold.
     fn finish(self) -> Vec<Topic> {
         let span = self.spans.into_iter().map(|(_, span)| span).reduce(join);
+        let refused = self.builder.as_ref().map_or(0, Builder::refused);
+        let mut undecodable = self.undecodable;
+        if refused > 0 {
+            let first = format!("it has more than {MAX_FRAMES} pairs of frames");
+            undecodable.get_or_insert(Undecodable { messages: 0, first }).messages += refused;
+        }
         let parts = match (self.columns, self.builder) {
             (Some(columns), _) => vec![("", Some(columns))],
             (None, Some(builder)) => builder.finalize(),
@@ -157,7 +172,7 @@ impl TopicIntake {
             messages: self.messages,
             columns,
             // Told once, for the whole of the messages.
-            undecodable: self.undecodable.clone().filter(|_| part.is_empty()),
+            undecodable: undecodable.clone().filter(|_| part.is_empty()),
             span,
         };
         parts.into_iter().map(topic).collect()
@@ -182,7 +197,15 @@ impl Intake {
             return None;
         }
         let recipe = Recipe::of(format.type_name);
+        if recipe.is_some() {
+            self.schema_bytes = self.schema_bytes.saturating_add(format.schema.len());
+        }
         let decoding = match recipe.map(|recipe| recipe.plan(format)) {
+            Some(_) if self.schema_bytes > MAX_SCHEMA_BYTES => {
+                let cause =
+                    format!("the schemas before it have more than {MAX_SCHEMA_BYTES} bytes");
+                Decoding::Impossible { cause }
+            }
             None => Decoding::Ignored,
             Some(Ok(plan)) => Decoding::By { plan, row: Box::default() },
             Some(Err(error)) => Decoding::Impossible { cause: error.to_string() },
@@ -279,7 +302,7 @@ impl Intake {
             return;
         }
         let description = Description { name: name.to_owned(), text: text.to_owned() };
-        if !self.descriptions.contains(&description) {
+        if self.descriptions.len() < MAX_DESCRIPTIONS && !self.descriptions.contains(&description) {
             self.descriptions.push(description);
         }
     }
@@ -469,6 +492,23 @@ mod tests {
         assert!((0..MAX_CHANNELS).all(|n| taken(n, &mut intake)));
         assert!(!taken(MAX_CHANNELS, &mut intake));
         assert!(taken(0, &mut intake));
+    }
+
+    #[test]
+    fn frames_are_bounded_and_those_beyond_are_counted() {
+        let mut intake = Intake::default();
+        intake.begin_file(Path::new("a"), 0);
+        let channel = intake.channel("/a", poses(POSE_STAMPED)).unwrap();
+        for time in 0..MAX_FRAMES as u32 + 7 {
+            let pose = Cdr::pose_stamped(time, 0, &time.to_string(), [0.0; 3]);
+            intake.message(channel, message(time.into(), &pose, false));
+        }
+        let log = intake.finish(Vec::new());
+        let Some(Columns::Poses(poses)) = &log.topics[0].columns else { panic!("poses") };
+        assert_eq!(poses.len(), MAX_FRAMES);
+        let undecodable = log.topics[0].undecodable.as_ref().unwrap();
+        assert_eq!(undecodable.messages, 7);
+        assert!(undecodable.first.contains("pairs of frames"), "{}", undecodable.first);
     }
 
     #[test]

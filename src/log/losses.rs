@@ -1,6 +1,7 @@
 use std::path::{Path, PathBuf};
 
 use super::{Extent, Loss};
+use crate::time::Stamp;
 
 /// Why messages of a channel may have none to go to.
 pub(super) const NOT_DESCRIBED: &str =
@@ -39,7 +40,8 @@ impl Losses {
     }
 
     fn add_at(&mut self, offset: Option<u64>, extent: Extent, messages: Option<u64>, what: String) {
-        let loss = Loss { file: self.file.clone(), offset, what, messages, extent };
+        let file = self.file.clone();
+        let loss = Loss { file, offset, what, messages, span: None, extent };
         if self.list.len() < MAX_LOSSES {
             self.list.push(loss);
         } else if let Some(last) = self.list.last_mut() {
@@ -56,6 +58,15 @@ impl Losses {
     pub(super) fn add_to_last(&mut self, messages: u64) {
         if let Some(last) = self.list.last_mut() {
             last.messages = Some(last.messages.unwrap_or(0).saturating_add(messages));
+        }
+    }
+
+    /// Says of what time the damage at `offset` is, ns.
+    pub(super) fn date(&mut self, offset: usize, first: u64, last: u64) {
+        let at = |loss: &&mut Loss| loss.offset == Some(offset as u64);
+        let (Ok(first), Ok(last)) = (first.try_into(), last.try_into()) else { return };
+        if let Some(loss) = self.list.iter_mut().find(at) {
+            loss.span = Some((Stamp::from_nanos(first), Stamp::from_nanos(last)));
         }
     }
 

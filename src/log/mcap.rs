@@ -38,6 +38,7 @@ pub(super) fn read(
         covered: 0,
         orphans: None,
         in_lost_chunk: false,
+        has_chunks: false,
     };
     let summary = reader.summary();
     let end = reader.walk();
@@ -60,6 +61,8 @@ struct Reader<'a> {
     orphans: Option<(u64, usize)>,
     /// Whether the record before belongs to a chunk that was lost.
     in_lost_chunk: bool,
+    /// Whether a chunk was met.
+    has_chunks: bool,
 }
 
 /// A schema as it was read last; chunks repeat them.
@@ -166,18 +169,27 @@ impl<'a> Reader<'a> {
                     offset = frame.end();
                 }
                 Err(broken) => {
-                    let Some(chunk) = record::find_chunk(self.bytes, sound) else {
+                    let Some(next) = self.next_record(sound) else {
                         self.lose_rest(offset, broken, &mut unpacker);
                         return End::Damaged;
                     };
-                    let what =
-                        format!("expected a record, found {broken}; read on at byte {chunk}");
+                    let what = format!("expected a record, found {broken}; read on at byte {next}");
                     self.losses.add(offset, Extent::Messages, None, what);
-                    offset = chunk;
+                    (offset, sound) = (next, next + 1);
                 }
             }
         }
         End::Open
+    }
+
+    /// Where to read on after damage, at `from` or after it. Chunks hold pieces that look like
+    /// messages, so that these are sought only in a file without chunks.
+    fn next_record(&self, from: usize) -> Option<usize> {
+        let is_known = |id: u16| matches!(self.channels.get(usize::from(id)), Some(Some(_)));
+        record::find_chunk(self.bytes, from).or_else(|| {
+            let find = || record::find_message(self.bytes, from, is_known);
+            if self.has_chunks { None } else { find() }
+        })
     }
 
     /// Reads one record of the data section; whether its length is beyond doubt.
@@ -204,6 +216,7 @@ impl<'a> Reader<'a> {
     /// Reads the records of a chunk; whether all of them could be.
     fn chunk(&mut self, frame: &Frame<'a>, unpacker: &mut Unpacker) -> bool {
         let chunk = record::Chunk::parse(frame.body).filter(record::Chunk::is_whole);
+        self.has_chunks = true;
         let Some(chunk) = chunk else {
             self.lose_chunk(frame.offset, "chunk is shorter than it says".to_owned());
             return false;
@@ -219,6 +232,7 @@ impl<'a> Reader<'a> {
             }
             Err(error) => {
                 self.lose_chunk(frame.offset, error.to_string());
+                self.losses.date(frame.offset, chunk.first_time, chunk.last_time);
                 false
             }
         }

@@ -18,6 +18,8 @@ mod progress;
 mod rosbag1;
 mod rosbag2;
 mod rtde;
+#[cfg(test)]
+mod seeds;
 mod sniff;
 #[cfg(test)]
 mod testing;
@@ -199,6 +201,8 @@ pub struct Loss {
     pub what: String,
     /// How many messages are lost; `None` where nothing in the file says.
     pub messages: Option<u64>,
+    /// First and last log time of what was there; `None` where nothing in the file says.
+    pub span: Option<(Stamp, Stamp)>,
     /// What kind of content is gone.
     pub extent: Extent,
 }

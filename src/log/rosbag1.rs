@@ -39,6 +39,7 @@ pub(super) fn read(
         covered: 0,
         orphans: None,
         in_lost_chunk: false,
+        in_packed: false,
     };
     reader.index();
     reader.walk();
@@ -63,6 +64,8 @@ struct Reader<'a> {
     orphans: Option<(u64, usize)>,
     /// Whether the record before belongs to a chunk that was lost.
     in_lost_chunk: bool,
+    /// Whether the chunk read last is compressed: its data hold pieces of the records inside.
+    in_packed: bool,
 }
 
 /// A connection as the intake knows it.
@@ -155,6 +158,9 @@ impl<'a> Reader<'a> {
             op::CHUNK_INFO => {
                 self.recorded.0 += 1;
                 self.recorded.1 += record::chunk_info_messages(record);
+                if let Some((chunk, first, last)) = record::chunk_info_times(record) {
+                    self.losses.date(chunk, first, last);
+                }
             }
             op::BAG if record.header.text("encryptor").is_some_and(|name| !name.is_empty()) => {
                 let what = "the bag is encrypted; write it anew without encryption".to_owned();
@@ -173,6 +179,7 @@ impl<'a> Reader<'a> {
         open: &mut Option<Chunk<'a>>,
     ) -> bool {
         self.in_lost_chunk = false;
+        self.in_packed = false;
         let Some(chunk) = Chunk::of(record.header, record.data) else {
             self.lose_chunk(record.offset, "malformed chunk record".to_owned());
             return false;
@@ -187,6 +194,7 @@ impl<'a> Reader<'a> {
             self.lose_chunk(record.offset, what);
             return false;
         };
+        self.in_packed = compression != Compression::None;
         if compression == Compression::None && chunk.data.len() != chunk.size as usize {
             // Not to read its records twice, they are left to the search for the next record.
             self.lose_chunk(record.offset, "chunk states two lengths that differ".to_owned());
@@ -380,7 +388,7 @@ impl<'a> Reader<'a> {
             Some((Chunk { compression: Some(Compression::Lz4 | Compression::Bz2), .. }, _)) => {
                 record::find_record(self.bytes, from, Some(op::CHUNK))
             }
-            _ => record::find_record(self.bytes, from, None),
+            _ => record::find_record(self.bytes, from, self.in_packed.then_some(op::CHUNK)),
         }
     }
 

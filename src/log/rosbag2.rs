@@ -176,6 +176,10 @@ fn is_log(path: &Path) -> bool {
 /// number of the split.
 fn recording_name(path: &Path) -> &str {
     let name = path.file_name().and_then(OsStr::to_str).unwrap_or_default();
-    let stem = name.split('.').next().unwrap_or_default();
-    stem.trim_end_matches(|c: char| c.is_ascii_digit()).trim_end_matches('_')
+    let name = name.strip_suffix(".zstd").unwrap_or(name);
+    let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
+    match stem.rsplit_once('_') {
+        Some((run, split)) if split.bytes().all(|byte| byte.is_ascii_digit()) => run,
+        _ => stem,
+    }
 }

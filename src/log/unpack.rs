@@ -99,7 +99,7 @@ impl Unpacker {
             self.make_room(PART, size, MAX_CHUNK_BYTES)?;
             allowance.check(PART, size)?;
             let limit = size + 1;
-            match compression {
+            let unpacked = match compression {
                 Compression::None => Ok(0),
                 // The capacity bounds what zstd may write, and only what it writes takes memory.
                 Compression::Zstd => self.zstd.decompress_to_buffer(data, &mut self.buffer),
@@ -108,9 +108,10 @@ impl Unpacker {
                 Compression::Bz2 => {
                     bzip2::bufread::BzDecoder::new(data).take(limit).read_to_end(&mut self.buffer)
                 }
-            }
-            .map_err(broken)?;
-            allowance.take(self.buffer.len() as u64);
+            };
+            // What fails in the end has cost no less.
+            allowance.take(if unpacked.is_ok() { self.buffer.len() as u64 } else { size });
+            unpacked.map_err(broken)?;
             &self.buffer
         };
         if content.len() as u64 != size {
@@ -155,11 +156,10 @@ impl Unpacker {
         let stated = zstd::zstd_safe::get_frame_content_size(frame).ok().flatten();
         let size = stated.unwrap_or(MAX_MESSAGE_BYTES);
         self.make_room(PART, size, MAX_MESSAGE_BYTES)?;
-        allowance.check(PART, stated.unwrap_or(0))?;
-        self.zstd
-            .decompress_to_buffer(frame, &mut self.buffer)
-            .map_err(|source| UnpackError::Broken { part: PART, source })?;
-        allowance.take(self.buffer.len() as u64);
+        allowance.check(PART, stated.unwrap_or(1))?;
+        let unpacked = self.zstd.decompress_to_buffer(frame, &mut self.buffer);
+        allowance.take(if unpacked.is_ok() { self.buffer.len() as u64 } else { size });
+        unpacked.map_err(|source| UnpackError::Broken { part: PART, source })?;
         Ok(&self.buffer)
     }
 
@@ -231,6 +231,18 @@ mod tests {
         let part = zeros(1000);
         let mut unpack = || unpacker.chunk(Compression::Zstd, &part, 1000, &mut allowance).is_ok();
         assert_eq!([unpack(), unpack(), unpack(), unpack()], [true, true, false, false]);
+    }
+
+    #[test]
+    fn parts_that_break_off_cost_what_they_may_have_unpacked_to() {
+        let (mut unpacker, mut allowance) =
+            (Unpacker::default(), Allowance { limit: 2500, used: 0 });
+        let mut part = zeros(1000);
+        part.pop();
+        for left in [1500, 500, 500] {
+            assert!(unpacker.chunk(Compression::Zstd, &part, 1000, &mut allowance).is_err());
+            assert_eq!(allowance.left(), left);
+        }
     }
 
     #[test]

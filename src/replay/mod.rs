@@ -31,7 +31,7 @@ use rerun::{RecordingStreamBuilder, RecordingStreamError, SerializationError};
 
 use crate::finding::Finding;
 use crate::geometry::Pose;
-use crate::report::Verdict;
+use crate::report::{Verdict, write_whole};
 use crate::robot::Chain;
 use crate::stream::JointTrack;
 use crate::time::Stamp;
@@ -181,7 +181,7 @@ pub struct ReplayError {
 #[derive(Debug, thiserror::Error)]
 #[error(transparent)]
 pub enum ReplayCause {
-    /// Its folder cannot be made.
+    /// No file can be made there.
     Folder(#[from] std::io::Error),
     /// It cannot be opened or added to.
     Recording(#[from] RecordingStreamError),
@@ -198,13 +198,11 @@ pub enum ReplayCause {
 /// # Errors
 /// Where the file cannot be written, or a stream's frame lacks a column.
 pub fn write(path: &Path, replay: &Replay<'_>) -> Result<(), ReplayError> {
-    record(path, replay).map_err(|cause| ReplayError { path: path.to_owned(), cause })
+    write_whole(path, |staged| record(staged, replay))
+        .map_err(|cause| ReplayError { path: path.to_owned(), cause })
 }
 
 fn record(path: &Path, replay: &Replay<'_>) -> Result<(), ReplayCause> {
-    if let Some(folder) = path.parent() {
-        std::fs::create_dir_all(folder)?;
-    }
     // Explicitly enabled: the environment variable RERUN must not empty a file that was asked for.
     let recording = RecordingStreamBuilder::new(APPLICATION).enabled(true).save(path)?;
     layout::send(replay, &recording)?;

@@ -2,6 +2,7 @@
 //!
 //! A format only renders. What is in a report is settled when it is made.
 
+mod file;
 pub mod json;
 pub mod text;
 mod trouble;
@@ -15,6 +16,7 @@ use crate::checks::{self, Evaluation, StreamObservability};
 use crate::finding::{CheckRow, Finding, Severity, Status, decimal};
 use crate::time::Stamp;
 
+pub use file::write_whole;
 pub use trouble::{Trouble, TroubleKind};
 
 /// The report on one run. Its fields stand in the order of the JSON object.
@@ -63,6 +65,8 @@ pub enum Verdict {
 pub struct LogSummary {
     /// The files, in the order given.
     pub files: Vec<FileRow>,
+    /// What a reader should know of them, and is no damage.
+    pub notes: Vec<NoteRow>,
     /// Messages read.
     pub messages: u64,
     /// First log time.
@@ -86,6 +90,15 @@ pub struct FileRow {
     pub bytes: u64,
     /// How much of it a checksum vouches for: `all`, `partial` or `none`.
     pub crc: &'static str,
+}
+
+/// What a reader should know of a file, and is no damage.
+#[derive(Clone, Debug, Serialize)]
+pub struct NoteRow {
+    /// The file, or the folder.
+    pub path: PathBuf,
+    /// What there is to know.
+    pub note: String,
 }
 
 /// One arm.

@@ -60,6 +60,9 @@ impl Page<'_> {
         for file in &log.files {
             line(out, STRONG, "log", &file.path.display().to_string())?;
         }
+        for note in &log.notes {
+            line(out, WARNING, "note", &format!("{}: {}", note.path.display(), note.note))?;
+        }
         if let Some(duration_s) = log.duration_s {
             let (messages, topics) = (grouped(log.messages), self.topics());
             line(

@@ -151,8 +151,7 @@ fn imu_samples(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
             let orientation = stream.coding.logged(&pose([0.0; 3], world_from_imu));
             let sample = LoggedImu {
                 orientation_xyzw: stream.with_orientation.then_some(orientation.xyzw),
-                gyro: stream.gyro_from_rate
-                    * (imu_from_base * truth.angular_velocity(tick.time_s))
+                gyro: stream.gyro_from_rate * (imu_from_base * truth.angular_velocity(tick.time_s))
                     + stream.gyro_bias_rad_s
                     + scaled(3, scenario.noise.gyro_rad_s),
                 specific_force: imu_from_base * (acceleration + GRAVITY * Vec3::z())

@@ -272,8 +272,7 @@ impl Model for GyroModel<'_> {
         let mut sweep = self.link.sweep();
         let t_s = &self.link.stream.track.t_s;
         for window in &self.windows {
-            let mut moment =
-                |k: usize| self.link.at(t_s[k] - self.latency_s, &mut sweep);
+            let mut moment = |k: usize| self.link.at(t_s[k] - self.latency_s, &mut sweep);
             let (Some(first), Some(last)) = (moment(*window.start()), moment(*window.end())) else {
                 continue;
             };

@@ -200,8 +200,7 @@ impl<'a> OrientationModel<'a> {
 
     /// Stamp, and yaw of the IMU over that of the arm with the drift and all else left in.
     fn yaw_error(&self) -> Vec<(f64, f64)> {
-        let still =
-            Self { drift_rad_s: 0.0, path_rad: vec![0.0; self.rows.len()], ..self.clone() };
+        let still = Self { drift_rad_s: 0.0, path_rad: vec![0.0; self.rows.len()], ..self.clone() };
         let mut sweep = self.link.sweep();
         let t_s = &self.link.stream.track.t_s;
         let stamps = self
@@ -245,8 +244,7 @@ impl Model for OrientationModel<'_> {
         let part = |first: usize| Vec3::new(delta[first], delta[first + 1], delta[first + 2]);
         self.latency_s += delta[Self::LATENCY];
         self.drift_rad_s += delta[Self::DRIFT];
-        self.world_from_base =
-            rotation_from_rotvec(part(Self::WORLD.start)) * self.world_from_base;
+        self.world_from_base = rotation_from_rotvec(part(Self::WORLD.start)) * self.world_from_base;
         self.link_from_imu *= rotation_from_rotvec(part(Self::MOUNT.start));
     }
 }

@@ -87,6 +87,10 @@ impl Solved {
             .map(|parameter| self.free.binary_search(parameter).map_err(|_| Unseen::NotExcited))
             .collect::<Seen<_>>()?;
         let block = DMatrix::from_fn(at.len(), at.len(), |i, j| self.covariance[(at[i], at[j])]);
-        if block.iter().all(|value| value.is_finite()) { Ok(block) } else { Err(Unseen::NotExcited) }
+        if block.iter().all(|value| value.is_finite()) {
+            Ok(block)
+        } else {
+            Err(Unseen::NotExcited)
+        }
     }
 }

@@ -200,7 +200,8 @@ impl Bins {
     ) -> BinFit {
         let n = self.mean.len();
         let mut design = DMatrix::from_element(n, 2 + jumps_s.len(), 1.0);
-        design.set_column(1, &DVector::from_iterator(n, self.t_s.iter().map(|t| t - self.middle_s)));
+        design
+            .set_column(1, &DVector::from_iterator(n, self.t_s.iter().map(|t| t - self.middle_s)));
         for (j, &at_s) in jumps_s.iter().enumerate() {
             design.set_column(2 + j, &DVector::from_vec(self.after(at_s)));
         }
@@ -269,9 +270,9 @@ impl Bins {
             })
         };
         let bins = (1..self.ranges.len() - 2).filter(apart);
-        let coarse = bins.map(|bin| (bin, try_at(end_of(bin)))).reduce(|a, b| {
-            if b.1.log_likelihood > a.1.log_likelihood { b } else { a }
-        });
+        let coarse = bins
+            .map(|bin| (bin, try_at(end_of(bin))))
+            .reduce(|a, b| if b.1.log_likelihood > a.1.log_likelihood { b } else { a });
         let Some((bin, coarse)) = coarse else { return fit.clone() };
         let near = self.ranges[bin].start..self.ranges[bin + 1].end - 1;
         let stride = near.len().div_ceil(100).max(1);
@@ -284,9 +285,9 @@ impl Bins {
         let scale = 1.0 / (self.t_s[1] - self.t_s[0]).max(f64::MIN_POSITIVE);
         let ratios = (-14..=14).map(|power| scale * 2f64.powi(power));
         let jumps_s = fit.jumps_s.clone();
-        ratios.map(|ratio| self.fit(&jumps_s, ratio)).fold(fit, |a, b| {
-            if b.score() > a.score() { b } else { a }
-        })
+        ratios
+            .map(|ratio| self.fit(&jumps_s, ratio))
+            .fold(fit, |a, b| if b.score() > a.score() { b } else { a })
     }
 
     fn course(&self, fit: &BinFit) -> Course {
@@ -332,7 +333,8 @@ fn memory_s(samples: &[(f64, f64)]) -> f64 {
 /// What a straight line leaves of some samples.
 fn flattened(samples: &[(f64, f64)]) -> impl Iterator<Item = [f64; 3]> {
     let n = samples.len() as f64;
-    let (t, y) = samples.iter().fold((0.0, 0.0), |sum, sample| (sum.0 + sample.0, sum.1 + sample.1));
+    let (t, y) =
+        samples.iter().fold((0.0, 0.0), |sum, sample| (sum.0 + sample.0, sum.1 + sample.1));
     let (t, y) = (t / n, y / n);
     let (mut tt, mut ty) = (0.0, 0.0);
     for sample in samples {
@@ -395,7 +397,8 @@ mod tests {
         let (mut walks, mut covered, mut jumps) = (0, 0, 0);
         for seed in 0..count {
             let course = explain(&series(seed, 0.0, walk, |_| 0.0));
-            walks += usize::from(course.parts.walk_rad_rt_s.is_some_and(|q| (1e-3..4e-3).contains(&q)));
+            walks +=
+                usize::from(course.parts.walk_rad_rt_s.is_some_and(|q| (1e-3..4e-3).contains(&q)));
             jumps += course.parts.jumps.len();
             covered += usize::from(course.drift_rad_s.is_some_and(|drift| {
                 let [low, high] = drift.interval(0.95);

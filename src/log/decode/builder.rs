@@ -25,8 +25,8 @@ const PLACES: [&str; 16] = [
     "[13]", "[14]", "[15]",
 ];
 
-/// Most poses in one message that are told apart by their name.
-const MAX_NAMED: usize = 256;
+/// Most pairs of frames on one topic. The largest trees have a few hundred.
+pub(in crate::log) const MAX_FRAMES: usize = 1 << 12;
 
 /// What Gazebo calls the frame that its states are in.
 const SIMULATED_WORLD: &str = "world";
@@ -171,6 +171,16 @@ impl Builder {
         self.parts.iter_mut().try_for_each(|(_, part)| part.append(row, times))
     }
 
+    /// Rows that were not taken, because the topic has more pairs of frames than [`MAX_FRAMES`].
+    pub(in crate::log) fn refused(&self) -> u64 {
+        let refused = |part: &Part| match part {
+            Part::Poses(poses) | Part::Transforms(poses) => poses.refused,
+            Part::Crowd(crowd) => crowd.poses.refused,
+            Part::Joints(_) | Part::Imu(_) | Part::Array(_) | Part::Text(_) => 0,
+        };
+        self.parts.iter().map(|(_, part)| refused(part)).sum()
+    }
+
     /// The columns of each part, with what comes after the topic's name; none for a part that turned
     /// out to be of no use.
     pub(in crate::log) fn finalize(self) -> Vec<(&'static str, Option<Columns>)> {
@@ -287,6 +297,8 @@ pub(super) struct Poses {
     key: String,
     /// The group of the row before.
     last: usize,
+    /// Rows of pairs of frames beyond [`MAX_FRAMES`].
+    refused: u64,
 }
 
 impl Poses {
@@ -295,8 +307,12 @@ impl Poses {
     }
 
     fn append_of(&mut self, frame_id: &str, child_frame_id: &str, row: &Row, times: RowTimes) {
-        self.last = self.group(frame_id, child_frame_id);
-        let group = &mut self.groups[self.last];
+        let Some(group) = self.group(frame_id, child_frame_id) else {
+            self.refused += 1;
+            return;
+        };
+        self.last = group;
+        let group = &mut self.groups[group];
         let xyz = row.numbers::<3>(row::POSITION);
         let q_xyzw = row.numbers::<4>(row::QUATERNION);
         if !finite(&xyz) || !finite(&q_xyzw) {
@@ -308,20 +324,23 @@ impl Poses {
         group.q_xyzw.push(q_xyzw);
     }
 
-    /// The group of a pair of frames.
-    fn group(&mut self, frame_id: &str, child_frame_id: &str) -> usize {
+    /// The group of a pair of frames; `None` where there are too many of them.
+    fn group(&mut self, frame_id: &str, child_frame_id: &str) -> Option<usize> {
         let same = |group: &PoseColumns| {
             group.frame_id == frame_id && group.child_frame_id == child_frame_id
         };
         if self.groups.get(self.last).is_some_and(same) {
-            return self.last;
+            return Some(self.last);
         }
         self.key.clear();
         self.key.push_str(frame_id);
         self.key.push('\0');
         self.key.push_str(child_frame_id);
         if let Some(&group) = self.by_frames.get(&self.key) {
-            return group;
+            return Some(group);
+        }
+        if self.groups.len() == MAX_FRAMES {
+            return None;
         }
         self.groups.push(PoseColumns {
             frame_id: frame_id.to_owned(),
@@ -330,7 +349,7 @@ impl Poses {
         });
         let group = self.groups.len() - 1;
         self.by_frames.insert(self.key.clone(), group);
-        group
+        Some(group)
     }
 }
 
@@ -356,7 +375,7 @@ impl Naming {
     const fn most(self) -> usize {
         match self {
             Naming::Numbers => PLACES.len(),
-            Naming::Names => MAX_NAMED,
+            Naming::Names => MAX_FRAMES,
         }
     }
 }
@@ -393,9 +412,13 @@ impl Crowd {
 fn take_off_models(groups: &mut [PoseColumns]) {
     let link = |name: &str| name.rsplit("::").next().unwrap_or(name).to_owned();
     let links: Vec<String> = groups.iter().map(|group| link(&group.child_frame_id)).collect();
-    for (index, group) in groups.iter_mut().enumerate() {
-        if links.iter().filter(|link| **link == links[index]).count() == 1 {
-            group.child_frame_id.clone_from(&links[index]);
+    let mut models = HashMap::<&str, usize>::new();
+    for link in &links {
+        *models.entry(link).or_default() += 1;
+    }
+    for (group, link) in groups.iter_mut().zip(&links) {
+        if models[link.as_str()] == 1 {
+            group.child_frame_id.clone_from(link);
         }
     }
 }

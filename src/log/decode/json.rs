@@ -337,8 +337,23 @@ impl<'v> Visitor<'_> for Key<'v> {
     }
 
     fn visit_str<E: Error>(self, key: &str) -> Result<Self::Value, E> {
-        Ok(self.0.iter().find(|(name, _)| *name == key).map(|(_, child)| child))
+        Ok(self.0.iter().find(|(name, _)| is_named(name, key)).map(|(_, child)| child))
     }
+}
+
+/// Whether `key` is a field's `name`, or that name as protocol buffers write it in JSON, in
+/// lowerCamelCase.
+fn is_named(name: &str, key: &str) -> bool {
+    let mut raised = false;
+    let camel = name.chars().filter_map(|letter| {
+        let raise = std::mem::replace(&mut raised, letter == '_');
+        match letter {
+            '_' => None,
+            letter if raise => Some(letter.to_ascii_uppercase()),
+            letter => Some(letter),
+        }
+    });
+    name == key || camel.eq(key.chars())
 }
 
 /// Reads a value into a slot.

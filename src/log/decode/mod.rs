@@ -17,13 +17,13 @@ mod row;
 mod schema;
 mod steps;
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;
 
 use self::recipes::Fields;
 use self::schema::{Schema, SchemaError};
 use self::steps::Serialization;
 
-pub(super) use self::builder::Builder;
+pub(super) use self::builder::{Builder, MAX_FRAMES};
 pub(super) use self::plan::Plan;
 pub(super) use self::recipes::Recipe;
 pub(super) use self::row::{Row, RowTimes};

@@ -306,7 +306,8 @@ impl<'a> Compiler<'a> {
         depth: usize,
         steps: &mut Vec<Step>,
     ) -> Result<(), SchemaError> {
-        self.fields += 1;
+        // A long path takes the memory of several fields.
+        self.fields += 1 + path.len() / 64;
         if self.fields > MAX_FIELDS {
             return Err(SchemaError::TooManyFields);
         }
@@ -334,10 +335,11 @@ impl<'a> Compiler<'a> {
                 let mut nested = Vec::new();
                 self.nested(name, &path, depth, &mut nested)?;
                 self.push_length(field, &path, steps);
-                match nested.is_empty() && !rows {
+                match (nested.is_empty() && !rows, count) {
                     // In ROS 1 an empty message takes no bytes, however often it is there.
-                    true => Op::Skip { size: 0, count },
-                    false => Op::Repeat { count, steps: nested, rows },
+                    (true, Count::Fixed(_)) => return Ok(()),
+                    (true, Count::Wire) => Op::Skip { size: 0, count },
+                    (false, _) => Op::Repeat { count, steps: nested, rows },
                 }
             }
         };

@@ -1,6 +1,6 @@
 //! Messages of every recipe, through plan and builder.
 
-mod encodings;
+pub(in crate::log) mod encodings;
 mod hostile;
 mod idl;
 mod independent;

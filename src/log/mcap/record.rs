@@ -94,6 +94,27 @@ pub(super) fn find_chunk(bytes: &[u8], from: usize) -> Option<usize> {
     })
 }
 
+/// Where the next message outside of chunks begins, at `from` or after it: one of a channel that
+/// `is_known`, with a record behind it or the end of the bytes.
+pub(super) fn find_message(
+    bytes: &[u8],
+    from: usize,
+    is_known: impl Fn(u16) -> bool,
+) -> Option<usize> {
+    let starts = bytes.iter().enumerate().skip(from).filter(|&(_, &byte)| byte == op::MESSAGE);
+    starts.map(|(offset, _)| offset).find(|&offset| {
+        let Ok(found) = frame(bytes, offset) else {
+            return false;
+        };
+        Message::parse(found.body).is_some_and(|message| is_known(message.channel_id))
+            && (found.end() == bytes.len()
+                || frame(bytes, found.end()).is_ok_and(|next| next.opcode <= op::DATA_END))
+    })
+}
+
+/// Longest name of a compression that is believed.
+const MAX_COMPRESSION_NAME: u32 = 16;
+
 /// Bytes of a chunk's fields without its compression's name and its data.
 const CHUNK_HEADER: usize = 8 + 8 + 8 + 4 + 4 + 8;
 
@@ -166,6 +187,9 @@ impl<'a> Message<'a> {
 
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Chunk<'a> {
+    /// Log times of the first and the last message inside, ns.
+    pub(super) first_time: u64,
+    pub(super) last_time: u64,
     /// Bytes of the records inside.
     pub(super) size: u64,
     /// Checksum of the records inside; 0 where there is none.
@@ -180,11 +204,17 @@ pub(super) struct Chunk<'a> {
 impl<'a> Chunk<'a> {
     pub(super) fn parse(body: &'a [u8]) -> Option<Self> {
         let mut fields = Fields(body);
-        let _first_and_last_time = fields.bytes(16)?;
-        let (size, crc, compression) = (fields.u64()?, fields.u32()?, fields.text()?);
+        let (first_time, last_time) = (fields.u64()?, fields.u64()?);
+        let (size, crc) = (fields.u64()?, fields.u32()?);
+        let length = fields.u32()?;
+        if length > MAX_COMPRESSION_NAME {
+            return None;
+        }
+        let compression = std::str::from_utf8(fields.bytes(length.into())?).ok()?;
         let compressed_size = fields.u64()?;
         let there = compressed_size.min(fields.0.len() as u64);
-        Some(Self { size, crc, compression, compressed_size, data: fields.bytes(there)? })
+        let data = fields.bytes(there)?;
+        Some(Self { first_time, last_time, size, crc, compression, compressed_size, data })
     }
 
     fn compression(&self) -> Option<Compression> {

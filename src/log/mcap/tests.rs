@@ -48,10 +48,14 @@ fn lost(log: &Log) -> Vec<(Extent, Option<u64>)> {
     log.losses.iter().map(|loss| (loss.extent, loss.messages)).collect()
 }
 
-/// Offsets of the chunk records of a sound file.
-fn chunks(bytes: &[u8]) -> Vec<usize> {
+/// Offsets of the records of a sound file with this opcode.
+fn records(bytes: &[u8], opcode: u8) -> Vec<usize> {
     let frames = record::frames(bytes, MAGIC.len()).map_while(Result::ok);
-    frames.filter(|frame| frame.opcode == op::CHUNK).map(|frame| frame.offset).collect()
+    frames.filter(|frame| frame.opcode == opcode).map(|frame| frame.offset).collect()
+}
+
+fn chunks(bytes: &[u8]) -> Vec<usize> {
+    records(bytes, op::CHUNK)
 }
 
 #[test]
@@ -145,7 +149,26 @@ fn a_corrupt_chunk_is_lost_alone_and_its_messages_are_counted() {
             assert_eq!((loss.offset, loss.extent), (Some(chunk as u64), Extent::Messages));
             assert_eq!(loss.messages, Some(MESSAGES - log.messages));
             assert!(log.messages > MESSAGES / 2);
+            let kept = &rows(&log).times.log;
+            let lost = (0..MESSAGES as i64).filter(|time| !kept.contains(time));
+            let (first, last) = loss.span.unwrap();
+            assert_eq!((lost.clone().min(), lost.max()), (Some(first.nanos()), Some(last.nanos())));
         }
+    }
+}
+
+#[test]
+fn without_chunks_the_messages_after_damage_are_read() {
+    let plain = WriteOptions::new().use_chunks(false);
+    let mut bytes = poses(LogWriter::with(plain));
+    let damaged = records(&bytes, op::MESSAGE)[MESSAGES as usize / 2];
+    for garbage in [0x7f, 0xff] {
+        // The fourth byte of the record's length.
+        bytes[damaged + 4] = garbage;
+        let log = read_all(&bytes);
+        let [loss] = log.losses.as_slice() else { panic!("{:?}", log.losses) };
+        assert_eq!((loss.offset, loss.messages), (Some(damaged as u64), Some(1)));
+        assert_eq!(log.messages, MESSAGES - 1);
     }
 }
 

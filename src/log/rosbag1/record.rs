@@ -252,6 +252,12 @@ pub(super) fn chunk_info_messages(record: &Record<'_>) -> u64 {
         .sum()
 }
 
+/// Where the chunk of a chunk info begins, and the times of its first and last message, ns.
+pub(super) fn chunk_info_times(record: &Record<'_>) -> Option<(usize, u64, u64)> {
+    let chunk = record.header.u64("chunk_pos")?.try_into().ok()?;
+    Some((chunk, record.header.time("start_time")?, record.header.time("end_time")?))
+}
+
 /// A length, and what follows it.
 fn split(bytes: &[u8]) -> Option<(u32, &[u8])> {
     let (&length, rest) = bytes.split_first_chunk()?;

@@ -126,7 +126,8 @@ impl Tables {
             database.query_row(
                 "SELECT count(*) FROM pragma_table_list WHERE schema = 'main' AND name = ?1 \
                  AND type = 'table' \
-                 AND NOT EXISTS (SELECT 1 FROM pragma_table_xinfo(?1) WHERE hidden != 0)",
+                 AND NOT EXISTS (SELECT 1 FROM pragma_table_xinfo(?1) WHERE hidden != 0 \
+                 OR name = 'rowid' COLLATE NOCASE)",
                 [name],
                 |row| Ok(row.get::<_, i64>(0)? > 0),
             )
@@ -210,10 +211,14 @@ impl Reader<'_> {
     fn messages(&mut self) {
         // Recorders count rows from 1.
         let mut from = 1;
-        for _ in 0..MAX_BREAKS {
-            let Err(error) = self.messages_from(&mut from) else {
+        let mut breaks = 0;
+        while let Err(error) = self.messages_from(&mut from) {
+            breaks += 1;
+            if breaks > MAX_BREAKS {
+                let what = format!("rows from {from} on are not read, after so many damaged ones");
+                lose(self.losses, None, &what, &error);
                 break;
-            };
+            }
             let Some(next) = self.next_sound(from) else {
                 let what = format!("no row from {from} on of the table `messages` is readable");
                 lose(self.losses, None, &what, &error);
@@ -297,7 +302,7 @@ impl Reader<'_> {
     fn row_from(&self, id: i64) -> rusqlite::Result<Option<i64>> {
         let mut statement = self
             .database
-            .prepare("SELECT rowid, data FROM messages WHERE rowid >= ?1 ORDER BY rowid")?;
+            .prepare("SELECT rowid, data FROM messages WHERE rowid >= ?1 ORDER BY rowid LIMIT 1")?;
         let mut rows = statement.query([id])?;
         match rows.next()? {
             Some(row) => {

@@ -310,6 +310,30 @@ const ROS1_TRANSFORMS: &str = "FrameTransform[] transforms\n===\nMSG: foxglove_m
     ===\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n\
     ===\nMSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n";
 
+/// Two transforms in each encoding: its name among the fuzz targets, the type, the schema and the
+/// message.
+pub(in crate::log) fn seeds() -> Vec<(&'static str, &'static str, Vec<u8>, Vec<u8>)> {
+    let mut random = Random(11);
+    let transforms = [random.transform(), random.transform()];
+    let mut seeds = vec![
+        (
+            "protobuf",
+            "foxglove.FrameTransforms",
+            include_bytes!("foxglove.bin").to_vec(),
+            in_protobuf(&transforms),
+        ),
+        ("json", "foxglove.FrameTransforms", Vec::new(), in_json(&transforms, false)),
+    ];
+    for style in STYLES {
+        let (target, schema) = match style {
+            Style::Ros1 => ("ros1", ROS1_TRANSFORMS),
+            _ => ("ros2msg", ""),
+        };
+        seeds.push((target, CDR.type_name, schema.into(), in_style(style, &transforms)));
+    }
+    seeds
+}
+
 #[test]
 fn transforms_are_the_same_in_every_encoding() {
     let mut random = Random(7);

@@ -34,6 +34,17 @@ fn arrays_of_nothing_in_arrays_take_no_time() {
 }
 
 #[test]
+fn arrays_of_nothing_of_a_stated_length_take_no_time() {
+    let text = "Outer[4000000000] a\nstring data\n===\nMSG: std_msgs/Outer\nMany[4000000000] b\n\
+                ===\nMSG: std_msgs/Many\nEmpty[5] c\n===\nMSG: std_msgs/Empty\n";
+    let format =
+        Format { encoding: "ros1", schema_encoding: "ros1msg", ..cdr("std_msgs/String", text) };
+    let (parts, error) = decode_all(format, &[[2, 0, 0, 0, b'o', b'k'].to_vec()]);
+    assert_eq!(error, None);
+    assert!(matches!(&parts[0].1, Some(Columns::Text(text)) if text.text == ["ok"]));
+}
+
+#[test]
 fn arrays_longer_than_the_message_are_refused() {
     for fields in ["float64[4294967295] a", "string[4294967295] a", "std_msgs/Header[4294967295] a"]
     {

@@ -1,0 +1,127 @@
+//! The seeds of the fuzz targets, in `fuzz/seeds/TARGET/`: small sound logs and messages of every
+//! kind, by the writers of these tests.
+
+use std::fs;
+use std::path::Path;
+
+use super::decode::tests::encodings;
+use super::testing::{self, BagWriter, Cdr, DatabaseWriter, LogWriter};
+use super::{ReadOptions, open};
+
+const POSE: &str = "geometry_msgs/msg/PoseStamped";
+
+fn pose(n: u32) -> Vec<u8> {
+    Cdr::pose_stamped(0, n, "base", [n.into(), 0.5, 0.25])
+}
+
+fn mcap(compression: Option<mcap::Compression>) -> Vec<u8> {
+    let mut log = LogWriter::new(compression);
+    let joints = log.channel("/joint_states", "sensor_msgs/msg/JointState", testing::JOINT_STATE);
+    let poses = log.channel("/pose", POSE, testing::POSE_STAMPED);
+    for n in 0..5 {
+        log.message(joints, n.into(), &Cdr::joint_state(&["a", "b"], &[0.1, 0.2], &[]));
+        log.message(poses, n.into(), &pose(n));
+    }
+    log.finish()
+}
+
+fn bag(compression: &'static str) -> Vec<u8> {
+    let mut bag = BagWriter::new(compression);
+    let definition = "float64[] data";
+    let numbers = bag.connection("/numbers", "std_msgs/Float64MultiArray", definition);
+    for n in 0..5 {
+        let data: Vec<u8> = [&6_u32.to_le_bytes()[..], &[0; 48]].concat();
+        bag.message(numbers, n, &data);
+        if n == 2 {
+            bag.end_chunk();
+        }
+    }
+    bag.finish()
+}
+
+fn database(create: fn(&Path) -> DatabaseWriter) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.db3");
+    let database = create(&path);
+    database.poses(1, "/pose");
+    database.count_poses(1, 0, 5);
+    drop(database);
+    fs::read(path).unwrap()
+}
+
+fn rtde() -> Vec<u8> {
+    let names = |name: &str| (0..6).map(|n| format!("{name}_{n}")).collect::<Vec<_>>().join(" ");
+    let mut table = format!("timestamp {} {}\n", names("actual_q"), names("actual_TCP_pose"));
+    for n in 0..5 {
+        table += &format!("{}.5{}\n", 100 + n, " 0.25 -1.5 0 1e-3 0.5 0.125".repeat(2));
+    }
+    table.into_bytes()
+}
+
+const METADATA: &[u8] = b"rosbag2_bagfile_information:\n  version: 9\n  storage_identifier: mcap\n  \
+    relative_file_paths:\n    - run_0.mcap\n  message_count: 2\n  compression_format: ''\n  files:\n    \
+    - path: run_0.mcap\n      message_count: 2\n";
+
+/// A message behind its type and its schema, as the targets take them.
+fn message(type_name: &str, schema: &[u8], data: &[u8]) -> Vec<u8> {
+    let mut seed = vec![type_name.len() as u8];
+    seed.extend(type_name.as_bytes());
+    seed.extend((schema.len() as u16).to_le_bytes());
+    seed.extend(schema);
+    seed.extend(data);
+    seed
+}
+
+/// Every seed: its target and its bytes.
+fn all() -> Vec<(&'static str, Vec<u8>)> {
+    let zstd = |bytes: &[u8]| zstd::bulk::compress(bytes, 1).unwrap();
+    let idl = "module geometry_msgs { module msg { struct PoseStamped { \
+        std_msgs::msg::Header header; geometry_msgs::msg::Pose pose; }; }; };";
+    let mut seeds = vec![
+        ("mcap", mcap(None)),
+        ("mcap", mcap(Some(mcap::Compression::Zstd))),
+        ("mcap", mcap(Some(mcap::Compression::Lz4))),
+        ("rosbag1", bag("none")),
+        ("rosbag1", bag("bz2")),
+        ("rosbag1", bag("lz4")),
+        ("rosbag2", database(DatabaseWriter::create)),
+        ("rosbag2", database(DatabaseWriter::create_old)),
+        ("rtde", rtde()),
+        ("rtde", rtde().iter().map(|&b| if b == b' ' { b',' } else { b }).collect()),
+        ("zstd", zstd(&mcap(None))),
+        ("zstd", zstd(&database(DatabaseWriter::create))),
+        ("metadata", METADATA.to_vec()),
+        ("ros2msg", message(POSE, testing::POSE_STAMPED.as_bytes(), &pose(7))),
+        ("ros2idl", message(POSE, idl.as_bytes(), &pose(7))),
+    ];
+    for (target, type_name, schema, data) in encodings::seeds() {
+        seeds.push((target, message(type_name, &schema, &data)));
+    }
+    seeds
+}
+
+/// Set to write the seeds anew.
+const WRITE: &str = "POSEAUDIT_WRITE_SEEDS";
+
+#[test]
+fn the_fuzzers_seeds_are_what_the_writers_make() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds");
+    let temporary = tempfile::tempdir().unwrap();
+    for (number, (target, bytes)) in all().into_iter().enumerate() {
+        let path = folder.join(target).join(format!("{number:02}"));
+        if std::env::var_os(WRITE).is_some() {
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(&path, &bytes).unwrap();
+        }
+        let kept = fs::read(&path).unwrap();
+        // Another version of a compressor or of SQLite may write other bytes for the same content.
+        let made = temporary.path().join("log");
+        fs::write(&made, &bytes).unwrap();
+        let topics = |path: &Path| {
+            let log = open(&[path.to_owned()], &ReadOptions { verify: true, progress: None });
+            log.map(|log| (log.topics, log.losses)).ok()
+        };
+        let same = kept == bytes || topics(&path).is_some_and(|kept| Some(kept) == topics(&made));
+        assert!(same, "{}: set {WRITE}=1 to write it anew", path.display());
+    }
+}

@@ -1,0 +1,34 @@
+//! The seeds of the fuzz targets, whole and damaged: nothing panics, and what is read keeps the
+//! promises of every reader.
+
+use std::fs;
+use std::path::Path;
+
+use rand::{Rng, RngExt, SeedableRng};
+
+#[path = "../fuzz/feed.rs"]
+mod feed;
+
+#[test]
+fn seeds_whole_cut_and_overwritten_are_read_or_refused() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds");
+    let mut random = rand_pcg::Pcg64::seed_from_u64(4);
+    for (target, _) in feed::TARGETS {
+        let seeds = fs::read_dir(folder.join(target)).unwrap().map(|entry| entry.unwrap().path());
+        let mut seeds: Vec<_> = seeds.collect();
+        seeds.sort();
+        assert!(!seeds.is_empty(), "{target} has no seed");
+        for seed in seeds {
+            let bytes = fs::read(seed).unwrap();
+            feed::feed(target, &bytes);
+            for percent in 1..100 {
+                feed::feed(target, &bytes[..bytes.len() * percent / 100]);
+                let mut overwritten = bytes.clone();
+                let length = bytes.len().min(64);
+                let start = random.random_range(0..=bytes.len() - length);
+                random.fill_bytes(&mut overwritten[start..start + length]);
+                feed::feed(target, &overwritten);
+            }
+        }
+    }
+}
