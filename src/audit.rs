@@ -7,11 +7,11 @@ use std::sync::Arc;
 use polars::prelude::PolarsResult;
 
 use crate::checks::{
-    ArmFacts, Evaluation, Facts, ImuFacts, JointFacts, PoseFacts, Settings, StampFacts,
+    ArmFacts, Declared, Evaluation, Facts, ImuFacts, JointFacts, PoseFacts, Settings, StampFacts,
     UndecodableTopic,
 };
 use crate::diagnosis::{
-    ArmDiagnosis, ImuDiagnosis, ImuStream, PoseDiagnosis, PoseStream, diagnose_arm,
+    ArmDiagnosis, ImuDiagnosis, ImuStream, PoseDiagnosis, PoseStream, Unseen, diagnose_arm,
     diagnose_derived, diagnose_imu, follows, position_misfit_m,
 };
 use crate::finding::{Severity, Span};
@@ -206,7 +206,13 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
     let imus = arm
         .imus
         .iter()
-        .map(|source| diagnose_imu(&corrected, &imu_stream(source), most_lag_s))
+        .map(|source| match &diagnosis.joints {
+            // No reading of the joint states fits the poses, so that FK of them tells nothing.
+            Err(Unseen::NotExcited) => ImuDiagnosis::unseen(&Unseen::RestsOn(
+                "the order and the unit of the joint positions",
+            )),
+            _ => diagnose_imu(&corrected, &imu_stream(source), most_lag_s),
+        })
         .collect();
     Diagnosis { arm: diagnosis, tf, imus }
 }
@@ -267,6 +273,13 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis) -> ArmFacts {
         better_model: None,
         independent: !source.stamps_copied,
         bare_numbers: matches!(source.track.orientation, Orientations::Numbers(_)),
+        declared: source.track.declared.as_ref().map(|units| Declared {
+            angles: units.in_other_angles.is_some().then_some(match units.degrees {
+                true => "deg",
+                false => "rad",
+            }),
+            lengths: if units.millimetres { "mm" } else { "m" },
+        }),
     };
     let tf = arm.tf.as_ref().ok().zip(diagnosis.tf);
     let imus = arm.imus.iter().zip(diagnosis.imus).map(|(source, diagnosis)| {
@@ -314,7 +327,12 @@ fn better_model(
     if left_m < LITTLE_M || found.nominal {
         return None;
     }
-    let scale = if matches!(found.millimetres, Ok(Some(_))) { 1e-3 } else { 1.0 };
+    let declared_mm = source.track.declared.as_ref().is_some_and(|units| units.millimetres);
+    let scale = match found.millimetres {
+        Ok(Some(_)) if declared_mm => 1e3,
+        Ok(Some(_)) => 1e-3,
+        _ => 1.0,
+    };
     let latency_s = found.latency_s.as_ref().map_or(0.0, |latency| latency.value);
     let stream = pose_stream(run, source);
     let misfit_m = |chain: &Chain| {

@@ -163,6 +163,9 @@ pub fn unseen(unseen: &Unseen, settle: &str) -> Outcome {
         }
         Unseen::NotExcited => "this motion does not show it".to_owned(),
         Unseen::NoOrientation => return Outcome::Skipped("it carries no orientation".to_owned()),
+        Unseen::NoFrame => {
+            return Outcome::Skipped("the log has no frame of the IMU on the arm".to_owned());
+        }
         Unseen::NominalKinematics => {
             return Outcome::Inconclusive(
                 "the model is a drawing held against a calibrated arm, and causes this small cannot \

@@ -162,6 +162,17 @@ pub struct PoseFacts {
     pub independent: bool,
     /// Whether its rotations are bare numbers, which may be degrees.
     pub bare_numbers: bool,
+    /// The units that the caller declared its numbers to be in.
+    pub declared: Option<Declared>,
+}
+
+/// The units of a stream's numbers as the caller declared them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Declared {
+    /// `deg` or `rad`, where the numbers hold angles.
+    pub angles: Option<&'static str>,
+    /// `mm` or `m`.
+    pub lengths: &'static str,
 }
 
 /// One IMU.

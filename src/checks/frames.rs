@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use crate::checks::decision::{DEGREE, Decision, Figure, FrameFigures, decide_frame, unseen};
-use crate::checks::{ArmFacts, Facts, Judged, PoseFacts, zer001};
+use crate::checks::{ArmFacts, Facts, Judged, PoseFacts, mdl001, zer001};
 use crate::diagnosis::{FrameEstimate, JointOffset, PoseDiagnosis, Seen, Twin};
 use crate::finding::{Alternative, Estimate, Fault, Outcome, Severity, Subject, Unit};
 use crate::geometry::{Pose, rotvec_from_rotation, xyz_of, xyzw_from_rotation};
@@ -67,22 +67,26 @@ fn judge_stream(
         (Err(_), Some(why)) => return Judged::new(subject, Outcome::Skipped(why.clone())),
         (Err(why), None) => {
             let outcome = match twins.iter().find(|(offset, _)| offset.chosen) {
-                Some((_, cause)) => named_instead(cause),
+                Some((_, cause)) => named_instead(arm, cause),
                 None => unseen(why, SETTLE),
             };
             return Judged::new(subject, outcome);
         }
     };
+    let effect_m = frame.translation_m.value + frame.rotation_rad.value * arm.reach_m;
     let outcome = match (decide_frame(frame, &FIGURES, subjects), not_judged) {
         (_, Some(why)) => Outcome::sound_because(why),
-        (Decision::Fail(severity), None) if frame.chosen => {
-            let mut fault = (end.fault)(arm, stream, frame, severity);
-            fault.evidence.indistinguishable.extend(twins.into_iter().map(|(_, cause)| cause));
-            Outcome::faulty(fault)
-        }
+        (Decision::Fail(severity), None) if frame.chosen => match mdl001::doubt(arm, effect_m) {
+            Some(why) => Outcome::Inconclusive(why),
+            None => {
+                let mut fault = (end.fault)(arm, stream, frame, severity);
+                fault.evidence.indistinguishable.extend(twins.into_iter().map(|(_, cause)| cause));
+                Outcome::faulty(fault)
+            }
+        },
         (Decision::Pass, None) => Outcome::sound(),
         (decision, None) => match twins.iter().find(|(offset, _)| offset.chosen && !frame.chosen) {
-            Some((_, cause)) => named_instead(cause),
+            Some((_, cause)) => named_instead(arm, cause),
             None => Outcome::Inconclusive(undecided(&decision, frame)),
         },
     };
@@ -91,7 +95,10 @@ fn judge_stream(
         .with_evidence("pose", pose_json(&frame.pose))
 }
 
-fn named_instead(cause: &Alternative) -> Outcome {
+fn named_instead(arm: &ArmFacts, cause: &Alternative) -> Outcome {
+    if let Some(why) = mdl001::doubt(arm, 0.0) {
+        return Outcome::Inconclusive(why);
+    }
     let (code, joint) = (cause.code, cause.subject.label());
     Outcome::Indistinguishable(format!(
         "it cannot be told from {code} on {joint}, which is named instead"

@@ -1,7 +1,8 @@
-use crate::checks::decision::{Decision, Figure, decide, unseen};
-use crate::checks::{ArmFacts, Facts, Grade, Judged, PoseFacts};
-use crate::diagnosis::{Measured, PoseDiagnosis};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::checks::amount::{Amount, Estimated};
+use crate::checks::decision::Figure;
+use crate::checks::{ArmFacts, Facts, Grade, Judged};
+use crate::diagnosis::Measured;
+use crate::finding::{Evidence, Fault, Severity, Unit};
 
 rule! {
     /// A stream's latency grows, as of a clock that runs at another rate.
@@ -29,47 +30,35 @@ rule! {
         grade: Grade::From(&[FIGURE]),
         headline: false,
         needs_model: true,
-        missing: "no pose stream beside the joint states",
+        missing: "no pose or IMU stream beside the joint states",
         check: check,
     }
 }
 
 const FIGURE: Figure = Figure { unit: Unit::SecondPerSecond, warning: 50e-6, error: 500e-6 };
 
-/// What would tell where the skew could not be had.
-const SETTLE: &str = "record a minute or more in which the arm moves from first to last";
+const SKEW: Amount = Amount {
+    name: "clock skew",
+    figure: FIGURE,
+    settle: "record a minute or more in which the arm moves from first to last",
+    fault,
+};
 
 fn check(facts: &Facts) -> Vec<Judged> {
     let subjects = facts.subjects();
-    facts
-        .poses()
-        .map(|(arm, stream, diagnosis)| judge(arm, stream, diagnosis, subjects))
-        .collect()
+    let poses = facts.poses().map(|(arm, stream, diagnosis)| {
+        let (estimate, is_chosen) = (&diagnosis.skew, diagnosis.skew_chosen);
+        let (topic, span) = (stream.topic.as_str(), stream.span);
+        SKEW.judge(arm, Estimated { topic, span, estimate, is_chosen, doubt: None }, subjects)
+    });
+    let imus = facts.imus().map(|(arm, imu, diagnosis)| {
+        let (topic, span, estimate) = (imu.topic.as_str(), imu.span, &diagnosis.skew);
+        SKEW.judge(arm, Estimated { topic, span, estimate, is_chosen: true, doubt: None }, subjects)
+    });
+    poses.chain(imus).collect()
 }
 
-fn judge(arm: &ArmFacts, stream: &PoseFacts, diagnosis: &PoseDiagnosis, subjects: usize) -> Judged {
-    let subject = arm.topic(&stream.topic);
-    let skew = match &diagnosis.skew {
-        Ok(skew) => skew,
-        Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(stream.span),
-    };
-    let outcome = match decide(skew, &FIGURE, subjects) {
-        Decision::Pass => Outcome::sound(),
-        Decision::Fail(severity) if diagnosis.skew_chosen => {
-            Outcome::faulty(fault(arm, stream, skew, severity))
-        }
-        Decision::Fail(_) => {
-            let shown = FIGURE.unit.show_signed(skew);
-            let why = format!("{shown} would fit, but what is found explains the log without it");
-            Outcome::Inconclusive(format!("{why}; {SETTLE}"))
-        }
-        Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
-    };
-    let estimate = Estimate::amount("clock skew", FIGURE.unit, skew);
-    Judged::new(subject, outcome).within(stream.span).estimated(estimate)
-}
-
-fn fault(arm: &ArmFacts, stream: &PoseFacts, skew: &Measured, severity: Severity) -> Fault {
+fn fault(arm: &ArmFacts, stream: &Estimated<'_>, skew: &Measured, severity: Severity) -> Fault {
     let seconds = stream.span.seconds();
     let moved_s = skew.value.abs() * seconds;
     let moved = Unit::Second.show(moved_s);
@@ -93,8 +82,17 @@ fn fault(arm: &ArmFacts, stream: &PoseFacts, skew: &Measured, severity: Severity
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{ask, clean_run, sure};
+    use crate::checks::testing::{IMU, ask, clean_run, sure};
     use crate::finding::Status;
+
+    #[test]
+    fn an_imus_clock_is_judged_too() {
+        let mut facts = clean_run();
+        facts.robots[0].imus[0].1.skew = Ok(sure(2e-3));
+        let (_, findings) = ask(&LAT002, &facts);
+        assert_eq!(findings[0].subject.topic.as_deref(), Some(IMU));
+        assert_eq!(findings[0].severity, Severity::Error);
+    }
 
     #[test]
     fn a_skew_is_a_finding_only_where_the_explanation_needs_it() {

@@ -1,5 +1,5 @@
 use crate::checks::decision::{Decision, Figure, decide, unseen};
-use crate::checks::{Facts, Grade, Judged, PoseFacts};
+use crate::checks::{ArmFacts, Facts, Grade, Judged, PoseFacts};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
@@ -72,8 +72,14 @@ fn check(facts: &Facts) -> Vec<Judged> {
                     .to_owned(),
             }),
             Decision::Pass => Outcome::sound(),
-            Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
-            Decision::Fail(severity) => {
+            Decision::Undecided(why) if stream.better_model.is_none() => {
+                Outcome::Inconclusive(format!("{why}; {SETTLE}"))
+            }
+            decision => {
+                let severity = match decision {
+                    Decision::Fail(severity) => severity,
+                    _ => Severity::Error,
+                };
                 let left = format!("{length} rms and {angle} are left");
                 Outcome::faulty(unexplained(stream, severity, &left, residual.excess_m.value))
             }
@@ -87,6 +93,25 @@ fn check(facts: &Facts) -> Vec<Judged> {
             .with_evidence("before_rad", residual.before_rad)
     });
     judged.collect()
+}
+
+/// Where more than this is left, rms m, the model may be another arm's.
+const UNEXPLAINED_M: f64 = 5e-3;
+/// A cause that moves poses by so many times what is left is there whatever else is.
+const FAR_BEYOND: f64 = 10.0;
+
+/// Why a cause that moves the poses of `arm` by `effect_m` cannot be believed, where it cannot: what
+/// is left beside it makes it a part of whatever the model does not have.
+pub(super) fn doubt(arm: &ArmFacts, effect_m: f64) -> Option<String> {
+    if let Some((robot, _)) = arm.poses.iter().find_map(|stream| stream.better_model.as_ref()) {
+        return Some(format!("the catalogue's {robot} fits this log far better (MDL001)"));
+    }
+    let left = arm.poses().filter_map(|(_, stream)| stream.residual.as_ref().ok());
+    let left_m = left.map(|residual| residual.excess_m.value).fold(0.0, f64::max);
+    (left_m > UNEXPLAINED_M && effect_m < FAR_BEYOND * left_m).then(|| {
+        let left = Unit::Metre.show(left_m);
+        format!("{left} is left that nothing explains (MDL001); check the model")
+    })
 }
 
 /// What is left, and the arm of the catalogue that leaves less where there is one.
@@ -113,7 +138,9 @@ fn unexplained(stream: &PoseFacts, severity: Severity, left: &str, effect_m: f64
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{ask, clean_run, sure};
+    use crate::checks::evaluate;
+    use crate::checks::testing::{ask, clean_run, frame, sure};
+    use crate::diagnosis::FrameEstimate;
 
     #[test]
     fn an_arm_that_fits_is_named() {
@@ -124,5 +151,22 @@ mod tests {
         assert!(message(&facts).ends_with("when all that was found is taken off"));
         facts.robots[0].poses[0].better_model = Some(("ur5e".to_owned(), 2e-5));
         assert!(message(&facts).ends_with("the catalogue's ur5e fits to 20 µm"));
+    }
+
+    #[test]
+    fn beside_what_nothing_explains_only_what_goes_far_beyond_it_is_believed() {
+        let found = |tool_m: f64| {
+            let mut facts = clean_run();
+            let stream = &mut facts.robots[0].diagnosis.streams[0];
+            (stream.growth, stream.growth_chosen) = (Ok(sure(0.01)), true);
+            stream.tool = Ok(FrameEstimate { chosen: true, p_value: 0.0, ..frame(tool_m) });
+            stream.residual.as_mut().unwrap().excess_m = sure(0.02);
+            let findings = evaluate(&facts, &Default::default()).findings;
+            let mut codes: Vec<&str> = findings.iter().map(|finding| finding.code).collect();
+            codes.sort_unstable();
+            codes
+        };
+        assert_eq!(found(0.03), ["MDL001"]);
+        assert_eq!(found(0.3), ["FRM003", "MDL001"]);
     }
 }

@@ -4,6 +4,7 @@
 //! figures and logic stand together in its file; everything that lists or explains rules reads the
 //! [`registry`]. Nothing here estimates anything or reads files.
 
+mod amount;
 mod decision;
 mod facts;
 mod frames;
@@ -23,8 +24,10 @@ use crate::finding::{
 };
 
 pub use decision::{Decision, Figure, FrameFigures, decide, decide_both, decide_frame};
-pub use facts::{ArmFacts, Facts, ImuFacts, JointFacts, PoseFacts, StampFacts, UndecodableTopic};
-pub use observability::{Blind, Part, StreamObservability, listed};
+pub use facts::{
+    ArmFacts, Declared, Facts, ImuFacts, JointFacts, PoseFacts, StampFacts, UndecodableTopic,
+};
+pub use observability::{Blind, Part, StreamObservability};
 
 /// Declares a rule; its doc comment is the text that `explain` prints.
 macro_rules! rule {

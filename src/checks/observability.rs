@@ -4,8 +4,8 @@
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use crate::checks::{ArmFacts, Facts, Grade, find};
-use crate::diagnosis::{BlindDirection, Observability, Parameter};
+use crate::checks::{ArmFacts, Facts, Grade, PoseFacts, find, mdl001};
+use crate::diagnosis::{BlindDirection, Observability, Parameter, PoseDiagnosis};
 use crate::finding::{CheckRow, Status, Subject, Unit};
 
 /// A cause of the size of its rule's first figure is seen where it moves the log by this many
@@ -25,6 +25,9 @@ pub struct StreamObservability {
     /// The changes of the model's parameters that this log hardly shows; none where it shows all
     /// that any log can.
     pub directions: Vec<Blind>,
+    /// What of it left a check open and what no check says of itself: causes that show only together.
+    #[serde(skip)]
+    pub together: Vec<Blind>,
 }
 
 /// Causes that this log does not show, or does not tell apart.
@@ -37,9 +40,6 @@ pub struct Blind {
     pub singular_value: f64,
     /// The motion that would show them.
     pub motion: String,
-    /// Whether a check of one of these causes could not decide.
-    #[serde(skip)]
-    pub left_open: bool,
 }
 
 /// One cause's part in a direction.
@@ -61,19 +61,38 @@ pub struct Part {
 }
 
 impl Blind {
-    /// The causes and the motion, as one sentence.
-    pub fn sentence(&self) -> String {
-        let causes = self.causes();
-        let blind = if causes.len() > 1 { "are not told apart" } else { "is not seen" };
-        format!("{} {blind}; {}", listed(&causes), self.motion)
+    /// The causes in words and the motion, as one sentence on `topic`.
+    pub fn sentence(&self, topic: &str) -> String {
+        let (causes, motion) = (self.causes(), &self.motion);
+        match self.parts_by_cause().len() {
+            0 | 1 => format!("{causes} does not show in {topic}; {motion}"),
+            _ => format!(
+                "{causes} show in {topic} only together, not each alone; to tell them apart, {motion}"
+            ),
+        }
     }
 
-    /// The causes that take part, without their axes, each once.
-    pub fn causes(&self) -> Vec<&str> {
-        let mut causes: Vec<&str> = Vec::new();
+    /// `zeros of a and b, reference frame and tool frame`.
+    fn causes(&self) -> String {
+        let parts = self.parts_by_cause();
+        let joints: Vec<&str> = parts.iter().filter_map(|part| part.joint.as_deref()).collect();
+        let zeros = match joints.len() {
+            0 => None,
+            1 => Some(format!("zero of {}", joints[0])),
+            _ => Some(format!("zeros of {}", listed(&joints))),
+        };
+        let others = parts.iter().filter(|part| part.joint.is_none());
+        let mut others: Vec<&str> = others.map(|part| part.cause.as_str()).collect();
+        others.sort_unstable();
+        listed(&zeros.as_deref().into_iter().chain(others).collect::<Vec<&str>>())
+    }
+
+    /// The first part of each cause, whatever its axis.
+    fn parts_by_cause(&self) -> Vec<&Part> {
+        let mut causes: Vec<&Part> = Vec::new();
         for part in &self.parameters {
-            if !causes.contains(&part.cause.as_str()) {
-                causes.push(&part.cause);
+            if !causes.iter().any(|known| known.cause == part.cause) {
+                causes.push(part);
             }
         }
         causes
@@ -87,7 +106,7 @@ impl Blind {
 }
 
 /// `a, b and c`.
-pub fn listed(items: &[&str]) -> String {
+fn listed(items: &[&str]) -> String {
     match items {
         [] => String::new(),
         [one] => (*one).to_owned(),
@@ -101,38 +120,94 @@ pub(super) fn observability(facts: &Facts, checks: &mut [CheckRow]) -> Vec<Strea
     for arm in &facts.robots {
         for (stream, diagnosis) in arm.poses() {
             let Some(seen) = &diagnosis.observability else { continue };
-            let mut directions: Vec<Blind> = seen
-                .blind(|parameter| figure(arm, parameter), SEEN)
-                .into_iter()
-                .map(|direction| blind(arm, seen, direction))
-                .collect();
-            let is_meant = |row: &&mut CheckRow| {
-                let Subject { robot, topic, .. } = &row.subject;
-                row.status == Status::Inconclusive
-                    && !row.indistinguishable
-                    && robot.as_ref() == Some(&arm.name)
-                    && topic.as_ref().is_none_or(|topic| *topic == stream.topic)
-            };
-            for row in checks.iter_mut().filter(is_meant) {
-                let concerned: Vec<&mut Blind> = directions
-                    .iter_mut()
-                    .filter(|direction| direction.concerns(row.code, &row.subject))
+            let found = seen.blind(|parameter| figure(arm, parameter), SEEN);
+            let directions: Vec<Blind> = found.iter().map(|one| blind(arm, seen, one)).collect();
+            let mut leaves_open = vec![false; directions.len()];
+            let open =
+                checks.iter_mut().filter(|row| is_left_to_motion(row, arm, stream, diagnosis));
+            for row in open {
+                let concerned: Vec<usize> = (0..directions.len())
+                    .filter(|&one| directions[one].concerns(row.code, &row.subject))
                     .collect();
                 if concerned.is_empty() {
                     continue;
                 }
-                let list: Vec<Value> = concerned.iter().map(|one| json!(one)).collect();
-                concerned.into_iter().for_each(|one| one.left_open = true);
+                let list: Vec<Value> =
+                    concerned.iter().map(|&one| json!(directions[one])).collect();
+                concerned.into_iter().for_each(|one| leaves_open[one] = true);
                 row.evidence.insert("blind".to_owned(), list.into());
             }
+            let open = found.iter().zip(leaves_open).filter(|(_, open)| *open).map(|(one, _)| one);
+            let groups = that_share_a_cause(open.cloned().collect());
             streams.push(StreamObservability {
                 robot: arm.name.clone(),
                 topic: stream.topic.clone(),
+                // What does not show by itself is said by its check.
+                together: groups
+                    .iter()
+                    .map(|group| blind(arm, seen, group))
+                    .filter(|group| group.parts_by_cause().len() > 1)
+                    .collect(),
                 directions,
             });
         }
     }
     streams
+}
+
+/// Whether a check on `stream` is open for want of motion. What a nominal or wrong model leaves open no
+/// motion settles.
+fn is_left_to_motion(
+    row: &CheckRow,
+    arm: &ArmFacts,
+    stream: &PoseFacts,
+    diagnosis: &PoseDiagnosis,
+) -> bool {
+    let Subject { robot, topic, .. } = &row.subject;
+    row.status == Status::Inconclusive
+        && !row.indistinguishable
+        && robot.as_ref() == Some(&arm.name)
+        && topic.as_ref().is_none_or(|topic| *topic == stream.topic)
+        && (row.code.starts_with("LAT") || !diagnosis.nominal && mdl001::doubt(arm, 0.0).is_none())
+}
+
+/// The directions, those that share a cause made one: of what is in either, only mixes show.
+fn that_share_a_cause(directions: Vec<BlindDirection>) -> Vec<BlindDirection> {
+    let mut groups: Vec<BlindDirection> = Vec::new();
+    for direction in directions {
+        let shares = |group: &BlindDirection| {
+            let of =
+                |one: &BlindDirection| one.parameters.iter().map(|(p, _)| cause_of(*p)).collect();
+            let (a, b): (Vec<_>, Vec<_>) = (of(group), of(&direction));
+            a.iter().any(|cause| b.contains(cause))
+        };
+        let (mut same, other): (Vec<_>, Vec<_>) = groups.into_iter().partition(shares);
+        same.push(direction);
+        let singular_value =
+            same.iter().map(|one| one.singular_value).fold(f64::INFINITY, f64::min);
+        let mut parameters: Vec<(Parameter, f64)> = Vec::new();
+        for (parameter, weight) in same.into_iter().flat_map(|one| one.parameters) {
+            if !parameters.iter().any(|(known, _)| *known == parameter) {
+                parameters.push((parameter, weight));
+            }
+        }
+        parameters.sort_by_key(|(parameter, _)| match parameter {
+            Parameter::JointZero(joint) => *joint,
+            _ => usize::MAX,
+        });
+        groups = other;
+        groups.push(BlindDirection { parameters, singular_value });
+    }
+    groups
+}
+
+/// A parameter without its axis.
+fn cause_of(parameter: Parameter) -> Parameter {
+    match parameter {
+        Parameter::ReferenceShift(_) | Parameter::ReferenceTurn(_) => Parameter::ReferenceShift(0),
+        Parameter::ToolShift(_) | Parameter::ToolTurn(_) => Parameter::ToolShift(0),
+        other => other,
+    }
 }
 
 /// The first figure of the rule that judges a parameter.
@@ -154,14 +229,12 @@ fn figure(arm: &ArmFacts, parameter: Parameter) -> f64 {
     figures.iter().find(|figure| figure.unit == unit).map_or(1.0, |figure| figure.warning)
 }
 
-fn blind(arm: &ArmFacts, seen: &Observability, direction: BlindDirection) -> Blind {
-    let motion = motion(arm, seen, &direction);
-    let parameters = direction.parameters.into_iter();
+fn blind(arm: &ArmFacts, seen: &Observability, direction: &BlindDirection) -> Blind {
+    let parameters = direction.parameters.iter();
     Blind {
-        parameters: parameters.map(|(parameter, weight)| part(arm, parameter, weight)).collect(),
+        parameters: parameters.map(|&(parameter, weight)| part(arm, parameter, weight)).collect(),
         singular_value: direction.singular_value,
-        motion,
-        left_open: false,
+        motion: motion(arm, seen, direction),
     }
 }
 
@@ -206,18 +279,17 @@ fn motion(arm: &ArmFacts, seen: &Observability, direction: &BlindDirection) -> S
         direction.parameters.iter().any(|one| one.0 == Parameter::JointZero(joint))
     };
     let own: Vec<usize> = still.iter().copied().filter(takes_part).collect();
-    let (joints, poses) = match own.is_empty() {
-        false => (own, ", with the other joints in two different poses"),
-        true => (still, ""),
-    };
+    let joints = if own.is_empty() { still } else { own };
     if joints.is_empty() {
-        return "come to several places with the wrist turned through 60° about two axes"
-            .to_owned();
+        return "record for longer and in more postures: its noise hides this".to_owned();
     }
     let slides = joints.iter().any(|&joint| arm.joint_unit(joint) == Unit::Metre);
     let names: Vec<&str> = joints.iter().map(|&joint| arm.joints[joint].name.as_str()).collect();
     let far = if slides { "30° (100 mm where it slides)" } else { "30°" };
-    format!("move {} by more than {far}{poses}", listed(&names))
+    match names.as_slice() {
+        [name] => format!("move {name} by more than {far}, with the others in two different poses"),
+        names => format!("move {} by more than {far} each, at different times", listed(names)),
+    }
 }
 
 #[cfg(test)]
@@ -233,15 +305,21 @@ mod tests {
     fn sentence(travel: [f64; 3], parameters: &[Parameter]) -> String {
         let facts = clean_run();
         let seen = Observability::of_travel(travel.to_vec());
-        blind(&facts.robots[0], &seen, direction(parameters)).sentence()
+        blind(&facts.robots[0], &seen, &direction(parameters)).sentence("/pose")
     }
 
     #[test]
     fn a_joint_that_stays_is_asked_to_move() {
         assert_eq!(
             sentence([1.0, 0.01, 1.0], &[Parameter::JointZero(1)]),
-            "zero of lift is not seen; move lift by more than 30°, with the other joints in two \
-             different poses"
+            "zero of lift does not show in /pose; move lift by more than 30°, with the others in \
+             two different poses"
+        );
+        let two = [Parameter::JointZero(0), Parameter::JointZero(1)];
+        assert_eq!(
+            sentence([0.02, 0.01, 1.0], &two),
+            "zeros of pan and lift show in /pose only together, not each alone; to tell them \
+             apart, move pan and lift by more than 30° each, at different times"
         );
     }
 
@@ -249,17 +327,25 @@ mod tests {
     fn axes_of_one_frame_are_one_cause() {
         let parameters = [Parameter::ToolTurn(0), Parameter::ToolShift(2), Parameter::JointZero(2)];
         let said = sentence([1.0; 3], &parameters);
-        assert!(said.starts_with("tool frame and zero of elbow are not told apart;"), "{said}");
+        assert!(said.starts_with("zero of elbow and tool frame show in /pose only"), "{said}");
     }
 
     #[test]
     fn rest_asks_for_motion_and_a_short_run_for_length() {
         assert!(sentence([0.0; 3], &[Parameter::Latency]).contains("move every joint"));
         let said = sentence([1.0; 3], &[Parameter::Skew]);
-        assert_eq!(
-            said,
-            "clock skew is not seen; record a minute or more in which the arm moves from first to \
-             last"
-        );
+        assert!(said.ends_with("a minute or more in which the arm moves from first to last"));
+    }
+
+    #[test]
+    fn directions_that_share_a_cause_are_said_at_once() {
+        use Parameter::{Growth, JointZero, ToolShift, ToolTurn};
+        let groups = that_share_a_cause(vec![
+            direction(&[JointZero(0), ToolTurn(1)]),
+            direction(&[JointZero(1), JointZero(2)]),
+            direction(&[ToolShift(0), Growth]),
+        ]);
+        let said: Vec<usize> = groups.iter().map(|group| group.parameters.len()).collect();
+        assert_eq!(said, [2, 4]);
     }
 }

@@ -4,11 +4,12 @@ use crate::diagnosis::UnitSlip;
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
-    /// Degrees stand where radians belong.
+    /// Degrees stand where radians belong, or the other way round.
     ///
     /// ## What it means
     /// The joint positions, or the rotation numbers of a bare array, are degrees, and everything
-    /// that reads them takes them for radians (REP 103).
+    /// that reads them takes them for radians (REP 103). Of a stream that was declared it is the
+    /// declaration that names the wrong unit, either way.
     ///
     /// ## Why it matters
     /// Forward kinematics of degrees read as radians is noise within the arm's reach: nothing built
@@ -43,37 +44,84 @@ fn check(facts: &Facts) -> Vec<Judged> {
 fn judge_arm(arm: &ArmFacts) -> Vec<Judged> {
     let joints = match &arm.diagnosis.joints {
         Err(why) => Judged::new(arm.topic(&arm.joints_topic), unseen(why, "log a pose or /tf too")),
-        Ok(reading) => judge(arm, &arm.joints_topic, reading.degrees, Unit::Metre),
+        Ok(reading) => judge(arm, &arm.joints_topic, reading.degrees, Unit::Metre, Taken::Logged),
     };
-    let numbers = arm.poses().filter(|(stream, _)| stream.bare_numbers);
-    let numbers = numbers.map(|(stream, diagnosis)| {
-        judge(arm, &stream.topic, diagnosis.degrees, Unit::Radian).within(stream.span)
+    let numbers = arm.poses().filter_map(|(stream, diagnosis)| {
+        let declared = stream.declared.and_then(|declared| declared.angles);
+        let taken = if stream.bare_numbers { Taken::Logged } else { Taken::Declared(declared?) };
+        let judged = judge(arm, &stream.topic, diagnosis.degrees, Unit::Radian, taken);
+        Some(judged.within(stream.span))
     });
     std::iter::once(joints.within(arm.span)).chain(numbers).collect()
 }
 
-fn judge(arm: &ArmFacts, topic: &str, slip: Option<UnitSlip>, residual: Unit) -> Judged {
+/// What angles are taken for.
+#[derive(Clone, Copy)]
+enum Taken {
+    /// Radians, as every log should have them.
+    Logged,
+    /// What the caller declared them to be, `deg` or `rad`.
+    Declared(&'static str),
+}
+
+impl Taken {
+    /// The names of the unit that they are in, if it is the other one, and of the one they are
+    /// taken for.
+    fn slip(self) -> [&'static str; 2] {
+        match self {
+            Self::Declared("deg") => ["rad", "deg"],
+            Self::Logged | Self::Declared(_) => ["deg", "rad"],
+        }
+    }
+}
+
+fn judge(
+    arm: &ArmFacts,
+    topic: &str,
+    slip: Option<UnitSlip>,
+    residual: Unit,
+    taken: Taken,
+) -> Judged {
     let subject = arm.topic(topic);
     let Some(slip) = slip else {
         return Judged::new(subject, Outcome::sound());
     };
+    let [is, read_as] = taken.slip();
+    let word = |unit: &str| if unit == "deg" { "degrees" } else { "radians" };
+    let (title, what, fix) = match (taken, is) {
+        (Taken::Logged, _) => (
+            "degrees where radians belong",
+            "the numbers are degrees where radians belong".to_owned(),
+            format!("publish {topic} in radians: np.deg2rad(q)"),
+        ),
+        (Taken::Declared(_), "deg") => (
+            "degrees declared as radians",
+            "the numbers are degrees and were declared as radians".to_owned(),
+            format!("declare {topic} with `,deg`"),
+        ),
+        (Taken::Declared(_), _) => (
+            "radians declared as degrees",
+            "the numbers are radians and were declared as degrees".to_owned(),
+            format!("declare {topic} without `,deg`"),
+        ),
+    };
     let (before, after) = (residual.show(slip.as_logged), residual.show(slip.corrected));
     let fault = Fault {
         severity: Severity::Error,
-        title: "degrees where radians belong",
-        message: format!("the numbers are degrees where radians belong, {before} off as logged"),
+        title,
+        message: format!("{what}, {before} off as logged"),
         evidence: Evidence {
-            effect: Some(format!("{after} once read as degrees")),
+            effect: Some(format!("{after} once read as {}", word(is))),
             effect_m: Some(match residual {
                 Unit::Metre => slip.as_logged,
                 _ => slip.as_logged * arm.reach_m,
             }),
             ..Evidence::default()
         },
-        fix: format!("publish {topic} in radians: np.deg2rad(q)"),
+        fix,
     };
     Judged::new(subject, Outcome::faulty(fault))
-        .estimated(Estimate::Slip { name: "angle unit", is: "deg", read_as: "rad" })
+        .estimated(Estimate::Slip { name: "angle unit", is, read_as })
         .with_evidence("as_logged", slip.as_logged)
         .with_evidence("corrected", slip.corrected)
 }

@@ -1,13 +1,15 @@
 use crate::checks::decision::unseen;
-use crate::checks::{Facts, Grade, Judged};
+use crate::checks::{Declared, Facts, Grade, Judged, PoseFacts};
+use crate::diagnosis::UnitSlip;
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
-    /// Millimetres stand where metres belong.
+    /// Millimetres stand where metres belong, or the other way round.
     ///
     /// ## What it means
     /// The positions of a pose stream are millimetres, as pendants show them, in a message that
-    /// wants metres (REP 103).
+    /// wants metres (REP 103). Of a stream that was declared it is the declaration that names the
+    /// wrong unit, either way.
     ///
     /// ## Why it matters
     /// The tip appears a thousand times too far out. What does not crash on that will scale it
@@ -44,25 +46,12 @@ fn check(facts: &Facts) -> Vec<Judged> {
             Err(why) => Judged::new(subject, unseen(why, "move the tip by 10 cm or more")),
             Ok(None) => Judged::new(subject, Outcome::sound()),
             Ok(Some(slip)) => {
-                let before = Unit::Metre.show(slip.as_logged);
-                let fault = Fault {
-                    severity: Severity::Error,
-                    title: "millimetres where metres belong",
-                    message: format!(
-                        "positions are millimetres where metres belong, {before} off as logged"
-                    ),
-                    evidence: Evidence {
-                        effect: Some(format!(
-                            "{} once read as millimetres",
-                            Unit::Metre.show(slip.corrected)
-                        )),
-                        effect_m: Some(slip.as_logged),
-                        ..Evidence::default()
-                    },
-                    fix: format!("divide the positions of {} by 1000", stream.topic),
+                let (is, read_as) = match stream.declared {
+                    Some(Declared { lengths: "mm", .. }) => ("m", "mm"),
+                    _ => ("mm", "m"),
                 };
-                Judged::new(subject, Outcome::faulty(fault))
-                    .estimated(Estimate::Slip { name: "length unit", is: "mm", read_as: "m" })
+                Judged::new(subject, Outcome::faulty(fault(stream, slip, is)))
+                    .estimated(Estimate::Slip { name: "length unit", is, read_as })
                     .with_evidence("as_logged_m", slip.as_logged)
                     .with_evidence("corrected_m", slip.corrected)
             }
@@ -70,4 +59,41 @@ fn check(facts: &Facts) -> Vec<Judged> {
         .within(stream.span)
     });
     judged.collect()
+}
+
+/// The fault of positions that are in the unit `is`.
+fn fault(stream: &PoseFacts, slip: &UnitSlip, is: &str) -> Fault {
+    let topic = &stream.topic;
+    let (title, what, once, fix) = match (is, stream.declared) {
+        ("m", _) => (
+            "metres declared as millimetres",
+            "positions are metres and were declared as millimetres",
+            "metres",
+            format!("declare {topic} without `,mm`"),
+        ),
+        (_, Some(_)) => (
+            "millimetres declared as metres",
+            "positions are millimetres and were declared as metres",
+            "millimetres",
+            format!("declare {topic} with `,mm`"),
+        ),
+        (_, None) => (
+            "millimetres where metres belong",
+            "positions are millimetres where metres belong",
+            "millimetres",
+            format!("divide the positions of {topic} by 1000"),
+        ),
+    };
+    let (before, after) = (Unit::Metre.show(slip.as_logged), Unit::Metre.show(slip.corrected));
+    Fault {
+        severity: Severity::Error,
+        title,
+        message: format!("{what}, {before} off as logged"),
+        evidence: Evidence {
+            effect: Some(format!("{after} once read as {once}")),
+            effect_m: Some(slip.as_logged),
+            ..Evidence::default()
+        },
+        fix,
+    }
 }

@@ -3,7 +3,7 @@
 use crate::checks::decision::{DEGREE, unseen};
 use crate::checks::{ArmFacts, Facts, Judged};
 use crate::diagnosis::{Reading, ReadingEstimate, Seen};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, ReadAs, Severity, Unit};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, ReadAs, Ruling, Severity, Unit};
 use crate::geometry::{Convention, Misreading, QuaternionSlip};
 
 /// A fault must leave at least this many times less than the stream as logged, and than the next
@@ -58,13 +58,22 @@ pub fn judge(
 ) -> Vec<Judged> {
     let mut judged = Vec::new();
     for arm in &facts.robots {
-        let streams = arm
-            .poses_and_tf()
-            .map(|(stream, diagnosis)| (&stream.topic, stream.span, &diagnosis.reading));
-        let imus =
-            arm.imus.iter().map(|(imu, diagnosis)| (&imu.topic, imu.span, &diagnosis.reading));
-        judged.extend(streams.chain(imus).map(|(topic, span, reading)| {
-            let (outcome, estimate) = judge_stream(arm, reading, asked, word);
+        let streams = arm.poses_and_tf().map(|(stream, diagnosis)| {
+            let doubt = diagnosis.strays().then_some("its positions do not lie on the arm");
+            (&stream.topic, stream.span, &diagnosis.reading, doubt)
+        });
+        let unread = arm.diagnosis.joints.is_err() && !arm.poses.is_empty();
+        let doubt = unread.then_some("the joint states themselves could not be read for sure");
+        let imus = arm.imus.iter();
+        let imus = imus.map(|(imu, found)| (&imu.topic, imu.span, &found.reading, doubt));
+        judged.extend(streams.chain(imus).map(|(topic, span, reading, doubt)| {
+            let (outcome, estimate) = match (judge_stream(arm, reading, asked, word), doubt) {
+                ((Outcome::Evaluated(Ruling::Faulty(_)), _), Some(doubt)) => (
+                    Outcome::Inconclusive(format!("{doubt}; check the model and its joints")),
+                    None,
+                ),
+                (judged, _) => judged,
+            };
             Judged::new(arm.topic(topic), outcome).within(span).estimated(estimate)
         }));
     }
@@ -93,6 +102,12 @@ fn judge_stream(
         if concerned.into_iter().any(|concerned| concerned == asked) {
             return (Outcome::Inconclusive(unclear(reading)), None);
         }
+    }
+    if nothing_was_told_apart(reading) {
+        return (
+            Outcome::Inconclusive(format!("most readings would fit this motion; {SETTLE}")),
+            None,
+        );
     }
     if kind(&reading.best) != Some(asked) {
         let remark = match reading.best {
@@ -131,6 +146,12 @@ fn fault(
     evidence.more.insert("corrected_rad".to_owned(), reading.best_rad.into());
     let fault = Fault { severity: Severity::Error, title, message, evidence, fix };
     (Outcome::faulty(fault), Some(estimate))
+}
+
+/// Whether the stream would have fitted as well if it had been misread in any way: its orientation
+/// hardly changes, and a constant frame makes up for the rest.
+fn nothing_was_told_apart(reading: &ReadingEstimate) -> bool {
+    kind(&reading.best).is_none() && !reading.is_told
 }
 
 /// Whether the best reading is far enough from the stream as logged and from the next best.
@@ -234,6 +255,7 @@ mod tests {
             best_rad,
             runner_up,
             equivalent: Vec::new(),
+            is_told: true,
         });
         facts
     }

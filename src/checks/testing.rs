@@ -44,6 +44,7 @@ pub fn clean_run() -> Facts {
     let imu = ImuDiagnosis {
         reading: Ok(as_logged()),
         latency_s: Ok(sure(0.0)),
+        skew: Ok(sure(0.0)),
         yaw_drift_rad_s: Ok(sure(0.0)),
         yaw_course: YawCourse::default(),
         mount_rad: Ok(length(0.0)),
@@ -93,6 +94,7 @@ fn as_logged() -> ReadingEstimate {
         best_rad: 1e-4,
         runner_up: None,
         equivalent: Vec::new(),
+        is_told: true,
     }
 }
 
@@ -135,5 +137,6 @@ fn stream(topic: &str, independent: bool) -> PoseFacts {
         better_model: None,
         independent,
         bare_numbers: false,
+        declared: None,
     }
 }

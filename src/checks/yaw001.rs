@@ -154,7 +154,7 @@ mod tests {
     fn a_jump_is_a_finding_beside_a_drift_that_passes() {
         let mut facts = clean_run();
         facts.robots[0].imus[0].1.yaw_course.jumps =
-            vec![YawJump { at_s: 4.5, size_rad: sure(-1.0 * DEGREE) }];
+            vec![YawJump { at_s: 4.5, size_rad: sure(-DEGREE) }];
         let (rows, findings) = ask(&YAW001, &facts);
         assert_eq!([rows[0].status, rows[1].status], [Status::Pass, Status::Fail]);
         assert_eq!(findings[0].message, "yaw jumps by -1.000 ± 0.001° against the arm at +4.50 s");

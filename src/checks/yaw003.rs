@@ -1,7 +1,7 @@
 use crate::checks::decision::{DEGREE, Figure, decide_length, unseen};
 use crate::checks::{ArmFacts, Facts, Grade, ImuFacts, Judged};
-use crate::diagnosis::{ImuDiagnosis, Length, Unseen};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::diagnosis::{ImuDiagnosis, Length};
+use crate::finding::{Estimate, Evidence, Fault, Severity, Unit};
 use crate::geometry::xyzw_from_rotation;
 
 rule! {
@@ -35,8 +35,7 @@ rule! {
     }
 }
 
-const FIGURE: Figure =
-    Figure { unit: Unit::Radian, warning: 1.0 * DEGREE, error: 5.0 * DEGREE };
+const FIGURE: Figure = Figure { unit: Unit::Radian, warning: 1.0 * DEGREE, error: 5.0 * DEGREE };
 
 /// What would tell where the mount could not be had.
 const SETTLE: &str = "turn the IMU through 60° about two axes";
@@ -49,10 +48,6 @@ fn check(facts: &Facts) -> Vec<Judged> {
 fn judge(arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis, subjects: usize) -> Judged {
     let subject = arm.topic(&imu.topic);
     let judged = match &diagnosis.mount_rad {
-        Err(Unseen::RestsOn(frame)) => {
-            let why = format!("it rests on {frame}, which is not there");
-            Judged::new(subject, Outcome::Skipped(why))
-        }
         Err(why) => Judged::new(subject, unseen(why, SETTLE)),
         Ok(mount) => {
             let decision = decide_length(mount, &FIGURE, subjects);
@@ -83,6 +78,7 @@ fn fault(mount: &Length, severity: Severity) -> Fault {
 mod tests {
     use super::*;
     use crate::checks::testing::{ask, clean_run, length};
+    use crate::diagnosis::Unseen;
     use crate::finding::Status;
 
     #[test]
@@ -91,7 +87,7 @@ mod tests {
         facts.robots[0].imus[0].1.mount_rad = Ok(length(90.0 * DEGREE));
         let (_, findings) = ask(&YAW003, &facts);
         assert_eq!(findings[0].severity, Severity::Error);
-        facts.robots[0].imus[0].1.mount_rad = Err(Unseen::RestsOn("the IMU's frame in the log"));
+        facts.robots[0].imus[0].1.mount_rad = Err(Unseen::NoFrame);
         let (rows, _) = ask(&YAW003, &facts);
         assert_eq!(rows[0].status, Status::Skipped);
     }

@@ -1,5 +1,5 @@
 use crate::checks::decision::{DEGREE, Decision, Figure, decide, unseen};
-use crate::checks::{ArmFacts, Facts, Grade, Judged, frm001, frm002, frm003};
+use crate::checks::{ArmFacts, Facts, Grade, Judged, frm001, frm002, frm003, mdl001};
 use crate::diagnosis::{FrameEstimate, JointOffset, Measured, Seen, Twin};
 use crate::finding::{Alternative, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Witness;
@@ -71,9 +71,7 @@ fn judge(arm: &ArmFacts, joint: usize, offset: &JointOffset, subjects: usize) ->
         Ok(measured) => measured,
         Err(why) => {
             let outcome = match named_instead(arm, offset) {
-                Some(twin) => Outcome::Indistinguishable(format!(
-                    "it cannot be told from {twin}, which is named instead"
-                )),
+                Some(twin) => not_told_from(arm, &twin),
                 None => unseen(why, SETTLE),
             };
             return Judged::new(subject, outcome).within(arm.span);
@@ -81,20 +79,16 @@ fn judge(arm: &ArmFacts, joint: usize, offset: &JointOffset, subjects: usize) ->
     };
     let outcome = match (decide(measured, figure, subjects), named_instead(arm, offset)) {
         (Decision::Fail(_), _) if offset.chosen && arm.poses().any(|(_, s)| s.repeats()) => {
-            Outcome::Inconclusive(format!("it rests on a latency that fits at several lags; {SETTLE}"))
+            Outcome::Inconclusive(format!(
+                "it rests on a latency that fits at several lags; {SETTLE}"
+            ))
         }
-        (Decision::Fail(_), _) if offset.chosen && left_m(arm) > UNEXPLAINED_M => {
-            let left = Unit::Metre.show(left_m(arm));
-            let why = format!("{left} is left that nothing explains (MDL001); check the model");
-            Outcome::Inconclusive(why)
-        }
-        (Decision::Fail(severity), _) if offset.chosen => {
-            Outcome::faulty(fault(arm, joint, measured, severity, subjects))
-        }
+        (Decision::Fail(severity), _) if offset.chosen => match mdl001::doubt(arm, 0.0) {
+            Some(why) => Outcome::Inconclusive(why),
+            None => Outcome::faulty(fault(arm, joint, measured, severity, subjects)),
+        },
         (Decision::Pass, _) => Outcome::sound(),
-        (_, Some(twin)) if !offset.chosen => Outcome::Indistinguishable(format!(
-            "it cannot be told from {twin}, which is named instead"
-        )),
+        (_, Some(twin)) if !offset.chosen => not_told_from(arm, &twin),
         (Decision::Fail(_), _) => {
             let shown = figure.unit.show_signed(measured);
             let why = format!("{shown} would fit, but what is found explains the log without it");
@@ -105,13 +99,13 @@ fn judge(arm: &ArmFacts, joint: usize, offset: &JointOffset, subjects: usize) ->
     Judged::new(subject, outcome).within(arm.span).estimated(estimate(figure.unit, measured))
 }
 
-/// Where more than this is left, rms m, the model is another arm's and no offset can be believed.
-const UNEXPLAINED_M: f64 = 5e-3;
-
-/// The largest residual of any pose stream beyond its noise, rms m.
-fn left_m(arm: &ArmFacts) -> f64 {
-    let left = arm.poses().filter_map(|(_, stream)| stream.residual.as_ref().ok());
-    left.map(|residual| residual.excess_m.value).fold(0.0, f64::max)
+fn not_told_from(arm: &ArmFacts, twin: &str) -> Outcome {
+    match mdl001::doubt(arm, 0.0) {
+        Some(why) => Outcome::Inconclusive(why),
+        None => Outcome::Indistinguishable(format!(
+            "it cannot be told from {twin}, which is named instead"
+        )),
+    }
 }
 
 fn figure(unit: Unit) -> &'static Figure {

@@ -1,7 +1,8 @@
-use crate::checks::decision::{Decision, Figure, decide, unseen};
-use crate::checks::{ArmFacts, Facts, Grade, Judged, PoseFacts};
+use crate::checks::amount::{Amount, Estimated};
+use crate::checks::decision::Figure;
+use crate::checks::{ArmFacts, Facts, Grade, Judged, mdl001};
 use crate::diagnosis::{Measured, PoseDiagnosis};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Evidence, Fault, Severity, Unit};
 
 rule! {
     /// The position error grows with reach, and no joint offset explains it.
@@ -38,40 +39,36 @@ rule! {
 
 const FIGURE: Figure = Figure { unit: Unit::MetrePerMetre, warning: 1e-3, error: 5e-3 };
 
-/// What would tell where the growth could not be had.
-const SETTLE: &str = "reach far out and close in, with every joint moving";
+const GROWTH: Amount = Amount {
+    name: "growth with reach",
+    figure: FIGURE,
+    settle: "reach far out and close in, with every joint moving",
+    fault: |arm, _, growth, severity| fault(arm, growth, severity),
+};
 
 fn check(facts: &Facts) -> Vec<Judged> {
     let subjects = facts.subjects();
-    facts
-        .poses()
-        .map(|(arm, stream, diagnosis)| judge(arm, stream, diagnosis, subjects))
-        .collect()
+    let judged = facts.poses().map(|(arm, stream, diagnosis)| {
+        let growth = Estimated {
+            topic: &stream.topic,
+            span: stream.span,
+            estimate: &diagnosis.growth,
+            is_chosen: diagnosis.growth_chosen,
+            doubt: doubt(arm, diagnosis),
+        };
+        GROWTH.judge(arm, growth, subjects)
+    });
+    judged.collect()
 }
 
-fn judge(arm: &ArmFacts, stream: &PoseFacts, diagnosis: &PoseDiagnosis, subjects: usize) -> Judged {
-    let subject = arm.topic(&stream.topic);
-    let growth = match &diagnosis.growth {
-        Ok(growth) => growth,
-        Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(stream.span),
-    };
-    let outcome = match decide(growth, &FIGURE, subjects) {
-        Decision::Pass => Outcome::sound(),
-        Decision::Fail(_) if diagnosis.repeats() => {
-            Outcome::Inconclusive(format!("it rests on a latency that fits at several lags; {SETTLE}"))
-        }
-        Decision::Fail(severity) if diagnosis.growth_chosen => {
-            Outcome::faulty(fault(arm, growth, severity))
-        }
-        Decision::Fail(_) => {
-            let shown = FIGURE.unit.show_signed(growth);
-            let why = format!("{shown} would fit, but what is found explains the log without it");
-            Outcome::Inconclusive(format!("{why}; {SETTLE}"))
-        }
-        Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
-    };
-    let estimate = Estimate::amount("growth with reach", FIGURE.unit, growth);
-    Judged::new(subject, outcome).within(stream.span).estimated(estimate)
+fn doubt(arm: &ArmFacts, diagnosis: &PoseDiagnosis) -> Option<String> {
+    if diagnosis.repeats() {
+        let why =
+            "it rests on a latency that fits at several lags; record motion that does not repeat";
+        return Some(why.to_owned());
+    }
+    // Another arm is first of all a longer or a shorter one.
+    mdl001::doubt(arm, 0.0)
 }
 
 fn fault(arm: &ArmFacts, growth: &Measured, severity: Severity) -> Fault {

@@ -16,7 +16,8 @@ use super::{
 };
 use crate::geometry::{Pose, Rotation, Vec3, pose};
 use crate::robot::{Chain, JointKind};
-use crate::stream::{JointTrack, Orientations};
+use crate::stream::{DeclaredUnits, JointTrack, Orientations, PoseTrack};
+use std::borrow::Cow;
 use std::f64::consts::TAU;
 
 /// Samples a stream in the search for the explanation, and in the final fit.
@@ -44,6 +45,15 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
         Err(_) => joints.clone(),
     };
     let (offsets, diagnoses) = diagnose(joints, &joints_read, streams, &scales, most_lag_s, true);
+    // Names and units that leave every stream astray are not read rightly, however near some of the
+    // positions are.
+    let as_logged =
+        |reading: &JointReading| reading.degrees.is_none() && reading.permutation.is_none();
+    let astray = !diagnoses.is_empty() && diagnoses.iter().all(PoseDiagnosis::strays);
+    let reading = match reading {
+        Ok(reading) if astray && as_logged(&reading) => Err(Unseen::NotExcited),
+        reading => reading,
+    };
     ArmDiagnosis { joints: reading, offsets, streams: diagnoses }
 }
 
@@ -138,7 +148,8 @@ fn stream_peaks(
     pose_peaks(joints, chain, columns, &track.t_s, &track.xyz, rotation, most_lag_s)
 }
 
-/// Factor that takes a stream's positions to metres: 1, or 0.001 where they are millimetres.
+/// Factor that takes a stream's positions to metres: 1, or 0.001 where they are millimetres, or 1000
+/// where the caller declared metres to be millimetres.
 ///
 /// Extent of motion against the arm's tells, or at rest the distance from a known base.
 fn position_scale(joints: &JointTrack, stream: &PoseStream) -> Seen<f64> {
@@ -169,7 +180,13 @@ fn position_scale(joints: &JointTrack, stream: &PoseStream) -> Seen<f64> {
         }
         norm(&xyz) / norm(&fk).max(0.05 * reach)
     };
-    Ok(if (80.0..12_500.0).contains(&ratio) { 1e-3 } else { 1.0 })
+    let declared = track.declared.as_ref().is_some_and(|declared| declared.millimetres);
+    let thousand = 80.0..12_500.0;
+    Ok(match ratio {
+        _ if thousand.contains(&ratio) => 1e-3,
+        _ if declared && thousand.contains(&ratio.recip()) => 1e3,
+        _ => 1.0,
+    })
 }
 
 /// A stream whose reading is settled, with what settled it.
@@ -242,24 +259,10 @@ fn prepare<'a>(
     }
     let expected = Expected::of(&fk);
     let xyz_there: Vec<Vec3> = rows.iter().map(|&k| xyz[k]).collect();
-    let (numbers, degrees) =
-        numbers_in_radians(&track.orientation, &rows, &expected.rotation, reference_known);
-    let logged_all = match (&track.orientation, &numbers) {
-        (Orientations::Rotations(rotations), _) => Logged::Rotations(rotations),
-        (Orientations::Numbers(_), numbers) => Logged::Numbers(numbers),
-    };
-    let logged_rotations: Vec<Rotation>;
-    let logged_numbers: Vec<[f64; 3]>;
-    let logged = match &logged_all {
-        Logged::Rotations(all) => {
-            logged_rotations = rows.iter().map(|&k| all[k]).collect();
-            Logged::Rotations(&logged_rotations)
-        }
-        Logged::Numbers(all) => {
-            logged_numbers = rows.iter().map(|&k| all[k]).collect();
-            Logged::Numbers(&logged_numbers)
-        }
-    };
+    let (orientation, degrees) = in_right_angles(track, &rows, &expected.rotation, reference_known);
+    let logged_all = Logged::of(&orientation);
+    let there = at_rows(&orientation, &rows);
+    let logged = Logged::of(&there);
     let inverted_xyz: Option<Vec<Vec3>> = match &logged {
         Logged::Rotations(all) => {
             Some(all.iter().zip(&xyz_there).map(|(r, p)| -(r.inverse() * p)).collect())
@@ -307,28 +310,43 @@ fn prepare<'a>(
     Ok(Prepared { witness, reading, degrees, peaks, moves })
 }
 
-/// Rotation numbers in radians, and the slip where the log has degrees.
-fn numbers_in_radians(
-    orientation: &Orientations,
+/// A stream's orientations with their angles in the unit that follows the arm, and the slip where
+/// that is not the one logged or declared.
+fn in_right_angles<'a>(
+    track: &'a PoseTrack,
     rows: &[usize],
     fk: &[Rotation],
     reference_known: bool,
-) -> (Vec<[f64; 3]>, Option<UnitSlip>) {
-    let Orientations::Numbers(numbers) = orientation else {
-        return (Vec::new(), None);
+) -> (Cow<'a, Orientations>, Option<UnitSlip>) {
+    let other = match (&track.orientation, &track.declared) {
+        (Orientations::Numbers(numbers), _) => {
+            Orientations::Numbers(numbers.iter().map(|n| n.map(f64::to_radians)).collect())
+        }
+        (_, Some(DeclaredUnits { in_other_angles: Some(rotations), .. })) => {
+            Orientations::Rotations(rotations.clone())
+        }
+        _ => return (Cow::Borrowed(&track.orientation), None),
     };
-    let radians: Vec<[f64; 3]> = numbers.iter().map(|n| n.map(f64::to_radians)).collect();
-    let residual = |numbers: &[[f64; 3]]| {
-        let there: Vec<[f64; 3]> = rows.iter().map(|&k| numbers[k]).collect();
-        let samples =
-            Samples { logged: Logged::Numbers(&there), fk, reference_free: true, reference_known };
+    let residual = |orientation: &Orientations| {
+        let there = at_rows(orientation, rows);
+        let logged = Logged::of(&there);
+        let samples = Samples { logged, fk, reference_free: true, reference_known };
         read(&samples).map_or(std::f64::consts::PI, |(_, fit)| fit.residual_rad)
     };
-    let (as_logged, corrected) = (residual(numbers), residual(&radians));
+    let (as_logged, corrected) = (residual(&track.orientation), residual(&other));
     if corrected * 3.0 < as_logged {
-        (radians, Some(UnitSlip { as_logged, corrected }))
+        (Cow::Owned(other), Some(UnitSlip { as_logged, corrected }))
     } else {
-        (numbers.clone(), None)
+        (Cow::Borrowed(&track.orientation), None)
+    }
+}
+
+fn at_rows(orientation: &Orientations, rows: &[usize]) -> Orientations {
+    match orientation {
+        Orientations::Rotations(all) => {
+            Orientations::Rotations(rows.iter().map(|&k| all[k]).collect())
+        }
+        Orientations::Numbers(all) => Orientations::Numbers(rows.iter().map(|&k| all[k]).collect()),
     }
 }
 
@@ -723,7 +741,7 @@ fn no_diagnosis(scale: &Seen<f64>, why: Unseen) -> PoseDiagnosis {
 
 fn millimetres(scale: &Seen<f64>, residual: Option<&Residual>) -> Seen<Option<UnitSlip>> {
     match scale {
-        Ok(scale) if *scale < 1.0 => {
+        Ok(scale) if *scale != 1.0 => {
             let corrected = residual.map_or(0.0, |residual| residual.rms_m);
             let as_logged = residual.map_or(0.0, |residual| residual.before_m);
             Ok(Some(UnitSlip { as_logged, corrected }))
@@ -753,6 +771,8 @@ fn stream_diagnosis(
     let one = |cause: Cause| {
         if fitted.nominal && matches!(cause, Cause::Growth(_)) {
             Err(Unseen::NominalKinematics)
+        } else if is_hidden(fitted, cause, index) {
+            Err(Unseen::NotExcited)
         } else if menu.all().contains(&cause) {
             measured(fitted, &with(cause), cause, 0)
         } else {
@@ -770,6 +790,9 @@ fn stream_diagnosis(
     let frame = |cause: Cause| {
         if fitted.nominal && !menu.all().contains(&cause) {
             return Err(Unseen::NominalKinematics);
+        }
+        if is_hidden(fitted, cause, index) {
+            return Err(Unseen::NotExcited);
         }
         frame_estimate(explanation, menu, &with(cause), cause, index)
     };
@@ -807,6 +830,31 @@ fn stream_diagnosis(
         top_speed_m_s: top(&linear),
         aligned,
     }
+}
+
+/// Whether a frame or the growth of stream `index`, which nothing needs, may be there all the same,
+/// made up for by another of them: at rest only all of them together show.
+fn is_hidden(fitted: &Fitted, cause: Cause, index: usize) -> bool {
+    let Fitted { explanation, menu, .. } = fitted;
+    let (state, found) = (&explanation.state, &explanation.state.streams[index]);
+    let is_round = match cause {
+        Cause::Reference(_) => found.round_reference.is_some(),
+        Cause::Tool(_) => found.round_tool.is_some(),
+        Cause::Growth(_) => false,
+        Cause::Zero(_) | Cause::Latency(_) | Cause::Skew(_) => return false,
+    };
+    if is_round || explanation.causes.contains(&cause) || !menu.optional.contains(&cause) {
+        return false;
+    }
+    let others = [Cause::Reference(index), Cause::Tool(index), Cause::Growth(index)];
+    let makes_up = |other: &Cause| {
+        let mut both: Vec<usize> = cause.parameters(state).chain(other.parameters(state)).collect();
+        both.sort_unstable();
+        *other != cause
+            && menu.optional.contains(other)
+            && explanation.linear.normal.separation(&both) < ENTANGLED
+    };
+    others.iter().any(makes_up)
 }
 
 /// Other lags at which the stream lies as well on the arm as at the one found: repeating motion.

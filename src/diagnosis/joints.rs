@@ -23,7 +23,12 @@ const FINE: f64 = 0.05;
 /// base moves much like the inverse of one whose frames are turned.
 const FINE_TURNED: f64 = 0.005;
 /// Residual below which positions lie on the arm, as a share of their extent.
-const ON_ARM: f64 = 0.3;
+pub(super) const ON_ARM: f64 = 0.3;
+
+/// A tip whose positions spread by less rests, m.
+const AT_REST_M: f64 = 2e-3;
+/// A resting tip is where the joint states say, up to this share of the arm's reach.
+const THERE: f64 = 0.03;
 
 /// Positions of a stream and the joint rows at the same moments.
 #[derive(Clone)]
@@ -58,6 +63,9 @@ pub(super) fn read_joints(
         if have < 6 {
             return Err(Unseen::TooFewSamples { have, need: 6 });
         }
+        if rests(chain, &moments) {
+            return read_at_rest(chain, &moments, stream.reference_known);
+        }
         let extent = spread(&moments.xyz).max(0.01);
         let as_logged = misfit(chain, &moments);
         if as_logged <= FINE_TURNED * extent || unturned_misfit(chain, &moments) <= FINE * extent {
@@ -83,6 +91,35 @@ pub(super) fn read_joints(
     }
     let runner_up_m = permutation.as_ref().map(|_| best.runner_up);
     Ok(JointReading { degrees, permutation, runner_up_m })
+}
+
+/// Whether neither the stream nor FK moves the tip, whatever unit the joints are in.
+fn rests(chain: &Chain, moments: &Moments) -> bool {
+    let radians = in_radians(chain, moments);
+    let fk = |moments: &Moments| -> Vec<Vec3> {
+        let rows = moments.q.chunks_exact(chain.dof());
+        rows.map(|q| chain.forward(q).translation.vector).collect()
+    };
+    [&moments.xyz, &fk(moments), &fk(&radians)].into_iter().all(|xyz| spread(xyz) < AT_REST_M)
+}
+
+/// Judges names and units at rest: a tip that is where the joint states put it speaks for them, as no
+/// frame needs to be anything but what its name says. One that is elsewhere tells nothing.
+fn read_at_rest(chain: &Chain, moments: &Moments, reference_known: bool) -> Seen<JointReading> {
+    let off = |moments: &Moments| -> f64 {
+        let rows = moments.q.chunks_exact(chain.dof()).zip(&moments.xyz);
+        let squares =
+            rows.map(|(q, xyz)| (chain.forward(q).translation.vector - xyz).norm_squared());
+        (squares.sum::<f64>() / moments.xyz.len().max(1) as f64).sqrt()
+    };
+    let (as_logged, corrected) = (off(moments), off(&in_radians(chain, moments)));
+    let is_there = |off: f64, other: f64| off < THERE * chain.max_reach_m() && off * BETTER < other;
+    let degrees = match reference_known {
+        true if is_there(as_logged, corrected) => None,
+        true if is_there(corrected, as_logged) => Some(UnitSlip { as_logged, corrected }),
+        _ => return Err(Unseen::AtRest),
+    };
+    Ok(JointReading { degrees, permutation: None, runner_up_m: None })
 }
 
 /// The best reading of the joint states so far.

@@ -60,6 +60,8 @@ pub enum Unseen {
     NotExcited,
     /// The stream carries no orientation.
     NoOrientation,
+    /// The log does not say how the stream's frame is mounted.
+    NoFrame,
     /// The model differs from the arm in many small ways, as a drawing differs from a calibrated
     /// arm; single causes of that size cannot be told from them.
     NominalKinematics,
@@ -132,6 +134,8 @@ pub struct ReadingEstimate {
     pub runner_up: Option<(Reading, f64)>,
     /// Readings that this motion cannot tell from the best.
     pub equivalent: Vec<Reading>,
+    /// Whether most readings fit worse; at rest a constant frame makes nearly all of them fit.
+    pub is_told: bool,
 }
 
 /// Units of a stream's positions or angles that are not what they should be.
@@ -253,6 +257,17 @@ pub struct PoseDiagnosis {
 }
 
 impl PoseDiagnosis {
+    /// Whether what is left of the positions is a good part of their motion, so that nothing found on
+    /// the stream can be believed.
+    pub fn strays(&self) -> bool {
+        /// Less than this is noise or a calibration, rms m.
+        const MUCH_M: f64 = 5e-3;
+        let fk: Vec<Vec3> =
+            self.aligned.fk_at_truth.iter().map(|pose| pose.translation.vector).collect();
+        let left_m = self.residual.as_ref().map_or(0.0, |residual| residual.excess_m.value);
+        left_m > MUCH_M && left_m > joints::ON_ARM * placing::spread(&fk)
+    }
+
     /// Whether the motion repeats itself, so that everything found beside the latency may be that
     /// of a wrong lag.
     pub fn repeats(&self) -> bool {
@@ -344,8 +359,10 @@ pub struct YawJump {
 pub struct ImuDiagnosis {
     /// Convention and direction of the orientation.
     pub reading: Seen<ReadingEstimate>,
-    /// Latency against the joint states, s.
+    /// Latency against the joint states, s; where the clock surely has a skew, that at mid-run.
     pub latency_s: Seen<Measured>,
+    /// Clock skew, s/s.
+    pub skew: Seen<Measured>,
     /// Drift of the IMU's yaw against FK's about gravity, rad/s.
     pub yaw_drift_rad_s: Seen<Measured>,
     /// What that yaw does beside drifting.
@@ -360,4 +377,22 @@ pub struct ImuDiagnosis {
     pub gyro_bias: Seen<GyroBias>,
     /// Stamp (s from the origin), yaw of IMU against FK (rad), for the pictures.
     pub yaw_error: Vec<(f64, f64)>,
+}
+
+impl ImuDiagnosis {
+    /// Nothing of it can be told.
+    pub fn unseen(why: &Unseen) -> Self {
+        Self {
+            reading: Err(why.clone()),
+            latency_s: Err(why.clone()),
+            skew: Err(why.clone()),
+            yaw_drift_rad_s: Err(why.clone()),
+            yaw_course: YawCourse::default(),
+            mount_rad: Err(why.clone()),
+            link_from_imu: None,
+            tilt_rad: Err(why.clone()),
+            gyro_bias: Err(why.clone()),
+            yaw_error: Vec::new(),
+        }
+    }
 }

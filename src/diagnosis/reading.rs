@@ -10,6 +10,7 @@ use crate::geometry::{
     Convention, QuaternionSlip, Rotation, Vec3, angle_between, misreading_classes,
     rotation_from_rotvec, rotation_from_xyzw, rotvec_from_rotation, xyzw_from_rotation,
 };
+use crate::stream::Orientations;
 use nalgebra::Matrix3;
 
 /// A reading fits when its residual is within this factor of the least one …
@@ -39,6 +40,16 @@ pub(super) struct Samples<'a> {
 pub(super) enum Logged<'a> {
     Rotations(&'a [Rotation]),
     Numbers(&'a [[f64; 3]]),
+}
+
+impl<'a> Logged<'a> {
+    /// The orientations of a stream.
+    pub fn of(orientation: &'a Orientations) -> Self {
+        match orientation {
+            Orientations::Rotations(rotations) => Self::Rotations(rotations),
+            Orientations::Numbers(numbers) => Self::Numbers(numbers),
+        }
+    }
 }
 
 /// Constant frames that a reading is allowed.
@@ -179,10 +190,14 @@ pub(super) fn read_in_gravity(samples: &Samples, forces: &[Vec3]) -> Seen<(Readi
     let others = fits
         .iter()
         .filter(|fit| fit.frames == best.frames && !same_reading(&fit.reading, &best.reading));
+    let mut worse = 0;
     for fit in others {
         if fit.residual_rad <= near_best {
             equivalent.push(fit.reading);
-        } else if runner_up.is_none_or(|(_, residual)| fit.residual_rad < residual) {
+            continue;
+        }
+        worse += 1;
+        if runner_up.is_none_or(|(_, residual)| fit.residual_rad < residual) {
             runner_up = Some((fit.reading, fit.residual_rad));
         }
     }
@@ -194,6 +209,7 @@ pub(super) fn read_in_gravity(samples: &Samples, forces: &[Vec3]) -> Seen<(Readi
         as_logged_rad: as_logged.map(|fit| fit.residual_rad),
         best_rad: best.residual_rad,
         runner_up,
+        is_told: worse > equivalent.len(),
         equivalent,
     };
     Ok((estimate, best))

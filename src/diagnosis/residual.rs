@@ -144,9 +144,11 @@ fn correlation(pairs: &[([f64; 3], [f64; 3])]) -> Measured {
     let blocks = blocks.clamp(*BLOCKS.start(), *BLOCKS.end());
     let dot = |a: &[f64; 3], b: &[f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let of_block = |block: &[([f64; 3], [f64; 3])]| {
-        let sum = |of: &dyn Fn(&([f64; 3], [f64; 3])) -> f64| block.iter().map(of).sum::<f64>();
-        let norms = (sum(&|(a, _)| dot(a, a)) * sum(&|(_, b)| dot(b, b))).sqrt();
-        sum(&|(a, b)| dot(a, b)) / norms.max(f64::MIN_POSITIVE)
+        let (mut left, mut foretold, mut both) = (0.0, 0.0, 0.0);
+        for (a, b) in block {
+            (left, foretold, both) = (left + dot(a, a), foretold + dot(b, b), both + dot(a, b));
+        }
+        both / (left * foretold).sqrt().max(f64::MIN_POSITIVE)
     };
     let size = pairs.len().div_ceil(blocks).max(1);
     mean_of(&pairs.chunks(size).map(of_block).collect::<Vec<f64>>())

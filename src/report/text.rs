@@ -10,7 +10,6 @@ use std::io::{self, Write};
 use anstyle::{AnsiColor, Style};
 
 use super::{Report, Verdict};
-use crate::checks::listed;
 use crate::finding::{Alternative, CheckRow, Estimate, Finding, Severity, Status, Subject, Unit};
 
 /// Width of the column of labels.
@@ -220,25 +219,12 @@ impl Page<'_> {
         Ok(())
     }
 
-    /// What the motion leaves open, a line for each motion that would settle it.
+    /// What the motion shows only together, a line for what would be told apart together.
     fn cannot_show(&self, out: &mut dyn Write) -> io::Result<()> {
         let mut label = "cannot show";
         for stream in &self.report.observability {
-            let mut lines: Vec<(&str, Vec<&str>)> = Vec::new();
-            for direction in stream.directions.iter().filter(|direction| direction.left_open) {
-                let at = lines.iter().position(|(motion, _)| *motion == direction.motion);
-                let at = at.unwrap_or_else(|| {
-                    lines.push((&direction.motion, Vec::new()));
-                    lines.len() - 1
-                });
-                let known = &mut lines[at].1;
-                known.extend(direction.causes());
-                known.sort_unstable();
-                known.dedup();
-            }
-            for (motion, causes) in lines {
-                let text = format!("{} in {}: {motion}", listed(&causes), stream.topic);
-                line(out, WARNING, label, &text)?;
+            for blind in &stream.together {
+                line(out, WARNING, label, &blind.sentence(&stream.topic))?;
                 label = "";
             }
         }

@@ -1,7 +1,9 @@
 //! Columns of poses, arrays and IMU readings as tracks.
 
 use crate::geometry::{Pose, Rotation, Vec3, rotation_from_matrix_rows, rotation_from_xyzw};
-use crate::stream::{ArrayColumns, ImuColumns, ImuTrack, Orientations, PoseColumns, PoseTrack};
+use crate::stream::{
+    ArrayColumns, DeclaredUnits, ImuColumns, ImuTrack, Orientations, PoseColumns, PoseTrack,
+};
 use crate::time::Stamp;
 
 use super::declaration::{Coding, Declaration};
@@ -32,7 +34,7 @@ fn track_of(
     let rows = rows_in_order(stamps, |row| samples[row].is_some());
     let (xyz, rotations) = rows.iter().filter_map(|(_, row)| samples[*row]).unzip();
     let orientation = Orientations::Rotations(rotations);
-    stamped(&rows, origin, |t_s| PoseTrack { t_s, xyz, orientation })
+    stamped(&rows, origin, |t_s| PoseTrack { t_s, xyz, orientation, declared: None })
 }
 
 fn stamped<T>(
@@ -59,10 +61,11 @@ pub(super) fn from_poses(
         return Err("the topic holds quaternions, not three rotation numbers".to_owned());
     }
     let scale = unit_m(declared);
-    Ok(track_of(stamps, origin, |row| {
+    let track = track_of(stamps, origin, |row| {
         let rotation = rotation_from_xyzw(as_xyzw(poses.q_xyzw[row], declared))?;
         Some((Vec3::from(poses.xyz[row]) * scale, rotation))
-    }))
+    });
+    Ok(with_units(track, declared))
 }
 
 /// The track of bare arrays: 6 numbers are position and three rotation numbers, 7 position and
@@ -71,6 +74,15 @@ pub(super) fn from_poses(
 /// # Errors
 /// Where the declaration does not fit, or 12 or 16 numbers are no matrix of a pose.
 pub(super) fn from_array(
+    array: &ArrayColumns,
+    stamps: &[Option<Stamp>],
+    declared: Option<&Declaration>,
+    origin: Stamp,
+) -> Result<Stamped<PoseTrack>, String> {
+    read_array(array, stamps, declared, origin).map(|track| with_units(track, declared))
+}
+
+fn read_array(
     array: &ArrayColumns,
     stamps: &[Option<Stamp>],
     declared: Option<&Declaration>,
@@ -87,16 +99,23 @@ pub(super) fn from_array(
             let rows = rows_in_order(stamps, |_| true);
             let numbers = rows.iter().map(|(_, row)| {
                 let row = array.row(*row);
-                angles([row[3], row[4], row[5]], declared)
+                [row[3], row[4], row[5]]
             });
-            let orientation = match declared.map(|declared| declared.coding) {
-                Some(Coding::Three(convention)) => Orientations::Rotations(
-                    numbers.map(|numbers| convention.rotation(numbers)).collect(),
-                ),
-                _ => Orientations::Numbers(numbers.collect()),
+            let (orientation, declared) = match declared {
+                Some(&Declaration { coding: Coding::Three(convention), degrees, .. }) => {
+                    let in_unit = |degrees: bool| -> Vec<Rotation> {
+                        let radians =
+                            |n: [f64; 3]| if degrees { n.map(f64::to_radians) } else { n };
+                        numbers.clone().map(|n| convention.rotation(radians(n))).collect()
+                    };
+                    let in_other_angles = Some(in_unit(!degrees));
+                    let units = DeclaredUnits { in_other_angles, ..DeclaredUnits::default() };
+                    (Orientations::Rotations(in_unit(degrees)), Some(units))
+                }
+                _ => (Orientations::Numbers(numbers.collect()), None),
             };
             let xyz = rows.iter().map(|(_, row)| xyz(*row)).collect();
-            Ok(stamped(&rows, origin, |t_s| PoseTrack { t_s, xyz, orientation }))
+            Ok(stamped(&rows, origin, |t_s| PoseTrack { t_s, xyz, orientation, declared }))
         }
         7 if is_quaternion == Some(false) => {
             Err("the topic holds a quaternion, not three rotation numbers".to_owned())
@@ -123,9 +142,13 @@ fn unit_m(declared: Option<&Declaration>) -> f64 {
     if declared.is_some_and(|declared| declared.millimetres) { 1e-3 } else { 1.0 }
 }
 
-fn angles(numbers: [f64; 3], declared: Option<&Declaration>) -> [f64; 3] {
-    let degrees = declared.is_some_and(|declared| declared.degrees);
-    if degrees { numbers.map(f64::to_radians) } else { numbers }
+/// The track with the units that the caller declared.
+fn with_units(mut track: Stamped<PoseTrack>, declared: Option<&Declaration>) -> Stamped<PoseTrack> {
+    if let Some(&Declaration { millimetres, degrees, .. }) = declared {
+        let known = track.track.declared.take().unwrap_or_default();
+        track.track.declared = Some(DeclaredUnits { millimetres, degrees, ..known });
+    }
+    track
 }
 
 fn as_xyzw(logged: [f64; 4], declared: Option<&Declaration>) -> [f64; 4] {

@@ -138,6 +138,20 @@ pub struct PoseTrack {
     pub xyz: Vec<Vec3>,
     /// Orientations, as many as positions.
     pub orientation: Orientations,
+    /// What the caller said of the units of the numbers, where they said anything.
+    pub declared: Option<DeclaredUnits>,
+}
+
+/// The units in which the caller declared the numbers of a stream to be. Positions and orientations
+/// are read by them; the caller may be wrong.
+#[derive(Clone, Debug, Default)]
+pub struct DeclaredUnits {
+    /// Whether positions are millimetres, and not metres.
+    pub millimetres: bool,
+    /// Whether angles are degrees, and not radians.
+    pub degrees: bool,
+    /// The orientations if the angles were in the other unit; none where there are no angles.
+    pub in_other_angles: Option<Vec<Rotation>>,
 }
 
 /// IMU readings over time. Times are seconds from the run's origin, strictly increasing.

@@ -10,7 +10,7 @@ use crate::case::On;
 use crate::case::What::Frame;
 use crate::case::{Expected, Log, cases, error, info, the, warning};
 use crate::recording::{Field, Message};
-use Expected::{BlamedOn, Skipped, Sound};
+use Expected::{BlamedOn, Skipped, Sound, Undecided};
 
 const BASE: On = On::Frame(POSE, "base");
 const TIP: On = On::Frame(POSE, "tool0");
@@ -57,6 +57,8 @@ cases! {
         => BlamedOn("ORD008");
     FRM002 a_late_pose_is_in_its_frame: |log| log.run.pose.timing.latency_s = 0.022
         => BlamedOn("LAT001");
+    FRM002 at_rest_a_tool_makes_up_for_the_base: |log| log.run.motion = Motion::AtRest
+        => Undecided("turn the wrist");
     FRM002 no_pose_in_any_frame: |log| log.run.pose.timing.rate_hz = 0.0
         => Skipped("no pose stream");
 
@@ -84,6 +86,8 @@ cases! {
     } => BlamedOn("FRM002");
     FRM003 a_misread_rotation_is_no_tool: |log| log.run.pose.coding = crate::ord::misread_as_rpy()
         => BlamedOn("ORD001");
+    FRM003 at_rest_a_base_makes_up_for_the_tool: |log| log.run.motion = Motion::AtRest
+        => Undecided("turn the wrist");
     FRM003 no_pose_of_any_tool: |log| log.run.pose.timing.rate_hz = 0.0
         => Skipped("no pose stream");
 }

@@ -48,6 +48,8 @@ cases! {
     } => BlamedOn("FRM003");
     LAT001 a_skew_is_no_latency_at_mid_run: |log| log.run.pose.timing.skew = 300e-6
         => BlamedOn("LAT002");
+    LAT001 a_skew_of_an_imu_is_no_latency_at_mid_run: |log| log.run.imu.timing.skew = 2e-3
+        => BlamedOn("LAT002");
 
     LAT001 no_stream_beside_the_joints: |log| {
         log.run.pose.timing.rate_hz = 0.0;
@@ -69,8 +71,18 @@ cases! {
     LAT002 a_drifting_imu_is_no_skew: |log| log.run.imu.yaw_drift_rad_s = 1e-3
         => BlamedOn("YAW001");
     LAT002 growth_with_reach_is_no_skew: |log| log.run.pose.growth = 0.01 => BlamedOn("ZER002");
-    LAT002 no_pose_to_grow_late: |log| log.run.pose.timing.rate_hz = 0.0
-        => Skipped("no pose stream");
+    LAT002 an_imu_on_a_fast_clock: |log| log.run.imu.timing.skew = 800e-6
+        => error(Topic(IMU), Amount(800e-6, 30e-6));
+    LAT002 an_imu_on_a_slow_clock_without_orientation: |log| {
+        log.run.imu.timing.skew = -2e-3;
+        log.run.imu.with_orientation = false;
+    } => error(Topic(IMU), Amount(-2e-3, 0.1e-3));
+    LAT002 a_late_imu_is_not_growing_late: |log| log.run.imu.timing.latency_s = 0.16
+        => BlamedOn("LAT001");
+    LAT002 no_stream_to_grow_late: |log| {
+        log.run.pose.timing.rate_hz = 0.0;
+        log.run.imu.timing.rate_hz = 0.0;
+    } => Skipped("no pose or IMU stream");
     LAT002 an_arm_at_rest_shows_no_skew: |log| log.run.motion = Motion::AtRest
         => Undecided("hardly moves");
 }

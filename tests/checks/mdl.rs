@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
-use poseaudit::geometry::{Pose, xyz_of};
+use poseaudit::geometry::{Convention, Pose, xyz_of};
 use poseaudit::robot::Robot;
 use poseaudit::run::CalibrationSource;
 use poseaudit::synth::{Coding, Noise, POSE, Scenario, urdf_text};
@@ -72,11 +72,12 @@ fn calibration_file(robot: &Robot) -> CalibrationSource {
         ("wrist_2", "wrist_2_joint"),
         ("wrist_3", "wrist_3_joint"),
     ];
+    let rpy: Convention = "euler:xyz".parse().expect("a convention");
     let mut text = "kinematics:\n".to_owned();
     for (block, joint) in BLOCKS {
         let origin = robot.joint(joint).expect(joint).parent_from_joint;
         let [x, y, z] = xyz_of(&origin);
-        let (roll, pitch, yaw) = origin.rotation.euler_angles();
+        let [roll, pitch, yaw] = rpy.numbers(&origin.rotation);
         text += &format!(
             "  {block}:\n    x: {x}\n    y: {y}\n    z: {z}\n    \
              roll: {roll}\n    pitch: {pitch}\n    yaw: {yaw}\n"

@@ -6,7 +6,7 @@ use poseaudit::report::Report;
 use poseaudit::synth::{Coding, IMU, JOINT_STATES, Motion, POSE};
 
 use crate::case::On::Topic;
-use crate::case::What::{Order, ReadAs};
+use crate::case::What::{self, Order, ReadAs};
 use crate::case::{Expected, Log, cases, error, summary, the};
 use crate::recording::{Field, Message};
 use Expected::{BlamedOn, Skipped, Sound, Undecided};
@@ -107,6 +107,10 @@ cases! {
     } => BlamedOn("ORD005");
     ORD004 millimetres_are_no_degrees: |log| log.run.pose.in_millimetres = true
         => BlamedOn("ORD008");
+    ORD004 joints_in_degrees_at_rest: |log| {
+        (log.run.joints.in_degrees, log.run.motion) = (true, Motion::AtRest);
+    } => error(Topic(JOINT_STATES), ReadAs("deg", "rad"));
+    ORD004 an_arm_that_rests_where_its_joints_say_is_sound: |log| log.run.motion = Motion::AtRest => Sound;
     ORD004 no_joint_states: |log| log.run.joints.timing.rate_hz = 0.0 => Skipped("joint states");
     ORD004 nothing_to_hold_the_joints_against: |log| {
         log.run.pose.timing.rate_hz = 0.0;
@@ -179,6 +183,56 @@ fn bare_numbers_may_be_degrees() {
     let finding = the(&report, "ORD004", NUMBERS);
     ReadAs("deg", "rad").assert_is(finding.estimate.as_ref());
     assert_eq!(report.findings.len(), 1, "{}", summary(&report.findings));
+}
+
+#[test]
+fn units_declared_wrongly_are_one_slip_of_units() {
+    let in_radians = |messages: &mut Vec<Message>| as_numbers(messages, 1.0);
+    let in_degrees = |messages: &mut Vec<Message>| as_numbers(messages, 1_f64.to_degrees());
+    let metres_as_millimetres = ("ORD008", ReadAs("m", "mm"));
+    let radians_as_degrees = ("ORD004", ReadAs("rad", "deg"));
+    let degrees_as_radians = ("ORD004", ReadAs("deg", "rad"));
+    type Declared<'a> = (&'a str, fn(&mut Vec<Message>), &'a [(&'a str, What)]);
+    let logs: [Declared<'_>; 6] = [
+        ("rotvec", in_radians, &[]),
+        ("rotvec,deg", in_degrees, &[]),
+        ("rotvec,mm", in_radians, &[metres_as_millimetres]),
+        ("rotvec,deg", in_radians, &[radians_as_degrees]),
+        ("rotvec", in_degrees, &[degrees_as_radians]),
+        ("rotvec,deg,mm", in_radians, &[radians_as_degrees, metres_as_millimetres]),
+    ];
+    for (declared, edit, expected) in logs {
+        let report = Log::with(|log| {
+            log.edit = Some(edit);
+            let declaration = format!("{NUMBERS}={declared}");
+            log.options.declarations = vec![declaration.parse().expect("a declaration")];
+        });
+        let mut report = report.audited();
+        report.findings.retain(|finding| finding.code != "TIM005");
+        let found = summary(&report.findings);
+        assert_eq!(report.findings.len(), expected.len(), "{declared}:\n{found}");
+        for (code, what) in expected {
+            let finding = the(&report, code, NUMBERS);
+            what.assert_is(finding.estimate.as_ref());
+            assert!(finding.message.contains("declared as"), "{found}");
+        }
+    }
+}
+
+#[test]
+fn at_rest_a_reading_passes_only_where_no_frame_can_make_up_for_it() {
+    let report = Log::with(|log| log.run.motion = Motion::AtRest).audited();
+    assert!(report.findings.is_empty(), "{}", summary(&report.findings));
+    for code in ["ORD001", "ORD002", "ORD003"] {
+        let on = |topic: &str| {
+            let is_meant = |row: &&CheckRow| row.code == code && row.subject.label() == topic;
+            report.checks.iter().find(is_meant).expect("it is asked")
+        };
+        // The pose's frames are links of the arm; the IMU's world may be turned by anything.
+        assert_eq!(on(POSE).status, Status::Pass, "{:#?}", on(POSE));
+        assert_eq!(on(IMU).status, Status::Inconclusive, "{:#?}", on(IMU));
+        assert!(on(IMU).reason.as_deref().is_some_and(|why| why.contains("turn the wrist")));
+    }
 }
 
 pub fn misread(is: &str, read_as: &str) -> Coding {

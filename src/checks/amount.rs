@@ -1,0 +1,59 @@
+//! What LAT002 and ZER002 share: an amount that is estimated on every stream, and that is a fault
+//! only where the smallest explanation needs it.
+
+use crate::checks::decision::{Decision, Figure, decide, unseen};
+use crate::checks::{ArmFacts, Judged};
+use crate::diagnosis::{Measured, Seen};
+use crate::finding::{Estimate, Fault, Outcome, Severity, Span};
+
+/// An amount, and how its rule words it.
+pub struct Amount {
+    /// Name of the estimate.
+    pub name: &'static str,
+    /// From where it matters.
+    pub figure: Figure,
+    /// What would tell where it could not be had.
+    pub settle: &'static str,
+    /// The fault.
+    pub fault: fn(&ArmFacts, &Estimated<'_>, &Measured, Severity) -> Fault,
+}
+
+/// What is known of an amount on one stream.
+pub struct Estimated<'a> {
+    /// The stream's topic.
+    pub topic: &'a str,
+    /// The span of its stamps.
+    pub span: Span,
+    /// The amount.
+    pub estimate: &'a Seen<Measured>,
+    /// Whether the smallest explanation contains it.
+    pub is_chosen: bool,
+    /// Why it cannot be believed here, where it cannot.
+    pub doubt: Option<String>,
+}
+
+impl Amount {
+    /// Judges the amount on one stream of `arm`, of as many as the run has.
+    pub fn judge(&self, arm: &ArmFacts, on: Estimated<'_>, subjects: usize) -> Judged {
+        let (subject, settle) = (arm.topic(on.topic), self.settle);
+        let found = match on.estimate {
+            Ok(found) => found,
+            Err(why) => return Judged::new(subject, unseen(why, settle)).within(on.span),
+        };
+        let open = |why: String| Outcome::Inconclusive(format!("{why}; {settle}"));
+        let outcome = match (decide(found, &self.figure, subjects), &on.doubt) {
+            (Decision::Pass, _) => Outcome::sound(),
+            (Decision::Undecided(why), _) => open(why),
+            (Decision::Fail(_), Some(why)) => Outcome::Inconclusive(why.clone()),
+            (Decision::Fail(severity), None) if on.is_chosen => {
+                Outcome::faulty((self.fault)(arm, &on, found, severity))
+            }
+            (Decision::Fail(_), None) => {
+                let shown = self.figure.unit.show_signed(found);
+                open(format!("{shown} would fit, but what is found explains the log without it"))
+            }
+        };
+        let estimate = Estimate::amount(self.name, self.figure.unit, found);
+        Judged::new(subject, outcome).within(on.span).estimated(estimate)
+    }
+}
