@@ -1068,22 +1068,25 @@ fn targets(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
             cases.flat_map(|(_, verdict)| &verdict.intervals).filter(move |one| one.code == code)
         };
         let absolute = |code| median(errors(code).map(|one| one.error.abs()).collect());
+        let shown = |value: Option<f64>, show: &dyn Fn(f64) -> String| {
+            value.map_or_else(|| "no such log".to_owned(), show)
+        };
         writeln!(
             t,
-            "| median latency error at 125 Hz, {noise} noise | {:.1} µs | {latency} |",
-            absolute("LAT001") * 1e6
+            "| median latency error at 125 Hz, {noise} noise | {} | {latency} |",
+            shown(absolute("LAT001"), &|s| format!("{:.1} µs", s * 1e6))
         )?;
         writeln!(
             t,
-            "| median joint zero error at 125 Hz, {noise} noise | {:.5}° | {zero} |",
-            absolute("ZER001") / DEGREE
+            "| median joint zero error at 125 Hz, {noise} noise | {} | {zero} |",
+            shown(absolute("ZER001"), &|rad| format!("{:.5}°", rad / DEGREE))
         )?;
         let drifting = errors("YAW001").filter(|one| one.truth != 0.0);
         let relative = median(drifting.map(|one| (one.error / one.truth).abs()).collect());
         writeln!(
             t,
-            "| median drift rate error at 125 Hz, {noise} noise | {:.2} % | ≤ 1 % |",
-            100.0 * relative
+            "| median drift rate error at 125 Hz, {noise} noise | {} | ≤ 1 % |",
+            shown(relative, &|share| format!("{:.2} %", 100.0 * share))
         )?;
     }
 
@@ -1208,7 +1211,7 @@ fn intervals(t: &mut String, outcomes: &Outcomes, verbose: bool) -> fmt::Result 
     for ((row, planted), of) in rows {
         let covered = of.iter().filter(|one| one.covers).count();
         let bias = of.iter().map(|one| one.error).sum::<f64>() / of.len() as f64;
-        let error = median(of.iter().map(|one| one.error.abs()).collect());
+        let error = median(of.iter().map(|one| one.error.abs()).collect()).unwrap_or_default();
         writeln!(
             t,
             "| {row} | {planted} | {} | {:.1} % | {bias:+.1e} | {error:.1e} |",
@@ -1253,8 +1256,7 @@ fn percent(part: usize, whole: usize) -> f64 {
     100.0 * part as f64 / whole.max(1) as f64
 }
 
-/// `NaN` of none.
-fn median(mut values: Vec<f64>) -> f64 {
+fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+    values.get(values.len() / 2).copied()
 }

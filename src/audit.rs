@@ -7,14 +7,14 @@ use std::sync::Arc;
 use polars::prelude::PolarsResult;
 
 use crate::checks::{
-    ArmFacts, Declared, Evaluation, Facts, ImuFacts, JointFacts, PoseFacts, Settings, StampFacts,
-    UndecodableTopic,
+    ArmFacts, Declared, EvaluatedPart, Evaluation, Facts, ImuFacts, JointFacts, PoseFacts,
+    RhythmFacts, Settings, StampFacts, UndecodableTopic, evaluate, merged,
 };
 use crate::diagnosis::{
     ArmDiagnosis, ImuDiagnosis, ImuStream, PoseDiagnosis, PoseStream, Unseen, diagnose_arm,
     diagnose_derived, diagnose_imu, follows, position_misfit_m,
 };
-use crate::finding::{Severity, Span};
+use crate::finding::{Severity, Span, Subject};
 use crate::geometry::Pose;
 use crate::log::{Log, Loss, Progress};
 use crate::replay::{self, Replay, ReplayArm, ReplayImu, ReplayStream, StreamKind};
@@ -24,9 +24,9 @@ use crate::report::{
 use crate::robot::{Chain, JointKind, catalogue};
 use crate::run::{
     Arm, CalibrationSource, Declaration, HeaderStamps, ImuSource, PoseSource, RobotSource, Role,
-    Run, RunOptions, Witness,
+    Run, RunOptions, Segment, Stream, Witness, segments,
 };
-use crate::stream::Orientations;
+use crate::stream::{Columns, DeclaredUnits, Orientations, PoseTrack};
 use crate::tables::aligned_frame;
 use crate::time::Clock;
 
@@ -105,6 +105,14 @@ pub(crate) struct Read {
 }
 
 impl Read {
+    /// Says something of the run, with its first file.
+    fn note(&mut self, what: &str) {
+        if let Some(file) = self.summary.files.first() {
+            let path = file.path.clone();
+            self.summary.notes.push(NoteRow { path, note: what.to_owned() });
+        }
+    }
+
     pub fn of(log: &Log) -> Self {
         let files = log.files.iter().map(|file| FileRow {
             path: file.path.clone(),
@@ -183,24 +191,33 @@ pub(crate) fn settle_candidates(run: &mut Run, most_lag_s: f64) {
 }
 
 /// What was estimated on one arm.
-pub(crate) struct Diagnosis {
+struct Diagnosis {
     pub arm: ArmDiagnosis,
     pub tf: Option<PoseDiagnosis>,
     pub imus: Vec<ImuDiagnosis>,
 }
 
 /// Diagnoses every arm of a run.
-pub(crate) fn diagnose(run: &Run, most_lag_s: f64) -> Vec<Diagnosis> {
+fn diagnose(run: &Run, most_lag_s: f64) -> Vec<Diagnosis> {
     run.arms.iter().map(|arm| diagnose_one(run, arm, most_lag_s)).collect()
 }
 
 fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
     let streams: Vec<PoseStream> =
         arm.poses.iter().map(|source| pose_stream(run, source)).collect();
-    let diagnosis = diagnose_arm(&arm.joints, &streams, most_lag_s);
+    let diagnosis = diagnose_steadied(arm, &streams, most_lag_s);
     let reading = diagnosis.joints.as_ref().ok();
     let tf = arm.tf.as_ref().ok().map(|source| {
-        diagnose_derived(&arm.joints, reading, &pose_stream(run, source), most_lag_s)
+        let stream = pose_stream(run, source);
+        let found = diagnose_derived(&arm.joints, reading, &stream, most_lag_s);
+        match steadied(&stream, &found) {
+            None => found,
+            Some(track) => {
+                let stream = PoseStream { track: &track, ..stream };
+                let steadied = diagnose_derived(&arm.joints, reading, &stream, most_lag_s);
+                PoseDiagnosis { course: found.course, ..steadied }
+            }
+        }
     });
     let corrected = diagnosis.corrected_joints(&arm.joints, &prismatic(arm));
     let imus = arm
@@ -217,6 +234,59 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
     Diagnosis { arm: diagnosis, tf, imus }
 }
 
+/// The diagnosis of an arm's pose streams; where the latency of some is not steady, that of the
+/// streams as they would be if it were, so that no other cause is sought for what it does.
+fn diagnose_steadied(arm: &Arm, streams: &[PoseStream], most_lag_s: f64) -> ArmDiagnosis {
+    let found = diagnose_arm(&arm.joints, streams, most_lag_s);
+    let tracks: Vec<Option<PoseTrack>> =
+        streams.iter().zip(&found.streams).map(|(stream, found)| steadied(stream, found)).collect();
+    if tracks.iter().all(Option::is_none) {
+        return found;
+    }
+    let streams: Vec<PoseStream> = streams
+        .iter()
+        .zip(&tracks)
+        .map(|(stream, track)| PoseStream {
+            track: track.as_ref().unwrap_or(stream.track),
+            ..*stream
+        })
+        .collect();
+    let mut steady = diagnose_arm(&arm.joints, &streams, most_lag_s);
+    for (steady, found) in steady.streams.iter_mut().zip(found.streams) {
+        steady.course = found.course;
+    }
+    steady
+}
+
+/// The poses of a stream at the stamps that they would have if its latency were steady; `None` where
+/// it is.
+fn steadied(stream: &PoseStream, found: &PoseDiagnosis) -> Option<PoseTrack> {
+    let course = found.course.as_ref().ok().filter(|course| course.is_unsteady)?;
+    let track = stream.track;
+    let rows = course.straightened(&track.t_s);
+    let declared = track.declared.as_ref().map(|declared| DeclaredUnits {
+        in_other_angles: declared
+            .in_other_angles
+            .as_ref()
+            .map(|all| rows.iter().map(|&(row, _)| all[row]).collect()),
+        ..*declared
+    });
+    let orientation = match &track.orientation {
+        Orientations::Rotations(all) => {
+            Orientations::Rotations(rows.iter().map(|&(row, _)| all[row]).collect())
+        }
+        Orientations::Numbers(all) => {
+            Orientations::Numbers(rows.iter().map(|&(row, _)| all[row]).collect())
+        }
+    };
+    Some(PoseTrack {
+        t_s: rows.iter().map(|&(_, t_s)| t_s).collect(),
+        xyz: rows.iter().map(|&(row, _)| track.xyz[row]).collect(),
+        orientation,
+        declared,
+    })
+}
+
 /// For each column of an arm's joint track, whether that joint slides.
 fn prismatic(arm: &Arm) -> Vec<bool> {
     let slides = |name: &String| {
@@ -226,13 +296,12 @@ fn prismatic(arm: &Arm) -> Vec<bool> {
 }
 
 /// The facts for the rules.
-pub(crate) fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read) -> Facts {
+fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read) -> Facts {
     let robots =
         run.arms.iter().zip(diagnoses).map(|(arm, diagnosis)| arm_facts(run, arm, diagnosis));
     let stamps = run.clocks.iter().filter_map(|clock| {
         let stream = run.streams.get(clock.stream)?;
-        let judged = matches!(stream.role, Role::Joints | Role::Pose | Role::Tf | Role::Imu);
-        judged.then(|| StampFacts {
+        is_audited(stream).then(|| StampFacts {
             robot: stream.arm.and_then(|arm| run.arms.get(arm)).map(|arm| arm.name.clone()),
             topic: stream.topic.clone(),
             span: span_of(run, clock.stream),
@@ -243,10 +312,51 @@ pub(crate) fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read) -> Facts 
         robots: robots.collect(),
         no_robot: run.no_arm.as_ref().map(|error| error.what()),
         stamps: stamps.collect(),
+        rhythms: rhythms(run),
+        empty: empty(run),
+        start: run.span.map(|(start, _)| start),
+        origin: run.origin,
         simulated: run.has_clock_topic,
         losses: read.losses.clone(),
         undecodable: read.undecodable.clone(),
     }
+}
+
+/// Whether the rules about stamps are asked about a stream.
+fn is_audited(stream: &Stream) -> bool {
+    matches!(stream.role, Role::Joints | Role::Pose | Role::Tf | Role::Imu)
+}
+
+fn rhythms(run: &Run) -> Vec<RhythmFacts> {
+    let rhythms = run.rhythms.iter().filter_map(|rhythm| {
+        let stream = run.streams.get(rhythm.stream).filter(|stream| is_audited(stream))?;
+        Some(RhythmFacts {
+            robot: stream.arm.and_then(|arm| run.arms.get(arm)).map(|arm| arm.name.clone()),
+            topic: stream.topic.clone(),
+            span: span_of(run, rhythm.stream),
+            on_change: matches!(stream.role, Role::Pose | Role::Tf),
+            parts: rhythm.parts.clone(),
+            extent: rhythm.extent,
+        })
+    });
+    rhythms.filter(|rhythm| !rhythm.parts.is_empty()).collect()
+}
+
+/// The topics that hold nothing and would be audited; of joint states and transforms only where no
+/// other topic has any.
+fn empty(run: &Run) -> Vec<Subject> {
+    let holds =
+        |role: Role| run.streams.iter().any(|stream| stream.role == role && stream.count > 0);
+    let is_missed = |stream: &&Stream| match &stream.columns {
+        _ if !stream.is_empty => false,
+        Some(Columns::Joints(_)) => !holds(Role::Joints),
+        Some(_) => true,
+        None => !stream.type_name.contains("TFMessage") || !holds(Role::Tf),
+    };
+    let missed = run.streams.iter().filter(is_missed);
+    missed
+        .map(|stream| Subject { topic: Some(stream.topic.clone()), ..Subject::default() })
+        .collect()
 }
 
 fn span_of(run: &Run, stream: usize) -> Option<Span> {
@@ -351,13 +461,123 @@ fn better_model(
     fits.min_by(|(_, a), (_, b)| a.total_cmp(b))
 }
 
-/// The report on an audited run.
-pub(crate) fn report(run: &Run, read: Read, evaluation: Evaluation, options: &Options) -> Report {
-    let report = Report::new(read.summary, robots(run), streams(run), evaluation, options.fail_on);
-    match &run.no_arm {
-        Some(error) if options.rules.need_model() => report.with_trouble(error.into()),
-        _ => report,
+/// A segment of a run, audited.
+pub(crate) struct Audited {
+    pub run: Run,
+    pub facts: Facts,
+    evaluation: Evaluation,
+    seconds: f64,
+}
+
+/// The audits of all segments, one at least.
+pub(crate) struct Audits {
+    segments: Vec<Audited>,
+    /// The longest.
+    main: usize,
+}
+
+impl Audits {
+    /// Audits the segments of `log`, each as a run of its own. One that cannot be is left out, unless
+    /// it is the longest.
+    pub fn of(log: Log, read: &Read, options: &Options) -> Result<Self, Trouble> {
+        let segments = segments(log);
+        let longest = segments.iter().map(|segment| segment.seconds).fold(0.0, f64::max);
+        let mut audits = Audits { segments: Vec::new(), main: 0 };
+        let mut has_main = false;
+        for segment in segments {
+            let is_main = !has_main && segment.seconds >= longest;
+            match Audited::of(segment, read, options) {
+                Ok(audited) => {
+                    if is_main {
+                        (audits.main, has_main) = (audits.segments.len(), true);
+                    }
+                    audits.segments.push(audited);
+                }
+                Err(trouble) if is_main => return Err(trouble),
+                Err(_) => {}
+            }
+        }
+        Ok(audits)
     }
+
+    /// The longest segment.
+    pub fn main(&self) -> &Audited {
+        &self.segments[self.main]
+    }
+
+    /// The report on all of them.
+    pub fn report(&self, mut read: Read, options: &Options) -> Report {
+        /// A segment of less than this share of the longest is short.
+        const SHORT: f64 = 0.2;
+        let main = self.main();
+        let evaluation = match self.segments.as_slice() {
+            [only] => only.evaluation.clone(),
+            segments => {
+                read.note(&self.note());
+                let parts = segments.iter().map(|segment| EvaluatedPart {
+                    evaluation: segment.evaluation.clone(),
+                    is_short: segment.seconds < SHORT * main.seconds,
+                });
+                merged(parts.collect(), self.main)
+            }
+        };
+        let streams = match self.segments.as_slice() {
+            [only] => streams(&only.run),
+            segments => joined(segments.iter().flat_map(|segment| streams(&segment.run))),
+        };
+        let report =
+            Report::new(read.summary, robots(&main.run), streams, evaluation, options.fail_on);
+        match &main.run.no_arm {
+            Some(error) if options.rules.need_model() => report.with_trouble(error.into()),
+            _ => report,
+        }
+    }
+
+    /// What became of the run.
+    fn note(&self) -> String {
+        let lengths: Vec<String> =
+            self.segments.iter().map(|segment| format!("{:.1} s", segment.seconds)).collect();
+        let (count, lengths) = (lengths.len(), lengths.join(", "));
+        format!(
+            "all stamps step back: the clock began anew. Audited in {count} segments: {lengths}"
+        )
+    }
+}
+
+impl Audited {
+    fn of(segment: Segment, read: &Read, options: &Options) -> Result<Self, Trouble> {
+        let Segment { log, seconds } = segment;
+        let mut run = Run::assemble(log, &options.run()).map_err(|error| Trouble::from(&error))?;
+        settle_candidates(&mut run, options.max_latency_s);
+        let diagnoses = diagnose(&run, options.max_latency_s);
+        let facts = facts(&run, diagnoses, read);
+        let evaluation = evaluate(&facts, &options.rules);
+        Ok(Self { run, facts, evaluation, seconds })
+    }
+}
+
+/// One row for each stream of the segments.
+fn joined(rows: impl Iterator<Item = StreamRow>) -> Vec<StreamRow> {
+    let mut joined: Vec<StreamRow> = Vec::new();
+    for row in rows {
+        let is_same = |other: &&mut StreamRow| {
+            let names = |row: &StreamRow| {
+                (row.topic.clone(), row.frame_id.clone(), row.child_frame_id.clone())
+            };
+            other.type_name == row.type_name && names(other) == names(&row)
+        };
+        match joined.iter_mut().find(is_same) {
+            Some(known) => {
+                known.count += row.count;
+                known.dropped += row.dropped;
+                known.rate_hz = known.rate_hz.or(row.rate_hz);
+                known.start_ns = [known.start_ns, row.start_ns].into_iter().flatten().min();
+                known.end_ns = known.end_ns.max(row.end_ns);
+            }
+            None => joined.push(row),
+        }
+    }
+    joined
 }
 
 /// The report on a run that was only looked at.

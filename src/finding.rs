@@ -284,6 +284,11 @@ impl Estimate {
         }
     }
 
+    /// A number that was read off the log and not estimated, so that it has no interval.
+    pub fn counted(name: &'static str, unit: &'static str, value: f64) -> Self {
+        Estimate::Amount { name, value, unit, ci95: None }
+    }
+
     /// An estimate of a length, which cannot be negative.
     pub fn length(name: &'static str, unit: Unit, length: &Length) -> Self {
         let Length { norm, .. } = length;

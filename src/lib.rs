@@ -52,14 +52,11 @@ pub fn audit(options: &Options) -> Result<Report, Trouble> {
     let how = ReadOptions { verify: options.verify, progress: options.progress.as_deref() };
     let log = log::open(&options.logs, &how)?;
     let read = audit::Read::of(&log);
-    let mut run = Run::assemble(log, &options.run()).map_err(|error| Trouble::from(&error))?;
-    audit::settle_candidates(&mut run, options.max_latency_s);
-    let diagnoses = audit::diagnose(&run, options.max_latency_s);
-    let facts = audit::facts(&run, diagnoses, &read);
-    let evaluation = checks::evaluate(&facts, &options.rules);
-    let report = audit::report(&run, read, evaluation, options);
+    let audits = audit::Audits::of(log, &read, options)?;
+    let report = audits.report(read, options);
     if let Some(path) = &options.recording {
-        audit::record(path, &run, &facts, &report)?;
+        let main = audits.main();
+        audit::record(path, &main.run, &main.facts, &report)?;
     }
     Ok(report)
 }

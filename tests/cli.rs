@@ -174,7 +174,19 @@ fn the_json_has_the_keys_of_the_contract_in_their_order() {
     };
     assert_eq!(
         keys(&report),
-        ["schema", "tool", "verdict", "error", "log", "robots", "streams", "checks", "findings"]
+        [
+            "schema",
+            "tool",
+            "verdict",
+            "error",
+            "log",
+            "robots",
+            "streams",
+            "checks",
+            "findings",
+            // Beyond the contract, and behind all of it.
+            "observability"
+        ]
     );
     assert_eq!(
         keys(&report["findings"][0]),

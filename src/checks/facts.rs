@@ -4,8 +4,9 @@
 
 use crate::diagnosis::{ArmDiagnosis, ImuDiagnosis, PoseDiagnosis};
 use crate::finding::{Span, Subject, Unit};
-use crate::log::Loss;
-use crate::run::{StreamClock, Witness};
+use crate::log::{self, Loss};
+use crate::run::{Cadence, Extent, StreamClock, Witness};
+use crate::time::Stamp;
 
 /// All that is known of one run.
 #[derive(Clone, Debug, Default)]
@@ -16,6 +17,14 @@ pub struct Facts {
     pub no_robot: Option<String>,
     /// Every stream that plays a role, by its stamps.
     pub stamps: Vec<StampFacts>,
+    /// Every stream that plays a role, by how regularly it comes.
+    pub rhythms: Vec<RhythmFacts>,
+    /// Topics that would play a role, and hold no message.
+    pub empty: Vec<Subject>,
+    /// First stamp of the run.
+    pub start: Option<Stamp>,
+    /// The stamp that times in seconds of the diagnosis are relative to.
+    pub origin: Stamp,
     /// Whether the log holds `/clock`, the mark of simulation.
     pub simulated: bool,
     /// Damage to the files.
@@ -28,6 +37,16 @@ impl Facts {
     /// Number of subjects (streams and joints) in the run, by which intervals are corrected.
     pub fn subjects(&self) -> usize {
         self.robots.iter().map(ArmFacts::subjects).sum::<usize>().max(1)
+    }
+
+    /// Whether messages amid the files are lost, so that what is missing of a stream may be the log's.
+    pub fn lost_messages(&self) -> bool {
+        self.losses.iter().any(|loss| loss.extent == log::Extent::Messages)
+    }
+
+    /// A moment of the run as a person finds it again: seconds from the start.
+    pub fn moment(&self, stamp: Stamp) -> String {
+        format!("+{:.2} s", stamp.seconds_since(self.start.unwrap_or(stamp)))
     }
 
     /// Every pose stream with its robot and what was estimated on it.
@@ -208,6 +227,46 @@ impl StampFacts {
             frame: self.clock.frame.clone(),
             joint: None,
         }
+    }
+}
+
+/// How regularly one stream comes.
+#[derive(Clone, Debug)]
+pub struct RhythmFacts {
+    /// Name of the robot it belongs to, where one is known.
+    pub robot: Option<String>,
+    /// Its topic.
+    pub topic: String,
+    /// First and last stamp used.
+    pub span: Option<Span>,
+    /// Whether it may rightly be silent while the arm rests: poses and transforms are, where they
+    /// are sent on change.
+    pub on_change: bool,
+    /// The rhythm of each of its senders, or of each transform.
+    pub parts: Vec<Cadence>,
+    /// How it lies against the other streams.
+    pub extent: Option<Extent>,
+}
+
+impl RhythmFacts {
+    /// The stream as a subject; of a TF topic the one transform that is concerned, where it is one
+    /// of several.
+    pub fn subject(&self, concerned: &[&Cadence]) -> Subject {
+        let frame = match concerned {
+            [only] if self.parts.len() > 1 => only.frame.clone(),
+            _ => None,
+        };
+        Subject {
+            robot: self.robot.clone(),
+            topic: Some(self.topic.clone()),
+            frame,
+            ..Subject::default()
+        }
+    }
+
+    /// The parts that an audit needs.
+    pub fn wanted(&self) -> impl Iterator<Item = &Cadence> {
+        self.parts.iter().filter(|part| part.wanted)
     }
 }
 

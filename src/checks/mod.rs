@@ -8,6 +8,7 @@ mod amount;
 mod decision;
 mod facts;
 mod frames;
+mod merge;
 mod observability;
 mod reading;
 #[cfg(test)]
@@ -25,8 +26,10 @@ use crate::finding::{
 
 pub use decision::{Decision, Figure, FrameFigures, decide, decide_both, decide_frame};
 pub use facts::{
-    ArmFacts, Declared, Facts, ImuFacts, JointFacts, PoseFacts, StampFacts, UndecodableTopic,
+    ArmFacts, Declared, Facts, ImuFacts, JointFacts, PoseFacts, RhythmFacts, StampFacts,
+    UndecodableTopic,
 };
+pub use merge::{Part as EvaluatedPart, merged};
 pub use observability::{Blind, Part, StreamObservability};
 
 /// Declares a rule; its doc comment is the text that `explain` prints.
@@ -57,6 +60,7 @@ registry! {
     ing002::ING002,
     lat001::LAT001,
     lat002::LAT002,
+    lat003::LAT003,
     mdl001::MDL001,
     ord001::ORD001,
     ord002::ORD002,
@@ -64,8 +68,12 @@ registry! {
     ord004::ORD004,
     ord005::ORD005,
     ord008::ORD008,
+    tim001::TIM001,
+    tim002::TIM002,
     tim003::TIM003,
+    tim004::TIM004,
     tim005::TIM005,
+    tim006::TIM006,
     yaw001::YAW001,
     yaw002::YAW002,
     yaw003::YAW003,
@@ -283,11 +291,16 @@ pub fn evaluate(facts: &Facts, settings: &Settings) -> Evaluation {
         }
     }
     evaluation.observability = observability::observability(facts, &mut evaluation.checks);
-    evaluation.findings.sort_by(|a, b| {
+    rank(&mut evaluation.findings);
+    evaluation
+}
+
+/// Puts the gravest finding first, then what moves the arm's tip most.
+fn rank(findings: &mut [Finding]) {
+    findings.sort_by(|a, b| {
         let effect = |finding: &Finding| finding.evidence.effect_m.unwrap_or(0.0);
         b.severity.cmp(&a.severity).then(effect(b).total_cmp(&effect(a)))
     });
-    evaluation
 }
 
 impl Evaluation {

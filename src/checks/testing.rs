@@ -3,7 +3,7 @@
 use crate::checks::{ArmFacts, Facts, ImuFacts, JointFacts, PoseFacts, Rule, evaluate};
 use crate::diagnosis::{
     Aligned, ArmDiagnosis, FrameEstimate, GyroBias, ImuDiagnosis, JointOffset, JointReading,
-    Length, Measured, PoseDiagnosis, Reading, ReadingEstimate, Residual, YawCourse,
+    LatencyCourse, Length, Measured, PoseDiagnosis, Reading, ReadingEstimate, Residual, YawCourse,
 };
 use crate::finding::{CheckRow, Finding, Span};
 use crate::geometry::{Pose, Vec3};
@@ -106,6 +106,12 @@ fn clean_stream() -> PoseDiagnosis {
         latency_s: Ok(sure(0.0)),
         skew: Ok(sure(0.0)),
         skew_chosen: false,
+        course: Ok(LatencyCourse {
+            swing_s: sure(0.0),
+            is_unsteady: false,
+            jumps: Vec::new(),
+            levels: Vec::new(),
+        }),
         growth: Ok(sure(0.0)),
         growth_chosen: false,
         reference: Ok(frame(0.0)),

@@ -47,8 +47,8 @@ fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
         let joints = robot.joints.join(", ");
         writeln!(
             out,
-            "{} (from {}), {} → {}: {joints}",
-            robot.name, robot.source, robot.base, robot.tip
+            "{}, {} → {}, from {}: {joints}",
+            robot.name, robot.base, robot.tip, robot.source
         )?;
     }
     writeln!(out, "\n{}", table(&report.streams).trim_fmt())

@@ -1,5 +1,6 @@
 //! The arm and its pose streams: everything that is estimated from joint states and poses together.
 
+use super::course::latency_course;
 use super::explain::{Approach, Cause, ENTANGLED, Explanation, Menu, best, explain};
 use super::frames::{frame_estimate, starts};
 use super::joints::{corrected, lies_on_arm, read_joints};
@@ -727,6 +728,7 @@ fn no_diagnosis(scale: &Seen<f64>, why: Unseen) -> PoseDiagnosis {
         latency_s: Err(rests()),
         skew: Err(rests()),
         skew_chosen: false,
+        course: Err(rests()),
         growth: Err(rests()),
         growth_chosen: false,
         reference: Err(rests()),
@@ -801,6 +803,10 @@ fn stream_diagnosis(
     let residual = residual(&aligned, &prepared.witness, found, zeros);
     let information = explanation.linear.information_of(index);
     let observability = Observability::of(&prepared.witness, found, zeros, &information);
+    let course = match &latency_s {
+        Ok(_) => latency_course(&aligned, found.skew),
+        Err(why) => Err(why.clone()),
+    };
     let (linear, _) = arm_speeds(prepared.witness.joints, stream.chain, stream.columns);
     let t_s = &prepared.witness.t_s;
     let span_s = (t_s[t_s.len() - 1] - t_s[0]).max(f64::MIN_POSITIVE);
@@ -820,6 +826,7 @@ fn stream_diagnosis(
             ..skew
         }),
         skew_chosen: causes.contains(&Cause::Skew(index)),
+        course,
         growth: one(Cause::Growth(index)),
         growth_chosen: causes.contains(&Cause::Growth(index)),
         reference: frame(Cause::Reference(index)),

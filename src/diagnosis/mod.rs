@@ -5,6 +5,7 @@
 //! these numbers into verdicts and words.
 
 mod arm;
+mod course;
 mod explain;
 mod frames;
 mod imu;
@@ -28,6 +29,7 @@ use crate::robot::Chain;
 use crate::stream::{ImuTrack, PoseTrack};
 
 pub use arm::{diagnose_arm, diagnose_derived, follows};
+pub use course::{LatencyCourse, LatencyJump};
 pub use imu::diagnose_imu;
 pub use latency::Peak;
 pub use measured::{Length, Measured};
@@ -234,6 +236,8 @@ pub struct PoseDiagnosis {
     pub skew: Seen<Measured>,
     /// Whether the smallest explanation of the log contains the skew.
     pub skew_chosen: bool,
+    /// What the latency does within the run.
+    pub course: Seen<LatencyCourse>,
     /// Signed radial growth of positions, m/m.
     pub growth: Seen<Measured>,
     /// Whether the smallest explanation of the log contains the growth.

@@ -40,7 +40,7 @@ pub fn xyz_of(pose: &Pose) -> [f64; 3] {
 }
 
 #[cfg(test)]
-mod test_random {
+pub(crate) mod test_random {
     /// Knuth's 64-bit linear congruential generator (MMIX); the same numbers in every run.
     pub struct Lcg(u64);
 

@@ -65,8 +65,6 @@ pub enum Verdict {
 pub struct LogSummary {
     /// The files, in the order given.
     pub files: Vec<FileRow>,
-    /// What a reader should know of them, and is no damage.
-    pub notes: Vec<NoteRow>,
     /// Messages read.
     pub messages: u64,
     /// First log time.
@@ -77,6 +75,9 @@ pub struct LogSummary {
     pub end_ns: Option<Stamp>,
     /// From the first to the last log time, s.
     pub duration_s: Option<f64>,
+    /// What a reader should know of the files, and is no damage.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<NoteRow>,
 }
 
 /// One file.

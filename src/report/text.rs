@@ -74,7 +74,7 @@ impl Page<'_> {
         for robot in &self.report.robots {
             let (name, source) = (&robot.name, &robot.source);
             let (base, tip) = (&robot.base, &robot.tip);
-            line(out, STRONG, "robot", &format!("{name} (from {source}), {base} → {tip}"))?;
+            line(out, STRONG, "robot", &format!("{name}, {base} → {tip}, from {source}"))?;
         }
         if !log.files.is_empty() || !self.report.robots.is_empty() {
             writeln!(out)?;

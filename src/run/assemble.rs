@@ -9,6 +9,7 @@ use crate::stream::{Columns, PoseColumns};
 use crate::time::Stamp;
 
 use super::arm::{Anchor, Arm, Ends, ImuSource, NoTf, PoseSource};
+use super::cadence::rhythms;
 use super::declaration::Declaration;
 use super::error::RunError;
 use super::joints::{JointTopic, merge};
@@ -64,7 +65,9 @@ impl Run {
         assembly.name_joints();
         let Assembly { streams, timing, tf, arms, .. } = assembly;
         let span = span(streams.iter().filter(|stream| stream.rate_hz.is_some()));
-        Ok(Run { origin, span, streams, arms, tf, clocks: timing.clocks, has_clock_topic, no_arm })
+        let rhythms = rhythms(&streams, &timing, &joint_topics(&streams, &timing), &arms);
+        let clocks = timing.clocks;
+        Ok(Run { origin, span, streams, arms, tf, clocks, rhythms, has_clock_topic, no_arm })
     }
 }
 

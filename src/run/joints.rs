@@ -57,9 +57,9 @@ pub(super) struct Merged {
 
 /// The finite samples of one joint, strictly increasing in time.
 #[derive(Default)]
-struct Samples {
-    stamps: Vec<Stamp>,
-    position: Vec<f64>,
+pub(super) struct Samples {
+    pub stamps: Vec<Stamp>,
+    pub position: Vec<f64>,
     velocity: Vec<f64>,
 }
 
@@ -147,7 +147,7 @@ impl Cursor {
 
 impl Samples {
     /// The finite samples of `name`, in order of time; of equal stamps the first.
-    fn of(topic: &JointTopic<'_>, name: &str) -> Self {
+    pub fn of(topic: &JointTopic<'_>, name: &str) -> Self {
         let Some(joint) = topic.columns.joints.iter().find(|joint| joint.name == name) else {
             return Self::default();
         };

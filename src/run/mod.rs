@@ -10,6 +10,7 @@
 
 mod arm;
 mod assemble;
+mod cadence;
 mod clock;
 mod declaration;
 mod error;
@@ -17,6 +18,7 @@ mod joints;
 mod models;
 mod poses;
 mod role;
+mod segments;
 mod skeleton;
 mod streams;
 #[cfg(test)]
@@ -27,11 +29,13 @@ mod witness;
 use crate::time::{Clock, Stamp};
 
 pub use arm::{Arm, ImuSource, NoTf, PoseSource};
+pub use cadence::{Cadence, Extent, Rhythm, Stretch};
 pub use clock::{Alignment, Epoch, HeaderStamps, StreamClock};
 pub use declaration::{CalibrationSource, Coding, Declaration, DeclarationError, RobotSource};
 pub use error::RunError;
 pub use joints::{JointFacts, Velocities};
 pub use role::Role;
+pub use segments::{Segment, segments};
 pub use streams::Stream;
 pub use tf_tree::{Edge, EdgeKind, TfError, TfPath, TfTree};
 pub use witness::Witness;
@@ -93,6 +97,8 @@ pub struct Run {
     pub tf: TfTree,
     /// The clock of every stream that moves in time.
     pub clocks: Vec<StreamClock>,
+    /// How regularly every stream comes that may be audited.
+    pub rhythms: Vec<Rhythm>,
     /// Whether the log holds `/clock`, the mark of simulated time.
     pub has_clock_topic: bool,
     /// Why there is no arm.

@@ -186,6 +186,14 @@ pub(super) fn plain_role(topic: &str, columns: &Columns) -> Option<Verdict> {
     Some(verdict)
 }
 
+/// The role of a stream of poses by its topic alone.
+pub(super) fn named_role(topic: &str) -> Role {
+    let (frame, child) = (Place::Unnamed, Place::Unnamed);
+    let unnamed =
+        PoseTopic { topic, frame_id: "", child_frame_id: "", frame, child, is_declared: false };
+    pose_role(&unnamed).0
+}
+
 /// The role of a stream of poses with frames.
 pub(super) fn pose_role(pose: &PoseTopic<'_>) -> Verdict {
     let PoseTopic { topic, frame_id, child_frame_id, .. } = *pose;

@@ -5,7 +5,7 @@ use crate::stream::{Columns, PoseColumns, Times};
 use crate::time::{Clock, Stamp};
 
 use super::clock::{self, Source, StreamClock};
-use super::role::{Role, plain_role};
+use super::role::{Role, named_role, plain_role};
 use super::tf_tree::without_slash;
 use super::witness::Witness;
 
@@ -42,6 +42,8 @@ pub struct Stream {
     pub start: Option<Stamp>,
     /// Time of the last row.
     pub end: Option<Stamp>,
+    /// Whether an audit would want it, by its type and name, and it holds no message.
+    pub is_empty: bool,
     /// What it held, as logged.
     pub columns: Option<Columns>,
 }
@@ -126,8 +128,13 @@ fn of_topic(topic: Topic) -> Vec<Stream> {
         rate_hz: None,
         start: topic.span.map(|(start, _)| start),
         end: topic.span.map(|(_, end)| end),
+        is_empty: false,
         columns: None,
     };
+    if topic.messages == 0 && topic.columns.as_ref().is_some_and(|held| is_wanted(&stream, held)) {
+        stream.is_empty = true;
+        stream.reason = "it holds no message".to_owned();
+    }
     let has_rows = |columns: &Columns| !columns.times().is_empty();
     let Some(columns) = topic.columns.filter(has_rows) else {
         if let Some(undecodable) = topic.undecodable {
@@ -163,6 +170,15 @@ fn of_topic(topic: Topic) -> Vec<Stream> {
     stream.dropped += dropped_in(&columns);
     stream.columns = Some(columns);
     vec![stream]
+}
+
+/// Whether an audit would want a topic of such columns, by its name alone.
+fn is_wanted(stream: &Stream, columns: &Columns) -> bool {
+    let role = match columns {
+        Columns::Poses(_) => Some(named_role(&stream.topic)),
+        columns => plain_role(&stream.topic, columns).map(|(role, _)| role),
+    };
+    matches!(role, Some(Role::Joints | Role::Pose | Role::Tf | Role::Imu))
 }
 
 /// Rows and values that the decoder dropped.

@@ -199,42 +199,71 @@ impl Columns {
     }
 }
 
-impl JointColumns {
-    /// Puts the rows in the order of `clock`.
-    pub fn sort_by(&mut self, clock: Clock) {
-        let Some(order) = self.times.sort_permutation(clock) else {
-            return;
-        };
-        self.times.permute(&order);
-        for joint in &mut self.joints {
-            permute(&mut joint.position, &order);
-            permute(&mut joint.velocity, &order);
+impl Columns {
+    /// Keeps of each part, in the order of [`Columns::times`], the rows given; parts of which none is
+    /// kept go.
+    pub fn retain(&mut self, rows: &[Vec<usize>]) {
+        match self {
+            Columns::Joints(joints) => rows.iter().for_each(|rows| joints.select(rows)),
+            Columns::Poses(poses) | Columns::Transforms(poses) => {
+                poses.iter_mut().zip(rows).for_each(|(poses, rows)| poses.select(rows));
+                poses.retain(|poses| !poses.times.is_empty());
+            }
+            Columns::Imu(imu) => rows.iter().for_each(|rows| imu.select(rows)),
+            Columns::Array(array) => rows.iter().for_each(|rows| array.select(rows)),
+            Columns::Text(_) => {}
         }
     }
 }
 
-impl PoseColumns {
+impl JointColumns {
+    fn select(&mut self, rows: &[usize]) {
+        self.times.permute(rows);
+        for joint in &mut self.joints {
+            permute(&mut joint.position, rows);
+            permute(&mut joint.velocity, rows);
+        }
+    }
+
     /// Puts the rows in the order of `clock`.
     pub fn sort_by(&mut self, clock: Clock) {
         let Some(order) = self.times.sort_permutation(clock) else {
             return;
         };
-        self.times.permute(&order);
-        permute(&mut self.xyz, &order);
-        permute(&mut self.q_xyzw, &order);
+        self.select(&order);
+    }
+}
+
+impl PoseColumns {
+    fn select(&mut self, rows: &[usize]) {
+        self.times.permute(rows);
+        permute(&mut self.xyz, rows);
+        permute(&mut self.q_xyzw, rows);
+    }
+
+    /// Puts the rows in the order of `clock`.
+    pub fn sort_by(&mut self, clock: Clock) {
+        let Some(order) = self.times.sort_permutation(clock) else {
+            return;
+        };
+        self.select(&order);
     }
 }
 
 impl ImuColumns {
+    fn select(&mut self, rows: &[usize]) {
+        self.times.permute(rows);
+        permute(&mut self.q_xyzw, rows);
+        permute(&mut self.gyro, rows);
+        permute(&mut self.accel, rows);
+    }
+
     /// Puts the rows in the order of `clock`.
     pub fn sort_by(&mut self, clock: Clock) {
         let Some(order) = self.times.sort_permutation(clock) else {
             return;
         };
-        self.times.permute(&order);
-        permute(&mut self.q_xyzw, &order);
-        permute(&mut self.gyro, &order);
-        permute(&mut self.accel, &order);
+        self.select(&order);
     }
 }
 
@@ -244,13 +273,17 @@ impl ArrayColumns {
         &self.values[row * self.width..(row + 1) * self.width]
     }
 
+    fn select(&mut self, rows: &[usize]) {
+        self.times.permute(rows);
+        self.values = rows.iter().flat_map(|&row| self.row(row).to_vec()).collect();
+    }
+
     /// Puts the rows in the order of `clock`.
     pub fn sort_by(&mut self, clock: Clock) {
         let Some(order) = self.times.sort_permutation(clock) else {
             return;
         };
-        self.times.permute(&order);
-        self.values = order.iter().flat_map(|&row| self.row(row).to_vec()).collect();
+        self.select(&order);
     }
 }
 

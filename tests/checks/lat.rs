@@ -6,6 +6,7 @@ use poseaudit::synth::{IMU, JOINT_STATES, Motion, POSE, TF, Timing};
 use crate::case::On::Topic;
 use crate::case::What::Amount;
 use crate::case::{Expected, Log, cases, error, half_width, summary, the, warning};
+use crate::recording::restamp;
 use Expected::{BlamedOn, Skipped, Sound, Undecided};
 
 cases! {
@@ -84,6 +85,30 @@ cases! {
         log.run.imu.timing.rate_hz = 0.0;
     } => Skipped("no pose or IMU stream");
     LAT002 an_arm_at_rest_shows_no_skew: |log| log.run.motion = Motion::AtRest
+        => Undecided("hardly moves");
+
+    LAT003 a_pose_that_is_later_from_a_moment_on: |log| {
+        log.run.duration_s = 16.0;
+        log.edit = Some(|messages| restamp(messages, POSE, 10.0, f64::MAX, 0.030));
+    } => error(Topic(POSE), Amount(0.030, 1e-3));
+    LAT003 a_pose_that_is_earlier_from_a_moment_on: |log| {
+        log.run.duration_s = 16.0;
+        log.edit = Some(|messages| restamp(messages, POSE, 9.0, f64::MAX, -0.012));
+    } => warning(Topic(POSE), Amount(-0.012, 1e-3));
+    LAT003 a_jump_of_a_millisecond_is_sound: |log| {
+        log.edit = Some(|messages| restamp(messages, POSE, 5.0, f64::MAX, 0.001));
+    } => Sound;
+    LAT003 a_late_pose_is_steady: |log| log.run.pose.timing.latency_s = 0.022
+        => BlamedOn("LAT001");
+    LAT003 a_skew_is_no_jump: |log| log.run.pose.timing.skew = 200e-6 => BlamedOn("LAT002");
+    LAT003 a_joint_zero_is_no_jump: |log| log.run.joints.zero_offsets = vec![0.0, 0.0, 0.02]
+        => BlamedOn("ZER001");
+    LAT003 growth_with_reach_is_no_jump: |log| log.run.pose.growth = 0.01 => BlamedOn("ZER002");
+    LAT003 no_stream_to_jump: |log| {
+        log.run.pose.timing.rate_hz = 0.0;
+        log.run.tf.timing.rate_hz = 0.0;
+    } => Skipped("no pose or /tf");
+    LAT003 an_arm_at_rest_shows_no_jump: |log| log.run.motion = Motion::AtRest
         => Undecided("hardly moves");
 }
 

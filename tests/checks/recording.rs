@@ -131,8 +131,13 @@ impl Message {
 
     /// Moves its stamps and the time of receipt by `by_ns`.
     pub fn shift(&mut self, by_ns: i64) {
-        const SECOND_NS: i64 = 1_000_000_000;
         self.log_ns += by_ns;
+        self.restamp(by_ns);
+    }
+
+    /// Moves its stamps by `by_ns`, not the time of receipt.
+    pub fn restamp(&mut self, by_ns: i64) {
+        const SECOND_NS: i64 = 1_000_000_000;
         for field in self.fields() {
             let Field::Stamp(at) = field else { continue };
             let word = |at: usize| u32::from_le_bytes(self.cdr[at..at + 4].try_into().unwrap());
@@ -253,6 +258,27 @@ impl Reader<'_> {
     fn xyzw(&mut self) -> Field {
         Field::Xyzw(self.pass(8, 4))
     }
+}
+
+/// Moves the stamps of the messages of `topic` (of all where it is empty) that are received from
+/// `from_s` to `to_s` after the first message by `by_s`, not when they are received.
+pub fn restamp(messages: &mut [Message], topic: &str, from_s: f64, to_s: f64, by_s: f64) {
+    let nanos = |seconds: f64| (seconds * 1e9) as i64;
+    let start_ns = messages.iter().map(|message| message.log_ns).min().unwrap_or(0);
+    let within = start_ns + nanos(from_s)..start_ns.saturating_add(nanos(to_s));
+    for message in messages.iter_mut().filter(|message| within.contains(&message.log_ns)) {
+        if topic.is_empty() || message.topic == topic {
+            message.restamp(nanos(by_s));
+        }
+    }
+}
+
+/// Drops the messages of `topic` received from `from_s` to `to_s` after the first message.
+pub fn cut_out(messages: &mut Vec<Message>, topic: &str, from_s: f64, to_s: f64) {
+    let nanos = |seconds: f64| (seconds * 1e9) as i64;
+    let start_ns = messages.iter().map(|message| message.log_ns).min().unwrap_or(0);
+    let within = start_ns + nanos(from_s)..start_ns.saturating_add(nanos(to_s));
+    messages.retain(|message| message.topic != topic || !within.contains(&message.log_ns));
 }
 
 /// Gives all messages of `topic` the stamp of the first.

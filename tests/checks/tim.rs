@@ -1,13 +1,96 @@
 //! TIM: clocks and stamps.
 
-use poseaudit::synth::{IMU, POSE, Scenario};
+use poseaudit::finding::{Finding, Severity, Status};
+use poseaudit::report::{Report, Verdict};
+use poseaudit::synth::{IMU, Motion, POSE, Scenario, TF};
 
 use crate::case::What::{self, About, Amount};
-use crate::case::{Expected, On, cases, info, warning};
+use crate::case::{Expected, Log, On, cases, info, summary, the, warning};
+use crate::recording::{Message, cut_out, restamp};
 use Expected::{BlamedOn, Skipped, Sound};
 use On::{Run, Topic};
 
 cases! {
+    TIM001 a_clock_that_is_set_back: |log| {
+        log.edit = Some(|messages| restamp(messages, IMU, 4.0, 4.02, -0.4037));
+    } => warning(Topic(IMU), About(0.39, 0.03));
+    TIM001 messages_in_turn_are_sound: |log| log.run.imu.timing.phase_s = 0.0 => Sound;
+    TIM001 a_late_pose_runs_forward: |log| log.run.pose.timing.latency_s = 0.022
+        => BlamedOn("LAT001");
+    TIM001 no_stream_that_could_run_back: |log| without_streams(&mut log.run)
+        => Skipped("no stamped stream");
+
+    TIM002 a_pose_that_stops_for_a_while: |log| {
+        log.edit = Some(|messages| cut_out(messages, POSE, 3.0, 3.7));
+    } => warning(Topic(POSE), About(0.72, 0.05));
+    TIM002 an_imu_that_loses_one_in_twenty: |log| {
+        log.edit = Some(|messages| {
+            let mut count = 0;
+            messages.retain(|message| {
+                count += usize::from(message.topic == IMU);
+                message.topic != IMU || count % 20 != 7
+            });
+        });
+    } => warning(Topic(IMU), About(0.05, 0.005));
+    TIM002 steady_streams_are_sound: |log| log.run.pose.timing.rate_hz = 20.0 => Sound;
+    TIM002 a_pose_that_ends_early_has_no_gap: |log| {
+        log.edit = Some(|messages| cut_out(messages, POSE, 6.0, 9.0));
+    } => BlamedOn("TIM006");
+    TIM002 no_stream_to_interrupt: |log| without_streams(&mut log.run) => Skipped("no stream");
+
+    TIM004 a_pose_that_is_stamped_in_pairs: |log| {
+        log.edit = Some(|messages| {
+            let mut pose = 0;
+            for message in messages.iter_mut().filter(|message| message.topic == POSE) {
+                pose += 1;
+                if pose % 20 == 0 {
+                    message.restamp(-40_000_000);
+                }
+            }
+        });
+    } => warning(Topic(POSE), About(0.05, 0.005));
+    TIM004 equal_messages_sent_twice_are_sound: |log| {
+        log.edit = Some(|messages| {
+            let mut twice = Vec::new();
+            for message in messages.drain(..) {
+                let again = message.topic == TF;
+                twice.push(message.clone());
+                twice.extend(again.then_some(message));
+            }
+            *messages = twice;
+        });
+    } => Sound;
+    TIM004 a_late_pose_is_stamped_once: |log| log.run.pose.timing.latency_s = 0.022
+        => BlamedOn("LAT001");
+    TIM004 no_stream_to_repeat: |log| without_streams(&mut log.run)
+        => Skipped("no stamped stream");
+
+    TIM006 a_pose_that_ends_early: |log| {
+        log.edit = Some(|messages| cut_out(messages, POSE, 6.0, 9.0));
+    } => warning(Topic(POSE), About(2.0, 0.1));
+    TIM006 an_imu_that_begins_late: |log| {
+        log.edit = Some(|messages| cut_out(messages, IMU, -1.0, 2.5));
+    } => warning(Topic(IMU), About(2.5, 0.1));
+    TIM006 an_imu_that_slows_down: |log| {
+        log.edit = Some(|messages| {
+            let start_ns = messages[0].log_ns;
+            let mut count = 0;
+            messages.retain(|message| {
+                count += usize::from(message.topic == IMU);
+                message.log_ns - start_ns < 5_000_000_000 || message.topic != IMU || count % 3 == 0
+            });
+        });
+    } => warning(Topic(IMU), About(33.3, 1.0));
+    TIM006 half_a_second_is_sound: |log| {
+        log.edit = Some(|messages| cut_out(messages, POSE, 7.5, 9.0));
+    } => Sound;
+    TIM006 a_gap_is_no_early_end: |log| {
+        log.edit = Some(|messages| cut_out(messages, POSE, 3.0, 3.7));
+    } => BlamedOn("TIM002");
+    TIM006 a_late_pose_does_not_begin_late: |log| log.run.pose.timing.latency_s = 1.5
+        => BlamedOn("LAT001");
+    TIM006 no_stream_to_end: |log| without_streams(&mut log.run) => Skipped("no stream");
+
     TIM003 an_imu_that_counts_from_its_start: |log| log.run.imu.timing.clock_offset_s = -1.78e9
         => warning(Topic(IMU), Amount(-1.78e9, 0.005));
     TIM003 a_pose_that_is_an_hour_ahead: |log| log.run.pose.timing.clock_offset_s = 3600.0
@@ -46,5 +129,87 @@ fn without_streams(run: &mut Scenario) {
     let Scenario { joints, pose, tf, imu, .. } = run;
     for timing in [&mut joints.timing, &mut pose.timing, &mut tf.timing, &mut imu.timing] {
         timing.rate_hz = 0.0;
+    }
+}
+
+#[test]
+fn an_arm_at_rest_may_be_silent_about_it() {
+    let report = Log::with(|log| {
+        log.run.motion = Motion::AtRest;
+        log.edit = Some(|messages| {
+            cut_out(messages, POSE, 3.0, 4.7);
+            cut_out(messages, POSE, 5.5, 9.0);
+        });
+    })
+    .audited();
+    assert!(report.findings.is_empty(), "{}", summary(&report.findings));
+    let is_poses = |code: &str| {
+        let rows = report.checks.iter().filter(move |row| row.code == code);
+        rows.filter(|row| row.subject.label() == POSE).map(|row| row.status).collect::<Vec<_>>()
+    };
+    assert_eq!([is_poses("TIM002"), is_poses("TIM006")], [[Status::Pass], [Status::Pass]]);
+}
+
+/// Sets the clock of all stamps back to the start, this long after it, as a simulator that is reset.
+fn reset(messages: &mut [Message], after_s: f64) {
+    restamp(messages, "", after_s, f64::MAX, -after_s);
+}
+
+/// What is found beside the remark that the clock which began anew is not the recorder's.
+fn faults(report: &Report) -> Vec<&Finding> {
+    let faults = report.findings.iter().filter(|finding| finding.severity > Severity::Info);
+    faults.collect()
+}
+
+#[test]
+fn a_clock_that_begins_anew_splits_the_run() {
+    let split = Log::with(|log| {
+        log.run.duration_s = 20.0;
+        log.edit = Some(|messages| reset(messages, 12.0));
+    })
+    .audited();
+    assert!(faults(&split).is_empty(), "{}", summary(&split.findings));
+    assert_eq!(split.verdict, Verdict::Pass);
+    assert!(split.log.notes[0].note.contains("2 segments"), "{:?}", split.log.notes);
+    let remark = the(&split, "TIM003", "");
+    assert_eq!(remark.evidence.more["segment"]["number"], 2);
+    let whole = Log::with(|log| log.run.duration_s = 20.0).audited();
+    let counts = |report: &Report| -> Vec<u64> {
+        report.streams.iter().map(|stream| stream.count).collect()
+    };
+    // What holds at all times is in both.
+    for (count, of_whole) in counts(&split).into_iter().zip(counts(&whole)) {
+        assert!(count == of_whole || count == 2 * of_whole, "{count} of {of_whole}");
+    }
+}
+
+#[test]
+fn a_fault_of_one_segment_is_found_in_it() {
+    let report = Log::with(|log| {
+        log.run.duration_s = 24.0;
+        log.edit = Some(|messages| {
+            restamp(messages, POSE, 12.0, f64::MAX, 0.020);
+            reset(messages, 12.0);
+        });
+    })
+    .audited();
+    let [finding] = faults(&report)[..] else { panic!("{}", summary(&report.findings)) };
+    assert_eq!((finding.code, finding.subject.label()), ("LAT001", POSE));
+    assert_eq!(finding.evidence.more["segment"]["number"], 2);
+    let value = finding.estimate.as_ref().and_then(|estimate| estimate.value());
+    assert!(value.is_some_and(|value| (value - 0.020).abs() < 0.2e-3), "{finding:#?}");
+}
+
+#[test]
+fn a_tail_too_short_to_judge_leaves_nothing_open() {
+    let report = Log::with(|log| {
+        log.run.duration_s = 13.0;
+        log.edit = Some(|messages| reset(messages, 12.0));
+    })
+    .audited();
+    assert!(faults(&report).is_empty(), "{}", summary(&report.findings));
+    assert_eq!(report.verdict, Verdict::Pass);
+    for row in report.checks.iter().filter(|row| row.code != "TIM003") {
+        assert_eq!(row.status, Status::Pass, "{row:#?}");
     }
 }

@@ -1,0 +1,127 @@
+//! What the rules made of several segments of one run, as one.
+
+use serde_json::{Value, json};
+
+use super::{Evaluation, rank};
+use crate::finding::{CheckRow, Status};
+
+/// What the rules made of one segment.
+#[derive(Clone, Debug)]
+pub struct Part {
+    /// What they made of it.
+    pub evaluation: Evaluation,
+    /// Whether it is too short for what it leaves open to count.
+    pub is_short: bool,
+}
+
+/// The evaluations of the segments of a run, in their order: each rule's gravest answer on each
+/// subject, and all findings, each of which says its segment. What the files are, is told once, and
+/// what cannot be shown is told of the segment `main`.
+pub fn merged(parts: Vec<Part>, main: usize) -> Evaluation {
+    let count = parts.len();
+    let mut whole = Evaluation::default();
+    let mut ranks: Vec<u8> = Vec::new();
+    for (index, Part { evaluation, is_short }) in parts.into_iter().enumerate() {
+        let is_told = |code: &str| index > 0 && code.starts_with("ING");
+        for mut row in evaluation.checks.into_iter().filter(|row| !is_told(row.code)) {
+            let rank = gravity(&row, is_short);
+            if row.status != Status::Skipped
+                && let Some(reason) = &mut row.reason
+            {
+                *reason = format!("in segment {} of {count}: {reason}", index + 1);
+            }
+            let same = |other: &CheckRow| other.code == row.code && other.subject == row.subject;
+            match whole.checks.iter().position(same) {
+                Some(at) if rank > ranks[at] => {
+                    (whole.checks[at], ranks[at]) = (row, rank);
+                }
+                Some(_) => {}
+                None => {
+                    whole.checks.push(row);
+                    ranks.push(rank);
+                }
+            }
+        }
+        for mut finding in evaluation.findings.into_iter().filter(|found| !is_told(found.code)) {
+            if !finding.code.starts_with("ING") {
+                finding.message += &format!(", in segment {} of {count}", index + 1);
+                let segment: Value = json!({ "number": index + 1, "of": count });
+                finding.evidence.more.insert("segment".to_owned(), segment);
+            }
+            whole.findings.push(finding);
+        }
+        if index == main {
+            whole.observability = evaluation.observability;
+        }
+    }
+    leave_unasked_to_others(&mut whole.checks);
+    whole.checks.sort_by_key(|row| row.code);
+    rank(&mut whole.findings);
+    whole
+}
+
+/// Which of two answers on one subject stands: what a short segment leaves open does not undo what
+/// another decided.
+fn gravity(row: &CheckRow, is_short: bool) -> u8 {
+    match row.status {
+        Status::Fail => 4,
+        Status::Inconclusive if !is_short => 3,
+        Status::Pass => 2,
+        Status::Inconclusive => 1,
+        Status::Skipped => 0,
+    }
+}
+
+/// Drops what a rule says of no subject where in another segment it had some.
+fn leave_unasked_to_others(rows: &mut Vec<CheckRow>) {
+    let asked: Vec<&str> =
+        rows.iter().filter(|row| row.status != Status::Skipped).map(|row| row.code).collect();
+    let is_unasked =
+        |row: &CheckRow| row.status == Status::Skipped && row.subject == Default::default();
+    rows.retain(|row| !(is_unasked(row) && asked.contains(&row.code)));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{clean_run, sure};
+    use crate::checks::{Settings, evaluate};
+    use crate::diagnosis::Unseen;
+
+    fn part(latency: Result<f64, Unseen>, is_short: bool) -> Part {
+        let mut facts = clean_run();
+        facts.robots[0].diagnosis.streams[0].latency_s = latency.map(sure);
+        Part { evaluation: evaluate(&facts, &Settings::default()), is_short }
+    }
+
+    fn latency(parts: Vec<Part>) -> (Vec<Status>, usize) {
+        let whole = merged(parts, 0);
+        let rows = whole.checks.iter().filter(|row| row.code == "LAT001");
+        let of_pose = rows.filter(|row| row.subject.label() == crate::checks::testing::POSE);
+        (of_pose.map(|row| row.status).collect(), whole.findings.len())
+    }
+
+    #[test]
+    fn the_gravest_answer_stands_and_a_short_tail_leaves_nothing_open() {
+        let at_rest = || Err(Unseen::AtRest);
+        assert_eq!(
+            latency(vec![part(Ok(0.0), false), part(Ok(0.0), false)]),
+            (vec![Status::Pass], 0)
+        );
+        assert_eq!(
+            latency(vec![part(Ok(0.0), false), part(at_rest(), true)]),
+            (vec![Status::Pass], 0)
+        );
+        let open = latency(vec![part(Ok(0.0), false), part(at_rest(), false)]);
+        assert_eq!(open, (vec![Status::Inconclusive], 0));
+        let late = latency(vec![part(at_rest(), false), part(Ok(0.02), true)]);
+        assert_eq!(late, (vec![Status::Fail], 1));
+    }
+
+    #[test]
+    fn a_finding_says_its_segment() {
+        let whole = merged(vec![part(Ok(0.0), false), part(Ok(0.02), false)], 0);
+        assert!(whole.findings[0].message.ends_with(", in segment 2 of 2"));
+        assert_eq!(whole.findings[0].evidence.more["segment"]["number"], 2);
+    }
+}

@@ -1,0 +1,127 @@
+use crate::checks::{Facts, Grade, Judged, RhythmFacts};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
+use crate::run::{Cadence, Stretch};
+
+rule! {
+    /// A stream that is expected is empty, incomplete or slow.
+    ///
+    /// ## What it means
+    /// A topic of joint states, transforms, tool poses or an IMU is in the log and holds no message;
+    /// or it begins or ends more than a second off the others, by when messages were received; or it
+    /// runs below its own usual rate for two seconds or more.
+    ///
+    /// ## Why it matters
+    /// What is not there was not audited, however well the rest passes. A stream that ends early is a
+    /// driver that died; one that slows down is a machine that cannot keep up.
+    ///
+    /// ## Evidence
+    /// `late_start_s` and `early_end_s` against the median of the other streams, and how slow the
+    /// slowest stretch is. The estimate is the time missed in seconds, or the rate in that stretch.
+    ///
+    /// ## How to fix
+    /// Start the recorder when all drivers run and stop it before them; look into the driver's log at
+    /// the time where its stream ends.
+    ///
+    /// ## When it misleads
+    /// A stream that is sent on change begins with the first motion and ends with the last; where the
+    /// arm rested meanwhile, that is no fault. What rate a driver should have is not known here: one
+    /// that is slow from first to last is not noticed.
+    TIM006 {
+        name: "incomplete-stream",
+        grade: Grade::Fixed(Severity::Warning),
+        headline: false,
+        needs_model: false,
+        missing: "no stream of an arm in this log",
+        check: check,
+    }
+}
+
+/// Streams that begin and end so close together begin and end as one, s.
+const TOGETHER_S: f64 = 1.0;
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    let empty = facts.empty.iter().cloned().map(nothing);
+    empty.chain(facts.rhythms.iter().map(|rhythm| judge(facts, rhythm))).collect()
+}
+
+fn nothing(subject: Subject) -> Judged {
+    let topic = subject.label().to_owned();
+    Judged::new(
+        subject,
+        Outcome::faulty(Fault {
+            severity: Severity::Warning,
+            title: "stream is empty",
+            message: "the topic is in the log and holds no message".to_owned(),
+            evidence: Evidence::default(),
+            fix: format!("see whether {topic} was published, with a compatible QoS"),
+        }),
+    )
+}
+
+fn judge(facts: &Facts, rhythm: &RhythmFacts) -> Judged {
+    let (late_s, early_s) = missed(rhythm);
+    let slow: Vec<&Cadence> =
+        rhythm.wanted().filter(|part| slowest(rhythm, part).is_some()).collect();
+    let worst = slow.iter().filter_map(|part| Some((part.period_s?, slowest(rhythm, part)?)));
+    let worst = worst.min_by(|a, b| (a.0 * a.1.rate_hz).total_cmp(&(b.0 * b.1.rate_hz)));
+    let shown = |missed_s: f64| Unit::Second.show(missed_s);
+    let (title, message, estimate) = if late_s.max(early_s) > TOGETHER_S {
+        let message = match (late_s > TOGETHER_S, early_s > TOGETHER_S) {
+            (true, false) => format!("begins {} after the other streams", shown(late_s)),
+            (false, _) => format!("ends {} before the other streams", shown(early_s)),
+            (true, true) => format!(
+                "begins {} after the other streams and ends {} before them",
+                shown(late_s),
+                shown(early_s)
+            ),
+        };
+        let missed = Estimate::counted("time missed", Unit::Second.symbol(), late_s.max(early_s));
+        ("stream is incomplete", message, missed)
+    } else if let Some((period_s, stretch)) = worst {
+        let (usual_hz, rate_hz) = (1.0 / period_s, stretch.rate_hz);
+        let (length, at) = (shown(stretch.seconds()), facts.moment(stretch.start));
+        let message =
+            format!("runs at {rate_hz:.1} Hz for {length} from {at}, usually at {usual_hz:.1} Hz");
+        ("stream is slow", message, Estimate::counted("rate", "Hz", rate_hz))
+    } else {
+        return Judged::new(rhythm.subject(&[]), Outcome::sound()).within(rhythm.span);
+    };
+    if facts.lost_messages() {
+        let why = format!("it {message}, but messages of the log itself are lost (ING001)");
+        let outcome = Outcome::Inconclusive(format!("{why}; record it again"));
+        return Judged::new(rhythm.subject(&slow), outcome).within(rhythm.span);
+    }
+    let fault = Fault {
+        severity: Severity::Warning,
+        title,
+        message,
+        evidence: Evidence::default(),
+        fix: format!("see what became of the sender of {} at that time", rhythm.topic),
+    };
+    Judged::new(rhythm.subject(&slow), Outcome::faulty(fault))
+        .within(rhythm.span)
+        .estimated(estimate)
+        .with_evidence("late_start_s", late_s)
+        .with_evidence("early_end_s", early_s)
+}
+
+/// What a stream misses at its start and at its end, s; nothing where it may be silent because the
+/// arm rests.
+fn missed(rhythm: &RhythmFacts) -> (f64, f64) {
+    let Some(extent) = rhythm.extent else { return (0.0, 0.0) };
+    // The next sample may have been due a period after the last.
+    let period_s = rhythm.wanted().filter_map(|part| part.period_s).fold(0.0, f64::max);
+    let counted = |missed_s: f64, moving: Option<bool>| match moving {
+        Some(false) if rhythm.on_change => 0.0,
+        _ => (missed_s - period_s).max(0.0),
+    };
+    let [before, after] = extent.moving;
+    (counted(extent.late_start_s, before), counted(extent.early_end_s, after))
+}
+
+/// The slowest stretch of a part.
+fn slowest<'a>(rhythm: &RhythmFacts, part: &'a Cadence) -> Option<&'a Stretch> {
+    let stretches =
+        part.slow.iter().filter(|stretch| stretch.moving == Some(true) || !rhythm.on_change);
+    stretches.min_by(|a, b| a.rate_hz.total_cmp(&b.rate_hz))
+}

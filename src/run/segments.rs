@@ -1,0 +1,310 @@
+//! A run whose clock begins anew is several runs: a simulation that was reset, a bag that was looped.
+//!
+//! A restart is where all stamps step back by more than a second. One stream that does so alone has
+//! a fault of its own, which the rules name.
+
+use crate::log::{Log, Topic};
+use crate::stream::{Columns, Times};
+use crate::time::{NANOS_PER_SECOND, Stamp};
+
+/// Stamps that step back by more than this begin anew, ns.
+const RESTART: i64 = NANOS_PER_SECOND;
+/// Streams whose stamps step back so close together, by when they were received, do so as one, ns.
+const TOGETHER: i64 = 2 * NANOS_PER_SECOND;
+
+/// What lies between two restarts.
+#[derive(Debug)]
+pub struct Segment {
+    /// What was logged in it; what holds at all times is in each.
+    pub log: Log,
+    /// From its first to its last stamp, s.
+    pub seconds: f64,
+}
+
+/// The segments of a log, in the order of receipt; one where its clock runs through.
+pub fn segments(log: Log) -> Vec<Segment> {
+    let pieces: Vec<Piece> =
+        log.topics.iter().filter(|topic| moves(topic)).flat_map(Piece::all).collect();
+    let reference =
+        pieces.iter().max_by_key(|piece| (!piece.restarts.is_empty(), piece.order.len()));
+    let restarts: Vec<Restart> = match reference {
+        Some(reference) => {
+            let restarts = reference.restarts.iter().map(|&at| reference.restart(at));
+            restarts.filter(|restart| pieces.iter().all(|piece| piece.agrees(restart))).collect()
+        }
+        None => Vec::new(),
+    };
+    let Some(reference) = reference.filter(|_| !restarts.is_empty()) else {
+        return vec![Segment { seconds: 0.0, log }];
+    };
+    let cuts = reference.cuts(&restarts);
+    let spans: Vec<f64> =
+        (0..=restarts.len()).map(|segment| reference.seconds(&cuts, segment)).collect();
+    spans
+        .into_iter()
+        .enumerate()
+        .map(|(index, seconds)| {
+            let topics = log.topics.iter().map(|topic| part_of(topic, &restarts, index));
+            let log = Log { topics: topics.collect(), ..without_topics(&log) };
+            Segment { log, seconds }
+        })
+        .collect()
+}
+
+fn without_topics(log: &Log) -> Log {
+    Log {
+        files: log.files.clone(),
+        topics: Vec::new(),
+        descriptions: log.descriptions.clone(),
+        messages: log.messages,
+        span: log.span,
+        losses: log.losses.clone(),
+        notes: log.notes.clone(),
+    }
+}
+
+/// Whether what a topic holds is of its time, and not of all times.
+fn moves(topic: &Topic) -> bool {
+    let holds_at_all_times =
+        matches!(topic.columns, Some(Columns::Text(_)) | None) || topic.name.ends_with("tf_static");
+    !holds_at_all_times
+}
+
+/// A moment at which the clock begins anew: when the last message before it was received, and the
+/// first after it.
+#[derive(Clone, Copy, Debug)]
+struct Restart {
+    before: i64,
+    after: i64,
+}
+
+/// The rows of one piece of a topic, in the order of receipt.
+struct Piece<'a> {
+    times: &'a Times,
+    order: Vec<usize>,
+    /// Where in `order` a row stands whose stamp is before that of the row ahead of it.
+    restarts: Vec<usize>,
+}
+
+impl<'a> Piece<'a> {
+    fn all(topic: &'a Topic) -> Vec<Self> {
+        let times = topic.columns.as_ref().map(Columns::times).unwrap_or_default();
+        times.into_iter().map(Self::of).collect()
+    }
+
+    fn of(times: &'a Times) -> Self {
+        let mut order: Vec<usize> = (0..times.len()).collect();
+        // Files are written in the order of receipt but for moments; a recorder whose own clock
+        // began anew is left in the order of its file.
+        let steps_back = |pair: &[i64]| pair[0].saturating_sub(pair[1]) > RESTART;
+        if !times.log.windows(2).any(steps_back) {
+            order.sort_by_key(|&row| times.log[row]);
+        }
+        let stamped: Vec<(usize, i64)> = order
+            .iter()
+            .enumerate()
+            .map(|(at, &row)| (at, times.header[row]))
+            .filter(|(_, stamp)| *stamp != 0)
+            .collect();
+        let restarts =
+            stamped.windows(2).filter(|pair| pair[0].1.saturating_sub(pair[1].1) > RESTART);
+        let restarts = restarts.map(|pair| pair[1].0).collect();
+        Self { times, order, restarts }
+    }
+
+    fn received(&self, at: usize) -> i64 {
+        self.times.log[self.order[at]]
+    }
+
+    fn restart(&self, at: usize) -> Restart {
+        Restart { before: self.received(at - 1), after: self.received(at) }
+    }
+
+    /// Where its own stamps step back at `restart`.
+    fn own(&self, restart: &Restart) -> Option<usize> {
+        let apart = |&&at: &&usize| {
+            let own = self.restart(at);
+            let after = own.after.saturating_sub(restart.after).saturating_abs();
+            let before = own.before.saturating_sub(restart.before).saturating_abs();
+            (after, before)
+        };
+        let near = self.restarts.iter().filter(|at| apart(at).0 <= TOGETHER);
+        near.min_by_key(|at| apart(at).0.saturating_add(apart(at).1)).copied()
+    }
+
+    /// Whether its stamps step back at `restart`, or say nothing of it: it has none, or ends before
+    /// or begins after.
+    fn agrees(&self, restart: &Restart) -> bool {
+        let stamped = self.order.iter().filter(|&&row| self.times.header[row] != 0);
+        let received = stamped.map(|&row| self.times.log[row]);
+        let (first, last) = match (received.clone().min(), received.max()) {
+            (Some(first), Some(last)) => (first, last),
+            _ => return true,
+        };
+        let is_over = last <= restart.before.max(restart.after).saturating_add(TOGETHER);
+        let is_later = first >= restart.before.min(restart.after).saturating_sub(TOGETHER);
+        self.own(restart).is_some() || is_over || is_later
+    }
+
+    /// Where in `order` each segment but the first begins.
+    fn cuts(&self, restarts: &[Restart]) -> Vec<usize> {
+        let by_receipt = |restart: &Restart| {
+            let is_later = |&row: &usize| self.times.log[row] >= restart.after;
+            self.order.iter().position(is_later).unwrap_or(self.order.len())
+        };
+        let cuts =
+            restarts.iter().map(|restart| self.own(restart).unwrap_or_else(|| by_receipt(restart)));
+        cuts.collect()
+    }
+
+    /// The rows of a segment, in the order of the file.
+    fn rows(&self, restarts: &[Restart], segment: usize) -> Vec<usize> {
+        let cuts = self.cuts(restarts);
+        let (from, to) = self.bounds(&cuts, segment);
+        let mut rows = self.order.get(from..to).unwrap_or_default().to_vec();
+        rows.sort_unstable();
+        rows
+    }
+
+    fn bounds(&self, cuts: &[usize], segment: usize) -> (usize, usize) {
+        let from = segment.checked_sub(1).map_or(0, |before| cuts[before]);
+        (from, cuts.get(segment).copied().unwrap_or(self.order.len()))
+    }
+
+    /// From the first to the last stamp of a segment, s.
+    fn seconds(&self, cuts: &[usize], segment: usize) -> f64 {
+        let (from, to) = self.bounds(cuts, segment);
+        let rows = self.order.get(from..to).unwrap_or_default();
+        let stamps = || rows.iter().map(|&row| Stamp::from_nanos(self.times.header[row]));
+        match (stamps().min(), stamps().max()) {
+            (Some(first), Some(last)) => last.seconds_since(first),
+            _ => 0.0,
+        }
+    }
+}
+
+/// What a topic holds in one segment. Of how many messages, is told from its rows.
+fn part_of(topic: &Topic, restarts: &[Restart], segment: usize) -> Topic {
+    if !moves(topic) {
+        return topic.clone();
+    }
+    let pieces = Piece::all(topic);
+    let rows: Vec<Vec<usize>> = pieces.iter().map(|piece| piece.rows(restarts, segment)).collect();
+    let received = || {
+        let rows = pieces.iter().zip(&rows);
+        rows.flat_map(|(piece, rows)| rows.iter().map(|&row| piece.times.log[row]))
+    };
+    let span = received().min().zip(received().max());
+    let (held, all): (usize, usize) =
+        (rows.iter().map(Vec::len).sum(), pieces.iter().map(|piece| piece.order.len()).sum());
+    let share = held as f64 / all.max(1) as f64;
+    let mut columns = topic.columns.clone();
+    if let Some(columns) = &mut columns {
+        columns.retain(&rows);
+    }
+    Topic {
+        // A topic of the run is not empty because a segment of it is.
+        messages: ((topic.messages as f64 * share).round() as u64).max(topic.messages.min(1)),
+        columns,
+        undecodable: topic.undecodable.clone().filter(|_| segment == 0),
+        span: span.map(|(first, last)| (Stamp::from_nanos(first), Stamp::from_nanos(last))),
+        ..topic.clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stream::{ImuColumns, TextColumns};
+
+    const S: i64 = NANOS_PER_SECOND;
+
+    fn topic(name: &str, columns: Columns) -> Topic {
+        let messages = columns.times().iter().map(|times| times.len() as u64).sum();
+        Topic {
+            name: name.to_owned(),
+            type_name: String::new(),
+            encoding: String::new(),
+            messages,
+            columns: Some(columns),
+            undecodable: None,
+            span: None,
+        }
+    }
+
+    /// An IMU at 10 Hz whose stamp at a time of receipt in s is `stamp_s`.
+    fn imu(name: &str, from: i64, to: i64, stamp: impl Fn(i64) -> i64) -> Topic {
+        let mut imu = ImuColumns::default();
+        for received in (from * 10..to * 10).map(|tick| tick * S / 10) {
+            imu.times.push(stamp(received), 1_000 * S + received, 0);
+            imu.gyro.push([received as f64, 0.0, 0.0]);
+            imu.accel.push([0.0; 3]);
+            imu.q_xyzw.push([0.0; 4]);
+        }
+        topic(name, Columns::Imu(imu))
+    }
+
+    fn log(topics: Vec<Topic>) -> Log {
+        Log {
+            files: Vec::new(),
+            topics,
+            descriptions: Vec::new(),
+            messages: 0,
+            span: None,
+            losses: Vec::new(),
+            notes: Vec::new(),
+        }
+    }
+
+    /// A clock that begins anew at 20 s.
+    fn restarted(received: i64) -> i64 {
+        S + received - if received < 20 * S { 0 } else { 20 * S }
+    }
+
+    fn rows(segment: &Segment, topic: usize) -> usize {
+        let columns = segment.log.topics[topic].columns.as_ref().expect("columns");
+        columns.times().iter().map(|times| times.len()).sum()
+    }
+
+    #[test]
+    fn a_clock_that_begins_anew_makes_two_runs_of_one() {
+        let mut text = TextColumns::default();
+        text.times.push(0, 0, 0);
+        text.text.push("<robot/>".to_owned());
+        let unstamped = imu("/unstamped", 0, 30, |_| 0);
+        let short = imu("/only_before", 2, 18, restarted);
+        let segments = segments(log(vec![
+            imu("/a", 0, 30, restarted),
+            imu("/b", 1, 28, restarted),
+            unstamped,
+            short,
+            topic("/robot_description", Columns::Text(text)),
+        ]));
+        let held: Vec<Vec<usize>> =
+            segments.iter().map(|one| (0..5).map(|at| rows(one, at)).collect()).collect();
+        assert_eq!(held, [[200, 190, 200, 160, 1], [100, 80, 100, 0, 1]]);
+        assert!((segments[0].seconds - 19.9).abs() < 1e-9);
+        assert_eq!(segments[1].log.topics[0].messages, 100);
+    }
+
+    #[test]
+    fn one_stream_that_steps_back_is_no_restart() {
+        let whole = segments(log(vec![imu("/a", 0, 30, restarted), imu("/b", 0, 30, |t| S + t)]));
+        assert_eq!(whole.len(), 1);
+        assert_eq!(rows(&whole[0], 0), 300);
+    }
+
+    #[test]
+    fn a_recorder_that_keeps_simulated_time_restarts_too() {
+        let both = |name: &str| {
+            let mut topic = imu(name, 0, 30, restarted);
+            if let Some(Columns::Imu(imu)) = &mut topic.columns {
+                imu.times.log = imu.times.header.clone();
+            }
+            topic
+        };
+        let segments = segments(log(vec![both("/a"), both("/b")]));
+        let held: Vec<usize> = segments.iter().map(|segment| rows(segment, 1)).collect();
+        assert_eq!(held, [200, 100]);
+    }
+}
