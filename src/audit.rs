@@ -23,8 +23,8 @@ use crate::report::{
 };
 use crate::robot::{Chain, JointKind, catalogue};
 use crate::run::{
-    Arm, CalibrationSource, Declaration, HeaderStamps, ImuSource, PoseSource, RobotSource, Role,
-    Run, RunOptions, Segment, Stream, Witness, segments,
+    Arm, CalibrationSource, Declaration, Excerpts, HeaderStamps, ImuSource, PoseSource,
+    RobotSource, Role, Run, RunOptions, Segment, Stream, Witness, segments,
 };
 use crate::stream::{Columns, DeclaredUnits, Orientations, PoseTrack};
 use crate::tables::aligned_frame;
@@ -207,30 +207,28 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
         arm.poses.iter().map(|source| pose_stream(run, source)).collect();
     let diagnosis = diagnose_steadied(arm, &streams, most_lag_s);
     let reading = diagnosis.joints.as_ref().ok();
-    let tf = arm.tf.as_ref().ok().map(|source| {
+    let tf = || {
+        let source = arm.tf.as_ref().ok()?;
         let stream = pose_stream(run, source);
         let found = diagnose_derived(&arm.joints, reading, &stream, most_lag_s);
-        match steadied(&stream, &found) {
+        Some(match steadied(&stream, &found) {
             None => found,
             Some(track) => {
                 let stream = PoseStream { track: &track, ..stream };
                 let steadied = diagnose_derived(&arm.joints, reading, &stream, most_lag_s);
                 PoseDiagnosis { course: found.course, ..steadied }
             }
-        }
-    });
-    let corrected = diagnosis.corrected_joints(&arm.joints, &prismatic(arm));
-    let imus = arm
-        .imus
-        .iter()
-        .map(|source| match &diagnosis.joints {
-            // No reading of the joint states fits the poses, so that FK of them tells nothing.
-            Err(Unseen::NotExcited) => ImuDiagnosis::unseen(&Unseen::RestsOn(
-                "the order and the unit of the joint positions",
-            )),
-            _ => diagnose_imu(&corrected, &imu_stream(source), most_lag_s),
         })
-        .collect();
+    };
+    let corrected = diagnosis.corrected_joints(&arm.joints, &prismatic(arm));
+    let imu = |source| match &diagnosis.joints {
+        // No reading of the joint states fits the poses, so that FK of them tells nothing.
+        Err(Unseen::NotExcited) => {
+            ImuDiagnosis::unseen(&Unseen::RestsOn("the order and the unit of the joint positions"))
+        }
+        _ => diagnose_imu(&corrected, &imu_stream(source), most_lag_s),
+    };
+    let (tf, imus) = rayon::join(tf, || arm.imus.iter().map(imu).collect());
     Diagnosis { arm: diagnosis, tf, imus }
 }
 
@@ -510,6 +508,13 @@ impl Audits {
         /// A segment of less than this share of the longest is short.
         const SHORT: f64 = 0.2;
         let main = self.main();
+        if let Some((count, seconds)) = main.run.excerpts.as_ref().map(Excerpts::extent) {
+            read.note(&format!(
+                "a long run: causes are sought in {count} excerpts of {:.0} s where the joints move \
+                 most; clocks, rates and gaps are of all of it",
+                seconds / count.max(1) as f64
+            ));
+        }
         let evaluation = match self.segments.as_slice() {
             [only] => only.evaluation.clone(),
             segments => {

@@ -18,6 +18,7 @@ use super::{
 use crate::geometry::{Pose, Rotation, Vec3, pose};
 use crate::robot::{Chain, JointKind};
 use crate::stream::{DeclaredUnits, JointTrack, Orientations, PoseTrack};
+use rayon::prelude::*;
 use std::borrow::Cow;
 use std::f64::consts::TAU;
 
@@ -416,12 +417,16 @@ fn choose_branches(witness: &mut Witness, logged: &Logged, fit: &Fit, lag_s: f64
 ///
 /// Noise by the median magnitude of second differences, which smooth motion hardly has.
 pub(super) fn still_speeds(joints: &JointTrack) -> Vec<f64> {
-    let column = |j: usize| joints.qd.iter().skip(j).step_by(joints.dof.max(1)).copied();
+    /// A median of more is no better.
+    const ENOUGH: usize = 20_000;
+    let stride = joints.len().div_ceil(ENOUGH).max(1);
+    let speed = |row: usize, joint: usize| joints.qd[row * joints.dof + joint];
     (0..joints.dof)
         .map(|j| {
-            let velocity: Vec<f64> = column(j).collect();
-            let mut bends: Vec<f64> =
-                velocity.windows(3).map(|w| (w[0] - 2.0 * w[1] + w[2]).abs()).collect();
+            let middles = (1..joints.len().saturating_sub(1)).step_by(stride);
+            let mut bends: Vec<f64> = middles
+                .map(|k| (speed(k - 1, j) - 2.0 * speed(k, j) + speed(k + 1, j)).abs())
+                .collect();
             if bends.is_empty() {
                 return f64::INFINITY;
             }
@@ -527,13 +532,16 @@ fn best_start(prepared: &Prepared, dof: usize, with_offsets: bool) -> State {
     } else {
         vec![0.0]
     };
-    let explanations = lags
+    let starts: Vec<(StreamState, Approach)> = lags
         .iter()
         .flat_map(|&lag_s| match with_offsets {
             true => starts(&prepared.witness, lag_s),
             false => vec![StreamState::at_latency(lag_s)],
         })
         .flat_map(|stream| [(stream.clone(), Approach::Careful), (stream, Approach::Bold)])
+        .collect();
+    let explanations = starts
+        .into_par_iter()
         .map(|(stream, approach)| {
             let state = State { offsets: vec![0.0; dof], streams: vec![stream] };
             explain(&[&prepared.witness], state, &menu, approach, SEARCH_SAMPLES)

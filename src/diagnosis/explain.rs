@@ -9,6 +9,7 @@ use super::linear::{Linear, Normal, Weight, influence, sandwich};
 use super::model::{GROWTH, LATENCY, REFERENCE, SKEW, STREAM_WIDTH, State, TOOL, Witness};
 use super::noise::Noise;
 use nalgebra::{DMatrix, DVector};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// A set of causes in which one is this near to a mix of the others (unexplained share of its
 /// effect) is no explanation: the log cannot say how much of each there is.
@@ -64,6 +65,18 @@ pub(super) struct Linearized {
     weights: Vec<Vec<Weight>>,
     pub normal: Normal,
     values: DVector<f64>,
+    /// What freeing the parameters asked for last does: all of them are asked for in turn.
+    freed: Mutex<Option<Arc<Freed>>>,
+}
+
+/// Some parameters, when only they are free.
+struct Freed {
+    parameters: Vec<usize>,
+    /// How each moves with each score.
+    influence: DMatrix<f64>,
+    /// Covariance under correlated noise.
+    covariance: DMatrix<f64>,
+    step: DVector<f64>,
 }
 
 /// Columns of a stream's own parameters in the whole model.
@@ -87,7 +100,7 @@ impl Linearized {
         let values = state.values();
         let weights: Vec<Vec<Weight>> = streams.iter().map(Linear::first_weights).collect();
         let normal = normal_of(&streams, &weights, state);
-        let mut linearized = Self { streams, weights, normal, values };
+        let mut linearized = Self { streams, weights, normal, values, freed: Mutex::new(None) };
         linearized.weigh(state, all);
         linearized.weigh(state, all);
         linearized
@@ -104,6 +117,7 @@ impl Linearized {
             .map(|s| self.streams[s].weights_after(&own_part(&step, state, s)))
             .collect();
         self.normal = normal_of(&self.streams, &self.weights, state);
+        self.freed = Mutex::new(None);
     }
 
     /// The step that frees `parameters` and returns all others to "no such cause".
@@ -119,19 +133,29 @@ impl Linearized {
     /// Covariance of `parameters` when only they are free, under correlated noise
     /// (`H⁻¹ S H⁻¹`, White 1980); infinite variances where the log does not show a parameter.
     pub fn covariance(&self, parameters: &[usize], state: &State) -> DMatrix<f64> {
-        let (information, scores) = self.information(parameters, state);
-        sandwich(&information, &scores)
+        self.freed(parameters, state).covariance.clone()
     }
 
-    /// The information on `parameters`, and the covariance of their score.
-    fn information(&self, parameters: &[usize], state: &State) -> (DMatrix<f64>, DMatrix<f64>) {
+    /// What freeing `parameters` does.
+    fn freed(&self, parameters: &[usize], state: &State) -> Arc<Freed> {
+        let mut known = self.freed.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(freed) = known.as_ref().filter(|freed| freed.parameters == parameters) {
+            return Arc::clone(freed);
+        }
         let n = parameters.len();
         let (mut information, mut scores) = (DMatrix::zeros(n, n), DMatrix::zeros(n, n));
         for (s, linear) in self.streams.iter().enumerate() {
             let columns = targets(parameters, state, s);
             linear.accumulate_covariance(&self.weights[s], &columns, &mut information, &mut scores);
         }
-        (information, scores)
+        let freed = Arc::new(Freed {
+            parameters: parameters.to_vec(),
+            influence: influence(&information),
+            covariance: sandwich(&information, &scores),
+            step: self.step(parameters),
+        });
+        *known = Some(Arc::clone(&freed));
+        freed
     }
 
     /// The information of one stream on all its parameters, the joints' first.
@@ -158,11 +182,10 @@ impl Linearized {
 
     /// The estimate of parameter `parameters[which]` when all of `parameters` are free.
     pub fn measured(&self, parameters: &[usize], which: usize, state: &State) -> Option<Measured> {
-        let (information, scores) = self.information(parameters, state);
-        let variance = sandwich(&information, &scores)[(which, which)];
-        let along = influence(&information).column(which).into_owned();
-        let step = self.step(parameters);
-        let value = self.values[parameters[which]] + step[parameters[which]];
+        let freed = self.freed(parameters, state);
+        let variance = freed.covariance[(which, which)];
+        let along = freed.influence.column(which).into_owned();
+        let value = self.values[parameters[which]] + freed.step[parameters[which]];
         variance.is_finite().then(|| Measured {
             value,
             std_error: variance.max(0.0).sqrt(),

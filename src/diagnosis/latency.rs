@@ -7,6 +7,7 @@
 use crate::geometry::{Rotation, Vec3, angle_between};
 use crate::robot::Chain;
 use crate::stream::JointTrack;
+use realfft::RealFftPlanner;
 
 /// A lag with the correlation of speeds there.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,12 +25,16 @@ pub(super) struct Speed {
     pub value: Vec<f64>,
 }
 
-/// Linear (m/s) and angular (rad/s) speed of the chain's tip by FK, at the joint stamps.
+/// Linear (m/s) and angular (rad/s) speed of the chain's tip by FK, at the joint stamps; where there
+/// are more than 30 000 of these at every second, third and so on.
 pub(super) fn arm_speeds(joints: &JointTrack, chain: &Chain, columns: &[usize]) -> (Speed, Speed) {
     let mut jacobian = vec![[0.0; 6]; columns.len()];
+    /// Rows beyond these do not make a correlation better.
+    const ENOUGH: usize = 30_000;
     let mut q = vec![0.0; columns.len()];
-    let (mut linear, mut angular) = (Vec::new(), Vec::new());
-    for row in 0..joints.len() {
+    let (mut t_s, mut linear, mut angular) = (Vec::new(), Vec::new(), Vec::new());
+    for row in (0..joints.len()).step_by(joints.len().div_ceil(ENOUGH).max(1)) {
+        t_s.push(joints.t_s[row]);
         for (own, &column) in q.iter_mut().zip(columns) {
             *own = joints.row(row)[column];
         }
@@ -44,8 +49,7 @@ pub(super) fn arm_speeds(joints: &JointTrack, chain: &Chain, columns: &[usize]) 
         linear.push(Vec3::new(twist[0], twist[1], twist[2]).norm());
         angular.push(Vec3::new(twist[3], twist[4], twist[5]).norm());
     }
-    let on_stamps = |value| Speed { t_s: joints.t_s.clone(), value };
-    (on_stamps(linear), on_stamps(angular))
+    (Speed { t_s: t_s.clone(), value: linear }, Speed { t_s, value: angular })
 }
 
 /// Speed of all joints together (root of the sum of squares), at the joint stamps: what any
@@ -114,26 +118,31 @@ pub(super) fn norms(t_s: &[f64], vectors: &[Vec3]) -> Speed {
 
 /// The lags within ±`most_s` at which `stream` follows `arm`, best first; empty without motion or
 /// without a common span.
+///
+/// Where the joints are silent for long the arm's speed is in several pieces, whose sums are added.
 pub(super) fn peaks(arm: &Speed, stream: &Speed, most_s: f64) -> Vec<Peak> {
-    let (Some(&arm_end), Some(&stream_end)) = (arm.t_s.last(), stream.t_s.last()) else {
-        return Vec::new();
-    };
-    let (arm_start, stream_start) = (arm.t_s[0], stream.t_s[0]);
-    let span = arm_end - arm_start;
-    let step = median_period_s(&stream.t_s).max(median_period_s(&arm.t_s)).clamp(0.004, 0.02);
-    let step = step.max(span / 12_000.0);
-    if span < 20.0 * step {
+    /// Most steps that the pieces have together.
+    const STEPS: f64 = 30_000.0;
+    let periods = [arm, stream].map(|speed| median_period_s(&speed.t_s));
+    let silences = periods.map(longest_silence_s);
+    let pieces = pieces(&arm.t_s, silences[0]);
+    let covered_s: f64 = pieces.iter().map(|(start, end)| end - start).sum();
+    let step = periods[0].max(periods[1]).clamp(0.004, 0.02).max(covered_s / STEPS);
+    if stream.t_s.is_empty() || covered_s < 20.0 * step {
         return Vec::new();
     }
-    // The stream's grid may run outside the arm's span: a late stream does.
-    let most_s = most_s.min(span / 3.0);
-    let lags = (most_s / step).floor() as isize;
-    let arm = gridded(arm, arm_start, step, (span / step) as usize + 1);
-    let offset = ((stream_start - arm_start) / step).round() as isize;
-    let stream_count = ((stream_end - stream_start) / step) as usize + 1;
-    let stream = gridded(stream, arm_start + offset as f64 * step, step, stream_count);
-    let correlations: Vec<f64> =
-        (-lags..=lags).map(|lag| correlation(&arm, &stream, lag - offset)).collect();
+    let lags = (most_s.min(covered_s / 3.0) / step).floor() as usize;
+    let mut sums = Sums::none(2 * lags + 1);
+    for (start, end) in pieces {
+        let count = ((end - start) / step) as usize + 1;
+        // A late stream says after the piece what was true in it.
+        let before = start - lags as f64 * step;
+        sums.add(
+            &Grid::of(arm, silences[0], start, step, count),
+            &Grid::of(stream, silences[1], before, step, count + 2 * lags),
+        );
+    }
+    let correlations = sums.correlations();
     let mut peaks: Vec<Peak> = (1..correlations.len().saturating_sub(1))
         .filter(|&i| {
             let c = &correlations[i - 1..=i + 1];
@@ -150,50 +159,124 @@ pub(super) fn peaks(arm: &Speed, stream: &Speed, most_s: f64) -> Vec<Peak> {
     peaks
 }
 
-/// A speed sampled every `step` from `start` by linear interpolation.
-fn gridded(speed: &Speed, start: f64, step: f64, count: usize) -> Vec<f64> {
-    let mut right = 0;
-    (0..count)
-        .map(|i| {
-            let t = start + i as f64 * step;
-            while right < speed.t_s.len() && speed.t_s[right] < t {
-                right += 1;
-            }
-            match (right.checked_sub(1), speed.t_s.get(right)) {
-                (None, _) => speed.value[0],
-                (Some(left), None) => speed.value[left],
-                (Some(left), Some(&after)) => {
-                    let share = (t - speed.t_s[left]) / (after - speed.t_s[left]);
-                    speed.value[left] + share * (speed.value[right] - speed.value[left])
-                }
-            }
-        })
-        .collect()
+/// Longest silence through which a speed is interpolated that is known every `period_s`, s.
+fn longest_silence_s(period_s: f64) -> f64 {
+    (20.0 * period_s).max(2.0)
 }
 
-/// Pearson correlation of `arm[i]` and `stream[i + lag]` over all common `i`; NaN where one is
-/// constant or fewer than a third of the samples are common.
-fn correlation(arm: &[f64], stream: &[f64], lag: isize) -> f64 {
-    let first = (-lag).max(0) as usize;
-    let last = arm.len().min((stream.len() as isize - lag).max(0) as usize);
-    if last <= first || (last - first) * 3 < arm.len().min(stream.len()) {
-        return f64::NAN;
+/// First and last time of each piece of a speed that no silence longer than `longest_s` breaks.
+fn pieces(t_s: &[f64], longest_s: f64) -> Vec<(f64, f64)> {
+    let unbroken = t_s.chunk_by(|a, b| b - a <= longest_s);
+    unbroken.map(|piece| (piece[0], piece[piece.len() - 1])).collect()
+}
+
+/// A speed at even steps, and where it is known.
+struct Grid {
+    /// 0 where it is not known.
+    value: Vec<f64>,
+    /// 1 where it is known, else 0.
+    known: Vec<f64>,
+}
+
+impl Grid {
+    /// `speed` every `step` from `start`, by linear interpolation through silences of up to
+    /// `longest_s`.
+    fn of(speed: &Speed, longest_s: f64, start: f64, step: f64, count: usize) -> Self {
+        let mut right = speed.t_s.partition_point(|&t| t < start);
+        let mut grid = Self { value: vec![0.0; count], known: vec![0.0; count] };
+        for i in 0..count {
+            let t = start + i as f64 * step;
+            while speed.t_s.get(right).is_some_and(|&at| at < t) {
+                right += 1;
+            }
+            let Some(&after) = speed.t_s.get(right) else { break };
+            let value = match right.checked_sub(1).map(|left| (left, speed.t_s[left])) {
+                _ if after == t => speed.value[right],
+                Some((left, before)) if after - before <= longest_s => {
+                    let share = (t - before) / (after - before);
+                    speed.value[left] + share * (speed.value[right] - speed.value[left])
+                }
+                _ => continue,
+            };
+            (grid.value[i], grid.known[i]) = (value, 1.0);
+        }
+        grid
     }
-    let n = (last - first) as f64;
-    let (mut sx, mut sy, mut sxx, mut syy, mut sxy) = (0.0, 0.0, 0.0, 0.0, 0.0);
-    for i in first..last {
-        let (x, y) = (arm[i], stream[(i as isize + lag) as usize]);
-        sx += x;
-        sy += y;
-        sxx += x * x;
-        syy += y * y;
-        sxy += x * y;
+
+    /// Known or not, the value, and its square.
+    fn powers(&self) -> [Vec<f64>; 3] {
+        [self.known.clone(), self.value.clone(), self.value.iter().map(|v| v * v).collect()]
     }
-    let (vx, vy) = (sxx - sx * sx / n, syy - sy * sy / n);
-    if vx <= 1e-12 * sxx || vy <= 1e-12 * syy {
-        f64::NAN
-    } else {
-        (sxy - sx * sy / n) / (vx * vy).sqrt()
+}
+
+/// The sums of Pearson's correlation at every lag.
+struct Sums {
+    /// Over the times at which both speeds are known: how many, and of x, x², y, y² and xy.
+    sums: [Vec<f64>; 6],
+    /// Times at which each of the two is known.
+    known: [f64; 2],
+}
+
+impl Sums {
+    fn none(lags: usize) -> Self {
+        Self { sums: std::array::from_fn(|_| vec![0.0; lags]), known: [0.0; 2] }
+    }
+
+    /// Adds a piece: `stream` has a step more than `arm` for each lag but the first.
+    ///
+    /// Sums of products at all lags at once are a product of Fourier transforms (Press et al.,
+    /// *Numerical Recipes*, 3rd ed., §13.2); with the masks in the place of values they count only
+    /// what is known.
+    fn add(&mut self, arm: &Grid, stream: &Grid) {
+        let length = stream.value.len().next_power_of_two();
+        let mut planner = RealFftPlanner::<f64>::new();
+        let (forward, inverse) =
+            (planner.plan_fft_forward(length), planner.plan_fft_inverse(length));
+        let spectrum = |values: &Vec<f64>| {
+            let (mut padded, mut spectrum) = (values.clone(), forward.make_output_vec());
+            padded.resize(length, 0.0);
+            // Fails only where the lengths differ from those planned.
+            let done = forward.process(&mut padded, &mut spectrum);
+            debug_assert!(done.is_ok());
+            spectrum
+        };
+        let [arm_powers, stream_powers] = [arm.powers(), stream.powers()];
+        let [a, b] = [arm_powers.each_ref(), stream_powers.each_ref()].map(|p| p.map(spectrum));
+        let pairs = [(0, 0), (1, 0), (2, 0), (0, 1), (0, 2), (1, 1)];
+        for (sums, (of_arm, of_stream)) in self.sums.iter_mut().zip(pairs) {
+            let product = a[of_arm].iter().zip(&b[of_stream]).map(|(a, b)| a.conj() * b);
+            let (mut product, mut lags): (Vec<_>, _) =
+                (product.collect(), inverse.make_output_vec());
+            for end in [0, length / 2] {
+                // Exactly real by nature, and asked to be so.
+                product[end].im = 0.0;
+            }
+            let done = inverse.process(&mut product, &mut lags);
+            debug_assert!(done.is_ok());
+            sums.iter_mut().zip(&lags).for_each(|(sum, lag)| *sum += lag / length as f64);
+        }
+        self.known[0] += arm.known.iter().sum::<f64>();
+        self.known[1] += stream.known.iter().sum::<f64>();
+    }
+
+    /// At every lag; NaN where one of the two is constant, or less than a third of the times are
+    /// common.
+    fn correlations(&self) -> Vec<f64> {
+        /// Variance of what is constant, as a share of its square: what the transforms leave.
+        const CONSTANT: f64 = 1e-10;
+        let fewest = self.known[0].min(self.known[1]) / 3.0;
+        let at = |lag: usize| {
+            let [n, x, xx, y, yy, xy] = self.sums.each_ref().map(|sums| sums[lag]);
+            if n < fewest.max(0.5) {
+                return f64::NAN;
+            }
+            let (vx, vy) = (xx - x * x / n, yy - y * y / n);
+            if vx <= CONSTANT * xx || vy <= CONSTANT * yy {
+                return f64::NAN;
+            }
+            (xy - x * y / n) / (vx * vy).sqrt()
+        };
+        (0..self.sums[0].len()).map(at).collect()
     }
 }
 
@@ -239,6 +322,26 @@ mod tests {
         for lag in [-0.4, -0.015, 0.0, 0.0221, 0.9] {
             let found = peaks(&bumps(0.0, 0.0, 10.0, 125.0), &bumps(lag, 0.31, 9.7, 90.0), 2.0);
             assert!((found[0].lag_s - lag).abs() < 2e-3, "{lag}: {:?}", found[0]);
+        }
+    }
+
+    #[test]
+    fn pieces_between_silences_add_up() {
+        let excerpts = |speed: Speed, around: f64| {
+            let kept = speed.t_s.iter().zip(&speed.value).filter(|(t, _)| {
+                let within = |from: f64| (from - around..from + 8.0 + around).contains(*t);
+                within(3.0) || within(30.0) || within(71.0)
+            });
+            let (t_s, value) = kept.map(|(t, v)| (*t, *v)).unzip();
+            Speed { t_s, value }
+        };
+        let lag = 0.713;
+        let arm = excerpts(bumps(0.0, 0.0, 90.0, 125.0), 0.0);
+        for around in [0.0, 2.0] {
+            let stream = excerpts(bumps(lag, 0.31, 89.0, 90.0), around);
+            let found = peaks(&arm, &stream, 2.0)[0];
+            assert!((found.lag_s - lag).abs() < 2e-3, "{found:?}");
+            assert!(found.correlation > 0.99, "{found:?}");
         }
     }
 

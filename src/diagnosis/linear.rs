@@ -3,6 +3,7 @@
 
 use super::noise::Noise;
 use nalgebra::{DMatrix, DVector};
+use std::sync::OnceLock;
 
 /// Residuals beyond this many standard deviations lose weight (Huber).
 const HUBER: f64 = 3.0;
@@ -23,6 +24,45 @@ pub(super) struct Linear {
     floor: Vec<f64>,
     /// Three rows a kind and sample of `width` derivatives.
     design: Vec<f64>,
+    /// `AᵀA` of each kind's rows, once it is wanted.
+    squares: OnceLock<Vec<Triangle>>,
+}
+
+/// The lower triangle of a symmetric matrix, row by row.
+#[derive(Clone)]
+struct Triangle(Vec<f64>);
+
+impl Triangle {
+    fn zeros(width: usize) -> Self {
+        Self(vec![0.0; width * (width + 1) / 2])
+    }
+
+    /// Adds `weight · Σ vᵀv` over some rows of `width` numbers, all zero beside each other for many a
+    /// column.
+    fn add_squares<const N: usize>(&mut self, rows: [&[f64]; N], weight: f64) {
+        let mut rest = self.0.as_mut_slice();
+        for i in 0..rows[0].len() {
+            let (target, below) = rest.split_at_mut(i + 1);
+            rest = below;
+            let scaled = rows.map(|row| weight * row[i]);
+            if scaled == [0.0; N] {
+                continue;
+            }
+            let rows = rows.map(|row| &row[..target.len()]);
+            for (j, value) in target.iter_mut().enumerate() {
+                *value += (0..N).map(|n| scaled[n] * rows[n][j]).sum::<f64>();
+            }
+        }
+    }
+
+    fn add_scaled(&mut self, other: &Triangle, scale: f64) {
+        self.0.iter_mut().zip(&other.0).for_each(|(value, other)| *value += scale * other);
+    }
+
+    fn at(&self, row: usize, column: usize) -> f64 {
+        let (low, high) = (row.min(column), row.max(column));
+        self.0[high * (high + 1) / 2 + low]
+    }
 }
 
 /// The rows of one sample, to be filled.
@@ -51,7 +91,13 @@ impl Linear {
     /// No samples yet of `width` parameters, with one kind for each entry of `floor`.
     pub fn new(width: usize, floor: &[f64]) -> Self {
         let residual = floor.iter().map(|_| Vec::new()).collect();
-        Self { width, residual, floor: floor.to_vec(), design: Vec::new() }
+        Self {
+            width,
+            residual,
+            floor: floor.to_vec(),
+            design: Vec::new(),
+            squares: OnceLock::new(),
+        }
     }
 
     /// Appends a sample with its residual of each kind; its derivatives, all zero, are handed out.
@@ -128,36 +174,48 @@ impl Linear {
         self.after(step).into_iter().zip(&self.floor).map(of_kind).collect()
     }
 
-    /// Adds this stream's normal equations into `normal`; `columns` maps its parameters.
-    pub fn accumulate(&self, weights: &[Weight], columns: &[usize], normal: &mut Normal) {
-        let width = self.width;
-        let mut block = DMatrix::<f64>::zeros(width, width);
-        let mut right = DVector::<f64>::zeros(width);
-        for sample in 0..self.len() {
-            for r in 0..3 * self.kinds() {
-                let weight = weights[r / 3].of(sample);
-                let (row, residual) = (self.row(sample, r), self.residual(sample, r));
-                normal.cost += weight * residual * residual;
-                for i in 0..width {
-                    let scaled = weight * row[i];
-                    if scaled == 0.0 {
-                        continue;
-                    }
-                    right[i] += scaled * residual;
-                    for j in 0..=i {
-                        block[(i, j)] += scaled * row[j];
-                    }
-                }
+    /// The rows of `kind` of one sample.
+    fn rows_of(&self, sample: usize, kind: usize) -> [&[f64]; 3] {
+        std::array::from_fn(|axis| self.row(sample, 3 * kind + axis))
+    }
+
+    /// `Aᵀ W A` over all parameters.
+    ///
+    /// Nearly all samples of a kind weigh the same: their squares are summed once for all weights.
+    fn weighted_squares(&self, weights: &[Weight]) -> Triangle {
+        let of_kind = |kind: usize| {
+            let mut squares = Triangle::zeros(self.width);
+            (0..self.len()).for_each(|k| squares.add_squares(self.rows_of(k, kind), 1.0));
+            squares
+        };
+        let squares = self.squares.get_or_init(|| (0..self.kinds()).map(of_kind).collect());
+        let mut sum = Triangle::zeros(self.width);
+        for (kind, (squares, weight)) in squares.iter().zip(weights).enumerate() {
+            let level = weight.level();
+            sum.add_scaled(squares, level);
+            for (sample, robust) in weight.robust.iter().enumerate().filter(|(_, w)| **w != 1.0) {
+                sum.add_squares(self.rows_of(sample, kind), level * (robust - 1.0));
             }
         }
-        for i in 0..width {
-            normal.right[columns[i]] += right[i];
-            for j in 0..=i {
-                let value = block[(i, j)];
-                normal.matrix[(columns[i], columns[j])] += value;
-                if i != j {
-                    normal.matrix[(columns[j], columns[i])] += value;
-                }
+        sum
+    }
+
+    /// Adds this stream's normal equations into `normal`; `columns` maps its parameters.
+    pub fn accumulate(&self, weights: &[Weight], columns: &[usize], normal: &mut Normal) {
+        let mut right = vec![0.0; self.width];
+        for sample in 0..self.len() {
+            for r in 0..3 * self.kinds() {
+                let (row, residual) = (self.row(sample, r), self.residual(sample, r));
+                let weighted = weights[r / 3].of(sample) * residual;
+                normal.cost += weighted * residual;
+                right.iter_mut().zip(row).for_each(|(right, value)| *right += weighted * value);
+            }
+        }
+        let squares = self.weighted_squares(weights);
+        for (i, &row) in columns.iter().enumerate() {
+            normal.right[row] += right[i];
+            for (j, &column) in columns[..=i].iter().enumerate() {
+                add_both(&mut normal.matrix, row, column, squares.at(i, j));
             }
         }
         let samples = self.len() as f64;
@@ -167,10 +225,8 @@ impl Linear {
 
     /// `Aᵀ W A` over all parameters.
     pub fn information(&self, weights: &[Weight]) -> DMatrix<f64> {
-        let mut normal = Normal::zeros(self.width);
-        let columns: Vec<usize> = (0..self.width).collect();
-        self.accumulate(weights, &columns, &mut normal);
-        normal.matrix
+        let squares = self.weighted_squares(weights);
+        DMatrix::from_fn(self.width, self.width, |i, j| squares.at(i, j))
     }
 
     /// Adds `Aᵀ W A` over the chosen parameters into `information`, and the covariance of the score
@@ -194,31 +250,21 @@ impl Linear {
     ) {
         let chosen = chosen(columns);
         let rows = 3 * self.kinds();
-        let reaching = self.each_score(weights, &chosen, |sample, score| {
-            for (a, &(own_a, target_a)) in chosen.iter().enumerate() {
-                for (b, &(own_b, target_b)) in chosen[..=a].iter().enumerate() {
-                    let seen: f64 = (0..rows)
-                        .map(|r| {
-                            let row = self.row(sample, r);
-                            weights[r / 3].of(sample) * row[own_a] * row[own_b]
-                        })
-                        .sum();
-                    let square =
-                        score.white[a] * score.white[b] + score.lasting[a] * score.lasting[b];
-                    add_both(information, target_a, target_b, seen);
-                    add_both(scores, target_a, target_b, square);
-                }
-            }
+        let mut squares = Triangle::zeros(chosen.len());
+        let reaching = self.each_score(weights, &chosen, |_, score| {
+            squares.add_squares([&score.white, &score.lasting], 1.0);
         });
         // Innovations after the last sample have no residual of their own.
-        for (a, &(_, target_a)) in chosen.iter().enumerate() {
-            for (b, &(_, target_b)) in chosen[..=a].iter().enumerate() {
-                let tail = |r: usize| {
-                    let Noise { sigma, share, rho } = weights[r / 3].noise;
-                    let lasting = share * (rho * sigma * weights[r / 3].level()).powi(2);
-                    lasting * reaching[a * rows + r] * reaching[b * rows + r]
-                };
-                add_both(scores, target_a, target_b, (0..rows).map(tail).sum());
+        for (r, reaching) in reaching.chunks_exact(chosen.len().max(1)).take(rows).enumerate() {
+            let Noise { sigma, share, rho } = weights[r / 3].noise;
+            let lasting = share * (rho * sigma * weights[r / 3].level()).powi(2);
+            squares.add_squares([reaching], lasting);
+        }
+        let seen = self.weighted_squares(weights);
+        for (a, &(own_a, target_a)) in chosen.iter().enumerate() {
+            for (b, &(own_b, target_b)) in chosen[..=a].iter().enumerate() {
+                add_both(information, target_a, target_b, seen.at(own_a, own_b));
+                add_both(scores, target_a, target_b, squares.at(a, b));
             }
         }
     }
@@ -248,32 +294,34 @@ impl Linear {
         (sum, fourth * 2.0 / 3.0 * lasts.fold(1.0, f64::max))
     }
 
-    /// Calls `visit` with the score of every sample over the `chosen` parameters, and returns how the
-    /// design reaches beyond the last one.
+    /// Calls `visit` with the score of every sample over the `chosen` parameters, and returns how each
+    /// row of the design reaches beyond the last one.
     fn each_score(
         &self,
         weights: &[Weight],
         chosen: &[(usize, usize)],
         mut visit: impl FnMut(usize, &Score),
     ) -> Vec<f64> {
-        let rows = 3 * self.kinds();
-        let mut reaching = vec![0.0; chosen.len() * rows];
-        let mut score = Score { white: vec![0.0; chosen.len()], lasting: vec![0.0; chosen.len()] };
+        let (rows, width) = (3 * self.kinds(), chosen.len());
+        let mut reaching = vec![0.0; width * rows];
+        let mut own = vec![0.0; width];
+        let mut score = Score { white: vec![0.0; width], lasting: vec![0.0; width] };
         for sample in 0..self.len() {
             score.white.fill(0.0);
             score.lasting.fill(0.0);
-            for r in 0..rows {
+            for (r, reaching) in reaching.chunks_exact_mut(width.max(1)).enumerate() {
                 let weight = &weights[r / 3];
                 let Noise { share, rho, .. } = weight.noise;
                 let (row, left) = (self.row(sample, r), self.residual(sample, r));
+                own.iter_mut().zip(chosen).for_each(|(own, &(column, _))| *own = row[column]);
                 let weighted = weight.of(sample) * left;
                 let at_once = (1.0 - share).sqrt() * weighted;
                 let later = (share * (1.0 - rho * rho)).sqrt() * weighted;
-                for (c, &(own, _)) in chosen.iter().enumerate() {
-                    let reaching = &mut reaching[c * rows + r];
-                    *reaching = rho * *reaching + row[own];
-                    score.white[c] += at_once * row[own];
-                    score.lasting[c] += later * *reaching;
+                let parts = score.white.iter_mut().zip(&mut score.lasting);
+                for (((white, lasting), reaching), own) in parts.zip(reaching).zip(&own) {
+                    *reaching = rho * *reaching + own;
+                    *white += at_once * own;
+                    *lasting += later * *reaching;
                 }
             }
             visit(sample, &score);

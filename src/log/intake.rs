@@ -276,6 +276,21 @@ impl Intake {
         }
     }
 
+    /// Whether messages of a channel are only counted.
+    pub(super) fn ignores(&self, channel: ChannelId) -> bool {
+        matches!(self.channels[channel.0].decoding, Decoding::Ignored)
+    }
+
+    /// Counts messages of a channel that [`Intake::ignores`], with their first and last log time, ns.
+    pub(super) fn count(&mut self, channel: ChannelId, messages: u64, (first, last): (u64, u64)) {
+        let topic = &mut self.topics[self.channels[channel.0].topic];
+        self.messages += messages;
+        topic.messages += messages;
+        for time in [first, last] {
+            topic.seen(self.files.len(), Stamp::from_nanos(saturating(time)));
+        }
+    }
+
     /// Gives a channel whose messages are only counted the columns that its reader made of them.
     pub(super) fn columns(&mut self, channel: ChannelId, columns: Columns) {
         let topic = self.channels[channel.0].topic;

@@ -14,10 +14,11 @@ use mcap::MAGIC;
 use mcap::records::op;
 
 use self::record::{Broken, Frame};
+use super::ahead::{self, Ahead};
 use super::decode::Format;
 use super::intake::{ChannelId, Intake, Message, Place};
 use super::losses::{Losses, NOT_DESCRIBED};
-use super::unpack::Unpacker;
+use super::unpack::{Compression, Packed, Unpacker};
 use super::{Crc, Extent, ReadOptions};
 
 /// Reads the file `bytes`, which begin with [`MAGIC`], into `intake`.
@@ -27,31 +28,38 @@ pub(super) fn read(
     losses: &mut Losses,
     intake: &mut Intake,
 ) -> Crc {
-    let before = intake.messages();
-    let mut reader = Reader {
-        bytes,
-        options,
-        intake,
-        losses,
-        schemas: HashMap::new(),
-        channels: Vec::new(),
-        covered: 0,
-        orphans: None,
-        in_lost_chunk: false,
-        has_chunks: false,
-    };
-    let summary = reader.summary();
-    let end = reader.walk();
-    let read = reader.intake.messages() - before;
-    reader.close(&summary, end, read);
-    Crc::of(reader.covered, read)
+    ahead::with(|ahead| {
+        let before = intake.messages();
+        let mut reader = Reader {
+            bytes,
+            options,
+            intake,
+            losses,
+            ahead,
+            scanned: Some(MAGIC.len()),
+            schemas: HashMap::new(),
+            channels: Vec::new(),
+            covered: 0,
+            orphans: None,
+            in_lost_chunk: false,
+            has_chunks: false,
+        };
+        let summary = reader.summary();
+        let end = reader.walk();
+        let read = reader.intake.messages() - before;
+        reader.close(&summary, end, read);
+        Crc::of(reader.covered, read)
+    })
 }
 
-struct Reader<'a> {
+struct Reader<'a, 'r, 'scope> {
     bytes: &'a [u8],
-    options: &'a ReadOptions<'a>,
-    intake: &'a mut Intake,
-    losses: &'a mut Losses,
+    options: &'r ReadOptions<'r>,
+    intake: &'r mut Intake,
+    losses: &'r mut Losses,
+    ahead: &'r mut Ahead<'scope, 'a>,
+    /// Up to where chunks were handed in to be unpacked; `None` where no record follows.
+    scanned: Option<usize>,
     schemas: HashMap<u16, Schema>,
     /// By channel id.
     channels: Vec<Option<Channel>>,
@@ -89,6 +97,17 @@ enum Summary {
     Closed { messages: Option<u64> },
 }
 
+/// What of a chunk is of use.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+enum Use {
+    /// Most of it, or that cannot be told: it is unpacked and its checksum looked at.
+    All,
+    /// Some messages between larger ones. It is not packed, and the others are passed over.
+    Some,
+    /// How many messages it has, which its index says.
+    Counts,
+}
+
 /// How the walk over the data section ended.
 enum End<'a> {
     /// At the record that closes it.
@@ -99,7 +118,7 @@ enum End<'a> {
     Damaged,
 }
 
-impl<'a> Reader<'a> {
+impl<'a> Reader<'a, '_, '_> {
     /// Takes schemas and channels from the summary, if the file has one.
     fn summary(&mut self) -> Summary {
         let Some(content) = self.bytes.strip_suffix(MAGIC) else {
@@ -159,6 +178,7 @@ impl<'a> Reader<'a> {
         let mut sound = offset;
         while offset < self.bytes.len() {
             self.options.at(offset);
+            self.unpack_ahead();
             match record::frame(self.bytes, offset) {
                 Ok(frame) if matches!(frame.opcode, op::DATA_END | op::FOOTER) => {
                     return End::Closed(frame);
@@ -176,6 +196,7 @@ impl<'a> Reader<'a> {
                     let what = format!("expected a record, found {broken}; read on at byte {next}");
                     self.losses.add(offset, Extent::Messages, None, what);
                     (offset, sound) = (next, next + 1);
+                    self.scanned = Some(next);
                 }
             }
         }
@@ -199,7 +220,8 @@ impl<'a> Reader<'a> {
             op::CHUNK => return self.chunk(frame, unpacker),
             op::MESSAGE_INDEX if in_lost_chunk => {
                 // The index of a lost chunk says how many messages were in it.
-                self.losses.add_to_last(record::indexed_messages(frame.body).unwrap_or(0));
+                let index = record::MessageIndex::parse(frame.body);
+                self.losses.add_to_last(index.map_or(0, |index| index.count()));
                 self.in_lost_chunk = true;
             }
             op::ATTACHMENT => self.attachment(frame),
@@ -213,6 +235,73 @@ impl<'a> Reader<'a> {
         false
     }
 
+    /// Hands in chunks beyond those that were, as far as there is room.
+    fn unpack_ahead(&mut self) {
+        while let Some(offset) = self.scanned.filter(|_| self.ahead.has_room()) {
+            let frame = match record::frame(self.bytes, offset) {
+                Ok(frame) if !matches!(frame.opcode, op::DATA_END | op::FOOTER) => frame,
+                _ => return self.scanned = None,
+            };
+            self.scanned = Some(frame.end());
+            let chunk = match frame.opcode {
+                op::CHUNK => record::Chunk::parse(frame.body).filter(record::Chunk::is_whole),
+                _ => None,
+            };
+            if let Some(packed) = chunk.and_then(|chunk| chunk.packed())
+                && self.use_of(&frame, &packed) == Use::All
+            {
+                self.ahead.unpack(offset, packed);
+            }
+        }
+    }
+
+    /// What of a chunk is of use.
+    fn use_of(&self, frame: &Frame<'a>, packed: &Packed<'a>) -> Use {
+        if self.options.verify {
+            return Use::All;
+        }
+        if packed.compression == Compression::None {
+            return self.use_of_records(packed.data);
+        }
+        let mut indexes = self.indexes_behind(frame).peekable();
+        let is_ignored = |index: record::MessageIndex<'_>| matches!(self.channel_of(index.channel_id), Some(id) if self.intake.ignores(id));
+        let is_indexed = indexes.peek().is_some();
+        if is_indexed && indexes.all(is_ignored) { Use::Counts } else { Use::All }
+    }
+
+    /// What of the records of a chunk is of use, which are not packed: nothing needs to be looked
+    /// into of large messages that no audit uses.
+    fn use_of_records(&self, records: &[u8]) -> Use {
+        let (mut ignored, mut frames) = (0, record::frames(records, 0));
+        for frame in &mut frames {
+            let Ok(frame) = frame else { return Use::All };
+            let message = match frame.opcode {
+                op::MESSAGE => record::Message::parse(frame.body),
+                _ => None,
+            };
+            if let Some(message) = message
+                && self.channel_of(message.channel_id).is_some_and(|id| self.intake.ignores(id))
+            {
+                ignored += message.data.len();
+            }
+        }
+        if ignored > records.len() / 2 { Use::Some } else { Use::All }
+    }
+
+    /// The message indexes behind a chunk.
+    fn indexes_behind(
+        &self,
+        chunk: &Frame<'a>,
+    ) -> impl Iterator<Item = record::MessageIndex<'a>> + use<'a> {
+        record::frames(self.bytes, chunk.end())
+            .map_while(|frame| frame.ok().filter(|frame| frame.opcode == op::MESSAGE_INDEX))
+            .filter_map(|frame| record::MessageIndex::parse(frame.body))
+    }
+
+    fn channel_of(&self, channel_id: u16) -> Option<ChannelId> {
+        self.channels.get(usize::from(channel_id))?.as_ref()?.id
+    }
+
     /// Reads the records of a chunk; whether all of them could be.
     fn chunk(&mut self, frame: &Frame<'a>, unpacker: &mut Unpacker) -> bool {
         let chunk = record::Chunk::parse(frame.body).filter(record::Chunk::is_whole);
@@ -221,11 +310,31 @@ impl<'a> Reader<'a> {
             self.lose_chunk(frame.offset, "chunk is shorter than it says".to_owned());
             return false;
         };
-        match chunk.records(unpacker, &mut self.intake.allowance) {
+        let Some(packed) = chunk.packed() else {
+            let found = chunk.compression;
+            let what = format!("chunk is compressed by `{found}`, expected `zstd`, `lz4` or none");
+            self.lose_chunk(frame.offset, what);
+            self.losses.date(frame.offset, chunk.first_time, chunk.last_time);
+            return false;
+        };
+        let mut unpacked = self.ahead.take(frame.offset);
+        let records = match (&mut unpacked, self.use_of(frame, &packed)) {
+            (_, Use::Counts) => {
+                self.count(frame);
+                return true;
+            }
+            (_, Use::Some) => {
+                self.chunk_records(packed.data, frame.offset);
+                return true;
+            }
+            (Some(unpacked), Use::All) => unpacked.content(&packed, &mut self.intake.allowance),
+            (None, Use::All) => unpacker.chunk(&packed, &mut self.intake.allowance),
+        };
+        let is_sound = match records {
             Ok(records) => {
                 let before = self.intake.messages();
                 self.chunk_records(records, frame.offset);
-                if chunk.crc != 0 {
+                if packed.crc != 0 {
                     self.covered += self.intake.messages() - before;
                 }
                 true
@@ -234,6 +343,19 @@ impl<'a> Reader<'a> {
                 self.lose_chunk(frame.offset, error.to_string());
                 self.losses.date(frame.offset, chunk.first_time, chunk.last_time);
                 false
+            }
+        };
+        if let Some(unpacked) = unpacked {
+            self.ahead.give_back(unpacked);
+        }
+        is_sound
+    }
+
+    /// Counts the messages of a chunk that is left packed.
+    fn count(&mut self, chunk: &Frame<'a>) {
+        for index in self.indexes_behind(chunk) {
+            if let Some((id, span)) = self.channel_of(index.channel_id).zip(index.span()) {
+                self.intake.count(id, index.count(), span);
             }
         }
     }
@@ -261,13 +383,12 @@ impl<'a> Reader<'a> {
             return self.definition(frame);
         }
         let message = record::Message::parse(frame.body)?;
-        let channel = self.channels.get(usize::from(message.channel_id));
-        let Some(Some(Channel { id: Some(id), .. })) = channel else {
+        let Some(id) = self.channel_of(message.channel_id) else {
             self.orphans.get_or_insert((0, offset)).0 += 1;
             return Some(());
         };
         self.intake.message(
-            *id,
+            id,
             Message {
                 log_time: message.log_time,
                 publish_time: message.publish_time,

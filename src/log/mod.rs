@@ -8,6 +8,7 @@
 //! that cannot be decoded becomes [`Undecodable`], and only a file of which nothing can be read is a
 //! [`LogError`]. What a stream means is decided further up.
 
+mod ahead;
 mod decode;
 mod error;
 mod files;

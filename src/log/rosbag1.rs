@@ -14,7 +14,7 @@ use self::record::{Broken, Chunk, Connection, Record, op};
 use super::decode::Format;
 use super::intake::{ChannelId, Intake, Message, Place};
 use super::losses::{Losses, NOT_DESCRIBED};
-use super::unpack::{Compression, Unpacker};
+use super::unpack::{Compression, Packed, Unpacker};
 use super::{Crc, Extent, ReadOptions};
 
 /// What a bag begins with.
@@ -201,7 +201,8 @@ impl<'a> Reader<'a> {
             return false;
         }
         let size = chunk.size.into();
-        match unpacker.chunk(compression, chunk.data, size, &mut self.intake.allowance) {
+        let packed = Packed { compression, data: chunk.data, size, crc: 0 };
+        match unpacker.chunk(&packed, &mut self.intake.allowance) {
             Ok(records) => {
                 let before = self.intake.messages();
                 self.chunk_records(records, record.offset);

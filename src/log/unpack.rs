@@ -39,6 +39,48 @@ pub(super) enum UnpackError {
     Broken { part: &'static str, source: io::Error },
     #[error("chunk holds {found} bytes, its header says {expected}")]
     Size { expected: u64, found: u64 },
+    #[error("chunk fails its checksum ({found:08x}, its header says {expected:08x})")]
+    Crc { expected: u32, found: u32 },
+}
+
+/// A chunk as its file holds it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Packed<'a> {
+    /// How it is compressed.
+    pub(super) compression: Compression,
+    /// The compressed bytes.
+    pub(super) data: &'a [u8],
+    /// How many bytes it holds, by its header.
+    pub(super) size: u64,
+    /// Their checksum; 0 where there is none.
+    pub(super) crc: u32,
+}
+
+impl<'a> Packed<'a> {
+    /// What it holds, which was unpacked into `buffer` if it was packed.
+    fn content<'b>(&self, buffer: &'b [u8]) -> &'b [u8]
+    where
+        'a: 'b,
+    {
+        match self.compression {
+            Compression::None => self.data,
+            Compression::Zstd | Compression::Lz4 | Compression::Bz2 => buffer,
+        }
+    }
+
+    /// Whether `content` is what the header says.
+    fn verify(&self, content: &[u8]) -> Result<(), UnpackError> {
+        let found = content.len() as u64;
+        if found != self.size {
+            return Err(UnpackError::Size { expected: self.size, found });
+        }
+        let crc = if self.crc == 0 { 0 } else { crc32fast::hash(content) };
+        if crc == self.crc {
+            Ok(())
+        } else {
+            Err(UnpackError::Crc { expected: self.crc, found: crc })
+        }
+    }
 }
 
 /// How many bytes the compressed parts of one file may unpack to.
@@ -73,6 +115,46 @@ impl Allowance {
     fn take(&mut self, bytes: u64) {
         self.used = self.used.saturating_add(bytes).min(self.limit);
     }
+
+    /// Whether `packed` may be unpacked.
+    fn admit(&self, packed: &Packed<'_>) -> Result<(), UnpackError> {
+        let (size, limit) = (packed.size, MAX_CHUNK_BYTES);
+        match packed.compression {
+            Compression::None => Ok(()),
+            _ if size > limit => Err(UnpackError::TooLarge { part: CHUNK, size, limit }),
+            _ => self.check(CHUNK, size),
+        }
+    }
+
+    /// Takes off what `packed` cost. What fails in the end has cost no less.
+    fn settle(&mut self, packed: &Packed<'_>) {
+        if packed.compression != Compression::None {
+            self.take(packed.size);
+        }
+    }
+}
+
+/// What a chunk is called in an error.
+const CHUNK: &str = "chunk";
+
+/// A chunk that was unpacked into a buffer of its own, or cannot be.
+pub(super) struct Unpacked {
+    pub(super) buffer: Vec<u8>,
+    outcome: Result<(), UnpackError>,
+}
+
+impl Unpacked {
+    /// What `packed` holds, of which this was made.
+    pub(super) fn content<'a>(
+        &'a mut self,
+        packed: &Packed<'a>,
+        allowance: &mut Allowance,
+    ) -> Result<&'a [u8], UnpackError> {
+        allowance.admit(packed)?;
+        allowance.settle(packed);
+        std::mem::replace(&mut self.outcome, Ok(()))?;
+        Ok(packed.content(&self.buffer))
+    }
 }
 
 /// Unpacks one part of a file after the other into one buffer.
@@ -83,41 +165,46 @@ pub(super) struct Unpacker {
 }
 
 impl Unpacker {
-    /// The content of a whole chunk, which its header says to be of `size` bytes.
+    /// The content of a whole chunk, of the size and with the checksum that its header says.
     pub(super) fn chunk<'a>(
         &'a mut self,
-        compression: Compression,
-        data: &'a [u8],
-        size: u64,
+        packed: &Packed<'a>,
         allowance: &mut Allowance,
     ) -> Result<&'a [u8], UnpackError> {
-        const PART: &str = "chunk";
-        let broken = |source| UnpackError::Broken { part: PART, source };
-        let content = if compression == Compression::None {
-            data
-        } else {
-            self.make_room(PART, size, MAX_CHUNK_BYTES)?;
-            allowance.check(PART, size)?;
-            let limit = size + 1;
-            let unpacked = match compression {
-                Compression::None => Ok(0),
-                // The capacity bounds what zstd may write, and only what it writes takes memory.
-                Compression::Zstd => self.zstd.decompress_to_buffer(data, &mut self.buffer),
-                Compression::Lz4 => lz4::Decoder::new(data)
-                    .and_then(|stream| stream.take(limit).read_to_end(&mut self.buffer)),
-                Compression::Bz2 => {
-                    bzip2::bufread::BzDecoder::new(data).take(limit).read_to_end(&mut self.buffer)
-                }
-            };
-            // What fails in the end has cost no less.
-            allowance.take(if unpacked.is_ok() { self.buffer.len() as u64 } else { size });
-            unpacked.map_err(broken)?;
-            &self.buffer
-        };
-        if content.len() as u64 != size {
-            return Err(UnpackError::Size { expected: size, found: content.len() as u64 });
+        allowance.admit(packed)?;
+        allowance.settle(packed);
+        self.fill(packed)?;
+        Ok(packed.content(&self.buffer))
+    }
+
+    /// The same in a buffer of its own. What it costs is taken off when it is read.
+    pub(super) fn chunk_into(&mut self, buffer: Vec<u8>, packed: &Packed<'_>) -> Unpacked {
+        self.buffer = buffer;
+        let outcome = self.fill(packed);
+        Unpacked { buffer: std::mem::take(&mut self.buffer), outcome }
+    }
+
+    /// Unpacks a chunk into the buffer.
+    fn fill(&mut self, packed: &Packed<'_>) -> Result<(), UnpackError> {
+        let Packed { compression, data, size, .. } = *packed;
+        if compression != Compression::None {
+            self.make_room(CHUNK, size, MAX_CHUNK_BYTES)?;
         }
-        Ok(content)
+        let limit = size.saturating_add(1);
+        let buffer = &mut self.buffer;
+        let unpacked = match compression {
+            Compression::None => Ok(0),
+            // The capacity bounds what zstd may write, and only what it writes takes memory.
+            Compression::Zstd => self.zstd.decompress_to_buffer(data, buffer),
+            Compression::Lz4 => {
+                lz4::Decoder::new(data).and_then(|stream| stream.take(limit).read_to_end(buffer))
+            }
+            Compression::Bz2 => {
+                bzip2::bufread::BzDecoder::new(data).take(limit).read_to_end(buffer)
+            }
+        };
+        unpacked.map_err(|source| UnpackError::Broken { part: CHUNK, source })?;
+        packed.verify(packed.content(&self.buffer))
     }
 
     /// The beginning of a chunk whose end is missing, as far as it can be unpacked.
@@ -224,12 +311,17 @@ mod tests {
         zstd::bulk::compress(&vec![0; bytes], 1).unwrap()
     }
 
+    fn packed(data: &[u8], size: u64) -> Packed<'_> {
+        Packed { compression: Compression::Zstd, data, size, crc: 0 }
+    }
+
     #[test]
     fn many_small_parts_cannot_unpack_to_more_than_the_file_may() {
         let (mut unpacker, mut allowance) =
             (Unpacker::default(), Allowance { limit: 2500, used: 0 });
         let part = zeros(1000);
-        let mut unpack = || unpacker.chunk(Compression::Zstd, &part, 1000, &mut allowance).is_ok();
+        let packed = packed(&part, 1000);
+        let mut unpack = || unpacker.chunk(&packed, &mut allowance).is_ok();
         assert_eq!([unpack(), unpack(), unpack(), unpack()], [true, true, false, false]);
     }
 
@@ -240,7 +332,7 @@ mod tests {
         let mut part = zeros(1000);
         part.pop();
         for left in [1500, 500, 500] {
-            assert!(unpacker.chunk(Compression::Zstd, &part, 1000, &mut allowance).is_err());
+            assert!(unpacker.chunk(&packed(&part, 1000), &mut allowance).is_err());
             assert_eq!(allowance.left(), left);
         }
     }

@@ -12,6 +12,7 @@ use super::arm::{Anchor, Arm, Ends, ImuSource, NoTf, PoseSource};
 use super::cadence::rhythms;
 use super::declaration::Declaration;
 use super::error::RunError;
+use super::excerpts::Excerpts;
 use super::joints::{JointTopic, merge};
 use super::models::{self, Clues, FrameNames, Given, GivenCalibration};
 use super::poses::{self, Stamped};
@@ -37,8 +38,9 @@ impl Run {
         for declared in &options.declared {
             check_topic(declared, &streams)?;
         }
-        let timing = Timing::settle(&streams, options.stamp, options.max_latency_s);
+        let mut timing = Timing::settle(&streams, options.stamp, options.max_latency_s);
         timing.measure(&mut streams);
+        timing.excerpts = Excerpts::of(&streams, &timing);
         let origin = origin(&streams);
         let tf = tf_tree(&streams, &timing);
         let (attached, logged_calibrations): (Vec<_>, Vec<_>) =
@@ -66,8 +68,19 @@ impl Run {
         let Assembly { streams, timing, tf, arms, .. } = assembly;
         let span = span(streams.iter().filter(|stream| stream.rate_hz.is_some()));
         let rhythms = rhythms(&streams, &timing, &joint_topics(&streams, &timing), &arms);
-        let clocks = timing.clocks;
-        Ok(Run { origin, span, streams, arms, tf, clocks, rhythms, has_clock_topic, no_arm })
+        let Timing { clocks, excerpts, .. } = timing;
+        Ok(Run {
+            origin,
+            span,
+            streams,
+            arms,
+            tf,
+            clocks,
+            rhythms,
+            excerpts,
+            has_clock_topic,
+            no_arm,
+        })
     }
 }
 
@@ -149,7 +162,7 @@ fn tf_tree(streams: &[Stream], timing: &Timing) -> TfTree {
                 }
                 continue;
             }
-            let stamps = timing.stamps(streams, index, piece);
+            let stamps = timing.seen_stamps(streams, index, piece, 0.0);
             let rows = stamps.iter().enumerate();
             let mut samples: Vec<(Stamp, Pose)> = rows
                 .filter_map(|(row, stamp)| Some(((*stamp)?, pose_at(transform, row)?)))
@@ -189,7 +202,7 @@ fn misfit_m(tf: &TfTree, robot: &Robot, frames: &FrameNames) -> Option<f64> {
 impl Assembly<'_> {
     /// Finds the robots, cuts the arms out of them and follows the transforms along each.
     fn find_arms(&mut self, said: Said<'_>) -> Result<(), RunError> {
-        let topics = joint_topics(&self.streams, &self.timing);
+        let topics = seen_joint_topics(&self.streams, &self.timing, self.options.max_latency_s);
         let mut joints: Vec<String> = Vec::new();
         for topic in &topics {
             let names = topic.columns.joints.iter().map(|joint| &joint.name);
@@ -272,7 +285,7 @@ impl Assembly<'_> {
         let chain = robot.chain(frame.or(link(&robot.controller_base))?, tip).ok()?;
         let joints = merge(topics, chain.joint_names(), self.origin)?.track;
         let (mut cursor, mut q, mut qd) = (0, vec![0.0; chain.dof()], vec![0.0; chain.dof()]);
-        let stamps = self.timing.stamps(&self.streams, index, 0);
+        let stamps = self.timing.seen_stamps(&self.streams, index, 0, 0.0);
         let mut gaps_m: Vec<f64> = stamps
             .iter()
             .zip(&poses.xyz)
@@ -330,7 +343,9 @@ impl Assembly<'_> {
         if !uncrossed.is_empty() {
             return Err(NoTf::NotCovered { joints: uncrossed });
         }
-        let stamps = path.stamps().into_iter();
+        let mut stamps: Vec<Option<Stamp>> = path.stamps().into_iter().map(Some).collect();
+        poses::thinned(&mut stamps);
+        let stamps = stamps.into_iter().flatten();
         let samples: Vec<(Stamp, Pose)> =
             stamps.filter_map(|stamp| Some((stamp, path.at(stamp).ok()?))).collect();
         if samples.len() < 2 {
@@ -587,7 +602,8 @@ impl Assembly<'_> {
                 let [base, tip] = [site.base.link, site.tip.link].map(|link| arm.frame_of(link));
                 format!("no joint in the joint states moves '{tip}' against '{base}'")
             })?;
-        let stamps = self.timing.stamps(&self.streams, index, 0);
+        let mut stamps = self.timing.seen_stamps(&self.streams, index, 0, 0.0);
+        poses::thinned(&mut stamps);
         let Stamped { track, stamps } = match &self.streams[index].columns {
             Some(Columns::Poses(poses)) => {
                 let [poses] = poses.as_slice() else {
@@ -636,7 +652,7 @@ impl Assembly<'_> {
             }
         };
         let Some((chain, columns)) = arm.chain_between(arm.base, carrier) else { return };
-        let stamps = self.timing.stamps(&self.streams, index, 0);
+        let stamps = self.timing.seen_stamps(&self.streams, index, 0, 0.0);
         let Stamped { track, stamps } = poses::from_imu(imu, &stamps, self.origin);
         let source = ImuSource {
             stream: index,
@@ -715,6 +731,20 @@ fn joint_topics<'a>(streams: &'a [Stream], timing: &Timing) -> Vec<JointTopic<'a
             stamps: timing.stamps(streams, stream, 0),
         })
         .collect()
+}
+
+/// The same, with the stamps of the rows that the estimators see. Of joints they see more than of other
+/// streams, by the latency that is sought.
+fn seen_joint_topics<'a>(
+    streams: &'a [Stream],
+    timing: &Timing,
+    most_lag_s: f64,
+) -> Vec<JointTopic<'a>> {
+    let mut topics = joint_topics(streams, timing);
+    for topic in &mut topics {
+        topic.stamps = timing.seen_stamps(streams, topic.stream, 0, most_lag_s);
+    }
+    topics
 }
 
 /// Adds those fixed joints of the arm's robot to the tree whose child has no parent there.

@@ -93,17 +93,14 @@ impl Source<'_> {
     }
 
     fn header_stamps(&self) -> (HeaderStamps, usize) {
-        let mut stamps: Vec<i64> =
-            self.times.iter().flat_map(|times| &times.header).copied().collect();
-        let rows = stamps.len();
-        let zero = stamps.iter().filter(|&&stamp| stamp == 0).count();
-        stamps.sort_unstable();
-        stamps.dedup();
+        let stamps = || self.times.iter().flat_map(|times| &times.header);
+        let (rows, zero) = (self.rows(), stamps().filter(|&&stamp| stamp == 0).count());
+        let is_constant = || stamps().all(|stamp| Some(stamp) == stamps().next());
         let state = if !self.has_header {
             HeaderStamps::Absent
         } else if 2 * zero >= rows.max(1) {
             HeaderStamps::Zero
-        } else if rows > 1 && stamps.len() == 1 {
+        } else if rows > 1 && is_constant() {
             HeaderStamps::Constant
         } else {
             HeaderStamps::Sound
@@ -111,13 +108,14 @@ impl Source<'_> {
         (state, zero)
     }
 
-    /// Log time minus time on `clock`, sorted, ns; rows without a stamp left out.
-    fn delays(&self, clock: Clock) -> Vec<i64> {
+    /// Log time minus time on `clock`; rows without a stamp are left out.
+    fn delay(&self, clock: Clock) -> Option<Delay> {
+        /// More rows than these say no more.
+        const ENOUGH: usize = 100_000;
         let rows = self.times.iter().flat_map(|times| times.log.iter().zip(times.on(clock)));
+        let rows = rows.step_by(self.rows().div_ceil(ENOUGH).max(1));
         let stamped = rows.filter(|(_, stamp)| clock != Clock::Header || **stamp != 0);
-        let mut delays: Vec<i64> = stamped.map(|(log, stamp)| log.saturating_sub(*stamp)).collect();
-        delays.sort_unstable();
-        delays
+        Delay::of(stamped.map(|(log, stamp)| log.saturating_sub(*stamp)).collect())
     }
 }
 
@@ -136,7 +134,7 @@ pub(super) fn by_clock<'a>(
         let alone =
             Source { stream, frame, times: vec![times], has_header: true, is_joints: false };
         let (stamps, _) = alone.header_stamps();
-        let delay = Delay::of(&alone.delays(Clock::Header));
+        let delay = alone.delay(Clock::Header);
         let fits = |(other, group): &(HeaderStamps, Option<Delay>)| {
             let close =
                 delay.zip(*group).is_some_and(|(a, b)| a.is_within(max_latency_s, b.median));
@@ -168,9 +166,15 @@ struct Delay {
 }
 
 impl Delay {
-    fn of(sorted: &[i64]) -> Option<Self> {
-        let quantile = |part: usize| sorted.get(sorted.len() * part / 100).copied();
-        Some(Self { median: quantile(50)?, floor: quantile(1)? })
+    fn of(mut delays: Vec<i64>) -> Option<Self> {
+        let at = |part: usize| delays.len() * part / 100;
+        let (middle, low) = (at(50), at(1));
+        if delays.is_empty() {
+            return None;
+        }
+        let (below, &mut median, _) = delays.select_nth_unstable(middle);
+        let floor = if low < middle { *below.select_nth_unstable(low).1 } else { median };
+        Some(Self { median, floor })
     }
 
     fn spread_s(self) -> f64 {
@@ -201,10 +205,9 @@ pub(super) fn settle(
         let (stamps, zero) = source.header_stamps();
         let falls_back = wanted == Clock::Header && stamps != HeaderStamps::Sound;
         let clock = if falls_back { Clock::Log } else { wanted };
-        let header = (stamps == HeaderStamps::Sound)
-            .then(|| Delay::of(&source.delays(Clock::Header)))
-            .flatten();
-        delays.push(if clock == Clock::Header { header } else { Delay::of(&source.delays(clock)) });
+        let is_sound = stamps == HeaderStamps::Sound;
+        let header = is_sound.then(|| source.delay(Clock::Header)).flatten();
+        delays.push(if clock == Clock::Header { header } else { source.delay(clock) });
         clocks.push(StreamClock {
             stream: source.stream,
             frame: source.frame.map(str::to_owned),

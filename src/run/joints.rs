@@ -274,6 +274,10 @@ fn agree(t_s: &[f64], q: &[f64], velocity: &[f64], derived: &[f64]) -> bool {
     let (mut moved, mut differed, mut windows) = (0.0, 0.0, 0.0);
     let (mut start, mut integral, mut largest) = (0, 0.0, 0.0_f64);
     for row in 1..t_s.len() {
+        if t_s[row] - t_s[row - 1] > 2.0 * WINDOW_S {
+            (start, integral) = (row, 0.0);
+            continue;
+        }
         integral += 0.5 * (velocity[row] + velocity[row - 1]) * (t_s[row] - t_s[row - 1]);
         if t_s[row] - t_s[start] < WINDOW_S {
             continue;

@@ -14,6 +14,7 @@ mod cadence;
 mod clock;
 mod declaration;
 mod error;
+mod excerpts;
 mod joints;
 mod models;
 mod poses;
@@ -33,6 +34,7 @@ pub use cadence::{Cadence, Extent, Rhythm, Stretch};
 pub use clock::{Alignment, Epoch, HeaderStamps, StreamClock};
 pub use declaration::{CalibrationSource, Coding, Declaration, DeclarationError, RobotSource};
 pub use error::RunError;
+pub use excerpts::Excerpts;
 pub use joints::{JointFacts, Velocities};
 pub use role::Role;
 pub use segments::{Segment, segments};
@@ -99,6 +101,8 @@ pub struct Run {
     pub clocks: Vec<StreamClock>,
     /// How regularly every stream comes that may be audited.
     pub rhythms: Vec<Rhythm>,
+    /// What of it the estimators see; `None` where that is all of it.
+    pub excerpts: Option<Excerpts>,
     /// Whether the log holds `/clock`, the mark of simulated time.
     pub has_clock_topic: bool,
     /// Why there is no arm.

@@ -24,13 +24,25 @@ fn rows_in_order(stamps: &[Option<Stamp>], keep: impl Fn(usize) -> bool) -> Vec<
     rows
 }
 
+/// Most samples of a stream that the estimators see.
+const MOST_SAMPLES: usize = 40_000;
+
+/// Leaves every second, third and so on of what is seen, where that is more than [`MOST_SAMPLES`].
+pub(super) fn thinned(stamps: &mut [Option<Stamp>]) {
+    let seen = stamps.iter().flatten().count();
+    let stride = seen.div_ceil(MOST_SAMPLES).max(1);
+    let others = stamps.iter_mut().filter(|stamp| stamp.is_some()).enumerate();
+    others.filter(|(index, _)| index % stride != 0).for_each(|(_, stamp)| *stamp = None);
+}
+
 /// Cuts a track of the rows that `sample` can read.
 fn track_of(
     stamps: &[Option<Stamp>],
     origin: Stamp,
     sample: impl Fn(usize) -> Option<(Vec3, Rotation)>,
 ) -> Stamped<PoseTrack> {
-    let samples: Vec<_> = (0..stamps.len()).map(sample).collect();
+    let sample = |(row, stamp): (usize, &Option<Stamp>)| stamp.and_then(|_| sample(row));
+    let samples: Vec<_> = stamps.iter().enumerate().map(sample).collect();
     let rows = rows_in_order(stamps, |row| samples[row].is_some());
     let (xyz, rotations) = rows.iter().filter_map(|(_, row)| samples[*row]).unzip();
     let orientation = Orientations::Rotations(rotations);

@@ -23,8 +23,11 @@ pub struct Segment {
 
 /// The segments of a log, in the order of receipt; one where its clock runs through.
 pub fn segments(log: Log) -> Vec<Segment> {
-    let pieces: Vec<Piece> =
-        log.topics.iter().filter(|topic| moves(topic)).flat_map(Piece::all).collect();
+    let moving = || log.topics.iter().filter(|topic| moves(topic));
+    if !moving().flat_map(times_of).any(may_restart) {
+        return vec![Segment { seconds: 0.0, log }];
+    }
+    let pieces: Vec<Piece> = moving().flat_map(Piece::all).collect();
     let reference =
         pieces.iter().max_by_key(|piece| (!piece.restarts.is_empty(), piece.order.len()));
     let restarts: Vec<Restart> = match reference {
@@ -63,6 +66,16 @@ fn without_topics(log: &Log) -> Log {
     }
 }
 
+fn times_of(topic: &Topic) -> Vec<&Times> {
+    topic.columns.as_ref().map(Columns::times).unwrap_or_default()
+}
+
+/// Whether stamps step back in the order of receipt, as far as that is told without sorting.
+fn may_restart(times: &Times) -> bool {
+    let step_back = |pair: &[i64]| pair[0].saturating_sub(pair[1]) > RESTART;
+    times.header.windows(2).any(step_back) || !times.log.is_sorted()
+}
+
 /// Whether what a topic holds is of its time, and not of all times.
 fn moves(topic: &Topic) -> bool {
     let holds_at_all_times =
@@ -88,8 +101,7 @@ struct Piece<'a> {
 
 impl<'a> Piece<'a> {
     fn all(topic: &'a Topic) -> Vec<Self> {
-        let times = topic.columns.as_ref().map(Columns::times).unwrap_or_default();
-        times.into_iter().map(Self::of).collect()
+        times_of(topic).into_iter().map(Self::of).collect()
     }
 
     fn of(times: &'a Times) -> Self {

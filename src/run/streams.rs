@@ -5,6 +5,7 @@ use crate::stream::{Columns, PoseColumns, Times};
 use crate::time::{Clock, Stamp};
 
 use super::clock::{self, Source, StreamClock};
+use super::excerpts::Excerpts;
 use super::role::{Role, named_role, plain_role};
 use super::tf_tree::without_slash;
 use super::witness::Witness;
@@ -199,6 +200,8 @@ pub(super) struct Timing {
     pub clocks: Vec<StreamClock>,
     /// For every stream, for every piece of it, the index of its clock.
     of: Vec<Vec<usize>>,
+    /// What of a long run is seen.
+    pub excerpts: Option<Excerpts>,
 }
 
 impl Timing {
@@ -234,7 +237,7 @@ impl Timing {
             }
         }
         let clocks = clock::settle(&sources, wanted, max_latency_s);
-        Self { clocks, of }
+        Self { clocks, of, excerpts: None }
     }
 
     /// The clock of a piece of a stream; none for what holds at all times.
@@ -249,6 +252,23 @@ impl Timing {
             (Some(clock), Some(times)) => clock.stamps_of(times),
             _ => Vec::new(),
         }
+    }
+
+    /// When each row of a piece of a stream was that the estimators see: in the run's excerpts, or less
+    /// than `around_s` off.
+    pub fn seen_stamps(
+        &self,
+        streams: &[Stream],
+        stream: usize,
+        piece: usize,
+        around_s: f64,
+    ) -> Vec<Option<Stamp>> {
+        let mut stamps = self.stamps(streams, stream, piece);
+        if let Some(excerpts) = &self.excerpts {
+            let is_seen = |stamp: &Stamp| excerpts.hold(*stamp, around_s);
+            stamps.iter_mut().for_each(|stamp| *stamp = stamp.filter(is_seen));
+        }
+        stamps
     }
 
     /// Makes the clock of one piece that of another stream too, which is appended.

@@ -11,6 +11,7 @@ mod frm;
 mod ing;
 mod invariance;
 mod lat;
+mod long;
 mod mdl;
 mod ord;
 mod recording;

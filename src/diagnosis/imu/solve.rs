@@ -30,38 +30,54 @@ pub(super) fn solve(model: &mut impl Model, free: &[usize]) -> Solved {
     const STILL: f64 = 1e-9;
     let mut left = STEPS;
     loop {
-        let (delta, solved) = step(&model.linearize(), free);
-        model.apply(&delta);
+        let linear = model.linearize();
+        let step = Step::of(&linear, free);
+        model.apply(&step.delta);
         left -= 1;
-        if left == 0 || delta.amax() < STILL {
-            return solved;
+        if left == 0 || step.delta.amax() < STILL {
+            return step.solved(&linear, free);
         }
     }
 }
 
-/// One Gauss–Newton step of `free` on a linearised model, and the covariance there.
-fn step(linear: &Linear, free: &[usize]) -> (DVector<f64>, Solved) {
-    let columns: Vec<usize> = (0..linear.width).collect();
-    let zero = DVector::zeros(linear.width);
-    let mut weights: Vec<Weight> = linear.first_weights();
-    let mut step = zero.clone();
-    let mut normal = Normal::zeros(linear.width);
-    for _ in 0..2 {
-        normal = Normal::zeros(linear.width);
-        linear.accumulate(&weights, &columns, &mut normal);
-        step = normal.step(&zero, free);
-        weights = linear.weights_after(step.as_slice());
+/// One Gauss–Newton step on a linearised model.
+struct Step {
+    delta: DVector<f64>,
+    /// By what it leaves of the residuals.
+    weights: Vec<Weight>,
+    independent: f64,
+}
+
+impl Step {
+    /// The step of the parameters `free`.
+    fn of(linear: &Linear, free: &[usize]) -> Self {
+        let columns: Vec<usize> = (0..linear.width).collect();
+        let zero = DVector::zeros(linear.width);
+        let mut step =
+            Self { delta: zero.clone(), weights: linear.first_weights(), independent: 0.0 };
+        for _ in 0..2 {
+            let mut normal = Normal::zeros(linear.width);
+            linear.accumulate(&step.weights, &columns, &mut normal);
+            let delta = normal.step(&zero, free);
+            let weights = linear.weights_after(delta.as_slice());
+            step = Self { delta, weights, independent: normal.independent };
+        }
+        step
     }
-    let mut sorted = free.to_vec();
-    sorted.sort_unstable();
-    let targets: Vec<Option<usize>> =
-        columns.iter().map(|c| sorted.binary_search(c).ok()).collect();
-    let mut information = DMatrix::zeros(sorted.len(), sorted.len());
-    let mut scores = information.clone();
-    linear.accumulate_covariance(&weights, &targets, &mut information, &mut scores);
-    let covariance = sandwich(&information, &scores);
-    let dof = (normal.independent - sorted.len() as f64).max(3.0);
-    (step, Solved { free: sorted, covariance, dof })
+
+    /// The covariance where it was taken.
+    fn solved(self, linear: &Linear, free: &[usize]) -> Solved {
+        let mut free = free.to_vec();
+        free.sort_unstable();
+        let targets: Vec<Option<usize>> =
+            (0..linear.width).map(|column| free.binary_search(&column).ok()).collect();
+        let mut information = DMatrix::zeros(free.len(), free.len());
+        let mut scores = information.clone();
+        linear.accumulate_covariance(&self.weights, &targets, &mut information, &mut scores);
+        let covariance = sandwich(&information, &scores);
+        let dof = (self.independent - free.len() as f64).max(3.0);
+        Solved { free, covariance, dof }
+    }
 }
 
 /// How large the residual of each sample is.

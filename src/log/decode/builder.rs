@@ -207,8 +207,10 @@ pub(super) struct Joints {
     by_name: HashMap<String, usize>,
     /// Names of the message before, which the next one mostly repeats,
     names: Names,
-    /// and the column of each.
+    /// and the column of each,
     order: Vec<usize>,
+    /// and whether that is every column once.
+    is_complete: bool,
 }
 
 impl Joints {
@@ -231,20 +233,29 @@ impl Joints {
         }
         keep_first(&mut self.columns.frame_id, row.frame(row::FRAME));
         let index = push_times(&mut self.columns.times, row.stamp(), times);
-        for joint in &mut self.columns.joints {
-            joint.position.push(f64::NAN);
-            joint.velocity.push(f64::NAN);
+        if !self.is_complete {
+            for joint in &mut self.columns.joints {
+                joint.position.push(f64::NAN);
+                joint.velocity.push(f64::NAN);
+            }
         }
         let with_velocity = velocities.len() == positions.len();
         for (i, (&column, &position)) in self.order.iter().zip(positions).enumerate() {
             let joint = &mut self.columns.joints[column];
-            if position.is_finite() {
-                joint.position[index] = position;
+            let velocity = if with_velocity { velocities[i] } else { f64::NAN };
+            self.columns.not_finite += u64::from(!position.is_finite());
+            let position = if position.is_finite() { position } else { f64::NAN };
+            if self.is_complete {
+                joint.position.push(position);
+                joint.velocity.push(velocity);
             } else {
-                self.columns.not_finite += 1;
-            }
-            if with_velocity {
-                joint.velocity[index] = velocities[i];
+                // Of a name that is there twice the last value counts that is one.
+                if !position.is_nan() {
+                    joint.position[index] = position;
+                }
+                if with_velocity {
+                    joint.velocity[index] = velocity;
+                }
             }
         }
         Ok(())
@@ -255,6 +266,7 @@ impl Joints {
         // Should the columns run out halfway, the next message must be mapped anew.
         self.names.clear();
         self.order.clear();
+        self.is_complete = false;
         let rows = self.columns.times.len();
         for name in names.iter() {
             let column = match self.by_name.get(name) {
@@ -274,6 +286,9 @@ impl Joints {
             };
             self.order.push(column);
         }
+        let mut once = self.order.clone();
+        once.sort_unstable();
+        self.is_complete = once.iter().copied().eq(0..self.columns.joints.len());
         self.names.clone_from(names);
         Ok(())
     }
@@ -295,8 +310,11 @@ pub(super) struct Poses {
     by_frames: HashMap<String, usize>,
     /// Scratch for a key of `by_frames`.
     key: String,
-    /// The group of the row before.
+    /// The group of the row before,
     last: usize,
+    /// and for each group the one whose row came after its own the last time: trees are published
+    /// in one order.
+    next: Vec<usize>,
     /// Rows of pairs of frames beyond [`MAX_FRAMES`].
     refused: u64,
 }
@@ -311,6 +329,10 @@ impl Poses {
             self.refused += 1;
             return;
         };
+        self.next.resize(self.groups.len(), 0);
+        if let Some(next) = self.next.get_mut(self.last) {
+            *next = group;
+        }
         self.last = group;
         let group = &mut self.groups[group];
         let xyz = row.numbers::<3>(row::POSITION);
@@ -329,8 +351,11 @@ impl Poses {
         let same = |group: &PoseColumns| {
             group.frame_id == frame_id && group.child_frame_id == child_frame_id
         };
-        if self.groups.get(self.last).is_some_and(same) {
-            return Some(self.last);
+        let next = self.next.get(self.last).copied().unwrap_or(self.last);
+        let likely = [next, self.last].into_iter();
+        if let Some(group) = likely.filter(|&group| self.groups.get(group).is_some_and(same)).next()
+        {
+            return Some(group);
         }
         self.key.clear();
         self.key.push_str(frame_id);

@@ -205,6 +205,28 @@ impl<'a> Cursor<'a> {
         })
     }
 
+    /// Reads doubles that follow each other.
+    pub(super) fn doubles(&mut self, values: &mut [f64]) -> Result<(), Short> {
+        if self.big_endian {
+            for value in values {
+                *value = f64::from_le_bytes(self.value()?);
+            }
+            return Ok(());
+        }
+        let start = self.aligned(8);
+        let rest = self.body.get(start..).unwrap_or_default();
+        let Some(bytes) = rest.get(..8 * values.len()) else {
+            let left = rest.len() % 8;
+            let offset = self.before + start + rest.len() - left;
+            return Err(Short { offset, wanted: 8, left });
+        };
+        for (value, &bytes) in values.iter_mut().zip(bytes.as_chunks().0) {
+            *value = f64::from_le_bytes(bytes);
+        }
+        self.at = start + bytes.len();
+        Ok(())
+    }
+
     /// Replaces `list` by `count` numbers of one type; by none where they are more than [`MAX_LIST`].
     pub(super) fn numbers(
         &mut self,

@@ -121,11 +121,13 @@ impl Row {
         }
     }
 
-    /// Replaces the text at `index`.
+    /// Replaces the text at `index`, which is mostly that of the row before.
     pub(super) fn set_text(&mut self, index: usize, bytes: &[u8]) {
         let text = &mut self.texts[index];
-        text.clear();
-        push_lossy(text, bytes);
+        if text.as_bytes() != bytes {
+            text.clear();
+            push_lossy(text, bytes);
+        }
     }
 
     /// The frame at `index`, without the leading `/` of ROS 1.
@@ -136,42 +138,68 @@ impl Row {
 }
 
 /// A list of names in one buffer.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+///
+/// It is filled anew for every message, mostly with the same names: those of the message before stay
+/// in the buffer until another one comes in their place.
+#[derive(Clone, Debug, Default)]
 pub(super) struct Names {
     text: String,
     ends: Vec<usize>,
+    /// How many of those in the buffer are in the list.
+    len: usize,
+}
+
+impl PartialEq for Names {
+    fn eq(&self, other: &Self) -> bool {
+        self.ends() == other.ends() && self.bytes() == other.bytes()
+    }
 }
 
 impl Names {
     pub(super) fn clear(&mut self) {
-        self.text.clear();
-        self.ends.clear();
+        self.len = 0;
     }
 
     pub(super) fn push(&mut self, bytes: &[u8]) {
-        if self.ends.len() == MAX_LIST {
+        if self.len == MAX_LIST {
             return;
         }
-        push_lossy(&mut self.text, bytes);
-        self.ends.push(self.text.len());
+        let start = self.end_of(self.len);
+        let known = self.ends.get(self.len).map(|&end| &self.text.as_bytes()[start..end]);
+        if known != Some(bytes) {
+            self.ends.truncate(self.len);
+            self.text.truncate(start);
+            push_lossy(&mut self.text, bytes);
+            self.ends.push(self.text.len());
+        }
+        self.len += 1;
     }
 
     pub(super) fn len(&self) -> usize {
-        self.ends.len()
+        self.len
+    }
+
+    /// Where the first `count` names end in the buffer.
+    fn end_of(&self, count: usize) -> usize {
+        count.checked_sub(1).and_then(|last| self.ends.get(last)).copied().unwrap_or(0)
+    }
+
+    fn ends(&self) -> &[usize] {
+        &self.ends[..self.len]
+    }
+
+    fn bytes(&self) -> &[u8] {
+        &self.text.as_bytes()[..self.end_of(self.len)]
     }
 
     /// The name at `index`.
     pub(super) fn get(&self, index: usize) -> Option<&str> {
-        let start = match index {
-            0 => 0,
-            _ => *self.ends.get(index - 1)?,
-        };
-        Some(&self.text[start..*self.ends.get(index)?])
+        Some(&self.text[self.end_of(index)..*self.ends().get(index)?])
     }
 
     pub(super) fn iter(&self) -> impl Iterator<Item = &str> {
         let mut start = 0;
-        self.ends.iter().map(move |&end| {
+        self.ends().iter().map(move |&end| {
             let name = &self.text[start..end];
             start = end;
             name
@@ -214,6 +242,27 @@ mod tests {
         assert_eq!(names.len(), 3);
         let each: Vec<_> = (0..4).map(|index| names.get(index)).collect();
         assert_eq!(each, [Some("elbow"), Some(""), Some("wrist_1"), None]);
+    }
+
+    #[test]
+    fn names_are_those_of_the_last_message_only() {
+        let of = |names: &mut Names, list: &[&str]| {
+            names.clear();
+            list.iter().for_each(|name| names.push(name.as_bytes()));
+        };
+        let mut names = Names::default();
+        for list in [&["a", "b", "c"][..], &["a", "bb", "c"], &["a"], &[], &["a", "b", "c"]] {
+            of(&mut names, list);
+            let mut fresh = Names::default();
+            of(&mut fresh, list);
+            assert_eq!(names.iter().collect::<Vec<_>>(), list);
+            assert_eq!(names, fresh);
+            assert_eq!(names.get(list.len()), None);
+        }
+        of(&mut names, &["a", "b"]);
+        let mut other = Names::default();
+        of(&mut other, &["ab", ""]);
+        assert_ne!(names, other);
     }
 
     #[test]

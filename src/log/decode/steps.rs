@@ -50,6 +50,8 @@ enum Op {
     Nanoseconds(Primitive),
     /// Read into one of [`Row::numbers`].
     Number(Primitive, usize),
+    /// Read doubles that follow each other into as many of [`Row::numbers`].
+    Doubles(std::ops::Range<usize>),
     /// Read into one of [`Row::lists`].
     List(Primitive, Count, usize),
     /// Read into one of [`Row::texts`].
@@ -183,6 +185,7 @@ impl Op {
             Op::Seconds(primitive) => row.seconds = cursor.integer(primitive)?,
             Op::Nanoseconds(primitive) => row.nanoseconds = cursor.integer(primitive)?,
             Op::Number(primitive, index) => row.numbers[index] = cursor.number(primitive)?,
+            Op::Doubles(ref range) => cursor.doubles(&mut row.numbers[range.clone()])?,
             Op::List(primitive, count, index) => {
                 let count = count.of(cursor)?;
                 cursor.numbers(primitive, count, &mut row.lists[index])?;
@@ -254,6 +257,7 @@ impl<'a> Compiler<'a> {
             return Err(unreadable(&steps).unwrap_or(missing));
         }
         trim(&mut steps);
+        join(&mut steps);
         unreadable(&steps).map_or(Ok(steps), Err)
     }
 
@@ -447,6 +451,27 @@ impl<'a> Compiler<'a> {
         }
         Ok(())
     }
+}
+
+/// Makes one step of doubles that follow each other, on the wire and in the row.
+fn join(steps: &mut Vec<Step>) {
+    let mut joined: Vec<Step> = Vec::with_capacity(steps.len());
+    for mut step in steps.drain(..) {
+        if let Op::Repeat { steps, .. } | Op::Delimited { steps, .. } = &mut step.op {
+            join(steps);
+        }
+        if let Op::Number(Primitive::F64, index) = step.op {
+            if let Some(Step { op: Op::Doubles(range), .. }) = joined.last_mut()
+                && range.end == index
+            {
+                range.end += 1;
+                continue;
+            }
+            step.op = Op::Doubles(index..index + 1);
+        }
+        joined.push(step);
+    }
+    *steps = joined;
 }
 
 /// Cuts off what follows the last wanted field: it need not be walked. Within the elements of an

@@ -5,7 +5,7 @@
 
 use mcap::records::op;
 
-use crate::log::unpack::{Allowance, Compression, UnpackError, Unpacker};
+use crate::log::unpack::{Allowance, Compression, Packed, Unpacker};
 
 /// Bytes before a record's body: its opcode and its length.
 pub(super) const FRAME_HEADER: usize = 9;
@@ -118,17 +118,6 @@ const MAX_COMPRESSION_NAME: u32 = 16;
 /// Bytes of a chunk's fields without its compression's name and its data.
 const CHUNK_HEADER: usize = 8 + 8 + 8 + 4 + 4 + 8;
 
-/// Why the records of a chunk cannot be read.
-#[derive(Debug, thiserror::Error)]
-pub(super) enum ChunkError {
-    #[error("chunk is compressed by `{found}`, expected `zstd`, `lz4` or none")]
-    Compression { found: String },
-    #[error(transparent)]
-    Unpack(#[from] UnpackError),
-    #[error("chunk fails its checksum ({found:08x}, its header says {expected:08x})")]
-    Crc { expected: u32, found: u32 },
-}
-
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Schema<'a> {
     pub(super) id: u16,
@@ -226,23 +215,10 @@ impl<'a> Chunk<'a> {
         }
     }
 
-    /// The records of a whole chunk, of the size and with the checksum that its header says.
-    pub(super) fn records<'b>(
-        &'b self,
-        unpacker: &'b mut Unpacker,
-        allowance: &mut Allowance,
-    ) -> Result<&'b [u8], ChunkError> {
-        let found = || self.compression.to_owned();
-        let compression =
-            self.compression().ok_or_else(|| ChunkError::Compression { found: found() })?;
-        let records = unpacker.chunk(compression, self.data, self.size, allowance)?;
-        if self.crc != 0 {
-            let found = crc32fast::hash(records);
-            if found != self.crc {
-                return Err(ChunkError::Crc { expected: self.crc, found });
-            }
-        }
-        Ok(records)
+    /// The compressed records; `None` where their compression is unknown.
+    pub(super) fn packed(&self) -> Option<Packed<'a>> {
+        let compression = self.compression()?;
+        Some(Packed { compression, data: self.data, size: self.size, crc: self.crc })
     }
 
     /// The records at the beginning of a chunk whose end is missing, as far as they can be unpacked.
@@ -261,12 +237,33 @@ impl<'a> Chunk<'a> {
     }
 }
 
-/// How many messages a message index lists.
-pub(super) fn indexed_messages(body: &[u8]) -> Option<u64> {
-    const ENTRY: u32 = 16;
-    let mut fields = Fields(body);
-    let _channel_id = fields.u16()?;
-    Some((fields.u32()? / ENTRY).into())
+/// The messages of one channel in a chunk.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct MessageIndex<'a> {
+    pub(super) channel_id: u16,
+    /// Log time and place of each.
+    entries: &'a [[u8; 16]],
+}
+
+impl<'a> MessageIndex<'a> {
+    pub(super) fn parse(body: &'a [u8]) -> Option<Self> {
+        let mut fields = Fields(body);
+        let (channel_id, length) = (fields.u16()?, fields.u32()?);
+        let (entries, _) = fields.bytes(length.into())?.as_chunks();
+        Some(Self { channel_id, entries })
+    }
+
+    /// How many messages there are.
+    pub(super) fn count(&self) -> u64 {
+        self.entries.len() as u64
+    }
+
+    /// Their first and last log time, ns; `None` where there is no message.
+    pub(super) fn span(&self) -> Option<(u64, u64)> {
+        let time = |entry: &[u8; 16]| Fields(entry).u64();
+        let times = || self.entries.iter().filter_map(time);
+        times().min().zip(times().max())
+    }
 }
 
 #[derive(Clone, Copy, Debug)]

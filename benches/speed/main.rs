@@ -1,0 +1,176 @@
+//! How fast logs are read and audited, as ratios to the least that reading them can cost.
+//!
+//! The floor is the `mcap` crate's own message stream over the same mapped file: every chunk is
+//! unpacked and its checksum looked at, and nothing decoded, on one thread. Floor and audit run in
+//! turn as whole processes, and ratios are taken pair by pair, so that they hold on a machine whose
+//! speed drifts.
+//!
+//! ```sh
+//! cargo bench --bench speed                        # the whole table, with logs of 2.5 million messages
+//! cargo bench --bench speed -- --messages 250000   # the same with smaller logs
+//! cargo bench --bench speed -- --keep /tmp/logs    # and keeps them
+//! ```
+
+mod logs;
+mod process;
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use mcap::read::{Options, RawMessageStream};
+use poseaudit::log::{self, ReadOptions};
+use poseaudit::robot::catalogue;
+use poseaudit::run::{Run, RunOptions};
+
+use logs::Logs;
+use process::{Cost, Pairs};
+
+/// Messages of the largest log unless told otherwise.
+const MESSAGES: u64 = 2_500_000;
+/// Pairs of runs a ratio is the median of.
+const PAIRS: usize = 5;
+
+fn main() -> Result<()> {
+    let arguments: Vec<String> =
+        std::env::args().skip(1).filter(|word| word != "--bench").collect();
+    if let [mode, path] = arguments.as_slice()
+        && mode == "--floor"
+    {
+        return floor(Path::new(path));
+    }
+    let value = |name: &str| {
+        let at = arguments.iter().position(|word| word == name)?;
+        arguments.get(at + 1)
+    };
+    let messages = value("--messages").map_or(Ok(MESSAGES), |text| text.parse())?;
+    let scratch = tempfile::tempdir()?;
+    let folder = value("--keep").map_or(scratch.path().to_owned(), PathBuf::from);
+    std::fs::create_dir_all(&folder)?;
+    let logs = Logs::made(&folder, messages)?;
+
+    println!("Whole processes; ratios to the floor are medians of {PAIRS} pairs.\n");
+    println!(
+        "{:34} {:>9} {:>8} {:>7} {:>7} {:>7} {:>7} {:>9} {:>9}",
+        "log", "messages", "MB", "info", "audit", "cpu", "verify", "Mmsg/s", "RssAnon"
+    );
+    for log in &logs.mcap {
+        let pairs = |command: &[&str]| Pairs::measure(command, &log.path, PAIRS);
+        let info = pairs(&["info"])?;
+        let audit = pairs(&["audit", "--format", "json", "--fail-on", "never"])?;
+        let verify = pairs(&["audit", "--format", "json", "--fail-on", "never", "--verify"])?;
+        println!(
+            "{:34} {:>9} {:>8.0} {:>6.2}× {:>6.2}× {:>6.2}× {:>6.2}× {:>9.2} {:>5.0} MiB",
+            log.name,
+            log.messages,
+            log.bytes as f64 / 1e6,
+            info.wall,
+            audit.wall,
+            audit.cpu,
+            verify.wall,
+            log.messages as f64 / audit.own.wall_s / 1e6,
+            audit.own.anonymous_mib,
+        );
+    }
+
+    println!("\nThe same arm in other containers, whole audit, against its MCAP's floor:");
+    for log in &logs.others {
+        let audit = Pairs::measure_against(
+            &["audit", "--format", "json", "--fail-on", "never", "--robot", "ur5e"],
+            &log.path,
+            &logs.yardstick().path,
+            PAIRS,
+        )?;
+        println!(
+            "{:34} {:>9} {:>8.0} {:>6.2}× {:>6.2}× cpu",
+            log.name,
+            log.messages,
+            log.bytes as f64 / 1e6,
+            audit.wall,
+            audit.cpu
+        );
+    }
+
+    println!("\nGrowth with length, whole audit:");
+    let mut last: Option<(u64, Cost)> = None;
+    for log in &logs.lengths {
+        let cost = Pairs::measure(&["audit", "--format", "json"], &log.path, PAIRS)?.own;
+        let exponent = last.map(|(messages, before)| {
+            let longer = log.messages as f64 / messages as f64;
+            (cost.cpu_s / before.cpu_s).ln() / longer.ln()
+        });
+        let exponent = exponent.map_or(String::new(), |exponent| format!("exponent {exponent:.2}"));
+        println!("{:34} {:>9} {:>8.2} s cpu  {exponent}", log.name, log.messages, cost.cpu_s);
+        last = Some((log.messages, cost));
+    }
+
+    stages(&logs.yardstick().path)?;
+    forward_kinematics()
+}
+
+/// Reads a file as the floor does.
+fn floor(path: &Path) -> Result<()> {
+    let file = std::fs::File::open(path)?;
+    // SAFETY: nobody else writes the benchmark's own log.
+    let map = unsafe { memmap2::Mmap::map(&file) }?;
+    let stream = RawMessageStream::new_with_options(&map, Options::ValidateChunkCrcs.into())?;
+    let (mut messages, mut bytes) = (0_u64, 0);
+    for message in stream {
+        bytes += message?.data.len();
+        messages += 1;
+    }
+    println!("{messages} messages of {bytes} bytes");
+    Ok(())
+}
+
+/// What each stage takes of an audit within one process, wall time.
+fn stages(path: &Path) -> Result<()> {
+    let paths = [path.to_owned()];
+    let started = Instant::now();
+    let log = log::open(&paths, &ReadOptions::default())?;
+    let read_s = started.elapsed().as_secs_f64();
+    let run = Run::assemble(log, &RunOptions::default())?;
+    let assembled_s = started.elapsed().as_secs_f64() - read_s;
+    drop(run);
+    let started = Instant::now();
+    let options = poseaudit::Options { logs: paths.to_vec(), ..Default::default() };
+    poseaudit::audit(&options).map_err(|trouble| anyhow::anyhow!("{trouble:?}"))?;
+    let all_s = started.elapsed().as_secs_f64();
+    println!("\nStages of an audit, wall time:");
+    for (stage, seconds) in [
+        ("read and decode", read_s),
+        ("assemble: clocks, roles, rhythms", assembled_s),
+        ("diagnose, rules, report", all_s - read_s - assembled_s),
+    ] {
+        println!("{stage:34} {:>6.3} s {:>5.0} %", seconds, 100.0 * seconds / all_s);
+    }
+    Ok(())
+}
+
+/// Poses a second on one core.
+fn forward_kinematics() -> Result<()> {
+    const POSES: usize = 1_000_000;
+    let robot = catalogue::find("ur5e").context("the catalogue has a UR5e")?;
+    let link = |name: &str| robot.link(name).context("a UR5e has that link");
+    let chain = robot.chain(link("base_link")?, link("tool0")?)?;
+    let mut jacobian = vec![[0.0; 6]; chain.dof()];
+    println!("\nForward kinematics of a UR5e, one core:");
+    for with_jacobian in [false, true] {
+        let mut q = vec![0.3; chain.dof()];
+        let mut sum = 0.0;
+        let started = Instant::now();
+        for _ in 0..POSES {
+            q.iter_mut().for_each(|q| *q += 1e-3);
+            let pose = match with_jacobian {
+                false => chain.forward(&q),
+                true => chain.forward_with_jacobian(&q, &mut jacobian),
+            };
+            sum += pose.translation.x;
+        }
+        std::hint::black_box(sum);
+        let rate = POSES as f64 / started.elapsed().as_secs_f64();
+        let what = if with_jacobian { "pose and Jacobian" } else { "pose" };
+        println!("{what:34} {:>6.2} million/s", rate / 1e6);
+    }
+    Ok(())
+}

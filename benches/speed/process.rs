@@ -1,0 +1,109 @@
+//! Whole processes, and what they cost.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, ensure};
+
+/// What one process cost.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Cost {
+    /// From start to exit, s.
+    pub wall_s: f64,
+    /// User and system time of all its threads, s.
+    pub cpu_s: f64,
+    /// Largest memory that is its own and not a mapped file's, MiB; 0 where the system does not say.
+    pub anonymous_mib: f64,
+}
+
+/// A command beside the floor: medians over pairs of runs.
+pub struct Pairs {
+    /// Wall time over the floor's.
+    pub wall: f64,
+    /// Processor time over the floor's.
+    pub cpu: f64,
+    /// What the command cost.
+    pub own: Cost,
+}
+
+impl Pairs {
+    /// Runs `poseaudit COMMAND LOG` and the floor in turn.
+    pub fn measure(command: &[&str], log: &Path, pairs: usize) -> Result<Self> {
+        Self::measure_against(command, log, log, pairs)
+    }
+
+    /// The same with the floor over another file.
+    pub fn measure_against(
+        command: &[&str],
+        log: &Path,
+        floor: &Path,
+        pairs: usize,
+    ) -> Result<Self> {
+        let bench = std::env::current_exe()?;
+        let mut costs = Vec::new();
+        for _ in 0..=pairs {
+            let mut floor_of = Command::new(&bench);
+            let mut own = Command::new(env!("CARGO_BIN_EXE_poseaudit"));
+            costs
+                .push((run(own.args(command).arg(log))?, run(floor_of.arg("--floor").arg(floor))?));
+        }
+        // The first pair finds the file not yet in memory.
+        costs.remove(0);
+        let median = |of: &dyn Fn(&(Cost, Cost)) -> f64| {
+            let mut values: Vec<f64> = costs.iter().map(of).collect();
+            values.sort_by(f64::total_cmp);
+            values[values.len() / 2]
+        };
+        Ok(Self {
+            wall: median(&|(own, floor)| own.wall_s / floor.wall_s),
+            cpu: median(&|(own, floor)| own.cpu_s / floor.cpu_s),
+            own: Cost {
+                wall_s: median(&|(own, _)| own.wall_s),
+                cpu_s: median(&|(own, _)| own.cpu_s),
+                anonymous_mib: median(&|(own, _)| own.anonymous_mib),
+            },
+        })
+    }
+}
+
+/// Runs a command to its end; a status above 1 is an error.
+fn run(command: &mut Command) -> Result<Cost> {
+    let before = children_s();
+    let started = Instant::now();
+    let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn()?;
+    let (mut anonymous_mib, mut status) = (0.0_f64, None);
+    while status.is_none() {
+        std::thread::sleep(Duration::from_millis(2));
+        anonymous_mib = anonymous_mib.max(anonymous(&child).unwrap_or(0.0));
+        status = child.try_wait()?;
+    }
+    let wall_s = started.elapsed().as_secs_f64();
+    let code = status.and_then(|status| status.code());
+    ensure!(matches!(code, Some(0 | 1)), "{command:?} ended with {code:?}");
+    Ok(Cost { wall_s, cpu_s: children_s() - before, anonymous_mib })
+}
+
+/// Anonymous memory of a process, MiB.
+fn anonymous(child: &Child) -> Result<f64> {
+    let status = fs::read_to_string(format!("/proc/{}/status", child.id()))?;
+    let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:"));
+    let kilobytes: f64 = line
+        .and_then(|line| line.split_whitespace().next())
+        .context("the system does not say")?
+        .parse()?;
+    Ok(kilobytes / 1024.0)
+}
+
+/// Processor time of all children that have ended, s.
+fn children_s() -> f64 {
+    // SAFETY: an all-zero `rusage` is a valid one, and the call writes nothing else.
+    let usage = unsafe {
+        let mut usage: libc::rusage = std::mem::zeroed();
+        libc::getrusage(libc::RUSAGE_CHILDREN, &mut usage);
+        usage
+    };
+    let seconds = |time: libc::timeval| time.tv_sec as f64 + time.tv_usec as f64 * 1e-6;
+    seconds(usage.ru_utime) + seconds(usage.ru_stime)
+}

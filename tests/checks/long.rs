@@ -1,0 +1,62 @@
+//! Runs so long that the estimators see excerpts of them.
+
+use poseaudit::finding::Status;
+use poseaudit::synth::{IMU, JOINT_STATES, POSE, TF};
+
+use crate::case::What::{Amount, Degrees, DegreesAMinute};
+use crate::case::{Log, the};
+use crate::zer::zero;
+
+/// Twelve minutes, at rates that keep the log small.
+fn long(change: impl FnOnce(&mut Log)) -> Log {
+    Log::with(|log| {
+        log.run.duration_s = 720.0;
+        for timing in [
+            &mut log.run.joints.timing,
+            &mut log.run.pose.timing,
+            &mut log.run.tf.timing,
+            &mut log.run.imu.timing,
+        ] {
+            timing.rate_hz = 25.0;
+        }
+        change(log);
+    })
+}
+
+#[test]
+fn faults_of_a_long_run_are_found_with_their_amounts() {
+    let report = long(|log| {
+        log.run.pose.timing.latency_s = 0.015;
+        log.run.joints.zero_offsets = zero(2, 0.4);
+        log.run.imu.yaw_drift_rad_s = 2.5_f64.to_radians() / 60.0;
+    })
+    .audited();
+    assert_eq!(report.findings.len(), 3, "{:#?}", report.findings);
+    for (code, label, what) in [
+        ("LAT001", POSE, Amount(0.015, 0.2e-3)),
+        ("ZER001", "elbow_joint", Degrees(0.4, 0.02)),
+        ("YAW001", IMU, DegreesAMinute(2.5, 0.05)),
+    ] {
+        what.assert_is(the(&report, code, label).estimate.as_ref());
+    }
+    let notes = &report.log.notes;
+    assert!(notes.iter().any(|note| note.note.contains("24 excerpts of 12 s")), "{notes:?}");
+}
+
+#[test]
+fn a_skew_shows_over_the_whole_of_a_long_run() {
+    let report = long(|log| log.run.pose.timing.skew = 100e-6).audited();
+    Amount(100e-6, 2e-6).assert_is(the(&report, "LAT002", POSE).estimate.as_ref());
+}
+
+#[test]
+fn a_sound_long_run_passes_and_is_counted_whole() {
+    let report = long(|_| {}).audited();
+    assert!(report.findings.is_empty(), "{:#?}", report.findings);
+    assert!(report.checks.iter().all(|row| row.status == Status::Pass), "{:#?}", report.checks);
+    for topic in [JOINT_STATES, POSE, TF, IMU] {
+        let row = report.streams.iter().find(|row| row.topic == topic);
+        let count = row.map_or(0, |row| row.count);
+        assert!((17_990..=18_001).contains(&count), "{topic}: {count} rows");
+    }
+}
