@@ -7,7 +7,7 @@ use std::sync::Arc;
 use polars::prelude::PolarsResult;
 
 use crate::checks::{
-    ArmFacts, Declared, EvaluatedPart, Evaluation, Facts, ImuFacts, JointFacts, PoseFacts,
+    ArmFacts, Declared, Due, EvaluatedPart, Evaluation, Facts, ImuFacts, JointFacts, PoseFacts,
     RhythmFacts, Settings, StampFacts, UndecodableTopic, evaluate, merged,
 };
 use crate::diagnosis::{
@@ -26,7 +26,7 @@ use crate::run::{
     Arm, CalibrationSource, Declaration, Excerpts, HeaderStamps, ImuSource, PoseSource,
     RobotSource, Role, Run, RunOptions, Segment, Stream, Witness, segments,
 };
-use crate::stream::{Columns, DeclaredUnits, Orientations, PoseTrack};
+use crate::stream::{Columns, DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack};
 use crate::tables::aligned_frame;
 use crate::time::Clock;
 
@@ -226,7 +226,7 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
         Err(Unseen::NotExcited) => {
             ImuDiagnosis::unseen(&Unseen::RestsOn("the order and the unit of the joint positions"))
         }
-        _ => diagnose_imu(&corrected, &imu_stream(source), most_lag_s),
+        _ => diagnose_imu_steadied(&corrected, source, most_lag_s),
     };
     let (tf, imus) = rayon::join(tf, || arm.imus.iter().map(imu).collect());
     Diagnosis { arm: diagnosis, tf, imus }
@@ -254,6 +254,30 @@ fn diagnose_steadied(arm: &Arm, streams: &[PoseStream], most_lag_s: f64) -> ArmD
         steady.course = found.course;
     }
     steady
+}
+
+/// The diagnosis of an IMU; where its latency is not steady, that of the IMU as it would be if it
+/// were.
+fn diagnose_imu_steadied(joints: &JointTrack, source: &ImuSource, most_lag_s: f64) -> ImuDiagnosis {
+    let stream = imu_stream(source);
+    let found = diagnose_imu(joints, &stream, most_lag_s);
+    let Some(course) = found.latency_course.as_ref().ok().filter(|course| course.is_unsteady)
+    else {
+        return found;
+    };
+    let track = stream.track;
+    let rows = course.straightened(&track.t_s);
+    let track = ImuTrack {
+        t_s: rows.iter().map(|&(_, t_s)| t_s).collect(),
+        orientation: rows
+            .iter()
+            .filter_map(|&(row, _)| track.orientation.get(row).copied())
+            .collect(),
+        gyro: rows.iter().map(|&(row, _)| track.gyro[row]).collect(),
+        accel: rows.iter().map(|&(row, _)| track.accel[row]).collect(),
+    };
+    let steady = diagnose_imu(joints, &ImuStream { track: &track, ..stream }, most_lag_s);
+    ImuDiagnosis { latency_course: found.latency_course, ..steady }
 }
 
 /// The poses of a stream at the stamps that they would have if its latency were steady; `None` where
@@ -299,10 +323,12 @@ fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read) -> Facts {
         run.arms.iter().zip(diagnoses).map(|(arm, diagnosis)| arm_facts(run, arm, diagnosis));
     let stamps = run.clocks.iter().filter_map(|clock| {
         let stream = run.streams.get(clock.stream)?;
-        is_audited(stream).then(|| StampFacts {
+        Some(StampFacts {
             robot: stream.arm.and_then(|arm| run.arms.get(arm)).map(|arm| arm.name.clone()),
             topic: stream.topic.clone(),
             span: span_of(run, clock.stream),
+            frame: frame_of_several(run, stream),
+            due: due(run, stream)?,
             clock: clock.clone(),
         })
     });
@@ -320,19 +346,35 @@ fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read) -> Facts {
     }
 }
 
-/// Whether the rules about stamps are asked about a stream.
-fn is_audited(stream: &Stream) -> bool {
-    matches!(stream.role, Role::Joints | Role::Pose | Role::Tf | Role::Imu)
+/// When the samples of a stream are due; `None` where the rules about stamps are not asked about it.
+fn due(run: &Run, stream: &Stream) -> Option<Due> {
+    match stream.role {
+        Role::Joints | Role::Imu => Some(Due::Always),
+        // Without an arm, nothing says which of the transforms must be there.
+        Role::Tf if run.arms.is_empty() => Some(Due::Untold),
+        Role::Pose | Role::Tf => Some(Due::InMotion),
+        Role::Candidate { .. } | Role::Unassigned => Some(Due::Untold),
+        Role::Reference | Role::Target => Some(Due::OnOccasion),
+        Role::TfStatic | Role::Description | Role::Ignored => None,
+    }
+}
+
+/// The frame whose poses a stream holds, where its topic is that of other streams, too.
+fn frame_of_several(run: &Run, stream: &Stream) -> Option<String> {
+    let of_topic = run.streams.iter().filter(|other| other.topic == stream.topic);
+    let is_one_of_several = of_topic.count() > 1 && !stream.child_frame_id.is_empty();
+    is_one_of_several.then(|| stream.child_frame_id.clone())
 }
 
 fn rhythms(run: &Run) -> Vec<RhythmFacts> {
     let rhythms = run.rhythms.iter().filter_map(|rhythm| {
-        let stream = run.streams.get(rhythm.stream).filter(|stream| is_audited(stream))?;
+        let stream = run.streams.get(rhythm.stream)?;
         Some(RhythmFacts {
             robot: stream.arm.and_then(|arm| run.arms.get(arm)).map(|arm| arm.name.clone()),
             topic: stream.topic.clone(),
             span: span_of(run, rhythm.stream),
-            on_change: matches!(stream.role, Role::Pose | Role::Tf),
+            frame: frame_of_several(run, stream),
+            due: due(run, stream)?,
             parts: rhythm.parts.clone(),
             extent: rhythm.extent,
         })

@@ -15,9 +15,9 @@ pub struct Facts {
     pub robots: Vec<ArmFacts>,
     /// Why there is none, where there is none.
     pub no_robot: Option<String>,
-    /// Every stream that plays a role, by its stamps.
+    /// Every stream that plays a part, by its stamps.
     pub stamps: Vec<StampFacts>,
-    /// Every stream that plays a role, by how regularly it comes.
+    /// Every stream that plays a part, by how regularly it comes.
     pub rhythms: Vec<RhythmFacts>,
     /// Topics that would play a role, and hold no message.
     pub empty: Vec<Subject>,
@@ -205,6 +205,26 @@ pub struct ImuFacts {
     pub independent: bool,
 }
 
+/// When the samples of a stream are due.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Due {
+    /// From the first of the run to the last: joint states, an IMU.
+    Always,
+    /// At least while the arm moves: poses and transforms may be sent on change.
+    InMotion,
+    /// Nobody knows, as nothing says what the stream is.
+    Untold,
+    /// When there is something to say: commands, and what a camera sees.
+    OnOccasion,
+}
+
+impl Due {
+    /// Whether an audit rests on the stream, so that it must be there.
+    pub fn is_expected(self) -> bool {
+        matches!(self, Due::Always | Due::InMotion)
+    }
+}
+
 /// The stamps of one stream.
 #[derive(Clone, Debug)]
 pub struct StampFacts {
@@ -214,6 +234,10 @@ pub struct StampFacts {
     pub topic: String,
     /// First and last stamp used.
     pub span: Option<Span>,
+    /// The frame whose poses they are, where the topic has those of several.
+    pub frame: Option<String>,
+    /// When its samples are due.
+    pub due: Due,
     /// What its headers say, and whose time that is.
     pub clock: StreamClock,
 }
@@ -224,7 +248,7 @@ impl StampFacts {
         Subject {
             robot: self.robot.clone(),
             topic: Some(self.topic.clone()),
-            frame: self.clock.frame.clone(),
+            frame: self.clock.frame.clone().or_else(|| self.frame.clone()),
             joint: None,
         }
     }
@@ -239,9 +263,10 @@ pub struct RhythmFacts {
     pub topic: String,
     /// First and last stamp used.
     pub span: Option<Span>,
-    /// Whether it may rightly be silent while the arm rests: poses and transforms are, where they
-    /// are sent on change.
-    pub on_change: bool,
+    /// The frame whose poses they are, where the topic has those of several.
+    pub frame: Option<String>,
+    /// When its samples are due.
+    pub due: Due,
     /// The rhythm of each of its senders, or of each transform.
     pub parts: Vec<Cadence>,
     /// How it lies against the other streams.
@@ -254,7 +279,7 @@ impl RhythmFacts {
     pub fn subject(&self, concerned: &[&Cadence]) -> Subject {
         let frame = match concerned {
             [only] if self.parts.len() > 1 => only.frame.clone(),
-            _ => None,
+            _ => self.frame.clone(),
         };
         Subject {
             robot: self.robot.clone(),

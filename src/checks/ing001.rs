@@ -57,18 +57,10 @@ fn judge(loss: &Loss) -> Judged {
             (Severity::Error, "messages are lost", "record again, or audit the sound part alone")
         }
     };
-    let place = loss.offset.map_or_else(String::new, |offset| format!(" at byte {offset}"));
-    let mut lost = match loss.messages {
-        Some(messages) => format!(", {messages} messages lost"),
-        None => String::new(),
-    };
-    if let Some((start, end)) = loss.span {
-        lost += &format!(" of {:.3} s", end.seconds_since(start));
-    }
     let fault = Fault {
         severity,
         title,
-        message: format!("{}{place}{lost}", loss.what),
+        message: message(loss),
         evidence: Evidence::default(),
         fix: fix.to_owned(),
     };
@@ -76,4 +68,50 @@ fn judge(loss: &Loss) -> Judged {
         .within(loss.span.map(|(start, end)| Span { start, end }))
         .with_evidence("offset", loss.offset)
         .with_evidence("messages_lost", loss.messages)
+}
+
+/// Where it is, what it is, and what it took.
+fn message(loss: &Loss) -> String {
+    let place = loss.offset.map_or_else(String::new, |offset| format!("at byte {offset}: "));
+    let seconds = loss.span.map(|(start, end)| end.seconds_since(start));
+    let lost = match (loss.messages, seconds) {
+        (None, None) => String::new(),
+        (None, Some(seconds)) => format!("; what is lost lasts {seconds:.3} s"),
+        (Some(0), _) => "; no message is lost".to_owned(),
+        (Some(1), _) => "; one message is lost".to_owned(),
+        (Some(messages), None) => format!("; {messages} messages are lost"),
+        (Some(messages), Some(seconds)) => {
+            format!("; {messages} messages within {seconds:.3} s are lost")
+        }
+    };
+    format!("{place}{}{lost}", loss.what)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::time::Stamp;
+
+    #[test]
+    fn the_place_stands_first_and_what_is_lost_last() {
+        const WHAT: &str = "the file ends within a chunk; 813 messages of it were read";
+        let span = Some((Stamp::from_nanos(2_000_000_000), Stamp::from_nanos(2_512_000_000)));
+        for (offset, messages, span, expected) in [
+            (Some(38), None, None, format!("at byte 38: {WHAT}")),
+            (None, Some(0), None, format!("{WHAT}; no message is lost")),
+            (None, Some(1), span, format!("{WHAT}; one message is lost")),
+            (None, Some(12), None, format!("{WHAT}; 12 messages are lost")),
+            (
+                Some(38),
+                Some(12),
+                span,
+                format!("at byte 38: {WHAT}; 12 messages within 0.512 s are lost"),
+            ),
+            (None, None, span, format!("{WHAT}; what is lost lasts 0.512 s")),
+        ] {
+            let (file, what) = ("run.mcap".into(), WHAT.to_owned());
+            let loss = Loss { file, offset, what, messages, span, extent: Extent::Tail };
+            assert_eq!(message(&loss), expected);
+        }
+    }
 }

@@ -1,9 +1,9 @@
 use serde_json::{Value, json};
 
 use crate::checks::decision::{Decision, Figure, decide, unseen};
-use crate::checks::{ArmFacts, Facts, Grade, Judged, PoseFacts};
-use crate::diagnosis::{LatencyCourse, PoseDiagnosis};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::checks::{ArmFacts, Facts, Grade, Judged};
+use crate::diagnosis::{LatencyCourse, LatencyJump, Seen};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Span, Unit};
 
 rule! {
     /// The latency of a stream jumps or wanders within the run.
@@ -19,7 +19,7 @@ rule! {
     ///
     /// ## Evidence
     /// The latency in windows of a second, from how the stream lies behind forward kinematics along
-    /// the motion. The estimate is the largest jump (positive where the stream is later from then
+    /// the motion; of an IMU by its orientation, or where it has none by its gyro. The estimate is the largest jump (positive where the stream is later from then
     /// on), or from least to most where it wanders; `jumps` says when each was. The other rules judge
     /// the stream with this taken off, at the latency that it has longest.
     ///
@@ -28,15 +28,16 @@ rule! {
     /// on the machine or the network at the moment of a jump.
     ///
     /// ## When it misleads
-    /// A latency that grows steadily is LAT002. Where all streams of an arm jump at one moment, it is
-    /// the joint states that did. At rest a latency does nothing, so a jump is dated to the next
-    /// motion.
+    /// A latency that grows steadily is LAT002. Where two or more independent streams of an arm jump at
+    /// one moment by the same amount and none stays, it is the joint states that jumped the other way,
+    /// and the one finding is on them; with a single stream nobody can tell. At rest a latency does
+    /// nothing, so a jump is dated to the next motion.
     LAT003 {
         name: "unsteady-latency",
         grade: Grade::From(&[FIGURE]),
         headline: false,
         needs_model: true,
-        missing: "no pose or /tf stream beside the joint states",
+        missing: "no pose, /tf or IMU stream beside the joint states",
         check: check,
     }
 }
@@ -46,28 +47,100 @@ const FIGURE: Figure = Figure { unit: Unit::Second, warning: 5e-3, error: 20e-3 
 /// What would tell where it could not be told.
 const SETTLE: &str = "record 10 s or more of motion that starts and stops";
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let subjects = facts.subjects();
-    let arms = facts.robots.iter();
-    arms.flat_map(|arm| {
-        arm.poses_and_tf().map(move |(stream, found)| judge(facts, arm, stream, found, subjects))
-    })
-    .collect()
+/// A stream, as far as this rule looks at it.
+struct Stream<'a> {
+    topic: &'a str,
+    span: Span,
+    /// Whether its stamps are its own.
+    independent: bool,
+    course: &'a Seen<LatencyCourse>,
 }
 
-fn judge(
-    facts: &Facts,
-    arm: &ArmFacts,
-    stream: &PoseFacts,
-    found: &PoseDiagnosis,
-    subjects: usize,
-) -> Judged {
-    let subject = arm.topic(&stream.topic);
-    let course = match &found.course {
+fn check(facts: &Facts) -> Vec<Judged> {
+    facts.robots.iter().flat_map(|arm| judge_arm(facts, arm)).collect()
+}
+
+fn judge_arm(facts: &Facts, arm: &ArmFacts) -> Vec<Judged> {
+    let poses = arm.poses_and_tf().map(|(stream, diagnosis)| Stream {
+        topic: &stream.topic,
+        span: stream.span,
+        independent: stream.independent,
+        course: &diagnosis.course,
+    });
+    let imus = arm.imus.iter().map(|(imu, diagnosis)| Stream {
+        topic: &imu.topic,
+        span: imu.span,
+        independent: imu.independent,
+        course: &diagnosis.latency_course,
+    });
+    let streams: Vec<Stream> = poses.chain(imus).collect();
+    let Some(course) = joints_course(&streams, facts.subjects()) else {
+        return streams.iter().map(|stream| judge(facts, arm, stream)).collect();
+    };
+    let beside = |stream: &Stream| match stream.course {
+        Ok(course) if stream.independent => {
+            let remark = format!("what it jumps by is {}'s", arm.joints_topic);
+            Judged::new(arm.topic(stream.topic), Outcome::sound_because(remark))
+                .within(stream.span)
+                .estimated(estimate(course))
+        }
+        _ => judge(facts, arm, stream),
+    };
+    let joints =
+        Stream { topic: &arm.joints_topic, span: arm.span, independent: true, course: &Ok(course) };
+    std::iter::once(judge(facts, arm, &joints)).chain(streams.iter().map(beside)).collect()
+}
+
+/// The course of the joint states' own latency, where two or more independent streams jump together
+/// and none stays.
+fn joints_course(streams: &[Stream], subjects: usize) -> Option<LatencyCourse> {
+    /// Jumps so close together are one, s: each is dated to a window or to the next motion.
+    const TOGETHER_S: f64 = 1.5;
+    let mut witnesses: Vec<&LatencyCourse> = Vec::new();
+    for course in
+        streams.iter().filter(|one| one.independent).filter_map(|one| one.course.as_ref().ok())
+    {
+        match decide(&course.swing_s, &FIGURE, subjects) {
+            Decision::Fail(_) if !course.jumps.is_empty() => witnesses.push(course),
+            Decision::Undecided(_) => {}
+            Decision::Fail(_) | Decision::Pass => return None,
+        }
+    }
+    let by_error = |a: &&&LatencyCourse, b: &&&LatencyCourse| {
+        a.swing_s.std_error.total_cmp(&b.swing_s.std_error)
+    };
+    let surest = *witnesses.iter().min_by(by_error).filter(|_| witnesses.len() >= 2)?;
+    let is_shared = |jump: &LatencyJump| {
+        let is_same = |other: &LatencyJump| {
+            let by_s = FIGURE.warning + 2.0 * jump.size_s.std_error.hypot(other.size_s.std_error);
+            (other.at_s - jump.at_s).abs() < TOGETHER_S
+                && (other.size_s.value - jump.size_s.value).abs() < by_s
+        };
+        witnesses.iter().all(|course| course.jumps.iter().any(is_same))
+    };
+    let is_one = |course: &LatencyCourse| course.jumps.len() == surest.jumps.len();
+    let shared = surest.jumps.iter().all(is_shared) && witnesses.iter().all(|one| is_one(one));
+    let turned = |jump: &LatencyJump| LatencyJump { size_s: jump.size_s.scaled(-1.0), ..*jump };
+    shared.then(|| LatencyCourse {
+        swing_s: surest.swing_s.scaled(-1.0),
+        is_unsteady: true,
+        jumps: surest.jumps.iter().map(turned).collect(),
+        levels: surest.levels.iter().map(|&(at_s, level_s)| (at_s, -level_s)).collect(),
+    })
+}
+
+fn estimate(course: &LatencyCourse) -> Estimate {
+    let name = if course.jumps.is_empty() { "latency swing" } else { "latency jump" };
+    Estimate::amount(name, FIGURE.unit, &course.swing_s)
+}
+
+fn judge(facts: &Facts, arm: &ArmFacts, stream: &Stream) -> Judged {
+    let subject = arm.topic(stream.topic);
+    let course = match stream.course {
         Ok(course) => course,
         Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(stream.span),
     };
-    let outcome = match decide(&course.swing_s, &FIGURE, subjects) {
+    let outcome = match decide(&course.swing_s, &FIGURE, facts.subjects()) {
         Decision::Pass => Outcome::sound(),
         Decision::Fail(severity) if course.is_unsteady => {
             Outcome::faulty(fault(facts, arm, course, severity))
@@ -78,10 +151,7 @@ fn judge(
         }
         Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
     };
-    let name = if course.jumps.is_empty() { "latency swing" } else { "latency jump" };
-    Judged::new(subject, outcome)
-        .within(stream.span)
-        .estimated(Estimate::amount(name, FIGURE.unit, &course.swing_s))
+    Judged::new(subject, outcome).within(stream.span).estimated(estimate(course))
 }
 
 fn fault(facts: &Facts, arm: &ArmFacts, course: &LatencyCourse, severity: Severity) -> Fault {
@@ -132,8 +202,7 @@ fn fault(facts: &Facts, arm: &ArmFacts, course: &LatencyCourse, severity: Severi
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{ask, clean_run, sure};
-    use crate::diagnosis::LatencyJump;
+    use crate::checks::testing::{IMU, JOINTS, POSE, ask, clean_run, steady, sure};
     use crate::finding::Status;
 
     #[test]
@@ -149,5 +218,34 @@ mod tests {
         facts.robots[0].diagnosis.streams[0].course = course(sure(0.012), true, vec![jump]);
         let (_, findings) = ask(&LAT003, &facts);
         assert!(findings[0].message.starts_with("latency jumps by +12.000"), "{findings:?}");
+    }
+
+    #[test]
+    fn streams_that_jump_together_make_it_the_joints() {
+        let jumps = |at_s: f64, size_s: f64| {
+            let jump = LatencyJump { at_s, size_s: sure(size_s) };
+            Ok(LatencyCourse {
+                swing_s: sure(size_s),
+                is_unsteady: true,
+                jumps: vec![jump],
+                levels: Vec::new(),
+            })
+        };
+        let with = |pose: Seen<LatencyCourse>, imu: Seen<LatencyCourse>| {
+            let mut facts = clean_run();
+            let arm = &mut facts.robots[0];
+            arm.diagnosis.streams[0].course = pose;
+            arm.imus[0].1.latency_course = imu;
+            for (tf, found) in &mut arm.tf {
+                tf.independent = false;
+                found.course = Err(crate::diagnosis::Unseen::AtRest);
+            }
+            let found = ask(&LAT003, &facts).1.into_iter();
+            found.map(|finding| finding.subject.label().to_owned()).collect::<Vec<_>>()
+        };
+        assert_eq!(with(jumps(4.0, -0.02), jumps(4.4, -0.021)), [JOINTS]);
+        assert_eq!(with(jumps(4.0, -0.02), jumps(9.0, -0.02)), [POSE, IMU]);
+        assert_eq!(with(jumps(4.0, -0.02), jumps(4.0, 0.02)), [POSE, IMU]);
+        assert_eq!(with(jumps(4.0, -0.02), Ok(steady())), [POSE]);
     }
 }

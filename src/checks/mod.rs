@@ -26,7 +26,7 @@ use crate::finding::{
 
 pub use decision::{Decision, Figure, FrameFigures, decide, decide_both, decide_frame};
 pub use facts::{
-    ArmFacts, Declared, Facts, ImuFacts, JointFacts, PoseFacts, RhythmFacts, StampFacts,
+    ArmFacts, Declared, Due, Facts, ImuFacts, JointFacts, PoseFacts, RhythmFacts, StampFacts,
     UndecodableTopic,
 };
 pub use merge::{Part as EvaluatedPart, merged};

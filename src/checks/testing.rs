@@ -44,6 +44,7 @@ pub fn clean_run() -> Facts {
     let imu = ImuDiagnosis {
         reading: Ok(as_logged()),
         latency_s: Ok(sure(0.0)),
+        latency_course: Ok(steady()),
         skew: Ok(sure(0.0)),
         yaw_drift_rad_s: Ok(sure(0.0)),
         yaw_course: YawCourse::default(),
@@ -106,12 +107,7 @@ fn clean_stream() -> PoseDiagnosis {
         latency_s: Ok(sure(0.0)),
         skew: Ok(sure(0.0)),
         skew_chosen: false,
-        course: Ok(LatencyCourse {
-            swing_s: sure(0.0),
-            is_unsteady: false,
-            jumps: Vec::new(),
-            levels: Vec::new(),
-        }),
+        course: Ok(steady()),
         growth: Ok(sure(0.0)),
         growth_chosen: false,
         reference: Ok(frame(0.0)),
@@ -145,4 +141,9 @@ fn stream(topic: &str, independent: bool) -> PoseFacts {
         bare_numbers: false,
         declared: None,
     }
+}
+
+/// A latency that does not change.
+pub fn steady() -> LatencyCourse {
+    LatencyCourse { swing_s: sure(0.0), is_unsteady: false, jumps: Vec::new(), levels: Vec::new() }
 }

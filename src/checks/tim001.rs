@@ -3,6 +3,7 @@ use serde_json::{Value, json};
 use crate::checks::{Facts, Grade, Judged, RhythmFacts};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Cadence;
+use crate::time::Stamp;
 
 rule! {
     /// Stamps run backwards.
@@ -33,11 +34,14 @@ rule! {
         grade: Grade::Fixed(Severity::Warning),
         headline: false,
         needs_model: false,
-        missing: "no stamped stream of an arm in this log",
+        missing: "no stamped stream in this log",
         check: check,
     }
 }
 
+/// A step of this many periods or less is two samples that change places, and what their stamps
+/// jitter.
+const PLACES: f64 = 1.2;
 /// Steps that the evidence lists.
 const LISTED: usize = 10;
 
@@ -45,15 +49,21 @@ fn check(facts: &Facts) -> Vec<Judged> {
     facts.rhythms.iter().map(|rhythm| judge(facts, rhythm)).collect()
 }
 
+/// Where a part's stamps step back by more than a period, and by how much, s.
+fn steps_back(part: &Cadence) -> impl Iterator<Item = &(Stamp, f64)> {
+    let least_s = PLACES * part.period_s.unwrap_or(0.0);
+    part.steps_back.iter().filter(move |(_, by_s)| *by_s > least_s)
+}
+
 fn judge(facts: &Facts, rhythm: &RhythmFacts) -> Judged {
     let concerned: Vec<&Cadence> =
-        rhythm.parts.iter().filter(|part| !part.steps_back.is_empty()).collect();
+        rhythm.parts.iter().filter(|part| steps_back(part).next().is_some()).collect();
     let subject = rhythm.subject(&concerned);
     if !rhythm.parts.iter().any(|part| part.stamped) {
         let outcome = Outcome::Skipped("its messages carry no stamps".to_owned());
         return Judged::new(subject, outcome).within(rhythm.span);
     }
-    let steps = || concerned.iter().flat_map(|part| &part.steps_back);
+    let steps = || concerned.iter().flat_map(|part| steps_back(part));
     let Some(&(at, by_s)) = steps().max_by(|a, b| a.1.total_cmp(&b.1)) else {
         return Judged::new(subject, Outcome::sound()).within(rhythm.span);
     };

@@ -1,8 +1,10 @@
 use serde_json::{Value, json};
 
-use crate::checks::{Facts, Grade, Judged, RhythmFacts};
+use crate::checks::tim006::slow;
+use crate::checks::{Due, Facts, Grade, Judged, RhythmFacts};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
-use crate::run::{Cadence, Stretch};
+use crate::run::{Cadence, Hole, Stretch};
+use crate::time::Stamp;
 
 rule! {
     /// A stream has gaps, or loses samples.
@@ -10,7 +12,8 @@ rule! {
     /// ## What it means
     /// Nothing came for longer than ten periods and 0.1 s while the arm moved, or more than 1 % of
     /// the samples are missing between the others. The period is the stream's own, by the interval
-    /// that most of its samples keep.
+    /// that most of its samples keep; where the sender numbers its messages (`header.seq` in ROS 1,
+    /// `sequence` in MCAP), numbers that are left out are lost samples, too.
     ///
     /// ## Why it matters
     /// Whoever interpolates over a gap invents a path. Samples that get lost under load get lost when
@@ -18,8 +21,8 @@ rule! {
     ///
     /// ## Evidence
     /// `gaps` lists where a gap begins, how long it is, and `count` how many there are; `lost` and
-    /// `samples` how many samples are missing, and there. The estimate is the longest gap in
-    /// seconds, or without gaps the share of samples lost.
+    /// `samples` how many samples are missing, and there; `skipped` how many by their numbers. The
+    /// estimate is the longest gap in seconds, or without gaps the share of samples lost.
     ///
     /// ## How to fix
     /// Compare with the receive times of other streams: if all stop, it is the recorder's disk or
@@ -27,17 +30,23 @@ rule! {
     ///
     /// ## When it misleads
     /// A stream that is sent on change is silent while the arm rests; that is no gap. A stream
-    /// without a fixed period cannot be counted, and a lower rate over seconds is TIM006's.
+    /// without a fixed period cannot be counted unless its messages are numbered, and a lower rate
+    /// over seconds is TIM006's. Commands and what a camera sees are sent when there is something to
+    /// say, and are not judged; a stream that nobody assigned is judged only where it has a period.
     TIM002 {
         name: "gaps",
         grade: Grade::Fixed(Severity::Warning),
         headline: false,
         needs_model: false,
-        missing: "no stream of an arm in this log",
+        missing: "no stream that should be steady in this log",
         check: check,
     }
 }
 
+/// A gap is longer than this many periods, and than [`GAP_S`].
+const GAP_PERIODS: f64 = 10.0;
+/// A gap is longer than this, s.
+const GAP_S: f64 = 0.1;
 /// The share of samples from which on losing them is a fault.
 const LOST: f64 = 0.01;
 /// Fewer lost samples than this are no share.
@@ -49,16 +58,24 @@ const LISTED: usize = 10;
 const SETTLE: &str = "record the joint states beside it";
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    facts.rhythms.iter().map(|rhythm| judge(facts, rhythm)).collect()
+    let steady = facts.rhythms.iter().filter(|rhythm| rhythm.due != Due::OnOccasion);
+    steady.map(|rhythm| judge(facts, rhythm)).collect()
+}
+
+/// The parts of a stream that are judged: those that an audit may expect to be steady, and of a
+/// stream of which nothing is known those that are.
+fn judged(rhythm: &RhythmFacts) -> impl Iterator<Item = &Cadence> {
+    let is_known = rhythm.due.is_expected();
+    rhythm.wanted().filter(move |part| is_known || part.is_regular)
 }
 
 fn judge(facts: &Facts, rhythm: &RhythmFacts) -> Judged {
     let silent = |moving: Option<bool>| {
-        let parts = rhythm.wanted().flat_map(|part| &part.gaps);
-        parts.filter(move |gap| gap.moving == moving).max_by(|a, b| longer(a, b))
+        let gaps = judged(rhythm).flat_map(gaps);
+        gaps.filter(move |gap| gap.moving == moving).max_by(|a, b| longer(a, b))
     };
     let concerned: Vec<&Cadence> =
-        rhythm.wanted().filter(|part| has_gaps(part) || loses(part)).collect();
+        judged(rhythm).filter(|part| has_gaps(part) || loses(part)).collect();
     let subject = rhythm.subject(&concerned);
     if !concerned.is_empty() && facts.lost_messages() {
         let why = "samples are missing, but so are messages of the log itself (ING001)";
@@ -73,12 +90,15 @@ fn judge(facts: &Facts, rhythm: &RhythmFacts) -> Judged {
     };
     let outcome = if rhythm.wanted().next().is_none() {
         Outcome::Skipped("no robot says which of its transforms an arm needs".to_owned())
+    } else if judged(rhythm).next().is_none() {
+        let why = "its samples come at no fixed period, and nothing says that they should";
+        Outcome::Skipped(why.to_owned())
     } else if let Some(gap) = silent(None) {
         let gap = shown(gap);
         Outcome::Inconclusive(format!(
             "nothing came for {gap}, and no joint states say whether the arm moved; {SETTLE}"
         ))
-    } else if rhythm.wanted().any(|part| part.lost.is_none()) {
+    } else if judged(rhythm).any(|part| lost(part).is_none()) {
         let why = "its samples come at no fixed period, so that lost ones cannot be counted";
         Outcome::Inconclusive(format!("{why}; send them at one, or count them in the message"))
     } else if let Some(gap) = silent(Some(false)) {
@@ -93,28 +113,66 @@ fn longer(a: &Stretch, b: &Stretch) -> std::cmp::Ordering {
     a.seconds().total_cmp(&b.seconds())
 }
 
+/// Whether a hole is longer than any delay of a message explains.
+fn is_long(part: &Cadence, hole: &Hole) -> bool {
+    let length_s = hole.stretch.seconds();
+    length_s > GAP_S && length_s > GAP_PERIODS * part.period_s.unwrap_or(f64::INFINITY)
+}
+
+/// The holes of a part that are not those of a lower rate.
+fn holes(part: &Cadence) -> impl Iterator<Item = &Hole> {
+    let slow: Vec<&Stretch> = slow(part).collect();
+    let is_slow = move |at: Stamp| slow.iter().any(|lull| lull.start <= at && at < lull.end);
+    part.holes.iter().filter(move |hole| !is_slow(hole.stretch.start))
+}
+
+/// The gaps of a part: nothing was received for long.
+fn gaps(part: &Cadence) -> impl Iterator<Item = &Stretch> {
+    let long = holes(part).filter(|hole| hole.is_silent && is_long(part, hole));
+    long.map(|hole| &hole.stretch)
+}
+
 fn moving(part: &Cadence) -> impl Iterator<Item = &Stretch> {
-    part.gaps.iter().filter(|gap| gap.moving == Some(true))
+    gaps(part).filter(|gap| gap.moving == Some(true))
 }
 
 fn has_gaps(part: &Cadence) -> bool {
     moving(part).next().is_some()
 }
 
+/// How many of a part's samples are lost, by its period or by its numbers; `None` where neither
+/// tells.
+fn lost(part: &Cadence) -> Option<usize> {
+    // That no number is left out may be the work of a recorder that gives them.
+    let by_number = part.skipped.filter(|skipped| *skipped > 0);
+    lost_by_period(part).max(by_number)
+}
+
+fn lost_by_period(part: &Cadence) -> Option<usize> {
+    let is_lost = |hole: &&Hole| {
+        let rests = hole.stretch.moving == Some(false);
+        !is_long(part, hole) || (hole.is_silent && !rests)
+    };
+    let missing: usize = holes(part).filter(is_lost).map(|hole| hole.missing).sum();
+    // What is late, or has the stamp of another sample, is not missing at its own.
+    part.is_regular.then(|| missing.saturating_sub(part.bunched).saturating_sub(part.conflicts))
+}
+
 /// The share of a part's samples that is lost.
 fn lost_share(part: &Cadence) -> f64 {
-    let lost = part.lost.unwrap_or(0);
+    let lost = lost(part).unwrap_or(0);
     lost as f64 / (lost + part.rows).max(1) as f64
 }
 
 fn loses(part: &Cadence) -> bool {
-    part.lost.is_some_and(|lost| lost >= COUNTS) && lost_share(part) > LOST
+    lost(part).is_some_and(|lost| lost >= COUNTS) && lost_share(part) > LOST
 }
 
 fn fault(facts: &Facts, rhythm: &RhythmFacts, concerned: &[&Cadence]) -> Judged {
     let gaps = || concerned.iter().flat_map(|part| moving(part));
     let worst = concerned.iter().copied().max_by(|a, b| lost_share(a).total_cmp(&lost_share(b)));
-    let (lost, samples) = worst.map_or((0, 0), |part| (part.lost.unwrap_or(0), part.rows));
+    let (lost, samples) = worst.map_or((0, 0), |part| (lost(part).unwrap_or(0), part.rows));
+    let skipped = worst.and_then(|part| part.skipped);
     let share = worst.map_or(0.0, lost_share);
     let loss = format!("{:.1} % of samples are lost: {lost} of {}", 100.0 * share, lost + samples);
     let (title, message, estimate) = match gaps().max_by(|a, b| longer(a, b)) {
@@ -140,7 +198,8 @@ fn fault(facts: &Facts, rhythm: &RhythmFacts, concerned: &[&Cadence]) -> Judged 
         title,
         message,
         evidence: Evidence::default(),
-        fix: "look at the load of recorder and network, and use a reliable, longer queue".to_owned(),
+        fix: "look at the load of recorder and network, and use a reliable, longer queue"
+            .to_owned(),
     };
     Judged::new(rhythm.subject(concerned), Outcome::faulty(fault))
         .estimated(estimate)
@@ -148,4 +207,57 @@ fn fault(facts: &Facts, rhythm: &RhythmFacts, concerned: &[&Cadence]) -> Judged 
         .with_evidence("gaps", listed)
         .with_evidence("lost", lost)
         .with_evidence("samples", samples)
+        .with_evidence("skipped", skipped)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: i64 = 1_000_000;
+
+    /// A part of 1000 samples at 100 Hz with a hole of so many periods.
+    fn with_hole(periods: i64, is_silent: bool) -> Cadence {
+        let (start, end) = (Stamp::from_nanos(0), Stamp::from_nanos(10 * periods * MS));
+        let stretch = Stretch { start, end, rate_hz: 100.0 / periods as f64, moving: Some(true) };
+        let missing = usize::try_from(periods - 1).expect("more than one");
+        Cadence {
+            wanted: true,
+            rows: 1000,
+            period_s: Some(0.01),
+            is_regular: true,
+            holes: vec![Hole { stretch, missing, is_silent }],
+            ..Cadence::default()
+        }
+    }
+
+    #[test]
+    fn a_gap_is_silent_and_longer_than_ten_periods() {
+        assert!(has_gaps(&with_hole(11, true)));
+        assert!(!has_gaps(&with_hole(10, true)));
+        assert!(!has_gaps(&with_hole(70, false)));
+        // What is no gap may still be a loss; a clock that is set forward takes nothing.
+        let lost = [with_hole(9, true), with_hole(9, false), with_hole(70, false)];
+        assert_eq!(lost.map(|part| lost_by_period(&part)), [Some(8), Some(8), Some(0)]);
+    }
+
+    #[test]
+    fn what_is_late_or_in_a_slow_stretch_is_not_lost() {
+        let late = Cadence { bunched: 5, conflicts: 1, ..with_hole(9, true) };
+        assert_eq!(lost(&late), Some(2));
+        let mut slow = with_hole(9, true);
+        let end = Stamp::from_nanos(3000 * MS);
+        slow.lulls.push(Stretch { end, rate_hz: 20.0, ..slow.holes[0].stretch });
+        assert_eq!(lost(&slow), Some(0));
+    }
+
+    #[test]
+    fn numbers_tell_where_no_period_does() {
+        let mut part = Cadence { is_regular: false, ..with_hole(2, true) };
+        assert_eq!(lost(&part), None);
+        part.skipped = Some(0);
+        assert_eq!(lost(&part), None);
+        part.skipped = Some(30);
+        assert!(lost(&part) == Some(30) && loses(&part));
+    }
 }

@@ -30,7 +30,7 @@ rule! {
         grade: Grade::Fixed(Severity::Warning),
         headline: false,
         needs_model: false,
-        missing: "no stamped stream of an arm in this log",
+        missing: "no stamped stream in this log",
         check: check,
     }
 }

@@ -1,4 +1,4 @@
-use crate::checks::{Facts, Grade, Judged, StampFacts};
+use crate::checks::{Due, Facts, Grade, Judged, StampFacts};
 use crate::finding::{Evidence, Fault, Outcome, Severity};
 use crate::run::HeaderStamps;
 use crate::time::Clock;
@@ -22,34 +22,46 @@ rule! {
     /// (PoseStamped for a bare array).
     ///
     /// ## When it misleads
-    /// A type without a header cannot carry a stamp; that is said as `info`. Static transforms may
-    /// carry stamp zero by design and are not counted.
+    /// A type without a header cannot carry a stamp; that is said as `info`, and only of a stream that
+    /// is audited. Commands are often sent without a stamp, to be followed at once: `info`, too.
+    /// Static transforms may carry stamp zero by design and are not counted.
     TIM005 {
         name: "unusable-stamps",
         grade: Grade::Fixed(Severity::Warning),
         headline: false,
         needs_model: false,
-        missing: "no stream of an arm in this log",
+        missing: "no stream in this log",
         check: check,
     }
 }
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    facts.stamps.iter().map(judge).collect()
+    facts.stamps.iter().filter(|stream| is_asked(stream)).map(judge).collect()
+}
+
+/// Whether the rule is asked about a stream: not where nothing is audited by it and its type has no
+/// stamp to fill.
+fn is_asked(stream: &StampFacts) -> bool {
+    stream.due.is_expected() || stream.clock.stamps != HeaderStamps::Absent
 }
 
 fn judge(stream: &StampFacts) -> Judged {
     let (rows, zero) = (stream.clock.rows, stream.clock.zero);
+    // Many a command is sent without a stamp, to be followed at once.
+    let usual = match stream.due {
+        Due::OnOccasion => Severity::Info,
+        Due::Always | Due::InMotion | Due::Untold => Severity::Warning,
+    };
     let (severity, title, message) = match stream.clock.stamps {
         // A simulation's clock starts at zero.
         HeaderStamps::Sound if zero <= 1 => {
             return Judged::new(stream.subject(), Outcome::sound()).within(stream.span);
         }
         HeaderStamps::Sound | HeaderStamps::Zero => {
-            (Severity::Warning, "stamps are zero", format!("{zero} of {rows} stamps are zero"))
+            (usual, "stamps are zero", format!("{zero} of {rows} stamps are zero"))
         }
         HeaderStamps::Constant => {
-            (Severity::Warning, "stamps stand still", format!("all {rows} stamps are the same"))
+            (usual, "stamps stand still", format!("all {rows} stamps are the same"))
         }
         HeaderStamps::Absent => (
             Severity::Info,

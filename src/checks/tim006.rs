@@ -1,4 +1,4 @@
-use crate::checks::{Facts, Grade, Judged, RhythmFacts};
+use crate::checks::{Due, Facts, Grade, Judged, RhythmFacts};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::run::{Cadence, Stretch};
 
@@ -24,24 +24,30 @@ rule! {
     ///
     /// ## When it misleads
     /// A stream that is sent on change begins with the first motion and ends with the last; where the
-    /// arm rested meanwhile, that is no fault. What rate a driver should have is not known here: one
-    /// that is slow from first to last is not noticed.
+    /// arm rested meanwhile, that is no fault. What rate a driver should have is a setting of it and
+    /// not known here: one that is slow from first to last is not noticed. Commands, what a camera
+    /// sees and streams that nobody assigned are not expected, and may be empty or short.
     TIM006 {
         name: "incomplete-stream",
         grade: Grade::Fixed(Severity::Warning),
         headline: false,
         needs_model: false,
-        missing: "no stream of an arm in this log",
+        missing: "no stream that must be whole in this log",
         check: check,
     }
 }
 
 /// Streams that begin and end so close together begin and end as one, s.
 const TOGETHER_S: f64 = 1.0;
+/// A stream is slow where its interval is this many times the usual, …
+const SLOW: f64 = 1.4;
+/// … for this long or longer, s.
+const LASTS_S: f64 = 2.0;
 
 fn check(facts: &Facts) -> Vec<Judged> {
     let empty = facts.empty.iter().cloned().map(nothing);
-    empty.chain(facts.rhythms.iter().map(|rhythm| judge(facts, rhythm))).collect()
+    let expected = facts.rhythms.iter().filter(|rhythm| rhythm.due.is_expected());
+    empty.chain(expected.map(|rhythm| judge(facts, rhythm))).collect()
 }
 
 fn nothing(subject: Subject) -> Judged {
@@ -112,16 +118,23 @@ fn missed(rhythm: &RhythmFacts) -> (f64, f64) {
     // The next sample may have been due a period after the last.
     let period_s = rhythm.wanted().filter_map(|part| part.period_s).fold(0.0, f64::max);
     let counted = |missed_s: f64, moving: Option<bool>| match moving {
-        Some(false) if rhythm.on_change => 0.0,
+        Some(false) if rhythm.due == Due::InMotion => 0.0,
         _ => (missed_s - period_s).max(0.0),
     };
     let [before, after] = extent.moving;
     (counted(extent.late_start_s, before), counted(extent.early_end_s, after))
 }
 
-/// The slowest stretch of a part.
+/// Where a part runs below its usual rate.
+pub(super) fn slow(part: &Cadence) -> impl Iterator<Item = &Stretch> {
+    let usual_s = part.period_s.unwrap_or(f64::INFINITY);
+    let is_slow = move |lull: &&Stretch| lull.rate_hz * usual_s * SLOW < 1.0;
+    part.lulls.iter().filter(is_slow).filter(|lull| lull.seconds() >= LASTS_S)
+}
+
+/// The slowest stretch of a part, but for those of a rest that may be slow.
 fn slowest<'a>(rhythm: &RhythmFacts, part: &'a Cadence) -> Option<&'a Stretch> {
-    let stretches =
-        part.slow.iter().filter(|stretch| stretch.moving == Some(true) || !rhythm.on_change);
+    let is_due = |lull: &&Stretch| lull.moving == Some(true) || rhythm.due != Due::InMotion;
+    let stretches = slow(part).filter(is_due);
     stretches.min_by(|a, b| a.rate_hz.total_cmp(&b.rate_hz))
 }

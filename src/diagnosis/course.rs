@@ -93,7 +93,16 @@ impl Window {
     }
 }
 
-/// A sample: residual and velocity of position and rotation, in units of their noise.
+/// What a late stream leaves at one stamp: what is left of it with everything found taken off, and
+/// how fast the truth changes. Two kinds of vectors; one that a stream has not is zero throughout.
+pub(super) struct Lagging {
+    /// s from the run's origin.
+    pub t_s: f64,
+    pub left: [Vec3; 2],
+    pub velocity: [Vec3; 2],
+}
+
+/// The same, in units of the noise of each kind.
 struct Sample {
     t_s: f64,
     residual: [f64; 6],
@@ -103,8 +112,13 @@ struct Sample {
 /// The course of the latency of a stream that is `aligned`, whose latency was taken to grow by
 /// `skew` a second.
 pub(super) fn latency_course(aligned: &Aligned, skew: f64) -> Seen<LatencyCourse> {
-    let samples = samples(aligned);
-    let mut windows = windows(&samples);
+    course_of(&lagging(aligned), 2, skew)
+}
+
+/// The course of the latency of a stream that leaves `lagging`, of so many kinds.
+pub(super) fn course_of(lagging: &[Lagging], kinds: usize, skew: f64) -> Seen<LatencyCourse> {
+    let samples = samples(lagging);
+    let mut windows = windows(&samples, 3 * kinds);
     let mut errors: Vec<f64> = windows.iter().map(|window| window.std_error_s).collect();
     errors.sort_by(f64::total_cmp);
     let Some(&typical_s) = errors.get(errors.len() / 2) else { return Err(Unseen::AtRest) };
@@ -157,43 +171,50 @@ fn explains(samples: &[Sample], beyond_s: impl Fn(f64) -> f64) -> bool {
     is_no_worse && after[0] + after[1] < LEFT * (before[0] + before[1])
 }
 
-fn samples(aligned: &Aligned) -> Vec<Sample> {
+/// Positions and rotations against FK.
+fn lagging(aligned: &Aligned) -> Vec<Lagging> {
     let t = &aligned.t_s;
     let rotation = |a: &Pose, b: &Pose| rotvec_from_rotation(&(a.rotation * b.rotation.inverse()));
     let position = |a: &Pose, b: &Pose| a.translation.vector - b.translation.vector;
     let rows = 1..t.len().saturating_sub(1);
-    let left: Vec<[Vec3; 2]> = rows
-        .clone()
-        .map(|k| {
-            let (is, should) = (&aligned.corrected[k], &aligned.fk_at_truth[k]);
-            [position(is, should), rotation(is, should)]
-        })
-        .collect();
+    rows.map(|k| {
+        let (is, should) = (&aligned.corrected[k], &aligned.fk_at_truth[k]);
+        let (before, after) = (&aligned.fk_at_truth[k - 1], &aligned.fk_at_truth[k + 1]);
+        let span_s = t[k + 1] - t[k - 1];
+        Lagging {
+            t_s: t[k],
+            left: [position(is, should), rotation(is, should)],
+            velocity: [position(after, before) / span_s, rotation(after, before) / span_s],
+        }
+    })
+    .collect()
+}
+
+fn samples(lagging: &[Lagging]) -> Vec<Sample> {
     let noise = [0, 1].map(|kind| {
-        let steps = left.windows(2).map(|pair| (pair[1][kind] - pair[0][kind]).norm_squared());
+        let steps = lagging.windows(2).map(|pair| pair[1].left[kind] - pair[0].left[kind]);
+        let square: f64 = steps.map(|step| step.norm_squared()).sum();
         // Below this a residual is arithmetic, m and rad.
-        (steps.sum::<f64>() / (6 * left.len().max(1)) as f64).sqrt().max(1e-6)
+        (square / (6 * lagging.len().max(1)) as f64).sqrt().max(1e-6)
     });
-    rows.zip(left)
-        .map(|(k, left)| {
-            let (before, after) = (&aligned.fk_at_truth[k - 1], &aligned.fk_at_truth[k + 1]);
-            let span_s = t[k + 1] - t[k - 1];
-            let velocity = [position(after, before) / span_s, rotation(after, before) / span_s];
-            let scaled =
-                |parts: [Vec3; 2]| std::array::from_fn(|at| parts[at / 3][at % 3] / noise[at / 3]);
-            Sample { t_s: t[k], residual: scaled(left), velocity: scaled(velocity) }
-        })
-        .collect()
+    let scaled =
+        |parts: &[Vec3; 2]| std::array::from_fn(|at| parts[at / 3][at % 3] / noise[at / 3]);
+    let sample = |of: &Lagging| Sample {
+        t_s: of.t_s,
+        residual: scaled(&of.left),
+        velocity: scaled(&of.velocity),
+    };
+    lagging.iter().map(sample).collect()
 }
 
 /// The windows in which the arm's velocity changes enough to tell.
-fn windows(samples: &[Sample]) -> Vec<Window> {
+fn windows(samples: &[Sample], components: usize) -> Vec<Window> {
     let mut windows = Vec::new();
     let mut rest = samples;
     while let Some(first) = rest.first() {
         let length = rest.partition_point(|sample| sample.t_s < first.t_s + WINDOW_S);
         let (own, after) = rest.split_at(length.max(1));
-        windows.extend(window(own));
+        windows.extend(window(own, components));
         rest = after;
     }
     windows
@@ -201,7 +222,7 @@ fn windows(samples: &[Sample]) -> Vec<Window> {
 
 /// The slope of residual over velocity by least squares, its error widened by what the residuals
 /// remember from sample to sample: `(1 + ρ)/(1 − ρ)`, and by how many windows' samples that leaves.
-fn window(samples: &[Sample]) -> Option<Window> {
+fn window(samples: &[Sample], components: usize) -> Option<Window> {
     const REMEMBERED: f64 = 0.98;
     let n = samples.len();
     if n < SAMPLES {
@@ -241,7 +262,9 @@ fn window(samples: &[Sample]) -> Option<Window> {
     let square: f64 = left.iter().map(|left| dot(left, left)).sum();
     let lagged: f64 = left.windows(2).map(|pair| dot(&pair[0], &pair[1])).sum();
     let rho = (lagged / square.max(f64::MIN_POSITIVE)).clamp(0.0, REMEMBERED);
-    let variance = square / (6 * n - 7) as f64 * (1.0 + rho) / (1.0 - rho);
+    // A slope, and the mean of each component, are taken from the samples.
+    let free = components * (n - 1) - 1;
+    let variance = square / free as f64 * (1.0 + rho) / (1.0 - rho);
     // The rounding of stamps to nanoseconds and of positions is never beaten.
     let std_error_s = (variance.max(1e-3) / information).sqrt().max(1e-6);
     let t_s = samples.iter().map(|sample| sample.t_s).sum::<f64>() / n as f64;

@@ -365,6 +365,8 @@ pub struct ImuDiagnosis {
     pub reading: Seen<ReadingEstimate>,
     /// Latency against the joint states, s; where the clock surely has a skew, that at mid-run.
     pub latency_s: Seen<Measured>,
+    /// How its latency went over the run.
+    pub latency_course: Seen<LatencyCourse>,
     /// Clock skew, s/s.
     pub skew: Seen<Measured>,
     /// Drift of the IMU's yaw against FK's about gravity, rad/s.
@@ -389,6 +391,7 @@ impl ImuDiagnosis {
         Self {
             reading: Err(why.clone()),
             latency_s: Err(why.clone()),
+            latency_course: Err(why.clone()),
             skew: Err(why.clone()),
             yaw_drift_rad_s: Err(why.clone()),
             yaw_course: YawCourse::default(),

@@ -10,7 +10,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, Scope};
 
-use super::unpack::{Packed, Unpacked, Unpacker};
+use super::unpack::{Packed, UnpackedChunk, Unpacker};
 
 /// Most bytes of chunks that wait to be read, unpacked.
 const MOST_BYTES: u64 = 24 << 20;
@@ -39,13 +39,13 @@ struct Waiting<'env> {
     /// Where in the file its record is.
     offset: usize,
     packed: Packed<'env>,
-    content: Receiver<Unpacked>,
+    content: Receiver<UnpackedChunk>,
 }
 
 struct Task<'env> {
     packed: Packed<'env>,
     buffer: Vec<u8>,
-    reply: SyncSender<Unpacked>,
+    reply: SyncSender<UnpackedChunk>,
 }
 
 /// Runs `read` with threads that unpack for it.
@@ -93,7 +93,7 @@ impl<'env> Ahead<'_, 'env> {
     }
 
     /// The chunk whose record is at `offset`, if it was handed in. Those before it are dropped.
-    pub(super) fn take(&mut self, offset: usize) -> Option<Unpacked> {
+    pub(super) fn take(&mut self, offset: usize) -> Option<UnpackedChunk> {
         while self.waiting.front().is_some_and(|waiting| waiting.offset <= offset) {
             let waiting = self.waiting.pop_front()?;
             self.bytes -= waiting.packed.size;
@@ -105,7 +105,7 @@ impl<'env> Ahead<'_, 'env> {
     }
 
     /// Takes back what was read.
-    pub(super) fn give_back(&mut self, unpacked: Unpacked) {
+    pub(super) fn give_back(&mut self, unpacked: UnpackedChunk) {
         self.buffers.push(unpacked.buffer);
     }
 }

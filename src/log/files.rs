@@ -93,6 +93,17 @@ impl Mapped {
         unsafe { Mmap::map(&file) }.map(Self).map_err(io_error)
     }
 
+    /// Maps an open file that nobody else knows.
+    pub(super) fn of(file: &File) -> io::Result<Self> {
+        // SAFETY: the map is read-only, and nobody else writes to the file.
+        let mapped = unsafe { Mmap::map(file) }.map(Self)?;
+        if mapped.bytes().is_empty() {
+            Err(io::ErrorKind::UnexpectedEof.into())
+        } else {
+            Ok(mapped)
+        }
+    }
+
     /// Its content.
     pub(super) fn bytes(&self) -> &[u8] {
         &self.0

@@ -68,6 +68,8 @@ pub(super) struct Message<'a> {
     pub(super) log_time: u64,
     /// When the sender published it, in nanoseconds.
     pub(super) publish_time: u64,
+    /// The number that its sender, or the recorder, gave it; 0 where none did.
+    pub(super) sequence: u32,
     /// The encoded message.
     pub(super) data: &'a [u8],
     /// Where in the file it is, or the chunk that holds it.
@@ -160,6 +162,7 @@ impl TopicIntake {
             let first = format!("it has more than {MAX_FRAMES} pairs of frames");
             undecodable.get_or_insert(Undecodable { messages: 0, first }).messages += refused;
         }
+        let useless = self.builder.as_ref().and_then(Builder::useless);
         let parts = match (self.columns, self.builder) {
             (Some(columns), _) => vec![("", Some(columns))],
             (None, Some(builder)) => builder.finalize(),
@@ -173,6 +176,7 @@ impl TopicIntake {
             columns,
             // Told once, for the whole of the messages.
             undecodable: undecodable.clone().filter(|_| part.is_empty()),
+            useless: useless.clone(),
             span,
         };
         parts.into_iter().map(topic).collect()
@@ -230,9 +234,9 @@ impl Intake {
         let key = (topic.to_owned(), decode::canonical(format.type_name).into_owned());
         *self.by_name.entry(key).or_insert_with(|| {
             self.topics.push(TopicIntake {
-                name: topic.to_owned(),
-                type_name: format.type_name.to_owned(),
-                encoding: format.encoding.to_owned(),
+                name: decode::bounded(topic).into_owned(),
+                type_name: decode::bounded(format.type_name).into_owned(),
+                encoding: decode::bounded(format.encoding).into_owned(),
                 messages: 0,
                 builder: None,
                 columns: None,
@@ -250,6 +254,7 @@ impl Intake {
         let times = RowTimes {
             log: saturating(message.log_time),
             publish: saturating(message.publish_time),
+            sequence: message.sequence,
         };
         self.messages += 1;
         topic.messages += 1;
@@ -316,7 +321,8 @@ impl Intake {
         if !is_urdf && !is_calibration {
             return;
         }
-        let description = Description { name: name.to_owned(), text: text.to_owned() };
+        let description =
+            Description { name: decode::bounded(name).into_owned(), text: text.to_owned() };
         if self.descriptions.len() < MAX_DESCRIPTIONS && !self.descriptions.contains(&description) {
             self.descriptions.push(description);
         }
@@ -484,7 +490,8 @@ mod tests {
     }
 
     fn message(time: u64, data: &[u8], latched: bool) -> Message<'_> {
-        Message { log_time: time, publish_time: time, data, place: Place::Byte(0), latched }
+        let (log_time, publish_time, place) = (time, time, Place::Byte(0));
+        Message { log_time, publish_time, sequence: 0, data, place, latched }
     }
 
     #[test]
@@ -524,6 +531,21 @@ mod tests {
         let undecodable = log.topics[0].undecodable.as_ref().unwrap();
         assert_eq!(undecodable.messages, 7);
         assert!(undecodable.first.contains("pairs of frames"), "{}", undecodable.first);
+    }
+
+    #[test]
+    fn more_poses_than_an_arm_has_are_said_to_be_of_no_use() {
+        let schema = POSE_STAMPED.replace("Pose pose\n", "Pose[] poses\n");
+        let mut intake = Intake::default();
+        intake.begin_file(Path::new("a"), 0);
+        let format = Format { type_name: "geometry_msgs/msg/PoseArray", ..poses(&schema) };
+        let channel = intake.channel("/particles", format).unwrap();
+        let cloud = Cdr::little().header(1, 2, "map").u32(40).all(&[0.5; 7 * 40]).done();
+        intake.message(channel, message(1, &cloud, false));
+        let log = intake.finish(Vec::new());
+        assert_eq!((&log.topics[0].columns, &log.topics[0].undecodable), (&None, &None));
+        let useless = log.topics[0].useless.as_deref().unwrap();
+        assert_eq!(useless, "a message of it holds 40 poses, and an arm has no more than 16");
     }
 
     #[test]

@@ -15,12 +15,21 @@ const MAX_LOSSES: usize = 100;
 pub(super) struct Losses {
     file: PathBuf,
     list: Vec<Loss>,
+    /// What the damage before took that was met last and is listed with it, where the list is full.
+    before_last: Option<Option<u64>>,
+    /// What the damage met last took.
+    last: Option<u64>,
 }
 
 impl Losses {
     /// No damage to `file` yet.
     pub(super) fn of(file: &Path) -> Self {
-        Self { file: file.to_owned(), list: Vec::new() }
+        Self { file: file.to_owned(), list: Vec::new(), before_last: None, last: None }
+    }
+
+    /// The file.
+    pub(super) fn file(&self) -> &Path {
+        &self.file
     }
 
     /// Takes down damage at `offset` that took `messages`, if that is known.
@@ -43,6 +52,7 @@ impl Losses {
         let file = self.file.clone();
         let loss = Loss { file, offset, what, messages, span: None, extent };
         if self.list.len() < MAX_LOSSES {
+            self.last = loss.messages;
             self.list.push(loss);
         } else if let Some(last) = self.list.last_mut() {
             const MORE: &str = ", and more damage after that";
@@ -50,14 +60,20 @@ impl Losses {
                 last.what.push_str(MORE);
             }
             last.extent = last.extent.max(loss.extent);
-            last.messages = last.messages.zip(loss.messages).map(|(a, b)| a.saturating_add(b));
+            self.before_last = Some(last.messages);
+            last.messages = sum(last.messages, loss.messages);
+            self.last = loss.messages;
         }
     }
 
     /// Says that the damage met last took `messages` more.
     pub(super) fn add_to_last(&mut self, messages: u64) {
+        self.last = Some(self.last.unwrap_or(0).saturating_add(messages));
         if let Some(last) = self.list.last_mut() {
-            last.messages = Some(last.messages.unwrap_or(0).saturating_add(messages));
+            last.messages = match self.before_last {
+                Some(before) => sum(before, self.last),
+                None => self.last,
+            };
         }
     }
 
@@ -105,6 +121,39 @@ impl Losses {
     }
 }
 
+/// Records of kinds that a format does not have, which a newer version of it may.
+#[derive(Debug, Default)]
+pub(super) struct Unknown {
+    count: u64,
+    first: u8,
+}
+
+impl Unknown {
+    /// Counts a record of kind `code`.
+    pub(super) fn see(&mut self, code: u8) {
+        if self.count == 0 {
+            self.first = code;
+        }
+        self.count += 1;
+    }
+
+    /// What to say of them, where there are any; `name` is what the format calls the kind.
+    pub(super) fn said(&self, name: &str) -> Option<String> {
+        let (count, first) = (self.count, self.first);
+        (count > 0).then(|| match count {
+            1 => format!("a record of an unknown kind ({name} {first:#04x}) was passed over"),
+            _ => format!(
+                "{count} records of unknown kinds were passed over (the first: {name} {first:#04x})"
+            ),
+        })
+    }
+}
+
+/// What two damages took together; unknown where that of one is.
+fn sum(a: Option<u64>, b: Option<u64>) -> Option<u64> {
+    Some(a?.saturating_add(b?))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -118,6 +167,26 @@ mod tests {
         let losses = losses.finish();
         assert_eq!(losses.len(), MAX_LOSSES);
         assert_eq!(losses.iter().filter_map(|loss| loss.messages).sum::<u64>(), 1000);
+    }
+
+    #[test]
+    fn what_is_not_known_stays_so_in_a_full_list() {
+        let full = |first: Option<u64>| {
+            let mut losses = Losses::of(Path::new("x"));
+            for offset in 0..MAX_LOSSES {
+                losses.add(offset, Extent::Messages, first, "broken".to_owned());
+            }
+            losses
+        };
+        // A lost chunk, of which two indices count the messages.
+        let with_chunk = |mut losses: Losses| {
+            losses.add(1000, Extent::Messages, None, "broken".to_owned());
+            losses.add_to_last(3);
+            losses.add_to_last(4);
+            losses.finish().last().and_then(|loss| loss.messages)
+        };
+        assert_eq!(with_chunk(full(Some(1))), Some(8));
+        assert_eq!(with_chunk(full(None)), None);
     }
 
     #[test]

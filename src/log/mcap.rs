@@ -15,9 +15,9 @@ use mcap::records::op;
 
 use self::record::{Broken, Frame};
 use super::ahead::{self, Ahead};
-use super::decode::Format;
+use super::decode::{Format, excerpt};
 use super::intake::{ChannelId, Intake, Message, Place};
-use super::losses::{Losses, NOT_DESCRIBED};
+use super::losses::{Losses, NOT_DESCRIBED, Unknown};
 use super::unpack::{Compression, Packed, Unpacker};
 use super::{Crc, Extent, ReadOptions};
 
@@ -41,6 +41,7 @@ pub(super) fn read(
             channels: Vec::new(),
             covered: 0,
             orphans: None,
+            unknown: Unknown::default(),
             in_lost_chunk: false,
             has_chunks: false,
         };
@@ -67,6 +68,8 @@ struct Reader<'a, 'r, 'scope> {
     covered: u64,
     /// Messages of channels that no record describes: how many, and where the first is.
     orphans: Option<(u64, usize)>,
+    /// Records of kinds that the format does not have.
+    unknown: Unknown,
     /// Whether the record before belongs to a chunk that was lost.
     in_lost_chunk: bool,
     /// Whether a chunk was met.
@@ -380,6 +383,10 @@ impl<'a> Reader<'a, '_, '_> {
     /// Reads a schema, channel or message; `None` if it is malformed.
     fn content(&mut self, frame: &Frame<'_>, offset: usize) -> Option<()> {
         if frame.opcode != op::MESSAGE {
+            // From 0x80 on opcodes are for private use.
+            if (op::DATA_END + 1..0x80).contains(&frame.opcode) {
+                self.unknown.see(frame.opcode);
+            }
             return self.definition(frame);
         }
         let message = record::Message::parse(frame.body)?;
@@ -392,6 +399,7 @@ impl<'a> Reader<'a, '_, '_> {
             Message {
                 log_time: message.log_time,
                 publish_time: message.publish_time,
+                sequence: message.sequence,
                 data: message.data,
                 place: Place::Byte(offset as u64),
                 latched: false,
@@ -463,7 +471,7 @@ impl<'a> Reader<'a, '_, '_> {
         };
         let checked = self.options.verify || attachment.covered.len() <= SMALL;
         if checked && attachment.crc != 0 && crc32fast::hash(attachment.covered) != attachment.crc {
-            let what = format!("attachment `{}` fails its checksum", attachment.name);
+            let what = format!("attachment `{}` fails its checksum", excerpt(attachment.name));
             return self.lose_summary(frame.offset, &what);
         }
         self.intake.text(attachment.name, attachment.data);
@@ -535,8 +543,11 @@ impl<'a> Reader<'a, '_, '_> {
 
     /// Holds what was read against what the end of the file says.
     fn close(&mut self, summary: &Summary, end: End<'_>, read: u64) {
+        if let Some(what) = self.unknown.said("opcode") {
+            self.intake.note(self.losses.file(), what);
+        }
         if let Some((messages, offset)) = self.orphans {
-            let what = format!("{messages} messages are of channels {NOT_DESCRIBED}");
+            let what = format!("the first of {messages} messages of channels {NOT_DESCRIBED}");
             self.losses.add(offset, Extent::Messages, Some(messages), what);
         }
         match (summary, end) {

@@ -32,6 +32,7 @@ use self::files::{Input, Mapped};
 use self::intake::Intake;
 use self::losses::Losses;
 use self::sniff::Kind;
+use self::unpack::Unpacked;
 use crate::stream::Columns;
 use crate::time::Stamp;
 
@@ -169,6 +170,8 @@ pub struct Topic {
     pub columns: Option<Columns>,
     /// Messages of a type that an audit uses, which could not be decoded.
     pub undecodable: Option<Undecodable>,
+    /// Why there are no columns, where its messages could be decoded and are of no use.
+    pub useless: Option<String>,
     /// First and last log time; `None` without messages.
     pub span: Option<(Stamp, Stamp)>,
 }
@@ -296,7 +299,7 @@ impl Reading<'_> {
         let before = self.intake.messages();
         let (container, crc) = match sniff::kind(mapped.bytes()) {
             Kind::Zstd => self.archive(mapped.bytes())?,
-            kind => self.content(kind, self.path, mapped.bytes())?,
+            kind => self.content(kind, self.path, mapped.bytes(), || ())?,
         };
         if let Some(recorded) = recorded {
             let read = self.intake.messages() - before;
@@ -307,25 +310,39 @@ impl Reading<'_> {
 
     /// Reads the log that is packed in `archive`.
     fn archive(&mut self, archive: &[u8]) -> Result<(Container, Crc), LogError> {
-        let (file, end) = unpack::file(archive, &mut self.intake.allowance)
-            .map_err(|source| LogError::io(self.path, source))?;
+        let options = self.options;
+        let (Unpacked { file, path }, end) =
+            unpack::file(archive, &mut self.intake.allowance, |offset| options.at(offset))
+                .map_err(|source| LogError::io(self.path, source))?;
         if let Err(error) = end {
             self.losses.add_unplaced(Extent::Tail, None, error.to_string());
         }
         let looks = "a zstd archive of nothing";
-        let unpacked = Mapped::open(file.path())
+        let unpacked = Mapped::of(&file)
             .map_err(|_| LogError::NotALog { path: self.path.to_owned(), looks })?;
         // The archive is what counts, and it was read.
         self.options.progress = None;
-        self.content(sniff::kind(unpacked.bytes()), file.path(), unpacked.bytes())
+        let kind = sniff::kind(unpacked.bytes());
+        match path {
+            None => self.content(kind, self.path, unpacked.bytes(), || ()),
+            // Once the file is open, its name is not needed any more. Where open files cannot lose
+            // theirs, it goes in the end.
+            Some(path) => {
+                let place = path.to_path_buf();
+                let opened = || drop(std::fs::remove_file(&path));
+                self.content(kind, &place, unpacked.bytes(), opened)
+            }
+        }
     }
 
     /// Reads the `bytes` of a log, which are at `place`: its own path, or where it was unpacked to.
+    /// What needs the name of that place says when it is `opened`.
     fn content(
         &mut self,
         kind: Kind,
         place: &Path,
         bytes: &[u8],
+        opened: impl FnOnce(),
     ) -> Result<(Container, Crc), LogError> {
         let Self { options, losses, intake, rtde, .. } = self;
         let path = || self.path.to_owned();
@@ -336,7 +353,7 @@ impl Reading<'_> {
             Kind::Mcap => (Container::Mcap, mcap::read(bytes, options, losses, intake)),
             Kind::RosBag1 => (Container::RosBag1, rosbag1::read(bytes, options, losses, intake)),
             Kind::Sqlite => {
-                if !rosbag2::read_database(place, options, losses, intake) {
+                if !rosbag2::read_database(place, options, losses, intake, opened) {
                     let looks = "a SQLite database without the tables of a rosbag2 bag";
                     return Err(LogError::NotALog { path: path(), looks });
                 }

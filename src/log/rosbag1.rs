@@ -10,11 +10,12 @@ mod tests;
 
 use std::collections::HashMap;
 
-use self::record::{Broken, Chunk, Connection, Record, op};
-use super::decode::Format;
+use self::record::{Broken, Chunk, Connection, MessageIndex, Record, op};
+use super::ahead::{self, Ahead};
+use super::decode::{Format, excerpt};
 use super::intake::{ChannelId, Intake, Message, Place};
-use super::losses::{Losses, NOT_DESCRIBED};
-use super::unpack::{Compression, Packed, Unpacker};
+use super::losses::{Losses, NOT_DESCRIBED, Unknown};
+use super::unpack::{Compression, UnpackError, Unpacker};
 use super::{Crc, Extent, ReadOptions};
 
 /// What a bag begins with.
@@ -27,32 +28,40 @@ pub(super) fn read(
     losses: &mut Losses,
     intake: &mut Intake,
 ) -> Crc {
-    let before = intake.messages();
-    let mut reader = Reader {
-        bytes,
-        options,
-        losses,
-        intake,
-        connections: HashMap::new(),
-        index: Index::Missing,
-        recorded: (0, 0),
-        covered: 0,
-        orphans: None,
-        in_lost_chunk: false,
-        in_packed: false,
-    };
-    reader.index();
-    reader.walk();
-    let read = reader.intake.messages() - before;
-    reader.close(read);
-    Crc::of(reader.covered, read)
+    ahead::with(|ahead| {
+        let before = intake.messages();
+        let mut reader = Reader {
+            bytes,
+            options,
+            losses,
+            intake,
+            ahead,
+            scanned: Some(MAGIC.len()),
+            connections: HashMap::new(),
+            index: Index::Missing,
+            recorded: (0, 0),
+            covered: 0,
+            orphans: None,
+            unknown: Unknown::default(),
+            in_lost_chunk: false,
+            in_packed: false,
+        };
+        reader.index();
+        reader.walk();
+        let read = reader.intake.messages() - before;
+        reader.close(read);
+        Crc::of(reader.covered, read)
+    })
 }
 
-struct Reader<'a> {
+struct Reader<'a, 'r, 'scope> {
     bytes: &'a [u8],
-    options: &'a ReadOptions<'a>,
-    losses: &'a mut Losses,
-    intake: &'a mut Intake,
+    options: &'r ReadOptions<'r>,
+    losses: &'r mut Losses,
+    intake: &'r mut Intake,
+    ahead: &'r mut Ahead<'scope, 'a>,
+    /// Up to where chunks were handed in to be unpacked; `None` where no record follows.
+    scanned: Option<usize>,
     /// By their number in the bag; the first record of a number counts.
     connections: HashMap<u32, Sender>,
     index: Index,
@@ -62,6 +71,8 @@ struct Reader<'a> {
     covered: u64,
     /// Messages of connections that no record describes: how many, and where the first is.
     orphans: Option<(u64, usize)>,
+    /// Records of kinds that the format does not have.
+    unknown: Unknown,
     /// Whether the record before belongs to a chunk that was lost.
     in_lost_chunk: bool,
     /// Whether the chunk read last is compressed: its data hold pieces of the records inside.
@@ -74,6 +85,8 @@ struct Sender {
     /// `None` where there are too many channels to take it.
     channel: Option<ChannelId>,
     latching: bool,
+    /// Whether its messages begin with a header, and that with their number.
+    numbers: bool,
 }
 
 /// What the bag's header says of its index.
@@ -85,7 +98,7 @@ enum Index {
     At { offset: usize, chunks: u32 },
 }
 
-impl<'a> Reader<'a> {
+impl<'a> Reader<'a, '_, '_> {
     /// Takes the connections from the index, if the bag has one.
     fn index(&mut self) {
         let Ok(header) = record::record(self.bytes, MAGIC.len()) else {
@@ -121,6 +134,7 @@ impl<'a> Reader<'a> {
         let mut open: Option<Chunk<'a>> = None;
         while offset < self.bytes.len() {
             self.options.at(offset);
+            self.unpack_ahead();
             match record::record(self.bytes, offset) {
                 Ok(record) => {
                     open = None;
@@ -141,7 +155,64 @@ impl<'a> Reader<'a> {
                     let what = format!("expected a record, found {broken}; read on at byte {next}");
                     self.losses.add(offset, Extent::Messages, None, what);
                     offset = next;
+                    self.scanned = Some(next);
                 }
+            }
+        }
+    }
+
+    /// Hands in chunks beyond those that were, as far as there is room.
+    fn unpack_ahead(&mut self) {
+        while let Some(offset) = self.scanned.filter(|_| self.ahead.has_room()) {
+            self.scanned = None;
+            if offset >= self.bytes.len() {
+                return;
+            }
+            let Ok(record) = record::record(self.bytes, offset) else { return };
+            self.scanned = Some(record.end);
+            let chunk = match record.op {
+                op::CHUNK => Chunk::of(record.header, record.data),
+                _ => None,
+            };
+            if let Some(packed) = chunk.and_then(|chunk| chunk.packed())
+                && packed.compression != Compression::None
+                && !self.is_ignored(&record)
+            {
+                self.ahead.unpack(offset, packed);
+            }
+        }
+    }
+
+    /// The connections of the messages in a chunk, and how many each has, by the indexes behind it.
+    fn indexed(
+        &self,
+        chunk: &Record<'a>,
+    ) -> impl Iterator<Item = (u32, MessageIndex<'a>)> + use<'a> {
+        let (bytes, mut offset) = (self.bytes, chunk.end);
+        std::iter::from_fn(move || {
+            let record = (offset < bytes.len()).then(|| record::record(bytes, offset).ok())??;
+            offset = record.end;
+            (record.op == op::INDEX).then(|| MessageIndex::of(&record))?
+        })
+    }
+
+    /// Whether its indexes say that no audit uses the messages of a chunk.
+    fn is_ignored(&self, chunk: &Record<'a>) -> bool {
+        let is_ignored = |(id, _): (u32, MessageIndex<'_>)| {
+            let channel = self.connections.get(&id).and_then(|sender| sender.channel);
+            channel.is_some_and(|channel| self.intake.ignores(channel))
+        };
+        let mut indexed = self.indexed(chunk).peekable();
+        let has_index = indexed.peek().is_some();
+        !self.options.verify && has_index && indexed.all(is_ignored)
+    }
+
+    /// Counts the messages of a chunk that is left packed.
+    fn count(&mut self, chunk: &Record<'a>) {
+        for (id, index) in self.indexed(chunk) {
+            let channel = self.connections.get(&id).and_then(|sender| sender.channel);
+            if let Some((channel, span)) = channel.zip(index.span()) {
+                self.intake.count(channel, index.count(), span);
             }
         }
     }
@@ -188,21 +259,27 @@ impl<'a> Reader<'a> {
             *open = Some(chunk);
             return false;
         }
-        let Some(compression) = chunk.compression else {
-            let found = record.header.text("compression").unwrap_or_default();
+        let Some(packed) = chunk.packed() else {
+            let found = excerpt(record.header.text("compression").unwrap_or_default());
             let what = format!("chunk is compressed by `{found}`, expected `lz4`, `bz2` or `none`");
             self.lose_chunk(record.offset, what);
             return false;
         };
+        let compression = packed.compression;
         self.in_packed = compression != Compression::None;
         if compression == Compression::None && chunk.data.len() != chunk.size as usize {
-            // Not to read its records twice, they are left to the search for the next record.
-            self.lose_chunk(record.offset, "chunk states two lengths that differ".to_owned());
-            return false;
+            return self.ambiguous_chunk(record, chunk);
         }
-        let size = chunk.size.into();
-        let packed = Packed { compression, data: chunk.data, size, crc: 0 };
-        match unpacker.chunk(&packed, &mut self.intake.allowance) {
+        if compression != Compression::None && self.is_ignored(record) {
+            self.count(record);
+            return true;
+        }
+        let mut unpacked = self.ahead.take(record.offset);
+        let content = match &mut unpacked {
+            Some(unpacked) => unpacked.content(&packed, &mut self.intake.allowance),
+            None => unpacker.chunk(&packed, &mut self.intake.allowance),
+        };
+        let is_sound = match content {
             Ok(records) => {
                 let before = self.intake.messages();
                 self.chunk_records(records, record.offset);
@@ -211,11 +288,52 @@ impl<'a> Reader<'a> {
                 }
                 true
             }
+            Err(error @ UnpackError::Size { .. }) => {
+                let before = self.intake.messages();
+                let allowance = &mut self.intake.allowance;
+                let records = unpacker.cut_chunk(compression, chunk.data, allowance);
+                self.chunk_records(records, record.offset);
+                let read = self.intake.messages() - before;
+                self.misstated_chunk(record.offset, &error, read);
+                true
+            }
             Err(error) => {
                 self.lose_chunk(record.offset, error.to_string());
                 false
             }
+        };
+        if let Some(unpacked) = unpacked {
+            self.ahead.give_back(unpacked);
         }
+        is_sound
+    }
+
+    /// Reads a chunk that is not compressed and states two lengths that differ; whether its record's
+    /// is beyond doubt.
+    fn ambiguous_chunk(&mut self, record: &Record<'a>, chunk: Chunk<'a>) -> bool {
+        let goes_on =
+            record.end == self.bytes.len() || record::record(self.bytes, record.end).is_ok();
+        if !goes_on {
+            // Not to read its records twice, they are left to the search for the next record.
+            self.lose_chunk(record.offset, "chunk states two lengths that differ".to_owned());
+            return false;
+        }
+        let before = self.intake.messages();
+        self.chunk_records(chunk.data, record.offset);
+        let (expected, found) = (chunk.size.into(), chunk.data.len() as u64);
+        let read = self.intake.messages() - before;
+        self.misstated_chunk(record.offset, &UnpackError::Size { expected, found }, read);
+        true
+    }
+
+    /// Takes down that a chunk of which `read` messages were read holds more than it says, or less.
+    fn misstated_chunk(&mut self, offset: usize, error: &UnpackError, read: u64) {
+        let (extent, messages) = match error {
+            UnpackError::Size { expected, found } if found < expected => (Extent::Messages, None),
+            _ => (Extent::Index, Some(0)),
+        };
+        let what = format!("{error}; {read} messages of it were read");
+        self.losses.add(offset, extent, messages, what);
     }
 
     /// Reads the records inside the chunk at `place`.
@@ -283,20 +401,23 @@ impl<'a> Reader<'a> {
                 let what = "malformed connection record".to_owned();
                 self.losses.add(place, Extent::Index, Some(0), what);
             }
-            _ => {}
+            op::BAG | op::INDEX | op::CHUNK | op::CHUNK_INFO | op::CONNECTION => {}
+            other => self.unknown.see(other),
         }
     }
 
     fn message(&mut self, header: record::Message, data: &[u8], place: usize) {
         let sender = self.connections.get(&header.connection);
-        let Some(&Sender { channel: Some(channel), latching }) = sender else {
+        let Some(&Sender { channel: Some(channel), latching, numbers }) = sender else {
             self.orphans.get_or_insert((0, place)).0 += 1;
             return;
         };
+        let number = data.first_chunk().copied().map(u32::from_le_bytes);
         // A bag keeps one time of a message: when the recorder received it.
         let message = Message {
             log_time: header.time,
             publish_time: header.time,
+            sequence: number.filter(|_| numbers).unwrap_or(0),
             data,
             place: Place::Byte(place as u64),
             latched: latching,
@@ -321,6 +442,7 @@ impl<'a> Reader<'a> {
                 },
             ),
             latching: connection.latching,
+            numbers: connection.begins_with_header(),
         });
         true
     }
@@ -400,14 +522,17 @@ impl<'a> Reader<'a> {
 
     /// Holds what was read against what the index says.
     fn close(&mut self, read: u64) {
+        if let Some(what) = self.unknown.said("op") {
+            self.intake.note(self.losses.file(), what);
+        }
         if let Some((messages, offset)) = self.orphans {
-            let what = format!("{messages} messages are of connections {NOT_DESCRIBED}");
+            let what = format!("the first of {messages} messages of connections {NOT_DESCRIBED}");
             self.losses.add(offset, Extent::Messages, Some(messages), what);
         }
         match self.index {
             Index::Missing => {
                 let what = "the bag has no index: the recording was not closed".to_owned();
-                self.losses.add(MAGIC.len(), Extent::Index, Some(0), what);
+                self.losses.add_unplaced(Extent::Index, Some(0), what);
             }
             Index::At { offset, .. } if offset >= self.bytes.len() => {
                 if self.losses.is_empty() {

@@ -14,6 +14,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
+use super::decode::excerpt;
 use super::files::{Input, Mapped};
 use super::intake::Intake;
 use super::losses::Losses;
@@ -93,7 +94,7 @@ fn information(path: &Path) -> Result<Information, String> {
     }
     let text = fs::read_to_string(path).map_err(|error| error.to_string())?;
     let document: Document = serde_saphyr::from_str(&text)
-        .map_err(|error| error.to_string().lines().next().unwrap_or_default().to_owned())?;
+        .map_err(|error| excerpt(error.to_string().lines().next().unwrap_or_default()))?;
     Ok(document.rosbag2_bagfile_information)
 }
 
@@ -124,7 +125,7 @@ fn listed(folder: &Path, information: &Information, losses: &mut Losses) -> Vec<
             // The recorder was ended before it had packed its last file, or somebody unpacked it.
             inputs.push(Input { path: unpacked, in_bag: true, recorded: recorded(name) });
         } else {
-            let what = format!("lists `{}`, which is not there", name.display());
+            let what = format!("lists `{}`, which is not there", excerpt(&name.to_string_lossy()));
             losses.add_unplaced(Extent::Messages, recorded(name), what);
         }
     }

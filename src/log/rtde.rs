@@ -265,6 +265,7 @@ impl Recording {
         let message = Message {
             log_time: time,
             publish_time: time,
+            sequence: 0,
             data: &[],
             place: Place::Byte(offset),
             latched: false,
@@ -416,7 +417,8 @@ impl Samples {
 
     fn times(&self) -> Times {
         let stamps = || self.stamps.clone();
-        Times { header: stamps(), log: stamps(), publish: stamps(), unstamped: false }
+        let (header, log, publish) = (stamps(), stamps(), stamps());
+        Times { header, log, publish, ..Times::default() }
     }
 }
 

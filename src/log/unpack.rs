@@ -6,8 +6,13 @@
 use std::fs::File;
 use std::io::{self, Read, Seek, Write};
 
+use tempfile::TempPath;
+
 /// What a zstd frame begins with.
 pub(super) const ZSTD_MAGIC: &[u8] = b"\x28\xb5\x2f\xfd";
+
+/// What a SQLite database begins with.
+pub(super) const SQLITE_MAGIC: &[u8] = b"SQLite format 3\0";
 
 /// Largest chunk that is unpacked. Recorders write chunks of a few megabytes.
 const MAX_CHUNK_BYTES: u64 = 1 << 30;
@@ -138,12 +143,12 @@ impl Allowance {
 const CHUNK: &str = "chunk";
 
 /// A chunk that was unpacked into a buffer of its own, or cannot be.
-pub(super) struct Unpacked {
+pub(super) struct UnpackedChunk {
     pub(super) buffer: Vec<u8>,
     outcome: Result<(), UnpackError>,
 }
 
-impl Unpacked {
+impl UnpackedChunk {
     /// What `packed` holds, of which this was made.
     pub(super) fn content<'a>(
         &'a mut self,
@@ -178,10 +183,10 @@ impl Unpacker {
     }
 
     /// The same in a buffer of its own. What it costs is taken off when it is read.
-    pub(super) fn chunk_into(&mut self, buffer: Vec<u8>, packed: &Packed<'_>) -> Unpacked {
+    pub(super) fn chunk_into(&mut self, buffer: Vec<u8>, packed: &Packed<'_>) -> UnpackedChunk {
         self.buffer = buffer;
         let outcome = self.fill(packed);
-        Unpacked { buffer: std::mem::take(&mut self.buffer), outcome }
+        UnpackedChunk { buffer: std::mem::take(&mut self.buffer), outcome }
     }
 
     /// Unpacks a chunk into the buffer.
@@ -261,37 +266,78 @@ impl Unpacker {
     }
 }
 
-/// Unpacks a zstd file of any size into an unnamed temporary file, as far as it can be unpacked:
-/// the error says why not to the end.
+/// What an archive unpacked to.
+pub(super) struct Unpacked {
+    pub(super) file: File,
+    /// Where it is, if it has a name: SQLite opens files by name only. Without one, nothing stays
+    /// behind however the process ends.
+    pub(super) path: Option<TempPath>,
+}
+
+impl Unpacked {
+    /// An empty file for what begins with `head`.
+    fn of(head: &[u8]) -> io::Result<Self> {
+        if !head.starts_with(SQLITE_MAGIC) {
+            return Ok(Self { file: tempfile::tempfile()?, path: None });
+        }
+        let (file, path) = tempfile::NamedTempFile::new()?.into_parts();
+        Ok(Self { file, path: Some(path) })
+    }
+}
+
+/// Unpacks a zstd file of any size into a temporary file, as far as it can be unpacked: the error
+/// says why not to the end. How many bytes of the archive were read is told to `at`.
 ///
 /// # Errors
 /// If the temporary file cannot be written.
 pub(super) fn file(
     archive: &[u8],
     allowance: &mut Allowance,
-) -> io::Result<(tempfile::NamedTempFile, Result<(), UnpackError>)> {
+    at: impl Fn(usize),
+) -> io::Result<(Unpacked, Result<(), UnpackError>)> {
     const PART: &str = "archive";
-    let mut unpacked = tempfile::NamedTempFile::new()?;
+    let broken = |source| UnpackError::Broken { part: PART, source };
     let mut stream = match zstd::stream::read::Decoder::with_buffer(archive) {
         Ok(stream) => stream,
-        Err(source) => return Ok((unpacked, Err(UnpackError::Broken { part: PART, source }))),
+        Err(source) => return Ok((Unpacked::of(&[])?, Err(broken(source)))),
     };
     let mut buffer = vec![0; 1 << 16];
+    let mut unpacked = None;
     let end = loop {
-        match stream.read(&mut buffer) {
-            Ok(0) => break Ok(()),
-            Ok(length) => {
-                if let Err(error) = allowance.check(PART, length as u64) {
-                    break Err(error);
-                }
-                allowance.take(length as u64);
-                write_all(unpacked.as_file_mut(), &buffer[..length])?;
-            }
-            Err(source) => break Err(UnpackError::Broken { part: PART, source }),
+        // A piece is as long as it can be, so that the first has the whole of the file's magic.
+        let (length, end) = fill(&mut stream, &mut buffer);
+        if let Err(error) = allowance.check(PART, length as u64) {
+            break Err(error);
+        }
+        allowance.take(length as u64);
+        at(archive.len() - stream.get_ref().len());
+        let piece = &buffer[..length];
+        let unpacked = match &mut unpacked {
+            Some(unpacked) => unpacked,
+            none => none.insert(Unpacked::of(piece)?),
+        };
+        write_all(&mut unpacked.file, piece)?;
+        match end {
+            Ok(()) if length == buffer.len() => {}
+            end => break end.map_err(broken),
         }
     };
-    unpacked.as_file_mut().rewind()?;
+    let mut unpacked = unpacked.map_or_else(|| Unpacked::of(&[]), Ok)?;
+    unpacked.file.rewind()?;
     Ok((unpacked, end))
+}
+
+/// Reads until `buffer` is full or nothing more comes: how much that was, and why no more came.
+fn fill(stream: &mut impl Read, buffer: &mut [u8]) -> (usize, io::Result<()>) {
+    let mut length = 0;
+    while length < buffer.len() {
+        match stream.read(&mut buffer[length..]) {
+            Ok(0) => break,
+            Ok(more) => length += more,
+            Err(error) => return (length, Err(error)),
+        }
+    }
+    (length, Ok(()))
 }
 
 fn write_all(file: &mut File, bytes: &[u8]) -> io::Result<()> {
@@ -349,13 +395,27 @@ mod tests {
     fn an_archive_is_unpacked_up_to_its_allowance_or_its_damage() {
         let archive = zeros(300_000);
         let unpack = |archive: &[u8], limit| {
-            let (file, end) = file(archive, &mut Allowance { limit, used: 0 }).unwrap();
-            (file.as_file().metadata().unwrap().len(), end.is_ok())
+            let (unpacked, end) = file(archive, &mut Allowance { limit, used: 0 }, |_| ()).unwrap();
+            (unpacked.file.metadata().unwrap().len(), end.is_ok())
         };
         assert_eq!(unpack(&archive, 1 << 20), (300_000, true));
         let (bytes, whole) = unpack(&archive, 200_000);
         assert!(bytes <= 200_000 && !whole);
         assert!(!unpack(&archive[..archive.len() - 3], 1 << 20).1);
         assert_eq!(unpack(b"\x28\xb5\x2f\xfd garbage", 1 << 20), (0, false));
+    }
+
+    #[test]
+    fn only_a_database_gets_a_name() {
+        let unpack = |content: &[u8]| {
+            let archive = zstd::bulk::compress(content, 1).unwrap();
+            let read = std::cell::Cell::new(0);
+            let (unpacked, end) =
+                file(&archive, &mut Allowance::of(1000), |at| read.set(at)).unwrap();
+            assert!(end.is_ok() && read.get() == archive.len(), "{} bytes", read.get());
+            unpacked.path.is_some()
+        };
+        assert!(unpack(b"SQLite format 3\0 and so on"));
+        assert!(!unpack(b"\x89MCAP0\r\n and so on"));
     }
 }

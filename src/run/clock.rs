@@ -64,14 +64,15 @@ pub struct StreamClock {
 impl StreamClock {
     /// When each row of `times` was; `None` for rows that have no stamp on the stream's clock.
     pub fn stamps_of(&self, times: &Times) -> Vec<Option<Stamp>> {
+        (0..times.len()).map(|row| self.stamp_of(times, row)).collect()
+    }
+
+    /// When one row was; `None` where it has no stamp on the stream's clock.
+    pub fn stamp_of(&self, times: &Times, row: usize) -> Option<Stamp> {
         let offset = self.alignment.map_or(0, |alignment| alignment.offset_nanos);
-        let column = times.on(self.clock).iter();
-        column
-            .map(|&nanos| {
-                let set = self.clock != Clock::Header || nanos != 0;
-                set.then(|| Stamp::from_nanos(nanos.saturating_add(offset)))
-            })
-            .collect()
+        let nanos = times.on(self.clock)[row];
+        let set = self.clock != Clock::Header || nanos != 0;
+        set.then(|| Stamp::from_nanos(nanos.saturating_add(offset)))
     }
 }
 

@@ -30,7 +30,7 @@ mod witness;
 use crate::time::{Clock, Stamp};
 
 pub use arm::{Arm, ImuSource, NoTf, PoseSource};
-pub use cadence::{Cadence, Extent, Rhythm, Stretch};
+pub use cadence::{Cadence, Extent, Hole, Rhythm, Stretch};
 pub use clock::{Alignment, Epoch, HeaderStamps, StreamClock};
 pub use declaration::{CalibrationSource, Coding, Declaration, DeclarationError, RobotSource};
 pub use error::RunError;
@@ -99,7 +99,7 @@ pub struct Run {
     pub tf: TfTree,
     /// The clock of every stream that moves in time.
     pub clocks: Vec<StreamClock>,
-    /// How regularly every stream comes that may be audited.
+    /// How regularly every stream comes that plays a part.
     pub rhythms: Vec<Rhythm>,
     /// What of it the estimators see; `None` where that is all of it.
     pub excerpts: Option<Excerpts>,

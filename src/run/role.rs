@@ -266,6 +266,12 @@ pub(super) fn array_role(topic: &str, width: usize, is_declared: bool) -> Verdic
     (Role::Candidate { presumed: false }, format!("{width} numbers a row may be a pose"))
 }
 
+/// Whether a frame's name says that it is a camera's, or something that a camera sees.
+pub(super) fn is_sight(frame: &str) -> bool {
+    let words = words(frame);
+    shared(&words, SIGHTS).or_else(|| shared(&words, CAMERAS)).is_some()
+}
+
 pub(super) fn driver_of(topic_words: &[String]) -> Option<&'static str> {
     let has =
         |sequence: &[&str]| topic_words.windows(sequence.len()).any(|window| window == sequence);

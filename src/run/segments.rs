@@ -240,6 +240,7 @@ mod tests {
             messages,
             columns: Some(columns),
             undecodable: None,
+            useless: None,
             span: None,
         }
     }

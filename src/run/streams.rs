@@ -140,6 +140,8 @@ fn of_topic(topic: Topic) -> Vec<Stream> {
     let Some(columns) = topic.columns.filter(has_rows) else {
         if let Some(undecodable) = topic.undecodable {
             stream.reason = format!("it cannot be decoded: {}", undecodable.first);
+        } else if let Some(useless) = topic.useless {
+            stream.reason = useless;
         }
         return vec![stream];
     };

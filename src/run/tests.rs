@@ -126,6 +126,7 @@ impl Recording {
             messages: ROWS as u64,
             columns: Some(columns),
             undecodable: None,
+            useless: None,
             span: None,
         };
         Log {

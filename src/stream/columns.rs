@@ -12,6 +12,9 @@ pub struct Times {
     pub log: Vec<i64>,
     /// When the sender published it.
     pub publish: Vec<i64>,
+    /// The number that the message had, of those that count theirs; empty, or 0 throughout, where
+    /// they do not.
+    pub sequence: Vec<u32>,
     /// Whether the type has no stamp at all, so that `header` is 0 throughout for no fault of its
     /// sender.
     pub unstamped: bool,
@@ -59,6 +62,9 @@ impl Times {
         permute(&mut self.header, order);
         permute(&mut self.log, order);
         permute(&mut self.publish, order);
+        if !self.sequence.is_empty() {
+            permute(&mut self.sequence, order);
+        }
     }
 }
 

@@ -95,6 +95,19 @@ cases! {
         log.run.duration_s = 16.0;
         log.edit = Some(|messages| restamp(messages, POSE, 9.0, f64::MAX, -0.012));
     } => warning(Topic(POSE), Amount(-0.012, 1e-3));
+    LAT003 an_imu_that_is_later_from_a_moment_on: |log| {
+        log.run.duration_s = 16.0;
+        log.edit = Some(|messages| restamp(messages, IMU, 9.0, f64::MAX, 0.025));
+    } => error(Topic(IMU), Amount(0.025, 1e-3));
+    LAT003 an_imu_without_orientation_that_is_later_from_a_moment_on: |log| {
+        log.run.duration_s = 16.0;
+        log.run.imu.with_orientation = false;
+        log.edit = Some(|messages| restamp(messages, IMU, 9.0, f64::MAX, 0.040));
+    } => error(Topic(IMU), Amount(0.040, 3e-3));
+    LAT003 joint_states_that_are_later_from_a_moment_on: |log| {
+        log.run.duration_s = 16.0;
+        log.edit = Some(|messages| restamp(messages, JOINT_STATES, 10.0, f64::MAX, 0.030));
+    } => error(Topic(JOINT_STATES), Amount(0.030, 1e-3));
     LAT003 a_jump_of_a_millisecond_is_sound: |log| {
         log.edit = Some(|messages| restamp(messages, POSE, 5.0, f64::MAX, 0.001));
     } => Sound;
@@ -107,7 +120,8 @@ cases! {
     LAT003 no_stream_to_jump: |log| {
         log.run.pose.timing.rate_hz = 0.0;
         log.run.tf.timing.rate_hz = 0.0;
-    } => Skipped("no pose or /tf");
+        log.run.imu.timing.rate_hz = 0.0;
+    } => Skipped("no pose, /tf or IMU");
     LAT003 an_arm_at_rest_shows_no_jump: |log| log.run.motion = Motion::AtRest
         => Undecided("hardly moves");
 }

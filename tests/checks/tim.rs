@@ -14,6 +14,10 @@ cases! {
     TIM001 a_clock_that_is_set_back: |log| {
         log.edit = Some(|messages| restamp(messages, IMU, 4.0, 4.02, -0.4037));
     } => warning(Topic(IMU), About(0.39, 0.03));
+    TIM001 a_clock_that_is_set_back_in_a_log_without_joints: |log| {
+        log.run.joints.timing.rate_hz = 0.0;
+        log.edit = Some(|messages| restamp(messages, IMU, 4.0, 4.02, -0.4037));
+    } => warning(Topic(IMU), About(0.39, 0.03));
     TIM001 messages_in_turn_are_sound: |log| log.run.imu.timing.phase_s = 0.0 => Sound;
     TIM001 a_late_pose_runs_forward: |log| log.run.pose.timing.latency_s = 0.022
         => BlamedOn("LAT001");
@@ -32,6 +36,23 @@ cases! {
             });
         });
     } => warning(Topic(IMU), About(0.05, 0.005));
+    TIM002 a_tracker_that_loses_one_in_twenty_in_a_log_without_joints: |log| {
+        log.run.joints.timing.rate_hz = 0.0;
+        log.edit = Some(|messages| {
+            rename(messages, POSE, TRACKER);
+            let mut count = 0;
+            messages.retain(|message| {
+                count += usize::from(message.topic == TRACKER);
+                message.topic != TRACKER || count % 20 != 7
+            });
+        });
+    } => warning(Topic(TRACKER), About(0.05, 0.005));
+    TIM002 commands_come_when_they_come: |log| {
+        log.edit = Some(|messages| {
+            cut_out(messages, POSE, 3.0, 5.0);
+            rename(messages, POSE, "/goal_pose");
+        });
+    } => Sound;
     TIM002 steady_streams_are_sound: |log| log.run.pose.timing.rate_hz = 20.0 => Sound;
     TIM002 a_pose_that_ends_early_has_no_gap: |log| {
         log.edit = Some(|messages| cut_out(messages, POSE, 6.0, 9.0));
@@ -108,6 +129,15 @@ cases! {
         => warning(Topic(POSE), What::None);
     TIM005 an_imu_without_stamps: |log| log.run.imu.timing.stamped = false
         => warning(Topic(IMU), What::None);
+    TIM005 a_tracker_without_stamps_in_a_log_without_joints: |log| {
+        log.run.joints.timing.rate_hz = 0.0;
+        log.run.pose.timing.stamped = false;
+        log.edit = Some(|messages| rename(messages, POSE, TRACKER));
+    } => warning(Topic(TRACKER), What::None);
+    TIM005 commands_that_are_to_be_followed_at_once: |log| {
+        log.run.pose.timing.stamped = false;
+        log.edit = Some(|messages| rename(messages, POSE, "/goal_pose"));
+    } => info(Topic("/goal_pose"), What::None);
     TIM005 stamps_that_stand_still: |log| {
         log.edit = Some(|messages| crate::recording::freeze(messages, POSE));
     } => warning(Topic(POSE), What::None);
@@ -115,6 +145,15 @@ cases! {
     TIM005 another_clock_is_no_missing_stamp: |log| log.run.imu.timing.clock_offset_s = -1.78e9
         => BlamedOn("TIM003");
     TIM005 no_stream_to_stamp: |log| without_streams(&mut log.run) => Skipped("no");
+}
+
+/// A topic whose name says nothing.
+const TRACKER: &str = "/tracker/rigid_body";
+
+fn rename(messages: &mut [Message], from: &str, to: &str) {
+    for message in messages.iter_mut().filter(|message| message.topic == from) {
+        message.topic = to.to_owned();
+    }
 }
 
 /// Puts all stamps on a clock that is this much ahead of the recorder's, s.

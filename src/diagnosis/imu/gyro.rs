@@ -6,11 +6,12 @@
 //! IEEE T-RO 2017, with its first-order derivatives). A window is as short as the joints' noise
 //! allows, since a short one tells more of latency and mount.
 
+use super::super::course::{Lagging, course_of};
 use super::super::latency::median_period_s;
 use super::super::linear::Linear;
 use super::super::measured::Length;
 use super::super::reading::wahba;
-use super::super::{GyroBias, GyroShape, Measured, Seen, Unseen};
+use super::super::{GyroBias, GyroShape, LatencyCourse, Measured, Seen, Unseen};
 use super::solve::{Model, Solved, lengths, solve};
 use super::{Clock, Delay, Link, NEED, SKEW_CHANCE, TURNS_RAD, explains, rms};
 use crate::geometry::{Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
@@ -37,6 +38,7 @@ pub(super) struct GyroFit {
     pub clock: Clock,
     pub delay: Delay,
     pub bias: Seen<GyroBias>,
+    pub latency_course: Seen<LatencyCourse>,
     pub mount_rad: Seen<Length>,
     pub link_from_imu: Rotation,
 }
@@ -92,6 +94,10 @@ impl Link<'_> {
             clock,
             delay: model.delay,
             bias: model.bias(&solved, shape),
+            latency_course: match moves {
+                true => course_of(&model.lagging(), 1, model.delay.skew),
+                false => Err(Unseen::AtRest),
+            },
             mount_rad: model.mount(&solved),
             link_from_imu: model.link_from_imu,
         })
@@ -175,6 +181,34 @@ impl<'a> GyroModel<'a> {
     const WIDTH: usize = 14;
     /// Row and column of each entry of the shape.
     const ENTRIES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)];
+
+    /// What is left of each rate in the frame of the link, and how fast FK's changes.
+    fn lagging(&self) -> Vec<Lagging> {
+        /// Time to either side over which a change of rate is taken, s: long against the noise of
+        /// joint velocities, short against a motion.
+        const AROUND_S: f64 = 0.025;
+        let track = self.link.stream.track;
+        let undo = (Matrix3::identity() + self.shape).try_inverse().unwrap_or_default();
+        let mut sweep = self.link.sweep();
+        let mut rate_at = |t_s: f64| {
+            let moment = self.link.at(t_s, &mut sweep)?;
+            Some(moment.rotation.inverse() * moment.rate)
+        };
+        let rows = (0..track.t_s.len()).step_by(self.link.stride());
+        rows.filter_map(|k| {
+            let truth_s = self.delay.truth_s(track.t_s[k]);
+            let [before, rate, after] =
+                [-AROUND_S, 0.0, AROUND_S].map(|around_s| rate_at(truth_s + around_s));
+            let change = (after? - before?) / (2.0 * AROUND_S);
+            let is = self.link_from_imu * (undo * (track.gyro[k] - self.bias_rad_s));
+            Some(Lagging {
+                t_s: track.t_s[k],
+                left: [Vec3::zeros(), is - rate?],
+                velocity: [Vec3::zeros(), change],
+            })
+        })
+        .collect()
+    }
 
     /// Integrates the gyro over a window by the midpoint rule.
     fn turn(&self, window: &RangeInclusive<usize>) -> Turn {

@@ -61,6 +61,15 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
         (Err(Unseen::NoOrientation), Ok(gyro)) => gyro.clock.clone(),
         (Err(Unseen::NoOrientation), Err(why)) | (Err(why), _) => Clock::unseen(why),
     };
+    let latency_course = match (&orientation, &gyro) {
+        (Ok(fit), _) => fit.latency_course.clone(),
+        (Err(Unseen::NoOrientation), Ok(fit)) => fit.latency_course.clone(),
+        (Err(Unseen::NoOrientation), Err(why)) | (Err(why), _) => Err(why.clone()),
+    };
+    let latency_course = match repeats(&peaks) {
+        Some(lags) => Err(Unseen::Periodic(lags)),
+        None => latency_course,
+    };
     let Clock { latency_s, skew } = match repeats(&peaks) {
         Some(lags) => Clock::unseen(&Unseen::Periodic(lags)),
         None => clock.aligned_to(stream),
@@ -73,6 +82,7 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
         Ok(fit) => ImuDiagnosis {
             reading: Ok(fit.reading),
             latency_s,
+            latency_course,
             skew,
             yaw_drift_rad_s: fit.drift_rad_s,
             yaw_course: fit.course,
@@ -85,6 +95,7 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
         Err(why) => ImuDiagnosis {
             reading: Err(why.clone()),
             latency_s,
+            latency_course,
             skew,
             yaw_drift_rad_s: Err(why.clone()),
             yaw_course: YawCourse::default(),

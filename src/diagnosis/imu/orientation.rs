@@ -2,11 +2,12 @@
 //! `world_from_imu(s) = Rz(yaw(s)) · world_from_base · FK(q(s − τ)) · link_from_imu`, where
 //! `yaw(s) = drift·(s − middle) + jumps before s + walk(s)`.
 
+use super::super::course::{Lagging, course_of};
 use super::super::linear::Linear;
 use super::super::measured::Length;
 use super::super::model::FLOOR_RAD;
 use super::super::reading::{Fit, Logged, Samples, mean_rotation, nearest_truth, read_in_gravity};
-use super::super::{Measured, ReadingEstimate, Seen, Unseen, YawCourse};
+use super::super::{LatencyCourse, Measured, ReadingEstimate, Seen, Unseen, YawCourse};
 use super::solve::{Model, Solved, lengths, solve};
 use super::yaw::{self, Course};
 use super::{Clock, Delay, Link, MOUNT_CHANCE, NEED, SKEW_CHANCE, TURNS_RAD, explains, rms};
@@ -27,6 +28,7 @@ pub(super) struct OrientationFit {
     pub clock: Clock,
     pub drift_rad_s: Seen<Measured>,
     pub course: YawCourse,
+    pub latency_course: Seen<LatencyCourse>,
     pub mount_rad: Seen<Length>,
     pub link_from_imu: Rotation,
     pub yaw_error: Vec<(f64, f64)>,
@@ -76,6 +78,10 @@ impl Link<'_> {
             clock,
             drift_rad_s,
             course: course.parts,
+            latency_course: match moves {
+                true => course_of(&model.lagging(), 1, model.delay.skew),
+                false => Err(Unseen::AtRest),
+            },
             mount_rad,
             link_from_imu: model.link_from_imu,
             yaw_error: model.yaw_error(),
@@ -268,6 +274,24 @@ impl<'a> OrientationModel<'a> {
             })
             .collect();
         self.world_from_base = mean_rotation(&worlds);
+    }
+
+    /// What is left of each rotation, and how fast FK turns.
+    fn lagging(&self) -> Vec<Lagging> {
+        let linear = self.linearize();
+        let mut sweep = self.link.sweep();
+        let t_s = self.rows.iter().map(|&k| self.link.stream.track.t_s[k]);
+        let moments = t_s.filter_map(|t_s| {
+            let moment = self.link.at(self.delay.truth_s(t_s), &mut sweep)?;
+            Some((t_s, self.world_from_base * moment.rate))
+        });
+        let left = linear.residual[0].iter().map(|&residual| Vec3::from(residual));
+        let lagging = |((t_s, rate), left)| Lagging {
+            t_s,
+            left: [Vec3::zeros(), left],
+            velocity: [Vec3::zeros(), rate],
+        };
+        moments.zip(left).map(lagging).collect()
     }
 
     /// Stamp, and yaw of the IMU over that of the arm with the drift and all else left in.

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::ops::Range;
 
 use super::row::{self, Names, Row, RowTimes};
+use super::schema::bounded;
 use crate::stream::{
     ArrayColumns, Columns, ImuColumns, JointColumn, JointColumns, PoseColumns, TextColumns, Times,
 };
@@ -11,6 +12,11 @@ use crate::stream::{
 /// Most joint names a topic may have. Rows are dense, so that a message with a new name each time
 /// would fill the memory; the largest humanoids have below a hundred joints.
 const MAX_JOINTS: usize = 256;
+
+/// Once this many values are of joints that their message did not name (a gigabyte of them), …
+const ABSENT_CELLS: usize = 1 << 26;
+/// … one in so many values must be of one that it did: a topic has no more senders.
+const SENDERS: usize = 8;
 
 /// Most distinct texts kept of a topic.
 const MAX_TEXTS: usize = 64;
@@ -31,10 +37,16 @@ pub(in crate::log) const MAX_FRAMES: usize = 1 << 12;
 /// What Gazebo calls the frame that its states are in.
 const SIMULATED_WORLD: &str = "world";
 
-/// A message with more joint names than a topic may have.
+/// A message with joints for which there is no room.
 #[derive(Debug, thiserror::Error)]
-#[error("more than {MAX_JOINTS} different joint names on one topic")]
-pub(in crate::log) struct TooManyJoints;
+pub(in crate::log) enum TooManyJoints {
+    /// It names more joints than a topic may have.
+    #[error("more than {MAX_JOINTS} different joint names on one topic")]
+    Names,
+    /// Too many of the joints that were named before are not in this message and most others.
+    #[error("most of the topic's joints are in hardly any of its messages")]
+    Absent,
+}
 
 /// The columns of one topic while rows are appended.
 ///
@@ -88,12 +100,12 @@ impl Part {
 
     /// Poses by their place in the message.
     pub(super) fn numbered_poses() -> Self {
-        Self::Crowd(Crowd { poses: Poses::default(), naming: Naming::Numbers, too_many: false })
+        Self::Crowd(Crowd { poses: Poses::default(), naming: Naming::Numbers, most: 0 })
     }
 
     /// Poses by the name at their place in the message.
     pub(super) fn named_poses() -> Self {
-        Self::Crowd(Crowd { poses: Poses::default(), naming: Naming::Names, too_many: false })
+        Self::Crowd(Crowd { poses: Poses::default(), naming: Naming::Names, most: 0 })
     }
 
     /// Transforms by their frames.
@@ -181,6 +193,18 @@ impl Builder {
         self.parts.iter().map(|(_, part)| refused(part)).sum()
     }
 
+    /// Why what was appended is of no use, where it is of none.
+    pub(in crate::log) fn useless(&self) -> Option<String> {
+        self.parts.iter().find_map(|(_, part)| match part {
+            Part::Crowd(crowd) if crowd.is_too_large() => Some(format!(
+                "a message of it holds {} poses, and an arm has no more than {}",
+                crowd.most,
+                crowd.naming.most()
+            )),
+            _ => None,
+        })
+    }
+
     /// The columns of each part, with what comes after the topic's name; none for a part that turned
     /// out to be of no use.
     pub(in crate::log) fn finalize(self) -> Vec<(&'static str, Option<Columns>)> {
@@ -211,6 +235,9 @@ pub(super) struct Joints {
     order: Vec<usize>,
     /// and whether that is every column once.
     is_complete: bool,
+    /// Values of all rows, and how many of them no message had.
+    cells: usize,
+    absent: usize,
 }
 
 impl Joints {
@@ -231,6 +258,12 @@ impl Joints {
         } else if !unnamed && row.names != self.names {
             self.map_names(&row.names)?;
         }
+        let (width, own) = (self.columns.joints.len(), self.order.len());
+        let (cells, absent) = (self.cells + width, self.absent + width.saturating_sub(own));
+        if is_too_sparse(cells, absent) {
+            return Err(TooManyJoints::Absent);
+        }
+        (self.cells, self.absent) = (cells, absent);
         keep_first(&mut self.columns.frame_id, row.frame(row::FRAME));
         let index = push_times(&mut self.columns.times, row.stamp(), times);
         if !self.is_complete {
@@ -271,11 +304,13 @@ impl Joints {
         for name in names.iter() {
             let column = match self.by_name.get(name) {
                 Some(&column) => column,
-                None if self.columns.joints.len() == MAX_JOINTS => return Err(TooManyJoints),
+                None if self.columns.joints.len() == MAX_JOINTS => {
+                    return Err(TooManyJoints::Names);
+                }
                 None => {
                     let absent = vec![f64::NAN; rows];
                     self.columns.joints.push(JointColumn {
-                        name: name.to_owned(),
+                        name: bounded(name).into_owned(),
                         position: absent.clone(),
                         velocity: absent,
                     });
@@ -292,6 +327,12 @@ impl Joints {
         self.names.clone_from(names);
         Ok(())
     }
+}
+
+/// Whether the rows of joint states take far more memory than what is in them, with so many values, of
+/// which so many are of joints that their message did not name.
+fn is_too_sparse(cells: usize, absent: usize) -> bool {
+    absent > ABSENT_CELLS && cells / SENDERS > cells - absent
 }
 
 /// What Franka's drivers call `count` joints unless told otherwise.
@@ -368,8 +409,8 @@ impl Poses {
             return None;
         }
         self.groups.push(PoseColumns {
-            frame_id: frame_id.to_owned(),
-            child_frame_id: child_frame_id.to_owned(),
+            frame_id: bounded(frame_id).into_owned(),
+            child_frame_id: bounded(child_frame_id).into_owned(),
             ..PoseColumns::default()
         });
         let group = self.groups.len() - 1;
@@ -383,8 +424,8 @@ impl Poses {
 pub(super) struct Crowd {
     poses: Poses,
     naming: Naming,
-    /// Whether a message held too many to be those of an arm.
-    too_many: bool,
+    /// Most that a message held.
+    most: usize,
 }
 
 /// How the poses of one message are told apart.
@@ -407,8 +448,8 @@ impl Naming {
 
 impl Crowd {
     fn append(&mut self, row: &Row, times: RowTimes) {
-        self.too_many |= row.index >= self.naming.most();
-        if self.too_many {
+        self.most = self.most.max(row.index + 1);
+        if self.is_too_large() {
             return;
         }
         match self.naming {
@@ -423,13 +464,19 @@ impl Crowd {
         }
     }
 
+    /// Whether a message held too many to be those of an arm.
+    fn is_too_large(&self) -> bool {
+        self.most > self.naming.most()
+    }
+
     /// The poses, unless they are too many to be an arm's.
     fn finalize(self) -> Option<Vec<PoseColumns>> {
+        let is_too_large = self.is_too_large();
         let mut groups = self.poses.groups;
         if self.naming == Naming::Names {
             take_off_models(&mut groups);
         }
-        (!self.too_many).then_some(groups)
+        (!is_too_large).then_some(groups)
     }
 }
 
@@ -519,15 +566,29 @@ fn append_text(column: &mut TextColumns, row: &Row, times: RowTimes) {
 /// Appends the times of a row and returns its index.
 fn push_times(column: &mut Times, stamp: i64, times: RowTimes) -> usize {
     column.push(stamp, times.log, times.publish);
+    column.sequence.push(times.sequence);
     column.len() - 1
 }
 
 fn keep_first(kept: &mut String, text: &str) {
     if kept.is_empty() && !text.is_empty() {
-        text.clone_into(kept);
+        *kept = bounded(text).into_owned();
     }
 }
 
 fn finite(values: &[f64]) -> bool {
     values.iter().all(|value| value.is_finite())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_of_single_joints_are_bounded_by_what_is_in_them() {
+        const MANY: usize = 1 << 30;
+        assert!(!is_too_sparse(MANY, MANY / 2));
+        assert!(!is_too_sparse(1 << 25, 1 << 25));
+        assert!(is_too_sparse(MANY, MANY - MANY / 20));
+    }
 }

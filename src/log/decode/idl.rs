@@ -58,6 +58,8 @@ struct Parser<'a> {
 struct Annotations {
     extensibility: Extensibility,
     is_optional: bool,
+    /// Bits of an enumeration.
+    bit_bound: u64,
 }
 
 impl Parser<'_> {
@@ -79,7 +81,7 @@ impl Parser<'_> {
             "struct" => self.structure(annotations.extensibility),
             "typedef" => self.typedef(),
             "const" => self.constant(),
-            "enum" => self.enumeration(),
+            "enum" => self.enumeration(annotations.bit_bound),
             "union" => self.opaque("which is a union"),
             "bitmask" | "bitset" => self.opaque("which is a set of bits"),
             _ => self.tokens.refuse("`module`, `struct`, `typedef`, `const` or `enum`", word),
@@ -181,9 +183,16 @@ impl Parser<'_> {
         self.tokens.skip_to(';')
     }
 
-    fn enumeration(&mut self) -> Result<(), SchemaError> {
+    /// Reads an enumeration, whose values take as many bytes as its bits need (DDS XTypes 1.3,
+    /// §7.3.1.2.1.5: 32 bits unless it says).
+    fn enumeration(&mut self, bit_bound: u64) -> Result<(), SchemaError> {
         let name = self.tokens.name("the name of an enumeration")?;
-        let of = Type { base: Base::Number(Primitive::U32), arity: Arity::One };
+        let primitive = match bit_bound {
+            0..=8 => Primitive::U8,
+            9..=16 => Primitive::U16,
+            _ => Primitive::U32,
+        };
+        let of = Type { base: Base::Enumeration(primitive), arity: Arity::One };
         self.aliases.insert(format!("{}{name}", self.scope), (self.scope.clone(), of));
         self.tokens.skip_block()
     }
@@ -197,7 +206,8 @@ impl Parser<'_> {
     }
 
     fn annotations(&mut self) -> Result<Annotations, SchemaError> {
-        let mut found = Annotations { extensibility: Extensibility::Unsaid, is_optional: false };
+        let mut found =
+            Annotations { extensibility: Extensibility::Unsaid, is_optional: false, bit_bound: 32 };
         while self.tokens.accept('@') {
             let name = self.tokens.name("the name of an annotation")?;
             let value = self.tokens.parenthesized()?;
@@ -212,6 +222,7 @@ impl Parser<'_> {
                     found.extensibility = Extensibility::Mutable;
                 }
                 ("optional", value) => found.is_optional = value != Some("FALSE"),
+                ("bit_bound", Some(value)) => found.bit_bound = whole(value).unwrap_or(32),
                 _ => {}
             }
         }

@@ -400,6 +400,7 @@ impl<'de> Visitor<'de> for SlotVisitor<'_> {
         match self.slot {
             // What JSON cannot say: not a number, or infinite.
             Slot::Number(_) => self.number(f64::NAN),
+            Slot::List(_) => Ok(()),
             slot => {
                 self.row.reset(slot);
                 Ok(())
@@ -454,15 +455,24 @@ impl<'de> Visitor<'de> for SlotVisitor<'_> {
     }
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<(), A::Error> {
-        self.row.reset(self.slot);
+        // A list under the name that it had in another version of the type is mostly there, and empty:
+        // it does not take the place of one that is not.
         match self.slot {
             Slot::List(index) => {
-                while let Some(value) = list.next_element_seed(Number)? {
+                let mut next = list.next_element_seed(Number)?;
+                if next.is_some() {
+                    self.row.reset(self.slot);
+                }
+                while let Some(value) = next {
                     self.row.push(index, value);
+                    next = list.next_element_seed(Number)?;
                 }
                 self.row.cap_list(index);
             }
-            Slot::Names => while list.next_element_seed(Name(&mut *self.row))?.is_some() {},
+            Slot::Names => {
+                self.row.names.clear();
+                while list.next_element_seed(Name(&mut *self.row))?.is_some() {}
+            }
             _ => return Err(self.mismatch("an array")),
         }
         Ok(())

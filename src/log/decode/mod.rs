@@ -27,7 +27,7 @@ pub(super) use self::builder::{Builder, MAX_FRAMES};
 pub(super) use self::plan::Plan;
 pub(super) use self::recipes::Recipe;
 pub(super) use self::row::{Row, RowTimes};
-pub(super) use self::schema::canonical;
+pub(super) use self::schema::{bounded, canonical, excerpt};
 
 /// How a log describes the messages of a channel.
 #[derive(Clone, Copy, Debug)]
@@ -68,7 +68,7 @@ impl Format<'_> {
             "protobuf" => self.protobuf(recipe),
             // A schema of JSON only repeats what the type's name and the messages say.
             "json" => Ok(Plan::Json(json::Plan::new(recipe))),
-            other => Err(FormatError::Encoding { found: other.to_owned() }),
+            other => Err(FormatError::Encoding { found: excerpt(other) }),
         }
     }
 
@@ -123,14 +123,14 @@ impl Format<'_> {
     }
 
     fn no_schema(self) -> FormatError {
-        FormatError::NoSchema { type_name: self.type_name.to_owned() }
+        FormatError::NoSchema { type_name: excerpt(self.type_name) }
     }
 
     fn other_schema(self, expected: &'static str) -> FormatError {
-        FormatError::SchemaEncoding { expected, found: self.schema_encoding.to_owned() }
+        FormatError::SchemaEncoding { expected, found: excerpt(self.schema_encoding) }
     }
 
     fn broken(self, source: SchemaError) -> FormatError {
-        FormatError::Schema { type_name: self.type_name.to_owned(), source }
+        FormatError::Schema { type_name: excerpt(self.type_name), source }
     }
 }

@@ -1,6 +1,8 @@
 //! Message definitions as ROS writes them: the definition of the type, then those of all that it
 //! contains, each after a line of `=` and a line `MSG: package/Type`.
 
+use std::collections::HashSet;
+
 use super::schema::{
     self, Arity, Base, Definition, Field, MAX_FIELDS, MAX_NAME, MAX_TYPES, Primitive, Schema,
     SchemaError, canonical, excerpt,
@@ -17,6 +19,9 @@ pub(super) enum Dialect {
     /// `byte` is not.
     Ros2,
 }
+
+/// The one type that ROS 1 lets every package name without its own.
+const HEADER: &str = "std_msgs/Header";
 
 /// Parses the concatenated definitions of `type_name`.
 pub(super) fn parse(
@@ -60,7 +65,26 @@ fn definitions(name: &str, text: &str, dialect: Dialect) -> Result<Vec<Definitio
         }
     }
     done.push(current);
+    if dialect == Dialect::Ros2 {
+        settle_headers(&mut done);
+    }
     Ok(done)
+}
+
+/// Takes a bare `Header` that its own package does not define for that of ROS: definitions that were
+/// made from those of ROS 1 keep the word.
+fn settle_headers(definitions: &mut [Definition]) {
+    let defined: HashSet<String> =
+        definitions.iter().map(|definition| definition.name.clone()).collect();
+    for field in definitions.iter_mut().flat_map(|definition| &mut definition.fields) {
+        if let Base::Message(name) = &mut field.base
+            && field.spelled.starts_with("Header")
+            && name.rsplit('/').next() == Some("Header")
+            && !defined.contains(name)
+        {
+            HEADER.clone_into(name);
+        }
+    }
 }
 
 /// The field that a line declares; `None` for a constant, a comment or an empty line.
@@ -122,7 +146,8 @@ fn base_of(owner: &str, name: &str, dialect: Dialect) -> Base {
         "string" => Base::Text,
         "wstring" => Base::Unreadable("which has no settled encoding"),
         "time" | "duration" => Base::Message(name.into()),
-        "Header" => Base::Message("std_msgs/Header".into()),
+        // ROS 2 means the type of its own package, see `Header` below.
+        "Header" if dialect == Dialect::Ros1 => Base::Message(HEADER.into()),
         _ if name.contains('/') => Base::Message(canonical(name).into()),
         _ => match owner.rsplit_once('/') {
             Some((package, _)) => Base::Message(format!("{package}/{name}")),

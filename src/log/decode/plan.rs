@@ -3,6 +3,7 @@
 use super::builder::TooManyJoints;
 use super::cursor::{EncapsulationError, Short};
 use super::row::Row;
+use super::schema::excerpt;
 use super::{json, protobuf, steps};
 
 /// What a recipe became for the format of one channel.
@@ -23,7 +24,7 @@ pub(in crate::log) enum DecodeError<'p> {
     #[error(transparent)]
     Encapsulation(#[from] EncapsulationError),
     /// A field reaches beyond the end of the message.
-    #[error("field `{field}`: {short}")]
+    #[error("field `{}`: {short}", excerpt(field))]
     Short { field: &'p str, short: Short },
     /// It is no JSON, or not of the type's fields.
     #[error(transparent)]

@@ -25,6 +25,8 @@ pub(in crate::log) struct Plan {
     slots: Vec<Slot>,
     row_slots: Vec<Slot>,
     has_rows: bool,
+    /// Whether numbers are wanted of messages within the message, or within a row.
+    has_vectors: bool,
 }
 
 /// One wanted field.
@@ -66,6 +68,14 @@ pub(super) enum Scalar {
     SignedFixed64,
 }
 
+/// What was met on a walk over a message.
+#[derive(Debug, Default)]
+struct Met {
+    rows: usize,
+    /// Messages of which numbers are wanted, such as a position: of the whole, or of one row.
+    vectors: usize,
+}
+
 /// What is read in one pass over a message.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum Pass {
@@ -95,6 +105,7 @@ impl Plan {
         };
         let in_row = fields.iter().filter(|(path, _)| is_in_row(path));
         Ok(Self {
+            has_vectors: has_vectors(&root),
             root,
             row_slots: in_row.map(|(_, slot)| *slot).collect(),
             slots: fields.iter().map(|(_, slot)| *slot).collect(),
@@ -111,11 +122,13 @@ impl Plan {
     ) -> Result<(), DecodeError<'p>> {
         self.slots.iter().for_each(|&slot| row.reset(slot));
         // The rows may stand before what all of them share.
-        self.walk(&self.root, Reader::new(message), Pass::Shared, row, append, &mut 0)?;
+        let mut met = Met::default();
+        self.walk(&self.root, Reader::new(message), Pass::Shared, row, append, &mut met)?;
         self.cap_lists(row);
         if self.has_rows {
-            self.walk(&self.root, Reader::new(message), Pass::Rows, row, append, &mut 0)?;
+            self.walk(&self.root, Reader::new(message), Pass::Rows, row, append, &mut met)?;
         } else {
+            self.require_vectors(&met, &Reader::new(message))?;
             append(row)?;
         }
         Ok(())
@@ -128,7 +141,7 @@ impl Plan {
         pass: Pass,
         row: &mut Row,
         append: &mut Append<'_>,
-        rows: &mut usize,
+        met: &mut Met,
     ) -> Result<(), DecodeError<'static>> {
         while let Some((number, value)) = reader.field()? {
             let Some(Wanted { what, path, .. }) =
@@ -139,16 +152,19 @@ impl Plan {
             let at = |fault| reader.error(fault).in_field(path);
             match (what, pass) {
                 (What::Message(wanted), _) => {
+                    met.vectors += usize::from(is_vector(wanted));
                     let inner = reader.message(value).map_err(at)?;
-                    self.walk(wanted, inner, pass, row, append, rows)?;
+                    self.walk(wanted, inner, pass, row, append, met)?;
                 }
                 (What::Rows(wanted), Pass::Rows) => {
                     self.row_slots.iter().for_each(|&slot| row.reset(slot));
+                    met.vectors = 0;
                     let inner = reader.message(value).map_err(at)?;
-                    self.walk(wanted, inner, Pass::Shared, row, append, rows)?;
+                    self.walk(wanted, inner, Pass::Shared, row, append, met)?;
+                    self.require_vectors(met, &reader)?;
                     self.cap_lists(row);
-                    row.index = *rows;
-                    *rows += 1;
+                    row.index = met.rows;
+                    met.rows += 1;
                     append(row)?;
                 }
                 (What::Rows(_), Pass::Shared) => {}
@@ -159,6 +175,15 @@ impl Plan {
         Ok(())
     }
 
+    /// Refuses what has neither position nor rotation: its numbers would all be zero. One of the two
+    /// may be left out.
+    fn require_vectors(&self, met: &Met, reader: &Reader<'_>) -> Result<(), WireError> {
+        match met.vectors {
+            0 if self.has_vectors => Err(reader.error(Fault::Empty)),
+            _ => Ok(()),
+        }
+    }
+
     fn cap_lists(&self, row: &mut Row) {
         for slot in &self.slots {
             if let Slot::List(index) = *slot {
@@ -166,6 +191,19 @@ impl Plan {
             }
         }
     }
+}
+
+/// Whether numbers are wanted of a message itself.
+fn is_vector(wanted: &[Wanted]) -> bool {
+    wanted.iter().any(|wanted| matches!(wanted.what, What::Number(..)))
+}
+
+/// Whether numbers are wanted of messages below.
+fn has_vectors(wanted: &[Wanted]) -> bool {
+    wanted.iter().any(|wanted| match &wanted.what {
+        What::Message(wanted) | What::Rows(wanted) => is_vector(wanted) || has_vectors(wanted),
+        _ => false,
+    })
 }
 
 impl What {

@@ -65,6 +65,8 @@ pub(in crate::log) struct RowTimes {
     pub(in crate::log) log: i64,
     /// When the sender published it.
     pub(in crate::log) publish: i64,
+    /// The number that its sender, or the recorder, gave it; 0 where none did.
+    pub(in crate::log) sequence: u32,
 }
 
 /// The fields of one row, as the wire had them.

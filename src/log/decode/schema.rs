@@ -26,21 +26,31 @@ pub(in crate::log) enum SchemaError {
     Separator { line: usize, found: String },
     #[error("line {line}: expected `type name`, found `{found}`")]
     Field { line: usize, found: String },
-    #[error("line {line}: array length of `{found}` is not a number from 1 to 4294967295")]
+    #[error(
+        "line {line}: array length of `{}` is not a number from 1 to 4294967295",
+        excerpt(found)
+    )]
     ArrayLength { line: usize, found: String },
     #[error("line {line}: expected {expected}, found `{found}`")]
     Syntax { line: usize, expected: &'static str, found: String },
     #[error("line {line}: name of more than {MAX_NAME} bytes")]
     LongName { line: usize },
-    #[error("not a FileDescriptorSet: {what}")]
+    #[error("not a FileDescriptorSet: {}", excerpt(what))]
     Descriptor { what: String },
-    #[error("it does not define `{type_name}`")]
+    #[error("it does not define `{}`", excerpt(type_name))]
     NoRoot { type_name: String },
-    #[error("field `{field}` is of type `{type_name}`, which the schema does not define")]
+    #[error(
+        "field `{}` is of type `{}`, which the schema does not define",
+        excerpt(field),
+        excerpt(type_name)
+    )]
     Undefined { field: String, type_name: String },
-    #[error("field `{field}` is of type `{spelled}`, {why}")]
+    #[error("field `{}` is of type `{}`, {why}", excerpt(field), excerpt(spelled))]
     Unreadable { field: String, spelled: String, why: &'static str },
-    #[error("field `{field}` is nested deeper than {MAX_DEPTH}; does its type contain itself?")]
+    #[error(
+        "field `{}` is nested deeper than {MAX_DEPTH}; does its type contain itself?",
+        excerpt(field)
+    )]
     TooDeep { field: String },
     #[error("more than {MAX_FIELDS} fields in all; types that contain each other many times over?")]
     TooManyFields,
@@ -48,7 +58,7 @@ pub(in crate::log) enum SchemaError {
     TooManyTypes,
     #[error("{bytes} bytes long, more than {MAX_BYTES}")]
     TooLong { bytes: usize },
-    #[error("expected {expected} in field `{field}`, found `{found}`")]
+    #[error("expected {expected} in field `{}`, found `{}`", excerpt(field), excerpt(found))]
     Mismatch { field: String, expected: &'static str, found: String },
     #[error("no field `{field}`")]
     Missing { field: &'static str },
@@ -68,11 +78,23 @@ pub(super) fn text(schema: &[u8]) -> Result<Cow<'_, str>, SchemaError> {
 }
 
 /// The start of `text`, for messages to people.
-pub(super) fn excerpt(text: &str) -> String {
+pub(in crate::log) fn excerpt(text: &str) -> String {
     const LONGEST: usize = 80;
-    match text.char_indices().nth(LONGEST) {
-        Some((end, _)) => format!("{}…", &text[..end]),
-        None => text.to_owned(),
+    start_of(text, LONGEST).into_owned()
+}
+
+/// A name of a topic, type, frame or joint, which messages hold whole; one that is longer than any is
+/// cut.
+pub(in crate::log) fn bounded(name: &str) -> Cow<'_, str> {
+    const LONGEST: usize = 256;
+    start_of(name, LONGEST)
+}
+
+/// The first characters of `text`, with an ellipsis where there are more.
+fn start_of(text: &str, longest: usize) -> Cow<'_, str> {
+    match text.char_indices().nth(longest) {
+        Some((end, _)) => Cow::Owned(format!("{}…", &text[..end])),
+        None => Cow::Borrowed(text),
     }
 }
 
@@ -107,6 +129,8 @@ impl Primitive {
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(super) enum Base {
     Number(Primitive),
+    /// A named number: the second CDR has a length before collections of it.
+    Enumeration(Primitive),
     Text,
     /// Another message, by its name in [`canonical`] form.
     Message(String),

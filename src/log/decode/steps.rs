@@ -327,6 +327,10 @@ impl<'a> Compiler<'a> {
                 self.push_length(field, &path, steps);
                 Op::SkipTexts(count)
             }
+            Base::Enumeration(primitive) => {
+                self.push_length(field, &path, steps);
+                Op::Skip { size: primitive.size(), count }
+            }
             Base::Unreadable(why) => unread(&path, &field.spelled, why),
             Base::Message(name) => {
                 let rows = self.each == Some(path.as_str());

@@ -4,6 +4,7 @@ pub(in crate::log) mod encodings;
 mod hostile;
 mod idl;
 mod independent;
+mod layouts;
 mod vectors;
 
 use super::super::testing::{self, Cdr};
@@ -20,7 +21,8 @@ fn decode_all(
     let (mut builder, mut row) = (recipe.builder(), Row::default());
     let mut first = None;
     for (index, message) in messages.iter().enumerate() {
-        let times = RowTimes { log: 1000 + index as i64, publish: 2000 + index as i64 };
+        let (log, publish) = (1000 + index as i64, 2000 + index as i64);
+        let times = RowTimes { log, publish, sequence: 0 };
         let mut append = |row: &Row| builder.append(row, times);
         if let Err(error) = plan.decode(message, &mut row, &mut append) {
             first.get_or_insert_with(|| error.to_string());

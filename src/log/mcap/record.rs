@@ -159,6 +159,7 @@ impl<'a> Channel<'a> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Message<'a> {
     pub(super) channel_id: u16,
+    pub(super) sequence: u32,
     pub(super) log_time: u64,
     pub(super) publish_time: u64,
     pub(super) data: &'a [u8],
@@ -167,10 +168,9 @@ pub(super) struct Message<'a> {
 impl<'a> Message<'a> {
     pub(super) fn parse(body: &'a [u8]) -> Option<Self> {
         let mut fields = Fields(body);
-        let channel_id = fields.u16()?;
-        let _sequence = fields.u32()?;
+        let (channel_id, sequence) = (fields.u16()?, fields.u32()?);
         let (log_time, publish_time) = (fields.u64()?, fields.u64()?);
-        Some(Self { channel_id, log_time, publish_time, data: fields.0 })
+        Some(Self { channel_id, sequence, log_time, publish_time, data: fields.0 })
     }
 }
 

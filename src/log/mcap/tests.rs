@@ -290,3 +290,35 @@ fn robot_descriptions_beside_the_messages_are_found() {
     assert_eq!(names, ["arm.urdf", "run/robot_description"]);
     assert_eq!(log.descriptions[0].text, urdf);
 }
+
+#[test]
+fn records_of_unknown_kinds_are_said_but_for_private_ones() {
+    let mut whole = poses(LogWriter::default());
+    // Without a summary, whose place would be another.
+    whole.truncate(records(&whole, op::DATA_END)[0]);
+    for (opcode, is_unknown) in [(0x10, true), (0x7f, true), (0x80, false), (0xff, false)] {
+        let mut bytes = whole.clone();
+        let record = [&[opcode][..], &3_u64.to_le_bytes(), b"abc"].concat();
+        bytes.splice(MAGIC.len()..MAGIC.len(), [&record[..], &record].concat());
+        let log = read_all(&bytes);
+        assert_eq!(log.messages, MESSAGES);
+        let expected = format!(
+            "2 records of unknown kinds were passed over (the first: opcode {opcode:#04x})"
+        );
+        let said: Vec<bool> = log.notes.iter().map(|note| note.what == expected).collect();
+        assert_eq!(said, vec![true; usize::from(is_unknown)], "{:?}", log.notes);
+    }
+}
+
+#[test]
+fn the_number_of_a_message_goes_with_its_row() {
+    let mut log = LogWriter::default();
+    let channel_id = log.channel("/pose", "geometry_msgs/msg/PoseStamped", testing::POSE_STAMPED);
+    for sequence in [4, 5, 9] {
+        let (log_time, publish_time) = (sequence.into(), 0);
+        let header = mcap::records::MessageHeader { channel_id, sequence, log_time, publish_time };
+        let message = Cdr::pose_stamped(0, sequence, "base", [0.0; 3]);
+        log.writer().write_to_known_channel(&header, &message).unwrap();
+    }
+    assert_eq!(rows(&read_all(&log.finish())).times.sequence, [4, 5, 9]);
+}

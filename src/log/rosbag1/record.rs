@@ -3,7 +3,7 @@
 //! Format: <http://wiki.ros.org/Bags/Format/2.0>. A record is a header, which is a list of named
 //! fields, and data, each behind its length. The field `op` says what the record is.
 
-use crate::log::unpack::Compression;
+use crate::log::unpack::{Compression, Packed};
 
 /// What a record is.
 pub(super) mod op {
@@ -160,11 +160,7 @@ impl<'a> Header<'a> {
 
     /// A time in nanoseconds.
     fn time(self, name: &str) -> Option<u64> {
-        let value: [u8; 8] = self.bytes(name)?.try_into().ok()?;
-        let [seconds, nanoseconds] = [&value[..4], &value[4..]]
-            .map(|part| part.try_into().map_or(0, u32::from_le_bytes))
-            .map(u64::from);
-        Some(seconds * 1_000_000_000 + nanoseconds)
+        self.bytes(name)?.try_into().ok().map(time)
     }
 }
 
@@ -190,6 +186,19 @@ impl<'a> Connection<'a> {
             definition: of_sender.bytes("message_definition")?,
             latching: of_sender.text("latching") == Some("1"),
         })
+    }
+}
+
+impl Connection<'_> {
+    /// Whether the first field of its messages is a `std_msgs/Header`, of which the first is `seq`.
+    pub(super) fn begins_with_header(&self) -> bool {
+        let Ok(text) = std::str::from_utf8(self.definition) else {
+            return false;
+        };
+        let lines = text.lines().map(|line| line.split('#').next().unwrap_or_default().trim());
+        let mut fields = lines.filter(|line| !line.is_empty() && !line.contains('='));
+        let type_name = fields.next().and_then(|field| field.split_whitespace().next());
+        matches!(type_name, Some("Header" | "std_msgs/Header"))
     }
 }
 
@@ -227,6 +236,13 @@ impl<'a> Chunk<'a> {
         Some(Self { compression, size: header.u32("size")?, data })
     }
 
+    /// The records inside; `None` where their compression is unknown.
+    pub(super) fn packed(&self) -> Option<Packed<'a>> {
+        // What checksums there are the compressed data hold themselves.
+        let (compression, size) = (self.compression?, self.size.into());
+        Some(Packed { compression, data: self.data, size, crc: 0 })
+    }
+
     /// Whether a checksum in the compressed data covers what is inside.
     pub(super) fn has_checksum(&self) -> bool {
         /// The byte of an lz4 frame's flags, and that for a checksum of its content.
@@ -250,6 +266,40 @@ pub(super) fn chunk_info_messages(record: &Record<'_>) -> u64 {
         .filter_map(|entry| entry.last_chunk().copied().map(u32::from_le_bytes))
         .map(u64::from)
         .sum()
+}
+
+/// The messages of one connection in a chunk.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct MessageIndex<'a> {
+    /// Time and place of each.
+    entries: &'a [[u8; 12]],
+}
+
+impl<'a> MessageIndex<'a> {
+    /// With the number of the connection.
+    pub(super) fn of(record: &Record<'a>) -> Option<(u32, Self)> {
+        let (entries, _) = record.data.as_chunks();
+        Some((record.header.u32("conn")?, Self { entries }))
+    }
+
+    /// How many messages there are.
+    pub(super) fn count(&self) -> u64 {
+        self.entries.len() as u64
+    }
+
+    /// Their first and last time, ns; `None` where there is no message.
+    pub(super) fn span(&self) -> Option<(u64, u64)> {
+        let times = || self.entries.iter().filter_map(|entry| Some(time(entry.first_chunk()?)));
+        times().min().zip(times().max())
+    }
+}
+
+/// Seconds and nanoseconds as nanoseconds.
+fn time(value: &[u8; 8]) -> u64 {
+    let [seconds, nanoseconds] = [&value[..4], &value[4..]]
+        .map(|part| part.try_into().map_or(0, u32::from_le_bytes))
+        .map(u64::from);
+    seconds * 1_000_000_000 + nanoseconds
 }
 
 /// Where the chunk of a chunk info begins, and the times of its first and last message, ns.

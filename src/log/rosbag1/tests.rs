@@ -5,6 +5,7 @@ use std::path::Path;
 use super::super::testing::BagWriter;
 use super::super::{Container, Log, LogFile};
 use super::*;
+use crate::stream::Columns;
 use crate::time::Stamp;
 
 const MESSAGES: u64 = 60;
@@ -214,4 +215,60 @@ fn more_topics_than_any_log_has_are_a_loss() {
     let log = read_bag(&bag.finish());
     assert_eq!(lost(&log), [(Extent::Messages, Some(20_000 - log.messages))]);
     assert!(log.messages > 10_000);
+}
+
+#[test]
+fn a_chunk_that_misstates_its_size_is_read() {
+    for compression in COMPRESSIONS {
+        let (mut bytes, chunks) = bag(compression);
+        let field = bytes[chunks[1]..].windows(5).position(|window| window == b"size=").unwrap();
+        let size = chunks[1] + field + 5;
+        for change in [-3, 1, 100] {
+            let was: [u8; 4] = bytes[size..][..4].try_into().unwrap();
+            let wrong = u32::from_le_bytes(was).checked_add_signed(change).unwrap();
+            bytes[size..][..4].copy_from_slice(&wrong.to_le_bytes());
+            let log = read_bag(&bytes);
+            bytes[size..][..4].copy_from_slice(&was);
+            assert_eq!(log.messages, MESSAGES, "{compression} {change}: {:?}", log.losses);
+            assert_eq!(lost(&log), [(Extent::Index, Some(0))], "{compression} {change}");
+            assert!(log.losses[0].what.contains(&wrong.to_string()), "{:?}", log.losses);
+        }
+    }
+}
+
+#[test]
+fn records_of_unknown_kinds_are_passed_and_said() {
+    let (mut bytes, _) = bag("lz4");
+    assert_eq!(read_bag(&bytes).notes, []);
+    let indices = |bytes: &[u8]| -> Vec<usize> {
+        let fields = bytes.windows(4).enumerate().filter(|(_, window)| *window == b"op=\x04");
+        fields.map(|(at, _)| at).collect()
+    };
+    let found = indices(&bytes);
+    for &at in &found {
+        bytes[at + 3] = 0x2a;
+    }
+    let log = read_bag(&bytes);
+    assert_eq!((log.messages, log.losses.len()), (MESSAGES, 0));
+    let [note] = log.notes.as_slice() else { panic!("{:?}", log.notes) };
+    let expected = format!("{} records of unknown kinds were passed over", found.len());
+    assert!(note.what.contains(&expected) && note.what.contains("0x2a"), "{}", note.what);
+}
+
+#[test]
+fn the_number_in_a_header_goes_with_its_row() {
+    let mut bag = BagWriter::new("none");
+    let definition = "# a comment\n\nint32 CONSTANT=3\nHeader header\ngeometry_msgs/Vector3 vector\n\
+        ===\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n\
+        ===\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n";
+    let connection = bag.connection("/force", "geometry_msgs/Vector3Stamped", definition);
+    for number in [7_u32, 8, 11] {
+        let mut message = number.to_le_bytes().to_vec();
+        message.extend([0; 12]);
+        message.extend([0; 24]);
+        bag.message(connection, number.into(), &message);
+    }
+    let log = read_bag(&bag.finish());
+    let Some(Columns::Array(array)) = &log.topics[0].columns else { panic!("{:?}", log.topics) };
+    assert_eq!(array.times.sequence, [7, 8, 11]);
 }

@@ -8,10 +8,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use rusqlite::config::DbConfig;
+use rusqlite::limits::Limit;
 use rusqlite::types::ValueRef;
 use rusqlite::{Connection, OpenFlags, Row};
 
-use crate::log::decode::Format;
+use crate::log::decode::{Format, excerpt};
 use crate::log::intake::{ChannelId, Intake, Message, Place};
 use crate::log::losses::{Losses, NOT_DESCRIBED};
 use crate::log::{Extent, ReadOptions};
@@ -22,12 +23,17 @@ const MAX_BREAKS: usize = 1000;
 /// Most topics and definitions that are looked at.
 const MAX_TOPICS: usize = 1 << 20;
 
-/// Reads the database at `path` into `intake`; false if it is sound, but none of rosbag2's.
+/// Longest row that is read: SQLite takes the memory for all of it before anything is known of it.
+const MAX_ROW_BYTES: i32 = 256 << 20;
+
+/// Reads the database at `path` into `intake`; false if it is sound, but none of rosbag2's. Says when
+/// it is `opened`: from then on its name is not needed.
 pub(in crate::log) fn read(
     path: &Path,
     options: &ReadOptions<'_>,
     losses: &mut Losses,
     intake: &mut Intake,
+    opened: impl FnOnce(),
 ) -> bool {
     let tables = open(path).and_then(|database| {
         let tables = Tables::of(&database)?;
@@ -40,6 +46,7 @@ pub(in crate::log) fn read(
             return true;
         }
     };
+    opened();
     if !tables.topics || !tables.messages {
         return false;
     }
@@ -59,6 +66,7 @@ pub(in crate::log) fn read(
         topics: HashMap::new(),
         bytes: 0,
         orphans: 0,
+        before_1970: 0,
     };
     reader.topics(tables.definitions);
     reader.messages();
@@ -76,6 +84,7 @@ fn open(path: &Path) -> rusqlite::Result<Connection> {
     // kept in memory if nobody else may use the database, which is so without locks.
     let mode = if has_wal && cfg!(unix) { "vfs=unix-none" } else { "immutable=1" };
     let database = Connection::open_with_flags(uri(&path, mode), flags)?;
+    database.set_limit(Limit::SQLITE_LIMIT_LENGTH, MAX_ROW_BYTES)?;
     database.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
     database.set_db_config(DbConfig::SQLITE_DBCONFIG_DEFENSIVE, true)?;
     database.set_db_config(DbConfig::SQLITE_DBCONFIG_TRUSTED_SCHEMA, false)?;
@@ -107,7 +116,8 @@ fn uri(path: &Path, parameter: &str) -> String {
 }
 
 fn lose(losses: &mut Losses, messages: Option<u64>, what: &str, error: &rusqlite::Error) {
-    losses.add_unplaced(Extent::Messages, messages, format!("{what}: {error}"));
+    let cause = excerpt(&error.to_string());
+    losses.add_unplaced(Extent::Messages, messages, format!("{what}: {cause}"));
 }
 
 /// Which of rosbag2's tables a database has.
@@ -151,6 +161,8 @@ struct Reader<'a> {
     bytes: usize,
     /// Messages of topics that the database does not list.
     orphans: u64,
+    /// Messages whose time is negative.
+    before_1970: u64,
 }
 
 /// A schema and what it is written in.
@@ -209,8 +221,7 @@ impl Reader<'_> {
 
     /// Reads the messages in the order in which they were written, past what is damaged.
     fn messages(&mut self) {
-        // Recorders count rows from 1.
-        let mut from = 1;
+        let mut from = self.first_row();
         let mut breaks = 0;
         while let Err(error) = self.messages_from(&mut from) {
             breaks += 1;
@@ -230,18 +241,34 @@ impl Reader<'_> {
             lose(self.losses, lost, &what, &error);
             from = next;
         }
+        if self.before_1970 > 0 {
+            let what = format!(
+                "the time of receipt of {} messages is before 1970 and taken as its beginning",
+                self.before_1970
+            );
+            self.intake.note(self.losses.file(), what);
+        }
         if self.orphans > 0 {
             let what = format!("{} messages are of topics {NOT_DESCRIBED}", self.orphans);
             self.losses.add_unplaced(Extent::Messages, Some(self.orphans), what);
         }
     }
 
+    /// Where to begin: recorders count rows from 1, but other programs may not.
+    fn first_row(&self) -> i64 {
+        let first = self
+            .database
+            .query_row("SELECT min(rowid) FROM messages", [], |row| row.get::<_, Option<i64>>(0));
+        first.ok().flatten().map_or(1, |first| first.min(1))
+    }
+
     /// Reads the messages from row `from` on, which is moved past what was read.
     fn messages_from(&mut self, from: &mut i64) -> rusqlite::Result<()> {
-        let mut statement = self.database.prepare(
-            "SELECT rowid, topic_id, timestamp, data FROM messages \
+        let mut statement = self.database.prepare(&format!(
+            "SELECT rowid, topic_id, timestamp, {} FROM messages \
              WHERE rowid >= ?1 ORDER BY rowid",
-        )?;
+            self.content()
+        ))?;
         let mut rows = statement.query([*from])?;
         while let Some(row) = rows.next()? {
             let id: i64 = row.get(0)?;
@@ -249,6 +276,24 @@ impl Reader<'_> {
             *from = id.saturating_add(1);
         }
         Ok(())
+    }
+
+    /// What of a message's content is asked for: none where no audit uses it, so that the pages of
+    /// large ones are not read.
+    fn content(&self) -> String {
+        /// Topics beyond which the list of them would be long.
+        const MANY: usize = 1000;
+        let is_used = |channel: &Option<ChannelId>| {
+            channel.is_some_and(|channel| !self.intake.ignores(channel))
+        };
+        let used = self.topics.iter().filter(|(_, channel)| is_used(channel));
+        let mut used: Vec<String> = used.map(|(topic, _)| topic.to_string()).collect();
+        if used.len() > MANY {
+            return "data".to_owned();
+        }
+        used.sort_unstable();
+        let no_use = "typeof(topic_id) = 'integer' AND topic_id NOT IN";
+        format!("CASE WHEN {no_use} ({}) THEN x'' ELSE data END", used.join(", "))
     }
 
     fn message(&mut self, id: i64, row: &Row<'_>) {
@@ -266,10 +311,12 @@ impl Reader<'_> {
             return;
         };
         // A database keeps one time of a message: when the recorder received it.
+        self.before_1970 += u64::from(time < 0);
         let time = u64::try_from(time).unwrap_or(0);
         let message = Message {
             log_time: time,
             publish_time: time,
+            sequence: 0,
             data,
             place: Place::Row(id),
             latched: false,

@@ -99,6 +99,24 @@ fn the_first_schema_version_is_read() {
 }
 
 #[test]
+fn rows_and_times_below_zero_are_read() {
+    let folder = folder();
+    let path = folder.path().join("run.db3");
+    let database = DatabaseWriter::create(&path);
+    database.poses(1, "/pose");
+    let insert = "INSERT INTO messages (id, topic_id, timestamp, data) VALUES (?1, 1, ?2, ?3)";
+    for (row, time) in [(-70_000, -5), (0, 10), (3, 20)] {
+        let message = Cdr::pose_stamped(0, 1, "base", [0.0; 3]);
+        database.database().execute(insert, (row, time, message)).unwrap();
+    }
+    let log = read(&path);
+    assert_eq!(log.losses, []);
+    assert_eq!(rows(&log).times.log, [0, 10, 20]);
+    let [note] = log.notes.as_slice() else { panic!("{:?}", log.notes) };
+    assert!(note.what.contains("of 1 messages is before 1970"), "{note:?}");
+}
+
+#[test]
 fn a_write_ahead_log_is_read_and_left_alone() {
     let (recording, crashed) = (folder(), folder());
     let path = recording.path().join("run.db3");

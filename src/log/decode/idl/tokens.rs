@@ -148,7 +148,7 @@ impl<'a> Tokens<'a> {
             return Ok(None);
         }
         let first = match self.peek() {
-            Some(Token::Name(name)) => Some(name),
+            Some(Token::Name(name) | Token::Number(name)) => Some(name),
             _ => None,
         };
         self.skip_nested('(', ')')?;

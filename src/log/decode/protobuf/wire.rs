@@ -37,6 +37,8 @@ pub(super) enum Fault {
     FieldNumber,
     #[error("groups that do not end, or nest too deep")]
     Group,
+    #[error("neither a position nor a rotation")]
+    Empty,
 }
 
 /// One value, by its wire type.

@@ -1,0 +1,139 @@
+//! The intervals between the rows of a stream, held against their pace.
+
+use super::motion::Motion;
+use super::{Hole, Stretch};
+use crate::time::{Stamp, seconds};
+
+/// An interval of more periods than this lacks a row.
+const LONG: f64 = 1.5;
+
+/// How far apart rows are that follow each other.
+pub(super) struct Pace {
+    /// The typical interval, s: the mean of those close to the median, which rounding of stamps
+    /// makes one of its steps.
+    pub period_s: f64,
+    /// Whether nearly all intervals are close to one, two, three … periods.
+    pub is_regular: bool,
+}
+
+impl Pace {
+    pub fn of(times: &[(Stamp, i64)]) -> Option<Self> {
+        /// An interval this close to the median lacks no row.
+        const SINGLE: f64 = 0.5;
+        const CLOSE: f64 = 0.25;
+        const REGULAR: f64 = 0.6;
+        let intervals: Vec<f64> =
+            times.windows(2).map(|pair| pair[1].0.seconds_since(pair[0].0)).collect();
+        if intervals.len() < 2 {
+            return None;
+        }
+        let mut unsorted = intervals.clone();
+        let middle = unsorted.len() / 2;
+        let median = *unsorted.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let close = || intervals.iter().filter(|dt| (*dt / median - 1.0).abs() < SINGLE);
+        let period_s = close().sum::<f64>() / close().count() as f64;
+        let is_close = |dt: &&f64| {
+            let periods = **dt / period_s;
+            (periods - periods.round().max(1.0)).abs() < CLOSE
+        };
+        let regular = intervals.iter().filter(is_close).count();
+        Some(Self { period_s, is_regular: regular as f64 > REGULAR * intervals.len() as f64 })
+    }
+}
+
+/// The times between rows, held against their pace.
+pub(super) struct Intervals<'a> {
+    /// Stamp and time of receipt of each row, in the order of the stamps, each stamp once.
+    pub times: &'a [(Stamp, i64)],
+    /// The times of receipt in their own order.
+    pub received: &'a [i64],
+    pub pace: &'a Pace,
+    pub motion: &'a Motion<'a>,
+}
+
+impl Intervals<'_> {
+    fn all(&self) -> impl Iterator<Item = (usize, f64)> {
+        let pairs = self.times.windows(2).enumerate();
+        pairs.map(|(left, pair)| (left, pair[1].0.seconds_since(pair[0].0)))
+    }
+
+    /// Rows from `left` on over `count` intervals, as a stretch of time.
+    fn stretch(&self, left: usize, count: usize) -> Stretch {
+        let (start, end) = (self.times[left].0, self.times[left + count].0);
+        let rate_hz = count as f64 / end.seconds_since(start);
+        Stretch { start, end, rate_hz, moving: self.motion.moves(start, end) }
+    }
+
+    /// Whether nothing was received, for half of it at least, in the interval from row `left` on.
+    fn is_silent(&self, left: usize, interval_s: f64) -> bool {
+        let (before, after) = (self.times[left].1, self.times[left + 1].1);
+        let from = self.received.partition_point(|&received| received < before);
+        let to = self.received.partition_point(|&received| received <= after);
+        let between = self.received.get(from..to).unwrap_or_default();
+        let silences = between.windows(2).map(|pair| seconds(pair[1].saturating_sub(pair[0])));
+        2.0 * silences.fold(0.0, f64::max) > interval_s
+    }
+
+    /// The intervals of about two periods and more.
+    pub fn holes(&self) -> Vec<Hole> {
+        /// A stamp from another age would say that millions are missing.
+        const MOST: f64 = 1e9;
+        let periods = |interval_s: f64| (interval_s / self.pace.period_s).round().min(MOST);
+        let long = self.all().filter(|(_, interval_s)| *interval_s > LONG * self.pace.period_s);
+        let hole = |(left, interval_s): (usize, f64)| Hole {
+            stretch: self.stretch(left, 1),
+            missing: (periods(interval_s) as usize).saturating_sub(1),
+            is_silent: self.is_silent(left, interval_s),
+        };
+        long.map(hole).collect()
+    }
+
+    /// How many rows follow the one before by less than half a period.
+    pub fn bunched(&self) -> usize {
+        const SHORT: f64 = 0.5;
+        self.all().filter(|(_, interval_s)| *interval_s < SHORT * self.pace.period_s).count()
+    }
+
+    /// Stretches in which most of nine intervals that follow each other are longer than usual, and
+    /// none is far longer than the others: that would be a hole in it.
+    pub fn lulls(&self) -> Vec<Stretch> {
+        /// A stream's rate varies by less.
+        const LOWER: f64 = 1.25;
+        const FAR_LONGER: f64 = 4.0;
+        const AROUND: usize = 9;
+        if !self.pace.is_regular {
+            return Vec::new();
+        }
+        let intervals: Vec<f64> = self.all().map(|(_, interval_s)| interval_s).collect();
+        let is_lower = |window: &[f64]| {
+            let mut sorted = [0.0; AROUND];
+            let sorted = &mut sorted[..window.len()];
+            sorted.copy_from_slice(window);
+            sorted.sort_by(f64::total_cmp);
+            let (median, longest) = (sorted[(sorted.len() - 1) / 2], sorted[sorted.len() - 1]);
+            median > LOWER * self.pace.period_s && longest < FAR_LONGER * median
+        };
+        let around = |at: usize| {
+            let (from, to) = (at.saturating_sub(AROUND / 2), at + AROUND / 2 + 1);
+            &intervals[from..to.min(intervals.len())]
+        };
+        // Hardly any interval is long, and of a window with such a median half of them are.
+        let is_long = |interval_s: &f64| *interval_s > LOWER * self.pace.period_s;
+        let may_be_lower = |at: usize| {
+            let window = around(at);
+            2 * window.iter().filter(|interval_s| is_long(interval_s)).count() >= window.len()
+        };
+        let is_lower = |at: usize| may_be_lower(at) && is_lower(around(at));
+        let lower: Vec<bool> = (0..intervals.len()).map(is_lower).collect();
+        let mut found = Vec::new();
+        let mut at = 0;
+        while at < lower.len() {
+            let length = lower[at..].iter().take_while(|lower| **lower).count();
+            if length > 0 {
+                found.push(self.stretch(at, length));
+            }
+            at += length.max(1);
+        }
+        found
+    }
+}

@@ -1,0 +1,265 @@
+//! How regularly the rows of a stream come: steps back, repeats, holes and lulls.
+//!
+//! Stamps say when the content was true, receive times only that it arrived: a stamp that steps back
+//! is held against the order of receipt, and a hole in the stamps is one in the receipts too, or it
+//! was the clock that stepped. Nothing is judged here: how large a hole is a gap, and how many lost
+//! rows are a fault, is for the rules to say.
+
+mod extent;
+mod intervals;
+mod motion;
+mod numbers;
+mod parts;
+#[cfg(test)]
+mod tests;
+
+use std::collections::HashMap;
+
+use crate::time::{Clock, Stamp, seconds};
+
+use self::extent::{Bounds, extent};
+use self::intervals::{Intervals, Pace};
+use self::motion::Motion;
+use self::parts::{Part, parts};
+use super::arm::Arm;
+use super::clock::{HeaderStamps, StreamClock};
+use super::joints::JointTopic;
+use super::role::Role;
+use super::streams::{Stream, Timing};
+
+pub use self::extent::Extent;
+
+/// How regularly the rows of one stream come, or of one transform of a TF topic, or of one of
+/// several senders on a topic of joint states.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Cadence {
+    /// The child frame of the transform.
+    pub frame: Option<String>,
+    /// Whether an audit may expect it to be steady: false for transforms that are not of an arm's own
+    /// links.
+    pub wanted: bool,
+    /// Rows.
+    pub rows: usize,
+    /// Typical time between two rows, s; `None` of fewer than three rows.
+    pub period_s: Option<f64>,
+    /// Whether nearly all intervals are close to one, two, three … periods.
+    pub is_regular: bool,
+    /// Whether the header stamps can be judged: they are there and advance.
+    pub stamped: bool,
+    /// Stamps before one that was received earlier: each with the stamp before it, and how far it is
+    /// behind, s.
+    pub steps_back: Vec<(Stamp, f64)>,
+    /// Rows that repeat the stamp of an earlier one with the same content.
+    pub repeats: usize,
+    /// Rows that repeat the stamp of an earlier one with other content.
+    pub conflicts: usize,
+    /// Intervals in which a row or more is missing, in the order of time.
+    pub holes: Vec<Hole>,
+    /// Rows closer than half a period to the one before: those were late, not lost, and make up for
+    /// one missing row each.
+    pub bunched: usize,
+    /// Where rows come at a notably lower rate than usual, for several rows on end.
+    pub lulls: Vec<Stretch>,
+    /// Rows missing by the numbers that the sender gives its messages; `None` where it gives none.
+    pub skipped: Option<usize>,
+}
+
+/// A part of a stream's time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stretch {
+    /// The stamp that it begins with.
+    pub start: Stamp,
+    /// The stamp that it ends with.
+    pub end: Stamp,
+    /// Rows a second in it, both ends counted as half a row.
+    pub rate_hz: f64,
+    /// Whether the arm moved in it; `None` where no joint states say.
+    pub moving: Option<bool>,
+}
+
+impl Stretch {
+    /// Its length, s.
+    pub fn seconds(&self) -> f64 {
+        self.end.seconds_since(self.start)
+    }
+}
+
+/// An interval between two rows that lasts longer than a period.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hole {
+    /// Its time.
+    pub stretch: Stretch,
+    /// How many rows are missing in it, at the stream's period.
+    pub missing: usize,
+    /// Whether nothing was received for most of it. What was received all the time had its clock set.
+    pub is_silent: bool,
+}
+
+/// The rhythm of one stream.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rhythm {
+    /// Index of the stream.
+    pub stream: usize,
+    /// Its parts.
+    pub parts: Vec<Cadence>,
+    /// How it lies against the others; `None` where there is no other.
+    pub extent: Option<Extent>,
+}
+
+/// The rhythm of every stream that plays a part.
+pub(super) fn rhythms(
+    streams: &[Stream],
+    timing: &Timing,
+    topics: &[JointTopic<'_>],
+    arms: &[Arm],
+) -> Vec<Rhythm> {
+    let motion = Motion::of(topics, arms);
+    let mut rhythms: Vec<(Rhythm, Option<Bounds>)> = Vec::new();
+    let mut counted: Vec<Vec<u32>> = Vec::new();
+    for (index, stream) in streams.iter().enumerate() {
+        let has_rhythm = has_rhythm(stream) && !is_within_tf(stream, streams);
+        let Some(columns) = stream.columns.as_ref().filter(|_| has_rhythm) else { continue };
+        let mut parts = parts(columns, arms);
+        if stream.role == Role::Tf {
+            parts.retain(|part| !is_stream_of_its_own(part, stream, streams));
+        }
+        let bounds = parts
+            .iter()
+            .filter(|part| part.wanted && is_expected(stream))
+            .filter_map(|part| Bounds::of(part, timing.clock(index, part.piece)?))
+            .reduce(Bounds::join);
+        // Where several senders share a topic, the numbers may count the messages of all.
+        counted.push(match parts.as_slice() {
+            [only] if stream.role != Role::Tf => only.numbers(),
+            _ => Vec::new(),
+        });
+        let parts = parts
+            .iter()
+            .filter_map(|part| Some(part.cadence(timing.clock(index, part.piece)?, &motion)));
+        rhythms.push((Rhythm { stream: index, parts: parts.collect(), extent: None }, bounds));
+    }
+    let bounds: Vec<Option<Bounds>> = rhythms.iter().map(|(_, bounds)| *bounds).collect();
+    for (index, (rhythm, _)) in rhythms.iter_mut().enumerate() {
+        rhythm.extent = extent(&bounds, index, &motion);
+        if let [only] = rhythm.parts.as_mut_slice() {
+            only.skipped = numbers::skipped(&counted, index);
+        }
+    }
+    rhythms.into_iter().map(|(rhythm, _)| rhythm).collect()
+}
+
+/// Whether the rows of a stream come in a rhythm that may be looked at.
+fn has_rhythm(stream: &Stream) -> bool {
+    match stream.role {
+        Role::Joints
+        | Role::Pose
+        | Role::Candidate { .. }
+        | Role::Reference
+        | Role::Target
+        | Role::Tf
+        | Role::Imu
+        | Role::Unassigned => true,
+        Role::TfStatic | Role::Description | Role::Ignored => false,
+    }
+}
+
+/// Whether a stream must be there from the first to the last of the run.
+fn is_expected(stream: &Stream) -> bool {
+    matches!(stream.role, Role::Joints | Role::Pose | Role::Candidate { .. } | Role::Tf | Role::Imu)
+}
+
+/// Whether a stream is a transform that is looked at with the others of its TF topic.
+fn is_within_tf(stream: &Stream, streams: &[Stream]) -> bool {
+    !matches!(stream.role, Role::Tf | Role::Pose | Role::Candidate { .. })
+        && streams.iter().any(|other| other.role == Role::Tf && other.topic == stream.topic)
+}
+
+/// Whether a transform of TF topic `stream` is listed as a measured pose beside it.
+fn is_stream_of_its_own(part: &Part<'_>, stream: &Stream, streams: &[Stream]) -> bool {
+    streams.iter().any(|other| {
+        matches!(other.role, Role::Pose | Role::Candidate { .. })
+            && other.topic == stream.topic
+            && part.frame == Some(other.child_frame_id.as_str())
+    })
+}
+
+impl Part<'_> {
+    fn cadence(&self, clock: &StreamClock, motion: &Motion) -> Cadence {
+        let mut cadence = Cadence {
+            frame: self.frame.map(str::to_owned),
+            wanted: self.wanted,
+            rows: self.rows.len(),
+            stamped: clock.stamps == HeaderStamps::Sound,
+            ..Cadence::default()
+        };
+        let stamped = |&row: &usize| Some((clock.stamp_of(self.times, row)?, self.times.log[row]));
+        let mut times: Vec<(Stamp, i64)> = self.rows.iter().filter_map(stamped).collect();
+        times.sort_unstable();
+        times.dedup_by_key(|(stamp, _)| *stamp);
+        let pace = Pace::of(&times);
+        cadence.period_s = pace.as_ref().map(|pace| pace.period_s);
+        if let Some(pace) = &pace {
+            cadence.is_regular = pace.is_regular;
+            let mut received: Vec<i64> = times.iter().map(|(_, received)| *received).collect();
+            received.sort_unstable();
+            let intervals = Intervals { times: &times, received: &received, pace, motion };
+            cadence.holes = intervals.holes();
+            cadence.bunched = intervals.bunched();
+            cadence.lulls = intervals.lulls();
+        }
+        if cadence.stamped {
+            let offset = match clock.clock {
+                Clock::Header => clock.alignment.map_or(0, |alignment| alignment.offset_nanos),
+                Clock::Log | Clock::Publish => 0,
+            };
+            cadence.steps_back = self.steps_back(offset);
+            (cadence.repeats, cadence.conflicts) = self.repeated();
+        }
+        cadence
+    }
+
+    /// Rows whose header has a stamp, in the order of receipt.
+    fn stamped(&self) -> impl Iterator<Item = (usize, i64)> {
+        let rows = self.rows.iter().map(|&row| (row, self.times.header[row]));
+        rows.filter(|(_, stamp)| *stamp != 0)
+    }
+
+    /// The numbers of its rows, in the order of receipt; none where not each row has one.
+    fn numbers(&self) -> Vec<u32> {
+        let numbers = &self.times.sequence;
+        self.rows.iter().map_while(|&row| numbers.get(row).copied()).collect()
+    }
+
+    /// Where stamps step back: what stands before the step, and its size, s.
+    fn steps_back(&self, offset_nanos: i64) -> Vec<(Stamp, f64)> {
+        let mut steps = Vec::new();
+        let mut before: Option<i64> = None;
+        for (_, stamp) in self.stamped() {
+            if let Some(before) = before.filter(|before| stamp < *before) {
+                let at = Stamp::from_nanos(before.saturating_add(offset_nanos));
+                steps.push((at, seconds(before.saturating_sub(stamp))));
+            }
+            before = Some(stamp);
+        }
+        steps
+    }
+
+    /// How many rows repeat the stamp of an earlier row: with the same content, with other.
+    fn repeated(&self) -> (usize, usize) {
+        if self.stamped().is_sorted_by(|a, b| a.1 < b.1) {
+            return (0, 0);
+        }
+        let mut first: HashMap<i64, usize> = HashMap::new();
+        let (mut same, mut other) = (0, 0);
+        for (row, stamp) in self.stamped() {
+            match first.get(&stamp) {
+                Some(&earlier) if self.columns.is_same(earlier, row) => same += 1,
+                Some(_) => other += 1,
+                None => {
+                    first.insert(stamp, row);
+                }
+            }
+        }
+        (same, other)
+    }
+}

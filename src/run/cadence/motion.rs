@@ -1,0 +1,66 @@
+//! Whether the arm moved.
+
+use std::borrow::Cow;
+use std::rc::Rc;
+
+use crate::run::arm::Arm;
+use crate::run::joints::{JointTopic, Samples};
+use crate::time::Stamp;
+
+/// When the joints were where.
+pub(super) struct Motion<'a> {
+    /// Stamps and positions of each joint.
+    pub joints: Vec<(Rc<[Stamp]>, Cow<'a, [f64]>)>,
+}
+
+impl<'a> Motion<'a> {
+    /// Of the joints of the arms, or where there is no arm of all joints.
+    pub(super) fn of(topics: &[JointTopic<'a>], arms: &[Arm]) -> Self {
+        let of_an_arm = |name: &str| {
+            arms.is_empty()
+                || arms.iter().any(|arm| arm.joint_names.iter().any(|joint| joint == name))
+        };
+        let mut joints = Vec::new();
+        for topic in topics {
+            let stamps: Rc<[Stamp]> = topic.stamps.iter().map_while(|stamp| *stamp).collect();
+            let in_order = stamps.len() == topic.stamps.len()
+                && stamps.is_sorted_by(|earlier, later| earlier < later);
+            for joint in topic.columns.joints.iter().filter(|joint| of_an_arm(&joint.name)) {
+                if in_order && joint.position.iter().all(|q| q.is_finite()) {
+                    joints.push((Rc::clone(&stamps), Cow::Borrowed(joint.position.as_slice())));
+                    continue;
+                }
+                let Samples { stamps, position, .. } = Samples::of(topic, &joint.name);
+                joints.push((stamps.into(), position.into()));
+            }
+        }
+        Self { joints }
+    }
+
+    /// Whether a joint moved between two times; `None` where the joint states cover less than half
+    /// of what lies between.
+    pub(super) fn moves(&self, start: Stamp, end: Stamp) -> Option<bool> {
+        /// What a joint's noise may feign, and less than an arm does in a tenth of a second of work,
+        /// rad or m.
+        const MOVES: f64 = 5e-3;
+        let mut covered = false;
+        for (stamps, position) in &self.joints {
+            let from = stamps.partition_point(|&stamp| stamp <= start).saturating_sub(1);
+            let to =
+                stamps.partition_point(|&stamp| stamp < end).min(stamps.len().saturating_sub(1));
+            let (Some(first), Some(last)) = (stamps.get(from), stamps.get(to)) else { continue };
+            let shared_s = (*last).min(end).seconds_since((*first).max(start));
+            if from >= to || 2.0 * shared_s < end.seconds_since(start) {
+                continue;
+            }
+            covered = true;
+            let span = &position[from..=to];
+            let low = span.iter().copied().fold(f64::INFINITY, f64::min);
+            let high = span.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            if high - low > MOVES {
+                return Some(true);
+            }
+        }
+        covered.then_some(false)
+    }
+}

@@ -1,0 +1,90 @@
+//! Rows missing by the numbers that senders give their messages.
+//!
+//! ROS 1 numbers the messages of each publisher in their header, MCAP has a number beside each
+//! message. But who numbers is not said: a recorder that counts what it writes leaves no number out,
+//! and one that counts all topics together leaves out many. So a number that is left out counts only
+//! where it is plain that topics are numbered apart, and none left out proves nothing.
+
+/// Numbers without which nothing can be said.
+const ENOUGH: usize = 20;
+/// Other streams that one is held against.
+const OTHERS: usize = 8;
+/// The share of the steps that are the usual one, where the numbers count the stream's messages.
+const USUAL: f64 = 0.6;
+
+/// How many rows are missing of stream `index`, by the numbers of its rows; `None` where they do not
+/// say. `counted` holds the numbers of all streams, each in the order of receipt.
+pub(super) fn skipped(counted: &[Vec<u32>], index: usize) -> Option<usize> {
+    let own = counted.get(index).filter(|own| is_counted(own))?;
+    let others = counted.iter().enumerate().filter(|(other, _)| *other != index);
+    let mut others = others.map(|(_, other)| other).filter(|other| is_counted(other)).take(OTHERS);
+    others.any(|other| are_apart(own, other)).then_some(())?;
+    let steps: Vec<u32> = own.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let mut sorted = steps.clone();
+    sorted.sort_unstable();
+    // A stream of which every third message was kept has steps of three.
+    let usual = sorted[sorted.len() / 2];
+    let are_usual = steps.iter().filter(|step| **step == usual).count();
+    let missing = |step: &u32| ((step + usual / 2) / usual).saturating_sub(1) as usize;
+    let skipped: usize = steps.iter().map(missing).sum();
+    // More than there are messages: the sender began to count anew.
+    (are_usual as f64 > USUAL * steps.len() as f64 && skipped < own.len()).then_some(skipped)
+}
+
+/// Whether the numbers rise from message to message.
+fn is_counted(numbers: &[u32]) -> bool {
+    numbers.len() >= ENOUGH && numbers.windows(2).all(|pair| pair[0] < pair[1])
+}
+
+/// Whether two streams of one time, whose numbers rise, are numbered apart: one counter for both would give neither the
+/// same number twice nor numbers far from each other.
+fn are_apart(a: &[u32], b: &[u32]) -> bool {
+    let (Some((a_first, a_last)), Some((b_first, b_last))) =
+        (a.first().zip(a.last()), b.first().zip(b.last()))
+    else {
+        return false;
+    };
+    let is_in_a = |number: &u32| a.binary_search(number).is_ok();
+    a_last < b_first || b_last < a_first || b.iter().any(is_in_a)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn without(numbers: impl Iterator<Item = u32>, gone: &[u32]) -> Vec<u32> {
+        numbers.filter(|number| !gone.contains(number)).collect()
+    }
+
+    #[test]
+    fn numbers_that_are_left_out_are_missing_rows() {
+        let lossy = without(1..101, &[7, 8, 50]);
+        let counted = [lossy, (1..201).collect(), (5000..5100).collect()];
+        let skipped: Vec<_> = (0..3).map(|index| skipped(&counted, index)).collect();
+        assert_eq!(skipped, [Some(3), Some(0), Some(0)]);
+    }
+
+    #[test]
+    fn every_third_message_kept_is_no_loss() {
+        let counted = [without((0..300).step_by(3), &[30]), (1..201).collect()];
+        assert_eq!(skipped(&counted, 0), Some(1));
+    }
+
+    #[test]
+    fn one_counter_for_all_topics_says_nothing() {
+        let (a, b) = (1..400).partition(|number| number % 5 != 0);
+        assert_eq!([skipped(&[a, b], 0)], [None]);
+        assert_eq!(skipped(&[without(1..101, &[7])], 0), None);
+    }
+
+    #[test]
+    fn numbers_that_do_not_count_say_nothing() {
+        let other = || (1..201).collect::<Vec<u32>>();
+        let (none, back) = (vec![0; 100], (1..50).chain(1..50).collect());
+        let (square, anew) =
+            ((1..100).map(|n| n * n).collect(), (1..60).chain(90_000..90_050).collect());
+        for numbers in [none, back, square, anew] {
+            assert_eq!(skipped(&[numbers, other()], 0), None);
+        }
+    }
+}

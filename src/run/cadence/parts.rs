@@ -1,0 +1,133 @@
+//! The parts of a stream that have a rhythm of their own: senders, transforms.
+
+use crate::run::arm::Arm;
+use crate::run::role::is_sight;
+use crate::run::tf_tree::without_slash;
+use crate::stream::{Columns, JointColumns, PoseColumns, Times};
+
+/// Some rows of a stream that come from one sender at one rhythm.
+pub(super) struct Part<'a> {
+    /// Which piece of the stream's columns they are in.
+    pub piece: usize,
+    pub frame: Option<&'a str>,
+    pub wanted: bool,
+    pub times: &'a Times,
+    /// The rows, in the order of receipt.
+    pub rows: Vec<usize>,
+    pub columns: Piece<'a>,
+}
+
+/// What the rows of a part hold.
+pub(super) enum Piece<'a> {
+    Joints(&'a JointColumns),
+    Poses(&'a PoseColumns),
+    Numbers(Vec<&'a [[f64; 3]]>),
+    Array(&'a [f64], usize),
+}
+
+impl Piece<'_> {
+    /// Whether two rows hold the same.
+    pub fn is_same(&self, a: usize, b: usize) -> bool {
+        let same = |a: f64, b: f64| a == b || (a.is_nan() && b.is_nan());
+        match self {
+            Piece::Joints(joints) => {
+                joints.joints.iter().all(|joint| same(joint.position[a], joint.position[b]))
+            }
+            Piece::Poses(poses) => {
+                poses.xyz[a] == poses.xyz[b] && poses.q_xyzw[a] == poses.q_xyzw[b]
+            }
+            Piece::Numbers(columns) => columns.iter().all(|column| column[a] == column[b]),
+            Piece::Array(values, width) => {
+                values[a * width..(a + 1) * width] == values[b * width..(b + 1) * width]
+            }
+        }
+    }
+}
+
+/// The parts of what a stream held.
+pub(super) fn parts<'a>(columns: &'a Columns, arms: &[Arm]) -> Vec<Part<'a>> {
+    let whole = |piece: usize, times: &'a Times, columns: Piece<'a>| Part {
+        piece,
+        frame: None,
+        wanted: true,
+        times,
+        rows: in_order_of_receipt(times, (0..times.len()).collect()),
+        columns,
+    };
+    match columns {
+        Columns::Joints(joints) => senders(joints)
+            .into_iter()
+            .map(|rows| Part {
+                rows: in_order_of_receipt(&joints.times, rows),
+                ..whole(0, &joints.times, Piece::Joints(joints))
+            })
+            .collect(),
+        Columns::Poses(poses) => {
+            let poses = poses.iter().enumerate();
+            poses.map(|(piece, poses)| whole(piece, &poses.times, Piece::Poses(poses))).collect()
+        }
+        Columns::Transforms(transforms) => {
+            let transforms = transforms.iter().enumerate();
+            transforms
+                .map(|(piece, poses)| Part {
+                    frame: Some(without_slash(&poses.child_frame_id)),
+                    wanted: is_of_an_arm(poses, arms),
+                    ..whole(piece, &poses.times, Piece::Poses(poses))
+                })
+                .collect()
+        }
+        Columns::Imu(imu) => {
+            vec![whole(0, &imu.times, Piece::Numbers(vec![&imu.gyro, &imu.accel]))]
+        }
+        Columns::Array(array) => {
+            vec![whole(0, &array.times, Piece::Array(&array.values, array.width))]
+        }
+        Columns::Text(_) => Vec::new(),
+    }
+}
+
+fn in_order_of_receipt(times: &Times, mut rows: Vec<usize>) -> Vec<usize> {
+    rows.sort_by_key(|&row| times.log[row]);
+    rows
+}
+
+/// Whether a transform is between links of an arm; without an arm that could tell, whether it is
+/// none that a camera sees now and then.
+fn is_of_an_arm(transform: &PoseColumns, arms: &[Arm]) -> bool {
+    let (parent, child) =
+        (without_slash(&transform.frame_id), without_slash(&transform.child_frame_id));
+    if arms.is_empty() {
+        return !is_sight(parent) && !is_sight(child);
+    }
+    arms.iter().any(|arm| arm.joints_between(parent, child).is_some())
+}
+
+/// The rows of joint states by their sender: joints that are ever in one message have the same.
+pub(super) fn senders(joints: &JointColumns) -> Vec<Vec<usize>> {
+    if joints.joints.iter().all(|joint| joint.position.iter().all(|q| !q.is_nan())) {
+        return vec![(0..joints.times.len()).collect()];
+    }
+    let in_row = |row: usize| {
+        let joints = joints.joints.iter().enumerate();
+        joints.filter(move |(_, joint)| !joint.position[row].is_nan()).map(|(index, _)| index)
+    };
+    let mut sender: Vec<usize> = (0..joints.joints.len()).collect();
+    for row in 0..joints.times.len() {
+        let Some(first) = in_row(row).next() else { continue };
+        for joint in in_row(row) {
+            let (kept, gone) = (sender[first], sender[joint]);
+            if kept != gone {
+                sender.iter_mut().filter(|of| **of == gone).for_each(|of| *of = kept);
+            }
+        }
+    }
+    let mut rows: Vec<(usize, Vec<usize>)> = Vec::new();
+    for row in 0..joints.times.len() {
+        let Some(of) = in_row(row).next().map(|joint| sender[joint]) else { continue };
+        match rows.iter_mut().find(|(known, _)| *known == of) {
+            Some((_, rows)) => rows.push(row),
+            None => rows.push((of, vec![row])),
+        }
+    }
+    rows.into_iter().map(|(_, rows)| rows).collect()
+}

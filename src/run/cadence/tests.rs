@@ -1,0 +1,168 @@
+//! Rhythms with one thing done to them.
+
+use super::parts::senders;
+use super::*;
+use crate::run::Epoch;
+use crate::stream::{Columns, JointColumn, JointColumns, PoseColumns};
+
+const MS: i64 = 1_000_000;
+
+/// A stream at 100 Hz for 10 s, received 1 ms after its stamps; `edit` says what becomes of row
+/// `row`: its stamp and its time of receipt, ms.
+fn poses(edit: impl Fn(i64) -> Option<(i64, i64)>) -> Columns {
+    let mut poses = PoseColumns::default();
+    for row in 0..1000 {
+        let Some((stamp, received)) = edit(row) else { continue };
+        poses.times.push((1_000_000 + stamp) * MS, (1_000_000 + received) * MS, 0);
+        poses.xyz.push([row as f64, 0.0, 0.0]);
+        poses.q_xyzw.push([0.0, 0.0, 0.0, 1.0]);
+    }
+    Columns::Poses(vec![poses])
+}
+
+fn on_time(row: i64) -> (i64, i64) {
+    (10 * row, 10 * row + 1)
+}
+
+/// The cadence of the first part, beside a joint that moves in the first 5 s.
+fn cadence(columns: &Columns) -> Cadence {
+    let clock = StreamClock {
+        stream: 0,
+        frame: None,
+        clock: Clock::Header,
+        stamps: HeaderStamps::Sound,
+        rows: 0,
+        zero: 0,
+        log_minus_header_s: Some(1e-3),
+        epoch: Epoch::Common,
+        alignment: None,
+    };
+    let stamps: Vec<Stamp> =
+        (0..1000).map(|row| Stamp::from_nanos((1_000_000 + 10 * row) * MS)).collect();
+    let position = (0..1000).map(|row| 0.01 * f64::from(row.min(500))).collect();
+    parts(columns, &[])[0]
+        .cadence(&clock, &Motion { joints: vec![(stamps.into(), position.into())] })
+}
+
+/// Rows missing in all holes.
+fn missing(cadence: &Cadence) -> usize {
+    cadence.holes.iter().map(|hole| hole.missing).sum()
+}
+
+#[test]
+fn a_steady_stream_has_its_period_and_nothing_else() {
+    let jittered = |row: i64| Some((10 * row + (row * 7919) % 3, 10 * row + 5));
+    for columns in [poses(|row| Some(on_time(row))), poses(jittered)] {
+        let found = cadence(&columns);
+        assert!(found.period_s.is_some_and(|period_s| (period_s - 0.01).abs() < 1e-4));
+        assert_eq!((found.is_regular, found.bunched), (true, 0));
+        assert_eq!((found.repeats, found.conflicts), (0, 0));
+        assert!(found.holes.is_empty() && found.lulls.is_empty(), "{found:?}");
+        assert!(found.steps_back.is_empty(), "{found:?}");
+    }
+}
+
+#[test]
+fn silence_is_told_by_whether_the_arm_moves() {
+    let silent =
+        |from: i64| poses(move |row| (!(from..from + 60).contains(&row)).then(|| on_time(row)));
+    for (from, moving) in [(200, true), (700, false)] {
+        let found = cadence(&silent(from));
+        let [Hole { stretch, missing: 60, is_silent: true }] = found.holes.as_slice() else {
+            panic!("{found:?}")
+        };
+        assert!((stretch.seconds() - 0.61).abs() < 1e-9, "{stretch:?}");
+        assert_eq!(stretch.moving, Some(moving));
+    }
+}
+
+#[test]
+fn a_clock_that_is_set_forward_is_no_silence() {
+    let set = |row: i64| {
+        let (stamp, received) = on_time(row);
+        Some((stamp + if row < 300 { 0 } else { 700 }, received))
+    };
+    let found = cadence(&poses(set));
+    let [Hole { is_silent: false, .. }] = found.holes.as_slice() else { panic!("{found:?}") };
+}
+
+#[test]
+fn missing_rows_are_counted_and_late_ones_make_up_for_theirs() {
+    let lossy = cadence(&poses(|row| (row % 20 != 7).then(|| on_time(row))));
+    assert_eq!((missing(&lossy), lossy.bunched), (50, 0));
+    let late = |row: i64| {
+        let (stamp, received) = on_time(row);
+        Some((stamp + if row % 20 == 7 { 8 } else { 0 }, received + 8))
+    };
+    let late = cadence(&poses(late));
+    assert_eq!((missing(&late), late.bunched), (50, 50));
+    let random = |row: i64| Some((10 * row + (row * 7919) % 97, 10 * row + 100));
+    assert!(!cadence(&poses(random)).is_regular);
+}
+
+#[test]
+fn a_lower_rate_over_seconds_is_a_lull() {
+    let slow = |row: i64| (row < 600 || row % 4 == 0).then(|| on_time(row));
+    let found = cadence(&poses(slow));
+    let [stretch] = found.lulls.as_slice() else { panic!("{found:?}") };
+    assert!((stretch.rate_hz - 25.0).abs() < 1.0 && stretch.seconds() > 3.5, "{stretch:?}");
+    // At a rate so low that each interval is long by itself, too.
+    let crawls = |row: i64| (row < 700 || row % 20 == 0).then(|| on_time(row));
+    let found = cadence(&poses(crawls));
+    let [stretch] = found.lulls.as_slice() else { panic!("{found:?}") };
+    assert!((stretch.rate_hz - 5.0).abs() < 0.5, "{stretch:?}");
+}
+
+#[test]
+fn stamps_are_held_against_the_order_of_receipt() {
+    let back = |row: i64| {
+        let (stamp, received) = on_time(row);
+        Some((stamp - if (300..330).contains(&row) { 407 } else { 0 }, received))
+    };
+    let found = cadence(&poses(back));
+    let [(at, by_s)] = found.steps_back.as_slice() else { panic!("{found:?}") };
+    assert_eq!(at.nanos(), (1_000_000 + 2990) * MS);
+    assert!((by_s - 0.397).abs() < 1e-9, "{by_s}");
+    // Two that change places step back by one period.
+    let swapped = |row: i64| {
+        let (stamp, received) = on_time(row);
+        Some((stamp, received + if row == 500 { 15 } else { 0 }))
+    };
+    let found = cadence(&poses(swapped));
+    let [(_, by_s)] = found.steps_back.as_slice() else { panic!("{found:?}") };
+    assert!((by_s - 0.01).abs() < 1e-9, "{by_s}");
+}
+
+#[test]
+fn a_stamp_used_twice_is_a_repeat_or_a_conflict() {
+    let mut columns = poses(|row| {
+        let (stamp, received) = on_time(row);
+        Some((stamp - if row % 100 == 50 { 10 } else { 0 }, received))
+    });
+    let found = cadence(&columns);
+    assert_eq!((found.repeats, found.conflicts, missing(&found)), (0, 10, 10));
+    if let Columns::Poses(poses) = &mut columns {
+        poses[0].xyz.fill([0.0; 3]);
+    }
+    let found = cadence(&columns);
+    assert_eq!((found.repeats, found.conflicts), (10, 0));
+}
+
+#[test]
+fn two_senders_on_one_topic_are_looked_at_apart() {
+    let mut columns = JointColumns::default();
+    for name in ["arm", "finger"] {
+        columns.joints.push(JointColumn { name: name.to_owned(), ..JointColumn::default() });
+    }
+    for row in 0..300 {
+        let of_arm = row % 3 != 0;
+        columns.times.push(10 * row * MS, 10 * row * MS, 0);
+        let values = if of_arm { [0.1, f64::NAN] } else { [f64::NAN, 0.2] };
+        for (joint, value) in columns.joints.iter_mut().zip(values) {
+            joint.position.push(value);
+            joint.velocity.push(f64::NAN);
+        }
+    }
+    let rows: Vec<usize> = senders(&columns).iter().map(Vec::len).collect();
+    assert_eq!(rows, [100, 200]);
+}
