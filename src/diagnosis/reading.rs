@@ -12,6 +12,7 @@ use crate::geometry::{
 };
 use crate::stream::Orientations;
 use nalgebra::Matrix3;
+use rayon::prelude::*;
 
 /// A reading fits when its residual is within this factor of the least one …
 const NEAR: f64 = 5.0;
@@ -280,24 +281,25 @@ fn all_fits(samples: &Samples) -> Vec<Fit> {
         (true, false) => &[Frames::None, Frames::Tool],
         (true, true) => &[Frames::None, Frames::Tool, Frames::Reference, Frames::Both],
     };
-    let (mut truths, mut buffer) = (Truths::default(), Vec::new());
-    let mut fits = Vec::new();
-    for reading in readings(&samples.logged) {
-        truths.fill(&reading, &samples.logged, &mut buffer);
-        for &frames in allowed {
+    let fits_of = |(truths, buffer): &mut (Truths, Vec<_>), reading: Reading| -> Vec<Fit> {
+        truths.fill(&reading, &samples.logged, buffer);
+        let fit = |&frames: &Frames| {
             let (reference, tool) = match frames {
                 Frames::None => (Rotation::identity(), Rotation::identity()),
-                Frames::Tool => (Rotation::identity(), one_frame(&truths, samples.fk, Side::Tool)),
+                Frames::Tool => (Rotation::identity(), one_frame(truths, samples.fk, Side::Tool)),
                 Frames::Reference => {
-                    (one_frame(&truths, samples.fk, Side::Reference), Rotation::identity())
+                    (one_frame(truths, samples.fk, Side::Reference), Rotation::identity())
                 }
-                Frames::Both => both_frames(&truths, samples.fk),
+                Frames::Both => both_frames(truths, samples.fk),
             };
-            let residual_rad = residual(&truths, samples.fk, &reference, &tool);
-            fits.push(Fit { reading, frames, reference, tool, residual_rad });
-        }
-    }
-    fits
+            let residual_rad = residual(truths, samples.fk, &reference, &tool);
+            Fit { reading, frames, reference, tool, residual_rad }
+        };
+        allowed.iter().map(fit).collect()
+    };
+    let fits: Vec<Vec<Fit>> =
+        readings(&samples.logged).into_par_iter().map_init(Default::default, fits_of).collect();
+    fits.into_iter().flatten().collect()
 }
 
 /// Rms angle of the best nine tenths of the samples between the nearest truths and

@@ -15,6 +15,8 @@ mod tests;
 
 use std::collections::HashMap;
 
+use rayon::prelude::*;
+
 use crate::time::{Clock, Stamp, seconds};
 
 use self::extent::{Bounds, extent};
@@ -114,11 +116,9 @@ pub(super) fn rhythms(
     arms: &[Arm],
 ) -> Vec<Rhythm> {
     let motion = Motion::of(topics, arms);
-    let mut rhythms: Vec<(Rhythm, Option<Bounds>)> = Vec::new();
-    let mut counted: Vec<Vec<u32>> = Vec::new();
-    for (index, stream) in streams.iter().enumerate() {
+    let rhythm = |(index, stream): (usize, &Stream)| {
         let has_rhythm = has_rhythm(stream) && !is_within_tf(stream, streams);
-        let Some(columns) = stream.columns.as_ref().filter(|_| has_rhythm) else { continue };
+        let columns = stream.columns.as_ref().filter(|_| has_rhythm)?;
         let mut parts = parts(columns, arms);
         if stream.role == Role::Tf {
             parts.retain(|part| !is_stream_of_its_own(part, stream, streams));
@@ -129,15 +129,19 @@ pub(super) fn rhythms(
             .filter_map(|part| Bounds::of(part, timing.clock(index, part.piece)?))
             .reduce(Bounds::join);
         // Where several senders share a topic, the numbers may count the messages of all.
-        counted.push(match parts.as_slice() {
+        let numbers = match parts.as_slice() {
             [only] if stream.role != Role::Tf => only.numbers(),
             _ => Vec::new(),
-        });
+        };
         let parts = parts
-            .iter()
+            .par_iter()
             .filter_map(|part| Some(part.cadence(timing.clock(index, part.piece)?, &motion)));
-        rhythms.push((Rhythm { stream: index, parts: parts.collect(), extent: None }, bounds));
-    }
+        let rhythm = Rhythm { stream: index, parts: parts.collect(), extent: None };
+        Some(((rhythm, bounds), numbers))
+    };
+    let found: Vec<_> = streams.par_iter().enumerate().filter_map(rhythm).collect();
+    let (mut rhythms, counted): (Vec<(Rhythm, Option<Bounds>)>, Vec<Vec<u32>>) =
+        found.into_iter().unzip();
     let bounds: Vec<Option<Bounds>> = rhythms.iter().map(|(_, bounds)| *bounds).collect();
     for (index, (rhythm, _)) in rhythms.iter_mut().enumerate() {
         rhythm.extent = extent(&bounds, index, &motion);

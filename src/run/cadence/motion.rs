@@ -1,7 +1,7 @@
 //! Whether the arm moved.
 
 use std::borrow::Cow;
-use std::rc::Rc;
+use std::sync::Arc;
 
 use crate::run::arm::Arm;
 use crate::run::joints::{JointTopic, Samples};
@@ -10,7 +10,7 @@ use crate::time::Stamp;
 /// When the joints were where.
 pub(super) struct Motion<'a> {
     /// Stamps and positions of each joint.
-    pub joints: Vec<(Rc<[Stamp]>, Cow<'a, [f64]>)>,
+    pub joints: Vec<(Arc<[Stamp]>, Cow<'a, [f64]>)>,
 }
 
 impl<'a> Motion<'a> {
@@ -22,12 +22,12 @@ impl<'a> Motion<'a> {
         };
         let mut joints = Vec::new();
         for topic in topics {
-            let stamps: Rc<[Stamp]> = topic.stamps.iter().map_while(|stamp| *stamp).collect();
+            let stamps: Arc<[Stamp]> = topic.stamps.iter().map_while(|stamp| *stamp).collect();
             let in_order = stamps.len() == topic.stamps.len()
                 && stamps.is_sorted_by(|earlier, later| earlier < later);
             for joint in topic.columns.joints.iter().filter(|joint| of_an_arm(&joint.name)) {
                 if in_order && joint.position.iter().all(|q| q.is_finite()) {
-                    joints.push((Rc::clone(&stamps), Cow::Borrowed(joint.position.as_slice())));
+                    joints.push((Arc::clone(&stamps), Cow::Borrowed(joint.position.as_slice())));
                     continue;
                 }
                 let Samples { stamps, position, .. } = Samples::of(topic, &joint.name);
