@@ -16,10 +16,11 @@ use crate::diagnosis::{
 };
 use crate::finding::{Severity, Span, Subject};
 use crate::geometry::Pose;
+use crate::hand_eye::{hand_eyes, settle_hands};
 use crate::log::{Log, Loss, Progress};
 use crate::replay::{self, Replay, ReplayArm, ReplayImu, ReplayStream, StreamKind};
 use crate::report::{
-    FileRow, LogSummary, NoteRow, Report, RobotRow, StreamRow, Trouble, TroubleKind,
+    FileRow, LogSummary, NoteRow, Report, RobotRow, StreamRow, Trouble, TroubleKind, tells_hand_eye,
 };
 use crate::robot::{Chain, JointKind, catalogue};
 use crate::run::{
@@ -309,6 +310,13 @@ fn steadied(stream: &PoseStream, found: &PoseDiagnosis) -> Option<PoseTrack> {
     })
 }
 
+/// The joint states of an arm with what was found on them taken off; `None` where no reading of them
+/// fits the arm's poses.
+fn readable_joints(arm: &Arm, found: &ArmDiagnosis) -> Option<JointTrack> {
+    let is_unread = matches!(found.joints, Err(Unseen::NotExcited));
+    (!is_unread).then(|| found.corrected_joints(&arm.joints, &prismatic(arm)))
+}
+
 /// For each column of an arm's joint track, whether that joint slides.
 fn prismatic(arm: &Arm) -> Vec<bool> {
     let slides = |name: &String| {
@@ -335,6 +343,7 @@ fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read) -> Facts {
     Facts {
         robots: robots.collect(),
         no_robot: run.no_arm.as_ref().map(|error| error.what()),
+        hand_eyes: Vec::new(),
         stamps: stamps.collect(),
         rhythms: rhythms(run),
         empty: empty(run),
@@ -575,7 +584,9 @@ impl Audits {
         let report =
             Report::new(read.summary, robots(&main.run), streams, evaluation, options.fail_on);
         match &main.run.no_arm {
-            Some(error) if options.rules.need_model() => report.with_trouble(error.into()),
+            Some(error) if options.rules.need_model() && !tells_hand_eye(&report.checks) => {
+                report.with_trouble(error.into())
+            }
             _ => report,
         }
     }
@@ -596,8 +607,11 @@ impl Audited {
         let Segment { log, seconds } = segment;
         let mut run = Run::assemble(log, &options.run()).map_err(|error| Trouble::from(&error))?;
         settle_candidates(&mut run, options.max_latency_s);
+        settle_hands(&mut run, options.max_latency_s);
         let diagnoses = diagnose(&run, options.max_latency_s);
-        let facts = facts(&run, diagnoses, read);
+        let joints = |arm: usize| readable_joints(&run.arms[arm], &diagnoses[arm].arm);
+        let hand_eyes = hand_eyes(&run, joints, options.max_latency_s);
+        let facts = Facts { hand_eyes, ..facts(&run, diagnoses, read) };
         let evaluation = evaluate(&facts, &options.rules);
         Ok(Self { run, facts, evaluation, seconds })
     }

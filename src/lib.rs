@@ -19,6 +19,7 @@
 
 mod audit;
 mod demo;
+mod hand_eye;
 
 pub mod checks;
 pub mod diagnosis;
@@ -71,5 +72,6 @@ pub fn info(logs: &[PathBuf], how: &ReadOptions<'_>) -> Result<Report, Trouble> 
     let options = RunOptions::default();
     let mut run = Run::assemble(log, &options).map_err(|error| Trouble::from(&error))?;
     audit::settle_candidates(&mut run, options.max_latency_s);
+    hand_eye::settle_hands(&mut run, options.max_latency_s);
     Ok(audit::summary(&run, read))
 }

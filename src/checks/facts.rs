@@ -2,10 +2,10 @@
 //!
 //! The pipeline fills these from `run` and `diagnosis`; the rules only read them.
 
-use crate::diagnosis::{ArmDiagnosis, ImuDiagnosis, PoseDiagnosis};
+use crate::diagnosis::{ArmDiagnosis, HandEyeDiagnosis, ImuDiagnosis, Mount, PoseDiagnosis};
 use crate::finding::{Span, Subject, Unit};
 use crate::log::{self, Loss};
-use crate::run::{Cadence, Extent, StreamClock, Witness};
+use crate::run::{Cadence, CameraAxes, Extent, StreamClock, Witness};
 use crate::time::Stamp;
 
 /// All that is known of one run.
@@ -15,6 +15,8 @@ pub struct Facts {
     pub robots: Vec<ArmFacts>,
     /// Why there is none, where there is none.
     pub no_robot: Option<String>,
+    /// What cameras see, each held against a hand.
+    pub hand_eyes: Vec<HandEyeFacts>,
     /// Every stream that plays a part, by its stamps.
     pub stamps: Vec<StampFacts>,
     /// Every stream that plays a part, by how regularly it comes.
@@ -36,7 +38,8 @@ pub struct Facts {
 impl Facts {
     /// Number of subjects (streams and joints) in the run, by which intervals are corrected.
     pub fn subjects(&self) -> usize {
-        self.robots.iter().map(ArmFacts::subjects).sum::<usize>().max(1)
+        let of_robots: usize = self.robots.iter().map(ArmFacts::subjects).sum();
+        (of_robots + self.hand_eyes.len()).max(1)
     }
 
     /// Whether messages amid the files are lost, so that what is missing of a stream may be the log's.
@@ -222,6 +225,43 @@ impl Due {
     /// Whether an audit rests on the stream, so that it must be there.
     pub fn is_expected(self) -> bool {
         matches!(self, Due::Always | Due::InMotion)
+    }
+}
+
+/// A target that a camera sees, and a hand.
+#[derive(Clone, Debug)]
+pub struct HandEyeFacts {
+    /// Name of the robot whose hand it is, where there is one.
+    pub robot: Option<String>,
+    /// Topic of the target.
+    pub topic: String,
+    /// The camera's frame.
+    pub camera: String,
+    /// The target's frame; empty where the log names none.
+    pub target: String,
+    /// First and last stamp of the target.
+    pub span: Option<Span>,
+    /// The hand in words: a topic, or a link and what its poses are computed from.
+    pub hand: String,
+    /// The frame of the base that the hand's poses are in; empty where the log names none.
+    pub base: String,
+    /// Which way the camera's axes should point, where the log's frames say.
+    pub axes: Option<CameraAxes>,
+    /// Where the log's frames have the camera.
+    pub logged: Option<Mount>,
+    /// What was estimated.
+    pub diagnosis: HandEyeDiagnosis,
+}
+
+impl HandEyeFacts {
+    /// The target as a subject.
+    pub fn subject(&self) -> Subject {
+        Subject {
+            robot: self.robot.clone(),
+            topic: Some(self.topic.clone()),
+            frame: Some(self.target.clone()).filter(|frame| !frame.is_empty()),
+            joint: None,
+        }
     }
 }
 

@@ -138,6 +138,7 @@ pub fn show_pose(pose: &Pose) -> String {
     format!("xyz ({}) m, rotation vector ({})°", list(xyz_of(pose), 4), list(degrees, 2))
 }
 
-fn pose_json(pose: &Pose) -> Value {
+/// A pose as reports have it.
+pub fn pose_json(pose: &Pose) -> Value {
     json!({ "xyz": xyz_of(pose), "quaternion_xyzw": xyzw_from_rotation(&pose.rotation) })
 }

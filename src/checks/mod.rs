@@ -8,6 +8,7 @@ mod amount;
 mod decision;
 mod facts;
 mod frames;
+mod hand_eye;
 mod merge;
 mod observability;
 mod reading;
@@ -26,8 +27,8 @@ use crate::finding::{
 
 pub use decision::{Decision, Figure, FrameFigures, decide, decide_both, decide_frame};
 pub use facts::{
-    ArmFacts, Declared, Due, Facts, ImuFacts, JointFacts, PoseFacts, RhythmFacts, StampFacts,
-    UndecodableTopic,
+    ArmFacts, Declared, Due, Facts, HandEyeFacts, ImuFacts, JointFacts, PoseFacts, RhythmFacts,
+    StampFacts, UndecodableTopic,
 };
 pub use merge::{Part as EvaluatedPart, merged};
 pub use observability::{Blind, Part, StreamObservability};
@@ -56,6 +57,9 @@ registry! {
     frm001::FRM001,
     frm002::FRM002,
     frm003::FRM003,
+    hec001::HEC001,
+    hec002::HEC002,
+    hec003::HEC003,
     ing001::ING001,
     ing002::ING002,
     lat001::LAT001,

@@ -64,7 +64,11 @@ pub(super) fn joint_activity(joints: &JointTrack) -> Speed {
 }
 
 /// Speed of a stream between samples `window_s` apart, by `distance` of two samples.
-fn differenced(t_s: &[f64], window_s: f64, distance: impl Fn(usize, usize) -> f64) -> Speed {
+pub(super) fn differenced(
+    t_s: &[f64],
+    window_s: f64,
+    distance: impl Fn(usize, usize) -> f64,
+) -> Speed {
     let mut speed = Speed::default();
     let mut first = 0;
     for last in 0..t_s.len() {

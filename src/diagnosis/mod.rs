@@ -8,6 +8,7 @@ mod arm;
 mod course;
 mod explain;
 mod frames;
+mod handeye;
 mod imu;
 mod joints;
 mod latency;
@@ -30,6 +31,10 @@ use crate::stream::{ImuTrack, PoseTrack};
 
 pub use arm::{diagnose_arm, diagnose_derived, follows};
 pub use course::{LatencyCourse, LatencyJump};
+pub use handeye::{
+    CameraPose, Closure, Diversity, HandEyeDiagnosis, HandEyeStreams, Mount, PoseSeries, Solution,
+    TargetReading, diagnose_hand_eye, turning_peaks,
+};
 pub use imu::diagnose_imu;
 pub use latency::Peak;
 pub use measured::{Length, Measured};

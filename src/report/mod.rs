@@ -237,7 +237,7 @@ impl Report {
 fn nothing_evaluated(log: &LogSummary, checks: &[CheckRow]) -> Option<Trouble> {
     let needs_model = |row: &&CheckRow| checks::find(row.code).is_ok_and(|rule| rule.needs_model);
     let about_arm: Vec<&CheckRow> = checks.iter().filter(needs_model).collect();
-    if about_arm.iter().any(|row| row.status != Status::Skipped) {
+    if about_arm.iter().any(|row| row.status != Status::Skipped) || tells_hand_eye(checks) {
         return None;
     }
     let why = about_arm.first()?.reason.as_deref().unwrap_or_default();
@@ -248,6 +248,11 @@ fn nothing_evaluated(log: &LogSummary, checks: &[CheckRow]) -> Option<Trouble> {
         place: file.unwrap_or_else(|| "the log".to_owned()),
         remedy: "record the joint states with a pose, /tf or an IMU".to_owned(),
     })
+}
+
+/// Whether hand and eye were judged, which needs no arm.
+pub(crate) fn tells_hand_eye(checks: &[CheckRow]) -> bool {
+    checks.iter().any(|row| row.code.starts_with("HEC") && row.status.is_decided())
 }
 
 /// Fail with a finding at or above `fail_on`; else inconclusive where a headline rule found its

@@ -22,6 +22,7 @@ mod role;
 mod segments;
 mod skeleton;
 mod streams;
+mod targets;
 #[cfg(test)]
 mod tests;
 mod tf_tree;
@@ -39,6 +40,7 @@ pub use joints::{JointFacts, Velocities};
 pub use role::Role;
 pub use segments::{Segment, segments};
 pub use streams::Stream;
+pub use targets::{CameraAxes, HandKind, HandSource, TargetSource};
 pub use tf_tree::{Edge, EdgeKind, TfError, TfPath, TfTree};
 pub use witness::Witness;
 
@@ -95,6 +97,8 @@ pub struct Run {
     pub streams: Vec<Stream>,
     /// The arms.
     pub arms: Vec<Arm>,
+    /// What cameras see, with the hands that it may be held against.
+    pub targets: Vec<TargetSource>,
     /// The frames, and the transforms between them.
     pub tf: TfTree,
     /// The clock of every stream that moves in time.
@@ -115,6 +119,19 @@ impl Run {
         let is_candidate =
             |index: &usize| matches!(self.streams[*index].role, Role::Candidate { .. });
         (0..self.streams.len()).filter(is_candidate)
+    }
+
+    /// Makes `stream`, which belongs to no arm, the tool pose that the target on `topic` is held
+    /// against: their angular speeds correlate by `correlation`.
+    pub fn settle_hand(&mut self, stream: usize, topic: &str, correlation: f64) {
+        let Some(settled) = self.streams.get_mut(stream) else { return };
+        if settled.role == Role::Unassigned {
+            settled.role = Role::Pose;
+            settled.reason = format!(
+                "it turns as the target on '{topic}' does: its angular speed correlates by \
+                 {correlation:.2}"
+            );
+        }
     }
 
     /// Settles whether candidate `stream` is a tool pose: `peak` is the highest correlation of its

@@ -77,7 +77,7 @@ const GOALS: &[&str] = &[
 ];
 
 /// Words of topics that carry what a camera found.
-const SIGHTS: &[&str] = &[
+pub(super) const SIGHTS: &[&str] = &[
     "tag",
     "tags",
     "apriltag",
@@ -97,7 +97,7 @@ const SIGHTS: &[&str] = &[
 ];
 
 /// Words of a camera's own frame.
-const CAMERAS: &[&str] = &["camera", "cam", "optical", "rgb", "depth"];
+pub(super) const CAMERAS: &[&str] = &["camera", "cam", "optical", "rgb", "depth"];
 
 /// Words of topics that carry where a mobile base is.
 const MOBILE: &[&str] =

@@ -315,6 +315,21 @@ impl TfTree {
         self.ancestors(lower).any(|frame| frame == upper)
     }
 
+    /// The transforms above `frame` over first parents, from it to the root.
+    pub(super) fn edges_above(&self, frame: &str) -> Vec<&Edge> {
+        let Ok(id) = self.id(frame) else { return Vec::new() };
+        let up = |frame: usize| {
+            let edge = self.touching[frame].iter().find(|&&edge| self.edges[edge].child == frame);
+            edge.map(|&edge| &self.edges[edge])
+        };
+        std::iter::once(id).chain(self.ancestors(id)).filter_map(up).collect()
+    }
+
+    /// The frame above all others from `frame` upwards; itself where none is.
+    pub(super) fn root_of(&self, frame: &str) -> &str {
+        self.id(frame).map_or("", |id| self.root_above(id))
+    }
+
     /// The frame above all others over first parents; a frame of the cycle where there is one.
     fn root_above(&self, frame: usize) -> &str {
         &self.frames[self.ancestors(frame).last().unwrap_or(frame)]

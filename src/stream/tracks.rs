@@ -142,6 +142,17 @@ pub struct PoseTrack {
     pub declared: Option<DeclaredUnits>,
 }
 
+impl PoseTrack {
+    /// Whether any two of its poses differ.
+    pub fn changes(&self) -> bool {
+        let turns = match &self.orientation {
+            Orientations::Rotations(all) => all.windows(2).any(|pair| pair[0] != pair[1]),
+            Orientations::Numbers(all) => all.windows(2).any(|pair| pair[0] != pair[1]),
+        };
+        turns || self.xyz.windows(2).any(|pair| pair[0] != pair[1])
+    }
+}
+
 /// The units in which the caller declared the numbers of a stream to be. Positions and orientations
 /// are read by them; the caller may be wrong.
 #[derive(Clone, Debug, Default)]

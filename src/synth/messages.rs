@@ -1,7 +1,7 @@
 //! The messages of the log: topic, type, definition and encoding.
 
 use super::cdr::CdrWriter;
-use super::{IMU, JOINT_STATES, POSE, ROBOT_DESCRIPTION, TF, TF_STATIC};
+use super::{IMU, JOINT_STATES, POSE, ROBOT_DESCRIPTION, TARGET, TF, TF_STATIC};
 use crate::geometry::Vec3;
 use crate::time::Stamp;
 
@@ -14,6 +14,7 @@ pub(super) enum Topic {
     Imu,
     Pose,
     Tf,
+    Target,
 }
 
 impl Topic {
@@ -25,6 +26,7 @@ impl Topic {
             Self::Imu => IMU,
             Self::Pose => POSE,
             Self::Tf => TF,
+            Self::Target => TARGET,
         }
     }
 
@@ -34,7 +36,7 @@ impl Topic {
             Self::TfStatic | Self::Tf => "tf2_msgs/msg/TFMessage",
             Self::JointStates => "sensor_msgs/msg/JointState",
             Self::Imu => "sensor_msgs/msg/Imu",
-            Self::Pose => "geometry_msgs/msg/PoseStamped",
+            Self::Pose | Self::Target => "geometry_msgs/msg/PoseStamped",
         }
     }
 
@@ -60,7 +62,7 @@ impl Topic {
                  float64[9] linear_acceleration_covariance\n",
                 &[HEADER, TIME, QUATERNION, VECTOR3],
             ),
-            Self::Pose => (
+            Self::Pose | Self::Target => (
                 "std_msgs/Header header\nPose pose\n",
                 &[HEADER, TIME, POSE_TYPE, POINT, QUATERNION],
             ),

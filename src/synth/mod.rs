@@ -13,6 +13,7 @@ mod messages;
 mod motion;
 mod noise;
 mod streams;
+mod target;
 mod truth;
 mod urdf;
 
@@ -33,6 +34,7 @@ use crate::time::Stamp;
 use messages::Topic;
 pub use motion::Motion;
 pub use noise::Noise;
+pub use target::{Camera, Swapped, TargetStream};
 use truth::Truth;
 pub use urdf::urdf_text;
 
@@ -49,6 +51,8 @@ pub const TF: &str = "/tf";
 pub const TF_STATIC: &str = "/tf_static";
 /// The topic of the IMU.
 pub const IMU: &str = "/imu/data";
+/// The topic of the target that a camera sees.
+pub const TARGET: &str = "/camera/tag_pose";
 /// The topic of the arm's URDF.
 pub const ROBOT_DESCRIPTION: &str = "/robot_description";
 
@@ -98,6 +102,8 @@ pub struct Scenario {
     pub tf: TfStream,
     /// The IMU at the tip.
     pub imu: ImuStream,
+    /// The target that a camera sees; there is none unless [`Scenario::watch`] is called.
+    pub target: TargetStream,
     /// Whether the arm's URDF is in the log.
     pub description: bool,
 }
@@ -276,6 +282,7 @@ impl Scenario {
                 gyro_from_rate: Matrix3::identity(),
                 coding: Coding::Faithful,
             },
+            target: TargetStream::none(),
             description: true,
         }
     }

@@ -19,6 +19,10 @@ pub struct Noise {
     pub gyro_rad_s: f64,
     /// Of the accelerometer, m/s².
     pub accel_m_s2: f64,
+    /// Of the target's position in the camera in each direction, m.
+    pub target_m: f64,
+    /// Of its rotation about each axis, rad.
+    pub target_rad: f64,
     /// Correlation of each sample with the one before, from 0 (white) to below 1.
     pub correlation: f64,
 }
@@ -32,6 +36,8 @@ impl Noise {
         imu_rad: 0.0,
         gyro_rad_s: 0.0,
         accel_m_s2: 0.0,
+        target_m: 0.0,
+        target_rad: 0.0,
         correlation: 0.0,
     };
 }
@@ -46,6 +52,8 @@ impl Default for Noise {
             imu_rad: 3e-4,
             gyro_rad_s: 2e-3,
             accel_m_s2: 0.02,
+            target_m: 4e-4,
+            target_rad: 1.5e-3,
             correlation: 0.0,
         }
     }
@@ -64,6 +72,8 @@ pub(super) enum Purpose {
     ImuNoise,
     ImuTransport,
     ImuWalk,
+    TargetNoise,
+    TargetTransport,
 }
 
 /// The random numbers of `purpose`.

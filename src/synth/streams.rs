@@ -4,6 +4,7 @@ use rand::RngExt;
 
 use super::messages::{self, LoggedImu, LoggedPose, LoggedTransform, Topic};
 use super::noise::{Purpose, UnitNoise, random};
+use super::target::sightings;
 use super::truth::{GRAVITY, Truth};
 use super::{Coding, IMU_FRAME, ImuStream, JointStream, START, Scenario, Timing, urdf_text};
 use crate::geometry::{
@@ -27,6 +28,7 @@ pub(super) fn messages(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     messages.extend(poses(scenario, truth));
     messages.extend(transforms(scenario, truth));
     messages.extend(imu_samples(scenario, truth));
+    messages.extend(sightings(scenario, truth));
     messages.sort_by_key(|message| (message.received, message.topic));
     messages
 }
@@ -47,6 +49,7 @@ fn latched(scenario: &Scenario) -> Vec<Message> {
             parent_from_child: Coding::Faithful.logged(&scenario.imu.tip_from_imu),
         });
     }
+    transforms.extend(scenario.target.frame(scenario));
     let statics = scenario.tf.with_static.then(|| {
         let cdr = messages::tf_message(START, &transforms);
         Message { topic: Topic::TfStatic, received: START, cdr }
@@ -163,16 +166,16 @@ fn imu_samples(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
 }
 
 /// One moment of a stream.
-struct Tick {
+pub(super) struct Tick {
     /// When its content is true, s after the start.
-    time_s: f64,
+    pub(super) time_s: f64,
     /// What its header says.
-    stamp: Stamp,
+    pub(super) stamp: Stamp,
     received: Stamp,
 }
 
 impl Tick {
-    fn message(&self, topic: Topic, cdr: Vec<u8>) -> Message {
+    pub(super) fn message(&self, topic: Topic, cdr: Vec<u8>) -> Message {
         Message { topic, received: self.received, cdr }
     }
 }
@@ -180,7 +183,7 @@ impl Tick {
 impl Scenario {
     /// The moments of a stream; messages are received 0.1 to 2 ms after their content was true, and
     /// none before the one sent ahead of it.
-    fn ticks(&self, timing: &Timing, transport: Purpose) -> impl Iterator<Item = Tick> {
+    pub(super) fn ticks(&self, timing: &Timing, transport: Purpose) -> impl Iterator<Item = Tick> {
         const TRANSPORT_S: std::ops::Range<f64> = 0.1e-3..2e-3;
         let mut random = random(self.seed, transport);
         let Timing { rate_hz, phase_s, .. } = *timing;
@@ -193,7 +196,7 @@ impl Scenario {
         })
     }
 
-    fn unit_noise(&self, purpose: Purpose, components: usize) -> UnitNoise {
+    pub(super) fn unit_noise(&self, purpose: Purpose, components: usize) -> UnitNoise {
         UnitNoise::new(random(self.seed, purpose), components, self.noise.correlation)
     }
 }
@@ -297,6 +300,6 @@ fn add_noise(values: &mut [f64], unit_noise: &[f64], sigma: f64) {
     }
 }
 
-fn small_rotation(unit_noise: &[f64], sigma_rad: f64) -> Rotation {
+pub(super) fn small_rotation(unit_noise: &[f64], sigma_rad: f64) -> Rotation {
     rotation_from_rotvec(sigma_rad * Vec3::from_column_slice(unit_noise))
 }

@@ -1,6 +1,6 @@
 //! TIM: clocks and stamps.
 
-use poseaudit::finding::{Finding, Severity, Status};
+use poseaudit::finding::{CheckRow, Finding, Severity, Status};
 use poseaudit::report::{Report, Verdict};
 use poseaudit::synth::{IMU, Motion, POSE, Scenario, TF};
 
@@ -248,7 +248,9 @@ fn a_tail_too_short_to_judge_leaves_nothing_open() {
     .audited();
     assert!(faults(&report).is_empty(), "{}", summary(&report.findings));
     assert_eq!(report.verdict, Verdict::Pass);
-    for row in report.checks.iter().filter(|row| row.code != "TIM003") {
+    // There is no camera in this log.
+    let is_asked = |row: &&CheckRow| row.code != "TIM003" && !row.code.starts_with("HEC");
+    for row in report.checks.iter().filter(is_asked) {
         assert_eq!(row.status, Status::Pass, "{row:#?}");
     }
 }

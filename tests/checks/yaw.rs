@@ -206,7 +206,7 @@ fn for_orientations(messages: &mut [Message], change: impl Fn(&mut Message, usiz
 }
 
 /// Gives the messages of `topic` their contents in the opposite order, and leaves their stamps.
-fn reverse(messages: &mut [Message], topic: &str) {
+pub fn reverse(messages: &mut [Message], topic: &str) {
     const STAMP: std::ops::Range<usize> = 4..12;
     let mut all: Vec<&mut Message> =
         messages.iter_mut().filter(|message| message.topic == topic).collect();

@@ -71,7 +71,7 @@ pub fn zero(joint: usize, degrees: f64) -> Vec<f64> {
 }
 
 /// Puts the arm on a rail along x.
-fn on_a_rail(run: &mut Scenario) {
+pub fn on_a_rail(run: &mut Scenario) {
     let rail = r#"  <link name="rail"/>
   <joint name="rail_joint" type="prismatic">
     <parent link="rail"/>

@@ -1,0 +1,151 @@
+//! What the rules on hand and eye share.
+
+use serde_json::{Map, Value, json};
+
+use crate::checks::decision::{DEGREE, Figure, FrameFigures};
+use crate::checks::frames::pose_json;
+use crate::checks::{HandEyeFacts, Judged};
+use crate::diagnosis::{Diversity, HandEyeDiagnosis, Mount, Solution, Unseen};
+use crate::finding::{Outcome, Unit};
+use crate::run::CameraAxes;
+
+/// The figures of a chain that does not close, and of a mount that is not where frames say.
+pub const FIGURES: FrameFigures = FrameFigures {
+    length: Figure { unit: Unit::Metre, warning: 2e-3, error: 1e-2 },
+    angle: Figure { unit: Unit::Radian, warning: 0.2 * DEGREE, error: 1.0 * DEGREE },
+};
+
+/// The least span of a hand's rotations from which its chain can be solved, and the least spread of
+/// their axes, rad.
+pub const LEAST_SPAN: f64 = 30.0 * DEGREE;
+pub const LEAST_SPREAD: f64 = 10.0 * DEGREE;
+
+/// What would settle a hand-eye chain.
+pub const SETTLE: &str =
+    "turn the hand by more than 30° about two axes or more while the camera sees the target";
+
+/// A target is not the hand's of whose turning the chain leaves more than this share.
+const FOLLOWS: f64 = 0.5;
+/// A mount is decided where the other one leaves so many times more.
+const DECIDED: f64 = 1.5;
+
+impl Mount {
+    /// Where the camera is, in words.
+    pub fn words(self) -> &'static str {
+        match self {
+            Mount::InHand => "in the hand",
+            Mount::InBase => "fixed in the base",
+        }
+    }
+}
+
+impl CameraAxes {
+    /// The axes in words.
+    pub fn words(self) -> &'static str {
+        match self {
+            CameraAxes::Optical => "z forward, x right",
+            CameraAxes::Body => "x forward, z up",
+        }
+    }
+}
+
+/// Whether the data tell where the camera is.
+pub fn is_mount_decided(solution: &Solution) -> bool {
+    solution.ratio >= DECIDED
+}
+
+/// Why a target that does not close tells nothing of the chain, where it does not.
+pub fn does_not_follow(found: &HandEyeDiagnosis) -> Option<String> {
+    let turning_rad = found.diversity.as_ref().map_or(0.0, |diversity| diversity.turning_rad);
+    let left_rad = found.best()?.closure.rms_rad;
+    (left_rad > FOLLOWS * turning_rad).then(|| {
+        format!(
+            "the target does not turn as the hand does ({} of {} are left): it moves by itself, its \
+             rotations are misread, or neither it nor the camera is on this hand; {SETTLE}",
+            Unit::Radian.show(left_rad),
+            Unit::Radian.show(turning_rad),
+        )
+    })
+}
+
+/// Whether the hand turns too little, or about too few axes.
+pub fn is_poor(diversity: &Diversity) -> bool {
+    diversity.span_rad < LEAST_SPAN || diversity.spread_rad < LEAST_SPREAD
+}
+
+/// The outcome where there is no estimate.
+pub fn unseen(why: &Unseen) -> Outcome {
+    Outcome::Inconclusive(match why {
+        Unseen::TooFewSamples { have, need } => {
+            format!("only {have} of the target's poses have one of the hand, {need} are needed")
+        }
+        Unseen::NoOverlap => "target and hand share no time".to_owned(),
+        _ => format!("the hand does not turn while the target is seen; {SETTLE}"),
+    })
+}
+
+/// What every rule says of a solution.
+pub fn with_solution(judged: Judged, facts: &HandEyeFacts, solution: &Solution) -> Judged {
+    let mut all = Map::new();
+    let closure = &solution.closure;
+    let mount = match (is_mount_decided(solution), solution.mount) {
+        (false, _) => "undecided",
+        (true, Mount::InHand) => "camera in hand",
+        (true, Mount::InBase) => "camera fixed",
+    };
+    let camera = &solution.camera;
+    let half_widths = |errors: [f64; 3]| -> Vec<Option<f64>> {
+        let half = |error: f64| {
+            let measured = crate::diagnosis::Measured { std_error: error, ..camera.distance_m };
+            Some(measured.half_width(0.95)).filter(|half| half.is_finite())
+        };
+        errors.map(half).to_vec()
+    };
+    let equivalent = match solution.mount {
+        Mount::InHand => "camera fixed, target's poses inverted (parent and child swapped)",
+        Mount::InBase => "camera in hand, target's poses inverted (parent and child swapped)",
+    };
+    let ratio = Some(solution.ratio).filter(|ratio| ratio.is_finite());
+    let offset = &solution.offset_s;
+    all.insert("hand".to_owned(), facts.hand.clone().into());
+    all.insert("mount".to_owned(), mount.into());
+    all.insert("mount_ratio".to_owned(), json!(ratio));
+    if facts.logged.is_none() {
+        all.insert("equivalent".to_owned(), equivalent.into());
+    }
+    all.insert(
+        "time_offset_s".to_owned(),
+        json!({ "value": offset.value, "ci95": Unit::Second.interval95(offset) }),
+    );
+    let pose_in = match solution.mount {
+        Mount::InHand => &facts.hand,
+        Mount::InBase => &facts.base,
+    };
+    all.insert("pose_in".to_owned(), pose_in.clone().into());
+    all.insert("pose".to_owned(), pose_json(&camera.pose));
+    all.insert("pose_half_width_m".to_owned(), json!(half_widths(camera.translation_error_m)));
+    all.insert("pose_half_width_rad".to_owned(), json!(half_widths(camera.rotation_error_rad)));
+    all.insert("target_pose".to_owned(), pose_json(&solution.target));
+    all.insert("poses".to_owned(), closure.poses.into());
+    all.insert("outliers".to_owned(), closure.outliers.into());
+    all.insert("rms_m".to_owned(), closure.rms_m.into());
+    all.insert("rms_rad".to_owned(), closure.rms_rad.into());
+    all.insert("median_m".to_owned(), closure.median_m.into());
+    all.insert("median_rad".to_owned(), closure.median_rad.into());
+    all.insert("each".to_owned(), each(solution));
+    all.into_iter().fold(judged, |judged, (key, value)| judged.with_evidence(&key, value))
+}
+
+/// The residuals of at most so many poses, evenly spread.
+fn each(solution: &Solution) -> Value {
+    const MOST: usize = 200;
+    let all = &solution.closure.each;
+    let step = all.len().div_ceil(MOST).max(1);
+    let kept = || all.iter().step_by(step);
+    let micro = |value: f64| (value * 1e6).round() / 1e6;
+    json!({
+        "t_s": kept().map(|one| micro(one.0)).collect::<Vec<f64>>(),
+        "m": kept().map(|one| micro(one.1)).collect::<Vec<f64>>(),
+        "rad": kept().map(|one| micro(one.2)).collect::<Vec<f64>>(),
+    })
+}

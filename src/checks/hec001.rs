@@ -1,0 +1,242 @@
+use crate::checks::decision::{Decision, decide_both, decide_frame};
+use crate::checks::frames::show;
+use crate::checks::hand_eye::{
+    FIGURES, LEAST_SPAN, SETTLE, does_not_follow, is_mount_decided, unseen, with_solution,
+};
+use crate::checks::{ArmFacts, Facts, Grade, HandEyeFacts, Judged, hec003, mdl001};
+use crate::diagnosis::{Mount, PoseDiagnosis, Solution, TargetReading};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+
+rule! {
+    /// A hand-eye chain does not close.
+    ///
+    /// ## What it means
+    /// Hand, camera and target are two rigid pairs: with the camera in the hand the target stays
+    /// where it is in the base, with the camera fixed it stays where it is in the hand. No pose of
+    /// the camera and no time offset makes the recorded poses do so, or the one that does is not
+    /// where the log's frames put the camera.
+    ///
+    /// ## Why it matters
+    /// What the camera sees is reached for at the wrong place, by as much as the chain is open.
+    ///
+    /// ## Evidence
+    /// `pose` is the camera in the hand or, fixed, in the base (`mount` says which, `mount_ratio` by
+    /// what factor the other leaves more, `pose_in` names the frame), `pose_half_width_m` and `pose_half_width_rad` the 95 %
+    /// half-widths along its own axes, null where the motion does not show them. `target_pose` is the
+    /// constant on the other side, `equivalent` what no such log can tell from `mount`. `time_offset_s` is how late the target's stamps are against the
+    /// hand's; it is taken off. The estimate is the distance from the log's frames (`mount error`)
+    /// where they place the camera, else the rms of what is open beyond the noise from one pose to the
+    /// next (`closure`); `rms_m`, `median_m` and their like are with the noise, `each` lists poses.
+    /// Solved by Park and Martin (1994), refined by Gauss–Newton on robust weights. `reading` says how
+    /// the target's poses must be read for the chain to close, where that is known.
+    ///
+    /// ## How to fix
+    /// Correct what `reading` names. Else calibrate the camera's lens, give the detector the right
+    /// size of the target, see that nothing slips, and calibrate hand to eye anew.
+    ///
+    /// ## When it misleads
+    /// A detector's errors go with the view and do not average out: a few millimetres at a metre are
+    /// usual. A target that is moved by hand, or is loose, opens the chain. A camera in the hand whose
+    /// poses are inverted (parent and child swapped) is the same to any log as a fixed camera.
+    HEC001 {
+        name: "hand-eye-closure",
+        grade: Grade::From(&[FIGURES.length, FIGURES.angle]),
+        headline: false,
+        needs_model: false,
+        missing: "no target that a camera sees beside a hand's poses",
+        check: check,
+    }
+}
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    let subjects = facts.subjects();
+    let judged = facts.hand_eyes.iter().map(|one| {
+        let arm = facts.robots.iter().find(|arm| Some(&arm.name) == one.robot.as_ref());
+        judge(arm, one, subjects).within(one.span)
+    });
+    judged.collect()
+}
+
+fn judge(arm: Option<&ArmFacts>, facts: &HandEyeFacts, subjects: usize) -> Judged {
+    let found = &facts.diagnosis;
+    let as_logged = match &found.solution {
+        Ok(solution) => solution,
+        Err(why) => return Judged::new(facts.subject(), unseen(why)),
+    };
+    let best = found.best().unwrap_or(as_logged);
+    let by_mount = match hec003::swap(facts) {
+        None => found.mount_error.as_ref(),
+        Some(_) => None,
+    };
+    let closure = |solution: &Solution| {
+        Estimate::frame("closure", &solution.closure.excess_m, &solution.closure.excess_rad)
+    };
+    let open = decide_both(&best.closure.excess_m, &best.closure.excess_rad, &FIGURES, subjects);
+    let span_rad = found.diversity.as_ref().map_or(0.0, |diversity| diversity.span_rad);
+    let (outcome, estimate) = match (&found.reading, open) {
+        _ if span_rad < LEAST_SPAN => {
+            let why = format!("too little rotation to solve it (HEC002); {SETTLE}");
+            (Outcome::Inconclusive(why), closure(best))
+        }
+        (Some((reading, _)), _) if !matches!(reading, TargetReading::Axes(_)) => {
+            let fault = misread(reading, as_logged);
+            (Outcome::faulty(fault), closure(as_logged))
+        }
+        (_, Decision::Fail(severity)) => {
+            let doubt = || wrong_model(arm?, best.closure.excess_m.value);
+            let outcome = match does_not_follow(found).or_else(doubt) {
+                Some(why) => Outcome::Inconclusive(why),
+                None => Outcome::faulty(open_chain(best, severity)),
+            };
+            (outcome, closure(best))
+        }
+        (_, Decision::Undecided(why)) => {
+            (Outcome::Inconclusive(format!("{why}; {SETTLE}")), closure(best))
+        }
+        (_, Decision::Pass) => match (facts.logged, by_mount) {
+            (Some(logged), _) if logged != best.mount && is_mount_decided(best) => {
+                (Outcome::faulty(other_mount(logged)), closure(best))
+            }
+            (_, Some(error)) => {
+                let estimate =
+                    Estimate::frame("mount error", &error.translation_m, &error.rotation_rad);
+                let outcome = match decide_frame(error, &FIGURES, subjects) {
+                    Decision::Pass => sound(best),
+                    Decision::Undecided(why) => {
+                        Outcome::Inconclusive(format!("the camera's mount: {why}; {SETTLE}"))
+                    }
+                    Decision::Fail(severity) => Outcome::faulty(Fault {
+                        severity,
+                        title: "camera is not where frames say",
+                        message: format!("the camera is {} off the log's frames", show(error)),
+                        evidence: Evidence {
+                            effect_m: Some(error.translation_m.value),
+                            ..Evidence::default()
+                        },
+                        fix: "replace the camera's static transform by `pose`".to_owned(),
+                    }),
+                };
+                (outcome, estimate)
+            }
+            _ => (sound(best), closure(best)),
+        },
+    };
+    let judged = Judged::new(facts.subject(), outcome).estimated(estimate);
+    let judged = with_solution(judged, facts, best);
+    match &found.reading {
+        Some((reading, _)) => judged.with_evidence("reading", reading_words(reading)),
+        None => judged,
+    }
+}
+
+/// Why an open chain says nothing of hand and eye, where the arm's model may be what opens it: FK by
+/// it is the hand.
+fn wrong_model(arm: &ArmFacts, open_m: f64) -> Option<String> {
+    let left =
+        |(_, stream): (_, &PoseDiagnosis)| stream.residual.as_ref().ok()?.excess_m.value.into();
+    let nominal_m = arm.poses().filter(|(_, stream)| stream.nominal).filter_map(left);
+    let nominal_m: f64 = nominal_m.fold(0.0, f64::max);
+    if nominal_m > 0.0 && open_m < 3.0 * nominal_m {
+        let left = Unit::Metre.show(nominal_m);
+        return Some(format!(
+            "the model is a drawing held against a calibrated arm, which leaves {left} (MDL001); use \
+             the arm's own calibration"
+        ));
+    }
+    mdl001::doubt(arm, open_m)
+}
+
+/// The chain closes: how well, and what else was found.
+fn sound(solution: &Solution) -> Outcome {
+    let closure = &solution.closure;
+    let (m, rad) = (Unit::Metre.show(closure.rms_m), Unit::Radian.show(closure.rms_rad));
+    Outcome::sound_because(format!("it closes to {m} and {rad} rms ({})", setting(solution)))
+}
+
+/// Where the camera is and how late the target, in words.
+fn setting(solution: &Solution) -> String {
+    let mount = match is_mount_decided(solution) {
+        true => format!("camera {}", solution.mount.words()),
+        false => "camera in the hand or fixed, which this motion does not tell".to_owned(),
+    };
+    format!("{mount}, target {} late", Unit::Second.show_signed(&solution.offset_s))
+}
+
+fn open_chain(solution: &Solution, severity: Severity) -> Fault {
+    let closure = &solution.closure;
+    let m = Unit::Metre.show_measured(&closure.excess_m);
+    let rad = Unit::Radian.show_measured(&closure.excess_rad);
+    Fault {
+        severity,
+        title: "hand-eye chain is open",
+        message: format!(
+            "{m} and {rad} rms are left beyond the noise at the best pose of the camera ({})",
+            setting(solution),
+        ),
+        evidence: Evidence { effect_m: Some(closure.excess_m.value), ..Evidence::default() },
+        fix: "check the lens calibration, the target's size, and what may slip; calibrate anew"
+            .to_owned(),
+    }
+}
+
+fn misread(reading: &TargetReading, as_logged: &Solution) -> Fault {
+    let closure = &as_logged.closure;
+    let (m, rad) = (Unit::Metre.show(closure.rms_m), Unit::Radian.show(closure.rms_rad));
+    let words = reading_words(reading);
+    let severity = FIGURES
+        .length
+        .severity(closure.excess_m.value)
+        .max(FIGURES.angle.severity(closure.excess_rad.value));
+    Fault {
+        severity: severity.unwrap_or(Severity::Warning),
+        title: "target's poses are misread",
+        message: format!("{m} and {rad} rms are left as logged, and it closes if {words}"),
+        evidence: Evidence { effect_m: Some(closure.rms_m), ..Evidence::default() },
+        fix: match reading {
+            TargetReading::Scaled(_) => {
+                "give the detector the target's true size, and its unit".to_owned()
+            }
+            _ => "correct how the detector's rotation is written".to_owned(),
+        },
+    }
+}
+
+fn other_mount(logged: Mount) -> Fault {
+    let other = match logged {
+        Mount::InHand => Mount::InBase,
+        Mount::InBase => Mount::InHand,
+    };
+    Fault {
+        severity: Severity::Error,
+        title: "camera is mounted otherwise",
+        message: format!(
+            "the log's frames have the camera {}, and the chain closes only with it {} or with the \
+             target's poses inverted",
+            logged.words(),
+            other.words(),
+        ),
+        evidence: Evidence::default(),
+        fix: "invert the target's poses (parent and child are swapped), or correct the camera's \
+              frame"
+            .to_owned(),
+    }
+}
+
+/// How the target's poses must be read, in words.
+fn reading_words(reading: &TargetReading) -> String {
+    match reading {
+        TargetReading::AsLogged => "they are read as logged".to_owned(),
+        TargetReading::Axes(axes) => format!("its positions are {}", hec003::axes_words(axes)),
+        TargetReading::Transposed => "its rotations are transposed".to_owned(),
+        TargetReading::QuaternionOrder(_) => {
+            "its quaternions' components are put in the other order".to_owned()
+        }
+        TargetReading::Misread(class) => match class.members.first() {
+            Some(one) => {
+                format!("its rotations are {}, which were read as {}", one.is, one.read_as)
+            }
+            None => "its rotations are of another convention".to_owned(),
+        },
+        TargetReading::Scaled(scale) => format!("its positions are multiplied by {scale:.4}"),
+    }
+}

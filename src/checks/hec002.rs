@@ -1,0 +1,148 @@
+use crate::checks::decision::DEGREE;
+use crate::checks::hand_eye::{
+    FIGURES, LEAST_SPAN, LEAST_SPREAD, does_not_follow, is_poor, unseen,
+};
+use crate::checks::{Facts, Grade, HandEyeFacts, Judged};
+use crate::diagnosis::{CameraPose, Diversity, Measured};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+
+rule! {
+    /// A hand turns too little to solve hand and eye.
+    ///
+    /// ## What it means
+    /// The pose of a camera on a hand is seen by how its view turns with the hand. Less than 30° in
+    /// all, or turns about one axis only, leave a part of that pose open: along the one axis the
+    /// camera may sit anywhere.
+    ///
+    /// ## Why it matters
+    /// A calibration from such a run looks fine on the run itself and is off by centimetres as soon as
+    /// the hand tilts otherwise.
+    ///
+    /// ## Evidence
+    /// `span_rad` is the largest angle between two orientations of the hand while the target is seen,
+    /// `spread_rad` how far from one another its axes are: the angle to the most common one
+    /// (`axis_in_hand`) that 95 % of its turns stay within. `undetermined` lists what of the camera's
+    /// pose is known no better than 2 mm and 0.2°.
+    ///
+    /// ## How to fix
+    /// Record poses in which the hand is tilted by 30° or more about two axes at right angles, the
+    /// target in view. The finding names an axis to add.
+    ///
+    /// ## When it misleads
+    /// It asks what this run can show. Where the camera's pose is known already and only to be used,
+    /// no rotation is needed, and the rule can be left out with `--ignore HEC002`.
+    HEC002 {
+        name: "hand-eye-rotation",
+        grade: Grade::Fixed(Severity::Warning),
+        headline: false,
+        needs_model: false,
+        missing: "no target that a camera sees beside a hand's poses",
+        check: check,
+    }
+}
+
+/// A run shorter than this is no try at hand and eye, s.
+const SHORT_S: f64 = 3.0;
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    facts.hand_eyes.iter().map(|one| judge(one).within(one.span)).collect()
+}
+
+fn judge(facts: &HandEyeFacts) -> Judged {
+    let found = &facts.diagnosis;
+    let diversity = match &found.diversity {
+        Ok(diversity) => diversity,
+        Err(why) => return Judged::new(facts.subject(), unseen(why)),
+    };
+    let undetermined =
+        found.best().map_or_else(Vec::new, |solution| undetermined(&solution.camera));
+    let seen_s = facts.span.map_or(f64::INFINITY, |span| span.seconds());
+    let turns_enough = diversity.span_rad >= LEAST_SPAN;
+    let outcome = match does_not_follow(found) {
+        Some(why) if turns_enough && found.reading.is_none() => Outcome::Inconclusive(why),
+        _ if is_poor(diversity) && seen_s < SHORT_S => Outcome::Inconclusive(format!(
+            "the target is seen for {seen_s:.1} s only; record 10 s or more"
+        )),
+        _ if is_poor(diversity) => Outcome::faulty(fault(diversity, &undetermined)),
+        _ => Outcome::sound_because(format!(
+            "the hand turns by {}, about axes within {}{}",
+            Unit::Radian.show(diversity.span_rad),
+            Unit::Radian.show(diversity.spread_rad),
+            match undetermined.as_slice() {
+                [] => String::new(),
+                some => format!("; the target's noise leaves the camera open {}", some.join(", ")),
+            }
+        )),
+    };
+    let (name, value) = match turns_enough {
+        false => ("rotation span", diversity.span_rad),
+        true => ("spread of axes", diversity.spread_rad),
+    };
+    Judged::new(facts.subject(), outcome)
+        .estimated(Estimate::counted(name, Unit::Radian.symbol(), value))
+        .with_evidence("span_rad", diversity.span_rad)
+        .with_evidence("spread_rad", diversity.spread_rad)
+        .with_evidence("axis_in_hand", diversity.axis_in_hand.to_vec())
+        .with_evidence("undetermined", undetermined)
+}
+
+fn fault(diversity: &Diversity, undetermined: &[String]) -> Fault {
+    let span = Unit::Radian.show(diversity.span_rad);
+    let message = if diversity.span_rad < LEAST_SPAN {
+        format!("the hand turns by {span} in all, and 30° is needed")
+    } else {
+        let spread = Unit::Radian.show(diversity.spread_rad);
+        format!(
+            "the hand turns by {span}, but about axes within {spread} of one, and 10° is needed"
+        )
+    };
+    let limits = match undetermined {
+        [] => String::new(),
+        some => format!("; it leaves the camera open {}", some.join(", ")),
+    };
+    Fault {
+        severity: Severity::Warning,
+        title: "too little rotation",
+        message: message + &limits,
+        evidence: Evidence::default(),
+        fix: motion(diversity),
+    }
+}
+
+/// The motion to add.
+fn motion(diversity: &Diversity) -> String {
+    if diversity.span_rad < 2.0 * DEGREE {
+        return "turn the hand by 30° or more about two axes, the target in view".to_owned();
+    }
+    let [across, other] = across(diversity.axis_in_hand);
+    match diversity.spread_rad < LEAST_SPREAD {
+        true => format!("add poses tilted by 30° or more about {across} or {other} of the hand"),
+        false => "add poses tilted by 30° or more, the target in view".to_owned(),
+    }
+}
+
+/// The two axes of the hand that lie most across `axis`.
+fn across(axis: [f64; 3]) -> [&'static str; 2] {
+    let mut named = [("x", axis[0].abs()), ("y", axis[1].abs()), ("z", axis[2].abs())];
+    named.sort_by(|a, b| a.1.total_cmp(&b.1));
+    [named[0].0, named[1].0]
+}
+
+/// Along and about which of its own axes a camera's pose is known no better than the figures of
+/// HEC001.
+fn undetermined(camera: &CameraPose) -> Vec<String> {
+    let axes = ["x", "y", "z"];
+    let half = |error: f64| Measured { std_error: error, ..camera.distance_m }.half_width(0.95);
+    let said = |how: &str, unit: Unit, errors: [f64; 3], needed: f64| -> Vec<String> {
+        let wide = axes.into_iter().zip(errors.map(half)).filter(|(_, half)| *half > needed);
+        wide.map(|(axis, half)| match half.is_finite() {
+            true => format!("{how} {axis} (±{})", unit.show(half)),
+            false => format!("{how} {axis}"),
+        })
+        .collect()
+    };
+    let (length, angle) = (FIGURES.length, FIGURES.angle);
+    let mut all = said("along", Unit::Metre, camera.translation_error_m, length.warning);
+    all.extend(said("about", Unit::Radian, camera.rotation_error_rad, angle.warning));
+    all
+}

@@ -1,0 +1,236 @@
+use crate::checks::decision::DEGREE;
+use crate::checks::hand_eye::{does_not_follow, unseen};
+use crate::checks::{Facts, Grade, HandEyeFacts, Judged};
+use crate::diagnosis::TargetReading;
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity};
+use crate::geometry::{Rotation, Vec3, angle_between, rotation_from_rpy};
+use crate::run::CameraAxes;
+
+rule! {
+    /// A camera's axes are swapped: z forward against z up.
+    ///
+    /// ## What it means
+    /// Cameras see along z, with x to the right (an *optical* frame, REP 103); bodies move along x,
+    /// with z up. Poses of one kind stand under a frame of the other, or the positions are of one kind
+    /// and the rotations of the other.
+    ///
+    /// ## Why it matters
+    /// What lies ahead is taken to lie above. Where the whole pose is swapped, a calibration of this
+    /// camera's mount hides it; whoever uses the frame by its name does not.
+    ///
+    /// ## Evidence
+    /// Positions in other axes than rotations keep the chain from closing: `reading` is what makes it
+    /// close. A pose that is swapped as a whole shows only against something that says how the
+    /// camera sits: static transforms from the hand or base to the camera, or a frame called `optical`
+    /// (or tied to one) whose target lies along x instead of z. `view` is the mean direction to the
+    /// target in the camera's axes.
+    ///
+    /// ## How to fix
+    /// Publish the target in the frame that its numbers are in: `camera_link` is x forward,
+    /// `camera_optical_frame` is z forward.
+    ///
+    /// ## When it misleads
+    /// Without such frames nothing can be said of a pose that is swapped as a whole, and the rule is
+    /// skipped. A camera mounted askew by just that turn, against its frame in the log, looks the same.
+    HEC003 {
+        name: "camera-axes",
+        grade: Grade::Fixed(Severity::Error),
+        headline: false,
+        needs_model: false,
+        missing: "no target that a camera sees beside a hand's poses",
+        check: check,
+    }
+}
+
+/// A turn this near to that between the two kinds of axes is that one, rad.
+const NEAR: f64 = 20.0 * DEGREE;
+/// A target that lies within this of an axis lies along it.
+const ALONG: f64 = 35.0 * DEGREE;
+
+/// How a camera's axes are swapped.
+pub(super) enum Swap {
+    /// Positions are in other axes than rotations.
+    Within([(usize, f64); 3]),
+    /// The whole pose is in these axes, and its frame says that it is in the others.
+    Whole(CameraAxes),
+}
+
+/// The swap that a target's poses show, if they show one.
+pub(super) fn swap(facts: &HandEyeFacts) -> Option<Swap> {
+    let found = &facts.diagnosis;
+    if let Some((TargetReading::Axes(axes), _)) = found.reading {
+        return Some(Swap::Within(axes));
+    }
+    let known = found.mount_error.as_ref().filter(|error| {
+        // An error that could turn one kind into the other tells nothing.
+        error.rotation_rad.half_width(0.95) < NEAR
+    });
+    let by_mount = known.and_then(|error| {
+        let near = |turn: &Rotation| angle_between(turn, &error.pose.rotation) < NEAR;
+        let body_from_optical = body_from_optical();
+        // `logged_from_solved`: the solved frame is the one that the numbers are in.
+        match () {
+            () if near(&body_from_optical) => Some(CameraAxes::Optical),
+            () if near(&body_from_optical.inverse()) => Some(CameraAxes::Body),
+            () => None,
+        }
+    });
+    let by_view = || match (facts.axes, forward(found.view)) {
+        (Some(named), Some(seen)) if named != seen => Some(seen),
+        _ => None,
+    };
+    let whole = match known {
+        Some(_) => by_mount,
+        None => by_view(),
+    };
+    whole.map(Swap::Whole)
+}
+
+fn body_from_optical() -> Rotation {
+    use std::f64::consts::FRAC_PI_2;
+    rotation_from_rpy([-FRAC_PI_2, 0.0, -FRAC_PI_2])
+}
+
+/// The axes in which a target in this direction is ahead.
+fn forward(view: [f64; 3]) -> Option<CameraAxes> {
+    let view = Vec3::from(view);
+    let along = |axis: Vec3| view.dot(&axis) > ALONG.cos() * view.norm().max(1e-9);
+    match () {
+        () if along(Vec3::z()) => Some(CameraAxes::Optical),
+        () if along(Vec3::x()) => Some(CameraAxes::Body),
+        () => None,
+    }
+}
+
+/// The axes that a position's are to be read as: `(−y, −z, x)`.
+pub(super) fn axes_words(axes: &[(usize, f64); 3]) -> String {
+    let named = axes.map(|(from, sign)| {
+        let sign = if sign < 0.0 { "−" } else { "" };
+        format!("{sign}{}", ["x", "y", "z"][from % 3])
+    });
+    format!("read as ({})", named.join(", "))
+}
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    facts.hand_eyes.iter().map(|one| judge(one).within(one.span)).collect()
+}
+
+fn judge(facts: &HandEyeFacts) -> Judged {
+    let found = &facts.diagnosis;
+    if let Err(why) = &found.solution {
+        return Judged::new(facts.subject(), unseen(why));
+    }
+    let Some(swap) = swap(facts) else {
+        return Judged::new(facts.subject(), unswapped(facts))
+            .with_evidence("view", found.view.to_vec());
+    };
+    if let (Swap::Whole(_), Some(why)) = (&swap, does_not_follow(found)) {
+        return Judged::new(facts.subject(), Outcome::Inconclusive(why));
+    }
+    let (is, read_as) = kinds(&swap);
+    let judged = Judged::new(facts.subject(), Outcome::faulty(fault(facts, &swap)))
+        .estimated(Estimate::Slip { name: "camera axes", is, read_as })
+        .with_evidence("view", found.view.to_vec());
+    match swap {
+        Swap::Within(axes) => judged.with_evidence("reading", axes_words(&axes)),
+        Swap::Whole(_) => judged,
+    }
+}
+
+/// The outcome where nothing is swapped, as far as that can be told.
+fn unswapped(facts: &HandEyeFacts) -> Outcome {
+    let found = &facts.diagnosis;
+    if let Some(why) = does_not_follow(found) {
+        return Outcome::Inconclusive(why);
+    }
+    match (&found.mount_error, facts.axes, forward(found.view)) {
+        (Some(_), _, _) => Outcome::sound_because("the camera's axes lie as the log's frames say"),
+        (None, Some(named), Some(_)) => {
+            Outcome::sound_because(format!("the target lies ahead ({})", named.words()))
+        }
+        (None, Some(named), None) => {
+            let view = found.view.map(|part| format!("{part:.2}")).join(", ");
+            Outcome::Inconclusive(format!(
+                "the target lies neither along z nor along x but at ({view}), and the frame should \
+                 have {}; show the target in the middle of the view",
+                named.words()
+            ))
+        }
+        (None, None, _) => Outcome::Skipped(
+            "the log does not say how the camera's axes lie: no static transform to the camera, and \
+             no `optical` in its frame's name"
+                .to_owned(),
+        ),
+    }
+}
+
+/// What the numbers are and what they were read as.
+fn kinds(swap: &Swap) -> (&'static str, &'static str) {
+    let (optical, body) = (CameraAxes::Optical.words(), CameraAxes::Body.words());
+    match swap {
+        Swap::Whole(CameraAxes::Optical) => (optical, body),
+        Swap::Whole(CameraAxes::Body) => (body, optical),
+        // Optical x, y, z are body −y, −z, x; body x, y, z are optical z, −x, −y.
+        Swap::Within([(1, a), (2, b), (0, c)]) if (*a, *b, *c) == (-1.0, -1.0, 1.0) => {
+            (body, optical)
+        }
+        Swap::Within([(2, a), (0, b), (1, c)]) if (*a, *b, *c) == (1.0, -1.0, -1.0) => {
+            (optical, body)
+        }
+        Swap::Within(_) => ("other axes", "the rotation's axes"),
+    }
+}
+
+fn fault(facts: &HandEyeFacts, swap: &Swap) -> Fault {
+    let (is, read_as) = kinds(swap);
+    let camera = &facts.camera;
+    let (message, fix) = match swap {
+        Swap::Within(axes) => (
+            format!(
+                "positions are in other axes than rotations: the chain closes if they are {}",
+                axes_words(axes)
+            ),
+            "write position and rotation of the target in one frame".to_owned(),
+        ),
+        Swap::Whole(_) => (
+            format!("poses have {is}, and their frame '{camera}' should have {read_as}"),
+            "name the frame that the numbers are in: optical is z forward, body is x forward"
+                .to_owned(),
+        ),
+    };
+    Fault {
+        severity: Severity::Error,
+        title: "camera axes are swapped",
+        message,
+        evidence: Evidence::default(),
+        fix,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_ahead_tells_the_axes() {
+        assert_eq!(forward([0.2, -0.1, 0.9]), Some(CameraAxes::Optical));
+        assert_eq!(forward([0.8, 0.1, 0.0]), Some(CameraAxes::Body));
+        assert_eq!(forward([0.5, 0.0, 0.5]), None);
+        assert_eq!(forward([0.0; 3]), None);
+    }
+
+    #[test]
+    fn the_named_swaps_are_those_of_the_turn_between_the_axes() {
+        let swap = |turn: Rotation| {
+            let rows = [0, 1, 2].map(|row| {
+                let unit = |axis: usize| (turn * Vec3::ith(axis, 1.0))[row];
+                let from = (0..3).max_by(|&a, &b| unit(a).abs().total_cmp(&unit(b).abs()));
+                let from = from.unwrap_or_default();
+                (from, unit(from).round())
+            });
+            kinds(&Swap::Within(rows)).0
+        };
+        assert_eq!(swap(body_from_optical().inverse()), CameraAxes::Body.words());
+        assert_eq!(swap(body_from_optical()), CameraAxes::Optical.words());
+    }
+}

@@ -1,0 +1,74 @@
+//! How far the chain is from closing, pose by pose, and by how much that is more than noise.
+
+use super::super::measured::Measured;
+use super::fit::Fit;
+use super::series::Setting;
+use super::start::median;
+use super::{Closure, FEWEST};
+use crate::geometry::Vec3;
+
+/// Blocks over which the excess over noise is judged.
+const BLOCKS: usize = 12;
+
+/// The closure of every pose of `setting`; `None` where there are fewer than [`FEWEST`].
+pub(super) fn closure(setting: &Setting, fit: &Fit) -> Option<Closure> {
+    let left: Vec<(f64, [Vec3; 2])> = setting
+        .targets
+        .iter()
+        .filter_map(|(t_s, target)| {
+            let carrier = setting.carrier_at(t_s - fit.offset_s.value)?;
+            Some((*t_s, fit.left(&carrier, target)))
+        })
+        .collect();
+    if left.len() < FEWEST {
+        return None;
+    }
+    let near: Vec<&[Vec3; 2]> =
+        left.iter().map(|(_, left)| left).filter(|left| !fit.is_far(left)).collect();
+    let (all, outliers) = (left.len(), left.len() - near.len());
+    let of = |kind: usize| -> Vec<Vec3> { near.iter().map(|left| left[kind]).collect() };
+    let medians = [0, 1].map(|kind| {
+        let mut norms: Vec<f64> = left.iter().map(|(_, left)| left[kind].norm()).collect();
+        median(&mut norms)
+    });
+    Some(Closure {
+        poses: all,
+        outliers,
+        rms_m: rms(&of(0)),
+        rms_rad: rms(&of(1)),
+        median_m: medians[0],
+        median_rad: medians[1],
+        excess_m: excess(&of(0)),
+        excess_rad: excess(&of(1)),
+        each: left.iter().map(|(t_s, [m, rad])| (*t_s, m.norm(), rad.norm())).collect(),
+    })
+}
+
+fn rms(vectors: &[Vec3]) -> f64 {
+    (vectors.iter().map(Vec3::norm_squared).sum::<f64>() / vectors.len().max(1) as f64).sqrt()
+}
+
+/// Root mean square beyond the noise from one vector to the next (half the mean square of successive
+/// differences, von Neumann 1941), with the error that the spread over blocks gives it.
+fn excess(vectors: &[Vec3]) -> Measured {
+    let size = (vectors.len() / BLOCKS).max(3);
+    let beyond: Vec<f64> = vectors
+        .chunks(size)
+        .filter(|block| block.len() >= 3)
+        .map(|block| {
+            let steps: Vec<Vec3> = block.windows(2).map(|w| w[1] - w[0]).collect();
+            rms(block).powi(2) - 0.5 * rms(&steps).powi(2)
+        })
+        .collect();
+    let n = beyond.len() as f64;
+    if n < 2.0 {
+        return Measured { value: rms(vectors), std_error: f64::INFINITY, dof: 1.0 };
+    }
+    let mean = beyond.iter().sum::<f64>() / n;
+    let spread = beyond.iter().map(|one| (one - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    let mean_error = (spread / n).sqrt();
+    let value = mean.max(0.0).sqrt();
+    // d(√x) = dx / 2√x, and near zero no more than √dx.
+    let std_error = (mean_error / (2.0 * value).max(mean_error.sqrt()).max(1e-12)).max(1e-9);
+    Measured { value, std_error, dof: n - 1.0 }
+}

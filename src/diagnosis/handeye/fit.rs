@@ -1,0 +1,238 @@
+//! The camera's pose, the constant and the time offset together, by Gauss–Newton on robust weights.
+//!
+//! What is predicted is what the camera sees: `camera_from_target = (carrier · X)⁻¹ · Y`. Its errors
+//! are the detector's own, so position and rotation are weighed by what each of them leaves.
+
+use super::super::linear::{Linear, Normal, Weight, sandwich};
+use super::super::measured::Measured;
+use super::series::Setting;
+use super::start::{Start, median, together};
+use super::{CameraPose, FEWEST};
+use crate::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotvec_from_rotation};
+use nalgebra::DMatrix;
+
+/// Parameters: `X` shifted and turned in the camera's axes, `Y` shifted and turned in its parent's,
+/// and the offset.
+const WIDTH: usize = 13;
+const OFFSET: usize = 12;
+const FLOOR: [f64; 2] = [1e-6, 1e-6];
+const ROUNDS: usize = 25;
+/// A pose is an outlier that is off by so many standard deviations of the rest.
+const FAR: f64 = 6.0;
+/// No more than this share of the poses are outliers: else nothing says which are.
+const MOST_OUTLIERS: f64 = 0.35;
+
+/// What the fit found.
+pub(super) struct Fit {
+    pub camera: Pose,
+    pub constant: Pose,
+    pub offset_s: Measured,
+    /// Standard deviation of position and rotation, in each direction, m and rad.
+    pub sigma: [f64; 2],
+    covariance: DMatrix<f64>,
+}
+
+impl Fit {
+    /// What is left, as one number, rad.
+    pub fn misfit(&self) -> f64 {
+        together(self.sigma[0], self.sigma[1])
+    }
+
+    /// The camera's pose with its errors.
+    pub fn camera(&self) -> CameraPose {
+        let dof = self.offset_s.dof;
+        let error = |first: usize| {
+            [0, 1, 2].map(|axis| self.covariance[(first + axis, first + axis)].max(0.0).sqrt())
+        };
+        // Of a length only the error along it counts; of none the largest.
+        let along = |vector: Vec3, first: usize| {
+            let value = vector.norm();
+            let direction = vector.try_normalize(1e-9);
+            let block = self.covariance.view((first, first), (3, 3));
+            let variance = match direction {
+                Some(u) if block.iter().all(|entry| entry.is_finite()) => {
+                    (u.transpose() * block * u)[(0, 0)]
+                }
+                _ => (0..3).map(|axis| block[(axis, axis)]).fold(0.0, f64::max),
+            };
+            Measured { value, std_error: variance.max(0.0).sqrt(), dof }
+        };
+        let shift = self.camera.rotation.inverse() * self.camera.translation.vector;
+        CameraPose {
+            pose: self.camera,
+            translation_error_m: error(0),
+            rotation_error_rad: error(3),
+            distance_m: along(shift, 0),
+            angle_rad: along(rotvec_from_rotation(&self.camera.rotation), 3),
+        }
+    }
+
+    /// What a target pose is off by from what the chain foretells, m and rad in the camera's axes.
+    pub fn left(&self, carrier: &Pose, target: &Pose) -> [Vec3; 2] {
+        off(target, &((carrier * self.camera).inverse() * self.constant))
+    }
+
+    /// Whether a pose with these residuals is an outlier.
+    pub fn is_far(&self, left: &[Vec3; 2]) -> bool {
+        (0..2).any(|kind| left[kind].norm() > FAR * self.sigma[kind].max(FLOOR[kind]))
+    }
+}
+
+/// What `seen` is off by from `foretold`.
+fn off(seen: &Pose, foretold: &Pose) -> [Vec3; 2] {
+    [
+        seen.translation.vector - foretold.translation.vector,
+        rotvec_from_rotation(&(seen.rotation * foretold.rotation.inverse())),
+    ]
+}
+
+/// The state of the fit.
+#[derive(Clone, Copy)]
+struct State {
+    camera: Pose,
+    constant: Pose,
+    offset_s: f64,
+}
+
+impl State {
+    fn foretold(&self, carrier: &Pose) -> Pose {
+        (carrier * self.camera).inverse() * self.constant
+    }
+
+    fn moved(&self, step: &[f64]) -> Self {
+        let xyz = |first: usize| Vec3::new(step[first], step[first + 1], step[first + 2]);
+        let Self { camera, constant, offset_s } = *self;
+        let turned = rotation_from_rotvec(xyz(9)) * constant.rotation;
+        Self {
+            camera: camera * pose(xyz(0).into(), rotation_from_rotvec(xyz(3))),
+            constant: pose((constant.translation.vector + xyz(6)).into(), turned),
+            offset_s: offset_s + step[OFFSET],
+        }
+    }
+
+    /// Residuals and their derivatives at the poses of `setting` that `keep` takes.
+    fn linear(&self, setting: &Setting, keep: &[bool]) -> Linear {
+        /// Time over which the hand's speed is taken, s.
+        const STEP_S: f64 = 0.01;
+        let mut linear = Linear::new(WIDTH, &FLOOR);
+        for (&(t_s, target), keep) in setting.targets.iter().zip(keep) {
+            let at = |shift_s: f64| setting.carrier_at(t_s - self.offset_s - shift_s);
+            let (true, Some(carrier)) = (*keep, at(0.0)) else { continue };
+            let foretold = self.foretold(&carrier);
+            let mut rows = linear.push(&off(&target, &foretold).map(Into::into));
+            let seen = foretold.translation.vector;
+            let turned = (carrier * self.camera).rotation.inverse();
+            for axis in 0..3 {
+                let unit = Vec3::ith(axis, 1.0);
+                rows.set(0, axis, (-unit).into());
+                rows.set(0, 3 + axis, seen.cross(&unit).into());
+                rows.set(1, 3 + axis, (-unit).into());
+                rows.set(0, 6 + axis, (turned * unit).into());
+                rows.set(1, 9 + axis, (turned * unit).into());
+            }
+            if let (Some(before), Some(after)) = (at(STEP_S), at(-STEP_S)) {
+                let [shift, turn] = off(&self.foretold(&before), &self.foretold(&after));
+                rows.set(0, OFFSET, (shift / (2.0 * STEP_S)).into());
+                rows.set(1, OFFSET, (turn / (2.0 * STEP_S)).into());
+            }
+        }
+        linear
+    }
+}
+
+/// Refines `start`; `None` where fewer than [`FEWEST`] poses are left.
+pub(super) fn fit(setting: &Setting, start: Start, lag_s: f64) -> Option<Fit> {
+    let state = State { camera: start.camera, constant: start.constant, offset_s: lag_s };
+    let all = vec![true; setting.targets.len()];
+    let state = converged(state, setting, &all)?;
+    let found = finished(state, setting, &all)?;
+    // Once more without the outliers.
+    let near: Vec<bool> = setting
+        .targets
+        .iter()
+        .map(|(t_s, target)| {
+            let carrier = setting.carrier_at(t_s - state.offset_s);
+            carrier.is_some_and(|carrier| !found.is_far(&found.left(&carrier, target)))
+        })
+        .collect();
+    let kept = near.iter().filter(|near| **near).count();
+    if (kept as f64) < (1.0 - MOST_OUTLIERS) * setting.targets.len() as f64 {
+        return Some(found);
+    }
+    let state = converged(state, setting, &near)?;
+    finished(state, setting, &near)
+}
+
+/// Gauss–Newton from `state`, each step halved until it leaves less by the weights before it.
+fn converged(mut state: State, setting: &Setting, keep: &[bool]) -> Option<State> {
+    const HALVINGS: usize = 6;
+    let mut linear = state.linear(setting, keep);
+    let mut weights = linear.first_weights();
+    for _ in 0..ROUNDS {
+        if linear.len() < FEWEST {
+            return None;
+        }
+        let normal = normal_of(&linear, &weights);
+        let all: Vec<usize> = (0..WIDTH).collect();
+        let mut step = normal.step(&nalgebra::DVector::zeros(WIDTH), &all);
+        let mut next = None;
+        for _ in 0..HALVINGS {
+            let moved = state.moved(step.as_slice());
+            let there = moved.linear(setting, keep);
+            // Near the ends an offset may gain or lose a pose.
+            let same = there.len() == linear.len();
+            if !same || normal_of(&there, &weights).cost <= normal.cost {
+                next = Some((moved, there));
+                break;
+            }
+            step *= 0.5;
+        }
+        let Some((moved, there)) = next else { break };
+        state = moved;
+        linear = there;
+        let zero = [0.0; WIDTH];
+        weights = linear.weights_after(&zero);
+        let is_small = step.rows(0, 3).norm() < 1e-8 && step.rows(3, 3).norm() < 1e-8;
+        if is_small && step[OFFSET].abs() < 1e-8 {
+            break;
+        }
+    }
+    Some(state)
+}
+
+fn normal_of(linear: &Linear, weights: &[Weight]) -> Normal {
+    let mut normal = Normal::zeros(WIDTH);
+    let columns: Vec<usize> = (0..WIDTH).collect();
+    linear.accumulate(weights, &columns, &mut normal);
+    normal
+}
+
+/// The fit at `state`, with its covariance.
+fn finished(state: State, setting: &Setting, keep: &[bool]) -> Option<Fit> {
+    let linear = state.linear(setting, keep);
+    if linear.len() < FEWEST {
+        return None;
+    }
+    let weights = linear.weights_after(&[0.0; WIDTH]);
+    let mut information = DMatrix::zeros(WIDTH, WIDTH);
+    let mut scores = DMatrix::zeros(WIDTH, WIDTH);
+    let columns: Vec<Option<usize>> = (0..WIDTH).map(Some).collect();
+    linear.accumulate_covariance(&weights, &columns, &mut information, &mut scores);
+    let covariance = sandwich(&information, &scores);
+    let independent: f64 =
+        weights.iter().map(|weight| 3.0 * linear.len() as f64 / weight.noise.inflation()).sum();
+    let dof = (independent - WIDTH as f64).max(3.0);
+    let sigma = [0, 1].map(|kind| {
+        /// Standard deviations in the median length of three normal components.
+        const NORMAL: f64 = 1.5382;
+        let mut norms: Vec<f64> =
+            linear.residual[kind].iter().map(|residual| Vec3::from(*residual).norm()).collect();
+        median(&mut norms) / NORMAL
+    });
+    let offset_s = Measured {
+        value: state.offset_s,
+        std_error: covariance[(OFFSET, OFFSET)].max(0.0).sqrt(),
+        dof,
+    };
+    Some(Fit { camera: state.camera, constant: state.constant, offset_s, sigma, covariance })
+}

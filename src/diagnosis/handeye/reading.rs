@@ -1,0 +1,207 @@
+//! Other ways to read the poses of a target, of which one may be what its writer meant.
+//!
+//! A turn of all its axes at once is a part of the camera's mount and no fault that the two streams
+//! can show. What they do show is a position in other axes than the rotation, a rotation that is
+//! transposed or read by another convention, and a wrong scale (the size that the detector believes
+//! the target to have).
+
+use super::series::{PoseSeries, Setting};
+use super::start::{angle_gap, quick_start};
+use super::{FIT_POSES, HandEyeStreams, Mount, Solution, solve};
+use crate::geometry::{
+    MisreadingClass, Pose, QuaternionSlip, Rotation, Vec3, misreading_classes, pose,
+    rotation_from_xyzw, xyzw_from_rotation,
+};
+use nalgebra::Matrix3;
+
+/// How the poses of a target must be read so that the chain closes.
+#[derive(Clone, Copy, Debug)]
+pub enum TargetReading {
+    /// As logged.
+    AsLogged,
+    /// Positions are in other axes than rotations: for each axis of the rotations, which number of the
+    /// position lies along it, and with which sign.
+    Axes([(usize, f64); 3]),
+    /// Rotations are transposed, positions are not.
+    Transposed,
+    /// Quaternion components are in another order.
+    QuaternionOrder(QuaternionSlip),
+    /// Rotation numbers of one convention were read as another's.
+    Misread(&'static MisreadingClass),
+    /// Positions are this many times too small.
+    Scaled(f64),
+}
+
+/// A target as some reading has it.
+#[derive(Clone, Copy)]
+pub(super) struct ReadTarget<'a> {
+    pub series: &'a PoseSeries,
+    pub reading: TargetReading,
+    pub stride: usize,
+}
+
+impl<'a> ReadTarget<'a> {
+    /// The target as logged, thinned out to about `most` poses.
+    pub fn as_logged(series: &'a PoseSeries, most: usize) -> Self {
+        let stride = series.t_s.len().div_ceil(most).max(1);
+        Self { series, reading: TargetReading::AsLogged, stride }
+    }
+
+    /// The poses, each at its stamp.
+    pub fn poses(&self) -> impl Iterator<Item = (f64, Pose)> {
+        let mut truths = Vec::new();
+        let stamped = self.series.t_s.iter().zip(&self.series.poses).step_by(self.stride);
+        stamped.map(move |(&t_s, pose)| (t_s, self.reading.read(pose, &mut truths)))
+    }
+}
+
+impl TargetReading {
+    /// What was meant where `logged` was written; `truths` is room to work in.
+    fn read(&self, logged: &Pose, truths: &mut Vec<Rotation>) -> Pose {
+        let (xyz, rotation) = (logged.translation.vector, logged.rotation);
+        match self {
+            Self::AsLogged => *logged,
+            Self::Axes(axes) => pose(axes.map(|(from, sign)| sign * xyz[from]), rotation),
+            Self::Transposed => pose(xyz.into(), rotation.inverse()),
+            Self::QuaternionOrder(slip) => {
+                let meant = rotation_from_xyzw(slip.truth(xyzw_from_rotation(&rotation)));
+                pose(xyz.into(), meant.unwrap_or(rotation))
+            }
+            Self::Misread(class) => {
+                if let Some(misreading) = class.members.first() {
+                    misreading.truths(&rotation, truths);
+                }
+                pose(xyz.into(), truths.first().copied().unwrap_or(rotation))
+            }
+            Self::Scaled(scale) => pose((xyz * *scale).into(), rotation),
+        }
+    }
+}
+
+/// A reading is better that leaves less than this share.
+const BETTER: f64 = 1.0 / 3.0;
+/// Poses by which readings are compared.
+const POSES: usize = 80;
+/// Less than this is left of a chain of which no other reading need be sought, m and rad: noise of the
+/// best detectors.
+const CLOSES: (f64, f64) = (1.5e-3, 0.15 * std::f64::consts::PI / 180.0);
+
+/// The reading under which the chain closes far better than `as_logged`, with its solution. None is
+/// looked for where the chain closes, or where one other is as good.
+pub(super) fn better_reading(
+    streams: &HandEyeStreams,
+    as_logged: &Solution,
+    lag_s: f64,
+) -> Option<(TargetReading, Solution)> {
+    let left = &as_logged.closure;
+    if left.excess_m.value < CLOSES.0 && left.excess_rad.value < CLOSES.1 {
+        return None;
+    }
+    let plain = closing(streams, TargetReading::AsLogged, lag_s)?;
+    let mut tried: Vec<(f64, TargetReading)> = candidates(streams, lag_s)
+        .into_iter()
+        .filter_map(|reading| Some((closing(streams, reading, lag_s)?, reading)))
+        .collect();
+    tried.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (misfit, reading) = *tried.first()?;
+    if misfit > BETTER * plain {
+        return None;
+    }
+    let stride = streams.target.t_s.len().div_ceil(FIT_POSES).max(1);
+    let read = ReadTarget { series: streams.target, reading, stride };
+    let solution = solve(streams, &read, lag_s)?;
+    let closes = |a: &Solution, b: &Solution| {
+        let m = a.closure.rms_m <= 1.1 * b.closure.rms_m;
+        let rad = a.closure.rms_rad <= 1.1 * b.closure.rms_rad;
+        let far_better = a.closure.rms_m < BETTER * b.closure.rms_m
+            || a.closure.rms_rad < BETTER * b.closure.rms_rad;
+        m && rad && far_better
+    };
+    closes(&solution, as_logged).then_some((reading, solution))
+}
+
+/// By how much the chain fails to close under a reading, by the better mount.
+fn closing(streams: &HandEyeStreams, reading: TargetReading, lag_s: f64) -> Option<f64> {
+    let read = read_with(streams, reading);
+    let misfits = Mount::ALL.into_iter().filter_map(|mount| {
+        Some(quick_start(&Setting::new(streams.hand, &read, mount).pairs_at(lag_s, POSES))?.misfit)
+    });
+    misfits.min_by(f64::total_cmp)
+}
+
+fn read_with<'a>(streams: &HandEyeStreams<'a>, reading: TargetReading) -> ReadTarget<'a> {
+    let stride = streams.target.t_s.len().div_ceil(POSES).max(1);
+    ReadTarget { series: streams.target, reading, stride }
+}
+
+/// The readings that may be the one. Where the turns between poses are of the hand's angles already,
+/// it must be one that leaves angles as they are; else one that makes them so.
+fn candidates(streams: &HandEyeStreams, lag_s: f64) -> Vec<TargetReading> {
+    /// Angles are the hand's that differ by less than this in the median, rad.
+    const ALIKE: f64 = 0.03;
+    /// Readings that make the angles more alike, of which so many are looked at.
+    const LOOKED_AT: usize = 6;
+    let gap = |reading| {
+        let read = read_with(streams, reading);
+        angle_gap(&Setting::new(streams.hand, &read, Mount::InHand).pairs_at(lag_s, POSES / 2))
+    };
+    let as_logged = gap(TargetReading::AsLogged);
+    if as_logged < ALIKE {
+        let mut same_angles = vec![
+            TargetReading::Transposed,
+            TargetReading::QuaternionOrder(QuaternionSlip::WxyzReadAsXyzw),
+            TargetReading::QuaternionOrder(QuaternionSlip::XyzwReadAsWxyz),
+        ];
+        same_angles.extend(axes().map(TargetReading::Axes));
+        let scales = Mount::ALL.into_iter().filter_map(|mount| scale(streams, mount, lag_s));
+        same_angles.extend(scales.map(TargetReading::Scaled));
+        return same_angles;
+    }
+    let mut gaps: Vec<(f64, TargetReading)> = misreading_classes()
+        .iter()
+        .map(TargetReading::Misread)
+        .map(|reading| (gap(reading), reading))
+        .filter(|(gap, _)| *gap < BETTER * as_logged)
+        .collect();
+    gaps.sort_by(|a, b| a.0.total_cmp(&b.0));
+    gaps.truncate(LOOKED_AT);
+    gaps.into_iter().map(|(_, reading)| reading).collect()
+}
+
+/// All ways to name the axes of a right-handed or left-handed frame otherwise: 47.
+fn axes() -> impl Iterator<Item = [(usize, f64); 3]> {
+    const ORDERS: [[usize; 3]; 6] =
+        [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
+    let all = ORDERS.into_iter().flat_map(|order| {
+        (0..8_usize).map(move |signs| {
+            let sign = |axis: usize| if signs >> axis & 1 == 0 { 1.0 } else { -1.0 };
+            [0, 1, 2].map(|axis| (order[axis], sign(axis)))
+        })
+    });
+    all.skip(1)
+}
+
+/// The scale of the target's positions under which they fit the hand's best: linear beside the
+/// translations, `R_c·t_x + s·R_c·R_x·t − t_y = −t_c`.
+fn scale(streams: &HandEyeStreams, mount: Mount, lag_s: f64) -> Option<f64> {
+    let read = read_with(streams, TargetReading::AsLogged);
+    let pairs = Setting::new(streams.hand, &read, mount).pairs_at(lag_s, POSES);
+    let rotation = quick_start(&pairs)?.camera.rotation;
+    let mut normal = nalgebra::DMatrix::<f64>::zeros(7, 7);
+    let mut right = nalgebra::DVector::<f64>::zeros(7);
+    for pair in &pairs {
+        let turned = pair.carrier.rotation;
+        let mut row = nalgebra::DMatrix::zeros(3, 7);
+        row.view_mut((0, 0), (3, 3)).copy_from(turned.to_rotation_matrix().matrix());
+        row.view_mut((0, 3), (3, 3)).copy_from(&-Matrix3::identity());
+        let seen: Vec3 = turned * (rotation * pair.target.translation.vector);
+        row.view_mut((0, 6), (3, 1)).copy_from(&seen);
+        normal += row.transpose() * &row;
+        right -= row.transpose() * pair.carrier.translation.vector;
+    }
+    for i in 0..6 {
+        normal[(i, i)] += 1e-9 * pairs.len() as f64;
+    }
+    let scale = normal.cholesky()?.solve(&right)[6];
+    (scale.is_finite() && scale > 0.0).then_some(scale)
+}

@@ -1,0 +1,136 @@
+//! Poses over time, and the two streams side by side.
+
+use super::super::latency::median_period_s;
+use super::Mount;
+use super::reading::ReadTarget;
+use crate::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotvec_from_rotation};
+use crate::robot::Chain;
+use crate::stream::{JointTrack, Orientations, PoseTrack};
+
+/// Poses over time. Times are seconds from the run's origin, strictly increasing.
+#[derive(Clone, Debug, Default)]
+pub struct PoseSeries {
+    /// Sample times, s.
+    pub t_s: Vec<f64>,
+    /// The poses, translations in m.
+    pub poses: Vec<Pose>,
+}
+
+impl PoseSeries {
+    /// The poses of a track; `None` where its orientations are bare numbers.
+    pub fn of_track(track: &PoseTrack) -> Option<Self> {
+        let Orientations::Rotations(rotations) = &track.orientation else { return None };
+        let poses = track.xyz.iter().zip(rotations);
+        let poses = poses.map(|(xyz, rotation)| pose((*xyz).into(), *rotation)).collect();
+        Some(Self { t_s: track.t_s.clone(), poses })
+    }
+
+    /// The poses of a chain's tip by FK of joint states, at 100 to 200 of them a second.
+    pub fn by_kinematics(joints: &JointTrack, chain: &Chain, columns: &[usize]) -> Self {
+        /// As often as a hand need be known: between samples it moves by next to a straight line.
+        const PERIOD_S: f64 = 0.01;
+        let period_s = median_period_s(&joints.t_s).max(1e-6);
+        let step = ((PERIOD_S / period_s) as usize).max(1);
+        let mut q = vec![0.0; columns.len()];
+        let mut series = Self::default();
+        for row in (0..joints.len()).step_by(step) {
+            for (own, &column) in q.iter_mut().zip(columns) {
+                *own = joints.row(row)[column];
+            }
+            series.t_s.push(joints.t_s[row]);
+            series.poses.push(chain.forward(&q));
+        }
+        series
+    }
+
+    /// Length of the time that it shares with `other`, s; not positive where there is none.
+    pub fn overlap_s(&self, other: &PoseSeries) -> f64 {
+        let span = |series: &PoseSeries| Some((*series.t_s.first()?, *series.t_s.last()?));
+        match (span(self), span(other)) {
+            (Some(a), Some(b)) => a.1.min(b.1) - a.0.max(b.0),
+            _ => 0.0,
+        }
+    }
+
+    /// The pose at `t_s`: position linearly, rotation along the shortest turn. `None` outside the
+    /// samples, and in gaps of more than 0.2 s and ten times the usual period.
+    fn at(&self, t_s: f64, period_s: f64) -> Option<Pose> {
+        let right = self.t_s.partition_point(|&t| t < t_s);
+        let (after_s, after) = (*self.t_s.get(right)?, self.poses.get(right)?);
+        if after_s == t_s {
+            return Some(*after);
+        }
+        let left = right.checked_sub(1)?;
+        let (before_s, before) = (self.t_s[left], &self.poses[left]);
+        let length_s = after_s - before_s;
+        if length_s > (10.0 * period_s).max(0.2) {
+            return None;
+        }
+        let part = (t_s - before_s) / length_s;
+        let turn = rotvec_from_rotation(&(before.rotation.inverse() * after.rotation));
+        Some(Pose::from_parts(
+            before.translation.vector.lerp(&after.translation.vector, part).into(),
+            before.rotation * rotation_from_rotvec(turn * part),
+        ))
+    }
+}
+
+/// The mean of the directions to the poses of a series, in its own frame; shorter than 1 where they
+/// differ.
+pub(super) fn mean_direction(series: &PoseSeries) -> [f64; 3] {
+    let directions = series.poses.iter().filter_map(|pose| {
+        let xyz = pose.translation.vector;
+        let norm = xyz.norm();
+        (norm > 1e-9).then(|| xyz / norm)
+    });
+    let sum: Vec3 = directions.sum();
+    (sum / series.poses.len().max(1) as f64).into()
+}
+
+/// One target pose, and what carries the camera at that time.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pair {
+    /// `base_from_hand` with the camera in the hand, `hand_from_base` with it in the base.
+    pub carrier: Pose,
+    /// `camera_from_target`.
+    pub target: Pose,
+}
+
+/// A hand and a target under one hypothesis of where the camera is.
+pub(super) struct Setting<'a> {
+    hand: &'a PoseSeries,
+    period_s: f64,
+    mount: Mount,
+    /// Target poses as they are read.
+    pub targets: Vec<(f64, Pose)>,
+}
+
+impl<'a> Setting<'a> {
+    pub fn new(hand: &'a PoseSeries, target: &ReadTarget, mount: Mount) -> Self {
+        let period_s = median_period_s(&hand.t_s);
+        Self { hand, period_s, mount, targets: target.poses().collect() }
+    }
+
+    /// What carries the camera at `t_s`.
+    pub fn carrier_at(&self, t_s: f64) -> Option<Pose> {
+        let hand = self.hand.at(t_s, self.period_s)?;
+        Some(match self.mount {
+            Mount::InHand => hand,
+            Mount::InBase => hand.inverse(),
+        })
+    }
+
+    /// How many target poses have a hand pose if the target is late by `lag_s`.
+    pub fn count_at(&self, lag_s: f64) -> usize {
+        self.pairs_at(lag_s, usize::MAX).len()
+    }
+
+    /// At most `most` pairs, evenly spread, if the target is late by `lag_s`.
+    pub fn pairs_at(&self, lag_s: f64, most: usize) -> Vec<Pair> {
+        let step = self.targets.len().div_ceil(most).max(1);
+        let pairs = self.targets.iter().step_by(step).filter_map(|&(t_s, target)| {
+            Some(Pair { carrier: self.carrier_at(t_s - lag_s)?, target })
+        });
+        pairs.collect()
+    }
+}

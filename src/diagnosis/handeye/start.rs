@@ -1,0 +1,190 @@
+//! A first guess of the camera's pose in closed form.
+
+use super::super::reading::wahba;
+use super::series::Pair;
+use crate::geometry::{
+    Pose, Rotation, Vec3, angle_between, pose, rotation_from_rotvec, rotvec_from_rotation,
+};
+use nalgebra::{Matrix3, Matrix6, Vector6};
+
+/// Poses that the closed form uses.
+pub(super) const POSES: usize = 150;
+/// A length and an angle that count the same, m and rad: the figures of a hand-eye chain.
+const M_PER_RAD: f64 = 2e-3 / (0.2 * std::f64::consts::PI / 180.0);
+
+/// The camera in what carries it and the constant that the chain closes on.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Start {
+    pub camera: Pose,
+    pub constant: Pose,
+    /// By how much the chain fails to close, median, in rad and m alike.
+    pub misfit: f64,
+}
+
+/// A length and an angle as one number, rad.
+pub(super) fn together(length_m: f64, angle_rad: f64) -> f64 {
+    (length_m / M_PER_RAD).hypot(angle_rad)
+}
+
+/// Park and Martin's closed form; `None` where the pairs hold no two orientations.
+///
+/// Turns about one axis only leave the camera's own turn about it open, which positions may yet
+/// tell: then several are tried.
+pub(super) fn start(pairs: &[Pair]) -> Option<Start> {
+    let rotations = camera_rotations(pairs)?;
+    let starts = rotations.iter().filter_map(|rotation| with_rotation(pairs, rotation));
+    starts.min_by(|a, b| a.misfit.total_cmp(&b.misfit))
+}
+
+/// As [`start`], without trying turns about a single axis.
+pub(super) fn quick_start(pairs: &[Pair]) -> Option<Start> {
+    with_rotation(pairs, camera_rotations(pairs)?.first()?)
+}
+
+fn with_rotation(pairs: &[Pair], rotation: &Rotation) -> Option<Start> {
+    let rotation = *rotation;
+    let constants: Vec<Rotation> =
+        pairs.iter().map(|pair| pair.carrier.rotation * rotation * pair.target.rotation).collect();
+    let constant_rotation = central(&constants)?;
+    let (camera_xyz, constant_xyz) = translations(pairs, &rotation)?;
+    let camera = pose(camera_xyz.into(), rotation);
+    let constant = pose(constant_xyz.into(), constant_rotation);
+    let mut misfits: Vec<f64> = pairs.iter().map(|pair| misfit(pair, &camera, &constant)).collect();
+    Some(Start { camera, constant, misfit: median(&mut misfits) })
+}
+
+/// By how much one pair fails to close.
+fn misfit(pair: &Pair, camera: &Pose, constant: &Pose) -> f64 {
+    let closed = pair.carrier * camera * pair.target;
+    let off_m = (closed.translation.vector - constant.translation.vector).norm();
+    together(off_m, angle_between(&closed.rotation, &constant.rotation))
+}
+
+/// The relative turns of carrier and camera between poses at several distances in time.
+fn turns(pairs: &[Pair]) -> Vec<(Vec3, Vec3)> {
+    let n = pairs.len();
+    let strides = [n / 2, n / 3, n / 7].map(|stride| stride.max(1));
+    let between = |a: &Pair, b: &Pair| {
+        let carrier = a.carrier.rotation.inverse() * b.carrier.rotation;
+        let camera = a.target.rotation * b.target.rotation.inverse();
+        (rotvec_from_rotation(&carrier), rotvec_from_rotation(&camera))
+    };
+    let all = strides.into_iter().flat_map(|stride| {
+        (0..n.saturating_sub(stride)).map(move |i| between(&pairs[i], &pairs[i + stride]))
+    });
+    all.collect()
+}
+
+/// By how much the turns of carrier and camera between two poses differ in angle, which no mount
+/// changes: the median, rad.
+pub(super) fn angle_gap(pairs: &[Pair]) -> f64 {
+    let mut gaps: Vec<f64> =
+        turns(pairs).iter().map(|(a, b)| (a.norm() - b.norm()).abs()).collect();
+    median(&mut gaps)
+}
+
+/// The rotation that takes the camera's turns to the carrier's; several about the axis where there is
+/// only one.
+fn camera_rotations(pairs: &[Pair]) -> Option<Vec<Rotation>> {
+    /// The second axis counts by less than this share of the first: there is one.
+    const ONE_AXIS: f64 = 0.01;
+    const TRIED: usize = 12;
+    /// Turns of less than this share of the largest say little.
+    const SMALL: f64 = 0.3;
+    /// Turns near a half one have no sure axis, rad.
+    const NEAR_HALF: f64 = 2.9;
+    let turns = turns(pairs);
+    let largest = turns.iter().map(|(a, _)| a.norm()).filter(|&a| a < NEAR_HALF);
+    let largest = largest.fold(0.0, f64::max);
+    let usable: Vec<&(Vec3, Vec3)> = turns
+        .iter()
+        .filter(|(a, b)| {
+            let (a, b) = (a.norm(), b.norm());
+            a.min(b) > SMALL * largest && a.max(b) < NEAR_HALF
+        })
+        .collect();
+    let mut gaps: Vec<f64> = usable.iter().map(|(a, b)| (a.norm() - b.norm()).abs()).collect();
+    let limit = 3.0 * median(&mut gaps) + 1e-9;
+    let alike = || usable.iter().filter(|(a, b)| (a.norm() - b.norm()).abs() <= limit);
+    if largest < 1e-6 || alike().count() < 3 {
+        return None;
+    }
+    let guess = wahba(&alike().map(|(a, b)| a * b.transpose()).sum::<Matrix3<f64>>());
+    // Once more without those that the guess leaves far off.
+    let mut off: Vec<f64> = alike().map(|(a, b)| (a - guess * b).norm()).collect();
+    let limit = 3.0 * median(&mut off) + 1e-9;
+    let near = || alike().filter(|(a, b)| (a - guess * b).norm() <= limit);
+    let rotation = wahba(&near().map(|(a, b)| a * b.transpose()).sum::<Matrix3<f64>>());
+    let scatter: Matrix3<f64> = near().map(|(a, _)| a * a.transpose()).sum();
+    let eigen = scatter.symmetric_eigen();
+    let first = eigen.eigenvalues.imax();
+    let second = (0..3).filter(|&i| i != first).map(|i| eigen.eigenvalues[i]).fold(0.0, f64::max);
+    if second > ONE_AXIS * eigen.eigenvalues[first] {
+        return Some(vec![rotation]);
+    }
+    let axis: Vec3 = eigen.eigenvectors.column(first).into();
+    let turn =
+        |k: usize| rotation_from_rotvec(axis * (std::f64::consts::TAU * k as f64 / TRIED as f64));
+    Some((0..TRIED).map(|k| turn(k) * rotation).collect())
+}
+
+/// The rotation that most others are near: the one of a few with the least median distance.
+fn central(rotations: &[Rotation]) -> Option<Rotation> {
+    const TRIED: usize = 15;
+    let step = rotations.len().div_ceil(TRIED).max(1);
+    let distance = |one: &Rotation| {
+        let mut all: Vec<f64> = rotations.iter().map(|other| angle_between(one, other)).collect();
+        median(&mut all)
+    };
+    let tried = rotations.iter().step_by(step).map(|one| (distance(one), *one));
+    tried.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, one)| one)
+}
+
+/// The translations of the camera and of the constant: linear in `R_c·t_x − t_y = −(R_c·R_x·t + t_c)`,
+/// by weights that poses far off lose (Cauchy's).
+fn translations(pairs: &[Pair], rotation: &Rotation) -> Option<(Vec3, Vec3)> {
+    const ROUNDS: usize = 4;
+    let rows: Vec<(Matrix3<f64>, Vec3)> = pairs
+        .iter()
+        .map(|Pair { carrier, target }| {
+            let seen = carrier.rotation * (rotation * target.translation.vector);
+            let turned = carrier.rotation.to_rotation_matrix();
+            (*turned.matrix(), -(seen + carrier.translation.vector))
+        })
+        .collect();
+    let mut weights = vec![1.0; rows.len()];
+    let (mut camera, mut constant) = (Vec3::zeros(), Vec3::zeros());
+    for _ in 0..ROUNDS {
+        let (mut turns, mut at_camera, mut at_constant) =
+            (Matrix3::zeros(), Vec3::zeros(), Vec3::zeros());
+        for ((turned, seen), &weight) in rows.iter().zip(&weights) {
+            turns += turned * weight;
+            at_camera += turned.tr_mul(seen) * weight;
+            at_constant -= seen * weight;
+        }
+        let total: f64 = weights.iter().sum();
+        let mut normal = Matrix6::from_diagonal_element(total + 1e-9 * rows.len() as f64);
+        normal.fixed_view_mut::<3, 3>(3, 0).copy_from(&-turns);
+        normal.fixed_view_mut::<3, 3>(0, 3).copy_from(&-turns.transpose());
+        let mut right = Vector6::zeros();
+        right.fixed_rows_mut::<3>(0).copy_from(&at_camera);
+        right.fixed_rows_mut::<3>(3).copy_from(&at_constant);
+        let solution = normal.cholesky()?.solve(&right);
+        camera = solution.fixed_rows::<3>(0).into();
+        constant = solution.fixed_rows::<3>(3).into();
+        let off: Vec<f64> =
+            rows.iter().map(|(turned, seen)| (turned * camera - constant - seen).norm()).collect();
+        let scale = median(&mut off.clone()).max(1e-9);
+        weights = off.iter().map(|off| 1.0 / (1.0 + (off / (2.0 * scale)).powi(2))).collect();
+    }
+    Some((camera, constant))
+}
+
+/// The median; 0 of nothing.
+pub(super) fn median(values: &mut [f64]) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}

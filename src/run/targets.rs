@@ -1,0 +1,192 @@
+//! What cameras see, and the hands that it may be held against.
+
+use crate::geometry::Pose;
+use crate::robot::{Chain, LinkId};
+use crate::stream::PoseTrack;
+
+use super::arm::Arm;
+use super::role::{CAMERAS, Place, SIGHTS, shared, words};
+use super::tf_tree::{EdgeKind, TfTree};
+
+/// Which way the axes of a camera's frame point, as the log's frames say.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CameraAxes {
+    /// z forward, x right: the frame's name says `optical` (REP 103).
+    Optical,
+    /// x forward, z up: static transforms tie it to an optical frame by that turn.
+    Body,
+}
+
+/// A target that a camera sees.
+#[derive(Clone, Debug)]
+pub struct TargetSource {
+    /// Index of the stream.
+    pub stream: usize,
+    /// `camera_from_target` as logged.
+    pub track: PoseTrack,
+    /// Which way the camera's axes should point, where the log says.
+    pub axes: Option<CameraAxes>,
+    /// The hands that may move the camera or the target; of several the one that turns alike.
+    pub hands: Vec<HandSource>,
+}
+
+/// A hand, and where the log's frames say that the camera is.
+#[derive(Clone, Debug)]
+pub struct HandSource {
+    /// What its poses are computed from.
+    pub kind: HandKind,
+    /// The camera in the hand, where frames that never change say so.
+    pub hand_from_camera: Option<Pose>,
+    /// The camera in the base, likewise.
+    pub base_from_camera: Option<Pose>,
+    /// Standard error that aligning a foreign clock left between hand and target, s; 0 on a shared
+    /// clock.
+    pub stamp_error_s: f64,
+}
+
+/// What the poses of a hand are computed from.
+#[derive(Clone, Debug)]
+pub enum HandKind {
+    /// FK of an arm's joint states.
+    Joints {
+        /// Index of the arm.
+        arm: usize,
+        /// From the base to the hand.
+        chain: Chain,
+        /// For each joint of `chain`, its column in the arm's joint track.
+        columns: Vec<usize>,
+    },
+    /// A stream of poses.
+    Stream {
+        /// Its index.
+        stream: usize,
+        /// `base_from_hand`.
+        track: PoseTrack,
+    },
+    /// Transforms of the log.
+    Transforms {
+        /// The frame of the base.
+        base: String,
+        /// The frame of the hand.
+        frame: String,
+        /// `base_from_hand`.
+        track: PoseTrack,
+    },
+}
+
+impl HandKind {
+    /// FK of `arm` to the link that carries the camera's frame, or else to its tip, and what the
+    /// frames say of the camera.
+    pub(super) fn of_arm(
+        index: usize,
+        arm: &Arm,
+        tf: &TfTree,
+        camera: &str,
+    ) -> Option<(Self, [Option<Pose>; 2])> {
+        let (place, anchor) = arm.place(tf, camera);
+        // What stands beside a rail does not ride on it.
+        let root = arm.robot.root();
+        let rides = arm.robot.fixed_transform(root, arm.base).is_none();
+        let base = match rides && arm.chain_between(root, arm.tip).is_some() {
+            true => root,
+            false => arm.base,
+        };
+        let fixed = |link: LinkId| arm.robot.fixed_transform(base, link);
+        let (hand, hand_from_camera, base_from_camera) = match (place, anchor) {
+            (Place::MovingLink, Some(anchor)) => {
+                let tip_from_link = arm.robot.fixed_transform(arm.tip, anchor.link);
+                match tip_from_link {
+                    Some(tip_from_link) => {
+                        (arm.tip, Some(tip_from_link * anchor.link_from_frame), None)
+                    }
+                    None => (anchor.link, Some(anchor.link_from_frame), None),
+                }
+            }
+            (_, Some(anchor)) => {
+                let base_from_camera = fixed(anchor.link).map(|link| link * anchor.link_from_frame);
+                (arm.tip, None, base_from_camera)
+            }
+            (_, None) => (arm.tip, None, None),
+        };
+        let (chain, columns) = arm.chain_between(base, hand)?;
+        let kind = Self::Joints { arm: index, chain, columns };
+        Some((kind, [hand_from_camera, base_from_camera]))
+    }
+}
+
+/// Whether a transform over time is a sighting by its names alone: from a camera's frame to what is
+/// none.
+pub(super) fn is_sighting(frame: &str, child: &str) -> bool {
+    let is_camera = |name: &str| shared(&words(name), CAMERAS).is_some();
+    is_camera(frame) && (!is_camera(child) || shared(&words(child), SIGHTS).is_some())
+}
+
+/// Which way the axes of the frame called `camera` should point.
+pub(super) fn axes_of(tf: &TfTree, camera: &str) -> Option<CameraAxes> {
+    let is_optical = |frame: &str| words(frame).iter().any(|word| word == "optical");
+    if is_optical(camera) {
+        return Some(CameraAxes::Optical);
+    }
+    let (_, optical_from_camera) = tf.tied(camera, is_optical)?;
+    // Optical z is body x, optical x is body −y.
+    let turn = optical_from_camera.rotation;
+    let forward = turn * crate::geometry::Vec3::x();
+    let left = turn * crate::geometry::Vec3::y();
+    (forward.z > 0.98 && left.x < -0.98).then_some(CameraAxes::Body)
+}
+
+/// Base and hand of a log without an arm by its transforms: the frame that carries the camera, else
+/// the one that most transforms over time move; sightings do not count.
+pub(super) fn hand_frame(tf: &TfTree, camera: &str) -> Option<(String, String)> {
+    let moved_by = |frame: &str| {
+        let edges = tf.edges_above(frame);
+        edges
+            .iter()
+            .filter(|edge| {
+                let (parent, child) = tf.names(edge);
+                edge.kind == EdgeKind::Dynamic && !is_sighting(parent, child)
+            })
+            .count()
+    };
+    let is_moved = |frame: &str| {
+        tf.edges().iter().any(|edge| {
+            let (parent, child) = tf.names(edge);
+            edge.kind == EdgeKind::Dynamic && child == frame && !is_sighting(parent, child)
+        })
+    };
+    let carrier = tf.tied(camera, is_moved).map(|(frame, _)| frame);
+    let farthest = || {
+        let frames = tf.frames().filter(|frame| is_moved(frame));
+        frames.max_by_key(|frame| moved_by(frame))
+    };
+    let hand = carrier.or_else(farthest)?;
+    (moved_by(hand) > 0).then(|| (tf.root_of(hand).to_owned(), hand.to_owned()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{pose, rotation_from_rpy};
+
+    #[test]
+    fn a_body_frame_is_one_that_is_tied_to_an_optical_one() {
+        use std::f64::consts::FRAC_PI_2;
+        let mut tf = TfTree::default();
+        let turn = rotation_from_rpy([-FRAC_PI_2, 0.0, -FRAC_PI_2]);
+        let body_from_optical = pose([0.0, 0.015, 0.0], turn);
+        tf.insert_fixed("camera_link", "camera_optical", EdgeKind::Static, body_from_optical);
+        tf.insert_fixed("tool0", "cam", EdgeKind::Static, Pose::identity());
+        assert_eq!(axes_of(&tf, "camera_optical"), Some(CameraAxes::Optical));
+        assert_eq!(axes_of(&tf, "camera_link"), Some(CameraAxes::Body));
+        assert_eq!(axes_of(&tf, "cam"), None);
+        assert_eq!(axes_of(&tf, "elsewhere"), None);
+    }
+
+    #[test]
+    fn a_tag_is_sighted_and_a_cameras_own_frames_are_not() {
+        assert!(is_sighting("camera_optical_frame", "tag_3"));
+        assert!(is_sighting("camera", "camera_board"));
+        assert!(!is_sighting("camera_link", "camera_optical_frame"));
+        assert!(!is_sighting("base_link", "tag_3"));
+    }
+}

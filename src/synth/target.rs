@@ -1,0 +1,181 @@
+//! A target that a camera sees: in the hand, looking at it, or fixed and looking at the hand.
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use super::messages::{self, LoggedTransform, Topic};
+use super::noise::Purpose;
+use super::streams::{Message, small_rotation};
+use super::truth::Truth;
+use super::{Coding, Scenario, SynthError, Timing};
+use crate::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotation_from_rpy};
+
+/// Where the camera is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Camera {
+    /// At the tip; the target is fixed in the base.
+    InHand,
+    /// Fixed in the base; the target is at the tip.
+    InBase,
+}
+
+/// What of a target's poses is in body axes (x forward, z up) though the camera's are optical
+/// (z forward, x right).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Swapped {
+    /// Nothing.
+    Nothing,
+    /// The whole pose.
+    Whole,
+    /// The position.
+    Position,
+}
+
+/// The stream of a target's poses in a camera.
+///
+/// Its rows are `camera_from_target`, then swapped, then coded.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TargetStream {
+    /// Its times.
+    pub timing: Timing,
+    /// The frame that the messages name.
+    pub frame_id: String,
+    /// Where the camera is.
+    pub camera: Camera,
+    /// `tip_from_camera` or `base_from_camera`, as /tf_static has it.
+    pub mount: Pose,
+    /// How the camera is truly mounted: `camera_as_published_from_camera`.
+    pub mount_error: Pose,
+    /// Whether /tf_static has the camera.
+    pub with_frame: bool,
+    /// `base_from_target` or `tip_from_target`.
+    pub target: Pose,
+    /// When the target slips, s after the start, and what moves it then: `target_from_slipped`.
+    pub slip: Option<(f64, Pose)>,
+    /// Logged over true distances, as of a target of another size.
+    pub scale: f64,
+    /// What is in other axes.
+    pub swapped: Swapped,
+    /// What became of the pose on its way into the log.
+    pub coding: Coding,
+    /// The frame of the target where it is a transform on /tf, and no topic of its own.
+    pub in_tf: Option<String>,
+}
+
+impl TargetStream {
+    /// No target.
+    pub(super) fn none() -> Self {
+        Self {
+            timing: Timing::every(0.0, 0.0047),
+            frame_id: "camera_optical_frame".to_owned(),
+            camera: Camera::InHand,
+            mount: Pose::identity(),
+            mount_error: Pose::identity(),
+            with_frame: true,
+            target: Pose::identity(),
+            slip: None,
+            scale: 1.0,
+            swapped: Swapped::Nothing,
+            coding: Coding::Faithful,
+            in_tf: None,
+        }
+    }
+
+    /// `camera_from_target` at `time_s`.
+    fn camera_from_target(&self, base_from_tip: &Pose, time_s: f64) -> Pose {
+        let mount = self.mount * self.mount_error;
+        let slipped = self.slip.filter(|(at_s, _)| time_s > *at_s);
+        let target = slipped.map_or(self.target, |(_, slip)| self.target * slip);
+        match self.camera {
+            Camera::InHand => (base_from_tip * mount).inverse() * target,
+            Camera::InBase => mount.inverse() * base_from_tip * target,
+        }
+    }
+
+    fn swapped(&self, seen: &Pose) -> Pose {
+        let body_from_optical = rotation_from_rpy([-FRAC_PI_2, 0.0, -FRAC_PI_2]);
+        let body = pose([0.0; 3], body_from_optical) * seen;
+        match self.swapped {
+            Swapped::Nothing => *seen,
+            Swapped::Whole => body,
+            Swapped::Position => Pose::from_parts(body.translation, seen.rotation),
+        }
+    }
+
+    /// The link that carries the camera.
+    fn carrier<'a>(&self, scenario: &'a Scenario) -> &'a str {
+        match self.camera {
+            Camera::InHand => &scenario.tip,
+            Camera::InBase => &scenario.base,
+        }
+    }
+
+    /// The transform of the camera's frame, where /tf_static has it.
+    pub(super) fn frame<'a>(&'a self, scenario: &'a Scenario) -> Option<LoggedTransform<'a>> {
+        (self.timing.rate_hz > 0.0 && self.with_frame).then(|| LoggedTransform {
+            parent: self.carrier(scenario),
+            child: &self.frame_id,
+            parent_from_child: Coding::Faithful.logged(&self.mount),
+        })
+    }
+}
+
+impl Scenario {
+    /// Adds a camera and a target in the middle of its view while the arm is at home, seen 30 times
+    /// a second.
+    ///
+    /// # Errors
+    /// Where `base` and `tip` are no two links with a chain between them.
+    pub fn watch(&mut self, camera: Camera) -> Result<(), SynthError> {
+        let truth = Truth::new(self)?;
+        let mut home = self.home.clone();
+        home.resize(truth.chain.dof(), 0.0);
+        let base_from_tip = truth.chain.forward(&home);
+        // The target faces the camera.
+        let ahead =
+            |distance_m: f64| pose([0.0, 0.0, distance_m], rotation_from_rotvec(Vec3::x() * PI));
+        let askew = |xyz: [f64; 3]| pose(xyz, rotation_from_rotvec(Vec3::new(0.1, -0.2, 0.7)));
+        let (mount, target) = match camera {
+            Camera::InHand => {
+                let tip_from_camera = askew([0.06, -0.03, 0.05]);
+                (tip_from_camera, base_from_tip * tip_from_camera * ahead(0.5))
+            }
+            Camera::InBase => {
+                let tip_from_target = askew([0.01, 0.04, 0.03]);
+                (base_from_tip * tip_from_target * ahead(0.8), tip_from_target)
+            }
+        };
+        self.target = TargetStream { camera, mount, target, ..self.target.clone() };
+        self.target.timing.rate_hz = 30.0;
+        Ok(())
+    }
+}
+
+/// The target's poses.
+pub(super) fn sightings(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
+    let stream = &scenario.target;
+    let mut noise = scenario.unit_noise(Purpose::TargetNoise, 6);
+    let ticks = scenario.ticks(&stream.timing, Purpose::TargetTransport);
+    ticks
+        .map(|tick| {
+            let base_from_tip = truth.base_from_tip(tick.time_s);
+            let mut seen = stream.camera_from_target(&base_from_tip, tick.time_s);
+            let noise = noise.next();
+            let shift = Vec3::from_column_slice(&noise[..3]);
+            seen.translation.vector += scenario.noise.target_m * shift;
+            seen.rotation *= small_rotation(&noise[3..], scenario.noise.target_rad);
+            seen.translation.vector *= stream.scale;
+            let logged = stream.coding.logged(&stream.swapped(&seen));
+            let parent = stream.frame_id.as_str();
+            match &stream.in_tf {
+                Some(child) => {
+                    let transform = LoggedTransform { parent, child, parent_from_child: logged };
+                    tick.message(Topic::Tf, messages::tf_message(tick.stamp, &[transform]))
+                }
+                None => {
+                    let cdr = messages::pose_stamped(tick.stamp, parent, logged);
+                    tick.message(Topic::Target, cdr)
+                }
+            }
+        })
+        .collect()
+}
