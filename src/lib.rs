@@ -59,6 +59,8 @@ pub fn audit(options: &Options) -> Result<Report, Trouble> {
         let main = audits.main();
         audit::record(path, &main.run, &main.facts, &report)?;
     }
+    // To give back the columns of a long log takes as long as to write the report on it.
+    rayon::spawn(|| drop(audits));
     Ok(report)
 }
 

@@ -416,9 +416,9 @@ impl Samples {
     }
 
     fn times(&self) -> Times {
-        let stamps = || self.stamps.clone();
-        let (header, log, publish) = (stamps(), stamps(), stamps());
-        Times { header, log, publish, ..Times::default() }
+        let mut times = Times::default();
+        self.stamps.iter().for_each(|&stamp| times.push(stamp, stamp, stamp));
+        times
     }
 }
 

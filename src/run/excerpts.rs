@@ -34,7 +34,8 @@ impl Excerpts {
         let topics = joints(streams, timing);
         let (start, end) = bulk(&topics.iter().max_by_key(|(_, stamps)| stamps.len())?.1)?;
         let span = end.saturating_sub(start);
-        if span <= WHOLE_S * NANOS_PER_SECOND {
+        // Some 2 % of it are margin.
+        if span <= WHOLE_S * NANOS_PER_SECOND * 102 / 100 {
             return None;
         }
         let step = NANOS_PER_SECOND.max(span / STEPS);
@@ -79,14 +80,16 @@ fn joints<'a>(
     with_stamps.collect()
 }
 
-/// Between which times all but a few stray rows are, ns.
+/// Between which times the rows are but for stray ones, ns.
 fn bulk(stamps: &[Option<Stamp>]) -> Option<(i64, i64)> {
     let mut stamps: Vec<i64> = stamps.iter().flatten().map(|stamp| stamp.nanos()).collect();
+    // So many at either end may be stray; as many are there even so, a little further out.
     let stray = stamps.len() / 200;
     let last = stamps.len().checked_sub(1 + stray)?;
     let (_, &mut start, _) = stamps.select_nth_unstable(stray);
     let (_, &mut end, _) = stamps.select_nth_unstable(last);
-    Some((start, end))
+    let margin = end.saturating_sub(start) / 100;
+    Some((start.saturating_sub(margin), end.saturating_add(margin)))
 }
 
 /// What the joints do in each step of a run.
@@ -180,6 +183,7 @@ mod tests {
             messages: rows as u64,
             columns: Some(Columns::Joints(columns)),
             undecodable: None,
+            useless: None,
             span: None,
         }]);
         let timing = Timing::settle(&streams, crate::time::Clock::Header, 5.0);

@@ -25,7 +25,7 @@ fn rows_in_order(stamps: &[Option<Stamp>], keep: impl Fn(usize) -> bool) -> Vec<
 }
 
 /// Most samples of a stream that the estimators see.
-const MOST_SAMPLES: usize = 40_000;
+const MOST_SAMPLES: usize = 20_000;
 
 /// Leaves every second, third and so on of what is seen, where that is more than [`MOST_SAMPLES`].
 pub(super) fn thinned(stamps: &mut [Option<Stamp>]) {

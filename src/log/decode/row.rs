@@ -1,5 +1,7 @@
 //! The scratch row between wire formats and columns.
 
+use super::cursor::Repeated;
+
 /// Index into [`Row::texts`]: the header's frame.
 pub(super) const FRAME: usize = 0;
 /// Index into [`Row::texts`]: the child frame.
@@ -81,6 +83,8 @@ pub(in crate::log) struct Row {
     pub(super) numbers: [f64; 10],
     pub(super) texts: [String; 2],
     pub(super) names: Names,
+    /// What `names` were read from.
+    pub(super) named: Repeated,
     pub(super) lists: [Vec<f64>; 4],
     /// Which element of the message's array of rows it is.
     pub(super) index: usize,

@@ -192,10 +192,16 @@ impl Op {
             }
             Op::Text(index) => row.set_text(index, cursor.text()?),
             Op::Names(count) => {
+                if cursor.repeats(&row.named) {
+                    return Ok(());
+                }
+                let start = cursor.mark();
+                row.named.forget();
                 row.names.clear();
                 for _ in 0..count.of(cursor)? {
                     row.names.push(cursor.text()?);
                 }
+                row.named.keep(&start, cursor);
             }
             Op::Repeat { .. } | Op::Delimited { .. } | Op::Unreadable(_) => {}
         }

@@ -10,6 +10,7 @@ mod vectors;
 use super::super::testing::{self, Cdr};
 use super::*;
 use crate::stream::{Columns, ImuColumns, JointColumns, PoseColumns};
+use crate::time::Clock;
 
 /// What the messages decode to, in parts, and the first error.
 fn decode_all(
@@ -99,7 +100,7 @@ fn joints_go_to_the_column_of_their_name() {
     assert_same(&joints.joints[0].velocity, &[0.1, NAN, NAN, 0.6]);
     assert_eq!(joints.times.header, [1_000_000_002; 4]);
     assert_eq!(joints.times.log, [1000, 1001, 1002, 1003]);
-    assert_eq!(joints.times.publish, [2000, 2001, 2002, 2003]);
+    assert_eq!(joints.times.on(Clock::Publish), [2000, 2001, 2002, 2003]);
     assert_eq!(joints.frame_id, "base_link");
 }
 

@@ -9,6 +9,7 @@ use super::super::testing::{self, Cdr, LogWriter};
 use super::super::{Container, Log, LogFile, Loss};
 use super::*;
 use crate::stream::{Columns, PoseColumns};
+use crate::time::{Clock, Stamp};
 
 const MESSAGES: u64 = 100;
 
@@ -69,8 +70,66 @@ fn every_compression_gives_the_same_rows() {
         assert_eq!((topic.name.as_str(), topic.encoding.as_str()), ("/pose", "cdr"));
         assert_eq!(topic.type_name, "geometry_msgs/msg/PoseStamped");
         assert_eq!(topic.messages, MESSAGES);
-        assert_eq!(rows(&log).times.publish, (1..=MESSAGES as i64).collect::<Vec<_>>());
+        assert_eq!(rows(&log).times.on(Clock::Publish), (1..=MESSAGES as i64).collect::<Vec<_>>());
         assert_eq!(rows(&log).xyz[99], [99.0, 0.5, 0.25]);
+    }
+}
+
+/// Poses with an image between them after every tenth; images fill chunks of their own.
+fn with_images(compression: Option<Compression>) -> Vec<u8> {
+    let mut log = LogWriter::new(compression);
+    let pose = log.channel("/pose", "geometry_msgs/msg/PoseStamped", testing::POSE_STAMPED);
+    let camera = log.channel("/camera", "sensor_msgs/msg/Image", "uint8[] data\n");
+    for time in 0..MESSAGES {
+        let message = Cdr::pose_stamped(0, time as u32, "base", [time as f64, 0.5, 0.25]);
+        log.message(pose, time, &message);
+        if time % 10 == 9 {
+            for _ in 0..2 {
+                log.message(camera, time, &vec![time as u8; 5000]);
+            }
+        }
+    }
+    log.finish()
+}
+
+#[test]
+fn images_are_counted_and_passed_over() {
+    for (compression, crc) in [(None, Crc::Partial), (Some(Compression::Zstd), Crc::Partial)] {
+        let bytes = with_images(compression);
+        for (verify, crc) in [(false, crc), (true, Crc::All)] {
+            let log = read_with(&bytes, ReadOptions { verify, progress: None });
+            assert_eq!(log.losses, []);
+            assert_eq!(log.files[0].crc, crc, "{compression:?}, verify {verify}");
+            let [camera, pose] = log.topics.as_slice() else { panic!("two topics") };
+            assert_eq!((camera.messages, pose.messages), (20, MESSAGES));
+            let nanos = Stamp::from_nanos;
+            assert_eq!(camera.span, Some((nanos(9), nanos(99))));
+            assert_eq!(log.span, Some((nanos(0), nanos(99))));
+            let Some(Columns::Poses(poses)) = &pose.columns else { panic!("poses") };
+            assert_eq!(poses[0].times.len() as u64, MESSAGES);
+            assert_eq!(poses[0].xyz[99], [99.0, 0.5, 0.25]);
+        }
+    }
+}
+
+#[test]
+fn a_damaged_image_is_found_where_all_is_checked() {
+    for compression in [None, Some(Compression::Zstd)] {
+        let mut bytes = with_images(compression);
+        // The chunk that an image of its own fills.
+        let images = chunks(&bytes).into_iter().find(|&chunk| {
+            let behind = record::frame(&bytes, record::frame(&bytes, chunk).unwrap().end());
+            let index = record::MessageIndex::parse(behind.unwrap().body);
+            index.unwrap().channel_id == 2
+        });
+        let length = record::frame(&bytes, images.unwrap()).unwrap().body.len();
+        bytes[images.unwrap() + length] ^= 0x55;
+        let lost_with = |verify| {
+            let log = read_with(&bytes, ReadOptions { verify, progress: None });
+            assert_eq!(log.topics[1].messages, MESSAGES);
+            log.losses.iter().filter(|loss| loss.extent == Extent::Messages).count()
+        };
+        assert_eq!((lost_with(false), lost_with(true)), (0, 1), "{compression:?}");
     }
 }
 
