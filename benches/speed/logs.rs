@@ -91,7 +91,10 @@ fn make(folder: &Path, file: &str, write: impl FnOnce(&Path) -> Result<()>) -> R
     let path = folder.join(file);
     if !path.exists() {
         eprintln!("making {}", path.display());
-        write(&path)?;
+        let unfinished = folder.join("unfinished");
+        let _none_there = fs::remove_file(&unfinished);
+        write(&unfinished)?;
+        fs::rename(&unfinished, &path)?;
     }
     let log = poseaudit::log::open(std::slice::from_ref(&path), &Default::default())?;
     let name = path.file_stem().context("a name")?.to_string_lossy().into_owned();
@@ -113,9 +116,28 @@ fn with_camera(from: &Path, to: &Path, compression: Option<Compression>) -> Resu
     random.fill_bytes(&mut image);
     image.iter_mut().for_each(|byte| *byte &= 0x0f);
     let mut owed = 0;
+    let mut channels: HashMap<u16, u16> = HashMap::new();
     for message in MessageStream::new(&bytes)? {
         let message = message?;
-        writer.write(&message)?;
+        let channel_id = match channels.get(&message.channel.id) {
+            Some(&channel) => channel,
+            None => {
+                let of = &message.channel;
+                let schema = of.schema.as_ref().context("a schema")?;
+                let schema = writer.add_schema(&schema.name, &schema.encoding, &schema.data)?;
+                let channel =
+                    writer.add_channel(schema, &of.topic, &of.message_encoding, &of.metadata)?;
+                channels.insert(of.id, channel);
+                channel
+            }
+        };
+        let header = MessageHeader {
+            channel_id,
+            sequence: message.sequence,
+            log_time: message.log_time,
+            publish_time: message.publish_time,
+        };
+        writer.write_to_known_channel(&header, &message.data)?;
         owed += SHARE * message.data.len();
         while owed >= IMAGE {
             owed -= IMAGE;
@@ -146,6 +168,8 @@ fn database(from: &Path, to: &Path) -> Result<()> {
          CREATE INDEX timestamp_idx ON messages (timestamp ASC);",
     )?;
     let writing = database.transaction()?;
+    let mut insert =
+        writing.prepare("INSERT INTO messages(topic_id, timestamp, data) VALUES (?1, ?2, ?3)")?;
     let mut topics: HashMap<String, i64> = HashMap::new();
     for message in MessageStream::new(&bytes)? {
         let message = message?;
@@ -163,10 +187,9 @@ fn database(from: &Path, to: &Path) -> Result<()> {
                 topic
             }
         };
-        writing
-            .prepare_cached("INSERT INTO messages(topic_id, timestamp, data) VALUES (?1, ?2, ?3)")?
-            .execute((topic, message.log_time as i64, &message.data[..]))?;
+        insert.execute((topic, message.log_time as i64, &message.data[..]))?;
     }
+    drop(insert);
     writing.commit()?;
     Ok(())
 }

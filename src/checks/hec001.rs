@@ -159,7 +159,12 @@ fn setting(solution: &Solution) -> String {
         true => format!("camera {}", solution.mount.words()),
         false => "camera in the hand or fixed, which this motion does not tell".to_owned(),
     };
-    format!("{mount}, target {} late", Unit::Second.show_signed(&solution.offset_s))
+    let offset = &solution.offset_s;
+    let [least, most] = offset.interval(0.95);
+    if least > 0.0 || most < 0.0 {
+        return format!("{mount}, target {} late", Unit::Second.show_signed(offset));
+    }
+    format!("{mount}, no time between hand and target beyond {}", Unit::Second.show(most.max(-least)))
 }
 
 fn open_chain(solution: &Solution, severity: Severity) -> Fault {

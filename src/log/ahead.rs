@@ -15,6 +15,9 @@ use super::unpack::{Packed, UnpackedChunk, Unpacker};
 /// Most bytes of chunks that wait to be read, unpacked.
 const MOST_BYTES: u64 = 24 << 20;
 
+/// How far beyond what is being read chunks are looked for, in bytes: a file may have none.
+pub(super) const MOST_DISTANCE: usize = 64 << 20;
+
 /// Most threads that unpack. One thread reads what they unpack, and keeps up with no more.
 const MOST_THREADS: usize = 6;
 

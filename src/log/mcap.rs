@@ -181,7 +181,7 @@ impl<'a> Reader<'a, '_, '_> {
         let mut sound = offset;
         while offset < self.bytes.len() {
             self.options.at(offset);
-            self.unpack_ahead();
+            self.unpack_ahead(offset);
             match record::frame(self.bytes, offset) {
                 Ok(frame) if matches!(frame.opcode, op::DATA_END | op::FOOTER) => {
                     return End::Closed(frame);
@@ -238,9 +238,10 @@ impl<'a> Reader<'a, '_, '_> {
         false
     }
 
-    /// Hands in chunks beyond those that were, as far as there is room.
-    fn unpack_ahead(&mut self) {
-        while let Some(offset) = self.scanned.filter(|_| self.ahead.has_room()) {
+    /// Hands in chunks beyond those that were, as far as there is room and not far beyond `here`.
+    fn unpack_ahead(&mut self, here: usize) {
+        let far = here.saturating_add(ahead::MOST_DISTANCE);
+        while let Some(offset) = self.scanned.filter(|at| *at < far && self.ahead.has_room()) {
             let frame = match record::frame(self.bytes, offset) {
                 Ok(frame) if !matches!(frame.opcode, op::DATA_END | op::FOOTER) => frame,
                 _ => return self.scanned = None,
@@ -264,7 +265,8 @@ impl<'a> Reader<'a, '_, '_> {
             return Use::All;
         }
         if packed.compression == Compression::None {
-            return self.use_of_records(packed.data);
+            let is_whole = packed.data.len() as u64 == packed.size;
+            return if is_whole { self.use_of_records(packed.data) } else { Use::All };
         }
         let mut indexes = self.indexes_behind(frame).peekable();
         let is_ignored = |index: record::MessageIndex<'_>| matches!(self.channel_of(index.channel_id), Some(id) if self.intake.ignores(id));
@@ -321,17 +323,19 @@ impl<'a> Reader<'a, '_, '_> {
             return false;
         };
         let mut unpacked = self.ahead.take(frame.offset);
-        let records = match (&mut unpacked, self.use_of(frame, &packed)) {
-            (_, Use::Counts) => {
-                self.count(frame);
-                return true;
-            }
-            (_, Use::Some) => {
-                self.chunk_records(packed.data, frame.offset);
-                return true;
-            }
-            (Some(unpacked), Use::All) => unpacked.content(&packed, &mut self.intake.allowance),
-            (None, Use::All) => unpacker.chunk(&packed, &mut self.intake.allowance),
+        let records = match &mut unpacked {
+            Some(unpacked) => unpacked.content(&packed, &mut self.intake.allowance),
+            None => match self.use_of(frame, &packed) {
+                Use::Counts => {
+                    self.count(frame);
+                    return true;
+                }
+                Use::Some => {
+                    self.chunk_records(packed.data, frame.offset);
+                    return true;
+                }
+                Use::All => unpacker.chunk(&packed, &mut self.intake.allowance),
+            },
         };
         let is_sound = match records {
             Ok(records) => {

@@ -134,7 +134,7 @@ impl<'a> Reader<'a, '_, '_> {
         let mut open: Option<Chunk<'a>> = None;
         while offset < self.bytes.len() {
             self.options.at(offset);
-            self.unpack_ahead();
+            self.unpack_ahead(offset);
             match record::record(self.bytes, offset) {
                 Ok(record) => {
                     open = None;
@@ -161,9 +161,10 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// Hands in chunks beyond those that were, as far as there is room.
-    fn unpack_ahead(&mut self) {
-        while let Some(offset) = self.scanned.filter(|_| self.ahead.has_room()) {
+    /// Hands in chunks beyond those that were, as far as there is room and not far beyond `here`.
+    fn unpack_ahead(&mut self, here: usize) {
+        let far = here.saturating_add(ahead::MOST_DISTANCE);
+        while let Some(offset) = self.scanned.filter(|at| *at < far && self.ahead.has_room()) {
             self.scanned = None;
             if offset >= self.bytes.len() {
                 return;
