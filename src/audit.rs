@@ -5,14 +5,17 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use polars::prelude::PolarsResult;
+use rayon::prelude::*;
 
 use crate::checks::{
-    ArmFacts, Declared, Due, EvaluatedPart, Evaluation, Facts, ImuFacts, JointFacts, PoseFacts,
-    RhythmFacts, Settings, StampFacts, UndecodableTopic, evaluate, merged,
+    ArmFacts, Declared, Due, EulerFacts, EvaluatedPart, Evaluation, Facts, FrameFacts, ImuFacts,
+    JointFacts, JointMotion, NormFacts, PoseFacts, RhythmFacts, Settings, ShakeFacts, StampFacts,
+    UndecodableTopic, evaluate, merged,
 };
 use crate::diagnosis::{
-    ArmDiagnosis, ImuDiagnosis, ImuStream, PoseDiagnosis, PoseStream, Unseen, diagnose_arm,
-    diagnose_derived, diagnose_imu, follows, position_misfit_m,
+    ArmDiagnosis, ImuDiagnosis, ImuStream, NoShake, PoseDiagnosis, PoseStream, Reading, Series,
+    Shake, Unseen, abruptness, beyond_positions, beyond_speed, diagnose_arm, diagnose_derived,
+    diagnose_imu, follows, position_misfit_m, shake,
 };
 use crate::finding::{Severity, Span, Subject};
 use crate::geometry::Pose;
@@ -24,8 +27,8 @@ use crate::report::{
 };
 use crate::robot::{Chain, JointKind, catalogue};
 use crate::run::{
-    Arm, CalibrationSource, Declaration, Excerpts, HeaderStamps, ImuSource, PoseSource,
-    RobotSource, Role, Run, RunOptions, Segment, Stream, Witness, segments,
+    Arm, CalibrationSource, Coding, Declaration, Excerpts, HeaderStamps, ImuSource, JointSamples,
+    PoseSource, RobotSource, Role, Run, RunOptions, Segment, Stream, Velocities, Witness, segments,
 };
 use crate::stream::{Columns, DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack};
 use crate::tables::aligned_frame;
@@ -326,9 +329,9 @@ fn prismatic(arm: &Arm) -> Vec<bool> {
 }
 
 /// The facts for the rules.
-fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read) -> Facts {
-    let robots =
-        run.arms.iter().zip(diagnoses).map(|(arm, diagnosis)| arm_facts(run, arm, diagnosis));
+fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read, declared: &[Declaration]) -> Facts {
+    let arms = run.arms.iter().zip(diagnoses);
+    let robots = arms.map(|(arm, diagnosis)| arm_facts(run, arm, diagnosis, declared));
     let stamps = run.clocks.iter().filter_map(|clock| {
         let stream = run.streams.get(clock.stream)?;
         Some(StampFacts {
@@ -346,6 +349,8 @@ fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read) -> Facts {
         hand_eyes: Vec::new(),
         stamps: stamps.collect(),
         rhythms: rhythms(run),
+        frames: frames(run),
+        norms: norms(run),
         empty: empty(run),
         start: run.span.map(|(start, _)| start),
         origin: run.origin,
@@ -391,6 +396,49 @@ fn rhythms(run: &Run) -> Vec<RhythmFacts> {
     rhythms.filter(|rhythm| !rhythm.parts.is_empty()).collect()
 }
 
+/// The topics of transforms, and what is wrong with their frames.
+fn frames(run: &Run) -> FrameFacts {
+    let is_tf = |stream: &&Stream| matches!(stream.columns, Some(Columns::Transforms(_)));
+    FrameFacts {
+        topics: run.streams.iter().filter(is_tf).map(|stream| stream.topic.clone()).collect(),
+        flaws: run.flaws.iter().cloned().chain(run.pieces()).collect(),
+    }
+}
+
+/// The norms of the streams that log rotations, each with all its transforms.
+fn norms(run: &Run) -> Vec<NormFacts> {
+    let is_tf = |topic: &str| {
+        run.streams.iter().any(|stream| stream.role == Role::Tf && stream.topic == topic)
+    };
+    let mut streams: Vec<NormFacts> = Vec::new();
+    let mut last = None;
+    for norms in &run.norms {
+        let Some(stream) = run.streams.get(norms.stream) else { continue };
+        let is_rotations = match &stream.columns {
+            // Four of a bare array's numbers are a quaternion only where it is a pose.
+            Some(Columns::Array(_)) => stream.role == Role::Pose,
+            // What a transform says is judged on its own topic.
+            Some(Columns::Poses(_)) => stream.role != Role::Ignored && !is_tf(&stream.topic),
+            _ => true,
+        };
+        if !is_rotations {
+            continue;
+        }
+        match streams.last_mut().filter(|_| last == Some(norms.stream)) {
+            Some(known) => known.parts.push(norms.clone()),
+            None => streams.push(NormFacts {
+                robot: stream.arm.and_then(|arm| run.arms.get(arm)).map(|arm| arm.name.clone()),
+                topic: stream.topic.clone(),
+                span: span_of(run, norms.stream),
+                frame: frame_of_several(run, stream),
+                parts: vec![norms.clone()],
+            }),
+        }
+        last = Some(norms.stream);
+    }
+    streams
+}
+
 /// The topics that hold nothing and would be audited; of joint states and transforms only where no
 /// other topic has any.
 fn empty(run: &Run) -> Vec<Subject> {
@@ -413,7 +461,7 @@ fn span_of(run: &Run, stream: usize) -> Option<Span> {
     Some(Span { start: stream.start?, end: stream.end? })
 }
 
-fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis) -> ArmFacts {
+fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration]) -> ArmFacts {
     let joints_stream = arm.joint_facts.first().map_or(0, |facts| facts.stream);
     let whole = run.span.unwrap_or((run.origin, run.origin));
     let whole = Span { start: whole.0, end: whole.1 };
@@ -430,6 +478,7 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis) -> ArmFacts {
         tip_named: source.tip_named,
         witness: run.streams[source.stream].witness.unwrap_or(Witness::Unknown),
         better_model: None,
+        euler: None,
         independent: !source.stamps_copied,
         bare_numbers: matches!(source.track.orientation, Orientations::Numbers(_)),
         declared: source.track.declared.as_ref().map(|units| Declared {
@@ -449,9 +498,28 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis) -> ArmFacts {
         };
         (facts, diagnosis)
     });
-    let joints = arm.joint_names.iter().zip(prismatic(arm));
+    let samples: Vec<JointSamples> =
+        arm.joint_facts.par_iter().map(|joint| run.joint_samples(joint)).collect();
+    let joints: Vec<usize> = (0..arm.joint_names.len()).collect();
+    let joints = joints.par_iter().map(|&joint| joint_facts(arm, joint, &samples[joint])).collect();
+    let mut shakes = vec![ShakeFacts {
+        topic: run.streams[joints_stream].topic.clone(),
+        span: span_of(run, joints_stream).unwrap_or(whole),
+        in_other_units: false,
+        shake: shake_of_joints(arm, &samples),
+    }];
+    shakes.extend(arm.poses.iter().zip(&diagnosis.arm.streams).map(|(source, found)| {
+        let PoseTrack { t_s, xyz, .. } = &source.track;
+        ShakeFacts {
+            topic: run.streams[source.stream].topic.clone(),
+            span: span_of(run, source.stream).unwrap_or(whole),
+            in_other_units: matches!(found.millimetres, Ok(Some(_))),
+            shake: shake(t_s, |row| xyz[row]),
+        }
+    }));
     let poses = arm.poses.iter().zip(&diagnosis.arm.streams).map(|(source, found)| PoseFacts {
         better_model: better_model(run, arm, source, found),
+        euler: euler(run, source, found, declared),
         ..pose_facts(source)
     });
     let poses = poses.collect();
@@ -459,15 +527,94 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis) -> ArmFacts {
         name: arm.name.clone(),
         joints_topic: run.streams[joints_stream].topic.clone(),
         span: span_of(run, joints_stream).unwrap_or(whole),
-        joints: joints
-            .map(|(name, prismatic)| JointFacts { name: name.clone(), prismatic })
-            .collect(),
+        joints,
         reach_m: arm.chain.max_reach_m(),
         diagnosis: diagnosis.arm,
         poses,
         tf: tf.into_iter().map(|(source, diagnosis)| (pose_facts(source), diagnosis)).collect(),
+        shakes,
         imus: imus.collect(),
     }
+}
+
+/// The shake of the tip by the joint states as they are, or where the joints do not share their stamps
+/// by the track that they were brought to.
+fn shake_of_joints(arm: &Arm, samples: &[JointSamples]) -> Result<Shake, NoShake> {
+    let mut q = vec![0.0; arm.columns.len()];
+    let mut tip = |position: &dyn Fn(usize) -> f64| {
+        q.iter_mut().zip(&arm.columns).for_each(|(q, &column)| *q = position(column));
+        arm.chain.forward(&q).translation.vector
+    };
+    match samples.first() {
+        Some(first) if samples.iter().all(|other| other.t_s == first.t_s) => {
+            shake(&first.t_s, |row| tip(&|column| samples[column].position[row]))
+        }
+        _ => shake(&arm.joints.t_s, |row| tip(&|column| arm.joints.row(row)[column])),
+    }
+}
+
+/// A joint, and what it does by all of its samples.
+fn joint_facts(arm: &Arm, joint: usize, samples: &JointSamples) -> JointFacts {
+    let name = arm.joint_names[joint].clone();
+    let model = arm.robot.joint(&name);
+    let limits = model.map(|joint| joint.limits).unwrap_or_default();
+    let mut motion = JointMotion::default();
+    if let Some(source) = arm.joint_facts.get(joint) {
+        let JointSamples { t_s, position, velocity } = samples;
+        motion.positions = beyond_positions(t_s, position, &limits);
+        (motion.speeds, motion.abruptness) = match source.velocities {
+            Velocities::Logged => (
+                beyond_speed(t_s, velocity, &limits),
+                abruptness(t_s, velocity, Series::Velocities),
+            ),
+            Velocities::Derived => {
+                let JointTrack { t_s: times_s, dof, qd, .. } = &arm.joints;
+                let qd: Vec<f64> = qd.iter().skip(joint).step_by(*dof).copied().collect();
+                (beyond_speed(times_s, &qd, &limits), abruptness(t_s, position, Series::Positions))
+            }
+        };
+    }
+    let prismatic = model.is_some_and(|joint| joint.kind == JointKind::Prismatic);
+    JointFacts { name, prismatic, limits, motion }
+}
+
+/// How the rotations of a stream of six bare numbers are coded, and how near gimbal lock all its rows
+/// are; `None` of other streams.
+fn euler(
+    run: &Run,
+    source: &PoseSource,
+    found: &PoseDiagnosis,
+    declared: &[Declaration],
+) -> Option<EulerFacts> {
+    let stream = run.streams.get(source.stream)?;
+    let Some(Columns::Array(array)) = &stream.columns else { return None };
+    let clock = run.clocks.iter().find(|clock| clock.stream == source.stream)?;
+    if array.width != 6 {
+        return None;
+    }
+    let names = |declared: &&Declaration| declared.is_of(&stream.topic);
+    let declared = declared.iter().find(names);
+    let reading = found.reading.as_ref().ok().filter(|reading| reading.is_told);
+    let told = reading.and_then(|reading| match reading.best {
+        Reading::Numbers(convention) => Some(convention),
+        _ => Some(reading.best.misreading()?.is),
+    });
+    let said = declared.and_then(|declared| match declared.coding {
+        Coding::Three(convention) => Some(convention),
+        _ => None,
+    });
+    let convention = told.or(said);
+    let in_degrees = declared.is_some_and(|declared| declared.degrees) != found.degrees.is_some();
+    let to_radians = if in_degrees { 1_f64.to_radians() } else { 1.0 };
+    let margin = |row: usize| {
+        let numbers = array.row(row);
+        let numbers = [3, 4, 5].map(|at| numbers[at] * to_radians);
+        Some((clock.stamp_of(&array.times, row)?, convention?.gimbal_margin(numbers)?))
+    };
+    Some(EulerFacts {
+        convention,
+        margins_rad: (0..array.times.len()).filter_map(margin).collect(),
+    })
 }
 
 /// The arm of the catalogue with the same joints that fits a stream far better than its model does,
@@ -611,7 +758,7 @@ impl Audited {
         let diagnoses = diagnose(&run, options.max_latency_s);
         let joints = |arm: usize| readable_joints(&run.arms[arm], &diagnoses[arm].arm);
         let hand_eyes = hand_eyes(&run, joints, options.max_latency_s);
-        let facts = Facts { hand_eyes, ..facts(&run, diagnoses, read) };
+        let facts = Facts { hand_eyes, ..facts(&run, diagnoses, read, &options.declarations) };
         let evaluation = evaluate(&facts, &options.rules);
         Ok(Self { run, facts, evaluation, seconds })
     }

@@ -88,6 +88,8 @@ pub enum Unit {
     SecondPerSecond,
     /// Metres a metre; people read millimetres a metre.
     MetrePerMetre,
+    /// A number without a unit.
+    One,
 }
 
 impl Unit {
@@ -100,6 +102,7 @@ impl Unit {
             Unit::RadianPerSecond | Unit::GyroRate => "rad/s",
             Unit::SecondPerSecond => "s/s",
             Unit::MetrePerMetre => "m/m",
+            Unit::One => "1",
         }
     }
 
@@ -108,7 +111,7 @@ impl Unit {
         match self {
             Unit::Metre | Unit::Radian | Unit::Second => 1e-6,
             Unit::RadianPerSecond | Unit::GyroRate => 0.0,
-            Unit::SecondPerSecond | Unit::MetrePerMetre => 0.0,
+            Unit::SecondPerSecond | Unit::MetrePerMetre | Unit::One => 0.0,
         }
     }
 
@@ -172,6 +175,7 @@ impl Unit {
             Unit::GyroRate => (1f64.to_degrees(), " °/s"),
             Unit::SecondPerSecond => (1e6, " ppm"),
             Unit::MetrePerMetre => (1e3, " mm/m"),
+            Unit::One => (1.0, ""),
         }
     }
 }

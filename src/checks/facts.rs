@@ -2,10 +2,15 @@
 //!
 //! The pipeline fills these from `run` and `diagnosis`; the rules only read them.
 
-use crate::diagnosis::{ArmDiagnosis, HandEyeDiagnosis, ImuDiagnosis, Mount, PoseDiagnosis};
+use crate::diagnosis::{
+    Abruptness, ArmDiagnosis, Excess, HandEyeDiagnosis, ImuDiagnosis, Mount, NoShake,
+    PoseDiagnosis, Shake,
+};
 use crate::finding::{Span, Subject, Unit};
+use crate::geometry::Convention;
 use crate::log::{self, Loss};
-use crate::run::{Cadence, CameraAxes, Extent, StreamClock, Witness};
+use crate::robot::Limits;
+use crate::run::{Cadence, CameraAxes, Extent, Flaw, Norms, StreamClock, Witness};
 use crate::time::Stamp;
 
 /// All that is known of one run.
@@ -21,6 +26,10 @@ pub struct Facts {
     pub stamps: Vec<StampFacts>,
     /// Every stream that plays a part, by how regularly it comes.
     pub rhythms: Vec<RhythmFacts>,
+    /// The TF topics, and what keeps their frames from being a tree.
+    pub frames: FrameFacts,
+    /// Every stream that logs rotations as more than three numbers, by how far they are from rotations.
+    pub norms: Vec<NormFacts>,
     /// Topics that would play a role, and hold no message.
     pub empty: Vec<Subject>,
     /// First stamp of the run.
@@ -86,6 +95,8 @@ pub struct ArmFacts {
     pub poses: Vec<PoseFacts>,
     /// What /tf says of the tip, against FK of the joint states as recorded.
     pub tf: Vec<(PoseFacts, PoseDiagnosis)>,
+    /// What shakes the tip, by the joint states and by each pose stream.
+    pub shakes: Vec<ShakeFacts>,
     /// The IMUs on the arm.
     pub imus: Vec<(ImuFacts, ImuDiagnosis)>,
 }
@@ -158,6 +169,21 @@ pub struct JointFacts {
     pub name: String,
     /// Whether it slides.
     pub prismatic: bool,
+    /// The limits that the model states.
+    pub limits: Limits,
+    /// What it does, by all of its samples.
+    pub motion: JointMotion,
+}
+
+/// What a joint does over the run.
+#[derive(Clone, Debug, Default)]
+pub struct JointMotion {
+    /// How far it is beyond its positions' limits.
+    pub positions: Option<Excess>,
+    /// How far it is beyond its speed limit.
+    pub speeds: Option<Excess>,
+    /// How abruptly it changes its speed; `None` where its samples do not tell.
+    pub abruptness: Option<Abruptness>,
 }
 
 /// One stream of poses.
@@ -186,6 +212,18 @@ pub struct PoseFacts {
     pub bare_numbers: bool,
     /// The units that the caller declared its numbers to be in.
     pub declared: Option<Declared>,
+    /// How its rotations are coded, where they are three bare numbers.
+    pub euler: Option<EulerFacts>,
+}
+
+/// Rotations that are coded as three numbers.
+#[derive(Clone, Debug)]
+pub struct EulerFacts {
+    /// What the numbers are, as declared or as the arm tells; `None` where it does not.
+    pub convention: Option<Convention>,
+    /// For every row with a stamp, how far it is from gimbal lock, rad; empty where the convention
+    /// has none.
+    pub margins_rad: Vec<(Stamp, f64)>,
 }
 
 /// The units of a stream's numbers as the caller declared them.
@@ -195,6 +233,19 @@ pub struct Declared {
     pub angles: Option<&'static str>,
     /// `mm` or `m`.
     pub lengths: &'static str,
+}
+
+/// What one stream says of the tip's shake.
+#[derive(Clone, Debug)]
+pub struct ShakeFacts {
+    /// The stream's topic.
+    pub topic: String,
+    /// First and last stamp.
+    pub span: Span,
+    /// Whether its positions are not the metres that they are taken for.
+    pub in_other_units: bool,
+    /// The shake, or why it does not tell.
+    pub shake: Result<Shake, NoShake>,
 }
 
 /// One IMU.
@@ -332,6 +383,42 @@ impl RhythmFacts {
     /// The parts that an audit needs.
     pub fn wanted(&self) -> impl Iterator<Item = &Cadence> {
         self.parts.iter().filter(|part| part.wanted)
+    }
+}
+
+/// The frames of a log.
+#[derive(Clone, Debug, Default)]
+pub struct FrameFacts {
+    /// The topics of transforms, static ones too.
+    pub topics: Vec<String>,
+    /// What keeps them from being a tree.
+    pub flaws: Vec<Flaw>,
+}
+
+/// How far the rotations of one stream are from being rotations.
+#[derive(Clone, Debug)]
+pub struct NormFacts {
+    /// Name of the robot it belongs to, where one is known.
+    pub robot: Option<String>,
+    /// Its topic.
+    pub topic: String,
+    /// First and last stamp used.
+    pub span: Option<Span>,
+    /// The frame whose poses they are, where the topic has those of several.
+    pub frame: Option<String>,
+    /// The norms of each of its transforms, or of all of it.
+    pub parts: Vec<Norms>,
+}
+
+impl NormFacts {
+    /// The stream as a subject; of a TF topic one transform, where it is meant.
+    pub fn subject(&self, frame: Option<String>) -> Subject {
+        Subject {
+            robot: self.robot.clone(),
+            topic: Some(self.topic.clone()),
+            frame: frame.or_else(|| self.frame.clone()),
+            ..Subject::default()
+        }
     }
 }
 

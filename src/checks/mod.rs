@@ -27,8 +27,8 @@ use crate::finding::{
 
 pub use decision::{Decision, Figure, FrameFigures, decide, decide_both, decide_frame};
 pub use facts::{
-    ArmFacts, Declared, Due, Facts, HandEyeFacts, ImuFacts, JointFacts, PoseFacts, RhythmFacts,
-    StampFacts, UndecodableTopic,
+    ArmFacts, Declared, Due, EulerFacts, Facts, FrameFacts, HandEyeFacts, ImuFacts, JointFacts,
+    JointMotion, NormFacts, PoseFacts, RhythmFacts, ShakeFacts, StampFacts, UndecodableTopic,
 };
 pub use merge::{Part as EvaluatedPart, merged};
 pub use observability::{Blind, Part, StreamObservability};
@@ -57,6 +57,8 @@ registry! {
     frm001::FRM001,
     frm002::FRM002,
     frm003::FRM003,
+    frm004::FRM004,
+    frm005::FRM005,
     hec001::HEC001,
     hec002::HEC002,
     hec003::HEC003,
@@ -66,11 +68,15 @@ registry! {
     lat002::LAT002,
     lat003::LAT003,
     mdl001::MDL001,
+    mot001::MOT001,
+    mot002::MOT002,
+    mot003::MOT003,
     ord001::ORD001,
     ord002::ORD002,
     ord003::ORD003,
     ord004::ORD004,
     ord005::ORD005,
+    ord006::ORD006,
     ord008::ORD008,
     tim001::TIM001,
     tim002::TIM002,
@@ -362,7 +368,8 @@ mod tests {
         assert!(ord.names("ORD001") && !ord.names("LAT001"));
         let settings = Settings { select: vec![ord], ignore: vec!["ORD001".parse()?] };
         let asked = REGISTRY.iter().filter(|rule| settings.asks(rule)).map(|rule| rule.code);
-        assert_eq!(asked.collect::<Vec<_>>(), ["ORD002", "ORD003", "ORD004", "ORD005", "ORD008"]);
+        let expected = ["ORD002", "ORD003", "ORD004", "ORD005", "ORD006", "ORD008"];
+        assert_eq!(asked.collect::<Vec<_>>(), expected);
         Ok(())
     }
 

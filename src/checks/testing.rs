@@ -1,12 +1,17 @@
 //! A run in which nothing is wrong, for tests to plant estimates in.
 
-use crate::checks::{ArmFacts, Facts, ImuFacts, JointFacts, PoseFacts, Rule, evaluate};
+use crate::checks::{
+    ArmFacts, EulerFacts, Facts, ImuFacts, JointFacts, JointMotion, PoseFacts, Rule, ShakeFacts,
+    evaluate,
+};
 use crate::diagnosis::{
-    Aligned, ArmDiagnosis, FrameEstimate, GyroBias, ImuDiagnosis, JointOffset, JointReading,
-    LatencyCourse, Length, Measured, PoseDiagnosis, Reading, ReadingEstimate, Residual, YawCourse,
+    Abruptness, Aligned, ArmDiagnosis, FrameEstimate, GyroBias, ImuDiagnosis, JointOffset,
+    JointReading, LatencyCourse, Length, Measured, PoseDiagnosis, Reading, ReadingEstimate,
+    Residual, Shake, YawCourse,
 };
 use crate::finding::{CheckRow, Finding, Span};
-use crate::geometry::{Pose, Vec3};
+use crate::geometry::{Convention, Pose, Vec3};
+use crate::robot::Limits;
 use crate::run::Witness;
 use crate::time::Stamp;
 
@@ -38,7 +43,20 @@ pub fn ask(rule: &Rule, facts: &Facts) -> (Vec<CheckRow>, Vec<Finding>) {
 
 /// One arm with a pose stream, /tf, an IMU and three joints, and nothing wrong with any of them.
 pub fn clean_run() -> Facts {
-    let joint = |name: &str| JointFacts { name: name.to_owned(), prismatic: false };
+    let still = Abruptness {
+        acceleration: 0.5,
+        noise: 0.1,
+        window_s: 0.1,
+        at_s: 1.0,
+        jerk: 1.0,
+        resolved: 0.1,
+    };
+    let joint = |name: &str| JointFacts {
+        name: name.to_owned(),
+        prismatic: false,
+        limits: Limits { lower: Some(-3.0), upper: Some(3.0), velocity: Some(2.0) },
+        motion: JointMotion { abruptness: Some(still), ..JointMotion::default() },
+    };
     let offset =
         || JointOffset { offset: Ok(sure(0.0)), chosen: false, effect_m: 0.0, twins: vec![] };
     let imu = ImuDiagnosis {
@@ -72,6 +90,12 @@ pub fn clean_run() -> Facts {
         },
         poses: vec![stream(POSE, true)],
         tf: vec![(stream(TF, false), clean_stream())],
+        shakes: vec![ShakeFacts {
+            topic: JOINTS.to_owned(),
+            span: SPAN,
+            in_other_units: false,
+            shake: Ok(Shake::default()),
+        }],
         imus: vec![(ImuFacts { topic: IMU.to_owned(), span: SPAN, independent: true }, imu)],
     };
     Facts { robots: vec![arm], ..Facts::default() }
@@ -140,6 +164,10 @@ fn stream(topic: &str, independent: bool) -> PoseFacts {
         independent,
         bare_numbers: false,
         declared: None,
+        euler: Some(EulerFacts {
+            convention: Some(Convention::RPY),
+            margins_rad: vec![(SPAN.start, 0.5), (SPAN.end, 0.6)],
+        }),
     }
 }
 

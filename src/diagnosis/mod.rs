@@ -15,6 +15,7 @@ mod latency;
 mod linear;
 mod measured;
 mod model;
+mod motion;
 mod noise;
 mod nominal;
 mod observability;
@@ -22,6 +23,7 @@ mod placing;
 mod reading;
 mod residual;
 mod rival;
+mod shake;
 
 use crate::geometry::{
     Convention, Misreading, MisreadingClass, Pose, QuaternionSlip, Rotation, Vec3,
@@ -38,8 +40,10 @@ pub use handeye::{
 pub use imu::diagnose_imu;
 pub use latency::Peak;
 pub use measured::{Length, Measured};
+pub use motion::{Abruptness, Excess, Series, abruptness, beyond_positions, beyond_speed};
 pub use observability::{BlindDirection, Observability, Parameter};
 pub use rival::position_misfit_m;
+pub use shake::{NoShake, Shake, shake};
 
 /// Why an estimate does not exist. Each case carries what the words need.
 #[derive(Clone, Debug, PartialEq)]

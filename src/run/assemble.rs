@@ -13,8 +13,10 @@ use super::cadence::rhythms;
 use super::declaration::Declaration;
 use super::error::RunError;
 use super::excerpts::Excerpts;
+use super::flaws::flaws;
 use super::joints::{JointTopic, merge};
 use super::models::{self, Clues, FrameNames, Given, GivenCalibration};
+use super::norms::norms;
 use super::poses::{self, Stamped};
 use super::role::{Place, PoseTopic, Role, Verdict, array_role, pose_role};
 use super::skeleton;
@@ -70,6 +72,7 @@ impl Run {
         let Assembly { streams, timing, tf, arms, .. } = assembly;
         let span = span(streams.iter().filter(|stream| stream.rate_hz.is_some()));
         let rhythms = rhythms(&streams, &timing, &joint_topics(&streams, &timing), &arms);
+        let (flaws, norms) = (flaws(&streams), norms(&streams, &timing));
         let Timing { clocks, excerpts, .. } = timing;
         Ok(Run {
             origin,
@@ -80,6 +83,8 @@ impl Run {
             tf,
             clocks,
             rhythms,
+            flaws,
+            norms,
             excerpts,
             has_clock_topic,
             no_arm,

@@ -69,6 +69,13 @@ pub struct Declaration {
     pub millimetres: bool,
 }
 
+impl Declaration {
+    /// Whether it is about this topic.
+    pub fn is_of(&self, topic: &str) -> bool {
+        self.topic.trim_start_matches('/') == topic.trim_start_matches('/')
+    }
+}
+
 /// Why a text is no [`Declaration`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DeclarationError {

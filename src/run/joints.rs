@@ -2,8 +2,10 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::stream::{JointColumns, JointTrack};
+use crate::stream::{Columns, JointColumns, JointTrack};
 use crate::time::Stamp;
+
+use super::Run;
 
 /// Where the velocities of a joint come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -116,6 +118,33 @@ pub(super) fn merge(topics: &[JointTopic<'_>], names: &[String], origin: Stamp) 
         merged.track.qd.extend(row.iter().map(|(_, velocity)| velocity));
     }
     (merged.track.len() > 1).then_some(merged)
+}
+
+/// All finite samples of one joint of an arm, strictly increasing in time.
+#[derive(Clone, Debug, Default)]
+pub struct JointSamples {
+    /// Sample times, s from the run's origin.
+    pub t_s: Vec<f64>,
+    /// Positions, rad or m.
+    pub position: Vec<f64>,
+    /// Velocities as logged, rad/s or m/s; NaN where the log has none.
+    pub velocity: Vec<f64>,
+}
+
+impl Run {
+    /// All samples of a joint, the excerpts of a long run or not.
+    pub fn joint_samples(&self, joint: &JointFacts) -> JointSamples {
+        let stream = self.streams.get(joint.stream).and_then(|stream| stream.columns.as_ref());
+        let clock = self.clocks.iter().find(|clock| clock.stream == joint.stream);
+        let (Some(Columns::Joints(columns)), Some(clock)) = (stream, clock) else {
+            return JointSamples::default();
+        };
+        let stamps = clock.stamps_of(&columns.times);
+        let topic = JointTopic { stream: joint.stream, columns, stamps };
+        let Samples { stamps, position, velocity } = Samples::of(&topic, &joint.name);
+        let t_s = stamps.iter().map(|stamp| stamp.seconds_since(self.origin)).collect();
+        JointSamples { t_s, position, velocity }
+    }
 }
 
 /// Where a sweep over one joint's samples has come.

@@ -15,8 +15,10 @@ mod clock;
 mod declaration;
 mod error;
 mod excerpts;
+mod flaws;
 mod joints;
 mod models;
+mod norms;
 mod poses;
 mod role;
 mod segments;
@@ -36,7 +38,9 @@ pub use clock::{Alignment, Epoch, HeaderStamps, StreamClock};
 pub use declaration::{CalibrationSource, Coding, Declaration, DeclarationError, RobotSource};
 pub use error::RunError;
 pub use excerpts::Excerpts;
-pub use joints::{JointFacts, Velocities};
+pub use flaws::{Apart, Between, Flaw, FlawKind};
+pub use joints::{JointFacts, JointSamples, Velocities};
+pub use norms::{Norms, Written};
 pub use role::Role;
 pub use segments::{Segment, segments};
 pub use streams::Stream;
@@ -105,6 +109,10 @@ pub struct Run {
     pub clocks: Vec<StreamClock>,
     /// How regularly every stream comes that plays a part.
     pub rhythms: Vec<Rhythm>,
+    /// What keeps the transforms from being a tree.
+    pub flaws: Vec<Flaw>,
+    /// How far the rotations of every stream that logs them are from being rotations.
+    pub norms: Vec<Norms>,
     /// What of it the estimators see; `None` where that is all of it.
     pub excerpts: Option<Excerpts>,
     /// Whether the log holds `/clock`, the mark of simulated time.

@@ -172,7 +172,7 @@ fn as_xyzw(logged: [f64; 4], declared: Option<&Declaration>) -> [f64; 4] {
 
 /// How a matrix lies in its row of numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Layout {
+pub(super) enum Layout {
     RowMajor,
     ColumnMajor,
 }
@@ -180,7 +180,7 @@ enum Layout {
 impl Layout {
     /// The layout in which most rows are poses: of 16 numbers by where 0 0 0 1 stands, of 12 by
     /// where an orthonormal matrix stands.
-    fn of(array: &ArrayColumns) -> Option<Self> {
+    pub(super) fn of(array: &ArrayColumns) -> Option<Self> {
         let rows = array.times.len();
         [Self::RowMajor, Self::ColumnMajor].into_iter().find(|layout| {
             let fits = (0..rows).filter(|&row| layout.fits(array.row(row))).count();
@@ -202,7 +202,7 @@ impl Layout {
     }
 
     /// Translation, and the rows of the rotation matrix.
-    fn split(self, values: &[f64]) -> ([f64; 3], [[f64; 3]; 3]) {
+    pub(super) fn split(self, values: &[f64]) -> ([f64; 3], [[f64; 3]; 3]) {
         let height = values.len() / 4;
         let at = |row: usize, column: usize| match self {
             Self::RowMajor => values[4 * row + column],

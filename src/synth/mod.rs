@@ -92,6 +92,10 @@ pub struct Scenario {
     pub amplitude: f64,
     /// The largest speed of a joint, rad/s; a quarter of it in m/s where the joint slides.
     pub speed: f64,
+    /// When the arm is stopped on its way, not to move again, and how hard.
+    pub stop: Option<Stop>,
+    /// What shakes, and how.
+    pub shake: Option<Shake>,
     /// The noise of the streams.
     pub noise: Noise,
     /// The joint states.
@@ -106,6 +110,26 @@ pub struct Scenario {
     pub target: TargetStream,
     /// Whether the arm's URDF is in the log.
     pub description: bool,
+}
+
+/// A stop amid the motion.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stop {
+    /// It comes when a joint is fastest within 3 s after this time, s after the start.
+    pub after_s: f64,
+    /// How fast that joint comes to rest, rad/s², or m/s² where it slides.
+    pub deceleration: f64,
+}
+
+/// A joint that shakes beside its motion.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shake {
+    /// The joint, counted from the base.
+    pub joint: usize,
+    /// The amplitude, rad or m.
+    pub amplitude: f64,
+    /// The frequency, Hz.
+    pub frequency_hz: f64,
 }
 
 /// When the messages of a stream are made, stamped and received.
@@ -244,6 +268,8 @@ impl Scenario {
             home: Vec::new(),
             amplitude: 1.2,
             speed: 1.2,
+            stop: None,
+            shake: None,
             noise: Noise::default(),
             joints: JointStream {
                 timing: Timing::every(125.0, 0.0),
@@ -302,7 +328,7 @@ impl Scenario {
     /// written.
     ///
     /// # Panics
-    /// Where `motion` names a joint that the chain does not have, or `number_order` is no order of
+    /// Where `motion` or `shake` names a joint that the chain does not have, or `number_order` is no order of
     /// its joints.
     pub fn write_mcap(
         &self,

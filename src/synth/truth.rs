@@ -1,7 +1,9 @@
 //! What is really the case while the log is recorded.
 
+use std::f64::consts::TAU;
+
 use super::motion::Trajectory;
-use super::{Scenario, SynthError};
+use super::{Scenario, Shake, Stop, SynthError};
 use crate::geometry::{Pose, Vec3};
 use crate::robot::Chain;
 
@@ -12,6 +14,44 @@ pub(super) const GRAVITY: f64 = 9.80665;
 pub(super) struct Truth {
     pub(super) chain: Chain,
     trajectory: Trajectory,
+    brake: Option<Brake>,
+    shake: Option<Shake>,
+}
+
+/// A stop on the way that the arm takes.
+struct Brake {
+    /// When it begins, s.
+    from_s: f64,
+    /// How long it takes, s.
+    length_s: f64,
+}
+
+impl Brake {
+    /// The stop of a motion at the moment of its greatest speed within 3 s after the time given.
+    fn new(stop: &Stop, trajectory: &Trajectory) -> Self {
+        const STEPS: u32 = 3000;
+        let speed = |time_s: f64| {
+            trajectory.at(time_s).1.iter().fold(0.0_f64, |most, speed| most.max(speed.abs()))
+        };
+        let times = (0..STEPS).map(|step| stop.after_s + f64::from(step) * 1e-3);
+        let fastest =
+            times.map(|time_s| (time_s, speed(time_s))).max_by(|a, b| a.1.total_cmp(&b.1));
+        let (from_s, speed) = fastest.unwrap_or_default();
+        Self { from_s, length_s: speed / stop.deceleration }
+    }
+
+    /// How far along its way the arm is at a time, s, and how fast it goes on there.
+    fn along(&self, time_s: f64) -> (f64, f64) {
+        let since_s = time_s - self.from_s;
+        if since_s <= 0.0 {
+            (time_s, 1.0)
+        } else if since_s < self.length_s {
+            let slower = since_s / self.length_s;
+            (self.from_s + since_s * (1.0 - 0.5 * slower), 1.0 - slower)
+        } else {
+            (self.from_s + 0.5 * self.length_s, 0.0)
+        }
+    }
 }
 
 impl Truth {
@@ -21,12 +61,23 @@ impl Truth {
         let tip = robot.link_or_nearest(&scenario.tip)?;
         let chain = robot.chain(base, tip)?;
         let trajectory = Trajectory::new(scenario, &chain);
-        Ok(Self { chain, trajectory })
+        let brake = scenario.stop.as_ref().map(|stop| Brake::new(stop, &trajectory));
+        Ok(Self { chain, trajectory, brake, shake: scenario.shake })
     }
 
     /// Positions and velocities of the joints.
     pub(super) fn joints(&self, time_s: f64) -> (Vec<f64>, Vec<f64>) {
-        self.trajectory.at(time_s)
+        let unbraked = || (time_s, 1.0);
+        let (along_s, rate) =
+            self.brake.as_ref().map_or_else(unbraked, |brake| brake.along(time_s));
+        let (mut positions, mut velocities) = self.trajectory.at(along_s);
+        velocities.iter_mut().for_each(|velocity| *velocity *= rate);
+        if let Some(Shake { joint, amplitude, frequency_hz }) = self.shake {
+            let rate_rad_s = TAU * frequency_hz;
+            positions[joint] += amplitude * (rate_rad_s * time_s).sin();
+            velocities[joint] += amplitude * rate_rad_s * (rate_rad_s * time_s).cos();
+        }
+        (positions, velocities)
     }
 
     pub(super) fn base_from_tip(&self, time_s: f64) -> Pose {

@@ -7,7 +7,7 @@ use poseaudit::synth::{Motion, POSE, TF, TF_STATIC};
 use serde_json::Value;
 
 use crate::case::On;
-use crate::case::What::Frame;
+use crate::case::What::{self, About, Frame};
 use crate::case::{Expected, Log, cases, error, info, the, warning};
 use crate::recording::{Field, Message};
 use Expected::{BlamedOn, Skipped, Sound, Undecided};
@@ -90,6 +90,71 @@ cases! {
         => Undecided("turn the wrist");
     FRM003 no_pose_of_any_tool: |log| log.run.pose.timing.rate_hz = 0.0
         => Skipped("no pose stream");
+
+    FRM004 a_frame_with_two_parents: |log| {
+        log.edit = Some(|messages| publish(messages, TF, |row| {
+            (if row % 2 == 0 { "cell" } else { "table" }, "fixture", 0.0)
+        }));
+    } => error(On::Frame(TF, "fixture"), What::None);
+    FRM004 a_ring_of_two: |log| {
+        log.edit = Some(|messages| publish(messages, TF, |row| {
+            if row % 2 == 0 { ("cell", "fixture", 0.0) } else { ("fixture", "cell", 0.0) }
+        }));
+    } => error(On::Frame(TF, "fixture"), What::None);
+    FRM004 two_publishers_of_one_transform: |log| {
+        log.edit = Some(|messages| publish(messages, TF, |row| {
+            ("cell", "fixture", if row % 3 == 0 { 0.05 } else { 0.0 })
+        }));
+    } => error(On::Frame(TF, "fixture"), About(0.05, 1e-9));
+    FRM004 a_static_frame_that_moves: |log| {
+        log.edit = Some(|messages| {
+            publish(messages, TF_STATIC, |_| ("cell", "fixture", 0.0));
+            publish(messages, TF_STATIC, |row| ("cell", "fixture", 0.02 * row as f64));
+        });
+    } => error(On::Frame(TF_STATIC, "fixture"), About(0.02, 1e-9));
+    FRM004 a_pose_in_a_tree_of_its_own: |log| {
+        log.run.pose.frame_id = "cell".to_owned();
+        log.edit = Some(|messages| publish(messages, TF_STATIC, |_| ("room", "cell", 0.3)));
+    } => error(On::Frame(TF, "cell"), What::None);
+    FRM004 what_is_picked_up_and_put_down_is_sound: |log| {
+        // Each of the two transforms has gaps while the other holds.
+        log.options.rules.ignore = vec!["TIM002".parse().expect("a rule")];
+        log.edit = Some(|messages| publish(messages, TF, |row| {
+            (if row / 25 % 2 == 0 { "cell" } else { "table" }, "fixture", 0.0)
+        }));
+    } => Sound;
+    FRM004 a_trackers_world_needs_no_tie: |log| {
+        log.run.pose.frame_id = "tracker".to_owned();
+        log.run.pose.reference_from_stream = shifted();
+    } => Sound;
+    FRM004 a_link_elsewhere_is_a_tree_all_the_same: |log| {
+        log.edit = Some(|messages| move_frame(messages, TF_STATIC, "tool0", [0.0, 0.003, 0.0]));
+    } => BlamedOn("FRM001");
+    FRM004 no_frames: |log| {
+        log.run.tf.timing.rate_hz = 0.0;
+        log.run.tf.with_static = false;
+    } => Skipped("no /tf");
+
+    FRM005 quaternions_that_are_too_short: |log| {
+        log.edit = Some(|messages| stretch(messages, POSE, |_| 0.985));
+    } => error(On::Topic(POSE), About(0.015, 1e-9));
+    FRM005 a_quaternion_in_ten_that_is_a_little_long: |log| {
+        log.edit = Some(|messages| {
+            stretch(messages, POSE, |row| if row % 10 == 3 { 1.002 } else { 1.0 });
+        });
+    } => warning(On::Topic(POSE), About(0.002, 1e-9));
+    FRM005 single_precision_is_sound: |log| {
+        log.edit = Some(|messages| stretch(messages, POSE, |row| 1.0 + 1e-7 * (row % 3) as f64));
+    } => Sound;
+    FRM005 components_in_another_order_are_of_unit_norm: |log| {
+        log.run.pose.coding = crate::ord::misread_as_rpy();
+    } => BlamedOn("ORD001");
+    FRM005 nothing_that_turns: |log| {
+        log.run.pose.timing.rate_hz = 0.0;
+        log.run.tf.timing.rate_hz = 0.0;
+        log.run.tf.with_static = false;
+        log.run.imu.timing.rate_hz = 0.0;
+    } => Skipped("no stream with quaternions");
 }
 
 pub fn half_turn() -> Pose {
@@ -120,6 +185,37 @@ fn move_frame(messages: &mut [Message], topic: &str, child: &str, by: [f64; 3]) 
             {
                 let xyz: [f64; 3] = message.floats(at);
                 message.set_floats(at, &[xyz[0] + by[0], xyz[1] + by[1], xyz[2] + by[2]]);
+            }
+        }
+    }
+}
+
+/// Adds to each message of `topic` one of a transform along x, which `of` makes of its number.
+fn publish(
+    messages: &mut Vec<Message>,
+    topic: &str,
+    of: impl Fn(usize) -> (&'static str, &'static str, f64),
+) {
+    let like: Vec<Message> =
+        messages.iter().filter(|message| message.topic == topic).cloned().collect();
+    let new = like.into_iter().enumerate().map(|(row, mut message)| {
+        let (parent, child, x_m) = of(row);
+        message.become_transform(parent, child, [x_m, 0.0, 0.0]);
+        message.shift(1_000_000);
+        message
+    });
+    messages.extend(new.collect::<Vec<_>>());
+    messages.sort_by_key(|message| message.log_ns);
+}
+
+/// Multiplies the quaternions of `topic` by what `factor` says of each message.
+fn stretch(messages: &mut [Message], topic: &str, factor: impl Fn(usize) -> f64) {
+    let of_topic = messages.iter_mut().filter(|message| message.topic == topic);
+    for (row, message) in of_topic.enumerate() {
+        for field in message.fields() {
+            if let Field::Xyzw(at) = field {
+                let xyzw: [f64; 4] = message.floats(at);
+                message.set_floats(at, &xyzw.map(|component| factor(row) * component));
             }
         }
     }

@@ -108,8 +108,10 @@ fn the_other_sign_of_quaternions() {
 
 #[test]
 fn twice_the_rate() {
-    let before = faulty().audited();
+    // Shake shows at more than 25 Hz only.
     let mut log = faulty();
+    log.options.rules.ignore = vec!["MOT001".parse().expect("a rule")];
+    let before = log.audited();
     let run = &mut log.run;
     for timing in
         [&mut run.joints.timing, &mut run.pose.timing, &mut run.tf.timing, &mut run.imu.timing]

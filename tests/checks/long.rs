@@ -1,6 +1,6 @@
 //! Runs so long that the estimators see excerpts of them.
 
-use poseaudit::finding::Status;
+use poseaudit::finding::{CheckRow, Status};
 use poseaudit::synth::{IMU, JOINT_STATES, POSE, TF};
 
 use crate::case::What::{Amount, Degrees, DegreesAMinute};
@@ -53,8 +53,10 @@ fn a_skew_shows_over_the_whole_of_a_long_run() {
 fn a_sound_long_run_passes_and_is_counted_whole() {
     let report = long(|_| {}).audited();
     assert!(report.findings.is_empty(), "{:#?}", report.findings);
-    let others = report.checks.iter().filter(|row| !row.code.starts_with("HEC"));
-    for row in others {
+    // At this rate motion does not tell of stops and shake; there are no Euler angles and no camera.
+    let is_asked =
+        |row: &&CheckRow| !["MOT", "HEC"].contains(&&row.code[..3]) && row.code != "ORD006";
+    for row in report.checks.iter().filter(is_asked) {
         assert_eq!(row.status, Status::Pass, "{row:#?}");
     }
     for topic in [JOINT_STATES, POSE, TF, IMU] {

@@ -14,6 +14,7 @@ mod invariance;
 mod lat;
 mod long;
 mod mdl;
+mod mot;
 mod ord;
 mod recording;
 mod reports;
@@ -26,6 +27,7 @@ use std::collections::BTreeSet;
 use poseaudit::checks::registry;
 use poseaudit::finding::Status;
 use poseaudit::report::Verdict;
+use poseaudit::synth::POSE;
 
 use case::{Case, Expected, Log};
 
@@ -36,6 +38,7 @@ const CASES: &[&[Case]] = &[
     ing::CASES,
     lat::CASES,
     mdl::CASES,
+    mot::CASES,
     ord::CASES,
     tim::CASES,
     yaw::CASES,
@@ -60,6 +63,9 @@ fn every_rule_has_a_case_of_every_kind() {
     }
 }
 
+/// Rules about what is not in every log, nor in the sound one.
+const WITHOUT_INPUT: &[&str] = &["ORD006"];
+
 #[test]
 fn a_sound_log_passes_every_rule_on_every_subject() {
     let report = Log::with(hec::add_camera).audited();
@@ -68,6 +74,9 @@ fn a_sound_log_passes_every_rule_on_every_subject() {
     let asked: BTreeSet<&str> = report.checks.iter().map(|row| row.code).collect();
     assert_eq!(asked.len(), registry().len());
     for row in &report.checks {
-        assert_eq!(row.status, Status::Pass, "{row:#?}");
+        let is_too_slow = (row.code, row.subject.label()) == ("MOT001", POSE);
+        let has_no_input = WITHOUT_INPUT.contains(&row.code) || is_too_slow;
+        let expected = if has_no_input { Status::Skipped } else { Status::Pass };
+        assert_eq!(row.status, expected, "{row:#?}");
     }
 }

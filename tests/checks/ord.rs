@@ -1,5 +1,7 @@
 //! ORD: conventions, units and orders taken for others.
 
+use std::f64::consts::FRAC_PI_2;
+
 use poseaudit::finding::{CheckRow, Severity, Status};
 use poseaudit::geometry::{Convention, Misreading, QuaternionSlip, rotation_from_xyzw};
 use poseaudit::report::Report;
@@ -7,7 +9,7 @@ use poseaudit::synth::{Coding, IMU, JOINT_STATES, Motion, POSE};
 
 use crate::case::On::Topic;
 use crate::case::What::{self, Order, ReadAs};
-use crate::case::{Expected, Log, cases, error, summary, the};
+use crate::case::{Expected, Log, cases, error, summary, the, warning};
 use crate::recording::{Field, Message};
 use Expected::{BlamedOn, Skipped, Sound, Undecided};
 
@@ -144,6 +146,23 @@ cases! {
         log.run.imu.timing.rate_hz = 0.0;
     } => Undecided("log a pose that does not come from /tf");
 
+    ORD006 rpy_that_stands_upright: |log| {
+        turn_the_base_alone(log);
+        declare(log, |messages| as_euler(messages, Convention::RPY), "euler:xyz");
+    } => warning(Topic(NUMBERS), What::About(1.0, 1e-9));
+    ORD006 rpy_far_from_upright_is_sound: |log| {
+        (log.run.amplitude, log.run.speed) = (0.3, 1.0);
+        declare(log, |messages| as_euler(messages, Convention::RPY), "euler:xyz");
+    } => Sound;
+    ORD006 a_rotation_vector_has_no_lock: |log| {
+        turn_the_base_alone(log);
+        declare(log, |messages| as_numbers(messages, 1.0), "rotvec");
+    } => Sound;
+    ORD006 degrees_are_no_lock: |log| {
+        declare(log, |messages| as_numbers(messages, 1_f64.to_degrees()), "rotvec");
+    } => BlamedOn("ORD004");
+    ORD006 no_bare_numbers: |_| {} => Skipped("three bare numbers");
+
     ORD008 positions_in_millimetres: |log| log.run.pose.in_millimetres = true
         => error(Topic(POSE), ReadAs("mm", "m"));
     ORD008 a_percent_is_no_unit: |log| log.run.pose.growth = 0.3e-3 => Sound;
@@ -261,6 +280,41 @@ pub fn as_numbers(messages: &mut [Message], to_the_radian: f64) {
         }
         message.become_array(NUMBERS, &numbers);
     }
+}
+
+/// The same with three angles for the rotation.
+fn as_euler(messages: &mut [Message], convention: Convention) {
+    for message in messages.iter_mut().filter(|message| message.topic == POSE) {
+        let mut numbers = Vec::new();
+        for field in message.fields() {
+            match field {
+                Field::Stamp(_) => {}
+                Field::Xyz(at, _) => numbers.extend(message.floats::<3>(at)),
+                Field::Xyzw(at) => {
+                    let rotation = rotation_from_xyzw(message.floats(at)).expect("a rotation");
+                    numbers.extend(convention.numbers(&rotation));
+                }
+            }
+        }
+        message.become_array(NUMBERS, &numbers);
+    }
+}
+
+/// Declares the bare numbers. That they have no stamps is not asked.
+fn declare(log: &mut Log, edit: fn(&mut Vec<Message>), convention: &str) {
+    let declaration = format!("{NUMBERS}={convention}");
+    log.options.declarations = vec![declaration.parse().expect("a declaration")];
+    log.options.rules.ignore = vec!["TIM005".parse().expect("a rule")];
+    log.edit = Some(edit);
+}
+
+/// Lets the arm turn about its base alone, so that roll and pitch of the tool stay as they are: with
+/// the second wrist straight its x axis points up.
+fn turn_the_base_alone(log: &mut Log) {
+    log.run.motion = Motion::OneJoint(0);
+    // One axis does not tell how rotations are coded: that is not asked.
+    log.options.rules.select = vec!["ORD006".parse().expect("a rule")];
+    log.run.home = vec![0.0, -FRAC_PI_2, FRAC_PI_2, -FRAC_PI_2, 0.0, 0.0];
 }
 
 /// Changes the sign of every other quaternion.

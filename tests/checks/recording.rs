@@ -175,6 +175,23 @@ impl Message {
         self.cdr = written;
     }
 
+    /// Makes a message of transforms hold just this one, which does not turn, with its own stamp.
+    pub fn become_transform(&mut self, parent: &str, child: &str, xyz: [f64; 3]) {
+        let header: [u8; 8] = self.cdr[8..16].try_into().expect("a stamp");
+        self.cdr.truncate(4);
+        self.cdr.extend(1_u32.to_le_bytes());
+        self.cdr.extend(header);
+        for name in [parent, child] {
+            align(&mut self.cdr, 4);
+            self.cdr.extend((name.len() as u32 + 1).to_le_bytes());
+            self.cdr.extend(name.as_bytes());
+            self.cdr.push(0);
+        }
+        align(&mut self.cdr, 8);
+        let numbers = xyz.into_iter().chain([0.0, 0.0, 0.0, 1.0]);
+        self.cdr.extend(numbers.flat_map(f64::to_le_bytes));
+    }
+
     /// Turns it into a `std_msgs/Float64MultiArray` of `numbers`.
     pub fn become_array(&mut self, topic: &str, numbers: &[f64]) {
         self.topic = topic.to_owned();

@@ -1,0 +1,175 @@
+use serde_json::{Value, json};
+
+use crate::checks::{Facts, Grade, Judged};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
+use crate::run::{Apart, Flaw, FlawKind};
+
+rule! {
+    /// The frames of the log are no tree.
+    ///
+    /// ## What it means
+    /// A frame hangs below two others at once, frames hang below each other in a ring, a transform
+    /// of /tf_static is published with different values, two publishers give one transform different
+    /// values, or no transforms lead from a frame that an audited stream needs to the arm's base.
+    ///
+    /// ## Why it matters
+    /// tf2 keeps whichever message came last: with two parents or two publishers a lookup gives one
+    /// answer now and another a moment later, and neither is an error to its caller. A ring and a
+    /// tree in pieces make lookups fail, and a static transform is cached for ever by whoever heard
+    /// it first.
+    ///
+    /// ## Evidence
+    /// `what` is `several-parents`, `cycle`, `static-moves`, `conflict` or `pieces`; `frames` the
+    /// frames, `topics` the topics. Where values differ, `length_m` and `angle_rad` say by how much,
+    /// and the estimate is the length. Of a conflict, `jumps` of `samples` are elsewhere than those
+    /// beside them.
+    ///
+    /// ## How to fix
+    /// Let one node publish each transform, and give each frame one parent: turn a transform round,
+    /// or rename the frame of the second publisher. Publish what moves on /tf. For pieces, publish
+    /// the transform that ties the two roots.
+    ///
+    /// ## When it misleads
+    /// What is picked up and put down changes its parent now and then, which is no fault and not
+    /// counted as one. A static transform that was calibrated anew during the run did move. Streams
+    /// in the world of a tracker that no transform names need no tie: it is estimated. Topics in
+    /// different namespaces (`/left/tf`, `/right/tf`) are trees of their own.
+    FRM004 {
+        name: "broken-frame-tree",
+        grade: Grade::Fixed(Severity::Error),
+        headline: false,
+        needs_model: false,
+        missing: "no /tf or /tf_static in this log",
+        check: check,
+    }
+}
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    let frames = &facts.frames;
+    let is_sound = |topic: &&String| !frames.flaws.iter().any(|flaw| flaw.topics.contains(topic));
+    let sound = frames.topics.iter().filter(is_sound).map(|topic| {
+        let subject = Subject { topic: Some(topic.clone()), ..Subject::default() };
+        Judged::new(subject, Outcome::sound())
+    });
+    sound.chain(frames.flaws.iter().map(judge)).collect()
+}
+
+fn judge(flaw: &Flaw) -> Judged {
+    let said = Said::of(flaw);
+    let subject = Subject {
+        topic: flaw.topics.first().cloned(),
+        frame: said.frames.first().cloned(),
+        ..Subject::default()
+    };
+    let fault = Fault {
+        severity: Severity::Error,
+        title: said.title,
+        message: said.message,
+        evidence: Evidence::default(),
+        fix: said.fix,
+    };
+    let mut judged = Judged::new(subject, Outcome::faulty(fault))
+        .with_evidence("what", said.what)
+        .with_evidence("frames", said.frames)
+        .with_evidence("topics", flaw.topics.clone());
+    for (key, value) in said.numbers {
+        judged = judged.with_evidence(key, value);
+    }
+    let moved = said.by.map(|by| Estimate::counted("difference", "m", by.length_m));
+    judged.estimated(moved)
+}
+
+/// A flaw in words.
+struct Said {
+    what: &'static str,
+    title: &'static str,
+    /// The frames, that which is meant first.
+    frames: Vec<String>,
+    by: Option<Apart>,
+    numbers: Vec<(&'static str, Value)>,
+    message: String,
+    fix: String,
+}
+
+impl Said {
+    fn of(flaw: &Flaw) -> Self {
+        let on = flaw.topics.join(" and ");
+        match &flaw.kind {
+            FlawKind::SeveralParents { child, parents } => Self {
+                what: "several-parents",
+                title: "a frame has several parents",
+                frames: std::iter::once(child).chain(parents).cloned().collect(),
+                by: None,
+                numbers: Vec::new(),
+                message: format!(
+                    "frame '{child}' hangs below '{}' at once, on {on}",
+                    parents.join("' and '")
+                ),
+                fix: format!(
+                    "publish '{child}' below one of them, the others' the other way round"
+                ),
+            },
+            FlawKind::Cycle { frames } => Self {
+                what: "cycle",
+                title: "frames form a ring",
+                frames: frames.clone(),
+                by: None,
+                numbers: Vec::new(),
+                message: match frames.as_slice() {
+                    [only] => format!("frame '{only}' hangs below itself, on {on}"),
+                    several => format!("'{}' hang below each other, on {on}", several.join("', '")),
+                },
+                fix: "publish one of these transforms the other way round, or not at all"
+                    .to_owned(),
+            },
+            FlawKind::StaticMoves { edge, by } => Self {
+                what: "static-moves",
+                title: "a static frame moves",
+                frames: vec![edge.child.clone(), edge.parent.clone()],
+                by: Some(*by),
+                numbers: numbers(by).to_vec(),
+                message: format!(
+                    "'{}' to '{}' on {on} is published with values that are {} apart",
+                    edge.parent,
+                    edge.child,
+                    shown(by)
+                ),
+                fix: format!("publish '{}' on /tf, or once", edge.child),
+            },
+            FlawKind::Conflict { edge, by, jumps, rows } => Self {
+                what: "conflict",
+                title: "two publishers of one transform",
+                frames: vec![edge.child.clone(), edge.parent.clone()],
+                by: Some(*by),
+                numbers: [&numbers(by)[..], &[("jumps", json!(jumps)), ("samples", json!(rows))]]
+                    .concat(),
+                message: format!(
+                    "'{}' to '{}' on {on} jumps between values that are {} apart",
+                    edge.parent,
+                    edge.child,
+                    shown(by)
+                ),
+                fix: format!("find the two nodes that publish '{}', and stop one", edge.child),
+            },
+            FlawKind::Pieces { needed_by, frame, base } => Self {
+                what: "pieces",
+                title: "the frames are in pieces",
+                frames: vec![frame.clone(), base.clone()],
+                by: None,
+                numbers: vec![("needed_by", json!(needed_by))],
+                message: format!(
+                    "no transforms lead from '{frame}', which {needed_by} needs, to '{base}'"
+                ),
+                fix: format!("publish the transform that ties '{frame}' to '{base}'"),
+            },
+        }
+    }
+}
+
+fn numbers(by: &Apart) -> [(&'static str, Value); 2] {
+    [("length_m", json!(by.length_m)), ("angle_rad", json!(by.angle_rad))]
+}
+
+fn shown(by: &Apart) -> String {
+    format!("{} and {}", Unit::Metre.show(by.length_m), Unit::Radian.show(by.angle_rad))
+}

@@ -1,0 +1,127 @@
+use crate::checks::decision::Figure;
+use crate::checks::mot003::doubt;
+use crate::checks::{ArmFacts, Facts, Grade, Judged, ShakeFacts};
+use crate::diagnosis::{NoShake, Shake};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+
+rule! {
+    /// The tool shakes at frequencies at which arms do not work.
+    ///
+    /// ## What it means
+    /// Above 10 Hz the path of the tool, by forward kinematics of the joint states or as a pose
+    /// stream has it, holds more than noise does: this much, rms, in the second and a half where it
+    /// is most. Noise has the same power at all frequencies and is taken off; where the arm was going
+    /// is slower than that and is not in it.
+    ///
+    /// ## Why it matters
+    /// That is a servo with a dead band that hunts for its target, a loose joint, a gain too high, or
+    /// a command that comes in steps. It blurs cameras, and every pose is off by it.
+    ///
+    /// ## Evidence
+    /// `frequency_hz` is the frequency that is strongest, `at_ns` says when, `noise_m` is the rms of
+    /// noise above 10 Hz there, and `resolved_m` the least shake that stands out from it. The
+    /// estimate is the rms in metres.
+    ///
+    /// ## How to fix
+    /// Compare the streams: what the joint states show is the servos' doing, what only an outside
+    /// witness shows is in the structure or in the witness. Widen the dead band, lower the gain, or
+    /// interpolate the command at the controller's rate.
+    ///
+    /// ## When it misleads
+    /// Less than 25 samples a second show nothing of it, and what shakes faster than half the rate
+    /// shows at another frequency. Tools that vibrate by design, such as a sander, do so. A stop hard
+    /// enough for MOT002 shakes for a moment, which is less than is looked at.
+    MOT001 {
+        name: "shake",
+        grade: Grade::From(&[FIGURE]),
+        headline: false,
+        needs_model: true,
+        missing: "no joint states",
+        check: check,
+    }
+}
+
+const FIGURE: Figure = Figure { unit: Unit::Metre, warning: 0.5e-3, error: 2e-3 };
+/// What would tell.
+const SETTLE: &str = "log it evenly, at 100 Hz or more";
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    let of_arm = |arm: &ArmFacts| -> Vec<Judged> {
+        arm.shakes.iter().map(|stream| judge(facts, arm, stream)).collect()
+    };
+    facts.robots.iter().flat_map(of_arm).collect()
+}
+
+fn judge(facts: &Facts, arm: &ArmFacts, stream: &ShakeFacts) -> Judged {
+    let judged = |outcome| Judged::new(arm.topic(&stream.topic), outcome).within(stream.span);
+    let why = match stream.topic == arm.joints_topic {
+        true => doubt(arm),
+        false => stream.in_other_units.then(|| "its unit is not metres (ORD008)".to_owned()),
+    };
+    if let Some(why) = why {
+        return judged(Outcome::Inconclusive(why));
+    }
+    let found = match &stream.shake {
+        Ok(found) => found,
+        Err(NoShake::Slow(rate_hz)) => {
+            let why = format!("{rate_hz:.0} samples a second do not show what is above 10 Hz");
+            return judged(Outcome::Skipped(why));
+        }
+        Err(NoShake::Uneven) => {
+            let why = "it has no second and a half of even samples";
+            return judged(Outcome::Inconclusive(format!("{why}; {SETTLE}")));
+        }
+    };
+    let outcome = match FIGURE.severity(found.rms_m) {
+        Some(severity) => Outcome::faulty(fault(facts, stream, found, severity)),
+        None if found.resolved_m > FIGURE.warning => {
+            let [resolved, needed] = [found.resolved_m, FIGURE.warning].map(|m| FIGURE.unit.show(m));
+            let why = format!("its noise hides shake below {resolved}, and {needed} is needed");
+            Outcome::Inconclusive(format!("{why}; {SETTLE}"))
+        }
+        None => Outcome::sound(),
+    };
+    judged(outcome)
+        .estimated(Estimate::counted("shake", FIGURE.unit.symbol(), found.rms_m))
+        .with_evidence("frequency_hz", found.frequency_hz)
+        .with_evidence("at_ns", facts.origin.shifted(found.at_s).to_string())
+        .with_evidence("noise_m", found.noise_m)
+        .with_evidence("resolved_m", found.resolved_m)
+}
+
+fn fault(facts: &Facts, stream: &ShakeFacts, found: &Shake, severity: Severity) -> Fault {
+    Fault {
+        severity,
+        title: "the tool shakes",
+        message: format!(
+            "the tool shakes by {} rms above 10 Hz, most at {:.0} Hz, at {}",
+            FIGURE.unit.show(found.rms_m),
+            found.frequency_hz,
+            facts.moment(facts.origin.shifted(found.at_s)),
+        ),
+        evidence: Evidence { effect_m: Some(found.rms_m), ..Evidence::default() },
+        fix: format!("look for a dead band, a loose joint or a gain too high: {}", stream.topic),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{ask, clean_run};
+    use crate::finding::Status;
+
+    #[test]
+    fn noise_that_hides_shake_leaves_it_open() {
+        for (rms_m, resolved_m, status) in [
+            (1e-3, 1e-3, Status::Fail),
+            (0.0, 1e-3, Status::Inconclusive),
+            (1e-4, 1e-5, Status::Pass),
+        ] {
+            let mut facts = clean_run();
+            let shake = Shake { rms_m, resolved_m, frequency_hz: 12.0, ..Shake::default() };
+            facts.robots[0].shakes[0].shake = Ok(shake);
+            let (rows, _) = ask(&MOT001, &facts);
+            assert_eq!(rows[0].status, status, "{:?}", rows[0]);
+        }
+    }
+}

@@ -1,0 +1,140 @@
+use crate::checks::mot003::doubt;
+use crate::checks::{ArmFacts, Facts, Grade, JointFacts, Judged};
+use crate::diagnosis::Abruptness;
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+
+rule! {
+    /// A joint stops, or starts, abruptly.
+    ///
+    /// ## What it means
+    /// The acceleration of a joint exceeds 20 rad/s² (5 m/s² where it slides). It is the slope of the
+    /// logged velocities where they agree with the positions, else the bend of the positions, fitted
+    /// over windows from 3 to 33 samples. Each window says how much of it noise could make, and the
+    /// one that is the surest beyond noise counts.
+    ///
+    /// ## Why it matters
+    /// Such stops shake the arm and what it carries, wear its gears, and are what protective stops,
+    /// emergency stops and commands without a profile look like. What was measured during one is no
+    /// evidence of anything else.
+    ///
+    /// ## Evidence
+    /// `at_ns` says when, `window_s` over what time it was fitted, `jerk` how fast the
+    /// acceleration changed there, and `noise` what noise alone would hardly reach (six standard
+    /// deviations). `resolved` is the least acceleration that a stop of 0.1 s would show.
+    ///
+    /// ## How to fix
+    /// Give commands a profile with bounded acceleration and jerk, blend waypoints instead of
+    /// stopping at them, and look in the controller's log for a protective stop at that time.
+    ///
+    /// ## When it misleads
+    /// A stop between two samples is averaged over them: record at 100 Hz or more. Where the noise of
+    /// the joint states, or the jitter of their stamps, hides such an acceleration, or samples are
+    /// farther apart than 50 ms, it is inconclusive. Times over gaps are not looked at (TIM002).
+    MOT002 {
+        name: "abrupt-stops",
+        grade: Grade::Fixed(Severity::Warning),
+        headline: false,
+        needs_model: true,
+        missing: "no joint states",
+        check: check,
+    }
+}
+
+/// The largest acceleration that is not abrupt, rad/s².
+const TURNING: f64 = 20.0;
+/// The same where a joint slides, m/s².
+const SLIDING: f64 = 5.0;
+/// What would tell.
+const SETTLE: &str = "log joint velocities at 100 Hz or more, evenly stamped";
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    let of_arm = |arm: &ArmFacts| -> Vec<Judged> {
+        arm.joints.iter().enumerate().map(|(index, joint)| judge(facts, arm, index, joint)).collect()
+    };
+    facts.robots.iter().flat_map(of_arm).collect()
+}
+
+fn judge(facts: &Facts, arm: &ArmFacts, index: usize, joint: &JointFacts) -> Judged {
+    let subject = arm.joint(index);
+    let judged = |outcome| Judged::new(subject.clone(), outcome).within(arm.span);
+    if let Some(why) = doubt(arm) {
+        return judged(Outcome::Inconclusive(why));
+    }
+    let Some(found) = &joint.motion.abruptness else {
+        let why = "its samples are too few, or do not come evenly";
+        return judged(Outcome::Inconclusive(format!("{why}; {SETTLE}")));
+    };
+    let (limit, unit) = if joint.prismatic { (SLIDING, "m/s²") } else { (TURNING, "rad/s²") };
+    let Abruptness { acceleration, noise, resolved, .. } = *found;
+    let outcome = if acceleration - noise >= limit {
+        Outcome::faulty(fault(facts, found, limit, unit))
+    } else if acceleration >= limit {
+        let seen = format!("it may accelerate by {acceleration:.0} {unit}, beyond {limit} {unit}");
+        let noise = format!("noise may make {noise:.0} of it");
+        Outcome::Inconclusive(format!("{seen}, but {noise}; {SETTLE}"))
+    } else if resolved > limit {
+        let hidden = match resolved.is_finite() {
+            true => format!("a stop within 0.1 s shows from {resolved:.0} {unit} on"),
+            false => "its samples are too far apart to show a stop within 0.1 s".to_owned(),
+        };
+        Outcome::Inconclusive(format!("{hidden}, and {limit} {unit} is needed; {SETTLE}"))
+    } else {
+        Outcome::sound()
+    };
+    judged(outcome)
+        .estimated(estimate(found, if joint.prismatic { "m/s^2" } else { "rad/s^2" }))
+        .with_evidence("at_ns", facts.origin.shifted(found.at_s).to_string())
+        .with_evidence("window_s", found.window_s)
+        .with_evidence("jerk", found.jerk)
+        .with_evidence("noise", noise)
+        .with_evidence("resolved", resolved.is_finite().then_some(resolved))
+}
+
+/// The acceleration with its interval: two of the six standard deviations that `noise` is, and no less
+/// than the hundredth that a fit over a few samples may be off.
+fn estimate(found: &Abruptness, unit: &'static str) -> Estimate {
+    let half = (found.noise / 3.0).max(0.01 * found.acceleration);
+    let ci95 = Some([found.acceleration - half, found.acceleration + half]);
+    Estimate::Amount { name: "joint acceleration", value: found.acceleration, unit, ci95 }
+}
+
+fn fault(facts: &Facts, found: &Abruptness, limit: f64, unit: &str) -> Fault {
+    Fault {
+        severity: Severity::Warning,
+        title: "abrupt stop or start",
+        message: format!(
+            "it accelerates by {:.0} {unit} at {}, over {}, beyond {limit} {unit}",
+            found.acceleration,
+            facts.moment(facts.origin.shifted(found.at_s)),
+            Unit::Second.show(found.window_s),
+        ),
+        evidence: Evidence::default(),
+        fix: "bound acceleration and jerk of the commands, and look for a protective stop there"
+            .to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{ask, clean_run};
+    use crate::finding::Status;
+
+    #[test]
+    fn noise_that_hides_a_stop_leaves_it_open() {
+        for (acceleration, noise, resolved, status) in [
+            (30.0, 2.0, 2.0, Status::Fail),
+            (30.0, 15.0, 15.0, Status::Inconclusive),
+            (8.0, 2.0, 2.0, Status::Pass),
+            (8.0, 2.0, 40.0, Status::Inconclusive),
+            (8.0, 2.0, f64::INFINITY, Status::Inconclusive),
+        ] {
+            let mut facts = clean_run();
+            let stop =
+                Abruptness { acceleration, noise, window_s: 0.05, at_s: 1.0, jerk: 9.0, resolved };
+            facts.robots[0].joints[0].motion.abruptness = Some(stop);
+            let (rows, _) = ask(&MOT002, &facts);
+            assert_eq!(rows[0].status, status, "{:?}", rows[0]);
+        }
+    }
+}

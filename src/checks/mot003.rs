@@ -1,0 +1,170 @@
+use serde_json::{Value, json};
+
+use crate::checks::{ArmFacts, Facts, Grade, JointFacts, Judged};
+use crate::diagnosis::{Excess, Unseen};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+
+rule! {
+    /// A joint goes beyond its position or speed limits.
+    ///
+    /// ## What it means
+    /// By the model's limits (`<limit lower upper velocity>` of the URDF, or the catalogue's) a joint
+    /// was where it may not be, or faster than it may be. All joint states of the run are looked at.
+    /// Within 1 % of the range, or of the speed limit, it is told as `info`.
+    ///
+    /// ## Why it matters
+    /// An arm cannot do what its limits exclude. Either the limits in the model are not the arm's,
+    /// and plans made with them are wrong, or the numbers are not what the joint did: another unit,
+    /// another joint, a turn too many.
+    ///
+    /// ## Evidence
+    /// `position` and `speed`, where exceeded: `limit`, the `value` farthest beyond it, `at_ns`, and
+    /// for how many `seconds` altogether. The estimate is by how much the limit is exceeded, of the
+    /// two the one that is more grave.
+    ///
+    /// ## How to fix
+    /// Load the limits of the arm's own configuration into the model. Where a joint counts turns,
+    /// declare it continuous, or unwind it before the driver publishes it.
+    ///
+    /// ## When it misleads
+    /// A continuous joint has no position limits, however far it turned. Speeds are the logged ones
+    /// where they agree with the positions, else the positions' slope; one sample alone beyond a
+    /// speed limit is taken for a bad reading. Some models state limits narrower than the arm's, on
+    /// purpose. A joint's wrong zero (ZER001) shifts its positions against their limits, too.
+    MOT003 {
+        name: "limits-exceeded",
+        grade: Grade::Fixed(Severity::Warning),
+        headline: false,
+        needs_model: true,
+        missing: "no joint states",
+        check: check,
+    }
+}
+
+/// Within this share of the range, or of the limit, it is worth knowing only.
+const SLIGHT: f64 = 0.01;
+/// Less than this is an encoder's noise at a stop, rad or m, or a second of it.
+const NOISE: f64 = 1e-4;
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    let of_arm = |arm: &ArmFacts| -> Vec<Judged> {
+        arm.joints.iter().enumerate().map(|(index, joint)| judge(facts, arm, index, joint)).collect()
+    };
+    facts.robots.iter().flat_map(of_arm).collect()
+}
+
+/// Why the numbers of the joint states cannot be held against limits or called motion, where they
+/// cannot.
+pub(super) fn doubt(arm: &ArmFacts) -> Option<String> {
+    let is_doubtful = match &arm.diagnosis.joints {
+        Ok(reading) => reading.degrees.is_some() || reading.permutation.is_some(),
+        Err(why) => *why == Unseen::NotExcited,
+    };
+    let why = "the joint positions are not what their names and units say; read them right first";
+    is_doubtful.then(|| format!("{why} (ORD004, ORD005)"))
+}
+
+/// A limit that is exceeded.
+struct Broken<'a> {
+    what: &'static str,
+    excess: &'a Excess,
+    severity: Severity,
+}
+
+impl<'a> Broken<'a> {
+    /// `None` where it is within noise; `range` is what a share of it is slight.
+    fn of(what: &'static str, excess: Option<&'a Excess>, range: f64) -> Option<Self> {
+        let excess = excess.filter(|excess| excess.over() > NOISE)?;
+        let is_slight = excess.over() <= SLIGHT * range;
+        let severity = if is_slight { Severity::Info } else { Severity::Warning };
+        Some(Self { what, excess, severity })
+    }
+}
+
+fn judge(facts: &Facts, arm: &ArmFacts, index: usize, joint: &JointFacts) -> Judged {
+    let subject = arm.joint(index);
+    let judged = |outcome| Judged::new(subject.clone(), outcome).within(arm.span);
+    let limits = &joint.limits;
+    if limits.lower.or(limits.upper).or(limits.velocity).is_none() {
+        return judged(Outcome::Skipped("the model states no limits of it".to_owned()));
+    }
+    if let Some(why) = doubt(arm) {
+        return judged(Outcome::Inconclusive(why));
+    }
+    let motion = &joint.motion;
+    let range = limits.lower.zip(limits.upper).map_or(0.0, |(lower, upper)| upper - lower);
+    let position = Broken::of("position", motion.positions.as_ref(), range);
+    let speed = Broken::of("speed", motion.speeds.as_ref(), limits.velocity.unwrap_or(0.0));
+    let broken: Vec<&Broken<'_>> = [&position, &speed].into_iter().flatten().collect();
+    let Some(worst) = broken.iter().rev().max_by_key(|broken| broken.severity) else {
+        return judged(Outcome::sound());
+    };
+    let unit = arm.joint_unit(index);
+    let told: Vec<String> = broken.iter().map(|broken| tell(facts, broken, unit)).collect();
+    let fault = Fault {
+        severity: worst.severity,
+        title: "joint limit exceeded",
+        message: told.join("; "),
+        evidence: Evidence::default(),
+        fix: "hold the model's limits against the arm's own configuration".to_owned(),
+    };
+    let (name, symbol) = match (worst.what, unit) {
+        ("position", unit) => ("beyond position limit", unit.symbol()),
+        (_, Unit::Metre) => ("beyond speed limit", "m/s"),
+        _ => ("beyond speed limit", "rad/s"),
+    };
+    let mut judged = judged(Outcome::faulty(fault))
+        .estimated(Estimate::counted(name, symbol, worst.excess.over()));
+    for broken in broken {
+        judged = judged.with_evidence(broken.what, evidence(facts, broken.excess));
+    }
+    judged
+}
+
+fn tell(facts: &Facts, broken: &Broken<'_>, unit: Unit) -> String {
+    let Excess { limit, value, at_s, seconds } = *broken.excess;
+    let per = if broken.what == "speed" { "/s" } else { "" };
+    let shown = |amount: f64| match unit {
+        // Not in mm: a limit is read against the model's own number.
+        Unit::Metre => format!("{amount:.3} m{per}"),
+        unit => format!("{}{per}", unit.show(amount)),
+    };
+    format!(
+        "its {} reaches {}, {} beyond the limit of {}, at {}, for {} altogether",
+        broken.what,
+        shown(value),
+        shown(broken.excess.over()),
+        shown(limit),
+        facts.moment(facts.origin.shifted(at_s)),
+        Unit::Second.show(seconds),
+    )
+}
+
+fn evidence(facts: &Facts, excess: &Excess) -> Value {
+    json!({
+        "limit": excess.limit,
+        "value": excess.value,
+        "at_ns": facts.origin.shifted(excess.at_s).to_string(),
+        "seconds": excess.seconds,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{ask, clean_run};
+
+    #[test]
+    fn a_slight_excess_is_told_and_noise_is_not() {
+        for (over, severity) in
+            [(0.5, Some(Severity::Warning)), (0.05, Some(Severity::Info)), (5e-5, None)]
+        {
+            let mut facts = clean_run();
+            let motion = &mut facts.robots[0].joints[1].motion;
+            motion.positions =
+                Some(Excess { limit: 3.0, value: 3.0 + over, at_s: 1.0, seconds: 0.25 });
+            let (_, findings) = ask(&MOT003, &facts);
+            assert_eq!(findings.first().map(|found| found.severity), severity, "{findings:?}");
+        }
+    }
+}

@@ -1,0 +1,358 @@
+//! What a joint's motion comes to, from its samples alone: how far it is beyond its limits, and how
+//! abruptly it changes its speed.
+
+use crate::robot::Limits;
+
+/// How far a joint is beyond a limit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Excess {
+    /// The limit, rad or m, or a second of it.
+    pub limit: f64,
+    /// The value farthest beyond it.
+    pub value: f64,
+    /// When that was, s.
+    pub at_s: f64,
+    /// How long the limit was exceeded altogether, s.
+    pub seconds: f64,
+}
+
+impl Excess {
+    /// By how much the limit is exceeded.
+    pub fn over(&self) -> f64 {
+        (self.value - self.limit).abs()
+    }
+}
+
+/// The positions of a joint beyond its limits; the lower limit or the upper, whichever is exceeded by
+/// more. Values that are not finite are passed over.
+pub fn beyond_positions(t_s: &[f64], q: &[f64], limits: &Limits) -> Option<Excess> {
+    let above = limits.upper.and_then(|upper| beyond(t_s, q, upper));
+    let below = limits.lower.and_then(|lower| {
+        let mirrored: Vec<f64> = q.iter().map(|q| -q).collect();
+        let found = beyond(t_s, &mirrored, -lower)?;
+        Some(Excess { limit: lower, value: -found.value, ..found })
+    });
+    [above, below].into_iter().flatten().max_by(|a, b| a.over().total_cmp(&b.over()))
+}
+
+/// The speeds of a joint beyond its limit. Two neighbouring samples must be beyond it, and the less of
+/// them counts: one alone is a reading gone wrong.
+pub fn beyond_speed(t_s: &[f64], qd: &[f64], limits: &Limits) -> Option<Excess> {
+    let held: Vec<f64> = qd.windows(2).map(|pair| pair[0].abs().min(pair[1].abs())).collect();
+    beyond(t_s, &held, limits.velocity?)
+}
+
+/// Values above a limit, each of which holds until the next sample, but no longer than a second.
+fn beyond(t_s: &[f64], values: &[f64], limit: f64) -> Option<Excess> {
+    const LONGEST_S: f64 = 1.0;
+    let mut found: Option<Excess> = None;
+    for (row, (&at_s, &value)) in t_s.iter().zip(values).enumerate() {
+        // A NaN is not above anything.
+        if value > limit {
+            let seconds = t_s.get(row + 1).map_or(0.0, |next| (next - at_s).clamp(0.0, LONGEST_S));
+            let first = Excess { limit, value, at_s, seconds: 0.0 };
+            let excess = found.get_or_insert(first);
+            excess.seconds += seconds;
+            if value > excess.value {
+                (excess.value, excess.at_s) = (value, at_s);
+            }
+        }
+    }
+    found
+}
+
+/// What the samples of a joint are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Series {
+    /// Positions, of which acceleration is the second derivative.
+    Positions,
+    /// Velocities, of which it is the first.
+    Velocities,
+}
+
+/// How abruptly a joint changes its speed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Abruptness {
+    /// The acceleration that most surely is the largest: the one with the greatest lower bound, rad/s².
+    pub acceleration: f64,
+    /// What noise alone could hardly make of it, rad/s²: [`SIGMAS`] standard deviations.
+    pub noise: f64,
+    /// The time over which it was fitted, s.
+    pub window_s: f64,
+    /// When it was, s.
+    pub at_s: f64,
+    /// The change of the acceleration there over half that time, rad/s³.
+    pub jerk: f64,
+    /// The least acceleration that a stop within [`BRIEF_S`] would show through the noise, rad/s²;
+    /// infinite where samples are too far apart.
+    pub resolved: f64,
+}
+
+/// Standard deviations that noise does not reach in a million windows.
+const SIGMAS: f64 = 6.0;
+/// A stop is abrupt within this time, s.
+const BRIEF_S: f64 = 0.1;
+/// Half-widths of the windows, in samples.
+const HALVES: [usize; 5] = [1, 2, 4, 8, 16];
+/// Fewer samples than this tell nothing.
+const ENOUGH: usize = 9;
+
+/// The largest acceleration of a joint, by the slope of velocities, or the bend of positions, that
+/// fits best over windows from 3 to 33 samples; each window says how much noise makes of it, and the
+/// one counts that is the surest beyond noise (Savitzky and Golay 1964). Windows with gaps, or over
+/// stamps that do not come evenly, are left out. `None` of too few even samples.
+pub fn abruptness(t_s: &[f64], values: &[f64], series: Series) -> Option<Abruptness> {
+    let (t_s, values) = without_repeats(t_s, values);
+    let rows = values.len();
+    let period_s = median_of((1..rows).map(|row| t_s[row] - t_s[row - 1]))?;
+    if rows < ENOUGH || period_s.is_nan() || period_s <= 0.0 {
+        return None;
+    }
+    // How many uneven intervals there are up to each sample.
+    let mut uneven = vec![0_u32; rows];
+    for row in 1..rows {
+        let interval = (t_s[row] - t_s[row - 1]) / period_s;
+        let is_even = (0.5..1.5).contains(&interval) && values[row].is_finite();
+        uneven[row] = uneven[row - 1] + u32::from(!is_even);
+    }
+    let noise = noise_of(&values, series);
+    let mut surest: Option<Abruptness> = None;
+    let mut resolved = f64::INFINITY;
+    let mut has_window = false;
+    for half in HALVES {
+        let fit = Fit::new(half, period_s, series);
+        let floor = SIGMAS * noise * fit.gain();
+        let window_s = 2.0 * half as f64 * period_s;
+        if window_s <= BRIEF_S {
+            resolved = resolved.min(floor);
+        }
+        for row in half..rows.saturating_sub(half) {
+            if uneven[row + half] != uneven[row - half] {
+                continue;
+            }
+            has_window = true;
+            let acceleration = fit.at(&values, row).abs();
+            let is_surer =
+                |best: &Abruptness| acceleration - floor > best.acceleration - best.noise;
+            if surest.as_ref().is_none_or(is_surer) {
+                surest = Some(Abruptness {
+                    acceleration,
+                    noise: floor,
+                    window_s,
+                    at_s: t_s[row],
+                    jerk: fit.jerk(&values, row, period_s),
+                    resolved: f64::INFINITY,
+                });
+            }
+        }
+    }
+    let surest = surest.filter(|_| has_window)?;
+    surest.acceleration.is_finite().then_some(Abruptness { resolved, ..surest })
+}
+
+/// The samples without those that only repeat the one before, where many do while the joint moves: a
+/// driver's reading that is published more often than it is taken.
+fn without_repeats(t_s: &[f64], values: &[f64]) -> (Vec<f64>, Vec<f64>) {
+    /// From this share of the intervals between changes on, repeats are of the publisher's making.
+    const SHARE: f64 = 0.3;
+    /// Changes farther apart than this many samples have a rest between them.
+    const REST: usize = 20;
+    let changes: Vec<usize> =
+        (0..values.len()).filter(|&row| row == 0 || values[row] != values[row - 1]).collect();
+    let gaps = changes.windows(2).map(|pair| pair[1] - pair[0]).filter(|gap| *gap < REST);
+    let (all, repeated) =
+        gaps.fold((0, 0), |(all, repeated), gap| (all + 1, repeated + usize::from(gap > 1)));
+    if repeated as f64 <= SHARE * all as f64 {
+        return (t_s.to_vec(), values.to_vec());
+    }
+    changes.into_iter().map(|row| (t_s[row], values[row])).unzip()
+}
+
+/// Standard deviation of the noise of single samples: by differences that smooth motion hardly has
+/// (second of velocities, fourth of positions), of all samples or of the quarter that moves fastest,
+/// whichever is more, as uneven stamps feign noise that grows with speed. The largest twentieth is
+/// left out, which stops are in; numbers that come in steps differ too often for that.
+fn noise_of(values: &[f64], series: Series) -> f64 {
+    let (difference, weight): (fn(&[f64]) -> f64, f64) = match series {
+        Series::Velocities => (|w| w[1] - 2.0 * w[2] + w[3], 6.0),
+        Series::Positions => (|w| w[0] - 4.0 * w[1] + 6.0 * w[2] - 4.0 * w[3] + w[4], 70.0),
+    };
+    let speed = |w: &[f64]| match series {
+        Series::Velocities => w[2].abs(),
+        Series::Positions => (w[3] - w[1]).abs(),
+    };
+    let fast = quantile_of(values.windows(5).map(speed), 0.75).unwrap_or(0.0);
+    let all = trimmed_rms(values.windows(5).map(difference));
+    let moving = values.windows(5).filter(|w| speed(w) >= fast);
+    all.max(trimmed_rms(moving.map(difference))) / weight.sqrt()
+}
+
+/// Root mean square without the largest twentieth, as normal noise has it with them.
+fn trimmed_rms(values: impl Iterator<Item = f64>) -> f64 {
+    const KEPT: f64 = 0.95;
+    /// What the rest keeps of the variance of normal noise: that of |z| < 1.96.
+    const VARIANCE: f64 = 0.759;
+    let mut squares: Vec<f64> = values.map(|value| value * value).collect();
+    squares.retain(|square| square.is_finite());
+    let kept = (squares.len() as f64 * KEPT) as usize;
+    if kept == 0 {
+        return 0.0;
+    }
+    squares.select_nth_unstable_by(kept - 1, f64::total_cmp);
+    (squares[..kept].iter().sum::<f64>() / (kept as f64 * VARIANCE)).sqrt()
+}
+
+fn median_of(values: impl Iterator<Item = f64>) -> Option<f64> {
+    quantile_of(values, 0.5)
+}
+
+fn quantile_of(values: impl Iterator<Item = f64>, part: f64) -> Option<f64> {
+    let mut values: Vec<f64> = values.filter(|value| value.is_finite()).collect();
+    let at = ((values.len() as f64 * part) as usize).min(values.len().checked_sub(1)?);
+    Some(*values.select_nth_unstable_by(at, f64::total_cmp).1)
+}
+
+/// Acceleration by least squares over evenly spaced samples.
+struct Fit {
+    half: usize,
+    /// What each sample of the window counts.
+    weights: Vec<f64>,
+}
+
+impl Fit {
+    fn new(half: usize, period_s: f64, series: Series) -> Self {
+        let offsets = || (0..=2 * half).map(|at| at as f64 - half as f64);
+        let weights: Vec<f64> = match series {
+            Series::Velocities => {
+                let squares: f64 = offsets().map(|k| k * k).sum();
+                offsets().map(|k| k / (squares * period_s)).collect()
+            }
+            Series::Positions => {
+                let mean = offsets().map(|k| k * k).sum::<f64>() / (2 * half + 1) as f64;
+                let squares: f64 = offsets().map(|k| (k * k - mean).powi(2)).sum();
+                let scale = 2.0 / (squares * period_s * period_s);
+                offsets().map(|k| scale * (k * k - mean)).collect()
+            }
+        };
+        Self { half, weights }
+    }
+
+    /// What it makes of noise of unit deviation.
+    fn gain(&self) -> f64 {
+        self.weights.iter().map(|weight| weight * weight).sum::<f64>().sqrt()
+    }
+
+    /// The acceleration at `row`, which lies no nearer to an end than half a window.
+    fn at(&self, values: &[f64], row: usize) -> f64 {
+        let window = &values[row - self.half..=row + self.half];
+        window.iter().zip(&self.weights).map(|(value, weight)| value * weight).sum()
+    }
+
+    /// The largest change of acceleration from `row` over half a window before or after it.
+    fn jerk(&self, values: &[f64], row: usize, period_s: f64) -> f64 {
+        let here = self.at(values, row);
+        let beside = [row.checked_sub(self.half), Some(row + self.half)].into_iter().flatten();
+        let inside = beside.filter(|at| *at >= self.half && at + self.half < values.len());
+        let change = inside.map(|at| (self.at(values, at) - here).abs()).fold(0.0, f64::max);
+        change / (self.half as f64 * period_s)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RATE_HZ: f64 = 125.0;
+
+    /// Noise between ±1 that has no pattern; its deviation is 1/√3.
+    fn noise(row: usize) -> f64 {
+        let hash = (row as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        let hash = (hash ^ (hash >> 31)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        (hash >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+    }
+
+    fn times() -> Vec<f64> {
+        (0..1000).map(|row| row as f64 / RATE_HZ).collect()
+    }
+
+    /// At 1 rad/s for 4 s, then to rest at `acceleration`.
+    fn stop(t: f64, acceleration: f64) -> (f64, f64) {
+        let (end, length) = (4.0, 1.0 / acceleration);
+        match t - end {
+            past if past <= 0.0 => (t, 1.0),
+            past if past < length => {
+                (end + past - 0.5 * acceleration * past * past, 1.0 - acceleration * past)
+            }
+            _ => (end + 0.5 * length, 0.0),
+        }
+    }
+
+    #[test]
+    fn a_stop_is_found_in_positions_and_velocities() {
+        let t_s = times();
+        let (q, qd): (Vec<f64>, Vec<f64>) = t_s.iter().map(|&t| stop(t, 25.0)).unzip();
+        for (values, series) in [(q, Series::Positions), (qd, Series::Velocities)] {
+            let found = abruptness(&t_s, &values, series).expect("even samples");
+            assert!((found.acceleration - 25.0).abs() < 0.5, "{series:?}: {found:?}");
+            assert!((found.at_s - 4.02).abs() < 0.05 && found.jerk > 100.0, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn noise_does_not_feign_a_stop() {
+        let t_s = times();
+        for size in [1e-5, 1e-2] {
+            let at = |row: usize| (0.5 * t_s[row]).sin() + size * noise(row);
+            let q: Vec<f64> = (0..t_s.len()).map(at).collect();
+            let found = abruptness(&t_s, &q, Series::Positions).expect("even samples");
+            assert!(found.acceleration - found.noise < 0.5, "{size}: {found:?}");
+            // 1e-2/√3 rad at 125 Hz hide 20 rad/s² over 0.1 s, 1e-5/√3 do not.
+            assert_eq!(found.resolved < 20.0, size < 1e-4, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn values_that_are_sent_several_times_are_no_stops() {
+        let t_s: Vec<f64> = (0..4000).map(|row| row as f64 / 500.0).collect();
+        let at = |t: f64| ((t * RATE_HZ).floor() / RATE_HZ * 2.0).sin();
+        let qd: Vec<f64> = t_s.iter().map(|&t| at(t + 1e-6)).collect();
+        let found = abruptness(&t_s, &qd, Series::Velocities).expect("even samples");
+        assert!(found.acceleration < 2.1, "{found:?}");
+    }
+
+    #[test]
+    fn a_gap_is_no_stop_and_few_samples_tell_nothing() {
+        let mut t_s = times();
+        t_s[500..].iter_mut().for_each(|t| *t += 0.5);
+        let qd: Vec<f64> = t_s.iter().map(|&t| if t < 4.2 { 1.0 } else { 0.0 }).collect();
+        let found = abruptness(&t_s, &qd, Series::Velocities).expect("even samples");
+        assert!(found.acceleration < 1e-9, "{found:?}");
+        assert_eq!(abruptness(&t_s[..5], &qd[..5], Series::Velocities), None);
+        assert_eq!(abruptness(&[], &[], Series::Positions), None);
+    }
+
+    #[test]
+    fn positions_beyond_either_limit_are_timed() {
+        let t_s: Vec<f64> = (0..100).map(|row| row as f64 * 0.1).collect();
+        let q: Vec<f64> = t_s.iter().map(|t| 2.0 * (t - 5.0).clamp(-2.0, 1.0)).collect();
+        let limits = Limits { lower: Some(-3.5), upper: Some(1.9), velocity: None };
+        let found = beyond_positions(&t_s, &q, &limits).expect("both are exceeded");
+        assert_eq!((found.limit, found.value, found.at_s), (-3.5, -4.0, 0.0));
+        assert!((found.seconds - 3.3).abs() < 1e-9, "{found:?}");
+        let wide = Limits { lower: Some(-4.0), upper: None, velocity: None };
+        assert_eq!(beyond_positions(&t_s, &q, &wide), None);
+        assert_eq!(beyond_positions(&t_s, &[f64::NAN; 100], &limits), None);
+    }
+
+    #[test]
+    fn one_reading_of_speed_gone_wrong_is_no_excess() {
+        let t_s: Vec<f64> = (0..10).map(|row| row as f64 * 0.1).collect();
+        let limits = Limits { velocity: Some(2.0), ..Limits::default() };
+        let mut qd = vec![0.5; 10];
+        qd[4] = -9.0;
+        assert_eq!(beyond_speed(&t_s, &qd, &limits), None);
+        qd[5] = -2.2;
+        let found = beyond_speed(&t_s, &qd, &limits).expect("two in a row");
+        assert!((found.over() - 0.2).abs() < 1e-12 && found.at_s == t_s[4], "{found:?}");
+    }
+}

@@ -1,0 +1,234 @@
+//! Shake: what a path has above the frequencies of work, beside what noise has there.
+
+use std::f64::consts::TAU;
+
+use realfft::RealFftPlanner;
+
+use crate::geometry::Vec3;
+
+/// Shake of a path, where it is strongest for a second and a half.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Shake {
+    /// Its rms above [`FROM_HZ`], the noise floor taken off, m.
+    pub rms_m: f64,
+    /// Rms of the noise there: what all frequencies have alike, m.
+    pub noise_m: f64,
+    /// The least shake that stands out from that noise, m.
+    pub resolved_m: f64,
+    /// The frequency that is strongest, Hz.
+    pub frequency_hz: f64,
+    /// When it is, s.
+    pub at_s: f64,
+}
+
+/// Why a path does not tell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum NoShake {
+    /// So many samples a second are too few for what is above [`FROM_HZ`].
+    Slow(f64),
+    /// There is no second and a half of even samples.
+    Uneven,
+}
+
+/// Arms work below this frequency, Hz.
+pub const FROM_HZ: f64 = 10.0;
+/// Fewer samples a second leave next to nothing between [`FROM_HZ`] and half the rate.
+const SLOWEST_HZ: f64 = 25.0;
+/// Length of a window, s.
+const WINDOW_S: f64 = 1.0;
+/// About so many positions are looked at, in blocks all over the run.
+const ENOUGH: usize = 60_000;
+
+/// The shake of a path that is sampled at `t_s` and is at `position_m` of a row, m.
+///
+/// The run is cut into blocks of two windows of a second that overlap by half. Of each window a
+/// parabola is taken off, which is where the arm was going, and Hann's window put on; the power above
+/// [`FROM_HZ`] (Welch 1967) is that of shake and of noise. Noise has the same power at all
+/// frequencies, so that the median over frequencies is its, and what is beyond counts where it is
+/// beyond the chance of noise. Of the two windows of a block the less counts, as a single jerk is in
+/// one or in the middle of both.
+///
+/// # Errors
+/// Where the samples are too slow, or nowhere even.
+pub fn shake(t_s: &[f64], mut position_m: impl FnMut(usize) -> Vec3) -> Result<Shake, NoShake> {
+    let period_s = period(t_s).ok_or(NoShake::Uneven)?;
+    let rate_hz = 1.0 / period_s;
+    if rate_hz <= SLOWEST_HZ {
+        return Err(NoShake::Slow(rate_hz));
+    }
+    let length = (WINDOW_S * rate_hz).round() as usize;
+    let hop = length / 2;
+    let block = length + hop;
+    let starts = || (0..(t_s.len() + 1).saturating_sub(block)).step_by(length);
+    let stride = (starts().len() * block).div_ceil(ENOUGH).max(1);
+    let is_even = |start: usize| {
+        let steps = t_s[start..start + block].windows(2).map(|pair| (pair[1] - pair[0]) / period_s);
+        steps.fold(true, |even, step| even && (0.5..1.5).contains(&step))
+    };
+    let mut spectrum = Spectrum::new(length, rate_hz);
+    let mut strongest: Option<Shake> = None;
+    for start in starts().step_by(stride).filter(|&start| is_even(start)) {
+        let path: Vec<Vec3> = (start..start + block).map(&mut position_m).collect();
+        let first = spectrum.shake(&path[..length], t_s[start + hop]);
+        let second = spectrum.shake(&path[hop..], t_s[start + length]);
+        let least = if first.rms_m < second.rms_m { first } else { second };
+        if strongest.is_none_or(|strongest| least.rms_m > strongest.rms_m) {
+            strongest = Some(least);
+        }
+    }
+    strongest.ok_or(NoShake::Uneven)
+}
+
+/// The median time between samples, s.
+fn period(t_s: &[f64]) -> Option<f64> {
+    let mut steps: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let middle = steps.len().checked_sub(1)? / 2;
+    let period_s = *steps.select_nth_unstable_by(middle, f64::total_cmp).1;
+    (period_s > 0.0).then_some(period_s)
+}
+
+/// What the power of windows of one length is made with.
+struct Spectrum {
+    plan: std::sync::Arc<dyn realfft::RealToComplex<f64>>,
+    /// Hann's window, of unit mean square.
+    taper: Vec<f64>,
+    rate_hz: f64,
+}
+
+impl Spectrum {
+    fn new(length: usize, rate_hz: f64) -> Self {
+        let plan = RealFftPlanner::new().plan_fft_forward(length);
+        let hann = |at: usize| 0.5 * (1.0 - (TAU * at as f64 / length as f64).cos());
+        let unit = (8.0_f64 / 3.0).sqrt();
+        let taper = (0..length).map(|at| unit * hann(at)).collect();
+        Self { plan, taper, rate_hz }
+    }
+
+    /// The shake in a window of a path whose middle is at `at_s`.
+    fn shake(&mut self, path: &[Vec3], at_s: f64) -> Shake {
+        /// The median of the sum of three axes' powers in noise over its mean: χ² of six degrees.
+        const MEDIAN: f64 = 0.891;
+        /// Deviations of the noise's power that chance does not reach.
+        const SIGMAS: f64 = 6.0;
+        let length = path.len();
+        let mut power = vec![0.0; length / 2 + 1];
+        for axis in 0..3 {
+            let mut values: Vec<f64> = path.iter().map(|point| point[axis]).collect();
+            take_parabola_off(&mut values);
+            values.iter_mut().zip(&self.taper).for_each(|(value, taper)| *value *= taper);
+            let mut bins = self.plan.make_output_vec();
+            if self.plan.process(&mut values, &mut bins).is_err() {
+                return Shake::default();
+            }
+            // Both signs of a frequency, so that all powers sum to the mean square (Parseval).
+            let scale = 2.0 / (length as f64).powi(2);
+            power.iter_mut().zip(&bins).for_each(|(power, bin)| *power += scale * bin.norm_sqr());
+        }
+        let bin_hz = self.rate_hz / length as f64;
+        let from = (FROM_HZ / bin_hz).ceil() as usize;
+        // Without the last bin, which has no other sign.
+        let band = power.get(from..length.div_ceil(2)).unwrap_or_default();
+        let Some((strongest, _)) = band.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)) else {
+            return Shake::default();
+        };
+        let count = band.len() as f64;
+        let mut sorted = band.to_vec();
+        let middle = *sorted.select_nth_unstable_by(band.len() / 2, f64::total_cmp).1;
+        let floor = middle / MEDIAN;
+        let excess = band.iter().sum::<f64>() - count * floor;
+        // A power of six degrees of freedom deviates by 1/√3 of its mean, and neighbours share.
+        let by_chance = SIGMAS * floor * count.sqrt();
+        let is_shake = excess > by_chance && excess.is_finite();
+        Shake {
+            rms_m: if is_shake { excess.sqrt() } else { 0.0 },
+            noise_m: (count * floor).sqrt(),
+            resolved_m: by_chance.sqrt(),
+            frequency_hz: (from + strongest) as f64 * bin_hz,
+            at_s,
+        }
+    }
+}
+
+/// Takes off the parabola that fits best, by Legendre's polynomials, which are orthogonal.
+fn take_parabola_off(values: &mut [f64]) {
+    let middle = (values.len() as f64 - 1.0) / 2.0;
+    let count = values.len() as f64;
+    let at = |row: usize| row as f64 - middle;
+    let mean_square = (0..values.len()).map(|row| at(row).powi(2)).sum::<f64>() / count;
+    let shapes: [&dyn Fn(f64) -> f64; 3] = [&|_| 1.0, &|x| x, &|x| x * x - mean_square];
+    for shape in shapes {
+        let (mut along, mut own) = (0.0, 0.0);
+        for (row, value) in values.iter().enumerate() {
+            let shape = shape(at(row));
+            along += shape * value;
+            own += shape * shape;
+        }
+        if own > 0.0 {
+            let part = along / own;
+            values.iter_mut().enumerate().for_each(|(row, value)| *value -= part * shape(at(row)));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 10 s at a rate of half a metre of work and what else `beside` makes of time and row.
+    fn shaken(rate_hz: f64, beside: impl Fn(f64, usize) -> f64) -> Result<Shake, NoShake> {
+        let t_s: Vec<f64> =
+            (0..(10.0 * rate_hz) as usize).map(|row| row as f64 / rate_hz).collect();
+        let work = |t: f64| 0.5 * (0.8 * t).sin();
+        shake(&t_s, |row| Vec3::new(work(t_s[row]), beside(t_s[row], row), 0.3 * work(t_s[row])))
+    }
+
+    fn noise(row: usize) -> f64 {
+        let hash = (row as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        let hash = (hash ^ (hash >> 31)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        (hash >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+    }
+
+    #[test]
+    fn the_rms_and_the_frequency_of_a_tone_are_found_at_any_rate() {
+        for rate_hz in [60.0, 125.0, 500.0] {
+            let found = shaken(rate_hz, |t, _| 1e-3 * (TAU * 17.0 * t).sin()).expect("even");
+            assert!((found.rms_m - 1e-3 / 2f64.sqrt()).abs() < 3e-5, "{rate_hz}: {found:?}");
+            assert!((found.frequency_hz - 17.0).abs() < 1.1, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn noise_is_no_shake_and_does_not_hide_one() {
+        let white = |row: usize| 1e-3 * noise(row);
+        let found = shaken(125.0, |_, row| white(row)).expect("even");
+        assert!(found.rms_m < 2e-4, "{found:?}");
+        // Of the deviation of 1/√3 mm on one axis 52.5 of 62.5 Hz are in the band.
+        assert!(
+            (found.noise_m - 1e-3 * (52.5_f64 / 62.5 / 3.0).sqrt()).abs() < 1.5e-4,
+            "{found:?}"
+        );
+        let found = shaken(125.0, |t, row| white(row) + 2e-3 * (TAU * 14.0 * t).sin());
+        let found = found.expect("even");
+        assert!((found.rms_m - 2e-3 / 2f64.sqrt()).abs() < 2e-4, "{found:?}");
+    }
+
+    #[test]
+    fn work_and_slow_swing_are_no_shake() {
+        for swing_hz in [0.5, 3.0, 6.0] {
+            let found = shaken(125.0, |t, _| 5e-3 * (TAU * swing_hz * t).sin()).expect("even");
+            assert!(found.rms_m < 5e-5, "{swing_hz}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn slow_or_uneven_samples_do_not_tell() {
+        let slow = shaken(20.0, |_, _| 0.0);
+        let is_told = |rate_hz: f64| (rate_hz - 20.0).abs() < 1e-9;
+        assert!(matches!(slow, Err(NoShake::Slow(rate_hz)) if is_told(rate_hz)), "{slow:?}");
+        assert_eq!(shake(&[], |_| Vec3::zeros()), Err(NoShake::Uneven));
+        let ragged: Vec<f64> = (0..1000)
+            .map(|row| f64::from(row) * 0.01 + if row % 50 < 25 { 0.0 } else { 0.3 })
+            .collect();
+        assert_eq!(shake(&ragged, |_| Vec3::zeros()), Err(NoShake::Uneven));
+    }
+}

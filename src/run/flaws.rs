@@ -1,0 +1,447 @@
+//! What keeps the frames of a log from being a tree, as tf2 needs them.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use crate::stream::{Columns, PoseColumns};
+
+use super::Run;
+use super::role::{Place, Role};
+use super::streams::Stream;
+use super::tf_tree::{Edge, EdgeKind, TfError, without_slash};
+
+/// A flaw of the frames, and the topics that it is on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Flaw {
+    /// What it is.
+    pub kind: FlawKind,
+    /// The topics, each once.
+    pub topics: Vec<String>,
+}
+
+/// What is wrong with the frames.
+#[derive(Clone, Debug, PartialEq)]
+pub enum FlawKind {
+    /// A frame hangs below several others at once.
+    SeveralParents {
+        /// The frame.
+        child: String,
+        /// Those above it.
+        parents: Vec<String>,
+    },
+    /// Frames hang below each other in a ring: each below the next, the last below the first.
+    Cycle {
+        /// The frames.
+        frames: Vec<String>,
+    },
+    /// A transform of a static topic is published with several values.
+    StaticMoves {
+        /// The transform.
+        edge: Between,
+        /// By how much.
+        by: Apart,
+    },
+    /// Several publishers give a transform different values.
+    Conflict {
+        /// The transform.
+        edge: Between,
+        /// How far they are apart.
+        by: Apart,
+        /// How many samples are of another publisher than the samples beside them.
+        jumps: usize,
+        /// Samples.
+        rows: usize,
+    },
+    /// No transforms lead from a frame that a stream needs to the arm's base.
+    Pieces {
+        /// The topic that needs it.
+        needed_by: String,
+        /// The frame.
+        frame: String,
+        /// The arm's base.
+        base: String,
+    },
+}
+
+/// A parent and a child frame.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Between {
+    /// The frame that the transform is expressed in.
+    pub parent: String,
+    /// The frame whose pose it is.
+    pub child: String,
+}
+
+/// How far two poses are apart.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Apart {
+    /// Distance of the origins, m.
+    pub length_m: f64,
+    /// Angle between the orientations, rad.
+    pub angle_rad: f64,
+}
+
+impl Apart {
+    /// How far row `b` of some poses is from row `a` of others, whatever the norms and signs of the
+    /// quaternions; no angle where one is not set.
+    fn between(a: (&PoseColumns, usize), b: (&PoseColumns, usize)) -> Self {
+        let xyz = [a, b].map(|(poses, row)| poses.xyz[row]);
+        let [p, q] = [a, b].map(|(poses, row)| poses.q_xyzw[row]);
+        let dot = |p: [f64; 4], q: [f64; 4]| p.iter().zip(q).map(|(a, b)| a * b).sum::<f64>();
+        let sign = if dot(p, q) < 0.0 { -1.0 } else { 1.0 };
+        let [norm_p, norm_q] = [p, q].map(|q| dot(q, q).sqrt());
+        // The chord tells small angles that the cosine cannot (angle = 4 asin(chord / 2)).
+        let chord: f64 =
+            (0..4).map(|i| (p[i] / norm_p - sign * q[i] / norm_q).powi(2)).sum::<f64>().sqrt();
+        let angle_rad = 4.0 * (chord / 2.0).min(1.0).asin();
+        let squares: f64 = xyz[0].iter().zip(xyz[1]).map(|(a, b)| (a - b).powi(2)).sum();
+        let are_set = norm_p > 0.0 && norm_q > 0.0;
+        let angle_rad = if are_set { angle_rad } else { 0.0 };
+        Self { length_m: squares.sqrt(), angle_rad }
+    }
+
+    /// One number for comparisons: what it comes to at the end of a lever of a metre, m.
+    fn size(self) -> f64 {
+        self.length_m + self.angle_rad
+    }
+}
+
+/// Less than this is what rounding does, m at a metre.
+const ROUNDING: f64 = 1e-4;
+
+/// A transform of a TF topic.
+struct Piece<'a> {
+    topic: &'a str,
+    is_static: bool,
+    poses: &'a PoseColumns,
+}
+
+impl Piece<'_> {
+    fn between(&self) -> Between {
+        Between { parent: self.parent().to_owned(), child: self.child().to_owned() }
+    }
+
+    fn parent(&self) -> &str {
+        without_slash(&self.poses.frame_id)
+    }
+
+    fn child(&self) -> &str {
+        without_slash(&self.poses.child_frame_id)
+    }
+}
+
+/// The flaws of the transforms themselves, namespace by namespace: robots that have TF topics of their
+/// own may use the same names.
+pub(super) fn flaws(streams: &[Stream]) -> Vec<Flaw> {
+    let mut spaces: BTreeMap<&str, Vec<Piece<'_>>> = BTreeMap::new();
+    for stream in streams {
+        let Some(Columns::Transforms(transforms)) = &stream.columns else { continue };
+        let space = stream.topic.rsplit_once('/').map_or("", |(space, _)| space);
+        let is_static = stream.role == Role::TfStatic;
+        let filled = transforms.iter().filter(|poses| !poses.times.is_empty());
+        let pieces = filled.map(|poses| Piece { topic: &stream.topic, is_static, poses });
+        spaces.entry(space).or_default().extend(pieces);
+    }
+    spaces.values().flat_map(|pieces| flaws_of(pieces)).collect()
+}
+
+fn flaws_of(pieces: &[Piece<'_>]) -> Vec<Flaw> {
+    let mut flaws = several_parents(pieces);
+    flaws.extend(cycles(pieces));
+    flaws.extend(pieces.iter().filter(|piece| piece.is_static).filter_map(moving));
+    flaws.extend(conflicts(pieces));
+    flaws
+}
+
+fn topics<'a, 'b: 'a>(pieces: impl Iterator<Item = &'a Piece<'b>>) -> Vec<String> {
+    pieces
+        .map(|piece| piece.topic)
+        .collect::<BTreeSet<_>>()
+        .into_iter()
+        .map(str::to_owned)
+        .collect()
+}
+
+fn several_parents(pieces: &[Piece<'_>]) -> Vec<Flaw> {
+    let mut by_child: BTreeMap<&str, Vec<&Piece<'_>>> = BTreeMap::new();
+    for piece in pieces {
+        by_child.entry(piece.child()).or_default().push(piece);
+    }
+    let flaw = |(child, pieces): (&str, Vec<&Piece<'_>>)| {
+        let rivals: Vec<&Piece<'_>> = pieces
+            .iter()
+            .filter(|a| pieces.iter().any(|b| a.parent() != b.parent() && are_at_once(a, b)))
+            .copied()
+            .collect();
+        let parents: BTreeSet<&str> = rivals.iter().map(|piece| piece.parent()).collect();
+        (!rivals.is_empty()).then(|| Flaw {
+            kind: FlawKind::SeveralParents {
+                child: child.to_owned(),
+                parents: parents.into_iter().map(str::to_owned).collect(),
+            },
+            topics: topics(rivals.into_iter()),
+        })
+    };
+    by_child.into_iter().filter_map(flaw).collect()
+}
+
+/// Whether two transforms are published at the same time, and not first one and then the other, as of
+/// what is picked up and put down.
+fn are_at_once(a: &Piece<'_>, b: &Piece<'_>) -> bool {
+    /// Turns that picking and placing takes now and then.
+    const FEW: usize = 4;
+    if a.is_static || b.is_static {
+        return true;
+    }
+    let (a, b) = (&a.poses.times.log, &b.poses.times.log);
+    let (mut next, mut turns) = (0, 0);
+    for at in a {
+        let from = next;
+        while b.get(next).is_some_and(|other| other <= at) {
+            next += 1;
+        }
+        turns += usize::from(next > from);
+    }
+    turns >= FEW && 4 * turns >= a.len().min(b.len())
+}
+
+/// The rings of frames, each once, from the frame that was named first on.
+fn cycles(pieces: &[Piece<'_>]) -> Vec<Flaw> {
+    let mut parent_of: BTreeMap<&str, &Piece<'_>> = BTreeMap::new();
+    for piece in pieces {
+        parent_of.entry(piece.child()).or_insert(piece);
+    }
+    let mut done: BTreeSet<&str> = BTreeSet::new();
+    let mut found = Vec::new();
+    for start in pieces.iter().map(Piece::child) {
+        let mut trail: Vec<&str> = Vec::new();
+        let mut frame = start;
+        while !done.contains(frame) && !trail.contains(&frame) {
+            trail.push(frame);
+            let Some(piece) = parent_of.get(frame) else { break };
+            frame = piece.parent();
+        }
+        if let Some(first) = trail.iter().position(|seen| *seen == frame)
+            && let Some(ring) = trail.get(first..).filter(|_| parent_of.contains_key(frame))
+        {
+            let of_ring = ring.iter().filter_map(|frame| parent_of.get(frame).copied());
+            let frames = ring.iter().map(|&frame| frame.to_owned()).collect();
+            found.push(Flaw { kind: FlawKind::Cycle { frames }, topics: topics(of_ring) });
+        }
+        done.extend(trail);
+    }
+    found
+}
+
+/// Whether a static transform is published with several values.
+fn moving(piece: &Piece<'_>) -> Option<Flaw> {
+    let poses = piece.poses;
+    let apart = (1..poses.times.len()).map(|row| Apart::between((poses, 0), (poses, row)));
+    let by = apart.max_by(|a, b| a.size().total_cmp(&b.size()))?;
+    (by.size() > ROUNDING).then(|| Flaw {
+        kind: FlawKind::StaticMoves { edge: piece.between(), by },
+        topics: vec![piece.topic.to_owned()],
+    })
+}
+
+/// The transforms that several publishers give different values.
+fn conflicts(pieces: &[Piece<'_>]) -> Vec<Flaw> {
+    let mut found = Vec::new();
+    for piece in pieces.iter().filter(|piece| !piece.is_static) {
+        found.extend(alternates(piece));
+        let fixed = pieces.iter().filter(|other| other.is_static);
+        let same = fixed.filter(|other| other.between() == piece.between());
+        found.extend(same.filter_map(|other| overrules(other, piece)));
+    }
+    found
+}
+
+/// Whether a transform over time is elsewhere than its static one says.
+fn overrules(fixed: &Piece<'_>, piece: &Piece<'_>) -> Option<Flaw> {
+    let rows = piece.poses.times.len();
+    let apart = (0..rows).map(|row| Apart::between((fixed.poses, 0), (piece.poses, row)));
+    let by = apart.max_by(|a, b| a.size().total_cmp(&b.size()))?;
+    (by.size() > ROUNDING).then(|| Flaw {
+        kind: FlawKind::Conflict { edge: piece.between(), by, jumps: rows, rows },
+        topics: topics([fixed, piece].into_iter()),
+    })
+}
+
+/// Whether the samples of a transform jump there and back: each of the one publisher is far from those
+/// beside it, which agree with one another.
+fn alternates(piece: &Piece<'_>) -> Option<Flaw> {
+    /// A jump is larger than this, m at a metre.
+    const JUMP: f64 = 1e-3;
+    /// The samples beside one agree where they are less than this share of the jump apart.
+    const AGREE: f64 = 0.02;
+    /// From this share of jumps on, and this many, it is no stray sample.
+    const SHARE: f64 = 0.1;
+    const FEW: usize = 5;
+    let poses = piece.poses;
+    let rows = poses.times.len();
+    let apart = |a: usize, b: usize| Apart::between((poses, a), (poses, b));
+    let (mut jumps, mut largest) = (0, Apart::default());
+    let mut before = (rows > 1).then(|| apart(0, 1)).unwrap_or_default();
+    for row in 1..rows.saturating_sub(1) {
+        let after = apart(row, row + 1);
+        let least = before.size().min(after.size());
+        if least > JUMP && apart(row - 1, row + 1).size() < AGREE * least {
+            jumps += 1;
+            largest = if before.size() > largest.size() { before } else { largest };
+        }
+        before = after;
+    }
+    (jumps >= FEW && jumps as f64 > SHARE * rows as f64).then(|| Flaw {
+        kind: FlawKind::Conflict { edge: piece.between(), by: largest, jumps, rows },
+        topics: vec![piece.topic.to_owned()],
+    })
+}
+
+impl Run {
+    /// Where the frames fall into pieces that an audited stream needs together: the frame that it names
+    /// and the arm's base are both in transforms of the log, the frame is neither of the robot nor tied
+    /// to it, and no way leads from the one to the other.
+    pub fn pieces(&self) -> Vec<Flaw> {
+        let of_streams = self.streams.iter().filter_map(|stream| {
+            let is_audited = matches!(stream.role, Role::Pose | Role::Imu);
+            let arm = self.arms.get(stream.arm.filter(|_| is_audited)?)?;
+            let (place, _) = arm.place(&self.tf, &stream.frame_id);
+            let base = arm.frame_of(arm.base);
+            let is_loose = place == Place::Unknown;
+            is_loose.then(|| self.apart(&stream.topic, &stream.frame_id, &base)).flatten()
+        });
+        of_streams.collect()
+    }
+
+    fn apart(&self, needed_by: &str, frame: &str, base: &str) -> Option<Flaw> {
+        let is_logged = |frame: &str| {
+            let mut logged = self.tf.edges().iter().filter(|edge| !self.is_stream(edge));
+            logged.any(|edge| <[&str; 2]>::from(self.tf.names(edge)).contains(&frame))
+        };
+        let has_no_way = || {
+            let path = self.tf.path(base, frame, |_| true);
+            matches!(path, Err(TfError::NotConnected { .. }))
+        };
+        let are_apart = is_logged(frame) && is_logged(base) && has_no_way();
+        let is_tf = |stream: &&Stream| matches!(stream.role, Role::Tf | Role::TfStatic);
+        are_apart.then(|| Flaw {
+            kind: FlawKind::Pieces {
+                needed_by: needed_by.to_owned(),
+                frame: frame.to_owned(),
+                base: base.to_owned(),
+            },
+            topics: self.streams.iter().filter(is_tf).map(|stream| stream.topic.clone()).collect(),
+        })
+    }
+
+    /// Whether a transform is not the log's, or is itself a stream of measured poses.
+    fn is_stream(&self, edge: &Edge) -> bool {
+        let names = self.tf.names(edge);
+        edge.kind == EdgeKind::Model
+            || self.streams.iter().any(|stream| {
+                matches!(stream.columns, Some(Columns::Poses(_)))
+                    && (stream.frame_id.as_str(), stream.child_frame_id.as_str()) == names
+            })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A transform at 10 Hz for 4 s from `from_s` on, along x by what `x_m` says of each row.
+    fn poses(parent: &str, child: &str, from_s: i64, x_m: impl Fn(usize) -> f64) -> PoseColumns {
+        let mut poses = PoseColumns {
+            frame_id: parent.to_owned(),
+            child_frame_id: child.to_owned(),
+            ..PoseColumns::default()
+        };
+        for row in 0..40 {
+            let at = from_s * 1_000_000_000 + row as i64 * 100_000_000;
+            poses.times.push(at, at, at);
+            poses.xyz.push([x_m(row), 0.0, 0.0]);
+            poses.q_xyzw.push([0.0, 0.0, 0.0, 1.0]);
+        }
+        poses
+    }
+
+    fn dynamic(poses: &PoseColumns) -> Piece<'_> {
+        Piece { topic: "/tf", is_static: false, poses }
+    }
+
+    fn fixed(poses: &PoseColumns) -> Piece<'_> {
+        Piece { topic: "/tf_static", is_static: true, poses }
+    }
+
+    #[test]
+    fn a_frame_below_two_at_once_has_two_parents() {
+        let (a, b) = (poses("a", "c", 0, |_| 0.0), poses("b", "c", 0, |_| 0.0));
+        let found = flaws_of(&[dynamic(&a), dynamic(&b)]);
+        let [Flaw { kind: FlawKind::SeveralParents { child, parents }, .. }] = found.as_slice()
+        else {
+            panic!("{found:?}")
+        };
+        assert_eq!((child.as_str(), parents.as_slice()), ("c", &["a".into(), "b".into()][..]));
+        // What is put down here and picked up there hangs below one at a time.
+        let later = poses("b", "c", 5, |_| 0.0);
+        assert_eq!(flaws_of(&[dynamic(&a), dynamic(&later)]), []);
+    }
+
+    #[test]
+    fn a_ring_is_found_once_and_with_what_hangs_below_it_left_out() {
+        let edges = [["b", "a"], ["c", "b"], ["a", "c"], ["a", "d"]];
+        let all = edges.map(|[parent, child]| poses(parent, child, 0, |_| 0.0));
+        let found = flaws_of(&all.each_ref().map(dynamic));
+        let [Flaw { kind: FlawKind::Cycle { frames }, .. }] = found.as_slice() else {
+            panic!("{found:?}")
+        };
+        assert_eq!(frames, &["a", "b", "c"]);
+        let itself = poses("a", "a", 0, |_| 0.0);
+        assert_eq!(flaws_of(&[dynamic(&itself)]).len(), 1);
+        assert_eq!(flaws_of(&[dynamic(&all[0]), dynamic(&all[1])]), []);
+    }
+
+    #[test]
+    fn a_static_transform_that_says_two_things_moves() {
+        let still = poses("a", "b", 0, |_| 0.3);
+        assert_eq!(flaws_of(&[fixed(&still)]), []);
+        let moved = poses("a", "b", 0, |row| if row < 20 { 0.3 } else { 0.31 });
+        let found = flaws_of(&[fixed(&moved)]);
+        let [Flaw { kind: FlawKind::StaticMoves { by, .. }, .. }] = found.as_slice() else {
+            panic!("{found:?}")
+        };
+        assert!((by.length_m - 0.01).abs() < 1e-12 && by.angle_rad < 1e-12, "{by:?}");
+    }
+
+    #[test]
+    fn two_publishers_of_unlike_rates_alternate_and_one_that_moves_does_not() {
+        let moves = poses("a", "b", 0, |row| 0.1 * (row as f64 * 0.3).sin());
+        assert_eq!(flaws_of(&[dynamic(&moves)]), []);
+        for every in [2, 5] {
+            let two = poses("a", "b", 0, |row| if row % every == 1 { 0.05 } else { 0.0 });
+            let found = flaws_of(&[dynamic(&two)]);
+            let [Flaw { kind: FlawKind::Conflict { by, .. }, .. }] = found.as_slice() else {
+                panic!("{found:?}")
+            };
+            assert!((by.length_m - 0.05).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn a_transform_on_both_topics_must_be_the_same_on_both() {
+        let (here, there) = (poses("a", "b", 0, |_| 0.3), poses("a", "b", 0, |_| 0.4));
+        assert_eq!(flaws_of(&[fixed(&here), dynamic(&here)]), []);
+        for pieces in [[fixed(&here), dynamic(&there)], [dynamic(&there), fixed(&here)]] {
+            assert_eq!(flaws_of(&pieces).len(), 1);
+        }
+    }
+
+    #[test]
+    fn a_quaternion_and_its_negative_are_not_apart() {
+        let mut poses = poses("a", "b", 0, |_| 0.0);
+        poses.q_xyzw[1] = [0.0, 0.0, 0.0, -1.0];
+        poses.q_xyzw[2] = [0.0, 0.0, (0.5e-3_f64).sin(), (0.5e-3_f64).cos()];
+        poses.q_xyzw[3] = [0.0; 4];
+        let angle = |row| Apart::between((&poses, 0), (&poses, row)).angle_rad;
+        assert!(angle(1) < 1e-12 && (angle(2) - 1e-3).abs() < 1e-9 && angle(3) == 0.0);
+    }
+}

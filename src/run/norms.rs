@@ -1,0 +1,176 @@
+//! How far logged rotations are from being rotations: quaternions from unit norm, matrices from
+//! orthonormality. Of all rows, as nothing but their own numbers is needed.
+
+use crate::stream::{ArrayColumns, Columns, ImuColumns, PoseColumns};
+use crate::time::Stamp;
+
+use super::poses::Layout;
+use super::streams::{Stream, Timing};
+
+/// A quaternion shorter than this is one that nobody set.
+const UNSET: f64 = 1e-6;
+
+/// What the rotations of a stream are written as.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Written {
+    /// Four numbers; the defect is `| |q| − 1 |`.
+    Quaternion,
+    /// Nine numbers; the defect is `max |RᵀR − I|`.
+    Matrix,
+}
+
+/// How far the rotations of a stream, or of one transform of it, are from being rotations.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Norms {
+    /// Index of the stream.
+    pub stream: usize,
+    /// The child frame of the transform.
+    pub frame: Option<String>,
+    /// What the rotations are written as.
+    pub written: Written,
+    /// Rotations that were set.
+    pub rows: usize,
+    /// Quaternions of all zeros, which say nothing.
+    pub unset: usize,
+    /// The largest defect.
+    pub largest: f64,
+    /// The defect that half of the rotations exceed.
+    pub median: f64,
+    /// The stamp of the largest defect, where that row has one.
+    pub at: Option<Stamp>,
+}
+
+/// The norms of every stream that holds quaternions, and of bare arrays that may.
+pub(super) fn norms(streams: &[Stream], timing: &Timing) -> Vec<Norms> {
+    let mut found = Vec::new();
+    for (index, stream) in streams.iter().enumerate() {
+        for (piece, (frame, written, defects)) in pieces(stream).into_iter().enumerate() {
+            let at = |row| timing.clock(index, piece)?.stamp_of(stream.times().get(piece)?, row);
+            found.extend(Norms::of(index, frame, written, defects, at));
+        }
+    }
+    found
+}
+
+/// The defect of each row, NaN where no rotation was set.
+type Defects = Vec<f64>;
+
+/// The pieces of a stream, each with its child frame.
+fn pieces(stream: &Stream) -> Vec<(Option<String>, Written, Defects)> {
+    use Written::{Matrix, Quaternion};
+    match &stream.columns {
+        Some(Columns::Poses(poses) | Columns::Transforms(poses)) => {
+            let named = |poses: &PoseColumns| {
+                (!poses.child_frame_id.is_empty()).then(|| poses.child_frame_id.clone())
+            };
+            let of = |poses| (named(poses), Quaternion, of_quaternions(&poses.q_xyzw));
+            poses.iter().map(of).collect()
+        }
+        Some(Columns::Imu(imu)) => {
+            let ImuColumns { q_xyzw, has_orientation, .. } = imu;
+            let said = has_orientation.then(|| (None, Quaternion, of_quaternions(q_xyzw)));
+            said.into_iter().collect()
+        }
+        Some(Columns::Array(array)) if array.width == 7 => {
+            let row = |row| &array.row(row)[3..];
+            let of_row = |at| norm_defect(row(at).iter().map(|number| number * number).sum());
+            vec![(None, Quaternion, (0..array.times.len()).map(of_row).collect())]
+        }
+        Some(Columns::Array(array)) => {
+            of_matrices(array).into_iter().map(|defects| (None, Matrix, defects)).collect()
+        }
+        _ => Vec::new(),
+    }
+}
+
+fn of_quaternions(q_xyzw: &[[f64; 4]]) -> Defects {
+    let square = |q: &[f64; 4]| q.iter().map(|number| number * number).sum();
+    q_xyzw.iter().map(|q| norm_defect(square(q))).collect()
+}
+
+fn norm_defect(square: f64) -> f64 {
+    let norm = square.sqrt();
+    if norm < UNSET { f64::NAN } else { (norm - 1.0).abs() }
+}
+
+/// The defects of matrices, where the array holds such.
+fn of_matrices(array: &ArrayColumns) -> Option<Defects> {
+    let layout = [12, 16].contains(&array.width).then(|| Layout::of(array)).flatten()?;
+    Some((0..array.times.len()).map(|row| orthonormality(layout.split(array.row(row)).1)).collect())
+}
+
+/// `max |RᵀR − I|` of a matrix given by its rows.
+fn orthonormality(rows: [[f64; 3]; 3]) -> f64 {
+    let mut largest = 0.0_f64;
+    for a in 0..3 {
+        for b in a..3 {
+            let product: f64 = rows.iter().map(|row| row[a] * row[b]).sum();
+            largest = largest.max((product - if a == b { 1.0 } else { 0.0 }).abs());
+        }
+    }
+    largest
+}
+
+impl Norms {
+    /// `None` where there is no row.
+    fn of(
+        stream: usize,
+        frame: Option<String>,
+        written: Written,
+        mut defects: Defects,
+        at: impl Fn(usize) -> Option<Stamp>,
+    ) -> Option<Self> {
+        let all = defects.len();
+        let by_size = |a: &(usize, &f64), b: &(usize, &f64)| a.1.total_cmp(b.1);
+        let finite = defects.iter().enumerate().filter(|(_, defect)| defect.is_finite());
+        let worst = finite.max_by(by_size).map(|(row, defect)| (row, *defect));
+        defects.retain(|defect| defect.is_finite());
+        let rows = defects.len();
+        let median = match rows {
+            0 => 0.0,
+            _ => *defects.select_nth_unstable_by(rows / 2, f64::total_cmp).1,
+        };
+        let (row, largest) = worst.unwrap_or_default();
+        let at = at(row);
+        let norms = Self { stream, frame, written, rows, unset: all - rows, largest, median, at };
+        (all > 0).then_some(norms)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(q_xyzw: &[[f64; 4]]) -> Norms {
+        let at = |row| Some(Stamp::from_nanos(row as i64));
+        let defects = of_quaternions(q_xyzw);
+        Norms::of(0, None, Written::Quaternion, defects, at).expect("there are rows")
+    }
+
+    #[test]
+    fn the_largest_defect_has_its_time_and_unset_ones_do_not_count() {
+        let unit = [0.6, 0.0, 0.0, 0.8];
+        let norms = of(&[unit, [0.0; 4], unit.map(|c| 0.97 * c), unit.map(|c| -c)]);
+        assert!((norms.largest - 0.03).abs() < 1e-12 && norms.median < 1e-12, "{norms:?}");
+        assert_eq!((norms.rows, norms.unset), (3, 1));
+        assert_eq!(norms.at, Some(Stamp::from_nanos(2)));
+        assert_eq!(of(&[[0.0; 4]]).rows, 0);
+    }
+
+    #[test]
+    fn a_lerp_between_two_quaternions_is_short_by_the_cosine() {
+        // Half way between rotations by 0° and 60°: the chord of an arc of 30° in quaternion space.
+        let [a, b] = [0.0_f64, 30.0].map(|half| half.to_radians());
+        let middle = [(a.sin() + b.sin()) / 2.0, 0.0, 0.0, (a.cos() + b.cos()) / 2.0];
+        let expected = 1.0 - 15.0_f64.to_radians().cos();
+        assert!((of(&[middle]).largest - expected).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_lerp_between_two_matrices_is_not_orthonormal() {
+        // Half way between rotations by 0° and 90° about z the columns are 1/√2 long.
+        let rows = [[0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [0.0, 0.0, 1.0]];
+        assert!((orthonormality(rows) - 0.5).abs() < 1e-15);
+        assert_eq!(orthonormality([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), 0.0);
+    }
+}
