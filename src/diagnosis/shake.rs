@@ -62,8 +62,9 @@ pub fn shake(t_s: &[f64], mut position_m: impl FnMut(usize) -> Vec3) -> Result<S
     let starts = || (0..(t_s.len() + 1).saturating_sub(block)).step_by(length);
     let stride = (starts().len() * block).div_ceil(ENOUGH).max(1);
     let is_even = |start: usize| {
-        let steps = t_s[start..start + block].windows(2).map(|pair| (pair[1] - pair[0]) / period_s);
-        steps.fold(true, |even, step| even && (0.5..1.5).contains(&step))
+        let mut steps =
+            t_s[start..start + block].windows(2).map(|pair| (pair[1] - pair[0]) / period_s);
+        steps.all(|step| (0.5..1.5).contains(&step))
     };
     let mut spectrum = Spectrum::new(length, rate_hz);
     let mut strongest: Option<Shake> = None;

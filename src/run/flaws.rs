@@ -280,7 +280,7 @@ fn alternates(piece: &Piece<'_>) -> Option<Flaw> {
     let rows = poses.times.len();
     let apart = |a: usize, b: usize| Apart::between((poses, a), (poses, b));
     let (mut jumps, mut largest) = (0, Apart::default());
-    let mut before = (rows > 1).then(|| apart(0, 1)).unwrap_or_default();
+    let mut before = if rows > 1 { apart(0, 1) } else { Default::default() };
     for row in 1..rows.saturating_sub(1) {
         let after = apart(row, row + 1);
         let least = before.size().min(after.size());

@@ -1,6 +1,6 @@
 //! TIM: clocks and stamps.
 
-use poseaudit::finding::{CheckRow, Finding, Severity, Status};
+use poseaudit::finding::{Finding, Severity, Status};
 use poseaudit::report::{Report, Verdict};
 use poseaudit::synth::{IMU, Motion, POSE, Scenario, TF};
 

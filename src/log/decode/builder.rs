@@ -393,9 +393,8 @@ impl Poses {
             group.frame_id == frame_id && group.child_frame_id == child_frame_id
         };
         let next = self.next.get(self.last).copied().unwrap_or(self.last);
-        let likely = [next, self.last].into_iter();
-        if let Some(group) = likely.filter(|&group| self.groups.get(group).is_some_and(same)).next()
-        {
+        let mut likely = [next, self.last].into_iter();
+        if let Some(group) = likely.find(|&group| self.groups.get(group).is_some_and(same)) {
             return Some(group);
         }
         self.key.clear();

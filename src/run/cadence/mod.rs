@@ -140,8 +140,7 @@ pub(super) fn rhythms(
         Some(((rhythm, bounds), numbers))
     };
     let found: Vec<_> = streams.par_iter().enumerate().filter_map(rhythm).collect();
-    let (mut rhythms, counted): (Vec<(Rhythm, Option<Bounds>)>, Vec<Vec<u32>>) =
-        found.into_iter().unzip();
+    let (mut rhythms, counted): (Vec<_>, Vec<_>) = found.into_iter().unzip();
     let bounds: Vec<Option<Bounds>> = rhythms.iter().map(|(_, bounds)| *bounds).collect();
     for (index, (rhythm, _)) in rhythms.iter_mut().enumerate() {
         rhythm.extent = extent(&bounds, index, &motion);

@@ -9,9 +9,11 @@ use crate::time::Stamp;
 
 /// When the joints were where.
 pub(super) struct Motion<'a> {
-    /// Stamps and positions of each joint.
-    pub joints: Vec<(Arc<[Stamp]>, Cow<'a, [f64]>)>,
+    pub joints: Vec<Positions<'a>>,
 }
+
+/// Stamps and positions of one joint.
+pub(super) type Positions<'a> = (Arc<[Stamp]>, Cow<'a, [f64]>);
 
 impl<'a> Motion<'a> {
     /// Of the joints of the arms, or where there is no arm of all joints.
