@@ -75,7 +75,7 @@ pub enum Series {
 pub struct Abruptness {
     /// The acceleration that most surely is the largest: the one with the greatest lower bound, rad/s².
     pub acceleration: f64,
-    /// What noise alone could hardly make of it, rad/s²: [`SIGMAS`] standard deviations.
+    /// What noise alone could hardly make of it, rad/s²: `SIGMAS` standard deviations.
     pub noise: f64,
     /// The time over which it was fitted, s.
     pub window_s: f64,
@@ -83,7 +83,7 @@ pub struct Abruptness {
     pub at_s: f64,
     /// The change of the acceleration there over half that time, rad/s³.
     pub jerk: f64,
-    /// The least acceleration that a stop within [`BRIEF_S`] would show through the noise, rad/s²;
+    /// The least acceleration that a stop within `BRIEF_S` would show through the noise, rad/s²;
     /// infinite where samples are too far apart.
     pub resolved: f64,
 }

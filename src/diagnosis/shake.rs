@@ -9,7 +9,7 @@ use crate::geometry::Vec3;
 /// Shake of a path, where it is strongest for a second and a half.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Shake {
-    /// Its rms above [`FROM_HZ`], the noise floor taken off, m.
+    /// Its rms above `FROM_HZ`, the noise floor taken off, m.
     pub rms_m: f64,
     /// Rms of the noise there: what all frequencies have alike, m.
     pub noise_m: f64,
@@ -24,7 +24,7 @@ pub struct Shake {
 /// Why a path does not tell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum NoShake {
-    /// So many samples a second are too few for what is above [`FROM_HZ`].
+    /// So many samples a second are too few for what is above `FROM_HZ`.
     Slow(f64),
     /// There is no second and a half of even samples.
     Uneven,
@@ -32,7 +32,7 @@ pub enum NoShake {
 
 /// Arms work below this frequency, Hz.
 pub const FROM_HZ: f64 = 10.0;
-/// Fewer samples a second leave next to nothing between [`FROM_HZ`] and half the rate.
+/// Fewer samples a second leave next to nothing between `FROM_HZ` and half the rate.
 const SLOWEST_HZ: f64 = 25.0;
 /// Length of a window, s.
 const WINDOW_S: f64 = 1.0;
@@ -43,7 +43,7 @@ const ENOUGH: usize = 60_000;
 ///
 /// The run is cut into blocks of two windows of a second that overlap by half. Of each window a
 /// parabola is taken off, which is where the arm was going, and Hann's window put on; the power above
-/// [`FROM_HZ`] (Welch 1967) is that of shake and of noise. Noise has the same power at all
+/// `FROM_HZ` (Welch 1967) is that of shake and of noise. Noise has the same power at all
 /// frequencies, so that the median over frequencies is its, and what is beyond counts where it is
 /// beyond the chance of noise. Of the two windows of a block the less counts, as a single jerk is in
 /// one or in the middle of both.
