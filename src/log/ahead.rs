@@ -12,7 +12,8 @@ use std::thread::{self, Scope};
 
 use super::unpack::{Packed, UnpackedChunk, Unpacker};
 
-/// Most bytes of chunks that wait to be read, unpacked.
+/// Bytes of chunks that wait to be read, unpacked, beyond which no other is handed in; and the most
+/// that one of them has.
 const MOST_BYTES: u64 = 24 << 20;
 
 /// How far beyond what is being read chunks are looked for, in bytes: a file may have none.

@@ -253,6 +253,7 @@ impl<'a> Reader<'a, '_, '_> {
             };
             if let Some(packed) = chunk.and_then(|chunk| chunk.packed())
                 && self.use_of(&frame, &packed) == Use::All
+                && self.intake.allowance.admit(&packed).is_ok()
             {
                 self.ahead.unpack(offset, packed);
             }

@@ -178,6 +178,7 @@ impl<'a> Reader<'a, '_, '_> {
             if let Some(packed) = chunk.and_then(|chunk| chunk.packed())
                 && packed.compression != Compression::None
                 && !self.is_ignored(&record)
+                && self.intake.allowance.admit(&packed).is_ok()
             {
                 self.ahead.unpack(offset, packed);
             }

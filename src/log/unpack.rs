@@ -122,7 +122,7 @@ impl Allowance {
     }
 
     /// Whether `packed` may be unpacked.
-    fn admit(&self, packed: &Packed<'_>) -> Result<(), UnpackError> {
+    pub(super) fn admit(&self, packed: &Packed<'_>) -> Result<(), UnpackError> {
         let (size, limit) = (packed.size, MAX_CHUNK_BYTES);
         match packed.compression {
             Compression::None => Ok(()),
