@@ -498,8 +498,7 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         };
         (facts, diagnosis)
     });
-    let samples: Vec<JointSamples> =
-        arm.joint_facts.par_iter().map(|joint| run.joint_samples(joint)).collect();
+    let samples = run.joint_samples(&arm.joint_facts);
     let joints: Vec<usize> = (0..arm.joint_names.len()).collect();
     let joints = joints.par_iter().map(|&joint| joint_facts(arm, joint, &samples[joint])).collect();
     let mut shakes = vec![ShakeFacts {
@@ -539,14 +538,14 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
 
 /// The shake of the tip by the joint states as they are, or where the joints do not share their stamps
 /// by the track that they were brought to.
-fn shake_of_joints(arm: &Arm, samples: &[JointSamples]) -> Result<Shake, NoShake> {
+fn shake_of_joints(arm: &Arm, samples: &[JointSamples<'_>]) -> Result<Shake, NoShake> {
     let mut q = vec![0.0; arm.columns.len()];
     let mut tip = |position: &dyn Fn(usize) -> f64| {
         q.iter_mut().zip(&arm.columns).for_each(|(q, &column)| *q = position(column));
         arm.chain.forward(&q).translation.vector
     };
     match samples.first() {
-        Some(first) if samples.iter().all(|other| other.t_s == first.t_s) => {
+        Some(first) if samples.iter().all(|other| other.is_beside(first)) => {
             shake(&first.t_s, |row| tip(&|column| samples[column].position[row]))
         }
         _ => shake(&arm.joints.t_s, |row| tip(&|column| arm.joints.row(row)[column])),
@@ -554,7 +553,7 @@ fn shake_of_joints(arm: &Arm, samples: &[JointSamples]) -> Result<Shake, NoShake
 }
 
 /// A joint, and what it does by all of its samples.
-fn joint_facts(arm: &Arm, joint: usize, samples: &JointSamples) -> JointFacts {
+fn joint_facts(arm: &Arm, joint: usize, samples: &JointSamples<'_>) -> JointFacts {
     let name = arm.joint_names[joint].clone();
     let model = arm.robot.joint(&name);
     let limits = model.map(|joint| joint.limits).unwrap_or_default();

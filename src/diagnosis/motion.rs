@@ -1,6 +1,8 @@
 //! What a joint's motion comes to, from its samples alone: how far it is beyond its limits, and how
 //! abruptly it changes its speed.
 
+use std::borrow::Cow;
+
 use crate::robot::Limits;
 
 /// How far a joint is beyond a limit.
@@ -26,10 +28,9 @@ impl Excess {
 /// The positions of a joint beyond its limits; the lower limit or the upper, whichever is exceeded by
 /// more. Values that are not finite are passed over.
 pub fn beyond_positions(t_s: &[f64], q: &[f64], limits: &Limits) -> Option<Excess> {
-    let above = limits.upper.and_then(|upper| beyond(t_s, q, upper));
+    let above = limits.upper.and_then(|upper| beyond(t_s, q.iter().copied(), upper));
     let below = limits.lower.and_then(|lower| {
-        let mirrored: Vec<f64> = q.iter().map(|q| -q).collect();
-        let found = beyond(t_s, &mirrored, -lower)?;
+        let found = beyond(t_s, q.iter().map(|q| -q), -lower)?;
         Some(Excess { limit: lower, value: -found.value, ..found })
     });
     [above, below].into_iter().flatten().max_by(|a, b| a.over().total_cmp(&b.over()))
@@ -38,15 +39,15 @@ pub fn beyond_positions(t_s: &[f64], q: &[f64], limits: &Limits) -> Option<Exces
 /// The speeds of a joint beyond its limit. Two neighbouring samples must be beyond it, and the less of
 /// them counts: one alone is a reading gone wrong.
 pub fn beyond_speed(t_s: &[f64], qd: &[f64], limits: &Limits) -> Option<Excess> {
-    let held: Vec<f64> = qd.windows(2).map(|pair| pair[0].abs().min(pair[1].abs())).collect();
-    beyond(t_s, &held, limits.velocity?)
+    let held = qd.windows(2).map(|pair| pair[0].abs().min(pair[1].abs()));
+    beyond(t_s, held, limits.velocity?)
 }
 
 /// Values above a limit, each of which holds until the next sample, but no longer than a second.
-fn beyond(t_s: &[f64], values: &[f64], limit: f64) -> Option<Excess> {
+fn beyond(t_s: &[f64], values: impl Iterator<Item = f64>, limit: f64) -> Option<Excess> {
     const LONGEST_S: f64 = 1.0;
     let mut found: Option<Excess> = None;
-    for (row, (&at_s, &value)) in t_s.iter().zip(values).enumerate() {
+    for (row, (&at_s, value)) in t_s.iter().zip(values).enumerate() {
         // A NaN is not above anything.
         if value > limit {
             let seconds = t_s.get(row + 1).map_or(0.0, |next| (next - at_s).clamp(0.0, LONGEST_S));
@@ -96,6 +97,10 @@ const BRIEF_S: f64 = 0.1;
 const HALVES: [usize; 5] = [1, 2, 4, 8, 16];
 /// Fewer samples than this tell nothing.
 const ENOUGH: usize = 9;
+/// Windows that noise is told from, of as many parts of the samples, where there are more.
+const MOST_WINDOWS: usize = 50_000;
+/// Rows whose fits are made at once.
+const BLOCK: usize = 512;
 
 /// The largest acceleration of a joint, by the slope of velocities, or the bend of positions, that
 /// fits best over windows from 3 to 33 samples; each window says how much noise makes of it, and the
@@ -103,8 +108,9 @@ const ENOUGH: usize = 9;
 /// stamps that do not come evenly, are left out. `None` of too few even samples.
 pub fn abruptness(t_s: &[f64], values: &[f64], series: Series) -> Option<Abruptness> {
     let (t_s, values) = without_repeats(t_s, values);
+    let (t_s, values) = (t_s.as_ref(), values.as_ref());
     let rows = values.len();
-    let period_s = median_of((1..rows).map(|row| t_s[row] - t_s[row - 1]))?;
+    let period_s = median_of(strided(rows.saturating_sub(1)).map(|row| t_s[row + 1] - t_s[row]))?;
     if rows < ENOUGH || period_s.is_nan() || period_s <= 0.0 {
         return None;
     }
@@ -115,10 +121,9 @@ pub fn abruptness(t_s: &[f64], values: &[f64], series: Series) -> Option<Abruptn
         let is_even = (0.5..1.5).contains(&interval) && values[row].is_finite();
         uneven[row] = uneven[row - 1] + u32::from(!is_even);
     }
-    let noise = noise_of(&values, series);
+    let noise = noise_of(values, series);
     let mut surest: Option<Abruptness> = None;
     let mut resolved = f64::INFINITY;
-    let mut has_window = false;
     for half in HALVES {
         let fit = Fit::new(half, period_s, series);
         let floor = SIGMAS * noise * fit.gain();
@@ -126,46 +131,66 @@ pub fn abruptness(t_s: &[f64], values: &[f64], series: Series) -> Option<Abruptn
         if window_s <= BRIEF_S {
             resolved = resolved.min(floor);
         }
-        for row in half..rows.saturating_sub(half) {
-            if uneven[row + half] != uneven[row - half] {
+        let last = rows.saturating_sub(half);
+        for first in (half..last).step_by(BLOCK) {
+            let mut accelerations = [0.0; BLOCK];
+            let accelerations = &mut accelerations[..BLOCK.min(last - first)];
+            fit.along(values, first, accelerations);
+            // A NaN is larger than nothing.
+            let largest = accelerations
+                .iter()
+                .fold(0.0, |most, a| if a.abs() > most { a.abs() } else { most });
+            let excess = |best: &Abruptness| best.acceleration - best.noise;
+            if surest.as_ref().is_some_and(|best| largest - floor <= excess(best)) {
                 continue;
             }
-            has_window = true;
-            let acceleration = fit.at(&values, row).abs();
-            let is_surer =
-                |best: &Abruptness| acceleration - floor > best.acceleration - best.noise;
-            if surest.as_ref().is_none_or(is_surer) {
-                surest = Some(Abruptness {
-                    acceleration,
-                    noise: floor,
-                    window_s,
-                    at_s: t_s[row],
-                    jerk: fit.jerk(&values, row, period_s),
-                    resolved: f64::INFINITY,
-                });
+            for (row, acceleration) in (first..).zip(accelerations.iter().map(|a| a.abs())) {
+                let is_even = uneven[row + half] == uneven[row - half];
+                let is_surer = |best: &Abruptness| acceleration - floor > excess(best);
+                if is_even && acceleration.is_finite() && surest.as_ref().is_none_or(is_surer) {
+                    surest = Some(Abruptness {
+                        acceleration,
+                        noise: floor,
+                        window_s,
+                        at_s: t_s[row],
+                        jerk: fit.jerk(values, row, period_s),
+                        resolved: f64::INFINITY,
+                    });
+                }
             }
         }
     }
-    let surest = surest.filter(|_| has_window)?;
-    surest.acceleration.is_finite().then_some(Abruptness { resolved, ..surest })
+    surest.map(|surest| Abruptness { resolved, ..surest })
+}
+
+/// Every one of `count`, or as many evenly spread over them as noise is told from.
+fn strided(count: usize) -> impl Iterator<Item = usize> + Clone {
+    (0..count).step_by(count.div_ceil(MOST_WINDOWS).max(1))
 }
 
 /// The samples without those that only repeat the one before, where many do while the joint moves: a
 /// driver's reading that is published more often than it is taken.
-fn without_repeats(t_s: &[f64], values: &[f64]) -> (Vec<f64>, Vec<f64>) {
+fn without_repeats<'a>(t_s: &'a [f64], values: &'a [f64]) -> (Cow<'a, [f64]>, Cow<'a, [f64]>) {
     /// From this share of the intervals between changes on, repeats are of the publisher's making.
     const SHARE: f64 = 0.3;
     /// Changes farther apart than this many samples have a rest between them.
     const REST: usize = 20;
-    let changes: Vec<usize> =
-        (0..values.len()).filter(|&row| row == 0 || values[row] != values[row - 1]).collect();
-    let gaps = changes.windows(2).map(|pair| pair[1] - pair[0]).filter(|gap| *gap < REST);
-    let (all, repeated) =
-        gaps.fold((0, 0), |(all, repeated), gap| (all + 1, repeated + usize::from(gap > 1)));
-    if repeated as f64 <= SHARE * all as f64 {
-        return (t_s.to_vec(), values.to_vec());
+    let is_change = |row: &usize| *row == 0 || values[*row] != values[*row - 1];
+    let (mut last, mut all, mut repeated) = (0, 0_u32, 0_u32);
+    for row in (0..values.len()).filter(is_change).skip(1) {
+        let gap = row - last;
+        last = row;
+        if gap < REST {
+            all += 1;
+            repeated += u32::from(gap > 1);
+        }
     }
-    changes.into_iter().map(|row| (t_s[row], values[row])).unzip()
+    if f64::from(repeated) <= SHARE * f64::from(all) {
+        return (t_s.into(), values.into());
+    }
+    let changes = (0..values.len()).filter(is_change);
+    let (t_s, values): (Vec<f64>, Vec<f64>) = changes.map(|row| (t_s[row], values[row])).unzip();
+    (t_s.into(), values.into())
 }
 
 /// Standard deviation of the noise of single samples: by differences that smooth motion hardly has
@@ -181,9 +206,10 @@ fn noise_of(values: &[f64], series: Series) -> f64 {
         Series::Velocities => w[2].abs(),
         Series::Positions => (w[3] - w[1]).abs(),
     };
-    let fast = quantile_of(values.windows(5).map(speed), 0.75).unwrap_or(0.0);
-    let all = trimmed_rms(values.windows(5).map(difference));
-    let moving = values.windows(5).filter(|w| speed(w) >= fast);
+    let windows = || strided(values.len().saturating_sub(4)).map(|first| &values[first..first + 5]);
+    let fast = quantile_of(windows().map(speed), 0.75).unwrap_or(0.0);
+    let all = trimmed_rms(windows().map(difference));
+    let moving = windows().filter(|w| speed(w) >= fast);
     all.max(trimmed_rms(moving.map(difference))) / weight.sqrt()
 }
 
@@ -246,6 +272,26 @@ impl Fit {
     fn at(&self, values: &[f64], row: usize) -> f64 {
         let window = &values[row - self.half..=row + self.half];
         window.iter().zip(&self.weights).map(|(value, weight)| value * weight).sum()
+    }
+
+    /// The accelerations at the rows from `first` on, as many as there is room for.
+    fn along(&self, values: &[f64], first: usize, accelerations: &mut [f64]) {
+        let count = accelerations.len();
+        let beside = |place: usize| &values[first - self.half + place..][..count];
+        let middle = self.weights[self.half];
+        for (sum, value) in accelerations.iter_mut().zip(beside(self.half)) {
+            *sum = middle * value;
+        }
+        // What lies as far before the middle as another after it counts as much, up to its sign.
+        for place in 0..self.half {
+            let mirrored = self.weights.len() - 1 - place;
+            let (weight, sign) = (self.weights[mirrored], self.weights[place].signum());
+            let sign = sign * weight.signum();
+            let pairs = beside(place).iter().zip(beside(mirrored));
+            for (sum, (before, after)) in accelerations.iter_mut().zip(pairs) {
+                *sum += weight * (after + sign * before);
+            }
+        }
     }
 
     /// The largest change of acceleration from `row` over half a window before or after it.

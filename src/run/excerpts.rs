@@ -52,11 +52,23 @@ impl Excerpts {
         Some(Self { spans: spans.collect() })
     }
 
-    /// Whether a time is in one of them, or less than `around_s` off.
-    pub(super) fn hold(&self, stamp: Stamp, around_s: f64) -> bool {
-        let (at, around) = (stamp.nanos(), nanos(around_s));
-        let next = self.spans.partition_point(|(_, end)| end.saturating_add(around) < at);
-        self.spans.get(next).is_some_and(|(start, _)| start.saturating_sub(around) <= at)
+    /// Takes out the times that are in none of them, nor less than `around_s` off.
+    pub(super) fn hide_others(&self, stamps: &mut [Option<Stamp>], around_s: f64) {
+        let around = nanos(around_s);
+        let widened =
+            |&(start, end): &(i64, i64)| (start.saturating_sub(around), end.saturating_add(around));
+        // Stamps mostly follow each other, so that the span of one is that of the next.
+        let mut span = (i64::MAX, i64::MIN);
+        for stamp in stamps {
+            let Some(at) = stamp.map(Stamp::nanos) else { continue };
+            if !(span.0..=span.1).contains(&at) {
+                let next = self.spans.partition_point(|span| widened(span).1 < at);
+                span = self.spans.get(next).map_or((i64::MAX, i64::MIN), widened);
+            }
+            if !(span.0..=span.1).contains(&at) {
+                *stamp = None;
+            }
+        }
     }
 
     /// How many there are, and how long they are together, s.
@@ -204,12 +216,17 @@ mod tests {
         for stray in [None, Some(1), Some(i64::MAX)] {
             let excerpts = excerpts(seconds, stray).unwrap();
             assert_eq!(excerpts.extent(), (PARTS, (PARTS as i64 * EXCERPT_S) as f64));
+            let holds = |stamp: Stamp, around_s: f64| {
+                let mut stamps = [Some(stamp)];
+                excerpts.hide_others(&mut stamps, around_s);
+                stamps == [Some(stamp)]
+            };
             for part in 0..PARTS as i64 {
                 let moving = Stamp::from_nanos((1000 + part * part_s + 190) * NANOS_PER_SECOND);
                 let still = Stamp::from_nanos((1000 + part * part_s + 90) * NANOS_PER_SECOND);
-                assert!(excerpts.hold(moving, 0.0), "part {part}");
-                assert!(!excerpts.hold(still, 5.0), "part {part}");
-                assert!(excerpts.hold(still, 120.0), "part {part}");
+                assert!(holds(moving, 0.0), "part {part}");
+                assert!(!holds(still, 5.0), "part {part}");
+                assert!(holds(still, 120.0), "part {part}");
             }
         }
     }

@@ -1,5 +1,8 @@
 //! The joint states of all topics, merged to one track on one time grid.
 
+use std::borrow::Cow;
+use std::sync::Arc;
+
 use nalgebra::{Matrix3, Vector3};
 
 use crate::stream::{Columns, JointColumns, JointTrack};
@@ -104,14 +107,17 @@ pub(super) fn merge(topics: &[JointTopic<'_>], names: &[String], origin: Stamp) 
         facts,
     };
     let mut cursors: Vec<Cursor> = joints.iter().map(|_| Cursor::default()).collect();
+    let mut row: Vec<(f64, f64)> = Vec::with_capacity(names.len());
     for &stamp in grid {
         let t_s = stamp.seconds_since(origin);
-        let row: Option<Vec<(f64, f64)>> = joints
-            .iter()
-            .zip(&mut cursors)
-            .map(|((stamps, track), cursor)| cursor.sample(stamps, track, stamp, t_s))
-            .collect();
-        let Some(row) = row else { continue };
+        row.clear();
+        let at = |((stamps, track), cursor): (&(Vec<Stamp>, JointTrack), &mut Cursor)| {
+            cursor.sample(stamps, track, stamp, t_s)
+        };
+        row.extend(joints.iter().zip(&mut cursors).map_while(at));
+        if row.len() < names.len() {
+            continue;
+        }
         merged.stamps.push(stamp);
         merged.track.t_s.push(t_s);
         merged.track.q.extend(row.iter().map(|(position, _)| position));
@@ -122,28 +128,79 @@ pub(super) fn merge(topics: &[JointTopic<'_>], names: &[String], origin: Stamp) 
 
 /// All finite samples of one joint of an arm, strictly increasing in time.
 #[derive(Clone, Debug, Default)]
-pub struct JointSamples {
-    /// Sample times, s from the run's origin.
-    pub t_s: Vec<f64>,
+pub struct JointSamples<'a> {
+    /// Sample times, s from the run's origin. Joints whose samples are all of the same messages share
+    /// them.
+    pub t_s: Arc<[f64]>,
     /// Positions, rad or m.
-    pub position: Vec<f64>,
+    pub position: Cow<'a, [f64]>,
     /// Velocities as logged, rad/s or m/s; NaN where the log has none.
-    pub velocity: Vec<f64>,
+    pub velocity: Cow<'a, [f64]>,
+}
+
+impl JointSamples<'_> {
+    /// Whether the samples of another joint are at the same times.
+    pub fn is_beside(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.t_s, &other.t_s) || self.t_s == other.t_s
+    }
 }
 
 impl Run {
-    /// All samples of a joint, the excerpts of a long run or not.
-    pub fn joint_samples(&self, joint: &JointFacts) -> JointSamples {
-        let stream = self.streams.get(joint.stream).and_then(|stream| stream.columns.as_ref());
-        let clock = self.clocks.iter().find(|clock| clock.stream == joint.stream);
-        let (Some(Columns::Joints(columns)), Some(clock)) = (stream, clock) else {
-            return JointSamples::default();
+    /// All samples of each of some joints, the excerpts of a long run or not.
+    pub fn joint_samples(&self, joints: &[JointFacts]) -> Vec<JointSamples<'_>> {
+        let mut topics: Vec<(JointTopic<'_>, Option<Arc<[f64]>>)> = Vec::new();
+        let mut samples = Vec::with_capacity(joints.len());
+        for joint in joints {
+            let known = topics.iter().position(|(topic, _)| topic.stream == joint.stream);
+            let at = known.or_else(|| {
+                topics.push(self.joint_topic(joint.stream)?);
+                Some(topics.len() - 1)
+            });
+            samples.push(match at.map(|at| &topics[at]) {
+                Some((topic, t_s)) => topic.samples(&joint.name, t_s.as_ref(), self.origin),
+                None => JointSamples::default(),
+            });
+        }
+        samples
+    }
+
+    /// The joint states of a stream, and the times of its rows, s, where each comes after the one
+    /// before.
+    fn joint_topic(&self, stream: usize) -> Option<(JointTopic<'_>, Option<Arc<[f64]>>)> {
+        let Columns::Joints(columns) = self.streams.get(stream)?.columns.as_ref()? else {
+            return None;
         };
+        let clock = self.clocks.iter().find(|clock| clock.stream == stream)?;
         let stamps = clock.stamps_of(&columns.times);
-        let topic = JointTopic { stream: joint.stream, columns, stamps };
-        let Samples { stamps, position, velocity } = Samples::of(&topic, &joint.name);
-        let t_s = stamps.iter().map(|stamp| stamp.seconds_since(self.origin)).collect();
-        JointSamples { t_s, position, velocity }
+        let is_in_order =
+            stamps.first().is_some_and(Option::is_some) && stamps.is_sorted_by(|a, b| a < b);
+        let seconds = |stamp: &Stamp| stamp.seconds_since(self.origin);
+        let t_s = is_in_order.then(|| stamps.iter().flatten().map(seconds).collect());
+        Some((JointTopic { stream, columns, stamps }, t_s))
+    }
+}
+
+impl<'a> JointTopic<'a> {
+    /// The samples of the joint called `name`; `t_s` are the times of all rows, where they are in order.
+    fn samples(&self, name: &str, t_s: Option<&Arc<[f64]>>, origin: Stamp) -> JointSamples<'a> {
+        let columns: &'a JointColumns = self.columns;
+        let joint = columns.joints.iter().find(|joint| joint.name == name);
+        if let (Some(joint), Some(t_s)) = (joint, t_s)
+            && joint.position.iter().all(|position| position.is_finite())
+        {
+            let (position, velocity) = (joint.position.as_slice(), joint.velocity.as_slice());
+            return JointSamples {
+                t_s: Arc::clone(t_s),
+                position: position.into(),
+                velocity: velocity.into(),
+            };
+        }
+        let Samples { stamps, position, velocity } = Samples::of(self, name);
+        JointSamples {
+            t_s: stamps.iter().map(|stamp| stamp.seconds_since(origin)).collect(),
+            position: position.into(),
+            velocity: velocity.into(),
+        }
     }
 }
 
@@ -180,13 +237,10 @@ impl Samples {
         let Some(joint) = topic.columns.joints.iter().find(|joint| joint.name == name) else {
             return Self::default();
         };
-        let mut rows: Vec<(Stamp, usize)> = topic
-            .stamps
-            .iter()
-            .enumerate()
-            .filter(|(row, _)| joint.position[*row].is_finite())
-            .filter_map(|(row, stamp)| Some(((*stamp)?, row)))
-            .collect();
+        let stamped =
+            topic.stamps.iter().enumerate().filter_map(|(row, stamp)| Some(((*stamp)?, row)));
+        let mut rows: Vec<(Stamp, usize)> =
+            stamped.filter(|(_, row)| joint.position[*row].is_finite()).collect();
         rows.sort_by_key(|(stamp, _)| *stamp);
         rows.dedup_by_key(|(stamp, _)| *stamp);
         Self {

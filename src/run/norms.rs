@@ -1,6 +1,8 @@
 //! How far logged rotations are from being rotations: quaternions from unit norm, matrices from
 //! orthonormality. Of all rows, as nothing but their own numbers is needed.
 
+use rayon::prelude::*;
+
 use crate::stream::{ArrayColumns, Columns, ImuColumns, PoseColumns};
 use crate::time::Stamp;
 
@@ -34,7 +36,7 @@ pub struct Norms {
     pub unset: usize,
     /// The largest defect.
     pub largest: f64,
-    /// The defect that half of the rotations exceed.
+    /// The defect that half of the rotations exceed; of very many, by some spread over all.
     pub median: f64,
     /// The stamp of the largest defect, where that row has one.
     pub at: Option<Stamp>,
@@ -42,50 +44,56 @@ pub struct Norms {
 
 /// The norms of every stream that holds quaternions, and of bare arrays that may.
 pub(super) fn norms(streams: &[Stream], timing: &Timing) -> Vec<Norms> {
-    let mut found = Vec::new();
-    for (index, stream) in streams.iter().enumerate() {
-        for (piece, (frame, written, defects)) in pieces(stream).into_iter().enumerate() {
-            let at = |row| timing.clock(index, piece)?.stamp_of(stream.times().get(piece)?, row);
-            found.extend(Norms::of(index, frame, written, defects, at));
-        }
-    }
-    found
+    let of = |(index, stream): (usize, &Stream)| {
+        let at = |piece: usize, row| {
+            timing.clock(index, piece)?.stamp_of(stream.times().get(piece)?, row)
+        };
+        let pieces = pieces(stream).into_iter().enumerate();
+        let norms = pieces.filter_map(|(piece, (frame, written, rows, defect))| {
+            Norms::of(index, frame, written, (0..rows).map(defect), |row| at(piece, row))
+        });
+        norms.collect::<Vec<_>>()
+    };
+    streams.par_iter().enumerate().flat_map_iter(of).collect()
 }
 
-/// The defect of each row, NaN where no rotation was set.
-type Defects = Vec<f64>;
+/// The defect of a row, NaN where no rotation was set.
+type Defect<'a> = Box<dyn Fn(usize) -> f64 + 'a>;
 
-/// The pieces of a stream, each with its child frame.
-fn pieces(stream: &Stream) -> Vec<(Option<String>, Written, Defects)> {
+/// The pieces of a stream, each with its child frame and how many rows it has.
+fn pieces(stream: &Stream) -> Vec<(Option<String>, Written, usize, Defect<'_>)> {
     use Written::{Matrix, Quaternion};
     match &stream.columns {
         Some(Columns::Poses(poses) | Columns::Transforms(poses)) => {
             let named = |poses: &PoseColumns| {
                 (!poses.child_frame_id.is_empty()).then(|| poses.child_frame_id.clone())
             };
-            let of = |poses| (named(poses), Quaternion, of_quaternions(&poses.q_xyzw));
+            let of = |poses| {
+                (named(poses), Quaternion, poses.times.len(), of_quaternions(&poses.q_xyzw))
+            };
             poses.iter().map(of).collect()
         }
         Some(Columns::Imu(imu)) => {
-            let ImuColumns { q_xyzw, has_orientation, .. } = imu;
-            let said = has_orientation.then(|| (None, Quaternion, of_quaternions(q_xyzw)));
-            said.into_iter().collect()
+            let ImuColumns { times, q_xyzw, has_orientation, .. } = imu;
+            let said = || (None, Quaternion, times.len(), of_quaternions(q_xyzw));
+            has_orientation.then(said).into_iter().collect()
         }
         Some(Columns::Array(array)) if array.width == 7 => {
-            let row = |row| &array.row(row)[3..];
-            let of_row = |at| norm_defect(row(at).iter().map(|number| number * number).sum());
-            vec![(None, Quaternion, (0..array.times.len()).map(of_row).collect())]
+            let of_row =
+                |row| norm_defect(array.row(row)[3..].iter().map(|number| number * number).sum());
+            vec![(None, Quaternion, array.times.len(), Box::new(of_row))]
         }
         Some(Columns::Array(array)) => {
-            of_matrices(array).into_iter().map(|defects| (None, Matrix, defects)).collect()
+            let matrices = of_matrices(array).into_iter();
+            matrices.map(|defect| (None, Matrix, array.times.len(), defect)).collect()
         }
         _ => Vec::new(),
     }
 }
 
-fn of_quaternions(q_xyzw: &[[f64; 4]]) -> Defects {
+fn of_quaternions(q_xyzw: &[[f64; 4]]) -> Defect<'_> {
     let square = |q: &[f64; 4]| q.iter().map(|number| number * number).sum();
-    q_xyzw.iter().map(|q| norm_defect(square(q))).collect()
+    Box::new(move |row| norm_defect(square(&q_xyzw[row])))
 }
 
 fn norm_defect(square: f64) -> f64 {
@@ -94,9 +102,9 @@ fn norm_defect(square: f64) -> f64 {
 }
 
 /// The defects of matrices, where the array holds such.
-fn of_matrices(array: &ArrayColumns) -> Option<Defects> {
+fn of_matrices(array: &ArrayColumns) -> Option<Defect<'_>> {
     let layout = [12, 16].contains(&array.width).then(|| Layout::of(array)).flatten()?;
-    Some((0..array.times.len()).map(|row| orthonormality(layout.split(array.row(row)).1)).collect())
+    Some(Box::new(move |row| orthonormality(layout.split(array.row(row)).1)))
 }
 
 /// `max |RᵀR − I|` of a matrix given by its rows.
@@ -117,20 +125,29 @@ impl Norms {
         stream: usize,
         frame: Option<String>,
         written: Written,
-        mut defects: Defects,
+        defects: impl ExactSizeIterator<Item = f64>,
         at: impl Fn(usize) -> Option<Stamp>,
     ) -> Option<Self> {
+        /// Rows that the median is told from.
+        const ENOUGH: usize = 20_000;
         let all = defects.len();
-        let by_size = |a: &(usize, &f64), b: &(usize, &f64)| a.1.total_cmp(b.1);
-        let finite = defects.iter().enumerate().filter(|(_, defect)| defect.is_finite());
-        let worst = finite.max_by(by_size).map(|(row, defect)| (row, *defect));
-        defects.retain(|defect| defect.is_finite());
-        let rows = defects.len();
-        let median = match rows {
-            0 => 0.0,
-            _ => *defects.select_nth_unstable_by(rows / 2, f64::total_cmp).1,
+        let stride = all.div_ceil(ENOUGH).max(1);
+        let (mut rows, mut worst, mut some) = (0, (0, 0.0), Vec::new());
+        for (row, defect) in defects.enumerate().filter(|(_, defect)| defect.is_finite()) {
+            rows += 1;
+            if row % stride == 0 {
+                some.push(defect);
+            }
+            if defect > worst.1 {
+                worst = (row, defect);
+            }
+        }
+        let middle = some.len() / 2;
+        let median = match some.as_mut_slice() {
+            [] => 0.0,
+            some => *some.select_nth_unstable_by(middle, f64::total_cmp).1,
         };
-        let (row, largest) = worst.unwrap_or_default();
+        let (row, largest) = worst;
         let at = at(row);
         let norms = Self { stream, frame, written, rows, unset: all - rows, largest, median, at };
         (all > 0).then_some(norms)
@@ -143,7 +160,7 @@ mod tests {
 
     fn of(q_xyzw: &[[f64; 4]]) -> Norms {
         let at = |row| Some(Stamp::from_nanos(row as i64));
-        let defects = of_quaternions(q_xyzw);
+        let defects = (0..q_xyzw.len()).map(of_quaternions(q_xyzw));
         Norms::of(0, None, Written::Quaternion, defects, at).expect("there are rows")
     }
 

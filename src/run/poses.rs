@@ -41,10 +41,12 @@ fn track_of(
     origin: Stamp,
     sample: impl Fn(usize) -> Option<(Vec3, Rotation)>,
 ) -> Stamped<PoseTrack> {
-    let sample = |(row, stamp): (usize, &Option<Stamp>)| stamp.and_then(|_| sample(row));
-    let samples: Vec<_> = stamps.iter().enumerate().map(sample).collect();
-    let rows = rows_in_order(stamps, |row| samples[row].is_some());
-    let (xyz, rotations) = rows.iter().filter_map(|(_, row)| samples[*row]).unzip();
+    let stamped_rows = stamps.iter().enumerate().filter_map(|(row, stamp)| Some(((*stamp)?, row)));
+    let mut samples: Vec<_> = stamped_rows.filter_map(|row| Some((row, sample(row.1)?))).collect();
+    samples.sort_by_key(|((stamp, _), _)| *stamp);
+    samples.dedup_by_key(|((stamp, _), _)| *stamp);
+    let rows: Vec<(Stamp, usize)> = samples.iter().map(|(row, _)| *row).collect();
+    let (xyz, rotations) = samples.into_iter().map(|(_, sample)| sample).unzip();
     let orientation = Orientations::Rotations(rotations);
     stamped(&rows, origin, |t_s| PoseTrack { t_s, xyz, orientation, declared: None })
 }

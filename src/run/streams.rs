@@ -267,8 +267,7 @@ impl Timing {
     ) -> Vec<Option<Stamp>> {
         let mut stamps = self.stamps(streams, stream, piece);
         if let Some(excerpts) = &self.excerpts {
-            let is_seen = |stamp: &Stamp| excerpts.hold(*stamp, around_s);
-            stamps.iter_mut().for_each(|stamp| *stamp = stamp.filter(is_seen));
+            excerpts.hide_others(&mut stamps, around_s);
         }
         stamps
     }
@@ -294,15 +293,24 @@ impl Timing {
             let pieces = self.of[index].len();
             let (mut rate_hz, mut bounds, mut unstamped) = (None, None, 0);
             for piece in 0..pieces {
-                let stamps = self.stamps(streams, index, piece);
-                let known = || stamps.iter().flatten().copied();
-                unstamped += stamps.len() - known().count();
-                let (Some(first), Some(last)) = (known().min(), known().max()) else { continue };
+                let times = streams[index].times();
+                let (Some(clock), Some(times)) = (self.clock(index, piece), times.get(piece))
+                else {
+                    continue;
+                };
+                let (mut known, mut ends) = (0, None);
+                for stamp in (0..times.len()).filter_map(|row| clock.stamp_of(times, row)) {
+                    known += 1;
+                    let (first, last) = ends.unwrap_or((stamp, stamp));
+                    ends = Some((stamp.min(first), stamp.max(last)));
+                }
+                unstamped += times.len() - known;
+                let Some((first, last)) = ends else { continue };
                 let (start, end) = bounds.unwrap_or((first, last));
                 bounds = Some((first.min(start), last.max(end)));
                 let span_s = last.seconds_since(first);
                 if span_s > 0.0 {
-                    let rate = (known().count() - 1) as f64 / span_s;
+                    let rate = (known - 1) as f64 / span_s;
                     rate_hz = Some(rate_hz.map_or(rate, |other: f64| rate.max(other)));
                 }
             }

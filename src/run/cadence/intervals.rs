@@ -22,22 +22,26 @@ impl Pace {
         const SINGLE: f64 = 0.5;
         const CLOSE: f64 = 0.25;
         const REGULAR: f64 = 0.6;
-        let intervals: Vec<f64> =
-            times.windows(2).map(|pair| pair[1].0.seconds_since(pair[0].0)).collect();
-        if intervals.len() < 2 {
+        /// As many intervals, evenly spread over all, tell the median.
+        const ENOUGH: usize = 50_000;
+        let intervals = || times.windows(2).map(|pair| pair[1].0.seconds_since(pair[0].0));
+        let count = times.len().saturating_sub(1);
+        if count < 2 {
             return None;
         }
-        let mut unsorted = intervals.clone();
-        let middle = unsorted.len() / 2;
-        let median = *unsorted.select_nth_unstable_by(middle, f64::total_cmp).1;
-        let close = || intervals.iter().filter(|dt| (*dt / median - 1.0).abs() < SINGLE);
-        let period_s = close().sum::<f64>() / close().count() as f64;
-        let is_close = |dt: &&f64| {
-            let periods = **dt / period_s;
+        let mut some: Vec<f64> = intervals().step_by(count.div_ceil(ENOUGH)).collect();
+        let middle = some.len() / 2;
+        let median = *some.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let close = intervals().filter(|dt| (dt / median - 1.0).abs() < SINGLE);
+        let (sum_s, singles) =
+            close.fold((0.0, 0), |(sum_s, singles), dt| (sum_s + dt, singles + 1));
+        let period_s = sum_s / f64::from(singles);
+        let is_close = |dt: &f64| {
+            let periods = dt / period_s;
             (periods - periods.round().max(1.0)).abs() < CLOSE
         };
-        let regular = intervals.iter().filter(is_close).count();
-        Some(Self { period_s, is_regular: regular as f64 > REGULAR * intervals.len() as f64 })
+        let regular = intervals().filter(is_close).count();
+        Some(Self { period_s, is_regular: regular as f64 > REGULAR * count as f64 })
     }
 }
 
@@ -45,8 +49,6 @@ impl Pace {
 pub(super) struct Intervals<'a> {
     /// Stamp and time of receipt of each row, in the order of the stamps, each stamp once.
     pub times: &'a [(Stamp, i64)],
-    /// The times of receipt in their own order.
-    pub received: &'a [i64],
     pub pace: &'a Pace,
     pub motion: &'a Motion<'a>,
 }
@@ -65,11 +67,12 @@ impl Intervals<'_> {
     }
 
     /// Whether nothing was received, for half of it at least, in the interval from row `left` on.
-    fn is_silent(&self, left: usize, interval_s: f64) -> bool {
+    /// `received` are the times of receipt in their own order.
+    fn is_silent(&self, received: &[i64], left: usize, interval_s: f64) -> bool {
         let (before, after) = (self.times[left].1, self.times[left + 1].1);
-        let from = self.received.partition_point(|&received| received < before);
-        let to = self.received.partition_point(|&received| received <= after);
-        let between = self.received.get(from..to).unwrap_or_default();
+        let from = received.partition_point(|&received| received < before);
+        let to = received.partition_point(|&received| received <= after);
+        let between = received.get(from..to).unwrap_or_default();
         let silences = between.windows(2).map(|pair| seconds(pair[1].saturating_sub(pair[0])));
         2.0 * silences.fold(0.0, f64::max) > interval_s
     }
@@ -80,10 +83,16 @@ impl Intervals<'_> {
         const MOST: f64 = 1e9;
         let periods = |interval_s: f64| (interval_s / self.pace.period_s).round().min(MOST);
         let long = self.all().filter(|(_, interval_s)| *interval_s > LONG * self.pace.period_s);
+        let mut long = long.peekable();
+        if long.peek().is_none() {
+            return Vec::new();
+        }
+        let mut received: Vec<i64> = self.times.iter().map(|(_, received)| *received).collect();
+        received.sort_unstable();
         let hole = |(left, interval_s): (usize, f64)| Hole {
             stretch: self.stretch(left, 1),
             missing: (periods(interval_s) as usize).saturating_sub(1),
-            is_silent: self.is_silent(left, interval_s),
+            is_silent: self.is_silent(&received, left, interval_s),
         };
         long.map(hole).collect()
     }
@@ -101,7 +110,9 @@ impl Intervals<'_> {
         const LOWER: f64 = 1.25;
         const FAR_LONGER: f64 = 4.0;
         const AROUND: usize = 9;
-        if !self.pace.is_regular {
+        // Hardly any interval is long, and of a window with such a median half of them are.
+        let is_long = |interval_s: &f64| *interval_s > LOWER * self.pace.period_s;
+        if !self.pace.is_regular || !self.all().any(|(_, interval_s)| is_long(&interval_s)) {
             return Vec::new();
         }
         let intervals: Vec<f64> = self.all().map(|(_, interval_s)| interval_s).collect();
@@ -117,8 +128,6 @@ impl Intervals<'_> {
             let (from, to) = (at.saturating_sub(AROUND / 2), at + AROUND / 2 + 1);
             &intervals[from..to.min(intervals.len())]
         };
-        // Hardly any interval is long, and of a window with such a median half of them are.
-        let is_long = |interval_s: &f64| *interval_s > LOWER * self.pace.period_s;
         let may_be_lower = |at: usize| {
             let window = around(at);
             2 * window.iter().filter(|interval_s| is_long(interval_s)).count() >= window.len()

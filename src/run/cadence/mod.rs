@@ -203,9 +203,7 @@ impl Part<'_> {
         cadence.period_s = pace.as_ref().map(|pace| pace.period_s);
         if let Some(pace) = &pace {
             cadence.is_regular = pace.is_regular;
-            let mut received: Vec<i64> = times.iter().map(|(_, received)| *received).collect();
-            received.sort_unstable();
-            let intervals = Intervals { times: &times, received: &received, pace, motion };
+            let intervals = Intervals { times: &times, pace, motion };
             cadence.holes = intervals.holes();
             cadence.bunched = intervals.bunched();
             cadence.lulls = intervals.lulls();
