@@ -31,8 +31,12 @@ use crate::run::{
     PoseSource, RobotSource, Role, Run, RunOptions, Segment, Stream, Velocities, Witness, segments,
 };
 use crate::stream::{Columns, DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack};
-use crate::tables::aligned_frame;
+use crate::tables::{
+    TableError, aligned_frame, aligned_frames, checks_frame, findings_frame, joints_frame,
+    reach_map_frame, reached_poses_frame, write_table,
+};
 use crate::time::Clock;
+use crate::workspace::{coverage, reached};
 
 /// What to audit, and how.
 #[derive(Clone, Debug)]
@@ -61,6 +65,8 @@ pub struct Options {
     pub fail_on: Option<Severity>,
     /// Where to write a recording for the Rerun viewer.
     pub recording: Option<PathBuf>,
+    /// The folder to write tables into, as Parquet.
+    pub tables: Option<PathBuf>,
     /// Kept up to date while the files are read.
     pub progress: Option<Arc<Progress>>,
 }
@@ -81,6 +87,7 @@ impl Default for Options {
             rules: Settings::default(),
             fail_on: Some(Severity::Warning),
             recording: None,
+            tables: None,
             progress: None,
         }
     }
@@ -727,8 +734,10 @@ impl Audits {
             [only] => streams(&only.run),
             segments => joined(segments.iter().flat_map(|segment| streams(&segment.run))),
         };
-        let report =
+        let workspace = coverage(&main.run, &evaluation.checks);
+        let mut report =
             Report::new(read.summary, robots(&main.run), streams, evaluation, options.fail_on);
+        report.workspace = workspace;
         match &main.run.no_arm {
             Some(error) if options.rules.need_model() && !tells_hand_eye(&report.checks) => {
                 report.with_trouble(error.into())
@@ -846,6 +855,42 @@ pub(crate) fn record(
         findings: &report.findings,
     };
     replay::write(path, &replay).map_err(|error| trouble(error.cause.to_string()))
+}
+
+/// Writes the tables of an audited run into a folder.
+pub(crate) fn write_tables(
+    folder: &Path,
+    run: &Run,
+    facts: &Facts,
+    report: &Report,
+) -> Result<(), Trouble> {
+    let trouble = |what: String| Trouble {
+        kind: TroubleKind::Call,
+        what,
+        place: folder.display().to_string(),
+        remedy: "name a folder that can be written with --parquet".to_owned(),
+    };
+    let streams = facts.robots.iter().flat_map(|arm| {
+        let found = arm.poses().chain(arm.tf.iter().map(|(facts, found)| (facts, found)));
+        found.map(move |(facts, found)| (arm.name.as_str(), facts.topic.as_str(), &found.aligned))
+    });
+    let arms = reached(run, &report.checks);
+    let frames = [
+        ("findings", findings_frame(&report.findings)),
+        ("checks", checks_frame(&report.checks)),
+        ("joints", joints_frame(&report.workspace)),
+        ("aligned", aligned_frames(streams, run.origin)),
+        ("reach_map", reach_map_frame(&arms)),
+        ("reached_poses", reached_poses_frame(&arms, run.origin)),
+    ];
+    for (name, frame) in frames {
+        let mut frame = frame.map_err(|error| trouble(error.to_string()))?;
+        write_table(folder, name, &mut frame).map_err(|TableError { path, cause }| Trouble {
+            place: path.display().to_string(),
+            ..trouble(cause)
+        })?;
+    }
+    Ok(())
 }
 
 fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmFacts) -> PolarsResult<ReplayArm<'a>> {

@@ -478,6 +478,16 @@ pub enum Status {
 }
 
 impl Status {
+    /// Its name in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Status::Pass => "pass",
+            Status::Fail => "fail",
+            Status::Inconclusive => "inconclusive",
+            Status::Skipped => "skipped",
+        }
+    }
+
     /// Whether the rule decided.
     pub fn is_decided(self) -> bool {
         matches!(self, Status::Pass | Status::Fail)

@@ -20,6 +20,7 @@
 mod audit;
 mod demo;
 mod hand_eye;
+mod workspace;
 
 pub mod checks;
 pub mod diagnosis;
@@ -58,6 +59,10 @@ pub fn audit(options: &Options) -> Result<Report, Trouble> {
     if let Some(path) = &options.recording {
         let main = audits.main();
         audit::record(path, &main.run, &main.facts, &report)?;
+    }
+    if let Some(folder) = &options.tables {
+        let main = audits.main();
+        audit::write_tables(folder, &main.run, &main.facts, &report)?;
     }
     // To give back the columns of a long log takes as long as to write the report on it.
     rayon::spawn(|| drop(audits));

@@ -51,6 +51,10 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     rrd: Option<PathBuf>,
 
+    /// Write tables as Parquet into this folder: aligned samples, reach map, findings, checks
+    #[arg(long, value_name = "DIR")]
+    parquet: Option<PathBuf>,
+
     /// Ask only these rules: codes, or the letters a family begins with
     #[arg(long, value_name = "CODES", value_delimiter = ',')]
     select: Vec<Selector>,
@@ -164,6 +168,7 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
         rules: Settings { select: args.select, ignore: args.ignore },
         fail_on: args.fail_on.into(),
         recording: args.rrd,
+        tables: args.parquet,
         progress: None,
     };
     let audited = watched(|progress| {

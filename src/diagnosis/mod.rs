@@ -24,6 +24,7 @@ mod reading;
 mod residual;
 mod rival;
 mod shake;
+mod workspace;
 
 use crate::geometry::{
     Convention, Misreading, MisreadingClass, Pose, QuaternionSlip, Rotation, Vec3,
@@ -44,6 +45,9 @@ pub use motion::{Abruptness, Excess, Series, abruptness, beyond_positions, beyon
 pub use observability::{BlindDirection, Observability, Parameter};
 pub use rival::position_misfit_m;
 pub use shake::{NoShake, Shake, shake};
+pub use workspace::{
+    APART_RAD, CELL_M, JOINT_APART, JointSpan, Place, ReachedPose, Workspace, centre_m, reach_m,
+};
 
 /// Why an estimate does not exist. Each case carries what the words need.
 #[derive(Clone, Debug, PartialEq)]

@@ -5,6 +5,8 @@ use std::fmt;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
 
+use rayon::prelude::*;
+
 use super::decode::{self, Builder, Format, MAX_FRAMES, Plan, Recipe, Row, RowTimes};
 use super::losses::Losses;
 use super::unpack::{Allowance, Unpacker, ZSTD_MAGIC};
@@ -31,6 +33,9 @@ const MAX_DESCRIPTIONS: usize = 64;
 /// Most notes kept.
 const MAX_NOTES: usize = 100;
 
+/// Most messages of a batch.
+pub(super) const MOST_AT_ONCE: usize = 1 << 14;
+
 /// First and last log time.
 pub(super) type Span = (Stamp, Stamp);
 
@@ -39,7 +44,7 @@ pub(super) type Span = (Stamp, Stamp);
 pub(super) struct Intake {
     topics: Vec<TopicIntake>,
     by_name: HashMap<(String, String), usize>,
-    channels: Vec<Channel>,
+    channels: Vec<ChannelOf>,
     by_format: HashMap<FormatKey, ChannelId>,
     /// Bytes of the schemas of channels with a use.
     schema_bytes: usize,
@@ -97,9 +102,15 @@ impl fmt::Display for Place {
     }
 }
 
-/// Where messages of one channel go and how they are decoded.
-struct Channel {
+/// Where a channel is: its topic, and its place among those of the topic.
+#[derive(Clone, Copy)]
+struct ChannelOf {
     topic: usize,
+    place: usize,
+}
+
+/// How messages of one channel are decoded.
+struct Channel {
     decoding: Decoding,
     /// Whether each message may be a zstd frame: no CDR message begins like one.
     may_be_packed: bool,
@@ -124,6 +135,7 @@ struct TopicIntake {
     name: String,
     type_name: String,
     encoding: String,
+    channels: Vec<Channel>,
     messages: u64,
     builder: Option<Builder>,
     /// Rows that were not decoded from messages.
@@ -131,15 +143,36 @@ struct TopicIntake {
     undecodable: Option<Undecodable>,
     /// The files that hold it, by their number, and the span in each.
     spans: Vec<(usize, Span)>,
+    /// Which messages of a batch are its own: the channel's place, and the message's.
+    waiting: Vec<(usize, usize)>,
 }
 
 impl TopicIntake {
-    fn undecodable(&mut self, place: Place, cause: &dyn fmt::Display) {
-        let undecodable = self.undecodable.get_or_insert_with(|| Undecodable {
-            messages: 0,
-            first: format!("{cause} ({place})"),
-        });
-        undecodable.messages += 1;
+    /// Counts a message of file number `file`, and appends its rows where its channel has columns.
+    fn message(&mut self, place: usize, message: &Message<'_>, file: usize) {
+        let times = RowTimes {
+            log: saturating(message.log_time),
+            publish: saturating(message.publish_time),
+            sequence: message.sequence,
+        };
+        self.messages += 1;
+        self.seen(file, Stamp::from_nanos(times.log));
+        let channel = &mut self.channels[place];
+        if message.latched && channel.is_repeated(message.data) {
+            return;
+        }
+        match (&mut channel.decoding, &mut self.builder) {
+            (Decoding::By { plan, row }, Some(builder)) => {
+                let mut append = |row: &Row| builder.append(row, times);
+                if let Err(error) = plan.decode(message.data, row, &mut append) {
+                    take_down(&mut self.undecodable, message.place, &error);
+                }
+            }
+            (Decoding::Impossible { cause }, _) => {
+                take_down(&mut self.undecodable, message.place, cause);
+            }
+            (Decoding::By { .. } | Decoding::Ignored, _) => {}
+        }
     }
 
     /// Takes down that file number `file` holds a message of log time `at`.
@@ -219,8 +252,9 @@ impl Intake {
             self.topics[index].builder.get_or_insert_with(|| recipe.builder());
         }
         let id = ChannelId(self.channels.len());
-        self.channels.push(Channel {
-            topic: index,
+        let channels = &mut self.topics[index].channels;
+        self.channels.push(ChannelOf { topic: index, place: channels.len() });
+        channels.push(Channel {
             decoding,
             may_be_packed: format.encoding == "cdr",
             latched: HashSet::new(),
@@ -237,11 +271,13 @@ impl Intake {
                 name: decode::bounded(topic).into_owned(),
                 type_name: decode::bounded(format.type_name).into_owned(),
                 encoding: decode::bounded(format.encoding).into_owned(),
+                channels: Vec::new(),
                 messages: 0,
                 builder: None,
                 columns: None,
                 undecodable: None,
                 spans: Vec::new(),
+                waiting: Vec::new(),
             });
             self.topics.len() - 1
         })
@@ -249,41 +285,56 @@ impl Intake {
 
     /// Counts a message, and appends its rows where the channel has columns.
     pub(super) fn message(&mut self, channel: ChannelId, message: Message<'_>) {
-        let channel = &mut self.channels[channel.0];
-        let topic = &mut self.topics[channel.topic];
-        let times = RowTimes {
-            log: saturating(message.log_time),
-            publish: saturating(message.publish_time),
-            sequence: message.sequence,
-        };
+        let ChannelOf { topic, place } = self.channels[channel.0];
+        let topic = &mut self.topics[topic];
         self.messages += 1;
-        topic.messages += 1;
-        topic.seen(self.files.len(), Stamp::from_nanos(times.log));
-        if message.latched && channel.is_repeated(message.data) {
-            return;
-        }
-        match (&mut channel.decoding, &mut topic.builder) {
-            (Decoding::By { plan, row }, Some(builder)) => {
-                let mut data = message.data;
-                if channel.may_be_packed && data.starts_with(ZSTD_MAGIC) {
-                    match self.unpacker.message(data, &mut self.allowance) {
-                        Ok(unpacked) => data = unpacked,
-                        Err(error) => return topic.undecodable(message.place, &error),
-                    }
-                }
-                let mut append = |row: &Row| builder.append(row, times);
-                if let Err(error) = plan.decode(data, row, &mut append) {
-                    topic.undecodable(message.place, &error);
+        let mut message = message;
+        if topic.channels[place].is_packed(message.data) {
+            match self.unpacker.message(message.data, &mut self.allowance) {
+                Ok(unpacked) => message.data = unpacked,
+                Err(error) => {
+                    topic.messages += 1;
+                    topic.seen(self.files.len(), Stamp::from_nanos(saturating(message.log_time)));
+                    return take_down(&mut topic.undecodable, message.place, &error);
                 }
             }
-            (Decoding::Impossible { cause }, _) => topic.undecodable(message.place, cause),
-            (Decoding::By { .. } | Decoding::Ignored, _) => {}
         }
+        topic.message(place, &message, self.files.len());
+    }
+
+    /// Takes messages out of `batch` in their order, as [`Intake::message`] does; those of different
+    /// topics side by side.
+    pub(super) fn batch(&mut self, batch: &mut Vec<(ChannelId, Message<'_>)>) {
+        /// Fewer are sooner done by one thread.
+        const FEW: usize = 256;
+        let is_packed = |(channel, message): &(ChannelId, Message<'_>)| {
+            let ChannelOf { topic, place } = self.channels[channel.0];
+            self.topics[topic].channels[place].is_packed(message.data)
+        };
+        // What packed messages may unpack to is counted in their order.
+        if batch.len() < FEW || batch.iter().any(is_packed) {
+            return batch.drain(..).for_each(|(channel, message)| self.message(channel, message));
+        }
+        self.messages += batch.len() as u64;
+        for (index, (channel, _)) in batch.iter().enumerate() {
+            let ChannelOf { topic, place } = self.channels[channel.0];
+            self.topics[topic].waiting.push((place, index));
+        }
+        let file = self.files.len();
+        self.topics.par_iter_mut().with_max_len(1).for_each(|topic| {
+            let mut waiting = std::mem::take(&mut topic.waiting);
+            for (place, index) in waiting.drain(..) {
+                topic.message(place, &batch[index].1, file);
+            }
+            topic.waiting = waiting;
+        });
+        batch.clear();
     }
 
     /// Whether messages of a channel are only counted.
     pub(super) fn ignores(&self, channel: ChannelId) -> bool {
-        matches!(self.channels[channel.0].decoding, Decoding::Ignored)
+        let ChannelOf { topic, place } = self.channels[channel.0];
+        matches!(self.topics[topic].channels[place].decoding, Decoding::Ignored)
     }
 
     /// Counts messages of a channel that [`Intake::ignores`], with their first and last log time, ns.
@@ -409,6 +460,12 @@ impl Intake {
 }
 
 impl Channel {
+    /// Whether a message is a zstd frame that must be unpacked before it is decoded.
+    fn is_packed(&self, data: &[u8]) -> bool {
+        let is_decoded = matches!(self.decoding, Decoding::By { .. });
+        is_decoded && self.may_be_packed && data.starts_with(ZSTD_MAGIC)
+    }
+
     /// Whether a latched message of this channel was taken before.
     fn is_repeated(&mut self, data: &[u8]) -> bool {
         let mut hasher = DefaultHasher::new();
@@ -417,6 +474,13 @@ impl Channel {
         self.latched.contains(&hash)
             || (self.latched.len() < MAX_LATCHED && !self.latched.insert(hash))
     }
+}
+
+/// Takes down that the message at `place` cannot be decoded.
+fn take_down(undecodable: &mut Option<Undecodable>, place: Place, cause: &dyn fmt::Display) {
+    let undecodable = undecodable
+        .get_or_insert_with(|| Undecodable { messages: 0, first: format!("{cause} ({place})") });
+    undecodable.messages += 1;
 }
 
 fn format_key(topic: &str, format: Format<'_>) -> FormatKey {

@@ -16,7 +16,7 @@ use mcap::records::op;
 use self::record::{Broken, Frame};
 use super::ahead::{self, Ahead};
 use super::decode::{Format, excerpt};
-use super::intake::{ChannelId, Intake, Message, Place};
+use super::intake::{ChannelId, Intake, MOST_AT_ONCE, Message, Place};
 use super::losses::{Losses, NOT_DESCRIBED, Unknown};
 use super::unpack::{Compression, Packed, Unpacker};
 use super::{Crc, Extent, ReadOptions};
@@ -230,9 +230,11 @@ impl<'a> Reader<'a, '_, '_> {
             op::ATTACHMENT => self.attachment(frame),
             op::METADATA => self.metadata(frame),
             _ => {
-                if self.content(frame, frame.offset).is_none() {
+                let mut batch = Vec::new();
+                if self.content(frame, frame.offset, &mut batch).is_none() {
                     self.lose_record(frame, frame.offset);
                 }
+                self.intake.batch(&mut batch);
             }
         }
         false
@@ -370,10 +372,11 @@ impl<'a> Reader<'a, '_, '_> {
 
     /// Reads the records inside the chunk at `offset`.
     fn chunk_records(&mut self, records: &[u8], offset: usize) {
+        let mut batch = Vec::new();
         for frame in record::frames(records, 0) {
             match frame {
                 Ok(frame) => {
-                    if self.content(&frame, offset).is_none() {
+                    if self.content(&frame, offset, &mut batch).is_none() {
                         self.lose_record(&frame, offset);
                     }
                 }
@@ -383,10 +386,16 @@ impl<'a> Reader<'a, '_, '_> {
                 }
             }
         }
+        self.intake.batch(&mut batch);
     }
 
-    /// Reads a schema, channel or message; `None` if it is malformed.
-    fn content(&mut self, frame: &Frame<'_>, offset: usize) -> Option<()> {
+    /// Reads a schema, channel or message, which is put into `batch`; `None` if it is malformed.
+    fn content<'m>(
+        &mut self,
+        frame: &Frame<'m>,
+        offset: usize,
+        batch: &mut Vec<(ChannelId, Message<'m>)>,
+    ) -> Option<()> {
         if frame.opcode != op::MESSAGE {
             // From 0x80 on opcodes are for private use.
             if (op::DATA_END + 1..0x80).contains(&frame.opcode) {
@@ -399,17 +408,18 @@ impl<'a> Reader<'a, '_, '_> {
             self.orphans.get_or_insert((0, offset)).0 += 1;
             return Some(());
         };
-        self.intake.message(
-            id,
-            Message {
-                log_time: message.log_time,
-                publish_time: message.publish_time,
-                sequence: message.sequence,
-                data: message.data,
-                place: Place::Byte(offset as u64),
-                latched: false,
-            },
-        );
+        let message = Message {
+            log_time: message.log_time,
+            publish_time: message.publish_time,
+            sequence: message.sequence,
+            data: message.data,
+            place: Place::Byte(offset as u64),
+            latched: false,
+        };
+        batch.push((id, message));
+        if batch.len() == MOST_AT_ONCE {
+            self.intake.batch(batch);
+        }
         Some(())
     }
 
@@ -539,11 +549,13 @@ impl<'a> Reader<'a, '_, '_> {
 
     /// Reads the whole records at the beginning of a chunk that is cut.
     fn cut_chunk(&mut self, records: &[u8], offset: usize) {
+        let mut batch = Vec::new();
         for frame in record::frames(records, 0).flatten() {
-            if self.content(&frame, offset).is_none() {
+            if self.content(&frame, offset, &mut batch).is_none() {
                 self.lose_record(&frame, offset);
             }
         }
+        self.intake.batch(&mut batch);
     }
 
     /// Holds what was read against what the end of the file says.

@@ -13,7 +13,7 @@ use std::collections::HashMap;
 use self::record::{Broken, Chunk, Connection, MessageIndex, Record, op};
 use super::ahead::{self, Ahead};
 use super::decode::{Format, excerpt};
-use super::intake::{ChannelId, Intake, Message, Place};
+use super::intake::{ChannelId, Intake, MOST_AT_ONCE, Message, Place};
 use super::losses::{Losses, NOT_DESCRIBED, Unknown};
 use super::unpack::{Compression, UnpackError, Unpacker};
 use super::{Crc, Extent, ReadOptions};
@@ -239,7 +239,11 @@ impl<'a> Reader<'a, '_, '_> {
                 let what = "the bag is encrypted; write it anew without encryption".to_owned();
                 self.losses.add(record.offset, Extent::Messages, None, what);
             }
-            _ => self.content(record, record.offset),
+            _ => {
+                let mut batch = Vec::new();
+                self.content(record, record.offset, &mut batch);
+                self.intake.batch(&mut batch);
+            }
         }
         false
     }
@@ -341,23 +345,23 @@ impl<'a> Reader<'a, '_, '_> {
     /// Reads the records inside the chunk at `place`.
     fn chunk_records(&mut self, records: &[u8], place: usize) {
         let (mut offset, mut sound) = (0, 0);
+        let mut batch = Vec::new();
         while offset < records.len() {
             match record::record(records, offset) {
                 Ok(record) => {
-                    self.content(&record, place);
+                    self.content(&record, place, &mut batch);
                     sound = record.offset + 1;
                     offset = record.end;
                 }
                 Err(broken) => {
                     let what = format!("in the chunk, expected a record, found {broken}");
                     self.losses.add(place, Extent::Messages, None, what);
-                    let Some(next) = record::find_record(records, sound, None) else {
-                        return;
-                    };
+                    let Some(next) = record::find_record(records, sound, None) else { break };
                     (offset, sound) = (next, next);
                 }
             }
         }
+        self.intake.batch(&mut batch);
     }
 
     /// Reads what is left of a chunk whose end is missing; how many messages that were.
@@ -371,14 +375,15 @@ impl<'a> Reader<'a, '_, '_> {
         let before = self.intake.messages();
         if let Some(compression) = chunk.compression {
             let records = unpacker.cut_chunk(compression, data, &mut self.intake.allowance);
-            let mut offset = 0;
+            let (mut offset, mut batch) = (0, Vec::new());
             while let Ok(record) = record::record(records, offset) {
-                self.content(&record, place);
+                self.content(&record, place, &mut batch);
                 offset = record.end;
                 if offset >= records.len() {
                     break;
                 }
             }
+            self.intake.batch(&mut batch);
         }
         self.intake.messages() - before
     }
@@ -389,11 +394,17 @@ impl<'a> Reader<'a, '_, '_> {
         self.lose_tail(offset, "within a chunk", saved);
     }
 
-    /// Reads a message or a connection, inside of the chunk at `place` or outside of any.
-    fn content(&mut self, record: &Record<'_>, place: usize) {
+    /// Reads a connection, or a message, which is put into `batch`, inside of the chunk at `place` or
+    /// outside of any.
+    fn content<'m>(
+        &mut self,
+        record: &Record<'m>,
+        place: usize,
+        batch: &mut Vec<(ChannelId, Message<'m>)>,
+    ) {
         match record.op {
             op::MESSAGE => match record::Message::of(record) {
-                Some(header) => self.message(header, record.data, place),
+                Some(header) => batch.extend(self.message(header, record.data, place)),
                 None => {
                     let what = "message record without its connection or its time".to_owned();
                     self.losses.add(place, Extent::Messages, Some(1), what);
@@ -406,13 +417,21 @@ impl<'a> Reader<'a, '_, '_> {
             op::BAG | op::INDEX | op::CHUNK | op::CHUNK_INFO | op::CONNECTION => {}
             other => self.unknown.see(other),
         }
+        if batch.len() == MOST_AT_ONCE {
+            self.intake.batch(batch);
+        }
     }
 
-    fn message(&mut self, header: record::Message, data: &[u8], place: usize) {
+    fn message<'m>(
+        &mut self,
+        header: record::Message,
+        data: &'m [u8],
+        place: usize,
+    ) -> Option<(ChannelId, Message<'m>)> {
         let sender = self.connections.get(&header.connection);
         let Some(&Sender { channel: Some(channel), latching, numbers }) = sender else {
             self.orphans.get_or_insert((0, place)).0 += 1;
-            return;
+            return None;
         };
         let number = data.first_chunk().copied().map(u32::from_le_bytes);
         // A bag keeps one time of a message: when the recorder received it.
@@ -424,7 +443,7 @@ impl<'a> Reader<'a, '_, '_> {
             place: Place::Byte(place as u64),
             latched: latching,
         };
-        self.intake.message(channel, message);
+        Some((channel, message))
     }
 
     /// Takes up a connection; whether it is well formed.

@@ -40,6 +40,42 @@ pub struct Report {
     pub findings: Vec<Finding>,
     /// What each pose stream cannot show, and the motion that would.
     pub observability: Vec<StreamObservability>,
+    /// Over which part of its ranges each arm moved.
+    pub workspace: Vec<WorkspaceRow>,
+}
+
+/// Over which part of its ranges one arm moved.
+#[derive(Clone, Debug, Serialize)]
+pub struct WorkspaceRow {
+    /// The arm.
+    pub robot: String,
+    /// Its joints, from base to tip.
+    pub joints: Vec<JointCoverage>,
+    /// The least and the greatest distance of its tip from its base, m.
+    pub reach_m: [f64; 2],
+    /// How far the tip could be at most, m.
+    pub max_reach_m: f64,
+    /// What could not be concluded because a joint hardly moved: a sentence each.
+    pub hides: Vec<String>,
+}
+
+/// Over which part of its range one joint moved.
+#[derive(Clone, Debug, Serialize)]
+pub struct JointCoverage {
+    /// The joint.
+    pub joint: String,
+    /// Unit of the positions: `rad` or `m`.
+    pub unit: &'static str,
+    /// Its lowest position.
+    pub lowest: f64,
+    /// Its highest.
+    pub highest: f64,
+    /// Its lower limit.
+    pub lower: Option<f64>,
+    /// Its upper limit.
+    pub upper: Option<f64>,
+    /// Share of its limits that it visited, of a turn where it has none and turns.
+    pub visited: Option<f64>,
 }
 
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -215,6 +251,7 @@ impl Report {
             checks: Vec::new(),
             findings: Vec::new(),
             observability: Vec::new(),
+            workspace: Vec::new(),
         }
     }
 

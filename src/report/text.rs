@@ -9,7 +9,7 @@ use std::io::{self, Write};
 
 use anstyle::{AnsiColor, Style};
 
-use super::{Report, Verdict};
+use super::{JointCoverage, Report, Verdict};
 use crate::finding::{Alternative, CheckRow, Estimate, Finding, Severity, Status, Subject, Unit};
 
 /// Width of the column of labels.
@@ -43,6 +43,7 @@ pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     page.passed(out)?;
     page.could_not_tell(out)?;
     page.cannot_show(out)?;
+    page.workspace(out)?;
     page.skipped(out)?;
     page.hints(out)
 }
@@ -226,6 +227,37 @@ impl Page<'_> {
             for blind in &stream.together {
                 line(out, WARNING, label, &blind.sentence(&stream.topic))?;
                 label = "";
+            }
+        }
+        Ok(())
+    }
+
+    /// How far the joints and the tip moved, a line an arm.
+    fn workspace(&self, out: &mut dyn Write) -> io::Result<()> {
+        for arm in &self.report.workspace {
+            let of = if self.robots { format!("{}: ", arm.robot) } else { String::new() };
+            let visited = |joint: &&JointCoverage| joint.visited.is_some();
+            let share = |joint: &JointCoverage| joint.visited.unwrap_or(0.0);
+            let mut joints: Vec<&JointCoverage> = arm.joints.iter().filter(visited).collect();
+            joints.sort_by(|a, b| share(a).total_cmp(&share(b)));
+            let [least_m, most_m] = arm.reach_m;
+            let tip = format!(
+                "tip {least_m:.2}–{most_m:.2} m from the base, which reaches {:.2} m",
+                arm.max_reach_m
+            );
+            let text = match joints.as_slice() {
+                [least, .., most] => format!(
+                    "{of}joints moved over {:.0} % ({}) to {:.0} % ({}) of their ranges; {tip}",
+                    100.0 * share(least),
+                    least.joint,
+                    100.0 * share(most),
+                    most.joint
+                ),
+                _ => format!("{of}{tip}"),
+            };
+            line(out, QUIET, "workspace", &text)?;
+            for hidden in &arm.hides {
+                line(out, QUIET, "", hidden)?;
             }
         }
         Ok(())

@@ -54,6 +54,7 @@ impl Link<'_> {
             link_from_imu: self.first_mount(lag_s, moves),
             bias_rad_s: Vec3::zeros(),
             shape: Matrix3::zeros(),
+            is_shaped: false,
         };
         if model.windows.len() < NEED {
             return Err(Unseen::TooFewSamples { have: model.windows.len(), need: NEED });
@@ -76,7 +77,7 @@ impl Link<'_> {
         }
         let mut shape = None;
         if moves {
-            let mut shaped = model.clone();
+            let mut shaped = GyroModel { is_shaped: true, ..model.clone() };
             let all: Vec<usize> = free.iter().copied().chain(GyroModel::SHAPE).collect();
             let with_shape = solve(&mut shaped, &all);
             if shaped.is_surely_shaped(&with_shape) {
@@ -157,6 +158,8 @@ struct GyroModel<'a> {
     /// Symmetric: scale errors on the diagonal, misalignment of the axes beside it. What is not
     /// symmetric is a rotation, and the mount's.
     shape: Matrix3<f64>,
+    /// Whether the shape is fitted, or was.
+    is_shaped: bool,
 }
 
 /// What the gyro says of one window.
@@ -232,7 +235,8 @@ impl<'a> GyroModel<'a> {
             let half_back = rotation_from_rotvec(-0.5 * dt * omega).to_rotation_matrix();
             turn.first_from_last *= step;
             turn.by_rate = back * turn.by_rate + half_back.matrix() * undo * dt;
-            for (sum, (row, column)) in turn.by_shape.iter_mut().zip(Self::ENTRIES) {
+            let entries = Self::ENTRIES.into_iter().filter(|_| self.is_shaped);
+            for (sum, (row, column)) in turn.by_shape.iter_mut().zip(entries) {
                 let mut unit = Matrix3::zeros();
                 unit[(row, column)] = 1.0;
                 unit[(column, row)] = 1.0;

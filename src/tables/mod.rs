@@ -1,7 +1,16 @@
-//! The one bridge to Polars: a stream's samples beside forward kinematics, as a frame.
+//! The one bridge to Polars: a stream's samples beside forward kinematics, and what else is stored as
+//! a table.
 //!
-//! Whatever shows or stores samples reads this frame, so that a recording, a plot and a table say
-//! the same. Units stand last in a column's name.
+//! Whatever shows or stores samples reads these frames, so that a recording, a plot and a table say
+//! the same. Units stand last in a column's name. `docs/tables.md` lists the columns of the files.
+
+mod parquet;
+mod rows;
+mod workspace;
+
+pub use parquet::{TableError, write_table};
+pub use rows::{checks_frame, findings_frame, joints_frame};
+pub use workspace::{ArmWorkspace, reach_map_frame, reached_poses_frame};
 
 use polars::prelude::{Column, DataFrame, PolarsResult};
 
@@ -95,6 +104,35 @@ pub fn aligned_frame(aligned: &Aligned, origin: Stamp) -> PolarsResult<DataFrame
         column(REACH_M, &reach_m),
     ]);
     DataFrame::new(aligned.t_s.len(), columns)
+}
+
+/// The aligned samples of several streams, with the robot and the topic of each before its columns.
+///
+/// # Errors
+/// Where the columns of one differ in length.
+pub fn aligned_frames<'a>(
+    streams: impl Iterator<Item = (&'a str, &'a str, &'a Aligned)>,
+    origin: Stamp,
+) -> PolarsResult<DataFrame> {
+    let mut frames: Option<DataFrame> = None;
+    for (robot, topic, aligned) in streams {
+        let mut frame = aligned_frame(aligned, origin)?;
+        for (place, (name, text)) in [("robot", robot), ("topic", topic)].into_iter().enumerate() {
+            let names = Column::new(name.into(), vec![text; frame.height()]);
+            frame.insert_column(place, names)?;
+        }
+        match &mut frames {
+            Some(frames) => frames.vstack_mut(&frame).map(|_| ())?,
+            None => frames = Some(frame),
+        }
+    }
+    match frames {
+        Some(mut frames) => {
+            frames.rechunk_mut();
+            Ok(frames)
+        }
+        None => aligned_frames([("", "", &Aligned::default())].into_iter(), origin),
+    }
 }
 
 /// The stamps of a frame's rows, ns.

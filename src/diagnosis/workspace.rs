@@ -1,0 +1,224 @@
+//! Where an arm has been: over which part of their ranges its joints moved, and which places and
+//! poses its tip reached.
+
+use std::collections::BTreeMap;
+use std::f64::consts::{PI, TAU};
+
+use crate::geometry::{Pose, Vec3, angle_between};
+use crate::robot::{Chain, JointKind, Limits};
+
+/// Edge of the cells of a reach map, m.
+pub const CELL_M: f64 = 0.02;
+/// Orientations farther apart than this are two, rad.
+pub const APART_RAD: f64 = 15.0 * PI / 180.0;
+/// Ways to reach a pose are two where a joint is farther apart than this, rad or m.
+pub const JOINT_APART: f64 = 0.35;
+/// Parts that a joint's range is cut into to say how much of it was visited.
+const PARTS: usize = 72;
+/// A sample holds until the next one, but no longer than this, s.
+const LONGEST_S: f64 = 1.0;
+
+/// The part of its range that a joint moved over.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JointSpan {
+    /// Its lowest position, rad or m.
+    pub lowest: f64,
+    /// Its highest, rad or m.
+    pub highest: f64,
+    /// Share of its range that it visited: of its limits, of a turn where it has none and turns;
+    /// `None` where it slides without limits.
+    pub visited: Option<f64>,
+}
+
+impl JointSpan {
+    /// The span of these positions, rad or m; `None` where none is finite.
+    pub fn of(positions: &[f64], kind: JointKind, limits: &Limits) -> Option<Self> {
+        let finite = || positions.iter().copied().filter(|position| position.is_finite());
+        let lowest = finite().reduce(f64::min)?;
+        let highest = finite().reduce(f64::max)?;
+        let range = match (limits.lower, limits.upper, kind) {
+            (Some(lower), Some(upper), _) if upper > lower => Some((lower, upper - lower, false)),
+            (_, _, JointKind::Prismatic) => None,
+            _ => Some((0.0, TAU, true)),
+        };
+        let visited = range.map(|(lower, width, wraps)| {
+            let mut visited = [false; PARTS];
+            for position in finite() {
+                let share = (position - lower) / width;
+                let share = if wraps { share.rem_euclid(1.0) } else { share.clamp(0.0, 1.0) };
+                visited[((share * PARTS as f64) as usize).min(PARTS - 1)] = true;
+            }
+            visited.iter().filter(|visited| **visited).count() as f64 / PARTS as f64
+        });
+        Some(Self { lowest, highest, visited })
+    }
+
+    /// How far the joint moved, rad or m.
+    pub fn width(&self) -> f64 {
+        self.highest - self.lowest
+    }
+}
+
+/// A cell of the reach map.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Place {
+    /// Samples in it.
+    pub samples: usize,
+    /// How long the tip was in it, s.
+    pub dwell_s: f64,
+    /// Orientations in it that are [`APART_RAD`] apart.
+    pub orientations: usize,
+    /// The poses reached in it; indices into [`Workspace::poses`].
+    pub poses: Vec<usize>,
+}
+
+/// A pose that the tip reached, the first time that it did.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ReachedPose {
+    /// When, s from the run's origin.
+    pub t_s: f64,
+    /// `base_from_tip` by forward kinematics of the joint states as recorded.
+    pub base_from_tip: Pose,
+    /// The positions of the chain's joints, rad or m.
+    pub q: Vec<f64>,
+    /// Samples of this pose and these joints.
+    pub samples: usize,
+}
+
+/// The places and poses that the tip of a chain reached.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Workspace {
+    /// The cells that it reached, by their numbers along x, y and z of the base: cell `i` lies from
+    /// `i · CELL_M` to `(i + 1) · CELL_M`.
+    pub places: BTreeMap<[i32; 3], Place>,
+    /// The different poses, and ways to reach them, in the order of time: of those in one cell each is
+    /// [`APART_RAD`] turned from every other, or reached with a joint [`JOINT_APART`] away.
+    pub poses: Vec<ReachedPose>,
+}
+
+impl Workspace {
+    /// What the tip of `chain` reached at these times, s, with these positions of its joints, rad or
+    /// m. Samples that are not finite are passed over.
+    pub fn of(chain: &Chain, samples: impl Iterator<Item = (f64, Vec<f64>)>) -> Self {
+        let mut workspace = Self::default();
+        let mut last: Option<(f64, [i32; 3])> = None;
+        for (t_s, q) in samples {
+            if let Some((before_s, cell)) = last
+                && let Some(place) = workspace.places.get_mut(&cell)
+            {
+                place.dwell_s += (t_s - before_s).clamp(0.0, LONGEST_S);
+            }
+            let base_from_tip = chain.forward(&q);
+            let xyz = base_from_tip.translation.vector;
+            if !xyz.iter().all(|part| part.is_finite()) {
+                last = None;
+                continue;
+            }
+            let cell = cell_of(xyz);
+            workspace.add(cell, ReachedPose { t_s, base_from_tip, q, samples: 1 });
+            last = Some((t_s, cell));
+        }
+        workspace
+    }
+
+    fn add(&mut self, cell: [i32; 3], reached: ReachedPose) {
+        let place = self.places.entry(cell).or_default();
+        place.samples += 1;
+        let is_oriented = |known: &ReachedPose| {
+            let (a, b) = (&known.base_from_tip.rotation, &reached.base_from_tip.rotation);
+            angle_between(a, b) < APART_RAD
+        };
+        let is_same_way = |known: &ReachedPose| {
+            known.q.iter().zip(&reached.q).all(|(a, b)| (a - b).abs() < JOINT_APART)
+        };
+        let mut oriented =
+            place.poses.iter().filter(|at| is_oriented(&self.poses[**at])).peekable();
+        let is_new_orientation = oriented.peek().is_none();
+        match oriented.find(|at| is_same_way(&self.poses[**at])) {
+            Some(&known) => self.poses[known].samples += 1,
+            None => {
+                place.orientations += usize::from(is_new_orientation);
+                place.poses.push(self.poses.len());
+                self.poses.push(reached);
+            }
+        }
+    }
+}
+
+fn cell_of(xyz: Vec3) -> [i32; 3] {
+    // Beyond what an `i32` holds, `as` saturates.
+    [xyz.x, xyz.y, xyz.z].map(|part| (part / CELL_M).floor() as i32)
+}
+
+/// The centre of a cell in the base, m.
+pub fn centre_m(cell: [i32; 3]) -> [f64; 3] {
+    cell.map(|number| (f64::from(number) + 0.5) * CELL_M)
+}
+
+/// The least and the greatest distance of the tip from the base at these joint positions, m; `None`
+/// of none.
+pub fn reach_m(chain: &Chain, rows: impl Iterator<Item = Vec<f64>>) -> Option<(f64, f64)> {
+    let distances = rows.map(|q| chain.forward(&q).translation.vector.norm());
+    distances.filter(|distance| distance.is_finite()).fold(None, |ends, distance| {
+        let (least, most) = ends.unwrap_or((distance, distance));
+        Some((distance.min(least), distance.max(most)))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::catalogue;
+
+    fn limits(lower: f64, upper: f64) -> Limits {
+        Limits { lower: Some(lower), upper: Some(upper), velocity: None }
+    }
+
+    #[test]
+    fn what_is_visited_is_a_share_of_the_limits_or_of_a_turn() {
+        let sweep: Vec<f64> = (0..=1000).map(|k| -0.5 + f64::from(k) * 1e-3).collect();
+        let span = JointSpan::of(&sweep, JointKind::Revolute, &limits(-1.0, 1.0)).unwrap();
+        assert!((span.width() - 1.0).abs() < 1e-12 && (span.lowest + 0.5).abs() < 1e-12);
+        assert!((span.visited.unwrap() - 0.5).abs() < 2.0 / PARTS as f64, "{span:?}");
+        // Three turns of a joint that goes round for ever visit all of one.
+        let turns: Vec<f64> = (0..3000).map(|k| f64::from(k) * 3.0 * TAU / 3000.0).collect();
+        let span = JointSpan::of(&turns, JointKind::Continuous, &Limits::default()).unwrap();
+        assert_eq!(span.visited, Some(1.0));
+        let slides = JointSpan::of(&sweep, JointKind::Prismatic, &Limits::default()).unwrap();
+        assert_eq!(slides.visited, None);
+        assert_eq!(JointSpan::of(&[f64::NAN], JointKind::Revolute, &limits(-1.0, 1.0)), None);
+    }
+
+    #[test]
+    fn one_place_is_reached_with_several_orientations_and_in_several_ways() {
+        let robot = catalogue::find("ur5e").expect("the catalogue has a UR5e");
+        let link = |name: &str| robot.link(name).expect("a UR5e has that link");
+        let chain = robot.chain(link("base_link"), link("tool0")).expect("they are joined");
+        let home = vec![0.2, -1.2, 1.4, -1.0, -1.5, 0.3];
+        let turned = |joint: usize, by: f64| {
+            let mut q = home.clone();
+            q[joint] += by;
+            q
+        };
+        // The last joint turns the tip on the spot; a whole turn of it is another way to a pose.
+        let samples = [
+            (0.0, home.clone()),
+            (0.5, turned(5, 0.01)),
+            (1.0, turned(5, 1.0)),
+            (1.5, turned(5, TAU)),
+            (9.0, turned(0, 1.0)),
+        ];
+        let workspace = Workspace::of(&chain, samples.into_iter());
+        assert_eq!((workspace.places.len(), workspace.poses.len()), (2, 4));
+        let tip = chain.forward(&home).translation.vector;
+        let place = &workspace.places[&cell_of(tip)];
+        assert_eq!((place.samples, place.orientations, place.poses.len()), (4, 2, 3));
+        // The last of its samples holds for a second of the 7.5 s.
+        assert!((place.dwell_s - 2.5).abs() < 1e-12);
+        assert_eq!(workspace.poses[0].samples, 2);
+        let centre = centre_m(cell_of(tip));
+        assert!((0..3).all(|axis| (centre[axis] - tip[axis]).abs() <= CELL_M / 2.0));
+        let (least, most) = reach_m(&chain, [home].into_iter()).unwrap();
+        assert!((least - tip.norm()).abs() < 1e-12 && least == most);
+    }
+}

@@ -1,0 +1,130 @@
+//! What a report says, as frames: a row a finding, a check, a joint.
+
+use polars::prelude::{Column, DataFrame, PolarsResult};
+use serde::Serialize;
+
+use crate::finding::{CheckRow, Estimate, Finding, Subject};
+use crate::report::WorkspaceRow;
+use crate::time::Stamp;
+
+/// The findings, one a row in the order of the report.
+///
+/// # Errors
+/// None that a report can cause.
+pub fn findings_frame(findings: &[Finding]) -> PolarsResult<DataFrame> {
+    let text = |name: &str, of: &dyn Fn(&Finding) -> String| {
+        Column::new(name.into(), findings.iter().map(of).collect::<Vec<_>>())
+    };
+    let mut columns = vec![
+        text("code", &|finding| finding.code.to_owned()),
+        text("severity", &|finding| finding.severity.name().to_owned()),
+        text("title", &|finding| finding.title.to_owned()),
+        text("message", &|finding| finding.message.clone()),
+    ];
+    columns.extend(subjects(findings.iter().map(|finding| &finding.subject)));
+    columns.extend(estimates(findings.iter().map(|finding| finding.estimate.as_ref())));
+    columns.push(text("fix", &|finding| finding.fix.clone()));
+    columns.push(text("evidence_json", &|finding| as_json(&finding.evidence)));
+    let stamp = |name: &str, of: &dyn Fn(&Finding) -> Option<Stamp>| {
+        let nanos = |finding| of(finding).map(|stamp| stamp.nanos());
+        Column::new(name.into(), findings.iter().map(nanos).collect::<Vec<Option<i64>>>())
+    };
+    columns.push(stamp("start_ns", &|finding| finding.start_ns));
+    columns.push(stamp("end_ns", &|finding| finding.end_ns));
+    DataFrame::new(findings.len(), columns)
+}
+
+/// The checks, one a row in the order of the report.
+///
+/// # Errors
+/// None that a report can cause.
+pub fn checks_frame(checks: &[CheckRow]) -> PolarsResult<DataFrame> {
+    let text = |name: &str, of: &dyn Fn(&CheckRow) -> Option<String>| {
+        Column::new(name.into(), checks.iter().map(of).collect::<Vec<_>>())
+    };
+    let mut columns = vec![
+        text("code", &|row| Some(row.code.to_owned())),
+        text("name", &|row| Some(row.name.to_owned())),
+        text("status", &|row| Some(row.status.name().to_owned())),
+        text("reason", &|row| row.reason.clone()),
+    ];
+    columns.extend(subjects(checks.iter().map(|row| &row.subject)));
+    columns.extend(estimates(checks.iter().map(|row| row.estimate.as_ref())));
+    columns.push(text("evidence_json", &|row| Some(as_json(&row.evidence))));
+    DataFrame::new(checks.len(), columns)
+}
+
+/// How far each joint of each arm moved, one a row from base to tip.
+///
+/// # Errors
+/// None that a report can cause.
+pub fn joints_frame(arms: &[WorkspaceRow]) -> PolarsResult<DataFrame> {
+    let rows: Vec<_> =
+        arms.iter().flat_map(|arm| arm.joints.iter().map(move |joint| (arm, joint))).collect();
+    let robots: Vec<&str> = rows.iter().map(|(arm, _)| arm.robot.as_str()).collect();
+    let joints: Vec<&str> = rows.iter().map(|(_, joint)| joint.joint.as_str()).collect();
+    let units: Vec<&str> = rows.iter().map(|(_, joint)| joint.unit).collect();
+    let number = |name: &str, of: fn(&crate::report::JointCoverage) -> Option<f64>| {
+        Column::new(name.into(), rows.iter().map(|(_, joint)| of(joint)).collect::<Vec<_>>())
+    };
+    DataFrame::new(
+        rows.len(),
+        vec![
+            Column::new("robot".into(), robots),
+            Column::new("joint".into(), joints),
+            Column::new("unit".into(), units),
+            number("lowest", |joint| Some(joint.lowest)),
+            number("highest", |joint| Some(joint.highest)),
+            number("lower_limit", |joint| joint.lower),
+            number("upper_limit", |joint| joint.upper),
+            number("visited", |joint| joint.visited),
+        ],
+    )
+}
+
+fn subjects<'a>(subjects: impl Iterator<Item = &'a Subject>) -> [Column; 4] {
+    let subjects: Vec<&Subject> = subjects.collect();
+    let part = |name: &str, of: fn(&Subject) -> &Option<String>| {
+        let parts: Vec<Option<&str>> = subjects.iter().map(|one| of(one).as_deref()).collect();
+        Column::new(name.into(), parts)
+    };
+    [
+        part("robot", |subject| &subject.robot),
+        part("topic", |subject| &subject.topic),
+        part("joint", |subject| &subject.joint),
+        part("frame", |subject| &subject.frame),
+    ]
+}
+
+/// The number of an estimate with its interval, where it has one, and all of it as JSON.
+fn estimates<'a>(estimates: impl Iterator<Item = Option<&'a Estimate>>) -> [Column; 5] {
+    let (mut values, mut units, mut lows, mut highs, mut whole) =
+        (Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    for estimate in estimates {
+        let number = match estimate {
+            Some(
+                Estimate::Amount { value, unit, ci95, .. }
+                | Estimate::Frame { value, unit, ci95, .. },
+            ) => Some((*value, *unit, *ci95)),
+            _ => None,
+        };
+        values.push(number.map(|(value, ..)| value));
+        units.push(number.map(|(_, unit, _)| unit));
+        let interval = number.and_then(|(.., interval)| interval);
+        lows.push(interval.map(|[low, _]| low));
+        highs.push(interval.map(|[_, high]| high));
+        whole.push(estimate.map(as_json));
+    }
+    [
+        Column::new("value".into(), values),
+        Column::new("unit".into(), units),
+        Column::new("ci95_low".into(), lows),
+        Column::new("ci95_high".into(), highs),
+        Column::new("estimate_json".into(), whole),
+    ]
+}
+
+/// What is written into reports has string keys and finite numbers only, which JSON always takes.
+fn as_json(value: &impl Serialize) -> String {
+    serde_json::to_string(value).unwrap_or_default()
+}

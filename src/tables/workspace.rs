@@ -1,0 +1,96 @@
+//! Where arms have been, as frames: the reach map and the poses that were reached.
+
+use std::collections::BTreeSet;
+
+use polars::prelude::{Column, DataFrame, PolarsResult};
+
+use crate::diagnosis::{Workspace, centre_m};
+use crate::geometry::{xyz_of, xyzw_from_rotation};
+use crate::robot::{Chain, JointKind};
+use crate::time::Stamp;
+
+use super::split;
+
+/// Where one arm has been.
+pub struct ArmWorkspace<'a> {
+    /// Its name.
+    pub robot: &'a str,
+    /// Its chain from base to tip.
+    pub chain: &'a Chain,
+    /// What its tip reached.
+    pub workspace: Workspace,
+}
+
+/// The reach map: a row for every cell of the base's frame that a tip was in.
+///
+/// # Errors
+/// None that a workspace can cause.
+pub fn reach_map_frame(arms: &[ArmWorkspace<'_>]) -> PolarsResult<DataFrame> {
+    let rows: Vec<_> = arms
+        .iter()
+        .flat_map(|arm| arm.workspace.places.iter().map(move |(cell, place)| (arm, cell, place)))
+        .collect();
+    let robots: Vec<&str> = rows.iter().map(|(arm, ..)| arm.robot).collect();
+    let centres: Vec<[f64; 3]> = rows.iter().map(|(_, cell, _)| centre_m(**cell)).collect();
+    let count = |name: &str, of: &dyn Fn(usize) -> usize| {
+        let counts: Vec<u64> = (0..rows.len()).map(|row| of(row) as u64).collect();
+        Column::new(name.into(), counts)
+    };
+    let dwell_s: Vec<f64> = rows.iter().map(|(.., place)| place.dwell_s).collect();
+    let mut columns = vec![Column::new("robot".into(), robots)];
+    columns.extend(split(["x_m", "y_m", "z_m"].map(str::to_owned), &centres));
+    columns.extend([
+        count("samples", &|row| rows[row].2.samples),
+        Column::new("dwell_s".into(), dwell_s),
+        count("orientations", &|row| rows[row].2.orientations),
+        count("poses", &|row| rows[row].2.poses.len()),
+    ]);
+    DataFrame::new(rows.len(), columns)
+}
+
+/// The poses that tips reached: a row for each, with the joint positions that reached it; those of
+/// other robots' joints are null.
+///
+/// # Errors
+/// None that a workspace can cause.
+pub fn reached_poses_frame(arms: &[ArmWorkspace<'_>], origin: Stamp) -> PolarsResult<DataFrame> {
+    let rows: Vec<_> = arms
+        .iter()
+        .flat_map(|arm| arm.workspace.poses.iter().map(move |pose| (arm, pose)))
+        .collect();
+    let robots: Vec<&str> = rows.iter().map(|(arm, _)| arm.robot).collect();
+    let stamps: Vec<i64> = rows.iter().map(|(_, pose)| origin.shifted(pose.t_s).nanos()).collect();
+    let t_s: Vec<f64> = rows.iter().map(|(_, pose)| pose.t_s).collect();
+    let xyz: Vec<[f64; 3]> = rows.iter().map(|(_, pose)| xyz_of(&pose.base_from_tip)).collect();
+    let xyzw: Vec<[f64; 4]> =
+        rows.iter().map(|(_, pose)| xyzw_from_rotation(&pose.base_from_tip.rotation)).collect();
+    let samples: Vec<u64> = rows.iter().map(|(_, pose)| pose.samples as u64).collect();
+    let mut columns = vec![
+        Column::new("robot".into(), robots),
+        Column::new(super::STAMP_NS.into(), stamps),
+        Column::new(super::T_S.into(), t_s),
+    ];
+    columns.extend(split(["x_m", "y_m", "z_m"].map(str::to_owned), &xyz));
+    columns.extend(split(["qx", "qy", "qz", "qw"].map(str::to_owned), &xyzw));
+    columns.push(Column::new("samples".into(), samples));
+    let mut known = BTreeSet::new();
+    for name in arms.iter().flat_map(|arm| joint_columns(arm.chain)) {
+        if !known.insert(name.clone()) {
+            continue;
+        }
+        let positions = rows.iter().map(|(arm, pose)| {
+            let joint = joint_columns(arm.chain).position(|other| other == name)?;
+            pose.q.get(joint).copied()
+        });
+        columns.push(Column::new(name.as_str().into(), positions.collect::<Vec<Option<f64>>>()));
+    }
+    DataFrame::new(rows.len(), columns)
+}
+
+/// `{joint}_rad`, or `{joint}_m` of one that slides.
+fn joint_columns(chain: &Chain) -> impl Iterator<Item = String> {
+    chain.joint_names().iter().zip(chain.joint_kinds()).map(|(name, kind)| match kind {
+        JointKind::Prismatic => format!("{name}_m"),
+        _ => format!("{name}_rad"),
+    })
+}

@@ -1,0 +1,131 @@
+//! Joins a run's joint states to where its arms have been, for the report and for tables.
+
+use crate::diagnosis::{JointSpan, Workspace, reach_m};
+use crate::finding::{CheckRow, Status, Unit};
+use crate::report::{JointCoverage, WorkspaceRow};
+use crate::robot::JointKind;
+use crate::run::{Arm, JointSamples, Run};
+use crate::tables::ArmWorkspace;
+
+/// A joint that turns or slides by less hardly shows its zero, rad and m.
+const FAR_RAD: f64 = 30.0 * std::f64::consts::PI / 180.0;
+const FAR_M: f64 = 0.1;
+
+/// Over which part of its ranges each arm moved, and what was left open for it. Arms whose joint
+/// states are to be read otherwise than they are have none.
+pub(crate) fn coverage(run: &Run, checks: &[CheckRow]) -> Vec<WorkspaceRow> {
+    let rows = run.arms.iter().filter(|arm| !is_misread(arm, checks));
+    rows.filter_map(|arm| arm_coverage(run, arm, checks)).collect()
+}
+
+/// The places and poses that the tip of each arm reached, by all samples of its joint states.
+pub(crate) fn reached<'a>(run: &'a Run, checks: &[CheckRow]) -> Vec<ArmWorkspace<'a>> {
+    let arms = run.arms.iter().filter(|arm| !is_misread(arm, checks));
+    let reached = arms.map(|arm| {
+        let rows = Rows::of(run, arm);
+        let workspace = Workspace::of(&arm.chain, (0..rows.len()).map(|row| rows.at(row)));
+        ArmWorkspace { robot: &arm.name, chain: &arm.chain, workspace }
+    });
+    reached.collect()
+}
+
+/// Whether the joint states of an arm are in another unit or order than they seem.
+fn is_misread(arm: &Arm, checks: &[CheckRow]) -> bool {
+    let is_of_arm =
+        |row: &&CheckRow| row.subject.robot.as_ref().is_none_or(|robot| *robot == arm.name);
+    let mut rows = checks.iter().filter(is_of_arm);
+    rows.any(|row| ["ORD004", "ORD005"].contains(&row.code) && row.status == Status::Fail)
+}
+
+fn arm_coverage(run: &Run, arm: &Arm, checks: &[CheckRow]) -> Option<WorkspaceRow> {
+    /// Samples that tell how far the tip was.
+    const ENOUGH: usize = 20_000;
+    let rows = Rows::of(run, arm);
+    let some = (0..rows.len()).step_by(rows.len().div_ceil(ENOUGH).max(1));
+    let (least, most) = reach_m(&arm.chain, some.map(|row| rows.at(row).1))?;
+    let mut hides = Vec::new();
+    let mut joints = Vec::new();
+    for (joint, &column) in arm.columns.iter().enumerate() {
+        let (Some(name), Some(kind)) =
+            (arm.chain.joint_names().get(joint), arm.chain.joint_kinds().get(joint))
+        else {
+            continue;
+        };
+        let limits = arm.chain.limits().get(joint).copied().unwrap_or_default();
+        let Some(span) =
+            rows.samples.get(column).and_then(|of| JointSpan::of(&of.position, *kind, &limits))
+        else {
+            continue;
+        };
+        let (unit, far) = match kind {
+            JointKind::Prismatic => (Unit::Metre, FAR_M),
+            _ => (Unit::Radian, FAR_RAD),
+        };
+        let is_open = |row: &&CheckRow| {
+            row.code == "ZER001"
+                && row.status == Status::Inconclusive
+                && row.subject.joint.as_ref() == Some(name)
+        };
+        if span.width() < far && checks.iter().any(|row| is_open(&row)) {
+            let moved = unit.show(span.width());
+            hides.push(format!("{name} moved by {moved} only: its zero cannot be told"));
+        }
+        joints.push(JointCoverage {
+            joint: name.clone(),
+            unit: unit.symbol(),
+            lowest: span.lowest,
+            highest: span.highest,
+            lower: limits.lower,
+            upper: limits.upper,
+            visited: span.visited,
+        });
+    }
+    Some(WorkspaceRow {
+        robot: arm.name.clone(),
+        joints,
+        reach_m: [least, most],
+        max_reach_m: arm.chain.max_reach_m(),
+        hides,
+    })
+}
+
+/// Samples of all joints of an arm: all that were recorded, where the joints share their messages,
+/// else those of the track that they were brought to.
+struct Rows<'a> {
+    arm: &'a Arm,
+    samples: Vec<JointSamples<'a>>,
+    is_shared: bool,
+}
+
+impl<'a> Rows<'a> {
+    fn of(run: &'a Run, arm: &'a Arm) -> Self {
+        let samples = run.joint_samples(&arm.joint_facts);
+        let is_shared = match samples.as_slice() {
+            [first, others @ ..] => others.iter().all(|other| other.is_beside(first)),
+            [] => false,
+        };
+        Self { arm, samples, is_shared }
+    }
+
+    fn len(&self) -> usize {
+        match self.samples.first() {
+            Some(first) if self.is_shared => first.t_s.len(),
+            _ => self.arm.joints.len(),
+        }
+    }
+
+    /// When a sample was, s from the run's origin, and the positions of the chain's joints there.
+    fn at(&self, row: usize) -> (f64, Vec<f64>) {
+        let columns = self.arm.columns.iter();
+        match self.samples.first() {
+            Some(first) if self.is_shared => {
+                let position = |&column: &usize| self.samples[column].position[row];
+                (first.t_s[row], columns.map(position).collect())
+            }
+            _ => {
+                let q = self.arm.joints.row(row);
+                (self.arm.joints.t_s[row], columns.map(|&column| q[column]).collect())
+            }
+        }
+    }
+}
