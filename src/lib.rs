@@ -20,6 +20,7 @@
 mod audit;
 mod demo;
 mod hand_eye;
+mod references;
 
 pub mod checks;
 pub mod diagnosis;
