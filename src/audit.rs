@@ -21,6 +21,7 @@ use crate::finding::{Severity, Span, Subject};
 use crate::geometry::Pose;
 use crate::hand_eye::{hand_eyes, settle_hands};
 use crate::log::{Log, Loss, Progress};
+use crate::references::references;
 use crate::replay::{self, Replay, ReplayArm, ReplayImu, ReplayStream, StreamKind};
 use crate::report::{
     FileRow, LogSummary, NoteRow, Report, RobotRow, StreamRow, Trouble, TroubleKind, tells_hand_eye,
@@ -540,6 +541,7 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         tf: tf.into_iter().map(|(source, diagnosis)| (pose_facts(source), diagnosis)).collect(),
         shakes,
         imus: imus.collect(),
+        references: Vec::new(),
     }
 }
 
@@ -766,7 +768,10 @@ impl Audited {
         let diagnoses = diagnose(&run, options.max_latency_s);
         let joints = |arm: usize| readable_joints(&run.arms[arm], &diagnoses[arm].arm);
         let hand_eyes = hand_eyes(&run, joints, options.max_latency_s);
-        let facts = Facts { hand_eyes, ..facts(&run, diagnoses, read, &options.declarations) };
+        let mut facts = Facts { hand_eyes, ..facts(&run, diagnoses, read, &options.declarations) };
+        for (index, arm) in facts.robots.iter_mut().enumerate() {
+            arm.references = references(&run, index, &arm.diagnosis, options.max_latency_s);
+        }
         let evaluation = evaluate(&facts, &options.rules);
         Ok(Self { run, facts, evaluation, seconds })
     }

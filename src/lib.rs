@@ -21,6 +21,7 @@ mod audit;
 mod demo;
 mod hand_eye;
 mod workspace;
+mod references;
 
 pub mod checks;
 pub mod diagnosis;

@@ -4,7 +4,7 @@
 
 use crate::diagnosis::{
     Abruptness, ArmDiagnosis, Excess, HandEyeDiagnosis, ImuDiagnosis, Mount, NoShake,
-    PoseDiagnosis, Shake,
+    PoseDiagnosis, ReferenceDiagnosis, Seen, Shake,
 };
 use crate::finding::{Span, Subject, Unit};
 use crate::geometry::Convention;
@@ -99,11 +99,14 @@ pub struct ArmFacts {
     pub shakes: Vec<ShakeFacts>,
     /// The IMUs on the arm.
     pub imus: Vec<(ImuFacts, ImuDiagnosis)>,
+    /// What the arm was told.
+    pub references: Vec<ReferenceFacts>,
 }
 
 impl ArmFacts {
     fn subjects(&self) -> usize {
-        self.joints.len() + self.poses.len() + self.tf.len() + self.imus.len()
+        let streams = self.poses.len() + self.tf.len() + self.imus.len() + self.references.len();
+        self.joints.len() + streams
     }
 
     /// The pose streams, each with what was estimated on it.
@@ -257,6 +260,45 @@ pub struct ImuFacts {
     pub span: Span,
     /// Whether its stamps are its own, not copies of the joints'.
     pub independent: bool,
+}
+
+/// One stream of commands.
+#[derive(Clone, Debug)]
+pub struct ReferenceFacts {
+    /// Its topic.
+    pub topic: String,
+    /// First and last stamp.
+    pub span: Option<Span>,
+    /// Whether joints are commanded, and not poses.
+    pub is_of_joints: bool,
+    /// Whether the link that is commanded was named; if not it may be an active TCP.
+    pub tip_named: bool,
+    /// Whether a frame was named that commanded poses are in.
+    pub frame_named: bool,
+    /// Who says where the tip was, one for each entry of the gaps and of a line's witnesses.
+    pub witnesses: Vec<ReferenceWitness>,
+    /// What was estimated; why the commands cannot be held against the arm, where they cannot.
+    pub found: Result<Seen<ReferenceDiagnosis>, String>,
+}
+
+/// Who says where the tip was.
+#[derive(Clone, Debug)]
+pub struct ReferenceWitness {
+    /// Its name in words: the topic of a stream.
+    pub name: String,
+    /// What its poses are.
+    pub kind: WitnessKind,
+}
+
+/// What the poses of a witness are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WitnessKind {
+    /// Forward kinematics of the joint states as recorded.
+    Kinematics,
+    /// Those of a stream with everything taken off that was found on it.
+    Corrected,
+    /// Those of a stream as it was logged.
+    AsLogged,
 }
 
 /// When the samples of a stream are due.

@@ -12,6 +12,7 @@ mod hand_eye;
 mod merge;
 mod observability;
 mod reading;
+mod reference;
 #[cfg(test)]
 mod testing;
 
@@ -28,7 +29,8 @@ use crate::finding::{
 pub use decision::{Decision, Figure, FrameFigures, decide, decide_both, decide_frame};
 pub use facts::{
     ArmFacts, Declared, Due, EulerFacts, Facts, FrameFacts, HandEyeFacts, ImuFacts, JointFacts,
-    JointMotion, NormFacts, PoseFacts, RhythmFacts, ShakeFacts, StampFacts, UndecodableTopic,
+    JointMotion, NormFacts, PoseFacts, ReferenceFacts, ReferenceWitness, RhythmFacts, ShakeFacts,
+    StampFacts, UndecodableTopic, WitnessKind,
 };
 pub use merge::{Part as EvaluatedPart, merged};
 pub use observability::{Blind, Part, StreamObservability};
@@ -59,6 +61,7 @@ registry! {
     frm003::FRM003,
     frm004::FRM004,
     frm005::FRM005,
+    frm006::FRM006,
     hec001::HEC001,
     hec002::HEC002,
     hec003::HEC003,
@@ -71,6 +74,7 @@ registry! {
     mot001::MOT001,
     mot002::MOT002,
     mot003::MOT003,
+    mot004::MOT004,
     ord001::ORD001,
     ord002::ORD002,
     ord003::ORD003,

@@ -1,16 +1,16 @@
 //! A run in which nothing is wrong, for tests to plant estimates in.
 
 use crate::checks::{
-    ArmFacts, EulerFacts, Facts, ImuFacts, JointFacts, JointMotion, PoseFacts, Rule, ShakeFacts,
-    evaluate,
+    ArmFacts, EulerFacts, Facts, ImuFacts, JointFacts, JointMotion, PoseFacts, ReferenceFacts,
+    ReferenceWitness, Rule, ShakeFacts, WitnessKind, evaluate,
 };
 use crate::diagnosis::{
     Abruptness, Aligned, ArmDiagnosis, FrameEstimate, GyroBias, ImuDiagnosis, JointOffset,
-    JointReading, LatencyCourse, Length, Measured, PoseDiagnosis, Reading, ReadingEstimate,
-    Residual, Shake, YawCourse,
+    JointReading, LatencyCourse, Length, Line, LineWitness, Measured, PoseDiagnosis, Reading,
+    ReadingEstimate, ReferenceDiagnosis, Residual, RestGap, Shake, YawCourse,
 };
 use crate::finding::{CheckRow, Finding, Span};
-use crate::geometry::{Convention, Pose, Vec3};
+use crate::geometry::{Convention, Pose, Vec3, pose, rotation_from_rotvec};
 use crate::robot::Limits;
 use crate::run::Witness;
 use crate::time::Stamp;
@@ -19,6 +19,7 @@ pub const POSE: &str = "/pose";
 pub const TF: &str = "/tf";
 pub const IMU: &str = "/imu";
 pub const JOINTS: &str = "/joint_states";
+pub const COMMANDS: &str = "/commanded_pose";
 
 const SPAN: Span = Span { start: Stamp::from_nanos(0), end: Stamp::from_nanos(40_000_000_000) };
 
@@ -97,8 +98,59 @@ pub fn clean_run() -> Facts {
             shake: Ok(Shake::default()),
         }],
         imus: vec![(ImuFacts { topic: IMU.to_owned(), span: SPAN, independent: true }, imu)],
+        references: vec![commands()],
     };
     Facts { robots: vec![arm], ..Facts::default() }
+}
+
+/// Commands that the arm follows, along a line too, by FK and by a stream.
+fn commands() -> ReferenceFacts {
+    let witness = |name: &str, kind| ReferenceWitness { name: name.to_owned(), kind };
+    let kept = LineWitness { distance_m: length(0.0), angle_rad: length(0.0) };
+    let line = Line {
+        from_s: 1.0,
+        to_s: 2.0,
+        length_m: 0.2,
+        turn_rad: 0.5,
+        command_rad: 0.0,
+        command_off_axis_rad: 0.0,
+        interpolated: None,
+        witnesses: vec![Some(kept); 2],
+    };
+    ReferenceFacts {
+        topic: COMMANDS.to_owned(),
+        span: Some(SPAN),
+        is_of_joints: false,
+        tip_named: true,
+        frame_named: true,
+        witnesses: vec![
+            witness("FK of the joint states", WitnessKind::Kinematics),
+            witness(POSE, WitnessKind::Corrected),
+        ],
+        found: Ok(Ok(ReferenceDiagnosis {
+            is_streamed: true,
+            following: None,
+            goals: 2,
+            not_reached: 0,
+            nearest_miss: None,
+            gaps: vec![vec![rest_gap(0.0, 0.0)]; 2],
+            lines: vec![line],
+        })),
+    }
+}
+
+/// A rest at which the command is `length_m` off along the tool's x, the tool turned by `turn_rad`.
+pub fn rest_gap(length_m: f64, turn_rad: f64) -> RestGap {
+    let measured = pose([0.4, 0.1, 0.3], rotation_from_rotvec(Vec3::z() * turn_rad));
+    RestGap {
+        from_s: 1.0,
+        to_s: 2.0,
+        commanded: measured * Pose::translation(length_m, 0.0, 0.0),
+        measured,
+        distance_m: length(length_m),
+        angle_rad: length(0.0),
+        joints: Vec::new(),
+    }
 }
 
 /// A frame error of `length_m` along x, not chosen.

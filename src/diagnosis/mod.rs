@@ -21,6 +21,7 @@ mod nominal;
 mod observability;
 mod placing;
 mod reading;
+mod reference;
 mod residual;
 mod rival;
 mod shake;
@@ -43,6 +44,10 @@ pub use latency::Peak;
 pub use measured::{Length, Measured};
 pub use motion::{Abruptness, Excess, Series, abruptness, beyond_positions, beyond_speed};
 pub use observability::{BlindDirection, Observability, Parameter};
+pub use reference::{
+    CommandedArm, Commands, Constancy, Following, Line, LineWitness, ReferenceDiagnosis, RestGap,
+    diagnose_reference, unnamed_order,
+};
 pub use rival::position_misfit_m;
 pub use shake::{NoShake, Shake, shake};
 pub use workspace::{

@@ -1,5 +1,7 @@
 //! From a decoded log to a run.
 
+mod references;
+
 use std::collections::BTreeSet;
 
 use crate::geometry::{Pose, Vec3, pose, rotation_from_xyzw};
@@ -25,6 +27,8 @@ use super::targets::{self, HandKind, HandSource, TargetSource};
 use super::tf_tree::{Edge, EdgeKind, TfTree, without_slash};
 use super::witness::{PoseNames, Witness, witness_of};
 use super::{Run, RunOptions};
+
+pub use references::{ReferenceContent, ReferenceSource};
 
 impl Run {
     /// Assembles the run that `log` recorded.
@@ -68,7 +72,7 @@ impl Run {
             assembly.assign(stream)?;
         }
         assembly.name_joints();
-        let targets = assembly.targets();
+        let (targets, references) = (assembly.targets(), assembly.references());
         let Assembly { streams, timing, tf, arms, .. } = assembly;
         let span = span(streams.iter().filter(|stream| stream.rate_hz.is_some()));
         let rhythms = rhythms(&streams, &timing, &joint_topics(&streams, &timing), &arms);
@@ -80,6 +84,7 @@ impl Run {
             streams,
             arms,
             targets,
+            references,
             tf,
             clocks,
             rhythms,

@@ -33,6 +33,7 @@ mod witness;
 use crate::time::{Clock, Stamp};
 
 pub use arm::{Arm, ImuSource, NoTf, PoseSource};
+pub use assemble::{ReferenceContent, ReferenceSource};
 pub use cadence::{Cadence, Extent, Hole, Rhythm, Stretch};
 pub use clock::{Alignment, Epoch, HeaderStamps, StreamClock};
 pub use declaration::{CalibrationSource, Coding, Declaration, DeclarationError, RobotSource};
@@ -103,6 +104,8 @@ pub struct Run {
     pub arms: Vec<Arm>,
     /// What cameras see, with the hands that it may be held against.
     pub targets: Vec<TargetSource>,
+    /// What the arms were told, as far as it can be held against them.
+    pub references: Vec<ReferenceSource>,
     /// The frames, and the transforms between them.
     pub tf: TfTree,
     /// The clock of every stream that moves in time.

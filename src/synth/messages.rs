@@ -1,7 +1,10 @@
 //! The messages of the log: topic, type, definition and encoding.
 
 use super::cdr::CdrWriter;
-use super::{IMU, JOINT_STATES, POSE, ROBOT_DESCRIPTION, TARGET, TF, TF_STATIC};
+use super::{
+    COMMANDED_JOINTS, COMMANDED_POSE, GOAL, IMU, JOINT_STATES, POSE, ROBOT_DESCRIPTION, TARGET, TF,
+    TF_STATIC,
+};
 use crate::geometry::Vec3;
 use crate::time::Stamp;
 
@@ -15,6 +18,9 @@ pub(super) enum Topic {
     Pose,
     Tf,
     Target,
+    CommandedPose,
+    CommandedJoints,
+    Goal,
 }
 
 impl Topic {
@@ -27,6 +33,9 @@ impl Topic {
             Self::Pose => POSE,
             Self::Tf => TF,
             Self::Target => TARGET,
+            Self::CommandedPose => COMMANDED_POSE,
+            Self::CommandedJoints => COMMANDED_JOINTS,
+            Self::Goal => GOAL,
         }
     }
 
@@ -34,9 +43,11 @@ impl Topic {
         match self {
             Self::RobotDescription => "std_msgs/msg/String",
             Self::TfStatic | Self::Tf => "tf2_msgs/msg/TFMessage",
-            Self::JointStates => "sensor_msgs/msg/JointState",
+            Self::JointStates | Self::CommandedJoints => "sensor_msgs/msg/JointState",
             Self::Imu => "sensor_msgs/msg/Imu",
-            Self::Pose | Self::Target => "geometry_msgs/msg/PoseStamped",
+            Self::Pose | Self::Target | Self::CommandedPose | Self::Goal => {
+                "geometry_msgs/msg/PoseStamped"
+            }
         }
     }
 
@@ -48,7 +59,7 @@ impl Topic {
                 "geometry_msgs/TransformStamped[] transforms\n",
                 &[TRANSFORM_STAMPED, HEADER, TIME, TRANSFORM, VECTOR3, QUATERNION],
             ),
-            Self::JointStates => (
+            Self::JointStates | Self::CommandedJoints => (
                 "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\n\
                  float64[] effort\n",
                 &[HEADER, TIME],
@@ -62,7 +73,7 @@ impl Topic {
                  float64[9] linear_acceleration_covariance\n",
                 &[HEADER, TIME, QUATERNION, VECTOR3],
             ),
-            Self::Pose | Self::Target => (
+            Self::Pose | Self::Target | Self::CommandedPose | Self::Goal => (
                 "std_msgs/Header header\nPose pose\n",
                 &[HEADER, TIME, POSE_TYPE, POINT, QUATERNION],
             ),

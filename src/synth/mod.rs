@@ -12,6 +12,8 @@ mod cdr;
 mod messages;
 mod motion;
 mod noise;
+mod path;
+mod reference;
 mod streams;
 mod target;
 mod truth;
@@ -34,6 +36,8 @@ use crate::time::Stamp;
 use messages::Topic;
 pub use motion::Motion;
 pub use noise::Noise;
+pub use path::Lines;
+pub use reference::{Commands, ReferenceStream};
 pub use target::{Camera, Swapped, TargetStream};
 use truth::Truth;
 pub use urdf::urdf_text;
@@ -53,6 +57,12 @@ pub const TF_STATIC: &str = "/tf_static";
 pub const IMU: &str = "/imu/data";
 /// The topic of the target that a camera sees.
 pub const TARGET: &str = "/camera/tag_pose";
+/// The topic of commanded poses that the arm follows.
+pub const COMMANDED_POSE: &str = "/cartesian_controller/commanded_pose";
+/// The topic of commanded joints that the arm follows.
+pub const COMMANDED_JOINTS: &str = "/joint_commands";
+/// The topic of goals.
+pub const GOAL: &str = "/goal_pose";
 /// The topic of the arm's URDF.
 pub const ROBOT_DESCRIPTION: &str = "/robot_description";
 
@@ -108,6 +118,8 @@ pub struct Scenario {
     pub imu: ImuStream,
     /// The target that a camera sees; there is none unless [`Scenario::watch`] is called.
     pub target: TargetStream,
+    /// What the arm is told; nothing unless its rate is set.
+    pub reference: ReferenceStream,
     /// Whether the arm's URDF is in the log.
     pub description: bool,
 }
@@ -309,6 +321,7 @@ impl Scenario {
                 coding: Coding::Faithful,
             },
             target: TargetStream::none(),
+            reference: ReferenceStream::none(base),
             description: true,
         }
     }

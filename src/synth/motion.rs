@@ -7,6 +7,8 @@ use rand_pcg::Pcg64;
 
 use super::Scenario;
 use super::noise::{Purpose, random};
+use super::path::{Lines, Path};
+use crate::geometry::Pose;
 use crate::robot::{Chain, JointKind, Limits};
 
 /// How the arm moves.
@@ -23,6 +25,8 @@ pub enum Motion {
     },
     /// As [`Motion::PickAndPlace`], but only of one joint, counted from the base.
     OneJoint(usize),
+    /// From one pose of the tip to the next along straight lines, with a rest of 0.6 to 0.9 s at each.
+    Lines(Lines),
     /// Not at all.
     AtRest,
 }
@@ -39,6 +43,8 @@ pub(super) enum Trajectory {
     Knots(Vec<Knot>),
     /// About a home position, one sum of sines a joint.
     Sines { home: Vec<f64>, sines: Vec<[Sine; 2]> },
+    /// Along lines of the tip.
+    Path(Path),
 }
 
 /// A posture in which the arm stands still for at least a moment.
@@ -85,6 +91,10 @@ impl Trajectory {
             }),
             Motion::Periodic { period_s } => {
                 Self::sines(scenario, &rooms, |_| [1.0 / period_s, 2.0 / period_s])
+            }
+            Motion::Lines(lines) => {
+                let home: Vec<f64> = rooms.iter().map(|room| room.home).collect();
+                Self::Path(Path::new(scenario, lines, chain, &home))
             }
             Motion::AtRest => {
                 let q = rooms.iter().map(|room| room.home).collect();
@@ -163,6 +173,27 @@ impl Trajectory {
                     (home + position, velocity)
                 })
                 .unzip(),
+            Self::Path(path) => path.at(time_s),
+        }
+    }
+
+    /// `base_from_tip` as it is commanded, where that is another thing than what the joints do.
+    pub(super) fn commanded(&self, time_s: f64) -> Option<Pose> {
+        match self {
+            Self::Path(path) => Some(path.commanded(time_s)),
+            Self::Knots(_) | Self::Sines { .. } => None,
+        }
+    }
+
+    /// When the arm comes to rest, and when it leaves, s.
+    pub(super) fn rests(&self) -> Vec<(f64, f64)> {
+        match self {
+            Self::Knots(knots) => {
+                let pairs = knots.chunks_exact(2);
+                pairs.map(|pair| (pair[0].time_s, pair[1].time_s)).collect()
+            }
+            Self::Sines { .. } => Vec::new(),
+            Self::Path(path) => path.rests(),
         }
     }
 }

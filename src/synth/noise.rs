@@ -74,6 +74,7 @@ pub(super) enum Purpose {
     ImuWalk,
     TargetNoise,
     TargetTransport,
+    ReferenceTransport,
 }
 
 /// The random numbers of `purpose`.

@@ -4,6 +4,7 @@ use rand::RngExt;
 
 use super::messages::{self, LoggedImu, LoggedPose, LoggedTransform, Topic};
 use super::noise::{Purpose, UnitNoise, random};
+use super::reference::commands;
 use super::target::sightings;
 use super::truth::{GRAVITY, Truth};
 use super::{Coding, IMU_FRAME, ImuStream, JointStream, START, Scenario, Timing, urdf_text};
@@ -29,6 +30,7 @@ pub(super) fn messages(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     messages.extend(transforms(scenario, truth));
     messages.extend(imu_samples(scenario, truth));
     messages.extend(sightings(scenario, truth));
+    messages.extend(commands(scenario, truth));
     messages.sort_by_key(|message| (message.received, message.topic));
     messages
 }
@@ -194,6 +196,13 @@ impl Scenario {
             received = received.max(START.shifted(time_s + random.random_range(TRANSPORT_S)));
             Tick { time_s, stamp: timing.stamp(time_s, self.duration_s / 2.0), received }
         })
+    }
+
+    /// A single moment of a stream, received 1 ms later.
+    pub(super) fn moment(&self, timing: &Timing, time_s: f64) -> Tick {
+        const TRANSPORT_S: f64 = 1e-3;
+        let stamp = timing.stamp(time_s, self.duration_s / 2.0);
+        Tick { time_s, stamp, received: START.shifted(time_s + TRANSPORT_S) }
     }
 
     pub(super) fn unit_noise(&self, purpose: Purpose, components: usize) -> UnitNoise {

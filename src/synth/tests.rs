@@ -446,6 +446,71 @@ fn every_motion_of_every_arm_keeps_to_its_limits_and_is_smooth() {
 }
 
 #[test]
+fn lines_are_straight_and_the_joints_follow_them() {
+    let lines = Lines { bow_m: 0.004, turned_by: None };
+    let run = Scenario { motion: Motion::Lines(lines), ..quiet_run() };
+    let truth = Truth::new(&run).unwrap();
+    let rests = truth.rests();
+    assert!(rests.len() > 2);
+    let (leave_s, arrive_s) = (rests[0].1, rests[1].0);
+    let [start, end] = [leave_s, arrive_s].map(|time_s| truth.commanded(time_s).unwrap());
+    let chord = end.translation.vector - start.translation.vector;
+    let mut farthest_m = 0.0_f64;
+    for step in 0..=100 {
+        const H: f64 = 1e-4;
+        let time_s = leave_s + (arrive_s - leave_s) * 0.01 * f64::from(step);
+        let off = |pose: &Pose| {
+            (pose.translation.vector - start.translation.vector).cross(&chord).norm() / chord.norm()
+        };
+        assert!(off(&truth.commanded(time_s).unwrap()) < 1e-9);
+        farthest_m = farthest_m.max(off(&truth.base_from_tip(time_s)));
+        let (_, q_dot) = truth.joints(time_s);
+        let [(before, _), (after, _)] = [-H, H].map(|h| truth.joints(time_s + h));
+        for joint in 0..6 {
+            let slope = (after[joint] - before[joint]) / (2.0 * H);
+            assert!((slope - q_dot[joint]).abs() < 1e-3, "{slope} {}", q_dot[joint]);
+        }
+    }
+    assert!((farthest_m - 0.004).abs() < 2e-5, "{farthest_m}");
+    assert_same(&truth.base_from_tip(leave_s - 0.3), &start);
+}
+
+#[test]
+fn a_goal_is_given_once_before_the_arm_leaves_for_it() {
+    let mut run = Scenario { motion: Motion::Lines(Lines::default()), ..quiet_run() };
+    (run.reference.timing.rate_hz, run.reference.commands) = (1.0, Commands::Goals);
+    let truth = Truth::new(&run).unwrap();
+    let goals = Log::of(&run).read(GOAL, |cdr| (cdr.header().0, cdr.pose()));
+    let rests = truth.rests();
+    assert!(!goals.is_empty());
+    for ((stamp_s, goal), rest) in goals.iter().zip(rests.windows(2)) {
+        assert!((rest[0].0..rest[0].1).contains(stamp_s));
+        // The joints are solved for, to within 1e-8.
+        let off = goal.inverse() * truth.base_from_tip(rest[1].0);
+        assert!(off.translation.vector.norm() < 1e-7 && off.rotation.angle() < 1e-7, "{off}");
+    }
+}
+
+#[test]
+fn joints_stay_short_of_what_they_are_told() {
+    let mut run = quiet_run();
+    (run.reference.timing.rate_hz, run.reference.commands) = (25.0, Commands::Joints);
+    run.reference.short_by = vec![0.0, 0.01];
+    let truth = Truth::new(&run).unwrap();
+    let told = Log::of(&run).read(COMMANDED_JOINTS, |cdr| {
+        let stamp_s = cdr.header().0;
+        let names = cdr.u32();
+        (0..names).for_each(|_| drop(cdr.string()));
+        (stamp_s, cdr.sequence())
+    });
+    assert_eq!(told.len(), 100);
+    for (stamp_s, told) in told {
+        let (q, _) = truth.joints(stamp_s);
+        assert!((told[1] - q[1] - 0.01).abs() < 1e-8 && (told[2] - q[2]).abs() < 1e-8);
+    }
+}
+
+#[test]
 fn each_motion_is_what_its_name_says() {
     let moves = |motion| {
         let truth = Truth::new(&Scenario { motion, ..Scenario::ur5e() }).unwrap();

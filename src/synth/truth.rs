@@ -80,6 +80,16 @@ impl Truth {
         (positions, velocities)
     }
 
+    /// `base_from_tip` as it is commanded, of a motion along lines.
+    pub(super) fn commanded(&self, time_s: f64) -> Option<Pose> {
+        self.trajectory.commanded(time_s)
+    }
+
+    /// When the arm comes to rest, and when it leaves, s.
+    pub(super) fn rests(&self) -> Vec<(f64, f64)> {
+        self.trajectory.rests()
+    }
+
     pub(super) fn base_from_tip(&self, time_s: f64) -> Pose {
         self.chain.forward(&self.joints(time_s).0)
     }

@@ -3,7 +3,9 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use poseaudit::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
-use poseaudit::synth::{Motion, POSE, TF, TF_STATIC};
+use poseaudit::synth::{
+    COMMANDED_JOINTS, COMMANDED_POSE, Commands, GOAL, Lines, Motion, POSE, TF, TF_STATIC,
+};
 use serde_json::Value;
 
 use crate::case::On;
@@ -155,6 +157,78 @@ cases! {
         log.run.tf.with_static = false;
         log.run.imu.timing.rate_hz = 0.0;
     } => Skipped("no stream with quaternions");
+
+    // The tip is 0.141 m off the fourth joint's axis, less where the fifth is not at −90°.
+    FRM006 a_wrist_that_stays_short_of_its_goals: |log| told(log, Commands::Goals, 0.4)
+        => warning(On::Topic(GOAL), Frame([0.00098, 0.03e-3], [0.4, 0.005]));
+    FRM006 an_elbow_that_stays_short: |log| {
+        told(log, Commands::Poses, 0.0);
+        // About half a metre off the tip.
+        log.run.reference.short_by = vec![0.0, 0.0, 0.3_f64.to_radians()];
+    } => warning(On::Topic(COMMANDED_POSE), Frame([0.0027, 0.2e-3], [0.3, 0.005]));
+    FRM006 a_joint_that_stays_short: |log| told(log, Commands::Joints, 0.7)
+        => error(On::Topic(COMMANDED_JOINTS), Frame([0.00168, 0.05e-3], [0.7, 0.005]));
+    FRM006 another_tool_than_the_one_that_is_logged: |log| {
+        told(log, Commands::Poses, 0.0);
+        log.run.reference.tip_from_commanded = tool();
+    } => info(On::Topic(COMMANDED_POSE), Frame([0.14, 0.2e-3], [90.0, 0.05]));
+    FRM006 goals_that_are_reached: |log| told(log, Commands::Goals, 0.0) => Sound;
+    FRM006 poses_that_are_followed: |log| told(log, Commands::Poses, 0.0) => Sound;
+    FRM006 joints_that_are_followed: |log| told(log, Commands::Joints, 0.0) => Sound;
+    FRM006 a_goal_that_is_given_up: |log| {
+        told(log, Commands::Goals, 0.0);
+        log.edit = Some(|messages| give_up_a_goal(messages));
+    } => Sound;
+    FRM006 without_a_pose_stream: |log| {
+        told(log, Commands::Goals, 0.0);
+        log.run.pose.timing.rate_hz = 0.0;
+    } => Sound;
+    FRM006 a_joint_zero_is_no_goal_missed: |log| {
+        told(log, Commands::Goals, 0.0);
+        log.run.joints.zero_offsets = crate::zer::zero(2, 0.6);
+    } => BlamedOn("ZER001");
+    FRM006 a_late_pose_reaches_its_goals: |log| {
+        told(log, Commands::Poses, 0.0);
+        log.run.pose.timing.latency_s = 0.05;
+    } => BlamedOn("LAT001");
+    FRM006 a_turned_base_reaches_its_goals: |log| {
+        told(log, Commands::Poses, 0.0);
+        log.run.pose.reference_from_stream = half_turn();
+    } => BlamedOn("FRM002");
+    FRM006 a_misread_pose_reaches_its_goals: |log| {
+        told(log, Commands::Goals, 0.0);
+        log.run.pose.coding = crate::ord::misread_as_rpy();
+    } => BlamedOn("ORD001");
+    FRM006 an_arm_that_never_rests: |log| {
+        told(log, Commands::Poses, 0.0);
+        log.run.motion = Motion::Continuous;
+    } => Undecided("never rests");
+    FRM006 a_goal_in_a_frame_of_its_own: |log| {
+        told(log, Commands::Goals, 0.0);
+        log.run.reference.frame_id = "map".to_owned();
+    } => Skipped("not tied to the robot");
+    FRM006 no_goals: |_| {} => Skipped("no goal");
+}
+
+/// The arm goes along lines and is told so; its fourth joint stays short by so many degrees.
+fn told(log: &mut Log, commands: Commands, short_by_degrees: f64) {
+    crate::mot::along(log, Lines::default());
+    log.run.reference.commands = commands;
+    if short_by_degrees > 0.0 {
+        log.run.reference.short_by = vec![0.0, 0.0, 0.0, short_by_degrees.to_radians()];
+    }
+}
+
+/// Moves the second goal to where the arm does not go.
+fn give_up_a_goal(messages: &mut [Message]) {
+    let second = messages.iter_mut().filter(|message| message.topic == GOAL).nth(1);
+    let goal = second.expect("several goals");
+    for field in goal.fields() {
+        if let Field::Xyz(at, _) = field {
+            let xyz: [f64; 3] = goal.floats(at);
+            goal.set_floats(at, &[xyz[0] + 0.1, xyz[1], xyz[2] - 0.2]);
+        }
+    }
 }
 
 pub fn half_turn() -> Pose {

@@ -2,11 +2,12 @@
 
 use std::f64::consts::TAU;
 
-use poseaudit::synth::{JOINT_STATES, Motion, Shake, Stop};
+use poseaudit::geometry::Convention;
+use poseaudit::synth::{COMMANDED_POSE, Commands, JOINT_STATES, Lines, Motion, POSE, Shake, Stop};
 
 use crate::case::On::{self, Joint};
-use crate::case::What::{About, Amount};
-use crate::case::{Expected, Log, cases, info, warning};
+use crate::case::What::{About, Amount, Frame};
+use crate::case::{Expected, Log, cases, error, info, the, warning};
 use Expected::{BlamedOn, LeftOpenBy, Skipped, Sound};
 
 cases! {
@@ -49,6 +50,63 @@ cases! {
     } => BlamedOn("ZER001");
     MOT003 no_joint_states_at_all: |log| log.run.joints.timing.rate_hz = 0.0
         => Skipped("joint states");
+
+    MOT004 a_line_that_is_bowed: |log| along(log, Lines { bow_m: 3e-3, ..Lines::default() })
+        => warning(On::Topic(COMMANDED_POSE), Frame([3e-3, 0.2e-3], [0.0, 0.1]));
+    MOT004 a_line_that_is_bowed_by_much: |log| along(log, Lines { bow_m: 8e-3, ..Lines::default() })
+        => error(On::Topic(COMMANDED_POSE), Frame([8e-3, 0.4e-3], [0.0, 0.1]));
+    MOT004 lines_as_they_should_be: |log| along(log, Lines::default()) => Sound;
+    MOT004 half_a_millimetre_is_sound: |log| along(log, Lines { bow_m: 0.5e-3, ..Lines::default() })
+        => Sound;
+    MOT004 noise_is_no_bow: |log| {
+        along(log, Lines::default());
+        log.run.noise.joints = 5e-4;
+        (log.run.noise.pose_m, log.run.noise.pose_rad) = (3e-4, 1e-3);
+    } => Sound;
+    MOT004 a_late_pose_keeps_to_its_line: |log| {
+        along(log, Lines::default());
+        log.run.pose.timing.latency_s = 0.05;
+    } => BlamedOn("LAT001");
+    MOT004 a_misread_pose_keeps_to_its_line: |log| {
+        along(log, Lines::default());
+        log.run.pose.coding = crate::ord::misread_as_rpy();
+    } => BlamedOn("ORD001");
+    MOT004 a_joint_zero_bows_no_line: |log| {
+        along(log, Lines::default());
+        log.run.joints.zero_offsets = crate::zer::zero(2, 0.6);
+    } => BlamedOn("ZER001");
+    MOT004 goals_are_no_lines: |log| {
+        along(log, Lines::default());
+        log.run.reference.commands = Commands::Goals;
+    } => Skipped("goals, and not streamed");
+    MOT004 arcs_are_no_lines: |log| {
+        along(log, Lines::default());
+        log.run.motion = Motion::PickAndPlace;
+    } => Skipped("no way from stop to stop is straight");
+    MOT004 no_commands: |_| {} => Skipped("no poses are commanded");
+}
+
+/// The arm goes along lines that are streamed to it, 40 ms ahead.
+pub fn along(log: &mut Log, lines: Lines) {
+    log.run.motion = Motion::Lines(lines);
+    log.run.duration_s = 12.0;
+    log.run.pose.timing.rate_hz = 50.0;
+    let timing = &mut log.run.reference.timing;
+    (timing.rate_hz, timing.latency_s) = (50.0, -0.04);
+}
+
+#[test]
+fn an_orientation_that_is_interpolated_by_its_numbers_is_told() {
+    let log = Log::with(|log| {
+        along(log, Lines { turned_by: Some(Convention::RPY), ..Lines::default() });
+    });
+    let report = log.audited();
+    let found = the(&report, "MOT004", COMMANDED_POSE);
+    assert_eq!(found.title, "line's orientation is no slerp");
+    assert_eq!(found.evidence.more["interpolated"], "euler:xyz");
+    assert!(found.message.ends_with("as of euler:xyz interpolated"), "{}", found.message);
+    assert_eq!(report.findings.len(), 1, "{}", crate::case::summary(&report.findings));
+    assert!(!report.findings.iter().any(|found| found.subject.label() == POSE));
 }
 
 /// The arm rests, and its first joint shakes.

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use mcap::{Channel, Compression, Schema};
 
-use poseaudit::synth::{IMU, JOINT_STATES, POSE, Scenario, TARGET, TF, TF_STATIC};
+use poseaudit::synth::{GOAL, IMU, JOINT_STATES, POSE, Scenario, TARGET, TF, TF_STATIC};
 
 /// One message of a log.
 #[derive(Clone)]
@@ -104,7 +104,9 @@ impl Message {
         let mut fields = Vec::new();
         match self.topic.as_str() {
             JOINT_STATES => fields.push(cdr.header()),
-            POSE | TARGET => fields.extend([cdr.header(), cdr.xyz(String::new()), cdr.xyzw()]),
+            POSE | TARGET | GOAL => {
+                fields.extend([cdr.header(), cdr.xyz(String::new()), cdr.xyzw()])
+            }
             IMU => fields.extend([cdr.header(), cdr.xyzw()]),
             TF | TF_STATIC => {
                 for _ in 0..cdr.u32() {

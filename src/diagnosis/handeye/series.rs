@@ -54,7 +54,7 @@ impl PoseSeries {
 
     /// The pose at `t_s`: position linearly, rotation along the shortest turn. `None` outside the
     /// samples, and in gaps of more than 0.2 s and ten times the usual period.
-    fn at(&self, t_s: f64, period_s: f64) -> Option<Pose> {
+    pub(in crate::diagnosis) fn at(&self, t_s: f64, period_s: f64) -> Option<Pose> {
         let right = self.t_s.partition_point(|&t| t < t_s);
         let (after_s, after) = (*self.t_s.get(right)?, self.poses.get(right)?);
         if after_s == t_s {

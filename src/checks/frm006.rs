@@ -1,0 +1,409 @@
+use serde_json::{Value, json};
+
+use crate::checks::decision::{Decision, decide_frame};
+use crate::checks::frames::{FIGURES, pose_json, show};
+use crate::checks::reference::{
+    self, following_json, witness_name, witnesses_differ,
+};
+use crate::checks::{ArmFacts, Facts, Grade, Judged, ReferenceFacts, WitnessKind};
+use crate::diagnosis::{Constancy, FrameEstimate, Measured, ReferenceDiagnosis, RestGap};
+use crate::finding::{Alternative, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+
+rule! {
+    /// A command and the pose that the arm comes to rest at differ.
+    ///
+    /// ## What it means
+    /// What shall be (a goal, a streamed pose, commanded joints) has stood still, the arm has come to
+    /// rest, latency and following error have died away, and the tip is still elsewhere. Commanded
+    /// joints go through forward kinematics.
+    ///
+    /// ## Why it matters
+    /// It is the error that a program sees at every pick and every place. Where the goal came from one
+    /// chain of frames and the measured pose from another, it says that the two chains differ.
+    ///
+    /// ## Evidence
+    /// The distance at the worst rest of a stream that leads the arm, and at the middle one of single
+    /// goals; `rests` says how many were seen, `beyond` how many exceed the figures, `at_ns` when.
+    /// `pose` is `tip_from_commanded`. `joints` says of each commanded joint by how much it stays off
+    /// (`q_measured − q_commanded`). `measured_by` is the witness that is nearest to the command, of FK
+    /// and the pose streams, as logged and with what was found taken off: where these differ among
+    /// themselves, other rules say why; `others` is what differs by them. Of the `goals`, `not_reached`
+    /// counts those near which the arm never came to rest: stopped, replaced, or never tried, which is
+    /// no fault. `following` is how a streamed command is followed: the delay, the rms error, and what
+    /// is left of it when the delay is taken off.
+    ///
+    /// ## How to fix
+    /// Separate the chains first: express goal and measured pose in one frame, by the same tool and the
+    /// same kinematics. Then look at the controller: a joint that stays off lacks an integral part, is
+    /// overloaded, or is held by a brake; a controller with compliance gives way to loads by design.
+    ///
+    /// ## When it misleads
+    /// A constant offset seen from the tool, at rests that are turned differently, is most likely that
+    /// of another active TCP, and `info` unless the commanded link was named. A single goal that the
+    /// arm was stopped close to, within 20 mm, looks like one that it missed. Against FK alone
+    /// a drawing of a calibrated arm differs by millimetres (MDL001), too.
+    FRM006 {
+        name: "reference-at-rest",
+        grade: Grade::From(&[FIGURES.length, FIGURES.angle]),
+        headline: false,
+        needs_model: true,
+        missing: "no goal and no command to the arm in this log",
+        check: check,
+    }
+}
+
+/// What would tell.
+const SETTLE: &str = "let the arm rest for half a second at its goals";
+/// An offset of more than this at rests that are all alike may be another tool's or base's as well.
+const LITTLE_M: f64 = 0.02;
+/// No arm stays short of its goal by more than this, m.
+const MUCH_M: f64 = 0.1;
+/// What a drawing of an arm leaves against the calibrated arm, m and rad.
+const NOMINAL: (f64, f64) = (0.01, FIGURES.angle.error);
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    let subjects = facts.subjects();
+    let of_arm = |arm: &ArmFacts| -> Vec<Judged> {
+        arm.references.iter().map(|one| judge(facts, arm, one, subjects)).collect()
+    };
+    facts.robots.iter().flat_map(of_arm).collect()
+}
+
+/// The rests by one witness.
+struct Seen<'a> {
+    /// Which witness it is.
+    witness: usize,
+    /// The rest that is judged.
+    gap: &'a RestGap,
+    estimate: FrameEstimate,
+    decision: Decision,
+    /// How many rests exceed the figures.
+    beyond: usize,
+}
+
+impl<'a> Seen<'a> {
+    fn of(found: &'a ReferenceDiagnosis, witness: usize, subjects: usize) -> Option<Self> {
+        let mut gaps: Vec<&RestGap> = found.gaps.get(witness)?.iter().collect();
+        gaps.sort_by(|a, b| size(a).total_cmp(&size(b)));
+        let leads = found.following.is_some();
+        // A goal that the arm was stopped close to must not speak for the others.
+        let at = if leads { gaps.len().checked_sub(1)? } else { gaps.len().checked_sub(1)? / 2 };
+        let gap = *gaps.get(at)?;
+        let beyond = gaps.iter().filter(|gap| size(gap) >= 1.0).count();
+        // The worst of several is by chance so much the farther.
+        let tests = if leads { 2 * gaps.len() } else { 2 };
+        let p_value = gap.distance_m.p_value.min(gap.angle_rad.p_value);
+        let estimate = FrameEstimate {
+            pose: gap.tip_from_commanded(),
+            translation_m: gap.distance_m.norm,
+            rotation_rad: gap.angle_rad.norm,
+            p_value: (p_value * tests as f64).min(1.0),
+            chosen: true,
+        };
+        let decision = decide_frame(&estimate, &FIGURES, subjects);
+        Some(Self { witness, gap, estimate, decision, beyond })
+    }
+}
+
+/// How far apart a rest is, in units of the first figures.
+fn size(gap: &RestGap) -> f64 {
+    let length = gap.distance_m.norm.value / FIGURES.length.warning;
+    length.max(gap.angle_rad.norm.value / FIGURES.angle.warning)
+}
+
+fn judge(facts: &Facts, arm: &ArmFacts, reference: &ReferenceFacts, subjects: usize) -> Judged {
+    let judged =
+        |outcome| Judged::new(arm.topic(&reference.topic), outcome).within(reference.span);
+    let found = match reference::found(arm, reference, SETTLE) {
+        Ok(found) => found,
+        Err(outcome) => return judged(outcome),
+    };
+    let with_commands = |judged: Judged| {
+        judged
+            .with_evidence("goals", found.goals)
+            .with_evidence("not_reached", found.not_reached)
+            .with_evidence("following", following_json(found.following.as_ref()))
+    };
+    let all: Vec<Seen<'_>> = (0..reference.witnesses.len())
+        .filter_map(|witness| Seen::of(found, witness, subjects))
+        .collect();
+    let Some(nearest) = all.iter().min_by(|a, b| size(a.gap).total_cmp(&size(b.gap))) else {
+        return with_commands(judged(Outcome::Inconclusive(not_reached(found))));
+    };
+    let gaps = &found.gaps[nearest.witness];
+    let name = witness_name(reference, nearest.witness);
+    let outcome = match &nearest.decision {
+        Decision::Fail(severity) => fault(facts, arm, reference, found, nearest, *severity),
+        Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
+        Decision::Pass => sound(arm, reference, nearest, &all, &name),
+    };
+    let others: Vec<Value> = all
+        .iter()
+        .filter(|one| one.witness != nearest.witness)
+        .map(|one| {
+            json!({
+                "measured_by": witness_name(reference, one.witness),
+                "m": one.estimate.translation_m.value,
+                "rad": one.estimate.rotation_rad.value,
+            })
+        })
+        .collect();
+    let moment = facts.origin.shifted(nearest.gap.from_s).to_string();
+    let estimate =
+        Estimate::frame("difference", &nearest.estimate.translation_m, &nearest.estimate.rotation_rad);
+    let judged = with_commands(judged(outcome))
+        .estimated(estimate)
+        .with_evidence("measured_by", name)
+        .with_evidence("others", others)
+        .with_evidence("rests", gaps.len())
+        .with_evidence("beyond", nearest.beyond)
+        .with_evidence("at_ns", moment)
+        .with_evidence("pose", pose_json(&nearest.estimate.pose));
+    match nearest.gap.joints.as_slice() {
+        [] => judged,
+        joints => judged.with_evidence("joints", joints_json(arm, joints)),
+    }
+}
+
+fn sound(
+    arm: &ArmFacts,
+    reference: &ReferenceFacts,
+    nearest: &Seen<'_>,
+    all: &[Seen<'_>],
+    name: &str,
+) -> Outcome {
+    let kind_of = |one: &Seen<'_>| reference.witnesses[one.witness].kind;
+    let is_disputed = |one: &&Seen<'_>| {
+        kind_of(one) == WitnessKind::Corrected && matches!(one.decision, Decision::Fail(_))
+    };
+    let disputed = all.iter().find(is_disputed);
+    if let (WitnessKind::Kinematics, Some(other), false) =
+        (kind_of(nearest), disputed, witnesses_differ(arm))
+    {
+        let (topic, off) = (&reference.witnesses[other.witness].name, show(&other.estimate));
+        return Outcome::Inconclusive(format!(
+            "it agrees with {name} and is {off} off {topic}, and nothing found says which of the two \
+             is right; record a motion that settles FRM002 and FRM003"
+        ));
+    }
+    let [length, angle] = [
+        Unit::Metre.show(nearest.estimate.translation_m.value),
+        Unit::Radian.show(nearest.estimate.rotation_rad.value),
+    ];
+    Outcome::sound_because(format!("{name} is {length} and {angle} off it at rest"))
+}
+
+/// Why no rest is held against a command.
+fn not_reached(found: &ReferenceDiagnosis) -> String {
+    let why = match (found.goals, found.nearest_miss) {
+        (0, _) => "the command never stands still".to_owned(),
+        (goals, Some((m, rad))) => {
+            let (m, rad) = (Unit::Metre.show(m), Unit::Radian.show(rad));
+            format!(
+                "the arm was brought to none of {goals} goals: the nearest was missed by {m} and {rad}, \
+                 which may be a frame or a tool as well as a goal that was given up"
+            )
+        }
+        (goals, None) => format!("the arm comes to rest after none of {goals} goals"),
+    };
+    format!("{why}; {SETTLE}")
+}
+
+fn fault(
+    facts: &Facts,
+    arm: &ArmFacts,
+    reference: &ReferenceFacts,
+    found: &ReferenceDiagnosis,
+    nearest: &Seen<'_>,
+    severity: Severity,
+) -> Outcome {
+    let gaps = &found.gaps[nearest.witness];
+    let off = show(&nearest.estimate);
+    let may_be_a_frame = !reference.is_of_joints;
+    let (in_tool, in_base) = match Constancy::of(gaps) {
+        Some(constancy) => {
+            (is_one(nearest.gap, constancy.in_tool), is_one(nearest.gap, constancy.in_base))
+        }
+        None => (true, true),
+    };
+    let is_beyond = |m: f64| may_be_a_frame && nearest.estimate.translation_m.value > m;
+    let open = match (in_tool, in_base) {
+        (true, true) if is_beyond(LITTLE_M) && !(reference.tip_named && reference.frame_named) => {
+            "may as well be another TCP or another base; rest at two goals at which the tool is turned \
+             differently"
+        }
+        (_, true) if is_beyond(LITTLE_M) && !reference.frame_named => {
+            "is the same everywhere seen from the base, and the command names no frame; name it"
+        }
+        (false, false) if is_beyond(MUCH_M) => {
+            "is neither another frame nor another tool: the command is scaled, or another arm's"
+        }
+        _ => "",
+    };
+    if !open.is_empty() {
+        return Outcome::Inconclusive(format!("it is {off} off, which {open}"));
+    }
+    let by_fk_alone = reference.witnesses.len() == 1;
+    let is_as_of_a_drawing = may_be_a_frame
+        && by_fk_alone
+        && nearest.estimate.translation_m.value <= NOMINAL.0
+        && nearest.estimate.rotation_rad.value <= NOMINAL.1;
+    let is_a_tool = may_be_a_frame && in_tool && !in_base && !reference.tip_named;
+    let mut indistinguishable = Vec::new();
+    let estimate = |name| {
+        let FrameEstimate { translation_m, rotation_rad, .. } = &nearest.estimate;
+        Some(Estimate::frame(name, translation_m, rotation_rad))
+    };
+    let mut add = |code, name| {
+        let subject = arm.topic(&reference.topic);
+        indistinguishable.push(Alternative { code, subject, estimate: estimate(name) });
+    };
+    if may_be_a_frame && in_tool {
+        add("FRM003", "tool frame");
+    }
+    if may_be_a_frame && in_base {
+        add("FRM002", "reference frame");
+    }
+    if is_as_of_a_drawing {
+        add("MDL001", "residual");
+    }
+    let (severity, guess) = match severity {
+        _ if is_a_tool => (Severity::Info, ", seen from the tool always the same: probably another TCP"),
+        Severity::Error if is_as_of_a_drawing => (Severity::Warning, ""),
+        severity => (severity, ""),
+    };
+    let stays = worst_joint(arm, nearest.gap).map_or(String::new(), |words| format!(": {words}"));
+    let (beyond, rests) = (nearest.beyond, gaps.len());
+    let moment = facts.moment(facts.origin.shifted(nearest.gap.from_s));
+    let of = if rests == 1 { String::new() } else { format!(", at {beyond} of {rests} rests") };
+    Outcome::faulty(Fault {
+        severity,
+        title: "command and rest differ",
+        message: format!("the arm rests {off} off what it was told, at {moment}{of}{stays}{guess}"),
+        evidence: Evidence {
+            indistinguishable,
+            effect_m: Some(nearest.estimate.translation_m.value),
+            ..Evidence::default()
+        },
+        fix: match is_a_tool {
+            true => "command the tool that is active, or name the commanded link".to_owned(),
+            false => "express goal and pose by one chain of frames; then see why the controller stays \
+                      off"
+            .to_owned(),
+        },
+    })
+}
+
+/// Whether what differs is the same at all rests but for a fifth of it, and a little.
+fn is_one(gap: &RestGap, (spread_m, spread_rad): (f64, f64)) -> bool {
+    const SHARE: f64 = 0.2;
+    /// Of the first figures.
+    const LITTLE: f64 = 0.3;
+    let allowed = |size: f64, figure: f64| (SHARE * size).max(LITTLE * figure);
+    spread_m <= allowed(gap.distance_m.norm.value, FIGURES.length.warning)
+        && spread_rad <= allowed(gap.angle_rad.norm.value, FIGURES.angle.warning)
+}
+
+/// The joint that stays off by most, of commanded joints, in words.
+fn worst_joint(arm: &ArmFacts, gap: &RestGap) -> Option<String> {
+    let (joint, off) =
+        gap.joints.iter().max_by(|a, b| a.1.value.abs().total_cmp(&b.1.value.abs()))?;
+    let name = &arm.joints.get(*joint)?.name;
+    Some(format!("{name} stays {} off", arm.joint_unit(*joint).show_signed(off)))
+}
+
+fn joints_json(arm: &ArmFacts, joints: &[(usize, Measured)]) -> Value {
+    let joint = |(index, off): &(usize, Measured)| {
+        let unit = arm.joint_unit(*index);
+        let name = arm.joints.get(*index).map(|joint| joint.name.as_str());
+        json!({
+            "joint": name,
+            "off": off.value,
+            "unit": unit.symbol(),
+            "ci95": unit.interval95(off),
+        })
+    };
+    joints.iter().map(joint).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{COMMANDS, ask, clean_run, rest_gap};
+    use crate::finding::Status;
+
+    fn planted(change: impl Fn(&mut ReferenceFacts, &mut ReferenceDiagnosis)) -> Facts {
+        let mut facts = clean_run();
+        let reference = &mut facts.robots[0].references[0];
+        let Ok(Ok(mut found)) = reference.found.clone() else { panic!("a clean reference") };
+        change(reference, &mut found);
+        reference.found = Ok(Ok(found));
+        facts
+    }
+
+    #[test]
+    fn a_single_rest_off_its_goal_is_a_finding_that_lists_frames() {
+        let facts = planted(|_, found| found.gaps = vec![vec![rest_gap(0.003, 0.0)]; 2]);
+        let (_, findings) = ask(&FRM006, &facts);
+        assert_eq!(findings[0].severity, Severity::Warning);
+        assert_eq!(findings[0].subject.topic.as_deref(), Some(COMMANDS));
+        let others = findings[0].evidence.indistinguishable.iter().map(|other| other.code);
+        assert_eq!(others.collect::<Vec<_>>(), ["FRM003", "FRM002"]);
+    }
+
+    #[test]
+    fn one_of_several_goals_that_was_given_up_is_no_fault() {
+        let gaps = [0.0, 0.008, 0.0].map(|m| rest_gap(m, 0.0)).to_vec();
+        let facts = planted(|_, found| found.gaps = vec![gaps.clone(), gaps.clone()]);
+        assert_eq!(ask(&FRM006, &facts).0[0].status, Status::Pass);
+    }
+
+    #[test]
+    fn the_same_seen_from_a_turned_tool_is_probably_another_tcp() {
+        let gaps: Vec<RestGap> = [0.0, 1.0, 2.0].map(|turn| rest_gap(0.14, turn)).to_vec();
+        let facts = planted(|reference, found| {
+            reference.tip_named = false;
+            found.gaps = vec![gaps.clone(), gaps.clone()];
+        });
+        let (_, findings) = ask(&FRM006, &facts);
+        assert_eq!(findings[0].severity, Severity::Info);
+        assert!(findings[0].message.ends_with("probably another TCP"), "{}", findings[0].message);
+    }
+
+    #[test]
+    fn a_large_offset_at_one_rest_is_left_open() {
+        let facts = planted(|reference, found| {
+            reference.tip_named = false;
+            found.gaps = vec![vec![rest_gap(0.14, 0.0)]; 2];
+        });
+        let (rows, findings) = ask(&FRM006, &facts);
+        assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
+    }
+
+    #[test]
+    fn an_offset_of_the_base_is_a_fault_where_a_frame_was_named() {
+        for (frame_named, status) in [(true, Status::Fail), (false, Status::Inconclusive)] {
+            let gaps = [0.0, 1.0, 2.0].map(|turn| {
+                let gap = rest_gap(0.3, turn);
+                let commanded = crate::geometry::Pose::translation(0.3, 0.0, 0.0) * gap.measured;
+                RestGap { commanded, ..gap }
+            });
+            let facts = planted(|reference, found| {
+                reference.frame_named = frame_named;
+                found.gaps = vec![gaps.to_vec(), gaps.to_vec()];
+            });
+            let row = &ask(&FRM006, &facts).0[0];
+            assert_eq!(row.status, status, "{row:?}");
+        }
+    }
+
+    #[test]
+    fn what_no_rest_tells_is_said() {
+        let facts = planted(|_, found| {
+            found.gaps = vec![Vec::new(); 2];
+            (found.goals, found.nearest_miss) = (2, Some((0.3, 0.1)));
+        });
+        let row = &ask(&FRM006, &facts).0[0];
+        assert!(row.reason.as_deref().is_some_and(|why| why.contains("none of 2 goals")), "{row:?}");
+    }
+}

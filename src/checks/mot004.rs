@@ -1,0 +1,280 @@
+use serde_json::{Value, json};
+
+use crate::checks::decision::{DEGREE, Decision, Figure, FrameFigures, decide_length};
+use crate::checks::reference::{self, witness_name};
+use crate::checks::{ArmFacts, Facts, Grade, Judged, ReferenceFacts};
+use crate::diagnosis::{Length, Line, LineWitness, Measured};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+
+rule! {
+    /// A commanded straight line is not straight, or its orientation is not a slerp.
+    ///
+    /// ## What it means
+    /// Streamed poses lead the tip along a straight line from one stop to the next, and the tip leaves
+    /// it; or the orientation on the way is not the turn about one axis, in step with the way, that
+    /// leads from the one end to the other (slerp). The latter may be so in the command already.
+    ///
+    /// ## Why it matters
+    /// Whatever is glued, welded, cut or inserted along the line goes where the tip goes. An
+    /// orientation that was interpolated by its Euler angles, its quaternion's components or its
+    /// matrix's elements swings out on the way though both ends are right.
+    ///
+    /// ## Evidence
+    /// The largest distance from the line and the largest angle from the slerp, beyond the noise, of
+    /// the line where that is most. The measured way is held against the line between where the tip
+    /// rests before and after, so that neither delay nor an offset counts; `measured_by` is the witness
+    /// that keeps to it best. `command_rad` is the angle that the command itself is off the slerp,
+    /// `command_off_axis_rad` what of it is across the axis, `interpolated` what was interpolated
+    /// component by component instead, where that is plain. `lines` counts the lines, `length_m` and
+    /// `turn_rad` are of the worst, `at_ns` says when it begins.
+    ///
+    /// ## How to fix
+    /// Interpolate positions linearly and rotations by slerp, both by the same part of the way, and
+    /// solve inverse kinematics in small steps. If the command is right, compare the joints' delays and
+    /// following errors; slow down.
+    ///
+    /// ## When it misleads
+    /// Only what streamed poses show is a line: moves of the joints go in arcs and are not blamed for
+    /// it, and lines that nobody streams are not seen. A planner that turns to a rhythm of its own,
+    /// about one axis, is told as `info`. A way that just happens to be straight is taken for a line.
+    MOT004 {
+        name: "line",
+        grade: Grade::From(&[FIGURES.length, FIGURES.angle]),
+        headline: false,
+        needs_model: true,
+        missing: "no commanded line in this log: no poses are commanded",
+        check: check,
+    }
+}
+
+const FIGURES: FrameFigures = FrameFigures {
+    length: Figure { unit: Unit::Metre, warning: 1e-3, error: 5e-3 },
+    angle: Figure { unit: Unit::Radian, warning: 0.5 * DEGREE, error: 2.0 * DEGREE },
+};
+
+/// What would tell.
+const SETTLE: &str = "log the tool pose or the joint states at 50 Hz or more, with a rest at both ends";
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    let subjects = facts.subjects();
+    let of_arm = |arm: &ArmFacts| -> Vec<Judged> {
+        let of_poses = arm.references.iter().filter(|reference| !reference.is_of_joints);
+        of_poses.map(|reference| judge(facts, arm, reference, subjects)).collect()
+    };
+    facts.robots.iter().flat_map(of_arm).collect()
+}
+
+/// How far a witness is off a line, in units of the first figures; without the angle where the command
+/// is off itself.
+fn size(line: &Line, witness: &LineWitness) -> f64 {
+    let length = witness.distance_m.norm.value / FIGURES.length.warning;
+    match is_off(line) {
+        true => length,
+        false => length.max(witness.angle_rad.norm.value / FIGURES.angle.warning),
+    }
+}
+
+fn is_off(line: &Line) -> bool {
+    FIGURES.angle.severity(line.command_rad).is_some()
+}
+
+/// The line that a witness is off most.
+fn worst(lines: &[Line], witness: usize) -> Option<(&Line, &LineWitness)> {
+    let kept = lines.iter().filter_map(|line| Some((line, line.witnesses.get(witness)?.as_ref()?)));
+    kept.max_by(|a, b| size(a.0, a.1).total_cmp(&size(b.0, b.1)))
+}
+
+fn judge(facts: &Facts, arm: &ArmFacts, reference: &ReferenceFacts, subjects: usize) -> Judged {
+    let judged =
+        |outcome| Judged::new(arm.topic(&reference.topic), outcome).within(reference.span);
+    let found = match reference::found(arm, reference, SETTLE) {
+        Ok(found) => found,
+        Err(outcome) => return judged(outcome),
+    };
+    let lines = &found.lines;
+    let commanded = lines.iter().max_by(|a, b| a.command_rad.total_cmp(&b.command_rad));
+    let Some(commanded) = commanded else {
+        let why = match found.is_streamed {
+            true => "no commanded line in this log: no way from stop to stop is straight",
+            false => "no commanded line in this log: the commands are goals, and not streamed",
+        };
+        return judged(Outcome::Skipped(why.to_owned()));
+    };
+    let of_witnesses = (0..reference.witnesses.len())
+        .filter_map(|witness| Some((witness, worst(lines, witness)?)));
+    let kept = of_witnesses.min_by(|(_, a), (_, b)| size(a.0, a.1).total_cmp(&size(b.0, b.1)));
+    let (line, measured) = match kept {
+        _ if is_off(commanded) => (commanded, kept.map(|(_, (_, measured))| *measured)),
+        Some((_, (line, measured))) => (line, Some(*measured)),
+        None => (commanded, None),
+    };
+    let outcome = match (is_off(commanded), &measured) {
+        (true, _) => swings(commanded),
+        (false, Some(measured)) => leaves(facts, line, measured, subjects * lines.len()),
+        (false, None) => {
+            Outcome::Inconclusive(format!("no witness has the tip along any of the lines; {SETTLE}"))
+        }
+    };
+    // The command's fault does not hide that the tip leaves the line.
+    let outcome = match (outcome, kept) {
+        (Outcome::Evaluated(_), Some((_, (line, measured)))) if is_off(commanded) => {
+            with_distance(commanded, line, measured, subjects * lines.len())
+        }
+        (outcome, _) => outcome,
+    };
+    let unknown = Measured { value: f64::NAN, std_error: f64::INFINITY, dof: 1.0 };
+    let distance = measured.as_ref().map_or(unknown, |measured| measured.distance_m.norm);
+    let angle = match &measured {
+        _ if is_off(commanded) => {
+            Measured { value: commanded.command_rad, std_error: 0.0, dof: f64::INFINITY }
+        }
+        Some(measured) => measured.angle_rad.norm,
+        None => unknown,
+    };
+    let measured_by: Value = kept.map(|(witness, _)| witness_name(reference, witness)).into();
+    judged(outcome)
+        .estimated(Estimate::frame("line deviation", &distance, &angle))
+        .with_evidence("lines", lines.len())
+        .with_evidence("at_ns", facts.origin.shifted(line.from_s).to_string())
+        .with_evidence("length_m", line.length_m)
+        .with_evidence("turn_rad", line.turn_rad)
+        .with_evidence("command_rad", commanded.command_rad)
+        .with_evidence("command_off_axis_rad", commanded.command_off_axis_rad)
+        .with_evidence("interpolated", json!(commanded.interpolated))
+        .with_evidence("measured_by", measured_by)
+}
+
+/// How the tip keeps to the worst line.
+fn decide(line: &Line, measured: &LineWitness, subjects: usize) -> Decision {
+    let by_length = decide_length(&measured.distance_m, &FIGURES.length, subjects);
+    let angle = if is_off(line) { Decision::Pass } else { by_angle(&measured.angle_rad, subjects) };
+    match (by_length, angle) {
+        (Decision::Fail(a), Decision::Fail(b)) => Decision::Fail(a.max(b)),
+        (fail @ Decision::Fail(_), _) | (_, fail @ Decision::Fail(_)) => fail,
+        (undecided @ Decision::Undecided(_), _) | (_, undecided) => undecided,
+    }
+}
+
+fn by_angle(angle: &Length, subjects: usize) -> Decision {
+    decide_length(angle, &FIGURES.angle, subjects)
+}
+
+/// The outcome where the command is a slerp.
+fn leaves(facts: &Facts, line: &Line, measured: &LineWitness, subjects: usize) -> Outcome {
+    let distance = Unit::Metre.show_measured(&measured.distance_m.norm);
+    let angle = Unit::Radian.show_measured(&measured.angle_rad.norm);
+    match decide(line, measured, subjects) {
+        Decision::Pass => {
+            Outcome::sound_because(format!("the tip is at most {distance} and {angle} off its lines"))
+        }
+        Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
+        Decision::Fail(severity) => Outcome::faulty(Fault {
+            severity,
+            title: "commanded line is not straight",
+            message: format!(
+                "the tip is {distance} off the line of {} and {angle} off its slerp, from {} on",
+                Unit::Metre.show(line.length_m),
+                facts.moment(facts.origin.shifted(line.from_s)),
+            ),
+            evidence: Evidence {
+                effect_m: Some(measured.distance_m.norm.value),
+                ..Evidence::default()
+            },
+            fix: "solve inverse kinematics in smaller steps along the line, or slow down: the command \
+                  is straight"
+                .to_owned(),
+        }),
+    }
+}
+
+/// The outcome where the command itself is no slerp.
+fn swings(line: &Line) -> Outcome {
+    let (off, turn) = (Unit::Radian.show(line.command_rad), Unit::Radian.show(line.turn_rad));
+    let across = Unit::Radian.show(line.command_off_axis_rad);
+    let is_pace = FIGURES.angle.severity(line.command_off_axis_rad).is_none();
+    let (severity, as_if) = match &line.interpolated {
+        Some(name) => (FIGURES.angle.severity(line.command_rad), format!(": as of {name} interpolated")),
+        None if is_pace => (Some(Severity::Info), ": it turns at another pace than it goes".to_owned()),
+        None => (FIGURES.angle.severity(line.command_rad), format!(", {across} of it across the axis")),
+    };
+    Outcome::faulty(Fault {
+        severity: severity.unwrap_or(Severity::Info),
+        title: "line's orientation is no slerp",
+        message: format!("the commanded orientation is {off} off the slerp of {turn}{as_if}"),
+        evidence: Evidence::default(),
+        fix: "interpolate rotations by slerp, in step with the positions".to_owned(),
+    })
+}
+
+/// The same, where the tip may leave the line beside it: the graver of the two is said first.
+fn with_distance(
+    commanded: &Line,
+    line: &Line,
+    measured: &LineWitness,
+    subjects: usize,
+) -> Outcome {
+    let off_line = Line { command_rad: f64::INFINITY, ..line.clone() };
+    let distance = Unit::Metre.show_measured(&measured.distance_m.norm);
+    let swinging = swings(commanded);
+    let Outcome::Evaluated(crate::finding::Ruling::Faulty(fault)) = swinging else {
+        return swinging;
+    };
+    match decide(&off_line, measured, subjects) {
+        Decision::Fail(severity) => Outcome::faulty(Fault {
+            severity: severity.max(fault.severity),
+            message: format!("{}, and the tip is {distance} off the line", fault.message),
+            ..*fault
+        }),
+        _ => Outcome::Evaluated(crate::finding::Ruling::Faulty(fault)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{ask, clean_run, length};
+    use crate::finding::Status;
+
+    fn planted(change: impl Fn(&mut Line)) -> Facts {
+        let mut facts = clean_run();
+        if let Ok(Ok(found)) = &mut facts.robots[0].references[0].found {
+            change(&mut found.lines[0]);
+        }
+        facts
+    }
+
+    #[test]
+    fn a_line_must_be_left_by_all_witnesses() {
+        let bowed = LineWitness { distance_m: length(0.003), angle_rad: length(0.0) };
+        let by_one = planted(|line| line.witnesses[0] = Some(bowed));
+        assert_eq!(ask(&MOT004, &by_one).0[0].status, Status::Pass);
+        let by_all = planted(|line| line.witnesses = vec![Some(bowed); 2]);
+        let (_, findings) = ask(&MOT004, &by_all);
+        assert_eq!(findings[0].severity, Severity::Warning);
+        assert!(findings[0].message.starts_with("the tip is 3.0"), "{}", findings[0].message);
+    }
+
+    #[test]
+    fn another_pace_is_worth_knowing_and_another_interpolation_is_a_fault() {
+        let off = 3.0 * DEGREE;
+        for (across, interpolated, severity) in [
+            (0.0, None, Severity::Info),
+            (0.0, Some("matrix elements".to_owned()), Severity::Error),
+            (off, Some("euler:xyz".to_owned()), Severity::Error),
+            (off, None, Severity::Error),
+        ] {
+            let facts = planted(|line| {
+                (line.command_rad, line.command_off_axis_rad) = (off, across);
+                line.interpolated.clone_from(&interpolated);
+            });
+            let (_, findings) = ask(&MOT004, &facts);
+            assert_eq!(findings[0].severity, severity, "{}", findings[0].message);
+        }
+    }
+
+    #[test]
+    fn without_a_witness_it_is_open() {
+        let facts = planted(|line| line.witnesses = vec![None; 2]);
+        assert_eq!(ask(&MOT004, &facts).0[0].status, Status::Inconclusive);
+    }
+}

@@ -1,0 +1,56 @@
+//! What the rules on commands share.
+
+use serde_json::{Value, json};
+
+use crate::checks::decision::unseen;
+use crate::checks::{ArmFacts, WitnessKind};
+use crate::checks::{ReferenceFacts, mot003};
+use crate::diagnosis::{Following, JointOffset, ReferenceDiagnosis};
+use crate::finding::Outcome;
+
+/// What was found of commands; else the outcome of a rule that is asked about them.
+pub fn found<'a>(
+    arm: &ArmFacts,
+    reference: &'a ReferenceFacts,
+    settle: &str,
+) -> Result<&'a ReferenceDiagnosis, Outcome> {
+    let found = match &reference.found {
+        Err(why) => return Err(Outcome::Skipped(why.clone())),
+        Ok(found) => found.as_ref().map_err(|why| unseen(why, settle))?,
+    };
+    match mot003::doubt(arm) {
+        Some(why) => Err(Outcome::Inconclusive(why)),
+        None => Ok(found),
+    }
+}
+
+/// Whether something was found that makes a stream of poses and FK of the joint states differ.
+pub fn witnesses_differ(arm: &ArmFacts) -> bool {
+    let is_chosen = |offset: &JointOffset| offset.chosen;
+    let differs = arm.poses().any(|(_, stream)| stream.nominal || stream.growth_chosen);
+    differs || arm.diagnosis.offsets.iter().any(is_chosen)
+}
+
+/// A witness in words.
+pub fn witness_name(reference: &ReferenceFacts, index: usize) -> String {
+    match reference.witnesses.get(index) {
+        Some(witness) if witness.kind == WitnessKind::Corrected => {
+            format!("{} as corrected", witness.name)
+        }
+        Some(witness) => witness.name.clone(),
+        None => String::new(),
+    }
+}
+
+/// How an arm follows, as reports have it; null where it was not led.
+pub fn following_json(following: Option<&Following>) -> Value {
+    let Some(following) = following else { return Value::Null };
+    json!({
+        "delay_s": following.delay_s,
+        "correlation": following.correlation,
+        "rms_m": following.rms.0,
+        "rms_rad": following.rms.1,
+        "left_m": following.left.0,
+        "left_rad": following.left.1,
+    })
+}

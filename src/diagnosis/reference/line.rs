@@ -1,0 +1,309 @@
+//! Commanded straight lines: whether their orientation goes as it should, and whether the arm keeps to
+//! them.
+//!
+//! A line is what the commands themselves show: positions between two stops that lie on the chord. How
+//! fast it is gone along does not matter; what is held against it is where the tip is, and how it is
+//! turned, at the same part of the way. In between orientation is a slerp: a turn about one axis, in
+//! step with the way (Shoemake, "Animating rotation with quaternion curves", SIGGRAPH 1985).
+
+use std::f64::consts::{PI, TAU};
+
+use super::rest::{Hold, LEAST_S, Rest, mean_pose};
+use super::{Length, WitnessSeries, length_of, of_mean};
+use crate::diagnosis::PoseSeries;
+use crate::geometry::{
+    Convention, Pose, Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation,
+};
+
+/// Shorter ways are no lines, m.
+const SHORTEST_M: f64 = 0.02;
+/// At a turn of nearly half the shortest one is not sure.
+const LARGEST_TURN: f64 = 170.0 * PI / 180.0;
+
+/// A straight line that was commanded.
+#[derive(Clone, Debug)]
+pub struct Line {
+    /// When the command leaves its first end, s from the run's origin.
+    pub from_s: f64,
+    /// When it comes to the other.
+    pub to_s: f64,
+    /// Its length, m.
+    pub length_m: f64,
+    /// The turn on the way, rad.
+    pub turn_rad: f64,
+    /// The largest angle between the commanded orientation and the slerp at the same part of the way,
+    /// rad.
+    pub command_rad: f64,
+    /// The largest angle of it that no turn about the slerp's axis takes off, rad.
+    pub command_off_axis_rad: f64,
+    /// What was interpolated instead, in words, where that is plain.
+    pub interpolated: Option<String>,
+    /// By each witness, how the tip kept to the line; `None` where it does not tell.
+    pub witnesses: Vec<Option<LineWitness>>,
+}
+
+/// How a tip kept to a line.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LineWitness {
+    /// The largest distance from the line through its own ends, beyond the noise, m.
+    pub distance_m: Length,
+    /// The largest angle from the slerp between its own ends at the same part of the way, beyond the
+    /// noise, rad.
+    pub angle_rad: Length,
+}
+
+/// The way from one pose to another.
+struct Way {
+    from: Pose,
+    along: Vec3,
+    length_m: f64,
+    /// The whole turn, in the frame of the first pose, rad.
+    turn: Vec3,
+}
+
+impl Way {
+    fn new(from: &Pose, to: &Pose) -> Self {
+        let chord = to.translation.vector - from.translation.vector;
+        let length_m = chord.norm();
+        Self {
+            from: *from,
+            along: chord / length_m.max(f64::MIN_POSITIVE),
+            length_m,
+            turn: rotvec_from_rotation(&(from.rotation.inverse() * to.rotation)),
+        }
+    }
+
+    /// Part of the way, 0 to 1, and what is off it, m.
+    fn place(&self, pose: &Pose) -> (f64, Vec3) {
+        let since = pose.translation.vector - self.from.translation.vector;
+        let along_m = since.dot(&self.along);
+        (along_m / self.length_m.max(f64::MIN_POSITIVE), since - self.along * along_m)
+    }
+
+    fn slerp(&self, part: f64) -> Rotation {
+        self.from.rotation * rotation_from_rotvec(self.turn * part.clamp(0.0, 1.0))
+    }
+
+    /// The angle of a rotation that no turn about the axis of the way takes off, rad: the part of its
+    /// quaternion's vector across the axis is the sine of half of it.
+    fn off_axis_rad(&self, rotation: &Rotation) -> f64 {
+        let turn = rotvec_from_rotation(&(self.from.rotation.inverse() * rotation));
+        let angle = turn.norm();
+        let Some(axis) = self.turn.try_normalize(1e-6) else { return angle };
+        let vector = turn / angle.max(f64::MIN_POSITIVE) * (0.5 * angle).sin();
+        let across = vector - axis * vector.dot(&axis);
+        2.0 * across.norm().min(1.0).asin()
+    }
+}
+
+/// The lines that commands show.
+pub(super) fn lines(
+    series: &PoseSeries,
+    holds: &[Hold],
+    rests: &[Rest],
+    witnesses: &[WitnessSeries<'_>],
+) -> Vec<Line> {
+    let stops: Vec<&Hold> = holds
+        .iter()
+        .filter(|hold| series.t_s[hold.last] - series.t_s[hold.first] >= LEAST_S)
+        .collect();
+    let pairs = stops.windows(2).filter_map(|pair| {
+        let (from, to) = (pair[0], pair[1]);
+        let rows = from.last..to.first + 1;
+        let (mut line, way) = commanded(series, rows)?;
+        line.witnesses =
+            witnesses.iter().map(|witness| kept(&line, &way, rests, to, witness)).collect();
+        Some(line)
+    });
+    pairs.collect()
+}
+
+/// The line that the commands of `rows` are, from their first to their last, if they are one.
+fn commanded(series: &PoseSeries, rows: std::ops::Range<usize>) -> Option<(Line, Way)> {
+    const FEWEST: usize = 8;
+    /// What a commanded line may be off a straight one: numbers that were written short, m, and so
+    /// much of its length.
+    const STRAIGHT: (f64, f64) = (2e-5, 1e-4);
+    let poses = series.poses.get(rows.clone())?;
+    let times = series.t_s.get(rows)?;
+    let (first, last) = (poses.first()?, poses.last()?);
+    let way = Way::new(first, last);
+    let turn_rad = way.turn.norm();
+    if poses.len() < FEWEST || way.length_m < SHORTEST_M || turn_rad > LARGEST_TURN {
+        return None;
+    }
+    let most_m = STRAIGHT.0 + STRAIGHT.1 * way.length_m;
+    let beyond = most_m / way.length_m;
+    let is_on = |pose: &Pose| {
+        let (part, off) = way.place(pose);
+        off.norm() <= most_m && (-beyond..=1.0 + beyond).contains(&part)
+    };
+    // A command that falls silent, or jumps, shows no line.
+    let longest = poses.windows(2).map(|pair| {
+        (pair[1].translation.vector - pair[0].translation.vector).norm() / way.length_m
+    });
+    if !poses.iter().all(is_on) || longest.fold(0.0, f64::max) > 0.3 {
+        return None;
+    }
+    let placed: Vec<(f64, Rotation)> =
+        poses.iter().map(|pose| (way.place(pose).0, pose.rotation)).collect();
+    let off = |(part, rotation): &(f64, Rotation)| angle_between(rotation, &way.slerp(*part));
+    let command_rad = placed.iter().map(off).fold(0.0, f64::max);
+    let off_axis = placed.iter().map(|(_, rotation)| way.off_axis_rad(rotation));
+    let line = Line {
+        from_s: times[0],
+        to_s: times[times.len() - 1],
+        length_m: way.length_m,
+        turn_rad,
+        command_rad,
+        command_off_axis_rad: off_axis.fold(0.0, f64::max),
+        interpolated: interpolated(&way, last, &placed),
+        witnesses: Vec::new(),
+    };
+    Some((line, way))
+}
+
+/// What was interpolated from end to end, where it is no slerp and one of the usual mistakes leaves next
+/// to nothing: Euler angles or a rotation vector component by component, a quaternion's components, or a
+/// matrix's elements.
+fn interpolated(way: &Way, last: &Pose, placed: &[(f64, Rotation)]) -> Option<String> {
+    /// Less than this is a slerp with short numbers, rms rad.
+    const LEAST_RAD: f64 = 5e-4;
+    /// What a mistake may leave of what the slerp leaves.
+    const SHARE: f64 = 0.05;
+    let rms = |guess: &dyn Fn(f64) -> Rotation| {
+        let square =
+            |(part, rotation): &(f64, Rotation)| angle_between(rotation, &guess(*part)).powi(2);
+        (placed.iter().map(square).sum::<f64>() / placed.len().max(1) as f64).sqrt()
+    };
+    let by_slerp = rms(&|part| way.slerp(part));
+    if by_slerp < LEAST_RAD {
+        return None;
+    }
+    let (angle, axis) = (way.turn.norm(), way.turn.try_normalize(1e-9)?);
+    // A blend of two unit vectors `angle` apart has turned by this much of it.
+    let blended =
+        |angle: f64, part: f64| (part * angle.sin()).atan2(1.0 - part + part * angle.cos());
+    let at_angle = |angle: f64| way.from.rotation * rotation_from_rotvec(axis * angle);
+    let mut guesses: Vec<(f64, String)> = vec![
+        (rms(&|s| at_angle(2.0 * blended(angle / 2.0, s))), "quaternion components".to_owned()),
+        (rms(&|s| at_angle(blended(angle, s))), "matrix elements".to_owned()),
+    ];
+    for &convention in Convention::all() {
+        let [a, b] =
+            [&way.from.rotation, &last.rotation].map(|rotation| convention.numbers(rotation));
+        let wrapped = |by: f64| by - TAU * (by / TAU).round();
+        let by: [f64; 3] = std::array::from_fn(|at| match convention {
+            Convention::RotVec => b[at] - a[at],
+            _ => wrapped(b[at] - a[at]),
+        });
+        let guess =
+            |part: f64| convention.rotation(std::array::from_fn(|at| a[at] + part * by[at]));
+        guesses.push((rms(&guess), convention.to_string()));
+    }
+    // Of equals the first, which is the most usual, counts as the least.
+    let (least, name) = guesses.into_iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
+    (least <= SHARE * by_slerp).then_some(name)
+}
+
+/// How a witness has the tip keep to a line: held against the line and the slerp between where it
+/// rests before and after, so that neither delay nor what is off at rest counts.
+fn kept(
+    line: &Line,
+    way: &Way,
+    rests: &[Rest],
+    stop: &Hold,
+    witness: &WitnessSeries<'_>,
+) -> Option<LineWitness> {
+    /// So much of a rest beside the way says where the way ends, s.
+    const END_S: f64 = 0.3;
+    /// The way of the tip may be longer or shorter by this, m, and a share of it.
+    const ALIKE: (f64, f64) = (5e-3, 0.1);
+    /// It may turn more or less by this, rad.
+    const TURNS_ALIKE: f64 = 3.0 * PI / 180.0;
+    /// Bins of the way, and samples in one.
+    const BINS: usize = 20;
+    const PER_BIN: usize = 4;
+    let before = rests.iter().rev().find(|rest| rest.from_s < line.from_s)?;
+    let after = rests.iter().find(|rest| rest.from_s > line.from_s && rest.from_s < stop.to_s)?;
+    if before.to_s > after.from_s {
+        return None;
+    }
+    let series = witness.series;
+    let ends = [
+        ((before.to_s - END_S).max(before.from_s), before.to_s),
+        (after.from_s, (after.from_s + END_S).min(after.to_s)),
+    ];
+    let [first, last] =
+        [mean_pose(series, ends[0].0, ends[0].1)?, mean_pose(series, ends[1].0, ends[1].1)?];
+    let tip_from_point = commanded_point(way, line, &first, &last)?;
+    let done = Way::new(&(first * tip_from_point), &(last * tip_from_point));
+    let is_alike = (done.length_m - way.length_m).abs() <= ALIKE.0 + ALIKE.1 * way.length_m
+        && (done.turn.norm() - line.turn_rad).abs() <= TURNS_ALIKE;
+    if !is_alike {
+        return None;
+    }
+    let rows = series.t_s.partition_point(|&t| t < before.to_s)
+        ..series.t_s.partition_point(|&t| t <= after.from_s);
+    let placed: Vec<(f64, Vec3, Vec3)> = series.poses[rows]
+        .iter()
+        .map(|pose| {
+            let pose = pose * tip_from_point;
+            let (part, off) = done.place(&pose);
+            let turn = rotvec_from_rotation(&(pose.rotation * done.slerp(part).inverse()));
+            (part, off, turn)
+        })
+        .filter(|(part, ..)| (0.0..1.0).contains(part))
+        .collect();
+    let bins = (placed.len() / PER_BIN).min(BINS);
+    if bins < 3 {
+        return None;
+    }
+    let mut sums = vec![(Vec3::zeros(), Vec3::zeros(), 0_usize); bins];
+    for (part, off, turn) in placed {
+        let bin = &mut sums[((part * bins as f64) as usize).min(bins - 1)];
+        *bin = (bin.0 + off, bin.1 + turn, bin.2 + 1);
+    }
+    let end_count = |(from_s, to_s): (f64, f64)| super::rest::within(series, from_s, to_s).count();
+    let fewest = end_count(ends[0]).min(end_count(ends[1]));
+    let farthest = |kind: usize| {
+        let noise = &witness.noise[kind];
+        let lengths = sums.iter().filter(|bin| bin.2 > 0).map(|&(off, turn, count)| {
+            let mean = if kind == 0 { off } else { turn } / count as f64;
+            length_of(mean, of_mean(noise, count) + of_mean(noise, fewest))
+        });
+        let longest = lengths.max_by(|a, b| a.norm.value.total_cmp(&b.norm.value))?;
+        // The farthest of so many bins is there by chance so many times more often.
+        Some(Length { p_value: (longest.p_value * bins as f64).min(1.0), ..longest })
+    };
+    Some(LineWitness { distance_m: farthest(0)?, angle_rad: farthest(1)? })
+}
+
+/// Where on the tool the commanded point is, `tip_from_point`; `None` where a line of that point is no
+/// line of the tip, and it is not sure which point is commanded.
+fn commanded_point(way: &Way, line: &Line, first: &Pose, last: &Pose) -> Option<Pose> {
+    /// A tip this near to the commanded point goes along with it, m.
+    const NEAR_M: f64 = 5e-3;
+    /// Ways that turn by less are the same for all points, rad.
+    const LITTLE_RAD: f64 = 2.0 * PI / 180.0;
+    /// One and the same point differs by no more from end to end, m.
+    const SAME_M: f64 = 2e-3;
+    let told = [
+        way.from,
+        Pose::from_parts(
+            (way.from.translation.vector + way.along * way.length_m).into(),
+            way.slerp(1.0),
+        ),
+    ];
+    let [at_first, at_last] = [first.inverse() * told[0], last.inverse() * told[1]];
+    let far_m = at_first.translation.vector.norm().max(at_last.translation.vector.norm());
+    let apart_m = (at_first.translation.vector - at_last.translation.vector).norm();
+    match () {
+        () if far_m <= NEAR_M || line.turn_rad <= LITTLE_RAD => Some(Pose::identity()),
+        () if apart_m <= SAME_M => {
+            let middle = at_first.translation.vector.lerp(&at_last.translation.vector, 0.5);
+            Some(Pose::translation(middle.x, middle.y, middle.z))
+        }
+        () => None,
+    }
+}

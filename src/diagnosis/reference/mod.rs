@@ -1,0 +1,517 @@
+//! What an arm was told against what it did: where both stand still, how the one follows the other,
+//! and whether a commanded straight line was one.
+//!
+//! A command holds until the next. Where a command has stood still and the arm rests, latency and
+//! following error have died away, and what differs is a difference of poses. Commands that the arm was
+//! never brought to are told from those that it missed by a little.
+
+mod line;
+mod rest;
+
+use super::latency::{Peak, median_period_s, pose_peaks};
+use super::measured::{Length, Measured};
+use super::noise::Noise;
+use super::{PoseSeries, Seen, Unseen};
+use crate::geometry::{Pose, Rotation, Vec3, angle_between, rotvec_from_rotation};
+use crate::robot::Chain;
+use crate::stream::JointTrack;
+
+pub use line::{Line, LineWitness};
+use rest::{Hold, Rest, holds, mean_pose, rests};
+
+/// What an arm was told, over time.
+#[derive(Clone, Debug, Default)]
+pub struct Commands {
+    /// `base_from_tip` as commanded.
+    pub series: PoseSeries,
+    /// Of commanded joints the positions, row-major, in the order of the arm's joint track; NaN where no
+    /// command said anything of a joint. Empty of commanded poses.
+    pub joints: Vec<f64>,
+}
+
+impl Commands {
+    /// Commands to joints: `q` has `order.len()` numbers a row, and `order` says of each its column in
+    /// `joints`. What a row does not say holds as it was said before; joints that were never commanded
+    /// are where they are.
+    pub fn of_joints(
+        t_s: &[f64],
+        order: &[usize],
+        q: &[f64],
+        joints: &JointTrack,
+        (chain, columns): (&Chain, &[usize]),
+    ) -> Self {
+        let mut commands = Self::default();
+        let mut held = vec![f64::NAN; joints.dof];
+        let (mut cursor, mut at, mut speed) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+        let mut own = vec![0.0; columns.len()];
+        for (&t_s, row) in t_s.iter().zip(q.chunks_exact(order.len().max(1))) {
+            for (&column, &value) in order.iter().zip(row).filter(|(_, value)| value.is_finite()) {
+                held[column] = value;
+            }
+            let is_whole = columns.iter().all(|&column| held[column].is_finite());
+            if !is_whole && !joints.at(t_s, &mut cursor, &mut at, &mut speed) {
+                continue;
+            }
+            for (own, &column) in own.iter_mut().zip(columns) {
+                *own = if held[column].is_finite() { held[column] } else { at[column] };
+            }
+            commands.series.t_s.push(t_s);
+            commands.series.poses.push(chain.forward(&own));
+            commands.joints.extend(&held);
+        }
+        commands
+    }
+}
+
+/// The order of commands whose numbers have no names: that of the chain, of the joint track, or of the
+/// alphabet, whichever is nearest to the joints. `None` where none of them follows the joints.
+pub fn unnamed_order(
+    t_s: &[f64],
+    q: &[f64],
+    joints: &JointTrack,
+    names: &[String],
+    columns: &[usize],
+) -> Option<Vec<usize>> {
+    /// The joints are no farther from what they were told than this in the mean, rad or m.
+    const NEAR: f64 = 0.1;
+    let mut alphabetical = columns.to_vec();
+    alphabetical.sort_by_key(|&column| names.get(column));
+    let mut as_tracked = columns.to_vec();
+    as_tracked.sort_unstable();
+    let distance = |order: &[usize]| {
+        let (mut cursor, mut at, mut speed) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+        let (mut sum, mut count) = (0.0, 0.0);
+        for (&t_s, row) in t_s.iter().zip(q.chunks_exact(order.len().max(1))) {
+            if joints.at(t_s, &mut cursor, &mut at, &mut speed) {
+                sum += order
+                    .iter()
+                    .zip(row)
+                    .map(|(&at_column, q)| (at[at_column] - q).abs())
+                    .sum::<f64>();
+                count += order.len() as f64;
+            }
+        }
+        if count > 0.0 { sum / count } else { f64::INFINITY }
+    };
+    // Of equals the first counts as the least.
+    let orders = [columns.to_vec(), as_tracked, alphabetical].into_iter();
+    let orders = orders.map(|order| (distance(&order), order));
+    let (least, order) = orders.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    (least < NEAR).then_some(order)
+}
+
+/// The difference between a command and where the arm came to rest.
+#[derive(Clone, Debug)]
+pub struct RestGap {
+    /// When both stood still, s from the run's origin.
+    pub from_s: f64,
+    /// Until when.
+    pub to_s: f64,
+    /// `base_from_tip` as commanded.
+    pub commanded: Pose,
+    /// `base_from_tip` as measured, the mean.
+    pub measured: Pose,
+    /// Distance of the two, m.
+    pub distance_m: Length,
+    /// Angle between the two, rad.
+    pub angle_rad: Length,
+    /// Of commanded joints, the joint's column and by how much it is off what it was told:
+    /// `q_measured − q_commanded`, rad or m.
+    pub joints: Vec<(usize, Measured)>,
+}
+
+impl RestGap {
+    /// `tip_from_commanded`: where the command is, seen from the tip.
+    pub fn tip_from_commanded(&self) -> Pose {
+        self.measured.inverse() * self.commanded
+    }
+}
+
+/// Whether what differs at several rests is one and the same.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Constancy {
+    /// The farthest of `tip_from_commanded` from their mean: m, rad. Nothing where it is another point
+    /// of the tool that is commanded.
+    pub in_tool: (f64, f64),
+    /// The same of `base_from_commanded_base`. Nothing where it is another base.
+    pub in_base: (f64, f64),
+}
+
+impl Constancy {
+    /// Of two rests or more.
+    pub fn of(gaps: &[RestGap]) -> Option<Self> {
+        if gaps.len() < 2 {
+            return None;
+        }
+        let spread = |of: &dyn Fn(&RestGap) -> Pose| {
+            let parts: Vec<(Vec3, Vec3)> = gaps
+                .iter()
+                .map(of)
+                .map(|pose| (pose.translation.vector, rotvec_from_rotation(&pose.rotation)))
+                .collect();
+            let count = parts.len() as f64;
+            let (mean_m, mean_rad) = (
+                parts.iter().map(|part| part.0).sum::<Vec3>() / count,
+                parts.iter().map(|part| part.1).sum::<Vec3>() / count,
+            );
+            let far = |part: &(Vec3, Vec3)| ((part.0 - mean_m).norm(), (part.1 - mean_rad).norm());
+            parts.iter().map(far).fold((0.0, 0.0), |a: (f64, f64), b| (a.0.max(b.0), a.1.max(b.1)))
+        };
+        Some(Self {
+            in_tool: spread(&RestGap::tip_from_commanded),
+            in_base: spread(&|gap| gap.commanded * gap.measured.inverse()),
+        })
+    }
+}
+
+/// How an arm follows a streamed command, by FK of its joint states while it moves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Following {
+    /// How late the arm is, s.
+    pub delay_s: f64,
+    /// Correlation of the two speeds there.
+    pub correlation: f64,
+    /// Following error at equal stamps, rms m and rad.
+    pub rms: (f64, f64),
+    /// What is left of it when the delay is taken off.
+    pub left: (f64, f64),
+}
+
+/// What was found of one stream of commands.
+#[derive(Clone, Debug)]
+pub struct ReferenceDiagnosis {
+    /// Whether the commands come so often that the arm is led by them.
+    pub is_streamed: bool,
+    /// How the arm follows; `None` where commands are too few, or it does not.
+    pub following: Option<Following>,
+    /// Commands that stood still.
+    pub goals: usize,
+    /// Of these the ones near which the arm never came to rest after they were given.
+    pub not_reached: usize,
+    /// Distance (m) and angle (rad) at the nearest rest of the one of these that was missed by least.
+    pub nearest_miss: Option<(f64, f64)>,
+    /// By each witness what differs at each rest near its command, in the order of time.
+    pub gaps: Vec<Vec<RestGap>>,
+    /// The commanded straight lines, of poses that are streamed.
+    pub lines: Vec<Line>,
+}
+
+/// The arm's joint states, and the chain whose tip is commanded.
+#[derive(Clone, Copy, Debug)]
+pub struct CommandedArm<'a> {
+    /// The joint states as recorded.
+    pub joints: &'a JointTrack,
+    /// From base to tip.
+    pub chain: &'a Chain,
+    /// For each joint of `chain`, its column in `joints`.
+    pub columns: &'a [usize],
+}
+
+/// A witness of where the tip was, and how noisy it is.
+struct WitnessSeries<'a> {
+    series: &'a PoseSeries,
+    /// Of a component of its positions, m, and of its rotations, rad.
+    noise: [Noise; 2],
+}
+
+/// What an arm was told against what it did.
+///
+/// `witnesses` say where the tip was, as `base_from_tip` at the times at which it was there; the first
+/// is FK of the joint states.
+///
+/// # Errors
+/// Where there are no commands, or the arm never rests.
+pub fn diagnose_reference(
+    commands: &Commands,
+    arm: &CommandedArm<'_>,
+    witnesses: &[PoseSeries],
+    most_lag_s: f64,
+) -> Seen<ReferenceDiagnosis> {
+    let series = &commands.series;
+    let Some(end_s) = arm.joints.span().map(|(_, end_s)| end_s) else {
+        return Err(Unseen::NoOverlap);
+    };
+    if series.t_s.first().is_none_or(|&first_s| first_s > end_s) {
+        return Err(Unseen::NoOverlap);
+    }
+    let is_streamed = is_streamed(series);
+    let following = if is_streamed { following(series, arm, most_lag_s) } else { None };
+    let rests = rests(arm.joints);
+    if rests.is_empty() {
+        return Err(Unseen::NeverRests);
+    }
+    let holds = holds(series, is_streamed, end_s);
+    let delay_s = following.map_or(0.0, |following| following.delay_s.max(0.0));
+    let noises =
+        witnesses.iter().map(|series| WitnessSeries { series, noise: noise_of(series, &rests) });
+    let witnesses: Vec<WitnessSeries<'_>> = noises.collect();
+    let pairs: Vec<Vec<(f64, f64)>> = holds
+        .iter()
+        .map(|hold| windows(hold, &rests, is_streamed, following.is_some(), delay_s))
+        .collect();
+    let mut found = ReferenceDiagnosis {
+        is_streamed,
+        following,
+        goals: holds.iter().filter(|hold| hold.to_s - hold.from_s >= rest::LEAST_S).count(),
+        not_reached: 0,
+        nearest_miss: None,
+        gaps: vec![Vec::new(); witnesses.len()],
+        lines: Vec::new(),
+    };
+    let gaps_of = |hold: &Hold, &(from_s, to_s): &(f64, f64)| -> Vec<Option<RestGap>> {
+        witnesses.iter().map(|one| gap(commands, arm, hold, (from_s, to_s), one)).collect()
+    };
+    // Goals that the arm did not come near.
+    let mut far: Vec<Vec<Option<RestGap>>> = Vec::new();
+    let mut near: Vec<Vec<Option<RestGap>>> = Vec::new();
+    for (hold, windows) in holds.iter().zip(&pairs) {
+        let at_rests = windows.iter().map(|window| gaps_of(hold, window));
+        let mut at_rests: Vec<_> =
+            at_rests.filter(|gaps| gaps.iter().any(Option::is_some)).collect();
+        if found.following.is_some() {
+            near.append(&mut at_rests);
+            continue;
+        }
+        let best = at_rests.into_iter().min_by(|a, b| apart(a).total_cmp(&apart(b)));
+        match best {
+            Some(gaps) if is_near(&gaps) => near.push(gaps),
+            Some(gaps) => far.push(gaps),
+            None => {}
+        }
+    }
+    let missed = |gaps: &Vec<Option<RestGap>>| {
+        let least = gaps.iter().flatten().min_by(|a, b| size(a).total_cmp(&size(b)))?;
+        Some((least.distance_m.norm.value, least.angle_rad.norm.value))
+    };
+    found.nearest_miss = far.iter().min_by(|a, b| apart(a).total_cmp(&apart(b))).and_then(missed);
+    if (0..witnesses.len()).any(|witness| is_one_transform(&far, witness)) {
+        near.append(&mut far);
+    }
+    near.sort_by(|a, b| start_of(a).total_cmp(&start_of(b)));
+    for gaps in &mut near {
+        for (all, gap) in found.gaps.iter_mut().zip(gaps) {
+            all.extend(gap.take());
+        }
+    }
+    found.not_reached = found.goals.saturating_sub(near.len());
+    if is_streamed && commands.joints.is_empty() {
+        found.lines = line::lines(series, &holds, &rests, &witnesses);
+    }
+    Ok(found)
+}
+
+/// Whether commands come so often that they lead the arm, and are not goals.
+fn is_streamed(series: &PoseSeries) -> bool {
+    const ENOUGH: usize = 20;
+    const LONGEST_S: f64 = 0.2;
+    series.t_s.len() >= ENOUGH && median_period_s(&series.t_s) <= LONGEST_S
+}
+
+/// The times at which a command has stood still and the arm rests because of it.
+fn windows(
+    hold: &Hold,
+    rests: &[Rest],
+    is_streamed: bool,
+    follows: bool,
+    delay_s: f64,
+) -> Vec<(f64, f64)> {
+    /// What is left of a motion when the command stands still, s; twice the delay comes to it.
+    const SETTLED_S: f64 = 0.2;
+    let is_led = |rest: &&Rest| {
+        // Where nothing but the first command was ever given, the arm holds it.
+        follows || rest.from_s > hold.from_s || is_streamed && hold.first == 0
+    };
+    let window = |rest: &Rest| {
+        let from_s = rest.from_s.max(hold.from_s + SETTLED_S + 2.0 * delay_s);
+        (from_s, rest.to_s.min(hold.to_s))
+    };
+    let windows = rests.iter().filter(is_led).map(window);
+    windows.filter(|(from_s, to_s)| to_s - from_s >= rest::LEAST_S).collect()
+}
+
+/// Farther than this from a goal the arm was not brought to it: it was stopped, or is led elsewhere.
+const NEAR_M: f64 = 0.02;
+const NEAR_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
+
+/// How far a rest is from its command, in units of what counts as near.
+fn size(gap: &RestGap) -> f64 {
+    (gap.distance_m.norm.value / NEAR_M).max(gap.angle_rad.norm.value / NEAR_RAD)
+}
+
+/// The same by the witness that has it nearest.
+fn apart(gaps: &[Option<RestGap>]) -> f64 {
+    gaps.iter().flatten().map(size).fold(f64::INFINITY, f64::min)
+}
+
+fn is_near(gaps: &[Option<RestGap>]) -> bool {
+    apart(gaps) <= 1.0
+}
+
+fn start_of(gaps: &[Option<RestGap>]) -> f64 {
+    gaps.iter().flatten().map(|gap| gap.from_s).fold(f64::INFINITY, f64::min)
+}
+
+/// Whether goals that the arm did not come near are, by a witness, all off by one transform: three or
+/// more goals were then reached in another frame, or with another tool.
+fn is_one_transform(far: &[Vec<Option<RestGap>>], witness: usize) -> bool {
+    const FEWEST: usize = 3;
+    const ALIKE: (f64, f64) = (0.25 * NEAR_M, 0.1 * NEAR_RAD);
+    let gaps: Vec<RestGap> = far.iter().filter_map(|gaps| gaps[witness].clone()).collect();
+    let is_alike = |spread: (f64, f64)| spread.0 <= ALIKE.0 && spread.1 <= ALIKE.1;
+    let constancy = Constancy::of(&gaps).filter(|_| gaps.len() >= FEWEST);
+    constancy.is_some_and(|found| is_alike(found.in_tool) || is_alike(found.in_base))
+}
+
+/// The noise of a witness at rest: of positions, m, and of rotations, rad.
+fn noise_of(series: &PoseSeries, rests: &[Rest]) -> [Noise; 2] {
+    /// The noise floors of the contract: 1 µm and 1 µrad.
+    const FLOOR: f64 = 1e-6;
+    let (mut metres, mut radians) = (Vec::new(), Vec::new());
+    for rest in rests {
+        let Some(mean) = mean_pose(series, rest.from_s, rest.to_s) else { continue };
+        for pose in rest::within(series, rest.from_s, rest.to_s) {
+            let turn = rotvec_from_rotation(&(pose.rotation * mean.rotation.inverse()));
+            metres.push((pose.translation.vector - mean.translation.vector).into());
+            radians.push(turn.into());
+        }
+    }
+    [metres, radians].map(|left: Vec<[f64; 3]>| Noise::of(&left, &vec![1.0; left.len()], FLOOR))
+}
+
+/// The variance of a mean of `count` samples, and the degrees of freedom behind it.
+fn of_mean(noise: &Noise, count: usize) -> f64 {
+    let inflation = (noise.inflation() / count.max(1) as f64).min(1.0);
+    noise.sigma * noise.sigma * inflation
+}
+
+/// The length of `vector`, each of whose components has this variance.
+fn length_of(vector: Vec3, variance: f64) -> Length {
+    /// Square of the noise floors: 1 µm and 1 µrad.
+    const FLOOR: f64 = 1e-12;
+    let covariance = nalgebra::DMatrix::identity(3, 3) * (variance + FLOOR);
+    Length::of(vector.as_slice(), &covariance, f64::INFINITY)
+}
+
+/// What differs by a witness while command and arm stand still; `None` where it has too few samples, or
+/// still moves.
+fn gap(
+    commands: &Commands,
+    arm: &CommandedArm<'_>,
+    hold: &Hold,
+    (from_s, to_s): (f64, f64),
+    witness: &WitnessSeries<'_>,
+) -> Option<RestGap> {
+    const FEWEST: usize = 4;
+    /// What a rest may still move from its first half to its second, m and rad.
+    const CREEPS: (f64, f64) = (2e-4, 3e-4);
+    /// Standard deviations that noise does not reach.
+    const SIGMAS: f64 = 4.0;
+    let series = witness.series;
+    let count = rest::within(series, from_s, to_s).count();
+    if count < FEWEST {
+        return None;
+    }
+    let middle_s = 0.5 * (from_s + to_s);
+    let measured = mean_pose(series, from_s, to_s)?;
+    let halves = [mean_pose(series, from_s, middle_s)?, mean_pose(series, middle_s, to_s)?];
+    let crept_m = (halves[1].translation.vector - halves[0].translation.vector).norm();
+    let crept_rad = angle_between(&halves[0].rotation, &halves[1].rotation);
+    let by_noise = |noise: &Noise| SIGMAS * (2.0 * of_mean(noise, count / 2)).sqrt();
+    let [metres, radians] = &witness.noise;
+    if crept_m > CREEPS.0 + by_noise(metres) || crept_rad > CREEPS.1 + by_noise(radians) {
+        return None;
+    }
+    let commanded = commands.series.poses[hold.last];
+    let shift = commanded.translation.vector - measured.translation.vector;
+    let turn = rotvec_from_rotation(&(commanded.rotation * measured.rotation.inverse()));
+    Some(RestGap {
+        from_s,
+        to_s,
+        commanded,
+        measured,
+        distance_m: length_of(shift, of_mean(metres, count)),
+        angle_rad: length_of(turn, of_mean(radians, count)),
+        joints: joint_gaps(commands, arm.joints, hold, (from_s, to_s)),
+    })
+}
+
+/// By how much each commanded joint is off at a rest.
+fn joint_gaps(
+    commands: &Commands,
+    joints: &JointTrack,
+    hold: &Hold,
+    (from_s, to_s): (f64, f64),
+) -> Vec<(usize, Measured)> {
+    let dof = joints.dof;
+    let Some(commanded) = commands.joints.chunks_exact(dof.max(1)).nth(hold.last) else {
+        return Vec::new();
+    };
+    let rows =
+        joints.t_s.partition_point(|&t| t < from_s)..joints.t_s.partition_point(|&t| t <= to_s);
+    let count = rows.len() as f64;
+    let off = |column: usize| {
+        let mean = rows.clone().map(|row| joints.row(row)[column]).sum::<f64>() / count;
+        let square = rows.clone().map(|row| (joints.row(row)[column] - mean).powi(2)).sum::<f64>();
+        let dof = (count - 1.0).max(1.0);
+        let std_error = (square / dof / count).sqrt();
+        (column, Measured { value: mean - commanded[column], std_error, dof })
+    };
+    (0..dof).filter(|&column| commanded[column].is_finite()).map(off).collect()
+}
+
+/// How the arm follows; `None` where its speed does not correlate with the commands'.
+fn following(series: &PoseSeries, arm: &CommandedArm<'_>, most_lag_s: f64) -> Option<Following> {
+    /// Correlation of speeds from which an arm follows.
+    const FOLLOWS: f64 = 0.7;
+    /// Of peaks that are as high as this beside the highest, the one with the least lag is meant.
+    const AS_HIGH: f64 = 0.03;
+    let CommandedArm { joints, chain, columns } = *arm;
+    let (xyz, rotations): (Vec<Vec3>, Vec<Rotation>) =
+        series.poses.iter().map(|pose| (pose.translation.vector, pose.rotation)).unzip();
+    let peaks = pose_peaks(joints, chain, columns, &series.t_s, &xyz, Some(&rotations), most_lag_s);
+    let highest = peaks.first()?.correlation;
+    let high = peaks.iter().filter(|peak| peak.correlation >= highest - AS_HIGH);
+    let peak = high.min_by(|a, b| a.lag_s.abs().total_cmp(&b.lag_s.abs()))?;
+    if peak.correlation < FOLLOWS {
+        return None;
+    }
+    // The commands are early by as much as the arm is late.
+    let Peak { lag_s, correlation } = *peak;
+    let delay_s = -lag_s;
+    Some(Following {
+        delay_s,
+        correlation,
+        rms: following_error(series, arm, 0.0),
+        left: following_error(series, arm, delay_s),
+    })
+}
+
+/// Distance and angle, rms m and rad, between FK and what was commanded `delay_s` before, while the
+/// arm moves.
+fn following_error(series: &PoseSeries, arm: &CommandedArm<'_>, delay_s: f64) -> (f64, f64) {
+    /// More rows do not make an rms better.
+    const ENOUGH: usize = 4000;
+    /// An arm moves whose joints do by more than this, rad/s or m/s.
+    const MOVES: f64 = 0.02;
+    let CommandedArm { joints, chain, columns } = *arm;
+    let period_s = median_period_s(&series.t_s);
+    let mut own = vec![0.0; columns.len()];
+    let (mut metres, mut radians, mut count) = (0.0, 0.0, 0.0);
+    for row in (0..joints.len()).step_by(joints.len().div_ceil(ENOUGH).max(1)) {
+        let speeds = &joints.qd[row * joints.dof..(row + 1) * joints.dof];
+        if speeds.iter().all(|speed| speed.abs() < MOVES) {
+            continue;
+        }
+        let Some(told) = series.at(joints.t_s[row] - delay_s, period_s) else { continue };
+        own.iter_mut().zip(columns).for_each(|(own, &column)| *own = joints.row(row)[column]);
+        let done = chain.forward(&own);
+        metres += (told.translation.vector - done.translation.vector).norm_squared();
+        radians += angle_between(&told.rotation, &done.rotation).powi(2);
+        count += 1.0;
+    }
+    let rms = |sum: f64| (sum / f64::max(count, 1.0)).sqrt();
+    (rms(metres), rms(radians))
+}
+
+#[cfg(test)]
+mod tests;

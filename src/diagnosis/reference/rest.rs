@@ -1,0 +1,145 @@
+//! Where an arm rests, and where commands stand still.
+
+use super::super::latency::median_period_s;
+use crate::diagnosis::PoseSeries;
+use crate::geometry::{Pose, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
+use crate::stream::JointTrack;
+
+/// Shorter rests do not show what is left when a motion has died away, s.
+pub(super) const LEAST_S: f64 = 0.15;
+
+/// A time in which no joint moves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Rest {
+    pub from_s: f64,
+    pub to_s: f64,
+}
+
+/// A command that stands still, and how long it holds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Hold {
+    /// Its first row.
+    pub first: usize,
+    /// Its last row.
+    pub last: usize,
+    pub from_s: f64,
+    pub to_s: f64,
+}
+
+/// The times in which no joint moves: the means of a tenth of a second before and after each sample
+/// are the same, within what noise makes of them.
+pub(super) fn rests(joints: &JointTrack) -> Vec<Rest> {
+    let period_s = median_period_s(&joints.t_s);
+    let is_gap = |row: usize| joints.t_s[row] - joints.t_s[row - 1] > (10.0 * period_s).max(0.1);
+    let (mut found, mut open): (Vec<Rest>, Option<Rest>) = (Vec::new(), None);
+    let still = still_rows(joints, period_s);
+    for (row, (&t_s, is_still)) in joints.t_s.iter().zip(still).enumerate() {
+        if row > 0 && is_gap(row) {
+            found.extend(open.take());
+        }
+        match &mut open {
+            Some(rest) if is_still => rest.to_s = t_s,
+            None if is_still => open = Some(Rest { from_s: t_s, to_s: t_s }),
+            _ => found.extend(open.take()),
+        }
+    }
+    found.extend(open);
+    found.retain(|rest| rest.to_s - rest.from_s >= LEAST_S);
+    found
+}
+
+fn still_rows(joints: &JointTrack, period_s: f64) -> Vec<bool> {
+    /// Half of a window, s.
+    const HALF_S: f64 = 0.1;
+    /// Slower than this is still, rad/s or m/s: 2 mm/s at a metre.
+    const STILL: f64 = 2e-3;
+    /// Standard deviations that noise does not reach.
+    const SIGMAS: f64 = 4.0;
+    let (rows, dof) = (joints.len(), joints.dof);
+    let half = ((HALF_S / period_s.max(1e-6)).round() as usize).max(1);
+    let mut still = vec![true; rows];
+    for joint in 0..dof {
+        let q: Vec<f64> = joints.q.iter().skip(joint).step_by(dof).copied().collect();
+        let mut before = vec![0.0];
+        for q in &q {
+            before.push(before[before.len() - 1] + q);
+        }
+        let mean = |from: usize, to: usize| (before[to] - before[from]) / (to - from) as f64;
+        let by_noise = SIGMAS * deviation_of(&q) * (2.0 / half as f64).sqrt();
+        for (row, still) in still.iter_mut().enumerate() {
+            // At the ends of the track a window is as long as can be.
+            let (from, to) = (row.saturating_sub(half), (row + 1 + half).min(rows));
+            let left = if from == row { q[row] } else { mean(from, row) };
+            let right = if row + 1 == to { q[row] } else { mean(row + 1, to) };
+            let apart_s = (joints.t_s[to - 1] - joints.t_s[from]).max(period_s) / 2.0;
+            *still &= (right - left).abs() <= STILL * apart_s + by_noise;
+        }
+    }
+    still
+}
+
+/// Standard deviation from sample to sample, by the median magnitude of second differences.
+fn deviation_of(q: &[f64]) -> f64 {
+    /// Standard deviations in a median magnitude of normal noise.
+    const NORMAL: f64 = 1.4826;
+    let mut bends: Vec<f64> = q.windows(3).map(|w| (w[0] - 2.0 * w[1] + w[2]).abs()).collect();
+    if bends.is_empty() {
+        return 0.0;
+    }
+    let middle = bends.len() / 2;
+    NORMAL * *bends.select_nth_unstable_by(middle, f64::total_cmp).1 / 6f64.sqrt()
+}
+
+/// The commands that stand still. One that is not streamed holds until the next, or until `end_s`; one
+/// that is streamed until the stream falls silent.
+pub(super) fn holds(series: &PoseSeries, is_streamed: bool, end_s: f64) -> Vec<Hold> {
+    /// A command that differs by less is the same, m and rad.
+    const SAME: (f64, f64) = (5e-5, 5e-5);
+    let PoseSeries { t_s, poses } = series;
+    let silent_s = match is_streamed {
+        true => (10.0 * median_period_s(t_s)).max(0.5),
+        false => f64::INFINITY,
+    };
+    let mut found = Vec::new();
+    let mut first = 0;
+    for row in 1..=t_s.len() {
+        let last = row - 1;
+        let next_s = t_s.get(row).copied();
+        let is_silent = next_s.is_some_and(|next_s| next_s - t_s[last] > silent_s);
+        let is_other = poses.get(row).is_none_or(|next| {
+            (next.translation.vector - poses[first].translation.vector).norm() > SAME.0
+                || angle_between(&next.rotation, &poses[first].rotation) > SAME.1
+        });
+        if !is_other && !is_silent {
+            continue;
+        }
+        let to_s = match next_s {
+            Some(next_s) if !is_silent => next_s,
+            None if !is_streamed => end_s.max(t_s[last]),
+            _ => t_s[last],
+        };
+        found.push(Hold { first, last, from_s: t_s[first], to_s });
+        first = row;
+    }
+    found
+}
+
+/// The poses of a series from `from_s` to `to_s`.
+pub(super) fn within(series: &PoseSeries, from_s: f64, to_s: f64) -> impl Iterator<Item = &Pose> {
+    let from = series.t_s.partition_point(|&t| t < from_s);
+    let to = series.t_s.partition_point(|&t| t <= to_s).max(from);
+    series.poses[from..to].iter()
+}
+
+/// The mean of poses that hardly differ; `None` where there is none.
+pub(super) fn mean_pose(series: &PoseSeries, from_s: f64, to_s: f64) -> Option<Pose> {
+    let first = within(series, from_s, to_s).next()?;
+    let (mut xyz, mut turn, mut count) = (Vec3::zeros(), Vec3::zeros(), 0.0);
+    for pose in within(series, from_s, to_s) {
+        xyz += pose.translation.vector;
+        turn += rotvec_from_rotation(&(first.rotation.inverse() * pose.rotation));
+        count += 1.0;
+    }
+    let rotation = first.rotation * rotation_from_rotvec(turn / count);
+    Some(Pose::from_parts((xyz / count).into(), rotation))
+}

@@ -1,0 +1,128 @@
+//! What joins the commands of a run to the diagnosis of what an arm made of them, and that to facts.
+
+use crate::checks::{ReferenceFacts, ReferenceWitness, WitnessKind};
+use crate::diagnosis::{
+    Aligned, ArmDiagnosis, CommandedArm, Commands, PoseDiagnosis, PoseSeries, ReferenceDiagnosis,
+    Seen, diagnose_reference, unnamed_order,
+};
+use crate::finding::Span;
+use crate::geometry::Pose;
+use crate::run::{Arm, PoseSource, ReferenceContent, ReferenceSource, Run};
+
+/// Diagnoses the commands to arm `index`, of which `found` was found before.
+pub(crate) fn references(
+    run: &Run,
+    index: usize,
+    found: &ArmDiagnosis,
+    most_lag_s: f64,
+) -> Vec<ReferenceFacts> {
+    let Some(arm) = run.arms.get(index) else { return Vec::new() };
+    let sources: Vec<&ReferenceSource> =
+        run.references.iter().filter(|source| source.arm == index).collect();
+    if sources.is_empty() {
+        return Vec::new();
+    }
+    let by_kinematics = PoseSeries::by_kinematics(&arm.joints, &arm.chain, &arm.columns);
+    let kinematics = ReferenceWitness {
+        name: "FK of the joint states".to_owned(),
+        kind: WitnessKind::Kinematics,
+    };
+    let of_joints = [(kinematics, by_kinematics)];
+    let streams = arm.poses.iter().zip(&found.streams);
+    let of_streams: Vec<(ReferenceWitness, PoseSeries)> =
+        streams.flat_map(|(source, found)| of_stream(run, arm, source, found)).collect();
+    let facts = sources.into_iter().map(|source| {
+        let stream = &run.streams[source.stream];
+        let (is_of_joints, tip_named, frame_named) = match &source.content {
+            Ok(ReferenceContent::Poses { tip_named, frame_named, .. }) => {
+                (false, *tip_named, *frame_named)
+            }
+            Ok(ReferenceContent::Joints { .. }) => (true, true, true),
+            Err(_) => (false, false, false),
+        };
+        // What the joints were told is held against the joints alone: both have their zeros.
+        let others = if is_of_joints { [].as_slice() } else { of_streams.as_slice() };
+        let (witnesses, series): (Vec<ReferenceWitness>, Vec<PoseSeries>) =
+            of_joints.iter().chain(others).cloned().unzip();
+        ReferenceFacts {
+            topic: stream.topic.clone(),
+            span: stream.start.zip(stream.end).map(|(start, end)| Span { start, end }),
+            is_of_joints,
+            tip_named,
+            frame_named,
+            witnesses,
+            found: match &source.content {
+                Ok(content) => diagnose(arm, content, &series, most_lag_s),
+                Err(why) => Err(why.clone()),
+            },
+        }
+    });
+    facts.collect()
+}
+
+/// What was found of one stream of commands; why it cannot be held against the arm, where it cannot.
+fn diagnose(
+    arm: &Arm,
+    content: &ReferenceContent,
+    witnesses: &[PoseSeries],
+    most_lag_s: f64,
+) -> Result<Seen<ReferenceDiagnosis>, String> {
+    let commands = match content {
+        ReferenceContent::Poses { track, .. } => Commands {
+            series: PoseSeries::of_track(track).ok_or("its rotations are bare numbers")?,
+            joints: Vec::new(),
+        },
+        ReferenceContent::Joints { t_s, columns, q } => {
+            let order = match columns {
+                Some(columns) => columns.clone(),
+                None => unnamed_order(t_s, q, &arm.joints, &arm.joint_names, &arm.columns).ok_or(
+                    "its numbers have no names, and follow the joints in none of the usual orders",
+                )?,
+            };
+            Commands::of_joints(t_s, &order, q, &arm.joints, (&arm.chain, &arm.columns))
+        }
+    };
+    let arm = CommandedArm { joints: &arm.joints, chain: &arm.chain, columns: &arm.columns };
+    let found = diagnose_reference(&commands, &arm, witnesses, most_lag_s);
+    let leads = |found: &ReferenceDiagnosis| !found.is_streamed || found.following.is_some();
+    let is_unnamed = matches!(content, ReferenceContent::Joints { columns: None, .. });
+    match &found {
+        Ok(found) if is_unnamed && !leads(found) => {
+            Err("its numbers have no names, and do not lead the joints".to_owned())
+        }
+        _ => Ok(found),
+    }
+}
+
+/// Where a stream has the arm's tip in its base: with everything found on it taken off, and as logged.
+/// Its latency is taken off from both.
+fn of_stream(
+    run: &Run,
+    arm: &Arm,
+    source: &PoseSource,
+    found: &PoseDiagnosis,
+) -> Vec<(ReferenceWitness, PoseSeries)> {
+    let link = |name: &str| arm.robot.link(name);
+    let fixed = |a: &str, b: &str| arm.robot.fixed_transform(link(a)?, link(b)?);
+    let base = fixed(arm.chain.base_name(), source.chain.base_name());
+    let tip = fixed(source.chain.tip_name(), arm.chain.tip_name());
+    let (Some(base_from_reference), Some(link_from_tip)) = (base, tip) else { return Vec::new() };
+    if found.reading.is_err() || found.strays() {
+        return Vec::new();
+    }
+    let latency_s = found.latency_s.as_ref().map_or(0.0, |latency| latency.value);
+    let series = |poses: fn(&Aligned) -> &Vec<Pose>| PoseSeries {
+        t_s: found.aligned.t_s.iter().map(|t_s| t_s - latency_s).collect(),
+        poses: poses(&found.aligned)
+            .iter()
+            .map(|pose| base_from_reference * pose * link_from_tip)
+            .collect(),
+    };
+    let witness = |kind| ReferenceWitness { name: run.streams[source.stream].topic.clone(), kind };
+    let corrected = (witness(WitnessKind::Corrected), series(|aligned| &aligned.corrected));
+    let as_logged = (witness(WitnessKind::AsLogged), series(|aligned| &aligned.logged));
+    match source.reference_known {
+        true => vec![corrected, as_logged],
+        false => vec![corrected],
+    }
+}

@@ -1,0 +1,252 @@
+//! What shall be: commanded poses and joint positions, brought to the base and the tip of an arm.
+
+use crate::geometry::Pose;
+use crate::run::role::{Role, shared, words};
+use crate::stream::{ArrayColumns, Columns, JointColumns, PoseTrack};
+use crate::time::Stamp;
+
+use super::super::arm::Arm;
+use super::super::poses;
+use super::super::role::Place;
+use super::super::streams::Stream;
+use super::Assembly;
+
+/// A stream of commands to one arm.
+#[derive(Clone, Debug)]
+pub struct ReferenceSource {
+    /// Index of the stream.
+    pub stream: usize,
+    /// Index of the arm.
+    pub arm: usize,
+    /// What is commanded, or why it cannot be held against the arm.
+    pub content: Result<ReferenceContent, String>,
+}
+
+/// What a stream commands. Times are seconds from the run's origin.
+#[derive(Clone, Debug)]
+pub enum ReferenceContent {
+    /// Poses of the arm's tip in its base, `base_from_tip`.
+    Poses {
+        /// The poses, of which there may be one only.
+        track: PoseTrack,
+        /// Whether the link that is commanded was named: by the caller, or as the child frame.
+        tip_named: bool,
+        /// Whether a frame was named that they are in; the controller's base is taken where not.
+        frame_named: bool,
+    },
+    /// Positions of joints.
+    Joints {
+        /// Times, strictly increasing.
+        t_s: Vec<f64>,
+        /// For each number of a row its column in the arm's joint track; `None` where the log does not
+        /// say, and there are as many numbers as the chain has joints.
+        columns: Option<Vec<usize>>,
+        /// Positions, row-major, rad or m; NaN where a message does not hold that joint.
+        q: Vec<f64>,
+    },
+}
+
+/// Words of arrays whose numbers are no positions of joints.
+const NO_POSITIONS: &[&str] = &[
+    "velocity",
+    "velocities",
+    "speed",
+    "torque",
+    "torques",
+    "effort",
+    "efforts",
+    "wrench",
+    "force",
+    "forces",
+    "twist",
+    "pose",
+    "tcp",
+    "acceleration",
+    "current",
+];
+
+/// Rows beyond these are thinned out, and in a long run taken from its excerpts only.
+const MANY: usize = 20_000;
+
+impl Assembly<'_> {
+    /// The commands to the arms. A stream that commands none of an arm's joints is none of them.
+    pub(super) fn references(&self) -> Vec<ReferenceSource> {
+        let mut known_plans: Vec<&str> = Vec::new();
+        let mut found = Vec::new();
+        for (index, stream) in self.streams.iter().enumerate() {
+            if stream.role != Role::Reference {
+                continue;
+            }
+            let source = match &stream.columns {
+                Some(Columns::Poses(_)) if is_plan(stream) => {
+                    if known_plans.contains(&stream.topic.as_str()) {
+                        continue;
+                    }
+                    known_plans.push(&stream.topic);
+                    let why = "it holds several poses at once: a plan, and no goal".to_owned();
+                    self.owner(stream).map(|arm| (arm, Err(why)))
+                }
+                Some(Columns::Poses(_)) => {
+                    self.owner(stream).map(|arm| (arm, self.commanded_poses(index, arm)))
+                }
+                Some(Columns::Joints(joints)) => self.commanded_joints(index, joints),
+                Some(Columns::Array(array)) => {
+                    self.owner(stream).map(|arm| (arm, self.commanded_numbers(index, arm, array)))
+                }
+                _ => None,
+            };
+            found.extend(source.map(|(arm, content)| ReferenceSource {
+                stream: index,
+                arm,
+                content,
+            }));
+        }
+        found
+    }
+
+    /// When each row was that is looked at.
+    fn command_stamps(&self, index: usize) -> Vec<Option<Stamp>> {
+        let mut stamps = self.timing.stamps(&self.streams, index, 0);
+        if stamps.len() > MANY {
+            let around_s = self.options.max_latency_s;
+            stamps = self.timing.seen_stamps(&self.streams, index, 0, around_s);
+            poses::thinned(&mut stamps);
+        }
+        stamps
+    }
+
+    fn commanded_poses(&self, index: usize, owner: usize) -> Result<ReferenceContent, String> {
+        let stream = &self.streams[index];
+        let Some(Columns::Poses(columns)) = &stream.columns else {
+            return Err("it holds no poses".to_owned());
+        };
+        let [columns] = columns.as_slice() else {
+            return Err("it holds several poses".to_owned());
+        };
+        let stamps = self.command_stamps(index);
+        let track = poses::from_poses(columns, &stamps, None, self.origin)?.track;
+        self.in_base(&self.arms[owner], stream, track)
+    }
+
+    /// Poses of `stream` as those of the arm's tip in its base.
+    fn in_base(
+        &self,
+        arm: &Arm,
+        stream: &Stream,
+        track: PoseTrack,
+    ) -> Result<ReferenceContent, String> {
+        if track.t_s.is_empty() {
+            return Err("it has no usable sample".to_owned());
+        }
+        let frame = &stream.frame_id;
+        let (place, anchor) = arm.place(&self.tf, frame);
+        let (link, link_from_frame) = match (place, anchor) {
+            (Place::MovingLink, _) => {
+                return Err(format!("it is in '{frame}', which the arm itself moves"));
+            }
+            (Place::Unnamed, _) => (arm.unnamed_base, Pose::identity()),
+            (_, Some(anchor)) => (anchor.link, anchor.link_from_frame),
+            (_, None) => {
+                return Err(format!("its frame '{frame}' is not tied to the robot"));
+            }
+        };
+        let base_from_link = arm.robot.fixed_transform(arm.base, link).ok_or_else(|| {
+            format!("the arm's own joints lie between '{frame}' and '{}'", arm.frame_of(arm.base))
+        })?;
+        let child = &stream.child_frame_id;
+        let (tip_from_child, child_named) = match arm.place(&self.tf, child) {
+            (Place::MovingLink, Some(anchor)) => {
+                let tip_from_link = arm.robot.fixed_transform(arm.tip, anchor.link);
+                let tip_from_link = tip_from_link.ok_or_else(|| {
+                    format!("'{child}' moves against '{}', the arm's tip", arm.frame_of(arm.tip))
+                })?;
+                (tip_from_link * anchor.link_from_frame, true)
+            }
+            (Place::StillLink | Place::Tied, _) => {
+                return Err(format!("the arm does not move its child frame '{child}'"));
+            }
+            _ => (Pose::identity(), false),
+        };
+        let before = base_from_link * link_from_frame;
+        Ok(ReferenceContent::Poses {
+            track: poses::reframed(track, &before, &tip_from_child.inverse()),
+            tip_named: arm.tip_named || child_named,
+            frame_named: place != Place::Unnamed,
+        })
+    }
+
+    /// Commands to joints that have names; of the arm that has most of them.
+    fn commanded_joints(
+        &self,
+        index: usize,
+        joints: &JointColumns,
+    ) -> Option<(usize, Result<ReferenceContent, String>)> {
+        let places = |arm: &Arm| -> Vec<(usize, usize)> {
+            let column = |name: &String| arm.joint_names.iter().position(|known| known == name);
+            let named = joints.joints.iter().enumerate();
+            named.filter_map(|(at, joint)| Some((at, column(&joint.name)?))).collect()
+        };
+        let of_arms = self.arms.iter().map(places).enumerate();
+        let (arm, places) = of_arms.rev().max_by_key(|(_, places)| places.len())?;
+        if places.is_empty() {
+            return None;
+        }
+        let rows = self.command_rows(index);
+        let t_s = rows.iter().map(|(t_s, _)| *t_s).collect();
+        let number = |row: usize, at: usize| joints.joints[at].position[row];
+        let q =
+            rows.iter().flat_map(|&(_, row)| places.iter().map(move |&(at, _)| number(row, at)));
+        let columns = Some(places.iter().map(|&(_, column)| column).collect());
+        Some((arm, Ok(ReferenceContent::Joints { t_s, columns, q: q.collect() })))
+    }
+
+    /// Commands as bare numbers: a matrix or a quaternion of a pose, or a number a joint.
+    fn commanded_numbers(
+        &self,
+        index: usize,
+        owner: usize,
+        array: &ArrayColumns,
+    ) -> Result<ReferenceContent, String> {
+        let (arm, stream) = (&self.arms[owner], &self.streams[index]);
+        let words = words(&stream.topic);
+        let word = shared(&words, NO_POSITIONS);
+        let is_of_joints = array.width == arm.chain.dof() && word.is_none();
+        match array.width {
+            _ if is_of_joints => {
+                let rows = self.command_rows(index);
+                let t_s = rows.iter().map(|(t_s, _)| *t_s).collect();
+                let q = rows.iter().flat_map(|&(_, row)| array.row(row).to_vec()).collect();
+                Ok(ReferenceContent::Joints { t_s, columns: None, q })
+            }
+            7 | 12 | 16 if word.is_none_or(|word| matches!(word, "pose" | "tcp")) => {
+                let stamps = self.command_stamps(index);
+                let track = poses::from_array(array, &stamps, None, self.origin)?.track;
+                self.in_base(arm, stream, track)
+            }
+            width => Err(match word {
+                Some(word) => {
+                    format!("{width} numbers a row, no joint positions by the word '{word}'")
+                }
+                None => {
+                    format!("{width} numbers a row, and the arm has {} joints", arm.chain.dof())
+                }
+            }),
+        }
+    }
+
+    /// Time and row of the commands, strictly increasing in time; of equal stamps the last, which is
+    /// what holds.
+    fn command_rows(&self, index: usize) -> Vec<(f64, usize)> {
+        let stamps = self.command_stamps(index);
+        let rows = stamps.iter().enumerate().filter_map(|(row, stamp)| Some(((*stamp)?, row)));
+        let mut rows: Vec<(Stamp, usize)> = rows.collect();
+        rows.sort();
+        let last = rows.chunk_by(|a, b| a.0 == b.0).filter_map(|same| same.last());
+        last.map(|&(stamp, row)| (stamp.seconds_since(self.origin), row)).collect()
+    }
+}
+
+/// Whether a type holds several poses a message.
+fn is_plan(stream: &Stream) -> bool {
+    ["PoseArray", "PosesInFrame"].iter().any(|name| stream.type_name.ends_with(name))
+}

@@ -1,0 +1,169 @@
+//! Straight lines from pose to pose, and the joints that go along them.
+
+use std::f64::consts::TAU;
+
+use nalgebra::{DMatrix, DVector};
+use rand::RngExt;
+
+use super::Scenario;
+use super::noise::{Purpose, random};
+use crate::geometry::{
+    Convention, Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation,
+};
+use crate::robot::Chain;
+
+/// How an arm goes along straight lines.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Lines {
+    /// By how much the tip leaves each line in its middle, m; the command does not.
+    pub bow_m: f64,
+    /// What is interpolated component by component from end to end, where it is no slerp; the command
+    /// has it, and the arm follows.
+    pub turned_by: Option<Convention>,
+}
+
+/// Time between samples of the joints, s.
+const STEP_S: f64 = 0.004;
+
+/// A path of straight lines, with a rest at each end.
+#[derive(Debug, Clone)]
+pub(super) struct Path {
+    lines: Lines,
+    stops: Vec<Stop>,
+    /// Joint positions every [`STEP_S`] from one step before the start.
+    q: Vec<Vec<f64>>,
+}
+
+/// A pose in which the arm stands still.
+#[derive(Debug, Clone)]
+struct Stop {
+    arrive_s: f64,
+    leave_s: f64,
+    pose: Pose,
+}
+
+impl Path {
+    /// Random lines about the pose that the arm has at `home`.
+    pub(super) fn new(scenario: &Scenario, lines: Lines, chain: &Chain, home: &[f64]) -> Self {
+        /// How far from home the ends are, m along each axis, and how far they are turned, rad.
+        const ROOM: (f64, f64) = (0.12, 0.45);
+        /// Mean speeds on the way, m/s and rad/s.
+        const SPEED: (f64, f64) = (0.2, 0.8);
+        let mut random = random(scenario.seed, Purpose::Motion);
+        let base_from_home = chain.forward(home);
+        let mut stops: Vec<Stop> = Vec::new();
+        let mut time_s = 0.0;
+        while time_s < scenario.duration_s {
+            let mut triple =
+                |size: f64| Vec3::from_fn(|_, _| size * random.random_range(-1.0..=1.0));
+            let (shift, turn) = (triple(ROOM.0), triple(ROOM.1));
+            let pose = Pose::from_parts(
+                (base_from_home.translation.vector + shift).into(),
+                base_from_home.rotation * rotation_from_rotvec(turn),
+            );
+            if let Some(last) = stops.last() {
+                let far_m = (pose.translation.vector - last.pose.translation.vector).norm();
+                let far_rad = last.pose.rotation.angle_to(&pose.rotation);
+                time_s += (far_m / SPEED.0).max(far_rad / SPEED.1).max(0.5);
+            }
+            let leave_s = time_s + random.random_range(0.6..0.9);
+            stops.push(Stop { arrive_s: time_s, leave_s, pose });
+            time_s = leave_s;
+        }
+        let mut path = Self { lines, stops, q: Vec::new() };
+        let count = (scenario.duration_s / STEP_S).ceil() as usize + 4;
+        let mut q = home.to_vec();
+        for step in 0..count {
+            follow(chain, &path.pose_at(Self::time_of(step), lines.bow_m), &mut q);
+            path.q.push(q.clone());
+        }
+        path
+    }
+
+    fn time_of(step: usize) -> f64 {
+        (step as f64 - 1.0) * STEP_S
+    }
+
+    /// When the arm comes to rest, and when it leaves.
+    pub(super) fn rests(&self) -> Vec<(f64, f64)> {
+        self.stops.iter().map(|stop| (stop.arrive_s, stop.leave_s)).collect()
+    }
+
+    /// `base_from_tip` as commanded.
+    pub(super) fn commanded(&self, time_s: f64) -> Pose {
+        self.pose_at(time_s, 0.0)
+    }
+
+    fn pose_at(&self, time_s: f64, bow_m: f64) -> Pose {
+        let next = self.stops.partition_point(|stop| stop.arrive_s <= time_s);
+        let from = &self.stops[next.saturating_sub(1)];
+        let Some(to) = self.stops.get(next).filter(|_| next > 0 && time_s > from.leave_s) else {
+            return from.pose;
+        };
+        let u = (time_s - from.leave_s) / (to.arrive_s - from.leave_s);
+        let part = u * u * u * (10.0 + u * (-15.0 + 6.0 * u));
+        let [start, end] = [from, to].map(|stop| stop.pose.translation.vector);
+        let chord = end - start;
+        let aside = chord.cross(&Vec3::z()).try_normalize(1e-9).unwrap_or_else(Vec3::x);
+        let bowed = start + chord * part + aside * (4.0 * bow_m * part * (1.0 - part));
+        Pose::from_parts(bowed.into(), self.turned(from, to, part))
+    }
+
+    fn turned(&self, from: &Stop, to: &Stop, part: f64) -> Rotation {
+        let (a, b) = (from.pose.rotation, to.pose.rotation);
+        match self.lines.turned_by {
+            None => a * rotation_from_rotvec(rotvec_from_rotation(&(a.inverse() * b)) * part),
+            Some(convention) => {
+                // The shorter way about each axis, as a planner takes that knows of whole turns.
+                let by = |by: f64| by - TAU * (by / TAU).round();
+                let (a, b) = (convention.numbers(&a), convention.numbers(&b));
+                convention.rotation(std::array::from_fn(|at| a[at] + part * by(b[at] - a[at])))
+            }
+        }
+    }
+
+    /// Positions and velocities of the joints.
+    pub(super) fn at(&self, time_s: f64) -> (Vec<f64>, Vec<f64>) {
+        let steps = (time_s / STEP_S + 1.0).clamp(1.0, self.q.len() as f64 - 2.0 - 1e-9);
+        let (row, s) = (steps.floor() as usize, steps.fract());
+        let (s2, s3) = (s * s, s * s * s);
+        let joint = |joint: usize| {
+            let q = |row: usize| self.q[row.min(self.q.len() - 1)][joint];
+            let slope = |row: usize| 0.5 * (q(row + 1) - q(row - 1));
+            let (qa, qb, va, vb) = (q(row), q(row + 1), slope(row), slope(row + 1));
+            // Cubic Hermite: Press et al., *Numerical Recipes*, 3rd ed., §3.3.
+            let position = (2.0 * s3 - 3.0 * s2 + 1.0) * qa
+                + (s3 - 2.0 * s2 + s) * va
+                + (3.0 * s2 - 2.0 * s3) * qb
+                + (s3 - s2) * vb;
+            let speed = 6.0 * (s2 - s) * (qa - qb)
+                + (3.0 * s2 - 4.0 * s + 1.0) * va
+                + (3.0 * s2 - 2.0 * s) * vb;
+            (position, speed / STEP_S)
+        };
+        (0..self.q[0].len()).map(joint).unzip()
+    }
+}
+
+/// Moves `q` to where the tip is at `pose`: damped least squares on the geometric Jacobian (Siciliano et
+/// al., *Robotics*, §3.7), from a start that is near.
+fn follow(chain: &Chain, pose: &Pose, q: &mut [f64]) {
+    const DAMPING: f64 = 1e-10;
+    const ROUNDS: usize = 30;
+    const CLOSE: f64 = 1e-12;
+    let mut jacobian = vec![[0.0; 6]; chain.dof()];
+    for _ in 0..ROUNDS {
+        let here = chain.forward_with_jacobian(q, &mut jacobian);
+        let shift = pose.translation.vector - here.translation.vector;
+        let turn = rotvec_from_rotation(&(pose.rotation * here.rotation.inverse()));
+        let error = DVector::from_iterator(6, shift.iter().chain(turn.iter()).copied());
+        if error.norm() < CLOSE {
+            return;
+        }
+        let j = DMatrix::from_fn(6, chain.dof(), |row, column| jacobian[column][row]);
+        let normal = &j * j.transpose() + DMatrix::identity(6, 6) * DAMPING;
+        let Some(solved) = normal.lu().solve(&error) else { return };
+        let step = j.transpose() * solved;
+        q.iter_mut().zip(step.iter()).for_each(|(q, step)| *q += step);
+    }
+}

@@ -1,0 +1,107 @@
+//! What the arm is told: poses or joints as a stream, or a goal before each motion.
+
+use super::messages::{self, Topic};
+use super::noise::Purpose;
+use super::streams::Message;
+use super::truth::Truth;
+use super::{Coding, Scenario, Timing};
+use crate::geometry::Pose;
+
+/// How commands are given.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Commands {
+    /// Poses of the tip, as a stream that the arm follows.
+    Poses,
+    /// The pose of the next rest, once, before the arm leaves for it.
+    Goals,
+    /// Positions of the joints, as a stream that the arm follows.
+    Joints,
+}
+
+/// The stream of commands.
+///
+/// Of a motion along lines it has the lines themselves, else what the arm does.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReferenceStream {
+    /// Its times; any rate turns goals on. A negative latency is how far the commands are ahead.
+    pub timing: Timing,
+    /// What is commanded.
+    pub commands: Commands,
+    /// The frame that commanded poses name.
+    pub frame_id: String,
+    /// `q_commanded − q_true`, rad or m, one a joint from base to tip: by how much each joint stays
+    /// short of what it is told; those beyond its end do not.
+    pub short_by: Vec<f64>,
+    /// Pose of the commanded point, in the tip.
+    pub tip_from_commanded: Pose,
+}
+
+impl ReferenceStream {
+    /// No commands.
+    pub(super) fn none(base: &str) -> Self {
+        Self {
+            timing: Timing::every(0.0, 0.0029),
+            commands: Commands::Poses,
+            frame_id: base.to_owned(),
+            short_by: Vec::new(),
+            tip_from_commanded: Pose::identity(),
+        }
+    }
+
+    /// True joint positions as they were commanded.
+    fn joints(&self, truth: &Truth, time_s: f64) -> Vec<f64> {
+        let (mut q, _) = truth.joints(time_s);
+        q.iter_mut().zip(&self.short_by).for_each(|(q, short)| *q += short);
+        q
+    }
+
+    fn pose(&self, truth: &Truth, time_s: f64) -> Pose {
+        let line = truth.commanded(time_s).filter(|_| self.short_by.is_empty());
+        let base_from_tip =
+            line.unwrap_or_else(|| truth.chain.forward(&self.joints(truth, time_s)));
+        base_from_tip * self.tip_from_commanded
+    }
+
+    fn message(&self, truth: &Truth, time_s: f64, stamp: crate::time::Stamp) -> (Topic, Vec<u8>) {
+        let pose = || {
+            let logged = Coding::Faithful.logged(&self.pose(truth, time_s));
+            messages::pose_stamped(stamp, &self.frame_id, logged)
+        };
+        match self.commands {
+            Commands::Poses => (Topic::CommandedPose, pose()),
+            Commands::Goals => (Topic::Goal, pose()),
+            Commands::Joints => {
+                let names = truth.chain.joint_names();
+                let q = self.joints(truth, time_s);
+                (Topic::CommandedJoints, messages::joint_state(stamp, names, &q, &[]))
+            }
+        }
+    }
+}
+
+/// The commands.
+pub(super) fn commands(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
+    let stream = &scenario.reference;
+    if stream.timing.rate_hz <= 0.0 {
+        return Vec::new();
+    }
+    if stream.commands != Commands::Goals {
+        let ticks = scenario.ticks(&stream.timing, Purpose::ReferenceTransport);
+        let message = |tick: super::streams::Tick| {
+            let (topic, cdr) = stream.message(truth, tick.time_s, tick.stamp);
+            tick.message(topic, cdr)
+        };
+        return ticks.map(message).collect();
+    }
+    // Each goal comes a little before the arm leaves for it.
+    let goals = truth.rests();
+    let ways = goals.windows(2).filter(|pair| pair[0].1 < scenario.duration_s);
+    ways.map(|pair| {
+        let ((arrived_s, leave_s), (arrive_s, _)) = (pair[0], pair[1]);
+        let given_s = (leave_s - 0.1).max(0.5 * (arrived_s + leave_s));
+        let tick = scenario.moment(&stream.timing, given_s);
+        let (topic, cdr) = stream.message(truth, arrive_s, tick.stamp);
+        tick.message(topic, cdr)
+    })
+    .collect()
+}
