@@ -20,8 +20,8 @@
 mod audit;
 mod demo;
 mod hand_eye;
-mod workspace;
 mod references;
+mod workspace;
 
 pub mod checks;
 pub mod diagnosis;
