@@ -9,7 +9,7 @@ mod scenarios;
 
 fn main() -> anyhow::Result<()> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures");
-    for (name, run) in scenarios::all() {
+    for (name, run) in scenarios::all()? {
         let file = File::create(folder.join(name))?;
         run.write_mcap(BufWriter::new(file), Some(mcap::Compression::Zstd))?;
     }

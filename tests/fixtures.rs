@@ -20,7 +20,7 @@ fn outline(log: &[u8]) -> BTreeMap<String, Vec<(u64, usize)>> {
 
 #[test]
 fn fixtures_are_small_and_current() {
-    for (name, run) in scenarios::all() {
+    for (name, run) in scenarios::all().unwrap() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures").join(name);
         let kept = std::fs::read(&path).unwrap();
         let mut made = Vec::new();

@@ -5,9 +5,11 @@
 mod audit;
 mod demo;
 mod explain;
+mod fk;
 mod info;
 mod output;
 mod progress;
+mod robots;
 mod rules;
 
 use clap::{Parser, Subcommand};
@@ -63,6 +65,8 @@ enum Command {
     Demo(demo::Args),
     Rules(rules::Args),
     Explain(explain::Args),
+    Robots(robots::Args),
+    Fk(fk::Args),
 }
 
 /// Follows the command line. What is wrong with the call itself is said by `clap`, which ends the
@@ -74,6 +78,8 @@ pub fn run() -> Outcome {
         Command::Demo(args) => demo::run(&args),
         Command::Rules(args) => rules::run(&args),
         Command::Explain(args) => explain::run(&args),
+        Command::Robots(args) => robots::run(&args),
+        Command::Fk(args) => fk::run(&args),
     };
     result.unwrap_or_else(|trouble| {
         output::error(&trouble);

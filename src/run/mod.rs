@@ -41,6 +41,7 @@ pub use error::RunError;
 pub use excerpts::Excerpts;
 pub use flaws::{Apart, Between, Flaw, FlawKind};
 pub use joints::{JointFacts, JointSamples, Velocities};
+pub use models::robot_of;
 pub use norms::{Norms, Written};
 pub use role::Role;
 pub use segments::{Segment, segments};

@@ -55,7 +55,7 @@ pub(super) struct Clues<'a> {
 pub(super) fn given(sources: &[RobotSource]) -> Result<Vec<Given>, RunError> {
     sources
         .iter()
-        .map(|source| Ok(Given { robot: load(&source.model)?, prefix: source.prefix.clone() }))
+        .map(|source| Ok(Given { robot: robot_of(&source.model)?, prefix: source.prefix.clone() }))
         .collect()
 }
 
@@ -124,7 +124,11 @@ fn overlay(
     Ok(())
 }
 
-fn load(model: &str) -> Result<Robot, RunError> {
+/// The robot of a URDF or TOML file, or of a name in the catalogue.
+///
+/// # Errors
+/// Where the file cannot be read as a robot, or the catalogue has no such name.
+pub fn robot_of(model: &str) -> Result<Robot, RunError> {
     let path = Path::new(model);
     if path.exists() || path.extension().is_some() {
         return Ok(Robot::from_file(path)?);

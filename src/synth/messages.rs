@@ -2,8 +2,8 @@
 
 use super::cdr::CdrWriter;
 use super::{
-    COMMANDED_JOINTS, COMMANDED_POSE, GOAL, IMU, JOINT_STATES, POSE, ROBOT_DESCRIPTION, TARGET, TF,
-    TF_STATIC,
+    COMMANDED_JOINTS, COMMANDED_POSE, GOAL, IMU, JOINT_STATES, NUMBERS, POSE, ROBOT_DESCRIPTION,
+    TARGET, TF, TF_STATIC,
 };
 use crate::geometry::Vec3;
 use crate::time::Stamp;
@@ -16,6 +16,7 @@ pub(super) enum Topic {
     JointStates,
     Imu,
     Pose,
+    Numbers,
     Tf,
     Target,
     CommandedPose,
@@ -31,6 +32,7 @@ impl Topic {
             Self::JointStates => JOINT_STATES,
             Self::Imu => IMU,
             Self::Pose => POSE,
+            Self::Numbers => NUMBERS,
             Self::Tf => TF,
             Self::Target => TARGET,
             Self::CommandedPose => COMMANDED_POSE,
@@ -45,6 +47,7 @@ impl Topic {
             Self::TfStatic | Self::Tf => "tf2_msgs/msg/TFMessage",
             Self::JointStates | Self::CommandedJoints => "sensor_msgs/msg/JointState",
             Self::Imu => "sensor_msgs/msg/Imu",
+            Self::Numbers => "std_msgs/msg/Float64MultiArray",
             Self::Pose | Self::Target | Self::CommandedPose | Self::Goal => {
                 "geometry_msgs/msg/PoseStamped"
             }
@@ -63,6 +66,10 @@ impl Topic {
                 "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\n\
                  float64[] effort\n",
                 &[HEADER, TIME],
+            ),
+            Self::Numbers => (
+                "MultiArrayLayout layout\nfloat64[] data\n",
+                &[MULTI_ARRAY_LAYOUT, MULTI_ARRAY_DIMENSION],
             ),
             Self::Imu => (
                 "std_msgs/Header header\ngeometry_msgs/Quaternion orientation\n\
@@ -96,6 +103,10 @@ const TRANSFORM_STAMPED: (&str, &str) = (
 const TRANSFORM: (&str, &str) =
     ("geometry_msgs/Transform", "Vector3 translation\nQuaternion rotation\n");
 const POSE_TYPE: (&str, &str) = ("geometry_msgs/Pose", "Point position\nQuaternion orientation\n");
+const MULTI_ARRAY_LAYOUT: (&str, &str) =
+    ("std_msgs/MultiArrayLayout", "MultiArrayDimension[] dim\nuint32 data_offset\n");
+const MULTI_ARRAY_DIMENSION: (&str, &str) =
+    ("std_msgs/MultiArrayDimension", "string label\nuint32 size\nuint32 stride\n");
 const POINT: (&str, &str) = ("geometry_msgs/Point", "float64 x\nfloat64 y\nfloat64 z\n");
 const VECTOR3: (&str, &str) = ("geometry_msgs/Vector3", "float64 x\nfloat64 y\nfloat64 z\n");
 const QUATERNION: (&str, &str) =
@@ -152,6 +163,15 @@ pub(super) fn pose_stamped(stamp: Stamp, frame_id: &str, pose: LoggedPose) -> Ve
     cdr.header(stamp, frame_id);
     cdr.f64_array(pose.xyz);
     cdr.f64_array(pose.xyzw);
+    cdr.finish()
+}
+
+/// Bare numbers, without dimensions.
+pub(super) fn numbers(data: &[f64]) -> Vec<u8> {
+    let mut cdr = CdrWriter::new();
+    cdr.count(0);
+    cdr.count(0);
+    cdr.f64_sequence(data);
     cdr.finish()
 }
 

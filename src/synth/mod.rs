@@ -51,6 +51,8 @@ pub const JOINT_STATES: &str = "/joint_states";
 pub const POSE: &str = "/tcp_pose_broadcaster/pose";
 /// The topic of the transforms that move.
 pub const TF: &str = "/tf";
+/// The topic of tool poses as bare numbers.
+pub const NUMBERS: &str = "/tool_pose";
 /// The topic of the transforms that do not.
 pub const TF_STATIC: &str = "/tf_static";
 /// The topic of the IMU.
@@ -197,6 +199,11 @@ pub struct PoseStream {
     pub coding: Coding,
     /// Whether positions are in mm.
     pub in_millimetres: bool,
+    /// Scale of the quaternions: 1 where they are of unit norm.
+    pub quaternion_norm: f64,
+    /// Where this says how, the poses are on [`NUMBERS`] instead: six bare numbers, position in m and
+    /// rotation in this convention, rad. Such a message has no stamp and no frame.
+    pub as_numbers: Option<Convention>,
 }
 
 /// The transforms of the arm's joints, as a state publisher computes them from the joint states, and
@@ -210,6 +217,19 @@ pub struct TfStream {
     pub coding: Coding,
     /// Whether /tf_static is there.
     pub with_static: bool,
+    /// Transforms in /tf_static beside the arm's own.
+    pub others: Vec<OtherTransform>,
+}
+
+/// A transform that is none of the arm's own.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OtherTransform {
+    /// The frame above.
+    pub parent: String,
+    /// The frame below.
+    pub child: String,
+    /// Pose of the child in the parent.
+    pub parent_from_child: Pose,
 }
 
 /// The IMU at the tip: gyro, accelerometer and an orientation in a world of its own yaw.
@@ -298,11 +318,14 @@ impl Scenario {
                 growth: 0.0,
                 coding: Coding::Faithful,
                 in_millimetres: false,
+                quaternion_norm: 1.0,
+                as_numbers: None,
             },
             tf: TfStream {
                 timing: Timing::every(50.0, 0.0083),
                 coding: Coding::Faithful,
                 with_static: true,
+                others: Vec::new(),
             },
             imu: ImuStream {
                 timing: Timing::every(200.0, 0.0011),

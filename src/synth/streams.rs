@@ -52,6 +52,11 @@ fn latched(scenario: &Scenario) -> Vec<Message> {
         });
     }
     transforms.extend(scenario.target.frame(scenario));
+    transforms.extend(scenario.tf.others.iter().map(|other| LoggedTransform {
+        parent: &other.parent,
+        child: &other.child,
+        parent_from_child: Coding::Faithful.logged(&other.parent_from_child),
+    }));
     let statics = scenario.tf.with_static.then(|| {
         let cdr = messages::tf_message(START, &transforms);
         Message { topic: Topic::TfStatic, received: START, cdr }
@@ -100,6 +105,12 @@ fn poses(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
             if stream.in_millimetres {
                 logged.xyz = logged.xyz.map(|metres| 1000.0 * metres);
             }
+            if let Some(convention) = stream.as_numbers {
+                let [a, b, c] = convention.numbers(&pose.rotation);
+                let [x, y, z] = logged.xyz;
+                return tick.message(Topic::Numbers, messages::numbers(&[x, y, z, a, b, c]));
+            }
+            logged.xyzw = logged.xyzw.map(|component| stream.quaternion_norm * component);
             let cdr = messages::pose_stamped(tick.stamp, &stream.frame_id, logged);
             tick.message(Topic::Pose, cdr)
         })

@@ -4,11 +4,13 @@
 //! Whatever shows or stores samples reads these frames, so that a recording, a plot and a table say
 //! the same. Units stand last in a column's name. `docs/tables.md` lists the columns of the files.
 
+mod configurations;
 mod parquet;
 mod rows;
 mod workspace;
 
-pub use parquet::{TableError, write_table};
+pub use configurations::{Configurations, kinematics_frame};
+pub use parquet::{TableError, write_frame, write_table};
 pub use rows::{checks_frame, findings_frame, joints_frame};
 pub use workspace::{ArmWorkspace, reach_map_frame, reached_poses_frame};
 

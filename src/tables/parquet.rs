@@ -1,10 +1,10 @@
-//! Frames as Parquet files in a folder.
+//! Frames as files.
 
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 
-use polars::prelude::{DataFrame, ParquetCompression, ParquetWriter, PolarsError};
+use polars::prelude::{DataFrame, ParquetCompression, ParquetWriter, PolarsError, PolarsResult};
 
 use crate::report::write_whole;
 
@@ -24,13 +24,41 @@ pub struct TableError {
 /// # Errors
 /// Where the file cannot be written.
 pub fn write_table(folder: &Path, name: &str, frame: &mut DataFrame) -> Result<(), TableError> {
-    let path = folder.join(format!("{name}.parquet"));
-    let written = write_whole(&path, |staged| -> Result<(), WriteError> {
-        let file = BufWriter::new(File::create(staged)?);
-        ParquetWriter::new(file).with_compression(ParquetCompression::Zstd(None)).finish(frame)?;
-        Ok(())
-    });
-    written.map_err(|error| TableError { path, cause: error.to_string() })
+    write_frame(&folder.join(format!("{name}.parquet")), frame)
+}
+
+/// Writes `frame` to a file: as CSV where its name ends in `.csv`, as Parquet where in `.parquet`.
+///
+/// # Errors
+/// Where the file cannot be written, or its name ends in something else.
+pub fn write_frame(path: &Path, frame: &mut DataFrame) -> Result<(), TableError> {
+    let fault = |cause: String| TableError { path: path.to_owned(), cause };
+    let write: fn(&Path, &mut DataFrame) -> Result<(), WriteError> =
+        match path.extension().and_then(|extension| extension.to_str()) {
+            Some("parquet") => write_parquet,
+            Some("csv") => write_csv,
+            _ => return Err(fault("its name must end in .csv or .parquet".to_owned())),
+        };
+    write_whole(path, |staged| write(staged, frame)).map_err(|error| fault(error.to_string()))
+}
+
+fn write_parquet(path: &Path, frame: &mut DataFrame) -> Result<(), WriteError> {
+    let file = BufWriter::new(File::create(path)?);
+    ParquetWriter::new(file).with_compression(ParquetCompression::Zstd(None)).finish(frame)?;
+    Ok(())
+}
+
+fn write_csv(path: &Path, frame: &mut DataFrame) -> Result<(), WriteError> {
+    let mut writer = csv::Writer::from_path(path)?;
+    writer.write_record(frame.columns().iter().map(|column| column.name().as_str()))?;
+    for row in 0..frame.height() {
+        let cells = frame.columns().iter().map(|column| column.get(row));
+        let cells: PolarsResult<Vec<String>> =
+            cells.map(|cell| cell.map(|cell| cell.str_value().into_owned())).collect();
+        writer.write_record(cells?)?;
+    }
+    writer.flush()?;
+    Ok(())
 }
 
 #[derive(Debug, thiserror::Error)]
@@ -39,4 +67,6 @@ enum WriteError {
     File(#[from] io::Error),
     #[error(transparent)]
     Frame(#[from] PolarsError),
+    #[error(transparent)]
+    Text(#[from] csv::Error),
 }

@@ -88,7 +88,7 @@ pub fn reached_poses_frame(arms: &[ArmWorkspace<'_>], origin: Stamp) -> PolarsRe
 }
 
 /// `{joint}_rad`, or `{joint}_m` of one that slides.
-fn joint_columns(chain: &Chain) -> impl Iterator<Item = String> {
+pub(super) fn joint_columns(chain: &Chain) -> impl Iterator<Item = String> {
     chain.joint_names().iter().zip(chain.joint_kinds()).map(|(name, kind)| match kind {
         JointKind::Prismatic => format!("{name}_m"),
         _ => format!("{name}_rad"),

@@ -1,0 +1,169 @@
+//! `poseaudit fk`.
+
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use clap::ValueEnum;
+use poseaudit::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
+use poseaudit::report::Trouble;
+use poseaudit::robot::{Chain, Robot};
+use poseaudit::run::robot_of;
+use poseaudit::tables::{Configurations, TableError, kinematics_frame, write_frame};
+use serde_json::json;
+
+use super::{Outcome, misuse, output};
+
+/// Forward kinematics: the pose of one link in another, for one configuration or a file of them
+///
+/// Examples:
+///   poseaudit fk ur5e 0 -1.57 1.57 0 0 0
+///   poseaudit fk arm.urdf --base base_link --tip camera --deg 10 20 30 0 45 0
+///   poseaudit fk ur5e --file joints.csv --output poses.parquet
+#[derive(Debug, clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Args {
+    /// A URDF or DH table, or a name of the catalogue
+    #[arg(value_name = "ROBOT")]
+    robot: String,
+
+    /// Positions of the joints from base to tip, rad or m
+    #[arg(value_name = "Q", allow_negative_numbers = true, conflicts_with = "file")]
+    q: Vec<f64>,
+
+    /// A CSV or Parquet file with a column for each joint
+    #[arg(long, value_name = "FILE", requires = "output")]
+    file: Option<PathBuf>,
+
+    /// Where the poses go: a file that ends in .csv or .parquet
+    #[arg(long, value_name = "FILE", requires = "file")]
+    output: Option<PathBuf>,
+
+    /// The link that the pose is in
+    #[arg(long, value_name = "LINK")]
+    base: Option<String>,
+
+    /// The link whose pose it is
+    #[arg(long, value_name = "LINK")]
+    tip: Option<String>,
+
+    /// Turning joints are in degrees
+    #[arg(long)]
+    deg: bool,
+
+    /// How one pose is printed
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    format: Format,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Format {
+    /// For people
+    Text,
+    /// For programs, in SI units
+    Json,
+}
+
+pub fn run(args: &Args) -> Result<Outcome, Trouble> {
+    let robot = robot_of(&args.robot).map_err(|error| Trouble::from(&error))?;
+    let chain = chain(&robot, args)?;
+    match (&args.file, &args.output) {
+        (Some(file), Some(output)) => many(&chain, args, file, output)?,
+        _ => one(&robot, &chain, args)?,
+    }
+    Ok(Outcome::Clean)
+}
+
+fn chain(robot: &Robot, args: &Args) -> Result<Chain, Trouble> {
+    let link = |option: &str, given: &Option<String>, usual: &Option<String>| {
+        let name = given.as_ref().or(usual.as_ref());
+        name.map(|name| robot.link_or_nearest(name)).transpose().map_err(|error| {
+            misuse(option, error.to_string(), "name a link of the model")
+        })
+    };
+    let base = link("--base", &args.base, &robot.default_base)?.unwrap_or_else(|| robot.root());
+    let tip = link("--tip", &args.tip, &robot.default_tip)?;
+    let tip = tip.or_else(|| robot.leaf_links().last()).unwrap_or(base);
+    robot.chain(base, tip).map_err(|error| {
+        misuse("--tip", error.to_string(), "name two links with joints between them")
+    })
+}
+
+/// Positions in SI units.
+fn in_si(chain: &Chain, mut q: Vec<f64>, deg: bool) -> Vec<f64> {
+    use poseaudit::robot::JointKind::Prismatic;
+    for row in q.chunks_mut(chain.dof()) {
+        for (q, kind) in row.iter_mut().zip(chain.joint_kinds()) {
+            if deg && *kind != Prismatic {
+                *q = q.to_radians();
+            }
+        }
+    }
+    q
+}
+
+fn many(chain: &Chain, args: &Args, file: &Path, output: &Path) -> Result<(), Trouble> {
+    let trouble = |option: &str, TableError { path, cause }: TableError| {
+        misuse(path.display().to_string(), cause, format!("see {option} in `poseaudit fk --help`"))
+    };
+    let read = Configurations::read(file, chain).map_err(|error| trouble("--file", error))?;
+    let q = in_si(chain, read.q, args.deg);
+    let mut poses = Vec::new();
+    chain.forward_batch(&q, &mut poses);
+    let written = kinematics_frame(chain, &q, &poses)
+        .map_err(|error| TableError { path: output.to_owned(), cause: error.to_string() })
+        .and_then(|mut frame| write_frame(output, &mut frame));
+    written.map_err(|error| trouble("--output", error))
+}
+
+fn one(robot: &Robot, chain: &Chain, args: &Args) -> Result<(), Trouble> {
+    let (found, wanted) = (args.q.len(), chain.dof());
+    if found != wanted {
+        let names = chain.joint_names().join(", ");
+        let what = format!("{found} joint positions were given, there are {wanted} joints");
+        return Err(misuse("fk", what, format!("give one for each of {names}")));
+    }
+    let q = in_si(chain, args.q.clone(), args.deg);
+    let base_from_tip = chain.forward(&q);
+    output::emit(None, |out| match args.format {
+        Format::Text => text(robot, chain, &base_from_tip, out),
+        Format::Json => {
+            let said = json!({
+                "robot": robot.name,
+                "base": chain.base_name(),
+                "tip": chain.tip_name(),
+                "joints": chain.joint_names(),
+                "q": q,
+                "xyz_m": xyz_of(&base_from_tip),
+                "xyzw": xyzw_from_rotation(&base_from_tip.rotation),
+                "matrix": matrix(&base_from_tip),
+            });
+            writeln!(out, "{said:#}")
+        }
+    })
+}
+
+/// The rows of the homogeneous matrix.
+fn matrix(pose: &Pose) -> [[f64; 4]; 4] {
+    let matrix = pose.to_homogeneous();
+    std::array::from_fn(|row| std::array::from_fn(|column| matrix[(row, column)]))
+}
+
+fn text(robot: &Robot, chain: &Chain, pose: &Pose, out: &mut dyn Write) -> io::Result<()> {
+    let listed = |numbers: &[f64], digits: usize| {
+        let numbers: Vec<String> =
+            numbers.iter().map(|number| format!("{:>1$.2$}", number + 0.0, digits + 5, digits)).collect();
+        numbers.join(" ")
+    };
+    let degrees = |numbers: [f64; 3]| numbers.map(f64::to_degrees);
+    let rpy = degrees(Convention::RPY.numbers(&pose.rotation));
+    let rotvec = Convention::RotVec.numbers(&pose.rotation);
+    writeln!(out, "{}: {} → {}", robot.name, chain.base_name(), chain.tip_name())?;
+    writeln!(out, "position, m          {}", listed(&xyz_of(pose), 6))?;
+    writeln!(out, "quaternion, x y z w  {}", listed(&xyzw_from_rotation(&pose.rotation), 6))?;
+    writeln!(out, "roll pitch yaw, °    {}", listed(&rpy, 4))?;
+    writeln!(out, "rotation vector, rad {}", listed(&rotvec, 6))?;
+    for (label, row) in ["matrix", "", "", ""].into_iter().zip(matrix(pose)) {
+        writeln!(out, "{label:20} {}", listed(&row, 6))?;
+    }
+    Ok(())
+}

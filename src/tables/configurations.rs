@@ -1,0 +1,175 @@
+//! Joint positions from a file, and the poses that they make.
+
+use std::fs::File;
+use std::path::Path;
+
+use polars::prelude::{
+    Column, DataFrame, DataType, ParquetReader, PolarsError, PolarsResult, SerReader,
+};
+
+use crate::geometry::{Pose, xyz_of, xyzw_from_rotation};
+use crate::robot::Chain;
+
+use super::{TableError, split};
+
+/// The numbers in a file of joint positions, one row a configuration.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Configurations {
+    /// Positions of the chain's joints, row-major, in the file's unit.
+    pub q: Vec<f64>,
+    /// Rows.
+    pub rows: usize,
+}
+
+impl Configurations {
+    /// Reads the columns called like the joints of `chain`, with or without `_rad`, `_deg` or `_m`
+    /// behind their names, from a CSV or Parquet file; a CSV without such names is read by position
+    /// where it has as many columns as the chain has joints. What is a Parquet file is told by its
+    /// first bytes.
+    ///
+    /// # Errors
+    /// Where the file cannot be read, a joint is missing, or what stands there is no finite number.
+    pub fn read(path: &Path, chain: &Chain) -> Result<Self, TableError> {
+        let fault = |cause: String| TableError { path: path.to_owned(), cause };
+        let head = std::fs::read(path).map_err(|error| fault(error.to_string()))?;
+        if head.starts_with(b"PAR1") {
+            return from_parquet(path, chain).map_err(fault);
+        }
+        from_csv(&head, chain).map_err(fault)
+    }
+}
+
+/// Names that a joint's column may have.
+fn is_column_of(column: &str, joint: &str) -> bool {
+    let rest = column.trim().strip_prefix(joint);
+    rest.is_some_and(|rest| ["", "_rad", "_deg", "_m"].contains(&rest))
+}
+
+fn from_parquet(path: &Path, chain: &Chain) -> Result<Configurations, String> {
+    let frame = File::open(path)
+        .map_err(PolarsError::from)
+        .and_then(|file| ParquetReader::new(file).finish())
+        .map_err(|error| error.to_string())?;
+    let rows = frame.height();
+    let mut q = vec![0.0; rows * chain.dof()];
+    for (joint, name) in chain.joint_names().iter().enumerate() {
+        let column = frame.columns().iter().find(|column| is_column_of(column.name(), name));
+        let column = column.ok_or_else(|| missing(name))?;
+        let numbers = column.cast(&DataType::Float64).map_err(|error| error.to_string())?;
+        let numbers = numbers.f64().map_err(|error| error.to_string())?;
+        for (row, number) in numbers.into_iter().enumerate() {
+            let finite = number.filter(|number| number.is_finite());
+            q[row * chain.dof() + joint] = finite
+                .ok_or_else(|| format!("row {} of `{}` is no number", row + 1, column.name()))?;
+        }
+    }
+    Ok(Configurations { q, rows })
+}
+
+fn from_csv(text: &[u8], chain: &Chain) -> Result<Configurations, String> {
+    let mut reader = csv::ReaderBuilder::new()
+        .has_headers(false)
+        .comment(Some(b'#'))
+        .trim(csv::Trim::All)
+        .from_reader(text);
+    let mut records = reader.records().peekable();
+    let is_head = |record: &csv::StringRecord| record.iter().any(|cell| cell.parse::<f64>().is_err());
+    let mut places: Vec<usize> = (0..chain.dof()).collect();
+    let has_head = match records.peek() {
+        Some(Ok(first)) => is_head(first),
+        _ => false,
+    };
+    if has_head && let Some(Ok(head)) = records.next() {
+        for (place, name) in places.iter_mut().zip(chain.joint_names()) {
+            let column = head.iter().position(|column| is_column_of(column, name));
+            *place = column.ok_or_else(|| missing(name))?;
+        }
+    }
+    let (mut q, mut rows) = (Vec::new(), 0);
+    for record in records {
+        let record = record.map_err(|error| error.to_string())?;
+        let line = record.position().map_or(0, csv::Position::line);
+        if !has_head && record.len() != chain.dof() {
+            let (found, wanted) = (record.len(), chain.dof());
+            return Err(format!("line {line} has {found} numbers, the chain has {wanted} joints"));
+        }
+        for &place in &places {
+            let number = record.get(place).and_then(|cell| cell.parse::<f64>().ok());
+            let number = number.filter(|number| number.is_finite());
+            q.push(number.ok_or_else(|| format!("line {line}, column {}: expected a number", place + 1))?);
+        }
+        rows += 1;
+    }
+    Ok(Configurations { q, rows })
+}
+
+fn missing(joint: &str) -> String {
+    format!("it has no column `{joint}`")
+}
+
+/// Joint positions beside the poses that they make: `{joint}_rad` (`_m`), `x_m` … `qw`.
+///
+/// # Errors
+/// Where there are not as many poses as rows.
+pub fn kinematics_frame(chain: &Chain, q: &[f64], poses: &[Pose]) -> PolarsResult<DataFrame> {
+    let dof = chain.dof();
+    let mut columns: Vec<Column> = super::workspace::joint_columns(chain)
+        .enumerate()
+        .map(|(joint, name)| {
+            let positions: Vec<f64> = q.iter().skip(joint).step_by(dof).copied().collect();
+            Column::new(name.as_str().into(), positions)
+        })
+        .collect();
+    let xyz: Vec<[f64; 3]> = poses.iter().map(xyz_of).collect();
+    let xyzw: Vec<[f64; 4]> = poses.iter().map(|pose| xyzw_from_rotation(&pose.rotation)).collect();
+    columns.extend(split(["x_m", "y_m", "z_m"].map(str::to_owned), &xyz));
+    columns.extend(split(["qx", "qy", "qz", "qw"].map(str::to_owned), &xyzw));
+    DataFrame::new(poses.len(), columns)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::catalogue;
+
+    fn chain() -> Chain {
+        let robot = catalogue::find("ur5e").expect("the catalogue has a UR5e");
+        let link = |name: &str| robot.link(name).expect("a UR5e has that link");
+        robot.chain(link("base_link"), link("tool0")).expect("they are joined")
+    }
+
+    #[test]
+    fn columns_are_found_by_name_in_any_order() {
+        let chain = chain();
+        let names = chain.joint_names();
+        let mut head: Vec<String> = names.iter().map(|name| format!("{name}_rad")).collect();
+        head.reverse();
+        let text = format!("t,{}\n0,6,5,4,3,2,1\n", head.join(","));
+        let read = from_csv(text.as_bytes(), &chain).unwrap();
+        assert_eq!((read.rows, read.q), (1, vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0]));
+    }
+
+    #[test]
+    fn without_names_the_number_of_columns_must_fit() {
+        let chain = chain();
+        let read = from_csv(b"# home\n0,1,2,3,4,5\n1 , 2,3,4,5,6\n", &chain).unwrap();
+        assert_eq!(read.rows, 2);
+        assert!(from_csv(b"0,1,2\n", &chain).unwrap_err().contains("6 joints"));
+        assert!(from_csv(b"0,1,2,3,4,inf\n", &chain).unwrap_err().contains("expected a number"));
+        assert!(from_csv(b"a,b\n1,2\n", &chain).unwrap_err().contains("shoulder_pan_joint"));
+    }
+
+    #[test]
+    fn what_is_written_is_read_again() {
+        let chain = chain();
+        let q: Vec<f64> = (0..12).map(|k| f64::from(k) * 0.1).collect();
+        let mut poses = Vec::new();
+        chain.forward_batch(&q, &mut poses);
+        let mut frame = kinematics_frame(&chain, &q, &poses).unwrap();
+        assert_eq!(frame.shape(), (2, 13));
+        let folder = tempfile::tempdir().unwrap();
+        super::super::write_table(folder.path(), "poses", &mut frame).unwrap();
+        let read = Configurations::read(&folder.path().join("poses.parquet"), &chain).unwrap();
+        assert_eq!(read, Configurations { q, rows: 2 });
+    }
+}
