@@ -54,7 +54,9 @@ fn is_code(word: &str) -> bool {
 }
 
 fn is_finding(line: &str, code: &str) -> bool {
-    ["error", "warning", "info"].iter().any(|severity| line.starts_with(&format!("{severity} {code}")))
+    ["error", "warning", "info"]
+        .iter()
+        .any(|severity| line.starts_with(&format!("{severity} {code}")))
 }
 
 /// Whether the call asks single rules, of which some are meant to pass.

@@ -76,9 +76,9 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
 fn chain(robot: &Robot, args: &Args) -> Result<Chain, Trouble> {
     let link = |option: &str, given: &Option<String>, usual: &Option<String>| {
         let name = given.as_ref().or(usual.as_ref());
-        name.map(|name| robot.link_or_nearest(name)).transpose().map_err(|error| {
-            misuse(option, error.to_string(), "name a link of the model")
-        })
+        name.map(|name| robot.link_or_nearest(name))
+            .transpose()
+            .map_err(|error| misuse(option, error.to_string(), "name a link of the model"))
     };
     let base = link("--base", &args.base, &robot.default_base)?.unwrap_or_else(|| robot.root());
     let tip = link("--tip", &args.tip, &robot.default_tip)?;
@@ -150,8 +150,10 @@ fn matrix(pose: &Pose) -> [[f64; 4]; 4] {
 
 fn text(robot: &Robot, chain: &Chain, pose: &Pose, out: &mut dyn Write) -> io::Result<()> {
     let listed = |numbers: &[f64], digits: usize| {
-        let numbers: Vec<String> =
-            numbers.iter().map(|number| format!("{:>1$.2$}", number + 0.0, digits + 5, digits)).collect();
+        let numbers: Vec<String> = numbers
+            .iter()
+            .map(|number| format!("{:>1$.2$}", number + 0.0, digits + 5, digits))
+            .collect();
         numbers.join(" ")
     };
     let degrees = |numbers: [f64; 3]| numbers.map(f64::to_degrees);

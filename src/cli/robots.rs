@@ -97,8 +97,7 @@ fn reach_m(robot: &Robot) -> Option<f64> {
 }
 
 fn joints(robot: &Robot) -> comfy_table::Table {
-    let mut table =
-        output::table(["joint", "kind", "parent → child", "lower", "upper", "speed"]);
+    let mut table = output::table(["joint", "kind", "parent → child", "lower", "upper", "speed"]);
     for joint in robot.joints() {
         let limit = |limit: Option<f64>| limit.map_or(String::new(), |limit| format!("{limit:.4}"));
         table.add_row([

@@ -57,7 +57,7 @@ fn from_parquet(path: &Path, chain: &Chain) -> Result<Configurations, String> {
         let column = column.ok_or_else(|| missing(name))?;
         let numbers = column.cast(&DataType::Float64).map_err(|error| error.to_string())?;
         let numbers = numbers.f64().map_err(|error| error.to_string())?;
-        for (row, number) in numbers.into_iter().enumerate() {
+        for (row, number) in (0..rows).map(|row| (row, numbers.get(row))) {
             let finite = number.filter(|number| number.is_finite());
             q[row * chain.dof() + joint] = finite
                 .ok_or_else(|| format!("row {} of `{}` is no number", row + 1, column.name()))?;
@@ -73,7 +73,8 @@ fn from_csv(text: &[u8], chain: &Chain) -> Result<Configurations, String> {
         .trim(csv::Trim::All)
         .from_reader(text);
     let mut records = reader.records().peekable();
-    let is_head = |record: &csv::StringRecord| record.iter().any(|cell| cell.parse::<f64>().is_err());
+    let is_head =
+        |record: &csv::StringRecord| record.iter().any(|cell| cell.parse::<f64>().is_err());
     let mut places: Vec<usize> = (0..chain.dof()).collect();
     let has_head = match records.peek() {
         Some(Ok(first)) => is_head(first),
@@ -96,7 +97,11 @@ fn from_csv(text: &[u8], chain: &Chain) -> Result<Configurations, String> {
         for &place in &places {
             let number = record.get(place).and_then(|cell| cell.parse::<f64>().ok());
             let number = number.filter(|number| number.is_finite());
-            q.push(number.ok_or_else(|| format!("line {line}, column {}: expected a number", place + 1))?);
+            q.push(
+                number.ok_or_else(|| {
+                    format!("line {line}, column {}: expected a number", place + 1)
+                })?,
+            );
         }
         rows += 1;
     }
