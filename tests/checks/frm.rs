@@ -2,6 +2,7 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
+use poseaudit::finding::{Estimate, Severity};
 use poseaudit::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
 use poseaudit::synth::{
     COMMANDED_JOINTS, COMMANDED_POSE, Commands, GOAL, Lines, Motion, POSE, TF, TF_STATIC,
@@ -158,16 +159,18 @@ cases! {
         log.run.imu.timing.rate_hz = 0.0;
     } => Skipped("no stream with quaternions");
 
-    // The tip is 0.141 m off the fourth joint's axis, less where the fifth is not at −90°.
-    FRM006 a_wrist_that_stays_short_of_its_goals: |log| told(log, Commands::Goals, 0.4)
-        => warning(On::Topic(GOAL), Frame([0.00098, 0.03e-3], [0.4, 0.005]));
-    FRM006 an_elbow_that_stays_short: |log| {
-        told(log, Commands::Poses, 0.0);
-        // About half a metre off the tip.
-        log.run.reference.short_by = vec![0.0, 0.0, 0.3_f64.to_radians()];
-    } => warning(On::Topic(COMMANDED_POSE), Frame([0.0027, 0.2e-3], [0.3, 0.005]));
+    FRM006 goals_that_are_missed_by_three_millimetres: |log| {
+        told(log, Commands::Goals, 0.0);
+        log.options.tip = Some("tool0".to_owned());
+        log.run.reference.tip_from_commanded = Pose::translation(0.003, 0.0, 0.0);
+    } => warning(On::Topic(GOAL), Frame([0.003, 0.05e-3], [0.0, 0.01]));
+    // The tip is on the last joint's axis.
+    FRM006 a_wrist_that_stays_short_of_its_poses: |log| {
+        told(log, Commands::Poses, 0.3);
+        log.options.tip = Some("tool0".to_owned());
+    } => warning(On::Topic(COMMANDED_POSE), Frame([0.0, 0.05e-3], [0.3, 0.005]));
     FRM006 a_joint_that_stays_short: |log| told(log, Commands::Joints, 0.7)
-        => error(On::Topic(COMMANDED_JOINTS), Frame([0.00168, 0.05e-3], [0.7, 0.005]));
+        => error(On::Topic(COMMANDED_JOINTS), Frame([0.0, 0.05e-3], [0.7, 0.005]));
     FRM006 another_tool_than_the_one_that_is_logged: |log| {
         told(log, Commands::Poses, 0.0);
         log.run.reference.tip_from_commanded = tool();
@@ -210,13 +213,30 @@ cases! {
     FRM006 no_goals: |_| {} => Skipped("no goal");
 }
 
-/// The arm goes along lines and is told so; its fourth joint stays short by so many degrees.
+/// The arm goes along lines and is told so; its last joint stays short by so many degrees.
 fn told(log: &mut Log, commands: Commands, short_by_degrees: f64) {
     crate::mot::along(log, Lines::default());
     log.run.reference.commands = commands;
     if short_by_degrees > 0.0 {
-        log.run.reference.short_by = vec![0.0, 0.0, 0.0, short_by_degrees.to_radians()];
+        log.run.reference.short_by = vec![0.0, 0.0, 0.0, 0.0, 0.0, short_by_degrees.to_radians()];
     }
+}
+
+#[test]
+fn an_elbow_that_stays_short_is_no_tool() {
+    let report = Log::with(|log| {
+        told(log, Commands::Poses, 0.0);
+        log.run.reference.short_by = vec![0.0, 0.0, 0.3_f64.to_radians()];
+    })
+    .audited();
+    let found = the(&report, "FRM006", COMMANDED_POSE);
+    assert_eq!(found.severity, Severity::Warning, "{}", found.message);
+    let Some(Estimate::Frame { value, rotation, .. }) = &found.estimate else {
+        panic!("a length and an angle were expected")
+    };
+    assert!((rotation.value - 0.3_f64.to_radians()).abs() < 1e-4, "{rotation:?}");
+    // The tip is 0.4 to 0.6 m off the elbow's axis about this posture.
+    assert!((0.4..0.6).contains(&(value / 0.3_f64.to_radians())), "{value}");
 }
 
 /// Moves the second goal to where the arm does not go.

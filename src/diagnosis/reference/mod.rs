@@ -186,7 +186,8 @@ pub struct ReferenceDiagnosis {
     pub following: Option<Following>,
     /// Commands that stood still.
     pub goals: usize,
-    /// Of these the ones near which the arm never came to rest after they were given.
+    /// Of these the ones near which the arm never came to rest after they were given; none of a stream
+    /// that leads it.
     pub not_reached: usize,
     /// Distance (m) and angle (rad) at the nearest rest of the one of these that was missed by least.
     pub nearest_miss: Option<(f64, f64)>,
@@ -293,7 +294,9 @@ pub fn diagnose_reference(
             all.extend(gap.take());
         }
     }
-    found.not_reached = found.goals.saturating_sub(near.len());
+    if found.following.is_none() {
+        found.not_reached = found.goals.saturating_sub(near.len());
+    }
     if is_streamed && commands.joints.is_empty() {
         found.lines = line::lines(series, &holds, &rests, &witnesses);
     }
@@ -316,17 +319,21 @@ fn windows(
     delay_s: f64,
 ) -> Vec<(f64, f64)> {
     /// What is left of a motion when the command stands still, s; twice the delay comes to it.
-    const SETTLED_S: f64 = 0.2;
+    const SETTLED_S: f64 = 0.1;
+    /// Of a long rest the last of it counts, s.
+    const LAST_S: f64 = 1.0;
     let is_led = |rest: &&Rest| {
         // Where nothing but the first command was ever given, the arm holds it.
         follows || rest.from_s > hold.from_s || is_streamed && hold.first == 0
     };
     let window = |rest: &Rest| {
         let from_s = rest.from_s.max(hold.from_s + SETTLED_S + 2.0 * delay_s);
-        (from_s, rest.to_s.min(hold.to_s))
+        let to_s = rest.to_s.min(hold.to_s);
+        // The later half, in which less is left of the motion.
+        let late_s = (0.5 * (from_s + to_s)).min(to_s - rest::LEAST_S).max(to_s - LAST_S);
+        (to_s - from_s >= rest::LEAST_S).then_some((from_s.max(late_s), to_s))
     };
-    let windows = rests.iter().filter(is_led).map(window);
-    windows.filter(|(from_s, to_s)| to_s - from_s >= rest::LEAST_S).collect()
+    rests.iter().filter(is_led).filter_map(window).collect()
 }
 
 /// Farther than this from a goal the arm was not brought to it: it was stopped, or is led elsewhere.

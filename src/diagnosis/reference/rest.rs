@@ -6,7 +6,7 @@ use crate::geometry::{Pose, Vec3, angle_between, rotation_from_rotvec, rotvec_fr
 use crate::stream::JointTrack;
 
 /// Shorter rests do not show what is left when a motion has died away, s.
-pub(super) const LEAST_S: f64 = 0.15;
+pub(super) const LEAST_S: f64 = 0.1;
 
 /// A time in which no joint moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
