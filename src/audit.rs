@@ -593,6 +593,8 @@ fn euler(
         return None;
     }
     let names = |declared: &&Declaration| declared.is_of(&stream.topic);
+            link: source.chain.tip_name().to_owned(),
+            link_from_imu: source.link_from_imu.map(|pose| pose.rotation),
     let declared = declared.iter().find(names);
     let reading = found.reading.as_ref().ok().filter(|reading| reading.is_told);
     let told = reading.and_then(|reading| match reading.best {

@@ -7,7 +7,7 @@ use crate::diagnosis::{
     PoseDiagnosis, Shake,
 };
 use crate::finding::{Span, Subject, Unit};
-use crate::geometry::Convention;
+use crate::geometry::{Convention, Rotation};
 use crate::log::{self, Loss};
 use crate::robot::Limits;
 use crate::run::{Cadence, CameraAxes, Extent, Flaw, Norms, StreamClock, Witness};
@@ -268,6 +268,10 @@ pub enum Due {
     InMotion,
     /// Nobody knows, as nothing says what the stream is.
     Untold,
+    /// The link that carries it.
+    pub link: String,
+    /// How it is turned in that link by the log's frames, where they say.
+    pub link_from_imu: Option<Rotation>,
     /// When there is something to say: commands, and what a camera sees.
     OnOccasion,
 }

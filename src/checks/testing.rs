@@ -96,7 +96,16 @@ pub fn clean_run() -> Facts {
             in_other_units: false,
             shake: Ok(Shake::default()),
         }],
-        imus: vec![(ImuFacts { topic: IMU.to_owned(), span: SPAN, independent: true }, imu)],
+        imus: vec![(
+            ImuFacts {
+                topic: IMU.to_owned(),
+                span: SPAN,
+                independent: true,
+                link: "tool0".to_owned(),
+                link_from_imu: None,
+            },
+            imu,
+        )],
     };
     Facts { robots: vec![arm], ..Facts::default() }
 }
