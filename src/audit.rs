@@ -8,14 +8,14 @@ use polars::prelude::PolarsResult;
 use rayon::prelude::*;
 
 use crate::checks::{
-    ArmFacts, Declared, Due, EulerFacts, EvaluatedPart, Evaluation, Facts, FrameFacts, ImuFacts,
-    JointFacts, JointMotion, NormFacts, PoseFacts, RhythmFacts, Settings, ShakeFacts, StampFacts,
-    UndecodableTopic, evaluate, merged,
+    ArmFacts, Declared, DhFacts, Due, EulerFacts, EvaluatedPart, Evaluation, Facts, FrameFacts,
+    ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts, RhythmFacts, Settings, ShakeFacts,
+    StampFacts, UndecodableTopic, evaluate, merged,
 };
 use crate::diagnosis::{
-    ArmDiagnosis, ImuDiagnosis, ImuStream, NoShake, PoseDiagnosis, PoseStream, Reading, Series,
-    Shake, Unseen, abruptness, beyond_positions, beyond_speed, diagnose_arm, diagnose_derived,
-    diagnose_imu, follows, position_misfit_m, shake,
+    ArmDiagnosis, DhEstimate, DhTold, ImuDiagnosis, ImuStream, Left, NoShake, PoseDiagnosis,
+    PoseStream, Reading, Series, Shake, Unseen, abruptness, beyond_positions, beyond_speed,
+    diagnose_arm, diagnose_derived, diagnose_imu, follows, position_misfit_m, shake,
 };
 use crate::finding::{Severity, Span, Subject};
 use crate::geometry::Pose;
@@ -201,9 +201,55 @@ struct Diagnosis {
     pub imus: Vec<ImuDiagnosis>,
 }
 
-/// Diagnoses every arm of a run.
-fn diagnose(run: &Run, most_lag_s: f64) -> Vec<Diagnosis> {
-    run.arms.iter().map(|arm| diagnose_one(run, arm, most_lag_s)).collect()
+/// What the convention that an arm's DH table does not name leaves of its streams, beside what was
+/// `found` under the one that it names. Nothing is looked for where that explains them without a
+/// fault, or where the positions alone rule the other out.
+fn by_other_convention(
+    run: &Run,
+    arm: &Arm,
+    found: &ArmDiagnosis,
+    most_lag_s: f64,
+) -> (DhEstimate, Option<(Arm, Diagnosis)>) {
+    /// Positions lie on an arm to this much with any faults, m, …
+    const NEAR_M: f64 = 0.02;
+    /// … or to this share of what they do on another.
+    const NEARER: f64 = 0.5;
+    let declared = Left::of(found);
+    let alone = DhEstimate { declared, other: None };
+    if declared.is_explained() && declared.faults == 0 {
+        return (alone, None);
+    }
+    let Some(other) = arm.robot.under_other_convention().and_then(|robot| arm.with_robot(robot))
+    else {
+        return (alone, None);
+    };
+    let streams = arm.poses.iter().zip(&other.poses).zip(&found.streams);
+    let is_ruled_out = |((source, other), found): ((&PoseSource, &PoseSource), &PoseDiagnosis)| {
+        let scale = position_factor(source, found);
+        let latency_s = found.latency_s.as_ref().map_or(0.0, |latency| latency.value);
+        let misfit_m =
+            |source| position_misfit_m(&arm.joints, &pose_stream(run, source), scale, latency_s);
+        let (Some(declared_m), Some(other_m)) = (misfit_m(source), misfit_m(other)) else {
+            return false;
+        };
+        other_m > NEAR_M && other_m > NEARER * declared_m
+    };
+    if arm.poses.is_empty() || streams.into_iter().any(is_ruled_out) {
+        return (alone, None);
+    }
+    let diagnosis = diagnose_one(run, &other, most_lag_s);
+    let estimate = DhEstimate { other: Some(Left::of(&diagnosis.arm)), ..alone };
+    (estimate, Some((other, diagnosis)))
+}
+
+/// What takes the positions of a stream to m.
+fn position_factor(source: &PoseSource, found: &PoseDiagnosis) -> f64 {
+    let declared_mm = source.track.declared.as_ref().is_some_and(|units| units.millimetres);
+    match found.millimetres {
+        Ok(Some(_)) if declared_mm => 1e3,
+        Ok(Some(_)) => 1e-3,
+        _ => 1.0,
+    }
 }
 
 fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
@@ -213,6 +259,30 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
     let reading = diagnosis.joints.as_ref().ok();
     let tf = || {
         let source = arm.tf.as_ref().ok()?;
+    pub dh: Option<DhFacts>,
+}
+
+/// Diagnoses every arm of a run. An arm whose DH table proves to be of the other convention than it
+/// says is read by that one from here on.
+fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<Diagnosis> {
+    let arms = 0..run.arms.len();
+    arms.map(|index| {
+        let found = diagnose_one(run, &run.arms[index], most_lag_s);
+        let Some(dh) = &run.arms[index].robot.dh else { return found };
+        let declared = dh.convention;
+        let (estimate, other) = by_other_convention(run, &run.arms[index], &found.arm, most_lag_s);
+        let dh = Some(DhFacts { declared, estimate });
+        match other.filter(|_| estimate.told() == DhTold::Other) {
+            Some((mut arm, other)) => {
+                let convention = declared.other().name();
+                arm.found += &format!(", its DH table read as {convention}");
+                run.replace_arm(index, arm);
+                Diagnosis { dh, ..other }
+            }
+            None => Diagnosis { dh, ..found },
+        }
+    })
+    .collect()
         let stream = pose_stream(run, source);
         let found = diagnose_derived(&arm.joints, reading, &stream, most_lag_s);
         Some(match steadied(&stream, &found) {
@@ -233,7 +303,7 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
         _ => diagnose_imu_steadied(&corrected, source, most_lag_s),
     };
     let (tf, imus) = rayon::join(tf, || arm.imus.iter().map(imu).collect());
-    Diagnosis { arm: diagnosis, tf, imus }
+    Diagnosis { arm: diagnosis, tf, imus, dh: None }
 }
 
 /// The diagnosis of an arm's pose streams; where the latency of some is not steady, that of the
@@ -563,6 +633,7 @@ fn joint_facts(arm: &Arm, joint: usize, samples: &JointSamples) -> JointFacts {
         let JointSamples { t_s, position, velocity } = samples;
         motion.positions = beyond_positions(t_s, position, &limits);
         (motion.speeds, motion.abruptness) = match source.velocities {
+        dh: diagnosis.dh,
             Velocities::Logged => (
                 beyond_speed(t_s, velocity, &limits),
                 abruptness(t_s, velocity, Series::Velocities),
@@ -635,12 +706,7 @@ fn better_model(
     if left_m < LITTLE_M || found.nominal {
         return None;
     }
-    let declared_mm = source.track.declared.as_ref().is_some_and(|units| units.millimetres);
-    let scale = match found.millimetres {
-        Ok(Some(_)) if declared_mm => 1e3,
-        Ok(Some(_)) => 1e-3,
-        _ => 1.0,
-    };
+    let scale = position_factor(source, found);
     let latency_s = found.latency_s.as_ref().map_or(0.0, |latency| latency.value);
     let stream = pose_stream(run, source);
     let misfit_m = |chain: &Chain| {
@@ -757,7 +823,7 @@ impl Audited {
         let mut run = Run::assemble(log, &options.run()).map_err(|error| Trouble::from(&error))?;
         settle_candidates(&mut run, options.max_latency_s);
         settle_hands(&mut run, options.max_latency_s);
-        let diagnoses = diagnose(&run, options.max_latency_s);
+        let diagnoses = diagnose(&mut run, options.max_latency_s);
         let joints = |arm: usize| readable_joints(&run.arms[arm], &diagnoses[arm].arm);
         let hand_eyes = hand_eyes(&run, joints, options.max_latency_s);
         let facts = Facts { hand_eyes, ..facts(&run, diagnoses, read, &options.declarations) };

@@ -1,17 +1,17 @@
 //! A run in which nothing is wrong, for tests to plant estimates in.
 
 use crate::checks::{
-    ArmFacts, EulerFacts, Facts, ImuFacts, JointFacts, JointMotion, PoseFacts, Rule, ShakeFacts,
-    evaluate,
+    ArmFacts, DhFacts, EulerFacts, Facts, ImuFacts, JointFacts, JointMotion, PoseFacts, Rule,
+    ShakeFacts, evaluate,
 };
 use crate::diagnosis::{
-    Abruptness, Aligned, ArmDiagnosis, FrameEstimate, GyroBias, ImuDiagnosis, JointOffset,
-    JointReading, LatencyCourse, Length, Measured, PoseDiagnosis, Reading, ReadingEstimate,
-    Residual, Shake, YawCourse,
+    Abruptness, Aligned, ArmDiagnosis, DhEstimate, FrameEstimate, GyroBias, ImuDiagnosis,
+    JointOffset, JointReading, LatencyCourse, Left, Length, Measured, PoseDiagnosis, Reading,
+    ReadingEstimate, Residual, Shake, YawCourse,
 };
 use crate::finding::{CheckRow, Finding, Span};
 use crate::geometry::{Convention, Pose, Vec3};
-use crate::robot::Limits;
+use crate::robot::{DhConvention, Limits};
 use crate::run::Witness;
 use crate::time::Stamp;
 
@@ -83,6 +83,10 @@ pub fn clean_run() -> Facts {
         span: SPAN,
         joints: ["pan", "lift", "elbow"].map(joint).to_vec(),
         reach_m: 0.85,
+        dh: Some(DhFacts {
+            declared: DhConvention::Standard,
+            estimate: DhEstimate { declared: Left { m: 0.0, rad: 0.0, faults: 0 }, other: None },
+        }),
         diagnosis: ArmDiagnosis {
             joints: Ok(JointReading { degrees: None, permutation: None, runner_up_m: None }),
             offsets: vec![offset(), offset(), offset()],

@@ -6,6 +6,7 @@
 
 mod arm;
 mod course;
+mod dh;
 mod explain;
 mod frames;
 mod handeye;
@@ -34,6 +35,7 @@ use crate::stream::{ImuTrack, PoseTrack};
 pub use arm::{diagnose_arm, diagnose_derived, follows};
 pub use course::{LatencyCourse, LatencyJump};
 pub use handeye::{
+pub use dh::{DhEstimate, DhTold, Left};
     CameraPose, Closure, Diversity, HandEyeDiagnosis, HandEyeStreams, Mount, PoseSeries, Solution,
     TargetReading, diagnose_hand_eye, turning_peaks,
 };

@@ -104,6 +104,9 @@ pub enum NoTf {
         /// The joints.
         joints: Vec<String>,
     },
+    /// Some of them were taken from the model, which is not what its table says.
+    #[error("some of them are the model's own, whose DH table is of the other convention")]
+    OtherModel,
     /// They are never all known at one time.
     #[error("the transforms from base to tip are at no two times all known")]
     NoSamples,
@@ -196,6 +199,36 @@ impl Arm {
             unnamed_base: model.controller_base.unwrap_or(base),
             frames: model.frames.clone(),
             joint_stamps: merged.stamps,
+        })
+    }
+
+    /// This arm, its streams predicted by `robot`: the same links and joints, with other lengths.
+    /// `None` where a chain of it cannot be computed.
+    pub(crate) fn with_robot(&self, robot: Robot) -> Option<Self> {
+        let chain = |old: &Chain| {
+            robot.chain(robot.link(old.base_name())?, robot.link(old.tip_name())?).ok()
+        };
+        let poses = self
+            .poses
+            .iter()
+            .map(|source| Some(PoseSource { chain: chain(&source.chain)?, ..source.clone() }));
+        let imus = self
+            .imus
+            .iter()
+            .map(|source| Some(ImuSource { chain: chain(&source.chain)?, ..source.clone() }));
+        let tf = match &self.tf {
+            // What the model gave is of the other lengths.
+            Ok(_) if !self.from_model.is_empty() => Err(NoTf::OtherModel),
+            Ok(source) => Ok(PoseSource { chain: chain(&source.chain)?, ..source.clone() }),
+            Err(why) => Err(why.clone()),
+        };
+        Some(Self {
+            chain: chain(&self.chain)?,
+            poses: poses.collect::<Option<_>>()?,
+            imus: imus.collect::<Option<_>>()?,
+            tf,
+            robot,
+            ..self.clone()
         })
     }
 

@@ -129,6 +129,21 @@ impl Run {
         (0..self.streams.len()).filter(is_candidate)
     }
 
+    /// Puts `arm` in the place of arm `index`, and its chains into the hands that are this arm's.
+    pub(crate) fn replace_arm(&mut self, index: usize, arm: Arm) {
+        for hand in self.targets.iter_mut().flat_map(|target| &mut target.hands) {
+            let HandKind::Joints { arm: of, chain, .. } = &mut hand.kind else { continue };
+            let robot = &arm.robot;
+            let link = |name: &str| robot.link(name);
+            let ends = link(chain.base_name()).zip(link(chain.tip_name()));
+            let anew = ends.and_then(|(base, tip)| robot.chain(base, tip).ok());
+            if let (true, Some(anew)) = (*of == index, anew) {
+                *chain = anew;
+            }
+        }
+        self.arms[index] = arm;
+    }
+
     /// Makes `stream`, which belongs to no arm, the tool pose that the target on `topic` is held
     /// against: their angular speeds correlate by `correlation`.
     pub fn settle_hand(&mut self, stream: usize, topic: &str, correlation: f64) {
