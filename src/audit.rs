@@ -12,6 +12,7 @@ use crate::checks::{
     ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts, RhythmFacts, Settings, ShakeFacts,
     StampFacts, UndecodableTopic, evaluate, merged,
 };
+use crate::corrections::{Given, Mending};
 use crate::diagnosis::{
     ArmDiagnosis, DhEstimate, DhTold, ImuDiagnosis, ImuStream, Left, NoShake, PoseDiagnosis,
     PoseStream, Reading, Series, Shake, Unseen, abruptness, beyond_positions, beyond_speed,
@@ -55,6 +56,10 @@ pub struct Options {
     pub verify: bool,
     /// How the rotations of single streams are coded.
     pub declarations: Vec<Declaration>,
+    /// A file of corrections, which are applied to the streams before anything is judged.
+    pub corrections: Option<PathBuf>,
+    /// The folder to write what mends the findings into.
+    pub fix: Option<PathBuf>,
     /// Which rules are asked.
     pub rules: Settings,
     /// Findings of this severity or above fail the run; `None`: none does.
@@ -78,6 +83,8 @@ impl Default for Options {
             max_latency_s: run.max_latency_s,
             verify: false,
             declarations: run.declared,
+            corrections: None,
+            fix: None,
             rules: Settings::default(),
             fail_on: Some(Severity::Warning),
             recording: None,
@@ -109,6 +116,13 @@ pub(crate) struct Read {
 }
 
 impl Read {
+    /// Says what a file of corrections changes.
+    pub fn note_corrections(&mut self, given: &Given<'_>) {
+        let path = given.file.to_owned();
+        let notes = given.notes().into_iter().map(|note| NoteRow { path: path.clone(), note });
+        self.summary.notes.extend(notes);
+    }
+
     /// Says something of the run, with its first file.
     fn note(&mut self, what: &str) {
         if let Some(file) = self.summary.files.first() {
@@ -156,7 +170,7 @@ impl Read {
 /// about a millisecond.
 const TRANSPORT_S: f64 = 1e-3;
 
-fn pose_stream<'a>(run: &Run, source: &'a PoseSource) -> PoseStream<'a> {
+pub(crate) fn pose_stream<'a>(run: &Run, source: &'a PoseSource) -> PoseStream<'a> {
     let mut clocks = run.clocks.iter().filter(|clock| clock.stream == source.stream);
     let received = clocks.any(|clock| clock.stamps != HeaderStamps::Sound);
     PoseStream {
@@ -169,7 +183,7 @@ fn pose_stream<'a>(run: &Run, source: &'a PoseSource) -> PoseStream<'a> {
     }
 }
 
-fn imu_stream(source: &ImuSource) -> ImuStream<'_> {
+pub(crate) fn imu_stream(source: &ImuSource) -> ImuStream<'_> {
     ImuStream {
         track: &source.track,
         chain: &source.chain,
@@ -199,6 +213,30 @@ struct Diagnosis {
     pub arm: ArmDiagnosis,
     pub tf: Option<PoseDiagnosis>,
     pub imus: Vec<ImuDiagnosis>,
+    pub dh: Option<DhFacts>,
+}
+
+/// Diagnoses every arm of a run. An arm whose DH table proves to be of the other convention than it
+/// says is read by that one from here on.
+fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<Diagnosis> {
+    let arms = 0..run.arms.len();
+    arms.map(|index| {
+        let found = diagnose_one(run, &run.arms[index], most_lag_s);
+        let Some(dh) = &run.arms[index].robot.dh else { return found };
+        let declared = dh.convention;
+        let (estimate, other) = by_other_convention(run, &run.arms[index], &found.arm, most_lag_s);
+        let dh = Some(DhFacts { declared, estimate });
+        match other.filter(|_| estimate.told() == DhTold::Other) {
+            Some((mut arm, other)) => {
+                let convention = declared.other().name();
+                arm.found += &format!(", its DH table read as {convention}");
+                run.replace_arm(index, arm);
+                Diagnosis { dh, ..other }
+            }
+            None => Diagnosis { dh, ..found },
+        }
+    })
+    .collect()
 }
 
 /// What the convention that an arm's DH table does not name leaves of its streams, beside what was
@@ -257,40 +295,30 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
         arm.poses.iter().map(|source| pose_stream(run, source)).collect();
     let diagnosis = diagnose_steadied(arm, &streams, most_lag_s);
     let reading = diagnosis.joints.as_ref().ok();
+    let derived = |stream: &PoseStream| {
+        let left = |found: &PoseDiagnosis| {
+            found.residual.as_ref().map_or(f64::INFINITY, |residual| residual.rms_m)
+        };
+        let found = diagnose_derived(&arm.joints, reading, stream, most_lag_s);
+        // What publishes the log's transforms knows of no correction.
+        let as_recorded = arm
+            .recorded
+            .as_ref()
+            .map(|(recorded, _)| diagnose_derived(recorded, None, stream, most_lag_s));
+        match as_recorded {
+            Some(as_recorded) if left(&as_recorded) < left(&found) => as_recorded,
+            _ => found,
+        }
+    };
     let tf = || {
         let source = arm.tf.as_ref().ok()?;
-    pub dh: Option<DhFacts>,
-}
-
-/// Diagnoses every arm of a run. An arm whose DH table proves to be of the other convention than it
-/// says is read by that one from here on.
-fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<Diagnosis> {
-    let arms = 0..run.arms.len();
-    arms.map(|index| {
-        let found = diagnose_one(run, &run.arms[index], most_lag_s);
-        let Some(dh) = &run.arms[index].robot.dh else { return found };
-        let declared = dh.convention;
-        let (estimate, other) = by_other_convention(run, &run.arms[index], &found.arm, most_lag_s);
-        let dh = Some(DhFacts { declared, estimate });
-        match other.filter(|_| estimate.told() == DhTold::Other) {
-            Some((mut arm, other)) => {
-                let convention = declared.other().name();
-                arm.found += &format!(", its DH table read as {convention}");
-                run.replace_arm(index, arm);
-                Diagnosis { dh, ..other }
-            }
-            None => Diagnosis { dh, ..found },
-        }
-    })
-    .collect()
         let stream = pose_stream(run, source);
-        let found = diagnose_derived(&arm.joints, reading, &stream, most_lag_s);
+        let found = derived(&stream);
         Some(match steadied(&stream, &found) {
             None => found,
             Some(track) => {
                 let stream = PoseStream { track: &track, ..stream };
-                let steadied = diagnose_derived(&arm.joints, reading, &stream, most_lag_s);
-                PoseDiagnosis { course: found.course, ..steadied }
+                PoseDiagnosis { course: found.course, ..derived(&stream) }
             }
         })
     };
@@ -565,11 +593,17 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
             topic: run.streams[source.stream].topic.clone(),
             span: span_of(run, source.stream).unwrap_or(whole),
             independent: !source.stamps_copied,
+            link: source.chain.tip_name().to_owned(),
+            link_from_imu: source.link_from_imu.map(|pose| pose.rotation),
         };
         (facts, diagnosis)
     });
     let samples: Vec<JointSamples> =
         arm.joint_facts.par_iter().map(|joint| run.joint_samples(joint)).collect();
+    let samples = match &arm.recorded {
+        Some((_, mending)) => mending.mended_samples(&samples),
+        None => samples,
+    };
     let joints: Vec<usize> = (0..arm.joint_names.len()).collect();
     let joints = joints.par_iter().map(|&joint| joint_facts(arm, joint, &samples[joint])).collect();
     let mut shakes = vec![ShakeFacts {
@@ -599,6 +633,7 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         span: span_of(run, joints_stream).unwrap_or(whole),
         joints,
         reach_m: arm.chain.max_reach_m(),
+        dh: diagnosis.dh,
         diagnosis: diagnosis.arm,
         poses,
         tf: tf.into_iter().map(|(source, diagnosis)| (pose_facts(source), diagnosis)).collect(),
@@ -633,7 +668,6 @@ fn joint_facts(arm: &Arm, joint: usize, samples: &JointSamples) -> JointFacts {
         let JointSamples { t_s, position, velocity } = samples;
         motion.positions = beyond_positions(t_s, position, &limits);
         (motion.speeds, motion.abruptness) = match source.velocities {
-        dh: diagnosis.dh,
             Velocities::Logged => (
                 beyond_speed(t_s, velocity, &limits),
                 abruptness(t_s, velocity, Series::Velocities),
@@ -664,8 +698,6 @@ fn euler(
         return None;
     }
     let names = |declared: &&Declaration| declared.is_of(&stream.topic);
-            link: source.chain.tip_name().to_owned(),
-            link_from_imu: source.link_from_imu.map(|pose| pose.rotation),
     let declared = declared.iter().find(names);
     let reading = found.reading.as_ref().ok().filter(|reading| reading.is_told);
     let told = reading.and_then(|reading| match reading.best {
@@ -743,14 +775,19 @@ pub(crate) struct Audits {
 impl Audits {
     /// Audits the segments of `log`, each as a run of its own. One that cannot be is left out, unless
     /// it is the longest.
-    pub fn of(log: Log, read: &Read, options: &Options) -> Result<Self, Trouble> {
+    pub fn of(
+        log: Log,
+        read: &Read,
+        options: &Options,
+        given: Option<Given<'_>>,
+    ) -> Result<Self, Trouble> {
         let segments = segments(log);
         let longest = segments.iter().map(|segment| segment.seconds).fold(0.0, f64::max);
         let mut audits = Audits { segments: Vec::new(), main: 0 };
         let mut has_main = false;
         for segment in segments {
             let is_main = !has_main && segment.seconds >= longest;
-            match Audited::of(segment, read, options) {
+            match Audited::of(segment, read, options, given) {
                 Ok(audited) => {
                     if is_main {
                         (audits.main, has_main) = (audits.segments.len(), true);
@@ -767,6 +804,18 @@ impl Audits {
     /// The longest segment.
     pub fn main(&self) -> &Audited {
         &self.segments[self.main]
+    }
+
+    /// Writes what mends the findings of `report`, which is on these, into `folder`.
+    pub fn write_fixes(&self, report: &Report, folder: &Path) -> Result<(), Trouble> {
+        let Audited { run, facts, .. } = self.main();
+        let mending = Mending::of(report, run, facts, self.main);
+        mending.write(folder).map_err(|(place, error)| Trouble {
+            kind: TroubleKind::Call,
+            what: format!("cannot be written: {error}"),
+            place,
+            remedy: "name a folder that can be written to with --fix".to_owned(),
+        })
     }
 
     /// The report on all of them.
@@ -818,9 +867,17 @@ impl Audits {
 }
 
 impl Audited {
-    fn of(segment: Segment, read: &Read, options: &Options) -> Result<Self, Trouble> {
+    fn of(
+        segment: Segment,
+        read: &Read,
+        options: &Options,
+        given: Option<Given<'_>>,
+    ) -> Result<Self, Trouble> {
         let Segment { log, seconds } = segment;
         let mut run = Run::assemble(log, &options.run()).map_err(|error| Trouble::from(&error))?;
+        if let Some(given) = given {
+            given.apply(&mut run, options.max_latency_s)?;
+        }
         settle_candidates(&mut run, options.max_latency_s);
         settle_hands(&mut run, options.max_latency_s);
         let diagnoses = diagnose(&mut run, options.max_latency_s);
@@ -939,7 +996,7 @@ fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmFacts) -> PolarsResult<
         name: &arm.name,
         chain: &arm.chain,
         columns: &arm.columns,
-        recorded: &arm.joints,
+        recorded: arm.recorded.as_ref().map_or(&arm.joints, |(recorded, _)| recorded),
         corrected: facts.diagnosis.corrected_joints(&arm.joints, &prismatic(arm)),
         streams: poses.chain(tf).collect::<PolarsResult<_>>()?,
         imus: imus

@@ -22,6 +22,7 @@ mod demo;
 mod hand_eye;
 
 pub mod checks;
+pub mod corrections;
 pub mod diagnosis;
 pub mod finding;
 pub mod geometry;
@@ -40,6 +41,7 @@ pub use demo::{Demo, Planted, demo};
 
 use std::path::PathBuf;
 
+use corrections::{Corrections, Given};
 use log::ReadOptions;
 use report::{Report, Trouble};
 use run::{Run, RunOptions};
@@ -51,13 +53,23 @@ use run::{Run, RunOptions};
 /// on, with the trouble in [`Report::error`].
 pub fn audit(options: &Options) -> Result<Report, Trouble> {
     let how = ReadOptions { verify: options.verify, progress: options.progress.as_deref() };
-    let log = log::open(&options.logs, &how)?;
-    let read = audit::Read::of(&log);
-    let audits = audit::Audits::of(log, &read, options)?;
+    let corrections = options.corrections.as_deref().map(Corrections::from_file).transpose()?;
+    let given = corrections.as_ref().zip(options.corrections.as_deref());
+    let given = given.map(|(corrections, file)| Given { corrections, file });
+    let mut log = log::open(&options.logs, &how)?;
+    let mut read = audit::Read::of(&log);
+    if let Some(given) = &given {
+        given.shift(&mut log)?;
+        read.note_corrections(given);
+    }
+    let audits = audit::Audits::of(log, &read, options, given)?;
     let report = audits.report(read, options);
     if let Some(path) = &options.recording {
         let main = audits.main();
         audit::record(path, &main.run, &main.facts, &report)?;
+    }
+    if let Some(folder) = &options.fix {
+        audits.write_fixes(&report, folder)?;
     }
     // To give back the columns of a long log takes as long as to write the report on it.
     rayon::spawn(|| drop(audits));

@@ -51,6 +51,14 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     rrd: Option<PathBuf>,
 
+    /// Write what mends the findings into this folder: offsets, latencies, code, frames, a patched model
+    #[arg(long, value_name = "DIR")]
+    fix: Option<PathBuf>,
+
+    /// Apply the corrections.toml that --fix wrote to the streams, then audit
+    #[arg(long, value_name = "FILE")]
+    corrections: Option<PathBuf>,
+
     /// Ask only these rules: codes, or the letters a family begins with
     #[arg(long, value_name = "CODES", value_delimiter = ',')]
     select: Vec<Selector>,
@@ -161,6 +169,8 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
         max_latency_s: args.max_latency,
         verify: args.verify,
         declarations: args.declare,
+        corrections: args.corrections,
+        fix: args.fix,
         rules: Settings { select: args.select, ignore: args.ignore },
         fail_on: args.fail_on.into(),
         recording: args.rrd,

@@ -22,6 +22,7 @@ mod nominal;
 mod observability;
 mod placing;
 mod reading;
+mod reread;
 mod residual;
 mod rival;
 mod shake;
@@ -34,8 +35,8 @@ use crate::stream::{ImuTrack, PoseTrack};
 
 pub use arm::{diagnose_arm, diagnose_derived, follows};
 pub use course::{LatencyCourse, LatencyJump};
-pub use handeye::{
 pub use dh::{DhEstimate, DhTold, Left};
+pub use handeye::{
     CameraPose, Closure, Diversity, HandEyeDiagnosis, HandEyeStreams, Mount, PoseSeries, Solution,
     TargetReading, diagnose_hand_eye, turning_peaks,
 };
@@ -44,6 +45,7 @@ pub use latency::Peak;
 pub use measured::{Length, Measured};
 pub use motion::{Abruptness, Excess, Series, abruptness, beyond_positions, beyond_speed};
 pub use observability::{BlindDirection, Observability, Parameter};
+pub use reread::{reread_imu, reread_poses};
 pub use rival::position_misfit_m;
 pub use shake::{NoShake, Shake, shake};
 

@@ -6,7 +6,7 @@ use crate::stream::{ImuTrack, JointTrack, PoseTrack};
 use crate::time::Stamp;
 
 use super::error::RunError;
-use super::joints::{JointFacts, JointTopic, merge};
+use super::joints::{JointFacts, JointSamples, JointTopic, merge};
 use super::models::{FrameNames, Model};
 use super::role::Place;
 use super::skeleton::{self, ArmPath};
@@ -33,6 +33,8 @@ pub struct Arm {
     pub joints: JointTrack,
     /// How each column came about.
     pub joint_facts: Vec<JointFacts>,
+    /// The joint states as recorded, and what became of them, where the caller corrected them.
+    pub recorded: Option<(JointTrack, JointMending)>,
     /// Streams of measured tool poses, and candidates.
     pub poses: Vec<PoseSource>,
     /// The chain from base to tip by the log's transforms, or why there is none.
@@ -87,6 +89,55 @@ pub struct ImuSource {
     pub stamps_copied: bool,
     /// Standard error that aligning a foreign clock left in the stamps, s; 0 on a shared clock.
     pub stamp_error_s: f64,
+}
+
+/// How the joint states of an arm must be corrected, column for column.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JointMending {
+    /// The column that holds this joint's positions.
+    pub from: Vec<usize>,
+    /// What positions and velocities are multiplied by.
+    pub factor: Vec<f64>,
+    /// What is then added to positions, rad or m.
+    pub offset: Vec<f64>,
+}
+
+impl JointMending {
+    /// Nothing is wrong with any of so many joints.
+    pub fn none(joints: usize) -> Self {
+        let from = (0..joints).collect();
+        Self { from, factor: vec![1.0; joints], offset: vec![0.0; joints] }
+    }
+
+    /// Whether nothing is wrong.
+    pub fn is_nothing(&self) -> bool {
+        *self == Self::none(self.from.len())
+    }
+
+    /// The joint states corrected.
+    pub fn mended(&self, track: &JointTrack) -> JointTrack {
+        let mut mended = track.clone();
+        for start in (0..track.q.len()).step_by(track.dof.max(1)) {
+            for (joint, &from) in self.from.iter().enumerate() {
+                let factor = self.factor[joint];
+                mended.q[start + joint] = factor * track.q[start + from] + self.offset[joint];
+                mended.qd[start + joint] = factor * track.qd[start + from];
+            }
+        }
+        mended
+    }
+
+    /// All samples of each joint, corrected.
+    pub fn mended_samples(&self, samples: &[JointSamples]) -> Vec<JointSamples> {
+        let mended = self.from.iter().enumerate().map(|(joint, &from)| {
+            let mut samples = samples[from].clone();
+            let (factor, offset) = (self.factor[joint], self.offset[joint]);
+            samples.position.iter_mut().for_each(|q| *q = factor * *q + offset);
+            samples.velocity.iter_mut().for_each(|qd| *qd *= factor);
+            samples
+        });
+        mended.collect()
+    }
 }
 
 /// Why the log's transforms do not lead from base to tip.
@@ -190,6 +241,7 @@ impl Arm {
             joint_names,
             joints: merged.track,
             joint_facts: merged.facts,
+            recorded: None,
             poses: Vec::new(),
             tf: Err(NoTf::NoTransforms),
             from_model: Vec::new(),
@@ -230,6 +282,13 @@ impl Arm {
             robot,
             ..self.clone()
         })
+    }
+
+    /// Corrects the joint states, and keeps them as recorded beside.
+    pub(crate) fn mend_joints(&mut self, mending: JointMending) {
+        let mended = mending.mended(&self.joints);
+        let recorded = std::mem::replace(&mut self.joints, mended);
+        self.recorded = Some((recorded, mending));
     }
 
     /// Whether this arm is the one along `path`, and not only part of the same robot.

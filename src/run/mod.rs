@@ -32,7 +32,7 @@ mod witness;
 
 use crate::time::{Clock, Stamp};
 
-pub use arm::{Arm, ImuSource, NoTf, PoseSource};
+pub use arm::{Arm, ImuSource, JointMending, NoTf, PoseSource};
 pub use cadence::{Cadence, Extent, Hole, Rhythm, Stretch};
 pub use clock::{Alignment, Epoch, HeaderStamps, StreamClock};
 pub use declaration::{CalibrationSource, Coding, Declaration, DeclarationError, RobotSource};

@@ -63,6 +63,17 @@ impl Times {
         Some(order)
     }
 
+    /// Moves every time back by what `lateness`, ns, says of the nanoseconds since the first on its
+    /// clock; a header that was not set stays so.
+    pub fn shift_back(&mut self, lateness: impl Fn(i64) -> i64) {
+        for column in [&mut self.header, &mut self.log, &mut self.publish] {
+            let first = column.iter().copied().filter(|nanos| *nanos != 0).min().unwrap_or(0);
+            for nanos in column.iter_mut().filter(|nanos| **nanos != 0) {
+                *nanos = nanos.saturating_sub(lateness(nanos.saturating_sub(first)));
+            }
+        }
+    }
+
     fn permute(&mut self, order: &[usize]) {
         permute(&mut self.header, order);
         permute(&mut self.log, order);

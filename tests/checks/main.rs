@@ -7,6 +7,7 @@
 
 mod case;
 mod combined;
+mod fix;
 mod frm;
 mod hec;
 mod ing;
