@@ -14,9 +14,10 @@ use crate::checks::{
 };
 use crate::corrections::{Given, Mending};
 use crate::diagnosis::{
-    ArmDiagnosis, DhEstimate, DhTold, ImuDiagnosis, ImuStream, Left, NoShake, PoseDiagnosis,
-    PoseStream, Reading, Series, Shake, Unseen, abruptness, beyond_positions, beyond_speed,
-    diagnose_arm, diagnose_derived, diagnose_imu, follows, position_misfit_m, shake,
+    ArmDiagnosis, DhEstimate, DhStream, DhTold, ImuDiagnosis, ImuStream, Left, NoShake,
+    PoseDiagnosis, PoseStream, Reading, Series, Shake, Unseen, abruptness, beyond_positions,
+    beyond_speed, diagnose_arm, diagnose_derived, diagnose_imu, faults, follows, position_misfit_m,
+    shake,
 };
 use crate::finding::{Severity, Span, Subject};
 use crate::geometry::Pose;
@@ -58,7 +59,8 @@ pub struct Options {
     pub declarations: Vec<Declaration>,
     /// A file of corrections, which are applied to the streams before anything is judged.
     pub corrections: Option<PathBuf>,
-    /// The folder to write what mends the findings into.
+    /// The folder to write what mends the findings into. Where `corrections` are applied that is what
+    /// they leave, to be mended after them.
     pub fix: Option<PathBuf>,
     /// Which rules are asked.
     pub rules: Settings,
@@ -225,8 +227,9 @@ fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<Diagnosis> {
         let Some(dh) = &run.arms[index].robot.dh else { return found };
         let declared = dh.convention;
         let (estimate, other) = by_other_convention(run, &run.arms[index], &found.arm, most_lag_s);
+        let is_other = estimate.told() == DhTold::Other;
         let dh = Some(DhFacts { declared, estimate });
-        match other.filter(|_| estimate.told() == DhTold::Other) {
+        match other.filter(|_| is_other) {
             Some((mut arm, other)) => {
                 let convention = declared.other().name();
                 arm.found += &format!(", its DH table read as {convention}");
@@ -253,30 +256,47 @@ fn by_other_convention(
     /// … or to this share of what they do on another.
     const NEARER: f64 = 0.5;
     let declared = Left::of(found);
-    let alone = DhEstimate { declared, other: None };
-    if declared.is_explained() && declared.faults == 0 {
-        return (alone, None);
+    let mut estimate = DhEstimate {
+        streams: declared
+            .iter()
+            .map(|&declared| DhStream { declared, declared_positions_m: None, other: None })
+            .collect(),
+        declared_faults: faults(found),
+        other_faults: 0,
+    };
+    if estimate.declared_faults == 0 && declared.iter().any(Left::is_explained) {
+        return (estimate, None);
+    }
+    let misfits_m = |arm: &Arm| -> Vec<Option<f64>> {
+        let streams = arm.poses.iter().zip(&found.streams).map(|(source, found)| {
+            let stream = pose_stream(run, source);
+            let lag_s = follows(&arm.joints, &stream, most_lag_s).map_or(0.0, |peak| peak.lag_s);
+            position_misfit_m(&arm.joints, &stream, position_factor(source, found), lag_s)
+        });
+        streams.collect()
+    };
+    let declared_m = misfits_m(arm);
+    for (stream, declared_m) in estimate.streams.iter_mut().zip(&declared_m) {
+        stream.declared_positions_m = *declared_m;
     }
     let Some(other) = arm.robot.under_other_convention().and_then(|robot| arm.with_robot(robot))
     else {
-        return (alone, None);
+        return (estimate, None);
     };
-    let streams = arm.poses.iter().zip(&other.poses).zip(&found.streams);
-    let is_ruled_out = |((source, other), found): ((&PoseSource, &PoseSource), &PoseDiagnosis)| {
-        let scale = position_factor(source, found);
-        let latency_s = found.latency_s.as_ref().map_or(0.0, |latency| latency.value);
-        let misfit_m =
-            |source| position_misfit_m(&arm.joints, &pose_stream(run, source), scale, latency_s);
-        let (Some(declared_m), Some(other_m)) = (misfit_m(source), misfit_m(other)) else {
-            return false;
-        };
-        other_m > NEAR_M && other_m > NEARER * declared_m
-    };
-    if arm.poses.is_empty() || streams.into_iter().any(is_ruled_out) {
-        return (alone, None);
+    let ruled_out = declared_m.iter().zip(misfits_m(&other)).map(|(declared_m, other_m)| {
+        let both = declared_m.zip(other_m);
+        both.is_some_and(|(declared_m, other_m)| other_m > NEAR_M && other_m > NEARER * declared_m)
+    });
+    let ruled_out: Vec<bool> = ruled_out.collect();
+    let contradicts = |(left, ruled_out): (&Left, &bool)| left.is_explained() && *ruled_out;
+    if declared.iter().zip(&ruled_out).any(contradicts) || ruled_out.iter().all(|is| *is) {
+        return (estimate, None);
     }
     let diagnosis = diagnose_one(run, &other, most_lag_s);
-    let estimate = DhEstimate { other: Some(Left::of(&diagnosis.arm)), ..alone };
+    for (stream, left) in estimate.streams.iter_mut().zip(Left::of(&diagnosis.arm)) {
+        stream.other = Some(left);
+    }
+    estimate.other_faults = faults(&diagnosis.arm);
     (estimate, Some((other, diagnosis)))
 }
 

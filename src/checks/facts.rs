@@ -165,7 +165,7 @@ impl ArmFacts {
 }
 
 /// The DH table of a robot.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct DhFacts {
     /// The convention that it says it is in.
     pub declared: DhConvention,

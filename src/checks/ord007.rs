@@ -1,5 +1,7 @@
+use serde_json::json;
+
 use crate::checks::{ArmFacts, DhFacts, Facts, Grade, Judged};
-use crate::diagnosis::{DhEstimate, DhTold, Left};
+use crate::diagnosis::{DhEstimate, DhStream, DhTold};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
@@ -16,11 +18,13 @@ rule! {
     /// audit therefore goes on with the convention that fits.
     ///
     /// ## Evidence
-    /// `declared_m` and `declared_rad` are what the streams leave beyond their noise under the
-    /// convention that the table says, with all that explains them taken off (null where they cannot be
-    /// read at all); `other_m` and `other_rad` the same under the other one, `declared_faults` and
-    /// `other_faults` how many faults that takes. The rule fires only where the other one leaves no more
-    /// than a drawing leaves of a calibrated arm, and a tenth of what the declared one does at most.
+    /// `streams` has for each stream what it leaves beyond its noise under the convention that the table
+    /// says (`declared_m`, `declared_rad`) and under the other one (`other_m`, `other_rad`), with all
+    /// that explains it taken off; null where it cannot be read so. `declared_positions_m` is how far its
+    /// positions are from the arm as declared. `declared_faults` and `other_faults` count what that
+    /// takes. The rule fires only where the other convention leaves of a stream no more than a drawing
+    /// leaves of a calibrated arm, and a tenth of what the declared one does at most, and no stream
+    /// says otherwise.
     ///
     /// ## How to fix
     /// Correct `convention` in the table's `[dh]`; `audit --fix DIR` writes it so.
@@ -47,63 +51,71 @@ fn check(facts: &Facts) -> Vec<Judged> {
 
 fn judge(arm: &ArmFacts, facts: &DhFacts) -> Judged {
     let DhFacts { declared: convention, estimate } = facts;
-    let DhEstimate { declared, other } = estimate;
     let (is, read_as) = (convention.other().name(), convention.name());
-    let outcome = match (estimate.told(), other) {
+    let told = estimate.told();
+    let outcome = match told {
         _ if arm.poses.is_empty() => {
             Outcome::Skipped("no pose stream to hold the DH table against".to_owned())
         }
-        (DhTold::AsDeclared, _) => Outcome::sound(),
-        (DhTold::Other, Some(other)) => Outcome::faulty(fault([is, read_as], declared, other)),
-        (DhTold::Either, Some(other)) => Outcome::Inconclusive(format!(
-            "the rows explain the streams as {read_as}, which leaves {}, and as {is}, which leaves {}; \
-             see where the table comes from",
-            left(declared),
-            left(other)
+        DhTold::AsDeclared => Outcome::sound(),
+        DhTold::Other => Outcome::faulty(fault([is, read_as], estimate)),
+        DhTold::Either => Outcome::Inconclusive(format!(
+            "the rows explain the streams as {read_as}, with {}, and as {is}, with {}; see where the \
+             table comes from",
+            faults(estimate.declared_faults),
+            faults(estimate.other_faults),
         )),
-        _ => Outcome::Inconclusive(format!(
+        DhTold::Neither => Outcome::Inconclusive(format!(
             "the rows explain the streams under neither convention; {SETTLE}"
         )),
     };
-    let is_found = other.is_some() && estimate.told() == DhTold::Other;
-    let slip = is_found.then_some(Estimate::Slip { name: "DH convention", is, read_as });
+    let slip =
+        (told == DhTold::Other).then_some(Estimate::Slip { name: "DH convention", is, read_as });
     let finite = |value: f64| Some(value).filter(|value| value.is_finite());
+    let streams = arm.poses.iter().zip(&estimate.streams).map(|(facts, stream)| {
+        json!({
+            "topic": facts.topic,
+            "declared_m": finite(stream.declared.m),
+            "declared_rad": finite(stream.declared.rad),
+            "declared_positions_m": stream.declared_positions_m,
+            "other_m": stream.other.and_then(|other| finite(other.m)),
+            "other_rad": stream.other.and_then(|other| finite(other.rad)),
+        })
+    });
     let judged = Judged::new(arm.subject(), outcome)
         .within(arm.span)
         .estimated(slip)
-        .with_evidence("declared_m", finite(declared.m))
-        .with_evidence("declared_rad", finite(declared.rad))
-        .with_evidence("declared_faults", declared.faults);
-    match other {
-        Some(other) => judged
-            .with_evidence("other_m", finite(other.m))
-            .with_evidence("other_rad", finite(other.rad))
-            .with_evidence("other_faults", other.faults),
-        None => judged,
+        .with_evidence("streams", streams.collect::<Vec<_>>())
+        .with_evidence("declared_faults", estimate.declared_faults);
+    match estimate.streams.iter().any(|stream| stream.other.is_some()) {
+        true => judged.with_evidence("other_faults", estimate.other_faults),
+        false => judged,
     }
 }
 
-/// What is left and what it takes, in words.
-fn left(left: &Left) -> String {
-    let faults = match left.faults {
+fn faults(count: usize) -> String {
+    match count {
         0 => "no fault".to_owned(),
         1 => "1 fault".to_owned(),
         many => format!("{many} faults"),
-    };
-    format!("{} with {faults}", Unit::Metre.show(left.m))
+    }
 }
 
-fn fault([is, read_as]: [&'static str; 2], declared: &Left, other: &Left) -> Fault {
-    let after = Unit::Metre.show(other.m);
-    let message = match declared.m.is_finite() {
-        true => format!(
+fn fault([is, read_as]: [&'static str; 2], estimate: &DhEstimate) -> Fault {
+    let speaking = || estimate.streams.iter().filter(|stream| stream.speaks_for_other());
+    let off = |stream: &DhStream| match stream.declared.m.is_finite() {
+        true => Some(stream.declared.m),
+        false => stream.declared_positions_m,
+    };
+    let off_m = speaking().filter_map(off).reduce(f64::max);
+    let after_m = speaking().filter_map(|stream| Some(stream.other?.m)).fold(0.0, f64::max);
+    let after = Unit::Metre.show(after_m);
+    let message = match off_m {
+        Some(off_m) => format!(
             "the rows are of the {is} convention, not {read_as}: {} off as declared",
-            Unit::Metre.show(declared.m)
+            Unit::Metre.show(off_m)
         ),
-        false => format!(
-            "the rows are of the {is} convention, not {read_as}: they leave {after}, and as declared \
-             nothing follows the arm"
-        ),
+        None => format!("the rows are of the {is} convention, not {read_as}: that leaves {after}"),
     };
     Fault {
         severity: Severity::Error,
@@ -111,7 +123,7 @@ fn fault([is, read_as]: [&'static str; 2], declared: &Left, other: &Left) -> Fau
         message,
         evidence: Evidence {
             effect: Some(format!("{after} once read as {is}; the audit goes on with that")),
-            effect_m: Some(declared.m).filter(|left_m| left_m.is_finite()),
+            effect_m: off_m,
             ..Evidence::default()
         },
         fix: format!("set convention = \"{is}\" in the table's [dh]"),
@@ -122,14 +134,19 @@ fn fault([is, read_as]: [&'static str; 2], declared: &Left, other: &Left) -> Fau
 mod tests {
     use super::*;
     use crate::checks::testing::{ask, clean_run};
+    use crate::diagnosis::Left;
     use crate::finding::Status;
 
     fn judged(declared_m: f64, other_m: Option<f64>) -> (Status, String) {
         let mut facts = clean_run();
-        let left = |m: f64| Left { m, rad: 0.0, faults: 2 };
-        let other = other_m.map(|m| Left { faults: 0, ..left(m) });
+        let left = |m: f64| Left { m, rad: 0.0 };
         let dh = facts.robots[0].dh.as_mut().unwrap();
-        dh.estimate = DhEstimate { declared: left(declared_m), other };
+        dh.estimate.streams[0] = DhStream {
+            declared: left(declared_m),
+            declared_positions_m: Some(0.25),
+            other: other_m.map(left),
+        };
+        dh.estimate.declared_faults = 2;
         let (rows, findings) = ask(&ORD007, &facts);
         let said = findings.first().map(|finding| finding.message.clone());
         (rows[0].status, said.or(rows[0].reason.clone()).unwrap_or_default())
@@ -142,7 +159,7 @@ mod tests {
         assert!(said.contains("modified convention, not standard: 300 mm off"), "{said}");
         let (status, said) = judged(f64::INFINITY, Some(1e-3));
         assert_eq!(status, Status::Fail);
-        assert!(said.contains("1 mm") && said.contains("nothing follows"), "{said}");
+        assert!(said.contains("250 mm off as declared"), "{said}");
         assert_eq!(judged(1e-5, None).0, Status::Pass);
         let (status, said) = judged(1e-5, Some(1e-5));
         assert_eq!(status, Status::Inconclusive);

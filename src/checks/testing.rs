@@ -5,7 +5,7 @@ use crate::checks::{
     ShakeFacts, evaluate,
 };
 use crate::diagnosis::{
-    Abruptness, Aligned, ArmDiagnosis, DhEstimate, FrameEstimate, GyroBias, ImuDiagnosis,
+    Abruptness, Aligned, ArmDiagnosis, DhEstimate, DhStream, FrameEstimate, GyroBias, ImuDiagnosis,
     JointOffset, JointReading, LatencyCourse, Left, Length, Measured, PoseDiagnosis, Reading,
     ReadingEstimate, Residual, Shake, YawCourse,
 };
@@ -85,7 +85,15 @@ pub fn clean_run() -> Facts {
         reach_m: 0.85,
         dh: Some(DhFacts {
             declared: DhConvention::Standard,
-            estimate: DhEstimate { declared: Left { m: 0.0, rad: 0.0, faults: 0 }, other: None },
+            estimate: DhEstimate {
+                streams: vec![DhStream {
+                    declared: Left { m: 0.0, rad: 0.0 },
+                    declared_positions_m: None,
+                    other: None,
+                }],
+                declared_faults: 0,
+                other_faults: 0,
+            },
         }),
         diagnosis: ArmDiagnosis {
             joints: Ok(JointReading { degrees: None, permutation: None, runner_up_m: None }),

@@ -56,7 +56,7 @@ pub struct Args {
     fix: Option<PathBuf>,
 
     /// Apply the corrections.toml that --fix wrote to the streams, then audit
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", conflicts_with = "fix")]
     corrections: Option<PathBuf>,
 
     /// Ask only these rules: codes, or the letters a family begins with

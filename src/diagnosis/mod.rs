@@ -35,7 +35,7 @@ use crate::stream::{ImuTrack, PoseTrack};
 
 pub use arm::{diagnose_arm, diagnose_derived, follows};
 pub use course::{LatencyCourse, LatencyJump};
-pub use dh::{DhEstimate, DhTold, Left};
+pub use dh::{DhEstimate, DhStream, DhTold, Left, faults};
 pub use handeye::{
     CameraPose, Closure, Diversity, HandEyeDiagnosis, HandEyeStreams, Mount, PoseSeries, Solution,
     TargetReading, diagnose_hand_eye, turning_peaks,

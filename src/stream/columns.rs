@@ -330,6 +330,18 @@ mod tests {
     }
 
     #[test]
+    fn every_clock_is_moved_by_its_own_time_since_the_first() {
+        let mut times = Times::default();
+        for (header, log) in [(0, 50), (1_000, 60), (3_000, 80)] {
+            times.push(header, log, log + 1);
+        }
+        times.shift_back(|since_first| 10 + since_first / 100);
+        assert_eq!(times.header, [0, 990, 2_970]);
+        assert_eq!(times.log, [40, 50, 70]);
+        assert_eq!(times.on(Clock::Publish), [41, 51, 71]);
+    }
+
+    #[test]
     fn sorting_moves_whole_rows() {
         let mut poses = PoseColumns::default();
         for (stamp, x) in [(30, 3.0), (10, 1.0), (20, 2.0)] {
