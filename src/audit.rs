@@ -8,14 +8,16 @@ use polars::prelude::PolarsResult;
 use rayon::prelude::*;
 
 use crate::checks::{
-    ArmFacts, Declared, Due, EulerFacts, EvaluatedPart, Evaluation, Facts, FrameFacts, ImuFacts,
-    JointFacts, JointMotion, NormFacts, PoseFacts, RhythmFacts, Settings, ShakeFacts, StampFacts,
-    UndecodableTopic, evaluate, merged,
+    ArmFacts, Declared, DhFacts, Due, EulerFacts, EvaluatedPart, Evaluation, Facts, FrameFacts,
+    ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts, RhythmFacts, Settings, ShakeFacts,
+    StampFacts, UndecodableTopic, evaluate, merged,
 };
+use crate::corrections::{Given, Mending};
 use crate::diagnosis::{
-    ArmDiagnosis, ImuDiagnosis, ImuStream, NoShake, PoseDiagnosis, PoseStream, Reading, Series,
-    Shake, Unseen, abruptness, beyond_positions, beyond_speed, diagnose_arm, diagnose_derived,
-    diagnose_imu, follows, position_misfit_m, shake,
+    ArmDiagnosis, DhEstimate, DhStream, DhTold, ImuDiagnosis, ImuStream, Left, NoShake,
+    PoseDiagnosis, PoseStream, Reading, Series, Shake, Unseen, abruptness, beyond_positions,
+    beyond_speed, diagnose_arm, diagnose_derived, diagnose_imu, faults, follows, position_misfit_m,
+    shake,
 };
 use crate::finding::{Severity, Span, Subject};
 use crate::geometry::Pose;
@@ -60,6 +62,11 @@ pub struct Options {
     pub verify: bool,
     /// How the rotations of single streams are coded.
     pub declarations: Vec<Declaration>,
+    /// A file of corrections, which are applied to the streams before anything is judged.
+    pub corrections: Option<PathBuf>,
+    /// The folder to write what mends the findings into. Where `corrections` are applied that is what
+    /// they leave, to be mended after them.
+    pub fix: Option<PathBuf>,
     /// Which rules are asked.
     pub rules: Settings,
     /// Findings of this severity or above fail the run; `None`: none does.
@@ -85,6 +92,8 @@ impl Default for Options {
             max_latency_s: run.max_latency_s,
             verify: false,
             declarations: run.declared,
+            corrections: None,
+            fix: None,
             rules: Settings::default(),
             fail_on: Some(Severity::Warning),
             recording: None,
@@ -117,6 +126,13 @@ pub(crate) struct Read {
 }
 
 impl Read {
+    /// Says what a file of corrections changes.
+    pub fn note_corrections(&mut self, given: &Given<'_>) {
+        let path = given.file.to_owned();
+        let notes = given.notes().into_iter().map(|note| NoteRow { path: path.clone(), note });
+        self.summary.notes.extend(notes);
+    }
+
     /// Says something of the run, with its first file.
     fn note(&mut self, what: &str) {
         if let Some(file) = self.summary.files.first() {
@@ -164,7 +180,7 @@ impl Read {
 /// about a millisecond.
 const TRANSPORT_S: f64 = 1e-3;
 
-fn pose_stream<'a>(run: &Run, source: &'a PoseSource) -> PoseStream<'a> {
+pub(crate) fn pose_stream<'a>(run: &Run, source: &'a PoseSource) -> PoseStream<'a> {
     let mut clocks = run.clocks.iter().filter(|clock| clock.stream == source.stream);
     let received = clocks.any(|clock| clock.stamps != HeaderStamps::Sound);
     PoseStream {
@@ -177,7 +193,7 @@ fn pose_stream<'a>(run: &Run, source: &'a PoseSource) -> PoseStream<'a> {
     }
 }
 
-fn imu_stream(source: &ImuSource) -> ImuStream<'_> {
+pub(crate) fn imu_stream(source: &ImuSource) -> ImuStream<'_> {
     ImuStream {
         track: &source.track,
         chain: &source.chain,
@@ -207,11 +223,99 @@ struct Diagnosis {
     pub arm: ArmDiagnosis,
     pub tf: Option<PoseDiagnosis>,
     pub imus: Vec<ImuDiagnosis>,
+    pub dh: Option<DhFacts>,
 }
 
-/// Diagnoses every arm of a run.
-fn diagnose(run: &Run, most_lag_s: f64) -> Vec<Diagnosis> {
-    run.arms.iter().map(|arm| diagnose_one(run, arm, most_lag_s)).collect()
+/// Diagnoses every arm of a run. An arm whose DH table proves to be of the other convention than it
+/// says is read by that one from here on.
+fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<Diagnosis> {
+    let arms = 0..run.arms.len();
+    arms.map(|index| {
+        let found = diagnose_one(run, &run.arms[index], most_lag_s);
+        let Some(dh) = &run.arms[index].robot.dh else { return found };
+        let declared = dh.convention;
+        let (estimate, other) = by_other_convention(run, &run.arms[index], &found.arm, most_lag_s);
+        let is_other = estimate.told() == DhTold::Other;
+        let dh = Some(DhFacts { declared, estimate });
+        match other.filter(|_| is_other) {
+            Some((mut arm, other)) => {
+                let convention = declared.other().name();
+                arm.found += &format!(", its DH table read as {convention}");
+                run.replace_arm(index, arm);
+                Diagnosis { dh, ..other }
+            }
+            None => Diagnosis { dh, ..found },
+        }
+    })
+    .collect()
+}
+
+/// What the convention that an arm's DH table does not name leaves of its streams, beside what was
+/// `found` under the one that it names. Nothing is looked for where that explains them without a
+/// fault, or where the positions alone rule the other out.
+fn by_other_convention(
+    run: &Run,
+    arm: &Arm,
+    found: &ArmDiagnosis,
+    most_lag_s: f64,
+) -> (DhEstimate, Option<(Arm, Diagnosis)>) {
+    /// Positions lie on an arm to this much with any faults, m, …
+    const NEAR_M: f64 = 0.02;
+    /// … or to this share of what they do on another.
+    const NEARER: f64 = 0.5;
+    let declared = Left::of(found);
+    let mut estimate = DhEstimate {
+        streams: declared
+            .iter()
+            .map(|&declared| DhStream { declared, declared_positions_m: None, other: None })
+            .collect(),
+        declared_faults: faults(found),
+        other_faults: 0,
+    };
+    if estimate.declared_faults == 0 && declared.iter().any(Left::is_explained) {
+        return (estimate, None);
+    }
+    let misfits_m = |arm: &Arm| -> Vec<Option<f64>> {
+        let streams = arm.poses.iter().zip(&found.streams).map(|(source, found)| {
+            let stream = pose_stream(run, source);
+            let lag_s = follows(&arm.joints, &stream, most_lag_s).map_or(0.0, |peak| peak.lag_s);
+            position_misfit_m(&arm.joints, &stream, position_factor(source, found), lag_s)
+        });
+        streams.collect()
+    };
+    let declared_m = misfits_m(arm);
+    for (stream, declared_m) in estimate.streams.iter_mut().zip(&declared_m) {
+        stream.declared_positions_m = *declared_m;
+    }
+    let Some(other) = arm.robot.under_other_convention().and_then(|robot| arm.with_robot(robot))
+    else {
+        return (estimate, None);
+    };
+    let ruled_out = declared_m.iter().zip(misfits_m(&other)).map(|(declared_m, other_m)| {
+        let both = declared_m.zip(other_m);
+        both.is_some_and(|(declared_m, other_m)| other_m > NEAR_M && other_m > NEARER * declared_m)
+    });
+    let ruled_out: Vec<bool> = ruled_out.collect();
+    let contradicts = |(left, ruled_out): (&Left, &bool)| left.is_explained() && *ruled_out;
+    if declared.iter().zip(&ruled_out).any(contradicts) || ruled_out.iter().all(|is| *is) {
+        return (estimate, None);
+    }
+    let diagnosis = diagnose_one(run, &other, most_lag_s);
+    for (stream, left) in estimate.streams.iter_mut().zip(Left::of(&diagnosis.arm)) {
+        stream.other = Some(left);
+    }
+    estimate.other_faults = faults(&diagnosis.arm);
+    (estimate, Some((other, diagnosis)))
+}
+
+/// What takes the positions of a stream to m.
+fn position_factor(source: &PoseSource, found: &PoseDiagnosis) -> f64 {
+    let declared_mm = source.track.declared.as_ref().is_some_and(|units| units.millimetres);
+    match found.millimetres {
+        Ok(Some(_)) if declared_mm => 1e3,
+        Ok(Some(_)) => 1e-3,
+        _ => 1.0,
+    }
 }
 
 fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
@@ -219,16 +323,30 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
         arm.poses.iter().map(|source| pose_stream(run, source)).collect();
     let diagnosis = diagnose_steadied(arm, &streams, most_lag_s);
     let reading = diagnosis.joints.as_ref().ok();
+    let derived = |stream: &PoseStream| {
+        let left = |found: &PoseDiagnosis| {
+            found.residual.as_ref().map_or(f64::INFINITY, |residual| residual.rms_m)
+        };
+        let found = diagnose_derived(&arm.joints, reading, stream, most_lag_s);
+        // What publishes the log's transforms knows of no correction.
+        let as_recorded = arm
+            .recorded
+            .as_ref()
+            .map(|(recorded, _)| diagnose_derived(recorded, None, stream, most_lag_s));
+        match as_recorded {
+            Some(as_recorded) if left(&as_recorded) < left(&found) => as_recorded,
+            _ => found,
+        }
+    };
     let tf = || {
         let source = arm.tf.as_ref().ok()?;
         let stream = pose_stream(run, source);
-        let found = diagnose_derived(&arm.joints, reading, &stream, most_lag_s);
+        let found = derived(&stream);
         Some(match steadied(&stream, &found) {
             None => found,
             Some(track) => {
                 let stream = PoseStream { track: &track, ..stream };
-                let steadied = diagnose_derived(&arm.joints, reading, &stream, most_lag_s);
-                PoseDiagnosis { course: found.course, ..steadied }
+                PoseDiagnosis { course: found.course, ..derived(&stream) }
             }
         })
     };
@@ -241,7 +359,7 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
         _ => diagnose_imu_steadied(&corrected, source, most_lag_s),
     };
     let (tf, imus) = rayon::join(tf, || arm.imus.iter().map(imu).collect());
-    Diagnosis { arm: diagnosis, tf, imus }
+    Diagnosis { arm: diagnosis, tf, imus, dh: None }
 }
 
 /// The diagnosis of an arm's pose streams; where the latency of some is not steady, that of the
@@ -503,10 +621,16 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
             topic: run.streams[source.stream].topic.clone(),
             span: span_of(run, source.stream).unwrap_or(whole),
             independent: !source.stamps_copied,
+            link: source.chain.tip_name().to_owned(),
+            link_from_imu: source.link_from_imu.map(|pose| pose.rotation),
         };
         (facts, diagnosis)
     });
     let samples = run.joint_samples(&arm.joint_facts);
+    let samples = match &arm.recorded {
+        Some((_, mending)) => mending.mended_samples(&samples),
+        None => samples,
+    };
     let joints: Vec<usize> = (0..arm.joint_names.len()).collect();
     let joints = joints.par_iter().map(|&joint| joint_facts(arm, joint, &samples[joint])).collect();
     let mut shakes = vec![ShakeFacts {
@@ -536,6 +660,7 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         span: span_of(run, joints_stream).unwrap_or(whole),
         joints,
         reach_m: arm.chain.max_reach_m(),
+        dh: diagnosis.dh,
         diagnosis: diagnosis.arm,
         poses,
         tf: tf.into_iter().map(|(source, diagnosis)| (pose_facts(source), diagnosis)).collect(),
@@ -641,12 +766,7 @@ fn better_model(
     if left_m < LITTLE_M || found.nominal {
         return None;
     }
-    let declared_mm = source.track.declared.as_ref().is_some_and(|units| units.millimetres);
-    let scale = match found.millimetres {
-        Ok(Some(_)) if declared_mm => 1e3,
-        Ok(Some(_)) => 1e-3,
-        _ => 1.0,
-    };
+    let scale = position_factor(source, found);
     let latency_s = found.latency_s.as_ref().map_or(0.0, |latency| latency.value);
     let stream = pose_stream(run, source);
     let misfit_m = |chain: &Chain| {
@@ -683,14 +803,19 @@ pub(crate) struct Audits {
 impl Audits {
     /// Audits the segments of `log`, each as a run of its own. One that cannot be is left out, unless
     /// it is the longest.
-    pub fn of(log: Log, read: &Read, options: &Options) -> Result<Self, Trouble> {
+    pub fn of(
+        log: Log,
+        read: &Read,
+        options: &Options,
+        given: Option<Given<'_>>,
+    ) -> Result<Self, Trouble> {
         let segments = segments(log);
         let longest = segments.iter().map(|segment| segment.seconds).fold(0.0, f64::max);
         let mut audits = Audits { segments: Vec::new(), main: 0 };
         let mut has_main = false;
         for segment in segments {
             let is_main = !has_main && segment.seconds >= longest;
-            match Audited::of(segment, read, options) {
+            match Audited::of(segment, read, options, given) {
                 Ok(audited) => {
                     if is_main {
                         (audits.main, has_main) = (audits.segments.len(), true);
@@ -707,6 +832,18 @@ impl Audits {
     /// The longest segment.
     pub fn main(&self) -> &Audited {
         &self.segments[self.main]
+    }
+
+    /// Writes what mends the findings of `report`, which is on these, into `folder`.
+    pub fn write_fixes(&self, report: &Report, folder: &Path) -> Result<(), Trouble> {
+        let Audited { run, facts, .. } = self.main();
+        let mending = Mending::of(report, run, facts, self.main);
+        mending.write(folder).map_err(|(place, error)| Trouble {
+            kind: TroubleKind::Call,
+            what: format!("cannot be written: {error}"),
+            place,
+            remedy: "name a folder that can be written to with --fix".to_owned(),
+        })
     }
 
     /// The report on all of them.
@@ -760,12 +897,20 @@ impl Audits {
 }
 
 impl Audited {
-    fn of(segment: Segment, read: &Read, options: &Options) -> Result<Self, Trouble> {
+    fn of(
+        segment: Segment,
+        read: &Read,
+        options: &Options,
+        given: Option<Given<'_>>,
+    ) -> Result<Self, Trouble> {
         let Segment { log, seconds } = segment;
         let mut run = Run::assemble(log, &options.run()).map_err(|error| Trouble::from(&error))?;
+        if let Some(given) = given {
+            given.apply(&mut run, options.max_latency_s)?;
+        }
         settle_candidates(&mut run, options.max_latency_s);
         settle_hands(&mut run, options.max_latency_s);
-        let diagnoses = diagnose(&run, options.max_latency_s);
+        let diagnoses = diagnose(&mut run, options.max_latency_s);
         let joints = |arm: usize| readable_joints(&run.arms[arm], &diagnoses[arm].arm);
         let hand_eyes = hand_eyes(&run, joints, options.max_latency_s);
         let mut facts = Facts { hand_eyes, ..facts(&run, diagnoses, read, &options.declarations) };
@@ -920,7 +1065,7 @@ fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmFacts) -> PolarsResult<
         name: &arm.name,
         chain: &arm.chain,
         columns: &arm.columns,
-        recorded: &arm.joints,
+        recorded: arm.recorded.as_ref().map_or(&arm.joints, |(recorded, _)| recorded),
         corrected: facts.diagnosis.corrected_joints(&arm.joints, &prismatic(arm)),
         streams: poses.chain(tf).collect::<PolarsResult<_>>()?,
         imus: imus

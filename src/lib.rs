@@ -24,6 +24,7 @@ mod references;
 mod workspace;
 
 pub mod checks;
+pub mod corrections;
 pub mod diagnosis;
 pub mod finding;
 pub mod geometry;
@@ -42,6 +43,7 @@ pub use demo::{Demo, Planted, demo};
 
 use std::path::PathBuf;
 
+use corrections::{Corrections, Given};
 use log::ReadOptions;
 use report::{Report, Trouble};
 use run::{Run, RunOptions};
@@ -53,9 +55,16 @@ use run::{Run, RunOptions};
 /// on, with the trouble in [`Report::error`].
 pub fn audit(options: &Options) -> Result<Report, Trouble> {
     let how = ReadOptions { verify: options.verify, progress: options.progress.as_deref() };
-    let log = log::open(&options.logs, &how)?;
-    let read = audit::Read::of(&log);
-    let audits = audit::Audits::of(log, &read, options)?;
+    let corrections = options.corrections.as_deref().map(Corrections::from_file).transpose()?;
+    let given = corrections.as_ref().zip(options.corrections.as_deref());
+    let given = given.map(|(corrections, file)| Given { corrections, file });
+    let mut log = log::open(&options.logs, &how)?;
+    let mut read = audit::Read::of(&log);
+    if let Some(given) = &given {
+        given.shift(&mut log)?;
+        read.note_corrections(given);
+    }
+    let audits = audit::Audits::of(log, &read, options, given)?;
     let report = audits.report(read, options);
     if let Some(path) = &options.recording {
         let main = audits.main();
@@ -64,6 +73,9 @@ pub fn audit(options: &Options) -> Result<Report, Trouble> {
     if let Some(folder) = &options.tables {
         let main = audits.main();
         audit::write_tables(folder, &main.run, &main.facts, &report)?;
+    }
+    if let Some(folder) = &options.fix {
+        audits.write_fixes(&report, folder)?;
     }
     // To give back the columns of a long log takes as long as to write the report on it.
     rayon::spawn(|| drop(audits));

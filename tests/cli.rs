@@ -94,6 +94,8 @@ fn a_wrong_call_ends_with_2() {
         &["audit", CLEAN, "--robot", "no/such.urdf"],
         &["audit", CLEAN, "--tip", "no_such_link"],
         &["audit", CLEAN, "--calibration", "no/such.yaml"],
+        &["audit", CLEAN, "--corrections", "no/such.toml"],
+        &["audit", CLEAN, "--fix", "Cargo.toml"],
         &["explain", "LAT999"],
         &["no-such-command"],
     ] {
@@ -214,6 +216,26 @@ fn a_report_goes_where_it_is_sent() {
     assert!(output.stdout.is_empty());
     let text = fs::read_to_string(&path).expect("the report");
     assert!(text.contains("PASS") && !text.contains('\u{1b}'), "{text}");
+}
+
+#[test]
+fn what_mends_a_log_is_written_and_taken_back() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mend = folder.path().join("to/mend").display().to_string();
+    let plain = poseaudit(&["audit", FAULTY]);
+    let output = poseaudit(&["audit", FAULTY, "--fix", &mend]);
+    assert_eq!((status(&output), &output.stdout), (1, &plain.stdout), "{}", stderr(&output));
+    let file = format!("{mend}/corrections.toml");
+    let output = poseaudit(&["audit", FAULTY, "--corrections", &file]);
+    assert_eq!(status(&output), 0, "{}", stdout(&output));
+    assert!(stdout(&output).contains("corrected: elbow_joint by an offset of 0.6°"));
+    assert!(stdout(&output).contains("its latency of 15 ms"), "{}", stdout(&output));
+    fs::write(&file, "schema = \"poseaudit.corrections/1\"\n[[jiont]]\n").expect("a file");
+    assert_refused(
+        &["audit", FAULTY, "--corrections", &file],
+        2,
+        "corrections.toml:2: no corrections",
+    );
 }
 
 #[test]

@@ -3,13 +3,13 @@
 //! The pipeline fills these from `run` and `diagnosis`; the rules only read them.
 
 use crate::diagnosis::{
-    Abruptness, ArmDiagnosis, Excess, HandEyeDiagnosis, ImuDiagnosis, Mount, NoShake,
+    Abruptness, ArmDiagnosis, DhEstimate, Excess, HandEyeDiagnosis, ImuDiagnosis, Mount, NoShake,
     PoseDiagnosis, ReferenceDiagnosis, Seen, Shake,
 };
 use crate::finding::{Span, Subject, Unit};
-use crate::geometry::Convention;
+use crate::geometry::{Convention, Rotation};
 use crate::log::{self, Loss};
-use crate::robot::Limits;
+use crate::robot::{DhConvention, Limits};
 use crate::run::{Cadence, CameraAxes, Extent, Flaw, Norms, StreamClock, Witness};
 use crate::time::Stamp;
 
@@ -89,6 +89,8 @@ pub struct ArmFacts {
     pub joints: Vec<JointFacts>,
     /// Distance of the tip from the base at full stretch, m.
     pub reach_m: f64,
+    /// What its DH table says of itself and what the streams say of that, where it is one.
+    pub dh: Option<DhFacts>,
     /// What was estimated; its `streams` stand beside `poses`.
     pub diagnosis: ArmDiagnosis,
     /// The pose streams, one for each entry of `diagnosis.streams`.
@@ -163,6 +165,15 @@ impl ArmFacts {
             _ => Unit::Radian,
         }
     }
+}
+
+/// The DH table of a robot.
+#[derive(Clone, Debug)]
+pub struct DhFacts {
+    /// The convention that it says it is in.
+    pub declared: DhConvention,
+    /// What either convention leaves of the streams.
+    pub estimate: DhEstimate,
 }
 
 /// One joint of a chain.
@@ -260,6 +271,10 @@ pub struct ImuFacts {
     pub span: Span,
     /// Whether its stamps are its own, not copies of the joints'.
     pub independent: bool,
+    /// The link that carries it.
+    pub link: String,
+    /// How it is turned in that link by the log's frames, where they say.
+    pub link_from_imu: Option<Rotation>,
 }
 
 /// One stream of commands.

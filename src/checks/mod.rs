@@ -28,9 +28,9 @@ use crate::finding::{
 
 pub use decision::{Decision, Figure, FrameFigures, decide, decide_both, decide_frame};
 pub use facts::{
-    ArmFacts, Declared, Due, EulerFacts, Facts, FrameFacts, HandEyeFacts, ImuFacts, JointFacts,
-    JointMotion, NormFacts, PoseFacts, ReferenceFacts, ReferenceWitness, RhythmFacts, ShakeFacts,
-    StampFacts, UndecodableTopic, WitnessKind,
+    ArmFacts, Declared, DhFacts, Due, EulerFacts, Facts, FrameFacts, HandEyeFacts, ImuFacts,
+    JointFacts, JointMotion, NormFacts, PoseFacts, ReferenceFacts, ReferenceWitness, RhythmFacts,
+    ShakeFacts, StampFacts, UndecodableTopic, WitnessKind,
 };
 pub use merge::{Part as EvaluatedPart, merged};
 pub use observability::{Blind, Part, StreamObservability};
@@ -81,6 +81,7 @@ registry! {
     ord004::ORD004,
     ord005::ORD005,
     ord006::ORD006,
+    ord007::ORD007,
     ord008::ORD008,
     tim001::TIM001,
     tim002::TIM002,
@@ -372,7 +373,7 @@ mod tests {
         assert!(ord.names("ORD001") && !ord.names("LAT001"));
         let settings = Settings { select: vec![ord], ignore: vec!["ORD001".parse()?] };
         let asked = REGISTRY.iter().filter(|rule| settings.asks(rule)).map(|rule| rule.code);
-        let expected = ["ORD002", "ORD003", "ORD004", "ORD005", "ORD006", "ORD008"];
+        let expected = ["ORD002", "ORD003", "ORD004", "ORD005", "ORD006", "ORD007", "ORD008"];
         assert_eq!(asked.collect::<Vec<_>>(), expected);
         Ok(())
     }

@@ -1,17 +1,18 @@
 //! A run in which nothing is wrong, for tests to plant estimates in.
 
 use crate::checks::{
-    ArmFacts, EulerFacts, Facts, ImuFacts, JointFacts, JointMotion, PoseFacts, ReferenceFacts,
-    ReferenceWitness, Rule, ShakeFacts, WitnessKind, evaluate,
+    ArmFacts, DhFacts, EulerFacts, Facts, ImuFacts, JointFacts, JointMotion, PoseFacts,
+    ReferenceFacts, ReferenceWitness, Rule, ShakeFacts, WitnessKind, evaluate,
 };
 use crate::diagnosis::{
-    Abruptness, Aligned, ArmDiagnosis, FrameEstimate, GyroBias, ImuDiagnosis, JointOffset,
-    JointReading, LatencyCourse, Length, Line, LineWitness, Measured, PoseDiagnosis, Reading,
-    ReadingEstimate, ReferenceDiagnosis, Residual, RestGap, Shake, YawCourse,
+    Abruptness, Aligned, ArmDiagnosis, DhEstimate, DhStream, FrameEstimate, GyroBias, ImuDiagnosis,
+    JointOffset, JointReading, LatencyCourse, Left, Length, Line, LineWitness, Measured,
+    PoseDiagnosis, Reading, ReadingEstimate, ReferenceDiagnosis, Residual, RestGap, Shake,
+    YawCourse,
 };
 use crate::finding::{CheckRow, Finding, Span};
 use crate::geometry::{Convention, Pose, Vec3, pose, rotation_from_rotvec};
-use crate::robot::Limits;
+use crate::robot::{DhConvention, Limits};
 use crate::run::Witness;
 use crate::time::Stamp;
 
@@ -84,6 +85,18 @@ pub fn clean_run() -> Facts {
         span: SPAN,
         joints: ["pan", "lift", "elbow"].map(joint).to_vec(),
         reach_m: 0.85,
+        dh: Some(DhFacts {
+            declared: DhConvention::Standard,
+            estimate: DhEstimate {
+                streams: vec![DhStream {
+                    declared: Left { m: 0.0, rad: 0.0 },
+                    declared_positions_m: None,
+                    other: None,
+                }],
+                declared_faults: 0,
+                other_faults: 0,
+            },
+        }),
         diagnosis: ArmDiagnosis {
             joints: Ok(JointReading { degrees: None, permutation: None, runner_up_m: None }),
             offsets: vec![offset(), offset(), offset()],
@@ -97,7 +110,16 @@ pub fn clean_run() -> Facts {
             in_other_units: false,
             shake: Ok(Shake::default()),
         }],
-        imus: vec![(ImuFacts { topic: IMU.to_owned(), span: SPAN, independent: true }, imu)],
+        imus: vec![(
+            ImuFacts {
+                topic: IMU.to_owned(),
+                span: SPAN,
+                independent: true,
+                link: "tool0".to_owned(),
+                link_from_imu: None,
+            },
+            imu,
+        )],
         references: vec![commands()],
     };
     Facts { robots: vec![arm], ..Facts::default() }

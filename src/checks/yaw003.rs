@@ -2,7 +2,8 @@ use crate::checks::decision::{DEGREE, Figure, decide_length, unseen};
 use crate::checks::{ArmFacts, Facts, Grade, ImuFacts, Judged};
 use crate::diagnosis::{ImuDiagnosis, Length};
 use crate::finding::{Estimate, Evidence, Fault, Severity, Unit};
-use crate::geometry::xyzw_from_rotation;
+use crate::geometry::{Rotation, Vec3, xyzw_from_rotation};
+use serde_json::{Value, json};
 
 rule! {
     /// An IMU is mounted otherwise than the log's frames say.
@@ -16,8 +17,10 @@ rule! {
     ///
     /// ## Evidence
     /// The angle between the mount that fits best and the one in the log. `link_from_imu` is the one
-    /// that fits, as a quaternion x, y, z, w; where the log has no frame of the IMU there is nothing
-    /// to judge, and it is evidence only.
+    /// that fits, as a quaternion x, y, z, w, and `direction_cosines` the same as a matrix: a column
+    /// for each axis of the IMU, in the axes of the link that its rows name. `axes` says in words where
+    /// each points; `logged_direction_cosines` and `logged_axes` are what the log's frames say. Where
+    /// the log has no frame of the IMU there is nothing to judge, and the mount is evidence only.
     ///
     /// ## How to fix
     /// Correct the static transform of the IMU's frame, or the axes that its driver reports.
@@ -51,24 +54,81 @@ fn judge(arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis, subjects: usi
         Err(why) => Judged::new(subject, unseen(why, SETTLE)),
         Ok(mount) => {
             let decision = decide_length(mount, &FIGURE, subjects);
-            let outcome = decision.into_outcome(SETTLE, |severity| fault(mount, severity));
+            let found = diagnosis.link_from_imu;
+            let outcome =
+                decision.into_outcome(SETTLE, |severity| fault(mount, imu, found, severity));
             let estimate = Estimate::length("mount error", FIGURE.unit, mount);
             Judged::new(subject, outcome).estimated(estimate)
         }
     };
     let judged = judged.within(imu.span);
-    match diagnosis.link_from_imu {
-        Some(mount) => judged.with_evidence("link_from_imu", xyzw_from_rotation(&mount).to_vec()),
+    let link = &imu.link;
+    let judged = match diagnosis.link_from_imu {
+        Some(mount) => judged
+            .with_evidence("link_from_imu", xyzw_from_rotation(&mount).to_vec())
+            .with_evidence("direction_cosines", direction_cosines(&mount, link))
+            .with_evidence("axes", sentences(&mount, link)),
+        None => return judged,
+    };
+    match &imu.link_from_imu {
+        Some(logged) => judged
+            .with_evidence("logged_direction_cosines", direction_cosines(logged, link))
+            .with_evidence("logged_axes", sentences(logged, link)),
         None => judged,
     }
 }
 
-fn fault(mount: &Length, severity: Severity) -> Fault {
+/// The axes of a frame.
+const AXES: [&str; 3] = ["x", "y", "z"];
+
+/// An axis points along another up to this angle, rad.
+const ALONG: f64 = 10.0 * DEGREE;
+
+/// The matrix of a mount `link_from_imu`, its rows and columns named.
+fn direction_cosines(mount: &Rotation, link: &str) -> Value {
+    let columns = [0, 1, 2].map(|axis| mount * Vec3::ith(axis, 1.0));
+    let rows = [0, 1, 2].map(|row| columns.map(|column| column[row]));
+    json!({
+        "rows": AXES.map(|axis| format!("{link} {axis}")),
+        "columns": AXES.map(|axis| format!("imu {axis}")),
+        "matrix": rows,
+    })
+}
+
+/// Where each axis of the IMU points, in words.
+fn sentences(mount: &Rotation, link: &str) -> Vec<String> {
+    let sentence = |axis| format!("imu {} points {}", AXES[axis], direction(mount, axis, link));
+    (0..AXES.len()).map(sentence).collect()
+}
+
+/// Where one axis of the IMU points: `along tool0 −y`, or between the two axes of the link that are
+/// nearest.
+fn direction(mount: &Rotation, axis: usize, link: &str) -> String {
+    let cosines = mount * Vec3::ith(axis, 1.0);
+    let mut nearest = [0, 1, 2];
+    nearest.sort_by(|&a, &b| cosines[b].abs().total_cmp(&cosines[a].abs()));
+    let [first, second, _] = nearest.map(|own| {
+        let sign = if cosines[own] < 0.0 { "−" } else { "" };
+        format!("{link} {sign}{}", AXES[own])
+    });
+    let off_rad = cosines[nearest[0]].abs().min(1.0).acos();
+    if off_rad <= ALONG {
+        return format!("along {first}");
+    }
+    let off = off_rad.to_degrees();
+    format!("between {first} and {second}, {off:.0}° off the first")
+}
+
+fn fault(mount: &Length, imu: &ImuFacts, found: Option<Rotation>, severity: Severity) -> Fault {
     let shown = FIGURE.unit.show_measured(&mount.norm);
+    let axes = found.map_or(String::new(), |found| {
+        let [x, y, z] = [0, 1, 2].map(|axis| direction(&found, axis, &imu.link));
+        format!(": imu x points {x}; y {y}; z {z}")
+    });
     Fault {
         severity,
         title: "IMU mounted otherwise",
-        message: format!("mounted {shown} off the log's frames"),
+        message: format!("mounted {shown} off the log's frames{axes}"),
         evidence: Evidence::default(),
         fix: "correct the IMU's static transform, or its driver's axes".to_owned(),
     }
@@ -80,13 +140,49 @@ mod tests {
     use crate::checks::testing::{ask, clean_run, length};
     use crate::diagnosis::Unseen;
     use crate::finding::Status;
+    use crate::geometry::rotation_from_rpy;
+
+    fn mount(rpy_degrees: [f64; 3]) -> Rotation {
+        rotation_from_rpy(rpy_degrees.map(f64::to_radians))
+    }
+
+    #[test]
+    fn axes_are_said_in_words() {
+        let quarter = sentences(&mount([0.0, 0.0, -90.0]), "tool0");
+        assert_eq!(
+            quarter,
+            [
+                "imu x points along tool0 −y",
+                "imu y points along tool0 x",
+                "imu z points along tool0 z"
+            ]
+        );
+        let tilted = sentences(&mount([0.0, 32.0, 0.0]), "tool0");
+        assert_eq!(tilted[0], "imu x points between tool0 x and tool0 −z, 32° off the first");
+        assert_eq!(tilted[1], "imu y points along tool0 y");
+        assert!(sentences(&mount([0.0, 9.0, 0.0]), "tool0")[0].ends_with("along tool0 x"));
+    }
+
+    #[test]
+    fn a_column_of_the_cosines_is_an_axis_of_the_imu() {
+        let cosines = direction_cosines(&mount([0.0, 0.0, 90.0]), "tool0");
+        assert_eq!(cosines["rows"][1], "tool0 y");
+        assert_eq!(cosines["columns"][0], "imu x");
+        // The IMU's x is the link's y.
+        assert!((cosines["matrix"][1][0].as_f64().unwrap() - 1.0).abs() < 1e-12);
+        assert!((cosines["matrix"][0][1].as_f64().unwrap() + 1.0).abs() < 1e-12);
+    }
 
     #[test]
     fn a_turned_mount_is_an_error_and_no_frame_is_nothing_to_judge() {
         let mut facts = clean_run();
-        facts.robots[0].imus[0].1.mount_rad = Ok(length(90.0 * DEGREE));
+        let imu = &mut facts.robots[0].imus[0].1;
+        imu.mount_rad = Ok(length(90.0 * DEGREE));
+        imu.link_from_imu = Some(mount([0.0, 0.0, 90.0]));
         let (_, findings) = ask(&YAW003, &facts);
         assert_eq!(findings[0].severity, Severity::Error);
+        let said = &findings[0].message;
+        assert!(said.ends_with("imu x points along tool0 y; y along tool0 −x; z along tool0 z"));
         facts.robots[0].imus[0].1.mount_rad = Err(Unseen::NoFrame);
         let (rows, _) = ask(&YAW003, &facts);
         assert_eq!(rows[0].status, Status::Skipped);

@@ -54,6 +54,13 @@ pub struct Args {
     /// Write tables as Parquet into this folder: aligned samples, reach map, findings, checks
     #[arg(long, value_name = "DIR")]
     parquet: Option<PathBuf>,
+    /// Write what mends the findings into this folder: offsets, latencies, code, frames, a patched model
+    #[arg(long, value_name = "DIR")]
+    fix: Option<PathBuf>,
+
+    /// Apply the corrections.toml that --fix wrote to the streams, then audit
+    #[arg(long, value_name = "FILE", conflicts_with = "fix")]
+    corrections: Option<PathBuf>,
 
     /// Ask only these rules: codes, or the letters a family begins with
     #[arg(long, value_name = "CODES", value_delimiter = ',')]
@@ -165,6 +172,8 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
         max_latency_s: args.max_latency,
         verify: args.verify,
         declarations: args.declare,
+        corrections: args.corrections,
+        fix: args.fix,
         rules: Settings { select: args.select, ignore: args.ignore },
         fail_on: args.fail_on.into(),
         recording: args.rrd,

@@ -150,6 +150,14 @@ fn stream_peaks(
     pose_peaks(joints, chain, columns, &track.t_s, &track.xyz, rotation, most_lag_s)
 }
 
+/// The lag at which a stream follows the arm best by its speeds, s; 0 where none does.
+pub(super) fn stream_lag_s(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> f64 {
+    let rotation = as_rotations(&stream.track.orientation);
+    let peaks = stream_peaks(joints, stream, rotation, most_lag_s);
+    let best = peaks.first().filter(|peak| peak.correlation > FOLLOWS);
+    best.map_or(0.0, |peak| peak.lag_s)
+}
+
 /// Factor that takes a stream's positions to metres: 1, or 0.001 where they are millimetres, or 1000
 /// where the caller declared metres to be millimetres.
 ///

@@ -6,6 +6,7 @@
 
 mod arm;
 mod course;
+mod dh;
 mod explain;
 mod frames;
 mod handeye;
@@ -22,6 +23,7 @@ mod observability;
 mod placing;
 mod reading;
 mod reference;
+mod reread;
 mod residual;
 mod rival;
 mod shake;
@@ -35,6 +37,7 @@ use crate::stream::{ImuTrack, PoseTrack};
 
 pub use arm::{diagnose_arm, diagnose_derived, follows};
 pub use course::{LatencyCourse, LatencyJump};
+pub use dh::{DhEstimate, DhStream, DhTold, Left, faults};
 pub use handeye::{
     CameraPose, Closure, Diversity, HandEyeDiagnosis, HandEyeStreams, Mount, PoseSeries, Solution,
     TargetReading, diagnose_hand_eye, turning_peaks,
@@ -48,6 +51,7 @@ pub use reference::{
     CommandedArm, Commands, Constancy, Following, Line, LineWitness, ReferenceDiagnosis, RestGap,
     diagnose_reference, unnamed_order,
 };
+pub use reread::{reread_imu, reread_poses};
 pub use rival::position_misfit_m;
 pub use shake::{NoShake, Shake, shake};
 pub use workspace::{

@@ -276,30 +276,49 @@ fn readings(logged: &Logged) -> Vec<Reading> {
 }
 
 fn all_fits(samples: &Samples) -> Vec<Fit> {
+    let fits_of = |(truths, buffer): &mut (Truths, Vec<_>), reading: Reading| {
+        fits_of(samples, reading, truths, buffer)
+    };
+    let fits: Vec<Vec<Fit>> =
+        readings(&samples.logged).into_par_iter().map_init(Default::default, fits_of).collect();
+    fits.into_iter().flatten().collect()
+}
+
+/// The fits of one reading, with each of the frames that it is allowed.
+fn fits_of(
+    samples: &Samples,
+    reading: Reading,
+    truths: &mut Truths,
+    buffer: &mut Vec<Rotation>,
+) -> Vec<Fit> {
     let allowed: &[Frames] = match (samples.reference_known, samples.reference_free) {
         (false, _) => &[Frames::Reference, Frames::Both],
         (true, false) => &[Frames::None, Frames::Tool],
         (true, true) => &[Frames::None, Frames::Tool, Frames::Reference, Frames::Both],
     };
-    let fits_of = |(truths, buffer): &mut (Truths, Vec<_>), reading: Reading| -> Vec<Fit> {
-        truths.fill(&reading, &samples.logged, buffer);
-        let fit = |&frames: &Frames| {
-            let (reference, tool) = match frames {
-                Frames::None => (Rotation::identity(), Rotation::identity()),
-                Frames::Tool => (Rotation::identity(), one_frame(truths, samples.fk, Side::Tool)),
-                Frames::Reference => {
-                    (one_frame(truths, samples.fk, Side::Reference), Rotation::identity())
-                }
-                Frames::Both => both_frames(truths, samples.fk),
-            };
-            let residual_rad = residual(truths, samples.fk, &reference, &tool);
-            Fit { reading, frames, reference, tool, residual_rad }
+    truths.fill(&reading, &samples.logged, buffer);
+    let fit = |&frames: &Frames| {
+        let (reference, tool) = match frames {
+            Frames::None => (Rotation::identity(), Rotation::identity()),
+            Frames::Tool => (Rotation::identity(), one_frame(truths, samples.fk, Side::Tool)),
+            Frames::Reference => {
+                (one_frame(truths, samples.fk, Side::Reference), Rotation::identity())
+            }
+            Frames::Both => both_frames(truths, samples.fk),
         };
-        allowed.iter().map(fit).collect()
+        let residual_rad = residual(truths, samples.fk, &reference, &tool);
+        Fit { reading, frames, reference, tool, residual_rad }
     };
-    let fits: Vec<Vec<Fit>> =
-        readings(&samples.logged).into_par_iter().map_init(Default::default, fits_of).collect();
-    fits.into_iter().flatten().collect()
+    allowed.iter().map(fit).collect()
+}
+
+/// The simplest fit of a reading that is known, near the best of its fits.
+pub(super) fn fit_known(samples: &Samples, reading: Reading) -> Option<Fit> {
+    let fits = fits_of(samples, reading, &mut Truths::default(), &mut Vec::new());
+    let least = fits.iter().map(|fit| fit.residual_rad).min_by(f64::total_cmp)?;
+    let near = (NEAR * least).max(least + NEAR_RAD);
+    let near = fits.into_iter().filter(|fit| fit.residual_rad <= near);
+    near.min_by_key(|fit| simplicity(fit, samples.reference_known))
 }
 
 /// Rms angle of the best nine tenths of the samples between the nearest truths and

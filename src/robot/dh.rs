@@ -11,14 +11,55 @@ use serde::Deserialize;
 use crate::geometry::{Pose, Vec3, pose, rotation_from_rpy};
 
 use super::error::Problem;
-use super::model::{JointDraft, JointKind, Limits};
+use super::model::{JointDraft, JointKind, Limits, Robot};
 
-/// Which of the two formulas the rows belong to; never guessed.
+/// Which of the two formulas the rows of a DH table belong to; never guessed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum Convention {
+pub enum DhConvention {
+    /// Denavit and Hartenberg's, Spong's: the row turns about z first.
     Standard,
+    /// Craig's: the row turns about x first.
     Modified,
+}
+
+impl DhConvention {
+    /// The name that a table gives it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Standard => "standard",
+            Self::Modified => "modified",
+        }
+    }
+
+    /// The one that it is not.
+    pub const fn other(self) -> Self {
+        match self {
+            Self::Standard => Self::Modified,
+            Self::Modified => Self::Standard,
+        }
+    }
+}
+
+/// The DH table that the joints of a robot are of.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DhModel {
+    /// The convention that the table says it is in.
+    pub convention: DhConvention,
+    /// `parent_from_joint` of every joint, in the file's order, if the rows are of the other one.
+    other_origins: Vec<Pose>,
+}
+
+impl Robot {
+    /// The robot that the same rows describe under the other DH convention; none where its joints
+    /// are of no DH table.
+    pub fn under_other_convention(&self) -> Option<Robot> {
+        let dh = self.dh.as_ref()?;
+        let mut robot = self.with_origins(&dh.other_origins);
+        let other_origins = self.joints().iter().map(|joint| joint.parent_from_joint).collect();
+        robot.dh = Some(DhModel { convention: dh.convention.other(), other_origins });
+        Some(robot)
+    }
 }
 
 /// How the joint of a row moves.
@@ -34,7 +75,7 @@ pub(super) enum RowKind {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct DhTable {
-    pub convention: Convention,
+    pub convention: DhConvention,
     pub rows: Vec<[f64; 4]>,
     pub base: Option<String>,
     pub tip: Option<String>,
@@ -68,18 +109,37 @@ impl DhTable {
         let kinds =
             self.per_row("joint_types", self.joint_types.as_deref(), |_| RowKind::default())?;
         let mut from = self.base_name().to_owned();
-        let mut before = pose(self.pre_xyz, rotation_from_rpy(self.pre_rpy));
         let mut joints = Vec::with_capacity(self.rows.len() + 1);
-        for (index, ((row, name), kind)) in self.rows.iter().zip(names).zip(kinds).enumerate() {
-            let (ahead, after) = split(self.convention, *row);
+        let mut origins = self.origins(self.convention).into_iter();
+        let mut origin = || origins.next().unwrap_or_default();
+        for (index, (name, kind)) in names.into_iter().zip(kinds).enumerate() {
             let to = format!("link_{}", index + 1);
-            joints.push(draft(name, kind.into(), from, to.clone(), before * ahead, at));
-            (from, before) = (to, after);
+            joints.push(draft(name, kind.into(), from, to.clone(), origin(), at));
+            from = to;
         }
-        let post = pose(self.post_xyz, rotation_from_rpy(self.post_rpy));
         let tip = self.tip_name().to_owned();
-        joints.push(draft(format!("{from}-{tip}"), JointKind::Fixed, from, tip, before * post, at));
+        joints.push(draft(format!("{from}-{tip}"), JointKind::Fixed, from, tip, origin(), at));
         Ok(joints)
+    }
+
+    /// `parent_from_joint` of every row's joint and of the fixed one to the tip, if the rows are of
+    /// `convention`.
+    fn origins(&self, convention: DhConvention) -> Vec<Pose> {
+        let mut before = pose(self.pre_xyz, rotation_from_rpy(self.pre_rpy));
+        let mut origins = Vec::with_capacity(self.rows.len() + 1);
+        for row in &self.rows {
+            let (ahead, after) = split(convention, *row);
+            origins.push(before * ahead);
+            before = after;
+        }
+        origins.push(before * pose(self.post_xyz, rotation_from_rpy(self.post_rpy)));
+        origins
+    }
+
+    /// What the robot keeps of it.
+    pub(super) fn model(&self) -> DhModel {
+        let other_origins = self.origins(self.convention.other());
+        DhModel { convention: self.convention, other_origins }
     }
 
     pub(super) fn base_name(&self) -> &str {
@@ -129,12 +189,12 @@ impl From<RowKind> for JointKind {
 /// The fixed parts of a row before and after its motion, which is about or along z.
 ///
 /// Motion, `Rz(theta_offset)` and `Dz(d)` share the axis and so commute.
-fn split(convention: Convention, [a, d, alpha, theta_offset]: [f64; 4]) -> (Pose, Pose) {
+fn split(convention: DhConvention, [a, d, alpha, theta_offset]: [f64; 4]) -> (Pose, Pose) {
     let across = pose([a, 0.0, 0.0], rotation_from_rpy([alpha, 0.0, 0.0]));
     let along = pose([0.0, 0.0, d], rotation_from_rpy([0.0, 0.0, theta_offset]));
     match convention {
-        Convention::Standard => (Pose::identity(), along * across),
-        Convention::Modified => (across * along, Pose::identity()),
+        DhConvention::Standard => (Pose::identity(), along * across),
+        DhConvention::Modified => (across * along, Pose::identity()),
     }
 }
 

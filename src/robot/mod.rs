@@ -11,14 +11,17 @@ mod dh;
 mod error;
 mod model;
 mod names;
+mod patch;
 mod table;
 mod urdf;
 
 pub use calibration::Calibration;
 pub use chain::Chain;
+pub use dh::{DhConvention, DhModel};
 pub use error::{ChainError, Problem, RobotError};
 pub use model::{Joint, JointKind, Limits, LinkId, Mimic, Provenance, Robot};
 pub use names::NameMatch;
+pub use patch::NoPatch;
 
 use std::path::Path;
 

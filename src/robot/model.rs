@@ -1,9 +1,11 @@
 //! The tree of links and joints, and what can be asked of it.
 
 use std::collections::HashMap;
+use std::sync::Arc;
 
 use crate::geometry::{Pose, Vec3};
 
+use super::dh::DhModel;
 use super::error::{ChainError, Problem};
 use super::names::nearest;
 
@@ -28,6 +30,10 @@ pub struct Robot {
     pub aliases: Vec<String>,
     /// Whose numbers these are, where the file says so.
     pub provenance: Option<Provenance>,
+    /// The DH table that its joints are of, where they are of one.
+    pub dh: Option<DhModel>,
+    /// The text that it was read from; none for arms of the catalogue.
+    pub(super) text: Option<Arc<str>>,
     links: Vec<Link>,
     joints: Vec<Joint>,
     link_ids: HashMap<String, LinkId>,
@@ -223,12 +229,19 @@ impl Robot {
             joint_prefixes: Vec::new(),
             aliases: Vec::new(),
             provenance: None,
+            dh: None,
+            text: None,
             links,
             joints,
             link_ids,
             joint_ids,
             root,
         })
+    }
+
+    /// The text that it was read from: a URDF, or TOML. None for arms of the catalogue.
+    pub fn text(&self) -> Option<&str> {
+        self.text.as_deref()
     }
 
     /// All links, in the file's order.
@@ -251,6 +264,15 @@ impl Robot {
         if let Some(&joint) = self.joint_ids.get(name) {
             self.joints[joint].parent_from_joint = parent_from_joint;
         }
+    }
+
+    /// The same robot with the origins of its joints, in the file's order, at `parent_from_joint`.
+    pub(super) fn with_origins(&self, parent_from_joint: &[Pose]) -> Robot {
+        let mut robot = self.clone();
+        for (joint, origin) in robot.joints.iter_mut().zip(parent_from_joint) {
+            joint.parent_from_joint = *origin;
+        }
+        robot
     }
 
     /// The link of that name.

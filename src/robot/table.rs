@@ -7,7 +7,7 @@ use toml::Spanned;
 
 use crate::geometry::{pose, rotation_from_rpy};
 
-use super::dh::DhTable;
+use super::dh::{DhModel, DhTable};
 use super::error::{Problem, RobotError};
 use super::model::{
     JointDraft, JointKind, Limits, LinkDraft, Located, Provenance, Robot, unit_axis,
@@ -24,7 +24,10 @@ impl Robot {
     pub fn from_toml(text: &str, source: &str) -> Result<Robot, RobotError> {
         let text = without_bom(text);
         let table: RobotTable = parse(text, source)?;
-        table.into_robot(source).map_err(|located| RobotError::located(source, text, located))
+        let robot = table.into_robot(source);
+        let mut robot = robot.map_err(|located| RobotError::located(source, text, located))?;
+        robot.text = Some(text.into());
+        Ok(robot)
     }
 }
 
@@ -96,10 +99,11 @@ impl RobotTable {
         if let Some(found) = self.units.take_if(|units| units != "m, rad") {
             return Err((0, Problem::Units { found }));
         }
-        let joints = self.joint_drafts()?;
+        let (joints, dh) = self.joint_drafts()?;
         let name = self.id.take().unwrap_or_else(|| source.to_owned());
         let mut robot = Robot::assemble(&name, source, links_of(&joints), joints)?;
         self.check_dof(&robot)?;
+        robot.dh = dh;
         robot.provenance = self.provenance();
         robot.default_base = self.base;
         robot.default_tip = self.tip;
@@ -111,9 +115,11 @@ impl RobotTable {
         Ok(robot)
     }
 
-    fn joint_drafts(&mut self) -> Result<Vec<JointDraft>, Located> {
+    /// The joints, and the DH table that they are of where there are no others.
+    fn joint_drafts(&mut self) -> Result<(Vec<JointDraft>, Option<DhModel>), Located> {
         if !self.joints.is_empty() {
-            return self.joints.drain(..).map(joint_draft).collect();
+            let joints: Result<_, _> = self.joints.drain(..).map(joint_draft).collect();
+            return joints.map(|joints| (joints, None));
         }
         let dh = self.dh.take().ok_or((0, Problem::NoKinematics))?;
         let at = dh.span().start;
@@ -123,7 +129,8 @@ impl RobotTable {
         dh.joint_names = dh.joint_names.or_else(|| self.joint_names.take());
         self.base = Some(dh.base_name().to_owned());
         self.tip = Some(dh.tip_name().to_owned());
-        dh.joints(at).map_err(|problem| (at, problem))
+        let joints = dh.joints(at).map_err(|problem| (at, problem))?;
+        Ok((joints, Some(dh.model())))
     }
 
     fn check_dof(&self, robot: &Robot) -> Result<(), Located> {

@@ -22,8 +22,10 @@ impl Robot {
         let document = Document::parse_with_options(text, options).map_err(|error| {
             RobotError::new(source, Some(error.pos().row as usize), xml_problem(&error))
         })?;
-        read_robot(document.root_element(), source)
-            .map_err(|located| RobotError::located(source, text, located))
+        let mut robot = read_robot(document.root_element(), source)
+            .map_err(|located| RobotError::located(source, text, located))?;
+        robot.text = Some(text.into());
+        Ok(robot)
     }
 }
 

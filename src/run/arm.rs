@@ -6,7 +6,7 @@ use crate::stream::{ImuTrack, JointTrack, PoseTrack};
 use crate::time::Stamp;
 
 use super::error::RunError;
-use super::joints::{JointFacts, JointTopic, merge};
+use super::joints::{JointFacts, JointSamples, JointTopic, merge};
 use super::models::{FrameNames, Model};
 use super::role::Place;
 use super::skeleton::{self, ArmPath};
@@ -33,6 +33,8 @@ pub struct Arm {
     pub joints: JointTrack,
     /// How each column came about.
     pub joint_facts: Vec<JointFacts>,
+    /// The joint states as recorded, and what became of them, where the caller corrected them.
+    pub recorded: Option<(JointTrack, JointMending)>,
     /// Streams of measured tool poses, and candidates.
     pub poses: Vec<PoseSource>,
     /// The chain from base to tip by the log's transforms, or why there is none.
@@ -89,6 +91,55 @@ pub struct ImuSource {
     pub stamp_error_s: f64,
 }
 
+/// How the joint states of an arm must be corrected, column for column.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JointMending {
+    /// The column that holds this joint's positions.
+    pub from: Vec<usize>,
+    /// What positions and velocities are multiplied by.
+    pub factor: Vec<f64>,
+    /// What is then added to positions, rad or m.
+    pub offset: Vec<f64>,
+}
+
+impl JointMending {
+    /// Nothing is wrong with any of so many joints.
+    pub fn none(joints: usize) -> Self {
+        let from = (0..joints).collect();
+        Self { from, factor: vec![1.0; joints], offset: vec![0.0; joints] }
+    }
+
+    /// Whether nothing is wrong.
+    pub fn is_nothing(&self) -> bool {
+        *self == Self::none(self.from.len())
+    }
+
+    /// The joint states corrected.
+    pub fn mended(&self, track: &JointTrack) -> JointTrack {
+        let mut mended = track.clone();
+        for start in (0..track.q.len()).step_by(track.dof.max(1)) {
+            for (joint, &from) in self.from.iter().enumerate() {
+                let factor = self.factor[joint];
+                mended.q[start + joint] = factor * track.q[start + from] + self.offset[joint];
+                mended.qd[start + joint] = factor * track.qd[start + from];
+            }
+        }
+        mended
+    }
+
+    /// All samples of each joint, corrected.
+    pub fn mended_samples<'a>(&self, samples: &[JointSamples<'a>]) -> Vec<JointSamples<'a>> {
+        let mended = self.from.iter().enumerate().map(|(joint, &from)| {
+            let mut samples = samples[from].clone();
+            let (factor, offset) = (self.factor[joint], self.offset[joint]);
+            samples.position.to_mut().iter_mut().for_each(|q| *q = factor * *q + offset);
+            samples.velocity.to_mut().iter_mut().for_each(|qd| *qd *= factor);
+            samples
+        });
+        mended.collect()
+    }
+}
+
 /// Why the log's transforms do not lead from base to tip.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NoTf {
@@ -104,6 +155,9 @@ pub enum NoTf {
         /// The joints.
         joints: Vec<String>,
     },
+    /// Some of them were taken from the model, which is not what its table says.
+    #[error("some of them are the model's own, whose DH table is of the other convention")]
+    OtherModel,
     /// They are never all known at one time.
     #[error("the transforms from base to tip are at no two times all known")]
     NoSamples,
@@ -187,6 +241,7 @@ impl Arm {
             joint_names,
             joints: merged.track,
             joint_facts: merged.facts,
+            recorded: None,
             poses: Vec::new(),
             tf: Err(NoTf::NoTransforms),
             from_model: Vec::new(),
@@ -197,6 +252,43 @@ impl Arm {
             frames: model.frames.clone(),
             joint_stamps: merged.stamps,
         })
+    }
+
+    /// This arm, its streams predicted by `robot`: the same links and joints, with other lengths.
+    /// `None` where a chain of it cannot be computed.
+    pub(crate) fn with_robot(&self, robot: Robot) -> Option<Self> {
+        let chain = |old: &Chain| {
+            robot.chain(robot.link(old.base_name())?, robot.link(old.tip_name())?).ok()
+        };
+        let poses = self
+            .poses
+            .iter()
+            .map(|source| Some(PoseSource { chain: chain(&source.chain)?, ..source.clone() }));
+        let imus = self
+            .imus
+            .iter()
+            .map(|source| Some(ImuSource { chain: chain(&source.chain)?, ..source.clone() }));
+        let tf = match &self.tf {
+            // What the model gave is of the other lengths.
+            Ok(_) if !self.from_model.is_empty() => Err(NoTf::OtherModel),
+            Ok(source) => Ok(PoseSource { chain: chain(&source.chain)?, ..source.clone() }),
+            Err(why) => Err(why.clone()),
+        };
+        Some(Self {
+            chain: chain(&self.chain)?,
+            poses: poses.collect::<Option<_>>()?,
+            imus: imus.collect::<Option<_>>()?,
+            tf,
+            robot,
+            ..self.clone()
+        })
+    }
+
+    /// Corrects the joint states, and keeps them as recorded beside.
+    pub(crate) fn mend_joints(&mut self, mending: JointMending) {
+        let mended = mending.mended(&self.joints);
+        let recorded = std::mem::replace(&mut self.joints, mended);
+        self.recorded = Some((recorded, mending));
     }
 
     /// Whether this arm is the one along `path`, and not only part of the same robot.

@@ -32,7 +32,7 @@ mod witness;
 
 use crate::time::{Clock, Stamp};
 
-pub use arm::{Arm, ImuSource, NoTf, PoseSource};
+pub use arm::{Arm, ImuSource, JointMending, NoTf, PoseSource};
 pub use assemble::{ReferenceContent, ReferenceSource};
 pub use cadence::{Cadence, Extent, Hole, Rhythm, Stretch};
 pub use clock::{Alignment, Epoch, HeaderStamps, StreamClock};
@@ -131,6 +131,21 @@ impl Run {
         let is_candidate =
             |index: &usize| matches!(self.streams[*index].role, Role::Candidate { .. });
         (0..self.streams.len()).filter(is_candidate)
+    }
+
+    /// Puts `arm` in the place of arm `index`, and its chains into the hands that are this arm's.
+    pub(crate) fn replace_arm(&mut self, index: usize, arm: Arm) {
+        for hand in self.targets.iter_mut().flat_map(|target| &mut target.hands) {
+            let HandKind::Joints { arm: of, chain, .. } = &mut hand.kind else { continue };
+            let robot = &arm.robot;
+            let link = |name: &str| robot.link(name);
+            let ends = link(chain.base_name()).zip(link(chain.tip_name()));
+            let anew = ends.and_then(|(base, tip)| robot.chain(base, tip).ok());
+            if let (true, Some(anew)) = (*of == index, anew) {
+                *chain = anew;
+            }
+        }
+        self.arms[index] = arm;
     }
 
     /// Makes `stream`, which belongs to no arm, the tool pose that the target on `topic` is held

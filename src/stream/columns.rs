@@ -63,6 +63,17 @@ impl Times {
         Some(order)
     }
 
+    /// Moves every time back by what `lateness`, ns, says of the nanoseconds since the first on its
+    /// clock; a header that was not set stays so.
+    pub fn shift_back(&mut self, lateness: impl Fn(i64) -> i64) {
+        for column in [&mut self.header, &mut self.log, &mut self.publish] {
+            let first = column.iter().copied().filter(|nanos| *nanos != 0).min().unwrap_or(0);
+            for nanos in column.iter_mut().filter(|nanos| **nanos != 0) {
+                *nanos = nanos.saturating_sub(lateness(nanos.saturating_sub(first)));
+            }
+        }
+    }
+
     fn permute(&mut self, order: &[usize]) {
         permute(&mut self.header, order);
         permute(&mut self.log, order);
@@ -316,6 +327,18 @@ mod tests {
         let mut same = Times::default();
         same.push(0, 10, 10);
         assert_eq!(same.on(Clock::Publish), [10]);
+    }
+
+    #[test]
+    fn every_clock_is_moved_by_its_own_time_since_the_first() {
+        let mut times = Times::default();
+        for (header, log) in [(0, 50), (1_000, 60), (3_000, 80)] {
+            times.push(header, log, log + 1);
+        }
+        times.shift_back(|since_first| 10 + since_first / 100);
+        assert_eq!(times.header, [0, 990, 2_970]);
+        assert_eq!(times.log, [40, 50, 70]);
+        assert_eq!(times.on(Clock::Publish), [41, 51, 71]);
     }
 
     #[test]

@@ -60,6 +60,8 @@ pub enum On {
     Joint(&'static str),
     /// Of a topic, a frame.
     Frame(&'static str, &'static str),
+    /// A robot as a whole.
+    Robot,
     /// The file itself.
     File,
     /// The whole run.
@@ -147,7 +149,8 @@ impl Log {
         self.audit().expect("the log is audited")
     }
 
-    fn audit(&self) -> Result<Report, Trouble> {
+    /// The report on it, or why there is none.
+    pub fn audit(&self) -> Result<Report, Trouble> {
         if self.edit.is_some() || self.damage.is_some() {
             return self.audit_anew();
         }
@@ -281,6 +284,10 @@ impl On {
             Self::Topic(topic) => assert_eq!(found, [topic, "", ""]),
             Self::Joint(joint) => assert_eq!(found, ["", joint, ""]),
             Self::Frame(topic, frame) => assert_eq!(found, [topic, "", frame]),
+            Self::Robot => {
+                assert_eq!(found, ["", "", ""]);
+                assert!(subject.robot.is_some());
+            }
             Self::File => assert!(found[0].ends_with(".mcap"), "{subject:?}"),
             Self::Run => assert_eq!(*subject, Subject::default()),
         }

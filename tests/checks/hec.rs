@@ -173,7 +173,7 @@ pub fn add_camera(log: &mut Log) {
 }
 
 /// A camera, and a motion that leaves the target in its view.
-fn watched(log: &mut Log, camera: Camera) {
+pub fn watched(log: &mut Log, camera: Camera) {
     log.run.watch(camera).expect("the arm has a tip");
     log.run.amplitude = 0.45;
 }

@@ -1,17 +1,19 @@
 //! ORD: conventions, units and orders taken for others.
 
 use std::f64::consts::FRAC_PI_2;
+use std::fs;
+use std::path::Path;
 
 use poseaudit::finding::{CheckRow, Severity, Status};
 use poseaudit::geometry::{Convention, Misreading, QuaternionSlip, rotation_from_xyzw};
 use poseaudit::report::Report;
 use poseaudit::synth::{Coding, IMU, JOINT_STATES, Motion, POSE};
 
-use crate::case::On::Topic;
-use crate::case::What::{self, Order, ReadAs};
+use crate::case::On::{self, Topic};
+use crate::case::What::{self, Degrees, Order, ReadAs};
 use crate::case::{Expected, Log, cases, error, summary, the, warning};
 use crate::recording::{Field, Message};
-use Expected::{BlamedOn, Skipped, Sound, Undecided};
+use Expected::{BlamedOn, LeftOpenBy, Skipped, Sound, Undecided};
 
 /// The topic of the poses as bare numbers.
 const NUMBERS: &str = "/arm/tool_vector";
@@ -163,6 +165,30 @@ cases! {
     } => BlamedOn("ORD004");
     ORD006 no_bare_numbers: |_| {} => Skipped("three bare numbers");
 
+    ORD007 a_standard_table_that_says_modified: |log| by_table(log, "modified", [""; 2])
+        => error(On::Robot, ReadAs("standard", "modified"));
+    ORD007 a_table_that_says_what_it_is: |log| by_table(log, "standard", [""; 2]) => Sound;
+    ORD007 a_joint_zero_is_no_convention: |log| {
+        by_table(log, "standard", [""; 2]);
+        log.run.joints.zero_offsets = crate::zer::zero(2, 0.6);
+    } => BlamedOn("ZER001");
+    ORD007 a_misread_rotation_is_no_dh_convention: |log| {
+        by_table(log, "standard", [""; 2]);
+        log.run.pose.coding = misread_as_rpy();
+    } => BlamedOn("ORD001");
+    ORD007 a_shifted_base_is_no_convention: |log| {
+        by_table(log, "standard", [""; 2]);
+        log.run.pose.reference_from_stream = crate::frm::shifted();
+    } => BlamedOn("FRM002");
+    ORD007 another_arms_table_is_no_convention: |log| {
+        by_table(log, "standard", ["-0.425", "-0.365"]);
+    } => LeftOpenBy("MDL001", "neither convention");
+    ORD007 a_urdf: |_| {} => Skipped("no DH table");
+    ORD007 nothing_to_hold_the_table_against: |log| {
+        by_table(log, "modified", [""; 2]);
+        log.run.pose.timing.rate_hz = 0.0;
+    } => Skipped("no pose stream");
+
     ORD008 positions_in_millimetres: |log| log.run.pose.in_millimetres = true
         => error(Topic(POSE), ReadAs("mm", "m"));
     ORD008 a_percent_is_no_unit: |log| log.run.pose.growth = 0.3e-3 => Sound;
@@ -184,6 +210,22 @@ fn audited_as_numbers(edit: fn(&mut Vec<Message>)) -> Report {
     assert_eq!(stamps.severity, Severity::Info);
     report.findings.retain(|finding| finding.code != "TIM005");
     report
+}
+
+#[test]
+fn beside_a_wrong_dh_convention_other_faults_are_found_as_if_it_were_right() {
+    let report = Log::with(|log| {
+        by_table(log, "modified", [""; 2]);
+        log.run.joints.zero_offsets = crate::zer::zero(2, 0.6);
+        log.run.pose.timing.latency_s = 0.015;
+    });
+    let report = report.audited();
+    let mut codes: Vec<&str> = report.findings.iter().map(|finding| finding.code).collect();
+    codes.sort_unstable();
+    assert_eq!(codes, ["LAT001", "ORD007", "ZER001"], "{}", summary(&report.findings));
+    Degrees(0.6, 0.02).assert_is(the(&report, "ZER001", "elbow_joint").estimate.as_ref());
+    let source = &report.robots[0].source;
+    assert!(source.ends_with("its DH table read as standard"), "{source}");
 }
 
 #[test]
@@ -261,6 +303,39 @@ pub fn misread(is: &str, read_as: &str) -> Coding {
 
 pub fn misread_as_rpy() -> Coding {
     Coding::Misread(Misreading { is: Convention::RotVec, read_as: Convention::RPY })
+}
+
+/// The rows of a UR5e, standard.
+const ROWS: &str = "\
+rows = [
+  [0.0, 0.1625, 1.5707963267948966, 0.0],
+  [-0.425, 0.0, 0.0, 0.0],
+  [-0.3922, 0.0, 0.0, 0.0],
+  [0.0, 0.1333, 1.5707963267948966, 0.0],
+  [0.0, 0.0997, -1.5707963267948966, 0.0],
+  [0.0, 0.0996, 0.0, 0.0],
+]
+";
+
+/// Audits by a DH table that says it is of this convention, one text of it replaced by another. The
+/// frames of the log's /tf are no links of a table.
+pub fn by_table(log: &mut Log, convention: &str, [from, to]: [&str; 2]) {
+    let rows = if from.is_empty() { ROWS.to_owned() } else { ROWS.replacen(from, to, 1) };
+    let names = ["shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"];
+    let names = names.map(|name| format!("\"{name}_joint\"")).join(", ");
+    let text = format!(
+        "[dh]\nconvention = \"{convention}\"\nbase = \"base\"\ntip = \"tool0\"\n{rows}\
+         joint_names = [{names}]\n"
+    );
+    let name = format!("ur5e-{convention}-{to}.toml");
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
+    let file = folder.join(name);
+    // Tests that run side by side write the same file.
+    let staged = tempfile::NamedTempFile::new_in(folder).expect("the tests may write there");
+    fs::write(staged.path(), text).expect("a file");
+    staged.persist(&file).expect("a file");
+    log.options.robots = vec![file.display().to_string().as_str().into()];
+    log.run.tf.timing.rate_hz = 0.0;
 }
 
 /// Turns the poses into six bare numbers: position and rotation vector, this many to the radian.

@@ -158,7 +158,7 @@ cases! {
 /// Norm of [`bias`].
 const BIAS_RAD_S: f64 = 0.03;
 
-fn bias() -> Vec3 {
+pub fn bias() -> Vec3 {
     Vec3::new(0.01, -0.02, 0.02)
 }
 
@@ -169,7 +169,7 @@ fn askew() -> Matrix3<f64> {
 }
 
 /// A mount turned about an axis of its own.
-fn turned(degrees: f64) -> Pose {
+pub fn turned(degrees: f64) -> Pose {
     pose([0.0; 3], rotation_from_rotvec(Vec3::new(0.6, 0.0, 0.8) * degrees.to_radians()))
 }
 
@@ -263,6 +263,25 @@ fn a_jump_says_when_and_leaves_the_drift_beside_it() {
     assert_eq!([&drift.evidence.more["kind"], &jump.evidence.more["kind"]], ["drift", "jump"]);
     let at_s = jump.evidence.more["jumps"][0]["at_s"].as_f64().expect("a time");
     assert!((at_s - 3.3).abs() < 0.1, "{at_s}");
+}
+
+#[test]
+fn a_mount_is_said_by_its_axes() {
+    let report = Log::with(|log| {
+        log.run.imu.tip_from_imu = Pose::translation(0.02, 0.0, 0.03);
+        let quarter = Vec3::new(0.0, 0.0, -90_f64.to_radians());
+        log.run.imu.mount_error = pose([0.0; 3], rotation_from_rotvec(quarter));
+    })
+    .audited();
+    let found = the(&report, "YAW003", IMU);
+    let axes = "imu x points along tool0 −y; y along tool0 x; z along tool0 z";
+    assert!(found.message.ends_with(axes), "{}", found.message);
+    let more = &found.evidence.more;
+    assert_eq!(more["axes"][0], "imu x points along tool0 −y");
+    assert_eq!(more["logged_axes"][0], "imu x points along tool0 x");
+    let cosine = |matrix: &str| more[matrix]["matrix"][1][0].as_f64().expect("a number");
+    assert!((cosine("direction_cosines") + 1.0).abs() < 1e-4);
+    assert!(cosine("logged_direction_cosines").abs() < 1e-9);
 }
 
 #[test]

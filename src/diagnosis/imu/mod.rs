@@ -16,7 +16,8 @@ mod yaw;
 use super::arm::still_speeds;
 use super::latency::{Peak, angular_speed, arm_speeds, norms, peaks};
 use super::reading::mean_rotation;
-use super::{ImuDiagnosis, ImuStream, Measured, Seen, Unseen, YawCourse};
+use super::reread;
+use super::{ImuDiagnosis, ImuStream, Measured, Reading, Seen, Unseen, YawCourse};
 use crate::geometry::{Rotation, Vec3, angle_between};
 use crate::stream::JointTrack;
 
@@ -109,6 +110,28 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
             yaw_error: Vec::new(),
         },
     }
+}
+
+/// The orientations of an IMU as `reading` says that they are meant: of the rotations that a sample
+/// may mean the one nearest to what FK and the constant frames that fit best say. `None` where the
+/// IMU does not follow the arm under it.
+pub(super) fn reread(
+    joints: &JointTrack,
+    stream: &ImuStream,
+    reading: Reading,
+    most_lag_s: f64,
+) -> Option<Vec<Rotation>> {
+    let link = Link::new(joints, stream);
+    let lag_s = link.peaks(most_lag_s).first().map_or(0.0, |peak| peak.lag_s);
+    let mut sweep = link.sweep();
+    let expected: Vec<Option<Rotation>> = stream
+        .track
+        .t_s
+        .iter()
+        .map(|stamp| link.at(stamp - lag_s, &mut sweep).map(|moment| moment.rotation))
+        .collect();
+    let mount = stream.link_from_imu.map(|pose| pose.rotation).unwrap_or_default();
+    reread::rotations(&stream.track.orientation, reading, &expected, &mount, false)
 }
 
 /// By how much stamps lag the moments that they speak of: `latency + skew·(stamp − middle)`.

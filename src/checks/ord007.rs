@@ -1,0 +1,169 @@
+use serde_json::json;
+
+use crate::checks::{ArmFacts, DhFacts, Facts, Grade, Judged};
+use crate::diagnosis::{DhEstimate, DhStream, DhTold};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+
+rule! {
+    /// The DH table fits only under the other DH convention.
+    ///
+    /// ## What it means
+    /// The rows a, d, α, θ of the robot's table are of the other convention than the table says:
+    /// standard (Denavit and Hartenberg, Spong; a row turns about z first) or modified (Craig; about x
+    /// first, with a and α of the row before). The same numbers are another arm under each.
+    ///
+    /// ## Why it matters
+    /// Forward kinematics of such a table is wrong everywhere by decimetres, and looks plausible in
+    /// the posture where all joints are at zero. Every other finding would be about the wrong arm. The
+    /// audit therefore goes on with the convention that fits.
+    ///
+    /// ## Evidence
+    /// `streams` has for each stream what it leaves beyond its noise under the convention that the table
+    /// says (`declared_m`, `declared_rad`) and under the other one (`other_m`, `other_rad`), with all
+    /// that explains it taken off; null where it cannot be read so. `declared_positions_m` is how far its
+    /// positions are from the arm as declared. `declared_faults` and `other_faults` count what that
+    /// takes. The rule fires only where the other convention leaves of a stream no more than a drawing
+    /// leaves of a calibrated arm, and a tenth of what the declared one does at most, and no stream
+    /// says otherwise.
+    ///
+    /// ## How to fix
+    /// Correct `convention` in the table's `[dh]`; `audit --fix DIR` writes it so.
+    ///
+    /// ## When it misleads
+    /// Where all axes are parallel and all links of one length the conventions differ by constant
+    /// frames, and the rule says that either may be meant. A table of another arm fits under neither.
+    ORD007 {
+        name: "dh-convention",
+        grade: Grade::Fixed(Severity::Error),
+        headline: false,
+        needs_model: true,
+        missing: "the model is no DH table",
+        check: check,
+    }
+}
+
+/// What would tell where neither convention does.
+const SETTLE: &str = "move every joint, and check the table's rows";
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    facts.robots.iter().filter_map(|arm| Some(judge(arm, arm.dh.as_ref()?))).collect()
+}
+
+fn judge(arm: &ArmFacts, facts: &DhFacts) -> Judged {
+    let DhFacts { declared: convention, estimate } = facts;
+    let (is, read_as) = (convention.other().name(), convention.name());
+    let told = estimate.told();
+    let outcome = match told {
+        _ if arm.poses.is_empty() => {
+            Outcome::Skipped("no pose stream to hold the DH table against".to_owned())
+        }
+        DhTold::AsDeclared => Outcome::sound(),
+        DhTold::Other => Outcome::faulty(fault([is, read_as], estimate)),
+        DhTold::Either => Outcome::Inconclusive(format!(
+            "the rows explain the streams as {read_as}, with {}, and as {is}, with {}; see where the \
+             table comes from",
+            faults(estimate.declared_faults),
+            faults(estimate.other_faults),
+        )),
+        DhTold::Neither => Outcome::Inconclusive(format!(
+            "the rows explain the streams under neither convention; {SETTLE}"
+        )),
+    };
+    let slip =
+        (told == DhTold::Other).then_some(Estimate::Slip { name: "DH convention", is, read_as });
+    let finite = |value: f64| Some(value).filter(|value| value.is_finite());
+    let streams = arm.poses.iter().zip(&estimate.streams).map(|(facts, stream)| {
+        json!({
+            "topic": facts.topic,
+            "declared_m": finite(stream.declared.m),
+            "declared_rad": finite(stream.declared.rad),
+            "declared_positions_m": stream.declared_positions_m,
+            "other_m": stream.other.and_then(|other| finite(other.m)),
+            "other_rad": stream.other.and_then(|other| finite(other.rad)),
+        })
+    });
+    let judged = Judged::new(arm.subject(), outcome)
+        .within(arm.span)
+        .estimated(slip)
+        .with_evidence("streams", streams.collect::<Vec<_>>())
+        .with_evidence("declared_faults", estimate.declared_faults);
+    match estimate.streams.iter().any(|stream| stream.other.is_some()) {
+        true => judged.with_evidence("other_faults", estimate.other_faults),
+        false => judged,
+    }
+}
+
+fn faults(count: usize) -> String {
+    match count {
+        0 => "no fault".to_owned(),
+        1 => "1 fault".to_owned(),
+        many => format!("{many} faults"),
+    }
+}
+
+fn fault([is, read_as]: [&'static str; 2], estimate: &DhEstimate) -> Fault {
+    let speaking = || estimate.streams.iter().filter(|stream| stream.speaks_for_other());
+    let off = |stream: &DhStream| match stream.declared.m.is_finite() {
+        true => Some(stream.declared.m),
+        false => stream.declared_positions_m,
+    };
+    let off_m = speaking().filter_map(off).reduce(f64::max);
+    let after_m = speaking().filter_map(|stream| Some(stream.other?.m)).fold(0.0, f64::max);
+    let after = Unit::Metre.show(after_m);
+    let message = match off_m {
+        Some(off_m) => format!(
+            "the rows are of the {is} convention, not {read_as}: {} off as declared",
+            Unit::Metre.show(off_m)
+        ),
+        None => format!("the rows are of the {is} convention, not {read_as}: that leaves {after}"),
+    };
+    Fault {
+        severity: Severity::Error,
+        title: "DH table of the other convention",
+        message,
+        evidence: Evidence {
+            effect: Some(format!("{after} once read as {is}; the audit goes on with that")),
+            effect_m: off_m,
+            ..Evidence::default()
+        },
+        fix: format!("set convention = \"{is}\" in the table's [dh]"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{ask, clean_run};
+    use crate::diagnosis::Left;
+    use crate::finding::Status;
+
+    fn judged(declared_m: f64, other_m: Option<f64>) -> (Status, String) {
+        let mut facts = clean_run();
+        let left = |m: f64| Left { m, rad: 0.0 };
+        let dh = facts.robots[0].dh.as_mut().unwrap();
+        dh.estimate.streams[0] = DhStream {
+            declared: left(declared_m),
+            declared_positions_m: Some(0.25),
+            other: other_m.map(left),
+        };
+        dh.estimate.declared_faults = 2;
+        let (rows, findings) = ask(&ORD007, &facts);
+        let said = findings.first().map(|finding| finding.message.clone());
+        (rows[0].status, said.or(rows[0].reason.clone()).unwrap_or_default())
+    }
+
+    #[test]
+    fn a_table_is_blamed_only_where_the_other_convention_alone_explains() {
+        let (status, said) = judged(0.3, Some(1e-5));
+        assert_eq!(status, Status::Fail);
+        assert!(said.contains("modified convention, not standard: 300 mm off"), "{said}");
+        let (status, said) = judged(f64::INFINITY, Some(1e-3));
+        assert_eq!(status, Status::Fail);
+        assert!(said.contains("250 mm off as declared"), "{said}");
+        assert_eq!(judged(1e-5, None).0, Status::Pass);
+        let (status, said) = judged(1e-5, Some(1e-5));
+        assert_eq!(status, Status::Inconclusive);
+        assert!(said.contains("with 2 faults") && said.contains("with no fault"), "{said}");
+        assert_eq!(judged(0.3, Some(0.3)).0, Status::Inconclusive);
+    }
+}

@@ -1,0 +1,371 @@
+//! Corrections applied to a log: latencies to its stamps, all else to the streams of a run.
+
+use std::path::Path;
+
+use super::file::{
+    AngleUnit, Corrections, FrameCorrection, JointOrder, LengthUnit, Slip, TopicCorrection,
+};
+use crate::audit::{imu_stream, pose_stream};
+use crate::diagnosis::{reread_imu, reread_poses};
+use crate::finding::Unit;
+use crate::geometry::{Pose, rotation_from_xyzw};
+use crate::log::Log;
+use crate::report::{Trouble, TroubleKind};
+use crate::robot::JointKind;
+use crate::run::{Arm, JointMending, PoseSource, Run};
+use crate::stream::Orientations;
+use crate::time::{nanos, seconds};
+
+/// Corrections, and the file that they are from.
+#[derive(Clone, Copy)]
+pub(crate) struct Given<'a> {
+    pub corrections: &'a Corrections,
+    pub file: &'a Path,
+}
+
+impl Given<'_> {
+    fn refuse(&self, what: String) -> Trouble {
+        Trouble {
+            kind: TroubleKind::Call,
+            what,
+            place: self.file.display().to_string(),
+            remedy: "correct the name (see `poseaudit info`), or take it out of the file"
+                .to_owned(),
+        }
+    }
+
+    /// Takes the latencies off the stamps of `log`: of the header's and of the receipt's alike, so
+    /// that a stream on another clock is still aligned as it was.
+    ///
+    /// # Errors
+    /// Where a topic is not in the log.
+    pub fn shift(&self, log: &mut Log) -> Result<(), Trouble> {
+        for correction in &self.corrections.topics {
+            let name = &correction.name;
+            let topic = log.topics.iter_mut().find(|topic| is_same(&topic.name, name));
+            let Some(topic) = topic else {
+                return Err(self.refuse(format!("the log has no topic '{name}'")));
+            };
+            let (latency_s, skew) = (correction.latency_s, correction.skew);
+            if latency_s.is_none() && skew.is_none() {
+                continue;
+            }
+            let Some(columns) = &mut topic.columns else { continue };
+            let about_s = correction.skew_about_s.unwrap_or_default();
+            let lateness = |since_first: i64| {
+                let grown_s = skew.map_or(0.0, |skew| skew * (seconds(since_first) - about_s));
+                nanos(latency_s.unwrap_or(0.0) + grown_s)
+            };
+            columns.times_mut().into_iter().for_each(|times| times.shift_back(lateness));
+        }
+        Ok(())
+    }
+
+    /// Applies all but the latencies to the streams of `run`.
+    ///
+    /// # Errors
+    /// Where a joint is no arm's, or a topic is not what its correction is for.
+    pub fn apply(&self, run: &mut Run, most_lag_s: f64) -> Result<(), Trouble> {
+        self.mend_joints(run)?;
+        for correction in &self.corrections.topics {
+            let name = &correction.name;
+            let streams = || run.streams.iter().filter(|stream| is_same(&stream.topic, name));
+            if streams().next().is_none() {
+                continue;
+            }
+            if self.is_of_pose(correction) && streams().count() > 1 {
+                return Err(
+                    self.refuse(format!("topic '{name}' holds the poses of several frames"))
+                );
+            }
+            let mut open = Open::of(correction);
+            for arm in 0..run.arms.len() {
+                mend_poses(run, arm, correction, most_lag_s, &mut open);
+                mend_imus(run, arm, correction, most_lag_s, &mut open);
+            }
+            mend_targets(run, correction, &mut open);
+            if let Some(what) = open.first() {
+                return Err(self.refuse(format!("{what} cannot be applied to topic '{name}'")));
+            }
+        }
+        Ok(())
+    }
+
+    fn is_of_pose(&self, correction: &TopicCorrection) -> bool {
+        let TopicCorrection { rotation, reference_from_stream, tip_from_stream, .. } = correction;
+        rotation.is_some() || reference_from_stream.is_some() || tip_from_stream.is_some()
+    }
+
+    fn mend_joints(&self, run: &mut Run) -> Result<(), Trouble> {
+        if run.arms.is_empty() {
+            return Ok(());
+        }
+        for joint in &self.corrections.joints {
+            let is_meant = |arm: &Arm| {
+                let is_robot = joint.robot.as_ref().is_none_or(|robot| arm.name == *robot);
+                is_robot && arm.joint_names.contains(&joint.name)
+            };
+            if !run.arms.iter().any(is_meant) {
+                return Err(self.refuse(format!("no arm of the log has a joint '{}'", joint.name)));
+            }
+        }
+        let topics: Vec<String> = run.streams.iter().map(|stream| stream.topic.clone()).collect();
+        for arm in &mut run.arms {
+            let mending = self.joint_mending(arm, &topics)?;
+            if !mending.is_nothing() {
+                arm.mend_joints(mending);
+            }
+        }
+        Ok(())
+    }
+
+    /// What is wrong with the joint states of an arm.
+    fn joint_mending(&self, arm: &Arm, topics: &[String]) -> Result<JointMending, Trouble> {
+        let mut mending = JointMending::none(arm.joint_names.len());
+        let column = |name: &String| arm.joint_names.iter().position(|joint| joint == name);
+        for correction in &self.corrections.topics {
+            let is_of_topic = |column: usize| {
+                let facts = arm.joint_facts.get(column);
+                facts.is_some_and(|facts| is_same(&topics[facts.stream], &correction.name))
+            };
+            if let Some(JointOrder { is, read_as }) = &correction.joint_order {
+                for (is, read_as) in is.iter().zip(read_as) {
+                    match (column(is), column(read_as)) {
+                        (Some(is), Some(read_as)) => mending.from[is] = read_as,
+                        (None, None) => {}
+                        (is_known, _) => {
+                            let other = if is_known.is_some() { read_as } else { is };
+                            return Err(self.refuse(format!(
+                                "joint_order of '{}': no arm of the log has a joint '{other}'",
+                                correction.name
+                            )));
+                        }
+                    }
+                }
+            }
+            if let Some(slip) = correction.angle_unit {
+                for (index, name) in arm.joint_names.iter().enumerate() {
+                    let joint = arm.robot.joint(name);
+                    let slides = joint.is_some_and(|joint| joint.kind == JointKind::Prismatic);
+                    if is_of_topic(index) && !slides {
+                        mending.factor[index] = slip.factor();
+                    }
+                }
+            }
+        }
+        for joint in &self.corrections.joints {
+            let is_robot = joint.robot.as_ref().is_none_or(|robot| arm.name == *robot);
+            if let (true, Some(column)) = (is_robot, column(&joint.name)) {
+                mending.offset[column] = joint.offset_rad.or(joint.offset_m).unwrap_or(0.0);
+            }
+        }
+        Ok(mending)
+    }
+
+    /// What is corrected, in words, for the report.
+    pub fn notes(&self) -> Vec<String> {
+        let joints = self.corrections.joints.iter().map(|joint| {
+            let offset = match (joint.offset_rad, joint.offset_m) {
+                (Some(rad), _) => Unit::Radian.show(rad),
+                (None, offset_m) => Unit::Metre.show(offset_m.unwrap_or(0.0)),
+            };
+            format!("corrected: {} by an offset of {offset}", joint.name)
+        });
+        let topics = self.corrections.topics.iter().map(|topic| {
+            format!("corrected: {} by its {}", topic.name, topic.parts().join(", its "))
+        });
+        joints.chain(topics).collect()
+    }
+}
+
+impl TopicCorrection {
+    /// What it corrects, in words.
+    fn parts(&self) -> Vec<String> {
+        let frames = [
+            (self.link_from_imu_xyzw.is_some(), "mount"),
+            (self.reference_from_stream.is_some(), "reference frame"),
+            (self.tip_from_stream.is_some(), "tool frame"),
+            (self.hand_from_camera.is_some() || self.base_from_camera.is_some(), "camera's frame"),
+            (self.joint_order.is_some(), "order of joints"),
+            (self.length_unit.is_some(), "unit of length"),
+            (self.angle_unit.is_some(), "unit of angles"),
+            (self.convention.is_some(), "convention"),
+        ];
+        let latency = self.latency_s.map(|s| format!("latency of {}", Unit::Second.show(s)));
+        let skew =
+            self.skew.map(|skew| format!("clock skew of {}", Unit::SecondPerSecond.show(skew)));
+        let rotation = self.rotation.map(|slip| {
+            let Slip { is, read_as } = Slip::<String>::from(slip);
+            format!("rotation ({is} read as {read_as})")
+        });
+        let frames = frames.into_iter().filter(|(is_there, _)| *is_there);
+        let frames = frames.map(|(_, name)| name.to_owned());
+        latency.into_iter().chain(skew).chain(rotation).chain(frames).collect()
+    }
+}
+
+/// The parts of a topic's correction that nothing has taken up yet.
+struct Open(Vec<&'static str>);
+
+impl Open {
+    fn of(correction: &TopicCorrection) -> Self {
+        let parts = [
+            ("length_unit", correction.length_unit.is_some()),
+            ("angle_unit", correction.angle_unit.is_some()),
+            ("convention", correction.convention.is_some()),
+            ("rotation", correction.rotation.is_some()),
+            ("reference_from_stream", correction.reference_from_stream.is_some()),
+            ("tip_from_stream", correction.tip_from_stream.is_some()),
+            ("link_from_imu_xyzw", correction.link_from_imu_xyzw.is_some()),
+            ("hand_from_camera", correction.hand_from_camera.is_some()),
+            ("base_from_camera", correction.base_from_camera.is_some()),
+        ];
+        Self(parts.into_iter().filter(|(_, is_there)| *is_there).map(|(name, _)| name).collect())
+    }
+
+    fn take(&mut self, part: &str) {
+        self.0.retain(|open| *open != part);
+    }
+
+    fn first(&self) -> Option<&'static str> {
+        self.0.first().copied()
+    }
+}
+
+fn is_same(topic: &str, name: &str) -> bool {
+    topic.trim_start_matches('/') == name.trim_start_matches('/')
+}
+
+fn mend_poses(
+    run: &mut Run,
+    arm: usize,
+    correction: &TopicCorrection,
+    most_lag_s: f64,
+    open: &mut Open,
+) {
+    let is_joints = |facts: &crate::run::JointFacts| {
+        is_same(&run.streams[facts.stream].topic, &correction.name)
+    };
+    if run.arms[arm].joint_facts.iter().any(is_joints) {
+        open.take("angle_unit");
+    }
+    for index in 0..run.arms[arm].poses.len() {
+        let source = &run.arms[arm].poses[index];
+        if !is_same(&run.streams[source.stream].topic, &correction.name) {
+            continue;
+        }
+        let mut mended = source.clone();
+        mend_units(&mut mended, correction, open);
+        if let Some(reading) = correction.rotation.and_then(|slip| slip.reading()) {
+            let (joints, stream) = (&run.arms[arm].joints, pose_stream(run, &mended));
+            let turned = |frame: Option<FrameCorrection>| {
+                frame.map(|frame| frame.pose().rotation).unwrap_or_default()
+            };
+            let reference = turned(correction.reference_from_stream).inverse();
+            let known = [reference, turned(correction.tip_from_stream)];
+            if let Some(track) = reread_poses(joints, &stream, reading, known, most_lag_s) {
+                open.take("rotation");
+                mended.track = track;
+            }
+        }
+        mend_frames(&mut mended, correction, open);
+        run.arms[arm].poses[index] = mended;
+    }
+}
+
+fn mend_units(source: &mut PoseSource, correction: &TopicCorrection, open: &mut Open) {
+    let track = &mut source.track;
+    if let Some(slip) = correction.length_unit {
+        open.take("length_unit");
+        track.xyz.iter_mut().for_each(|xyz| *xyz *= slip.factor());
+        if let Some(declared) = &mut track.declared {
+            declared.millimetres = slip.is == LengthUnit::Millimetre;
+        }
+    }
+    if let Some(slip) = correction.angle_unit {
+        match (&mut track.orientation, &mut track.declared) {
+            (Orientations::Numbers(numbers), _) => {
+                open.take("angle_unit");
+                let factor = slip.factor();
+                numbers.iter_mut().for_each(|numbers| *numbers = numbers.map(|n| n * factor));
+            }
+            (Orientations::Rotations(rotations), Some(declared)) => {
+                if let Some(other) = &mut declared.in_other_angles {
+                    open.take("angle_unit");
+                    std::mem::swap(rotations, other);
+                    declared.degrees = slip.is == AngleUnit::Degree;
+                }
+            }
+            (Orientations::Rotations(_), None) => {}
+        }
+    }
+    if let (Some(convention), Orientations::Numbers(numbers)) =
+        (correction.convention, &track.orientation)
+    {
+        open.take("convention");
+        let rotations = numbers.iter().map(|&numbers| convention.rotation(numbers)).collect();
+        track.orientation = Orientations::Rotations(rotations);
+    }
+}
+
+fn mend_frames(source: &mut PoseSource, correction: &TopicCorrection, open: &mut Open) {
+    let Orientations::Rotations(rotations) = &mut source.track.orientation else { return };
+    open.take("reference_from_stream");
+    open.take("tip_from_stream");
+    let before = correction.reference_from_stream.map(|frame| frame.pose()).unwrap_or_default();
+    let after = correction.tip_from_stream.map(|frame| frame.pose().inverse()).unwrap_or_default();
+    if before == Pose::identity() && after == Pose::identity() {
+        return;
+    }
+    for (xyz, rotation) in source.track.xyz.iter_mut().zip(rotations) {
+        let mended = before * Pose::from_parts((*xyz).into(), *rotation) * after;
+        (*xyz, *rotation) = (mended.translation.vector, mended.rotation);
+    }
+}
+
+fn mend_imus(
+    run: &mut Run,
+    arm: usize,
+    correction: &TopicCorrection,
+    most_lag_s: f64,
+    open: &mut Open,
+) {
+    for index in 0..run.arms[arm].imus.len() {
+        let source = &run.arms[arm].imus[index];
+        if !is_same(&run.streams[source.stream].topic, &correction.name) {
+            continue;
+        }
+        let mut mended = source.clone();
+        if let Some(rotation) = correction.link_from_imu_xyzw.and_then(rotation_from_xyzw) {
+            open.take("link_from_imu_xyzw");
+            let logged = mended.link_from_imu.unwrap_or_default();
+            mended.link_from_imu = Some(Pose::from_parts(logged.translation, rotation));
+        }
+        if let Some(reading) = correction.rotation.and_then(|slip| slip.reading()) {
+            let stream = imu_stream(&mended);
+            let truths = reread_imu(&run.arms[arm].joints, &stream, reading, most_lag_s);
+            if let Some(truths) = truths {
+                open.take("rotation");
+                mended.track.orientation = truths;
+            }
+        }
+        run.arms[arm].imus[index] = mended;
+    }
+}
+
+fn mend_targets(run: &mut Run, correction: &TopicCorrection, open: &mut Open) {
+    let [in_hand, in_base] = [correction.hand_from_camera, correction.base_from_camera]
+        .map(|frame| frame.map(|frame| frame.pose()));
+    if in_hand.is_none() && in_base.is_none() {
+        return;
+    }
+    for target in &mut run.targets {
+        if is_same(&run.streams[target.stream].topic, &correction.name) {
+            open.take("hand_from_camera");
+            open.take("base_from_camera");
+            for hand in &mut target.hands {
+                (hand.hand_from_camera, hand.base_from_camera) = (in_hand, in_base);
+            }
+        }
+    }
+}

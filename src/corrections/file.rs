@@ -1,0 +1,490 @@
+//! The file that holds corrections, in TOML.
+
+use std::fs;
+use std::path::Path;
+
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
+
+use super::frames::rounded;
+use crate::diagnosis::Reading;
+use crate::geometry::{
+    Convention, Misreading, Pose, QuaternionSlip, misreading_classes, pose, rotation_from_xyzw,
+    xyz_of, xyzw_from_rotation,
+};
+use crate::report::{Trouble, TroubleKind};
+
+/// Corrections of the joints and topics of a log. Names are those of the log.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Corrections {
+    schema: Schema,
+    /// The joints whose zero is off.
+    #[serde(default, rename = "joint", skip_serializing_if = "Vec::is_empty")]
+    pub joints: Vec<JointCorrection>,
+    /// The topics, each with all that is wrong with it.
+    #[serde(default, rename = "topic", skip_serializing_if = "Vec::is_empty")]
+    pub topics: Vec<TopicCorrection>,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+enum Schema {
+    #[default]
+    #[serde(rename = "poseaudit.corrections/1")]
+    One,
+}
+
+/// The zero of a joint: `q_true = q_reported + offset`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JointCorrection {
+    /// The joint.
+    pub name: String,
+    /// The robot, where several have a joint of that name.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robot: Option<String>,
+    /// The offset of a joint that turns, rad.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "finite")]
+    pub offset_rad: Option<f64>,
+    /// The offset of a joint that slides, m.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "finite")]
+    pub offset_m: Option<f64>,
+    /// 95 % interval of the offset, in its unit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ci95: Option<[f64; 2]>,
+}
+
+/// What is wrong with a topic. Of several slips units are mended first, then rotations, then frames.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TopicCorrection {
+    /// The topic.
+    pub name: String,
+    /// What is stamped *t* was true at *t − latency*, s.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "finite")]
+    pub latency_s: Option<f64>,
+    /// 95 % interval of the latency, s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub latency_ci95: Option<[f64; 2]>,
+    /// By how much the latency grows with each second of stamp, s/s.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "finite")]
+    pub skew: Option<f64>,
+    /// 95 % interval of the skew, s/s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub skew_ci95: Option<[f64; 2]>,
+    /// When the latency is `latency_s`, where it grows, s after the topic's first stamp.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "finite")]
+    pub skew_about_s: Option<f64>,
+    /// The convention of bare rotation numbers, so that frames can be applied to them.
+    #[serde(default, skip_serializing_if = "Option::is_none", with = "convention_name")]
+    pub convention: Option<Convention>,
+    /// `link_from_imu`, x, y, z, w: how the IMU is turned in the link that carries it.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "quaternion")]
+    pub link_from_imu_xyzw: Option<[f64; 4]>,
+    /// What the positions' unit is, and what it was taken for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub length_unit: Option<Slip<LengthUnit>>,
+    /// The same of the angles, or of the positions of joints that turn.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub angle_unit: Option<Slip<AngleUnit>>,
+    /// Whose positions stand under which joints' names.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub joint_order: Option<JointOrder>,
+    /// What the rotations are, and what they were read as.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rotation: Option<RotationSlip>,
+    /// `reference_from_stream`: stands before a logged pose.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reference_from_stream: Option<FrameCorrection>,
+    /// `tip_from_stream`: its inverse stands behind a logged pose.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tip_from_stream: Option<FrameCorrection>,
+    /// Where the camera of a target is in the hand.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hand_from_camera: Option<FrameCorrection>,
+    /// Where the camera of a target is in the base.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub base_from_camera: Option<FrameCorrection>,
+}
+
+/// One thing that was taken for another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Slip<T> {
+    /// What it is.
+    pub is: T,
+    /// What it was read as.
+    pub read_as: T,
+}
+
+/// A unit of length.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum LengthUnit {
+    /// Millimetres.
+    #[serde(rename = "mm")]
+    Millimetre,
+    /// Metres.
+    #[serde(rename = "m")]
+    Metre,
+}
+
+/// A unit of angle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum AngleUnit {
+    /// Degrees.
+    #[serde(rename = "deg")]
+    Degree,
+    /// Radians.
+    #[serde(rename = "rad")]
+    Radian,
+}
+
+impl Slip<LengthUnit> {
+    /// What lengths must be multiplied by.
+    pub(super) fn factor(self) -> f64 {
+        let metres = |unit| if unit == LengthUnit::Millimetre { 1e-3 } else { 1.0 };
+        metres(self.is) / metres(self.read_as)
+    }
+}
+
+impl Slip<AngleUnit> {
+    /// What angles must be multiplied by.
+    pub(super) fn factor(self) -> f64 {
+        let radians = |unit| if unit == AngleUnit::Degree { 1_f64.to_radians() } else { 1.0 };
+        radians(self.is) / radians(self.read_as)
+    }
+}
+
+/// Positions that stand under other joints' names: that under `read_as[i]` is that of `is[i]`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JointOrder {
+    /// The joints in the order that the numbers are in.
+    pub is: Vec<String>,
+    /// The joints in the order of the names.
+    pub read_as: Vec<String>,
+}
+
+/// A constant frame.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FrameCorrection {
+    /// Translation, m.
+    xyz: [f64; 3],
+    /// Rotation, x, y, z, w.
+    #[serde(deserialize_with = "unit_quaternion")]
+    quaternion_xyzw: [f64; 4],
+}
+
+impl From<&Pose> for FrameCorrection {
+    fn from(pose: &Pose) -> Self {
+        let quaternion_xyzw = xyzw_from_rotation(&pose.rotation).map(rounded);
+        Self { xyz: xyz_of(pose).map(rounded), quaternion_xyzw }
+    }
+}
+
+impl FrameCorrection {
+    /// The frame as a pose.
+    pub fn pose(&self) -> Pose {
+        pose(self.xyz, rotation_from_xyzw(self.quaternion_xyzw).unwrap_or_default())
+    }
+}
+
+/// What became of the rotations of a stream, or of its poses as a whole.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "Slip<String>", into = "Slip<String>")]
+pub enum RotationSlip {
+    /// Three numbers of one convention were read as another.
+    Misread(Misreading),
+    /// The quaternion's components stand in the other order.
+    Quaternion(QuaternionSlip),
+    /// The rotation is inverted, the position is not.
+    Transposed,
+    /// The pose is inverted as a whole.
+    Inverted,
+}
+
+impl TryFrom<Slip<String>> for RotationSlip {
+    type Error = String;
+
+    fn try_from(slip: Slip<String>) -> Result<Self, String> {
+        let Slip { is, read_as } = &slip;
+        Ok(match (is.as_str(), read_as.as_str()) {
+            ("transpose", "pose") => Self::Transposed,
+            ("pose-inverse", "pose") => Self::Inverted,
+            ("quat:wxyz", "quat:xyzw") => Self::Quaternion(QuaternionSlip::WxyzReadAsXyzw),
+            ("quat:xyzw", "quat:wxyz") => Self::Quaternion(QuaternionSlip::XyzwReadAsWxyz),
+            _ => {
+                let convention =
+                    |name: &str| name.parse::<Convention>().map_err(|error| error.to_string());
+                let misreading = Misreading { is: convention(is)?, read_as: convention(read_as)? };
+                if misreading.is == misreading.read_as {
+                    return Err(format!("`{is}` read as `{read_as}` is no slip"));
+                }
+                Self::Misread(misreading)
+            }
+        })
+    }
+}
+
+impl From<RotationSlip> for Slip<String> {
+    fn from(slip: RotationSlip) -> Self {
+        let of = |is: &str, read_as: &str| Slip { is: is.to_owned(), read_as: read_as.to_owned() };
+        match slip {
+            RotationSlip::Transposed => of("transpose", "pose"),
+            RotationSlip::Inverted => of("pose-inverse", "pose"),
+            RotationSlip::Quaternion(QuaternionSlip::WxyzReadAsXyzw) => {
+                of("quat:wxyz", "quat:xyzw")
+            }
+            RotationSlip::Quaternion(QuaternionSlip::XyzwReadAsWxyz) => {
+                of("quat:xyzw", "quat:wxyz")
+            }
+            RotationSlip::Misread(Misreading { is, read_as }) => {
+                of(&is.to_string(), &read_as.to_string())
+            }
+        }
+    }
+}
+
+impl RotationSlip {
+    /// How the stream must be read.
+    pub(super) fn reading(self) -> Option<Reading> {
+        Some(match self {
+            Self::Transposed => Reading::Transposed,
+            Self::Inverted => Reading::Inverted,
+            Self::Quaternion(slip) => Reading::QuaternionOrder(slip),
+            Self::Misread(misreading) => {
+                let classes = misreading_classes().iter();
+                let mut classes = classes.filter(|class| class.members.contains(&misreading));
+                Reading::Misread(classes.next()?)
+            }
+        })
+    }
+}
+
+/// The name of a convention.
+mod convention_name {
+    use super::{Convention, Deserialize, Deserializer};
+    use serde::Serializer;
+    use serde::de::Error as _;
+
+    pub fn serialize<S: Serializer>(of: &Option<Convention>, out: S) -> Result<S::Ok, S::Error> {
+        match of {
+            Some(convention) => out.collect_str(convention),
+            None => out.serialize_none(),
+        }
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Convention>, D::Error> {
+        let name = String::deserialize(from)?;
+        name.parse().map(Some).map_err(D::Error::custom)
+    }
+}
+
+fn finite<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
+    let value = f64::deserialize(from)?;
+    match value.is_finite() {
+        true => Ok(Some(value)),
+        false => Err(D::Error::custom(format!("{value} is no amount"))),
+    }
+}
+
+fn quaternion<'de, D: Deserializer<'de>>(from: D) -> Result<Option<[f64; 4]>, D::Error> {
+    unit_quaternion(from).map(Some)
+}
+
+fn unit_quaternion<'de, D: Deserializer<'de>>(from: D) -> Result<[f64; 4], D::Error> {
+    let q_xyzw = <[f64; 4]>::deserialize(from)?;
+    match rotation_from_xyzw(q_xyzw) {
+        Some(_) => Ok(q_xyzw),
+        None => Err(D::Error::custom("a quaternion of no length is no rotation")),
+    }
+}
+
+/// What a file of corrections begins with.
+const HEADER: &str = "\
+# Corrections, as `poseaudit audit LOG --corrections FILE` takes them back.
+# A joint: q_true = q_reported + offset. A latency: what is stamped t was true at t - latency.
+# Frames: `a_from_b` maps coordinates in b to coordinates in a; lengths in m, angles in rad.
+
+";
+
+impl Corrections {
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.joints.is_empty() && self.topics.is_empty()
+    }
+
+    /// Reads the file at `path`.
+    ///
+    /// # Errors
+    /// Where it cannot be read, or is not of this layout; with the line.
+    pub fn from_file(path: &Path) -> Result<Self, Trouble> {
+        let place = path.display().to_string();
+        let text = fs::read_to_string(path).map_err(|error| Trouble {
+            kind: TroubleKind::Call,
+            what: format!("cannot be read: {error}"),
+            place: place.clone(),
+            remedy: "name the corrections.toml that `audit --fix DIR` wrote".to_owned(),
+        })?;
+        Self::from_text(&text, &place)
+    }
+
+    /// Reads the text of a file; `source` names it in errors.
+    ///
+    /// # Errors
+    /// Where it is not of this layout; with the line.
+    pub fn from_text(text: &str, source: &str) -> Result<Self, Trouble> {
+        let refuse = |place: String, what: String| Trouble {
+            kind: TroubleKind::Call,
+            what,
+            place,
+            remedy: "compare it with what `audit --fix DIR` writes".to_owned(),
+        };
+        let corrections: Self = toml::from_str(text).map_err(|error| {
+            let before = &text.as_bytes()[..error.span().map_or(0, |span| span.start)];
+            let line = 1 + before.iter().filter(|&&byte| byte == b'\n').count();
+            let what = error.message().lines().collect::<Vec<_>>().join(", ");
+            refuse(format!("{source}:{line}"), format!("no corrections: {what}"))
+        })?;
+        match corrections.flaw() {
+            Some(what) => Err(refuse(source.to_owned(), what)),
+            None => Ok(corrections),
+        }
+    }
+
+    /// What is wrong with it, beyond its layout.
+    fn flaw(&self) -> Option<String> {
+        for (index, joint) in self.joints.iter().enumerate() {
+            let name = &joint.name;
+            if joint.offset_rad.is_some() == joint.offset_m.is_some() {
+                return Some(format!("joint '{name}' needs one of offset_rad and offset_m"));
+            }
+            let same = |other: &JointCorrection| other.name == *name && other.robot == joint.robot;
+            if self.joints[..index].iter().any(same) {
+                return Some(format!("joint '{name}' is there twice"));
+            }
+        }
+        for (index, topic) in self.topics.iter().enumerate() {
+            let name = &topic.name;
+            if self.topics[..index].iter().any(|other| other.name == *name) {
+                return Some(format!("topic '{name}' is there twice"));
+            }
+            if topic.skew.is_some() && topic.skew_about_s.is_none() {
+                return Some(format!("topic '{name}' has a skew and no skew_about_s"));
+            }
+            let frames = [
+                &topic.reference_from_stream,
+                &topic.tip_from_stream,
+                &topic.hand_from_camera,
+                &topic.base_from_camera,
+            ];
+            let numbers = frames.into_iter().flatten().flat_map(|frame| frame.xyz);
+            if let Some(number) = numbers.into_iter().find(|number| !number.is_finite()) {
+                return Some(format!("topic '{name}': {number} is no length"));
+            }
+            if let Some(JointOrder { is, read_as }) = &topic.joint_order {
+                let sorted = |names: &[String]| {
+                    let mut names = names.to_vec();
+                    names.sort_unstable();
+                    names
+                };
+                let (is, read_as) = (sorted(is), sorted(read_as));
+                if is != read_as || is.windows(2).any(|pair| pair[0] == pair[1]) {
+                    return Some(format!("joint_order of '{name}' is no order of the same joints"));
+                }
+            }
+        }
+        None
+    }
+
+    /// The text of the file.
+    pub fn to_text(&self) -> String {
+        let body = toml::to_string(self).expect("names and numbers are TOML");
+        format!("{HEADER}{body}")
+    }
+
+    /// The correction of a topic, which is made where there is none.
+    pub(super) fn topic(&mut self, name: &str) -> &mut TopicCorrection {
+        let at = self.topics.iter().position(|topic| topic.name == name);
+        let at = at.unwrap_or_else(|| {
+            self.topics.push(TopicCorrection { name: name.to_owned(), ..Default::default() });
+            self.topics.len() - 1
+        });
+        &mut self.topics[at]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_written_is_read_back() {
+        let mut corrections = Corrections::default();
+        corrections.joints.push(JointCorrection {
+            name: "elbow".to_owned(),
+            robot: Some("left arm".to_owned()),
+            offset_rad: Some(-0.010_471_975_5),
+            offset_m: None,
+            ci95: Some([-0.0105, -0.0104]),
+        });
+        let topic = corrections.topic("/tcp \"odd\"");
+        (topic.latency_s, topic.skew) = (Some(0.022), Some(2e-4));
+        topic.skew_about_s = Some(10.25);
+        topic.convention = Some(Convention::RPY);
+        topic.length_unit = Some(Slip { is: LengthUnit::Millimetre, read_as: LengthUnit::Metre });
+        topic.rotation = Some(RotationSlip::Misread(Misreading {
+            is: Convention::RotVec,
+            read_as: Convention::RPY,
+        }));
+        let turned = pose([0.1, 0.0, -0.2], crate::geometry::rotation_from_rpy([0.1, 0.2, 0.3]));
+        topic.reference_from_stream = Some(FrameCorrection::from(&turned));
+        let names = |order: [&str; 2]| order.map(str::to_owned).to_vec();
+        corrections.topic("/joint_states").joint_order =
+            Some(JointOrder { is: names(["b", "a"]), read_as: names(["a", "b"]) });
+        let text = corrections.to_text();
+        assert_eq!(Corrections::from_text(&text, "c.toml"), Ok(corrections), "{text}");
+    }
+
+    #[test]
+    fn what_is_none_says_where() {
+        let head = "schema = \"poseaudit.corrections/1\"\n";
+        for (text, place, part) in [
+            ("schema = \"poseaudit.corrections/9\"", "c.toml:1", "unknown variant"),
+            ("[[joint]]\nname = \"a\"\nofset_rad = 1\n", "c.toml:4", "ofset_rad"),
+            ("[[joint]]\nname = \"a\"\noffset_rad = nan\n", "c.toml:4", "NaN is no amount"),
+            ("[[joint]]\nname = \"a\"\n", "c.toml", "needs one of"),
+            (
+                "[[topic]]\nname = \"/t\"\nrotation = {is = \"rotvec\", read_as = \"rpy\"}\n",
+                "c.toml:4",
+                "`rpy`",
+            ),
+            ("[[topic]]\nname = \"/t\"\nconvention = \"euler:xxy\"\n", "c.toml:4", "twice"),
+            (
+                "[[topic]]\nname = \"/t\"\nlink_from_imu_xyzw = [0.0, 0.0, 0.0, 0.0]\n",
+                "c.toml:4",
+                "no rotation",
+            ),
+            ("[[topic]]\nname = \"/t\"\nskew = 1e-4\n", "c.toml", "skew_about_s"),
+            ("[[topic]]\nname = \"/t\"\n[[topic]]\nname = \"/t\"\n", "c.toml", "twice"),
+        ] {
+            let text =
+                if text.starts_with("schema") { text.to_owned() } else { format!("{head}{text}") };
+            let trouble = Corrections::from_text(&text, "c.toml").expect_err("no corrections");
+            assert_eq!(trouble.place, place, "{trouble}");
+            assert!(trouble.what.contains(part), "{trouble}");
+            assert!(!trouble.to_string().contains('\n'), "{trouble}");
+        }
+    }
+
+    #[test]
+    fn units_have_factors() {
+        use AngleUnit::{Degree, Radian};
+        use LengthUnit::{Metre, Millimetre};
+        assert_eq!(Slip { is: Millimetre, read_as: Metre }.factor(), 1e-3);
+        assert_eq!(Slip { is: Metre, read_as: Millimetre }.factor(), 1e3);
+        let half_turn = 180.0 * Slip { is: Degree, read_as: Radian }.factor();
+        assert!((half_turn - std::f64::consts::PI).abs() < 1e-15);
+    }
+}

@@ -1,0 +1,96 @@
+//! Constant frames as a static transform's command and as a joint of a URDF.
+
+use crate::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
+
+/// A frame that does not move in another.
+#[derive(Clone, Debug)]
+pub(super) struct FixedFrame {
+    /// The finding that it mends, and on what.
+    pub finding: String,
+    /// What to do with it, in words.
+    pub comment: String,
+    /// The frame that it is in.
+    pub parent: String,
+    /// The frame.
+    pub child: String,
+    /// `parent_from_child`.
+    pub pose: Pose,
+}
+
+impl FixedFrame {
+    /// The command that publishes it.
+    pub fn command(&self) -> String {
+        let [x, y, z] = xyz_of(&self.pose).map(number);
+        let [qx, qy, qz, qw] = xyzw_from_rotation(&self.pose.rotation).map(number);
+        let Self { parent, child, .. } = self;
+        format!(
+            "ros2 run tf2_ros static_transform_publisher --x {x} --y {y} --z {z} --qx {qx} --qy {qy} \
+             --qz {qz} --qw {qw} --frame-id {} --child-frame-id {}",
+            in_shell(parent),
+            in_shell(child)
+        )
+    }
+
+    /// The joint of a URDF that it is.
+    pub fn joint(&self) -> String {
+        let [x, y, z] = xyz_of(&self.pose).map(number);
+        let [roll, pitch, yaw] = Convention::RPY.numbers(&self.pose.rotation).map(number);
+        let [name, parent, child] =
+            [&format!("{}_joint", self.child), &self.parent, &self.child].map(|name| in_xml(name));
+        format!(
+            "<joint name=\"{name}\" type=\"fixed\">\n  <parent link=\"{parent}\"/>\n  \
+             <child link=\"{child}\"/>\n  <origin xyz=\"{x} {y} {z}\" rpy=\"{roll} {pitch} {yaw}\"/>\n\
+             </joint>"
+        )
+    }
+}
+
+/// A number to a billionth of a metre, a radian or a part.
+fn number(value: f64) -> String {
+    rounded(value).to_string()
+}
+
+/// `value` to a billionth, and no −0.
+pub(super) fn rounded(value: f64) -> f64 {
+    (value * 1e9).round() / 1e9 + 0.0
+}
+
+/// A name that a shell takes as one word.
+fn in_shell(name: &str) -> String {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
+    match !name.is_empty() && name.chars().all(is_plain) {
+        true => name.to_owned(),
+        false => format!("'{}'", name.replace('\'', r"'\''")),
+    }
+}
+
+/// A text as the value of an XML attribute, or in a comment.
+pub(super) fn in_xml(text: &str) -> String {
+    let escaped = text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
+    escaped.replace('"', "&quot;").replace("--", "- -")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{pose, rotation_from_rpy};
+
+    #[test]
+    fn a_frame_is_a_command_and_a_joint() {
+        let frame = FixedFrame {
+            finding: String::new(),
+            comment: String::new(),
+            parent: "base link".to_owned(),
+            child: "it's".to_owned(),
+            pose: pose([0.1, 0.0, -0.2], rotation_from_rpy([0.0, 0.0, 0.5])),
+        };
+        let command = frame.command();
+        assert!(command.contains("--x 0.1 --y 0 --z -0.2 --qx 0 --qy 0 "), "{command}");
+        assert!(
+            command.ends_with(r"--frame-id 'base link' --child-frame-id 'it'\''s'"),
+            "{command}"
+        );
+        let joint = frame.joint();
+        assert!(joint.contains(r#"<origin xyz="0.1 0 -0.2" rpy="0 0 0.5"/>"#), "{joint}");
+    }
+}

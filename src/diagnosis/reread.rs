@@ -1,0 +1,93 @@
+//! Streams read as somebody says that they are meant, where a misreading leaves several rotations
+//! that a sample may mean.
+
+use super::arm::stream_lag_s;
+use super::imu;
+use super::reading::{Logged, Samples, fit_known, nearest_truth};
+use super::{ImuStream, PoseStream, Reading};
+use crate::geometry::Rotation;
+use crate::stream::{JointTrack, Orientations, PoseTrack};
+
+/// Samples that the constant frames are fitted on.
+const FIT_SAMPLES: usize = 150;
+
+/// The poses of a stream as `reading` says that they are meant: of the rotations that a sample may
+/// mean the one nearest to what FK of `joints` and the constant frames that fit best say, beside those
+/// known: `[stream_from_reference, tip_from_stream]`. `None` where the stream holds bare numbers, or
+/// shares no time with the joints.
+pub fn reread_poses(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    reading: Reading,
+    known: [Rotation; 2],
+    most_lag_s: f64,
+) -> Option<PoseTrack> {
+    let PoseStream { track, chain, columns, reference_known, .. } = *stream;
+    let Orientations::Rotations(logged) = &track.orientation else { return None };
+    let lag_s = stream_lag_s(joints, stream, most_lag_s);
+    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+    let expected: Vec<Option<Rotation>> = track
+        .t_s
+        .iter()
+        .map(|stamp| {
+            joints.at(stamp - lag_s, &mut cursor, &mut q, &mut qd).then(|| {
+                let own: Vec<f64> = columns.iter().map(|&column| q[column]).collect();
+                known[0] * chain.forward(&own).rotation
+            })
+        })
+        .collect();
+    let truths = rotations(logged, reading, &expected, &known[1], reference_known)?;
+    let xyz = match reading {
+        Reading::Inverted => {
+            truths.iter().zip(&track.xyz).map(|(rotation, xyz)| -(rotation * xyz)).collect()
+        }
+        _ => track.xyz.clone(),
+    };
+    Some(PoseTrack { xyz, orientation: Orientations::Rotations(truths), ..track.clone() })
+}
+
+/// The orientations of an IMU, likewise.
+pub fn reread_imu(
+    joints: &JointTrack,
+    stream: &ImuStream,
+    reading: Reading,
+    most_lag_s: f64,
+) -> Option<Vec<Rotation>> {
+    imu::reread(joints, stream, reading, most_lag_s)
+}
+
+/// What `logged` means under `reading`, where FK `expected` each rotation but for constant frames and
+/// a known `tool`; a sample without FK is the nearest to the one before it.
+pub(super) fn rotations(
+    logged: &[Rotation],
+    reading: Reading,
+    expected: &[Option<Rotation>],
+    tool: &Rotation,
+    reference_known: bool,
+) -> Option<Vec<Rotation>> {
+    let known = expected.iter().enumerate().filter_map(|(row, fk)| Some((row, (*fk)? * tool)));
+    let known: Vec<(usize, Rotation)> = known.collect();
+    let some = known.iter().step_by(known.len().div_ceil(FIT_SAMPLES).max(1));
+    let (rows, fk): (Vec<usize>, Vec<Rotation>) = some.copied().unzip();
+    let there: Vec<Rotation> = rows.iter().map(|&row| logged[row]).collect();
+    if there.is_empty() {
+        return None;
+    }
+    let samples = Samples {
+        logged: Logged::Rotations(&there),
+        fk: &fk,
+        reference_free: true,
+        reference_known,
+    };
+    let fit = fit_known(&samples, reading)?;
+    let all = Logged::Rotations(logged);
+    let mut buffer = Vec::new();
+    let mut last = fit.reference * fk[0] * fit.tool;
+    let mut truths = Vec::with_capacity(logged.len());
+    for (row, fk) in expected.iter().enumerate() {
+        let expected = fk.map_or(last, |fk| fit.reference * fk * tool * fit.tool);
+        last = nearest_truth(&reading, &all, row, &expected, &mut buffer)?;
+        truths.push(last);
+    }
+    Some(truths)
+}

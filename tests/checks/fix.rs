@@ -1,0 +1,333 @@
+//! What mends a log: the files that `--fix` writes, and the audit that takes them back.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use poseaudit::finding::Finding;
+use poseaudit::geometry::{Pose, QuaternionSlip};
+use poseaudit::report::Report;
+use poseaudit::robot::Robot;
+use poseaudit::synth::{self, Camera, Coding, IMU, JOINT_STATES, POSE, TF, urdf_text};
+use tempfile::TempDir;
+
+use crate::case::{Log, summary, the};
+use crate::ord::misread;
+use crate::zer::zero;
+
+/// A log that was audited, what mends it, and its audit with that.
+struct Loop {
+    before: Report,
+    folder: TempDir,
+    after: Report,
+}
+
+impl Loop {
+    fn of(change: impl Fn(&mut Log)) -> Self {
+        let folder = tempfile::tempdir().expect("a folder");
+        let dir = folder.path().join("made/for/it");
+        let before = Log::with(|log| {
+            change(log);
+            log.options.fix = Some(dir.clone());
+        });
+        let before = before.audited();
+        let after = Log::with(|log| {
+            change(log);
+            log.options.corrections = Some(dir.join("corrections.toml"));
+        });
+        Self { before, after: after.audited(), folder }
+    }
+
+    fn text(&self, name: &str) -> String {
+        let path = self.folder.path().join("made/for/it").join(name);
+        fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+    }
+
+    /// Asserts that these were found and are found no more, and that nothing else is but `left`.
+    #[track_caller]
+    fn assert_mends(&self, codes: &[&str], left: &[&str]) {
+        let names = |findings: &[Finding]| -> Vec<&str> {
+            let mut codes: Vec<&str> = findings.iter().map(|finding| finding.code).collect();
+            codes.sort_unstable();
+            codes
+        };
+        let mut all = [codes, left].concat();
+        all.sort_unstable();
+        let found = summary(&self.before.findings);
+        assert_eq!(names(&self.before.findings), all, "before:\n{found}");
+        let found = summary(&self.after.findings);
+        let file = self.text("corrections.toml");
+        assert_eq!(names(&self.after.findings), left, "after:\n{found}\nby:\n{file}");
+        let notes: Vec<&str> = self.after.log.notes.iter().map(|note| note.note.as_str()).collect();
+        assert!(codes.is_empty() || notes.iter().any(|note| note.starts_with("corrected: ")));
+    }
+}
+
+#[test]
+fn the_demos_faults_are_gone_but_for_the_drift() {
+    let demo = synth::demo();
+    let looped = Loop::of(|log| {
+        log.run.pose.coding = demo.pose.coding;
+        log.run.pose.timing.latency_s = demo.pose.timing.latency_s;
+        log.run.joints.zero_offsets = demo.joints.zero_offsets.clone();
+        log.run.imu.yaw_drift_rad_s = demo.imu.yaw_drift_rad_s;
+    });
+    looped.assert_mends(&["LAT001", "ORD001", "ZER001"], &["YAW001"]);
+    let index = looped.text("corrections.md");
+    for part in [
+        "| ORD001 on /tcp_pose_broadcaster/pose | rotvec read as euler:xyz | `conventions.md`",
+        "| ZER001 on shoulder_lift_joint | offset of 0.5° | `joint_offsets.yaml`, `robot_description.urdf`",
+        "- YAW001 on /imu/data: ",
+    ] {
+        assert!(index.contains(part), "`{part}` is not in:\n{index}");
+    }
+    let code = looped.text("conventions.md");
+    assert!(code.contains("SciPy: `Rotation.from_rotvec([rx, ry, rz])`"), "{code}");
+    let offsets = looped.text("joint_offsets.yaml");
+    assert!(offsets.contains("\"shoulder_lift_joint\":\n    offset_rad: 0.0087"), "{offsets}");
+    let latency = looped.text("latency.yaml");
+    assert!(latency.contains(&format!("\"{POSE}\":\n    latency_s: 0.022")), "{latency}");
+}
+
+#[test]
+fn misread_rotations_are_mended() {
+    for (is, read_as) in [
+        ("rotvec", "euler:xyz"),
+        ("euler:xyz", "rotvec"),
+        ("euler:ZYZ", "euler:xyz"),
+        ("euler:xzy@axes", "euler:xyz"),
+    ] {
+        let looped = Loop::of(|log| log.run.pose.coding = misread(is, read_as));
+        looped.assert_mends(&["ORD001"], &[]);
+    }
+    let looped = Loop::of(|log| log.run.imu.coding = misread("euler:ZYX", "euler:xyz"));
+    looped.assert_mends(&["ORD001"], &[]);
+}
+
+#[test]
+fn quaternions_and_inverses_are_mended() {
+    for (code, coding) in [
+        ("ORD002", Coding::Slipped(QuaternionSlip::WxyzReadAsXyzw)),
+        ("ORD002", Coding::Slipped(QuaternionSlip::XyzwReadAsWxyz)),
+        ("ORD003", Coding::Inverted),
+        ("ORD003", Coding::Transposed),
+    ] {
+        Loop::of(|log| log.run.pose.coding = coding).assert_mends(&[code], &[]);
+    }
+    let imu = Loop::of(|log| log.run.imu.coding = Coding::Transposed);
+    imu.assert_mends(&["ORD003"], &[]);
+}
+
+#[test]
+fn units_and_orders_are_mended() {
+    Loop::of(|log| log.run.joints.in_degrees = true).assert_mends(&["ORD004"], &[]);
+    let order = || Some(vec![5, 0, 1, 2, 3, 4]);
+    let looped = Loop::of(|log| log.run.joints.number_order = order());
+    looped.assert_mends(&["ORD005"], &[]);
+    assert!(looped.text("conventions.md").contains("wrist_3_joint, shoulder_pan_joint, "));
+    Loop::of(|log| log.run.pose.in_millimetres = true).assert_mends(&["ORD008"], &[]);
+    let all = Loop::of(|log| {
+        log.run.joints.in_degrees = true;
+        log.run.joints.number_order = order();
+        log.run.pose.timing.latency_s = 0.015;
+    });
+    all.assert_mends(&["LAT001", "ORD004", "ORD005"], &[]);
+}
+
+#[test]
+fn latencies_are_mended_of_joint_states_and_their_copies_too() {
+    Loop::of(|log| log.run.pose.timing.latency_s = -0.015).assert_mends(&["LAT001"], &[]);
+    Loop::of(|log| log.run.imu.timing.latency_s = 0.02).assert_mends(&["LAT001"], &[]);
+    Loop::of(|log| log.run.tf.timing.latency_s = 0.05).assert_mends(&["LAT001"], &[]);
+    let joints = Loop::of(|log| {
+        log.run.joints.timing.latency_s = 0.02;
+        // /tf at every fourth of the joint states' stamps.
+        log.run.tf.timing = log.run.joints.timing.clone();
+        log.run.tf.timing.rate_hz = 12.5;
+    });
+    joints.assert_mends(&["LAT001"], &[]);
+    let topics = joints.text("latency.yaml");
+    assert!(topics.contains(JOINT_STATES) && topics.contains(&format!("\"{TF}\"")), "{topics}");
+}
+
+#[test]
+fn a_skew_is_mended_with_its_latency() {
+    let looped = Loop::of(|log| {
+        log.run.duration_s = 20.0;
+        log.run.pose.timing.skew = 600e-6;
+        log.run.pose.timing.latency_s = 0.012;
+    });
+    looped.assert_mends(&["LAT001", "LAT002"], &[]);
+}
+
+#[test]
+fn joint_zeros_are_mended_by_offsets_and_by_the_model() {
+    let faulty = |log: &mut Log| log.run.joints.zero_offsets = zero(2, 0.6);
+    let looped = Loop::of(faulty);
+    looped.assert_mends(&["ZER001"], &[]);
+    let patched = looped.text("robot_description.urdf");
+    let patch = looped.text("robot_description.urdf.patch");
+    let changed = patch.lines().filter(|line| line.starts_with('+') || line.starts_with('-'));
+    assert_eq!(changed.count(), 4, "two headers, one line out and one in:\n{patch}");
+    let [model, reported] = [&patched, &urdf_text(&Log::sound().run.robot)]
+        .map(|text| Robot::from_urdf(text, "model").expect("a robot"));
+    let tip = |robot: &Robot, q: &[f64]| {
+        let link = |name| robot.link(name).expect(name);
+        robot.chain(link("base"), link("tool0")).expect("a chain").forward(q)
+    };
+    let (q, offset) = ([0.3, -1.0, 1.2, -0.8, 0.5, 0.1], 0.6_f64.to_radians());
+    let truth = [q[0], q[1], q[2] + offset, q[3], q[4], q[5]];
+    let off_m = (tip(&model, &q).inverse() * tip(&reported, &truth)).translation.vector.norm();
+    assert!(off_m < 2e-5, "{off_m}");
+
+    // By the model: what /tf was published with is the model before.
+    let file = looped.folder.path().join("made/for/it/robot_description.urdf");
+    let by_model = Log::with(|log| {
+        faulty(log);
+        log.options.robots = vec![file.display().to_string().as_str().into()];
+    });
+    let by_model = by_model.audited();
+    let codes: Vec<&str> = by_model.findings.iter().map(|finding| finding.code).collect();
+    assert_eq!(codes, ["FRM001"], "{}", summary(&by_model.findings));
+    assert_eq!(the(&by_model, "FRM001", TF).subject.frame.as_deref(), Some("tool0"));
+}
+
+#[test]
+fn a_dh_table_is_patched_in_its_convention_and_its_rows() {
+    let faulty = |log: &mut Log| {
+        crate::ord::by_table(log, "modified", [""; 2]);
+        log.run.joints.zero_offsets = zero(2, 0.6);
+    };
+    let folder = tempfile::tempdir().expect("a folder");
+    let before = Log::with(|log| {
+        faulty(log);
+        log.options.fix = Some(folder.path().to_owned());
+    });
+    let before = before.audited();
+    let codes: Vec<&str> = before.findings.iter().map(|finding| finding.code).collect();
+    assert_eq!(codes, ["ORD007", "ZER001"]);
+    let file = folder.path().join("ur5e_modified.toml");
+    let text = fs::read_to_string(&file).expect("a table");
+    assert!(text.contains("convention = \"standard\""), "{text}");
+    assert!(text.contains("[-0.3922, 0.0, 0.0, 0.0104"), "{text}");
+    let after = Log::with(|log| {
+        faulty(log);
+        log.options.robots = vec![file.display().to_string().as_str().into()];
+    });
+    let after = after.audited();
+    assert!(after.findings.is_empty(), "{}", summary(&after.findings));
+}
+
+#[test]
+fn of_a_rail_the_offset_is_in_metres() {
+    let looped = Loop::of(|log| {
+        crate::zer::on_a_rail(&mut log.run);
+        log.run.joints.zero_offsets = vec![0.003];
+    });
+    looped.assert_mends(&["ZER001"], &[]);
+    assert!(looped.text("corrections.toml").contains("offset_m = 0.00"));
+}
+
+#[test]
+fn frames_are_mended() {
+    let base = Loop::of(|log| log.run.pose.reference_from_stream = crate::frm::shifted());
+    base.assert_mends(&["FRM002"], &[]);
+    let command = base.text("static_transforms.sh");
+    assert!(command.contains("--frame-id base --child-frame-id base_of_tcp_pose"), "{command}");
+    assert!(base.text("fixed_joints.xml").contains("<parent link=\"base\"/>"));
+    let tool = Loop::of(|log| {
+        log.run.pose.tip_from_stream = crate::frm::tool();
+        log.run.pose.coding = misread("rotvec", "euler:xyz");
+        log.run.pose.reference_from_stream = crate::frm::half_turn();
+    });
+    tool.assert_mends(&["FRM002", "FRM003", "ORD001"], &[]);
+    let mount = Loop::of(|log| log.run.imu.mount_error = crate::yaw::turned(90.0));
+    mount.assert_mends(&["YAW003"], &[]);
+    let command = mount.text("static_transforms.sh");
+    assert!(command.contains("--frame-id tool0 --child-frame-id imu_link"), "{command}");
+    assert!(command.contains(&format!("YAW003 on {IMU}")), "{command}");
+}
+
+#[test]
+fn a_camera_is_put_where_it_is() {
+    for camera in [Camera::InHand, Camera::InBase] {
+        let looped = Loop::of(|log| {
+            crate::hec::watched(log, camera);
+            log.run.target.mount_error = Pose::translation(0.0, 0.012, 0.0);
+        });
+        looped.assert_mends(&["HEC001"], &[]);
+    }
+}
+
+#[test]
+fn bare_numbers_are_mended_in_units_and_frames() {
+    let looped = Loop::of(|log| {
+        log.options.rules.ignore = vec!["TIM005".parse().expect("a rule")];
+        log.run.pose.reference_from_stream = crate::frm::shifted();
+        log.edit = Some(|messages| crate::ord::as_numbers(messages, 1_f64.to_degrees()));
+    });
+    looped.assert_mends(&["FRM002", "ORD004"], &[]);
+    assert!(looped.text("corrections.toml").contains("convention = \"rotvec\""));
+}
+
+#[test]
+fn what_no_file_mends_is_said() {
+    let looped = Loop::of(|log| log.run.imu.gyro_bias_rad_s = crate::yaw::bias());
+    looped.assert_mends(&[], &["YAW004"]);
+    let index = looped.text("corrections.md");
+    assert!(index.contains("## Not in these files\n\n- YAW004 on /imu/data: "), "{index}");
+    let clean = Loop::of(|_| {});
+    clean.assert_mends(&[], &[]);
+    assert!(clean.text("corrections.md").contains("Nothing was found that a file could mend"));
+}
+
+#[test]
+fn the_same_log_gives_the_same_bytes() {
+    let written = || -> BTreeMap<String, Vec<u8>> {
+        let folder = tempfile::tempdir().expect("a folder");
+        let log = Log::with(|log| {
+            log.run.joints.zero_offsets = zero(2, 0.6);
+            log.run.pose.reference_from_stream = crate::frm::shifted();
+            log.run.pose.coding = misread("rotvec", "euler:xyz");
+            log.options.fix = Some(folder.path().to_owned());
+        });
+        log.audited();
+        let entries = fs::read_dir(folder.path()).expect("a folder").map(|entry| {
+            let entry = entry.expect("an entry");
+            let name = entry.file_name().to_string_lossy().into_owned();
+            (name, fs::read(entry.path()).expect("a file"))
+        });
+        entries.collect()
+    };
+    let once = written();
+    assert!(once.len() >= 8, "{:?}", once.keys());
+    assert_eq!(once, written());
+}
+
+#[test]
+fn corrections_of_what_is_not_in_the_log_are_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("c.toml");
+    let refused = |body: &str| {
+        let text = format!("schema = \"poseaudit.corrections/1\"\n{body}");
+        fs::write(&path, text).expect("a file");
+        // Logs of one scenario and the same options are audited once.
+        let name = path.with_file_name(format!("{}-c.toml", body.len()));
+        fs::rename(&path, &name).expect("it is there");
+        trouble(&name)
+    };
+    let said = refused("[[topic]]\nname = \"/nowhere\"\nlatency_s = 0.1\n");
+    assert!(said.contains("-c.toml: the log has no topic '/nowhere'; "), "{said}");
+    let said = refused("[[joint]]\nname = \"knee\"\noffset_rad = 0.1\n");
+    assert!(said.contains("has a joint 'knee'"), "{said}");
+    let said = refused(&format!(
+        "[[topic]]\nname = \"{IMU}\"\nlength_unit = {{is = \"mm\", read_as = \"m\"}}\n"
+    ));
+    assert!(said.contains("length_unit cannot be applied to topic"), "{said}");
+}
+
+/// What is said of a sound log with these corrections.
+fn trouble(corrections: &Path) -> String {
+    let log = Log::with(|log| log.options.corrections = Some(corrections.to_owned()));
+    log.audit().expect_err("it is refused").to_string()
+}
