@@ -31,6 +31,8 @@ const READING_SAMPLES: usize = 72;
 const FOLLOWS: f64 = 0.3;
 /// Residuals below this cannot tell two latencies apart, rms rad and m at an arm's length of 1 m.
 const ALIAS_FLOOR: f64 = 2e-5;
+/// Positions fit where they leave this share of the arm's extent.
+const FITS: f64 = 0.01;
 /// Moving samples without which a latency is not sought.
 const MOVING_SAMPLES: usize = 10;
 
@@ -282,7 +284,10 @@ fn prepare<'a>(
     // Positions tell the reference frame whatever the rotations are read as.
     let plain = expected.misfit(&xyz_there);
     let inverted = inverted_xyz.as_ref().map_or(f64::INFINITY, |xyz| expected.misfit(xyz));
-    let lies = if inverted < plain { inverted_xyz.as_ref() } else { Some(&xyz_there) };
+    // A pose that turns about one axis lies on the arm both ways: what fits as it is stays.
+    let fits = plain < FITS * spread(&expected.xyz);
+    let is_inverted = !fits && inverted < plain;
+    let lies = if is_inverted { inverted_xyz.as_ref() } else { Some(&xyz_there) };
     let reference = lies.and_then(|xyz| expected.reference(xyz)).map(|pose| pose.rotation);
     let turned: Vec<Rotation> = match reference {
         Some(reference) => expected.rotation.iter().map(|fk| reference * fk).collect(),
@@ -293,10 +298,11 @@ fn prepare<'a>(
         fk: &turned,
         reference_free: reference.is_none(),
         reference_known: reference_known || reference.is_some(),
+        are_quaternions: are_quaternions(track),
     };
     let (mut reading, mut fit) = read(&samples)?;
     fit.reference *= reference.unwrap_or_default();
-    if matches!(fit.reading, Reading::Transposed) && inverted * 2.0 < plain {
+    if matches!(fit.reading, Reading::Transposed) && is_inverted && inverted * 2.0 < plain {
         fit.reading = Reading::Inverted;
         reading.best = Reading::Inverted;
     }
@@ -340,7 +346,9 @@ fn in_right_angles<'a>(
     let residual = |orientation: &Orientations| {
         let there = at_rows(orientation, rows);
         let logged = Logged::of(&there);
-        let samples = Samples { logged, fk, reference_free: true, reference_known };
+        let are_quaternions = are_quaternions(track);
+        let samples =
+            Samples { logged, fk, reference_free: true, reference_known, are_quaternions };
         read(&samples).map_or(std::f64::consts::PI, |(_, fit)| fit.residual_rad)
     };
     let (as_logged, corrected) = (residual(&track.orientation), residual(&other));
@@ -349,6 +357,11 @@ fn in_right_angles<'a>(
     } else {
         (Cow::Borrowed(&track.orientation), None)
     }
+}
+
+/// Whether the log has quaternions, and not three numbers that were declared to be a rotation.
+fn are_quaternions(track: &PoseTrack) -> bool {
+    track.declared.as_ref().is_none_or(|declared| declared.in_other_angles.is_none())
 }
 
 fn at_rows(orientation: &Orientations, rows: &[usize]) -> Orientations {

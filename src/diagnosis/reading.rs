@@ -35,6 +35,8 @@ pub(super) struct Samples<'a> {
     pub reference_free: bool,
     /// Whether the reference frame is known at all; if not, its error is no fault.
     pub reference_known: bool,
+    /// Whether they were logged as quaternions, whose components may be in another order.
+    pub are_quaternions: bool,
 }
 
 /// Orientations as the log has them.
@@ -260,8 +262,11 @@ fn simplicity(fit: &Fit, reference_known: bool) -> u8 {
     }
 }
 
-fn readings(logged: &Logged) -> Vec<Reading> {
-    match logged {
+fn readings(samples: &Samples) -> Vec<Reading> {
+    let is_possible = |reading: &Reading| {
+        samples.are_quaternions || !matches!(reading, Reading::QuaternionOrder(_))
+    };
+    match samples.logged {
         Logged::Numbers(_) => Convention::all().iter().map(|&c| Reading::Numbers(c)).collect(),
         Logged::Rotations(_) => [
             Reading::AsLogged,
@@ -271,6 +276,7 @@ fn readings(logged: &Logged) -> Vec<Reading> {
         ]
         .into_iter()
         .chain(misreading_classes().iter().map(Reading::Misread))
+        .filter(is_possible)
         .collect(),
     }
 }
@@ -280,7 +286,7 @@ fn all_fits(samples: &Samples) -> Vec<Fit> {
         fits_of(samples, reading, truths, buffer)
     };
     let fits: Vec<Vec<Fit>> =
-        readings(&samples.logged).into_par_iter().map_init(Default::default, fits_of).collect();
+        readings(samples).into_par_iter().map_init(Default::default, fits_of).collect();
     fits.into_iter().flatten().collect()
 }
 

@@ -78,6 +78,7 @@ pub(super) fn rotations(
         fk: &fk,
         reference_free: true,
         reference_known,
+        are_quaternions: true,
     };
     let fit = fit_known(&samples, reading)?;
     let all = Logged::Rotations(logged);

@@ -256,9 +256,6 @@ impl Page<'_> {
                 _ => format!("{of}{tip}"),
             };
             line(out, QUIET, "workspace", &text)?;
-            for hidden in &arm.hides {
-                line(out, QUIET, "", hidden)?;
-            }
         }
         Ok(())
     }

@@ -143,6 +143,7 @@ impl Link<'_> {
             fk: &fk,
             reference_free: true,
             reference_known: false,
+            are_quaternions: true,
         };
         read_in_gravity(&samples, &forces)
     }
