@@ -25,6 +25,13 @@ pub(super) fn of_numbers(convention: Convention, numbers: [f64; 3]) -> Vec<CodeL
                 format!("quaternion_about_axis(numpy.linalg.norm(r), r)  # r = [{a}, {b}, {c}]"),
             ),
             (
+                "tf2 (C++)",
+                format!(
+                    "tf2::Vector3 r({a}, {b}, {c}); tf2::Quaternion q = r.length() > 0 ? \
+                     tf2::Quaternion(r.normalized(), r.length()) : tf2::Quaternion::getIdentity();"
+                ),
+            ),
+            (
                 "Eigen",
                 format!(
                     "Eigen::Vector3d r({a}, {b}, {c}); \
@@ -52,19 +59,25 @@ pub(super) fn of_numbers(convention: Convention, numbers: [f64; 3]) -> Vec<CodeL
     let is_fixed = letters.starts_with(|letter: char| letter.is_ascii_lowercase());
     // The first of several turns about fixed axes stands last, of those about moving axes first.
     let product = |factor: &dyn Fn(char, &str) -> String| {
-        let mut factors: Vec<String> = turns.iter().map(|(axis, angle)| factor(*axis, angle)).collect();
+        let mut factors: Vec<String> =
+            turns.iter().map(|(axis, angle)| factor(*axis, angle)).collect();
         if is_fixed {
             factors.reverse();
         }
         factors.join(" * ")
     };
     let axes_code = format!("{}{}", if is_fixed { 's' } else { 'r' }, letters.to_ascii_lowercase());
+    let tf2 = product(&|axis, angle| {
+        let unit = ['x', 'y', 'z'].map(|other| if other == axis { "1" } else { "0" }).join(", ");
+        format!("tf2::Quaternion(tf2::Vector3({unit}), {angle})")
+    });
     let eigen = product(&|axis, angle| {
         format!("Eigen::AngleAxisd({angle}, Eigen::Vector3d::Unit{}())", axis.to_ascii_uppercase())
     });
     lines([
         ("SciPy", format!("Rotation.from_euler(\"{letters}\", [{in_order}])")),
         ("tf_transformations", format!("quaternion_from_euler({in_order}, axes=\"{axes_code}\")")),
+        ("tf2 (C++)", format!("tf2::Quaternion q = {tf2};")),
         ("Eigen", format!("Eigen::Quaterniond q = {eigen};")),
         (
             "nalgebra",
@@ -151,6 +164,11 @@ mod tests {
              Eigen::AngleAxisd(0.1, Eigen::Vector3d::UnitX());"
         );
         let by_axis = of_numbers("euler:xzy@axes".parse().unwrap(), [0.1, 0.2, 0.3]);
+        assert_eq!(
+            line(&by_axis, "tf2 (C++)"),
+            "tf2::Quaternion q = tf2::Quaternion(tf2::Vector3(0, 1, 0), 0.2) * \
+             tf2::Quaternion(tf2::Vector3(0, 0, 1), 0.3) * tf2::Quaternion(tf2::Vector3(1, 0, 0), 0.1);"
+        );
         assert_eq!(line(&by_axis, "SciPy"), "Rotation.from_euler(\"xzy\", [0.1, 0.3, 0.2])");
         let turned = of_quaternion(&Convention::RPY.rotation([0.0, 0.0, std::f64::consts::PI]));
         assert!(line(&turned, "Eigen").contains("(0.0, 0.0, 0.0, 1.0)"));

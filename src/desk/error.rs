@@ -20,7 +20,8 @@ pub enum DeskError {
     Counts { first: usize, other: usize },
     #[error(
         "the matrix is not orthonormal: max |RᵀR − I| is {defect:.2e}; the nearest rotation is \
-         x y z w {}", digits(nearest_xyzw)
+         x y z w {}",
+        digits(nearest_xyzw)
     )]
     NotOrthonormal { defect: f64, nearest_xyzw: [f64; 4] },
     #[error("the matrix is near no rotation: its determinant is {determinant:.3}")]
@@ -51,14 +52,14 @@ impl DeskError {
                 "use rotvec, euler:SEQ, quat:xyzw, quat:wxyz, matrix:rows, matrix:columns or a maker \
                  such as kuka, with deg or rad, mm or m behind commas"
             }
-            Self::Word { .. } => {
-                "give numbers, p[…], a URDF origin or a ROS message as YAML"
-            }
+            Self::Word { .. } => "give numbers, p[…], a URDF origin or a ROS message as YAML",
             Self::Count { .. } => {
                 "give 6 (position and three angles), 7 (and a quaternion), 12 or 16 (a matrix), or a \
                  rotation alone as 3, 4 or 9"
             }
-            Self::CountOfForm { .. } => "name the form that they are in, or leave it to be inferred",
+            Self::CountOfForm { .. } => {
+                "name the form that they are in, or leave it to be inferred"
+            }
             Self::Counts { .. } => "give all poses of one side in one form",
             Self::NotOrthonormal { .. } => {
                 "give more digits, or take the nearest rotation if the matrix was averaged or blended"
@@ -67,13 +68,15 @@ impl DeskError {
                 "a negative determinant is a mirrored axis; see whether a row or a sign is lost"
             }
             Self::LastRow { .. } => "name the order: matrix:rows or matrix:columns",
-            Self::Norm { .. } => "see whether all four are of the quaternion, and divide them by it",
-            Self::Xml(_) => "paste the whole <origin …/>",
-            Self::Yaml(_) | Self::Lacks(_) => "paste position and orientation as the topic prints them",
-            Self::Several(_) => "paste one of them",
-            Self::Row { .. } => {
-                "have two columns with a pose each, or columns named is… and but…"
+            Self::Norm { .. } => {
+                "see whether all four are of the quaternion, and divide them by it"
             }
+            Self::Xml(_) => "paste the whole <origin …/>",
+            Self::Yaml(_) | Self::Lacks(_) => {
+                "paste position and orientation as the topic prints them"
+            }
+            Self::Several(_) => "paste one of them",
+            Self::Row { .. } => "have two columns with a pose each, or columns named is… and but…",
             Self::NoPairs => "give --is and --but, or a CSV with a pair in each row",
         }
     }

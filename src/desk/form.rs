@@ -198,11 +198,18 @@ pub struct Reading {
     pub length: LengthUnit,
     /// The unit of the angles; of no matter where there are none.
     pub angle: AngleUnit,
-    /// How many units are other than the numbers' size suggests.
-    pub odd_units: u8,
+    /// Whether the unit of the position is other than the numbers' size suggests.
+    pub has_odd_length: bool,
+    /// Whether the unit of the angles is.
+    pub has_odd_angle: bool,
 }
 
 impl Reading {
+    /// How many units are other than the numbers' size suggests.
+    pub fn odd_units(&self) -> u8 {
+        u8::from(self.has_odd_length) + u8::from(self.has_odd_angle)
+    }
+
     /// The pose that `numbers` code, its position zero where they are a rotation alone.
     ///
     /// # Errors
@@ -350,7 +357,8 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
             form,
             length: LengthUnit::Metre,
             angle: AngleUnit::Radian,
-            odd_units: 0,
+            has_odd_length: false,
+            has_odd_angle: false,
         };
         let poses: Result<Vec<Pose>, DeskError> =
             samples.iter().map(|numbers| plain.pose(numbers)).collect();
@@ -377,7 +385,8 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
         if found.iter().any(is_known) {
             continue;
         }
-        let longest = poses.iter().flat_map(xyz_of).fold(0.0, |longest: f64, x| longest.max(x.abs()));
+        let longest =
+            poses.iter().flat_map(xyz_of).fold(0.0, |longest: f64, x| longest.max(x.abs()));
         let widest = match form {
             Form::Three(_) => samples
                 .iter()
@@ -386,20 +395,20 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
             _ => 0.0,
         };
         let lengths = match (style.length, longest) {
-            (Some(unit), _) => vec![(unit, 0)],
-            (None, 0.0) => vec![(LengthUnit::Metre, 0)],
-            (None, longest) if longest > LONGEST_M => vec![(LengthUnit::Millimetre, 0)],
-            (None, _) => vec![(LengthUnit::Metre, 0), (LengthUnit::Millimetre, 1)],
+            (Some(unit), _) => vec![(unit, false)],
+            (None, 0.0) => vec![(LengthUnit::Metre, false)],
+            (None, longest) if longest > LONGEST_M => vec![(LengthUnit::Millimetre, false)],
+            (None, _) => vec![(LengthUnit::Metre, false), (LengthUnit::Millimetre, true)],
         };
         let angles = match (style.angle, widest) {
-            (Some(unit), _) => vec![(unit, 0)],
-            (None, 0.0) => vec![(AngleUnit::Radian, 0)],
-            (None, widest) if widest > WIDEST_RAD => vec![(AngleUnit::Degree, 0)],
-            (None, _) => vec![(AngleUnit::Radian, 0), (AngleUnit::Degree, 1)],
+            (Some(unit), _) => vec![(unit, false)],
+            (None, 0.0) => vec![(AngleUnit::Radian, false)],
+            (None, widest) if widest > WIDEST_RAD => vec![(AngleUnit::Degree, false)],
+            (None, _) => vec![(AngleUnit::Radian, false), (AngleUnit::Degree, true)],
         };
-        for &(length, odd_length) in &lengths {
-            for &(angle, odd_angle) in &angles {
-                found.push(Reading { length, angle, odd_units: odd_length + odd_angle, form });
+        for &(length, has_odd_length) in &lengths {
+            for &(angle, has_odd_angle) in &angles {
+                found.push(Reading { form, length, angle, has_odd_length, has_odd_angle });
             }
         }
     }
@@ -407,7 +416,7 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
         (true, Some(refusal)) => Err(refusal),
         (true, None) => Err(DeskError::Count { count }),
         (false, _) => {
-            found.sort_by_key(|reading| (reading.odd_units, reading.form.usual_rank()));
+            found.sort_by_key(|reading| (reading.odd_units(), reading.form.usual_rank()));
             Ok(found)
         }
     }

@@ -34,6 +34,14 @@ pub struct FixedFrame {
     pub also: Vec<String>,
 }
 
+impl FixedFrame {
+    /// Whether nothing says which pose is of which frame: the transform is its own inverse, and the
+    /// call does not name the frames.
+    pub fn is_either_way(&self) -> bool {
+        !self.is_named && is_same(&(self.transform * self.transform), &Pose::identity())
+    }
+}
+
 /// The constant transforms that may lie between two poses of one arm, beside none.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Corrections {
@@ -72,8 +80,15 @@ impl Corrections {
 }
 
 fn push_fixed_to(robot: &Robot, end: LinkId, is_base: bool, found: &mut Vec<FixedFrame>) {
-    let fixed: Vec<LinkId> =
+    let mut fixed: Vec<LinkId> =
         robot.links().filter(|link| robot.fixed_transform(end, *link).is_some()).collect();
+    // Of frames that are as far apart those are told that poses are usually of.
+    let ends =
+        [&robot.default_base, &robot.controller_base, &robot.default_tip, &robot.controller_tip];
+    fixed.sort_by_key(|link| {
+        let name = robot.link_name(*link);
+        !name.ends_with("flange") && !ends.into_iter().flatten().any(|end| end == name)
+    });
     for (at, &from) in fixed.iter().enumerate() {
         for &to in &fixed[at + 1..] {
             if let Some(from_to) = robot.fixed_transform(from, to) {
@@ -131,7 +146,7 @@ fn settle(frames: &mut Vec<FixedFrame>, [is, but]: [Option<&str>; 2]) {
     *frames = kept;
 }
 
-pub(super) fn is_same(a: &Pose, b: &Pose) -> bool {
+fn is_same(a: &Pose, b: &Pose) -> bool {
     (a.translation.vector - b.translation.vector).norm() < SAME
         && angle_between(&a.rotation, &b.rotation) < SAME
 }

@@ -1,7 +1,7 @@
 //! The pose desk: one pose as a person has it, in every convention; and what makes two poses agree.
 //!
-//! [`paste`] takes a text apart, [`sheet`] says one pose in every convention with those who use each,
-//! and [`reconcile`] ranks what makes pairs of poses one. Facts about makers and libraries are in
+//! [`paste()`] takes a text apart, [`sheet()`] says one pose in every convention with those who use each,
+//! and [`reconcile()`] ranks what makes pairs of poses one. Facts about makers and libraries are in
 //! `conventions.toml`.
 
 mod code;

@@ -82,7 +82,8 @@ mod tests {
 
     #[test]
     fn a_wrong_row_is_named() {
-        let error = pairs_from_csv("is,but\n\"1 2 3\",\"1 2 3\"\n\"1 2 3\",\"1 x 3\"\n").unwrap_err();
+        let error =
+            pairs_from_csv("is,but\n\"1 2 3\",\"1 2 3\"\n\"1 2 3\",\"1 x 3\"\n").unwrap_err();
         assert_eq!(error.to_string(), "row 3: `x` is no number");
         let error = pairs_from_csv("1,2,3\n").unwrap_err();
         assert_eq!(error.to_string(), "row 1: it has 3 columns");

@@ -37,7 +37,9 @@ pub fn paste(text: &str) -> Result<Pasted, DeskError> {
     if ["position", "orientation", "translation", "rotation"].iter().any(|key| text.contains(key)) {
         return message(text);
     }
-    if let Some(numbers) = text.strip_prefix('p').and_then(|rest| rest.trim_start().strip_prefix('[')) {
+    if let Some(numbers) =
+        text.strip_prefix('p').and_then(|rest| rest.trim_start().strip_prefix('['))
+    {
         let numbers = bare(numbers)?;
         let form = Form::Three(Convention::RotVec);
         return match numbers.len() {
@@ -82,7 +84,8 @@ fn urdf(text: &str) -> Result<Pasted, DeskError> {
         true => text.to_owned(),
         false => format!("<origin {attributes}/>"),
     };
-    let xml = roxmltree::Document::parse(&element).map_err(|error| DeskError::Xml(error.to_string()))?;
+    let xml =
+        roxmltree::Document::parse(&element).map_err(|error| DeskError::Xml(error.to_string()))?;
     let mut origins = xml.descendants().filter(|node| node.has_tag_name("origin"));
     let origin = origins.next().ok_or(DeskError::Lacks("origin"))?;
     if let more @ 1.. = origins.count() {
@@ -102,6 +105,9 @@ fn urdf(text: &str) -> Result<Pasted, DeskError> {
 
 /// What `tf2_echo` prints.
 fn tf2_echo(text: &str) -> Result<Pasted, DeskError> {
+    if let more @ 2.. = text.matches("Translation:").count() {
+        return Err(DeskError::Several(more));
+    }
     let listed = |key: &'static str, count: usize| {
         let rest = text.split_once(key).map(|(_, rest)| rest);
         let list = rest.and_then(|rest| rest.split_once('[')?.1.split_once(']'));
@@ -155,7 +161,8 @@ fn of_message(holder: &Value, message: &Value) -> Result<Pasted, DeskError> {
             axes.iter().map(|axis| of.get(axis)?.as_f64().filter(|c| c.is_finite())).collect();
         numbers.ok_or(DeskError::Lacks(what))
     };
-    let mut numbers = components(["position", "translation"], &["x", "y", "z"], "x, y, z of a position")?;
+    let mut numbers =
+        components(["position", "translation"], &["x", "y", "z"], "x, y, z of a position")?;
     numbers.extend(components(
         ["orientation", "rotation"],
         &["x", "y", "z", "w"],
@@ -171,7 +178,8 @@ fn of_message(holder: &Value, message: &Value) -> Result<Pasted, DeskError> {
 fn name(value: &Value, key: &str) -> Option<String> {
     match value {
         Value::Object(map) => {
-            let here = map.get(key).and_then(Value::as_str).map(|name| name.trim_start_matches('/'));
+            let here =
+                map.get(key).and_then(Value::as_str).map(|name| name.trim_start_matches('/'));
             let here = here.filter(|name| !name.is_empty()).map(str::to_owned);
             here.or_else(|| map.values().find_map(|value| name(value, key)))
         }
@@ -201,7 +209,10 @@ mod tests {
         ] {
             assert_eq!(paste(text).unwrap().numbers, [0.1, 0.0, -0.2, 0.0, 0.0, 0.5], "{text}");
         }
-        assert_eq!(paste(r#"<origin xyz="1 2 3"/>"#).unwrap().numbers, [1.0, 2.0, 3.0, 0.0, 0.0, 0.0]);
+        assert_eq!(
+            paste(r#"<origin xyz="1 2 3"/>"#).unwrap().numbers,
+            [1.0, 2.0, 3.0, 0.0, 0.0, 0.0]
+        );
     }
 
     #[test]
@@ -233,6 +244,7 @@ transforms:
         assert_eq!(paste(pose).unwrap().numbers, [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]);
         let echo = "- Translation: [1.0, 2.0, 3.0]\n- Rotation: in Quaternion [0.0, 0.0, 0.0, 1.0]";
         assert_eq!(paste(echo).unwrap().numbers, [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]);
+        assert_eq!(paste(&format!("{echo}\n{echo}")), Err(DeskError::Several(2)));
     }
 
     #[test]

@@ -204,14 +204,24 @@ impl Hypothesis {
         }
         match self.inversion {
             Inversion::None => {}
-            Inversion::Pose => claims.push("one is the inverse of the other: parent and child are swapped".to_owned()),
-            Inversion::Rotation => claims.push("the rotation of one is the transpose of the other's".to_owned()),
+            Inversion::Pose => claims
+                .push("one is the inverse of the other: parent and child are swapped".to_owned()),
+            Inversion::Rotation => {
+                claims.push("the rotation of one is the transpose of the other's".to_owned())
+            }
         }
         if let Some(base) = &self.base {
-            claims.push(format!("`is` is in {}, `but` in {} ({})", base.is, base.but, base.arms));
+            claims.push(match base.is_either_way() {
+                true => format!("one is in {}, the other in {} ({})", base.is, base.but, base.arms),
+                false => format!("`is` is in {}, `but` in {} ({})", base.is, base.but, base.arms),
+            });
         }
         match &self.tool {
             Tool::None => {}
+            Tool::Frames(tip) if tip.is_either_way() => {
+                claims
+                    .push(format!("one is of {}, the other of {} ({})", tip.is, tip.but, tip.arms));
+            }
             Tool::Frames(tip) => {
                 claims.push(format!("`is` is of {}, `but` of {} ({})", tip.is, tip.but, tip.arms));
             }
@@ -226,7 +236,7 @@ impl Hypothesis {
 pub enum Verdict {
     /// The first explanation leaves no more than rounding and a nominal model, and no other is as good.
     Reconciled,
-    /// Several do.
+    /// Several do, or one does with several conventions.
     Ambiguous,
     /// None does.
     Open,
@@ -256,6 +266,15 @@ struct Group {
     readings: Vec<Reading>,
     poses: Vec<Pose>,
     cost: f64,
+}
+
+impl Group {
+    /// Whether both are in millimetres, or in degrees, against the size of their numbers: that makes
+    /// every difference small and explains none.
+    fn is_odd_with(&self, other: &Self) -> bool {
+        let [a, b] = [&self.readings[0], &other.readings[0]];
+        (a.has_odd_length && b.has_odd_length) || (a.has_odd_angle && b.has_odd_angle)
+    }
 }
 
 /// An explanation as numbers, before it is told.
@@ -297,9 +316,10 @@ pub fn reconcile(question: &Question) -> Result<Answer, DeskError> {
     };
     let is = side(&|pair| &pair.is, question.is)?;
     let but = side(&|pair| &pair.but, question.but)?;
-    let has_position = question.pairs.iter().all(|pair| {
-        has_position(pair.is.numbers.len()) && has_position(pair.but.numbers.len())
-    });
+    let has_position = question
+        .pairs
+        .iter()
+        .all(|pair| has_position(pair.is.numbers.len()) && has_position(pair.but.numbers.len()));
     let step = count.div_ceil(SEARCHED);
     let mut search = Search {
         is,
@@ -333,7 +353,7 @@ fn groups(all: &[&super::Pasted], style: Style) -> Result<Vec<Group>, DeskError>
             samples.iter().map(|numbers| reading.pose(numbers)).collect();
         let poses = poses?;
         let rank = if known.form.is_some() { 0 } else { reading.form.usual_rank() };
-        let cost = PER_RANK * f64::from(rank) + ODD_UNIT * f64::from(reading.odd_units);
+        let cost = PER_RANK * f64::from(rank) + ODD_UNIT * f64::from(reading.odd_units());
         let is_same = |group: &&mut Group| {
             group.poses.iter().zip(&poses).all(|(a, b)| {
                 let gap = Gap::between(a, b);
@@ -381,8 +401,11 @@ impl Search<'_> {
                             .map(|&at| base_pose * inversion.of(&self.is[is].poses[at]) * tip_pose)
                             .collect();
                         for but in 0..self.but.len() {
-                            self.tried += 1;
                             let group = &self.but[but];
+                            if self.is[is].is_odd_with(group) {
+                                continue;
+                            }
+                            self.tried += 1;
                             let gap = |(expected, &at): (&Pose, &usize)| {
                                 Gap::between(expected, &group.poses[at])
                             };
@@ -431,6 +454,9 @@ impl Search<'_> {
                     })
                     .collect();
                 for is in 0..self.is.len() {
+                    if self.is[is].is_odd_with(&self.but[but]) {
+                        continue;
+                    }
                     for base in 0..=self.frames.base.len() {
                         let (base_pose, base_cost) = Self::frame(&self.frames.base, base);
                         let (_, tip_cost) = Self::frame(&self.frames.tip, 0);
@@ -486,7 +512,11 @@ impl Search<'_> {
                         .collect();
                     for but in 0..self.but.len() {
                         let group = &self.but[but];
-                        let after: Vec<Pose> = self.seen.iter().map(|&at| group.poses[at]).collect();
+                        if self.is[is].is_odd_with(group) {
+                            continue;
+                        }
+                        let after: Vec<Pose> =
+                            self.seen.iter().map(|&at| group.poses[at]).collect();
                         let Some(tool) = constant_tool(&before, &after) else { continue };
                         let gaps: Vec<Gap> = before
                             .iter()
@@ -524,12 +554,18 @@ impl Search<'_> {
                 let left = (known.residual.rotation_rad - candidate.residual.rotation_rad).abs();
                 let left_m = known.residual.position_m.zip(candidate.residual.position_m);
                 (known.inversion, known.base, known.tip, known.misreading.is_some())
-                    == (candidate.inversion, candidate.base, candidate.tip, candidate.misreading.is_some())
+                    == (
+                        candidate.inversion,
+                        candidate.base,
+                        candidate.tip,
+                        candidate.misreading.is_some(),
+                    )
                     && known.fitted.is_some() == candidate.fitted.is_some()
                     && left < 1e-6
                     && left_m.is_none_or(|(a, b)| (a - b).abs() < 1e-6)
             };
-            let readings = [&self.is[candidate.is].readings[0], &self.but[candidate.but].readings[0]];
+            let readings =
+                [&self.is[candidate.is].readings[0], &self.but[candidate.but].readings[0]];
             match told.iter().position(is_alike) {
                 Some(at) => {
                     let (known, equivalents) = &mut told[at];
@@ -549,7 +585,8 @@ impl Search<'_> {
 
     fn hypothesis(&self, candidate: Candidate, more: Vec<[Reading; 2]>) -> Hypothesis {
         let [is, but] = [&self.is[candidate.is], &self.but[candidate.but]];
-        let frame = |list: &[FixedFrame], place: usize| place.checked_sub(1).map(|at| list[at].clone());
+        let frame =
+            |list: &[FixedFrame], place: usize| place.checked_sub(1).map(|at| list[at].clone());
         let mut equivalents: Vec<[Reading; 2]> = Vec::new();
         equivalents.extend(is.readings[1..].iter().map(|other| [*other, but.readings[0]]));
         equivalents.extend(but.readings[1..].iter().map(|other| [is.readings[0], *other]));
@@ -586,14 +623,14 @@ impl Search<'_> {
         let best = hypotheses.first();
         let explained = best.is_some_and(|best| best.residual.agrees());
         let is_as_good = |other: &&Hypothesis| {
-            other.residual.agrees()
-                && best.is_some_and(|best| other.score < best.score + NO_BETTER)
+            other.residual.agrees() && best.is_some_and(|best| other.score < best.score + NO_BETTER)
         };
         let as_good = if explained { hypotheses.iter().filter(is_as_good).count() } else { 0 };
-        let verdict = match (explained, as_good) {
+        let is_alone = as_good == 1 && best.is_some_and(|best| best.equivalents.is_empty());
+        let verdict = match (explained, is_alone) {
             (false, _) => Verdict::Open,
-            (true, 0 | 1) => Verdict::Reconciled,
-            (true, _) => Verdict::Ambiguous,
+            (true, true) => Verdict::Reconciled,
+            (true, false) => Verdict::Ambiguous,
         };
         let would_do = best.filter(|best| count == 1 && !best.residual.agrees()).and_then(|best| {
             let [is, but] = [self.pose_of(&self.is, best.is)?, self.pose_of(&self.but, best.but)?];
@@ -608,7 +645,8 @@ impl Search<'_> {
         });
         let mut notes = Vec::new();
         let fits = matches!(best.map(|best| &best.tool), Some(Tool::Fitted(_)));
-        if fits && let Some(spread_rad) = self.spread_rad()
+        if fits
+            && let Some(spread_rad) = self.spread_rad()
             && spread_rad < 10_f64.to_radians()
         {
             notes.push(format!(

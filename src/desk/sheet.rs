@@ -4,7 +4,9 @@ use crate::geometry::{Convention, Pose, xyzw_from_rotation};
 
 use super::code::{self, CodeLine};
 use super::error::DeskError;
-use super::form::{AngleUnit, Form, LengthUnit, Reading, SAID_DEFECT, Style, defect, has_position, readings};
+use super::form::{
+    AngleUnit, Form, LengthUnit, Reading, SAID_DEFECT, Style, defect, has_position, readings,
+};
 use super::paste::Pasted;
 use super::usage::{LibraryName, Use, library_names, uses_of};
 
@@ -54,8 +56,10 @@ pub struct Sheet {
     pub has_position: bool,
     /// Quaternions, rotation vector, matrix, then Euler orders, the most usual first.
     pub rows: Vec<Row>,
-    /// Lines of code: of the numbers as given where they are three, and of the quaternion.
-    pub code: Vec<CodeLine>,
+    /// Lines of code from the numbers as given, where they are three.
+    pub code_of_numbers: Vec<CodeLine>,
+    /// Lines of code from the quaternion.
+    pub code_of_quaternion: Vec<CodeLine>,
     /// What was inferred, and what to look out for.
     pub notes: Vec<String>,
 }
@@ -93,7 +97,7 @@ pub fn sheet(pasted: &Pasted, style: Style) -> Result<Sheets, DeskError> {
     let known = style.or(pasted.style);
     let readings = readings(&[&pasted.numbers], known)?;
     let mut usual: Vec<Reading> = Vec::new();
-    for reading in readings.into_iter().filter(|reading| reading.odd_units == 0) {
+    for reading in readings.into_iter().filter(|reading| reading.odd_units() == 0) {
         let is_used = known.form.is_some() || uses_of(reading.form).next().is_some();
         if is_used {
             usual.push(reading);
@@ -128,7 +132,9 @@ fn unit_notes(reading: &Reading, known: Style, count: usize) -> Vec<String> {
     if has_position(count) && known.length.is_none() {
         notes.push(match reading.length {
             LengthUnit::Metre => "metres: no length is above 10; --mm says otherwise".to_owned(),
-            LengthUnit::Millimetre => "millimetres: a length is above 10; --m says otherwise".to_owned(),
+            LengthUnit::Millimetre => {
+                "millimetres: a length is above 10; --m says otherwise".to_owned()
+            }
         });
     }
     if reading.form.has_angles() && known.angle.is_none() {
@@ -178,7 +184,7 @@ fn one(reading: Reading, pasted: &Pasted, mut notes: Vec<String>) -> Result<Shee
             row.form
         ));
     }
-    let mut lines = match reading.form {
+    let code_of_numbers = match reading.form {
         Form::Three(convention) => {
             let given = pasted.numbers[pasted.numbers.len() - 3..].iter();
             let mut numbers = [0.0; 3];
@@ -189,8 +195,15 @@ fn one(reading: Reading, pasted: &Pasted, mut notes: Vec<String>) -> Result<Shee
         }
         _ => Vec::new(),
     };
-    lines.extend(code::of_quaternion(rotation));
-    Ok(Sheet { has_position: has_position(pasted.numbers.len()), code: lines, reading, pose, rows, notes })
+    Ok(Sheet {
+        has_position: has_position(pasted.numbers.len()),
+        code_of_numbers,
+        code_of_quaternion: code::of_quaternion(rotation),
+        reading,
+        pose,
+        rows,
+        notes,
+    })
 }
 
 #[cfg(test)]
@@ -265,7 +278,8 @@ mod tests {
     #[test]
     fn a_bare_order_is_left_open() {
         let pasted = paste("243.69 -249.04 618.32 149.49 -12.78 72.64").unwrap();
-        let Sheets::Several { candidates, notes } = sheet(&pasted, Style::default()).unwrap() else {
+        let Sheets::Several { candidates, notes } = sheet(&pasted, Style::default()).unwrap()
+        else {
             panic!("it was settled");
         };
         let names: Vec<String> =

@@ -43,8 +43,7 @@ fn answer(asked: &Asked, pairs: Vec<Pair>) -> Answer {
         &FrameNames { parent: a, child: b },
         &FrameNames { parent: c, child: d },
     );
-    let question =
-        Question { pairs, is: style(asked.is_as), but: style(asked.but_as), frames };
+    let question = Question { pairs, is: style(asked.is_as), but: style(asked.but_as), frames };
     reconcile(&question).unwrap()
 }
 
@@ -123,17 +122,19 @@ fn doosans_and_kawasakis_zyz() {
 
 #[test]
 fn abbs_quaternion_begins_with_w() {
-    let answer = Asked {
+    let asked = Asked {
         is: "0.3102 -0.3322 1.2466 0.2029 -0.0915 0.5186 0.8255",
         but: "310.23 -332.19 1246.63 0.82554 0.20292 -0.09150 0.51859",
         ..Asked::default()
-    }
-    .answer();
+    };
+    let answer = asked.answer();
     assert_plain(&answer);
-    // Both of the other order is the other explanation: it leaves the same.
-    let first = &answer.hypotheses[0];
-    let orders = [first.is.form.to_string(), first.but.form.to_string()];
-    assert_eq!(orders, ["quat:xyzw", "quat:wxyz"], "{first:?}");
+    assert_read(&answer, "quat:xyzw, m", "quat:wxyz, mm");
+    // The same numbers twice are one pose in either order.
+    let open = Asked { but: asked.is, ..asked }.answer();
+    assert_eq!(open.verdict, Verdict::Ambiguous);
+    let orders = open.hypotheses[0].equivalents[0].map(|reading| reading.form.to_string());
+    assert_eq!(orders, ["quat:wxyz", "quat:wxyz"]);
 }
 
 #[test]
@@ -183,17 +184,20 @@ fn frankas_hand_stands_45_degrees_on_its_flange() {
 
 #[test]
 fn urs_base_is_turned_against_base_link() {
-    let answer = Asked {
+    let asked = Asked {
         is: "-0.0563 0.7802 0.5273 -0.3762 -0.0738 0.7402 0.5524",
         but: "p[0.0563, -0.7802, 0.5273, -0.1620, 0.8252, -1.2118]",
         is_as: "ros",
         robot: "ur5e",
         frames: ["base_link", "tool0", "base", "tool0"],
         ..Asked::default()
-    }
-    .answer();
+    };
+    let answer = asked.answer();
     assert_eq!(best(&answer).2, ["`is` is in base_link, `but` in base (ur5e)"]);
     assert_eq!(answer.verdict, Verdict::Reconciled);
+    let unnamed = Asked { robot: "", frames: [""; 4], ..asked }.answer();
+    let claim = &best(&unnamed).2[0];
+    assert!(claim.starts_with("one is in ") && claim.contains("the other in "), "{claim}");
 }
 
 #[test]
@@ -202,9 +206,11 @@ fn the_sample_of_jakas_sdk_against_forward_kinematics() {
     // which arm it is; that of the Zu 7 is the orientation of all arms of that build.
     let arm = catalogue::find("jaka_zu7").unwrap();
     let [base, tip] = [arm.root(), arm.leaf_links().last().unwrap()];
-    let rotation = arm.chain(base, tip).unwrap().forward(&[0.558, 0.872, 0.872, 0.349, 0.191, 0.191]).rotation;
+    let rotation =
+        arm.chain(base, tip).unwrap().forward(&[0.558, 0.872, 0.872, 0.349, 0.191, 0.191]).rotation;
     let fk = crate::geometry::xyzw_from_rotation(&rotation).map(|c| c.to_string()).join(" ");
-    let answer = Asked { is: &fk, but: "-1.81826 -0.834253 -2.30243", is_as: "ros", ..Asked::default() };
+    let answer =
+        Asked { is: &fk, but: "-1.81826 -0.834253 -2.30243", is_as: "ros", ..Asked::default() };
     let answer = answer.answer();
     assert_plain(&answer);
     assert_read(&answer, "quat:xyzw, m", "euler:xyz, rad, m");
@@ -278,6 +284,7 @@ fn what_cannot_be_told_is_listed() {
     let first = &answer.hypotheses[0];
     assert_eq!(first.but.form.to_string(), "rotvec");
     assert!(first.equivalents.len() >= 5, "{:?}", first.equivalents);
+    assert_eq!(answer.verdict, Verdict::Ambiguous);
 }
 
 #[test]
@@ -291,6 +298,24 @@ fn units_that_the_numbers_contradict_are_said_in_the_reading() {
     }
     .answer();
     assert!(best(&answer).1.contains("deg"), "{:?}", best(&answer));
+}
+
+#[test]
+fn one_pair_suggests_a_tool_and_claims_none() {
+    // A gripper of 190 mm.
+    let answer = Asked {
+        is: "0.246 -0.249 0.619 0 0.7071 0 0.7071",
+        but: "0.436 -0.249 0.619 0 0.7071 0 0.7071",
+        is_as: "quat:xyzw",
+        but_as: "quat:xyzw",
+        ..Asked::default()
+    }
+    .answer();
+    assert_eq!(answer.verdict, Verdict::Open);
+    assert_read(&answer, "quat:xyzw, m", "quat:xyzw, m");
+    let would_do = answer.would_do.unwrap();
+    assert!(would_do.is_translation);
+    assert!((would_do.tool.translation.vector.z - 0.19).abs() < 1e-4, "{}", would_do.tool);
 }
 
 #[test]

@@ -214,7 +214,10 @@ mod tests {
     fn a_makers_name_stands_for_its_form_and_units() {
         let kuka: Style = "kuka".parse().unwrap();
         assert_eq!(kuka.form.map(|form| form.to_string()).as_deref(), Some("euler:ZYX"));
-        assert_eq!((kuka.length, kuka.angle), (Some(LengthUnit::Millimetre), Some(AngleUnit::Degree)));
+        assert_eq!(
+            (kuka.length, kuka.angle),
+            (Some(LengthUnit::Millimetre), Some(AngleUnit::Degree))
+        );
         let in_radians: Style = "kuka,rad".parse().unwrap();
         assert_eq!(in_radians.angle, Some(AngleUnit::Radian));
         assert_eq!(in_radians.length, Some(LengthUnit::Millimetre));
