@@ -159,9 +159,10 @@ fn one(pose: &str, args: &Args) -> Result<(), Trouble> {
 
 fn several(args: &Args) -> Result<(), Trouble> {
     let pairs = pairs(args)?;
-    let first = pairs.first();
-    let is = frame_names(first.map(|pair| &pair.is), "--is-frames", args.is_frames.as_deref())?;
-    let but = frame_names(first.map(|pair| &pair.but), "--but-frames", args.but_frames.as_deref())?;
+    let is: Vec<&Pasted> = pairs.iter().map(|pair| &pair.is).collect();
+    let is = frame_names(&is, "--is-frames", args.is_frames.as_deref())?;
+    let but: Vec<&Pasted> = pairs.iter().map(|pair| &pair.but).collect();
+    let but = frame_names(&but, "--but-frames", args.but_frames.as_deref())?;
     let robot = args.robot.as_deref().map(robot_of).transpose();
     let robot = robot.map_err(|error| Trouble::from(&error))?;
     let question = Question {
@@ -180,17 +181,23 @@ fn several(args: &Args) -> Result<(), Trouble> {
     })
 }
 
-/// The frames that `option` gives, else those that the pasted text names.
+/// The frames that `option` gives, else those that the pasted texts name.
 fn frame_names(
-    pasted: Option<&Pasted>,
+    pasted: &[&Pasted],
     option: &str,
     given: Option<&str>,
 ) -> Result<FrameNames, Trouble> {
     let Some(given) = given else {
-        return Ok(pasted.map_or_else(FrameNames::default, |pasted| FrameNames {
+        let mut named = pasted.iter().map(|pasted| FrameNames {
             parent: pasted.parent.clone(),
             child: pasted.child.clone(),
-        }));
+        });
+        let first = named.next().unwrap_or_default();
+        if named.any(|other| other != first) {
+            let remedy = "give the pairs of each frame apart, or name the frames";
+            return Err(misuse(option, "the messages name several frames", remedy));
+        }
+        return Ok(first);
     };
     let (parent, child) = given.split_once(',').ok_or_else(|| {
         misuse(option, format!("`{given}` is not two frames"), "write PARENT,CHILD, as base,tool0")
@@ -403,6 +410,9 @@ fn write_answer(answer: &Answer, pairs: usize, out: &mut dyn Write) -> io::Resul
         Verdict::Ambiguous => "ambiguous",
         Verdict::Open => "not reconciled",
     };
+    if answer.hypotheses.is_empty() {
+        writeln!(out, "{head:16}nothing that was tried comes near")?;
+    }
     let mut last = "";
     for (at, hypothesis) in answer.hypotheses.iter().enumerate() {
         if at < answer.as_good.max(1) {

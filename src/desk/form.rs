@@ -18,6 +18,9 @@ const REFUSED_DEFECT: f64 = 1e-2;
 /// The defect from which it is said.
 pub(super) const SAID_DEFECT: f64 = 1e-3;
 
+/// The margin to gimbal lock, rad, below which it is said: that of ORD006.
+pub(super) const LOCK_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
+
 /// A length, in the unit as given, beyond which it is not in metres.
 const LONGEST_M: f64 = 10.0;
 
@@ -330,6 +333,17 @@ pub(super) fn defect(form: Form, numbers: &[f64]) -> f64 {
             .ok()
             .and_then(|(_, rows)| rotation_from_matrix_rows(rows))
             .map_or(0.0, |(_, defect)| defect),
+    }
+}
+
+/// How far the angles of `numbers` are from gimbal lock, rad; none where they have no such thing.
+pub(super) fn gimbal_margin(reading: &Reading, numbers: &[f64]) -> Option<f64> {
+    match reading.form {
+        Form::Three(convention) if numbers.len() >= 3 => {
+            let (_, three) = before_last::<3>(numbers);
+            convention.gimbal_margin(three.map(|angle| angle * reading.angle.in_rad()))
+        }
+        _ => None,
     }
 }
 

@@ -10,7 +10,9 @@ use crate::geometry::{
 };
 
 use super::error::DeskError;
-use super::form::{Form, Reading, Style, has_position, readings};
+use super::form::{
+    Form, LOCK_RAD, Reading, SAID_DEFECT, Style, defect, gimbal_margin, has_position, readings,
+};
 use super::frames::{Corrections, FixedFrame};
 use super::pairs::Pair;
 
@@ -44,6 +46,9 @@ const HOPELESS_RAD: f64 = 0.6;
 
 /// How many pairs the search looks at; what is left is computed over all.
 const SEARCHED: usize = 32;
+
+/// How many explanations are kept while others are tried.
+const KEPT: usize = 4096;
 
 /// How many explanations are told.
 const TOLD: usize = 6;
@@ -336,7 +341,45 @@ pub fn reconcile(question: &Question) -> Result<Answer, DeskError> {
     if count > 1 {
         search.fitted();
     }
-    Ok(search.answer(count))
+    let mut answer = search.answer(count);
+    if let Some(best) = answer.hypotheses.first() {
+        let mut notes = Vec::new();
+        for (side, reading) in [("is", best.is), ("but", best.but)] {
+            let numbers = question.pairs.iter().map(|pair| match side {
+                "is" => pair.is.numbers.as_slice(),
+                _ => pair.but.numbers.as_slice(),
+            });
+            notes.extend(flaws(side, &reading, numbers));
+        }
+        answer.notes.extend(notes);
+    }
+    Ok(answer)
+}
+
+/// What of the numbers of a side blurs the answer: rotations that are not quite rotations, and Euler
+/// angles near gimbal lock.
+fn flaws<'a>(
+    side: &str,
+    reading: &Reading,
+    numbers: impl Iterator<Item = &'a [f64]> + Clone,
+) -> Vec<String> {
+    let mut notes = Vec::new();
+    let missed = numbers.clone().map(|numbers| defect(reading.form, numbers)).fold(0.0, f64::max);
+    if missed > SAID_DEFECT {
+        notes.push(format!(
+            "`{side}` misses a rotation by {missed:.1e}: it was rounded, or is no rotation"
+        ));
+    }
+    let margins_rad = numbers.filter_map(|numbers| gimbal_margin(reading, numbers));
+    let margin_rad = margins_rad.fold(f64::INFINITY, f64::min);
+    if margin_rad < LOCK_RAD {
+        notes.push(format!(
+            "`{side}` comes within {:.2}° of gimbal lock of {}: its outer angles are hardly told apart",
+            margin_rad.to_degrees(),
+            reading.form
+        ));
+    }
+    notes
 }
 
 /// The readings of `all` in `style`, those that are the same poses together.
@@ -382,6 +425,11 @@ impl Search<'_> {
         self.best = self.best.min(candidate.score);
         if candidate.score <= self.best + HOPELESS {
             self.found.push(candidate);
+        }
+        if self.found.len() >= 2 * KEPT {
+            // Stable, as at the end.
+            self.found.sort_by(|a, b| a.score.total_cmp(&b.score));
+            self.found.truncate(KEPT);
         }
     }
 

@@ -5,13 +5,11 @@ use crate::geometry::{Convention, Pose, xyzw_from_rotation};
 use super::code::{self, CodeLine};
 use super::error::DeskError;
 use super::form::{
-    AngleUnit, Form, LengthUnit, Reading, SAID_DEFECT, Style, defect, has_position, readings,
+    AngleUnit, Form, LOCK_RAD, LengthUnit, Reading, SAID_DEFECT, Style, defect, has_position,
+    readings,
 };
 use super::paste::Pasted;
 use super::usage::{LibraryName, Use, library_names, uses_of};
-
-/// The margin to gimbal lock, rad, below which it is said: that of ORD006.
-const LOCK_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 
 /// A pose in one convention.
 #[derive(Clone, Debug)]
@@ -179,7 +177,7 @@ fn one(reading: Reading, pasted: &Pasted, mut notes: Vec<String>) -> Result<Shee
         && row.is_near_lock()
     {
         notes.push(format!(
-            "{:.2}° from gimbal lock of {}: its first and last number are hardly told apart",
+            "{:.2}° from gimbal lock of {}: its outer angles are hardly told apart",
             margin_rad.to_degrees(),
             row.form
         ));
@@ -273,6 +271,11 @@ mod tests {
         assert_eq!(columns.reading.form, Form::Columns);
         assert_eq!(rows.reading.form, Form::Rows);
         assert_eq!(columns.pose, rows.pose);
+        // Without the last row.
+        let columns = one("0 1 0  -1 0 0  0 0 1  0.3 0.1 0.5", "");
+        assert_eq!((columns.reading.form, columns.pose), (Form::Columns, rows.pose));
+        let short = one("0 -1 0 0.3  1 0 0 0.1  0 0 1 0.5", "");
+        assert_eq!((short.reading.form, short.pose), (Form::Rows, rows.pose));
     }
 
     #[test]

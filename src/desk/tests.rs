@@ -288,6 +288,34 @@ fn what_cannot_be_told_is_listed() {
 }
 
 #[test]
+fn a_second_pair_narrows_it() {
+    let text = "\
+0.3 0.1 0.5 0 0 0.7071 0.7071,300 100 500 90 0 0
+-0.3033 -0.1710 1.1298 -0.0208 0.0450 -0.9155 0.3992,-303.34 -170.99 1129.84 -132.88 -0.12 -5.68
+";
+    let pairs = pairs_from_csv(text).unwrap();
+    let asked = Asked { is_as: "ros", ..Asked::default() };
+    assert_eq!(answer(&asked, pairs[..1].to_vec()).verdict, Verdict::Ambiguous);
+    let answer = answer(&asked, pairs);
+    assert_plain(&answer);
+    assert_read(&answer, "quat:xyzw, m", "euler:ZYX, deg, mm");
+}
+
+#[test]
+fn lock_and_rounding_are_said() {
+    let answer = Asked {
+        is: "0.5 0 0 0.13 0.6 -0.37 0.7",
+        but: "500 0 0 10 88 20",
+        is_as: "ros",
+        but_as: "fanuc",
+        ..Asked::default()
+    }
+    .answer();
+    assert!(answer.notes.iter().any(|note| note.starts_with("`is` misses a rotation by")));
+    assert!(answer.notes.iter().any(|note| note.contains("within 2.00° of gimbal lock")));
+}
+
+#[test]
 fn units_that_the_numbers_contradict_are_said_in_the_reading() {
     // An angle of 5 is taken for radians first; degrees explain it.
     let answer = Asked {
