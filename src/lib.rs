@@ -15,6 +15,7 @@
 //!
 //! Data walks one way: bytes → [`log`] → [`run`] → [`diagnosis`] → [`checks`] → [`report`].
 //! [`robot`] feeds the diagnosis; [`stream`], [`geometry`] and [`time`] are the ground floor.
+//! Beside it, [`desk`] says what single poses are.
 #![warn(missing_docs)]
 
 mod audit;
@@ -25,6 +26,7 @@ mod workspace;
 
 pub mod checks;
 pub mod corrections;
+pub mod desk;
 pub mod diagnosis;
 pub mod finding;
 pub mod geometry;

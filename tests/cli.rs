@@ -272,3 +272,54 @@ fn the_demo_speaks_json_too() {
     let recovered = stderr(&output).lines().filter(|line| line.starts_with("recovered"));
     assert_eq!(recovered.count(), 4, "{}", stderr(&output));
 }
+
+#[test]
+fn a_pose_is_said_in_every_convention() {
+    let pose = "243.69 -249.04 618.32 149.49 -12.78 72.64";
+    let output = poseaudit(&["pose", "--from", "euler:xyz", "--deg", "--mm", pose]);
+    assert_eq!(status(&output), 0, "{}", stderr(&output));
+    for part in ["FANUC", "KUKA", "Rotation.from_euler(\"xyz\"", "euler:zyx", "0.243690"] {
+        assert!(stdout(&output).contains(part), "{part}: {}", stdout(&output));
+    }
+    let report =
+        json(&poseaudit(&["pose", "-0.1 0 0.2 0 0 -90", "--from", "kuka", "--format", "json"]));
+    assert_eq!(report["schema"], "poseaudit.pose/1");
+    assert_eq!(report["read_as"]["convention"], "euler:ZYX");
+    assert_eq!(report["conventions"].as_array().map(Vec::len), Some(33));
+}
+
+#[test]
+fn two_poses_are_reconciled() {
+    let call = [
+        "pose",
+        "--is",
+        "0.246 -0.249 0.619 0.170 0.472 -0.074 0.862",
+        "--but",
+        "243.69 -249.04 618.32 149.49 -12.78 72.64",
+    ];
+    let output = poseaudit(&call);
+    assert_eq!(status(&output), 0, "{}", stderr(&output));
+    assert!(
+        stdout(&output).starts_with("reconciled      0.22°, 2.41 mm left"),
+        "{}",
+        stdout(&output)
+    );
+    let report = json(&poseaudit(&[&call[..], &["--robot", "ur10e", "--format", "json"]].concat()));
+    assert_eq!(report["verdict"], "reconciled");
+    let best = &report["hypotheses"][0];
+    assert_eq!(best["but"]["convention"], "euler:xyz");
+    assert_eq!(best["tool"]["is"], "flange");
+}
+
+#[test]
+fn what_is_no_pose_gets_one_line() {
+    assert_refused(&["pose", "1 2 3 4 5"], 2, "5 numbers are no pose");
+    assert_refused(
+        &["pose", "1 0 0  0 0.9 0  0 0 1"],
+        2,
+        "not orthonormal: max |RᵀR − I| is 1.90e-1",
+    );
+    assert_refused(&["pose", "1 2 3", "--from", "euler:xxz"], 2, "--from");
+    assert_refused(&["pose"], 2, "no pose was given");
+    assert_refused(&["pose", "--pairs", "no/such.csv"], 2, "no/such.csv");
+}

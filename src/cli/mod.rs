@@ -8,6 +8,7 @@ mod explain;
 mod fk;
 mod info;
 mod output;
+mod pose;
 mod progress;
 mod robots;
 mod rules;
@@ -67,6 +68,7 @@ enum Command {
     Explain(explain::Args),
     Robots(robots::Args),
     Fk(fk::Args),
+    Pose(Box<pose::Args>),
 }
 
 /// Follows the command line. What is wrong with the call itself is said by `clap`, which ends the
@@ -80,6 +82,7 @@ pub fn run() -> Outcome {
         Command::Explain(args) => explain::run(&args),
         Command::Robots(args) => robots::run(&args),
         Command::Fk(args) => fk::run(&args),
+        Command::Pose(args) => pose::run(&args),
     };
     result.unwrap_or_else(|trouble| {
         output::error(&trouble);

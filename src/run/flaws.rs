@@ -276,27 +276,24 @@ fn alternates(piece: &Piece<'_>) -> Option<Flaw> {
     /// From this share of jumps on, and this many, it is no stray sample.
     const SHARE: f64 = 0.1;
     const FEW: usize = 5;
-    /// What turns round comes to where it was, too, but slowly: a jump is larger than this share of the
-    /// usual step.
-    const SLOW: f64 = 0.5;
+    /// What turns round comes to where it was, too, and two samples on is four times as far away. Of
+    /// two publishers that sample is of the one or the other, and no farther than this many jumps.
+    const ON: f64 = 1.5;
     /// Samples that the share is told from.
     const ENOUGH: usize = 20_000;
     let poses = piece.poses;
     let apart = |a: usize, b: usize| Apart::between((poses, a), (poses, b));
-    let inner = 1..poses.times.len().saturating_sub(1);
+    let (mut rows, mut jumps, mut largest) = (0, 0, Apart::default());
+    let inner = 2..poses.times.len().saturating_sub(2);
     let stride = inner.len().div_ceil(ENOUGH).max(1);
-    let around = |row: usize| (apart(row - 1, row), apart(row, row + 1), apart(row - 1, row + 1));
-    let around: Vec<(Apart, Apart, Apart)> = inner.step_by(stride).map(around).collect();
-    let mut steps: Vec<f64> = around.iter().map(|(before, ..)| before.size()).collect();
-    let rows = steps.len();
-    if rows == 0 {
-        return None;
-    }
-    let usual = *steps.select_nth_unstable_by(rows / 2, f64::total_cmp).1;
-    let (mut jumps, mut largest) = (0, Apart::default());
-    for (before, after, across) in around {
-        let least = before.size().min(after.size());
-        if least > JUMP.max(SLOW * usual) && across.size() < AGREE * least {
+    for row in inner.step_by(stride) {
+        rows += 1;
+        let (before, after) = (apart(row - 1, row), apart(row, row + 1));
+        let (least, most) = (before.size().min(after.size()), before.size().max(after.size()));
+        if least > JUMP
+            && apart(row - 1, row + 1).size() < AGREE * least
+            && [row - 2, row + 2].iter().all(|&other| apart(row, other).size() < ON * most)
+        {
             jumps += 1;
             largest = if before.size() > largest.size() { before } else { largest };
         }

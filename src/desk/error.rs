@@ -1,0 +1,89 @@
+//! Why the desk cannot take what it was given.
+
+use crate::geometry::ConventionError;
+
+use super::form::Form;
+
+/// Why a text is no pose, or is not in the form that was named.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "each message says it")]
+pub enum DeskError {
+    #[error("{source}")]
+    Form { source: ConventionError },
+    #[error("`{word}` is no number")]
+    Word { word: String },
+    #[error("{count} numbers are no pose")]
+    Count { count: usize },
+    #[error("{count} numbers are not in the form {form}")]
+    CountOfForm { form: Form, count: usize },
+    #[error("the poses have {first} and {other} numbers")]
+    Counts { first: usize, other: usize },
+    #[error(
+        "the matrix is not orthonormal: max |RᵀR − I| is {defect:.2e}; the nearest rotation is \
+         x y z w {}",
+        digits(nearest_xyzw)
+    )]
+    NotOrthonormal { defect: f64, nearest_xyzw: [f64; 4] },
+    #[error("the matrix is near no rotation: its determinant is {determinant:.3}")]
+    NoRotation { determinant: f64 },
+    #[error("the last row of the matrix is {} and not 0 0 0 1", digits(row))]
+    LastRow { row: [f64; 4] },
+    #[error("the quaternion's norm is {norm:.4} and not 1")]
+    Norm { norm: f64 },
+    #[error("it is not well-formed XML: {0}")]
+    Xml(String),
+    #[error("it is no YAML of a pose: {0}")]
+    Yaml(String),
+    #[error("the message has no {0}")]
+    Lacks(&'static str),
+    #[error("the message holds {0} poses")]
+    Several(usize),
+    #[error("row {row}: {what}")]
+    Row { row: usize, what: String },
+    #[error("there is no pair of poses")]
+    NoPairs,
+}
+
+impl DeskError {
+    /// What the reader of the message can do, as a short clause.
+    pub fn advice(&self) -> &'static str {
+        match self {
+            Self::Form { .. } => {
+                "use rotvec, euler:SEQ, quat:xyzw, quat:wxyz, matrix:rows, matrix:columns or a maker \
+                 such as kuka, with deg or rad, mm or m behind commas"
+            }
+            Self::Word { .. } => "give numbers, p[…], a URDF origin or a ROS message as YAML",
+            Self::Count { .. } => {
+                "give 6 (position and three angles), 7 (and a quaternion), 12 or 16 (a matrix), or a \
+                 rotation alone as 3, 4 or 9"
+            }
+            Self::CountOfForm { .. } => {
+                "name the form that they are in, or leave it to be inferred"
+            }
+            Self::Counts { .. } => "give all poses of one side in one form",
+            Self::NotOrthonormal { .. } => {
+                "give more digits, or take the nearest rotation if the matrix was averaged or blended"
+            }
+            Self::NoRotation { .. } => {
+                "a negative determinant is a mirrored axis; see whether a row or a sign is lost"
+            }
+            Self::LastRow { .. } => "name the order: matrix:rows or matrix:columns",
+            Self::Norm { .. } => {
+                "see whether all four are of the quaternion, and divide them by it"
+            }
+            Self::Xml(_) => "paste the whole <origin …/>",
+            Self::Yaml(_) | Self::Lacks(_) => {
+                "paste position and orientation as the topic prints them"
+            }
+            Self::Several(_) => "paste one of them",
+            Self::Row { .. } => "have two columns with a pose each, or columns named is… and but…",
+            Self::NoPairs => "give --is and --but, or a CSV with a pair in each row",
+        }
+    }
+}
+
+/// Numbers to six digits, with blanks.
+fn digits(numbers: &[f64]) -> String {
+    let texts: Vec<String> = numbers.iter().map(|number| format!("{:.6}", number + 0.0)).collect();
+    texts.join(" ")
+}

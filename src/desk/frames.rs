@@ -1,0 +1,191 @@
+//! Fixed frames at the ends of an arm that two poses may differ by.
+
+use crate::geometry::{Pose, angle_between};
+use crate::robot::{LinkId, Robot};
+
+use super::usage::fixed_pairs;
+
+/// Two transforms by less than this apart, m and rad, are one.
+const SAME: f64 = 1e-6;
+
+/// The frames that a pose is said to be of.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct FrameNames {
+    /// The frame that it is in.
+    pub parent: Option<String>,
+    /// The frame whose pose it is.
+    pub child: Option<String>,
+}
+
+/// The frames of the two poses at one end, and the constant transform between them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FixedFrame {
+    /// The frame of the pose that is.
+    pub is: String,
+    /// The frame of the other pose.
+    pub but: String,
+    /// Whose arms have these frames.
+    pub arms: String,
+    /// At the base `but_from_is`, at the tip `is_from_but`.
+    pub transform: Pose,
+    /// Whether the call named these two frames.
+    pub is_named: bool,
+    /// Other frames that are as far apart, as `tool0 → flange of Universal Robots`.
+    pub also: Vec<String>,
+}
+
+impl FixedFrame {
+    /// Whether nothing says which pose is of which frame: the transform is its own inverse, and the
+    /// call does not name the frames.
+    pub fn is_either_way(&self) -> bool {
+        !self.is_named && is_same(&(self.transform * self.transform), &Pose::identity())
+    }
+}
+
+/// The constant transforms that may lie between two poses of one arm, beside none.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Corrections {
+    /// At the base.
+    pub base: Vec<FixedFrame>,
+    /// At the tip.
+    pub tip: Vec<FixedFrame>,
+}
+
+impl Corrections {
+    /// Those of `robot`, or of usual arms where none is known; `is` and `but` are the frames that the
+    /// poses are said to be of.
+    pub fn of(robot: Option<&Robot>, is: &FrameNames, but: &FrameNames) -> Self {
+        let mut found = Self::default();
+        match robot {
+            Some(robot) => {
+                let named = |end: &Option<String>| robot.link(end.as_deref()?);
+                let base = named(&robot.default_base).unwrap_or_else(|| robot.root());
+                let tip = named(&robot.default_tip).or_else(|| robot.leaf_links().last());
+                push_fixed_to(robot, base, true, &mut found.base);
+                if let Some(tip) = tip {
+                    push_fixed_to(robot, tip, false, &mut found.tip);
+                }
+            }
+            None => {
+                for pair in fixed_pairs() {
+                    let end = if pair.is_base { &mut found.base } else { &mut found.tip };
+                    push_both(&pair.arms, [&pair.from, &pair.to], pair.from_to, pair.is_base, end);
+                }
+            }
+        }
+        settle(&mut found.base, [is.parent.as_deref(), but.parent.as_deref()]);
+        settle(&mut found.tip, [is.child.as_deref(), but.child.as_deref()]);
+        found
+    }
+}
+
+fn push_fixed_to(robot: &Robot, end: LinkId, is_base: bool, found: &mut Vec<FixedFrame>) {
+    let mut fixed: Vec<LinkId> =
+        robot.links().filter(|link| robot.fixed_transform(end, *link).is_some()).collect();
+    // Of frames that are as far apart those are told that poses are usually of.
+    let ends =
+        [&robot.default_base, &robot.controller_base, &robot.default_tip, &robot.controller_tip];
+    fixed.sort_by_key(|link| {
+        let name = robot.link_name(*link);
+        !name.ends_with("flange") && !ends.into_iter().flatten().any(|end| end == name)
+    });
+    for (at, &from) in fixed.iter().enumerate() {
+        for &to in &fixed[at + 1..] {
+            if let Some(from_to) = robot.fixed_transform(from, to) {
+                let names = [from, to].map(|link| robot.link_name(link));
+                push_both(&robot.name, names, from_to, is_base, found);
+            }
+        }
+    }
+}
+
+fn push_both(
+    arms: &str,
+    [from, to]: [&str; 2],
+    from_to: Pose,
+    is_base: bool,
+    found: &mut Vec<FixedFrame>,
+) {
+    // At the base `but_from_is`, at the tip `is_from_but`.
+    for (first, second, transform) in [(from, to, from_to), (to, from, from_to.inverse())] {
+        let (is, but) = if is_base { (second, first) } else { (first, second) };
+        found.push(FixedFrame {
+            is: is.to_owned(),
+            but: but.to_owned(),
+            arms: arms.to_owned(),
+            transform,
+            is_named: false,
+            also: Vec::new(),
+        });
+    }
+}
+
+/// Marks what the call names, drops what is no change, and keeps one of those that are the same.
+fn settle(frames: &mut Vec<FixedFrame>, [is, but]: [Option<&str>; 2]) {
+    let meets = |given: Option<&str>, frame: &str| {
+        given.is_some_and(|given| {
+            let prefix = given.strip_suffix(frame);
+            prefix.is_some_and(|prefix| prefix.is_empty() || prefix.ends_with(['/', '_', '-', '.']))
+        })
+    };
+    for frame in frames.iter_mut() {
+        frame.is_named = meets(is, &frame.is) && meets(but, &frame.but);
+    }
+    // Stable: of the others the first stays.
+    frames.sort_by_key(|frame| !frame.is_named);
+    let mut kept: Vec<FixedFrame> = Vec::new();
+    for frame in frames.drain(..) {
+        match kept.iter_mut().find(|known| is_same(&known.transform, &frame.transform)) {
+            Some(known) => {
+                known.also.push(format!("{} → {} ({})", frame.is, frame.but, frame.arms));
+            }
+            None if is_same(&frame.transform, &Pose::identity()) => {}
+            None => kept.push(frame),
+        }
+    }
+    *frames = kept;
+}
+
+fn is_same(a: &Pose, b: &Pose) -> bool {
+    (a.translation.vector - b.translation.vector).norm() < SAME
+        && angle_between(&a.rotation, &b.rotation) < SAME
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{pose, rotation_from_rpy};
+    use crate::robot::catalogue;
+    use std::f64::consts::{FRAC_PI_2, PI};
+
+    fn names(parent: &str, child: &str) -> FrameNames {
+        FrameNames { parent: Some(parent.to_owned()), child: Some(child.to_owned()) }
+    }
+
+    #[test]
+    fn frames_that_the_call_names_come_first() {
+        let robot = catalogue::find("ur10e").unwrap();
+        let found =
+            Corrections::of(Some(robot), &names("base", "flange"), &names("base_link", "l/tool0"));
+        let half_turn = pose([0.0; 3], rotation_from_rpy([0.0, 0.0, PI]));
+        assert!(found.base[0].is_named && is_same(&found.base[0].transform, &half_turn));
+        let flange_from_tool0 = pose([0.0; 3], rotation_from_rpy([FRAC_PI_2, 0.0, FRAC_PI_2]));
+        let tip = &found.tip[0];
+        assert!(tip.is_named && is_same(&tip.transform, &flange_from_tool0), "{tip:?}");
+        assert_eq!((tip.is.as_str(), tip.but.as_str()), ("flange", "tool0"));
+    }
+
+    #[test]
+    fn without_an_arm_the_usual_frames_are_tried_both_ways() {
+        let found = Corrections::of(None, &FrameNames::default(), &FrameNames::default());
+        assert_eq!(found.base.len(), 1);
+        let is_tried = |is: &str, but: &str, arms: &str| {
+            found.tip.iter().any(|tip| {
+                (tip.is.as_str(), tip.but.as_str(), tip.arms.as_str()) == (is, but, arms)
+            })
+        };
+        assert!(is_tried("flange", "tool0", "Universal Robots"));
+        assert!(is_tried("tool0", "flange", "Universal Robots"));
+        assert!(is_tried("flange", "tool0", "ROS-Industrial, as ABB"));
+    }
+}

@@ -1,0 +1,273 @@
+//! What a person pastes, taken apart: bare numbers, a UR literal, a URDF origin, a ROS message.
+
+use serde_json::Value;
+
+use crate::geometry::Convention;
+
+use super::error::DeskError;
+use super::form::{AngleUnit, Form, LengthUnit, Style};
+
+/// The numbers of a pose, and what the text around them says of them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pasted {
+    /// The numbers in their order: 6, 7, 12 or 16, or 3, 4 or 9 of a rotation alone.
+    pub numbers: Vec<f64>,
+    /// What the text says of their form and units.
+    pub style: Style,
+    /// What the text was taken for.
+    pub kind: &'static str,
+    /// The frame that the pose is in, where the text names it.
+    pub parent: Option<String>,
+    /// The frame whose pose it is, where the text names it.
+    pub child: Option<String>,
+}
+
+/// Takes `text` apart; what it is shows in itself.
+///
+/// # Errors
+/// Where it holds something else than a pose.
+pub fn paste(text: &str) -> Result<Pasted, DeskError> {
+    let text = text.trim();
+    if text.contains("xyz=") || text.contains("rpy=") || text.starts_with('<') {
+        return urdf(text);
+    }
+    if text.contains("Translation:") && text.contains("Quaternion") {
+        return tf2_echo(text);
+    }
+    if ["position", "orientation", "translation", "rotation"].iter().any(|key| text.contains(key)) {
+        return message(text);
+    }
+    if let Some(numbers) =
+        text.strip_prefix('p').and_then(|rest| rest.trim_start().strip_prefix('['))
+    {
+        let numbers = bare(numbers)?;
+        let form = Form::Three(Convention::RotVec);
+        return match numbers.len() {
+            6 => Ok(Pasted::new(numbers, si(form), "UR pose p[…]")),
+            count => Err(DeskError::CountOfForm { form, count }),
+        };
+    }
+    let numbers = bare(text)?;
+    match numbers.len() {
+        3 | 4 | 6 | 7 | 9 | 12 | 16 => Ok(Pasted::new(numbers, Style::default(), "numbers")),
+        count => Err(DeskError::Count { count }),
+    }
+}
+
+fn si(form: Form) -> Style {
+    Style { form: Some(form), length: Some(LengthUnit::Metre), angle: Some(AngleUnit::Radian) }
+}
+
+impl Pasted {
+    fn new(numbers: Vec<f64>, style: Style, kind: &'static str) -> Self {
+        Self { numbers, style, kind, parent: None, child: None }
+    }
+}
+
+/// Numbers with blanks, commas, semicolons, brackets or a degree sign between them.
+fn bare(text: &str) -> Result<Vec<f64>, DeskError> {
+    let text = text.replace('−', "-");
+    let is_between = |c: char| c.is_whitespace() || ",;[](){}|°".contains(c);
+    let words = text.split(is_between).filter(|word| !word.is_empty());
+    let numbers = words.map(|word| {
+        let number: Option<f64> = word.parse().ok();
+        let number = number.filter(|number| number.is_finite());
+        number.ok_or_else(|| DeskError::Word { word: word.to_owned() })
+    });
+    numbers.collect()
+}
+
+/// `<origin xyz="…" rpy="…"/>`, with or without what is around the attributes.
+fn urdf(text: &str) -> Result<Pasted, DeskError> {
+    let attributes = text.trim_start_matches("<origin").trim_end_matches('>').trim_end_matches('/');
+    let element = match text.starts_with('<') && !text.starts_with("<origin") {
+        true => text.to_owned(),
+        false => format!("<origin {attributes}/>"),
+    };
+    let xml =
+        roxmltree::Document::parse(&element).map_err(|error| DeskError::Xml(error.to_string()))?;
+    let mut origins = xml.descendants().filter(|node| node.has_tag_name("origin"));
+    let origin = origins.next().ok_or(DeskError::Lacks("origin"))?;
+    if let more @ 1.. = origins.count() {
+        return Err(DeskError::Several(1 + more));
+    }
+    let mut numbers = Vec::new();
+    for name in ["xyz", "rpy"] {
+        // URDF takes zeros for an attribute that is not there.
+        let found = bare(origin.attribute(name).unwrap_or("0 0 0"))?;
+        if found.len() != 3 {
+            return Err(DeskError::Count { count: found.len() });
+        }
+        numbers.extend(found);
+    }
+    Ok(Pasted::new(numbers, si(Form::Three(Convention::RPY)), "URDF origin"))
+}
+
+/// What `tf2_echo` prints.
+fn tf2_echo(text: &str) -> Result<Pasted, DeskError> {
+    if let more @ 2.. = text.matches("Translation:").count() {
+        return Err(DeskError::Several(more));
+    }
+    let listed = |key: &'static str, count: usize| {
+        let rest = text.split_once(key).map(|(_, rest)| rest);
+        let list = rest.and_then(|rest| rest.split_once('[')?.1.split_once(']'));
+        let numbers = bare(list.ok_or(DeskError::Lacks("brackets"))?.0)?;
+        match numbers.len() {
+            found if found == count => Ok(numbers),
+            count => Err(DeskError::Count { count }),
+        }
+    };
+    let numbers = [listed("Translation:", 3)?, listed("Quaternion", 4)?].concat();
+    Ok(Pasted::new(numbers, si(Form::Xyzw), "tf2_echo"))
+}
+
+/// A ROS message as `ros2 topic echo` prints it, or in JSON.
+fn message(text: &str) -> Result<Pasted, DeskError> {
+    let document = text.split("\n---").next().unwrap_or(text).trim_start_matches("---");
+    let message: Value = serde_saphyr::from_str(document)
+        .map_err(|error| DeskError::Yaml(first_line(&error.to_string())))?;
+    let mut found = Vec::new();
+    find(&message, &mut found);
+    match found.as_slice() {
+        [holder] => of_message(holder, &message),
+        [] => Err(DeskError::Lacks("position and orientation")),
+        several => Err(DeskError::Several(several.len())),
+    }
+}
+
+fn first_line(text: &str) -> String {
+    text.lines().next().unwrap_or_default().to_owned()
+}
+
+/// The maps in `value` that hold a pose.
+fn find<'a>(value: &'a Value, found: &mut Vec<&'a Value>) {
+    match value {
+        Value::Object(map) => {
+            if ["orientation", "rotation"].iter().any(|key| map.contains_key(*key)) {
+                found.push(value);
+            } else {
+                map.values().for_each(|value| find(value, found));
+            }
+        }
+        Value::Array(items) => items.iter().for_each(|value| find(value, found)),
+        _ => {}
+    }
+}
+
+fn of_message(holder: &Value, message: &Value) -> Result<Pasted, DeskError> {
+    let components = |keys: [&str; 2], axes: &[&str], what: &'static str| {
+        let of = keys.iter().find_map(|key| holder.get(key)).ok_or(DeskError::Lacks(what))?;
+        let numbers: Option<Vec<f64>> =
+            axes.iter().map(|axis| of.get(axis)?.as_f64().filter(|c| c.is_finite())).collect();
+        numbers.ok_or(DeskError::Lacks(what))
+    };
+    let mut numbers =
+        components(["position", "translation"], &["x", "y", "z"], "x, y, z of a position")?;
+    numbers.extend(components(
+        ["orientation", "rotation"],
+        &["x", "y", "z", "w"],
+        "x, y, z, w of an orientation",
+    )?);
+    let mut pasted = Pasted::new(numbers, si(Form::Xyzw), "ROS message");
+    pasted.parent = name(message, "frame_id");
+    pasted.child = name(message, "child_frame_id");
+    Ok(pasted)
+}
+
+/// The first text of that key anywhere in `value`, without a leading `/`; none where it is empty.
+fn name(value: &Value, key: &str) -> Option<String> {
+    match value {
+        Value::Object(map) => {
+            let here =
+                map.get(key).and_then(Value::as_str).map(|name| name.trim_start_matches('/'));
+            let here = here.filter(|name| !name.is_empty()).map(str::to_owned);
+            here.or_else(|| map.values().find_map(|value| name(value, key)))
+        }
+        Value::Array(items) => items.iter().find_map(|value| name(value, key)),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_ur_literal_is_a_rotation_vector_in_metres() {
+        let pasted = paste("p[0.1, -0.2, 0.3, 1.2, -1.7, 0.6]").unwrap();
+        assert_eq!(pasted.numbers, [0.1, -0.2, 0.3, 1.2, -1.7, 0.6]);
+        assert_eq!(pasted.style, si(Form::Three(Convention::RotVec)));
+    }
+
+    #[test]
+    fn a_urdf_origin_needs_no_brackets_and_no_second_attribute() {
+        for text in [
+            r#"<origin xyz="0.1 0 -0.2" rpy="0 0 0.5"/>"#,
+            r#"<origin rpy="0 0 0.5" xyz="0.1 0 -0.2">"#,
+            r#"xyz="0.1 0 -0.2" rpy="0 0 0.5""#,
+            r#"<joint name="j"><origin xyz="0.1 0 -0.2" rpy="0 0 0.5"/></joint>"#,
+        ] {
+            assert_eq!(paste(text).unwrap().numbers, [0.1, 0.0, -0.2, 0.0, 0.0, 0.5], "{text}");
+        }
+        assert_eq!(
+            paste(r#"<origin xyz="1 2 3"/>"#).unwrap().numbers,
+            [1.0, 2.0, 3.0, 0.0, 0.0, 0.0]
+        );
+    }
+
+    #[test]
+    fn a_ros_message_names_its_frames() {
+        let transform = "\
+transforms:
+- header:
+    stamp:
+      sec: 12
+      nanosec: 5
+    frame_id: /base
+  child_frame_id: flange
+  transform:
+    translation:
+      x: 0.246
+      y: -0.249
+      z: 0.619
+    rotation:
+      x: 0.17
+      y: 0.472
+      z: -0.074
+      w: 0.862
+---";
+        let pasted = paste(transform).unwrap();
+        assert_eq!(pasted.numbers, [0.246, -0.249, 0.619, 0.17, 0.472, -0.074, 0.862]);
+        assert_eq!(pasted.parent.as_deref(), Some("base"));
+        assert_eq!(pasted.child.as_deref(), Some("flange"));
+        let pose = "{position: {x: 1, y: 2, z: 3}, orientation: {x: 0, y: 0, z: 0, w: 1}}";
+        assert_eq!(paste(pose).unwrap().numbers, [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]);
+        let echo = "- Translation: [1.0, 2.0, 3.0]\n- Rotation: in Quaternion [0.0, 0.0, 0.0, 1.0]";
+        assert_eq!(paste(echo).unwrap().numbers, [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]);
+        assert_eq!(paste(&format!("{echo}\n{echo}")), Err(DeskError::Several(2)));
+    }
+
+    #[test]
+    fn numbers_may_stand_in_brackets_and_with_a_true_minus() {
+        let pasted = paste("[[0.1, −0.2; 0.3] (1, 0, 0, 0)]").unwrap();
+        assert_eq!(pasted.numbers, [0.1, -0.2, 0.3, 1.0, 0.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn what_is_no_pose_is_said() {
+        for (text, part) in [
+            ("1 2 3 4 5", "5 numbers"),
+            ("1 2 x 4 5 6", "`x`"),
+            ("1 2 nan 4 5 6", "`nan`"),
+            ("p[1 2 3]", "rotvec"),
+            ("<origin xyz=\"1 2\"/>", "2 numbers"),
+            ("<origin xyz=1/>", "XML"),
+            ("position: {x: 1}", "no position and orientation"),
+            ("position: {x: 1}\norientation: {x: 0, y: 0, z: 0, w: 1}", "x, y, z of"),
+            ("", "0 numbers"),
+        ] {
+            let said = paste(text).unwrap_err().to_string();
+            assert!(said.contains(part), "{text}: {said}");
+        }
+    }
+}

@@ -1,0 +1,316 @@
+//! One pose in every convention.
+
+use crate::geometry::{Convention, Pose, xyzw_from_rotation};
+
+use super::code::{self, CodeLine};
+use super::error::DeskError;
+use super::form::{
+    AngleUnit, Form, LOCK_RAD, LengthUnit, Reading, SAID_DEFECT, Style, defect, has_position,
+    readings,
+};
+use super::paste::Pasted;
+use super::usage::{LibraryName, Use, library_names, uses_of};
+
+/// A pose in one convention.
+#[derive(Clone, Debug)]
+pub struct Row {
+    /// The convention.
+    pub form: Form,
+    /// The numbers of the rotation, rad where they are angles; a matrix has nine.
+    pub numbers: Vec<f64>,
+    /// How far from gimbal lock, rad; none where there is no such thing.
+    pub gimbal_margin_rad: Option<f64>,
+    /// Who uses it.
+    pub uses: Vec<&'static Use>,
+    /// What libraries call it.
+    pub names: Vec<LibraryName>,
+}
+
+impl Row {
+    fn of(form: Form, numbers: Vec<f64>) -> Self {
+        Self {
+            gimbal_margin_rad: None,
+            uses: uses_of(form).collect(),
+            names: library_names(form),
+            form,
+            numbers,
+        }
+    }
+
+    /// Whether the numbers are within 5° of gimbal lock.
+    pub fn is_near_lock(&self) -> bool {
+        self.gimbal_margin_rad.is_some_and(|margin_rad| margin_rad < LOCK_RAD)
+    }
+}
+
+/// One pose in every convention.
+#[derive(Clone, Debug)]
+pub struct Sheet {
+    /// How it was read.
+    pub reading: Reading,
+    /// The pose.
+    pub pose: Pose,
+    /// Whether a position was given.
+    pub has_position: bool,
+    /// Quaternions, rotation vector, matrix, then Euler orders, the most usual first.
+    pub rows: Vec<Row>,
+    /// Lines of code from the numbers as given, where they are three.
+    pub code_of_numbers: Vec<CodeLine>,
+    /// Lines of code from the quaternion.
+    pub code_of_quaternion: Vec<CodeLine>,
+    /// What was inferred, and what to look out for.
+    pub notes: Vec<String>,
+}
+
+/// A pose as one of several conventions would have it.
+#[derive(Clone, Debug)]
+pub struct Candidate {
+    /// The convention.
+    pub reading: Reading,
+    /// The pose then.
+    pub pose: Pose,
+    /// Who uses it.
+    pub uses: Vec<&'static Use>,
+}
+
+/// What one text is.
+#[derive(Clone, Debug)]
+pub enum Sheets {
+    /// A pose.
+    One(Box<Sheet>),
+    /// Several, by the convention that the text does not name; those that somebody is known to use.
+    Several {
+        /// The candidates, the most usual first.
+        candidates: Vec<Candidate>,
+        /// What was inferred.
+        notes: Vec<String>,
+    },
+}
+
+/// Says what `pasted` is; `style` is what the call says of it.
+///
+/// # Errors
+/// Where it is no pose in that style.
+pub fn sheet(pasted: &Pasted, style: Style) -> Result<Sheets, DeskError> {
+    let known = style.or(pasted.style);
+    let readings = readings(&[&pasted.numbers], known)?;
+    let mut usual: Vec<Reading> = Vec::new();
+    for reading in readings.into_iter().filter(|reading| reading.odd_units() == 0) {
+        let is_used = known.form.is_some() || uses_of(reading.form).next().is_some();
+        if is_used {
+            usual.push(reading);
+        }
+    }
+    let mut notes = Vec::new();
+    let count = pasted.numbers.len();
+    if let Some(first) = usual.first() {
+        notes.extend(unit_notes(first, known, count));
+    }
+    if count == 9 && known.form.is_none() {
+        notes.push("rows were assumed; by columns it is --from matrix:columns".to_owned());
+    }
+    match usual.as_slice() {
+        [reading] => {
+            let sheet = one(*reading, pasted, notes)?;
+            Ok(Sheets::One(Box::new(sheet)))
+        }
+        several => {
+            let candidates = several.iter().map(|reading| {
+                let pose = reading.pose(&pasted.numbers)?;
+                Ok(Candidate { reading: *reading, pose, uses: uses_of(reading.form).collect() })
+            });
+            let candidates = candidates.collect::<Result<Vec<_>, DeskError>>()?;
+            Ok(Sheets::Several { candidates, notes })
+        }
+    }
+}
+
+fn unit_notes(reading: &Reading, known: Style, count: usize) -> Vec<String> {
+    let mut notes = Vec::new();
+    if has_position(count) && known.length.is_none() {
+        notes.push(match reading.length {
+            LengthUnit::Metre => "metres: no length is above 10; --mm says otherwise".to_owned(),
+            LengthUnit::Millimetre => {
+                "millimetres: a length is above 10; --m says otherwise".to_owned()
+            }
+        });
+    }
+    if reading.form.has_angles() && known.angle.is_none() {
+        notes.push(match reading.angle {
+            AngleUnit::Radian => "radians: no angle is above 6.9; --deg says otherwise".to_owned(),
+            AngleUnit::Degree => "degrees: an angle is above 6.9; --rad says otherwise".to_owned(),
+        });
+    }
+    notes
+}
+
+fn one(reading: Reading, pasted: &Pasted, mut notes: Vec<String>) -> Result<Sheet, DeskError> {
+    let pose = reading.pose(&pasted.numbers)?;
+    let missed = defect(reading.form, &pasted.numbers);
+    if missed > SAID_DEFECT {
+        notes.push(match reading.form {
+            Form::Rows | Form::Columns => {
+                format!("the matrix is not quite orthonormal (max |RᵀR − I| {missed:.1e}); this is the nearest rotation")
+            }
+            _ => format!("the quaternion's norm is off 1 by {missed:.1e}; it was divided by it"),
+        });
+    }
+    let rotation = &pose.rotation;
+    let [x, y, z, w] = xyzw_from_rotation(rotation);
+    let matrix = rotation.to_rotation_matrix();
+    let by_rows: Vec<f64> = matrix.matrix().transpose().iter().map(|c| c + 0.0).collect();
+    let by_columns: Vec<f64> = matrix.matrix().iter().map(|c| c + 0.0).collect();
+    let mut rows = vec![
+        Row::of(Form::Xyzw, vec![x, y, z, w]),
+        Row::of(Form::Wxyz, vec![w, x, y, z]),
+        Row::of(Form::Rows, by_rows),
+        Row::of(Form::Columns, by_columns),
+    ];
+    rows.extend(Convention::all().iter().map(|&convention| {
+        let numbers = convention.numbers(rotation);
+        let mut row = Row::of(Form::Three(convention), numbers.to_vec());
+        row.gimbal_margin_rad = convention.gimbal_margin(numbers);
+        row
+    }));
+    let own = rows.iter().find(|row| row.form == reading.form);
+    if let Some((row, margin_rad)) = own.and_then(|row| Some((row, row.gimbal_margin_rad?)))
+        && row.is_near_lock()
+    {
+        notes.push(format!(
+            "{:.2}° from gimbal lock of {}: its outer angles are hardly told apart",
+            margin_rad.to_degrees(),
+            row.form
+        ));
+    }
+    let code_of_numbers = match reading.form {
+        Form::Three(convention) => {
+            let given = pasted.numbers[pasted.numbers.len() - 3..].iter();
+            let mut numbers = [0.0; 3];
+            for (number, given) in numbers.iter_mut().zip(given) {
+                *number = given * reading.angle.in_rad();
+            }
+            code::of_numbers(convention, numbers)
+        }
+        _ => Vec::new(),
+    };
+    Ok(Sheet {
+        has_position: has_position(pasted.numbers.len()),
+        code_of_numbers,
+        code_of_quaternion: code::of_quaternion(rotation),
+        reading,
+        pose,
+        rows,
+        notes,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::desk::paste;
+    use crate::geometry::{angle_between, rotation_from_xyzw, xyz_of};
+
+    fn one(text: &str, style: &str) -> Sheet {
+        let style = if style.is_empty() { Style::default() } else { style.parse().unwrap() };
+        match sheet(&paste(text).unwrap(), style).unwrap() {
+            Sheets::One(sheet) => *sheet,
+            Sheets::Several { candidates, .. } => panic!("{candidates:?}"),
+        }
+    }
+
+    fn numbers(sheet: &Sheet, form: &str) -> Vec<f64> {
+        let form: Form = form.parse().unwrap();
+        sheet.rows.iter().find(|row| row.form == form).unwrap().numbers.clone()
+    }
+
+    #[track_caller]
+    fn assert_near(found: &[f64], expected: &[f64], within: f64) {
+        assert_eq!(found.len(), expected.len());
+        let far = found.iter().zip(expected).any(|(a, b)| (a - b).abs() > within);
+        assert!(!far, "{found:?} is not {expected:?}");
+    }
+
+    #[test]
+    fn the_sample_of_aubos_sdk_is_its_quaternion() {
+        // The vendor's own sample: rpy, rad, and quaternion w, x, y, z.
+        let sheet = one("0.611 0.785 0.960", "aubo");
+        let expected = [0.834722, 0.078043, 0.451893, 0.304864];
+        assert_near(&numbers(&sheet, "quat:wxyz"), &expected, 1e-6);
+    }
+
+    #[test]
+    fn a_pendants_pose_is_said_in_every_convention() {
+        let sheet = one("243.69 -249.04 618.32 149.49 -12.78 72.64", "euler:xyz,deg,mm");
+        assert_near(&xyz_of(&sheet.pose), &[0.24369, -0.24904, 0.61832], 1e-12);
+        assert_eq!(sheet.rows.len(), 4 + 29);
+        assert_near(
+            &numbers(&sheet, "euler:ZYX"),
+            &[72.64, -12.78, 149.49].map(f64::to_radians),
+            1e-12,
+        );
+        for row in &sheet.rows {
+            let reading = Reading { form: row.form, ..one("0 0 0", "rotvec,rad,m").reading };
+            let again = reading.pose(&row.numbers).unwrap();
+            assert!(angle_between(&again.rotation, &sheet.pose.rotation) < 1e-9, "{}", row.form);
+        }
+    }
+
+    #[test]
+    fn what_text_says_needs_no_flag() {
+        let literal = one("p[0.1, 0.2, 0.3, 0, 3.14, 0]", "");
+        assert_eq!(literal.reading.form.to_string(), "rotvec");
+        let origin = one(r#"<origin xyz="0 0 0" rpy="1.570796327 0 1.570796327"/>"#, "");
+        assert_near(&numbers(&origin, "quat:xyzw"), &[0.5, 0.5, 0.5, 0.5], 1e-9);
+    }
+
+    #[test]
+    fn frankas_matrix_goes_by_columns_and_rokaes_by_rows() {
+        // Rz(90°), then 0.3, 0.1, 0.5.
+        let columns = one("0 1 0 0  -1 0 0 0  0 0 1 0  0.3 0.1 0.5 1", "");
+        let rows = one("0 -1 0 0.3  1 0 0 0.1  0 0 1 0.5  0 0 0 1", "");
+        assert_eq!(columns.reading.form, Form::Columns);
+        assert_eq!(rows.reading.form, Form::Rows);
+        assert_eq!(columns.pose, rows.pose);
+        // Without the last row.
+        let columns = one("0 1 0  -1 0 0  0 0 1  0.3 0.1 0.5", "");
+        assert_eq!((columns.reading.form, columns.pose), (Form::Columns, rows.pose));
+        let short = one("0 -1 0 0.3  1 0 0 0.1  0 0 1 0.5", "");
+        assert_eq!((short.reading.form, short.pose), (Form::Rows, rows.pose));
+    }
+
+    #[test]
+    fn a_bare_order_is_left_open() {
+        let pasted = paste("243.69 -249.04 618.32 149.49 -12.78 72.64").unwrap();
+        let Sheets::Several { candidates, notes } = sheet(&pasted, Style::default()).unwrap()
+        else {
+            panic!("it was settled");
+        };
+        let names: Vec<String> =
+            candidates.iter().map(|candidate| candidate.reading.form.to_string()).collect();
+        assert_eq!(names[..3], ["rotvec", "euler:xyz", "euler:ZYX"]);
+        assert!(notes.iter().any(|note| note.starts_with("millimetres")));
+        let pasted = paste("0 0 1 0.1 0.2 0.3 0.927").unwrap();
+        assert!(matches!(sheet(&pasted, Style::default()), Ok(Sheets::Several { .. })));
+    }
+
+    #[test]
+    fn lock_is_warned_of() {
+        let locked = one("0 0 0 10 88 20", "euler:xyz,deg,m");
+        assert!(locked.notes.iter().any(|note| note.starts_with("2.00° from gimbal lock")));
+        let free = one("0 0 0 10 60 20", "euler:xyz,deg,m");
+        assert!(!free.notes.iter().any(|note| note.contains("lock")), "{:?}", free.notes);
+    }
+
+    #[test]
+    fn a_matrix_that_is_none_is_refused_with_the_nearest_rotation() {
+        let refused = |text: &str| sheet(&paste(text).unwrap(), Style::default()).unwrap_err();
+        let error = refused("1 0 0  0 0.9 0  0 0 1");
+        let DeskError::NotOrthonormal { defect, nearest_xyzw } = error else { panic!("{error}") };
+        assert!((defect - 0.19).abs() < 1e-12);
+        let nearest = rotation_from_xyzw(nearest_xyzw).unwrap();
+        assert!(nearest.angle() < 1e-12);
+        let mirrored = refused("1 0 0  0 1 0  0 0 -1");
+        assert_eq!(mirrored, DeskError::NoRotation { determinant: -1.0 });
+        assert!(matches!(refused("1 0 0 0.9"), DeskError::Norm { .. }));
+    }
+}

@@ -1,0 +1,361 @@
+//! Pairs of poses whose difference is known.
+//!
+//! Poses are those of other programs (the catalogue's check values); what a pendant would show of them
+//! was computed by SciPy 1.17.1 and rounded as pendants do.
+
+use crate::robot::catalogue;
+
+use super::*;
+
+/// A UR3e by its URDF, and what it would show with a TCP of (10, −20, 149.9) mm, turned 30° about z.
+const UR3E_WITH_TOOL: &str = "\
+0.4567 0.2231 0.0665 -0.0000 -0.7071 -0.7071 0.0000,-0.4468 -0.3730 0.0465 1.5316 -0.4104 0.4104
+0.3460 -0.0519 0.0882 -0.4803 -0.3676 -0.7437 0.2846,-0.4024 -0.0817 0.1322 0.5253 -1.2728 1.0641
+-0.1053 0.4836 0.3793 -0.3762 -0.0738 0.7402 0.5524,0.1869 -0.5458 0.4909 0.0547 0.8034 -0.7185
+";
+
+#[derive(Default)]
+struct Asked<'a> {
+    is: &'a str,
+    but: &'a str,
+    is_as: &'a str,
+    but_as: &'a str,
+    robot: &'a str,
+    frames: [&'a str; 4],
+}
+
+impl Asked<'_> {
+    #[track_caller]
+    fn answer(&self) -> Answer {
+        answer(self, vec![Pair { is: paste(self.is).unwrap(), but: paste(self.but).unwrap() }])
+    }
+}
+
+#[track_caller]
+fn answer(asked: &Asked, pairs: Vec<Pair>) -> Answer {
+    let style = |text: &str| match text {
+        "" => Style::default(),
+        text => text.parse().unwrap(),
+    };
+    let [a, b, c, d] = asked.frames.map(|name| (!name.is_empty()).then(|| name.to_owned()));
+    let frames = Corrections::of(
+        catalogue::find(asked.robot),
+        &FrameNames { parent: a, child: b },
+        &FrameNames { parent: c, child: d },
+    );
+    let question = Question { pairs, is: style(asked.is_as), but: style(asked.but_as), frames };
+    reconcile(&question).unwrap()
+}
+
+/// The readings of the first explanation, and what it claims.
+fn best(answer: &Answer) -> (String, String, Vec<String>) {
+    let best = &answer.hypotheses[0];
+    (best.is.to_string(), best.but.to_string(), best.claims())
+}
+
+#[track_caller]
+fn assert_read(answer: &Answer, is: &str, but: &str) {
+    let (found_is, found_but, claims) = best(answer);
+    assert_eq!((found_is.as_str(), found_but.as_str()), (is, but), "{claims:?}");
+}
+
+#[track_caller]
+fn assert_plain(answer: &Answer) {
+    assert_eq!(answer.verdict, Verdict::Reconciled, "{:#?}", answer.hypotheses);
+    assert!(best(answer).2.is_empty(), "{:?}", best(answer).2);
+}
+
+#[test]
+fn ur10e_flange_against_the_pendant() {
+    // UR driver issue 791.
+    let answer = Asked {
+        is: "0.246 -0.249 0.619 0.170 0.472 -0.074 0.862",
+        but: "243.69 -249.04 618.32 149.49 -12.78 72.64",
+        ..Asked::default()
+    }
+    .answer();
+    assert_read(&answer, "quat:xyzw, m", "euler:xyz, deg, mm");
+    let first = &answer.hypotheses[0];
+    let Tool::Frames(tip) = &first.tool else { panic!("{:?}", first.claims()) };
+    assert_eq!((tip.is.as_str(), tip.but.as_str()), ("flange", "tool0"));
+    assert!((first.residual.rotation_rad.to_degrees() - 0.22).abs() < 0.02, "{first:?}");
+    assert!((first.residual.position_m.unwrap() - 0.0024).abs() < 0.0001, "{first:?}");
+    assert_eq!(answer.verdict, Verdict::Reconciled);
+    assert!(answer.hypotheses[1..].iter().all(|other| !other.residual.agrees()));
+}
+
+#[test]
+fn kukas_abc() {
+    let answer = Asked {
+        is: "-0.3033 -0.1710 1.1298 -0.0208 0.0450 -0.9155 0.3992",
+        but: "-303.34 -170.99 1129.84 -132.88 -0.12 -5.68",
+        ..Asked::default()
+    }
+    .answer();
+    assert_plain(&answer);
+    assert_read(&answer, "quat:xyzw, m", "euler:ZYX, deg, mm");
+}
+
+#[test]
+fn staublis_moving_axes() {
+    let answer = Asked {
+        is: "0.4038 -0.4235 0.1412 0.8201 0.5043 -0.0831 0.2573",
+        but: "403.78 -423.51 141.23 149.35 7.08 -61.24",
+        ..Asked::default()
+    }
+    .answer();
+    assert_plain(&answer);
+    assert_read(&answer, "quat:xyzw, m", "euler:XYZ, deg, mm");
+}
+
+#[test]
+fn doosans_and_kawasakis_zyz() {
+    let answer = Asked {
+        is: "-0.0086 0.0067 1.2498 -0.2254 -0.2548 0.4600 0.8201",
+        but: "-8.58 6.72 1249.76 167.79 39.78 -109.21",
+        ..Asked::default()
+    }
+    .answer();
+    assert_plain(&answer);
+    assert_read(&answer, "quat:xyzw, m", "euler:ZYZ, deg, mm");
+}
+
+#[test]
+fn abbs_quaternion_begins_with_w() {
+    let asked = Asked {
+        is: "0.3102 -0.3322 1.2466 0.2029 -0.0915 0.5186 0.8255",
+        but: "310.23 -332.19 1246.63 0.82554 0.20292 -0.09150 0.51859",
+        ..Asked::default()
+    };
+    let answer = asked.answer();
+    assert_plain(&answer);
+    assert_read(&answer, "quat:xyzw, m", "quat:wxyz, mm");
+    // The same numbers twice are one pose in either order.
+    let open = Asked { but: asked.is, ..asked }.answer();
+    assert_eq!(open.verdict, Verdict::Ambiguous);
+    let orders = open.hypotheses[0].equivalents[0].map(|reading| reading.form.to_string());
+    assert_eq!(orders, ["quat:wxyz", "quat:wxyz"]);
+}
+
+#[test]
+fn fanucs_pendant_against_the_flange_of_ros_industrial() {
+    let answer = Asked {
+        is: "0.4200 -0.4371 0.2654 -0.5951 0.5964 0.0775 0.5331",
+        but: "420.03 -437.09 265.35 143.33 24.81 53.21",
+        is_as: "ros",
+        but_as: "fanuc",
+        robot: "fanuc_lrmate200id",
+        ..Asked::default()
+    }
+    .answer();
+    let Tool::Frames(tip) = &answer.hypotheses[0].tool else { panic!("{:?}", best(&answer)) };
+    assert_eq!(tip.but, "tool0");
+    assert!(tip.is == "flange" || tip.also.iter().any(|also| also.starts_with("flange → tool0")));
+    assert_eq!(answer.verdict, Verdict::Reconciled);
+}
+
+#[test]
+fn frankas_matrix_goes_by_columns() {
+    let answer = Asked {
+        is: "-0.0060 -0.5920 0.8737 0.7641 -0.3230 -0.2442 0.5022",
+        but: "0.672042 -0.738909 -0.048706 0 -0.248425 -0.286928 0.925180 0 \
+              -0.697599 -0.609660 -0.376391 0 -0.006005 -0.591972 0.873672 1",
+        ..Asked::default()
+    }
+    .answer();
+    assert_plain(&answer);
+    assert_read(&answer, "quat:xyzw, m", "matrix:columns, m");
+}
+
+#[test]
+fn frankas_hand_stands_45_degrees_on_its_flange() {
+    let answer = Asked {
+        is: "-0.0060 -0.5920 0.8737 0.7641 -0.3230 -0.2442 0.5022",
+        but: "-0.0060 -0.5920 0.8737 0.8296 -0.0060 -0.4178 0.3705",
+        is_as: "ros",
+        but_as: "ros",
+        ..Asked::default()
+    }
+    .answer();
+    let claims = best(&answer).2;
+    assert_eq!(claims, ["`is` is of fr3_link8, `but` of fr3_hand (Franka)"]);
+    assert_eq!(answer.verdict, Verdict::Reconciled);
+}
+
+#[test]
+fn urs_base_is_turned_against_base_link() {
+    let asked = Asked {
+        is: "-0.0563 0.7802 0.5273 -0.3762 -0.0738 0.7402 0.5524",
+        but: "p[0.0563, -0.7802, 0.5273, -0.1620, 0.8252, -1.2118]",
+        is_as: "ros",
+        robot: "ur5e",
+        frames: ["base_link", "tool0", "base", "tool0"],
+        ..Asked::default()
+    };
+    let answer = asked.answer();
+    assert_eq!(best(&answer).2, ["`is` is in base_link, `but` in base (ur5e)"]);
+    assert_eq!(answer.verdict, Verdict::Reconciled);
+    let unnamed = Asked { robot: "", frames: [""; 4], ..asked }.answer();
+    let claim = &best(&unnamed).2[0];
+    assert!(claim.starts_with("one is in ") && claim.contains("the other in "), "{claim}");
+}
+
+#[test]
+fn the_sample_of_jakas_sdk_against_forward_kinematics() {
+    // The vendor's manual, 4.8.1 and 4.8.2: joints and orientation there, rad. The manual does not say
+    // which arm it is; that of the Zu 7 is the orientation of all arms of that build.
+    let arm = catalogue::find("jaka_zu7").unwrap();
+    let [base, tip] = [arm.root(), arm.leaf_links().last().unwrap()];
+    let rotation =
+        arm.chain(base, tip).unwrap().forward(&[0.558, 0.872, 0.872, 0.349, 0.191, 0.191]).rotation;
+    let fk = crate::geometry::xyzw_from_rotation(&rotation).map(|c| c.to_string()).join(" ");
+    let answer =
+        Asked { is: &fk, but: "-1.81826 -0.834253 -2.30243", is_as: "ros", ..Asked::default() };
+    let answer = answer.answer();
+    assert_plain(&answer);
+    assert_read(&answer, "quat:xyzw, m", "euler:xyz, rad, m");
+    assert!(answer.hypotheses[0].residual.rotation_rad < 2e-5);
+}
+
+#[test]
+fn an_inverse_is_told() {
+    let answer = Asked {
+        is: "-0.0563 0.7802 0.5273 -0.3762 -0.0738 0.7402 0.5524",
+        but: "-0.4368 0.5294 -0.6472 0.3762 0.0738 -0.7402 0.5524",
+        is_as: "ros",
+        but_as: "ros",
+        ..Asked::default()
+    }
+    .answer();
+    assert_eq!(answer.hypotheses[0].inversion, Inversion::Pose);
+    assert_eq!(answer.verdict, Verdict::Reconciled);
+}
+
+#[test]
+fn a_rotation_vector_that_was_read_as_euler_angles() {
+    // As mecheye_python_samples issue 44: both are quaternions by now.
+    let answer = Asked {
+        is: "-0.0563 0.7802 0.5273 -0.3762 -0.0738 0.7402 0.5524",
+        but: "-0.0563 0.7802 0.5273 0.6662 -0.3794 -0.2143 0.6052",
+        is_as: "ros",
+        but_as: "ros",
+        ..Asked::default()
+    }
+    .answer();
+    let misreading = answer.hypotheses[0].misreading.expect("it is one");
+    let names = [misreading.is, misreading.read_as].map(|convention| convention.to_string());
+    assert_eq!(names, ["rotvec", "euler:ZYX"]);
+    assert_eq!(answer.verdict, Verdict::Reconciled);
+}
+
+#[test]
+fn several_pairs_find_a_tool_that_one_pair_only_suggests() {
+    let asked = Asked { is_as: "ros", but_as: "ur", robot: "ur3e", ..Asked::default() };
+    let pairs = pairs_from_csv(UR3E_WITH_TOOL).unwrap();
+    let alone = super::reconcile(&Question {
+        pairs: pairs[..1].to_vec(),
+        is: "ros".parse().unwrap(),
+        but: "ur".parse().unwrap(),
+        frames: Corrections::default(),
+    })
+    .unwrap();
+    assert_eq!(alone.verdict, Verdict::Open);
+    assert!(alone.would_do.is_some());
+
+    let answer = answer(&asked, pairs);
+    let first = &answer.hypotheses[0];
+    let Tool::Fitted(tool) = &first.tool else { panic!("{:?}", first.claims()) };
+    assert!((tool.translation.vector.norm() - 0.15156).abs() < 2e-4, "{tool}");
+    assert!((tool.rotation.angle().to_degrees() - 30.0).abs() < 0.05, "{tool}");
+    assert!(first.base.is_some(), "{:?}", first.claims());
+    assert_eq!(answer.verdict, Verdict::Reconciled);
+}
+
+#[test]
+fn what_cannot_be_told_is_listed() {
+    // A turn about z alone: every Tait–Bryan order and the rotation vector agree on which number.
+    let answer = Asked {
+        is: "0.3 0.1 0.5 0 0 0.7071 0.7071",
+        but: "300 100 500 0 0 90",
+        is_as: "ros",
+        ..Asked::default()
+    }
+    .answer();
+    let first = &answer.hypotheses[0];
+    assert_eq!(first.but.form.to_string(), "rotvec");
+    assert!(first.equivalents.len() >= 5, "{:?}", first.equivalents);
+    assert_eq!(answer.verdict, Verdict::Ambiguous);
+}
+
+#[test]
+fn a_second_pair_narrows_it() {
+    let text = "\
+0.3 0.1 0.5 0 0 0.7071 0.7071,300 100 500 90 0 0
+-0.3033 -0.1710 1.1298 -0.0208 0.0450 -0.9155 0.3992,-303.34 -170.99 1129.84 -132.88 -0.12 -5.68
+";
+    let pairs = pairs_from_csv(text).unwrap();
+    let asked = Asked { is_as: "ros", ..Asked::default() };
+    assert_eq!(answer(&asked, pairs[..1].to_vec()).verdict, Verdict::Ambiguous);
+    let answer = answer(&asked, pairs);
+    assert_plain(&answer);
+    assert_read(&answer, "quat:xyzw, m", "euler:ZYX, deg, mm");
+}
+
+#[test]
+fn lock_and_rounding_are_said() {
+    let answer = Asked {
+        is: "0.5 0 0 0.13 0.6 -0.37 0.7",
+        but: "500 0 0 10 88 20",
+        is_as: "ros",
+        but_as: "fanuc",
+        ..Asked::default()
+    }
+    .answer();
+    assert!(answer.notes.iter().any(|note| note.starts_with("`is` misses a rotation by")));
+    assert!(answer.notes.iter().any(|note| note.contains("within 2.00° of gimbal lock")));
+}
+
+#[test]
+fn units_that_the_numbers_contradict_are_said_in_the_reading() {
+    // An angle of 5 is taken for radians first; degrees explain it.
+    let answer = Asked {
+        is: "0.3 0.1 0.5 0 0 0.0436 0.9990",
+        but: "0.3 0.1 0.5 0 0 5",
+        is_as: "ros",
+        ..Asked::default()
+    }
+    .answer();
+    assert!(best(&answer).1.contains("deg"), "{:?}", best(&answer));
+}
+
+#[test]
+fn one_pair_suggests_a_tool_and_claims_none() {
+    // A gripper of 190 mm.
+    let answer = Asked {
+        is: "0.246 -0.249 0.619 0 0.7071 0 0.7071",
+        but: "0.436 -0.249 0.619 0 0.7071 0 0.7071",
+        is_as: "quat:xyzw",
+        but_as: "quat:xyzw",
+        ..Asked::default()
+    }
+    .answer();
+    assert_eq!(answer.verdict, Verdict::Open);
+    assert_read(&answer, "quat:xyzw, m", "quat:xyzw, m");
+    let would_do = answer.would_do.unwrap();
+    assert!(would_do.is_translation);
+    assert!((would_do.tool.translation.vector.z - 0.19).abs() < 1e-4, "{}", would_do.tool);
+}
+
+#[test]
+fn poses_that_have_nothing_in_common_stay_open() {
+    let answer = Asked {
+        is: "0.246 -0.249 0.619 0.170 0.472 -0.074 0.862",
+        but: "0.8 0.1 0.2 0.51 0.13 0.61 0.59",
+        is_as: "ros",
+        but_as: "ros",
+        ..Asked::default()
+    }
+    .answer();
+    assert_eq!(answer.verdict, Verdict::Open, "{:?}", answer.hypotheses[0]);
+    assert!(answer.would_do.is_some());
+}
