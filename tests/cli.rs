@@ -90,7 +90,7 @@ fn a_wrong_call_ends_with_2() {
         &["audit", CLEAN, "--format", "yaml"],
         &["audit", CLEAN, "--max-latency", "-1"],
         &["audit", CLEAN, "--declare", "/tcp"],
-        &["audit", CLEAN, "--parquet", "out"],
+        &["audit", CLEAN, "--parquet", "Cargo.toml"],
         &["audit", CLEAN, "--robot", "no/such.urdf"],
         &["audit", CLEAN, "--tip", "no_such_link"],
         &["audit", CLEAN, "--calibration", "no/such.yaml"],
@@ -187,7 +187,8 @@ fn the_json_has_the_keys_of_the_contract_in_their_order() {
             "checks",
             "findings",
             // Beyond the contract, and behind all of it.
-            "observability"
+            "observability",
+            "workspace"
         ]
     );
     assert_eq!(
@@ -322,4 +323,36 @@ fn what_is_no_pose_gets_one_line() {
     assert_refused(&["pose", "1 2 3", "--from", "euler:xxz"], 2, "--from");
     assert_refused(&["pose"], 2, "no pose was given");
     assert_refused(&["pose", "--pairs", "no/such.csv"], 2, "no/such.csv");
+}
+
+#[test]
+fn tables_are_written_into_a_folder_that_is_made() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let tables = folder.path().join("made/tables");
+    let output = poseaudit(&["audit", FAULTY, "--parquet", &tables.display().to_string()]);
+    assert_eq!(status(&output), 1, "{}", stderr(&output));
+    for name in ["aligned", "reach_map", "reached_poses", "joints", "findings", "checks"] {
+        let bytes = fs::read(tables.join(format!("{name}.parquet"))).expect(name);
+        assert!(bytes.starts_with(b"PAR1") && bytes.ends_with(b"PAR1"), "{name}");
+    }
+}
+
+#[test]
+fn forward_kinematics_of_one_configuration_and_of_a_file_agree() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let q = ["0.1", "-1.2", "1.4", "-1", "-1.5", "0.3"];
+    fs::write(path("q.csv"), format!("# one row\n{}\n", q.join(","))).expect("a file");
+    let one = json(&poseaudit(&[&["fk", "ur5e", "--format", "json"], &q[..]].concat()));
+    let many = ["fk", "ur5e", "--file", &path("q.csv"), "--output", &path("poses.csv")];
+    assert_eq!(status(&poseaudit(&many)), 0);
+    let text = fs::read_to_string(path("poses.csv")).expect("the poses");
+    let row = text.lines().nth(1).expect("a row").split(',');
+    let numbers: Vec<f64> = row.map(|cell| cell.parse().expect("a number")).collect();
+    for (axis, xyz) in one["xyz_m"].as_array().expect("three numbers").iter().enumerate() {
+        assert!((xyz.as_f64().expect("a number") - numbers[6 + axis]).abs() < 1e-12, "{text}");
+    }
+    assert_refused(&["fk", "ur5e", "1", "2"], 2, "6 joints");
+    assert_refused(&["fk", "ur5x", "1"], 2, "ur5");
+    assert_refused(&["robots", "ur5x"], 2, "ur5");
 }
