@@ -63,3 +63,19 @@ fn is_finding(line: &str, code: &str) -> bool {
 fn passes(call: &str, text: &str, code: &str) -> bool {
     call.contains("--select") && text.contains(code)
 }
+
+#[path = "../docs/pages.rs"]
+mod pages;
+
+#[test]
+fn the_pages_of_the_rules_are_current() {
+    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs");
+    let symptoms = fs::read_to_string(docs.join("symptoms.md")).expect("the document");
+    for (name, text) in pages::all(&symptoms) {
+        let kept = fs::read_to_string(docs.join("rules").join(&name)).unwrap_or_default();
+        assert!(
+            kept.replace("\r\n", "\n") == text,
+            "docs/rules/{name} is not current: run `cargo run --example rule_pages`"
+        );
+    }
+}

@@ -4,7 +4,9 @@ use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 
-use polars::prelude::{DataFrame, ParquetCompression, ParquetWriter, PolarsError, PolarsResult};
+use polars::prelude::{
+    AnyValue, Column, DataFrame, ParquetCompression, ParquetWriter, PolarsError, PolarsResult,
+};
 
 use crate::report::write_whole;
 
@@ -52,9 +54,12 @@ fn write_csv(path: &Path, frame: &mut DataFrame) -> Result<(), WriteError> {
     let mut writer = csv::Writer::from_path(path)?;
     writer.write_record(frame.columns().iter().map(|column| column.name().as_str()))?;
     for row in 0..frame.height() {
-        let cells = frame.columns().iter().map(|column| column.get(row));
-        let cells: PolarsResult<Vec<String>> =
-            cells.map(|cell| cell.map(|cell| cell.str_value().into_owned())).collect();
+        let cell = |column: &Column| match column.get(row)? {
+            // All digits of it, which a table for people would not show.
+            AnyValue::Float64(number) => Ok(number.to_string()),
+            other => Ok(other.str_value().into_owned()),
+        };
+        let cells: PolarsResult<Vec<String>> = frame.columns().iter().map(cell).collect();
         writer.write_record(cells?)?;
     }
     writer.flush()?;

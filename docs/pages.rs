@@ -1,0 +1,46 @@
+//! The pages of `docs/rules/`, from the rules' own text; `examples/rule_pages.rs` writes them,
+//! `tests/docs.rs` checks.
+
+use std::fmt::Write;
+
+use poseaudit::checks::{self, Rule};
+
+/// The name and the text of every page.
+pub fn all(symptoms: &str) -> Vec<(String, String)> {
+    let mut index = String::from("# Rules\n\nMade by `cargo run --example rule_pages`.\n\n");
+    index += "| code | name | severity | what is wrong |\n|---|---|---|---|\n";
+    let mut pages = Vec::new();
+    for rule in checks::registry() {
+        let (code, grade) = (rule.code, rule.grade.to_string());
+        let _infallible = writeln!(
+            index,
+            "| [{code}]({code}.md) | {} | {grade} | {} |",
+            rule.name,
+            rule.summary()
+        );
+        pages.push((format!("{code}.md"), page(rule, symptoms)));
+    }
+    pages.push(("README.md".to_owned(), index));
+    pages
+}
+
+/// One rule: its text, and the calls of `docs/symptoms.md` that show it.
+fn page(rule: &Rule, symptoms: &str) -> String {
+    let mut page = format!("# {} {}\n\n{}\n\n", rule.code, rule.name, rule.grade);
+    page += rule.doc().trim();
+    page += "\n";
+    let calls: Vec<&str> = symptoms
+        .lines()
+        .filter(|line| line.ends_with(&format!("| `{}` |", rule.code)))
+        .filter_map(|line| line.split(" | ").nth(2))
+        .collect();
+    if !calls.is_empty() {
+        page += "\n## Example\n\n```sh\n";
+        for call in calls {
+            page += call.trim_matches('`');
+            page += "\n";
+        }
+        page += "```\n";
+    }
+    page
+}

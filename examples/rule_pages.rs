@@ -1,0 +1,17 @@
+//! Writes the pages in `docs/rules/` again: `cargo run --example rule_pages`.
+
+use std::fs;
+use std::path::Path;
+
+#[path = "../docs/pages.rs"]
+mod pages;
+
+fn main() -> anyhow::Result<()> {
+    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs");
+    let folder = docs.join("rules");
+    fs::create_dir_all(&folder)?;
+    for (name, text) in pages::all(&fs::read_to_string(docs.join("symptoms.md"))?) {
+        fs::write(folder.join(name), text)?;
+    }
+    Ok(())
+}
