@@ -356,3 +356,26 @@ fn forward_kinematics_of_one_configuration_and_of_a_file_agree() {
     assert_refused(&["fk", "ur5x", "1"], 2, "ur5");
     assert_refused(&["robots", "ur5x"], 2, "ur5");
 }
+
+#[test]
+fn a_transform_of_the_log_is_looked_up_as_tf2_does() {
+    let at = |time: &str| {
+        json(&poseaudit(&["tf", CLEAN, "base", "tool0", "--at", time, "--format", "json"]))
+    };
+    let numbers = |row: &Value, key: &str| -> Vec<f64> {
+        let list = row[key].as_array().expect("numbers").iter();
+        list.map(|number| number.as_f64().expect("a number")).collect()
+    };
+    let there = at("+3");
+    assert_eq!(there["how"], "interpolated");
+    assert!(there["age_s"].as_f64().is_some_and(|age_s| (0.0..0.04).contains(&age_s)), "{there}");
+    let back = ["tf", CLEAN, "tool0", "base", "--at", "+3", "--format", "json"];
+    let back = json(&poseaudit(&back));
+    // There and back again is nowhere: x' = −Rᵀ·x, so that both are as far.
+    let length = |row: &Value| numbers(row, "xyz_m").iter().map(|x| x * x).sum::<f64>().sqrt();
+    assert!((length(&there) - length(&back)).abs() < 1e-12);
+    assert_eq!(at("+99")["how"], "extrapolated");
+    let followed = poseaudit(&["tf", CLEAN, "base", "tool0", "--follow", "2"]);
+    assert!(stdout(&followed).lines().count() > 20, "{}", stdout(&followed));
+    assert_refused(&["tf", CLEAN, "base", "tool"], 2, "tool0");
+}

@@ -143,23 +143,25 @@ fn one(robot: &Robot, chain: &Chain, args: &Args) -> Result<(), Trouble> {
 }
 
 /// The rows of the homogeneous matrix.
-fn matrix(pose: &Pose) -> [[f64; 4]; 4] {
+pub(super) fn matrix(pose: &Pose) -> [[f64; 4]; 4] {
     let matrix = pose.to_homogeneous();
     std::array::from_fn(|row| std::array::from_fn(|column| matrix[(row, column)]))
 }
 
 fn text(robot: &Robot, chain: &Chain, pose: &Pose, out: &mut dyn Write) -> io::Result<()> {
-    let listed = |numbers: &[f64], digits: usize| {
-        let numbers: Vec<String> = numbers
-            .iter()
-            .map(|number| format!("{:>1$.2$}", number + 0.0, digits + 5, digits))
-            .collect();
-        numbers.join(" ")
-    };
-    let degrees = |numbers: [f64; 3]| numbers.map(f64::to_degrees);
-    let rpy = degrees(Convention::RPY.numbers(&pose.rotation));
-    let rotvec = Convention::RotVec.numbers(&pose.rotation);
     writeln!(out, "{}: {} → {}", robot.name, chain.base_name(), chain.tip_name())?;
+    write_pose(pose, out)
+}
+
+/// Position, quaternion, angles and matrix of a pose, a line each.
+pub(super) fn write_pose(pose: &Pose, out: &mut dyn Write) -> io::Result<()> {
+    let listed = |numbers: &[f64], digits: usize| {
+        // What is added makes a plain zero of a negative one.
+        let number = |number: &f64| format!("{:>1$.2$}", number + 0.0, digits + 5, digits);
+        numbers.iter().map(number).collect::<Vec<_>>().join(" ")
+    };
+    let rpy = Convention::RPY.numbers(&pose.rotation).map(f64::to_degrees);
+    let rotvec = Convention::RotVec.numbers(&pose.rotation);
     writeln!(out, "position, m          {}", listed(&xyz_of(pose), 6))?;
     writeln!(out, "quaternion, x y z w  {}", listed(&xyzw_from_rotation(&pose.rotation), 6))?;
     writeln!(out, "roll pitch yaw, °    {}", listed(&rpy, 4))?;

@@ -12,6 +12,7 @@ mod pose;
 mod progress;
 mod robots;
 mod rules;
+mod tf;
 
 use clap::{Parser, Subcommand};
 use poseaudit::report::{Report, Trouble, TroubleKind, Verdict};
@@ -68,6 +69,7 @@ enum Command {
     Explain(explain::Args),
     Robots(robots::Args),
     Fk(fk::Args),
+    Tf(tf::Args),
     Pose(Box<pose::Args>),
 }
 
@@ -82,6 +84,7 @@ pub fn run() -> Outcome {
         Command::Explain(args) => explain::run(&args),
         Command::Robots(args) => robots::run(&args),
         Command::Fk(args) => fk::run(&args),
+        Command::Tf(args) => tf::run(&args),
         Command::Pose(args) => pose::run(&args),
     };
     result.unwrap_or_else(|trouble| {

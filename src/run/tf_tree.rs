@@ -390,6 +390,31 @@ impl TfPath<'_> {
         Ok(target_from_here)
     }
 
+    /// The first and the last time at which all its dynamic transforms are known; `None` where it has
+    /// none.
+    pub fn span(&self) -> Option<(Stamp, Stamp)> {
+        let dynamic = || self.edges().filter(|edge| edge.kind == EdgeKind::Dynamic);
+        let first = dynamic().filter_map(|edge| edge.stamps.first()).max()?;
+        let last = dynamic().filter_map(|edge| edge.stamps.last()).min()?;
+        Some((*first, *last))
+    }
+
+    /// Whether each of its dynamic transforms has a sample at `at`.
+    pub fn is_sampled(&self, at: Stamp) -> bool {
+        let mut dynamic = self.edges().filter(|edge| edge.kind == EdgeKind::Dynamic);
+        dynamic.all(|edge| edge.stamps.binary_search(&at).is_ok())
+    }
+
+    /// Of the newest samples of its dynamic transforms up to `at` the oldest.
+    pub fn newest_before(&self, at: Stamp) -> Option<Stamp> {
+        let dynamic = self.edges().filter(|edge| edge.kind == EdgeKind::Dynamic);
+        let newest = dynamic.filter_map(|edge| {
+            let behind = edge.stamps.partition_point(|&stamp| stamp <= at);
+            edge.stamps.get(behind.checked_sub(1)?).copied()
+        });
+        newest.min()
+    }
+
     /// The edges of the path, from the target to the source.
     pub fn edges(&self) -> impl Iterator<Item = &Edge> {
         self.steps.iter().map(|step| step.edge)

@@ -1,0 +1,244 @@
+//! `poseaudit tf`.
+
+use std::io::{self, Write};
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use clap::ValueEnum;
+use poseaudit::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
+use poseaudit::log::{self, ReadOptions};
+use poseaudit::report::Trouble;
+use poseaudit::run::{RobotSource, Run, RunOptions, TfPath};
+use poseaudit::time::Stamp;
+use serde_json::json;
+
+use super::progress::watched;
+use super::{Outcome, fk, misuse, output};
+
+/// The transform between two frames of a log, as tf2's lookup_transform gives it
+///
+/// Examples:
+///   poseaudit tf run.mcap base tool0 --at +3.5
+///   poseaudit tf run.mcap base tool0 --follow 2
+#[derive(Debug, clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Args {
+    /// The log
+    #[arg(value_name = "LOG")]
+    log: PathBuf,
+
+    /// The frame that the pose is in
+    #[arg(value_name = "TARGET")]
+    target: String,
+
+    /// The frame whose pose it is
+    #[arg(value_name = "SOURCE")]
+    source: String,
+
+    /// When: +S from the start of the log, or S since the epoch; without it the last time that all
+    /// transforms between the two are known
+    #[arg(long, value_name = "TIME")]
+    at: Option<Time>,
+
+    /// Print the whole run at this many rows a second
+    #[arg(long, value_name = "HZ", value_parser = positive, conflicts_with = "at")]
+    follow: Option<f64>,
+
+    /// The robot, for transforms that the log does not publish
+    #[arg(long = "robot", value_name = "FILE|NAME")]
+    robots: Vec<RobotSource>,
+
+    /// How it is printed
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    format: Format,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Format {
+    /// For people
+    Text,
+    /// For programs, in SI units: an object a row
+    Json,
+}
+
+/// A time of a log.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Time {
+    /// Seconds from its start.
+    FromStart(f64),
+    /// Since the epoch.
+    At(Stamp),
+}
+
+impl FromStr for Time {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let expected = || "expected +S from the start, or seconds since the epoch".to_owned();
+        let number = |text: &str| {
+            let seconds = text.parse::<f64>().ok().filter(|seconds| seconds.is_finite());
+            seconds.ok_or_else(expected)
+        };
+        if let Some(text) = text.strip_prefix('+') {
+            return Ok(Self::FromStart(number(text)?));
+        }
+        // Nanoseconds do not fit into the digits of an `f64`.
+        let (whole, part) = text.split_once('.').unwrap_or((text, ""));
+        let nanos = format!("{part:0<9}");
+        let digits = whole
+            .parse::<i64>()
+            .ok()
+            .zip(nanos.get(..9).and_then(|nanos| nanos.parse::<i64>().ok()));
+        let (whole, nanos) = digits.ok_or_else(expected)?;
+        Ok(Self::At(Stamp::from_nanos(whole.saturating_mul(1_000_000_000).saturating_add(nanos))))
+    }
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(rate) if rate > 0.0 && rate <= 1e4 => Ok(rate),
+        _ => Err("expected a rate between 0 and 10000 Hz".to_owned()),
+    }
+}
+
+pub fn run(args: &Args) -> Result<Outcome, Trouble> {
+    let log = watched(|progress| {
+        let how = ReadOptions { progress: Some(&progress), verify: false };
+        log::open(std::slice::from_ref(&args.log), &how)
+    })?;
+    let options = RunOptions { robots: args.robots.clone(), ..RunOptions::default() };
+    let run = Run::assemble(log, &options).map_err(|error| Trouble::from(&error))?;
+    let path = run.tf.path(&args.target, &args.source, |_| true).map_err(|error| {
+        misuse("tf", error.to_string(), "see `poseaudit info` for the frames of the log")
+    })?;
+    if path.span().is_some_and(|(first, last)| first > last) {
+        let what = "the transforms between the two are at no time all known";
+        let remedy = "see `poseaudit info` for when each topic begins and ends";
+        return Err(misuse(format!("{} → {}", args.target, args.source), what, remedy));
+    }
+    let start = run.span.map_or(run.origin, |(start, _)| start);
+    let rows = Rows { args, path: &path, start };
+    output::emit(None, |out| match args.follow {
+        Some(rate_hz) => rows.follow(rate_hz, out),
+        None => rows.one(out),
+    })?;
+    Ok(Outcome::Clean)
+}
+
+struct Rows<'a> {
+    args: &'a Args,
+    path: &'a TfPath<'a>,
+    /// The first time of the log.
+    start: Stamp,
+}
+
+/// How the pose at a time came about.
+fn how(path: &TfPath<'_>, at: Stamp) -> &'static str {
+    match path.span() {
+        None => "static",
+        Some((first, last)) if at < first || at > last => "extrapolated",
+        Some(_) if path.is_sampled(at) => "as published",
+        Some(_) => "interpolated",
+    }
+}
+
+impl Rows<'_> {
+    /// The pose at a time, beyond the samples that of the nearest time with all of them.
+    fn pose_at(&self, at: Stamp) -> io::Result<Pose> {
+        let held = self.path.span().map_or(at, |(first, last)| at.max(first).min(last));
+        self.path.at(held).map_err(io::Error::other)
+    }
+
+    fn one(&self, out: &mut dyn Write) -> io::Result<()> {
+        let known = self.path.span().map_or(self.start, |(_, last)| last);
+        let at = match self.args.at {
+            None => known,
+            Some(Time::FromStart(seconds)) => self.start.shifted(seconds),
+            Some(Time::At(stamp)) => stamp,
+        };
+        let pose = self.pose_at(at)?;
+        let how = how(self.path, at);
+        let age_s = self.path.newest_before(at).map(|newest| at.seconds_since(newest));
+        if self.args.format == Format::Json {
+            return self.json(at, &pose, out);
+        }
+        let (target, source) = (&self.args.target, &self.args.source);
+        let from_start_s = at.seconds_since(self.start);
+        write!(out, "{target} → {source} at +{from_start_s:.3} s ({}), {how}", epoch(at))?;
+        match age_s {
+            Some(age_s) => {
+                writeln!(out, "; the oldest sample it needs is {:.1} ms old", 1e3 * age_s)?
+            }
+            None => writeln!(out)?,
+        }
+        fk::write_pose(&pose, out)
+    }
+
+    fn follow(&self, rate_hz: f64, out: &mut dyn Write) -> io::Result<()> {
+        let Some((first, last)) = self.path.span() else { return self.one(out) };
+        if self.args.format == Format::Text {
+            let [t, x, y, z] = ["t, s", "x, m", "y, m", "z, m"];
+            let [roll, pitch, yaw] = ["roll, °", "pitch, °", "yaw, °"];
+            writeln!(
+                out,
+                "{t:>10} {x:>10} {y:>10} {z:>10} {roll:>9} {pitch:>9} {yaw:>9}   quaternion x y z w"
+            )?;
+        }
+        let rows = (last.seconds_since(first).max(0.0) * rate_hz) as u64 + 1;
+        for row in 0..rows {
+            let at = first.shifted(row as f64 / rate_hz).min(last);
+            let pose = self.pose_at(at)?;
+            if self.args.format == Format::Json {
+                self.json(at, &pose, out)?;
+                continue;
+            }
+            let [x, y, z] = xyz_of(&pose);
+            let [roll, pitch, yaw] = Convention::RPY.numbers(&pose.rotation).map(f64::to_degrees);
+            let [qx, qy, qz, qw] = xyzw_from_rotation(&pose.rotation);
+            writeln!(
+                out,
+                "{:>10.3} {x:>10.5} {y:>10.5} {z:>10.5} {roll:>9.3} {pitch:>9.3} {yaw:>9.3}   \
+                 {qx:.5} {qy:.5} {qz:.5} {qw:.5}",
+                at.seconds_since(self.start)
+            )?;
+        }
+        Ok(())
+    }
+
+    fn json(&self, at: Stamp, pose: &Pose, out: &mut dyn Write) -> io::Result<()> {
+        let newest = self.path.newest_before(at);
+        let row = json!({
+            "target": self.args.target,
+            "source": self.args.source,
+            "stamp_ns": at.to_string(),
+            "t_s": at.seconds_since(self.start),
+            "age_s": newest.map(|newest| at.seconds_since(newest)),
+            "how": how(self.path, at),
+            "xyz_m": xyz_of(pose),
+            "xyzw": xyzw_from_rotation(&pose.rotation),
+            "rpy_rad": Convention::RPY.numbers(&pose.rotation),
+            "matrix": fk::matrix(pose),
+        });
+        writeln!(out, "{row}")
+    }
+}
+
+/// Seconds since the epoch with all nanoseconds.
+fn epoch(at: Stamp) -> String {
+    let nanos = at.nanos();
+    format!("{}.{:09}", nanos.div_euclid(1_000_000_000), nanos.rem_euclid(1_000_000_000))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_time_is_from_the_start_or_since_the_epoch_to_the_nanosecond() {
+        assert_eq!("+1.5".parse(), Ok(Time::FromStart(1.5)));
+        let at = Stamp::from_nanos(1_780_000_000_123_456_789);
+        assert_eq!("1780000000.123456789".parse(), Ok(Time::At(at)));
+        assert_eq!(epoch(at), "1780000000.123456789");
+        assert!("now".parse::<Time>().is_err() && "+x".parse::<Time>().is_err());
+    }
+}
