@@ -27,7 +27,12 @@ pub struct Args {
     robot: String,
 
     /// Positions of the joints from base to tip, rad or m
-    #[arg(value_name = "Q", allow_negative_numbers = true, conflicts_with = "file")]
+    #[arg(
+        value_name = "Q",
+        allow_negative_numbers = true,
+        conflicts_with = "file",
+        value_parser = finite
+    )]
     q: Vec<f64>,
 
     /// A CSV or Parquet file with a column for each joint
@@ -46,7 +51,7 @@ pub struct Args {
     #[arg(long, value_name = "LINK")]
     tip: Option<String>,
 
-    /// Turning joints are in degrees
+    /// Turning joints are in degrees, but for columns whose names say otherwise
     #[arg(long)]
     deg: bool,
 
@@ -63,8 +68,14 @@ enum Format {
     Json,
 }
 
+fn finite(text: &str) -> Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|number| number.is_finite());
+    number.ok_or_else(|| "expected a finite number".to_owned())
+}
+
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
-    let robot = robot_of(&args.robot).map_err(|error| Trouble::from(&error))?;
+    let robot = robot_of(&args.robot)
+        .map_err(|error| Trouble { place: args.robot.clone(), ..Trouble::from(&error) })?;
     let chain = chain(&robot, args)?;
     match (&args.file, &args.output) {
         (Some(file), Some(output)) => many(&chain, args, file, output)?,
@@ -105,8 +116,9 @@ fn many(chain: &Chain, args: &Args, file: &Path, output: &Path) -> Result<(), Tr
     let trouble = |option: &str, TableError { path, cause }: TableError| {
         misuse(path.display().to_string(), cause, format!("see {option} in `poseaudit fk --help`"))
     };
-    let read = Configurations::read(file, chain).map_err(|error| trouble("--file", error))?;
-    let q = in_si(chain, read.q, args.deg);
+    let read =
+        Configurations::read(file, chain, args.deg).map_err(|error| trouble("--file", error))?;
+    let q = read.q;
     let mut poses = Vec::new();
     chain.forward_batch(&q, &mut poses);
     let written = kinematics_frame(chain, &q, &poses)
@@ -156,8 +168,12 @@ fn text(robot: &Robot, chain: &Chain, pose: &Pose, out: &mut dyn Write) -> io::R
 /// Position, quaternion, angles and matrix of a pose, a line each.
 pub(super) fn write_pose(pose: &Pose, out: &mut dyn Write) -> io::Result<()> {
     let listed = |numbers: &[f64], digits: usize| {
-        // What is added makes a plain zero of a negative one.
-        let number = |number: &f64| format!("{:>1$.2$}", number + 0.0, digits + 5, digits);
+        let number = |number: &f64| {
+            // What is added makes a plain zero of a negative one.
+            let scale = 10_f64.powi(digits as i32);
+            let rounded = (number * scale).round() / scale + 0.0;
+            format!("{:>1$.2$}", rounded, digits + 5, digits)
+        };
         numbers.iter().map(number).collect::<Vec<_>>().join(" ")
     };
     let rpy = Convention::RPY.numbers(&pose.rotation).map(f64::to_degrees);

@@ -205,8 +205,9 @@ topics:
         let mut text =
             "#!/bin/sh\n# Frames that do not move, for tf2_ros; one process each.\n".to_owned();
         for frame in &self.frames {
-            let _ =
-                write!(text, "\n# {}: {}\n{} &\n", frame.finding, frame.comment, frame.command());
+            let comment = format!("{}: {}", frame.finding, frame.comment);
+            let comment = comment.replace(char::is_control, " ");
+            let _ = write!(text, "\n# {comment}\n{} &\n", frame.command());
         }
         text += "\nwait\n";
         Some(text)

@@ -16,6 +16,8 @@ pub enum DeskError {
     Count { count: usize },
     #[error("{count} numbers are not in the form {form}")]
     CountOfForm { form: Form, count: usize },
+    #[error("{number:e} is in no pose")]
+    Beyond { number: f64 },
     #[error("the poses have {first} and {other} numbers")]
     Counts { first: usize, other: usize },
     #[error(
@@ -57,6 +59,7 @@ impl DeskError {
                 "give 6 (position and three angles), 7 (and a quaternion), 12 or 16 (a matrix), or a \
                  rotation alone as 3, 4 or 9"
             }
+            Self::Beyond { .. } => "give lengths in m or mm and angles in rad or degrees",
             Self::CountOfForm { .. } => {
                 "name the form that they are in, or leave it to be inferred"
             }

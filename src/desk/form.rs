@@ -207,6 +207,9 @@ pub struct Reading {
     pub has_odd_angle: bool,
 }
 
+/// No number of a pose is larger, in whatever unit.
+const FARTHEST: f64 = 1e9;
+
 impl Reading {
     /// How many units are other than the numbers' size suggests.
     pub fn odd_units(&self) -> u8 {
@@ -221,6 +224,10 @@ impl Reading {
         let form = self.form;
         if !form.takes(numbers.len()) {
             return Err(DeskError::CountOfForm { form, count: numbers.len() });
+        }
+        let is_beyond = |number: &&f64| !number.is_finite() || number.abs() > FARTHEST;
+        if let Some(&number) = numbers.iter().find(is_beyond) {
+            return Err(DeskError::Beyond { number });
         }
         let (xyz, rotation) = match form {
             Form::Three(convention) => {

@@ -66,6 +66,10 @@ pub(super) fn read_joints(
         if rests(chain, &moments) {
             return read_at_rest(chain, &moments, stream.reference_known);
         }
+        if spread(&moments.xyz) < AT_REST_M {
+            // The joints move and the stream does not: it tells nothing of their names and units.
+            return Err(Unseen::NotExcited);
+        }
         let extent = spread(&moments.xyz).max(0.01);
         let as_logged = misfit(chain, &moments);
         if as_logged <= FINE_TURNED * extent || unturned_misfit(chain, &moments) <= FINE * extent {

@@ -66,6 +66,10 @@ pub fn shake(t_s: &[f64], mut position_m: impl FnMut(usize) -> Vec3) -> Result<S
             t_s[start..start + block].windows(2).map(|pair| (pair[1] - pair[0]) / period_s);
         steps.all(|step| (0.5..1.5).contains(&step))
     };
+    // What is planned for a window is as long as it: stamps a nanosecond apart would have a long one.
+    if t_s.len() < block {
+        return Err(NoShake::Uneven);
+    }
     let mut spectrum = Spectrum::new(length, rate_hz);
     let mut strongest: Option<Shake> = None;
     for start in starts().step_by(stride).filter(|&start| is_even(start)) {

@@ -67,10 +67,10 @@ impl StreamClock {
         (0..times.len()).map(|row| self.stamp_of(times, row)).collect()
     }
 
-    /// When one row was; `None` where it has no stamp on the stream's clock.
+    /// When one row was; `None` where it has no stamp on the stream's clock, or is not there.
     pub fn stamp_of(&self, times: &Times, row: usize) -> Option<Stamp> {
         let offset = self.alignment.map_or(0, |alignment| alignment.offset_nanos);
-        let nanos = times.on(self.clock)[row];
+        let nanos = *times.on(self.clock).get(row)?;
         let set = self.clock != Clock::Header || nanos != 0;
         set.then(|| Stamp::from_nanos(nanos.saturating_add(offset)))
     }

@@ -279,14 +279,17 @@ fn alternates(piece: &Piece<'_>) -> Option<Flaw> {
     /// What turns round comes to where it was, too, and two samples on is four times as far away. Of
     /// two publishers that sample is of the one or the other, and no farther than this many jumps.
     const ON: f64 = 1.5;
-    /// Samples that the share is told from.
+    /// Samples that the share is told from, at least half of them, and how many follow each other.
     const ENOUGH: usize = 20_000;
+    const STRETCH: usize = 500;
     let poses = piece.poses;
     let apart = |a: usize, b: usize| Apart::between((poses, a), (poses, b));
     let (mut rows, mut jumps, mut largest) = (0, 0, Apart::default());
     let inner = 2..poses.times.len().saturating_sub(2);
-    let stride = inner.len().div_ceil(ENOUGH).max(1);
-    for row in inner.step_by(stride) {
+    // Stretches, and not every so many samples: publishers may take turns as regularly.
+    let parts = inner.len().div_ceil(ENOUGH).max(1);
+    let is_looked_at = |row: &usize| row / STRETCH % parts == 0;
+    for row in inner.filter(is_looked_at) {
         rows += 1;
         let (before, after) = (apart(row - 1, row), apart(row, row + 1));
         let (least, most) = (before.size().min(after.size()), before.size().max(after.size()));

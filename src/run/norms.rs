@@ -131,6 +131,9 @@ impl Norms {
         /// Rows that the median is told from.
         const ENOUGH: usize = 20_000;
         let all = defects.len();
+        if all == 0 {
+            return None;
+        }
         let stride = all.div_ceil(ENOUGH).max(1);
         let (mut rows, mut worst, mut some) = (0, (0, 0.0), Vec::new());
         for (row, defect) in defects.enumerate().filter(|(_, defect)| defect.is_finite()) {
@@ -149,8 +152,7 @@ impl Norms {
         };
         let (row, largest) = worst;
         let at = at(row);
-        let norms = Self { stream, frame, written, rows, unset: all - rows, largest, median, at };
-        (all > 0).then_some(norms)
+        Some(Self { stream, frame, written, rows, unset: all - rows, largest, median, at })
     }
 }
 

@@ -8,14 +8,14 @@ use polars::prelude::{
 };
 
 use crate::geometry::{Pose, xyz_of, xyzw_from_rotation};
-use crate::robot::Chain;
+use crate::robot::{Chain, JointKind};
 
 use super::{TableError, split};
 
 /// The numbers in a file of joint positions, one row a configuration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Configurations {
-    /// Positions of the chain's joints, row-major, in the file's unit.
+    /// Positions of the chain's joints, row-major, rad or m.
     pub q: Vec<f64>,
     /// Rows.
     pub rows: usize,
@@ -25,18 +25,26 @@ impl Configurations {
     /// Reads the columns called like the joints of `chain`, with or without `_rad`, `_deg` or `_m`
     /// behind their names, from a CSV or Parquet file; a CSV without such names is read by position
     /// where it has as many columns as the chain has joints. What is a Parquet file is told by its
-    /// first bytes.
+    /// first bytes. Turning joints are in degrees where their column says so, or where `deg` is set and
+    /// it says nothing.
     ///
     /// # Errors
     /// Where the file cannot be read, a joint is missing, or what stands there is no finite number.
-    pub fn read(path: &Path, chain: &Chain) -> Result<Self, TableError> {
+    pub fn read(path: &Path, chain: &Chain, deg: bool) -> Result<Self, TableError> {
         let fault = |cause: String| TableError { path: path.to_owned(), cause };
         let head = std::fs::read(path).map_err(|error| fault(error.to_string()))?;
         if head.starts_with(b"PAR1") {
-            return from_parquet(path, chain).map_err(fault);
+            return from_parquet(path, chain, deg).map_err(fault);
         }
-        from_csv(&head, chain).map_err(fault)
+        from_csv(&head, chain, deg).map_err(fault)
     }
+}
+
+/// What takes the numbers of a column to rad or m.
+fn unit(column: &str, kind: JointKind, deg: bool) -> f64 {
+    let column = column.trim();
+    let is_deg = column.ends_with("_deg") || (deg && !column.ends_with("_rad"));
+    if is_deg && kind != JointKind::Prismatic { 1_f64.to_radians() } else { 1.0 }
 }
 
 /// Names that a joint's column may have.
@@ -45,7 +53,7 @@ fn is_column_of(column: &str, joint: &str) -> bool {
     rest.is_some_and(|rest| ["", "_rad", "_deg", "_m"].contains(&rest))
 }
 
-fn from_parquet(path: &Path, chain: &Chain) -> Result<Configurations, String> {
+fn from_parquet(path: &Path, chain: &Chain, deg: bool) -> Result<Configurations, String> {
     let frame = File::open(path)
         .map_err(PolarsError::from)
         .and_then(|file| ParquetReader::new(file).finish())
@@ -55,18 +63,20 @@ fn from_parquet(path: &Path, chain: &Chain) -> Result<Configurations, String> {
     for (joint, name) in chain.joint_names().iter().enumerate() {
         let column = frame.columns().iter().find(|column| is_column_of(column.name(), name));
         let column = column.ok_or_else(|| missing(name))?;
+        let unit = unit(column.name(), chain.joint_kinds()[joint], deg);
         let numbers = column.cast(&DataType::Float64).map_err(|error| error.to_string())?;
         let numbers = numbers.f64().map_err(|error| error.to_string())?;
         for (row, number) in (0..rows).map(|row| (row, numbers.get(row))) {
             let finite = number.filter(|number| number.is_finite());
-            q[row * chain.dof() + joint] = finite
+            let number = finite
                 .ok_or_else(|| format!("row {} of `{}` is no number", row + 1, column.name()))?;
+            q[row * chain.dof() + joint] = unit * number;
         }
     }
     Ok(Configurations { q, rows })
 }
 
-fn from_csv(text: &[u8], chain: &Chain) -> Result<Configurations, String> {
+fn from_csv(text: &[u8], chain: &Chain, deg: bool) -> Result<Configurations, String> {
     let mut reader = csv::ReaderBuilder::new()
         .has_headers(false)
         .comment(Some(b'#'))
@@ -75,15 +85,18 @@ fn from_csv(text: &[u8], chain: &Chain) -> Result<Configurations, String> {
     let mut records = reader.records().peekable();
     let is_head =
         |record: &csv::StringRecord| record.iter().any(|cell| cell.parse::<f64>().is_err());
-    let mut places: Vec<usize> = (0..chain.dof()).collect();
+    let kinds = chain.joint_kinds().iter();
+    let mut places: Vec<(usize, f64)> =
+        kinds.enumerate().map(|(joint, kind)| (joint, unit("", *kind, deg))).collect();
     let has_head = match records.peek() {
         Some(Ok(first)) => is_head(first),
         _ => false,
     };
     if has_head && let Some(Ok(head)) = records.next() {
-        for (place, name) in places.iter_mut().zip(chain.joint_names()) {
+        for (joint, name) in chain.joint_names().iter().enumerate() {
             let column = head.iter().position(|column| is_column_of(column, name));
-            *place = column.ok_or_else(|| missing(name))?;
+            let column = column.ok_or_else(|| missing(name))?;
+            places[joint] = (column, unit(&head[column], chain.joint_kinds()[joint], deg));
         }
     }
     let (mut q, mut rows) = (Vec::new(), 0);
@@ -94,14 +107,12 @@ fn from_csv(text: &[u8], chain: &Chain) -> Result<Configurations, String> {
             let (found, wanted) = (record.len(), chain.dof());
             return Err(format!("line {line} has {found} numbers, the chain has {wanted} joints"));
         }
-        for &place in &places {
+        for &(place, unit) in &places {
             let number = record.get(place).and_then(|cell| cell.parse::<f64>().ok());
             let number = number.filter(|number| number.is_finite());
-            q.push(
-                number.ok_or_else(|| {
-                    format!("line {line}, column {}: expected a number", place + 1)
-                })?,
-            );
+            let number = number
+                .ok_or_else(|| format!("line {line}, column {}: expected a number", place + 1))?;
+            q.push(unit * number);
         }
         rows += 1;
     }
@@ -150,18 +161,32 @@ mod tests {
         let mut head: Vec<String> = names.iter().map(|name| format!("{name}_rad")).collect();
         head.reverse();
         let text = format!("t,{}\n0,6,5,4,3,2,1\n", head.join(","));
-        let read = from_csv(text.as_bytes(), &chain).unwrap();
+        let read = from_csv(text.as_bytes(), &chain, false).unwrap();
         assert_eq!((read.rows, read.q), (1, vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0]));
+    }
+
+    #[test]
+    fn a_column_says_its_unit() {
+        let chain = chain();
+        let names = chain.joint_names();
+        let head: Vec<String> = names.iter().map(|name| format!("{name}_deg")).collect();
+        let text = format!("{}\n90,0,0,0,0,0\n", head.join(","));
+        let read = from_csv(text.as_bytes(), &chain, false).unwrap();
+        assert!((read.q[0] - std::f64::consts::FRAC_PI_2).abs() < 1e-15);
+        let read = from_csv(b"90,0,0,0,0,0\n", &chain, true).unwrap();
+        assert!((read.q[0] - std::f64::consts::FRAC_PI_2).abs() < 1e-15);
     }
 
     #[test]
     fn without_names_the_number_of_columns_must_fit() {
         let chain = chain();
-        let read = from_csv(b"# home\n0,1,2,3,4,5\n1 , 2,3,4,5,6\n", &chain).unwrap();
+        let read = from_csv(b"# home\n0,1,2,3,4,5\n1 , 2,3,4,5,6\n", &chain, false).unwrap();
         assert_eq!(read.rows, 2);
-        assert!(from_csv(b"0,1,2\n", &chain).unwrap_err().contains("6 joints"));
-        assert!(from_csv(b"0,1,2,3,4,inf\n", &chain).unwrap_err().contains("expected a number"));
-        assert!(from_csv(b"a,b\n1,2\n", &chain).unwrap_err().contains("shoulder_pan_joint"));
+        assert!(from_csv(b"0,1,2\n", &chain, false).unwrap_err().contains("6 joints"));
+        assert!(
+            from_csv(b"0,1,2,3,4,inf\n", &chain, false).unwrap_err().contains("expected a number")
+        );
+        assert!(from_csv(b"a,b\n1,2\n", &chain, false).unwrap_err().contains("shoulder_pan_joint"));
     }
 
     #[test]
@@ -174,7 +199,8 @@ mod tests {
         assert_eq!(frame.shape(), (2, 13));
         let folder = tempfile::tempdir().unwrap();
         super::super::write_table(folder.path(), "poses", &mut frame).unwrap();
-        let read = Configurations::read(&folder.path().join("poses.parquet"), &chain).unwrap();
+        let read =
+            Configurations::read(&folder.path().join("poses.parquet"), &chain, true).unwrap();
         assert_eq!(read, Configurations { q, rows: 2 });
     }
 }

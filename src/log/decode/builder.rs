@@ -31,6 +31,9 @@ const PLACES: [&str; 16] = [
     "[13]", "[14]", "[15]",
 ];
 
+/// A position that is farther off is none, in m or mm: its square is still a number.
+const FARTHEST: f64 = 1e12;
+
 /// Most pairs of frames on one topic. The largest trees have a few hundred.
 pub(in crate::log) const MAX_FRAMES: usize = 1 << 12;
 
@@ -378,7 +381,7 @@ impl Poses {
         let group = &mut self.groups[group];
         let xyz = row.numbers::<3>(row::POSITION);
         let q_xyzw = row.numbers::<4>(row::QUATERNION);
-        if !finite(&xyz) || !finite(&q_xyzw) {
+        if !finite(&xyz) || !finite(&q_xyzw) || xyz.iter().any(|part| part.abs() > FARTHEST) {
             group.not_finite += 1;
             return;
         }

@@ -87,7 +87,11 @@ pub(in crate::log) fn excerpt(text: &str) -> String {
 /// cut.
 pub(in crate::log) fn bounded(name: &str) -> Cow<'_, str> {
     const LONGEST: usize = 256;
-    start_of(name, LONGEST)
+    match start_of(name, LONGEST) {
+        short if !short.contains(char::is_control) => short,
+        // A name is a word in reports, tables and scripts, and never more than one line.
+        short => Cow::Owned(short.replace(char::is_control, "\u{fffd}")),
+    }
 }
 
 /// The first characters of `text`, with an ellipsis where there are more.
