@@ -194,6 +194,12 @@ mod tests {
     }
 
     #[test]
+    fn stamps_a_nanosecond_apart_plan_nothing() {
+        let t_s: Vec<f64> = (0..100).map(|k| f64::from(k) * 1e-9).collect();
+        assert_eq!(shake(&t_s, |_| Vec3::zeros()), Err(NoShake::Uneven));
+    }
+
+    #[test]
     fn the_rms_and_the_frequency_of_a_tone_are_found_at_any_rate() {
         for rate_hz in [60.0, 125.0, 500.0] {
             let found = shaken(rate_hz, |t, _| 1e-3 * (TAU * 17.0 * t).sin()).expect("even");

@@ -174,6 +174,10 @@ mod tests {
         assert_eq!((norms.rows, norms.unset), (3, 1));
         assert_eq!(norms.at, Some(Stamp::from_nanos(2)));
         assert_eq!(of(&[[0.0; 4]]).rows, 0);
+        // All rows of a topic may have been dropped: none of them has a time.
+        let none = (0..0).map(of_quaternions(&[]));
+        let unasked = |_| unreachable!("there is no row");
+        assert_eq!(Norms::of(0, None, Written::Quaternion, none, unasked), None);
     }
 
     #[test]

@@ -250,3 +250,14 @@ impl Schema {
         self.by_name.get(name).map(|&index| &self.definitions[index])
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_is_one_line() {
+        assert_eq!(bounded("/tf\nrm -r"), "/tf\u{fffd}rm -r");
+        assert_eq!(bounded("/tf"), "/tf");
+    }
+}
