@@ -288,7 +288,7 @@ fn alternates(piece: &Piece<'_>) -> Option<Flaw> {
     let inner = 2..poses.times.len().saturating_sub(2);
     // Stretches, and not every so many samples: publishers may take turns as regularly.
     let parts = inner.len().div_ceil(ENOUGH).max(1);
-    let is_looked_at = |row: &usize| row / STRETCH % parts == 0;
+    let is_looked_at = |row: &usize| (row / STRETCH).is_multiple_of(parts);
     for row in inner.filter(is_looked_at) {
         rows += 1;
         let (before, after) = (apart(row - 1, row), apart(row, row + 1));

@@ -289,11 +289,11 @@ impl Timing {
 
     /// Fills in first and last time and rate of every stream, and counts rows without a stamp.
     pub fn measure(&self, streams: &mut [Stream]) {
-        for index in 0..streams.len() {
+        for (index, stream) in streams.iter_mut().enumerate() {
             let pieces = self.of[index].len();
             let (mut rate_hz, mut bounds, mut unstamped) = (None, None, 0);
             for piece in 0..pieces {
-                let times = streams[index].times();
+                let times = stream.times();
                 let (Some(clock), Some(times)) = (self.clock(index, piece), times.get(piece))
                 else {
                     continue;
@@ -314,7 +314,6 @@ impl Timing {
                     rate_hz = Some(rate_hz.map_or(rate, |other: f64| rate.max(other)));
                 }
             }
-            let stream = &mut streams[index];
             stream.dropped += unstamped as u64;
             if let Some((start, end)) = bounds {
                 (stream.start, stream.end, stream.rate_hz) = (Some(start), Some(end), rate_hz);
