@@ -984,6 +984,12 @@ fn streams(run: &Run) -> Vec<StreamRow> {
     rows.collect()
 }
 
+/// The trouble with a file or folder that the caller named to be written.
+fn unwritable(path: &Path, what: String, remedy: &str) -> Trouble {
+    let (kind, place) = (TroubleKind::Call, path.display().to_string());
+    Trouble { kind, what, place, remedy: remedy.to_owned() }
+}
+
 /// Writes the recording of an audited run.
 pub(crate) fn record(
     path: &Path,
@@ -991,12 +997,7 @@ pub(crate) fn record(
     facts: &Facts,
     report: &Report,
 ) -> Result<(), Trouble> {
-    let trouble = |what: String| Trouble {
-        kind: TroubleKind::Call,
-        what,
-        place: path.display().to_string(),
-        remedy: "name a file that can be written with --rrd".to_owned(),
-    };
+    let trouble = |what| unwritable(path, what, "name a file that can be written with --rrd");
     let arms = run.arms.iter().zip(&facts.robots).map(|(arm, facts)| replay_arm(run, arm, facts));
     let replay = Replay {
         origin: run.origin,
@@ -1014,12 +1015,8 @@ pub(crate) fn write_tables(
     facts: &Facts,
     report: &Report,
 ) -> Result<(), Trouble> {
-    let trouble = |what: String| Trouble {
-        kind: TroubleKind::Call,
-        what,
-        place: folder.display().to_string(),
-        remedy: "name a folder that can be written with --parquet".to_owned(),
-    };
+    let remedy = "name a folder that can be written with --parquet";
+    let trouble = |what| unwritable(folder, what, remedy);
     let streams = facts.robots.iter().flat_map(|arm| {
         let found = arm.poses().chain(arm.tf.iter().map(|(facts, found)| (facts, found)));
         found.map(move |(facts, found)| (arm.name.as_str(), facts.topic.as_str(), &found.aligned))

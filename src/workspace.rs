@@ -1,15 +1,12 @@
 //! Joins a run's joint states to where its arms have been, for the report and for tables.
 
+use crate::checks::hidden_zero;
 use crate::diagnosis::{JointSpan, Workspace, reach_m};
 use crate::finding::{CheckRow, Status, Unit};
 use crate::report::{JointCoverage, WorkspaceRow};
 use crate::robot::JointKind;
 use crate::run::{Arm, JointSamples, Run};
 use crate::tables::ArmWorkspace;
-
-/// A joint that turns or slides by less hardly shows its zero, rad and m.
-const FAR_RAD: f64 = 30.0 * std::f64::consts::PI / 180.0;
-const FAR_M: f64 = 0.1;
 
 /// Over which part of its ranges each arm moved, and what was left open for it. Arms whose joint
 /// states are to be read otherwise than they are have none.
@@ -57,19 +54,11 @@ fn arm_coverage(run: &Run, arm: &Arm, checks: &[CheckRow]) -> Option<WorkspaceRo
         else {
             continue;
         };
-        let (unit, far) = match kind {
-            JointKind::Prismatic => (Unit::Metre, FAR_M),
-            _ => (Unit::Radian, FAR_RAD),
+        let unit = match kind {
+            JointKind::Prismatic => Unit::Metre,
+            _ => Unit::Radian,
         };
-        let is_open = |row: &&CheckRow| {
-            row.code == "ZER001"
-                && row.status == Status::Inconclusive
-                && row.subject.joint.as_ref() == Some(name)
-        };
-        if span.width() < far && checks.iter().any(|row| is_open(&row)) {
-            let moved = unit.show(span.width());
-            hides.push(format!("{name} moved by {moved} only: its zero cannot be told"));
-        }
+        hides.extend(hidden_zero(name, unit, span.width(), checks));
         joints.push(JointCoverage {
             joint: name.clone(),
             unit: unit.symbol(),

@@ -33,6 +33,7 @@ pub use facts::{
     ShakeFacts, StampFacts, UndecodableTopic, WitnessKind,
 };
 pub use merge::{Part as EvaluatedPart, merged};
+pub(crate) use observability::hidden_zero;
 pub use observability::{Blind, Part, StreamObservability};
 
 /// Declares a rule; its doc comment is the text that `explain` prints.

@@ -15,6 +15,25 @@ const SEEN: f64 = 2.0;
 const FAR_RAD: f64 = 30.0 * std::f64::consts::PI / 180.0;
 const FAR_M: f64 = 0.1;
 
+/// What is left open by how little a joint moved, rad or m: a sentence, where the rule on its zero could
+/// not tell.
+pub(crate) fn hidden_zero(
+    joint: &str,
+    unit: Unit,
+    moved: f64,
+    checks: &[CheckRow],
+) -> Option<String> {
+    let far = if unit == Unit::Metre { FAR_M } else { FAR_RAD };
+    let is_open = |row: &CheckRow| {
+        row.code == "ZER001"
+            && row.status == Status::Inconclusive
+            && row.subject.joint.as_deref() == Some(joint)
+    };
+    let is_hidden = moved < far && checks.iter().any(is_open);
+    is_hidden
+        .then(|| format!("{joint} moved by {} only: its zero cannot be told", unit.show(moved)))
+}
+
 /// What one pose stream cannot show.
 #[derive(Clone, Debug, Serialize)]
 pub struct StreamObservability {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::stream::{Columns, JointColumns, JointTrack};
+use crate::stream::{Columns, JointColumns, JointTrack, sample_noise};
 use crate::time::Stamp;
 
 use super::Run;
@@ -275,7 +275,7 @@ fn smoothed(t_s: &[f64], q: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let derived = derivative(t_s, q);
     let rows = t_s.len();
     let speed = root_mean_square(&derived);
-    let noise = noise_of(q);
+    let noise = sample_noise(q);
     if rows < 9 || noise <= FEIGNED_S * speed {
         return (q.to_vec(), derived);
     }
@@ -308,19 +308,6 @@ fn parabola(t_s: &[f64], q: &[f64], at: f64) -> Option<(f64, f64)> {
 
 fn root_mean_square(values: &[f64]) -> f64 {
     (values.iter().map(|v| v * v).sum::<f64>() / values.len().max(1) as f64).sqrt()
-}
-
-/// Standard deviation of the noise from sample to sample, by the median magnitude of second
-/// differences, which smooth motion hardly has.
-fn noise_of(q: &[f64]) -> f64 {
-    /// Standard deviations in a median magnitude of normal noise.
-    const NORMAL: f64 = 1.4826;
-    let mut bends: Vec<f64> = q.windows(3).map(|w| (w[0] - 2.0 * w[1] + w[2]).abs()).collect();
-    if bends.is_empty() {
-        return 0.0;
-    }
-    let middle = bends.len() / 2;
-    NORMAL * *bends.select_nth_unstable_by(middle, f64::total_cmp).1 / 6f64.sqrt()
 }
 
 /// The derivative of `q` over `t_s`: of the parabola through each sample and its neighbours, exact
@@ -377,7 +364,7 @@ fn agree(t_s: &[f64], q: &[f64], velocity: &[f64], derived: &[f64]) -> bool {
         return peak(velocity) <= peak(derived);
     }
     // Each end of a window adds its noise; three times its variance is beyond chance.
-    let by_noise = 3.0 * windows * 2.0 * noise_of(q).powi(2);
+    let by_noise = 3.0 * windows * 2.0 * sample_noise(q).powi(2);
     differed <= DISAGREEMENT * DISAGREEMENT * moved + by_noise.min(0.1 * moved)
 }
 

@@ -11,4 +11,4 @@ mod tracks;
 pub use columns::{
     ArrayColumns, Columns, ImuColumns, JointColumn, JointColumns, PoseColumns, TextColumns, Times,
 };
-pub use tracks::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack};
+pub use tracks::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack, sample_noise};

@@ -105,6 +105,19 @@ fn bracket(t: &[f64], t_s: f64, cursor: &mut usize) -> Option<usize> {
     Some(left)
 }
 
+/// Standard deviation of the noise from sample to sample, by the median magnitude of second
+/// differences, which smooth motion hardly has; in the unit of `q`, 0 of fewer than three samples.
+pub fn sample_noise(q: &[f64]) -> f64 {
+    /// Standard deviations in a median magnitude of normal noise.
+    const NORMAL: f64 = 1.4826;
+    let mut bends: Vec<f64> = q.windows(3).map(|w| (w[0] - 2.0 * w[1] + w[2]).abs()).collect();
+    if bends.is_empty() {
+        return 0.0;
+    }
+    let middle = bends.len() / 2;
+    NORMAL * *bends.select_nth_unstable_by(middle, f64::total_cmp).1 / 6f64.sqrt()
+}
+
 /// What a pose stream says of orientation.
 #[derive(Clone, Debug)]
 pub enum Orientations {

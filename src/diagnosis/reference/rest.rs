@@ -3,7 +3,7 @@
 use super::super::latency::median_period_s;
 use crate::diagnosis::PoseSeries;
 use crate::geometry::{Pose, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
-use crate::stream::JointTrack;
+use crate::stream::{JointTrack, sample_noise};
 
 /// Shorter rests do not show what is left when a motion has died away, s.
 pub(super) const LEAST_S: f64 = 0.1;
@@ -65,7 +65,7 @@ fn still_rows(joints: &JointTrack, period_s: f64) -> Vec<bool> {
             before.push(before[before.len() - 1] + q);
         }
         let mean = |from: usize, to: usize| (before[to] - before[from]) / (to - from) as f64;
-        let by_noise = SIGMAS * deviation_of(&q) * (2.0 / half as f64).sqrt();
+        let by_noise = SIGMAS * sample_noise(&q) * (2.0 / half as f64).sqrt();
         for (row, still) in still.iter_mut().enumerate() {
             // At the ends of the track a window is as long as can be.
             let (from, to) = (row.saturating_sub(half), (row + 1 + half).min(rows));
@@ -76,18 +76,6 @@ fn still_rows(joints: &JointTrack, period_s: f64) -> Vec<bool> {
         }
     }
     still
-}
-
-/// Standard deviation from sample to sample, by the median magnitude of second differences.
-fn deviation_of(q: &[f64]) -> f64 {
-    /// Standard deviations in a median magnitude of normal noise.
-    const NORMAL: f64 = 1.4826;
-    let mut bends: Vec<f64> = q.windows(3).map(|w| (w[0] - 2.0 * w[1] + w[2]).abs()).collect();
-    if bends.is_empty() {
-        return 0.0;
-    }
-    let middle = bends.len() / 2;
-    NORMAL * *bends.select_nth_unstable_by(middle, f64::total_cmp).1 / 6f64.sqrt()
 }
 
 /// The commands that stand still. One that is not streamed holds until the next, or until `end_s`; one
