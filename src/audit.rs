@@ -8,9 +8,9 @@ use polars::prelude::PolarsResult;
 use rayon::prelude::*;
 
 use crate::checks::{
-    ArmFacts, Declared, DhFacts, Due, EulerFacts, EvaluatedPart, Evaluation, Facts, FrameFacts,
-    ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts, RhythmFacts, Settings, ShakeFacts,
-    StampFacts, UndecodableTopic, evaluate, merged,
+    ArmFacts, Declared, DhFacts, Due, EmptyFacts, EulerFacts, EvaluatedPart, Evaluation, Facts,
+    FrameFacts, FrozenFacts, ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts, RhythmFacts,
+    Settings, ShakeFacts, StampFacts, StrayFacts, UndecodableTopic, evaluate, merged,
 };
 use crate::corrections::{Given, Mending};
 use crate::diagnosis::{
@@ -31,9 +31,12 @@ use crate::report::{
 use crate::robot::{Chain, JointKind, catalogue};
 use crate::run::{
     Arm, CalibrationSource, Coding, Declaration, Excerpts, HeaderStamps, ImuSource, JointSamples,
-    PoseSource, RobotSource, Role, Run, RunOptions, Segment, Stream, Velocities, Witness, segments,
+    PoseSource, RobotSource, Role, Run, RunOptions, Segment, Strays, Stream, Velocities, Witness,
+    segments,
 };
-use crate::stream::{Columns, DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack};
+use crate::stream::{
+    Columns, DeclaredUnits, ImuTrack, JointColumn, JointTrack, Orientations, PoseTrack,
+};
 use crate::tables::{
     TableError, aligned_frame, aligned_frames, checks_frame, findings_frame, joints_frame,
     reach_map_frame, reached_poses_frame, write_table,
@@ -477,6 +480,8 @@ fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read, declared: &[Declarat
         rhythms: rhythms(run),
         frames: frames(run),
         norms: norms(run),
+        strays: strays(run),
+        frozen: frozen(run),
         empty: empty(run),
         start: run.span.map(|(start, _)| start),
         origin: run.origin,
@@ -565,21 +570,102 @@ fn norms(run: &Run) -> Vec<NormFacts> {
     streams
 }
 
+/// The streams of joint states, tool poses and transforms, each with what of it jumps away and back.
+fn strays(run: &Run) -> Vec<StrayFacts> {
+    let is_tf = |topic: &str| {
+        run.streams.iter().any(|stream| stream.role == Role::Tf && stream.topic == topic)
+    };
+    let is_asked = |stream: &Stream| match stream.role {
+        Role::Joints | Role::Tf => true,
+        // What a transform says is judged on its own topic.
+        Role::Pose => !is_tf(&stream.topic),
+        _ => false,
+    };
+    let joints = run.arms.iter().flat_map(|arm| arm.joint_facts.iter().zip(prismatic(arm)));
+    let sliding: Vec<String> =
+        joints.filter(|(_, slides)| *slides).map(|(joint, _)| joint.name.clone()).collect();
+    let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));
+    let of = |(index, stream): (usize, &Stream)| {
+        let parts: Vec<Strays> =
+            run.strays.iter().filter(|strays| strays.stream == index).cloned().collect();
+        StrayFacts {
+            subject: Subject {
+                robot: stream.arm.and_then(|arm| run.arms.get(arm)).map(|arm| arm.name.clone()),
+                topic: Some(stream.topic.clone()),
+                frame: frame_of_several(run, stream),
+                ..Subject::default()
+            },
+            span: span_of(run, index),
+            sliding: sliding.clone(),
+            parts,
+        }
+    };
+    streams.map(of).collect()
+}
+
+/// The streams of poses that an arm was held against, each with when it stood still.
+fn frozen(run: &Run) -> Vec<FrozenFacts> {
+    let held = run.arms.iter().flat_map(|arm| arm.poses.iter().map(|source| source.stream));
+    let mut streams: Vec<usize> = held.chain(run.frozen.iter().map(|found| found.stream)).collect();
+    streams.sort_unstable();
+    streams.dedup();
+    let of = |index: usize| {
+        let stream = run.streams.get(index)?;
+        let times = run.frozen.iter().filter(|found| found.stream == index);
+        Some(FrozenFacts {
+            subject: Subject {
+                robot: stream.arm.and_then(|arm| run.arms.get(arm)).map(|arm| arm.name.clone()),
+                topic: Some(stream.topic.clone()),
+                frame: frame_of_several(run, stream),
+                ..Subject::default()
+            },
+            span: span_of(run, index),
+            times: times.copied().collect(),
+        })
+    };
+    streams.into_iter().filter_map(of).collect()
+}
+
 /// The topics that hold nothing and would be audited; of joint states and transforms only where no
 /// other topic has any.
-fn empty(run: &Run) -> Vec<Subject> {
+fn empty(run: &Run) -> Vec<EmptyFacts> {
     let holds =
-        |role: Role| run.streams.iter().any(|stream| stream.role == role && stream.count > 0);
+        |role: Role| run.streams.iter().any(|stream| stream.role == role && !stream.is_empty);
     let is_missed = |stream: &&Stream| match &stream.columns {
         _ if !stream.is_empty => false,
         Some(Columns::Joints(_)) => !holds(Role::Joints),
         Some(_) => true,
         None => !stream.type_name.contains("TFMessage") || !holds(Role::Tf),
     };
-    let missed = run.streams.iter().filter(is_missed);
-    missed
-        .map(|stream| Subject { topic: Some(stream.topic.clone()), ..Subject::default() })
-        .collect()
+    let of = |stream: &Stream, joint: Option<String>| EmptyFacts {
+        subject: Subject { topic: Some(stream.topic.clone()), joint, ..Subject::default() },
+        messages: stream.count,
+    };
+    let missed = run.streams.iter().filter(is_missed).map(|stream| of(stream, None));
+    let joints = run.streams.iter().flat_map(|stream| {
+        let joints = joints_without_positions(run, stream).into_iter();
+        joints.map(move |joint| of(stream, Some(joint)))
+    });
+    missed.chain(joints).collect()
+}
+
+/// The joints of an arm that a topic of joint states names and never says the position of, and that no
+/// other topic says.
+fn joints_without_positions(run: &Run, stream: &Stream) -> Vec<String> {
+    let Some(Columns::Joints(columns)) = &stream.columns else { return Vec::new() };
+    if stream.role != Role::Joints {
+        return Vec::new();
+    }
+    let is_read = |name: &str| {
+        run.arms.iter().any(|arm| arm.joint_facts.iter().any(|joint| joint.name == name))
+    };
+    let is_of_an_arm = |name: &str| run.arms.iter().any(|arm| arm.robot.joint(name).is_some());
+    let is_silent = |joint: &&JointColumn| {
+        joint.position.iter().all(|position| position.is_nan())
+            && is_of_an_arm(&joint.name)
+            && !is_read(&joint.name)
+    };
+    columns.joints.iter().filter(is_silent).map(|joint| joint.name.clone()).collect()
 }
 
 fn span_of(run: &Run, stream: usize) -> Option<Span> {

@@ -10,7 +10,7 @@ use crate::finding::{Span, Subject, Unit};
 use crate::geometry::{Convention, Rotation};
 use crate::log::{self, Loss};
 use crate::robot::{DhConvention, Limits};
-use crate::run::{Cadence, CameraAxes, Extent, Flaw, Norms, StreamClock, Witness};
+use crate::run::{Cadence, CameraAxes, Extent, Flaw, Frozen, Norms, Strays, StreamClock, Witness};
 use crate::time::Stamp;
 
 /// All that is known of one run.
@@ -30,8 +30,12 @@ pub struct Facts {
     pub frames: FrameFacts,
     /// Every stream that logs rotations as more than three numbers, by how far they are from rotations.
     pub norms: Vec<NormFacts>,
-    /// Topics that would play a role, and hold no message.
-    pub empty: Vec<Subject>,
+    /// Every stream of joint states, tool poses or transforms, by the samples that jump away and back.
+    pub strays: Vec<StrayFacts>,
+    /// Every stream of tool poses that the arm can be held against, by when it stood still.
+    pub frozen: Vec<FrozenFacts>,
+    /// Topics that would play a role, and hold no message, or none with finite numbers.
+    pub empty: Vec<EmptyFacts>,
     /// First stamp of the run.
     pub start: Option<Stamp>,
     /// The stamp that times in seconds of the diagnosis are relative to.
@@ -477,6 +481,39 @@ impl NormFacts {
             ..Subject::default()
         }
     }
+}
+
+/// A topic that says nothing.
+#[derive(Clone, Debug)]
+pub struct EmptyFacts {
+    /// The topic.
+    pub subject: Subject,
+    /// Its messages, none of which holds finite numbers.
+    pub messages: u64,
+}
+
+/// What of a stream jumps away and comes back.
+#[derive(Clone, Debug)]
+pub struct StrayFacts {
+    /// The stream.
+    pub subject: Subject,
+    /// First and last stamp used.
+    pub span: Option<Span>,
+    /// The joints of it, or its transforms, that have such samples.
+    pub parts: Vec<Strays>,
+    /// The joints that slide.
+    pub sliding: Vec<String>,
+}
+
+/// When a stream of poses stood still and its arm did not.
+#[derive(Clone, Debug)]
+pub struct FrozenFacts {
+    /// The stream.
+    pub subject: Subject,
+    /// First and last stamp used.
+    pub span: Option<Span>,
+    /// The times, in order.
+    pub times: Vec<Frozen>,
 }
 
 /// A topic that could not be decoded.

@@ -28,9 +28,10 @@ use crate::finding::{
 
 pub use decision::{Decision, Figure, FrameFigures, decide, decide_both, decide_frame};
 pub use facts::{
-    ArmFacts, Declared, DhFacts, Due, EulerFacts, Facts, FrameFacts, HandEyeFacts, ImuFacts,
-    JointFacts, JointMotion, NormFacts, PoseFacts, ReferenceFacts, ReferenceWitness, RhythmFacts,
-    ShakeFacts, StampFacts, UndecodableTopic, WitnessKind,
+    ArmFacts, Declared, DhFacts, Due, EmptyFacts, EulerFacts, Facts, FrameFacts, FrozenFacts,
+    HandEyeFacts, ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts, ReferenceFacts,
+    ReferenceWitness, RhythmFacts, ShakeFacts, StampFacts, StrayFacts, UndecodableTopic,
+    WitnessKind,
 };
 pub use merge::{Part as EvaluatedPart, merged};
 pub(crate) use observability::hidden_zero;
@@ -76,6 +77,7 @@ registry! {
     mot002::MOT002,
     mot003::MOT003,
     mot004::MOT004,
+    mot005::MOT005,
     ord001::ORD001,
     ord002::ORD002,
     ord003::ORD003,
@@ -90,6 +92,7 @@ registry! {
     tim004::TIM004,
     tim005::TIM005,
     tim006::TIM006,
+    tim007::TIM007,
     yaw001::YAW001,
     yaw002::YAW002,
     yaw003::YAW003,

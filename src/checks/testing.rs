@@ -1,8 +1,8 @@
 //! A run in which nothing is wrong, for tests to plant estimates in.
 
 use crate::checks::{
-    ArmFacts, DhFacts, EulerFacts, Facts, ImuFacts, JointFacts, JointMotion, PoseFacts,
-    ReferenceFacts, ReferenceWitness, Rule, ShakeFacts, WitnessKind, evaluate,
+    ArmFacts, DhFacts, EulerFacts, Facts, FrozenFacts, ImuFacts, JointFacts, JointMotion,
+    PoseFacts, ReferenceFacts, ReferenceWitness, Rule, ShakeFacts, WitnessKind, evaluate,
 };
 use crate::diagnosis::{
     Abruptness, Aligned, ArmDiagnosis, DhEstimate, DhStream, FrameEstimate, GyroBias, ImuDiagnosis,
@@ -122,7 +122,8 @@ pub fn clean_run() -> Facts {
         )],
         references: vec![commands()],
     };
-    Facts { robots: vec![arm], ..Facts::default() }
+    let frozen = FrozenFacts { subject: arm.topic(POSE), span: Some(SPAN), times: Vec::new() };
+    Facts { robots: vec![arm], frozen: vec![frozen], ..Facts::default() }
 }
 
 /// Commands that the arm follows, along a line too, by FK and by a stream.

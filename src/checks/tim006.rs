@@ -1,13 +1,13 @@
-use crate::checks::{Due, Facts, Grade, Judged, RhythmFacts};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
+use crate::checks::{Due, EmptyFacts, Facts, Grade, Judged, RhythmFacts};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::{Cadence, Stretch};
 
 rule! {
     /// A stream that is expected is empty, incomplete or slow.
     ///
     /// ## What it means
-    /// A topic of joint states, transforms, tool poses or an IMU is in the log and holds no message;
-    /// or it begins or ends more than a second off the others, by when messages were received; or it
+    /// A topic of joint states, transforms, tool poses or an IMU is in the log and holds no message, or
+    /// none whose numbers are finite; or it begins or ends more than a second off the others, by when messages were received; or it
     /// runs below its own usual rate for two seconds or more.
     ///
     /// ## Why it matters
@@ -45,21 +45,31 @@ const SLOW: f64 = 1.4;
 const LASTS_S: f64 = 2.0;
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    let empty = facts.empty.iter().cloned().map(nothing);
+    let empty = facts.empty.iter().map(nothing);
     let expected = facts.rhythms.iter().filter(|rhythm| rhythm.due.is_expected());
     empty.chain(expected.map(|rhythm| judge(facts, rhythm))).collect()
 }
 
-fn nothing(subject: Subject) -> Judged {
-    let topic = subject.label().to_owned();
+fn nothing(empty: &EmptyFacts) -> Judged {
+    let topic = empty.subject.label();
+    let (message, fix) = match empty.messages {
+        0 => (
+            "the topic is in the log and holds no message".to_owned(),
+            format!("see whether {topic} was published, with a compatible QoS"),
+        ),
+        messages => (
+            format!("it holds finite numbers in none of its {messages} messages"),
+            format!("see what {topic} is computed from"),
+        ),
+    };
     Judged::new(
-        subject,
+        empty.subject.clone(),
         Outcome::faulty(Fault {
             severity: Severity::Warning,
             title: "stream is empty",
-            message: "the topic is in the log and holds no message".to_owned(),
+            message,
             evidence: Evidence::default(),
-            fix: format!("see whether {topic} was published, with a compatible QoS"),
+            fix,
         }),
     )
 }

@@ -342,6 +342,13 @@ impl Arm {
         self.joints_above(link) > 0
     }
 
+    /// A joint that moves `link` and is not in the joint states: whatever the link does is not known then.
+    pub(super) fn unlogged_above(&self, link: LinkId) -> Option<&str> {
+        skeleton::moving_joints_above(&self.robot, link)
+            .map(|joint| joint.name.as_str())
+            .find(|name| !self.joint_names.iter().any(|known| known == name))
+    }
+
     /// How many joints of this arm move `link`.
     fn joints_above(&self, link: LinkId) -> usize {
         let above = skeleton::moving_joints_above(&self.robot, link);

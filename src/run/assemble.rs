@@ -16,12 +16,14 @@ use super::declaration::Declaration;
 use super::error::RunError;
 use super::excerpts::Excerpts;
 use super::flaws::flaws;
+use super::frozen::{Frozen, take_frozen};
 use super::joints::{JointTopic, merge};
 use super::models::{self, Clues, FrameNames, Given, GivenCalibration};
 use super::norms::norms;
 use super::poses::{self, Stamped};
 use super::role::{Place, PoseTopic, Role, Verdict, array_role, pose_role};
 use super::skeleton;
+use super::strays::strays;
 use super::streams::{Stream, Timing, split};
 use super::targets::{self, HandKind, HandSource, TargetSource};
 use super::tf_tree::{Edge, EdgeKind, TfTree, without_slash};
@@ -47,6 +49,7 @@ impl Run {
         }
         let mut timing = Timing::settle(&streams, options.stamp, options.max_latency_s);
         timing.measure(&mut streams);
+        timing.strays = strays(&streams, &timing);
         timing.excerpts = Excerpts::of(&streams, &timing);
         let origin = origin(&streams);
         let tf = tf_tree(&streams, &timing);
@@ -55,7 +58,8 @@ impl Run {
         let descriptions = descriptions(&streams, attached);
         let logged_calibrations: Vec<_> =
             logged_calibrations.into_iter().map(|found| (found.name, found.text)).collect();
-        let mut assembly = Assembly { options, streams, timing, origin, tf, arms: Vec::new() };
+        let (arms, frozen) = (Vec::new(), Vec::new());
+        let mut assembly = Assembly { options, streams, timing, origin, tf, arms, frozen };
         let said = Said {
             given,
             calibrations,
@@ -73,11 +77,11 @@ impl Run {
         }
         assembly.name_joints();
         let (targets, references) = (assembly.targets(), assembly.references());
-        let Assembly { streams, timing, tf, arms, .. } = assembly;
+        let Assembly { streams, timing, tf, arms, frozen, .. } = assembly;
         let span = span(streams.iter().filter(|stream| stream.rate_hz.is_some()));
         let rhythms = rhythms(&streams, &timing, &joint_topics(&streams, &timing), &arms);
         let (flaws, norms) = (flaws(&streams), norms(&streams, &timing));
-        let Timing { clocks, excerpts, .. } = timing;
+        let Timing { clocks, excerpts, strays, .. } = timing;
         Ok(Run {
             origin,
             span,
@@ -90,6 +94,8 @@ impl Run {
             rhythms,
             flaws,
             norms,
+            strays,
+            frozen,
             excerpts,
             has_clock_topic,
             no_arm,
@@ -114,6 +120,7 @@ struct Assembly<'a> {
     origin: Stamp,
     tf: TfTree,
     arms: Vec<Arm>,
+    frozen: Vec<Frozen>,
 }
 
 fn check_topic(declared: &Declaration, streams: &[Stream]) -> Result<(), RunError> {
@@ -563,7 +570,9 @@ impl Assembly<'_> {
         let is_wanted = matches!(role, Role::Pose | Role::Candidate { .. });
         let mut source = None;
         if let (true, Some(arm), Some(site)) = (is_wanted, owner, &site) {
-            match self.pose_source(index, &self.arms[arm], site, declared) {
+            // What is not known to be this arm's may stand still.
+            let mut frozen = (role == Role::Pose).then(Vec::new);
+            match self.pose_source(index, &self.arms[arm], site, declared, frozen.as_mut()) {
                 Ok(found) => {
                     reason += &site.said;
                     let reference = match found.reference_known {
@@ -586,6 +595,7 @@ impl Assembly<'_> {
                 }
                 Err(why) => (role, reason) = (Role::Unassigned, why),
             }
+            self.frozen.extend(frozen.into_iter().flatten());
         } else if matches!(role, Role::Candidate { .. }) {
             role = Role::Unassigned;
             reason += ", and there is no arm that it could follow";
@@ -683,6 +693,7 @@ impl Assembly<'_> {
         arm: &Arm,
         site: &Site,
         declared: Option<&Declaration>,
+        frozen: Option<&mut Vec<Frozen>>,
     ) -> Result<PoseSource, String> {
         let (chain, columns) =
             arm.chain_between(site.base.link, site.tip.link).ok_or_else(|| {
@@ -691,7 +702,7 @@ impl Assembly<'_> {
             })?;
         let mut stamps = self.timing.seen_stamps(&self.streams, index, 0, 0.0);
         poses::thinned(&mut stamps);
-        let Stamped { track, stamps } = match &self.streams[index].columns {
+        let mut logged = match &self.streams[index].columns {
             Some(Columns::Poses(poses)) => {
                 let [poses] = poses.as_slice() else {
                     return Err("it holds several poses".to_owned());
@@ -703,6 +714,13 @@ impl Assembly<'_> {
             }
             _ => return Err("it holds no poses".to_owned()),
         };
+        if let Some(frozen) = frozen {
+            *frozen = take_frozen(index, &mut logged, &arm.joints, self.options.max_latency_s);
+            if logged.stamps.len() < 2 && !frozen.is_empty() {
+                return Err("it repeats one value while the arm moves".to_owned());
+            }
+        }
+        let Stamped { track, stamps } = logged;
         if track.t_s.len() < 2 {
             return Err("it has fewer than two usable samples".to_owned());
         }
@@ -738,6 +756,11 @@ impl Assembly<'_> {
                 (arm.tip, None, "no frame says what carries it: taken to be at the tip".to_owned())
             }
         };
+        if let Some(joint) = arm.unlogged_above(carrier) {
+            let reason = format!("'{joint}', which moves it, is not in the joint states");
+            self.streams[index].reason = format!("inertial measurements; {reason}");
+            return;
+        }
         let Some((chain, columns)) = arm.chain_between(arm.base, carrier) else { return };
         let stamps = self.timing.seen_stamps(&self.streams, index, 0, 0.0);
         let Stamped { track, stamps } = poses::from_imu(imu, &stamps, self.origin);

@@ -83,7 +83,7 @@ pub struct Apart {
 impl Apart {
     /// How far row `b` of some poses is from row `a` of others, whatever the norms and signs of the
     /// quaternions; no angle where one is not set.
-    fn between(a: (&PoseColumns, usize), b: (&PoseColumns, usize)) -> Self {
+    pub(super) fn between(a: (&PoseColumns, usize), b: (&PoseColumns, usize)) -> Self {
         let xyz = [a, b].map(|(poses, row)| poses.xyz[row]);
         let [p, q] = [a, b].map(|(poses, row)| poses.q_xyzw[row]);
         let dot = |p: [f64; 4], q: [f64; 4]| p.iter().zip(q).map(|(a, b)| a * b).sum::<f64>();

@@ -8,7 +8,7 @@ use nalgebra::{Matrix3, Vector3};
 use crate::stream::{Columns, JointColumns, JointTrack, sample_noise};
 use crate::time::Stamp;
 
-use super::Run;
+use super::{Run, strays};
 
 /// Where the velocities of a joint come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -171,7 +171,8 @@ impl Run {
             return None;
         };
         let clock = self.clocks.iter().find(|clock| clock.stream == stream)?;
-        let stamps = clock.stamps_of(&columns.times);
+        let mut stamps = clock.stamps_of(&columns.times);
+        strays::hide(&self.strays, stream, 0, &mut stamps);
         let is_in_order =
             stamps.first().is_some_and(Option::is_some) && stamps.is_sorted_by(|a, b| a < b);
         let seconds = |stamp: &Stamp| stamp.seconds_since(self.origin);

@@ -16,6 +16,7 @@ mod declaration;
 mod error;
 mod excerpts;
 mod flaws;
+mod frozen;
 mod joints;
 mod models;
 mod norms;
@@ -23,6 +24,7 @@ mod poses;
 mod role;
 mod segments;
 mod skeleton;
+mod strays;
 mod streams;
 mod targets;
 #[cfg(test)]
@@ -40,11 +42,13 @@ pub use declaration::{CalibrationSource, Coding, Declaration, DeclarationError, 
 pub use error::RunError;
 pub use excerpts::Excerpts;
 pub use flaws::{Apart, Between, Flaw, FlawKind};
+pub use frozen::Frozen;
 pub use joints::{JointFacts, JointSamples, Velocities};
 pub use models::robot_of;
 pub use norms::{Norms, Written};
 pub use role::Role;
 pub use segments::{Segment, segments};
+pub use strays::Strays;
 pub use streams::Stream;
 pub use targets::{CameraAxes, HandKind, HandSource, TargetSource};
 pub use tf_tree::{Edge, EdgeKind, TfError, TfPath, TfTree};
@@ -117,6 +121,10 @@ pub struct Run {
     pub flaws: Vec<Flaw>,
     /// How far the rotations of every stream that logs them are from being rotations.
     pub norms: Vec<Norms>,
+    /// The samples that jump away and back; the estimators do not see them.
+    pub strays: Vec<Strays>,
+    /// When streams of poses stood still and their arm did not; the estimators do not see that either.
+    pub frozen: Vec<Frozen>,
     /// What of it the estimators see; `None` where that is all of it.
     pub excerpts: Option<Excerpts>,
     /// Whether the log holds `/clock`, the mark of simulated time.

@@ -7,6 +7,7 @@ use crate::time::{Clock, Stamp};
 use super::clock::{self, Source, StreamClock};
 use super::excerpts::Excerpts;
 use super::role::{Role, named_role, plain_role};
+use super::strays::{self, Strays};
 use super::tf_tree::without_slash;
 use super::witness::Witness;
 
@@ -43,7 +44,8 @@ pub struct Stream {
     pub start: Option<Stamp>,
     /// Time of the last row.
     pub end: Option<Stamp>,
-    /// Whether an audit would want it, by its type and name, and it holds no message.
+    /// Whether an audit would want it, by its type and name, and it holds no message, or none with
+    /// finite numbers.
     pub is_empty: bool,
     /// What it held, as logged.
     pub columns: Option<Columns>,
@@ -53,6 +55,18 @@ impl Stream {
     /// The times of its rows, in pieces: one a transform.
     pub fn times(&self) -> Vec<&Times> {
         self.columns.as_ref().map(Columns::times).unwrap_or_default()
+    }
+
+    /// Says so where an audit would want it and everything in it was dropped.
+    fn mark_empty(&mut self) {
+        let has_rows = |columns: &Columns| columns.times().iter().any(|times| !times.is_empty());
+        let Some(columns) = self.columns.as_ref().filter(|columns| !has_rows(columns)) else {
+            return;
+        };
+        if self.count > 0 && is_wanted(self, columns) {
+            self.is_empty = true;
+            self.reason = "none of its messages holds finite numbers".to_owned();
+        }
     }
 
     /// The stream of one pose of many on a topic.
@@ -88,6 +102,7 @@ impl Stream {
 /// The streams of `topics`, in their order, as far as their roles can be told without a robot.
 pub(super) fn split(topics: Vec<Topic>) -> Vec<Stream> {
     let mut streams: Vec<Stream> = topics.into_iter().flat_map(of_topic).collect();
+    streams.iter_mut().for_each(Stream::mark_empty);
     leave_joints_to_named(&mut streams);
     streams
 }
@@ -204,6 +219,8 @@ pub(super) struct Timing {
     of: Vec<Vec<usize>>,
     /// What of a long run is seen.
     pub excerpts: Option<Excerpts>,
+    /// The samples that are not seen because they jump away and back.
+    pub strays: Vec<Strays>,
 }
 
 impl Timing {
@@ -239,7 +256,7 @@ impl Timing {
             }
         }
         let clocks = clock::settle(&sources, wanted, max_latency_s);
-        Self { clocks, of, excerpts: None }
+        Self { clocks, of, excerpts: None, strays: Vec::new() }
     }
 
     /// The clock of a piece of a stream; none for what holds at all times.
@@ -257,7 +274,7 @@ impl Timing {
     }
 
     /// When each row of a piece of a stream was that the estimators see: in the run's excerpts, or less
-    /// than `around_s` off.
+    /// than `around_s` off, and not stray.
     pub fn seen_stamps(
         &self,
         streams: &[Stream],
@@ -269,12 +286,21 @@ impl Timing {
         if let Some(excerpts) = &self.excerpts {
             excerpts.hide_others(&mut stamps, around_s);
         }
+        strays::hide(&self.strays, stream, piece, &mut stamps);
         stamps
     }
 
-    /// Makes the clock of one piece that of another stream too, which is appended.
+    /// Makes the clock and the strays of one piece those of another stream too, which is appended.
     pub fn share(&mut self, stream: usize, piece: usize) {
         let clock = self.of[stream][piece];
+        let is_of_it = |strays: &&Strays| (strays.stream, strays.piece) == (stream, piece);
+        let shared: Vec<Strays> = self
+            .strays
+            .iter()
+            .filter(is_of_it)
+            .map(|strays| Strays { stream: self.of.len(), piece: 0, ..strays.clone() })
+            .collect();
+        self.strays.extend(shared);
         self.of.push(vec![clock]);
     }
 

@@ -371,7 +371,7 @@ fn numbers_wait_to_follow_the_arm_and_declared_ones_do_not() {
     array.times.unstamped = true;
     for nanos in stamps() {
         array.times.push(0, nanos, 0);
-        array.values.extend([0.0, 0.0, 0.0, 0.1, 0.2, 0.3]);
+        array.values.extend([0.0, 0.0, nanos as f64 * 1e-12, 0.1, 0.2, 0.3]);
     }
     let mut recording = Recording::new();
     recording.add("/ur/tcp", Columns::Array(array.clone()));

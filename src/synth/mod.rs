@@ -204,6 +204,10 @@ pub struct PoseStream {
     /// Where this says how, the poses are on [`NUMBERS`] instead: six bare numbers, position in m and
     /// rotation in this convention, rad. Such a message has no stamp and no frame.
     pub as_numbers: Option<Convention>,
+    /// Samples by their number from 0, and how far off each is, m.
+    pub strays: Vec<(usize, Vec3)>,
+    /// From when to when the stream goes on saying what it said first, s from the start.
+    pub stuck_s: Option<(f64, f64)>,
 }
 
 /// The transforms of the arm's joints, as a state publisher computes them from the joint states, and
@@ -320,6 +324,8 @@ impl Scenario {
                 in_millimetres: false,
                 quaternion_norm: 1.0,
                 as_numbers: None,
+                strays: Vec::new(),
+                stuck_s: None,
             },
             tf: TfStream {
                 timing: Timing::every(50.0, 0.0083),

@@ -93,14 +93,22 @@ fn poses(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let stream_from_reference = stream.reference_from_stream.inverse();
     let mut noise = scenario.unit_noise(Purpose::PoseNoise, 6);
     let ticks = scenario.ticks(&stream.timing, Purpose::PoseTransport);
+    let mut stuck: Option<Pose> = None;
     ticks
-        .map(|tick| {
+        .enumerate()
+        .map(|(sample, tick)| {
             let base_from_tip = truth.base_from_tip(tick.time_s);
             let mut pose = stream_from_reference * base_from_tip * stream.tip_from_stream;
             let noise = noise.next();
             pose.translation.vector *= 1.0 + stream.growth;
             pose.translation.vector += scenario.noise.pose_m * Vec3::from_column_slice(&noise[..3]);
             pose.rotation *= small_rotation(&noise[3..], scenario.noise.pose_rad);
+            for (_, by) in stream.strays.iter().filter(|(stray, _)| *stray == sample) {
+                pose.translation.vector += by;
+            }
+            if stream.stuck_s.is_some_and(|(from, to)| (from..to).contains(&tick.time_s)) {
+                pose = *stuck.get_or_insert(pose);
+            }
             let mut logged = stream.coding.logged(&pose);
             if stream.in_millimetres {
                 logged.xyz = logged.xyz.map(|metres| 1000.0 * metres);

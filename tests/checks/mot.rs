@@ -8,6 +8,7 @@ use poseaudit::synth::{COMMANDED_POSE, Commands, JOINT_STATES, Lines, Motion, PO
 use crate::case::On::{self, Joint};
 use crate::case::What::{About, Amount, Frame};
 use crate::case::{Expected, Log, cases, error, info, the, warning};
+use crate::recording::throw;
 use Expected::{BlamedOn, LeftOpenBy, Skipped, Sound};
 
 cases! {
@@ -50,6 +51,31 @@ cases! {
     } => BlamedOn("ZER001");
     MOT003 no_joint_states_at_all: |log| log.run.joints.timing.rate_hz = 0.0
         => Skipped("joint states");
+
+    MOT005 a_pose_that_is_ten_metres_off_once: |log| {
+        log.edit = Some(|messages| throw(messages, POSE, &[70], [10.0, 0.0, 0.0]));
+    } => warning(On::Topic(POSE), About(10.0, 0.1));
+    MOT005 a_pose_that_is_off_now_and_then: |log| {
+        log.edit = Some(|messages| throw(messages, POSE, &[0, 31, 90, 91, 150], [0.0, 0.8, 0.6]));
+    } => warning(On::Topic(POSE), About(1.0, 0.1));
+    MOT005 an_encoder_that_drops_a_bit: |log| {
+        log.edit = Some(|messages| {
+            let mut states = messages.iter_mut().filter(|message| message.topic == JOINT_STATES);
+            states.nth(200).expect("a joint state").turn_joint(2, 0.5);
+        });
+    } => warning(On::Joint("elbow_joint"), About(0.5, 0.02));
+    MOT005 motion_is_not_stray: |log| log.run.pose.timing.rate_hz = 20.0 => Sound;
+    MOT005 coarse_noise_is_not_stray: |log| {
+        (log.run.noise.pose_m, log.run.noise.pose_rad) = (1e-3, 2e-3);
+    } => Sound;
+    MOT005 a_late_pose_does_not_jump: |log| log.run.pose.timing.latency_s = 0.022
+        => BlamedOn("LAT001");
+    MOT005 an_abrupt_stop_is_no_jump: |log| stop(log, 30.0) => BlamedOn("MOT002");
+    MOT005 nothing_that_could_jump: |log| {
+        log.run.joints.timing.rate_hz = 0.0;
+        log.run.pose.timing.rate_hz = 0.0;
+        log.run.tf.timing.rate_hz = 0.0;
+    } => Skipped("no joint states, tool poses or transforms");
 
     MOT004 a_line_that_is_bowed: |log| along(log, Lines { bow_m: 3e-3, ..Lines::default() })
         => warning(On::Topic(COMMANDED_POSE), Frame([3e-3, 0.2e-3], [0.0, 0.1]));

@@ -151,6 +151,17 @@ impl Message {
         }
     }
 
+    /// Turns the joint numbered `joint` of a joint state by `by_rad`; NaN leaves it without a position.
+    pub fn turn_joint(&mut self, joint: usize, by_rad: f64) {
+        let mut cdr = Reader { bytes: &self.cdr, at: 4 };
+        cdr.header();
+        (0..cdr.u32()).for_each(|_| drop(cdr.string()));
+        let joints = cdr.list().len();
+        let at = cdr.at - 8 * (joints - joint);
+        let [q] = self.floats(at);
+        self.set_floats(at, &[q + by_rad]);
+    }
+
     /// Puts the joints of a joint state into the order `order`, names and numbers alike.
     pub fn reorder_joints(&mut self, order: &[usize]) {
         let mut cdr = Reader { bytes: &self.cdr, at: 4 };
@@ -298,6 +309,35 @@ pub fn cut_out(messages: &mut Vec<Message>, topic: &str, from_s: f64, to_s: f64)
     let start_ns = messages.iter().map(|message| message.log_ns).min().unwrap_or(0);
     let within = start_ns + nanos(from_s)..start_ns.saturating_add(nanos(to_s));
     messages.retain(|message| message.topic != topic || !within.contains(&message.log_ns));
+}
+
+/// Moves the positions of the samples numbered `rows` of `topic` by `by_m`.
+pub fn throw(messages: &mut [Message], topic: &str, rows: &[usize], by_m: [f64; 3]) {
+    let of_topic = messages.iter_mut().filter(|message| message.topic == topic);
+    for (_, message) in of_topic.enumerate().filter(|(row, _)| rows.contains(row)) {
+        for field in message.fields() {
+            let Field::Xyz(at, _) = field else { continue };
+            let xyz: [f64; 3] = message.floats(at);
+            message.set_floats(at, &[0, 1, 2].map(|axis| xyz[axis] + by_m[axis]));
+        }
+    }
+}
+
+/// Has the samples of `topic` received from `from_s` to `to_s` say what the first of them says.
+pub fn stick(messages: &mut [Message], topic: &str, from_s: f64, to_s: f64) {
+    let nanos = |seconds: f64| (seconds * 1e9) as i64;
+    let start_ns = messages.iter().map(|message| message.log_ns).min().unwrap_or(0);
+    let within = start_ns + nanos(from_s)..start_ns.saturating_add(nanos(to_s));
+    let mut first: Option<[f64; 7]> = None;
+    let is_meant =
+        |message: &&mut Message| message.topic == topic && within.contains(&message.log_ns);
+    for message in messages.iter_mut().filter(is_meant) {
+        for field in message.fields() {
+            let Field::Xyz(at, _) = field else { continue };
+            let numbers = *first.get_or_insert(message.floats(at));
+            message.set_floats(at, &numbers);
+        }
+    }
 }
 
 /// Gives all messages of `topic` the stamp of the first.

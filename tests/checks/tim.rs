@@ -5,8 +5,8 @@ use poseaudit::report::{Report, Verdict};
 use poseaudit::synth::{IMU, Motion, POSE, Scenario, TF};
 
 use crate::case::What::{self, About, Amount};
-use crate::case::{Expected, Log, On, cases, info, summary, the, warning};
-use crate::recording::{Message, cut_out, restamp};
+use crate::case::{Expected, Log, On, cases, error, info, summary, the, warning};
+use crate::recording::{Message, cut_out, restamp, stick, throw};
 use Expected::{BlamedOn, Skipped, Sound};
 use On::{Run, Topic};
 
@@ -112,6 +112,29 @@ cases! {
         => BlamedOn("LAT001");
     TIM006 no_stream_to_end: |log| without_streams(&mut log.run) => Skipped("no stream");
 
+    TIM006 a_pose_that_is_nowhere: |log| {
+        log.edit = Some(|messages| throw(messages, POSE, &every(), [f64::NAN; 3]));
+    } => warning(Topic(POSE), What::None);
+
+    TIM007 a_pose_that_stands_still_for_two_seconds: |log| {
+        log.edit = Some(|messages| stick(messages, POSE, 3.0, 5.0));
+    } => error(Topic(POSE), About(1.96, 0.05));
+    TIM007 a_pose_that_dies_and_is_repeated: |log| {
+        log.edit = Some(|messages| stick(messages, POSE, 4.0, 9.0));
+    } => error(Topic(POSE), About(3.96, 0.05));
+    TIM007 a_pose_that_never_was: |log| {
+        log.edit = Some(|messages| stick(messages, POSE, -1.0, 9.0));
+    } => error(Topic(POSE), About(7.96, 0.05));
+    TIM007 a_pose_that_moves_is_sound: |log| log.run.pose.timing.rate_hz = 50.0 => Sound;
+    TIM007 an_arm_that_rests_stands_still: |log| {
+        log.run.motion = Motion::AtRest;
+        (log.run.noise.pose_m, log.run.noise.pose_rad) = (0.0, 0.0);
+    } => Sound;
+    TIM007 a_late_pose_does_not_stand_still: |log| log.run.pose.timing.latency_s = 1.5
+        => BlamedOn("LAT001");
+    TIM007 no_pose_that_could_stand_still: |log| log.run.pose.timing.rate_hz = 0.0
+        => Skipped("no tool pose");
+
     TIM003 an_imu_that_counts_from_its_start: |log| log.run.imu.timing.clock_offset_s = -1.78e9
         => warning(Topic(IMU), Amount(-1.78e9, 0.005));
     TIM003 a_pose_that_is_an_hour_ahead: |log| log.run.pose.timing.clock_offset_s = 3600.0
@@ -162,6 +185,11 @@ fn on_clock(run: &mut Scenario, offset_s: f64) {
     for timing in [&mut joints.timing, &mut pose.timing, &mut tf.timing, &mut imu.timing] {
         timing.clock_offset_s = offset_s;
     }
+}
+
+/// The number of every sample.
+fn every() -> Vec<usize> {
+    (0..10_000).collect()
 }
 
 fn without_streams(run: &mut Scenario) {

@@ -1,0 +1,117 @@
+use serde_json::{Value, json};
+
+use crate::checks::{Facts, Grade, Judged, StrayFacts};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
+use crate::run::Strays;
+
+rule! {
+    /// Samples jump away and come back.
+    ///
+    /// ## What it means
+    /// One to three samples of a joint, of a pose or of a transform are five times as far from their
+    /// neighbours as any near them, and the samples after them go on where those before left off. No
+    /// arm moves like that.
+    ///
+    /// ## Why it matters
+    /// The audit leaves such samples out, so that they decide nothing else here. What uses the stream
+    /// does not: a controller follows the jump, a filter smears it over a second, a map keeps it.
+    ///
+    /// ## Evidence
+    /// `count` is how many samples are stray, `length_m` (of a joint its own unit) and `angle_rad` how
+    /// far the farthest is off, `at_ns` its stamp; `parts` lists the joints or transforms that are
+    /// concerned. The estimate is the longest jump as logged, or the widest angle where nothing jumps
+    /// in position.
+    ///
+    /// ## How to fix
+    /// Look at what is sent at that time: a pose of zeros before the first is known, a bit that was
+    /// dropped between encoder and driver, a tracker that took something else for its target, a
+    /// second publisher. Drop or hold such samples where they arise.
+    ///
+    /// ## When it misleads
+    /// A stream so slow that the arm goes out and comes back between samples looks alike, once. Where
+    /// more than one sample in twenty is off, nothing tells which are stray, and none is reported: two
+    /// publishers of one transform are FRM004's. Of bare numbers only positions are looked at. A stray
+    /// of a wrongly scaled stream (ORD008) is as wrongly scaled.
+    MOT005 {
+        name: "stray-samples",
+        grade: Grade::Fixed(Severity::Warning),
+        headline: false,
+        needs_model: false,
+        missing: "no joint states, tool poses or transforms in this log",
+        check: check,
+    }
+}
+
+/// Joints or transforms that the evidence lists.
+const LISTED: usize = 10;
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    facts.strays.iter().map(|stream| judge(facts, stream)).collect()
+}
+
+fn judge(facts: &Facts, stream: &StrayFacts) -> Judged {
+    let judged = |subject, outcome| Judged::new(subject, outcome).within(stream.span);
+    let amounts = stream.parts.iter().map(|part| (part, stream.amount(part)));
+    let Some((worst, (unit, amount))) = amounts.max_by(|a, b| a.1.1.total_cmp(&b.1.1)) else {
+        return judged(stream.subject.clone(), Outcome::sound());
+    };
+    let subject = match stream.parts.as_slice() {
+        [only] => Subject {
+            topic: stream.subject.topic.clone().filter(|_| only.joint.is_none()),
+            joint: only.joint.clone(),
+            frame: only.frame.clone().or_else(|| stream.subject.frame.clone()),
+            ..stream.subject.clone()
+        },
+        _ => stream.subject.clone(),
+    };
+    let count: usize = stream.parts.iter().map(Strays::count).sum();
+    let parts = stream.parts.iter().take(LISTED).map(|part| {
+        json!({
+            "joint": part.joint,
+            "frame": part.frame,
+            "count": part.count(),
+            "length_m": part.farthest.length_m,
+            "angle_rad": part.farthest.angle_rad,
+            "at_ns": part.at.map(|at| at.to_string()),
+        })
+    });
+    let parts: Vec<Value> = parts.collect();
+    judged(subject, Outcome::faulty(fault(facts, stream, worst, count, &unit.show(amount))))
+        .estimated(Estimate::counted("jump", unit.symbol(), amount))
+        .with_evidence("count", count)
+        .with_evidence("length_m", worst.farthest.length_m)
+        .with_evidence("angle_rad", worst.farthest.angle_rad)
+        .with_evidence("at_ns", worst.at.map(|at| at.to_string()))
+        .with_evidence("parts", parts)
+}
+
+impl StrayFacts {
+    /// The jump of a part in its unit.
+    fn amount(&self, part: &Strays) -> (Unit, f64) {
+        let turns = part.joint.as_ref().is_some_and(|joint| !self.sliding.contains(joint));
+        match (turns, part.farthest.length_m) {
+            (true, by) => (Unit::Radian, by),
+            (false, 0.0) => (Unit::Radian, part.farthest.angle_rad),
+            (false, by) => (Unit::Metre, by),
+        }
+    }
+}
+
+fn fault(facts: &Facts, stream: &StrayFacts, worst: &Strays, count: usize, shown: &str) -> Fault {
+    let when = worst.at.map_or(String::new(), |at| format!(" at {}", facts.moment(at)));
+    let of = match (stream.parts.len(), &worst.joint, &worst.frame) {
+        (1, ..) => String::new(),
+        (_, Some(part), _) | (_, None, Some(part)) => format!(" of {part}"),
+        _ => String::new(),
+    };
+    let (samples, topic) = (if count == 1 { "sample jumps" } else { "samples jump" }, stream.subject.label());
+    Fault {
+        severity: Severity::Warning,
+        title: "samples jump away and back",
+        message: format!(
+            "{count} {samples} away and back, by {shown}{of}{when}; left out of everything else"
+        ),
+        evidence: Evidence::default(),
+        fix: format!("see what is sent on {topic} then, and drop or hold such samples there"),
+    }
+}

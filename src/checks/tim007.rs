@@ -1,0 +1,89 @@
+use serde_json::{Value, json};
+
+use crate::checks::{Facts, FrozenFacts, Grade, Judged};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::run::Frozen;
+
+rule! {
+    /// A stream of poses repeats one value while the arm moves.
+    ///
+    /// ## What it means
+    /// For a quarter of a second and ten samples or more a stream says the same pose, to the last bit,
+    /// with new stamps, and at no latency that is sought do the joints rest for half of that time.
+    ///
+    /// ## Why it matters
+    /// The stream looks alive: its rate and its stamps are as they should be. Whoever uses it takes an
+    /// old pose for the present one, and the error is as large as the arm moves meanwhile.
+    ///
+    /// ## Evidence
+    /// `times` lists when the stream stood still, each with its samples and how far a joint moved
+    /// meanwhile at least; `count` says how many there are. The estimate is the longest, in seconds.
+    /// Nothing else in the report is told from these samples.
+    ///
+    /// ## How to fix
+    /// Look for the source that stopped while something else goes on publishing its last value: a
+    /// driver that lost its connection, a tracker that lost its target, a filter that holds. Publish
+    /// nothing then, or say that the value is stale.
+    ///
+    /// ## When it misleads
+    /// A slow source in a fast stream looks alike where it comes less than four times a second: its
+    /// stamps are the fault then. A stream that stands still at the very end of the log, or near a rest
+    /// of the arm, may as well be late, and is not reported. Transforms are not looked at: those that
+    /// stand still while the joints move are FRM001's.
+    TIM007 {
+        name: "frozen-stream",
+        grade: Grade::Fixed(Severity::Error),
+        headline: false,
+        needs_model: true,
+        missing: "no tool pose that could be held against the arm",
+        check: check,
+    }
+}
+
+/// Times that the evidence lists.
+const LISTED: usize = 10;
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    facts.frozen.iter().map(|stream| judge(facts, stream)).collect()
+}
+
+fn seconds(time: &Frozen) -> f64 {
+    time.end.seconds_since(time.start)
+}
+
+fn judge(facts: &Facts, stream: &FrozenFacts) -> Judged {
+    let longest = stream.times.iter().max_by(|a, b| seconds(a).total_cmp(&seconds(b)));
+    let Some(longest) = longest else {
+        return Judged::new(stream.subject.clone(), Outcome::sound()).within(stream.span);
+    };
+    let others = match stream.times.len() {
+        1 => String::new(),
+        2 => ", and once more".to_owned(),
+        times => format!(", and {} times more", times - 1),
+    };
+    let topic = stream.subject.label();
+    let outcome = Outcome::faulty(Fault {
+        severity: Severity::Error,
+        title: "stream stands still while the arm moves",
+        message: format!(
+            "says one pose for {} from {} on while the arm moves{others}; left out of everything else",
+            Unit::Second.show(seconds(longest)),
+            facts.moment(longest.start),
+        ),
+        evidence: Evidence::default(),
+        fix: format!("see why the source of {topic} stopped then, and what repeated its last value"),
+    });
+    let times = stream.times.iter().take(LISTED).map(|time| {
+        json!({
+            "start_ns": time.start.to_string(),
+            "end_ns": time.end.to_string(),
+            "samples": time.samples,
+            "moved": time.moved,
+        })
+    });
+    Judged::new(stream.subject.clone(), outcome)
+        .within(stream.span)
+        .estimated(Estimate::counted("stands still", Unit::Second.symbol(), seconds(longest)))
+        .with_evidence("count", stream.times.len())
+        .with_evidence("times", times.collect::<Vec<Value>>())
+}

@@ -1,0 +1,130 @@
+//! Times in which a stream of poses repeats one value though the arm moves.
+//!
+//! How late the stream is, nobody knows yet. A time is told to be frozen only where the arm nowhere rests
+//! for half as long within the latency that is sought: then it moved, whatever the latency. Without these
+//! times what is left of the stream shows its faults; with them, its pose would follow nothing.
+
+use crate::stream::{JointTrack, Orientations, PoseTrack};
+use crate::time::Stamp;
+
+use super::poses::Stamped;
+
+/// Shorter repeats are how a slow source looks in a fast stream, s …
+const LEAST_S: f64 = 0.25;
+/// … and so are fewer periods.
+const LEAST_PERIODS: usize = 10;
+/// Where a stream may be later than this, and what it says is of before the first joint state or of after
+/// the last, nothing is told, s.
+const LATE_S: f64 = 1.0;
+/// An arm whose joints all move by less is at rest, rad or m.
+const REST: f64 = 5e-3;
+
+/// A time in which a stream stood still and the arm did not.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Frozen {
+    /// Index of the stream.
+    pub stream: usize,
+    /// The first sample with the value.
+    pub start: Stamp,
+    /// The last one.
+    pub end: Stamp,
+    /// Samples with it.
+    pub samples: usize,
+    /// The most that a joint moved meanwhile, at any latency that is sought, at least: rad or m.
+    pub moved: f64,
+}
+
+/// Takes the samples out of a stream's track that repeat a value while the arm moves, but for the first
+/// of each value, and says when that was.
+pub(super) fn take_frozen(
+    stream: usize,
+    poses: &mut Stamped<PoseTrack>,
+    joints: &JointTrack,
+    most_lag_s: f64,
+) -> Vec<Frozen> {
+    let Stamped { track, stamps } = poses;
+    let mut frozen = Vec::new();
+    let mut kept = vec![true; stamps.len()];
+    let mut first = 0;
+    while first < stamps.len() {
+        let repeats = (first + 1..stamps.len()).take_while(|&row| is_same(track, first, row));
+        let last = first + repeats.count();
+        let span_s = track.t_s[last] - track.t_s[first];
+        if last - first >= LEAST_PERIODS && span_s >= LEAST_S {
+            let hold = (track.t_s[first], track.t_s[last]);
+            let moved = least_motion(joints, hold, most_lag_s).unwrap_or(0.0);
+            if moved > REST {
+                let (start, end, samples) = (stamps[first], stamps[last], last + 1 - first);
+                frozen.push(Frozen { stream, start, end, samples, moved });
+                kept[first + 1..=last].fill(false);
+            }
+        }
+        first = last + 1;
+    }
+    if !frozen.is_empty() {
+        keep(track, &kept);
+        retain(stamps, &kept);
+    }
+    frozen
+}
+
+/// Whether two samples are the same to the last bit.
+fn is_same(track: &PoseTrack, a: usize, b: usize) -> bool {
+    track.xyz[a] == track.xyz[b]
+        && match &track.orientation {
+            Orientations::Rotations(rotations) => rotations[a] == rotations[b],
+            Orientations::Numbers(numbers) => numbers[a] == numbers[b],
+        }
+}
+
+fn keep(track: &mut PoseTrack, kept: &[bool]) {
+    retain(&mut track.t_s, kept);
+    retain(&mut track.xyz, kept);
+    match &mut track.orientation {
+        Orientations::Rotations(rotations) => retain(rotations, kept),
+        Orientations::Numbers(numbers) => retain(numbers, kept),
+    }
+    if let Some(others) =
+        track.declared.as_mut().and_then(|declared| declared.in_other_angles.as_mut())
+    {
+        retain(others, kept);
+    }
+}
+
+fn retain<T>(values: &mut Vec<T>, kept: &[bool]) {
+    let mut kept = kept.iter();
+    values.retain(|_| kept.next().is_none_or(|kept| *kept));
+}
+
+/// Of all times half as long as `hold` and within `most_lag_s` of it the one in which the joints move
+/// least: by how much the joint moves then that moves most. `None` where the joint states do not cover
+/// them, so that the arm may have rested unseen.
+fn least_motion(joints: &JointTrack, hold: (f64, f64), most_lag_s: f64) -> Option<f64> {
+    /// Starts that are tried in a length, and samples that are looked at in it.
+    const STARTS: f64 = 4.0;
+    const LOOKS: usize = 8;
+    let (&begin_s, &end_s) = (joints.t_s.first()?, joints.t_s.last()?);
+    let at = |t_s: f64| {
+        let row = joints.t_s.partition_point(|own| *own < t_s).min(joints.t_s.len() - 1);
+        joints.row(row)
+    };
+    let length_s = 0.5 * (hold.1 - hold.0);
+    let late_s = LATE_S.min(most_lag_s);
+    if hold.0 + late_s + length_s > end_s || hold.1 - late_s - length_s < begin_s {
+        return None;
+    }
+    let (from_s, to_s) = ((hold.0 - most_lag_s).max(begin_s), (hold.1 + most_lag_s).min(end_s));
+    let (mut start_s, mut least) = (from_s, None::<f64>);
+    while start_s + length_s <= to_s {
+        let rows = (0..=LOOKS).map(|look| at(start_s + length_s * look as f64 / LOOKS as f64));
+        let rows: Vec<&[f64]> = rows.collect();
+        let range = |joint: usize| {
+            let of = rows.iter().map(|row| row[joint]);
+            of.clone().fold(f64::NEG_INFINITY, f64::max) - of.fold(f64::INFINITY, f64::min)
+        };
+        let most = (0..joints.dof).map(range).fold(0.0, f64::max);
+        least = Some(least.map_or(most, |least| least.min(most)));
+        start_s += length_s / STARTS;
+    }
+    least
+}

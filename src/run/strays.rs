@@ -1,0 +1,335 @@
+//! Samples that jump away from those before and come back within a few: an encoder's dropped bit, a
+//! tracker that lost its target, a pose that was zero until the first was known.
+//!
+//! Of all rows, as nothing but their own numbers is needed. The estimators see none of them: one sample
+//! ten metres off would decide every speed and every spread.
+
+use std::f64::consts::TAU;
+
+use rayon::prelude::*;
+
+use crate::stream::{ArrayColumns, Columns, JointColumns, PoseColumns};
+use crate::time::Stamp;
+
+use super::flaws::Apart;
+use super::role::Role;
+use super::streams::{Stream, Timing};
+
+/// Samples in a row that may be stray; more of them are a motion.
+const LONGEST: usize = 3;
+/// A stray is this many times as far off as samples usually are from the next, and as any near it.
+const FAR: f64 = 5.0;
+/// It has come back where what is left is less than this share of the jump.
+const BACK: f64 = 0.2;
+/// Jumps shorter than this are none, rad or m …
+const LEAST: f64 = 1e-3;
+/// … and of what mostly stands still, as the last bit of an encoder flips.
+const LEAST_AT_REST: f64 = 5e-3;
+/// Of more than this share of the samples nothing tells which are stray.
+const MOST: f64 = 0.05;
+/// Fewer samples show nothing usual.
+const FEWEST: usize = 20;
+
+/// The stray samples of a stream, of one transform or of one joint.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Strays {
+    /// Index of the stream.
+    pub stream: usize,
+    /// The child frame of the transform.
+    pub frame: Option<String>,
+    /// The joint.
+    pub joint: Option<String>,
+    /// The longest jump: of a pose m and rad, of a joint in its unit, as `length_m`.
+    pub farthest: Apart,
+    /// The stamp of that sample, where it has one.
+    pub at: Option<Stamp>,
+    /// Which of the piece it is of the stream's.
+    pub(super) piece: usize,
+    /// The rows, in order.
+    pub(super) rows: Vec<usize>,
+}
+
+impl Strays {
+    /// How many samples they are.
+    pub fn count(&self) -> usize {
+        self.rows.len()
+    }
+}
+
+/// Takes out the times of the rows of a piece of a stream that are stray.
+pub(super) fn hide(strays: &[Strays], stream: usize, piece: usize, stamps: &mut [Option<Stamp>]) {
+    let of_it = strays.iter().filter(|found| (found.stream, found.piece) == (stream, piece));
+    for &row in of_it.flat_map(|found| &found.rows) {
+        if let Some(stamp) = stamps.get_mut(row) {
+            *stamp = None;
+        }
+    }
+}
+
+/// The stray samples of joint states, poses and transforms.
+pub(super) fn strays(streams: &[Stream], timing: &Timing) -> Vec<Strays> {
+    let may_jump = |role| {
+        matches!(
+            role,
+            Role::Joints | Role::Pose | Role::Tf | Role::Candidate { .. } | Role::Unassigned
+        )
+    };
+    let of = |(index, stream): (usize, &Stream)| {
+        let found = match &stream.columns {
+            _ if !may_jump(stream.role) => Vec::new(),
+            Some(Columns::Joints(joints)) => of_joints(joints),
+            Some(Columns::Poses(poses) | Columns::Transforms(poses)) => {
+                poses.iter().enumerate().filter_map(of_poses).collect()
+            }
+            Some(Columns::Array(array)) if array.width >= 6 => {
+                of_array(array).into_iter().collect()
+            }
+            _ => Vec::new(),
+        };
+        let times = stream.times();
+        let stamped = found.into_iter().map(|found| {
+            let clock = timing.clock(index, found.piece).zip(times.get(found.piece));
+            let at = clock.and_then(|(clock, times)| clock.stamp_of(times, found.farthest_row));
+            let Found { piece, frame, joint, rows, farthest, .. } = found;
+            Strays { stream: index, frame, joint, farthest, at, piece, rows }
+        });
+        stamped.collect::<Vec<_>>()
+    };
+    streams.par_iter().enumerate().flat_map_iter(of).collect()
+}
+
+/// Strays before their time is known.
+struct Found {
+    piece: usize,
+    frame: Option<String>,
+    joint: Option<String>,
+    rows: Vec<usize>,
+    farthest: Apart,
+    farthest_row: usize,
+}
+
+fn of_joints(joints: &JointColumns) -> Vec<Found> {
+    let of = |column: &crate::stream::JointColumn| {
+        let q = &column.position;
+        let known: Option<Vec<usize>> = q
+            .iter()
+            .any(|q| q.is_nan())
+            .then(|| (0..q.len()).filter(|&row| q[row].is_finite()).collect());
+        let row = |sample: usize| known.as_ref().map_or(sample, |known| known[sample]);
+        let samples = known.as_ref().map_or(q.len(), Vec::len);
+        let distance = |a: usize, b: usize| turned(q[row(b)] - q[row(a)]);
+        let leaps = leaps(samples, distance);
+        let (farthest_row, length_m) = farthest(&leaps)?;
+        Some(Found {
+            piece: 0,
+            frame: None,
+            joint: Some(column.name.clone()),
+            rows: leaps.iter().map(|(sample, _)| row(*sample)).collect(),
+            farthest: Apart { length_m, angle_rad: 0.0 },
+            farthest_row: row(farthest_row),
+        })
+    };
+    joints.joints.iter().filter_map(of).collect()
+}
+
+/// How far a joint went, whole turns in rad or in degrees left out: a continuous joint is logged with
+/// or without them.
+fn turned(by: f64) -> f64 {
+    let without = |turn: f64| (by - turn * (by / turn).round()).abs();
+    match by.abs() {
+        small if small < 3.0 => small,
+        far => far.min(without(TAU)).min(without(360.0)),
+    }
+}
+
+fn of_poses((piece, poses): (usize, &PoseColumns)) -> Option<Found> {
+    let frame = (!poses.child_frame_id.is_empty()).then(|| poses.child_frame_id.clone());
+    let between = |a: usize, b: usize| Apart::between((poses, a), (poses, b));
+    let moved = leaps(poses.times.len(), |a, b| length(poses.xyz[a], poses.xyz[b]));
+    let turned = leaps(poses.times.len(), |a, b| between(a, b).angle_rad);
+    of_leaps(piece, frame, &moved, &turned)
+}
+
+/// Of bare numbers the positions only: angles of a turn less or more jump for no fault.
+fn of_array(array: &ArrayColumns) -> Option<Found> {
+    let xyz = |row: usize| {
+        let row = array.row(row);
+        match row.len() {
+            // Matrices: translation by rows, or in the last row by columns.
+            12 | 16 if row[3] != 0.0 || row[7] != 0.0 || row[11] != 0.0 => {
+                [row[3], row[7], row[11]]
+            }
+            12 => [row[9], row[10], row[11]],
+            16 => [row[12], row[13], row[14]],
+            _ => [row[0], row[1], row[2]],
+        }
+    };
+    let moved = leaps(array.times.len(), |a, b| length(xyz(a), xyz(b)));
+    of_leaps(0, None, &moved, &[])
+}
+
+fn length(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+}
+
+fn of_leaps(
+    piece: usize,
+    frame: Option<String>,
+    moved: &[(usize, f64)],
+    turned: &[(usize, f64)],
+) -> Option<Found> {
+    let [by_length, by_angle] = [moved, turned].map(farthest);
+    let farthest_row = by_length.or(by_angle)?.0;
+    let amount = |farthest: Option<(usize, f64)>| farthest.map_or(0.0, |(_, amount)| amount);
+    let farthest = Apart { length_m: amount(by_length), angle_rad: amount(by_angle) };
+    let mut rows: Vec<usize> = moved.iter().chain(turned).map(|(row, _)| *row).collect();
+    rows.sort_unstable();
+    rows.dedup();
+    Some(Found { piece, frame, joint: None, rows, farthest, farthest_row })
+}
+
+fn farthest(leaps: &[(usize, f64)]) -> Option<(usize, f64)> {
+    leaps.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1))
+}
+
+/// The samples that are stray, each with how far it is off, by the `distance` of two samples.
+fn leaps(samples: usize, distance: impl Fn(usize, usize) -> f64) -> Vec<(usize, f64)> {
+    let mut found = Vec::new();
+    let Some(usual) = usual_step(samples, &distance) else { return found };
+    let least = if usual > 0.0 { LEAST.max(FAR * usual) } else { LEAST_AT_REST };
+    let step = |sample: usize| distance(sample, sample + 1);
+    let mut sample = 0;
+    while sample + 1 < samples {
+        let far = step(sample);
+        if far.is_nan() || far <= least {
+            sample += 1;
+            continue;
+        }
+        // At first and at last there is nothing to come from or back to.
+        let back = |next: usize| distance(sample, next) < BACK * far;
+        let next = (sample + 2..samples.min(sample + 2 + LONGEST)).find(|&next| back(next));
+        let astray = match next {
+            Some(next) => Some(sample + 1..next),
+            None if sample < LONGEST => Some(0..sample + 1),
+            None if samples - sample - 1 <= LONGEST => Some(sample + 1..samples),
+            None => None,
+        };
+        let Some(astray) = astray.filter(|astray| far > FAR * nearby(samples, astray, &step))
+        else {
+            sample += 1;
+            continue;
+        };
+        let other = if astray.start == 0 { astray.end } else { astray.start - 1 };
+        sample = astray.end;
+        found.extend(astray.map(|stray| (stray, distance(stray, other))));
+    }
+    if found.len() as f64 > MOST * samples as f64 {
+        found.clear();
+    }
+    found
+}
+
+/// What a sample is off the next at most, of all but one in twenty that are off at all; 0 where hardly
+/// any is. Of very many samples, by some spread over all.
+fn usual_step(samples: usize, distance: &impl Fn(usize, usize) -> f64) -> Option<f64> {
+    const ENOUGH: usize = 4096;
+    let stride = samples.div_ceil(ENOUGH).max(1);
+    let some = (1..samples).step_by(stride).map(|sample| distance(sample - 1, sample));
+    let looked_at = some.len();
+    let mut steps: Vec<f64> = some.filter(|step| *step > 0.0 && step.is_finite()).collect();
+    if samples < FEWEST {
+        return None;
+    }
+    if steps.len() * 10 < looked_at {
+        return Some(0.0);
+    }
+    let rank = (steps.len() - 1) * 19 / 20;
+    Some(*steps.select_nth_unstable_by(rank, f64::total_cmp).1)
+}
+
+/// The third largest of the steps within eight samples of `astray`: another stray may be near, but in a
+/// fast motion more than that are long.
+fn nearby(samples: usize, astray: &std::ops::Range<usize>, step: &impl Fn(usize) -> f64) -> f64 {
+    const AROUND: usize = 8;
+    let before = astray.start.saturating_sub(AROUND + 1)..astray.start.saturating_sub(1);
+    let after = astray.end..(astray.end + AROUND).min(samples - 1);
+    let mut steps: Vec<f64> = before.chain(after).map(step).collect();
+    steps.sort_by(f64::total_cmp);
+    steps.len().checked_sub(3).map_or(f64::INFINITY, |third| steps[third])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Positions of a smooth motion, with a rest in the middle.
+    fn smooth(samples: usize) -> Vec<f64> {
+        let at = |sample: usize| match sample as f64 * 0.02 {
+            t if t < 4.0 => (1.3 * t).sin(),
+            t if t < 6.0 => 5.2_f64.sin(),
+            t => (1.3 * (t - 2.0)).sin(),
+        };
+        (0..samples).map(at).collect()
+    }
+
+    fn astray(q: &[f64]) -> Vec<usize> {
+        leaps(q.len(), |a, b| turned(q[b] - q[a])).iter().map(|(row, _)| *row).collect()
+    }
+
+    #[test]
+    fn what_jumps_away_and_back_is_found_wherever_it_is() {
+        for planted in
+            [vec![200], vec![250, 251, 252], vec![0, 1], vec![498, 499], vec![7, 100, 460]]
+        {
+            let mut q = smooth(500);
+            planted.iter().for_each(|&row| q[row] += 0.9);
+            assert_eq!(astray(&q), planted);
+        }
+    }
+
+    #[test]
+    fn motion_is_not_stray() {
+        assert_eq!(astray(&smooth(500)), Vec::<usize>::new());
+        // Sampled so coarsely that it goes out and comes back between samples.
+        let coarse: Vec<f64> = smooth(2000).into_iter().step_by(60).collect();
+        assert_eq!(astray(&coarse), Vec::<usize>::new());
+        // A step that stays is a motion, too.
+        let mut moved = smooth(500);
+        moved[200..].iter_mut().for_each(|q| *q += 0.5);
+        assert_eq!(astray(&moved), Vec::<usize>::new());
+    }
+
+    #[test]
+    fn a_turn_more_or_less_is_no_jump() {
+        let mut q = smooth(500);
+        q[100] += TAU;
+        q[300] -= TAU;
+        assert_eq!(astray(&q), Vec::<usize>::new());
+    }
+
+    #[test]
+    fn an_encoder_at_rest_that_flips_by_its_last_bit_is_not_stray() {
+        let q: Vec<f64> = (0..500).map(|row| if row % 97 == 3 { 1.002 } else { 1.0 }).collect();
+        assert_eq!(astray(&q), Vec::<usize>::new());
+    }
+
+    #[test]
+    fn what_stands_still_shows_its_strays() {
+        let mut q = vec![0.3; 500];
+        q[120] = 0.1;
+        assert_eq!(astray(&q), [120]);
+    }
+
+    #[test]
+    fn samples_without_a_value_are_passed_over() {
+        let mut joints = JointColumns::default();
+        let q = smooth(500);
+        let mut position: Vec<f64> = q.iter().flat_map(|q| [*q, f64::NAN]).collect();
+        position[400] += 1.0;
+        let velocity = vec![f64::NAN; position.len()];
+        joints.joints.push(crate::stream::JointColumn { name: "a".into(), position, velocity });
+        let found = of_joints(&joints);
+        assert_eq!(found[0].rows, [400]);
+        assert!((found[0].farthest.length_m - 1.0).abs() < 0.1);
+    }
+}
