@@ -1,17 +1,16 @@
 //! `poseaudit audit`.
 
-use std::io::{self, Write};
 use std::path::PathBuf;
 
 use clap::ValueEnum;
 use poseaudit::checks::{Selector, Settings};
 use poseaudit::finding::Severity;
-use poseaudit::report::{Report, Trouble, json, text};
+use poseaudit::report::{Report, Trouble};
 use poseaudit::run::{CalibrationSource, Declaration, RobotSource};
 use poseaudit::time::Clock;
 
 use super::progress::watched;
-use super::{Outcome, output};
+use super::{Outcome, output, reports};
 
 /// Audit one recorded run: what is wrong with its poses, by how much, and how sure that is
 ///
@@ -39,13 +38,8 @@ pub struct Args {
     #[arg(long, value_name = "LINK")]
     tip: Option<String>,
 
-    /// Format of the report
-    #[arg(long, value_enum, default_value_t = Format::Text)]
-    format: Format,
-
-    /// Write the report to this file instead of stdout
-    #[arg(long, value_name = "PATH")]
-    output: Option<PathBuf>,
+    #[command(flatten)]
+    reports: reports::Reports,
 
     /// Write a Rerun recording of the run
     #[arg(long, value_name = "FILE")]
@@ -96,24 +90,6 @@ pub struct Args {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Format {
-    /// For people
-    Text,
-    /// For programs, in SI units
-    Json,
-}
-
-impl Format {
-    /// Writes `report` in this format.
-    pub fn write(self, report: &Report, out: &mut dyn Write) -> io::Result<()> {
-        match self {
-            Format::Text => text::write(report, out),
-            Format::Json => json::write(report, out),
-        }
-    }
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum FailOn {
     /// Errors
     Error,
@@ -161,7 +137,8 @@ fn positive_seconds(text: &str) -> Result<f64, String> {
 }
 
 pub fn run(args: Args) -> Result<Outcome, Trouble> {
-    let Args { format, output, require, .. } = args;
+    let Args { reports, require, .. } = args;
+    reports.can_be_followed()?;
     let options = poseaudit::Options {
         logs: args.logs,
         robots: args.robots,
@@ -185,10 +162,10 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
     });
     let report = match audited {
         Ok(report) => report,
-        Err(trouble) if format == Format::Json => Report::of_trouble(trouble),
+        Err(trouble) if reports.tell_trouble() => Report::of_trouble(trouble),
         Err(trouble) => return Err(trouble),
     };
-    output::emit(output.as_deref(), |out| format.write(&report, out))?;
+    reports.emit(&report)?;
     if let Some(trouble) = &report.error {
         output::error(trouble);
     }

@@ -3,10 +3,9 @@
 use std::path::PathBuf;
 
 use poseaudit::Planted;
-use poseaudit::report::Trouble;
+use poseaudit::report::{Format, Trouble};
 
-use super::audit::Format;
-use super::{Outcome, output};
+use super::{Outcome, output, reports};
 
 /// Write a small faulty log of a UR5e, audit it, and see whether every planted fault is found
 ///
@@ -18,15 +17,15 @@ pub struct Args {
     dir: PathBuf,
 
     /// Format of the report
-    #[arg(long, value_enum, default_value_t = Format::Text)]
-    format: Format,
+    #[arg(long, value_name = "FORMAT", default_value = "text", value_parser = reports::format())]
+    format: &'static Format,
 }
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     let demo = poseaudit::demo(&args.dir)?;
     output::emit(None, |out| {
         args.format.write(&demo.report, out)?;
-        if args.format == Format::Text {
+        if args.format.is_text() {
             writeln!(out)?;
             for planted in &demo.planted {
                 writeln!(out, "{}", line(planted))?;
@@ -34,7 +33,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
         }
         Ok(())
     })?;
-    if args.format != Format::Text {
+    if !args.format.is_text() {
         for planted in &demo.planted {
             eprintln!("{}", line(planted));
         }

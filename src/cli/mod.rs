@@ -10,6 +10,7 @@ mod info;
 mod output;
 mod pose;
 mod progress;
+mod reports;
 mod robots;
 mod rules;
 mod tf;

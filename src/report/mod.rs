@@ -3,6 +3,7 @@
 //! A format only renders. What is in a report is settled when it is made.
 
 mod file;
+mod format;
 pub mod json;
 pub mod text;
 mod trouble;
@@ -17,6 +18,7 @@ use crate::finding::{CheckRow, Finding, Severity, Status, decimal};
 use crate::time::Stamp;
 
 pub use file::write_whole;
+pub use format::{FORMATS, Format};
 pub use trouble::{Trouble, TroubleKind};
 
 /// The report on one run. Its fields stand in the order of the JSON object.
