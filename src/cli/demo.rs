@@ -23,20 +23,12 @@ pub struct Args {
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     let demo = poseaudit::demo(&args.dir)?;
-    output::emit(None, |out| {
-        args.format.write(&demo.report, out)?;
-        if args.format.is_text() {
-            writeln!(out)?;
-            for planted in &demo.planted {
-                writeln!(out, "{}", line(planted))?;
-            }
-        }
-        Ok(())
-    })?;
-    if !args.format.is_text() {
-        for planted in &demo.planted {
-            eprintln!("{}", line(planted));
-        }
+    reports::emit(args.format, &demo.report, None)?;
+    let lines: Vec<String> = demo.planted.iter().map(line).collect();
+    if args.format.is_text() {
+        output::emit(None, |out| writeln!(out, "\n{}", lines.join("\n")))?;
+    } else {
+        lines.iter().for_each(|line| eprintln!("{line}"));
     }
     let recovered = demo.planted.iter().all(|planted| planted.recovered);
     Ok(if recovered { Outcome::Clean } else { Outcome::Findings })

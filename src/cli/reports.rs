@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use poseaudit::report::{FORMATS, Format, Report, Trouble};
+use poseaudit::report::{FORMATS, Format, Report, Trouble, text};
 
 use super::{misuse, output};
 
@@ -28,6 +28,18 @@ pub struct Reports {
 pub fn format() -> impl TypedValueParser<Value = &'static Format> {
     let names = FORMATS.iter().map(|format| PossibleValue::new(format.name).help(format.about));
     PossibleValuesParser::new(names).try_map(|name| Format::named(&name).ok_or("no such format"))
+}
+
+/// Hands `report` in one format to the file at `path`, else to stdout.
+///
+/// # Errors
+/// If it cannot be written.
+pub fn emit(format: &Format, report: &Report, path: Option<&Path>) -> Result<(), Trouble> {
+    let columns = output::columns().filter(|_| format.is_text() && path.is_none());
+    output::emit(path, |out| match columns {
+        Some(columns) => text::write_within(report, columns, out),
+        None => format.write(report, out),
+    })
 }
 
 impl Reports {
@@ -62,14 +74,13 @@ impl Reports {
     /// # Errors
     /// If a file cannot be written.
     pub fn emit(&self, report: &Report) -> Result<(), Trouble> {
-        let write = |format: &Format, path: Option<&Path>| {
-            output::emit(path, |out| format.write(report, out))
-        };
         match (&self.output, self.each().as_slice()) {
             (Some(folder), formats @ [_, _, ..]) => formats
                 .iter()
-                .try_for_each(|format| write(format, Some(&folder.join(format.file_name)))),
-            (path, formats) => formats.iter().try_for_each(|format| write(format, path.as_deref())),
+                .try_for_each(|format| emit(format, report, Some(&folder.join(format.file_name)))),
+            (path, formats) => {
+                formats.iter().try_for_each(|format| emit(format, report, path.as_deref()))
+            }
         }
     }
 

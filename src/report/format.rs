@@ -3,7 +3,7 @@
 use std::fmt;
 use std::io::{self, Write};
 
-use super::{Report, json, text};
+use super::{Report, github, json, junit, markdown, sarif, text};
 
 /// A format of the report.
 #[derive(Clone, Copy)]
@@ -25,6 +25,30 @@ pub static FORMATS: &[Format] = &[
         file_name: "report.json",
         about: "For programs, in SI units",
         write: json::write,
+    },
+    Format {
+        name: "markdown",
+        file_name: "report.md",
+        about: "For a comment on a pull request",
+        write: markdown::write,
+    },
+    Format {
+        name: "junit",
+        file_name: "junit.xml",
+        about: "For CI: a test case per rule and subject",
+        write: junit::write,
+    },
+    Format {
+        name: "sarif",
+        file_name: "report.sarif",
+        about: "For code scanning, as SARIF 2.1.0",
+        write: sarif::write,
+    },
+    Format {
+        name: "github",
+        file_name: "annotations.txt",
+        about: "For the log of a GitHub workflow, which makes annotations of it",
+        write: github::write,
     },
 ];
 

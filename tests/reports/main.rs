@@ -1,6 +1,11 @@
 //! The reports as other programs get them: which formats go where, and what each of them holds.
 
+mod cases;
 mod formats;
+mod junit;
+mod markdown;
+mod sarif;
+mod snapshots;
 
 use std::process::{Command, Output};
 
