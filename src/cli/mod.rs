@@ -3,6 +3,7 @@
 //! Reports go to stdout or to `--output`; messages go to stderr.
 
 mod audit;
+mod compare;
 mod demo;
 mod explain;
 mod fk;
@@ -64,6 +65,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Audit(Box<audit::Args>),
+    Compare(compare::Args),
     Info(info::Args),
     Demo(demo::Args),
     Rules(rules::Args),
@@ -79,6 +81,7 @@ enum Command {
 pub fn run() -> Outcome {
     let result = match Cli::parse().command {
         Command::Audit(args) => audit::run(*args),
+        Command::Compare(args) => compare::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Demo(args) => demo::run(&args),
         Command::Rules(args) => rules::run(&args),

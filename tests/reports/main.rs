@@ -1,6 +1,7 @@
 //! The reports as other programs get them: which formats go where, and what each of them holds.
 
 mod cases;
+mod compare;
 mod formats;
 mod junit;
 mod markdown;
