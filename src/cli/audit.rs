@@ -17,6 +17,13 @@ use super::{Outcome, output, reports};
 /// Exit status: 0 nothing at or above --fail-on; 1 a finding, or a rule of --require that could not
 /// conclude; 2 the call is wrong; 3 the log cannot be audited.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  poseaudit audit run.mcap
+  poseaudit audit run.mcap --robot my_arm.urdf --tip tool0 --fail-on error
+  poseaudit audit run.mcap --format json --format sarif --format junit --output reports
+  poseaudit audit run.mcap --fix mend
+  poseaudit audit run_0.mcap run_1.mcap --select LAT,ZER001 --require LAT001")]
 pub struct Args {
     /// The log; several files of one run are merged
     #[arg(value_name = "LOG", required = true)]

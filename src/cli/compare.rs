@@ -18,6 +18,11 @@ use super::{Outcome, misuse, output};
 /// above --fail-on that is new or has grown, a pass that is none any more, or a log that cannot be
 /// audited any more; 2 the call is wrong.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  poseaudit compare baseline.json today.json
+  poseaudit compare baseline.json run.mcap --fail-on error
+  poseaudit compare baseline.json run.mcap --format markdown --output comment.md")]
 pub struct Args {
     /// The baseline: a report that --format json wrote, or a log
     #[arg(value_name = "OLD")]

@@ -11,6 +11,10 @@ use super::{Outcome, output, reports};
 ///
 /// Exit status 0 if and only if every one was, with its amount.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  poseaudit demo
+  poseaudit demo /tmp/demo --format json")]
 pub struct Args {
     /// Folder for the log, which is made
     #[arg(value_name = "DIR", default_value = "poseaudit-demo")]

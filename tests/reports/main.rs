@@ -1,11 +1,13 @@
 //! The reports as other programs get them: which formats go where, and what each of them holds.
 
 mod cases;
+mod ci;
 mod compare;
 mod formats;
 mod junit;
 mod markdown;
 mod sarif;
+mod shell;
 mod snapshots;
 
 use std::process::{Command, Output};
