@@ -1,13 +1,13 @@
 //! What an audit says: a finding, its estimate with the interval, and the outcome it comes from.
 
-use serde::{Serialize, Serializer};
+use serde::{Deserialize, Serialize, Serializer};
 use serde_json::{Map, Value};
 
 use crate::diagnosis::{Length, Measured};
 use crate::time::Stamp;
 
 /// How grave a finding is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Severity {
     /// Worth knowing; nothing is wrong.
@@ -30,7 +30,7 @@ impl Severity {
 }
 
 /// What a rule was asked about.
-#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Subject {
     /// Name of the robot.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -52,6 +52,17 @@ impl Subject {
         let first =
             [&self.joint, &self.topic, &self.frame, &self.robot].into_iter().flatten().next();
         first.map_or("", String::as_str)
+    }
+
+    /// Its parts with what each of them is, from the robot to the frame.
+    pub fn parts(&self) -> impl Iterator<Item = (&'static str, &str)> {
+        let parts = [
+            ("robot", &self.robot),
+            ("topic", &self.topic),
+            ("joint", &self.joint),
+            ("frame", &self.frame),
+        ];
+        parts.into_iter().filter_map(|(kind, part)| Some((kind, part.as_deref()?)))
     }
 }
 
@@ -106,6 +117,22 @@ impl Unit {
         }
     }
 
+    /// The unit that the estimate `name` of a report is in, by its symbol; `None` for a symbol that no
+    /// unit has.
+    pub fn of(symbol: &str, name: &str) -> Option<Self> {
+        match (symbol, name) {
+            ("m", _) => Some(Unit::Metre),
+            ("rad", _) => Some(Unit::Radian),
+            ("s", _) => Some(Unit::Second),
+            ("rad/s", "gyro bias") => Some(Unit::GyroRate),
+            ("rad/s", _) => Some(Unit::RadianPerSecond),
+            ("s/s", _) => Some(Unit::SecondPerSecond),
+            ("m/m", _) => Some(Unit::MetrePerMetre),
+            ("1", _) => Some(Unit::One),
+            _ => None,
+        }
+    }
+
     /// Amounts smaller than this are zero, before any statistics.
     pub const fn noise_floor(self) -> f64 {
         match self {
@@ -145,7 +172,8 @@ impl Unit {
         self.show_interval(measured.value, self.half_width(measured, 0.95), true)
     }
 
-    fn show_interval(self, value: f64, half: f64, signed: bool) -> String {
+    /// `value` with the half-width of its interval, both in the unit's symbol.
+    pub fn show_interval(self, value: f64, half: f64, signed: bool) -> String {
         if !half.is_finite() {
             return format!("{} ± ?", self.show(value));
         }
@@ -464,7 +492,7 @@ pub(crate) fn decimal<S: Serializer>(stamp: &Option<Stamp>, s: S) -> Result<S::O
 }
 
 /// How asking a rule about a subject ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Status {
     /// Decided: nothing wrong.

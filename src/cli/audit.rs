@@ -1,23 +1,29 @@
 //! `poseaudit audit`.
 
-use std::io::{self, Write};
 use std::path::PathBuf;
 
 use clap::ValueEnum;
 use poseaudit::checks::{Selector, Settings};
 use poseaudit::finding::Severity;
-use poseaudit::report::{Report, Trouble, json, text};
+use poseaudit::report::{Report, Trouble};
 use poseaudit::run::{CalibrationSource, Declaration, RobotSource};
 use poseaudit::time::Clock;
 
 use super::progress::watched;
-use super::{Outcome, output};
+use super::{Outcome, output, reports};
 
 /// Audit one recorded run: what is wrong with its poses, by how much, and how sure that is
 ///
 /// Exit status: 0 nothing at or above --fail-on; 1 a finding, or a rule of --require that could not
 /// conclude; 2 the call is wrong; 3 the log cannot be audited.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  poseaudit audit run.mcap
+  poseaudit audit run.mcap --robot my_arm.urdf --tip tool0 --fail-on error
+  poseaudit audit run.mcap --format json --format sarif --format junit --output reports
+  poseaudit audit run.mcap --fix mend
+  poseaudit audit run_0.mcap run_1.mcap --select LAT,ZER001 --require LAT001")]
 pub struct Args {
     /// The log; several files of one run are merged
     #[arg(value_name = "LOG", required = true)]
@@ -39,13 +45,8 @@ pub struct Args {
     #[arg(long, value_name = "LINK")]
     tip: Option<String>,
 
-    /// Format of the report
-    #[arg(long, value_enum, default_value_t = Format::Text)]
-    format: Format,
-
-    /// Write the report to this file instead of stdout
-    #[arg(long, value_name = "PATH")]
-    output: Option<PathBuf>,
+    #[command(flatten)]
+    reports: reports::Reports,
 
     /// Write a Rerun recording of the run
     #[arg(long, value_name = "FILE")]
@@ -96,25 +97,7 @@ pub struct Args {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Format {
-    /// For people
-    Text,
-    /// For programs, in SI units
-    Json,
-}
-
-impl Format {
-    /// Writes `report` in this format.
-    pub fn write(self, report: &Report, out: &mut dyn Write) -> io::Result<()> {
-        match self {
-            Format::Text => text::write(report, out),
-            Format::Json => json::write(report, out),
-        }
-    }
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum FailOn {
+pub enum FailOn {
     /// Errors
     Error,
     /// Warnings and errors
@@ -161,7 +144,8 @@ fn positive_seconds(text: &str) -> Result<f64, String> {
 }
 
 pub fn run(args: Args) -> Result<Outcome, Trouble> {
-    let Args { format, output, require, .. } = args;
+    let Args { reports, require, .. } = args;
+    reports.can_be_followed()?;
     let options = poseaudit::Options {
         logs: args.logs,
         robots: args.robots,
@@ -185,10 +169,10 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
     });
     let report = match audited {
         Ok(report) => report,
-        Err(trouble) if format == Format::Json => Report::of_trouble(trouble),
+        Err(trouble) if reports.tell_trouble() => Report::of_trouble(trouble),
         Err(trouble) => return Err(trouble),
     };
-    output::emit(output.as_deref(), |out| format.write(&report, out))?;
+    reports.emit(&report)?;
     if let Some(trouble) = &report.error {
         output::error(trouble);
     }

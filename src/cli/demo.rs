@@ -3,41 +3,36 @@
 use std::path::PathBuf;
 
 use poseaudit::Planted;
-use poseaudit::report::Trouble;
+use poseaudit::report::{Format, Trouble};
 
-use super::audit::Format;
-use super::{Outcome, output};
+use super::{Outcome, output, reports};
 
 /// Write a small faulty log of a UR5e, audit it, and see whether every planted fault is found
 ///
 /// Exit status 0 if and only if every one was, with its amount.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  poseaudit demo
+  poseaudit demo /tmp/demo --format json")]
 pub struct Args {
     /// Folder for the log, which is made
     #[arg(value_name = "DIR", default_value = "poseaudit-demo")]
     dir: PathBuf,
 
     /// Format of the report
-    #[arg(long, value_enum, default_value_t = Format::Text)]
-    format: Format,
+    #[arg(long, value_name = "FORMAT", default_value = "text", value_parser = reports::format())]
+    format: &'static Format,
 }
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     let demo = poseaudit::demo(&args.dir)?;
-    output::emit(None, |out| {
-        args.format.write(&demo.report, out)?;
-        if args.format == Format::Text {
-            writeln!(out)?;
-            for planted in &demo.planted {
-                writeln!(out, "{}", line(planted))?;
-            }
-        }
-        Ok(())
-    })?;
-    if args.format != Format::Text {
-        for planted in &demo.planted {
-            eprintln!("{}", line(planted));
-        }
+    reports::emit(args.format, &demo.report, None)?;
+    let lines: Vec<String> = demo.planted.iter().map(line).collect();
+    if args.format.is_text() {
+        output::emit(None, |out| writeln!(out, "\n{}", lines.join("\n")))?;
+    } else {
+        lines.iter().for_each(|line| eprintln!("{line}"));
     }
     let recovered = demo.planted.iter().all(|planted| planted.recovered);
     Ok(if recovered { Outcome::Clean } else { Outcome::Findings })

@@ -12,6 +12,9 @@ const HEADING: Style = Style::new().bold();
 
 /// Explain a rule: what it means, why it matters, how to fix it, and when it misleads
 #[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  poseaudit explain LAT001")]
 pub struct Args {
     /// Code of the rule, such as LAT001
     #[arg(value_name = "CODE")]

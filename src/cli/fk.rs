@@ -14,13 +14,12 @@ use serde_json::json;
 use super::{Outcome, misuse, output};
 
 /// Forward kinematics: the pose of one link in another, for one configuration or a file of them
-///
-/// Examples:
-///   poseaudit fk ur5e 0 -1.57 1.57 0 0 0
-///   poseaudit fk arm.urdf --base base_link --tip camera --deg 10 20 30 0 45 0
-///   poseaudit fk ur5e --file joints.csv --output poses.parquet
 #[derive(Debug, clap::Args)]
-#[command(verbatim_doc_comment)]
+#[command(after_help = "\
+Examples:
+  poseaudit fk ur5e 0 -1.57 1.57 0 0 0
+  poseaudit fk arm.urdf --base base_link --tip camera --deg 10 20 30 0 45 0
+  poseaudit fk ur5e --file joints.csv --output poses.parquet")]
 pub struct Args {
     /// A URDF or DH table, or a name of the catalogue
     #[arg(value_name = "ROBOT")]

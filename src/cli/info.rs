@@ -13,6 +13,10 @@ use super::{Outcome, output};
 
 /// List the topics of a log, and the role that each of them gets and why
 #[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  poseaudit info run.mcap
+  poseaudit info run_0.db3 run_1.db3")]
 pub struct Args {
     /// The log; several files of one run are merged
     #[arg(value_name = "LOG", required = true)]

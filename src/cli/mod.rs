@@ -3,13 +3,17 @@
 //! Reports go to stdout or to `--output`; messages go to stderr.
 
 mod audit;
+mod compare;
+mod completions;
 mod demo;
 mod explain;
 mod fk;
 mod info;
+mod man;
 mod output;
 mod pose;
 mod progress;
+mod reports;
 mod robots;
 mod rules;
 mod tf;
@@ -54,7 +58,15 @@ impl From<&Report> for Outcome {
 /// Reads one recorded run, recomputes where the arm must have been, and names the cause, by how
 /// much, and how sure it is.
 #[derive(Debug, Parser)]
-#[command(version, disable_help_subcommand = true)]
+#[command(
+    version,
+    disable_help_subcommand = true,
+    after_help = "\
+Examples:
+  poseaudit demo
+  poseaudit audit run.mcap
+  poseaudit explain LAT001"
+)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -63,6 +75,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Audit(Box<audit::Args>),
+    Compare(compare::Args),
     Info(info::Args),
     Demo(demo::Args),
     Rules(rules::Args),
@@ -71,6 +84,8 @@ enum Command {
     Fk(fk::Args),
     Tf(tf::Args),
     Pose(Box<pose::Args>),
+    Completions(completions::Args),
+    Man(man::Args),
 }
 
 /// Follows the command line. What is wrong with the call itself is said by `clap`, which ends the
@@ -78,6 +93,7 @@ enum Command {
 pub fn run() -> Outcome {
     let result = match Cli::parse().command {
         Command::Audit(args) => audit::run(*args),
+        Command::Compare(args) => compare::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Demo(args) => demo::run(&args),
         Command::Rules(args) => rules::run(&args),
@@ -86,6 +102,8 @@ pub fn run() -> Outcome {
         Command::Fk(args) => fk::run(&args),
         Command::Tf(args) => tf::run(&args),
         Command::Pose(args) => pose::run(&args),
+        Command::Completions(args) => completions::run(&args),
+        Command::Man(args) => man::run(&args),
     };
     result.unwrap_or_else(|trouble| {
         output::error(&trouble);
@@ -107,5 +125,38 @@ mod tests {
     #[test]
     fn the_arguments_are_consistent() {
         Cli::command().debug_assert();
+    }
+
+    /// The calls of poseaudit among the examples of a command.
+    fn examples(command: &clap::Command) -> Vec<Vec<String>> {
+        let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+        let whole = help.replace("\\\n", " ");
+        let calls = whole.lines().filter_map(|line| line.find("poseaudit ").map(|at| &line[at..]));
+        calls.map(|call| words(call.split(['|', '>']).next().unwrap_or_default())).collect()
+    }
+
+    /// The words of a line as a shell splits it, as far as the examples need it.
+    fn words(line: &str) -> Vec<String> {
+        let parts = line.split('"').enumerate();
+        let words = parts.flat_map(|(index, part)| match index % 2 {
+            0 => part.split_whitespace().map(str::to_owned).collect(),
+            _ => vec![part.to_owned()],
+        });
+        words.collect()
+    }
+
+    #[test]
+    fn every_command_has_examples_and_they_can_be_followed() {
+        let whole = Cli::command();
+        for command in [&whole].into_iter().chain(whole.get_subcommands()) {
+            let examples = examples(command);
+            assert!(!examples.is_empty(), "{} has no example", command.get_name());
+            for call in examples {
+                let parsed = Cli::try_parse_from(&call);
+                assert!(parsed.is_ok(), "{call:?}: {}", parsed.unwrap_err());
+                let is_its = command.get_name() == "poseaudit" || call[1] == command.get_name();
+                assert!(is_its, "{call:?} is an example of {}", command.get_name());
+            }
+        }
     }
 }

@@ -27,6 +27,12 @@ pub fn table<'a>(header: impl IntoIterator<Item = &'a str>) -> Table {
     table
 }
 
+/// How wide the terminal is that stdout leads to, if it leads to one.
+pub fn columns() -> Option<usize> {
+    let (width, _) = terminal_size::terminal_size_of(io::stdout())?;
+    Some(usize::from(width.0))
+}
+
 /// Hands what `write` writes to the file at `path`, whose parents are made, else to stdout.
 ///
 /// A reader of stdout who has seen enough is no error.

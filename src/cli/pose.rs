@@ -22,17 +22,16 @@ use super::{Outcome, misuse, output};
 /// A pose is 6 numbers (position and three of a rotation), 7 (and a quaternion), 12 or 16 (a matrix);
 /// a rotation alone is 3, 4 or 9. Or it is a UR's p[…], a URDF <origin …/>, a ROS message as YAML, what
 /// tf2_echo prints, or - for stdin. What is inferred is said; what cannot be is listed.
-///
-/// Examples:
-///   poseaudit pose --from euler:xyz --deg --mm "243.69 -249.04 618.32 149.49 -12.78 72.64"
-///   poseaudit pose --from kuka "243.69 -249.04 618.32 72.64 -12.78 149.49"
-///   poseaudit pose "p[0.1, -0.2, 0.3, 1.2, -1.7, 0.6]"
-///   ros2 topic echo --once /tcp_pose | poseaudit pose -
-///   poseaudit pose --is "0.246 -0.249 0.619 0.170 0.472 -0.074 0.862" \
-///                  --but "243.69 -249.04 618.32 149.49 -12.78 72.64"
-///   poseaudit pose --pairs poses.csv --is-as ros --but-as mm,deg --robot ur10e
 #[derive(Debug, clap::Args)]
-#[command(verbatim_doc_comment)]
+#[command(after_help = "\
+Examples:
+  poseaudit pose --from euler:xyz --deg --mm \"243.69 -249.04 618.32 149.49 -12.78 72.64\"
+  poseaudit pose --from kuka \"243.69 -249.04 618.32 72.64 -12.78 149.49\"
+  poseaudit pose \"p[0.1, -0.2, 0.3, 1.2, -1.7, 0.6]\"
+  ros2 topic echo --once /tcp_pose | poseaudit pose -
+  poseaudit pose --is \"0.246 -0.249 0.619 0.170 0.472 -0.074 0.862\" \\
+                 --but \"243.69 -249.04 618.32 149.49 -12.78 72.64\"
+  poseaudit pose --pairs poses.csv --is-as ros --but-as mm,deg --robot ur10e")]
 pub struct Args {
     /// The pose
     #[arg(value_name = "POSE", allow_hyphen_values = true)]

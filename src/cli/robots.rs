@@ -8,9 +8,11 @@ use serde_json::{Value, json};
 use super::{Outcome, misuse, output};
 
 /// List the arms whose kinematics come with the program, or one of them with its joints
-///
-/// Example: poseaudit robots ur5e
 #[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  poseaudit robots
+  poseaudit robots ur5e")]
 pub struct Args {
     /// One arm, by its name or another that it goes by
     #[arg(value_name = "NAME")]

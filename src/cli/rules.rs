@@ -7,6 +7,9 @@ use super::{Outcome, output};
 
 /// List the rules, and from which figures they speak up
 #[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  poseaudit rules")]
 pub struct Args {}
 
 pub fn run(_: &Args) -> Result<Outcome, Trouble> {

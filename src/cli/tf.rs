@@ -16,12 +16,11 @@ use super::progress::watched;
 use super::{Outcome, fk, misuse, output};
 
 /// The transform between two frames of a log, as tf2's lookup_transform gives it
-///
-/// Examples:
-///   poseaudit tf run.mcap base tool0 --at +3.5
-///   poseaudit tf run.mcap base tool0 --follow 2
 #[derive(Debug, clap::Args)]
-#[command(verbatim_doc_comment)]
+#[command(after_help = "\
+Examples:
+  poseaudit tf run.mcap base tool0 --at +3.5
+  poseaudit tf run.mcap base tool0 --follow 2")]
 pub struct Args {
     /// The log
     #[arg(value_name = "LOG")]

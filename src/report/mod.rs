@@ -2,22 +2,33 @@
 //!
 //! A format only renders. What is in a report is settled when it is made.
 
+pub(crate) mod amounts;
 mod file;
+mod format;
+pub mod github;
 pub mod json;
+pub mod junit;
+pub mod markdown;
+mod outline;
+pub mod sarif;
 pub mod text;
 mod trouble;
 
 use std::fmt;
 use std::path::PathBuf;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::checks::{self, Evaluation, StreamObservability};
 use crate::finding::{CheckRow, Finding, Severity, Status, decimal};
 use crate::time::Stamp;
 
 pub use file::write_whole;
+pub use format::{FORMATS, Format};
 pub use trouble::{Trouble, TroubleKind};
+
+/// The schema of the JSON report.
+pub const SCHEMA: &str = "poseaudit.report/1";
 
 /// The report on one run. Its fields stand in the order of the JSON object.
 #[derive(Clone, Debug, Serialize)]
@@ -42,6 +53,9 @@ pub struct Report {
     pub observability: Vec<StreamObservability>,
     /// Over which part of its ranges each arm moved.
     pub workspace: Vec<WorkspaceRow>,
+    /// The least severity that fails the run; `None` where nothing does.
+    #[serde(skip)]
+    fail_on: Option<Severity>,
 }
 
 /// Over which part of its ranges one arm moved.
@@ -85,7 +99,7 @@ struct Tool {
 }
 
 /// The answer in one word.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
     /// Nothing wrong, and the headline rules could tell.
@@ -212,6 +226,7 @@ impl Report {
             checks,
             findings,
             observability,
+            fail_on,
             ..Self::empty()
         };
         match trouble {
@@ -241,7 +256,7 @@ impl Report {
 
     fn empty() -> Self {
         Self {
-            schema: "poseaudit.report/1",
+            schema: SCHEMA,
             tool: Tool { name: env!("CARGO_PKG_NAME"), version: env!("CARGO_PKG_VERSION") },
             verdict: Verdict::Inconclusive,
             error: None,
@@ -252,7 +267,13 @@ impl Report {
             findings: Vec::new(),
             observability: Vec::new(),
             workspace: Vec::new(),
+            fail_on: None,
         }
+    }
+
+    /// Whether a finding of this severity fails the run.
+    pub fn fails_on(&self, severity: Severity) -> bool {
+        self.fail_on.is_some_and(|least| severity >= least)
     }
 
     /// The rules in `required` that decided nothing, or left a subject open that could be decided.

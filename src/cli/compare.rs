@@ -1,0 +1,96 @@
+//! `poseaudit compare`.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use clap::ValueEnum;
+use poseaudit::compare::{Kept, compare, markdown, text};
+use poseaudit::report::{Trouble, TroubleKind};
+
+use super::audit::FailOn;
+use super::progress::watched;
+use super::{Outcome, misuse, output};
+
+/// Compare two reports, or a log with the report that is its baseline: what appeared, went or grew
+///
+/// A log is audited with the default options first. Exit status: 0 no regression; 1 a finding at or
+/// above --fail-on that is new or has grown, a pass that is none any more, or a log that cannot be
+/// audited any more; 2 the call is wrong.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  poseaudit compare baseline.json today.json
+  poseaudit compare baseline.json run.mcap --fail-on error
+  poseaudit compare baseline.json run.mcap --format markdown --output comment.md")]
+pub struct Args {
+    /// The baseline: a report that --format json wrote, or a log
+    #[arg(value_name = "OLD")]
+    old: PathBuf,
+
+    /// What is held against it: a report, or a log
+    #[arg(value_name = "NEW")]
+    new: PathBuf,
+
+    /// How it is printed
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    format: Format,
+
+    /// Write it to this file instead of stdout
+    #[arg(long, value_name = "PATH")]
+    output: Option<PathBuf>,
+
+    /// Exit with 1 from findings of this severity
+    #[arg(long, value_enum, value_name = "SEVERITY", default_value_t = FailOn::Warning)]
+    fail_on: FailOn,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Format {
+    /// For people
+    Text,
+    /// For programs, in SI units
+    Json,
+    /// For a comment on a pull request
+    Markdown,
+}
+
+pub fn run(args: &Args) -> Result<Outcome, Trouble> {
+    let (old, new) = (kept(&args.old)?, kept(&args.new)?);
+    let comparison = compare(&old, &new, args.fail_on.into());
+    output::emit(args.output.as_deref(), |out| match args.format {
+        Format::Text => text(&comparison, out),
+        Format::Markdown => markdown(&comparison, out),
+        Format::Json => {
+            serde_json::to_writer_pretty(&mut *out, &comparison)?;
+            writeln!(out)
+        }
+    })?;
+    Ok(if comparison.regression { Outcome::Findings } else { Outcome::Clean })
+}
+
+/// The report at `path`, or that on the log there.
+fn kept(path: &Path) -> Result<Kept, Trouble> {
+    if is_json(path) {
+        return Kept::from_file(path);
+    }
+    let report = watched(|progress| {
+        poseaudit::audit(&poseaudit::Options {
+            logs: vec![path.to_owned()],
+            progress: Some(progress),
+            ..poseaudit::Options::default()
+        })
+    });
+    // What is neither a log nor a report is a wrong call.
+    let report = report.map_err(|trouble| Trouble { kind: TroubleKind::Call, ..trouble })?;
+    let place = path.display().to_string();
+    Kept::of(&report).map_err(|error| misuse(place, error.to_string(), "report this as a bug"))
+}
+
+/// Whether the first character of a file is that of a JSON object.
+fn is_json(path: &Path) -> bool {
+    let mut head = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(64).read_to_end(&mut head));
+    let first = head.iter().find(|byte| !byte.is_ascii_whitespace());
+    read.is_ok() && first == Some(&b'{')
+}

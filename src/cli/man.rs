@@ -1,0 +1,58 @@
+//! `poseaudit man`.
+
+use std::io;
+use std::path::PathBuf;
+
+use clap::{Command, CommandFactory};
+use clap_mangen::Man;
+use poseaudit::report::Trouble;
+
+use super::{Cli, Outcome, output};
+
+/// Print the man page, or write those of all commands
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  poseaudit man | man -l -
+  poseaudit man --output ~/.local/share/man/man1")]
+pub struct Args {
+    /// Write a page for each command into this folder, which is made
+    #[arg(long, value_name = "DIR")]
+    output: Option<PathBuf>,
+}
+
+pub fn run(args: &Args) -> Result<Outcome, Trouble> {
+    let mut whole = Cli::command();
+    whole.build();
+    match &args.output {
+        None => output::emit(None, |out| Man::new(whole).render(out))?,
+        Some(folder) => {
+            for page in pages(&whole)? {
+                let path = folder.join(page.name);
+                output::emit(Some(&path), |out| out.write_all(&page.text))?;
+            }
+        }
+    }
+    Ok(Outcome::Clean)
+}
+
+/// The man page of one command.
+struct Page {
+    /// Name of its file, as `poseaudit-audit.1`.
+    name: String,
+    text: Vec<u8>,
+}
+
+/// The pages of a command and of those below it.
+fn pages(command: &Command) -> Result<Vec<Page>, Trouble> {
+    let man = Man::new(command.clone());
+    let mut text = Vec::new();
+    man.render(&mut text).map_err(|error: io::Error| {
+        super::misuse("man", error.to_string(), "report this as a bug")
+    })?;
+    let mut all = vec![Page { name: man.get_filename(), text }];
+    for below in command.get_subcommands() {
+        all.extend(pages(below)?);
+    }
+    Ok(all)
+}

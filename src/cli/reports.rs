@@ -1,0 +1,92 @@
+//! In which formats a report is written, and where to.
+
+use std::path::{Path, PathBuf};
+
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use poseaudit::report::{FORMATS, Format, Report, Trouble, text};
+
+use super::{misuse, output};
+
+/// The options that say so.
+#[derive(Debug, clap::Args)]
+pub struct Reports {
+    /// Format of the report; repeatable, then --output names a folder
+    #[arg(
+        long = "format",
+        value_name = "FORMAT",
+        default_value = "text",
+        value_parser = format()
+    )]
+    formats: Vec<&'static Format>,
+
+    /// Write the report to this file instead of stdout; of several formats, into this folder
+    #[arg(long, value_name = "PATH")]
+    output: Option<PathBuf>,
+}
+
+/// Takes the name of a format.
+pub fn format() -> impl TypedValueParser<Value = &'static Format> {
+    let names = FORMATS.iter().map(|format| PossibleValue::new(format.name).help(format.about));
+    PossibleValuesParser::new(names).try_map(|name| Format::named(&name).ok_or("no such format"))
+}
+
+/// Hands `report` in one format to the file at `path`, else to stdout.
+///
+/// # Errors
+/// If it cannot be written.
+pub fn emit(format: &Format, report: &Report, path: Option<&Path>) -> Result<(), Trouble> {
+    let columns = output::columns().filter(|_| format.is_text() && path.is_none());
+    output::emit(path, |out| match columns {
+        Some(columns) => text::write_within(report, columns, out),
+        None => format.write(report, out),
+    })
+}
+
+impl Reports {
+    /// Whether there is a place for every format.
+    ///
+    /// # Errors
+    /// If several formats have no folder to go into.
+    pub fn can_be_followed(&self) -> Result<(), Trouble> {
+        match (&self.output, self.each().as_slice()) {
+            (_, [_]) => Ok(()),
+            (None, formats) => {
+                let what = format!("{} formats do not go to stdout together", formats.len());
+                Err(misuse("--format", what, "name a folder for them with --output DIR"))
+            }
+            (Some(path), _) if path.exists() && !path.is_dir() => {
+                let place = path.display().to_string();
+                let what = "several formats go into a folder, and this is a file";
+                Err(misuse(place, what, "name a folder with --output, or one --format"))
+            }
+            (Some(_), _) => Ok(()),
+        }
+    }
+
+    /// Whether the report is to tell what kept it from saying more; a text alone leaves that to
+    /// stderr.
+    pub fn tell_trouble(&self) -> bool {
+        self.formats.iter().any(|format| !format.is_text())
+    }
+
+    /// Writes `report` in every format to its place.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
+    pub fn emit(&self, report: &Report) -> Result<(), Trouble> {
+        match (&self.output, self.each().as_slice()) {
+            (Some(folder), formats @ [_, _, ..]) => formats
+                .iter()
+                .try_for_each(|format| emit(format, report, Some(&folder.join(format.file_name)))),
+            (path, formats) => {
+                formats.iter().try_for_each(|format| emit(format, report, path.as_deref()))
+            }
+        }
+    }
+
+    /// The formats, each once.
+    fn each(&self) -> Vec<&'static Format> {
+        let wanted = |format: &&Format| self.formats.iter().any(|one| one.name == format.name);
+        FORMATS.iter().filter(wanted).collect()
+    }
+}

@@ -1,0 +1,190 @@
+//! A comparison for people: at a terminal, and in a comment on a pull request.
+
+use std::io::{self, Write};
+
+use anstyle::{AnsiColor, Style};
+
+use super::{Change, Comparison, Course, KeptEstimate, KeptFinding, Lost};
+use crate::finding::Unit;
+use crate::report::{amounts, markdown as md};
+
+/// Width of the column of labels.
+const LABEL: usize = 16;
+
+const BAD: Style = AnsiColor::Red.on_default().bold();
+const DOUBTFUL: Style = AnsiColor::Yellow.on_default().bold();
+const GOOD: Style = AnsiColor::Green.on_default().bold();
+const QUIET: Style = Style::new().dimmed();
+
+impl Course {
+    /// Its name in reports.
+    const fn name(self) -> &'static str {
+        match self {
+            Course::Appeared => "appeared",
+            Course::Grew => "grew",
+            Course::Changed => "changed",
+            Course::Same => "same",
+            Course::Shrank => "shrank",
+            Course::Untold => "untold",
+            Course::Gone => "gone",
+        }
+    }
+}
+
+/// Writes the comparison for a person at a terminal.
+///
+/// # Errors
+/// If `out` cannot be written.
+pub fn text(comparison: &Comparison, out: &mut dyn Write) -> io::Result<()> {
+    let [old, new] = comparison.verdicts;
+    line(out, Style::new().bold(), "verdict", &format!("{old} → {new}"))?;
+    let (style, label) = match comparison.regression {
+        true => (BAD, "REGRESSION"),
+        false => (GOOD, "NO REGRESSION"),
+    };
+    line(out, style, label, &comparison.why())?;
+    if !comparison.causes.is_empty() {
+        writeln!(out)?;
+    }
+    for change in &comparison.causes {
+        let style = match change.course {
+            _ if change.regression => BAD,
+            Course::Gone | Course::Shrank => GOOD,
+            Course::Same => QUIET,
+            _ => DOUBTFUL,
+        };
+        let text = format!("{} {}: {}", change.code, change.subject.label(), change.words());
+        line(out, style, change.course.name(), &text)?;
+    }
+    if !comparison.lost.is_empty() {
+        writeln!(out)?;
+    }
+    for lost in &comparison.lost {
+        line(out, DOUBTFUL, "not told now", &lost.words())?;
+    }
+    Ok(())
+}
+
+/// Writes the comparison as GitHub's Markdown.
+///
+/// # Errors
+/// If `out` cannot be written.
+pub fn markdown(comparison: &Comparison, out: &mut dyn Write) -> io::Result<()> {
+    let title = if comparison.regression { "regression" } else { "no regression" };
+    let [old, new] = comparison.verdicts;
+    writeln!(out, "### poseaudit: {title}, {}\n", md::prose(&comparison.why()))?;
+    writeln!(out, "Verdict: {old} → {new}\n")?;
+    if !comparison.causes.is_empty() {
+        writeln!(out, "| | rule | where | what |\n|---|---|---|---|")?;
+    }
+    for change in &comparison.causes {
+        let course = change.course.name();
+        let course = if change.regression { format!("**{course}**") } else { course.to_owned() };
+        let whom = match change.subject.label() {
+            "" => "the run".to_owned(),
+            label => md::code(label),
+        };
+        let what = md::prose(&change.words());
+        writeln!(out, "| {course} | {} | {whom} | {what} |", change.code)?;
+    }
+    if !comparison.causes.is_empty() {
+        writeln!(out)?;
+    }
+    if !comparison.lost.is_empty() {
+        writeln!(out, "<details><summary>Passed, and is not told now</summary>\n")?;
+        for lost in &comparison.lost {
+            writeln!(out, "- {}", md::prose(&lost.words()))?;
+        }
+        writeln!(out, "\n</details>")?;
+    }
+    Ok(())
+}
+
+impl Comparison {
+    /// `1 appeared, 2 gone`, and what else makes it worse.
+    fn why(&self) -> String {
+        let courses = [
+            Course::Appeared,
+            Course::Grew,
+            Course::Changed,
+            Course::Same,
+            Course::Shrank,
+            Course::Untold,
+            Course::Gone,
+        ];
+        let counts = courses.into_iter().filter_map(|course| {
+            let count = self.causes.iter().filter(|change| change.course == course).count();
+            (count > 0).then(|| format!("{count} {}", course.name()))
+        });
+        let error = self.error.iter().map(|what| format!("the new log was not audited: {what}"));
+        let lost = match self.lost.len() {
+            0 => None,
+            1 => Some("1 check that passed tells nothing now".to_owned()),
+            many => Some(format!("{many} checks that passed tell nothing now")),
+        };
+        let all: Vec<String> = error.chain(counts).chain(lost).collect();
+        if all.is_empty() { "nothing was wrong, nor is".to_owned() } else { all.join(", ") }
+    }
+}
+
+impl Change {
+    /// What it was and what it is.
+    fn words(&self) -> String {
+        match (&self.old, &self.new) {
+            (Some(old), Some(new)) if self.course != Course::Same => {
+                format!("{} → {}", short(old), short(new))
+            }
+            (_, Some(new)) => format!("{} {}", new.severity.name(), new.message),
+            (Some(old), None) => {
+                let now = match (self.course, &self.reason) {
+                    (Course::Gone, _) => "passes now".to_owned(),
+                    (_, Some(reason)) => format!("cannot be told now: {reason}"),
+                    (_, None) => "cannot be told now".to_owned(),
+                };
+                format!("{} {}; {now}", old.severity.name(), old.message)
+            }
+            (None, None) => String::new(),
+        }
+    }
+}
+
+impl Lost {
+    fn words(&self) -> String {
+        let reason = self.reason.as_deref().unwrap_or_default();
+        let whom = match self.subject.label() {
+            "" => String::new(),
+            label => format!(" on {label}"),
+        };
+        format!("{}{whom} passed, now {}: {reason}", self.code, self.status.name())
+    }
+}
+
+/// Severity and amount, or what was said where there is no amount.
+fn short(finding: &KeptFinding) -> String {
+    let amount = finding.estimate.as_ref().and_then(shown);
+    let said = amount.unwrap_or_else(|| finding.message.clone());
+    format!("{} {said}", finding.severity.name())
+}
+
+fn shown(estimate: &KeptEstimate) -> Option<String> {
+    if let (Some(is), Some(read_as)) = (&estimate.is, &estimate.read_as) {
+        let word = |value: &serde_json::Value| match value.as_str() {
+            Some(text) => text.to_owned(),
+            None => value.to_string(),
+        };
+        return Some(amounts::reading(&word(is), &word(read_as)));
+    }
+    let (value, unit) = (estimate.value?, estimate.unit.as_deref()?);
+    let length = amounts::of_unit(unit, &estimate.name, value, estimate.ci95);
+    let angle = estimate.rotation.as_ref().and_then(|angle| {
+        let radian = Unit::Radian.symbol();
+        Some(amounts::of_unit(radian, &estimate.name, angle.value?, angle.ci95))
+    });
+    Some([Some(length), angle].into_iter().flatten().collect::<Vec<_>>().join("; "))
+}
+
+/// Writes one line with its label.
+fn line(out: &mut dyn Write, style: Style, label: &str, text: &str) -> io::Result<()> {
+    let blanks = LABEL.saturating_sub(label.chars().count()).max(1);
+    writeln!(out, "{style}{label}{style:#}{:blanks$}{text}", "")
+}

@@ -1,0 +1,47 @@
+//! Estimates as people say them.
+
+use crate::finding::{Estimate, Unit};
+
+/// An estimate in everyday units, with its 95 % interval where it has one; a reading as what the
+/// numbers are and what they were read as.
+pub(crate) fn shown(estimate: &Estimate) -> String {
+    match estimate {
+        Estimate::Amount { name, value, unit, ci95 } => of_unit(unit, name, *value, *ci95),
+        Estimate::Frame { name, value, unit, ci95, rotation } => {
+            let length = of_unit(unit, name, *value, *ci95);
+            let angle = of_unit(Unit::Radian.symbol(), name, rotation.value, rotation.ci95);
+            format!("{length}; {angle}")
+        }
+        Estimate::Convention { is, read_as, .. } => reading(is, read_as),
+        Estimate::Slip { is, read_as, .. } => reading(is, read_as),
+        Estimate::Order { is, read_as, .. } => reading(&is.join(", "), &read_as.join(", ")),
+    }
+}
+
+/// What numbers are, and what they were read as.
+pub(crate) fn reading(is: &str, read_as: &str) -> String {
+    format!("{is} read as {read_as}")
+}
+
+/// `15.0 ± 0.2 ms`; of a symbol that is no [`Unit`]'s the number with the symbol.
+pub(crate) fn of_unit(symbol: &str, name: &str, value: f64, ci95: Option<[f64; 2]>) -> String {
+    match (Unit::of(symbol, name), ci95) {
+        // The lower end of a length stops at zero, the upper one is where it is.
+        (Some(unit), Some([_, high])) => unit.show_interval(value, high - value, false),
+        (Some(unit), None) => unit.show(value),
+        (None, _) => format!("{value:.3} {symbol}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn amounts_stand_in_everyday_units_with_half_their_interval() {
+        assert_eq!(of_unit("s", "latency", 0.015, Some([0.014, 0.016])), "15 ± 1 ms");
+        assert_eq!(of_unit("rad/s", "gyro bias", 1f64.to_radians(), None), "1 °/s");
+        assert_eq!(of_unit("rad/s", "yaw drift", 1f64.to_radians() / 60.0, None), "1 °/min");
+        assert_eq!(of_unit("Hz", "rate", 20.0, None), "20.000 Hz");
+    }
+}

@@ -1,0 +1,84 @@
+//! The formats of the report, a line each.
+
+use std::fmt;
+use std::io::{self, Write};
+
+use super::{Report, github, json, junit, markdown, sarif, text};
+
+/// A format of the report.
+#[derive(Clone, Copy)]
+pub struct Format {
+    /// Its name, as `--format` takes it.
+    pub name: &'static str,
+    /// The file that it becomes where several formats share a folder.
+    pub file_name: &'static str,
+    /// Whom it is for.
+    pub about: &'static str,
+    write: fn(&Report, &mut dyn Write) -> io::Result<()>,
+}
+
+/// Every format: a new one is a file of this room and a line here.
+pub static FORMATS: &[Format] = &[
+    Format { name: "text", file_name: "report.txt", about: "For people", write: text::write },
+    Format {
+        name: "json",
+        file_name: "report.json",
+        about: "For programs, in SI units",
+        write: json::write,
+    },
+    Format {
+        name: "markdown",
+        file_name: "report.md",
+        about: "For a comment on a pull request",
+        write: markdown::write,
+    },
+    Format {
+        name: "junit",
+        file_name: "junit.xml",
+        about: "For CI: a test case per rule and subject",
+        write: junit::write,
+    },
+    Format {
+        name: "sarif",
+        file_name: "report.sarif",
+        about: "For code scanning, as SARIF 2.1.0",
+        write: sarif::write,
+    },
+    Format {
+        name: "github",
+        file_name: "annotations.txt",
+        about: "For the log of a GitHub workflow, which makes annotations of it",
+        write: github::write,
+    },
+];
+
+impl Format {
+    /// The format for people at a terminal, which every list of formats begins with.
+    pub fn text() -> &'static Format {
+        &FORMATS[0]
+    }
+
+    /// The format of this name.
+    pub fn named(name: &str) -> Option<&'static Format> {
+        FORMATS.iter().find(|format| format.name == name)
+    }
+
+    /// Whether it is the one for people at a terminal, who read on stderr what went wrong.
+    pub fn is_text(&self) -> bool {
+        self.name == Self::text().name
+    }
+
+    /// Writes `report` in this format.
+    ///
+    /// # Errors
+    /// If `out` cannot be written.
+    pub fn write(&self, report: &Report, out: &mut dyn Write) -> io::Result<()> {
+        (self.write)(report, out)
+    }
+}
+
+impl fmt::Debug for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name)
+    }
+}

@@ -1,0 +1,87 @@
+//! The report as workflow commands, which GitHub shows as annotations: the gravest first, as it
+//! shows only the first ten of each level.
+
+use std::io::{self, Write};
+
+use super::Report;
+use super::outline::Outline;
+use crate::finding::{Finding, Severity};
+
+/// Writes an annotation for each finding, and one with the verdict.
+///
+/// # Errors
+/// If `out` cannot be written.
+pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
+    let says = Outline::of(report);
+    let file = report.log.files.first().map(|file| file.path.display().to_string());
+    for finding in &report.findings {
+        let subject = says.subject(&finding.subject);
+        let title = match subject.as_str() {
+            "" => format!("{} {}", finding.code, finding.title),
+            subject => format!("{} {subject}: {}", finding.code, finding.title),
+        };
+        command(out, level(finding.severity), file.as_deref(), &title, &message(finding))?;
+    }
+    if let Some(trouble) = &report.error {
+        let text = format!("{}\nfix: {}", trouble.what, trouble.remedy);
+        return command(out, "error", Some(&trouble.place), "poseaudit: no audit", &text);
+    }
+    let verdict = format!("poseaudit: {}", report.verdict);
+    let lines = [vec![says.why()], says.could_not_tell(), says.cannot_show()].concat();
+    command(out, "notice", file.as_deref(), &verdict, &lines.join("\n"))
+}
+
+fn message(finding: &Finding) -> String {
+    let effect = finding.evidence.effect.as_deref();
+    let fix = format!("fix: {}", finding.fix);
+    let lines = [Some(finding.message.as_str()), effect, Some(fix.as_str())];
+    lines.into_iter().flatten().collect::<Vec<_>>().join("\n")
+}
+
+fn level(severity: Severity) -> &'static str {
+    match severity {
+        Severity::Error => "error",
+        Severity::Warning => "warning",
+        Severity::Info => "notice",
+    }
+}
+
+/// Writes `::level file=…,title=…::message`.
+fn command(
+    out: &mut dyn Write,
+    level: &str,
+    file: Option<&str>,
+    title: &str,
+    message: &str,
+) -> io::Result<()> {
+    let file = file.map_or(String::new(), |file| format!("file={},", property(file)));
+    writeln!(out, "::{level} {file}title={}::{}", property(title), data(message))
+}
+
+/// Text behind the second pair of colons, which a line ends.
+fn data(text: &str) -> String {
+    text.replace('%', "%25").replace('\r', "%0D").replace('\n', "%0A")
+}
+
+/// The value of a property, which a colon or a comma ends, too.
+fn property(text: &str) -> String {
+    data(text).replace(':', "%3A").replace(',', "%2C")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_cannot_end_a_property_or_begin_a_command() {
+        let hostile = "50 %, a:b\r\n::error::no";
+        let mut out = Vec::new();
+        command(&mut out, "warning", Some("a,b.mcap"), hostile, hostile).expect("a text");
+        let text = String::from_utf8(out).expect("UTF-8");
+        assert_eq!(
+            text,
+            "::warning file=a%2Cb.mcap,title=50 %25%2C a%3Ab%0D%0A%3A%3Aerror%3A%3Ano::\
+             50 %25, a:b%0D%0A::error::no\n"
+        );
+    }
+}

@@ -1,0 +1,208 @@
+//! The report as SARIF 2.1.0, for code scanning.
+//!
+//! A result is a finding. What the log could not tell is no result, nor a pass: it is a notification
+//! of the invocation, with its rule.
+
+use std::io::{self, Write};
+use std::path::Path;
+
+use serde_json::{Map, Value, json};
+
+use super::outline::Outline;
+use super::{Report, TroubleKind};
+use crate::checks::{self, Grade, Rule};
+use crate::finding::{Finding, Severity, Status, Subject};
+
+const SCHEMA: &str =
+    "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json";
+
+/// Writes the report.
+///
+/// # Errors
+/// If `out` cannot be written.
+pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
+    serde_json::to_writer_pretty(&mut *out, &log(report))?;
+    writeln!(out)
+}
+
+fn log(report: &Report) -> Value {
+    let rules = checks::registry();
+    let artifacts = report.log.files.iter().map(|file| {
+        json!({
+            "location": { "uri": uri(&file.path) },
+            "length": file.bytes,
+            "roles": ["analysisTarget"],
+        })
+    });
+    let results = report.findings.iter().map(|finding| result(report, finding));
+    json!({
+        "$schema": SCHEMA,
+        "version": "2.1.0",
+        "runs": [{
+            "tool": {
+                "driver": {
+                    "name": env!("CARGO_PKG_NAME"),
+                    "semanticVersion": env!("CARGO_PKG_VERSION"),
+                    "shortDescription": { "text": env!("CARGO_PKG_DESCRIPTION") },
+                    "rules": rules.iter().map(|rule| descriptor(rule)).collect::<Vec<_>>(),
+                },
+            },
+            "invocations": [{
+                "executionSuccessful": report.error.is_none(),
+                "toolExecutionNotifications": notifications(report),
+            }],
+            "artifacts": artifacts.collect::<Vec<_>>(),
+            "results": results.collect::<Vec<_>>(),
+            "properties": { "verdict": report.verdict },
+        }],
+    })
+}
+
+/// A rule, with all that `explain` says of it.
+fn descriptor(rule: &Rule) -> Value {
+    let gravest = match rule.grade {
+        Grade::Fixed(severity) => severity,
+        Grade::From(_) => Severity::Warning,
+    };
+    let doc = rule.doc();
+    let plain: Vec<&str> =
+        doc.lines().map(|line| line.strip_prefix("## ").unwrap_or(line)).collect();
+    json!({
+        "id": rule.code,
+        "name": rule.name,
+        "shortDescription": { "text": format!("{}.", rule.summary()) },
+        "fullDescription": { "text": format!("{}. Speaks up: {}.", rule.summary(), rule.grade) },
+        "help": { "text": plain.join("\n"), "markdown": doc },
+        "defaultConfiguration": { "level": level(gravest) },
+        "properties": { "tags": ["robotics", &rule.code[..3]] },
+    })
+}
+
+/// What kept the audit from saying more, and what the log could not tell.
+fn notifications(report: &Report) -> Vec<Value> {
+    let trouble = report.error.iter().map(|trouble| {
+        let file = (trouble.kind == TroubleKind::Log).then(|| Path::new(&trouble.place));
+        let locations = file.map(|file| json!({ "physicalLocation": physical(file) }));
+        json!({
+            "level": "error",
+            "message": { "text": trouble.to_string() },
+            "locations": locations.into_iter().collect::<Vec<_>>(),
+        })
+    });
+    let says = Outline::of(report);
+    let open = report.checks.iter().filter(|row| row.status == Status::Inconclusive);
+    let open = open.map(|row| {
+        let subject = says.subject(&row.subject);
+        let reason = row.reason.as_deref().unwrap_or_default();
+        let text = format!("{} on {subject} could not be told: {reason}", row.code);
+        json!({
+            "level": "note",
+            "message": { "text": text },
+            "associatedRule": { "id": row.code, "index": index(row.code) },
+        })
+    });
+    trouble.chain(open).collect()
+}
+
+fn result(report: &Report, finding: &Finding) -> Value {
+    let cause = cause(report, finding);
+    let mut location = Map::new();
+    if let Some(file) = report.log.files.first() {
+        location.insert("physicalLocation".to_owned(), physical(&file.path));
+    }
+    let logical = logical(&finding.subject);
+    if !logical.is_empty() {
+        location.insert("logicalLocations".to_owned(), logical.into());
+    }
+    let locations: Vec<_> = (!location.is_empty()).then_some(location).into_iter().collect();
+    let stamp = |stamp: Option<crate::time::Stamp>| stamp.map(|stamp| stamp.to_string());
+    json!({
+        "ruleId": finding.code,
+        "ruleIndex": index(finding.code),
+        "level": level(finding.severity),
+        "message": { "text": message(report, finding) },
+        "locations": locations,
+        // The second is the one that GitHub looks at.
+        "partialFingerprints": { "cause/v1": cause, "primaryLocationLineHash": cause },
+        "properties": {
+            "estimate": finding.estimate,
+            "evidence": finding.evidence,
+            "fix": finding.fix,
+            "start_ns": stamp(finding.start_ns),
+            "end_ns": stamp(finding.end_ns),
+        },
+    })
+}
+
+fn message(report: &Report, finding: &Finding) -> String {
+    let subject = Outline::of(report).subject(&finding.subject);
+    let subject = if subject.is_empty() { subject } else { format!("{subject}: ") };
+    let effect = finding.evidence.effect.as_ref().map_or(String::new(), |it| format!(" ({it})"));
+    format!("{subject}{}{effect}. Fix: {}", finding.message, finding.fix)
+}
+
+/// The place of a rule in the list of rules.
+fn index(code: &str) -> Option<usize> {
+    checks::registry().iter().position(|rule| rule.code == code)
+}
+
+/// What stays the same of a fault from run to run: the rule and whom it blames, no amount and no name
+/// of a file.
+fn cause(report: &Report, finding: &Finding) -> String {
+    let is_file = |name: &str| report.log.files.iter().any(|file| file.path == Path::new(name));
+    let parts = finding.subject.parts().map(|(kind, name)| {
+        if is_file(name) { " the log".to_owned() } else { format!(" {kind}={name}") }
+    });
+    format!("{}{}", finding.code, parts.collect::<String>())
+}
+
+/// A place in a file. Logs have no lines, but who shows results shows them at one.
+fn physical(path: &Path) -> Value {
+    json!({ "artifactLocation": { "uri": uri(path) }, "region": { "startLine": 1 } })
+}
+
+fn logical(subject: &Subject) -> Vec<Value> {
+    let places = subject
+        .parts()
+        .map(|(kind, name)| json!({ "name": name, "fullyQualifiedName": name, "kind": kind }));
+    places.collect()
+}
+
+fn level(severity: Severity) -> &'static str {
+    match severity {
+        Severity::Error => "error",
+        Severity::Warning => "warning",
+        Severity::Info => "note",
+    }
+}
+
+/// A path as a URI: relative as it was given, or of the scheme `file`.
+fn uri(path: &Path) -> String {
+    let text = path.to_string_lossy().replace('\\', "/");
+    let mut encoded = String::new();
+    if path.is_absolute() {
+        encoded.push_str(if text.starts_with('/') { "file://" } else { "file:///" });
+    }
+    for byte in text.bytes() {
+        match byte {
+            b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' | b'/' | b'-' | b'.' | b'_' | b'~' => {
+                encoded.push(char::from(byte));
+            }
+            _ => encoded.push_str(&format!("%{byte:02X}")),
+        }
+    }
+    encoded
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_path_becomes_a_uri() {
+        assert_eq!(uri(Path::new("logs/run 1.mcap")), "logs/run%201.mcap");
+        assert_eq!(uri(Path::new("a:b#ü.bag")), "a%3Ab%23%C3%BC.bag");
+        #[cfg(unix)]
+        assert_eq!(uri(Path::new("/var/run.mcap")), "file:///var/run.mcap");
+    }
+}

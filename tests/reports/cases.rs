@@ -1,0 +1,77 @@
+//! Reports to be written: one of a log, and one whose every name is out to break its format.
+
+use std::path::PathBuf;
+use std::sync::LazyLock;
+
+use poseaudit::checks::Evaluation;
+use poseaudit::finding::{CheckRow, Estimate, Evidence, Finding, Severity, Status, Subject};
+use poseaudit::report::{FileRow, Format, LogSummary, Report};
+use poseaudit::{Options, audit};
+
+use super::FAULTY;
+
+/// The report on a log with two faults, one check that could not tell, and some that were skipped.
+pub static FAULTS: LazyLock<Report> = LazyLock::new(|| {
+    audit(&Options { logs: vec![FAULTY.into()], ..Options::default() }).expect("a report")
+});
+
+/// What a topic could be called.
+pub const HOSTILE: &str =
+    "/a|b\\|c\\\\|`d`</td><script>*e*_f_[g](https://h.i)@j ]]>&amp;\"'%0A::error::,k=\nl\u{1b}[31m";
+
+/// A report in which every name and every sentence is [`HOSTILE`], at a severity that fails nothing
+/// where `fail_on` is above it.
+pub fn hostile(fail_on: Option<Severity>) -> Report {
+    let subject = Subject { topic: Some(HOSTILE.to_owned()), ..Subject::default() };
+    let row = |code, status, reason: Option<&str>| CheckRow {
+        code,
+        name: "a-rule",
+        subject: subject.clone(),
+        status,
+        reason: reason.map(str::to_owned),
+        estimate: None,
+        evidence: Default::default(),
+        indistinguishable: false,
+    };
+    let finding = Finding {
+        code: "LAT001",
+        severity: Severity::Warning,
+        title: "stream is late",
+        message: format!("3 ms late against {HOSTILE}"),
+        subject: subject.clone(),
+        estimate: Some(Estimate::counted("latency", "s", 3e-3)),
+        evidence: Evidence { effect: Some(HOSTILE.to_owned()), ..Evidence::default() },
+        fix: format!("shift {HOSTILE}"),
+        start_ns: None,
+        end_ns: None,
+    };
+    let log = LogSummary {
+        files: vec![FileRow {
+            path: PathBuf::from(HOSTILE),
+            container: "mcap",
+            bytes: 1,
+            crc: "all",
+        }],
+        messages: 1,
+        duration_s: Some(1.0),
+        ..LogSummary::default()
+    };
+    let evaluation = Evaluation {
+        checks: vec![
+            row("FRM001", Status::Pass, Some(HOSTILE)),
+            row("LAT001", Status::Fail, None),
+            row("LAT002", Status::Inconclusive, Some(HOSTILE)),
+            row("LAT003", Status::Skipped, Some(HOSTILE)),
+        ],
+        findings: vec![finding],
+        observability: vec![],
+    };
+    Report::new(log, vec![], vec![], evaluation, fail_on)
+}
+
+/// `report` in the format of this name.
+pub fn written(format: &str, report: &Report) -> String {
+    let mut out = Vec::new();
+    Format::named(format).expect("a format").write(report, &mut out).expect("a report");
+    String::from_utf8(out).expect("UTF-8")
+}

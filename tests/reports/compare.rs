@@ -1,0 +1,222 @@
+//! `compare`: two reports of the same robot side by side.
+
+use std::fs;
+
+use poseaudit::compare::{Comparison, Course, Kept, KeptFinding, compare};
+use poseaudit::finding::{Estimate, Severity, Status};
+use poseaudit::report::{Report, Verdict};
+use serde_json::Value;
+
+use super::cases::{FAULTS, written};
+use super::{CLEAN, FAULTY, poseaudit, status, stderr, stdout};
+
+const WARNING: Option<Severity> = Some(Severity::Warning);
+
+fn kept(report: &Report) -> Kept {
+    Kept::of(report).expect("what JSON holds")
+}
+
+/// The report on the faulty log without its findings.
+fn sound() -> Kept {
+    let mut report = kept(&FAULTS);
+    report.findings.clear();
+    report.verdict = Verdict::Pass;
+    for row in &mut report.checks {
+        if row.status == Status::Fail {
+            row.status = Status::Pass;
+        }
+    }
+    report
+}
+
+/// The report on the faulty log, its latency's amount and half the interval changed.
+fn late_by(value: f64, half: f64) -> Kept {
+    let mut report = kept(&FAULTS);
+    let latency = of(&mut report, "LAT001").estimate.as_mut().expect("an estimate");
+    (latency.value, latency.ci95) = (Some(value), Some([value - half, value + half]));
+    report
+}
+
+fn of<'a>(report: &'a mut Kept, code: &str) -> &'a mut KeptFinding {
+    report.findings.iter_mut().find(|finding| finding.code == code).expect("a finding")
+}
+
+fn course(comparison: &Comparison, code: &str) -> Course {
+    comparison.causes.iter().find(|change| change.code == code).expect("a cause").course
+}
+
+#[test]
+fn what_json_holds_is_read_back() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("report.json");
+    fs::write(&path, written("json", &FAULTS)).expect("a file");
+    let read = Kept::from_file(&path).expect("a report");
+    assert_eq!(read, kept(&FAULTS));
+    assert_eq!(read.verdict, FAULTS.verdict);
+    assert_eq!(read.checks.len(), FAULTS.checks.len());
+    for (row, check) in read.checks.iter().zip(&FAULTS.checks) {
+        assert_eq!((&*row.code, &row.subject), (check.code, &check.subject));
+        assert_eq!((row.status, &row.reason), (check.status, &check.reason));
+    }
+    assert_eq!(read.findings.len(), FAULTS.findings.len());
+    for (read, finding) in read.findings.iter().zip(&FAULTS.findings) {
+        assert_eq!((&*read.code, read.severity), (finding.code, finding.severity));
+        assert_eq!((&read.message, &read.subject), (&finding.message, &finding.subject));
+        let estimate = read.estimate.as_ref().expect("an estimate");
+        let Some(Estimate::Amount { name, value, unit, ci95 }) = &finding.estimate else {
+            panic!("{finding:?}");
+        };
+        assert_eq!((&*estimate.name, estimate.unit.as_deref()), (*name, Some(*unit)));
+        assert_eq!((estimate.value, estimate.ci95), (Some(*value), *ci95));
+    }
+}
+
+#[test]
+fn a_report_is_no_worse_than_itself() {
+    let report = kept(&FAULTS);
+    let comparison = compare(&report, &report, WARNING);
+    assert!(!comparison.regression && comparison.lost.is_empty());
+    assert!(comparison.causes.iter().all(|change| change.course == Course::Same));
+    assert_eq!(comparison.causes.len(), FAULTS.findings.len());
+}
+
+#[test]
+fn what_appears_fails_from_its_severity_and_what_goes_does_not() {
+    let (sound, faulty) = (sound(), kept(&FAULTS));
+    let there = compare(&sound, &faulty, WARNING);
+    assert!(there.regression && there.causes.iter().all(|it| it.course == Course::Appeared));
+    assert!(!compare(&sound, &faulty, None).regression);
+    let mut milder = faulty.clone();
+    milder.findings.iter_mut().for_each(|finding| finding.severity = Severity::Warning);
+    assert!(compare(&sound, &milder, WARNING).regression);
+    assert!(!compare(&sound, &milder, Some(Severity::Error)).regression);
+    let back = compare(&faulty, &sound, WARNING);
+    assert!(!back.regression && back.causes.iter().all(|it| it.course == Course::Gone));
+}
+
+#[test]
+fn an_amount_grows_only_beyond_both_intervals_and_by_a_tenth() {
+    let old = late_by(15e-3, 1e-3);
+    let cases = [
+        (20e-3, 1e-3, Course::Grew),
+        (20e-3, 5e-3, Course::Same),
+        (16e-3, 1e-6, Course::Same),
+        (10e-3, 1e-3, Course::Shrank),
+        (-15e-3, 1e-3, Course::Changed),
+        (-20e-3, 1e-3, Course::Grew),
+    ];
+    for (value, half, expected) in cases {
+        let comparison = compare(&old, &late_by(value, half), WARNING);
+        assert_eq!(course(&comparison, "LAT001"), expected, "{value} ± {half}");
+        assert_eq!(comparison.regression, expected < Course::Same, "{value} ± {half}");
+    }
+    // Narrow intervals alone are no growth: runs differ by more.
+    let narrow = late_by(15e-3, 1e-7);
+    assert_eq!(course(&compare(&narrow, &late_by(15.2e-3, 1e-7), WARNING), "LAT001"), Course::Same);
+}
+
+#[test]
+fn a_graver_finding_grew_and_another_reading_changed() {
+    let mut old = kept(&FAULTS);
+    of(&mut old, "ZER001").severity = Severity::Warning;
+    assert_eq!(course(&compare(&old, &kept(&FAULTS), WARNING), "ZER001"), Course::Grew);
+    let reading = |is: &str| {
+        let mut report = kept(&FAULTS);
+        let estimate = of(&mut report, "ZER001").estimate.as_mut().expect("an estimate");
+        (estimate.is, estimate.read_as) = (Some(is.into()), Some("euler:xyz".into()));
+        report
+    };
+    let comparison = compare(&reading("rotvec"), &reading("euler:ZYX"), WARNING);
+    assert_eq!(course(&comparison, "ZER001"), Course::Changed);
+    assert!(comparison.regression);
+}
+
+#[test]
+fn what_is_not_told_any_more_is_not_gone() {
+    let faulty = kept(&FAULTS);
+    let mut open = sound();
+    for row in open.checks.iter_mut().filter(|row| row.code == "LAT001") {
+        row.status = Status::Inconclusive;
+        row.reason = Some("the arm never moves".to_owned());
+    }
+    let comparison = compare(&faulty, &open, WARNING);
+    assert_eq!(course(&comparison, "LAT001"), Course::Untold);
+    assert_eq!(course(&comparison, "ZER001"), Course::Gone);
+    assert!(!comparison.lost.is_empty() && comparison.lost.iter().all(|it| it.code == "LAT001"));
+    assert!(!comparison.regression);
+    open.verdict = Verdict::Inconclusive;
+    assert!(compare(&sound(), &open, WARNING).regression, "a pass that is none any more");
+    assert!(!compare(&sound(), &open, None).regression);
+}
+
+#[test]
+fn a_file_that_is_called_otherwise_is_the_same_log() {
+    let damaged = |file: &str| {
+        let mut report = kept(&FAULTS);
+        report.log.files[0].path = file.to_owned();
+        let finding = of(&mut report, "LAT001");
+        finding.code = "ING001".to_owned();
+        finding.subject.topic = Some(file.to_owned());
+        report
+    };
+    let comparison = compare(&damaged("monday.mcap"), &damaged("tuesday.mcap"), WARNING);
+    assert_eq!(course(&comparison, "ING001"), Course::Same);
+}
+
+#[test]
+fn a_log_is_held_against_its_baseline() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let baseline = folder.path().join("baseline.json").display().to_string();
+    fs::write(&baseline, written("json", &FAULTS)).expect("a file");
+    let same = poseaudit(&["compare", &baseline, FAULTY]);
+    assert_eq!(status(&same), 0, "{}{}", stdout(&same), stderr(&same));
+    assert!(stdout(&same).contains("NO REGRESSION   2 same"), "{}", stdout(&same));
+    let worse = poseaudit(&["compare", CLEAN, &baseline, "--format", "json"]);
+    assert_eq!(status(&worse), 1, "{}", stderr(&worse));
+    let json: Value = serde_json::from_slice(&worse.stdout).expect("JSON");
+    assert_eq!(json["schema"], "poseaudit.comparison/1");
+    assert_eq!(json["verdicts"], serde_json::json!(["pass", "fail"]));
+    assert!(json["causes"].as_array().expect("a list").iter().all(|it| it["regression"] == true));
+    let never = poseaudit(&["compare", CLEAN, &baseline, "--fail-on", "never"]);
+    assert_eq!(status(&never), 0, "{}", stdout(&never));
+}
+
+#[test]
+fn a_comparison_reads_well() {
+    let (mut old, new) = (late_by(5e-3, 1e-5), kept(&FAULTS));
+    old.findings.retain(|finding| finding.code == "LAT001");
+    old.findings[0].severity = Severity::Warning;
+    let comparison = compare(&old, &new, WARNING);
+    let mut out = Vec::new();
+    poseaudit::compare::markdown(&comparison, &mut out).expect("a text");
+    insta::assert_snapshot!("compared.md", String::from_utf8(out).expect("UTF-8"));
+}
+
+#[test]
+fn what_is_no_report_is_refused_with_its_place() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let write = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        fs::write(&path, text).expect("a file");
+        path.display().to_string()
+    };
+    let report = written("json", &FAULTS);
+    let sound = write("sound.json", &report);
+    let other = report.replace("poseaudit.report/1", "poseaudit.report/9");
+    let broken = report.replace("\"verdict\": \"fail\"", "\"verdict\": 7");
+    assert_ne!(report, broken);
+    for (path, parts) in [
+        (write("other.json", &other), ["other.json", "poseaudit.report/9", "--format json"]),
+        (write("cut.json", &report[..300]), ["cut.json:", "no JSON", "--format json"]),
+        (write("broken.json", &broken), ["broken.json:7", "no report", "--format json"]),
+        (write("object.json", "{}"), ["object.json", "no report", "--format json"]),
+        (write("text.txt", "a,b\n1,2\n"), ["text.txt", "not a robot log", "name"]),
+        ("no/such.json".to_owned(), ["no/such.json", "no such file", ""]),
+    ] {
+        let output = poseaudit(&["compare", &sound, &path]);
+        let line = stderr(&output).trim_end();
+        assert_eq!(status(&output), 2, "{line}");
+        assert!(output.stdout.is_empty() && !line.contains('\n'), "{line}");
+        assert!(parts.iter().all(|part| line.contains(part)), "{line}");
+    }
+}

@@ -1,0 +1,78 @@
+//! `--format` several times, and `--output`.
+
+use std::collections::BTreeSet;
+use std::fs;
+
+use poseaudit::report::FORMATS;
+use serde_json::Value;
+
+use super::{CLEAN, FAULTY, poseaudit, status, stderr, stdout};
+
+/// `audit LOG` in every format, into `folder`.
+fn audit_into(log: &str, folder: &str) -> Vec<String> {
+    let mut args = vec!["audit".to_owned(), log.to_owned()];
+    args.extend(FORMATS.iter().flat_map(|format| ["--format".to_owned(), format.name.to_owned()]));
+    args.extend(["--output".to_owned(), folder.to_owned()]);
+    args
+}
+
+#[test]
+fn several_formats_go_into_a_folder_and_are_what_each_is_alone() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let into = folder.path().join("made/for/it");
+    let args = audit_into(FAULTY, &into.display().to_string());
+    let output = poseaudit(&args.iter().map(String::as_str).collect::<Vec<_>>());
+    assert_eq!(status(&output), 1, "{}", stderr(&output));
+    assert!(output.stdout.is_empty(), "{}", stdout(&output));
+    let names = fs::read_dir(&into)
+        .expect("the folder")
+        .map(|entry| entry.expect("an entry").file_name().into_string().expect("UTF-8"));
+    let expected: BTreeSet<String> =
+        FORMATS.iter().map(|format| format.file_name.to_owned()).collect();
+    assert_eq!(names.collect::<BTreeSet<_>>(), expected);
+    for format in FORMATS {
+        let kept = fs::read(into.join(format.file_name)).expect("the file");
+        let alone = poseaudit(&["audit", FAULTY, "--format", format.name]);
+        assert_eq!(status(&alone), 1, "{}", format.name);
+        assert!(kept == alone.stdout, "{} differs", format.name);
+    }
+}
+
+#[test]
+fn several_formats_without_a_folder_are_refused_before_the_audit() {
+    let call = ["audit", "no/such.mcap", "--format", "text", "--format", "json"];
+    for (output, part) in [(None, "--output"), (Some("Cargo.toml"), "a folder")] {
+        let output = output.map(|path| ["--output", path]);
+        let ended = poseaudit(&[&call[..], output.as_ref().map_or(&[], |it| &it[..])].concat());
+        assert_eq!(status(&ended), 2);
+        let line = stderr(&ended).trim_end();
+        assert!(line.contains(part) && !line.contains('\n'), "{line}");
+        assert!(ended.stdout.is_empty(), "{}", stdout(&ended));
+    }
+}
+
+#[test]
+fn one_format_said_twice_is_one() {
+    let once = poseaudit(&["audit", CLEAN, "--format", "json"]);
+    let twice = poseaudit(&["audit", CLEAN, "--format", "json", "--format", "json"]);
+    assert_eq!(status(&twice), 0, "{}", stderr(&twice));
+    assert!(once.stdout == twice.stdout);
+}
+
+#[test]
+fn a_log_that_cannot_be_read_is_said_in_every_format() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = folder.path().join("empty.mcap");
+    fs::write(&log, "").expect("a file");
+    let into = folder.path().join("reports");
+    let args = audit_into(&log.display().to_string(), &into.display().to_string());
+    let output = poseaudit(&args.iter().map(String::as_str).collect::<Vec<_>>());
+    assert_eq!(status(&output), 3, "{}", stderr(&output));
+    for format in FORMATS {
+        let text = fs::read_to_string(into.join(format.file_name)).expect(format.name);
+        assert!(text.contains("the file is empty"), "{}: {text}", format.name);
+    }
+    let json = fs::read(into.join("report.json")).expect("the report");
+    let json: Value = serde_json::from_slice(&json).expect("JSON");
+    assert_eq!(json["error"]["what"], "the file is empty (0 bytes)");
+}

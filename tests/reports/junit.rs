@@ -1,0 +1,114 @@
+//! JUnit XML, as the schema that CI systems share has it: suites with counts, in them cases, of which
+//! each holds at most one outcome, and then what was printed.
+
+use std::collections::BTreeSet;
+
+use poseaudit::finding::{Severity, Status};
+use poseaudit::report::{Report, Trouble, TroubleKind};
+use roxmltree::{Document, Node};
+
+use super::cases::{FAULTS, HOSTILE, hostile, written};
+
+fn children<'a>(node: Node<'a, 'a>, name: &str) -> Vec<Node<'a, 'a>> {
+    node.children().filter(|child| child.has_tag_name(name)).collect()
+}
+
+fn count(node: Node, name: &str) -> usize {
+    node.attribute(name).and_then(|text| text.parse().ok()).expect("a count")
+}
+
+/// What XML leaves of a text in an attribute: no controls, and blanks for the ends of lines.
+fn is_kept(found: Option<&str>, text: &str) -> bool {
+    let plain = |text: &str| text.split(['\n', '\u{1b}']).map(str::to_owned).collect::<Vec<_>>();
+    let found = found.unwrap_or_default();
+    plain(text).iter().all(|part| found.contains(part.strip_prefix("[31m").unwrap_or(part)))
+}
+
+#[test]
+fn suites_and_cases_are_as_the_schema_has_them_and_add_up() {
+    for report in [&*FAULTS, &hostile(Some(Severity::Warning)), &hostile(None)] {
+        let text = written("junit", report);
+        let document = Document::parse(&text).expect("XML");
+        let root = document.root_element();
+        assert!(root.has_tag_name("testsuites"));
+        let suites = children(root, "testsuite");
+        let mut names = BTreeSet::new();
+        for suite in &suites {
+            assert!(names.insert(suite.attribute("name").expect("a name").to_owned()));
+            let cases = children(*suite, "testcase");
+            let with =
+                |name: &str| cases.iter().filter(|case| !children(**case, name).is_empty()).count();
+            assert_eq!(count(*suite, "tests"), cases.len());
+            assert_eq!(count(*suite, "failures"), with("failure"));
+            assert_eq!(count(*suite, "skipped"), with("skipped"));
+            for case in &cases {
+                assert!(case.attribute("name").is_some() && case.attribute("classname").is_some());
+                let inside: Vec<&str> = case
+                    .children()
+                    .filter(Node::is_element)
+                    .map(|child| child.tag_name().name())
+                    .collect();
+                let expected = [&[][..], &["failure"], &["skipped"], &["error"], &["system-out"]];
+                assert!(expected.contains(&&inside[..]), "{inside:?}");
+            }
+        }
+        let sum = |name: &str| suites.iter().map(|suite| count(*suite, name)).sum::<usize>();
+        for name in ["tests", "failures", "errors"] {
+            assert_eq!(count(root, name), sum(name), "{name}");
+        }
+        assert_eq!(root.attribute("skipped"), None, "is not in the schema");
+        assert_eq!(count(root, "tests"), report.checks.len());
+        let open = |row: &&poseaudit::finding::CheckRow| !row.status.is_decided();
+        assert_eq!(sum("skipped"), report.checks.iter().filter(open).count());
+    }
+}
+
+#[test]
+fn a_case_fails_where_the_run_fails() {
+    let of = |report: &Report| {
+        let text = written("junit", report);
+        let document = Document::parse(&text).expect("XML");
+        let case = document
+            .descendants()
+            .find(|node| node.attribute("classname") == Some("poseaudit.LAT001"));
+        let case = case.expect("a case");
+        assert!(is_kept(case.attribute("name"), HOSTILE), "{text}");
+        let said = case.children().find(Node::is_element).expect("an outcome");
+        assert!(said.text().is_some_and(|text| text.contains("fix: shift /a|b")), "{text}");
+        said.tag_name().name().to_owned()
+    };
+    assert_eq!(of(&hostile(Some(Severity::Warning))), "failure");
+    assert_eq!(of(&hostile(Some(Severity::Error))), "system-out");
+    assert_eq!(of(&hostile(None)), "system-out");
+}
+
+#[test]
+fn what_the_log_does_not_tell_is_skipped_with_the_reason_and_never_a_pass() {
+    let text = written("junit", &FAULTS);
+    let document = Document::parse(&text).expect("XML");
+    let reasons: Vec<&str> = document
+        .descendants()
+        .filter(|node| node.has_tag_name("skipped"))
+        .filter_map(|node| node.attribute("message"))
+        .collect();
+    for row in FAULTS.checks.iter().filter(|row| !row.status.is_decided()) {
+        let how = if row.status == Status::Skipped { "skipped" } else { "could not tell" };
+        let reason = format!("{how}: {}", row.reason.as_deref().expect("a reason"));
+        assert!(reasons.contains(&reason.as_str()), "{reason}");
+    }
+}
+
+#[test]
+fn what_was_not_audited_is_an_error() {
+    let report = Report::of_trouble(Trouble {
+        kind: TroubleKind::Log,
+        what: "the file is empty (0 bytes)".to_owned(),
+        place: "empty.mcap".to_owned(),
+        remedy: "see whether it was ever written".to_owned(),
+    });
+    let text = written("junit", &report);
+    let document = Document::parse(&text).expect("XML");
+    let error = document.descendants().find(|node| node.has_tag_name("error")).expect("an error");
+    assert_eq!(error.attribute("message"), Some("the file is empty (0 bytes)"));
+    assert_eq!(count(document.root_element(), "errors"), 1);
+}

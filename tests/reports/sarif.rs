@@ -1,0 +1,91 @@
+//! SARIF against its schema, and what code scanning relies on.
+
+use std::collections::BTreeSet;
+
+use boon::{Compiler, Schemas};
+use poseaudit::checks::registry;
+use poseaudit::finding::{Severity, Status};
+use poseaudit::report::{Report, Trouble, TroubleKind};
+use serde_json::Value;
+
+use super::cases::{FAULTS, HOSTILE, hostile, written};
+
+fn sarif(report: &Report) -> Value {
+    serde_json::from_str(&written("sarif", report)).expect("JSON")
+}
+
+fn no_audit() -> Report {
+    Report::of_trouble(Trouble {
+        kind: TroubleKind::Log,
+        what: "the file is empty (0 bytes)".to_owned(),
+        place: HOSTILE.to_owned(),
+        remedy: "see whether it was ever written".to_owned(),
+    })
+}
+
+#[test]
+fn every_report_is_valid_by_the_schema_of_the_standard() {
+    let path =
+        concat!(env!("CARGO_MANIFEST_DIR"), "/tests/reports/schemas/sarif-schema-2.1.0.json");
+    let (mut schemas, mut compiler) = (Schemas::new(), Compiler::new());
+    compiler.enable_format_assertions();
+    let schema = compiler.compile(path, &mut schemas).expect("a schema");
+    for report in [&*FAULTS, &hostile(Some(Severity::Warning)), &no_audit()] {
+        let log = sarif(report);
+        schemas.validate(&log, schema).unwrap_or_else(|error| panic!("{error:#}"));
+    }
+    let mut wrong = sarif(&FAULTS);
+    wrong["runs"][0]["results"][0]["level"] = "fatal".into();
+    assert!(schemas.validate(&wrong, schema).is_err(), "the schema must look at results");
+}
+
+#[test]
+fn a_finding_is_a_result_of_its_rule_and_an_open_check_a_notification() {
+    let log = sarif(&FAULTS);
+    let run = &log["runs"][0];
+    let rules = run["tool"]["driver"]["rules"].as_array().expect("rules");
+    assert_eq!(rules.len(), registry().len());
+    let results = run["results"].as_array().expect("results");
+    assert_eq!(results.len(), FAULTS.findings.len());
+    for (result, finding) in results.iter().zip(&FAULTS.findings) {
+        let rule = &rules[result["ruleIndex"].as_u64().expect("an index") as usize];
+        assert_eq!((&rule["id"], &result["ruleId"]), (&result["ruleId"], &finding.code.into()));
+        assert!(result["message"]["text"].as_str().expect("a text").contains(&finding.message));
+        let value = finding.estimate.as_ref().and_then(|estimate| estimate.value());
+        assert_eq!(result["properties"]["estimate"]["value"].as_f64(), value);
+    }
+    let open = FAULTS.checks.iter().filter(|row| row.status == Status::Inconclusive).count();
+    let invocation = &run["invocations"][0];
+    assert!(open > 0 && invocation["executionSuccessful"] == true);
+    assert_eq!(invocation["toolExecutionNotifications"].as_array().map(Vec::len), Some(open));
+}
+
+#[test]
+fn what_was_not_audited_did_not_succeed() {
+    let log = sarif(&no_audit());
+    let invocation = &log["runs"][0]["invocations"][0];
+    assert_eq!(invocation["executionSuccessful"], false);
+    let said = &invocation["toolExecutionNotifications"][0];
+    assert_eq!(said["level"], "error");
+    assert!(said["message"]["text"].as_str().is_some_and(|text| text.contains("0 bytes")));
+}
+
+#[test]
+fn a_fingerprint_is_of_the_cause_and_of_no_amount() {
+    let prints = |report: &Report| -> BTreeSet<String> {
+        let log = sarif(report);
+        let results = log["runs"][0]["results"].as_array().expect("results").iter();
+        results.map(|result| result["partialFingerprints"].to_string()).collect()
+    };
+    let mut later = FAULTS.clone();
+    for finding in &mut later.findings {
+        finding.message.push_str(", and more than before");
+        finding.severity = Severity::Warning;
+        finding.estimate = None;
+    }
+    later.log.files[0].path = "another.mcap".into();
+    assert_eq!(prints(&FAULTS), prints(&later));
+    assert_eq!(prints(&FAULTS).len(), FAULTS.findings.len());
+    later.findings[0].subject.topic = Some("/another".to_owned());
+    assert_ne!(prints(&FAULTS), prints(&later));
+}
