@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use poseaudit::checks::{Selector, Settings};
 use poseaudit::finding::Severity;
-use poseaudit::report::{Report, Trouble, json, text};
+use poseaudit::report::{Report, Trouble, html, json, text};
 use poseaudit::run::{CalibrationSource, Declaration, RobotSource};
 use poseaudit::time::Clock;
 
@@ -101,6 +101,8 @@ pub enum Format {
     Text,
     /// For programs, in SI units
     Json,
+    /// For people: one page with its pictures, which opens in any browser
+    Html,
 }
 
 impl Format {
@@ -109,6 +111,7 @@ impl Format {
         match self {
             Format::Text => text::write(report, out),
             Format::Json => json::write(report, out),
+            Format::Html => html::write(report, out),
         }
     }
 }
@@ -178,6 +181,7 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
         fail_on: args.fail_on.into(),
         recording: args.rrd,
         tables: args.parquet,
+        figures: format == Format::Html,
         progress: None,
     };
     let audited = watched(|progress| {

@@ -2,8 +2,11 @@
 //!
 //! A format only renders. What is in a report is settled when it is made.
 
+pub mod figures;
 mod file;
+pub mod html;
 pub mod json;
+mod outline;
 pub mod text;
 mod trouble;
 
@@ -16,6 +19,7 @@ use crate::checks::{self, Evaluation, StreamObservability};
 use crate::finding::{CheckRow, Finding, Severity, Status, decimal};
 use crate::time::Stamp;
 
+pub use figures::Figures;
 pub use file::write_whole;
 pub use trouble::{Trouble, TroubleKind};
 
@@ -42,6 +46,9 @@ pub struct Report {
     pub observability: Vec<StreamObservability>,
     /// Over which part of its ranges each arm moved.
     pub workspace: Vec<WorkspaceRow>,
+    /// What its pictures show, where they were asked for.
+    #[serde(skip)]
+    pub figures: Option<Figures>,
 }
 
 /// Over which part of its ranges one arm moved.
@@ -252,6 +259,7 @@ impl Report {
             findings: Vec::new(),
             observability: Vec::new(),
             workspace: Vec::new(),
+            figures: None,
         }
     }
 

@@ -1,0 +1,241 @@
+//! What a report says in words, as every format for people says it.
+
+use std::collections::BTreeSet;
+
+use super::{Report, Verdict};
+use crate::finding::{Alternative, CheckRow, Estimate, Severity, Status, Subject, Unit};
+
+/// The words of one report.
+pub(super) struct Outline<'a> {
+    report: &'a Report,
+    /// Whether there are several robots, so that subjects must say which.
+    robots: bool,
+}
+
+/// What passed.
+#[derive(Default)]
+pub(super) struct Passed {
+    /// Rules that passed on all that they were asked about, runs of codes as ranges.
+    pub whole: Vec<String>,
+    /// Rules that passed on some of it, with what.
+    pub parts: Vec<String>,
+    /// What was said of a pass.
+    pub remarks: Vec<String>,
+}
+
+impl<'a> Outline<'a> {
+    /// Those of `report`.
+    pub fn of(report: &'a Report) -> Self {
+        Self { report, robots: report.robots.len() > 1 }
+    }
+
+    /// The verdict's reason: `2 errors`, `nothing wrong`, what could not be told.
+    pub fn why(&self) -> String {
+        match self.report.verdict {
+            Verdict::Pass if self.report.findings.is_empty() => "nothing wrong".to_owned(),
+            Verdict::Pass | Verdict::Fail => self.counts(),
+            Verdict::Inconclusive => format!("could not tell {}", self.undecided()),
+        }
+    }
+
+    /// `3 errors, 1 warning`.
+    fn counts(&self) -> String {
+        let severities = [Severity::Error, Severity::Warning, Severity::Info];
+        let counts = severities.into_iter().filter_map(|severity| {
+            let findings = self.report.findings.iter();
+            match findings.filter(|finding| finding.severity == severity).count() {
+                0 => None,
+                1 => Some(format!("1 {}", severity.name())),
+                many if severity == Severity::Info => Some(format!("{many} {}", severity.name())),
+                many => Some(format!("{many} {}s", severity.name())),
+            }
+        });
+        counts.collect::<Vec<_>>().join(", ")
+    }
+
+    /// The headline rules that decided nothing.
+    fn undecided(&self) -> String {
+        let rules = crate::checks::registry().iter().filter(|rule| rule.headline);
+        let undecided = rules.filter(|rule| {
+            let rows: Vec<_> = self.rows(rule.code).collect();
+            rows.iter().any(|row| row.status == Status::Inconclusive)
+                && !rows.iter().any(|row| row.status.is_decided())
+        });
+        let named = undecided.map(|rule| format!("{} ({})", rule.code, rule.name));
+        named.collect::<Vec<_>>().join(", ")
+    }
+
+    /// `12.0 s, 2 102 messages, 6 topics`, where there is a log.
+    pub fn extent(&self) -> Option<String> {
+        let log = &self.report.log;
+        let topics = self.report.streams.iter().map(|stream| stream.topic.as_str());
+        let topics = topics.collect::<BTreeSet<_>>().len();
+        let duration_s = log.duration_s?;
+        Some(format!("{duration_s:.1} s, {} messages, {topics} topics", grouped(log.messages)))
+    }
+
+    /// What a check or a finding is about.
+    pub fn subject(&self, subject: &Subject) -> String {
+        match &subject.robot {
+            Some(robot) if self.robots => format!("{robot} {}", subject.label()),
+            _ => subject.label().to_owned(),
+        }
+    }
+
+    fn subjects(&self, rows: &[&CheckRow]) -> String {
+        let subjects = rows.iter().map(|row| self.subject(&row.subject));
+        subjects.collect::<Vec<_>>().join(", ")
+    }
+
+    /// The other causes that a log cannot tell from one, where there are some.
+    pub fn cannot_be_told_from(&self, others: &[Alternative]) -> Option<String> {
+        let others: Vec<String> = others.iter().map(|other| self.alternative(other)).collect();
+        (!others.is_empty()).then(|| format!("cannot be told from {}", others.join(", ")))
+    }
+
+    fn alternative(&self, other: &Alternative) -> String {
+        let amount = match &other.estimate {
+            Some(Estimate::Amount { value, unit, .. }) => {
+                let unit = [Unit::Metre, Unit::Radian, Unit::Second]
+                    .into_iter()
+                    .find(|u| u.symbol() == *unit);
+                unit.map_or(String::new(), |unit| format!(" ({})", unit.show(*value)))
+            }
+            _ => String::new(),
+        };
+        format!("{} on {}{amount}", other.code, self.subject(&other.subject))
+    }
+
+    /// What passed.
+    pub fn passed(&self) -> Passed {
+        let (mut whole, mut said) = (Vec::new(), Passed::default());
+        for code in self.codes() {
+            let asked = self.rows(code).filter(|row| row.status != Status::Skipped);
+            let passed: Vec<&CheckRow> =
+                self.rows(code).filter(|row| row.status == Status::Pass).collect();
+            if passed.is_empty() {
+                continue;
+            }
+            let (plain, remarked): (Vec<&CheckRow>, Vec<&CheckRow>) =
+                passed.iter().copied().partition(|row| row.reason.is_none());
+            if plain.len() == asked.count() {
+                whole.push(code);
+            } else if !plain.is_empty() {
+                said.parts.push(format!("{code} on {}", self.subjects(&plain)));
+            }
+            said.remarks.extend(remarked.iter().filter_map(|row| {
+                Some(format!("{code} on {}: {}", self.subject(&row.subject), row.reason.as_ref()?))
+            }));
+        }
+        said.whole = ranges(&whole);
+        said
+    }
+
+    /// What could not be told, a line for each rule and reason.
+    pub fn could_not_tell(&self) -> Vec<String> {
+        let rows = self.report.checks.iter().filter(|row| row.status == Status::Inconclusive);
+        let groups = grouped_by(rows, |row| (row.code, row.reason.as_deref()));
+        let lines = groups.into_iter().map(|((code, reason), rows)| {
+            format!("{code} on {}: {}", self.subjects(&rows), reason.unwrap_or_default())
+        });
+        lines.collect()
+    }
+
+    /// What the motion shows only together, a line for what would be told apart together.
+    pub fn cannot_show(&self) -> Vec<String> {
+        let streams = self.report.observability.iter();
+        let lines = streams
+            .flat_map(|stream| stream.together.iter().map(|one| one.sentence(&stream.topic)));
+        lines.collect()
+    }
+
+    /// What was skipped, a line for each reason.
+    pub fn skipped(&self) -> Vec<String> {
+        let rows = self.report.checks.iter().filter(|row| row.status == Status::Skipped);
+        let said = self.report.error.as_ref().map(|trouble| trouble.what.as_str());
+        let groups = grouped_by(rows, |row| row.reason.as_deref()).into_iter();
+        let lines = groups.map(|(reason, rows)| {
+            let mut codes: Vec<&str> = rows.iter().map(|row| row.code).collect();
+            codes.dedup();
+            let reason = if reason == said { "as said above" } else { reason.unwrap_or_default() };
+            format!("{}: {reason}", ranges(&codes).join(", "))
+        });
+        lines.collect()
+    }
+
+    fn rows(&self, code: &str) -> impl Iterator<Item = &'a CheckRow> {
+        self.report.checks.iter().filter(move |row| row.code == code)
+    }
+
+    /// The codes of all rows, in their order.
+    fn codes(&self) -> Vec<&'static str> {
+        let mut codes: Vec<&str> = self.report.checks.iter().map(|row| row.code).collect();
+        codes.dedup();
+        codes
+    }
+}
+
+/// A count with its digits in groups of three.
+fn grouped(count: u64) -> String {
+    let digits = count.to_string();
+    let mut text = String::with_capacity(digits.len() + digits.len() / 3);
+    for (place, digit) in digits.chars().enumerate() {
+        if place > 0 && (digits.len() - place).is_multiple_of(3) {
+            text.push(' ');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+/// Rows in groups of equal key, in the order in which keys first come.
+fn grouped_by<'a, K: PartialEq>(
+    rows: impl Iterator<Item = &'a CheckRow>,
+    key: impl Fn(&'a CheckRow) -> K,
+) -> Vec<(K, Vec<&'a CheckRow>)> {
+    let mut groups: Vec<(K, Vec<&CheckRow>)> = Vec::new();
+    for row in rows {
+        let key = key(row);
+        match groups.iter_mut().find(|(known, _)| *known == key) {
+            Some((_, rows)) => rows.push(row),
+            None => groups.push((key, vec![row])),
+        }
+    }
+    groups
+}
+
+/// Codes with runs of three and more written as `ORD002–005`.
+fn ranges(codes: &[&str]) -> Vec<String> {
+    let split = |code: &str| -> Option<(String, u32)> {
+        let (family, number) = code.split_at_checked(3)?;
+        Some((family.to_owned(), number.parse().ok()?))
+    };
+    let follows = |a: &&str, b: &&str| match (split(a), split(b)) {
+        (Some((a_family, a)), Some((b_family, b))) => a_family == b_family && b == a + 1,
+        _ => false,
+    };
+    let mut texts = Vec::new();
+    for run in codes.chunk_by(follows) {
+        match run {
+            [first, _, .., last] => texts.push(format!("{first}–{}", &last[3..])),
+            run => texts.extend(run.iter().map(|&code| code.to_owned())),
+        }
+    }
+    texts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_are_read_in_threes() {
+        assert_eq!(["1", "999", "20 001", "1 234 567"], [1, 999, 20_001, 1_234_567].map(grouped));
+    }
+
+    #[test]
+    fn runs_of_codes_are_short() {
+        let codes = ["FRM001", "FRM002", "ORD002", "ORD003", "ORD004", "ORD005", "ORD008"];
+        assert_eq!(ranges(&codes), ["FRM001", "FRM002", "ORD002–005", "ORD008"]);
+    }
+}
