@@ -27,7 +27,8 @@ use crate::pictures::figures;
 use crate::references::references;
 use crate::replay::{self, Replay, ReplayArm, ReplayImu, ReplayStream, StreamKind};
 use crate::report::{
-    Figures, FileRow, LogSummary, NoteRow, Report, RobotRow, StreamRow, Trouble, TroubleKind, tells_hand_eye,
+    Figures, FileRow, LogSummary, NoteRow, Report, RobotRow, StreamRow, Trouble, TroubleKind,
+    tells_hand_eye,
 };
 use crate::robot::{Chain, JointKind, catalogue};
 use crate::run::{

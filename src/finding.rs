@@ -148,9 +148,7 @@ impl Unit {
     /// A value of an [`Estimate`] with the wider half of its interval, where it has one.
     pub fn show_within(self, value: f64, interval: Option<[f64; 2]>) -> String {
         match interval {
-            Some([low, high]) => {
-                self.show_interval(value, (high - value).max(value - low), false)
-            }
+            Some([low, high]) => self.show_interval(value, (high - value).max(value - low), false),
             None => self.show(value),
         }
     }

@@ -18,7 +18,7 @@ use crate::tables::{self, AFTER_M, AFTER_RAD, BEFORE_M, BEFORE_RAD, REACH_M, T_S
 use crate::time::Stamp;
 
 /// Silences that are kept of one stream.
-const MOST_SILENCES: usize = 200;
+const MOST_SILENCES: usize = 60;
 
 /// The series behind the pictures of a run. `corrected` gives an arm's joint states as they should
 /// have been recorded.
@@ -125,22 +125,24 @@ fn scores(reading: &Seen<ReadingEstimate>) -> Vec<ReadingScore> {
     let best = reading_names(&reading.best);
     let score = |(one, rms_rad): &(Reading, f64)| {
         let names = reading_names(one);
+        let is_best = names == best;
         ReadingScore {
             is_as_logged: matches!(one, Reading::AsLogged),
-            is_best: names == best,
+            is_best,
             is: names.is,
             read_as: names.read_as,
-            rms_rad: *rms_rad,
+            // The best one is fitted on.
+            rms_rad: if is_best { reading.best_rad } else { *rms_rad },
         }
     };
     reading.ranked.iter().map(score).collect()
 }
 
 fn imus(clock: &Clock, joints: &JointTrack, arm: &Arm, facts: &ArmFacts) -> Vec<ImuFigure> {
-    /// Correlations are shown to this far beyond the latency and none, s.
-    const BESIDE_S: f64 = 0.25;
+    /// Correlations are shown this far beyond twice the latency, s.
+    const BESIDE_S: f64 = 0.08;
     let figure = |source: &ImuSource, imu: &ImuFacts, found: &ImuDiagnosis| {
-        let most_s = found.latency_s.as_ref().map(|latency| 1.5 * latency.value.abs() + BESIDE_S);
+        let most_s = found.latency_s.as_ref().map(|latency| 2.0 * latency.value.abs() + BESIDE_S);
         let curve = most_s.map(|most_s| turning_by_latency(joints, &imu_stream(source), most_s));
         let (yaw_error, headings) = (found.yaw_error.iter(), found.headings.iter());
         ImuFigure {

@@ -223,7 +223,7 @@ pub(super) fn read_in_gravity(samples: &Samples, forces: &[Vec3]) -> Seen<(Readi
 /// that the best one needs.
 fn ranking(fits: &[Fit], best: &Fit) -> Vec<(Reading, f64)> {
     /// Readings beside those two.
-    const SHOWN: usize = 8;
+    const SHOWN: usize = 6;
     let alike = fits.iter().filter(|fit| fit.frames == best.frames);
     let mut alike: Vec<&Fit> = alike.collect();
     alike.sort_by(|a, b| a.residual_rad.total_cmp(&b.residual_rad));

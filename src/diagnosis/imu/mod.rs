@@ -116,13 +116,8 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
 
 /// How the speed at which an IMU turns correlates with its link's at each lag within ±`most_lag_s`:
 /// by its gyro or by its orientation, whichever follows better. For the pictures.
-pub fn turning_by_latency(
-    joints: &JointTrack,
-    stream: &ImuStream,
-    most_lag_s: f64,
-) -> Vec<Peak> {
-    let (track, (_, turning)) =
-        (stream.track, arm_speeds(joints, stream.chain, stream.columns));
+pub fn turning_by_latency(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) -> Vec<Peak> {
+    let (track, (_, turning)) = (stream.track, arm_speeds(joints, stream.chain, stream.columns));
     let curve = |speed| {
         let mut curve = by_lag(&turning, &speed, most_lag_s);
         curve.retain(|at| at.correlation.is_finite());

@@ -33,9 +33,9 @@ const STYLE: &str = include_str!("page.css");
 const SCRIPT: &str = include_str!("page.js");
 
 /// Rows drawn on all plots of a page together, …
-const MOST_ROWS: usize = 36_000;
+const MOST_ROWS: usize = 45_000;
 /// … on one plot at least and at most.
-const MOST_ROWS_OF_PLOT: [usize; 2] = [240, 2_000];
+const MOST_ROWS_OF_PLOT: [usize; 2] = [300, 3_000];
 /// No more plots than this are drawn.
 const MOST_PLOTS: usize = 120;
 

@@ -8,14 +8,14 @@
 
   // A value to four digits.
   const shown = (value) => {
-    if (value == null || !Number.isFinite(value)) return "–";
+    if (value == null || !Number.isFinite(value)) return "";
     const size = Math.abs(value);
     if (size !== 0 && size < 1e-3) return value.toExponential(1);
     return value.toFixed(size >= 1000 ? 0 : size >= 100 ? 1 : size >= 10 ? 2 : size >= 1 ? 3 : 4);
   };
 
   // The marked place with its interval, under the series.
-  const drawMark = (plot, mark) => {
+  const drawMark = (plot, mark, isPeak) => {
     const { ctx, bbox } = plot;
     const place = (value) => plot.valToPos(value, "x", true);
     const ratio = devicePixelRatio || 1;
@@ -37,7 +37,9 @@
     ctx.font = `600 ${12 * ratio}px system-ui, sans-serif`;
     const isRight = at > bbox.left + bbox.width * 0.6;
     ctx.textAlign = isRight ? "right" : "left";
-    ctx.fillText(mark.label, at + (isRight ? -6 : 6) * ratio, bbox.top + 14 * ratio);
+    // Beside the foot of a peak, and above the foot of a valley.
+    const above = isPeak ? bbox.height - 8 * ratio : 14 * ratio;
+    ctx.fillText(mark.label, at + (isRight ? -6 : 6) * ratio, bbox.top + above);
     ctx.restore();
   };
 
@@ -79,6 +81,7 @@
     return {
       width,
       height: HEIGHT,
+      padding: [8, 10, 0, 0],
       scales: { x: { time: false }, y: { range } },
       cursor: { points: { size: 7 }, drag: { x: true, y: false } },
       legend: { markers: { fill: (plot, at) => (at ? colour(spec.series[at - 1].role) : "none"), width: 0 } },
@@ -104,7 +107,7 @@
         })),
       ],
       hooks: {
-        drawAxes: [(plot) => spec.mark && drawMark(plot, spec.mark)],
+        drawAxes: [(plot) => spec.mark && drawMark(plot, spec.mark, !spec.zero)],
         draw: [(plot) => drawIntervals(plot, spec)],
       },
     };

@@ -1,5 +1,7 @@
 //! The parts of the page, from its head to its foot.
 
+use std::iter::once;
+
 use maud::{Markup, html};
 
 use super::bars::percent;
@@ -81,8 +83,10 @@ impl Parts<'_> {
                             li .(finding.severity.name()) {
                                 a href={ "#finding-" (index + 1) } {
                                     code { (finding.code) } " "
-                                    span .subject { (self.outline.subject(&finding.subject)) } " "
-                                    span .message { (finding.message) }
+                                    span .cause {
+                                        span .subject { (self.outline.subject(&finding.subject)) }
+                                        " " span .message { (finding.message) }
+                                    }
                                 }
                             }
                         }
@@ -142,12 +146,13 @@ impl Parts<'_> {
     }
 
     fn proof(&self, index: usize, proof: &Proof) -> Markup {
+        let topic = self.report.findings[index].subject.topic.as_deref();
         html! {
             @if !proof.is_empty() {
                 div .proof {
                     @for whiskers in &proof.whiskers { (whiskers.markup()) }
                     @for (plot, drawn) in proof.plots.iter().enumerate() {
-                        (drawn.markup(&plot_id(index, plot), self.rows))
+                        (drawn.markup(&plot_id(index, plot), topic, self.rows))
                     }
                     @for bars in &proof.bars { (bars.markup()) }
                 }
@@ -173,12 +178,9 @@ impl Parts<'_> {
     /// What passed, what could not be told and the rest.
     pub fn rest(&self) -> Markup {
         let passed = self.outline.passed();
-        let mut all_passed = Vec::new();
-        if !passed.whole.is_empty() {
-            all_passed.push(passed.whole.join(", "));
-        }
-        all_passed.extend(passed.parts);
-        all_passed.extend(passed.remarks);
+        let whole = passed.whole.join(", ");
+        let on_parts = passed.parts.into_iter().chain(passed.remarks);
+        let all_passed: Vec<String> = once(whole).chain(on_parts).collect();
         let figures = self.report.figures.as_ref();
         let notes = self.report.log.notes.iter();
         let mut notes: Vec<String> =
@@ -189,7 +191,7 @@ impl Parts<'_> {
         html! {
             (list("open", "Could not tell", &self.outline.could_not_tell()))
             (list("together", "Cannot show", &self.outline.cannot_show()))
-            (list("passed", "Passed", &all_passed))
+            (list("passed", "Passed", if self.report.checks.is_empty() { &[] } else { &all_passed }))
             (list("skipped", "Skipped", &self.outline.skipped()))
             (self.workspace())
             @if let Some(figures) = figures {
@@ -268,21 +270,21 @@ fn list(id: &str, title: &str, lines: &[String]) -> Markup {
         @if !lines.is_empty() {
             section id=(id) .list aria-labelledby={ (id) "-title" } {
                 h2 id={ (id) "-title" } { (title) }
-                ul { @for line in lines { li { (coded(line)) } } }
+                ul { @for line in lines { @if !line.is_empty() { li { (coded(line)) } } } }
             }
         }
     }
 }
 
-/// A line whose first word is a rule, set apart.
+/// A line in which what is before the first word or colon, the codes of rules, is set apart.
 fn coded(line: &str) -> Markup {
-    let (code, rest) = match line.split_once(|c: char| c == ' ' || c == ':') {
-        Some((code, _)) if code.len() >= 6 && code.starts_with(|c: char| c.is_ascii_uppercase()) => {
-            line.split_at(code.len())
-        }
+    let is_code = |c: char| c.is_ascii_uppercase() || c.is_ascii_digit() || "–, ".contains(c);
+    let end = line.find(|c| !is_code(c)).unwrap_or(line.len());
+    let (codes, rest) = match line[..end].trim_end() {
+        codes if codes.len() >= 6 => line.split_at(codes.len()),
         _ => ("", line),
     };
-    html! { @if !code.is_empty() { code { (code) } } (rest) }
+    html! { @if !codes.is_empty() { code { (codes) } } (rest) }
 }
 
 fn arm_coverage(arm: &WorkspaceRow) -> Markup {
@@ -301,11 +303,8 @@ fn arm_coverage(arm: &WorkspaceRow) -> Markup {
 }
 
 fn joint_coverage(joint: &JointCoverage) -> Markup {
-    let (factor, unit) =
-        if joint.unit == "rad" { (1f64.to_degrees(), "°") } else { (1e3, " mm") };
-    let range = |low: f64, high: f64| {
-        format!("{:.0} to {:.0}{unit}", low * factor, high * factor)
-    };
+    let (factor, unit) = if joint.unit == "rad" { (1f64.to_degrees(), "°") } else { (1e3, " mm") };
+    let range = |low: f64, high: f64| format!("{:.0} to {:.0}{unit}", low * factor, high * factor);
     let bar = joint.lower.zip(joint.upper).filter(|(lower, upper)| upper > lower);
     html! {
         tr {

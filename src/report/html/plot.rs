@@ -12,7 +12,9 @@ const STRETCHES: usize = 20;
 #[derive(Clone, Debug, Default)]
 pub struct Plot {
     /// What it shows, in a few words.
-    pub title: String,
+    pub title: &'static str,
+    /// The stream that it shows.
+    pub of: String,
     /// What to look for, in a sentence; read out in the place of the picture.
     pub says: String,
     /// The axis along which it goes, ascending.
@@ -97,18 +99,20 @@ impl Plot {
         self.x.len() < 2 || self.series.is_empty()
     }
 
-    /// The picture's place in the page, the note on what is left out, and its values as a table.
-    pub fn markup(&self, id: &str, most_rows: usize) -> Markup {
+    /// The picture's place in the page, the note on what is left out, and its values as a table. The
+    /// stream is named where it is not `known` from what stands above.
+    pub fn markup(&self, id: &str, known: Option<&str>, most_rows: usize) -> Markup {
         let rows = self.kept(most_rows).len();
         html! {
             figure .picture {
                 figcaption {
-                    strong id={ (id) "-title" } { (self.title) }
+                    strong { (self.title) }
+                    @if known != Some(self.of.as_str()) { " " span .of { (self.of) } }
                     span .says { (self.says) }
                 }
                 p .unit aria-hidden="true" { (self.y_label) }
                 div .plot data-plot=(id) tabindex="0" role="img"
-                    aria-label={ (self.title) ". " (self.says) " Arrow keys read values out." } {}
+                    aria-label={ (self.title) ", " (self.of) ". " (self.says) " Arrow keys read values out." } {}
                 p .readout role="status" aria-live="polite" {}
                 @if rows < self.x.len() {
                     p .note {
@@ -140,7 +144,8 @@ impl Plot {
         let mut x = broken(&self.x, to_place);
         // A place of its own, between its neighbours, breaks the line.
         for at in 1..x.len().saturating_sub(1) {
-            if let (true, Some(a), Some(b)) = (x[at].is_null(), x[at - 1].as_f64(), x[at + 1].as_f64())
+            if let (true, Some(a), Some(b)) =
+                (x[at].is_null(), x[at - 1].as_f64(), x[at + 1].as_f64())
             {
                 x[at] = json!(to_place(0.5 * (a + b)));
             }
@@ -153,9 +158,10 @@ impl Plot {
                 "half": broken_or_none(&series.half_widths, &broken),
             })
         });
-        let mark = self.mark.as_ref().map(|mark| {
-            json!({ "at": mark.at, "interval": mark.interval, "label": mark.label })
-        });
+        let mark = self
+            .mark
+            .as_ref()
+            .map(|mark| json!({ "at": mark.at, "interval": mark.interval, "label": mark.label }));
         json!({
             "x": x,
             "x_label": self.x_label,
@@ -192,7 +198,11 @@ impl Plot {
         let ends = |values: &[f64]| {
             let least = values.iter().copied().fold(f64::INFINITY, f64::min);
             let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-            if least == most { shown(least) } else { format!("{} – {}", shown(least), shown(most)) }
+            if least == most {
+                shown(least)
+            } else {
+                format!("{} – {}", shown(least), shown(most))
+            }
         };
         html! {
             div .scroll tabindex="0" role="region" aria-label={ "Values of " (self.title) } {
@@ -279,8 +289,8 @@ mod tests {
         let values = json["series"][0]["values"].as_array().expect("values");
         assert!(values.len() <= 1000 && values.contains(&json!(7.5)), "{}", values.len());
         assert_eq!(json["x"].as_array().map(Vec::len), Some(values.len()));
-        assert!(plot.markup("p", 1000).into_string().contains("of 100000 samples are drawn"));
-        assert!(!plot.markup("p", 200_000).into_string().contains("samples are drawn"));
+        assert!(plot.markup("p", None, 1000).into_string().contains("of 100000 samples are drawn"));
+        assert!(!plot.markup("p", None, 200_000).into_string().contains("samples are drawn"));
     }
 
     #[test]

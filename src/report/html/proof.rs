@@ -21,7 +21,7 @@ pub struct Proof {
     /// Its amounts with their intervals.
     pub whiskers: Vec<Whiskers>,
     /// Findings, counted from 0, that show a picture of this one already, with its title.
-    pub shown_by: Vec<(usize, String)>,
+    pub shown_by: Vec<(usize, &'static str)>,
     /// A part of the page that shows it: its id, and what it shows.
     pub part: Option<(&'static str, &'static str)>,
 }
@@ -42,17 +42,17 @@ impl Proof {
 pub fn proofs(report: &Report) -> Vec<Proof> {
     let none = Figures::default();
     let figures = report.figures.as_ref().unwrap_or(&none);
-    let mut titles: BTreeMap<String, usize> = BTreeMap::new();
+    let mut first_in: BTreeMap<(&str, String), usize> = BTreeMap::new();
     let findings = report.findings.iter().enumerate();
     findings
         .map(|(index, finding)| {
             let mut proof = Case { report, figures, finding }.proof();
             let plots = std::mem::take(&mut proof.plots);
             for plot in plots.into_iter().filter(|plot| !plot.is_empty()) {
-                match titles.get(&plot.title) {
+                match first_in.get(&(plot.title, plot.of.clone())) {
                     Some(&first) => proof.shown_by.push((first, plot.title)),
                     None => {
-                        titles.insert(plot.title.clone(), index);
+                        first_in.insert((plot.title, plot.of.clone()), index);
                         proof.plots.push(plot);
                     }
                 }
@@ -78,8 +78,8 @@ impl Case<'_> {
                 if self.finding.code == "ORD003" {
                     proof.plots.extend(self.poses().map(position_over_time));
                 }
-                let of_poses = self.poses().map(|pose| readings(&pose.topic, &pose.readings));
-                let of_imus = self.imus().map(|imu| readings(&imu.topic, &imu.readings));
+                let of_poses = self.poses().map(|pose| readings(&pose.readings));
+                let of_imus = self.imus().map(|imu| readings(&imu.readings));
                 proof.bars.extend(of_poses.chain(of_imus).flatten());
             }
             "ORD004" | "ORD005" | "ORD007" | "ORD008" | "FRM001" | "FRM002" | "FRM003" => {
@@ -146,17 +146,12 @@ impl Case<'_> {
     /// The check of another rule or subject of the report.
     fn checks(&self, code: &str) -> impl Iterator<Item = &CheckRow> {
         let robot = &self.finding.subject.robot;
-        self.report
-            .checks
-            .iter()
-            .filter(move |row| row.code == code && row.subject.robot == *robot)
+        self.report.checks.iter().filter(move |row| row.code == code && row.subject.robot == *robot)
     }
 
     /// The latency found on a topic, as a mark in ms.
     fn latency_mark(&self, topic: &str) -> Option<Mark> {
-        let row = self
-            .checks("LAT001")
-            .find(|row| row.subject.topic.as_deref() == Some(topic))?;
+        let row = self.checks("LAT001").find(|row| row.subject.topic.as_deref() == Some(topic))?;
         let Some(Estimate::Amount { value, ci95, .. }) = &row.estimate else { return None };
         Some(Mark {
             at: value * 1e3,
@@ -176,7 +171,8 @@ impl Case<'_> {
             if in_place { (2, 1f64.to_degrees(), "rms °") } else { (1, 1e3, "rms mm") };
         let mark = self.latency_mark(&pose.topic);
         Plot {
-            title: format!("What {} leaves at each latency", pose.topic),
+            title: "What is left at each latency",
+            of: pose.topic.clone(),
             says: "The rest of the error, all else taken off, if the stream were late by so much: \
                    the bottom of the valley is the latency."
                 .to_owned(),
@@ -197,10 +193,12 @@ impl Case<'_> {
 
     fn correlation(&self, imu: &ImuFigure) -> Plot {
         Plot {
-            title: format!("How {} follows the arm at each latency", imu.topic),
-            says: "Correlation of its speed of turning with forward kinematics, if it were late by \
+            title: "How it follows the arm at each latency",
+            of: imu.topic.clone(),
+            says:
+                "Correlation of its speed of turning with forward kinematics, if it were late by \
                    so much: the peak is near the latency, which a finer fit gives."
-                .to_owned(),
+                    .to_owned(),
             x: imu.correlation_by_latency.iter().map(|at| at[0] * 1e3).collect(),
             x_label: "latency, ms",
             y_label: "correlation",
@@ -257,7 +255,8 @@ impl Case<'_> {
             });
         }
         Plot {
-            title: format!("Yaw of {} over that of the arm", imu.topic),
+            title: "Yaw over that of the arm",
+            of: imu.topic.clone(),
             says: "A steady climb is a drift; a right IMU stays level.".to_owned(),
             x: t_s,
             x_label: "time, s",
@@ -271,7 +270,7 @@ impl Case<'_> {
 fn position_over_time(pose: &PoseFigure) -> Plot {
     over_time(
         pose,
-        format!("Position error of {} over time", pose.topic),
+        "Position error over time",
         "Distance of the logged position from forward kinematics",
         ("mm", 1e3),
         [&pose.before_m, &pose.after_m],
@@ -281,7 +280,7 @@ fn position_over_time(pose: &PoseFigure) -> Plot {
 fn rotation_over_time(pose: &PoseFigure) -> Plot {
     over_time(
         pose,
-        format!("Rotation error of {} over time", pose.topic),
+        "Rotation error over time",
         "Angle of the logged orientation to forward kinematics",
         ("°", 1f64.to_degrees()),
         [&pose.before_rad, &pose.after_rad],
@@ -290,7 +289,7 @@ fn rotation_over_time(pose: &PoseFigure) -> Plot {
 
 fn over_time(
     pose: &PoseFigure,
-    title: String,
+    title: &'static str,
     what: &str,
     (unit, factor): (&'static str, f64),
     series: [&Vec<f64>; 2],
@@ -298,6 +297,7 @@ fn over_time(
     let series = before_and_after(series, factor);
     Plot {
         title,
+        of: pose.topic.clone(),
         says: format!("{what}: {}.", most(&series, unit)),
         x: pose.t_s.clone(),
         x_label: "time, s",
@@ -316,7 +316,8 @@ fn error_over_reach(pose: &PoseFigure) -> Plot {
     };
     let series = before_and_after([&sorted(&pose.before_m), &sorted(&pose.after_m)], 1e3);
     Plot {
-        title: format!("Position error of {} over reach", pose.topic),
+        title: "Position error over reach",
+        of: pose.topic.clone(),
         says: "A wrong zero or length shows more the further the arm reaches.".to_owned(),
         x: sorted(&pose.reach_m),
         x_label: "distance from the base, m",
@@ -355,7 +356,8 @@ fn most(series: &[Series], unit: &str) -> String {
 
 fn course(topic: &str, points: &[CoursePoint]) -> Plot {
     Plot {
-        title: format!("Latency of {topic} over time"),
+        title: "Latency over time",
+        of: topic.to_owned(),
         says: "In windows of a second with their 95 % intervals, beyond that of the whole run."
             .to_owned(),
         x: points.iter().map(|point| point.t_s).collect(),
@@ -381,7 +383,8 @@ fn headings(imu: &ImuFigure) -> Plot {
         half_widths: Vec::new(),
     });
     Plot {
-        title: format!("Heading by {} and by the arm", imu.topic),
+        title: "Heading by the IMU and by the arm",
+        of: imu.topic.clone(),
         says: "Where one axis of the sensor points about the vertical.".to_owned(),
         x: imu.headings.iter().map(|at| at[0]).collect(),
         x_label: "time, s",
@@ -392,7 +395,7 @@ fn headings(imu: &ImuFigure) -> Plot {
 }
 
 /// What each reading of a stream's rotations leaves.
-fn readings(topic: &str, scores: &[ReadingScore]) -> Option<Bars> {
+fn readings(scores: &[ReadingScore]) -> Option<Bars> {
     let bars = scores.iter().map(|score| Bar {
         label: match (score.is_as_logged, score.is == score.read_as) {
             (true, _) => "as logged".to_owned(),
@@ -405,7 +408,7 @@ fn readings(topic: &str, scores: &[ReadingScore]) -> Option<Bars> {
     });
     let bars: Vec<Bar> = bars.collect();
     (!bars.is_empty()).then(|| Bars {
-        title: format!("What each reading of {topic} leaves"),
+        title: "What each reading leaves".to_owned(),
         says: "Angle to forward kinematics, rms, with the frames that the best reading needs."
             .to_owned(),
         bars,

@@ -56,7 +56,7 @@ fn line(row: &TimelineRow, whole: f64) -> Markup {
             }
             td .number {
                 @if let Some(rate_hz) = row.rate_hz { (format!("{rate_hz:.0} Hz")) " " }
-                span .quiet { (row.count) " samples" }
+                span .quiet { (row.count) @if row.count == 1 { " sample" } @else { " samples" } }
                 @if row.dropped > 0 { " " strong { (row.dropped) " unusable" } }
                 @let silences = row.silences.len() + row.silences_left_out;
                 @if let Some(longest) = longest(&row.silences) {
