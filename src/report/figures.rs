@@ -28,7 +28,7 @@ pub struct PoseFigure {
     pub robot: String,
     /// The stream's topic.
     pub topic: String,
-    /// Whether it is computed from the joint states, as /tf is, and shown only as it is.
+    /// Whether it is computed from the joint states, as /tf is.
     pub is_derived: bool,
     /// Stamps, s.
     pub t_s: Vec<f64>,
@@ -110,8 +110,7 @@ pub struct TimelineRow {
     pub count: u64,
     /// Samples that could not be used.
     pub dropped: u64,
-    /// Intervals in which samples are missing: from and to in s, and how many. The longest ones, in
-    /// the order of time.
+    /// The longest intervals in which samples are missing, in the order of time.
     pub silences: Vec<Silence>,
     /// Silences beside those.
     pub silences_left_out: usize,
