@@ -23,10 +23,12 @@ use crate::finding::{Severity, Span, Subject};
 use crate::geometry::Pose;
 use crate::hand_eye::{hand_eyes, settle_hands};
 use crate::log::{Log, Loss, Progress};
+use crate::pictures::figures;
 use crate::references::references;
 use crate::replay::{self, Replay, ReplayArm, ReplayImu, ReplayStream, StreamKind};
 use crate::report::{
-    FileRow, LogSummary, NoteRow, Report, RobotRow, StreamRow, Trouble, TroubleKind, tells_hand_eye,
+    Figures, FileRow, LogSummary, NoteRow, Report, RobotRow, StreamRow, Trouble, TroubleKind,
+    tells_hand_eye,
 };
 use crate::robot::{Chain, JointKind, catalogue};
 use crate::run::{
@@ -78,6 +80,8 @@ pub struct Options {
     pub recording: Option<PathBuf>,
     /// The folder to write tables into, as Parquet.
     pub tables: Option<PathBuf>,
+    /// Whether the report carries what its pictures show.
+    pub figures: bool,
     /// Kept up to date while the files are read.
     pub progress: Option<Arc<Progress>>,
 }
@@ -101,6 +105,7 @@ impl Default for Options {
             fail_on: Some(Severity::Warning),
             recording: None,
             tables: None,
+            figures: false,
             progress: None,
         }
     }
@@ -505,7 +510,7 @@ fn due(run: &Run, stream: &Stream) -> Option<Due> {
 }
 
 /// The frame whose poses a stream holds, where its topic is that of other streams, too.
-fn frame_of_several(run: &Run, stream: &Stream) -> Option<String> {
+pub(crate) fn frame_of_several(run: &Run, stream: &Stream) -> Option<String> {
     let of_topic = run.streams.iter().filter(|other| other.topic == stream.topic);
     let is_one_of_several = of_topic.count() > 1 && !stream.child_frame_id.is_empty();
     is_one_of_several.then(|| stream.child_frame_id.clone())
@@ -918,6 +923,16 @@ impl Audits {
     /// The longest segment.
     pub fn main(&self) -> &Audited {
         &self.segments[self.main]
+    }
+
+    /// What the pictures of the longest segment show.
+    pub fn figures(&self) -> Figures {
+        let Audited { run, facts, .. } = self.main();
+        let corrected = |arm: &Arm, facts: &ArmFacts| {
+            facts.diagnosis.corrected_joints(&arm.joints, &prismatic(arm))
+        };
+        let of_longest_segment = self.segments.len() > 1;
+        Figures { of_longest_segment, ..figures(run, facts, corrected) }
     }
 
     /// Writes what mends the findings of `report`, which is on these, into `folder`.

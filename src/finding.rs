@@ -172,6 +172,23 @@ impl Unit {
         self.show_interval(measured.value, self.half_width(measured, 0.95), true)
     }
 
+    /// A value of an [`Estimate`] with the wider half of its interval, where it has one.
+    pub fn show_within(self, value: f64, interval: Option<[f64; 2]>) -> String {
+        match interval {
+            Some([low, high]) => self.show_interval(value, (high - value).max(value - low), false),
+            None => self.show(value),
+        }
+    }
+
+    /// As [`Unit::show_within`], with the sign always there.
+    pub fn show_signed_within(self, value: f64, interval: Option<[f64; 2]>) -> String {
+        match interval {
+            Some([low, high]) => self.show_interval(value, (high - value).max(value - low), true),
+            None if value > 0.0 => format!("+{}", self.show(value)),
+            None => self.show(value),
+        }
+    }
+
     /// `value` with the half-width of its interval, both in the unit's symbol.
     pub fn show_interval(self, value: f64, half: f64, signed: bool) -> String {
         if !half.is_finite() {

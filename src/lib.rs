@@ -21,6 +21,7 @@
 mod audit;
 mod demo;
 mod hand_eye;
+mod pictures;
 mod references;
 mod workspace;
 
@@ -68,7 +69,10 @@ pub fn audit(options: &Options) -> Result<Report, Trouble> {
         read.note_corrections(given);
     }
     let audits = audit::Audits::of(log, &read, options, given)?;
-    let report = audits.report(read, options);
+    let mut report = audits.report(read, options);
+    if options.figures {
+        report.figures = Some(audits.figures());
+    }
     if let Some(path) = &options.recording {
         let main = audits.main();
         audit::record(path, &main.run, &main.facts, &report)?;

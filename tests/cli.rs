@@ -379,3 +379,43 @@ fn a_transform_of_the_log_is_looked_up_as_tf2_does() {
     assert!(stdout(&followed).lines().count() > 20, "{}", stdout(&followed));
     assert_refused(&["tf", CLEAN, "base", "tool"], 2, "tool0");
 }
+
+#[test]
+fn the_page_shows_what_proves_each_finding() {
+    let args = ["audit", FAULTY, "--format", "html"];
+    let (output, again) = (poseaudit(&args), poseaudit(&args));
+    assert_eq!(status(&output), 1);
+    assert_eq!(output.stdout, again.stdout, "two audits of one log differ");
+    let page = stdout(&output);
+    let data = page.split("<script id=\"data\" type=\"application/json\">").nth(1);
+    let data = data.and_then(|rest| rest.split("</script>").next()).expect("the plots' data");
+    let plots: Value = serde_json::from_str(data).expect("JSON");
+    let plots: Vec<&Value> = plots.as_object().expect("plots").values().collect();
+    // What is left at each latency is least at the one found.
+    let valley = plots.iter().find(|plot| plot["x_label"] == "latency, ms").expect("a valley");
+    let numbers = |values: &Value| -> Vec<f64> {
+        values.as_array().into_iter().flatten().filter_map(Value::as_f64).collect()
+    };
+    let (x, left) = (numbers(&valley["x"]), numbers(&valley["series"][0]["values"]));
+    let least = (0..left.len()).min_by(|&a, &b| left[a].total_cmp(&left[b])).expect("values");
+    let found = valley["mark"]["at"].as_f64().expect("a mark");
+    assert!((x[least] - found).abs() < 0.5 && (found - 15.0).abs() < 0.1, "{} {found}", x[least]);
+    assert!(left[0] > 20.0 * left[least], "{left:?}");
+    // The explanation takes the error off.
+    let most = |plot: &Value, at: usize| {
+        numbers(&plot["series"][at]["values"]).into_iter().fold(0.0, f64::max)
+    };
+    let over_time = plots.iter().filter(|plot| plot["series"].as_array().map(Vec::len) == Some(2));
+    let mut over_time =
+        over_time.filter(|plot| plot["series"][0]["label"] == "as logged").peekable();
+    assert!(over_time.peek().is_some());
+    for plot in over_time {
+        assert!(most(plot, 1) < 0.1 * most(plot, 0), "{}", plot["y_label"]);
+    }
+    // The joint that is off stands out among all.
+    let offsets = page.split("Zero offsets of all joints").nth(1).expect("the offsets");
+    let rows: Vec<&str> =
+        offsets.split("</table>").next().unwrap_or_default().split("<tr").collect();
+    let faults: Vec<&&str> = rows.iter().filter(|row| row.contains("class=\"fault\"")).collect();
+    assert!(rows.len() == 7 && faults.len() == 1 && faults[0].contains("elbow_joint"), "{rows:?}");
+}

@@ -126,6 +126,7 @@ fn joints_course(streams: &[Stream], subjects: usize) -> Option<LatencyCourse> {
         is_unsteady: true,
         jumps: surest.jumps.iter().map(turned).collect(),
         levels: surest.levels.iter().map(|&(at_s, level_s)| (at_s, -level_s)).collect(),
+        windows: surest.windows.iter().map(|&(t_s, one)| (t_s, one.scaled(-1.0))).collect(),
     })
 }
 
@@ -209,7 +210,7 @@ mod tests {
     fn scatter_that_noise_may_be_is_no_finding() {
         let mut facts = clean_run();
         let course = |swing_s, is_unsteady, jumps| {
-            Ok(LatencyCourse { swing_s, is_unsteady, jumps, levels: Vec::new() })
+            Ok(LatencyCourse { swing_s, is_unsteady, jumps, ..steady() })
         };
         facts.robots[0].diagnosis.streams[0].course = course(sure(0.012), false, vec![]);
         let (rows, findings) = ask(&LAT003, &facts);
@@ -228,7 +229,7 @@ mod tests {
                 swing_s: sure(size_s),
                 is_unsteady: true,
                 jumps: vec![jump],
-                levels: Vec::new(),
+                ..steady()
             })
         };
         let with = |pose: Seen<LatencyCourse>, imu: Seen<LatencyCourse>| {

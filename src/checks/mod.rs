@@ -36,6 +36,7 @@ pub use facts::{
 pub use merge::{Part as EvaluatedPart, merged};
 pub(crate) use observability::hidden_zero;
 pub use observability::{Blind, Part, StreamObservability};
+pub(crate) use reading::read_as as reading_names;
 
 /// Declares a rule; its doc comment is the text that `explain` prints.
 macro_rules! rule {

@@ -255,6 +255,7 @@ mod tests {
             best_rad,
             runner_up,
             equivalent: Vec::new(),
+            ranked: Vec::new(),
             is_told: true,
         });
         facts

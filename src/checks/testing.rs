@@ -78,6 +78,7 @@ pub fn clean_run() -> Facts {
             shape: None,
         }),
         yaw_error: Vec::new(),
+        headings: Vec::new(),
     };
     let arm = ArmFacts {
         name: "arm".to_owned(),
@@ -194,6 +195,7 @@ fn as_logged() -> ReadingEstimate {
         best_rad: 1e-4,
         runner_up: None,
         equivalent: Vec::new(),
+        ranked: Vec::new(),
         is_told: true,
     }
 }
@@ -248,5 +250,11 @@ fn stream(topic: &str, independent: bool) -> PoseFacts {
 
 /// A latency that does not change.
 pub fn steady() -> LatencyCourse {
-    LatencyCourse { swing_s: sure(0.0), is_unsteady: false, jumps: Vec::new(), levels: Vec::new() }
+    LatencyCourse {
+        swing_s: sure(0.0),
+        is_unsteady: false,
+        jumps: Vec::new(),
+        levels: Vec::new(),
+        windows: Vec::new(),
+    }
 }

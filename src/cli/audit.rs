@@ -162,6 +162,7 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
         fail_on: args.fail_on.into(),
         recording: args.rrd,
         tables: args.parquet,
+        figures: reports.are_pictured(),
         progress: None,
     };
     let audited = watched(|progress| {

@@ -69,6 +69,11 @@ impl Reports {
         self.formats.iter().any(|format| !format.is_text())
     }
 
+    /// Whether one of the formats shows pictures.
+    pub fn are_pictured(&self) -> bool {
+        self.formats.iter().any(|format| format.is_pictured())
+    }
+
     /// Writes `report` in every format to its place.
     ///
     /// # Errors

@@ -36,6 +36,9 @@ pub struct LatencyCourse {
     /// Latency beyond what was found for the whole run: from these times on (s from the run's
     /// origin) where it jumps, else at these times, s.
     pub levels: Vec<(f64, f64)>,
+    /// Latency beyond what was found for the whole run in each window: its time, s from the run's
+    /// origin, and the latency, s.
+    pub windows: Vec<(f64, Measured)>,
 }
 
 /// A sudden change of latency that stays.
@@ -91,6 +94,10 @@ impl Window {
     fn weight(&self) -> f64 {
         self.std_error_s.powi(-2)
     }
+
+    fn measured(&self) -> Measured {
+        Measured { value: self.delta_s, std_error: self.std_error_s, dof: f64::INFINITY }
+    }
 }
 
 /// What a late stream leaves at one stamp: what is left of it with everything found taken off, and
@@ -133,8 +140,9 @@ pub(super) fn course_of(lagging: &[Lagging], kinds: usize, skew: f64) -> Seen<La
         window.delta_s += skew * (window.t_s - middle_s);
     }
     let free = (windows.len() - 2) as f64;
+    let seen: Vec<(f64, Measured)> = windows.iter().map(|w| (w.t_s, w.measured())).collect();
     if steady <= UNSTEADY * free {
-        return Ok(steady_course(&windows, typical_s));
+        return Ok(LatencyCourse { windows: seen, ..steady_course(&windows, typical_s) });
     }
     let splits = splits(&windows);
     let left = levels(&windows, &splits).1;
@@ -144,10 +152,8 @@ pub(super) fn course_of(lagging: &[Lagging], kinds: usize, skew: f64) -> Seen<La
         wandering_course(&windows)
     };
     let beyond_s = |t_s: f64| course.beyond_s(t_s) - skew * (t_s - middle_s);
-    Ok(match explains(&samples, beyond_s) {
-        true => course,
-        false => LatencyCourse { is_unsteady: false, ..course },
-    })
+    let is_unsteady = explains(&samples, beyond_s);
+    Ok(LatencyCourse { is_unsteady, windows: seen, ..course })
 }
 
 /// Whether a latency of `beyond_s` at each time makes most of the residual beyond its noise, and
@@ -337,6 +343,7 @@ fn steady_course(windows: &[Window], typical_s: f64) -> LatencyCourse {
         is_unsteady: false,
         jumps: Vec::new(),
         levels: Vec::new(),
+        windows: Vec::new(),
     }
 }
 
@@ -351,6 +358,7 @@ fn wandering_course(windows: &[Window]) -> LatencyCourse {
         is_unsteady: true,
         jumps: Vec::new(),
         levels: windows.iter().map(|window| (window.t_s, window.delta_s)).collect(),
+        windows: Vec::new(),
     }
 }
 
@@ -395,7 +403,7 @@ fn jumping_course(
     levels.sort_by(|a, b| a.0.total_cmp(&b.0));
     let largest = jumps.iter().max_by(|a, b| a.size_s.value.abs().total_cmp(&b.size_s.value.abs()));
     let swing_s = largest.map_or(measured[0], |jump| jump.size_s);
-    LatencyCourse { swing_s, is_unsteady: true, jumps, levels }
+    LatencyCourse { swing_s, is_unsteady: true, jumps, levels, windows: Vec::new() }
 }
 
 #[cfg(test)]

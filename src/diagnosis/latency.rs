@@ -122,9 +122,29 @@ pub(super) fn norms(t_s: &[f64], vectors: &[Vec3]) -> Speed {
 
 /// The lags within ±`most_s` at which `stream` follows `arm`, best first; empty without motion or
 /// without a common span.
+pub(super) fn peaks(arm: &Speed, stream: &Speed, most_s: f64) -> Vec<Peak> {
+    let by_lag = by_lag(arm, stream, most_s);
+    let mut peaks: Vec<Peak> = by_lag
+        .windows(3)
+        .filter_map(|around| {
+            let [a, b, c] = [0, 1, 2].map(|at| around[at].correlation);
+            let is_peak = b.is_finite() && b >= a && b > c;
+            let bend = a - 2.0 * b + c;
+            let shift = if bend < 0.0 { 0.5 * (a - c) / bend } else { 0.0 };
+            let step = around[2].lag_s - around[1].lag_s;
+            let peak = Peak { lag_s: around[1].lag_s + shift * step, correlation: b };
+            is_peak.then_some(peak)
+        })
+        .collect();
+    peaks.sort_by(|a, b| b.correlation.total_cmp(&a.correlation));
+    peaks
+}
+
+/// How the speeds of `stream` and `arm` correlate at each lag within ±`most_s`, in even steps; NaN
+/// where they cannot be compared. Empty without a common span.
 ///
 /// Where the joints are silent for long the arm's speed is in several pieces, whose sums are added.
-pub(super) fn peaks(arm: &Speed, stream: &Speed, most_s: f64) -> Vec<Peak> {
+pub(super) fn by_lag(arm: &Speed, stream: &Speed, most_s: f64) -> Vec<Peak> {
     /// Most steps that the pieces have together.
     const STEPS: f64 = 30_000.0;
     let periods = [arm, stream].map(|speed| median_period_s(&speed.t_s));
@@ -146,21 +166,9 @@ pub(super) fn peaks(arm: &Speed, stream: &Speed, most_s: f64) -> Vec<Peak> {
             &Grid::of(stream, silences[1], before, step, count + 2 * lags),
         );
     }
-    let correlations = sums.correlations();
-    let mut peaks: Vec<Peak> = (1..correlations.len().saturating_sub(1))
-        .filter(|&i| {
-            let c = &correlations[i - 1..=i + 1];
-            c[1].is_finite() && c[1] >= c[0] && c[1] > c[2]
-        })
-        .map(|i| {
-            let (a, b, c) = (correlations[i - 1], correlations[i], correlations[i + 1]);
-            let bend = a - 2.0 * b + c;
-            let shift = if bend < 0.0 { 0.5 * (a - c) / bend } else { 0.0 };
-            Peak { lag_s: (i as f64 + shift - lags as f64) * step, correlation: b }
-        })
-        .collect();
-    peaks.sort_by(|a, b| b.correlation.total_cmp(&a.correlation));
-    peaks
+    let lag_s = |at: usize| (at as f64 - lags as f64) * step;
+    let correlations = sums.correlations().into_iter().enumerate();
+    correlations.map(|(at, correlation)| Peak { lag_s: lag_s(at), correlation }).collect()
 }
 
 /// Longest silence through which a speed is interpolated that is known every `period_s`, s.

@@ -12,6 +12,7 @@ mod frames;
 mod handeye;
 mod imu;
 mod joints;
+mod lag;
 mod latency;
 mod linear;
 mod measured;
@@ -42,7 +43,8 @@ pub use handeye::{
     CameraPose, Closure, Diversity, HandEyeDiagnosis, HandEyeStreams, Mount, PoseSeries, Solution,
     TargetReading, diagnose_hand_eye, turning_peaks,
 };
-pub use imu::diagnose_imu;
+pub use imu::{diagnose_imu, turning_by_latency};
+pub use lag::{LatencyResidual, residual_by_latency};
 pub use latency::Peak;
 pub use measured::{Length, Measured};
 pub use motion::{Abruptness, Excess, Series, abruptness, beyond_positions, beyond_speed};
@@ -158,6 +160,9 @@ pub struct ReadingEstimate {
     pub runner_up: Option<(Reading, f64)>,
     /// Readings that this motion cannot tell from the best.
     pub equivalent: Vec<Reading>,
+    /// The readings that fit best, with the frames that the best one needs: the least residual first,
+    /// rms rad, the best and the stream as logged among them.
+    pub ranked: Vec<(Reading, f64)>,
     /// Whether most readings fit worse; at rest a constant frame makes nearly all of them fit.
     pub is_told: bool,
 }
@@ -405,6 +410,19 @@ pub struct ImuDiagnosis {
     pub gyro_bias: Seen<GyroBias>,
     /// Stamp (s from the origin), yaw of IMU against FK (rad), for the pictures.
     pub yaw_error: Vec<(f64, f64)>,
+    /// The headings that this is the difference of, for the pictures.
+    pub headings: Vec<Heading>,
+}
+
+/// Where one axis of an IMU points, about gravity.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Heading {
+    /// Stamp, s from the run's origin.
+    pub t_s: f64,
+    /// By the IMU's orientation, rad, without jumps by whole turns.
+    pub imu_rad: f64,
+    /// By FK, turned to the IMU's world, rad, likewise.
+    pub fk_rad: f64,
 }
 
 impl ImuDiagnosis {
@@ -422,6 +440,7 @@ impl ImuDiagnosis {
             tilt_rad: Err(why.clone()),
             gyro_bias: Err(why.clone()),
             yaw_error: Vec::new(),
+            headings: Vec::new(),
         }
     }
 }

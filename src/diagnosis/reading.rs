@@ -208,6 +208,7 @@ pub(super) fn read_in_gravity(samples: &Samples, forces: &[Vec3]) -> Seen<(Readi
         .iter()
         .find(|fit| matches!(fit.reading, Reading::AsLogged) && fit.frames == best.frames);
     let estimate = ReadingEstimate {
+        ranked: ranking(&fits, &best),
         best: best.reading,
         as_logged_rad: as_logged.map(|fit| fit.residual_rad),
         best_rad: best.residual_rad,
@@ -216,6 +217,23 @@ pub(super) fn read_in_gravity(samples: &Samples, forces: &[Vec3]) -> Seen<(Readi
         equivalent,
     };
     Ok((estimate, best))
+}
+
+/// The readings with the least residuals, once each, and the stream as logged, all with the frames
+/// that the best one needs.
+fn ranking(fits: &[Fit], best: &Fit) -> Vec<(Reading, f64)> {
+    /// Readings beside those two.
+    const SHOWN: usize = 6;
+    let alike = fits.iter().filter(|fit| fit.frames == best.frames);
+    let mut alike: Vec<&Fit> = alike.collect();
+    alike.sort_by(|a, b| a.residual_rad.total_cmp(&b.residual_rad));
+    let is_kept = |(rank, fit): &(usize, &Fit)| {
+        *rank < SHOWN
+            || matches!(fit.reading, Reading::AsLogged)
+            || same_reading(&fit.reading, &best.reading)
+    };
+    let kept = alike.into_iter().enumerate().filter(is_kept);
+    kept.map(|(_, fit)| (fit.reading, fit.residual_rad)).collect()
 }
 
 /// Whether a reading that needs more than a turned world leaves gravity other than upright in it.

@@ -21,7 +21,6 @@ mod page;
 mod plots;
 mod scene;
 mod tape;
-mod thin;
 
 use std::path::{Path, PathBuf};
 
@@ -40,6 +39,9 @@ use tape::Tape;
 
 /// Whose recordings these are, in the viewer.
 const APPLICATION: &str = env!("CARGO_PKG_NAME");
+
+/// No more rows than this of one stream are written.
+const MOST_ROWS: usize = 4_000;
 
 /// What a recording shows.
 #[derive(Clone, Debug)]

@@ -4,8 +4,8 @@ use re_sdk_types::archetypes::{Scalars, SeriesLines};
 use rerun::EntityPath;
 
 use super::tape::{Tape, entity};
-use super::{ReplayArm, ReplayCause, ReplayImu, ReplayStream, State, StreamKind, thin};
-use crate::tables::{self, AFTER_M, AFTER_RAD, BEFORE_M, BEFORE_RAD};
+use super::{MOST_ROWS, ReplayArm, ReplayCause, ReplayImu, ReplayStream, State, StreamKind};
+use crate::tables::{self, AFTER_M, AFTER_RAD, BEFORE_M, BEFORE_RAD, thin};
 
 const ERRORS: &str = "errors";
 
@@ -114,7 +114,7 @@ struct Series {
 impl Series {
     /// Adds the line through `values`, in SI.
     fn draw(&self, tape: &Tape, stamps_ns: &[i64], values: &[f64]) -> Result<(), ReplayCause> {
-        let rows = thin::extremes(values);
+        let rows = thin::extremes(&[values], MOST_ROWS);
         let kept_ns: Vec<i64> = rows.iter().map(|&row| stamps_ns[row]).collect();
         let shown = rows.iter().map(|&row| values[row] * self.factor);
         let style = SeriesLines::new()

@@ -8,10 +8,10 @@ use re_sdk_types::datatypes::Quaternion;
 use rerun::EntityPath;
 
 use super::tape::{Tape, entity};
-use super::{ReplayArm, ReplayCause, ReplayStream, State, StreamKind, thin};
+use super::{MOST_ROWS, ReplayArm, ReplayCause, ReplayStream, State, StreamKind};
 use crate::geometry::{Pose, xyz_of, xyzw_from_rotation};
 use crate::stream::JointTrack;
-use crate::tables::{self, Posed};
+use crate::tables::{self, Posed, thin};
 
 const ARM_RGB: [u8; 3] = [205, 210, 220];
 const RECORDED_RGB: [u8; 3] = [110, 115, 125];
@@ -150,7 +150,7 @@ impl Moved {
         let xyzw = tables::quaternions_xyzw(&stream.frame, posed)?;
         let mut moved = Self::default();
         let late_ns = crate::time::nanos(latency_s);
-        for row in thin::evenly(stamps_ns.len()) {
+        for row in thin::evenly(stamps_ns.len(), MOST_ROWS) {
             moved.stamps_ns.push(stamps_ns[row].saturating_sub(late_ns));
             moved.xyz.push(xyz[row]);
             moved.xyzw.push(xyzw[row]);
@@ -211,7 +211,7 @@ fn rows<'a>(
     arm: &'a ReplayArm<'_>,
     joints: &'a JointTrack,
 ) -> impl Iterator<Item = (f64, Vec<f64>)> + 'a {
-    thin::evenly(joints.len()).into_iter().map(|row| {
+    thin::evenly(joints.len(), MOST_ROWS).into_iter().map(|row| {
         let positions = joints.row(row);
         (joints.t_s[row], arm.columns.iter().map(|&column| positions[column]).collect())
     })

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::io::{self, Write};
 
-use super::{Report, github, json, junit, markdown, sarif, text};
+use super::{Report, github, html, json, junit, markdown, sarif, text};
 
 /// A format of the report.
 #[derive(Clone, Copy)]
@@ -31,6 +31,12 @@ pub static FORMATS: &[Format] = &[
         file_name: "report.md",
         about: "For a comment on a pull request",
         write: markdown::write,
+    },
+    Format {
+        name: "html",
+        file_name: "report.html",
+        about: "For people: one page with its pictures, which opens in any browser",
+        write: html::write,
     },
     Format {
         name: "junit",
@@ -66,6 +72,11 @@ impl Format {
     /// Whether it is the one for people at a terminal, who read on stderr what went wrong.
     pub fn is_text(&self) -> bool {
         self.name == Self::text().name
+    }
+
+    /// Whether it shows the pictures of [`Report::figures`].
+    pub fn is_pictured(&self) -> bool {
+        self.name == "html"
     }
 
     /// Writes `report` in this format.

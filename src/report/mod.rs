@@ -3,9 +3,11 @@
 //! A format only renders. What is in a report is settled when it is made.
 
 pub(crate) mod amounts;
+pub mod figures;
 mod file;
 mod format;
 pub mod github;
+pub mod html;
 pub mod json;
 pub mod junit;
 pub mod markdown;
@@ -23,6 +25,7 @@ use crate::checks::{self, Evaluation, StreamObservability};
 use crate::finding::{CheckRow, Finding, Severity, Status, decimal};
 use crate::time::Stamp;
 
+pub use figures::Figures;
 pub use file::write_whole;
 pub use format::{FORMATS, Format};
 pub use trouble::{Trouble, TroubleKind};
@@ -56,6 +59,9 @@ pub struct Report {
     /// The least severity that fails the run; `None` where nothing does.
     #[serde(skip)]
     fail_on: Option<Severity>,
+    /// What its pictures show, where they were asked for.
+    #[serde(skip)]
+    pub figures: Option<Figures>,
 }
 
 /// Over which part of its ranges one arm moved.
@@ -268,6 +274,7 @@ impl Report {
             observability: Vec::new(),
             workspace: Vec::new(),
             fail_on: None,
+            figures: None,
         }
     }
 

@@ -7,6 +7,7 @@
 mod configurations;
 mod parquet;
 mod rows;
+pub mod thin;
 mod workspace;
 
 pub use configurations::{Configurations, kinematics_frame};

@@ -14,7 +14,7 @@ mod tilt;
 mod yaw;
 
 use super::arm::still_speeds;
-use super::latency::{Peak, angular_speed, arm_speeds, norms, peaks};
+use super::latency::{Peak, angular_speed, arm_speeds, by_lag, norms, peaks};
 use super::reading::mean_rotation;
 use super::reread;
 use super::{ImuDiagnosis, ImuStream, Measured, Reading, Seen, Unseen, YawCourse};
@@ -92,6 +92,7 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
             tilt_rad,
             gyro_bias,
             yaw_error: fit.yaw_error,
+            headings: fit.headings,
         },
         Err(why) => ImuDiagnosis {
             reading: Err(why.clone()),
@@ -108,8 +109,27 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
             tilt_rad,
             gyro_bias,
             yaw_error: Vec::new(),
+            headings: Vec::new(),
         },
     }
+}
+
+/// How the speed at which an IMU turns correlates with its link's at each lag within ±`most_lag_s`:
+/// by its gyro or by its orientation, whichever follows better. For the pictures.
+pub fn turning_by_latency(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) -> Vec<Peak> {
+    let (track, (_, turning)) = (stream.track, arm_speeds(joints, stream.chain, stream.columns));
+    let curve = |speed| {
+        let mut curve = by_lag(&turning, &speed, most_lag_s);
+        curve.retain(|at| at.correlation.is_finite());
+        curve
+    };
+    let best = |curve: &[Peak]| curve.iter().map(|at| at.correlation).fold(f64::MIN, f64::max);
+    let gyro = curve(norms(&track.t_s, &track.gyro));
+    let oriented = match track.orientation.is_empty() {
+        true => Vec::new(),
+        false => curve(angular_speed(&track.t_s, &track.orientation)),
+    };
+    if best(&oriented) > best(&gyro) { oriented } else { gyro }
 }
 
 /// The orientations of an IMU as `reading` says that they are meant: of the rotations that a sample

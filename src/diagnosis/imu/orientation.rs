@@ -7,12 +7,13 @@ use super::super::linear::Linear;
 use super::super::measured::Length;
 use super::super::model::FLOOR_RAD;
 use super::super::reading::{Fit, Logged, Samples, mean_rotation, nearest_truth, read_in_gravity};
-use super::super::{LatencyCourse, Measured, ReadingEstimate, Seen, Unseen, YawCourse};
+use super::super::{Heading, LatencyCourse, Measured, ReadingEstimate, Seen, Unseen, YawCourse};
 use super::solve::{Model, Solved, lengths, solve};
 use super::yaw::{self, Course};
 use super::{Clock, Delay, Link, MOUNT_CHANCE, NEED, SKEW_CHANCE, TURNS_RAD, explains, rms};
 use crate::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use nalgebra::DVector;
+use std::f64::consts::TAU;
 use std::ops::Range;
 
 /// Samples that readings are tried on.
@@ -32,6 +33,7 @@ pub(super) struct OrientationFit {
     pub mount_rad: Seen<Length>,
     pub link_from_imu: Rotation,
     pub yaw_error: Vec<(f64, f64)>,
+    pub headings: Vec<Heading>,
 }
 
 impl Link<'_> {
@@ -85,6 +87,7 @@ impl Link<'_> {
             mount_rad,
             link_from_imu: model.link_from_imu,
             yaw_error: model.yaw_error(),
+            headings: model.headings(),
         })
     }
 
@@ -308,6 +311,51 @@ impl<'a> OrientationModel<'a> {
         let stamps: Vec<f64> = stamps.map(|&k| t_s[k]).collect();
         let linear = still.linearize();
         stamps.into_iter().zip(linear.residual[0].iter().map(|residual| residual[2])).collect()
+    }
+
+    /// Where that axis of the IMU points which stays furthest from the vertical, by the IMU and by the
+    /// arm with the drift and all else left in; none where every axis comes close to it.
+    fn headings(&self) -> Vec<Heading> {
+        /// Cosine of the angle to the vertical from which on a heading means nothing.
+        const UPRIGHT: f64 = 0.97;
+        let mut sweep = self.link.sweep();
+        let t_s = &self.link.stream.track.t_s;
+        let rows: Vec<(f64, Rotation, Rotation)> = self
+            .rows
+            .iter()
+            .zip(&self.truth)
+            .filter_map(|(&k, truth)| {
+                let moment = self.link.at(self.delay.truth_s(t_s[k]), &mut sweep)?;
+                Some((t_s[k], *truth, self.world_from_base * moment.rotation * self.link_from_imu))
+            })
+            .collect();
+        let steepest = |axis: &Vec3| {
+            rows.iter().map(|(_, _, by_fk)| (by_fk * axis).z.abs()).fold(0.0, f64::max)
+        };
+        let axes = [0, 1, 2].map(|axis| Vec3::ith(axis, 1.0));
+        let axes = axes.iter().map(|axis| (steepest(axis), axis));
+        let Some((steepest, axis)) = axes.min_by(|a, b| a.0.total_cmp(&b.0)) else {
+            return Vec::new();
+        };
+        if steepest > UPRIGHT {
+            return Vec::new();
+        }
+        let heading = |rotation: &Rotation| {
+            let points = rotation * axis;
+            points.y.atan2(points.x)
+        };
+        let unwrapped = |of: &dyn Fn(&(f64, Rotation, Rotation)) -> f64| {
+            yaw::unwrapped(&rows.iter().map(|row| (row.0, of(row))).collect::<Vec<_>>())
+        };
+        let by_fk = unwrapped(&|(_, _, by_fk)| heading(by_fk));
+        let ahead = unwrapped(&|(_, truth, by_fk)| {
+            let ahead = heading(truth) - heading(by_fk);
+            ahead - (ahead / TAU).round() * TAU
+        });
+        let pairs = by_fk.into_iter().zip(ahead);
+        pairs
+            .map(|((t_s, fk_rad), (_, ahead))| Heading { t_s, imu_rad: fk_rad + ahead, fk_rad })
+            .collect()
     }
 }
 

@@ -76,7 +76,7 @@ pub(super) fn explain(series: &[(f64, f64)]) -> Course {
 }
 
 /// The same angles without jumps by whole turns.
-fn unwrapped(series: &[(f64, f64)]) -> Vec<(f64, f64)> {
+pub(super) fn unwrapped(series: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let (mut turns, mut last) = (0.0, None);
     let unwrap = |&(t_s, angle): &(f64, f64)| {
         if let Some(last) = last.replace(angle) {

@@ -1,0 +1,108 @@
+//! What a stream would leave if its latency were another: the valley around the one found.
+
+use super::{PoseDiagnosis, PoseStream};
+use crate::geometry::angle_between;
+use crate::stream::JointTrack;
+
+/// What a stream with everything else found taken off leaves at one latency.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LatencyResidual {
+    /// The latency, s.
+    pub latency_s: f64,
+    /// Position against FK, rms m.
+    pub rms_m: f64,
+    /// Rotation against FK, rms rad.
+    pub rms_rad: f64,
+}
+
+/// What `stream` leaves at latencies around the one that was `found` on it and around none, against
+/// `joints` as they should have been recorded. Empty where no latency was found, or too few samples
+/// have FK at all of these latencies.
+pub fn residual_by_latency(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    found: &PoseDiagnosis,
+) -> Vec<LatencyResidual> {
+    /// Samples that are compared, and the fewest.
+    const SAMPLES: usize = 400;
+    const FEWEST: usize = 20;
+    let Ok(latency) = &found.latency_s else { return Vec::new() };
+    let aligned = &found.aligned;
+    let latencies_s = latencies_s(latency.value, latency.half_width(0.95));
+    let skew = found.skew.as_ref().map_or(0.0, |skew| skew.value);
+    let skew = if found.skew_chosen { skew } else { 0.0 };
+    let middle_s = match aligned.t_s.as_slice() {
+        [first, .., last] => 0.5 * (first + last),
+        _ => 0.0,
+    };
+    let mut squares = vec![(0.0, 0.0); latencies_s.len()];
+    let (mut compared, mut cursor) = (0, 0);
+    let mut track = [vec![0.0; joints.dof], vec![0.0; joints.dof]];
+    let mut q = vec![0.0; stream.columns.len()];
+    let step = aligned.t_s.len().div_ceil(SAMPLES).max(1);
+    for row in (0..aligned.t_s.len()).step_by(step) {
+        let (stamp_s, corrected) = (aligned.t_s[row], &aligned.corrected[row]);
+        let left: Option<Vec<(f64, f64)>> = latencies_s
+            .iter()
+            .map(|latency_s| {
+                let truth_s = stamp_s - latency_s - skew * (stamp_s - middle_s);
+                let [own, speeds] = &mut track;
+                if !joints.at(truth_s, &mut cursor, own, speeds) {
+                    return None;
+                }
+                q.iter_mut().zip(stream.columns).for_each(|(q, &column)| *q = own[column]);
+                let fk = stream.chain.forward(&q);
+                let apart_m = (fk.translation.vector - corrected.translation.vector).norm();
+                Some((apart_m, angle_between(&fk.rotation, &corrected.rotation)))
+            })
+            .collect();
+        let Some(left) = left else { continue };
+        compared += 1;
+        for (square, (m, rad)) in squares.iter_mut().zip(left) {
+            *square = (square.0 + m * m, square.1 + rad * rad);
+        }
+    }
+    if compared < FEWEST {
+        return Vec::new();
+    }
+    let rms = |square: f64| (square / compared as f64).sqrt();
+    let valley = latencies_s.into_iter().zip(squares);
+    valley
+        .map(|(latency_s, (m, rad))| LatencyResidual {
+            latency_s,
+            rms_m: rms(m),
+            rms_rad: rms(rad),
+        })
+        .collect()
+}
+
+/// Latencies to try, s, ascending: from below the one found and none to above both, the one found
+/// among them.
+fn latencies_s(found_s: f64, half_width_s: f64) -> Vec<f64> {
+    /// Steps from one end to the other.
+    const STEPS: usize = 120;
+    /// Shown beyond the latency found and beyond none, s, at least.
+    const BESIDE_S: f64 = 0.01;
+    let beside_s = (0.6 * found_s.abs()).max(BESIDE_S).max(3.0 * half_width_s.min(1.0));
+    let (low_s, high_s) = (found_s.min(0.0) - beside_s, found_s.max(0.0) + beside_s);
+    let even = (0..=STEPS).map(|step| low_s + (high_s - low_s) * step as f64 / STEPS as f64);
+    let mut latencies_s: Vec<f64> = even.chain([found_s]).collect();
+    latencies_s.sort_by(f64::total_cmp);
+    latencies_s.dedup();
+    latencies_s
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_latency_found_and_none_are_both_amid_those_tried() {
+        for found_s in [-0.3, -1e-4, 0.0, 0.022, 1.7] {
+            let tried = latencies_s(found_s, 1e-4);
+            assert!(tried.is_sorted() && tried.contains(&found_s), "{found_s}: {tried:?}");
+            let (first, last) = (tried[0], tried[tried.len() - 1]);
+            assert!(first < found_s.min(0.0) && last > found_s.max(0.0), "{found_s}: {tried:?}");
+        }
+    }
+}

@@ -1,0 +1,219 @@
+//! Joins a run and what was estimated on it to the series behind a report's pictures.
+
+use polars::prelude::{DataFrame, PolarsResult};
+
+use crate::audit::{frame_of_several, imu_stream, pose_stream};
+use crate::checks::{ArmFacts, Facts, ImuFacts, PoseFacts, reading_names};
+use crate::diagnosis::{
+    ImuDiagnosis, LatencyCourse, Measured, PoseDiagnosis, Reading, ReadingEstimate, Seen,
+    residual_by_latency, turning_by_latency,
+};
+use crate::report::figures::{
+    CoursePoint, Figures, FrameEdge, FrameEdgeKind, ImuFigure, PoseFigure, ReadingScore, Silence,
+    TimelineRow,
+};
+use crate::run::{Arm, Edge, EdgeKind, ImuSource, PoseSource, Rhythm, Run, Stream};
+use crate::stream::JointTrack;
+use crate::tables::{self, AFTER_M, AFTER_RAD, BEFORE_M, BEFORE_RAD, REACH_M, T_S, aligned_frame};
+use crate::time::Stamp;
+
+/// Silences that are kept of one stream.
+const MOST_SILENCES: usize = 60;
+
+/// The series behind the pictures of a run. `corrected` gives an arm's joint states as they should
+/// have been recorded.
+pub(crate) fn figures(
+    run: &Run,
+    facts: &Facts,
+    corrected: impl Fn(&Arm, &ArmFacts) -> JointTrack,
+) -> Figures {
+    let clock = Clock { run, start: run.span.map_or(run.origin, |(start, _)| start) };
+    let mut figures = Figures {
+        duration_s: run.span.map_or(0.0, |(start, end)| end.seconds_since(start)),
+        timeline: timeline(&clock),
+        frames: frames(run),
+        ..Figures::default()
+    };
+    for (arm, facts) in run.arms.iter().zip(&facts.robots) {
+        let corrected = corrected(arm, facts);
+        for (source, (stream, found)) in arm.poses.iter().zip(facts.poses()) {
+            figures.poses.extend(pose(&clock, &corrected, source, facts, stream, found));
+        }
+        for (source, (stream, found)) in arm.tf.iter().zip(&facts.tf) {
+            // What publishes the log's transforms knows of no correction.
+            let joints = arm.recorded.as_ref().map_or(&arm.joints, |(recorded, _)| recorded);
+            let drawn = pose(&clock, joints, source, facts, stream, found);
+            figures.poses.extend(drawn.map(|drawn| PoseFigure { is_derived: true, ..drawn }));
+        }
+        figures.imus.extend(imus(&clock, &corrected, arm, facts));
+    }
+    figures
+}
+
+/// Times of the run as the report says them.
+struct Clock<'a> {
+    run: &'a Run,
+    start: Stamp,
+}
+
+impl Clock<'_> {
+    /// Seconds from the start of a stamp.
+    fn of_stamp_s(&self, stamp: Stamp) -> f64 {
+        stamp.seconds_since(self.start)
+    }
+
+    /// Seconds from the start of seconds from the run's origin.
+    fn of_origin_s(&self, t_s: f64) -> f64 {
+        t_s + self.run.origin.seconds_since(self.start)
+    }
+
+    fn course(&self, course: &Seen<LatencyCourse>) -> Vec<CoursePoint> {
+        let windows = course.as_ref().map_or(&[][..], |course| &course.windows);
+        let point = |&(t_s, latency): &(f64, Measured)| CoursePoint {
+            t_s: self.of_origin_s(t_s),
+            beyond_s: latency.value,
+            half_width_s: latency.half_width(0.95),
+        };
+        windows.iter().map(point).collect()
+    }
+}
+
+/// `None` where the samples of a stream do not stand beside FK.
+fn pose(
+    clock: &Clock,
+    joints: &JointTrack,
+    source: &PoseSource,
+    arm: &ArmFacts,
+    facts: &PoseFacts,
+    found: &PoseDiagnosis,
+) -> Option<PoseFigure> {
+    let frame = aligned_frame(&found.aligned, clock.run.origin).ok()?;
+    let [t_s, before_m, before_rad, after_m, after_rad, reach_m] = columns(&frame).ok()?;
+    let tied = |values: Vec<f64>| if facts.reference_known { values } else { Vec::new() };
+    let stream = pose_stream(clock.run, source);
+    let valley = residual_by_latency(joints, &stream, found).into_iter();
+    Some(PoseFigure {
+        robot: arm.name.clone(),
+        topic: facts.topic.clone(),
+        is_derived: false,
+        t_s: t_s.into_iter().map(|t_s| clock.of_origin_s(t_s)).collect(),
+        before_m: tied(before_m),
+        before_rad: tied(before_rad),
+        after_m,
+        after_rad,
+        reach_m,
+        left_by_latency: valley.map(|at| [at.latency_s, at.rms_m, at.rms_rad]).collect(),
+        latency_course: clock.course(&found.course),
+        readings: scores(&found.reading),
+    })
+}
+
+fn columns(frame: &DataFrame) -> PolarsResult<[Vec<f64>; 6]> {
+    let column = |name| tables::numbers(frame, name);
+    Ok([
+        column(T_S)?,
+        column(BEFORE_M)?,
+        column(BEFORE_RAD)?,
+        column(AFTER_M)?,
+        column(AFTER_RAD)?,
+        column(REACH_M)?,
+    ])
+}
+
+fn scores(reading: &Seen<ReadingEstimate>) -> Vec<ReadingScore> {
+    let Ok(reading) = reading else { return Vec::new() };
+    let best = reading_names(&reading.best);
+    let score = |(one, rms_rad): &(Reading, f64)| {
+        let names = reading_names(one);
+        let is_best = names == best;
+        ReadingScore {
+            is_as_logged: matches!(one, Reading::AsLogged),
+            is_best,
+            is: names.is,
+            read_as: names.read_as,
+            // The best one is fitted on.
+            rms_rad: if is_best { reading.best_rad } else { *rms_rad },
+        }
+    };
+    reading.ranked.iter().map(score).collect()
+}
+
+fn imus(clock: &Clock, joints: &JointTrack, arm: &Arm, facts: &ArmFacts) -> Vec<ImuFigure> {
+    /// Correlations are shown this far beyond twice the latency, s.
+    const BESIDE_S: f64 = 0.08;
+    let figure = |source: &ImuSource, imu: &ImuFacts, found: &ImuDiagnosis| {
+        let most_s = found.latency_s.as_ref().map(|latency| 2.0 * latency.value.abs() + BESIDE_S);
+        let curve = most_s.map(|most_s| turning_by_latency(joints, &imu_stream(source), most_s));
+        let (yaw_error, headings) = (found.yaw_error.iter(), found.headings.iter());
+        ImuFigure {
+            robot: facts.name.clone(),
+            topic: imu.topic.clone(),
+            yaw_error: yaw_error.map(|&(t_s, rad)| [clock.of_origin_s(t_s), rad]).collect(),
+            headings: headings
+                .map(|at| [clock.of_origin_s(at.t_s), at.imu_rad, at.fk_rad])
+                .collect(),
+            correlation_by_latency: curve
+                .unwrap_or_default()
+                .into_iter()
+                .map(|peak| [peak.lag_s, peak.correlation])
+                .collect(),
+            latency_course: clock.course(&found.latency_course),
+            readings: scores(&found.reading),
+        }
+    };
+    let imus = arm.imus.iter().zip(&facts.imus);
+    imus.map(|(source, (imu, found))| figure(source, imu, found)).collect()
+}
+
+fn timeline(clock: &Clock) -> Vec<TimelineRow> {
+    let run = clock.run;
+    let row = |(index, stream): (usize, &Stream)| {
+        let rhythm = run.rhythms.iter().find(|rhythm| rhythm.stream == index);
+        let (silences, silences_left_out) = silences(clock, rhythm);
+        Some(TimelineRow {
+            topic: stream.topic.clone(),
+            frame: frame_of_several(run, stream),
+            span_s: [clock.of_stamp_s(stream.start?), clock.of_stamp_s(stream.end?)],
+            rate_hz: stream.rate_hz,
+            count: stream.count,
+            dropped: stream.dropped,
+            silences,
+            silences_left_out,
+        })
+    };
+    run.streams.iter().enumerate().filter_map(row).collect()
+}
+
+/// The longest silences of a stream in the order of time, and how many there are beside them.
+fn silences(clock: &Clock, rhythm: Option<&Rhythm>) -> (Vec<Silence>, usize) {
+    let parts = rhythm.into_iter().flat_map(|rhythm| &rhythm.parts).filter(|part| part.wanted);
+    let holes = parts.flat_map(|part| &part.holes);
+    let mut silences: Vec<Silence> = holes
+        .map(|hole| Silence {
+            span_s: [hole.stretch.start, hole.stretch.end].map(|stamp| clock.of_stamp_s(stamp)),
+            missing: hole.missing,
+        })
+        .collect();
+    let length_s = |silence: &Silence| silence.span_s[1] - silence.span_s[0];
+    silences.sort_by(|a, b| length_s(b).total_cmp(&length_s(a)));
+    let left_out = silences.len().saturating_sub(MOST_SILENCES);
+    silences.truncate(MOST_SILENCES);
+    silences.sort_by(|a, b| a.span_s[0].total_cmp(&b.span_s[0]));
+    (silences, left_out)
+}
+
+fn frames(run: &Run) -> Vec<FrameEdge> {
+    let edge = |edge: &Edge| {
+        let (parent, child) = run.tf.names(edge);
+        FrameEdge {
+            parent: parent.to_owned(),
+            child: child.to_owned(),
+            kind: match edge.kind {
+                EdgeKind::Dynamic => FrameEdgeKind::Moving,
+                EdgeKind::Static => FrameEdgeKind::Still,
+                EdgeKind::Model => FrameEdgeKind::Model,
+            },
+        }
+    };
+    run.tf.edges().iter().map(edge).collect()
+}

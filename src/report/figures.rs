@@ -1,0 +1,148 @@
+//! The series behind a report's pictures, in SI units and seconds from the start of the run.
+//!
+//! Filled where a format draws them, from what plots, tables and the recording read too; see
+//! [`Options::figures`](crate::Options::figures).
+
+/// What the pictures of a report show.
+#[derive(Clone, Debug, Default)]
+pub struct Figures {
+    /// Length of the run, s.
+    pub duration_s: f64,
+    /// Whether they are of the longest segment only of a run whose clock began anew.
+    pub of_longest_segment: bool,
+    /// The pose streams, and /tf.
+    pub poses: Vec<PoseFigure>,
+    /// The IMUs.
+    pub imus: Vec<ImuFigure>,
+    /// When each stream was there.
+    pub timeline: Vec<TimelineRow>,
+    /// The transforms of the log and the still ones of its models.
+    pub frames: Vec<FrameEdge>,
+}
+
+/// Errors of one pose stream. The columns have an entry a sample; those `before` are empty where the
+/// log does not tie the stream's frame to the arm.
+#[derive(Clone, Debug, Default)]
+pub struct PoseFigure {
+    /// The arm.
+    pub robot: String,
+    /// The stream's topic.
+    pub topic: String,
+    /// Whether it is computed from the joint states, as /tf is.
+    pub is_derived: bool,
+    /// Stamps, s.
+    pub t_s: Vec<f64>,
+    /// Distance from FK as recorded, m.
+    pub before_m: Vec<f64>,
+    /// Angle to FK as recorded, rad.
+    pub before_rad: Vec<f64>,
+    /// The same once everything found is taken off, m.
+    pub after_m: Vec<f64>,
+    /// Likewise, rad.
+    pub after_rad: Vec<f64>,
+    /// Distance of FK from the origin of the reference frame, m.
+    pub reach_m: Vec<f64>,
+    /// What is left at latencies around the one found: latency in s, rms m, rms rad.
+    pub left_by_latency: Vec<[f64; 3]>,
+    /// Its latency over the run.
+    pub latency_course: Vec<CoursePoint>,
+    /// What each reading of its rotations leaves.
+    pub readings: Vec<ReadingScore>,
+}
+
+/// One IMU.
+#[derive(Clone, Debug, Default)]
+pub struct ImuFigure {
+    /// The arm.
+    pub robot: String,
+    /// The IMU's topic.
+    pub topic: String,
+    /// Stamp in s, and yaw of the IMU over that of FK in rad.
+    pub yaw_error: Vec<[f64; 2]>,
+    /// Stamp in s, and heading by the IMU and by FK in rad; empty where no axis has one throughout.
+    pub headings: Vec<[f64; 3]>,
+    /// How its speed of turning correlates with FK's: latency in s, correlation.
+    pub correlation_by_latency: Vec<[f64; 2]>,
+    /// Its latency over the run.
+    pub latency_course: Vec<CoursePoint>,
+    /// What each reading of its rotations leaves.
+    pub readings: Vec<ReadingScore>,
+}
+
+/// The latency of a stream in a window of about a second.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CoursePoint {
+    /// Middle of the window, s.
+    pub t_s: f64,
+    /// Latency beyond that of the whole run, s.
+    pub beyond_s: f64,
+    /// Half the width of its 95 % interval, s.
+    pub half_width_s: f64,
+}
+
+/// What one reading of a stream's rotations leaves.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ReadingScore {
+    /// What the numbers are under it, by the names of the estimates.
+    pub is: String,
+    /// What they were read as.
+    pub read_as: String,
+    /// Whether it is the stream as logged.
+    pub is_as_logged: bool,
+    /// Whether it is the reading that the audit names.
+    pub is_best: bool,
+    /// Residual angle, rms rad.
+    pub rms_rad: f64,
+}
+
+/// When one stream was there.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TimelineRow {
+    /// Its topic.
+    pub topic: String,
+    /// Its child frame, where the topic has several streams.
+    pub frame: Option<String>,
+    /// First and last stamp, s.
+    pub span_s: [f64; 2],
+    /// Samples a second.
+    pub rate_hz: Option<f64>,
+    /// Messages or samples, and how many could not be used.
+    pub count: u64,
+    /// Samples that could not be used.
+    pub dropped: u64,
+    /// The longest intervals in which samples are missing, in the order of time.
+    pub silences: Vec<Silence>,
+    /// Silences beside those.
+    pub silences_left_out: usize,
+}
+
+/// An interval in which samples of a stream are missing.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Silence {
+    /// From and to, s.
+    pub span_s: [f64; 2],
+    /// Samples missing, at the stream's period.
+    pub missing: usize,
+}
+
+/// A transform between two frames.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FrameEdge {
+    /// The parent frame.
+    pub parent: String,
+    /// The child frame.
+    pub child: String,
+    /// Where it comes from.
+    pub kind: FrameEdgeKind,
+}
+
+/// Where a transform comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FrameEdgeKind {
+    /// Sent over and over.
+    Moving,
+    /// Sent as static.
+    Still,
+    /// A fixed joint of the model that the log does not publish.
+    Model,
+}

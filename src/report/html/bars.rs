@@ -1,0 +1,129 @@
+//! Pictures that are tables: bars and amounts with their intervals.
+
+use maud::{Markup, html};
+
+use crate::finding::Unit;
+
+/// One bar a row.
+#[derive(Clone, Debug)]
+pub struct Bars {
+    /// What they show, in a few words.
+    pub title: String,
+    /// What they are, in a sentence.
+    pub says: String,
+    /// The rows.
+    pub bars: Vec<Bar>,
+}
+
+/// One bar.
+#[derive(Clone, Debug)]
+pub struct Bar {
+    /// Its name.
+    pub label: String,
+    /// Its length.
+    pub value: f64,
+    /// The same in words.
+    pub shown: String,
+    /// Whether it is the one that the audit names.
+    pub is_best: bool,
+}
+
+impl Bars {
+    /// The bars as a table.
+    pub fn markup(&self) -> Markup {
+        let most = self.bars.iter().map(|bar| bar.value).fold(f64::MIN_POSITIVE, f64::max);
+        html! {
+            figure .picture {
+                figcaption { strong { (self.title) } span .says { (self.says) } }
+                table .bars {
+                    tbody {
+                        @for bar in &self.bars {
+                            tr .best[bar.is_best] {
+                                th scope="row" { (bar.label) }
+                                td .bar { span style={ "width:" (percent(bar.value / most)) } {} }
+                                td .number { (bar.shown) }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Amounts with their intervals on one axis through zero.
+#[derive(Clone, Debug)]
+pub struct Whiskers {
+    /// What they show, in a few words.
+    pub title: String,
+    /// What they are, in a sentence.
+    pub says: String,
+    /// The rows.
+    pub rows: Vec<Whisker>,
+}
+
+/// An amount with its interval.
+#[derive(Clone, Debug)]
+pub struct Whisker {
+    /// Its name.
+    pub label: String,
+    /// The amount and its interval, in the unit's SI unit; `None` where it could not be told.
+    pub amount: Option<(f64, Option<[f64; 2]>, Unit)>,
+    /// Whether the audit finds fault with it.
+    pub is_fault: bool,
+}
+
+impl Whiskers {
+    /// The amounts as a table.
+    pub fn markup(&self) -> Markup {
+        html! {
+            figure .picture {
+                figcaption { strong { (self.title) } span .says { (self.says) } }
+                table .bars .whiskers {
+                    tbody {
+                        @for row in &self.rows {
+                            tr .fault[row.is_fault] {
+                                th scope="row" { (row.label) }
+                                @match row.amount {
+                                    Some((value, interval, unit)) => {
+                                        td .bar { (self.track(value, interval, unit)) }
+                                        td .number { (unit.show_signed_within(value, interval)) }
+                                    }
+                                    None => { td .bar {} td .number { "not told" } }
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    fn track(&self, value: f64, interval: Option<[f64; 2]>, unit: Unit) -> Markup {
+        let full = self.full(unit);
+        let place = |at: f64| percent(0.5 + 0.5 * (at / full).clamp(-1.0, 1.0));
+        let [low, high] = interval.unwrap_or([value, value]);
+        let width = 0.5 * ((high / full).clamp(-1.0, 1.0) - (low / full).clamp(-1.0, 1.0));
+        html! {
+            i .zero {}
+            i .whisker style={ "left:" (place(low)) ";width:" (percent(width)) } {}
+            i .dot style={ "left:" (place(value)) } {}
+        }
+    }
+
+    /// What the half axis stands for: all of every amount, and of the intervals as much as does not
+    /// make the amounts small.
+    fn full(&self, unit: Unit) -> f64 {
+        /// Intervals may make the axis this much longer than the largest amount.
+        const LONGER: f64 = 3.0;
+        let alike = self.rows.iter().filter_map(|row| row.amount).filter(|(.., own)| *own == unit);
+        let most = alike.clone().map(|(value, ..)| value.abs()).fold(f64::MIN_POSITIVE, f64::max);
+        let ends = alike.filter_map(|(_, interval, _)| interval).flatten().map(f64::abs);
+        1.08 * ends.fold(most, f64::max).min(LONGER * most)
+    }
+}
+
+/// A share as a CSS percentage.
+pub fn percent(share: f64) -> String {
+    format!("{:.2}%", 100.0 * share)
+}

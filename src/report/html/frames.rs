@@ -1,0 +1,125 @@
+//! The tree of frames, as nested lists.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use maud::{Markup, html};
+
+use crate::report::figures::{Figures, FrameEdge, FrameEdgeKind};
+use crate::report::{RobotRow, StreamRow};
+
+/// Frames deeper than this are not drawn: no arm has them, and a page of them nobody reads.
+const DEEPEST: usize = 60;
+
+/// The section of the page.
+pub fn section(figures: &Figures, robots: &[RobotRow]) -> Markup {
+    let tree = Tree::of(&figures.frames, robots);
+    html! {
+        @if !figures.frames.is_empty() {
+            section #frames aria-labelledby="frames-title" {
+                h2 #frames-title { "Frames" }
+                p .says {
+                    "Each frame under its parent; " b { "bold" } " are the base and the tip of the \
+                     audited chain."
+                }
+                div .scroll .tree tabindex="0" role="region" aria-labelledby="frames-title" {
+                    @let mut drawn = BTreeSet::new();
+                    ul {
+                        @for root in tree.roots() { (tree.branch(root, None, 0, &mut drawn)) }
+                        @for frame in tree.frames() {
+                            @if !drawn.contains(frame) { (tree.branch(frame, None, 0, &mut drawn)) }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// The frames that a stream names, in the words of the table of streams.
+pub fn of_stream(stream: &StreamRow) -> Markup {
+    let parent = stream.frame_id.as_deref().or(stream.reference.as_deref());
+    let child = stream.child_frame_id.as_deref().or(stream.link.as_deref());
+    html! {
+        @match (parent, child) {
+            (Some(parent), Some(child)) if parent != child => { (parent) " → " (child) }
+            (Some(frame), _) | (None, Some(frame)) => { (frame) }
+            (None, None) => {}
+        }
+    }
+}
+
+struct Tree<'a> {
+    children: BTreeMap<&'a str, Vec<&'a FrameEdge>>,
+    parents: BTreeMap<&'a str, Vec<&'a str>>,
+    /// All frames, in the order in which they come.
+    frames: Vec<&'a str>,
+    named: BTreeSet<&'a str>,
+}
+
+impl<'a> Tree<'a> {
+    fn of(edges: &'a [FrameEdge], robots: &'a [RobotRow]) -> Self {
+        let mut tree = Self {
+            children: BTreeMap::new(),
+            parents: BTreeMap::new(),
+            frames: Vec::new(),
+            named: robots.iter().flat_map(|robot| [&*robot.base, &*robot.tip]).collect(),
+        };
+        let mut known = BTreeSet::new();
+        for edge in edges {
+            let (parent, child) = (edge.parent.as_str(), edge.child.as_str());
+            tree.frames.extend([parent, child].into_iter().filter(|frame| known.insert(*frame)));
+            let siblings = tree.children.entry(parent).or_default();
+            // The log's transform and the model's are one.
+            if !siblings.iter().any(|other| other.child == child) {
+                siblings.push(edge);
+                tree.parents.entry(child).or_default().push(parent);
+            }
+        }
+        tree
+    }
+
+    fn frames(&self) -> impl Iterator<Item = &'a str> {
+        self.frames.iter().copied()
+    }
+
+    fn roots(&self) -> impl Iterator<Item = &'a str> {
+        self.frames().filter(|frame| !self.parents.contains_key(frame))
+    }
+
+    /// A frame with what hangs on it. A frame that was drawn before is named again and ends there, so
+    /// that a cycle ends.
+    fn branch(
+        &self,
+        frame: &'a str,
+        edge: Option<&FrameEdge>,
+        depth: usize,
+        drawn: &mut BTreeSet<&'a str>,
+    ) -> Markup {
+        let is_again = !drawn.insert(frame);
+        let children = self.children.get(frame).filter(|_| !is_again && depth < DEEPEST);
+        let parents = self.parents.get(frame).map_or(0, Vec::len);
+        html! {
+            li {
+                span .frame .named[self.named.contains(frame)] { (frame) }
+                @if let Some(edge) = edge { " " span .quiet { (kind(edge.kind)) } }
+                @if parents > 1 { " " strong { (parents) " parents" } }
+                @if is_again { " " span .quiet { "as above" } }
+                @if let Some(children) = children {
+                    ul {
+                        @for edge in children {
+                            (self.branch(&edge.child, Some(*edge), depth + 1, drawn))
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+const fn kind(kind: FrameEdgeKind) -> &'static str {
+    match kind {
+        FrameEdgeKind::Moving => "moving",
+        FrameEdgeKind::Still => "static",
+        FrameEdgeKind::Model => "in the model only",
+    }
+}

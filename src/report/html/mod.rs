@@ -1,0 +1,138 @@
+//! The report as one page for a browser, which loads nothing from anywhere: verdict and findings
+//! first, each with the picture that proves it, then the rest.
+//!
+//! Names of topics come from whoever made the log. What is text goes through [`maud`], which escapes
+//! it; what is data goes into JSON without a `<`; and the page's policy lets no script run but the two
+//! that stand here, by their hashes.
+
+mod bars;
+mod frames;
+mod parts;
+mod plot;
+mod proof;
+#[cfg(test)]
+mod tests;
+mod timeline;
+
+use std::io::{self, Write};
+
+use base64::prelude::{BASE64_STANDARD, Engine as _};
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+use serde_json::{Map, Value};
+use sha2::{Digest, Sha256};
+
+use self::parts::Parts;
+use self::proof::{Proof, proofs};
+use super::outline::Outline;
+use super::{Report, Verdict};
+
+/// uPlot 1.6.32, MIT licence, from the npm package `uplot`: see `uplot/LICENSE`.
+const UPLOT: &str = include_str!("uplot/uPlot.iife.min.js");
+const UPLOT_STYLE: &str = include_str!("uplot/uPlot.min.css");
+const STYLE: &str = include_str!("page.css");
+const SCRIPT: &str = include_str!("page.js");
+
+/// Rows drawn on all plots of a page together, …
+const MOST_ROWS: usize = 45_000;
+/// … on one plot at least and at most.
+const MOST_ROWS_OF_PLOT: [usize; 2] = [300, 3_000];
+/// No more plots than this are drawn.
+const MOST_PLOTS: usize = 120;
+
+/// Writes the report. It holds no time and no path but those in the log and in the call, so that the
+/// same report gives the same bytes.
+///
+/// # Errors
+/// If `out` cannot be written.
+pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
+    out.write_all(page(report).into_string().as_bytes())
+}
+
+fn page(report: &Report) -> Markup {
+    let outline = Outline::of(report);
+    let mut proofs = proofs(report);
+    let left_out = limit(&mut proofs);
+    let plots: usize = proofs.iter().map(|proof| proof.plots.len()).sum();
+    let [least, most] = MOST_ROWS_OF_PLOT;
+    let rows = (MOST_ROWS / plots.max(1)).clamp(least, most);
+    let parts = Parts { report, outline: &outline, proofs: &proofs, rows, left_out };
+    let title = format!("{} · {}", report.verdict, parts.name());
+    let policy = format!(
+        "default-src 'none'; style-src 'unsafe-inline'; script-src {} {}; base-uri 'none'; \
+         form-action 'none'",
+        hash(UPLOT),
+        hash(SCRIPT)
+    );
+    html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta http-equiv="Content-Security-Policy" content=(policy);
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                meta name="color-scheme" content="light dark";
+                meta name="generator" content=(concat!("poseaudit ", env!("CARGO_PKG_VERSION")));
+                title { (title) }
+                style { (PreEscaped(UPLOT_STYLE)) (PreEscaped(STYLE)) }
+            }
+            body .(verdict_class(report)) {
+                a .skip href="#findings" { "Skip to the findings" }
+                (parts.header())
+                main {
+                    (parts.verdict())
+                    noscript {
+                        p .note { "The plots need JavaScript; their values are in the tables under \
+                                   them." }
+                    }
+                    (parts.findings())
+                    (parts.rest())
+                }
+                (parts.footer())
+                script #data type="application/json" { (PreEscaped(data(&proofs, rows))) }
+                script { (PreEscaped(UPLOT)) }
+                script { (PreEscaped(SCRIPT)) }
+            }
+        }
+    }
+}
+
+const fn verdict_class(report: &Report) -> &'static str {
+    match (&report.error, report.verdict) {
+        (Some(_), _) | (None, Verdict::Inconclusive) => "open",
+        (None, Verdict::Pass) => "pass",
+        (None, Verdict::Fail) => "fail",
+    }
+}
+
+/// The id of a plot of a finding, both counted from 0.
+fn plot_id(finding: usize, plot: usize) -> String {
+    format!("plot-{}-{}", finding + 1, plot + 1)
+}
+
+/// Leaves out plots beyond [`MOST_PLOTS`], and says how many.
+fn limit(proofs: &mut [Proof]) -> usize {
+    let (mut drawn, mut left_out) = (0, 0);
+    for proof in proofs {
+        let kept = proof.plots.len().min(MOST_PLOTS - drawn);
+        left_out += proof.plots.len() - kept;
+        proof.plots.truncate(kept);
+        drawn += kept;
+    }
+    left_out
+}
+
+/// What the script draws the plots from. No `<` is left in it, so that no name in it ends the element
+/// that it stands in.
+fn data(proofs: &[Proof], rows: usize) -> String {
+    let plots = proofs.iter().enumerate().flat_map(|(finding, proof)| {
+        let plots = proof.plots.iter().enumerate();
+        plots.map(move |(plot, drawn)| (plot_id(finding, plot), drawn.json(rows)))
+    });
+    let data: Map<String, Value> = plots.collect();
+    Value::Object(data).to_string().replace('<', "\\u003c")
+}
+
+/// A script's hash, as a page's policy has it.
+fn hash(script: &str) -> String {
+    format!("'sha256-{}'", BASE64_STANDARD.encode(Sha256::digest(script)))
+}

@@ -1,0 +1,329 @@
+//! The parts of the page, from its head to its foot.
+
+use std::iter::once;
+
+use maud::{Markup, html};
+
+use super::bars::percent;
+use super::proof::Proof;
+use super::{frames, plot_id, timeline};
+use crate::finding::Finding;
+use crate::report::outline::Outline;
+use crate::report::{JointCoverage, Report, WorkspaceRow};
+
+/// The parts of one page.
+pub struct Parts<'a> {
+    pub report: &'a Report,
+    pub outline: &'a Outline<'a>,
+    /// What stands under each finding.
+    pub proofs: &'a [Proof],
+    /// Rows that one plot may have.
+    pub rows: usize,
+    /// Plots that are not drawn because there are too many.
+    pub left_out: usize,
+}
+
+impl Parts<'_> {
+    /// The name of the run: that of its first file.
+    pub fn name(&self) -> String {
+        let files = &self.report.log.files;
+        let name = |path: &std::path::Path| match path.file_name() {
+            Some(name) => name.to_string_lossy().into_owned(),
+            None => path.display().to_string(),
+        };
+        match files.as_slice() {
+            [] => "no log".to_owned(),
+            [only] => name(&only.path),
+            [first, others @ ..] => format!("{} and {} more", name(&first.path), others.len()),
+        }
+    }
+
+    pub fn header(&self) -> Markup {
+        let log = &self.report.log;
+        html! {
+            header .page {
+                p .tool { "poseaudit" }
+                h1 { (self.name()) }
+                dl .facts {
+                    @for file in &log.files {
+                        dt { "log" }
+                        dd { (file.path.display()) }
+                    }
+                    @if let Some(extent) = self.outline.extent() {
+                        dt { "holds" }
+                        dd { (extent) }
+                    }
+                    @for robot in &self.report.robots {
+                        dt { "robot" }
+                        dd { (robot.name) ", " (robot.base) " → " (robot.tip) ", from " (robot.source) }
+                    }
+                }
+            }
+        }
+    }
+
+    /// The answer, and the causes in a line each.
+    pub fn verdict(&self) -> Markup {
+        html! {
+            section .verdict aria-labelledby="verdict" {
+                @match &self.report.error {
+                    Some(trouble) => {
+                        h2 #verdict { strong { "NO AUDIT" } " " span { (trouble.what) } }
+                        p { (trouble.place) ": " (trouble.remedy) }
+                    }
+                    None => {
+                        h2 #verdict {
+                            strong { (self.report.verdict) } " " span { (self.outline.why()) }
+                        }
+                    }
+                }
+                @if self.report.findings.len() > 1 {
+                    ol .causes {
+                        @for (index, finding) in self.report.findings.iter().enumerate() {
+                            li .(finding.severity.name()) {
+                                a href={ "#finding-" (index + 1) } {
+                                    code { (finding.code) } " "
+                                    span .cause {
+                                        span .subject { (self.outline.subject(&finding.subject)) }
+                                        " " span .message { (finding.message) }
+                                    }
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// A section for every finding.
+    pub fn findings(&self) -> Markup {
+        html! {
+            section #findings aria-labelledby="findings-title" {
+                h2 #findings-title .quiet[self.report.findings.is_empty()] {
+                    @if self.report.findings.is_empty() { "No findings" } @else { "Findings" }
+                }
+                @for (index, (finding, proof)) in
+                    self.report.findings.iter().zip(self.proofs).enumerate()
+                {
+                    (self.finding(index, finding, proof))
+                }
+                @if self.left_out > 0 {
+                    p .note {
+                        (self.left_out) " plots are left out: a page draws no more than "
+                        (super::MOST_PLOTS) "."
+                    }
+                }
+            }
+        }
+    }
+
+    fn finding(&self, index: usize, finding: &Finding, proof: &Proof) -> Markup {
+        let id = format!("finding-{}", index + 1);
+        let subject = self.outline.subject(&finding.subject);
+        let meaning = finding.evidence.more.get("meaning").and_then(|it| it.as_str());
+        html! {
+            article id=(id) .finding .(finding.severity.name()) aria-labelledby={ (id) "-title" } {
+                p .badge {
+                    span .severity { (finding.severity.name()) } " " code { (finding.code) } " "
+                    span .kind { (finding.title) }
+                }
+                h3 id={ (id) "-title" } {
+                    @if !subject.is_empty() { span .subject { (subject) } " " }
+                    span .message { (finding.message) }
+                }
+                @if let Some(effect) = &finding.evidence.effect { p .effect { (effect) } }
+                @if let Some(meaning) = meaning { p .effect { (meaning) } }
+                @if let Some(others) =
+                    self.outline.cannot_be_told_from(&finding.evidence.indistinguishable)
+                {
+                    p .effect { (others) }
+                }
+                p .fix { strong { "Fix" } " " (finding.fix) }
+                (self.proof(index, proof))
+            }
+        }
+    }
+
+    fn proof(&self, index: usize, proof: &Proof) -> Markup {
+        let topic = self.report.findings[index].subject.topic.as_deref();
+        html! {
+            @if !proof.is_empty() {
+                div .proof {
+                    @for whiskers in &proof.whiskers { (whiskers.markup()) }
+                    @for (plot, drawn) in proof.plots.iter().enumerate() {
+                        (drawn.markup(&plot_id(index, plot), topic, self.rows))
+                    }
+                    @for bars in &proof.bars { (bars.markup()) }
+                }
+            }
+            @for (first, title) in &proof.shown_by {
+                p .note {
+                    (title) ": under "
+                    a href={ "#finding-" (first + 1) } { (self.report.findings[*first].code) }
+                }
+            }
+            @match (&proof.part, &self.report.figures) {
+                (Some((part, what)), Some(_)) => {
+                    p .note { "See " a href={ "#" (part) } { (what) } "." }
+                }
+                (None, Some(_)) if proof.is_empty() => {
+                    p .note { "No picture: what this rule looks at is not kept as a series." }
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// What passed, what could not be told and the rest.
+    pub fn rest(&self) -> Markup {
+        let passed = self.outline.passed();
+        let whole = passed.whole.join(", ");
+        let on_parts = passed.parts.into_iter().chain(passed.remarks);
+        let all_passed: Vec<String> = once(whole).chain(on_parts).collect();
+        let figures = self.report.figures.as_ref();
+        let notes = self.report.log.notes.iter();
+        let mut notes: Vec<String> =
+            notes.map(|note| format!("{}: {}", note.path.display(), note.note)).collect();
+        if figures.is_some_and(|figures| figures.of_longest_segment) {
+            notes.push("the pictures are of the longest segment".to_owned());
+        }
+        html! {
+            (list("open", "Could not tell", &self.outline.could_not_tell()))
+            (list("together", "Cannot show", &self.outline.cannot_show()))
+            (list("passed", "Passed", if self.report.checks.is_empty() { &[] } else { &all_passed }))
+            (list("skipped", "Skipped", &self.outline.skipped()))
+            (self.workspace())
+            @if let Some(figures) = figures {
+                (timeline::section(figures))
+                (frames::section(figures, &self.report.robots))
+            }
+            (self.streams())
+            (list("notes", "Notes", &notes))
+        }
+    }
+
+    /// How far the joints and the tip of each arm moved.
+    fn workspace(&self) -> Markup {
+        html! {
+            @if !self.report.workspace.is_empty() {
+                section #workspace aria-labelledby="workspace-title" {
+                    h2 #workspace-title { "Workspace" }
+                    @for arm in &self.report.workspace { (arm_coverage(arm)) }
+                }
+            }
+        }
+    }
+
+    fn streams(&self) -> Markup {
+        html! {
+            @if !self.report.streams.is_empty() {
+                section #streams aria-labelledby="streams-title" {
+                    h2 #streams-title { "Streams" }
+                    div .scroll tabindex="0" role="region" aria-labelledby="streams-title" {
+                        table {
+                            thead {
+                                tr {
+                                    th scope="col" { "topic" }
+                                    th scope="col" { "role" }
+                                    th scope="col" { "why" }
+                                    th scope="col" { "frames" }
+                                    th scope="col" { "type" }
+                                }
+                            }
+                            tbody {
+                                @for stream in &self.report.streams {
+                                    tr {
+                                        th scope="row" { (stream.topic) }
+                                        td { (stream.role) }
+                                        td .words { (stream.reason) }
+                                        td { (frames::of_stream(stream)) }
+                                        td { code { (stream.type_name) } }
+                                    }
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    pub fn footer(&self) -> Markup {
+        let first = self.report.findings.first();
+        html! {
+            footer {
+                @if let Some(first) = first {
+                    p { code { "poseaudit explain " (first.code) } " what it means, when it misleads" }
+                    p { code { "poseaudit audit … --rrd run.rrd" } " replay it in the viewer" }
+                }
+                p { "poseaudit " (env!("CARGO_PKG_VERSION")) ". Errors are against forward \
+                     kinematics of the joint states; ± is half a 95 % interval." }
+            }
+        }
+    }
+}
+
+/// Lines under a heading; nothing where there are none.
+fn list(id: &str, title: &str, lines: &[String]) -> Markup {
+    html! {
+        @if !lines.is_empty() {
+            section id=(id) .list aria-labelledby={ (id) "-title" } {
+                h2 id={ (id) "-title" } { (title) }
+                ul { @for line in lines { @if !line.is_empty() { li { (coded(line)) } } } }
+            }
+        }
+    }
+}
+
+/// A line in which what is before the first word or colon, the codes of rules, is set apart.
+fn coded(line: &str) -> Markup {
+    let is_code = |c: char| c.is_ascii_uppercase() || c.is_ascii_digit() || "–, ".contains(c);
+    let end = line.find(|c| !is_code(c)).unwrap_or(line.len());
+    let (codes, rest) = match line[..end].trim_end() {
+        codes if codes.len() >= 6 => line.split_at(codes.len()),
+        _ => ("", line),
+    };
+    html! { @if !codes.is_empty() { code { (codes) } } (rest) }
+}
+
+fn arm_coverage(arm: &WorkspaceRow) -> Markup {
+    let [least_m, most_m] = arm.reach_m;
+    html! {
+        h3 { (arm.robot) }
+        p {
+            "Tip " (format!("{least_m:.2}–{most_m:.2} m")) " from the base, which reaches "
+            (format!("{:.2} m", arm.max_reach_m)) "."
+        }
+        table .bars .coverage {
+            tbody { @for joint in &arm.joints { (joint_coverage(joint)) } }
+        }
+        @for hides in &arm.hides { p .note { (hides) } }
+    }
+}
+
+fn joint_coverage(joint: &JointCoverage) -> Markup {
+    let (factor, unit) = if joint.unit == "rad" { (1f64.to_degrees(), "°") } else { (1e3, " mm") };
+    let range = |low: f64, high: f64| format!("{:.0} to {:.0}{unit}", low * factor, high * factor);
+    let bar = joint.lower.zip(joint.upper).filter(|(lower, upper)| upper > lower);
+    html! {
+        tr {
+            th scope="row" { (joint.joint) }
+            td .bar {
+                @if let Some((lower, upper)) = bar {
+                    @let place = |at: f64| ((at - lower) / (upper - lower)).clamp(0.0, 1.0);
+                    i .span style={
+                        "left:" (percent(place(joint.lowest)))
+                        ";width:" (percent(place(joint.highest) - place(joint.lowest)))
+                    } {}
+                }
+            }
+            td .number {
+                (range(joint.lowest, joint.highest))
+                @if let Some(visited) = joint.visited {
+                    span .quiet { " " (format!("{:.0} %", 100.0 * visited)) }
+                }
+            }
+        }
+    }
+}

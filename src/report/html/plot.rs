@@ -1,0 +1,308 @@
+//! One plot: what a browser draws from its JSON, and the same as a table.
+
+use maud::{Markup, html};
+use serde_json::{Value, json};
+
+use crate::tables::thin;
+
+/// Stretches of the table behind a plot.
+const STRETCHES: usize = 20;
+
+/// A plot of one or more series over one axis.
+#[derive(Clone, Debug, Default)]
+pub struct Plot {
+    /// What it shows, in a few words.
+    pub title: &'static str,
+    /// The stream that it shows.
+    pub of: String,
+    /// What to look for, in a sentence; read out in the place of the picture.
+    pub says: String,
+    /// The axis along which it goes, ascending.
+    pub x: Vec<f64>,
+    /// Name and unit of that axis.
+    pub x_label: &'static str,
+    /// Name and unit of the other axis.
+    pub y_label: &'static str,
+    /// What is drawn.
+    pub series: Vec<Series>,
+    /// Whether the axis of values begins at zero.
+    pub from_zero: bool,
+    /// A place on the axis that is marked.
+    pub mark: Option<Mark>,
+    /// How the points are drawn.
+    pub style: Style,
+}
+
+/// One series of a plot; as many values as the plot has places.
+#[derive(Clone, Debug)]
+pub struct Series {
+    /// Its name.
+    pub label: String,
+    /// What it stands for, which gives its colour.
+    pub role: Role,
+    /// Its values.
+    pub values: Vec<f64>,
+    /// Half the width of each value's interval, where they have one.
+    pub half_widths: Vec<f64>,
+}
+
+/// What a series stands for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// As logged.
+    Before,
+    /// Once everything found is taken off.
+    After,
+    /// A measured amount.
+    Amount,
+    /// What an amount is held against, or a line through it.
+    Beside,
+}
+
+impl Role {
+    const fn name(self) -> &'static str {
+        match self {
+            Role::Before => "before",
+            Role::After => "after",
+            Role::Amount => "amount",
+            Role::Beside => "beside",
+        }
+    }
+}
+
+/// How the points of a plot are drawn.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Style {
+    /// Joined, but for silences of the log.
+    #[default]
+    Time,
+    /// Joined.
+    Curve,
+    /// Each by itself.
+    Points,
+}
+
+/// A place on the axis, with its interval.
+#[derive(Clone, Debug)]
+pub struct Mark {
+    /// Where.
+    pub at: f64,
+    /// From and to.
+    pub interval: Option<[f64; 2]>,
+    /// What stands beside it.
+    pub label: String,
+}
+
+impl Plot {
+    /// Whether there is anything to draw.
+    pub fn is_empty(&self) -> bool {
+        self.x.len() < 2 || self.series.is_empty()
+    }
+
+    /// The picture's place in the page, the note on what is left out, and its values as a table. The
+    /// stream is named where it is not `known` from what stands above.
+    pub fn markup(&self, id: &str, known: Option<&str>, most_rows: usize) -> Markup {
+        let rows = self.kept(most_rows).len();
+        html! {
+            figure .picture {
+                figcaption {
+                    strong { (self.title) }
+                    @if known != Some(self.of.as_str()) { " " span .of { (self.of) } }
+                    span .says { (self.says) }
+                }
+                p .unit aria-hidden="true" { (self.y_label) }
+                div .plot data-plot=(id) tabindex="0" role="img"
+                    aria-label={ (self.title) ", " (self.of) ". " (self.says) " Arrow keys read values out." } {}
+                p .readout role="status" aria-live="polite" {}
+                @if rows < self.x.len() {
+                    p .note {
+                        (rows) " of " (self.x.len()) " samples are drawn: those with the lowest and \
+                        the highest value of each stretch, so that no peak is lost."
+                    }
+                }
+                details .values {
+                    summary { "Values" }
+                    (self.table())
+                }
+            }
+        }
+    }
+
+    /// What the page's script draws it from.
+    pub fn json(&self, most_rows: usize) -> Value {
+        let rows = self.kept(most_rows);
+        let broken = |values: &[f64], round: fn(f64) -> f64| -> Vec<Value> {
+            let mut all = Vec::with_capacity(rows.len());
+            for (at, &row) in rows.iter().enumerate() {
+                if at > 0 && self.is_silence(rows[at - 1], row) {
+                    all.push(Value::Null);
+                }
+                all.push(json!(round(values[row])));
+            }
+            all
+        };
+        let mut x = broken(&self.x, to_place);
+        // A place of its own, between its neighbours, breaks the line.
+        for at in 1..x.len().saturating_sub(1) {
+            if let (true, Some(a), Some(b)) =
+                (x[at].is_null(), x[at - 1].as_f64(), x[at + 1].as_f64())
+            {
+                x[at] = json!(to_place(0.5 * (a + b)));
+            }
+        }
+        let series = self.series.iter().map(|series| {
+            json!({
+                "label": series.label,
+                "role": series.role.name(),
+                "values": broken(&series.values, to_digits),
+                "half": broken_or_none(&series.half_widths, &broken),
+            })
+        });
+        let mark = self
+            .mark
+            .as_ref()
+            .map(|mark| json!({ "at": mark.at, "interval": mark.interval, "label": mark.label }));
+        json!({
+            "x": x,
+            "x_label": self.x_label,
+            "y_label": self.y_label,
+            "zero": self.from_zero,
+            "points": self.style == Style::Points,
+            "mark": mark,
+            "series": series.collect::<Vec<_>>(),
+        })
+    }
+
+    /// The rows that are drawn.
+    fn kept(&self, most_rows: usize) -> Vec<usize> {
+        let series: Vec<&[f64]> = self.series.iter().map(|one| one.values.as_slice()).collect();
+        thin::extremes(&series, most_rows)
+    }
+
+    /// Whether the log is silent between two rows that are drawn next to each other.
+    fn is_silence(&self, before: usize, after: usize) -> bool {
+        /// A line goes through shorter silences, as a share of the whole.
+        const SHARE: f64 = 0.02;
+        let whole = self.x.last().zip(self.x.first()).map_or(0.0, |(last, first)| last - first);
+        // Between kept rows others are left out: the step that counts is a single one.
+        let step = |row: &usize| self.x[row + 1] - self.x[*row];
+        self.style == Style::Time && (before..after).any(|row| step(&row) > SHARE * whole)
+    }
+
+    /// The lowest and the highest value of each series in stretches of the axis.
+    fn table(&self) -> Markup {
+        let stretch = self.x.len().div_ceil(STRETCHES).max(1);
+        let starts = (0..self.x.len()).step_by(stretch);
+        let ranges: Vec<_> =
+            starts.map(|start| start..(start + stretch).min(self.x.len())).collect();
+        let ends = |values: &[f64]| {
+            let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+            let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            if least == most {
+                shown(least)
+            } else {
+                format!("{} – {}", shown(least), shown(most))
+            }
+        };
+        html! {
+            div .scroll tabindex="0" role="region" aria-label={ "Values of " (self.title) } {
+                table {
+                    caption { "Lowest and highest value in each stretch" }
+                    thead {
+                        tr {
+                            th scope="col" { (self.x_label) }
+                            @for series in &self.series {
+                                th scope="col" { (series.label) ", " (self.y_label) }
+                            }
+                        }
+                    }
+                    tbody {
+                        @for range in &ranges {
+                            tr {
+                                th scope="row" { (ends(&self.x[range.clone()])) }
+                                @for series in &self.series {
+                                    td { (ends(&series.values[range.clone()])) }
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn broken_or_none(
+    half_widths: &[f64],
+    broken: &impl Fn(&[f64], fn(f64) -> f64) -> Vec<Value>,
+) -> Value {
+    if half_widths.is_empty() { Value::Null } else { json!(broken(half_widths, to_digits)) }
+}
+
+/// A place on an axis to a ten-thousandth.
+fn to_place(value: f64) -> f64 {
+    (value * 1e4).round() / 1e4
+}
+
+/// A value to five digits.
+fn to_digits(value: f64) -> f64 {
+    format!("{value:.4e}").parse().unwrap_or(value)
+}
+
+/// A value in a table, to three digits.
+fn shown(value: f64) -> String {
+    let size = value.abs();
+    let decimals = if size >= 100.0 {
+        1
+    } else if size >= 1.0 {
+        2
+    } else if size >= 1e-3 || size == 0.0 {
+        4
+    } else {
+        return format!("{value:.1e}");
+    };
+    format!("{value:.decimals$}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn plot(rows: usize, step: impl Fn(usize) -> f64) -> Plot {
+        let values = (0..rows).map(|row| if row == rows / 3 { 7.5 } else { 1.0 }).collect();
+        Plot {
+            x: (0..rows).map(step).collect(),
+            series: vec![Series {
+                label: "error".to_owned(),
+                role: Role::Before,
+                values,
+                half_widths: Vec::new(),
+            }],
+            ..Plot::default()
+        }
+    }
+
+    #[test]
+    fn what_is_drawn_of_a_long_series_keeps_its_peak_and_says_so() {
+        let plot = plot(100_000, |row| row as f64 * 0.01);
+        let json = plot.json(1000);
+        let values = json["series"][0]["values"].as_array().expect("values");
+        assert!(values.len() <= 1000 && values.contains(&json!(7.5)), "{}", values.len());
+        assert_eq!(json["x"].as_array().map(Vec::len), Some(values.len()));
+        assert!(plot.markup("p", None, 1000).into_string().contains("of 100000 samples are drawn"));
+        assert!(!plot.markup("p", None, 200_000).into_string().contains("samples are drawn"));
+    }
+
+    #[test]
+    fn a_line_breaks_where_the_log_is_silent() {
+        let silent = plot(200, |row| if row < 100 { row as f64 } else { row as f64 + 500.0 });
+        let json = silent.json(1000);
+        let values = json["series"][0]["values"].as_array().expect("values");
+        assert_eq!(values.iter().filter(|value| value.is_null()).count(), 1);
+        let x: Vec<f64> =
+            json["x"].as_array().expect("places").iter().filter_map(Value::as_f64).collect();
+        assert!(x.len() == 201 && x.is_sorted(), "{}", x.len());
+        let curve = Plot { style: Style::Curve, ..silent };
+        assert_eq!(curve.json(1000)["x"].as_array().map(Vec::len), Some(200));
+    }
+}

@@ -1,0 +1,66 @@
+//! Which rows of a long stream are kept where it is drawn.
+
+/// Rows for what moves: every k-th with the least k that keeps no more than `most`, and the last.
+pub fn evenly(rows: usize, most: usize) -> Vec<usize> {
+    let step = rows.div_ceil(most.max(1)).max(1);
+    let last = rows.checked_sub(1).filter(|last| last % step != 0);
+    (0..rows).step_by(step).chain(last).collect()
+}
+
+/// Rows for what is plotted over one axis: of each of equal stretches those with the lowest and the
+/// highest value of each of `series`, in their order, so that no peak is lost. About `most` rows,
+/// and all where there are no more.
+pub fn extremes(series: &[&[f64]], most: usize) -> Vec<usize> {
+    let rows = series.first().map_or(0, |values| values.len());
+    if rows <= most {
+        return (0..rows).collect();
+    }
+    let stretch = rows.div_ceil((most / (2 * series.len())).max(1));
+    let mut kept = Vec::with_capacity(most);
+    for start in (0..rows).step_by(stretch) {
+        let range = start..(start + stretch).min(rows);
+        let of_stretch = kept.len();
+        for values in series {
+            let by_value = |a: &usize, b: &usize| values[*a].total_cmp(&values[*b]);
+            kept.extend(range.clone().min_by(by_value));
+            kept.extend(range.clone().max_by(by_value));
+        }
+        kept[of_stretch..].sort_unstable();
+    }
+    kept.dedup();
+    kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MOST: usize = 4_000;
+
+    #[test]
+    fn short_streams_are_kept_whole() {
+        assert_eq!(evenly(5, MOST), [0, 1, 2, 3, 4]);
+        assert_eq!(extremes(&[&[3.0, 1.0, 2.0]], MOST), [0, 1, 2]);
+        assert!(evenly(0, MOST).is_empty() && extremes(&[&[]], MOST).is_empty());
+        assert!(extremes(&[], MOST).is_empty());
+    }
+
+    #[test]
+    fn a_long_stream_keeps_its_ends_and_its_bound() {
+        for rows in [MOST + 1, 10_001, 123_457] {
+            let kept = evenly(rows, MOST);
+            assert!(kept.len() <= MOST + 1 && kept.is_sorted());
+            assert_eq!((kept.first(), kept.last()), (Some(&0), Some(&(rows - 1))));
+        }
+    }
+
+    #[test]
+    fn a_single_peak_of_each_series_survives() {
+        let mut up: Vec<f64> = (0..100_000).map(|row| f64::from(row % 7)).collect();
+        let mut down: Vec<f64> = (0..100_000).map(|row| f64::from(row % 11)).collect();
+        (up[51_234], down[70_001]) = (99.0, -99.0);
+        let kept = extremes(&[&up, &down], MOST);
+        assert!(kept.len() <= MOST && kept.is_sorted());
+        assert!(kept.contains(&51_234) && kept.contains(&70_001));
+    }
+}
