@@ -82,16 +82,22 @@ def check(browser, address: str) -> None:
 
 
 def shoot(browser, address: str, to: Path) -> None:
-    """Pictures of the top of the page."""
+    """Pictures of the top of the page, down to the end of a part of it."""
     from PIL import Image
 
-    looks = {"wide": (WIDE, "light", 1500), "dark": (WIDE, "dark", 1500), "phone": (PHONE, "light", 1500)}
-    for name, (viewport, scheme, height) in looks.items():
-        page = opened(browser, address, {**viewport, "height": height}, scheme)
-        picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+    looks = {
+        "wide": (WIDE, "light", "#finding-2"),
+        "dark": (WIDE, "dark", "#finding-2"),
+        "phone": (PHONE, "light", "#finding-1 .picture"),
+    }
+    for name, (viewport, scheme, last) in looks.items():
+        page = opened(browser, address, viewport, scheme)
+        box = page.locator(last).first.bounding_box()
+        clip = {"x": 0, "y": 0, "width": viewport["width"], "height": box["y"] + box["height"] + 12}
+        picture = Image.open(io.BytesIO(page.screenshot(full_page=True, clip=clip))).convert("RGB")
         page.context.close()
         path = to / f"html-{name}.png"
-        small = picture.quantize(96, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+        small = picture.quantize(160, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
         small.save(path, optimize=True)
         print(f"{path}: {picture.size[0]} x {picture.size[1]}, {path.stat().st_size} bytes")
 
