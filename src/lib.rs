@@ -25,6 +25,7 @@ mod references;
 mod workspace;
 
 pub mod checks;
+pub mod config;
 pub mod corrections;
 pub mod desk;
 pub mod diagnosis;

@@ -7,6 +7,7 @@ mod demo;
 mod explain;
 mod fk;
 mod info;
+mod init;
 mod output;
 mod pose;
 mod progress;
@@ -64,6 +65,7 @@ struct Cli {
 enum Command {
     Audit(Box<audit::Args>),
     Info(info::Args),
+    Init(init::Args),
     Demo(demo::Args),
     Rules(rules::Args),
     Explain(explain::Args),
@@ -79,6 +81,7 @@ pub fn run() -> Outcome {
     let result = match Cli::parse().command {
         Command::Audit(args) => audit::run(*args),
         Command::Info(args) => info::run(&args),
+        Command::Init(args) => init::run(args),
         Command::Demo(args) => demo::run(&args),
         Command::Rules(args) => rules::run(&args),
         Command::Explain(args) => explain::run(&args),

@@ -27,4 +27,4 @@ pub use reconcile::{
     Answer, Hypothesis, Inversion, Question, Residual, Tool, Verdict, WouldDo, reconcile,
 };
 pub use sheet::{Candidate, Row, Sheet, Sheets, sheet};
-pub use usage::{LibraryName, Use, library_names, maker_names, uses, uses_of};
+pub use usage::{LibraryName, Use, library_names, maker, maker_names, uses, uses_of};

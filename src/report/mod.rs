@@ -13,7 +13,7 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use crate::checks::{self, Evaluation, StreamObservability};
-use crate::finding::{CheckRow, Finding, Severity, Status, decimal};
+use crate::finding::{CheckRow, Finding, Ignored, Severity, Status, decimal};
 use crate::time::Stamp;
 
 pub use file::write_whole;
@@ -38,6 +38,9 @@ pub struct Report {
     pub checks: Vec<CheckRow>,
     /// What is wrong: the gravest first, then what moves the arm's tip most.
     pub findings: Vec<Finding>,
+    /// What is wrong, known to the caller and not counted, with the reason.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub ignored: Vec<Ignored>,
     /// What each pose stream cannot show, and the motion that would.
     pub observability: Vec<StreamObservability>,
     /// Over which part of its ranges each arm moved.
@@ -201,7 +204,7 @@ impl Report {
         evaluation: Evaluation,
         fail_on: Option<Severity>,
     ) -> Self {
-        let Evaluation { checks, findings, observability } = evaluation;
+        let Evaluation { checks, findings, ignored, observability } = evaluation;
         let verdict = verdict(&checks, &findings, fail_on);
         let trouble = nothing_evaluated(&log, &checks);
         let report = Self {
@@ -211,6 +214,7 @@ impl Report {
             streams,
             checks,
             findings,
+            ignored,
             observability,
             ..Self::empty()
         };
@@ -250,6 +254,7 @@ impl Report {
             streams: Vec::new(),
             checks: Vec::new(),
             findings: Vec::new(),
+            ignored: Vec::new(),
             observability: Vec::new(),
             workspace: Vec::new(),
         }
