@@ -42,7 +42,7 @@ impl Template {
             true => self.line(&setting),
             false => {
                 let remark = one_line(remark);
-                let _ = writeln!(self.0, "{setting:<32}# {remark}");
+                let _ = writeln!(self.0, "{setting:<33} # {remark}");
             }
         }
     }

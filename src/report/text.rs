@@ -10,7 +10,9 @@ use std::io::{self, Write};
 use anstyle::{AnsiColor, Style};
 
 use super::{JointCoverage, Report, Verdict};
-use crate::finding::{Alternative, CheckRow, Estimate, Finding, Severity, Status, Subject, Unit};
+use crate::finding::{
+    Alternative, CheckRow, Estimate, Finding, Ignored, Severity, Status, Subject, Unit,
+};
 
 /// Width of the column of labels.
 const LABEL: usize = 16;
@@ -40,6 +42,7 @@ pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     if !report.checks.is_empty() {
         writeln!(out)?;
     }
+    page.ignored(out)?;
     page.passed(out)?;
     page.could_not_tell(out)?;
     page.cannot_show(out)?;
@@ -178,6 +181,19 @@ impl Page<'_> {
         }
     }
 
+    /// What the caller knows and does not want counted.
+    fn ignored(&self, out: &mut dyn Write) -> io::Result<()> {
+        let mut label = "ignored";
+        for Ignored { finding, reason, place } in &self.report.ignored {
+            let (code, subject) = (finding.code, self.subject(&finding.subject));
+            let on = if subject.is_empty() { String::new() } else { format!(" on {subject}") };
+            let message = &finding.message;
+            line(out, WARNING, label, &format!("{code}{on}: {message} ({reason}; {place})"))?;
+            label = "";
+        }
+        Ok(())
+    }
+
     fn passed(&self, out: &mut dyn Write) -> io::Result<()> {
         let (mut whole, mut parts, mut remarks) = (Vec::new(), Vec::new(), Vec::new());
         for code in self.codes() {
@@ -261,7 +277,12 @@ impl Page<'_> {
     }
 
     fn skipped(&self, out: &mut dyn Write) -> io::Result<()> {
-        let rows = self.report.checks.iter().filter(|row| row.status == Status::Skipped);
+        let is_said = |row: &&CheckRow| {
+            let known = self.report.ignored.iter().map(|known| &known.finding);
+            known.into_iter().any(|it| it.code == row.code && it.subject == row.subject)
+        };
+        let skipped = self.report.checks.iter().filter(|row| row.status == Status::Skipped);
+        let rows = skipped.filter(|row| !is_said(row));
         let mut label = "skipped";
         for (reason, rows) in grouped_by(rows, |row| row.reason.as_deref()) {
             let mut codes: Vec<&str> = rows.iter().map(|row| row.code).collect();
