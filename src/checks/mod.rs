@@ -363,8 +363,7 @@ mod tests {
     #[test]
     fn every_figure_that_is_set_reaches_its_rule() {
         // No joint slides there, no yaw jumps and nothing shakes.
-        let idle =
-            [("ZER001", Unit::Metre), ("YAW001", Unit::Radian), ("MOT001", Unit::Metre)];
+        let idle = [("ZER001", Unit::Metre), ("YAW001", Unit::Radian), ("MOT001", Unit::Metre)];
         let mut reached = 0;
         for rule in REGISTRY {
             for own in rule.grade.figures() {

@@ -8,7 +8,8 @@ rule! {
     /// ## What it means
     /// A topic of joint states, transforms, tool poses or an IMU is in the log and holds no message;
     /// or it begins or ends more than a second off the others, by when messages were received; or it
-    /// runs below its own usual rate for two seconds or more.
+    /// runs below its own usual rate for two seconds or more, or below the rate that a config declares;
+    /// or a config names a topic that the log does not have.
     ///
     /// ## Why it matters
     /// What is not there was not audited, however well the rest passes. A stream that ends early is a
