@@ -17,9 +17,10 @@ mod usage;
 #[cfg(test)]
 mod tests;
 
+pub use crate::geometry::{AngleUnit, LengthUnit};
 pub use code::CodeLine;
 pub use error::DeskError;
-pub use form::{AngleUnit, Form, LengthUnit, Reading, Style};
+pub use form::{Form, Reading, Style};
 pub use frames::{Corrections, FixedFrame, FrameNames};
 pub use pairs::{Pair, pairs_from_csv};
 pub use paste::{Pasted, paste};

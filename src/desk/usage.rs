@@ -4,10 +4,10 @@ use std::sync::LazyLock;
 
 use serde::Deserialize;
 
-use crate::geometry::Pose;
+use crate::geometry::{AngleUnit, LengthUnit, Pose};
 use crate::robot::{catalogue, nearest};
 
-use super::form::{AngleUnit, Form, LengthUnit, Style};
+use super::form::{Form, Style};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -257,6 +257,7 @@ mod tests {
             (kuka.length, kuka.angle),
             (Some(LengthUnit::Millimetre), Some(AngleUnit::Degree))
         );
+        assert!("kuka,rad,deg".parse::<Style>().is_err());
         let in_radians: Style = "kuka,rad".parse().unwrap();
         assert_eq!(in_radians.angle, Some(AngleUnit::Radian));
         assert_eq!(in_radians.length, Some(LengthUnit::Millimetre));
