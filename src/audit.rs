@@ -33,8 +33,8 @@ use crate::report::{
 use crate::robot::{Chain, JointKind, catalogue};
 use crate::run::{
     Arm, CalibrationSource, Coding, Declaration, Excerpts, HeaderStamps, ImuSource, JointSamples,
-    PoseSource, RobotSource, Role, Run, RunOptions, Segment, Strays, Stream, Velocities, Witness,
-    segments,
+    PoseSource, RobotSource, Role, Run, RunOptions, Segment, Strays, Stream, TopicSettings,
+    Velocities, Witness, segments,
 };
 use crate::stream::{
     Columns, DeclaredUnits, ImuTrack, JointColumn, JointTrack, Orientations, PoseTrack,
@@ -67,6 +67,10 @@ pub struct Options {
     pub verify: bool,
     /// How the rotations of single streams are coded.
     pub declarations: Vec<Declaration>,
+    /// What else is said of single topics.
+    pub topics: Vec<TopicSettings>,
+    /// The config that all this was taken from, to be named in the report.
+    pub config: Option<PathBuf>,
     /// A file of corrections, which are applied to the streams before anything is judged.
     pub corrections: Option<PathBuf>,
     /// The folder to write what mends the findings into. Where `corrections` are applied that is what
@@ -99,6 +103,8 @@ impl Default for Options {
             max_latency_s: run.max_latency_s,
             verify: false,
             declarations: run.declared,
+            topics: run.topics,
+            config: None,
             corrections: None,
             fix: None,
             rules: Settings::default(),
@@ -122,6 +128,7 @@ impl Options {
             stamp: self.stamp,
             max_latency_s: self.max_latency_s,
             declared: self.declarations.clone(),
+            topics: self.topics.clone(),
         }
     }
 }
@@ -463,7 +470,8 @@ fn prismatic(arm: &Arm) -> Vec<bool> {
 }
 
 /// The facts for the rules.
-fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read, declared: &[Declaration]) -> Facts {
+fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read, options: &Options) -> Facts {
+    let declared = &options.declarations;
     let arms = run.arms.iter().zip(diagnoses);
     let robots = arms.map(|(arm, diagnosis)| arm_facts(run, arm, diagnosis, declared));
     let stamps = run.clocks.iter().filter_map(|clock| {
@@ -488,6 +496,8 @@ fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read, declared: &[Declarat
         strays: strays(run),
         frozen: frozen(run),
         empty: empty(run),
+        missing: missing(run, &options.topics),
+        figures: options.rules.figures.clone(),
         start: run.span.map(|(start, _)| start),
         origin: run.origin,
         simulated: run.has_clock_topic,
@@ -525,6 +535,8 @@ fn rhythms(run: &Run) -> Vec<RhythmFacts> {
             span: span_of(run, rhythm.stream),
             frame: frame_of_several(run, stream),
             due: due(run, stream)?,
+            rate_hz: stream.rate_hz,
+            said_hz: stream.said_hz,
             parts: rhythm.parts.clone(),
             extent: rhythm.extent,
         })
@@ -671,6 +683,15 @@ fn joints_without_positions(run: &Run, stream: &Stream) -> Vec<String> {
             && !is_read(&joint.name)
     };
     columns.joints.iter().filter(is_silent).map(|joint| joint.name.clone()).collect()
+}
+
+/// The topics that the caller expects and the log does not have.
+fn missing(run: &Run, topics: &[TopicSettings]) -> Vec<(Subject, String)> {
+    let is_there =
+        |said: &TopicSettings| run.streams.iter().any(|stream| said.is_of(&stream.topic));
+    let missing = topics.iter().filter(|said| said.is_expected() && !is_there(said));
+    let subject = |topic: &str| Subject { topic: Some(topic.to_owned()), ..Subject::default() };
+    missing.map(|said| (subject(&said.topic), said.place.clone())).collect()
 }
 
 fn span_of(run: &Run, stream: usize) -> Option<Span> {
@@ -974,6 +995,15 @@ impl Audits {
             [only] => streams(&only.run),
             segments => joined(segments.iter().flat_map(|segment| streams(&segment.run))),
         };
+        if let Some(config) = &options.config {
+            let row = |note: String| NoteRow { path: config.clone(), note };
+            read.summary.notes.push(row("settings are taken from this file".to_owned()));
+            let unused = options.rules.unused(&evaluation.checks).into_iter();
+            let unused = unused.map(|known| {
+                row(format!("nothing was asked that `ignore` names: {known} ({})", known.place))
+            });
+            read.summary.notes.extend(unused);
+        }
         let workspace = coverage(&main.run, &evaluation.checks);
         let mut report =
             Report::new(read.summary, robots(&main.run), streams, evaluation, options.fail_on);
@@ -1014,7 +1044,7 @@ impl Audited {
         let diagnoses = diagnose(&mut run, options.max_latency_s);
         let joints = |arm: usize| readable_joints(&run.arms[arm], &diagnoses[arm].arm);
         let hand_eyes = hand_eyes(&run, joints, options.max_latency_s);
-        let mut facts = Facts { hand_eyes, ..facts(&run, diagnoses, read, &options.declarations) };
+        let mut facts = Facts { hand_eyes, ..facts(&run, diagnoses, read, options) };
         for (index, arm) in facts.robots.iter_mut().enumerate() {
             arm.references = references(&run, index, &arm.diagnosis, options.max_latency_s);
         }

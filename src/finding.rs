@@ -99,6 +99,10 @@ pub enum Unit {
     SecondPerSecond,
     /// Metres a metre; people read millimetres a metre.
     MetrePerMetre,
+    /// Radians a second, a second.
+    RadianPerSecondSquared,
+    /// Metres a second, a second.
+    MetrePerSecondSquared,
     /// A number without a unit.
     One,
 }
@@ -113,6 +117,8 @@ impl Unit {
             Unit::RadianPerSecond | Unit::GyroRate => "rad/s",
             Unit::SecondPerSecond => "s/s",
             Unit::MetrePerMetre => "m/m",
+            Unit::RadianPerSecondSquared => "rad/s²",
+            Unit::MetrePerSecondSquared => "m/s²",
             Unit::One => "1",
         }
     }
@@ -139,6 +145,7 @@ impl Unit {
             Unit::Metre | Unit::Radian | Unit::Second => 1e-6,
             Unit::RadianPerSecond | Unit::GyroRate => 0.0,
             Unit::SecondPerSecond | Unit::MetrePerMetre | Unit::One => 0.0,
+            Unit::RadianPerSecondSquared | Unit::MetrePerSecondSquared => 0.0,
         }
     }
 
@@ -220,6 +227,8 @@ impl Unit {
             Unit::GyroRate => (1f64.to_degrees(), " °/s"),
             Unit::SecondPerSecond => (1e6, " ppm"),
             Unit::MetrePerMetre => (1e3, " mm/m"),
+            Unit::RadianPerSecondSquared => (1.0, " rad/s²"),
+            Unit::MetrePerSecondSquared => (1.0, " m/s²"),
             Unit::One => (1.0, ""),
         }
     }
@@ -498,6 +507,18 @@ pub struct Finding {
     /// Last stamp of what was looked at.
     #[serde(serialize_with = "decimal")]
     pub end_ns: Option<Stamp>,
+}
+
+/// A finding that the caller knows of and does not want counted.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Ignored {
+    /// What was found.
+    #[serde(flatten)]
+    pub finding: Finding,
+    /// Why it does not count.
+    pub reason: String,
+    /// Where that is said.
+    pub place: String,
 }
 
 /// Writes a stamp as the decimal string of its nanoseconds, which JSON's numbers cannot hold.

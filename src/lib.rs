@@ -27,6 +27,7 @@ mod workspace;
 
 pub mod checks;
 pub mod compare;
+pub mod config;
 pub mod corrections;
 pub mod desk;
 pub mod diagnosis;

@@ -419,3 +419,36 @@ fn the_page_shows_what_proves_each_finding() {
     let faults: Vec<&&str> = rows.iter().filter(|row| row.contains("class=\"fault\"")).collect();
     assert!(rows.len() == 7 && faults.len() == 1 && faults[0].contains("elbow_joint"), "{rows:?}");
 }
+
+#[test]
+fn a_config_stands_behind_the_command_line() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("poseaudit.toml");
+    let config = path.display().to_string();
+    fs::write(&path, "fail_on = \"never\"\nselect = [\"LAT\"]\n").expect("a file");
+    let output = poseaudit(&["audit", FAULTY, "--config", &config, "--format", "json"]);
+    let report = json(&output);
+    assert_eq!((status(&output), codes(&report)), (0, vec!["LAT001"]));
+    let over = ["audit", FAULTY, "--config", &config, "--fail-on", "error", "--select", "ZER001"];
+    let output = poseaudit(&[&over[..], &["--format", "json"]].concat());
+    assert_eq!((status(&output), codes(&json(&output))), (1, vec!["ZER001"]));
+    fs::write(&path, "\nfail_onn = \"never\"\n").expect("a file");
+    let said = format!("{config}:2: unknown key `fail_onn`: did you mean `fail_on`?");
+    assert_refused(&["audit", CLEAN, "--config", &config], 2, &said);
+    assert_refused(&["audit", CLEAN, "--config", "no/such.toml"], 2, "no/such.toml");
+}
+
+#[test]
+fn init_writes_a_config_and_overwrites_none() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let config = folder.path().join("new/poseaudit.toml").display().to_string();
+    let output = poseaudit(&["init", CLEAN, "--output", &config]);
+    assert_eq!((status(&output), stdout(&output)), (0, ""));
+    let written = fs::read_to_string(&config).expect("the config");
+    assert_eq!(stdout(&poseaudit(&["init", CLEAN])), written);
+    let output = poseaudit(&["audit", CLEAN, "--config", &config]);
+    assert_eq!(status(&output), 0, "{}", stdout(&output));
+    assert_refused(&["init", CLEAN, "--output", &config], 2, "not overwritten");
+    let schema = json(&poseaudit(&["init", "--schema"]));
+    assert_eq!(schema["title"], "poseaudit.toml");
+}

@@ -79,3 +79,61 @@ fn the_pages_of_the_rules_are_current() {
         );
     }
 }
+
+/// The text of a document.
+fn document(name: &str) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs").join(name);
+    fs::read_to_string(path).expect("the document").replace("\r\n", "\n")
+}
+
+#[test]
+fn the_schema_of_the_config_is_current() {
+    assert!(
+        document("poseaudit.schema.json") == poseaudit::config::schema(),
+        "run `cargo run -- init --schema > docs/poseaudit.schema.json`"
+    );
+}
+
+#[test]
+fn the_config_that_is_shown_can_be_read_and_is_of_the_schema() {
+    let text = document("config.md");
+    let example = text.split("```toml\n").nth(1).and_then(|rest| rest.split("```").next());
+    let example = example.expect("an example");
+    let path = Path::new("poseaudit.toml");
+    let options =
+        poseaudit::config::Config::from_text(example.to_owned(), path).expect("a config").options();
+    assert_eq!((options.topics.len(), options.rules.exemptions.len()), (2, 1));
+    let schema: serde_json::Value =
+        serde_json::from_str(&document("poseaudit.schema.json")).expect("JSON");
+    let table: toml::Table = example.parse().expect("TOML");
+    for key in table.keys() {
+        assert!(schema["properties"][key].is_object(), "{key}");
+    }
+    for (topic, keys) in table["stream"].as_table().expect("streams") {
+        for key in keys.as_table().expect("a stream").keys() {
+            let known = &schema["definitions"]["Stream"]["properties"][key];
+            assert!(known.is_object(), "{topic} {key}");
+        }
+    }
+    for rule in poseaudit::checks::registry() {
+        let keys = &schema["definitions"]["Rules"]["properties"][rule.code]["properties"];
+        assert!(keys["severity"].is_object(), "{}", rule.code);
+        assert_eq!(keys["warning"].is_object(), !rule.grade.figures().is_empty(), "{}", rule.code);
+    }
+}
+
+#[test]
+fn every_limit_of_a_rule_is_listed_with_its_default() {
+    use poseaudit::finding::Unit;
+    let text = document("config.md");
+    for rule in poseaudit::checks::registry() {
+        for limit in rule.limits {
+            let value = match limit.unit {
+                Unit::One => limit.value.to_string(),
+                unit => format!("\"{}\"", unit.show(limit.value)),
+            };
+            let row = format!("| `{}.{}` | `{value}` | {} |", rule.code, limit.key, limit.what);
+            assert!(text.contains(&row), "docs/config.md lacks {row}");
+        }
+    }
+}

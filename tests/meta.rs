@@ -67,6 +67,18 @@ fn a_warning_comes_before_an_error() {
 }
 
 #[test]
+fn limits_can_be_told_apart_from_each_other_and_from_figures() {
+    for rule in registry() {
+        let mut keys = BTreeSet::from(["warning", "error", "severity"]);
+        for limit in rule.limits {
+            let is_plain = limit.key.bytes().all(|b| b.is_ascii_lowercase() || b == b'_');
+            assert!(is_plain && keys.insert(limit.key), "{} {}", rule.code, limit.key);
+            assert!(limit.value > 0.0 && !limit.what.ends_with('.'), "{} {}", rule.code, limit.key);
+        }
+    }
+}
+
+#[test]
 fn the_headline_rules_are_those_of_the_contract() {
     let headline = registry().iter().filter(|rule| rule.headline).map(|rule| rule.code);
     assert_eq!(headline.collect::<Vec<_>>(), ["LAT001", "ORD001", "YAW001", "ZER001"]);

@@ -2,7 +2,7 @@
 //! only where the smallest explanation needs it.
 
 use crate::checks::decision::{Decision, Figure, decide, unseen};
-use crate::checks::{ArmFacts, Judged};
+use crate::checks::{ArmFacts, Facts, Judged, Rule};
 use crate::diagnosis::{Measured, Seen};
 use crate::finding::{Estimate, Fault, Outcome, Severity, Span};
 
@@ -33,15 +33,16 @@ pub struct Estimated<'a> {
 }
 
 impl Amount {
-    /// Judges the amount on one stream of `arm`, of as many as the run has.
-    pub fn judge(&self, arm: &ArmFacts, on: Estimated<'_>, subjects: usize) -> Judged {
+    /// Judges the amount on one stream of `arm` for `rule`.
+    pub fn judge(&self, rule: &Rule, facts: &Facts, arm: &ArmFacts, on: Estimated<'_>) -> Judged {
+        let (figure, subjects) = (facts.figures.of(rule, self.figure), facts.subjects());
         let (subject, settle) = (arm.topic(on.topic), self.settle);
         let found = match on.estimate {
             Ok(found) => found,
             Err(why) => return Judged::new(subject, unseen(why, settle)).within(on.span),
         };
         let open = |why: String| Outcome::Inconclusive(format!("{why}; {settle}"));
-        let outcome = match (decide(found, &self.figure, subjects), &on.doubt) {
+        let outcome = match (decide(found, &figure, subjects), &on.doubt) {
             (Decision::Pass, _) => Outcome::sound(),
             (Decision::Undecided(why), _) => open(why),
             (Decision::Fail(_), Some(why)) => Outcome::Inconclusive(why.clone()),

@@ -2,6 +2,7 @@
 //!
 //! The pipeline fills these from `run` and `diagnosis`; the rules only read them.
 
+use super::Figures;
 use crate::diagnosis::{
     Abruptness, ArmDiagnosis, DhEstimate, Excess, HandEyeDiagnosis, ImuDiagnosis, Mount, NoShake,
     PoseDiagnosis, ReferenceDiagnosis, Seen, Shake,
@@ -36,6 +37,10 @@ pub struct Facts {
     pub frozen: Vec<FrozenFacts>,
     /// Topics that would play a role, and hold no message, or none with finite numbers.
     pub empty: Vec<EmptyFacts>,
+    /// Topics that the caller expects and the log does not have, with where that is said.
+    pub missing: Vec<(Subject, String)>,
+    /// The figures that the caller set instead of the rules' own.
+    pub figures: Figures,
     /// First stamp of the run.
     pub start: Option<Stamp>,
     /// The stamp that times in seconds of the diagnosis are relative to.
@@ -419,6 +424,10 @@ pub struct RhythmFacts {
     pub frame: Option<String>,
     /// When its samples are due.
     pub due: Due,
+    /// Samples a second.
+    pub rate_hz: Option<f64>,
+    /// Samples a second as the caller says that there should be.
+    pub said_hz: Option<f64>,
     /// The rhythm of each of its senders, or of each transform.
     pub parts: Vec<Cadence>,
     /// How it lies against the other streams.

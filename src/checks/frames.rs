@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use crate::checks::decision::{DEGREE, Decision, Figure, FrameFigures, decide_frame, unseen};
-use crate::checks::{ArmFacts, Facts, Judged, PoseFacts, mdl001, zer001};
+use crate::checks::{ArmFacts, Facts, Judged, PoseFacts, Rule, mdl001, zer001};
 use crate::diagnosis::{FrameEstimate, JointOffset, PoseDiagnosis, Seen, Twin};
 use crate::finding::{Alternative, Estimate, Fault, Outcome, Severity, Subject, Unit};
 use crate::geometry::{Pose, rotvec_from_rotation, xyz_of, xyzw_from_rotation};
@@ -19,6 +19,8 @@ const SETTLE: &str = "turn the wrist through 60° about two axes, at several pla
 
 /// One end of a stream's transform, and how its rule words an offset of it.
 pub struct End {
+    /// The rule.
+    pub rule: &'static Rule,
     /// Name of the estimate.
     pub name: &'static str,
     /// Its estimate.
@@ -35,28 +37,25 @@ pub struct End {
 
 /// Judges one end of every pose stream.
 pub fn judge(facts: &Facts, end: &End) -> Vec<Judged> {
-    let subjects = facts.subjects();
     let streams = facts.robots.iter().flat_map(|arm| {
-        arm.poses()
-            .enumerate()
-            .map(move |(index, (stream, diagnosis))| (arm, index, stream, diagnosis))
+        arm.poses().enumerate().map(move |(index, (stream, _))| (arm, index, stream))
     });
-    let judged = streams.map(|(arm, index, stream, diagnosis)| {
+    let judged = streams.map(|(arm, index, stream)| {
         let subject = arm.frame(&stream.topic, (end.frame)(stream));
-        judge_stream(arm, index, stream, diagnosis, end, subject, subjects).within(stream.span)
+        judge_stream(facts, arm, index, end, subject).within(stream.span)
     });
     judged.collect()
 }
 
 fn judge_stream(
+    facts: &Facts,
     arm: &ArmFacts,
     index: usize,
-    stream: &PoseFacts,
-    diagnosis: &PoseDiagnosis,
     end: &End,
     subject: Subject,
-    subjects: usize,
 ) -> Judged {
+    let (stream, diagnosis) = (&arm.poses[index], &arm.diagnosis.streams[index]);
+    let figures = facts.figures.of_frames(end.rule, FIGURES);
     if let Err(why) = &diagnosis.reading {
         return Judged::new(subject, unseen(why, SETTLE));
     }
@@ -74,7 +73,7 @@ fn judge_stream(
         }
     };
     let effect_m = frame.translation_m.value + frame.rotation_rad.value * arm.reach_m;
-    let outcome = match (decide_frame(frame, &FIGURES, subjects), not_judged) {
+    let outcome = match (decide_frame(frame, &figures, facts.subjects()), not_judged) {
         (_, Some(why)) => Outcome::sound_because(why),
         (Decision::Fail(severity), None) if frame.chosen => match mdl001::doubt(arm, effect_m) {
             Some(why) => Outcome::Inconclusive(why),

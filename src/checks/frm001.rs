@@ -52,31 +52,31 @@ struct Disagreement {
 
 impl Disagreement {
     /// The constant offset, where one explains the disagreement; else what is left beyond the noise.
-    fn of(tf: &PoseDiagnosis, subjects: usize) -> Result<Self, &Unseen> {
+    fn of<'a>(facts: &Facts, tf: &'a PoseDiagnosis) -> Result<Self, &'a Unseen> {
+        let (figures, subjects) = (facts.figures.of_frames(&FRM001, FIGURES), facts.subjects());
         let offset = [&tf.reference, &tf.tool].into_iter().flatten().find(|frame| frame.chosen);
         if let Some(offset) = offset {
             let (length, angle) = (offset.translation_m, offset.rotation_rad);
-            let decision = decide_frame(offset, &FIGURES, subjects);
+            let decision = decide_frame(offset, &figures, subjects);
             return Ok(Self { length, angle, constant: true, decision });
         }
         let residual = tf.residual.as_ref()?;
         let (length, angle) = (residual.excess_m, residual.excess_rad);
-        let decision = decide_both(&length, &angle, &FIGURES, subjects);
+        let decision = decide_both(&length, &angle, &figures, subjects);
         Ok(Self { length, angle, constant: false, decision })
     }
 }
 
 /// Whether /tf says what the joint states as recorded say, so that it inherits their faults.
-pub(super) fn agrees(tf: &PoseDiagnosis, subjects: usize) -> bool {
-    Disagreement::of(tf, subjects).is_ok_and(|found| found.decision == Decision::Pass)
+pub(super) fn agrees(facts: &Facts, tf: &PoseDiagnosis) -> bool {
+    Disagreement::of(facts, tf).is_ok_and(|found| found.decision == Decision::Pass)
 }
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    let subjects = facts.subjects();
     let streams = facts.robots.iter().flat_map(|arm| arm.tf.iter().map(move |tf| (arm, tf)));
     let judged = streams.map(|(arm, (stream, diagnosis))| {
         let subject = arm.frame(&stream.topic, &stream.tip);
-        let found = match Disagreement::of(diagnosis, subjects) {
+        let found = match Disagreement::of(facts, diagnosis) {
             Ok(found) => found,
             Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(stream.span),
         };

@@ -41,7 +41,8 @@ rule! {
 }
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    const REFERENCE: End = End {
+    let reference = End {
+        rule: &FRM002,
         name: "reference frame",
         estimate: |diagnosis| &diagnosis.reference,
         frame: |stream| &stream.reference,
@@ -53,7 +54,7 @@ fn check(facts: &Facts) -> Vec<Judged> {
         is_twin: |twin, index| matches!(twin, Twin::Reference(stream, _) if *stream == index),
         fault,
     };
-    frames::judge(facts, &REFERENCE)
+    frames::judge(facts, &reference)
 }
 
 fn fault(arm: &ArmFacts, stream: &PoseFacts, frame: &FrameEstimate, severity: Severity) -> Fault {

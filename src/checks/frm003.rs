@@ -38,7 +38,8 @@ rule! {
 }
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    const TOOL: End = End {
+    let tool = End {
+        rule: &FRM003,
         name: "tool frame",
         estimate: |diagnosis| &diagnosis.tool,
         frame: |stream| &stream.tip,
@@ -46,7 +47,7 @@ fn check(facts: &Facts) -> Vec<Judged> {
         is_twin: |twin, index| matches!(twin, Twin::Tool(stream, _) if *stream == index),
         fault,
     };
-    frames::judge(facts, &TOOL)
+    frames::judge(facts, &tool)
 }
 
 fn fault(_: &ArmFacts, stream: &PoseFacts, frame: &FrameEstimate, severity: Severity) -> Fault {

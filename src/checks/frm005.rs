@@ -46,11 +46,17 @@ const FIGURE: Figure = Figure { unit: Unit::One, warning: 1e-3, error: 1e-2 };
 /// Transforms that the evidence lists.
 const LISTED: usize = 10;
 
+/// From where this audit speaks up.
+fn figure(facts: &Facts) -> Figure {
+    facts.figures.of(&FRM005, FIGURE)
+}
+
 fn check(facts: &Facts) -> Vec<Judged> {
     facts.norms.iter().map(|norms| judge(facts, norms)).collect()
 }
 
 fn judge(facts: &Facts, stream: &NormFacts) -> Judged {
+    let figure = figure(facts);
     let worst = stream.parts.iter().max_by(|a, b| a.largest.total_cmp(&b.largest));
     let Some(worst) = worst.filter(|worst| worst.rows > 0) else {
         let outcome = Outcome::Skipped("none of its quaternions is set".to_owned());
@@ -58,12 +64,12 @@ fn judge(facts: &Facts, stream: &NormFacts) -> Judged {
     };
     let unset: usize = stream.parts.iter().map(|part| part.unset).sum();
     let concerned: Vec<&Norms> =
-        stream.parts.iter().filter(|part| FIGURE.severity(part.largest).is_some()).collect();
+        stream.parts.iter().filter(|part| figure.severity(part.largest).is_some()).collect();
     let subject = match concerned.as_slice() {
         [only] if stream.parts.len() > 1 => stream.subject(only.frame.clone()),
         _ => stream.subject(None),
     };
-    let outcome = match FIGURE.severity(worst.largest) {
+    let outcome = match figure.severity(worst.largest) {
         Some(severity) => Outcome::faulty(fault(facts, worst, severity)),
         None if unset > 0 => Outcome::sound_because(format!("{unset} quaternions are not set")),
         None => Outcome::sound(),
@@ -93,7 +99,7 @@ fn word(written: Written) -> &'static str {
 fn fault(facts: &Facts, worst: &Norms, severity: Severity) -> Fault {
     let shown = Unit::One.show(worst.largest);
     let when = worst.at.map_or(String::new(), |at| format!(" at {}", facts.moment(at)));
-    let half = match FIGURE.severity(worst.median) {
+    let half = match figure(facts).severity(worst.median) {
         Some(_) => format!("half of the samples by {} or more", Unit::One.show(worst.median)),
         None => "most samples by less than that matters".to_owned(),
     };

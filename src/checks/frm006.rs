@@ -5,7 +5,7 @@ use crate::checks::frames::{FIGURES, pose_json, show};
 use crate::checks::reference::{
     self, following_json, witness_name, witnesses_differ,
 };
-use crate::checks::{ArmFacts, Facts, Grade, Judged, ReferenceFacts, WitnessKind};
+use crate::checks::{ArmFacts, Facts, Grade, Judged, ReferenceFacts, WitnessKind, FrameFigures};
 use crate::diagnosis::{Constancy, FrameEstimate, Measured, ReferenceDiagnosis, RestGap};
 use crate::finding::{Alternative, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
@@ -61,10 +61,14 @@ const MUCH_M: f64 = 0.1;
 /// What a drawing of an arm leaves against the calibrated arm, m and rad.
 const NOMINAL: (f64, f64) = (0.01, FIGURES.angle.error);
 
+/// From where this audit speaks up.
+fn figures(facts: &Facts) -> FrameFigures {
+    facts.figures.of_frames(&FRM006, FIGURES)
+}
+
 fn check(facts: &Facts) -> Vec<Judged> {
-    let subjects = facts.subjects();
     let of_arm = |arm: &ArmFacts| -> Vec<Judged> {
-        arm.references.iter().map(|one| judge(facts, arm, one, subjects)).collect()
+        arm.references.iter().map(|one| judge(facts, arm, one)).collect()
     };
     facts.robots.iter().flat_map(of_arm).collect()
 }
@@ -82,7 +86,9 @@ struct Seen<'a> {
 }
 
 impl<'a> Seen<'a> {
-    fn of(found: &'a ReferenceDiagnosis, witness: usize, subjects: usize) -> Option<Self> {
+    fn of(facts: &Facts, found: &'a ReferenceDiagnosis, witness: usize) -> Option<Self> {
+        let figures = figures(facts);
+        let size = |gap: &RestGap| size(gap, &figures);
         let mut gaps: Vec<&RestGap> = found.gaps.get(witness)?.iter().collect();
         gaps.sort_by(|a, b| size(a).total_cmp(&size(b)));
         let leads = found.following.is_some();
@@ -100,18 +106,20 @@ impl<'a> Seen<'a> {
             p_value: (p_value * tests as f64).min(1.0),
             chosen: true,
         };
-        let decision = decide_frame(&estimate, &FIGURES, subjects);
+        let decision = decide_frame(&estimate, &figures, facts.subjects());
         Some(Self { witness, gap, estimate, decision, beyond })
     }
 }
 
 /// How far apart a rest is, in units of the first figures.
-fn size(gap: &RestGap) -> f64 {
-    let length = gap.distance_m.norm.value / FIGURES.length.warning;
-    length.max(gap.angle_rad.norm.value / FIGURES.angle.warning)
+fn size(gap: &RestGap, figures: &FrameFigures) -> f64 {
+    let length = gap.distance_m.norm.value / figures.length.warning;
+    length.max(gap.angle_rad.norm.value / figures.angle.warning)
 }
 
-fn judge(facts: &Facts, arm: &ArmFacts, reference: &ReferenceFacts, subjects: usize) -> Judged {
+fn judge(facts: &Facts, arm: &ArmFacts, reference: &ReferenceFacts) -> Judged {
+    let figures = figures(facts);
+    let size = |gap: &RestGap| size(gap, &figures);
     let judged =
         |outcome| Judged::new(arm.topic(&reference.topic), outcome).within(reference.span);
     let found = match reference::found(arm, reference, SETTLE) {
@@ -125,7 +133,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, reference: &ReferenceFacts, subjects: us
             .with_evidence("following", following_json(found.following.as_ref()))
     };
     let all: Vec<Seen<'_>> = (0..reference.witnesses.len())
-        .filter_map(|witness| Seen::of(found, witness, subjects))
+        .filter_map(|witness| Seen::of(facts, found, witness))
         .collect();
     let Some(nearest) = all.iter().min_by(|a, b| size(a.gap).total_cmp(&size(b.gap))) else {
         return with_commands(judged(Outcome::Inconclusive(not_reached(found))));
@@ -219,10 +227,11 @@ fn fault(
 ) -> Outcome {
     let gaps = &found.gaps[nearest.witness];
     let off = show(&nearest.estimate);
+    let figures = &figures(facts);
     let may_be_a_frame = !reference.is_of_joints;
     let (in_tool, in_base) = match Constancy::of(gaps) {
         Some(constancy) => {
-            (is_one(nearest.gap, constancy.in_tool), is_one(nearest.gap, constancy.in_base))
+            (is_one(nearest.gap, constancy.in_tool, figures), is_one(nearest.gap, constancy.in_base, figures))
         }
         None => (true, true),
     };
@@ -295,13 +304,13 @@ fn fault(
 }
 
 /// Whether what differs is the same at all rests but for a fifth of it, and a little.
-fn is_one(gap: &RestGap, (spread_m, spread_rad): (f64, f64)) -> bool {
+fn is_one(gap: &RestGap, (spread_m, spread_rad): (f64, f64), figures: &FrameFigures) -> bool {
     const SHARE: f64 = 0.2;
     /// Of the first figures.
     const LITTLE: f64 = 0.3;
     let allowed = |size: f64, figure: f64| (SHARE * size).max(LITTLE * figure);
-    spread_m <= allowed(gap.distance_m.norm.value, FIGURES.length.warning)
-        && spread_rad <= allowed(gap.angle_rad.norm.value, FIGURES.angle.warning)
+    spread_m <= allowed(gap.distance_m.norm.value, figures.length.warning)
+        && spread_rad <= allowed(gap.angle_rad.norm.value, figures.angle.warning)
 }
 
 /// The joint that stays off by most, of commanded joints, in words.

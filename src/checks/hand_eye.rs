@@ -4,8 +4,8 @@ use serde_json::{Map, Value, json};
 
 use crate::checks::decision::{DEGREE, Figure, FrameFigures};
 use crate::checks::frames::pose_json;
-use crate::checks::{HandEyeFacts, Judged};
-use crate::diagnosis::{Diversity, HandEyeDiagnosis, Mount, Solution, Unseen};
+use crate::checks::{HandEyeFacts, Judged, Limit};
+use crate::diagnosis::{HandEyeDiagnosis, Mount, Solution, Unseen};
 use crate::finding::{Outcome, Unit};
 use crate::run::CameraAxes;
 
@@ -15,10 +15,20 @@ pub const FIGURES: FrameFigures = FrameFigures {
     angle: Figure { unit: Unit::Radian, warning: 0.2 * DEGREE, error: 1.0 * DEGREE },
 };
 
-/// The least span of a hand's rotations from which its chain can be solved, and the least spread of
-/// their axes, rad.
-pub const LEAST_SPAN: f64 = 30.0 * DEGREE;
-pub const LEAST_SPREAD: f64 = 10.0 * DEGREE;
+/// The least span of a hand's rotations from which its chain can be solved: a limit of HEC002.
+pub const LEAST_SPAN: Limit = Limit {
+    key: "span",
+    unit: Unit::Radian,
+    value: 30.0 * DEGREE,
+    what: "the least span of the hand's rotations",
+};
+/// The least spread of their axes.
+pub const LEAST_SPREAD: Limit = Limit {
+    key: "spread",
+    unit: Unit::Radian,
+    value: 10.0 * DEGREE,
+    what: "the least angle between the axes of its rotations",
+};
 
 /// What would settle a hand-eye chain.
 pub const SETTLE: &str =
@@ -66,11 +76,6 @@ pub fn does_not_follow(found: &HandEyeDiagnosis) -> Option<String> {
             Unit::Radian.show(turning_rad),
         )
     })
-}
-
-/// Whether the hand turns too little, or about too few axes.
-pub fn is_poor(diversity: &Diversity) -> bool {
-    diversity.span_rad < LEAST_SPAN || diversity.spread_rad < LEAST_SPREAD
 }
 
 /// The outcome where there is no estimate.

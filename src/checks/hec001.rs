@@ -3,7 +3,7 @@ use crate::checks::frames::show;
 use crate::checks::hand_eye::{
     FIGURES, LEAST_SPAN, SETTLE, does_not_follow, is_mount_decided, unseen, with_solution,
 };
-use crate::checks::{ArmFacts, Facts, Grade, HandEyeFacts, Judged, hec003, mdl001};
+use crate::checks::{ArmFacts, Facts, Grade, HandEyeFacts, Judged, hec003, mdl001, FrameFigures, hec002};
 use crate::diagnosis::{Mount, PoseDiagnosis, Solution, TargetReading};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
@@ -49,15 +49,15 @@ rule! {
 }
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    let subjects = facts.subjects();
     let judged = facts.hand_eyes.iter().map(|one| {
         let arm = facts.robots.iter().find(|arm| Some(&arm.name) == one.robot.as_ref());
-        judge(arm, one, subjects).within(one.span)
+        judge(facts, arm, one).within(one.span)
     });
     judged.collect()
 }
 
-fn judge(arm: Option<&ArmFacts>, facts: &HandEyeFacts, subjects: usize) -> Judged {
+fn judge(run: &Facts, arm: Option<&ArmFacts>, facts: &HandEyeFacts) -> Judged {
+    let (figures, subjects) = (run.figures.of_frames(&HEC001, FIGURES), run.subjects());
     let found = &facts.diagnosis;
     let as_logged = match &found.solution {
         Ok(solution) => solution,
@@ -71,15 +71,15 @@ fn judge(arm: Option<&ArmFacts>, facts: &HandEyeFacts, subjects: usize) -> Judge
     let closure = |solution: &Solution| {
         Estimate::frame("closure", &solution.closure.excess_m, &solution.closure.excess_rad)
     };
-    let open = decide_both(&best.closure.excess_m, &best.closure.excess_rad, &FIGURES, subjects);
+    let open = decide_both(&best.closure.excess_m, &best.closure.excess_rad, &figures, subjects);
     let span_rad = found.diversity.as_ref().map_or(0.0, |diversity| diversity.span_rad);
     let (outcome, estimate) = match (&found.reading, open) {
-        _ if span_rad < LEAST_SPAN => {
+        _ if span_rad < run.figures.limit(&hec002::HEC002, &LEAST_SPAN) => {
             let why = format!("too little rotation to solve it (HEC002); {SETTLE}");
             (Outcome::Inconclusive(why), closure(best))
         }
         (Some((reading, _)), _) if !matches!(reading, TargetReading::Axes(_)) => {
-            let fault = misread(reading, as_logged);
+            let fault = misread(reading, as_logged, &figures);
             (Outcome::faulty(fault), closure(as_logged))
         }
         (_, Decision::Fail(severity)) => {
@@ -100,7 +100,7 @@ fn judge(arm: Option<&ArmFacts>, facts: &HandEyeFacts, subjects: usize) -> Judge
             (_, Some(error)) => {
                 let estimate =
                     Estimate::frame("mount error", &error.translation_m, &error.rotation_rad);
-                let outcome = match decide_frame(error, &FIGURES, subjects) {
+                let outcome = match decide_frame(error, &figures, subjects) {
                     Decision::Pass => sound(best),
                     Decision::Undecided(why) => {
                         Outcome::Inconclusive(format!("the camera's mount: {why}; {SETTLE}"))
@@ -184,14 +184,14 @@ fn open_chain(solution: &Solution, severity: Severity) -> Fault {
     }
 }
 
-fn misread(reading: &TargetReading, as_logged: &Solution) -> Fault {
+fn misread(reading: &TargetReading, as_logged: &Solution, figures: &FrameFigures) -> Fault {
     let closure = &as_logged.closure;
     let (m, rad) = (Unit::Metre.show(closure.rms_m), Unit::Radian.show(closure.rms_rad));
     let words = reading_words(reading);
-    let severity = FIGURES
+    let severity = figures
         .length
         .severity(closure.excess_m.value)
-        .max(FIGURES.angle.severity(closure.excess_rad.value));
+        .max(figures.angle.severity(closure.excess_rad.value));
     Fault {
         severity: severity.unwrap_or(Severity::Warning),
         title: "target's poses are misread",

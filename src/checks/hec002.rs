@@ -1,8 +1,8 @@
 use crate::checks::decision::DEGREE;
 use crate::checks::hand_eye::{
-    FIGURES, LEAST_SPAN, LEAST_SPREAD, does_not_follow, is_poor, unseen,
+    FIGURES, LEAST_SPAN, LEAST_SPREAD, does_not_follow, unseen,
 };
-use crate::checks::{Facts, Grade, HandEyeFacts, Judged};
+use crate::checks::{Facts, Grade, HandEyeFacts, Judged, FrameFigures, hec001};
 use crate::diagnosis::{CameraPose, Diversity, Measured};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
@@ -32,6 +32,7 @@ rule! {
     /// It asks what this run can show. Where the camera's pose is known already and only to be used,
     /// no rotation is needed, and the rule can be left out with `--ignore HEC002`.
     HEC002 {
+        limits: &[LEAST_SPAN, LEAST_SPREAD],
         name: "hand-eye-rotation",
         grade: Grade::Fixed(Severity::Warning),
         headline: false,
@@ -45,25 +46,27 @@ rule! {
 const SHORT_S: f64 = 3.0;
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    facts.hand_eyes.iter().map(|one| judge(one).within(one.span)).collect()
+    facts.hand_eyes.iter().map(|one| judge(facts, one).within(one.span)).collect()
 }
 
-fn judge(facts: &HandEyeFacts) -> Judged {
+fn judge(run: &Facts, facts: &HandEyeFacts) -> Judged {
+    let needed = [&LEAST_SPAN, &LEAST_SPREAD].map(|limit| run.figures.limit(&HEC002, limit));
     let found = &facts.diagnosis;
     let diversity = match &found.diversity {
         Ok(diversity) => diversity,
         Err(why) => return Judged::new(facts.subject(), unseen(why)),
     };
     let undetermined =
-        found.best().map_or_else(Vec::new, |solution| undetermined(&solution.camera));
+        found.best().map_or_else(Vec::new, |solution| undetermined(run, &solution.camera));
     let seen_s = facts.span.map_or(f64::INFINITY, |span| span.seconds());
-    let turns_enough = diversity.span_rad >= LEAST_SPAN;
+    let turns_enough = diversity.span_rad >= needed[0];
+    let is_poor = !turns_enough || diversity.spread_rad < needed[1];
     let outcome = match does_not_follow(found) {
         Some(why) if turns_enough && found.reading.is_none() => Outcome::Inconclusive(why),
-        _ if is_poor(diversity) && seen_s < SHORT_S => Outcome::Inconclusive(format!(
+        _ if is_poor && seen_s < SHORT_S => Outcome::Inconclusive(format!(
             "the target is seen for {seen_s:.1} s only; record 10 s or more"
         )),
-        _ if is_poor(diversity) => Outcome::faulty(fault(diversity, &undetermined)),
+        _ if is_poor => Outcome::faulty(fault(diversity, needed, &undetermined)),
         _ => Outcome::sound_because(format!(
             "the hand turns by {}, about axes within {}{}",
             Unit::Radian.show(diversity.span_rad),
@@ -86,14 +89,16 @@ fn judge(facts: &HandEyeFacts) -> Judged {
         .with_evidence("undetermined", undetermined)
 }
 
-fn fault(diversity: &Diversity, undetermined: &[String]) -> Fault {
+fn fault(diversity: &Diversity, needed: [f64; 2], undetermined: &[String]) -> Fault {
+    let [least_span, least_spread] = needed.map(|angle| Unit::Radian.show(angle));
     let span = Unit::Radian.show(diversity.span_rad);
-    let message = if diversity.span_rad < LEAST_SPAN {
-        format!("the hand turns by {span} in all, and 30° is needed")
+    let message = if diversity.span_rad < needed[0] {
+        format!("the hand turns by {span} in all, and {least_span} is needed")
     } else {
         let spread = Unit::Radian.show(diversity.spread_rad);
         format!(
-            "the hand turns by {span}, but about axes within {spread} of one, and 10° is needed"
+            "the hand turns by {span}, but about axes within {spread} of one, and {least_spread} is \
+             needed"
         )
     };
     let limits = match undetermined {
@@ -105,17 +110,17 @@ fn fault(diversity: &Diversity, undetermined: &[String]) -> Fault {
         title: "too little rotation",
         message: message + &limits,
         evidence: Evidence::default(),
-        fix: motion(diversity),
+        fix: motion(diversity, needed[1]),
     }
 }
 
 /// The motion to add.
-fn motion(diversity: &Diversity) -> String {
+fn motion(diversity: &Diversity, least_spread: f64) -> String {
     if diversity.span_rad < 2.0 * DEGREE {
         return "turn the hand by 30° or more about two axes, the target in view".to_owned();
     }
     let [across, other] = across(diversity.axis_in_hand);
-    match diversity.spread_rad < LEAST_SPREAD {
+    match diversity.spread_rad < least_spread {
         true => format!("add poses tilted by 30° or more about {across} or {other} of the hand"),
         false => "add poses tilted by 30° or more, the target in view".to_owned(),
     }
@@ -130,7 +135,7 @@ fn across(axis: [f64; 3]) -> [&'static str; 2] {
 
 /// Along and about which of its own axes a camera's pose is known no better than the figures of
 /// HEC001.
-fn undetermined(camera: &CameraPose) -> Vec<String> {
+fn undetermined(run: &Facts, camera: &CameraPose) -> Vec<String> {
     let axes = ["x", "y", "z"];
     let half = |error: f64| Measured { std_error: error, ..camera.distance_m }.half_width(0.95);
     let said = |how: &str, unit: Unit, errors: [f64; 3], needed: f64| -> Vec<String> {
@@ -141,7 +146,7 @@ fn undetermined(camera: &CameraPose) -> Vec<String> {
         })
         .collect()
     };
-    let (length, angle) = (FIGURES.length, FIGURES.angle);
+    let FrameFigures { length, angle } = run.figures.of_frames(&hec001::HEC001, FIGURES);
     let mut all = said("along", Unit::Metre, camera.translation_error_m, length.warning);
     all.extend(said("about", Unit::Radian, camera.rotation_error_rad, angle.warning));
     all

@@ -57,11 +57,16 @@ struct Stream<'a> {
     latency: &'a Seen<Measured>,
 }
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    facts.robots.iter().flat_map(|arm| judge_arm(arm, facts.subjects())).collect()
+/// From where this audit speaks up.
+fn figure(facts: &Facts) -> Figure {
+    facts.figures.of(&LAT001, FIGURE)
 }
 
-fn judge_arm(arm: &ArmFacts, subjects: usize) -> Vec<Judged> {
+fn check(facts: &Facts) -> Vec<Judged> {
+    facts.robots.iter().flat_map(|arm| judge_arm(facts, arm)).collect()
+}
+
+fn judge_arm(facts: &Facts, arm: &ArmFacts) -> Vec<Judged> {
     let poses = arm.poses_and_tf().map(|(stream, diagnosis)| Stream {
         topic: &stream.topic,
         span: stream.span,
@@ -75,31 +80,32 @@ fn judge_arm(arm: &ArmFacts, subjects: usize) -> Vec<Judged> {
         latency: &diagnosis.latency_s,
     });
     let streams: Vec<Stream> = poses.chain(imus).collect();
-    match joints_lateness(&streams, subjects) {
+    match joints_lateness(facts, &streams) {
         Some(lateness) => {
-            let joints = joints_late(arm, &streams, &lateness);
-            let witnesses = streams.iter().map(|stream| beside_late_joints(arm, stream, subjects));
+            let joints = joints_late(facts, arm, &streams, &lateness);
+            let witnesses = streams.iter().map(|stream| beside_late_joints(facts, arm, stream));
             std::iter::once(joints).chain(witnesses).collect()
         }
         None => {
-            streams.iter().map(|stream| judge_stream(arm, stream, &streams, subjects)).collect()
+            streams.iter().map(|stream| judge_stream(facts, arm, stream, &streams)).collect()
         }
     }
 }
 
 /// How late the joint states are, where two or more independent streams agree on it and none
 /// disagrees.
-fn joints_lateness(streams: &[Stream], subjects: usize) -> Option<Measured> {
+fn joints_lateness(facts: &Facts, streams: &[Stream]) -> Option<Measured> {
+    let figure = figure(facts);
     let mut witnesses = Vec::new();
     for latency in streams.iter().filter(|stream| stream.independent).filter_map(estimate) {
-        match decide(latency, &FIGURE, subjects) {
+        match decide(latency, &figure, facts.subjects()) {
             Decision::Fail(_) if latency.value < 0.0 => witnesses.push(*latency),
             Decision::Undecided(_) => {}
             Decision::Fail(_) | Decision::Pass => return None,
         }
     }
     let early = (witnesses.len() >= 2).then(|| common(&witnesses))??;
-    let agree = witnesses.iter().all(|one| (one.value - early.value).abs() < FIGURE.warning);
+    let agree = witnesses.iter().all(|one| (one.value - early.value).abs() < figure.warning);
     agree.then(|| early.scaled(-1.0))
 }
 
@@ -121,7 +127,7 @@ fn common(parts: &[Measured]) -> Option<Measured> {
 }
 
 /// The one finding where it is the joint states that are late.
-fn joints_late(arm: &ArmFacts, streams: &[Stream], lateness: &Measured) -> Judged {
+fn joints_late(facts: &Facts, arm: &ArmFacts, streams: &[Stream], lateness: &Measured) -> Judged {
     let witnesses: Vec<&Stream> = streams.iter().filter(|stream| stream.independent).collect();
     let topics: Vec<&str> = witnesses.iter().map(|stream| stream.topic).collect();
     let topics = topics.join(" and ");
@@ -130,7 +136,7 @@ fn joints_late(arm: &ArmFacts, streams: &[Stream], lateness: &Measured) -> Judge
         .filter_map(|stream| Some(alternative(arm.topic(stream.topic), estimate(stream)?)));
     let (effect, effect_m) = effect(arm, lateness);
     let fault = Fault {
-        severity: FIGURE.severity(lateness.value).unwrap_or(Severity::Warning),
+        severity: figure(facts).severity(lateness.value).unwrap_or(Severity::Warning),
         title: "joint states are late",
         message: format!("{} late against {topics}", FIGURE.unit.show_measured(lateness)),
         evidence: Evidence {
@@ -151,24 +157,24 @@ fn joints_late(arm: &ArmFacts, streams: &[Stream], lateness: &Measured) -> Judge
 }
 
 /// A stream beside joint states that were found late: it is not to blame for that.
-fn beside_late_joints(arm: &ArmFacts, stream: &Stream, subjects: usize) -> Judged {
+fn beside_late_joints(facts: &Facts, arm: &ArmFacts, stream: &Stream) -> Judged {
     let remark = format!("what it is off by is {}'s", arm.joints_topic);
     let outcome = match stream.latency {
         Ok(_) if stream.independent => Outcome::sound_because(remark),
-        _ => return judge_stream(arm, stream, &[], subjects),
+        _ => return judge_stream(facts, arm, stream, &[]),
     };
     Judged::new(arm.topic(stream.topic), outcome).within(stream.span).estimated(
         estimate(stream).map(|latency| Estimate::amount("latency", FIGURE.unit, latency)),
     )
 }
 
-fn judge_stream(arm: &ArmFacts, stream: &Stream, streams: &[Stream], subjects: usize) -> Judged {
+fn judge_stream(facts: &Facts, arm: &ArmFacts, stream: &Stream, streams: &[Stream]) -> Judged {
     let subject = arm.topic(stream.topic);
     let latency = match stream.latency {
         Ok(latency) => latency,
         Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(stream.span),
     };
-    let outcome = match decide(latency, &FIGURE, subjects) {
+    let outcome = match decide(latency, &figure(facts), facts.subjects()) {
         Decision::Pass => Outcome::sound(),
         Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
         Decision::Fail(severity) => {
@@ -231,6 +237,7 @@ fn alternative(subject: Subject, latency: &Measured) -> Alternative {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::checks::testing::clean_run;
     use crate::diagnosis::Unseen;
     use crate::time::Stamp;
 
@@ -247,7 +254,7 @@ mod tests {
             independent: *independent,
             latency,
         });
-        Some(joints_lateness(&streams.collect::<Vec<_>>(), 5)?.value)
+        Some(joints_lateness(&clean_run(), &streams.collect::<Vec<_>>())?.value)
     }
 
     #[test]

@@ -45,15 +45,16 @@ const SKEW: Amount = Amount {
 };
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    let subjects = facts.subjects();
     let poses = facts.poses().map(|(arm, stream, diagnosis)| {
         let (estimate, is_chosen) = (&diagnosis.skew, diagnosis.skew_chosen);
         let (topic, span) = (stream.topic.as_str(), stream.span);
-        SKEW.judge(arm, Estimated { topic, span, estimate, is_chosen, doubt: None }, subjects)
+        let skew = Estimated { topic, span, estimate, is_chosen, doubt: None };
+        SKEW.judge(&LAT002, facts, arm, skew)
     });
     let imus = facts.imus().map(|(arm, imu, diagnosis)| {
         let (topic, span, estimate) = (imu.topic.as_str(), imu.span, &diagnosis.skew);
-        SKEW.judge(arm, Estimated { topic, span, estimate, is_chosen: true, doubt: None }, subjects)
+        let skew = Estimated { topic, span, estimate, is_chosen: true, doubt: None };
+        SKEW.judge(&LAT002, facts, arm, skew)
     });
     poses.chain(imus).collect()
 }

@@ -56,6 +56,11 @@ struct Stream<'a> {
     course: &'a Seen<LatencyCourse>,
 }
 
+/// From where this audit speaks up.
+fn figure(facts: &Facts) -> Figure {
+    facts.figures.of(&LAT003, FIGURE)
+}
+
 fn check(facts: &Facts) -> Vec<Judged> {
     facts.robots.iter().flat_map(|arm| judge_arm(facts, arm)).collect()
 }
@@ -74,7 +79,7 @@ fn judge_arm(facts: &Facts, arm: &ArmFacts) -> Vec<Judged> {
         course: &diagnosis.latency_course,
     });
     let streams: Vec<Stream> = poses.chain(imus).collect();
-    let Some(course) = joints_course(&streams, facts.subjects()) else {
+    let Some(course) = joints_course(facts, &streams) else {
         return streams.iter().map(|stream| judge(facts, arm, stream)).collect();
     };
     let beside = |stream: &Stream| match stream.course {
@@ -93,14 +98,14 @@ fn judge_arm(facts: &Facts, arm: &ArmFacts) -> Vec<Judged> {
 
 /// The course of the joint states' own latency, where two or more independent streams jump together
 /// and none stays.
-fn joints_course(streams: &[Stream], subjects: usize) -> Option<LatencyCourse> {
+fn joints_course(facts: &Facts, streams: &[Stream]) -> Option<LatencyCourse> {
     /// Jumps so close together are one, s: each is dated to a window or to the next motion.
     const TOGETHER_S: f64 = 1.5;
     let mut witnesses: Vec<&LatencyCourse> = Vec::new();
     for course in
         streams.iter().filter(|one| one.independent).filter_map(|one| one.course.as_ref().ok())
     {
-        match decide(&course.swing_s, &FIGURE, subjects) {
+        match decide(&course.swing_s, &figure(facts), facts.subjects()) {
             Decision::Fail(_) if !course.jumps.is_empty() => witnesses.push(course),
             Decision::Undecided(_) => {}
             Decision::Fail(_) | Decision::Pass => return None,
@@ -112,7 +117,7 @@ fn joints_course(streams: &[Stream], subjects: usize) -> Option<LatencyCourse> {
     let surest = *witnesses.iter().min_by(by_error).filter(|_| witnesses.len() >= 2)?;
     let is_shared = |jump: &LatencyJump| {
         let is_same = |other: &LatencyJump| {
-            let by_s = FIGURE.warning + 2.0 * jump.size_s.std_error.hypot(other.size_s.std_error);
+            let by_s = figure(facts).warning + 2.0 * jump.size_s.std_error.hypot(other.size_s.std_error);
             (other.at_s - jump.at_s).abs() < TOGETHER_S
                 && (other.size_s.value - jump.size_s.value).abs() < by_s
         };
@@ -141,7 +146,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, stream: &Stream) -> Judged {
         Ok(course) => course,
         Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(stream.span),
     };
-    let outcome = match decide(&course.swing_s, &FIGURE, facts.subjects()) {
+    let outcome = match decide(&course.swing_s, &figure(facts), facts.subjects()) {
         Decision::Pass => Outcome::sound(),
         Decision::Fail(severity) if course.is_unsteady => {
             Outcome::faulty(fault(facts, arm, course, severity))

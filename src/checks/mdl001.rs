@@ -43,6 +43,11 @@ const FIGURE: Figure = Figure { unit: Unit::Metre, warning: 1e-3, error: 5e-3 };
 /// What would tell where the residual could not be had.
 const SETTLE: &str = "record 10 s in which every joint moves";
 
+/// From where this audit speaks up.
+fn figure(facts: &Facts) -> Figure {
+    facts.figures.of(&MDL001, FIGURE)
+}
+
 fn check(facts: &Facts) -> Vec<Judged> {
     let subjects = facts.subjects();
     let streams = facts
@@ -57,7 +62,7 @@ fn check(facts: &Facts) -> Vec<Judged> {
         };
         let length = Unit::Metre.show_measured(&residual.excess_m);
         let angle = Unit::Radian.show(residual.excess_rad.value);
-        let outcome = match decide(&residual.excess_m, &FIGURE, subjects) {
+        let outcome = match decide(&residual.excess_m, &figure(facts), subjects) {
             _ if diagnosis.nominal => Outcome::faulty(Fault {
                 severity: Severity::Info,
                 title: "nominal kinematics",

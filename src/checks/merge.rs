@@ -50,6 +50,10 @@ pub fn merged(parts: Vec<Part>, main: usize) -> Evaluation {
             }
             whole.findings.push(finding);
         }
+        whole.ignored.extend(evaluation.ignored.into_iter().map(|mut known| {
+            known.finding.message += &format!(", in segment {} of {count}", index + 1);
+            known
+        }));
         if index == main {
             whole.observability = evaluation.observability;
         }

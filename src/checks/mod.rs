@@ -7,23 +7,23 @@
 mod amount;
 mod decision;
 mod facts;
+mod figures;
 mod frames;
 mod hand_eye;
 mod merge;
 mod observability;
 mod reading;
 mod reference;
+mod settings;
 #[cfg(test)]
 mod testing;
 
-use std::cmp::Reverse;
 use std::fmt;
-use std::str::FromStr;
 
 use serde_json::{Map, Value};
 
 use crate::finding::{
-    CheckRow, Estimate, Finding, Outcome, Ruling, Severity, Span, Status, Subject,
+    CheckRow, Estimate, Finding, Ignored, Outcome, Ruling, Severity, Span, Status, Subject,
 };
 
 pub use decision::{Decision, Figure, FrameFigures, decide, decide_both, decide_frame};
@@ -33,20 +33,28 @@ pub use facts::{
     ReferenceWitness, RhythmFacts, ShakeFacts, StampFacts, StrayFacts, UndecodableTopic,
     WitnessKind,
 };
+pub use figures::{Figures, Limit};
 pub use merge::{Part as EvaluatedPart, merged};
 pub(crate) use observability::hidden_zero;
 pub use observability::{Blind, Part, StreamObservability};
 pub(crate) use reading::read_as as reading_names;
+pub use settings::{Exemption, Selector, Settings, UnknownRule};
 
 /// Declares a rule; its doc comment is the text that `explain` prints.
 macro_rules! rule {
-    ($(#[doc = $line:literal])* $code:ident { $($field:ident: $value:expr),* $(,)? }) => {
+    ($(#[doc = $line:literal])* $code:ident {
+        limits: $limits:expr, $($field:ident: $value:expr),* $(,)?
+    }) => {
         $(#[doc = $line])*
         pub(super) static $code: $crate::checks::Rule = $crate::checks::Rule {
             code: stringify!($code),
             doc: concat!($($line, "\n"),*),
+            limits: $limits,
             $($field: $value),*
         };
+    };
+    ($(#[doc = $line:literal])* $code:ident { $($field:ident: $value:expr),* $(,)? }) => {
+        rule! { $(#[doc = $line])* $code { limits: &[], $($field: $value),* } }
     };
 }
 
@@ -125,6 +133,8 @@ pub struct Rule {
     pub name: &'static str,
     /// From when it speaks up, and how loudly.
     pub grade: Grade,
+    /// What else it holds what it sees against; all of it can be set.
+    pub limits: &'static [Limit],
     /// Whether a run of which it decides nothing cannot pass.
     pub headline: bool,
     /// Whether it needs a model of the robot.
@@ -157,6 +167,16 @@ pub enum Grade {
     Fixed(Severity),
     /// From these figures, any one of them.
     From(&'static [Figure]),
+}
+
+impl Grade {
+    /// Its figures; none where the fault is there or not.
+    pub fn figures(&self) -> &'static [Figure] {
+        match self {
+            Grade::Fixed(_) => &[],
+            Grade::From(figures) => figures,
+        }
+    }
 }
 
 impl fmt::Display for Grade {
@@ -204,85 +224,6 @@ impl Judged {
     }
 }
 
-/// Which rules to ask.
-#[derive(Clone, Debug, Default)]
-pub struct Settings {
-    /// Only these; all where there is none.
-    pub select: Vec<Selector>,
-    /// None of these.
-    pub ignore: Vec<Selector>,
-}
-
-impl Settings {
-    /// Whether `rule` is to be asked.
-    pub fn asks(&self, rule: &Rule) -> bool {
-        let named =
-            |selectors: &[Selector]| selectors.iter().any(|selector| selector.names(rule.code));
-        (self.select.is_empty() || named(&self.select)) && !named(&self.ignore)
-    }
-
-    /// Whether any rule to be asked needs a model of the robot.
-    pub fn need_model(&self) -> bool {
-        REGISTRY.iter().any(|rule| rule.needs_model && self.asks(rule))
-    }
-}
-
-/// A rule's code, or the letters that a family of codes begins with.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Selector(String);
-
-impl Selector {
-    /// Whether it names the rule with this code.
-    pub fn names(&self, code: &str) -> bool {
-        code.starts_with(&self.0)
-    }
-}
-
-impl FromStr for Selector {
-    type Err = UnknownRule;
-
-    fn from_str(text: &str) -> Result<Self, UnknownRule> {
-        let prefix = text.trim().to_ascii_uppercase();
-        let known =
-            !prefix.is_empty() && REGISTRY.iter().any(|rule| rule.code.starts_with(&prefix));
-        known.then_some(Selector(prefix)).ok_or_else(|| UnknownRule::new(text))
-    }
-}
-
-/// There is no rule with this code.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("there is no rule `{code}`; {}", self.remedy())]
-pub struct UnknownRule {
-    /// What was asked for.
-    pub code: String,
-    /// The codes most like it, the nearest first.
-    pub nearest: Vec<&'static str>,
-}
-
-impl UnknownRule {
-    fn new(code: &str) -> Self {
-        const NEAREST: usize = 3;
-        const ALIKE: usize = 3;
-        let code = code.trim();
-        let wanted = code.to_ascii_uppercase();
-        let likeness =
-            |known: &str| known.bytes().zip(wanted.bytes()).filter(|(a, b)| a == b).count();
-        let mut nearest: Vec<_> = REGISTRY.iter().map(|rule| rule.code).collect();
-        nearest.retain(|known| likeness(known) >= ALIKE);
-        nearest.sort_by_key(|known| Reverse(likeness(known)));
-        nearest.truncate(NEAREST);
-        Self { code: code.to_owned(), nearest }
-    }
-
-    /// What the reader can do.
-    pub fn remedy(&self) -> String {
-        match self.nearest.as_slice() {
-            [] => "`poseaudit rules` lists them all".to_owned(),
-            nearest => format!("did you mean {}?", nearest.join(", ")),
-        }
-    }
-}
-
 /// What the rules made of a run.
 #[derive(Clone, Debug, Default)]
 pub struct Evaluation {
@@ -290,6 +231,8 @@ pub struct Evaluation {
     pub checks: Vec<CheckRow>,
     /// What is wrong: the gravest first, then what moves the arm's tip most.
     pub findings: Vec<Finding>,
+    /// What is wrong and to be ignored, with the reason.
+    pub ignored: Vec<Ignored>,
     /// What each pose stream cannot show.
     pub observability: Vec<StreamObservability>,
 }
@@ -307,7 +250,7 @@ pub fn evaluate(facts: &Facts, settings: &Settings) -> Evaluation {
             judged.push(Judged::new(Subject::default(), Outcome::Skipped(why)));
         }
         for judged in judged {
-            evaluation.enter(rule, judged);
+            evaluation.enter(rule, judged, settings);
         }
     }
     evaluation.observability = observability::observability(facts, &mut evaluation.checks);
@@ -324,7 +267,7 @@ fn rank(findings: &mut [Finding]) {
 }
 
 impl Evaluation {
-    fn enter(&mut self, rule: &Rule, judged: Judged) {
+    fn enter(&mut self, rule: &Rule, judged: Judged, settings: &Settings) {
         let Judged { subject, span, estimate, evidence, outcome } = judged;
         let mut row = CheckRow {
             code: rule.code,
@@ -336,15 +279,16 @@ impl Evaluation {
             evidence,
             indistinguishable: false,
         };
+        let mut found = None;
         match outcome {
             Outcome::Evaluated(Ruling::Sound(remark)) => row.reason = remark,
             Outcome::Evaluated(Ruling::Faulty(fault)) => {
                 row.status = Status::Fail;
                 let mut evidence = fault.evidence;
                 evidence.more.append(&mut row.evidence);
-                self.findings.push(Finding {
+                found = Some(Finding {
                     code: rule.code,
-                    severity: fault.severity,
+                    severity: settings.severity(rule, fault.severity),
                     title: fault.title,
                     message: fault.message,
                     subject: row.subject.clone(),
@@ -364,6 +308,14 @@ impl Evaluation {
             }
             Outcome::Skipped(why) => (row.status, row.reason) = (Status::Skipped, Some(why)),
         }
+        match settings.exemption(&row) {
+            Some(exemption) if !matches!(row.status, Status::Pass | Status::Skipped) => {
+                (row.status, row.indistinguishable) = (Status::Skipped, false);
+                row.reason = Some(exemption.said());
+                self.ignored.extend(found.map(|finding| exemption.ignored(finding)));
+            }
+            _ => self.findings.extend(found),
+        }
         self.checks.push(row);
     }
 }
@@ -371,12 +323,14 @@ impl Evaluation {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::finding::Unit;
 
     #[test]
     fn a_selector_is_a_code_or_the_beginning_of_some() -> Result<(), UnknownRule> {
         let ord: Selector = "ord".parse()?;
         assert!(ord.names("ORD001") && !ord.names("LAT001"));
-        let settings = Settings { select: vec![ord], ignore: vec!["ORD001".parse()?] };
+        let settings =
+            Settings { select: vec![ord], ignore: vec!["ORD001".parse()?], ..Settings::default() };
         let asked = REGISTRY.iter().filter(|rule| settings.asks(rule)).map(|rule| rule.code);
         let expected = ["ORD002", "ORD003", "ORD004", "ORD005", "ORD006", "ORD007", "ORD008"];
         assert_eq!(asked.collect::<Vec<_>>(), expected);
@@ -399,6 +353,76 @@ mod tests {
             let asked = find(row.code).is_ok_and(|rule| rule.needs_model);
             assert!(!asked || row.status == Status::Pass, "{row:?}");
         }
+    }
+
+    /// What a rule says of a run, without words.
+    fn statuses(rule: &Rule, facts: &Facts) -> Vec<Status> {
+        let settings = Settings {
+            select: vec![rule.code.parse().expect("the rule's own code")],
+            ..Settings::default()
+        };
+        evaluate(facts, &settings).checks.iter().map(|row| row.status).collect()
+    }
+
+    #[test]
+    fn every_figure_that_is_set_reaches_its_rule() {
+        // No joint slides there, no yaw jumps and nothing shakes.
+        let idle = [("ZER001", Unit::Metre), ("YAW001", Unit::Radian), ("MOT001", Unit::Metre)];
+        let mut reached = 0;
+        for rule in REGISTRY {
+            for own in rule.grade.figures() {
+                let mut facts = testing::clean_run();
+                let before = statuses(rule, &facts);
+                let is_asked = before.iter().any(|status| *status != Status::Skipped);
+                if !is_asked || idle.contains(&(rule.code, own.unit)) {
+                    continue;
+                }
+                // Nothing is known as well as that.
+                let fine = Figure { warning: 1e-15, error: 2e-15, ..*own };
+                facts.figures.set(rule, fine);
+                assert_ne!(statuses(rule, &facts), before, "{} {:?}", rule.code, own.unit);
+                reached += 1;
+            }
+        }
+        assert!(reached >= 15, "{reached}");
+    }
+
+    #[test]
+    fn a_severity_that_is_set_is_that_of_all_but_what_is_meant_so() {
+        let mut facts = testing::clean_run();
+        facts.robots[0].diagnosis.streams[0].latency_s = Ok(testing::sure(0.05));
+        let mut settings = Settings::default();
+        settings.severities.push(("LAT001", Severity::Warning));
+        let found = evaluate(&facts, &settings).findings;
+        assert_eq!((found[0].code, found[0].severity), ("LAT001", Severity::Warning));
+        let lat001 = find("LAT001").expect("a rule");
+        assert_eq!(settings.severity(lat001, Severity::Info), Severity::Info);
+    }
+
+    #[test]
+    fn what_is_exempt_is_said_and_not_counted() {
+        let mut facts = testing::clean_run();
+        facts.robots[0].diagnosis.streams[0].latency_s = Ok(testing::sure(0.05));
+        let exemption = |topic: &str| Exemption {
+            rules: "LAT".parse().expect("a family"),
+            subject: Subject { topic: Some(topic.to_owned()), ..Subject::default() },
+            reason: "a known driver".to_owned(),
+            place: "p.toml:3".to_owned(),
+        };
+        let settings = Settings {
+            exemptions: vec![exemption("pose"), exemption("/other")],
+            ..Settings::default()
+        };
+        let evaluation = evaluate(&facts, &settings);
+        assert!(evaluation.findings.is_empty(), "{:?}", evaluation.findings);
+        assert_eq!(evaluation.ignored[0].finding.code, "LAT001");
+        let row = evaluation.checks.iter().find(|row| {
+            row.code == "LAT001" && row.subject.topic.as_deref() == Some(testing::POSE)
+        });
+        let said = row.map(|row| (row.status, row.reason.as_deref()));
+        assert_eq!(said, Some((Status::Skipped, Some("ignored: a known driver (p.toml:3)"))));
+        assert_eq!(settings.unused(&evaluation.checks), [&exemption("/other")]);
+        assert_eq!(exemption("/t").to_string(), "LAT on /t");
     }
 
     #[test]

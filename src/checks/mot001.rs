@@ -45,6 +45,11 @@ const FIGURE: Figure = Figure { unit: Unit::Metre, warning: 0.5e-3, error: 2e-3 
 /// What would tell.
 const SETTLE: &str = "log it evenly, at 100 Hz or more";
 
+/// From where this audit speaks up.
+fn figure(facts: &Facts) -> Figure {
+    facts.figures.of(&MOT001, FIGURE)
+}
+
 fn check(facts: &Facts) -> Vec<Judged> {
     let of_arm = |arm: &ArmFacts| -> Vec<Judged> {
         arm.shakes.iter().map(|stream| judge(facts, arm, stream)).collect()
@@ -72,10 +77,11 @@ fn judge(facts: &Facts, arm: &ArmFacts, stream: &ShakeFacts) -> Judged {
             return judged(Outcome::Inconclusive(format!("{why}; {SETTLE}")));
         }
     };
-    let outcome = match FIGURE.severity(found.rms_m) {
+    let figure = figure(facts);
+    let outcome = match figure.severity(found.rms_m) {
         Some(severity) => Outcome::faulty(fault(facts, stream, found, severity)),
-        None if found.resolved_m > FIGURE.warning => {
-            let [resolved, needed] = [found.resolved_m, FIGURE.warning].map(|m| FIGURE.unit.show(m));
+        None if found.resolved_m > figure.warning => {
+            let [resolved, needed] = [found.resolved_m, figure.warning].map(|m| FIGURE.unit.show(m));
             let why = format!("its noise hides shake below {resolved}, and {needed} is needed");
             Outcome::Inconclusive(format!("{why}; {SETTLE}"))
         }

@@ -1,5 +1,5 @@
 use crate::checks::mot003::doubt;
-use crate::checks::{ArmFacts, Facts, Grade, JointFacts, Judged};
+use crate::checks::{ArmFacts, Facts, Grade, JointFacts, Judged, Limit};
 use crate::diagnosis::Abruptness;
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
@@ -31,6 +31,7 @@ rule! {
     /// the joint states, or the jitter of their stamps, hides such an acceleration, or samples are
     /// farther apart than 50 ms, it is inconclusive. Times over gaps are not looked at (TIM002).
     MOT002 {
+        limits: &[TURNING, SLIDING],
         name: "abrupt-stops",
         grade: Grade::Fixed(Severity::Warning),
         headline: false,
@@ -40,10 +41,20 @@ rule! {
     }
 }
 
-/// The largest acceleration that is not abrupt, rad/s².
-const TURNING: f64 = 20.0;
-/// The same where a joint slides, m/s².
-const SLIDING: f64 = 5.0;
+/// The largest acceleration that is not abrupt.
+const TURNING: Limit = Limit {
+    key: "turning",
+    unit: Unit::RadianPerSecondSquared,
+    value: 20.0,
+    what: "the acceleration of a joint that turns from which on it is abrupt",
+};
+/// The same where a joint slides.
+const SLIDING: Limit = Limit {
+    key: "sliding",
+    unit: Unit::MetrePerSecondSquared,
+    value: 5.0,
+    what: "the acceleration of a joint that slides from which on it is abrupt",
+};
 /// What would tell.
 const SETTLE: &str = "log joint velocities at 100 Hz or more, evenly stamped";
 
@@ -64,7 +75,8 @@ fn judge(facts: &Facts, arm: &ArmFacts, index: usize, joint: &JointFacts) -> Jud
         let why = "its samples are too few, or do not come evenly";
         return judged(Outcome::Inconclusive(format!("{why}; {SETTLE}")));
     };
-    let (limit, unit) = if joint.prismatic { (SLIDING, "m/s²") } else { (TURNING, "rad/s²") };
+    let limit = if joint.prismatic { SLIDING } else { TURNING };
+    let (unit, limit) = (limit.unit.symbol(), facts.figures.limit(&MOT002, &limit));
     let Abruptness { acceleration, noise, resolved, .. } = *found;
     let outcome = if acceleration - noise >= limit {
         Outcome::faulty(fault(facts, found, limit, unit))

@@ -3,7 +3,7 @@ use serde_json::{Value, json};
 use crate::checks::decision::{DEGREE, Decision, Figure, FrameFigures, decide_length};
 use crate::checks::reference::{self, witness_name};
 use crate::checks::{ArmFacts, Facts, Grade, Judged, ReferenceFacts};
-use crate::diagnosis::{Length, Line, LineWitness, Measured};
+use crate::diagnosis::{Line, LineWitness, Measured};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
@@ -55,36 +55,45 @@ const FIGURES: FrameFigures = FrameFigures {
 /// What would tell.
 const SETTLE: &str = "log the tool pose or the joint states at 50 Hz or more, with a rest at both ends";
 
+/// From where this audit speaks up.
+fn figures(facts: &Facts) -> FrameFigures {
+    facts.figures.of_frames(&MOT004, FIGURES)
+}
+
 fn check(facts: &Facts) -> Vec<Judged> {
-    let subjects = facts.subjects();
     let of_arm = |arm: &ArmFacts| -> Vec<Judged> {
         let of_poses = arm.references.iter().filter(|reference| !reference.is_of_joints);
-        of_poses.map(|reference| judge(facts, arm, reference, subjects)).collect()
+        of_poses.map(|reference| judge(facts, arm, reference)).collect()
     };
     facts.robots.iter().flat_map(of_arm).collect()
 }
 
 /// How far a witness is off a line, in units of the first figures; without the angle where the command
 /// is off itself.
-fn size(line: &Line, witness: &LineWitness) -> f64 {
-    let length = witness.distance_m.norm.value / FIGURES.length.warning;
-    match is_off(line) {
+fn size(line: &Line, witness: &LineWitness, figures: &FrameFigures) -> f64 {
+    let length = witness.distance_m.norm.value / figures.length.warning;
+    match is_off(line, figures) {
         true => length,
-        false => length.max(witness.angle_rad.norm.value / FIGURES.angle.warning),
+        false => length.max(witness.angle_rad.norm.value / figures.angle.warning),
     }
 }
 
-fn is_off(line: &Line) -> bool {
-    FIGURES.angle.severity(line.command_rad).is_some()
+fn is_off(line: &Line, figures: &FrameFigures) -> bool {
+    figures.angle.severity(line.command_rad).is_some()
 }
 
 /// The line that a witness is off most.
-fn worst(lines: &[Line], witness: usize) -> Option<(&Line, &LineWitness)> {
+fn worst<'a>(
+    lines: &'a [Line],
+    witness: usize,
+    figures: &FrameFigures,
+) -> Option<(&'a Line, &'a LineWitness)> {
     let kept = lines.iter().filter_map(|line| Some((line, line.witnesses.get(witness)?.as_ref()?)));
-    kept.max_by(|a, b| size(a.0, a.1).total_cmp(&size(b.0, b.1)))
+    kept.max_by(|a, b| size(a.0, a.1, figures).total_cmp(&size(b.0, b.1, figures)))
 }
 
-fn judge(facts: &Facts, arm: &ArmFacts, reference: &ReferenceFacts, subjects: usize) -> Judged {
+fn judge(facts: &Facts, arm: &ArmFacts, reference: &ReferenceFacts) -> Judged {
+    let figures = &figures(facts);
     let judged =
         |outcome| Judged::new(arm.topic(&reference.topic), outcome).within(reference.span);
     let found = match reference::found(arm, reference, SETTLE) {
@@ -101,31 +110,31 @@ fn judge(facts: &Facts, arm: &ArmFacts, reference: &ReferenceFacts, subjects: us
         return judged(Outcome::Skipped(why.to_owned()));
     };
     let of_witnesses = (0..reference.witnesses.len())
-        .filter_map(|witness| Some((witness, worst(lines, witness)?)));
-    let kept = of_witnesses.min_by(|(_, a), (_, b)| size(a.0, a.1).total_cmp(&size(b.0, b.1)));
+        .filter_map(|witness| Some((witness, worst(lines, witness, figures)?)));
+    let kept = of_witnesses.min_by(|(_, a), (_, b)| size(a.0, a.1, figures).total_cmp(&size(b.0, b.1, figures)));
     let (line, measured) = match kept {
-        _ if is_off(commanded) => (commanded, kept.map(|(_, (_, measured))| *measured)),
+        _ if is_off(commanded, figures) => (commanded, kept.map(|(_, (_, measured))| *measured)),
         Some((_, (line, measured))) => (line, Some(*measured)),
         None => (commanded, None),
     };
-    let outcome = match (is_off(commanded), &measured) {
-        (true, _) => swings(commanded),
-        (false, Some(measured)) => leaves(facts, line, measured, subjects * lines.len()),
+    let outcome = match (is_off(commanded, figures), &measured) {
+        (true, _) => swings(commanded, figures),
+        (false, Some(measured)) => leaves(facts, line, measured, lines.len()),
         (false, None) => {
             Outcome::Inconclusive(format!("no witness has the tip along any of the lines; {SETTLE}"))
         }
     };
     // The command's fault does not hide that the tip leaves the line.
     let outcome = match (outcome, kept) {
-        (Outcome::Evaluated(_), Some((_, (line, measured)))) if is_off(commanded) => {
-            with_distance(commanded, line, measured, subjects * lines.len())
+        (Outcome::Evaluated(_), Some((_, (line, measured)))) if is_off(commanded, figures) => {
+            with_distance(facts, commanded, line, measured, lines.len())
         }
         (outcome, _) => outcome,
     };
     let unknown = Measured { value: f64::NAN, std_error: f64::INFINITY, dof: 1.0 };
     let distance = measured.as_ref().map_or(unknown, |measured| measured.distance_m.norm);
     let angle = match &measured {
-        _ if is_off(commanded) => {
+        _ if is_off(commanded, figures) => {
             Measured { value: commanded.command_rad, std_error: 0.0, dof: f64::INFINITY }
         }
         Some(measured) => measured.angle_rad.norm,
@@ -145,9 +154,13 @@ fn judge(facts: &Facts, arm: &ArmFacts, reference: &ReferenceFacts, subjects: us
 }
 
 /// How the tip keeps to the worst line.
-fn decide(line: &Line, measured: &LineWitness, subjects: usize) -> Decision {
-    let by_length = decide_length(&measured.distance_m, &FIGURES.length, subjects);
-    let angle = if is_off(line) { Decision::Pass } else { by_angle(&measured.angle_rad, subjects) };
+fn decide(facts: &Facts, line: &Line, measured: &LineWitness, lines: usize) -> Decision {
+    let (figures, subjects) = (figures(facts), facts.subjects() * lines);
+    let by_length = decide_length(&measured.distance_m, &figures.length, subjects);
+    let angle = match is_off(line, &figures) {
+        true => Decision::Pass,
+        false => decide_length(&measured.angle_rad, &figures.angle, subjects),
+    };
     match (by_length, angle) {
         (Decision::Fail(a), Decision::Fail(b)) => Decision::Fail(a.max(b)),
         (fail @ Decision::Fail(_), _) | (_, fail @ Decision::Fail(_)) => fail,
@@ -155,15 +168,11 @@ fn decide(line: &Line, measured: &LineWitness, subjects: usize) -> Decision {
     }
 }
 
-fn by_angle(angle: &Length, subjects: usize) -> Decision {
-    decide_length(angle, &FIGURES.angle, subjects)
-}
-
 /// The outcome where the command is a slerp.
-fn leaves(facts: &Facts, line: &Line, measured: &LineWitness, subjects: usize) -> Outcome {
+fn leaves(facts: &Facts, line: &Line, measured: &LineWitness, lines: usize) -> Outcome {
     let distance = Unit::Metre.show_measured(&measured.distance_m.norm);
     let angle = Unit::Radian.show_measured(&measured.angle_rad.norm);
-    match decide(line, measured, subjects) {
+    match decide(facts, line, measured, lines) {
         Decision::Pass => {
             Outcome::sound_because(format!("the tip is at most {distance} and {angle} off its lines"))
         }
@@ -188,14 +197,14 @@ fn leaves(facts: &Facts, line: &Line, measured: &LineWitness, subjects: usize) -
 }
 
 /// The outcome where the command itself is no slerp.
-fn swings(line: &Line) -> Outcome {
+fn swings(line: &Line, figures: &FrameFigures) -> Outcome {
     let (off, turn) = (Unit::Radian.show(line.command_rad), Unit::Radian.show(line.turn_rad));
     let across = Unit::Radian.show(line.command_off_axis_rad);
-    let is_pace = FIGURES.angle.severity(line.command_off_axis_rad).is_none();
+    let is_pace = figures.angle.severity(line.command_off_axis_rad).is_none();
     let (severity, as_if) = match &line.interpolated {
-        Some(name) => (FIGURES.angle.severity(line.command_rad), format!(": as of {name} interpolated")),
+        Some(name) => (figures.angle.severity(line.command_rad), format!(": as of {name} interpolated")),
         None if is_pace => (Some(Severity::Info), ": it turns at another pace than it goes".to_owned()),
-        None => (FIGURES.angle.severity(line.command_rad), format!(", {across} of it across the axis")),
+        None => (figures.angle.severity(line.command_rad), format!(", {across} of it across the axis")),
     };
     Outcome::faulty(Fault {
         severity: severity.unwrap_or(Severity::Info),
@@ -208,18 +217,19 @@ fn swings(line: &Line) -> Outcome {
 
 /// The same, where the tip may leave the line beside it: the graver of the two is said first.
 fn with_distance(
+    facts: &Facts,
     commanded: &Line,
     line: &Line,
     measured: &LineWitness,
-    subjects: usize,
+    lines: usize,
 ) -> Outcome {
     let off_line = Line { command_rad: f64::INFINITY, ..line.clone() };
     let distance = Unit::Metre.show_measured(&measured.distance_m.norm);
-    let swinging = swings(commanded);
+    let swinging = swings(commanded, &figures(facts));
     let Outcome::Evaluated(crate::finding::Ruling::Faulty(fault)) = swinging else {
         return swinging;
     };
-    match decide(&off_line, measured, subjects) {
+    match decide(facts, &off_line, measured, lines) {
         Decision::Fail(severity) => Outcome::faulty(Fault {
             severity: severity.max(fault.severity),
             message: format!("{}, and the tip is {distance} off the line", fault.message),

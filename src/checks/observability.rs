@@ -4,7 +4,7 @@
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use crate::checks::{ArmFacts, Facts, Grade, PoseFacts, find, mdl001};
+use crate::checks::{ArmFacts, Facts, PoseFacts, find, mdl001};
 use crate::diagnosis::{BlindDirection, Observability, Parameter, PoseDiagnosis};
 use crate::finding::{CheckRow, Status, Subject, Unit};
 
@@ -139,7 +139,7 @@ pub(super) fn observability(facts: &Facts, checks: &mut [CheckRow]) -> Vec<Strea
     for arm in &facts.robots {
         for (stream, diagnosis) in arm.poses() {
             let Some(seen) = &diagnosis.observability else { continue };
-            let found = seen.blind(|parameter| figure(arm, parameter), SEEN);
+            let found = seen.blind(|parameter| figure(facts, arm, parameter), SEEN);
             let directions: Vec<Blind> = found.iter().map(|one| blind(arm, seen, one)).collect();
             let mut leaves_open = vec![false; directions.len()];
             let open =
@@ -230,7 +230,7 @@ fn cause_of(parameter: Parameter) -> Parameter {
 }
 
 /// The first figure of the rule that judges a parameter.
-fn figure(arm: &ArmFacts, parameter: Parameter) -> f64 {
+fn figure(facts: &Facts, arm: &ArmFacts, parameter: Parameter) -> f64 {
     let (code, unit) = match parameter {
         Parameter::JointZero(joint) => ("ZER001", arm.joint_unit(joint)),
         Parameter::Latency => ("LAT001", Unit::Second),
@@ -241,11 +241,9 @@ fn figure(arm: &ArmFacts, parameter: Parameter) -> f64 {
         Parameter::ToolShift(_) => ("FRM003", Unit::Metre),
         Parameter::ToolTurn(_) => ("FRM003", Unit::Radian),
     };
-    let figures = match find(code).map(|rule| rule.grade) {
-        Ok(Grade::From(figures)) => figures,
-        _ => &[],
-    };
-    figures.iter().find(|figure| figure.unit == unit).map_or(1.0, |figure| figure.warning)
+    let Ok(rule) = find(code) else { return 1.0 };
+    let own = rule.grade.figures().iter().find(|figure| figure.unit == unit);
+    own.map_or(1.0, |own| facts.figures.of(rule, *own).warning)
 }
 
 fn blind(arm: &ArmFacts, seen: &Observability, direction: &BlindDirection) -> Blind {

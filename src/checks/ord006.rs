@@ -1,7 +1,7 @@
 use serde_json::{Value, json};
 
 use crate::checks::decision::DEGREE;
-use crate::checks::{ArmFacts, EulerFacts, Facts, Grade, Judged};
+use crate::checks::{ArmFacts, EulerFacts, Facts, Grade, Judged, Limit};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Span, Unit};
 
 rule! {
@@ -30,6 +30,7 @@ rule! {
     /// numbers are looked at whose convention was declared or told from the arm: whether a
     /// quaternion was Euler angles before, the log does not say.
     ORD006 {
+        limits: &[NEAR],
         name: "gimbal-lock",
         grade: Grade::Fixed(Severity::Warning),
         headline: false,
@@ -39,8 +40,13 @@ rule! {
     }
 }
 
-/// So near the lock is near, rad.
-const NEAR_RAD: f64 = 5.0 * DEGREE;
+/// So near the lock is near.
+const NEAR: Limit = Limit {
+    key: "near",
+    unit: Unit::Radian,
+    value: 5.0 * DEGREE,
+    what: "so close to gimbal lock is near",
+};
 /// Spans that are less than this apart are one, s.
 const APART_S: f64 = 0.5;
 /// Spans that the evidence lists.
@@ -65,9 +71,9 @@ struct Near {
     nearest_rad: f64,
 }
 
-fn near(coded: &EulerFacts) -> Vec<Near> {
+fn near(coded: &EulerFacts, within_rad: f64) -> Vec<Near> {
     let mut found: Vec<Near> = Vec::new();
-    for &(at, margin_rad) in coded.margins_rad.iter().filter(|(_, margin)| *margin < NEAR_RAD) {
+    for &(at, margin_rad) in coded.margins_rad.iter().filter(|(_, margin)| *margin < within_rad) {
         match found.last_mut().filter(|last| at.seconds_since(last.span.end) < APART_S) {
             Some(last) => {
                 (last.span.end, last.samples) = (at, last.samples + 1);
@@ -93,7 +99,8 @@ fn judge(facts: &Facts, arm: &ArmFacts, topic: &str, coded: &EulerFacts) -> Judg
         let why = format!("{convention} has no gimbal lock");
         return Judged::new(subject, Outcome::sound_because(why));
     }
-    let found = near(coded);
+    let within_rad = facts.figures.limit(&ORD006, &NEAR);
+    let found = near(coded, within_rad);
     let samples: usize = found.iter().map(|near| near.samples).sum();
     let share = samples as f64 / coded.margins_rad.len() as f64;
     let least_rad = coded.margins_rad.iter().map(|(_, margin)| *margin).fold(f64::INFINITY, f64::min);
@@ -106,7 +113,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, topic: &str, coded: &EulerFacts) -> Judg
             message: format!(
                 "{convention} is within {} of gimbal lock in {:.1} % of the samples, longest for \
                  {} from {} on, {} at the nearest",
-                Unit::Radian.show(NEAR_RAD),
+                Unit::Radian.show(within_rad),
                 100.0 * share,
                 Unit::Second.show(longest.span.seconds()),
                 facts.moment(longest.span.start),
@@ -153,7 +160,7 @@ mod tests {
             convention: Some(Convention::RPY),
             margins_rad: (0..60).map(|tenth| (at(tenth), margin(tenth))).collect(),
         };
-        let found = near(&coded);
+        let found = near(&coded, NEAR.value);
         let first = Span { start: at(10), end: at(15) };
         assert_eq!(found[0], Near { span: first, samples: 4, nearest_rad: 0.02 });
         assert_eq!((found.len(), found[1].nearest_rad), (2, 0.01));

@@ -1,7 +1,7 @@
 use serde_json::{Value, json};
 
-use crate::checks::tim006::slow;
-use crate::checks::{Due, Facts, Grade, Judged, RhythmFacts};
+use crate::checks::tim006::{Pace, slow};
+use crate::checks::{Due, Facts, Grade, Judged, RhythmFacts, Limit};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::{Cadence, Hole, Stretch};
 use crate::time::Stamp;
@@ -34,6 +34,7 @@ rule! {
     /// over seconds is TIM006's. Commands and what a camera sees are sent when there is something to
     /// say, and are not judged; a stream that nobody assigned is judged only where it has a period.
     TIM002 {
+        limits: &[GAP_PERIODS, GAP, LOST],
         name: "gaps",
         grade: Grade::Fixed(Severity::Warning),
         headline: false,
@@ -43,12 +44,27 @@ rule! {
     }
 }
 
-/// A gap is longer than this many periods, and than [`GAP_S`].
-const GAP_PERIODS: f64 = 10.0;
-/// A gap is longer than this, s.
-const GAP_S: f64 = 0.1;
+/// A gap is longer than this many periods, and than [`GAP`].
+const GAP_PERIODS: Limit = Limit {
+    key: "gap_periods",
+    unit: Unit::One,
+    value: 10.0,
+    what: "a gap is longer than this many periods",
+};
+/// A gap is longer than this.
+const GAP: Limit = Limit {
+    key: "gap",
+    unit: Unit::Second,
+    value: 0.1,
+    what: "a gap is longer than this, too",
+};
 /// The share of samples from which on losing them is a fault.
-const LOST: f64 = 0.01;
+const LOST: Limit = Limit {
+    key: "lost",
+    unit: Unit::One,
+    value: 0.01,
+    what: "the share of samples from which on losing them is a fault",
+};
 /// Fewer lost samples than this are no share.
 const COUNTS: usize = 3;
 /// Gaps that the evidence lists.
@@ -56,6 +72,27 @@ const LISTED: usize = 10;
 
 /// What would tell where it could not be told.
 const SETTLE: &str = "record the joint states beside it";
+
+/// What a stream's rhythm is held against.
+#[derive(Clone, Copy)]
+struct Limits {
+    gap_periods: f64,
+    gap_s: f64,
+    lost: f64,
+    /// What is a lower rate, and no loss.
+    pace: Pace,
+    /// The period that the caller says it has, s.
+    said_period_s: Option<f64>,
+}
+
+impl Limits {
+    fn of(facts: &Facts, rhythm: &RhythmFacts) -> Self {
+        let [gap_periods, gap_s, lost] =
+            [&GAP_PERIODS, &GAP, &LOST].map(|limit| facts.figures.limit(&TIM002, limit));
+        let said_period_s = rhythm.said_hz.map(|rate_hz| 1.0 / rate_hz);
+        Self { gap_periods, gap_s, lost, pace: Pace::of(facts), said_period_s }
+    }
+}
 
 fn check(facts: &Facts) -> Vec<Judged> {
     let steady = facts.rhythms.iter().filter(|rhythm| rhythm.due != Due::OnOccasion);
@@ -70,12 +107,13 @@ fn judged(rhythm: &RhythmFacts) -> impl Iterator<Item = &Cadence> {
 }
 
 fn judge(facts: &Facts, rhythm: &RhythmFacts) -> Judged {
+    let by = &Limits::of(facts, rhythm);
     let silent = |moving: Option<bool>| {
-        let gaps = judged(rhythm).flat_map(gaps);
+        let gaps = judged(rhythm).flat_map(|part| gaps(by, part));
         gaps.filter(move |gap| gap.moving == moving).max_by(|a, b| longer(a, b))
     };
     let concerned: Vec<&Cadence> =
-        judged(rhythm).filter(|part| has_gaps(part) || loses(part)).collect();
+        judged(rhythm).filter(|part| has_gaps(by, part) || loses(by, part)).collect();
     let subject = rhythm.subject(&concerned);
     if !concerned.is_empty() && facts.lost_messages() {
         let why = "samples are missing, but so are messages of the log itself (ING001)";
@@ -83,7 +121,7 @@ fn judge(facts: &Facts, rhythm: &RhythmFacts) -> Judged {
         return Judged::new(subject, outcome).within(rhythm.span);
     }
     if !concerned.is_empty() {
-        return fault(facts, rhythm, &concerned).within(rhythm.span);
+        return fault(facts, by, rhythm, &concerned).within(rhythm.span);
     }
     let shown = |gap: &Stretch| {
         format!("{} at {}", Unit::Second.show(gap.seconds()), facts.moment(gap.start))
@@ -98,7 +136,7 @@ fn judge(facts: &Facts, rhythm: &RhythmFacts) -> Judged {
         Outcome::Inconclusive(format!(
             "nothing came for {gap}, and no joint states say whether the arm moved; {SETTLE}"
         ))
-    } else if judged(rhythm).any(|part| lost(part).is_none()) {
+    } else if judged(rhythm).any(|part| lost(by, part).is_none()) {
         let why = "its samples come at no fixed period, so that lost ones cannot be counted";
         Outcome::Inconclusive(format!("{why}; send them at one, or count them in the message"))
     } else if let Some(gap) = silent(Some(false)) {
@@ -114,66 +152,72 @@ fn longer(a: &Stretch, b: &Stretch) -> std::cmp::Ordering {
 }
 
 /// Whether a hole is longer than any delay of a message explains.
-fn is_long(part: &Cadence, hole: &Hole) -> bool {
+fn is_long(by: &Limits, part: &Cadence, hole: &Hole) -> bool {
     let length_s = hole.stretch.seconds();
-    length_s > GAP_S && length_s > GAP_PERIODS * part.period_s.unwrap_or(f64::INFINITY)
+    let period_s = by.said_period_s.or(part.period_s).unwrap_or(f64::INFINITY);
+    length_s > by.gap_s && length_s > by.gap_periods * period_s
 }
 
 /// The holes of a part that are not those of a lower rate.
-fn holes(part: &Cadence) -> impl Iterator<Item = &Hole> {
-    let slow: Vec<&Stretch> = slow(part).collect();
+fn holes<'a>(by: &Limits, part: &'a Cadence) -> impl Iterator<Item = &'a Hole> {
+    let slow: Vec<&Stretch> = slow(by.pace, part).collect();
     let is_slow = move |at: Stamp| slow.iter().any(|lull| lull.start <= at && at < lull.end);
     part.holes.iter().filter(move |hole| !is_slow(hole.stretch.start))
 }
 
 /// The gaps of a part: nothing was received for long.
-fn gaps(part: &Cadence) -> impl Iterator<Item = &Stretch> {
-    let long = holes(part).filter(|hole| hole.is_silent && is_long(part, hole));
+fn gaps<'a>(by: &Limits, part: &'a Cadence) -> impl Iterator<Item = &'a Stretch> {
+    let long = holes(by, part).filter(|hole| hole.is_silent && is_long(by, part, hole));
     long.map(|hole| &hole.stretch)
 }
 
-fn moving(part: &Cadence) -> impl Iterator<Item = &Stretch> {
-    gaps(part).filter(|gap| gap.moving == Some(true))
+fn moving<'a>(by: &Limits, part: &'a Cadence) -> impl Iterator<Item = &'a Stretch> {
+    gaps(by, part).filter(|gap| gap.moving == Some(true))
 }
 
-fn has_gaps(part: &Cadence) -> bool {
-    moving(part).next().is_some()
+fn has_gaps(by: &Limits, part: &Cadence) -> bool {
+    moving(by, part).next().is_some()
 }
 
 /// How many of a part's samples are lost, by its period or by its numbers; `None` where neither
 /// tells.
-fn lost(part: &Cadence) -> Option<usize> {
+fn lost(by: &Limits, part: &Cadence) -> Option<usize> {
     // That no number is left out may be the work of a recorder that gives them.
     let by_number = part.skipped.filter(|skipped| *skipped > 0);
-    lost_by_period(part).max(by_number)
+    lost_by_period(by, part).max(by_number)
 }
 
-fn lost_by_period(part: &Cadence) -> Option<usize> {
+fn lost_by_period(by: &Limits, part: &Cadence) -> Option<usize> {
     let is_lost = |hole: &&Hole| {
         let rests = hole.stretch.moving == Some(false);
-        !is_long(part, hole) || (hole.is_silent && !rests)
+        !is_long(by, part, hole) || (hole.is_silent && !rests)
     };
-    let missing: usize = holes(part).filter(is_lost).map(|hole| hole.missing).sum();
+    let missing: usize = holes(by, part).filter(is_lost).map(|hole| hole.missing).sum();
     // What is late, or has the stamp of another sample, is not missing at its own.
     part.is_regular.then(|| missing.saturating_sub(part.bunched).saturating_sub(part.conflicts))
 }
 
 /// The share of a part's samples that is lost.
-fn lost_share(part: &Cadence) -> f64 {
-    let lost = lost(part).unwrap_or(0);
+fn lost_share(by: &Limits, part: &Cadence) -> f64 {
+    let lost = lost(by, part).unwrap_or(0);
     lost as f64 / (lost + part.rows).max(1) as f64
 }
 
-fn loses(part: &Cadence) -> bool {
-    lost(part).is_some_and(|lost| lost >= COUNTS) && lost_share(part) > LOST
+fn loses(by: &Limits, part: &Cadence) -> bool {
+    lost(by, part).is_some_and(|lost| lost >= COUNTS) && lost_share(by, part) > by.lost
 }
 
-fn fault(facts: &Facts, rhythm: &RhythmFacts, concerned: &[&Cadence]) -> Judged {
-    let gaps = || concerned.iter().flat_map(|part| moving(part));
-    let worst = concerned.iter().copied().max_by(|a, b| lost_share(a).total_cmp(&lost_share(b)));
-    let (lost, samples) = worst.map_or((0, 0), |part| (lost(part).unwrap_or(0), part.rows));
+fn fault(
+    facts: &Facts,
+    by: &Limits,
+    rhythm: &RhythmFacts,
+    concerned: &[&Cadence],
+) -> Judged {
+    let gaps = || concerned.iter().flat_map(|part| moving(by, part));
+    let worst = concerned.iter().copied().max_by(|a, b| lost_share(by, a).total_cmp(&lost_share(by, b)));
+    let (lost, samples) = worst.map_or((0, 0), |part| (lost(by, part).unwrap_or(0), part.rows));
     let skipped = worst.and_then(|part| part.skipped);
-    let share = worst.map_or(0.0, lost_share);
+    let share = worst.map_or(0.0, |part| lost_share(by, part));
     let loss = format!("{:.1} % of samples are lost: {lost} of {}", 100.0 * share, lost + samples);
     let (title, message, estimate) = match gaps().max_by(|a, b| longer(a, b)) {
         Some(gap) => {
@@ -216,6 +260,12 @@ mod tests {
 
     const MS: i64 = 1_000_000;
 
+    fn own() -> Limits {
+        let facts = Facts::default();
+        let [gap_periods, gap_s, lost] = [GAP_PERIODS, GAP, LOST].map(|limit| limit.value);
+        Limits { gap_periods, gap_s, lost, pace: Pace::of(&facts), said_period_s: None }
+    }
+
     /// A part of 1000 samples at 100 Hz with a hole of so many periods.
     fn with_hole(periods: i64, is_silent: bool) -> Cadence {
         let (start, end) = (Stamp::from_nanos(0), Stamp::from_nanos(10 * periods * MS));
@@ -233,31 +283,31 @@ mod tests {
 
     #[test]
     fn a_gap_is_silent_and_longer_than_ten_periods() {
-        assert!(has_gaps(&with_hole(11, true)));
-        assert!(!has_gaps(&with_hole(10, true)));
-        assert!(!has_gaps(&with_hole(70, false)));
+        assert!(has_gaps(&own(), &with_hole(11, true)));
+        assert!(!has_gaps(&own(), &with_hole(10, true)));
+        assert!(!has_gaps(&own(), &with_hole(70, false)));
         // What is no gap may still be a loss; a clock that is set forward takes nothing.
         let lost = [with_hole(9, true), with_hole(9, false), with_hole(70, false)];
-        assert_eq!(lost.map(|part| lost_by_period(&part)), [Some(8), Some(8), Some(0)]);
+        assert_eq!(lost.map(|part| lost_by_period(&own(), &part)), [Some(8), Some(8), Some(0)]);
     }
 
     #[test]
     fn what_is_late_or_in_a_slow_stretch_is_not_lost() {
         let late = Cadence { bunched: 5, conflicts: 1, ..with_hole(9, true) };
-        assert_eq!(lost(&late), Some(2));
+        assert_eq!(lost(&own(), &late), Some(2));
         let mut slow = with_hole(9, true);
         let end = Stamp::from_nanos(3000 * MS);
         slow.lulls.push(Stretch { end, rate_hz: 20.0, ..slow.holes[0].stretch });
-        assert_eq!(lost(&slow), Some(0));
+        assert_eq!(lost(&own(), &slow), Some(0));
     }
 
     #[test]
     fn numbers_tell_where_no_period_does() {
         let mut part = Cadence { is_regular: false, ..with_hole(2, true) };
-        assert_eq!(lost(&part), None);
+        assert_eq!(lost(&own(), &part), None);
         part.skipped = Some(0);
-        assert_eq!(lost(&part), None);
+        assert_eq!(lost(&own(), &part), None);
         part.skipped = Some(30);
-        assert!(lost(&part) == Some(30) && loses(&part));
+        assert!(lost(&own(), &part) == Some(30) && loses(&own(), &part));
     }
 }

@@ -1,5 +1,5 @@
-use crate::checks::{Facts, Grade, Judged, RhythmFacts};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity};
+use crate::checks::{Facts, Grade, Judged, RhythmFacts, Limit};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Cadence;
 
 rule! {
@@ -26,6 +26,7 @@ rule! {
     /// asked more often than it is told, repeats and does not contradict; that is not counted. Stamps
     /// that are rounded to milliseconds may collide where the stream is faster than that.
     TIM004 {
+        limits: &[DUPLICATES],
         name: "duplicate-stamps",
         grade: Grade::Fixed(Severity::Warning),
         headline: false,
@@ -36,19 +37,25 @@ rule! {
 }
 
 /// The share of samples from which on duplicates are a fault.
-const DUPLICATES: f64 = 1e-3;
+const DUPLICATES: Limit = Limit {
+    key: "duplicates",
+    unit: Unit::One,
+    value: 1e-3,
+    what: "the share of samples from which on duplicates are a fault",
+};
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    facts.rhythms.iter().map(judge).collect()
+    facts.rhythms.iter().map(|rhythm| judge(facts, rhythm)).collect()
 }
 
 fn share(part: &Cadence) -> f64 {
     part.conflicts as f64 / part.rows.max(1) as f64
 }
 
-fn judge(rhythm: &RhythmFacts) -> Judged {
+fn judge(facts: &Facts, rhythm: &RhythmFacts) -> Judged {
+    let most = facts.figures.limit(&TIM004, &DUPLICATES);
     let concerned: Vec<&Cadence> =
-        rhythm.parts.iter().filter(|part| share(part) > DUPLICATES).collect();
+        rhythm.parts.iter().filter(|part| share(part) > most).collect();
     let subject = rhythm.subject(&concerned);
     if !rhythm.parts.iter().any(|part| part.stamped) {
         let outcome = Outcome::Skipped("its messages carry no stamps".to_owned());

@@ -1,5 +1,5 @@
-use crate::checks::{Due, EmptyFacts, Facts, Grade, Judged, RhythmFacts};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::checks::{Due, EmptyFacts, Facts, Grade, Judged, Limit, RhythmFacts};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::run::{Cadence, Stretch};
 
 rule! {
@@ -7,8 +7,9 @@ rule! {
     ///
     /// ## What it means
     /// A topic of joint states, transforms, tool poses or an IMU is in the log and holds no message, or
-    /// none whose numbers are finite; or it begins or ends more than a second off the others, by when messages were received; or it
-    /// runs below its own usual rate for two seconds or more.
+    /// none whose numbers are finite; or it begins or ends more than a second off the others, by when
+    /// messages were received; or it runs below its own usual rate for two seconds or more, or below the
+    /// rate that a config declares; or a config names a topic that the log does not have.
     ///
     /// ## Why it matters
     /// What is not there was not audited, however well the rest passes. A stream that ends early is a
@@ -24,10 +25,12 @@ rule! {
     ///
     /// ## When it misleads
     /// A stream that is sent on change begins with the first motion and ends with the last; where the
-    /// arm rested meanwhile, that is no fault. What rate a driver should have is a setting of it and
-    /// not known here: one that is slow from first to last is not noticed. Commands, what a camera
-    /// sees and streams that nobody assigned are not expected, and may be empty or short.
+    /// arm rested meanwhile, that is no fault. What rate a driver should have is a setting of it: one
+    /// that is slow from first to last is noticed only where a config declares its `rate_hz`.
+    /// Commands, what a camera sees and streams that nobody assigned are not expected, and may be empty
+    /// or short.
     TIM006 {
+        limits: &[TOGETHER, SLOW, LASTS, BELOW],
         name: "incomplete-stream",
         grade: Grade::Fixed(Severity::Warning),
         headline: false,
@@ -37,15 +40,52 @@ rule! {
     }
 }
 
-/// Streams that begin and end so close together begin and end as one, s.
-const TOGETHER_S: f64 = 1.0;
+/// Streams that begin and end so close together begin and end as one.
+const TOGETHER: Limit = Limit {
+    key: "together",
+    unit: Unit::Second,
+    value: 1.0,
+    what: "streams that begin and end within this are complete",
+};
 /// A stream is slow where its interval is this many times the usual, …
-const SLOW: f64 = 1.4;
-/// … for this long or longer, s.
-const LASTS_S: f64 = 2.0;
+const SLOW: Limit = Limit {
+    key: "slow",
+    unit: Unit::One,
+    value: 1.4,
+    what: "a stream is slow where its interval is this many times the usual",
+};
+/// … for this long or longer.
+const LASTS: Limit = Limit {
+    key: "lasts",
+    unit: Unit::Second,
+    value: 2.0,
+    what: "and stays so for this long",
+};
+/// A stream is slow that runs below this share of its declared rate.
+const BELOW: Limit = Limit {
+    key: "below",
+    unit: Unit::One,
+    value: 0.9,
+    what: "the share of its declared rate below which a stream is slow",
+};
+
+/// What a lower rate is.
+#[derive(Clone, Copy)]
+pub(super) struct Pace {
+    slow: f64,
+    lasts_s: f64,
+}
+
+impl Pace {
+    pub(super) fn of(facts: &Facts) -> Self {
+        let [slow, lasts_s] = [&SLOW, &LASTS].map(|limit| facts.figures.limit(&TIM006, limit));
+        Self { slow, lasts_s }
+    }
+}
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    let empty = facts.empty.iter().map(nothing);
+    let missing = facts.missing.iter().map(|(subject, place)| missing(subject.clone(), place));
+    let empty = missing.chain(facts.empty.iter().map(nothing));
     let expected = facts.rhythms.iter().filter(|rhythm| rhythm.due.is_expected());
     empty.chain(expected.map(|rhythm| judge(facts, rhythm))).collect()
 }
@@ -74,15 +114,37 @@ fn nothing(empty: &EmptyFacts) -> Judged {
     )
 }
 
+fn missing(subject: Subject, place: &str) -> Judged {
+    let topic = subject.label().to_owned();
+    Judged::new(
+        subject,
+        Outcome::faulty(Fault {
+            severity: Severity::Warning,
+            title: "stream is missing",
+            message: format!("the log has no such topic, and {place} expects it"),
+            evidence: Evidence::default(),
+            fix: format!("record {topic}, or correct its name there"),
+        }),
+    )
+}
+
+/// The rate of a stream where it is notably below that which the caller says, and that one, Hz.
+fn below_said(facts: &Facts, rhythm: &RhythmFacts) -> Option<(f64, f64)> {
+    let (said_hz, rate_hz) = (rhythm.said_hz?, rhythm.rate_hz?);
+    (rate_hz < facts.figures.limit(&TIM006, &BELOW) * said_hz).then_some((rate_hz, said_hz))
+}
+
 fn judge(facts: &Facts, rhythm: &RhythmFacts) -> Judged {
+    let (pace, together_s) = (Pace::of(facts), facts.figures.limit(&TIM006, &TOGETHER));
+    let slowest = |part| slowest(pace, rhythm, part);
     let (late_s, early_s) = missed(rhythm);
     let slow: Vec<&Cadence> =
-        rhythm.wanted().filter(|part| slowest(rhythm, part).is_some()).collect();
-    let worst = slow.iter().filter_map(|part| Some((part.period_s?, slowest(rhythm, part)?)));
+        rhythm.wanted().filter(|part| slowest(part).is_some()).collect();
+    let worst = slow.iter().filter_map(|part| Some((part.period_s?, slowest(part)?)));
     let worst = worst.min_by(|a, b| (a.0 * a.1.rate_hz).total_cmp(&(b.0 * b.1.rate_hz)));
     let shown = |missed_s: f64| Unit::Second.show(missed_s);
-    let (title, message, estimate) = if late_s.max(early_s) > TOGETHER_S {
-        let message = match (late_s > TOGETHER_S, early_s > TOGETHER_S) {
+    let (title, message, estimate) = if late_s.max(early_s) > together_s {
+        let message = match (late_s > together_s, early_s > together_s) {
             (true, false) => format!("begins {} after the other streams", shown(late_s)),
             (false, _) => format!("ends {} before the other streams", shown(early_s)),
             (true, true) => format!(
@@ -98,6 +160,9 @@ fn judge(facts: &Facts, rhythm: &RhythmFacts) -> Judged {
         let (length, at) = (shown(stretch.seconds()), facts.moment(stretch.start));
         let message =
             format!("runs at {rate_hz:.1} Hz for {length} from {at}, usually at {usual_hz:.1} Hz");
+        ("stream is slow", message, Estimate::counted("rate", "Hz", rate_hz))
+    } else if let Some((rate_hz, said_hz)) = below_said(facts, rhythm) {
+        let message = format!("runs at {rate_hz:.1} Hz, and {said_hz:.1} Hz are declared");
         ("stream is slow", message, Estimate::counted("rate", "Hz", rate_hz))
     } else {
         return Judged::new(rhythm.subject(&[]), Outcome::sound()).within(rhythm.span);
@@ -136,15 +201,15 @@ fn missed(rhythm: &RhythmFacts) -> (f64, f64) {
 }
 
 /// Where a part runs below its usual rate.
-pub(super) fn slow(part: &Cadence) -> impl Iterator<Item = &Stretch> {
+pub(super) fn slow(pace: Pace, part: &Cadence) -> impl Iterator<Item = &Stretch> {
     let usual_s = part.period_s.unwrap_or(f64::INFINITY);
-    let is_slow = move |lull: &&Stretch| lull.rate_hz * usual_s * SLOW < 1.0;
-    part.lulls.iter().filter(is_slow).filter(|lull| lull.seconds() >= LASTS_S)
+    let is_slow = move |lull: &&Stretch| lull.rate_hz * usual_s * pace.slow < 1.0;
+    part.lulls.iter().filter(is_slow).filter(move |lull| lull.seconds() >= pace.lasts_s)
 }
 
 /// The slowest stretch of a part, but for those of a rest that may be slow.
-fn slowest<'a>(rhythm: &RhythmFacts, part: &'a Cadence) -> Option<&'a Stretch> {
+fn slowest<'a>(pace: Pace, rhythm: &RhythmFacts, part: &'a Cadence) -> Option<&'a Stretch> {
     let is_due = |lull: &&Stretch| lull.moving == Some(true) || rhythm.due != Due::InMotion;
-    let stretches = slow(part).filter(is_due);
+    let stretches = slow(pace, part).filter(is_due);
     stretches.min_by(|a, b| a.rate_hz.total_cmp(&b.rate_hz))
 }

@@ -57,19 +57,20 @@ const JUMP: Figure = Figure { unit: Unit::Radian, warning: 0.5 * DEGREE, error: 
 const SETTLE: &str = "record a minute or more, with rests";
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    let subjects = facts.subjects();
-    facts.imus().flat_map(|(arm, imu, diagnosis)| judge(arm, imu, diagnosis, subjects)).collect()
+    facts.imus().flat_map(|(arm, imu, diagnosis)| judge(facts, arm, imu, diagnosis)).collect()
 }
 
 /// The drift, and the largest jump where there is one.
-fn judge(arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis, subjects: usize) -> Vec<Judged> {
+fn judge(facts: &Facts, arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis) -> Vec<Judged> {
+    let subjects = facts.subjects();
+    let [drift_figure, jump_figure] = [FIGURE, JUMP].map(|own| facts.figures.of(&YAW001, own));
     let subject = arm.topic(&imu.topic);
     let drift = match &diagnosis.yaw_drift_rad_s {
         Ok(drift) => drift,
         Err(why) => return vec![Judged::new(subject, unseen(why, SETTLE)).within(imu.span)],
     };
     let course = &diagnosis.yaw_course;
-    let outcome = decide(drift, &FIGURE, subjects)
+    let outcome = decide(drift, &drift_figure, subjects)
         .into_outcome(&settle(course), |severity| drifts(imu, drift, severity));
     let estimate = Estimate::amount("yaw drift", FIGURE.unit, drift);
     let kind = if course.walk_rad_rt_s.is_some() { "random-walk" } else { "drift" };
@@ -78,8 +79,8 @@ fn judge(arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis, subjects: usi
     let size = |jump: &&YawJump| jump.size_rad.value.abs();
     let largest = course.jumps.iter().max_by(|a, b| size(a).total_cmp(&size(b)));
     // A jump that is not worth a word is only taken off the drift.
-    if let Some(jump) = largest.filter(|jump| size(jump) >= JUMP.warning) {
-        let outcome = decide(&jump.size_rad, &JUMP, subjects)
+    if let Some(jump) = largest.filter(|jump| size(jump) >= jump_figure.warning) {
+        let outcome = decide(&jump.size_rad, &jump_figure, subjects)
             .into_outcome(SETTLE, |severity| jumps(jump, severity));
         let estimate = Estimate::amount("yaw jump", JUMP.unit, &jump.size_rad);
         let of_jump = Judged::new(arm.topic(&imu.topic), outcome).estimated(estimate);

@@ -40,12 +40,16 @@ const FIGURE: Figure =
 /// What would tell where the tilt could not be had.
 const SETTLE: &str = "record 10 s with rests";
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let subjects = facts.subjects();
-    facts.imus().map(|(arm, imu, diagnosis)| judge(arm, imu, diagnosis, subjects)).collect()
+/// From where this audit speaks up.
+fn figure(facts: &Facts) -> Figure {
+    facts.figures.of(&YAW002, FIGURE)
 }
 
-fn judge(arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis, subjects: usize) -> Judged {
+fn check(facts: &Facts) -> Vec<Judged> {
+    facts.imus().map(|(arm, imu, diagnosis)| judge(facts, arm, imu, diagnosis)).collect()
+}
+
+fn judge(facts: &Facts, arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis) -> Judged {
     let subject = arm.topic(&imu.topic);
     let tilt = match &diagnosis.tilt_rad {
         Ok(tilt) => tilt,
@@ -56,7 +60,7 @@ fn judge(arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis, subjects: usi
         false => Outcome::Inconclusive(
             "the orientation is not as logged; read it right first (ORD001 to ORD003)".to_owned(),
         ),
-        true => decide_length(tilt, &FIGURE, subjects)
+        true => decide_length(tilt, &figure(facts), facts.subjects())
             .into_outcome(SETTLE, |severity| fault(tilt, severity)),
     };
     let estimate = Estimate::length("tilt against gravity", FIGURE.unit, tilt);

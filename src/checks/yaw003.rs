@@ -43,17 +43,21 @@ const FIGURE: Figure = Figure { unit: Unit::Radian, warning: 1.0 * DEGREE, error
 /// What would tell where the mount could not be had.
 const SETTLE: &str = "turn the IMU through 60° about two axes";
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let subjects = facts.subjects();
-    facts.imus().map(|(arm, imu, diagnosis)| judge(arm, imu, diagnosis, subjects)).collect()
+/// From where this audit speaks up.
+fn figure(facts: &Facts) -> Figure {
+    facts.figures.of(&YAW003, FIGURE)
 }
 
-fn judge(arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis, subjects: usize) -> Judged {
+fn check(facts: &Facts) -> Vec<Judged> {
+    facts.imus().map(|(arm, imu, diagnosis)| judge(facts, arm, imu, diagnosis)).collect()
+}
+
+fn judge(facts: &Facts, arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis) -> Judged {
     let subject = arm.topic(&imu.topic);
     let judged = match &diagnosis.mount_rad {
         Err(why) => Judged::new(subject, unseen(why, SETTLE)),
         Ok(mount) => {
-            let decision = decide_length(mount, &FIGURE, subjects);
+            let decision = decide_length(mount, &figure(facts), facts.subjects());
             let found = diagnosis.link_from_imu;
             let outcome =
                 decision.into_outcome(SETTLE, |severity| fault(mount, imu, found, severity));

@@ -45,18 +45,22 @@ const FIGURE: Figure =
 /// What would tell where the bias could not be had.
 const SETTLE: &str = "record 10 s with rests";
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let subjects = facts.subjects();
-    facts.imus().map(|(arm, imu, diagnosis)| judge(arm, imu, diagnosis, subjects)).collect()
+/// From where this audit speaks up.
+fn figure(facts: &Facts) -> Figure {
+    facts.figures.of(&YAW004, FIGURE)
 }
 
-fn judge(arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis, subjects: usize) -> Judged {
+fn check(facts: &Facts) -> Vec<Judged> {
+    facts.imus().map(|(arm, imu, diagnosis)| judge(facts, arm, imu, diagnosis)).collect()
+}
+
+fn judge(facts: &Facts, arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis) -> Judged {
     let subject = arm.topic(&imu.topic);
     let bias = match &diagnosis.gyro_bias {
         Ok(bias) => bias,
         Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(imu.span),
     };
-    let decision = decide_length(&bias.length_rad_s, &FIGURE, subjects);
+    let decision = decide_length(&bias.length_rad_s, &figure(facts), facts.subjects());
     let outcome = decision.into_outcome(SETTLE, |severity| fault(bias, severity));
     let judged = Judged::new(subject, outcome)
         .within(imu.span)

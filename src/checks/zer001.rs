@@ -53,20 +53,20 @@ const PRISMATIC: Figure = Figure { unit: Unit::Metre, warning: 0.2e-3, error: 1e
 const SETTLE: &str = "move this joint by 30° or more, and the others at other times";
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    facts.robots.iter().flat_map(|arm| judge_arm(arm, facts.subjects())).collect()
+    facts.robots.iter().flat_map(|arm| judge_arm(facts, arm)).collect()
 }
 
-fn judge_arm(arm: &ArmFacts, subjects: usize) -> Vec<Judged> {
+fn judge_arm(facts: &Facts, arm: &ArmFacts) -> Vec<Judged> {
     if arm.poses.is_empty() {
         return Vec::new();
     }
     let offsets = arm.diagnosis.offsets.iter().enumerate();
-    offsets.map(|(joint, offset)| judge(arm, joint, offset, subjects)).collect()
+    offsets.map(|(joint, offset)| judge(facts, arm, joint, offset)).collect()
 }
 
-fn judge(arm: &ArmFacts, joint: usize, offset: &JointOffset, subjects: usize) -> Judged {
+fn judge(facts: &Facts, arm: &ArmFacts, joint: usize, offset: &JointOffset) -> Judged {
     let subject = arm.joint(joint);
-    let figure = figure(arm.joint_unit(joint));
+    let figure = facts.figures.of(&ZER001, figure(arm.joint_unit(joint)));
     let measured = match &offset.offset {
         Ok(measured) => measured,
         Err(why) => {
@@ -77,7 +77,7 @@ fn judge(arm: &ArmFacts, joint: usize, offset: &JointOffset, subjects: usize) ->
             return Judged::new(subject, outcome).within(arm.span);
         }
     };
-    let outcome = match (decide(measured, figure, subjects), named_instead(arm, offset)) {
+    let outcome = match (decide(measured, &figure, facts.subjects()), named_instead(arm, offset)) {
         (Decision::Fail(_), _) if offset.chosen && arm.poses().any(|(_, s)| s.repeats()) => {
             Outcome::Inconclusive(format!(
                 "it rests on a latency that fits at several lags; {SETTLE}"
@@ -85,7 +85,7 @@ fn judge(arm: &ArmFacts, joint: usize, offset: &JointOffset, subjects: usize) ->
         }
         (Decision::Fail(severity), _) if offset.chosen => match mdl001::doubt(arm, 0.0) {
             Some(why) => Outcome::Inconclusive(why),
-            None => Outcome::faulty(fault(arm, joint, measured, severity, subjects)),
+            None => Outcome::faulty(fault(facts, arm, joint, measured, severity)),
         },
         (Decision::Pass, _) => Outcome::sound(),
         (_, Some(twin)) if !offset.chosen => not_told_from(arm, &twin),
@@ -108,10 +108,10 @@ fn not_told_from(arm: &ArmFacts, twin: &str) -> Outcome {
     }
 }
 
-fn figure(unit: Unit) -> &'static Figure {
+fn figure(unit: Unit) -> Figure {
     match unit {
-        Unit::Metre => &PRISMATIC,
-        _ => &ROTARY,
+        Unit::Metre => PRISMATIC,
+        _ => ROTARY,
     }
 }
 
@@ -120,11 +120,11 @@ fn estimate(unit: Unit, offset: &Measured) -> Estimate {
 }
 
 fn fault(
+    facts: &Facts,
     arm: &ArmFacts,
     joint: usize,
     measured: &Measured,
     severity: Severity,
-    subjects: usize,
 ) -> Fault {
     let (offset, unit) = (&arm.diagnosis.offsets[joint], arm.joint_unit(joint));
     let left = arm.poses().filter_map(|(_, stream)| stream.residual.as_ref().ok());
@@ -138,7 +138,7 @@ fn fault(
         effect_m: Some(offset.effect_m),
         ..Evidence::default()
     };
-    let heirs = arm.tf.iter().filter(|(_, tf)| frm001::agrees(tf, subjects));
+    let heirs = arm.tf.iter().filter(|(_, tf)| frm001::agrees(facts, tf));
     let heirs: Vec<&str> = heirs.map(|(stream, _)| stream.topic.as_str()).collect();
     if !heirs.is_empty() {
         evidence.more.insert("inherited_by".to_owned(), heirs.into());

@@ -47,7 +47,6 @@ const GROWTH: Amount = Amount {
 };
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    let subjects = facts.subjects();
     let judged = facts.poses().map(|(arm, stream, diagnosis)| {
         let growth = Estimated {
             topic: &stream.topic,
@@ -56,7 +55,7 @@ fn check(facts: &Facts) -> Vec<Judged> {
             is_chosen: diagnosis.growth_chosen,
             doubt: doubt(arm, diagnosis),
         };
-        GROWTH.judge(arm, growth, subjects)
+        GROWTH.judge(&ZER002, facts, arm, growth)
     });
     judged.collect()
 }

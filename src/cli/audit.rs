@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use poseaudit::checks::{Selector, Settings};
+use poseaudit::config::Config;
 use poseaudit::finding::Severity;
 use poseaudit::report::{Report, Trouble};
 use poseaudit::run::{CalibrationSource, Declaration, RobotSource};
@@ -45,6 +46,10 @@ pub struct Args {
     #[arg(long, value_name = "LINK")]
     tip: Option<String>,
 
+    /// The settings of an audit: robot, topics, figures of rules, what is known and to be ignored
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+
     #[command(flatten)]
     reports: reports::Reports,
 
@@ -71,27 +76,28 @@ pub struct Args {
     #[arg(long, value_name = "CODES", value_delimiter = ',')]
     ignore: Vec<Selector>,
 
-    /// Exit with 1 from findings of this severity
-    #[arg(long, value_enum, value_name = "SEVERITY", default_value_t = FailOn::Warning)]
-    fail_on: FailOn,
+    /// Exit with 1 from findings of this severity [default: warning]
+    #[arg(long, value_enum, value_name = "SEVERITY")]
+    fail_on: Option<FailOn>,
 
     /// Exit with 1 also where one of these rules cannot conclude
     #[arg(long, value_name = "CODES", value_delimiter = ',')]
     require: Vec<Selector>,
 
-    /// The time that places a sample; streams without header stamps fall back to log time
-    #[arg(long, value_enum, value_name = "CLOCK", default_value_t = StampSource::Header)]
-    stamp: StampSource,
+    /// The time that places a sample; streams without header stamps fall back to log time [default:
+    /// header]
+    #[arg(long, value_enum, value_name = "CLOCK")]
+    stamp: Option<StampSource>,
 
-    /// Largest latency in seconds; what is off by more is on another clock
-    #[arg(long, value_name = "S", default_value = "5", value_parser = positive_seconds)]
-    max_latency: f64,
+    /// Largest latency in seconds; what is off by more is on another clock [default: 5]
+    #[arg(long, value_name = "S", value_parser = positive_seconds)]
+    max_latency: Option<f64>,
 
     /// Check every checksum in the files
     #[arg(long)]
     verify: bool,
 
-    /// How a stream's rotations are coded: rotvec, euler:SEQ, quat:xyzw or quat:wxyz
+    /// How a stream is coded: rotvec, euler:SEQ, quat:xyzw, quat:wxyz, or a maker such as kuka
     #[arg(long, value_name = "TOPIC=CONVENTION[,deg][,mm]")]
     declare: Vec<Declaration>,
 }
@@ -143,34 +149,60 @@ fn positive_seconds(text: &str) -> Result<f64, String> {
     }
 }
 
-pub fn run(args: Args) -> Result<Outcome, Trouble> {
-    let Args { reports, require, .. } = args;
-    reports.can_be_followed()?;
+/// What the config says of an audit, and before it the command line; and the rules that must conclude.
+fn configured(args: Args) -> Result<(poseaudit::Options, Vec<Selector>), Trouble> {
+    let config = args.config.as_deref().map(Config::from_file).transpose()?;
+    let required = config.as_ref().map(Config::required).unwrap_or_default();
+    let by_config = config.as_ref().map(Config::options).unwrap_or_default();
+    let rules = Settings {
+        select: first(args.select, by_config.rules.select),
+        ignore: args.ignore,
+        ..by_config.rules
+    };
+    // A declaration is of one topic: what the config says of others stands.
+    let is_other = |of: &Declaration| !args.declare.iter().any(|said| said.is_of(&of.topic));
+    let others = by_config.declarations.into_iter().filter(is_other);
+    let declarations = args.declare.iter().cloned().chain(others).collect();
     let options = poseaudit::Options {
         logs: args.logs,
-        robots: args.robots,
-        calibrations: args.calibrations,
-        base: args.base,
-        tip: args.tip,
-        stamp: args.stamp.into(),
-        max_latency_s: args.max_latency,
+        robots: first(args.robots, by_config.robots),
+        calibrations: first(args.calibrations, by_config.calibrations),
+        base: args.base.or(by_config.base),
+        tip: args.tip.or(by_config.tip),
+        stamp: args.stamp.map_or(by_config.stamp, Into::into),
+        max_latency_s: args.max_latency.unwrap_or(by_config.max_latency_s),
         verify: args.verify,
-        declarations: args.declare,
+        declarations,
         corrections: args.corrections,
         fix: args.fix,
-        rules: Settings { select: args.select, ignore: args.ignore },
-        fail_on: args.fail_on.into(),
+        rules,
+        fail_on: args.fail_on.map_or(by_config.fail_on, Into::into),
         recording: args.rrd,
         tables: args.parquet,
-        figures: reports.are_pictured(),
-        progress: None,
+        figures: args.reports.are_pictured(),
+        ..by_config
     };
-    let audited = watched(|progress| {
-        poseaudit::audit(&poseaudit::Options { progress: Some(progress), ..options })
+    Ok((options, first(args.require, required)))
+}
+
+/// What was given, else `other`.
+fn first<T>(given: Vec<T>, other: Vec<T>) -> Vec<T> {
+    if given.is_empty() { other } else { given }
+}
+
+pub fn run(args: Args) -> Result<Outcome, Trouble> {
+    let reports = args.reports.clone();
+    reports.can_be_followed()?;
+    let configured = configured(args);
+    let audited = configured.and_then(|(options, require)| {
+        let report = watched(|progress| {
+            poseaudit::audit(&poseaudit::Options { progress: Some(progress), ..options })
+        });
+        Ok((report?, require))
     });
-    let report = match audited {
-        Ok(report) => report,
-        Err(trouble) if reports.tell_trouble() => Report::of_trouble(trouble),
+    let (report, require) = match audited {
+        Ok(audited) => audited,
+        Err(trouble) if reports.tell_trouble() => (Report::of_trouble(trouble), Vec::new()),
         Err(trouble) => return Err(trouble),
     };
     reports.emit(&report)?;

@@ -37,5 +37,12 @@ fn write(rule: &Rule, out: &mut dyn Write) -> io::Result<()> {
             None => writeln!(out, "{line}")?,
         }
     }
+    if !rule.limits.is_empty() {
+        writeln!(out, "\n{HEADING}In a config{HEADING:#} ([rules.{}], docs/config.md)", rule.code)?;
+    }
+    for limit in rule.limits {
+        let (key, amount, what) = (limit.key, limit.unit.show(limit.value), limit.what);
+        writeln!(out, "{key} ({amount}): {what}")?;
+    }
     Ok(())
 }

@@ -3,7 +3,6 @@
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use clap::ValueEnum;
 use poseaudit::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
 use poseaudit::report::Trouble;
 use poseaudit::robot::{Chain, Robot};
@@ -11,6 +10,7 @@ use poseaudit::run::robot_of;
 use poseaudit::tables::{Configurations, TableError, kinematics_frame, write_frame};
 use serde_json::json;
 
+use super::output::Format;
 use super::{Outcome, misuse, output};
 
 /// Forward kinematics: the pose of one link in another, for one configuration or a file of them
@@ -57,14 +57,6 @@ pub struct Args {
     /// How one pose is printed
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Format {
-    /// For people
-    Text,
-    /// For programs, in SI units
-    Json,
 }
 
 fn finite(text: &str) -> Result<f64, String> {

@@ -9,6 +9,7 @@ mod demo;
 mod explain;
 mod fk;
 mod info;
+mod init;
 mod man;
 mod output;
 mod pose;
@@ -77,6 +78,7 @@ enum Command {
     Audit(Box<audit::Args>),
     Compare(compare::Args),
     Info(info::Args),
+    Init(init::Args),
     Demo(demo::Args),
     Rules(rules::Args),
     Explain(explain::Args),
@@ -95,6 +97,7 @@ pub fn run() -> Outcome {
         Command::Audit(args) => audit::run(*args),
         Command::Compare(args) => compare::run(&args),
         Command::Info(args) => info::run(&args),
+        Command::Init(args) => init::run(args),
         Command::Demo(args) => demo::run(&args),
         Command::Rules(args) => rules::run(&args),
         Command::Explain(args) => explain::run(&args),

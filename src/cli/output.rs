@@ -7,8 +7,18 @@ use std::path::Path;
 
 use anstream::{AutoStream, StripStream};
 use anstyle::{AnsiColor, Style};
+use clap::ValueEnum;
 use comfy_table::{Table, presets};
 use poseaudit::report::{Trouble, write_whole};
+
+/// How an answer that is no report is printed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Format {
+    /// For people
+    Text,
+    /// For programs, in SI units
+    Json,
+}
 
 const ERROR: Style = AnsiColor::Red.on_default().bold();
 

@@ -4,7 +4,6 @@ use std::fs;
 use std::io::{self, Read, Write};
 use std::path::PathBuf;
 
-use clap::ValueEnum;
 use poseaudit::desk::{
     Answer, Candidate, Corrections, DeskError, Form, FrameNames, Hypothesis, Inversion, Pair,
     Pasted, Question, Reading, Residual, Row, Sheet, Sheets, Style, Tool, Use, Verdict,
@@ -15,6 +14,7 @@ use poseaudit::report::Trouble;
 use poseaudit::run::robot_of;
 use serde_json::{Value, json};
 
+use super::output::Format;
 use super::{Outcome, misuse, output};
 
 /// One pose in every convention, or what makes two poses agree
@@ -101,14 +101,6 @@ pub struct Args {
     format: Format,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Format {
-    /// For people
-    Text,
-    /// For programs, in SI units
-    Json,
-}
-
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     match (&args.pose, &args.pairs, args.is.is_empty()) {
         (Some(pose), ..) => one(pose, args)?,
@@ -137,14 +129,11 @@ fn one(pose: &str, args: &Args) -> Result<(), Trouble> {
         let read = io::stdin().take(1 << 20).read_to_string(&mut text);
         read.map_err(|error| misuse("stdin", error.to_string(), "give the pose as text"))?;
     }
-    let mut units: Vec<&str> = Vec::new();
-    for (is_given, unit) in [(args.deg, "deg"), (args.rad, "rad"), (args.mm, "mm"), (args.m, "m")] {
-        if is_given {
-            units.push(unit);
-        }
-    }
-    let units = (!units.is_empty()).then(|| units.join(","));
-    let style = style("--from", units.as_deref())?.or(style("--from", args.from.as_deref())?);
+    let flags = [(args.deg, "deg"), (args.rad, "rad"), (args.mm, "mm"), (args.m, "m")];
+    let units = flags.into_iter().filter(|(is_given, _)| *is_given).map(|(_, unit)| unit);
+    let said: Vec<&str> = args.from.as_deref().into_iter().chain(units).collect();
+    let said = (!said.is_empty()).then(|| said.join(","));
+    let style = style("--from", said.as_deref())?;
     let pasted = paste(&text).map_err(trouble("POSE"))?;
     let sheets = sheet(&pasted, style).map_err(trouble("POSE"))?;
     output::emit(None, |out| match (args.format, &sheets) {
@@ -164,6 +153,14 @@ fn several(args: &Args) -> Result<(), Trouble> {
     let but = frame_names(&but, "--but-frames", args.but_frames.as_deref())?;
     let robot = args.robot.as_deref().map(robot_of).transpose();
     let robot = robot.map_err(|error| Trouble::from(&error))?;
+    // What a message names may be a world or a camera; what the call names is a link.
+    for (option, given, names) in
+        [("--is-frames", &args.is_frames, &is), ("--but-frames", &args.but_frames, &but)]
+    {
+        if given.is_some() {
+            names.check(robot.as_ref()).map_err(trouble(option))?;
+        }
+    }
     let question = Question {
         is: style("--is-as", args.is_as.as_deref())?,
         but: style("--but-as", args.but_as.as_deref())?,
@@ -504,10 +501,9 @@ fn in_short(hypothesis: &Hypothesis) -> String {
 
 /// Those who use the form of `reading` in its units.
 fn uses_with_units(reading: &Reading) -> Vec<&'static Use> {
-    let units: Vec<&str> = match reading.form.has_angles() {
-        true => vec![reading.length.symbol(), reading.angle.symbol()],
-        false => vec![reading.length.symbol()],
-    };
+    let length = reading.has_position.then(|| reading.length.symbol());
+    let angle = reading.form.has_angles().then(|| reading.angle.symbol());
+    let units: Vec<&str> = length.into_iter().chain(angle).collect();
     let in_units = |entry: &&'static Use| {
         let of_entry: Vec<&str> = entry.units.split(", ").collect();
         units.iter().all(|unit| of_entry.contains(unit))
@@ -555,7 +551,7 @@ fn reading_as_json(reading: &Reading) -> Value {
     json!({
         "convention": reading.form.to_string(),
         "angles": angle,
-        "lengths": reading.length.symbol(),
+        "lengths": reading.has_position.then(|| reading.length.symbol()),
     })
 }
 

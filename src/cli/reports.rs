@@ -8,7 +8,7 @@ use poseaudit::report::{FORMATS, Format, Report, Trouble, text};
 use super::{misuse, output};
 
 /// The options that say so.
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub struct Reports {
     /// Format of the report; repeatable, then --output names a folder
     #[arg(

@@ -1,10 +1,10 @@
 //! `poseaudit robots`.
 
-use clap::ValueEnum;
 use poseaudit::report::Trouble;
 use poseaudit::robot::{Robot, catalogue};
 use serde_json::{Value, json};
 
+use super::output::Format;
 use super::{Outcome, misuse, output};
 
 /// List the arms whose kinematics come with the program, or one of them with its joints
@@ -21,14 +21,6 @@ pub struct Args {
     /// How they are listed
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Format {
-    /// For people
-    Text,
-    /// For programs, in SI units
-    Json,
 }
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {

@@ -4,7 +4,6 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use clap::ValueEnum;
 use poseaudit::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
 use poseaudit::log::{self, ReadOptions};
 use poseaudit::report::Trouble;
@@ -12,6 +11,7 @@ use poseaudit::run::{RobotSource, Run, RunOptions, TfPath};
 use poseaudit::time::Stamp;
 use serde_json::json;
 
+use super::output::Format;
 use super::progress::watched;
 use super::{Outcome, fk, misuse, output};
 
@@ -50,14 +50,6 @@ pub struct Args {
     /// How it is printed
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Format {
-    /// For people
-    Text,
-    /// For programs, in SI units: an object a row
-    Json,
 }
 
 /// A time of a log.

@@ -2,13 +2,11 @@
 
 use std::path::Path;
 
-use super::file::{
-    AngleUnit, Corrections, FrameCorrection, JointOrder, LengthUnit, Slip, TopicCorrection,
-};
+use super::file::{Corrections, FrameCorrection, JointOrder, Slip, TopicCorrection};
 use crate::audit::{imu_stream, pose_stream};
 use crate::diagnosis::{reread_imu, reread_poses};
 use crate::finding::Unit;
-use crate::geometry::{Pose, rotation_from_xyzw};
+use crate::geometry::{AngleUnit, LengthUnit, Pose, rotation_from_xyzw};
 use crate::log::Log;
 use crate::report::{Trouble, TroubleKind};
 use crate::robot::JointKind;
@@ -156,6 +154,14 @@ impl Given<'_> {
         for joint in &self.corrections.joints {
             let is_robot = joint.robot.as_ref().is_none_or(|robot| arm.name == *robot);
             if let (true, Some(column)) = (is_robot, column(&joint.name)) {
+                let model = arm.robot.joint(&joint.name);
+                let slides = model.is_some_and(|joint| joint.kind == JointKind::Prismatic);
+                if joint.offset_m.is_some() != slides {
+                    let (does, key) =
+                        if slides { ("slides", "offset_m") } else { ("turns", "offset_rad") };
+                    let name = &joint.name;
+                    return Err(self.refuse(format!("joint '{name}' {does}: its key is {key}")));
+                }
                 mending.offset[column] = joint.offset_rad.or(joint.offset_m).unwrap_or(0.0);
             }
         }
@@ -232,7 +238,7 @@ impl Open {
     }
 }
 
-fn is_same(topic: &str, name: &str) -> bool {
+pub(super) fn is_same(topic: &str, name: &str) -> bool {
     topic.trim_start_matches('/') == name.trim_start_matches('/')
 }
 

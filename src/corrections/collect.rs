@@ -3,15 +3,12 @@
 use serde_json::Value;
 
 use super::code::{self, Lines};
-use super::file::{
-    AngleUnit, Corrections, FrameCorrection, JointCorrection, JointOrder, LengthUnit, RotationSlip,
-    Slip,
-};
+use super::file::{Corrections, FrameCorrection, JointCorrection, JointOrder, RotationSlip, Slip};
 use super::frames::{FixedFrame, rounded};
 use crate::checks::Facts;
 use crate::diagnosis::Reading;
 use crate::finding::{Estimate, Finding, Unit};
-use crate::geometry::{Convention, Pose, pose, rotation_from_xyzw};
+use crate::geometry::{AngleUnit, Convention, LengthUnit, Pose, pose, rotation_from_xyzw};
 use crate::report::{Report, StreamRow};
 use crate::run::{Arm, Run};
 use crate::stream::Orientations;

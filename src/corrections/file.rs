@@ -1,16 +1,18 @@
 //! The file that holds corrections, in TOML.
 
+use std::f64::consts::TAU;
 use std::fs;
 use std::path::Path;
 
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
+use super::apply::is_same;
 use super::frames::rounded;
 use crate::diagnosis::Reading;
 use crate::geometry::{
-    Convention, Misreading, Pose, QuaternionSlip, misreading_classes, pose, rotation_from_xyzw,
-    xyz_of, xyzw_from_rotation,
+    AngleUnit, Convention, LengthUnit, Misreading, Pose, QuaternionSlip, misreading_classes, pose,
+    rotation_from_xyzw, xyz_of, xyzw_from_rotation,
 };
 use crate::report::{Trouble, TroubleKind};
 
@@ -43,11 +45,11 @@ pub struct JointCorrection {
     /// The robot, where several have a joint of that name.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub robot: Option<String>,
-    /// The offset of a joint that turns, rad.
-    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "finite")]
+    /// The offset of a joint that turns, rad; at most a turn.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "angle")]
     pub offset_rad: Option<f64>,
-    /// The offset of a joint that slides, m.
-    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "finite")]
+    /// The offset of a joint that slides, m; at most 10.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "length")]
     pub offset_m: Option<f64>,
     /// 95 % interval of the offset, in its unit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -60,14 +62,14 @@ pub struct JointCorrection {
 pub struct TopicCorrection {
     /// The topic.
     pub name: String,
-    /// What is stamped *t* was true at *t − latency*, s.
-    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "finite")]
+    /// What is stamped *t* was true at *t − latency*, s; at most an hour.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "latency")]
     pub latency_s: Option<f64>,
     /// 95 % interval of the latency, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub latency_ci95: Option<[f64; 2]>,
-    /// By how much the latency grows with each second of stamp, s/s.
-    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "finite")]
+    /// By how much the latency grows with each second of stamp, s/s; at most a tenth.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "skew")]
     pub skew: Option<f64>,
     /// 95 % interval of the skew, s/s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -117,41 +119,17 @@ pub struct Slip<T> {
     pub read_as: T,
 }
 
-/// A unit of length.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum LengthUnit {
-    /// Millimetres.
-    #[serde(rename = "mm")]
-    Millimetre,
-    /// Metres.
-    #[serde(rename = "m")]
-    Metre,
-}
-
-/// A unit of angle.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum AngleUnit {
-    /// Degrees.
-    #[serde(rename = "deg")]
-    Degree,
-    /// Radians.
-    #[serde(rename = "rad")]
-    Radian,
-}
-
 impl Slip<LengthUnit> {
     /// What lengths must be multiplied by.
     pub(super) fn factor(self) -> f64 {
-        let metres = |unit| if unit == LengthUnit::Millimetre { 1e-3 } else { 1.0 };
-        metres(self.is) / metres(self.read_as)
+        self.is.in_m() / self.read_as.in_m()
     }
 }
 
 impl Slip<AngleUnit> {
     /// What angles must be multiplied by.
     pub(super) fn factor(self) -> f64 {
-        let radians = |unit| if unit == AngleUnit::Degree { 1_f64.to_radians() } else { 1.0 };
-        radians(self.is) / radians(self.read_as)
+        self.is.in_rad() / self.read_as.in_rad()
     }
 }
 
@@ -289,6 +267,37 @@ fn finite<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
     }
 }
 
+/// A number of this size or less.
+fn within<'de, D: Deserializer<'de>>(
+    from: D,
+    most: f64,
+    unit: &str,
+) -> Result<Option<f64>, D::Error> {
+    let value = finite(from)?;
+    match value {
+        Some(amount) if amount.abs() > most => Err(D::Error::custom(format!(
+            "{amount} {unit} is out of range: {most} {unit} is the most"
+        ))),
+        value => Ok(value),
+    }
+}
+
+fn angle<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
+    within(from, TAU, "rad")
+}
+
+fn length<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
+    within(from, 10.0, "m")
+}
+
+fn latency<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
+    within(from, 3600.0, "s")
+}
+
+fn skew<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
+    within(from, 0.1, "s/s")
+}
+
 fn quaternion<'de, D: Deserializer<'de>>(from: D) -> Result<Option<[f64; 4]>, D::Error> {
     unit_quaternion(from).map(Some)
 }
@@ -367,7 +376,8 @@ impl Corrections {
         }
         for (index, topic) in self.topics.iter().enumerate() {
             let name = &topic.name;
-            if self.topics[..index].iter().any(|other| other.name == *name) {
+            let same = |other: &TopicCorrection| is_same(&other.name, name);
+            if self.topics[..index].iter().any(same) {
                 return Some(format!("topic '{name}' is there twice"));
             }
             if topic.skew.is_some() && topic.skew_about_s.is_none() {
@@ -454,6 +464,9 @@ mod tests {
             ("schema = \"poseaudit.corrections/9\"", "c.toml:1", "unknown variant"),
             ("[[joint]]\nname = \"a\"\nofset_rad = 1\n", "c.toml:4", "ofset_rad"),
             ("[[joint]]\nname = \"a\"\noffset_rad = nan\n", "c.toml:4", "NaN is no amount"),
+            ("[[joint]]\nname = \"a\"\noffset_rad = 30\n", "c.toml:4", "out of range"),
+            ("[[topic]]\nname = \"/t\"\nlatency_s = 1e9\n", "c.toml:4", "3600 s is the most"),
+            ("[[topic]]\nname = \"/t\"\n[[topic]]\nname = \"t\"\n", "c.toml", "twice"),
             ("[[joint]]\nname = \"a\"\n", "c.toml", "needs one of"),
             (
                 "[[topic]]\nname = \"/t\"\nrotation = {is = \"rotvec\", read_as = \"rpy\"}\n",

@@ -14,6 +14,5 @@ mod frames;
 pub(crate) use apply::Given;
 pub(crate) use collect::Mending;
 pub use file::{
-    AngleUnit, Corrections, FrameCorrection, JointCorrection, JointOrder, LengthUnit, RotationSlip,
-    Slip, TopicCorrection,
+    Corrections, FrameCorrection, JointCorrection, JointOrder, RotationSlip, Slip, TopicCorrection,
 };

@@ -10,6 +10,10 @@ use super::form::Form;
 pub enum DeskError {
     #[error("{source}")]
     Form { source: ConventionError },
+    #[error("`{unit}` contradicts another unit")]
+    Contradiction { unit: String },
+    #[error("`{name}` is no link of an arm{}", did_you_mean(nearest))]
+    Frame { name: String, nearest: Option<String> },
     #[error("`{word}` is no number")]
     Word { word: String },
     #[error("{count} numbers are no pose")]
@@ -54,6 +58,8 @@ impl DeskError {
                 "use rotvec, euler:SEQ, quat:xyzw, quat:wxyz, matrix:rows, matrix:columns or a maker \
                  such as kuka, with deg or rad, mm or m behind commas"
             }
+            Self::Contradiction { .. } => "name one of deg and rad, one of mm and m",
+            Self::Frame { .. } => "name links of the arm, with --robot those of your own",
             Self::Word { .. } => "give numbers, p[…], a URDF origin or a ROS message as YAML",
             Self::Count { .. } => {
                 "give 6 (position and three angles), 7 (and a quaternion), 12 or 16 (a matrix), or a \
@@ -83,6 +89,10 @@ impl DeskError {
             Self::NoPairs => "give --is and --but, or a CSV with a pair in each row",
         }
     }
+}
+
+fn did_you_mean(nearest: &Option<String>) -> String {
+    nearest.as_ref().map_or(String::new(), |near| format!(": did you mean `{near}`?"))
 }
 
 /// Numbers to six digits, with blanks.

@@ -5,8 +5,8 @@ use std::fmt;
 use std::str::FromStr;
 
 use crate::geometry::{
-    Convention, Pose, Rotation, pose, rotation_from_matrix_rows, rotation_from_xyzw, xyz_of,
-    xyzw_from_rotation,
+    AngleUnit, Convention, LengthUnit, Pose, Rotation, pose, rotation_from_matrix_rows,
+    rotation_from_xyzw, xyz_of, xyzw_from_rotation,
 };
 
 use super::error::DeskError;
@@ -93,60 +93,6 @@ impl FromStr for Form {
     }
 }
 
-/// The unit of a position.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LengthUnit {
-    /// Metres.
-    Metre,
-    /// Millimetres.
-    Millimetre,
-}
-
-impl LengthUnit {
-    /// How many metres it is.
-    pub fn in_m(self) -> f64 {
-        match self {
-            Self::Metre => 1.0,
-            Self::Millimetre => 1e-3,
-        }
-    }
-
-    /// Its symbol.
-    pub fn symbol(self) -> &'static str {
-        match self {
-            Self::Metre => "m",
-            Self::Millimetre => "mm",
-        }
-    }
-}
-
-/// The unit of angles.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum AngleUnit {
-    /// Radians.
-    Radian,
-    /// Degrees.
-    Degree,
-}
-
-impl AngleUnit {
-    /// How many radians it is.
-    pub fn in_rad(self) -> f64 {
-        match self {
-            Self::Radian => 1.0,
-            Self::Degree => 1_f64.to_radians(),
-        }
-    }
-
-    /// Its symbol.
-    pub fn symbol(self) -> &'static str {
-        match self {
-            Self::Radian => "rad",
-            Self::Degree => "deg",
-        }
-    }
-}
-
 /// What is known of how numbers are coded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Style {
@@ -174,14 +120,23 @@ impl FromStr for Style {
     type Err = DeskError;
 
     fn from_str(text: &str) -> Result<Self, DeskError> {
+        /// Sets what is not set to something else.
+        fn set<T: PartialEq>(known: &mut Option<T>, to: T, part: &str) -> Result<(), DeskError> {
+            match known.replace(to) {
+                Some(before) if known.as_ref() != Some(&before) => {
+                    Err(DeskError::Contradiction { unit: part.to_owned() })
+                }
+                _ => Ok(()),
+            }
+        }
         let mut style = Self::default();
         let mut of_maker = Self::default();
         for part in text.split(',').map(str::trim) {
             match part {
-                "deg" => style.angle = Some(AngleUnit::Degree),
-                "rad" => style.angle = Some(AngleUnit::Radian),
-                "mm" => style.length = Some(LengthUnit::Millimetre),
-                "m" => style.length = Some(LengthUnit::Metre),
+                "deg" => set(&mut style.angle, AngleUnit::Degree, part)?,
+                "rad" => set(&mut style.angle, AngleUnit::Radian, part)?,
+                "mm" => set(&mut style.length, LengthUnit::Millimetre, part)?,
+                "m" => set(&mut style.length, LengthUnit::Metre, part)?,
                 part => match usage::style_of(part) {
                     Some(style) => of_maker = style,
                     None => style.form = Some(part.parse()?),
@@ -201,6 +156,8 @@ pub struct Reading {
     pub length: LengthUnit,
     /// The unit of the angles; of no matter where there are none.
     pub angle: AngleUnit,
+    /// Whether the numbers hold a position; if not its unit is of no matter.
+    pub has_position: bool,
     /// Whether the unit of the position is other than the numbers' size suggests.
     pub has_odd_length: bool,
     /// Whether the unit of the angles is.
@@ -255,7 +212,10 @@ impl fmt::Display for Reading {
         if self.form.has_angles() {
             write!(f, ", {}", self.angle.symbol())?;
         }
-        write!(f, ", {}", self.length.symbol())
+        if self.has_position {
+            write!(f, ", {}", self.length.symbol())?;
+        }
+        Ok(())
     }
 }
 
@@ -378,6 +338,7 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
             form,
             length: LengthUnit::Metre,
             angle: AngleUnit::Radian,
+            has_position: has_position(count),
             has_odd_length: false,
             has_odd_angle: false,
         };
@@ -429,7 +390,7 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
         };
         for &(length, has_odd_length) in &lengths {
             for &(angle, has_odd_angle) in &angles {
-                found.push(Reading { form, length, angle, has_odd_length, has_odd_angle });
+                found.push(Reading { length, angle, has_odd_length, has_odd_angle, ..plain });
             }
         }
     }

@@ -1,8 +1,9 @@
 //! Fixed frames at the ends of an arm that two poses may differ by.
 
 use crate::geometry::{Pose, angle_between};
-use crate::robot::{LinkId, Robot};
+use crate::robot::{LinkId, Robot, catalogue, nearest};
 
+use super::error::DeskError;
 use super::usage::fixed_pairs;
 
 /// Two transforms by less than this apart, m and rad, are one.
@@ -15,6 +16,36 @@ pub struct FrameNames {
     pub parent: Option<String>,
     /// The frame whose pose it is.
     pub child: Option<String>,
+}
+
+impl FrameNames {
+    /// Holds the frames against the links of `robot`, or of all arms of the catalogue where none is
+    /// known; a prefix of theirs does not matter.
+    ///
+    /// # Errors
+    /// Where one is no link: its name, and the nearest.
+    pub fn check(&self, robot: Option<&Robot>) -> Result<(), DeskError> {
+        let robots: Vec<&Robot> = match robot {
+            Some(robot) => vec![robot],
+            None => catalogue::entries().iter().collect(),
+        };
+        let links =
+            || robots.iter().flat_map(|robot| robot.links().map(|link| robot.link_name(link)));
+        for name in [&self.parent, &self.child].into_iter().flatten() {
+            if links().any(|link| meets(name, link)) {
+                continue;
+            }
+            let nearest = nearest(name, links()).first().map(|&near| near.to_owned());
+            return Err(DeskError::Frame { name: name.clone(), nearest });
+        }
+        Ok(())
+    }
+}
+
+/// Whether a frame is called so, but for a prefix.
+fn meets(given: &str, frame: &str) -> bool {
+    let prefix = given.strip_suffix(frame);
+    prefix.is_some_and(|prefix| prefix.is_empty() || prefix.ends_with(['/', '_', '-', '.']))
 }
 
 /// The frames of the two poses at one end, and the constant transform between them.
@@ -122,12 +153,7 @@ fn push_both(
 
 /// Marks what the call names, drops what is no change, and keeps one of those that are the same.
 fn settle(frames: &mut Vec<FixedFrame>, [is, but]: [Option<&str>; 2]) {
-    let meets = |given: Option<&str>, frame: &str| {
-        given.is_some_and(|given| {
-            let prefix = given.strip_suffix(frame);
-            prefix.is_some_and(|prefix| prefix.is_empty() || prefix.ends_with(['/', '_', '-', '.']))
-        })
-    };
+    let meets = |given: Option<&str>, frame: &str| given.is_some_and(|given| meets(given, frame));
     for frame in frames.iter_mut() {
         frame.is_named = meets(is, &frame.is) && meets(but, &frame.but);
     }
@@ -155,7 +181,6 @@ fn is_same(a: &Pose, b: &Pose) -> bool {
 mod tests {
     use super::*;
     use crate::geometry::{pose, rotation_from_rpy};
-    use crate::robot::catalogue;
     use std::f64::consts::{FRAC_PI_2, PI};
 
     fn names(parent: &str, child: &str) -> FrameNames {
@@ -173,6 +198,16 @@ mod tests {
         let tip = &found.tip[0];
         assert!(tip.is_named && is_same(&tip.transform, &flange_from_tool0), "{tip:?}");
         assert_eq!((tip.is.as_str(), tip.but.as_str()), ("flange", "tool0"));
+    }
+
+    #[test]
+    fn a_frame_that_is_no_link_is_refused_with_the_nearest() {
+        let robot = catalogue::find("ur10e");
+        assert_eq!(names("base", "left_tool0").check(robot), Ok(()));
+        assert_eq!(names("base_link", "fr3_link8").check(None), Ok(()));
+        let said = names("base", "tol0").check(robot).unwrap_err().to_string();
+        assert_eq!(said, "`tol0` is no link of an arm: did you mean `tool0`?");
+        assert!(names("base", "fr3_link8").check(robot).is_err());
     }
 
     #[test]

@@ -17,9 +17,10 @@ mod usage;
 #[cfg(test)]
 mod tests;
 
+pub use crate::geometry::{AngleUnit, LengthUnit};
 pub use code::CodeLine;
 pub use error::DeskError;
-pub use form::{AngleUnit, Form, LengthUnit, Reading, Style};
+pub use form::{Form, Reading, Style};
 pub use frames::{Corrections, FixedFrame, FrameNames};
 pub use pairs::{Pair, pairs_from_csv};
 pub use paste::{Pasted, paste};
@@ -27,4 +28,4 @@ pub use reconcile::{
     Answer, Hypothesis, Inversion, Question, Residual, Tool, Verdict, WouldDo, reconcile,
 };
 pub use sheet::{Candidate, Row, Sheet, Sheets, sheet};
-pub use usage::{LibraryName, Use, library_names, maker_names, uses, uses_of};
+pub use usage::{LibraryName, Use, library_names, maker, maker_names, uses, uses_of};

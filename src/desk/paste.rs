@@ -3,9 +3,10 @@
 use serde_json::Value;
 
 use crate::geometry::Convention;
+use crate::geometry::{AngleUnit, LengthUnit};
 
 use super::error::DeskError;
-use super::form::{AngleUnit, Form, LengthUnit, Style};
+use super::form::{Form, Style};
 
 /// The numbers of a pose, and what the text around them says of them.
 #[derive(Clone, Debug, PartialEq)]

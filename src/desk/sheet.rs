@@ -1,13 +1,10 @@
 //! One pose in every convention.
 
-use crate::geometry::{Convention, Pose, xyzw_from_rotation};
+use crate::geometry::{AngleUnit, Convention, LengthUnit, Pose, xyzw_from_rotation};
 
 use super::code::{self, CodeLine};
 use super::error::DeskError;
-use super::form::{
-    AngleUnit, Form, LOCK_RAD, LengthUnit, Reading, SAID_DEFECT, Style, defect, has_position,
-    readings,
-};
+use super::form::{Form, LOCK_RAD, Reading, SAID_DEFECT, Style, defect, has_position, readings};
 use super::paste::Pasted;
 use super::usage::{LibraryName, Use, library_names, uses_of};
 

@@ -4,8 +4,8 @@ use std::sync::LazyLock;
 
 use serde::Deserialize;
 
-use crate::geometry::Pose;
-use crate::robot::catalogue;
+use crate::geometry::{AngleUnit, LengthUnit, Pose};
+use crate::robot::{catalogue, nearest};
 
 use super::form::{Form, Style};
 
@@ -29,6 +29,8 @@ struct Entry {
     confidence: String,
     #[serde(default)]
     checked: bool,
+    #[serde(default)]
+    pose: Option<String>,
     source: String,
 }
 
@@ -66,10 +68,31 @@ pub struct Use {
     pub is_confirmed: bool,
     /// Whether the library itself was executed.
     pub is_checked: bool,
+    /// What its pose is of and in, where a controller gives it.
+    pub pose: Option<String>,
     /// Where that is from.
     pub source: String,
     id: Option<String>,
     style: Style,
+}
+
+impl Use {
+    /// Whether its angles are degrees.
+    pub fn in_degrees(&self) -> bool {
+        self.style.angle == Some(AngleUnit::Degree)
+    }
+
+    /// Whether its positions are millimetres.
+    pub fn in_millimetres(&self) -> bool {
+        self.style.length == Some(LengthUnit::Millimetre)
+    }
+
+    /// Who gives what, and how: a clause for the reason of a stream.
+    pub fn said(&self) -> String {
+        let Self { who, what, form, units, .. } = self;
+        let pose = self.pose.as_ref().map_or(String::new(), |pose| format!(": {pose}"));
+        format!("of {who} ({what}, {form}, {units}){pose}")
+    }
 }
 
 /// What a library calls a Euler order.
@@ -120,6 +143,7 @@ static FACTS: LazyLock<Facts> = LazyLock::new(|| {
             units: entry.units,
             is_confirmed: entry.confidence != "?",
             is_checked: entry.checked,
+            pose: entry.pose,
             source: entry.source,
         }
     });
@@ -139,7 +163,6 @@ static FACTS: LazyLock<Facts> = LazyLock::new(|| {
 });
 
 fn unit_style(unit: &str) -> Option<Style> {
-    use super::form::{AngleUnit, LengthUnit};
     Some(match unit {
         "m" => Style { length: Some(LengthUnit::Metre), ..Style::default() },
         "mm" => Style { length: Some(LengthUnit::Millimetre), ..Style::default() },
@@ -157,6 +180,22 @@ pub fn uses() -> &'static [Use] {
 /// The names that stand for a maker's or a format's convention, as `kuka`.
 pub fn maker_names() -> impl Iterator<Item = &'static str> {
     uses().iter().filter_map(|entry| entry.id.as_deref())
+}
+
+/// The maker or format of that name, in whatever case.
+///
+/// # Errors
+/// Where there is none: the nearest name.
+pub fn maker(name: &str) -> Result<&'static Use, String> {
+    let wanted = name.trim().to_lowercase();
+    let found = uses().iter().find(|entry| entry.id.as_ref() == Some(&wanted));
+    found.ok_or_else(|| match nearest(&wanted, maker_names()).first() {
+        Some(near) => format!("no maker `{name}` is known: did you mean `{near}`?"),
+        None => {
+            let known: Vec<&str> = maker_names().collect();
+            format!("no maker `{name}` is known: there are {}", known.join(", "))
+        }
+    })
 }
 
 /// Those who use `form`.
@@ -218,6 +257,7 @@ mod tests {
             (kuka.length, kuka.angle),
             (Some(LengthUnit::Millimetre), Some(AngleUnit::Degree))
         );
+        assert!("kuka,rad,deg".parse::<Style>().is_err());
         let in_radians: Style = "kuka,rad".parse().unwrap();
         assert_eq!(in_radians.angle, Some(AngleUnit::Radian));
         assert_eq!(in_radians.length, Some(LengthUnit::Millimetre));

@@ -9,6 +9,7 @@ mod convention;
 mod euler;
 mod reading;
 mod rotation;
+mod units;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
@@ -19,6 +20,7 @@ pub use rotation::{
     angle_between, rotation_from_matrix_rows, rotation_from_rotvec, rotation_from_rpy,
     rotation_from_xyzw, rotvec_from_rotation, xyzw_from_rotation,
 };
+pub use units::{AngleUnit, LengthUnit};
 
 /// A rigid transform `a_from_b`; translation in metres.
 pub type Pose = Isometry3<f64>;

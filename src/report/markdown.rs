@@ -27,6 +27,7 @@ pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     }
     header(report, &says, out)?;
     findings(report, &says, out)?;
+    folded("Ignored", says.ignored(), true, out)?;
     let passed = says.passed();
     let lists = [passed.whole.join(", "), passed.parts.join("; ")].into_iter();
     let passed = lists.filter(|list| !list.is_empty()).chain(passed.remarks);

@@ -22,7 +22,7 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 use crate::checks::{self, Evaluation, StreamObservability};
-use crate::finding::{CheckRow, Finding, Severity, Status, decimal};
+use crate::finding::{CheckRow, Finding, Ignored, Severity, Status, decimal};
 use crate::time::Stamp;
 
 pub use figures::Figures;
@@ -52,6 +52,9 @@ pub struct Report {
     pub checks: Vec<CheckRow>,
     /// What is wrong: the gravest first, then what moves the arm's tip most.
     pub findings: Vec<Finding>,
+    /// What is wrong, known to the caller and not counted, with the reason.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub ignored: Vec<Ignored>,
     /// What each pose stream cannot show, and the motion that would.
     pub observability: Vec<StreamObservability>,
     /// Over which part of its ranges each arm moved.
@@ -221,7 +224,7 @@ impl Report {
         evaluation: Evaluation,
         fail_on: Option<Severity>,
     ) -> Self {
-        let Evaluation { checks, findings, observability } = evaluation;
+        let Evaluation { checks, findings, ignored, observability } = evaluation;
         let verdict = verdict(&checks, &findings, fail_on);
         let trouble = nothing_evaluated(&log, &checks);
         let report = Self {
@@ -231,6 +234,7 @@ impl Report {
             streams,
             checks,
             findings,
+            ignored,
             observability,
             fail_on,
             ..Self::empty()
@@ -271,6 +275,7 @@ impl Report {
             streams: Vec::new(),
             checks: Vec::new(),
             findings: Vec::new(),
+            ignored: Vec::new(),
             observability: Vec::new(),
             workspace: Vec::new(),
             fail_on: None,

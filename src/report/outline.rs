@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::{Report, Verdict};
-use crate::finding::{Alternative, CheckRow, Estimate, Severity, Status, Subject, Unit};
+use crate::finding::{Alternative, CheckRow, Estimate, Ignored, Severity, Status, Subject, Unit};
 
 /// The words of one report.
 pub(super) struct Outline<'a> {
@@ -149,9 +149,24 @@ impl<'a> Outline<'a> {
         lines.collect()
     }
 
+    /// What is wrong, known, and not to be counted, a line each with the reason.
+    pub fn ignored(&self) -> Vec<String> {
+        let said = self.report.ignored.iter().map(|Ignored { finding, reason, place }| {
+            let (code, subject) = (finding.code, self.subject(&finding.subject));
+            let on = if subject.is_empty() { String::new() } else { format!(" on {subject}") };
+            format!("{code}{on}: {} ({reason}; {place})", finding.message)
+        });
+        said.collect()
+    }
+
     /// What was skipped, a line for each reason.
     pub fn skipped(&self) -> Vec<String> {
+        let is_said = |row: &&CheckRow| {
+            let mut known = self.report.ignored.iter().map(|known| &known.finding);
+            known.any(|it| it.code == row.code && it.subject == row.subject)
+        };
         let rows = self.report.checks.iter().filter(|row| row.status == Status::Skipped);
+        let rows = rows.filter(|row| !is_said(row));
         let said = self.report.error.as_ref().map(|trouble| trouble.what.as_str());
         let groups = grouped_by(rows, |row| row.reason.as_deref()).into_iter();
         let lines = groups.map(|(reason, rows)| {

@@ -69,6 +69,7 @@ impl<'a> Page<'a> {
         if !self.report.checks.is_empty() {
             writeln!(out)?;
         }
+        self.block(out, WARNING, "ignored", self.says.ignored())?;
         self.passed(out)?;
         self.block(out, WARNING, "could not tell", self.says.could_not_tell())?;
         self.block(out, WARNING, "cannot show", self.says.cannot_show())?;

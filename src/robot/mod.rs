@@ -21,6 +21,7 @@ pub use dh::{DhConvention, DhModel};
 pub use error::{ChainError, Problem, RobotError};
 pub use model::{Joint, JointKind, Limits, LinkId, Mimic, Provenance, Robot};
 pub use names::NameMatch;
+pub(crate) use names::nearest;
 pub use patch::NoPatch;
 
 use std::path::Path;

@@ -128,7 +128,7 @@ fn is_separator(c: char) -> bool {
 }
 
 /// Up to three of `candidates` that a misspelt `name` may mean, nearest first.
-pub(super) fn nearest<'a>(name: &str, candidates: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
+pub(crate) fn nearest<'a>(name: &str, candidates: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
     let furthest = (name.chars().count() / 3).max(1);
     let mut near: Vec<(usize, &str)> = candidates
         .map(|candidate| (edit_distance(name, candidate), candidate))

@@ -27,6 +27,7 @@ use super::strays::strays;
 use super::streams::{Stream, Timing, split};
 use super::targets::{self, HandKind, HandSource, TargetSource};
 use super::tf_tree::{Edge, EdgeKind, TfTree, without_slash};
+use super::topics::{self, SaidRole, TopicSettings};
 use super::witness::{PoseNames, Witness, witness_of};
 use super::{Run, RunOptions};
 
@@ -47,6 +48,7 @@ impl Run {
         for declared in &options.declared {
             check_topic(declared, &streams)?;
         }
+        topics::apply(&options.topics, &mut streams)?;
         let mut timing = Timing::settle(&streams, options.stamp, options.max_latency_s);
         timing.measure(&mut streams);
         timing.strays = strays(&streams, &timing);
@@ -71,6 +73,8 @@ impl Run {
             Err(error) if error.is_of_the_call() => return Err(error),
             Err(error) => Some(error),
         };
+        let Assembly { streams, arms, tf, .. } = &assembly;
+        topics::check_frames(&options.topics, streams, arms, tf)?;
         assembly.measured_transforms();
         for stream in 0..assembly.streams.len() {
             assembly.assign(stream)?;
@@ -132,7 +136,13 @@ fn check_topic(declared: &Declaration, streams: &[Stream]) -> Result<(), RunErro
         (_, false) => "the topic holds no poses",
         (_, true) => return Ok(()),
     };
-    Err(RunError::Declared { topic: declared.topic.clone(), what: what.to_owned() })
+    Err(not_so(declared, what.to_owned()))
+}
+
+/// The error where a topic is not what is declared of it.
+fn not_so(declared: &Declaration, what: String) -> RunError {
+    let remedy = "check the topic's name and type with `poseaudit info`";
+    RunError::Declared { place: declared.place.clone(), what, remedy }
 }
 
 fn is_topic(stream: &Stream, topic: &str) -> bool {
@@ -564,9 +574,18 @@ impl Assembly<'_> {
         let stream = &self.streams[index];
         let declared =
             self.options.declared.iter().find(|declared| is_topic(stream, &declared.topic));
+        let unfit = declared.filter(|declared| !declared.fits(stream.columns.as_ref()));
+        let declared = declared.filter(|_| unfit.is_none());
         let owner = self.owner(stream);
         let site = owner.map(|arm| self.site(&self.arms[arm], stream));
+        let said = self.said_of(stream);
         let (mut role, mut reason) = self.role_of(stream, site.as_ref(), declared.is_some());
+        if let Some(vendor) = said.and_then(|said| said.vendor.as_ref()) {
+            reason += &format!("; {vendor}");
+        }
+        if unfit.is_some() {
+            reason += ", but it holds other numbers, which are read as they are";
+        }
         let is_wanted = matches!(role, Role::Pose | Role::Candidate { .. });
         let mut source = None;
         if let (true, Some(arm), Some(site)) = (is_wanted, owner, &site) {
@@ -580,18 +599,22 @@ impl Assembly<'_> {
                         false => stream.frame_id.clone(),
                     };
                     let link = self.arms[arm].frame_of(site.tip.link);
-                    let witness = witness_of(&PoseNames {
-                        topic: &stream.topic,
-                        type_name: &stream.type_name,
-                        frame_id: &stream.frame_id,
-                        child_frame_id: &stream.child_frame_id,
-                        frame: site.frame,
-                        stamps_copied: found.stamps_copied,
-                    });
+                    let by_names = || {
+                        witness_of(&PoseNames {
+                            topic: &stream.topic,
+                            type_name: &stream.type_name,
+                            frame_id: &stream.frame_id,
+                            child_frame_id: &stream.child_frame_id,
+                            frame: site.frame,
+                            stamps_copied: found.stamps_copied,
+                        })
+                    };
+                    let set = said.and_then(|said| Some((said.witness?, said.place.clone())));
+                    let witness = set.unwrap_or_else(by_names);
                     source = Some((arm, found, reference, link, witness));
                 }
-                Err(what) if declared.is_some() => {
-                    return Err(RunError::Declared { topic: stream.topic.clone(), what });
+                Err(what) if let Some(declared) = declared => {
+                    return Err(not_so(declared, what));
                 }
                 Err(why) => (role, reason) = (Role::Unassigned, why),
             }
@@ -611,7 +634,26 @@ impl Assembly<'_> {
         Ok(())
     }
 
+    /// What the caller says of the topic of a stream.
+    fn said_of(&self, stream: &Stream) -> Option<&TopicSettings> {
+        self.options.topics.iter().find(|said| said.is_of(&stream.topic))
+    }
+
     fn role_of(&self, stream: &Stream, site: Option<&Site>, is_declared: bool) -> Verdict {
+        let said = self.said_of(stream).and_then(|said| Some((said.role?, &said.place)));
+        if let Some((role, place)) = said
+            && !self.is_transform(stream)
+        {
+            let said = format!("its role is set ({place})");
+            match (&stream.columns, role) {
+                (Some(Columns::Array(array)), SaidRole::Pose) => {
+                    let (role, reason) = array_role(&stream.topic, array.width, true);
+                    let is_pose = role == Role::Pose;
+                    return if is_pose { (role, said) } else { (role, reason) };
+                }
+                (_, role) => return (role.role(), said),
+            }
+        }
         if let Some(Columns::Array(array)) = &stream.columns {
             return array_role(&stream.topic, array.width, is_declared);
         }

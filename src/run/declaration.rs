@@ -3,7 +3,9 @@
 use std::path::PathBuf;
 use std::str::FromStr;
 
+use crate::desk::{self, Form, Use};
 use crate::geometry::{Convention, ConventionError};
+use crate::stream::Columns;
 
 /// Where a robot comes from: `FILE`, `NAME` of the catalogue, or `PREFIX=` and one of them.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -56,23 +58,50 @@ pub enum Coding {
     QuaternionWxyz,
 }
 
-/// What the caller says of one topic: `TOPIC=CONVENTION[,deg][,mm]`.
+impl Coding {
+    /// The coding of numbers in a form of the desk; `None` of matrices, whose layout their numbers
+    /// tell.
+    pub fn of(form: Form) -> Option<Self> {
+        match form {
+            Form::Three(convention) => Some(Self::Three(convention)),
+            Form::Xyzw => Some(Self::QuaternionXyzw),
+            Form::Wxyz => Some(Self::QuaternionWxyz),
+            Form::Rows | Form::Columns => None,
+        }
+    }
+}
+
+/// What the caller says of one topic: `TOPIC=CONVENTION[,deg][,mm]`, or `TOPIC=MAKER`, as in `kuka`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Declaration {
     /// The topic.
     pub topic: String,
+    /// Where the caller says so, as errors name it.
+    pub place: String,
     /// How its rotations are coded.
     pub coding: Coding,
     /// Whether its angles are degrees.
     pub degrees: bool,
     /// Whether its positions are millimetres.
     pub millimetres: bool,
+    /// Whether only a vendor was named: it then says nothing of a topic of other numbers.
+    pub is_of_vendor: bool,
 }
 
 impl Declaration {
     /// Whether it is about this topic.
     pub fn is_of(&self, topic: &str) -> bool {
         self.topic.trim_start_matches('/') == topic.trim_start_matches('/')
+    }
+
+    /// Whether it says something of what these columns hold.
+    pub(super) fn fits(&self, columns: Option<&Columns>) -> bool {
+        let is_three = matches!(self.coding, Coding::Three(_));
+        match columns {
+            _ if !self.is_of_vendor => true,
+            Some(Columns::Array(array)) => array.width == if is_three { 6 } else { 7 },
+            _ => false,
+        }
     }
 }
 
@@ -87,9 +116,15 @@ pub enum DeclarationError {
     /// The name after the `=`.
     #[error("{0}; for a quaternion write `quat:xyzw` or `quat:wxyz`")]
     Convention(#[from] ConventionError),
+    /// A maker whose numbers are a matrix.
+    #[error("`{0}` gives matrices, which their numbers tell: there is nothing to declare")]
+    Matrix(String),
     /// A word after the convention.
-    #[error("unit `{0}` is unknown: after the convention only `deg` and `mm` can stand")]
+    #[error("unit `{0}` is unknown: after the convention `deg` or `rad`, `mm` or `m` can stand")]
     Unit(String),
+    /// Two units that exclude each other.
+    #[error("`{0}` contradicts another unit")]
+    Contradiction(String),
 }
 
 impl FromStr for Declaration {
@@ -101,20 +136,40 @@ impl FromStr for Declaration {
             .filter(|(topic, said)| !topic.is_empty() && !said.is_empty())
             .ok_or_else(|| DeclarationError::NoConvention(text.to_owned()))?;
         let mut words = said.split(',');
-        let coding = match words.next().unwrap_or_default() {
-            "quat:xyzw" => Coding::QuaternionXyzw,
-            "quat:wxyz" => Coding::QuaternionWxyz,
-            convention => Coding::Three(convention.parse()?),
+        let name = words.next().unwrap_or_default();
+        let maker = desk::maker(name).ok();
+        let coding = match (name, maker) {
+            ("quat:xyzw", _) => Coding::QuaternionXyzw,
+            ("quat:wxyz", _) => Coding::QuaternionWxyz,
+            (name, Some(maker)) => {
+                let coding = Coding::of(maker.form);
+                coding.ok_or_else(|| DeclarationError::Matrix(name.to_owned()))?
+            }
+            (convention, None) => Coding::Three(convention.parse()?),
         };
-        let mut declaration =
-            Self { topic: topic.to_owned(), coding, degrees: false, millimetres: false };
+        let mut declaration = Self {
+            topic: topic.to_owned(),
+            place: format!("--declare {topic}"),
+            coding,
+            degrees: maker.is_some_and(Use::in_degrees),
+            millimetres: maker.is_some_and(Use::in_millimetres),
+            is_of_vendor: maker.is_some(),
+        };
+        let (mut degrees, mut millimetres) = (None, None);
         for word in words {
-            match word {
-                "deg" => declaration.degrees = true,
-                "mm" => declaration.millimetres = true,
+            let (unit, is) = match word {
+                "deg" => (&mut degrees, true),
+                "rad" => (&mut degrees, false),
+                "mm" => (&mut millimetres, true),
+                "m" => (&mut millimetres, false),
                 _ => return Err(DeclarationError::Unit(word.to_owned())),
+            };
+            if unit.replace(is).is_some_and(|known| known != is) {
+                return Err(DeclarationError::Contradiction(word.to_owned()));
             }
         }
+        declaration.degrees = degrees.unwrap_or(declaration.degrees);
+        declaration.millimetres = millimetres.unwrap_or(declaration.millimetres);
         Ok(declaration)
     }
 }
@@ -129,6 +184,10 @@ mod tests {
         assert_eq!(declared.topic, "/tcp");
         assert_eq!(declared.coding, Coding::Three("euler:ZYX".parse().unwrap()));
         assert!(declared.degrees && declared.millimetres);
+        let kuka: Declaration = "/tcp=kuka".parse().unwrap();
+        assert_eq!((kuka.coding, kuka.degrees, kuka.millimetres), (declared.coding, true, true));
+        let in_metres: Declaration = "/tcp=kuka,m".parse().unwrap();
+        assert!(in_metres.degrees && !in_metres.millimetres);
         let quaternion: Declaration = "/tcp=quat:wxyz".parse().unwrap();
         assert_eq!(quaternion.coding, Coding::QuaternionWxyz);
     }
@@ -141,6 +200,8 @@ mod tests {
             ("/tcp=", "write TOPIC=CONVENTION"),
             ("/tcp=euler:xxz", "twice in a row"),
             ("/tcp=rotvec,grad", "unit `grad`"),
+            ("/tcp=rotvec,deg,rad", "`rad` contradicts"),
+            ("/tcp=franka", "gives matrices"),
         ] {
             let error = text.parse::<Declaration>().unwrap_err().to_string();
             assert!(error.contains(part), "{error}");

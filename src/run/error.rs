@@ -82,10 +82,12 @@ pub enum RunError {
     },
     /// A declared topic is not in the log, or holds nothing that the declaration fits.
     Declared {
-        /// The topic.
-        topic: String,
+        /// Where the caller declares it.
+        place: String,
         /// What is wrong with it.
         what: String,
+        /// What to do.
+        remedy: &'static str,
     },
 }
 
@@ -179,7 +181,7 @@ impl RunError {
             Self::Robot(error) | Self::Calibration(error) => error.place(),
             Self::CalibrationOf { source, .. } => source.clone(),
             Self::Chain(_) => "--base, --tip".to_owned(),
-            Self::Declared { topic, .. } => format!("--declare {topic}"),
+            Self::Declared { place, .. } => place.clone(),
         }
     }
 
@@ -204,7 +206,7 @@ impl RunError {
             Self::UnknownLink { .. } => "name a link of the model, or leave the option out",
             Self::Chain(_) => "or leave --base and --tip out",
             Self::MissingJoints { .. } => "choose a tip before these joints, or record them",
-            Self::Declared { .. } => "check the topic's name and type with `poseaudit info`",
+            Self::Declared { remedy, .. } => remedy,
         }
     }
 }

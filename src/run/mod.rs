@@ -30,6 +30,7 @@ mod targets;
 #[cfg(test)]
 mod tests;
 mod tf_tree;
+mod topics;
 mod witness;
 
 use crate::time::{Clock, Stamp};
@@ -52,6 +53,7 @@ pub use strays::Strays;
 pub use streams::Stream;
 pub use targets::{CameraAxes, HandKind, HandSource, TargetSource};
 pub use tf_tree::{Edge, EdgeKind, TfError, TfPath, TfTree};
+pub use topics::{SaidRole, TopicSettings};
 pub use witness::Witness;
 
 /// Correlation of speeds from which a stream follows the arm.
@@ -76,8 +78,10 @@ pub struct RunOptions {
     pub stamp: Clock,
     /// Stamps further than this off the other streams', s, are of another clock.
     pub max_latency_s: f64,
-    /// What the caller says of single streams.
+    /// How the caller says that single streams are coded.
     pub declared: Vec<Declaration>,
+    /// What else the caller says of single topics.
+    pub topics: Vec<TopicSettings>,
 }
 
 impl Default for RunOptions {
@@ -90,6 +94,7 @@ impl Default for RunOptions {
             stamp: Clock::Header,
             max_latency_s: 5.0,
             declared: Vec::new(),
+            topics: Vec::new(),
         }
     }
 }

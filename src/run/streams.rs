@@ -40,6 +40,8 @@ pub struct Stream {
     pub dropped: u64,
     /// Rows a second; of a TF topic those of its most frequent transform.
     pub rate_hz: Option<f64>,
+    /// Rows a second as the caller says that there should be.
+    pub said_hz: Option<f64>,
     /// Time of the first row, on the clock that the audit uses.
     pub start: Option<Stamp>,
     /// Time of the last row.
@@ -142,6 +144,7 @@ fn of_topic(topic: Topic) -> Vec<Stream> {
         count: topic.messages,
         dropped: undecodable,
         rate_hz: None,
+        said_hz: None,
         start: topic.span.map(|(start, _)| start),
         end: topic.span.map(|(_, end)| end),
         is_empty: false,

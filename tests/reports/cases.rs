@@ -57,6 +57,7 @@ pub fn hostile(fail_on: Option<Severity>) -> Report {
         ..LogSummary::default()
     };
     let evaluation = Evaluation {
+        ignored: Vec::new(),
         checks: vec![
             row("FRM001", Status::Pass, Some(HOSTILE)),
             row("LAT001", Status::Fail, None),

@@ -1,0 +1,55 @@
+//! `poseaudit init`.
+
+use std::path::PathBuf;
+
+use poseaudit::config;
+use poseaudit::report::Trouble;
+
+use super::progress::watched;
+use super::{Outcome, misuse, output};
+
+/// Write a config from a log: what was found in it, and all else as comments
+///
+/// `poseaudit audit LOG --config FILE` reads it.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  poseaudit init run.mcap --output poseaudit.toml
+  poseaudit init --schema --output poseaudit.schema.json")]
+pub struct Args {
+    /// The log; several files of one run are merged
+    #[arg(value_name = "LOG", required_unless_present = "schema")]
+    logs: Vec<PathBuf>,
+
+    /// Write to this file, which must not exist, instead of stdout
+    #[arg(long, value_name = "FILE")]
+    output: Option<PathBuf>,
+
+    /// Write the JSON schema of a config, for editors, instead
+    #[arg(long, conflicts_with = "logs")]
+    schema: bool,
+}
+
+pub fn run(args: Args) -> Result<Outcome, Trouble> {
+    let Args { logs, output, schema } = args;
+    if let Some(path) = output.as_ref().filter(|path| path.exists()) {
+        let what = "is there already, and is not overwritten";
+        return Err(misuse(path.display().to_string(), what, "name another --output, or move it"));
+    }
+    if schema {
+        output::emit(output.as_deref(), |out| out.write_all(config::schema().as_bytes()))?;
+        return Ok(Outcome::Clean);
+    }
+    let report = watched(|progress| {
+        let options = poseaudit::Options { logs, ..poseaudit::Options::default() };
+        poseaudit::audit(&poseaudit::Options { progress: Some(progress), ..options })
+    })?;
+    output::emit(output.as_deref(), |out| out.write_all(config::template(&report).as_bytes()))?;
+    if let Some(trouble) = &report.error {
+        output::error(trouble);
+    }
+    Ok(match &report.error {
+        Some(trouble) => trouble.kind.into(),
+        None => Outcome::Clean,
+    })
+}

@@ -1,0 +1,381 @@
+//! The layout of the file. The words on its keys are what editors show and `docs/config.md` says.
+
+use std::collections::BTreeMap;
+
+use schemars::JsonSchema;
+use serde::Deserialize;
+use toml::Spanned;
+
+use super::quantity::Quantity;
+use super::rules::Rules;
+use crate::checks::Selector;
+use crate::desk;
+use crate::finding::{Severity, Unit};
+use crate::geometry::Convention;
+use crate::run::{Coding, SaidRole, Witness};
+use crate::time::Clock;
+
+/// The settings of an audit. Options of the command line stand before them; paths are relative to
+/// this file.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(title = "poseaudit.toml")]
+pub(super) struct File {
+    /// The robot: a URDF or DH table, or a name of the catalogue; with several arms a table of them by
+    /// the prefix of their joints' names. Default: the description in the log, else the catalogue's arm
+    /// that fits.
+    #[schemars(with = "Option<ByPrefix>")]
+    pub robot: Option<Spanned<ByPrefix>>,
+    /// A UR's calibration, the YAML file that `ur_calibration` extracts; with several arms a table by
+    /// prefix. Default: what the log holds.
+    pub calibration: Option<ByPrefix>,
+    /// Link that the chain begins at. Default: the controller's base, else the root.
+    pub base: Option<String>,
+    /// Link that the chain ends at, and whose poses the streams are. A tip that is named here is held
+    /// against them: an offset from it is a fault (FRM003), and not the active TCP.
+    pub tip: Option<String>,
+    /// The time that places a sample. Default: `header`.
+    pub stamp: Option<ClockName>,
+    /// Largest latency; what is off by more is on another clock. With a unit, or in seconds.
+    /// Default: `5 s`.
+    pub max_latency: Option<Duration>,
+    /// The severity from which on a finding fails the run. Default: `warning`.
+    pub fail_on: Option<FailOn>,
+    /// Rules that must conclude: codes, or the letters that a family begins with. Default: none.
+    #[serde(default)]
+    pub require: Vec<Code>,
+    /// Ask only these rules. Default: all.
+    #[serde(default)]
+    pub select: Vec<Code>,
+    /// What is known and shall not count. It stays in the report, as ignored and why.
+    #[serde(default)]
+    #[schemars(with = "Vec<Ignore>")]
+    pub ignore: Vec<Spanned<Ignore>>,
+    /// What is known of topics, by their names.
+    #[serde(default)]
+    #[schemars(with = "BTreeMap<String, Stream>")]
+    pub stream: BTreeMap<Spanned<String>, Stream>,
+    /// Figures, limits and severities of rules, by their codes.
+    #[serde(default)]
+    pub rules: Rules,
+}
+
+/// One, or one for each prefix of joints' names.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(untagged, expecting = "expected a text, or a table of texts by prefix")]
+pub(super) enum ByPrefix {
+    /// The only one.
+    One(String),
+    /// One for each prefix.
+    Each(BTreeMap<String, String>),
+}
+
+impl ByPrefix {
+    /// Each with its prefix.
+    pub fn all(&self) -> Vec<(Option<&str>, &str)> {
+        match self {
+            Self::One(one) => vec![(None, one)],
+            Self::Each(each) => {
+                each.iter().map(|(prefix, one)| (Some(prefix.as_str()), one.as_str())).collect()
+            }
+        }
+    }
+}
+
+/// What is known of a topic.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, try_from = "StreamTable")]
+#[schemars(with = "StreamTable")]
+pub(super) struct Stream {
+    pub said: StreamTable,
+    /// How its numbers are coded: the coding, whether degrees, whether mm.
+    pub coding: Option<(Coding, bool, bool)>,
+}
+
+/// What is known of a topic.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(rename = "Stream")]
+pub(super) struct StreamTable {
+    /// The part that it plays. Default: as its name, its type, its frames and its motion say.
+    pub role: Option<SaidRole>,
+    /// How its rotations are coded: `rotvec`, `euler:SEQ`, `euler:SEQ@axes`, `quat:xyzw` or
+    /// `quat:wxyz`. What the log says against it is a finding (ORD001, ORD002).
+    pub convention: Option<CodingName>,
+    /// The units of its numbers: one of `m` and `mm`, one of `rad` and `deg`. Default: those of the
+    /// vendor, else `m` and `rad`. What the log says against them is a finding (ORD004, ORD008).
+    #[serde(default)]
+    pub units: Units,
+    /// Whose numbers they are, as in `kuka`: sets convention and units as its controller gives them.
+    pub vendor: Option<Vendor>,
+    /// Whose word its poses are. Default: as names and frames say.
+    pub witness: Option<WitnessName>,
+    /// How often it should come, Hz: it is expected, and slow below 0.9 of that (TIM006).
+    pub rate_hz: Option<Rate>,
+    /// The frame that its poses are in, instead of that in its messages; of an IMU its own frame.
+    pub frame: Option<String>,
+    /// The link whose poses they are, instead of the child frame in its messages; an offset from it is
+    /// then a fault (FRM003).
+    pub link: Option<String>,
+}
+
+impl TryFrom<StreamTable> for Stream {
+    type Error = String;
+
+    fn try_from(said: StreamTable) -> Result<Self, String> {
+        let units = said.units;
+        let by_vendor = said.vendor.as_ref().map(|vendor| vendor.0);
+        let coding_of = |profile: &desk::Use| Coding::of(profile.form);
+        let coding = match (&said.convention, by_vendor.and_then(coding_of)) {
+            (Some(CodingName(coding)), _) => Some(*coding),
+            (None, by_vendor) => by_vendor,
+        };
+        if coding.is_none() && (units.degrees.is_some() || units.millimetres.is_some()) {
+            return Err("`units` need a `convention` or a `vendor`".to_owned());
+        }
+        let degrees = units.degrees.unwrap_or_else(|| by_vendor.is_some_and(desk::Use::in_degrees));
+        let millimetres =
+            units.millimetres.unwrap_or_else(|| by_vendor.is_some_and(desk::Use::in_millimetres));
+        let coding = coding.map(|coding| (coding, degrees, millimetres));
+        Ok(Self { said, coding })
+    }
+}
+
+/// Something that is known and shall not count.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Ignore {
+    /// The rule's code, or the letters that a family begins with.
+    pub code: Code,
+    /// Why it shall not count; the report says so.
+    pub reason: Reason,
+    /// Only on this topic.
+    pub topic: Option<String>,
+    /// Only on this joint.
+    pub joint: Option<String>,
+    /// Only on this frame.
+    pub frame: Option<String>,
+    /// Only on this robot.
+    pub robot: Option<String>,
+}
+
+/// A reason in words.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(try_from = "String")]
+#[schemars(with = "String", extend("minLength" = 1))]
+pub(super) struct Reason(pub String);
+
+impl TryFrom<String> for Reason {
+    type Error = &'static str;
+
+    fn try_from(text: String) -> Result<Self, Self::Error> {
+        let text = text.trim();
+        match text.is_empty() {
+            true => Err("the `reason` is empty: say why this shall not count"),
+            false => Ok(Self(text.to_owned())),
+        }
+    }
+}
+
+/// A rule's code, or the letters that a family begins with.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(try_from = "String")]
+#[schemars(with = "String", extend("pattern" = "^[A-Za-z]{1,3}[0-9]{0,3}$"))]
+pub(super) struct Code(pub Selector);
+
+impl TryFrom<String> for Code {
+    type Error = crate::checks::UnknownRule;
+
+    fn try_from(text: String) -> Result<Self, Self::Error> {
+        text.parse().map(Self)
+    }
+}
+
+/// The clock that places a sample.
+#[derive(Clone, Copy, Debug, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum ClockName {
+    /// The stamp in the message's header.
+    Header,
+    /// When the recorder received the message.
+    Log,
+    /// When the sender published it.
+    Publish,
+}
+
+impl From<ClockName> for Clock {
+    fn from(name: ClockName) -> Self {
+        match name {
+            ClockName::Header => Clock::Header,
+            ClockName::Log => Clock::Log,
+            ClockName::Publish => Clock::Publish,
+        }
+    }
+}
+
+/// The severity from which on a finding fails the run.
+#[derive(Clone, Copy, Debug, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum FailOn {
+    /// Errors.
+    Error,
+    /// Warnings and errors.
+    Warning,
+    /// Nothing.
+    Never,
+}
+
+impl From<FailOn> for Option<Severity> {
+    fn from(fail_on: FailOn) -> Self {
+        match fail_on {
+            FailOn::Error => Some(Severity::Error),
+            FailOn::Warning => Some(Severity::Warning),
+            FailOn::Never => None,
+        }
+    }
+}
+
+/// Whose word poses are.
+#[derive(Clone, Copy, Debug, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum WitnessName {
+    /// The controller's, or a program's that computes it from the joint states.
+    Controller,
+    /// A tracker's or a camera's.
+    External,
+    /// Nobody knows.
+    Unknown,
+}
+
+impl From<WitnessName> for Witness {
+    fn from(name: WitnessName) -> Self {
+        match name {
+            WitnessName::Controller => Witness::Controller,
+            WitnessName::External => Witness::External,
+            WitnessName::Unknown => Witness::Unknown,
+        }
+    }
+}
+
+/// A time with its unit, or in seconds; s.
+#[derive(Clone, Copy, Debug, Deserialize, JsonSchema)]
+#[serde(try_from = "Quantity")]
+#[schemars(with = "NumberOrText")]
+pub(super) struct Duration(pub f64);
+
+impl TryFrom<Quantity> for Duration {
+    type Error = String;
+
+    fn try_from(quantity: Quantity) -> Result<Self, String> {
+        let quantity = match quantity {
+            Quantity::Number(seconds) => Quantity::Text(format!("{seconds} s")),
+            text => text,
+        };
+        quantity.amount(Unit::Second).map(Self)
+    }
+}
+
+/// An amount with its unit, as in `2 ms`, or a number.
+#[derive(JsonSchema)]
+#[schemars(untagged, inline)]
+#[expect(dead_code, reason = "it only describes")]
+pub(super) enum NumberOrText {
+    /// A number.
+    Number(f64),
+    /// A number with its unit.
+    Text(String),
+}
+
+/// A rate, Hz.
+#[derive(Clone, Copy, Debug, Deserialize, JsonSchema)]
+#[serde(try_from = "f64")]
+#[schemars(with = "f64", extend("exclusiveMinimum" = 0))]
+pub(super) struct Rate(pub f64);
+
+impl TryFrom<f64> for Rate {
+    type Error = String;
+
+    fn try_from(rate_hz: f64) -> Result<Self, String> {
+        match rate_hz > 0.0 && rate_hz <= 1e6 {
+            true => Ok(Self(rate_hz)),
+            false => Err(format!("{rate_hz} Hz is out of range: it must be above 0")),
+        }
+    }
+}
+
+/// The name of a coding.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(try_from = "String")]
+#[schemars(with = "String")]
+pub(super) struct CodingName(pub Coding);
+
+impl TryFrom<String> for CodingName {
+    type Error = String;
+
+    fn try_from(name: String) -> Result<Self, String> {
+        let coding = match name.as_str() {
+            "quat:xyzw" => Coding::QuaternionXyzw,
+            "quat:wxyz" => Coding::QuaternionWxyz,
+            name => Coding::Three(name.parse::<Convention>().map_err(|error| error.to_string())?),
+        };
+        Ok(Self(coding))
+    }
+}
+
+/// The name of somebody whose numbers are known.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(try_from = "String")]
+#[schemars(with = "String")]
+pub(super) struct Vendor(pub &'static desk::Use);
+
+impl TryFrom<String> for Vendor {
+    type Error = String;
+
+    fn try_from(name: String) -> Result<Self, String> {
+        desk::maker(&name).map(Self)
+    }
+}
+
+/// A unit of a topic's numbers.
+#[derive(Clone, Copy, Debug, Deserialize, JsonSchema, PartialEq, Eq)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum UnitName {
+    /// Metres.
+    M,
+    /// Millimetres.
+    Mm,
+    /// Radians.
+    Rad,
+    /// Degrees.
+    Deg,
+}
+
+/// The units of a topic's numbers.
+#[derive(Clone, Copy, Debug, Default, Deserialize, JsonSchema)]
+#[serde(try_from = "Vec<UnitName>")]
+#[schemars(with = "Vec<UnitName>")]
+pub(super) struct Units {
+    pub degrees: Option<bool>,
+    pub millimetres: Option<bool>,
+}
+
+impl TryFrom<Vec<UnitName>> for Units {
+    type Error = &'static str;
+
+    fn try_from(names: Vec<UnitName>) -> Result<Self, Self::Error> {
+        let mut units = Self::default();
+        for name in names {
+            let (unit, is) = match name {
+                UnitName::M => (&mut units.millimetres, false),
+                UnitName::Mm => (&mut units.millimetres, true),
+                UnitName::Rad => (&mut units.degrees, false),
+                UnitName::Deg => (&mut units.degrees, true),
+            };
+            if unit.is_some_and(|known| known != is) {
+                return Err("the units contradict each other: one of m and mm, one of rad and deg");
+            }
+            *unit = Some(is);
+        }
+        Ok(units)
+    }
+}

@@ -1,0 +1,196 @@
+//! The config of an audit, `poseaudit.toml`: what is known of a robot and its topics, and from where
+//! on what is wrong counts.
+//!
+//! An audit reads the file that the caller names and looks for none: the same call gives the same
+//! report wherever it is made.
+
+mod file;
+mod quantity;
+mod read;
+mod rules;
+mod schema;
+mod template;
+#[cfg(test)]
+mod tests;
+
+use std::path::{Path, PathBuf};
+
+use crate::Options;
+use crate::checks::{Exemption, Selector};
+use crate::finding::Subject;
+use crate::report::Trouble;
+use crate::robot::catalogue;
+use crate::run::{CalibrationSource, Declaration, RobotSource, TopicSettings};
+
+use self::file::{ByPrefix, File, Ignore, Stream};
+
+pub use schema::schema;
+pub use template::template;
+
+/// The file's usual name.
+pub const FILE_NAME: &str = "poseaudit.toml";
+
+/// A config that was read.
+#[derive(Clone, Debug)]
+pub struct Config {
+    file: File,
+    path: PathBuf,
+    text: String,
+}
+
+impl Config {
+    /// Reads the file at `path`.
+    ///
+    /// # Errors
+    /// Where it cannot be read, or is not of this layout; with the line.
+    pub fn from_file(path: &Path) -> Result<Self, Trouble> {
+        let text = read::text_of(path)?;
+        Self::from_text(text, path)
+    }
+
+    /// Reads the text of the file at `path`.
+    ///
+    /// # Errors
+    /// Where it is not of this layout; with the line.
+    pub fn from_text(text: String, path: &Path) -> Result<Self, Trouble> {
+        let file = read::parsed(&text, path)?;
+        let config = Self { file, path: path.to_owned(), text };
+        config.check_robots()?;
+        Ok(config)
+    }
+
+    /// What it says of an audit; what it does not say is as without it.
+    pub fn options(&self) -> Options {
+        let File { stamp, max_latency, fail_on, base, tip, .. } = &self.file;
+        let mut options = Options {
+            robots: self.robots(),
+            calibrations: self.calibrations(),
+            base: base.clone(),
+            tip: tip.clone(),
+            declarations: self.declarations(),
+            topics: self.topics(),
+            config: Some(self.path.clone()),
+            ..Options::default()
+        };
+        if let Some(clock) = stamp {
+            options.stamp = (*clock).into();
+        }
+        if let Some(latency) = max_latency {
+            options.max_latency_s = latency.0;
+        }
+        if let Some(fail_on) = fail_on {
+            options.fail_on = (*fail_on).into();
+        }
+        options.rules.select = self.file.select.iter().map(|code| code.0.clone()).collect();
+        options.rules.exemptions = self.exemptions();
+        self.file.rules.apply(&mut options.rules);
+        options
+    }
+
+    /// The rules that must conclude.
+    pub fn required(&self) -> Vec<Selector> {
+        self.file.require.iter().map(|code| code.0.clone()).collect()
+    }
+
+    /// Where byte `at` of the text is: the file and the line.
+    fn place(&self, at: usize) -> String {
+        read::place(&self.path, &self.text, at)
+    }
+
+    /// A path that the file names, which is relative to it.
+    fn beside(&self, path: &str) -> PathBuf {
+        match self.path.parent() {
+            Some(folder) if folder != Path::new("") => folder.join(path),
+            _ => PathBuf::from(path),
+        }
+    }
+
+    /// The path of a robot's file; `None` where it is no file but a name.
+    fn robot_file(&self, model: &str) -> Option<PathBuf> {
+        let path = self.beside(model);
+        let is_path =
+            path.exists() || Path::new(model).extension().is_some() || model.contains('/');
+        is_path.then_some(path)
+    }
+
+    fn check_robots(&self) -> Result<(), Trouble> {
+        let Some(robot) = &self.file.robot else { return Ok(()) };
+        let is_unknown =
+            |model: &str| self.robot_file(model).is_none() && catalogue::find(model).is_none();
+        let unknown = robot.as_ref().all().into_iter().find(|(_, model)| is_unknown(model));
+        let Some((_, model)) = unknown else { return Ok(()) };
+        let nearest = match catalogue::nearest_names(model).first() {
+            Some(name) => format!("; did you mean `{name}`?"),
+            None => String::new(),
+        };
+        let what = format!("`{model}` is neither a file nor an arm of the catalogue{nearest}");
+        let remedy = "name a URDF or TOML file, or an arm that `poseaudit robots` lists";
+        Err(read::refused(self.place(robot.span().start), what, remedy))
+    }
+
+    fn robots(&self) -> Vec<RobotSource> {
+        let all = self.file.robot.iter().flat_map(|robot| robot.as_ref().all());
+        let source = |(prefix, model): (Option<&str>, &str)| RobotSource {
+            prefix: prefix.map(str::to_owned),
+            model: match self.robot_file(model) {
+                Some(path) => path.display().to_string(),
+                None => model.to_owned(),
+            },
+        };
+        all.map(source).collect()
+    }
+
+    fn calibrations(&self) -> Vec<CalibrationSource> {
+        let all = self.file.calibration.iter().flat_map(ByPrefix::all);
+        let source = |(prefix, file): (Option<&str>, &str)| CalibrationSource {
+            prefix: prefix.map(str::to_owned),
+            file: self.beside(file),
+        };
+        all.map(source).collect()
+    }
+
+    fn declarations(&self) -> Vec<Declaration> {
+        let streams = self.file.stream.iter();
+        let declared = streams.filter_map(|(topic, Stream { said, coding })| {
+            let (coding, degrees, millimetres) = (*coding)?;
+            Some(Declaration {
+                topic: topic.as_ref().clone(),
+                place: self.place(topic.span().start),
+                coding,
+                degrees,
+                millimetres,
+                is_of_vendor: said.convention.is_none(),
+            })
+        });
+        declared.collect()
+    }
+
+    fn topics(&self) -> Vec<TopicSettings> {
+        let streams = self.file.stream.iter();
+        let topic =
+            |(topic, Stream { said, .. }): (&toml::Spanned<String>, &Stream)| TopicSettings {
+                topic: topic.as_ref().clone(),
+                place: self.place(topic.span().start),
+                role: said.role,
+                witness: said.witness.map(Into::into),
+                frame: said.frame.clone(),
+                link: said.link.clone(),
+                rate_hz: said.rate_hz.map(|rate| rate.0),
+                vendor: said.vendor.as_ref().map(|vendor| vendor.0.said()),
+            };
+        streams.map(topic).collect()
+    }
+
+    fn exemptions(&self) -> Vec<Exemption> {
+        let exemption = |known: &toml::Spanned<Ignore>| {
+            let Ignore { code, reason, topic, joint, frame, robot } = known.as_ref().clone();
+            Exemption {
+                rules: code.0,
+                subject: Subject { robot, topic, joint, frame },
+                reason: reason.0,
+                place: self.place(known.span().start),
+            }
+        };
+        self.file.ignore.iter().map(exemption).collect()
+    }
+}

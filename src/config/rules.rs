@@ -1,0 +1,307 @@
+//! The tables of rules: figures, limits and severities, each known to the rule itself.
+
+use std::fmt;
+
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::Deserialize;
+use serde::de::{DeserializeSeed, Deserializer, Error as _, MapAccess, Visitor};
+use serde_json::{Map, Value, json};
+
+use super::quantity::Quantity;
+use crate::checks::{self, Figure, Grade, Limit, Rule, Settings};
+use crate::finding::{Severity, Unit};
+
+/// What is set of rules.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Rules(Vec<RuleTable>);
+
+/// What is set of one rule.
+#[derive(Clone, Debug)]
+struct RuleTable {
+    rule: &'static Rule,
+    figures: Vec<Figure>,
+    limits: Vec<(&'static Limit, f64)>,
+    severity: Option<Severity>,
+}
+
+impl Rules {
+    /// Writes it into the settings of an audit.
+    pub fn apply(&self, settings: &mut Settings) {
+        for table in &self.0 {
+            for figure in &table.figures {
+                settings.figures.set(table.rule, *figure);
+            }
+            for (limit, value) in &table.limits {
+                settings.figures.set_limit(table.rule, limit, *value);
+            }
+            settings.severities.extend(table.severity.map(|severity| (table.rule.code, severity)));
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Rules {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        struct Tables;
+        impl<'de> Visitor<'de> for Tables {
+            type Value = Rules;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("tables of rules by their codes")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Rules, A::Error> {
+                let mut tables = Vec::new();
+                while let Some(Code(rule)) = map.next_key()? {
+                    tables.push(map.next_value_seed(Table(rule))?);
+                }
+                Ok(Rules(tables))
+            }
+        }
+        from.deserialize_map(Tables)
+    }
+}
+
+/// A rule's code as a key.
+#[derive(Deserialize)]
+#[serde(try_from = "String")]
+struct Code(&'static Rule);
+
+impl TryFrom<String> for Code {
+    type Error = checks::UnknownRule;
+
+    fn try_from(code: String) -> Result<Self, Self::Error> {
+        checks::find(&code).map(Self)
+    }
+}
+
+/// A key of a rule's table.
+enum Key {
+    Figure(Level),
+    Severity,
+    Limit(&'static Limit),
+}
+
+#[derive(Clone, Copy)]
+enum Level {
+    Warning,
+    Error,
+}
+
+/// The keys that the table of a rule can have.
+fn keys(rule: &Rule) -> Vec<&'static str> {
+    let figures: &[&str] = match rule.grade {
+        Grade::From(_) => &["warning", "error"],
+        Grade::Fixed(_) => &[],
+    };
+    let limits = rule.limits.iter().map(|limit| limit.key);
+    figures.iter().copied().chain(["severity"]).chain(limits).collect()
+}
+
+struct KeyOf(&'static Rule);
+
+impl<'de> DeserializeSeed<'de> for KeyOf {
+    type Value = Key;
+
+    fn deserialize<D: Deserializer<'de>>(self, from: D) -> Result<Key, D::Error> {
+        let key = String::deserialize(from)?;
+        let has_figures = matches!(self.0.grade, Grade::From(_));
+        let limit = self.0.limits.iter().find(|limit| limit.key == key);
+        match (key.as_str(), limit) {
+            ("warning", _) if has_figures => Ok(Key::Figure(Level::Warning)),
+            ("error", _) if has_figures => Ok(Key::Figure(Level::Error)),
+            ("severity", _) => Ok(Key::Severity),
+            (_, Some(limit)) => Ok(Key::Limit(limit)),
+            (key, None) => {
+                let known: Vec<String> =
+                    keys(self.0).iter().map(|known| format!("`{known}`")).collect();
+                let known = known.join(", ");
+                Err(D::Error::custom(format!("unknown field `{key}`, expected one of {known}")))
+            }
+        }
+    }
+}
+
+/// The table of a rule.
+struct Table(&'static Rule);
+
+impl<'de> DeserializeSeed<'de> for Table {
+    type Value = RuleTable;
+
+    fn deserialize<D: Deserializer<'de>>(self, from: D) -> Result<RuleTable, D::Error> {
+        from.deserialize_map(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Table {
+    type Value = RuleTable;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "a table of {}", self.0.code)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<RuleTable, A::Error> {
+        let rule = self.0;
+        let mut table = RuleTable { rule, figures: Vec::new(), limits: Vec::new(), severity: None };
+        while let Some(key) = map.next_key_seed(KeyOf(rule))? {
+            match key {
+                Key::Figure(level) => {
+                    for (unit, amount) in map.next_value_seed(AmountsOf(rule))? {
+                        table.set(level, unit, amount);
+                    }
+                }
+                Key::Severity => {
+                    let SeverityName(severity) = map.next_value()?;
+                    table.severity = Some(severity);
+                }
+                Key::Limit(limit) => {
+                    table.limits.push((limit, map.next_value_seed(LimitOf(limit))?));
+                }
+            }
+        }
+        match table.figures.iter().find(|figure| figure.warning >= figure.error) {
+            None => Ok(table),
+            Some(Figure { unit, warning, error }) => Err(A::Error::custom(format!(
+                "{}: the warning ({}) must be below the error ({})",
+                rule.code,
+                unit.show(*warning),
+                unit.show(*error)
+            ))),
+        }
+    }
+}
+
+impl RuleTable {
+    fn set(&mut self, level: Level, unit: Unit, amount: f64) {
+        let own = self.rule.grade.figures().iter().find(|own| own.unit == unit);
+        let known = self.figures.iter().position(|figure| figure.unit == unit);
+        let at = known.or_else(|| {
+            self.figures.push(*own?);
+            Some(self.figures.len() - 1)
+        });
+        let Some(figure) = at.and_then(|at| self.figures.get_mut(at)) else { return };
+        match level {
+            Level::Warning => figure.warning = amount,
+            Level::Error => figure.error = amount,
+        }
+    }
+}
+
+/// The amount of a figure, or of each of several.
+struct AmountsOf(&'static Rule);
+
+#[derive(Deserialize)]
+#[serde(
+    untagged,
+    expecting = "expected an amount with its unit, as in \"2 ms\", or a list of them"
+)]
+enum OneOrMore {
+    One(Quantity),
+    More(Vec<Quantity>),
+}
+
+impl<'de> DeserializeSeed<'de> for AmountsOf {
+    type Value = Vec<(Unit, f64)>;
+
+    fn deserialize<D: Deserializer<'de>>(self, from: D) -> Result<Self::Value, D::Error> {
+        let amounts = match OneOrMore::deserialize(from)? {
+            OneOrMore::One(one) => vec![one],
+            OneOrMore::More(more) => more,
+        };
+        let units: Vec<Unit> = self.0.grade.figures().iter().map(|figure| figure.unit).collect();
+        let read = |quantity: &Quantity| quantity.one_of(&units).map_err(D::Error::custom);
+        amounts.iter().map(read).collect()
+    }
+}
+
+/// The amount of a limit.
+struct LimitOf(&'static Limit);
+
+impl<'de> DeserializeSeed<'de> for LimitOf {
+    type Value = f64;
+
+    fn deserialize<D: Deserializer<'de>>(self, from: D) -> Result<f64, D::Error> {
+        Quantity::deserialize(from)?.amount(self.0.unit).map_err(D::Error::custom)
+    }
+}
+
+/// A severity by its name.
+#[derive(Deserialize)]
+#[serde(from = "SeverityWord")]
+struct SeverityName(Severity);
+
+#[derive(Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum SeverityWord {
+    Info,
+    Warning,
+    Error,
+}
+
+impl From<SeverityWord> for SeverityName {
+    fn from(level: SeverityWord) -> Self {
+        Self(match level {
+            SeverityWord::Info => Severity::Info,
+            SeverityWord::Warning => Severity::Warning,
+            SeverityWord::Error => Severity::Error,
+        })
+    }
+}
+
+impl JsonSchema for Rules {
+    fn schema_name() -> std::borrow::Cow<'static, str> {
+        "Rules".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        let amount = |unit: Unit| match unit {
+            Unit::One => json!(["number", "string"]),
+            _ => json!("string"),
+        };
+        let table = |rule: &&'static Rule| {
+            let mut keys = Map::new();
+            let severity = json!({
+                "description": "Severity of all that the rule finds, but for what it calls info itself",
+                "enum": ["info", "warning", "error"],
+            });
+            let figures = rule.grade.figures();
+            if let Some(first) = figures.first() {
+                let own = |of: fn(&Figure) -> f64| -> Value {
+                    let shown = figures.iter().map(|figure| figure.unit.show(of(figure)));
+                    match shown.collect::<Vec<_>>().as_slice() {
+                        [one] => json!(one),
+                        more => json!(more),
+                    }
+                };
+                let one = json!({ "type": amount(first.unit) });
+                for (key, what, default) in [
+                    ("warning", "From here it warns", own(|figure| figure.warning)),
+                    ("error", "From here it is an error", own(|figure| figure.error)),
+                ] {
+                    let several = json!({ "type": "array", "items": one });
+                    let schema = json!({
+                        "description": what, "default": default, "anyOf": [one, several],
+                    });
+                    keys.insert(key.to_owned(), schema);
+                }
+            }
+            keys.insert("severity".to_owned(), severity);
+            for limit in rule.limits {
+                let schema = json!({
+                    "description": limit.what,
+                    "default": limit.unit.show(limit.value),
+                    "type": amount(limit.unit),
+                });
+                keys.insert(limit.key.to_owned(), schema);
+            }
+            let table = json!({
+                "type": "object",
+                "description": rule.summary(),
+                "properties": keys,
+                "additionalProperties": false,
+            });
+            (rule.code.to_owned(), table)
+        };
+        let tables: Map<String, Value> = checks::registry().iter().map(table).collect();
+        json_schema!({ "type": "object", "properties": tables, "additionalProperties": false })
+    }
+}

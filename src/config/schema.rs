@@ -1,0 +1,14 @@
+//! The JSON schema of the file, for editors.
+
+use schemars::generate::SchemaSettings;
+
+use super::file::File;
+
+/// The schema as JSON, with a newline at its end.
+pub fn schema() -> String {
+    let settings = SchemaSettings::draft07();
+    let schema = settings.into_generator().into_root_schema_for::<File>();
+    let mut text = serde_json::to_string_pretty(&schema).expect("a schema is JSON");
+    text.push('\n');
+    text
+}

@@ -1,0 +1,228 @@
+//! A config as `poseaudit init` writes it: what was found in a log, and all else as comments with its
+//! default.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use crate::checks::{self, Figure};
+use crate::finding::Unit;
+use crate::report::{Report, RobotRow, StreamRow};
+use crate::robot::catalogue;
+use crate::run::SaidRole;
+
+/// The text of a config that audits the log of `report` as no config does.
+///
+/// What stands in it changes nothing about that log and holds other logs to it. What would change
+/// something (a tip that is named is a claim) is a comment.
+pub fn template(report: &Report) -> String {
+    let mut out = Template::default();
+    out.head(report);
+    out.robots(&report.robots);
+    out.options();
+    out.streams(report);
+    out.ignores();
+    out.rules();
+    out.0
+}
+
+#[derive(Default)]
+struct Template(String);
+
+impl Template {
+    /// A line, or several.
+    fn line(&mut self, text: &str) {
+        self.0 += text;
+        self.0.push('\n');
+    }
+
+    /// `key = value`, and beside it what there is to say.
+    fn set(&mut self, key: &str, value: &str, remark: &str) {
+        let setting = format!("{key} = {value}");
+        match remark.is_empty() {
+            true => self.line(&setting),
+            false => {
+                let remark = one_line(remark);
+                let _ = writeln!(self.0, "{setting:<33} # {remark}");
+            }
+        }
+    }
+
+    /// The same as a comment.
+    fn unset(&mut self, key: &str, value: &str, remark: &str) {
+        self.set(&format!("# {key}"), value, remark);
+    }
+
+    fn head(&mut self, report: &Report) {
+        let files = report.log.files.iter().map(|file| name_of(&file.path));
+        let files = files.collect::<Vec<_>>().join(" ");
+        let _ = writeln!(self.0, "# What is known of the robot and its topics, from {files}.");
+        self.line(
+            "#\n\
+             # `poseaudit audit LOG --config poseaudit.toml` reads it; no command looks for it by itself.\n\
+             # Options of the command line stand before it, and paths are relative to this file. What is a\n\
+             # comment is a default, or a claim that nobody has made yet. docs/config.md explains each key.\n\
+             # `poseaudit init --schema --output poseaudit.schema.json` writes the schema by which an editor\n\
+             # completes and checks this file, with this as its first line:\n\
+             # #:schema ./poseaudit.schema.json\n",
+        );
+    }
+
+    fn robots(&mut self, robots: &[RobotRow]) {
+        match robots {
+            [only] => self.robot(only),
+            [] => self.unset("robot", "\"my_arm.urdf\"", "no arm was found"),
+            several => {
+                for robot in several {
+                    self.unset("robot", &quoted(&robot.name), &robot.source);
+                }
+                self.line("# With several arms a table: robot = { left_ = \"ur5e\", right_ = \"arm.urdf\" }");
+            }
+        }
+        self.unset("calibration", "\"calibration.yaml\"", "of a UR, as ur_calibration extracts it");
+    }
+
+    fn robot(&mut self, RobotRow { name, source, base, tip, .. }: &RobotRow) {
+        match source.starts_with("the catalogue") && catalogue::find(name).is_some() {
+            true => self.set("robot", &quoted(name), source),
+            false => self.unset("robot", &quoted(name), source),
+        }
+        self.set("base", &quoted(base), "the chain begins here");
+        self.unset(
+            "tip",
+            &quoted(tip),
+            "the chain ends here; if set, an offset from it is a fault",
+        );
+    }
+
+    fn options(&mut self) {
+        self.unset("stamp", "\"header\"", "or \"log\", \"publish\"");
+        self.unset("max_latency", "\"5 s\"", "what is off by more is on another clock");
+        self.unset("fail_on", "\"warning\"", "or \"error\", \"never\"");
+        self.unset(
+            "require",
+            "[\"LAT001\", \"ZER001\"]",
+            "rules that must conclude; default: none",
+        );
+        self.unset("select", "[\"LAT\", \"ZER001\"]", "ask only these rules; default: all");
+    }
+
+    fn streams(&mut self, report: &Report) {
+        let mut known: Vec<&str> = Vec::new();
+        for stream in &report.streams {
+            if known.contains(&stream.topic.as_str()) {
+                continue;
+            }
+            known.push(&stream.topic);
+            self.0.push('\n');
+            match SaidRole::ALL.into_iter().find(|role| role.name() == stream.role) {
+                Some(role) if role != SaidRole::Ignored => self.stream(report, stream, role),
+                _ => {
+                    let _ = writeln!(self.0, "# {}: {}", stream.role, one_line(&stream.reason));
+                    let _ = writeln!(self.0, "# [stream.{}]", quoted(&stream.topic));
+                    self.unset("role", "\"pose\"", "if it is one");
+                }
+            }
+        }
+    }
+
+    fn stream(&mut self, report: &Report, stream: &StreamRow, role: SaidRole) {
+        let name = role.name();
+        let _ = writeln!(self.0, "# {}", one_line(&stream.reason));
+        let _ = writeln!(self.0, "[stream.{}]", quoted(&stream.topic));
+        self.set("role", &quoted(name), "");
+        let is_expected =
+            matches!(role, SaidRole::Joints | SaidRole::Pose | SaidRole::Tf | SaidRole::Imu);
+        if let Some(rate_hz) = stream.rate_hz.filter(|rate_hz| is_expected && *rate_hz > 0.0) {
+            self.set("rate_hz", &rounded(rate_hz), "");
+        }
+        if role != SaidRole::Pose {
+            return;
+        }
+        if let Some(witness) = stream.witness {
+            self.set("witness", &quoted(witness), "");
+        }
+        let frame = stream.frame_id.as_ref().or(stream.reference.as_ref());
+        if let Some(frame) = frame {
+            self.unset("frame", &quoted(frame), "the frame that it is in");
+        }
+        if let Some(link) = &stream.link {
+            self.unset("link", &quoted(link), "if set, an offset from it is a fault");
+        }
+        let found = report
+            .checks
+            .iter()
+            .find(|row| row.code == "ORD001" && row.subject.topic.as_ref() == Some(&stream.topic));
+        let found = found.and_then(|row| row.estimate.as_ref()?.convention());
+        let coding = match found {
+            Some((is, _)) => is,
+            None if stream.type_name.contains("Array") => "rotvec",
+            None => "quat:xyzw",
+        };
+        self.unset("convention", &quoted(coding), "if set, what contradicts it is a fault");
+        self.unset("units", "[\"m\", \"rad\"]", "with a convention or a vendor");
+        self.unset("vendor", "\"ur\"", "or kuka, fanuc, abb, …: convention and units of a maker");
+    }
+
+    fn ignores(&mut self) {
+        self.line("\n# What is known and shall not count; it stays in the report with the reason.");
+        self.line("# [[ignore]]");
+        self.unset("code", "\"LAT001\"", "a rule, or the letters that a family begins with");
+        self.unset("topic", "\"/tcp_pose\"", "or joint, frame, robot; without any of them all");
+        self.unset("reason", "\"the driver's delay, known since March\"", "");
+    }
+
+    fn rules(&mut self) {
+        self.line("\n# Figures of the rules, which `poseaudit explain CODE` explains.");
+        for rule in checks::registry() {
+            let _ = writeln!(self.0, "\n# {}.\n# [rules.{}]", rule.summary(), rule.code);
+            let figures = rule.grade.figures();
+            if figures.is_empty() {
+                let _ = writeln!(self.0, "# severity = {}", quoted(&rule.grade.to_string()));
+            } else {
+                self.unset("warning", &amounts(figures, |figure| figure.warning), "");
+                self.unset("error", &amounts(figures, |figure| figure.error), "");
+            }
+            for limit in rule.limits {
+                self.unset(limit.key, &amount(limit.unit, limit.value), limit.what);
+            }
+        }
+    }
+}
+
+fn amounts(figures: &[Figure], of: fn(&Figure) -> f64) -> String {
+    let shown: Vec<String> = figures.iter().map(|figure| amount(figure.unit, of(figure))).collect();
+    match shown.as_slice() {
+        [one] => one.clone(),
+        several => format!("[{}]", several.join(", ")),
+    }
+}
+
+/// An amount as the file has it.
+fn amount(unit: Unit, value: f64) -> String {
+    match unit {
+        Unit::One => format!("{value}"),
+        unit => quoted(&unit.show(value)),
+    }
+}
+
+/// Three digits are what a rate is known to.
+fn rounded(rate_hz: f64) -> String {
+    let digits = 2 - rate_hz.log10().floor() as i32;
+    let step = 10f64.powi(-digits);
+    let rounded = (rate_hz / step).round() * step;
+    format!("{rounded:.*}", usize::try_from(digits.max(1)).unwrap_or(1))
+}
+
+/// A text as TOML writes it.
+fn quoted(text: &str) -> String {
+    toml::Value::String(text.to_owned()).to_string()
+}
+
+fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+fn name_of(path: &Path) -> String {
+    let name = path.file_name().unwrap_or(path.as_os_str());
+    one_line(&name.to_string_lossy())
+}

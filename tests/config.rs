@@ -1,0 +1,167 @@
+//! What a config does to an audit, and what `init` writes.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use poseaudit::Options;
+use poseaudit::config::{Config, template};
+use poseaudit::finding::{Severity, Status};
+use poseaudit::report::{Report, Verdict};
+use serde_json::Value;
+
+fn fixture(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures").join(name)
+}
+
+/// The audit of a log by a config.
+fn audited(log: &Path, config: &str) -> Report {
+    let config = Config::from_text(config.to_owned(), Path::new("p.toml")).expect("a config");
+    let options = Options { logs: vec![log.to_owned()], ..config.options() };
+    poseaudit::audit(&options).expect("a report")
+}
+
+fn faulty(config: &str) -> Report {
+    audited(&fixture("faulty.mcap"), config)
+}
+
+/// Findings, as `CODE subject`.
+fn found(report: &Report) -> Vec<String> {
+    let said = report.findings.iter().map(|one| format!("{} {}", one.code, one.subject.label()));
+    said.collect()
+}
+
+#[test]
+fn what_init_writes_audits_its_log_as_no_config_does() {
+    let mut logs = 0;
+    for entry in fs::read_dir(fixture("")).expect("the fixtures") {
+        let log = entry.expect("an entry").path();
+        if log.extension().is_none_or(|extension| extension != "mcap") {
+            continue;
+        }
+        let options = Options { logs: vec![log.clone()], ..Options::default() };
+        let without = poseaudit::audit(&options).expect("a report");
+        let with = audited(&log, &template(&without));
+        for key in ["verdict", "error", "robots", "checks", "findings", "observability"] {
+            let of = |report: &Report| -> Value {
+                serde_json::to_value(report).expect("a report is JSON")[key].clone()
+            };
+            let (mut without, mut with) = (of(&without), of(&with));
+            // The config is where the robot is from, then.
+            for robots in [&mut without, &mut with] {
+                let rows = robots.as_array_mut().into_iter().flatten();
+                rows.for_each(|row| drop(row.as_object_mut().map(|row| row.remove("source"))));
+            }
+            assert_eq!(with, without, "{key} of {}", log.display());
+        }
+        logs += 1;
+    }
+    assert!(logs > 15, "{logs}");
+}
+
+#[test]
+fn figures_and_severities_are_those_of_the_config() {
+    let late = |config: &str| {
+        let report = faulty(config);
+        let late = report.findings.iter().find(|one| one.code == "LAT001");
+        late.map(|one| one.severity)
+    };
+    assert_eq!(late(""), Some(Severity::Error));
+    let table = |keys: &str| late(&format!("[rules.LAT001]\n{keys}"));
+    assert_eq!(table("error = \"16 ms\""), Some(Severity::Warning));
+    assert_eq!(table("warning = \"16 ms\"\nerror = \"17 ms\""), None);
+    assert_eq!(table("severity = \"info\""), Some(Severity::Info));
+}
+
+#[test]
+fn what_is_ignored_is_said_and_does_not_count() {
+    let report = faulty(
+        "[[ignore]]\ncode = \"LAT001\"\ntopic = \"/tcp_pose_broadcaster/pose\"\nreason = \"known\"\n\
+         [[ignore]]\ncode = \"ZER\"\nreason = \"re-homed\"\n\
+         [[ignore]]\ncode = \"YAW\"\ntopic = \"/no_such_imu\"\nreason = \"gone\"\n",
+    );
+    assert_eq!((report.verdict, found(&report)), (Verdict::Pass, Vec::new()));
+    let ignored: Vec<(&str, &str)> =
+        report.ignored.iter().map(|one| (one.finding.code, one.place.as_str())).collect();
+    assert_eq!(ignored, [("LAT001", "p.toml:1"), ("ZER001", "p.toml:5")]);
+    let row = report
+        .checks
+        .iter()
+        .find(|row| row.code == "ZER001" && row.subject.joint.as_deref() == Some("elbow_joint"));
+    let row = row.expect("the check is listed");
+    assert_eq!(row.status, Status::Skipped);
+    assert_eq!(row.reason.as_deref(), Some("ignored: re-homed (p.toml:5)"));
+    let notes: Vec<&str> = report.log.notes.iter().map(|note| note.note.as_str()).collect();
+    assert!(notes.contains(&"settings are taken from this file"), "{notes:?}");
+    assert!(notes.iter().any(|note| note.contains("YAW on /no_such_imu")), "{notes:?}");
+    let json = serde_json::to_value(&report).expect("a report is JSON");
+    assert_eq!(json["ignored"][0]["reason"], "known");
+    assert_eq!(json["ignored"][0]["code"], "LAT001");
+}
+
+#[test]
+fn a_declared_rate_and_a_declared_topic_are_expected() {
+    let report = faulty(
+        "[stream.\"/imu/data\"]\nrate_hz = 400\n[stream.\"/tf\"]\nrate_hz = 20\n\
+         [stream.\"/gone\"]\nrole = \"pose\"\n[stream.\"/unwanted\"]\nrole = \"ignored\"\n",
+    );
+    let slow = found(&report).into_iter().filter(|said| said.starts_with("TIM006"));
+    assert_eq!(slow.collect::<Vec<_>>(), ["TIM006 /gone", "TIM006 /imu/data"]);
+}
+
+#[test]
+fn roles_witnesses_and_frames_are_those_of_the_config() {
+    let pose = "/tcp_pose_broadcaster/pose";
+    let with =
+        |keys: &str| audited(&fixture("clean.mcap"), &format!("[stream.\"{pose}\"]\n{keys}"));
+    let row = |report: &Report| {
+        let row = report.streams.iter().find(|stream| stream.topic == pose).cloned();
+        row.expect("the stream is listed")
+    };
+    let external = with("witness = \"external\"");
+    assert_eq!(row(&external).witness, Some("external"));
+    let ignored = with("role = \"ignored\"");
+    assert_eq!(row(&ignored).role, "ignored");
+    assert!(!ignored.checks.iter().any(|check| check.subject.topic.as_deref() == Some(pose)));
+    let in_base_link = with("frame = \"base_link\"");
+    assert_eq!(found(&in_base_link), [format!("FRM002 {pose}")]);
+    let of_flange = with("link = \"flange\"");
+    assert_eq!(found(&of_flange), [format!("FRM003 {pose}")]);
+    assert_eq!(of_flange.findings[0].severity, Severity::Error);
+}
+
+#[test]
+fn what_a_vendor_gives_is_held_against_the_log() {
+    let log = fixture("gimbal.mcap");
+    let of = |vendor: &str, units: &str| {
+        let keys = format!("vendor = \"{vendor}\"\n{units}");
+        let report = audited(&log, &format!("[stream.\"/tool_pose\"]\n{keys}"));
+        let codes = report.findings.iter().map(|one| one.code);
+        codes.filter(|code| code.starts_with("ORD") && *code != "ORD006").collect::<Vec<_>>()
+    };
+    // Its numbers are roll, pitch and yaw in radians, beside metres.
+    assert_eq!(of("aubo", ""), [""; 0]);
+    assert_eq!(of("jaka", ""), ["ORD008"]);
+    assert_eq!(of("jaka", "units = [\"m\"]"), [""; 0]);
+    assert_eq!(of("ur", ""), ["ORD001"]);
+    assert_eq!(of("fanuc", ""), ["ORD004", "ORD008"]);
+}
+
+#[test]
+fn a_topic_that_cannot_be_what_is_said_is_refused_with_the_line() {
+    let refused = |text: &str| {
+        let config = Config::from_text(text.to_owned(), Path::new("p.toml")).expect("a config");
+        let options = Options { logs: vec![fixture("clean.mcap")], ..config.options() };
+        poseaudit::audit(&options).expect_err("the call is wrong").to_string()
+    };
+    for (keys, part) in [
+        ("role = \"imu\"", "cannot have the role `imu`"),
+        ("frame = \"base_lnk\"", "did you mean 'base_link'?"),
+        ("link = \"no_such_thing\"", "no link of an arm"),
+        ("convention = \"rotvec\"", "holds quaternions"),
+    ] {
+        let said = refused(&format!("\n[stream.\"/tcp_pose_broadcaster/pose\"]\n{keys}"));
+        assert!(said.starts_with("p.toml:2: ") && said.contains(part), "{said}");
+    }
+    let said = refused("[stream.\"/imu/data\"]\nlink = \"tool0\"");
+    assert!(said.contains("have no `link`"), "{said}");
+}
