@@ -213,7 +213,7 @@ fn the_sample_of_jakas_sdk_against_forward_kinematics() {
         Asked { is: &fk, but: "-1.81826 -0.834253 -2.30243", is_as: "ros", ..Asked::default() };
     let answer = answer.answer();
     assert_plain(&answer);
-    assert_read(&answer, "quat:xyzw, m", "euler:xyz, rad, m");
+    assert_read(&answer, "quat:xyzw", "euler:xyz, rad");
     assert!(answer.hypotheses[0].residual.rotation_rad < 2e-5);
 }
 
