@@ -25,7 +25,7 @@ use crate::hand_eye::{hand_eyes, settle_hands};
 use crate::log::{Log, Loss, Progress};
 use crate::pictures::figures;
 use crate::references::references;
-use crate::replay::{self, Replay, ReplayArm, ReplayImu, ReplayStream, StreamKind};
+use crate::replay::{self, Recording, Replay, ReplayArm, ReplayImu, ReplayStream, StreamKind};
 use crate::report::{
     Figures, FileRow, LogSummary, NoteRow, Report, RobotRow, StreamRow, Trouble, TroubleKind,
     tells_hand_eye,
@@ -80,8 +80,8 @@ pub struct Options {
     pub rules: Settings,
     /// Findings of this severity or above fail the run; `None`: none does.
     pub fail_on: Option<Severity>,
-    /// Where to write a recording for the Rerun viewer.
-    pub recording: Option<PathBuf>,
+    /// The recording for the Rerun viewer to write.
+    pub recording: Option<Recording>,
     /// The folder to write tables into, as Parquet.
     pub tables: Option<PathBuf>,
     /// Whether the report carries what its pictures show.
@@ -1123,12 +1123,13 @@ fn unwritable(path: &Path, what: String, remedy: &str) -> Trouble {
 
 /// Writes the recording of an audited run.
 pub(crate) fn record(
-    path: &Path,
+    recording: &Recording,
     run: &Run,
     facts: &Facts,
     report: &Report,
 ) -> Result<(), Trouble> {
-    let trouble = |what| unwritable(path, what, "name a file that can be written with --rrd");
+    let remedy = "name a file that can be written with --rrd";
+    let trouble = |what| unwritable(&recording.path, what, remedy);
     let arms = run.arms.iter().zip(&facts.robots).map(|(arm, facts)| replay_arm(run, arm, facts));
     let replay = Replay {
         origin: run.origin,
@@ -1136,7 +1137,7 @@ pub(crate) fn record(
         verdict: report.verdict,
         findings: &report.findings,
     };
-    replay::write(path, &replay).map_err(|error| trouble(error.cause.to_string()))
+    replay::write(recording, &replay).map_err(|error| trouble(error.cause.to_string()))
 }
 
 /// Writes the tables of an audited run into a folder.

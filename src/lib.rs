@@ -74,9 +74,9 @@ pub fn audit(options: &Options) -> Result<Report, Trouble> {
     if options.figures {
         report.figures = Some(audits.figures());
     }
-    if let Some(path) = &options.recording {
+    if let Some(recording) = &options.recording {
         let main = audits.main();
-        audit::record(path, &main.run, &main.facts, &report)?;
+        audit::record(recording, &main.run, &main.facts, &report)?;
     }
     if let Some(folder) = &options.tables {
         let main = audits.main();

@@ -11,7 +11,7 @@ use poseaudit::run::{CalibrationSource, Declaration, RobotSource};
 use poseaudit::time::Clock;
 
 use super::progress::watched;
-use super::{Outcome, output, reports};
+use super::{Outcome, output, reports, view};
 
 /// Audit one recorded run: what is wrong with its poses, by how much, and how sure that is
 ///
@@ -56,6 +56,10 @@ pub struct Args {
     /// Write a Rerun recording of the run
     #[arg(long, value_name = "FILE")]
     rrd: Option<PathBuf>,
+
+    /// Open the recording in the Rerun viewer, which must be on the path
+    #[arg(long)]
+    view: bool,
 
     /// Write tables as Parquet into this folder: aligned samples, reach map, findings, checks
     #[arg(long, value_name = "DIR")]
@@ -177,7 +181,7 @@ fn configured(args: Args) -> Result<(poseaudit::Options, Vec<Selector>), Trouble
         fix: args.fix,
         rules,
         fail_on: args.fail_on.map_or(by_config.fail_on, Into::into),
-        recording: args.rrd,
+        recording: args.rrd.map(Into::into),
         tables: args.parquet,
         figures: args.reports.are_pictured(),
         ..by_config
@@ -190,9 +194,14 @@ fn first<T>(given: Vec<T>, other: Vec<T>) -> Vec<T> {
     if given.is_empty() { other } else { given }
 }
 
-pub fn run(args: Args) -> Result<Outcome, Trouble> {
+pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     let reports = args.reports.clone();
     reports.can_be_followed()?;
+    let viewer = args.view.then(view::viewer).transpose()?;
+    if viewer.is_some() {
+        args.rrd.get_or_insert_with(view::place);
+    }
+    let recording = args.rrd.clone();
     let configured = configured(args);
     let audited = configured.and_then(|(options, require)| {
         let report = watched(|progress| {
@@ -208,6 +217,9 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
     reports.emit(&report)?;
     if let Some(trouble) = &report.error {
         output::error(trouble);
+    }
+    if let (Some(viewer), Some(recording), None) = (&viewer, &recording, &report.error) {
+        view::open(viewer, recording)?;
     }
     let outcome = Outcome::from(&report);
     let open = report.not_concluded(&require);

@@ -18,6 +18,7 @@ mod reports;
 mod robots;
 mod rules;
 mod tf;
+mod view;
 
 use clap::{Parser, Subcommand};
 use poseaudit::report::{Report, Trouble, TroubleKind, Verdict};

@@ -43,6 +43,24 @@ const APPLICATION: &str = env!("CARGO_PKG_NAME");
 /// No more rows than this of one stream are written.
 const MOST_ROWS: usize = 4_000;
 
+/// Where a recording goes, and which one it says that it is. The viewer shows together what is of one
+/// recording of one application.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Recording {
+    /// The file.
+    pub path: PathBuf,
+    /// The application; poseaudit where there is none.
+    pub application: Option<String>,
+    /// The recording's id; a new one where there is none.
+    pub id: Option<String>,
+}
+
+impl From<PathBuf> for Recording {
+    fn from(path: PathBuf) -> Self {
+        Self { path, ..Self::default() }
+    }
+}
+
 /// What a recording shows.
 #[derive(Clone, Debug)]
 pub struct Replay<'a> {
@@ -195,18 +213,23 @@ pub enum ReplayCause {
     Frame(#[from] PolarsError),
 }
 
-/// Writes the recording to `path`, whose folders are made.
+/// Writes the recording to its file, whose folders are made.
 ///
 /// # Errors
 /// Where the file cannot be written, or a stream's frame lacks a column.
-pub fn write(path: &Path, replay: &Replay<'_>) -> Result<(), ReplayError> {
-    write_whole(path, |staged| record(staged, replay))
-        .map_err(|cause| ReplayError { path: path.to_owned(), cause })
+pub fn write(recording: &Recording, replay: &Replay<'_>) -> Result<(), ReplayError> {
+    write_whole(&recording.path, |staged| record(staged, recording, replay))
+        .map_err(|cause| ReplayError { path: recording.path.clone(), cause })
 }
 
-fn record(path: &Path, replay: &Replay<'_>) -> Result<(), ReplayCause> {
+fn record(staged: &Path, wanted: &Recording, replay: &Replay<'_>) -> Result<(), ReplayCause> {
     // Explicitly enabled: the environment variable RERUN must not empty a file that was asked for.
-    let recording = RecordingStreamBuilder::new(APPLICATION).enabled(true).save(path)?;
+    let application = wanted.application.as_deref().unwrap_or(APPLICATION);
+    let mut builder = RecordingStreamBuilder::new(application).enabled(true);
+    if let Some(id) = &wanted.id {
+        builder = builder.recording_id(id.as_str());
+    }
+    let recording = builder.save(staged)?;
     layout::send(replay, &recording)?;
     let tape = Tape::new(recording, replay.origin);
     for arm in &replay.arms {

@@ -79,7 +79,10 @@ fn a_recording_is_written_with_its_folder() -> Outcome {
     let (verdict, arms) = (Verdict::Fail, vec![arm]);
     let folder = tempfile::tempdir()?;
     let path = folder.path().join("made/run.rrd");
-    write(&path, &Replay { origin: ORIGIN, arms, verdict, findings: &findings })?;
+    write(
+        &Recording::from(path.clone()),
+        &Replay { origin: ORIGIN, arms, verdict, findings: &findings },
+    )?;
     let bytes = std::fs::read(&path)?;
     assert!(bytes.starts_with(b"RRF2") && bytes.len() > 10_000);
     Ok(())
@@ -90,7 +93,10 @@ fn a_run_without_an_arm_still_has_its_page() -> Outcome {
     let folder = tempfile::tempdir()?;
     let path = folder.path().join("run.rrd");
     let verdict = Verdict::Inconclusive;
-    write(&path, &Replay { origin: ORIGIN, arms: Vec::new(), verdict, findings: &[] })?;
+    write(
+        &Recording::from(path.clone()),
+        &Replay { origin: ORIGIN, arms: Vec::new(), verdict, findings: &[] },
+    )?;
     assert!(std::fs::read(&path)?.starts_with(b"RRF2"));
     Ok(())
 }

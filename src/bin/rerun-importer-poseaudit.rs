@@ -1,0 +1,133 @@
+//! Adds the audit of a log to what the Rerun viewer shows of it.
+//!
+//! The viewer runs every program `rerun-importer-*` on the path with each file that is opened: the file,
+//! and options that say which recording it belongs to
+//! (<https://rerun.io/docs/concepts/logging-and-ingestion/importers/overview>). What the program
+//! writes to stdout is taken for a recording; exit status 66 says that the file is none of its kind.
+
+use std::ffi::OsString;
+use std::fs::File;
+use std::io::{self, Write};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use poseaudit::Options;
+use poseaudit::replay::Recording;
+
+/// The file is not of this importer's kind, or an audit has nothing to add to it.
+const INCOMPATIBLE: u8 = 66;
+
+fn main() -> ExitCode {
+    let Some(call) = Call::of(std::env::args_os().skip(1)) else {
+        eprintln!("error: no file: the Rerun viewer calls this program with one");
+        return ExitCode::from(2);
+    };
+    match call.import() {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::from(INCOMPATIBLE),
+        Err(error) => {
+            eprintln!(
+                "error: {}: the recording cannot be handed over: {error}",
+                call.log.display()
+            );
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// What the viewer asks for.
+#[derive(Debug, PartialEq, Eq)]
+struct Call {
+    log: PathBuf,
+    application: Option<String>,
+    recording: Option<String>,
+}
+
+impl Call {
+    /// Options that say nothing to an audit, and those of later viewers, are passed over.
+    fn of(arguments: impl Iterator<Item = OsString>) -> Option<Self> {
+        let mut call = Self { log: PathBuf::new(), application: None, recording: None };
+        let mut arguments = arguments.peekable();
+        let mut opened = (None, None);
+        while let Some(argument) = arguments.next() {
+            let name = argument.to_string_lossy().into_owned();
+            if !name.starts_with("--") {
+                if call.log.as_os_str().is_empty() {
+                    call.log = argument.into();
+                }
+                continue;
+            }
+            let (name, value) = match name.split_once('=') {
+                Some((name, value)) => (name.to_owned(), Some(value.to_owned())),
+                None => {
+                    let value = arguments.next_if(|next| !next.to_string_lossy().starts_with("--"));
+                    (name, value.map(|value| value.to_string_lossy().into_owned()))
+                }
+            };
+            match name.as_str() {
+                "--application-id" => call.application = value,
+                "--recording-id" => call.recording = value,
+                "--opened-application-id" => opened.0 = value,
+                "--opened-recording-id" => opened.1 = value,
+                _ => {}
+            }
+        }
+        // The layers belong beside the log, in the recording that is open already, where one is.
+        let Self { log, application, recording } = call;
+        let call =
+            Self { log, application: opened.0.or(application), recording: opened.1.or(recording) };
+        (!call.log.as_os_str().is_empty()).then_some(call)
+    }
+
+    /// Writes the recording of the log's audit to stdout; `false` where there is none.
+    fn import(&self) -> io::Result<bool> {
+        let folder = tempfile::tempdir()?;
+        let path = folder.path().join("audit.rrd");
+        let recording = Recording {
+            path: path.clone(),
+            application: self.application.clone(),
+            id: self.recording.clone(),
+        };
+        let options = Options {
+            logs: vec![self.log.clone()],
+            recording: Some(recording),
+            ..Options::default()
+        };
+        match poseaudit::audit(&options) {
+            Ok(report) if report.error.is_none() => {
+                let mut stdout = io::stdout().lock();
+                io::copy(&mut File::open(&path)?, &mut stdout)?;
+                stdout.flush()?;
+                Ok(true)
+            }
+            _ => Ok(false),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn call(arguments: &[&str]) -> Option<Call> {
+        Call::of(arguments.iter().map(OsString::from))
+    }
+
+    #[test]
+    fn the_recording_that_is_open_stands_before_a_new_one() {
+        let arguments = ["run.mcap", "--application-id", "a", "--recording-id", "b"];
+        let some = |text: &str| Some(text.to_owned());
+        let fresh = Call { log: "run.mcap".into(), application: some("a"), recording: some("b") };
+        assert_eq!(call(&arguments), Some(fresh));
+        let opened = Call { log: "run.mcap".into(), application: some("c"), recording: some("d") };
+        let all = [&arguments[..], &["--opened-application-id=c", "--opened-recording-id", "d"]];
+        assert_eq!(call(&all.concat()), Some(opened));
+    }
+
+    #[test]
+    fn options_of_no_use_are_passed_over() {
+        let only = Call { log: "run.mcap".into(), application: None, recording: None };
+        assert_eq!(call(&["run.mcap", "--static", "--entity-path-prefix", "x"]), Some(only));
+        assert_eq!(call(&["--static"]), None);
+    }
+}

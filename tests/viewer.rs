@@ -1,0 +1,84 @@
+//! What the Rerun viewer is given: by `--view`, and by the importer that it runs with each file.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+const FAULTY: &str = "fixtures/faulty.mcap";
+
+fn program(path: &str) -> Command {
+    let mut command = Command::new(path);
+    command.current_dir(env!("CARGO_MANIFEST_DIR"));
+    command
+}
+
+fn import(arguments: &[&str]) -> Output {
+    let mut importer = program(env!("CARGO_BIN_EXE_rerun-importer-poseaudit"));
+    importer.args(arguments).output().expect("the importer runs")
+}
+
+fn holds(bytes: &[u8], part: &str) -> bool {
+    bytes.windows(part.len()).any(|window| window == part.as_bytes())
+}
+
+#[test]
+fn the_importer_adds_the_audit_to_the_recording_that_the_viewer_names() {
+    let output = import(&[FAULTY, "--application-id", "an-app", "--recording-id", "rec-4711"]);
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(output.stdout.starts_with(b"RRF"), "no recording");
+    assert!(holds(&output.stdout, "an-app") && holds(&output.stdout, "rec-4711"));
+}
+
+#[test]
+fn what_is_no_log_with_an_arm_is_left_to_other_importers() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let text = folder.path().join("notes.txt");
+    fs::write(&text, "nothing\n").expect("a file");
+    for file in ["README.md", "no/such.mcap", &text.display().to_string()] {
+        let output = import(&[file, "--recording-id", "r"]);
+        assert_eq!(output.status.code(), Some(66), "{file}");
+        assert!(output.stdout.is_empty(), "{file}");
+    }
+    assert_eq!(import(&["--recording-id", "r"]).status.code(), Some(2));
+}
+
+/// An audit with `--view`, where `folder` is all that the path has.
+fn viewed(folder: &Path, more: &[&str]) -> Output {
+    let mut audit = program(env!("CARGO_BIN_EXE_poseaudit"));
+    audit.env("PATH", folder).args(["audit", FAULTY, "--view"]).args(more);
+    audit.output().expect("the program runs")
+}
+
+#[test]
+fn without_a_viewer_nothing_is_audited() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let output = viewed(folder.path(), &[]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(output.stdout.is_empty());
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(said.contains("--view") && said.contains("not on the path"), "{said}");
+}
+
+#[cfg(unix)]
+#[test]
+fn the_viewer_is_started_with_the_recording() {
+    use std::os::unix::fs::PermissionsExt;
+    use std::time::Duration;
+
+    let folder = tempfile::tempdir().expect("a folder");
+    let viewer = folder.path().join("rerun");
+    let (seen, recording) = (folder.path().join("seen"), folder.path().join("run.rrd"));
+    // The name is in place when it is whole.
+    let script =
+        format!("#!/bin/sh\nprintf %s \"$1\" > {0}.part\n/bin/mv {0}.part {0}\n", seen.display());
+    fs::write(&viewer, script).expect("a script");
+    fs::set_permissions(&viewer, fs::Permissions::from_mode(0o755)).expect("a program");
+    let path = recording.display().to_string();
+    let output = viewed(folder.path(), &["--rrd", &path]);
+    assert_eq!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stderr));
+    // It is not waited for.
+    let patience = (0..500).map(|_| std::thread::sleep(Duration::from_millis(20)));
+    let told = patience.map(|()| fs::read_to_string(&seen)).find_map(Result::ok);
+    assert_eq!(told.as_deref(), Some(path.as_str()));
+    assert!(recording.is_file());
+}
