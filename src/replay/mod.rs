@@ -26,7 +26,7 @@ use std::path::{Path, PathBuf};
 
 use polars::prelude::{DataFrame, PolarsError};
 use rerun::sink::SinkFlushError;
-use rerun::{RecordingStreamBuilder, RecordingStreamError, SerializationError};
+use rerun::{ApplicationId, RecordingStreamBuilder, RecordingStreamError, SerializationError};
 
 use crate::finding::Finding;
 use crate::geometry::Pose;
@@ -224,7 +224,8 @@ pub fn write(recording: &Recording, replay: &Replay<'_>) -> Result<(), ReplayErr
 
 fn record(staged: &Path, wanted: &Recording, replay: &Replay<'_>) -> Result<(), ReplayCause> {
     // Explicitly enabled: the environment variable RERUN must not empty a file that was asked for.
-    let application = wanted.application.as_deref().unwrap_or(APPLICATION);
+    let named = wanted.application.clone().and_then(|name| ApplicationId::try_new(name).ok());
+    let application = named.unwrap_or(APPLICATION.into());
     let mut builder = RecordingStreamBuilder::new(application).enabled(true);
     if let Some(id) = &wanted.id {
         builder = builder.recording_id(id.as_str());

@@ -105,7 +105,7 @@ fn a_run_without_an_arm_still_has_its_page() -> Outcome {
 fn an_error_names_the_file() -> Outcome {
     let folder = tempfile::tempdir()?;
     let replay = Replay { origin: ORIGIN, arms: Vec::new(), verdict: Verdict::Pass, findings: &[] };
-    let error = write(folder.path(), &replay).unwrap_err();
+    let error = write(&Recording::from(folder.path().to_owned()), &replay).unwrap_err();
     assert!(error.to_string().starts_with(&folder.path().display().to_string()), "{error}");
     assert!(matches!(error.cause, ReplayCause::Recording(_)));
     Ok(())
@@ -128,7 +128,7 @@ fn a_frame_without_its_columns_is_an_error() -> Outcome {
     };
     let folder = tempfile::tempdir()?;
     let replay = Replay { origin: ORIGIN, arms: vec![arm], verdict: Verdict::Pass, findings: &[] };
-    let error = write(&folder.path().join("run.rrd"), &replay).unwrap_err();
+    let error = write(&Recording::from(folder.path().join("run.rrd")), &replay).unwrap_err();
     assert!(matches!(error.cause, ReplayCause::Frame(_)), "{error}");
     Ok(())
 }
