@@ -598,9 +598,13 @@ fn strays(run: &Run) -> Vec<StrayFacts> {
         Role::Pose => !is_tf(&stream.topic),
         _ => false,
     };
-    let joints = run.arms.iter().flat_map(|arm| arm.joint_facts.iter().zip(prismatic(arm)));
-    let sliding: Vec<String> =
-        joints.filter(|(_, slides)| *slides).map(|(joint, _)| joint.name.clone()).collect();
+    let sliding: Vec<String> = run
+        .arms
+        .iter()
+        .flat_map(|arm| arm.robot.joints())
+        .filter(|joint| joint.kind == JointKind::Prismatic)
+        .map(|joint| joint.name.clone())
+        .collect();
     let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));
     let of = |(index, stream): (usize, &Stream)| {
         let parts: Vec<Strays> =
@@ -622,10 +626,6 @@ fn strays(run: &Run) -> Vec<StrayFacts> {
 
 /// The streams of poses that an arm was held against, each with when it stood still.
 fn frozen(run: &Run) -> Vec<FrozenFacts> {
-    let held = run.arms.iter().flat_map(|arm| arm.poses.iter().map(|source| source.stream));
-    let mut streams: Vec<usize> = held.chain(run.frozen.iter().map(|found| found.stream)).collect();
-    streams.sort_unstable();
-    streams.dedup();
     let of = |index: usize| {
         let stream = run.streams.get(index)?;
         let times = run.frozen.iter().filter(|found| found.stream == index);
@@ -640,7 +640,7 @@ fn frozen(run: &Run) -> Vec<FrozenFacts> {
             times: times.copied().collect(),
         })
     };
-    streams.into_iter().filter_map(of).collect()
+    run.watched.iter().copied().filter_map(of).collect()
 }
 
 /// The topics that hold nothing and would be audited; of joint states and transforms only where no
@@ -687,8 +687,11 @@ fn joints_without_positions(run: &Run, stream: &Stream) -> Vec<String> {
 
 /// The topics that the caller expects and the log does not have.
 fn missing(run: &Run, topics: &[TopicSettings]) -> Vec<(Subject, String)> {
-    let is_there =
-        |said: &TopicSettings| run.streams.iter().any(|stream| said.is_of(&stream.topic));
+    let is_there = |said: &TopicSettings| {
+        run.streams
+            .iter()
+            .any(|stream| said.is_of(&stream.topic) && (stream.count > 0 || stream.is_empty))
+    };
     let missing = topics.iter().filter(|said| said.is_expected() && !is_there(said));
     let subject = |topic: &str| Subject { topic: Some(topic.to_owned()), ..Subject::default() };
     missing.map(|said| (subject(&said.topic), said.place.clone())).collect()

@@ -28,9 +28,10 @@ rule! {
     /// second publisher. Drop or hold such samples where they arise.
     ///
     /// ## When it misleads
-    /// A stream so slow that the arm goes out and comes back between samples looks alike, once. Where
-    /// more than one sample in twenty is off, nothing tells which are stray, and none is reported: two
-    /// publishers of one transform are FRM004's. Of bare numbers only positions are looked at. A stray
+    /// A jump for longer than a quarter of a second may be a motion, and is none of this. Where
+    /// more than one sample in twenty is off, nothing tells which are stray, and it is inconclusive: two
+    /// publishers of one transform are FRM004's. Of poses and bare numbers only positions are looked at.
+    /// Fewer than twenty samples show nothing. A stray
     /// of a wrongly scaled stream (ORD008) is as wrongly scaled.
     MOT005 {
         name: "stray-samples",
@@ -51,13 +52,19 @@ fn check(facts: &Facts) -> Vec<Judged> {
 
 fn judge(facts: &Facts, stream: &StrayFacts) -> Judged {
     let judged = |subject, outcome| Judged::new(subject, outcome).within(stream.span);
-    let amounts = stream.parts.iter().map(|part| (part, stream.amount(part)));
+    let are_untold = |part: &Strays| part.count() == 0;
+    if !stream.parts.is_empty() && stream.parts.iter().all(are_untold) {
+        let why = "more than one sample in twenty jumps, so that nothing tells which are stray; look at \
+                   the stream itself";
+        return judged(stream.subject.clone(), Outcome::Inconclusive(why.to_owned()));
+    }
+    let told = || stream.parts.iter().filter(|part| !are_untold(part));
+    let amounts = told().map(|part| (part, stream.amount(part)));
     let Some((worst, (unit, amount))) = amounts.max_by(|a, b| a.1.1.total_cmp(&b.1.1)) else {
         return judged(stream.subject.clone(), Outcome::sound());
     };
-    let subject = match stream.parts.as_slice() {
+    let subject = match told().collect::<Vec<_>>().as_slice() {
         [only] => Subject {
-            topic: stream.subject.topic.clone().filter(|_| only.joint.is_none()),
             joint: only.joint.clone(),
             frame: only.frame.clone().or_else(|| stream.subject.frame.clone()),
             ..stream.subject.clone()
@@ -65,7 +72,7 @@ fn judge(facts: &Facts, stream: &StrayFacts) -> Judged {
         _ => stream.subject.clone(),
     };
     let count: usize = stream.parts.iter().map(Strays::count).sum();
-    let parts = stream.parts.iter().take(LISTED).map(|part| {
+    let parts = told().take(LISTED).map(|part| {
         json!({
             "joint": part.joint,
             "frame": part.frame,
@@ -101,15 +108,16 @@ fn fault(facts: &Facts, stream: &StrayFacts, worst: &Strays, count: usize, shown
     let when = worst.at.map_or(String::new(), |at| format!(" at {}", facts.moment(at)));
     let of = match (stream.parts.len(), &worst.joint, &worst.frame) {
         (1, ..) => String::new(),
-        (_, Some(part), _) | (_, None, Some(part)) => format!(" of {part}"),
+        (_, Some(part), _) | (_, None, Some(part)) => format!(" ({part})"),
         _ => String::new(),
     };
     let (samples, topic) = (if count == 1 { "sample jumps" } else { "samples jump" }, stream.subject.label());
+    let most = if count == 1 { "" } else { "up to " };
     Fault {
         severity: Severity::Warning,
         title: "samples jump away and back",
         message: format!(
-            "{count} {samples} away and back, by {shown}{of}{when}; left out of everything else"
+            "{count} {samples} away and back, by {most}{shown}{of}{when}; left out of everything else"
         ),
         evidence: Evidence::default(),
         fix: format!("see what is sent on {topic} then, and drop or hold such samples there"),

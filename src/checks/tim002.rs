@@ -154,7 +154,10 @@ fn longer(a: &Stretch, b: &Stretch) -> std::cmp::Ordering {
 /// Whether a hole is longer than any delay of a message explains.
 fn is_long(by: &Limits, part: &Cadence, hole: &Hole) -> bool {
     let length_s = hole.stretch.seconds();
-    let period_s = by.said_period_s.or(part.period_s).unwrap_or(f64::INFINITY);
+    let own_s = part.period_s.unwrap_or(f64::INFINITY);
+    // What is said of a topic of transforms is of its fastest.
+    let said_s = by.said_period_s.filter(|said_s| own_s < 2.0 * said_s || own_s.is_infinite());
+    let period_s = said_s.unwrap_or(own_s);
     length_s > by.gap_s && length_s > by.gap_periods * period_s
 }
 

@@ -29,7 +29,8 @@ rule! {
     /// A slow source in a fast stream looks alike where it comes less than four times a second: its
     /// stamps are the fault then. A stream that stands still at the very end of the log, or near a rest
     /// of the arm, may as well be late, and is not reported. Transforms are not looked at: those that
-    /// stand still while the joints move are FRM001's.
+    /// stand still while the joints move are FRM001's. Of a long run only the excerpts are looked at, and
+    /// `samples` counts those that were.
     TIM007 {
         name: "frozen-stream",
         grade: Grade::Fixed(Severity::Error),
@@ -59,7 +60,7 @@ fn judge(facts: &Facts, stream: &FrozenFacts) -> Judged {
     let others = match stream.times.len() {
         1 => String::new(),
         2 => ", and once more".to_owned(),
-        times => format!(", and {} times more", times - 1),
+        times => format!(", and {} more times", times - 1),
     };
     let topic = stream.subject.label();
     let outcome = Outcome::faulty(Fault {

@@ -109,7 +109,7 @@ impl Config {
     fn robot_file(&self, model: &str) -> Option<PathBuf> {
         let path = self.beside(model);
         let is_path =
-            path.exists() || Path::new(model).extension().is_some() || model.contains('/');
+            path.is_file() || Path::new(model).extension().is_some() || model.contains('/');
         is_path.then_some(path)
     }
 

@@ -23,7 +23,7 @@ use super::norms::norms;
 use super::poses::{self, Stamped};
 use super::role::{Place, PoseTopic, Role, Verdict, array_role, pose_role};
 use super::skeleton;
-use super::strays::strays;
+use super::strays::{hide, strays};
 use super::streams::{Stream, Timing, split};
 use super::targets::{self, HandKind, HandSource, TargetSource};
 use super::tf_tree::{Edge, EdgeKind, TfTree, without_slash};
@@ -46,7 +46,13 @@ impl Run {
         let has_clock_topic = log.has_clock();
         let mut streams = split(log.topics);
         for declared in &options.declared {
-            check_topic(declared, &streams)?;
+            // What a config expects and the log does not have is a finding.
+            let by_config = options.topics.iter().any(|said| said.is_of(&declared.topic));
+            let has_columns =
+                |stream: &Stream| is_topic(stream, &declared.topic) && stream.columns.is_some();
+            if !by_config || streams.iter().any(has_columns) {
+                check_topic(declared, &streams)?;
+            }
         }
         topics::apply(&options.topics, &mut streams)?;
         let mut timing = Timing::settle(&streams, options.stamp, options.max_latency_s);
@@ -60,8 +66,16 @@ impl Run {
         let descriptions = descriptions(&streams, attached);
         let logged_calibrations: Vec<_> =
             logged_calibrations.into_iter().map(|found| (found.name, found.text)).collect();
-        let (arms, frozen) = (Vec::new(), Vec::new());
-        let mut assembly = Assembly { options, streams, timing, origin, tf, arms, frozen };
+        let mut assembly = Assembly {
+            options,
+            streams,
+            timing,
+            origin,
+            tf,
+            arms: Vec::new(),
+            frozen: Vec::new(),
+            watched: Vec::new(),
+        };
         let said = Said {
             given,
             calibrations,
@@ -81,7 +95,7 @@ impl Run {
         }
         assembly.name_joints();
         let (targets, references) = (assembly.targets(), assembly.references());
-        let Assembly { streams, timing, tf, arms, frozen, .. } = assembly;
+        let Assembly { streams, timing, tf, arms, frozen, watched, .. } = assembly;
         let span = span(streams.iter().filter(|stream| stream.rate_hz.is_some()));
         let rhythms = rhythms(&streams, &timing, &joint_topics(&streams, &timing), &arms);
         let (flaws, norms) = (flaws(&streams), norms(&streams, &timing));
@@ -100,6 +114,7 @@ impl Run {
             norms,
             strays,
             frozen,
+            watched,
             excerpts,
             has_clock_topic,
             no_arm,
@@ -125,6 +140,8 @@ struct Assembly<'a> {
     tf: TfTree,
     arms: Vec<Arm>,
     frozen: Vec<Frozen>,
+    /// The streams that were looked at for that.
+    watched: Vec<usize>,
 }
 
 fn check_topic(declared: &Declaration, streams: &[Stream]) -> Result<(), RunError> {
@@ -501,7 +518,8 @@ impl Assembly<'_> {
     fn plain_track(&self, index: usize) -> Option<PoseTrack> {
         let Some(Columns::Poses(poses)) = &self.streams[index].columns else { return None };
         let [poses] = poses.as_slice() else { return None };
-        let stamps = self.timing.stamps(&self.streams, index, 0);
+        let mut stamps = self.timing.stamps(&self.streams, index, 0);
+        hide(&self.timing.strays, index, 0, &mut stamps);
         let track = poses::from_poses(poses, &stamps, None, self.origin).ok()?.track;
         (track.t_s.len() > 1).then_some(track)
     }
@@ -613,12 +631,18 @@ impl Assembly<'_> {
                     let witness = set.unwrap_or_else(by_names);
                     source = Some((arm, found, reference, link, witness));
                 }
-                Err(what) if let Some(declared) = declared => {
+                Err(what)
+                    if let Some(declared) = declared
+                        && frozen.as_ref().is_none_or(Vec::is_empty) =>
+                {
                     return Err(not_so(declared, what));
                 }
                 Err(why) => (role, reason) = (Role::Unassigned, why),
             }
-            self.frozen.extend(frozen.into_iter().flatten());
+            if let Some(frozen) = frozen {
+                self.watched.push(index);
+                self.frozen.extend(frozen);
+            }
         } else if matches!(role, Role::Candidate { .. }) {
             role = Role::Unassigned;
             reason += ", and there is no arm that it could follow";
@@ -757,7 +781,8 @@ impl Assembly<'_> {
             _ => return Err("it holds no poses".to_owned()),
         };
         if let Some(frozen) = frozen {
-            *frozen = take_frozen(index, &mut logged, &arm.joints, self.options.max_latency_s);
+            *frozen =
+                take_frozen(index, &mut logged, &arm.joints, &columns, self.options.max_latency_s);
             if logged.stamps.len() < 2 && !frozen.is_empty() {
                 return Err("it repeats one value while the arm moves".to_owned());
             }

@@ -10,6 +10,7 @@ use crate::stream::{Columns, JointColumns};
 use crate::time::{NANOS_PER_SECOND, Stamp, nanos};
 
 use super::role::Role;
+use super::strays;
 use super::streams::{Stream, Timing};
 
 /// A run that is no longer is seen whole, s.
@@ -86,7 +87,11 @@ fn joints<'a>(
     let is_joints = |(_, stream): &(usize, &Stream)| stream.role == Role::Joints;
     let joints = streams.iter().enumerate().filter(is_joints);
     let with_stamps = joints.filter_map(|(index, stream)| match &stream.columns {
-        Some(Columns::Joints(joints)) => Some((joints, timing.stamps(streams, index, 0))),
+        Some(Columns::Joints(joints)) => {
+            let mut stamps = timing.stamps(streams, index, 0);
+            strays::hide(&timing.strays, index, 0, &mut stamps);
+            Some((joints, stamps))
+        }
         _ => None,
     });
     with_stamps.collect()
@@ -135,7 +140,8 @@ impl Activity {
                 if let (Some(step), true) = (*step, moved.is_finite()) {
                     self.motion[step] += moved;
                 }
-                if position.is_finite() {
+                // Without a stamp it is no sample, or a stray one.
+                if position.is_finite() && step.is_some() {
                     last = position;
                 }
             }

@@ -13,6 +13,8 @@ use super::poses::Stamped;
 const LEAST_S: f64 = 0.25;
 /// … and so are fewer periods.
 const LEAST_PERIODS: usize = 10;
+/// What was said in a longer silence, nobody knows, s.
+const BREAK_S: f64 = 1.0;
 /// Where a stream may be later than this, and what it says is of before the first joint state or of after
 /// the last, nothing is told, s.
 const LATE_S: f64 = 1.0;
@@ -35,11 +37,12 @@ pub struct Frozen {
 }
 
 /// Takes the samples out of a stream's track that repeat a value while the arm moves, but for the first
-/// of each value, and says when that was.
+/// of each value, and says when that was. `columns` of the joints move the link whose poses they are.
 pub(super) fn take_frozen(
     stream: usize,
     poses: &mut Stamped<PoseTrack>,
     joints: &JointTrack,
+    columns: &[usize],
     most_lag_s: f64,
 ) -> Vec<Frozen> {
     let Stamped { track, stamps } = poses;
@@ -47,12 +50,14 @@ pub(super) fn take_frozen(
     let mut kept = vec![true; stamps.len()];
     let mut first = 0;
     while first < stamps.len() {
-        let repeats = (first + 1..stamps.len()).take_while(|&row| is_same(track, first, row));
+        let repeats = (first + 1..stamps.len()).take_while(|&row| {
+            track.t_s[row] - track.t_s[row - 1] < BREAK_S && is_same(track, first, row)
+        });
         let last = first + repeats.count();
         let span_s = track.t_s[last] - track.t_s[first];
         if last - first >= LEAST_PERIODS && span_s >= LEAST_S {
             let hold = (track.t_s[first], track.t_s[last]);
-            let moved = least_motion(joints, hold, most_lag_s).unwrap_or(0.0);
+            let moved = least_motion(joints, columns, hold, most_lag_s).unwrap_or(0.0);
             if moved > REST {
                 let (start, end, samples) = (stamps[first], stamps[last], last + 1 - first);
                 frozen.push(Frozen { stream, start, end, samples, moved });
@@ -99,7 +104,12 @@ fn retain<T>(values: &mut Vec<T>, kept: &[bool]) {
 /// Of all times half as long as `hold` and within `most_lag_s` of it the one in which the joints move
 /// least: by how much the joint moves then that moves most. `None` where the joint states do not cover
 /// them, so that the arm may have rested unseen.
-fn least_motion(joints: &JointTrack, hold: (f64, f64), most_lag_s: f64) -> Option<f64> {
+fn least_motion(
+    joints: &JointTrack,
+    columns: &[usize],
+    hold: (f64, f64),
+    most_lag_s: f64,
+) -> Option<f64> {
     /// Starts that are tried in a length, and samples that are looked at in it.
     const STARTS: f64 = 4.0;
     const LOOKS: usize = 8;
@@ -113,6 +123,10 @@ fn least_motion(joints: &JointTrack, hold: (f64, f64), most_lag_s: f64) -> Optio
     if hold.0 + late_s + length_s > end_s || hold.1 - late_s - length_s < begin_s {
         return None;
     }
+    // The first value may be of before the first joint state.
+    if hold.0 - begin_s < LATE_S && hold.1 - most_lag_s - begin_s < LEAST_S {
+        return None;
+    }
     let (from_s, to_s) = ((hold.0 - most_lag_s).max(begin_s), (hold.1 + most_lag_s).min(end_s));
     let (mut start_s, mut least) = (from_s, None::<f64>);
     while start_s + length_s <= to_s {
@@ -122,7 +136,7 @@ fn least_motion(joints: &JointTrack, hold: (f64, f64), most_lag_s: f64) -> Optio
             let of = rows.iter().map(|row| row[joint]);
             of.clone().fold(f64::NEG_INFINITY, f64::max) - of.fold(f64::INFINITY, f64::min)
         };
-        let most = (0..joints.dof).map(range).fold(0.0, f64::max);
+        let most = columns.iter().map(|&joint| range(joint)).fold(0.0, f64::max);
         least = Some(least.map_or(most, |least| least.min(most)));
         start_s += length_s / STARTS;
     }

@@ -130,6 +130,8 @@ pub struct Run {
     pub strays: Vec<Strays>,
     /// When streams of poses stood still and their arm did not; the estimators do not see that either.
     pub frozen: Vec<Frozen>,
+    /// The streams that were looked at for that.
+    pub watched: Vec<usize>,
     /// What of it the estimators see; `None` where that is all of it.
     pub excerpts: Option<Excerpts>,
     /// Whether the log holds `/clock`, the mark of simulated time.

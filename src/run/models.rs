@@ -130,7 +130,7 @@ fn overlay(
 /// Where the file cannot be read as a robot, or the catalogue has no such name.
 pub fn robot_of(model: &str) -> Result<Robot, RunError> {
     let path = Path::new(model);
-    if path.exists() || path.extension().is_some() {
+    if path.is_file() || path.extension().is_some() {
         return Ok(Robot::from_file(path)?);
     }
     catalogue::find(model).cloned().ok_or_else(|| RunError::UnknownRobot {

@@ -8,15 +8,18 @@ use std::f64::consts::TAU;
 
 use rayon::prelude::*;
 
-use crate::stream::{ArrayColumns, Columns, JointColumns, PoseColumns};
+use crate::stream::{ArrayColumns, Columns, JointColumn, JointColumns, PoseColumns};
 use crate::time::Stamp;
 
 use super::flaws::Apart;
+use super::poses::Layout;
 use super::role::Role;
 use super::streams::{Stream, Timing};
 
 /// Samples in a row that may be stray; more of them are a motion.
 const LONGEST: usize = 3;
+/// A stray is gone this soon; what takes longer may be a motion, s.
+const SOON_S: f64 = 0.25;
 /// A stray is this many times as far off as samples usually are from the next, and as any near it.
 const FAR: f64 = 5.0;
 /// It has come back where what is left is less than this share of the jump.
@@ -45,12 +48,13 @@ pub struct Strays {
     pub at: Option<Stamp>,
     /// Which of the piece it is of the stream's.
     pub(super) piece: usize,
-    /// The rows, in order.
+    /// The rows, in order; none where there are so many that nothing tells which are stray.
     pub(super) rows: Vec<usize>,
 }
 
 impl Strays {
-    /// How many samples they are.
+    /// How many samples they are; 0 where more than one in twenty jumps, so that nothing tells which are
+    /// stray.
     pub fn count(&self) -> usize {
         self.rows.len()
     }
@@ -75,21 +79,30 @@ pub(super) fn strays(streams: &[Stream], timing: &Timing) -> Vec<Strays> {
         )
     };
     let of = |(index, stream): (usize, &Stream)| {
+        // The stamps of a log that has none are no help: then only samples in a row count.
+        let times = stream.times();
+        let at = |piece: usize, row: usize| {
+            let clock = timing.clock(index, piece).zip(times.get(piece));
+            clock.and_then(|(clock, times)| clock.stamp_of(times, row))
+        };
         let found = match &stream.columns {
             _ if !may_jump(stream.role) => Vec::new(),
-            Some(Columns::Joints(joints)) => of_joints(joints),
-            Some(Columns::Poses(poses) | Columns::Transforms(poses)) => {
-                poses.iter().enumerate().filter_map(of_poses).collect()
+            Some(Columns::Joints(joints)) => of_joints(joints, &|row| at(0, row)),
+            Some(Columns::Poses(poses)) => {
+                let of = |(piece, poses)| of_poses(piece, poses, false, &|row| at(piece, row));
+                poses.iter().enumerate().filter_map(of).collect()
+            }
+            Some(Columns::Transforms(poses)) => {
+                let of = |(piece, poses)| of_poses(piece, poses, true, &|row| at(piece, row));
+                poses.iter().enumerate().filter_map(of).collect()
             }
             Some(Columns::Array(array)) if array.width >= 6 => {
-                of_array(array).into_iter().collect()
+                of_array(array, &|row| at(0, row)).into_iter().collect()
             }
             _ => Vec::new(),
         };
-        let times = stream.times();
         let stamped = found.into_iter().map(|found| {
-            let clock = timing.clock(index, found.piece).zip(times.get(found.piece));
-            let at = clock.and_then(|(clock, times)| clock.stamp_of(times, found.farthest_row));
+            let at = at(found.piece, found.farthest_row);
             let Found { piece, frame, joint, rows, farthest, .. } = found;
             Strays { stream: index, frame, joint, farthest, at, piece, rows }
         });
@@ -97,6 +110,9 @@ pub(super) fn strays(streams: &[Stream], timing: &Timing) -> Vec<Strays> {
     };
     streams.par_iter().enumerate().flat_map_iter(of).collect()
 }
+
+/// When a row was.
+type At<'a> = &'a dyn Fn(usize) -> Option<Stamp>;
 
 /// Strays before their time is known.
 struct Found {
@@ -108,8 +124,8 @@ struct Found {
     farthest_row: usize,
 }
 
-fn of_joints(joints: &JointColumns) -> Vec<Found> {
-    let of = |column: &crate::stream::JointColumn| {
+fn of_joints(joints: &JointColumns, at: At) -> Vec<Found> {
+    let of = |column: &JointColumn| {
         let q = &column.position;
         let known: Option<Vec<usize>> = q
             .iter()
@@ -118,15 +134,15 @@ fn of_joints(joints: &JointColumns) -> Vec<Found> {
         let row = |sample: usize| known.as_ref().map_or(sample, |known| known[sample]);
         let samples = known.as_ref().map_or(q.len(), Vec::len);
         let distance = |a: usize, b: usize| turned(q[row(b)] - q[row(a)]);
-        let leaps = leaps(samples, distance);
-        let (farthest_row, length_m) = farthest(&leaps)?;
+        let leaps = leaps(samples, &|sample| at(row(sample)), distance)?;
+        let (farthest, length_m) = farthest(&leaps)?;
         Some(Found {
             piece: 0,
             frame: None,
             joint: Some(column.name.clone()),
-            rows: leaps.iter().map(|(sample, _)| row(*sample)).collect(),
+            rows: told(&leaps, samples).map(row).collect(),
             farthest: Apart { length_m, angle_rad: 0.0 },
-            farthest_row: row(farthest_row),
+            farthest_row: row(farthest),
         })
     };
     joints.joints.iter().filter_map(of).collect()
@@ -142,30 +158,27 @@ fn turned(by: f64) -> f64 {
     }
 }
 
-fn of_poses((piece, poses): (usize, &PoseColumns)) -> Option<Found> {
+/// Orientations count where they are a `transform`'s: those of a pose that was misread jump for no
+/// fault of the sample.
+fn of_poses(piece: usize, poses: &PoseColumns, transform: bool, at: At) -> Option<Found> {
     let frame = (!poses.child_frame_id.is_empty()).then(|| poses.child_frame_id.clone());
-    let between = |a: usize, b: usize| Apart::between((poses, a), (poses, b));
-    let moved = leaps(poses.times.len(), |a, b| length(poses.xyz[a], poses.xyz[b]));
-    let turned = leaps(poses.times.len(), |a, b| between(a, b).angle_rad);
-    of_leaps(piece, frame, &moved, &turned)
+    let angle = |a: usize, b: usize| Apart::between((poses, a), (poses, b)).angle_rad;
+    let samples = poses.times.len();
+    let moved = leaps(samples, at, |a, b| length(poses.xyz[a], poses.xyz[b])).unwrap_or_default();
+    let turned = transform.then(|| leaps(samples, at, angle)).flatten().unwrap_or_default();
+    of_leaps(piece, frame, samples, &moved, &turned)
 }
 
 /// Of bare numbers the positions only: angles of a turn less or more jump for no fault.
-fn of_array(array: &ArrayColumns) -> Option<Found> {
-    let xyz = |row: usize| {
-        let row = array.row(row);
-        match row.len() {
-            // Matrices: translation by rows, or in the last row by columns.
-            12 | 16 if row[3] != 0.0 || row[7] != 0.0 || row[11] != 0.0 => {
-                [row[3], row[7], row[11]]
-            }
-            12 => [row[9], row[10], row[11]],
-            16 => [row[12], row[13], row[14]],
-            _ => [row[0], row[1], row[2]],
-        }
+fn of_array(array: &ArrayColumns, at: At) -> Option<Found> {
+    let layout = [12, 16].contains(&array.width).then(|| Layout::of(array)).flatten();
+    let xyz = |row: usize| match layout {
+        Some(layout) => layout.split(array.row(row)).0,
+        None => [0, 1, 2].map(|axis| array.row(row)[axis]),
     };
-    let moved = leaps(array.times.len(), |a, b| length(xyz(a), xyz(b)));
-    of_leaps(0, None, &moved, &[])
+    let samples = array.times.len();
+    let moved = leaps(samples, at, |a, b| length(xyz(a), xyz(b)))?;
+    of_leaps(0, None, samples, &moved, &[])
 }
 
 fn length(a: [f64; 3], b: [f64; 3]) -> f64 {
@@ -175,6 +188,7 @@ fn length(a: [f64; 3], b: [f64; 3]) -> f64 {
 fn of_leaps(
     piece: usize,
     frame: Option<String>,
+    samples: usize,
     moved: &[(usize, f64)],
     turned: &[(usize, f64)],
 ) -> Option<Found> {
@@ -182,7 +196,7 @@ fn of_leaps(
     let farthest_row = by_length.or(by_angle)?.0;
     let amount = |farthest: Option<(usize, f64)>| farthest.map_or(0.0, |(_, amount)| amount);
     let farthest = Apart { length_m: amount(by_length), angle_rad: amount(by_angle) };
-    let mut rows: Vec<usize> = moved.iter().chain(turned).map(|(row, _)| *row).collect();
+    let mut rows: Vec<usize> = told(moved, samples).chain(told(turned, samples)).collect();
     rows.sort_unstable();
     rows.dedup();
     Some(Found { piece, frame, joint: None, rows, farthest, farthest_row })
@@ -192,12 +206,37 @@ fn farthest(leaps: &[(usize, f64)]) -> Option<(usize, f64)> {
     leaps.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1))
 }
 
-/// The samples that are stray, each with how far it is off, by the `distance` of two samples.
-fn leaps(samples: usize, distance: impl Fn(usize, usize) -> f64) -> Vec<(usize, f64)> {
+/// The samples of `leaps`, where they are not too many of all `samples` to tell which are stray.
+fn told(leaps: &[(usize, f64)], samples: usize) -> impl Iterator<Item = usize> {
+    let are_few = leaps.len() as f64 <= MOST * samples as f64;
+    leaps.iter().filter(move |_| are_few).map(|(sample, _)| *sample)
+}
+
+/// The samples that are stray, each with how far it is off, by the `distance` of two samples and when
+/// each was; `None` of so few that they show nothing usual.
+fn leaps(
+    samples: usize,
+    at: At,
+    distance: impl Fn(usize, usize) -> f64,
+) -> Option<Vec<(usize, f64)>> {
     let mut found = Vec::new();
-    let Some(usual) = usual_step(samples, &distance) else { return found };
-    let least = if usual > 0.0 { LEAST.max(FAR * usual) } else { LEAST_AT_REST };
+    let usual = usual_step(samples, &distance)?;
+    let least = if usual > 0.0 {
+        LEAST.max(FAR * usual)
+    } else {
+        LEAST_AT_REST.max(flips(samples, &distance))
+    };
     let step = |sample: usize| distance(sample, sample + 1);
+    let is_soon = |from: usize, to: usize| match (at(from), at(to)) {
+        (Some(from), Some(to)) => to.seconds_since(from).abs() <= SOON_S,
+        _ => true,
+    };
+    // At first and at last nothing comes back, and what begins to move is no stray.
+    let inside = || (LONGEST..samples.saturating_sub(LONGEST + 1)).map(step);
+    let is_unlike_all = |far: f64| {
+        let longest = inside().filter(|step| step.is_finite()).fold(0.0, f64::max);
+        longest > 0.0 && far > FAR * longest
+    };
     let mut sample = 0;
     while sample + 1 < samples {
         let far = step(sample);
@@ -205,13 +244,19 @@ fn leaps(samples: usize, distance: impl Fn(usize, usize) -> f64) -> Vec<(usize, 
             sample += 1;
             continue;
         }
-        // At first and at last there is nothing to come from or back to.
-        let back = |next: usize| distance(sample, next) < BACK * far;
+        let back = |next: usize| is_soon(sample, next) && distance(sample, next) < BACK * far;
         let next = (sample + 2..samples.min(sample + 2 + LONGEST)).find(|&next| back(next));
         let astray = match next {
             Some(next) => Some(sample + 1..next),
-            None if sample < LONGEST => Some(0..sample + 1),
-            None if samples - sample - 1 <= LONGEST => Some(sample + 1..samples),
+            None if sample < LONGEST && is_soon(0, sample + 1) && is_unlike_all(far) => {
+                Some(0..sample + 1)
+            }
+            None if samples - sample - 1 <= LONGEST
+                && is_soon(sample, samples - 1)
+                && is_unlike_all(far) =>
+            {
+                Some(sample + 1..samples)
+            }
             None => None,
         };
         let Some(astray) = astray.filter(|astray| far > FAR * nearby(samples, astray, &step))
@@ -223,10 +268,17 @@ fn leaps(samples: usize, distance: impl Fn(usize, usize) -> f64) -> Vec<(usize, 
         sample = astray.end;
         found.extend(astray.map(|stray| (stray, distance(stray, other))));
     }
-    if found.len() as f64 > MOST * samples as f64 {
-        found.clear();
-    }
-    found
+    Some(found)
+}
+
+/// Where several of the steps are alike and no step is smaller, what is far off such a step: the last
+/// bit of an encoder or the last digit of a text that flips; else 0.
+fn flips(samples: usize, distance: &impl Fn(usize, usize) -> f64) -> f64 {
+    let steps =
+        || (1..samples).map(|sample| distance(sample - 1, sample)).filter(|step| *step > 0.0);
+    let least = steps().fold(f64::INFINITY, f64::min);
+    let alike = steps().filter(|step| *step < 1.5 * least).count();
+    if alike > 2 * LONGEST { FAR * least } else { 0.0 }
 }
 
 /// What a sample is off the next at most, of all but one in twenty that are off at all; 0 where hardly
@@ -273,7 +325,9 @@ mod tests {
     }
 
     fn astray(q: &[f64]) -> Vec<usize> {
-        leaps(q.len(), |a, b| turned(q[b] - q[a])).iter().map(|(row, _)| *row).collect()
+        let at = |row: usize| Some(Stamp::from_nanos(row as i64 * 20_000_000));
+        let leaps = leaps(q.len(), &at, |a, b| turned(q[b] - q[a])).expect("enough samples");
+        leaps.iter().map(|(row, _)| *row).collect()
     }
 
     #[test]
@@ -309,8 +363,32 @@ mod tests {
 
     #[test]
     fn an_encoder_at_rest_that_flips_by_its_last_bit_is_not_stray() {
-        let q: Vec<f64> = (0..500).map(|row| if row % 97 == 3 { 1.002 } else { 1.0 }).collect();
-        assert_eq!(astray(&q), Vec::<usize>::new());
+        for bit in [0.002, 0.006, 0.29] {
+            let at = |row: usize| if row % 97 == 3 { 1.0 + bit } else { 1.0 };
+            assert_eq!(astray(&(0..500).map(at).collect::<Vec<f64>>()), Vec::<usize>::new());
+        }
+    }
+
+    #[test]
+    fn a_motion_that_begins_or_ends_the_log_is_not_stray() {
+        let rest = |from: usize, to: usize| {
+            let at = |row: usize| if (from..to).contains(&row) { 0.02 * row as f64 } else { 1.0 };
+            (0..500).map(at).collect::<Vec<f64>>()
+        };
+        assert_eq!(astray(&rest(0, 2)), Vec::<usize>::new());
+        assert_eq!(astray(&rest(498, 500)), Vec::<usize>::new());
+        // Each value comes several times.
+        let held: Vec<f64> = (0..500).map(|row| (row / 12) as f64 * 0.01).collect();
+        assert_eq!(astray(&held), Vec::<usize>::new());
+    }
+
+    #[test]
+    fn what_takes_long_is_a_motion() {
+        let mut q = vec![0.0_f64; 100];
+        q[40..42].fill(0.8);
+        let each = |seconds: i64| move |row: usize| Some(Stamp::from_nanos(row as i64 * seconds));
+        let found = |at: At| leaps(100, at, |a, b| (q[a] - q[b]).abs()).expect("enough").len();
+        assert_eq!((found(&each(1_000_000_000)), found(&each(20_000_000))), (0, 2));
     }
 
     #[test]
@@ -327,8 +405,8 @@ mod tests {
         let mut position: Vec<f64> = q.iter().flat_map(|q| [*q, f64::NAN]).collect();
         position[400] += 1.0;
         let velocity = vec![f64::NAN; position.len()];
-        joints.joints.push(crate::stream::JointColumn { name: "a".into(), position, velocity });
-        let found = of_joints(&joints);
+        joints.joints.push(JointColumn { name: "a".into(), position, velocity });
+        let found = of_joints(&joints, &|_| None);
         assert_eq!(found[0].rows, [400]);
         assert!((found[0].farthest.length_m - 1.0).abs() < 0.1);
     }

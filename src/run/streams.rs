@@ -65,7 +65,8 @@ impl Stream {
         let Some(columns) = self.columns.as_ref().filter(|columns| !has_rows(columns)) else {
             return;
         };
-        if self.count > 0 && is_wanted(self, columns) {
+        // What cannot be decoded is ING002's.
+        if dropped_in(columns) > 0 && is_wanted(self, columns) {
             self.is_empty = true;
             self.reason = "none of its messages holds finite numbers".to_owned();
         }

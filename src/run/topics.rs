@@ -152,6 +152,11 @@ pub(super) fn apply(settings: &[TopicSettings], streams: &mut [Stream]) -> Resul
 fn apply_to(said: &TopicSettings, stream: &mut Stream) -> Result<(), RunError> {
     const ROLE: &str = "see with `poseaudit info` what the topic holds";
     stream.said_hz = said.rate_hz;
+    if said.role == Some(SaidRole::Ignored) {
+        (stream.role, stream.is_empty, stream.columns) = (Role::Ignored, false, None);
+        stream.reason = format!("its role is set ({})", said.place);
+        return Ok(());
+    }
     let Some(columns) = &stream.columns else { return Ok(()) };
     if let Some(role) = said.role {
         if !role.fits(columns) {
@@ -180,9 +185,6 @@ fn apply_to(said: &TopicSettings, stream: &mut Stream) -> Result<(), RunError> {
     }
     if let Some(link) = &said.link {
         stream.child_frame_id = without_slash(link).to_owned();
-    }
-    if said.role == Some(SaidRole::Ignored) {
-        stream.columns = None;
     }
     Ok(())
 }

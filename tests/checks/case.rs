@@ -58,6 +58,8 @@ pub enum Expected {
 pub enum On {
     Topic(&'static str),
     Joint(&'static str),
+    /// Of a topic, a joint.
+    JointOf(&'static str, &'static str),
     /// Of a topic, a frame.
     Frame(&'static str, &'static str),
     /// A robot as a whole.
@@ -283,6 +285,7 @@ impl On {
         match self {
             Self::Topic(topic) => assert_eq!(found, [topic, "", ""]),
             Self::Joint(joint) => assert_eq!(found, ["", joint, ""]),
+            Self::JointOf(topic, joint) => assert_eq!(found, [topic, joint, ""]),
             Self::Frame(topic, frame) => assert_eq!(found, [topic, "", frame]),
             Self::Robot => {
                 assert_eq!(found, ["", "", ""]);

@@ -63,7 +63,7 @@ cases! {
             let mut states = messages.iter_mut().filter(|message| message.topic == JOINT_STATES);
             states.nth(200).expect("a joint state").turn_joint(2, 0.5);
         });
-    } => warning(On::Joint("elbow_joint"), About(0.5, 0.02));
+    } => warning(On::JointOf(JOINT_STATES, "elbow_joint"), About(0.5, 0.02));
     MOT005 motion_is_not_stray: |log| log.run.pose.timing.rate_hz = 20.0 => Sound;
     MOT005 coarse_noise_is_not_stray: |log| {
         (log.run.noise.pose_m, log.run.noise.pose_rad) = (1e-3, 2e-3);
