@@ -57,7 +57,7 @@ def check(browser, address: str) -> None:
         box = plot.locator(".u-over").bounding_box()
         page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
         values = plot.locator(".u-value").all_inner_texts()
-        assert any(any(c.isdigit() for c in value) for value in values), f"no value under the pointer: {values}"
+        assert any(any(c.isdigit() for c in value) for value in values[1:]), f"no value under the pointer: {values}"
         plot.focus()
         for key in ("ArrowRight", "ArrowRight"):
             page.keyboard.press(key)

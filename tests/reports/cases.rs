@@ -32,6 +32,7 @@ pub fn hostile(fail_on: Option<Severity>) -> Report {
         estimate: None,
         evidence: Default::default(),
         indistinguishable: false,
+        exempt: false,
     };
     let finding = Finding {
         code: "LAT001",
