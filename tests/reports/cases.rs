@@ -77,3 +77,11 @@ pub fn written(format: &str, report: &Report) -> String {
     Format::named(format).expect("a format").write(report, &mut out).expect("a report");
     String::from_utf8(out).expect("UTF-8")
 }
+
+#[test]
+fn no_name_reaches_a_terminal_with_its_control_characters() {
+    let text = written("text", &hostile(Some(Severity::Warning)));
+    // What is left are styles of this program, which whoever opens the output strips.
+    assert!(text.contains("\u{fffd}[31m"), "{text}");
+    assert!(!text.contains("k=\nl") && !text.contains("l\u{1b}"), "{text}");
+}
