@@ -54,6 +54,14 @@ impl Subject {
         first.map_or("", String::as_str)
     }
 
+    /// Its label, behind the name of its robot where there are several.
+    pub(crate) fn label_among(&self, several_robots: bool) -> String {
+        match (&self.robot, self.label()) {
+            (Some(robot), label) if several_robots && label != robot => format!("{robot} {label}"),
+            (_, label) => label.to_owned(),
+        }
+    }
+
     /// Its parts with what each of them is, from the robot to the frame.
     pub fn parts(&self) -> impl Iterator<Item = (&'static str, &str)> {
         let parts = [
@@ -208,8 +216,8 @@ impl Unit {
         let ulp = 10f64.powi(-(decimals as i32));
         let half = ((half / ulp - 1e-9).ceil() * ulp).max(ulp);
         match signed {
-            true => format!("{value:+.decimals$} ± {half:.decimals$}{suffix}"),
-            false => format!("{value:.decimals$} ± {half:.decimals$}{suffix}"),
+            true => unsigned_zero(format!("{value:+.decimals$} ± {half:.decimals$}{suffix}")),
+            false => unsigned_zero(format!("{value:.decimals$} ± {half:.decimals$}{suffix}")),
         }
     }
 
@@ -243,9 +251,18 @@ fn significant_decimals(size: f64, digits: i32) -> usize {
     (digits - 1 - leading).clamp(0, 12) as usize
 }
 
+/// A text that begins with a number, which loses its minus where it was rounded to zero.
+fn unsigned_zero(text: String) -> String {
+    let digits = |c: &char| c.is_ascii_digit() || *c == '.';
+    match text.strip_prefix('-') {
+        Some(rest) if rest.chars().take_while(digits).all(|c| "0.".contains(c)) => rest.to_owned(),
+        _ => text,
+    }
+}
+
 /// `value` with at most `decimals` decimals, without zeros at the end.
 fn trimmed(value: f64, decimals: usize) -> String {
-    let text = format!("{value:.decimals$}");
+    let text = unsigned_zero(format!("{value:.decimals$}"));
     if !text.contains('.') {
         return text;
     }
@@ -581,6 +598,9 @@ pub struct CheckRow {
     /// Whether no such log could decide it, so that it does not count against the verdict.
     #[serde(skip)]
     pub indistinguishable: bool,
+    /// Whether it was evaluated, and is skipped because the caller said not to count it.
+    #[serde(skip)]
+    pub exempt: bool,
 }
 
 #[cfg(test)]
@@ -609,6 +629,7 @@ mod tests {
             "+0.500 ± 0.001°"
         );
         assert_eq!(Unit::Metre.show_measured(&measured(0.002, f64::NAN)), "2 mm ± ?");
+        assert_eq!(Unit::Radian.show_signed(&measured(-1e-9, 1e-9)), "0.000 ± 0.001°");
     }
 
     #[test]

@@ -278,6 +278,7 @@ impl Evaluation {
             estimate,
             evidence,
             indistinguishable: false,
+            exempt: false,
         };
         let mut found = None;
         match outcome {
@@ -311,6 +312,7 @@ impl Evaluation {
         match settings.exemption(&row) {
             Some(exemption) if !matches!(row.status, Status::Pass | Status::Skipped) => {
                 (row.status, row.indistinguishable) = (Status::Skipped, false);
+                row.exempt = true;
                 row.reason = Some(exemption.said());
                 self.ignored.extend(found.map(|finding| exemption.ignored(finding)));
             }

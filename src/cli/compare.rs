@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 use poseaudit::compare::{Kept, compare, markdown, text};
-use poseaudit::report::{Trouble, TroubleKind};
+use poseaudit::log::{self, LogError, ReadOptions};
+use poseaudit::report::{Report, Trouble, TroubleKind};
 
 use super::audit::FailOn;
 use super::progress::watched;
@@ -56,7 +57,7 @@ enum Format {
 }
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
-    let (old, new) = (kept(&args.old)?, kept(&args.new)?);
+    let (old, new) = (kept(&args.old, Side::Old)?, kept(&args.new, Side::New)?);
     let comparison = compare(&old, &new, args.fail_on.into());
     output::emit(args.output.as_deref(), |out| match args.format {
         Format::Text => text(&comparison, out),
@@ -69,8 +70,16 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     Ok(if comparison.regression { Outcome::Findings } else { Outcome::Clean })
 }
 
-/// The report at `path`, or that on the log there.
-fn kept(path: &Path) -> Result<Kept, Trouble> {
+/// Which of the two a file is.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Side {
+    Old,
+    New,
+}
+
+/// The report at `path`, or that on the log there. Of a new log that cannot be read it says so, which
+/// is worse than any baseline.
+fn kept(path: &Path, side: Side) -> Result<Kept, Trouble> {
     if is_json(path) {
         return Kept::from_file(path);
     }
@@ -81,10 +90,22 @@ fn kept(path: &Path) -> Result<Kept, Trouble> {
             ..poseaudit::Options::default()
         })
     });
-    // What is neither a log nor a report is a wrong call.
-    let report = report.map_err(|trouble| Trouble { kind: TroubleKind::Call, ..trouble })?;
+    let report = match report {
+        Err(trouble) if side == Side::New && trouble.kind == TroubleKind::Log && is_log(path) => {
+            Report::of_trouble(trouble)
+        }
+        // What is neither a log nor a report is a wrong call, and so is no baseline.
+        Err(trouble) => return Err(Trouble { kind: TroubleKind::Call, ..trouble }),
+        Ok(report) => report,
+    };
     let place = path.display().to_string();
     Kept::of(&report).map_err(|error| misuse(place, error.to_string(), "report this as a bug"))
+}
+
+/// Whether a file that could not be audited is a log all the same, if a damaged one.
+fn is_log(path: &Path) -> bool {
+    let opened = log::open(&[path.to_owned()], &ReadOptions::default());
+    !matches!(opened, Err(LogError::NotALog { .. } | LogError::Unsupported { .. }))
 }
 
 /// Whether the first character of a file is that of a JSON object.

@@ -9,7 +9,7 @@ use anstream::{AutoStream, StripStream};
 use anstyle::{AnsiColor, Style};
 use clap::ValueEnum;
 use comfy_table::{Table, presets};
-use poseaudit::report::{Trouble, write_whole};
+use poseaudit::report::{Trouble, tame, write_whole};
 
 /// How an answer that is no report is printed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -24,7 +24,7 @@ const ERROR: Style = AnsiColor::Red.on_default().bold();
 
 /// One line on stderr that says what is wrong.
 pub fn error(what: impl Display) {
-    anstream::eprintln!("{ERROR}error:{ERROR:#} {what}");
+    anstream::eprintln!("{ERROR}error:{ERROR:#} {}", tame(&what.to_string()));
 }
 
 /// A table without lines around its cells.

@@ -5,11 +5,14 @@ use std::io::{self, Write};
 use anstyle::{AnsiColor, Style};
 
 use super::{Change, Comparison, Course, KeptEstimate, KeptFinding, Lost};
-use crate::finding::Unit;
-use crate::report::{amounts, markdown as md};
+use crate::finding::{Subject, Unit};
+use crate::report::{amounts, markdown as md, tame};
 
 /// Width of the column of labels.
 const LABEL: usize = 16;
+
+/// What a finding without a subject is on.
+const THE_RUN: &str = "the run";
 
 const BAD: Style = AnsiColor::Red.on_default().bold();
 const DOUBTFUL: Style = AnsiColor::Yellow.on_default().bold();
@@ -53,14 +56,15 @@ pub fn text(comparison: &Comparison, out: &mut dyn Write) -> io::Result<()> {
             Course::Same => QUIET,
             _ => DOUBTFUL,
         };
-        let text = format!("{} {}: {}", change.code, change.subject.label(), change.words());
+        let whom = comparison.whom(&change.subject);
+        let text = format!("{} {whom}: {}", change.code, change.words());
         line(out, style, change.course.name(), &text)?;
     }
     if !comparison.lost.is_empty() {
         writeln!(out)?;
     }
     for lost in &comparison.lost {
-        line(out, DOUBTFUL, "not told now", &lost.words())?;
+        line(out, DOUBTFUL, "not told now", &comparison.lost_words(lost))?;
     }
     Ok(())
 }
@@ -80,9 +84,9 @@ pub fn markdown(comparison: &Comparison, out: &mut dyn Write) -> io::Result<()> 
     for change in &comparison.causes {
         let course = change.course.name();
         let course = if change.regression { format!("**{course}**") } else { course.to_owned() };
-        let whom = match change.subject.label() {
-            "" => "the run".to_owned(),
-            label => md::code(label),
+        let whom = match comparison.whom(&change.subject) {
+            whom if whom == THE_RUN => whom,
+            name => md::code(&name),
         };
         let what = md::prose(&change.words());
         writeln!(out, "| {course} | {} | {whom} | {what} |", change.code)?;
@@ -93,7 +97,7 @@ pub fn markdown(comparison: &Comparison, out: &mut dyn Write) -> io::Result<()> 
     if !comparison.lost.is_empty() {
         writeln!(out, "<details><summary>Passed, and is not told now</summary>\n")?;
         for lost in &comparison.lost {
-            writeln!(out, "- {}", md::prose(&lost.words()))?;
+            writeln!(out, "- {}", md::prose(&comparison.lost_words(lost)))?;
         }
         writeln!(out, "\n</details>")?;
     }
@@ -125,6 +129,26 @@ impl Comparison {
         let all: Vec<String> = error.chain(counts).chain(lost).collect();
         if all.is_empty() { "nothing was wrong, nor is".to_owned() } else { all.join(", ") }
     }
+
+    /// Whom a cause or a check is about, with its robot where several are spoken of.
+    fn whom(&self, subject: &Subject) -> String {
+        let causes = self.causes.iter().map(|change| &change.subject);
+        let subjects = causes.chain(self.lost.iter().map(|lost| &lost.subject));
+        let mut robots = subjects.filter_map(|subject| subject.robot.as_deref());
+        let first = robots.next();
+        let several = robots.any(|robot| Some(robot) != first);
+        match subject.label_among(several) {
+            whole if whole.is_empty() => THE_RUN.to_owned(),
+            label => label,
+        }
+    }
+
+    /// What a check said, and why it says nothing now.
+    fn lost_words(&self, lost: &Lost) -> String {
+        let (code, whom) = (&lost.code, self.whom(&lost.subject));
+        let reason = lost.reason.as_deref().unwrap_or_default();
+        format!("{code} on {whom} passed, now {}: {reason}", lost.status.name())
+    }
 }
 
 impl Change {
@@ -145,17 +169,6 @@ impl Change {
             }
             (None, None) => String::new(),
         }
-    }
-}
-
-impl Lost {
-    fn words(&self) -> String {
-        let reason = self.reason.as_deref().unwrap_or_default();
-        let whom = match self.subject.label() {
-            "" => String::new(),
-            label => format!(" on {label}"),
-        };
-        format!("{}{whom} passed, now {}: {reason}", self.code, self.status.name())
     }
 }
 
@@ -186,5 +199,5 @@ fn shown(estimate: &KeptEstimate) -> Option<String> {
 /// Writes one line with its label.
 fn line(out: &mut dyn Write, style: Style, label: &str, text: &str) -> io::Result<()> {
     let blanks = LABEL.saturating_sub(label.chars().count()).max(1);
-    writeln!(out, "{style}{label}{style:#}{:blanks$}{text}", "")
+    writeln!(out, "{style}{label}{style:#}{:blanks$}{}", "", tame(text))
 }

@@ -20,22 +20,22 @@ pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
             "" => format!("{} {}", finding.code, finding.title),
             subject => format!("{} {subject}: {}", finding.code, finding.title),
         };
-        command(out, level(finding.severity), file.as_deref(), &title, &message(finding))?;
+        command(out, level(finding.severity), file.as_deref(), &title, &message(&says, finding))?;
     }
     if let Some(trouble) = &report.error {
-        let text = format!("{}\nfix: {}", trouble.what, trouble.remedy);
-        return command(out, "error", Some(&trouble.place), "poseaudit: no audit", &text);
+        let text = format!("{}: {}\nfix: {}", trouble.place, trouble.what, trouble.remedy);
+        let file = report.file_in_trouble().map(|file| file.display().to_string());
+        return command(out, "error", file.as_deref(), "poseaudit: no audit", &text);
     }
     let verdict = format!("poseaudit: {}", report.verdict);
-    let lines = [vec![says.why()], says.could_not_tell(), says.cannot_show()].concat();
+    let ignored = says.ignored().into_iter().map(|known| format!("ignored: {known}")).collect();
+    let lines = [vec![says.why()], ignored, says.could_not_tell(), says.cannot_show()].concat();
     command(out, "notice", file.as_deref(), &verdict, &lines.join("\n"))
 }
 
-fn message(finding: &Finding) -> String {
-    let effect = finding.evidence.effect.as_deref();
+fn message(says: &Outline, finding: &Finding) -> String {
     let fix = format!("fix: {}", finding.fix);
-    let lines = [Some(finding.message.as_str()), effect, Some(fix.as_str())];
-    lines.into_iter().flatten().collect::<Vec<_>>().join("\n")
+    [vec![finding.message.clone()], says.about(finding), vec![fix]].concat().join("\n")
 }
 
 fn level(severity: Severity) -> &'static str {

@@ -35,10 +35,10 @@ pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
                 .iter()
                 .filter(|finding| finding.code == row.code && finding.subject == row.subject)
                 .collect();
-            let mut case = case(&class, name, outcome(report, row, &found));
+            let mut case = case(&class, name, outcome(report, &says, row, &found));
             let said = match (row.status, &row.reason) {
                 (Status::Pass, Some(remark)) => Some(remark.clone()),
-                (Status::Fail, _) if !fails(report, &found) => Some(words(&found)),
+                (Status::Fail, _) if !fails(report, &found) => Some(words(&says, &found)),
                 _ => None,
             };
             if let Some(said) = said {
@@ -66,13 +66,13 @@ fn case(class: &str, name: &str, status: TestCaseStatus) -> TestCase {
     case
 }
 
-fn outcome(report: &Report, row: &CheckRow, found: &[&Finding]) -> TestCaseStatus {
+fn outcome(report: &Report, says: &Outline, row: &CheckRow, found: &[&Finding]) -> TestCaseStatus {
     let reason = row.reason.as_deref().unwrap_or_default();
     match (row.status, found) {
         (Status::Fail, [first, ..]) if fails(report, found) => {
             let mut status = TestCaseStatus::non_success(NonSuccessKind::Failure);
             status.set_message(&*first.message).set_type(first.severity.name());
-            status.set_description(words(found));
+            status.set_description(words(says, found));
             status
         }
         (Status::Pass | Status::Fail, _) => TestCaseStatus::success(),
@@ -91,13 +91,12 @@ fn skipped(why: String) -> TestCaseStatus {
     status
 }
 
-/// What was found, what it does and how to mend it.
-fn words(found: &[&Finding]) -> String {
+/// What was found, what that means and how to mend it.
+fn words(says: &Outline, found: &[&Finding]) -> String {
     let blocks = found.iter().map(|finding| {
         let head = format!("{}: {}", finding.severity.name(), finding.message);
         let fix = format!("fix: {}", finding.fix);
-        let lines = [Some(head), finding.evidence.effect.clone(), Some(fix)];
-        lines.into_iter().flatten().collect::<Vec<_>>().join("\n")
+        [vec![head], says.about(finding), vec![fix]].concat().join("\n")
     });
     blocks.collect::<Vec<_>>().join("\n\n")
 }

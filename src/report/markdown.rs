@@ -74,9 +74,8 @@ fn findings(report: &Report, says: &Outline, out: &mut dyn Write) -> io::Result<
 
 /// What is wrong, what that does, and what else it could be.
 fn what(finding: &Finding, says: &Outline) -> String {
-    let others = says.cannot_be_told_from(&finding.evidence.indistinguishable);
-    let lines = [Some(finding.message.clone()), finding.evidence.effect.clone(), others];
-    lines.into_iter().flatten().map(|line| prose(&line)).collect::<Vec<_>>().join("<br>")
+    let lines = std::iter::once(finding.message.clone()).chain(says.about(finding));
+    lines.map(|line| prose(&line)).collect::<Vec<_>>().join("<br>")
 }
 
 /// Lines under a heading that opens them.

@@ -13,21 +13,23 @@ pub mod junit;
 pub mod markdown;
 mod outline;
 pub mod sarif;
+mod tame;
 pub mod text;
 mod trouble;
 
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::checks::{self, Evaluation, StreamObservability};
+use crate::checks::{self, Evaluation, Rule, StreamObservability};
 use crate::finding::{CheckRow, Finding, Ignored, Severity, Status, decimal};
 use crate::time::Stamp;
 
 pub use figures::Figures;
 pub use file::write_whole;
 pub use format::{FORMATS, Format};
+pub use tame::tame;
 pub use trouble::{Trouble, TroubleKind};
 
 /// The schema of the JSON report.
@@ -288,6 +290,14 @@ impl Report {
         self.fail_on.is_some_and(|least| severity >= least)
     }
 
+    /// The file that what kept the audit from saying more is shown at: the first of the log, else the
+    /// one that could not be read.
+    fn file_in_trouble(&self) -> Option<&Path> {
+        let first = self.log.files.first().map(|file| file.path.as_path());
+        let of_log = self.error.as_ref().filter(|trouble| trouble.kind == TroubleKind::Log);
+        first.or_else(|| of_log.map(|trouble| Path::new(&trouble.place)))
+    }
+
     /// The rules in `required` that decided nothing, or left a subject open that could be decided.
     pub fn not_concluded(&self, required: &[checks::Selector]) -> Vec<&'static str> {
         let rules = checks::registry().iter().map(|rule| rule.code);
@@ -307,7 +317,8 @@ impl Report {
 fn nothing_evaluated(log: &LogSummary, checks: &[CheckRow]) -> Option<Trouble> {
     let needs_model = |row: &&CheckRow| checks::find(row.code).is_ok_and(|rule| rule.needs_model);
     let about_arm: Vec<&CheckRow> = checks.iter().filter(needs_model).collect();
-    if about_arm.iter().any(|row| row.status != Status::Skipped) || tells_hand_eye(checks) {
+    let is_evaluated = |row: &&CheckRow| row.status != Status::Skipped || row.exempt;
+    if about_arm.iter().any(is_evaluated) || tells_hand_eye(checks) {
         return None;
     }
     let why = about_arm.first()?.reason.as_deref().unwrap_or_default();
@@ -332,13 +343,19 @@ fn verdict(checks: &[CheckRow], findings: &[Finding], fail_on: Option<Severity>)
     if fail_on.is_some_and(|least| findings.iter().any(|finding| finding.severity >= least)) {
         return Verdict::Fail;
     }
-    let undecided = checks::registry().iter().filter(|rule| rule.headline).any(|rule| {
+    let is_open = undecided(checks).next().is_some();
+    if is_open { Verdict::Inconclusive } else { Verdict::Pass }
+}
+
+/// The headline rules that found their input and decided none of their subjects.
+fn undecided(checks: &[CheckRow]) -> impl Iterator<Item = &'static Rule> {
+    let headline = checks::registry().iter().copied().filter(|rule| rule.headline);
+    headline.filter(|rule| {
         let rows = checks.iter().filter(|row| row.code == rule.code);
         let asked = rows.filter(|row| row.status != Status::Skipped && !row.indistinguishable);
         let mut asked = asked.peekable();
         asked.peek().is_some() && !asked.any(|row| row.status.is_decided())
-    });
-    if undecided { Verdict::Inconclusive } else { Verdict::Pass }
+    })
 }
 
 impl fmt::Display for Verdict {
@@ -367,6 +384,7 @@ mod tests {
             estimate: None,
             evidence: Map::new(),
             indistinguishable,
+            exempt: false,
         }
     }
 
@@ -380,6 +398,8 @@ mod tests {
         assert_eq!(verdict_of(vec![row("LAT001", open, false)]), Verdict::Inconclusive);
         let one_decided = vec![row("LAT001", open, false), row("LAT001", decided, false)];
         assert_eq!(verdict_of(one_decided), Verdict::Pass);
+        let known = CheckRow { exempt: true, ..row("LAT001", Status::Skipped, false) };
+        assert_eq!(nothing_evaluated(&LogSummary::default(), &[known]), None);
         let skipped = vec![row("LAT001", Status::Skipped, false)];
         assert_eq!(verdict_of(skipped.clone()), Verdict::Pass);
         let evaluation = Evaluation { checks: skipped, ..Evaluation::default() };

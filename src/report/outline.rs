@@ -2,8 +2,10 @@
 
 use std::collections::BTreeSet;
 
-use super::{Report, Verdict};
-use crate::finding::{Alternative, CheckRow, Estimate, Ignored, Severity, Status, Subject, Unit};
+use super::{Report, Verdict, undecided};
+use crate::finding::{
+    Alternative, CheckRow, Estimate, Finding, Ignored, Severity, Status, Subject, Unit,
+};
 
 /// The words of one report.
 pub(super) struct Outline<'a> {
@@ -55,13 +57,8 @@ impl<'a> Outline<'a> {
 
     /// The headline rules that decided nothing.
     fn undecided(&self) -> String {
-        let rules = crate::checks::registry().iter().filter(|rule| rule.headline);
-        let undecided = rules.filter(|rule| {
-            let rows: Vec<_> = self.rows(rule.code).collect();
-            rows.iter().any(|row| row.status == Status::Inconclusive)
-                && !rows.iter().any(|row| row.status.is_decided())
-        });
-        let named = undecided.map(|rule| format!("{} ({})", rule.code, rule.name));
+        let named =
+            undecided(&self.report.checks).map(|rule| format!("{} ({})", rule.code, rule.name));
         named.collect::<Vec<_>>().join(", ")
     }
 
@@ -76,10 +73,7 @@ impl<'a> Outline<'a> {
 
     /// What a check or a finding is about.
     pub fn subject(&self, subject: &Subject) -> String {
-        match &subject.robot {
-            Some(robot) if self.robots => format!("{robot} {}", subject.label()),
-            _ => subject.label().to_owned(),
-        }
+        subject.label_among(self.robots)
     }
 
     fn subjects(&self, rows: &[&CheckRow]) -> String {
@@ -87,8 +81,20 @@ impl<'a> Outline<'a> {
         subjects.collect::<Vec<_>>().join(", ")
     }
 
+    /// What stands under a finding's message, a line each: what the fault does, what the amount
+    /// means, and the other causes that the log cannot tell from it.
+    pub fn about(&self, finding: &Finding) -> Vec<String> {
+        let evidence = &finding.evidence;
+        let meaning = evidence.more.get("meaning").and_then(|it| it.as_str());
+        let others = self.cannot_be_told_from(&evidence.indistinguishable);
+        [evidence.effect.clone(), meaning.map(str::to_owned), others]
+            .into_iter()
+            .flatten()
+            .collect()
+    }
+
     /// The other causes that a log cannot tell from one, where there are some.
-    pub fn cannot_be_told_from(&self, others: &[Alternative]) -> Option<String> {
+    fn cannot_be_told_from(&self, others: &[Alternative]) -> Option<String> {
         let others: Vec<String> = others.iter().map(|other| self.alternative(other)).collect();
         (!others.is_empty()).then(|| format!("cannot be told from {}", others.join(", ")))
     }

@@ -1,6 +1,6 @@
 //! The report as SARIF 2.1.0, for code scanning.
 //!
-//! A result is a finding. What the log could not tell is no result, nor a pass: it is a notification
+//! A result is a finding; one that the caller ignores is suppressed. What the log could not tell is no result, nor a pass: it is a notification
 //! of the invocation, with its rule.
 
 use std::io::{self, Write};
@@ -8,10 +8,10 @@ use std::path::Path;
 
 use serde_json::{Map, Value, json};
 
+use super::Report;
 use super::outline::Outline;
-use super::{Report, TroubleKind};
 use crate::checks::{self, Grade, Rule};
-use crate::finding::{Finding, Severity, Status, Subject};
+use crate::finding::{Finding, Ignored, Severity, Status, Subject};
 
 const SCHEMA: &str =
     "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json";
@@ -34,7 +34,8 @@ fn log(report: &Report) -> Value {
             "roles": ["analysisTarget"],
         })
     });
-    let results = report.findings.iter().map(|finding| result(report, finding));
+    let found = report.findings.iter().map(|finding| result(report, finding));
+    let results = found.chain(report.ignored.iter().map(|known| suppressed(report, known)));
     json!({
         "$schema": SCHEMA,
         "version": "2.1.0",
@@ -81,8 +82,8 @@ fn descriptor(rule: &Rule) -> Value {
 /// What kept the audit from saying more, and what the log could not tell.
 fn notifications(report: &Report) -> Vec<Value> {
     let trouble = report.error.iter().map(|trouble| {
-        let file = (trouble.kind == TroubleKind::Log).then(|| Path::new(&trouble.place));
-        let locations = file.map(|file| json!({ "physicalLocation": physical(file) }));
+        let locations =
+            report.file_in_trouble().map(|file| json!({ "physicalLocation": physical(file) }));
         json!({
             "level": "error",
             "message": { "text": trouble.to_string() },
@@ -134,11 +135,23 @@ fn result(report: &Report, finding: &Finding) -> Value {
     })
 }
 
+/// What is known and not counted: a result that is shown to nobody, with the reason.
+fn suppressed(report: &Report, known: &Ignored) -> Value {
+    let mut result = result(report, &known.finding);
+    let justification = format!("{} ({})", known.reason, known.place);
+    result["suppressions"] = json!([{ "kind": "external", "justification": justification }]);
+    result
+}
+
 fn message(report: &Report, finding: &Finding) -> String {
-    let subject = Outline::of(report).subject(&finding.subject);
+    let says = Outline::of(report);
+    let subject = says.subject(&finding.subject);
     let subject = if subject.is_empty() { subject } else { format!("{subject}: ") };
-    let effect = finding.evidence.effect.as_ref().map_or(String::new(), |it| format!(" ({it})"));
-    format!("{subject}{}{effect}. Fix: {}", finding.message, finding.fix)
+    let about = match says.about(finding).as_slice() {
+        [] => String::new(),
+        lines => format!(" ({})", lines.join("; ")),
+    };
+    format!("{subject}{}{about}. Fix: {}", finding.message, finding.fix)
 }
 
 /// The place of a rule in the list of rules.

@@ -10,7 +10,7 @@ use anstyle::{AnsiColor, Style};
 use textwrap::{Options, WordSeparator, WordSplitter, WrapAlgorithm};
 
 use super::outline::Outline;
-use super::{JointCoverage, Report, Verdict, WorkspaceRow};
+use super::{JointCoverage, Report, Verdict, WorkspaceRow, tame};
 use crate::finding::{Finding, Severity};
 
 /// Width of the column of labels.
@@ -105,7 +105,7 @@ impl<'a> Page<'a> {
     fn verdict(&self, out: &mut dyn Write) -> io::Result<()> {
         if let Some(trouble) = &self.report.error {
             self.line(out, ERROR, "NO AUDIT", &format!("{}: {}", trouble.place, trouble.what))?;
-            return self.line(out, STRONG, "", &fix(&trouble.remedy));
+            return self.styled(out, STRONG, "", &fix(&trouble.remedy));
         }
         let style = match self.report.verdict {
             Verdict::Fail => ERROR,
@@ -122,21 +122,16 @@ impl<'a> Page<'a> {
             Severity::Info => INFO,
         };
         let subject = self.says.subject(&finding.subject);
-        let subject =
-            if subject.is_empty() { subject } else { format!("{STRONG}{subject}{STRONG:#}: ") };
+        let subject = match tame(&subject) {
+            whole if whole.is_empty() => String::new(),
+            subject => format!("{STRONG}{subject}{STRONG:#}: "),
+        };
         let label = format!("{} {}", finding.severity.name(), finding.code);
-        self.line(out, style, &label, &format!("{subject}{}", finding.message))?;
-        if let Some(effect) = &finding.evidence.effect {
-            self.line(out, STRONG, "", effect)?;
+        self.styled(out, style, &label, &format!("{subject}{}", tame(&finding.message)))?;
+        for line in self.says.about(finding) {
+            self.line(out, STRONG, "", &line)?;
         }
-        if let Some(meaning) = finding.evidence.more.get("meaning").and_then(|it| it.as_str()) {
-            self.line(out, STRONG, "", meaning)?;
-        }
-        let others = &finding.evidence.indistinguishable;
-        if let Some(others) = self.says.cannot_be_told_from(others) {
-            self.line(out, STRONG, "", &others)?;
-        }
-        self.line(out, STRONG, "", &fix(&finding.fix))
+        self.styled(out, STRONG, "", &fix(&finding.fix))
     }
 
     fn passed(&self, out: &mut dyn Write) -> io::Result<()> {
@@ -197,6 +192,11 @@ impl<'a> Page<'a> {
 
     /// Writes one line with its label, which may be empty.
     fn line(&self, out: &mut dyn Write, style: Style, label: &str, text: &str) -> io::Result<()> {
+        self.styled(out, style, label, &tame(text))
+    }
+
+    /// As [`Page::line`], of a text that has styles in it and is tame but for them.
+    fn styled(&self, out: &mut dyn Write, style: Style, label: &str, text: &str) -> io::Result<()> {
         let blanks = LABEL.saturating_sub(label.chars().count()).max(1);
         let head = match label {
             "" => " ".repeat(blanks),
@@ -237,7 +237,7 @@ impl<'a> Page<'a> {
 }
 
 fn fix(text: &str) -> String {
-    format!("{GOOD}fix{GOOD:#}  {text}")
+    format!("{GOOD}fix{GOOD:#}  {}", tame(text))
 }
 
 #[cfg(test)]

@@ -32,6 +32,7 @@ pub fn hostile(fail_on: Option<Severity>) -> Report {
         estimate: None,
         evidence: Default::default(),
         indistinguishable: false,
+        exempt: false,
     };
     let finding = Finding {
         code: "LAT001",
@@ -75,4 +76,12 @@ pub fn written(format: &str, report: &Report) -> String {
     let mut out = Vec::new();
     Format::named(format).expect("a format").write(report, &mut out).expect("a report");
     String::from_utf8(out).expect("UTF-8")
+}
+
+#[test]
+fn no_name_reaches_a_terminal_with_its_control_characters() {
+    let text = written("text", &hostile(Some(Severity::Warning)));
+    let names = text.matches("k=").count();
+    assert!(names > 0, "{text}");
+    assert_eq!(text.matches("k=\u{fffd}l\u{fffd}[31m").count(), names, "{text}");
 }

@@ -130,7 +130,7 @@ fn a_log_that_is_not_there_fails_the_action_and_is_said() {
     let folder = tempfile::tempdir().expect("a folder");
     let left = act(folder.path(), &[("log", "no/such.mcap"), ("baseline", "no/such.json")]);
     assert_eq!(status(&left.output), 2, "{}", stderr(&left.output));
-    assert!(stdout(&left.output).contains("::error file=no/such.mcap"));
+    assert!(stdout(&left.output).contains("::no/such.mcap: no such file"));
 }
 
 #[test]

@@ -182,6 +182,18 @@ fn a_log_is_held_against_its_baseline() {
 }
 
 #[test]
+fn a_new_log_that_cannot_be_read_is_a_regression_and_an_old_one_a_wrong_call() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let empty = folder.path().join("empty.mcap");
+    fs::write(&empty, "").expect("a file");
+    let empty = empty.display().to_string();
+    let new = poseaudit(&["compare", CLEAN, &empty]);
+    assert_eq!(status(&new), 1, "{}", stderr(&new));
+    assert!(stdout(&new).contains("was not audited: the file is empty"), "{}", stdout(&new));
+    assert_eq!(status(&poseaudit(&["compare", &empty, CLEAN])), 2);
+}
+
+#[test]
 fn a_comparison_reads_well() {
     let (mut old, new) = (late_by(5e-3, 1e-5), kept(&FAULTS));
     old.findings.retain(|finding| finding.code == "LAT001");

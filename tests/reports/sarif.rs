@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use boon::{Compiler, Schemas};
 use poseaudit::checks::registry;
-use poseaudit::finding::{Severity, Status};
+use poseaudit::finding::{Ignored, Severity, Status};
 use poseaudit::report::{Report, Trouble, TroubleKind};
 use serde_json::Value;
 
@@ -58,6 +58,26 @@ fn a_finding_is_a_result_of_its_rule_and_an_open_check_a_notification() {
     let invocation = &run["invocations"][0];
     assert!(open > 0 && invocation["executionSuccessful"] == true);
     assert_eq!(invocation["toolExecutionNotifications"].as_array().map(Vec::len), Some(open));
+}
+
+#[test]
+fn what_is_ignored_is_a_suppressed_result_with_its_reason() {
+    let mut report = FAULTS.clone();
+    let finding = report.findings.remove(0);
+    let (reason, place) = ("known since May".to_owned(), "poseaudit.toml:3".to_owned());
+    report.ignored.push(Ignored { finding, reason, place });
+    let log = sarif(&report);
+    let results = log["runs"][0]["results"].as_array().expect("results");
+    assert_eq!(results.len(), FAULTS.findings.len());
+    let of_ignored: Vec<&Value> =
+        results.iter().filter(|result| result.get("suppressions").is_some()).collect();
+    assert_eq!(of_ignored.len(), 1);
+    assert_eq!(of_ignored[0]["ruleId"], FAULTS.findings[0].code);
+    let justification = &of_ignored[0]["suppressions"][0]["justification"];
+    assert_eq!(justification, "known since May (poseaudit.toml:3)");
+    for format in ["text", "html", "markdown", "github"] {
+        assert!(written(format, &report).contains("known since May"), "{format}");
+    }
 }
 
 #[test]

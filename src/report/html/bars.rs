@@ -123,7 +123,8 @@ impl Whiskers {
     }
 }
 
-/// A share as a CSS percentage.
+/// A share as a CSS percentage; none where it is not finite.
 pub fn percent(share: f64) -> String {
+    let share = if share.is_finite() { share } else { 0.0 };
     format!("{:.2}%", 100.0 * share)
 }

@@ -14,12 +14,20 @@
     return value.toFixed(size >= 1000 ? 0 : size >= 100 ? 1 : size >= 10 ? 2 : size >= 1 ? 3 : 4);
   };
 
+  // What is drawn next stays inside the axes, also where they are zoomed.
+  const clip = ({ ctx, bbox }) => {
+    ctx.beginPath();
+    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    ctx.clip();
+  };
+
   // The marked place with its interval, under the series.
   const drawMark = (plot, mark, isPeak) => {
     const { ctx, bbox } = plot;
     const place = (value) => plot.valToPos(value, "x", true);
     const ratio = devicePixelRatio || 1;
     ctx.save();
+    clip(plot);
     if (mark.interval) {
       const [low, high] = mark.interval.map(place);
       ctx.fillStyle = colour("before");
@@ -49,6 +57,7 @@
     spec.series.forEach((series) => {
       if (!series.half) return;
       ctx.save();
+      clip(plot);
       ctx.strokeStyle = colour(series.role);
       ctx.lineWidth = devicePixelRatio || 1;
       series.values.forEach((value, row) => {
@@ -98,7 +107,8 @@
           dash: role === "beside" ? [5, 4] : undefined,
           paths: spec.points ? () => null : undefined,
           points: {
-            show: spec.points,
+            // Where there is room, uPlot shows those of lines by itself.
+            show: spec.points ? true : undefined,
             size: spec.x.length > 200 ? 2.5 : 6,
             fill: () => colour(role),
             width: 0,

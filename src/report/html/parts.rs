@@ -121,7 +121,6 @@ impl Parts<'_> {
     fn finding(&self, index: usize, finding: &Finding, proof: &Proof) -> Markup {
         let id = format!("finding-{}", index + 1);
         let subject = self.outline.subject(&finding.subject);
-        let meaning = finding.evidence.more.get("meaning").and_then(|it| it.as_str());
         html! {
             article id=(id) .finding .(finding.severity.name()) aria-labelledby={ (id) "-title" } {
                 p .badge {
@@ -132,13 +131,7 @@ impl Parts<'_> {
                     @if !subject.is_empty() { span .subject { (subject) } " " }
                     span .message { (finding.message) }
                 }
-                @if let Some(effect) = &finding.evidence.effect { p .effect { (effect) } }
-                @if let Some(meaning) = meaning { p .effect { (meaning) } }
-                @if let Some(others) =
-                    self.outline.cannot_be_told_from(&finding.evidence.indistinguishable)
-                {
-                    p .effect { (others) }
-                }
+                @for line in self.outline.about(finding) { p .effect { (line) } }
                 p .fix { strong { "Fix" } " " (finding.fix) }
                 (self.proof(index, proof))
             }
@@ -189,6 +182,7 @@ impl Parts<'_> {
             notes.push("the pictures are of the longest segment".to_owned());
         }
         html! {
+            (list("ignored", "Ignored", &self.outline.ignored()))
             (list("open", "Could not tell", &self.outline.could_not_tell()))
             (list("together", "Cannot show", &self.outline.cannot_show()))
             (list("passed", "Passed", if self.report.checks.is_empty() { &[] } else { &all_passed }))

@@ -13,6 +13,8 @@ const STRETCHES: usize = 20;
 pub struct Plot {
     /// What it shows, in a few words.
     pub title: &'static str,
+    /// The arm that its stream belongs to.
+    pub robot: String,
     /// The stream that it shows.
     pub of: String,
     /// What to look for, in a sentence; read out in the place of the picture.
@@ -131,10 +133,11 @@ impl Plot {
     /// What the page's script draws it from.
     pub fn json(&self, most_rows: usize) -> Value {
         let rows = self.kept(most_rows);
+        let longest = self.longest_step();
         let broken = |values: &[f64], round: fn(f64) -> f64| -> Vec<Value> {
             let mut all = Vec::with_capacity(rows.len());
             for (at, &row) in rows.iter().enumerate() {
-                if at > 0 && self.is_silence(rows[at - 1], row) {
+                if at > 0 && self.is_silence(rows[at - 1], row, longest) {
                     all.push(Value::Null);
                 }
                 all.push(json!(round(values[row])));
@@ -179,14 +182,25 @@ impl Plot {
         thin::extremes(&series, most_rows)
     }
 
-    /// Whether the log is silent between two rows that are drawn next to each other.
-    fn is_silence(&self, before: usize, after: usize) -> bool {
-        /// A line goes through shorter silences, as a share of the whole.
-        const SHARE: f64 = 0.02;
-        let whole = self.x.last().zip(self.x.first()).map_or(0.0, |(last, first)| last - first);
+    /// Whether the log is silent between two rows that are drawn next to each other: for longer than
+    /// `longest`.
+    fn is_silence(&self, before: usize, after: usize, longest: f64) -> bool {
         // Between kept rows others are left out: the step that counts is a single one.
-        let step = |row: &usize| self.x[row + 1] - self.x[*row];
-        self.style == Style::Time && (before..after).any(|row| step(&row) > SHARE * whole)
+        let step = |row: usize| self.x[row + 1] - self.x[row];
+        self.style == Style::Time && (before..after).any(|row| step(row) > longest)
+    }
+
+    /// The longest step along the axis that a line goes through.
+    fn longest_step(&self) -> f64 {
+        /// As a share of the whole.
+        const SHARE: f64 = 0.02;
+        /// In median steps, which of a short stream are a larger share each.
+        const STEPS: f64 = 5.0;
+        let whole = self.x.last().zip(self.x.first()).map_or(0.0, |(last, first)| last - first);
+        let mut steps: Vec<f64> = self.x.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        steps.sort_by(f64::total_cmp);
+        let median = steps.get(steps.len() / 2).copied().unwrap_or(0.0);
+        (SHARE * whole).max(STEPS * median)
     }
 
     /// The lowest and the highest value of each series in stretches of the axis.
@@ -249,8 +263,11 @@ fn to_digits(value: f64) -> f64 {
     format!("{value:.4e}").parse().unwrap_or(value)
 }
 
-/// A value in a table, to three digits.
+/// A value in a table, to three digits; a dash where it is not finite.
 fn shown(value: f64) -> String {
+    if !value.is_finite() {
+        return "–".to_owned();
+    }
     let size = value.abs();
     let decimals = if size >= 100.0 {
         1
@@ -291,6 +308,22 @@ mod tests {
         assert_eq!(json["x"].as_array().map(Vec::len), Some(values.len()));
         assert!(plot.markup("p", None, 1000).into_string().contains("of 100000 samples are drawn"));
         assert!(!plot.markup("p", None, 200_000).into_string().contains("samples are drawn"));
+    }
+
+    #[test]
+    fn a_short_series_is_one_line_but_for_its_silence() {
+        let breaks = |plot: Plot| {
+            let json = plot.json(1000);
+            let values = json["series"][0]["values"].as_array().expect("values");
+            values.iter().filter(|value| value.is_null()).count()
+        };
+        assert_eq!(breaks(plot(30, |row| row as f64)), 0);
+        assert_eq!(breaks(plot(30, |row| if row < 10 { row as f64 } else { row as f64 + 6.0 })), 1);
+    }
+
+    #[test]
+    fn what_is_not_finite_is_a_dash() {
+        assert_eq!([f64::NAN, f64::INFINITY, 1.5].map(shown), ["–", "–", "1.50"]);
     }
 
     #[test]

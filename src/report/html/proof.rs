@@ -42,17 +42,19 @@ impl Proof {
 pub fn proofs(report: &Report) -> Vec<Proof> {
     let none = Figures::default();
     let figures = report.figures.as_ref().unwrap_or(&none);
-    let mut first_in: BTreeMap<(&str, String), usize> = BTreeMap::new();
+    let mut first_in: BTreeMap<(&str, String, String), usize> = BTreeMap::new();
     let findings = report.findings.iter().enumerate();
     findings
         .map(|(index, finding)| {
             let mut proof = Case { report, figures, finding }.proof();
             let plots = std::mem::take(&mut proof.plots);
             for plot in plots.into_iter().filter(|plot| !plot.is_empty()) {
-                match first_in.get(&(plot.title, plot.of.clone())) {
+                let key = (plot.title, plot.robot.clone(), plot.of.clone());
+                match first_in.get(&key) {
+                    Some(&first) if first == index => {}
                     Some(&first) => proof.shown_by.push((first, plot.title)),
                     None => {
-                        first_in.insert((plot.title, plot.of.clone()), index);
+                        first_in.insert(key, index);
                         proof.plots.push(plot);
                     }
                 }
@@ -106,8 +108,11 @@ impl Case<'_> {
                 proof.plots.extend(self.poses().map(position_over_time));
             }
             "LAT002" | "LAT003" => {
-                let of_poses = self.poses().map(|pose| course(&pose.topic, &pose.latency_course));
-                let of_imus = self.imus().map(|imu| course(&imu.topic, &imu.latency_course));
+                let of_poses = self
+                    .poses()
+                    .map(|pose| course([&pose.robot, &pose.topic], &pose.latency_course));
+                let of_imus =
+                    self.imus().map(|imu| course([&imu.robot, &imu.topic], &imu.latency_course));
                 proof.plots.extend(of_poses.chain(of_imus));
             }
             "YAW001" => {
@@ -126,7 +131,7 @@ impl Case<'_> {
     /// The pose streams that the finding is on: that of its topic, else those of its robot.
     fn poses(&self) -> impl Iterator<Item = &PoseFigure> {
         let subject = &self.finding.subject;
-        let is_its = |pose: &&PoseFigure| subject.topic.as_ref() == Some(&pose.topic);
+        let is_its = |pose: &&PoseFigure| self.is_on(&pose.robot, &pose.topic);
         let has_own = self.figures.poses.iter().any(|pose| is_its(&pose));
         let is_of_imu = self.imus().next().is_some();
         let is_of_robot = move |pose: &&PoseFigure| {
@@ -139,8 +144,15 @@ impl Case<'_> {
     }
 
     fn imus(&self) -> impl Iterator<Item = &ImuFigure> {
-        let topic = self.finding.subject.topic.as_ref();
-        self.figures.imus.iter().filter(move |imu| topic == Some(&imu.topic)).take(MOST_STREAMS)
+        let imus = self.figures.imus.iter();
+        imus.filter(|imu| self.is_on(&imu.robot, &imu.topic)).take(MOST_STREAMS)
+    }
+
+    /// Whether the finding is on this stream: several arms may share a topic, such as /tf.
+    fn is_on(&self, robot: &str, topic: &str) -> bool {
+        let subject = &self.finding.subject;
+        subject.topic.as_deref() == Some(topic)
+            && subject.robot.as_deref().is_none_or(|its| its == robot)
     }
 
     /// The check of another rule or subject of the report.
@@ -172,6 +184,7 @@ impl Case<'_> {
         let mark = self.latency_mark(&pose.topic);
         Plot {
             title: "What is left at each latency",
+            robot: pose.robot.clone(),
             of: pose.topic.clone(),
             says: "The rest of the error, all else taken off, if the stream were late by so much: \
                    the bottom of the valley is the latency."
@@ -194,6 +207,7 @@ impl Case<'_> {
     fn correlation(&self, imu: &ImuFigure) -> Plot {
         Plot {
             title: "How it follows the arm at each latency",
+            robot: imu.robot.clone(),
             of: imu.topic.clone(),
             says:
                 "Correlation of its speed of turning with forward kinematics, if it were late by \
@@ -256,6 +270,7 @@ impl Case<'_> {
         }
         Plot {
             title: "Yaw over that of the arm",
+            robot: imu.robot.clone(),
             of: imu.topic.clone(),
             says: "A steady climb is a drift; a right IMU stays level.".to_owned(),
             x: t_s,
@@ -297,6 +312,7 @@ fn over_time(
     let series = before_and_after(series, factor);
     Plot {
         title,
+        robot: pose.robot.clone(),
         of: pose.topic.clone(),
         says: format!("{what}: {}.", most(&series, unit)),
         x: pose.t_s.clone(),
@@ -317,6 +333,7 @@ fn error_over_reach(pose: &PoseFigure) -> Plot {
     let series = before_and_after([&sorted(&pose.before_m), &sorted(&pose.after_m)], 1e3);
     Plot {
         title: "Position error over reach",
+        robot: pose.robot.clone(),
         of: pose.topic.clone(),
         says: "A wrong zero or length shows more the further the arm reaches.".to_owned(),
         x: sorted(&pose.reach_m),
@@ -346,7 +363,8 @@ fn before_and_after([before, after]: [&Vec<f64>; 2], factor: f64) -> Vec<Series>
 /// `up to 24 mm as logged, up to 0.1 mm explained`.
 fn most(series: &[Series], unit: &str) -> String {
     let parts = series.iter().map(|series| {
-        let most = series.values.iter().copied().fold(0.0, f64::max);
+        let finite = series.values.iter().copied().filter(|value| value.is_finite());
+        let most = finite.fold(0.0, f64::max);
         let decimals = if most >= 10.0 { 1 } else { 3 };
         let space = if unit == "°" { "" } else { " " };
         format!("up to {most:.decimals$}{space}{unit} {}", series.label)
@@ -354,9 +372,10 @@ fn most(series: &[Series], unit: &str) -> String {
     parts.collect::<Vec<_>>().join(", ")
 }
 
-fn course(topic: &str, points: &[CoursePoint]) -> Plot {
+fn course([robot, topic]: [&str; 2], points: &[CoursePoint]) -> Plot {
     Plot {
         title: "Latency over time",
+        robot: robot.to_owned(),
         of: topic.to_owned(),
         says: "In windows of a second with their 95 % intervals, beyond that of the whole run."
             .to_owned(),
@@ -384,6 +403,7 @@ fn headings(imu: &ImuFigure) -> Plot {
     });
     Plot {
         title: "Heading by the IMU and by the arm",
+        robot: imu.robot.clone(),
         of: imu.topic.clone(),
         says: "Where one axis of the sensor points about the vertical.".to_owned(),
         x: imu.headings.iter().map(|at| at[0]).collect(),
