@@ -629,6 +629,9 @@ fn frozen(run: &Run) -> Vec<FrozenFacts> {
     let of = |index: usize| {
         let stream = run.streams.get(index)?;
         let times = run.frozen.iter().filter(|found| found.stream == index);
+        if stream.role != Role::Pose && !times.clone().any(|found| found.whole) {
+            return None;
+        }
         Some(FrozenFacts {
             subject: Subject {
                 robot: stream.arm.and_then(|arm| run.arms.get(arm)).map(|arm| arm.name.clone()),

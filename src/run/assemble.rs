@@ -607,9 +607,9 @@ impl Assembly<'_> {
         let is_wanted = matches!(role, Role::Pose | Role::Candidate { .. });
         let mut source = None;
         if let (true, Some(arm), Some(site)) = (is_wanted, owner, &site) {
-            // What is not known to be this arm's may stand still.
-            let mut frozen = (role == Role::Pose).then(Vec::new);
-            match self.pose_source(index, &self.arms[arm], site, declared, frozen.as_mut()) {
+            let mut frozen = Vec::new();
+            let known = role == Role::Pose;
+            match self.pose_source(index, &self.arms[arm], site, declared, (known, &mut frozen)) {
                 Ok(found) => {
                     reason += &site.said;
                     let reference = match found.reference_known {
@@ -633,16 +633,14 @@ impl Assembly<'_> {
                 }
                 Err(what)
                     if let Some(declared) = declared
-                        && frozen.as_ref().is_none_or(Vec::is_empty) =>
+                        && frozen.is_empty() =>
                 {
                     return Err(not_so(declared, what));
                 }
                 Err(why) => (role, reason) = (Role::Unassigned, why),
             }
-            if let Some(frozen) = frozen {
-                self.watched.push(index);
-                self.frozen.extend(frozen);
-            }
+            self.watched.push(index);
+            self.frozen.extend(frozen);
         } else if matches!(role, Role::Candidate { .. }) {
             role = Role::Unassigned;
             reason += ", and there is no arm that it could follow";
@@ -759,7 +757,7 @@ impl Assembly<'_> {
         arm: &Arm,
         site: &Site,
         declared: Option<&Declaration>,
-        frozen: Option<&mut Vec<Frozen>>,
+        (known, frozen): (bool, &mut Vec<Frozen>),
     ) -> Result<PoseSource, String> {
         let (chain, columns) =
             arm.chain_between(site.base.link, site.tip.link).ok_or_else(|| {
@@ -780,12 +778,10 @@ impl Assembly<'_> {
             }
             _ => return Err("it holds no poses".to_owned()),
         };
-        if let Some(frozen) = frozen {
-            *frozen =
-                take_frozen(index, &mut logged, &arm.joints, &columns, self.options.max_latency_s);
-            if logged.stamps.len() < 2 && !frozen.is_empty() {
-                return Err("it repeats one value while the arm moves".to_owned());
-            }
+        let how = (known, self.options.max_latency_s);
+        *frozen = take_frozen(index, &mut logged, &arm.joints, &columns, how);
+        if frozen.iter().any(|frozen| frozen.whole) {
+            return Err("it repeats one value while the arm moves".to_owned());
         }
         let Stamped { track, stamps } = logged;
         if track.t_s.len() < 2 {

@@ -32,18 +32,21 @@ pub struct Frozen {
     pub end: Stamp,
     /// Samples with it.
     pub samples: usize,
+    /// Whether the stream says hardly anything else.
+    pub whole: bool,
     /// The most that a joint moved meanwhile, at any latency that is sought, at least: rad or m.
     pub moved: f64,
 }
 
 /// Takes the samples out of a stream's track that repeat a value while the arm moves, but for the first
-/// of each value, and says when that was. `columns` of the joints move the link whose poses they are.
+/// of each value, and says when that was. `columns` of the joints move the link whose poses they are. Of a stream that is not
+/// `known` to be this arm's nothing is taken where little else would be left: it may well stand still.
 pub(super) fn take_frozen(
     stream: usize,
     poses: &mut Stamped<PoseTrack>,
     joints: &JointTrack,
     columns: &[usize],
-    most_lag_s: f64,
+    (known, most_lag_s): (bool, f64),
 ) -> Vec<Frozen> {
     let Stamped { track, stamps } = poses;
     let mut frozen = Vec::new();
@@ -60,12 +63,17 @@ pub(super) fn take_frozen(
             let moved = least_motion(joints, columns, hold, most_lag_s).unwrap_or(0.0);
             if moved > REST {
                 let (start, end, samples) = (stamps[first], stamps[last], last + 1 - first);
-                frozen.push(Frozen { stream, start, end, samples, moved });
+                frozen.push(Frozen { stream, start, end, samples, whole: false, moved });
                 kept[first + 1..=last].fill(false);
             }
         }
         first = last + 1;
     }
+    let left = kept.iter().filter(|kept| **kept).count();
+    if !known && 2 * left < kept.len() {
+        return Vec::new();
+    }
+    frozen.iter_mut().for_each(|frozen| frozen.whole = left < 2);
     if !frozen.is_empty() {
         keep(track, &kept);
         retain(stamps, &kept);
