@@ -33,14 +33,18 @@ fn page(rule: &Rule, symptoms: &str) -> String {
         .lines()
         .filter(|line| line.ends_with(&format!("| `{}` |", rule.code)))
         .filter_map(|line| line.split(" | ").nth(2))
+        .map(|call| call.trim_matches('`'))
         .collect();
-    if !calls.is_empty() {
-        page += "\n## Example\n\n```sh\n";
-        for call in calls {
-            page += call.trim_matches('`');
-            page += "\n";
-        }
-        page += "```\n";
+    page += "\n## Example\n\n";
+    if calls.is_empty() {
+        page += &format!("What it says of a sound log:\n\n```sh\n{}\n```\n", of_a_sound_log(rule));
+    } else {
+        page += &format!("```sh\n{}\n```\n", calls.join("\n"));
     }
     page
+}
+
+/// The call that asks a rule about a log in which nothing is wrong.
+pub fn of_a_sound_log(rule: &Rule) -> String {
+    format!("poseaudit audit fixtures/clean.mcap --select {}", rule.code)
 }

@@ -80,6 +80,28 @@ fn the_pages_of_the_rules_are_current() {
     }
 }
 
+#[test]
+fn what_the_pages_ask_of_a_sound_log_is_answered() {
+    let symptoms = document("symptoms.md");
+    for rule in poseaudit::checks::registry() {
+        let call = pages::of_a_sound_log(rule);
+        let page = pages::all(&symptoms)
+            .into_iter()
+            .find(|(name, _)| *name == format!("{}.md", rule.code));
+        if !page.is_some_and(|(_, text)| text.contains(&call)) {
+            continue;
+        }
+        let output = Command::new(env!("CARGO_BIN_EXE_poseaudit"))
+            .args(call.split(' ').skip(1))
+            .current_dir(env!("CARGO_MANIFEST_DIR"))
+            .output()
+            .expect("the binary runs");
+        let text = String::from_utf8_lossy(&output.stdout);
+        assert!(output.status.success() && text.contains(rule.code), "{call}\n{text}");
+        assert!(!text.lines().any(|line| is_finding(line, rule.code)), "{call}\n{text}");
+    }
+}
+
 /// The text of a document.
 fn document(name: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs").join(name);
