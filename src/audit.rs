@@ -610,18 +610,23 @@ fn strays(run: &Run) -> Vec<StrayFacts> {
         let parts: Vec<Strays> =
             run.strays.iter().filter(|strays| strays.stream == index).cloned().collect();
         StrayFacts {
-            subject: Subject {
-                robot: stream.arm.and_then(|arm| run.arms.get(arm)).map(|arm| arm.name.clone()),
-                topic: Some(stream.topic.clone()),
-                frame: frame_of_several(run, stream),
-                ..Subject::default()
-            },
+            subject: subject_of(run, stream),
             span: span_of(run, index),
             sliding: sliding.clone(),
             parts,
         }
     };
     streams.map(of).collect()
+}
+
+/// A stream as a subject.
+fn subject_of(run: &Run, stream: &Stream) -> Subject {
+    Subject {
+        robot: stream.arm.and_then(|arm| run.arms.get(arm)).map(|arm| arm.name.clone()),
+        topic: Some(stream.topic.clone()),
+        frame: frame_of_several(run, stream),
+        ..Subject::default()
+    }
 }
 
 /// The streams of poses that an arm was held against, each with when it stood still.
@@ -633,12 +638,7 @@ fn frozen(run: &Run) -> Vec<FrozenFacts> {
             return None;
         }
         Some(FrozenFacts {
-            subject: Subject {
-                robot: stream.arm.and_then(|arm| run.arms.get(arm)).map(|arm| arm.name.clone()),
-                topic: Some(stream.topic.clone()),
-                frame: frame_of_several(run, stream),
-                ..Subject::default()
-            },
+            subject: subject_of(run, stream),
             span: span_of(run, index),
             times: times.copied().collect(),
         })

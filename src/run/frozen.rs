@@ -32,15 +32,16 @@ pub struct Frozen {
     pub end: Stamp,
     /// Samples with it.
     pub samples: usize,
-    /// Whether the stream says hardly anything else.
+    /// Whether the stream says nothing else.
     pub whole: bool,
     /// The most that a joint moved meanwhile, at any latency that is sought, at least: rad or m.
     pub moved: f64,
 }
 
 /// Takes the samples out of a stream's track that repeat a value while the arm moves, but for the first
-/// of each value, and says when that was. `columns` of the joints move the link whose poses they are. Of a stream that is not
-/// `known` to be this arm's nothing is taken where little else would be left: it may well stand still.
+/// of each value, and says when that was. `columns` of the joints move the link whose poses they are.
+/// Of a stream that is not `known` to be this arm's nothing is taken where little else would be left: it
+/// may well stand still.
 pub(super) fn take_frozen(
     stream: usize,
     poses: &mut Stamped<PoseTrack>,
