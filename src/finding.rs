@@ -142,6 +142,8 @@ impl Unit {
             ("rad/s", _) => Some(Unit::RadianPerSecond),
             ("s/s", _) => Some(Unit::SecondPerSecond),
             ("m/m", _) => Some(Unit::MetrePerMetre),
+            ("rad/s²" | "rad/s^2", _) => Some(Unit::RadianPerSecondSquared),
+            ("m/s²" | "m/s^2", _) => Some(Unit::MetrePerSecondSquared),
             ("1", _) => Some(Unit::One),
             _ => None,
         }

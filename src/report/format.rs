@@ -76,7 +76,7 @@ impl Format {
 
     /// Whether it shows the pictures of [`Report::figures`].
     pub fn is_pictured(&self) -> bool {
-        self.name == "html"
+        matches!(self.name, "html" | "text")
     }
 
     /// Writes `report` in this format.

@@ -13,6 +13,7 @@ pub mod junit;
 pub mod markdown;
 mod outline;
 pub mod sarif;
+mod spark;
 mod tame;
 pub mod text;
 mod trouble;

@@ -71,8 +71,8 @@ fn descriptor(rule: &Rule) -> Value {
     json!({
         "id": rule.code,
         "name": rule.name,
-        "shortDescription": { "text": format!("{}.", rule.summary()) },
-        "fullDescription": { "text": format!("{}. Speaks up: {}.", rule.summary(), rule.grade) },
+        "shortDescription": said(&format!("{}.", rule.summary())),
+        "fullDescription": said(&format!("{}. Speaks up: {}.", rule.summary(), rule.grade)),
         "help": { "text": plain.join("\n"), "markdown": doc },
         "defaultConfiguration": { "level": level(gravest) },
         "properties": { "tags": ["robotics", &rule.code[..3]] },
@@ -86,7 +86,7 @@ fn notifications(report: &Report) -> Vec<Value> {
             report.file_in_trouble().map(|file| json!({ "physicalLocation": physical(file) }));
         json!({
             "level": "error",
-            "message": { "text": trouble.to_string() },
+            "message": said(&trouble.to_string()),
             "locations": locations.into_iter().collect::<Vec<_>>(),
         })
     });
@@ -98,7 +98,7 @@ fn notifications(report: &Report) -> Vec<Value> {
         let text = format!("{} on {subject} could not be told: {reason}", row.code);
         json!({
             "level": "note",
-            "message": { "text": text },
+            "message": said(&text),
             "associatedRule": { "id": row.code, "index": index(row.code) },
         })
     });
@@ -121,7 +121,7 @@ fn result(report: &Report, finding: &Finding) -> Value {
         "ruleId": finding.code,
         "ruleIndex": index(finding.code),
         "level": level(finding.severity),
-        "message": { "text": message(report, finding) },
+        "message": said(&message(report, finding)),
         "locations": locations,
         // The second is the one that GitHub looks at.
         "partialFingerprints": { "cause/v1": cause, "primaryLocationLineHash": cause },
@@ -152,6 +152,16 @@ fn message(report: &Report, finding: &Finding) -> String {
         lines => format!(" ({})", lines.join("; ")),
     };
     format!("{subject}{}{about}. Fix: {}", finding.message, finding.fix)
+}
+
+/// A message that says `text`: what would be a placeholder in it or a link is escaped (SARIF 2.1.0,
+/// §3.11.5 and §3.11.6), as names in a log may look like either.
+fn said(text: &str) -> Value {
+    let mut text = text.replace('{', "{{").replace('}', "}}");
+    if text.contains("](") {
+        text = text.replace('[', "\\[").replace(']', "\\]");
+    }
+    json!({ "text": text })
 }
 
 /// The place of a rule in the list of rules.
@@ -210,6 +220,13 @@ fn uri(path: &Path) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_looks_like_a_placeholder_or_a_link_is_text() {
+        assert_eq!(said("/a{0}/pose is late")["text"], "/a{{0}}/pose is late");
+        assert_eq!(said("/[here](1) is late")["text"], r"/\[here\](1) is late");
+        assert_eq!(said("part [2] (of 3)")["text"], "part [2] (of 3)");
+    }
 
     #[test]
     fn a_path_becomes_a_uri() {

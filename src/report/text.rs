@@ -10,7 +10,7 @@ use anstyle::{AnsiColor, Style};
 use textwrap::{Options, WordSeparator, WordSplitter, WrapAlgorithm};
 
 use super::outline::Outline;
-use super::{JointCoverage, Report, Verdict, WorkspaceRow, tame};
+use super::{JointCoverage, Report, Verdict, WorkspaceRow, spark, tame};
 use crate::finding::{Finding, Severity};
 
 /// Width of the column of labels.
@@ -62,6 +62,7 @@ impl<'a> Page<'a> {
     fn write(&self, out: &mut dyn Write) -> io::Result<()> {
         self.header(out)?;
         self.verdict(out)?;
+        self.block(out, QUIET, "over time", spark::over_time(self.report))?;
         for finding in &self.report.findings {
             writeln!(out)?;
             self.finding(finding, out)?;

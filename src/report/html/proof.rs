@@ -123,9 +123,21 @@ impl Case<'_> {
             "TIM001" | "TIM002" | "TIM003" | "TIM004" | "TIM005" | "TIM006" => {
                 proof.part = Some(("timeline", "when each stream was there"));
             }
-            _ => {}
+            _ => proof.whiskers.extend(self.amounts()),
         }
         proof
+    }
+
+    /// What the rule found on everything of this robot that it was asked about.
+    fn amounts(&self) -> Option<Whiskers> {
+        let rows: Vec<Whisker> = self.checks(self.finding.code).flat_map(whiskers).collect();
+        let differ = rows.iter().any(|row| row.amount.is_some() && !row.is_fault);
+        (!rows.is_empty()).then(|| Whiskers {
+            title: if differ { "Beside the others that were looked at" } else { "What was found" }
+                .to_owned(),
+            says: "With their 95 % intervals, where they have one.".to_owned(),
+            rows,
+        })
     }
 
     /// The pose streams that the finding is on: that of its topic, else those of its robot.
@@ -280,6 +292,32 @@ impl Case<'_> {
             ..Plot::default()
         }
     }
+}
+
+/// The amount of a check: of a frame, its length and its angle.
+fn whiskers(row: &CheckRow) -> Vec<Whisker> {
+    let label = row.subject.label();
+    let whisker = |what: &str, name: &str, value: f64, ci95, symbol: &str| {
+        let label = [label, what].into_iter().filter(|part| !part.is_empty());
+        Some(Whisker {
+            label: label.collect::<Vec<_>>().join(", "),
+            amount: Some((value, ci95, Unit::of(symbol, name)?)),
+            is_fault: row.status == Status::Fail,
+        })
+    };
+    let radian = Unit::Radian.symbol();
+    let amounts = match &row.estimate {
+        Some(Estimate::Amount { name, value, ci95, unit }) => {
+            let what = if label.is_empty() { name } else { "" };
+            vec![whisker(what, name, *value, *ci95, unit)]
+        }
+        Some(Estimate::Frame { name, value, ci95, unit, rotation }) => vec![
+            whisker("distance", name, *value, *ci95, unit),
+            whisker("angle", name, rotation.value, rotation.ci95, radian),
+        ],
+        _ => Vec::new(),
+    };
+    amounts.into_iter().flatten().collect()
 }
 
 fn position_over_time(pose: &PoseFigure) -> Plot {

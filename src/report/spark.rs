@@ -1,0 +1,113 @@
+//! Errors over time as a row of bars, for a terminal.
+
+use super::Report;
+use super::figures::{Figures, ImuFigure, PoseFigure};
+use crate::finding::Unit;
+
+/// Bars in a row.
+const CELLS: usize = 32;
+
+/// From the lowest to the highest.
+const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
+
+/// Where there is no sample.
+const NONE: char = '·';
+
+/// A line for each stream whose errors the findings explain, in the order of the figures; none where
+/// the figures were not asked for.
+pub(super) fn over_time(report: &Report) -> Vec<String> {
+    /// What is explained leaves less than this share, rms.
+    const EXPLAINED: f64 = 0.5;
+    let (Some(figures), false) = (&report.figures, report.findings.is_empty()) else {
+        return Vec::new();
+    };
+    let is_blamed = |topic: &str| {
+        report.findings.iter().any(|found| found.subject.topic.as_deref() == Some(topic))
+    };
+    let poses = figures.poses.iter().filter_map(|figure| of_pose(figures, figure, EXPLAINED));
+    let imus = figures.imus.iter().filter(|imu| is_blamed(&imu.topic));
+    poses.chain(imus.filter_map(|imu| of_imu(figures, imu))).collect()
+}
+
+/// Distance or angle, whichever is more at the end of a lever of a metre.
+fn of_pose(figures: &Figures, figure: &PoseFigure, explained: f64) -> Option<String> {
+    let sizes = |metres: &[f64], radians: &[f64]| [rms(metres), rms(radians)];
+    let before = sizes(&figure.before_m, &figure.before_rad);
+    let after = sizes(&figure.after_m, &figure.after_rad);
+    let by_angle = before[1] > before[0];
+    let which = usize::from(by_angle);
+    if !before[which].is_finite() || after[which] > explained * before[which] {
+        return None;
+    }
+    let (errors, unit) = match by_angle {
+        true => (&figure.before_rad, Unit::Radian),
+        false => (&figure.before_m, Unit::Metre),
+    };
+    let most = errors.iter().copied().fold(0.0, f64::max);
+    let bars =
+        bars(figures.duration_s, figure.t_s.iter().copied().zip(errors.iter().copied()), 0.0)?;
+    let (most, left) = (unit.show(most), unit.show(after[which]));
+    Some(format!(
+        "{bars}  {}: up to {most} from FK as logged, {left} rms once explained",
+        figure.topic
+    ))
+}
+
+fn of_imu(figures: &Figures, figure: &ImuFigure) -> Option<String> {
+    let errors = || figure.yaw_error.iter().map(|&[t_s, error_rad]| (t_s, error_rad));
+    let least = errors().map(|(_, error)| error).fold(f64::INFINITY, f64::min);
+    let most = errors().map(|(_, error)| error).fold(f64::NEG_INFINITY, f64::max);
+    let bars = bars(figures.duration_s, errors(), least)?;
+    let (least, most) = (Unit::Radian.show(least), Unit::Radian.show(most));
+    Some(format!("{bars}  {}: yaw {least} to {most} ahead of FK's", figure.topic))
+}
+
+/// The largest of `samples`, times in s and values, in each of [`CELLS`] parts of a run of
+/// `duration_s`, over `floor`. `None` where all are alike.
+fn bars(duration_s: f64, samples: impl Iterator<Item = (f64, f64)>, floor: f64) -> Option<String> {
+    let mut largest = [f64::NAN; CELLS];
+    for (t_s, value) in samples {
+        let cell = (t_s / duration_s * CELLS as f64).clamp(0.0, (CELLS - 1) as f64) as usize;
+        // What is no number gives way to what is.
+        largest[cell] = largest[cell].max(value);
+    }
+    let most = largest.iter().copied().fold(f64::NAN, f64::max);
+    let height = |value: f64| (value - floor) / (most - floor) * (BARS.len() - 1) as f64;
+    let bar = |&value: &f64| match value.is_nan() {
+        true => NONE,
+        false => BARS[(height(value).round() as usize).min(BARS.len() - 1)],
+    };
+    (most > floor).then(|| largest.iter().map(bar).collect())
+}
+
+/// Root of the mean square of those that are numbers; NaN of none.
+fn rms(errors: &[f64]) -> f64 {
+    let finite = errors.iter().filter(|error| error.is_finite());
+    let (sum, count) = finite.fold((0.0, 0.0), |(sum, n), error| (sum + error * error, n + 1.0));
+    f64::sqrt(sum / count)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bars_follow_the_largest_of_each_part_and_leave_silence_open() {
+        let quiet = 10..20;
+        let samples = (0..320).filter(|k| !quiet.contains(&(k / 10)));
+        let ramp = samples.map(|k| (f64::from(k), if k % 10 == 3 { f64::from(k) } else { 0.0 }));
+        let bars: Vec<char> = bars(320.0, ramp, 0.0).expect("bars").chars().collect();
+        assert_eq!(bars.len(), CELLS);
+        assert!(bars[10..20].iter().all(|&bar| bar == NONE));
+        let heights: Vec<char> = bars.iter().copied().filter(|&bar| bar != NONE).collect();
+        assert!(heights.is_sorted(), "{heights:?}");
+        assert_eq!((heights[0], heights[21]), (BARS[0], BARS[7]));
+    }
+
+    #[test]
+    fn what_does_not_vary_has_no_bars() {
+        let flat = |value: f64| bars(1.0, [(0.0, value), (0.5, value)].into_iter(), 0.0);
+        assert_eq!((flat(0.0), flat(f64::NAN)), (None, None));
+        assert!(bars(0.0, [(0.0, 1.0)].into_iter(), 0.0).is_some());
+    }
+}
