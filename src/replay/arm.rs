@@ -11,11 +11,11 @@ use crate::robot::{JointKind, turn_z_to};
 use crate::stream::JointTrack;
 
 /// Radius of a link, as a part of the arm's reach.
-const LINK: f64 = 0.022;
+const LINK: f64 = 0.018;
 /// Radius of a joint, …
-const JOINT: f64 = 0.036;
+const JOINT: f64 = 0.028;
 /// … and half the length of its capsule without the ends.
-const HALF_JOINT: f64 = 0.026;
+const HALF_JOINT: f64 = 0.022;
 
 /// A capsule from `start` along `along`, m, in the base.
 struct Capsule {

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use re_sdk_types::archetypes::{StateChange, StateConfiguration, TextDocument, TextLog};
 use re_sdk_types::components::{MediaType, Text, TextLogLevel};
-use rerun::{EntityPath, EntityPathPart};
+use rerun::EntityPath;
 
 use super::moments::Moments;
 use super::tape::{Tape, entity};
@@ -22,6 +22,11 @@ pub(super) fn log() -> EntityPath {
 /// The entity above the spans.
 pub(super) fn spans() -> EntityPath {
     entity(&["spans"])
+}
+
+/// The entity of the span of the finding with this index; the number keeps them in their order.
+pub(super) fn lane(index: usize, finding: &Finding) -> EntityPath {
+    spans().join(&entity(&[&format!("{:02}-{}", index + 1, finding.code)]))
 }
 
 /// The entity of the page of the finding with this index.
@@ -77,11 +82,9 @@ fn span(
     ends: [Stamp; 2],
 ) -> Result<(), ReplayCause> {
     let finding = &replay.report.findings[index];
-    // The number keeps them in their order and apart.
-    let subject = finding.subject.label().trim_start_matches('/');
-    let lane = format!("{:02} {} {subject}", index + 1, finding.code);
-    let path = spans().join(&EntityPath::from(vec![EntityPathPart::new(lane.trim_end())]));
-    let bar = finding.title;
+    let path = lane(index, finding);
+    let bar = format!("{}{}", heading(finding, finding.subject.label()), finding.message);
+    let bar = bar.as_str();
     let style = StateConfiguration::new().with_values([bar]).with_colors([rgb(finding.severity)]);
     tape.still(&path, &style)?;
     let states = StateChange::new().with_state([Text::from(bar), Text::from("")]);

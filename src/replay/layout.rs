@@ -17,9 +17,10 @@ use rerun::{ApplicationId, EntityPath, RecordingStream, RecordingStreamResult};
 
 use super::blueprint::{Blueprint, Part};
 use super::plots::{self, Quantity};
-use super::{Replay, ReplayArm, findings, page, scene, tape};
+use super::{Replay, ReplayArm, findings, page, scene, tape, tools};
 use crate::finding::Finding;
 use crate::geometry::Vec3;
+use crate::time::Stamp;
 
 /// Findings that have a tab of their own.
 const MOST_TABS: usize = 8;
@@ -69,12 +70,11 @@ fn time(replay: &Replay<'_>) -> TimePanelBlueprint {
     let (first, last) = replay.span;
     let worst = replay.report.findings.first().map(|finding| replay.span_of(finding));
     let is_part = |&(start, end): &(_, _)| {
-        crate::time::Stamp::seconds_since(end, start) < MOST * last.seconds_since(first)
+        Stamp::seconds_since(end, start) < MOST * last.seconds_since(first)
     };
     match worst.filter(is_part) {
         Some((start, end)) => {
-            let nanos =
-                |stamp: crate::time::Stamp| stamp.nanos().saturating_sub(replay.origin.nanos());
+            let nanos = |stamp: Stamp| stamp.nanos().saturating_sub(replay.origin.nanos());
             let (start, end) =
                 (start.shifted(-AROUND_S).max(first), end.shifted(AROUND_S).min(last));
             let range = datatypes::AbsoluteTimeRange {
@@ -92,8 +92,13 @@ fn scene(arm: &ReplayArm<'_>, blueprint: &Blueprint) -> RecordingStreamResult<Pa
     /// From where it is looked at, …
     const FROM: Vec3 = Vec3::new(0.72, -0.88, 0.5);
     /// … and from how far, as a part of the ball around what it does.
-    const AWAY: f64 = 2.1;
-    let view = blueprint.view::<Spatial3DView>(arm.name, &scene::root(arm.name))?;
+    const AWAY: f64 = 1.8;
+    let times = tools::magnified(arm);
+    let name = match times {
+        1.0 => arm.name.to_owned(),
+        times => format!("{}, errors × {times}", arm.name),
+    };
+    let view = blueprint.view::<Spatial3DView>(&name, &scene::root(arm.name))?;
     // Not left to the viewer: a fault may have put what was logged a kilometre away.
     let (middle, radius_m) = scene::ball(arm);
     let eye = middle + FROM.normalize() * AWAY * radius_m.max(0.1);

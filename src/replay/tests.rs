@@ -73,7 +73,9 @@ fn report(verdict: Verdict, findings: Vec<Finding>) -> Report {
         place: String::new(),
         remedy: String::new(),
     };
-    Report { verdict, error: None, findings, ..Report::of_trouble(trouble) }
+    let mut report = Report::of_trouble(trouble);
+    (report.verdict, report.error, report.findings) = (verdict, None, findings);
+    report
 }
 
 fn stream(aligned: &Aligned, kind: StreamKind) -> Result<ReplayStream<'static>, PolarsError> {
@@ -135,7 +137,7 @@ impl Seen {
     /// The chunk of an entity that has a component at rows in time, or for all time.
     fn with(&self, path: &[&str], component: &ComponentDescriptor) -> Option<Chunk> {
         let chunks = self.chunks(&entity(path)).into_iter();
-        chunks.filter(|chunk| chunk.contains_component(component.component)).last()
+        chunks.filter(|chunk| chunk.components().get(component.component).is_some()).last()
     }
 
     fn text(&self, path: &[&str]) -> String {
@@ -147,7 +149,7 @@ impl Seen {
 }
 
 fn times(chunk: &Chunk, timeline: &str) -> Vec<i64> {
-    chunk.timelines()[&TimelineName::new(timeline)].times_raw().to_vec()
+    chunk.timelines()[&TimelineName::try_new(timeline).unwrap()].times_raw().to_vec()
 }
 
 #[test]
@@ -293,14 +295,13 @@ fn a_finding_has_its_span_its_line_and_its_page() -> Outcome {
     let arms = vec![arm(&robot, &chain, &recorded)];
     let seen = Seen::of(&replay(arms, &report), &Recording::default())?;
     let state = StateChange::descriptor_state();
-    for (lane, ends) in [("01 LAT001 tcp/pose", [100, 300]), ("02 LAT001 tcp/pose", [0, 500])] {
-        let path = findings::spans().join(&EntityPath::from(vec![lane.into()]));
-        let chunks = seen.chunks(&path);
+    for (lane, ends) in [("01-LAT001", [100, 300]), ("02-LAT001", [0, 500])] {
+        let chunks = seen.chunks(&entity(&["spans", lane]));
         let chunk = chunks.iter().find(|chunk| !chunk.is_static()).ok_or(lane)?;
         assert_eq!(times(chunk, "run"), ends.map(|ms| ms * 1_000_000), "{lane}");
         let states = [0, 1].map(|row| chunk.component_batch::<Text>(state.component, row));
         let states = states.map(|state| state.unwrap().unwrap()[0].to_string());
-        assert_eq!(states, ["stream is late", ""]);
+        assert_eq!(states, ["LAT001 /tcp/pose: 22 ms late", ""]);
     }
     assert_eq!(seen.chunks(&findings::log()).len(), 2);
     let page = seen.text(&["findings", "page_1"]);

@@ -9,7 +9,7 @@ use super::scene::{ARM_RGB, RECORDED_RGB, kept, positions, quaternion, radius, s
 use super::tape::{Tape, entity};
 use super::{MOST_ROWS, ReplayArm, ReplayCause, ReplayStream, State, StreamKind};
 use crate::geometry::{Vec3, xyz_of, xyzw_from_rotation};
-use crate::tables::{self, Posed, thin};
+use crate::tables::{self, BEFORE_M, Posed, thin};
 use crate::time::Stamp;
 
 const ERROR_RGB: [u8; 3] = [250, 190, 60];
@@ -63,7 +63,7 @@ pub(super) fn draw(
         return Ok(());
     }
     let logged = Moved::of(tape, arm, stream, Posed::Logged)?;
-    errors(tape, &reference.join(&entity(&["error"])), &by_fk, &logged, size_m)
+    errors(tape, &reference.join(&entity(&["error"])), &by_fk, &logged, magnified(arm), size_m)
 }
 
 impl From<State> for Posed {
@@ -155,53 +155,56 @@ fn trail(
     Ok(tape.still(path, &strip)?)
 }
 
-/// Arrows from where FK has the tool to where it is logged, so much longer than they are that they are
-/// seen.
+/// Arrows from where FK has the tool to where it is logged, `times` as long as they are.
 fn errors(
     tape: &Tape,
     path: &EntityPath,
     by_fk: &Moved,
     logged: &Moved,
+    times: f64,
     size_m: f64,
 ) -> Result<(), ReplayCause> {
-    let pairs = by_fk.xyz.iter().zip(&logged.xyz);
-    let errors: Vec<Vec3> =
-        pairs.map(|(fk, logged)| Vec3::from(*logged) - Vec3::from(*fk)).collect();
-    let times = magnified(errors.iter().map(|error| error.norm()), 0.25 * size_m);
-    let label = if times == 1.0 { "error".to_owned() } else { format!("error × {times}") };
     let style = Arrows3D::update_fields()
         .with_colors([ERROR_RGB])
         .with_radii([radius(0.005 * size_m)])
-        .with_labels([label])
-        .with_show_labels(true);
+        .with_labels([format!("error × {times}")])
+        .with_show_labels(false);
     tape.still(path, &style)?;
-    let vectors = errors.iter().map(|error| <[f64; 3]>::from(times * error).map(|it| it as f32));
+    let pairs = by_fk.xyz.iter().zip(&logged.xyz);
+    let vectors = pairs.map(|(fk, logged)| times * (Vec3::from(*logged) - Vec3::from(*fk)));
+    let vectors = vectors.map(|vector| <[f64; 3]>::from(vector).map(|part| part as f32));
     let origins = by_fk.xyz.iter().map(|xyz| xyz.map(|part| part as f32));
     let arrows = Arrows3D::update_fields().with_vectors(vectors).with_origins(origins);
     Ok(tape.columns(path, &logged.moments, arrows.columns_of_unit_batches()?)?)
 }
 
-/// The largest of 1, 10, 100 and 1000 by which lengths are multiplied and do not exceed `most_m`.
-fn magnified(lengths_m: impl Iterator<Item = f64>, most_m: f64) -> f64 {
-    let longest_m = lengths_m.fold(0.0, f64::max);
-    let fits = |times: &f64| times * longest_m <= most_m;
+/// How many times as long as they are the errors of an arm's streams are drawn, so that they are seen.
+pub(super) fn magnified(arm: &ReplayArm<'_>) -> f64 {
+    /// The longest arrow, as a part of the arm's reach.
+    const LONGEST: f64 = 0.25;
+    let measured =
+        arm.streams.iter().filter(|it| it.kind == StreamKind::Pose && it.reference_known);
+    let errors = measured.filter_map(|stream| tables::numbers(&stream.frame, BEFORE_M).ok());
+    let longest_m = errors.flatten().fold(0.0, f64::max);
+    most_times(longest_m, LONGEST * arm.chain.max_reach_m())
+}
+
+/// The largest of 1, 10, 100 and 1000 that takes a length to no more than `most_m`, else 1.
+fn most_times(length_m: f64, most_m: f64) -> f64 {
+    let fits = |times: &f64| times * length_m <= most_m;
     [1000.0, 100.0, 10.0].into_iter().find(fits).unwrap_or(1.0)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::magnified;
+    use super::most_times;
 
     #[test]
     fn small_errors_are_magnified_and_large_ones_are_not() {
         for (longest_m, times) in
             [(2.0, 1.0), (0.15, 1.0), (0.02, 10.0), (0.001, 100.0), (1e-5, 1000.0), (0.0, 1000.0)]
         {
-            assert_eq!(
-                magnified([longest_m / 2.0, longest_m].into_iter(), 0.2),
-                times,
-                "{longest_m}"
-            );
+            assert_eq!(most_times(longest_m, 0.2), times, "{longest_m}");
         }
     }
 }

@@ -44,13 +44,15 @@ class Viewer:
     """A viewer without a window, with a file opened."""
 
     def __init__(self, file: Path | None, folder: Path, programs: Path | None = None, log: str = "warn"):
-        self.port, self.said = free_port(), folder / f"{time.monotonic_ns()}.log"
+        self.port, self.folder, self.said = free_port(), folder, folder / f"{time.monotonic_ns()}.log"
         path = os.pathsep.join([str(programs)] * bool(programs) + [os.environ["PATH"]])
         # Its own place for settings: those of the person whose machine it is are not to be seen.
         homes = {name: str(folder) for name in ("XDG_RUNTIME_DIR", "XDG_CONFIG_HOME", "XDG_DATA_HOME")}
         environment = {**os.environ, **homes, "PATH": path, "RUST_LOG": log, "NO_COLOR": "1"}
         command = [VIEWER, *[file] * bool(file), "--headless", "--hide-welcome-screen", "--renderer", "vulkan"]
         command += ["--port", str(self.port), "--window-size", "x".join(map(str, SIZE))]
+        # Nothing is told to anybody.
+        subprocess.run([VIEWER, "analytics", "disable"], env=environment, capture_output=True, check=True)
         with self.said.open("wb") as said:
             # A group of its own: the command is a script that starts the viewer.
             self.process = subprocess.Popen(
@@ -75,26 +77,35 @@ class Viewer:
         grave = [line for line in lines if re.search(r"WARN|ERROR|error|panicked", line)]
         return [line for line in grave if not OF_THE_MACHINE.search(line)]
 
-    def picture(self, is_there, at: Path) -> Image.Image:
-        """What it shows, once `is_there` says so of it."""
+    def picture(self, is_there) -> Image.Image:
+        """What it shows, once `is_there` has nothing to say against it."""
         from rerun.experimental import ViewerClient
 
         deadline, why = time.monotonic() + PATIENCE_S, "it shows nothing"
         while time.monotonic() < deadline:
             assert self.process.poll() is None, f"the viewer ended: {self.complaints()[-1:]}"
-            time.sleep(2)
+            time.sleep(1)
+            at = self.folder / f"{time.monotonic_ns()}.png"
             try:
-                at.unlink(missing_ok=True)
-                client = ViewerClient.connect(f"rerun+http://127.0.0.1:{self.port}/proxy")
-                client.save_screenshot(str(at))
-                image = Image.open(at).convert("RGB")
-            except (OSError, RuntimeError, ConnectionError) as error:
+                ViewerClient.connect(f"rerun+http://127.0.0.1:{self.port}/proxy").save_screenshot(str(at))
+            except (OSError, RuntimeError) as error:
                 why = f"no picture of it: {error}"
                 continue
-            why = is_there(image)
+            image = whole(at, deadline)
+            why = is_there(image) if image else "no picture of it"
             if not why:
                 return image
         raise AssertionError(f"{why}, after {PATIENCE_S} s")
+
+
+def whole(picture: Path, deadline: float) -> Image.Image | None:
+    """A picture, once all of it is written: the viewer does that after it has said that it will."""
+    while time.monotonic() < deadline:
+        try:
+            return Image.open(picture).convert("RGB")
+        except (OSError, SyntaxError):
+            time.sleep(0.5)
+    return None
 
 
 def lacking(image: Image.Image, parts: dict[str, tuple[float, float, float, float]]) -> str:
@@ -141,7 +152,7 @@ def shrunk(image: Image.Image, path: Path) -> None:
 
 def check(file: Path, folder: Path, programs: Path | None = None) -> Image.Image:
     with Viewer(file, folder, programs) as viewer:
-        image = viewer.picture(audited, folder / "shot.png")
+        image = viewer.picture(audited)
         complaints = viewer.complaints()
     assert not complaints, f"{file.name}: the viewer complains: {complaints}"
     return image
@@ -173,7 +184,7 @@ def main() -> None:
         if len(sys.argv) > 2:
             # Messages of the viewer would lie over what it shows.
             with Viewer(folder / "demo.rrd", folder, log="off") as viewer:
-                image = viewer.picture(audited, folder / "shot.png")
+                image = viewer.picture(audited)
             to = Path(sys.argv[2])
             shrunk(image, to / "recording.png")
             shrunk(beside_log, to / "recording-importer.png")
@@ -184,7 +195,7 @@ def probe() -> None:
     with tempfile.TemporaryDirectory() as folder, Viewer(None, Path(folder)) as viewer:
         everywhere = {"the window": (0.0, 0.0, 1.0, 1.0)}
         try:
-            viewer.picture(lambda image: lacking(image, everywhere), Path(folder, "shot.png"))
+            viewer.picture(lambda image: lacking(image, everywhere))
         except AssertionError as error:
             raise SystemExit(f"the viewer draws nothing: {error}") from None
 
