@@ -17,7 +17,7 @@ use rerun::{ApplicationId, EntityPath, RecordingStream, RecordingStreamResult};
 
 use super::blueprint::{Blueprint, Part};
 use super::plots::{self, Quantity};
-use super::{Replay, ReplayArm, findings, page, scene, tape, tools};
+use super::{Replay, ReplayArm, ReplayImu, findings, page, scene, tape, tools};
 use crate::finding::Finding;
 use crate::geometry::Vec3;
 use crate::time::Stamp;
@@ -69,14 +69,14 @@ fn time(replay: &Replay<'_>) -> TimePanelBlueprint {
         .with_play_state(PlayState::Playing);
     let (first, last) = replay.span;
     let worst = replay.report.findings.first().map(|finding| replay.span_of(finding));
-    let is_part = |&(start, end): &(_, _)| {
-        Stamp::seconds_since(end, start) < MOST * last.seconds_since(first)
+    let part = worst
+        .map(|(start, end)| (start.shifted(-AROUND_S).max(first), end.shifted(AROUND_S).min(last)));
+    let is_part = |&(start, end): &(Stamp, Stamp)| {
+        start < end && end.seconds_since(start) < MOST * last.seconds_since(first)
     };
-    match worst.filter(is_part) {
+    match part.filter(is_part) {
         Some((start, end)) => {
             let nanos = |stamp: Stamp| stamp.nanos().saturating_sub(replay.origin.nanos());
-            let (start, end) =
-                (start.shifted(-AROUND_S).max(first), end.shifted(AROUND_S).min(last));
             let range = datatypes::AbsoluteTimeRange {
                 min: datatypes::TimeInt(nanos(start)),
                 max: datatypes::TimeInt(nanos(end)),
@@ -134,7 +134,7 @@ fn proof(replay: &Replay<'_>, blueprint: &Blueprint) -> RecordingStreamResult<Pa
         for (quantity, is_there) in [
             (Quantity::Position, !arm.streams.is_empty()),
             (Quantity::Rotation, !arm.streams.is_empty()),
-            (Quantity::Yaw, !arm.imus.is_empty()),
+            (Quantity::Yaw, arm.imus.iter().any(ReplayImu::has_yaw)),
         ] {
             if is_there {
                 plots.push(plot(quantity.title(), &quantity.root(arm.name), blueprint)?);
@@ -164,8 +164,9 @@ fn plots_of(finding: &Finding, arm: &ReplayArm<'_>) -> Vec<(String, EntityPath)>
         }
         return both.map(|it| titled(it, it.of_topic(arm.name, topic))).into();
     }
-    if arm.imus.iter().any(|imu| imu.topic == topic) {
-        return vec![titled(Quantity::Yaw, Quantity::Yaw.of_topic(arm.name, topic))];
+    if let Some(imu) = arm.imus.iter().find(|imu| imu.topic == topic) {
+        let yaw = titled(Quantity::Yaw, Quantity::Yaw.of_topic(arm.name, topic));
+        return imu.has_yaw().then_some(yaw).into_iter().collect();
     }
     let all = (!arm.streams.is_empty())
         .then(|| titled(Quantity::Position, Quantity::Position.root(arm.name)));

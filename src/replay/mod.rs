@@ -228,6 +228,13 @@ pub struct ReplayImu<'a> {
     pub yaw_error: &'a [(f64, f64)],
 }
 
+impl ReplayImu<'_> {
+    /// Whether there is a yaw to plot; an IMU may have no orientation.
+    fn has_yaw(&self) -> bool {
+        !self.yaw_error.is_empty()
+    }
+}
+
 /// Why a recording could not be written.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: the recording cannot be written: {cause}", path.display())]
