@@ -4,7 +4,6 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use polars::prelude::PolarsResult;
 use rayon::prelude::*;
 
 use crate::checks::{
@@ -20,12 +19,11 @@ use crate::diagnosis::{
     shake,
 };
 use crate::finding::{Severity, Span, Subject};
-use crate::geometry::Pose;
 use crate::hand_eye::{hand_eyes, settle_hands};
 use crate::log::{Log, Loss, Progress};
 use crate::pictures::figures;
 use crate::references::references;
-use crate::replay::{self, Recording, Replay, ReplayArm, ReplayImu, ReplayStream, StreamKind};
+use crate::replay::Recording;
 use crate::report::{
     Figures, FileRow, LogSummary, NoteRow, Report, RobotRow, StreamRow, Trouble, TroubleKind,
     tells_hand_eye,
@@ -40,8 +38,8 @@ use crate::stream::{
     Columns, DeclaredUnits, ImuTrack, JointColumn, JointTrack, Orientations, PoseTrack,
 };
 use crate::tables::{
-    TableError, aligned_frame, aligned_frames, checks_frame, findings_frame, joints_frame,
-    reach_map_frame, reached_poses_frame, write_table,
+    TableError, aligned_frames, checks_frame, findings_frame, joints_frame, reach_map_frame,
+    reached_poses_frame, write_table,
 };
 use crate::time::Clock;
 use crate::workspace::{coverage, reached};
@@ -462,7 +460,7 @@ fn readable_joints(arm: &Arm, found: &ArmDiagnosis) -> Option<JointTrack> {
 }
 
 /// For each column of an arm's joint track, whether that joint slides.
-fn prismatic(arm: &Arm) -> Vec<bool> {
+pub(crate) fn prismatic(arm: &Arm) -> Vec<bool> {
     let slides = |name: &String| {
         arm.robot.joint(name).is_some_and(|joint| joint.kind == JointKind::Prismatic)
     };
@@ -1122,28 +1120,9 @@ fn streams(run: &Run) -> Vec<StreamRow> {
 }
 
 /// The trouble with a file or folder that the caller named to be written.
-fn unwritable(path: &Path, what: String, remedy: &str) -> Trouble {
+pub(crate) fn unwritable(path: &Path, what: String, remedy: &str) -> Trouble {
     let (kind, place) = (TroubleKind::Call, path.display().to_string());
     Trouble { kind, what, place, remedy: remedy.to_owned() }
-}
-
-/// Writes the recording of an audited run.
-pub(crate) fn record(
-    recording: &Recording,
-    run: &Run,
-    facts: &Facts,
-    report: &Report,
-) -> Result<(), Trouble> {
-    let remedy = "name a file that can be written with --rrd";
-    let trouble = |what| unwritable(&recording.path, what, remedy);
-    let arms = run.arms.iter().zip(&facts.robots).map(|(arm, facts)| replay_arm(run, arm, facts));
-    let replay = Replay {
-        origin: run.origin,
-        arms: arms.collect::<Result<_, _>>().map_err(|error| trouble(error.to_string()))?,
-        verdict: report.verdict,
-        findings: &report.findings,
-    };
-    replay::write(recording, &replay).map_err(|error| trouble(error.cause.to_string()))
 }
 
 /// Writes the tables of an audited run into a folder.
@@ -1176,41 +1155,4 @@ pub(crate) fn write_tables(
         })?;
     }
     Ok(())
-}
-
-fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmFacts) -> PolarsResult<ReplayArm<'a>> {
-    let stream = |kind, source: &PoseSource, facts: &'a PoseFacts, found: &PoseDiagnosis| {
-        let base_from_reference = base_from_link(arm, source.chain.base_name());
-        Ok(ReplayStream {
-            topic: &facts.topic,
-            kind,
-            frame: aligned_frame(&found.aligned, run.origin)?,
-            base_from_reference: base_from_reference.unwrap_or_default(),
-            reference_known: facts.reference_known && base_from_reference.is_some(),
-            latency_s: found.latency_s.as_ref().map_or(0.0, |latency| latency.value),
-        })
-    };
-    let poses = arm.poses.iter().zip(facts.poses());
-    let poses =
-        poses.map(|(source, (facts, found))| stream(StreamKind::Pose, source, facts, found));
-    let tf = arm.tf.iter().zip(&facts.tf);
-    let tf = tf.map(|(source, (facts, found))| stream(StreamKind::Tf, source, facts, found));
-    let imus = facts.imus.iter();
-    Ok(ReplayArm {
-        name: &arm.name,
-        chain: &arm.chain,
-        columns: &arm.columns,
-        recorded: arm.recorded.as_ref().map_or(&arm.joints, |(recorded, _)| recorded),
-        corrected: facts.diagnosis.corrected_joints(&arm.joints, &prismatic(arm)),
-        streams: poses.chain(tf).collect::<PolarsResult<_>>()?,
-        imus: imus
-            .map(|(facts, found)| ReplayImu { topic: &facts.topic, yaw_error: &found.yaw_error })
-            .collect(),
-    })
-}
-
-/// The pose of a still link in the base of an arm's chain; `None` where it is not still there.
-fn base_from_link(arm: &Arm, link: &str) -> Option<Pose> {
-    let base = arm.robot.link(arm.chain.base_name())?;
-    arm.robot.fixed_transform(base, arm.robot.link(link)?)
 }

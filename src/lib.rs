@@ -22,6 +22,7 @@ mod audit;
 mod demo;
 mod hand_eye;
 mod pictures;
+mod recording;
 mod references;
 mod workspace;
 
@@ -76,7 +77,8 @@ pub fn audit(options: &Options) -> Result<Report, Trouble> {
     }
     if let Some(recording) = &options.recording {
         let main = audits.main();
-        audit::record(recording, &main.run, &main.facts, &report)?;
+        let notes = recording::record(recording, &main.run, &main.facts, &report)?;
+        report.log.notes.extend(notes);
     }
     if let Some(folder) = &options.tables {
         let main = audits.main();

@@ -50,6 +50,42 @@ fn viewed(folder: &Path, more: &[&str]) -> Output {
 }
 
 #[test]
+fn folders_of_meshes_must_be_there_and_be_of_use() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let rrd = folder.path().join("run.rrd").display().to_string();
+    let audit = |arguments: &[&str]| {
+        let mut audit = program(env!("CARGO_BIN_EXE_poseaudit"));
+        audit.args(["audit", FAULTY]).args(arguments);
+        let output = audit.output().expect("the program runs");
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let cases = [
+        (vec!["--mesh-root", "no/such", "--rrd", &rrd], "no/such: no such folder"),
+        (vec!["--mesh-root", "src", "--mesh-root", FAULTY, "--rrd", &rrd], "no folder"),
+        (vec!["--mesh-root", "src"], "--rrd FILE or --view"),
+    ];
+    for (arguments, said) in cases {
+        let (status, stderr) = audit(&arguments);
+        assert_eq!(status, Some(2), "{arguments:?}");
+        assert!(stderr.contains(said) && stderr.lines().count() == 1, "{stderr}");
+        assert!(!folder.path().join("run.rrd").exists());
+    }
+}
+
+#[test]
+fn what_came_of_the_meshes_is_a_note_of_the_report() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut audit = program(env!("CARGO_BIN_EXE_poseaudit"));
+    let rrd = folder.path().join("run.rrd");
+    audit.args(["audit", FAULTY, "--mesh-root"]).arg(folder.path()).arg("--rrd").arg(&rrd);
+    let output = audit.output().expect("the program runs");
+    assert_eq!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stderr));
+    let report = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(report.contains("names no mesh: it is drawn as capsules"), "{report}");
+    assert!(rrd.is_file());
+}
+
+#[test]
 fn without_a_viewer_nothing_is_audited() {
     let folder = tempfile::tempdir().expect("a folder");
     let output = viewed(folder.path(), &[]);

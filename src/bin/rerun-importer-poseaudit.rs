@@ -87,6 +87,8 @@ impl Call {
             path: path.clone(),
             application: self.application.clone(),
             id: self.recording.clone(),
+            beside_log: true,
+            mesh_roots: Vec::new(),
         };
         let options = Options {
             logs: vec![self.log.clone()],

@@ -6,12 +6,13 @@ use clap::ValueEnum;
 use poseaudit::checks::{Selector, Settings};
 use poseaudit::config::Config;
 use poseaudit::finding::Severity;
+use poseaudit::replay::Recording;
 use poseaudit::report::{Report, Trouble};
 use poseaudit::run::{CalibrationSource, Declaration, RobotSource};
 use poseaudit::time::Clock;
 
 use super::progress::watched;
-use super::{Outcome, output, reports, view};
+use super::{Outcome, misuse, output, reports, view};
 
 /// Audit one recorded run: what is wrong with its poses, by how much, and how sure that is
 ///
@@ -24,6 +25,7 @@ Examples:
   poseaudit audit run.mcap --robot my_arm.urdf --tip tool0 --fail-on error
   poseaudit audit run.mcap --format json --format sarif --format junit --output reports
   poseaudit audit run.mcap --fix mend
+  poseaudit audit run.mcap --rrd run.rrd --mesh-root ~/ws/install/ur_description/share
   poseaudit audit run_0.mcap run_1.mcap --select LAT,ZER001 --require LAT001")]
 pub struct Args {
     /// The log; several files of one run are merged
@@ -60,6 +62,10 @@ pub struct Args {
     /// Open the recording in the Rerun viewer, which must be on the path
     #[arg(long)]
     view: bool,
+
+    /// Folder that the meshes of the robot's URDF are sought below, for the recording; repeatable
+    #[arg(long = "mesh-root", value_name = "DIR")]
+    mesh_roots: Vec<PathBuf>,
 
     /// Write tables as Parquet into this folder: aligned samples, reach map, findings, checks
     #[arg(long, value_name = "DIR")]
@@ -181,7 +187,11 @@ fn configured(args: Args) -> Result<(poseaudit::Options, Vec<Selector>), Trouble
         fix: args.fix,
         rules,
         fail_on: args.fail_on.map_or(by_config.fail_on, Into::into),
-        recording: args.rrd.map(Into::into),
+        recording: args.rrd.map(|path| Recording {
+            path,
+            mesh_roots: args.mesh_roots,
+            ..Recording::default()
+        }),
         tables: args.parquet,
         figures: args.reports.are_pictured(),
         ..by_config
@@ -194,9 +204,24 @@ fn first<T>(given: Vec<T>, other: Vec<T>) -> Vec<T> {
     if given.is_empty() { other } else { given }
 }
 
+/// Whether the folders of meshes are there, and there is a recording to draw them in.
+fn meshes_can_be_drawn(args: &Args) -> Result<(), Trouble> {
+    if let Some(missing) = args.mesh_roots.iter().find(|root| !root.is_dir()) {
+        let place = missing.display().to_string();
+        let what = if missing.exists() { "no folder" } else { "no such folder" };
+        return Err(misuse(place, what, "name the folder of the robot's meshes with --mesh-root"));
+    }
+    if !args.mesh_roots.is_empty() && args.rrd.is_none() && !args.view {
+        let what = "only a recording shows meshes";
+        return Err(misuse("--mesh-root", what, "ask for one with --rrd FILE or --view"));
+    }
+    Ok(())
+}
+
 pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     let reports = args.reports.clone();
     reports.can_be_followed()?;
+    meshes_can_be_drawn(&args)?;
     let viewer = args.view.then(view::viewer).transpose()?;
     if viewer.is_some() {
         args.rrd.get_or_insert_with(view::place);

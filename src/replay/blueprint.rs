@@ -8,15 +8,15 @@ use re_sdk_types::blueprint::archetypes::{
     ViewportBlueprint,
 };
 use re_sdk_types::blueprint::components::{
-    ColumnShare, ContainerKind, IncludedContent, PanelState, RootContainer, RowShare,
+    ActiveTab, ColumnShare, ContainerKind, IncludedContent, PanelState, RootContainer, RowShare,
 };
 use re_sdk_types::external::uuid::Uuid;
 use re_sdk_types::{Archetype, View};
 use rerun::external::re_log_types::BlueprintActivationCommand;
 use rerun::sink::MemorySinkStorage;
 use rerun::{
-    AsComponents, EntityPath, RecordingStream, RecordingStreamBuilder, RecordingStreamResult,
-    StoreId, StoreKind,
+    ApplicationId, AsComponents, EntityPath, RecordingStream, RecordingStreamBuilder,
+    RecordingStreamResult, StoreId, StoreKind,
 };
 
 /// A view or a container, which can be put into a container.
@@ -45,7 +45,7 @@ pub(super) struct Blueprint {
 
 impl Blueprint {
     /// An empty blueprint for recordings of `application`.
-    pub fn new(application: &'static str) -> RecordingStreamResult<Self> {
+    pub fn new(application: ApplicationId) -> RecordingStreamResult<Self> {
         let id = StoreId::random(StoreKind::Blueprint, application);
         let (stream, messages) =
             RecordingStreamBuilder::from_store_id(&id).enabled(true).memory()?;
@@ -87,9 +87,21 @@ impl Blueprint {
         self.container(ContainerKind::Vertical, parts, |column| column.with_row_shares(shares))
     }
 
-    /// Parts behind each other.
-    pub fn tabs(&self, parts: &[Part]) -> RecordingStreamResult<Part> {
-        self.container(ContainerKind::Tabs, parts, |tabs| tabs)
+    /// Parts behind each other, the one with the index `first` before the others.
+    pub fn tabs(&self, parts: &[Part], first: usize) -> RecordingStreamResult<Part> {
+        let first = parts.get(first).map(|part| ActiveTab(part.path().into()));
+        self.container(ContainerKind::Tabs, parts, |tabs| match first {
+            Some(first) => tabs.with_active_tab(first),
+            None => tabs,
+        })
+    }
+
+    /// Parts below each other under one name, with their shares of the height.
+    pub fn page(&self, name: &str, parts: &[Part], shares: &[f32]) -> RecordingStreamResult<Part> {
+        let shares = shares.iter().map(|&share| RowShare(share.into()));
+        self.container(ContainerKind::Vertical, parts, |page| {
+            page.with_row_shares(shares).with_display_name(name)
+        })
     }
 
     fn container(

@@ -1,77 +1,193 @@
-//! How the viewer opens a recording: the scene left, the plots right, the text below.
+//! How the viewer opens a recording: the scene left, what proves the worst finding right, the spans of
+//! all findings below.
 
 use re_sdk_types::blueprint::archetypes::{
-    EyeControls3D, PlotLegend, TextLogColumns, TimePanelBlueprint,
+    Background, EyeControls3D, LineGrid3D, PlotLegend, TextLogColumns, TimePanelBlueprint,
 };
-use re_sdk_types::blueprint::components::{Corner2D, LoopMode, PanelState, PlayState};
+use re_sdk_types::blueprint::components::{
+    AbsoluteTimeRange, BackgroundKind, Corner2D, LoopMode, PanelState, PlayState,
+};
 use re_sdk_types::blueprint::datatypes::{TextLogColumn, TextLogColumnKind};
 use re_sdk_types::blueprint::views::{
-    Spatial3DView, TextDocumentView, TextLogView, TimeSeriesView,
+    Spatial3DView, StateTimelineView, TextDocumentView, TextLogView, TimeSeriesView,
 };
-use rerun::{RecordingStream, RecordingStreamResult};
+use re_sdk_types::components::Color;
+use re_sdk_types::datatypes;
+use rerun::{ApplicationId, EntityPath, RecordingStream, RecordingStreamResult};
 
 use super::blueprint::{Blueprint, Part};
-use super::plots::Quantity;
-use super::{APPLICATION, Replay, ReplayArm, page, scene, tape};
+use super::plots::{self, Quantity};
+use super::{Replay, ReplayArm, ReplayImu, findings, page, scene, tape, tools};
+use crate::finding::Finding;
+use crate::geometry::Vec3;
+use crate::time::Stamp;
 
-/// From where an arm is looked at, in its base, as parts of its reach.
-const EYE: [f64; 3] = [0.9, -1.1, 0.8];
-/// What is looked at.
-const TARGET: [f64; 3] = [0.0, 0.0, 0.3];
+/// Findings that have a tab of their own.
+const MOST_TABS: usize = 8;
+const GROUND_RGB: [u8; 3] = [20, 23, 28];
+const GRID_RGBA: [u8; 4] = [90, 100, 115, 90];
 
 /// Sends the layout of a recording, which the viewer then plays over and over.
-pub(super) fn send(replay: &Replay<'_>, recording: &RecordingStream) -> RecordingStreamResult<()> {
-    let blueprint = Blueprint::new(APPLICATION)?;
-    let text = text(&blueprint)?;
-    let arms = replay.arms.iter().map(|arm| of_arm(arm, &blueprint));
-    let root = match arms.collect::<RecordingStreamResult<Vec<_>>>()?.as_slice() {
-        [] => text,
-        [arm] => blueprint.column(&[*arm, text], &[7.0, 3.0])?,
-        arms => blueprint.column(&[blueprint.tabs(arms)?, text], &[7.0, 3.0])?,
+pub(super) fn send(
+    replay: &Replay<'_>,
+    application: ApplicationId,
+    recording: &RecordingStream,
+) -> RecordingStreamResult<()> {
+    let blueprint = Blueprint::new(application)?;
+    let arms = replay.arms.iter().map(|arm| scene(arm, &blueprint));
+    let arms = arms.collect::<RecordingStreamResult<Vec<_>>>()?;
+    let proof = proof(replay, &blueprint)?;
+    let above = match arms.as_slice() {
+        [] => proof,
+        [arm] => blueprint.row(&[*arm, proof], &[5.0, 4.0])?,
+        arms => {
+            // The arm of the worst finding stands before the others.
+            let first = replay.report.findings.first().and_then(|it| replay.arm_of(it));
+            let is_first = |arm: &ReplayArm<'_>| Some(arm.name) == first.map(|arm| arm.name);
+            let first = replay.arms.iter().position(is_first).unwrap_or(0);
+            blueprint.row(&[blueprint.tabs(arms, first)?, proof], &[5.0, 4.0])?
+        }
     };
-    let time = TimePanelBlueprint::new()
+    let root = match replay.report.findings.len() {
+        0 => above,
+        // A lane needs so much of the height.
+        lanes => blueprint
+            .column(&[above, below(&blueprint)?], &[10.0, (1.2 + 0.55 * lanes as f32).min(5.0)])?,
+    };
+    blueprint.send(root, &time(replay), recording)
+}
+
+/// Plays the run; where the worst finding is of a part of it, that part.
+fn time(replay: &Replay<'_>) -> TimePanelBlueprint {
+    /// What is longer than this part of the run is shown as all of it.
+    const MOST: f64 = 0.8;
+    /// Before and after what is shown, s.
+    const AROUND_S: f64 = 0.5;
+    let panel = TimePanelBlueprint::new()
         .with_state(PanelState::Collapsed)
         .with_timeline(tape::RUN)
-        .with_play_state(PlayState::Playing)
-        .with_loop_mode(LoopMode::All);
-    blueprint.send(root, &time, recording)
+        .with_play_state(PlayState::Playing);
+    let (first, last) = replay.span;
+    let worst = replay.report.findings.first().map(|finding| replay.span_of(finding));
+    let part = worst
+        .map(|(start, end)| (start.shifted(-AROUND_S).max(first), end.shifted(AROUND_S).min(last)));
+    let is_part = |&(start, end): &(Stamp, Stamp)| {
+        start < end && end.seconds_since(start) < MOST * last.seconds_since(first)
+    };
+    match part.filter(is_part) {
+        Some((start, end)) => {
+            let nanos = |stamp: Stamp| stamp.nanos().saturating_sub(replay.origin.nanos());
+            let range = datatypes::AbsoluteTimeRange {
+                min: datatypes::TimeInt(nanos(start)),
+                max: datatypes::TimeInt(nanos(end)),
+            };
+            let selection = AbsoluteTimeRange(range);
+            panel.with_time_selection(selection).with_loop_mode(LoopMode::Selection)
+        }
+        None => panel.with_loop_mode(LoopMode::All),
+    }
 }
 
-fn of_arm(arm: &ReplayArm<'_>, blueprint: &Blueprint) -> RecordingStreamResult<Part> {
-    let scene = blueprint.view::<Spatial3DView>(arm.name, &scene::root(arm.name))?;
+fn scene(arm: &ReplayArm<'_>, blueprint: &Blueprint) -> RecordingStreamResult<Part> {
+    /// From where it is looked at, …
+    const FROM: Vec3 = Vec3::new(0.72, -0.88, 0.5);
+    /// … and from how far, as a part of the ball around what it does.
+    const AWAY: f64 = 1.8;
+    let times = tools::magnified(arm);
+    let name = match times {
+        1.0 => arm.name.to_owned(),
+        times => format!("{}, errors × {times}", arm.name),
+    };
+    let view = blueprint.view::<Spatial3DView>(&name, &scene::root(arm.name))?;
     // Not left to the viewer: a fault may have put what was logged a kilometre away.
-    let reach_m = arm.chain.max_reach_m();
+    let (middle, radius_m) = scene::ball(arm);
+    let eye = middle + FROM.normalize() * AWAY * radius_m.max(0.1);
     let eye = EyeControls3D::new()
-        .with_position(EYE.map(|part| part * reach_m))
-        .with_look_target(TARGET.map(|part| part * reach_m))
+        .with_position(<[f64; 3]>::from(eye))
+        .with_look_target(<[f64; 3]>::from(middle))
         .with_eye_up([0.0, 0.0, 1.0]);
-    blueprint.set(scene, &eye)?;
-    let mut plots = Vec::new();
-    for (quantity, is_there) in [
-        (Quantity::Position, !arm.streams.is_empty()),
-        (Quantity::Rotation, !arm.streams.is_empty()),
-        (Quantity::Yaw, !arm.imus.is_empty()),
-    ] {
-        if is_there {
-            let plot =
-                blueprint.view::<TimeSeriesView>(quantity.title(), &quantity.root(arm.name))?;
-            blueprint.set(plot, &PlotLegend::new().with_corner(Corner2D::LeftTop))?;
-            plots.push(plot);
+    blueprint.set(view, &eye)?;
+    let ground = Background::new(BackgroundKind::SolidColor).with_color(GROUND_RGB);
+    blueprint.set(view, &ground)?;
+    let [red, green, blue, alpha] = GRID_RGBA;
+    let grid = LineGrid3D::new().with_color(Color::from_unmultiplied_rgba(red, green, blue, alpha));
+    blueprint.set(view, &grid)?;
+    Ok(view)
+}
+
+/// A tab for each finding, then one with all errors of each arm, then the report.
+fn proof(replay: &Replay<'_>, blueprint: &Blueprint) -> RecordingStreamResult<Part> {
+    let mut tabs = Vec::new();
+    for (index, finding) in replay.report.findings.iter().take(MOST_TABS).enumerate() {
+        let text = blueprint.view::<TextDocumentView>("what is wrong", &findings::page(index))?;
+        let (mut parts, mut shares) = (vec![text], vec![4.0]);
+        for (title, series) in
+            replay.arm_of(finding).map(|it| plots_of(finding, it)).unwrap_or_default()
+        {
+            parts.push(plot(&title, &series, blueprint)?);
+            shares.push(3.0);
+        }
+        tabs.push(blueprint.page(finding.code, &parts, &shares)?);
+    }
+    for arm in &replay.arms {
+        let mut plots = Vec::new();
+        for (quantity, is_there) in [
+            (Quantity::Position, !arm.streams.is_empty()),
+            (Quantity::Rotation, !arm.streams.is_empty()),
+            (Quantity::Yaw, arm.imus.iter().any(ReplayImu::has_yaw)),
+        ] {
+            if is_there {
+                plots.push(plot(quantity.title(), &quantity.root(arm.name), blueprint)?);
+            }
+        }
+        let name = match replay.arms.len() {
+            1 => "errors".to_owned(),
+            _ => format!("errors of {}", arm.name),
+        };
+        if !plots.is_empty() {
+            tabs.push(blueprint.page(&name, &plots, &vec![1.0; plots.len()])?);
         }
     }
-    if plots.is_empty() {
-        return Ok(scene);
-    }
-    let plots = blueprint.column(&plots, &vec![1.0; plots.len()])?;
-    blueprint.row(&[scene, plots], &[3.0, 2.0])
+    tabs.push(blueprint.view::<TextDocumentView>("report", &page::report())?);
+    blueprint.tabs(&tabs, 0)
 }
 
-/// The report beside the findings on the time line.
-fn text(blueprint: &Blueprint) -> RecordingStreamResult<Part> {
-    let report = blueprint.view::<TextDocumentView>("report", &page::report())?;
-    let findings = blueprint.view::<TextLogView>("findings", &page::findings())?;
+/// What proves a finding, with its title: the errors of its stream, the rotation first where that is
+/// what is wrong; the yaw of its IMU; the joint and what its zero does to all streams.
+fn plots_of(finding: &Finding, arm: &ReplayArm<'_>) -> Vec<(String, EntityPath)> {
+    let topic = finding.subject.topic.as_deref().unwrap_or_default();
+    let titled = |quantity: Quantity, path| (quantity.title().to_owned(), path);
+    if arm.streams.iter().any(|stream| stream.topic == topic) {
+        let mut both = [Quantity::Position, Quantity::Rotation];
+        if finding.code.starts_with("ORD") {
+            both.reverse();
+        }
+        return both.map(|it| titled(it, it.of_topic(arm.name, topic))).into();
+    }
+    if let Some(imu) = arm.imus.iter().find(|imu| imu.topic == topic) {
+        let yaw = titled(Quantity::Yaw, Quantity::Yaw.of_topic(arm.name, topic));
+        return imu.has_yaw().then_some(yaw).into_iter().collect();
+    }
+    let all = (!arm.streams.is_empty())
+        .then(|| titled(Quantity::Position, Quantity::Position.root(arm.name)));
+    let joint = finding.subject.joint.as_deref();
+    let joint = joint.and_then(|name| Some((name, plots::joint(arm, name)?)));
+    let joint = joint.map(|(name, (path, unit))| (format!("{name}, {unit}"), path));
+    all.into_iter().chain(joint).collect()
+}
+
+fn plot(title: &str, series: &EntityPath, blueprint: &Blueprint) -> RecordingStreamResult<Part> {
+    let plot = blueprint.view::<TimeSeriesView>(title, series)?;
+    blueprint.set(plot, &PlotLegend::new().with_corner(Corner2D::LeftTop))?;
+    Ok(plot)
+}
+
+/// The spans of the findings beside their lines.
+fn below(blueprint: &Blueprint) -> RecordingStreamResult<Part> {
+    let spans = blueprint.view::<StateTimelineView>("when", &findings::spans())?;
+    let lines = blueprint.view::<TextLogView>("findings", &findings::log())?;
     let columns = [TextLogColumnKind::LogLevel, TextLogColumnKind::Body];
     let columns = columns.map(|kind| TextLogColumn { kind, visible: true.into() });
-    blueprint.set(findings, &TextLogColumns::new().with_text_log_columns(columns))?;
-    blueprint.row(&[report, findings], &[1.0, 1.0])
+    blueprint.set(lines, &TextLogColumns::new().with_text_log_columns(columns))?;
+    blueprint.row(&[spans, lines], &[5.0, 4.0])
 }

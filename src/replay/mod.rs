@@ -5,37 +5,51 @@
 //!
 //! | entity | what it is |
 //! |---|---|
-//! | `/arms/NAME/arm` | the arm by FK, its joints as they should have been recorded |
+//! | `/arms/NAME/arm` | capsules along the arm by FK, its joints as they should have been recorded |
 //! | `/arms/NAME/arm_as_recorded` | the same as recorded, where that differs |
-//! | `/arms/NAME/tip` | frame of the tip, at the end of `arm` |
-//! | `/arms/NAME/TOPIC/…` | a stream's tool `as_logged` and `as_explained`, and their trails |
+//! | `/arms/NAME/links/LINK` | frame of a link by FK, with its name and its visuals |
+//! | `/arms/NAME/tip` | the tool by FK |
+//! | `/arms/NAME/TOPIC/…` | a stream's tool `as_logged` and `as_explained`, their trails, and the `error` from FK |
 //! | `/errors/NAME/{position_mm,rotation_deg}/TOPIC/…` | distance from FK, before and after |
 //! | `/errors/NAME/yaw_deg/TOPIC` | yaw of an IMU against FK |
-//! | `/findings`, `/report` | the findings on the time line, and as a page |
+//! | `/joints/NAME/JOINT` | a joint's position, as it should have been recorded |
+//! | `/findings/…`, `/spans/…` | the findings on the time line, as lines of a log, pages, and spans |
+//! | `/report` | the report as a page |
 //!
-//! Two timelines: `stamp` as the log has it, and `run`, the time since the run's origin.
+//! Timelines: `run`, the time since the run's origin; `stamp` and `log_time` as the log has them; and
+//! `sample`, the number of the last joint state at a stamp, so that all streams are of one moment.
 
+mod arm;
 mod blueprint;
+mod findings;
 mod layout;
+mod mesh;
+mod moments;
 mod page;
 mod plots;
 mod scene;
 mod tape;
+mod tools;
+mod visuals;
 
 use std::path::{Path, PathBuf};
 
 use polars::prelude::{DataFrame, PolarsError};
 use rerun::sink::SinkFlushError;
-use rerun::{ApplicationId, RecordingStreamBuilder, RecordingStreamError, SerializationError};
+use rerun::{
+    ApplicationId, RecordingStream, RecordingStreamBuilder, RecordingStreamError,
+    SerializationError,
+};
 
 use crate::finding::Finding;
 use crate::geometry::Pose;
-use crate::report::{Verdict, write_whole};
-use crate::robot::Chain;
+use crate::report::{Report, write_whole};
+use crate::robot::{Chain, Robot};
 use crate::stream::JointTrack;
 use crate::time::Stamp;
 
-use tape::Tape;
+pub use moments::Receipts;
+use tape::{Names, Tape};
 
 /// Whose recordings these are, in the viewer.
 const APPLICATION: &str = env!("CARGO_PKG_NAME");
@@ -53,6 +67,11 @@ pub struct Recording {
     pub application: Option<String>,
     /// The recording's id; a new one where there is none.
     pub id: Option<String>,
+    /// Whether the viewer shows it beside the log that it reads itself. Its timelines then have the
+    /// viewer's names, `ros2_timestamp` and `message_log_time`, so that one cursor moves both.
+    pub beside_log: bool,
+    /// The folders that the models' meshes are sought below. No file outside of them is read.
+    pub mesh_roots: Vec<PathBuf>,
 }
 
 impl From<PathBuf> for Recording {
@@ -66,12 +85,27 @@ impl From<PathBuf> for Recording {
 pub struct Replay<'a> {
     /// The run's origin, from which times in seconds count.
     pub origin: Stamp,
+    /// First and last stamp of the run.
+    pub span: (Stamp, Stamp),
     /// The arms, each in its own space.
     pub arms: Vec<ReplayArm<'a>>,
-    /// The answer in one word.
-    pub verdict: Verdict,
-    /// What is wrong, the gravest first.
-    pub findings: &'a [Finding],
+    /// What the audit says, the gravest finding first.
+    pub report: &'a Report,
+}
+
+impl<'a> Replay<'a> {
+    /// The arm that a finding is of: the one it names, else the first.
+    fn arm_of(&self, finding: &Finding) -> Option<&ReplayArm<'a>> {
+        let named = finding.subject.robot.as_deref();
+        let named = self.arms.iter().find(|arm| Some(arm.name) == named);
+        named.or(self.arms.first())
+    }
+
+    /// First and last stamp of what a finding is about; the run's where it is of all of it.
+    fn span_of(&self, finding: &Finding) -> (Stamp, Stamp) {
+        let (start, end) = (finding.start_ns, finding.end_ns);
+        (start.unwrap_or(self.span.0), end.unwrap_or(self.span.1))
+    }
 }
 
 /// One arm and its streams.
@@ -79,10 +113,14 @@ pub struct Replay<'a> {
 pub struct ReplayArm<'a> {
     /// Its name.
     pub name: &'a str,
+    /// The robot that it is a part of.
+    pub robot: &'a Robot,
     /// The chain from base to tip.
     pub chain: &'a Chain,
     /// For each joint of `chain`, its column in the joint tracks.
     pub columns: &'a [usize],
+    /// When the joint states were received.
+    pub received: Receipts,
     /// The joint states as recorded.
     pub recorded: &'a JointTrack,
     /// The joint states as they should have been recorded.
@@ -115,6 +153,8 @@ pub struct ReplayStream<'a> {
     pub kind: StreamKind,
     /// Its samples and residuals, by [`tables::aligned_frame`](crate::tables::aligned_frame).
     pub frame: DataFrame,
+    /// When its messages were received.
+    pub received: Receipts,
     /// The frame of the samples in the base of the arm's chain.
     pub base_from_reference: Pose,
     /// Whether the log ties that frame to the arm. If not, what was logged has no place in the
@@ -182,8 +222,17 @@ impl State {
 pub struct ReplayImu<'a> {
     /// Its topic.
     pub topic: &'a str,
+    /// When its messages were received.
+    pub received: Receipts,
     /// Stamp, s from the run's origin, and yaw against FK, rad.
     pub yaw_error: &'a [(f64, f64)],
+}
+
+impl ReplayImu<'_> {
+    /// Whether there is a yaw to plot; an IMU may have no orientation.
+    fn has_yaw(&self) -> bool {
+        !self.yaw_error.is_empty()
+    }
 }
 
 /// Why a recording could not be written.
@@ -213,32 +262,57 @@ pub enum ReplayCause {
     Frame(#[from] PolarsError),
 }
 
-/// Writes the recording to its file, whose folders are made.
+/// Writes the recording to its file, whose folders are made; what is to be known of the meshes that
+/// were asked for.
 ///
 /// # Errors
 /// Where the file cannot be written, or a stream's frame lacks a column.
-pub fn write(recording: &Recording, replay: &Replay<'_>) -> Result<(), ReplayError> {
-    write_whole(&recording.path, |staged| record(staged, recording, replay))
-        .map_err(|cause| ReplayError { path: recording.path.clone(), cause })
+pub fn write(recording: &Recording, replay: &Replay<'_>) -> Result<Vec<String>, ReplayError> {
+    let mut notes = Vec::new();
+    write_whole(&recording.path, |staged| {
+        notes = record(staged, recording, replay)?;
+        Ok(())
+    })
+    .map_err(|cause| ReplayError { path: recording.path.clone(), cause })?;
+    Ok(notes)
 }
 
-fn record(staged: &Path, wanted: &Recording, replay: &Replay<'_>) -> Result<(), ReplayCause> {
+fn record(
+    staged: &Path,
+    wanted: &Recording,
+    replay: &Replay<'_>,
+) -> Result<Vec<String>, ReplayCause> {
     // Explicitly enabled: the environment variable RERUN must not empty a file that was asked for.
-    let named = wanted.application.clone().and_then(|name| ApplicationId::try_new(name).ok());
-    let application = named.unwrap_or(APPLICATION.into());
-    let mut builder = RecordingStreamBuilder::new(application).enabled(true);
+    let mut builder = RecordingStreamBuilder::new(application(wanted)).enabled(true);
     if let Some(id) = &wanted.id {
         builder = builder.recording_id(id.as_str());
     }
-    let recording = builder.save(staged)?;
-    layout::send(replay, &recording)?;
-    let tape = Tape::new(recording, replay.origin);
+    fill(builder.save(staged)?, wanted, replay)
+}
+
+fn application(wanted: &Recording) -> ApplicationId {
+    let named = wanted.application.clone().and_then(|name| ApplicationId::try_new(name).ok());
+    named.unwrap_or(APPLICATION.into())
+}
+
+/// Puts everything into `recording`; what is to be known of meshes.
+fn fill(
+    recording: RecordingStream,
+    wanted: &Recording,
+    replay: &Replay<'_>,
+) -> Result<Vec<String>, ReplayCause> {
+    layout::send(replay, application(wanted), &recording)?;
+    let names = if wanted.beside_log { Names::OF_VIEWER } else { Names::OWN };
+    let tape = Tape::new(recording, replay.origin, names);
+    let mut meshes = Vec::new();
     for arm in &replay.arms {
-        scene::draw(&tape, arm)?;
+        meshes.extend(scene::draw(&tape, arm, &wanted.mesh_roots)?);
         plots::draw(&tape, arm)?;
     }
-    page::write(&tape, replay)?;
-    tape.finish()
+    findings::write(&tape, replay)?;
+    page::write(&tape, replay, &meshes)?;
+    tape.finish()?;
+    Ok(if wanted.mesh_roots.is_empty() { Vec::new() } else { meshes })
 }
 
 #[cfg(test)]

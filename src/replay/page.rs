@@ -1,74 +1,82 @@
-//! The findings: on the time line, and as a page.
+//! The report as a page.
 
 use std::fmt::Write as _;
 
-use re_sdk_types::archetypes::{TextDocument, TextLog};
-use re_sdk_types::components::{MediaType, TextLogLevel};
+use re_sdk_types::archetypes::TextDocument;
+use re_sdk_types::components::MediaType;
 use rerun::EntityPath;
 
 use super::tape::{Tape, entity};
-use super::{Replay, ReplayCause};
-use crate::finding::{Finding, Severity};
-
-/// The entity of the findings on the time line.
-pub(super) fn findings() -> EntityPath {
-    entity(&["findings"])
-}
+use super::{MOST_ROWS, Replay, ReplayCause, findings};
+use crate::report::markdown::prose;
+use crate::report::outline::Outline;
 
 /// The entity of the page.
 pub(super) fn report() -> EntityPath {
     entity(&["report"])
 }
 
-/// Adds the page, and each finding at the first stamp of what it is about.
-pub(super) fn write(tape: &Tape, replay: &Replay<'_>) -> Result<(), ReplayCause> {
-    let page = TextDocument::new(markdown(replay)).with_media_type(MediaType::MARKDOWN);
-    tape.still(&report(), &page)?;
-    let all = replay.findings;
-    let start = |finding: &Finding| finding.start_ns.unwrap_or(replay.origin).nanos();
-    let stamps_ns: Vec<i64> = all.iter().map(start).collect();
-    let lines = TextLog::update_fields()
-        .with_many_text(all.iter().map(line))
-        .with_many_level(all.iter().map(|finding| level(finding.severity)));
-    tape.columns(&findings(), &stamps_ns, lines.columns_of_unit_batches()?)?;
-    Ok(())
+/// Adds the page; `meshes` is what is to be known of them.
+pub(super) fn write(
+    tape: &Tape,
+    replay: &Replay<'_>,
+    meshes: &[String],
+) -> Result<(), ReplayCause> {
+    let page = TextDocument::new(markdown(replay, meshes)).with_media_type(MediaType::MARKDOWN);
+    Ok(tape.still(&report(), &page)?)
 }
 
-fn line(finding: &Finding) -> String {
-    let Finding { code, message, .. } = finding;
-    match finding.subject.label() {
-        "" => format!("{code} {message}"),
-        subject => format!("{code} {subject}: {message}"),
+fn markdown(replay: &Replay<'_>, meshes: &[String]) -> String {
+    let report = replay.report;
+    let says = Outline::of(report);
+    let mut page = format!("# {}\n\n{}\n\n", report.verdict, prose(&says.why()));
+    if let Some(extent) = says.extent() {
+        page.push_str(&format!("{extent}\n\n"));
     }
-}
-
-const fn level(severity: Severity) -> &'static str {
-    match severity {
-        Severity::Error => TextLogLevel::ERROR,
-        Severity::Warning => TextLogLevel::WARN,
-        Severity::Info => TextLogLevel::INFO,
+    for finding in &report.findings {
+        page.push_str(&findings::markdown(finding, &says));
     }
-}
-
-fn markdown(replay: &Replay<'_>) -> String {
-    let mut page = format!("# {}\n", replay.verdict);
-    if replay.findings.is_empty() {
-        page.push_str("\nNo findings.\n");
-    }
-    for finding in replay.findings {
-        let Finding { code, title, message, fix, .. } = finding;
-        let severity = finding.severity.name();
-        // Writing to a string cannot fail.
-        let _ = writeln!(page, "\n### {severity} {code} {title}\n");
-        let subject = finding.subject.label();
-        if !subject.is_empty() {
-            let _ = writeln!(page, "`{subject}`\n");
-        }
-        let _ = writeln!(page, "{message}\n");
-        if let Some(effect) = &finding.evidence.effect {
-            let _ = writeln!(page, "- {effect}");
-        }
-        let _ = writeln!(page, "- **fix** {fix}");
-    }
+    let passed = says.passed();
+    let lists = [passed.whole.join(", "), passed.parts.join("; ")].into_iter();
+    let passed = lists.filter(|list| !list.is_empty()).chain(passed.remarks).collect();
+    list(&mut page, "Ignored", says.ignored());
+    list(&mut page, "Passed", passed);
+    list(&mut page, "Could not tell", [says.could_not_tell(), says.cannot_show()].concat());
+    list(&mut page, "Skipped", says.skipped());
+    let notes = report.log.notes.iter().map(|note| note.note.clone());
+    list(&mut page, "Notes", notes.collect());
+    list(&mut page, "In this recording", meshes.iter().cloned().chain(decimated(replay)).collect());
     page
+}
+
+fn list(page: &mut String, title: &str, lines: Vec<String>) {
+    if lines.is_empty() {
+        return;
+    }
+    // Writing to a string cannot fail.
+    let _ = writeln!(page, "### {title}\n");
+    for line in lines {
+        let _ = writeln!(page, "- {}", prose(&line));
+    }
+    page.push('\n');
+}
+
+/// Of which streams not all samples are drawn.
+fn decimated(replay: &Replay<'_>) -> Vec<String> {
+    let joints = replay
+        .arms
+        .iter()
+        .map(|arm| (format!("joint states of {}", arm.name), arm.corrected.len()));
+    let streams = replay.arms.iter().flat_map(|arm| &arm.streams);
+    let streams =
+        streams.map(|stream| (format!("samples of {}", stream.topic), stream.frame.height()));
+    let imus = replay.arms.iter().flat_map(|arm| &arm.imus);
+    let imus = imus.map(|imu| (format!("samples of {}", imu.topic), imu.yaw_error.len()));
+    let long = joints.chain(streams).chain(imus).filter(|(_, rows)| *rows > MOST_ROWS);
+    let mut lines: Vec<String> =
+        long.map(|(what, rows)| format!("{rows} {what}, thinned to about {MOST_ROWS}")).collect();
+    if !lines.is_empty() {
+        lines.push("thinned evenly where things move; plots keep lowest and highest values".into());
+    }
+    lines
 }

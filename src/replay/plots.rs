@@ -4,10 +4,15 @@ use re_sdk_types::archetypes::{Scalars, SeriesLines};
 use rerun::EntityPath;
 
 use super::tape::{Tape, entity};
-use super::{MOST_ROWS, ReplayArm, ReplayCause, ReplayImu, ReplayStream, State, StreamKind};
+use super::{
+    MOST_ROWS, Receipts, ReplayArm, ReplayCause, ReplayImu, ReplayStream, State, StreamKind,
+};
+use crate::robot::JointKind;
 use crate::tables::{self, AFTER_M, AFTER_RAD, BEFORE_M, BEFORE_RAD, thin};
+use crate::time::Stamp;
 
 const ERRORS: &str = "errors";
+const JOINT_RGB: [u8; 3] = [110, 170, 240];
 
 /// What is plotted; one view each.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -40,6 +45,11 @@ impl Quantity {
         }
     }
 
+    /// The entity above the series of one topic.
+    pub fn of_topic(self, arm: &str, topic: &str) -> EntityPath {
+        self.root(arm).join(&entity(&[topic]))
+    }
+
     /// From SI to the unit shown.
     fn factor(self) -> f64 {
         match self {
@@ -49,13 +59,39 @@ impl Quantity {
     }
 }
 
-/// Adds the errors of an arm's streams and the yaw of its IMUs.
+/// Adds the positions of an arm's joints, the errors of its streams and the yaw of its IMUs.
 pub(super) fn draw(tape: &Tape, arm: &ReplayArm<'_>) -> Result<(), ReplayCause> {
+    joints(tape, arm)?;
     for stream in &arm.streams {
         residuals(tape, arm, stream)?;
     }
     for imu in &arm.imus {
-        yaw(tape, arm.name, imu)?;
+        yaw(tape, arm, imu)?;
+    }
+    Ok(())
+}
+
+/// The entity of a joint's position, and the unit that it is plotted in.
+pub(super) fn joint(arm: &ReplayArm<'_>, name: &str) -> Option<(EntityPath, &'static str)> {
+    let index = arm.chain.joint_names().iter().position(|known| known == name)?;
+    let unit = if arm.chain.joint_kinds()[index] == JointKind::Prismatic { "mm" } else { "°" };
+    Some((entity(&["joints", arm.name]).join(&entity(&[name])), unit))
+}
+
+fn joints(tape: &Tape, arm: &ReplayArm<'_>) -> Result<(), ReplayCause> {
+    let stamps: Vec<Stamp> = arm.corrected.t_s.iter().map(|&t_s| tape.stamp(t_s)).collect();
+    for (name, &column) in arm.chain.joint_names().iter().zip(arm.columns) {
+        let Some((path, unit)) = joint(arm, name) else { continue };
+        let series = Series {
+            path,
+            label: name.clone(),
+            rgb: JOINT_RGB,
+            width: 1.5,
+            factor: if unit == "mm" { 1e3 } else { 1f64.to_degrees() },
+        };
+        let positions = arm.corrected.q.iter().skip(column).step_by(arm.corrected.dof.max(1));
+        let positions: Vec<f64> = positions.copied().collect();
+        series.draw(tape, arm, &arm.received, &stamps, &positions)?;
     }
     Ok(())
 }
@@ -65,7 +101,8 @@ fn residuals(
     arm: &ReplayArm<'_>,
     stream: &ReplayStream<'_>,
 ) -> Result<(), ReplayCause> {
-    let stamps_ns = tables::stamps_ns(&stream.frame)?;
+    let stamps = tables::stamps_ns(&stream.frame)?;
+    let stamps: Vec<Stamp> = stamps.into_iter().map(Stamp::from_nanos).collect();
     for quantity in [Quantity::Position, Quantity::Rotation] {
         for state in State::drawn(stream) {
             let column = match (quantity, state) {
@@ -81,23 +118,24 @@ fn residuals(
                 width: if state == State::Explained { 2.5 } else { 1.0 },
                 factor: quantity.factor(),
             };
-            series.draw(tape, &stamps_ns, &tables::numbers(&stream.frame, column)?)?;
+            let values = tables::numbers(&stream.frame, column)?;
+            series.draw(tape, arm, &stream.received, &stamps, &values)?;
         }
     }
     Ok(())
 }
 
-fn yaw(tape: &Tape, arm: &str, imu: &ReplayImu<'_>) -> Result<(), ReplayCause> {
+fn yaw(tape: &Tape, arm: &ReplayArm<'_>, imu: &ReplayImu<'_>) -> Result<(), ReplayCause> {
     let series = Series {
-        path: entity(&[ERRORS, arm, Quantity::Yaw.name(), imu.topic]),
+        path: entity(&[ERRORS, arm.name, Quantity::Yaw.name(), imu.topic]),
         label: imu.topic.to_owned(),
         rgb: State::Logged.rgb(StreamKind::Pose),
         width: 1.0,
         factor: Quantity::Yaw.factor(),
     };
-    let (stamps_ns, yaw_rad): (Vec<i64>, Vec<f64>) =
-        imu.yaw_error.iter().map(|&(t_s, yaw_rad)| (tape.stamp_ns(t_s), yaw_rad)).unzip();
-    series.draw(tape, &stamps_ns, &yaw_rad)
+    let (stamps, yaw_rad): (Vec<Stamp>, Vec<f64>) =
+        imu.yaw_error.iter().map(|&(t_s, yaw_rad)| (tape.stamp(t_s), yaw_rad)).unzip();
+    series.draw(tape, arm, &imu.received, &stamps, &yaw_rad)
 }
 
 /// One line of a plot.
@@ -113,16 +151,22 @@ struct Series {
 
 impl Series {
     /// Adds the line through `values`, in SI.
-    fn draw(&self, tape: &Tape, stamps_ns: &[i64], values: &[f64]) -> Result<(), ReplayCause> {
+    fn draw(
+        &self,
+        tape: &Tape,
+        arm: &ReplayArm<'_>,
+        received: &Receipts,
+        stamps: &[Stamp],
+        values: &[f64],
+    ) -> Result<(), ReplayCause> {
         let rows = thin::extremes(&[values], MOST_ROWS);
-        let kept_ns: Vec<i64> = rows.iter().map(|&row| stamps_ns[row]).collect();
+        let moments = tape.moments(arm, received, rows.iter().map(|&row| stamps[row]));
         let shown = rows.iter().map(|&row| values[row] * self.factor);
         let style = SeriesLines::new()
             .with_names([self.label.as_str()])
             .with_colors([self.rgb])
             .with_widths([self.width]);
         tape.still(&self.path, &style)?;
-        tape.columns(&self.path, &kept_ns, Scalars::new(shown).columns_of_unit_batches()?)?;
-        Ok(())
+        Ok(tape.columns(&self.path, &moments, Scalars::new(shown).columns_of_unit_batches()?)?)
     }
 }

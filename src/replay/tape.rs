@@ -1,4 +1,4 @@
-//! The recording as it is written: entity paths, and columns on both timelines.
+//! The recording as it is written: entity paths, and columns on all timelines.
 
 use rerun::log::TimeColumn;
 use rerun::{
@@ -6,28 +6,72 @@ use rerun::{
     SerializedComponentColumn,
 };
 
-use super::ReplayCause;
+use super::moments::Moments;
+use super::{Receipts, ReplayArm, ReplayCause};
 use crate::time::Stamp;
 
-/// The timeline of stamps as the log has them.
-const STAMP: &str = "stamp";
 /// The timeline since the run's origin.
 pub(super) const RUN: &str = "run";
+/// The timeline of joint states.
+pub(super) const SAMPLE: &str = "sample";
+
+/// What the timelines are called that a log has of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Names {
+    /// Stamps as the log has them.
+    pub stamp: &'static str,
+    /// When the recorder received the messages.
+    pub log: &'static str,
+}
+
+impl Names {
+    /// In a recording that stands alone.
+    pub const OWN: Self = Self { stamp: "stamp", log: "log_time" };
+    /// As the viewer calls those of a log that it reads itself, so that one cursor moves both.
+    pub const OF_VIEWER: Self = Self { stamp: "ros2_timestamp", log: "message_log_time" };
+}
 
 /// The recording.
 pub(super) struct Tape {
     recording: RecordingStream,
     origin: Stamp,
+    names: Names,
 }
 
 impl Tape {
-    pub fn new(recording: RecordingStream, origin: Stamp) -> Self {
-        Self { recording, origin }
+    pub fn new(recording: RecordingStream, origin: Stamp, names: Names) -> Self {
+        Self { recording, origin, names }
     }
 
-    /// Stamp of a time in seconds from the origin, ns.
-    pub fn stamp_ns(&self, t_s: f64) -> i64 {
-        self.origin.shifted(t_s).nanos()
+    /// The stamp of a time in seconds from the origin.
+    pub fn stamp(&self, t_s: f64) -> Stamp {
+        self.origin.shifted(t_s)
+    }
+
+    /// When what is stamped so is, where it was `received` like that.
+    pub fn moments(
+        &self,
+        arm: &ReplayArm<'_>,
+        received: &Receipts,
+        stamps: impl Iterator<Item = Stamp>,
+    ) -> Moments {
+        /// Half a microsecond: seconds are floats.
+        const NOTHING_S: f64 = 5e-7;
+        let mut moments = Moments::default();
+        for stamp in stamps {
+            let t_s = stamp.seconds_since(self.origin) + NOTHING_S;
+            let so_far = arm.recorded.t_s.partition_point(|known_s| *known_s <= t_s);
+            moments.stamps_ns.push(stamp.nanos());
+            moments.logs_ns.push(received.log_time(stamp).nanos());
+            moments.samples.push(so_far.saturating_sub(1) as i64);
+        }
+        moments
+    }
+
+    /// When the rows `kept` of an arm's joint states are.
+    pub fn of_joints(&self, arm: &ReplayArm<'_>, kept: &[usize]) -> Moments {
+        let stamps = kept.iter().map(|&row| self.stamp(arm.recorded.t_s[row]));
+        self.moments(arm, &arm.received, stamps)
     }
 
     /// Adds what holds all the time.
@@ -35,22 +79,26 @@ impl Tape {
         self.recording.log_static(path.clone(), what)
     }
 
-    /// Adds columns with a row for each stamp.
+    /// Adds columns with a row for each moment.
     pub fn columns(
         &self,
         path: &EntityPath,
-        stamps_ns: &[i64],
+        moments: &Moments,
         columns: impl Iterator<Item = SerializedComponentColumn>,
     ) -> RecordingStreamResult<()> {
+        let Moments { stamps_ns, logs_ns, samples } = moments;
         let since_origin = stamps_ns.iter().map(|stamp| stamp.saturating_sub(self.origin.nanos()));
+        let Names { stamp, log } = self.names;
         let times = [
-            TimeColumn::new_timestamp_nanos_since_epoch(STAMP, stamps_ns.iter().copied()),
             TimeColumn::new_duration_nanos(RUN, since_origin),
+            TimeColumn::new_timestamp_nanos_since_epoch(stamp, stamps_ns.iter().copied()),
+            TimeColumn::new_timestamp_nanos_since_epoch(log, logs_ns.iter().copied()),
+            TimeColumn::new_sequence(SAMPLE, samples.iter().copied()),
         ];
         self.recording.send_columns(path.clone(), times, columns)
     }
 
-    /// Waits until everything is on disk.
+    /// Waits until everything has arrived.
     pub fn finish(self) -> Result<(), ReplayCause> {
         Ok(self.recording.flush_blocking()?)
     }

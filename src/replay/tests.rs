@@ -1,24 +1,35 @@
+use std::fs;
+
+use re_sdk_types::archetypes::{Asset3D, Capsules3D, StateChange, TextDocument, Transform3D};
+use re_sdk_types::components::Text;
+use rerun::log::{Chunk, LogMsg};
+use rerun::sink::MemorySinkStorage;
+use rerun::{ComponentDescriptor, EntityPath, StoreKind, TimelineName};
+
+use super::tape::entity;
 use super::*;
 use crate::diagnosis::Aligned;
 use crate::finding::{Evidence, Severity, Subject};
+use crate::report::{Trouble, TroubleKind, Verdict};
 use crate::robot::catalogue;
 use crate::tables::{AFTER_M, aligned_frame};
 
 type Outcome = Result<(), Box<dyn std::error::Error>>;
 
 const ORIGIN: Stamp = Stamp::from_nanos(1_780_000_000_000_000_000);
+/// The recorder is so much later than the stamps.
+const TRANSPORT_S: f64 = 0.003;
 
-fn chain() -> Chain {
-    let robot = catalogue::find("ur5e").unwrap();
+fn chain(robot: &Robot) -> Chain {
     robot.chain(robot.link("base").unwrap(), robot.link("tool0").unwrap()).unwrap()
 }
 
-/// Half a second of the shoulder turning, and poses that agree with it.
-fn motion(chain: &Chain) -> (JointTrack, Aligned) {
+/// The shoulder turning at 100 Hz, and poses that agree with it.
+fn motion(chain: &Chain, rows: usize) -> (JointTrack, Aligned) {
     let mut joints = JointTrack { dof: chain.dof(), ..JointTrack::default() };
     let mut aligned = Aligned::default();
-    for row in 0..50 {
-        let t_s = f64::from(row) * 0.01;
+    for row in 0..rows {
+        let t_s = row as f64 * 0.01;
         let mut q = vec![0.5; chain.dof()];
         q[0] = t_s;
         aligned.t_s.push(t_s);
@@ -30,24 +41,41 @@ fn motion(chain: &Chain) -> (JointTrack, Aligned) {
         }
         joints.t_s.push(t_s);
         joints.q.extend(&q);
-        joints.qd.extend([0.0; 6]);
+        joints.qd.extend(vec![0.0; chain.dof()]);
     }
     (joints, aligned)
+}
+
+fn received(joints: &JointTrack) -> Receipts {
+    let stamps = joints.t_s.iter().map(|&t_s| ORIGIN.shifted(t_s));
+    Receipts::of(stamps.map(|stamp| (stamp, stamp.shifted(TRANSPORT_S))).collect())
 }
 
 fn finding() -> Finding {
     Finding {
         code: "LAT001",
         severity: Severity::Error,
-        title: "late",
+        title: "stream is late",
         message: "22 ms late".to_owned(),
         subject: Subject { topic: Some("/tcp/pose".to_owned()), ..Subject::default() },
         estimate: None,
         evidence: Evidence { effect: Some("26 mm".to_owned()), ..Evidence::default() },
         fix: "stamp it when it is sampled".to_owned(),
-        start_ns: Some(ORIGIN),
-        end_ns: None,
+        start_ns: Some(ORIGIN.shifted(0.1)),
+        end_ns: Some(ORIGIN.shifted(0.3)),
     }
+}
+
+fn report(verdict: Verdict, findings: Vec<Finding>) -> Report {
+    let trouble = Trouble {
+        kind: TroubleKind::Call,
+        what: String::new(),
+        place: String::new(),
+        remedy: String::new(),
+    };
+    let mut report = Report::of_trouble(trouble);
+    (report.verdict, report.error, report.findings) = (verdict, None, findings);
+    report
 }
 
 fn stream(aligned: &Aligned, kind: StreamKind) -> Result<ReplayStream<'static>, PolarsError> {
@@ -55,36 +83,292 @@ fn stream(aligned: &Aligned, kind: StreamKind) -> Result<ReplayStream<'static>, 
         topic: if kind == StreamKind::Tf { "/tf" } else { "/tcp/pose" },
         kind,
         frame: aligned_frame(aligned, ORIGIN)?,
+        received: Receipts::default(),
         base_from_reference: Pose::identity(),
         reference_known: true,
         latency_s: 0.022,
     })
 }
 
+/// An arm without streams whose joints are as recorded.
+fn arm<'a>(robot: &'a Robot, chain: &'a Chain, recorded: &'a JointTrack) -> ReplayArm<'a> {
+    ReplayArm {
+        name: "ur5e",
+        robot,
+        chain,
+        columns: &[0, 1, 2, 3, 4, 5][..chain.dof()],
+        received: received(recorded),
+        recorded,
+        corrected: recorded.clone(),
+        streams: Vec::new(),
+        imus: Vec::new(),
+    }
+}
+
+fn replay<'a>(arms: Vec<ReplayArm<'a>>, report: &'a Report) -> Replay<'a> {
+    Replay { origin: ORIGIN, span: (ORIGIN, ORIGIN.shifted(0.5)), arms, report }
+}
+
+/// A recording as the SDK hands it on.
+struct Seen {
+    messages: Vec<LogMsg>,
+    notes: Vec<String>,
+}
+
+impl Seen {
+    fn of(replay: &Replay<'_>, wanted: &Recording) -> Result<Self, Box<dyn std::error::Error>> {
+        let builder = RecordingStreamBuilder::new(application(wanted)).enabled(true);
+        let (stream, messages): (_, MemorySinkStorage) = builder.memory()?;
+        let notes = fill(stream, wanted, replay)?;
+        Ok(Self { messages: messages.take(), notes })
+    }
+
+    /// What is recorded of an entity, without the blueprint.
+    fn chunks(&self, path: &EntityPath) -> Vec<Chunk> {
+        let recorded = self.messages.iter().filter_map(|message| match message {
+            LogMsg::ArrowMsg(id, message) if id.kind() == StoreKind::Recording => {
+                Some(Chunk::from_arrow_msg(message).unwrap())
+            }
+            _ => None,
+        });
+        recorded.filter(|chunk| chunk.entity_path() == path).collect()
+    }
+
+    /// The chunk of an entity that has a component at rows in time, or for all time.
+    fn with(&self, path: &[&str], component: &ComponentDescriptor) -> Option<Chunk> {
+        let chunks = self.chunks(&entity(path)).into_iter();
+        chunks.filter(|chunk| chunk.components().get(component.component).is_some()).last()
+    }
+
+    fn text(&self, path: &[&str]) -> String {
+        let text = TextDocument::descriptor_text();
+        let chunk = self.with(path, &text).expect("a page");
+        let mut texts = chunk.component_batch::<Text>(text.component, 0).unwrap().unwrap();
+        texts.remove(0).to_string()
+    }
+}
+
+fn times(chunk: &Chunk, timeline: &str) -> Vec<i64> {
+    chunk.timelines()[&TimelineName::try_new(timeline).unwrap()].times_raw().to_vec()
+}
+
 #[test]
 fn a_recording_is_written_with_its_folder() -> Outcome {
-    let (chain, findings) = (chain(), [finding()]);
-    let (recorded, aligned) = motion(&chain);
-    let mut corrected = recorded.clone();
-    corrected.q.iter_mut().for_each(|position| *position += 0.01);
-    let arm = ReplayArm {
-        name: "ur5e",
-        chain: &chain,
-        columns: &[0, 1, 2, 3, 4, 5],
-        recorded: &recorded,
-        corrected,
-        streams: vec![stream(&aligned, StreamKind::Pose)?, stream(&aligned, StreamKind::Tf)?],
-        imus: vec![ReplayImu { topic: "/imu/data", yaw_error: &[(0.0, 0.1), (0.1, 0.2)] }],
-    };
-    let (verdict, arms) = (Verdict::Fail, vec![arm]);
+    let robot = catalogue::find("ur5e").unwrap();
+    let chain = chain(&robot);
+    let (recorded, aligned) = motion(&chain, 50);
+    let mut arm = arm(&robot, &chain, &recorded);
+    arm.corrected.q.iter_mut().for_each(|position| *position += 0.01);
+    arm.streams = vec![stream(&aligned, StreamKind::Pose)?, stream(&aligned, StreamKind::Tf)?];
+    let yaw_error = &[(0.0, 0.1), (0.1, 0.2)];
+    arm.imus = vec![ReplayImu { topic: "/imu/data", received: Receipts::default(), yaw_error }];
+    let report = report(Verdict::Fail, vec![finding()]);
     let folder = tempfile::tempdir()?;
     let path = folder.path().join("made/run.rrd");
-    write(
-        &Recording::from(path.clone()),
-        &Replay { origin: ORIGIN, arms, verdict, findings: &findings },
-    )?;
-    let bytes = std::fs::read(&path)?;
+    let notes = write(&Recording::from(path.clone()), &replay(vec![arm], &report))?;
+    let bytes = fs::read(&path)?;
     assert!(bytes.starts_with(b"RRF2") && bytes.len() > 10_000);
+    assert!(notes.is_empty(), "{notes:?}");
+    Ok(())
+}
+
+#[test]
+fn every_entity_is_there() -> Outcome {
+    let robot = catalogue::find("ur5e").unwrap();
+    let chain = chain(&robot);
+    let (recorded, aligned) = motion(&chain, 50);
+    let mut arm = arm(&robot, &chain, &recorded);
+    arm.corrected.q.iter_mut().for_each(|position| *position += 0.01);
+    arm.streams = vec![stream(&aligned, StreamKind::Pose)?, stream(&aligned, StreamKind::Tf)?];
+    let yaw_error = &[(0.0, 0.1), (0.1, 0.2)];
+    arm.imus = vec![ReplayImu { topic: "/imu/data", received: Receipts::default(), yaw_error }];
+    let report = report(Verdict::Fail, vec![finding()]);
+    let seen = Seen::of(&replay(vec![arm], &report), &Recording::default())?;
+    for path in [
+        "arms/ur5e/arm",
+        "arms/ur5e/arm_as_recorded",
+        "arms/ur5e/links/forearm_link",
+        "arms/ur5e/links/forearm_link/frame",
+        "arms/ur5e/tip",
+        "arms/ur5e/tcp/pose/as_logged",
+        "arms/ur5e/tcp/pose/as_explained_trail",
+        "arms/ur5e/tcp/pose/error",
+        "arms/ur5e/tf/as_logged",
+        "errors/ur5e/position_mm/tcp/pose/as_explained",
+        "errors/ur5e/rotation_deg/tf/as_logged",
+        "errors/ur5e/yaw_deg/imu/data",
+        "joints/ur5e/elbow_joint",
+        "findings",
+        "findings/page_1",
+        "report",
+    ] {
+        assert!(!seen.chunks(&entity(&[path])).is_empty(), "{path}");
+    }
+    Ok(())
+}
+
+#[test]
+fn links_are_where_forward_kinematics_has_them_on_every_timeline() -> Outcome {
+    let robot = catalogue::find("ur5e").unwrap();
+    let chain = chain(&robot);
+    let (recorded, _) = motion(&chain, 50);
+    let report = report(Verdict::Pass, Vec::new());
+    let arms = || vec![arm(&robot, &chain, &recorded)];
+    let seen = Seen::of(&replay(arms(), &report), &Recording::default())?;
+    let translation = Transform3D::descriptor_translation();
+    for (link, frame) in [("tool0", None), ("forearm_link", Some(2))] {
+        let chunk = seen.with(&["arms", "ur5e", "links", link], &translation).ok_or(link)?;
+        let drawn: Vec<[f32; 3]> =
+            chunk.iter_slices::<[f32; 3]>(translation.component).map(|row| row[0]).collect();
+        assert_eq!(drawn.len(), recorded.len());
+        let mut frames = Vec::new();
+        for (row, drawn) in drawn.iter().enumerate() {
+            chain.joint_frames(recorded.row(row), &mut frames);
+            let pose = frame.map_or(chain.forward(recorded.row(row)), |frame: usize| frames[frame]);
+            for (drawn, fk) in drawn.iter().zip(crate::geometry::xyz_of(&pose)) {
+                assert!((f64::from(*drawn) - fk).abs() < 1e-6, "{link} {row}: {drawn} is not {fk}");
+            }
+        }
+        assert_eq!(times(&chunk, "sample"), (0..50).collect::<Vec<i64>>());
+        assert_eq!(times(&chunk, "run")[3], 30_000_000);
+        assert_eq!(times(&chunk, "stamp")[3], ORIGIN.nanos() + 30_000_000);
+        assert_eq!(times(&chunk, "log_time")[3], ORIGIN.nanos() + 33_000_000);
+    }
+    let wanted = Recording { beside_log: true, ..Recording::default() };
+    let seen = Seen::of(&replay(arms(), &report), &wanted)?;
+    let chunk = seen.with(&["arms", "ur5e", "tip"], &translation).ok_or("tip")?;
+    assert_eq!(times(&chunk, "ros2_timestamp")[3], ORIGIN.nanos() + 30_000_000);
+    assert_eq!(times(&chunk, "message_log_time")[3], ORIGIN.nanos() + 33_000_000);
+    Ok(())
+}
+
+#[test]
+fn what_is_explained_is_drawn_when_it_was_true() -> Outcome {
+    let robot = catalogue::find("ur5e").unwrap();
+    let chain = chain(&robot);
+    let (recorded, aligned) = motion(&chain, 50);
+    let mut arm = arm(&robot, &chain, &recorded);
+    arm.streams = vec![stream(&aligned, StreamKind::Pose)?];
+    let report = report(Verdict::Pass, Vec::new());
+    let seen = Seen::of(&replay(vec![arm], &report), &Recording::default())?;
+    let translation = Transform3D::descriptor_translation();
+    let of = |state| seen.with(&["arms", "ur5e", "/tcp/pose", state], &translation).ok_or(state);
+    let (logged, explained) = (of("as_logged")?, of("as_explained")?);
+    assert_eq!(times(&logged, "run")[10] - times(&explained, "run")[10], 22_000_000);
+    // Stamps of 0.1 s and 0.078 s: the joint states since which are number 10 and number 7.
+    assert_eq!((times(&logged, "sample")[10], times(&explained, "sample")[10]), (10, 7));
+    Ok(())
+}
+
+#[test]
+fn a_long_run_is_thinned_and_says_so() -> Outcome {
+    let robot = catalogue::find("ur5e").unwrap();
+    let chain = chain(&robot);
+    let (recorded, aligned) = motion(&chain, 9_001);
+    let mut arm = arm(&robot, &chain, &recorded);
+    arm.streams = vec![stream(&aligned, StreamKind::Pose)?];
+    let report = report(Verdict::Pass, Vec::new());
+    let seen = Seen::of(&replay(vec![arm], &report), &Recording::default())?;
+    let mut in_time = 0;
+    for message in &seen.messages {
+        let LogMsg::ArrowMsg(id, message) = message else { continue };
+        let chunk = Chunk::from_arrow_msg(message)?;
+        let is_still = chunk.is_static() || id.kind() == StoreKind::Blueprint;
+        assert!(is_still || chunk.num_rows() <= MOST_ROWS + 1, "{}", chunk.entity_path());
+        in_time += usize::from(!is_still);
+    }
+    assert!(in_time > 10);
+    let page = seen.text(&["report"]);
+    assert!(page.contains("9001 joint states of ur5e, thinned to about 4000"), "{page}");
+    assert!(page.contains("9001 samples of /tcp/pose"), "{page}");
+    Ok(())
+}
+
+#[test]
+fn a_finding_has_its_span_its_line_and_its_page() -> Outcome {
+    let robot = catalogue::find("ur5e").unwrap();
+    let chain = chain(&robot);
+    let (recorded, _) = motion(&chain, 50);
+    let mut whole = finding();
+    (whole.start_ns, whole.end_ns) = (None, None);
+    let report = report(Verdict::Fail, vec![finding(), whole]);
+    let arms = vec![arm(&robot, &chain, &recorded)];
+    let seen = Seen::of(&replay(arms, &report), &Recording::default())?;
+    let state = StateChange::descriptor_state();
+    for (lane, ends) in [("01-LAT001", [100, 300]), ("02-LAT001", [0, 500])] {
+        let chunks = seen.chunks(&entity(&["spans", lane]));
+        let chunk = chunks.iter().find(|chunk| !chunk.is_static()).ok_or(lane)?;
+        assert_eq!(times(chunk, "run"), ends.map(|ms| ms * 1_000_000), "{lane}");
+        let states = [0, 1].map(|row| chunk.component_batch::<Text>(state.component, row));
+        let states = states.map(|state| state.unwrap().unwrap()[0].to_string());
+        assert_eq!(states, ["LAT001 /tcp/pose: 22 ms late", ""]);
+    }
+    assert_eq!(seen.chunks(&findings::log()).len(), 2);
+    let page = seen.text(&["findings", "page_1"]);
+    for said in ["error LAT001 stream is late", "`/tcp/pose`", "22 ms late", "- 26 mm", "**fix**"] {
+        assert!(page.contains(said), "{said}: {page}");
+    }
+    Ok(())
+}
+
+/// Two links, of which each has a mesh.
+const MESHED: &str = r#"<robot name="two">
+  <link name="base"><visual><geometry><mesh filename="package://two/base.obj"/></geometry></visual></link>
+  <joint name="turn" type="continuous"><parent link="base"/><child link="tool0"/><origin xyz="0 0 1"/></joint>
+  <link name="tool0"><visual><geometry><mesh filename="package://two/tool.stl" scale="2 2 2"/></geometry></visual></link>
+</robot>"#;
+
+#[test]
+fn meshes_are_drawn_where_they_are_found_and_else_it_is_said() -> Outcome {
+    let robot = Robot::from_urdf(MESHED, "test")?;
+    let chain = chain(&robot);
+    let (recorded, _) = motion(&chain, 50);
+    let report = report(Verdict::Pass, Vec::new());
+    let folder = tempfile::tempdir()?;
+    let seen = |mesh_roots| {
+        let wanted = Recording { mesh_roots, ..Recording::default() };
+        Seen::of(&replay(vec![arm(&robot, &chain, &recorded)], &report), &wanted)
+    };
+    let (blob, lengths) = (Asset3D::descriptor_blob(), Capsules3D::descriptor_lengths());
+    let mesh = |seen: &Seen, link| {
+        seen.with(&["arms", "ur5e", "links", link, "visual_0"], &blob).is_some()
+    };
+    let capsules = |seen: &Seen| seen.with(&["arms", "ur5e", "arm"], &lengths).is_some();
+
+    let none = seen(Vec::new())?;
+    assert!(capsules(&none) && !mesh(&none, "base") && none.notes.is_empty());
+    let page = none.text(&["report"]);
+    assert!(page.contains("capsules") && page.contains("--mesh-root"), "{page}");
+
+    let root = || vec![folder.path().to_owned()];
+    fs::write(folder.path().join("base.obj"), "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")?;
+    fs::write(folder.path().join("tool.stl"), "short")?;
+    let half = seen(root())?;
+    assert!(capsules(&half) && mesh(&half, "base") && !mesh(&half, "tool0"));
+    let said = "1 of the 2 meshes of ur5e are not drawn, capsules stand for them: \
+                package://two/tool.stl cannot be shown: it is no STL";
+    assert_eq!(half.notes, [said]);
+
+    fs::remove_file(folder.path().join("tool.stl"))?;
+    let missing = seen(root())?;
+    assert!(missing.notes[0].ends_with("package://two/tool.stl is not below --mesh-root"));
+
+    fs::write(folder.path().join("tool.stl"), "solid tool\nendsolid tool\n")?;
+    let whole = seen(root())?;
+    assert!(!capsules(&whole) && mesh(&whole, "base") && mesh(&whole, "tool0"));
+    assert_eq!(whole.notes, ["ur5e is drawn by the 2 meshes of its model"]);
+    Ok(())
+}
+
+#[test]
+fn the_layout_is_for_the_application_of_the_recording() -> Outcome {
+    let report = report(Verdict::Inconclusive, Vec::new());
+    let wanted = Recording { application: Some("opened.mcap".to_owned()), ..Recording::default() };
+    let seen = Seen::of(&replay(Vec::new(), &report), &wanted)?;
+    let mut layouts =
+        seen.messages.iter().map(LogMsg::store_id).filter(|id| id.kind() == StoreKind::Blueprint);
+    let layout = layouts.next().ok_or("a layout")?;
+    assert_eq!(layout.application_id().as_str(), "opened.mcap");
     Ok(())
 }
 
@@ -92,20 +376,18 @@ fn a_recording_is_written_with_its_folder() -> Outcome {
 fn a_run_without_an_arm_still_has_its_page() -> Outcome {
     let folder = tempfile::tempdir()?;
     let path = folder.path().join("run.rrd");
-    let verdict = Verdict::Inconclusive;
-    write(
-        &Recording::from(path.clone()),
-        &Replay { origin: ORIGIN, arms: Vec::new(), verdict, findings: &[] },
-    )?;
-    assert!(std::fs::read(&path)?.starts_with(b"RRF2"));
+    let report = report(Verdict::Inconclusive, vec![finding()]);
+    write(&Recording::from(path.clone()), &replay(Vec::new(), &report))?;
+    assert!(fs::read(&path)?.starts_with(b"RRF2"));
     Ok(())
 }
 
 #[test]
 fn an_error_names_the_file() -> Outcome {
     let folder = tempfile::tempdir()?;
-    let replay = Replay { origin: ORIGIN, arms: Vec::new(), verdict: Verdict::Pass, findings: &[] };
-    let error = write(&Recording::from(folder.path().to_owned()), &replay).unwrap_err();
+    let report = report(Verdict::Pass, Vec::new());
+    let recording = Recording::from(folder.path().to_owned());
+    let error = write(&recording, &replay(Vec::new(), &report)).unwrap_err();
     assert!(error.to_string().starts_with(&folder.path().display().to_string()), "{error}");
     assert!(matches!(error.cause, ReplayCause::Recording(_)));
     Ok(())
@@ -113,39 +395,28 @@ fn an_error_names_the_file() -> Outcome {
 
 #[test]
 fn a_frame_without_its_columns_is_an_error() -> Outcome {
-    let chain = chain();
-    let (recorded, aligned) = motion(&chain);
+    let robot = catalogue::find("ur5e").unwrap();
+    let chain = chain(&robot);
+    let (recorded, aligned) = motion(&chain, 50);
     let mut broken = stream(&aligned, StreamKind::Pose)?;
     broken.frame = broken.frame.drop(AFTER_M)?;
-    let arm = ReplayArm {
-        name: "ur5e",
-        chain: &chain,
-        columns: &[0, 1, 2, 3, 4, 5],
-        recorded: &recorded,
-        corrected: recorded.clone(),
-        streams: vec![broken],
-        imus: Vec::new(),
-    };
+    let mut arm = arm(&robot, &chain, &recorded);
+    arm.streams = vec![broken];
+    let report = report(Verdict::Pass, Vec::new());
     let folder = tempfile::tempdir()?;
-    let replay = Replay { origin: ORIGIN, arms: vec![arm], verdict: Verdict::Pass, findings: &[] };
-    let error = write(&Recording::from(folder.path().join("run.rrd")), &replay).unwrap_err();
+    let recording = Recording::from(folder.path().join("run.rrd"));
+    let error = write(&recording, &replay(vec![arm], &report)).unwrap_err();
     assert!(matches!(error.cause, ReplayCause::Frame(_)), "{error}");
     Ok(())
 }
 
 #[test]
 fn the_topic_is_named_only_where_the_state_alone_does_not_tell() -> Outcome {
-    let chain = chain();
-    let (recorded, aligned) = motion(&chain);
-    let mut arm = ReplayArm {
-        name: "ur5e",
-        chain: &chain,
-        columns: &[0, 1, 2, 3, 4, 5],
-        recorded: &recorded,
-        corrected: recorded.clone(),
-        streams: vec![stream(&aligned, StreamKind::Pose)?, stream(&aligned, StreamKind::Tf)?],
-        imus: Vec::new(),
-    };
+    let robot = catalogue::find("ur5e").unwrap();
+    let chain = chain(&robot);
+    let (recorded, aligned) = motion(&chain, 50);
+    let mut arm = arm(&robot, &chain, &recorded);
+    arm.streams = vec![stream(&aligned, StreamKind::Pose)?, stream(&aligned, StreamKind::Tf)?];
     let of = |arm: &ReplayArm<'_>, row: usize| arm.label(&arm.streams[row], State::Logged);
     assert_eq!((of(&arm, 0), of(&arm, 1)), ("as logged".to_owned(), "/tf".to_owned()));
     arm.streams.push(stream(&aligned, StreamKind::Pose)?);

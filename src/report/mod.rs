@@ -11,7 +11,7 @@ pub mod html;
 pub mod json;
 pub mod junit;
 pub mod markdown;
-mod outline;
+pub(crate) mod outline;
 pub mod sarif;
 mod spark;
 mod tame;

@@ -8,7 +8,7 @@ use crate::finding::{
 };
 
 /// The words of one report.
-pub(super) struct Outline<'a> {
+pub(crate) struct Outline<'a> {
     report: &'a Report,
     /// Whether there are several robots, so that subjects must say which.
     robots: bool,
@@ -16,7 +16,7 @@ pub(super) struct Outline<'a> {
 
 /// What passed.
 #[derive(Default)]
-pub(super) struct Passed {
+pub(crate) struct Passed {
     /// Rules that passed on all that they were asked about, runs of codes as ranges.
     pub whole: Vec<String>,
     /// Rules that passed on some of it, with what.

@@ -14,15 +14,18 @@ mod names;
 mod patch;
 mod table;
 mod urdf;
+mod visuals;
 
 pub use calibration::Calibration;
 pub use chain::Chain;
+pub(crate) use chain::turn_z_to;
 pub use dh::{DhConvention, DhModel};
 pub use error::{ChainError, Problem, RobotError};
 pub use model::{Joint, JointKind, Limits, LinkId, Mimic, Provenance, Robot};
 pub use names::NameMatch;
 pub(crate) use names::nearest;
 pub use patch::NoPatch;
+pub use visuals::{Shape, Visual};
 
 use std::path::Path;
 

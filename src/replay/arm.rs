@@ -1,0 +1,122 @@
+//! An arm as capsules: from joint to joint, and a stout one around each axis that it turns about.
+
+use re_sdk_types::archetypes::{Capsules3D, LineStrips3D};
+use re_sdk_types::components::{Color, FillMode, Length, LineStrip3D, Radius, RotationQuat};
+
+use super::scene::{ARM_RGB, JOINT_RGB, RECORDED_RGB, kept, positions, radius, rotation_of};
+use super::tape::{Tape, entity};
+use super::{ReplayArm, ReplayCause};
+use crate::geometry::{Pose, Vec3, xyz_of};
+use crate::robot::{JointKind, turn_z_to};
+use crate::stream::JointTrack;
+
+/// Radius of a link, as a part of the arm's reach.
+const LINK: f64 = 0.018;
+/// Radius of a joint, …
+const JOINT: f64 = 0.028;
+/// … and half the length of its capsule without the ends.
+const HALF_JOINT: f64 = 0.022;
+
+/// A capsule from `start` along `along`, m, in the base.
+struct Capsule {
+    start: Vec3,
+    along: Vec3,
+}
+
+/// Adds the entity `part` of an arm: its shape with `joints`.
+pub(super) fn draw(
+    tape: &Tape,
+    arm: &ReplayArm<'_>,
+    part: &str,
+    joints: &JointTrack,
+    size_m: f64,
+) -> Result<(), ReplayCause> {
+    let path = entity(&["arms", arm.name, part]);
+    let (mut counts, mut capsules) = (Vec::new(), Vec::new());
+    let kept = kept(joints);
+    for &row in &kept {
+        let frames = frames(arm, &positions(arm, joints, row));
+        let before = capsules.len();
+        capsules.extend(links(&frames));
+        capsules.extend(turning(arm, &frames, HALF_JOINT * size_m));
+        counts.push(capsules.len() - before);
+    }
+    let links = arm.chain.dof() + 1;
+    let style = |row: usize| if row < links { (ARM_RGB, LINK) } else { (JOINT_RGB, JOINT) };
+    let styles = (0..counts.first().copied().unwrap_or(0)).map(style);
+    let (rgb, radii): (Vec<Color>, Vec<Radius>) =
+        styles.map(|(rgb, part)| (Color::from(rgb), radius(part * size_m))).unzip();
+    let still = Capsules3D::update_fields()
+        .with_colors(rgb)
+        .with_radii(radii)
+        .with_fill_mode(FillMode::Solid);
+    tape.still(&path, &still)?;
+    let lengths = capsules.iter().map(|it| Length::from(it.along.norm() as f32));
+    let starts = capsules.iter().map(|it| <[f64; 3]>::from(it.start).map(|part| part as f32));
+    let shapes = Capsules3D::update_fields()
+        .with_lengths(lengths)
+        .with_translations(starts)
+        .with_quaternions(capsules.iter().map(Capsule::rotation));
+    let moments = tape.of_joints(arm, &kept);
+    Ok(tape.columns(&path, &moments, shapes.columns(counts)?)?)
+}
+
+/// Adds the entity `part` of an arm: a thin line from joint to joint.
+pub(super) fn draw_thin(
+    tape: &Tape,
+    arm: &ReplayArm<'_>,
+    part: &str,
+    joints: &JointTrack,
+    size_m: f64,
+) -> Result<(), ReplayCause> {
+    let path = entity(&["arms", arm.name, part]);
+    let kept = kept(joints);
+    let strips = kept.iter().map(|&row| {
+        let frames = frames(arm, &positions(arm, joints, row));
+        LineStrip3D::from_iter(frames.iter().map(xyz_of))
+    });
+    let strips = LineStrips3D::update_fields().with_strips(strips);
+    let style = LineStrips3D::update_fields()
+        .with_colors([RECORDED_RGB])
+        .with_radii([radius(0.3 * LINK * size_m)]);
+    tape.still(&path, &style)?;
+    let moments = tape.of_joints(arm, &kept);
+    Ok(tape.columns(&path, &moments, strips.columns_of_unit_batches()?)?)
+}
+
+/// The base, the links that the joints move, and the tip, in the base.
+fn frames(arm: &ReplayArm<'_>, q: &[f64]) -> Vec<Pose> {
+    let mut moved = Vec::new();
+    arm.chain.joint_frames(q, &mut moved);
+    let tip = arm.chain.forward(q);
+    std::iter::once(Pose::identity()).chain(moved).chain([tip]).collect()
+}
+
+fn links(frames: &[Pose]) -> impl Iterator<Item = Capsule> {
+    frames.windows(2).map(|pair| {
+        let start = pair[0].translation.vector;
+        Capsule { start, along: pair[1].translation.vector - start }
+    })
+}
+
+fn turning<'a>(
+    arm: &'a ReplayArm<'_>,
+    frames: &'a [Pose],
+    half_m: f64,
+) -> impl Iterator<Item = Capsule> + 'a {
+    let joints = arm.chain.joint_names().iter().zip(&frames[1..]);
+    let turning = joints.filter_map(|(name, frame)| Some((arm.robot.joint(name)?, frame)));
+    let turning = turning.filter(|(joint, _)| joint.kind != JointKind::Prismatic);
+    turning.map(move |(joint, frame)| {
+        let half = frame.rotation * joint.axis * half_m;
+        Capsule { start: frame.translation.vector - half, along: 2.0 * half }
+    })
+}
+
+impl Capsule {
+    /// Turns z along it.
+    fn rotation(&self) -> RotationQuat {
+        let along = self.along.try_normalize(1e-9).unwrap_or(Vec3::z());
+        rotation_of(&turn_z_to(&along))
+    }
+}

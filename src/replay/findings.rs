@@ -1,0 +1,126 @@
+//! The findings on the time line: as lines of a log, as spans, and each as a page.
+
+use std::fmt::Write as _;
+
+use re_sdk_types::archetypes::{StateChange, StateConfiguration, TextDocument, TextLog};
+use re_sdk_types::components::{MediaType, Text, TextLogLevel};
+use rerun::EntityPath;
+
+use super::moments::Moments;
+use super::tape::{Tape, entity};
+use super::{Replay, ReplayArm, ReplayCause};
+use crate::finding::{Finding, Severity};
+use crate::report::markdown::{code, prose};
+use crate::report::outline::Outline;
+use crate::time::Stamp;
+
+/// The entity of the lines of the log, above the pages.
+pub(super) fn log() -> EntityPath {
+    entity(&["findings"])
+}
+
+/// The entity above the spans.
+pub(super) fn spans() -> EntityPath {
+    entity(&["spans"])
+}
+
+/// The entity of the span of the finding with this index; the number keeps them in their order.
+pub(super) fn lane(index: usize, finding: &Finding) -> EntityPath {
+    spans().join(&entity(&[&format!("{:02}-{}", index + 1, finding.code)]))
+}
+
+/// The entity of the page of the finding with this index.
+pub(super) fn page(index: usize) -> EntityPath {
+    log().join(&entity(&[&format!("page_{}", index + 1)]))
+}
+
+/// Adds each finding at the first stamp of what it is about, its span, and its page.
+pub(super) fn write(tape: &Tape, replay: &Replay<'_>) -> Result<(), ReplayCause> {
+    let says = Outline::of(replay.report);
+    for (index, finding) in replay.report.findings.iter().enumerate() {
+        let (start, end) = replay.span_of(finding);
+        let subject = says.subject(&finding.subject);
+        let line = TextLog::new(format!("{}{}", heading(finding, &subject), finding.message))
+            .with_level(level(finding.severity));
+        // Lines of different levels cannot be of one column.
+        tape.columns(&log(), &moments(tape, replay, finding, &[start]), line.columns([1])?)?;
+        let text = TextDocument::new(markdown(finding, &says)).with_media_type(MediaType::MARKDOWN);
+        tape.still(&page(index), &text)?;
+        span(tape, replay, index, [start, end])?;
+    }
+    Ok(())
+}
+
+/// `LAT001 /tcp/pose: `.
+fn heading(finding: &Finding, subject: &str) -> String {
+    match subject {
+        "" => format!("{} ", finding.code),
+        subject => format!("{} {subject}: ", finding.code),
+    }
+}
+
+/// When `stamps` of a finding are, by the joint states of its arm.
+fn moments(tape: &Tape, replay: &Replay<'_>, finding: &Finding, stamps: &[Stamp]) -> Moments {
+    match replay.arm_of(finding) {
+        Some(arm) => of_arm(tape, arm, stamps),
+        None => {
+            let nanos: Vec<i64> = stamps.iter().map(|stamp| stamp.nanos()).collect();
+            Moments { logs_ns: nanos.clone(), samples: vec![0; nanos.len()], stamps_ns: nanos }
+        }
+    }
+}
+
+fn of_arm(tape: &Tape, arm: &ReplayArm<'_>, stamps: &[Stamp]) -> Moments {
+    tape.moments(arm, &arm.received, stamps.iter().copied())
+}
+
+/// A lane with a bar from the first to the last stamp.
+fn span(
+    tape: &Tape,
+    replay: &Replay<'_>,
+    index: usize,
+    ends: [Stamp; 2],
+) -> Result<(), ReplayCause> {
+    let finding = &replay.report.findings[index];
+    let path = lane(index, finding);
+    let bar = format!("{}{}", heading(finding, finding.subject.label()), finding.message);
+    let bar = bar.as_str();
+    let style = StateConfiguration::new().with_values([bar]).with_colors([rgb(finding.severity)]);
+    tape.still(&path, &style)?;
+    let states = StateChange::new().with_state([Text::from(bar), Text::from("")]);
+    let moments = moments(tape, replay, finding, &ends);
+    Ok(tape.columns(&path, &moments, states.columns_of_unit_batches()?)?)
+}
+
+const fn level(severity: Severity) -> &'static str {
+    match severity {
+        Severity::Error => TextLogLevel::ERROR,
+        Severity::Warning => TextLogLevel::WARN,
+        Severity::Info => TextLogLevel::INFO,
+    }
+}
+
+const fn rgb(severity: Severity) -> [u8; 3] {
+    match severity {
+        Severity::Error => [200, 66, 50],
+        Severity::Warning => [176, 124, 30],
+        Severity::Info => [70, 104, 150],
+    }
+}
+
+/// A finding in Markdown: what is wrong, where, what it amounts to, and what to do.
+pub(super) fn markdown(finding: &Finding, says: &Outline<'_>) -> String {
+    let Finding { code: rule, title, message, fix, .. } = finding;
+    let mut text = format!("### {} {rule} {}\n\n", finding.severity.name(), prose(title));
+    let subject = says.subject(&finding.subject);
+    if !subject.is_empty() {
+        // Writing to a string cannot fail.
+        let _ = writeln!(text, "{}\n", code(&subject));
+    }
+    let _ = writeln!(text, "{}\n", prose(message));
+    for about in says.about(finding) {
+        let _ = writeln!(text, "- {}", prose(&about));
+    }
+    let _ = writeln!(text, "- **fix** {}\n", prose(fix));
+    text
+}

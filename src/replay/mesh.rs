@@ -1,0 +1,154 @@
+//! The files that a model's meshes are in: where they are sought, and which of them the viewer reads.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use re_sdk_types::components::MediaType;
+
+/// A larger file is not put into a recording, bytes.
+const MOST_BYTES: u64 = 64 << 20;
+
+/// A mesh that the viewer reads.
+#[derive(Debug)]
+pub(super) struct Mesh {
+    /// What is in the file.
+    pub bytes: Vec<u8>,
+    /// What kind of file it is.
+    pub media_type: &'static str,
+}
+
+/// Why a mesh is not drawn.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum NoMesh {
+    /// No file of that name is below the folders.
+    NotFound,
+    /// There is a file, but the viewer would not read it.
+    Unreadable(String),
+}
+
+impl Mesh {
+    /// The mesh that a model calls `uri`. Nothing outside of `roots` is read: a log may name any file.
+    ///
+    /// # Errors
+    /// Where it is not there, or the viewer reads no such file.
+    pub fn find(uri: &str, roots: &[PathBuf]) -> Result<Self, NoMesh> {
+        let place = places(uri, roots).into_iter().find(|place| place.is_file());
+        let place = place.ok_or(NoMesh::NotFound)?;
+        let unreadable = |error: std::io::Error| NoMesh::Unreadable(error.to_string());
+        if fs::metadata(&place).map_err(unreadable)?.len() > MOST_BYTES {
+            return Err(NoMesh::Unreadable(format!("it is larger than {} MiB", MOST_BYTES >> 20)));
+        }
+        let bytes = fs::read(&place).map_err(unreadable)?;
+        let media_type = media_type(&place, &bytes)?;
+        Ok(Self { bytes, media_type })
+    }
+
+    /// Whether the file says what colours it has.
+    pub fn is_coloured(&self) -> bool {
+        self.media_type != MediaType::STL
+    }
+}
+
+/// Where a mesh may be, the likeliest first: below each folder by its whole path, then by ever less of
+/// its beginning, since a folder may be the package, hold packages, or be where they are installed.
+fn places(uri: &str, roots: &[PathBuf]) -> Vec<PathBuf> {
+    let path = uri.split_once("://").map_or(uri, |(_, path)| path);
+    let parts = path.split(['/', '\\']).filter(|part| !part.is_empty() && *part != ".");
+    let parts: Vec<&str> = parts.collect();
+    if parts.iter().any(|part| *part == ".." || part.contains(':')) {
+        return Vec::new();
+    }
+    let ends = (0..parts.len()).map(|from| parts[from..].iter().collect::<PathBuf>());
+    let places = ends.flat_map(|end| {
+        roots.iter().flat_map(move |root| [root.join(&end), root.join("share").join(&end)])
+    });
+    places.collect()
+}
+
+/// What kind of file it is, by its name, for most kinds have no mark, and by a glance at its content.
+fn media_type(place: &Path, bytes: &[u8]) -> Result<&'static str, NoMesh> {
+    let kind = place.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    let begins_with = |mark: &str| {
+        let beginning = &bytes[..bytes.len().min(4096)];
+        beginning.windows(mark.len()).any(|window| window == mark.as_bytes())
+    };
+    let (media_type, is_one) = match kind.as_str() {
+        // 80 bytes of anything, and the number of its triangles.
+        "stl" => (MediaType::STL, bytes.len() >= 84 || begins_with("solid")),
+        "obj" => (MediaType::OBJ, bytes.starts_with(b"v ") || begins_with("\nv ")),
+        "glb" => (MediaType::GLB, bytes.starts_with(b"glTF")),
+        "dae" => (MediaType::DAE, begins_with("<COLLADA")),
+        _ => return Err(NoMesh::Unreadable("the viewer reads STL, OBJ, GLB and DAE".to_owned())),
+    };
+    let is_none = || NoMesh::Unreadable(format!("it is no {}", kind.to_ascii_uppercase()));
+    is_one.then_some(media_type).ok_or_else(is_none)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    type Outcome = Result<(), Box<dyn std::error::Error>>;
+
+    const OBJ: &str = "# a triangle\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
+
+    #[test]
+    fn a_folder_may_be_the_package_or_hold_it_or_be_where_it_is_installed() -> Outcome {
+        let uri = "package://my_arm/meshes/link.obj";
+        for (at, root) in [
+            ("my_arm/meshes/link.obj", ""),
+            ("share/my_arm/meshes/link.obj", ""),
+            ("some_name/meshes/link.obj", "some_name"),
+            ("flat/link.obj", "flat"),
+        ] {
+            let folder = tempfile::tempdir()?;
+            let file = folder.path().join(at);
+            fs::create_dir_all(file.parent().ok_or("a folder")?)?;
+            fs::write(&file, OBJ)?;
+            let mesh = Mesh::find(uri, &[folder.path().join("nowhere"), folder.path().join(root)]);
+            assert_eq!(mesh.map(|mesh| mesh.media_type), Ok(MediaType::OBJ), "{at}");
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn of_two_files_the_one_with_more_of_the_path_is_taken() -> Outcome {
+        let folder = tempfile::tempdir()?;
+        fs::create_dir_all(folder.path().join("visual"))?;
+        fs::write(folder.path().join("link.obj"), "v 9 9 9\n")?;
+        fs::write(folder.path().join("visual/link.obj"), OBJ)?;
+        let mesh = Mesh::find("package://a/visual/link.obj", &[folder.path().to_owned()]);
+        assert_eq!(mesh.map(|mesh| mesh.bytes), Ok(OBJ.into()));
+        Ok(())
+    }
+
+    #[test]
+    fn nothing_is_read_outside_of_the_folders() -> Outcome {
+        let folder = tempfile::tempdir()?;
+        fs::create_dir(folder.path().join("in"))?;
+        fs::write(folder.path().join("secret.obj"), OBJ)?;
+        let roots = [folder.path().join("in")];
+        let absolute = folder.path().join("secret.obj").display().to_string();
+        for uri in ["../secret.obj", "package://a/../../secret.obj", &absolute] {
+            assert_eq!(Mesh::find(uri, &roots).map(|_| ()), Err(NoMesh::NotFound), "{uri}");
+        }
+        assert_eq!(Mesh::find(&absolute, &[]).map(|_| ()), Err(NoMesh::NotFound));
+        Ok(())
+    }
+
+    #[test]
+    fn what_the_viewer_does_not_read_is_said() -> Outcome {
+        let folder = tempfile::tempdir()?;
+        for (name, content, why) in [
+            ("a.3ds", OBJ, "the viewer reads STL, OBJ, GLB and DAE"),
+            ("a.dae", OBJ, "it is no DAE"),
+            ("a.glb", "", "it is no GLB"),
+            ("a.stl", "short", "it is no STL"),
+        ] {
+            fs::write(folder.path().join(name), content)?;
+            let found = Mesh::find(name, &[folder.path().to_owned()]);
+            assert_eq!(found.map(|_| ()), Err(NoMesh::Unreadable(why.to_owned())), "{name}");
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,93 @@
+//! When things are, on every timeline.
+
+use crate::time::Stamp;
+
+/// When the recorder received what carried which stamp.
+#[derive(Clone, Debug, Default)]
+pub struct Receipts {
+    /// Pairs of stamp and log time in the order of stamps, which differ.
+    rows: Vec<(Stamp, Stamp)>,
+}
+
+impl Receipts {
+    /// More rows than these are not kept; between rows that are, time is interpolated.
+    const MOST_ROWS: usize = 100_000;
+
+    /// Those of rows with a stamp and a log time, in any order; of equal stamps the first received
+    /// counts.
+    pub fn of(mut rows: Vec<(Stamp, Stamp)>) -> Self {
+        rows.sort_unstable();
+        rows.dedup_by_key(|(stamp, _)| *stamp);
+        let kept = crate::tables::thin::evenly(rows.len(), Self::MOST_ROWS);
+        Self { rows: kept.into_iter().map(|row| rows[row]).collect() }
+    }
+
+    /// When what carries `stamp` was received. Where nothing carries it, that is between what was
+    /// before and after it; beyond the ends as late as there; and at `stamp` where nothing is known.
+    pub fn log_time(&self, stamp: Stamp) -> Stamp {
+        let after = self.rows.partition_point(|(known, _)| *known < stamp);
+        let (before, after) = (after.checked_sub(1), self.rows.get(after));
+        match (before.map(|row| self.rows[row]), after) {
+            (_, Some(&(known, log))) if known == stamp => log,
+            (Some((left, left_log)), Some(&(right, right_log))) => {
+                let part = stamp.seconds_since(left) / right.seconds_since(left);
+                left_log.shifted(part * right_log.seconds_since(left_log))
+            }
+            (Some((known, log)), None) | (None, Some(&(known, log))) => {
+                let late_ns = log.nanos().saturating_sub(known.nanos());
+                Stamp::from_nanos(stamp.nanos().saturating_add(late_ns))
+            }
+            (None, None) => stamp,
+        }
+    }
+}
+
+/// When the rows of an entity are, an entry a row in each column.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Moments {
+    /// Stamps, ns.
+    pub stamps_ns: Vec<i64>,
+    /// Log times, ns.
+    pub logs_ns: Vec<i64>,
+    /// Number of the last joint state at that stamp.
+    pub samples: Vec<i64>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(nanos: i64) -> Stamp {
+        Stamp::from_nanos(nanos)
+    }
+
+    #[test]
+    fn a_row_is_received_when_the_log_says_and_others_in_between() {
+        let pairs = [(2_000, 2_900), (1_000, 1_100), (1_000, 1_500), (4_000, 4_100)];
+        let receipts = Receipts::of(pairs.map(|(stamp, log)| (at(stamp), at(log))).to_vec());
+        for (stamp, log) in [
+            (1_000, 1_100),
+            (2_000, 2_900),
+            (1_500, 2_000),
+            (3_000, 3_500),
+            (500, 600),
+            (5_000, 5_100),
+        ] {
+            assert_eq!(receipts.log_time(at(stamp)), at(log), "{stamp}");
+        }
+    }
+
+    #[test]
+    fn without_receipts_things_are_when_they_are_stamped() {
+        assert_eq!(Receipts::default().log_time(at(7)), at(7));
+    }
+
+    #[test]
+    fn of_very_many_rows_the_ends_are_kept() {
+        let rows: Vec<_> = (0..250_000).map(|row| (at(10 * row), at(10 * row + 3))).collect();
+        let receipts = Receipts::of(rows);
+        assert!(receipts.rows.len() <= Receipts::MOST_ROWS + 1);
+        assert_eq!(receipts.log_time(at(2_499_990)), at(2_499_993));
+        assert_eq!(receipts.log_time(at(1_234_560)), at(1_234_563));
+    }
+}

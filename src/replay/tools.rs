@@ -1,0 +1,210 @@
+//! The tool where FK and each stream say that it is, the paths it takes, and how far they are apart.
+
+use re_sdk_types::archetypes::{Arrows3D, Boxes3D, LineStrips3D, Transform3D, TransformAxes3D};
+use re_sdk_types::components::{FillMode, LineStrip3D, Radius};
+use rerun::EntityPath;
+
+use super::moments::Moments;
+use super::scene::{ARM_RGB, RECORDED_RGB, kept, positions, quaternion, radius, still};
+use super::tape::{Tape, entity};
+use super::{MOST_ROWS, ReplayArm, ReplayCause, ReplayStream, State, StreamKind};
+use crate::geometry::{Vec3, xyz_of, xyzw_from_rotation};
+use crate::tables::{self, BEFORE_M, Posed, thin};
+use crate::time::Stamp;
+
+const ERROR_RGB: [u8; 3] = [250, 190, 60];
+
+/// Adds the tool by FK, at the end of the arm.
+pub(super) fn draw_tip(tape: &Tape, arm: &ReplayArm<'_>, size_m: f64) -> Result<(), ReplayCause> {
+    let kept = kept(&arm.corrected);
+    let mut moved = Moved { moments: tape.of_joints(arm, &kept), ..Moved::default() };
+    for &row in &kept {
+        let base_from_tip = arm.chain.forward(&positions(arm, &arm.corrected, row));
+        moved.xyz.push(xyz_of(&base_from_tip));
+        moved.xyzw.push(xyzw_from_rotation(&base_from_tip.rotation));
+    }
+    let label = format!("{} by FK", arm.chain.tip_name());
+    let fill = FillMode::MajorWireframe;
+    let tool = Tool { label: &label, is_named: false, rgb: ARM_RGB, fill };
+    tool.draw(tape, &entity(&["arms", arm.name, "tip"]), &moved, size_m)
+}
+
+/// Adds the tool as a stream says it is, the paths that it takes, and its error.
+pub(super) fn draw(
+    tape: &Tape,
+    arm: &ReplayArm<'_>,
+    stream: &ReplayStream<'_>,
+    size_m: f64,
+) -> Result<(), ReplayCause> {
+    let reference = entity(&["arms", arm.name, stream.topic]);
+    tape.still(&reference, &still(&stream.base_from_reference))?;
+    for state in State::drawn(stream) {
+        let moved = Moved::of(tape, arm, stream, state.into())?;
+        let rgb = state.rgb(stream.kind);
+        let fill = match (stream.kind, state) {
+            (StreamKind::Tf, _) => FillMode::MajorWireframe,
+            (StreamKind::Pose, State::Logged) => FillMode::Solid,
+            (StreamKind::Pose, State::Explained) => FillMode::TransparentFillMajorWireframe,
+        };
+        let is_named = stream.kind == StreamKind::Pose;
+        let tool = Tool { label: &arm.label(stream, state), is_named, rgb, fill };
+        tool.draw(tape, &reference.join(&entity(&[state.entity()])), &moved, size_m)?;
+        if stream.kind == StreamKind::Pose {
+            let path = reference.join(&entity(&[&format!("{}_trail", state.entity())]));
+            trail(tape, &path, &moved.xyz, rgb)?;
+        }
+    }
+    if stream.kind == StreamKind::Tf {
+        return Ok(());
+    }
+    let by_fk = Moved::of(tape, arm, stream, Posed::Fk)?;
+    trail(tape, &reference.join(&entity(&["fk_trail"])), &by_fk.xyz, RECORDED_RGB)?;
+    if !stream.reference_known {
+        return Ok(());
+    }
+    let logged = Moved::of(tape, arm, stream, Posed::Logged)?;
+    errors(tape, &reference.join(&entity(&["error"])), &by_fk, &logged, magnified(arm), size_m)
+}
+
+impl From<State> for Posed {
+    fn from(state: State) -> Self {
+        match state {
+            State::Logged => Posed::Logged,
+            State::Explained => Posed::Corrected,
+        }
+    }
+}
+
+/// A frame that moves.
+#[derive(Default)]
+struct Moved {
+    moments: Moments,
+    xyz: Vec<[f64; 3]>,
+    xyzw: Vec<[f64; 4]>,
+}
+
+impl Moved {
+    /// A pose of a stream's samples. What is logged is there when its stamp and its receipt say; what
+    /// is explained is there when it was true, among the joint states of that moment.
+    fn of(
+        tape: &Tape,
+        arm: &ReplayArm<'_>,
+        stream: &ReplayStream<'_>,
+        posed: Posed,
+    ) -> Result<Self, ReplayCause> {
+        let stamps_ns = tables::stamps_ns(&stream.frame)?;
+        let xyz = tables::positions(&stream.frame, posed)?;
+        let xyzw = tables::quaternions_xyzw(&stream.frame, posed)?;
+        let (late_s, received) = match posed {
+            Posed::Corrected | Posed::FkAtTruth => (stream.latency_s, &arm.received),
+            Posed::Logged | Posed::Fk => (0.0, &stream.received),
+        };
+        let kept = thin::evenly(stamps_ns.len(), MOST_ROWS);
+        let stamps = kept.iter().map(|&row| Stamp::from_nanos(stamps_ns[row]).shifted(-late_s));
+        Ok(Self {
+            moments: tape.moments(arm, received, stamps),
+            xyz: kept.iter().map(|&row| xyz[row]).collect(),
+            xyzw: kept.iter().map(|&row| xyzw[row]).collect(),
+        })
+    }
+}
+
+/// A box that stands for the tool: from the frame's origin along its z axis, broader along x than
+/// along y, so that no rotation hides.
+struct Tool<'a> {
+    label: &'a str,
+    /// Whether the label is always shown, not only under the pointer.
+    is_named: bool,
+    rgb: [u8; 3],
+    fill: FillMode,
+}
+
+impl Tool<'_> {
+    fn draw(
+        &self,
+        tape: &Tape,
+        path: &EntityPath,
+        moved: &Moved,
+        size_m: f64,
+    ) -> Result<(), ReplayCause> {
+        let half = [0.05, 0.02, 0.08].map(|part| part * size_m);
+        let body = Boxes3D::from_centers_and_half_sizes([[0.0, 0.0, half[2]]], [half])
+            .with_colors([self.rgb])
+            .with_fill_mode(self.fill)
+            .with_labels([self.label])
+            .with_show_labels(self.is_named);
+        tape.still(path, &body)?;
+        tape.still(path, &TransformAxes3D::new((0.2 * size_m) as f32))?;
+        let poses = Transform3D::update_fields()
+            .with_many_translation(moved.xyz.iter().copied())
+            .with_many_quaternion(moved.xyzw.iter().copied().map(quaternion));
+        Ok(tape.columns(path, &moved.moments, poses.columns_of_unit_batches()?)?)
+    }
+}
+
+/// The whole path of a tool, at all times.
+fn trail(
+    tape: &Tape,
+    path: &EntityPath,
+    xyz: &[[f64; 3]],
+    rgb: [u8; 3],
+) -> Result<(), ReplayCause> {
+    let strip = LineStrips3D::new([LineStrip3D::from_iter(xyz.iter().copied())])
+        .with_colors([rgb])
+        .with_radii([Radius::new_ui_points(1.0)]);
+    Ok(tape.still(path, &strip)?)
+}
+
+/// Arrows from where FK has the tool to where it is logged, `times` as long as they are.
+fn errors(
+    tape: &Tape,
+    path: &EntityPath,
+    by_fk: &Moved,
+    logged: &Moved,
+    times: f64,
+    size_m: f64,
+) -> Result<(), ReplayCause> {
+    let style = Arrows3D::update_fields()
+        .with_colors([ERROR_RGB])
+        .with_radii([radius(0.005 * size_m)])
+        .with_labels([format!("error × {times}")])
+        .with_show_labels(false);
+    tape.still(path, &style)?;
+    let pairs = by_fk.xyz.iter().zip(&logged.xyz);
+    let vectors = pairs.map(|(fk, logged)| times * (Vec3::from(*logged) - Vec3::from(*fk)));
+    let vectors = vectors.map(|vector| <[f64; 3]>::from(vector).map(|part| part as f32));
+    let origins = by_fk.xyz.iter().map(|xyz| xyz.map(|part| part as f32));
+    let arrows = Arrows3D::update_fields().with_vectors(vectors).with_origins(origins);
+    Ok(tape.columns(path, &logged.moments, arrows.columns_of_unit_batches()?)?)
+}
+
+/// How many times as long as they are the errors of an arm's streams are drawn, so that they are seen.
+pub(super) fn magnified(arm: &ReplayArm<'_>) -> f64 {
+    /// The longest arrow, as a part of the arm's reach.
+    const LONGEST: f64 = 0.25;
+    let measured =
+        arm.streams.iter().filter(|it| it.kind == StreamKind::Pose && it.reference_known);
+    let errors = measured.filter_map(|stream| tables::numbers(&stream.frame, BEFORE_M).ok());
+    let longest_m = errors.flatten().fold(0.0, f64::max);
+    most_times(longest_m, LONGEST * arm.chain.max_reach_m())
+}
+
+/// The largest of 1, 10, 100 and 1000 that takes a length to no more than `most_m`, else 1.
+fn most_times(length_m: f64, most_m: f64) -> f64 {
+    let fits = |times: &f64| times * length_m <= most_m;
+    [1000.0, 100.0, 10.0].into_iter().find(fits).unwrap_or(1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::most_times;
+
+    #[test]
+    fn small_errors_are_magnified_and_large_ones_are_not() {
+        for (longest_m, times) in
+            [(2.0, 1.0), (0.15, 1.0), (0.02, 10.0), (0.001, 100.0), (1e-5, 1000.0), (0.0, 1000.0)]
+        {
+            assert_eq!(most_times(longest_m, 0.2), times, "{longest_m}");
+        }
+    }
+}

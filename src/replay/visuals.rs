@@ -1,0 +1,254 @@
+//! The links of an arm: their frames with their names, and what its model says that they look like.
+
+use std::path::PathBuf;
+
+use re_sdk_types::archetypes::{
+    Asset3D, Boxes3D, Cylinders3D, Ellipsoids3D, Points3D, TransformAxes3D,
+};
+use re_sdk_types::components::{AlbedoFactor, FillMode, Scale3D};
+use re_sdk_types::datatypes::Rgba32;
+use rerun::EntityPath;
+
+use super::mesh::{Mesh, NoMesh};
+use super::scene::{ARM_RGB, kept, moving, positions, radius, still};
+use super::tape::{Tape, entity};
+use super::{ReplayArm, ReplayCause};
+use crate::geometry::Pose;
+use crate::robot::{Chain, LinkId, Shape, Visual};
+
+/// Files that are named of those that are not drawn.
+const NAMED: usize = 3;
+
+/// What came of a model's visuals.
+pub(super) struct Drawn {
+    /// Whether the arm is there as its model shows it.
+    pub is_whole: bool,
+    /// What is to be known of it.
+    pub notes: Vec<String>,
+}
+
+/// Adds the links of an arm, and of its robot all that moves with them.
+pub(super) fn draw(
+    tape: &Tape,
+    arm: &ReplayArm<'_>,
+    size_m: f64,
+    mesh_roots: &[PathBuf],
+) -> Result<Drawn, ReplayCause> {
+    let visuals = arm.robot.visuals();
+    let mut found = Found::default();
+    for link in arm.robot.links() {
+        let name = arm.robot.link_name(link);
+        let is_of_chain = is_of_chain(arm, link);
+        let shown: Vec<&Visual> = visuals.iter().filter(|visual| visual.link == link).collect();
+        if !is_of_chain && shown.is_empty() {
+            continue;
+        }
+        let path = entity(&["arms", arm.name, "links"]).join(&entity(&[name]));
+        let Some(carried) = Carried::of(arm, link) else {
+            found.adrift += shown.len();
+            continue;
+        };
+        carried.draw(tape, arm, &path)?;
+        if is_of_chain {
+            frame(tape, arm, &path, name, size_m)?;
+        }
+        for (index, visual) in shown.into_iter().enumerate() {
+            let path = path.join(&entity(&[&format!("visual_{index}")]));
+            found.draw(tape, &path, visual, mesh_roots)?;
+        }
+    }
+    Ok(found.told(arm, !mesh_roots.is_empty()))
+}
+
+/// Whether a link is the base, the tip, or moved by a joint of the chain.
+fn is_of_chain(arm: &ReplayArm<'_>, link: LinkId) -> bool {
+    let name = arm.robot.link_name(link);
+    let mut joints = arm.chain.joint_names().iter().filter_map(|joint| arm.robot.joint(joint));
+    name == arm.chain.base_name()
+        || name == arm.chain.tip_name()
+        || joints.any(|joint| joint.child == link)
+}
+
+/// How a link is where it is.
+enum Carried {
+    /// It stands still in the base.
+    Still(Pose),
+    /// It is at the end of a chain, whose joints are these of the arm's.
+    Moved(Chain, Vec<usize>),
+}
+
+impl Carried {
+    /// `None` for a link that moves by joints other than the arm's, such as a gripper's finger.
+    fn of(arm: &ReplayArm<'_>, link: LinkId) -> Option<Self> {
+        let base = arm.robot.link(arm.chain.base_name())?;
+        if let Some(pose) = arm.robot.fixed_transform(base, link) {
+            return Some(Carried::Still(pose));
+        }
+        let chain = arm.robot.chain(base, link).ok()?;
+        let of_arm = |name: &String| arm.chain.joint_names().iter().position(|it| it == name);
+        let joints = chain.joint_names().iter().map(of_arm).collect::<Option<Vec<usize>>>()?;
+        Some(Carried::Moved(chain, joints))
+    }
+
+    fn draw(&self, tape: &Tape, arm: &ReplayArm<'_>, path: &EntityPath) -> Result<(), ReplayCause> {
+        let (chain, joints) = match self {
+            Carried::Still(pose) => return Ok(tape.still(path, &still(pose))?),
+            Carried::Moved(chain, joints) => (chain, joints),
+        };
+        let kept = kept(&arm.corrected);
+        let poses = kept.iter().map(|&row| {
+            let q = positions(arm, &arm.corrected, row);
+            let own: Vec<f64> = joints.iter().map(|&joint| q[joint]).collect();
+            chain.forward(&own)
+        });
+        let poses: Vec<Pose> = poses.collect();
+        let moments = tape.of_joints(arm, &kept);
+        Ok(tape.columns(path, &moments, moving(&poses).columns_of_unit_batches()?)?)
+    }
+}
+
+/// Adds the axes of a link, and its name: at the ends of the chain always, else under the pointer.
+fn frame(
+    tape: &Tape,
+    arm: &ReplayArm<'_>,
+    path: &EntityPath,
+    name: &str,
+    size_m: f64,
+) -> Result<(), ReplayCause> {
+    let is_base = name == arm.chain.base_name();
+    let name_tag = Points3D::new([[0.0; 3]])
+        .with_radii([radius(0.006 * size_m)])
+        .with_colors([ARM_RGB])
+        .with_labels([name])
+        .with_show_labels(is_base);
+    let path = path.join(&entity(&["frame"]));
+    tape.still(&path, &name_tag)?;
+    Ok(tape.still(&path, &TransformAxes3D::new((0.09 * size_m) as f32))?)
+}
+
+/// What became of the visuals so far.
+#[derive(Default)]
+struct Found {
+    /// Visuals that are drawn, and how many of them are meshes.
+    drawn: usize,
+    meshes: usize,
+    /// Meshes that are not drawn, with why.
+    missing: Vec<(String, NoMesh)>,
+    /// Visuals of links that no joint of the arm tells the place of.
+    adrift: usize,
+}
+
+impl Found {
+    fn draw(
+        &mut self,
+        tape: &Tape,
+        path: &EntityPath,
+        visual: &Visual,
+        mesh_roots: &[PathBuf],
+    ) -> Result<(), ReplayCause> {
+        let place = still(&visual.link_from_visual);
+        match &visual.shape {
+            Shape::Mesh { uri, scale } => match Mesh::find(uri, mesh_roots) {
+                Ok(mesh) => {
+                    let scale = Scale3D::from(scale.map(|part| part as f32));
+                    tape.still(path, &place.with_scale(scale))?;
+                    tape.still(path, &asset(mesh))?;
+                    self.meshes += 1;
+                }
+                Err(why) => {
+                    self.missing.push((uri.clone(), why));
+                    return Ok(());
+                }
+            },
+            Shape::Box(edges_m) => {
+                tape.still(path, &place)?;
+                let halves = edges_m.map(|edge| (edge / 2.0) as f32);
+                tape.still(
+                    path,
+                    &Boxes3D::from_half_sizes([halves])
+                        .with_colors([ARM_RGB])
+                        .with_fill_mode(FillMode::Solid),
+                )?;
+            }
+            &Shape::Cylinder { radius_m, length_m } => {
+                tape.still(path, &place)?;
+                let round = Cylinders3D::update_fields()
+                    .with_lengths([length_m as f32])
+                    .with_radii([radius_m as f32])
+                    .with_colors([ARM_RGB])
+                    .with_fill_mode(FillMode::Solid);
+                tape.still(path, &round)?;
+            }
+            &Shape::Sphere(radius_m) => {
+                tape.still(path, &place)?;
+                let ball = Ellipsoids3D::from_half_sizes([[radius_m as f32; 3]])
+                    .with_colors([ARM_RGB])
+                    .with_fill_mode(FillMode::Solid);
+                tape.still(path, &ball)?;
+            }
+        }
+        self.drawn += 1;
+        Ok(())
+    }
+
+    fn told(self, arm: &ReplayArm<'_>, has_roots: bool) -> Drawn {
+        let is_whole = self.drawn > 0 && self.missing.is_empty();
+        let all = self.meshes + self.missing.len();
+        let mut notes = Vec::new();
+        if let Some((first, _)) = self.missing.first().filter(|_| !has_roots) {
+            notes.push(format!(
+                "{} is drawn as capsules: --mesh-root names the folders that its {} are sought \
+                 below, such as {first}",
+                arm.name,
+                counted(all, "mesh", "meshes"),
+            ));
+        } else if !self.missing.is_empty() {
+            let mut names: Vec<String> = self.missing.iter().take(NAMED).map(named).collect();
+            let others = self.missing.len().saturating_sub(NAMED);
+            if others > 0 {
+                names.push(format!("and {others} more"));
+            }
+            notes.push(format!(
+                "{} of the {} of {} are not drawn, capsules stand for them: {}",
+                self.missing.len(),
+                counted(all, "mesh", "meshes"),
+                arm.name,
+                names.join("; "),
+            ));
+        } else if all > 0 {
+            let them = counted(all, "mesh", "meshes");
+            notes.push(format!("{} is drawn by the {them} of its model", arm.name));
+        } else if has_roots {
+            notes.push(format!("the model of {} names no mesh: it is drawn as capsules", arm.name));
+        }
+        if self.adrift > 0 {
+            notes.push(format!(
+                "{} of {} on links that other joints move are not drawn",
+                counted(self.adrift, "visual", "visuals"),
+                arm.name,
+            ));
+        }
+        Drawn { is_whole, notes }
+    }
+}
+
+fn named((uri, why): &(String, NoMesh)) -> String {
+    match why {
+        NoMesh::NotFound => format!("{uri} is not below --mesh-root"),
+        NoMesh::Unreadable(why) => format!("{uri} cannot be shown: {why}"),
+    }
+}
+
+fn counted(count: usize, one: &str, many: &str) -> String {
+    format!("{count} {}", if count == 1 { one } else { many })
+}
+
+fn asset(mesh: Mesh) -> Asset3D {
+    let [red, green, blue] = ARM_RGB;
+    let is_coloured = mesh.is_coloured();
+    let asset = Asset3D::new(mesh.bytes).with_media_type(mesh.media_type);
+    if is_coloured {
+        return asset;
+    }
+    asset.with_albedo_factor(AlbedoFactor(Rgba32::from_rgb(red, green, blue)))
+}

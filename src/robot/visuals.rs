@@ -1,0 +1,151 @@
+//! What a URDF says that its links look like.
+//!
+//! It is read where somebody draws the robot, not where one is audited, and leniently: a visual that
+//! is broken is left out. Format: <https://wiki.ros.org/urdf/XML/link>.
+
+use roxmltree::{Document, Node, ParsingOptions};
+
+use crate::geometry::{Pose, pose, rotation_from_rpy};
+
+use super::{LinkId, Robot};
+
+/// A visual of a link.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Visual {
+    /// The link.
+    pub link: LinkId,
+    /// Where it is in the link's frame.
+    pub link_from_visual: Pose,
+    /// What is there.
+    pub shape: Shape,
+}
+
+/// The shape of a visual, about the origin of its frame.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Shape {
+    /// A file.
+    Mesh {
+        /// Where the model says that it is, such as `package://ur_description/meshes/base.dae`.
+        uri: String,
+        /// What its x, y and z are multiplied by.
+        scale: [f64; 3],
+    },
+    /// A box with these edges along x, y and z, m.
+    Box([f64; 3]),
+    /// A cylinder along z.
+    Cylinder {
+        /// Its radius, m.
+        radius_m: f64,
+        /// Its length, m.
+        length_m: f64,
+    },
+    /// A sphere of this radius, m.
+    Sphere(f64),
+}
+
+impl Robot {
+    /// The visuals of the model's links, in the file's order. A model that is no URDF has none.
+    pub fn visuals(&self) -> Vec<Visual> {
+        let options = ParsingOptions { allow_dtd: true, ..ParsingOptions::default() };
+        let document = self.text().map(|text| Document::parse_with_options(text, options));
+        let Some(Ok(document)) = document else { return Vec::new() };
+        // Names may have been changed since it was read; the order has not.
+        let links = named(document.root_element(), "link").zip(self.links());
+        let visuals = links.flat_map(|(node, link)| {
+            named(node, "visual").filter_map(move |visual| visual_of(link, visual))
+        });
+        visuals.collect()
+    }
+}
+
+fn visual_of(link: LinkId, node: Node) -> Option<Visual> {
+    let origin = named(node, "origin").next();
+    let part = |attribute| match origin.and_then(|origin| origin.attribute(attribute)) {
+        Some(text) => numbers::<3>(text),
+        None => Some([0.0; 3]),
+    };
+    let link_from_visual = pose(part("xyz")?, rotation_from_rpy(part("rpy")?));
+    let geometry = named(node, "geometry").next()?;
+    let shape = shape_of(geometry.children().find(Node::is_element)?)?;
+    Some(Visual { link, link_from_visual, shape })
+}
+
+fn shape_of(node: Node) -> Option<Shape> {
+    let number = |attribute| numbers::<1>(node.attribute(attribute)?).map(|[number]| number);
+    Some(match node.tag_name().name() {
+        "mesh" => Shape::Mesh {
+            uri: node.attribute("filename")?.trim().to_owned(),
+            scale: node.attribute("scale").map_or(Some([1.0; 3]), numbers)?,
+        },
+        "box" => Shape::Box(numbers(node.attribute("size")?)?),
+        "cylinder" => Shape::Cylinder { radius_m: number("radius")?, length_m: number("length")? },
+        "sphere" => Shape::Sphere(number("radius")?),
+        _ => return None,
+    })
+}
+
+fn named<'a, 'input>(
+    node: Node<'a, 'input>,
+    name: &'static str,
+) -> impl Iterator<Item = Node<'a, 'input>> {
+    node.children().filter(move |child| child.is_element() && child.tag_name().name() == name)
+}
+
+/// `N` finite numbers.
+fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
+    let words =
+        text.split_whitespace().map(|word| word.parse().ok().filter(|x: &f64| x.is_finite()));
+    words.collect::<Option<Vec<f64>>>()?.try_into().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const URDF: &str = r#"<robot name="two">
+      <link name="base">
+        <visual><geometry><box size="0.1 0.2 0.3"/></geometry></visual>
+        <visual><geometry><box size="wide"/></geometry></visual>
+        <collision><geometry><sphere radius="1"/></geometry></collision>
+      </link>
+      <joint name="j" type="revolute">
+        <parent link="base"/><child link="arm"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/>
+      </joint>
+      <link name="arm">
+        <visual>
+          <origin xyz="0 0 0.5" rpy="0 0 1.5707963267948966"/>
+          <geometry><mesh filename="package://two/arm.stl" scale="0.001 0.001 0.001"/></geometry>
+        </visual>
+        <visual><geometry><cylinder radius="0.05" length="1"/></geometry></visual>
+        <visual><geometry><teapot/></geometry></visual>
+      </link>
+    </robot>"#;
+
+    #[test]
+    fn visuals_are_those_of_their_links_and_broken_ones_are_left_out() {
+        let robot = Robot::from_urdf(URDF, "test").unwrap();
+        let visuals = robot.visuals();
+        let links: Vec<&str> = visuals.iter().map(|visual| robot.link_name(visual.link)).collect();
+        assert_eq!(links, ["base", "arm", "arm"]);
+        assert_eq!(visuals[0].shape, Shape::Box([0.1, 0.2, 0.3]));
+        assert_eq!(visuals[0].link_from_visual, Pose::identity());
+        let uri = "package://two/arm.stl".to_owned();
+        assert_eq!(visuals[1].shape, Shape::Mesh { uri, scale: [0.001; 3] });
+        let x = visuals[1].link_from_visual * nalgebra::Point3::new(1.0, 0.0, 0.0);
+        assert!((x - nalgebra::Point3::new(0.0, 1.0, 0.5)).norm() < 1e-12, "{x}");
+        assert_eq!(visuals[2].shape, Shape::Cylinder { radius_m: 0.05, length_m: 1.0 });
+    }
+
+    #[test]
+    fn they_follow_a_link_that_is_renamed() {
+        let robot = Robot::from_urdf(URDF, "test").unwrap();
+        let left = robot.renamed(|name| format!("left_{name}")).unwrap();
+        let links: Vec<LinkId> = left.visuals().iter().map(|visual| visual.link).collect();
+        assert_eq!(left.link("left_arm"), links.last().copied());
+    }
+
+    #[test]
+    fn other_models_have_none() {
+        assert!(crate::robot::catalogue::find("ur5e").unwrap().visuals().is_empty());
+    }
+}

@@ -1,0 +1,203 @@
+#!/usr/bin/env python3
+"""Opens recordings in the Rerun viewer and looks at them as a person would.
+
+    python3 tests/viewer/recording.py target/debug/poseaudit                # checks
+    python3 tests/viewer/recording.py target/debug/poseaudit docs/images    # and makes recording*.png there
+    python3 tests/viewer/recording.py --probe                               # only whether the viewer draws
+
+Needs the viewer of the crate's minor version and Pillow beside this Python (pip install rerun-sdk==0.36.*
+pillow), and Vulkan: a driver, or Mesa's lavapipe (apt install mesa-vulkan-drivers). The viewer runs
+without a window. It must open the demo's recording, and a log that the importer beside the program adds
+its audit to, without a warning, and must show a scene, plots, spans and text.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from PIL import Image
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+VIEWER = Path(sys.executable).with_name("rerun")
+SIZE = (1400, 900)
+PATIENCE_S = 150
+# What the viewer says of the machine that it runs on, not of what it opens.
+OF_THE_MACHINE = re.compile(
+    "software rasterizer|docker|xsettings|xrandr|xdg_runtime_dir|parse locale|analytics", re.IGNORECASE
+)
+
+
+def free_port() -> int:
+    import socket
+
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return one.getsockname()[1]
+
+
+class Viewer:
+    """A viewer without a window, with a file opened."""
+
+    def __init__(self, file: Path | None, folder: Path, programs: Path | None = None, log: str = "warn"):
+        self.port, self.folder, self.said = free_port(), folder, folder / f"{time.monotonic_ns()}.log"
+        path = os.pathsep.join([str(programs)] * bool(programs) + [os.environ["PATH"]])
+        # Its own place for settings: those of the person whose machine it is are not to be seen.
+        homes = {name: str(folder) for name in ("XDG_RUNTIME_DIR", "XDG_CONFIG_HOME", "XDG_DATA_HOME")}
+        environment = {**os.environ, **homes, "PATH": path, "RUST_LOG": log, "NO_COLOR": "1"}
+        command = [VIEWER, *[file] * bool(file), "--headless", "--hide-welcome-screen", "--renderer", "vulkan"]
+        command += ["--port", str(self.port), "--window-size", "x".join(map(str, SIZE))]
+        # Nothing is told to anybody.
+        subprocess.run([VIEWER, "analytics", "disable"], env=environment, capture_output=True, check=True)
+        with self.said.open("wb") as said:
+            # A group of its own: the command is a script that starts the viewer.
+            self.process = subprocess.Popen(
+                command, env=environment, stdout=said, stderr=said, start_new_session=True
+            )
+
+    def __enter__(self) -> "Viewer":
+        return self
+
+    def __exit__(self, *_) -> None:
+        import signal
+
+        try:
+            os.killpg(self.process.pid, signal.SIGTERM)
+        except ProcessLookupError:
+            pass
+        self.process.wait()
+
+    def complaints(self) -> list[str]:
+        lines = self.said.read_text(errors="replace").splitlines()
+        lines = [re.sub(r"\x1b\[[\d;]*m", "", line) for line in lines]
+        grave = [line for line in lines if re.search(r"WARN|ERROR|error|panicked", line)]
+        return [line for line in grave if not OF_THE_MACHINE.search(line)]
+
+    def picture(self, is_there) -> Image.Image:
+        """What it shows, once `is_there` has nothing to say against it."""
+        from rerun.experimental import ViewerClient
+
+        deadline, why = time.monotonic() + PATIENCE_S, "it shows nothing"
+        while time.monotonic() < deadline:
+            assert self.process.poll() is None, f"the viewer ended: {self.complaints()[-1:]}"
+            time.sleep(1)
+            at = self.folder / f"{time.monotonic_ns()}.png"
+            try:
+                ViewerClient.connect(f"rerun+http://127.0.0.1:{self.port}/proxy").save_screenshot(str(at))
+            except (OSError, RuntimeError) as error:
+                why = f"no picture of it: {error}"
+                continue
+            image = whole(at, deadline)
+            why = is_there(image) if image else "no picture of it"
+            if not why:
+                return image
+        raise AssertionError(f"{why}, after {PATIENCE_S} s")
+
+
+def whole(picture: Path, deadline: float) -> Image.Image | None:
+    """A picture, once all of it is written: the viewer does that after it has said that it will."""
+    while time.monotonic() < deadline:
+        try:
+            return Image.open(picture).convert("RGB")
+        except (OSError, SyntaxError):
+            time.sleep(0.5)
+    return None
+
+
+def lacking(image: Image.Image, parts: dict[str, tuple[float, float, float, float]]) -> str:
+    """Which part of the picture, given as shares of it, shows next to nothing; empty where none."""
+    width, height = image.size
+    for name, (left, top, right, bottom) in parts.items():
+        part = image.crop((int(left * width), int(top * height), int(right * width), int(bottom * height)))
+        colours = part.resize((part.width // 2, part.height // 2)).quantize(64).getcolors()
+        most = max(count for count, _ in colours) / sum(count for count, _ in colours)
+        if len(colours) < 12 or most > 0.995:
+            return f"{name} is blank"
+    return ""
+
+
+def is_coloured(image: Image.Image, rgb: tuple[int, int, int], near: int = 40) -> bool:
+    """Whether some pixels have a colour, or one near to it."""
+    small = image.resize((image.width // 2, image.height // 2), Image.Resampling.NEAREST)
+    close = sum(
+        count
+        for count, colour in small.getcolors(small.width * small.height)
+        if all(abs(a - b) <= near for a, b in zip(colour, rgb))
+    )
+    return close > 30
+
+
+PARTS = {
+    "the scene": (0.02, 0.08, 0.53, 0.68),
+    "what proves the finding": (0.57, 0.08, 0.98, 0.68),
+    "the spans and lines": (0.02, 0.75, 0.98, 0.95),
+}
+
+
+def audited(image: Image.Image) -> str:
+    logged, explained = (240, 80, 60), (60, 200, 110)
+    if not is_coloured(image, logged) or not is_coloured(image, explained):
+        return "the tool as logged and as explained is not there"
+    return lacking(image, PARTS)
+
+
+def shrunk(image: Image.Image, path: Path) -> None:
+    image.resize(SIZE, Image.Resampling.LANCZOS).quantize(200, dither=Image.Dither.NONE).save(path, optimize=True)
+    print(f"{path}: {SIZE[0]} x {SIZE[1]}, {path.stat().st_size} bytes")
+
+
+def check(file: Path, folder: Path, programs: Path | None = None) -> Image.Image:
+    with Viewer(file, folder, programs) as viewer:
+        image = viewer.picture(audited)
+        complaints = viewer.complaints()
+    assert not complaints, f"{file.name}: the viewer complains: {complaints}"
+    return image
+
+
+def recorded(program: Path, folder: Path) -> Path:
+    """The recording of the demo."""
+    run = subprocess.run([program, "demo", "demo"], cwd=folder, stdout=subprocess.DEVNULL)
+    assert run.returncode == 0, f"demo: exit status {run.returncode}"
+    path = folder / "demo.rrd"
+    command = [program, "audit", "demo/demo.mcap", "--rrd", path]
+    run = subprocess.run(command, cwd=folder, stdout=subprocess.DEVNULL)
+    assert run.returncode == 1, f"audit: exit status {run.returncode}"
+    return path
+
+
+def main() -> None:
+    program = Path(sys.argv[1]).resolve()
+    with tempfile.TemporaryDirectory() as folder:
+        folder = Path(folder)
+        image = check(recorded(program, folder), folder)
+        importers = folder / "importers"
+        importers.mkdir()
+        importer = shutil.which("rerun-importer-poseaudit", path=program.parent)
+        assert importer, f"no importer beside {program}"
+        (importers / Path(importer).name).symlink_to(importer)
+        beside_log = check(FIXTURES / "faulty.mcap", folder, importers)
+        print("recording: the demo and a log with the importer looked at in the viewer")
+        if len(sys.argv) > 2:
+            # Messages of the viewer would lie over what it shows.
+            with Viewer(folder / "demo.rrd", folder, log="off") as viewer:
+                image = viewer.picture(audited)
+            to = Path(sys.argv[2])
+            shrunk(image, to / "recording.png")
+            shrunk(beside_log, to / "recording-importer.png")
+
+
+def probe() -> None:
+    """Fails where the viewer draws nothing."""
+    with tempfile.TemporaryDirectory() as folder, Viewer(None, Path(folder)) as viewer:
+        everywhere = {"the window": (0.0, 0.0, 1.0, 1.0)}
+        try:
+            viewer.picture(lambda image: lacking(image, everywhere))
+        except AssertionError as error:
+            raise SystemExit(f"the viewer draws nothing: {error}") from None
+
+
+probe() if sys.argv[1:] == ["--probe"] else main()
