@@ -27,11 +27,11 @@ fn read_with(bytes: &[u8], options: ReadOptions<'_>) -> Log {
     let (path, mut intake) = (Path::new("run.mcap"), Intake::default());
     let mut losses = Losses::of(path);
     intake.begin_file(path, bytes.len() as u64);
-    let crc = read(bytes, &options, &mut losses, &mut intake);
+    let crc = read(bytes, &Present::Whole, &options, &mut losses, &mut intake).unwrap();
     intake.losses(losses);
     let bytes = bytes.len() as u64;
     let container = Container::Mcap;
-    intake.finish(vec![LogFile { path: path.to_owned(), container, bytes, crc }])
+    intake.finish(vec![LogFile { path: path.to_owned(), container, bytes, fetched: None, crc }])
 }
 
 fn read_all(bytes: &[u8]) -> Log {
