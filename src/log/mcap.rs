@@ -173,9 +173,14 @@ impl<'a> Reader<'a, '_, '_> {
     /// Takes schemas and channels from the summary, if the file has one.
     fn summary(&mut self) -> Summary {
         let Some(content) = self.bytes.strip_suffix(MAGIC) else {
+            let magic = self.bytes.len().saturating_sub(MAGIC.len());
+            self.is_there(magic..self.bytes.len());
             return Summary::Unclosed;
         };
         let footer_start = content.len().saturating_sub(record::Footer::SIZE);
+        if !self.is_there(footer_start..self.bytes.len()) {
+            return Summary::Unclosed;
+        }
         let footer = match record::frame(content, footer_start) {
             Ok(frame) if frame.opcode == op::FOOTER => record::Footer::parse(frame.body),
             _ => None,
@@ -193,6 +198,9 @@ impl<'a> Reader<'a, '_, '_> {
             self.lose_summary(footer_start, "the footer points beyond the end of the file");
             return Summary::Closed { messages: None };
         };
+        if !self.is_there(start..footer_start) {
+            return Summary::Unclosed;
+        }
         // The checksum covers the footer, too, up to itself.
         let covered = &content[start..content.len() - size_of::<u32>()];
         if footer.summary_crc != 0 && crc32fast::hash(covered) != footer.summary_crc {

@@ -5,6 +5,9 @@
 //! byte that is not there, that is asked for, and the walk is made anew. A file whose records do not
 //! stand as its indexes say is asked for whole, so that the reader meets damage as in any other file.
 
+#[cfg(test)]
+mod tests;
+
 use std::ops::Range;
 
 use mcap::MAGIC;

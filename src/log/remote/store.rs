@@ -72,7 +72,7 @@ impl Source {
                 .build()
                 .map(|client| Arc::new(client) as _),
             Store::Web => HttpBuilder::new()
-                .with_client_options(options("HTTP_").with_allow_http(true))
+                .with_client_options(plain_options().with_allow_http(true))
                 .with_retry(retries())
                 .with_url(url.split('#').next().unwrap_or_default())
                 .build()
@@ -83,11 +83,15 @@ impl Source {
     }
 }
 
-/// How a client connects: as the variables say that begin with `prefix`, such as `AWS_ALLOW_HTTP`.
-/// Bodies take as long as they take; whether anything comes is seen where they are read.
+/// How a client connects. Bodies take as long as they take; whether anything comes is seen where they
+/// are read.
+fn plain_options() -> ClientOptions {
+    ClientOptions::new().with_timeout_disabled().with_connect_timeout(CONNECT)
+}
+
+/// The same as the variables say that begin with `prefix`, such as `AWS_ALLOW_HTTP`.
 fn options(prefix: &str) -> ClientOptions {
-    let options = ClientOptions::new().with_timeout_disabled().with_connect_timeout(CONNECT);
-    std::env::vars_os().fold(options, |options, (name, value)| {
+    std::env::vars_os().fold(plain_options(), |options, (name, value)| {
         let name = name.to_str().and_then(|name| name.strip_prefix(prefix));
         let key = name.and_then(|name| name.to_ascii_lowercase().parse().ok());
         match (key, value.into_string()) {
