@@ -63,7 +63,7 @@ impl Ranges {
     pub(super) fn pieces(&self, size: usize) -> impl Iterator<Item = Range<usize>> {
         self.0.iter().flat_map(move |range| {
             let end = range.end;
-            range.clone().step_by(size).map(move |start| start..end.min(start + size))
+            range.clone().step_by(size).map(move |start| start..end.min(start.saturating_add(size)))
         })
     }
 }

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use mcap::records::MessageHeader;
 use mcap::{Compression, WriteOptions};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
@@ -24,6 +23,9 @@ fn fetched(bytes: &[u8], hole: u8) -> (Vec<u8>, Present, usize) {
         }
         present.extend(Ranges::of(parts, 0));
         let there = Present::of(present.clone(), bytes.len());
+        if there == Present::Whole {
+            return (file, there, bytes.len());
+        }
         parts = match survey(&file, &there) {
             Survey::Nothing => return (file, there, present.bytes()),
             Survey::Parts(parts) => parts,
@@ -31,9 +33,6 @@ fn fetched(bytes: &[u8], hole: u8) -> (Vec<u8>, Present, usize) {
         };
         let asked = Ranges::of(parts.clone(), 0);
         assert!(present.missing(&asked).bytes() > 0, "what is there is asked for: {asked:?}");
-        if there == Present::Whole {
-            return (file, there, bytes.len());
-        }
     }
 }
 
