@@ -20,6 +20,8 @@ pub const KEY_ID: &str = "AKIDTEST";
 pub struct Manners {
     /// Every so many answers with a body break off amid it; 0: none.
     pub cuts: usize,
+    /// None after so many.
+    pub sound_after: Option<usize>,
     /// So many requests are answered with 503 before the others.
     pub busy: usize,
     /// Ranges are not known: whole objects are handed out.
@@ -76,7 +78,7 @@ impl Server {
                 }
                 let shared = Arc::clone(&shared);
                 // A client that goes away is its own affair.
-                thread::spawn(move || drop(shared.answer(connection)));
+                thread::spawn(move || shared.answer(connection));
             }
         });
         Self { address, counts, ends }
@@ -145,7 +147,8 @@ impl Shared {
         if number <= self.manners.busy {
             return refuse("503 Slow Down", "SlowDown");
         }
-        let (path, query) = request.target.split_once('?').unwrap_or((&request.target, ""));
+        let target = request.target.replace("%20", " ");
+        let (path, query) = target.split_once('?').unwrap_or((&target, ""));
         let (bucket, key) =
             path.trim_start_matches('/').split_once('/').unwrap_or((&path[1..], ""));
         if !self.manners.public && !request.authorization.contains(&format!("Credential={KEY_ID}/"))
@@ -185,7 +188,8 @@ impl Shared {
         }
         let body = 1 + self.counts.bodies.fetch_add(1, Ordering::Relaxed);
         let mut part = &object[range];
-        if self.manners.cuts > 0 && body % self.manners.cuts == 0 {
+        let is_over = self.manners.sound_after.is_some_and(|last| body > last);
+        if self.manners.cuts > 0 && body % self.manners.cuts == 0 && !is_over {
             part = &part[..part.len() / 2];
         }
         self.counts.bytes.fetch_add(part.len(), Ordering::Relaxed);

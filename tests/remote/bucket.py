@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Audits logs in a bucket of moto, an S3 server that is nobody's but this script's.
 
-    python3 tests/remote/moto.py target/debug/poseaudit
+    python3 tests/remote/bucket.py target/debug/poseaudit
 
 Needs `moto[s3]` and `flask-cors`. What is said of a log in the bucket must be what is said of the local file, of a
 log of images little may be fetched, a listing must hold what is there, and each way to be wrong gets its
