@@ -159,6 +159,7 @@ impl Read {
             path: file.path.clone(),
             container: file.container.name(),
             bytes: file.bytes,
+            fetched_bytes: file.fetched,
             crc: file.crc.name(),
         });
         let notes = log

@@ -33,6 +33,7 @@ pub mod corrections;
 pub mod desk;
 pub mod diagnosis;
 pub mod finding;
+pub mod fleet;
 pub mod geometry;
 pub mod log;
 pub mod replay;

@@ -41,7 +41,8 @@ fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     let LogSummary { files, notes, messages, duration_s, .. } = &report.log;
     for file in files {
         let (path, container, bytes) = (file.path.display(), file.container, file.bytes);
-        writeln!(out, "{path}: {container}, {bytes} bytes, checksums: {}", file.crc)?;
+        let fetched = file.fetched().map_or(String::new(), |fetched| format!(", {fetched}"));
+        writeln!(out, "{path}: {container}, {bytes} bytes{fetched}, checksums: {}", file.crc)?;
     }
     for note in notes {
         writeln!(out, "note: {}: {}", note.path.display(), note.note)?;

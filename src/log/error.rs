@@ -1,7 +1,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::Log;
+use super::{Log, RemoteFault};
 
 /// What can be read.
 const EXPECTED: &str = "an MCAP file, a ROS 1 bag, a rosbag2 bag or an RTDE CSV";
@@ -74,6 +74,14 @@ pub enum LogError {
         path: PathBuf,
         /// What its first bytes look like.
         looks: &'static str,
+    },
+    /// An object in a store cannot be read.
+    #[error("{}: {}; {}", url.display(), fault, fault.remedy())]
+    Remote {
+        /// Its address, without what may be secret in it.
+        url: PathBuf,
+        /// Why not.
+        fault: RemoteFault,
     },
     /// The files are logs, but no message can be read from them.
     #[error("{}: no messages can be read: {cause}", path.display())]

@@ -8,13 +8,16 @@ use std::path::{Path, PathBuf};
 use memmap2::Mmap;
 
 use super::intake::Intake;
+use super::remote::Address;
 use super::{LogError, rosbag2};
 
 /// One file to read.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(super) struct Input {
-    /// Where it is.
+    /// Where it is; of an object in a store, what it is called in reports.
     pub(super) path: PathBuf,
+    /// The object's address, if it is one.
+    pub(super) address: Option<Address>,
     /// Whether it is part of a rosbag2 folder.
     pub(super) in_bag: bool,
     /// How many messages the folder's `metadata.yaml` says it has.
@@ -22,7 +25,12 @@ pub(super) struct Input {
 }
 
 impl Input {
-    /// Its size; 0 if that cannot be told.
+    /// A local file that stands alone.
+    fn local(path: PathBuf) -> Self {
+        Self { path, address: None, in_bag: false, recorded: None }
+    }
+
+    /// Its size; 0 if that cannot be told, as of an object before it is asked for.
     pub(super) fn bytes(&self) -> u64 {
         fs::metadata(&self.path).map_or(0, |metadata| metadata.len())
     }
@@ -32,10 +40,13 @@ impl Input {
 pub(super) fn inputs(paths: &[PathBuf], intake: &mut Intake) -> Result<Vec<Input>, LogError> {
     let mut inputs = Vec::new();
     for path in paths {
-        if path.is_dir() {
-            inputs.extend(rosbag2::files_of(path, intake)?);
-        } else {
-            inputs.push(Input { path: path.clone(), in_bag: false, recorded: None });
+        match Address::of(path)? {
+            Some(address) => {
+                let path = address.shown();
+                inputs.push(Input { address: Some(address), ..Input::local(path) });
+            }
+            None if path.is_dir() => inputs.extend(rosbag2::files_of(path, intake)?),
+            None => inputs.push(Input::local(path.clone())),
         }
     }
     Ok(inputs)
@@ -43,16 +54,20 @@ pub(super) fn inputs(paths: &[PathBuf], intake: &mut Intake) -> Result<Vec<Input
 
 /// Refuses a file that is given twice, under the same or another path, and a copy of it.
 pub(super) fn refuse_repeats(inputs: &[Input]) -> Result<(), LogError> {
-    let mut by_size: HashMap<u64, Vec<&Path>> = HashMap::new();
+    let mut by_size: HashMap<u64, Vec<&Input>> = HashMap::new();
     for input in inputs {
         let same_size = by_size.entry(input.bytes()).or_default();
         for first in same_size.iter() {
-            if is_same(first, &input.path) {
-                let (path, first) = (input.path.clone(), first.to_path_buf());
+            let is_same = match (&first.address, &input.address) {
+                (None, None) => is_same(&first.path, &input.path),
+                (first, other) => first == other,
+            };
+            if is_same {
+                let (path, first) = (input.path.clone(), first.path.clone());
                 return Err(LogError::Twice { path, first });
             }
         }
-        same_size.push(&input.path);
+        same_size.push(input);
     }
     Ok(())
 }

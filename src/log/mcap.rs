@@ -5,6 +5,9 @@
 //! with and without an index are read alike.
 
 mod record;
+mod sparse;
+#[cfg(feature = "cloud")]
+mod survey;
 #[cfg(test)]
 mod tests;
 
@@ -18,43 +21,49 @@ use super::ahead::{self, Ahead};
 use super::decode::{Format, excerpt};
 use super::intake::{ChannelId, Intake, MOST_AT_ONCE, Message, Place};
 use super::losses::{Losses, NOT_DESCRIBED, Unknown};
+use super::ranges::Present;
 use super::unpack::{Compression, Packed, Unpacker};
 use super::{Crc, Extent, ReadOptions};
 
-/// Reads the file `bytes`, which begin with [`MAGIC`], into `intake`.
+#[cfg(feature = "cloud")]
+pub(super) use self::survey::{Survey, survey};
+
+/// What would have to be read of a file stands at this byte, which is not there.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) struct Absent(pub(super) usize);
+
+/// Reads the file `bytes`, which begin with [`MAGIC`], into `intake`. Nothing is looked at but what
+/// is `present` of it, which must be what [`survey`](survey::survey) asks for.
+///
+/// # Errors
+/// Where it is not; what was read till then is of no use.
 pub(super) fn read(
     bytes: &[u8],
+    present: &Present,
     options: &ReadOptions<'_>,
     losses: &mut Losses,
     intake: &mut Intake,
-) -> Crc {
+) -> Result<Crc, Absent> {
     ahead::with(|ahead| {
         let before = intake.messages();
-        let mut reader = Reader {
-            bytes,
-            options,
-            intake,
-            losses,
-            ahead,
-            scanned: Some(MAGIC.len()),
-            schemas: HashMap::new(),
-            channels: Vec::new(),
-            covered: 0,
-            orphans: None,
-            unknown: Unknown::default(),
-            in_lost_chunk: false,
-            has_chunks: false,
-        };
+        let mut reader = Reader::new(bytes, present, options, losses, intake, ahead);
         let summary = reader.summary();
         let end = reader.walk();
+        if let Some(absent) = reader.absent {
+            return Err(absent);
+        }
         let read = reader.intake.messages() - before;
         reader.close(&summary, end, read);
-        Crc::of(reader.covered, read)
+        Ok(Crc::of(reader.covered, read))
     })
 }
 
 struct Reader<'a, 'r, 'scope> {
     bytes: &'a [u8],
+    /// What of them is there.
+    present: &'r Present,
+    /// The first that was needed and is not there.
+    absent: Option<Absent>,
     options: &'r ReadOptions<'r>,
     intake: &'r mut Intake,
     losses: &'r mut Losses,
@@ -92,6 +101,14 @@ struct Channel {
     encoding: String,
 }
 
+impl Channel {
+    /// Whether it is what a record says.
+    fn is(&self, channel: &record::Channel<'_>) -> bool {
+        (self.schema_id, self.topic.as_str(), self.encoding.as_str())
+            == (channel.schema_id, channel.topic, channel.encoding)
+    }
+}
+
 /// What the end of the file says of the rest.
 enum Summary {
     /// Nothing: the file was not closed.
@@ -109,6 +126,8 @@ enum Use {
     Some,
     /// How many messages it has, which its index says.
     Counts,
+    /// What is not there.
+    Absent,
 }
 
 /// How the walk over the data section ended.
@@ -121,13 +140,47 @@ enum End<'a> {
     Damaged,
 }
 
+impl<'a, 'r, 'scope> Reader<'a, 'r, 'scope> {
+    fn new(
+        bytes: &'a [u8],
+        present: &'r Present,
+        options: &'r ReadOptions<'r>,
+        losses: &'r mut Losses,
+        intake: &'r mut Intake,
+        ahead: &'r mut Ahead<'scope, 'a>,
+    ) -> Self {
+        Self {
+            bytes,
+            present,
+            absent: None,
+            options,
+            intake,
+            losses,
+            ahead,
+            scanned: Some(MAGIC.len()),
+            schemas: HashMap::new(),
+            channels: Vec::new(),
+            covered: 0,
+            orphans: None,
+            unknown: Unknown::default(),
+            in_lost_chunk: false,
+            has_chunks: false,
+        }
+    }
+}
+
 impl<'a> Reader<'a, '_, '_> {
     /// Takes schemas and channels from the summary, if the file has one.
     fn summary(&mut self) -> Summary {
         let Some(content) = self.bytes.strip_suffix(MAGIC) else {
+            let magic = self.bytes.len().saturating_sub(MAGIC.len());
+            self.is_there(magic..self.bytes.len());
             return Summary::Unclosed;
         };
         let footer_start = content.len().saturating_sub(record::Footer::SIZE);
+        if !self.is_there(footer_start..self.bytes.len()) {
+            return Summary::Unclosed;
+        }
         let footer = match record::frame(content, footer_start) {
             Ok(frame) if frame.opcode == op::FOOTER => record::Footer::parse(frame.body),
             _ => None,
@@ -145,6 +198,9 @@ impl<'a> Reader<'a, '_, '_> {
             self.lose_summary(footer_start, "the footer points beyond the end of the file");
             return Summary::Closed { messages: None };
         };
+        if !self.is_there(start..footer_start) {
+            return Summary::Unclosed;
+        }
         // The checksum covers the footer, too, up to itself.
         let covered = &content[start..content.len() - size_of::<u32>()];
         if footer.summary_crc != 0 && crc32fast::hash(covered) != footer.summary_crc {
@@ -182,6 +238,9 @@ impl<'a> Reader<'a, '_, '_> {
         while offset < self.bytes.len() {
             self.options.at(offset);
             self.unpack_ahead(offset);
+            if !self.is_there(offset..self.bytes.len().min(offset + record::FRAME_HEADER)) {
+                return End::Damaged;
+            }
             match record::frame(self.bytes, offset) {
                 Ok(frame) if matches!(frame.opcode, op::DATA_END | op::FOOTER) => {
                     return End::Closed(frame);
@@ -191,6 +250,8 @@ impl<'a> Reader<'a, '_, '_> {
                     sound = if intact { frame.end() } else { offset + 1 };
                     offset = frame.end();
                 }
+                // What comes after it must be searched.
+                Err(_) if !self.is_there(sound..self.bytes.len()) => return End::Damaged,
                 Err(broken) => {
                     let Some(next) = self.next_record(sound) else {
                         self.lose_rest(offset, broken, &mut unpacker);
@@ -221,6 +282,7 @@ impl<'a> Reader<'a, '_, '_> {
         let in_lost_chunk = std::mem::take(&mut self.in_lost_chunk);
         match frame.opcode {
             op::CHUNK => return self.chunk(frame, unpacker),
+            _ if !self.is_there(frame.offset..frame.end()) => {}
             op::MESSAGE_INDEX if in_lost_chunk => {
                 // The index of a lost chunk says how many messages were in it.
                 let index = record::MessageIndex::parse(frame.body);
@@ -264,6 +326,9 @@ impl<'a> Reader<'a, '_, '_> {
 
     /// What of a chunk is of use.
     fn use_of(&self, frame: &Frame<'a>, packed: &Packed<'a>) -> Use {
+        if !self.present.holds(&self.place(packed.data)) {
+            return self.use_of_parts(frame, packed);
+        }
         if self.options.verify {
             return Use::All;
         }
@@ -271,10 +336,7 @@ impl<'a> Reader<'a, '_, '_> {
             let is_whole = packed.data.len() as u64 == packed.size;
             return if is_whole { self.use_of_records(packed.data) } else { Use::All };
         }
-        let mut indexes = self.indexes_behind(frame).peekable();
-        let is_ignored = |index: record::MessageIndex<'_>| matches!(self.channel_of(index.channel_id), Some(id) if self.intake.ignores(id));
-        let is_indexed = indexes.peek().is_some();
-        if is_indexed && indexes.all(is_ignored) { Use::Counts } else { Use::All }
+        if self.is_ignored_by_index(frame) { Use::Counts } else { Use::All }
     }
 
     /// What of the records of a chunk is of use, which are not packed: nothing needs to be looked
@@ -335,6 +397,10 @@ impl<'a> Reader<'a, '_, '_> {
                 }
                 Use::Some => {
                     self.chunk_records(packed.data, frame.offset);
+                    return true;
+                }
+                Use::Absent => {
+                    self.absent.get_or_insert(Absent(frame.offset));
                     return true;
                 }
                 Use::All => unpacker.chunk(&packed, &mut self.intake.allowance),
@@ -456,11 +522,7 @@ impl<'a> Reader<'a, '_, '_> {
             self.channels.resize_with(index + 1, || None);
         }
         let slot = &mut self.channels[index];
-        let known = slot.as_ref().is_some_and(|known| {
-            (known.schema_id, known.topic.as_str(), known.encoding.as_str())
-                == (channel.schema_id, channel.topic, channel.encoding)
-        });
-        if known {
+        if slot.as_ref().is_some_and(|known| known.is(&channel)) {
             return;
         }
         let schema = self.schemas.get(&channel.schema_id);

@@ -16,6 +16,8 @@ mod intake;
 mod losses;
 mod mcap;
 mod progress;
+mod ranges;
+mod remote;
 mod rosbag1;
 mod rosbag2;
 mod rtde;
@@ -26,11 +28,17 @@ mod sniff;
 mod testing;
 mod unpack;
 
+use std::io;
 use std::path::{Path, PathBuf};
+
+use tempfile::TempPath;
 
 use self::files::{Input, Mapped};
 use self::intake::Intake;
 use self::losses::Losses;
+use self::mcap::Absent;
+use self::ranges::Present;
+use self::remote::Fetched;
 use self::sniff::Kind;
 use self::unpack::Unpacked;
 use crate::stream::Columns;
@@ -38,6 +46,7 @@ use crate::time::Stamp;
 
 pub use self::error::LogError;
 pub use self::progress::Progress;
+pub use self::remote::{Listed, RemoteFault, is_url, list};
 
 /// How to read.
 #[derive(Clone, Copy, Debug, Default)]
@@ -92,6 +101,8 @@ pub struct LogFile {
     pub container: Container,
     /// Size of the file.
     pub bytes: u64,
+    /// How many bytes were fetched to read it; `None` for a file that was there.
+    pub fetched: Option<u64>,
     /// How many of its messages a checksum vouches for.
     pub crc: Crc,
 }
@@ -231,8 +242,16 @@ pub enum Extent {
     Messages,
 }
 
-/// Reads the files and rosbag2 folders of one run, of whatever kinds; rows of the same topic and
-/// type are appended in the order given.
+/// How much of a file's beginning [`looks_like_log`] wants to see, in bytes.
+pub const HEAD_BYTES: u64 = 4096;
+
+/// Whether a file that begins with `head` may be a log: of a zstd archive only reading it tells.
+pub fn looks_like_log(head: &[u8]) -> bool {
+    !matches!(sniff::kind(head), sniff::Kind::Known { .. } | sniff::Kind::Unknown { .. })
+}
+
+/// Reads the files, rosbag2 folders and objects in stores (by URL) of one run, of whatever kinds;
+/// rows of the same topic and type are appended in the order given.
 ///
 /// # Errors
 ///
@@ -256,11 +275,16 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions<'_>) -> Result<Log, LogErro
             losses: Losses::of(&input.path),
             intake: &mut intake,
             rtde: &mut rtde,
+            present: Present::Whole,
         };
-        let read = reading.file(input.recorded);
+        let read = reading.file(input);
         let mut losses = reading.losses;
+        let mut bytes = input.bytes();
         match read {
-            Ok(file) => files.push(file),
+            Ok(file) => {
+                bytes = file.bytes;
+                files.push(file);
+            }
             // One file of a recording does not take the others with it.
             Err(error) if input.in_bag && inputs.len() > 1 => {
                 losses.add_unplaced(Extent::Messages, input.recorded, error.to_string());
@@ -269,7 +293,7 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions<'_>) -> Result<Log, LogErro
         }
         intake.losses(losses);
         if let Some(progress) = options.progress {
-            progress.file_done(input.bytes());
+            progress.file_done(bytes);
         }
     }
     rtde.hand_over(&mut intake);
@@ -288,24 +312,45 @@ struct Reading<'a> {
     losses: Losses,
     intake: &'a mut Intake,
     rtde: &'a mut rtde::Recording,
+    /// What of the file is there.
+    present: Present,
 }
 
 impl Reading<'_> {
-    /// Reads the file, of which `metadata.yaml` says that it has `recorded` messages.
-    fn file(&mut self, recorded: Option<u64>) -> Result<LogFile, LogError> {
-        let mapped = Mapped::open(self.path)?;
-        let bytes = mapped.bytes().len() as u64;
-        self.intake.begin_file(self.path, bytes);
-        let before = self.intake.messages();
-        let (container, crc) = match sniff::kind(mapped.bytes()) {
-            Kind::Zstd => self.archive(mapped.bytes())?,
-            kind => self.content(kind, self.path, mapped.bytes(), || ())?,
+    /// Reads the file, or fetches the object and reads that.
+    fn file(&mut self, input: &Input) -> Result<LogFile, LogError> {
+        let path = self.path;
+        let Some(address) = &input.address else {
+            let mapped = Mapped::open(path)?;
+            let before = self.intake.messages();
+            let file = self.whole(mapped.bytes(), None)?;
+            if let Some(recorded) = input.recorded {
+                self.losses.settle("metadata.yaml", recorded, self.intake.messages() - before);
+            }
+            return Ok(file);
         };
-        if let Some(recorded) = recorded {
-            let read = self.intake.messages() - before;
-            self.losses.settle("metadata.yaml", recorded, read);
-        }
-        Ok(LogFile { path: self.path.to_owned(), container, bytes, crc })
+        let Fetched { file: Unpacked { file, path: named }, present, bytes } =
+            remote::fetch(address, &self.options)
+                .map_err(|fault| LogError::Remote { url: path.to_owned(), fault })?;
+        let mapped = Mapped::of(&file).map_err(|source| match source.kind() {
+            io::ErrorKind::UnexpectedEof => LogError::Empty { path: path.to_owned() },
+            _ => LogError::io(path, source),
+        })?;
+        // To fetch it is what takes time.
+        self.options.progress = None;
+        self.present = present;
+        Ok(LogFile { fetched: Some(bytes), ..self.whole(mapped.bytes(), named)? })
+    }
+
+    /// Reads the `bytes` of a file, which is a temporary one if it is `named`.
+    fn whole(&mut self, bytes: &[u8], named: Option<TempPath>) -> Result<LogFile, LogError> {
+        let (path, size) = (self.path, bytes.len() as u64);
+        self.intake.begin_file(path, size);
+        let (container, crc) = match sniff::kind(bytes) {
+            Kind::Zstd => self.archive(bytes)?,
+            kind => self.named(kind, bytes, named)?,
+        };
+        Ok(LogFile { path: path.to_owned(), container, bytes: size, fetched: None, crc })
     }
 
     /// Reads the log that is packed in `archive`.
@@ -322,15 +367,24 @@ impl Reading<'_> {
             .map_err(|_| LogError::NotALog { path: self.path.to_owned(), looks })?;
         // The archive is what counts, and it was read.
         self.options.progress = None;
-        let kind = sniff::kind(unpacked.bytes());
-        match path {
-            None => self.content(kind, self.path, unpacked.bytes(), || ()),
+        self.named(sniff::kind(unpacked.bytes()), unpacked.bytes(), path)
+    }
+
+    /// Reads the `bytes` of a log, of a temporary file if it is `named`.
+    fn named(
+        &mut self,
+        kind: Kind,
+        bytes: &[u8],
+        named: Option<TempPath>,
+    ) -> Result<(Container, Crc), LogError> {
+        match named {
+            None => self.content(kind, self.path, bytes, || ()),
             // Once the file is open, its name is not needed any more. Where open files cannot lose
             // theirs, it goes in the end.
             Some(path) => {
                 let place = path.to_path_buf();
                 let opened = || drop(std::fs::remove_file(&path));
-                self.content(kind, &place, unpacked.bytes(), opened)
+                self.content(kind, &place, bytes, opened)
             }
         }
     }
@@ -344,13 +398,18 @@ impl Reading<'_> {
         bytes: &[u8],
         opened: impl FnOnce(),
     ) -> Result<(Container, Crc), LogError> {
-        let Self { options, losses, intake, rtde, .. } = self;
+        let Self { options, losses, intake, rtde, present, .. } = self;
         let path = || self.path.to_owned();
+        let absent = |Absent(byte)| {
+            let fault = RemoteFault::Contradiction { byte: byte as u64 };
+            LogError::Remote { url: path(), fault }
+        };
         Ok(match kind {
-            Kind::Mcap if self.in_bag => {
-                (Container::RosBag2Mcap, mcap::read(bytes, options, losses, intake))
+            Kind::Mcap => {
+                let of_bag = if self.in_bag { Container::RosBag2Mcap } else { Container::Mcap };
+                let crc = mcap::read(bytes, present, options, losses, intake).map_err(absent)?;
+                (of_bag, crc)
             }
-            Kind::Mcap => (Container::Mcap, mcap::read(bytes, options, losses, intake)),
             Kind::RosBag1 => (Container::RosBag1, rosbag1::read(bytes, options, losses, intake)),
             Kind::Sqlite => {
                 if !rosbag2::read_database(place, options, losses, intake, opened) {

@@ -27,6 +27,12 @@ impl Progress {
         self.total.store(total, Ordering::Relaxed);
     }
 
+    /// Says that there are `bytes` more: those of an object, which has no size before it is asked for.
+    #[cfg_attr(not(feature = "cloud"), allow(dead_code, reason = "without it nothing is fetched"))]
+    pub(super) fn grow(&self, bytes: u64) {
+        self.total.fetch_add(bytes, Ordering::Relaxed);
+    }
+
     /// Says how far the file that is being read was read.
     pub(super) fn at(&self, offset: u64) {
         self.here.store(offset, Ordering::Relaxed);

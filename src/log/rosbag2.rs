@@ -120,10 +120,15 @@ fn listed(folder: &Path, information: &Information, losses: &mut Losses) -> Vec<
         let unpacked = path.with_extension("");
         let is_packed = path.extension() == Some(OsStr::new("zstd"));
         if path.is_file() {
-            inputs.push(Input { path, in_bag: true, recorded: recorded(name) });
+            inputs.push(Input { path, address: None, in_bag: true, recorded: recorded(name) });
         } else if is_packed && unpacked.is_file() {
             // The recorder was ended before it had packed its last file, or somebody unpacked it.
-            inputs.push(Input { path: unpacked, in_bag: true, recorded: recorded(name) });
+            inputs.push(Input {
+                path: unpacked,
+                address: None,
+                in_bag: true,
+                recorded: recorded(name),
+            });
         } else {
             let what = format!("lists `{}`, which is not there", excerpt(&name.to_string_lossy()));
             losses.add_unplaced(Extent::Messages, recorded(name), what);
@@ -143,7 +148,10 @@ fn logs_in(folder: &Path) -> Result<Vec<Input>, LogError> {
     if paths.iter().any(|path| recording_name(path) != recording_name(first)) {
         return Err(refuse("with the logs of several runs, or without the metadata.yaml of one"));
     }
-    Ok(paths.into_iter().map(|path| Input { path, in_bag: true, recorded: None }).collect())
+    Ok(paths
+        .into_iter()
+        .map(|path| Input { path, address: None, in_bag: true, recorded: None })
+        .collect())
 }
 
 /// Log files of a folder that are not among `inputs`.

@@ -276,7 +276,7 @@ pub(super) struct Unpacked {
 
 impl Unpacked {
     /// An empty file for what begins with `head`.
-    fn of(head: &[u8]) -> io::Result<Self> {
+    pub(super) fn of(head: &[u8]) -> io::Result<Self> {
         if !head.starts_with(SQLITE_MAGIC) {
             return Ok(Self { file: tempfile::tempfile()?, path: None });
         }

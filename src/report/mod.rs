@@ -151,8 +151,20 @@ pub struct FileRow {
     pub container: &'static str,
     /// Its size.
     pub bytes: u64,
+    /// How many bytes were fetched to read it, where it is an object in a store.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fetched_bytes: Option<u64>,
     /// How much of it a checksum vouches for: `all`, `partial` or `none`.
     pub crc: &'static str,
+}
+
+impl FileRow {
+    /// How much of an object was fetched, in words; `None` for a local file.
+    pub fn fetched(&self) -> Option<String> {
+        let (fetched, size) = (self.fetched_bytes? as f64, self.bytes as f64);
+        let (megabytes, percent) = (fetched / 1e6, 100.0 * fetched / size.max(1.0));
+        Some(format!("{megabytes:.1} of {:.1} MB fetched ({percent:.1} %)", size / 1e6))
+    }
 }
 
 /// What a reader should know of a file, and is no damage.
@@ -357,6 +369,23 @@ fn undecided(checks: &[CheckRow]) -> impl Iterator<Item = &'static Rule> {
         let mut asked = asked.peekable();
         asked.peek().is_some() && !asked.any(|row| row.status.is_decided())
     })
+}
+
+impl Verdict {
+    /// Its name in JSON and in tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Verdict::Pass => "pass",
+            Verdict::Fail => "fail",
+            Verdict::Inconclusive => "inconclusive",
+        }
+    }
+
+    /// The verdict of this name.
+    pub fn named(name: &str) -> Option<Self> {
+        let all = [Verdict::Pass, Verdict::Fail, Verdict::Inconclusive];
+        all.into_iter().find(|verdict| verdict.name() == name)
+    }
 }
 
 impl fmt::Display for Verdict {

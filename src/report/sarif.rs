@@ -12,6 +12,7 @@ use super::Report;
 use super::outline::Outline;
 use crate::checks::{self, Grade, Rule};
 use crate::finding::{Finding, Ignored, Severity, Status, Subject};
+use crate::log::is_url;
 
 const SCHEMA: &str =
     "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json";
@@ -199,8 +200,16 @@ fn level(severity: Severity) -> &'static str {
     }
 }
 
-/// A path as a URI: relative as it was given, or of the scheme `file`.
+/// A path as a URI: relative as it was given, of the scheme `file`, or the URL of an object.
 fn uri(path: &Path) -> String {
+    if let Some((scheme, rest)) =
+        path.to_str().filter(|_| is_url(path)).and_then(|url| url.split_once("://"))
+    {
+        // A web address is encoded as it is given, a key is not.
+        let is_web = matches!(scheme, "http" | "https");
+        let rest = if is_web { rest.to_owned() } else { uri(Path::new(rest)) };
+        return format!("{scheme}://{rest}");
+    }
     let text = path.to_string_lossy().replace('\\', "/");
     let mut encoded = String::new();
     if path.is_absolute() {
@@ -232,6 +241,8 @@ mod tests {
     fn a_path_becomes_a_uri() {
         assert_eq!(uri(Path::new("logs/run 1.mcap")), "logs/run%201.mcap");
         assert_eq!(uri(Path::new("a:b#ü.bag")), "a%3Ab%23%C3%BC.bag");
+        assert_eq!(uri(Path::new("s3://logs/a b.mcap")), "s3://logs/a%20b.mcap");
+        assert_eq!(uri(Path::new("http://h:80/a%20b.mcap")), "http://h:80/a%20b.mcap");
         #[cfg(unix)]
         assert_eq!(uri(Path::new("/var/run.mcap")), "file:///var/run.mcap");
     }

@@ -83,7 +83,8 @@ impl<'a> Page<'a> {
     fn header(&self, out: &mut dyn Write) -> io::Result<()> {
         let log = &self.report.log;
         for file in &log.files {
-            self.line(out, STRONG, "log", &file.path.display().to_string())?;
+            let fetched = file.fetched().map_or(String::new(), |fetched| format!(", {fetched}"));
+            self.line(out, STRONG, "log", &format!("{}{fetched}", file.path.display()))?;
         }
         for note in &log.notes {
             let text = format!("{}: {}", note.path.display(), note.note);

@@ -55,6 +55,7 @@ impl From<LogError> for Trouble {
     fn from(error: LogError) -> Self {
         let kind = match error {
             LogError::NotFound { .. } | LogError::Twice { .. } => TroubleKind::Call,
+            LogError::Remote { ref fault, .. } if fault.is_of_the_call() => TroubleKind::Call,
             _ => TroubleKind::Log,
         };
         let another = "name a log that a recorder wrote";
@@ -89,6 +90,7 @@ impl From<LogError> for Trouble {
             LogError::NoMessages { path, cause } => {
                 (path, format!("no messages can be read: {cause}"), "record again")
             }
+            LogError::Remote { url, fault } => (url, fault.to_string(), fault.remedy()),
         };
         Trouble { kind, what, place: path.display().to_string(), remedy: remedy.to_owned() }
     }

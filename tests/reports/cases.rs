@@ -51,6 +51,7 @@ pub fn hostile(fail_on: Option<Severity>) -> Report {
             path: PathBuf::from(HOSTILE),
             container: "mcap",
             bytes: 1,
+            fetched_bytes: None,
             crc: "all",
         }],
         messages: 1,

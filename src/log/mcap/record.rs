@@ -118,6 +118,13 @@ const MAX_COMPRESSION_NAME: u32 = 16;
 /// Bytes of a chunk's fields without its compression's name and its data.
 const CHUNK_HEADER: usize = 8 + 8 + 8 + 4 + 4 + 8;
 
+/// Most bytes of a chunk's record before its data.
+#[cfg_attr(not(feature = "cloud"), allow(dead_code, reason = "a local file is there whole"))]
+pub(super) const CHUNK_HEAD: usize = FRAME_HEADER + CHUNK_HEADER + MAX_COMPRESSION_NAME as usize;
+
+/// Bytes of a message's record before its data.
+pub(super) const MESSAGE_HEAD: usize = FRAME_HEADER + 2 + 4 + 8 + 8;
+
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Schema<'a> {
     pub(super) id: u16,
@@ -258,6 +265,12 @@ impl<'a> MessageIndex<'a> {
         self.entries.len() as u64
     }
 
+    /// Where among the records of the chunk each of them begins.
+    #[cfg(feature = "cloud")]
+    pub(super) fn offsets(&self) -> impl Iterator<Item = u64> + use<'a> {
+        self.entries.iter().filter_map(|entry| Fields(&entry[8..]).u64())
+    }
+
     /// Their first and last log time, ns; `None` where there is no message.
     pub(super) fn span(&self) -> Option<(u64, u64)> {
         let time = |entry: &[u8; 16]| Fields(entry).u64();
@@ -296,6 +309,16 @@ pub(super) fn metadata(body: &[u8]) -> Option<(&str, impl Iterator<Item = (&str,
     let length = fields.u32()?;
     let mut pairs = Fields(fields.bytes(length.into())?);
     Some((name, std::iter::from_fn(move || pairs.text().zip(pairs.text()))))
+}
+
+/// Where a chunk is, by its index in the summary.
+#[cfg(feature = "cloud")]
+pub(super) fn chunk_place(body: &[u8]) -> Option<std::ops::Range<usize>> {
+    let mut fields = Fields(body);
+    let _times = fields.bytes(16)?;
+    let start = usize::try_from(fields.u64()?).ok()?;
+    let length = usize::try_from(fields.u64()?).ok()?;
+    Some(start..start.checked_add(length)?)
 }
 
 /// How many messages the statistics count.

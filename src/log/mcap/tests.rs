@@ -14,7 +14,7 @@ use crate::time::{Clock, Stamp};
 const MESSAGES: u64 = 100;
 
 /// A file of poses at log times 0, 1, 2, ….
-fn poses(mut log: LogWriter) -> Vec<u8> {
+pub(super) fn poses(mut log: LogWriter) -> Vec<u8> {
     let channel = log.channel("/pose", "geometry_msgs/msg/PoseStamped", testing::POSE_STAMPED);
     for time in 0..MESSAGES {
         let message = Cdr::pose_stamped(0, time as u32, "base", [time as f64, 0.5, 0.25]);
@@ -24,14 +24,24 @@ fn poses(mut log: LogWriter) -> Vec<u8> {
 }
 
 fn read_with(bytes: &[u8], options: ReadOptions<'_>) -> Log {
+    read_present(bytes, &Present::Whole, options).unwrap()
+}
+
+/// Reads a file of which only `present` is there.
+pub(super) fn read_present(
+    bytes: &[u8],
+    present: &Present,
+    options: ReadOptions<'_>,
+) -> Result<Log, Absent> {
     let (path, mut intake) = (Path::new("run.mcap"), Intake::default());
     let mut losses = Losses::of(path);
     intake.begin_file(path, bytes.len() as u64);
-    let crc = read(bytes, &options, &mut losses, &mut intake);
+    let crc = read(bytes, present, &options, &mut losses, &mut intake)?;
     intake.losses(losses);
     let bytes = bytes.len() as u64;
     let container = Container::Mcap;
-    intake.finish(vec![LogFile { path: path.to_owned(), container, bytes, crc }])
+    let path = path.to_owned();
+    Ok(intake.finish(vec![LogFile { path, container, bytes, fetched: None, crc }]))
 }
 
 fn read_all(bytes: &[u8]) -> Log {
@@ -55,7 +65,7 @@ fn records(bytes: &[u8], opcode: u8) -> Vec<usize> {
     frames.filter(|frame| frame.opcode == opcode).map(|frame| frame.offset).collect()
 }
 
-fn chunks(bytes: &[u8]) -> Vec<usize> {
+pub(super) fn chunks(bytes: &[u8]) -> Vec<usize> {
     records(bytes, op::CHUNK)
 }
 
@@ -76,7 +86,7 @@ fn every_compression_gives_the_same_rows() {
 }
 
 /// Poses with an image between them after every tenth; images fill chunks of their own.
-fn with_images(compression: Option<Compression>) -> Vec<u8> {
+pub(super) fn with_images(compression: Option<Compression>) -> Vec<u8> {
     let mut log = LogWriter::new(compression);
     let pose = log.channel("/pose", "geometry_msgs/msg/PoseStamped", testing::POSE_STAMPED);
     let camera = log.channel("/camera", "sensor_msgs/msg/Image", "uint8[] data\n");

@@ -49,7 +49,7 @@ fn read_bag_with(bytes: &[u8], options: &ReadOptions<'_>) -> Log {
     let crc = read(bytes, options, &mut losses, &mut intake);
     intake.losses(losses);
     let (bytes, container) = (bytes.len() as u64, Container::RosBag1);
-    intake.finish(vec![LogFile { path: path.to_owned(), container, bytes, crc }])
+    intake.finish(vec![LogFile { path: path.to_owned(), container, bytes, fetched: None, crc }])
 }
 
 fn lost(log: &Log) -> Vec<(Extent, Option<u64>)> {

@@ -47,7 +47,7 @@ impl Parts<'_> {
                 dl .facts {
                     @for file in &log.files {
                         dt { "log" }
-                        dd { (file.path.display()) }
+                        dd { (file.path.display()) @if let Some(fetched) = file.fetched() { ", " (fetched) } }
                     }
                     @if let Some(extent) = self.outline.extent() {
                         dt { "holds" }

@@ -1,0 +1,89 @@
+//! Reading a file of which only parts are there, without a look at what is not.
+
+use std::ops::Range;
+
+use mcap::records::op;
+
+use super::record::{self, Frame};
+use super::{Absent, Reader, Use};
+use crate::log::unpack::{Compression, Packed};
+
+impl<'a> Reader<'a, '_, '_> {
+    /// Whether all bytes of `range` are there; the first that is asked for and is not is kept.
+    pub(super) fn is_there(&mut self, range: Range<usize>) -> bool {
+        let is_there = self.present.holds(&range);
+        if !is_there {
+            self.absent.get_or_insert(Absent(range.start));
+        }
+        is_there
+    }
+
+    /// What is of use of a chunk that is not there whole.
+    pub(super) fn use_of_parts(&self, frame: &Frame<'a>, packed: &Packed<'a>) -> Use {
+        let is_open =
+            packed.compression == Compression::None && packed.data.len() as u64 == packed.size;
+        if self.is_ignored_by_index(frame) {
+            Use::Counts
+        } else if is_open && self.look_through(packed.data).is_ok() {
+            Use::Some
+        } else {
+            Use::Absent
+        }
+    }
+
+    /// Where in the file `part` of it is.
+    pub(super) fn place(&self, part: &[u8]) -> Range<usize> {
+        let start = part.as_ptr().addr() - self.bytes.as_ptr().addr();
+        start..start + part.len()
+    }
+
+    /// Whether the indexes behind a chunk name messages that are only counted, and no other.
+    pub(super) fn is_ignored_by_index(&self, chunk: &Frame<'a>) -> bool {
+        let mut indexes = self.indexes_behind(chunk).peekable();
+        let is_ignored = |index: record::MessageIndex<'_>| {
+            self.channel_of(index.channel_id).is_some_and(|id| self.intake.ignores(id))
+        };
+        indexes.peek().is_some() && indexes.all(is_ignored)
+    }
+
+    /// Looks whether all is there that is read of the `records` of a chunk that is not packed: how
+    /// many bytes the messages have that are passed over, or the first range that is not there, if
+    /// that can be told.
+    pub(super) fn look_through(&self, records: &'a [u8]) -> Result<usize, Option<Range<usize>>> {
+        let Range { start: base, end } = self.place(records);
+        let (mut at, mut ignored) = (0, 0);
+        while at < records.len() {
+            let head = base + at..end.min(base + at + record::MESSAGE_HEAD);
+            if !self.present.holds(&head) {
+                return Err(Some(head));
+            }
+            let frame = record::frame(records, at).map_err(|_| None)?;
+            let whole = base + at..base + frame.end();
+            let passed_over = match frame.opcode {
+                op::MESSAGE => self.passed_over(frame.body).ok_or(None)?,
+                _ => 0,
+            };
+            if passed_over == 0 && !self.present.holds(&whole) {
+                return Err(Some(whole));
+            }
+            // A channel that becomes another amid the file may be of use.
+            if frame.opcode == op::CHANNEL {
+                let channel = record::Channel::parse(frame.body).ok_or(None)?;
+                let known = self.channels.get(usize::from(channel.id)).and_then(Option::as_ref);
+                if !known.is_some_and(|known| known.is(&channel)) {
+                    return Err(None);
+                }
+            }
+            ignored += passed_over;
+            at = frame.end();
+        }
+        Ok(ignored)
+    }
+
+    /// How many bytes of a message are passed over; `None` for one of a channel that is not known.
+    fn passed_over(&self, body: &'a [u8]) -> Option<usize> {
+        let message = record::Message::parse(body)?;
+        let id = self.channel_of(message.channel_id)?;
+        Some(if self.intake.ignores(id) { message.data.len() } else { 0 })
+    }
+}

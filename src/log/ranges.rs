@@ -1,0 +1,128 @@
+//! Which bytes of a file are there.
+//!
+//! A local file is there whole. Of an object in a store only parts may have been fetched, and what
+//! stands between them in its file is zeros that nobody wrote: whoever reads such a file asks first.
+#![cfg_attr(not(feature = "cloud"), allow(dead_code, reason = "without it nothing is fetched"))]
+
+use std::ops::Range;
+
+/// Ranges of bytes, ascending, none of which touches another.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Ranges(Vec<Range<usize>>);
+
+impl Ranges {
+    /// Those of `ranges`, where two with no more than `gap` bytes between them become one.
+    pub(super) fn of(mut ranges: Vec<Range<usize>>, gap: usize) -> Self {
+        ranges.retain(|range| !range.is_empty());
+        ranges.sort_by_key(|range| range.start);
+        ranges.dedup_by(|next, kept| {
+            let joins = next.start <= kept.end.saturating_add(gap);
+            if joins {
+                kept.end = kept.end.max(next.end);
+            }
+            joins
+        });
+        Self(ranges)
+    }
+
+    /// Whether all of `range` is in one of them.
+    pub(super) fn holds(&self, range: &Range<usize>) -> bool {
+        let behind = self.0.partition_point(|kept| kept.start <= range.start);
+        let last = behind.checked_sub(1).map(|index| &self.0[index]);
+        range.is_empty() || last.is_some_and(|kept| range.end <= kept.end)
+    }
+
+    /// Takes up further ones.
+    pub(super) fn extend(&mut self, further: Self) {
+        let mut all = std::mem::take(&mut self.0);
+        all.extend(further.0);
+        *self = Self::of(all, 0);
+    }
+
+    /// What of `wanted` is in none of them.
+    pub(super) fn missing(&self, wanted: &Self) -> Self {
+        let mut missing = Vec::new();
+        for want in &wanted.0 {
+            let mut at = want.start;
+            let first = self.0.partition_point(|kept| kept.end <= want.start);
+            for kept in self.0[first..].iter().take_while(|kept| kept.start < want.end) {
+                missing.push(at..kept.start);
+                at = kept.end;
+            }
+            missing.push(at..want.end);
+        }
+        Self::of(missing, 0)
+    }
+
+    /// Bytes in all of them.
+    pub(super) fn bytes(&self) -> usize {
+        self.0.iter().map(Range::len).sum()
+    }
+
+    /// They, in pieces of at most `size` bytes.
+    pub(super) fn pieces(&self, size: usize) -> impl Iterator<Item = Range<usize>> {
+        self.0.iter().flat_map(move |range| {
+            let end = range.end;
+            range.clone().step_by(size).map(move |start| start..end.min(start.saturating_add(size)))
+        })
+    }
+}
+
+/// How much of a file is there.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) enum Present {
+    /// All of it.
+    #[default]
+    Whole,
+    /// These parts, and nothing between them.
+    Parts(Ranges),
+}
+
+impl Present {
+    /// What `ranges` are of a file of `size` bytes.
+    pub(super) fn of(ranges: Ranges, size: usize) -> Self {
+        if ranges.holds(&(0..size)) { Present::Whole } else { Present::Parts(ranges) }
+    }
+
+    /// Whether all bytes of `range` are there.
+    pub(super) fn holds(&self, range: &Range<usize>) -> bool {
+        match self {
+            Present::Whole => true,
+            Present::Parts(ranges) => ranges.holds(range),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The bytes of `ranges`, one by one.
+    fn bytes(ranges: &Ranges) -> Vec<usize> {
+        ranges.0.iter().cloned().flatten().collect()
+    }
+
+    #[test]
+    fn ranges_hold_what_they_were_made_of() {
+        let ranges = Ranges::of(vec![20..30, 5..8, 8..10, 25..40, 50..50], 0);
+        assert_eq!(ranges.0, [5..10, 20..40]);
+        let held = |range: Range<usize>| ranges.holds(&range);
+        assert!(held(5..10) && held(21..39) && held(12..12));
+        assert!(!held(4..6) && !held(9..11) && !held(8..22) && !held(39..41) && !held(50..51));
+        assert_eq!(Ranges::of(vec![0..4, 9..10, 16..17], 5).0, [0..10, 16..17]);
+    }
+
+    #[test]
+    fn what_is_missing_is_all_that_is_wanted_and_not_there() {
+        let mut there = Ranges::of(vec![10..20, 30..40, 60..70], 0);
+        let wanted = Ranges::of(vec![0..12, 15..18, 19..61, 80..90], 0);
+        let missing = there.missing(&wanted);
+        let both = |byte: &usize| !bytes(&there).contains(byte);
+        assert_eq!(bytes(&missing), bytes(&wanted).into_iter().filter(both).collect::<Vec<_>>());
+        there.extend(missing);
+        assert!(there.missing(&wanted).0.is_empty());
+        let pieces: Vec<_> = wanted.pieces(10).collect();
+        assert_eq!(pieces.iter().map(Range::len).sum::<usize>(), wanted.bytes());
+        assert!(pieces.iter().all(|piece| piece.len() <= 10));
+    }
+}

@@ -1,0 +1,152 @@
+//! Logs in object storage, by URL.
+//!
+//! An object is given to the readers as a temporary file of its size, into which its bytes are
+//! fetched: of an indexed MCAP those that its reading looks at, of anything else all. What can be
+//! fetched is fetched side by side, and taken up where a connection broke off.
+
+#[cfg(feature = "cloud")]
+mod cause;
+mod fault;
+#[cfg(feature = "cloud")]
+mod fetch;
+#[cfg(feature = "cloud")]
+mod listing;
+#[cfg(feature = "cloud")]
+mod store;
+
+use std::path::{Path, PathBuf};
+
+use super::ranges::Present;
+use super::unpack::Unpacked;
+use super::{LogError, ReadOptions};
+
+pub use self::fault::RemoteFault;
+
+/// The URL of an object in a store.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub(super) struct Address(String);
+
+impl Address {
+    /// The address that `path` is, if it is a URL of something else than a local file.
+    ///
+    /// # Errors
+    /// If it is a URL of a kind that is not known.
+    pub(super) fn of(path: &Path) -> Result<Option<Self>, LogError> {
+        let Some((scheme, _)) = scheme(path) else { return Ok(None) };
+        if SCHEMES.contains(&scheme) {
+            return Ok(path.to_str().map(|url| Self(url.to_owned())));
+        }
+        let fault = RemoteFault::Scheme { scheme: scheme.to_owned() };
+        Err(LogError::Remote { url: path.to_owned(), fault })
+    }
+
+    /// What it is called in reports: without what may be secret in it, which are a name and a
+    /// password before the host and a signature behind the path.
+    pub(super) fn shown(&self) -> PathBuf {
+        let Self(url) = self;
+        let Some((scheme, rest)) = url.split_once("://") else { return url.into() };
+        if !matches!(scheme, "http" | "https") {
+            return url.into();
+        }
+        let rest = rest.split(['?', '#']).next().unwrap_or_default();
+        let (host, path) = rest.split_at(rest.find('/').unwrap_or(rest.len()));
+        let host = host.rsplit_once('@').map_or(host, |(_, host)| host);
+        format!("{scheme}://{host}{path}").into()
+    }
+}
+
+/// What URLs of objects begin with.
+const SCHEMES: &[&str] = &["s3", "s3a", "gs", "az", "abfs", "abfss", "http", "https"];
+
+/// What `path` begins with and what follows `://`, if it is a URL.
+fn scheme(path: &Path) -> Option<(&str, &str)> {
+    let (scheme, rest) = path.to_str()?.split_once("://")?;
+    let is_scheme = scheme.len() > 1 && scheme.bytes().all(|byte| byte.is_ascii_alphanumeric());
+    is_scheme.then_some((scheme, rest))
+}
+
+/// Whether `path` is a URL of an object, or of a prefix that [`list`] lists.
+pub fn is_url(path: &Path) -> bool {
+    scheme(path).is_some_and(|(scheme, _)| SCHEMES.contains(&scheme))
+}
+
+/// An object that [`list`] found.
+#[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Debug)]
+pub struct Listed {
+    /// Its URL, as [`open`](super::open) takes it.
+    pub url: String,
+    /// Its size.
+    pub bytes: u64,
+    /// What changes whenever its content does: the store's entity tag, or else when it was written.
+    pub version: String,
+}
+
+/// The objects whose URLs begin with `url` and a `/`, in the order of their names; the object itself
+/// where it is one. Of a web server, which lists nothing, only that.
+///
+/// # Errors
+/// Where there are none, or the store refuses to say.
+pub fn list(url: &Path) -> Result<Vec<Listed>, LogError> {
+    let Some(address) = Address::of(url)? else {
+        return Err(LogError::NotFound { path: url.to_owned() });
+    };
+    let shown = address.shown();
+    #[cfg(feature = "cloud")]
+    let listed = listing::list(&address);
+    #[cfg(not(feature = "cloud"))]
+    let listed = Err(RemoteFault::NotBuilt);
+    listed.map_err(|fault| LogError::Remote { url: shown, fault })
+}
+
+/// An object, as far as it was fetched.
+pub(super) struct Fetched {
+    /// The temporary file that stands for it.
+    pub(super) file: Unpacked,
+    /// What of it is there.
+    pub(super) present: Present,
+    /// How many bytes came over the network for that.
+    pub(super) bytes: u64,
+}
+
+/// Fetches what is read of the object at `address`; all of it where everything is to be verified.
+#[cfg(feature = "cloud")]
+pub(super) fn fetch(address: &Address, options: &ReadOptions<'_>) -> Result<Fetched, RemoteFault> {
+    fetch::fetch(address, options)
+}
+
+/// Refuses.
+#[cfg(not(feature = "cloud"))]
+pub(super) fn fetch(_: &Address, _: &ReadOptions<'_>) -> Result<Fetched, RemoteFault> {
+    Err(RemoteFault::NotBuilt)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn urls_of_stores_are_told_from_paths() {
+        let is_url = |text: &str| is_url(Path::new(text));
+        assert!(is_url("s3://bucket/run.mcap") && is_url("https://host/run.mcap"));
+        assert!(!is_url("run.mcap") && !is_url("C://run.mcap") && !is_url("./s3://x"));
+        assert!(!is_url("ftp://host/run.mcap"));
+        let refused = Address::of(Path::new("ftp://host/run.mcap")).unwrap_err().to_string();
+        assert!(
+            refused.starts_with("ftp://host/run.mcap: no store is reached by ftp"),
+            "{refused}"
+        );
+        assert!(!refused.contains('\n'));
+    }
+
+    #[test]
+    fn a_report_shows_no_secret_of_a_url() {
+        let shown = |url: &str| {
+            let address = Address::of(Path::new(url)).unwrap().expect("a URL");
+            address.shown().display().to_string()
+        };
+        let signed = "https://me:word@host:8080/a%20b/run.mcap?X-Amz-Signature=abc#part";
+        assert_eq!(shown(signed), "https://host:8080/a%20b/run.mcap");
+        assert_eq!(shown("s3://bucket/a?b#c.mcap"), "s3://bucket/a?b#c.mcap");
+        assert_eq!(shown("http://host"), "http://host");
+    }
+}

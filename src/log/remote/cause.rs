@@ -1,0 +1,114 @@
+//! What a store's client says, in one line and by its kind.
+
+use std::error::Error;
+
+use object_store::client::{HttpError, HttpErrorKind};
+
+use super::fault::{RemoteFault, Store};
+
+/// Longest answer of a server that is shown.
+const LONGEST: usize = 200;
+
+/// The fault that `error` of a client of `store` is.
+pub(super) fn fault(error: &object_store::Error, store: Store) -> RemoteFault {
+    let said = error.to_string();
+    let cause = || answer(&said).unwrap_or_else(|| deepest(error));
+    match error {
+        object_store::Error::NotFound { .. } if is_bucket(&said) => RemoteFault::NoBucket,
+        object_store::Error::NotFound { .. } => RemoteFault::NoObject,
+        object_store::Error::PermissionDenied { .. }
+        | object_store::Error::Unauthenticated { .. } => {
+            RemoteFault::Denied { store, cause: cause() }
+        }
+        // Where no credentials are in the environment, the machine is asked whose it is.
+        _ if is_of_metadata(&said) => {
+            RemoteFault::NoCredentials { store, cause: format!("{} at {METADATA}", deepest(error)) }
+        }
+        _ => match transport(error) {
+            Some(HttpErrorKind::Connect) => RemoteFault::Unreachable { cause: deepest(error) },
+            _ => RemoteFault::Refused { cause: cause() },
+        },
+    }
+}
+
+/// Whether a server of `error` says that the range begins behind the end: the object is empty.
+pub(super) fn is_behind_end(error: &object_store::Error) -> bool {
+    status(&error.to_string()).is_some_and(|status| status.starts_with("416"))
+}
+
+/// Where a machine in the cloud is told its credentials.
+const METADATA: &str = "the machine's metadata service";
+
+fn is_of_metadata(said: &str) -> bool {
+    ["169.254.169.254", "169.254.170.2", "metadata.google.internal", "metadata.google"]
+        .iter()
+        .any(|host| said.contains(host))
+}
+
+fn is_bucket(said: &str) -> bool {
+    ["NoSuchBucket", "ContainerNotFound", "specified bucket does not exist"]
+        .iter()
+        .any(|code| said.contains(code))
+}
+
+/// What kind of fault it was on the way, if on the way.
+fn transport(error: &object_store::Error) -> Option<HttpErrorKind> {
+    causes(error).find_map(|cause| cause.downcast_ref::<HttpError>()).map(HttpError::kind)
+}
+
+/// What the server answered: its status, and the code of a store that names one.
+fn answer(said: &str) -> Option<String> {
+    let status = status(said)?;
+    let between = |tag: &str| {
+        let (_, rest) = said.split_once(&format!("<{tag}>"))?;
+        rest.split_once(&format!("</{tag}>")).map(|(inner, _)| line(inner))
+    };
+    Some(match (between("Code"), between("Message")) {
+        (Some(code), Some(message)) => format!("{status}, {code} ({message})"),
+        (Some(code), None) => format!("{status}, {code}"),
+        _ => status.to_owned(),
+    })
+}
+
+/// The status of an answer, such as `403 Forbidden`.
+fn status(said: &str) -> Option<&str> {
+    let (_, rest) = said.split_once("non-2xx status code: ")?;
+    rest.split(':').next().map(str::trim)
+}
+
+/// The innermost cause, in one line: those around it repeat it and the URL.
+pub(super) fn deepest(error: &(dyn Error + 'static)) -> String {
+    causes(error).last().map(|cause| line(&cause.to_string())).unwrap_or_default()
+}
+
+fn causes<'a>(error: &'a (dyn Error + 'static)) -> impl Iterator<Item = &'a (dyn Error + 'static)> {
+    std::iter::successors(Some(error), |&error| error.source())
+}
+
+/// The beginning of a text, in one line.
+fn line(text: &str) -> String {
+    let words: Vec<&str> = text.split_whitespace().collect();
+    let text = words.join(" ");
+    let end = text.char_indices().nth(LONGEST).map_or(text.len(), |(end, _)| end);
+    text[..end].trim_end_matches('.').to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_store_answers_is_one_line() {
+        let said = "Error performing GET http://host/key in 3ms - Server returned non-2xx status \
+                    code: 403 Forbidden: <?xml?>\n<Error><Code>SignatureDoesNotMatch</Code>\n\
+                    <Message>The signature\n does not match.</Message></Error>";
+        let expected = "403 Forbidden, SignatureDoesNotMatch (The signature does not match)";
+        assert_eq!(answer(said).as_deref(), Some(expected));
+        assert_eq!(
+            answer("… non-2xx status code: 400 Bad Request: ").as_deref(),
+            Some("400 Bad Request")
+        );
+        assert_eq!(answer("connection refused"), None);
+        assert_eq!(line(&"ä".repeat(300)).chars().count(), LONGEST);
+    }
+}

@@ -1,0 +1,42 @@
+//! What objects there are.
+
+use futures_util::TryStreamExt;
+use object_store::{GetOptions, ObjectMeta};
+
+use super::fault::{RemoteFault, Store};
+use super::store::Source;
+use super::{Address, Listed, cause, fetch};
+
+/// The objects below `address`, in the order of their names; itself where it is one.
+pub(super) fn list(address: &Address) -> Result<Vec<Listed>, RemoteFault> {
+    let source = Source::of(address)?;
+    let fault = |error| cause::fault(&error, source.store);
+    let metas = fetch::runtime()?.block_on(async {
+        let below = match source.store {
+            Store::Web => Vec::new(),
+            _ => {
+                let prefix = Some(&source.key).filter(|key| !key.as_ref().is_empty());
+                source.client.list(prefix).try_collect().await.map_err(fault)?
+            }
+        };
+        if below.is_empty() {
+            let options = GetOptions { head: true, ..GetOptions::default() };
+            let answer = source.client.get_opts(&source.key, options).await.map_err(fault)?;
+            return Ok(vec![answer.meta]);
+        }
+        Ok(below)
+    })?;
+    let Address(url) = address;
+    let of = |meta: ObjectMeta| Listed {
+        url: match source.store {
+            Store::Web => url.clone(),
+            _ => format!("{}{}", source.root, meta.location),
+        },
+        bytes: meta.size,
+        version: meta.e_tag.unwrap_or_else(|| meta.last_modified.to_rfc3339()),
+    };
+    // What marks a folder has no bytes.
+    let mut listed: Vec<Listed> = metas.into_iter().filter(|meta| meta.size > 0).map(of).collect();
+    listed.sort();
+    Ok(listed)
+}

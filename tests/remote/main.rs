@@ -1,0 +1,258 @@
+//! Logs by URL, of a server on this machine: what is fetched, what is said of it, and what happens
+//! where the way to it breaks.
+#![cfg(feature = "cloud")]
+
+mod server;
+
+use std::collections::HashMap;
+use std::fs;
+use std::io::Cursor;
+use std::path::Path;
+use std::process::{Command, Output};
+use std::sync::LazyLock;
+use std::sync::atomic::Ordering;
+
+use mcap::records::MessageHeader;
+use mcap::{Compression, MessageStream, WriteOptions};
+use serde_json::Value;
+
+use server::{BUCKET, KEY_ID, Manners, Server};
+
+/// What is audited of the logs: enough that a difference would show, no more than is quick.
+const RULES: &str = "ING,TIM,LAT";
+
+const IMAGE: usize = 300_000;
+
+/// A log of an arm and of a camera whose images are 95 % of its bytes.
+fn camera(compression: Option<Compression>) -> Vec<u8> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/faulty.mcap");
+    let arm = fs::read(path).expect("the fixture");
+    let options = WriteOptions::new().compression(compression);
+    let mut writer = options.create(Cursor::new(Vec::new())).expect("a writer");
+    let schema = writer.add_schema("sensor_msgs/msg/Image", "ros2msg", b"uint8[] data");
+    let camera =
+        writer.add_channel(schema.expect("a schema"), "/camera", "cdr", &Default::default());
+    let camera = camera.expect("a channel");
+    let (mut owed, mut seen) = (0, 0_u32);
+    let mut channels: HashMap<u16, u16> = HashMap::new();
+    for message in MessageStream::new(&arm).expect("messages") {
+        let message = message.expect("a sound message");
+        let channel_id = *channels.entry(message.channel.id).or_insert_with(|| {
+            let of = &message.channel;
+            let schema = of.schema.as_ref().expect("a schema");
+            let schema = writer.add_schema(&schema.name, &schema.encoding, &schema.data);
+            let (schema, encoding) = (schema.expect("a schema"), &of.message_encoding);
+            let channel = writer.add_channel(schema, &of.topic, encoding, &of.metadata);
+            channel.expect("a channel")
+        });
+        let header = MessageHeader {
+            channel_id,
+            sequence: message.sequence,
+            log_time: message.log_time,
+            publish_time: message.publish_time,
+        };
+        writer.write_to_known_channel(&header, &message.data).expect("memory");
+        owed += 19 * message.data.len();
+        while owed >= IMAGE {
+            owed -= IMAGE;
+            seen += 1;
+            let (log_time, publish_time) = (message.log_time, message.publish_time);
+            let header =
+                MessageHeader { channel_id: camera, sequence: seen, log_time, publish_time };
+            // Noise, which packs no better than an image.
+            let noise = |index: usize| (index as u32).wrapping_mul(0x9e37_79b9 ^ seen) >> 13;
+            let image: Vec<u8> = (0..IMAGE).map(|index| noise(index) as u8).collect();
+            writer.write_to_known_channel(&header, &image).expect("memory");
+        }
+    }
+    writer.finish().expect("memory");
+    writer.into_inner().into_inner()
+}
+
+static OPEN: LazyLock<Vec<u8>> = LazyLock::new(|| camera(None));
+
+/// Runs the program with the server as its S3, by the key `key_id`.
+fn poseaudit(server: &Server, key_id: &str, args: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_poseaudit"));
+    for (name, _) in std::env::vars_os() {
+        let name = name.to_string_lossy().into_owned();
+        if ["AWS_", "GOOGLE_", "AZURE_"].iter().any(|prefix| name.starts_with(prefix)) {
+            command.env_remove(name);
+        }
+    }
+    command
+        .args(args)
+        .env("AWS_ENDPOINT_URL", server.endpoint())
+        .env("AWS_ALLOW_HTTP", "true")
+        .env("AWS_REGION", "us-east-1")
+        .env("AWS_ACCESS_KEY_ID", key_id)
+        .env("AWS_SECRET_ACCESS_KEY", "secret")
+        .env("NO_PROXY", "127.0.0.1")
+        .output()
+        .expect("the binary runs")
+}
+
+fn audit(server: &Server, url: &str, more: &[&str]) -> (Value, Output) {
+    let args = [&["audit", url, "--format", "json", "--select", RULES], more].concat();
+    let output = poseaudit(server, KEY_ID, &args);
+    let report = serde_json::from_slice(&output.stdout);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    (report.unwrap_or_else(|error| panic!("{error}: {said}")), output)
+}
+
+fn s3(key: &str) -> String {
+    format!("s3://{BUCKET}/{key}")
+}
+
+/// The report on a local copy of `bytes`.
+fn locally(server: &Server, bytes: &[u8], more: &[&str]) -> Value {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("run.mcap");
+    fs::write(&path, bytes).expect("a file");
+    audit(server, &path.display().to_string(), more).0
+}
+
+/// The report without what may differ: the log's name, and how much of it was fetched.
+fn but_for_the_name(mut report: Value, name: &str) -> Value {
+    let file = report["log"]["files"][0].as_object_mut().expect("a file");
+    file.remove("fetched_bytes");
+    file.remove("path");
+    let text = report.to_string().replace(name, "LOG");
+    serde_json::from_str(&text).expect("JSON")
+}
+
+fn fetched(report: &Value) -> usize {
+    report["log"]["files"][0]["fetched_bytes"].as_u64().expect("fetched_bytes") as usize
+}
+
+#[test]
+fn of_images_in_open_chunks_next_to_nothing_is_fetched() {
+    let server = Server::of(&[("cell 7/run.mcap", &OPEN)], Manners::default());
+    let url = s3("cell 7/run.mcap");
+    let (report, output) = audit(&server, &url, &[]);
+    assert_eq!(output.status.code(), Some(1), "{report}");
+    let local = locally(&server, &OPEN, &[]);
+    assert_eq!(local["log"]["files"][0].get("fetched_bytes"), None);
+    let bytes = fetched(&report);
+    assert!(bytes * 10 <= OPEN.len(), "{bytes} of {}", OPEN.len());
+    assert_eq!(server.counts().bytes.load(Ordering::Relaxed), bytes);
+    let path = local["log"]["files"][0]["path"].as_str().expect("a path").to_owned();
+    assert_eq!(but_for_the_name(report, &url), but_for_the_name(local, &path));
+
+    let text = poseaudit(&server, KEY_ID, &["audit", &url, "--select", "ING"]);
+    let text = String::from_utf8_lossy(&text.stdout).into_owned();
+    assert!(text.contains(&format!("{url}, ")) && text.contains(" MB fetched ("), "{text}");
+    let info = poseaudit(&server, KEY_ID, &["info", &url]);
+    let info = String::from_utf8_lossy(&info.stdout).into_owned();
+    assert!(info.contains(" MB fetched (") && info.contains("/camera"), "{info}");
+}
+
+#[test]
+fn where_all_is_verified_all_is_fetched() {
+    let server = Server::of(&[("run.mcap", &OPEN)], Manners::default());
+    let url = s3("run.mcap");
+    let (report, _) = audit(&server, &url, &["--verify"]);
+    assert_eq!(fetched(&report), OPEN.len());
+    let local = locally(&server, &OPEN, &["--verify"]);
+    let path = local["log"]["files"][0]["path"].as_str().expect("a path").to_owned();
+    assert_eq!(but_for_the_name(report, &url), but_for_the_name(local, &path));
+}
+
+#[test]
+fn packed_damaged_and_unindexed_logs_read_as_local_ones_do() {
+    let packed = camera(Some(Compression::Zstd));
+    let cut = &OPEN[..OPEN.len() / 2];
+    let mut damaged = OPEN.clone();
+    let middle = damaged.len() / 2;
+    damaged[middle..middle + 400_000].fill(0);
+    let archive = zstd::bulk::compress(&packed, 1).expect("memory");
+    for (name, bytes) in
+        [("packed", &packed[..]), ("cut", cut), ("damaged", &damaged), ("archive", &archive)]
+    {
+        let server = Server::of(&[(name, bytes)], Manners::default());
+        let (report, _) = audit(&server, &s3(name), &[]);
+        let local = locally(&server, bytes, &[]);
+        let path = local["log"]["files"][0]["path"].as_str().expect("a path").to_owned();
+        let (remote, local) = (but_for_the_name(report, &s3(name)), but_for_the_name(local, &path));
+        assert_eq!(remote, local, "{name}");
+    }
+}
+
+#[test]
+fn a_web_server_serves_too_also_one_that_knows_no_ranges() {
+    for wholes in [false, true] {
+        let manners = Manners { public: true, wholes, ..Manners::default() };
+        let server = Server::of(&[("cell 7/run.mcap", &OPEN)], manners);
+        let plain = format!("{}/{BUCKET}/cell%207/run.mcap", server.endpoint());
+        let (report, _) = audit(&server, &format!("{plain}?signature=s3cret"), &[]);
+        let bytes = fetched(&report);
+        assert!(if wholes { bytes == OPEN.len() } else { bytes * 10 <= OPEN.len() }, "{bytes}");
+        // A signature is nobody else's business.
+        assert_eq!(report["log"]["files"][0]["path"], plain);
+        assert!(!report.to_string().contains("s3cret"));
+    }
+}
+
+#[test]
+fn connections_that_break_off_are_taken_up_again() {
+    for manners in [
+        Manners { cuts: 3, ..Manners::default() },
+        Manners { busy: 2, ..Manners::default() },
+        Manners { cuts: 2, sound_after: Some(2), wholes: true, public: true, ..Manners::default() },
+    ] {
+        let server = Server::of(&[("run.mcap", &OPEN)], manners);
+        let url = match manners.public {
+            true => format!("{}/{BUCKET}/run.mcap", server.endpoint()),
+            false => s3("run.mcap"),
+        };
+        let (report, output) = audit(&server, &url, &[]);
+        assert_eq!(output.status.code(), Some(1), "{manners:?}: {report}");
+        let local = locally(&server, &OPEN, &[]);
+        assert_eq!(report["findings"], local["findings"], "{manners:?}");
+    }
+}
+
+/// Asserts that the call ends with `expected`, and says so in one line that names the URL and holds
+/// `parts`.
+#[track_caller]
+fn assert_refused(server: &Server, key_id: &str, url: &str, expected: i32, parts: &[&str]) {
+    let output = poseaudit(server, key_id, &["audit", url]);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    let line = said.trim_end();
+    assert_eq!(output.status.code(), Some(expected), "{line}");
+    assert!(line.starts_with(&format!("error: {url}: ")) && !line.contains('\n'), "{line}");
+    for part in parts {
+        assert!(line.contains(part), "{line}");
+    }
+    assert!(output.stdout.is_empty());
+}
+
+#[test]
+fn what_cannot_be_fetched_gets_one_line() {
+    let objects: &[(&str, &[u8])] =
+        &[("run.mcap", &OPEN), ("empty.mcap", b""), ("notes.txt", b"no log")];
+    let server = Server::of(objects, Manners::default());
+    let refused = |key: &str, url: &str, expected, parts: &[&str]| {
+        assert_refused(&server, key, url, expected, parts);
+    };
+    refused(KEY_ID, &s3("none.mcap"), 2, &["no such object", "see whether the key"]);
+    refused(KEY_ID, "s3://other/run.mcap", 2, &["no such bucket"]);
+    refused(KEY_ID, "s3://", 2, &["nothing stands behind s3://"]);
+    refused(KEY_ID, "ftp://host/run.mcap", 2, &["no store is reached by ftp://"]);
+    refused(KEY_ID, &s3("empty.mcap"), 3, &["the file is empty"]);
+    refused(KEY_ID, &s3("notes.txt"), 3, &["not a robot log: it looks like text"]);
+    let denied = ["S3 refuses: 403 Forbidden, InvalidAccessKeyId", "check AWS_ACCESS_KEY_ID"];
+    refused("AKIDOTHER", &s3("run.mcap"), 3, &denied);
+    let twice = poseaudit(&server, KEY_ID, &["audit", &s3("run.mcap"), &s3("run.mcap")]);
+    assert_eq!(twice.status.code(), Some(2));
+
+    let gone = Server::of(&[], Manners::default()).endpoint();
+    let url = format!("{gone}/{BUCKET}/run.mcap");
+    refused(KEY_ID, &url, 3, &["cannot be reached: Connection refused", "check the network"]);
+    let always = Server::of(&[("run.mcap", &OPEN)], Manners { cuts: 1, ..Manners::default() });
+    assert_refused(&always, KEY_ID, &s3("run.mcap"), 3, &["the connection broke off at byte "]);
+    let busy = Server::of(&[("run.mcap", &OPEN)], Manners { busy: 1000, ..Manners::default() });
+    assert_refused(&busy, KEY_ID, &s3("run.mcap"), 3, &["the server says: 503", "SlowDown"]);
+    let changes = Server::of(&[("run.mcap", &OPEN)], Manners { changes: 5, ..Manners::default() });
+    assert_refused(&changes, KEY_ID, &s3("run.mcap"), 3, &["changed while it was read"]);
+}

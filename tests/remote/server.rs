@@ -1,0 +1,218 @@
+//! A server of objects on this machine, which speaks as much of S3 as its reader asks for, and fails
+//! as it is told.
+
+use std::collections::BTreeMap;
+use std::io::{BufRead, BufReader, Write};
+use std::net::{Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::ops::Range;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread;
+
+/// The one bucket that there is.
+pub const BUCKET: &str = "logs";
+
+/// The one key that is known.
+pub const KEY_ID: &str = "AKIDTEST";
+
+/// How the server fails.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Manners {
+    /// Every so many answers with a body break off amid it; 0: none.
+    pub cuts: usize,
+    /// None after so many.
+    pub sound_after: Option<usize>,
+    /// So many requests are answered with 503 before the others.
+    pub busy: usize,
+    /// Ranges are not known: whole objects are handed out.
+    pub wholes: bool,
+    /// Requests need no signature.
+    pub public: bool,
+    /// From so many requests on the objects are others than before; 0: never.
+    pub changes: usize,
+}
+
+/// What was asked of the server.
+#[derive(Debug, Default)]
+pub struct Counts {
+    pub requests: AtomicUsize,
+    /// Answers with a body.
+    bodies: AtomicUsize,
+    /// Bytes of objects that were sent.
+    pub bytes: AtomicUsize,
+}
+
+pub struct Server {
+    address: SocketAddr,
+    counts: Arc<Counts>,
+    ends: Arc<AtomicBool>,
+}
+
+struct Shared {
+    objects: BTreeMap<String, Vec<u8>>,
+    manners: Manners,
+    counts: Arc<Counts>,
+    /// One answer at a time, so that which of them breaks off is no matter of chance.
+    turn: Mutex<()>,
+}
+
+impl Server {
+    /// Serves `objects`, by their keys.
+    pub fn of(objects: &[(&str, &[u8])], manners: Manners) -> Self {
+        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a port");
+        let address = listener.local_addr().expect("its address");
+        let own = |&(key, bytes): &(&str, &[u8])| (key.to_owned(), bytes.to_owned());
+        let counts = Arc::new(Counts::default());
+        let shared = Arc::new(Shared {
+            objects: objects.iter().map(own).collect(),
+            manners,
+            counts: Arc::clone(&counts),
+            turn: Mutex::default(),
+        });
+        let ends = Arc::new(AtomicBool::new(false));
+        let ended = Arc::clone(&ends);
+        thread::spawn(move || {
+            for connection in listener.incoming().flatten() {
+                if ended.load(Ordering::Relaxed) {
+                    return;
+                }
+                let shared = Arc::clone(&shared);
+                // A client that goes away is its own affair.
+                thread::spawn(move || shared.answer(connection));
+            }
+        });
+        Self { address, counts, ends }
+    }
+
+    pub fn endpoint(&self) -> String {
+        format!("http://{}", self.address)
+    }
+
+    pub fn counts(&self) -> &Counts {
+        &self.counts
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.ends.store(true, Ordering::Relaxed);
+        drop(TcpStream::connect(self.address));
+    }
+}
+
+/// A request, as far as it is looked at.
+struct Request {
+    method: String,
+    target: String,
+    range: Option<Range<usize>>,
+    authorization: String,
+}
+
+impl Request {
+    fn read(connection: &TcpStream) -> Option<Self> {
+        let mut lines = BufReader::new(connection).lines().map_while(Result::ok);
+        let first = lines.next()?;
+        let mut words = first.split(' ');
+        let (method, target) = (words.next()?.to_owned(), words.next()?.to_owned());
+        let mut request = Self { method, target, range: None, authorization: String::new() };
+        for line in lines.take_while(|line| !line.is_empty()) {
+            let (name, value) = line.split_once(": ")?;
+            match name.to_ascii_lowercase().as_str() {
+                "authorization" => request.authorization = value.to_owned(),
+                "range" => {
+                    let (first, last) = value.strip_prefix("bytes=")?.split_once('-')?;
+                    request.range = Some(first.parse().ok()?..last.parse::<usize>().ok()? + 1);
+                }
+                _ => {}
+            }
+        }
+        Some(request)
+    }
+}
+
+impl Shared {
+    fn answer(&self, mut connection: TcpStream) -> Option<()> {
+        let request = Request::read(&connection)?;
+        let _turn = self.turn.lock().ok()?;
+        let number = 1 + self.counts.requests.fetch_add(1, Ordering::Relaxed);
+        let mut refuse = |status: &str, code: &str| {
+            let body =
+                format!("<Error><Code>{code}</Code><Message>It is {code}.</Message></Error>");
+            let length = body.len();
+            let head = format!(
+                "HTTP/1.1 {status}\r\nContent-Length: {length}\r\nConnection: close\r\n\r\n"
+            );
+            connection.write_all((head + &body).as_bytes()).ok()
+        };
+        if number <= self.manners.busy {
+            return refuse("503 Slow Down", "SlowDown");
+        }
+        let target = request.target.replace("%20", " ");
+        let (path, query) = target.split_once('?').unwrap_or((&target, ""));
+        let (bucket, key) =
+            path.trim_start_matches('/').split_once('/').unwrap_or((&path[1..], ""));
+        if !self.manners.public && !request.authorization.contains(&format!("Credential={KEY_ID}/"))
+        {
+            return refuse("403 Forbidden", "InvalidAccessKeyId");
+        }
+        if bucket != BUCKET {
+            return refuse("404 Not Found", "NoSuchBucket");
+        }
+        if query.contains("list-type=2") {
+            return self.list(query, connection);
+        }
+        let Some(object) = self.objects.get(key) else {
+            return refuse("404 Not Found", "NoSuchKey");
+        };
+        let asked = request.range.clone().filter(|_| !self.manners.wholes);
+        if asked.as_ref().is_some_and(|range| range.start >= object.len()) {
+            return refuse("416 Range Not Satisfiable", "InvalidRange");
+        }
+        let range =
+            asked.clone().map_or(0..object.len(), |range| range.start..range.end.min(object.len()));
+        let changed = self.manners.changes > 0 && number >= self.manners.changes;
+        let (status, tag) =
+            (if asked.is_some() { "206 Partial Content" } else { "200 OK" }, u8::from(changed));
+        let mut head = format!(
+            "HTTP/1.1 {status}\r\nContent-Length: {}\r\nETag: \"{tag}\"\r\n\
+             Last-Modified: Sun, 01 Nov 2026 00:00:00 GMT\r\nConnection: close\r\n",
+            range.len()
+        );
+        if asked.is_some() {
+            let (first, last, size) = (range.start, range.end - 1, object.len());
+            head += &format!("Content-Range: bytes {first}-{last}/{size}\r\n");
+        }
+        connection.write_all((head + "\r\n").as_bytes()).ok()?;
+        if request.method == "HEAD" {
+            return Some(());
+        }
+        let body = 1 + self.counts.bodies.fetch_add(1, Ordering::Relaxed);
+        let mut part = &object[range];
+        let is_over = self.manners.sound_after.is_some_and(|last| body > last);
+        if self.manners.cuts > 0 && body % self.manners.cuts == 0 && !is_over {
+            part = &part[..part.len() / 2];
+        }
+        self.counts.bytes.fetch_add(part.len(), Ordering::Relaxed);
+        connection.write_all(part).ok()?;
+        connection.shutdown(Shutdown::Write).ok()
+    }
+
+    /// The objects whose keys begin with the query's prefix.
+    fn list(&self, query: &str, mut connection: TcpStream) -> Option<()> {
+        let prefix = query.split('&').find_map(|pair| pair.strip_prefix("prefix="));
+        let prefix = prefix.unwrap_or_default().replace("%2F", "/");
+        let mut body = "<ListBucketResult><IsTruncated>false</IsTruncated>".to_owned();
+        for (key, object) in self.objects.iter().filter(|(key, _)| key.starts_with(&prefix)) {
+            body += &format!(
+                "<Contents><Key>{key}</Key><Size>{}</Size><ETag>\"0\"</ETag>\
+                 <LastModified>2026-11-01T00:00:00.000Z</LastModified></Contents>",
+                object.len()
+            );
+        }
+        body += "</ListBucketResult>";
+        let length = body.len();
+        let head =
+            format!("HTTP/1.1 200 OK\r\nContent-Length: {length}\r\nConnection: close\r\n\r\n");
+        connection.write_all((head + &body).as_bytes()).ok()
+    }
+}
