@@ -139,22 +139,35 @@ impl Outcomes {
     }
 
     fn count(&mut self, answer: Answer) {
-        let of = &mut self.statuses;
-        *match answer.status {
-            Status::Audited => &mut of.audited,
-            Status::NotAudited => &mut of.not_audited,
-            Status::Unreadable => &mut of.unreadable,
-            Status::TimedOut => &mut of.timed_out,
-            Status::OutOfMemory => &mut of.out_of_memory,
-            Status::Crashed => &mut of.crashed,
+        self.statuses.count(answer.status);
+        self.verdicts.count(answer.verdict);
+        self.answers.push(answer);
+    }
+}
+
+impl Statuses {
+    /// Counts one more.
+    pub(super) fn count(&mut self, status: Status) {
+        *match status {
+            Status::Audited => &mut self.audited,
+            Status::NotAudited => &mut self.not_audited,
+            Status::Unreadable => &mut self.unreadable,
+            Status::TimedOut => &mut self.timed_out,
+            Status::OutOfMemory => &mut self.out_of_memory,
+            Status::Crashed => &mut self.crashed,
         } += 1;
-        match answer.verdict {
-            Some(Verdict::Pass) => self.verdicts.pass += 1,
-            Some(Verdict::Fail) => self.verdicts.fail += 1,
-            Some(Verdict::Inconclusive) => self.verdicts.inconclusive += 1,
+    }
+}
+
+impl Verdicts {
+    /// Counts one more.
+    pub(super) fn count(&mut self, verdict: Option<Verdict>) {
+        match verdict {
+            Some(Verdict::Pass) => self.pass += 1,
+            Some(Verdict::Fail) => self.fail += 1,
+            Some(Verdict::Inconclusive) => self.inconclusive += 1,
             None => {}
         }
-        self.answers.push(answer);
     }
 }
 
