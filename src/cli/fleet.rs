@@ -258,7 +258,7 @@ impl<'a> Summary<'a> {
         }
         for failure in errors.iter().take(MOST_NAMED) {
             let path = poseaudit::report::tame(&failure.path);
-            let what = failure.what.as_deref().unwrap_or("see the table errors");
+            let what = failure.what.as_deref().unwrap_or_default();
             writeln!(to, "  {path}: {}", poseaudit::report::tame(what))?;
         }
         if errors.len() > MOST_NAMED {

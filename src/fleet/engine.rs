@@ -122,7 +122,7 @@ pub struct Failure {
     pub path: String,
     /// How its audit ended.
     pub status: Status,
-    /// Why, as far as this process knows; the table `errors` knows more.
+    /// Why.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub what: Option<String>,
 }
@@ -272,7 +272,7 @@ impl Engine<'_> {
         }
         let command = (self.call.worker)(path).map_err(|error| self.unable(error.to_string()))?;
         let (status, what) = match audited(command, &task, &self.call.limits) {
-            Ok(answer) => return Ok(Settled::Now(answer, None)),
+            Ok((answer, what)) => return Ok(Settled::Now(answer, what)),
             Err(Death::Unable(why)) => return Err(self.unable(why)),
             Err(Death::TimedOut) => (Status::TimedOut, self.too_long()),
             Err(Death::OutOfMemory) => (Status::OutOfMemory, self.too_much()),
