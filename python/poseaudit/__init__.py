@@ -12,8 +12,9 @@ The work is done by the binary `poseaudit`, which comes with this package; `pyth
 
 from ._audit import audit
 from ._errors import CallError, LogError, PoseauditError, ProgramError, ReportError
+from ._fleet import Failure, Fleet, fleet
 from ._frame import Rows
-from ._options import Options
+from ._options import FleetOptions, Options
 from ._report import (
     Check,
     Estimate,
@@ -37,8 +38,11 @@ __all__ = [
     "CallError",
     "Check",
     "Estimate",
+    "Failure",
     "File",
     "Finding",
+    "Fleet",
+    "FleetOptions",
     "Ignored",
     "JointCoverage",
     "Log",
@@ -58,4 +62,5 @@ __all__ = [
     "Trouble",
     "Workspace",
     "audit",
+    "fleet",
 ]

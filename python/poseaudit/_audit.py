@@ -33,7 +33,13 @@ def audit(
     paths = [path] if isinstance(path, (str, os.PathLike)) else list(path)
     if not paths:
         raise TypeError("audit(): no log: name one file, or the files of one run")
-    call = ["audit", "--format=json", *arguments("audit", options), "--", *(os.fspath(one) for one in paths)]
+    call = [
+        "audit",
+        "--format=json",
+        *arguments("audit", options, Options),
+        "--",
+        *(os.fspath(one) for one in paths),
+    ]
     done = _binary.run(call)
     if done.returncode not in (0, _FINDINGS):
         error = {_MISUSE: CallError, _UNUSABLE: LogError}.get(done.returncode, ProgramError)

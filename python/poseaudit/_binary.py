@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import sysconfig
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from ._errors import ProgramError
@@ -47,21 +47,21 @@ def run(
     arguments: Sequence[str],
     *,
     stdin: str | None = None,
-    environment: Mapping[str, str] | None = None,
+    shows_progress: bool = False,
 ) -> subprocess.CompletedProcess[str]:
-    """Runs the binary to its end and keeps what it says. A status is the caller's to judge; a death
-    by a signal is a `ProgramError`."""
+    """Runs the binary to its end and keeps what it says; what it says to stderr is shown instead where
+    progress is. A status is the caller's to judge; a death by a signal is a `ProgramError`."""
     binary = find_binary()
     try:
         done = subprocess.run(
             [str(binary), *arguments],
             input=stdin,
             stdin=subprocess.DEVNULL if stdin is None else None,
-            capture_output=True,
+            stdout=subprocess.PIPE,
+            stderr=None if shows_progress else subprocess.PIPE,
             text=True,
             encoding="utf-8",
             errors="replace",
-            env={**os.environ, **(environment or {})},
         )
     except OSError as error:
         raise ProgramError(f"{binary}: it cannot be started: {error.strerror}; install it again") from error
@@ -79,8 +79,18 @@ def _signal_name(number: int) -> str:
         return f"signal {number}"
 
 
-def trouble_in(stderr: str) -> str:
+def sources(named: Sequence[str]) -> tuple[list[str], str | None]:
+    """The sources of a fleet as arguments, and as a list on stdin: paths are listed, of which there may be
+    more than a command line holds; patterns and addresses are arguments."""
+    listed = [source for source in named if os.path.lexists(source)]
+    others = [source for source in named if not os.path.lexists(source)]
+    return (["-", *others], "\0".join([*listed, ""])) if listed else (others, None)
+
+
+def trouble_in(stderr: str | None) -> str:
     """The line that says what went wrong, of what the binary wrote to stderr."""
+    if stderr is None:
+        return "poseaudit could not do it; stderr says why"
     lines = [line for line in stderr.splitlines() if line.startswith("error: ")]
     return lines[0].removeprefix("error: ") if lines else stderr.strip().partition("\n")[0]
 

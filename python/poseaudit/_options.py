@@ -16,8 +16,8 @@ Texts: TypeAlias = "str | Sequence[str]"
 Of: TypeAlias = "Path | Sequence[Path] | Mapping[str, Path]"
 
 
-class Options(TypedDict, total=False):
-    """Options of `poseaudit audit`, by the names of its flags. None and False are as if not given."""
+class How(TypedDict, total=False):
+    """How a log is audited, by the names of the program's flags. None and False are as if not given."""
 
     robot: Of | None
     """URDF, table or catalogue name; `{prefix: file}` with several arms."""
@@ -35,8 +35,6 @@ class Options(TypedDict, total=False):
     """Rules not to ask."""
     fail_on: Literal["error", "warning", "never"] | None
     """From which severity on a finding fails the run."""
-    require: Texts | None
-    """Rules that must conclude."""
     stamp: Literal["header", "log", "publish"] | None
     """The time that places a sample."""
     max_latency: float | None
@@ -45,6 +43,13 @@ class Options(TypedDict, total=False):
     """Check every checksum."""
     declare: Texts | Mapping[str, str] | None
     """How streams are coded: `{topic: convention}`, or `topic=convention`."""
+
+
+class Options(How, total=False):
+    """Options of `poseaudit audit`."""
+
+    require: Texts | None
+    """Rules that must conclude."""
     corrections: Path | None
     """A `corrections.toml` to apply first."""
     fix: Path | None
@@ -55,22 +60,49 @@ class Options(TypedDict, total=False):
     """Folder for tables."""
 
 
-def arguments(function: str, options: Mapping[str, object]) -> list[str]:
+class FleetOptions(How, total=False):
+    """Options of `poseaudit fleet`."""
+
+    label: Texts | Mapping[str, str] | None
+    """What all logs are of: `{"site": "berlin"}`."""
+    labels_from: str | None
+    """What the ends of their paths say they are of: `{site}/{arm}/*`."""
+    timeout: float | None
+    """What the audit of one log may take, s."""
+    memory: str | int | None
+    """What it may take of memory, as in `2GiB`."""
+    retry: bool | None
+    """Try again what took too much, or made the audit fail."""
+    identity: Literal["content", "file"] | None
+    """What tells that a log is done."""
+
+
+#: The options that take no value.
+_SWITCHES = ("retry", "verify")
+
+
+def names(kind: type[How]) -> list[str]:
+    """The names of the options in a dict of that kind."""
+    return list(kind.__annotations__)
+
+
+def arguments(function: str, options: Mapping[str, object], kind: type[How]) -> list[str]:
     """The options as arguments of the binary; one that there is not is a `TypeError` of `function`."""
+    known = names(kind)
+    for name in options:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise TypeError(f"{function}() got an unexpected keyword argument {name!r}{hint}")
     return [argument for name, value in options.items() for argument in _argument(function, name, value)]
 
 
 def _argument(function: str, name: str, value: object) -> list[str]:
-    known = list(Options.__annotations__)
-    if name not in known:
-        near = difflib.get_close_matches(name, known, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise TypeError(f"{function}() got an unexpected keyword argument {name!r}{hint}")
     flag = "--" + name.replace("_", "-")
     if value is None or value is False:
         return []
     if value is True:
-        if name != "verify":
+        if name not in _SWITCHES:
             raise TypeError(f"{function}(): {name}=True: this option takes a value")
         return [flag]
     return [f"{flag}={text}" for text in _texts(function, name, value)]

@@ -9,7 +9,7 @@ import pytest
 
 import poseaudit
 from poseaudit._binary import find_binary
-from poseaudit._options import Options, arguments
+from poseaudit._options import Options, arguments, names
 
 
 def test_the_planted_faults_are_found_with_their_amounts(faulty: Path) -> None:
@@ -69,7 +69,7 @@ def test_every_option_of_the_program_is_an_option_here() -> None:
     flags = set(re.findall(r"^ +(?:-\w, )?--([a-z-]+)", usage.stdout, re.MULTILINE))
     # How a report is written, and what opens a window, is not asked of a function.
     theirs = flags - {"help", "format", "output", "view"}
-    assert theirs == {name.replace("_", "-") for name in Options.__annotations__}
+    assert theirs == {name.replace("_", "-") for name in names(Options)}
 
 
 def test_values_become_arguments_as_the_program_takes_them() -> None:
@@ -84,6 +84,7 @@ def test_values_become_arguments_as_the_program_takes_them() -> None:
             "tip": None,
             "config": Path("-odd.toml"),
         },
+        Options,
     )
     assert said == [
         *("--robot=left_=a.urdf", "--robot=right_=ur5e"),
