@@ -32,6 +32,7 @@ pub mod corrections;
 pub mod desk;
 pub mod diagnosis;
 pub mod finding;
+pub mod fleet;
 pub mod geometry;
 pub mod log;
 pub mod replay;

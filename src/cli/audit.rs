@@ -2,14 +2,10 @@
 
 use std::path::PathBuf;
 
-use clap::ValueEnum;
-use poseaudit::checks::{Selector, Settings};
-use poseaudit::config::Config;
-use poseaudit::finding::Severity;
+use poseaudit::checks::Selector;
 use poseaudit::report::{Report, Trouble};
-use poseaudit::run::{CalibrationSource, Declaration, RobotSource};
-use poseaudit::time::Clock;
 
+use super::how::{How, first};
 use super::progress::watched;
 use super::{Outcome, output, reports, view};
 
@@ -30,25 +26,8 @@ pub struct Args {
     #[arg(value_name = "LOG", required = true)]
     logs: Vec<PathBuf>,
 
-    /// The robot's URDF or DH table, or its name in the catalogue; PREFIX=FILE with several arms
-    #[arg(long = "robot", value_name = "FILE|NAME")]
-    robots: Vec<RobotSource>,
-
-    /// A UR's calibration, as ur_calibration extracts it; PREFIX=FILE with several arms
-    #[arg(long = "calibration", value_name = "FILE")]
-    calibrations: Vec<CalibrationSource>,
-
-    /// Link that the chain begins at
-    #[arg(long, value_name = "LINK")]
-    base: Option<String>,
-
-    /// Link that the chain ends at, and whose poses the streams are
-    #[arg(long, value_name = "LINK")]
-    tip: Option<String>,
-
-    /// The settings of an audit: robot, topics, figures of rules, what is known and to be ignored
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
+    #[command(flatten)]
+    how: How,
 
     #[command(flatten)]
     reports: reports::Reports,
@@ -72,126 +51,24 @@ pub struct Args {
     #[arg(long, value_name = "FILE", conflicts_with = "fix")]
     corrections: Option<PathBuf>,
 
-    /// Ask only these rules: codes, or the letters a family begins with
-    #[arg(long, value_name = "CODES", value_delimiter = ',')]
-    select: Vec<Selector>,
-
-    /// Do not ask these rules
-    #[arg(long, value_name = "CODES", value_delimiter = ',')]
-    ignore: Vec<Selector>,
-
-    /// Exit with 1 from findings of this severity [default: warning]
-    #[arg(long, value_enum, value_name = "SEVERITY")]
-    fail_on: Option<FailOn>,
-
     /// Exit with 1 also where one of these rules cannot conclude
     #[arg(long, value_name = "CODES", value_delimiter = ',')]
     require: Vec<Selector>,
-
-    /// The time that places a sample; streams without header stamps fall back to log time [default:
-    /// header]
-    #[arg(long, value_enum, value_name = "CLOCK")]
-    stamp: Option<StampSource>,
-
-    /// Largest latency in seconds; what is off by more is on another clock [default: 5]
-    #[arg(long, value_name = "S", value_parser = positive_seconds)]
-    max_latency: Option<f64>,
-
-    /// Check every checksum in the files
-    #[arg(long)]
-    verify: bool,
-
-    /// How a stream is coded: rotvec, euler:SEQ, quat:xyzw, quat:wxyz, or a maker such as kuka
-    #[arg(long, value_name = "TOPIC=CONVENTION[,deg][,mm]")]
-    declare: Vec<Declaration>,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum FailOn {
-    /// Errors
-    Error,
-    /// Warnings and errors
-    Warning,
-    /// Nothing
-    Never,
-}
-
-impl From<FailOn> for Option<Severity> {
-    fn from(fail_on: FailOn) -> Self {
-        match fail_on {
-            FailOn::Error => Some(Severity::Error),
-            FailOn::Warning => Some(Severity::Warning),
-            FailOn::Never => None,
-        }
-    }
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum StampSource {
-    /// The stamp in the message's header
-    Header,
-    /// When the recorder received the message
-    Log,
-    /// When the sender published the message
-    Publish,
-}
-
-impl From<StampSource> for Clock {
-    fn from(source: StampSource) -> Self {
-        match source {
-            StampSource::Header => Clock::Header,
-            StampSource::Log => Clock::Log,
-            StampSource::Publish => Clock::Publish,
-        }
-    }
-}
-
-fn positive_seconds(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(seconds) if seconds > 0.0 && seconds.is_finite() => Ok(seconds),
-        _ => Err("expected a number of seconds above 0".to_owned()),
-    }
-}
-
-/// What the config says of an audit, and before it the command line; and the rules that must conclude.
+/// What the command line says of an audit, and after it the config; and the rules that must conclude.
 fn configured(args: Args) -> Result<(poseaudit::Options, Vec<Selector>), Trouble> {
-    let config = args.config.as_deref().map(Config::from_file).transpose()?;
-    let required = config.as_ref().map(Config::required).unwrap_or_default();
-    let by_config = config.as_ref().map(Config::options).unwrap_or_default();
-    let rules = Settings {
-        select: first(args.select, by_config.rules.select),
-        ignore: args.ignore,
-        ..by_config.rules
-    };
-    // A declaration is of one topic: what the config says of others stands.
-    let is_other = |of: &Declaration| !args.declare.iter().any(|said| said.is_of(&of.topic));
-    let others = by_config.declarations.into_iter().filter(is_other);
-    let declarations = args.declare.iter().cloned().chain(others).collect();
+    let (options, required) = args.how.options()?;
     let options = poseaudit::Options {
         logs: args.logs,
-        robots: first(args.robots, by_config.robots),
-        calibrations: first(args.calibrations, by_config.calibrations),
-        base: args.base.or(by_config.base),
-        tip: args.tip.or(by_config.tip),
-        stamp: args.stamp.map_or(by_config.stamp, Into::into),
-        max_latency_s: args.max_latency.unwrap_or(by_config.max_latency_s),
-        verify: args.verify,
-        declarations,
         corrections: args.corrections,
         fix: args.fix,
-        rules,
-        fail_on: args.fail_on.map_or(by_config.fail_on, Into::into),
         recording: args.rrd.map(Into::into),
         tables: args.parquet,
         figures: args.reports.are_pictured(),
-        ..by_config
+        ..options
     };
     Ok((options, first(args.require, required)))
-}
-
-/// What was given, else `other`.
-fn first<T>(given: Vec<T>, other: Vec<T>) -> Vec<T> {
-    if given.is_empty() { other } else { given }
 }
 
 pub fn run(mut args: Args) -> Result<Outcome, Trouble> {

@@ -9,7 +9,7 @@ use poseaudit::compare::{Kept, compare, markdown, text};
 use poseaudit::log::{self, LogError, ReadOptions};
 use poseaudit::report::{Report, Trouble, TroubleKind};
 
-use super::audit::FailOn;
+use super::how::FailOn;
 use super::progress::watched;
 use super::{Outcome, misuse, output};
 

@@ -8,6 +8,8 @@ mod completions;
 mod demo;
 mod explain;
 mod fk;
+mod fleet;
+mod how;
 mod info;
 mod init;
 mod man;
@@ -78,6 +80,7 @@ struct Cli {
 enum Command {
     Audit(Box<audit::Args>),
     Compare(compare::Args),
+    Fleet(Box<fleet::Args>),
     Info(info::Args),
     Init(init::Args),
     Demo(demo::Args),
@@ -97,6 +100,7 @@ pub fn run() -> Outcome {
     let result = match Cli::parse().command {
         Command::Audit(args) => audit::run(*args),
         Command::Compare(args) => compare::run(&args),
+        Command::Fleet(args) => fleet::run(*args),
         Command::Info(args) => info::run(&args),
         Command::Init(args) => init::run(args),
         Command::Demo(args) => demo::run(&args),

@@ -1,12 +1,13 @@
-//! How far a log was read, on a terminal.
+//! How far a log was read, and how far a fleet is.
 
 use std::io::{self, IsTerminal};
-use std::sync::Arc;
 use std::sync::mpsc::{self, RecvTimeoutError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use poseaudit::fleet::Course;
 use poseaudit::log::Progress;
 
 /// Nobody needs a bar for what is done sooner.
@@ -53,4 +54,56 @@ fn show(bar: &ProgressBar, progress: &Progress) {
     bar.set_length(total);
     bar.set_message(if total > 0 && read == total { "auditing" } else { "reading" });
     bar.set_position(read);
+}
+
+/// Lines about a fleet come so often where nobody watches a bar.
+const LINE_EVERY: Duration = Duration::from_secs(10);
+
+/// How far a fleet is: a bar on a terminal, else a line now and then.
+pub struct Logs {
+    bar: Option<ProgressBar>,
+    began: Instant,
+    told: Mutex<Instant>,
+}
+
+impl Logs {
+    /// Of so many logs.
+    pub fn new(total: usize) -> Self {
+        let bar = io::stderr().is_terminal().then(|| {
+            let template = "{bar:30} {pos} of {len} logs, {per_sec}, {eta} left";
+            let style = ProgressStyle::with_template(template);
+            let target = ProgressDrawTarget::stderr();
+            let bar = ProgressBar::with_draw_target(Some(total as u64), target);
+            bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+        });
+        let began = Instant::now();
+        Self { bar, began, told: Mutex::new(began) }
+    }
+
+    /// Shows how far it is.
+    pub fn show(&self, course: Course) {
+        if let Some(bar) = &self.bar {
+            bar.set_position(course.done as u64);
+            return;
+        }
+        let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
+        if told.elapsed() < LINE_EVERY {
+            return;
+        }
+        *told = Instant::now();
+        let Course { done, total, audited } = course;
+        let rate = audited as f64 / self.began.elapsed().as_secs_f64();
+        let left = match rate > 0.0 {
+            true => format!(", {:.0} s left", (total - done) as f64 / rate),
+            false => String::new(),
+        };
+        eprintln!("{done} of {total} logs, {rate:.2}/s{left}");
+    }
+
+    /// Takes the bar away.
+    pub fn end(&self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
 }

@@ -1,11 +1,10 @@
-//! Chunks unpacked ahead of their reading, on all cores.
+//! Chunks unpacked ahead of their reading, on all cores that an audit may use.
 //!
 //! What a chunk unpacks to depends on nothing but its own bytes, and is most of the work of reading
 //! a log. So that alone is done ahead, by other threads. The records inside are read by one thread in
 //! the order of the file, as if nothing had been done ahead.
 
 use std::collections::VecDeque;
-use std::num::NonZero;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, Scope};
@@ -54,7 +53,7 @@ struct Task<'env> {
 
 /// Runs `read` with threads that unpack for it.
 pub(super) fn with<'env, R>(read: impl for<'scope> FnOnce(&mut Ahead<'scope, 'env>) -> R) -> R {
-    let threads = thread::available_parallelism().map_or(1, NonZero::get).min(MOST_THREADS);
+    let threads = rayon::current_num_threads().min(MOST_THREADS);
     thread::scope(|scope| {
         read(&mut Ahead {
             scope,

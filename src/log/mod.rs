@@ -231,6 +231,14 @@ pub enum Extent {
     Messages,
 }
 
+/// How much of a file's beginning [`looks_like_log`] wants to see, in bytes.
+pub const HEAD_BYTES: u64 = 4096;
+
+/// Whether a file that begins with `head` may be a log: of a zstd archive only reading it tells.
+pub fn looks_like_log(head: &[u8]) -> bool {
+    !matches!(sniff::kind(head), sniff::Kind::Known { .. } | sniff::Kind::Unknown { .. })
+}
+
 /// Reads the files and rosbag2 folders of one run, of whatever kinds; rows of the same topic and
 /// type are appended in the order given.
 ///

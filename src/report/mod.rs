@@ -358,6 +358,23 @@ fn undecided(checks: &[CheckRow]) -> impl Iterator<Item = &'static Rule> {
     })
 }
 
+impl Verdict {
+    /// Its name in JSON and in tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Verdict::Pass => "pass",
+            Verdict::Fail => "fail",
+            Verdict::Inconclusive => "inconclusive",
+        }
+    }
+
+    /// The verdict of this name.
+    pub fn named(name: &str) -> Option<Self> {
+        let all = [Verdict::Pass, Verdict::Fail, Verdict::Inconclusive];
+        all.into_iter().find(|verdict| verdict.name() == name)
+    }
+}
+
 impl fmt::Display for Verdict {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {

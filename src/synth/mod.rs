@@ -42,7 +42,7 @@ pub use target::{Camera, Swapped, TargetStream};
 use truth::Truth;
 pub use urdf::urdf_text;
 
-/// When every run starts, on the recorder's clock.
+/// When a run starts unless its scenario says otherwise, on the recorder's clock.
 pub const START: Stamp = Stamp::from_nanos(1_780_000_000_000_000_000);
 
 /// The topic of the joint states.
@@ -91,6 +91,8 @@ pub struct Scenario {
     pub base: String,
     /// The link whose pose is logged, and which carries the IMU.
     pub tip: String,
+    /// When it starts, on the recorder's clock.
+    pub start: Stamp,
     /// Length of the run, s.
     pub duration_s: f64,
     /// Seed of all random numbers.
@@ -298,6 +300,7 @@ impl Scenario {
             robot,
             base: base.to_owned(),
             tip: tip.to_owned(),
+            start: START,
             duration_s: 20.0,
             seed: 1,
             motion: Motion::PickAndPlace,

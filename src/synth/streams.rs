@@ -7,7 +7,7 @@ use super::noise::{Purpose, UnitNoise, random};
 use super::reference::commands;
 use super::target::sightings;
 use super::truth::{GRAVITY, Truth};
-use super::{Coding, IMU_FRAME, ImuStream, JointStream, START, Scenario, Timing, urdf_text};
+use super::{Coding, IMU_FRAME, ImuStream, JointStream, Scenario, Timing, urdf_text};
 use crate::geometry::{
     Pose, QuaternionSlip, Rotation, Vec3, pose, rotation_from_rotvec, xyz_of, xyzw_from_rotation,
 };
@@ -58,12 +58,12 @@ fn latched(scenario: &Scenario) -> Vec<Message> {
         parent_from_child: Coding::Faithful.logged(&other.parent_from_child),
     }));
     let statics = scenario.tf.with_static.then(|| {
-        let cdr = messages::tf_message(START, &transforms);
-        Message { topic: Topic::TfStatic, received: START, cdr }
+        let cdr = messages::tf_message(scenario.start, &transforms);
+        Message { topic: Topic::TfStatic, received: scenario.start, cdr }
     });
     let description = scenario.description.then(|| {
         let cdr = messages::string(&urdf_text(robot));
-        Message { topic: Topic::RobotDescription, received: START, cdr }
+        Message { topic: Topic::RobotDescription, received: scenario.start, cdr }
     });
     statics.into_iter().chain(description).collect()
 }
@@ -209,19 +209,20 @@ impl Scenario {
         let mut random = random(self.seed, transport);
         let Timing { rate_hz, phase_s, .. } = *timing;
         let count = ((self.duration_s - phase_s) * rate_hz).ceil().max(0.0) as usize;
-        let mut received = START;
+        let start = self.start;
+        let mut received = start;
         (0..count).map(move |index| {
             let time_s = phase_s + index as f64 / rate_hz;
-            received = received.max(START.shifted(time_s + random.random_range(TRANSPORT_S)));
-            Tick { time_s, stamp: timing.stamp(time_s, self.duration_s / 2.0), received }
+            received = received.max(start.shifted(time_s + random.random_range(TRANSPORT_S)));
+            Tick { time_s, stamp: timing.stamp(start, time_s, self.duration_s / 2.0), received }
         })
     }
 
     /// A single moment of a stream, received 1 ms later.
     pub(super) fn moment(&self, timing: &Timing, time_s: f64) -> Tick {
         const TRANSPORT_S: f64 = 1e-3;
-        let stamp = timing.stamp(time_s, self.duration_s / 2.0);
-        Tick { time_s, stamp, received: START.shifted(time_s + TRANSPORT_S) }
+        let stamp = timing.stamp(self.start, time_s, self.duration_s / 2.0);
+        Tick { time_s, stamp, received: self.start.shifted(time_s + TRANSPORT_S) }
     }
 
     pub(super) fn unit_noise(&self, purpose: Purpose, components: usize) -> UnitNoise {
@@ -230,14 +231,14 @@ impl Scenario {
 }
 
 impl Timing {
-    /// The stamp of what is true at `time_s`: the solution of
+    /// The stamp of what is true `time_s` after `start`: the solution of
     /// `time = stamp − latency − skew · (stamp − middle)`.
-    fn stamp(&self, time_s: f64, middle_s: f64) -> Stamp {
+    fn stamp(&self, start: Stamp, time_s: f64, middle_s: f64) -> Stamp {
         if !self.stamped {
             return Stamp::default();
         }
         let stamp_s = (time_s + self.latency_s - self.skew * middle_s) / (1.0 - self.skew);
-        START.shifted(self.clock_offset_s).shifted(stamp_s)
+        start.shifted(self.clock_offset_s).shifted(stamp_s)
     }
 }
 

@@ -1,0 +1,268 @@
+//! `poseaudit fleet`.
+
+use std::io::{self, Write};
+use std::num::NonZero;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::thread;
+use std::time::Duration;
+
+use clap::ValueEnum;
+use poseaudit::Options;
+use poseaudit::finding::Severity;
+use poseaudit::fleet::{
+    AuditSettings, Call, Identity, Limits, Outcomes, Store, Template, memory_bytes,
+    run as audit_all, serve, sources,
+};
+use poseaudit::report::Trouble;
+use serde::Serialize;
+
+use super::how::How;
+use super::output::Format;
+use super::progress::Logs;
+use super::{Outcome, misuse, output};
+
+/// No log is given less memory than this by default, bytes.
+const LEAST_MEMORY_BYTES: u64 = 512 << 20;
+
+/// Audit many logs, each in a process of its own, and keep the results as Parquet
+///
+/// Logs that are done already (the same content, version and settings) are not done again, so that a
+/// call that was killed goes on where it was. Exit status: 0 nothing at or above --fail-on in any of the
+/// logs; 1 there is, or a log could not be audited; 2 the call is wrong; 3 none of them could be audited.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  poseaudit fleet runs --out results
+  poseaudit fleet \"runs/*/*.mcap\" --out results --labels-from \"{site}/{arm}/*\"
+  find /data -name \"*.bag\" | poseaudit fleet - --out results --robot ur5e --timeout 60")]
+pub struct Args {
+    /// Logs, folders of logs, patterns in quotes, or - for a list on stdin
+    #[arg(value_name = "SOURCE", required = true)]
+    sources: Vec<String>,
+
+    /// Keep the results in this folder
+    #[arg(long, value_name = "DIR", required = true)]
+    out: Option<PathBuf>,
+
+    #[command(flatten)]
+    how: How,
+
+    /// What all these logs are of: site=berlin, arm=cell3, or any other name
+    #[arg(long = "label", value_name = "NAME=VALUE", value_parser = label)]
+    labels: Vec<(String, String)>,
+
+    /// What the ends of their paths say they are of, as in {site}/{arm}/*
+    #[arg(long, value_name = "TEMPLATE")]
+    labels_from: Option<Template>,
+
+    /// Logs at a time [default: one for each core]
+    #[arg(long, value_name = "N")]
+    jobs: Option<NonZero<usize>>,
+
+    /// The audit of one log may take so long, seconds
+    #[arg(long, value_name = "S", default_value_t = 600.0, value_parser = super::how::positive_seconds)]
+    timeout: f64,
+
+    /// The audit of one log may take so much memory, as in 2GiB [default: its share of the machine's]
+    #[arg(long, value_name = "SIZE", value_parser = size_bytes)]
+    memory: Option<u64>,
+
+    /// Try again what took too long or too much memory, or made the audit fail
+    #[arg(long)]
+    retry: bool,
+
+    /// What tells that a log is done: its bytes, or its path, size and time, for which nothing is read
+    #[arg(long, value_enum, value_name = "HOW", default_value_t = By::Content)]
+    identity: By,
+
+    /// How the summary is printed
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    format: Format,
+
+    /// Write the summary to this file instead of stdout
+    #[arg(long, value_name = "PATH")]
+    output: Option<PathBuf>,
+
+    /// Audit this one log, as stdin says: what this program calls itself with
+    #[arg(long, hide = true, value_name = "LOG")]
+    worker: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum By {
+    /// A hash of all bytes: a copy is the same log
+    Content,
+    /// Path, size and time of the last change
+    File,
+}
+
+impl From<By> for Identity {
+    fn from(by: By) -> Self {
+        match by {
+            By::Content => Identity::Content,
+            By::File => Identity::File,
+        }
+    }
+}
+
+fn label(text: &str) -> Result<(String, String), String> {
+    match text.split_once('=') {
+        Some((name, value)) if !name.is_empty() => Ok((name.to_owned(), value.to_owned())),
+        _ => Err("expected NAME=VALUE, as in site=berlin".to_owned()),
+    }
+}
+
+/// A size in bytes, of which the unit may be said as KiB, MiB or GiB, in short K, M or G.
+fn size_bytes(text: &str) -> Result<u64, String> {
+    let end = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+    let shift = match text[end..].trim().to_ascii_lowercase().as_str() {
+        "" | "b" => Some(0),
+        "k" | "kib" => Some(10),
+        "m" | "mib" => Some(20),
+        "g" | "gib" => Some(30),
+        _ => None,
+    };
+    let bytes = shift.zip(text[..end].parse::<u64>().ok());
+    let bytes = bytes.and_then(|(shift, number)| number.checked_mul(1 << shift));
+    bytes.filter(|&bytes| bytes > 0).ok_or_else(|| "expected a size such as 2GiB".to_owned())
+}
+
+pub fn run(args: Args) -> Result<Outcome, Trouble> {
+    let (options, _) = args.how.clone().options()?;
+    let out = args.out.clone().unwrap_or_default();
+    if let Some(log) = &args.worker {
+        return work(log, &options, &Store::create(&out)?);
+    }
+    let fail_on = options.fail_on;
+    let outcomes = audit(&args, &options, &out)?;
+    let summary = Summary::of(&out, &outcomes, fail_on);
+    output::emit(args.output.as_deref(), |to| match args.format {
+        Format::Text => summary.text(to),
+        Format::Json => {
+            serde_json::to_writer_pretty(&mut *to, &summary)?;
+            writeln!(to)
+        }
+    })?;
+    let logs = outcomes.logs - outcomes.duplicates;
+    Ok(match outcomes.unaudited() {
+        unaudited if unaudited == logs => Outcome::Unusable,
+        0 if summary.failing == 0 => Outcome::Clean,
+        _ if fail_on.is_none() => Outcome::Clean,
+        _ => Outcome::Findings,
+    })
+}
+
+fn audit(args: &Args, options: &Options, out: &Path) -> Result<Outcomes, Trouble> {
+    let sources = sources(&args.sources, io::stdin().lock())?;
+    let settings = AuditSettings::of(options)?;
+    let store = Store::create(out)?;
+    let jobs = args.jobs.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZero::get);
+    let share = || Some((memory_bytes()? / jobs as u64).max(LEAST_MEMORY_BYTES));
+    let limits = Limits {
+        time: Some(Duration::from_secs_f64(args.timeout.min(1e9))),
+        memory_bytes: args.memory.or_else(share),
+    };
+    let progress = Logs::new(sources.len());
+    let outcomes = audit_all(&Call {
+        sources,
+        store: &store,
+        settings: &settings,
+        identity: args.identity.into(),
+        labels: args.labels.iter().cloned().collect(),
+        template: args.labels_from.clone(),
+        jobs,
+        limits,
+        retry: args.retry,
+        worker: &worker,
+        progress: &|course| progress.show(course),
+    });
+    progress.end();
+    outcomes
+}
+
+/// This very call, for one log.
+fn worker(log: &Path) -> io::Result<Command> {
+    let mut command = Command::new(std::env::current_exe()?);
+    // The name of the program, and that of the command.
+    let mut args = std::env::args_os().skip(1);
+    command.args(args.next()).arg("--worker").arg(log).args(args);
+    Ok(command)
+}
+
+fn work(log: &Path, options: &Options, store: &Store) -> Result<Outcome, Trouble> {
+    serve(log, options, store).map_err(|error| {
+        misuse("--worker", error.to_string(), "leave this option to the program itself")
+    })?;
+    Ok(Outcome::Clean)
+}
+
+/// What a call says in the end.
+#[derive(Serialize)]
+struct Summary<'a> {
+    schema: &'static str,
+    out: String,
+    /// Logs with a finding at or above `--fail-on`.
+    failing: usize,
+    #[serde(flatten)]
+    outcomes: &'a Outcomes,
+}
+
+/// So many logs that could not be audited are named in a text.
+const MOST_NAMED: usize = 20;
+
+impl<'a> Summary<'a> {
+    fn of(out: &Path, outcomes: &'a Outcomes, fail_on: Option<Severity>) -> Self {
+        let out = out.display().to_string();
+        Self { schema: "poseaudit.fleet-run/1", out, failing: outcomes.failing(fail_on), outcomes }
+    }
+
+    fn text(&self, to: &mut dyn Write) -> io::Result<()> {
+        let Outcomes {
+            logs, duplicates, done_before, done_now, statuses, verdicts, errors, ..
+        } = self.outcomes;
+        writeln!(to, "{logs} logs: {done_now} done now, {done_before} before")?;
+        if *duplicates > 0 {
+            writeln!(to, "{duplicates} have the content of another")?;
+        }
+        writeln!(
+            to,
+            "{} audited: {} pass, {} fail, {} inconclusive",
+            statuses.audited, verdicts.pass, verdicts.fail, verdicts.inconclusive
+        )?;
+        let unaudited = [
+            (statuses.not_audited, "could not be audited"),
+            (statuses.unreadable, "could not be read"),
+            (statuses.timed_out, "took too long"),
+            (statuses.out_of_memory, "took too much memory"),
+            (statuses.crashed, "made the audit fail"),
+        ];
+        for (count, how) in unaudited.into_iter().filter(|(count, _)| *count > 0) {
+            writeln!(to, "{count} {how}")?;
+        }
+        for failure in errors.iter().take(MOST_NAMED) {
+            let path = poseaudit::report::tame(&failure.path);
+            let what = failure.what.as_deref().unwrap_or("see the table errors");
+            writeln!(to, "  {path}: {}", poseaudit::report::tame(what))?;
+        }
+        if errors.len() > MOST_NAMED {
+            writeln!(to, "  and {} more", errors.len() - MOST_NAMED)?;
+        }
+        writeln!(to, "results in {}", self.out)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_are_read_as_people_write_them() {
+        assert_eq!(size_bytes("2GiB"), Ok(2 << 30));
+        assert_eq!(size_bytes("512 m"), Ok(512 << 20));
+        assert_eq!(size_bytes("1000"), Ok(1000));
+        for text in ["", "GiB", "0", "-1", "2 TB", "99999999999G"] {
+            assert!(size_bytes(text).is_err(), "{text}");
+        }
+    }
+}

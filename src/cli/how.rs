@@ -1,0 +1,152 @@
+//! How a log is audited, as every command that audits with options takes it.
+
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+use poseaudit::checks::{Selector, Settings};
+use poseaudit::config::Config;
+use poseaudit::finding::Severity;
+use poseaudit::report::Trouble;
+use poseaudit::run::{CalibrationSource, Declaration, RobotSource};
+use poseaudit::time::Clock;
+
+/// The options that say so.
+#[derive(Clone, Debug, clap::Args)]
+pub struct How {
+    /// The robot's URDF or DH table, or its name in the catalogue; PREFIX=FILE with several arms
+    #[arg(long = "robot", value_name = "FILE|NAME")]
+    robots: Vec<RobotSource>,
+
+    /// A UR's calibration, as ur_calibration extracts it; PREFIX=FILE with several arms
+    #[arg(long = "calibration", value_name = "FILE")]
+    calibrations: Vec<CalibrationSource>,
+
+    /// Link that the chain begins at
+    #[arg(long, value_name = "LINK")]
+    base: Option<String>,
+
+    /// Link that the chain ends at, and whose poses the streams are
+    #[arg(long, value_name = "LINK")]
+    tip: Option<String>,
+
+    /// The settings of an audit: robot, topics, figures of rules, what is known and to be ignored
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+
+    /// Ask only these rules: codes, or the letters a family begins with
+    #[arg(long, value_name = "CODES", value_delimiter = ',')]
+    select: Vec<Selector>,
+
+    /// Do not ask these rules
+    #[arg(long, value_name = "CODES", value_delimiter = ',')]
+    ignore: Vec<Selector>,
+
+    /// Exit with 1 from findings of this severity [default: warning]
+    #[arg(long, value_enum, value_name = "SEVERITY")]
+    fail_on: Option<FailOn>,
+
+    /// The time that places a sample; streams without header stamps fall back to log time [default:
+    /// header]
+    #[arg(long, value_enum, value_name = "CLOCK")]
+    stamp: Option<StampSource>,
+
+    /// Largest latency in seconds; what is off by more is on another clock [default: 5]
+    #[arg(long, value_name = "S", value_parser = positive_seconds)]
+    max_latency: Option<f64>,
+
+    /// Check every checksum in the files
+    #[arg(long)]
+    verify: bool,
+
+    /// How a stream is coded: rotvec, euler:SEQ, quat:xyzw, quat:wxyz, or a maker such as kuka
+    #[arg(long, value_name = "TOPIC=CONVENTION[,deg][,mm]")]
+    declare: Vec<Declaration>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum FailOn {
+    /// Errors
+    Error,
+    /// Warnings and errors
+    Warning,
+    /// Nothing
+    Never,
+}
+
+impl From<FailOn> for Option<Severity> {
+    fn from(fail_on: FailOn) -> Self {
+        match fail_on {
+            FailOn::Error => Some(Severity::Error),
+            FailOn::Warning => Some(Severity::Warning),
+            FailOn::Never => None,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum StampSource {
+    /// The stamp in the message's header
+    Header,
+    /// When the recorder received the message
+    Log,
+    /// When the sender published the message
+    Publish,
+}
+
+impl From<StampSource> for Clock {
+    fn from(source: StampSource) -> Self {
+        match source {
+            StampSource::Header => Clock::Header,
+            StampSource::Log => Clock::Log,
+            StampSource::Publish => Clock::Publish,
+        }
+    }
+}
+
+pub fn positive_seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(seconds) if seconds > 0.0 && seconds.is_finite() => Ok(seconds),
+        _ => Err("expected a number of seconds above 0".to_owned()),
+    }
+}
+
+impl How {
+    /// What the config says of an audit, and before it the command line; and the rules that the config
+    /// says must conclude.
+    ///
+    /// # Errors
+    /// Where the config cannot be read.
+    pub fn options(self) -> Result<(poseaudit::Options, Vec<Selector>), Trouble> {
+        let config = self.config.as_deref().map(Config::from_file).transpose()?;
+        let required = config.as_ref().map(Config::required).unwrap_or_default();
+        let by_config = config.as_ref().map(Config::options).unwrap_or_default();
+        let rules = Settings {
+            select: first(self.select, by_config.rules.select),
+            ignore: self.ignore,
+            ..by_config.rules
+        };
+        // A declaration is of one topic: what the config says of others stands.
+        let is_other = |of: &Declaration| !self.declare.iter().any(|said| said.is_of(&of.topic));
+        let others = by_config.declarations.into_iter().filter(is_other);
+        let declarations = self.declare.iter().cloned().chain(others).collect();
+        let options = poseaudit::Options {
+            robots: first(self.robots, by_config.robots),
+            calibrations: first(self.calibrations, by_config.calibrations),
+            base: self.base.or(by_config.base),
+            tip: self.tip.or(by_config.tip),
+            stamp: self.stamp.map_or(by_config.stamp, Into::into),
+            max_latency_s: self.max_latency.unwrap_or(by_config.max_latency_s),
+            verify: self.verify,
+            declarations,
+            rules,
+            fail_on: self.fail_on.map_or(by_config.fail_on, Into::into),
+            ..by_config
+        };
+        Ok((options, required))
+    }
+}
+
+/// What was given, else `other`.
+pub fn first<T>(given: Vec<T>, other: Vec<T>) -> Vec<T> {
+    if given.is_empty() { other } else { given }
+}

@@ -1,0 +1,242 @@
+//! How an amount moves from run to run: not at all, steadily, or in one step.
+//!
+//! Runs differ from each other by more than the interval of each says: load, temperature, where the
+//! arm was. So a run's amount is taken as `line + u + e`, with `e` of the run's own standard error and
+//! `u` of a spread that is the same for all and estimated beside the line, after Paule and Mandel
+//! (*Consensus values and weighting factors*, J. Res. NBS 87, 1982): the spread that makes the weighted
+//! squares as many as their degrees of freedom. A step is the same fit, over before and after in place
+//! of time.
+
+use super::Measured;
+
+/// An amount that one run told.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Told {
+    /// When the run was, s from any origin.
+    pub time_s: f64,
+    /// The amount.
+    pub value: f64,
+    /// Its standard error, of this run alone.
+    pub std_error: f64,
+}
+
+/// How an amount moved over the runs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Trend {
+    /// What it grows by in a second.
+    pub rate_per_s: Measured,
+    /// The amount at `middle_s`, which its rate tells nothing about.
+    pub level: Measured,
+    /// The mean of the times, by the weights of the runs, s.
+    pub middle_s: f64,
+    /// How far runs lie from the line beyond what their own errors make, as a standard deviation.
+    pub spread: f64,
+    /// The step that tells more of the runs than the line does, where one does.
+    pub step: Option<Step>,
+}
+
+/// A step between two runs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Step {
+    /// When the last run before it was, and the first after it, s.
+    pub between_s: [f64; 2],
+    /// By how much it went up.
+    pub by: Measured,
+}
+
+/// Fewer runs tell no trend.
+pub const LEAST_RUNS: usize = 4;
+
+/// By so much the logarithm of its likelihood must be above the line's: its place was chosen.
+const STEP_LIKELIER: f64 = 3.0;
+
+/// How an amount moves; `None` where there are fewer than [`LEAST_RUNS`] runs, or they are all of one
+/// time.
+pub fn trend(told: &[Told]) -> Option<Trend> {
+    let mut told: Vec<Told> = told.iter().copied().filter(is_usable).collect();
+    told.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+    if told.len() < LEAST_RUNS {
+        return None;
+    }
+    // Times from their middle, so that squares keep their digits.
+    let origin_s = told.iter().map(|one| one.time_s).sum::<f64>() / told.len() as f64;
+    let times_s: Vec<f64> = told.iter().map(|one| one.time_s - origin_s).collect();
+    let line = Fit::of(&told, &times_s)?;
+    let step =
+        step(&told).filter(|(_, fit)| fit.log_likelihood > line.log_likelihood + STEP_LIKELIER);
+    Some(Trend {
+        rate_per_s: line.slope,
+        level: line.level,
+        middle_s: origin_s + line.middle,
+        spread: line.spread,
+        step: step.map(|(between_s, fit)| Step { between_s, by: fit.slope }),
+    })
+}
+
+fn is_usable(told: &Told) -> bool {
+    let Told { time_s, value, std_error } = told;
+    time_s.is_finite() && value.is_finite() && std_error.is_finite() && *std_error > 0.0
+}
+
+/// The likeliest step, with two runs at least on each side.
+fn step(told: &[Told]) -> Option<([f64; 2], Fit)> {
+    let mut best: Option<([f64; 2], Fit)> = None;
+    for first_after in 2..told.len() - 1 {
+        let between_s = [told[first_after - 1].time_s, told[first_after].time_s];
+        if between_s[0] == between_s[1] {
+            continue;
+        }
+        let side: Vec<f64> = (0..told.len()).map(|run| f64::from(run >= first_after)).collect();
+        let Some(fit) = Fit::of(told, &side) else { continue };
+        if best.as_ref().is_none_or(|(_, other)| fit.log_likelihood > other.log_likelihood) {
+            best = Some((between_s, fit));
+        }
+    }
+    best
+}
+
+/// `value = level + slope · (x − middle)`.
+#[derive(Clone, Copy, Debug)]
+struct Fit {
+    slope: Measured,
+    level: Measured,
+    middle: f64,
+    spread: f64,
+    log_likelihood: f64,
+}
+
+impl Fit {
+    /// The fit over `x`; `None` where all of it is one value.
+    fn of(told: &[Told], x: &[f64]) -> Option<Self> {
+        let dof = told.len() as f64 - 2.0;
+        let squares = |variance: f64| Weighed::of(told, x, variance).map(|fit| fit.squares);
+        let mut high = told.iter().map(|one| one.value.powi(2)).fold(f64::MIN_POSITIVE, f64::max);
+        let mut low = 0.0;
+        // No spread beyond the runs' own errors, or the one at which the squares are as many as they
+        // may be: they fall as it grows.
+        if squares(0.0)? > dof {
+            while squares(high)? > dof {
+                high *= 4.0;
+            }
+            for _ in 0..100 {
+                let middle = 0.5 * (low + high);
+                if squares(middle)? > dof { low = middle } else { high = middle }
+            }
+        } else {
+            high = 0.0;
+        }
+        let fit = Weighed::of(told, x, high)?;
+        let logs: f64 = told.iter().map(|one| (one.std_error.powi(2) + high).ln()).sum();
+        let measured = |value, variance: f64| Measured { value, std_error: variance.sqrt(), dof };
+        Some(Self {
+            slope: measured(fit.slope, fit.slope_variance),
+            level: measured(fit.level, fit.level_variance),
+            middle: fit.middle,
+            spread: high.sqrt(),
+            log_likelihood: -0.5 * (logs + fit.squares),
+        })
+    }
+}
+
+/// The fit with weights that are known.
+struct Weighed {
+    slope: f64,
+    slope_variance: f64,
+    level: f64,
+    level_variance: f64,
+    middle: f64,
+    squares: f64,
+}
+
+impl Weighed {
+    fn of(told: &[Told], x: &[f64], variance: f64) -> Option<Self> {
+        let rows = || {
+            told.iter()
+                .zip(x)
+                .map(|(one, &x)| (1.0 / (one.std_error.powi(2) + variance), x, one.value))
+        };
+        let weight: f64 = rows().map(|(w, ..)| w).sum();
+        let middle = rows().map(|(w, x, _)| w * x).sum::<f64>() / weight;
+        let level = rows().map(|(w, _, y)| w * y).sum::<f64>() / weight;
+        let across: f64 = rows().map(|(w, x, _)| w * (x - middle).powi(2)).sum();
+        if across <= 0.0 || !across.is_finite() {
+            return None;
+        }
+        let slope = rows().map(|(w, x, y)| w * (x - middle) * (y - level)).sum::<f64>() / across;
+        let left = |x: f64, y: f64| y - level - slope * (x - middle);
+        let squares = rows().map(|(w, x, y)| w * left(x, y).powi(2)).sum();
+        let (slope_variance, level_variance) = (1.0 / across, 1.0 / weight);
+        Some(Self { slope, slope_variance, level, level_variance, middle, squares })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, Normal};
+    use rand_pcg::Pcg64;
+
+    const DAY_S: f64 = 86_400.0;
+
+    /// Runs a day apart, of a known course, with a known spread.
+    fn runs(count: usize, spread: f64, seed: u64, course: impl Fn(f64) -> f64) -> Vec<Told> {
+        let mut random = Pcg64::seed_from_u64(seed);
+        let noise = Normal::new(0.0, 1.0).expect("a distribution");
+        let told = (0..count).map(|day| {
+            let std_error = if day % 3 == 0 { 0.5 } else { 0.1 };
+            let error = std_error * noise.sample(&mut random);
+            let value = course(day as f64) + spread * noise.sample(&mut random) + error;
+            Told { time_s: 1.78e9 + day as f64 * DAY_S, value, std_error }
+        });
+        told.collect()
+    }
+
+    #[test]
+    fn the_interval_covers_the_rate_as_often_as_it_says() {
+        for spread in [0.0, 0.4] {
+            let covered = (0..400).filter(|&seed| {
+                let told = runs(12, spread, seed, |day| 3.0 + 0.2 * day);
+                let rate = trend(&told).expect("a trend").rate_per_s.scaled(DAY_S);
+                let [low, high] = rate.interval(0.95);
+                (low..=high).contains(&0.2)
+            });
+            let covered = covered.count();
+            assert!((365..=400).contains(&covered), "{covered} of 400 with a spread of {spread}");
+        }
+    }
+
+    #[test]
+    fn what_is_steady_is_rarely_taken_for_more() {
+        let moves = |seed| {
+            let found = trend(&runs(20, 0.3, seed, |_| 5.0)).expect("a trend");
+            let [low, high] = found.rate_per_s.interval(0.999);
+            !(low..=high).contains(&0.0) || found.step.is_some()
+        };
+        let wrong = (0..400).filter(|&seed| moves(seed)).count();
+        assert!(wrong <= 20, "{wrong} of 400");
+    }
+
+    #[test]
+    fn a_step_is_no_slope_and_a_slope_no_step() {
+        for seed in 0..50 {
+            let stepped = trend(&runs(20, 0.1, seed, |day| if day < 12.0 { 0.0 } else { 4.0 }));
+            let step = stepped.expect("a trend").step.expect("a step");
+            assert_eq!(step.between_s, [11.0, 12.0].map(|day| 1.78e9 + day * DAY_S));
+            let [low, high] = step.by.interval(0.9999);
+            assert!((low..=high).contains(&4.0), "{step:?}");
+            let sloped = trend(&runs(20, 0.1, seed, |day| 0.2 * day)).expect("a trend");
+            assert_eq!(sloped.step, None);
+        }
+    }
+
+    #[test]
+    fn too_few_runs_or_one_time_tell_nothing() {
+        let mut told = runs(4, 0.1, 1, |day| day);
+        assert!(trend(&told).is_some() && trend(&told[..3]).is_none());
+        told.iter_mut().for_each(|one| one.time_s = 0.0);
+        assert_eq!(trend(&told), None);
+        told.iter_mut().for_each(|one| one.std_error = f64::INFINITY);
+        assert_eq!(trend(&told), None);
+    }
+}

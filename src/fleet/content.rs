@@ -1,0 +1,165 @@
+//! What a log holds, as a name that any copy of it has too.
+
+use std::fs::{self, File};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::UNIX_EPOCH;
+
+use blake3::Hasher;
+use walkdir::WalkDir;
+
+/// What stands for the content of a log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Identity {
+    /// A hash of every byte: a copy elsewhere is the same log.
+    Content,
+    /// Path, size and time of the last change: nothing is read.
+    File,
+}
+
+/// The content of a log, and how its files stood when it was looked at.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Content {
+    /// The name of the content: `blake3:` and 64 digits, or `file:` and 64 digits.
+    pub id: String,
+    /// How its files stood.
+    pub stand: Stand,
+}
+
+/// How the files of a log stand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stand {
+    /// Their size together.
+    pub bytes: u64,
+    /// When one of them was last changed, ns since 1970.
+    pub mtime_ns: i64,
+}
+
+/// Digits of a key: 128 bits.
+const KEY_DIGITS: usize = 32;
+
+impl Stand {
+    /// How the log at `path` stands.
+    ///
+    /// # Errors
+    /// Where it is not there, or one of its files is no regular one.
+    pub fn of(path: &Path) -> io::Result<Self> {
+        let mut stand = Self { bytes: 0, mtime_ns: 0 };
+        for file in files(path)? {
+            let metadata = fs::metadata(file)?;
+            if !metadata.is_file() {
+                return Err(io::Error::other("it is not a regular file"));
+            }
+            let since = metadata.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
+            let mtime_ns = i64::try_from(since.as_nanos()).unwrap_or(i64::MAX);
+            stand.bytes += metadata.len();
+            stand.mtime_ns = stand.mtime_ns.max(mtime_ns);
+        }
+        Ok(stand)
+    }
+
+    /// The name of the log at `path` as it stands: what it was found to hold is true as long as this
+    /// is.
+    pub fn name(&self, path: &Path) -> String {
+        let mut hasher = Hasher::new();
+        for part in [
+            path.as_os_str().as_encoded_bytes(),
+            &self.bytes.to_le_bytes(),
+            &self.mtime_ns.to_le_bytes(),
+        ] {
+            part_of(&mut hasher, part);
+        }
+        hasher.finalize().to_hex().to_string()
+    }
+}
+
+impl Content {
+    /// The content of the log at `path`, which stands so.
+    ///
+    /// # Errors
+    /// Where it cannot be read.
+    pub fn of(path: &Path, stand: Stand, identity: Identity) -> io::Result<Self> {
+        let id = match identity {
+            Identity::File => format!("file:{}", stand.name(path)),
+            Identity::Content => format!("blake3:{}", hash(path)?),
+        };
+        Ok(Self { id, stand })
+    }
+}
+
+/// The key of a log's rows: `content` audited by this `version` with the settings of this hash.
+pub fn key_of(content: &str, version: &str, settings: &str) -> String {
+    let mut hasher = Hasher::new();
+    for part in [content, version, settings] {
+        part_of(&mut hasher, part.as_bytes());
+    }
+    hasher.finalize().to_hex()[..KEY_DIGITS].to_owned()
+}
+
+/// Takes in a part with its length, so that no two rows of parts are alike.
+fn part_of(hasher: &mut Hasher, part: &[u8]) {
+    hasher.update(&(part.len() as u64).to_le_bytes()).update(part);
+}
+
+/// The hash of a file's bytes; of a folder's files with their names.
+fn hash(path: &Path) -> io::Result<String> {
+    let mut hasher = Hasher::new();
+    if !path.is_dir() {
+        hasher.update_reader(File::open(path)?)?;
+        return Ok(hasher.finalize().to_hex().to_string());
+    }
+    for file in files(path)? {
+        let name = file.strip_prefix(path).unwrap_or(&file).as_os_str();
+        part_of(&mut hasher, name.as_encoded_bytes());
+        part_of(&mut hasher, hash(&file)?.as_bytes());
+    }
+    Ok(hasher.finalize().to_hex().to_string())
+}
+
+/// The files of a log, in the order of their paths.
+fn files(path: &Path) -> io::Result<Vec<PathBuf>> {
+    if !path.is_dir() {
+        return Ok(vec![path.to_owned()]);
+    }
+    let mut files = Vec::new();
+    for entry in WalkDir::new(path).sort_by_file_name() {
+        let entry = entry?;
+        if !entry.file_type().is_dir() {
+            files.push(entry.into_path());
+        }
+    }
+    Ok(files)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn copies_are_one_content_and_another_byte_is_another() -> io::Result<()> {
+        let folder = tempfile::tempdir()?;
+        let at = |name: &str| folder.path().join(name);
+        let id = |name: &str, identity| -> io::Result<String> {
+            Ok(Content::of(&at(name), Stand::of(&at(name))?, identity)?.id)
+        };
+        for (bag, second) in [("a", "2"), ("b", "2"), ("c", "3")] {
+            fs::create_dir(at(bag))?;
+            fs::write(at(bag).join("0.db3"), "1")?;
+            fs::write(at(bag).join("1.db3"), second)?;
+        }
+        let same = |a: &str, b: &str| -> io::Result<bool> {
+            Ok(id(a, Identity::Content)? == id(b, Identity::Content)?)
+        };
+        assert!(same("a", "b")? && !same("a", "c")?);
+        assert!(same("a/0.db3", "c/0.db3")? && !same("a/0.db3", "a/1.db3")?);
+        assert_ne!(id("a/0.db3", Identity::File)?, id("c/0.db3", Identity::File)?);
+        Ok(())
+    }
+
+    #[test]
+    fn a_key_is_of_its_parts_in_their_order() {
+        let keys = [key_of("a", "b", "c"), key_of("ab", "", "c"), key_of("b", "a", "c")];
+        assert!(keys[0] != keys[1] && keys[0] != keys[2]);
+        assert!(keys.iter().all(|key| key.len() == KEY_DIGITS));
+    }
+}

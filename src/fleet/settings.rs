@@ -1,0 +1,112 @@
+//! How logs are audited, as a name that the same settings have wherever they come from.
+
+use std::fs;
+use std::path::Path;
+
+use serde_json::{Value, json};
+
+use crate::Options;
+use crate::report::{Trouble, TroubleKind};
+
+/// The settings of an audit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AuditSettings {
+    /// Their hash: 16 digits.
+    pub hash: String,
+    /// What they are, for a reader.
+    pub said: Value,
+}
+
+/// Digits of the hash: 64 bits, as there are few settings.
+const DIGITS: usize = 16;
+
+impl AuditSettings {
+    /// The settings in `options`. Files that they name count by what is in them; where a log is, what
+    /// else is written and which severity fails do not count.
+    ///
+    /// # Errors
+    /// Where one of the files cannot be read.
+    pub fn of(options: &Options) -> Result<Self, Trouble> {
+        let Options { robots, calibrations, base, tip, stamp, .. } = options;
+        let robot = |robot: &crate::run::RobotSource| -> Result<Value, Trouble> {
+            let file = Path::new(&robot.model);
+            let model = match file.is_file() {
+                true => content_of(file)?,
+                false => robot.model.clone(),
+            };
+            Ok(json!({ "prefix": robot.prefix, "model": model }))
+        };
+        let calibration = |one: &crate::run::CalibrationSource| -> Result<Value, Trouble> {
+            Ok(json!({ "prefix": one.prefix, "file": content_of(&one.file)? }))
+        };
+        let config = options.config.as_deref();
+        // Lines of the config are told by its content; where it lies does not matter.
+        let place = config.map(|path| path.display().to_string()).filter(|path| !path.is_empty());
+        let shown = |text: String| match &place {
+            Some(place) => text.replace(place.as_str(), "config"),
+            None => text,
+        };
+        let said = json!({
+            "robots": robots.iter().map(robot).collect::<Result<Vec<_>, _>>()?,
+            "calibrations": calibrations.iter().map(calibration).collect::<Result<Vec<_>, _>>()?,
+            "base": base,
+            "tip": tip,
+            "stamp": format!("{stamp:?}"),
+            "max_latency_s": options.max_latency_s,
+            "verify": options.verify,
+            "declarations": shown(format!("{:?}", options.declarations)),
+            "topics": shown(format!("{:?}", options.topics)),
+            "rules": shown(format!("{:?}", options.rules)),
+            "config": config.map(content_of).transpose()?,
+            "corrections": options.corrections.as_deref().map(content_of).transpose()?,
+        });
+        let hash = blake3::hash(said.to_string().as_bytes()).to_hex()[..DIGITS].to_owned();
+        Ok(Self { hash, said })
+    }
+}
+
+/// The hash of a file's content.
+fn content_of(path: &Path) -> Result<String, Trouble> {
+    let bytes = fs::read(path).map_err(|error| Trouble {
+        kind: TroubleKind::Call,
+        what: format!("it cannot be read: {error}"),
+        place: path.display().to_string(),
+        remedy: "name a file that can be read".to_owned(),
+    })?;
+    Ok(format!("blake3:{}", blake3::hash(&bytes).to_hex()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+
+    #[test]
+    fn what_changes_an_audit_changes_the_hash_and_nothing_else_does() -> Result<(), Trouble> {
+        let plain = AuditSettings::of(&Options::default())?;
+        let same = Options {
+            logs: vec!["a.mcap".into()],
+            fail_on: None,
+            figures: true,
+            ..Options::default()
+        };
+        assert_eq!(AuditSettings::of(&same)?, plain);
+        let other = Options { max_latency_s: 4.0, ..Options::default() };
+        assert_ne!(AuditSettings::of(&other)?.hash, plain.hash);
+        Ok(())
+    }
+
+    #[test]
+    fn a_config_counts_by_what_is_in_it() -> Result<(), Trouble> {
+        let folder = tempfile::tempdir().expect("a folder");
+        let of = |name: &str, text: &str| {
+            let path = folder.path().join(name);
+            fs::write(&path, text).expect("a file");
+            AuditSettings::of(&Config::from_file(&path)?.options())
+        };
+        let text = "[stream.\"/tcp\"]\nconvention = \"rotvec\"\n";
+        assert_eq!(of("a.toml", text)?, of("b.toml", text)?);
+        assert_ne!(of("a.toml", text)?, of("a.toml", &text.replace("rotvec", "euler:xyz"))?);
+        Ok(())
+    }
+}

@@ -1,0 +1,209 @@
+//! From what is named on a command line to logs.
+
+use std::fs::{self, File};
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+use walkdir::{DirEntry, WalkDir};
+
+use crate::log;
+use crate::report::{Trouble, TroubleKind};
+
+/// Where one log is.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Source {
+    /// Its absolute path: a file, or the folder of a rosbag2 recording.
+    pub path: PathBuf,
+}
+
+/// Endings of logs. A file of such a name is a log even where its bytes do not say so, so that one that
+/// is empty or cut off within its first bytes is not passed over.
+const ENDINGS: &[&str] = &[
+    ".mcap",
+    ".bag",
+    ".bag.active",
+    ".db3",
+    ".mcap.zst",
+    ".mcap.zstd",
+    ".bag.zst",
+    ".db3.zst",
+    ".db3.zstd",
+];
+
+/// What a rosbag2 recording has in its folder.
+const METADATA: &str = "metadata.yaml";
+
+/// The logs that `wanted` names, each once, in the order of their paths: files; folders, with all that
+/// is in them; patterns such as `runs/*/*.mcap`; and for `-` what `list` holds, one path a line, or with
+/// a zero byte behind each.
+///
+/// Whatever is named by itself is a log, also where it cannot be read: that is said in its row. In a
+/// folder a log is what its first bytes or its ending say is one; hidden files are passed over.
+///
+/// # Errors
+/// Where something named by itself is not there, a pattern is none, or there is no log at all.
+pub fn sources(wanted: &[String], mut list: impl Read) -> Result<Vec<Source>, Trouble> {
+    let mut found = Vec::new();
+    for named in wanted {
+        let before = found.len();
+        match named.as_str() {
+            "-" => {
+                let mut text = Vec::new();
+                let read = list.read_to_end(&mut text);
+                read.map_err(|error| trouble("-", format!("stdin cannot be read: {error}")))?;
+                for path in listed(&text) {
+                    of_path(&path, &mut found);
+                }
+            }
+            path if fs::symlink_metadata(path).is_ok() => of_path(Path::new(path), &mut found),
+            pattern if pattern.contains(['*', '?', '[']) => {
+                let paths = glob::glob(pattern)
+                    .map_err(|error| trouble(pattern, format!("it is no pattern: {error}")))?;
+                // What a pattern cannot look into holds nothing that it names.
+                paths.filter_map(Result::ok).for_each(|path| of_path(&path, &mut found));
+            }
+            path => return Err(trouble(path, "no such file or folder".to_owned())),
+        }
+        if found.len() == before {
+            return Err(trouble(named, "there is no log in it".to_owned()));
+        }
+    }
+    found.sort();
+    found.dedup();
+    Ok(found)
+}
+
+/// The paths of a list.
+fn listed(text: &[u8]) -> Vec<PathBuf> {
+    let separator = if text.contains(&0) { 0 } else { b'\n' };
+    let lines = text.split(|&byte| byte == separator);
+    let lines = lines.map(|line| line.strip_suffix(b"\r").unwrap_or(line));
+    lines.filter(|line| !line.is_empty()).map(path_of).collect()
+}
+
+#[cfg(unix)]
+fn path_of(bytes: &[u8]) -> PathBuf {
+    use std::os::unix::ffi::OsStrExt;
+    PathBuf::from(std::ffi::OsStr::from_bytes(bytes))
+}
+
+#[cfg(not(unix))]
+fn path_of(bytes: &[u8]) -> PathBuf {
+    PathBuf::from(String::from_utf8_lossy(bytes).into_owned())
+}
+
+/// The logs at `path`, which was named by itself.
+fn of_path(path: &Path, found: &mut Vec<Source>) {
+    if !path.is_dir() || is_recording(path) {
+        found.push(Source { path: absolute(path) });
+        return;
+    }
+    let is_shown = |entry: &DirEntry| {
+        entry.depth() == 0 || !entry.file_name().as_encoded_bytes().starts_with(b".")
+    };
+    let mut entries = WalkDir::new(path)
+        .follow_links(true)
+        .sort_by_file_name()
+        .into_iter()
+        .filter_entry(is_shown);
+    // A folder that cannot be looked into, or a link in a circle, has nothing to say.
+    while let Some(entry) = entries.next() {
+        let Ok(entry) = entry else { continue };
+        let is_folder = entry.file_type().is_dir();
+        if is_folder && is_recording(entry.path()) {
+            entries.skip_current_dir();
+            found.push(Source { path: absolute(entry.path()) });
+        } else if !is_folder && is_log(entry.path()) {
+            found.push(Source { path: absolute(entry.path()) });
+        }
+    }
+}
+
+fn absolute(path: &Path) -> PathBuf {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
+}
+
+/// Whether a folder is one rosbag2 recording.
+fn is_recording(folder: &Path) -> bool {
+    let is_part = |entry: io::Result<fs::DirEntry>| {
+        let name = entry.map(|entry| entry.file_name().to_string_lossy().into_owned());
+        name.is_ok_and(|name| name.contains(".db3") || name.contains(".mcap"))
+    };
+    folder.join(METADATA).is_file()
+        && fs::read_dir(folder).is_ok_and(|mut entries| entries.any(is_part))
+}
+
+/// Whether a file in a folder is a log.
+fn is_log(path: &Path) -> bool {
+    let name = path.file_name().map(|name| name.to_string_lossy().to_ascii_lowercase());
+    let name = name.unwrap_or_default();
+    if ENDINGS.iter().any(|ending| name.ends_with(ending)) {
+        return true;
+    }
+    let is_file = fs::metadata(path).is_ok_and(|metadata| metadata.is_file());
+    let mut head = Vec::new();
+    let read = |head: &mut Vec<u8>| File::open(path)?.take(log::HEAD_BYTES).read_to_end(head);
+    is_file && read(&mut head).is_ok() && log::looks_like_log(&head)
+}
+
+fn trouble(place: &str, what: String) -> Trouble {
+    let remedy = "name logs, folders of logs, a pattern in quotes, or - for a list on stdin";
+    Trouble { kind: TroubleKind::Call, what, place: place.to_owned(), remedy: remedy.to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(found: &[Source], folder: &Path) -> Vec<String> {
+        let inside = |source: &Source| source.path.strip_prefix(folder).map(Path::to_owned);
+        found.iter().filter_map(|it| Some(inside(it).ok()?.display().to_string())).collect()
+    }
+
+    #[test]
+    fn a_folder_is_all_logs_in_it_and_nothing_else() -> io::Result<()> {
+        let folder = tempfile::tempdir()?;
+        let at = |name: &str| folder.path().join(name);
+        fs::create_dir_all(at("a/bag"))?;
+        fs::create_dir_all(at("a/.hidden"))?;
+        fs::write(at("a/empty.mcap"), "")?;
+        fs::write(at("a/nameless"), b"\x89MCAP0\r\n")?;
+        fs::write(at("a/notes.txt"), "to do")?;
+        fs::write(at("a/other.csv"), "x,y\n1,2\n")?;
+        fs::write(at("a/robot.csv"), "timestamp actual_q_0 actual_q_1\n0.0 1.0 2.0\n")?;
+        fs::write(at("a/.hidden/x.mcap"), "")?;
+        fs::write(at("a/bag/metadata.yaml"), "")?;
+        fs::write(at("a/bag/bag_0.db3"), "")?;
+        let named = folder.path().join("a").display().to_string();
+        let found = sources(&[named], io::empty()).expect("logs");
+        let expected = ["a/bag", "a/empty.mcap", "a/nameless", "a/robot.csv"];
+        assert_eq!(names(&found, folder.path()), expected);
+        Ok(())
+    }
+
+    #[test]
+    fn a_list_and_a_pattern_name_each_log_once() -> io::Result<()> {
+        let folder = tempfile::tempdir()?;
+        let at = |name: &str| folder.path().join(name).display().to_string();
+        for name in ["1.mcap", "2.mcap", "3.bag"] {
+            fs::write(at(name), "")?;
+        }
+        let list = format!("{}\r\n\n{}\n", at("1.mcap"), at("gone.mcap"));
+        let wanted = [at("*.mcap"), "-".to_owned()];
+        let found = sources(&wanted, list.as_bytes()).expect("logs");
+        assert_eq!(names(&found, folder.path()), ["1.mcap", "2.mcap", "gone.mcap"]);
+        let zeros = format!("{}\0{}\0", at("3.bag"), at("1.mcap"));
+        assert_eq!(sources(&["-".to_owned()], zeros.as_bytes()).expect("logs").len(), 2);
+        Ok(())
+    }
+
+    #[test]
+    fn what_names_nothing_is_a_wrong_call() {
+        let empty = tempfile::tempdir().expect("a folder");
+        let empty = empty.path().display().to_string();
+        for wanted in ["no/such", "no/such/*.mcap", "-", empty.as_str()] {
+            let refused = sources(&[wanted.to_owned()], io::empty()).expect_err(wanted);
+            assert_eq!((refused.kind, refused.place.as_str()), (TroubleKind::Call, wanted));
+        }
+    }
+}

@@ -1,0 +1,140 @@
+//! Few parts out of many.
+//!
+//! A hundred parts of one level become one of the next, so that a row is rewritten once for every
+//! factor of a hundred in the number of logs. Rows of logs that another call may try again stay where
+//! they are. The new part is there before the old ones are deleted; what stands in both after a crash
+//! is deleted by the next call.
+
+use std::collections::HashSet;
+use std::fs::{File, TryLockError};
+use std::path::PathBuf;
+
+use polars::prelude::DataFrame;
+
+use super::{Status, Store, StoreError, TABLES, Table, parts};
+
+/// So many parts of a level become one.
+const MANY: usize = 100;
+
+impl Store {
+    /// Makes few parts out of many, where there are many and no other process is at it.
+    ///
+    /// # Errors
+    /// Where a part cannot be read or written.
+    pub fn compact(&self) -> Result<(), StoreError> {
+        let path = self.path().join(".lock");
+        let fault = |source| StoreError::File { path: path.clone(), source };
+        let lock = File::create(&path).map_err(fault)?;
+        match lock.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => return Ok(()),
+            // Some shared folders know no locks: their parts stay many.
+            Err(TryLockError::Error(_)) => return Ok(()),
+        }
+        self.merge_logs()?;
+        self.merge_level(Table::Sources, 0)?;
+        for table in TABLES.into_iter().chain([Table::Sources]) {
+            for level in 1.. {
+                if !self.merge_level(table, level)? {
+                    break;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Merges the parts of single logs that are done for good, all tables of a log in one go.
+    fn merge_logs(&self) -> Result<(), StoreError> {
+        let runs = parts::of(&self.folder.of(Table::Runs))?;
+        let single: Vec<&PathBuf> = runs.iter().filter(|path| parts::level(path) == 0).collect();
+        if single.len() < MANY {
+            return Ok(());
+        }
+        let mut merged = HashSet::new();
+        for path in runs.iter().filter(|path| parts::level(path) > 0) {
+            merged.extend(self.keys_in(path)?);
+        }
+        let (mut keys, mut doubled) = (Vec::new(), Vec::new());
+        for path in single {
+            let Some(key) = parts::key(path) else { continue };
+            let frame = match parts::read(path, Some(&["status"])) {
+                Err(error) if error.is_gone() => continue,
+                frame => frame?,
+            };
+            let status = frame
+                .column("status")
+                .and_then(|column| column.str().map(|it| it.get(0).map(str::to_owned)));
+            let status = status
+                .map_err(|source| StoreError::Content { path: path.clone(), source })?
+                .and_then(|name| Status::named(&name));
+            match status.is_some_and(Status::is_final) {
+                true if merged.contains(key) => doubled.push(key.to_owned()),
+                true => keys.push(key.to_owned()),
+                false => {}
+            }
+        }
+        for key in &doubled {
+            self.forget(key)?;
+        }
+        if keys.len() < MANY {
+            return Ok(());
+        }
+        let together = parts::together(keys.iter().map(String::as_str));
+        for table in TABLES {
+            let folder = self.folder.of(table);
+            let paths = keys.iter().map(|key| folder.join(parts::name(key)));
+            self.merge(table, paths.filter(|path| path.is_file()).collect(), 1, &together)?;
+        }
+        Ok(())
+    }
+
+    /// Merges the parts of one level of a table, where they are many.
+    fn merge_level(&self, table: Table, level: u32) -> Result<bool, StoreError> {
+        let all = parts::of(&self.folder.of(table))?;
+        let alike: Vec<PathBuf> =
+            all.into_iter().filter(|path| parts::level(path) == level).collect();
+        if alike.len() < MANY {
+            return Ok(false);
+        }
+        let names = alike.iter().filter_map(|path| path.file_stem()?.to_str());
+        let together = parts::together(names);
+        self.merge(table, alike, level + 1, &together)?;
+        Ok(true)
+    }
+
+    /// Makes one part of these, and deletes them once it is there.
+    fn merge(
+        &self,
+        table: Table,
+        paths: Vec<PathBuf>,
+        level: u32,
+        together: &str,
+    ) -> Result<(), StoreError> {
+        let mut whole: Option<DataFrame> = None;
+        for path in &paths {
+            let frame = parts::read(path, None)?;
+            match &mut whole {
+                None => whole = Some(frame),
+                Some(whole) => {
+                    let grown = whole.vstack_mut(&frame);
+                    grown.map_err(|source| StoreError::Content { path: path.clone(), source })?;
+                }
+            }
+        }
+        let Some(mut whole) = whole else { return Ok(()) };
+        whole.rechunk_mut();
+        let path = self.folder.of(table).join(parts::merged_name(level, together));
+        parts::write(&path, &mut whole)?;
+        paths.iter().try_for_each(|path| parts::remove(path))
+    }
+
+    fn keys_in(&self, path: &PathBuf) -> Result<HashSet<String>, StoreError> {
+        let frame = match parts::read(path, Some(&["key"])) {
+            Err(error) if error.is_gone() => return Ok(HashSet::new()),
+            frame => frame?,
+        };
+        let keys = frame.column("key").and_then(|column| Ok(column.str()?.clone()));
+        let keys = keys.map_err(|source| StoreError::Content { path: path.clone(), source })?;
+        Ok(keys.iter().flatten().map(str::to_owned).collect())
+    }
+}

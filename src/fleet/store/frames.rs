@@ -1,0 +1,215 @@
+//! The rows of one log, as frames. `docs/fleet.md` lists the columns.
+
+use polars::prelude::{Column, DataFrame, NamedFrom, PolarsError, PolarsResult, Series};
+use serde::Serialize;
+
+use super::{Status, TABLES, Table};
+use crate::finding::{Finding, Severity, Status as Decided};
+use crate::fleet::task::{Answer, Task};
+use crate::report::{Report, StreamRow, Trouble, Verdict};
+use crate::tables::{checks_frame, findings_frame};
+use crate::time::Stamp;
+
+/// The columns of `runs` that an [`Answer`] is read from, and the key.
+pub const ANSWER_COLUMNS: &[&str] = &["key", "status", "verdict", "errors", "warnings", "infos"];
+
+/// The rows of one log.
+#[derive(Debug)]
+pub struct Tables {
+    frames: Vec<(Table, DataFrame)>,
+}
+
+/// What the row of `runs` says beside the report.
+#[derive(Clone, Copy, Debug)]
+pub struct Row<'a> {
+    /// Which log it is.
+    pub task: &'a Task,
+    /// How its audit ended.
+    pub answer: &'a Answer,
+}
+
+impl Tables {
+    /// The rows of a log that was read. `trouble` is what kept the audit from saying more.
+    ///
+    /// # Errors
+    /// None that a report can cause.
+    pub fn of(row: Row<'_>, report: &Report, trouble: Option<&Trouble>) -> PolarsResult<Self> {
+        let key = row.task.key.as_str();
+        let ignored = report.ignored.iter().map(|ignored| &ignored.finding);
+        let findings: Vec<Finding> = report.findings.iter().chain(ignored).cloned().collect();
+        let mut found = findings_frame(&findings)?;
+        let counted = report.findings.iter().map(|_| None);
+        let reasons = report.ignored.iter().map(|ignored| Some(ignored.reason.as_str()));
+        found.with_column(text("ignored_because", counted.chain(reasons)))?;
+        let frames = TABLES.into_iter().map(|table| {
+            let frame = match table {
+                Table::Streams => numbered(key, streams_frame(&report.streams)?)?,
+                Table::Checks => numbered(key, checks_frame(&report.checks)?)?,
+                Table::Findings => numbered(key, found.clone())?,
+                Table::Errors => errors_frame(row, trouble)?,
+                Table::Runs | Table::Sources => runs_frame(row, Some(report))?,
+            };
+            Ok((table, frame))
+        });
+        Ok(Self { frames: frames.collect::<PolarsResult<_>>()? })
+    }
+
+    /// The rows of a log on which there is no report.
+    ///
+    /// # Errors
+    /// None that can be caused.
+    pub fn of_trouble(row: Row<'_>, trouble: &Trouble) -> PolarsResult<Self> {
+        let frames = TABLES.into_iter().map(|table| {
+            let frame = match table {
+                Table::Errors => errors_frame(row, Some(trouble))?,
+                Table::Runs => runs_frame(row, None)?,
+                _ => DataFrame::empty(),
+            };
+            Ok((table, frame))
+        });
+        Ok(Self { frames: frames.collect::<PolarsResult<_>>()? })
+    }
+
+    pub(super) fn into_frames(self) -> Vec<(Table, DataFrame)> {
+        self.frames
+    }
+}
+
+/// The answers in a part of `runs`, by key. A status that is not known is one to try again.
+pub fn answers(frame: &DataFrame) -> PolarsResult<Vec<(String, Answer)>> {
+    let text = |name: &str| Ok::<_, PolarsError>(frame.column(name)?.str()?.iter());
+    let count = |name: &str| -> PolarsResult<Vec<u32>> {
+        Ok(frame.column(name)?.u32()?.iter().map(Option::unwrap_or_default).collect())
+    };
+    let counts = [count("errors")?, count("warnings")?, count("infos")?];
+    let rows = text("key")?.zip(text("status")?).zip(text("verdict")?).enumerate();
+    let answers = rows.filter_map(|(row, ((key, status), verdict))| {
+        let answer = Answer {
+            status: status.and_then(Status::named).unwrap_or(Status::Unreadable),
+            verdict: verdict.and_then(Verdict::named),
+            errors: counts[0][row],
+            warnings: counts[1][row],
+            infos: counts[2][row],
+        };
+        Some((key?.to_owned(), answer))
+    });
+    Ok(answers.collect())
+}
+
+fn runs_frame(row: Row<'_>, report: Option<&Report>) -> PolarsResult<DataFrame> {
+    let Row { task, answer } = row;
+    let log = report.map(|report| &report.log);
+    let robots = report.map(|report| report.robots.as_slice()).unwrap_or_default();
+    let names: Vec<&str> = robots.iter().map(|robot| robot.name.as_str()).collect();
+    let of_label = |name: &str| task.labels.get(name).map(String::as_str);
+    let stamp = |of: Option<Stamp>| of.map(Stamp::nanos);
+    let open = |report: &Report| {
+        let open = report.checks.iter().filter(|check| check.status == Decided::Inconclusive);
+        open.count() as u32
+    };
+    DataFrame::new(
+        1,
+        vec![
+            one("key", task.key.as_str()),
+            one("path", task.path.as_str()),
+            one("content", task.content.as_str()),
+            one("version", task.version.as_str()),
+            one("settings", task.settings.as_str()),
+            one("bytes", task.bytes),
+            one("mtime_ns", task.mtime_ns),
+            one("site", of_label("site")),
+            one("arm", of_label("arm")),
+            one("labels_json", as_json(&task.labels)),
+            one("status", answer.status.name()),
+            one("verdict", answer.verdict.map(Verdict::name)),
+            one("errors", answer.errors),
+            one("warnings", answer.warnings),
+            one("infos", answer.infos),
+            one("inconclusive", report.map(open)),
+            one("container", log.and_then(|log| Some(log.files.first()?.container))),
+            one("messages", log.map(|log| log.messages)),
+            one("start_ns", log.and_then(|log| stamp(log.start_ns))),
+            one("end_ns", log.and_then(|log| stamp(log.end_ns))),
+            one("duration_s", log.and_then(|log| log.duration_s)),
+            one("robots", (!names.is_empty()).then(|| names.join(", "))),
+            one("robots_json", as_json(&robots)),
+            one("notes_json", as_json(&log.map(|log| &log.notes))),
+        ],
+    )
+}
+
+fn streams_frame(streams: &[StreamRow]) -> PolarsResult<DataFrame> {
+    let of = |name: &str, of: fn(&StreamRow) -> Option<&str>| text(name, streams.iter().map(of));
+    let count = |name: &str, of: fn(&StreamRow) -> u64| {
+        Column::new(name.into(), streams.iter().map(of).collect::<Vec<_>>())
+    };
+    let stamp = |name: &str, of: fn(&StreamRow) -> Option<Stamp>| {
+        let stamps = streams.iter().map(|row| of(row).map(Stamp::nanos));
+        Column::new(name.into(), stamps.collect::<Vec<Option<i64>>>())
+    };
+    let rates: Vec<Option<f64>> = streams.iter().map(|row| row.rate_hz).collect();
+    DataFrame::new(
+        streams.len(),
+        vec![
+            of("topic", |row| Some(&row.topic)),
+            of("type", |row| Some(&row.type_name)),
+            of("role", |row| Some(row.role)),
+            of("reason", |row| Some(&row.reason)),
+            of("robot", |row| row.robot.as_deref()),
+            of("frame_id", |row| row.frame_id.as_deref()),
+            of("child_frame_id", |row| row.child_frame_id.as_deref()),
+            of("reference", |row| row.reference.as_deref()),
+            of("link", |row| row.link.as_deref()),
+            of("witness", |row| row.witness),
+            count("count", |row| row.count),
+            count("dropped", |row| row.dropped),
+            Column::new("rate_hz".into(), rates),
+            stamp("start_ns", |row| row.start_ns),
+            stamp("end_ns", |row| row.end_ns),
+        ],
+    )
+}
+
+fn errors_frame(row: Row<'_>, trouble: Option<&Trouble>) -> PolarsResult<DataFrame> {
+    let Some(trouble) = trouble else { return Ok(DataFrame::empty()) };
+    let columns = vec![
+        one("path", row.task.path.as_str()),
+        one("status", row.answer.status.name()),
+        one("what", trouble.what.as_str()),
+        one("where", trouble.place.as_str()),
+        one("do", trouble.remedy.as_str()),
+    ];
+    numbered(&row.task.key, DataFrame::new(1, columns)?)
+}
+
+/// A frame with the key of its log and the number of the row before the other columns: together they
+/// name a row, whichever part it stands in.
+fn numbered(key: &str, mut frame: DataFrame) -> PolarsResult<DataFrame> {
+    let rows = frame.height();
+    let numbers: Vec<u32> = (0..rows as u32).collect();
+    frame.insert_column(0, Column::new("key".into(), vec![key; rows]))?;
+    frame.insert_column(1, Column::new("row".into(), numbers))?;
+    Ok(frame)
+}
+
+fn text<'a>(name: &str, values: impl Iterator<Item = Option<&'a str>>) -> Column {
+    Column::new(name.into(), values.collect::<Vec<_>>())
+}
+
+/// A column of one row.
+fn one<T, P: ?Sized>(name: &str, value: T) -> Column
+where
+    Series: NamedFrom<Vec<T>, P>,
+{
+    Column::new(name.into(), vec![value])
+}
+
+/// What is written into tables has string keys and finite numbers only, which JSON always takes.
+fn as_json(value: &impl Serialize) -> String {
+    serde_json::to_string(value).unwrap_or_default()
+}
+
+/// How many findings of a severity count.
+pub(in crate::fleet) fn found(report: &Report, severity: Severity) -> u32 {
+    report.findings.iter().filter(|finding| finding.severity == severity).count() as u32
+}

@@ -1,0 +1,119 @@
+//! The files of a table.
+
+use std::fs::{self, File};
+use std::io::{self, BufWriter};
+use std::path::{Path, PathBuf};
+
+use polars::prelude::{
+    DataFrame, ParquetCompression, ParquetReader, ParquetWriter, PolarsError, SerReader,
+};
+
+use super::StoreError;
+
+const ENDING: &str = ".parquet";
+
+/// What the name of a part begins with that was made of others, before its level.
+const MERGED: &str = "merged-";
+
+/// How often a folder is looked through whose parts are merged meanwhile.
+pub const MOST_TRIES: usize = 5;
+
+/// Name of the part of one log, or of some that have a name together.
+pub fn name(key: &str) -> String {
+    format!("{key}{ENDING}")
+}
+
+/// Name of a part that is made of those with these keys.
+pub fn merged_name(level: u32, keys: &str) -> String {
+    format!("{MERGED}{level}-{keys}{ENDING}")
+}
+
+/// A name for several keys together, whatever their order.
+pub fn together<'a>(keys: impl IntoIterator<Item = &'a str>) -> String {
+    let mut keys: Vec<&str> = keys.into_iter().collect();
+    keys.sort_unstable();
+    blake3::hash(keys.join("\n").as_bytes()).to_hex()[..32].to_owned()
+}
+
+/// How often the rows of a part have been merged; 0 for those of one log.
+pub fn level(path: &Path) -> u32 {
+    let level =
+        || path.file_stem()?.to_str()?.strip_prefix(MERGED)?.split('-').next()?.parse().ok();
+    level().unwrap_or(0)
+}
+
+/// The key in the name of a part of one log.
+pub fn key(path: &Path) -> Option<&str> {
+    path.file_stem()?.to_str().filter(|_| level(path) == 0)
+}
+
+/// The parts in a folder, in the order of their names. What is being written has another ending.
+pub fn of(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
+    let fault = |source| StoreError::File { path: folder.to_owned(), source };
+    let entries = match fs::read_dir(folder) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries.map_err(fault)?,
+    };
+    let mut parts = Vec::new();
+    for entry in entries {
+        let path = entry.map_err(fault)?.path();
+        let is_part = |name: &str| name.ends_with(ENDING) && !name.starts_with('.');
+        if path.file_name().and_then(|name| name.to_str()).is_some_and(is_part) {
+            parts.push(path);
+        }
+    }
+    parts.sort();
+    Ok(parts)
+}
+
+/// Reads a part, or those of its columns that are named.
+pub fn read(path: &Path, columns: Option<&[&str]>) -> Result<DataFrame, StoreError> {
+    let file =
+        File::open(path).map_err(|source| StoreError::File { path: path.to_owned(), source })?;
+    let columns = columns.map(|names| names.iter().map(|name| (*name).to_owned()).collect());
+    let reader = ParquetReader::new(file).with_columns(columns);
+    reader.finish().map_err(|source| StoreError::Content { path: path.to_owned(), source })
+}
+
+/// Has `frame` take its place at `path` once it is whole and on the disk.
+pub fn write(path: &Path, frame: &mut DataFrame) -> Result<(), StoreError> {
+    crate::report::write_whole(path, |staged| write_durably(staged, frame)).map_err(|fault| {
+        match fault {
+            Fault::File(source) => StoreError::File { path: path.to_owned(), source },
+            Fault::Frame(source) => StoreError::Content { path: path.to_owned(), source },
+        }
+    })?;
+    // That the new name outlives a loss of power, too; not every system can be asked for it.
+    if let Some(Ok(folder)) = path.parent().map(File::open) {
+        let _ = folder.sync_all();
+    }
+    Ok(())
+}
+
+/// Deletes a part, if it is there.
+pub fn remove(path: &Path) -> Result<(), StoreError> {
+    match fs::remove_file(path) {
+        Err(source) if source.kind() != io::ErrorKind::NotFound => {
+            Err(StoreError::File { path: path.to_owned(), source })
+        }
+        _ => Ok(()),
+    }
+}
+
+fn write_durably(path: &Path, frame: &mut DataFrame) -> Result<(), Fault> {
+    let file = File::create(path)?;
+    let to_disk = file.try_clone()?;
+    ParquetWriter::new(BufWriter::new(file))
+        .with_compression(ParquetCompression::Zstd(None))
+        .finish(frame)?;
+    to_disk.sync_all()?;
+    Ok(())
+}
+
+#[derive(Debug, thiserror::Error)]
+enum Fault {
+    #[error(transparent)]
+    File(#[from] io::Error),
+    #[error(transparent)]
+    Frame(#[from] PolarsError),
+}

@@ -1,0 +1,191 @@
+//! One log of a fleet: what is asked of it, and how it ended.
+
+use std::any::Any;
+use std::panic::{self, AssertUnwindSafe};
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use polars::prelude::PolarsError;
+use serde::{Deserialize, Serialize};
+
+use super::labels::Labels;
+use super::store::{Row, Status, Store, StoreError, Tables, found};
+use crate::finding::Severity;
+use crate::report::{Report, Trouble, TroubleKind, Verdict};
+use crate::{Options, audit};
+
+/// A log to audit, and under which key its rows are kept.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Task {
+    /// The key of its rows.
+    pub key: String,
+    /// Its path, as the tables name it.
+    pub path: String,
+    /// The name of its content.
+    pub content: String,
+    /// Version of the program.
+    pub version: String,
+    /// Hash of the settings.
+    pub settings: String,
+    /// Size of its files.
+    pub bytes: u64,
+    /// When one of them was last changed, ns since 1970.
+    pub mtime_ns: i64,
+    /// Which site, arm or anything else it is of.
+    pub labels: Labels,
+}
+
+/// How the audit of a log ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Answer {
+    /// Whether it was audited.
+    pub status: Status,
+    /// What the report says where warnings fail a run.
+    pub verdict: Option<Verdict>,
+    /// Findings that are errors, …
+    pub errors: u32,
+    /// … warnings …
+    pub warnings: u32,
+    /// … and worth knowing.
+    pub infos: u32,
+}
+
+impl Answer {
+    /// The answer where there is no report.
+    pub const fn without_report(status: Status) -> Self {
+        Self { status, verdict: None, errors: 0, warnings: 0, infos: 0 }
+    }
+
+    /// Whether findings of severity `fail_on` or above were found.
+    pub fn fails(&self, fail_on: Option<Severity>) -> bool {
+        match fail_on {
+            None => false,
+            Some(Severity::Error) => self.errors > 0,
+            Some(Severity::Warning) => self.errors + self.warnings > 0,
+            Some(Severity::Info) => self.errors + self.warnings + self.infos > 0,
+        }
+    }
+}
+
+/// Audits the log at `path` as `options` say, and puts its rows into `store`. A panic is caught, and
+/// becomes its row.
+///
+/// # Errors
+/// Where its rows cannot be written.
+pub fn settle(
+    path: &Path,
+    task: &Task,
+    options: &Options,
+    store: &Store,
+) -> Result<Answer, StoreError> {
+    let options = Options {
+        logs: vec![path.to_owned()],
+        fail_on: Some(Severity::Warning),
+        fix: None,
+        recording: None,
+        tables: None,
+        figures: false,
+        ..options.clone()
+    };
+    let (answer, tables) = match caught(|| audit(&options)) {
+        Ok(Ok(report)) => of_report(task, &report),
+        Ok(Err(trouble)) => of_trouble(task, Status::NotAudited, &trouble),
+        Err(panic) => of_trouble(task, Status::Crashed, &crashed(task, panic)),
+    };
+    let tables = tables.map_err(|source| StoreError::Content { path: path.to_owned(), source })?;
+    store.commit(&task.key, tables)?;
+    Ok(answer)
+}
+
+fn of_report(task: &Task, report: &Report) -> (Answer, Result<Tables, PolarsError>) {
+    let trouble = report.error.as_ref();
+    let answer = Answer {
+        status: if trouble.is_some() { Status::NotAudited } else { Status::Audited },
+        verdict: trouble.is_none().then_some(report.verdict),
+        errors: found(report, Severity::Error),
+        warnings: found(report, Severity::Warning),
+        infos: found(report, Severity::Info),
+    };
+    (answer, Tables::of(Row { task, answer: &answer }, report, trouble))
+}
+
+fn of_trouble(
+    task: &Task,
+    status: Status,
+    trouble: &Trouble,
+) -> (Answer, Result<Tables, PolarsError>) {
+    let answer = Answer::without_report(status);
+    (answer, Tables::of_trouble(Row { task, answer: &answer }, trouble))
+}
+
+/// Puts the row of a log into `store` on which there is no report.
+///
+/// # Errors
+/// Where it cannot be written.
+pub fn give_up(
+    task: &Task,
+    status: Status,
+    trouble: &Trouble,
+    store: &Store,
+) -> Result<Answer, StoreError> {
+    let (answer, tables) = of_trouble(task, status, trouble);
+    let path = || store.path().to_owned();
+    let tables = tables.map_err(|source| StoreError::Content { path: path(), source })?;
+    store.commit(&task.key, tables)?;
+    Ok(answer)
+}
+
+/// The trouble with a log that makes the program fail.
+pub fn crashed(task: &Task, what: String) -> Trouble {
+    Trouble {
+        kind: TroubleKind::Log,
+        what,
+        place: task.path.clone(),
+        remedy: "report this as a bug, with the log".to_owned(),
+    }
+}
+
+/// What `work` returns, or what it said when it panicked.
+fn caught<T>(work: impl FnOnce() -> T) -> Result<T, String> {
+    let said = Arc::new(Mutex::new(None));
+    let before = panic::take_hook();
+    let hears = Arc::clone(&said);
+    panic::set_hook(Box::new(move |info| {
+        let mut said = hears.lock().unwrap_or_else(PoisonError::into_inner);
+        let place = info.location().map(|at| format!(" ({}:{})", at.file(), at.line()));
+        said.get_or_insert(format!("{}{}", message(info.payload()), place.unwrap_or_default()));
+    }));
+    let done = panic::catch_unwind(AssertUnwindSafe(work));
+    panic::set_hook(before);
+    done.map_err(|payload| {
+        let said = said.lock().unwrap_or_else(PoisonError::into_inner).take();
+        format!("the audit failed: {}", said.unwrap_or_else(|| message(payload.as_ref())))
+    })
+}
+
+fn message(payload: &(dyn Any + Send)) -> String {
+    let text = payload.downcast_ref::<String>().map(String::as_str);
+    let text = text.or_else(|| payload.downcast_ref::<&str>().copied());
+    text.unwrap_or("no reason given").lines().next().unwrap_or_default().to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panic_is_told_in_one_line_with_its_place() {
+        let told = caught(|| -> u32 { panic!("index {} is out of bounds\nmore", 7) });
+        let told = told.expect_err("a panic");
+        assert!(told.starts_with("the audit failed: index 7 is out of bounds ("), "{told}");
+        assert!(told.contains("task.rs:") && !told.contains('\n'), "{told}");
+        assert_eq!(caught(|| 3), Ok(3));
+    }
+
+    #[test]
+    fn what_fails_is_what_the_caller_says() {
+        let answer = Answer { warnings: 1, ..Answer::without_report(Status::Audited) };
+        let fails = |fail_on| answer.fails(fail_on);
+        assert!(fails(Some(Severity::Warning)) && !fails(Some(Severity::Error)) && !fails(None));
+    }
+}

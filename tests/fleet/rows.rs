@@ -1,0 +1,67 @@
+//! What is in the folder of results, as any reader of Parquet sees it.
+
+use std::collections::{BTreeMap, HashSet};
+use std::fs::{self, File};
+use std::path::Path;
+
+use anyhow::Result;
+use polars::prelude::{DataFrame, ParquetReader, SerReader};
+
+/// The tables of logs, each with all its parts.
+pub struct Rows(BTreeMap<String, DataFrame>);
+
+impl Rows {
+    /// Reads whatever has the name of a part; that must be whole.
+    pub fn of(folder: &Path) -> Result<Self> {
+        let mut tables = BTreeMap::new();
+        for table in ["runs", "streams", "checks", "findings", "errors"] {
+            let mut whole = DataFrame::empty();
+            let mut parts = Vec::new();
+            for part in fs::read_dir(folder.join(table))? {
+                parts.push(part?.path());
+            }
+            parts.retain(|path| path.extension().is_some_and(|ending| ending == "parquet"));
+            parts.sort();
+            for path in parts {
+                let part = ParquetReader::new(File::open(&path)?).finish()?;
+                if whole.width() == 0 {
+                    whole = part;
+                } else {
+                    whole.vstack_mut(&part)?;
+                }
+            }
+            tables.insert(table.to_owned(), whole);
+        }
+        Ok(Self(tables))
+    }
+
+    /// A column of texts; what is null is left out.
+    pub fn texts(&self, table: &str, column: &str) -> Vec<String> {
+        let column = self.0[table].column(column).and_then(|column| column.str().cloned());
+        column.map_or(Vec::new(), |texts| texts.iter().flatten().map(str::to_owned).collect())
+    }
+
+    /// The keys of all rows.
+    pub fn keys(&self, table: &str) -> Vec<String> {
+        self.texts(table, "key")
+    }
+
+    /// How many logs have rows.
+    pub fn distinct(&self, table: &str) -> usize {
+        self.keys(table).into_iter().collect::<HashSet<_>>().len()
+    }
+
+    /// Whether no row stands there twice.
+    pub fn has_no_doubles(&self, table: &str) -> bool {
+        let numbers = self.0[table].column("row").and_then(|column| column.u32().cloned());
+        let Ok(numbers) = numbers else { return false };
+        let mut seen = HashSet::new();
+        self.keys(table).into_iter().zip(numbers.iter()).all(|row| seen.insert(row))
+    }
+
+    /// The key of the log at a path that ends so.
+    pub fn key_of(&self, ending: &str) -> Option<String> {
+        let at = self.texts("runs", "path").iter().position(|path| path.ends_with(ending))?;
+        self.keys("runs").get(at).cloned()
+    }
+}
