@@ -61,7 +61,7 @@ def run(
             stderr=None if shows_progress else subprocess.PIPE,
             text=True,
             encoding="utf-8",
-            errors="replace",
+            errors="surrogateescape",
         )
     except OSError as error:
         raise ProgramError(f"{binary}: it cannot be started: {error.strerror}; install it again") from error

@@ -65,7 +65,11 @@ class Fleet:
 
         if not self._parts(table):
             return polars.DataFrame()
-        return polars.read_parquet(self._parts(table)).unique(subset=_key(table), maintain_order=True)
+        rows = polars.read_parquet(self._parts(table)).unique(subset=_key(table), maintain_order=True)
+        if table == "runs":
+            return rows
+        # Rows of a log that is not done are those of a process that died.
+        return rows.join(self.to_polars("runs").select("key"), on="key", how="semi")
 
     def to_pandas(self, table: Table = "findings") -> pandas.DataFrame:
         """A table of the folder, with the rows of all calls. Needs pyarrow."""
@@ -74,7 +78,8 @@ class Fleet:
         parts = [pandas.read_parquet(path) for path in self._parts(table)]
         if not parts:
             return pandas.DataFrame()
-        return pandas.concat(parts, ignore_index=True).drop_duplicates(subset=_key(table))
+        rows = pandas.concat(parts, ignore_index=True).drop_duplicates(subset=_key(table))
+        return rows if table == "runs" else rows[rows["key"].isin(self.to_pandas("runs")["key"])]
 
     def _parts(self, table: Table) -> list[Path]:
         return sorted(path for path in (self.out / table).glob("*.parquet") if path.name[0] != ".")
@@ -132,8 +137,10 @@ def fleet(
         address=address,
         progress=progress,
     )
-    # Whatever became of the tasks: what has no row gets one here, and parts are merged.
-    whole = call.audit()
+    # Whatever became of the tasks: what has no row gets one here, and parts are merged. What was tried
+    # again there is not tried once more.
+    once = [option for option in said if option != "--retry"]
+    whole = replace(call, options=once).audit()
     return replace(
         whole,
         done_before=whole.done_before - len(done.keys),
