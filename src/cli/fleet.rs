@@ -11,7 +11,7 @@ use clap::{Subcommand, ValueEnum};
 use poseaudit::Options;
 use poseaudit::finding::Severity;
 use poseaudit::fleet::{
-    AuditSettings, Call, Identity, Limits, Outcomes, Store, Template, memory_bytes,
+    AuditSettings, Call, Identity, Limits, Outcomes, Store, Template, memory_bytes, pending,
     run as audit_all, serve, sources,
 };
 use poseaudit::report::Trouble;
@@ -79,6 +79,10 @@ pub struct Args {
     /// Try again what took too long or too much memory, or made the audit fail
     #[arg(long)]
     retry: bool,
+
+    /// List the logs that have no row yet, one a line, and audit none: for engines that hand them out
+    #[arg(long)]
+    pending: bool,
 
     /// What tells that a log is done: its bytes, or its path, size and time, for which nothing is read
     #[arg(long, value_enum, value_name = "HOW", default_value_t = By::Content)]
@@ -150,6 +154,9 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     if let Some(log) = &args.worker {
         return work(log, &options, &Store::create(&out)?);
     }
+    if args.pending {
+        return list_pending(&args, &options, &out);
+    }
     let fail_on = options.fail_on;
     let outcomes = audit(&args, &options, &out)?;
     let summary = Summary::of(&out, &outcomes, fail_on);
@@ -167,6 +174,23 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
         _ if fail_on.is_none() => Outcome::Clean,
         _ => Outcome::Findings,
     })
+}
+
+fn list_pending(args: &Args, options: &Options, out: &Path) -> Result<Outcome, Trouble> {
+    let sources = sources(&args.sources, io::stdin().lock())?;
+    let settings = AuditSettings::of(options)?;
+    let left = match Store::open(out) {
+        Some(store) => pending(sources, &store, &settings, args.identity.into(), args.retry)?,
+        None => sources,
+    };
+    output::emit(args.output.as_deref(), |to| {
+        for source in &left {
+            to.write_all(source.path.as_os_str().as_encoded_bytes())?;
+            writeln!(to)?;
+        }
+        Ok(())
+    })?;
+    Ok(Outcome::Clean)
 }
 
 fn audit(args: &Args, options: &Options, out: &Path) -> Result<Outcomes, Trouble> {

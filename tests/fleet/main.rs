@@ -107,6 +107,28 @@ fn what_is_done_is_not_done_again_and_other_settings_are_another_audit() -> Resu
     Ok(())
 }
 
+#[test]
+fn what_is_pending_is_what_has_no_row() -> Result<()> {
+    let (folder, logs, out) = short_logs(2)?;
+    let pending = |more: &[&str]| -> Result<Vec<String>> {
+        let output = fleet(&[&logs, "--out", &out, "--pending"]).args(more).output()?;
+        assert_eq!(status(&output), Some(0));
+        let text = String::from_utf8(output.stdout)?;
+        let name = |line: &str| Some(Path::new(line).file_name()?.to_str()?.to_owned());
+        Ok(text.lines().filter_map(name).collect())
+    };
+    assert_eq!(pending(&[])?, ["000.mcap", "001.mcap"]);
+    assert!(!Path::new(&out).exists());
+    fleet(&[&logs, "--out", &out]).output()?;
+    run_of(7).write(&folder.path().join("logs/new.mcap"))?;
+    assert_eq!(pending(&[])?, ["new.mcap"]);
+    assert_eq!(pending(&["--max-latency", "4"])?.len(), 3);
+    assert_eq!(pending(&["--identity", "file"])?.len(), 3);
+    fleet(&[&logs, "--out", &out, "--identity", "file"]).output()?;
+    assert!(pending(&["--identity", "file"])?.is_empty());
+    Ok(())
+}
+
 /// Ends a process at once, with whatever it has begun.
 fn kill(child: &mut Child) -> io::Result<()> {
     child.kill()?;

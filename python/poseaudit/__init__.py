@@ -1,0 +1,66 @@
+"""Audits recorded runs of robot arms: which pose, stamp or convention cannot be right, by how much,
+and how sure that is.
+
+    >>> import poseaudit
+    >>> report = poseaudit.audit("run.mcap", robot="ur5e")
+    >>> report.verdict
+    'fail'
+    >>> report.findings.to_polars()
+
+The work is done by the binary `poseaudit`, which comes with this package; `python -m poseaudit` is it.
+"""
+
+from ._audit import audit
+from ._errors import CallError, LogError, PoseauditError, ProgramError, ReportError
+from ._fleet import Failure, Fleet, fleet
+from ._frame import Rows
+from ._options import FleetOptions, Options
+from ._report import (
+    Check,
+    Estimate,
+    File,
+    Finding,
+    Ignored,
+    JointCoverage,
+    Log,
+    Note,
+    Report,
+    Robot,
+    Rotation,
+    Stream,
+    Subject,
+    Tool,
+    Trouble,
+    Workspace,
+)
+
+__all__ = [
+    "CallError",
+    "Check",
+    "Estimate",
+    "Failure",
+    "File",
+    "Finding",
+    "Fleet",
+    "FleetOptions",
+    "Ignored",
+    "JointCoverage",
+    "Log",
+    "LogError",
+    "Note",
+    "Options",
+    "PoseauditError",
+    "ProgramError",
+    "Report",
+    "ReportError",
+    "Robot",
+    "Rotation",
+    "Rows",
+    "Stream",
+    "Subject",
+    "Tool",
+    "Trouble",
+    "Workspace",
+    "audit",
+    "fleet",
+]

@@ -1,0 +1,12 @@
+"""`python -m poseaudit`: the binary, with the same arguments."""
+
+import sys
+
+from ._binary import become
+from ._errors import ProgramError
+
+if __name__ == "__main__":
+    try:
+        sys.exit(become(sys.argv[1:]))
+    except ProgramError as error:
+        sys.exit(f"error: {error}")

@@ -1,0 +1,183 @@
+"""Ray as the engine of a fleet: a task a log, and one process that keeps the results.
+
+A task audits its logs into a folder of its own and hands back what the program wrote there: a few
+Parquet files of some kilobytes. Only the driver writes into the fleet's folder, under the names that the
+program gave. So workers need not share that folder, what a dying worker leaves behind is never seen, and
+a log that two workers did is still one row: its files bear its key.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import tempfile
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from . import _binary
+from ._errors import ProgramError
+
+_log = logging.getLogger("poseaudit")
+
+#: So many tasks are handed to Ray at a time: enough for its autoscaler to see what there is to do, and
+#: few enough for a driver's memory whatever the number of logs.
+IN_FLIGHT = 1000
+
+#: Where progress is shown, so often.
+SHOWN_EVERY_S = 10.0
+
+#: A log counts as done by its row in this table, which therefore takes its place last.
+LAST = "runs"
+
+
+@dataclass(frozen=True)
+class Batch:
+    """The logs of one task, and how often it was begun."""
+
+    logs: tuple[str, ...]
+    attempt: int = 1
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a task hands back."""
+
+    version: str
+    files: tuple[tuple[str, bytes], ...]
+    """Path below the fleet's folder, and content."""
+
+
+@dataclass
+class Course:
+    """How a run over the cluster went."""
+
+    total: int
+    began: float = field(default_factory=time.monotonic)
+    done: int = 0
+    """Logs whose rows were handed back, …"""
+    keys: set[str] = field(default_factory=set)
+    """… and the keys of these rows: logs of the same content have one."""
+    retried: int = 0
+    """Logs that were begun again because their task died, each time counted."""
+    given_up: int = 0
+    """Logs whose task died as often as it may; the driver is left to do them."""
+
+    def show(self) -> None:
+        """A line on stderr about how far it is."""
+        rate = self.done / max(time.monotonic() - self.began, 1e-9)
+        left = f", {(self.total - self.done) / rate:.0f} s left" if rate else ""
+        again = f", {self.retried} begun again" if self.retried else ""
+        print(f"{self.done} of {self.total} logs, {rate:.2f}/s{left}{again}", file=sys.stderr)
+
+
+def spread(
+    logs: Sequence[str],
+    out: Path,
+    arguments: Sequence[str],
+    *,
+    retries: int,
+    batch: int,
+    address: str | None,
+    progress: bool,
+) -> Course:
+    """Audits the logs over the cluster, and puts what the tasks hand back into `out`."""
+    course = Course(len(logs))
+    if not logs:
+        return course
+    ray = _ray()
+    if not ray.is_initialized():
+        ray.init(address=address, log_to_driver=False, logging_level=logging.WARNING)
+    # Retries are the driver's, not Ray's: so they are counted, and a task that is lost may be given up.
+    task = ray.remote(num_cpus=1, max_retries=0)(_audited)
+    waiting = deque(_batches(logs, batch))
+    running: dict[Any, Batch] = {}
+    shown = course.began
+    while waiting or running:
+        while waiting and len(running) < IN_FLIGHT:
+            next_one = waiting.popleft()
+            running[task.remote(next_one.logs, tuple(arguments))] = next_one
+        ended, _ = ray.wait(list(running), num_returns=len(running), timeout=0.1)
+        if not ended:
+            ended, _ = ray.wait(list(running), num_returns=1)
+        for reference in ended:
+            done = running.pop(reference)
+            try:
+                answer = ray.get(reference)
+            except ray.exceptions.RayError as error:
+                waiting.extend(_again(done, retries, error, course))
+                continue
+            course.keys |= _keep(answer, out)
+            course.done += len(done.logs)
+        if progress and time.monotonic() - shown > SHOWN_EVERY_S:
+            shown = time.monotonic()
+            course.show()
+    return course
+
+
+def _ray() -> Any:
+    try:
+        import ray
+    except ImportError as error:
+        raise ProgramError("engine='ray': Ray is not installed; pip install 'poseaudit[ray]'") from error
+    return ray
+
+
+def _batches(logs: Sequence[str], size: int) -> Iterator[Batch]:
+    for start in range(0, len(logs), size):
+        yield Batch(tuple(logs[start : start + size]))
+
+
+def _again(batch: Batch, retries: int, error: Exception, course: Course) -> Iterator[Batch]:
+    """The logs of a task that died, each by itself: one of them may have been the cause."""
+    first = str(error).strip().partition("\n")[0]
+    if batch.attempt > retries:
+        _log.warning("%s: given up after %d attempts: %s", batch.logs[0], batch.attempt, first)
+        course.given_up += len(batch.logs)
+        return
+    _log.info("%s and %d more: begun again: %s", batch.logs[0], len(batch.logs) - 1, first)
+    course.retried += len(batch.logs)
+    for log in batch.logs:
+        yield Batch((log,), batch.attempt + 1)
+
+
+def _audited(logs: tuple[str, ...], arguments: tuple[str, ...]) -> Answer:
+    """Runs on a worker: audits the logs into a folder of its own, one at a time."""
+    with tempfile.TemporaryDirectory(prefix="poseaudit-") as folder:
+        named, listed = _binary.sources(logs)
+        call = ["fleet", f"--out={folder}", "--jobs=1", *arguments, "--", *named]
+        done = _binary.run(call, stdin=listed)
+        if done.returncode not in (0, 1, 3):
+            raise ProgramError(_binary.trouble_in(done.stderr))
+        return Answer(version("poseaudit"), tuple(_files(Path(folder))))
+
+
+def _files(folder: Path) -> Iterator[tuple[str, bytes]]:
+    """What the program wrote, and no lock or file that is not whole."""
+    for path in sorted(folder.rglob("*")):
+        if path.is_file() and path.suffix in (".parquet", ".json") and not path.name.startswith("."):
+            yield path.relative_to(folder).as_posix(), path.read_bytes()
+
+
+def _keep(answer: Answer, out: Path) -> set[str]:
+    """Puts the files of a task in their places, and says the keys of its logs: their files bear them, and
+    replace what an earlier attempt may have left."""
+    ours = version("poseaudit")
+    if answer.version != ours:
+        raise ProgramError(
+            f"a worker has poseaudit {answer.version}, the driver {ours}: install the same on both"
+        )
+    for name, content in sorted(answer.files, key=lambda file: file[0].startswith(f"{LAST}/")):
+        place = out / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=place.parent, prefix=".", delete=False) as staged:
+            staged.write(content)
+            staged.flush()
+            os.fsync(staged.fileno())
+        os.replace(staged.name, place)
+    return {Path(name).stem for name, _ in answer.files if name.startswith(f"{LAST}/")}

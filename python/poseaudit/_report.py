@@ -1,0 +1,249 @@
+"""The JSON report (`poseaudit.report/1`) as dataclasses.
+
+SI units: m, rad, s; stamps in integer nanoseconds; None where unknown. Keys that a later version adds
+are in `Report.json`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from ._decode import decode
+from ._errors import ReportError
+from ._frame import Rows
+
+SCHEMA = "poseaudit.report/1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tool:
+    """The program that wrote the report."""
+
+    name: str
+    version: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trouble:
+    """Why next to nothing could be evaluated."""
+
+    what: str
+    where: str
+    do: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class File:
+    """One file of the log."""
+
+    path: str
+    container: str
+    bytes: int
+    crc: str
+    """How much of it a checksum vouches for: `all`, `partial` or `none`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Note:
+    """What there is to know of a file, and is no damage."""
+
+    path: str
+    note: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Log:
+    """What was read."""
+
+    files: tuple[File, ...]
+    messages: int
+    start_ns: int | None
+    end_ns: int | None
+    duration_s: float | None
+    notes: tuple[Note, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robot:
+    """One arm."""
+
+    name: str
+    source: str
+    base: str
+    tip: str
+    joints: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stream:
+    """One topic, or one pair of frames of it."""
+
+    topic: str
+    type: str
+    role: str
+    reason: str
+    robot: str | None
+    frame_id: str | None
+    child_frame_id: str | None
+    reference: str | None
+    """Link that its poses are taken to be in."""
+    link: str | None
+    """Link whose poses they are taken to be."""
+    witness: str | None = None
+    """Whose word its poses are: `controller`, `external` or `unknown`."""
+    count: int
+    dropped: int
+    rate_hz: float | None
+    start_ns: int | None
+    end_ns: int | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Subject:
+    """What a rule was asked about; None where it does not matter."""
+
+    robot: str | None = None
+    topic: str | None = None
+    joint: str | None = None
+    frame: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rotation:
+    """The angle of a frame's error, rad."""
+
+    value: float
+    ci95: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """By how much: `value` with its unit and 95 % interval; or what the numbers are (`is_`) and what
+    they were read as."""
+
+    name: str
+    value: float | None = None
+    unit: str | None = None
+    ci95: tuple[float, float] | None = None
+    rotation: Rotation | None = None
+    is_: Any = None
+    read_as: Any = None
+    equivalent: tuple[Mapping[str, Any], ...] = ()
+    runner_up: Mapping[str, Any] | None = None
+    permutation: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """What came of asking a rule about a subject: `pass`, `fail`, `inconclusive` or `skipped`."""
+
+    code: str
+    name: str
+    subject: Subject
+    status: str
+    reason: str | None
+    estimate: Estimate | None
+    evidence: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """What is wrong with a subject, by how much, and what to do about it."""
+
+    code: str
+    severity: str
+    title: str
+    message: str
+    subject: Subject
+    estimate: Estimate | None
+    evidence: Mapping[str, Any]
+    fix: str
+    start_ns: int | None
+    end_ns: int | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ignored(Finding):
+    """A finding that the config says is known: why, and where that is said."""
+
+    reason: str
+    place: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointCoverage:
+    """Over which part of its range a joint moved."""
+
+    joint: str
+    unit: str
+    lowest: float
+    highest: float
+    lower: float | None
+    upper: float | None
+    visited: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Workspace:
+    """Over which part of its ranges an arm moved."""
+
+    robot: str
+    joints: tuple[JointCoverage, ...]
+    reach_m: tuple[float, float]
+    max_reach_m: float
+    hides: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """The report on one run."""
+
+    schema: str
+    tool: Tool
+    verdict: str
+    """`pass`, `fail` or `inconclusive`."""
+    error: Trouble | None
+    log: Log
+    robots: tuple[Robot, ...]
+    streams: Rows[Stream]
+    checks: Rows[Check]
+    findings: Rows[Finding]
+    """The gravest first; `findings.to_polars()` and `findings.to_pandas()` are frames of them."""
+    ignored: Rows[Ignored] = field(default_factory=lambda: Rows(Ignored, (), ()))
+    observability: tuple[Mapping[str, Any], ...] = ()
+    workspace: tuple[Workspace, ...] = ()
+    open: str | None = None
+    """The rules of `require` that could not conclude, as the program says it; not in the JSON."""
+    json: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
+    """The whole report as it came."""
+
+    @property
+    def ok(self) -> bool:
+        """Whether the binary would end with status 0: no finding at or above `fail_on`, and no rule of
+        `require` left open."""
+        return self.error is None and self.verdict != "fail" and self.open is None
+
+    def left_open(self, said: str) -> Report:
+        """This report, of a run in which rules of `require` could not conclude."""
+        return replace(self, open=said)
+
+    @classmethod
+    def from_json(cls, text: str | bytes) -> Report:
+        """The report in a text, as `poseaudit audit --format json` writes it.
+
+        Raises `ReportError` where it is none, or of another schema than `poseaudit.report/1`.
+        """
+        try:
+            value = json.loads(text)
+        except ValueError as error:
+            raise ReportError(f"the report: no JSON: {error}; write it with --format json") from error
+        schema = value.get("schema") if isinstance(value, dict) else None
+        if schema != SCHEMA:
+            raise ReportError(
+                f"the report: schema {schema!r}, not {SCHEMA!r}; install the version that wrote it"
+            )
+        # What is no key of the report is not read from it.
+        return decode(cls, {**value, "open": None, "json": value}, "the report")

@@ -1,0 +1,96 @@
+"""A Ray cluster on loopback, whose nodes can be killed as machines die: at once, with all that they run."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sysconfig
+import tempfile
+import time
+from pathlib import Path
+
+STARTS_WITHIN_S = 120
+#: Ray needs no more of it than a few rows of a table at a time.
+STORE_BYTES = 80_000_000
+
+
+class Cluster:
+    """A head that runs no tasks, and workers of one core each."""
+
+    def __init__(self, workers: int) -> None:
+        # Sockets have their names in it, which must be short.
+        self.folder = Path(tempfile.mkdtemp(prefix="pa-", dir="/tmp"))
+        self.address = f"127.0.0.1:{free_port()}"
+        port = self.address.rpartition(":")[2]
+        self.head = self._node(
+            "head", "--head", f"--port={port}", "--num-cpus=0", "--include-dashboard=false",
+            f"--temp-dir={self.folder}",
+        )  # fmt: skip
+        self.workers = [
+            self._node(f"worker {number}", f"--address={self.address}", "--num-cpus=1")
+            for number in range(workers)
+        ]
+
+    def _node(self, name: str, *options: str) -> subprocess.Popen[bytes]:
+        ray = Path(sysconfig.get_path("scripts")) / "ray"
+        log = self.folder / f"{name.replace(' ', '-')}.log"
+        call = [
+            str(ray), "start", "--block", "--node-ip-address=127.0.0.1", "--disable-usage-stats",
+            f"--object-store-memory={STORE_BYTES}", *options,
+        ]  # fmt: skip
+        with log.open("wb") as out:
+            node = subprocess.Popen(call, stdin=subprocess.DEVNULL, stdout=out, stderr=out)
+        by = time.monotonic() + STARTS_WITHIN_S
+        while b"Ray runtime started" not in log.read_bytes():
+            if node.poll() is not None or time.monotonic() > by:
+                kill_tree(node.pid)
+                raise RuntimeError(f"ray {name} did not start:\n{log.read_text()[-2000:]}")
+            time.sleep(0.1)
+        return node
+
+    def kill_worker(self, number: int) -> int:
+        """SIGKILL to a node and to whatever it runs; how many processes that were."""
+        killed = kill_tree(self.workers[number].pid)
+        self.workers[number].wait()
+        return killed
+
+    def close(self) -> None:
+        for node in [*self.workers, self.head]:
+            if node.poll() is None:
+                kill_tree(node.pid)
+                node.wait()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def descendants(pid: int) -> list[int]:
+    """The process and all that came of it and still have a parent there, as /proc tells."""
+    parents: dict[int, int] = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            parents[int(stat.parent.name)] = int(stat.read_text().rpartition(")")[2].split()[1])
+    found = [pid]
+    for one in found:
+        found += [child for child, parent in parents.items() if parent == one]
+    return found
+
+
+def kill_tree(pid: int) -> int:
+    """SIGKILL to the process and all that came of it, the parents stopped first, so that none has time to
+    clean up; how many there were."""
+    found = descendants(pid)
+    for what in (signal.SIGSTOP, signal.SIGKILL):
+        for one in found:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(one, what)
+    return len(found)

@@ -1,0 +1,40 @@
+//! What is left to do, for an engine that is not this one.
+
+use std::io;
+use std::path::Path;
+
+use super::content::{Content, Identity, Stand, key_of};
+use super::settings::AuditSettings;
+use super::sources::Source;
+use super::store::Store;
+use crate::report::Trouble;
+
+/// The logs among `sources` that have no row in `store` yet, as far as that is known without reading them:
+/// one whose content nobody has hashed is among them, also where it is a copy of another. With `retry` those
+/// are, too, that are not done for good.
+///
+/// # Errors
+/// Where the store cannot be read.
+pub fn pending(
+    sources: Vec<Source>,
+    store: &Store,
+    settings: &AuditSettings,
+    identity: Identity,
+    retry: bool,
+) -> Result<Vec<Source>, Trouble> {
+    let (done, contents) = (store.done()?, store.contents()?);
+    let known = |path: &Path| -> io::Result<Option<String>> {
+        let stand = Stand::of(path)?;
+        match identity {
+            Identity::File => Ok(Some(Content::of(path, stand, identity)?.id)),
+            Identity::Content => Ok(contents.get(&stand.name(path)).cloned()),
+        }
+    };
+    let is_done = |source: &Source| {
+        let content = known(&source.path).ok().flatten();
+        let key = content.map(|id| key_of(&id, env!("CARGO_PKG_VERSION"), &settings.hash));
+        let answer = key.and_then(|key| done.get(&key));
+        answer.is_some_and(|answer| answer.status.is_final() || !retry)
+    };
+    Ok(sources.into_iter().filter(|source| !is_done(source)).collect())
+}
