@@ -363,12 +363,13 @@ fn meshes_are_drawn_where_they_are_found_and_else_it_is_said() -> Outcome {
 #[test]
 fn the_layout_is_for_the_application_of_the_recording() -> Outcome {
     let report = report(Verdict::Inconclusive, Vec::new());
-    let wanted = Recording { application: Some("opened.mcap".to_owned()), ..Recording::default() };
+    let wanted =
+        Recording { application: Some("an-opened-log".to_owned()), ..Recording::default() };
     let seen = Seen::of(&replay(Vec::new(), &report), &wanted)?;
     let mut layouts =
         seen.messages.iter().map(LogMsg::store_id).filter(|id| id.kind() == StoreKind::Blueprint);
     let layout = layouts.next().ok_or("a layout")?;
-    assert_eq!(layout.application_id().as_str(), "opened.mcap");
+    assert_eq!(layout.application_id().as_str(), "an-opened-log");
     Ok(())
 }
 
