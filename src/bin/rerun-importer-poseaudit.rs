@@ -1,7 +1,7 @@
-//! Adds the audit of a log to what the Rerun viewer shows of it.
+//! Shows the audit of a log that is opened in the Rerun viewer.
 //!
-//! The viewer runs every program `rerun-importer-*` on the path with each file that is opened: the file,
-//! and options that say which recording it belongs to
+//! The viewer runs the programs `rerun-importer-*` on the path with each file that it does not read
+//! itself, as it does MCAP (0.36 to 0.41): the file, and options that say which recording it belongs to
 //! (<https://rerun.io/docs/concepts/logging-and-ingestion/importers/overview>). What the program
 //! writes to stdout is taken for a recording; exit status 66 says that the file is none of its kind.
 

@@ -155,9 +155,9 @@ fn times(chunk: &Chunk, timeline: &str) -> Vec<i64> {
 #[test]
 fn a_recording_is_written_with_its_folder() -> Outcome {
     let robot = catalogue::find("ur5e").unwrap();
-    let chain = chain(&robot);
+    let chain = chain(robot);
     let (recorded, aligned) = motion(&chain, 50);
-    let mut arm = arm(&robot, &chain, &recorded);
+    let mut arm = arm(robot, &chain, &recorded);
     arm.corrected.q.iter_mut().for_each(|position| *position += 0.01);
     arm.streams = vec![stream(&aligned, StreamKind::Pose)?, stream(&aligned, StreamKind::Tf)?];
     let yaw_error = &[(0.0, 0.1), (0.1, 0.2)];
@@ -175,9 +175,9 @@ fn a_recording_is_written_with_its_folder() -> Outcome {
 #[test]
 fn every_entity_is_there() -> Outcome {
     let robot = catalogue::find("ur5e").unwrap();
-    let chain = chain(&robot);
+    let chain = chain(robot);
     let (recorded, aligned) = motion(&chain, 50);
-    let mut arm = arm(&robot, &chain, &recorded);
+    let mut arm = arm(robot, &chain, &recorded);
     arm.corrected.q.iter_mut().for_each(|position| *position += 0.01);
     arm.streams = vec![stream(&aligned, StreamKind::Pose)?, stream(&aligned, StreamKind::Tf)?];
     let yaw_error = &[(0.0, 0.1), (0.1, 0.2)];
@@ -210,10 +210,10 @@ fn every_entity_is_there() -> Outcome {
 #[test]
 fn links_are_where_forward_kinematics_has_them_on_every_timeline() -> Outcome {
     let robot = catalogue::find("ur5e").unwrap();
-    let chain = chain(&robot);
+    let chain = chain(robot);
     let (recorded, _) = motion(&chain, 50);
     let report = report(Verdict::Pass, Vec::new());
-    let arms = || vec![arm(&robot, &chain, &recorded)];
+    let arms = || vec![arm(robot, &chain, &recorded)];
     let seen = Seen::of(&replay(arms(), &report), &Recording::default())?;
     let translation = Transform3D::descriptor_translation();
     for (link, frame) in [("tool0", None), ("forearm_link", Some(2))] {
@@ -245,9 +245,9 @@ fn links_are_where_forward_kinematics_has_them_on_every_timeline() -> Outcome {
 #[test]
 fn what_is_explained_is_drawn_when_it_was_true() -> Outcome {
     let robot = catalogue::find("ur5e").unwrap();
-    let chain = chain(&robot);
+    let chain = chain(robot);
     let (recorded, aligned) = motion(&chain, 50);
-    let mut arm = arm(&robot, &chain, &recorded);
+    let mut arm = arm(robot, &chain, &recorded);
     arm.streams = vec![stream(&aligned, StreamKind::Pose)?];
     let report = report(Verdict::Pass, Vec::new());
     let seen = Seen::of(&replay(vec![arm], &report), &Recording::default())?;
@@ -263,9 +263,9 @@ fn what_is_explained_is_drawn_when_it_was_true() -> Outcome {
 #[test]
 fn a_long_run_is_thinned_and_says_so() -> Outcome {
     let robot = catalogue::find("ur5e").unwrap();
-    let chain = chain(&robot);
+    let chain = chain(robot);
     let (recorded, aligned) = motion(&chain, 9_001);
-    let mut arm = arm(&robot, &chain, &recorded);
+    let mut arm = arm(robot, &chain, &recorded);
     arm.streams = vec![stream(&aligned, StreamKind::Pose)?];
     let report = report(Verdict::Pass, Vec::new());
     let seen = Seen::of(&replay(vec![arm], &report), &Recording::default())?;
@@ -287,12 +287,12 @@ fn a_long_run_is_thinned_and_says_so() -> Outcome {
 #[test]
 fn a_finding_has_its_span_its_line_and_its_page() -> Outcome {
     let robot = catalogue::find("ur5e").unwrap();
-    let chain = chain(&robot);
+    let chain = chain(robot);
     let (recorded, _) = motion(&chain, 50);
     let mut whole = finding();
     (whole.start_ns, whole.end_ns) = (None, None);
     let report = report(Verdict::Fail, vec![finding(), whole]);
-    let arms = vec![arm(&robot, &chain, &recorded)];
+    let arms = vec![arm(robot, &chain, &recorded)];
     let seen = Seen::of(&replay(arms, &report), &Recording::default())?;
     let state = StateChange::descriptor_state();
     for (lane, ends) in [("01-LAT001", [100, 300]), ("02-LAT001", [0, 500])] {
@@ -363,12 +363,13 @@ fn meshes_are_drawn_where_they_are_found_and_else_it_is_said() -> Outcome {
 #[test]
 fn the_layout_is_for_the_application_of_the_recording() -> Outcome {
     let report = report(Verdict::Inconclusive, Vec::new());
-    let wanted = Recording { application: Some("opened.mcap".to_owned()), ..Recording::default() };
+    let wanted =
+        Recording { application: Some("an-opened-log".to_owned()), ..Recording::default() };
     let seen = Seen::of(&replay(Vec::new(), &report), &wanted)?;
     let mut layouts =
         seen.messages.iter().map(LogMsg::store_id).filter(|id| id.kind() == StoreKind::Blueprint);
     let layout = layouts.next().ok_or("a layout")?;
-    assert_eq!(layout.application_id().as_str(), "opened.mcap");
+    assert_eq!(layout.application_id().as_str(), "an-opened-log");
     Ok(())
 }
 
@@ -396,11 +397,11 @@ fn an_error_names_the_file() -> Outcome {
 #[test]
 fn a_frame_without_its_columns_is_an_error() -> Outcome {
     let robot = catalogue::find("ur5e").unwrap();
-    let chain = chain(&robot);
+    let chain = chain(robot);
     let (recorded, aligned) = motion(&chain, 50);
     let mut broken = stream(&aligned, StreamKind::Pose)?;
     broken.frame = broken.frame.drop(AFTER_M)?;
-    let mut arm = arm(&robot, &chain, &recorded);
+    let mut arm = arm(robot, &chain, &recorded);
     arm.streams = vec![broken];
     let report = report(Verdict::Pass, Vec::new());
     let folder = tempfile::tempdir()?;
@@ -413,9 +414,9 @@ fn a_frame_without_its_columns_is_an_error() -> Outcome {
 #[test]
 fn the_topic_is_named_only_where_the_state_alone_does_not_tell() -> Outcome {
     let robot = catalogue::find("ur5e").unwrap();
-    let chain = chain(&robot);
+    let chain = chain(robot);
     let (recorded, aligned) = motion(&chain, 50);
-    let mut arm = arm(&robot, &chain, &recorded);
+    let mut arm = arm(robot, &chain, &recorded);
     arm.streams = vec![stream(&aligned, StreamKind::Pose)?, stream(&aligned, StreamKind::Tf)?];
     let of = |arm: &ReplayArm<'_>, row: usize| arm.label(&arm.streams[row], State::Logged);
     assert_eq!((of(&arm, 0), of(&arm, 1)), ("as logged".to_owned(), "/tf".to_owned()));

@@ -74,7 +74,7 @@ enum Carried {
     /// It stands still in the base.
     Still(Pose),
     /// It is at the end of a chain, whose joints are these of the arm's.
-    Moved(Chain, Vec<usize>),
+    Moved(Box<Chain>, Vec<usize>),
 }
 
 impl Carried {
@@ -87,7 +87,7 @@ impl Carried {
         let chain = arm.robot.chain(base, link).ok()?;
         let of_arm = |name: &String| arm.chain.joint_names().iter().position(|it| it == name);
         let joints = chain.joint_names().iter().map(of_arm).collect::<Option<Vec<usize>>>()?;
-        Some(Carried::Moved(chain, joints))
+        Some(Carried::Moved(Box::new(chain), joints))
     }
 
     fn draw(&self, tape: &Tape, arm: &ReplayArm<'_>, path: &EntityPath) -> Result<(), ReplayCause> {
