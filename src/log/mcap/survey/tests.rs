@@ -40,8 +40,9 @@ fn read(bytes: &[u8], present: &Present) -> Log {
     read_present(bytes, present, ReadOptions::default()).expect("all that is needed is there")
 }
 
-fn topic<'l>(log: &'l Log, name: &str) -> &'l Topic {
-    log.topics.iter().find(|topic| topic.name == name).expect("the topic")
+/// The topic of this name, which damage may have taken.
+fn topic<'l>(log: &'l Log, name: &str) -> Option<&'l Topic> {
+    log.topics.iter().find(|topic| topic.name == name)
 }
 
 /// Poses and a camera that sees as much as nineteen times their bytes, in the same chunks.
