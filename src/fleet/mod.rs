@@ -9,6 +9,7 @@ mod content;
 mod engine;
 mod labels;
 mod machine;
+pub mod report;
 mod settings;
 mod sources;
 mod store;

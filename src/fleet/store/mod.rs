@@ -222,6 +222,12 @@ impl Store {
             .map_err(|source| StoreError::File { path, source })
     }
 
+    /// When the settings of this hash were written down first; nothing where they were not.
+    pub(super) fn settings_written(&self, hash: &str) -> Option<std::time::SystemTime> {
+        let path = self.path().join("settings").join(format!("{hash}.json"));
+        fs::metadata(path).and_then(|metadata| metadata.modified()).ok()
+    }
+
     /// Puts the rows of the log with this key in their places, those of `runs` last.
     ///
     /// # Errors
