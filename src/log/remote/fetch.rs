@@ -69,7 +69,7 @@ pub(super) fn fetch(address: &Address, options: &ReadOptions<'_>) -> Result<Fetc
         if !options.verify && object.size > SMALL && object.kind == Kind::Mcap {
             object.fetch_what_is_read().await?;
         } else {
-            object.fetch(Ranges::of(vec![0..object.size], 0)).await?;
+            object.fetch(Ranges::up_to(object.size)).await?;
         }
         Ok(object.finish())
     })
@@ -183,7 +183,7 @@ impl<'p> Object<'p> {
             size,
             kind: sniff::kind(head),
             file,
-            present: Ranges::of(vec![0..head.len()], 0),
+            present: Ranges::up_to(head.len()),
             fetched: Cell::new(head.len()),
             planned: head.len(),
             progress: options.progress,
@@ -211,7 +211,7 @@ impl<'p> Object<'p> {
                 Survey::Rest => break,
             }
         }
-        self.fetch(Ranges::of(vec![0..self.size], 0)).await
+        self.fetch(Ranges::up_to(self.size)).await
     }
 
     /// Fetches what of `wanted` is not there.

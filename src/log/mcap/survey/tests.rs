@@ -16,7 +16,9 @@ use crate::log::{Log, Topic};
 fn fetched(bytes: &[u8], hole: u8) -> (Vec<u8>, Present, usize) {
     let mut file = vec![hole; bytes.len()];
     let mut present = Ranges::default();
-    let mut parts = vec![0..bytes.len().min(MAGIC.len())];
+    let magic = 0..bytes.len().min(MAGIC.len());
+    let whole = 0..bytes.len();
+    let mut parts = vec![magic];
     loop {
         for part in &parts {
             file[part.clone()].copy_from_slice(&bytes[part.clone()]);
@@ -29,7 +31,7 @@ fn fetched(bytes: &[u8], hole: u8) -> (Vec<u8>, Present, usize) {
         parts = match survey(&file, &there) {
             Survey::Nothing => return (file, there, present.bytes()),
             Survey::Parts(parts) => parts,
-            Survey::Rest => vec![0..bytes.len()],
+            Survey::Rest => vec![whole.clone()],
         };
         let asked = Ranges::of(parts.clone(), 0);
         assert!(present.missing(&asked).bytes() > 0, "what is there is asked for: {asked:?}");
