@@ -22,9 +22,10 @@ Examples:
   poseaudit audit run.mcap --format json --format sarif --format junit --output reports
   poseaudit audit run.mcap --fix mend
   poseaudit audit run.mcap --rrd run.rrd --mesh-root ~/ws/install/ur_description/share
+  poseaudit audit s3://bucket/cell7/run.mcap
   poseaudit audit run_0.mcap run_1.mcap --select LAT,ZER001 --require LAT001")]
 pub struct Args {
-    /// The log; several files of one run are merged
+    /// The log, or its URL (s3://, gs://, az://, https://); several files of one run are merged
     #[arg(value_name = "LOG", required = true)]
     logs: Vec<PathBuf>,
 

@@ -18,7 +18,7 @@ Examples:
   poseaudit info run.mcap
   poseaudit info run_0.db3 run_1.db3")]
 pub struct Args {
-    /// The log; several files of one run are merged
+    /// The log, or its URL (s3://, gs://, az://, https://); several files of one run are merged
     #[arg(value_name = "LOG", required = true)]
     logs: Vec<PathBuf>,
 }

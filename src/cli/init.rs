@@ -17,7 +17,7 @@ Examples:
   poseaudit init run.mcap --output poseaudit.toml
   poseaudit init --schema --output poseaudit.schema.json")]
 pub struct Args {
-    /// The log; several files of one run are merged
+    /// The log, or its URL (s3://, gs://, az://, https://); several files of one run are merged
     #[arg(value_name = "LOG", required_unless_present = "schema")]
     logs: Vec<PathBuf>,
 

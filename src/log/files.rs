@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use memmap2::Mmap;
 
 use super::intake::Intake;
-use super::remote::Address;
+use super::remote::{self, Address};
 use super::{LogError, rosbag2};
 
 /// One file to read.
@@ -40,6 +40,8 @@ impl Input {
 pub(super) fn inputs(paths: &[PathBuf], intake: &mut Intake) -> Result<Vec<Input>, LogError> {
     let mut inputs = Vec::new();
     for path in paths {
+        let named = remote::local(path);
+        let path = named.as_ref().unwrap_or(path);
         match Address::of(path)? {
             Some(address) => {
                 let path = address.shown();

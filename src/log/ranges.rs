@@ -25,6 +25,12 @@ impl Ranges {
         Self(ranges)
     }
 
+    /// The bytes before `end`, of which there may be none.
+    pub(super) fn up_to(end: usize) -> Self {
+        let whole = 0..end;
+        Self::of(vec![whole], 0)
+    }
+
     /// Whether all of `range` is in one of them.
     pub(super) fn holds(&self, range: &Range<usize>) -> bool {
         let behind = self.0.partition_point(|kept| kept.start <= range.start);

@@ -65,6 +65,22 @@ fn scheme(path: &Path) -> Option<(&str, &str)> {
     is_scheme.then_some((scheme, rest))
 }
 
+/// The local file that `path` is a URL of, if it is one of the scheme `file`.
+pub(super) fn local(path: &Path) -> Option<PathBuf> {
+    let ("file", rest) = scheme(path)? else { return None };
+    let rest = rest.strip_prefix("localhost").unwrap_or(rest);
+    let mut bytes = Vec::with_capacity(rest.len());
+    let mut left = rest.as_bytes();
+    while let Some((&first, others)) = left.split_first() {
+        let digits = others.get(..2).and_then(|digits| std::str::from_utf8(digits).ok());
+        let decoded = digits.and_then(|digits| u8::from_str_radix(digits, 16).ok());
+        let decoded = decoded.filter(|_| first == b'%');
+        left = if decoded.is_some() { &others[2..] } else { others };
+        bytes.push(decoded.unwrap_or(first));
+    }
+    Some(String::from_utf8(bytes).ok()?.into())
+}
+
 /// Whether `path` is a URL of an object, or of a prefix that [`list`] lists.
 pub fn is_url(path: &Path) -> bool {
     scheme(path).is_some_and(|(scheme, _)| SCHEMES.contains(&scheme))
@@ -136,6 +152,10 @@ mod tests {
             "{refused}"
         );
         assert!(!refused.contains('\n'));
+        let local = |text: &str| local(Path::new(text)).map(|path| path.display().to_string());
+        assert_eq!(local("file:///a%20b/100%.mcap").as_deref(), Some("/a b/100%.mcap"));
+        assert_eq!(local("file://localhost/run.mcap").as_deref(), Some("/run.mcap"));
+        assert_eq!(local("s3://bucket/run.mcap"), None);
     }
 
     #[test]

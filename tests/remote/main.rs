@@ -256,3 +256,31 @@ fn what_cannot_be_fetched_gets_one_line() {
     let changes = Server::of(&[("run.mcap", &OPEN)], Manners { changes: 5, ..Manners::default() });
     assert_refused(&changes, KEY_ID, &s3("run.mcap"), 3, &["changed while it was read"]);
 }
+
+#[test]
+fn a_fleet_takes_what_a_prefix_holds_and_fetches_nothing_twice() {
+    let arm = fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/base.mcap"));
+    let arm = arm.expect("the fixture");
+    let objects: &[(&str, &[u8])] = &[
+        ("a/1.mcap", &arm),
+        ("a/b/2.mcap", b""),
+        ("a/c/3.mcap", b"no log"),
+        ("a/notes.txt", b"x"),
+    ];
+    let server = Server::of(objects, Manners::default());
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().display().to_string();
+    let fleet = |source: &str| {
+        let run = poseaudit(&server, KEY_ID, &["fleet", source, "--out", &out, "--format", "json"]);
+        let said = String::from_utf8_lossy(&run.stderr).into_owned();
+        let summary: Value = serde_json::from_slice(&run.stdout).expect(&said);
+        ["logs", "done_before", "done_now"].map(|key| summary[key].as_u64().expect(key))
+    };
+    // An empty object is the mark of a folder.
+    assert_eq!(fleet(&s3("a")), [2, 0, 2]);
+    let before = server.counts().bytes.load(Ordering::Relaxed);
+    assert_eq!(fleet(&s3("a")), [2, 2, 0]);
+    assert_eq!(fleet(&s3("a/*.mcap")), [1, 1, 0]);
+    assert_eq!(fleet(&s3("a/1.mcap")), [1, 1, 0]);
+    assert_eq!(server.counts().bytes.load(Ordering::Relaxed), before);
+}

@@ -62,8 +62,9 @@ impl<'a> Reader<'a, '_, '_> {
     fn missing_summary(&self) -> Result<Vec<Range<usize>>, Unlike> {
         let size = self.bytes.len();
         let footer = size.checked_sub(MAGIC.len() + record::Footer::SIZE).ok_or(Unlike)?;
-        if !self.present.holds(&(footer..size)) {
-            return Ok(vec![footer..size]);
+        let end = footer..size;
+        if !self.present.holds(&end) {
+            return Ok(vec![end]);
         }
         let start = self.summary_start().filter(|start| (MAGIC.len()..footer).contains(start));
         let summary = start.ok_or(Unlike)?..size;
@@ -182,7 +183,8 @@ impl<'a> Reader<'a, '_, '_> {
             // A record that no index names: all up to the next that one does.
             Err(Some(missing)) => {
                 let next = parts.iter().map(|part| part.start).find(|next| *next > missing.start);
-                vec![missing.start..missing.end.max(next.unwrap_or(data.end))]
+                let up_to_next = missing.start..missing.end.max(next.unwrap_or(data.end));
+                vec![up_to_next]
             }
             Err(None) => vec![data],
         })
@@ -217,7 +219,8 @@ impl<'a> Reader<'a, '_, '_> {
         }
         starts.sort_unstable();
         // What stands before the first is schemas and channels.
-        let mut parts = vec![0..starts.first()?.0];
+        let before = 0..starts.first()?.0;
+        let mut parts = vec![before];
         for (number, &(start, is_ignored)) in starts.iter().enumerate() {
             let next = starts.get(number + 1).map_or(length, |next| next.0);
             let head = next.min(start + record::MESSAGE_HEAD);

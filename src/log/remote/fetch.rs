@@ -61,12 +61,15 @@ pub(super) fn fetch(address: &Address, options: &ReadOptions<'_>) -> Result<Fetc
     runtime()?.block_on(async {
         let mut object = match head(&source).await? {
             Head::Part { meta, bytes } => Object::of(source, meta, &bytes, options)?,
-            Head::Whole => return again(async || whole(&source, options).await).await,
+            Head::Whole => {
+                let is_told = Cell::new(false);
+                return again(async || whole(&source, options, &is_told).await).await;
+            }
         };
         if !options.verify && object.size > SMALL && object.kind == Kind::Mcap {
             object.fetch_what_is_read().await?;
         } else {
-            object.fetch(Ranges::of(vec![0..object.size], 0)).await?;
+            object.fetch(Ranges::up_to(object.size)).await?;
         }
         Ok(object.finish())
     })
@@ -115,13 +118,18 @@ async fn head(source: &Source) -> Result<Head, RemoteFault> {
     .await
 }
 
-/// All of an object, of a server that hands out whole ones only.
-async fn whole(source: &Source, options: &ReadOptions<'_>) -> Result<Fetched, RemoteFault> {
+/// All of an object, of a server that hands out whole ones only. Once its size `is_told` to who
+/// watches.
+async fn whole(
+    source: &Source,
+    options: &ReadOptions<'_>,
+    is_told: &Cell<bool>,
+) -> Result<Fetched, RemoteFault> {
     let answer = ask(source, None).await?.map_err(|error| cause::fault(&error, source.store))?;
     let size = answer.meta.size;
     let mut file = None;
-    if let Some(progress) = options.progress {
-        progress.begin(size);
+    if let Some(progress) = options.progress.filter(|_| !is_told.replace(true)) {
+        progress.grow(size);
     }
     let at = Cell::new(0);
     let keep = |part: &[u8]| {
@@ -175,7 +183,7 @@ impl<'p> Object<'p> {
             size,
             kind: sniff::kind(head),
             file,
-            present: Ranges::of(vec![0..head.len()], 0),
+            present: Ranges::up_to(head.len()),
             fetched: Cell::new(head.len()),
             planned: head.len(),
             progress: options.progress,
@@ -203,7 +211,7 @@ impl<'p> Object<'p> {
                 Survey::Rest => break,
             }
         }
-        self.fetch(Ranges::of(vec![0..self.size], 0)).await
+        self.fetch(Ranges::up_to(self.size)).await
     }
 
     /// Fetches what of `wanted` is not there.
@@ -237,7 +245,8 @@ impl<'p> Object<'p> {
         self.fetched.update(|fetched| fetched + part.len());
         if let Some(progress) = self.progress {
             let share = self.fetched.get() as f64 / self.planned as f64;
-            progress.at((self.size as f64 * share.min(1.0)) as u64);
+            // It is whole when nothing more is asked for, and not before.
+            progress.at((self.size as f64 * share.min(0.99)) as u64);
         }
         Ok(())
     }

@@ -16,7 +16,9 @@ use crate::log::{Log, Topic};
 fn fetched(bytes: &[u8], hole: u8) -> (Vec<u8>, Present, usize) {
     let mut file = vec![hole; bytes.len()];
     let mut present = Ranges::default();
-    let mut parts = vec![0..bytes.len().min(MAGIC.len())];
+    let magic = 0..bytes.len().min(MAGIC.len());
+    let whole = 0..bytes.len();
+    let mut parts = vec![magic];
     loop {
         for part in &parts {
             file[part.clone()].copy_from_slice(&bytes[part.clone()]);
@@ -29,7 +31,7 @@ fn fetched(bytes: &[u8], hole: u8) -> (Vec<u8>, Present, usize) {
         parts = match survey(&file, &there) {
             Survey::Nothing => return (file, there, present.bytes()),
             Survey::Parts(parts) => parts,
-            Survey::Rest => vec![0..bytes.len()],
+            Survey::Rest => vec![whole.clone()],
         };
         let asked = Ranges::of(parts.clone(), 0);
         assert!(present.missing(&asked).bytes() > 0, "what is there is asked for: {asked:?}");
@@ -40,8 +42,9 @@ fn read(bytes: &[u8], present: &Present) -> Log {
     read_present(bytes, present, ReadOptions::default()).expect("all that is needed is there")
 }
 
-fn topic<'l>(log: &'l Log, name: &str) -> &'l Topic {
-    log.topics.iter().find(|topic| topic.name == name).expect("the topic")
+/// The topic of this name, which damage may have taken.
+fn topic<'l>(log: &'l Log, name: &str) -> Option<&'l Topic> {
+    log.topics.iter().find(|topic| topic.name == name)
 }
 
 /// Poses and a camera that sees as much as nineteen times their bytes, in the same chunks.
