@@ -3,11 +3,11 @@
 use std::io::{self, Write};
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process;
 use std::thread;
 use std::time::Duration;
 
-use clap::ValueEnum;
+use clap::{Subcommand, ValueEnum};
 use poseaudit::Options;
 use poseaudit::finding::Severity;
 use poseaudit::fleet::{
@@ -20,7 +20,7 @@ use serde::Serialize;
 use super::how::How;
 use super::output::Format;
 use super::progress::Logs;
-use super::{Outcome, misuse, output};
+use super::{Outcome, fleet_report, misuse, output};
 
 /// No log is given less memory than this by default, bytes.
 const LEAST_MEMORY_BYTES: u64 = 512 << 20;
@@ -31,12 +31,20 @@ const LEAST_MEMORY_BYTES: u64 = 512 << 20;
 /// call that was killed goes on where it was. Exit status: 0 nothing at or above --fail-on in any of the
 /// logs; 1 there is, or a log could not be audited; 2 the call is wrong; 3 none of them could be audited.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "\
+#[command(
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true,
+    after_help = "\
 Examples:
   poseaudit fleet runs --out results
   poseaudit fleet \"runs/*/*.mcap\" --out results --labels-from \"{site}/{arm}/*\"
-  find /data -name \"*.bag\" | poseaudit fleet - --out results --robot ur5e --timeout 60")]
+  find /data -name \"*.bag\" | poseaudit fleet - --out results --robot ur5e --timeout 60
+  poseaudit fleet report results"
+)]
 pub struct Args {
+    #[command(subcommand)]
+    command: Option<Command>,
+
     /// Logs, folders of logs, patterns in quotes, or - for a list on stdin
     #[arg(value_name = "SOURCE", required = true)]
     sources: Vec<String>,
@@ -93,6 +101,11 @@ pub struct Args {
     worker: Option<PathBuf>,
 }
 
+#[derive(Debug, Subcommand)]
+enum Command {
+    Report(fleet_report::Args),
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum By {
     /// A hash of all bytes: a copy is the same log
@@ -132,7 +145,10 @@ fn size_bytes(text: &str) -> Result<u64, String> {
     bytes.filter(|&bytes| bytes > 0).ok_or_else(|| "expected a size such as 2GiB".to_owned())
 }
 
-pub fn run(args: Args) -> Result<Outcome, Trouble> {
+pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
+    if let Some(Command::Report(args)) = args.command.take() {
+        return fleet_report::run(args);
+    }
     let (options, _) = args.how.clone().options()?;
     let out = args.out.clone().unwrap_or_default();
     if let Some(log) = &args.worker {
@@ -206,8 +222,8 @@ fn audit(args: &Args, options: &Options, out: &Path) -> Result<Outcomes, Trouble
 }
 
 /// This very call, for one log.
-fn worker(log: &Path) -> io::Result<Command> {
-    let mut command = Command::new(std::env::current_exe()?);
+fn worker(log: &Path) -> io::Result<process::Command> {
+    let mut command = process::Command::new(std::env::current_exe()?);
     // The name of the program, and that of the command.
     let mut args = std::env::args_os().skip(1);
     command.args(args.next()).arg("--worker").arg(log).args(args);
@@ -266,7 +282,7 @@ impl<'a> Summary<'a> {
         }
         for failure in errors.iter().take(MOST_NAMED) {
             let path = poseaudit::report::tame(&failure.path);
-            let what = failure.what.as_deref().unwrap_or("see the table errors");
+            let what = failure.what.as_deref().unwrap_or_default();
             writeln!(to, "  {path}: {}", poseaudit::report::tame(what))?;
         }
         if errors.len() > MOST_NAMED {

@@ -9,6 +9,7 @@ mod demo;
 mod explain;
 mod fk;
 mod fleet;
+mod fleet_report;
 mod how;
 mod info;
 mod init;

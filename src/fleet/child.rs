@@ -39,8 +39,8 @@ struct Order {
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Told {
-    /// How the audit ended.
-    Answer(Answer),
+    /// How the audit ended, and what kept it from being one.
+    Answer(Answer, Option<String>),
     /// Why the rows could not be written.
     Fault(String),
 }
@@ -58,11 +58,16 @@ pub enum Death {
     Unable(String),
 }
 
-/// Has `command`, which ends in [`serve`], do `task`.
+/// Has `command`, which ends in [`serve`], do `task`; tells how that ended, and what kept the log from
+/// being audited.
 ///
 /// # Errors
 /// If it gives no answer.
-pub fn audited(mut command: Command, task: &Task, limits: &Limits) -> Result<Answer, Death> {
+pub fn audited(
+    mut command: Command,
+    task: &Task,
+    limits: &Limits,
+) -> Result<(Answer, Option<String>), Death> {
     let unable = |error: io::Error| Death::Unable(format!("no process can be started: {error}"));
     let errors = tempfile::tempfile().map_err(unable)?;
     command
@@ -90,7 +95,7 @@ pub fn audited(mut command: Command, task: &Task, limits: &Limits) -> Result<Ans
     };
     let status = child.wait().map_err(unable)?;
     match said.lines().last().and_then(|line| serde_json::from_str(line).ok()) {
-        Some(Told::Answer(answer)) => Ok(answer),
+        Some(Told::Answer(answer, what)) => Ok((answer, what)),
         Some(Told::Fault(why)) => Err(Death::Unable(why)),
         None => Err(death(status, &last_words(errors))),
     }
@@ -166,7 +171,7 @@ pub fn serve(path: &Path, options: &Options, store: &Store) -> io::Result<()> {
         limit_memory(bytes)?;
     }
     let told = match settle(path, &task, options, store) {
-        Ok(answer) => Told::Answer(answer),
+        Ok((answer, what)) => Told::Answer(answer, what),
         Err(error) => Told::Fault(error.to_string()),
     };
     let mut stdout = io::stdout().lock();

@@ -122,7 +122,7 @@ pub struct Failure {
     pub path: String,
     /// How its audit ended.
     pub status: Status,
-    /// Why, as far as this process knows; the table `errors` knows more.
+    /// Why.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub what: Option<String>,
 }
@@ -139,22 +139,35 @@ impl Outcomes {
     }
 
     fn count(&mut self, answer: Answer) {
-        let of = &mut self.statuses;
-        *match answer.status {
-            Status::Audited => &mut of.audited,
-            Status::NotAudited => &mut of.not_audited,
-            Status::Unreadable => &mut of.unreadable,
-            Status::TimedOut => &mut of.timed_out,
-            Status::OutOfMemory => &mut of.out_of_memory,
-            Status::Crashed => &mut of.crashed,
+        self.statuses.count(answer.status);
+        self.verdicts.count(answer.verdict);
+        self.answers.push(answer);
+    }
+}
+
+impl Statuses {
+    /// Counts one more.
+    pub(super) fn count(&mut self, status: Status) {
+        *match status {
+            Status::Audited => &mut self.audited,
+            Status::NotAudited => &mut self.not_audited,
+            Status::Unreadable => &mut self.unreadable,
+            Status::TimedOut => &mut self.timed_out,
+            Status::OutOfMemory => &mut self.out_of_memory,
+            Status::Crashed => &mut self.crashed,
         } += 1;
-        match answer.verdict {
-            Some(Verdict::Pass) => self.verdicts.pass += 1,
-            Some(Verdict::Fail) => self.verdicts.fail += 1,
-            Some(Verdict::Inconclusive) => self.verdicts.inconclusive += 1,
+    }
+}
+
+impl Verdicts {
+    /// Counts one more.
+    pub(super) fn count(&mut self, verdict: Option<Verdict>) {
+        match verdict {
+            Some(Verdict::Pass) => self.pass += 1,
+            Some(Verdict::Fail) => self.fail += 1,
+            Some(Verdict::Inconclusive) => self.inconclusive += 1,
             None => {}
         }
-        self.answers.push(answer);
     }
 }
 
@@ -259,7 +272,7 @@ impl Engine<'_> {
         }
         let command = (self.call.worker)(path).map_err(|error| self.unable(error.to_string()))?;
         let (status, what) = match audited(command, &task, &self.call.limits) {
-            Ok(answer) => return Ok(Settled::Now(answer, None)),
+            Ok((answer, what)) => return Ok(Settled::Now(answer, what)),
             Err(Death::Unable(why)) => return Err(self.unable(why)),
             Err(Death::TimedOut) => (Status::TimedOut, self.too_long()),
             Err(Death::OutOfMemory) => (Status::OutOfMemory, self.too_much()),

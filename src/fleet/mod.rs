@@ -10,6 +10,7 @@ mod engine;
 mod labels;
 mod machine;
 mod pending;
+pub mod report;
 mod settings;
 mod sources;
 mod store;

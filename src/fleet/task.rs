@@ -68,7 +68,7 @@ impl Answer {
 }
 
 /// Audits the log at `path` as `options` say, and puts its rows into `store`. A panic is caught, and
-/// becomes its row.
+/// becomes its row. Returns also what kept it from being audited.
 ///
 /// # Errors
 /// Where its rows cannot be written.
@@ -77,7 +77,7 @@ pub fn settle(
     task: &Task,
     options: &Options,
     store: &Store,
-) -> Result<Answer, StoreError> {
+) -> Result<(Answer, Option<String>), StoreError> {
     let options = Options {
         logs: vec![path.to_owned()],
         fail_on: Some(Severity::Warning),
@@ -87,14 +87,17 @@ pub fn settle(
         figures: false,
         ..options.clone()
     };
-    let (answer, tables) = match caught(|| audit(&options)) {
-        Ok(Ok(report)) => of_report(task, &report),
-        Ok(Err(trouble)) => of_trouble(task, Status::NotAudited, &trouble),
-        Err(panic) => of_trouble(task, Status::Crashed, &crashed(task, panic)),
+    let ((answer, tables), trouble) = match caught(|| audit(&options)) {
+        Ok(Ok(report)) => (of_report(task, &report), report.error),
+        Ok(Err(trouble)) => (of_trouble(task, Status::NotAudited, &trouble), Some(trouble)),
+        Err(panic) => {
+            let trouble = crashed(task, panic);
+            (of_trouble(task, Status::Crashed, &trouble), Some(trouble))
+        }
     };
     let tables = tables.map_err(|source| StoreError::Content { path: path.to_owned(), source })?;
     store.commit(&task.key, tables)?;
-    Ok(answer)
+    Ok((answer, trouble.map(|trouble| trouble.what)))
 }
 
 fn of_report(task: &Task, report: &Report) -> (Answer, Result<Tables, PolarsError>) {

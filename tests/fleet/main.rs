@@ -2,6 +2,7 @@
 //! them.
 
 mod logs;
+mod report;
 mod rows;
 
 use std::fs;

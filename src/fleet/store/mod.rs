@@ -192,7 +192,10 @@ impl Store {
         let store = Self { folder: Folder(folder.to_owned()) };
         for table in TABLES.into_iter().chain([Table::Sources]) {
             let path = store.folder.of(table);
-            fs::create_dir_all(&path).map_err(|source| StoreError::File { path, source })?;
+            if let Err(source) = fs::create_dir_all(&path) {
+                return Err(StoreError::File { path, source });
+            }
+            parts::sweep(&path);
         }
         Ok(store)
     }
@@ -220,6 +223,12 @@ impl Store {
         let text = format!("{:#}\n", settings.said);
         crate::report::write_whole(&path, |staged| fs::write(staged, &text))
             .map_err(|source| StoreError::File { path, source })
+    }
+
+    /// When the settings of this hash were written down first; nothing where they were not.
+    pub(super) fn settings_written(&self, hash: &str) -> Option<std::time::SystemTime> {
+        let path = self.path().join("settings").join(format!("{hash}.json"));
+        fs::metadata(path).and_then(|metadata| metadata.modified()).ok()
     }
 
     /// Puts the rows of the log with this key in their places, those of `runs` last.

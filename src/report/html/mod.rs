@@ -22,6 +22,7 @@ use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
 
 use self::parts::Parts;
+pub(crate) use self::plot::{Plot, Role, Series, Style};
 use self::proof::{Proof, proofs};
 use super::outline::Outline;
 use super::{Report, Verdict};
@@ -57,6 +58,25 @@ fn page(report: &Report) -> Markup {
     let rows = (MOST_ROWS / plots.max(1)).clamp(least, most);
     let parts = Parts { report, outline: &outline, proofs: &proofs, rows, left_out };
     let title = format!("{} · {}", report.verdict, parts.name());
+    let body = html! {
+        a .skip href="#findings" { "Skip to the findings" }
+        (parts.header())
+        main {
+            (parts.verdict())
+            noscript {
+                p .note { "The plots need JavaScript; their values are in the tables under them." }
+            }
+            (parts.findings())
+            (parts.rest())
+        }
+        (parts.footer())
+    };
+    shell(&title, verdict_class(report), &body, data(&proofs, rows))
+}
+
+/// A page with this body that loads nothing from anywhere, and in which no script runs but those that
+/// draw `plots`: what [`Plot::json`] makes, by the ids that the body names.
+pub(crate) fn shell(title: &str, class: &str, body: &Markup, plots: Map<String, Value>) -> Markup {
     let policy = format!(
         "default-src 'none'; style-src 'unsafe-inline'; script-src {} {}; base-uri 'none'; \
          form-action 'none'",
@@ -75,20 +95,9 @@ fn page(report: &Report) -> Markup {
                 title { (title) }
                 style { (PreEscaped(UPLOT_STYLE)) (PreEscaped(STYLE)) }
             }
-            body .(verdict_class(report)) {
-                a .skip href="#findings" { "Skip to the findings" }
-                (parts.header())
-                main {
-                    (parts.verdict())
-                    noscript {
-                        p .note { "The plots need JavaScript; their values are in the tables under \
-                                   them." }
-                    }
-                    (parts.findings())
-                    (parts.rest())
-                }
-                (parts.footer())
-                script #data type="application/json" { (PreEscaped(data(&proofs, rows))) }
+            body .(class) {
+                (body)
+                script #data type="application/json" { (PreEscaped(embedded(plots))) }
                 script { (PreEscaped(UPLOT)) }
                 script { (PreEscaped(SCRIPT)) }
             }
@@ -121,15 +130,19 @@ fn limit(proofs: &mut [Proof]) -> usize {
     left_out
 }
 
-/// What the script draws the plots from. No `<` is left in it, so that no name in it ends the element
-/// that it stands in.
-fn data(proofs: &[Proof], rows: usize) -> String {
+/// What the script draws the plots from.
+fn data(proofs: &[Proof], rows: usize) -> Map<String, Value> {
     let plots = proofs.iter().enumerate().flat_map(|(finding, proof)| {
         let plots = proof.plots.iter().enumerate();
         plots.map(move |(plot, drawn)| (plot_id(finding, plot), drawn.json(rows)))
     });
-    let data: Map<String, Value> = plots.collect();
-    Value::Object(data).to_string().replace('<', "\\u003c")
+    plots.collect()
+}
+
+/// Data as a script finds it. No `<` is left in it, so that no name in it ends the element that it
+/// stands in.
+fn embedded(plots: Map<String, Value>) -> String {
+    Value::Object(plots).to_string().replace('<', "\\u003c")
 }
 
 /// A script's hash, as a page's policy has it.

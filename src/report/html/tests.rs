@@ -202,7 +202,7 @@ fn hostile_names_stay_data() {
         }],
         ..Plot::default()
     };
-    let data = data(&[Proof { plots: vec![plot], ..Proof::default() }], 100);
+    let data = embedded(data(&[Proof { plots: vec![plot], ..Proof::default() }], 100));
     assert!(!data.contains('<'), "{data}");
     let read: Value = serde_json::from_str(&data).expect("JSON");
     assert_eq!(read["plot-1-1"]["series"][0]["label"], HOSTILE);

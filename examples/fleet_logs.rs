@@ -1,0 +1,52 @@
+//! Writes the logs of a small fleet: `cargo run --example fleet_logs -- DIR`.
+//!
+//! Three arms of two sites, a log every fourth day of two months. In cell1 of Berlin the zero of the elbow
+//! creeps; in cell2 the poses are late from one day on; Oslo has nothing but a constant zero. One log is no
+//! log. The picture of `docs/fleet.md` is made of them.
+
+use std::env;
+use std::fs::{self, File};
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result};
+use poseaudit::synth::{Motion, START, Scenario};
+
+const RUNS: u32 = 16;
+const DAYS_APART: f64 = 4.0;
+
+fn main() -> Result<()> {
+    let folder: PathBuf = env::args_os().nth(1).context("name a folder")?.into();
+    for (index, arm) in ["berlin/cell1", "berlin/cell2", "oslo/cell1"].into_iter().enumerate() {
+        for run in 0..RUNS {
+            let day = DAYS_APART * f64::from(run);
+            let mut log = sound(1 + u64::from(run) + 100 * index as u64);
+            log.start = START.shifted(day * 86_400.0);
+            match arm {
+                "berlin/cell1" => log.joints.zero_offsets = vec![0.0, 0.0, 3e-4 + 1.6e-5 * day],
+                "berlin/cell2" if day > 30.0 => log.pose.timing.latency_s = 0.006,
+                "berlin/cell2" => {}
+                _ => log.joints.zero_offsets = vec![0.0, 0.0, 0.0, 0.004],
+            }
+            write(&log, &folder.join(arm).join(format!("run_{run:02}.mcap")))?;
+        }
+    }
+    fs::write(folder.join("oslo/cell1/run_16.mcap"), "disk full")?;
+    Ok(())
+}
+
+fn sound(seed: u64) -> Scenario {
+    let mut run = Scenario::ur5e();
+    (run.seed, run.duration_s, run.motion) = (seed, 6.0, Motion::Continuous);
+    run.joints.timing.rate_hz = 50.0;
+    run.pose.timing.rate_hz = 50.0;
+    run.tf.timing.rate_hz = 0.0;
+    run.imu.timing.rate_hz = 0.0;
+    run
+}
+
+fn write(log: &Scenario, path: &Path) -> Result<()> {
+    fs::create_dir_all(path.parent().context("a folder")?)?;
+    log.write_mcap(BufWriter::new(File::create(path)?), Some(mcap::Compression::Zstd))?;
+    Ok(())
+}

@@ -1,0 +1,91 @@
+//! `poseaudit fleet report`.
+
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+use poseaudit::checks::Selector;
+use poseaudit::fleet::report::{Day, FleetReport, Question, write_html, write_text};
+use poseaudit::fleet::{Store, Template};
+use poseaudit::report::Trouble;
+
+use super::how::FailOn;
+use super::{Outcome, misuse, output};
+
+/// Say what the logs of a fleet tell together: which arms fail which rules, and what moves over time
+///
+/// Exit status: 0 nothing at or above --fail-on; 1 a finding that is, a log that could not be audited, or
+/// an amount that creeps or steps, which counts as a warning; 2 the call is wrong.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  poseaudit fleet report results
+  poseaudit fleet report results --format html --output fleet.html
+  poseaudit fleet report results --select ZER --since 2026-05-01 --fail-on error")]
+pub struct Args {
+    /// The folder that `poseaudit fleet --out` wrote
+    #[arg(value_name = "DIR")]
+    folder: PathBuf,
+
+    /// How it is printed
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    format: Format,
+
+    /// Write it to this file instead of stdout
+    #[arg(long, value_name = "PATH")]
+    output: Option<PathBuf>,
+
+    /// Exit with 1 from findings of this severity
+    #[arg(long, value_enum, value_name = "SEVERITY", default_value_t = FailOn::Warning)]
+    fail_on: FailOn,
+
+    /// Findings of logs from before this day, in UTC, do not count; trends see all logs
+    #[arg(long, value_name = "YYYY-MM-DD")]
+    since: Option<Day>,
+
+    /// Only these rules: codes, or the letters a family begins with
+    #[arg(long, value_name = "CODES", value_delimiter = ',')]
+    select: Vec<Selector>,
+
+    /// What the ends of paths say logs are of, as in {site}/{arm}/*, in place of their labels
+    #[arg(long, value_name = "TEMPLATE")]
+    labels_from: Option<Template>,
+
+    /// Hash of the settings whose results are wanted [default: the latest]
+    #[arg(long, value_name = "HASH")]
+    settings: Option<String>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Format {
+    /// For people
+    Text,
+    /// For programs, in SI units
+    Json,
+    /// For people: one page with its plots, which opens in any browser
+    Html,
+}
+
+pub fn run(args: Args) -> Result<Outcome, Trouble> {
+    let Some(store) = Store::open(&args.folder) else {
+        let place = args.folder.display().to_string();
+        let what = "there are no results of a fleet in it";
+        return Err(misuse(place, what, "name the folder that `poseaudit fleet --out` wrote"));
+    };
+    let question = Question {
+        fail_on: args.fail_on.into(),
+        since_ns: args.since.map(Day::start_ns),
+        template: args.labels_from,
+        settings: args.settings,
+        select: args.select,
+    };
+    let report = FleetReport::of(&store, &question)?;
+    output::emit(args.output.as_deref(), |out| match args.format {
+        Format::Text => write_text(&report, out),
+        Format::Html => write_html(&report, out),
+        Format::Json => {
+            serde_json::to_writer_pretty(&mut *out, &report)?;
+            writeln!(out)
+        }
+    })?;
+    Ok(if report.failing { Outcome::Findings } else { Outcome::Clean })
+}

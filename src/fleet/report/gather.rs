@@ -1,0 +1,444 @@
+//! From the parts of the tables to what the report says, one part at a time.
+
+use std::collections::btree_map::Entry;
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+
+use polars::prelude::{DataFrame, PolarsResult};
+use serde_json::Value;
+
+use super::trends::{Point, Series};
+use super::{ArmRow, ErrorRow, FindingRow, LogCounts, Question, RuleCount, Whose, calendar};
+use crate::finding::Severity;
+use crate::fleet::engine::Verdicts;
+use crate::fleet::store::{Status, Store, StoreError, Table};
+use crate::report::Verdict;
+
+/// What was gathered.
+pub struct Gathered {
+    pub logs: LogCounts,
+    pub arms: Vec<ArmRow>,
+    pub findings: Vec<FindingRow>,
+    pub series: Vec<Series>,
+    pub errors: Vec<ErrorRow>,
+}
+
+/// A row of `runs`.
+struct Log {
+    path: String,
+    content: String,
+    version: String,
+    settings: String,
+    site: Option<String>,
+    arm: Option<String>,
+    robots: Option<String>,
+    status: Status,
+    verdict: Option<Verdict>,
+    start_ns: Option<i64>,
+}
+
+impl Log {
+    /// When it begins, where that is a time of the calendar.
+    fn dated_ns(&self) -> Option<i64> {
+        self.start_ns.filter(|&start_ns| start_ns >= calendar::FIRST_NS)
+    }
+}
+
+/// Gathers what `question` asks for.
+pub fn gather(store: &Store, question: &Question) -> Result<Gathered, StoreError> {
+    let (logs, set_aside) = logs(store, question)?;
+    let mut gathering = Gathering::of(&logs, question);
+    for (table, columns) in [(Table::Checks, CHECKS), (Table::Findings, FINDINGS)] {
+        let mut seen = HashSet::new();
+        store.each(table, Some(columns), |frame| {
+            let part = Part(&frame);
+            for (row, key) in new_keys(&part, &mut seen)?.into_iter().enumerate() {
+                let Some(log) = key.and_then(|key| logs.get(&key)) else { continue };
+                match table {
+                    Table::Checks => gathering.check(&part, row, log)?,
+                    _ => gathering.finding(&part, row, log)?,
+                }
+            }
+            Ok(())
+        })?;
+    }
+    let mut errors = BTreeSet::new();
+    store.each(Table::Errors, Some(&["key", "what", "do"]), |frame| {
+        let part = Part(&frame);
+        for row in 0..frame.height() {
+            let log = part.text("key", row)?.and_then(|key| logs.get(&key));
+            let Some(log) = log.filter(|log| question.counts(log)) else { continue };
+            errors.insert(ErrorRow {
+                path: log.path.clone(),
+                status: log.status,
+                what: part.text("what", row)?.unwrap_or_default(),
+                remedy: part.text("do", row)?.unwrap_or_default(),
+            });
+        }
+        Ok(())
+    })?;
+    let Gathering { asked, found, series, .. } = gathering;
+    Ok(Gathered {
+        logs: log_counts(store, &logs, question, set_aside)?,
+        arms: arms(&logs, question, &found),
+        findings: finding_rows(found, &asked),
+        series: series.into_values().collect(),
+        errors: errors.into_iter().collect(),
+    })
+}
+
+impl Question {
+    /// Whether what was found in a log counts: not where it is of before the time asked for.
+    fn counts(&self, log: &Log) -> bool {
+        match (self.since_ns, log.dated_ns()) {
+            (Some(since_ns), Some(start_ns)) => start_ns >= since_ns,
+            _ => true,
+        }
+    }
+
+    fn asks(&self, code: &str) -> bool {
+        self.select.is_empty() || self.select.iter().any(|selector| selector.names(code))
+    }
+}
+
+const RUNS: &[&str] = &[
+    "key", "path", "content", "version", "settings", "site", "arm", "robots", "status", "verdict",
+    "start_ns",
+];
+const CHECKS: &[&str] = &[
+    "key",
+    "code",
+    "status",
+    "robot",
+    "topic",
+    "joint",
+    "frame",
+    "value",
+    "unit",
+    "ci95_low",
+    "ci95_high",
+    "estimate_json",
+];
+const FINDINGS: &[&str] = &[
+    "key",
+    "code",
+    "severity",
+    "title",
+    "message",
+    "robot",
+    "topic",
+    "joint",
+    "frame",
+    "ignored_because",
+];
+
+/// The logs of one version and of the same settings, by key; and how many rows are of others.
+fn logs(store: &Store, question: &Question) -> Result<(HashMap<String, Log>, usize), StoreError> {
+    let mut logs = HashMap::new();
+    store.each(Table::Runs, Some(RUNS), |part| {
+        let frame = Part(&part);
+        for row in 0..part.height() {
+            let text = |name: &str| frame.text(name, row);
+            let path = text("path")?.unwrap_or_default();
+            let said = question.template.as_ref().map(|it| it.labels(path.as_ref()));
+            let label = |name: &str| match &said {
+                Some(said) => Ok(said.get(name).cloned()),
+                None => text(name),
+            };
+            let status = text("status")?.and_then(|name| Status::named(&name));
+            let log = Log {
+                content: text("content")?.unwrap_or_default(),
+                version: text("version")?.unwrap_or_default(),
+                settings: text("settings")?.unwrap_or_default(),
+                site: label("site")?,
+                arm: label("arm")?,
+                robots: text("robots")?,
+                status: status.unwrap_or(Status::Unreadable),
+                verdict: text("verdict")?.and_then(|name| Verdict::named(&name)),
+                start_ns: frame.stamp("start_ns", row)?,
+                path,
+            };
+            logs.insert(text("key")?.unwrap_or_default(), log);
+        }
+        Ok(())
+    })?;
+    let total = logs.len();
+    if let Some((version, settings)) = wanted(store, &logs, question) {
+        logs.retain(|_, log| log.version == version && log.settings == settings);
+    }
+    let set_aside = total - logs.len();
+    Ok((logs, set_aside))
+}
+
+/// The version and the settings whose rows are wanted: those that were asked for, else of the latest
+/// version those that were written down last.
+fn wanted(
+    store: &Store,
+    logs: &HashMap<String, Log>,
+    question: &Question,
+) -> Option<(String, String)> {
+    let is_asked = |log: &&Log| match &question.settings {
+        Some(asked) => log.settings.starts_with(asked.as_str()),
+        None => true,
+    };
+    let number = |part: &str| part.parse::<u64>().unwrap_or(0);
+    let rank = |version: &str| version.split(['.', '-', '+']).map(number).collect::<Vec<_>>();
+    let kinds: BTreeSet<(&str, &str)> = logs
+        .values()
+        .filter(is_asked)
+        .map(|log| (log.version.as_str(), log.settings.as_str()))
+        .collect();
+    let kinds = kinds.into_iter().map(|(version, settings)| {
+        (rank(version), store.settings_written(settings), version, settings)
+    });
+    let (.., version, settings) = kinds.max()?;
+    Some((version.to_owned(), settings.to_owned()))
+}
+
+/// The keys of a part's rows, of those that are in no part before: the rows of a log stand together.
+fn new_keys(part: &Part<'_>, seen: &mut HashSet<String>) -> PolarsResult<Vec<Option<String>>> {
+    let mut keys = Vec::with_capacity(part.0.height());
+    for row in 0..part.0.height() {
+        keys.push(part.text("key", row)?.filter(|key| !seen.contains(key)));
+    }
+    seen.extend(keys.iter().flatten().cloned());
+    Ok(keys)
+}
+
+/// What is found on a subject.
+struct Found {
+    title: String,
+    severity: Severity,
+    /// The logs it is found in, by their beginnings and paths, with the words of each.
+    logs: BTreeMap<(Option<i64>, String), String>,
+}
+
+/// A rule and whom it is about.
+type Cause = (String, Whose);
+
+struct Gathering<'a> {
+    question: &'a Question,
+    /// The names of the robots of each log, where it has one.
+    sole_robots: HashMap<&'a str, &'a str>,
+    /// In how many logs a rule passed on a subject.
+    asked: BTreeMap<Cause, usize>,
+    found: BTreeMap<Cause, Found>,
+    series: BTreeMap<(Cause, String), Series>,
+}
+
+impl<'a> Gathering<'a> {
+    fn of(logs: &'a HashMap<String, Log>, question: &'a Question) -> Self {
+        let sole = logs.values().filter_map(|log| {
+            let robots = log.robots.as_deref().filter(|robots| !robots.contains(", "))?;
+            Some((log.path.as_str(), robots))
+        });
+        Self {
+            question,
+            sole_robots: sole.collect(),
+            asked: BTreeMap::new(),
+            found: BTreeMap::new(),
+            series: BTreeMap::new(),
+        }
+    }
+
+    /// Whom a row is about. Where a file is the subject, that is the log itself.
+    fn whose(&self, part: &Part<'_>, row: usize, log: &Log) -> PolarsResult<Whose> {
+        let named = part.text("robot", row)?;
+        let sole = || self.sole_robots.get(log.path.as_str()).map(|name| (*name).to_owned());
+        Ok(Whose {
+            site: log.site.clone(),
+            arm: log.arm.clone(),
+            robot: named.or_else(sole),
+            topic: part.text("topic", row)?.filter(|topic| !log.path.ends_with(topic.as_str())),
+            joint: part.text("joint", row)?,
+            frame: part.text("frame", row)?,
+        })
+    }
+
+    fn check(&mut self, part: &Part<'_>, row: usize, log: &Log) -> PolarsResult<()> {
+        let code = part.text("code", row)?.unwrap_or_default();
+        if !self.question.asks(&code) {
+            return Ok(());
+        }
+        let passes = part.text("status", row)?.as_deref() == Some("pass");
+        let amount = part.number("value", row)?.zip(part.text("unit", row)?);
+        let ends = part.number("ci95_low", row)?.zip(part.number("ci95_high", row)?);
+        let point = log.dated_ns().zip(amount).zip(ends);
+        if !passes && point.is_none() {
+            return Ok(());
+        }
+        let cause = (code, self.whose(part, row, log)?);
+        if let Some(((start_ns, (value, unit)), (low, high))) = point {
+            let series = self.series.entry((cause.clone(), unit.clone()));
+            let series = match series {
+                Entry::Occupied(known) => known.into_mut(),
+                Entry::Vacant(new) => new.insert(Series {
+                    code: cause.0.clone(),
+                    name: name_of(part.text("estimate_json", row)?),
+                    unit,
+                    whose: cause.1.clone(),
+                    points: Vec::new(),
+                }),
+            };
+            series.points.push(Point {
+                start_ns,
+                value,
+                ci95: [low, high],
+                path: log.path.clone(),
+            });
+        }
+        if passes && self.question.counts(log) {
+            *self.asked.entry(cause).or_default() += 1;
+        }
+        Ok(())
+    }
+
+    fn finding(&mut self, part: &Part<'_>, row: usize, log: &Log) -> PolarsResult<()> {
+        let code = part.text("code", row)?.unwrap_or_default();
+        let is_ignored = part.text("ignored_because", row)?.is_some();
+        if is_ignored || !self.question.asks(&code) || !self.question.counts(log) {
+            return Ok(());
+        }
+        let severity = part.text("severity", row)?;
+        let severity = match severity.as_deref() {
+            Some("error") => Severity::Error,
+            Some("warning") => Severity::Warning,
+            _ => Severity::Info,
+        };
+        let title = part.text("title", row)?.unwrap_or_default();
+        let whose = self.whose(part, row, log)?;
+        let found = self.found.entry((code, whose)).or_insert_with(|| Found {
+            title,
+            severity,
+            logs: BTreeMap::new(),
+        });
+        found.severity = found.severity.max(severity);
+        let message = part.text("message", row)?.unwrap_or_default();
+        found.logs.insert((log.start_ns, log.path.clone()), message);
+        Ok(())
+    }
+}
+
+/// What an estimate calls itself.
+fn name_of(estimate_json: Option<String>) -> String {
+    let estimate: Option<Value> = estimate_json.and_then(|text| serde_json::from_str(&text).ok());
+    let name = estimate.as_ref().and_then(|estimate| estimate.get("name")?.as_str());
+    name.unwrap_or_default().to_owned()
+}
+
+/// What is found, the most frequent of the gravest first.
+fn finding_rows(found: BTreeMap<Cause, Found>, asked: &BTreeMap<Cause, usize>) -> Vec<FindingRow> {
+    let rows = found.into_iter().filter_map(|(cause, found)| {
+        let ((start_ns, path), message) = found.logs.last_key_value()?;
+        Some(FindingRow {
+            severity: found.severity,
+            logs: found.logs.len(),
+            sound: asked.get(&cause).copied().unwrap_or_default(),
+            message: message.clone(),
+            path: path.clone(),
+            start_ns: start_ns.map(|start_ns| start_ns.to_string()),
+            title: found.title,
+            code: cause.0,
+            whose: cause.1,
+        })
+    });
+    let mut rows: Vec<FindingRow> = rows.collect();
+    rows.sort_by(|a, b| (b.severity, b.logs).cmp(&(a.severity, a.logs)));
+    rows
+}
+
+/// The arms, by site and name.
+fn arms(
+    logs: &HashMap<String, Log>,
+    question: &Question,
+    found: &BTreeMap<Cause, Found>,
+) -> Vec<ArmRow> {
+    type Name = (Option<String>, Option<String>, Option<String>);
+    let mut arms: BTreeMap<Name, ArmRow> = BTreeMap::new();
+    for log in logs.values().filter(|log| question.counts(log)) {
+        let name = (log.site.clone(), log.arm.clone(), log.robots.clone());
+        let arm = arms.entry(name).or_insert_with(|| ArmRow {
+            whose: Whose {
+                site: log.site.clone(),
+                arm: log.arm.clone(),
+                robot: log.robots.clone(),
+                ..Whose::default()
+            },
+            logs: 0,
+            verdicts: Verdicts::default(),
+            fails: Vec::new(),
+        });
+        arm.logs += 1;
+        arm.verdicts.count(log.verdict);
+    }
+    for arm in arms.values_mut() {
+        let mut by_code: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
+        let is_its = |whose: &Whose| {
+            (&whose.site, &whose.arm) == (&arm.whose.site, &arm.whose.arm)
+                && match (&whose.robot, &arm.whose.robot) {
+                    (Some(one), Some(all)) => all.split(", ").any(|name| name == one),
+                    (None, _) => true,
+                    (Some(_), None) => false,
+                }
+        };
+        let grave = found.iter().filter(|(_, found)| found.severity > Severity::Info);
+        for ((code, _), found) in grave.filter(|((_, whose), _)| is_its(whose)) {
+            let paths = found.logs.keys().map(|(_, path)| path.as_str());
+            by_code.entry(code.as_str()).or_default().extend(paths);
+        }
+        let fails = by_code
+            .into_iter()
+            .map(|(code, paths)| RuleCount { code: code.to_owned(), logs: paths.len() });
+        arm.fails = fails.collect();
+    }
+    arms.into_values().collect()
+}
+
+fn log_counts(
+    store: &Store,
+    logs: &HashMap<String, Log>,
+    question: &Question,
+    set_aside: usize,
+) -> Result<LogCounts, StoreError> {
+    let mut counts = LogCounts { total: logs.len(), set_aside, ..LogCounts::default() };
+    for log in logs.values() {
+        counts.statuses.count(log.status);
+        counts.verdicts.count(log.verdict);
+        let is_undated = log.status == Status::Audited && log.dated_ns().is_none();
+        counts.undated += usize::from(is_undated);
+        counts.before += usize::from(!question.counts(log));
+        (counts.version, counts.settings) = (log.version.clone(), log.settings.clone());
+    }
+    let dated = || logs.values().filter_map(Log::dated_ns);
+    counts.start_ns = dated().min().map(|stamp| stamp.to_string());
+    counts.end_ns = dated().max().map(|stamp| stamp.to_string());
+    let known: HashSet<&str> = logs.values().map(|log| log.content.as_str()).collect();
+    let mut paths: HashSet<(String, String)> = HashSet::new();
+    store.each(Table::Sources, Some(&["path", "content"]), |frame| {
+        let part = Part(&frame);
+        for row in 0..frame.height() {
+            let (path, content) = (part.text("path", row)?, part.text("content", row)?);
+            paths.extend(path.zip(content).filter(|(_, content)| known.contains(content.as_str())));
+        }
+        Ok(())
+    })?;
+    let contents: HashSet<&str> = paths.iter().map(|(_, content)| content.as_str()).collect();
+    counts.copies = paths.len() - contents.len();
+    Ok(counts)
+}
+
+/// A part of a table, by cells.
+struct Part<'a>(&'a DataFrame);
+
+impl Part<'_> {
+    fn text(&self, name: &str, row: usize) -> PolarsResult<Option<String>> {
+        Ok(self.0.column(name)?.str()?.get(row).map(str::to_owned))
+    }
+
+    fn number(&self, name: &str, row: usize) -> PolarsResult<Option<f64>> {
+        Ok(self.0.column(name)?.f64()?.get(row).filter(|number| number.is_finite()))
+    }
+
+    fn stamp(&self, name: &str, row: usize) -> PolarsResult<Option<i64>> {
+        Ok(self.0.column(name)?.i64()?.get(row))
+    }
+}

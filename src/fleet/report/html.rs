@@ -1,0 +1,237 @@
+//! The report as one page for a browser: what moves with its plot, what is found where, the arms, all
+//! other trends.
+
+use std::io::{self, Write};
+
+use maud::{Markup, html};
+use serde_json::{Map, Value};
+
+use super::text::{head, how_often, totals};
+use super::{Course, FindingRow, FleetReport, TrendRow, calendar};
+use crate::report::html::{Plot, Role, Series, Style, shell};
+use crate::time::seconds;
+
+/// No more plots are drawn than this.
+const MOST_PLOTS: usize = 100;
+
+/// No more rows of one kind are shown; JSON has them all.
+const MOST_ROWS: usize = 500;
+
+/// Logs drawn on one plot.
+const MOST_POINTS: usize = 1000;
+
+/// Writes the report. The same report gives the same bytes.
+///
+/// # Errors
+/// If `out` cannot be written.
+pub fn write(report: &FleetReport, out: &mut dyn Write) -> io::Result<()> {
+    out.write_all(page(report).into_string().as_bytes())
+}
+
+fn page(report: &FleetReport) -> Markup {
+    let (class, word) = if report.failing { ("fail", "FAIL") } else { ("pass", "PASS") };
+    let drawn: Vec<(String, &TrendRow, Plot)> = drawn(report);
+    let plots: Map<String, Value> =
+        drawn.iter().map(|(id, _, plot)| (id.clone(), plot.json(MOST_POINTS))).collect();
+    let (moving, others): (Vec<_>, Vec<_>) =
+        drawn.iter().partition(|(_, row, _)| row.course.is_moving());
+    let body = html! {
+        a .skip href="#moves" { "Skip to what moves" }
+        header .page {
+            p .tool { "poseaudit" }
+            h1 { "Fleet" }
+            dl .facts {
+                @for (label, said) in head(report) { dt { (label) } dd { (said) } }
+            }
+        }
+        main {
+            section .verdict aria-labelledby="verdict" {
+                h2 #verdict { strong { (word) } " " span { (totals(report)) } }
+            }
+            noscript {
+                p .note { "The plots need JavaScript; their values are in the tables under them." }
+            }
+            section #moves aria-labelledby="moves-title" {
+                h2 #moves-title .quiet[moving.is_empty()] {
+                    @if moving.is_empty() { "Nothing moves" } @else { "What moves" }
+                }
+                @for (id, row, plot) in &moving { (article(id, row, plot)) }
+            }
+            (findings(report))
+            (arms(report))
+            (errors(report))
+            (trends(report))
+            @if !others.is_empty() {
+                section #plots aria-labelledby="plots-title" {
+                    h2 #plots-title { "Over time" }
+                    div .proof {
+                        @for (id, _, plot) in &others { (plot.markup(id, None, MOST_POINTS)) }
+                    }
+                }
+            }
+        }
+    };
+    shell(&format!("{word} · fleet of {} logs", report.logs.total), class, &body, plots)
+}
+
+/// The plots: of what moves all, then of what does not, as many as there may be.
+fn drawn(report: &FleetReport) -> Vec<(String, &TrendRow, Plot)> {
+    let rows = report.trends.iter().filter(|row| row.rate_per_day.is_some());
+    let numbered = rows.take(MOST_PLOTS).enumerate();
+    numbered.map(|(index, row)| (format!("trend-{}", index + 1), row, plot(row))).collect()
+}
+
+/// The amounts of a trend over the days, and the line through them.
+fn plot(row: &TrendRow) -> Plot {
+    let (factor, y_label) = everyday(&row.unit);
+    let first_ns = row.points.first().map_or(0, |first| first.start_ns);
+    let days = |stamp_ns: i64| seconds(stamp_ns - first_ns) / 86_400.0;
+    let x: Vec<f64> = row.points.iter().map(|point| days(point.start_ns)).collect();
+    let half = |ci95: [f64; 2]| 0.5 * (ci95[1] - ci95[0]) * factor;
+    let amounts = Series {
+        label: row.name.clone(),
+        role: Role::Amount,
+        values: row.points.iter().map(|point| point.value * factor).collect(),
+        half_widths: row.points.iter().map(|point| half(point.ci95)).collect(),
+    };
+    let day_0 = format!("Day 0 is {}.", calendar::day(first_ns));
+    let last = x.last().copied().filter(|&last| last > 0.0).unwrap_or(1.0);
+    // Through a step no line says anything.
+    let line = row.line.filter(|_| row.course != Course::Stepped).map(|[from, to]| Series {
+        label: "line".to_owned(),
+        role: Role::Beside,
+        values: x.iter().map(|day| (from + (to - from) * day / last) * factor).collect(),
+        half_widths: Vec::new(),
+    });
+    Plot {
+        title: "Over time",
+        robot: row.whose.robot.clone().unwrap_or_default(),
+        of: format!("{} {} {}", row.code, row.whose.arm_label(), row.whose.part()),
+        says: match row.course.is_moving() {
+            // That stands above it in large letters.
+            true => day_0,
+            false => format!("{}: {}. {day_0}", row.course.name(), row.says()),
+        },
+        x,
+        x_label: "days",
+        y_label,
+        series: std::iter::once(amounts).chain(line).collect(),
+        from_zero: false,
+        mark: None,
+        style: Style::Curve,
+    }
+}
+
+/// Factor and symbol of the unit in which amounts of this SI symbol are drawn.
+fn everyday(symbol: &str) -> (f64, &'static str) {
+    match symbol {
+        "m" => (1e3, "mm"),
+        "rad" => (1f64.to_degrees(), "°"),
+        "s" => (1e3, "ms"),
+        "rad/s" => (60.0 * 1f64.to_degrees(), "°/min"),
+        "s/s" => (1e6, "ppm"),
+        "m/m" => (1e3, "mm/m"),
+        "rad/s²" => (1.0, "rad/s²"),
+        "m/s²" => (1.0, "m/s²"),
+        _ => (1.0, ""),
+    }
+}
+
+fn article(id: &str, row: &TrendRow, plot: &Plot) -> Markup {
+    html! {
+        article .finding .warning aria-labelledby={ (id) "-title" } {
+            p .badge {
+                span .severity { (row.course.name()) } " " code { (row.code) } " "
+                span .kind { (row.name) }
+            }
+            h3 id={ (id) "-title" } {
+                span .subject { (row.whose.arm_label()) " " (row.whose.part()) } " "
+                span .message { (row.says()) }
+            }
+            div .proof { (plot.markup(id, Some(&plot.of), MOST_POINTS)) }
+        }
+    }
+}
+
+fn findings(report: &FleetReport) -> Markup {
+    let row = |row: &FindingRow| {
+        html! {
+            tr .(row.severity.name()) {
+                th scope="row" { span .severity { (row.severity.name()) } " " code { (row.code) } }
+                td { (row.whose.arm_label()) }
+                td { (row.whose.part()) }
+                td .words { (row.title) ", " (how_often(row)) }
+                td .words { (row.message) br; span .quiet { (row.path) } }
+            }
+        }
+    };
+    table("findings", "What is found", &["", "arm", "of", "", "last"], &report.findings, row)
+}
+
+fn arms(report: &FleetReport) -> Markup {
+    table("arms", "Arms", &["arm", "logs", "pass", "fail", "open", "rules"], &report.arms, |row| {
+        let fails = row.fails.iter().map(|fail| format!("{} in {}", fail.code, fail.logs));
+        html! {
+            tr {
+                th scope="row" { (row.whose.arm_label()) }
+                td { (row.logs) }
+                td { (row.verdicts.pass) }
+                td { (row.verdicts.fail) }
+                td { (row.verdicts.inconclusive) }
+                td .words { (fails.collect::<Vec<_>>().join(", ")) }
+            }
+        }
+    })
+}
+
+fn errors(report: &FleetReport) -> Markup {
+    table("errors", "Not audited", &["log", "", "what"], &report.errors, |row| {
+        html! {
+            tr {
+                th scope="row" { (row.path) }
+                td { (row.status.name()) }
+                td .words { (row.what) "; " (row.remedy) }
+            }
+        }
+    })
+}
+
+fn trends(report: &FleetReport) -> Markup {
+    table("trends", "Trends", &["rule", "arm", "of", "", ""], &report.trends, |row| {
+        html! {
+            tr {
+                th scope="row" { code { (row.code) } }
+                td { (row.whose.arm_label()) }
+                td { (row.whose.part()) }
+                td { (row.course.name()) }
+                td .words { (row.says()) }
+            }
+        }
+    })
+}
+
+/// A section with a table; none where there are no rows.
+fn table<T>(
+    id: &str,
+    title: &str,
+    heads: &[&str],
+    rows: &[T],
+    row: impl Fn(&T) -> Markup,
+) -> Markup {
+    html! {
+        @if !rows.is_empty() {
+            section id=(id) aria-labelledby={ (id) "-title" } {
+                h2 id={ (id) "-title" } { (title) }
+                div .scroll tabindex="0" role="region" aria-labelledby={ (id) "-title" } {
+                    table {
+                        thead { tr { @for head in heads { th scope="col" { (head) } } } }
+                        tbody { @for one in rows.iter().take(MOST_ROWS) { (row(one)) } }
+                    }
+                }
+                @if rows.len() > MOST_ROWS {
+                    p .note { "and " (rows.len() - MOST_ROWS) " more, which the JSON report lists" }
+                }
+            }
+        }
+    }
+}

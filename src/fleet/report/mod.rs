@@ -1,0 +1,217 @@
+//! What the logs of a fleet say together: which arms, sites and topics fail which rules, and how
+//! amounts move over time.
+
+mod calendar;
+mod gather;
+mod html;
+mod text;
+mod trends;
+
+use serde::Serialize;
+
+use super::engine::{Statuses, Verdicts};
+use super::store::{Status, Store, StoreError};
+use crate::checks::Selector;
+use crate::finding::Severity;
+
+pub use calendar::{Day, day};
+pub use html::write as write_html;
+pub use text::write as write_text;
+pub use trends::{Course, Moved, Point, TrendRow};
+
+/// The schema of the report in JSON.
+pub const SCHEMA: &str = "poseaudit.fleet/1";
+
+/// What is asked of a folder of results.
+#[derive(Clone, Debug, Default)]
+pub struct Question {
+    /// Findings of this severity fail it; `None`: none does.
+    pub fail_on: Option<Severity>,
+    /// Findings of runs before this time do not count, ns since 1970. Trends see all runs.
+    pub since_ns: Option<i64>,
+    /// What paths say they are of, in place of the labels that rows have.
+    pub template: Option<super::labels::Template>,
+    /// The hash of the settings whose rows are wanted; of none the latest.
+    pub settings: Option<String>,
+    /// Only these rules; all where there is none.
+    pub select: Vec<Selector>,
+}
+
+/// The report on a fleet. Its fields stand in the order of the JSON object.
+#[derive(Clone, Debug, Serialize)]
+pub struct FleetReport {
+    schema: &'static str,
+    tool: Tool,
+    /// Whether something is there that fails it.
+    pub failing: bool,
+    /// The logs.
+    pub logs: LogCounts,
+    /// The arms.
+    pub arms: Vec<ArmRow>,
+    /// What is found, a row a rule and subject, the most frequent of the gravest first.
+    pub findings: Vec<FindingRow>,
+    /// How amounts moved; what moves stands first.
+    pub trends: Vec<TrendRow>,
+    /// Logs that could not be audited.
+    pub errors: Vec<ErrorRow>,
+}
+
+#[derive(Clone, Copy, Debug, Serialize)]
+struct Tool {
+    name: &'static str,
+    version: &'static str,
+}
+
+/// The logs of a fleet, counted.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct LogCounts {
+    /// Logs, each content once.
+    pub total: usize,
+    /// How their audits ended.
+    pub statuses: Statuses,
+    /// What the reports say, where warnings fail a run.
+    pub verdicts: Verdicts,
+    /// Logs that other paths have too, as copies.
+    pub copies: usize,
+    /// Logs whose first stamp is of no calendar, so that no trend sees them.
+    pub undated: usize,
+    /// Logs before the time from which findings count.
+    pub before: usize,
+    /// First stamp of the first of them, as a decimal string.
+    pub start_ns: Option<String>,
+    /// First stamp of the last.
+    pub end_ns: Option<String>,
+    /// The version that audited them.
+    pub version: String,
+    /// Hash of the settings with which it did.
+    pub settings: String,
+    /// Logs with rows of other versions or settings, which are left aside.
+    pub set_aside: usize,
+}
+
+/// Whose log it is, and what in it is meant.
+#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+pub struct Whose {
+    /// The site, as labelled.
+    pub site: Option<String>,
+    /// The arm, as labelled.
+    pub arm: Option<String>,
+    /// The robot, as the log or its model calls it.
+    pub robot: Option<String>,
+    /// The topic.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub topic: Option<String>,
+    /// The joint.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub joint: Option<String>,
+    /// The frame.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frame: Option<String>,
+}
+
+impl Whose {
+    /// Site, arm and robot in words; a dash where none of them is known.
+    pub fn arm_label(&self) -> String {
+        let parts = [&self.site, &self.arm, &self.robot].into_iter().flatten();
+        let parts: Vec<&str> = parts.map(String::as_str).collect();
+        if parts.is_empty() { "–".to_owned() } else { parts.join(" / ") }
+    }
+
+    /// What in the log is meant: joint, topic or frame; empty for the whole of it.
+    pub fn part(&self) -> String {
+        let parts = [&self.joint, &self.topic, &self.frame].into_iter().flatten();
+        parts.map(String::as_str).collect::<Vec<_>>().join(" ")
+    }
+}
+
+/// An arm.
+#[derive(Clone, Debug, Serialize)]
+pub struct ArmRow {
+    /// Site, arm and robot.
+    #[serde(flatten)]
+    pub whose: Whose,
+    /// Logs of it.
+    pub logs: usize,
+    /// What their reports say.
+    pub verdicts: Verdicts,
+    /// The rules that found a warning or an error, with the number of logs.
+    pub fails: Vec<RuleCount>,
+}
+
+/// In how many logs a rule found something.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct RuleCount {
+    /// Code of the rule.
+    pub code: String,
+    /// Logs.
+    pub logs: usize,
+}
+
+/// A rule that found something on a subject.
+#[derive(Clone, Debug, Serialize)]
+pub struct FindingRow {
+    /// Code of the rule.
+    pub code: String,
+    /// The fault in a few words.
+    pub title: String,
+    /// The gravest of them.
+    pub severity: Severity,
+    /// What is at fault.
+    #[serde(flatten)]
+    pub whose: Whose,
+    /// Logs in which it was found, …
+    pub logs: usize,
+    /// … and in which it was looked at and not found.
+    pub sound: usize,
+    /// The latest of them in words, …
+    pub message: String,
+    /// … where it is, …
+    pub path: String,
+    /// … and when it began, as a decimal string.
+    pub start_ns: Option<String>,
+}
+
+/// A log that could not be audited.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub struct ErrorRow {
+    /// Its path.
+    pub path: String,
+    /// How its audit ended.
+    pub status: Status,
+    /// What is wrong.
+    pub what: String,
+    /// What to do.
+    #[serde(rename = "do")]
+    pub remedy: String,
+}
+
+impl FleetReport {
+    /// The report on what `store` holds.
+    ///
+    /// # Errors
+    /// Where it cannot be read.
+    pub fn of(store: &Store, question: &Question) -> Result<Self, StoreError> {
+        let gathered = gather::gather(store, question)?;
+        let fails = |severity: Severity| question.fail_on.is_some_and(|least| severity >= least);
+        let trends = trends::rows(gathered.series);
+        let moves = trends.iter().any(|row| row.course.is_moving());
+        let failing = gathered.findings.iter().any(|row| fails(row.severity))
+            || (moves && fails(Severity::Warning))
+            || (!gathered.errors.is_empty() && question.fail_on.is_some());
+        Ok(Self {
+            schema: SCHEMA,
+            tool: Tool { name: env!("CARGO_PKG_NAME"), version: env!("CARGO_PKG_VERSION") },
+            failing,
+            logs: gathered.logs,
+            arms: gathered.arms,
+            findings: gathered.findings,
+            trends,
+            errors: gathered.errors,
+        })
+    }
+
+    /// Trends that say that something moves.
+    pub fn moving(&self) -> impl Iterator<Item = &TrendRow> {
+        self.trends.iter().filter(|row| row.course.is_moving())
+    }
+}

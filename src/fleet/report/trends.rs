@@ -1,0 +1,279 @@
+//! How the amounts of a fleet move.
+
+use serde::Serialize;
+
+use super::calendar::DAY_NS;
+use super::{Whose, calendar};
+use crate::checks;
+use crate::diagnosis::{LEAST_RUNS, Measured, Told, Trend, trend};
+use crate::finding::Unit;
+use crate::time::seconds;
+
+/// What counts as movement is told with this confidence, shared among all that was asked.
+const SURE: f64 = 0.999;
+
+/// What moves by a smaller share of the rule's first figure over all its runs does not matter.
+const MATERIAL: f64 = 0.1;
+
+/// A day in seconds.
+const DAY_S: f64 = 86_400.0;
+
+/// An amount over time, as it was gathered.
+#[derive(Clone, Debug)]
+pub struct Series {
+    /// Code of the rule.
+    pub code: String,
+    /// What the amount is, as the estimate calls it.
+    pub name: String,
+    /// SI symbol.
+    pub unit: String,
+    /// Whose it is.
+    pub whose: Whose,
+    /// What each log told.
+    pub points: Vec<Point>,
+}
+
+/// What one log told.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Point {
+    /// When the log begins, ns since 1970, as a decimal string.
+    #[serde(serialize_with = "decimal")]
+    pub start_ns: i64,
+    /// The amount.
+    pub value: f64,
+    /// Its 95 % interval.
+    pub ci95: [f64; 2],
+    /// The log.
+    pub path: String,
+}
+
+fn decimal<S: serde::Serializer>(stamp: &i64, to: S) -> Result<S::Ok, S::Error> {
+    to.collect_str(stamp)
+}
+
+/// How an amount moved.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Course {
+    /// It grows or shrinks from run to run.
+    Creeps,
+    /// It went up or down between two runs.
+    Stepped,
+    /// It does not move by as much as the rule's first figure.
+    Steady,
+    /// The runs do not tell.
+    Untold,
+}
+
+impl Course {
+    /// Whether something moves.
+    pub const fn is_moving(self) -> bool {
+        matches!(self, Course::Creeps | Course::Stepped)
+    }
+
+    /// Its name in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Course::Creeps => "creeps",
+            Course::Stepped => "stepped",
+            Course::Steady => "steady",
+            Course::Untold => "untold",
+        }
+    }
+}
+
+/// An amount with its 95 % interval.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Moved {
+    /// The amount, SI; of a rate a day.
+    pub value: f64,
+    /// Its interval.
+    pub ci95: [f64; 2],
+}
+
+/// How an amount moved over the logs.
+#[derive(Clone, Debug, Serialize)]
+pub struct TrendRow {
+    /// Code of the rule.
+    pub code: String,
+    /// What the amount is.
+    pub name: String,
+    /// SI symbol.
+    pub unit: String,
+    /// Whose it is.
+    #[serde(flatten)]
+    pub whose: Whose,
+    /// How it moved.
+    pub course: Course,
+    /// Logs that told it.
+    pub logs: usize,
+    /// What it grows by in a day.
+    pub rate_per_day: Option<Moved>,
+    /// The amount in the middle of the runs.
+    pub level: Option<Moved>,
+    /// How far runs lie from the line beyond their own intervals: a standard deviation.
+    pub spread: Option<f64>,
+    /// By how much it stepped.
+    pub step: Option<Moved>,
+    /// The last log before the step and the first after it, ns as decimal strings.
+    pub step_between_ns: Option<[String; 2]>,
+    /// The rule's first figure for it.
+    pub figure: Option<f64>,
+    /// When it reaches that, if it goes on so, ns as a decimal string; the time of the last log where it
+    /// is there already.
+    pub reaches_figure_ns: Option<String>,
+    /// What each log told, in the order of time.
+    pub points: Vec<Point>,
+    /// The line, as amounts at the first and at the last log.
+    pub line: Option<[f64; 2]>,
+}
+
+/// The rows of what was gathered: what moves first, then what is not told, in the order of codes.
+pub fn rows(series: Vec<Series>) -> Vec<TrendRow> {
+    let asked = series.iter().filter(|one| one.points.len() >= LEAST_RUNS).count();
+    let mut rows: Vec<TrendRow> = series.into_iter().map(|one| row(one, asked)).collect();
+    rows.sort_by(|a, b| (a.course, &a.code, &a.whose).cmp(&(b.course, &b.code, &b.whose)));
+    rows
+}
+
+fn row(series: Series, asked: usize) -> TrendRow {
+    let Series { code, name, unit, whose, mut points } = series;
+    points.sort_by(|a, b| (a.start_ns, &a.path).cmp(&(b.start_ns, &b.path)));
+    let origin_ns = points.first().map_or(0, |first| first.start_ns);
+    let time_s = |stamp_ns: i64| seconds(stamp_ns - origin_ns);
+    let told: Vec<Told> = points.iter().map(|point| told(point, time_s(point.start_ns))).collect();
+    let last_s = told.last().map_or(0.0, |last| last.time_s);
+    let figure = figure(&code, &unit);
+    let found = trend(&told);
+    let course = found.map_or(Course::Untold, |found| course(&found, figure, last_s, asked));
+    let at = |found: &Trend, time_s: f64| {
+        found.level.value + found.rate_per_s.value * (time_s - found.middle_s)
+    };
+    let stamp = |time_s: f64| (origin_ns + crate::time::nanos(time_s)).to_string();
+    let step = found.and_then(|found| found.step).filter(|_| course == Course::Stepped);
+    let reaches = found.zip(figure).filter(|_| course == Course::Creeps);
+    TrendRow {
+        logs: points.len(),
+        course,
+        rate_per_day: found.map(|found| moved(&found.rate_per_s.scaled(DAY_S))),
+        level: found.map(|found| moved(&found.level)),
+        spread: found.map(|found| found.spread),
+        step: step.map(|step| moved(&step.by)),
+        step_between_ns: step.map(|step| step.between_s.map(stamp)),
+        figure,
+        reaches_figure_ns: reaches.and_then(|(found, figure)| {
+            let (now, rate) = (at(&found, last_s), found.rate_per_s.value);
+            let left_s = ((figure * rate.signum() - now) / rate).max(0.0);
+            let is_there = now.abs() >= figure;
+            // Further away than a stamp goes, it is never.
+            let left_s = if is_there { 0.0 } else { left_s };
+            (left_s < 1e9).then(|| stamp(last_s + left_s))
+        }),
+        line: found.map(|found| [at(&found, 0.0), at(&found, last_s)]),
+        code,
+        name,
+        unit,
+        whose,
+        points,
+    }
+}
+
+/// A point as the estimator takes it: of an interval, half of it is 1.96 standard errors.
+fn told(point: &Point, time_s: f64) -> Told {
+    let [low, high] = point.ci95;
+    Told { time_s, value: point.value, std_error: 0.5 * (high - low) / 1.959_964 }
+}
+
+fn moved(measured: &Measured) -> Moved {
+    Moved { value: measured.value, ci95: measured.interval(0.95) }
+}
+
+fn course(found: &Trend, figure: Option<f64>, span_s: f64, asked: usize) -> Course {
+    let confidence = 1.0 - (1.0 - SURE) / asked.max(1) as f64;
+    let least = figure.map_or(0.0, |figure| MATERIAL * figure);
+    let is_sure = |of: &Measured| {
+        let [low, high] = of.interval(confidence);
+        !(low..=high).contains(&0.0)
+    };
+    if let Some(step) = &found.step
+        && is_sure(&step.by)
+        && step.by.value.abs() >= least
+    {
+        return Course::Stepped;
+    }
+    let over_all = found.rate_per_s.scaled(span_s);
+    if is_sure(&over_all) && over_all.value.abs() >= least {
+        return Course::Creeps;
+    }
+    let [low, high] = over_all.interval(0.95);
+    match figure {
+        Some(figure) if low.abs().max(high.abs()) <= figure => Course::Steady,
+        _ => Course::Untold,
+    }
+}
+
+/// The first figure of a rule for amounts of this unit.
+fn figure(code: &str, unit: &str) -> Option<f64> {
+    let rule = checks::find(code).ok()?;
+    let figures = rule.grade.figures();
+    figures.iter().find(|figure| figure.unit.symbol() == unit).map(|figure| figure.warning)
+}
+
+impl TrendRow {
+    /// The unit of its amounts, for people.
+    pub fn unit_of(&self) -> Unit {
+        Unit::of(&self.unit, &self.name).unwrap_or(Unit::One)
+    }
+
+    /// An amount with its interval, in everyday units.
+    fn shown(&self, moved: &Moved) -> String {
+        self.unit_of().show_signed_within(moved.value, Some(moved.ci95))
+    }
+
+    /// A rate as people take it in: what a day brings is mostly too little for the digits shown.
+    fn shown_rate(&self, rate: &Moved) -> String {
+        const DAYS: f64 = 30.0;
+        let value = rate.value * DAYS;
+        let shown = self.shown(&Moved { value, ci95: rate.ci95.map(|end| end * DAYS) });
+        format!("{shown} in {DAYS} days")
+    }
+
+    /// What is to be said of it in one line.
+    pub fn says(&self) -> String {
+        let unit = self.unit_of();
+        match (self.course, &self.rate_per_day, &self.step) {
+            (Course::Creeps, Some(rate), _) => {
+                let reached = match (&self.reaches_figure_ns, self.figure, self.points.last()) {
+                    (Some(when), Some(figure), Some(last)) => {
+                        let when_ns: i64 = when.parse().unwrap_or_default();
+                        let figure = unit.show(figure);
+                        match when_ns - last.start_ns {
+                            ..=0 => format!("; beyond the rule's {figure} already"),
+                            left => format!(
+                                "; reaches the rule's {figure} on {}, in {} days",
+                                calendar::day(when_ns),
+                                left / DAY_NS
+                            ),
+                        }
+                    }
+                    _ => String::new(),
+                };
+                format!("{} over {} logs{reached}", self.shown_rate(rate), self.logs)
+            }
+            (Course::Stepped, _, Some(step)) => {
+                let between = self.step_between_ns.as_ref().map(|ends| {
+                    let days = ends.each_ref().map(|end| calendar::day(end.parse().unwrap_or(0)));
+                    format!(" between {} and {}", days[0], days[1])
+                });
+                format!("{}{}", self.shown(step), between.unwrap_or_default())
+            }
+            (Course::Steady, Some(rate), _) => {
+                format!("{} over {} logs", self.shown_rate(rate), self.logs)
+            }
+            (_, Some(rate), _) => {
+                format!("{} over {} logs, which does not tell", self.shown_rate(rate), self.logs)
+            }
+            _ => format!("{} logs with a date and an interval; {LEAST_RUNS} tell", self.logs),
+        }
+    }
+}

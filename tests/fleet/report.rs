@@ -1,0 +1,280 @@
+//! What the report makes of many logs.
+
+use std::path::Path;
+
+use anyhow::{Context as _, Result};
+use poseaudit::synth::START;
+use serde::Deserialize;
+
+use crate::logs::run_of;
+use crate::{fleet, status};
+
+/// The report, as a reader of its JSON declares it. Keys that it does not name are refused.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(dead_code)]
+struct Report {
+    schema: String,
+    tool: Tool,
+    failing: bool,
+    logs: Logs,
+    arms: Vec<Arm>,
+    findings: Vec<Found>,
+    trends: Vec<Trend>,
+    errors: Vec<Failed>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(dead_code)]
+struct Tool {
+    name: String,
+    version: String,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(dead_code)]
+struct Logs {
+    total: usize,
+    statuses: Statuses,
+    verdicts: Verdicts,
+    copies: usize,
+    undated: usize,
+    before: usize,
+    start_ns: Option<String>,
+    end_ns: Option<String>,
+    version: String,
+    settings: String,
+    set_aside: usize,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(dead_code)]
+struct Statuses {
+    audited: usize,
+    not_audited: usize,
+    unreadable: usize,
+    timed_out: usize,
+    out_of_memory: usize,
+    crashed: usize,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(dead_code)]
+struct Verdicts {
+    pass: usize,
+    fail: usize,
+    inconclusive: usize,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(dead_code)]
+struct Arm {
+    site: Option<String>,
+    arm: Option<String>,
+    robot: Option<String>,
+    logs: usize,
+    verdicts: Verdicts,
+    fails: Vec<Fails>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(dead_code)]
+struct Fails {
+    code: String,
+    logs: usize,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(dead_code)]
+struct Found {
+    code: String,
+    title: String,
+    severity: String,
+    site: Option<String>,
+    arm: Option<String>,
+    robot: Option<String>,
+    topic: Option<String>,
+    joint: Option<String>,
+    frame: Option<String>,
+    logs: usize,
+    sound: usize,
+    message: String,
+    path: String,
+    start_ns: Option<String>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(dead_code)]
+struct Trend {
+    code: String,
+    name: String,
+    unit: String,
+    site: Option<String>,
+    arm: Option<String>,
+    robot: Option<String>,
+    topic: Option<String>,
+    joint: Option<String>,
+    frame: Option<String>,
+    course: String,
+    logs: usize,
+    rate_per_day: Option<Moved>,
+    level: Option<Moved>,
+    spread: Option<f64>,
+    step: Option<Moved>,
+    step_between_ns: Option<[String; 2]>,
+    figure: Option<f64>,
+    reaches_figure_ns: Option<String>,
+    points: Vec<Point>,
+    line: Option<[f64; 2]>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Moved {
+    value: f64,
+    ci95: [f64; 2],
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(dead_code)]
+struct Point {
+    start_ns: String,
+    value: f64,
+    ci95: [f64; 2],
+    path: String,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(dead_code)]
+struct Failed {
+    path: String,
+    status: String,
+    what: String,
+    #[serde(rename = "do")]
+    remedy: String,
+}
+
+const DAY_S: f64 = 86_400.0;
+
+/// What a log is given: its zeros and the latency of its poses, by its day.
+type Planted = fn(&mut poseaudit::synth::Scenario, f64);
+
+/// Logs of two arms, ten days apart each, with what was planted in each by the day.
+fn planted(folder: &Path, arms: &[(&str, Planted)]) -> Result<()> {
+    for (arm, (name, plant)) in arms.iter().enumerate() {
+        for run in 0..10 {
+            let mut log = run_of(100 * arm as u64 + run);
+            let day = 10.0 * run as f64;
+            log.0.start = START.shifted(day * DAY_S);
+            plant(&mut log.0, day);
+            log.write(&folder.join(format!("logs/berlin/{name}/{run}.mcap")))?;
+        }
+    }
+    Ok(())
+}
+
+fn reported(folder: &Path, more: &[&str]) -> Result<(Report, Option<i32>)> {
+    let out = folder.join("out").display().to_string();
+    let mut args = vec!["report", out.as_str(), "--format", "json"];
+    args.extend(more);
+    let output = fleet(&args).output()?;
+    let report = serde_json::from_slice(&output.stdout)
+        .with_context(|| String::from_utf8_lossy(&output.stderr).into_owned())?;
+    Ok((report, status(&output)))
+}
+
+#[test]
+fn a_zero_that_creeps_is_told_with_its_rate_and_a_constant_one_is_not() -> Result<()> {
+    const RATE_RAD: f64 = 1.5e-5;
+    const STEP_S: f64 = 0.004;
+    let folder = tempfile::tempdir()?;
+    planted(
+        folder.path(),
+        &[
+            ("creeping", |run, day| {
+                run.joints.zero_offsets = vec![0.0, 0.0, 5e-4 + RATE_RAD * day]
+            }),
+            ("constant", |run, _| run.joints.zero_offsets = vec![0.0, 0.01]),
+            ("stepping", |run, day| {
+                run.pose.timing.latency_s = if day < 55.0 { 0.001 } else { 0.001 + STEP_S };
+            }),
+        ],
+    )?;
+    let [logs, out] = ["logs", "out"].map(|name| folder.path().join(name).display().to_string());
+    fleet(&[&logs, "--out", &out, "--labels-from", "{site}/{arm}/*"]).output()?;
+    let (report, status) = reported(folder.path(), &[])?;
+    assert_eq!((report.schema.as_str(), status), ("poseaudit.fleet/1", Some(1)));
+    assert_eq!((report.logs.total, report.logs.undated), (30, 0));
+
+    let moving: Vec<(&str, &str, &str)> = report
+        .trends
+        .iter()
+        .filter(|row| row.course == "creeps" || row.course == "stepped")
+        .map(|row| (row.arm.as_deref().unwrap_or(""), row.code.as_str(), row.course.as_str()))
+        .collect();
+    let expected = [("creeping", "ZER001", "creeps"), ("stepping", "LAT001", "stepped")];
+    assert_eq!(moving, expected);
+
+    let creeping = report.trends.iter().find(|row| row.course == "creeps").context("a creep")?;
+    assert_eq!(creeping.joint.as_deref(), Some("elbow_joint"));
+    let rate = creeping.rate_per_day.as_ref().context("a rate")?;
+    assert!((rate.ci95[0]..=rate.ci95[1]).contains(&RATE_RAD), "{rate:?}");
+    assert!(rate.ci95[0] > 0.0 && (rate.value - RATE_RAD).abs() < 0.1 * RATE_RAD, "{rate:?}");
+    // 0.1° from 5e-4 rad on.
+    let day = (0.1_f64.to_radians() - 5e-4) / RATE_RAD;
+    let reaches_ns: i64 = creeping.reaches_figure_ns.as_deref().context("a day")?.parse()?;
+    let reached_day = (reaches_ns - START.nanos()) as f64 / 1e9 / DAY_S;
+    assert!((reached_day - day.max(90.0)).abs() < 2.0, "{reached_day} is not {day}");
+
+    let stepped = report.trends.iter().find(|row| row.course == "stepped").context("a step")?;
+    let by = stepped.step.as_ref().context("its size")?;
+    assert!((by.value - STEP_S).abs() < 1e-4, "{by:?}");
+    let between = stepped.step_between_ns.as_ref().context("its time")?;
+    let days = between.each_ref().map(|stamp| {
+        stamp.parse::<i64>().map(|stamp| ((stamp - START.nanos()) as f64 / 1e9 / DAY_S).round())
+    });
+    assert_eq!(days, [Ok(50.0), Ok(60.0)]);
+
+    let constant = |row: &&Trend| {
+        row.arm.as_deref() == Some("constant")
+            && row.joint.as_deref() == Some("shoulder_lift_joint")
+    };
+    let constant = report.trends.iter().find(constant).context("its zero")?;
+    assert_eq!((constant.course.as_str(), constant.logs), ("steady", 10));
+    let arm = |name: &str| report.arms.iter().find(|row| row.arm.as_deref() == Some(name));
+    let fails = &arm("constant").context("the arm")?.fails;
+    assert!(fails.iter().any(|fail| fail.code == "ZER001" && fail.logs == 10), "{fails:?}");
+    let found = report.findings.iter().find(|row| row.arm.as_deref() == Some("constant"));
+    let found = found.context("its finding")?;
+    assert_eq!((found.code.as_str(), found.logs, found.sound), ("ZER001", 10, 0));
+
+    // Findings of before do not count then, but what moves does.
+    let (since, status) =
+        reported(folder.path(), &["--since", "2027-06-01", "--fail-on", "error"])?;
+    assert_eq!((since.findings.len(), since.logs.before, status), (0, 30, Some(0)));
+    let (_, status) = reported(folder.path(), &["--select", "LAT002"])?;
+    assert_eq!(status, Some(0));
+    html(folder.path(), &out)
+}
+
+/// The page has a plot for what moves, and asks for nothing.
+fn html(folder: &Path, out: &str) -> Result<()> {
+    let page = folder.join("fleet.html");
+    let written = page.display().to_string();
+    let output = fleet(&["report", out, "--format", "html", "--output", &written]).output()?;
+    assert_eq!(status(&output), Some(1));
+    let text = std::fs::read_to_string(&page)?;
+    assert!(text.contains("default-src 'none'") && text.contains("data-plot=\"trend-1\""));
+    assert!(text.contains("elbow_joint") && !text.contains("<script src"), "{}", text.len());
+    Ok(())
+}
