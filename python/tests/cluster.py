@@ -52,11 +52,19 @@ class Cluster:
             time.sleep(0.1)
         return node
 
-    def kill_worker(self, number: int) -> int:
-        """SIGKILL to a node and to whatever it runs; how many processes that were."""
-        killed = kill_tree(self.workers[number].pid)
-        self.workers[number].wait()
-        return killed
+    def kill_busy_worker(self) -> int:
+        """SIGKILL to a node that is at a log, and to whatever it runs; how many processes that were."""
+        while True:
+            for node in self.workers:
+                found = descendants(node.pid)
+                # Nothing ends between the look and the blow.
+                send(signal.SIGSTOP, found)
+                if any(is_fleet(pid) for pid in found):
+                    send(signal.SIGKILL, found)
+                    node.wait()
+                    return len(found)
+                send(signal.SIGCONT, found)
+            time.sleep(0.05)
 
     def close(self) -> None:
         for node in [*self.workers, self.head]:
@@ -85,12 +93,21 @@ def descendants(pid: int) -> list[int]:
     return found
 
 
-def kill_tree(pid: int) -> int:
-    """SIGKILL to the process and all that came of it, the parents stopped first, so that none has time to
-    clean up; how many there were."""
+def is_fleet(pid: int) -> bool:
+    """Whether the process is a program that audits, and not one that has ended."""
+    with contextlib.suppress(OSError):
+        return b"\0fleet\0" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    return False
+
+
+def send(what: signal.Signals, pids: list[int]) -> None:
+    for pid in pids:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, what)
+
+
+def kill_tree(pid: int) -> None:
+    """SIGKILL to the process and all that came of it, stopped first, so that none has time to clean up."""
     found = descendants(pid)
-    for what in (signal.SIGSTOP, signal.SIGKILL):
-        for one in found:
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(one, what)
-    return len(found)
+    send(signal.SIGSTOP, found)
+    send(signal.SIGKILL, found)

@@ -60,7 +60,7 @@ def test_a_worker_that_is_killed_costs_no_row_and_doubles_none(
     def kill_in_the_middle() -> None:
         while len(list((out / "runs").glob("[0-9a-f]*.parquet"))) < LOGS // 4:
             time.sleep(0.02)
-        killed.append(cluster.kill_worker(0))
+        killed.append(cluster.kill_busy_worker())
 
     caplog.set_level(logging.INFO, logger="poseaudit")
     killer = threading.Thread(target=kill_in_the_middle, daemon=True)

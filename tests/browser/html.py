@@ -6,7 +6,7 @@
     python3 tests/browser/html.py --probe                                   # only whether a browser opens a page
 
 Needs Playwright, and Chromium (CHROMIUM says which, empty Playwright's own; else the one on the path, else that);
-the pictures need Pillow. A page must ask the network for nothing, raise no error, draw every plot, show
+the pictures need Pillow, and `cargo build --example fleet_logs` for that of a fleet. A page must ask the network for nothing, raise no error, draw every plot, show
 a value under the pointer and to the keyboard, fit a phone, and print with its plots.
 """
 
@@ -119,6 +119,32 @@ def probe() -> None:
         browser.close()
 
 
+def fleet(program: str, folder: Path) -> str:
+    """The report on a fleet: of the example's logs where it is built beside the program, else of the fixtures."""
+    example, logs = Path(program).parent / "examples" / "fleet_logs", FIXTURES
+    if example.exists():
+        logs = folder / "logs"
+        subprocess.run([example, logs], check=True)
+    results = str(folder / "results")
+    call = ["fleet", str(logs), "--out", results, "--labels-from", "{site}/{arm}/*"]
+    subprocess.run([program, *call], cwd=folder, stdout=subprocess.DEVNULL)
+    return report(program, ["fleet", "report", results], folder)
+
+
+def shoot_fleet(browser, address: str, to: Path) -> None:
+    """A picture of the fleet's page, down to the end of what moves."""
+    from PIL import Image
+
+    page = opened(browser, address, WIDE)
+    box = page.locator("#findings-title").bounding_box()
+    clip = {"x": 0, "y": 0, "width": WIDE["width"], "height": box["y"]}
+    picture = Image.open(io.BytesIO(page.screenshot(full_page=True, clip=clip))).convert("RGB")
+    page.context.close()
+    path = to / "fleet.png"
+    picture.quantize(160, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(path, optimize=True)
+    print(f"{path}: {picture.size[0]} x {picture.size[1]}, {path.stat().st_size} bytes")
+
+
 def main() -> None:
     program = str(Path(sys.argv[1]).resolve())
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
@@ -127,11 +153,13 @@ def main() -> None:
         demo = report(program, ["demo", "demo"], folder)
         logs = ["clean.mcap", "faulty.mcap"]
         others = [report(program, ["audit", str(FIXTURES / log)], folder) for log in logs]
-        for address in [demo, *others]:
+        many = fleet(program, folder)
+        for address in [demo, *others, many]:
             check(browser, address)
-        print(f"html: {1 + len(logs)} reports looked at in Chromium {browser.version}")
+        print(f"html: {2 + len(logs)} reports looked at in Chromium {browser.version}")
         if len(sys.argv) > 2:
             shoot(browser, demo, Path(sys.argv[2]))
+            shoot_fleet(browser, many, Path(sys.argv[2]))
         browser.close()
 
 

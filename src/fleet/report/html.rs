@@ -7,7 +7,7 @@ use maud::{Markup, html};
 use serde_json::{Map, Value};
 
 use super::text::{head, how_often, totals};
-use super::{FindingRow, FleetReport, TrendRow, calendar};
+use super::{Course, FindingRow, FleetReport, TrendRow, calendar};
 use crate::report::html::{Plot, Role, Series, Style, shell};
 use crate::time::seconds;
 
@@ -94,8 +94,10 @@ fn plot(row: &TrendRow) -> Plot {
         values: row.points.iter().map(|point| point.value * factor).collect(),
         half_widths: row.points.iter().map(|point| half(point.ci95)).collect(),
     };
+    let day_0 = format!("Day 0 is {}.", calendar::day(first_ns));
     let last = x.last().copied().filter(|&last| last > 0.0).unwrap_or(1.0);
-    let line = row.line.map(|[from, to]| Series {
+    // Through a step no line says anything.
+    let line = row.line.filter(|_| row.course != Course::Stepped).map(|[from, to]| Series {
         label: "line".to_owned(),
         role: Role::Beside,
         values: x.iter().map(|day| (from + (to - from) * day / last) * factor).collect(),
@@ -105,12 +107,11 @@ fn plot(row: &TrendRow) -> Plot {
         title: "Over time",
         robot: row.whose.robot.clone().unwrap_or_default(),
         of: format!("{} {} {}", row.code, row.whose.arm_label(), row.whose.part()),
-        says: format!(
-            "{}: {}. Day 0 is {}.",
-            row.course.name(),
-            row.says(),
-            calendar::day(first_ns)
-        ),
+        says: match row.course.is_moving() {
+            // That stands above it in large letters.
+            true => day_0,
+            false => format!("{}: {}. {day_0}", row.course.name(), row.says()),
+        },
         x,
         x_label: "days",
         y_label,

@@ -192,7 +192,10 @@ impl Store {
         let store = Self { folder: Folder(folder.to_owned()) };
         for table in TABLES.into_iter().chain([Table::Sources]) {
             let path = store.folder.of(table);
-            fs::create_dir_all(&path).map_err(|source| StoreError::File { path, source })?;
+            if let Err(source) = fs::create_dir_all(&path) {
+                return Err(StoreError::File { path, source });
+            }
+            parts::sweep(&path);
         }
         Ok(store)
     }

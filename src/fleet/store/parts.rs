@@ -3,6 +3,7 @@
 use std::fs::{self, File};
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use polars::prelude::{
     DataFrame, ParquetCompression, ParquetReader, ParquetWriter, PolarsError, SerReader,
@@ -14,6 +15,12 @@ const ENDING: &str = ".parquet";
 
 /// What the name of a part begins with that was made of others, before its level.
 const MERGED: &str = "merged-";
+
+/// What the names of files begin with that are being written: see [`crate::report::write_whole`].
+const STAGED: &str = ".poseaudit-";
+
+/// Nobody writes a part for so long.
+const LEFT_BEHIND: Duration = Duration::from_secs(3600);
 
 /// How often a folder is looked through whose parts are merged meanwhile.
 pub const MOST_TRIES: usize = 5;
@@ -97,6 +104,21 @@ pub fn remove(path: &Path) -> Result<(), StoreError> {
             Err(StoreError::File { path: path.to_owned(), source })
         }
         _ => Ok(()),
+    }
+}
+
+/// Deletes what processes left in a folder that died amid a part, long ago.
+pub fn sweep(folder: &Path) {
+    let is_old = |path: &Path| {
+        let changed = fs::metadata(path).and_then(|metadata| metadata.modified());
+        matches!(changed.map(|time| time.elapsed()), Ok(Ok(age)) if age > LEFT_BEHIND)
+    };
+    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+        let is_staged = entry.file_name().to_string_lossy().starts_with(STAGED);
+        if is_staged && is_old(&entry.path()) {
+            // Where another process was faster it is gone all the same.
+            let _ = fs::remove_file(entry.path());
+        }
     }
 }
 
