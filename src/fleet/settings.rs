@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 
 use crate::Options;
 use crate::report::{Trouble, TroubleKind};
+use crate::robot::catalogue;
 
 /// The settings of an audit.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,6 +33,15 @@ impl AuditSettings {
             let file = Path::new(&robot.model);
             let model = match file.is_file() {
                 true => content_of(file)?,
+                false if catalogue::find(&robot.model).is_none() => {
+                    return Err(Trouble {
+                        kind: TroubleKind::Call,
+                        what: "it is neither a file nor an arm of the catalogue".to_owned(),
+                        place: robot.model.clone(),
+                        remedy: "name a URDF or TOML file, or an arm of `poseaudit robots`"
+                            .to_owned(),
+                    });
+                }
                 false => robot.model.clone(),
             };
             Ok(json!({ "prefix": robot.prefix, "model": model }))
