@@ -409,8 +409,11 @@ impl Engine<'_> {
         drop(book);
         self.call.store.add_sources(&learnt)?;
         (self.call.progress)(course);
-        if is_new && (self.since_merge.fetch_add(1, Ordering::Relaxed) + 1) % MERGED_AFTER == 0 {
-            self.call.store.compact()?;
+        if is_new {
+            let since_merge = self.since_merge.fetch_add(1, Ordering::Relaxed) + 1;
+            if since_merge.is_multiple_of(MERGED_AFTER) {
+                self.call.store.compact()?;
+            }
         }
         Ok(())
     }

@@ -189,7 +189,7 @@ impl Shared {
         let body = 1 + self.counts.bodies.fetch_add(1, Ordering::Relaxed);
         let mut part = &object[range];
         let is_over = self.manners.sound_after.is_some_and(|last| body > last);
-        if self.manners.cuts > 0 && body % self.manners.cuts == 0 && !is_over {
+        if self.manners.cuts > 0 && body.is_multiple_of(self.manners.cuts) && !is_over {
             part = &part[..part.len() / 2];
         }
         self.counts.bytes.fetch_add(part.len(), Ordering::Relaxed);

@@ -1,5 +1,6 @@
 //! From the parts of the tables to what the report says, one part at a time.
 
+use std::cmp::Reverse;
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
@@ -342,7 +343,7 @@ fn finding_rows(found: BTreeMap<Cause, Found>, asked: &BTreeMap<Cause, usize>) -
         })
     });
     let mut rows: Vec<FindingRow> = rows.collect();
-    rows.sort_by(|a, b| (b.severity, b.logs).cmp(&(a.severity, a.logs)));
+    rows.sort_by_key(|row| Reverse((row.severity, row.logs)));
     rows
 }
 

@@ -7,7 +7,7 @@
 
 use std::collections::HashSet;
 use std::fs::{File, TryLockError};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use polars::prelude::DataFrame;
 
@@ -128,13 +128,13 @@ impl Store {
         paths.iter().try_for_each(|path| parts::remove(path))
     }
 
-    fn keys_in(&self, path: &PathBuf) -> Result<HashSet<String>, StoreError> {
+    fn keys_in(&self, path: &Path) -> Result<HashSet<String>, StoreError> {
         let frame = match parts::read(path, Some(&["key"])) {
             Err(error) if error.is_gone() => return Ok(HashSet::new()),
             frame => frame?,
         };
         let keys = frame.column("key").and_then(|column| Ok(column.str()?.clone()));
-        let keys = keys.map_err(|source| StoreError::Content { path: path.clone(), source })?;
+        let keys = keys.map_err(|source| StoreError::Content { path: path.to_owned(), source })?;
         Ok(keys.iter().flatten().map(str::to_owned).collect())
     }
 }
