@@ -2,7 +2,7 @@
 
 use super::Report;
 use super::figures::{Figures, ImuFigure, PoseFigure};
-use crate::finding::Unit;
+use crate::finding::{Finding, Severity, Unit};
 
 /// Bars in a row.
 const CELLS: usize = 32;
@@ -14,13 +14,13 @@ const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█']
 const NONE: char = '·';
 
 /// A line for each stream whose errors the findings explain, in the order of the figures; none where
-/// the figures were not asked for.
+/// the figures were not asked for, or nothing is a fault.
 pub(super) fn over_time(report: &Report) -> Vec<String> {
     /// What is explained leaves less than this share, rms.
     const EXPLAINED: f64 = 0.5;
-    let (Some(figures), false) = (&report.figures, report.findings.is_empty()) else {
-        return Vec::new();
-    };
+    let is_fault = |found: &Finding| found.severity != Severity::Info;
+    let figures = report.figures.as_ref().filter(|_| report.findings.iter().any(is_fault));
+    let Some(figures) = figures else { return Vec::new() };
     let is_blamed = |topic: &str| {
         report.findings.iter().any(|found| found.subject.topic.as_deref() == Some(topic))
     };
