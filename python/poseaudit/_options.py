@@ -56,6 +56,8 @@ class Options(How, total=False):
     """Folder for what would mend the findings."""
     rrd: Path | None
     """File for a recording for the Rerun viewer."""
+    mesh_root: Path | Sequence[Path] | None
+    """Folders that the meshes of the robot's URDF are sought below, for the recording."""
     parquet: Path | None
     """Folder for tables."""
 
