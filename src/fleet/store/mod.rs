@@ -269,7 +269,7 @@ impl Store {
         Ok(done)
     }
 
-    /// Which content files had as they stood, by the names of their [`super::content::Stand`].
+    /// Which content files had as they stood, by the names of their stand.
     ///
     /// # Errors
     /// Where a part cannot be read.
