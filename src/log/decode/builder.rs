@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::ops::Range;
 
-use super::row::{self, Names, Row, RowTimes};
+use super::row::{self, Group, Names, Row, RowTimes};
 use super::schema::bounded;
 use crate::stream::{
     ArrayColumns, Columns, ImuColumns, JointColumn, JointColumns, PoseColumns, TextColumns, Times,
@@ -369,15 +369,17 @@ impl Poses {
     }
 
     fn append_of(&mut self, frame_id: &str, child_frame_id: &str, row: &Row, times: RowTimes) {
-        let Some(group) = self.group(frame_id, child_frame_id) else {
+        let group = match row.group.get() {
+            Group::Known(group) => Some(group),
+            Group::Wanted | Group::ByTexts => self.group(frame_id, child_frame_id),
+        };
+        let Some(group) = group else {
             self.refused += 1;
             return;
         };
-        self.next.resize(self.groups.len(), 0);
-        if let Some(next) = self.next.get_mut(self.last) {
-            *next = group;
+        if row.group.get() == Group::Wanted {
+            row.group.set(Group::Known(group));
         }
-        self.last = group;
         let group = &mut self.groups[group];
         let xyz = row.numbers::<3>(row::POSITION);
         let q_xyzw = row.numbers::<4>(row::QUATERNION);
@@ -392,6 +394,16 @@ impl Poses {
 
     /// The group of a pair of frames; `None` where there are too many of them.
     fn group(&mut self, frame_id: &str, child_frame_id: &str) -> Option<usize> {
+        let group = self.find(frame_id, child_frame_id)?;
+        self.next.resize(self.groups.len(), 0);
+        if let Some(next) = self.next.get_mut(self.last) {
+            *next = group;
+        }
+        self.last = group;
+        Some(group)
+    }
+
+    fn find(&mut self, frame_id: &str, child_frame_id: &str) -> Option<usize> {
         let same = |group: &PoseColumns| {
             group.frame_id == frame_id && group.child_frame_id == child_frame_id
         };

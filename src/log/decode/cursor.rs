@@ -63,33 +63,6 @@ pub(super) struct Cursor<'a> {
 /// Where a delimited message ends, and what follows it.
 pub(super) struct Outside<'a>(&'a [u8]);
 
-/// A part of a message that the next one mostly repeats, at the same place and so with the same
-/// padding.
-#[derive(Debug, Default)]
-pub(super) struct Repeated {
-    start: usize,
-    big_endian: bool,
-    max_align: usize,
-    bytes: Vec<u8>,
-}
-
-/// Where a [`Repeated`] part begins.
-pub(super) struct Mark(usize);
-
-impl Repeated {
-    /// Forgets the part, which will be read anew.
-    pub(super) fn forget(&mut self) {
-        self.bytes.clear();
-    }
-
-    /// Keeps what `cursor` has read since `start`.
-    pub(super) fn keep(&mut self, start: &Mark, cursor: &Cursor<'_>) {
-        (self.start, self.big_endian) = (start.0, cursor.big_endian);
-        self.max_align = cursor.max_align;
-        self.bytes.extend_from_slice(&cursor.body[start.0..cursor.at]);
-    }
-}
-
 /// Bytes of the encapsulation header.
 const HEADER: usize = 4;
 
@@ -145,26 +118,29 @@ impl<'a> Cursor<'a> {
         self.body = outside.0;
     }
 
-    /// Where the next value may be padded to begin.
-    pub(super) fn mark(&self) -> Mark {
-        Mark(self.at)
+    /// Bytes of the message before the body.
+    pub(super) fn before(&self) -> usize {
+        self.before
     }
 
-    /// Passes over `part` if it stands here again.
-    pub(super) fn repeats(&mut self, part: &Repeated) -> bool {
-        let is_here = !part.bytes.is_empty()
-            && (part.start, part.big_endian) == (self.at, self.big_endian)
-            && part.max_align == self.max_align
-            && self.body[self.at..].starts_with(&part.bytes);
-        if is_here {
-            self.at += part.bytes.len();
-        }
-        is_here
+    /// Where in the body the cursor is; the next value may be padded to begin behind it.
+    pub(super) fn at(&self) -> usize {
+        self.at
     }
 
-    /// Where the next value of `size` bytes begins.
+    /// Goes to where [`Cursor::at`] was in a message.
+    pub(super) fn seek(&mut self, at: usize) {
+        self.at = at;
+    }
+
+    /// Whether numbers are lowest byte first.
+    pub(super) fn is_little_endian(&self) -> bool {
+        !self.big_endian
+    }
+
+    /// Where in the body the next value of `size` bytes begins.
     #[inline]
-    fn aligned(&self, size: usize) -> usize {
+    pub(super) fn aligned(&self, size: usize) -> usize {
         let align = size.min(self.max_align);
         self.at + (self.at.wrapping_neg() & (align - 1))
     }

@@ -1,6 +1,8 @@
 //! The scratch row between wire formats and columns.
 
-use super::cursor::Repeated;
+use std::cell::Cell;
+
+use super::steps::Shape;
 
 /// Index into [`Row::texts`]: the header's frame.
 pub(super) const FRAME: usize = 0;
@@ -83,11 +85,25 @@ pub(in crate::log) struct Row {
     pub(super) numbers: [f64; 10],
     pub(super) texts: [String; 2],
     pub(super) names: Names,
-    /// What `names` were read from.
-    pub(super) named: Repeated,
     pub(super) lists: [Vec<f64>; 4],
     /// Which element of the message's array of rows it is.
     pub(super) index: usize,
+    /// In which group of poses the row is.
+    pub(super) group: Cell<Group>,
+    /// Where the values of the message before lay, in an encoding that is walked.
+    pub(super) shape: Option<Box<Shape>>,
+}
+
+/// In which group of poses a row is, where all messages of one shape have such a row.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub(super) enum Group {
+    /// Told by its texts, and of no interest to others.
+    #[default]
+    ByTexts,
+    /// Told by its texts, and wanted here.
+    Wanted,
+    /// This one. The texts may be those of another row.
+    Known(usize),
 }
 
 impl Row {

@@ -1,6 +1,8 @@
 //! A schema and a recipe compiled into the steps that read one message of CDR or of ROS 1.
 
-use super::cursor::{Cursor, Layout, Short};
+mod shape;
+
+use super::cursor::{Cursor, EncapsulationError, Layout, Short};
 use super::plan::{Append, DecodeError};
 use super::recipes::Fields;
 use super::row::{Row, Slot};
@@ -8,6 +10,8 @@ use super::schema::{
     Arity, Base, Definition, Extensibility, Field, MAX_DEPTH, MAX_FIELDS, Primitive, Schema,
     SchemaError,
 };
+
+pub(super) use self::shape::Shape;
 
 /// The steps that read the wanted fields of a message, and pass over the others, in one walk.
 #[derive(Debug)]
@@ -100,19 +104,51 @@ impl Plan {
         row: &mut Row,
         append: &mut Append<'_>,
     ) -> Result<(), DecodeError<'p>> {
-        let mut cursor = match self.serialization {
-            Serialization::Ros1 => Cursor::ros1(message),
-            Serialization::Cdr => Cursor::cdr(message)?,
-        };
-        let steps = match cursor.layout() {
-            Layout::Packed | Layout::Cdr => &self.plain,
-            Layout::Cdr2 { .. } => &self.delimited,
-        };
-        walk(steps, &mut cursor, row, append)?;
+        let mut cursor = self.cursor(message)?;
+        // Beside the row, which it fills.
+        let mut shape = row.shape.take().unwrap_or_default();
+        let result = self.read(message, &mut cursor, row, &mut shape, append);
+        row.shape = Some(shape);
+        result
+    }
+
+    /// Reads `message` by the shape of the one before it if it has the same, else by its steps.
+    fn read<'p>(
+        &'p self,
+        message: &[u8],
+        cursor: &mut Cursor<'_>,
+        row: &mut Row,
+        shape: &mut Shape,
+        append: &mut Append<'_>,
+    ) -> Result<(), DecodeError<'p>> {
+        if shape.is_of(message) {
+            return shape.read(message, cursor, row, append);
+        }
+        shape.forget();
+        walk(self.steps(cursor), cursor, row, append)?;
         if self.whole {
             append(row)?;
         }
+        if shape.is_wanted() {
+            shape.take(self, message);
+        }
         Ok(())
+    }
+
+    /// A cursor at the first value of `message`.
+    fn cursor<'m>(&self, message: &'m [u8]) -> Result<Cursor<'m>, EncapsulationError> {
+        match self.serialization {
+            Serialization::Ros1 => Ok(Cursor::ros1(message)),
+            Serialization::Cdr => Cursor::cdr(message),
+        }
+    }
+
+    /// The steps for what is at `cursor`.
+    fn steps(&self, cursor: &Cursor<'_>) -> &[Step] {
+        match cursor.layout() {
+            Layout::Packed | Layout::Cdr => &self.plain,
+            Layout::Cdr2 { .. } => &self.delimited,
+        }
     }
 }
 
@@ -192,16 +228,10 @@ impl Op {
             }
             Op::Text(index) => row.set_text(index, cursor.text()?),
             Op::Names(count) => {
-                if cursor.repeats(&row.named) {
-                    return Ok(());
-                }
-                let start = cursor.mark();
-                row.named.forget();
                 row.names.clear();
                 for _ in 0..count.of(cursor)? {
                     row.names.push(cursor.text()?);
                 }
-                row.named.keep(&start, cursor);
             }
             Op::Repeat { .. } | Op::Delimited { .. } | Op::Unreadable(_) => {}
         }

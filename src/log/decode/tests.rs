@@ -5,6 +5,7 @@ mod hostile;
 mod idl;
 mod independent;
 mod layouts;
+mod shapes;
 mod vectors;
 
 use super::super::testing::{self, Cdr};

@@ -1,0 +1,297 @@
+//! Where the values of a message lie, so that the next message of the same shape is not walked.
+//!
+//! What decides where a value lies are the lengths and texts before it, and of one channel they are
+//! mostly the same in every message. So these bytes are kept of the message that was walked last. Where
+//! the next one has the same at the same places, its values are read from where those of the last were.
+
+use std::ops::Range;
+
+use super::super::cursor::{Cursor, Short};
+use super::super::plan::{Append, DecodeError};
+use super::super::row::{Group, MAX_LIST, Row};
+use super::super::schema::Primitive;
+use super::{Count, Op, Plan, Step};
+
+/// Most values that are read by their places. Arms have fewer, clouds of particles more.
+const MOST_READS: usize = 512;
+
+/// Farthest that what decides lies from the message's first byte.
+const FARTHEST: usize = 1 << 14;
+
+/// After so many messages in a row, each of another shape, …
+const PATIENCE: u32 = 8;
+/// … the shape is looked for once in so many.
+const SELDOM: u32 = 64;
+
+/// The shape of the message that was walked last.
+#[derive(Debug, Default)]
+pub(in crate::log::decode) struct Shape {
+    /// What to do with a message of it, in this order; empty where no shape is known.
+    reads: Vec<Read>,
+    /// Where the bytes are that decide it.
+    decisive: Vec<Range<usize>>,
+    /// The last message's bytes, as far as they decide.
+    bytes: Vec<u8>,
+    /// Bytes that a message must have.
+    least: usize,
+    /// Messages in a row that were of no known shape.
+    strange: u32,
+    /// The group of each row, where a message has several.
+    groups: Vec<Group>,
+    /// Whether all of them are known, so that nobody asks for the rows' texts.
+    is_told: bool,
+}
+
+#[derive(Debug)]
+enum Read {
+    /// Read the stamp: seconds at the first of these bytes of the message, nanoseconds at the second.
+    Stamp(usize, usize),
+    /// Read as many doubles from this byte on.
+    Doubles(usize, Range<usize>),
+    /// Replace a list by so many doubles from this byte on.
+    List { at: usize, count: usize, index: usize },
+    /// Read anything else, that is here in the message's body.
+    Value(usize, Op),
+    /// The row is whole: the message's only one.
+    Only,
+    /// The row is whole, which is this element of the array of rows.
+    Row(usize),
+}
+
+impl Shape {
+    /// Whether `message` has this shape, as far as one is known.
+    pub(super) fn is_of(&self, message: &[u8]) -> bool {
+        !self.reads.is_empty()
+            && message.len() >= self.least
+            && self.decisive.iter().all(|part| message[part.clone()] == self.bytes[part.clone()])
+    }
+
+    /// Forgets the shape, as where a message of another one is walked.
+    pub(super) fn forget(&mut self) {
+        self.reads.clear();
+        self.strange = self.strange.saturating_add(1);
+    }
+
+    /// Whether it is worth while to look for the shape of the message that was just walked.
+    pub(super) fn is_wanted(&self) -> bool {
+        self.strange <= PATIENCE || self.strange.is_multiple_of(SELDOM)
+    }
+
+    /// Reads `message`, which is of this shape, through `row`; `cursor` is at the beginning of its body.
+    pub(super) fn read(
+        &mut self,
+        message: &[u8],
+        cursor: &mut Cursor<'_>,
+        row: &mut Row,
+        append: &mut Append<'_>,
+    ) -> Result<(), DecodeError<'static>> {
+        self.strange = 0;
+        for read in &self.reads {
+            match *read {
+                Read::Stamp(seconds, nanoseconds) => {
+                    row.seconds = i32::from_le_bytes(word(message, seconds)).into();
+                    row.nanoseconds = u32::from_le_bytes(word(message, nanoseconds)).into();
+                }
+                Read::Doubles(at, ref range) => {
+                    let values = &message[at..at + 8 * range.len()];
+                    for (value, &bytes) in
+                        row.numbers[range.clone()].iter_mut().zip(doubles(values))
+                    {
+                        *value = f64::from_le_bytes(bytes);
+                    }
+                }
+                Read::List { at, count, index } => {
+                    let values = &message[at..at + 8 * count];
+                    let list = &mut row.lists[index];
+                    list.clear();
+                    list.extend(doubles(values).iter().map(|&bytes| f64::from_le_bytes(bytes)));
+                }
+                Read::Value(_, Op::Text(_)) if self.is_told => {}
+                Read::Value(at, ref op) => {
+                    cursor.seek(at);
+                    op.run(cursor, row).map_err(|short| DecodeError::Short { field: "", short })?;
+                }
+                Read::Only => append(row)?,
+                Read::Row(index) => {
+                    row.index = index;
+                    row.group.set(self.groups[index]);
+                    let appended = append(row);
+                    self.groups[index] = row.group.take();
+                    appended?;
+                }
+            }
+        }
+        if !self.is_told {
+            self.is_told = self.groups.iter().all(|group| matches!(group, Group::Known(_)));
+        }
+        Ok(())
+    }
+
+    /// Takes the shape of `message`, which was walked without fault.
+    pub(super) fn take(&mut self, plan: &Plan, message: &[u8]) {
+        self.reads.clear();
+        self.decisive.clear();
+        self.bytes.clear();
+        self.groups.clear();
+        self.is_told = false;
+        let Ok(mut cursor) = plan.cursor(message) else { return };
+        let before = cursor.before();
+        self.decisive.push(0..before);
+        let is_little_endian = cursor.is_little_endian();
+        let mut walk = Walk { shape: self, before, is_little_endian, several: !plan.whole };
+        let walked = walk.over(plan.steps(&cursor), &mut cursor);
+        if plan.whole {
+            self.reads.push(Read::Only);
+        }
+        let end = self.decisive.last().map_or(0, |part| part.end);
+        if walked.is_none() || end > FARTHEST || self.reads.len() > MOST_READS {
+            return self.reads.clear();
+        }
+        self.least = before + cursor.at();
+        self.bytes.extend_from_slice(&message[..end]);
+    }
+}
+
+/// The bytes of doubles that follow each other.
+fn doubles(bytes: &[u8]) -> &[[u8; 8]] {
+    bytes.as_chunks().0
+}
+
+/// The four bytes from `at` on, which are there.
+fn word(message: &[u8], at: usize) -> [u8; 4] {
+    message[at..].first_chunk().copied().unwrap_or_default()
+}
+
+/// A walk that reads nothing but where things are.
+struct Walk<'s> {
+    shape: &'s mut Shape,
+    /// Bytes of the message before its body.
+    before: usize,
+    /// Whether its numbers are lowest byte first.
+    is_little_endian: bool,
+    /// Whether a message has several rows, each with texts of its own.
+    several: bool,
+}
+
+impl Walk<'_> {
+    /// Walks `steps`; `None` where their shape cannot be kept.
+    fn over(&mut self, steps: &[Step], cursor: &mut Cursor<'_>) -> Option<()> {
+        for Step { op, .. } in steps {
+            match *op {
+                Op::Skip { size, count } => {
+                    let count = self.count(count, cursor)?;
+                    cursor.skip(size, count.into()).ok()?;
+                }
+                Op::SkipTexts(count) => {
+                    for _ in 0..self.count(count, cursor)? {
+                        self.decided(cursor, Cursor::text)?;
+                    }
+                }
+                Op::Names(_) if self.several => return None,
+                Op::Names(count) => {
+                    for _ in 0..self.count(count, cursor)? {
+                        self.decided(cursor, Cursor::text)?;
+                    }
+                }
+                Op::Text(index) => {
+                    let at = cursor.at();
+                    self.decided(cursor, Cursor::text)?;
+                    // The only row of a message has the text already.
+                    if self.several {
+                        self.push(Read::Value(at, Op::Text(index)))?;
+                    }
+                }
+                Op::Seconds(primitive) => self.value(primitive, Op::Seconds(primitive), cursor)?,
+                Op::Nanoseconds(primitive) => {
+                    self.value(primitive, Op::Nanoseconds(primitive), cursor)?;
+                    self.join_stamp();
+                }
+                Op::Number(primitive, index) => {
+                    self.value(primitive, Op::Number(primitive, index), cursor)?;
+                }
+                Op::Doubles(ref range) => {
+                    let at = cursor.aligned(8);
+                    let read = match self.is_little_endian {
+                        true => Read::Doubles(self.before + at, range.clone()),
+                        false => Read::Value(at, Op::Doubles(range.clone())),
+                    };
+                    self.push(read)?;
+                    cursor.skip(8, range.len() as u64).ok()?;
+                }
+                Op::List(primitive, count, index) => {
+                    let count = self.count(count, cursor)?;
+                    let at = cursor.aligned(primitive.size());
+                    let read = match primitive {
+                        Primitive::F64
+                            if self.is_little_endian
+                                && (1..=MAX_LIST).contains(&(count as usize)) =>
+                        {
+                            Read::List { at: self.before + at, count: count as usize, index }
+                        }
+                        _ => Read::Value(at, Op::List(primitive, Count::Fixed(count), index)),
+                    };
+                    self.push(read)?;
+                    cursor.skip(primitive.size(), count.into()).ok()?;
+                }
+                Op::Repeat { count, ref steps, rows } => {
+                    for index in 0..self.count(count, cursor)? {
+                        self.over(steps, cursor)?;
+                        if rows {
+                            self.shape.groups.push(Group::Wanted);
+                            self.push(Read::Row(index as usize))?;
+                        }
+                    }
+                }
+                Op::Delimited { .. } | Op::Unreadable(_) => return None,
+            }
+        }
+        Some(())
+    }
+
+    fn count(&mut self, count: Count, cursor: &mut Cursor<'_>) -> Option<u32> {
+        match count {
+            Count::Fixed(count) => Some(count),
+            Count::Wire => self.decided(cursor, Cursor::length),
+        }
+    }
+
+    /// Reads what decides where the rest lies.
+    fn decided<'m, T>(
+        &mut self,
+        cursor: &mut Cursor<'m>,
+        read: impl FnOnce(&mut Cursor<'m>) -> Result<T, Short>,
+    ) -> Option<T> {
+        let start = self.before + cursor.at();
+        let value = read(cursor).ok()?;
+        let end = self.before + cursor.at();
+        match self.shape.decisive.last_mut() {
+            Some(part) if part.end == start => part.end = end,
+            _ => self.shape.decisive.push(start..end),
+        }
+        (end <= FARTHEST).then_some(value)
+    }
+
+    /// Takes down a number, which is passed over.
+    fn value(&mut self, primitive: Primitive, op: Op, cursor: &mut Cursor<'_>) -> Option<()> {
+        let size = primitive.size();
+        self.push(Read::Value(cursor.aligned(size), op))?;
+        cursor.skip(size, 1).ok()
+    }
+
+    /// Makes one of seconds and nanoseconds, where they are what ROS 2 has.
+    fn join_stamp(&mut self) {
+        use Primitive::{I32, U32};
+        if let [.., Read::Value(s, Op::Seconds(I32)), Read::Value(ns, Op::Nanoseconds(U32))] =
+            self.shape.reads[..]
+            && self.is_little_endian
+        {
+            self.shape.reads.truncate(self.shape.reads.len() - 2);
+            self.shape.reads.push(Read::Stamp(self.before + s, self.before + ns));
+        }
+    }
+
+    fn push(&mut self, read: Read) -> Option<()> {
+        self.shape.reads.push(read);
+        (self.shape.reads.len() <= MOST_READS).then_some(())
+    }
+}
