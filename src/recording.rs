@@ -86,11 +86,7 @@ fn receipts(run: &Run, stream: usize) -> Receipts {
         return Receipts::default();
     };
     let rows = stream.times().into_iter().flat_map(|times| {
-        clock
-            .stamps_of(times)
-            .into_iter()
-            .zip(&times.log)
-            .filter_map(|(stamp, log_ns)| Some((stamp?, Stamp::from_nanos(*log_ns))))
+        clock.rows_of(times).map(|(stamp, row)| (stamp, Stamp::from_nanos(times.log[row])))
     });
     Receipts::of(rows.collect())
 }

@@ -2,7 +2,7 @@
 //! equations, and the covariance of what they give.
 
 use super::noise::Noise;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DMatrixView, DVector, Dyn};
 use std::sync::OnceLock;
 
 /// Residuals beyond this many standard deviations lose weight (Huber).
@@ -35,6 +35,11 @@ struct Triangle(Vec<f64>);
 impl Triangle {
     fn zeros(width: usize) -> Self {
         Self(vec![0.0; width * (width + 1) / 2])
+    }
+
+    fn of(matrix: &DMatrix<f64>) -> Self {
+        let row = |i: usize| (0..=i).map(move |j| matrix[(i, j)]);
+        Self((0..matrix.nrows()).flat_map(row).collect())
     }
 
     /// Adds `weight · Σ vᵀv` over some rows of `width` numbers, all zero beside each other for many a
@@ -174,6 +179,17 @@ impl Linear {
         self.after(step).into_iter().zip(&self.floor).map(of_kind).collect()
     }
 
+    /// The rows of all samples that are `row` of theirs, a row each, and the same transposed.
+    fn design_of(&self, row: usize) -> [DMatrixView<'_, f64, Dyn, Dyn>; 2] {
+        let apart = 3 * self.kinds() * self.width;
+        let own = self.design.get(row * self.width..).unwrap_or_default();
+        let (samples, width) = (self.len(), self.width);
+        [
+            DMatrixView::from_slice_with_strides(own, samples, width, apart, 1),
+            DMatrixView::from_slice_with_strides(own, width, samples, 1, apart),
+        ]
+    }
+
     /// The rows of `kind` of one sample.
     fn rows_of(&self, sample: usize, kind: usize) -> [&[f64]; 3] {
         std::array::from_fn(|axis| self.row(sample, 3 * kind + axis))
@@ -184,9 +200,12 @@ impl Linear {
     /// Nearly all samples of a kind weigh the same: their squares are summed once for all weights.
     fn weighted_squares(&self, weights: &[Weight]) -> Triangle {
         let of_kind = |kind: usize| {
-            let mut squares = Triangle::zeros(self.width);
-            (0..self.len()).for_each(|k| squares.add_squares(self.rows_of(k, kind), 1.0));
-            squares
+            let mut squares = DMatrix::zeros(self.width, self.width);
+            for axis in (0..3).filter(|_| self.len() > 0) {
+                let [design, transposed] = self.design_of(3 * kind + axis);
+                squares.gemm(1.0, &transposed, &design, 1.0);
+            }
+            Triangle::of(&squares)
         };
         let squares = self.squares.get_or_init(|| (0..self.kinds()).map(of_kind).collect());
         let mut sum = Triangle::zeros(self.width);

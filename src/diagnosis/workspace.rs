@@ -34,8 +34,12 @@ impl JointSpan {
     /// The span of these positions, rad or m; `None` where none is finite.
     pub fn of(positions: &[f64], kind: JointKind, limits: &Limits) -> Option<Self> {
         let finite = || positions.iter().copied().filter(|position| position.is_finite());
-        let lowest = finite().reduce(f64::min)?;
-        let highest = finite().reduce(f64::max)?;
+        let none = (f64::INFINITY, f64::NEG_INFINITY);
+        let (lowest, highest) =
+            finite().fold(none, |(lowest, highest), q| (q.min(lowest), q.max(highest)));
+        if lowest > highest {
+            return None;
+        }
         let range = match (limits.lower, limits.upper, kind) {
             (Some(lower), Some(upper), _) if upper > lower => Some((lower, upper - lower, false)),
             (_, _, JointKind::Prismatic) => None,
@@ -45,7 +49,13 @@ impl JointSpan {
             let mut visited = [false; PARTS];
             for position in finite() {
                 let share = (position - lower) / width;
-                let share = if wraps { share.rem_euclid(1.0) } else { share.clamp(0.0, 1.0) };
+                let share = match wraps {
+                    // The remainder of one turn is slow, and hardly ever more than one is off.
+                    true if (0.0..1.0).contains(&share) => share,
+                    true if (-1.0..0.0).contains(&share) => share + 1.0,
+                    true => share.rem_euclid(1.0),
+                    false => share.clamp(0.0, 1.0),
+                };
                 visited[((share * PARTS as f64) as usize).min(PARTS - 1)] = true;
             }
             visited.iter().filter(|visited| **visited).count() as f64 / PARTS as f64

@@ -209,11 +209,9 @@ fn tf_tree(streams: &[Stream], timing: &Timing) -> TfTree {
                 }
                 continue;
             }
-            let stamps = timing.seen_stamps(streams, index, piece, 0.0);
-            let rows = stamps.iter().enumerate();
-            let mut samples: Vec<(Stamp, Pose)> = rows
-                .filter_map(|(row, stamp)| Some(((*stamp)?, pose_at(transform, row)?)))
-                .collect();
+            let rows = timing.seen_rows(streams, index, piece, 0.0).into_iter();
+            let mut samples: Vec<(Stamp, Pose)> =
+                rows.filter_map(|(stamp, row)| Some((stamp, pose_at(transform, row)?))).collect();
             samples.sort_by_key(|(stamp, _)| *stamp);
             samples.dedup_by_key(|(stamp, _)| *stamp);
             let (stamps, poses) = samples.into_iter().unzip();
@@ -332,16 +330,15 @@ impl Assembly<'_> {
         let chain = robot.chain(frame.or(link(&robot.controller_base))?, tip).ok()?;
         let joints = merge(topics, chain.joint_names(), self.origin)?.track;
         let (mut cursor, mut q, mut qd) = (0, vec![0.0; chain.dof()], vec![0.0; chain.dof()]);
-        let stamps = self.timing.seen_stamps(&self.streams, index, 0, 0.0);
-        let mut gaps_m: Vec<f64> = stamps
+        let mut rows = self.timing.seen_rows(&self.streams, index, 0, 0.0);
+        poses::thinned(&mut rows);
+        let mut gaps_m: Vec<f64> = rows
             .iter()
-            .zip(&poses.xyz)
-            .filter_map(|(stamp, &xyz)| {
-                let t_s = (*stamp)?.seconds_since(self.origin);
+            .filter_map(|&(stamp, row)| {
+                let t_s = stamp.seconds_since(self.origin);
                 let known = joints.at(t_s, &mut cursor, &mut q, &mut qd);
-                known.then(|| {
-                    (Vec3::from(xyz).norm() - chain.forward(&q).translation.vector.norm()).abs()
-                })
+                let logged_m = Vec3::from(poses.xyz[row]).norm();
+                known.then(|| (logged_m - chain.forward(&q).translation.vector.norm()).abs())
             })
             .collect();
         gaps_m.sort_by(f64::total_cmp);
@@ -390,9 +387,9 @@ impl Assembly<'_> {
         if !uncrossed.is_empty() {
             return Err(NoTf::NotCovered { joints: uncrossed });
         }
-        let mut stamps: Vec<Option<Stamp>> = path.stamps().into_iter().map(Some).collect();
+        let mut stamps = path.stamps();
         poses::thinned(&mut stamps);
-        let stamps = stamps.into_iter().flatten();
+        let stamps = stamps.into_iter();
         let samples: Vec<(Stamp, Pose)> =
             stamps.filter_map(|stamp| Some((stamp, path.at(stamp).ok()?))).collect();
         if samples.len() < 2 {
@@ -518,9 +515,9 @@ impl Assembly<'_> {
     fn plain_track(&self, index: usize) -> Option<PoseTrack> {
         let Some(Columns::Poses(poses)) = &self.streams[index].columns else { return None };
         let [poses] = poses.as_slice() else { return None };
-        let mut stamps = self.timing.stamps(&self.streams, index, 0);
-        hide(&self.timing.strays, index, 0, &mut stamps);
-        let track = poses::from_poses(poses, &stamps, None, self.origin).ok()?.track;
+        let mut rows = self.timing.rows(&self.streams, index, 0);
+        hide(&self.timing.strays, index, 0, &mut rows);
+        let track = poses::from_poses(poses, &rows, None, self.origin).ok()?.track;
         (track.t_s.len() > 1).then_some(track)
     }
 
@@ -764,18 +761,16 @@ impl Assembly<'_> {
                 let [base, tip] = [site.base.link, site.tip.link].map(|link| arm.frame_of(link));
                 format!("no joint in the joint states moves '{tip}' against '{base}'")
             })?;
-        let mut stamps = self.timing.seen_stamps(&self.streams, index, 0, 0.0);
-        poses::thinned(&mut stamps);
+        let mut rows = self.timing.seen_rows(&self.streams, index, 0, 0.0);
+        poses::thinned(&mut rows);
         let mut logged = match &self.streams[index].columns {
             Some(Columns::Poses(poses)) => {
                 let [poses] = poses.as_slice() else {
                     return Err("it holds several poses".to_owned());
                 };
-                poses::from_poses(poses, &stamps, declared, self.origin)?
+                poses::from_poses(poses, &rows, declared, self.origin)?
             }
-            Some(Columns::Array(array)) => {
-                poses::from_array(array, &stamps, declared, self.origin)?
-            }
+            Some(Columns::Array(array)) => poses::from_array(array, &rows, declared, self.origin)?,
             _ => return Err("it holds no poses".to_owned()),
         };
         let how = (known, self.options.max_latency_s);
@@ -825,8 +820,8 @@ impl Assembly<'_> {
             return;
         }
         let Some((chain, columns)) = arm.chain_between(arm.base, carrier) else { return };
-        let stamps = self.timing.seen_stamps(&self.streams, index, 0, 0.0);
-        let Stamped { track, stamps } = poses::from_imu(imu, &stamps, self.origin);
+        let rows = self.timing.seen_rows(&self.streams, index, 0, 0.0);
+        let Stamped { track, stamps } = poses::from_imu(imu, &rows, self.origin);
         let source = ImuSource {
             stream: index,
             chain,
@@ -901,12 +896,12 @@ fn joint_topics<'a>(streams: &'a [Stream], timing: &Timing) -> Vec<JointTopic<'a
         .map(|(stream, columns)| JointTopic {
             stream,
             columns,
-            stamps: timing.stamps(streams, stream, 0),
+            rows: timing.rows(streams, stream, 0),
         })
         .collect()
 }
 
-/// The same, with the stamps of the rows that the estimators see. Of joints they see more than of other
+/// The same, with the rows that the estimators see. Of joints they see more than of other
 /// streams, by the latency that is sought.
 fn seen_joint_topics<'a>(
     streams: &'a [Stream],
@@ -915,7 +910,7 @@ fn seen_joint_topics<'a>(
 ) -> Vec<JointTopic<'a>> {
     let mut topics = joint_topics(streams, timing);
     for topic in &mut topics {
-        topic.stamps = timing.seen_stamps(streams, topic.stream, 0, most_lag_s);
+        topic.rows = timing.seen_rows(streams, topic.stream, 0, most_lag_s);
     }
     topics
 }

@@ -62,9 +62,13 @@ pub struct StreamClock {
 }
 
 impl StreamClock {
-    /// When each row of `times` was; `None` for rows that have no stamp on the stream's clock.
-    pub fn stamps_of(&self, times: &Times) -> Vec<Option<Stamp>> {
-        (0..times.len()).map(|row| self.stamp_of(times, row)).collect()
+    /// The rows of `times` that have a stamp on the stream's clock, each after its own.
+    pub fn rows_of(&self, times: &Times) -> impl Iterator<Item = (Stamp, usize)> {
+        let offset = self.alignment.map_or(0, |alignment| alignment.offset_nanos);
+        let may_be_unset = self.clock == Clock::Header;
+        let rows = times.on(self.clock).iter().zip(0..);
+        rows.filter(move |(nanos, _)| !may_be_unset || **nanos != 0)
+            .map(move |(nanos, row)| (Stamp::from_nanos(nanos.saturating_add(offset)), row))
     }
 
     /// When one row was; `None` where it has no stamp on the stream's clock, or is not there.
@@ -306,7 +310,7 @@ mod tests {
         let alignment = clocks[0].alignment.unwrap();
         assert_eq!(alignment.offset_nanos, 1_700_000_000_000_000_000);
         assert!((0.0005..0.003).contains(&alignment.spread_s), "{alignment:?}");
-        let first = clocks[0].stamps_of(&foreign)[0].unwrap();
+        let first = clocks[0].stamp_of(&foreign, 0).unwrap();
         assert_eq!(first, Stamp::from_nanos(START));
         assert_eq!(clocks[1].alignment, None);
     }
@@ -352,8 +356,8 @@ mod tests {
                 (Clock::Log, HeaderStamps::Absent, 1000),
             ]
         );
-        assert_eq!(clocks[0].stamps_of(&zero)[3], Some(Stamp::from_nanos(zero.log[3])));
-        assert_eq!(clocks[2].stamps_of(&some_zero)[10], None);
+        assert_eq!(clocks[0].stamp_of(&zero, 3), Some(Stamp::from_nanos(zero.log[3])));
+        assert_eq!(clocks[2].stamp_of(&some_zero, 10), None);
     }
 
     #[test]
@@ -364,7 +368,7 @@ mod tests {
         sources[1].has_header = false;
         let clocks = settle(&sources, Clock::Header, 5.0);
         assert_eq!(clocks[0].epoch, Epoch::CommonButNotTheRecorders);
-        let first = clocks[1].stamps_of(&array)[0].unwrap();
+        let first = clocks[1].stamp_of(&array, 0).unwrap();
         assert!(seconds(first.nanos()).abs() < 0.003, "{first}");
     }
 

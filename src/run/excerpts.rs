@@ -6,12 +6,14 @@
 //! see the stretch in which the joints move most. Clocks, rates, gaps, repeats and counts are always
 //! of all rows.
 
+use rayon::prelude::*;
+
 use crate::stream::{Columns, JointColumns};
 use crate::time::{NANOS_PER_SECOND, Stamp, nanos};
 
 use super::role::Role;
 use super::strays;
-use super::streams::{Stream, Timing};
+use super::streams::{Rows, Stream, Timing};
 
 /// A run that is no longer is seen whole, s.
 const WHOLE_S: i64 = 300;
@@ -33,7 +35,7 @@ impl Excerpts {
     /// The excerpts of a run with these streams; `None` where it is seen whole, or has no joint states.
     pub(super) fn of(streams: &[Stream], timing: &Timing) -> Option<Self> {
         let topics = joints(streams, timing);
-        let (start, end) = bulk(&topics.iter().max_by_key(|(_, stamps)| stamps.len())?.1)?;
+        let (start, end) = bulk(&topics.iter().max_by_key(|(_, rows)| rows.len())?.1)?;
         let span = end.saturating_sub(start);
         // Some 2 % of it are margin.
         if span <= WHOLE_S * NANOS_PER_SECOND * 102 / 100 {
@@ -41,8 +43,8 @@ impl Excerpts {
         }
         let step = NANOS_PER_SECOND.max(span / STEPS);
         let mut activity = Activity::none(start, step, (span / step) as usize + 1);
-        for (columns, stamps) in &topics {
-            activity.add(columns, stamps);
+        for (columns, rows) in &topics {
+            activity.add(columns, rows);
         }
         let length = (EXCERPT_S * NANOS_PER_SECOND / step).max(1) as usize;
         let spans = activity.parts().into_iter().map(|(from, to)| {
@@ -53,22 +55,27 @@ impl Excerpts {
         Some(Self { spans: spans.collect() })
     }
 
-    /// Takes out the times that are in none of them, nor less than `around_s` off.
-    pub(super) fn hide_others(&self, stamps: &mut [Option<Stamp>], around_s: f64) {
+    /// Whether a time is in one of them, or less than `around_s` off; of times that mostly follow each
+    /// other.
+    pub(super) fn holds(&self, around_s: f64) -> impl FnMut(Stamp) -> bool {
         let around = nanos(around_s);
         let widened =
-            |&(start, end): &(i64, i64)| (start.saturating_sub(around), end.saturating_add(around));
-        // Stamps mostly follow each other, so that the span of one is that of the next.
-        let mut span = (i64::MAX, i64::MIN);
-        for stamp in stamps {
-            let Some(at) = stamp.map(Stamp::nanos) else { continue };
-            if !(span.0..=span.1).contains(&at) {
-                let next = self.spans.partition_point(|span| widened(span).1 < at);
-                span = self.spans.get(next).map_or((i64::MAX, i64::MIN), widened);
+            |(start, end): &(i64, i64)| (start.saturating_sub(around), end.saturating_add(around));
+        let spans: Vec<(i64, i64)> = self.spans.iter().map(widened).collect();
+        // Between which times the next span is the one that was found last.
+        let mut until = (i64::MAX, i64::MIN);
+        let mut start = i64::MAX;
+        move |stamp| {
+            let at = stamp.nanos();
+            if !(until.0..=until.1).contains(&at) {
+                let next = spans.partition_point(|(_, end)| *end < at);
+                let before = next
+                    .checked_sub(1)
+                    .map_or(i64::MIN, |before| spans[before].1.saturating_add(1));
+                let (from, end) = spans.get(next).copied().unwrap_or((i64::MAX, i64::MAX));
+                (start, until) = (from, (before, end));
             }
-            if !(span.0..=span.1).contains(&at) {
-                *stamp = None;
-            }
+            (start..i64::MAX).contains(&at)
         }
     }
 
@@ -79,32 +86,31 @@ impl Excerpts {
     }
 }
 
-/// The topics of joint states, each with the stamps of its rows.
-fn joints<'a>(
-    streams: &'a [Stream],
-    timing: &Timing,
-) -> Vec<(&'a JointColumns, Vec<Option<Stamp>>)> {
+/// The topics of joint states, each with its rows but for stray ones.
+fn joints<'a>(streams: &'a [Stream], timing: &Timing) -> Vec<(&'a JointColumns, Rows)> {
     let is_joints = |(_, stream): &(usize, &Stream)| stream.role == Role::Joints;
     let joints = streams.iter().enumerate().filter(is_joints);
-    let with_stamps = joints.filter_map(|(index, stream)| match &stream.columns {
+    let with_rows = joints.filter_map(|(index, stream)| match &stream.columns {
         Some(Columns::Joints(joints)) => {
-            let mut stamps = timing.stamps(streams, index, 0);
-            strays::hide(&timing.strays, index, 0, &mut stamps);
-            Some((joints, stamps))
+            let mut rows = timing.rows(streams, index, 0);
+            strays::hide(&timing.strays, index, 0, &mut rows);
+            Some((joints, rows))
         }
         _ => None,
     });
-    with_stamps.collect()
+    with_rows.collect()
 }
 
 /// Between which times the rows are but for stray ones, ns.
-fn bulk(stamps: &[Option<Stamp>]) -> Option<(i64, i64)> {
-    let mut stamps: Vec<i64> = stamps.iter().flatten().map(|stamp| stamp.nanos()).collect();
+fn bulk(rows: &Rows) -> Option<(i64, i64)> {
     // So many at either end may be stray; as many are there even so, a little further out.
-    let stray = stamps.len() / 200;
-    let last = stamps.len().checked_sub(1 + stray)?;
-    let (_, &mut start, _) = stamps.select_nth_unstable(stray);
-    let (_, &mut end, _) = stamps.select_nth_unstable(last);
+    let stray = rows.len() / 200;
+    let last = rows.len().checked_sub(1 + stray)?;
+    let mut stamps: Vec<i64> = rows.iter().map(|(stamp, _)| stamp.nanos()).collect();
+    if !stamps.is_sorted() {
+        stamps.sort_unstable();
+    }
+    let (start, end) = (stamps[stray], stamps[last]);
     let margin = end.saturating_sub(start) / 100;
     Some((start.saturating_sub(margin), end.saturating_add(margin)))
 }
@@ -126,25 +132,33 @@ impl Activity {
     }
 
     /// Adds a topic of joint states.
-    fn add(&mut self, joints: &JointColumns, stamps: &[Option<Stamp>]) {
-        let step_of = |stamp: &Option<Stamp>| {
-            let since = stamp.as_ref()?.nanos().checked_sub(self.start)?;
+    fn add(&mut self, joints: &JointColumns, rows: &Rows) {
+        let step_of = |stamp: Stamp| {
+            let since = stamp.nanos().checked_sub(self.start)?;
             usize::try_from(since / self.step).ok().filter(|step| *step < self.rows.len())
         };
-        let steps: Vec<Option<usize>> = stamps.iter().map(step_of).collect();
-        steps.iter().flatten().for_each(|&step| self.rows[step] += 1);
-        for joint in &joints.joints {
+        // Beyond the run are stray stamps only.
+        let steps: Vec<(usize, usize)> =
+            rows.iter().filter_map(|&(stamp, row)| Some((step_of(stamp)?, row))).collect();
+        steps.iter().for_each(|&(step, _)| self.rows[step] += 1);
+        let motion = joints.joints.par_iter().map(|joint| {
+            let mut motion = vec![0.0; self.motion.len()];
             let mut last = f64::NAN;
-            for (&position, step) in joint.position.iter().zip(&steps) {
+            for &(step, row) in &steps {
+                let position = joint.position[row];
                 let moved = (position - last).abs();
-                if let (Some(step), true) = (*step, moved.is_finite()) {
-                    self.motion[step] += moved;
+                if moved.is_finite() {
+                    motion[step] += moved;
                 }
-                // Without a stamp it is no sample, or a stray one.
-                if position.is_finite() && step.is_some() {
+                if position.is_finite() {
                     last = position;
                 }
             }
+            motion
+        });
+        // In their order, so that the sums are always the same.
+        for motion in motion.collect::<Vec<_>>() {
+            self.motion.iter_mut().zip(motion).for_each(|(sum, moved)| *sum += moved);
         }
     }
 
@@ -223,9 +237,13 @@ mod tests {
             let excerpts = excerpts(seconds, stray).unwrap();
             assert_eq!(excerpts.extent(), (PARTS, (PARTS as i64 * EXCERPT_S) as f64));
             let holds = |stamp: Stamp, around_s: f64| {
-                let mut stamps = [Some(stamp)];
-                excerpts.hide_others(&mut stamps, around_s);
-                stamps == [Some(stamp)]
+                let mut of_many = excerpts.holds(around_s);
+                let alone = excerpts.holds(around_s)(stamp);
+                for seconds in 0..seconds {
+                    of_many(Stamp::from_nanos((1000 + seconds) * NANOS_PER_SECOND));
+                    assert_eq!(of_many(stamp), alone);
+                }
+                alone
             };
             for part in 0..PARTS as i64 {
                 let moving = Stamp::from_nanos((1000 + part * part_s + 190) * NANOS_PER_SECOND);

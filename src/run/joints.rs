@@ -4,10 +4,12 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 use nalgebra::{Matrix3, Vector3};
+use rayon::prelude::*;
 
 use crate::stream::{Columns, JointColumns, JointTrack, sample_noise};
 use crate::time::Stamp;
 
+use super::streams::Rows;
 use super::{Run, strays};
 
 /// Where the velocities of a joint come from.
@@ -37,17 +39,22 @@ pub(super) struct JointTopic<'a> {
     /// Index of its stream.
     pub stream: usize,
     pub columns: &'a JointColumns,
-    /// When each row was.
-    pub stamps: Vec<Option<Stamp>>,
+    /// The rows that are looked at.
+    pub rows: Rows,
 }
 
 impl JointTopic<'_> {
+    /// Whether all its rows are looked at, each later than the one before.
+    pub fn is_in_order(&self) -> bool {
+        self.rows.len() == self.columns.times.len()
+            && self.rows.is_sorted_by(|(earlier, _), (later, _)| earlier < later)
+    }
+
     /// Whether it has a sample of the joint called `name`.
     pub fn holds(&self, name: &str) -> bool {
         let joint = self.columns.joints.iter().find(|joint| joint.name == name);
-        let has_sample = |position: &[f64]| {
-            position.iter().zip(&self.stamps).any(|(q, stamp)| q.is_finite() && stamp.is_some())
-        };
+        let has_sample =
+            |position: &[f64]| self.rows.iter().any(|(_, row)| position[*row].is_finite());
         joint.is_some_and(|joint| has_sample(&joint.position))
     }
 }
@@ -80,16 +87,18 @@ pub(super) fn merge(topics: &[JointTopic<'_>], names: &[String], origin: Stamp) 
     let holds = |topic: &JointTopic<'_>| {
         topic.columns.joints.iter().filter(|joint| names.contains(&joint.name)).count()
     };
-    ranked.sort_by_key(|topic| std::cmp::Reverse((holds(topic), topic.stamps.len())));
+    ranked.sort_by_key(|topic| std::cmp::Reverse((holds(topic), topic.columns.times.len())));
 
     let mut facts = Vec::with_capacity(names.len());
     let mut joints = Vec::with_capacity(names.len());
-    for name in names {
-        let (topic, samples) = ranked
-            .iter()
-            .map(|topic| (topic, Samples::of(topic, name)))
-            .find(|(_, samples)| !samples.stamps.is_empty())?;
+    let found = names.par_iter().map(|name| {
+        let samples = ranked.iter().map(|topic| (topic, Samples::of(topic, name)));
+        let (topic, samples) = samples.into_iter().find(|(_, found)| !found.stamps.is_empty())?;
         let (track, velocities) = samples.track(origin);
+        Some((topic, samples, track, velocities))
+    });
+    for (name, found) in names.iter().zip(found.collect::<Vec<_>>()) {
+        let (topic, samples, track, velocities) = found?;
         let count = samples.stamps.len();
         facts.push(JointFacts {
             name: name.clone(),
@@ -171,13 +180,12 @@ impl Run {
             return None;
         };
         let clock = self.clocks.iter().find(|clock| clock.stream == stream)?;
-        let mut stamps = clock.stamps_of(&columns.times);
-        strays::hide(&self.strays, stream, 0, &mut stamps);
-        let is_in_order =
-            stamps.first().is_some_and(Option::is_some) && stamps.is_sorted_by(|a, b| a < b);
-        let seconds = |stamp: &Stamp| stamp.seconds_since(self.origin);
-        let t_s = is_in_order.then(|| stamps.iter().flatten().map(seconds).collect());
-        Some((JointTopic { stream, columns, stamps }, t_s))
+        let mut rows: Rows = clock.rows_of(&columns.times).collect();
+        strays::hide(&self.strays, stream, 0, &mut rows);
+        let topic = JointTopic { stream, columns, rows };
+        let seconds = |(stamp, _): &(Stamp, usize)| stamp.seconds_since(self.origin);
+        let t_s = topic.is_in_order().then(|| topic.rows.iter().map(seconds).collect());
+        Some((topic, t_s))
     }
 }
 
@@ -238,10 +246,8 @@ impl Samples {
         let Some(joint) = topic.columns.joints.iter().find(|joint| joint.name == name) else {
             return Self::default();
         };
-        let stamped =
-            topic.stamps.iter().enumerate().filter_map(|(row, stamp)| Some(((*stamp)?, row)));
-        let mut rows: Vec<(Stamp, usize)> =
-            stamped.filter(|(_, row)| joint.position[*row].is_finite()).collect();
+        let is_known = |(_, row): &(Stamp, usize)| joint.position[*row].is_finite();
+        let mut rows: Rows = topic.rows.iter().copied().filter(is_known).collect();
         rows.sort_by_key(|(stamp, _)| *stamp);
         rows.dedup_by_key(|(stamp, _)| *stamp);
         Self {
@@ -392,8 +398,8 @@ mod tests {
     }
 
     fn topic(columns: &JointColumns) -> JointTopic<'_> {
-        let stamps = columns.times.header.iter().map(|&t| Some(Stamp::from_nanos(t))).collect();
-        JointTopic { stream: 0, columns, stamps }
+        let rows = columns.times.header.iter().map(|&t| Stamp::from_nanos(t)).zip(0..).collect();
+        JointTopic { stream: 0, columns, rows }
     }
 
     fn merged(topics: &[JointTopic<'_>]) -> Merged {

@@ -7,6 +7,7 @@ use crate::stream::{
 use crate::time::Stamp;
 
 use super::declaration::{Coding, Declaration};
+use super::streams::Rows;
 
 /// A track, and the stamps of its samples.
 #[derive(Clone, Debug)]
@@ -15,10 +16,9 @@ pub(super) struct Stamped<T> {
     pub stamps: Vec<Stamp>,
 }
 
-/// The stamped rows that `keep` takes, in the order of time; of equal stamps the first.
-fn rows_in_order(stamps: &[Option<Stamp>], keep: impl Fn(usize) -> bool) -> Vec<(Stamp, usize)> {
-    let stamped = stamps.iter().enumerate().filter_map(|(row, stamp)| Some(((*stamp)?, row)));
-    let mut rows: Vec<(Stamp, usize)> = stamped.filter(|(_, row)| keep(*row)).collect();
+/// The rows that `keep` takes, in the order of time; of equal stamps the first.
+fn rows_in_order(rows: &Rows, keep: impl Fn(usize) -> bool) -> Rows {
+    let mut rows: Rows = rows.iter().copied().filter(|(_, row)| keep(*row)).collect();
     rows.sort_by_key(|(stamp, _)| *stamp);
     rows.dedup_by_key(|(stamp, _)| *stamp);
     rows
@@ -28,24 +28,22 @@ fn rows_in_order(stamps: &[Option<Stamp>], keep: impl Fn(usize) -> bool) -> Vec<
 const MOST_SAMPLES: usize = 20_000;
 
 /// Leaves every second, third and so on of what is seen, where that is more than [`MOST_SAMPLES`].
-pub(super) fn thinned(stamps: &mut [Option<Stamp>]) {
-    let seen = stamps.iter().flatten().count();
-    let stride = seen.div_ceil(MOST_SAMPLES).max(1);
-    let others = stamps.iter_mut().filter(|stamp| stamp.is_some()).enumerate();
-    others.filter(|(index, _)| index % stride != 0).for_each(|(_, stamp)| *stamp = None);
+pub(super) fn thinned<T>(seen: &mut Vec<T>) {
+    let stride = seen.len().div_ceil(MOST_SAMPLES).max(1);
+    let mut index = 0..;
+    seen.retain(|_| index.next().is_some_and(|index: usize| index.is_multiple_of(stride)));
 }
 
 /// Cuts a track of the rows that `sample` can read.
 fn track_of(
-    stamps: &[Option<Stamp>],
+    rows: &Rows,
     origin: Stamp,
     sample: impl Fn(usize) -> Option<(Vec3, Rotation)>,
 ) -> Stamped<PoseTrack> {
-    let stamped_rows = stamps.iter().enumerate().filter_map(|(row, stamp)| Some(((*stamp)?, row)));
-    let mut samples: Vec<_> = stamped_rows.filter_map(|row| Some((row, sample(row.1)?))).collect();
+    let mut samples: Vec<_> = rows.iter().filter_map(|row| Some((*row, sample(row.1)?))).collect();
     samples.sort_by_key(|((stamp, _), _)| *stamp);
     samples.dedup_by_key(|((stamp, _), _)| *stamp);
-    let rows: Vec<(Stamp, usize)> = samples.iter().map(|(row, _)| *row).collect();
+    let rows: Rows = samples.iter().map(|(row, _)| *row).collect();
     let (xyz, rotations) = samples.into_iter().map(|(_, sample)| sample).unzip();
     let orientation = Orientations::Rotations(rotations);
     stamped(&rows, origin, |t_s| PoseTrack { t_s, xyz, orientation, declared: None })
@@ -67,7 +65,7 @@ fn stamped<T>(
 /// Where the declaration does not fit quaternions.
 pub(super) fn from_poses(
     poses: &PoseColumns,
-    stamps: &[Option<Stamp>],
+    rows: &Rows,
     declared: Option<&Declaration>,
     origin: Stamp,
 ) -> Result<Stamped<PoseTrack>, String> {
@@ -75,7 +73,7 @@ pub(super) fn from_poses(
         return Err("the topic holds quaternions, not three rotation numbers".to_owned());
     }
     let scale = unit_m(declared);
-    let track = track_of(stamps, origin, |row| {
+    let track = track_of(rows, origin, |row| {
         let rotation = rotation_from_xyzw(as_xyzw(poses.q_xyzw[row], declared))?;
         Some((Vec3::from(poses.xyz[row]) * scale, rotation))
     });
@@ -89,16 +87,16 @@ pub(super) fn from_poses(
 /// Where the declaration does not fit, or 12 or 16 numbers are no matrix of a pose.
 pub(super) fn from_array(
     array: &ArrayColumns,
-    stamps: &[Option<Stamp>],
+    rows: &Rows,
     declared: Option<&Declaration>,
     origin: Stamp,
 ) -> Result<Stamped<PoseTrack>, String> {
-    read_array(array, stamps, declared, origin).map(|track| with_units(track, declared))
+    read_array(array, rows, declared, origin).map(|track| with_units(track, declared))
 }
 
 fn read_array(
     array: &ArrayColumns,
-    stamps: &[Option<Stamp>],
+    rows: &Rows,
     declared: Option<&Declaration>,
     origin: Stamp,
 ) -> Result<Stamped<PoseTrack>, String> {
@@ -110,7 +108,7 @@ fn read_array(
             Err("the topic holds three rotation numbers, not a quaternion".to_owned())
         }
         6 => {
-            let rows = rows_in_order(stamps, |_| true);
+            let rows = rows_in_order(rows, |_| true);
             let numbers = rows.iter().map(|(_, row)| {
                 let row = array.row(*row);
                 [row[3], row[4], row[5]]
@@ -134,7 +132,7 @@ fn read_array(
         7 if is_quaternion == Some(false) => {
             Err("the topic holds a quaternion, not three rotation numbers".to_owned())
         }
-        7 => Ok(track_of(stamps, origin, |row| {
+        7 => Ok(track_of(rows, origin, |row| {
             let values = array.row(row);
             let logged = [values[3], values[4], values[5], values[6]];
             Some((xyz(row), rotation_from_xyzw(as_xyzw(logged, declared))?))
@@ -143,7 +141,7 @@ fn read_array(
             let layout = Layout::of(array).ok_or_else(|| {
                 format!("its {} numbers a row are no matrix of a pose", array.width)
             })?;
-            Ok(track_of(stamps, origin, |row| {
+            Ok(track_of(rows, origin, |row| {
                 let (translation, rows) = layout.split(array.row(row));
                 let (rotation, _) = rotation_from_matrix_rows(rows)?;
                 Some((Vec3::from(translation) * scale, rotation))
@@ -229,8 +227,8 @@ pub(super) fn reframed(mut track: PoseTrack, before: &Pose, after: &Pose) -> Pos
 
 /// The track of `poses`, whose stamps increase strictly.
 pub(super) fn from_samples(samples: Vec<(Stamp, Pose)>, origin: Stamp) -> Stamped<PoseTrack> {
-    let stamps: Vec<Option<Stamp>> = samples.iter().map(|(stamp, _)| Some(*stamp)).collect();
-    track_of(&stamps, origin, |row| {
+    let rows: Rows = samples.iter().map(|(stamp, _)| *stamp).zip(0..).collect();
+    track_of(&rows, origin, |row| {
         let pose = samples[row].1;
         Some((pose.translation.vector, pose.rotation))
     })
@@ -238,22 +236,15 @@ pub(super) fn from_samples(samples: Vec<(Stamp, Pose)>, origin: Stamp) -> Stampe
 
 /// The track of an IMU. It has orientation where most rows have one; rows without are then left
 /// out.
-pub(super) fn from_imu(
-    imu: &ImuColumns,
-    stamps: &[Option<Stamp>],
-    origin: Stamp,
-) -> Stamped<ImuTrack> {
-    let rotations: Vec<Option<Rotation>> =
-        imu.q_xyzw.iter().map(|&q_xyzw| rotation_from_xyzw(q_xyzw)).collect();
-    let known = rotations.iter().flatten().count();
-    let has_orientation = imu.has_orientation && 2 * known > rotations.len();
-    let rows = rows_in_order(stamps, |row| !has_orientation || rotations[row].is_some());
+pub(super) fn from_imu(imu: &ImuColumns, rows: &Rows, origin: Stamp) -> Stamped<ImuTrack> {
+    let rotation = |row: usize| rotation_from_xyzw(imu.q_xyzw[row]);
+    let all = imu.q_xyzw.len();
+    let has_orientation =
+        imu.has_orientation && 2 * (0..all).filter(|&row| rotation(row).is_some()).count() > all;
+    let rows = rows_in_order(rows, |row| !has_orientation || rotation(row).is_some());
     let kept = || rows.iter().map(|(_, row)| *row);
-    let orientation = if has_orientation {
-        kept().filter_map(|row| rotations[row]).collect()
-    } else {
-        Vec::new()
-    };
+    let orientation =
+        if has_orientation { kept().filter_map(rotation).collect() } else { Vec::new() };
     let gyro = kept().map(|row| Vec3::from(imu.gyro[row])).collect();
     let accel = kept().map(|row| Vec3::from(imu.accel[row])).collect();
     stamped(&rows, origin, |t_s| ImuTrack { t_s, orientation, gyro, accel })
@@ -270,8 +261,8 @@ mod tests {
     use super::*;
     use crate::geometry::{angle_between, rotation_from_rpy, xyzw_from_rotation};
 
-    fn stamps(count: i64) -> Vec<Option<Stamp>> {
-        (0..count).map(|row| Some(Stamp::from_nanos(row * 1_000_000))).collect()
+    fn rows(count: i64) -> Rows {
+        (0..count).map(|row| Stamp::from_nanos(row * 1_000_000)).zip(0..).collect()
     }
 
     fn rotation(row: usize) -> Rotation {
@@ -312,29 +303,28 @@ mod tests {
             array(12, short_by_rows),
             array(12, short_by_columns),
         ] {
-            let track = from_array(&array, &stamps(5), None, Stamp::default()).unwrap().track;
+            let track = from_array(&array, &rows(5), None, Stamp::default()).unwrap().track;
             for row in 0..5 {
                 assert_eq!(track.xyz[row], Vec3::new(row as f64, 0.0, 0.0));
                 assert!(angle_between(&rotations(&track)[row], &rotation(row)) < 1e-12);
             }
         }
         let junk = array(16, |row| vec![row as f64; 16]);
-        assert!(from_array(&junk, &stamps(5), None, Stamp::default()).is_err());
+        assert!(from_array(&junk, &rows(5), None, Stamp::default()).is_err());
     }
 
     #[test]
     fn six_numbers_stay_numbers_until_declared() {
         let array = array(6, |row| vec![1000.0, 0.0, 0.0, 90.0, 0.0, row as f64]);
-        let bare = from_array(&array, &stamps(5), None, Stamp::default()).unwrap().track;
+        let bare = from_array(&array, &rows(5), None, Stamp::default()).unwrap().track;
         assert!(matches!(&bare.orientation, Orientations::Numbers(n) if n[3] == [90.0, 0.0, 3.0]));
         let declared: Declaration = "/tcp=euler:xyz,deg,mm".parse().unwrap();
-        let track =
-            from_array(&array, &stamps(5), Some(&declared), Stamp::default()).unwrap().track;
+        let track = from_array(&array, &rows(5), Some(&declared), Stamp::default()).unwrap().track;
         assert_eq!(track.xyz[0], Vec3::x());
         let quarter = rotation_from_rpy([90_f64.to_radians(), 0.0, 0.0]);
         assert!(angle_between(&rotations(&track)[0], &quarter) < 1e-12);
         let wrong: Declaration = "/tcp=quat:wxyz".parse().unwrap();
-        assert!(from_array(&array, &stamps(5), Some(&wrong), Stamp::default()).is_err());
+        assert!(from_array(&array, &rows(5), Some(&wrong), Stamp::default()).is_err());
     }
 
     #[test]
@@ -342,8 +332,7 @@ mod tests {
         let [x, y, z, w] = xyzw_from_rotation(&rotation(1));
         let array = array(7, |_| vec![0.0, 0.0, 0.0, w, x, y, z]);
         let declared: Declaration = "/tcp=quat:wxyz".parse().unwrap();
-        let track =
-            from_array(&array, &stamps(5), Some(&declared), Stamp::default()).unwrap().track;
+        let track = from_array(&array, &rows(5), Some(&declared), Stamp::default()).unwrap().track;
         assert!(angle_between(&rotations(&track)[0], &rotation(1)) < 1e-12);
     }
 
@@ -355,12 +344,11 @@ mod tests {
             poses.xyz.push([row as f64, 0.0, 0.0]);
             poses.q_xyzw.push(if row == 2 { [0.0; 4] } else { [0.0, 0.0, 0.0, 1.0] });
         }
-        let mut stamps = stamps(6);
-        stamps[0] = None;
-        stamps[4] = stamps[3];
-        stamps.swap(1, 5);
-        let Stamped { track, stamps } =
-            from_poses(&poses, &stamps, None, Stamp::default()).unwrap();
+        let mut rows = rows(6);
+        rows[4].0 = rows[3].0;
+        (rows[1].0, rows[5].0) = (rows[5].0, rows[1].0);
+        rows.remove(0);
+        let Stamped { track, stamps } = from_poses(&poses, &rows, None, Stamp::default()).unwrap();
         let x: Vec<f64> = track.xyz.iter().map(|xyz| xyz.x).collect();
         assert_eq!(x, [5.0, 3.0, 1.0]);
         assert!(stamps.is_sorted_by(|a, b| a < b));
@@ -385,9 +373,9 @@ mod tests {
             imu.gyro.push([row as f64, 0.0, 0.0]);
             imu.accel.push([0.0, 0.0, 9.8]);
         }
-        let track = from_imu(&imu, &stamps(3), Stamp::default()).track;
+        let track = from_imu(&imu, &rows(3), Stamp::default()).track;
         assert_eq!((track.orientation.len(), track.gyro.len()), (0, 3));
         imu.has_orientation = true;
-        assert_eq!(from_imu(&imu, &stamps(3), Stamp::default()).track.orientation.len(), 3);
+        assert_eq!(from_imu(&imu, &rows(3), Stamp::default()).track.orientation.len(), 3);
     }
 }

@@ -4,6 +4,7 @@
 //! Of all rows, as nothing but their own numbers is needed. The estimators see none of them: one sample
 //! ten metres off would decide every speed and every spread.
 
+use std::collections::HashSet;
 use std::f64::consts::TAU;
 
 use rayon::prelude::*;
@@ -14,7 +15,7 @@ use crate::time::Stamp;
 use super::flaws::Apart;
 use super::poses::Layout;
 use super::role::Role;
-use super::streams::{Stream, Timing};
+use super::streams::{Rows, Stream, Timing};
 
 /// Samples in a row that may be stray; more of them are a motion.
 const LONGEST: usize = 3;
@@ -60,13 +61,12 @@ impl Strays {
     }
 }
 
-/// Takes out the times of the rows of a piece of a stream that are stray.
-pub(super) fn hide(strays: &[Strays], stream: usize, piece: usize, stamps: &mut [Option<Stamp>]) {
+/// Takes out the rows of a piece of a stream that are stray.
+pub(super) fn hide(strays: &[Strays], stream: usize, piece: usize, rows: &mut Rows) {
     let of_it = strays.iter().filter(|found| (found.stream, found.piece) == (stream, piece));
-    for &row in of_it.flat_map(|found| &found.rows) {
-        if let Some(stamp) = stamps.get_mut(row) {
-            *stamp = None;
-        }
+    let stray: HashSet<usize> = of_it.flat_map(|found| &found.rows).copied().collect();
+    if !stray.is_empty() {
+        rows.retain(|(_, row)| !stray.contains(row));
     }
 }
 
@@ -90,11 +90,11 @@ pub(super) fn strays(streams: &[Stream], timing: &Timing) -> Vec<Strays> {
             Some(Columns::Joints(joints)) => of_joints(joints, &|row| at(0, row)),
             Some(Columns::Poses(poses)) => {
                 let of = |(piece, poses)| of_poses(piece, poses, false, &|row| at(piece, row));
-                poses.iter().enumerate().filter_map(of).collect()
+                poses.par_iter().enumerate().filter_map(of).collect()
             }
             Some(Columns::Transforms(poses)) => {
                 let of = |(piece, poses)| of_poses(piece, poses, true, &|row| at(piece, row));
-                poses.iter().enumerate().filter_map(of).collect()
+                poses.par_iter().enumerate().filter_map(of).collect()
             }
             Some(Columns::Array(array)) if array.width >= 6 => {
                 of_array(array, &|row| at(0, row)).into_iter().collect()
@@ -112,7 +112,7 @@ pub(super) fn strays(streams: &[Stream], timing: &Timing) -> Vec<Strays> {
 }
 
 /// When a row was.
-type At<'a> = &'a dyn Fn(usize) -> Option<Stamp>;
+type At<'a> = &'a (dyn Fn(usize) -> Option<Stamp> + Sync);
 
 /// Strays before their time is known.
 struct Found {
@@ -145,7 +145,7 @@ fn of_joints(joints: &JointColumns, at: At) -> Vec<Found> {
             farthest_row: row(farthest),
         })
     };
-    joints.joints.iter().filter_map(of).collect()
+    joints.joints.par_iter().filter_map(of).collect()
 }
 
 /// How far a joint went, whole turns in rad or in degrees left out: a continuous joint is logged with

@@ -216,6 +216,9 @@ fn dropped_in(columns: &Columns) -> u64 {
     }
 }
 
+/// Rows of a piece of a stream, in the order of the log, each after the time when it was.
+pub(super) type Rows = Vec<(Stamp, usize)>;
+
 /// The clocks of all streams.
 pub(super) struct Timing {
     pub clocks: Vec<StreamClock>,
@@ -268,30 +271,42 @@ impl Timing {
         self.clocks.get(*self.of.get(stream)?.get(piece)?)
     }
 
-    /// When each row of a piece of a stream was.
-    pub fn stamps(&self, streams: &[Stream], stream: usize, piece: usize) -> Vec<Option<Stamp>> {
-        let times = streams[stream].times();
-        match (self.clock(stream, piece), times.get(piece)) {
-            (Some(clock), Some(times)) => clock.stamps_of(times),
-            _ => Vec::new(),
-        }
+    /// The rows of a piece of a stream that have a stamp.
+    pub fn rows(&self, streams: &[Stream], stream: usize, piece: usize) -> Rows {
+        self.rows_where(streams, stream, piece, |_| true)
     }
 
-    /// When each row of a piece of a stream was that the estimators see: in the run's excerpts, or less
-    /// than `around_s` off, and not stray.
-    pub fn seen_stamps(
+    /// Those of them that the estimators see: in the run's excerpts, or less than `around_s` off, and
+    /// not stray.
+    pub fn seen_rows(
         &self,
         streams: &[Stream],
         stream: usize,
         piece: usize,
         around_s: f64,
-    ) -> Vec<Option<Stamp>> {
-        let mut stamps = self.stamps(streams, stream, piece);
-        if let Some(excerpts) = &self.excerpts {
-            excerpts.hide_others(&mut stamps, around_s);
+    ) -> Rows {
+        let mut rows = match &self.excerpts {
+            Some(excerpts) => self.rows_where(streams, stream, piece, excerpts.holds(around_s)),
+            None => self.rows(streams, stream, piece),
+        };
+        strays::hide(&self.strays, stream, piece, &mut rows);
+        rows
+    }
+
+    fn rows_where(
+        &self,
+        streams: &[Stream],
+        stream: usize,
+        piece: usize,
+        mut keep: impl FnMut(Stamp) -> bool,
+    ) -> Rows {
+        let times = streams[stream].times();
+        match (self.clock(stream, piece), times.get(piece)) {
+            (Some(clock), Some(times)) => {
+                clock.rows_of(times).filter(|(stamp, _)| keep(*stamp)).collect()
+            }
+            _ => Rows::new(),
         }
-        strays::hide(&self.strays, stream, piece, &mut stamps);
-        stamps
     }
 
     /// Makes the clock and the strays of one piece those of another stream too, which is appended.

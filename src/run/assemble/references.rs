@@ -3,12 +3,11 @@
 use crate::geometry::Pose;
 use crate::run::role::{Role, shared, words};
 use crate::stream::{ArrayColumns, Columns, JointColumns, PoseTrack};
-use crate::time::Stamp;
 
 use super::super::arm::Arm;
 use super::super::poses;
 use super::super::role::Place;
-use super::super::streams::Stream;
+use super::super::streams::{Rows, Stream};
 use super::Assembly;
 
 /// A stream of commands to one arm.
@@ -104,15 +103,15 @@ impl Assembly<'_> {
         found
     }
 
-    /// When each row was that is looked at.
-    fn command_stamps(&self, index: usize) -> Vec<Option<Stamp>> {
-        let mut stamps = self.timing.stamps(&self.streams, index, 0);
-        if stamps.len() > MANY {
+    /// The rows that are looked at.
+    fn looked_at(&self, index: usize) -> Rows {
+        let mut rows = self.timing.rows(&self.streams, index, 0);
+        if rows.len() > MANY {
             let around_s = self.options.max_latency_s;
-            stamps = self.timing.seen_stamps(&self.streams, index, 0, around_s);
-            poses::thinned(&mut stamps);
+            rows = self.timing.seen_rows(&self.streams, index, 0, around_s);
+            poses::thinned(&mut rows);
         }
-        stamps
+        rows
     }
 
     fn commanded_poses(&self, index: usize, owner: usize) -> Result<ReferenceContent, String> {
@@ -123,8 +122,8 @@ impl Assembly<'_> {
         let [columns] = columns.as_slice() else {
             return Err("it holds several poses".to_owned());
         };
-        let stamps = self.command_stamps(index);
-        let track = poses::from_poses(columns, &stamps, None, self.origin)?.track;
+        let rows = self.looked_at(index);
+        let track = poses::from_poses(columns, &rows, None, self.origin)?.track;
         self.in_base(&self.arms[owner], stream, track)
     }
 
@@ -219,8 +218,8 @@ impl Assembly<'_> {
                 Ok(ReferenceContent::Joints { t_s, columns: None, q })
             }
             7 | 12 | 16 if word.is_none_or(|word| matches!(word, "pose" | "tcp")) => {
-                let stamps = self.command_stamps(index);
-                let track = poses::from_array(array, &stamps, None, self.origin)?.track;
+                let rows = self.looked_at(index);
+                let track = poses::from_array(array, &rows, None, self.origin)?.track;
                 self.in_base(arm, stream, track)
             }
             width => Err(match word {
@@ -237,9 +236,7 @@ impl Assembly<'_> {
     /// Time and row of the commands, strictly increasing in time; of equal stamps the last, which is
     /// what holds.
     fn command_rows(&self, index: usize) -> Vec<(f64, usize)> {
-        let stamps = self.command_stamps(index);
-        let rows = stamps.iter().enumerate().filter_map(|(row, stamp)| Some(((*stamp)?, row)));
-        let mut rows: Vec<(Stamp, usize)> = rows.collect();
+        let mut rows = self.looked_at(index);
         rows.sort();
         let last = rows.chunk_by(|a, b| a.0 == b.0).filter_map(|same| same.last());
         last.map(|&(stamp, row)| (stamp.seconds_since(self.origin), row)).collect()

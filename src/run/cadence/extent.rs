@@ -25,12 +25,9 @@ pub(super) struct Bounds {
 
 impl Bounds {
     pub(super) fn of(part: &Part<'_>, clock: &StreamClock) -> Option<Self> {
-        let known = || part.rows.iter().filter_map(|&row| clock.stamp_of(part.times, row));
-        let received = || part.rows.iter().map(|&row| part.times.log[row]);
-        Some(Self {
-            received: (received().min()?, received().max()?),
-            stamps: (known().min()?, known().max()?),
-        })
+        let received = part.rows.iter().map(|row| part.times.log[row]);
+        let known = part.rows.iter().filter_map(|row| clock.stamp_of(part.times, row));
+        Some(Self { received: ends(received)?, stamps: ends(known)? })
     }
 
     pub(super) fn join(self, other: Self) -> Self {
@@ -38,6 +35,16 @@ impl Bounds {
         let ((e, f), (g, h)) = (self.stamps, other.stamps);
         Self { received: (a.min(c), b.max(d)), stamps: (e.min(g), f.max(h)) }
     }
+}
+
+/// The least and the greatest.
+fn ends<T: Ord + Copy>(mut values: impl Iterator<Item = T>) -> Option<(T, T)> {
+    let first = values.next()?;
+    Some(
+        values.fold((first, first), |(least, greatest), value| {
+            (least.min(value), greatest.max(value))
+        }),
+    )
 }
 
 /// How stream `index` lies against the others.

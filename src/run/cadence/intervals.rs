@@ -32,13 +32,14 @@ impl Pace {
         let mut some: Vec<f64> = intervals().step_by(count.div_ceil(ENOUGH)).collect();
         let middle = some.len() / 2;
         let median = *some.select_nth_unstable_by(middle, f64::total_cmp).1;
-        let close = intervals().filter(|dt| (dt / median - 1.0).abs() < SINGLE);
+        let close = intervals().filter(|dt| (dt - median).abs() < SINGLE * median);
         let (sum_s, singles) =
             close.fold((0.0, 0), |(sum_s, singles), dt| (sum_s + dt, singles + 1));
         let period_s = sum_s / f64::from(singles);
         let is_close = |dt: &f64| {
             let periods = dt / period_s;
-            (periods - periods.round().max(1.0)).abs() < CLOSE
+            // Most are one period, and to round is slow.
+            (periods - 1.0).abs() < CLOSE || (periods - periods.round().max(1.0)).abs() < CLOSE
         };
         let regular = intervals().filter(is_close).count();
         Some(Self { period_s, is_regular: regular as f64 > REGULAR * count as f64 })

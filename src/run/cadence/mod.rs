@@ -195,9 +195,11 @@ impl Part<'_> {
             stamped: clock.stamps == HeaderStamps::Sound,
             ..Cadence::default()
         };
-        let stamped = |&row: &usize| Some((clock.stamp_of(self.times, row)?, self.times.log[row]));
+        let stamped = |row: usize| Some((clock.stamp_of(self.times, row)?, self.times.log[row]));
         let mut times: Vec<(Stamp, i64)> = self.rows.iter().filter_map(stamped).collect();
-        times.sort_unstable();
+        if !times.is_sorted() {
+            times.sort_unstable();
+        }
         times.dedup_by_key(|(stamp, _)| *stamp);
         let pace = Pace::of(&times);
         cadence.period_s = pace.as_ref().map(|pace| pace.period_s);
@@ -221,14 +223,14 @@ impl Part<'_> {
 
     /// Rows whose header has a stamp, in the order of receipt.
     fn stamped(&self) -> impl Iterator<Item = (usize, i64)> {
-        let rows = self.rows.iter().map(|&row| (row, self.times.header[row]));
+        let rows = self.rows.iter().map(|row| (row, self.times.header[row]));
         rows.filter(|(_, stamp)| *stamp != 0)
     }
 
     /// The numbers of its rows, in the order of receipt; none where not each row has one.
     fn numbers(&self) -> Vec<u32> {
         let numbers = &self.times.sequence;
-        self.rows.iter().map_while(|&row| numbers.get(row).copied()).collect()
+        self.rows.iter().map_while(|row| numbers.get(row).copied()).collect()
     }
 
     /// Where stamps step back: what stands before the step, and its size, s.

@@ -24,9 +24,8 @@ impl<'a> Motion<'a> {
         };
         let mut joints = Vec::new();
         for topic in topics {
-            let stamps: Arc<[Stamp]> = topic.stamps.iter().map_while(|stamp| *stamp).collect();
-            let in_order = stamps.len() == topic.stamps.len()
-                && stamps.is_sorted_by(|earlier, later| earlier < later);
+            let stamps: Arc<[Stamp]> = topic.rows.iter().map(|(stamp, _)| *stamp).collect();
+            let in_order = topic.is_in_order();
             for joint in topic.columns.joints.iter().filter(|joint| of_an_arm(&joint.name)) {
                 if in_order && joint.position.iter().all(|q| q.is_finite()) {
                     joints.push((Arc::clone(&stamps), Cow::Borrowed(joint.position.as_slice())));

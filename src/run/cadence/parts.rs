@@ -13,8 +13,40 @@ pub(super) struct Part<'a> {
     pub wanted: bool,
     pub times: &'a Times,
     /// The rows, in the order of receipt.
-    pub rows: Vec<usize>,
+    pub rows: Order,
     pub columns: Piece<'a>,
+}
+
+/// Rows in an order.
+pub(super) struct Order {
+    count: usize,
+    /// `None` of all rows in the order of the log, which is nearly always that of receipt.
+    rows: Option<Vec<usize>>,
+}
+
+impl Order {
+    /// All rows, in the order of receipt.
+    fn of_all(times: &Times) -> Self {
+        let count = times.len();
+        match times.log.is_sorted() {
+            true => Self { count, rows: None },
+            false => Self::of_receipt(times, (0..count).collect()),
+        }
+    }
+
+    fn of_receipt(times: &Times, mut rows: Vec<usize>) -> Self {
+        rows.sort_by_key(|&row| times.log[row]);
+        Self { count: rows.len(), rows: Some(rows) }
+    }
+
+    pub fn len(&self) -> usize {
+        self.count
+    }
+
+    pub fn iter(&self) -> impl Iterator<Item = usize> {
+        let row = |at: usize| self.rows.as_ref().map_or(at, |rows| rows[at]);
+        (0..self.count).map(row)
+    }
 }
 
 /// What the rows of a part hold.
@@ -51,14 +83,17 @@ pub(super) fn parts<'a>(columns: &'a Columns, arms: &[Arm]) -> Vec<Part<'a>> {
         frame: None,
         wanted: true,
         times,
-        rows: in_order_of_receipt(times, (0..times.len()).collect()),
+        rows: Order::of_all(times),
         columns,
     };
     match columns {
+        Columns::Joints(joints) if is_complete(joints) => {
+            vec![whole(0, &joints.times, Piece::Joints(joints))]
+        }
         Columns::Joints(joints) => senders(joints)
             .into_iter()
             .map(|rows| Part {
-                rows: in_order_of_receipt(&joints.times, rows),
+                rows: Order::of_receipt(&joints.times, rows),
                 ..whole(0, &joints.times, Piece::Joints(joints))
             })
             .collect(),
@@ -86,11 +121,6 @@ pub(super) fn parts<'a>(columns: &'a Columns, arms: &[Arm]) -> Vec<Part<'a>> {
     }
 }
 
-fn in_order_of_receipt(times: &Times, mut rows: Vec<usize>) -> Vec<usize> {
-    rows.sort_by_key(|&row| times.log[row]);
-    rows
-}
-
 /// Whether a transform is between links of an arm; without an arm that could tell, whether it is
 /// none that a camera sees now and then.
 fn is_of_an_arm(transform: &PoseColumns, arms: &[Arm]) -> bool {
@@ -102,11 +132,13 @@ fn is_of_an_arm(transform: &PoseColumns, arms: &[Arm]) -> bool {
     arms.iter().any(|arm| arm.joints_between(parent, child).is_some())
 }
 
+/// Whether every message has every joint.
+fn is_complete(joints: &JointColumns) -> bool {
+    joints.joints.iter().all(|joint| joint.position.iter().all(|q| !q.is_nan()))
+}
+
 /// The rows of joint states by their sender: joints that are ever in one message have the same.
 pub(super) fn senders(joints: &JointColumns) -> Vec<Vec<usize>> {
-    if joints.joints.iter().all(|joint| joint.position.iter().all(|q| !q.is_nan())) {
-        return vec![(0..joints.times.len()).collect()];
-    }
     let in_row = |row: usize| {
         let joints = joints.joints.iter().enumerate();
         joints.filter(move |(_, joint)| !joint.position[row].is_nan()).map(|(index, _)| index)
