@@ -2,7 +2,8 @@
 //!
 //! `cargo bench --bench fleet` makes a thousand short logs of its own, audits them on one core and on two
 //! into folders of their own, and calls once more where all is done. `POSEAUDIT_FLEET_LOGS` says how many
-//! logs, `POSEAUDIT_FLEET_BIN` which program, `POSEAUDIT_FLEET_SECONDS` how long each log is.
+//! logs, `POSEAUDIT_FLEET_BIN` which program, `POSEAUDIT_FLEET_SECONDS` how long each log is,
+//! `POSEAUDIT_FLEET_KEEP` a folder to leave the logs in.
 
 use std::env;
 use std::fs::{self, File};
@@ -23,11 +24,13 @@ fn main() -> Result<()> {
     let binary = env::var_os("POSEAUDIT_FLEET_BIN").map(PathBuf::from);
     let binary = binary.unwrap_or_else(|| env!("CARGO_BIN_EXE_poseaudit").into());
     let folder = tempfile::tempdir()?;
-    let bytes = write_logs(&folder.path().join("logs"), logs, duration_s)?;
+    let kept = env::var_os("POSEAUDIT_FLEET_KEEP").map(PathBuf::from);
+    let logs_in = kept.unwrap_or_else(|| folder.path().join("logs"));
+    let bytes = write_logs(&logs_in, logs, duration_s)?;
     let megabytes = bytes as f64 / 1e6;
     println!("{logs} logs of {duration_s} s, {megabytes:.0} MB, by {}", binary.display());
 
-    let call = |jobs: usize, out: &str| measured(&binary, folder.path(), jobs, out, logs);
+    let call = |jobs: usize, out: &str| measured(&binary, &logs_in, &folder.path().join(out), jobs, logs);
     // Once through, so that files and program are in memory for all.
     let first = call(2, "two")?;
     let one = call(1, "one")?;
@@ -76,11 +79,11 @@ struct Cost {
     all_kib: u64,
 }
 
-fn measured(binary: &Path, folder: &Path, jobs: usize, out: &str, logs: u64) -> Result<Cost> {
+fn measured(binary: &Path, logs_in: &Path, out: &Path, jobs: usize, logs: u64) -> Result<Cost> {
     let began = Instant::now();
     let mut child = Command::new(binary)
         .arg("fleet")
-        .args([folder.join("logs"), "--out".into(), folder.join(out)])
+        .args([logs_in, Path::new("--out"), out])
         .args(["--jobs", &jobs.to_string(), "--format", "json", "--fail-on", "never"])
         .stdout(Stdio::piped())
         .stderr(Stdio::null())

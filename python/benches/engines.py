@@ -1,0 +1,61 @@
+"""What Ray costs beside the local engine: the same logs through both, in turn, on one machine.
+
+    python python/benches/engines.py LOGS [ROUNDS]
+
+`LOGS` is a folder of logs (`POSEAUDIT_FLEET_KEEP=LOGS cargo bench --bench fleet` writes some). The cluster
+is a head without cores and a worker for each core, all on loopback, so that Ray's own processes take
+their time from the same cores as the audits: on machines of their own they cost less.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from cluster import Cluster
+
+import poseaudit
+
+
+def main(folder: Path, rounds: int) -> None:
+    logs = sorted(folder.glob("*.mcap"))
+    cores = len(os.sched_getaffinity(0))
+    cluster = Cluster(workers=cores)
+    engines: dict[str, dict[str, object]] = {"local": {"engine": "local", "jobs": cores}}
+    for batch in (1, 4, 16):
+        engines[f"ray, {batch} logs a task"] = {"engine": "ray", "address": cluster.address, "batch": batch}
+    try:
+        walls: dict[str, list[float]] = {name: [] for name in engines}
+        # The first round only warms up: Ray starts its processes in it, and logs come into memory.
+        for number in range(rounds + 1):
+            for name, how in engines.items():
+                wall_s = timed(logs, how)
+                if number > 0:
+                    walls[name].append(wall_s)
+    finally:
+        cluster.close()
+    print(f"{len(logs)} logs on {cores} cores, medians of {rounds} rounds in turn")
+    for name, seconds in walls.items():
+        wall = statistics.median(seconds)
+        over = statistics.median(one / other - 1 for one, other in zip(seconds, walls["local"], strict=True))
+        print(f"{name:24} {wall:7.2f} s {len(logs) / wall:6.1f} logs/s {100 * over:+6.1f} %")
+    print(f"local: {min(walls['local']):.2f} to {max(walls['local']):.2f} s")
+
+
+def timed(logs: list[Path], how: dict[str, object]) -> float:
+    """The wall time of a fleet into a folder of its own, s."""
+    with tempfile.TemporaryDirectory() as out:
+        began = time.monotonic()
+        done = poseaudit.fleet(logs, Path(out) / "out", **how)  # type: ignore[arg-type]
+        assert done.done_now == len(logs), done
+        return time.monotonic() - began
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 3)
