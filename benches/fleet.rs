@@ -30,7 +30,8 @@ fn main() -> Result<()> {
     let megabytes = bytes as f64 / 1e6;
     println!("{logs} logs of {duration_s} s, {megabytes:.0} MB, by {}", binary.display());
 
-    let call = |jobs: usize, out: &str| measured(&binary, &logs_in, &folder.path().join(out), jobs, logs);
+    let call =
+        |jobs: usize, out: &str| measured(&binary, &logs_in, &folder.path().join(out), jobs, logs);
     // Once through, so that files and program are in memory for all.
     let first = call(2, "two")?;
     let one = call(1, "one")?;

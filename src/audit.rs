@@ -611,6 +611,7 @@ fn strays(run: &Run) -> Vec<StrayFacts> {
         StrayFacts {
             subject: subject_of(run, stream),
             span: span_of(run, index),
+            samples: stream.times().iter().map(|times| times.len()).max().unwrap_or(0),
             sliding: sliding.clone(),
             parts,
         }

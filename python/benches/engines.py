@@ -18,9 +18,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from cluster import Cluster
-
 import poseaudit
+from cluster import Cluster
 
 
 def main(folder: Path, rounds: int) -> None:

@@ -508,6 +508,8 @@ pub struct StrayFacts {
     pub subject: Subject,
     /// First and last stamp used.
     pub span: Option<Span>,
+    /// Its samples; where it holds several poses, those of the one that has most.
+    pub samples: usize,
     /// The joints of it, or its transforms, that have such samples.
     pub parts: Vec<Strays>,
     /// The joints that slide.

@@ -2,7 +2,7 @@ use serde_json::{Value, json};
 
 use crate::checks::{Facts, Grade, Judged, StrayFacts};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
-use crate::run::Strays;
+use crate::run::{FEWEST_SAMPLES, Strays};
 
 rule! {
     /// Samples jump away and come back.
@@ -31,7 +31,7 @@ rule! {
     /// A jump for longer than a quarter of a second may be a motion, and is none of this. Where
     /// more than one sample in twenty is off, nothing tells which are stray, and it is inconclusive: two
     /// publishers of one transform are FRM004's. Of poses and bare numbers only positions are looked at.
-    /// Fewer than twenty samples show nothing. A stray
+    /// Fewer than twenty samples do not show what is usual, and it is inconclusive likewise. A stray
     /// of a wrongly scaled stream (ORD008) is as wrongly scaled.
     MOT005 {
         name: "stray-samples",
@@ -57,6 +57,10 @@ fn judge(facts: &Facts, stream: &StrayFacts) -> Judged {
         let why = "more than one sample in twenty jumps, so that nothing tells which are stray; look at \
                    the stream itself";
         return judged(stream.subject.clone(), Outcome::Inconclusive(why.to_owned()));
+    }
+    if stream.parts.is_empty() && stream.samples < FEWEST_SAMPLES {
+        let why = format!("fewer than {FEWEST_SAMPLES} samples do not show what is usual");
+        return judged(stream.subject.clone(), Outcome::Inconclusive(why));
     }
     let told = || stream.parts.iter().filter(|part| !are_untold(part));
     let amounts = told().map(|part| (part, stream.amount(part)));

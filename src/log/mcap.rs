@@ -334,9 +334,16 @@ impl<'a> Reader<'a, '_, '_> {
         }
         if packed.compression == Compression::None {
             let is_whole = packed.data.len() as u64 == packed.size;
-            return if is_whole { self.use_of_records(packed.data) } else { Use::All };
+            let may_be_passed_over = is_whole && self.has_ignored_channels();
+            return if may_be_passed_over { self.use_of_records(packed.data) } else { Use::All };
         }
         if self.is_ignored_by_index(frame) { Use::Counts } else { Use::All }
+    }
+
+    /// Whether a channel is known that is of no use.
+    fn has_ignored_channels(&self) -> bool {
+        let mut known = self.channels.iter().flatten().filter_map(|channel| channel.id);
+        known.any(|id| self.intake.ignores(id))
     }
 
     /// What of the records of a chunk is of use, which are not packed: nothing needs to be looked

@@ -49,7 +49,7 @@ pub use models::robot_of;
 pub use norms::{Norms, Written};
 pub use role::Role;
 pub use segments::{Segment, segments};
-pub use strays::Strays;
+pub use strays::{FEWEST_SAMPLES, Strays};
 pub use streams::Stream;
 pub use targets::{CameraAxes, HandKind, HandSource, TargetSource};
 pub use tf_tree::{Edge, EdgeKind, TfError, TfPath, TfTree};

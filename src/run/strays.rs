@@ -31,8 +31,8 @@ const LEAST: f64 = 1e-3;
 const LEAST_AT_REST: f64 = 5e-3;
 /// Of more than this share of the samples nothing tells which are stray.
 const MOST: f64 = 0.05;
-/// Fewer samples show nothing usual.
-const FEWEST: usize = 20;
+/// Fewer samples show nothing usual, so that none of them is stray.
+pub const FEWEST_SAMPLES: usize = 20;
 
 /// The stray samples of a stream, of one transform or of one joint.
 #[derive(Clone, Debug, PartialEq)]
@@ -289,7 +289,7 @@ fn usual_step(samples: usize, distance: &impl Fn(usize, usize) -> f64) -> Option
     let some = (1..samples).step_by(stride).map(|sample| distance(sample - 1, sample));
     let looked_at = some.len();
     let mut steps: Vec<f64> = some.filter(|step| *step > 0.0 && step.is_finite()).collect();
-    if samples < FEWEST {
+    if samples < FEWEST_SAMPLES {
         return None;
     }
     if steps.len() * 10 < looked_at {

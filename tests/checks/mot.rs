@@ -2,6 +2,7 @@
 
 use std::f64::consts::TAU;
 
+use poseaudit::finding::{CheckRow, Status};
 use poseaudit::geometry::Convention;
 use poseaudit::synth::{COMMANDED_POSE, Commands, JOINT_STATES, Lines, Motion, POSE, Shake, Stop};
 
@@ -110,6 +111,19 @@ cases! {
         log.run.motion = Motion::PickAndPlace;
     } => Skipped("no way from stop to stop is straight");
     MOT004 no_commands: |_| {} => Skipped("no poses are commanded");
+}
+
+#[test]
+fn what_is_usual_is_not_told_from_fifteen_samples() {
+    let report = Log::with(|log| log.run.pose.timing.rate_hz = 1.9).audited();
+    let of = |topic: &str| {
+        let is_of = |row: &&CheckRow| row.subject.topic.as_deref() == Some(topic);
+        let mut rows = report.checks.iter().filter(|row| row.code == "MOT005").filter(is_of);
+        rows.next().expect("the stream is asked about")
+    };
+    assert_eq!(of(JOINT_STATES).status, Status::Pass);
+    assert_eq!(of(POSE).status, Status::Inconclusive);
+    assert!(of(POSE).reason.as_deref().is_some_and(|why| why.contains("fewer than 20 samples")));
 }
 
 /// The arm goes along lines that are streamed to it, 40 ms ahead.
