@@ -99,7 +99,7 @@ def fleet(
     progress: bool = False,
     address: str | None = None,
     retries: int = 3,
-    batch: int = 1,
+    batch: int | None = None,
     **options: Unpack[FleetOptions],
 ) -> Fleet:
     """Audits many logs, each in a process of its own, and keeps a row for each in `out`.
@@ -108,8 +108,9 @@ def fleet(
     options are those of `poseaudit fleet`, with `_` for `-`.
 
     `engine="local"` takes `jobs` logs at a time, by default one for each core. `engine="ray"` makes a
-    task of every `batch` logs, on the cluster at `address` (else the one that Ray finds), and begins
-    those again whose worker died, up to `retries` times; what then is left this process does itself.
+    task of every `batch` logs (by default of as many as take some seconds), on the cluster at `address`
+    (else the one that Ray finds), and begins those again whose worker died, up to `retries` times; what
+    then is left this process does itself.
     `progress` shows on stderr how far it is.
 
     What is wrong with a log is its row, and does not raise. Raises `TypeError` for an option that there
@@ -120,7 +121,7 @@ def fleet(
         raise TypeError("fleet(): no source: name logs, folders of logs, or patterns")
     if engine not in ("local", "ray"):
         raise ValueError(f"fleet(): engine={engine!r}: there are 'local' and 'ray'")
-    if batch < 1 or retries < 0:
+    if (batch is not None and batch < 1) or retries < 0:
         raise ValueError(f"fleet(): batch={batch}, retries={retries}: expected 1 or more, and 0 or more")
     said = arguments("fleet", options, FleetOptions)
     call = _Call(Path(out), said, [os.fspath(source) for source in named], jobs, progress)

@@ -29,6 +29,13 @@ _log = logging.getLogger("poseaudit")
 #: few enough for a driver's memory whatever the number of logs.
 IN_FLIGHT = 1000
 
+#: Unless the caller says how many, a task has as many logs as take about so long, by those that are done:
+#: to begin a task costs some tens of milliseconds, and what dies with a worker is begun again.
+TASK_S = 5.0
+
+#: … but no more than that every core has so many tasks of what is left.
+TASKS_A_CORE = 4
+
 #: Where progress is shown, so often.
 SHOWN_EVERY_S = 10.0
 
@@ -51,6 +58,8 @@ class Answer:
     version: str
     files: tuple[tuple[str, bytes], ...]
     """Path below the fleet's folder, and content."""
+    seconds: float = 0.0
+    """What the task took."""
 
 
 @dataclass
@@ -61,8 +70,10 @@ class Course:
     began: float = field(default_factory=time.monotonic)
     done: int = 0
     """Logs whose rows were handed back, …"""
+    spent_s: float = 0.0
+    """… and what their tasks took."""
     keys: set[str] = field(default_factory=set)
-    """… and the keys of these rows: logs of the same content have one."""
+    """The keys of these rows: logs of the same content have one."""
     retried: int = 0
     """Logs that were begun again because their task died, each time counted."""
     given_up: int = 0
@@ -82,7 +93,7 @@ def spread(
     arguments: Sequence[str],
     *,
     retries: int,
-    batch: int,
+    batch: int | None,
     address: str | None,
     progress: bool,
 ) -> Course:
@@ -95,12 +106,16 @@ def spread(
         ray.init(address=address, log_to_driver=False, logging_level=logging.WARNING)
     # Retries are the driver's, not Ray's: so they are counted, and a task that is lost may be given up.
     task = ray.remote(num_cpus=1, max_retries=0)(_audited)
-    waiting = deque(_batches(logs, batch))
+    left = deque(logs)
+    again: deque[Batch] = deque()
     running: dict[Any, Batch] = {}
     shown = course.began
-    while waiting or running:
-        while waiting and len(running) < IN_FLIGHT:
-            next_one = waiting.popleft()
+    while left or again or running:
+        cores = max(1, int(ray.cluster_resources().get("CPU", 0)))
+        # How long a log takes, only one that is done tells.
+        most = IN_FLIGHT if batch or course.done else 2 * cores
+        while (left or again) and len(running) < most:
+            next_one = again.popleft() if again else _taken(left, batch or _size(course, len(left), cores))
             running[task.remote(next_one.logs, tuple(arguments))] = next_one
         ended, _ = ray.wait(list(running), num_returns=len(running), timeout=0.1)
         if not ended:
@@ -110,10 +125,11 @@ def spread(
             try:
                 answer = ray.get(reference)
             except ray.exceptions.RayError as error:
-                waiting.extend(_again(done, retries, error, course))
+                again.extend(_again(done, retries, error, course))
                 continue
             course.keys |= _keep(answer, out)
             course.done += len(done.logs)
+            course.spent_s += answer.seconds
         if progress and time.monotonic() - shown > SHOWN_EVERY_S:
             shown = time.monotonic()
             course.show()
@@ -128,9 +144,16 @@ def _ray() -> Any:
     return ray
 
 
-def _batches(logs: Sequence[str], size: int) -> Iterator[Batch]:
-    for start in range(0, len(logs), size):
-        yield Batch(tuple(logs[start : start + size]))
+def _taken(left: deque[str], size: int) -> Batch:
+    return Batch(tuple(left.popleft() for _ in range(min(size, len(left)))))
+
+
+def _size(course: Course, left: int, cores: int) -> int:
+    """How many logs the next task has."""
+    if not course.done:
+        return 1
+    in_time = TASK_S * course.done / max(course.spent_s, 1e-9)
+    return max(1, int(min(in_time, left / (TASKS_A_CORE * cores))))
 
 
 def _again(batch: Batch, retries: int, error: Exception, course: Course) -> Iterator[Batch]:
@@ -148,13 +171,15 @@ def _again(batch: Batch, retries: int, error: Exception, course: Course) -> Iter
 
 def _audited(logs: tuple[str, ...], arguments: tuple[str, ...]) -> Answer:
     """Runs on a worker: audits the logs into a folder of its own, one at a time."""
+    began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="poseaudit-") as folder:
         named, listed = _binary.sources(logs)
         call = ["fleet", f"--out={folder}", "--jobs=1", *arguments, "--", *named]
         done = _binary.run(call, stdin=listed)
         if done.returncode not in (0, 1, 3):
             raise ProgramError(_binary.trouble_in(done.stderr))
-        return Answer(version("poseaudit"), tuple(_files(Path(folder))))
+        files = tuple(_files(Path(folder)))
+        return Answer(version("poseaudit"), files, time.monotonic() - began)
 
 
 def _files(folder: Path) -> Iterator[tuple[str, bytes]]:
