@@ -106,6 +106,17 @@ def test_the_engines_write_the_same_rows(cluster: Cluster, logs: list[Path], tmp
     ]
 
 
+def test_a_task_has_as_many_logs_as_take_some_seconds() -> None:
+    course = _ray.Course(total=1000)
+    assert _ray._size(course, 1000, 2) == 1, "nothing is known yet"
+    course.done, course.spent_s = 10, 2.0
+    assert _ray._size(course, 1000, 2) == _ray.TASK_S / 0.2
+    # In the end every core has something to do.
+    assert _ray._size(course, 40, 2) == 5 and _ray._size(course, 1, 2) == 1
+    course.spent_s = 600.0
+    assert _ray._size(course, 1000, 2) == 1
+
+
 def test_what_no_worker_can_do_the_driver_does(
     cluster: Cluster, logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
