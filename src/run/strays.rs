@@ -31,7 +31,7 @@ const LEAST: f64 = 1e-3;
 const LEAST_AT_REST: f64 = 5e-3;
 /// Of more than this share of the samples nothing tells which are stray.
 const MOST: f64 = 0.05;
-/// Fewer samples show nothing usual, so that none of them is stray.
+/// Fewer samples do not show what is usual, so that none of them is told to be stray.
 pub const FEWEST_SAMPLES: usize = 20;
 
 /// The stray samples of a stream, of one transform or of one joint.

@@ -18,7 +18,8 @@ pub(in crate::log) struct Recipe {
     /// The fields, in each of the ways that the type has had them; of the first layout of which all
     /// exist they are read.
     pub(super) layouts: &'static [Fields],
-    /// The columns to fill: the first under the topic's own name.
+    /// The columns to fill: the first under the topic's own name. Where an array has the rows there is
+    /// one part, whose group a row has ([`Row::group`](row::Row::group)).
     parts: &'static [PartOf],
 }
 
@@ -323,3 +324,15 @@ static RECIPES: &[Recipe] = &[
         parts: &[("", Part::text)],
     },
 ];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_of_an_array_are_of_one_part() {
+        let several = RECIPES.iter().filter(|recipe| recipe.each.is_some());
+        let parts: Vec<usize> = several.map(|recipe| recipe.parts.len()).collect();
+        assert!(parts.len() > 2 && parts.iter().all(|&count| count == 1), "{parts:?}");
+    }
+}
