@@ -16,6 +16,7 @@ use super::residual::residual;
 use super::{
     Aligned, ArmDiagnosis, JointOffset, JointReading, JointScale, JointUnit, Measured,
     PoseDiagnosis, PoseStream, Reading, ReadingEstimate, Residual, Seen, Twin, UnitSlip, Unseen,
+    is_coded,
 };
 use crate::geometry::{Pose, Rotation, Vec3, pose};
 use crate::robot::{Chain, JointKind};
@@ -66,7 +67,7 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
         let other = other_reading(joints, own, factors[stream], lag_s, left);
         if let Some(other) = other {
             let by_other = by(&other);
-            if by_other.left() * FAR_BETTER < found.left() {
+            if by_other.is_near() && by_other.left() * FAR_BETTER < found.left() {
                 (reading, found) = (Ok(other), by_other);
             }
         }
@@ -188,6 +189,11 @@ impl Read {
         Self { near: None, offsets, gained: Vec::new(), ..self }
     }
 
+    /// Whether a joint's numbers are of another kind than rad or m and have a zero of their own.
+    fn has_zero_of_code(&self, joint: usize) -> bool {
+        self.gained.contains(&joint) && is_coded(self.factors[joint]) && self.offsets[joint] != 0.0
+    }
+
     /// The joint states near to the truth.
     fn near(&self) -> &JointTrack {
         self.near.as_ref().unwrap_or(&self.track)
@@ -238,7 +244,10 @@ impl ArmDiagnosis {
             Ok(measured) if offset.chosen => measured.value,
             _ => 0.0,
         };
-        let offsets: Vec<f64> = self.offsets.iter().map(offset).collect();
+        let mut offsets: Vec<f64> = self.offsets.iter().map(offset).collect();
+        for scale in self.scales.iter().filter(|scale| scale.is_coded()) {
+            offsets[scale.column] = scale.offset;
+        }
         for row in track.q.chunks_exact_mut(offsets.len().max(1)) {
             for (q, offset) in row.iter_mut().zip(&offsets) {
                 *q += offset;
@@ -667,7 +676,10 @@ fn menu(prepared: &[&Prepared], read: &Read, with_offsets: bool) -> Menu {
     if with_offsets {
         let dof = read.track.dof;
         let seen = |joint: &usize| prepared.iter().any(|p| p.witness.columns.contains(joint));
-        optional.extend((0..dof).filter(seen).map(Cause::Zero));
+        let (of_code, own): (Vec<usize>, Vec<usize>) =
+            (0..dof).filter(seen).partition(|&joint| read.has_zero_of_code(joint));
+        optional.extend(own.into_iter().map(Cause::Zero));
+        always.extend(of_code.into_iter().map(Cause::Zero));
         always.extend((dof..dof + read.gained.len()).map(Cause::Gain));
     }
     for (s, prepared) in prepared.iter().enumerate() {
@@ -802,8 +814,9 @@ fn joint_scales(fitted: &Fitted, read: &Read) -> Vec<JointScale> {
             std_error: about.abs() * gain.std_error,
             ..gain
         };
-        let zero = explanation.causes.contains(&Cause::Zero(column));
-        let offset = if zero { explanation.state.offsets[column] } else { 0.0 };
+        let zero = Cause::Zero(column);
+        let is_off = explanation.causes.contains(&zero) || fitted.menu.always.contains(&zero);
+        let offset = if is_off { explanation.state.offsets[column] } else { 0.0 };
         Some(JointScale { column, factor, offset })
     };
     read.gained.iter().enumerate().filter_map(scale).collect()

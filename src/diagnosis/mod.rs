@@ -381,10 +381,15 @@ impl JointScale {
     /// Whether the joint's numbers are of another kind than rad or m, such as ticks or a percentage,
     /// so that their zero is a part of what they mean and no fault of its own.
     pub fn is_coded(&self) -> bool {
-        /// A gear between a motor and its joint, or its inverse, counts as one up to this.
-        const GEAR: f64 = 4.0;
-        !(1.0 / GEAR..=GEAR).contains(&self.factor.value.abs())
+        is_coded(self.factor.value)
     }
+}
+
+/// Whether a joint's numbers that must be multiplied by `factor` are of another kind than rad or m.
+fn is_coded(factor: f64) -> bool {
+    /// A gear between a motor and its joint, or its inverse, counts as one up to this.
+    const GEAR: f64 = 4.0;
+    !(1.0 / GEAR..=GEAR).contains(&factor.abs())
 }
 
 /// All that was estimated from the joint states and the pose streams together.

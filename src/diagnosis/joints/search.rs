@@ -4,6 +4,7 @@
 //! joint that means something else; then another order; then two of those at once. Of each kind the
 //! likeliest are polished, and where one of them fits, no further kind is tried.
 
+use super::super::placing::spread;
 use super::lone::Lone;
 use super::map::{JointMap, orders, wholes};
 use super::polish::{Polished, Proposal};
@@ -24,6 +25,8 @@ const NO_BETTER: f64 = 4.0;
 const FLOOR_M: f64 = 3e-4;
 /// The price of another order.
 const ORDER: f64 = 1.5;
+/// The price from which joints that are reversed cost more than one mirror.
+const MIRROR: f64 = 1.2;
 /// The prices of a scale that is not a round number, and of a reading beyond the model's limits.
 const ODD: f64 = 0.5;
 const BEYOND: f64 = 0.25;
@@ -69,6 +72,12 @@ impl Kind {
 
 /// Looks for a way of one kind that leaves no more than `most`.
 pub(super) fn search(view: &View, kind: Kind, freedom: Freedom, most: Left) -> Search {
+    let none = JointMap::as_logged(view.chain.dof());
+    let fk = view.fk(&none);
+    if fits(&view.left(&fk, &view.frames(&fk, freedom)), most) {
+        // Taken so, the poses have nothing against the joints as they are.
+        return Search::Nothing;
+    }
     let proposals = match kind {
         Kind::One => one(view, freedom),
         Kind::Order => ordered(view, freedom),
@@ -77,6 +86,10 @@ pub(super) fn search(view: &View, kind: Kind, freedom: Freedom, most: Left) -> S
         Kind::OrderAndOne => order_and_one(view, freedom),
     };
     judge(view, proposals, freedom, most)
+}
+
+fn fits(left: &Left, most: Left) -> bool {
+    left.m <= most.m && left.rad.zip(most.rad).is_none_or(|(left, most)| left <= most)
 }
 
 fn judge(view: &View, proposals: Vec<Proposal>, freedom: Freedom, most: Left) -> Search {
@@ -89,12 +102,9 @@ fn judge(view: &View, proposals: Vec<Proposal>, freedom: Freedom, most: Left) ->
         .map(|proposal| proposal.polished(view, freedom))
         .map(|polished| (price(&polished), polished))
         .collect();
-    let fits = |left: &Left| {
-        left.m <= most.m && left.rad.zip(most.rad).is_none_or(|(left, most)| left <= most)
-    };
     let least = polished.iter().map(|(_, one)| together(one)).fold(f64::INFINITY, f64::min);
     let enough = (NO_BETTER * least).max(FLOOR_M);
-    let good = polished.iter().filter(|(_, one)| fits(&one.left) && together(one) <= enough);
+    let good = polished.iter().filter(|(_, one)| fits(&one.left, most) && together(one) <= enough);
     let Some((paid, best)) =
         good.min_by(|a, b| a.0.total_cmp(&b.0).then(together(&a.1).total_cmp(&together(&b.1))))
     else {
@@ -160,11 +170,25 @@ fn one(view: &View, freedom: Freedom) -> Vec<Proposal> {
         .map(|whole| as_it_is(whole.map, if whole.is_unit { 1.0 } else { 1.25 }))
         .collect();
     let mut proposals = best_of(view, whole, freedom, POLISHED / 2);
-    proposals.extend(best_of(view, reversed(view, &none), freedom, POLISHED / 2));
+    let mut reversed = reversed(view, &none);
+    if is_mirrored(view, &none) {
+        // Joints that are reversed together may mirror an arm: that is one cause, and they are several.
+        reversed.retain(|proposal| proposal.price < MIRROR);
+    }
+    proposals.extend(best_of(view, reversed, freedom, POLISHED / 2));
     proposals.extend(geared(view, &none, freedom));
     proposals
         .extend((0..view.chain.dof()).flat_map(|joint| lone(view, &none, 0.0, freedom, joint)));
     proposals
+}
+
+/// Whether the positions lie on the arm as logged once they are seen in a mirror.
+fn is_mirrored(view: &View, as_logged: &JointMap) -> bool {
+    /// What may be left, as a share of their extent.
+    const SHARE: f64 = 0.02;
+    let mut mirrored = View { rotation: None, ..view.clone() };
+    mirrored.xyz.iter_mut().for_each(|xyz| xyz.x = -xyz.x);
+    mirrored.misfit(as_logged, Freedom::Both) < SHARE * spread(&view.xyz)
 }
 
 /// Some of the joints reversed. All of them are one cause.
