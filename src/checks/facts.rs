@@ -4,8 +4,8 @@
 
 use super::Figures;
 use crate::diagnosis::{
-    Abruptness, ArmDiagnosis, DhEstimate, Excess, HandEyeDiagnosis, ImuDiagnosis, Mount, NoShake,
-    PoseDiagnosis, ReferenceDiagnosis, Seen, Shake,
+    Abruptness, ArmDiagnosis, DhEstimate, Excess, HandEyeDiagnosis, ImuDiagnosis, JointScale,
+    Mount, NoShake, PoseDiagnosis, ReferenceDiagnosis, Seen, Shake,
 };
 use crate::finding::{Span, Subject, Unit};
 use crate::geometry::{Convention, Rotation};
@@ -165,6 +165,16 @@ impl ArmFacts {
     pub fn joint(&self, index: usize) -> Subject {
         let joint = self.joints.get(index).map(|joint| joint.name.clone());
         Subject { joint, ..self.subject() }
+    }
+
+    /// What the joint states say of a joint, as a subject.
+    pub fn joint_states(&self, index: usize) -> Subject {
+        Subject { topic: Some(self.joints_topic.clone()), ..self.joint(index) }
+    }
+
+    /// The scale of a joint that has a wrong one.
+    pub fn scale(&self, index: usize) -> Option<&JointScale> {
+        self.diagnosis.scales.iter().find(|scale| scale.column == index)
     }
 
     /// The unit of a joint's positions.

@@ -36,6 +36,17 @@ impl Expected {
         self.turned(xyz).map_or(plain, |(reference, _)| plain.min(self.misfit_at(xyz, &reference)))
     }
 
+    /// The constant tool offset, and where it may be `turned` the reference frame, that leave least
+    /// of `xyz`.
+    pub fn frames(&self, xyz: &[Vec3], turned: bool) -> (Pose, Vec3) {
+        let plain = (Pose::identity(), self.tool(xyz, &Pose::identity()));
+        let found = if turned { self.turned(xyz) } else { None };
+        match found {
+            Some(found) if self.misfit_at(xyz, &found.0) < self.tool_misfit(xyz) => found,
+            _ => plain,
+        }
+    }
+
     /// Rms of `reference⁻¹·xyz − fk − R·t` at the best constant tool offset `t`.
     fn misfit_at(&self, xyz: &[Vec3], reference: &Pose) -> f64 {
         let tool = self.tool(xyz, reference);

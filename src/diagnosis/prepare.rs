@@ -2,12 +2,16 @@
 //! mean it does mean.
 
 use super::arm::{FOLLOWS, SEARCH_SAMPLES};
+use super::joints::{corrected, moved};
 use super::latency::{Peak, pose_peaks};
 use super::layout::{Layout, Written, layouts, matrix_of};
 use super::model::{Blind, StreamState, Sweep, Witness};
 use super::placing::{ON_ARM, spread};
 use super::reading::{After, Fit, Logged, Samples, fit_known, nearest_truth, read};
-use super::{AxesSlip, PoseStream, Reading, ReadingEstimate, Seen, UnitSlip, Unseen};
+use super::{
+    AxesSlip, JointReading, JointUnit, PoseStream, Reading, ReadingEstimate, Seen, UnitSlip,
+    Unseen, is_coded,
+};
 use crate::geometry::{
     Axes, Convention, LengthScale, Pose, QuaternionSlip, Rotation, Vec3, angle_between,
 };
@@ -46,6 +50,55 @@ pub(super) fn stream_lag_s(joints: &JointTrack, stream: &PoseStream, most_lag_s:
     let peaks = stream_peaks(joints, stream, rotation, most_lag_s);
     let best = peaks.first().filter(|peak| peak.correlation > FOLLOWS);
     best.map_or(0.0, |peak| peak.lag_s)
+}
+
+/// The joint states as they are read.
+pub(super) struct Read {
+    /// With the names and units that they should have.
+    pub track: JointTrack,
+    /// The same with the zeros added that are off by much, where some are.
+    near: Option<JointTrack>,
+    /// Those zeros, by joint of the track, and no gain yet for each of `gained`.
+    pub offsets: Vec<f64>,
+    /// The joints whose scale is to be found.
+    pub gained: Vec<usize>,
+    /// The joints' scales about, by joint of the track.
+    pub factors: Vec<f64>,
+    /// Joint speeds that are no motion, by joint of the track.
+    still: Vec<f64>,
+}
+
+impl Read {
+    pub fn by(joints: &JointTrack, reading: &JointReading, prismatic: &[bool]) -> Self {
+        let track = corrected(joints, reading, prismatic);
+        let is_off = reading.zeros.iter().any(|zero| *zero != 0.0);
+        let near = is_off.then(|| moved(&track, &reading.zeros));
+        let scaled = reading.slips.iter().filter(|slip| slip.unit == JointUnit::Scaled);
+        let gained: Vec<usize> = scaled.map(|slip| slip.column).collect();
+        let mut factors = vec![1.0; joints.dof];
+        reading.slips.iter().for_each(|slip| factors[slip.column] = slip.factor);
+        let mut offsets = reading.zeros.clone();
+        offsets.resize(joints.dof, 0.0);
+        offsets.resize(joints.dof + gained.len(), 0.0);
+        let still = still_speeds(&track);
+        Self { track, near, offsets, gained, factors, still }
+    }
+
+    /// The same for a stream that is computed from the joints: as they are, but for names and units.
+    pub fn for_derived(self) -> Self {
+        let offsets = vec![0.0; self.track.dof];
+        Self { near: None, offsets, gained: Vec::new(), ..self }
+    }
+
+    /// Whether a joint's numbers are of another kind than rad or m and have a zero of their own.
+    pub fn has_zero_of_code(&self, joint: usize) -> bool {
+        self.gained.contains(&joint) && is_coded(self.factors[joint]) && self.offsets[joint] != 0.0
+    }
+
+    /// The joint states near to the truth.
+    pub fn near(&self) -> &JointTrack {
+        self.near.as_ref().unwrap_or(&self.track)
+    }
 }
 
 /// How a stream's positions are written, as far as they tell by themselves.
@@ -115,6 +168,11 @@ impl Placement {
             placement.metres = Ok(metres);
         }
         placement
+    }
+
+    /// What takes the positions to metres; 1 where nothing tells.
+    pub fn metres(&self) -> f64 {
+        *self.metres.as_ref().unwrap_or(&1.0)
     }
 
     /// The likeliest layout where it leaves little.
@@ -389,11 +447,11 @@ impl Turning<'_> {
 
 /// Settles reading and units of a stream and chooses the branch of each sample.
 pub(super) fn prepare<'a>(
-    joints: &'a JointTrack,
+    read_as: &'a Read,
     stream: &PoseStream<'a>,
     placement: &Placement,
-    still: &'a [f64],
 ) -> Seen<Prepared<'a>> {
+    let joints = read_as.near();
     let PoseStream { track, chain, columns, reference_known, .. } = *stream;
     let peaks = placement.peaks.clone();
     let lag_s = peaks.first().map_or(0.0, |peak| peak.lag_s);
@@ -403,7 +461,7 @@ pub(super) fn prepare<'a>(
     }
     let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
     let turning: Vec<Rotation> = fk.iter().map(|pose| pose.rotation).collect();
-    let metres = *placement.metres.as_ref().unwrap_or(&1.0);
+    let metres = placement.metres();
     let mut ways: Vec<Way> =
         placement.layouts.iter().flat_map(|layout| Way::of(layout, spread(&at))).collect();
     if ways.is_empty() {
@@ -442,18 +500,20 @@ pub(super) fn prepare<'a>(
         blind
     };
     let mut witness = Witness {
-        joints,
+        joints: &read_as.track,
         chain,
         columns,
+        gained: &read_as.gained,
         reference_known,
-        still,
+        still: &read_as.still,
         t_s: track.t_s.clone(),
         xyz: way.positions(&track.xyz),
         rotation: Vec::new(),
         blind: Blind { position: constant_axes, rotation: fit.is_none() },
         middle_s: 0.5 * (track.t_s[0] + track.t_s[track.t_s.len() - 1]),
     };
-    choose_branches(&mut witness, &Logged::of(&orientation), &way, fit.as_ref(), lag_s);
+    let logged = Logged::of(&orientation);
+    choose_branches(&mut witness, &logged, &way, fit.as_ref(), lag_s, &read_as.offsets);
     if witness.len() < 3 {
         return Err(Unseen::TooFewSamples { have: witness.len(), need: 3 });
     }
@@ -573,15 +633,15 @@ fn choose_branches(
     way: &Way,
     fit: Option<&Fit>,
     lag_s: f64,
+    offsets: &[f64],
 ) {
     let (mut kept_t, mut kept_xyz, mut kept_rotation) = (Vec::new(), Vec::new(), Vec::new());
     let mut sweep = Sweep::new(witness);
     let mut buffer = Vec::new();
-    let offsets = vec![0.0; witness.joints.dof];
     let state = StreamState::at_latency(lag_s);
     let after = way.after();
     for k in 0..witness.len() {
-        let Some(fk) = witness.pose_at(k, &state, &offsets, &mut sweep) else {
+        let Some(fk) = witness.pose_at(k, &state, offsets, &mut sweep) else {
             continue;
         };
         let rotation = match fit {
