@@ -7,6 +7,7 @@
 mod lone;
 mod map;
 mod polish;
+mod read;
 mod search;
 mod view;
 
@@ -24,6 +25,7 @@ use std::borrow::Cow;
 use view::{Frames, Freedom, View};
 
 pub(super) use map::half_turns;
+pub(super) use read::Read;
 pub(super) use view::Left;
 
 /// Samples that readings are tried on.
@@ -345,7 +347,7 @@ pub(super) fn corrected(
 }
 
 /// `track` with `zeros` added to its positions.
-pub(super) fn moved(track: &JointTrack, zeros: &[f64]) -> JointTrack {
+fn moved(track: &JointTrack, zeros: &[f64]) -> JointTrack {
     let mut moved = track.clone();
     for row in moved.q.chunks_exact_mut(track.dof.max(1)) {
         row.iter_mut().zip(zeros).for_each(|(q, zero)| *q += zero);
