@@ -4,16 +4,14 @@ use super::course::latency_course;
 use super::explain::{Approach, Cause, ENTANGLED, Explanation, Menu, best, explain};
 use super::frames::{frame_estimate, starts};
 use super::joints::{
-    Left, corrected, half_turns, lies_on_arm, lone_zeros, other_reading, read_joints,
+    Left, Read, corrected, half_turns, lies_on_arm, lone_zeros, other_reading, read_joints,
 };
 use super::latency::{Peak, arm_speeds, median_period_s, top};
 use super::model::{Blind, State, StreamState, Sweep, Witness};
 use super::nominal::{MOST_M, MOST_RAD, is_nominal};
 use super::observability::Observability;
 use super::placing::spread;
-use super::prepare::{
-    Placement, Prepared, Read, as_rotations, prepare, stream_lag_s, stream_peaks,
-};
+use super::prepare::{Placement, Prepared, as_rotations, prepare, stream_lag_s, stream_peaks};
 use super::residual::residual;
 use super::{
     Aligned, ArmDiagnosis, AxesSlip, ConstantPart, JointOffset, JointReading, JointScale,

@@ -2,16 +2,13 @@
 //! mean it does mean.
 
 use super::arm::{FOLLOWS, SEARCH_SAMPLES};
-use super::joints::{corrected, moved};
+use super::joints::Read;
 use super::latency::{Peak, pose_peaks};
 use super::layout::{Layout, Written, layouts, matrix_of};
 use super::model::{Blind, StreamState, Sweep, Witness};
 use super::placing::{ON_ARM, spread};
 use super::reading::{After, Fit, Logged, Samples, fit_known, nearest_truth, read};
-use super::{
-    AxesSlip, JointReading, JointUnit, PoseStream, Reading, ReadingEstimate, Seen, UnitSlip,
-    Unseen, is_coded,
-};
+use super::{AxesSlip, PoseStream, Reading, ReadingEstimate, Seen, UnitSlip, Unseen};
 use crate::geometry::{
     Axes, Convention, LengthScale, Pose, QuaternionSlip, Rotation, Vec3, angle_between,
 };
@@ -50,55 +47,6 @@ pub(super) fn stream_lag_s(joints: &JointTrack, stream: &PoseStream, most_lag_s:
     let peaks = stream_peaks(joints, stream, rotation, most_lag_s);
     let best = peaks.first().filter(|peak| peak.correlation > FOLLOWS);
     best.map_or(0.0, |peak| peak.lag_s)
-}
-
-/// The joint states as they are read.
-pub(super) struct Read {
-    /// With the names and units that they should have.
-    pub track: JointTrack,
-    /// The same with the zeros added that are off by much, where some are.
-    near: Option<JointTrack>,
-    /// Those zeros, by joint of the track, and no gain yet for each of `gained`.
-    pub offsets: Vec<f64>,
-    /// The joints whose scale is to be found.
-    pub gained: Vec<usize>,
-    /// The joints' scales about, by joint of the track.
-    pub factors: Vec<f64>,
-    /// Joint speeds that are no motion, by joint of the track.
-    still: Vec<f64>,
-}
-
-impl Read {
-    pub fn by(joints: &JointTrack, reading: &JointReading, prismatic: &[bool]) -> Self {
-        let track = corrected(joints, reading, prismatic);
-        let is_off = reading.zeros.iter().any(|zero| *zero != 0.0);
-        let near = is_off.then(|| moved(&track, &reading.zeros));
-        let scaled = reading.slips.iter().filter(|slip| slip.unit == JointUnit::Scaled);
-        let gained: Vec<usize> = scaled.map(|slip| slip.column).collect();
-        let mut factors = vec![1.0; joints.dof];
-        reading.slips.iter().for_each(|slip| factors[slip.column] = slip.factor);
-        let mut offsets = reading.zeros.clone();
-        offsets.resize(joints.dof, 0.0);
-        offsets.resize(joints.dof + gained.len(), 0.0);
-        let still = still_speeds(&track);
-        Self { track, near, offsets, gained, factors, still }
-    }
-
-    /// The same for a stream that is computed from the joints: as they are, but for names and units.
-    pub fn for_derived(self) -> Self {
-        let offsets = vec![0.0; self.track.dof];
-        Self { near: None, offsets, gained: Vec::new(), ..self }
-    }
-
-    /// Whether a joint's numbers are of another kind than rad or m and have a zero of their own.
-    pub fn has_zero_of_code(&self, joint: usize) -> bool {
-        self.gained.contains(&joint) && is_coded(self.factors[joint]) && self.offsets[joint] != 0.0
-    }
-
-    /// The joint states near to the truth.
-    pub fn near(&self) -> &JointTrack {
-        self.near.as_ref().unwrap_or(&self.track)
-    }
 }
 
 /// How a stream's positions are written, as far as they tell by themselves.

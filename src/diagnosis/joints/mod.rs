@@ -7,6 +7,7 @@
 mod lone;
 mod map;
 mod polish;
+mod read;
 mod search;
 mod view;
 
@@ -21,9 +22,10 @@ use lone::Lone;
 use map::JointMap;
 use search::{Found, Kind, Search, search};
 use std::borrow::Cow;
-use view::{Frames, Freedom, View};
+use view::{Frames, Freedom, TURNS, View};
 
 pub(super) use map::half_turns;
+pub(super) use read::Read;
 pub(super) use view::Left;
 
 /// Samples that readings are tried on.
@@ -155,7 +157,8 @@ fn look(
     };
     for &freedom in both {
         for &kind in kinds {
-            if freedom != both[0] && kind > Kind::UnitAndOne {
+            let is_late = freedom != both[0] && kind > Kind::UnitAndOne;
+            if is_late || (freedom == Freedom::Both && kind == Kind::OrderAndOne) {
                 continue;
             }
             for view in &views {
@@ -194,6 +197,7 @@ pub(super) fn lone_zeros(witness: &Witness, lag_s: f64, offsets: &[f64]) -> Vec<
         q: rows,
         spans: vec![[0.0; 2]; columns.len()],
         lever_m: (0.25 * chain.max_reach_m()).max(0.05),
+        turns: TURNS,
     };
     let mut near = JointMap::as_logged(columns.len());
     near.zero = columns.iter().map(|&column| offsets[column]).collect();
@@ -228,6 +232,7 @@ fn views<'a>(joints: &JointTrack, stream: &PoseStream<'a>, moments: &Moments) ->
         q: moments.q.clone(),
         spans: stream.columns.iter().map(span).collect(),
         lever_m: (0.25 * chain.max_reach_m()).max(0.05),
+        turns: TURNS,
     };
     let mut views = Vec::new();
     if let (Some(rotation), Some(inverse)) = (&moments.rotation, &moments.inverse_xyz) {
@@ -345,7 +350,7 @@ pub(super) fn corrected(
 }
 
 /// `track` with `zeros` added to its positions.
-pub(super) fn moved(track: &JointTrack, zeros: &[f64]) -> JointTrack {
+fn moved(track: &JointTrack, zeros: &[f64]) -> JointTrack {
     let mut moved = track.clone();
     for row in moved.q.chunks_exact_mut(track.dof.max(1)) {
         row.iter_mut().zip(zeros).for_each(|(q, zero)| *q += zero);

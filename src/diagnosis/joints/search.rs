@@ -373,14 +373,14 @@ fn two(view: &View, freedom: Freedom) -> Vec<Proposal> {
         .into_par_iter()
         .flat_map_iter(|(first, factor, zero, price)| {
             let base = none.with(first, factor, zero);
+            let frames = match freedom {
+                Freedom::Tool => Frames::default(),
+                Freedom::Both => thin.frames(&thin.fk(&base), freedom),
+            };
             let seconds = (0..dof).filter(move |&second| second != first);
             let firsts = if zero == 0.0 { Vec::new() } else { vec![first] };
             let (thin, can_move) = (&thin, &can_move);
             seconds.flat_map(move |second| {
-                let frames = match freedom {
-                    Freedom::Tool => Frames::default(),
-                    Freedom::Both => thin.frames(&thin.fk(&base), freedom),
-                };
                 let lone = Lone::of(thin, &base, &frames, second);
                 let mut ways = vec![(1.0, Some(lone.zero(1.0).0), 1.0)];
                 if can_move.contains(&second) {
@@ -417,11 +417,7 @@ fn order_and_one(view: &View, freedom: Freedom) -> Vec<Proposal> {
             let can_move = moving(&thin, &base);
             let thin = &thin;
             (0..dof).flat_map(move |joint| {
-                let frames = match freedom {
-                    Freedom::Tool => Frames::default(),
-                    Freedom::Both => thin.frames(&thin.fk(&base), freedom),
-                };
-                let zero = Lone::of(thin, &base, &frames, joint).zero(1.0).0;
+                let zero = Lone::of(thin, &base, &Frames::default(), joint).zero(1.0).0;
                 let turned = Proposal {
                     map: base.with(joint, 1.0, zero),
                     zeros: vec![joint],

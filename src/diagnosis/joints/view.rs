@@ -7,6 +7,10 @@ use super::map::JointMap;
 use crate::geometry::{Pose, Rotation, Vec3, pose, rotvec_from_rotation};
 use crate::robot::Chain;
 
+/// Turns in which the frames of a thinned view are sought, and of a whole one.
+const FEW_TURNS: usize = 5;
+pub(super) const TURNS: usize = 30;
+
 /// The constant frames that may be off beside the joints.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Freedom {
@@ -50,6 +54,8 @@ pub(super) struct View<'a> {
     pub spans: Vec<[f64; 2]>,
     /// The length at which an angle counts, m.
     pub lever_m: f64,
+    /// Turns in which frames are sought by positions.
+    pub turns: usize,
 }
 
 impl View<'_> {
@@ -67,6 +73,7 @@ impl View<'_> {
             rotation: self.rotation.as_ref().map(some),
             q: rows.flatten().copied().collect(),
             spans: self.spans.clone(),
+            turns: FEW_TURNS,
             ..*self
         }
     }
@@ -90,19 +97,19 @@ impl View<'_> {
     /// The constant frames that leave least.
     pub fn frames(&self, fk: &[Pose], freedom: Freedom) -> Frames {
         let expected = Expected::of(fk);
-        let by_positions = |turned: bool| {
-            let (reference, tool) = expected.frames(&self.xyz, turned);
+        let by_positions = |turns: usize| {
+            let (reference, tool) = expected.frames(&self.xyz, turns);
             Frames { reference, tool: pose(tool.into(), Rotation::identity()) }
         };
         let Some(logged) = self.logged() else {
-            return by_positions(freedom == Freedom::Both);
+            return by_positions(if freedom == Freedom::Both { self.turns } else { 0 });
         };
         let tool = Frames { reference: Pose::identity(), tool: tool_frame(fk, &logged) };
         if freedom == Freedom::Tool {
             return tool;
         }
         let (reference, turned_tool) = both_frames(fk, &logged);
-        let placed = by_positions(true).reference;
+        let placed = by_positions(self.turns).reference;
         let seen: Vec<Pose> = logged.iter().map(|pose| placed.inverse() * pose).collect();
         let placed = Frames { reference: placed, tool: tool_frame(fk, &seen) };
         let both = [Frames { reference, tool: turned_tool }, placed, tool];
