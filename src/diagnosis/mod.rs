@@ -28,6 +28,7 @@ mod reread;
 mod residual;
 mod rival;
 mod shake;
+mod steps;
 mod trend;
 mod workspace;
 
@@ -57,6 +58,7 @@ pub use reference::{
 pub use reread::{reread_imu, reread_poses};
 pub use rival::position_misfit_m;
 pub use shake::{NoShake, Shake, shake};
+pub use steps::{LatencySteps, imu_steps, pose_steps};
 pub use trend::{LEAST_RUNS, Step, Told, Trend, trend};
 pub use workspace::{
     APART_RAD, CELL_M, JOINT_APART, JointSpan, Place, ReachedPose, Workspace, centre_m, reach_m,

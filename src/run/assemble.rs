@@ -22,12 +22,14 @@ use super::models::{self, Clues, FrameNames, Given, GivenCalibration};
 use super::norms::norms;
 use super::poses::{self, Stamped};
 use super::role::{Place, PoseTopic, Role, Verdict, array_role, pose_role};
+use super::sift::Sift;
 use super::skeleton;
-use super::strays::{hide, strays};
+use super::stalled;
 use super::streams::{Stream, Timing, split};
 use super::targets::{self, HandKind, HandSource, TargetSource};
 use super::tf_tree::{Edge, EdgeKind, TfTree, without_slash};
 use super::topics::{self, SaidRole, TopicSettings};
+use super::unfold::{self, unfold};
 use super::witness::{PoseNames, Witness, witness_of};
 use super::{Run, RunOptions};
 
@@ -55,9 +57,10 @@ impl Run {
             }
         }
         topics::apply(&options.topics, &mut streams)?;
+        let folded = unfold(&mut streams);
         let mut timing = Timing::settle(&streams, options.stamp, options.max_latency_s);
         timing.measure(&mut streams);
-        timing.strays = strays(&streams, &timing);
+        timing.sift = Sift::of(&streams, &timing);
         timing.excerpts = Excerpts::of(&streams, &timing);
         let origin = origin(&streams);
         let tf = tf_tree(&streams, &timing);
@@ -94,12 +97,13 @@ impl Run {
             assembly.assign(stream)?;
         }
         assembly.name_joints();
+        unfold::say(&mut assembly.streams, &folded);
         let (targets, references) = (assembly.targets(), assembly.references());
         let Assembly { streams, timing, tf, arms, frozen, watched, .. } = assembly;
         let span = span(streams.iter().filter(|stream| stream.rate_hz.is_some()));
         let rhythms = rhythms(&streams, &timing, &joint_topics(&streams, &timing), &arms);
-        let (flaws, norms) = (flaws(&streams), norms(&streams, &timing));
-        let Timing { clocks, excerpts, strays, .. } = timing;
+        let (flaws, norms) = (flaws(&streams, &timing.sift.publishers), norms(&streams, &timing));
+        let Timing { clocks, excerpts, sift, .. } = timing;
         Ok(Run {
             origin,
             span,
@@ -111,9 +115,10 @@ impl Run {
             clocks,
             rhythms,
             flaws,
+            folded,
             norms,
-            strays,
-            frozen,
+            frozen: stalled::times(&sift.stalled).chain(frozen).collect(),
+            sift,
             watched,
             excerpts,
             has_clock_topic,
@@ -516,7 +521,7 @@ impl Assembly<'_> {
         let Some(Columns::Poses(poses)) = &self.streams[index].columns else { return None };
         let [poses] = poses.as_slice() else { return None };
         let mut rows = self.timing.rows(&self.streams, index, 0);
-        hide(&self.timing.strays, index, 0, &mut rows);
+        self.timing.sift.sift(index, 0, &mut rows);
         let track = poses::from_poses(poses, &rows, None, self.origin).ok()?.track;
         (track.t_s.len() > 1).then_some(track)
     }
