@@ -267,10 +267,10 @@ struct Gap {
 /// The rows of the second held against what lies between those of the first, and these against what
 /// lies between their neighbours, which is what that tells at best. `None` where nothing lies between.
 fn apart(series: &Series<'_>, t_s: &[f64], [first, second]: [&[usize]; 2]) -> Option<Gap> {
-    /// What is apart by less is not, m at a metre: rounding, and noise of encoders.
-    const LEAST: f64 = 5e-4;
+    /// What is apart by less is not, m or rad: rounding, and noise of encoders.
+    const LEAST: f64 = 3e-4;
     /// It is more than what lies between rows is uncertain by.
-    const TIMES: f64 = 3.0;
+    const TIMES: f64 = 2.0;
     /// What is apart by more at times than usually is apart by motion.
     const VARIES: f64 = 2.0;
     let row = |at: usize| series.rows[at].1;
@@ -280,7 +280,7 @@ fn apart(series: &Series<'_>, t_s: &[f64], [first, second]: [&[usize]; 2]) -> Op
         gap(&series.values, [row(left), row(at), row(right)], part)
     };
     let period_s = (t_s[first[first.len() - 1]] - t_s[first[0]]) / (first.len() - 1) as f64;
-    let mut gaps: Vec<Apart> = second
+    let gaps: Vec<Apart> = second
         .iter()
         .filter_map(|&at| {
             let after = first.partition_point(|&other| t_s[other] < t_s[at]);
@@ -288,20 +288,27 @@ fn apart(series: &Series<'_>, t_s: &[f64], [first, second]: [&[usize]; 2]) -> Op
             (t_s[right] - t_s[left] < 2.5 * period_s).then(|| gap(left, at, right))
         })
         .collect();
-    let mut own: Vec<Apart> =
+    let own: Vec<Apart> =
         first.windows(3).map(|window| gap(window[0], window[1], window[2])).collect();
     if gaps.len() < FEWEST || own.is_empty() {
         return None;
     }
-    let quantile = |gaps: &mut Vec<Apart>, part: f64| {
-        let at = ((gaps.len() - 1) as f64 * part) as usize;
-        gaps.sort_by(|a, b| a.size().total_cmp(&b.size()));
-        gaps[at]
+    let told = |of: fn(&Apart) -> f64| {
+        let [usual, far] = [0.5, 0.9].map(|part| quantile(gaps.iter().map(of), part));
+        let uncertain = quantile(own.iter().map(of), 0.9);
+        let by = if far > VARIES * usual { far } else { usual };
+        (by, far > LEAST + TIMES * uncertain)
     };
-    let (usual, far) = (quantile(&mut gaps, 0.5), quantile(&mut gaps, 0.9));
-    let uncertain = quantile(&mut own, 0.9).size();
-    let by = if far.size() > VARIES * usual.size() { far } else { usual };
-    Some(Gap { by, is_there: far.size() > LEAST + TIMES * uncertain })
+    let (length, angle) = (told(|gap| gap.length_m), told(|gap| gap.angle_rad));
+    let part = |(by, is_there): (f64, bool)| if is_there { by } else { 0.0 };
+    let by = Apart { length_m: part(length), angle_rad: part(angle) };
+    Some(Gap { by, is_there: length.1 || angle.1 })
+}
+
+fn quantile(values: impl Iterator<Item = f64>, part: f64) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values.get((values.len().saturating_sub(1) as f64 * part) as usize).copied().unwrap_or(0.0)
 }
 
 /// How far the middle one of three rows is from `part` of the way between the others.
