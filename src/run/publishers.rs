@@ -10,6 +10,7 @@ use std::collections::HashSet;
 use rayon::prelude::*;
 
 use crate::stream::PoseColumns;
+use crate::time::seconds;
 
 use super::flaws::Apart;
 use super::series::{Series, Values};
@@ -59,30 +60,30 @@ const FEWEST: usize = 12;
 const MOST: usize = 4000;
 
 fn of(series: &Series<'_>) -> Option<Publishers> {
-    if series.rows.len() < ENOUGH || matches!(series.values, Values::Imu(_)) {
+    if series.rows.len() < ENOUGH || matches!(series.values, Values::Imu(_) | Values::Array(_)) {
+        return None;
+    }
+    // One publisher that stamps or sends evenly, whatever it loses.
+    let looked_at = &series.rows[..series.rows.len().min(MOST)];
+    let begin = looked_at[0].0;
+    let stamped_s: Vec<f64> =
+        looked_at.iter().map(|(stamp, _)| stamp.seconds_since(begin)).collect();
+    let mut received: Vec<i64> = looked_at.iter().map(|(_, row)| series.times.log[*row]).collect();
+    received.sort_unstable();
+    let since = |nanos: &i64| seconds(nanos.saturating_sub(received[0]));
+    let received_s: Vec<f64> = received.iter().map(since).collect();
+    if is_one(&stamped_s) || is_one(&received_s) {
         return None;
     }
     let t_s = series.seconds();
-    let first = series.times.log[series.rows[0].1];
-    let mut received_s: Vec<f64> = series
-        .rows
-        .iter()
-        .map(|(_, row)| crate::time::seconds(series.times.log[*row].saturating_sub(first)))
-        .collect();
-    received_s.sort_by(f64::total_cmp);
-    // One publisher that stamps or sends evenly, whatever it loses.
-    let looked_at = t_s.len().min(MOST);
-    if is_one(&t_s[..looked_at]) || is_one(&received_s[..looked_at]) {
-        return None;
-    }
     let off = |before: usize, from: usize, to: usize| {
         let [before_s, from_s, to_s] = [before, from, to].map(|at| t_s[at]);
         let part = if from_s > before_s { (to_s - before_s) / (from_s - before_s) } else { 1.0 };
         gap(&series.values, [before, to, from].map(|at| series.rows[at].1), part).size()
     };
-    let parts = split(&t_s[..looked_at], &off)?;
+    let parts = split(&stamped_s, &off)?;
     // The whole run by the rhythms that a part of it has.
-    let [first, second] = match looked_at == t_s.len() {
+    let [first, second] = match looked_at.len() == t_s.len() {
         true => parts.rows,
         false => split_by(&t_s, parts.periods_s, &off)?.rows,
     };

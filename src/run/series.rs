@@ -1,7 +1,7 @@
 //! Each piece of each stream as rows of numbers in the order of time, whatever they mean: one of
 //! joint states, of poses, of each transform, of an IMU.
 
-use crate::stream::{Columns, ImuColumns, JointColumns, PoseColumns, Times};
+use crate::stream::{ArrayColumns, Columns, ImuColumns, JointColumns, PoseColumns, Times};
 
 use super::role::Role;
 use super::streams::{Rows, Stream, Timing};
@@ -27,6 +27,7 @@ pub(super) enum Values<'a> {
     Joints(&'a JointColumns),
     Poses(&'a PoseColumns),
     Imu(&'a ImuColumns),
+    Array(&'a ArrayColumns),
 }
 
 impl Values<'_> {
@@ -36,6 +37,7 @@ impl Values<'_> {
             Values::Joints(joints) => joints.joints.len(),
             Values::Poses(_) => 7,
             Values::Imu(_) => 10,
+            Values::Array(array) => array.width,
         }
     }
 
@@ -45,6 +47,7 @@ impl Values<'_> {
             (Values::Joints(joints), _) => joints.joints[number].position[row],
             (Values::Poses(poses), 0..3) => poses.xyz[row][number],
             (Values::Poses(poses), _) => poses.q_xyzw[row][number - 3],
+            (Values::Array(array), _) => array.row(row)[number],
             (Values::Imu(imu), 0..3) => imu.gyro[row][number],
             (Values::Imu(imu), 3..6) => imu.accel[row][number - 3],
             (Values::Imu(imu), _) => imu.q_xyzw[row][number - 6],
@@ -104,7 +107,8 @@ pub(super) fn series<'a>(streams: &'a [Stream], timing: &Timing) -> Vec<Series<'
                 }
             }
             Columns::Imu(imu) => add(0, None, &imu.times, Values::Imu(imu)),
-            Columns::Array(_) | Columns::Text(_) => {}
+            Columns::Array(array) => add(0, None, &array.times, Values::Array(array)),
+            Columns::Text(_) => {}
         }
     }
     found
