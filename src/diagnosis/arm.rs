@@ -4,55 +4,63 @@ use super::course::latency_course;
 use super::explain::{Approach, Cause, ENTANGLED, Explanation, Menu, best, explain};
 use super::frames::{frame_estimate, starts};
 use super::joints::{corrected, lies_on_arm, read_joints};
-use super::latency::{Peak, arm_speeds, median_period_s, pose_peaks, top};
-use super::model::{State, StreamState, Sweep, Witness};
+use super::latency::{Peak, arm_speeds, median_period_s, top};
+use super::model::{Blind, State, StreamState, Sweep, Witness};
 use super::nominal::{MOST_M, MOST_RAD, is_nominal};
 use super::observability::Observability;
-use super::placing::{Expected, spread};
-use super::reading::{Fit, Logged, Samples, nearest_truth, read};
+use super::prepare::{Placement, Prepared, as_rotations, prepare, still_speeds, stream_peaks};
 use super::residual::residual;
 use super::{
-    Aligned, ArmDiagnosis, JointOffset, JointReading, Measured, PoseDiagnosis, PoseStream, Reading,
-    ReadingEstimate, Residual, Seen, Twin, UnitSlip, Unseen,
+    Aligned, ArmDiagnosis, AxesSlip, ConstantPart, JointOffset, JointReading, LengthSlip, Measured,
+    PoseDiagnosis, PoseStream, Residual, Seen, Twin, UnitSlip, Unseen,
 };
-use crate::geometry::{Pose, Rotation, Vec3, pose};
-use crate::robot::{Chain, JointKind};
-use crate::stream::{DeclaredUnits, JointTrack, Orientations, PoseTrack};
+use crate::geometry::{LengthScale, Pose, Vec3, pose};
+use crate::robot::JointKind;
+use crate::stream::{JointTrack, Orientations};
 use rayon::prelude::*;
-use std::borrow::Cow;
 use std::f64::consts::TAU;
 
 /// Samples a stream in the search for the explanation, and in the final fit.
-const SEARCH_SAMPLES: usize = 500;
+pub(super) const SEARCH_SAMPLES: usize = 500;
 const FIT_SAMPLES: usize = 4000;
-/// Samples that readings are tried on.
-const READING_SAMPLES: usize = 72;
 /// Speeds correlate less than this where a stream does not follow the arm.
-const FOLLOWS: f64 = 0.3;
+pub(super) const FOLLOWS: f64 = 0.3;
 /// Residuals below this cannot tell two latencies apart, rms rad and m at an arm's length of 1 m.
 const ALIAS_FLOOR: f64 = 2e-5;
-/// Positions fit where they leave this share of the arm's extent.
-const FITS: f64 = 0.01;
-/// Moving samples without which a latency is not sought.
-const MOVING_SAMPLES: usize = 10;
 
 /// Diagnoses the joint states and all pose streams that are witnesses to them.
 ///
 /// `most_lag_s` bounds the latency that is sought, s.
 pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64) -> ArmDiagnosis {
-    let scales: Vec<Seen<f64>> =
-        streams.iter().map(|stream| position_scale(joints, stream)).collect();
-    let factors: Vec<f64> = scales.iter().map(|scale| *scale.as_ref().unwrap_or(&1.0)).collect();
-    let reading = read_joints(joints, streams, &factors, most_lag_s);
+    let placed = |joints: &JointTrack| -> Vec<Placement> {
+        streams.iter().map(|stream| Placement::of(joints, stream, most_lag_s)).collect()
+    };
+    let mut placements = placed(joints);
+    let still = still_speeds(joints);
+    let is_confirmed = |(stream, placement): (&PoseStream, &Placement)| {
+        placement.explains()
+            && prepare(joints, stream, placement, &still).is_ok_and(|it| it.is_confirmed())
+    };
+    let reading = match streams.iter().zip(&placements).any(is_confirmed) {
+        // What positions lie on as they are written needs no other joint states.
+        true => Ok(JointReading { degrees: None, permutation: None, runner_up_m: None }),
+        false => {
+            let metres = placements.iter().map(|placed| *placed.metres.as_ref().unwrap_or(&1.0));
+            read_joints(joints, streams, &metres.collect::<Vec<f64>>(), most_lag_s)
+        }
+    };
     let joints_read = match &reading {
         Ok(reading) => corrected(joints, reading, &prismatic(joints.dof, streams)),
         Err(_) => joints.clone(),
     };
-    let (offsets, diagnoses) = diagnose(joints, &joints_read, streams, &scales, most_lag_s, true);
-    // Names and units that leave every stream astray are not read rightly, however near some of the
-    // positions are.
     let as_logged =
         |reading: &JointReading| reading.degrees.is_none() && reading.permutation.is_none();
+    if !reading.as_ref().is_ok_and(as_logged) {
+        placements = placed(&joints_read);
+    }
+    let (offsets, diagnoses) = diagnose(joints, &joints_read, streams, &placements, true);
+    // Names and units that leave every stream astray are not read rightly, however near some of the
+    // positions are.
     let astray = !diagnoses.is_empty() && diagnoses.iter().all(PoseDiagnosis::strays);
     let reading = match reading {
         Ok(reading) if astray && as_logged(&reading) => Err(Unseen::NotExcited),
@@ -73,9 +81,9 @@ pub fn diagnose_derived(
     most_lag_s: f64,
 ) -> PoseDiagnosis {
     let streams = std::slice::from_ref(stream);
-    let scales = [position_scale(joints, stream)];
     let by = |track: &JointTrack| {
-        let (_, mut diagnoses) = diagnose(joints, track, streams, &scales, most_lag_s, false);
+        let placements = [Placement::of(track, stream, most_lag_s)];
+        let (_, mut diagnoses) = diagnose(joints, track, streams, &placements, false);
         diagnoses.remove(0)
     };
     let left =
@@ -120,8 +128,11 @@ impl ArmDiagnosis {
 pub fn follows(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Option<Peak> {
     let rotation = as_rotations(&stream.track.orientation);
     let peak = stream_peaks(joints, stream, rotation, most_lag_s).first().copied()?;
-    let scale = position_scale(joints, stream).unwrap_or(1.0);
-    let placed = rotation.is_some() || lies_on_arm(joints, stream, scale, peak.lag_s);
+    let placed = rotation.is_some() || {
+        let placement = Placement::of(joints, stream, most_lag_s);
+        let metres = *placement.metres.as_ref().unwrap_or(&1.0);
+        placement.explains() || lies_on_arm(joints, stream, metres, peak.lag_s)
+    };
     Some(if placed { peak } else { Peak { correlation: 0.0, ..peak } })
 }
 
@@ -135,97 +146,19 @@ fn prismatic(dof: usize, streams: &[PoseStream]) -> Vec<bool> {
     prismatic
 }
 
-fn as_rotations(orientation: &Orientations) -> Option<&[Rotation]> {
-    match orientation {
-        Orientations::Rotations(rotations) => Some(rotations),
-        Orientations::Numbers(_) => None,
-    }
-}
-
-fn stream_peaks(
-    joints: &JointTrack,
-    stream: &PoseStream,
-    rotation: Option<&[Rotation]>,
-    most_lag_s: f64,
-) -> Vec<Peak> {
-    let PoseStream { track, chain, columns, .. } = stream;
-    pose_peaks(joints, chain, columns, &track.t_s, &track.xyz, rotation, most_lag_s)
-}
-
-/// The lag at which a stream follows the arm best by its speeds, s; 0 where none does.
-pub(super) fn stream_lag_s(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> f64 {
-    let rotation = as_rotations(&stream.track.orientation);
-    let peaks = stream_peaks(joints, stream, rotation, most_lag_s);
-    let best = peaks.first().filter(|peak| peak.correlation > FOLLOWS);
-    best.map_or(0.0, |peak| peak.lag_s)
-}
-
-/// Factor that takes a stream's positions to metres: 1, or 0.001 where they are millimetres, or 1000
-/// where the caller declared metres to be millimetres.
-///
-/// Extent of motion against the arm's tells, or at rest the distance from a known base.
-fn position_scale(joints: &JointTrack, stream: &PoseStream) -> Seen<f64> {
-    let reach = stream.chain.max_reach_m();
-    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
-    let track = stream.track;
-    let step = track.t_s.len().div_ceil(500).max(1);
-    let mut fk = Vec::new();
-    let mut xyz = Vec::new();
-    for k in (0..track.t_s.len()).step_by(step) {
-        if joints.at(track.t_s[k], &mut cursor, &mut q, &mut qd) {
-            let own: Vec<f64> = stream.columns.iter().map(|&c| q[c]).collect();
-            fk.push(stream.chain.forward(&own).translation.vector);
-            xyz.push(track.xyz[k]);
-        }
-    }
-    if fk.len() < 2 {
-        return Err(Unseen::NoOverlap);
-    }
-    let (moved, extent) = (spread(&fk), spread(&xyz));
-    let ratio = if moved > 0.01 * reach {
-        extent / moved
-    } else {
-        let norm =
-            |points: &[Vec3]| points.iter().map(Vec3::norm).sum::<f64>() / points.len() as f64;
-        if !stream.reference_known {
-            return Err(Unseen::AtRest);
-        }
-        norm(&xyz) / norm(&fk).max(0.05 * reach)
-    };
-    let declared = track.declared.as_ref().is_some_and(|declared| declared.millimetres);
-    let thousand = 80.0..12_500.0;
-    Ok(match ratio {
-        _ if thousand.contains(&ratio) => 1e-3,
-        _ if declared && thousand.contains(&ratio.recip()) => 1e3,
-        _ => 1.0,
-    })
-}
-
-/// A stream whose reading is settled, with what settled it.
-struct Prepared<'a> {
-    witness: Witness<'a>,
-    reading: ReadingEstimate,
-    degrees: Option<UnitSlip>,
-    peaks: Vec<Peak>,
-    moves: bool,
-}
-
 /// Fits all streams together and writes each one's diagnosis.
 fn diagnose(
     recorded: &JointTrack,
     joints: &JointTrack,
     streams: &[PoseStream],
-    scales: &[Seen<f64>],
-    most_lag_s: f64,
+    placements: &[Placement],
     with_offsets: bool,
 ) -> (Vec<JointOffset>, Vec<PoseDiagnosis>) {
     let still = still_speeds(joints);
     let prepared: Vec<Seen<Prepared>> = streams
         .iter()
-        .zip(scales)
-        .map(|(stream, scale)| {
-            prepare(joints, stream, *scale.as_ref().unwrap_or(&1.0), &still, most_lag_s)
-        })
+        .zip(placements)
+        .map(|(stream, placement)| prepare(joints, stream, placement, &still))
         .collect();
     let usable: Vec<&Prepared> = prepared.iter().flatten().collect();
     let fitted = fit(&usable, joints.dof, with_offsets);
@@ -236,226 +169,17 @@ fn diagnose(
     let mut used = 0;
     let diagnoses = streams
         .iter()
-        .zip(prepared.iter().zip(scales))
-        .map(|(stream, (prepared, scale))| match (prepared, &fitted) {
+        .zip(prepared.iter().zip(placements))
+        .map(|(stream, (prepared, placement))| match (prepared, &fitted) {
             (Ok(prepared), Some(fitted)) => {
                 used += 1;
-                stream_diagnosis(recorded, stream, scale, prepared, fitted, used - 1)
+                stream_diagnosis(recorded, stream, placement, prepared, fitted, used - 1)
             }
-            (Ok(_), None) => no_diagnosis(scale, Unseen::NoOverlap),
-            (Err(why), _) => no_diagnosis(scale, why.clone()),
+            (Ok(_), None) => no_diagnosis(Unseen::NoOverlap),
+            (Err(why), _) => no_diagnosis(why.clone()),
         })
         .collect();
     (offsets, diagnoses)
-}
-
-/// Settles reading and units of a stream and chooses the branch of each sample.
-fn prepare<'a>(
-    joints: &'a JointTrack,
-    stream: &PoseStream<'a>,
-    scale: f64,
-    still: &'a [f64],
-    most_lag_s: f64,
-) -> Seen<Prepared<'a>> {
-    let PoseStream { track, chain, columns, reference_known, .. } = *stream;
-    let xyz: Vec<Vec3> = track.xyz.iter().map(|p| p * scale).collect();
-    let peaks: Vec<Peak> =
-        stream_peaks(joints, stream, as_rotations(&track.orientation), most_lag_s)
-            .into_iter()
-            .filter(|peak| peak.correlation > FOLLOWS)
-            .collect();
-    let lag_s = peaks.first().map_or(0.0, |peak| peak.lag_s);
-    let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, lag_s);
-    if rows.is_empty() {
-        return Err(Unseen::NoOverlap);
-    }
-    let expected = Expected::of(&fk);
-    let xyz_there: Vec<Vec3> = rows.iter().map(|&k| xyz[k]).collect();
-    let (orientation, degrees) = in_right_angles(track, &rows, &expected.rotation, reference_known);
-    let logged_all = Logged::of(&orientation);
-    let there = at_rows(&orientation, &rows);
-    let logged = Logged::of(&there);
-    let inverted_xyz: Option<Vec<Vec3>> = match &logged {
-        Logged::Rotations(all) => {
-            Some(all.iter().zip(&xyz_there).map(|(r, p)| -(r.inverse() * p)).collect())
-        }
-        Logged::Numbers(_) => None,
-    };
-    // Positions tell the reference frame whatever the rotations are read as.
-    let plain = expected.misfit(&xyz_there);
-    let inverted = inverted_xyz.as_ref().map_or(f64::INFINITY, |xyz| expected.misfit(xyz));
-    // A pose that turns about one axis lies on the arm both ways: what fits as it is stays.
-    let fits = plain < FITS * spread(&expected.xyz);
-    let is_inverted = !fits && inverted < plain;
-    let lies = if is_inverted { inverted_xyz.as_ref() } else { Some(&xyz_there) };
-    let reference = lies.and_then(|xyz| expected.reference(xyz)).map(|pose| pose.rotation);
-    let turned: Vec<Rotation> = match reference {
-        Some(reference) => expected.rotation.iter().map(|fk| reference * fk).collect(),
-        None => expected.rotation.clone(),
-    };
-    let samples = Samples {
-        logged,
-        fk: &turned,
-        reference_free: reference.is_none(),
-        reference_known: reference_known || reference.is_some(),
-        are_quaternions: are_quaternions(track),
-    };
-    let (mut reading, mut fit) = read(&samples)?;
-    fit.reference *= reference.unwrap_or_default();
-    if matches!(fit.reading, Reading::Transposed) && is_inverted && inverted * 2.0 < plain {
-        fit.reading = Reading::Inverted;
-        reading.best = Reading::Inverted;
-    }
-
-    let mut witness = Witness {
-        joints,
-        chain,
-        columns,
-        reference_known,
-        still,
-        t_s: track.t_s.clone(),
-        xyz,
-        rotation: Vec::new(),
-        middle_s: 0.5 * (track.t_s[0] + track.t_s[track.t_s.len() - 1]),
-    };
-    choose_branches(&mut witness, &logged_all, &fit, lag_s);
-    if witness.len() < 3 {
-        return Err(Unseen::TooFewSamples { have: witness.len(), need: 3 });
-    }
-    let moves = witness.moving(lag_s, SEARCH_SAMPLES) >= MOVING_SAMPLES && !peaks.is_empty();
-    Ok(Prepared { witness, reading, degrees, peaks, moves })
-}
-
-/// A stream's orientations with their angles in the unit that follows the arm, and the slip where
-/// that is not the one logged or declared.
-fn in_right_angles<'a>(
-    track: &'a PoseTrack,
-    rows: &[usize],
-    fk: &[Rotation],
-    reference_known: bool,
-) -> (Cow<'a, Orientations>, Option<UnitSlip>) {
-    let other = match (&track.orientation, &track.declared) {
-        (Orientations::Numbers(numbers), _) => {
-            Orientations::Numbers(numbers.iter().map(|n| n.map(f64::to_radians)).collect())
-        }
-        (_, Some(DeclaredUnits { in_other_angles: Some(rotations), .. })) => {
-            Orientations::Rotations(rotations.clone())
-        }
-        _ => return (Cow::Borrowed(&track.orientation), None),
-    };
-    let residual = |orientation: &Orientations| {
-        let there = at_rows(orientation, rows);
-        let logged = Logged::of(&there);
-        let are_quaternions = are_quaternions(track);
-        let samples =
-            Samples { logged, fk, reference_free: true, reference_known, are_quaternions };
-        read(&samples).map_or(std::f64::consts::PI, |(_, fit)| fit.residual_rad)
-    };
-    let (as_logged, corrected) = (residual(&track.orientation), residual(&other));
-    if corrected * 3.0 < as_logged {
-        (Cow::Owned(other), Some(UnitSlip { as_logged, corrected }))
-    } else {
-        (Cow::Borrowed(&track.orientation), None)
-    }
-}
-
-/// Whether the log has quaternions, and not three numbers that were declared to be a rotation.
-fn are_quaternions(track: &PoseTrack) -> bool {
-    track.declared.as_ref().is_none_or(|declared| declared.in_other_angles.is_none())
-}
-
-fn at_rows(orientation: &Orientations, rows: &[usize]) -> Orientations {
-    match orientation {
-        Orientations::Rotations(all) => {
-            Orientations::Rotations(rows.iter().map(|&k| all[k]).collect())
-        }
-        Orientations::Numbers(all) => Orientations::Numbers(rows.iter().map(|&k| all[k]).collect()),
-    }
-}
-
-/// Slow samples spread over the run, and FK at the moments that they speak of.
-pub(super) fn slow_samples(
-    joints: &JointTrack,
-    chain: &Chain,
-    columns: &[usize],
-    t_s: &[f64],
-    lag_s: f64,
-) -> (Vec<usize>, Vec<Pose>) {
-    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
-    let mut covered: Vec<(usize, f64)> = Vec::new();
-    for (k, t) in t_s.iter().enumerate() {
-        if joints.at(t - lag_s, &mut cursor, &mut q, &mut qd) {
-            covered.push((k, qd.iter().map(|v| v * v).sum()));
-        }
-    }
-    let mut slowest = covered;
-    let kept = slowest.len().div_ceil(2);
-    slowest.sort_by(|a, b| a.1.total_cmp(&b.1));
-    slowest.truncate(kept);
-    let mut rows: Vec<usize> = slowest.iter().map(|(k, _)| *k).collect();
-    rows.sort_unstable();
-    let step = rows.len().div_ceil(READING_SAMPLES).max(1);
-    let rows: Vec<usize> = rows.into_iter().step_by(step).collect();
-    cursor = 0;
-    let fk = rows
-        .iter()
-        .map(|&k| {
-            joints.at(t_s[k] - lag_s, &mut cursor, &mut q, &mut qd);
-            let own: Vec<f64> = columns.iter().map(|&c| q[c]).collect();
-            chain.forward(&own)
-        })
-        .collect();
-    (rows, fk)
-}
-
-/// Applies the reading to every sample, taking the branch nearest to what FK expects; samples that
-/// the joints do not cover are dropped.
-fn choose_branches(witness: &mut Witness, logged: &Logged, fit: &Fit, lag_s: f64) {
-    let (mut kept_t, mut kept_xyz, mut kept_rotation) = (Vec::new(), Vec::new(), Vec::new());
-    let mut sweep = Sweep::new(witness);
-    let mut buffer = Vec::new();
-    let offsets = vec![0.0; witness.joints.dof];
-    let state = StreamState::at_latency(lag_s);
-    for k in 0..witness.len() {
-        let Some(fk) = witness.pose_at(k, &state, &offsets, &mut sweep) else {
-            continue;
-        };
-        let expected = fit.reference * fk.rotation * fit.tool;
-        let Some(rotation) = nearest_truth(&fit.reading, logged, k, &expected, &mut buffer) else {
-            continue;
-        };
-        kept_t.push(witness.t_s[k]);
-        kept_xyz.push(match fit.reading {
-            Reading::Inverted => -(rotation * witness.xyz[k]),
-            _ => witness.xyz[k],
-        });
-        kept_rotation.push(rotation);
-    }
-    (witness.t_s, witness.xyz, witness.rotation) = (kept_t, kept_xyz, kept_rotation);
-}
-
-/// Joint speeds that are no motion: five times the noise of the velocities, at least 0.2 mrad/s.
-///
-/// Noise by the median magnitude of second differences, which smooth motion hardly has.
-pub(super) fn still_speeds(joints: &JointTrack) -> Vec<f64> {
-    /// A median of more is no better.
-    const ENOUGH: usize = 20_000;
-    let stride = joints.len().div_ceil(ENOUGH).max(1);
-    let speed = |row: usize, joint: usize| joints.qd[row * joints.dof + joint];
-    (0..joints.dof)
-        .map(|j| {
-            let middles = (1..joints.len().saturating_sub(1)).step_by(stride);
-            let mut bends: Vec<f64> = middles
-                .map(|k| (speed(k - 1, j) - 2.0 * speed(k, j) + speed(k + 1, j)).abs())
-                .collect();
-            if bends.is_empty() {
-                return f64::INFINITY;
-            }
-            let middle = bends.len() / 2;
-            let median = *bends.select_nth_unstable_by(middle, f64::total_cmp).1;
-            (5.0 * 1.4826 * median / 6f64.sqrt()).max(2e-4)
-        })
-        .collect()
 }
 
 /// The fit of all streams together.
@@ -743,16 +467,18 @@ fn frame_twins(fitted: &Fitted, cause: Cause) -> Vec<Twin> {
 
 /// The size of a frame change: its angle in rad, or where it does not turn its length in m.
 fn frame_amount(twist: &[f64]) -> f64 {
-    let length = Vec3::new(twist[0], twist[1], twist[2]).norm();
-    let angle = Vec3::new(twist[3], twist[4], twist[5]).norm();
+    let norm = |part: &[f64]| part.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let (length, angle) = (norm(&twist[..3]), norm(&twist[3..]));
     if angle > 1e-5 { angle } else { length }
 }
 
-fn no_diagnosis(scale: &Seen<f64>, why: Unseen) -> PoseDiagnosis {
+fn no_diagnosis(why: Unseen) -> PoseDiagnosis {
     let rests = || Unseen::RestsOn("the reading of the rotations");
     PoseDiagnosis {
+        length: Err(why.clone()),
+        axes: Err(why.clone()),
         reading: Err(why),
-        millimetres: millimetres(scale, None),
+        constant: Vec::new(),
         degrees: None,
         latency_s: Err(rests()),
         skew: Err(rests()),
@@ -770,22 +496,55 @@ fn no_diagnosis(scale: &Seen<f64>, why: Unseen) -> PoseDiagnosis {
     }
 }
 
-fn millimetres(scale: &Seen<f64>, residual: Option<&Residual>) -> Seen<Option<UnitSlip>> {
-    match scale {
-        Ok(scale) if *scale != 1.0 => {
-            let corrected = residual.map_or(0.0, |residual| residual.rms_m);
-            let as_logged = residual.map_or(0.0, |residual| residual.before_m);
-            Ok(Some(UnitSlip { as_logged, corrected }))
-        }
-        Ok(_) => Ok(None),
-        Err(why) => Err(why.clone()),
+/// The unit that positions turned out to be in, where it is another one than they were read as.
+fn length_slip(
+    stream: &PoseStream,
+    placement: &Placement,
+    prepared: &Prepared,
+    residual: &Seen<Residual>,
+) -> Seen<Option<LengthSlip>> {
+    placement.metres.as_ref().map_err(Unseen::clone)?;
+    if prepared.metres == 1.0 {
+        return Ok(None);
     }
+    let declared = stream.track.declared.as_ref();
+    let read_as = match declared.is_some_and(|declared| declared.millimetres) {
+        true => LengthScale::MILLIMETRE,
+        false => LengthScale::METRE,
+    };
+    let is = LengthScale::of(prepared.metres * read_as.in_m());
+    let residual = residual.as_ref().ok();
+    let corrected = residual.map_or(0.0, |residual| residual.rms_m);
+    let as_logged = residual.map_or(0.0, |residual| residual.before_m);
+    Ok(Some(LengthSlip { is, read_as, residual: UnitSlip { as_logged, corrected } }))
+}
+
+/// The coordinates that never change, with what FK does to them.
+fn constant_parts(
+    stream: &PoseStream,
+    prepared: &Prepared,
+    aligned: &Aligned,
+) -> Vec<ConstantPart> {
+    let axes = prepared.axes.unwrap_or(AxesSlip::NONE).positions;
+    let coordinates = ['x', 'y', 'z'].into_iter().enumerate();
+    let constant = coordinates.filter(|&(axis, _)| prepared.constant[axis]);
+    let part = |(axis, coordinate): (usize, char)| {
+        let along = aligned.fk.iter().map(|fk| axes.of(fk.translation.vector)[axis]);
+        let (low, high) = along
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high): (f64, f64), value| {
+                (value.min(low), value.max(high))
+            });
+        let all = stream.track.xyz.iter().map(|xyz| xyz[axis]);
+        let value = all.sum::<f64>() / stream.track.xyz.len().max(1) as f64;
+        ConstantPart { coordinate, value, moved_m: (high - low).max(0.0) }
+    };
+    constant.map(part).collect()
 }
 
 fn stream_diagnosis(
     recorded: &JointTrack,
     stream: &PoseStream,
-    scale: &Seen<f64>,
+    placement: &Placement,
     prepared: &Prepared,
     fitted: &Fitted,
     index: usize,
@@ -840,13 +599,15 @@ fn stream_diagnosis(
     let t_s = &prepared.witness.t_s;
     let span_s = (t_s[t_s.len() - 1] - t_s[0]).max(f64::MIN_POSITIVE);
     let mut reading = prepared.reading.clone();
-    if let Ok(residual) = &residual {
+    if let (Ok(reading), Ok(residual)) = (&mut reading, &residual) {
         // Latency, offsets and frames have been taken off since the readings were compared.
         reading.best_rad = reading.best_rad.min(residual.rms_rad);
     }
     PoseDiagnosis {
-        reading: Ok(reading),
-        millimetres: millimetres(scale, residual.as_ref().ok()),
+        reading,
+        length: length_slip(stream, placement, prepared, &residual),
+        axes: Ok(prepared.axes),
+        constant: constant_parts(stream, prepared, &aligned),
         degrees: prepared.degrees,
         latency_s,
         skew: one(Cause::Skew(index)).map(|skew| Measured {
@@ -946,6 +707,7 @@ fn align(
         t_s: witness.t_s.clone(),
         xyz: Vec::new(),
         rotation: Vec::new(),
+        blind: witness.blind,
         middle_s: witness.middle_s,
     };
     let zero = vec![0.0; recorded.dof];
@@ -968,9 +730,14 @@ fn align(
         }
         let rotation = match &stream.track.orientation {
             Orientations::Rotations(rotations) => rotations[source],
-            Orientations::Numbers(_) => witness.rotation[k],
+            Orientations::Numbers(_) | Orientations::Unset(_) => witness.rotation[k],
         };
-        let read = pose(witness.xyz[k].into(), witness.rotation[k]);
+        let mut read = pose(witness.xyz[k].into(), witness.rotation[k]);
+        if witness.blind != Blind::default() {
+            let mut in_base = truth * found.tool;
+            in_base.translation.vector *= 1.0 + found.growth;
+            witness.blind.fill(&mut read, &(found.reference * in_base));
+        }
         let mut in_base = found.reference.inverse() * read;
         in_base.translation.vector /= 1.0 + found.growth;
         aligned.t_s.push(witness.t_s[k]);
