@@ -29,6 +29,8 @@ impl Sift {
         let publishers = publishers(&series);
         for series in &mut series {
             publishers::hide(&publishers, series.stream, series.piece, &mut series.rows);
+            // What is sent again with its stamp is the same row.
+            series.rows.dedup_by_key(|(stamp, _)| *stamp);
         }
         let held = held(&series);
         let joints = series.iter().filter(|series| {
