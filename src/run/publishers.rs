@@ -129,7 +129,7 @@ fn is_one(t_s: &[f64]) -> bool {
         });
     let few = |left: usize| (left as f64) < NEARLY * t_s.len() as f64;
     few(t_s.len() - distinct.len())
-        && periods(&distinct).into_iter().take(3).any(|period_s| {
+        && periods(&distinct).into_iter().any(|period_s| {
             let train =
                 best_train(&distinct, &vec![false; distinct.len()], period_s, &|_, _, _| 0.0);
             few(distinct.len() - train.len())
@@ -143,6 +143,10 @@ fn periods(t_s: &[f64]) -> Vec<f64> {
     /// Intervals within this share are one.
     const ALIKE: f64 = 0.03;
     const KEPT: usize = 14;
+    /// Of those that come most often so many may be one that is stamped unevenly, where they are apart by
+    /// less than this.
+    const COPIED: usize = 8;
+    const ONE_APART: f64 = 1.8;
     let mut all: Vec<f64> = (1..=AHEAD)
         .flat_map(|ahead| t_s.iter().zip(t_s.iter().skip(ahead)).map(|(a, b)| b - a))
         .filter(|dt| *dt > 1e-6)
@@ -156,7 +160,13 @@ fn periods(t_s: &[f64]) -> Vec<f64> {
         at = end;
     }
     bins.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.total_cmp(&b.1)));
-    bins.into_iter().take(KEPT).map(|(_, period_s)| period_s).collect()
+    let often: Vec<f64> = bins.into_iter().take(KEPT).map(|(_, period_s)| period_s).collect();
+    // A stamp that is copied from joint states is one of theirs before it is due or after it.
+    let mut sorted: Vec<f64> = often.iter().copied().take(COPIED).collect();
+    sorted.sort_by(f64::total_cmp);
+    let between = sorted.windows(2).filter(|pair| pair[1] < ONE_APART * pair[0]);
+    let between: Vec<f64> = between.map(|pair| 0.5 * (pair[0] + pair[1])).collect();
+    often.into_iter().chain(between).collect()
 }
 
 /// The rows that are not `used` and come every `period_s`, from the start that finds most of them.
@@ -219,7 +229,7 @@ fn split(t_s: &[f64], off: Off<'_>) -> Option<Split> {
         let mut used = vec![false; t_s.len()];
         train.iter().for_each(|&row| used[row] = true);
         let rest: Vec<f64> = (0..t_s.len()).filter(|&row| !used[row]).map(|row| t_s[row]).collect();
-        let second = periods(&rest).into_iter().take(3);
+        let second = periods(&rest).into_iter();
         let splits = second.filter_map(|second_s| split_by(t_s, [period_s, second_s], off));
         splits.max_by_key(Split::explained)
     });
@@ -400,6 +410,22 @@ mod tests {
                 assert!((apart_m - off_m).abs() < 1e-4, "{case}");
             }
         }
+    }
+
+    #[test]
+    fn stamps_that_are_copied_from_joint_states_are_told_apart() {
+        let copied = |by: &[(f64, f64, f64)]| {
+            let mut poses = sent(by);
+            for (row, nanos) in poses.times.header.iter_mut().enumerate() {
+                *nanos = 1 + (*nanos + 8 * MS - 2).div_euclid(8 * MS) * 8 * MS;
+                poses.times.log[row] = *nanos + MS;
+            }
+            poses
+        };
+        let found = |by: &[(f64, f64, f64)]| found(&copied(by));
+        assert_eq!(found(&[(20.0, 0.0, 0.0)]), None);
+        let two = found(&[(20.0, 0.0, 0.0), (33.333, 0.0, 0.005)]).expect("two publishers");
+        assert!(two.apart.is_some_and(|apart| (apart.length_m - 0.005).abs() < 1e-3), "{two:?}");
     }
 
     #[test]
