@@ -225,34 +225,37 @@ struct Split {
 /// The two rhythms that explain nearly all rows and nearly all of whose ticks have one.
 fn split(t_s: &[f64], off: Off<'_>) -> Option<Split> {
     let tried = periods(t_s).into_iter().filter_map(|period_s| {
-        let train = best_train(t_s, &vec![false; t_s.len()], period_s, off);
-        let mut used = vec![false; t_s.len()];
-        train.iter().for_each(|&row| used[row] = true);
+        let (first, used) = kept_train(t_s, &vec![false; t_s.len()], period_s, off)?;
         let rest: Vec<f64> = (0..t_s.len()).filter(|&row| !used[row]).map(|row| t_s[row]).collect();
-        let second = periods(&rest).into_iter();
-        let splits = second.filter_map(|second_s| split_by(t_s, [period_s, second_s], off));
+        let splits = periods(&rest).into_iter().filter_map(|second_s| {
+            let second = kept_train(t_s, &used, second_s, off)?.0;
+            Split::of(t_s, [period_s, second_s], [first.clone(), second])
+        });
         splits.max_by_key(Split::explained)
     });
     tried.max_by_key(Split::explained)
 }
 
 fn split_by(t_s: &[f64], periods_s: [f64; 2], off: Off<'_>) -> Option<Split> {
-    let mut used = vec![false; t_s.len()];
-    let [first, second] = periods_s.map(|period_s| {
-        let train = best_train(t_s, &used, period_s, off);
-        train.iter().for_each(|&row| used[row] = true);
-        train
-    });
-    let is_kept = |rows: &[usize], period_s: f64| {
-        let ticks = (t_s[t_s.len() - 1] - t_s[0]) / period_s;
-        rows.len() >= FEWEST && rows.len() as f64 > KEPT * ticks
-    };
-    let left = t_s.len() - first.len() - second.len();
-    let is_split = (left as f64) < NEARLY * t_s.len() as f64
-        && is_kept(&first, periods_s[0])
-        && is_kept(&second, periods_s[1]);
-    let split = Split { periods_s, rows: [first, second] };
-    is_split.then(|| split.ordered())
+    let (first, used) = kept_train(t_s, &vec![false; t_s.len()], periods_s[0], off)?;
+    let second = kept_train(t_s, &used, periods_s[1], off)?.0;
+    Split::of(t_s, periods_s, [first, second])
+}
+
+/// The rows that come every `period_s`, and those with what was used before; `None` where too many of
+/// its ticks have none.
+fn kept_train(
+    t_s: &[f64],
+    used: &[bool],
+    period_s: f64,
+    off: Off<'_>,
+) -> Option<(Vec<usize>, Vec<bool>)> {
+    let train = best_train(t_s, used, period_s, off);
+    let ticks = (t_s.last()? - t_s.first()?) / period_s;
+    let is_kept = train.len() >= FEWEST && train.len() as f64 > KEPT * ticks;
+    let mut used = used.to_vec();
+    train.iter().for_each(|&row| used[row] = true);
+    is_kept.then_some((train, used))
 }
 
 impl Split {
@@ -260,12 +263,15 @@ impl Split {
         self.rows[0].len() + self.rows[1].len()
     }
 
-    fn ordered(mut self) -> Self {
-        if self.rows[0].len() < self.rows[1].len() {
-            self.rows.reverse();
-            self.periods_s.reverse();
+    /// `None` where they leave too many rows.
+    fn of(t_s: &[f64], periods_s: [f64; 2], rows: [Vec<usize>; 2]) -> Option<Self> {
+        let mut split = Self { periods_s, rows };
+        if split.rows[0].len() < split.rows[1].len() {
+            split.rows.reverse();
+            split.periods_s.reverse();
         }
-        self
+        let left = t_s.len() - split.explained();
+        ((left as f64) < NEARLY * t_s.len() as f64).then_some(split)
     }
 }
 
