@@ -11,7 +11,9 @@ use crate::finding::{Span, Subject, Unit};
 use crate::geometry::{Convention, Rotation};
 use crate::log::{self, Loss};
 use crate::robot::{DhConvention, Limits};
-use crate::run::{Cadence, CameraAxes, Extent, Flaw, Frozen, Norms, Strays, StreamClock, Witness};
+use crate::run::{
+    Cadence, CameraAxes, Extent, Flaw, Frozen, Held, Norms, Strays, StreamClock, Witness,
+};
 use crate::time::Stamp;
 
 /// All that is known of one run.
@@ -35,6 +37,8 @@ pub struct Facts {
     pub strays: Vec<StrayFacts>,
     /// Every stream of tool poses that the arm can be held against, by when it stood still.
     pub frozen: Vec<FrozenFacts>,
+    /// What repeats values with new stamps.
+    pub held: Vec<HeldFacts>,
     /// Topics that would play a role, and hold no message, or none with finite numbers.
     pub empty: Vec<EmptyFacts>,
     /// Topics that the caller expects and the log does not have, with where that is said.
@@ -217,6 +221,8 @@ pub struct JointMotion {
     pub speeds: Option<Excess>,
     /// How abruptly it changes its speed; `None` where its samples do not tell.
     pub abruptness: Option<Abruptness>,
+    /// Whether it turns without end, by the model or as the log shows.
+    pub is_endless: bool,
 }
 
 /// One stream of poses.
@@ -537,6 +543,21 @@ pub struct FrozenFacts {
     pub span: Option<Span>,
     /// The times, in order.
     pub times: Vec<Frozen>,
+}
+
+/// What a stream repeats with new stamps while the arm moves.
+#[derive(Clone, Debug)]
+pub struct HeldFacts {
+    /// The stream.
+    pub subject: Subject,
+    /// First and last stamp used.
+    pub span: Option<Span>,
+    /// Of each of its transforms, or of all of it, where anything is repeated.
+    pub parts: Vec<Held>,
+    /// Whether its name says that it repeats on purpose.
+    pub is_latched: bool,
+    /// Whether it is computed from joint states that repeat, and has their stamps.
+    pub is_of_joints: bool,
 }
 
 /// A topic that could not be decoded.

@@ -29,9 +29,9 @@ use crate::finding::{
 pub use decision::{Decision, Figure, FrameFigures, decide, decide_both, decide_frame};
 pub use facts::{
     ArmFacts, Declared, DhFacts, Due, EmptyFacts, EulerFacts, Facts, FrameFacts, FrozenFacts,
-    HandEyeFacts, ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts, ReferenceFacts,
-    ReferenceWitness, RhythmFacts, ShakeFacts, StampFacts, StrayFacts, UndecodableTopic,
-    WitnessKind,
+    HandEyeFacts, HeldFacts, ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts,
+    ReferenceFacts, ReferenceWitness, RhythmFacts, ShakeFacts, StampFacts, StrayFacts,
+    UndecodableTopic, WitnessKind,
 };
 pub use figures::{Figures, Limit};
 pub use merge::{Part as EvaluatedPart, merged};
@@ -105,6 +105,7 @@ registry! {
     tim005::TIM005,
     tim006::TIM006,
     tim007::TIM007,
+    tim008::TIM008,
     yaw001::YAW001,
     yaw002::YAW002,
     yaw003::YAW003,

@@ -30,6 +30,7 @@ mod reread;
 mod residual;
 mod rival;
 mod shake;
+mod steps;
 mod trend;
 mod workspace;
 
@@ -60,6 +61,7 @@ pub use reference::{
 pub use reread::{Meant, reread_imu, reread_poses};
 pub use rival::position_misfit_m;
 pub use shake::{NoShake, Shake, shake};
+pub use steps::{LatencySteps, imu_steps, pose_steps};
 pub use trend::{LEAST_RUNS, Step, Told, Trend, trend};
 pub use workspace::{
     APART_RAD, CELL_M, JOINT_APART, JointSpan, Place, ReachedPose, Workspace, centre_m, reach_m,
