@@ -164,7 +164,7 @@ pub(super) fn stream_lag_s(joints: &JointTrack, stream: &PoseStream, most_lag_s:
 /// where the caller declared metres to be millimetres.
 ///
 /// Extent of motion against the arm's tells, or at rest the distance from a known base.
-fn position_scale(joints: &JointTrack, stream: &PoseStream) -> Seen<f64> {
+pub(super) fn position_scale(joints: &JointTrack, stream: &PoseStream) -> Seen<f64> {
     let reach = stream.chain.max_reach_m();
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
     let track = stream.track;

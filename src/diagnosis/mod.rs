@@ -17,6 +17,7 @@ mod latency;
 mod linear;
 mod measured;
 mod model;
+mod model_fit;
 mod motion;
 mod noise;
 mod nominal;
@@ -48,6 +49,7 @@ pub use imu::{diagnose_imu, turning_by_latency};
 pub use lag::{LatencyResidual, residual_by_latency};
 pub use latency::Peak;
 pub use measured::{Length, Measured};
+pub use model_fit::{ModelFit, Needs, Priced, Way, model_fit};
 pub use motion::{Abruptness, Excess, Series, abruptness, beyond_positions, beyond_speed};
 pub use observability::{BlindDirection, Observability, Parameter};
 pub use reference::{

@@ -69,7 +69,7 @@ impl Expected {
 
     /// The reference frame and tool offset that best take FK to `xyz`, by turns: the frame by
     /// Kabsch's method (1976), the tool by averaging. `None` where the positions lie on a line.
-    fn turned(&self, xyz: &[Vec3]) -> Option<Pose> {
+    pub fn turned(&self, xyz: &[Vec3]) -> Option<Pose> {
         let mut tool = Vec3::zeros();
         let mut reference = Pose::identity();
         for _ in 0..30 {

@@ -1,23 +1,25 @@
 //! From a decoded log to a run.
 
+mod contest;
 mod references;
 
 use std::collections::BTreeSet;
 
 use crate::geometry::{Pose, Vec3, pose, rotation_from_xyzw};
 use crate::log::Log;
-use crate::robot::{JointKind, LinkId, Robot};
+use crate::robot::{Chain, JointKind, LinkId, Robot};
 use crate::stream::{Columns, PoseColumns, PoseTrack};
 use crate::time::Stamp;
 
 use super::arm::{Anchor, Arm, Ends, ImuSource, NoTf, PoseSource};
 use super::cadence::rhythms;
+use super::catalogued::Judges;
 use super::declaration::Declaration;
 use super::error::RunError;
 use super::excerpts::Excerpts;
 use super::flaws::flaws;
 use super::frozen::{Frozen, take_frozen};
-use super::joints::{JointTopic, merge};
+use super::joints::JointTopic;
 use super::models::{self, Clues, FrameNames, Given, GivenCalibration};
 use super::norms::norms;
 use super::poses::{self, Stamped};
@@ -274,11 +276,17 @@ impl Assembly<'_> {
             descriptions: said.descriptions,
             calibrations: said.logged_calibrations,
         };
-        let mut models = models::models(said.given, &clues, |robot, frames| {
-            let by_poses = || self.radial_misfit_m(robot, frames, &topics);
-            misfit_m(&self.tf, robot, frames).or_else(by_poses)
-        })?;
+        let judges = Judges {
+            by_transforms: &|model| misfit_m(&self.tf, &model.robot, &model.frames),
+            by_poses: &|models| self.contest(models, &topics),
+        };
+        let mut models = models::models(said.given, &clues, &judges)?;
         models::calibrate(&mut models, &said.calibrations, &clues)?;
+        for model in &mut models {
+            if let Some(rival) = self.rival(model, &clues, &topics) {
+                *model = rival;
+            }
+        }
         let ends = Ends { base: self.options.base.as_deref(), tip: self.options.tip.as_deref() };
         let mut refusal = None;
         for model in &models {
@@ -310,39 +318,6 @@ impl Assembly<'_> {
             }
         }
         Ok(())
-    }
-
-    /// How far the tool poses of a driver's topic are from where `robot` puts them, in distance from
-    /// the frame that they are in: the median, m. Distance is the same however that frame is turned.
-    fn radial_misfit_m(
-        &self,
-        robot: &Robot,
-        frames: &FrameNames,
-        topics: &[JointTopic<'_>],
-    ) -> Option<f64> {
-        let link = |name: &Option<String>| robot.link(name.as_deref()?);
-        let tip = link(&robot.controller_tip)?;
-        let (index, poses) = self.streams.iter().enumerate().find_map(|(index, stream)| {
-            let Some(Columns::Poses(poses)) = &stream.columns else { return None };
-            (self.role_of(stream, None, false).0 == Role::Pose).then_some((index, poses.first()?))
-        })?;
-        let frame = frames.link_of(robot, without_slash(&poses.frame_id));
-        let chain = robot.chain(frame.or(link(&robot.controller_base))?, tip).ok()?;
-        let joints = merge(topics, chain.joint_names(), self.origin)?.track;
-        let (mut cursor, mut q, mut qd) = (0, vec![0.0; chain.dof()], vec![0.0; chain.dof()]);
-        let mut rows = self.timing.seen_rows(&self.streams, index, 0, 0.0);
-        poses::thinned(&mut rows);
-        let mut gaps_m: Vec<f64> = rows
-            .iter()
-            .filter_map(|&(stamp, row)| {
-                let t_s = stamp.seconds_since(self.origin);
-                let known = joints.at(t_s, &mut cursor, &mut q, &mut qd);
-                let logged_m = Vec3::from(poses.xyz[row]).norm();
-                known.then(|| (logged_m - chain.forward(&q).translation.vector.norm()).abs())
-            })
-            .collect();
-        gaps_m.sort_by(f64::total_cmp);
-        gaps_m.get(gaps_m.len() / 2).copied()
     }
 
     /// Gives arms of equal names their tip's name too.
@@ -401,10 +376,11 @@ impl Assembly<'_> {
         });
         let piece = self.piece_of(stream, path.edges().find(|edge| edge.kind == EdgeKind::Dynamic));
         let Stamped { track, stamps } = poses::from_samples(samples, self.origin);
+        let (chain, columns) = self.publishers_chain(arm);
         let source = PoseSource {
             stream,
-            chain: arm.chain.clone(),
-            columns: arm.columns.clone(),
+            chain,
+            columns,
             track,
             reference_known: true,
             stamps_copied: poses::are_copies(&stamps, &arm.joint_stamps),
@@ -412,6 +388,19 @@ impl Assembly<'_> {
             tip_named: arm.tip_named,
         };
         Ok((source, from_model.collect()))
+    }
+
+    /// The chain that the transforms are of: where another model was named, and their lengths are that
+    /// one's, its publisher has it, too.
+    fn publishers_chain(&self, arm: &Arm) -> (Chain, Vec<usize>) {
+        let own = || (arm.chain.clone(), arm.columns.clone());
+        let Some(wrong) = &arm.instead_of else { return own() };
+        let misfit_m = |robot: &Robot| misfit_m(&self.tf, robot, &arm.frames);
+        if misfit_m(&wrong.named) >= misfit_m(&arm.robot) {
+            return own();
+        }
+        let named = arm.with_robot(wrong.named.clone());
+        named.map_or_else(own, |named| (named.chain, named.columns))
     }
 
     /// Which transform of a TF stream an edge is.

@@ -11,6 +11,7 @@
 mod arm;
 mod assemble;
 mod cadence;
+mod catalogued;
 mod clock;
 mod declaration;
 mod error;
@@ -35,7 +36,7 @@ mod witness;
 
 use crate::time::{Clock, Stamp};
 
-pub use arm::{Arm, ImuSource, JointMending, NoTf, PoseSource};
+pub use arm::{Arm, ImuSource, JointMending, NoTf, PoseSource, WrongModel};
 pub use assemble::{ReferenceContent, ReferenceSource};
 pub use cadence::{Cadence, Extent, Hole, Rhythm, Stretch};
 pub use clock::{Alignment, Epoch, HeaderStamps, StreamClock};
