@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use crate::candidates::settle_candidates;
 use crate::checks::{
     ArmFacts, Declared, DhFacts, Due, EmptyFacts, EulerFacts, EvaluatedPart, Evaluation, Facts,
     FrameFacts, FrozenFacts, ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts, RhythmFacts,
@@ -214,21 +215,6 @@ pub(crate) fn imu_stream(source: &ImuSource) -> ImuStream<'_> {
         columns: &source.columns,
         link_from_imu: source.link_from_imu,
         stamp_error_s: source.stamp_error_s,
-    }
-}
-
-/// Settles which candidates are tool poses, by whether they follow the arm.
-pub(crate) fn settle_candidates(run: &mut Run, most_lag_s: f64) {
-    let candidates: Vec<usize> = run.candidates().collect();
-    for candidate in candidates {
-        let source = run
-            .arms
-            .iter()
-            .flat_map(|arm| arm.poses.iter().map(move |source| (arm, source)))
-            .find(|(_, source)| source.stream == candidate);
-        let peak = source
-            .and_then(|(arm, source)| follows(&arm.joints, &pose_stream(run, source), most_lag_s));
-        run.settle(candidate, peak.map(|peak| peak.correlation));
     }
 }
 

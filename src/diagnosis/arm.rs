@@ -3,6 +3,7 @@
 use super::course::latency_course;
 use super::explain::{Approach, Cause, ENTANGLED, Explanation, Menu, best, explain};
 use super::frames::{frame_estimate, starts};
+use super::harmless::tools_first;
 use super::joints::{corrected, lies_on_arm, read_joints};
 use super::latency::{Peak, arm_speeds, median_period_s, pose_peaks, top};
 use super::model::{State, StreamState, Sweep, Witness};
@@ -482,6 +483,7 @@ fn fit(prepared: &[&Prepared], dof: usize, with_offsets: bool) -> Option<Fitted>
         streams: alone.into_iter().flat_map(|state| state.streams).collect(),
     };
     let explanation = explain(&witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
+    let explanation = tools_first(&witnesses, explanation, &menu, FIT_SAMPLES);
     let plain: Vec<StreamState> =
         (0..witnesses.len()).map(|s| without_small_causes(&explanation, s)).collect();
     let nominal = with_offsets

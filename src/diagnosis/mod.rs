@@ -10,6 +10,7 @@ mod dh;
 mod explain;
 mod frames;
 mod handeye;
+mod harmless;
 mod imu;
 mod joints;
 mod lag;
