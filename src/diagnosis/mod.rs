@@ -24,6 +24,7 @@ mod noise;
 mod nominal;
 mod observability;
 mod placing;
+mod prepare;
 mod reading;
 mod reference;
 mod reread;

@@ -6,7 +6,7 @@
 //! slow samples; what it leaves is compared between arms, not judged.
 
 use super::PoseStream;
-use super::arm::{position_scale, slow_samples};
+use super::prepare::{position_scale, slow_samples};
 use super::latency::{joint_activity, linear_speed, peaks};
 use super::model::pose_of_twist;
 use super::placing::Expected;

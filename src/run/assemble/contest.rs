@@ -3,12 +3,13 @@
 
 use std::collections::BTreeSet;
 
-use super::{Assembly, JointTopic};
+use super::Assembly;
 use crate::diagnosis::{ModelFit, Needs, PoseStream, Priced, model_fit};
 use crate::finding::Unit;
 use crate::robot::catalogue;
 use crate::run::arm::{Arm, Ends, WrongModel};
 use crate::run::catalogued::{Contest, Standing};
+use crate::run::joints::JointTopic;
 use crate::run::models::{Clues, Model};
 use crate::run::role::Role;
 use crate::run::skeleton;
