@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use crate::candidates::settle_candidates;
 use crate::checks::{
     ArmFacts, Declared, DhFacts, Due, EmptyFacts, EulerFacts, EvaluatedPart, Evaluation, Facts,
     FrameFacts, FrozenFacts, HeldFacts, ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts,
@@ -28,7 +29,7 @@ use crate::report::{
     Figures, FileRow, LogSummary, NoteRow, Report, RobotRow, StreamRow, Trouble, TroubleKind,
     tells_hand_eye,
 };
-use crate::robot::{Chain, JointKind, catalogue};
+use crate::robot::JointKind;
 use crate::run::{
     Arm, CalibrationSource, Coding, Declaration, Excerpts, HeaderStamps, ImuSource, JointSamples,
     PoseSource, RobotSource, Role, Run, RunOptions, Segment, Strays, Stream, TopicSettings,
@@ -214,21 +215,6 @@ pub(crate) fn imu_stream(source: &ImuSource) -> ImuStream<'_> {
         columns: &source.columns,
         link_from_imu: source.link_from_imu,
         stamp_error_s: source.stamp_error_s,
-    }
-}
-
-/// Settles which candidates are tool poses, by whether they follow the arm.
-pub(crate) fn settle_candidates(run: &mut Run, most_lag_s: f64) {
-    let candidates: Vec<usize> = run.candidates().collect();
-    for candidate in candidates {
-        let source = run
-            .arms
-            .iter()
-            .flat_map(|arm| arm.poses.iter().map(move |source| (arm, source)))
-            .find(|(_, source)| source.stream == candidate);
-        let peak = source
-            .and_then(|(arm, source)| follows(&arm.joints, &pose_stream(run, source), most_lag_s));
-        run.settle(candidate, peak.map(|peak| peak.correlation));
     }
 }
 
@@ -784,7 +770,6 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         tip: source.chain.tip_name().to_owned(),
         tip_named: source.tip_named,
         witness: run.streams[source.stream].witness.unwrap_or(Witness::Unknown),
-        better_model: None,
         euler: None,
         independent: !source.stamps_copied,
         bare_numbers: matches!(source.track.orientation, Orientations::Numbers(_)),
@@ -833,7 +818,6 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         }
     }));
     let poses = arm.poses.iter().zip(&diagnosis.arm.streams).map(|(source, found)| PoseFacts {
-        better_model: better_model(run, arm, source, found),
         euler: euler(run, source, found, declared),
         ..pose_facts(source)
     });
@@ -844,6 +828,7 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         span: span_of(run, joints_stream).unwrap_or(whole),
         joints,
         reach_m: arm.chain.max_reach_m(),
+        wrong_model: arm.instead_of.clone(),
         dh: diagnosis.dh,
         diagnosis: diagnosis.arm,
         poses,
@@ -939,43 +924,6 @@ fn euler(
         convention,
         margins_rad: (0..array.times.len()).filter_map(margin).collect(),
     })
-}
-
-/// The arm of the catalogue with the same joints that fits a stream far better than its model does,
-/// and to how much, rms m. Nothing is looked for where the model leaves little.
-fn better_model(
-    run: &Run,
-    arm: &Arm,
-    source: &PoseSource,
-    found: &PoseDiagnosis,
-) -> Option<(String, f64)> {
-    /// What a model leaves that is the right one, or the drawing of it, m.
-    const LITTLE_M: f64 = 1e-3;
-    /// An arm fits that leaves less than this share of what the model leaves.
-    const SHARE: f64 = 0.1;
-    let left_m = found.residual.as_ref().ok()?.excess_m.value;
-    if left_m < LITTLE_M || found.nominal {
-        return None;
-    }
-    let scale = position_factor(found);
-    let latency_s = found.latency_s.as_ref().map_or(0.0, |latency| latency.value);
-    let stream = pose_stream(run, source);
-    let misfit_m = |chain: &Chain| {
-        position_misfit_m(&arm.joints, &PoseStream { chain, ..stream }, scale, latency_s)
-    };
-    let most_m = SHARE * misfit_m(&source.chain)?;
-    let candidates = catalogue::candidates_for(&arm.joint_names).into_iter();
-    let fits = candidates.filter(|candidate| candidate.names.is_complete()).filter_map(|other| {
-        let robot = other.renamed()?;
-        let [base, tip] = [source.chain.base_name(), source.chain.tip_name()];
-        let chain = robot.chain(robot.link(base)?, robot.link(tip)?).ok()?;
-        // What has other joints cannot take these positions.
-        let chain =
-            Some(chain).filter(|chain| chain.joint_names() == source.chain.joint_names())?;
-        let misfit_m = misfit_m(&chain).filter(|misfit_m| *misfit_m < most_m)?;
-        Some((robot.name, misfit_m))
-    });
-    fits.min_by(|(_, a), (_, b)| a.total_cmp(b))
 }
 
 /// A segment of a run, audited.

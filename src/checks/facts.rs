@@ -13,6 +13,7 @@ use crate::log::{self, Loss};
 use crate::robot::{DhConvention, Limits};
 use crate::run::{
     Cadence, CameraAxes, Extent, Flaw, Frozen, Held, Norms, Strays, StreamClock, Witness,
+    WrongModel,
 };
 use crate::time::Stamp;
 
@@ -102,6 +103,8 @@ pub struct ArmFacts {
     pub joints: Vec<JointFacts>,
     /// Distance of the tip from the base at full stretch, m.
     pub reach_m: f64,
+    /// The model that was named, where the log is of another arm, with which all else is judged.
+    pub wrong_model: Option<WrongModel>,
     /// What its DH table says of itself and what the streams say of that, where it is one.
     pub dh: Option<DhFacts>,
     /// What was estimated; its `streams` stand beside `poses`.
@@ -243,8 +246,6 @@ pub struct PoseFacts {
     pub tip_named: bool,
     /// Whose word the poses are.
     pub witness: Witness,
-    /// The arm of the catalogue that fits far better than this model, and to how much, rms m.
-    pub better_model: Option<(String, f64)>,
     /// Whether its stamps are its own, not copies of the joints'.
     pub independent: bool,
     /// Whether its rotations are bare numbers, which may be degrees.

@@ -86,6 +86,7 @@ pub fn clean_run() -> Facts {
         span: SPAN,
         joints: ["pan", "lift", "elbow"].map(joint).to_vec(),
         reach_m: 0.85,
+        wrong_model: None,
         dh: Some(DhFacts {
             declared: DhConvention::Standard,
             estimate: DhEstimate {
@@ -241,7 +242,6 @@ fn stream(topic: &str, independent: bool) -> PoseFacts {
         tip: "tool0".to_owned(),
         tip_named: true,
         witness: Witness::Unknown,
-        better_model: None,
         independent,
         bare_numbers: false,
         bare: false,

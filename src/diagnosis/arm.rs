@@ -3,6 +3,7 @@
 use super::course::latency_course;
 use super::explain::{Approach, Cause, ENTANGLED, Explanation, Menu, best, explain};
 use super::frames::{frame_estimate, starts};
+use super::harmless::tools_first;
 use super::joints::{
     Left, Read, corrected, half_turns, lies_on_arm, lone_zeros, other_reading, read_joints,
 };
@@ -297,6 +298,7 @@ fn fit(prepared: &[&Prepared], read: &Read, with_offsets: bool) -> Option<Fitted
         streams: alone.into_iter().flat_map(|state| state.streams).collect(),
     };
     let explanation = explain(&witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
+    let explanation = tools_first(&witnesses, explanation, &menu, FIT_SAMPLES);
     let plain: Vec<StreamState> =
         (0..witnesses.len()).map(|s| without_small_causes(&explanation, s)).collect();
     let nominal = with_offsets

@@ -404,8 +404,8 @@ pub(super) fn best(explanations: Vec<Explanation>) -> Option<Explanation> {
 }
 
 impl Explanation {
-    /// The noise of each stream and kind of residual at the state reached.
-    fn noise(&self) -> Vec<Noise> {
+    /// The noise of each stream and kind of residual (positions, rotations) at the state reached.
+    pub fn noise(&self) -> Vec<Noise> {
         let streams = self.linear.streams.iter();
         streams
             .flat_map(|stream| stream.weights_after(&vec![0.0; stream.width]))

@@ -118,6 +118,13 @@ pub(super) fn tool_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
     pose(mean(tools.iter().map(|tool| tool.translation.vector)).into(), mean_rotation(&turns))
 }
 
+/// The tool frame that alone best takes FK to a stream's poses; none of too few samples.
+pub(super) fn tool_start(witness: &Witness, state: &StreamState) -> Option<Pose> {
+    let plain = StreamState { tool: Pose::identity(), ..state.clone() };
+    let (fk, logged) = pairs(witness, &plain);
+    (fk.len() >= 3).then(|| tool_frame(&fk, &logged))
+}
+
 /// Reference and tool frame together (`A X = X B`; Park and Martin 1994).
 pub(super) fn both_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
     let n = fk.len();

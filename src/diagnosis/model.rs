@@ -139,7 +139,7 @@ pub(super) fn twist_of(pose: &Pose) -> [f64; 6] {
     [p.x, p.y, p.z, r.x, r.y, r.z]
 }
 
-fn pose_of_twist(twist: &[f64]) -> Pose {
+pub(super) fn pose_of_twist(twist: &[f64]) -> Pose {
     Pose::from_parts(
         Translation3::new(twist[0], twist[1], twist[2]),
         rotation_from_rotvec(Vec3::new(twist[3], twist[4], twist[5])),

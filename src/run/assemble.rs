@@ -1,6 +1,7 @@
 //! From a decoded log to a run.
 
 mod arms;
+mod contest;
 mod hands;
 mod references;
 mod tool_poses;

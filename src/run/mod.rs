@@ -11,6 +11,7 @@
 mod arm;
 mod assemble;
 mod cadence;
+mod catalogued;
 mod clock;
 mod declaration;
 mod error;
@@ -41,7 +42,7 @@ mod witness;
 
 use crate::time::{Clock, Stamp};
 
-pub use arm::{Arm, ImuSource, JointMending, NoTf, PoseSource};
+pub use arm::{Arm, ImuSource, JointMending, NoTf, PoseSource, WrongModel};
 pub use assemble::{ReferenceContent, ReferenceSource};
 pub use cadence::{Cadence, Extent, Hole, Rhythm, Stretch};
 pub use clock::{Alignment, Epoch, HeaderStamps, StreamClock};
@@ -217,11 +218,31 @@ impl Run {
         settled.role = if is_pose { Role::Pose } else { Role::Unassigned };
         settled.reason = format!("{}; {verdict}", settled.reason);
         if !is_pose {
-            (settled.arm, settled.reference, settled.link) = (None, None, None);
-            settled.witness = None;
-            for arm in &mut self.arms {
-                arm.poses.retain(|source| source.stream != stream);
-            }
+            self.release(stream);
+        }
+    }
+
+    /// Makes candidate `stream` a command: it does by `lead_s` before the arm what the arm then does.
+    pub fn settle_leader(&mut self, stream: usize, lead_s: f64) {
+        let Some(settled) = self.streams.get_mut(stream) else { return };
+        settled.role = Role::Reference;
+        settled.reason = format!(
+            "{}; it leads the arm: it was received {:.0} ms before the arm did the same, which no \
+             measurement of the arm can be (a hand tracker or a leader arm; or else the joint states are \
+             recorded late)",
+            settled.reason,
+            1e3 * lead_s
+        );
+        self.release(stream);
+    }
+
+    /// Takes `stream` from the arm that it might have been of.
+    fn release(&mut self, stream: usize) {
+        let released = &mut self.streams[stream];
+        (released.arm, released.reference, released.link) = (None, None, None);
+        released.witness = None;
+        for arm in &mut self.arms {
+            arm.poses.retain(|source| source.stream != stream);
         }
     }
 }
