@@ -9,7 +9,8 @@ use rayon::prelude::*;
 use crate::checks::{
     ArmFacts, Declared, DhFacts, Due, EmptyFacts, EulerFacts, EvaluatedPart, Evaluation, Facts,
     FrameFacts, FrozenFacts, ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts, RhythmFacts,
-    Settings, ShakeFacts, StampFacts, StrayFacts, UndecodableTopic, evaluate, merged,
+    Settings, ShakeFacts, StampFacts, StrayFacts, UnauditedFacts, UndecodableTopic, evaluate,
+    merged,
 };
 use crate::corrections::{Given, Mending};
 use crate::diagnosis::{
@@ -34,6 +35,7 @@ use crate::run::{
     PoseSource, RobotSource, Role, Run, RunOptions, Segment, Strays, Stream, TopicSettings,
     Velocities, Witness, segments,
 };
+use crate::settle::{retake_carried, settle};
 use crate::stream::{
     Columns, DeclaredUnits, ImuTrack, JointColumn, JointTrack, Orientations, PoseTrack,
 };
@@ -217,21 +219,6 @@ pub(crate) fn imu_stream(source: &ImuSource) -> ImuStream<'_> {
     }
 }
 
-/// Settles which candidates are tool poses, by whether they follow the arm.
-pub(crate) fn settle_candidates(run: &mut Run, most_lag_s: f64) {
-    let candidates: Vec<usize> = run.candidates().collect();
-    for candidate in candidates {
-        let source = run
-            .arms
-            .iter()
-            .flat_map(|arm| arm.poses.iter().map(move |source| (arm, source)))
-            .find(|(_, source)| source.stream == candidate);
-        let peak = source
-            .and_then(|(arm, source)| follows(&arm.joints, &pose_stream(run, source), most_lag_s));
-        run.settle(candidate, peak.map(|peak| peak.correlation));
-    }
-}
-
 /// What was estimated on one arm.
 struct Diagnosis {
     pub arm: ArmDiagnosis,
@@ -246,6 +233,10 @@ fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<Diagnosis> {
     let arms = 0..run.arms.len();
     arms.map(|index| {
         let found = diagnose_one(run, &run.arms[index], most_lag_s);
+        let found = match retake_carried(run, index, &found.arm) {
+            true => diagnose_one(run, &run.arms[index], most_lag_s),
+            false => found,
+        };
         let Some(dh) = &run.arms[index].robot.dh else { return found };
         let declared = dh.convention;
         let (estimate, other) = by_other_convention(run, &run.arms[index], &found.arm, most_lag_s);
@@ -494,6 +485,7 @@ fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read, options: &Options) -
         norms: norms(run),
         strays: strays(run),
         frozen: frozen(run),
+        unaudited: unaudited(run),
         empty: empty(run),
         missing: missing(run, &options.topics),
         figures: options.rules.figures.clone(),
@@ -644,6 +636,20 @@ fn frozen(run: &Run) -> Vec<FrozenFacts> {
         })
     };
     run.watched.iter().copied().filter_map(of).collect()
+}
+
+/// The streams that are audited or would be, each with why it is not, or not as what it says it is.
+fn unaudited(run: &Run) -> Vec<UnauditedFacts> {
+    let of = |(index, stream): (usize, &Stream)| {
+        let why: Vec<_> = run.unaudited.iter().filter(|found| found.stream == index).collect();
+        let is_asked = matches!(stream.role, Role::Joints | Role::Pose) || !why.is_empty();
+        is_asked.then(|| UnauditedFacts {
+            subject: subject_of(run, stream),
+            span: span_of(run, index),
+            why: why.into_iter().map(|found| found.why.clone()).collect(),
+        })
+    };
+    run.streams.iter().enumerate().filter_map(of).collect()
 }
 
 /// The topics that hold nothing and would be audited; of joint states and transforms only where no
@@ -1047,7 +1053,7 @@ impl Audited {
         if let Some(given) = given {
             given.apply(&mut run, options.max_latency_s)?;
         }
-        settle_candidates(&mut run, options.max_latency_s);
+        settle(&mut run, options.max_latency_s);
         settle_hands(&mut run, options.max_latency_s);
         let diagnoses = diagnose(&mut run, options.max_latency_s);
         let joints = |arm: usize| readable_joints(&run.arms[arm], &diagnoses[arm].arm);

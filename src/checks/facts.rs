@@ -11,7 +11,9 @@ use crate::finding::{Span, Subject, Unit};
 use crate::geometry::{Convention, Rotation};
 use crate::log::{self, Loss};
 use crate::robot::{DhConvention, Limits};
-use crate::run::{Cadence, CameraAxes, Extent, Flaw, Frozen, Norms, Strays, StreamClock, Witness};
+use crate::run::{
+    Cadence, CameraAxes, Extent, Flaw, Frozen, Norms, Strays, StreamClock, WhyNot, Witness,
+};
 use crate::time::Stamp;
 
 /// All that is known of one run.
@@ -35,6 +37,9 @@ pub struct Facts {
     pub strays: Vec<StrayFacts>,
     /// Every stream of tool poses that the arm can be held against, by when it stood still.
     pub frozen: Vec<FrozenFacts>,
+    /// Every stream of joint states or tool poses, and every other that says it is one, with why it is not
+    /// audited as that.
+    pub unaudited: Vec<UnauditedFacts>,
     /// Topics that would play a role, and hold no message, or none with finite numbers.
     pub empty: Vec<EmptyFacts>,
     /// Topics that the caller expects and the log does not have, with where that is said.
@@ -83,6 +88,17 @@ impl Facts {
             .iter()
             .flat_map(|arm| arm.imus.iter().map(move |(imu, found)| (arm, imu, found)))
     }
+}
+
+/// A stream that is audited or should be.
+#[derive(Clone, Debug)]
+pub struct UnauditedFacts {
+    /// The stream.
+    pub subject: Subject,
+    /// Its first and last stamp.
+    pub span: Option<Span>,
+    /// Why it is not audited as what it says it is; nothing where it is.
+    pub why: Vec<WhyNot>,
 }
 
 /// One robot and its streams.

@@ -5,6 +5,7 @@
 //! these numbers into verdicts and words.
 
 mod arm;
+mod carried;
 mod course;
 mod dh;
 mod explain;
@@ -38,6 +39,7 @@ use crate::robot::Chain;
 use crate::stream::{ImuTrack, PoseTrack};
 
 pub use arm::{diagnose_arm, diagnose_derived, follows};
+pub use carried::{BaseTravel, CarrierLag, base_travel, carrier_lag};
 pub use course::{LatencyCourse, LatencyJump};
 pub use dh::{DhEstimate, DhStream, DhTold, Left, faults};
 pub use handeye::{
@@ -55,7 +57,7 @@ pub use reference::{
     diagnose_reference, unnamed_order,
 };
 pub use reread::{reread_imu, reread_poses};
-pub use rival::position_misfit_m;
+pub use rival::{is_seen_from_tool, position_misfit_m};
 pub use shake::{NoShake, Shake, shake};
 pub use trend::{LEAST_RUNS, Step, Told, Trend, trend};
 pub use workspace::{

@@ -1,10 +1,13 @@
 //! From a decoded log to a run.
 
 mod arms;
+mod groups;
 mod hands;
 mod references;
 mod tool_poses;
 mod transforms;
+
+use std::sync::Arc;
 
 use crate::log::Log;
 use crate::stream::Columns;
@@ -12,6 +15,7 @@ use crate::time::Stamp;
 
 use super::arm::Arm;
 use super::cadence::rhythms;
+use super::contest::Contest;
 use super::declaration::Declaration;
 use super::error::RunError;
 use super::excerpts::Excerpts;
@@ -20,10 +24,12 @@ use super::frozen::Frozen;
 use super::models;
 use super::norms::norms;
 use super::role::Role;
+use super::space::Space;
 use super::strays::strays;
 use super::streams::{Stream, Timing, split};
 use super::tf_tree::TfTree;
 use super::topics;
+use super::unaudited::Unaudited;
 use super::{Run, RunOptions};
 
 use arms::{Said, joint_topics};
@@ -58,7 +64,7 @@ impl Run {
         timing.strays = strays(&streams, &timing);
         timing.excerpts = Excerpts::of(&streams, &timing);
         let origin = origin(&streams);
-        let tf = tf_tree(&streams, &timing);
+        let tf = Arc::new(tf_tree(&streams, &timing, &Space::default()));
         let (attached, logged_calibrations): (Vec<_>, Vec<_>) =
             log.descriptions.into_iter().partition(|found| found.text.starts_with('<'));
         let descriptions = descriptions(&streams, attached);
@@ -71,6 +77,9 @@ impl Run {
             origin,
             tf,
             arms: Vec::new(),
+            strangers: Vec::new(),
+            unaudited: Vec::new(),
+            contests: Vec::new(),
             frozen: Vec::new(),
             watched: Vec::new(),
         };
@@ -80,7 +89,7 @@ impl Run {
             descriptions: &descriptions,
             logged_calibrations: &logged_calibrations,
         };
-        let no_arm = match assembly.find_arms(said) {
+        let no_arm = match assembly.find_arms(&said) {
             Ok(()) => None,
             Err(error) if error.is_of_the_call() => return Err(error),
             Err(error) => Some(error),
@@ -93,7 +102,8 @@ impl Run {
         }
         assembly.name_joints();
         let (targets, references) = (assembly.targets(), assembly.references());
-        let Assembly { streams, timing, tf, arms, frozen, watched, .. } = assembly;
+        let Assembly { streams, timing, tf, arms, unaudited, contests, frozen, watched, .. } =
+            assembly;
         let span = span(streams.iter().filter(|stream| stream.rate_hz.is_some()));
         let rhythms = rhythms(&streams, &timing, &joint_topics(&streams, &timing), &arms);
         let (flaws, norms) = (flaws(&streams), norms(&streams, &timing));
@@ -111,6 +121,8 @@ impl Run {
             flaws,
             norms,
             strays,
+            contests,
+            unaudited,
             frozen,
             watched,
             excerpts,
@@ -126,8 +138,12 @@ struct Assembly<'a> {
     streams: Vec<Stream>,
     timing: Timing,
     origin: Stamp,
-    tf: TfTree,
+    tf: Arc<TfTree>,
     arms: Vec<Arm>,
+    /// The streams of joint states of which there is no arm.
+    strangers: Vec<usize>,
+    unaudited: Vec<Unaudited>,
+    contests: Vec<Contest>,
     frozen: Vec<Frozen>,
     /// The streams that were looked at for that.
     watched: Vec<usize>,

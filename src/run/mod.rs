@@ -11,7 +11,9 @@
 mod arm;
 mod assemble;
 mod cadence;
+mod carrier;
 mod clock;
+mod contest;
 mod declaration;
 mod error;
 mod excerpts;
@@ -24,6 +26,7 @@ mod poses;
 mod role;
 mod segments;
 mod skeleton;
+mod space;
 mod strays;
 mod streams;
 mod targets;
@@ -31,14 +34,19 @@ mod targets;
 mod tests;
 mod tf_tree;
 mod topics;
+mod unaudited;
 mod witness;
+
+use std::sync::Arc;
 
 use crate::time::{Clock, Stamp};
 
 pub use arm::{Arm, ImuSource, JointMending, NoTf, PoseSource};
 pub use assemble::{ReferenceContent, ReferenceSource};
 pub use cadence::{Cadence, Extent, Hole, Rhythm, Stretch};
+pub use carrier::Carrier;
 pub use clock::{Alignment, Epoch, HeaderStamps, StreamClock};
+pub use contest::{Claimant, Contest};
 pub use declaration::{CalibrationSource, Coding, Declaration, DeclarationError, RobotSource};
 pub use error::RunError;
 pub use excerpts::Excerpts;
@@ -54,6 +62,7 @@ pub use streams::Stream;
 pub use targets::{CameraAxes, HandKind, HandSource, TargetSource};
 pub use tf_tree::{Edge, EdgeKind, TfError, TfPath, TfTree};
 pub use topics::{SaidRole, TopicSettings};
+pub use unaudited::{Unaudited, WhyNot};
 pub use witness::Witness;
 
 /// Correlation of speeds from which a stream follows the arm.
@@ -116,8 +125,8 @@ pub struct Run {
     pub targets: Vec<TargetSource>,
     /// What the arms were told, as far as it can be held against them.
     pub references: Vec<ReferenceSource>,
-    /// The frames, and the transforms between them.
-    pub tf: TfTree,
+    /// The frames of all arms, and the transforms between them.
+    pub tf: Arc<TfTree>,
     /// The clock of every stream that moves in time.
     pub clocks: Vec<StreamClock>,
     /// How regularly every stream comes that plays a part.
@@ -128,6 +137,10 @@ pub struct Run {
     pub norms: Vec<Norms>,
     /// The samples that jump away and back; the estimators do not see them.
     pub strays: Vec<Strays>,
+    /// The streams that several arms may claim.
+    pub contests: Vec<Contest>,
+    /// The streams that are not audited, or not as what they say they are.
+    pub unaudited: Vec<Unaudited>,
     /// When streams of poses stood still and their arm did not; the estimators do not see that either.
     pub frozen: Vec<Frozen>,
     /// The streams that were looked at for that.
@@ -204,11 +217,8 @@ impl Run {
         settled.role = if is_pose { Role::Pose } else { Role::Unassigned };
         settled.reason = format!("{}; {verdict}", settled.reason);
         if !is_pose {
-            (settled.arm, settled.reference, settled.link) = (None, None, None);
-            settled.witness = None;
-            for arm in &mut self.arms {
-                arm.poses.retain(|source| source.stream != stream);
-            }
+            let reason = settled.reason.clone();
+            self.unassign(stream, reason);
         }
     }
 }
