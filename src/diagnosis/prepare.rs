@@ -70,10 +70,7 @@ impl Placement {
         let rotation = as_rotations(&track.orientation);
         let mut peaks = stream_peaks(joints, stream, rotation, most_lag_s);
         peaks.retain(|peak| peak.correlation > FOLLOWS);
-        let read_as_m = match &track.declared {
-            Some(declared) if declared.millimetres => 1e-3,
-            _ => 1.0,
-        };
+        let read_as_m = in_metres(track);
         let reach_m = chain.max_reach_m();
         let mut placement = Self {
             metres: Err(Unseen::NoOverlap),
@@ -188,6 +185,27 @@ fn by_size(
     let nearest = near.min_by(|a, b| off(*a).total_cmp(&off(*b)));
     // Within an arm's own reach nothing is told by size.
     Ok(if (0.2..5.0).contains(&ratio) { 1.0 } else { nearest.unwrap_or(1.0) })
+}
+
+/// What takes a stream's positions to metres by their size alone; 1 where nothing tells.
+pub(super) fn metres_by_size(joints: &JointTrack, stream: &PoseStream) -> f64 {
+    let PoseStream { track, chain, columns, reference_known, .. } = *stream;
+    let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, 0.0);
+    let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row]).collect();
+    let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
+    if at.len() < 2 {
+        return 1.0;
+    }
+    let read_as_m = in_metres(track);
+    by_size(&at, &xyz, chain.max_reach_m(), read_as_m, reference_known).unwrap_or(1.0)
+}
+
+/// How many metres a number of a stream is as it was read.
+fn in_metres(track: &PoseTrack) -> f64 {
+    match &track.declared {
+        Some(declared) if declared.millimetres => 1e-3,
+        _ => 1.0,
+    }
 }
 
 /// A stream whose reading is settled, with what settled it.
