@@ -16,7 +16,7 @@ use crate::diagnosis::{
     ArmDiagnosis, DhEstimate, DhStream, DhTold, ImuDiagnosis, ImuStream, Left, NoShake,
     PoseDiagnosis, PoseStream, Reading, Series, Shake, Unseen, abruptness, beyond_positions,
     beyond_speed, diagnose_arm, diagnose_derived, diagnose_imu, faults, follows, position_misfit_m,
-    shake,
+    proof, shake,
 };
 use crate::finding::{Severity, Span, Subject};
 use crate::hand_eye::{hand_eyes, settle_hands};
@@ -78,6 +78,8 @@ pub struct Options {
     pub rules: Settings,
     /// Findings of this severity or above fail the run; `None`: none does.
     pub fail_on: Option<Severity>,
+    /// Whether a verdict that is inconclusive fails the run, too.
+    pub fail_on_inconclusive: bool,
     /// The recording for the Rerun viewer to write.
     pub recording: Option<Recording>,
     /// The folder to write tables into, as Parquet.
@@ -107,6 +109,7 @@ impl Default for Options {
             fix: None,
             rules: Settings::default(),
             fail_on: Some(Severity::Warning),
+            fail_on_inconclusive: false,
             recording: None,
             tables: None,
             figures: false,
@@ -709,7 +712,8 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
     let joints_stream = arm.joint_facts.first().map_or(0, |facts| facts.stream);
     let whole = run.span.unwrap_or((run.origin, run.origin));
     let whole = Span { start: whole.0, end: whole.1 };
-    let pose_facts = |source: &PoseSource| PoseFacts {
+    let pose_facts = |source: &PoseSource, found: &PoseDiagnosis| PoseFacts {
+        proof: proof(&arm.joints, &pose_stream(run, source), found),
         topic: run.streams[source.stream].topic.clone(),
         span: span_of(run, source.stream).unwrap_or(whole),
         reference: if source.reference_known {
@@ -769,7 +773,7 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
     let poses = arm.poses.iter().zip(&diagnosis.arm.streams).map(|(source, found)| PoseFacts {
         better_model: better_model(run, arm, source, found),
         euler: euler(run, source, found, declared),
-        ..pose_facts(source)
+        ..pose_facts(source, found)
     });
     let poses = poses.collect();
     ArmFacts {
@@ -781,7 +785,7 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         dh: diagnosis.dh,
         diagnosis: diagnosis.arm,
         poses,
-        tf: tf.into_iter().map(|(source, diagnosis)| (pose_facts(source), diagnosis)).collect(),
+        tf: tf.into_iter().map(|(source, found)| (pose_facts(source, &found), found)).collect(),
         shakes,
         imus: imus.collect(),
         references: Vec::new(),
@@ -1014,6 +1018,7 @@ impl Audits {
         let mut report =
             Report::new(read.summary, robots(&main.run), streams, evaluation, options.fail_on);
         report.workspace = workspace;
+        report.fails_open = options.fail_on_inconclusive;
         match &main.run.no_arm {
             Some(error) if options.rules.need_model() && !tells_hand_eye(&report.checks) => {
                 report.with_trouble(error.into())

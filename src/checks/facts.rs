@@ -5,7 +5,7 @@
 use super::Figures;
 use crate::diagnosis::{
     Abruptness, ArmDiagnosis, DhEstimate, Excess, HandEyeDiagnosis, ImuDiagnosis, Mount, NoShake,
-    PoseDiagnosis, ReferenceDiagnosis, Seen, Shake,
+    PoseDiagnosis, Proof, ReferenceDiagnosis, Seen, Shake,
 };
 use crate::finding::{Span, Subject, Unit};
 use crate::geometry::{Convention, Rotation};
@@ -227,6 +227,8 @@ pub struct PoseFacts {
     pub tip_named: bool,
     /// Whose word the poses are.
     pub witness: Witness,
+    /// Its error straight from FK.
+    pub proof: Seen<Proof>,
     /// The arm of the catalogue that fits far better than this model, and to how much, rms m.
     pub better_model: Option<(String, f64)>,
     /// Whether its stamps are its own, not copies of the joints'.

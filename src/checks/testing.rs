@@ -7,7 +7,7 @@ use crate::checks::{
 use crate::diagnosis::{
     Abruptness, Aligned, ArmDiagnosis, DhEstimate, DhStream, FrameEstimate, GyroBias, ImuDiagnosis,
     JointOffset, JointReading, LatencyCourse, Left, Length, Line, LineWitness, Measured,
-    PoseDiagnosis, Reading, ReadingEstimate, ReferenceDiagnosis, Residual, RestGap, Shake,
+    PoseDiagnosis, Proof, Reading, ReadingEstimate, ReferenceDiagnosis, Residual, RestGap, Shake,
     YawCourse,
 };
 use crate::finding::{CheckRow, Finding, Span};
@@ -237,6 +237,7 @@ fn stream(topic: &str, independent: bool) -> PoseFacts {
         tip: "tool0".to_owned(),
         tip_named: true,
         witness: Witness::Unknown,
+        proof: Ok(Proof::default()),
         better_model: None,
         independent,
         bare_numbers: false,

@@ -22,6 +22,7 @@ mod noise;
 mod nominal;
 mod observability;
 mod placing;
+mod proof;
 mod reading;
 mod reference;
 mod reread;
@@ -49,6 +50,7 @@ pub use lag::{LatencyResidual, residual_by_latency};
 pub use latency::Peak;
 pub use measured::{Length, Measured};
 pub use motion::{Abruptness, Excess, Series, abruptness, beyond_positions, beyond_speed};
+pub use proof::{Amount, Error, Part, Proof, Short, Size, proof};
 pub use observability::{BlindDirection, Observability, Parameter};
 pub use reference::{
     CommandedArm, Commands, Constancy, Following, Line, LineWitness, ReferenceDiagnosis, RestGap,

@@ -1,0 +1,262 @@
+//! What is left of a stream's error when what the other rules decided is taken off: what MDL001 judges,
+//! and what a pass rests on.
+
+use crate::checks::decision::FrameFigures;
+use crate::checks::{ArmFacts, Evaluation, Facts, Judged, PoseFacts, find, mdl001};
+use crate::diagnosis::{Amount, Error, FrameEstimate, Part, PoseDiagnosis, Seen, Size};
+use crate::finding::{Outcome, Ruling, Severity, Status, Subject};
+
+/// An error this many times as large as what differs from sample to sample is near it …
+const NEAR: f64 = 2.0;
+/// … and surely beyond it from so many times on: an F of nine, which chance reaches once in a thousand
+/// times of seven independent samples.
+const BEYOND: f64 = 3.0;
+
+/// What the rules that name causes made of a run.
+pub(super) struct Named(Vec<(&'static str, Judged)>);
+
+impl Named {
+    /// Asks them.
+    pub fn of(facts: &Facts) -> Self {
+        const CODES: [&str; 14] = [
+            "FRM001", "FRM002", "FRM003", "LAT001", "LAT002", "LAT003", "ORD001", "ORD002", "ORD003",
+            "ORD004", "ORD005", "ORD008", "ZER001", "ZER002",
+        ];
+        let rules = CODES.into_iter().filter_map(|code| find(code).ok());
+        let judged = rules.flat_map(|rule| {
+            let judged = (rule.check)(facts).into_iter();
+            judged.map(|judged| (rule.code, judged))
+        });
+        Self(judged.collect())
+    }
+
+    /// What the rules among `codes` made of a topic of `arm`, or of one of its joints.
+    fn on<'a>(
+        &'a self,
+        arm: &'a ArmFacts,
+        label: &'a str,
+        codes: &'a [&str],
+    ) -> impl Iterator<Item = (&'static str, &'a Outcome)> {
+        let is_meant = move |(code, judged): &&(&str, Judged)| {
+            let subject = &judged.subject;
+            let is_of_arm = subject.robot.as_ref() == Some(&arm.name);
+            is_of_arm && subject.label() == label && codes.contains(code)
+        };
+        self.0.iter().filter(is_meant).map(|(code, judged)| (*code, &judged.outcome))
+    }
+}
+
+/// How the error of one stream stands.
+pub(super) enum Standing {
+    /// It is below the figures as logged.
+    Below,
+    /// It is what differs from sample to sample.
+    Noise,
+    /// What was found leaves less than the figures, or what differs from sample to sample; whether a
+    /// rule names any of it.
+    Accounted { is_named: bool },
+    /// Small changes of many kinematic parameters account for what else is left.
+    Nominal(Left),
+    /// Some is left that is surely more than all that.
+    Left(Left),
+    /// More is left than may be, and that may be noise, or causes whose rules are open: which.
+    Open(Left, Vec<&'static str>),
+}
+
+/// What is left of a stream's error where it is too large.
+pub(super) struct Left {
+    pub severity: Severity,
+    pub error: Error,
+    /// The part in which it is largest.
+    pub worst: Part,
+    /// The parts of the run in which it is too large, in the order of time.
+    pub parts: Vec<Part>,
+}
+
+/// How the error of a stream stands, as `figures` have it; `None` where there is none.
+pub(super) fn standing(
+    named: &Named,
+    arm: &ArmFacts,
+    (stream, found): (&PoseFacts, &PoseDiagnosis),
+    figures: &FrameFigures,
+) -> Option<Standing> {
+    let proof = stream.proof.as_ref().ok()?;
+    if Left::of(&proof.as_logged, figures, 0.0).is_none() {
+        return Some(Standing::Below);
+    }
+    if Left::of(&proof.as_logged, figures, NEAR).is_none() {
+        return Some(Standing::Noise);
+    }
+    let causes = Causes::of(named, arm, stream, found);
+    let explained = proof.left.as_ref().unwrap_or(&proof.as_logged);
+    let left = Left::of(explained, figures, NEAR);
+    let calibrated = proof.calibrated.as_ref().map(|left| Left::of(left, figures, NEAR));
+    let left = match (left, calibrated) {
+        (Some(left), Some(None)) => return Some(Standing::Nominal(left)),
+        (Some(left), _) if left.is_sure(figures) => return Some(Standing::Left(left)),
+        (left, _) => left,
+    };
+    let as_logged = || Some(&proof.as_logged);
+    let unexplained = match (causes.joints.is_empty(), causes.poses.is_empty()) {
+        (true, true) => None,
+        (false, true) => proof.beside_joints.as_ref().or_else(as_logged),
+        (true, false) => proof.beside_poses.as_ref().or_else(as_logged),
+        (false, false) => as_logged(),
+    };
+    Some(match unexplained.map_or(left, |error| Left::of(error, figures, NEAR)) {
+        Some(left) => Standing::Open(left, [causes.joints, causes.poses].concat()),
+        None => Standing::Accounted { is_named: causes.is_named },
+    })
+}
+
+impl Left {
+    /// What of `error` reaches the figures and is more than `near` times what differs from sample to
+    /// sample; `None` where none is.
+    fn of(error: &Error, figures: &FrameFigures, near: f64) -> Option<Self> {
+        let mut parts: Vec<(f64, Severity, Part)> = Vec::new();
+        for (size, figure) in sizes(error, figures) {
+            parts.extend(size.parts.iter().filter_map(|part| {
+                let Amount { most, noise, .. } = part.amount;
+                let is_more = most > near * noise.map_or(0.0, |noise| noise.most);
+                let severity = figure.severity(most).filter(|_| is_more)?;
+                Some((most / figure.warning, severity, *part))
+            }));
+        }
+        let (_, _, worst) = *parts.iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let severity = parts.iter().map(|(_, severity, _)| *severity).max()?;
+        let mut parts: Vec<Part> = parts.into_iter().map(|(_, _, part)| part).collect();
+        parts.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
+        parts.dedup_by(|a, b| a.from_s == b.from_s);
+        Some(Self { severity, error: error.clone(), worst, parts })
+    }
+
+    /// Whether in some part the error reaches its figure in the mean square too, and is surely beyond
+    /// measured noise.
+    fn is_sure(&self, figures: &FrameFigures) -> bool {
+        let sure = |amount: &Amount, warning: f64| {
+            amount.rms >= warning
+                && amount.noise.is_some_and(|noise| amount.rms >= BEYOND * noise.rms)
+        };
+        sizes(&self.error, figures)
+            .any(|(size, figure)| size.parts.iter().any(|part| sure(&part.amount, figure.warning)))
+    }
+
+    /// Whether it is left in some part at the same time as `other`.
+    pub fn shares(&self, other: &Left) -> bool {
+        let meets = |a: &Part, b: &Part| a.from_s < b.to_s && b.from_s < a.to_s;
+        other.parts.iter().any(|part| meets(part, &self.worst))
+    }
+}
+
+fn sizes<'a>(
+    error: &'a Error,
+    figures: &'a FrameFigures,
+) -> impl Iterator<Item = (&'a Size, &'a super::Figure)> {
+    let angle = error.angle.as_ref().map(|angle| (angle, &figures.angle));
+    std::iter::once((&error.length, &figures.length)).chain(angle)
+}
+
+/// Which of the causes found on a stream are open, and whether any is named.
+struct Causes {
+    joints: Vec<&'static str>,
+    poses: Vec<&'static str>,
+    is_named: bool,
+}
+
+impl Causes {
+    fn of(named: &Named, arm: &ArmFacts, stream: &PoseFacts, found: &PoseDiagnosis) -> Self {
+        let chosen = |is: bool, code: &'static str| is.then_some(code);
+        let unsteady = found.course.as_ref().is_ok_and(|course| course.is_unsteady);
+        let times: Vec<&str> = [
+            Some("LAT001"),
+            chosen(found.skew_chosen, "LAT002"),
+            chosen(unsteady, "LAT003"),
+        ]
+        .into_iter()
+        .flatten()
+        .collect();
+        let frame = |frame: &Seen<FrameEstimate>| frame.as_ref().is_ok_and(|frame| frame.chosen);
+        let reading = found.reading.as_ref().is_ok_and(|reading| !reading.best.is_as_logged());
+        let poses: Vec<&str> = [
+            chosen(frame(&found.reference) || frame(&found.tool), "FRM001"),
+            chosen(frame(&found.reference) && stream.reference_known, "FRM002"),
+            chosen(frame(&found.tool), "FRM003"),
+            chosen(reading, "ORD001"),
+            chosen(reading, "ORD002"),
+            chosen(reading, "ORD003"),
+            chosen(found.degrees.is_some(), "ORD004"),
+            chosen(matches!(found.millimetres, Ok(Some(_))), "ORD008"),
+            chosen(found.growth_chosen, "ZER002"),
+        ]
+        .into_iter()
+        .flatten()
+        .collect();
+        let offsets = arm.joints.iter().zip(&arm.diagnosis.offsets);
+        let zeros = offsets.filter(|(_, offset)| offset.chosen).map(|(joint, _)| &joint.name);
+        let of_joints = named
+            .on(arm, &stream.topic, &times)
+            .chain(named.on(arm, &arm.joints_topic, &["LAT001", "ORD004", "ORD005", "ORD009"]))
+            .chain(zeros.flat_map(|joint| named.on(arm, joint, &["ZER001"])));
+        let of_joints: Vec<_> = of_joints.collect();
+        let of_poses: Vec<_> = named.on(arm, &stream.topic, &poses).collect();
+        let is_named = |(_, outcome): &(&str, &Outcome)| {
+            matches!(outcome, Outcome::Evaluated(Ruling::Faulty(_)))
+        };
+        let open = |of: &[(&'static str, &Outcome)]| -> Vec<&'static str> {
+            let mut open: Vec<&str> = of
+                .iter()
+                .filter(|(_, outcome)| matches!(outcome, Outcome::Inconclusive(_)))
+                .map(|(code, _)| *code)
+                .collect();
+            open.dedup();
+            open
+        };
+        Self {
+            is_named: !stream.reference_known
+                || stream.bare_numbers
+                || of_joints.iter().chain(&of_poses).any(is_named),
+            joints: open(&of_joints),
+            poses: open(&of_poses),
+        }
+    }
+}
+
+/// The families of rules whose causes are found by holding poses against joint states.
+const HELD: [&str; 7] = ["FRM001", "FRM002", "FRM003", "LAT", "ORD", "YAW", "ZER"];
+
+/// Where poses and joint states disagree and nothing explains it, no cause is named that does not, and
+/// what is open on them is so for that reason.
+pub(super) fn leave_open_beside_disagreement(facts: &Facts, evaluation: &mut Evaluation) {
+    let Evaluation { checks, findings, .. } = evaluation;
+    let disagreeing = findings.iter().filter(|finding| finding.title == mdl001::DISAGREE);
+    let disagreeing: Vec<(Subject, String)> = disagreeing
+        .map(|finding| {
+            let said = finding.message.split(';').next().unwrap_or_default();
+            (finding.subject.clone(), format!("{said} (MDL001)"))
+        })
+        .collect();
+    for arm in &facts.robots {
+        let of_arm = |subject: &Subject| subject.robot.as_ref() == Some(&arm.name);
+        let own: Vec<&(Subject, String)> =
+            disagreeing.iter().filter(|(subject, _)| of_arm(subject)).collect();
+        let Some((_, first)) = own.first() else { continue };
+        let on = |topic: &str| own.iter().find(|(said, _)| said.topic.as_deref() == Some(topic));
+        let is_all = arm.poses.iter().all(|stream| on(&stream.topic).is_some());
+        let why = |subject: &Subject| {
+            let own = subject.topic.as_deref().and_then(&on).map(|(_, why)| why);
+            own.or(is_all.then_some(first))
+        };
+        let rests = |code: &str| HELD.iter().any(|held| code.starts_with(held));
+        for row in checks.iter_mut().filter(|row| rests(row.code) && of_arm(&row.subject)) {
+            if !matches!(row.status, Status::Inconclusive | Status::Fail) {
+                continue;
+            }
+            let Some(why) = why(&row.subject) else { continue };
+            (row.status, row.reason) = (Status::Inconclusive, Some(why.clone()));
+            (row.estimate, row.indistinguishable) = (None, false);
+        }
+        findings.retain(|finding| {
+            !(rests(finding.code) && of_arm(&finding.subject) && why(&finding.subject).is_some())
+        });
+    }
+}

@@ -1,0 +1,319 @@
+//! The error of a stream straight from FK: as logged, and with what was found taken off. It is what a
+//! pass rests on, beside the estimators and without them.
+//!
+//! An error that lasts for a part of the run is large in that part, whatever its mean: so its size is a
+//! high quantile of the whole and of every tenth of the moving run, which single strays do not reach.
+//! Whether it is noise is not asked of itself: a tool that slips in mid-run looks like one long
+//! fluctuation. What differs from sample to sample is known from second differences over less than the
+//! motion takes to become another (von Neumann 1941; Hall, Kay and Titterington 1990), and an error is
+//! held against that.
+
+use super::arm::still_speeds;
+use super::{Aligned, PoseDiagnosis, PoseStream, Seen, Unseen};
+use crate::geometry::{Pose, Vec3, pose, rotvec_from_rotation};
+use crate::stream::{JointTrack, Orientations};
+
+/// The share of samples that an error's size is reached by.
+const MOST: f64 = 0.95;
+/// Parts of the moving run that are looked at apart.
+const PARTS: usize = 10;
+/// A part has as many samples, or the run has fewer parts.
+const PART_SAMPLES: usize = 20;
+/// Samples without which nothing is said.
+const NEED: usize = 8;
+/// Moving samples without which the arm rests.
+const MOVING: usize = 10;
+/// Noise is what differs within this share of the time in which the motion becomes another.
+const SHORT: f64 = 0.25;
+/// Distance from the tip of the points that show how it turns, m.
+const ARM_M: f64 = 0.3;
+/// Samples that the motion's memory is told from.
+const MEMORY_SAMPLES: usize = 2000;
+
+/// The error of one stream against FK, straight from both.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Proof {
+    /// Whether the arm rests, so that this is of one posture, or of few.
+    pub at_rest: bool,
+    /// As logged, against FK of the joint states as recorded at the same stamps.
+    pub as_logged: Error,
+    /// With everything found taken off.
+    pub left: Option<Error>,
+    /// With everything found taken off but what was found on the joints and on times: names, units,
+    /// zeros, latency and skew.
+    pub beside_joints: Option<Error>,
+    /// With everything found taken off but what was found on the poses: reading, units and frames.
+    pub beside_poses: Option<Error>,
+    /// With everything found and small changes of every link's frame taken off, as a calibration of
+    /// the arm is; `None` where a drawing is not held against a calibrated arm.
+    pub calibrated: Option<Error>,
+}
+
+/// By how much poses differ from FK.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Error {
+    /// Of position, m.
+    pub length: Size,
+    /// Of rotation, rad; `None` where the stream's orientations are bare numbers.
+    pub angle: Option<Size>,
+}
+
+/// The size of an error over the run.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Size {
+    /// Of all of it.
+    pub whole: Amount,
+    /// Of its parts, in the order of time.
+    pub parts: Vec<Part>,
+}
+
+/// The size of an error, or of the noise, in m or rad.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Amount {
+    /// Samples.
+    pub samples: usize,
+    /// Root mean square, of all but the strays.
+    pub rms: f64,
+    /// What 95 % of the samples stay below.
+    pub most: f64,
+    /// What differs from sample to sample; `None` where samples are too far apart to tell that from
+    /// what the motion does.
+    pub noise: Option<Short>,
+}
+
+/// What differs from sample to sample, in m or rad.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Short {
+    /// Root mean square.
+    pub rms: f64,
+    /// What 95 % of the samples stay below.
+    pub most: f64,
+    /// Samples over which it is forgotten.
+    pub over: usize,
+}
+
+/// A part of the run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Part {
+    /// From when, s from the run's origin.
+    pub from_s: f64,
+    /// Until when.
+    pub to_s: f64,
+    /// Where the tip is by FK when the error is largest, in the stream's reference, m.
+    pub at: Vec3,
+    /// How large the error is there.
+    pub amount: Amount,
+}
+
+impl Size {
+    /// The part in which the error is largest; `None` of no samples.
+    pub fn worst(&self) -> Option<&Part> {
+        self.parts.iter().max_by(|a, b| a.amount.most.total_cmp(&b.amount.most))
+    }
+}
+
+/// The error of a stream, as logged and with what was `found` on it taken off.
+///
+/// # Errors
+/// Where too few of its samples are covered by the joint states.
+pub fn proof(joints: &JointTrack, stream: &PoseStream, found: &PoseDiagnosis) -> Seen<Proof> {
+    let logged = as_recorded(joints, stream);
+    let have = logged.t_s.len();
+    if have == 0 {
+        return Err(Unseen::NoOverlap);
+    }
+    if have < NEED {
+        return Err(Unseen::TooFewSamples { have, need: NEED });
+    }
+    let moves = moving(joints, stream, &logged.t_s);
+    let at_rest = moves.iter().filter(|moves| **moves).count() < MOVING;
+    let has_rotation = matches!(stream.track.orientation, Orientations::Rotations(_));
+    let as_logged = Series::of(&logged.t_s, &logged.logged, &logged.fk, has_rotation)
+        .error(&moves, at_rest);
+    let aligned = &found.aligned;
+    let moves = moving(joints, stream, &aligned.t_s);
+    let error = |poses: &[Pose], fk: &[Pose], has_rotation: bool| {
+        let series = Series::of(&aligned.t_s, poses, fk, has_rotation);
+        (aligned.t_s.len() >= NEED).then(|| series.error(&moves, at_rest))
+    };
+    Ok(Proof {
+        at_rest,
+        as_logged,
+        left: error(&aligned.corrected, &aligned.fk_at_truth, true),
+        beside_joints: error(&aligned.corrected, &aligned.fk, true),
+        beside_poses: error(&aligned.logged, &aligned.fk_at_truth, has_rotation),
+        calibrated: None,
+    })
+}
+
+/// The samples of a stream beside FK at the same stamps; only stamps and these two are filled.
+fn as_recorded(joints: &JointTrack, stream: &PoseStream) -> Aligned {
+    let track = stream.track;
+    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+    let mut aligned = Aligned::default();
+    for (row, &t_s) in track.t_s.iter().enumerate() {
+        if !joints.at(t_s, &mut cursor, &mut q, &mut qd) {
+            continue;
+        }
+        let own: Vec<f64> = stream.columns.iter().map(|&column| q[column]).collect();
+        let rotation = match &track.orientation {
+            Orientations::Rotations(all) => all[row],
+            Orientations::Numbers(_) => Default::default(),
+        };
+        aligned.t_s.push(t_s);
+        aligned.logged.push(pose(track.xyz[row].into(), rotation));
+        aligned.fk.push(stream.chain.forward(&own));
+    }
+    aligned
+}
+
+/// At which of some stamps a joint of the stream's chain moves.
+fn moving(joints: &JointTrack, stream: &PoseStream, t_s: &[f64]) -> Vec<bool> {
+    let still = still_speeds(joints);
+    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+    let mut moves = |t_s: &f64| {
+        joints.at(*t_s, &mut cursor, &mut q, &mut qd)
+            && stream.columns.iter().any(|&column| qd[column].abs() > still[column])
+    };
+    t_s.iter().map(&mut moves).collect()
+}
+
+/// The error of every sample.
+struct Series<'a> {
+    t_s: &'a [f64],
+    fk: &'a [Pose],
+    length: Vec<Vec3>,
+    angle: Option<Vec<Vec3>>,
+    /// The most samples between two that differ by noise alone, but for a hair; 0 where even
+    /// neighbours differ by motion.
+    short: usize,
+    /// Median time from one sample to the next, s.
+    period_s: f64,
+}
+
+impl<'a> Series<'a> {
+    fn of(t_s: &'a [f64], poses: &[Pose], fk: &'a [Pose], has_rotation: bool) -> Self {
+        let both = || poses.iter().zip(fk);
+        let length = both().map(|(a, b)| a.translation.vector - b.translation.vector).collect();
+        let turn = |(a, b): (&Pose, &Pose)| rotvec_from_rotation(&(a.rotation * b.rotation.inverse()));
+        let angle = has_rotation.then(|| both().map(turn).collect());
+        let period_s = median(t_s.windows(2).map(|pair| pair[1] - pair[0]).collect());
+        let short = SHORT * memory_s(t_s, fk, period_s) / period_s.max(f64::MIN_POSITIVE);
+        let short = (short as usize).min(t_s.len() / 4);
+        Self { t_s, fk, length, angle, short, period_s }
+    }
+
+    /// The size of the error over the samples at which the arm moves, of all where it rests.
+    fn error(&self, moves: &[bool], at_rest: bool) -> Error {
+        let rows: Vec<usize> = (0..self.t_s.len()).filter(|&row| at_rest || moves[row]).collect();
+        Error {
+            length: self.size(&self.length, &rows),
+            angle: self.angle.as_ref().map(|angle| self.size(angle, &rows)),
+        }
+    }
+
+    fn size(&self, error: &[Vec3], rows: &[usize]) -> Size {
+        let parts = (rows.len() / PART_SAMPLES).clamp(1, PARTS);
+        let parts = (0..parts).map(|part| {
+            &rows[part * rows.len() / parts..(part + 1) * rows.len() / parts]
+        });
+        let part = |rows: &[usize]| {
+            let amount = self.amount(error, rows);
+            let (first, last) = (*rows.first()?, *rows.last()?);
+            let at = self.where_largest(error, rows, amount.most);
+            Some(Part { from_s: self.t_s[first], to_s: self.t_s[last], at, amount })
+        };
+        Size { whole: self.amount(error, rows), parts: parts.filter_map(part).collect() }
+    }
+
+    /// The mean place of the tip over the samples whose error is as large as `most`.
+    fn where_largest(&self, error: &[Vec3], rows: &[usize], most: f64) -> Vec3 {
+        let large = rows.iter().filter(|&&row| error[row].norm() >= most);
+        let places: Vec<Vec3> = large.map(|&row| self.fk[row].translation.vector).collect();
+        places.iter().sum::<Vec3>() / places.len().max(1) as f64
+    }
+
+    fn amount(&self, error: &[Vec3], rows: &[usize]) -> Amount {
+        let [rms, most] = sizes(rows.iter().map(|&row| error[row].norm()).collect());
+        Amount { samples: rows.len(), rms, most, noise: self.noise(error, rows) }
+    }
+
+    /// What differs from sample to sample, over each distance at which the motion hardly shows: the
+    /// most of it, as noise that remembers shows at the longer ones only.
+    fn noise(&self, error: &[Vec3], rows: &[usize]) -> Option<Short> {
+        let distances = std::iter::successors(Some(1), |k| Some(2 * k));
+        let noises = distances.take_while(|&k| k <= self.short).filter_map(|over| {
+            let span_s = over as f64 * self.period_s;
+            let is_whole = |from: usize, to: usize| {
+                (self.t_s[to] - self.t_s[from] - span_s).abs() < 0.5 * span_s
+            };
+            let difference = |&row: &usize| {
+                let (before, after) = (row.checked_sub(over)?, row + over);
+                let is_even = after < error.len() && is_whole(before, row) && is_whole(row, after);
+                // Of independent noise the square is six times its own.
+                is_even.then(|| (error[before] - 2.0 * error[row] + error[after]).norm() / 6f64.sqrt())
+            };
+            let differences: Vec<f64> = rows.iter().filter_map(difference).collect();
+            let enough = differences.len() >= NEED;
+            let [rms, most] = sizes(differences);
+            enough.then_some(Short { rms, most, over })
+        });
+        noises.max_by(|a, b| a.rms.total_cmp(&b.rms))
+    }
+}
+
+/// Root mean square, where what is beyond the quantile counts as much as that, and the quantile.
+fn sizes(mut sizes: Vec<f64>) -> [f64; 2] {
+    if sizes.is_empty() {
+        return [0.0; 2];
+    }
+    sizes.sort_by(f64::total_cmp);
+    let most = sizes[((sizes.len() - 1) as f64 * MOST) as usize];
+    let squares: f64 = sizes.iter().map(|size| size.min(most).powi(2)).sum();
+    [(squares / sizes.len() as f64).sqrt(), most]
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// The time after which the pose of the tip is half another, s: its mean square change is half of what
+/// it is between any two times. Infinite where the tip does not move.
+fn memory_s(t_s: &[f64], fk: &[Pose], period_s: f64) -> f64 {
+    let stride = fk.len().div_ceil(MEMORY_SAMPLES).max(1);
+    let point = |pose: &Pose| {
+        let [x, y] = [Vec3::x(), Vec3::y()].map(|axis| pose.rotation * axis * ARM_M);
+        [pose.translation.vector, x, y]
+    };
+    let points: Vec<[Vec3; 3]> = fk.iter().map(point).collect();
+    let n = points.len().max(1) as f64;
+    let mean: [Vec3; 3] =
+        std::array::from_fn(|of| points.iter().map(|point| point[of]).sum::<Vec3>() / n);
+    let square = |a: &[Vec3; 3], b: &[Vec3; 3]| -> f64 {
+        a.iter().zip(b).map(|(a, b)| (a - b).norm_squared()).sum()
+    };
+    let variance = points.iter().map(|point| square(point, &mean)).sum::<f64>() / n;
+    let mut before = (0, 0.0);
+    let mut k = 1;
+    while k < points.len() {
+        let span_s = k as f64 * period_s;
+        let (mut sum, mut count) = (0.0, 0.0);
+        for row in (k..points.len()).step_by(stride) {
+            if (t_s[row] - t_s[row - k] - span_s).abs() < 0.5 * span_s {
+                sum += square(&points[row], &points[row - k]);
+                count += 1.0;
+            }
+        }
+        // 2·(1 − ρ)·variance, ρ the correlation after k samples.
+        let change = if count > 0.0 { sum / count } else { 0.0 };
+        if change >= variance {
+            let (from, at) = before;
+            let share = (variance - at) / (change - at).max(f64::MIN_POSITIVE);
+            return (from as f64 + share * (k - from) as f64) * period_s;
+        }
+        before = (k, change);
+        k += k.div_ceil(4);
+    }
+    f64::INFINITY
+}
