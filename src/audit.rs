@@ -900,8 +900,10 @@ fn better_model(
         let robot = other.renamed()?;
         let [base, tip] = [source.chain.base_name(), source.chain.tip_name()];
         let chain = robot.chain(robot.link(base)?, robot.link(tip)?).ok()?;
-        let same_joints = chain.joint_names() == source.chain.joint_names();
-        let misfit_m = misfit_m(&chain).filter(|misfit_m| same_joints && *misfit_m < most_m)?;
+        // What has other joints cannot take these positions.
+        let chain =
+            Some(chain).filter(|chain| chain.joint_names() == source.chain.joint_names())?;
+        let misfit_m = misfit_m(&chain).filter(|misfit_m| *misfit_m < most_m)?;
         Some((robot.name, misfit_m))
     });
     fits.min_by(|(_, a), (_, b)| a.total_cmp(b))

@@ -26,6 +26,7 @@ mod recording;
 mod references;
 mod workspace;
 
+pub mod boundary;
 pub mod checks;
 pub mod compare;
 pub mod config;

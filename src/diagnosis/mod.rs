@@ -22,6 +22,7 @@ mod noise;
 mod nominal;
 mod observability;
 mod placing;
+mod prepare;
 mod proof;
 mod reading;
 mod reference;

@@ -1,8 +1,8 @@
 //! Streams read as somebody says that they are meant, where a misreading leaves several rotations
 //! that a sample may mean.
 
-use super::arm::stream_lag_s;
 use super::imu;
+use super::prepare::stream_lag_s;
 use super::reading::{Logged, Samples, fit_known, nearest_truth};
 use super::{ImuStream, PoseStream, Reading};
 use crate::geometry::Rotation;

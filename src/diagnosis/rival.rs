@@ -1,8 +1,8 @@
 //! How well another model would do, told from positions alone and without any search.
 
 use super::PoseStream;
-use super::arm::slow_samples;
 use super::placing::Expected;
+use super::prepare::slow_samples;
 use crate::geometry::Vec3;
 use crate::stream::{JointTrack, Orientations};
 

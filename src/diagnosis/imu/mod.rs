@@ -13,8 +13,8 @@ mod solve;
 mod tilt;
 mod yaw;
 
-use super::arm::still_speeds;
 use super::latency::{Peak, angular_speed, arm_speeds, by_lag, norms, peaks};
+use super::prepare::still_speeds;
 use super::reading::mean_rotation;
 use super::reread;
 use super::{ImuDiagnosis, ImuStream, Measured, Reading, Seen, Unseen, YawCourse};
