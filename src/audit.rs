@@ -16,7 +16,7 @@ use crate::diagnosis::{
     ArmDiagnosis, DhEstimate, DhStream, DhTold, ImuDiagnosis, ImuStream, Left, NoShake,
     PoseDiagnosis, PoseStream, Reading, Series, Shake, Unseen, abruptness, beyond_positions,
     beyond_speed, diagnose_arm, diagnose_derived, diagnose_imu, faults, follows, position_misfit_m,
-    proof, shake,
+    proof, proof_of_imu, shake,
 };
 use crate::finding::{Severity, Span, Subject};
 use crate::hand_eye::{hand_eyes, settle_hands};
@@ -473,9 +473,8 @@ pub(crate) fn prismatic(arm: &Arm) -> Vec<bool> {
 
 /// The facts for the rules.
 fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read, options: &Options) -> Facts {
-    let declared = &options.declarations;
     let arms = run.arms.iter().zip(diagnoses);
-    let robots = arms.map(|(arm, diagnosis)| arm_facts(run, arm, diagnosis, declared));
+    let robots = arms.map(|(arm, diagnosis)| arm_facts(run, arm, diagnosis, options));
     let stamps = run.clocks.iter().filter_map(|clock| {
         let stream = run.streams.get(clock.stream)?;
         Some(StampFacts {
@@ -708,12 +707,15 @@ fn span_of(run: &Run, stream: usize) -> Option<Span> {
     Some(Span { start: stream.start?, end: stream.end? })
 }
 
-fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration]) -> ArmFacts {
+fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, options: &Options) -> ArmFacts {
     let joints_stream = arm.joint_facts.first().map_or(0, |facts| facts.stream);
     let whole = run.span.unwrap_or((run.origin, run.origin));
     let whole = Span { start: whole.0, end: whole.1 };
+    let mended = diagnosis.arm.corrected_joints(&arm.joints, &prismatic(arm));
+    let is_read = !matches!(diagnosis.arm.joints, Err(Unseen::NotExcited));
+    let most_lag_s = options.max_latency_s;
     let pose_facts = |source: &PoseSource, found: &PoseDiagnosis| PoseFacts {
-        proof: proof(&arm.joints, &pose_stream(run, source), found),
+        proof: proof(&arm.joints, &mended, &pose_stream(run, source), found),
         topic: run.streams[source.stream].topic.clone(),
         span: span_of(run, source.stream).unwrap_or(whole),
         reference: if source.reference_known {
@@ -745,6 +747,9 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
             independent: !source.stamps_copied,
             link: source.chain.tip_name().to_owned(),
             link_from_imu: source.link_from_imu.map(|pose| pose.rotation),
+            proof: is_read
+                .then(|| proof_of_imu(&mended, &imu_stream(source), &diagnosis, most_lag_s))
+                .flatten(),
         };
         (facts, diagnosis)
     });
@@ -772,7 +777,7 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
     }));
     let poses = arm.poses.iter().zip(&diagnosis.arm.streams).map(|(source, found)| PoseFacts {
         better_model: better_model(run, arm, source, found),
-        euler: euler(run, source, found, declared),
+        euler: euler(run, source, found, &options.declarations),
         ..pose_facts(source, found)
     });
     let poses = poses.collect();

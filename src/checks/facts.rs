@@ -4,8 +4,8 @@
 
 use super::Figures;
 use crate::diagnosis::{
-    Abruptness, ArmDiagnosis, DhEstimate, Excess, HandEyeDiagnosis, ImuDiagnosis, Mount, NoShake,
-    PoseDiagnosis, Proof, ReferenceDiagnosis, Seen, Shake,
+    Abruptness, ArmDiagnosis, DhEstimate, Excess, HandEyeDiagnosis, ImuDiagnosis, ImuProof, Mount,
+    NoShake, PoseDiagnosis, Proof, ReferenceDiagnosis, Seen, Shake,
 };
 use crate::finding::{Span, Subject, Unit};
 use crate::geometry::{Convention, Rotation};
@@ -286,6 +286,8 @@ pub struct ImuFacts {
     pub link: String,
     /// How it is turned in that link by the log's frames, where they say.
     pub link_from_imu: Option<Rotation>,
+    /// What it leaves straight against FK; `None` where it does not turn with the arm.
+    pub proof: Option<ImuProof>,
 }
 
 /// One stream of commands.

@@ -4,8 +4,8 @@ use crate::checks::decision::{FrameFigures, unseen};
 use crate::checks::frames::FIGURES;
 use crate::checks::proof::{Left, Named, Standing, standing};
 use crate::checks::reading::read_as;
-use crate::checks::{ArmFacts, Facts, Grade, Judged, PoseFacts};
-use crate::diagnosis::{Amount, Error, Measured, Part, PoseDiagnosis, Reading};
+use crate::checks::{ArmFacts, Facts, Figure, Grade, ImuFacts, Judged, PoseFacts};
+use crate::diagnosis::{Amount, Error, Measured, Part, PoseDiagnosis, Rates, Reading, Size};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, ReadAs, Severity, Subject, Unit};
 
 rule! {
@@ -109,12 +109,59 @@ fn judge_arm(facts: &Facts, named: &Named, arm: &ArmFacts) -> Vec<Judged> {
     let tf = arm.tf.iter();
     let tf = tf.map(|(tf, found)| held(arm.frame(&tf.topic, &tf.tip), tf, found));
     let streams: Vec<Held> = poses.chain(tf).collect();
-    if streams.is_empty() && arm.imus.is_empty() {
+    if streams.is_empty() && arm.imus.iter().all(|(imu, _)| imu.proof.is_none()) {
+        if facts.hand_eyes.iter().any(|eye| eye.robot.as_ref() == Some(&arm.name)) {
+            let why = "only what a camera sees was held against it (HEC001)".to_owned();
+            return vec![Judged::new(arm.subject(), Outcome::Skipped(why))];
+        }
         let why =
             format!("nothing in this log could be held against {}; {RECORD}", arm.joints_topic);
         return vec![Judged::new(arm.subject(), Outcome::Inconclusive(why)).within(arm.span)];
     }
-    streams.iter().map(|stream| judge(facts, stream, &streams)).collect()
+    let imus = arm.imus.iter().map(|(imu, _)| judge_imu(&figures, arm, imu));
+    streams.iter().map(|stream| judge(facts, stream, &streams)).chain(imus).collect()
+}
+
+/// Whether an IMU turns as the arm does, by its orientation, which is a filter's and so judged from the
+/// second figure on, by its gyro, and by the gravity that it feels.
+fn judge_imu(figures: &FrameFigures, arm: &ArmFacts, imu: &ImuFacts) -> Judged {
+    /// A gyro that leaves a larger share of the arm's rate says something else.
+    const SHARE: f64 = 0.3;
+    /// Standard gravity, m/s², and by which share of it a healthy accelerometer's median may be off on
+    /// an arm that moves.
+    const GRAVITY: (f64, f64) = (9.81, 0.2);
+    let judged = |outcome| Judged::new(arm.topic(&imu.topic), outcome).within(imu.span);
+    let Some(proof) = &imu.proof else {
+        return judged(Outcome::Skipped("it does not turn with the arm".to_owned()));
+    };
+    let mut odd = Vec::new();
+    let angle = Figure { warning: figures.angle.error, ..figures.angle };
+    let coarse = FrameFigures { angle, ..*figures };
+    if let Some(left) = proof.turning.as_ref().and_then(|error| Left::beyond(error, &coarse)) {
+        let most = Unit::Radian.show(left.worst.amount.most);
+        odd.push(format!("its orientation is up to {most} off beside what was found"));
+    }
+    if let Some(Rates { scale, left, by_fk, noise }) = proof.rates
+        && left > SHARE * by_fk
+        && left > 2.0 * noise
+    {
+        odd.push(format!(
+            "its gyro turns {scale:.2} times as fast as the arm, and leaves {} of {}",
+            Unit::GyroRate.show(left),
+            Unit::GyroRate.show(by_fk)
+        ));
+    }
+    let (standard, share) = GRAVITY;
+    if let Some(felt) = proof.gravity_m_s2.filter(|felt| (felt / standard - 1.0).abs() > share) {
+        odd.push(format!("its accelerometer feels {felt:.2} m/s², where gravity is {standard}"));
+    }
+    if odd.is_empty() {
+        return judged(Outcome::sound());
+    }
+    judged(Outcome::Inconclusive(format!(
+        "{}; no finding accounts for that: check its units and axes",
+        odd.join("; ")
+    )))
 }
 
 fn judge(facts: &Facts, held: &Held, all: &[Held]) -> Judged {
@@ -135,6 +182,10 @@ fn judge(facts: &Facts, held: &Held, all: &[Held]) -> Judged {
         .estimated(Estimate::frame("residual", &length, &angle.unwrap_or(none)))
         .with_evidence("as_logged", error_json(facts, &proof.as_logged))
         .with_evidence("left", error_json(facts, error));
+    let judged = match &proof.calibrated {
+        Some(left) => judged.with_evidence("calibrated", error_json(facts, left)),
+        None => judged,
+    };
     match &found.residual {
         Ok(residual) => judged
             .with_evidence("rms_m", residual.rms_m)
@@ -159,7 +210,7 @@ fn beyond_noise(whole: &Amount) -> Measured {
 
 /// The size of an error over the run, and in the part in which it is largest.
 fn error_json(facts: &Facts, error: &Error) -> Value {
-    let most = |size: &crate::diagnosis::Size| size.worst().map(|part| part.amount.most);
+    let most = |size: &Size| size.worst().map(|part| part.amount.most);
     let worst = error.length.worst();
     let ns = |at_s: f64| facts.origin.shifted(at_s).to_string();
     json!({
@@ -176,6 +227,8 @@ fn error_json(facts: &Facts, error: &Error) -> Value {
 fn outcome(facts: &Facts, held: &Held, all: &[Held]) -> Outcome {
     let Some(standing) = &held.standing else { return Outcome::sound() };
     let at_rest = held.stream.proof.as_ref().is_ok_and(|proof| proof.at_rest);
+    let as_logged =
+        || held.stream.proof.as_ref().map_or(String::new(), |proof| sizes(&proof.as_logged));
     match standing {
         Standing::Left(left) | Standing::Open(left, _) | Standing::Nominal(left) if at_rest => {
             let off = sizes(&left.error);
@@ -184,12 +237,19 @@ fn outcome(facts: &Facts, held: &Held, all: &[Held]) -> Outcome {
         _ if at_rest => Outcome::Inconclusive(format!(
             "the arm hardly moves, and that poses agree in one posture proves little; {SETTLE}"
         )),
-        Standing::Below | Standing::Noise | Standing::Accounted { is_named: true } => Outcome::sound(),
-        Standing::Accounted { is_named: false } => Outcome::sound(),
+        Standing::Below | Standing::Accounted { is_named: true } => Outcome::sound(),
+        Standing::Noise => Outcome::sound_because(format!(
+            "{} off as logged, which differ from sample to sample",
+            as_logged()
+        )),
+        Standing::Accounted { is_named: false } => Outcome::sound_because(format!(
+            "{} off as logged, by amounts that are each below the figures of their rules",
+            as_logged()
+        )),
         Standing::Nominal(left) => Outcome::faulty(nominal(left)),
         Standing::Left(left) if held.is_astray() => Outcome::faulty(disagreement(held, left)),
         Standing::Left(left) => Outcome::faulty(unexplained(facts, held, all, left)),
-        Standing::Open(left, open) => Outcome::Inconclusive(why_open(facts, held, left, open)),
+        Standing::Open(left, open) => Outcome::Inconclusive(why_open(facts, left, open)),
     }
 }
 
@@ -202,30 +262,30 @@ fn sizes(error: &Error) -> String {
     }
 }
 
-/// When and where what is left is largest: `70 mm and 0.2° from +20.0 to +24.0 s, near (…) m`.
-fn where_largest(facts: &Facts, left: &Left) -> String {
-    let Part { from_s, to_s, at, .. } = left.worst;
-    let within = |size: &crate::diagnosis::Size| {
-        let part = size.parts.iter().find(|part| part.from_s == from_s);
-        part.map_or(0.0, |part| part.amount.most)
-    };
-    let length = Unit::Metre.show(within(&left.error.length));
-    let angle = left.error.angle.as_ref().map(|angle| Unit::Radian.show(within(angle)));
+/// When and where too much is left: `in 5 of 10 parts of the run, from +10.02 s to +20.00 s, up to 70 mm
+/// and 0.2° near (…) m`.
+fn where_left(facts: &Facts, left: &Left) -> String {
+    let Part { at, .. } = left.worst;
+    let most = |size: &Size| size.worst().map_or(0.0, |part| part.amount.most);
+    let length = Unit::Metre.show(most(&left.error.length));
+    let angle = left.error.angle.as_ref().map(|angle| Unit::Radian.show(most(angle)));
     let most = angle.map_or(length.clone(), |angle| format!("{length} and {angle}"));
     let moment = |at_s: f64| facts.moment(facts.origin.shifted(at_s));
+    let (first, last) = (left.parts.first(), left.parts.last());
+    let from = moment(first.map_or(0.0, |part| part.from_s));
+    let to = moment(last.map_or(0.0, |part| part.to_s));
     let [x, y, z]: [f64; 3] = at.into();
     let (count, all) = (left.parts.len(), left.error.length.parts.len());
-    format!(
-        "most from {} to {}, up to {most}, near ({x:.2}, {y:.2}, {z:.2}) m, and too much in {count} \
-         of {all} parts of the run",
-        moment(from_s),
-        moment(to_s)
-    )
+    let parts = match count {
+        _ if count == all => "throughout".to_owned(),
+        count => format!("in {count} of {all} parts of the run, from {from} to {to}"),
+    };
+    format!("{parts}, up to {most}, most near ({x:.2}, {y:.2}, {z:.2}) m")
 }
 
 /// Why it is open what is left.
-fn why_open(facts: &Facts, held: &Held, left: &Left, open: &[&str]) -> String {
-    let (off, most) = (sizes(&left.error), where_largest(facts, left));
+fn why_open(facts: &Facts, left: &Left, open: &[&str]) -> String {
+    let (off, most) = (sizes(&left.error), where_left(facts, left));
     let why = match (open, left.error.length.whole.noise) {
         ([], Some(noise)) => format!(
             "no finding accounts for that, and it is not surely more than {} that differ from sample \
@@ -237,7 +297,6 @@ fn why_open(facts: &Facts, held: &Held, left: &Left, open: &[&str]) -> String {
             .to_owned(),
         (open, _) => format!("what accounts for it is open: {}", open.join(", ")),
     };
-    let _ = held;
     format!("{off} are left, {most}; {why}; {SETTLE}")
 }
 
@@ -280,7 +339,7 @@ fn unexplained(facts: &Facts, held: &Held, all: &[Held], left: &Left) -> Fault {
     let sharing: Vec<&str> = sharing.map(|other| other.stream.topic.as_str()).collect();
     let mut evidence = Evidence {
         effect_m: Some(left.error.length.whole.rms),
-        effect: Some(where_largest(facts, left)),
+        effect: Some(where_left(facts, left)),
         ..Evidence::default()
     };
     let shared = match sharing.as_slice() {
@@ -364,7 +423,12 @@ fn said(error: &Error) -> String {
 
 /// The nearest causes, each with what it leaves: the best first.
 fn candidates(stream: &PoseFacts, found: &PoseDiagnosis) -> Vec<String> {
-    let left = stream.proof.as_ref().ok().and_then(|proof| proof.left.as_ref());
+    let proof = stream.proof.as_ref().ok();
+    let rms = |error: &Error| error.length.whole.rms;
+    let left = proof.and_then(|proof| {
+        let nearer = |left: &&Error| rms(left) < 0.5 * rms(&proof.as_logged);
+        proof.left.as_ref().filter(nearer)
+    });
     let all = left.map(|left| format!("all that was found together, which leaves {}", sizes(left)));
     let ranked = found.reading.as_ref().map_or(&[] as &[_], |reading| &reading.ranked);
     let readings = ranked.iter().filter(|(reading, _)| !matches!(reading, Reading::AsLogged)).take(3);
@@ -379,24 +443,112 @@ fn candidates(stream: &PoseFacts, found: &PoseDiagnosis) -> Vec<String> {
 mod tests {
     use super::*;
     use crate::checks::evaluate;
-    use crate::checks::testing::{ask, clean_run, frame, sure};
-    use crate::diagnosis::FrameEstimate;
+    use crate::checks::testing::{POSE, ask, clean_run, frame, left, sure};
+    use crate::diagnosis::{FrameEstimate, Proof, Short, Unseen};
+    use crate::finding::{CheckRow, Finding, Status};
+
+    /// What the rule says of a pose stream that is off by `as_logged_m` and, beside all that was found,
+    /// by `left_m`.
+    fn judged(as_logged_m: f64, left_m: f64, change: fn(&mut ArmFacts)) -> (CheckRow, Vec<Finding>) {
+        let mut facts = clean_run();
+        facts.robots[0].poses[0].proof =
+            Ok(Proof { as_logged: left(as_logged_m, 0.0).as_logged, ..left(left_m, 0.0) });
+        change(&mut facts.robots[0]);
+        let (rows, findings) = ask(&MDL001, &facts);
+        let row = rows.into_iter().find(|row| row.subject.label() == POSE);
+        (row.expect("the stream was asked about"), findings)
+    }
+
+    #[test]
+    fn what_nothing_accounts_for_is_a_finding_beyond_noise_and_open_where_noise_is_not_known() {
+        let (_, findings) = judged(0.03, 0.02, |_| ());
+        assert_eq!(findings[0].severity, Severity::Error);
+        assert!(findings[0].message.starts_with("16 mm and 0° rms are left"), "{findings:?}");
+        let (row, findings) = judged(0.03, 0.02, |arm| {
+            let proof = arm.poses[0].proof.as_mut().expect("a proof");
+            for error in [&mut proof.as_logged].into_iter().chain(&mut proof.left) {
+                error.length.whole.noise = None;
+                error.length.parts[0].amount.noise = None;
+            }
+        });
+        assert!(findings.is_empty() && row.status == Status::Inconclusive, "{row:?}");
+    }
+
+    #[test]
+    fn what_is_found_accounts_for_its_amount_and_what_is_open_does_not() {
+        let late = |arm: &mut ArmFacts| arm.diagnosis.streams[0].latency_s = Ok(sure(0.02));
+        assert_eq!(judged(0.03, 1e-4, late).0.status, Status::Pass);
+        let (row, _) = judged(0.03, 1e-4, |arm| {
+            arm.diagnosis.streams[0].latency_s = Err(Unseen::Periodic(vec![0.0, 0.3]));
+            let proof = arm.poses[0].proof.as_mut().expect("a proof");
+            proof.beside_joints = Some(proof.as_logged.clone());
+        });
+        assert_eq!(row.status, Status::Inconclusive);
+        assert!(row.reason.is_some_and(|why| why.contains("is open: LAT001")));
+    }
+
+    #[test]
+    fn an_error_as_large_as_the_noise_from_sample_to_sample_is_noise() {
+        let (row, findings) = judged(0.004, 0.004, |arm| {
+            let proof = arm.poses[0].proof.as_mut().expect("a proof");
+            for error in [&mut proof.as_logged].into_iter().chain(&mut proof.left) {
+                let noise = Some(Short { rms: 0.002, most: 0.003, over: 1 });
+                error.length.whole.noise = noise;
+                error.length.parts[0].amount.noise = noise;
+            }
+        });
+        assert!(findings.is_empty() && row.status == Status::Pass, "{row:?}");
+    }
+
+    #[test]
+    fn where_nothing_could_be_held_against_the_joints_that_is_open() {
+        let mut facts = clean_run();
+        let arm = &mut facts.robots[0];
+        (arm.poses, arm.tf, arm.imus) = (Vec::new(), Vec::new(), Vec::new());
+        arm.diagnosis.streams.clear();
+        let (rows, _) = ask(&MDL001, &facts);
+        let why = rows[0].reason.as_deref().unwrap_or_default();
+        assert_eq!(rows[0].status, Status::Inconclusive);
+        assert!(why.contains("nothing in this log could be held against /joint_states"), "{why}");
+    }
+
+    #[test]
+    fn where_poses_and_joints_disagree_no_cause_is_named_and_all_say_why() {
+        let mut facts = clean_run();
+        let arm = &mut facts.robots[0];
+        arm.poses[0].proof = Ok(left(0.7, 0.7));
+        let stream = &mut arm.diagnosis.streams[0];
+        stream.residual = Err(Unseen::NotExcited);
+        stream.latency_s = Ok(sure(0.05));
+        let evaluation = evaluate(&facts, &Default::default());
+        let [finding] = evaluation.findings.as_slice() else { panic!("{evaluation:?}") };
+        assert_eq!((finding.code, finding.title), ("MDL001", DISAGREE));
+        let said = "poses and joint states disagree by 560 mm, 32°, and no cause that poseaudit knows \
+                    explains it";
+        assert!(finding.message.starts_with(said), "{}", finding.message);
+        let late = evaluation.checks.iter().find(|row| {
+            row.code == "LAT001" && row.subject.topic.as_deref() == Some(POSE)
+        });
+        let late = late.expect("a row");
+        assert_eq!(late.status, Status::Inconclusive);
+        assert!(late.reason.as_deref().is_some_and(|why| why.starts_with(said)), "{late:?}");
+    }
 
     #[test]
     fn an_arm_that_fits_is_named() {
-        let mut facts = clean_run();
-        let arm = &mut facts.robots[0];
-        arm.diagnosis.streams[0].residual.as_mut().unwrap().excess_m = sure(0.028);
-        let message = |facts: &Facts| ask(&MDL001, facts).1.remove(0).message;
-        assert!(message(&facts).ends_with("when all that was found is taken off"));
-        facts.robots[0].poses[0].better_model = Some(("ur5e".to_owned(), 2e-5));
-        assert!(message(&facts).ends_with("the catalogue's ur5e fits to 20 µm"));
+        let (_, findings) = judged(0.028, 0.028, |_| ());
+        assert!(findings[0].message.ends_with("when all that was found is taken off"));
+        let (_, findings) = judged(0.028, 0.028, |arm| {
+            arm.poses[0].better_model = Some(("ur5e".to_owned(), 2e-5));
+        });
+        assert!(findings[0].message.ends_with("the catalogue's ur5e fits to 20 µm"));
     }
 
     #[test]
     fn beside_what_nothing_explains_only_what_goes_far_beyond_it_is_believed() {
         let found = |tool_m: f64| {
             let mut facts = clean_run();
+            facts.robots[0].poses[0].proof = Ok(left(0.03, 0.0));
             let stream = &mut facts.robots[0].diagnosis.streams[0];
             (stream.growth, stream.growth_chosen) = (Ok(sure(0.01)), true);
             stream.tool = Ok(FrameEstimate { chosen: true, p_value: 0.0, ..frame(tool_m) });

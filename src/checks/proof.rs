@@ -4,7 +4,7 @@
 use crate::checks::decision::FrameFigures;
 use crate::checks::{ArmFacts, Evaluation, Facts, Judged, PoseFacts, find, mdl001};
 use crate::diagnosis::{Amount, Error, FrameEstimate, Part, PoseDiagnosis, Seen, Size};
-use crate::finding::{Outcome, Ruling, Severity, Status, Subject};
+use crate::finding::{CheckRow, Finding, Outcome, Ruling, Severity, Status, Subject, Unit};
 
 /// An error this many times as large as what differs from sample to sample is near it …
 const NEAR: f64 = 2.0;
@@ -19,8 +19,8 @@ impl Named {
     /// Asks them.
     pub fn of(facts: &Facts) -> Self {
         const CODES: [&str; 14] = [
-            "FRM001", "FRM002", "FRM003", "LAT001", "LAT002", "LAT003", "ORD001", "ORD002", "ORD003",
-            "ORD004", "ORD005", "ORD008", "ZER001", "ZER002",
+            "FRM001", "FRM002", "FRM003", "LAT001", "LAT002", "LAT003", "ORD001", "ORD002",
+            "ORD003", "ORD004", "ORD005", "ORD008", "ZER001", "ZER002",
         ];
         let rules = CODES.into_iter().filter_map(|code| find(code).ok());
         let judged = rules.flat_map(|rule| {
@@ -44,6 +44,16 @@ impl Named {
         };
         self.0.iter().filter(is_meant).map(|(code, judged)| (*code, &judged.outcome))
     }
+
+    /// Whether FRM001 has found what `stream` is, which is /tf.
+    fn says_of_tf(&self, arm: &ArmFacts, stream: &PoseFacts) -> bool {
+        let is_tf = arm.tf.iter().any(|(tf, _)| std::ptr::eq(tf, stream));
+        is_tf && self.on(arm, &stream.topic, &["FRM001"]).any(|(_, outcome)| is_faulty(outcome))
+    }
+}
+
+fn is_faulty(outcome: &Outcome) -> bool {
+    matches!(outcome, Outcome::Evaluated(Ruling::Faulty(_)))
 }
 
 /// How the error of one stream stands.
@@ -90,9 +100,18 @@ pub(super) fn standing(
     let causes = Causes::of(named, arm, stream, found);
     let explained = proof.left.as_ref().unwrap_or(&proof.as_logged);
     let left = Left::of(explained, figures, NEAR);
-    let calibrated = proof.calibrated.as_ref().map(|left| Left::of(left, figures, NEAR));
+    let calibrated = proof.calibrated.as_ref().filter(|_| found.nominal);
+    let calibrated = calibrated.map(|left| Left::of(left, figures, NEAR));
     let left = match (left, calibrated) {
         (Some(left), Some(None)) => return Some(Standing::Nominal(left)),
+        // FRM001 says what is left of /tf, of which it is all.
+        (Some(_), _) if named.says_of_tf(arm, stream) => {
+            return Some(Standing::Accounted { is_named: true });
+        }
+        // Against a frame that nobody knows, what is logged is off by any amount.
+        (Some(left), _) if proof.left.is_none() && !stream.reference_known => {
+            return Some(Standing::Open(left, vec!["ORD001"]));
+        }
         (Some(left), _) if left.is_sure(figures) => return Some(Standing::Left(left)),
         (left, _) => left,
     };
@@ -128,6 +147,11 @@ impl Left {
         parts.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
         parts.dedup_by(|a, b| a.from_s == b.from_s);
         Some(Self { severity, error: error.clone(), worst, parts })
+    }
+
+    /// What of `error` reaches the figures and is not near what differs from sample to sample.
+    pub fn beyond(error: &Error, figures: &FrameFigures) -> Option<Self> {
+        Self::of(error, figures, NEAR)
     }
 
     /// Whether in some part the error reaches its figure in the mean square too, and is surely beyond
@@ -167,14 +191,11 @@ impl Causes {
     fn of(named: &Named, arm: &ArmFacts, stream: &PoseFacts, found: &PoseDiagnosis) -> Self {
         let chosen = |is: bool, code: &'static str| is.then_some(code);
         let unsteady = found.course.as_ref().is_ok_and(|course| course.is_unsteady);
-        let times: Vec<&str> = [
-            Some("LAT001"),
-            chosen(found.skew_chosen, "LAT002"),
-            chosen(unsteady, "LAT003"),
-        ]
-        .into_iter()
-        .flatten()
-        .collect();
+        let times: Vec<&str> =
+            [Some("LAT001"), chosen(found.skew_chosen, "LAT002"), chosen(unsteady, "LAT003")]
+                .into_iter()
+                .flatten()
+                .collect();
         let frame = |frame: &Seen<FrameEstimate>| frame.as_ref().is_ok_and(|frame| frame.chosen);
         let reading = found.reading.as_ref().is_ok_and(|reading| !reading.best.is_as_logged());
         let poses: Vec<&str> = [
@@ -199,9 +220,7 @@ impl Causes {
             .chain(zeros.flat_map(|joint| named.on(arm, joint, &["ZER001"])));
         let of_joints: Vec<_> = of_joints.collect();
         let of_poses: Vec<_> = named.on(arm, &stream.topic, &poses).collect();
-        let is_named = |(_, outcome): &(&str, &Outcome)| {
-            matches!(outcome, Outcome::Evaluated(Ruling::Faulty(_)))
-        };
+        let is_named = |(_, outcome): &(&str, &Outcome)| is_faulty(outcome);
         let open = |of: &[(&'static str, &Outcome)]| -> Vec<&'static str> {
             let mut open: Vec<&str> = of
                 .iter()
@@ -219,6 +238,38 @@ impl Causes {
             poses: open(&of_poses),
         }
     }
+}
+
+/// Where more is left of a stream than a latency of it does, that may be a part of whatever is left: play
+/// of a joint looks like some milliseconds.
+pub(super) fn leave_open_what_is_less_than_is_left(evaluation: &mut Evaluation) {
+    let Evaluation { checks, findings, .. } = evaluation;
+    let left = |finding: &&Finding| {
+        finding.code == mdl001::MDL001.code && finding.severity > Severity::Info
+    };
+    let left: Vec<(Subject, f64)> = findings
+        .iter()
+        .filter(left)
+        .filter_map(|finding| Some((finding.subject.clone(), finding.evidence.effect_m?)))
+        .collect();
+    let is_less = |finding: &Finding| {
+        let effect_m = finding.evidence.effect_m.unwrap_or(f64::INFINITY);
+        let of_stream = left.iter().find(|(subject, _)| *subject == finding.subject);
+        let left_m = of_stream.map(|(_, left_m)| *left_m).filter(|left_m| effect_m < *left_m);
+        left_m.filter(|_| matches!(finding.code, "LAT001" | "LAT002"))
+    };
+    for finding in findings.iter() {
+        let Some(left_m) = is_less(finding) else { continue };
+        let is_it =
+            |row: &&mut CheckRow| row.code == finding.code && row.subject == finding.subject;
+        for row in checks.iter_mut().filter(is_it) {
+            let left = Unit::Metre.show(left_m);
+            let why =
+                format!("{}, but {left} are left that nothing explains (MDL001)", finding.message);
+            (row.status, row.reason) = (Status::Inconclusive, Some(why));
+        }
+    }
+    findings.retain(|finding| is_less(finding).is_none());
 }
 
 /// The families of rules whose causes are found by holding poses against joint states.

@@ -3,6 +3,7 @@
 use super::explain::{Cause, Explanation, Menu};
 use super::measured::{Length, joint_p_value};
 use super::model::{StreamState, Sweep, Witness, twist_of};
+use super::placing::Expected;
 use super::reading::{mean_rotation, wahba};
 use super::{FrameEstimate, Seen, Unseen};
 use crate::geometry::{
@@ -34,6 +35,12 @@ pub(super) fn starts(witness: &Witness, latency_s: f64) -> Vec<StreamState> {
     if !witness.reference_known {
         starts.push(with(reference_frame(&fk, &logged), identity));
         starts.push(with(reference, tool));
+        // Where the tool hardly turns, orientations leave the world's turn open, and positions tell it.
+        let xyz: Vec<Vec3> = logged.iter().map(|pose| pose.translation.vector).collect();
+        if let Some(reference) = Expected::of(&fk).reference(&xyz) {
+            let turned: Vec<Pose> = fk.iter().map(|fk| reference * fk).collect();
+            starts.push(with(reference, tool_frame(&turned, &logged)));
+        }
         return starts;
     }
     starts.push(plain.clone());

@@ -46,13 +46,13 @@ pub use handeye::{
     CameraPose, Closure, Diversity, HandEyeDiagnosis, HandEyeStreams, Mount, PoseSeries, Solution,
     TargetReading, diagnose_hand_eye, turning_peaks,
 };
-pub use imu::{diagnose_imu, turning_by_latency};
+pub use imu::{ImuProof, Rates, diagnose_imu, proof_of_imu, turning_by_latency};
 pub use lag::{LatencyResidual, residual_by_latency};
 pub use latency::Peak;
 pub use measured::{Length, Measured};
 pub use motion::{Abruptness, Excess, Series, abruptness, beyond_positions, beyond_speed};
-pub use proof::{Amount, Error, Part, Proof, Short, Size, proof};
 pub use observability::{BlindDirection, Observability, Parameter};
+pub use proof::{Amount, Error, Part, Proof, Short, Size, proof};
 pub use reference::{
     CommandedArm, Commands, Constancy, Following, Line, LineWitness, ReferenceDiagnosis, RestGap,
     diagnose_reference, unnamed_order,

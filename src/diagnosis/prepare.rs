@@ -87,7 +87,7 @@ pub(super) fn position_scale(joints: &JointTrack, stream: &PoseStream) -> Seen<f
 
 /// A stream whose reading is settled, with what settled it.
 pub(super) struct Prepared<'a> {
-    witness: Witness<'a>,
+    pub witness: Witness<'a>,
     pub reading: ReadingEstimate,
     pub degrees: Option<UnitSlip>,
     pub peaks: Vec<Peak>,

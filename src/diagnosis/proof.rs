@@ -8,7 +8,9 @@
 //! motion takes to become another (von Neumann 1941; Hall, Kay and Titterington 1990), and an error is
 //! held against that.
 
-use super::arm::still_speeds;
+use super::model::{StreamState, Sweep, Witness};
+use super::nominal::calibrated;
+use super::prepare::still_speeds;
 use super::{Aligned, PoseDiagnosis, PoseStream, Seen, Unseen};
 use crate::geometry::{Pose, Vec3, pose, rotvec_from_rotation};
 use crate::stream::{JointTrack, Orientations};
@@ -29,6 +31,8 @@ const SHORT: f64 = 0.25;
 const ARM_M: f64 = 0.3;
 /// Samples that the motion's memory is told from.
 const MEMORY_SAMPLES: usize = 2000;
+/// Samples of which is said what a calibration would leave.
+const CALIBRATED_SAMPLES: usize = 5000;
 
 /// The error of one stream against FK, straight from both.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -45,7 +49,7 @@ pub struct Proof {
     /// With everything found taken off but what was found on the poses: reading, units and frames.
     pub beside_poses: Option<Error>,
     /// With everything found and small changes of every link's frame taken off, as a calibration of
-    /// the arm is; `None` where a drawing is not held against a calibrated arm.
+    /// the arm makes them.
     pub calibrated: Option<Error>,
 }
 
@@ -112,11 +116,17 @@ impl Size {
     }
 }
 
-/// The error of a stream, as logged and with what was `found` on it taken off.
+/// The error of a stream, as logged and with what was `found` on it taken off. `mended` are the joint
+/// states with what was found on them taken off.
 ///
 /// # Errors
 /// Where too few of its samples are covered by the joint states.
-pub fn proof(joints: &JointTrack, stream: &PoseStream, found: &PoseDiagnosis) -> Seen<Proof> {
+pub fn proof(
+    joints: &JointTrack,
+    mended: &JointTrack,
+    stream: &PoseStream,
+    found: &PoseDiagnosis,
+) -> Seen<Proof> {
     let logged = as_recorded(joints, stream);
     let have = logged.t_s.len();
     if have == 0 {
@@ -128,8 +138,8 @@ pub fn proof(joints: &JointTrack, stream: &PoseStream, found: &PoseDiagnosis) ->
     let moves = moving(joints, stream, &logged.t_s);
     let at_rest = moves.iter().filter(|moves| **moves).count() < MOVING;
     let has_rotation = matches!(stream.track.orientation, Orientations::Rotations(_));
-    let as_logged = Series::of(&logged.t_s, &logged.logged, &logged.fk, has_rotation)
-        .error(&moves, at_rest);
+    let as_logged =
+        Series::of(&logged.t_s, &logged.logged, &logged.fk, has_rotation).error(&moves, at_rest);
     let aligned = &found.aligned;
     let moves = moving(joints, stream, &aligned.t_s);
     let error = |poses: &[Pose], fk: &[Pose], has_rotation: bool| {
@@ -142,8 +152,56 @@ pub fn proof(joints: &JointTrack, stream: &PoseStream, found: &PoseDiagnosis) ->
         left: error(&aligned.corrected, &aligned.fk_at_truth, true),
         beside_joints: error(&aligned.corrected, &aligned.fk, true),
         beside_poses: error(&aligned.logged, &aligned.fk_at_truth, has_rotation),
-        calibrated: None,
+        calibrated: by_calibration(mended, stream, found, at_rest),
     })
+}
+
+/// What small changes of every link's frame leave beside what was found.
+fn by_calibration(
+    mended: &JointTrack,
+    stream: &PoseStream,
+    found: &PoseDiagnosis,
+    at_rest: bool,
+) -> Option<Error> {
+    let Aligned { t_s, corrected, fk_at_truth, .. } = &found.aligned;
+    let (first, last) = (t_s.first()?, t_s.last()?);
+    if at_rest || t_s.len() < NEED {
+        return None;
+    }
+    let still = still_speeds(mended);
+    let witness = Witness {
+        joints: mended,
+        chain: stream.chain,
+        columns: stream.columns,
+        reference_known: true,
+        still: &still,
+        t_s: t_s.clone(),
+        xyz: corrected.iter().map(|pose| pose.translation.vector).collect(),
+        rotation: corrected.iter().map(|pose| pose.rotation).collect(),
+        middle_s: 0.5 * (first + last),
+    };
+    let skew = found.skew.as_ref().ok().filter(|_| found.skew_chosen);
+    let plain = StreamState {
+        skew: skew.map_or(0.0, |skew| skew.value),
+        ..StreamState::at_latency(found.latency_s.as_ref().map_or(0.0, |latency| latency.value))
+    };
+    let stride = t_s.len().div_ceil(CALIBRATED_SAMPLES);
+    let (mut sweep, none) = (Sweep::new(&witness), vec![0.0; mended.dof]);
+    let rows: Vec<usize> = (0..t_s.len())
+        .step_by(stride)
+        .filter(|&row| witness.pose_at(row, &plain, &none, &mut sweep).is_some())
+        .collect();
+    let kinds = calibrated(&witness, &plain, stride);
+    let [length, angle] = kinds.try_into().ok()?;
+    let vectors = |of: Vec<[f64; 3]>| of.into_iter().map(Vec3::from).collect::<Vec<Vec3>>();
+    let (length, angle) = (vectors(length), vectors(angle));
+    if length.len() != rows.len() {
+        return None;
+    }
+    let t_s: Vec<f64> = rows.iter().map(|&row| t_s[row]).collect();
+    let fk: Vec<Pose> = rows.iter().map(|&row| fk_at_truth[row]).collect();
+    let moves = moving(mended, stream, &t_s);
+    Some(Series::new(&t_s, &fk, length, Some(angle)).error(&moves, false))
 }
 
 /// The samples of a stream beside FK at the same stamps; only stamps and these two are filled.
@@ -179,7 +237,7 @@ fn moving(joints: &JointTrack, stream: &PoseStream, t_s: &[f64]) -> Vec<bool> {
 }
 
 /// The error of every sample.
-struct Series<'a> {
+pub(super) struct Series<'a> {
     t_s: &'a [f64],
     fk: &'a [Pose],
     length: Vec<Vec3>,
@@ -195,8 +253,18 @@ impl<'a> Series<'a> {
     fn of(t_s: &'a [f64], poses: &[Pose], fk: &'a [Pose], has_rotation: bool) -> Self {
         let both = || poses.iter().zip(fk);
         let length = both().map(|(a, b)| a.translation.vector - b.translation.vector).collect();
-        let turn = |(a, b): (&Pose, &Pose)| rotvec_from_rotation(&(a.rotation * b.rotation.inverse()));
+        let turn =
+            |(a, b): (&Pose, &Pose)| rotvec_from_rotation(&(a.rotation * b.rotation.inverse()));
         let angle = has_rotation.then(|| both().map(turn).collect());
+        Self::new(t_s, fk, length, angle)
+    }
+
+    pub fn new(
+        t_s: &'a [f64],
+        fk: &'a [Pose],
+        length: Vec<Vec3>,
+        angle: Option<Vec<Vec3>>,
+    ) -> Self {
         let period_s = median(t_s.windows(2).map(|pair| pair[1] - pair[0]).collect());
         let short = SHORT * memory_s(t_s, fk, period_s) / period_s.max(f64::MIN_POSITIVE);
         let short = (short as usize).min(t_s.len() / 4);
@@ -204,7 +272,7 @@ impl<'a> Series<'a> {
     }
 
     /// The size of the error over the samples at which the arm moves, of all where it rests.
-    fn error(&self, moves: &[bool], at_rest: bool) -> Error {
+    pub fn error(&self, moves: &[bool], at_rest: bool) -> Error {
         let rows: Vec<usize> = (0..self.t_s.len()).filter(|&row| at_rest || moves[row]).collect();
         Error {
             length: self.size(&self.length, &rows),
@@ -214,9 +282,8 @@ impl<'a> Series<'a> {
 
     fn size(&self, error: &[Vec3], rows: &[usize]) -> Size {
         let parts = (rows.len() / PART_SAMPLES).clamp(1, PARTS);
-        let parts = (0..parts).map(|part| {
-            &rows[part * rows.len() / parts..(part + 1) * rows.len() / parts]
-        });
+        let parts = (0..parts)
+            .map(|part| &rows[part * rows.len() / parts..(part + 1) * rows.len() / parts]);
         let part = |rows: &[usize]| {
             let amount = self.amount(error, rows);
             let (first, last) = (*rows.first()?, *rows.last()?);
@@ -251,7 +318,8 @@ impl<'a> Series<'a> {
                 let (before, after) = (row.checked_sub(over)?, row + over);
                 let is_even = after < error.len() && is_whole(before, row) && is_whole(row, after);
                 // Of independent noise the square is six times its own.
-                is_even.then(|| (error[before] - 2.0 * error[row] + error[after]).norm() / 6f64.sqrt())
+                is_even
+                    .then(|| (error[before] - 2.0 * error[row] + error[after]).norm() / 6f64.sqrt())
             };
             let differences: Vec<f64> = rows.iter().filter_map(difference).collect();
             let enough = differences.len() >= NEED;
