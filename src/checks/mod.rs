@@ -260,7 +260,7 @@ pub fn evaluate(facts: &Facts, settings: &Settings) -> Evaluation {
             evaluation.enter(rule, judged, settings);
         }
     }
-    proof::leave_open_what_is_less_than_is_left(&mut evaluation);
+    proof::leave_open_beside_what_is_left(&mut evaluation);
     proof::leave_open_beside_disagreement(facts, &mut evaluation);
     evaluation.observability = observability::observability(facts, &mut evaluation.checks);
     rank(&mut evaluation.findings);

@@ -240,36 +240,44 @@ impl Causes {
     }
 }
 
-/// Where more is left of a stream than a latency of it does, that may be a part of whatever is left: play
-/// of a joint looks like some milliseconds.
-pub(super) fn leave_open_what_is_less_than_is_left(evaluation: &mut Evaluation) {
+/// How many times what is left a cause must move the poses by to be believed beside it: what the model
+/// does not have looks like some of every cause. A latency has the motion's own course, and need only be
+/// more: but play of a joint looks like some milliseconds.
+const BELIEVED: [(&str, f64); 5] =
+    [("FRM002", 10.0), ("LAT001", 1.0), ("LAT002", 1.0), ("ZER001", 10.0), ("ZER002", 10.0)];
+
+/// Leaves causes open that do little beside what is left and nothing explains.
+pub(super) fn leave_open_beside_what_is_left(evaluation: &mut Evaluation) {
     let Evaluation { checks, findings, .. } = evaluation;
-    let left = |finding: &&Finding| {
+    let is_left = |finding: &&Finding| {
         finding.code == mdl001::MDL001.code && finding.severity > Severity::Info
     };
-    let left: Vec<(Subject, f64)> = findings
-        .iter()
-        .filter(left)
+    let left = findings.iter().filter(is_left);
+    let left: Vec<(Subject, f64)> = left
         .filter_map(|finding| Some((finding.subject.clone(), finding.evidence.effect_m?)))
         .collect();
-    let is_less = |finding: &Finding| {
-        let effect_m = finding.evidence.effect_m.unwrap_or(f64::INFINITY);
-        let of_stream = left.iter().find(|(subject, _)| *subject == finding.subject);
-        let left_m = of_stream.map(|(_, left_m)| *left_m).filter(|left_m| effect_m < *left_m);
-        left_m.filter(|_| matches!(finding.code, "LAT001" | "LAT002"))
+    let doubted = |finding: &Finding| -> Option<f64> {
+        let (_, times) = BELIEVED.iter().find(|(code, _)| *code == finding.code)?;
+        let effect_m = finding.evidence.effect_m?;
+        let concerns = |subject: &Subject| {
+            let topic = &finding.subject.topic;
+            subject.robot == finding.subject.robot && (topic.is_none() || subject.topic == *topic)
+        };
+        let of_it = left.iter().filter(|(subject, _)| concerns(subject)).map(|(_, left_m)| *left_m);
+        of_it.reduce(f64::max).filter(|left_m| effect_m < times * left_m)
     };
     for finding in findings.iter() {
-        let Some(left_m) = is_less(finding) else { continue };
+        let Some(left_m) = doubted(finding) else { continue };
+        let left = Unit::Metre.show(left_m);
+        let why =
+            format!("{}, but {left} are left that nothing explains (MDL001)", finding.message);
         let is_it =
             |row: &&mut CheckRow| row.code == finding.code && row.subject == finding.subject;
         for row in checks.iter_mut().filter(is_it) {
-            let left = Unit::Metre.show(left_m);
-            let why =
-                format!("{}, but {left} are left that nothing explains (MDL001)", finding.message);
-            (row.status, row.reason) = (Status::Inconclusive, Some(why));
+            (row.status, row.reason) = (Status::Inconclusive, Some(why.clone()));
         }
     }
-    findings.retain(|finding| is_less(finding).is_none());
+    findings.retain(|finding| doubted(finding).is_none());
 }
 
 /// The families of rules whose causes are found by holding poses against joint states.
