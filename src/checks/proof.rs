@@ -4,7 +4,9 @@
 use crate::checks::decision::FrameFigures;
 use crate::checks::{ArmFacts, Evaluation, Facts, Judged, PoseFacts, find, mdl001};
 use crate::diagnosis::{Amount, Error, FrameEstimate, Part, PoseDiagnosis, Seen, Size};
-use crate::finding::{CheckRow, Finding, Outcome, Ruling, Severity, Status, Subject, Unit};
+use crate::finding::{
+    CheckRow, Estimate, Finding, Outcome, Ruling, Severity, Status, Subject, Unit,
+};
 
 /// An error this many times as large as what differs from sample to sample is near it …
 const NEAR: f64 = 2.0;
@@ -245,39 +247,66 @@ impl Causes {
 /// more: but play of a joint looks like some milliseconds.
 const BELIEVED: [(&str, f64); 5] =
     [("FRM002", 10.0), ("LAT001", 1.0), ("LAT002", 1.0), ("ZER001", 10.0), ("ZER002", 10.0)];
+/// How many times the angle that is left the zero of a joint must be.
+const BELIEVED_TURN: f64 = 5.0;
+
+/// What is left of a stream and nothing explains.
+struct Unexplained {
+    subject: Subject,
+    length_m: f64,
+    angle_rad: f64,
+}
+
+impl Unexplained {
+    fn of(finding: &Finding) -> Option<Self> {
+        let is_left = finding.code == mdl001::MDL001.code && finding.severity > Severity::Info;
+        match finding.estimate.as_ref().filter(|_| is_left)? {
+            Estimate::Frame { value, rotation, .. } => Some(Self {
+                subject: finding.subject.clone(),
+                length_m: *value,
+                angle_rad: rotation.value,
+            }),
+            _ => None,
+        }
+    }
+
+    /// Whether a cause that was found on the same stream, or on a joint, may be a part of it.
+    fn hides(&self, finding: &Finding) -> bool {
+        let Subject { robot, topic, .. } = &finding.subject;
+        let is_it =
+            self.subject.robot == *robot && (topic.is_none() || self.subject.topic == *topic);
+        let believed = BELIEVED.iter().find(|(code, _)| *code == finding.code);
+        let (Some((_, times)), Some(effect_m)) = (believed, finding.evidence.effect_m) else {
+            return false;
+        };
+        let turn_rad = match &finding.estimate {
+            Some(Estimate::Amount { value, unit, .. }) if *unit == Unit::Radian.symbol() => {
+                value.abs()
+            }
+            _ => f64::INFINITY,
+        };
+        is_it && (effect_m < times * self.length_m || turn_rad < BELIEVED_TURN * self.angle_rad)
+    }
+}
 
 /// Leaves causes open that do little beside what is left and nothing explains.
 pub(super) fn leave_open_beside_what_is_left(evaluation: &mut Evaluation) {
     let Evaluation { checks, findings, .. } = evaluation;
-    let is_left = |finding: &&Finding| {
-        finding.code == mdl001::MDL001.code && finding.severity > Severity::Info
-    };
-    let left = findings.iter().filter(is_left);
-    let left: Vec<(Subject, f64)> = left
-        .filter_map(|finding| Some((finding.subject.clone(), finding.evidence.effect_m?)))
-        .collect();
-    let doubted = |finding: &Finding| -> Option<f64> {
-        let (_, times) = BELIEVED.iter().find(|(code, _)| *code == finding.code)?;
-        let effect_m = finding.evidence.effect_m?;
-        let concerns = |subject: &Subject| {
-            let topic = &finding.subject.topic;
-            subject.robot == finding.subject.robot && (topic.is_none() || subject.topic == *topic)
-        };
-        let of_it = left.iter().filter(|(subject, _)| concerns(subject)).map(|(_, left_m)| *left_m);
-        of_it.reduce(f64::max).filter(|left_m| effect_m < times * left_m)
-    };
-    for finding in findings.iter() {
-        let Some(left_m) = doubted(finding) else { continue };
-        let left = Unit::Metre.show(left_m);
-        let why =
-            format!("{}, but {left} are left that nothing explains (MDL001)", finding.message);
+    let left: Vec<Unexplained> = findings.iter().filter_map(Unexplained::of).collect();
+    findings.retain(|finding| {
+        let Some(left) = left.iter().find(|left| left.hides(finding)) else { return true };
+        let (length, angle) = (Unit::Metre.show(left.length_m), Unit::Radian.show(left.angle_rad));
+        let why = format!(
+            "{}, but {length} and {angle} are left that nothing explains (MDL001)",
+            finding.message
+        );
         let is_it =
             |row: &&mut CheckRow| row.code == finding.code && row.subject == finding.subject;
         for row in checks.iter_mut().filter(is_it) {
             (row.status, row.reason) = (Status::Inconclusive, Some(why.clone()));
         }
-    }
-    findings.retain(|finding| doubted(finding).is_none());
+        false
+    });
 }
 
 /// The families of rules whose causes are found by holding poses against joint states.

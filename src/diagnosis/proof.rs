@@ -385,3 +385,97 @@ fn memory_s(t_s: &[f64], fk: &[Pose], period_s: f64) -> f64 {
     }
     f64::INFINITY
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::rotation_from_rotvec;
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    const N: usize = 4000;
+
+    /// 32 s of a tip that swings through half a metre every 4 s, at 125 Hz.
+    fn motion() -> (Vec<f64>, Vec<Pose>) {
+        let t_s: Vec<f64> = (0..N).map(|row| row as f64 / 125.0).collect();
+        let at = |t_s: &f64| {
+            let phase = t_s * std::f64::consts::TAU / 4.0;
+            let turn = rotation_from_rotvec(Vec3::new(0.4 * phase.sin(), 0.0, 0.0));
+            pose([0.25 * phase.sin(), 0.2 * (0.7 * phase).cos(), 0.4], turn)
+        };
+        let fk = t_s.iter().map(at).collect();
+        (t_s, fk)
+    }
+
+    /// Noise of 1 mm a component that remembers by `rho` from sample to sample.
+    fn noise(rho: f64, seed: u64) -> Vec<Vec3> {
+        let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
+        let mut state = Vec3::zeros();
+        let mut next = || {
+            let new: [f64; 3] = std::array::from_fn(|_| StandardNormal.sample(&mut rng));
+            state = state * rho + Vec3::from(new) * 1e-3 * (1.0 - rho * rho).sqrt();
+            state
+        };
+        (0..N).map(|_| next()).collect()
+    }
+
+    fn size_of(error: Vec<Vec3>) -> Size {
+        let (t_s, fk) = motion();
+        Series::new(&t_s, &fk, error, None).error(&[true; N], false).length
+    }
+
+    /// How many times the noise the error is in its worst part.
+    fn beyond(size: &Size) -> f64 {
+        let amount = size.worst().expect("a part").amount;
+        amount.rms / amount.noise.expect("its noise").rms
+    }
+
+    #[test]
+    fn noise_is_noise_whether_or_not_it_remembers() {
+        for (seed, rho) in [(1, 0.0), (2, 0.6), (3, 0.9)] {
+            let size = size_of(noise(rho, seed));
+            assert!(beyond(&size) < 1.6, "{rho}: {}", beyond(&size));
+        }
+    }
+
+    #[test]
+    fn a_step_is_far_beyond_the_noise_and_begins_where_it_does() {
+        let mut error = noise(0.6, 4);
+        error[2000..].iter_mut().for_each(|error| error.x += 0.07);
+        let size = size_of(error);
+        assert!(beyond(&size) > 20.0, "{}", beyond(&size));
+        let large: Vec<f64> = size
+            .parts
+            .iter()
+            .filter(|part| part.amount.most > 0.02)
+            .map(|part| part.from_s)
+            .collect();
+        assert_eq!(large.len(), 5);
+        assert!((large[0] - 16.0).abs() < 0.1, "{large:?}");
+    }
+
+    #[test]
+    fn what_comes_again_with_the_posture_is_no_noise() {
+        let (_, fk) = motion();
+        let bent = fk.iter().map(|fk| fk.translation.vector.cross(&Vec3::z()) * 0.02);
+        let error = bent.zip(noise(0.0, 5)).map(|(bent, noise)| bent + 0.1 * noise).collect();
+        assert!(beyond(&size_of(error)) > 5.0);
+    }
+
+    #[test]
+    fn single_strays_do_not_count() {
+        let mut error = noise(0.0, 6);
+        let before = size_of(error.clone()).whole.most;
+        (0..N).step_by(200).for_each(|row| error[row].z = 3.0);
+        assert!(size_of(error).whole.most < 1.2 * before);
+    }
+
+    #[test]
+    fn samples_as_far_apart_as_the_motion_tell_no_noise() {
+        let (t_s, fk) = motion();
+        let few: Vec<usize> = (0..N).step_by(125).collect();
+        let (t_s, fk): (Vec<f64>, Vec<Pose>) = few.iter().map(|&row| (t_s[row], fk[row])).unzip();
+        let series = Series::new(&t_s, &fk, vec![Vec3::x(); few.len()], None);
+        assert_eq!(series.error(&vec![true; few.len()], false).length.whole.noise, None);
+    }
+}
