@@ -102,7 +102,7 @@ impl Held<'_> {
 fn judge_arm(facts: &Facts, named: &Named, arm: &ArmFacts) -> Vec<Judged> {
     let figures = figures(facts);
     let held = |subject: Subject, stream, found| {
-        let standing = standing(named, arm, (stream, found), &figures);
+        let standing = standing(named, arm, (stream, found), &figures, facts.subjects());
         Held { stream, found, subject, standing }
     };
     let poses = arm.poses().map(|(stream, found)| held(arm.topic(&stream.topic), stream, found));

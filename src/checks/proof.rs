@@ -1,9 +1,9 @@
 //! What is left of a stream's error when what the other rules decided is taken off: what MDL001 judges,
 //! and what a pass rests on.
 
-use crate::checks::decision::FrameFigures;
+use crate::checks::decision::{Decision, FrameFigures, decide_both};
 use crate::checks::{ArmFacts, Evaluation, Facts, Judged, PoseFacts, find, mdl001};
-use crate::diagnosis::{Amount, Error, FrameEstimate, Part, PoseDiagnosis, Seen, Size};
+use crate::diagnosis::{Amount, Error, FrameEstimate, Part, PoseDiagnosis, Residual, Seen, Size};
 use crate::finding::{
     CheckRow, Estimate, Finding, Outcome, Ruling, Severity, Status, Subject, Unit,
 };
@@ -91,6 +91,7 @@ pub(super) fn standing(
     arm: &ArmFacts,
     (stream, found): (&PoseFacts, &PoseDiagnosis),
     figures: &FrameFigures,
+    subjects: usize,
 ) -> Option<Standing> {
     let proof = stream.proof.as_ref().ok()?;
     if Left::of(&proof.as_logged, figures, 0.0).is_none() {
@@ -114,7 +115,9 @@ pub(super) fn standing(
         (Some(left), _) if proof.left.is_none() && !stream.reference_known => {
             return Some(Standing::Open(left, vec!["ORD001"]));
         }
-        (Some(left), _) if left.is_sure(figures) => return Some(Standing::Left(left)),
+        (Some(left), _) if left.is_sure(figures) || comes_again(found, figures, subjects) => {
+            return Some(Standing::Left(left));
+        }
         (left, _) => left,
     };
     let as_logged = || Some(&proof.as_logged);
@@ -127,6 +130,15 @@ pub(super) fn standing(
     Some(match unexplained.map_or(left, |error| Left::of(error, figures, NEAR)) {
         Some(left) => Standing::Open(left, [causes.joints, causes.poses].concat()),
         None => Standing::Accounted { is_named: causes.is_named },
+    })
+}
+
+/// Whether what is left comes again with the posture, which noise does not, however little of it is known
+/// from sample to sample.
+fn comes_again(found: &PoseDiagnosis, figures: &FrameFigures, subjects: usize) -> bool {
+    found.residual.as_ref().is_ok_and(|residual| {
+        let Residual { excess_m, excess_rad, .. } = residual;
+        matches!(decide_both(excess_m, excess_rad, figures, subjects), Decision::Fail(_))
     })
 }
 
