@@ -230,7 +230,7 @@ fn outcome(facts: &Facts, held: &Held, all: &[Held]) -> Outcome {
     let as_logged =
         || held.stream.proof.as_ref().map_or(String::new(), |proof| sizes(&proof.as_logged));
     match standing {
-        Standing::Left(left) | Standing::Open(left, _) | Standing::Nominal(left) if at_rest => {
+        Standing::Left(left) | Standing::Open(left, _) if at_rest => {
             let off = sizes(&left.error);
             Outcome::Inconclusive(format!("it is {off} off at rest, and one posture does not tell why; {SETTLE}"))
         }
@@ -246,7 +246,7 @@ fn outcome(facts: &Facts, held: &Held, all: &[Held]) -> Outcome {
             "{} off as logged, by amounts that are each below the figures of their rules",
             as_logged()
         )),
-        Standing::Nominal(left) => Outcome::faulty(nominal(left)),
+        Standing::Nominal(error) => Outcome::faulty(nominal(error)),
         Standing::Left(left) if held.is_astray() => Outcome::faulty(disagreement(held, left)),
         Standing::Left(left) => Outcome::faulty(unexplained(facts, held, all, left)),
         Standing::Open(left, open) => Outcome::Inconclusive(why_open(facts, left, open)),
@@ -300,15 +300,15 @@ fn why_open(facts: &Facts, left: &Left, open: &[&str]) -> String {
     format!("{off} are left, {most}; {why}; {SETTLE}")
 }
 
-fn nominal(left: &Left) -> Fault {
+fn nominal(error: &Error) -> Fault {
     Fault {
         severity: Severity::Info,
         title: "nominal kinematics",
         message: format!(
             "{} rms are left, as of a drawing against a calibrated arm",
-            sizes(&left.error)
+            sizes(error)
         ),
-        evidence: Evidence { effect_m: Some(left.error.length.whole.rms), ..Evidence::default() },
+        evidence: Evidence { effect_m: Some(error.length.whole.rms), ..Evidence::default() },
         fix: "use the arm's calibration; for a UR, calibration.yaml from the controller".to_owned(),
     }
 }

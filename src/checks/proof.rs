@@ -49,9 +49,14 @@ impl Named {
 
     /// Whether FRM001 has found what `stream` is, which is /tf.
     fn says_of_tf(&self, arm: &ArmFacts, stream: &PoseFacts) -> bool {
-        let is_tf = arm.tf.iter().any(|(tf, _)| std::ptr::eq(tf, stream));
-        is_tf && self.on(arm, &stream.topic, &["FRM001"]).any(|(_, outcome)| is_faulty(outcome))
+        is_tf(arm, stream)
+            && self.on(arm, &stream.topic, &["FRM001"]).any(|(_, outcome)| is_faulty(outcome))
     }
+}
+
+/// Whether a stream of `arm` is what /tf says of its tip.
+fn is_tf(arm: &ArmFacts, stream: &PoseFacts) -> bool {
+    arm.tf.iter().any(|(tf, _)| std::ptr::eq(tf, stream))
 }
 
 fn is_faulty(outcome: &Outcome) -> bool {
@@ -68,7 +73,7 @@ pub(super) enum Standing {
     /// rule names any of it.
     Accounted { is_named: bool },
     /// Small changes of many kinematic parameters account for what else is left.
-    Nominal(Left),
+    Nominal(Error),
     /// Some is left that is surely more than all that.
     Left(Left),
     /// More is left than may be, and that may be noise, or causes whose rules are open: which.
@@ -94,32 +99,35 @@ pub(super) fn standing(
     subjects: usize,
 ) -> Option<Standing> {
     let proof = stream.proof.as_ref().ok()?;
+    let explained = proof.left.as_ref().unwrap_or(&proof.as_logged);
+    // What is computed from the joint states has no noise of its own.
+    let near = if is_tf(arm, stream) { 0.0 } else { NEAR };
+    if let Some(calibrated) = proof.calibrated.as_ref().filter(|_| found.nominal)
+        && Left::of(calibrated, figures, near).is_none()
+    {
+        return Some(Standing::Nominal(explained.clone()));
+    }
     if Left::of(&proof.as_logged, figures, 0.0).is_none() {
         return Some(Standing::Below);
     }
-    if Left::of(&proof.as_logged, figures, NEAR).is_none() {
+    if Left::of(&proof.as_logged, figures, near).is_none() {
         return Some(Standing::Noise);
     }
-    let causes = Causes::of(named, arm, stream, found);
-    let explained = proof.left.as_ref().unwrap_or(&proof.as_logged);
-    let left = Left::of(explained, figures, NEAR);
-    let calibrated = proof.calibrated.as_ref().filter(|_| found.nominal);
-    let calibrated = calibrated.map(|left| Left::of(left, figures, NEAR));
-    let left = match (left, calibrated) {
-        (Some(left), Some(None)) => return Some(Standing::Nominal(left)),
+    let left = match Left::of(explained, figures, near) {
         // FRM001 says what is left of /tf, of which it is all.
-        (Some(_), _) if named.says_of_tf(arm, stream) => {
+        Some(_) if named.says_of_tf(arm, stream) => {
             return Some(Standing::Accounted { is_named: true });
         }
         // Against a frame that nobody knows, what is logged is off by any amount.
-        (Some(left), _) if proof.left.is_none() && !stream.reference_known => {
+        Some(left) if proof.left.is_none() && !stream.reference_known => {
             return Some(Standing::Open(left, vec!["ORD001"]));
         }
-        (Some(left), _) if left.is_sure(figures) || comes_again(found, figures, subjects) => {
+        Some(left) if left.is_sure(figures) || comes_again(found, figures, subjects) => {
             return Some(Standing::Left(left));
         }
-        (left, _) => left,
+        left => left,
     };
+    let causes = Causes::of(named, arm, stream, found);
     let as_logged = || Some(&proof.as_logged);
     let unexplained = match (causes.joints.is_empty(), causes.poses.is_empty()) {
         (true, true) => None,
@@ -127,7 +135,7 @@ pub(super) fn standing(
         (true, false) => proof.beside_poses.as_ref().or_else(as_logged),
         (false, false) => as_logged(),
     };
-    Some(match unexplained.map_or(left, |error| Left::of(error, figures, NEAR)) {
+    Some(match unexplained.map_or(left, |error| Left::of(error, figures, near)) {
         Some(left) => Standing::Open(left, [causes.joints, causes.poses].concat()),
         None => Standing::Accounted { is_named: causes.is_named },
     })
