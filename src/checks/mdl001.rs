@@ -171,7 +171,7 @@ fn judge(facts: &Facts, held: &Held, all: &[Held]) -> Judged {
         Err(why) => return Judged::new(subject.clone(), unseen(why, SETTLE)).within(stream.span),
     };
     let error = match standing {
-        Some(Standing::Nominal(left) | Standing::Left(left) | Standing::Open(left, _)) => &left.error,
+        Some(Standing::Left(left) | Standing::Open(left, _)) => &left.error,
         _ => proof.left.as_ref().unwrap_or(&proof.as_logged),
     };
     let angle = error.angle.as_ref().map(|angle| beyond_noise(&angle.whole));
