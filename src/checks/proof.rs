@@ -20,9 +20,10 @@ pub(super) struct Named(Vec<(&'static str, Judged)>);
 impl Named {
     /// Asks them.
     pub fn of(facts: &Facts) -> Self {
-        const CODES: [&str; 14] = [
+        const CODES: [&str; 17] = [
             "FRM001", "FRM002", "FRM003", "LAT001", "LAT002", "LAT003", "ORD001", "ORD002",
-            "ORD003", "ORD004", "ORD005", "ORD008", "ZER001", "ZER002",
+            "ORD003", "ORD004", "ORD005", "ORD008", "ORD009", "ORD010", "ORD011", "ZER001",
+            "ZER002",
         ];
         let rules = CODES.into_iter().filter_map(|code| find(code).ok());
         let judged = rules.flat_map(|rule| {
@@ -219,7 +220,12 @@ impl Causes {
                 .flatten()
                 .collect();
         let frame = |frame: &Seen<FrameEstimate>| frame.as_ref().is_ok_and(|frame| frame.chosen);
-        let reading = found.reading.as_ref().is_ok_and(|reading| !reading.best.is_as_logged());
+        // Orientations that were logged and not read are not accounted for.
+        let has_angle = stream.proof.as_ref().is_ok_and(|proof| proof.as_logged.angle.is_some());
+        let reading = match &found.reading {
+            Ok(reading) => reading.inverted || !reading.best.is_as_logged(),
+            Err(_) => has_angle,
+        };
         let poses: Vec<&str> = [
             chosen(frame(&found.reference) || frame(&found.tool), "FRM001"),
             chosen(frame(&found.reference) && stream.reference_known, "FRM002"),
@@ -228,7 +234,9 @@ impl Causes {
             chosen(reading, "ORD002"),
             chosen(reading, "ORD003"),
             chosen(found.degrees.is_some(), "ORD004"),
-            chosen(matches!(found.millimetres, Ok(Some(_))), "ORD008"),
+            chosen(matches!(found.length, Ok(Some(_))), "ORD008"),
+            chosen(matches!(found.axes, Ok(Some(_))), "ORD010"),
+            chosen(!found.constant.is_empty(), "ORD011"),
             chosen(found.growth_chosen, "ZER002"),
         ]
         .into_iter()

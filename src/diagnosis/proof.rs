@@ -8,7 +8,7 @@
 //! motion takes to become another (von Neumann 1941; Hall, Kay and Titterington 1990), and an error is
 //! held against that.
 
-use super::model::{StreamState, Sweep, Witness};
+use super::model::{Blind, StreamState, Sweep, Witness};
 use super::nominal::calibrated;
 use super::prepare::still_speeds;
 use super::{Aligned, PoseDiagnosis, PoseStream, Seen, Unseen};
@@ -178,6 +178,7 @@ fn by_calibration(
         t_s: t_s.clone(),
         xyz: corrected.iter().map(|pose| pose.translation.vector).collect(),
         rotation: corrected.iter().map(|pose| pose.rotation).collect(),
+        blind: Blind::default(),
         middle_s: 0.5 * (first + last),
     };
     let skew = found.skew.as_ref().ok().filter(|_| found.skew_chosen);
@@ -216,7 +217,7 @@ fn as_recorded(joints: &JointTrack, stream: &PoseStream) -> Aligned {
         let own: Vec<f64> = stream.columns.iter().map(|&column| q[column]).collect();
         let rotation = match &track.orientation {
             Orientations::Rotations(all) => all[row],
-            Orientations::Numbers(_) => Default::default(),
+            Orientations::Numbers(_) | Orientations::Unset(_) => Default::default(),
         };
         aligned.t_s.push(t_s);
         aligned.logged.push(pose(track.xyz[row].into(), rotation));

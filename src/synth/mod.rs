@@ -201,6 +201,8 @@ pub struct PoseStream {
     pub growth: f64,
     /// What became of the pose on its way into the log.
     pub coding: Coding,
+    /// Whether it was inverted as a whole before that.
+    pub inverted: bool,
     /// Whether positions are in mm.
     pub in_millimetres: bool,
     /// Scale of the quaternions: 1 where they are of unit norm.
@@ -327,6 +329,7 @@ impl Scenario {
                 slip: None,
                 growth: 0.0,
                 coding: Coding::Faithful,
+                inverted: false,
                 in_millimetres: false,
                 quaternion_norm: 1.0,
                 as_numbers: None,
