@@ -246,6 +246,7 @@ fn outcome(facts: &Facts, held: &Held, all: &[Held]) -> Outcome {
             "{} off as logged, by amounts that are each below the figures of their rules",
             as_logged()
         )),
+        Standing::Small(left) => Outcome::faulty(small(facts, left)),
         Standing::Nominal(error) => Outcome::faulty(nominal(error)),
         Standing::Left(left) if held.is_astray() => Outcome::faulty(disagreement(held, left)),
         Standing::Left(left) => Outcome::faulty(unexplained(facts, held, all, left)),
@@ -298,6 +299,23 @@ fn why_open(facts: &Facts, left: &Left, open: &[&str]) -> String {
         (open, _) => format!("what accounts for it is open: {}", open.join(", ")),
     };
     format!("{off} are left, {most}; {why}; {SETTLE}")
+}
+
+fn small(facts: &Facts, left: &Left) -> Fault {
+    Fault {
+        severity: Severity::Info,
+        title: "small residual",
+        message: format!(
+            "{} rms are left, as sag, play or encoder error below 0.1° a joint leave together",
+            sizes(&left.error)
+        ),
+        evidence: Evidence {
+            effect: Some(where_left(facts, left)),
+            effect_m: Some(left.error.length.whole.rms),
+            ..Evidence::default()
+        },
+        fix: "nothing, where that is as well as the arm is known to be".to_owned(),
+    }
 }
 
 fn nominal(error: &Error) -> Fault {

@@ -14,6 +14,10 @@ const NEAR: f64 = 2.0;
 /// times of seven independent samples.
 const BEYOND: f64 = 3.0;
 
+/// Sag, play and encoder error that are each below their figures leave together up to so many times the
+/// figures, for moments.
+const TOGETHER: f64 = 2.0;
+
 /// What the rules that name causes made of a run.
 pub(super) struct Named(Vec<(&'static str, Judged)>);
 
@@ -73,6 +77,9 @@ pub(super) enum Standing {
     /// What was found leaves less than the figures, or what differs from sample to sample; whether a
     /// rule names any of it.
     Accounted { is_named: bool },
+    /// What is left is below the figures in the mean square, in every part of the run, and hardly above
+    /// them anywhere, as what amounts below a figure at every joint leave together.
+    Small(Left),
     /// Small changes of many kinematic parameters account for what else is left.
     Nominal(Error),
     /// Some is left that is surely more than all that.
@@ -137,6 +144,9 @@ pub(super) fn standing(
         (false, false) => as_logged(),
     };
     Some(match unexplained.map_or(left, |error| Left::of(error, figures, near)) {
+        Some(left) if near > 0.0 && unexplained.is_none() && left.is_small(figures) => {
+            Standing::Small(left)
+        }
         Some(left) => Standing::Open(left, [causes.joints, causes.poses].concat()),
         None => Standing::Accounted { is_named: causes.is_named },
     })
@@ -177,15 +187,24 @@ impl Left {
         Self::of(error, figures, NEAR)
     }
 
-    /// Whether in some part the error reaches its figure in the mean square too, and is surely beyond
-    /// measured noise.
-    fn is_sure(&self, figures: &FrameFigures) -> bool {
-        let sure = |amount: &Amount, warning: f64| {
-            amount.rms >= warning
-                && amount.noise.is_some_and(|noise| amount.rms >= BEYOND * noise.rms)
+    /// Whether it is what amounts below a figure at every joint leave together.
+    fn is_small(&self, figures: &FrameFigures) -> bool {
+        let small = |amount: &Amount, warning: f64| {
+            amount.rms < warning && amount.most < TOGETHER * warning
         };
         sizes(&self.error, figures)
-            .any(|(size, figure)| size.parts.iter().any(|part| sure(&part.amount, figure.warning)))
+            .all(|(size, figure)| size.parts.iter().all(|part| small(&part.amount, figure.warning)))
+    }
+
+    /// Whether over the whole run the error reaches its figure in the mean square too, and is in some part
+    /// surely beyond measured noise.
+    fn is_sure(&self, figures: &FrameFigures) -> bool {
+        let sure = |part: &Part| {
+            let Amount { rms, noise, .. } = part.amount;
+            noise.is_some_and(|noise| rms >= BEYOND * noise.rms)
+        };
+        sizes(&self.error, figures)
+            .any(|(size, figure)| size.whole.rms >= figure.warning && size.parts.iter().any(sure))
     }
 
     /// Whether it is left in some part at the same time as `other`.

@@ -25,6 +25,8 @@ const PART_SAMPLES: usize = 20;
 const NEED: usize = 8;
 /// Moving samples without which the arm rests.
 const MOVING: usize = 10;
+/// A tip whose points are spread by less rests, rms m.
+const AT_REST_M: f64 = 2e-3;
 /// Noise is what differs within this share of the time in which the motion becomes another.
 const SHORT: f64 = 0.25;
 /// Distance from the tip of the points that show how it turns, m.
@@ -136,7 +138,9 @@ pub fn proof(
         return Err(Unseen::TooFewSamples { have, need: NEED });
     }
     let moves = moving(joints, stream, &logged.t_s);
-    let at_rest = moves.iter().filter(|moves| **moves).count() < MOVING;
+    let points = tip_points(&logged.fk);
+    let at_rest = moves.iter().filter(|moves| **moves).count() < MOVING
+        || variance(&points) < AT_REST_M * AT_REST_M;
     let has_rotation = matches!(stream.track.orientation, Orientations::Rotations(_));
     let as_logged =
         Series::of(&logged.t_s, &logged.logged, &logged.fk, has_rotation).error(&moves, at_rest);
@@ -347,22 +351,36 @@ fn median(mut values: Vec<f64>) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
+/// Three points of the tip, which show how it moves and turns: itself, and two beside it from it, m.
+type Points = [Vec3; 3];
+
+fn tip_points(fk: &[Pose]) -> Vec<Points> {
+    let points = |pose: &Pose| {
+        let [x, y] = [Vec3::x(), Vec3::y()].map(|axis| pose.rotation * axis * ARM_M);
+        [pose.translation.vector, x, y]
+    };
+    fk.iter().map(points).collect()
+}
+
+/// The square of how far apart two sets of points are, m².
+fn apart(a: &Points, b: &Points) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).norm_squared()).sum()
+}
+
+/// The mean square of how far points are from their mean, m².
+fn variance(points: &[Points]) -> f64 {
+    let n = points.len().max(1) as f64;
+    let mean: Points =
+        std::array::from_fn(|of| points.iter().map(|points| points[of]).sum::<Vec3>() / n);
+    points.iter().map(|points| apart(points, &mean)).sum::<f64>() / n
+}
+
 /// The time after which the pose of the tip is half another, s: its mean square change is half of what
 /// it is between any two times. Infinite where the tip does not move.
 fn memory_s(t_s: &[f64], fk: &[Pose], period_s: f64) -> f64 {
     let stride = fk.len().div_ceil(MEMORY_SAMPLES).max(1);
-    let point = |pose: &Pose| {
-        let [x, y] = [Vec3::x(), Vec3::y()].map(|axis| pose.rotation * axis * ARM_M);
-        [pose.translation.vector, x, y]
-    };
-    let points: Vec<[Vec3; 3]> = fk.iter().map(point).collect();
-    let n = points.len().max(1) as f64;
-    let mean: [Vec3; 3] =
-        std::array::from_fn(|of| points.iter().map(|point| point[of]).sum::<Vec3>() / n);
-    let square = |a: &[Vec3; 3], b: &[Vec3; 3]| -> f64 {
-        a.iter().zip(b).map(|(a, b)| (a - b).norm_squared()).sum()
-    };
-    let variance = points.iter().map(|point| square(point, &mean)).sum::<f64>() / n;
+    let points = tip_points(fk);
+    let variance = variance(&points);
     let mut before = (0, 0.0);
     let mut k = 1;
     while k < points.len() {
@@ -370,7 +388,7 @@ fn memory_s(t_s: &[f64], fk: &[Pose], period_s: f64) -> f64 {
         let (mut sum, mut count) = (0.0, 0.0);
         for row in (k..points.len()).step_by(stride) {
             if (t_s[row] - t_s[row - k] - span_s).abs() < 0.5 * span_s {
-                sum += square(&points[row], &points[row - k]);
+                sum += apart(&points[row], &points[row - k]);
                 count += 1.0;
             }
         }
