@@ -164,7 +164,10 @@ fn diagnose(
     let fitted = fit(&usable, joints.dof, with_offsets);
     let offsets = match &fitted {
         Some(fitted) => joint_offsets(fitted, &usable, joints),
-        None => unseen_offsets(joints.dof),
+        None => {
+            let why = prepared.iter().find_map(|prepared| prepared.as_ref().err());
+            unseen_offsets(joints.dof, why.unwrap_or(&Unseen::NoOverlap))
+        }
     };
     let mut used = 0;
     let diagnoses = streams
@@ -298,9 +301,9 @@ fn best_start(prepared: &Prepared, dof: usize, with_offsets: bool) -> State {
     )
 }
 
-fn unseen_offsets(dof: usize) -> Vec<JointOffset> {
+fn unseen_offsets(dof: usize, why: &Unseen) -> Vec<JointOffset> {
     let offset = || JointOffset {
-        offset: Err(Unseen::NoOverlap),
+        offset: Err(why.clone()),
         chosen: false,
         effect_m: 0.0,
         twins: Vec::new(),
