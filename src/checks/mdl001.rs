@@ -7,6 +7,7 @@ use crate::checks::reading::read_as;
 use crate::checks::{ArmFacts, Facts, Figure, Grade, ImuFacts, Judged, PoseFacts};
 use crate::diagnosis::{Amount, Error, Measured, Part, PoseDiagnosis, Rates, Reading, Size};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, ReadAs, Severity, Subject, Unit};
+use crate::run::WrongModel;
 
 rule! {
     /// An error is left that nothing found explains.
@@ -31,8 +32,10 @@ rule! {
     /// leave of it, both as what 95 % stay below (`most_m`, `most_rad`) in the worst tenth of the run,
     /// with its times and the place of the tip there (`from_ns`, `to_ns`, `at_m`). `shared_by` names
     /// the streams in which it is left at the same times. `candidates` are the nearest causes, each
-    /// with what it leaves. `fits` names an arm of the catalogue with the same joints that fits ten
-    /// times better, and to how much (`misfit_m`, with tool and reference taken off).
+    /// with what it leaves. `fits` names an arm of the catalogue with the same joints that fits
+    /// without a cause where the model that was named does not, and to how much (`misfit_m`; `tool_m`
+    /// where it needs an active TCP); `value` is then what the named model leaves of the positions as
+    /// logged, and everything else is judged with the arm that fits.
     ///
     /// It is a finding where the error is three times what differs from sample to sample (an F of
     /// nine), or comes again with the posture; else it is open, and so is the run's verdict.
@@ -119,7 +122,15 @@ fn judge_arm(facts: &Facts, named: &Named, arm: &ArmFacts) -> Vec<Judged> {
         return vec![Judged::new(arm.subject(), Outcome::Inconclusive(why)).within(arm.span)];
     }
     let imus = arm.imus.iter().map(|(imu, _)| judge_imu(&figures, arm, imu));
-    streams.iter().map(|stream| judge(facts, stream, &streams)).chain(imus).collect()
+    let judged = streams.iter().map(|held| {
+        let wrong = arm.wrong_model.as_ref().filter(|wrong| wrong.topic == held.stream.topic);
+        match wrong.filter(|_| held.subject.frame.is_none()) {
+            Some(wrong) => Judged::new(held.subject.clone(), wrong_model(facts, arm, wrong))
+                .within(held.stream.span),
+            None => judge(facts, held, &streams),
+        }
+    });
+    judged.chain(imus).collect()
 }
 
 /// Whether an IMU turns as the arm does, by its orientation, which is a filter's and so judged from the
@@ -339,9 +350,6 @@ const FAR_BEYOND: f64 = 10.0;
 /// Why a cause that moves the poses of `arm` by `effect_m` cannot be believed, where it cannot: what
 /// is left beside it makes it a part of whatever the model does not have.
 pub(super) fn doubt(arm: &ArmFacts, effect_m: f64) -> Option<String> {
-    if let Some((robot, _)) = arm.poses.iter().find_map(|stream| stream.better_model.as_ref()) {
-        return Some(format!("the catalogue's {robot} fits this log far better (MDL001)"));
-    }
     let left = arm.poses().filter_map(|(_, stream)| stream.residual.as_ref().ok());
     let left_m = left.map(|residual| residual.excess_m.value).fold(0.0, f64::max);
     (left_m > UNEXPLAINED_M && effect_m < FAR_BEYOND * left_m).then(|| {
@@ -366,31 +374,11 @@ fn unexplained(facts: &Facts, held: &Held, all: &[Held], left: &Left) -> Fault {
     };
     evidence.more.insert("shared_by".to_owned(), sharing.into());
     let said = format!("{} rms are left{shared}", sizes(&left.error));
-    let (message, fix) = match &held.stream.better_model {
-        Some(better) => another_arm(&said, better, &mut evidence),
-        None => (
-            format!("{said} when all that was found is taken off"),
-            "use the arm's calibrated description, or see whether it is the right one; where it \
-             begins at some time, see what happened to the tool, the frames or the joints then"
-                .to_owned(),
-        ),
-    };
+    let message = format!("{said} when all that was found is taken off");
+    let fix = "use the arm's calibrated description, or see whether it is the right one; where it \
+               begins at some time, see what happened to the tool, the frames or the joints then"
+        .to_owned();
     Fault { severity: left.severity, title: "unexplained residual", message, evidence, fix }
-}
-
-/// An arm of the catalogue that leaves less, as message and fix.
-fn another_arm(
-    said: &str,
-    (robot, misfit_m): &(String, f64),
-    evidence: &mut Evidence,
-) -> (String, String) {
-    let fits = json!({ "robot": robot, "misfit_m": misfit_m });
-    evidence.more.insert("fits".to_owned(), fits);
-    let misfit = Unit::Metre.show(*misfit_m);
-    (
-        format!("{said}, and the catalogue's {robot} fits to {misfit}"),
-        format!("it is another arm: audit with --robot {robot}"),
-    )
 }
 
 /// Poses and joint states that nothing makes those of one arm.
@@ -407,14 +395,11 @@ fn disagreement(held: &Held, left: &Left) -> Fault {
     };
     let mut evidence =
         Evidence { effect_m: Some(error.length.whole.rms), ..Evidence::default() };
-    let (message, fix) = match &stream.better_model {
-        Some(better) => another_arm(&said, better, &mut evidence),
-        None => (
-            format!("{said}, and no cause that poseaudit knows explains it{nearest}"),
-            format!("see whether it is this arm's description, and whether the joint states are this \
-             arm's; {TELLS}"),
-        ),
-    };
+    let message =
+        format!("{said}, and no cause that poseaudit knows explains it{nearest}");
+    let fix = format!(
+        "see whether it is this arm's description, and whether the joint states are this arm's; {TELLS}"
+    );
     evidence.more.insert("candidates".to_owned(), candidates.into());
     Fault {
         severity: Severity::Error,
@@ -455,6 +440,32 @@ fn candidates(stream: &PoseFacts, found: &PoseDiagnosis) -> Vec<String> {
         format!("{is} read as {was}, which leaves {}", Unit::Radian.show(*left_rad))
     });
     all.into_iter().chain(readings).collect()
+
+/// The model that was named is another arm's.
+fn wrong_model(facts: &Facts, arm: &ArmFacts, wrong: &WrongModel) -> Outcome {
+    let (is, named) = (&arm.name, &wrong.named.name);
+    let [fits, off] = [wrong.rival_m, wrong.named_m].map(|left_m| Unit::Metre.show(left_m));
+    let with = match wrong.tool_m {
+        Some(tool_m) => format!("with a TCP of {}", Unit::Metre.show(tool_m)),
+        None => "without any cause".to_owned(),
+    };
+    let mut evidence = Evidence { effect_m: Some(wrong.named_m), ..Evidence::default() };
+    let fits_json = json!({
+        "robot": is,
+        "misfit_m": wrong.rival_m,
+        "tool_m": wrong.tool_m,
+    });
+    evidence.more.insert("fits".to_owned(), fits_json);
+    Outcome::faulty(Fault {
+        severity: figures(facts).length.severity(wrong.named_m).unwrap_or(Severity::Warning),
+        title: "wrong robot model",
+        message: format!(
+            "this log is of a {is}, which fits to {fits} {with}, not of the {named} that was named, \
+             which leaves {off}"
+        ),
+        evidence,
+        fix: format!("audit with --robot {is}: everything else here is judged with it"),
+    })
 }
 
 #[cfg(test)]
@@ -463,6 +474,7 @@ mod tests {
     use crate::checks::evaluate;
     use crate::checks::testing::{POSE, ask, clean_run, frame, left, sure};
     use crate::diagnosis::{FrameEstimate, Proof, Short, Unseen};
+    use crate::robot::catalogue;
     use crate::finding::{CheckRow, Finding, Status};
 
     /// What the rule says of a pose stream that is off by `as_logged_m` and, beside all that was found,
@@ -553,13 +565,21 @@ mod tests {
     }
 
     #[test]
-    fn an_arm_that_fits_is_named() {
-        let (_, findings) = judged(0.028, 0.028, |_| ());
-        assert!(findings[0].message.ends_with("when all that was found is taken off"));
-        let (_, findings) = judged(0.028, 0.028, |arm| {
-            arm.poses[0].better_model = Some(("ur5e".to_owned(), 2e-5));
+    fn an_arm_that_fits_where_the_named_one_does_not_is_the_finding() {
+        let mut facts = clean_run();
+        let arm = &mut facts.robots[0];
+        arm.wrong_model = Some(WrongModel {
+            named: catalogue::find("ur3e").unwrap().clone(),
+            topic: arm.poses[0].topic.clone(),
+            named_m: 0.0274,
+            rival_m: 2e-5,
+            tool_m: None,
         });
-        assert!(findings[0].message.ends_with("the catalogue's ur5e fits to 20 µm"));
+        let finding = ask(&MDL001, &facts).1.remove(0);
+        assert!(finding.message.contains("fits to 20 µm without any cause"), "{}", finding.message);
+        assert!(finding.message.ends_with("which leaves 27.4 mm"), "{}", finding.message);
+        assert_eq!(finding.severity, Severity::Error);
+        assert_eq!(finding.evidence.more["fits"]["misfit_m"], 2e-5);
     }
 
     #[test]

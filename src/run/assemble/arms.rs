@@ -2,19 +2,16 @@
 
 use std::collections::BTreeSet;
 
-use crate::geometry::Vec3;
-use crate::robot::Robot;
 use crate::stream::Columns;
 
 use super::super::arm::{Arm, Ends};
+use super::super::catalogued::Judges;
 use super::super::error::RunError;
-use super::super::joints::{JointTopic, merge};
-use super::super::models::{self, Clues, FrameNames, Given, GivenCalibration};
-use super::super::poses;
+use super::super::joints::JointTopic;
+use super::super::models::{self, Clues, Given, GivenCalibration};
 use super::super::role::Role;
 use super::super::skeleton;
 use super::super::streams::{Stream, Timing};
-use super::super::tf_tree::without_slash;
 use super::Assembly;
 use super::transforms::{add_fixed_joints, misfit_m};
 
@@ -57,11 +54,17 @@ impl Assembly<'_> {
             descriptions: said.descriptions,
             calibrations: said.logged_calibrations,
         };
-        let mut models = models::models(said.given, &clues, |robot, frames| {
-            let by_poses = || self.radial_misfit_m(robot, frames, &topics);
-            misfit_m(&self.tf, robot, frames).or_else(by_poses)
-        })?;
+        let judges = Judges {
+            by_transforms: &|model| misfit_m(&self.tf, &model.robot, &model.frames),
+            by_poses: &|models| self.contest(models, &topics),
+        };
+        let mut models = models::models(said.given, &clues, &judges)?;
         models::calibrate(&mut models, &said.calibrations, &clues)?;
+        for model in &mut models {
+            if let Some(rival) = self.rival(model, &clues, &topics) {
+                *model = rival;
+            }
+        }
         let ends = Ends { base: self.options.base.as_deref(), tip: self.options.tip.as_deref() };
         let mut refusal = None;
         for model in &models {
@@ -93,39 +96,6 @@ impl Assembly<'_> {
             }
         }
         Ok(())
-    }
-
-    /// How far the tool poses of a driver's topic are from where `robot` puts them, in distance from
-    /// the frame that they are in: the median, m. Distance is the same however that frame is turned.
-    fn radial_misfit_m(
-        &self,
-        robot: &Robot,
-        frames: &FrameNames,
-        topics: &[JointTopic<'_>],
-    ) -> Option<f64> {
-        let link = |name: &Option<String>| robot.link(name.as_deref()?);
-        let tip = link(&robot.controller_tip)?;
-        let (index, poses) = self.streams.iter().enumerate().find_map(|(index, stream)| {
-            let Some(Columns::Poses(poses)) = &stream.columns else { return None };
-            (self.role_of(stream, None, false).0 == Role::Pose).then_some((index, poses.first()?))
-        })?;
-        let frame = frames.link_of(robot, without_slash(&poses.frame_id));
-        let chain = robot.chain(frame.or(link(&robot.controller_base))?, tip).ok()?;
-        let joints = merge(topics, chain.joint_names(), self.origin)?.track;
-        let (mut cursor, mut q, mut qd) = (0, vec![0.0; chain.dof()], vec![0.0; chain.dof()]);
-        let mut rows = self.timing.seen_rows(&self.streams, index, 0, 0.0);
-        poses::thinned(&mut rows);
-        let mut gaps_m: Vec<f64> = rows
-            .iter()
-            .filter_map(|&(stamp, row)| {
-                let t_s = stamp.seconds_since(self.origin);
-                let known = joints.at(t_s, &mut cursor, &mut q, &mut qd);
-                let logged_m = Vec3::from(poses.xyz[row]).norm();
-                known.then(|| (logged_m - chain.forward(&q).translation.vector.norm()).abs())
-            })
-            .collect();
-        gaps_m.sort_by(f64::total_cmp);
-        gaps_m.get(gaps_m.len() / 2).copied()
     }
 
     /// Gives arms of equal names their tip's name too.

@@ -1,7 +1,7 @@
 //! The transforms of a log: their tree, the arm's own among them, and those that are measured poses.
 
 use crate::geometry::{Pose, Vec3, pose, rotation_from_xyzw};
-use crate::robot::{JointKind, Robot};
+use crate::robot::{Chain, JointKind, Robot};
 use crate::stream::{Columns, PoseColumns};
 use crate::time::Stamp;
 
@@ -111,10 +111,11 @@ impl Assembly<'_> {
         });
         let piece = self.piece_of(stream, path.edges().find(|edge| edge.kind == EdgeKind::Dynamic));
         let Stamped { track, stamps } = poses::from_samples(samples, self.origin);
+        let (chain, columns) = self.publishers_chain(arm);
         let source = PoseSource {
             stream,
-            chain: arm.chain.clone(),
-            columns: arm.columns.clone(),
+            chain,
+            columns,
             track,
             reference_known: true,
             stamps_copied: poses::are_copies(&stamps, &arm.joint_stamps),
@@ -122,6 +123,19 @@ impl Assembly<'_> {
             tip_named: arm.tip_named,
         };
         Ok((source, from_model.collect()))
+    }
+
+    /// The chain that the transforms are of: where another model was named, and their lengths are that
+    /// one's, its publisher has it, too.
+    fn publishers_chain(&self, arm: &Arm) -> (Chain, Vec<usize>) {
+        let own = || (arm.chain.clone(), arm.columns.clone());
+        let Some(wrong) = &arm.instead_of else { return own() };
+        let misfit_m = |robot: &Robot| misfit_m(&self.tf, robot, &arm.frames);
+        if misfit_m(&wrong.named) >= misfit_m(&arm.robot) {
+            return own();
+        }
+        let named = arm.with_robot(wrong.named.clone());
+        named.map_or_else(own, |named| (named.chain, named.columns))
     }
 
     /// Which transform of a TF stream an edge is.
