@@ -177,6 +177,7 @@ fn by_calibration(
         joints: mended,
         chain: stream.chain,
         columns: stream.columns,
+        gained: &[],
         reference_known: true,
         still: &still,
         t_s: t_s.clone(),
