@@ -17,7 +17,7 @@ use crate::diagnosis::{
     ArmDiagnosis, DhEstimate, DhStream, DhTold, ImuDiagnosis, ImuStream, LatencySteps, Left,
     NoShake, PoseDiagnosis, PoseStream, Reading, Series, Shake, Unseen, abruptness,
     beyond_positions, beyond_speed, diagnose_arm, diagnose_derived, diagnose_imu, faults, follows,
-    imu_steps, pose_steps, position_misfit_m, shake,
+    imu_steps, pose_steps, position_misfit_m, proof, proof_of_imu, shake,
 };
 use crate::finding::{Severity, Span, Subject};
 use crate::hand_eye::{hand_eyes, settle_hands};
@@ -80,6 +80,8 @@ pub struct Options {
     pub rules: Settings,
     /// Findings of this severity or above fail the run; `None`: none does.
     pub fail_on: Option<Severity>,
+    /// Whether a verdict that is inconclusive fails the run, too.
+    pub fail_on_inconclusive: bool,
     /// The recording for the Rerun viewer to write.
     pub recording: Option<Recording>,
     /// The folder to write tables into, as Parquet.
@@ -109,6 +111,7 @@ impl Default for Options {
             fix: None,
             rules: Settings::default(),
             fail_on: Some(Severity::Warning),
+            fail_on_inconclusive: false,
             recording: None,
             tables: None,
             figures: false,
@@ -490,9 +493,8 @@ pub(crate) fn prismatic(arm: &Arm) -> Vec<bool> {
 
 /// The facts for the rules.
 fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read, options: &Options) -> Facts {
-    let declared = &options.declarations;
     let arms = run.arms.iter().zip(diagnoses);
-    let robots = arms.map(|(arm, diagnosis)| arm_facts(run, arm, diagnosis, declared));
+    let robots = arms.map(|(arm, diagnosis)| arm_facts(run, arm, diagnosis, options));
     let stamps = run.clocks.iter().filter_map(|clock| {
         let stream = run.streams.get(clock.stream)?;
         Some(StampFacts {
@@ -774,11 +776,15 @@ fn span_of(run: &Run, stream: usize) -> Option<Span> {
     Some(Span { start: stream.start?, end: stream.end? })
 }
 
-fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration]) -> ArmFacts {
+fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, options: &Options) -> ArmFacts {
     let joints_stream = arm.joint_facts.first().map_or(0, |facts| facts.stream);
     let whole = run.span.unwrap_or((run.origin, run.origin));
     let whole = Span { start: whole.0, end: whole.1 };
-    let pose_facts = |source: &PoseSource| PoseFacts {
+    let mended = diagnosis.arm.corrected_joints(&arm.joints, &prismatic(arm));
+    let is_read = !matches!(diagnosis.arm.joints, Err(Unseen::NotExcited));
+    let most_lag_s = options.max_latency_s;
+    let pose_facts = |source: &PoseSource, found: &PoseDiagnosis| PoseFacts {
+        proof: proof(&arm.joints, &mended, &pose_stream(run, source), found),
         topic: run.streams[source.stream].topic.clone(),
         span: span_of(run, source.stream).unwrap_or(whole),
         reference: if source.reference_known {
@@ -811,6 +817,9 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
             independent: !source.stamps_copied,
             link: source.chain.tip_name().to_owned(),
             link_from_imu: source.link_from_imu.map(|pose| pose.rotation),
+            proof: is_read
+                .then(|| proof_of_imu(&mended, &imu_stream(source), &diagnosis, most_lag_s))
+                .flatten(),
         };
         (facts, diagnosis)
     });
@@ -838,8 +847,8 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         }
     }));
     let poses = arm.poses.iter().zip(&diagnosis.arm.streams).map(|(source, found)| PoseFacts {
-        euler: euler(run, source, found, declared),
-        ..pose_facts(source)
+        euler: euler(run, source, found, &options.declarations),
+        ..pose_facts(source, found)
     });
     let poses = poses.collect();
     ArmFacts {
@@ -852,7 +861,7 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         dh: diagnosis.dh,
         diagnosis: diagnosis.arm,
         poses,
-        tf: tf.into_iter().map(|(source, diagnosis)| (pose_facts(source), diagnosis)).collect(),
+        tf: tf.into_iter().map(|(source, found)| (pose_facts(source, &found), found)).collect(),
         shakes,
         imus: imus.collect(),
         references: Vec::new(),
@@ -1057,6 +1066,7 @@ impl Audits {
         let mut report =
             Report::new(read.summary, robots(&main.run), streams, evaluation, options.fail_on);
         report.workspace = workspace;
+        report.fails_open = options.fail_on_inconclusive;
         match &main.run.no_arm {
             Some(error) if options.rules.need_model() && !tells_hand_eye(&report.checks) => {
                 report.with_trouble(error.into())

@@ -4,8 +4,8 @@
 
 use super::Figures;
 use crate::diagnosis::{
-    Abruptness, ArmDiagnosis, DhEstimate, Excess, HandEyeDiagnosis, ImuDiagnosis, JointScale,
-    Mount, NoShake, PoseDiagnosis, ReferenceDiagnosis, Seen, Shake,
+    Abruptness, ArmDiagnosis, DhEstimate, Excess, HandEyeDiagnosis, ImuDiagnosis, ImuProof,
+    JointScale, Mount, NoShake, PoseDiagnosis, Proof, ReferenceDiagnosis, Seen, Shake,
 };
 use crate::finding::{Span, Subject, Unit};
 use crate::geometry::{Convention, Rotation};
@@ -260,6 +260,8 @@ pub struct PoseFacts {
     pub tip_named: bool,
     /// Whose word the poses are.
     pub witness: Witness,
+    /// Its error straight from FK.
+    pub proof: Seen<Proof>,
     /// Whether its stamps are its own, not copies of the joints'.
     pub independent: bool,
     /// Whether its rotations are bare numbers, which may be degrees.
@@ -317,6 +319,8 @@ pub struct ImuFacts {
     pub link: String,
     /// How it is turned in that link by the log's frames, where they say.
     pub link_from_imu: Option<Rotation>,
+    /// What it leaves straight against FK; `None` where it does not turn with the arm.
+    pub proof: Option<ImuProof>,
 }
 
 /// One stream of commands.

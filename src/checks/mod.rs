@@ -12,6 +12,7 @@ mod frames;
 mod hand_eye;
 mod merge;
 mod observability;
+mod proof;
 mod reading;
 mod reference;
 mod settings;
@@ -140,7 +141,8 @@ pub struct Rule {
     pub grade: Grade,
     /// What else it holds what it sees against; all of it can be set.
     pub limits: &'static [Limit],
-    /// Whether a run of which it decides nothing cannot pass.
+    /// Whether a run of which it decides nothing cannot pass; of a [proof](Rule::is_proof), one of
+    /// which it leaves anything open.
     pub headline: bool,
     /// Whether it needs a model of the robot.
     pub needs_model: bool,
@@ -157,6 +159,11 @@ impl Rule {
     pub fn doc(&self) -> String {
         let lines = self.doc.lines().map(|line| line.strip_prefix(' ').unwrap_or(line));
         lines.collect::<Vec<_>>().join("\n")
+    }
+
+    /// Whether a pass rests on each of its subjects, so that none may be open.
+    pub fn is_proof(&self) -> bool {
+        self.code == mdl001::MDL001.code
     }
 
     /// The first line of its text, without the period.
@@ -258,6 +265,8 @@ pub fn evaluate(facts: &Facts, settings: &Settings) -> Evaluation {
             evaluation.enter(rule, judged, settings);
         }
     }
+    proof::leave_open_beside_what_is_left(&mut evaluation);
+    proof::leave_open_beside_disagreement(facts, &mut evaluation);
     evaluation.observability = observability::observability(facts, &mut evaluation.checks);
     rank(&mut evaluation.findings);
     evaluation

@@ -256,7 +256,10 @@ fn diagnose(
     let fitted = fit(&usable, read, with_offsets);
     let (offsets, scales_found) = match &fitted {
         Some(fitted) => (joint_offsets(fitted, &usable, joints), joint_scales(fitted, read)),
-        None => (unseen_offsets(joints.dof), Vec::new()),
+        None => {
+            let why = prepared.iter().find_map(|prepared| prepared.as_ref().err());
+            (unseen_offsets(joints.dof, why.unwrap_or(&Unseen::NoOverlap)), Vec::new())
+        }
     };
     let mut used = 0;
     let diagnoses = streams
@@ -420,9 +423,9 @@ fn best_start(prepared: &Prepared, read: &Read, with_offsets: bool) -> State {
         .map_or_else(|| start(&read.offsets, StreamState::at_latency(0.0)), |best| best.state)
 }
 
-fn unseen_offsets(dof: usize) -> Vec<JointOffset> {
+fn unseen_offsets(dof: usize, why: &Unseen) -> Vec<JointOffset> {
     let offset = || JointOffset {
-        offset: Err(Unseen::NoOverlap),
+        offset: Err(why.clone()),
         chosen: false,
         effect_m: 0.0,
         twins: Vec::new(),

@@ -27,6 +27,7 @@ mod nominal;
 mod observability;
 mod placing;
 mod prepare;
+mod proof;
 mod reading;
 mod reference;
 mod reread;
@@ -52,13 +53,14 @@ pub use handeye::{
     CameraPose, Closure, Diversity, HandEyeDiagnosis, HandEyeStreams, Mount, PoseSeries, Solution,
     TargetReading, diagnose_hand_eye, turning_peaks,
 };
-pub use imu::{diagnose_imu, turning_by_latency};
+pub use imu::{ImuProof, Rates, diagnose_imu, proof_of_imu, turning_by_latency};
 pub use lag::{LatencyResidual, residual_by_latency};
 pub use latency::Peak;
 pub use measured::{Length, Measured};
 pub use model_fit::{ModelFit, Needs, Priced, Way, model_fit};
 pub use motion::{Abruptness, Excess, Series, abruptness, beyond_positions, beyond_speed};
 pub use observability::{BlindDirection, Observability, Parameter};
+pub use proof::{Amount, Error, Part, Proof, Short, Size, proof};
 pub use reference::{
     CommandedArm, Commands, Constancy, Following, Line, LineWitness, ReferenceDiagnosis, RestGap,
     diagnose_reference, unnamed_order,

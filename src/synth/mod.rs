@@ -198,6 +198,8 @@ pub struct PoseStream {
     pub reference_from_stream: Pose,
     /// Pose of the frame that the numbers are of, in the tip.
     pub tip_from_stream: Pose,
+    /// When the tool slips, s after the start, and what moves it then: `stream_from_slipped`.
+    pub slip: Option<(f64, Pose)>,
     /// Scale of the logged over the true position, minus 1.
     pub growth: f64,
     /// What became of the pose on its way into the log.
@@ -328,6 +330,7 @@ impl Scenario {
                 frame_id: base.to_owned(),
                 reference_from_stream: Pose::identity(),
                 tip_from_stream: Pose::identity(),
+                slip: None,
                 growth: 0.0,
                 coding: Coding::Faithful,
                 inverted: false,

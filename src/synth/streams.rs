@@ -99,6 +99,9 @@ fn poses(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
         .map(|(sample, tick)| {
             let base_from_tip = truth.base_from_tip(tick.time_s);
             let mut pose = stream_from_reference * base_from_tip * stream.tip_from_stream;
+            if let Some((_, by)) = stream.slip.filter(|(from, _)| tick.time_s >= *from) {
+                pose *= by;
+            }
             let noise = noise.next();
             pose.translation.vector *= 1.0 + stream.growth;
             pose.translation.vector += scenario.noise.pose_m * Vec3::from_column_slice(&noise[..3]);
