@@ -56,9 +56,9 @@ fn check(facts: &Facts) -> Vec<Judged> {
         .flat_map(|arm| arm.poses().map(move |(stream, diagnosis)| (arm, stream, diagnosis)));
     let judged = streams.map(|(arm, stream, diagnosis)| {
         let subject = arm.topic(&stream.topic);
-        let residual = match diagnosis.reading.as_ref().and(diagnosis.residual.as_ref()) {
-            Ok(residual) => residual,
-            Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(stream.span),
+        let residual = match (diagnosis.unread(), &diagnosis.residual) {
+            (None, Ok(residual)) => residual,
+            (Some(why), _) | (None, Err(why)) => return Judged::new(subject, unseen(why, SETTLE)).within(stream.span),
         };
         let length = Unit::Metre.show_measured(&residual.excess_m);
         let angle = Unit::Radian.show(residual.excess_rad.value);

@@ -96,6 +96,8 @@ registry! {
     ord007::ORD007,
     ord008::ORD008,
     ord009::ORD009,
+    ord010::ORD010,
+    ord011::ORD011,
     tim001::TIM001,
     tim002::TIM002,
     tim003::TIM003,

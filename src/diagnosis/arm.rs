@@ -7,17 +7,17 @@ use super::joints::{
     Left, Read, corrected, half_turns, lies_on_arm, lone_zeros, other_reading, read_joints,
 };
 use super::latency::{Peak, arm_speeds, median_period_s, top};
-use super::model::{State, StreamState, Sweep, Witness};
+use super::model::{Blind, State, StreamState, Sweep, Witness};
 use super::nominal::{MOST_M, MOST_RAD, is_nominal};
 use super::observability::Observability;
 use super::placing::spread;
-use super::prepare::{Prepared, as_rotations, position_scale, prepare, stream_lag_s, stream_peaks};
+use super::prepare::{Placement, Prepared, as_rotations, prepare, stream_lag_s, stream_peaks};
 use super::residual::residual;
 use super::{
-    Aligned, ArmDiagnosis, JointOffset, JointReading, JointScale, Measured, PoseDiagnosis,
-    PoseStream, Residual, Seen, Twin, UnitSlip, Unseen,
+    Aligned, ArmDiagnosis, AxesSlip, ConstantPart, JointOffset, JointReading, JointScale,
+    LengthSlip, Measured, PoseDiagnosis, PoseStream, Residual, Seen, Twin, UnitSlip, Unseen,
 };
-use crate::geometry::{Pose, Vec3, pose};
+use crate::geometry::{LengthScale, Pose, Vec3, pose};
 use crate::robot::JointKind;
 use crate::stream::{JointTrack, Orientations};
 use rayon::prelude::*;
@@ -35,16 +35,27 @@ const ALIAS_FLOOR: f64 = 2e-5;
 ///
 /// `most_lag_s` bounds the latency that is sought, s.
 pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64) -> ArmDiagnosis {
-    let scales: Vec<Seen<f64>> =
-        streams.iter().map(|stream| position_scale(joints, stream)).collect();
-    let factors: Vec<f64> = scales.iter().map(|scale| *scale.as_ref().unwrap_or(&1.0)).collect();
     let slides = prismatic(joints.dof, streams);
+    let placed = |read: &Read| -> Vec<Placement> {
+        streams.iter().map(|stream| Placement::of(read.near(), stream, most_lag_s)).collect()
+    };
     let by = |reading: &JointReading| {
         let read = Read::by(joints, reading, &slides);
-        diagnose(joints, &read, streams, &scales, most_lag_s, true)
+        diagnose(joints, &read, streams, &placed(&read), true)
     };
     let as_logged = JointReading::default();
-    let mut reading = read_joints(joints, streams, &factors, most_lag_s);
+    let read = Read::by(joints, &as_logged, &slides);
+    let placements = placed(&read);
+    let is_confirmed = |(stream, placement): (&PoseStream, &Placement)| {
+        placement.explains() && prepare(&read, stream, placement).is_ok_and(|it| it.is_confirmed())
+    };
+    let metres: Vec<f64> =
+        placements.iter().map(|placed| *placed.metres.as_ref().unwrap_or(&1.0)).collect();
+    let mut reading = match streams.iter().zip(&placements).any(is_confirmed) {
+        // What positions lie on as they are written needs no other joint states.
+        true => Ok(as_logged.clone()),
+        false => read_joints(joints, streams, &metres, most_lag_s),
+    };
     let mut found = by(reading.as_ref().unwrap_or(&as_logged));
     if reading.as_ref().is_ok_and(|reading| *reading != as_logged) && !found.is_near() {
         // A reading that leaves much is none.
@@ -56,7 +67,7 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
             .latency_s
             .as_ref()
             .map_or_else(|_| stream_lag_s(joints, own, most_lag_s), |latency| latency.value);
-        let other = other_reading(joints, own, factors[stream], lag_s, left);
+        let other = other_reading(joints, own, metres[stream], lag_s, left);
         if let Some(other) = other {
             let by_other = by(&other);
             if by_other.is_near() && by_other.left() * FAR_BETTER < found.left() {
@@ -123,12 +134,14 @@ impl Found {
 
 /// What is left of a stream beyond its noise; a metre and a radian where it could not be read.
 fn left(found: &PoseDiagnosis) -> Left {
-    match (&found.residual, &found.reading) {
-        (Ok(residual), _) => {
-            Left { m: residual.excess_m.value, rad: Some(residual.excess_rad.value) }
-        }
-        (Err(_), Err(Unseen::DoesNotFollow(_))) => Left { m: 1.0, rad: Some(1.0) },
-        (Err(_), _) => Left { m: 0.0, rad: None },
+    let is_unread = matches!(found.reading, Err(Unseen::DoesNotFollow(_)));
+    match &found.residual {
+        Ok(residual) => Left {
+            m: residual.excess_m.value,
+            rad: Some(if is_unread { 1.0 } else { residual.excess_rad.value }),
+        },
+        Err(_) if is_unread => Left { m: 1.0, rad: Some(1.0) },
+        Err(_) => Left { m: 0.0, rad: None },
     }
 }
 
@@ -155,11 +168,11 @@ pub fn diagnose_derived(
     most_lag_s: f64,
 ) -> PoseDiagnosis {
     let streams = std::slice::from_ref(stream);
-    let scales = [position_scale(joints, stream)];
     let slides = prismatic(joints.dof, streams);
     let by = |reading: &JointReading| {
         let read = Read::by(joints, reading, &slides).for_derived();
-        diagnose(joints, &read, streams, &scales, most_lag_s, false).streams.remove(0)
+        let placements = [Placement::of(&read.track, stream, most_lag_s)];
+        diagnose(joints, &read, streams, &placements, false).streams.remove(0)
     };
     let left =
         |diagnosis: &PoseDiagnosis| diagnosis.residual.as_ref().map_or(f64::INFINITY, |r| r.rms_m);
@@ -206,8 +219,11 @@ impl ArmDiagnosis {
 pub fn follows(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Option<Peak> {
     let rotation = as_rotations(&stream.track.orientation);
     let peak = stream_peaks(joints, stream, rotation, most_lag_s).first().copied()?;
-    let scale = position_scale(joints, stream).unwrap_or(1.0);
-    let placed = rotation.is_some() || lies_on_arm(joints, stream, scale, peak.lag_s);
+    let placed = rotation.is_some() || {
+        let placement = Placement::of(joints, stream, most_lag_s);
+        let metres = *placement.metres.as_ref().unwrap_or(&1.0);
+        placement.explains() || lies_on_arm(joints, stream, metres, peak.lag_s)
+    };
     Some(if placed { peak } else { Peak { correlation: 0.0, ..peak } })
 }
 
@@ -226,36 +242,35 @@ fn diagnose(
     recorded: &JointTrack,
     read: &Read,
     streams: &[PoseStream],
-    scales: &[Seen<f64>],
-    most_lag_s: f64,
+    placements: &[Placement],
     with_offsets: bool,
 ) -> Found {
     let joints = &read.track;
     let prepared: Vec<Seen<Prepared>> = streams
         .iter()
-        .zip(scales)
-        .map(|(stream, scale)| prepare(read, stream, *scale.as_ref().unwrap_or(&1.0), most_lag_s))
+        .zip(placements)
+        .map(|(stream, placement)| prepare(read, stream, placement))
         .collect();
     let usable: Vec<&Prepared> = prepared.iter().flatten().collect();
     let fitted = fit(&usable, read, with_offsets);
-    let (offsets, scales_found) = match &fitted {
+    let (offsets, scales) = match &fitted {
         Some(fitted) => (joint_offsets(fitted, &usable, joints), joint_scales(fitted, read)),
         None => (unseen_offsets(joints.dof), Vec::new()),
     };
     let mut used = 0;
     let diagnoses = streams
         .iter()
-        .zip(prepared.iter().zip(scales))
-        .map(|(stream, (prepared, scale))| match (prepared, &fitted) {
+        .zip(prepared.iter().zip(placements))
+        .map(|(stream, (prepared, placement))| match (prepared, &fitted) {
             (Ok(prepared), Some(fitted)) => {
                 used += 1;
-                stream_diagnosis(recorded, stream, scale, prepared, fitted, used - 1)
+                stream_diagnosis(recorded, stream, placement, prepared, fitted, used - 1)
             }
-            (Ok(_), None) => no_diagnosis(scale, Unseen::NoOverlap),
-            (Err(why), _) => no_diagnosis(scale, why.clone()),
+            (Ok(_), None) => no_diagnosis(Unseen::NoOverlap),
+            (Err(why), _) => no_diagnosis(why.clone()),
         })
         .collect();
-    Found { offsets, scales: scales_found, streams: diagnoses }
+    Found { offsets, scales, streams: diagnoses }
 }
 
 /// The fit of all streams together.
@@ -609,16 +624,18 @@ fn frame_twins(fitted: &Fitted, cause: Cause) -> Vec<Twin> {
 
 /// The size of a frame change: its angle in rad, or where it does not turn its length in m.
 fn frame_amount(twist: &[f64]) -> f64 {
-    let length = Vec3::new(twist[0], twist[1], twist[2]).norm();
-    let angle = Vec3::new(twist[3], twist[4], twist[5]).norm();
+    let norm = |part: &[f64]| part.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let (length, angle) = (norm(&twist[..3]), norm(&twist[3..]));
     if angle > 1e-5 { angle } else { length }
 }
 
-fn no_diagnosis(scale: &Seen<f64>, why: Unseen) -> PoseDiagnosis {
+fn no_diagnosis(why: Unseen) -> PoseDiagnosis {
     let rests = || Unseen::RestsOn("the reading of the rotations");
     PoseDiagnosis {
+        length: Err(why.clone()),
+        axes: Err(why.clone()),
         reading: Err(why),
-        millimetres: millimetres(scale, None),
+        constant: Vec::new(),
         degrees: None,
         latency_s: Err(rests()),
         skew: Err(rests()),
@@ -636,22 +653,55 @@ fn no_diagnosis(scale: &Seen<f64>, why: Unseen) -> PoseDiagnosis {
     }
 }
 
-fn millimetres(scale: &Seen<f64>, residual: Option<&Residual>) -> Seen<Option<UnitSlip>> {
-    match scale {
-        Ok(scale) if *scale != 1.0 => {
-            let corrected = residual.map_or(0.0, |residual| residual.rms_m);
-            let as_logged = residual.map_or(0.0, |residual| residual.before_m);
-            Ok(Some(UnitSlip { as_logged, corrected }))
-        }
-        Ok(_) => Ok(None),
-        Err(why) => Err(why.clone()),
+/// The unit that positions turned out to be in, where it is another one than they were read as.
+fn length_slip(
+    stream: &PoseStream,
+    placement: &Placement,
+    prepared: &Prepared,
+    residual: &Seen<Residual>,
+) -> Seen<Option<LengthSlip>> {
+    placement.metres.as_ref().map_err(Unseen::clone)?;
+    if prepared.metres == 1.0 {
+        return Ok(None);
     }
+    let declared = stream.track.declared.as_ref();
+    let read_as = match declared.is_some_and(|declared| declared.millimetres) {
+        true => LengthScale::MILLIMETRE,
+        false => LengthScale::METRE,
+    };
+    let is = LengthScale::of(prepared.metres * read_as.in_m());
+    let residual = residual.as_ref().ok();
+    let corrected = residual.map_or(0.0, |residual| residual.rms_m);
+    let as_logged = residual.map_or(0.0, |residual| residual.before_m);
+    Ok(Some(LengthSlip { is, read_as, residual: UnitSlip { as_logged, corrected } }))
+}
+
+/// The coordinates that never change, with what FK does to them.
+fn constant_parts(
+    stream: &PoseStream,
+    prepared: &Prepared,
+    aligned: &Aligned,
+) -> Vec<ConstantPart> {
+    let axes = prepared.axes.unwrap_or(AxesSlip::NONE).positions;
+    let coordinates = ['x', 'y', 'z'].into_iter().enumerate();
+    let constant = coordinates.filter(|&(axis, _)| prepared.constant[axis]);
+    let part = |(axis, coordinate): (usize, char)| {
+        let along = aligned.fk.iter().map(|fk| axes.of(fk.translation.vector)[axis]);
+        let (low, high) = along
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high): (f64, f64), value| {
+                (value.min(low), value.max(high))
+            });
+        let all = stream.track.xyz.iter().map(|xyz| xyz[axis]);
+        let value = all.sum::<f64>() / stream.track.xyz.len().max(1) as f64;
+        ConstantPart { coordinate, value, moved_m: (high - low).max(0.0) }
+    };
+    constant.map(part).collect()
 }
 
 fn stream_diagnosis(
     recorded: &JointTrack,
     stream: &PoseStream,
-    scale: &Seen<f64>,
+    placement: &Placement,
     prepared: &Prepared,
     fitted: &Fitted,
     index: usize,
@@ -706,13 +756,15 @@ fn stream_diagnosis(
     let t_s = &prepared.witness.t_s;
     let span_s = (t_s[t_s.len() - 1] - t_s[0]).max(f64::MIN_POSITIVE);
     let mut reading = prepared.reading.clone();
-    if let Ok(residual) = &residual {
+    if let (Ok(reading), Ok(residual)) = (&mut reading, &residual) {
         // Latency, offsets and frames have been taken off since the readings were compared.
         reading.best_rad = reading.best_rad.min(residual.rms_rad);
     }
     PoseDiagnosis {
-        reading: Ok(reading),
-        millimetres: millimetres(scale, residual.as_ref().ok()),
+        reading,
+        length: length_slip(stream, placement, prepared, &residual),
+        axes: Ok(prepared.axes),
+        constant: constant_parts(stream, prepared, &aligned),
         degrees: prepared.degrees,
         latency_s,
         skew: one(Cause::Skew(index)).map(|skew| Measured {
@@ -813,6 +865,7 @@ fn align(
         t_s: witness.t_s.clone(),
         xyz: Vec::new(),
         rotation: Vec::new(),
+        blind: witness.blind,
         middle_s: witness.middle_s,
     };
     let zero = vec![0.0; recorded.dof];
@@ -835,9 +888,14 @@ fn align(
         }
         let rotation = match &stream.track.orientation {
             Orientations::Rotations(rotations) => rotations[source],
-            Orientations::Numbers(_) => witness.rotation[k],
+            Orientations::Numbers(_) | Orientations::Unset(_) => witness.rotation[k],
         };
-        let read = pose(witness.xyz[k].into(), witness.rotation[k]);
+        let mut read = pose(witness.xyz[k].into(), witness.rotation[k]);
+        if witness.blind != Blind::default() {
+            let mut in_base = truth * found.tool;
+            in_base.translation.vector *= 1.0 + found.growth;
+            witness.blind.fill(&mut read, &(found.reference * in_base));
+        }
         let mut in_base = found.reference.inverse() * read;
         in_base.translation.vector /= 1.0 + found.growth;
         aligned.t_s.push(witness.t_s[k]);

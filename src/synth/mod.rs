@@ -202,6 +202,8 @@ pub struct PoseStream {
     pub growth: f64,
     /// What became of the pose on its way into the log.
     pub coding: Coding,
+    /// Whether it was inverted as a whole before that.
+    pub inverted: bool,
     /// Whether positions are in mm.
     pub in_millimetres: bool,
     /// Scale of the quaternions: 1 where they are of unit norm.
@@ -328,6 +330,7 @@ impl Scenario {
                 tip_from_stream: Pose::identity(),
                 growth: 0.0,
                 coding: Coding::Faithful,
+                inverted: false,
                 in_millimetres: false,
                 quaternion_norm: 1.0,
                 as_numbers: None,

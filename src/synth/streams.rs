@@ -109,6 +109,9 @@ fn poses(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
             if stream.stuck_s.is_some_and(|(from, to)| (from..to).contains(&tick.time_s)) {
                 pose = *stuck.get_or_insert(pose);
             }
+            if stream.inverted {
+                pose = pose.inverse();
+            }
             let mut logged = stream.coding.logged(&pose);
             if stream.in_millimetres {
                 logged.xyz = logged.xyz.map(|metres| 1000.0 * metres);
