@@ -41,6 +41,9 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
     };
     let placements = placed(joints);
     let slides = prismatic(joints.dof, streams);
+    let placed = |read: &Read| -> Vec<Placement> {
+        streams.iter().map(|stream| Placement::of(read.near(), stream, most_lag_s)).collect()
+    };
     let by = |reading: &JointReading| {
         let read = Read::by(joints, reading, &slides);
         let anew = (*reading != JointReading::default()).then(|| placed(read.near()));
@@ -138,12 +141,14 @@ impl Found {
 
 /// What is left of a stream beyond its noise; a metre and a radian where it could not be read.
 fn left(found: &PoseDiagnosis) -> Left {
-    match (&found.residual, &found.reading) {
-        (Ok(residual), _) => {
-            Left { m: residual.excess_m.value, rad: Some(residual.excess_rad.value) }
-        }
-        (Err(_), Err(Unseen::DoesNotFollow(_))) => Left { m: 1.0, rad: Some(1.0) },
-        (Err(_), _) => Left { m: 0.0, rad: None },
+    let is_unread = matches!(found.reading, Err(Unseen::DoesNotFollow(_)));
+    match &found.residual {
+        Ok(residual) => Left {
+            m: residual.excess_m.value,
+            rad: Some(if is_unread { 1.0 } else { residual.excess_rad.value }),
+        },
+        Err(_) if is_unread => Left { m: 1.0, rad: Some(1.0) },
+        Err(_) => Left { m: 0.0, rad: None },
     }
 }
 
@@ -254,7 +259,7 @@ fn diagnose(
         .collect();
     let usable: Vec<&Prepared> = prepared.iter().flatten().collect();
     let fitted = fit(&usable, read, with_offsets);
-    let (offsets, scales_found) = match &fitted {
+    let (offsets, scales) = match &fitted {
         Some(fitted) => (joint_offsets(fitted, &usable, joints), joint_scales(fitted, read)),
         None => {
             let why = prepared.iter().find_map(|prepared| prepared.as_ref().err());
@@ -274,7 +279,7 @@ fn diagnose(
             (Err(why), _) => no_diagnosis(why.clone()),
         })
         .collect();
-    Found { offsets, scales: scales_found, streams: diagnoses }
+    Found { offsets, scales, streams: diagnoses }
 }
 
 /// The fit of all streams together.
