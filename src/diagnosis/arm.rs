@@ -5,7 +5,7 @@ use super::explain::{Approach, Cause, ENTANGLED, Explanation, Menu, best, explai
 use super::frames::{frame_estimate, starts};
 use super::joints::{corrected, lies_on_arm, read_joints};
 use super::latency::{Peak, arm_speeds, median_period_s, top};
-use super::model::{Blind, State, StreamState, Sweep, Witness};
+use super::model::{Blind, State, StreamState, Sweep, ToolPart, Witness};
 use super::nominal::{MOST_M, MOST_RAD, is_nominal};
 use super::observability::Observability;
 use super::prepare::{Placement, Prepared, as_rotations, prepare, still_speeds, stream_peaks};
@@ -260,7 +260,12 @@ fn menu(prepared: &[&Prepared], dof: usize, with_offsets: bool) -> Menu {
         // A stream that is derived from the joint states agrees with them or does not: nothing is
         // to be explained away.
         if with_offsets {
-            optional.extend([Cause::Tool(s), Cause::Growth(s)]);
+            // In a world that is anywhere, and with a tool that never turns, its own turn is no cause.
+            match prepared.witness.tool_part {
+                ToolPart::Turn => always.push(Cause::Tool(s)),
+                ToolPart::Whole | ToolPart::Point => optional.push(Cause::Tool(s)),
+            }
+            optional.push(Cause::Growth(s));
         }
     }
     Menu { always, optional }
@@ -708,6 +713,7 @@ fn align(
         xyz: Vec::new(),
         rotation: Vec::new(),
         blind: witness.blind,
+        tool_part: witness.tool_part,
         middle_s: witness.middle_s,
     };
     let zero = vec![0.0; recorded.dof];

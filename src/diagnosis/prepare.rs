@@ -4,7 +4,7 @@
 use super::arm::{FOLLOWS, SEARCH_SAMPLES};
 use super::latency::{Peak, pose_peaks};
 use super::layout::{Layout, Written, layouts, matrix_of};
-use super::model::{Blind, StreamState, Sweep, Witness};
+use super::model::{Blind, StreamState, Sweep, ToolPart, Witness};
 use super::placing::{ON_ARM, spread};
 use super::reading::{After, Fit, Logged, Samples, fit_known, nearest_truth, read};
 use super::{AxesSlip, PoseStream, Reading, ReadingEstimate, Seen, UnitSlip, Unseen};
@@ -451,6 +451,11 @@ pub(super) fn prepare<'a>(
         xyz: way.positions(&track.xyz),
         rotation: Vec::new(),
         blind: Blind { position: constant_axes, rotation: fit.is_none() },
+        tool_part: match fit {
+            None => ToolPart::Point,
+            Some(_) if !reference_known && !turns(turning.fk) => ToolPart::Turn,
+            Some(_) => ToolPart::Whole,
+        },
         middle_s: 0.5 * (track.t_s[0] + track.t_s[track.t_s.len() - 1]),
     };
     choose_branches(&mut witness, &Logged::of(&orientation), &way, fit.as_ref(), lag_s);
@@ -465,20 +470,26 @@ pub(super) fn prepare<'a>(
 
 /// Whether orientations are any: not where they stay as they are while FK's turn.
 fn is_set(logged: &Orientations, fk: &[Rotation]) -> bool {
-    /// Orientations that stay within this are one, rad …
+    /// Orientations that stay within this are one, rad.
     const STAYS_RAD: f64 = 1e-3;
-    /// … and FK's turn that go further than this.
-    const TURNS_RAD: f64 = 0.2;
-    let farthest = |all: &[Rotation]| {
-        let from = all.first().copied().unwrap_or_default();
-        all.iter().map(|one| angle_between(&from, one)).fold(0.0, f64::max)
-    };
     let stays = match logged {
         Orientations::Rotations(all) => farthest(all) < STAYS_RAD,
         Orientations::Numbers(all) => all.windows(2).all(|pair| pair[0] == pair[1]),
         Orientations::Unset(_) => return false,
     };
-    !stays || farthest(fk) < TURNS_RAD
+    !stays || !turns(fk)
+}
+
+/// Whether rotations turn by more than joints that are a little off may feign.
+fn turns(rotations: &[Rotation]) -> bool {
+    const TURNS_RAD: f64 = 0.2;
+    farthest(rotations) > TURNS_RAD
+}
+
+/// The largest angle to the first of some rotations, rad.
+fn farthest(rotations: &[Rotation]) -> f64 {
+    let from = rotations.first().copied().unwrap_or_default();
+    rotations.iter().map(|one| angle_between(&from, one)).fold(0.0, f64::max)
 }
 
 /// A stream's orientations with their angles in the unit that follows the arm, and the slip where
