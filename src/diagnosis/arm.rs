@@ -8,7 +8,7 @@ use super::joints::{
     Left, Read, corrected, half_turns, lies_on_arm, lone_zeros, other_reading, read_joints,
 };
 use super::latency::{Peak, arm_speeds, median_period_s, top};
-use super::model::{Blind, State, StreamState, Sweep, Witness};
+use super::model::{Blind, State, StreamState, Sweep, ToolPart, Witness};
 use super::nominal::{MOST_M, MOST_RAD, is_nominal};
 use super::observability::Observability;
 use super::placing::spread;
@@ -379,7 +379,12 @@ fn menu(prepared: &[&Prepared], read: &Read, with_offsets: bool) -> Menu {
         // A stream that is derived from the joint states agrees with them or does not: nothing is
         // to be explained away.
         if with_offsets {
-            optional.extend([Cause::Tool(s), Cause::Growth(s)]);
+            // In a world that is anywhere, and with a tool that never turns, its own turn is no cause.
+            match prepared.witness.tool_part {
+                ToolPart::Turn => always.push(Cause::Tool(s)),
+                ToolPart::Whole | ToolPart::Point => optional.push(Cause::Tool(s)),
+            }
+            optional.push(Cause::Growth(s));
         }
     }
     Menu { always, optional }
@@ -645,6 +650,7 @@ fn no_diagnosis(why: Unseen) -> PoseDiagnosis {
         length: Err(why.clone()),
         axes: Err(why.clone()),
         reading: Err(why),
+        inverted: false,
         constant: Vec::new(),
         degrees: None,
         latency_s: Err(rests()),
@@ -774,6 +780,7 @@ fn stream_diagnosis(
         reading,
         length: length_slip(stream, placement, prepared, &residual),
         axes: Ok(prepared.axes),
+        inverted: prepared.inverted,
         constant: constant_parts(stream, prepared, &aligned),
         degrees: prepared.degrees,
         latency_s,
@@ -876,6 +883,7 @@ fn align(
         xyz: Vec::new(),
         rotation: Vec::new(),
         blind: witness.blind,
+        tool_part: witness.tool_part,
         middle_s: witness.middle_s,
     };
     let zero = vec![0.0; recorded.dof];

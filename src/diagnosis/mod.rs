@@ -316,6 +316,8 @@ pub struct PoseDiagnosis {
     pub reading: Seen<ReadingEstimate>,
     /// Positions in another unit.
     pub length: Seen<Option<LengthSlip>>,
+    /// Whether the poses as a whole are inverted, by their positions.
+    pub inverted: bool,
     /// Axes that are exchanged or mirrored.
     pub axes: Seen<Option<AxesSlip>>,
     /// Coordinates that never change.

@@ -220,6 +220,7 @@ fn possible(witness: &Witness, state: &StreamState, offsets: &[f64]) -> DMatrix<
         xyz: vec![Vec3::zeros(); POSTURES],
         rotation: vec![Rotation::identity(); POSTURES],
         blind: witness.blind,
+        tool_part: witness.tool_part,
         middle_s: 0.5 * t_s[POSTURES - 1],
         t_s,
     };
