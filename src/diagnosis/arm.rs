@@ -36,14 +36,11 @@ const ALIAS_FLOOR: f64 = 2e-5;
 ///
 /// `most_lag_s` bounds the latency that is sought, s.
 pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64) -> ArmDiagnosis {
+    let slides = prismatic(joints.dof, streams);
     let placed = |joints: &JointTrack| -> Vec<Placement> {
         streams.iter().map(|stream| Placement::of(joints, stream, most_lag_s)).collect()
     };
     let placements = placed(joints);
-    let slides = prismatic(joints.dof, streams);
-    let placed = |read: &Read| -> Vec<Placement> {
-        streams.iter().map(|stream| Placement::of(read.near(), stream, most_lag_s)).collect()
-    };
     let by = |reading: &JointReading| {
         let read = Read::by(joints, reading, &slides);
         let anew = (*reading != JointReading::default()).then(|| placed(read.near()));
