@@ -279,7 +279,7 @@ fn by_other_convention(
         let streams = arm.poses.iter().zip(&found.streams).map(|(source, found)| {
             let stream = pose_stream(run, source);
             let lag_s = follows(&arm.joints, &stream, most_lag_s).map_or(0.0, |peak| peak.lag_s);
-            position_misfit_m(&arm.joints, &stream, position_factor(source, found), lag_s)
+            position_misfit_m(&arm.joints, &stream, position_factor(found), lag_s)
         });
         streams.collect()
     };
@@ -309,13 +309,8 @@ fn by_other_convention(
 }
 
 /// What takes the positions of a stream to m.
-fn position_factor(source: &PoseSource, found: &PoseDiagnosis) -> f64 {
-    let declared_mm = source.track.declared.as_ref().is_some_and(|units| units.millimetres);
-    match found.millimetres {
-        Ok(Some(_)) if declared_mm => 1e3,
-        Ok(Some(_)) => 1e-3,
-        _ => 1.0,
-    }
+fn position_factor(found: &PoseDiagnosis) -> f64 {
+    found.length.as_ref().ok().copied().flatten().map_or(1.0, |slip| slip.factor())
 }
 
 fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
@@ -430,6 +425,7 @@ fn steadied(stream: &PoseStream, found: &PoseDiagnosis) -> Option<PoseTrack> {
         Orientations::Numbers(all) => {
             Orientations::Numbers(rows.iter().map(|&(row, _)| all[row]).collect())
         }
+        Orientations::Unset(_) => Orientations::Unset(rows.len()),
     };
     Some(PoseTrack {
         t_s: rows.iter().map(|&(_, t_s)| t_s).collect(),
@@ -710,6 +706,8 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         euler: None,
         independent: !source.stamps_copied,
         bare_numbers: matches!(source.track.orientation, Orientations::Numbers(_)),
+        bare: source.track.declared.is_none()
+            && matches!(run.streams[source.stream].columns, Some(Columns::Array(_))),
         declared: source.track.declared.as_ref().map(|units| Declared {
             angles: units.in_other_angles.is_some().then_some(match units.degrees {
                 true => "deg",
@@ -747,7 +745,7 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         ShakeFacts {
             topic: run.streams[source.stream].topic.clone(),
             span: span_of(run, source.stream).unwrap_or(whole),
-            in_other_units: matches!(found.millimetres, Ok(Some(_))),
+            in_other_units: matches!(found.length, Ok(Some(_))),
             shake: shake(t_s, |row| xyz[row]),
         }
     }));

@@ -1,5 +1,7 @@
 //! What an audit says: a finding, its estimate with the interval, and the outcome it comes from.
 
+use std::borrow::Cow;
+
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::{Map, Value};
 
@@ -317,9 +319,9 @@ pub enum Estimate {
         /// What was mixed up.
         name: &'static str,
         /// What it is.
-        is: &'static str,
+        is: Cow<'static, str>,
         /// What it was read as.
-        read_as: &'static str,
+        read_as: Cow<'static, str>,
     },
     /// Numbers that stand under the wrong names.
     Order {
@@ -349,6 +351,15 @@ impl Estimate {
             Estimate::Convention { is, read_as, .. } => Some((is, read_as)),
             _ => None,
         }
+    }
+
+    /// The estimate of what was taken for something else.
+    pub fn slip(
+        name: &'static str,
+        is: impl Into<Cow<'static, str>>,
+        read_as: impl Into<Cow<'static, str>>,
+    ) -> Self {
+        Estimate::Slip { name, is: is.into(), read_as: read_as.into() }
     }
 
     /// The estimate of one number.

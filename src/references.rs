@@ -107,7 +107,7 @@ fn of_stream(
     let base = fixed(arm.chain.base_name(), source.chain.base_name());
     let tip = fixed(source.chain.tip_name(), arm.chain.tip_name());
     let (Some(base_from_reference), Some(link_from_tip)) = (base, tip) else { return Vec::new() };
-    if found.reading.is_err() || found.strays() {
+    if found.unread().is_some() || found.strays() {
         return Vec::new();
     }
     let latency_s = found.latency_s.as_ref().map_or(0.0, |latency| latency.value);

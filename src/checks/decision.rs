@@ -163,6 +163,13 @@ pub fn unseen(unseen: &Unseen, settle: &str) -> Outcome {
         }
         Unseen::NotExcited => "this motion does not show it".to_owned(),
         Unseen::NoOrientation => return Outcome::Skipped("it carries no orientation".to_owned()),
+        Unseen::OrientationNotSet => {
+            return Outcome::Inconclusive(
+                "its orientation was never set: it stays as it is while the arm turns; fill it where \
+                 the pose is written"
+                    .to_owned(),
+            );
+        }
         Unseen::NoFrame => {
             return Outcome::Skipped("the log has no frame of the IMU on the arm".to_owned());
         }

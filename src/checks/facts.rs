@@ -235,6 +235,8 @@ pub struct PoseFacts {
     pub independent: bool,
     /// Whether its rotations are bare numbers, which may be degrees.
     pub bare_numbers: bool,
+    /// Whether it holds bare numbers of which nothing is declared, so that they violate no convention.
+    pub bare: bool,
     /// The units that the caller declared its numbers to be in.
     pub declared: Option<Declared>,
     /// How its rotations are coded, where they are three bare numbers.

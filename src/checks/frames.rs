@@ -56,7 +56,7 @@ fn judge_stream(
 ) -> Judged {
     let (stream, diagnosis) = (&arm.poses[index], &arm.diagnosis.streams[index]);
     let figures = facts.figures.of_frames(end.rule, FIGURES);
-    if let Err(why) = &diagnosis.reading {
+    if let Some(why) = diagnosis.unread() {
         return Judged::new(subject, unseen(why, SETTLE));
     }
     let not_judged = (end.not_judged)(stream);

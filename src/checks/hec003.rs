@@ -129,7 +129,7 @@ fn judge(facts: &HandEyeFacts) -> Judged {
     }
     let (is, read_as) = kinds(&swap);
     let judged = Judged::new(facts.subject(), Outcome::faulty(fault(facts, &swap)))
-        .estimated(Estimate::Slip { name: "camera axes", is, read_as })
+        .estimated(Estimate::slip("camera axes", is, read_as))
         .with_evidence("view", found.view.to_vec());
     match swap {
         Swap::Within(axes) => judged.with_evidence("reading", axes_words(&axes)),

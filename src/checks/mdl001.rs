@@ -62,9 +62,9 @@ fn check(facts: &Facts) -> Vec<Judged> {
         if let Some(wrong) = arm.wrong_model.as_ref().filter(|wrong| wrong.topic == stream.topic) {
             return Judged::new(subject, wrong_model(facts, arm, wrong)).within(stream.span);
         }
-        let residual = match diagnosis.reading.as_ref().and(diagnosis.residual.as_ref()) {
-            Ok(residual) => residual,
-            Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(stream.span),
+        let residual = match (diagnosis.unread(), &diagnosis.residual) {
+            (None, Ok(residual)) => residual,
+            (Some(why), _) | (None, Err(why)) => return Judged::new(subject, unseen(why, SETTLE)).within(stream.span),
         };
         let length = Unit::Metre.show_measured(&residual.excess_m);
         let angle = Unit::Radian.show(residual.excess_rad.value);

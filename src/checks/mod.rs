@@ -95,6 +95,8 @@ registry! {
     ord006::ORD006,
     ord007::ORD007,
     ord008::ORD008,
+    ord010::ORD010,
+    ord011::ORD011,
     tim001::TIM001,
     tim002::TIM002,
     tim003::TIM003,

@@ -62,6 +62,6 @@ fn word(estimate: &ReadingEstimate) -> Option<Wording> {
         what: format!("quaternion {right} read as {wrong}"),
         once: format!("read as {right}"),
         fix: fix.to_owned(),
-        estimate: Estimate::Slip { name: "quaternion order", is, read_as },
+        estimate: Estimate::slip("quaternion order", is, read_as),
     })
 }

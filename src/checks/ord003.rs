@@ -44,7 +44,7 @@ fn check(facts: &Facts) -> Vec<Judged> {
 
 fn word(estimate: &ReadingEstimate) -> Option<Wording> {
     let (title, what, fix, is) = match estimate.best {
-        Reading::Inverted => (
+        _ if estimate.inverted => (
             "pose is inverted",
             "the pose is the inverse of what its frames say",
             "exchange parent and child: publish base_from_tip, as lookup_transform(base, tip) gives it",
@@ -63,6 +63,6 @@ fn word(estimate: &ReadingEstimate) -> Option<Wording> {
         what: what.to_owned(),
         once: "inverted".to_owned(),
         fix: fix.to_owned(),
-        estimate: Estimate::Slip { name: "direction", is, read_as: "pose" },
+        estimate: Estimate::slip("direction", is, "pose"),
     })
 }

@@ -7,9 +7,10 @@ rule! {
     /// Degrees stand where radians belong, or the other way round.
     ///
     /// ## What it means
-    /// The joint positions, or the rotation numbers of a bare array, are degrees, and everything
-    /// that reads them takes them for radians (REP 103). Of a stream that was declared it is the
-    /// declaration that names the wrong unit, either way.
+    /// The joint positions are degrees, and everything that reads them takes them for radians
+    /// (REP 103). Of rotation numbers that were declared it is the declaration that names the wrong unit,
+    /// either way. A bare array of which nothing is declared has no unit to violate: what it was read as
+    /// is said by ORD001.
     ///
     /// ## Why it matters
     /// Forward kinematics of degrees read as radians is noise within the arm's reach: nothing built
@@ -48,6 +49,12 @@ fn judge_arm(arm: &ArmFacts) -> Vec<Judged> {
     };
     let numbers = arm.poses().filter_map(|(stream, diagnosis)| {
         let declared = stream.declared.and_then(|declared| declared.angles);
+        if stream.bare {
+            let why = "bare numbers of which nothing is declared have no unit to violate";
+            let judged = Judged::new(arm.topic(&stream.topic), Outcome::sound_because(why.to_owned()));
+            return (stream.bare_numbers && diagnosis.degrees.is_some())
+                .then(|| judged.within(stream.span));
+        }
         let taken = if stream.bare_numbers { Taken::Logged } else { Taken::Declared(declared?) };
         let judged = judge(arm, &stream.topic, diagnosis.degrees, Unit::Radian, taken);
         Some(judged.within(stream.span))
@@ -121,7 +128,7 @@ fn judge(
         fix,
     };
     Judged::new(subject, Outcome::faulty(fault))
-        .estimated(Estimate::Slip { name: "angle unit", is, read_as })
+        .estimated(Estimate::slip("angle unit", is, read_as))
         .with_evidence("as_logged", slip.as_logged)
         .with_evidence("corrected", slip.corrected)
 }

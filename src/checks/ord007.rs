@@ -70,7 +70,7 @@ fn judge(arm: &ArmFacts, facts: &DhFacts) -> Judged {
         )),
     };
     let slip =
-        (told == DhTold::Other).then_some(Estimate::Slip { name: "DH convention", is, read_as });
+        (told == DhTold::Other).then_some(Estimate::slip("DH convention", is, read_as));
     let finite = |value: f64| Some(value).filter(|value| value.is_finite());
     let streams = arm.poses.iter().zip(&estimate.streams).map(|(facts, stream)| {
         json!({

@@ -1,31 +1,36 @@
 use crate::checks::decision::unseen;
-use crate::checks::{Declared, Facts, Grade, Judged, PoseFacts};
-use crate::diagnosis::UnitSlip;
+use crate::checks::{Facts, Grade, Judged, PoseFacts};
+use crate::diagnosis::LengthSlip;
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::geometry::LengthScale;
 
 rule! {
-    /// Millimetres stand where metres belong, or the other way round.
+    /// Millimetres, or another unit, stand where metres belong, or the other way round.
     ///
     /// ## What it means
-    /// The positions of a pose stream are millimetres, as pendants show them, in a message that
-    /// wants metres (REP 103). Of a stream that was declared it is the declaration that names the
-    /// wrong unit, either way.
+    /// The positions of a pose stream are in another unit than the metres that a message wants (REP 103):
+    /// millimetres as pendants show them, centimetres, inches, tenths of a millimetre. Of a stream that was
+    /// declared it is the declaration that names the wrong unit, either way.
     ///
     /// ## Why it matters
     /// The tip appears a thousand times too far out. What does not crash on that will scale it
     /// silently somewhere else.
     ///
     /// ## Evidence
-    /// What the positions leave against forward kinematics as metres (`as_logged_m`) and as
-    /// millimetres (`corrected_m`).
+    /// The factor is estimated from the motion, with the frames that it may need left free. Where it is
+    /// that of a usual unit to 2 %, that unit is named, else the metres of one number. What the positions
+    /// leave against forward kinematics as metres is `as_logged_m`, in the unit found `corrected_m`. A unit
+    /// is named only where it explains the positions.
     ///
     /// ## How to fix
-    /// Divide by 1000 where the message is filled. For a bare array that shall stay in millimetres
-    /// declare it: `--declare TOPIC=CONVENTION,mm`.
+    /// Convert where the message is filled. A bare array of which nothing is declared has no unit to
+    /// violate; what it was read as is said by ORD001. To hold it to millimetres declare it:
+    /// `--declare TOPIC=CONVENTION,mm`.
     ///
     /// ## When it misleads
     /// A factor of a thousand and a scale error of a thousand are the same thing; nothing else
-    /// comes near it.
+    /// comes near it. A factor within a quarter of 1 is growth (ZER002) and no unit. Where the tip turns
+    /// about one point only, a long tool does what a unit does; the unit is named.
     ORD008 {
         name: "millimetres-for-metres",
         grade: Grade::Fixed(Severity::Error),
@@ -42,56 +47,70 @@ fn check(facts: &Facts) -> Vec<Judged> {
     });
     let judged = streams.map(|(arm, stream, diagnosis)| {
         let subject = arm.topic(&stream.topic);
-        match &diagnosis.millimetres {
-            Err(why) => Judged::new(subject, unseen(why, "move the tip by 10 cm or more")),
-            Ok(None) => Judged::new(subject, Outcome::sound()),
+        let outcome = match &diagnosis.length {
+            Err(why) => unseen(why, "move the tip by 10 cm or more"),
+            Ok(None) => Outcome::sound(),
+            Ok(Some(slip)) if stream.bare => Outcome::sound_because(format!(
+                "read as {}: bare numbers of which nothing is declared have no unit to violate",
+                slip.is.words()
+            )),
+            Ok(Some(slip)) if diagnosis.strays() => Outcome::Inconclusive(format!(
+                "{} would leave {}, which explains nothing (MDL001)",
+                slip.is.words(),
+                Unit::Metre.show(slip.residual.corrected)
+            )),
             Ok(Some(slip)) => {
-                let (is, read_as) = match stream.declared {
-                    Some(Declared { lengths: "mm", .. }) => ("m", "mm"),
-                    _ => ("mm", "m"),
-                };
-                Judged::new(subject, Outcome::faulty(fault(stream, slip, is)))
-                    .estimated(Estimate::Slip { name: "length unit", is, read_as })
-                    .with_evidence("as_logged_m", slip.as_logged)
-                    .with_evidence("corrected_m", slip.corrected)
+                let LengthSlip { is, read_as, residual } = slip;
+                return Judged::new(subject, Outcome::faulty(fault(stream, slip)))
+                    .estimated(Estimate::slip("length unit", is.to_string(), read_as.to_string()))
+                    .with_evidence("as_logged_m", residual.as_logged)
+                    .with_evidence("corrected_m", residual.corrected)
+                    .within(stream.span);
             }
-        }
-        .within(stream.span)
+        };
+        Judged::new(subject, outcome).within(stream.span)
     });
     judged.collect()
 }
 
-/// The fault of positions that are in the unit `is`.
-fn fault(stream: &PoseFacts, slip: &UnitSlip, is: &str) -> Fault {
+/// The fault of positions that are in another unit than they were read as.
+fn fault(stream: &PoseFacts, slip: &LengthSlip) -> Fault {
     let topic = &stream.topic;
-    let (title, what, once, fix) = match (is, stream.declared) {
-        ("m", _) => (
-            "metres declared as millimetres",
-            "positions are metres and were declared as millimetres",
-            "metres",
-            format!("declare {topic} without `,mm`"),
+    let (is, read_as) = (slip.is.words(), slip.read_as.words());
+    let is_metres = slip.is == LengthScale::METRE;
+    let is_millimetres = slip.is == LengthScale::MILLIMETRE;
+    let (title, what, fix) = match stream.declared {
+        Some(_) => (
+            if is_metres { "metres declared as millimetres" } else { "another unit of length declared" },
+            format!("positions are {is} and were declared as {read_as}"),
+            match (is_metres, is_millimetres) {
+                (true, _) => format!("declare {topic} without `,mm`"),
+                (_, true) => format!("declare {topic} with `,mm`"),
+                _ => format!("publish {topic} in metres"),
+            },
         ),
-        (_, Some(_)) => (
-            "millimetres declared as metres",
-            "positions are millimetres and were declared as metres",
-            "millimetres",
-            format!("declare {topic} with `,mm`"),
-        ),
-        (_, None) => (
-            "millimetres where metres belong",
-            "positions are millimetres where metres belong",
-            "millimetres",
-            format!("divide the positions of {topic} by 1000"),
+        None => (
+            if is_millimetres {
+                "millimetres where metres belong"
+            } else {
+                "another unit of length where metres belong"
+            },
+            format!("positions are {is} where metres belong"),
+            match is_millimetres {
+                true => format!("divide the positions of {topic} by 1000"),
+                false => format!("multiply the positions of {topic} by {}", slip.is.in_m()),
+            },
         ),
     };
-    let (before, after) = (Unit::Metre.show(slip.as_logged), Unit::Metre.show(slip.corrected));
+    let [before, after] =
+        [slip.residual.as_logged, slip.residual.corrected].map(|left| Unit::Metre.show(left));
     Fault {
         severity: Severity::Error,
         title,
         message: format!("{what}, {before} off as logged"),
         evidence: Evidence {
-            effect: Some(format!("{after} once read as {once}")),
-            effect_m: Some(slip.as_logged),
+            effect: Some(format!("{after} once read as {is}")),
+            effect_m: Some(slip.residual.as_logged),
             ..Evidence::default()
         },
         fix,

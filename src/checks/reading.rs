@@ -2,9 +2,10 @@
 
 use crate::checks::decision::{DEGREE, unseen};
 use crate::checks::{ArmFacts, Facts, Judged};
-use crate::diagnosis::{Reading, ReadingEstimate, Seen};
+use crate::desk::{self, Form};
+use crate::diagnosis::{PoseDiagnosis, Reading, ReadingEstimate, Seen};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, ReadAs, Ruling, Severity, Unit};
-use crate::geometry::{Convention, Misreading, QuaternionSlip};
+use crate::geometry::{Convention, LengthScale, Misreading, QuaternionSlip};
 
 /// A fault must leave at least this many times less than the stream as logged, and than the next
 /// best reading, to be named.
@@ -60,14 +61,20 @@ pub fn judge(
     for arm in &facts.robots {
         let streams = arm.poses_and_tf().map(|(stream, diagnosis)| {
             let doubt = diagnosis.strays().then_some("its positions do not lie on the arm");
-            (&stream.topic, stream.span, &diagnosis.reading, doubt)
+            let bare = stream.bare.then_some(diagnosis);
+            (&stream.topic, stream.span, &diagnosis.reading, doubt, bare)
         });
         let unread = arm.diagnosis.joints.is_err() && !arm.poses.is_empty();
         let doubt = unread.then_some("the joint states themselves could not be read for sure");
         let imus = arm.imus.iter();
-        let imus = imus.map(|(imu, found)| (&imu.topic, imu.span, &found.reading, doubt));
-        judged.extend(streams.chain(imus).map(|(topic, span, reading, doubt)| {
-            let (outcome, estimate) = match (judge_stream(arm, reading, asked, word), doubt) {
+        let imus = imus.map(|(imu, found)| (&imu.topic, imu.span, &found.reading, doubt, None));
+        judged.extend(streams.chain(imus).map(|(topic, span, reading, doubt, bare)| {
+            let judged = judge_stream(arm, reading, asked, word);
+            let judged = match bare {
+                Some(found) => of_bare_numbers(arm, topic, asked, found, judged),
+                None => judged,
+            };
+            let (outcome, estimate) = match (judged, doubt) {
                 ((Outcome::Evaluated(Ruling::Faulty(_)), _), Some(doubt)) => (
                     Outcome::Inconclusive(format!("{doubt}; check the model and its joints")),
                     None,
@@ -109,7 +116,8 @@ fn judge_stream(
             None,
         );
     }
-    if kind(&reading.best) != Some(asked) {
+    let is_inverted = asked == Kind::Direction && reading.inverted;
+    if kind(&reading.best) != Some(asked) && !is_inverted {
         let remark = match reading.best {
             Reading::Numbers(convention) => Outcome::sound_because(format!("read as {convention}")),
             _ => Outcome::sound(),
@@ -120,6 +128,101 @@ fn judge_stream(
         Some(wording) => fault(arm, reading, wording),
         None => (Outcome::sound(), None),
     }
+}
+
+/// What is said of bare numbers of which nothing is declared: how they were read, once, and no fault of
+/// their convention.
+fn of_bare_numbers(
+    arm: &ArmFacts,
+    topic: &str,
+    asked: Kind,
+    found: &PoseDiagnosis,
+    (outcome, estimate): (Outcome, Option<Estimate>),
+) -> (Outcome, Option<Estimate>) {
+    let is_read = matches!(outcome, Outcome::Evaluated(_));
+    let form = found.reading.as_ref().ok().and_then(|reading| match reading.best {
+        Reading::Numbers(convention) => Some(Form::Three(convention)),
+        Reading::QuaternionOrder(QuaternionSlip::WxyzReadAsXyzw) => Some(Form::Wxyz),
+        _ => None,
+    });
+    match (asked, form) {
+        (Kind::Convention, Some(form)) if is_read => {
+            let said = bare_reading(arm, topic, form, found);
+            let mut evidence = Evidence::default();
+            let (length, angle) = bare_units(found);
+            evidence.more.insert("length_unit".to_owned(), length.to_string().into());
+            evidence.more.insert("angle_unit".to_owned(), angle.into());
+            let fault = Fault {
+                severity: Severity::Info,
+                title: "how bare numbers were read",
+                message: format!("read as {said}: that is how they follow the arm"),
+                evidence,
+                fix: format!(
+                    "say so to hold them to it: --declare {topic}={}",
+                    declared(form, found)
+                ),
+            };
+            let (is, read_as) = (form.to_string(), form.to_string());
+            (Outcome::faulty(fault), Some(Estimate::slip("reading", is, read_as)))
+        }
+        (Kind::QuaternionOrder, Some(Form::Wxyz)) if is_read => {
+            let why = "bare numbers of which nothing is declared have no order to violate";
+            (Outcome::sound_because(why.to_owned()), None)
+        }
+        _ => (outcome, estimate),
+    }
+}
+
+/// Unit of lengths and of angles that bare numbers turned out to be in.
+fn bare_units(found: &PoseDiagnosis) -> (LengthScale, &'static str) {
+    let length = found.length.as_ref().ok().copied().flatten().map(|slip| slip.is);
+    (length.unwrap_or(LengthScale::METRE), if found.degrees.is_some() { "deg" } else { "rad" })
+}
+
+/// How bare numbers were read, with makers whose numbers are so: `KUKA's: mm, euler:ZYX in deg`.
+fn bare_reading(arm: &ArmFacts, topic: &str, form: Form, found: &PoseDiagnosis) -> String {
+    /// Makers that are named.
+    const NAMED: usize = 3;
+    let (length, angle) = bare_units(found);
+    let is_three = matches!(form, Form::Three(_));
+    let is_alike = |entry: &&'static desk::Use| {
+        let metres =
+            if entry.in_millimetres() { LengthScale::MILLIMETRE } else { LengthScale::METRE };
+        let angles = !is_three || entry.in_degrees() == (angle == "deg");
+        entry.is_maker() && metres == length && angles
+    };
+    // Whose arm it is, its own names say best.
+    let names = format!("{} {topic}", arm.name).to_lowercase();
+    let is_other = |entry: &&str| {
+        let first = entry.split_whitespace().next().unwrap_or_default().to_lowercase();
+        !names.contains(&first)
+    };
+    let mut makers: Vec<&str> = Vec::new();
+    for entry in desk::uses_of(form).filter(is_alike) {
+        if !makers.contains(&entry.who.as_str()) {
+            makers.push(&entry.who);
+        }
+    }
+    makers.sort_by_key(is_other);
+    makers.truncate(NAMED);
+    let makers = match makers.as_slice() {
+        [] => String::new(),
+        makers => format!(
+            " (as {} {} them)",
+            makers.join(", "),
+            if makers.len() == 1 { "gives" } else { "give" }
+        ),
+    };
+    let angles = if is_three { format!(" in {angle}") } else { String::new() };
+    format!("{length}, {form}{angles}{makers}")
+}
+
+/// What to declare of numbers that were read so.
+fn declared(form: Form, found: &PoseDiagnosis) -> String {
+    let (length, angle) = bare_units(found);
+    let angle = if matches!(form, Form::Three(_)) && angle == "deg" { ",deg" } else { "" };
+    let length = if length == LengthScale::MILLIMETRE { ",mm" } else { "" };
+    format!("{form}{angle}{length}")
 }
 
 fn fault(
@@ -151,7 +254,7 @@ fn fault(
 /// Whether the stream would have fitted as well if it had been misread in any way: its orientation
 /// hardly changes, and a constant frame makes up for the rest.
 fn nothing_was_told_apart(reading: &ReadingEstimate) -> bool {
-    kind(&reading.best).is_none() && !reading.is_told
+    kind(&reading.best).is_none() && !reading.inverted && !reading.is_told
 }
 
 /// Whether the best reading is far enough from the stream as logged and from the next best.
@@ -251,6 +354,7 @@ mod tests {
         let as_logged_rad = Some(1.1);
         facts.robots[0].diagnosis.streams[0].reading = Ok(ReadingEstimate {
             best,
+            inverted: false,
             as_logged_rad,
             best_rad,
             runner_up,

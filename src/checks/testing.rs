@@ -192,6 +192,7 @@ pub fn frame(length_m: f64) -> FrameEstimate {
 fn as_logged() -> ReadingEstimate {
     ReadingEstimate {
         best: Reading::AsLogged,
+        inverted: false,
         as_logged_rad: Some(1e-4),
         best_rad: 1e-4,
         runner_up: None,
@@ -204,7 +205,9 @@ fn as_logged() -> ReadingEstimate {
 fn clean_stream() -> PoseDiagnosis {
     PoseDiagnosis {
         reading: Ok(as_logged()),
-        millimetres: Ok(None),
+        length: Ok(None),
+        axes: Ok(None),
+        constant: Vec::new(),
         degrees: None,
         latency_s: Ok(sure(0.0)),
         skew: Ok(sure(0.0)),
@@ -240,6 +243,7 @@ fn stream(topic: &str, independent: bool) -> PoseFacts {
         witness: Witness::Unknown,
         independent,
         bare_numbers: false,
+        bare: false,
         declared: None,
         euler: Some(EulerFacts {
             convention: Some(Convention::RPY),

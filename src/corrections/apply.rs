@@ -2,11 +2,13 @@
 
 use std::path::Path;
 
-use super::file::{Corrections, FrameCorrection, JointOrder, Slip, TopicCorrection};
+use super::file::{
+    AxesCorrection, Corrections, FrameCorrection, JointOrder, Slip, TopicCorrection,
+};
 use crate::audit::{imu_stream, pose_stream};
-use crate::diagnosis::{reread_imu, reread_poses};
+use crate::diagnosis::{AxesSlip, Meant, Reading, reread_imu, reread_poses};
 use crate::finding::Unit;
-use crate::geometry::{AngleUnit, LengthUnit, Pose, rotation_from_xyzw};
+use crate::geometry::{AngleUnit, LengthScale, Pose, rotation_from_xyzw};
 use crate::log::Log;
 use crate::report::{Trouble, TroubleKind};
 use crate::robot::JointKind;
@@ -91,7 +93,8 @@ impl Given<'_> {
 
     fn is_of_pose(&self, correction: &TopicCorrection) -> bool {
         let TopicCorrection { rotation, reference_from_stream, tip_from_stream, .. } = correction;
-        rotation.is_some() || reference_from_stream.is_some() || tip_from_stream.is_some()
+        let is_read = rotation.is_some() || correction.meant().is_some();
+        is_read || reference_from_stream.is_some() || tip_from_stream.is_some()
     }
 
     fn mend_joints(&self, run: &mut Run) -> Result<(), Trouble> {
@@ -185,6 +188,17 @@ impl Given<'_> {
 }
 
 impl TopicCorrection {
+    /// How the poses are meant, where that is not as logged.
+    fn meant(&self) -> Option<Meant> {
+        let reading = self.rotation.and_then(|slip| slip.reading());
+        let inverted = self.inverse == Some(true);
+        let axes = self.axes.map_or(AxesSlip::NONE, |AxesCorrection { positions, rotations }| {
+            AxesSlip { positions, rotations }
+        });
+        let is_any = reading.is_some() || inverted || axes != AxesSlip::NONE;
+        is_any.then_some(Meant { reading: reading.unwrap_or(Reading::AsLogged), axes, inverted })
+    }
+
     /// What it corrects, in words.
     fn parts(&self) -> Vec<String> {
         let frames = [
@@ -193,6 +207,8 @@ impl TopicCorrection {
             (self.tip_from_stream.is_some(), "tool frame"),
             (self.hand_from_camera.is_some() || self.base_from_camera.is_some(), "camera's frame"),
             (self.joint_order.is_some(), "order of joints"),
+            (self.inverse == Some(true), "direction"),
+            (self.axes.is_some(), "axes"),
             (self.length_unit.is_some(), "unit of length"),
             (self.angle_unit.is_some(), "unit of angles"),
             (self.convention.is_some(), "convention"),
@@ -220,6 +236,8 @@ impl Open {
             ("angle_unit", correction.angle_unit.is_some()),
             ("convention", correction.convention.is_some()),
             ("rotation", correction.rotation.is_some()),
+            ("inverse", correction.inverse == Some(true)),
+            ("axes", correction.axes.is_some()),
             ("reference_from_stream", correction.reference_from_stream.is_some()),
             ("tip_from_stream", correction.tip_from_stream.is_some()),
             ("link_from_imu_xyzw", correction.link_from_imu_xyzw.is_some()),
@@ -262,15 +280,15 @@ fn mend_poses(
         }
         let mut mended = source.clone();
         mend_units(&mut mended, correction, open);
-        if let Some(reading) = correction.rotation.and_then(|slip| slip.reading()) {
+        if let Some(meant) = correction.meant() {
             let (joints, stream) = (&run.arms[arm].joints, pose_stream(run, &mended));
             let turned = |frame: Option<FrameCorrection>| {
                 frame.map(|frame| frame.pose().rotation).unwrap_or_default()
             };
             let reference = turned(correction.reference_from_stream).inverse();
             let known = [reference, turned(correction.tip_from_stream)];
-            if let Some(track) = reread_poses(joints, &stream, reading, known, most_lag_s) {
-                open.take("rotation");
+            if let Some(track) = reread_poses(joints, &stream, meant, known, most_lag_s) {
+                ["rotation", "inverse", "axes"].into_iter().for_each(|part| open.take(part));
                 mended.track = track;
             }
         }
@@ -285,7 +303,7 @@ fn mend_units(source: &mut PoseSource, correction: &TopicCorrection, open: &mut 
         open.take("length_unit");
         track.xyz.iter_mut().for_each(|xyz| *xyz *= slip.factor());
         if let Some(declared) = &mut track.declared {
-            declared.millimetres = slip.is == LengthUnit::Millimetre;
+            declared.millimetres = slip.is == LengthScale::MILLIMETRE;
         }
     }
     if let Some(slip) = correction.angle_unit {
@@ -302,7 +320,7 @@ fn mend_units(source: &mut PoseSource, correction: &TopicCorrection, open: &mut 
                     declared.degrees = slip.is == AngleUnit::Degree;
                 }
             }
-            (Orientations::Rotations(_), None) => {}
+            (Orientations::Rotations(_), None) | (Orientations::Unset(_), _) => {}
         }
     }
     if let (Some(convention), Orientations::Numbers(numbers)) =

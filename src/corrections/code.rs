@@ -146,10 +146,9 @@ pub(super) fn angles(to_radians: bool) -> Lines {
     }
 }
 
-/// Positions times a thousandth, or a thousand.
-pub(super) fn lengths(to_metres: bool) -> Lines {
-    let factor = if to_metres { "0.001" } else { "1000.0" };
-    let times = format!("xyz * {factor}");
+/// Positions times a factor.
+pub(super) fn lengths(factor: f64) -> Lines {
+    let times = format!("xyz * {factor:?}");
     Lines::new(&times, &times, &times, &times)
 }
 

@@ -3,12 +3,16 @@
 use serde_json::Value;
 
 use super::code::{self, Lines};
-use super::file::{Corrections, FrameCorrection, JointCorrection, JointOrder, RotationSlip, Slip};
+use super::file::{
+    AxesCorrection, Corrections, FrameCorrection, JointCorrection, JointOrder, RotationSlip, Slip,
+};
 use super::frames::{FixedFrame, rounded};
 use crate::checks::Facts;
 use crate::diagnosis::Reading;
 use crate::finding::{Estimate, Finding, Unit};
-use crate::geometry::{AngleUnit, Convention, LengthUnit, Pose, pose, rotation_from_xyzw};
+use crate::geometry::{
+    AngleUnit, Axes, Convention, LengthScale, Pose, QuaternionSlip, pose, rotation_from_xyzw,
+};
 use crate::report::{Report, StreamRow};
 use crate::run::{Arm, Run};
 use crate::stream::Orientations;
@@ -105,6 +109,7 @@ impl Mending {
             "LAT002" if !is_of_segment => self.take_skew(source, finding),
             "ORD001" | "ORD002" | "ORD003" => self.take_rotation(source, finding),
             "ORD004" | "ORD008" => self.take_unit(source, finding),
+            "ORD010" => self.take_axes(source, finding),
             "ORD005" => self.take_order(finding),
             "ORD007" => match &finding.estimate {
                 Some(Estimate::Slip { is, read_as, .. }) => {
@@ -179,10 +184,39 @@ impl Mending {
         Ok((what, vec![LATENCIES, CORRECTIONS]))
     }
 
+    /// Takes what bare numbers were read as, so that frames can be applied to them.
+    fn take_numbers(&mut self, source: &Source<'_>, finding: &Finding, form: &str) -> Taken {
+        let text = |name: &str| finding.evidence.more.get(name).and_then(Value::as_str);
+        let (length, angle) = text("length_unit").zip(text("angle_unit")).ok_or_else(nothing)?;
+        let topic = source.lone_topic(finding)?;
+        let correction = self.corrections.topic(&topic);
+        if length != "m" {
+            let slip = Slip { is: length.parse()?, read_as: LengthScale::METRE };
+            correction.length_unit = Some(slip);
+        }
+        match form.parse::<Convention>() {
+            Ok(convention) => {
+                correction.convention = Some(convention);
+                if angle == "deg" {
+                    let slip = Slip { is: AngleUnit::Degree, read_as: AngleUnit::Radian };
+                    correction.angle_unit = Some(slip);
+                }
+            }
+            Err(_) => {
+                let slip = QuaternionSlip::WxyzReadAsXyzw;
+                correction.rotation = Some(RotationSlip::Quaternion(slip));
+            }
+        }
+        Ok((format!("bare numbers are {form}, {length}, {angle}"), vec![CORRECTIONS]))
+    }
+
     fn take_rotation(&mut self, source: &Source<'_>, finding: &Finding) -> Taken {
+        if let Some(Estimate::Slip { name: "reading", is, .. }) = &finding.estimate {
+            return self.take_numbers(source, finding, is);
+        }
         let (is, read_as) = match &finding.estimate {
             Some(Estimate::Convention { is, read_as, .. }) => (is.as_str(), read_as.as_str()),
-            Some(Estimate::Slip { is, read_as, .. }) => (*is, *read_as),
+            Some(Estimate::Slip { is, read_as, .. }) => (is.as_ref(), read_as.as_ref()),
             _ => return Err(nothing()),
         };
         let slip = Slip { is: is.to_owned(), read_as: read_as.to_owned() };
@@ -209,20 +243,46 @@ impl Mending {
         if source.is_tf(&topic) {
             return Ok((what + " (where the transforms are published)", vec![CONVENTIONS]));
         }
-        self.corrections.topic(&topic).rotation = Some(slip);
+        let correction = self.corrections.topic(&topic);
+        match (slip, correction.rotation) {
+            // A pose that is inverted besides is inverted once its numbers are read rightly.
+            (RotationSlip::Inverted, Some(_)) => correction.inverse = Some(true),
+            (slip, Some(RotationSlip::Inverted)) => {
+                (correction.rotation, correction.inverse) = (Some(slip), Some(true));
+            }
+            (slip, _) => correction.rotation = Some(slip),
+        }
         Ok((what, vec![CONVENTIONS, CORRECTIONS]))
     }
 
+    fn take_axes(&mut self, source: &Source<'_>, finding: &Finding) -> Taken {
+        let axes = |name: &str| -> Result<Axes, String> {
+            finding.evidence.more.get(name).and_then(Value::as_str).ok_or_else(nothing)?.parse()
+        };
+        let (positions, rotations) = (axes("positions")?, axes("rotations")?);
+        let topic = source.lone_topic(finding)?;
+        let what = format!("positions are in {positions}, rotations in {rotations}");
+        if source.is_tf(&topic) {
+            return Err(finding.fix.clone());
+        }
+        self.corrections.topic(&topic).axes = Some(AxesCorrection { positions, rotations });
+        Ok((what, vec![CORRECTIONS]))
+    }
+
     fn take_unit(&mut self, source: &Source<'_>, finding: &Finding) -> Taken {
-        let Some(Estimate::Slip { is, read_as, .. }) = finding.estimate else {
+        let Some(Estimate::Slip { is, read_as, .. }) = &finding.estimate else {
             return Err(nothing());
         };
+        let (is, read_as) = (is.as_ref(), read_as.as_ref());
         let topic = source.lone_topic(finding)?;
         let what = format!("{is} read as {read_as}");
         let is_angle = matches!(is, "deg" | "rad");
         let (names, lines) = match is_angle {
             true => ("angles: the numbers as they are", code::angles(is == "deg")),
-            false => ("xyz: the position as it is read now", code::lengths(is == "mm")),
+            false => {
+                let slip: Slip<LengthScale> = Slip { is: is.parse()?, read_as: read_as.parse()? };
+                ("xyz: the position as it is read now", code::lengths(slip.factor()))
+            }
         };
         self.code(finding, &what, names.to_owned(), Some(lines));
         if source.is_tf(&topic) {
@@ -233,8 +293,7 @@ impl Mending {
             let unit = |name| if name == "deg" { AngleUnit::Degree } else { AngleUnit::Radian };
             correction.angle_unit = Some(Slip { is: unit(is), read_as: unit(read_as) });
         } else {
-            let unit = |name| if name == "mm" { LengthUnit::Millimetre } else { LengthUnit::Metre };
-            correction.length_unit = Some(Slip { is: unit(is), read_as: unit(read_as) });
+            correction.length_unit = Some(Slip { is: is.parse()?, read_as: read_as.parse()? });
         }
         Ok((what, vec![CONVENTIONS, CORRECTIONS]))
     }

@@ -11,8 +11,8 @@ use super::apply::is_same;
 use super::frames::rounded;
 use crate::diagnosis::Reading;
 use crate::geometry::{
-    AngleUnit, Convention, LengthUnit, Misreading, Pose, QuaternionSlip, misreading_classes, pose,
-    rotation_from_xyzw, xyz_of, xyzw_from_rotation,
+    AngleUnit, Axes, Convention, LengthScale, Misreading, Pose, QuaternionSlip, misreading_classes,
+    pose, rotation_from_xyzw, xyz_of, xyzw_from_rotation,
 };
 use crate::report::{Trouble, TroubleKind};
 
@@ -85,7 +85,7 @@ pub struct TopicCorrection {
     pub link_from_imu_xyzw: Option<[f64; 4]>,
     /// What the positions' unit is, and what it was taken for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub length_unit: Option<Slip<LengthUnit>>,
+    pub length_unit: Option<Slip<LengthScale>>,
     /// The same of the angles, or of the positions of joints that turn.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub angle_unit: Option<Slip<AngleUnit>>,
@@ -95,6 +95,12 @@ pub struct TopicCorrection {
     /// What the rotations are, and what they were read as.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rotation: Option<RotationSlip>,
+    /// Whether the poses are inverted as a whole, once their rotations are read so.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub inverse: Option<bool>,
+    /// The axes that the numbers are in.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub axes: Option<AxesCorrection>,
     /// `reference_from_stream`: stands before a logged pose.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reference_from_stream: Option<FrameCorrection>,
@@ -119,7 +125,7 @@ pub struct Slip<T> {
     pub read_as: T,
 }
 
-impl Slip<LengthUnit> {
+impl Slip<LengthScale> {
     /// What lengths must be multiplied by.
     pub(super) fn factor(self) -> f64 {
         self.is.in_m() / self.read_as.in_m()
@@ -141,6 +147,18 @@ pub struct JointOrder {
     pub is: Vec<String>,
     /// The joints in the order of the names.
     pub read_as: Vec<String>,
+}
+
+/// The axes that positions and rotations are in, as in `x right, y up, z forward (left-handed)`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AxesCorrection {
+    /// Those of the positions.
+    #[serde(with = "axes_name")]
+    pub positions: Axes,
+    /// Those of the rotations.
+    #[serde(with = "axes_name")]
+    pub rotations: Axes,
 }
 
 /// A constant frame.
@@ -237,6 +255,21 @@ impl RotationSlip {
                 Reading::Misread(classes.next()?)
             }
         })
+    }
+}
+
+/// Axes in words.
+mod axes_name {
+    use super::{Axes, Deserialize, Deserializer};
+    use serde::Serializer;
+    use serde::de::Error as _;
+
+    pub fn serialize<S: Serializer>(axes: &Axes, out: S) -> Result<S::Ok, S::Error> {
+        out.collect_str(axes)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Axes, D::Error> {
+        String::deserialize(from)?.parse().map_err(D::Error::custom)
     }
 }
 
@@ -443,7 +476,7 @@ mod tests {
         (topic.latency_s, topic.skew) = (Some(0.022), Some(2e-4));
         topic.skew_about_s = Some(10.25);
         topic.convention = Some(Convention::RPY);
-        topic.length_unit = Some(Slip { is: LengthUnit::Millimetre, read_as: LengthUnit::Metre });
+        topic.length_unit = Some(Slip { is: LengthScale::MILLIMETRE, read_as: LengthScale::METRE });
         topic.rotation = Some(RotationSlip::Misread(Misreading {
             is: Convention::RotVec,
             read_as: Convention::RPY,
@@ -494,9 +527,9 @@ mod tests {
     #[test]
     fn units_have_factors() {
         use AngleUnit::{Degree, Radian};
-        use LengthUnit::{Metre, Millimetre};
-        assert_eq!(Slip { is: Millimetre, read_as: Metre }.factor(), 1e-3);
-        assert_eq!(Slip { is: Metre, read_as: Millimetre }.factor(), 1e3);
+        let (m, mm) = (LengthScale::METRE, LengthScale::MILLIMETRE);
+        assert_eq!(Slip { is: mm, read_as: m }.factor(), 1e-3);
+        assert_eq!(Slip { is: m, read_as: mm }.factor(), 1e3);
         let half_turn = 180.0 * Slip { is: Degree, read_as: Radian }.factor();
         assert!((half_turn - std::f64::consts::PI).abs() < 1e-15);
     }

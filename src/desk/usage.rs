@@ -87,6 +87,15 @@ impl Use {
         self.style.length == Some(LengthUnit::Millimetre)
     }
 
+    /// Whether it is what an arm's controller gives.
+    pub fn is_maker(&self) -> bool {
+        /// Makers of arms stand first in the table, the first of the libraries is this one.
+        const FIRST_LIBRARY: &str = "ROS";
+        let library = FACTS.uses.iter().position(|entry| entry.who == FIRST_LIBRARY);
+        let own = FACTS.uses.iter().position(|entry| std::ptr::eq(entry, self));
+        self.is_confirmed && own < library
+    }
+
     /// Who gives what, and how: a clause for the reason of a stream.
     pub fn said(&self) -> String {
         let Self { who, what, form, units, .. } = self;

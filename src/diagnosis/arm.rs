@@ -6,16 +6,16 @@ use super::frames::{frame_estimate, starts};
 use super::harmless::tools_first;
 use super::joints::{corrected, lies_on_arm, read_joints};
 use super::latency::{Peak, arm_speeds, median_period_s, top};
-use super::model::{State, StreamState, Sweep, Witness};
+use super::model::{Blind, State, StreamState, Sweep, Witness};
 use super::nominal::{MOST_M, MOST_RAD, is_nominal};
 use super::observability::Observability;
-use super::prepare::{Prepared, as_rotations, position_scale, prepare, still_speeds, stream_peaks};
+use super::prepare::{Placement, Prepared, as_rotations, prepare, still_speeds, stream_peaks};
 use super::residual::residual;
 use super::{
-    Aligned, ArmDiagnosis, JointOffset, JointReading, Measured, PoseDiagnosis, PoseStream,
-    Residual, Seen, Twin, UnitSlip, Unseen,
+    Aligned, ArmDiagnosis, AxesSlip, ConstantPart, JointOffset, JointReading, LengthSlip, Measured,
+    PoseDiagnosis, PoseStream, Residual, Seen, Twin, UnitSlip, Unseen,
 };
-use crate::geometry::{Pose, Vec3, pose};
+use crate::geometry::{LengthScale, Pose, Vec3, pose};
 use crate::robot::JointKind;
 use crate::stream::{JointTrack, Orientations};
 use rayon::prelude::*;
@@ -33,19 +33,35 @@ const ALIAS_FLOOR: f64 = 2e-5;
 ///
 /// `most_lag_s` bounds the latency that is sought, s.
 pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64) -> ArmDiagnosis {
-    let scales: Vec<Seen<f64>> =
-        streams.iter().map(|stream| position_scale(joints, stream)).collect();
-    let factors: Vec<f64> = scales.iter().map(|scale| *scale.as_ref().unwrap_or(&1.0)).collect();
-    let reading = read_joints(joints, streams, &factors, most_lag_s);
+    let placed = |joints: &JointTrack| -> Vec<Placement> {
+        streams.iter().map(|stream| Placement::of(joints, stream, most_lag_s)).collect()
+    };
+    let mut placements = placed(joints);
+    let still = still_speeds(joints);
+    let is_confirmed = |(stream, placement): (&PoseStream, &Placement)| {
+        placement.explains()
+            && prepare(joints, stream, placement, &still).is_ok_and(|it| it.is_confirmed())
+    };
+    let reading = match streams.iter().zip(&placements).any(is_confirmed) {
+        // What positions lie on as they are written needs no other joint states.
+        true => Ok(JointReading { degrees: None, permutation: None, runner_up_m: None }),
+        false => {
+            let metres = placements.iter().map(|placed| *placed.metres.as_ref().unwrap_or(&1.0));
+            read_joints(joints, streams, &metres.collect::<Vec<f64>>(), most_lag_s)
+        }
+    };
     let joints_read = match &reading {
         Ok(reading) => corrected(joints, reading, &prismatic(joints.dof, streams)),
         Err(_) => joints.clone(),
     };
-    let (offsets, diagnoses) = diagnose(joints, &joints_read, streams, &scales, most_lag_s, true);
-    // Names and units that leave every stream astray are not read rightly, however near some of the
-    // positions are.
     let as_logged =
         |reading: &JointReading| reading.degrees.is_none() && reading.permutation.is_none();
+    if !reading.as_ref().is_ok_and(as_logged) {
+        placements = placed(&joints_read);
+    }
+    let (offsets, diagnoses) = diagnose(joints, &joints_read, streams, &placements, true);
+    // Names and units that leave every stream astray are not read rightly, however near some of the
+    // positions are.
     let astray = !diagnoses.is_empty() && diagnoses.iter().all(PoseDiagnosis::strays);
     let reading = match reading {
         Ok(reading) if astray && as_logged(&reading) => Err(Unseen::NotExcited),
@@ -66,9 +82,9 @@ pub fn diagnose_derived(
     most_lag_s: f64,
 ) -> PoseDiagnosis {
     let streams = std::slice::from_ref(stream);
-    let scales = [position_scale(joints, stream)];
     let by = |track: &JointTrack| {
-        let (_, mut diagnoses) = diagnose(joints, track, streams, &scales, most_lag_s, false);
+        let placements = [Placement::of(track, stream, most_lag_s)];
+        let (_, mut diagnoses) = diagnose(joints, track, streams, &placements, false);
         diagnoses.remove(0)
     };
     let left =
@@ -113,8 +129,11 @@ impl ArmDiagnosis {
 pub fn follows(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Option<Peak> {
     let rotation = as_rotations(&stream.track.orientation);
     let peak = stream_peaks(joints, stream, rotation, most_lag_s).first().copied()?;
-    let scale = position_scale(joints, stream).unwrap_or(1.0);
-    let placed = rotation.is_some() || lies_on_arm(joints, stream, scale, peak.lag_s);
+    let placed = rotation.is_some() || {
+        let placement = Placement::of(joints, stream, most_lag_s);
+        let metres = *placement.metres.as_ref().unwrap_or(&1.0);
+        placement.explains() || lies_on_arm(joints, stream, metres, peak.lag_s)
+    };
     Some(if placed { peak } else { Peak { correlation: 0.0, ..peak } })
 }
 
@@ -133,17 +152,14 @@ fn diagnose(
     recorded: &JointTrack,
     joints: &JointTrack,
     streams: &[PoseStream],
-    scales: &[Seen<f64>],
-    most_lag_s: f64,
+    placements: &[Placement],
     with_offsets: bool,
 ) -> (Vec<JointOffset>, Vec<PoseDiagnosis>) {
     let still = still_speeds(joints);
     let prepared: Vec<Seen<Prepared>> = streams
         .iter()
-        .zip(scales)
-        .map(|(stream, scale)| {
-            prepare(joints, stream, *scale.as_ref().unwrap_or(&1.0), &still, most_lag_s)
-        })
+        .zip(placements)
+        .map(|(stream, placement)| prepare(joints, stream, placement, &still))
         .collect();
     let usable: Vec<&Prepared> = prepared.iter().flatten().collect();
     let fitted = fit(&usable, joints.dof, with_offsets);
@@ -154,14 +170,14 @@ fn diagnose(
     let mut used = 0;
     let diagnoses = streams
         .iter()
-        .zip(prepared.iter().zip(scales))
-        .map(|(stream, (prepared, scale))| match (prepared, &fitted) {
+        .zip(prepared.iter().zip(placements))
+        .map(|(stream, (prepared, placement))| match (prepared, &fitted) {
             (Ok(prepared), Some(fitted)) => {
                 used += 1;
-                stream_diagnosis(recorded, stream, scale, prepared, fitted, used - 1)
+                stream_diagnosis(recorded, stream, placement, prepared, fitted, used - 1)
             }
-            (Ok(_), None) => no_diagnosis(scale, Unseen::NoOverlap),
-            (Err(why), _) => no_diagnosis(scale, why.clone()),
+            (Ok(_), None) => no_diagnosis(Unseen::NoOverlap),
+            (Err(why), _) => no_diagnosis(why.clone()),
         })
         .collect();
     (offsets, diagnoses)
@@ -453,16 +469,18 @@ fn frame_twins(fitted: &Fitted, cause: Cause) -> Vec<Twin> {
 
 /// The size of a frame change: its angle in rad, or where it does not turn its length in m.
 fn frame_amount(twist: &[f64]) -> f64 {
-    let length = Vec3::new(twist[0], twist[1], twist[2]).norm();
-    let angle = Vec3::new(twist[3], twist[4], twist[5]).norm();
+    let norm = |part: &[f64]| part.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let (length, angle) = (norm(&twist[..3]), norm(&twist[3..]));
     if angle > 1e-5 { angle } else { length }
 }
 
-fn no_diagnosis(scale: &Seen<f64>, why: Unseen) -> PoseDiagnosis {
+fn no_diagnosis(why: Unseen) -> PoseDiagnosis {
     let rests = || Unseen::RestsOn("the reading of the rotations");
     PoseDiagnosis {
+        length: Err(why.clone()),
+        axes: Err(why.clone()),
         reading: Err(why),
-        millimetres: millimetres(scale, None),
+        constant: Vec::new(),
         degrees: None,
         latency_s: Err(rests()),
         skew: Err(rests()),
@@ -480,22 +498,55 @@ fn no_diagnosis(scale: &Seen<f64>, why: Unseen) -> PoseDiagnosis {
     }
 }
 
-fn millimetres(scale: &Seen<f64>, residual: Option<&Residual>) -> Seen<Option<UnitSlip>> {
-    match scale {
-        Ok(scale) if *scale != 1.0 => {
-            let corrected = residual.map_or(0.0, |residual| residual.rms_m);
-            let as_logged = residual.map_or(0.0, |residual| residual.before_m);
-            Ok(Some(UnitSlip { as_logged, corrected }))
-        }
-        Ok(_) => Ok(None),
-        Err(why) => Err(why.clone()),
+/// The unit that positions turned out to be in, where it is another one than they were read as.
+fn length_slip(
+    stream: &PoseStream,
+    placement: &Placement,
+    prepared: &Prepared,
+    residual: &Seen<Residual>,
+) -> Seen<Option<LengthSlip>> {
+    placement.metres.as_ref().map_err(Unseen::clone)?;
+    if prepared.metres == 1.0 {
+        return Ok(None);
     }
+    let declared = stream.track.declared.as_ref();
+    let read_as = match declared.is_some_and(|declared| declared.millimetres) {
+        true => LengthScale::MILLIMETRE,
+        false => LengthScale::METRE,
+    };
+    let is = LengthScale::of(prepared.metres * read_as.in_m());
+    let residual = residual.as_ref().ok();
+    let corrected = residual.map_or(0.0, |residual| residual.rms_m);
+    let as_logged = residual.map_or(0.0, |residual| residual.before_m);
+    Ok(Some(LengthSlip { is, read_as, residual: UnitSlip { as_logged, corrected } }))
+}
+
+/// The coordinates that never change, with what FK does to them.
+fn constant_parts(
+    stream: &PoseStream,
+    prepared: &Prepared,
+    aligned: &Aligned,
+) -> Vec<ConstantPart> {
+    let axes = prepared.axes.unwrap_or(AxesSlip::NONE).positions;
+    let coordinates = ['x', 'y', 'z'].into_iter().enumerate();
+    let constant = coordinates.filter(|&(axis, _)| prepared.constant[axis]);
+    let part = |(axis, coordinate): (usize, char)| {
+        let along = aligned.fk.iter().map(|fk| axes.of(fk.translation.vector)[axis]);
+        let (low, high) = along
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high): (f64, f64), value| {
+                (value.min(low), value.max(high))
+            });
+        let all = stream.track.xyz.iter().map(|xyz| xyz[axis]);
+        let value = all.sum::<f64>() / stream.track.xyz.len().max(1) as f64;
+        ConstantPart { coordinate, value, moved_m: (high - low).max(0.0) }
+    };
+    constant.map(part).collect()
 }
 
 fn stream_diagnosis(
     recorded: &JointTrack,
     stream: &PoseStream,
-    scale: &Seen<f64>,
+    placement: &Placement,
     prepared: &Prepared,
     fitted: &Fitted,
     index: usize,
@@ -550,13 +601,15 @@ fn stream_diagnosis(
     let t_s = &prepared.witness.t_s;
     let span_s = (t_s[t_s.len() - 1] - t_s[0]).max(f64::MIN_POSITIVE);
     let mut reading = prepared.reading.clone();
-    if let Ok(residual) = &residual {
+    if let (Ok(reading), Ok(residual)) = (&mut reading, &residual) {
         // Latency, offsets and frames have been taken off since the readings were compared.
         reading.best_rad = reading.best_rad.min(residual.rms_rad);
     }
     PoseDiagnosis {
-        reading: Ok(reading),
-        millimetres: millimetres(scale, residual.as_ref().ok()),
+        reading,
+        length: length_slip(stream, placement, prepared, &residual),
+        axes: Ok(prepared.axes),
+        constant: constant_parts(stream, prepared, &aligned),
         degrees: prepared.degrees,
         latency_s,
         skew: one(Cause::Skew(index)).map(|skew| Measured {
@@ -656,6 +709,7 @@ fn align(
         t_s: witness.t_s.clone(),
         xyz: Vec::new(),
         rotation: Vec::new(),
+        blind: witness.blind,
         middle_s: witness.middle_s,
     };
     let zero = vec![0.0; recorded.dof];
@@ -678,9 +732,14 @@ fn align(
         }
         let rotation = match &stream.track.orientation {
             Orientations::Rotations(rotations) => rotations[source],
-            Orientations::Numbers(_) => witness.rotation[k],
+            Orientations::Numbers(_) | Orientations::Unset(_) => witness.rotation[k],
         };
-        let read = pose(witness.xyz[k].into(), witness.rotation[k]);
+        let mut read = pose(witness.xyz[k].into(), witness.rotation[k]);
+        if witness.blind != Blind::default() {
+            let mut in_base = truth * found.tool;
+            in_base.translation.vector *= 1.0 + found.growth;
+            witness.blind.fill(&mut read, &(found.reference * in_base));
+        }
         let mut in_base = found.reference.inverse() * read;
         in_base.translation.vector /= 1.0 + found.growth;
         aligned.t_s.push(witness.t_s[k]);

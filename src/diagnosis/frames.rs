@@ -3,8 +3,9 @@
 use super::explain::{Cause, Explanation, Menu};
 use super::measured::{Length, joint_p_value};
 use super::model::{StreamState, Sweep, Witness, twist_of};
+use super::placing::Expected;
 use super::reading::{mean_rotation, wahba};
-use super::{FrameEstimate, Seen, Unseen};
+use super::{FrameEstimate, Measured, Seen, Unseen};
 use crate::geometry::{
     Pose, Rotation, Vec3, angle_between, pose, rotation_from_matrix_rows, rotvec_from_rotation,
 };
@@ -22,7 +23,8 @@ const ROUND_RAD: f64 = 0.06;
 /// The states from which a stream's explanation is sought: no frame error, and where the stream
 /// lies far off, each simple frame error in closed form and as a round slip.
 pub(super) fn starts(witness: &Witness, latency_s: f64) -> Vec<StreamState> {
-    let plain = StreamState::at_latency(latency_s);
+    let tool_point_only = witness.blind.rotation;
+    let plain = StreamState { tool_point_only, ..StreamState::at_latency(latency_s) };
     let (fk, logged) = pairs(witness, &plain);
     if fk.len() < 3 {
         return vec![plain];
@@ -34,6 +36,8 @@ pub(super) fn starts(witness: &Witness, latency_s: f64) -> Vec<StreamState> {
     if !witness.reference_known {
         starts.push(with(reference_frame(&fk, &logged), identity));
         starts.push(with(reference, tool));
+        // Orientations that hardly change leave open how the world is turned; positions do not.
+        starts.extend(by_positions(&fk, &logged).map(|(reference, tool)| with(reference, tool)));
         return starts;
     }
     starts.push(plain.clone());
@@ -96,6 +100,15 @@ fn reference_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
     let turn = mean_rotation(&turns);
     let at = |(fk, l): (&Pose, &Pose)| l.translation.vector - turn * fk.translation.vector;
     pose(mean(fk.iter().zip(logged).map(at)).into(), turn)
+}
+
+/// Reference and tool frame, the former turned as positions want it; `None` where they lie on a line.
+fn by_positions(fk: &[Pose], logged: &[Pose]) -> Option<(Pose, Pose)> {
+    let xyz: Vec<Vec3> = logged.iter().map(|pose| pose.translation.vector).collect();
+    let (reference, point) = Expected::of(fk).turned(&xyz)?;
+    let turned: Vec<Pose> = fk.iter().map(|fk| reference * fk).collect();
+    let turn = tool_frame(&turned, logged).rotation;
+    Some((reference, pose(point.into(), turn)))
 }
 
 /// The tool frame that best takes FK to the logged poses.
@@ -190,9 +203,10 @@ pub(super) fn frame_estimate(
     parameters.sort_unstable();
     parameters.dedup();
     let own = cause.parameters(state);
+    let width = own.len();
     let first = parameters.binary_search(&own.start).map_err(|_| Unseen::NotExcited)?;
     let covariance = linear.covariance(&parameters, state);
-    let block = covariance.view((first, first), (6, 6)).into_owned();
+    let block = covariance.view((first, first), (width, width)).into_owned();
     if !block.diagonal().iter().all(|variance| variance.is_finite()) {
         return Err(Unseen::NotExcited);
     }
@@ -205,9 +219,13 @@ pub(super) fn frame_estimate(
     };
     let twist = twist_of(&frame);
     let dof = linear.dof(parameters.len());
-    let tuned = moved.values().rows(own.start, 6).into_owned();
+    let tuned = moved.values().rows(own.start, width).into_owned();
     let p_value = if round.is_some() { 0.0 } else { joint_p_value(&tuned, &block, f64::INFINITY) };
     let length = |first: usize| {
+        if first >= width {
+            // Nothing shows the rotation.
+            return Measured { value: 0.0, std_error: std::f64::consts::PI, dof };
+        }
         let own = block.view((first, first), (3, 3)).into_owned();
         Length::of(&twist[first..first + 3], &own, dof).norm
     };

@@ -250,7 +250,7 @@ fn slow_moments(joints: &JointTrack, stream: &PoseStream, scale: f64, lag_s: f64
     let step = by_speed.len().div_ceil(SAMPLES).max(1);
     let rotations = match &track.orientation {
         Orientations::Rotations(rotations) => Some(rotations),
-        Orientations::Numbers(_) => None,
+        Orientations::Numbers(_) | Orientations::Unset(_) => None,
     };
     let inverse_xyz = rotations.map(|_| Vec::new());
     let mut moments = Moments { xyz: Vec::new(), inverse_xyz, q: Vec::new() };

@@ -28,17 +28,24 @@ pub(super) struct Speed {
 /// Linear (m/s) and angular (rad/s) speed of the chain's tip by FK, at the joint stamps; where there
 /// are more than 30 000 of these at every second, third and so on.
 pub(super) fn arm_speeds(joints: &JointTrack, chain: &Chain, columns: &[usize]) -> (Speed, Speed) {
+    let [linear, angular, _] = all_arm_speeds(joints, chain, columns);
+    (linear, angular)
+}
+
+/// The same, and the linear speed of the base as it is seen from the tip.
+fn all_arm_speeds(joints: &JointTrack, chain: &Chain, columns: &[usize]) -> [Speed; 3] {
     let mut jacobian = vec![[0.0; 6]; columns.len()];
     /// Rows beyond these do not make a correlation better.
     const ENOUGH: usize = 30_000;
     let mut q = vec![0.0; columns.len()];
-    let (mut t_s, mut linear, mut angular) = (Vec::new(), Vec::new(), Vec::new());
+    let mut t_s = Vec::new();
+    let mut speeds: [Vec<f64>; 3] = Default::default();
     for row in (0..joints.len()).step_by(joints.len().div_ceil(ENOUGH).max(1)) {
         t_s.push(joints.t_s[row]);
         for (own, &column) in q.iter_mut().zip(columns) {
             *own = joints.row(row)[column];
         }
-        chain.forward_with_jacobian(&q, &mut jacobian);
+        let base_from_tip = chain.forward_with_jacobian(&q, &mut jacobian);
         let mut twist = [0.0; 6];
         for (column, &track) in jacobian.iter().zip(columns) {
             let rate = joints.qd[row * joints.dof + track];
@@ -46,10 +53,15 @@ pub(super) fn arm_speeds(joints: &JointTrack, chain: &Chain, columns: &[usize]) 
                 *sum += part * rate;
             }
         }
-        linear.push(Vec3::new(twist[0], twist[1], twist[2]).norm());
-        angular.push(Vec3::new(twist[3], twist[4], twist[5]).norm());
+        let linear = Vec3::new(twist[0], twist[1], twist[2]);
+        let angular = Vec3::new(twist[3], twist[4], twist[5]);
+        // Of −Rᵀp: −Rᵀ(v − ω × p).
+        let inverse = linear - angular.cross(&base_from_tip.translation.vector);
+        for (speed, vector) in speeds.iter_mut().zip([linear, angular, inverse]) {
+            speed.push(vector.norm());
+        }
     }
-    (Speed { t_s: t_s.clone(), value: linear }, Speed { t_s, value: angular })
+    speeds.map(|value| Speed { t_s: t_s.clone(), value })
 }
 
 /// Speed of all joints together (root of the sum of squares), at the joint stamps: what any
@@ -302,8 +314,10 @@ pub(super) fn pose_peaks(
     rotation: Option<&[Rotation]>,
     most_s: f64,
 ) -> Vec<Peak> {
-    let (arm_linear, arm_angular) = arm_speeds(joints, chain, columns);
-    let mut found = vec![peaks(&arm_linear, &linear_speed(t_s, xyz), most_s)];
+    let [arm_linear, arm_angular, arm_inverse] = all_arm_speeds(joints, chain, columns);
+    let linear = linear_speed(t_s, xyz);
+    // Whatever the rotations are read as, positions tell whether the poses are inverse.
+    let mut found = vec![peaks(&arm_linear, &linear, most_s), peaks(&arm_inverse, &linear, most_s)];
     if let Some(rotation) = rotation {
         found.push(peaks(&arm_angular, &angular_speed(t_s, rotation), most_s));
         found.push(peaks(&arm_linear, &inverse_linear_speed(t_s, xyz, rotation), most_s));

@@ -15,6 +15,7 @@ mod imu;
 mod joints;
 mod lag;
 mod latency;
+mod layout;
 mod linear;
 mod measured;
 mod model;
@@ -35,7 +36,8 @@ mod trend;
 mod workspace;
 
 use crate::geometry::{
-    Convention, Misreading, MisreadingClass, Pose, QuaternionSlip, Rotation, Vec3,
+    Axes, Convention, LengthScale, Misreading, MisreadingClass, Pose, QuaternionSlip, Rotation,
+    Vec3,
 };
 use crate::robot::Chain;
 use crate::stream::{ImuTrack, PoseTrack};
@@ -58,7 +60,7 @@ pub use reference::{
     CommandedArm, Commands, Constancy, Following, Line, LineWitness, ReferenceDiagnosis, RestGap,
     diagnose_reference, unnamed_order,
 };
-pub use reread::{reread_imu, reread_poses};
+pub use reread::{Meant, reread_imu, reread_poses};
 pub use rival::position_misfit_m;
 pub use shake::{NoShake, Shake, shake};
 pub use trend::{LEAST_RUNS, Step, Told, Trend, trend};
@@ -92,6 +94,8 @@ pub enum Unseen {
     NotExcited,
     /// The stream carries no orientation.
     NoOrientation,
+    /// The stream's orientation was never set: it stays as it is while the arm turns.
+    OrientationNotSet,
     /// The log does not say how the stream's frame is mounted.
     NoFrame,
     /// The model differs from the arm in many small ways, as a drawing differs from a calibrated
@@ -158,6 +162,8 @@ impl Reading {
 pub struct ReadingEstimate {
     /// The reading with the least residual; `AsLogged` wherever that explains the stream.
     pub best: Reading,
+    /// Whether the pose as a whole is inverted, once its numbers are read so.
+    pub inverted: bool,
     /// Residual angle as logged, rms rad; `None` for bare numbers.
     pub as_logged_rad: Option<f64>,
     /// Residual angle of the best reading, rms rad.
@@ -171,6 +177,49 @@ pub struct ReadingEstimate {
     pub ranked: Vec<(Reading, f64)>,
     /// Whether most readings fit worse; at rest a constant frame makes nearly all of them fit.
     pub is_told: bool,
+}
+
+/// The axes that a stream's numbers are in, where they are not those of its frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct AxesSlip {
+    /// Those of its positions.
+    pub positions: Axes,
+    /// Those of its rotations.
+    pub rotations: Axes,
+}
+
+impl AxesSlip {
+    /// The axes as they should be.
+    pub const NONE: Self = Self { positions: Axes::STANDARD, rotations: Axes::STANDARD };
+}
+
+/// Positions that are in another unit than they should be.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LengthSlip {
+    /// The unit that they are in.
+    pub is: LengthScale,
+    /// The one that they were taken for.
+    pub read_as: LengthScale,
+    /// Residual in the one and in the other.
+    pub residual: UnitSlip,
+}
+
+impl LengthSlip {
+    /// What takes positions as they were read to m.
+    pub fn factor(&self) -> f64 {
+        self.is.in_m() / self.read_as.in_m()
+    }
+}
+
+/// A part of a stream's poses that stays as it is while the arm moves it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ConstantPart {
+    /// Which coordinate: x, y or z.
+    pub coordinate: char,
+    /// Its value, in the stream's unit.
+    pub value: f64,
+    /// By how much FK moves it, m.
+    pub moved_m: f64,
 }
 
 /// Units of a stream's positions or angles that are not what they should be.
@@ -259,8 +308,12 @@ pub struct Aligned {
 pub struct PoseDiagnosis {
     /// Convention and direction of the rotations.
     pub reading: Seen<ReadingEstimate>,
-    /// Positions in millimetres.
-    pub millimetres: Seen<Option<UnitSlip>>,
+    /// Positions in another unit.
+    pub length: Seen<Option<LengthSlip>>,
+    /// Axes that are exchanged or mirrored.
+    pub axes: Seen<Option<AxesSlip>>,
+    /// Coordinates that never change.
+    pub constant: Vec<ConstantPart>,
     /// Rotation numbers in degrees (bare number streams).
     pub degrees: Option<UnitSlip>,
     /// Latency against the joint states, s.
@@ -294,6 +347,11 @@ pub struct PoseDiagnosis {
 }
 
 impl PoseDiagnosis {
+    /// Why the stream was not read. Where its orientations say nothing its positions still may.
+    pub fn unread(&self) -> Option<&Unseen> {
+        self.reading.as_ref().err().filter(|_| self.residual.is_err())
+    }
+
     /// Whether what is left of the positions is a good part of their motion, so that nothing found on
     /// the stream can be believed.
     pub fn strays(&self) -> bool {

@@ -28,6 +28,40 @@ const ROTATION: usize = 1;
 pub(super) const FLOOR_M: f64 = 1e-6;
 pub(super) const FLOOR_RAD: f64 = 1e-6;
 
+/// What of a stream's poses says nothing, and is left out of every residual.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Blind {
+    /// Coordinates of positions, in the stream's frame.
+    pub position: [bool; 3],
+    /// Rotations.
+    pub rotation: bool,
+}
+
+impl Blind {
+    /// A vector of the positions' kind without what is blind.
+    pub fn position(&self, mut vector: [f64; 3]) -> [f64; 3] {
+        for (part, blind) in vector.iter_mut().zip(self.position) {
+            *part *= f64::from(u8::from(!blind));
+        }
+        vector
+    }
+
+    /// Puts into `pose` what is blind of it as it is in `expected`.
+    pub fn fill(&self, pose: &mut Pose, expected: &Pose) {
+        for (axis, _) in self.position.iter().enumerate().filter(|(_, blind)| **blind) {
+            pose.translation.vector[axis] = expected.translation.vector[axis];
+        }
+        if self.rotation {
+            pose.rotation = expected.rotation;
+        }
+    }
+
+    /// A vector of the rotations' kind, likewise.
+    pub fn rotation(&self, vector: [f64; 3]) -> [f64; 3] {
+        if self.rotation { [0.0; 3] } else { vector }
+    }
+}
+
 /// A pose stream whose reading and units are settled, ready for the fit.
 pub(super) struct Witness<'a> {
     pub joints: &'a JointTrack,
@@ -39,6 +73,8 @@ pub(super) struct Witness<'a> {
     pub t_s: Vec<f64>,
     pub xyz: Vec<Vec3>,
     pub rotation: Vec<Rotation>,
+    /// What of these says nothing.
+    pub blind: Blind,
     /// The stamp about which skew turns, s.
     pub middle_s: f64,
 }
@@ -55,6 +91,8 @@ pub(super) struct StreamState {
     pub round_reference: Option<Pose>,
     /// The part of `tool` that is a round slip rather than a tuned number.
     pub round_tool: Option<Pose>,
+    /// Whether nothing shows how the tool is turned, so that only where it is can be a cause.
+    pub tool_point_only: bool,
 }
 
 impl StreamState {
@@ -67,6 +105,7 @@ impl StreamState {
             tool: Pose::identity(),
             round_reference: None,
             round_tool: None,
+            tool_point_only: false,
         }
     }
 
@@ -272,7 +311,7 @@ impl Witness<'_> {
     pub fn residual(&self, k: usize, predicted: &Pose) -> [[f64; 3]; 2] {
         let position = self.xyz[k] - predicted.translation.vector;
         let rotation = rotvec_from_rotation(&(self.rotation[k] * predicted.rotation.inverse()));
-        [position.into(), rotation.into()]
+        [self.blind.position(position.into()), self.blind.rotation(rotation.into())]
     }
 
     /// Residuals and design rows of every `stride`-th sample that the joints cover.
@@ -301,8 +340,8 @@ impl Witness<'_> {
         rows: &mut Rows,
     ) {
         let mut set = |column: usize, linear: Vec3, angular: Vec3| {
-            rows.set(POSITION, column, linear.into());
-            rows.set(ROTATION, column, angular.into());
+            rows.set(POSITION, column, self.blind.position(linear.into()));
+            rows.set(ROTATION, column, self.blind.rotation(angular.into()));
         };
         let to_reference = stream.reference.rotation;
         let at = predicted.pose.translation.vector;

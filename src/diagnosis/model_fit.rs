@@ -6,7 +6,7 @@
 //! slow samples; what it leaves is compared between arms, not judged.
 
 use super::PoseStream;
-use super::prepare::{position_scale, slow_samples};
+use super::prepare::{by_size, slow_samples};
 use super::latency::{joint_activity, linear_speed, peaks};
 use super::model::pose_of_twist;
 use super::placing::Expected;
@@ -124,7 +124,7 @@ impl ModelFit {
 /// How the model behind `stream`'s chain fits its positions; `None` where the joints cover too few
 /// samples.
 pub fn model_fit(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Option<ModelFit> {
-    let scale = position_scale(joints, stream).unwrap_or(1.0);
+    let scale = metres(joints, stream);
     let lag_s = lags(joints, stream, most_lag_s);
     let tried = lag_s.into_iter().filter_map(|lag_s| Sight::of(joints, stream, scale, lag_s));
     let best = tried
@@ -138,6 +138,17 @@ pub fn model_fit(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> O
         fit.ways.extend(sight.misread_ways());
     }
     Some(fit)
+}
+
+/// What takes the positions of a stream to m, by their size.
+fn metres(joints: &JointTrack, stream: &PoseStream) -> f64 {
+    let PoseStream { track, chain, columns, reference_known, .. } = *stream;
+    let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, 0.0);
+    let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row]).collect();
+    let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
+    let declared_mm = track.declared.as_ref().is_some_and(|declared| declared.millimetres);
+    let read_as_m = if declared_mm { 1e-3 } else { 1.0 };
+    by_size(&at, &xyz, chain.max_reach_m(), read_as_m, reference_known).unwrap_or(1.0)
 }
 
 /// Latencies at which the stream moves as the joints do, and none.
@@ -187,7 +198,7 @@ impl<'a> Sight<'a> {
                 let inverse = rows.iter().zip(&xyz).map(|(&row, p)| -(all[row].inverse() * p));
                 Some(inverse.collect())
             }
-            Orientations::Numbers(_) => None,
+            Orientations::Numbers(_) | Orientations::Unset(_) => None,
         };
         let t_s = rows.iter().map(|&row| track.t_s[row]).collect();
         (rows.len() >= ENOUGH).then_some(Self {
@@ -283,7 +294,7 @@ impl<'a> Sight<'a> {
         let mut starts = vec![self.plain()];
         if reference {
             let turned = Expected::of(&self.fk).turned(&self.xyz);
-            starts.extend(turned.map(|reference| Guess { reference, ..self.plain() }));
+            starts.extend(turned.map(|(reference, _)| Guess { reference, ..self.plain() }));
         }
         let found = starts.into_iter().map(|start| self.solve(start, &free));
         let (left_m, guess) = found.min_by(|a, b| a.0.total_cmp(&b.0))?;

@@ -151,7 +151,7 @@ pub(super) fn link_frames(
     offsets: &[f64],
     rows: impl Iterator<Item = usize>,
 ) -> Linear {
-    let joints = witness.columns.len();
+    let (joints, blind) = (witness.columns.len(), witness.blind);
     let width = 6 * (joints + 1) + 1;
     let mut linear = Linear::new(width, &[FLOOR_M, FLOOR_RAD]);
     let mut sweep = Sweep::new(witness);
@@ -167,15 +167,16 @@ pub(super) fn link_frames(
         for (i, frame) in base.into_iter().chain(frames).enumerate() {
             for axis in 0..3 {
                 let unit = frame.rotation * Vec3::ith(axis, 1.0);
-                rows.set(0, 6 * i + axis, unit.into());
-                rows.set(0, 6 * i + 3 + axis, unit.cross(&(tip - frame.translation.vector)).into());
-                rows.set(1, 6 * i + 3 + axis, unit.into());
+                let lever = unit.cross(&(tip - frame.translation.vector));
+                rows.set(0, 6 * i + axis, blind.position(unit.into()));
+                rows.set(0, 6 * i + 3 + axis, blind.position(lever.into()));
+                rows.set(1, 6 * i + 3 + axis, blind.rotation(unit.into()));
             }
         }
         let (velocity, rate) =
             (plain.reference.rotation * velocity, plain.reference.rotation * rate);
-        rows.set(0, width - 1, (-velocity).into());
-        rows.set(1, width - 1, (-rate).into());
+        rows.set(0, width - 1, blind.position((-velocity).into()));
+        rows.set(1, width - 1, blind.rotation((-rate).into()));
     }
     linear
 }

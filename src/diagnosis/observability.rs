@@ -209,6 +209,7 @@ fn possible(witness: &Witness, state: &StreamState, offsets: &[f64]) -> DMatrix<
         still: &vec![0.0; dof],
         xyz: vec![Vec3::zeros(); POSTURES],
         rotation: vec![Rotation::identity(); POSTURES],
+        blind: witness.blind,
         middle_s: 0.5 * t_s[POSTURES - 1],
         t_s,
     };

@@ -33,18 +33,7 @@ impl Expected {
     /// both taken off, rms in the unit of `xyz`.
     pub fn misfit(&self, xyz: &[Vec3]) -> f64 {
         let plain = self.tool_misfit(xyz);
-        self.turned(xyz).map_or(plain, |reference| plain.min(self.misfit_at(xyz, &reference)))
-    }
-
-    /// The reference frame in which `xyz` lie on the arm up to a constant tool offset: none, where
-    /// they do so as they are, else the one that positions alone give; `None` where they do not lie
-    /// on the arm in any, or do not tell.
-    pub fn reference(&self, xyz: &[Vec3]) -> Option<Pose> {
-        let near = ON_ARM * spread(&self.xyz);
-        if self.tool_misfit(xyz) < near {
-            return Some(Pose::identity());
-        }
-        self.turned(xyz).filter(|reference| self.misfit_at(xyz, reference) < near)
+        self.turned(xyz).map_or(plain, |(reference, _)| plain.min(self.misfit_at(xyz, &reference)))
     }
 
     /// Rms of `reference⁻¹·xyz − fk − R·t` at the best constant tool offset `t`.
@@ -69,7 +58,7 @@ impl Expected {
 
     /// The reference frame and tool offset that best take FK to `xyz`, by turns: the frame by
     /// Kabsch's method (1976), the tool by averaging. `None` where the positions lie on a line.
-    pub fn turned(&self, xyz: &[Vec3]) -> Option<Pose> {
+    pub fn turned(&self, xyz: &[Vec3]) -> Option<(Pose, Vec3)> {
         let mut tool = Vec3::zeros();
         let mut reference = Pose::identity();
         for _ in 0..30 {
@@ -82,12 +71,28 @@ impl Expected {
             reference = rigid(&points, xyz)?;
             tool = self.tool(xyz, &reference);
         }
-        Some(reference)
+        Some((reference, tool))
     }
 }
 
 /// The rigid transform that best takes `from` to `to`; `None` where they lie on a line.
 fn rigid(from: &[Vec3], to: &[Vec3]) -> Option<Pose> {
+    let turn = wahba(&correlation(from, to)?);
+    let mean = |points: &[Vec3]| points.iter().sum::<Vec3>() / points.len().max(1) as f64;
+    Some(pose((mean(to) - turn * mean(from)).into(), turn))
+}
+
+/// The turn that best takes `from` to `to` about their means, with a mirror where `sign` is −1; `None`
+/// where they lie on a line.
+pub(super) fn rigid_turn(from: &[Vec3], to: &[Vec3], sign: f64) -> Option<Matrix3<f64>> {
+    let correlation = correlation(from, to)?;
+    // A mirror image of what is turned is turned the same way.
+    let turn = wahba(&(correlation * sign)).to_rotation_matrix();
+    Some(turn.matrix() * sign)
+}
+
+/// `Σ to·fromᵀ` about the means.
+fn correlation(from: &[Vec3], to: &[Vec3]) -> Option<Matrix3<f64>> {
     let n = from.len().max(1) as f64;
     let (centre, target) = (from.iter().sum::<Vec3>() / n, to.iter().sum::<Vec3>() / n);
     let mut correlation = Matrix3::zeros();
@@ -96,11 +101,7 @@ fn rigid(from: &[Vec3], to: &[Vec3]) -> Option<Pose> {
     }
     let mut singular: Vec<f64> = correlation.singular_values().iter().copied().collect();
     singular.sort_by(|a, b| b.total_cmp(a));
-    if singular[1] <= SPREAD * SPREAD * singular[0] {
-        return None;
-    }
-    let turn = wahba(&correlation);
-    Some(pose((target - turn * centre).into(), turn))
+    (singular[1] > SPREAD * SPREAD * singular[0]).then_some(correlation)
 }
 
 /// Root mean square distance of points from their mean.
@@ -135,15 +136,16 @@ mod tests {
         let xyz: Vec<Vec3> = samples
             .map(|(fk, r)| (reference * nalgebra::Point3::from(fk + r * tool)).coords)
             .collect();
-        let found = arm.reference(&xyz).expect("a reference");
+        let (found, _) = arm.turned(&xyz).expect("a reference");
         assert!(angle_between(&found.rotation, &reference.rotation) < 0.01);
         assert!((found.translation.vector - reference.translation.vector).norm() < 0.01);
+        assert!(arm.misfit(&xyz) < 0.01 * spread(&arm.xyz));
     }
 
     #[test]
     fn positions_of_another_arm_have_no_reference() {
         let arm = arm();
         let xyz: Vec<Vec3> = arm.xyz.iter().map(|p| Vec3::new(p.y * p.y, p.z, p.x.abs())).collect();
-        assert!(arm.reference(&xyz).is_none());
+        assert!(arm.misfit(&xyz) > ON_ARM * spread(&arm.xyz));
     }
 }

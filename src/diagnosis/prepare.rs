@@ -3,26 +3,30 @@
 
 use super::arm::{FOLLOWS, SEARCH_SAMPLES};
 use super::latency::{Peak, pose_peaks};
-use super::model::{StreamState, Sweep, Witness};
-use super::placing::{Expected, spread};
-use super::reading::{Fit, Logged, Samples, nearest_truth, read};
-use super::{PoseStream, Reading, ReadingEstimate, Seen, UnitSlip, Unseen};
-use crate::geometry::{Pose, Rotation, Vec3};
+use super::layout::{Layout, Written, layouts, matrix_of};
+use super::model::{Blind, StreamState, Sweep, Witness};
+use super::placing::{ON_ARM, spread};
+use super::reading::{After, Fit, Logged, Samples, fit_known, nearest_truth, read};
+use super::{AxesSlip, PoseStream, Reading, ReadingEstimate, Seen, UnitSlip, Unseen};
+use crate::geometry::{
+    Axes, Convention, LengthScale, Pose, QuaternionSlip, Rotation, Vec3, angle_between,
+};
 use crate::robot::Chain;
 use crate::stream::{DeclaredUnits, JointTrack, Orientations, PoseTrack};
+use nalgebra::Matrix3;
 use std::borrow::Cow;
 
 /// Samples that readings are tried on.
 const READING_SAMPLES: usize = 72;
-/// Positions fit where they leave this share of the arm's extent.
-const FITS: f64 = 0.01;
+/// Rotations are read rightly that leave no more than this, rad: joints may be off by some degrees.
+const FITS_RAD: f64 = 0.05;
 /// Moving samples without which a latency is not sought.
 const MOVING_SAMPLES: usize = 10;
 
 pub(super) fn as_rotations(orientation: &Orientations) -> Option<&[Rotation]> {
     match orientation {
         Orientations::Rotations(rotations) => Some(rotations),
-        Orientations::Numbers(_) => None,
+        Orientations::Numbers(_) | Orientations::Unset(_) => None,
     }
 }
 
@@ -44,114 +48,399 @@ pub(super) fn stream_lag_s(joints: &JointTrack, stream: &PoseStream, most_lag_s:
     best.map_or(0.0, |peak| peak.lag_s)
 }
 
-/// Factor that takes a stream's positions to metres: 1, or 0.001 where they are millimetres, or 1000
-/// where the caller declared metres to be millimetres.
-///
-/// Extent of motion against the arm's tells, or at rest the distance from a known base.
-pub(super) fn position_scale(joints: &JointTrack, stream: &PoseStream) -> Seen<f64> {
-    let reach = stream.chain.max_reach_m();
-    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
-    let track = stream.track;
-    let step = track.t_s.len().div_ceil(500).max(1);
-    let mut fk = Vec::new();
-    let mut xyz = Vec::new();
-    for k in (0..track.t_s.len()).step_by(step) {
-        if joints.at(track.t_s[k], &mut cursor, &mut q, &mut qd) {
-            let own: Vec<f64> = stream.columns.iter().map(|&c| q[c]).collect();
-            fk.push(stream.chain.forward(&own).translation.vector);
-            xyz.push(track.xyz[k]);
+/// How a stream's positions are written, as far as they tell by themselves.
+pub(super) struct Placement {
+    /// What takes them to metres, whatever else is wrong.
+    pub metres: Seen<f64>,
+    /// How they are written, the likeliest first; empty where they tell nothing.
+    layouts: Vec<Layout>,
+    /// Which coordinates never change though FK's do.
+    pub constant: [bool; 3],
+    /// The lags at which the stream follows the arm.
+    peaks: Vec<Peak>,
+}
+
+impl Placement {
+    /// How the positions of `stream` are written against FK of `joints`.
+    pub fn of(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Self {
+        /// Positions that leave this share of the motion's extent are settled.
+        const SETTLED: f64 = 0.02;
+        let PoseStream { track, chain, columns, reference_known, .. } = *stream;
+        let rotation = as_rotations(&track.orientation);
+        let mut peaks = stream_peaks(joints, stream, rotation, most_lag_s);
+        peaks.retain(|peak| peak.correlation > FOLLOWS);
+        let read_as_m = match &track.declared {
+            Some(declared) if declared.millimetres => 1e-3,
+            _ => 1.0,
+        };
+        let reach_m = chain.max_reach_m();
+        let mut placement = Self {
+            metres: Err(Unseen::NoOverlap),
+            layouts: Vec::new(),
+            constant: [false; 3],
+            peaks,
+        };
+        let lags = placement.peaks.iter().take(2).map(|peak| peak.lag_s).chain([0.0]);
+        let mut least_m = f64::INFINITY;
+        for lag_s in lags.collect::<Vec<f64>>() {
+            let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, lag_s);
+            if rows.len() < 2 {
+                continue;
+            }
+            let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row]).collect();
+            let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
+            let constant = constant(&track.xyz, &at);
+            let left_out = match constant {
+                [false, false, false] => Some(None),
+                [true, false, false] => Some(Some(0)),
+                [false, true, false] => Some(Some(1)),
+                [false, false, true] => Some(Some(2)),
+                _ => None,
+            };
+            let layouts = left_out.map_or_else(Vec::new, |constant| {
+                let written = Written { xyz: &xyz, constant, read_as_m, reference_known };
+                layouts(&fk, reach_m, &written)
+            });
+            let left_m = layouts.first().map_or(f64::MAX, |layout| layout.left_m);
+            if left_m < least_m {
+                least_m = left_m;
+                placement.metres = by_size(&at, &xyz, reach_m, read_as_m, reference_known);
+                (placement.layouts, placement.constant) = (layouts, constant);
+            }
+            if least_m < SETTLED * spread(&at) {
+                break;
+            }
         }
+        if let Some(metres) = placement.told().map(|layout| layout.metres) {
+            placement.metres = Ok(metres);
+        }
+        placement
     }
-    if fk.len() < 2 {
-        return Err(Unseen::NoOverlap);
+
+    /// The likeliest layout where it leaves little.
+    fn told(&self) -> Option<&Layout> {
+        self.layouts.first().filter(|layout| layout.is_explained)
     }
-    let (moved, extent) = (spread(&fk), spread(&xyz));
-    let ratio = if moved > 0.01 * reach {
+
+    /// Whether the positions lie on the arm.
+    fn is_on_arm(&self) -> bool {
+        self.told().is_some()
+    }
+
+    /// Whether the positions lie on the arm once they are read otherwise than as logged.
+    pub fn explains(&self) -> bool {
+        let is_constant = self.constant.contains(&true);
+        self.told().is_some_and(|layout| is_constant || layout.inverted || layout.is_mirrored())
+    }
+}
+
+/// Which coordinates of a stream never change but for noise, where those of FK all do.
+fn constant(xyz: &[Vec3], fk: &[Vec3]) -> [bool; 3] {
+    /// A coordinate is constant that spreads by less than this share of the widest …
+    const STAYS: f64 = 0.01;
+    /// … where FK's spread by this share of their widest at least, and by this, m.
+    const MOVES: f64 = 0.05;
+    const MOVES_M: f64 = 5e-3;
+    let spreads = |points: &[Vec3]| -> [f64; 3] {
+        [0, 1, 2].map(|axis| {
+            let along: Vec<Vec3> = points.iter().map(|p| Vec3::x() * p[axis]).collect();
+            spread(&along)
+        })
+    };
+    let widest = |spreads: [f64; 3]| spreads.into_iter().fold(0.0, f64::max);
+    let (logged, expected) = (spreads(xyz), spreads(fk));
+    let least = MOVES_M.max(MOVES * widest(expected));
+    let all_move = expected.into_iter().all(|spread| spread > least);
+    logged.map(|spread| all_move && spread <= STAYS * widest(logged))
+}
+
+/// What takes positions to metres by their size alone: the extent of motion against FK's, or at rest the
+/// distance from a known base.
+pub(super) fn by_size(
+    fk: &[Vec3],
+    xyz: &[Vec3],
+    reach_m: f64,
+    read_as_m: f64,
+    reference_known: bool,
+) -> Seen<f64> {
+    /// Sizes within this factor of a unit's are its own.
+    const ALIKE: f64 = 1.5;
+    let (moved, extent) = (spread(fk), spread(xyz));
+    let rests = moved <= 0.01 * reach_m;
+    let ratio = if !rests {
         extent / moved
-    } else {
+    } else if reference_known {
         let norm =
             |points: &[Vec3]| points.iter().map(Vec3::norm).sum::<f64>() / points.len() as f64;
-        if !stream.reference_known {
-            return Err(Unseen::AtRest);
-        }
-        norm(&xyz) / norm(&fk).max(0.05 * reach)
+        norm(xyz) / norm(fk).max(0.05 * reach_m)
+    } else {
+        return Err(Unseen::AtRest);
     };
-    let declared = track.declared.as_ref().is_some_and(|declared| declared.millimetres);
-    let thousand = 80.0..12_500.0;
-    Ok(match ratio {
-        _ if thousand.contains(&ratio) => 1e-3,
-        _ if declared && thousand.contains(&ratio.recip()) => 1e3,
-        _ => 1.0,
-    })
+    let off = |factor: f64| (ratio * factor).ln().abs();
+    let usual = LengthScale::usual().map(|unit| unit.in_m() / read_as_m);
+    let near = usual.filter(|factor| off(*factor) < ALIKE.ln());
+    let nearest = near.min_by(|a, b| off(*a).total_cmp(&off(*b)));
+    // Within an arm's own reach nothing is told by size.
+    Ok(if (0.2..5.0).contains(&ratio) { 1.0 } else { nearest.unwrap_or(1.0) })
 }
 
 /// A stream whose reading is settled, with what settled it.
 pub(super) struct Prepared<'a> {
-    witness: Witness<'a>,
-    pub reading: ReadingEstimate,
+    pub witness: Witness<'a>,
+    /// How the rotations are read, where they are any.
+    pub reading: Seen<ReadingEstimate>,
     pub degrees: Option<UnitSlip>,
+    pub metres: f64,
+    /// The axes that positions and rotations are in, where they are not the standard ones.
+    pub axes: Option<AxesSlip>,
+    /// Which coordinates never change.
+    pub constant: [bool; 3],
     pub peaks: Vec<Peak>,
     pub moves: bool,
+}
+
+impl Prepared<'_> {
+    /// Whether rotations confirm that the poses are written otherwise than they should be, so that no
+    /// fault of the joint states need be sought.
+    pub fn is_confirmed(&self) -> bool {
+        let is_constant = self.constant.contains(&true);
+        self.reading.as_ref().is_ok_and(|reading| {
+            reading.best_rad <= FITS_RAD && (self.axes.is_some() || reading.inverted || is_constant)
+        })
+    }
+}
+
+/// One way to take a stream's poses to the base, before the rotations' numbers are read.
+struct Way {
+    metres: f64,
+    axes: AxesSlip,
+    inverted: bool,
+    /// How the reference frame is turned, where positions tell.
+    reference: Option<Rotation>,
+}
+
+impl Way {
+    /// The ways to understand a layout; what it leaves is not much of the motion's `extent_m`.
+    fn of(layout: &Layout, extent_m: f64) -> Vec<Self> {
+        let standard = AxesSlip { positions: Axes::STANDARD, rotations: Axes::STANDARD };
+        let way = |axes, reference| {
+            let Layout { metres, inverted, .. } = *layout;
+            // Positions of inverse poses are in the tool's frame: they do not tell how the base's is turned.
+            Way { metres, axes, inverted, reference: if inverted { None } else { reference } }
+        };
+        if layout.left_m > ON_ARM * extent_m {
+            return vec![way(standard, None)];
+        }
+        let both = |axes| AxesSlip { positions: axes, rotations: axes };
+        let positions = |axes| AxesSlip { positions: axes, ..standard };
+        match (layout.axes, layout.is_mirrored()) {
+            (Some(axes), true) => {
+                vec![
+                    way(both(axes), Some(Rotation::identity())),
+                    way(positions(axes), Some(Rotation::identity())),
+                ]
+            }
+            (None, true) => {
+                // In a world that is turned at will all mirrors are one: the most usual is named.
+                let back = matrix_of(Axes::UNITY).transpose();
+                let turn = rotation_of(&(back * layout.turn));
+                vec![way(both(Axes::UNITY), Some(turn)), way(positions(Axes::UNITY), None)]
+            }
+            (Some(axes), false) if axes.are_exchanged() && !layout.inverted => vec![
+                way(standard, Some(rotation_of(&layout.turn))),
+                way(both(axes), Some(Rotation::identity())),
+                way(positions(axes), Some(Rotation::identity())),
+            ],
+            (_, false) => vec![way(standard, Some(rotation_of(&layout.turn)))],
+        }
+    }
+
+    /// Another one in which rotations alone are in axes of their own.
+    fn with_rotations_in(&self, rotations: Axes) -> Self {
+        Way { axes: AxesSlip { rotations, ..self.axes }, ..*self }
+    }
+
+    fn after(&self) -> After {
+        let axes = self.axes.rotations;
+        let conjugator = (axes != Axes::STANDARD).then(|| axes.conjugator());
+        After { conjugator, inverted: self.inverted }
+    }
+
+    /// Positions of poses that are not yet turned round, m.
+    fn positions(&self, xyz: &[Vec3]) -> Vec<Vec3> {
+        xyz.iter().map(|p| self.axes.positions.standard(*p) * self.metres).collect()
+    }
+}
+
+fn rotation_of(matrix: &Matrix3<f64>) -> Rotation {
+    Rotation::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(*matrix))
+}
+
+/// Orientations at some samples, and FK there.
+struct Turning<'a> {
+    logged: Logged<'a>,
+    fk: &'a [Rotation],
+    reference_known: bool,
+    are_quaternions: bool,
+}
+
+impl Turning<'_> {
+    /// What the rotations are read as on one way, with the turned reference in the fit.
+    fn read(&self, way: &Way) -> Seen<(ReadingEstimate, Fit)> {
+        let turned = self.turned(way);
+        let (mut reading, mut fit) = read(&self.samples(way, &turned))?;
+        fit.reference *= way.reference.unwrap_or_default();
+        if way.axes != AxesSlip::NONE {
+            reading.as_logged_rad = self.as_logged_rad();
+        }
+        Ok((reading, fit))
+    }
+
+    /// What the simplest readings leave on one way, rad.
+    fn plain_rad(&self, way: &Way) -> f64 {
+        let turned = self.turned(way);
+        let samples = self.samples(way, &turned);
+        let simple = [Reading::AsLogged, Reading::Transposed]
+            .into_iter()
+            .chain(QuaternionSlip::BOTH.map(Reading::QuaternionOrder));
+        let numbers = || Convention::all().iter().map(|&one| Reading::Numbers(one));
+        let readings: Vec<Reading> = match self.logged {
+            Logged::Rotations(_) => simple.collect(),
+            Logged::Numbers(_) => numbers().collect(),
+        };
+        let fits = readings.into_iter().filter_map(|reading| fit_known(&samples, reading));
+        fits.map(|fit| fit.residual_rad).fold(f64::INFINITY, f64::min)
+    }
+
+    fn turned(&self, way: &Way) -> Vec<Rotation> {
+        let reference = way.reference.unwrap_or_default();
+        self.fk.iter().map(|fk| reference * fk).collect()
+    }
+
+    fn samples<'s>(&'s self, way: &Way, turned: &'s [Rotation]) -> Samples<'s> {
+        Samples {
+            logged: self.logged,
+            fk: turned,
+            reference_free: way.reference.is_none(),
+            reference_known: self.reference_known || way.reference.is_some(),
+            are_quaternions: self.are_quaternions,
+            after: way.after(),
+        }
+    }
+
+    /// Angle to FK of rotations as logged, rms rad.
+    fn as_logged_rad(&self) -> Option<f64> {
+        let Logged::Rotations(logged) = self.logged else { return None };
+        let squares = logged.iter().zip(self.fk).map(|(a, b)| angle_between(a, b).powi(2));
+        Some((squares.sum::<f64>() / logged.len().max(1) as f64).sqrt())
+    }
+
+    /// The way on which rotations can be read best, with their reading.
+    fn best(&self, ways: Vec<Way>) -> Seen<(Way, ReadingEstimate, Fit)> {
+        /// Rotations alone are in other axes only where that leaves so many times less.
+        const BETTER: f64 = 5.0;
+        let mut best: Option<(Way, ReadingEstimate, Fit)> = None;
+        let mut why = Unseen::NoOrientation;
+        for way in ways {
+            let (reading, fit) = match self.read(&way) {
+                Ok(found) => found,
+                Err(unseen) => {
+                    why = unseen;
+                    continue;
+                }
+            };
+            // Reversed joints may mirror positions, but not so that rotations fit.
+            if way.axes != AxesSlip::NONE && fit.residual_rad > FITS_RAD {
+                continue;
+            }
+            let order = |fit: &Fit| match fit.residual_rad <= FITS_RAD {
+                true => (0, f64::from(fit.frames.count())),
+                false => (1, fit.residual_rad),
+            };
+            let is_done = order(&fit) == (0, 0.0);
+            if best.as_ref().is_none_or(|(_, _, known)| order(&fit) < order(known)) {
+                best = Some((way, reading, fit));
+            }
+            if is_done {
+                break;
+            }
+        }
+        let left = best.as_ref().map_or(f64::INFINITY, |(_, _, fit)| fit.residual_rad);
+        if left <= FITS_RAD {
+            return best.ok_or(why);
+        }
+        let is_told = |way: &Way| way.reference.is_some() && way.axes == AxesSlip::NONE;
+        let others = best.as_ref().filter(|(way, ..)| is_told(way)).map(|(way, ..)| {
+            let right_handed = Axes::all().iter().filter(|axes| !axes.are_left_handed());
+            let ways: Vec<Way> = right_handed.map(|&axes| way.with_rotations_in(axes)).collect();
+            ways
+        });
+        let turned = others.into_iter().flatten().map(|way| (self.plain_rad(&way), way));
+        let turned =
+            turned.min_by(|a, b| a.0.total_cmp(&b.0)).filter(|(rad, _)| rad * BETTER < left);
+        match turned
+            .and_then(|(_, way)| self.read(&way).ok().map(|(reading, fit)| (way, reading, fit)))
+        {
+            Some(found) => Ok(found),
+            None => best.ok_or(why),
+        }
+    }
 }
 
 /// Settles reading and units of a stream and chooses the branch of each sample.
 pub(super) fn prepare<'a>(
     joints: &'a JointTrack,
     stream: &PoseStream<'a>,
-    scale: f64,
+    placement: &Placement,
     still: &'a [f64],
-    most_lag_s: f64,
 ) -> Seen<Prepared<'a>> {
     let PoseStream { track, chain, columns, reference_known, .. } = *stream;
-    let xyz: Vec<Vec3> = track.xyz.iter().map(|p| p * scale).collect();
-    let peaks: Vec<Peak> =
-        stream_peaks(joints, stream, as_rotations(&track.orientation), most_lag_s)
-            .into_iter()
-            .filter(|peak| peak.correlation > FOLLOWS)
-            .collect();
+    let peaks = placement.peaks.clone();
     let lag_s = peaks.first().map_or(0.0, |peak| peak.lag_s);
     let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, lag_s);
     if rows.is_empty() {
         return Err(Unseen::NoOverlap);
     }
-    let expected = Expected::of(&fk);
-    let xyz_there: Vec<Vec3> = rows.iter().map(|&k| xyz[k]).collect();
-    let (orientation, degrees) = in_right_angles(track, &rows, &expected.rotation, reference_known);
-    let logged_all = Logged::of(&orientation);
+    let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
+    let turning: Vec<Rotation> = fk.iter().map(|pose| pose.rotation).collect();
+    let metres = *placement.metres.as_ref().unwrap_or(&1.0);
+    let mut ways: Vec<Way> =
+        placement.layouts.iter().flat_map(|layout| Way::of(layout, spread(&at))).collect();
+    if ways.is_empty() {
+        ways.push(Way { metres, axes: AxesSlip::NONE, inverted: false, reference: None });
+    }
+    let first = Way { ..ways[0] };
+    if first.axes != AxesSlip::NONE {
+        let axes = AxesSlip::NONE;
+        ways.push(Way { metres, axes, inverted: first.inverted, reference: None });
+    }
+    let (orientation, degrees) =
+        in_right_angles(track, &rows, &turning, reference_known, first.after());
     let there = at_rows(&orientation, &rows);
-    let logged = Logged::of(&there);
-    let inverted_xyz: Option<Vec<Vec3>> = match &logged {
-        Logged::Rotations(all) => {
-            Some(all.iter().zip(&xyz_there).map(|(r, p)| -(r.inverse() * p)).collect())
-        }
-        Logged::Numbers(_) => None,
-    };
-    // Positions tell the reference frame whatever the rotations are read as.
-    let plain = expected.misfit(&xyz_there);
-    let inverted = inverted_xyz.as_ref().map_or(f64::INFINITY, |xyz| expected.misfit(xyz));
-    // A pose that turns about one axis lies on the arm both ways: what fits as it is stays.
-    let fits = plain < FITS * spread(&expected.xyz);
-    let is_inverted = !fits && inverted < plain;
-    let lies = if is_inverted { inverted_xyz.as_ref() } else { Some(&xyz_there) };
-    let reference = lies.and_then(|xyz| expected.reference(xyz)).map(|pose| pose.rotation);
-    let turned: Vec<Rotation> = match reference {
-        Some(reference) => expected.rotation.iter().map(|fk| reference * fk).collect(),
-        None => expected.rotation.clone(),
-    };
-    let samples = Samples {
-        logged,
-        fk: &turned,
-        reference_free: reference.is_none(),
-        reference_known: reference_known || reference.is_some(),
+    let turning = Turning {
+        logged: Logged::of(&there),
+        fk: &turning,
+        reference_known,
         are_quaternions: are_quaternions(track),
     };
-    let (mut reading, mut fit) = read(&samples)?;
-    fit.reference *= reference.unwrap_or_default();
-    if matches!(fit.reading, Reading::Transposed) && is_inverted && inverted * 2.0 < plain {
-        fit.reading = Reading::Inverted;
-        reading.best = Reading::Inverted;
-    }
-
+    let (way, reading, fit) = match is_set(&there, turning.fk) {
+        true => match turning.best(ways) {
+            Ok((way, reading, fit)) => (way, Ok(reading), Some(fit)),
+            // Positions that lie on the arm say what there is to say.
+            Err(why) if first.axes == AxesSlip::NONE && placement.is_on_arm() => {
+                (first, Err(why), None)
+            }
+            Err(why) => return Err(why),
+        },
+        false => (first, Err(Unseen::OrientationNotSet), None),
+    };
+    let constant_axes = {
+        let mut blind = [false; 3];
+        for axis in (0..3).filter(|&axis| placement.constant[axis]) {
+            blind[way.axes.positions.standard(Vec3::ith(axis, 1.0)).iamax()] = true;
+        }
+        blind
+    };
     let mut witness = Witness {
         joints,
         chain,
@@ -159,16 +448,37 @@ pub(super) fn prepare<'a>(
         reference_known,
         still,
         t_s: track.t_s.clone(),
-        xyz,
+        xyz: way.positions(&track.xyz),
         rotation: Vec::new(),
+        blind: Blind { position: constant_axes, rotation: fit.is_none() },
         middle_s: 0.5 * (track.t_s[0] + track.t_s[track.t_s.len() - 1]),
     };
-    choose_branches(&mut witness, &logged_all, &fit, lag_s);
+    choose_branches(&mut witness, &Logged::of(&orientation), &way, fit.as_ref(), lag_s);
     if witness.len() < 3 {
         return Err(Unseen::TooFewSamples { have: witness.len(), need: 3 });
     }
     let moves = witness.moving(lag_s, SEARCH_SAMPLES) >= MOVING_SAMPLES && !peaks.is_empty();
-    Ok(Prepared { witness, reading, degrees, peaks, moves })
+    let axes = Some(way.axes).filter(|axes| *axes != AxesSlip::NONE);
+    let (metres, constant) = (way.metres, placement.constant);
+    Ok(Prepared { witness, reading, degrees, metres, axes, constant, peaks, moves })
+}
+
+/// Whether orientations are any: not where they stay as they are while FK's turn.
+fn is_set(logged: &Orientations, fk: &[Rotation]) -> bool {
+    /// Orientations that stay within this are one, rad …
+    const STAYS_RAD: f64 = 1e-3;
+    /// … and FK's turn that go further than this.
+    const TURNS_RAD: f64 = 0.2;
+    let farthest = |all: &[Rotation]| {
+        let from = all.first().copied().unwrap_or_default();
+        all.iter().map(|one| angle_between(&from, one)).fold(0.0, f64::max)
+    };
+    let stays = match logged {
+        Orientations::Rotations(all) => farthest(all) < STAYS_RAD,
+        Orientations::Numbers(all) => all.windows(2).all(|pair| pair[0] == pair[1]),
+        Orientations::Unset(_) => return false,
+    };
+    !stays || farthest(fk) < TURNS_RAD
 }
 
 /// A stream's orientations with their angles in the unit that follows the arm, and the slip where
@@ -178,6 +488,7 @@ fn in_right_angles<'a>(
     rows: &[usize],
     fk: &[Rotation],
     reference_known: bool,
+    after: After,
 ) -> (Cow<'a, Orientations>, Option<UnitSlip>) {
     let other = match (&track.orientation, &track.declared) {
         (Orientations::Numbers(numbers), _) => {
@@ -193,7 +504,7 @@ fn in_right_angles<'a>(
         let logged = Logged::of(&there);
         let are_quaternions = are_quaternions(track);
         let samples =
-            Samples { logged, fk, reference_free: true, reference_known, are_quaternions };
+            Samples { logged, fk, reference_free: true, reference_known, are_quaternions, after };
         read(&samples).map_or(std::f64::consts::PI, |(_, fit)| fit.residual_rad)
     };
     let (as_logged, corrected) = (residual(&track.orientation), residual(&other));
@@ -215,6 +526,7 @@ fn at_rows(orientation: &Orientations, rows: &[usize]) -> Orientations {
             Orientations::Rotations(rows.iter().map(|&k| all[k]).collect())
         }
         Orientations::Numbers(all) => Orientations::Numbers(rows.iter().map(|&k| all[k]).collect()),
+        Orientations::Unset(_) => Orientations::Unset(rows.len()),
     }
 }
 
@@ -254,25 +566,36 @@ pub(super) fn slow_samples(
 }
 
 /// Applies the reading to every sample, taking the branch nearest to what FK expects; samples that
-/// the joints do not cover are dropped.
-fn choose_branches(witness: &mut Witness, logged: &Logged, fit: &Fit, lag_s: f64) {
+/// the joints do not cover are dropped. Without a reading, rotations are what FK expects.
+fn choose_branches(
+    witness: &mut Witness,
+    logged: &Logged,
+    way: &Way,
+    fit: Option<&Fit>,
+    lag_s: f64,
+) {
     let (mut kept_t, mut kept_xyz, mut kept_rotation) = (Vec::new(), Vec::new(), Vec::new());
     let mut sweep = Sweep::new(witness);
     let mut buffer = Vec::new();
     let offsets = vec![0.0; witness.joints.dof];
     let state = StreamState::at_latency(lag_s);
+    let after = way.after();
     for k in 0..witness.len() {
         let Some(fk) = witness.pose_at(k, &state, &offsets, &mut sweep) else {
             continue;
         };
-        let expected = fit.reference * fk.rotation * fit.tool;
-        let Some(rotation) = nearest_truth(&fit.reading, logged, k, &expected, &mut buffer) else {
-            continue;
+        let rotation = match fit {
+            Some(Fit { reading, reference, tool, .. }) => {
+                let expected = reference * fk.rotation * tool;
+                nearest_truth(reading, &after, logged, k, &expected, &mut buffer)
+            }
+            None => Some(way.reference.unwrap_or_default() * fk.rotation),
         };
+        let Some(rotation) = rotation else { continue };
         kept_t.push(witness.t_s[k]);
-        kept_xyz.push(match fit.reading {
-            Reading::Inverted => -(rotation * witness.xyz[k]),
-            _ => witness.xyz[k],
+        kept_xyz.push(match way.inverted {
+            true => -(rotation * witness.xyz[k]),
+            false => witness.xyz[k],
         });
         kept_rotation.push(rotation);
     }

@@ -37,9 +37,43 @@ pub(super) struct Samples<'a> {
     pub reference_known: bool,
     /// Whether they were logged as quaternions, whose components may be in another order.
     pub are_quaternions: bool,
+    /// What positions say is to be undone once the numbers are read.
+    pub after: After,
+}
+
+/// What is undone of rotations once their numbers are read.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct After {
+    /// What writes rotations in the axes that they are in, by conjugation; `None` of standard ones.
+    pub conjugator: Option<Rotation>,
+    /// Whether the poses are inverted as a whole.
+    pub inverted: bool,
+}
+
+impl After {
+    fn undo(&self, rotations: &mut [Rotation]) {
+        for rotation in rotations {
+            if let Some(conjugator) = self.conjugator {
+                *rotation = conjugator.inverse() * *rotation * conjugator;
+            }
+            if self.inverted {
+                *rotation = rotation.inverse();
+            }
+        }
+    }
+
+    /// What a reading of rotations says of a stream whose poses are inverted as a whole.
+    fn named(&self, reading: Reading) -> Reading {
+        match reading {
+            Reading::AsLogged if self.inverted => Reading::Inverted,
+            Reading::Transposed if self.inverted => Reading::AsLogged,
+            reading => reading,
+        }
+    }
 }
 
 /// Orientations as the log has them.
+#[derive(Clone, Copy)]
 pub(super) enum Logged<'a> {
     Rotations(&'a [Rotation]),
     Numbers(&'a [[f64; 3]]),
@@ -51,6 +85,7 @@ impl<'a> Logged<'a> {
         match orientation {
             Orientations::Rotations(rotations) => Self::Rotations(rotations),
             Orientations::Numbers(numbers) => Self::Numbers(numbers),
+            Orientations::Unset(_) => Self::Rotations(&[]),
         }
     }
 }
@@ -62,6 +97,17 @@ pub(super) enum Frames {
     Tool,
     Reference,
     Both,
+}
+
+impl Frames {
+    /// How many they are.
+    pub fn count(self) -> u8 {
+        match self {
+            Self::None => 0,
+            Self::Tool | Self::Reference => 1,
+            Self::Both => 2,
+        }
+    }
 }
 
 /// A reading with the frames that it needs.
@@ -88,15 +134,17 @@ impl Truths {
         &self.rotations[start..self.ends[sample]]
     }
 
-    fn fill(&mut self, reading: &Reading, logged: &Logged, buffer: &mut Vec<Rotation>) {
+    fn fill(&mut self, reading: &Reading, samples: &Samples, buffer: &mut Vec<Rotation>) {
         self.ends.clear();
         self.rotations.clear();
+        let logged = &samples.logged;
         let count = match logged {
             Logged::Rotations(rotations) => rotations.len(),
             Logged::Numbers(numbers) => numbers.len(),
         };
         for sample in 0..count {
             truths(reading, logged, sample, buffer);
+            samples.after.undo(buffer);
             self.rotations.extend_from_slice(buffer);
             self.ends.push(self.rotations.len());
         }
@@ -127,15 +175,18 @@ fn truths(reading: &Reading, logged: &Logged, sample: usize, out: &mut Vec<Rotat
     }
 }
 
-/// The rotation of one sample under `reading` that lies nearest to `expected`.
+/// The rotation of one sample under `reading`, with what comes `after` it undone, that lies nearest to
+/// `expected`.
 pub(super) fn nearest_truth(
     reading: &Reading,
+    after: &After,
     logged: &Logged,
     sample: usize,
     expected: &Rotation,
     buffer: &mut Vec<Rotation>,
 ) -> Option<Rotation> {
     truths(reading, logged, sample, buffer);
+    after.undo(buffer);
     nearest(buffer, expected).map(|(rotation, _)| rotation)
 }
 
@@ -195,21 +246,25 @@ pub(super) fn read_in_gravity(samples: &Samples, forces: &[Vec3]) -> Seen<(Readi
         .filter(|fit| fit.frames == best.frames && !same_reading(&fit.reading, &best.reading));
     let mut worse = 0;
     for fit in others {
+        let named = samples.after.named(fit.reading);
         if fit.residual_rad <= near_best {
-            equivalent.push(fit.reading);
+            equivalent.push(named);
             continue;
         }
         worse += 1;
         if runner_up.is_none_or(|(_, residual)| fit.residual_rad < residual) {
-            runner_up = Some((fit.reading, fit.residual_rad));
+            runner_up = Some((named, fit.residual_rad));
         }
     }
+    let named = |fit: &Fit| samples.after.named(fit.reading);
     let as_logged = fits
         .iter()
-        .find(|fit| matches!(fit.reading, Reading::AsLogged) && fit.frames == best.frames);
+        .find(|fit| matches!(named(fit), Reading::AsLogged) && fit.frames == best.frames);
+    let ranked = ranking(&fits, &best).into_iter();
     let estimate = ReadingEstimate {
-        ranked: ranking(&fits, &best),
-        best: best.reading,
+        ranked: ranked.map(|(reading, rad)| (samples.after.named(reading), rad)).collect(),
+        best: named(&best),
+        inverted: samples.after.inverted,
         as_logged_rad: as_logged.map(|fit| fit.residual_rad),
         best_rad: best.residual_rad,
         runner_up,
@@ -248,8 +303,14 @@ fn leans(fit: &Fit, samples: &Samples, forces: &[Vec3]) -> bool {
         .enumerate()
         .filter_map(|(sample, force)| {
             let expected = fit.reference * samples.fk[sample] * fit.tool;
-            let truth =
-                nearest_truth(&fit.reading, &samples.logged, sample, &expected, &mut buffer)?;
+            let truth = nearest_truth(
+                &fit.reading,
+                &samples.after,
+                &samples.logged,
+                sample,
+                &expected,
+                &mut buffer,
+            )?;
             Some(truth * force)
         })
         .sum();
@@ -286,16 +347,12 @@ fn readings(samples: &Samples) -> Vec<Reading> {
     };
     match samples.logged {
         Logged::Numbers(_) => Convention::all().iter().map(|&c| Reading::Numbers(c)).collect(),
-        Logged::Rotations(_) => [
-            Reading::AsLogged,
-            Reading::Transposed,
-            Reading::QuaternionOrder(QuaternionSlip::WxyzReadAsXyzw),
-            Reading::QuaternionOrder(QuaternionSlip::XyzwReadAsWxyz),
-        ]
-        .into_iter()
-        .chain(misreading_classes().iter().map(Reading::Misread))
-        .filter(is_possible)
-        .collect(),
+        Logged::Rotations(_) => [Reading::AsLogged, Reading::Transposed]
+            .into_iter()
+            .chain(QuaternionSlip::BOTH.map(Reading::QuaternionOrder))
+            .chain(misreading_classes().iter().map(Reading::Misread))
+            .filter(is_possible)
+            .collect(),
     }
 }
 
@@ -320,7 +377,7 @@ fn fits_of(
         (true, false) => &[Frames::None, Frames::Tool],
         (true, true) => &[Frames::None, Frames::Tool, Frames::Reference, Frames::Both],
     };
-    truths.fill(&reading, &samples.logged, buffer);
+    truths.fill(&reading, samples, buffer);
     let fit = |&frames: &Frames| {
         let (reference, tool) = match frames {
             Frames::None => (Rotation::identity(), Rotation::identity()),

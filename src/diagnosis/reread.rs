@@ -3,22 +3,33 @@
 
 use super::imu;
 use super::prepare::stream_lag_s;
-use super::reading::{Logged, Samples, fit_known, nearest_truth};
-use super::{ImuStream, PoseStream, Reading};
-use crate::geometry::Rotation;
+use super::reading::{After, Logged, Samples, fit_known, nearest_truth};
+use super::{AxesSlip, ImuStream, PoseStream, Reading};
+use crate::geometry::{Axes, Rotation};
 use crate::stream::{JointTrack, Orientations, PoseTrack};
 
 /// Samples that the constant frames are fitted on.
 const FIT_SAMPLES: usize = 150;
 
-/// The poses of a stream as `reading` says that they are meant: of the rotations that a sample may
+/// How the poses of a stream are meant.
+#[derive(Clone, Copy, Debug)]
+pub struct Meant {
+    /// How the numbers of its rotations are read.
+    pub reading: Reading,
+    /// The axes that they are in.
+    pub axes: AxesSlip,
+    /// Whether the poses are then inverted as a whole.
+    pub inverted: bool,
+}
+
+/// The poses of a stream as `meant` says: of the rotations that a sample may
 /// mean the one nearest to what FK of `joints` and the constant frames that fit best say, beside those
 /// known: `[stream_from_reference, tip_from_stream]`. `None` where the stream holds bare numbers, or
 /// shares no time with the joints.
 pub fn reread_poses(
     joints: &JointTrack,
     stream: &PoseStream,
-    reading: Reading,
+    meant: Meant,
     known: [Rotation; 2],
     most_lag_s: f64,
 ) -> Option<PoseTrack> {
@@ -36,13 +47,13 @@ pub fn reread_poses(
             })
         })
         .collect();
-    let truths = rotations(logged, reading, &expected, &known[1], reference_known)?;
-    let xyz = match reading {
-        Reading::Inverted => {
-            truths.iter().zip(&track.xyz).map(|(rotation, xyz)| -(rotation * xyz)).collect()
-        }
-        _ => track.xyz.clone(),
-    };
+    let truths = rotations(logged, &meant, &expected, &known[1], reference_known)?;
+    let is_inverted = meant.inverted || matches!(meant.reading, Reading::Inverted);
+    let xyz = truths.iter().zip(&track.xyz).map(|(rotation, xyz)| {
+        let xyz = meant.axes.positions.standard(*xyz);
+        if is_inverted { -(rotation * xyz) } else { xyz }
+    });
+    let xyz = xyz.collect();
     Some(PoseTrack { xyz, orientation: Orientations::Rotations(truths), ..track.clone() })
 }
 
@@ -56,11 +67,11 @@ pub fn reread_imu(
     imu::reread(joints, stream, reading, most_lag_s)
 }
 
-/// What `logged` means under `reading`, where FK `expected` each rotation but for constant frames and
+/// What `logged` means as `meant` says, where FK `expected` each rotation but for constant frames and
 /// a known `tool`; a sample without FK is the nearest to the one before it.
 pub(super) fn rotations(
     logged: &[Rotation],
-    reading: Reading,
+    meant: &Meant,
     expected: &[Option<Rotation>],
     tool: &Rotation,
     reference_known: bool,
@@ -73,21 +84,25 @@ pub(super) fn rotations(
     if there.is_empty() {
         return None;
     }
+    let axes = meant.axes.rotations;
+    let conjugator = (axes != Axes::STANDARD).then(|| axes.conjugator());
+    let after = After { conjugator, inverted: meant.inverted };
     let samples = Samples {
         logged: Logged::Rotations(&there),
         fk: &fk,
         reference_free: true,
         reference_known,
         are_quaternions: true,
+        after,
     };
-    let fit = fit_known(&samples, reading)?;
+    let fit = fit_known(&samples, meant.reading)?;
     let all = Logged::Rotations(logged);
     let mut buffer = Vec::new();
     let mut last = fit.reference * fk[0] * fit.tool;
     let mut truths = Vec::with_capacity(logged.len());
     for (row, fk) in expected.iter().enumerate() {
         let expected = fk.map_or(last, |fk| fit.reference * fk * tool * fit.tool);
-        last = nearest_truth(&reading, &all, row, &expected, &mut buffer)?;
+        last = nearest_truth(&meant.reading, &after, &all, row, &expected, &mut buffer)?;
         truths.push(last);
     }
     Some(truths)

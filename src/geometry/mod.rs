@@ -5,6 +5,7 @@
 
 #![allow(clippy::disallowed_methods, reason = "the one room where numbers become rotations")]
 
+mod axes;
 mod convention;
 mod euler;
 mod reading;
@@ -13,6 +14,7 @@ mod units;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
+pub use axes::Axes;
 pub use convention::{Convention, ConventionError};
 pub use euler::EulerOrder;
 pub use reading::{Misreading, MisreadingClass, QuaternionSlip, misreading_classes};
@@ -20,7 +22,7 @@ pub use rotation::{
     angle_between, rotation_from_matrix_rows, rotation_from_rotvec, rotation_from_rpy,
     rotation_from_xyzw, rotvec_from_rotation, xyzw_from_rotation,
 };
-pub use units::{AngleUnit, LengthUnit};
+pub use units::{AngleUnit, LengthScale, LengthUnit};
 
 /// A rigid transform `a_from_b`; translation in metres.
 pub type Pose = Isometry3<f64>;

@@ -147,6 +147,9 @@ pub enum QuaternionSlip {
 }
 
 impl QuaternionSlip {
+    /// Both of them.
+    pub const BOTH: [Self; 2] = [Self::WxyzReadAsXyzw, Self::XyzwReadAsWxyz];
+
     /// The true components x, y, z, w where the slip made `logged_xyzw` of them.
     pub fn truth(self, logged_xyzw: [f64; 4]) -> [f64; 4] {
         let [x, y, z, w] = logged_xyzw;

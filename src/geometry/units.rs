@@ -1,6 +1,8 @@
 //! The units that poses come in.
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use std::fmt;
+use std::str::FromStr;
 
 /// The unit of a position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -31,6 +33,98 @@ impl LengthUnit {
     }
 }
 
+/// The unit that positions are found to be in: how many metres a number is.
+#[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
+pub struct LengthScale(f64);
+
+/// Units that positions come in, by how many metres each is: symbol and name.
+const USUAL: [(f64, &str, &str); 10] = [
+    (1.0, "m", "metres"),
+    (1e-3, "mm", "millimetres"),
+    (1e-2, "cm", "centimetres"),
+    (1e-1, "dm", "decimetres"),
+    (1e-4, "0.1 mm", "tenths of a millimetre"),
+    (1e-6, "µm", "micrometres"),
+    (1e3, "km", "kilometres"),
+    (0.0254, "in", "inches"),
+    (0.3048, "ft", "feet"),
+    (2.54e-5, "mil", "thousandths of an inch"),
+];
+
+impl LengthScale {
+    /// Metres.
+    pub const METRE: Self = Self(1.0);
+    /// Millimetres.
+    pub const MILLIMETRE: Self = Self(1e-3);
+
+    /// A number of so many metres.
+    pub fn of(metres: f64) -> Self {
+        Self(metres)
+    }
+
+    /// How many metres a number is.
+    pub fn in_m(self) -> f64 {
+        self.0
+    }
+
+    /// The usual units.
+    pub fn usual() -> impl Iterator<Item = Self> {
+        USUAL.iter().map(|(metres, ..)| Self(*metres))
+    }
+
+    fn entry(self) -> Option<&'static (f64, &'static str, &'static str)> {
+        USUAL.iter().find(|(metres, ..)| (self.0 / metres - 1.0).abs() < 1e-9)
+    }
+
+    /// Its name in words: `centimetres`, or how many metres a number is.
+    pub fn words(self) -> String {
+        self.entry()
+            .map_or_else(|| format!("numbers of {self} each"), |(.., name)| (*name).to_owned())
+    }
+}
+
+impl fmt::Display for LengthScale {
+    /// Its symbol: `cm`; of an unusual one how many metres a number is: `0.0043 m`.
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.entry() {
+            Some((_, symbol, _)) => out.write_str(symbol),
+            None => {
+                let digits = (3 - self.0.abs().log10().floor() as i32).clamp(0, 9) as usize;
+                write!(out, "{:.digits$} m", self.0)
+            }
+        }
+    }
+}
+
+impl FromStr for LengthScale {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let usual = USUAL.iter().find(|(_, symbol, _)| *symbol == text).map(|(metres, ..)| *metres);
+        let metres = || text.strip_suffix(" m")?.parse().ok();
+        let found: Option<f64> = usual.or_else(metres);
+        found.filter(|metres| metres.is_finite() && *metres > 0.0).map(Self).ok_or_else(|| {
+            let symbols: Vec<&str> = USUAL.iter().map(|(_, symbol, _)| *symbol).collect();
+            format!(
+                "`{text}` is no unit of length: there are {}, and `0.0043 m`",
+                symbols.join(", ")
+            )
+        })
+    }
+}
+
+impl Serialize for LengthScale {
+    fn serialize<S: Serializer>(&self, out: S) -> Result<S::Ok, S::Error> {
+        out.collect_str(self)
+    }
+}
+
+impl<'de> Deserialize<'de> for LengthScale {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        String::deserialize(from)?.parse().map_err(serde::de::Error::custom)
+    }
+}
+
 /// The unit of angles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum AngleUnit {
@@ -57,5 +151,28 @@ impl AngleUnit {
             Self::Radian => "rad",
             Self::Degree => "deg",
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn units_have_symbols_and_others_their_metres() {
+        for (metres, symbol, words) in [
+            (1e-2, "cm", "centimetres"),
+            (1e-4, "0.1 mm", "tenths of a millimetre"),
+            (0.0254, "in", "inches"),
+            (0.004_321, "0.004321 m", "numbers of 0.004321 m each"),
+            (12.5, "12.50 m", "numbers of 12.50 m each"),
+        ] {
+            let scale = LengthScale::of(metres);
+            assert_eq!((scale.to_string().as_str(), scale.words().as_str()), (symbol, words));
+            assert_eq!(symbol.parse(), Ok(scale));
+        }
+        assert!(
+            "furlong".parse::<LengthScale>().is_err() && "-1 m".parse::<LengthScale>().is_err()
+        );
     }
 }

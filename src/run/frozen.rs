@@ -88,6 +88,7 @@ fn is_same(track: &PoseTrack, a: usize, b: usize) -> bool {
         && match &track.orientation {
             Orientations::Rotations(rotations) => rotations[a] == rotations[b],
             Orientations::Numbers(numbers) => numbers[a] == numbers[b],
+            Orientations::Unset(_) => true,
         }
 }
 
@@ -97,6 +98,7 @@ fn keep(track: &mut PoseTrack, kept: &[bool]) {
     match &mut track.orientation {
         Orientations::Rotations(rotations) => retain(rotations, kept),
         Orientations::Numbers(numbers) => retain(numbers, kept),
+        Orientations::Unset(samples) => *samples = track.t_s.len(),
     }
     if let Some(others) =
         track.declared.as_mut().and_then(|declared| declared.in_other_angles.as_mut())

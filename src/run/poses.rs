@@ -73,6 +73,15 @@ pub(super) fn from_poses(
         return Err("the topic holds quaternions, not three rotation numbers".to_owned());
     }
     let scale = unit_m(declared);
+    let is_set = |row: &usize| rotation_from_xyzw(poses.q_xyzw[*row]).is_some();
+    if !rows.is_empty() && !rows.iter().any(|(_, row)| is_set(row)) {
+        // Nobody set the orientations; the positions may be right all the same.
+        let rows = rows_in_order(rows, |_| true);
+        let xyz = rows.iter().map(|(_, row)| Vec3::from(poses.xyz[*row]) * scale).collect();
+        let orientation = Orientations::Unset(rows.len());
+        let track = |t_s| PoseTrack { t_s, xyz, orientation, declared: None };
+        return Ok(with_units(stamped(&rows, origin, track), declared));
+    }
     let track = track_of(rows, origin, |row| {
         let rotation = rotation_from_xyzw(as_xyzw(poses.q_xyzw[row], declared))?;
         Some((Vec3::from(poses.xyz[row]) * scale, rotation))
@@ -215,8 +224,13 @@ impl Layout {
 
 /// The track `a_from_c` of a track `b_from_c`-like stream: `before · logged · after`.
 ///
-/// Bare numbers have no frames, so there is nothing to change in them.
+/// Bare numbers have no frames, so there is nothing to change in them. Of positions without orientations
+/// only the reference can be changed.
 pub(super) fn reframed(mut track: PoseTrack, before: &Pose, after: &Pose) -> PoseTrack {
+    if let Orientations::Unset(_) = track.orientation {
+        let moved = |xyz: &Vec3| (before * nalgebra::Point3::from(*xyz)).coords;
+        track.xyz = track.xyz.iter().map(moved).collect();
+    }
     let Orientations::Rotations(rotations) = &mut track.orientation else { return track };
     for (xyz, rotation) in track.xyz.iter_mut().zip(rotations) {
         let pose = before * Pose::from_parts((*xyz).into(), *rotation) * after;

@@ -129,6 +129,8 @@ pub enum Orientations {
     Rotations(Vec<Rotation>),
     /// Three bare numbers a sample, whose convention the log does not say.
     Numbers(Vec<[f64; 3]>),
+    /// None: so many samples whose orientation nobody set.
+    Unset(usize),
 }
 
 impl Orientations {
@@ -137,6 +139,7 @@ impl Orientations {
         match self {
             Orientations::Rotations(rotations) => rotations.len(),
             Orientations::Numbers(numbers) => numbers.len(),
+            Orientations::Unset(samples) => *samples,
         }
     }
 
@@ -165,6 +168,7 @@ impl PoseTrack {
         let turns = match &self.orientation {
             Orientations::Rotations(all) => all.windows(2).any(|pair| pair[0] != pair[1]),
             Orientations::Numbers(all) => all.windows(2).any(|pair| pair[0] != pair[1]),
+            Orientations::Unset(_) => false,
         };
         turns || self.xyz.windows(2).any(|pair| pair[0] != pair[1])
     }

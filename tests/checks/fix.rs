@@ -114,6 +114,11 @@ fn quaternions_and_inverses_are_mended() {
     ] {
         Loop::of(|log| log.run.pose.coding = coding).assert_mends(&[code], &[]);
     }
+    let both = Loop::of(|log| {
+        log.run.pose.coding = Coding::Slipped(QuaternionSlip::WxyzReadAsXyzw);
+        log.run.pose.inverted = true;
+    });
+    both.assert_mends(&["ORD002", "ORD003"], &[]);
     let imu = Loop::of(|log| log.run.imu.coding = Coding::Transposed);
     imu.assert_mends(&["ORD003"], &[]);
 }
@@ -126,6 +131,17 @@ fn units_and_orders_are_mended() {
     looped.assert_mends(&["ORD005"], &[]);
     assert!(looped.text("conventions.md").contains("wrist_3_joint, shoulder_pan_joint, "));
     Loop::of(|log| log.run.pose.in_millimetres = true).assert_mends(&["ORD008"], &[]);
+    Loop::of(|log| log.edit = Some(|messages| crate::ord::in_unit(messages, 0.0254)))
+        .assert_mends(&["ORD008"], &[]);
+    let unity = "x right, y up, z forward (left-handed)";
+    let looped = Loop::of(|log| {
+        log.edit = Some(|messages| {
+            let unity = "x right, y up, z forward (left-handed)";
+            crate::ord::in_axes(messages, unity, unity);
+        });
+    });
+    looped.assert_mends(&["ORD010"], &[]);
+    assert!(looped.text("corrections.toml").contains(unity));
     let all = Loop::of(|log| {
         log.run.joints.in_degrees = true;
         log.run.joints.number_order = order();
@@ -266,7 +282,7 @@ fn bare_numbers_are_mended_in_units_and_frames() {
         log.run.pose.reference_from_stream = crate::frm::shifted();
         log.edit = Some(|messages| crate::ord::as_numbers(messages, 1_f64.to_degrees()));
     });
-    looped.assert_mends(&["FRM002", "ORD004"], &[]);
+    looped.assert_mends(&["FRM002", "ORD001"], &[]);
     assert!(looped.text("corrections.toml").contains("convention = \"rotvec\""));
 }
 

@@ -5,7 +5,9 @@ use std::fs;
 use std::path::Path;
 
 use poseaudit::finding::{CheckRow, Severity, Status};
-use poseaudit::geometry::{Convention, Misreading, QuaternionSlip, rotation_from_xyzw};
+use poseaudit::geometry::{
+    Axes, Convention, Misreading, QuaternionSlip, rotation_from_xyzw, xyzw_from_rotation,
+};
 use poseaudit::report::Report;
 use poseaudit::synth::{Coding, IMU, JOINT_STATES, Motion, POSE};
 
@@ -163,6 +165,11 @@ cases! {
     ORD006 degrees_are_no_lock: |log| {
         declare(log, |messages| as_numbers(messages, 1_f64.to_degrees()), "rotvec");
     } => BlamedOn("ORD004");
+    ORD006 what_nobody_declared_is_no_lock: |log| {
+        turn_the_base_alone(log);
+        log.options.rules.ignore = vec!["TIM005".parse().expect("a rule")];
+        log.edit = Some(|messages| as_euler(messages, Convention::RPY));
+    } => Sound;
     ORD006 no_bare_numbers: |_| {} => Skipped("three bare numbers");
 
     ORD007 a_standard_table_that_says_modified: |log| by_table(log, "modified", [""; 2])
@@ -191,6 +198,20 @@ cases! {
 
     ORD008 positions_in_millimetres: |log| log.run.pose.in_millimetres = true
         => error(Topic(POSE), ReadAs("mm", "m"));
+    ORD008 positions_in_centimetres: |log| log.edit = Some(|messages| in_unit(messages, 1e-2))
+        => error(Topic(POSE), ReadAs("cm", "m"));
+    ORD008 positions_in_inches: |log| log.edit = Some(|messages| in_unit(messages, 0.0254))
+        => error(Topic(POSE), ReadAs("in", "m"));
+    ORD008 positions_in_tenths_of_a_millimetre: |log| {
+        log.edit = Some(|messages| in_unit(messages, 1e-4));
+    } => error(Topic(POSE), ReadAs("0.1 mm", "m"));
+    ORD008 positions_in_kilometres: |log| log.edit = Some(|messages| in_unit(messages, 1e3))
+        => error(Topic(POSE), ReadAs("km", "m"));
+    ORD008 positions_in_a_unit_of_their_own: |log| {
+        log.edit = Some(|messages| in_unit(messages, 0.0043));
+    } => error(Topic(POSE), ReadAs("0.004300 m", "m"));
+    ORD008 mirrored_axes_are_no_unit: |log| log.edit = Some(|messages| in_axes(messages, UNITY, UNITY))
+        => BlamedOn("ORD010");
     ORD008 a_percent_is_no_unit: |log| log.run.pose.growth = 0.3e-3 => Sound;
     ORD008 degrees_are_no_millimetres: |log| log.run.joints.in_degrees = true
         => BlamedOn("ORD004");
@@ -201,6 +222,79 @@ cases! {
         log.run.pose.timing.rate_hz = 0.0;
         log.run.tf.timing.rate_hz = 0.0;
     } => Skipped("no pose stream");
+
+    ORD010 y_up_and_left_handed: |log| log.edit = Some(|messages| in_axes(messages, UNITY, UNITY))
+        => error(Topic(POSE), ReadAs("x right, y up, z forward (left-handed)", STANDARD));
+    ORD010 y_and_z_exchanged: |log| log.edit = Some(|messages| in_axes(messages, EXCHANGED, EXCHANGED))
+        => error(Topic(POSE), ReadAs("x forward, y up, z left (left-handed)", STANDARD));
+    ORD010 positions_alone: |log| log.edit = Some(|messages| in_axes(messages, OPTICAL, STANDARD))
+        => error(Topic(POSE), ReadAs("positions x right, y down, z forward", STANDARD));
+    ORD010 rotations_alone: |log| log.edit = Some(|messages| in_axes(messages, STANDARD, HALF))
+        => error(Topic(POSE), ReadAs("rotations x forward, y right, z down", STANDARD));
+    ORD010 axes_that_both_ends_exchange: |log| log.edit = Some(|messages| in_axes(messages, OPTICAL, OPTICAL))
+        => error(Topic(POSE), ReadAs("x right, y down, z forward", STANDARD));
+    ORD010 axes_as_they_should_be: |_| {} => Sound;
+    ORD010 a_turned_base_is_no_exchange: |log| {
+        log.run.pose.reference_from_stream = crate::frm::half_turn();
+    } => BlamedOn("FRM002");
+    ORD010 an_inverse_is_no_exchange: |log| log.run.pose.coding = Coding::Inverted
+        => BlamedOn("ORD003");
+    ORD010 no_poses: |log| {
+        log.run.pose.timing.rate_hz = 0.0;
+        log.run.tf.timing.rate_hz = 0.0;
+    } => Skipped("no pose stream");
+
+    ORD011 z_that_is_always_zero: |log| log.edit = Some(|messages| constant(messages, 2))
+        => error(Topic(POSE), What::About(0.5, 0.45));
+    ORD011 x_that_is_always_zero: |log| log.edit = Some(|messages| constant(messages, 0))
+        => error(Topic(POSE), What::About(0.5, 0.45));
+    ORD011 an_arm_at_rest_is_sound: |log| log.run.motion = Motion::AtRest => Sound;
+    ORD011 a_base_alone_that_turns_is_sound: |log| log.run.motion = Motion::OneJoint(0) => Sound;
+    ORD011 millimetres_are_not_constant: |log| log.run.pose.in_millimetres = true
+        => BlamedOn("ORD008");
+    ORD011 no_poses: |log| {
+        log.run.pose.timing.rate_hz = 0.0;
+        log.run.tf.timing.rate_hz = 0.0;
+    } => Skipped("no pose stream");
+}
+
+#[test]
+fn an_inverse_pose_is_found_together_with_a_reading() {
+    for (coding, code, is, read_as) in [
+        (Coding::Slipped(QuaternionSlip::WxyzReadAsXyzw), "ORD002", "quat:wxyz", "quat:xyzw"),
+        (misread_as_rpy(), "ORD001", "rotvec", "euler:xyz"),
+    ] {
+        let report = Log::with(|log| {
+            log.run.pose.coding = coding;
+            log.run.pose.inverted = true;
+        });
+        let report = report.audited();
+        ReadAs(is, read_as).assert_is(the(&report, code, POSE).estimate.as_ref());
+        let inverse = the(&report, "ORD003", POSE);
+        ReadAs("pose-inverse", "pose").assert_is(inverse.estimate.as_ref());
+        assert_eq!(report.findings.len(), 2, "{}", summary(&report.findings));
+    }
+}
+
+#[test]
+fn positions_are_audited_where_the_orientation_was_never_set() {
+    for unset in [[0.0; 4], [0.0, 0.0, 0.0, 1.0], [f64::NAN; 4]] {
+        let report = Log::with(|log| {
+            log.run.pose.timing.latency_s = 0.025;
+            log.edit = Some(match unset {
+                [_, _, _, 1.0] => |messages| orient(messages, [0.0, 0.0, 0.0, 1.0]),
+                [part, ..] if part.is_nan() => |messages| orient(messages, [f64::NAN; 4]),
+                _ => |messages| orient(messages, [0.0; 4]),
+            });
+        });
+        let report = report.audited();
+        let late = the(&report, "LAT001", POSE);
+        What::About(0.025, 1e-3).assert_is(late.estimate.as_ref());
+        let row =
+            report.checks.iter().find(|row| row.code == "ORD001" && row.subject.label() == POSE);
+        let why = row.and_then(|row| row.reason.as_deref()).unwrap_or_default();
+        assert!(why.contains("never set"), "{unset:?}: {why}");
+    }
 }
 
 /// The report on a log whose poses are bare numbers, beside what is said of their having no stamps.
@@ -209,6 +303,9 @@ fn audited_as_numbers(edit: fn(&mut Vec<Message>)) -> Report {
     let stamps = the(&report, "TIM005", NUMBERS);
     assert_eq!(stamps.severity, Severity::Info);
     report.findings.retain(|finding| finding.code != "TIM005");
+    let reading = the(&report, "ORD001", NUMBERS);
+    assert_eq!(reading.severity, Severity::Info);
+    assert_eq!(report.findings.len(), 1, "{}", summary(&report.findings));
     report
 }
 
@@ -231,19 +328,26 @@ fn beside_a_wrong_dh_convention_other_faults_are_found_as_if_it_were_right() {
 #[test]
 fn bare_numbers_are_read_as_what_follows_the_arm() {
     let report = audited_as_numbers(|messages| as_numbers(messages, 1.0));
-    assert!(report.findings.is_empty(), "{}", summary(&report.findings));
-    let is_asked = |row: &&CheckRow| row.code == "ORD001" && row.subject.label() == NUMBERS;
-    let row = report.checks.iter().find(is_asked).expect("it is a pose");
-    assert_eq!(row.status, Status::Pass, "{row:#?}");
-    assert!(row.reason.as_deref().is_some_and(|reason| reason.contains("rotvec")), "{row:#?}");
+    let message = &the(&report, "ORD001", NUMBERS).message;
+    assert!(
+        message.starts_with("read as m, rotvec in rad (as Universal Robots gives them)"),
+        "{message}"
+    );
 }
 
 #[test]
 fn bare_numbers_may_be_degrees() {
     let report = audited_as_numbers(|messages| as_numbers(messages, 1_f64.to_degrees()));
-    let finding = the(&report, "ORD004", NUMBERS);
-    ReadAs("deg", "rad").assert_is(finding.estimate.as_ref());
-    assert_eq!(report.findings.len(), 1, "{}", summary(&report.findings));
+    let message = &the(&report, "ORD001", NUMBERS).message;
+    assert!(message.starts_with("read as m, rotvec in deg"), "{message}");
+    for code in ["ORD004", "ORD006", "ORD008"] {
+        let rows =
+            report.checks.iter().filter(|row| row.code == code && row.subject.label() == NUMBERS);
+        assert!(
+            rows.clone().count() == 1 && rows.clone().all(|row| row.status == Status::Pass),
+            "{code}"
+        );
+    }
 }
 
 #[test]
@@ -303,6 +407,55 @@ pub fn misread(is: &str, read_as: &str) -> Coding {
 
 pub fn misread_as_rpy() -> Coding {
     Coding::Misread(Misreading { is: Convention::RotVec, read_as: Convention::RPY })
+}
+
+/// Axes by name.
+const STANDARD: &str = "x forward, y left, z up";
+const UNITY: &str = "x right, y up, z forward (left-handed)";
+const EXCHANGED: &str = "x forward, y up, z left (left-handed)";
+const OPTICAL: &str = "x right, y down, z forward";
+const HALF: &str = "x forward, y right, z down";
+
+/// Writes positions and rotations of the poses in these axes.
+pub fn in_axes(messages: &mut [Message], positions: &str, rotations: &str) {
+    let axes = |name: &str| -> Axes { name.parse().expect("axes") };
+    let (positions, turn) = (axes(positions), axes(rotations).conjugator());
+    edit_poses(messages, |xyz, xyzw| {
+        let rotation = rotation_from_xyzw(xyzw).expect("a rotation");
+        let own = xyzw_from_rotation(&(turn * rotation * turn.inverse()));
+        (positions.of(xyz.into()).into(), own)
+    });
+}
+
+/// Writes the positions of the poses in a unit of so many metres.
+pub fn in_unit(messages: &mut [Message], metres: f64) {
+    edit_poses(messages, |xyz, xyzw| (xyz.map(|part| part / metres), xyzw));
+}
+
+/// Leaves one coordinate of the poses at zero.
+fn constant(messages: &mut [Message], axis: usize) {
+    edit_poses(messages, |mut xyz, xyzw| {
+        xyz[axis] = 0.0;
+        (xyz, xyzw)
+    });
+}
+
+/// Gives all poses one orientation.
+fn orient(messages: &mut [Message], xyzw: [f64; 4]) {
+    edit_poses(messages, |xyz, _| (xyz, xyzw));
+}
+
+fn edit_poses(messages: &mut [Message], edit: impl Fn([f64; 3], [f64; 4]) -> ([f64; 3], [f64; 4])) {
+    for message in messages.iter_mut().filter(|message| message.topic == POSE) {
+        let places = message.fields().into_iter().fold([0; 2], |places, field| match field {
+            Field::Stamp(_) => places,
+            Field::Xyz(at, _) => [at, places[1]],
+            Field::Xyzw(at) => [places[0], at],
+        });
+        let (xyz, xyzw) = edit(message.floats(places[0]), message.floats(places[1]));
+        message.set_floats(places[0], &xyz);
+        message.set_floats(places[1], &xyzw);
+    }
 }
 
 /// The rows of a UR5e, standard.

@@ -17,7 +17,7 @@ use super::latency::{Peak, angular_speed, arm_speeds, by_lag, norms, peaks};
 use super::prepare::still_speeds;
 use super::reading::mean_rotation;
 use super::reread;
-use super::{ImuDiagnosis, ImuStream, Measured, Reading, Seen, Unseen, YawCourse};
+use super::{AxesSlip, ImuDiagnosis, ImuStream, Meant, Measured, Reading, Seen, Unseen, YawCourse};
 use crate::geometry::{Rotation, Vec3, angle_between};
 use crate::stream::JointTrack;
 
@@ -151,7 +151,8 @@ pub(super) fn reread(
         .map(|stamp| link.at(stamp - lag_s, &mut sweep).map(|moment| moment.rotation))
         .collect();
     let mount = stream.link_from_imu.map(|pose| pose.rotation).unwrap_or_default();
-    reread::rotations(&stream.track.orientation, reading, &expected, &mount, false)
+    let meant = Meant { reading, axes: AxesSlip::NONE, inverted: false };
+    reread::rotations(&stream.track.orientation, &meant, &expected, &mount, false)
 }
 
 /// By how much stamps lag the moments that they speak of: `latency + skew·(stamp − middle)`.

@@ -6,7 +6,9 @@ use super::super::course::{Lagging, course_of};
 use super::super::linear::Linear;
 use super::super::measured::Length;
 use super::super::model::FLOOR_RAD;
-use super::super::reading::{Fit, Logged, Samples, mean_rotation, nearest_truth, read_in_gravity};
+use super::super::reading::{
+    After, Fit, Logged, Samples, mean_rotation, nearest_truth, read_in_gravity,
+};
 use super::super::{Heading, LatencyCourse, Measured, ReadingEstimate, Seen, Unseen, YawCourse};
 use super::solve::{Model, Solved, lengths, solve};
 use super::yaw::{self, Course};
@@ -114,7 +116,9 @@ impl Link<'_> {
             let truth_s = start.truth_s(track.t_s[k]);
             let Some(moment) = self.at(truth_s, &mut sweep) else { continue };
             let expected = model.world_from_base * moment.rotation * model.link_from_imu;
-            if let Some(truth) = nearest_truth(&fit.reading, &logged, k, &expected, &mut buffer) {
+            if let Some(truth) =
+                nearest_truth(&fit.reading, &After::default(), &logged, k, &expected, &mut buffer)
+            {
                 model.rows.push(k);
                 model.truth.push(truth);
             }
@@ -147,6 +151,7 @@ impl Link<'_> {
             reference_free: true,
             reference_known: false,
             are_quaternions: true,
+            after: After::default(),
         };
         read_in_gravity(&samples, &forces)
     }

@@ -383,6 +383,8 @@ impl Poses {
         let group = &mut self.groups[group];
         let xyz = row.numbers::<3>(row::POSITION);
         let q_xyzw = row.numbers::<4>(row::QUATERNION);
+        // Not a number in all four places says what zeros say: nobody set them.
+        let q_xyzw = if q_xyzw.iter().all(|part| part.is_nan()) { [0.0; 4] } else { q_xyzw };
         if !finite(&xyz) || !finite(&q_xyzw) || xyz.iter().any(|part| part.abs() > FARTHEST) {
             group.not_finite += 1;
             return;

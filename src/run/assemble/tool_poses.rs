@@ -195,7 +195,7 @@ impl Assembly<'_> {
     }
 
     /// The poses of a stream with the chain that predicts them, or why there are none.
-    fn pose_source(
+    pub(super) fn pose_source(
         &self,
         index: usize,
         arm: &Arm,

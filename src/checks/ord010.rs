@@ -1,0 +1,158 @@
+use crate::checks::decision::unseen;
+use crate::checks::{Facts, Grade, Judged, PoseFacts};
+use crate::diagnosis::{AxesSlip, PoseDiagnosis};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::geometry::Axes;
+
+rule! {
+    /// Axes are exchanged or mirrored.
+    ///
+    /// ## What it means
+    /// The numbers of a pose stream are in other axes than those of its frame: y is up, as game engines
+    /// have it, or the frame is left-handed, or positions or quaternions alone had their components
+    /// exchanged on the way from one program to another. ROS wants x forward, y left, z up (REP 103),
+    /// right-handed.
+    ///
+    /// ## Why it matters
+    /// No frame that is published beside the poses mends it where it is a mirror: everything that moves
+    /// left moves right, and what turns one way turns the other.
+    ///
+    /// ## Evidence
+    /// Positions are held against forward kinematics in each of the 48 ways to name and to point three
+    /// axes, rotations then in those that positions are in and in all others. `positions` and `rotations`
+    /// say which axes each is in; `as_logged_m` is what positions leave as logged, `corrected_m` and
+    /// `corrected_rad` what is left once both are read rightly. A way is named only where it explains the
+    /// stream.
+    ///
+    /// ## How to fix
+    /// Take the components over by name: `fix` says which stands for which. Of a left-handed frame the
+    /// vector part of a quaternion changes its signs as well, since a mirror turns rotations round.
+    ///
+    /// ## When it misleads
+    /// A world that is turned by a quarter and right-handed is a frame (FRM002), unless the tool's axes are
+    /// exchanged by the same. In a tracker's world, which may be turned anyhow, all left-handed frames are
+    /// one; the most usual is named. A motion in a plane, or about one axis, tells no mirror.
+    ORD010 {
+        name: "axes-exchanged",
+        grade: Grade::Fixed(Severity::Error),
+        headline: false,
+        needs_model: true,
+        missing: "no pose stream beside the joint states",
+        check: check,
+    }
+}
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    let streams = facts.robots.iter().flat_map(|arm| {
+        arm.poses_and_tf().map(move |(stream, diagnosis)| (arm, stream, diagnosis))
+    });
+    let judged = streams.map(|(arm, stream, diagnosis)| {
+        let subject = arm.topic(&stream.topic);
+        let outcome = match diagnosis.axes {
+            Err(ref why) => unseen(why, "move the tip by 10 cm or more in all directions"),
+            Ok(None) => Outcome::sound(),
+            Ok(Some(_)) if diagnosis.strays() => Outcome::Inconclusive(
+                "no axes explain its positions (MDL001); check the model and its joints".to_owned(),
+            ),
+            Ok(Some(slip)) => {
+                let outcome = Outcome::faulty(fault(stream, diagnosis, slip));
+                return Judged::new(subject, outcome)
+                    .within(stream.span)
+                    .estimated(Estimate::slip("axes", named(slip), Axes::STANDARD.to_string()))
+                    .with_evidence("positions", slip.positions.to_string())
+                    .with_evidence("rotations", slip.rotations.to_string());
+            }
+        };
+        Judged::new(subject, outcome).within(stream.span)
+    });
+    judged.collect()
+}
+
+/// Whether rotations are in the axes of the positions. Those of a left-handed frame and of its opposite
+/// write rotations alike.
+fn are_alike(slip: AxesSlip) -> bool {
+    slip.positions.conjugator() == slip.rotations.conjugator()
+}
+
+/// What the axes are.
+fn named(slip: AxesSlip) -> String {
+    let AxesSlip { positions, rotations } = slip;
+    match (positions == Axes::STANDARD, rotations == Axes::STANDARD) {
+        _ if are_alike(slip) => positions.to_string(),
+        (false, true) => format!("positions {positions}"),
+        (true, false) => format!("rotations {rotations}"),
+        _ => format!("positions {positions}; rotations {rotations}"),
+    }
+}
+
+fn fault(stream: &PoseFacts, diagnosis: &PoseDiagnosis, slip: AxesSlip) -> Fault {
+    let AxesSlip { positions, rotations } = slip;
+    let title = match (positions == Axes::STANDARD, rotations == Axes::STANDARD) {
+        (true, _) => "axes of the rotations are exchanged",
+        _ if positions.are_left_handed() => "axes are left-handed",
+        (_, true) => "axes of the positions are exchanged",
+        _ => "axes are exchanged",
+    };
+    let residual = diagnosis.residual.as_ref().ok();
+    let before = residual.map_or(0.0, |residual| residual.before_m);
+    let after = residual.map_or(0.0, |residual| residual.rms_m);
+    let after_rad = residual.map_or(0.0, |residual| residual.rms_rad);
+    let mut evidence = Evidence {
+        effect: Some(format!(
+            "{} and {} once read so",
+            Unit::Metre.show(after),
+            Unit::Radian.show(after_rad)
+        )),
+        effect_m: Some(before),
+        ..Evidence::default()
+    };
+    let amounts = [("as_logged_m", before), ("corrected_m", after), ("corrected_rad", after_rad)];
+    for (name, amount) in amounts {
+        evidence.more.insert(name.to_owned(), amount.into());
+    }
+    let mut lines = Vec::new();
+    if positions != Axes::STANDARD {
+        lines.push(format!("position ({})", positions.standard_names(false).join(", ")));
+    }
+    if rotations != Axes::STANDARD {
+        let handed = if are_alike(slip) { positions } else { rotations };
+        lines.push(format!("quaternion ({}, w)", handed.standard_names(true).join(", ")));
+    }
+    Fault {
+        severity: Severity::Error,
+        title,
+        message: format!(
+            "axes are {} where {} belong, {} off as logged",
+            named(slip),
+            Axes::STANDARD,
+            Unit::Metre.show(before)
+        ),
+        evidence,
+        fix: format!("fill {} with {} of what stands there now", stream.topic, lines.join(" and ")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{ask, clean_run};
+    use crate::finding::Status;
+
+    #[test]
+    fn the_fix_names_each_component() {
+        let mut facts = clean_run();
+        let slip = AxesSlip { positions: Axes::UNITY, rotations: Axes::UNITY };
+        facts.robots[0].diagnosis.streams[0].axes = Ok(Some(slip));
+        let (rows, findings) = ask(&ORD010, &facts);
+        assert_eq!(rows[0].status, Status::Fail);
+        let fix = &findings[0].fix;
+        assert!(fix.contains("position (z, -x, y) and quaternion (-z, x, -y, w)"), "{fix}");
+    }
+
+    #[test]
+    fn rotations_alone_are_said_to_be_alone() {
+        let rotations = "x left, y forward, z down".parse().unwrap();
+        let slip = AxesSlip { positions: Axes::STANDARD, rotations };
+        assert_eq!(named(slip), "rotations x left, y forward, z down");
+    }
+}

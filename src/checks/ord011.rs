@@ -1,0 +1,92 @@
+use crate::checks::decision::unseen;
+use crate::checks::{Facts, Grade, Judged, PoseFacts};
+use crate::diagnosis::ConstantPart;
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+
+rule! {
+    /// A coordinate never changes while the arm moves it.
+    ///
+    /// ## What it means
+    /// Of a pose stream x, y or z has one value from the first sample to the last, and forward kinematics
+    /// moves it: it was never filled, or comes from a planar pose (x, y and a heading).
+    ///
+    /// ## Why it matters
+    /// The pose is off by all that the arm moves there, and nothing in the message says so.
+    ///
+    /// ## Evidence
+    /// `value` is the range over which forward kinematics moves the coordinate, `constant` the one value
+    /// that the log has. The other coordinates are audited all the same.
+    ///
+    /// ## How to fix
+    /// Fill the coordinate where the message is written.
+    ///
+    /// ## When it misleads
+    /// What changes by less than a hundredth of the other coordinates counts as noise. Where forward
+    /// kinematics keeps a coordinate too, as a task at one height does, nothing is said.
+    ORD011 {
+        name: "constant-coordinate",
+        grade: Grade::Fixed(Severity::Error),
+        headline: false,
+        needs_model: true,
+        missing: "no pose stream beside the joint states",
+        check: check,
+    }
+}
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    let streams = facts.robots.iter().flat_map(|arm| {
+        arm.poses_and_tf().map(move |(stream, diagnosis)| (arm, stream, diagnosis))
+    });
+    let judged = streams.map(|(arm, stream, diagnosis)| {
+        let subject = arm.topic(&stream.topic);
+        let judged = match (&diagnosis.axes, diagnosis.constant.as_slice()) {
+            (Err(why), _) => Judged::new(subject, unseen(why, "move the tip by 10 cm or more")),
+            (Ok(_), []) => Judged::new(subject, Outcome::sound()),
+            (Ok(_), parts) => {
+                let most = parts.iter().map(|part| part.moved_m).fold(0.0, f64::max);
+                let values: serde_json::Map<String, serde_json::Value> =
+                    parts.iter().map(|part| (part.coordinate.to_string(), part.value.into())).collect();
+                Judged::new(subject, Outcome::faulty(fault(stream, parts, most)))
+                    .estimated(Estimate::counted("motion that is missing", Unit::Metre.symbol(), most))
+                    .with_evidence("constant", values)
+            }
+        };
+        judged.within(stream.span)
+    });
+    judged.collect()
+}
+
+fn fault(stream: &PoseFacts, parts: &[ConstantPart], most_m: f64) -> Fault {
+    let said: Vec<String> = parts
+        .iter()
+        .map(|ConstantPart { coordinate, value, moved_m }| {
+            let moved = Unit::Metre.show(*moved_m);
+            format!("{coordinate} is {value:.4} throughout while forward kinematics moves it by {moved}")
+        })
+        .collect();
+    let names: Vec<String> = parts.iter().map(|part| part.coordinate.to_string()).collect();
+    Fault {
+        severity: Severity::Error,
+        title: "a coordinate never changes",
+        message: said.join("; "),
+        evidence: Evidence { effect_m: Some(most_m), ..Evidence::default() },
+        fix: format!("fill {} of {} where it is written", names.join(" and "), stream.topic),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{ask, clean_run};
+
+    #[test]
+    fn the_coordinate_its_value_and_what_is_missing_are_said() {
+        let mut facts = clean_run();
+        assert!(ask(&ORD011, &facts).1.is_empty());
+        facts.robots[0].diagnosis.streams[0].constant =
+            vec![ConstantPart { coordinate: 'z', value: 0.0, moved_m: 0.43 }];
+        let findings = ask(&ORD011, &facts).1;
+        let expected = "z is 0.0000 throughout while forward kinematics moves it by 430 mm";
+        assert_eq!(findings[0].message, expected);
+    }
+}

@@ -1,0 +1,504 @@
+//! In which unit and axes a stream's positions are written, and whether they are those of the inverse
+//! poses: told from positions alone, which depend on no convention of rotations.
+//!
+//! `logged = turn · (s · (fk + R·tool)) + shift`, with FK's poses or their inverses. For each of the 48
+//! ways to name axes that is linear, so that all are tried; where the frame may be turned at will, turn
+//! and the rest are fitted by turns. What is simplest comes first among those that leave about the least.
+
+use super::placing::{rigid_turn, spread};
+use crate::geometry::{Axes, LengthScale, Pose, Vec3};
+use nalgebra::{DMatrix, DVector, Matrix3};
+
+/// Nothing is told where the tip moves by less than this share of the arm's reach, …
+const MOVES: f64 = 0.01;
+/// … and nothing else is sought where this share of the motion's extent, or less, is left as logged.
+const FINE: f64 = 0.003;
+/// One layout leaves about as little as another within this factor …
+const NEAR: f64 = 5.0;
+/// … or where it leaves no more than this share of the extent.
+const NEAR_SHARE: f64 = 0.002;
+/// A unit, a mirror or an inverse explains where it leaves this share of the extent, or less …
+const EXPLAINS: f64 = 0.15;
+/// A unit that nobody uses must leave no more than this.
+const EXPLAINS_ODDLY: f64 = 0.003;
+/// Scales from this on, and below its inverse, are units; nearer ones are growth.
+const UNIT_FROM: f64 = 1.25;
+/// A scale is a usual unit within this share of it, or within what is left where that is more.
+const SNAPS: f64 = 0.02;
+/// Longest tool, and farthest base of an inverse pose, m.
+const LONGEST_TOOL_M: f64 = 1.5;
+const FARTHEST_BASE_M: f64 = 20.0;
+
+/// How positions are written.
+#[derive(Clone, Debug)]
+pub(super) struct Layout {
+    /// Metres that a number of the track is.
+    pub metres: f64,
+    /// Whether they are those of the inverse poses.
+    pub inverted: bool,
+    /// The axes that they are in, where these are axes of the base; else the frame is turned at will.
+    pub axes: Option<Axes>,
+    /// What takes directions in the base to logged ones: a rotation, or with a mirror.
+    pub turn: Matrix3<f64>,
+    /// What is left of the positions, rms m.
+    pub left_m: f64,
+    /// Whether that is little beside the motion.
+    pub is_explained: bool,
+    rank: u32,
+}
+
+impl Layout {
+    /// Whether no rotation takes the base's axes to the logged ones.
+    pub fn is_mirrored(&self) -> bool {
+        self.turn.determinant() < 0.0
+    }
+
+    /// Whether frames alone tell it from what it should be.
+    fn is_sound(&self) -> bool {
+        self.metres == 1.0 && !self.inverted && !self.is_mirrored()
+    }
+
+    fn is_same(&self, other: &Self) -> bool {
+        let kind = |layout: &Self| (layout.inverted, layout.axes, layout.is_mirrored());
+        self.metres == other.metres && kind(self) == kind(other)
+    }
+}
+
+/// What is known of a stream's positions.
+pub(super) struct Written<'a> {
+    pub xyz: &'a [Vec3],
+    /// The coordinate that never changes, where one does not; it is left out.
+    pub constant: Option<usize>,
+    /// How many metres a number of the track was taken for when the track was made.
+    pub read_as_m: f64,
+    /// Whether the frame is tied to the base.
+    pub reference_known: bool,
+}
+
+/// The layouts in which positions lie on the arm about as well as in any, the simplest first; none where
+/// positions tell nothing, as the tip hardly moves.
+pub(super) fn layouts(fk: &[Pose], reach_m: f64, written: &Written) -> Vec<Layout> {
+    let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
+    let extent_m = spread(&at);
+    if fk.len() < 6 || extent_m < MOVES * reach_m {
+        return Vec::new();
+    }
+    let search = Search::of(fk, written, extent_m);
+    let mut found = search.candidates(1.0, false);
+    let least = |found: &[Layout], is: fn(&Layout) -> bool| {
+        found.iter().filter(|one| is(one)).map(|one| one.left_m).fold(f64::INFINITY, f64::min)
+    };
+    let sound_m = least(&found, Layout::is_sound);
+    if sound_m > FINE * extent_m {
+        let inverse: Vec<Pose> = fk.iter().map(Pose::inverse).collect();
+        let inverse = Search { inverted: true, ..Search::of(&inverse, written, extent_m) };
+        found.extend(inverse.candidates(1.0, true));
+        for search in [&search, &inverse] {
+            for metres in search.units() {
+                found.extend(search.candidates(metres, true));
+            }
+        }
+        found.retain(|one| {
+            let is_odd = LengthScale::usual()
+                .all(|unit| (one.metres * written.read_as_m / unit.in_m() - 1.0).abs() > 1e-6);
+            let most = if is_odd { EXPLAINS_ODDLY } else { EXPLAINS };
+            one.is_sound() || (one.left_m <= most * extent_m && NEAR * one.left_m <= sound_m)
+        });
+    } else {
+        found.retain(Layout::is_sound);
+    }
+    let near = (NEAR * least(&found, |_| true)).max(NEAR_SHARE * extent_m);
+    found.retain(|one| one.left_m <= near);
+    found.sort_by(|a, b| a.rank.cmp(&b.rank).then(a.left_m.total_cmp(&b.left_m)));
+    let mut kept: Vec<Layout> = Vec::new();
+    for one in found {
+        if !kept.iter().any(|known| known.is_same(&one)) {
+            kept.push(one);
+        }
+    }
+    kept
+}
+
+/// The sums of the normal equations for scale (0), tool (1–3) and shift (4–6) that depend on FK alone.
+struct Sums {
+    normal: DMatrix<f64>,
+    /// Row of the base's axis that is left out.
+    skipped: Option<usize>,
+}
+
+struct Search<'a> {
+    fk: &'a [Pose],
+    written: &'a Written<'a>,
+    inverted: bool,
+    /// Of FK's motion, m.
+    extent_m: f64,
+    /// With no row left out, or with that of one of the base's axes.
+    sums: Vec<Sums>,
+}
+
+/// What a turn needs beside itself.
+struct Solved {
+    scale: f64,
+    /// In the stream's unit.
+    tool: Vec3,
+    left_m: f64,
+}
+
+/// Which of tool and shift are free.
+#[derive(Clone, Copy)]
+struct Free {
+    tool: bool,
+    shift: bool,
+}
+
+const FREE: [Free; 4] = [
+    Free { tool: false, shift: false },
+    Free { tool: true, shift: false },
+    Free { tool: false, shift: true },
+    Free { tool: true, shift: true },
+];
+
+impl<'a> Search<'a> {
+    fn of(fk: &'a [Pose], written: &'a Written<'a>, extent_m: f64) -> Self {
+        let skipped = match written.constant {
+            None => vec![None],
+            Some(_) => vec![Some(0), Some(1), Some(2)],
+        };
+        let sums = skipped.into_iter().map(|skipped| Sums::of(fk, skipped)).collect();
+        Self { fk, written, inverted: false, extent_m, sums }
+    }
+
+    /// The layouts of one unit; left-handed ones only where they are `any`.
+    fn candidates(&self, metres: f64, any: bool) -> Vec<Layout> {
+        let known = self.written.reference_known;
+        let mut found = Vec::new();
+        let mut add = |axes: Option<Axes>, turn: Matrix3<f64>, solved: &Solved, free: Free| {
+            let is_mirrored = turn.determinant() < 0.0;
+            let rank = [
+                (metres != 1.0, 4),
+                (self.inverted, 4),
+                (is_mirrored, 5),
+                (!is_mirrored && axes.is_some_and(|axes| axes != Axes::STANDARD), 4),
+                (axes.is_none() && known, 6),
+                (free.tool, 2),
+                (free.shift && known, 2),
+            ];
+            let rank = rank.iter().filter(|(is, _)| *is).map(|(_, rank)| rank).sum();
+            let (inverted, left_m) = (self.inverted, solved.left_m);
+            let is_explained = left_m <= EXPLAINS * self.extent_m;
+            found.push(Layout { metres, inverted, axes, turn, left_m, is_explained, rank });
+        };
+        let mut starts: [Vec<(f64, Matrix3<f64>)>; 2] = Default::default();
+        for &axes in Axes::all().iter().filter(|axes| any || !axes.are_left_handed()) {
+            let turn = matrix_of(axes);
+            let right = self.right(&turn, self.sums_of(axes));
+            for free in FREE {
+                let Some(solved) = self.solve(&right, Some(metres.recip()), free) else { continue };
+                if known || self.written.constant.is_some() {
+                    add(Some(axes), turn, &solved, free);
+                }
+                if free.tool && free.shift {
+                    starts[usize::from(axes.are_left_handed())].push((solved.left_m, turn));
+                }
+            }
+        }
+        if self.written.constant.is_some() {
+            return found;
+        }
+        for (starts, sign) in starts.iter_mut().zip([1.0, -1.0]) {
+            starts.sort_by(|a, b| a.0.total_cmp(&b.0));
+            for (_, start) in starts.iter().take(2) {
+                for tool in [false, true] {
+                    let free = Free { tool, shift: true };
+                    if let Some((turn, solved)) = self.turned(*start, sign, metres, free) {
+                        add(None, turn, &solved, free);
+                    }
+                }
+            }
+        }
+        found
+    }
+
+    /// The units that positions may be in, as metres a number of the track: one where they lie on the
+    /// arm as it is, and one where they lie on its mirror image.
+    fn units(&self) -> Vec<f64> {
+        let mut units: Vec<f64> = Vec::new();
+        for sign in [1.0, -1.0] {
+            let of_sign = |axes: &&Axes| axes.are_left_handed() == (sign < 0.0);
+            let mut best: Option<Solved> = None;
+            let mut consider = |solved: Option<Solved>| {
+                let Some(solved) = solved else { return };
+                // What no tool explains needs none: it may hide the scale of a motion about a point.
+                let lead = if best.is_some() { 0.5 } else { 1.0 };
+                if best.as_ref().is_none_or(|best| solved.left_m < lead * best.left_m) {
+                    best = Some(solved);
+                }
+            };
+            for free in [FREE[2], FREE[3]] {
+                let mut start: Option<(f64, Matrix3<f64>)> = None;
+                for &axes in Axes::all().iter().filter(of_sign) {
+                    let turn = matrix_of(axes);
+                    let right = self.right(&turn, self.sums_of(axes));
+                    let solved = self.solve(&right, None, free);
+                    if let Some(solved) = &solved
+                        && start.as_ref().is_none_or(|(left_m, _)| solved.left_m < *left_m)
+                    {
+                        start = Some((solved.left_m, turn));
+                    }
+                    consider(solved);
+                }
+                if let (Some((_, start)), None) = (start, self.written.constant) {
+                    consider(self.turned_to_any_scale(start, sign, free));
+                }
+            }
+            let Some(best) = best.filter(|best| best.left_m <= EXPLAINS * self.extent_m) else {
+                continue;
+            };
+            let metres = best.scale.recip() * self.written.read_as_m;
+            let tolerance = (2.0 * best.left_m / self.extent_m).clamp(SNAPS, 0.1);
+            let off = |unit: &LengthScale| (metres / unit.in_m() - 1.0).abs();
+            let usual = LengthScale::usual()
+                .filter(|unit| off(unit) <= tolerance)
+                .min_by(|a, b| off(a).total_cmp(&off(b)));
+            let factor = match usual {
+                Some(unit) => unit.in_m() / self.written.read_as_m,
+                None => best.scale.recip(),
+            };
+            let is_unit = !(UNIT_FROM.recip()..UNIT_FROM).contains(&factor);
+            if is_unit && !units.contains(&factor) {
+                units.push(factor);
+            }
+        }
+        units
+    }
+
+    /// The sums that leave out what never changes where the positions are in `axes`.
+    fn sums_of(&self, axes: Axes) -> &Sums {
+        let constant = self.written.constant.and_then(|axis| {
+            let along = axes.standard(Vec3::ith(axis, 1.0));
+            self.sums.get(along.iamax())
+        });
+        constant.unwrap_or(&self.sums[0])
+    }
+
+    /// The right side of the normal equations for one turn.
+    fn right<'s>(&self, turn: &Matrix3<f64>, sums: &'s Sums) -> Right<'s> {
+        let mut right = DVector::zeros(7);
+        let mut square = 0.0;
+        let back = turn.transpose();
+        for (fk, logged) in self.fk.iter().zip(self.written.xyz) {
+            let mut y = back * logged;
+            if let Some(skipped) = sums.skipped {
+                y[skipped] = 0.0;
+            }
+            right[0] += fk.translation.vector.dot(&y);
+            let tool = fk.rotation.inverse() * y;
+            for axis in 0..3 {
+                right[1 + axis] += tool[axis];
+                right[4 + axis] += y[axis];
+            }
+            square += y.norm_squared();
+        }
+        Right { sums, right, square }
+    }
+
+    /// Scale, unless it is given, and what is free of tool and shift; `None` where that is no arm's.
+    fn solve(&self, right: &Right, scale: Option<f64>, free: Free) -> Option<Solved> {
+        let Right { sums: Sums { normal, .. }, right, square } = right;
+        let mut columns: Vec<usize> = Vec::with_capacity(7);
+        columns.extend(scale.is_none().then_some(0));
+        columns.extend((1..4).filter(|_| free.tool));
+        columns.extend((4..7).filter(|_| free.shift));
+        let known = scale.unwrap_or(0.0);
+        let square = square - 2.0 * known * right[0] + known * known * normal[(0, 0)];
+        let target = |column: usize| right[column] - known * normal[(column, 0)];
+        let rhs = DVector::from_iterator(columns.len(), columns.iter().map(|&c| target(c)));
+        let mut matrix =
+            DMatrix::from_fn(columns.len(), columns.len(), |a, b| normal[(columns[a], columns[b])]);
+        let plain = matrix.clone();
+        let samples = self.fk.len() as f64;
+        for (own, &column) in columns.iter().enumerate() {
+            // A tool that nothing shows is none.
+            matrix[(own, own)] += if column == 0 { 0.0 } else { 1e-6 * samples };
+        }
+        let found = match columns.is_empty() {
+            true => DVector::zeros(0),
+            false => matrix.cholesky()?.solve(&rhs),
+        };
+        let left = square - 2.0 * found.dot(&rhs) + found.dot(&(&plain * &found));
+        let value = |column: usize| {
+            columns.iter().position(|&one| one == column).map_or(0.0, |own| found[own])
+        };
+        let scale = scale.unwrap_or_else(|| value(0));
+        if scale <= 0.0 {
+            return None;
+        }
+        let tool = Vec3::new(value(1), value(2), value(3));
+        let longest_m = if self.inverted { FARTHEST_BASE_M } else { LONGEST_TOOL_M };
+        let left_m = (left.max(0.0) / samples).sqrt() / scale;
+        (tool.norm() <= longest_m * scale).then_some(Solved { scale, tool, left_m })
+    }
+
+    /// The best turn of one handedness near `start` with a given unit.
+    fn turned(
+        &self,
+        start: Matrix3<f64>,
+        sign: f64,
+        metres: f64,
+        free: Free,
+    ) -> Option<(Matrix3<f64>, Solved)> {
+        self.by_turns(start, sign, Some(metres.recip()), free)
+    }
+
+    /// The best turn and scale of one handedness near `start`.
+    fn turned_to_any_scale(&self, start: Matrix3<f64>, sign: f64, free: Free) -> Option<Solved> {
+        self.by_turns(start, sign, None, free).map(|(_, solved)| solved)
+    }
+
+    fn by_turns(
+        &self,
+        start: Matrix3<f64>,
+        sign: f64,
+        scale: Option<f64>,
+        free: Free,
+    ) -> Option<(Matrix3<f64>, Solved)> {
+        /// Rounds at most, and the share of what is left by which one must better the one before.
+        const ROUNDS: usize = 60;
+        const BETTERS: f64 = 1e-4;
+        let mut turn = start;
+        let mut last = f64::INFINITY;
+        for _ in 0..ROUNDS {
+            let solved = self.solve(&self.right(&turn, &self.sums[0]), scale, free)?;
+            if solved.left_m > (1.0 - BETTERS) * last {
+                return Some((turn, solved));
+            }
+            last = solved.left_m;
+            let of = |fk: &Pose| solved.scale * fk.translation.vector + fk.rotation * solved.tool;
+            let points: Vec<Vec3> = self.fk.iter().map(of).collect();
+            turn = rigid_turn(&points, self.written.xyz, sign)?;
+        }
+        let solved = self.solve(&self.right(&turn, &self.sums[0]), scale, free)?;
+        Some((turn, solved))
+    }
+}
+
+struct Right<'s> {
+    sums: &'s Sums,
+    right: DVector<f64>,
+    square: f64,
+}
+
+impl Sums {
+    fn of(fk: &[Pose], skipped: Option<usize>) -> Self {
+        let mut normal = DMatrix::zeros(7, 7);
+        for pose in fk {
+            let rotation = pose.rotation.to_rotation_matrix();
+            for row in (0..3).filter(|row| Some(*row) != skipped) {
+                let mut design = [0.0; 7];
+                design[0] = pose.translation.vector[row];
+                for axis in 0..3 {
+                    design[1 + axis] = rotation[(row, axis)];
+                }
+                design[4 + row] = 1.0;
+                for a in 0..7 {
+                    for b in 0..7 {
+                        normal[(a, b)] += design[a] * design[b];
+                    }
+                }
+            }
+        }
+        Self { normal, skipped }
+    }
+}
+
+/// The matrix that takes directions in the base to those in `axes`.
+pub(super) fn matrix_of(axes: Axes) -> Matrix3<f64> {
+    let columns = [Vec3::x(), Vec3::y(), Vec3::z()].map(|unit| axes.of(unit));
+    Matrix3::from_columns(&columns)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{pose, rotation_from_rotvec};
+
+    /// Poses of an arm that moves in all ways.
+    fn arm() -> Vec<Pose> {
+        let at = |i: i32| {
+            let t = f64::from(i) * 0.2;
+            let turn = rotation_from_rotvec(Vec3::new(t.sin(), (0.7 * t).cos(), 0.5 * t.cos()));
+            pose([0.5 * t.cos(), 0.4 * (1.3 * t).sin(), 0.3 + 0.2 * (0.6 * t).sin()], turn)
+        };
+        (0..60).map(at).collect()
+    }
+
+    fn first(fk: &[Pose], xyz: &[Vec3], reference_known: bool, constant: Option<usize>) -> Layout {
+        let written = Written { xyz, constant, read_as_m: 1.0, reference_known };
+        layouts(fk, 1.0, &written).into_iter().next().expect("the tip moves")
+    }
+
+    fn xyz(poses: impl Iterator<Item = Pose>) -> Vec<Vec3> {
+        poses.map(|pose| pose.translation.vector).collect()
+    }
+
+    #[test]
+    fn any_unit_is_found_in_any_axes_and_inverted() {
+        let fk = arm();
+        let tool = pose([0.02, 0.01, 0.15], rotation_from_rotvec(Vec3::new(0.1, 0.0, 0.4)));
+        for (k, &axes) in Axes::all().iter().enumerate() {
+            for (unit, inverted) in [(1.0, false), (0.01, false), (0.0254, true), (1e-4, true)] {
+                let logged = fk.iter().map(|fk| {
+                    let pose = fk * tool;
+                    if inverted { pose.inverse() } else { pose }
+                });
+                // A tool turns all that an inverse pose holds.
+                let axes = if inverted { Axes::all()[0] } else { axes };
+                if inverted && k > 0 {
+                    continue;
+                }
+                let logged: Vec<Vec3> = xyz(logged).iter().map(|p| axes.of(*p) / unit).collect();
+                let found = first(&fk, &logged, true, None);
+                assert!((found.metres / unit - 1.0).abs() < 1e-9, "{axes} {unit}: {found:?}");
+                assert_eq!(found.inverted, inverted, "{axes} {unit}");
+                assert!(inverted || found.axes == Some(axes), "{axes} {unit}: {found:?}");
+                assert!(found.left_m < 1e-4, "{found:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_world_that_nobody_knows_may_be_mirrored_or_scaled_but_not_turned() {
+        let fk = arm();
+        let world = pose([3.0, -1.0, 0.5], rotation_from_rotvec(Vec3::new(0.3, -0.2, 2.0)));
+        let turned = xyz(fk.iter().map(|fk| world * fk));
+        let found = first(&fk, &turned, false, None);
+        assert!(found.is_sound() && found.left_m < 1e-4, "{found:?}");
+        let mirrored: Vec<Vec3> = turned.iter().map(|p| Axes::UNITY.of(*p) * 100.0).collect();
+        let found = first(&fk, &mirrored, false, None);
+        assert!(found.is_mirrored() && !found.inverted, "{found:?}");
+        assert!((found.metres - 0.01).abs() < 1e-12, "{found:?}");
+    }
+
+    #[test]
+    fn growth_is_no_unit_and_another_arm_is_nothing() {
+        let fk = arm();
+        let grown: Vec<Vec3> = xyz(fk.iter().copied()).iter().map(|p| p * 1.01).collect();
+        assert!(first(&fk, &grown, true, None).is_sound());
+        let other = |p: &Vec3| Vec3::new(90.0 * p.y * p.y, 80.0 * p.z, 100.0 * p.x.abs());
+        let other: Vec<Vec3> = xyz(fk.iter().copied()).iter().map(other).collect();
+        assert!(first(&fk, &other, true, None).is_sound());
+    }
+
+    #[test]
+    fn what_never_changes_is_left_out() {
+        let fk = arm();
+        for constant in 0..3 {
+            let mut logged: Vec<Vec3> =
+                xyz(fk.iter().copied()).iter().map(|p| p * 1000.0).collect();
+            logged.iter_mut().for_each(|p| p[constant] = 7.0);
+            let found = first(&fk, &logged, true, Some(constant));
+            assert_eq!((found.axes, found.metres), (Some(Axes::STANDARD), 1e-3));
+            assert!(found.left_m < 1e-6, "{found:?}");
+        }
+    }
+}

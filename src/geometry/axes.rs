@@ -1,0 +1,165 @@
+//! Coordinate axes that are named otherwise: exchanged, pointing the other way, mirrored.
+
+use super::{Rotation, Vec3, rotation_from_matrix_rows};
+use std::fmt;
+use std::str::FromStr;
+use std::sync::LazyLock;
+
+/// Where a frame's x, y and z point, by the axes of the frame that they should be (REP 103: x forward, y
+/// left, z up).
+///
+/// Half of the 48 are left-handed: no rotation takes a right-handed frame to them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Axes {
+    /// The axis that each one lies along, 0 to 2, all different.
+    along: [usize; 3],
+    /// Whether it points the other way.
+    reversed: [bool; 3],
+}
+
+/// Where each axis of REP 103 points, and the other way.
+const WORDS: [[&str; 2]; 3] = [["forward", "back"], ["left", "right"], ["up", "down"]];
+
+impl Axes {
+    /// Those that REP 103 asks for.
+    pub const STANDARD: Self = Self { along: [0, 1, 2], reversed: [false; 3] };
+
+    /// Those of Unity: x right, y up, z forward, left-handed.
+    pub const UNITY: Self = Self { along: [1, 2, 0], reversed: [true, false, false] };
+
+    /// All 48; those with fewest axes out of place first.
+    pub fn all() -> &'static [Self] {
+        static ALL: LazyLock<Vec<Axes>> = LazyLock::new(|| {
+            let orders = [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]];
+            let signs = (0..8).map(|bits| [0, 1, 2].map(|axis| bits >> axis & 1 == 1));
+            let mut all: Vec<Axes> = orders
+                .into_iter()
+                .flat_map(|along| signs.clone().map(move |reversed| Axes { along, reversed }))
+                .collect();
+            all.sort_by_key(|axes| (0..3).filter(|&axis| !axes.is_in_place(axis)).count());
+            all
+        });
+        &ALL
+    }
+
+    /// Whether an axis is what it should be.
+    fn is_in_place(self, axis: usize) -> bool {
+        self.along[axis] == axis && !self.reversed[axis]
+    }
+
+    /// Whether they are left-handed.
+    pub fn are_left_handed(self) -> bool {
+        let [a, b, c] = self.along;
+        let is_odd = (a > b) ^ (a > c) ^ (b > c);
+        self.reversed.iter().fold(is_odd, |odd, reversed| odd ^ reversed)
+    }
+
+    /// Whether some axis lies along another one, so that more than signs are exchanged.
+    pub fn are_exchanged(self) -> bool {
+        self.along != Self::STANDARD.along
+    }
+
+    /// A vector in these axes, from its standard components.
+    pub fn of(self, standard: Vec3) -> Vec3 {
+        Vec3::from_fn(|axis, _| {
+            let part = standard[self.along[axis]];
+            if self.reversed[axis] { -part } else { part }
+        })
+    }
+
+    /// The standard components of a vector in these axes.
+    pub fn standard(self, own: Vec3) -> Vec3 {
+        let mut standard = Vec3::zeros();
+        for axis in 0..3 {
+            standard[self.along[axis]] = if self.reversed[axis] { -own[axis] } else { own[axis] };
+        }
+        standard
+    }
+
+    /// The rotation whose conjugation `Q·R·Q⁻¹` writes a rotation in these axes. Axes and their opposites
+    /// write rotations alike, so that left-handed ones have one, too.
+    pub fn conjugator(self) -> Rotation {
+        let sign = if self.are_left_handed() { -1.0 } else { 1.0 };
+        let columns = [Vec3::x(), Vec3::y(), Vec3::z()].map(|unit| self.of(unit) * sign);
+        let rows = [0, 1, 2].map(|row| columns.map(|column| column[row]));
+        rotation_from_matrix_rows(rows).map_or_else(Rotation::identity, |(rotation, _)| rotation)
+    }
+
+    /// The vector part of a quaternion in these axes, by the signed names of its standard components, as in
+    /// `[-y, z, x]`: what a reader must fill its x, y and z with to have the standard one.
+    pub fn standard_names(self, is_vector_part: bool) -> [String; 3] {
+        // A rotation's axis is a pseudovector: it turns round where the handedness changes.
+        let turned = is_vector_part && self.are_left_handed();
+        let mut names: [String; 3] = Default::default();
+        for axis in 0..3 {
+            let sign = if self.reversed[axis] ^ turned { "-" } else { "" };
+            names[self.along[axis]] = format!("{sign}{}", ["x", "y", "z"][axis]);
+        }
+        names
+    }
+}
+
+impl fmt::Display for Axes {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let words = [0, 1, 2].map(|axis| WORDS[self.along[axis]][usize::from(self.reversed[axis])]);
+        write!(out, "x {}, y {}, z {}", words[0], words[1], words[2])?;
+        if self.are_left_handed() { write!(out, " (left-handed)") } else { Ok(()) }
+    }
+}
+
+impl FromStr for Axes {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let found = Self::all().iter().find(|axes| axes.to_string() == text);
+        found
+            .copied()
+            .ok_or_else(|| format!("`{text}` names no axes: write them as in `{}`", Self::UNITY))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{angle_between, rotation_from_rotvec, rotvec_from_rotation};
+
+    #[test]
+    fn there_are_48_and_half_of_them_are_left_handed() {
+        let all = Axes::all();
+        assert_eq!((all.len(), all[0]), (48, Axes::STANDARD));
+        assert_eq!(all.iter().filter(|axes| axes.are_left_handed()).count(), 24);
+        let v = Vec3::new(1.0, -2.0, 3.0);
+        for axes in all {
+            assert_eq!(axes.standard(axes.of(v)), v);
+            assert_eq!(axes.to_string().parse(), Ok(*axes));
+        }
+    }
+
+    #[test]
+    fn unity_has_x_right_y_up_and_z_forward() {
+        assert_eq!(Axes::UNITY.to_string(), "x right, y up, z forward (left-handed)");
+        assert_eq!(Axes::UNITY.of(Vec3::new(1.0, 2.0, 3.0)), Vec3::new(-2.0, 3.0, 1.0));
+        assert_eq!(Axes::UNITY.standard_names(false), ["z", "-x", "y"]);
+        assert_eq!(Axes::UNITY.standard_names(true), ["-z", "x", "-y"]);
+    }
+
+    #[test]
+    fn a_rotation_turns_the_same_things_in_any_axes() {
+        let rotation = rotation_from_rotvec(Vec3::new(0.4, -0.8, 1.1));
+        let v = Vec3::new(0.3, 0.5, -0.7);
+        for axes in Axes::all() {
+            let conjugator = axes.conjugator();
+            let own = conjugator * rotation * conjugator.inverse();
+            assert!((own * axes.of(v) - axes.of(rotation * v)).norm() < 1e-12, "{axes}");
+            // The names say how to undo it, number by number.
+            let names = axes.standard_names(true);
+            let rotvec = rotvec_from_rotation(&own);
+            let named = |name: &String| {
+                let part = rotvec[["x", "y", "z"].iter().position(|n| name.ends_with(n)).unwrap()];
+                if name.starts_with('-') { -part } else { part }
+            };
+            let undone = rotation_from_rotvec(Vec3::from_iterator(names.iter().map(named)));
+            assert!(angle_between(&undone, &rotation) < 1e-12, "{axes}");
+        }
+    }
+}
