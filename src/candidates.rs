@@ -15,9 +15,9 @@ pub(crate) fn settle_candidates(run: &mut Run, most_lag_s: f64) {
             .find(|(_, source)| source.stream == candidate);
         let peak = source
             .and_then(|(arm, source)| follows(&arm.joints, &pose_stream(run, source), most_lag_s));
-        let lead_s = source.zip(peak).and_then(|((arm, source), peak)| {
-            lead_s(run, arm, source, peak, most_lag_s)
-        });
+        let lead_s = source
+            .zip(peak)
+            .and_then(|((arm, source), peak)| lead_s(run, arm, source, peak, most_lag_s));
         match lead_s {
             Some(lead_s) => run.settle_leader(candidate, lead_s),
             None => run.settle(candidate, peak.map(|peak| peak.correlation)),
@@ -30,13 +30,7 @@ pub(crate) fn settle_candidates(run: &mut Run, most_lag_s: f64) {
 /// What is measured on an arm cannot be received before the arm did it. Stamps that run ahead of their
 /// clock make a stream early, and its messages come with the others all the same; joint states that are
 /// late make all other streams early.
-fn lead_s(
-    run: &Run,
-    arm: &Arm,
-    source: &PoseSource,
-    peak: Peak,
-    most_lag_s: f64,
-) -> Option<f64> {
+fn lead_s(run: &Run, arm: &Arm, source: &PoseSource, peak: Peak, most_lag_s: f64) -> Option<f64> {
     /// Shorter leads are stamps, transport and filters, s.
     const LEAST_S: f64 = 0.04;
     /// Speeds of a stream that leads correlate as well as those of one that follows.

@@ -233,8 +233,8 @@ pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times
         }
         Kind::Reversed | Kind::Geared => {
             let chain = chain(run);
-            run.joints.gears.resize(chain.dof(), 1.0);
-            run.joints.gears[joint] = match kind {
+            run.joints.scales.resize(chain.dof(), 1.0);
+            run.joints.scales[joint] = match kind {
                 Kind::Reversed => -1.0,
                 _ => *choose(r, &[2.0, 0.5, 1.1, 3.0, -2.0, 100.0 / PI, 4096.0 / (2.0 * PI)]),
             };

@@ -100,8 +100,9 @@ pub fn clean_run() -> Facts {
             },
         }),
         diagnosis: ArmDiagnosis {
-            joints: Ok(JointReading { degrees: None, permutation: None, runner_up_m: None }),
+            joints: Ok(JointReading::default()),
             offsets: vec![offset(), offset(), offset()],
+            scales: Vec::new(),
             streams: vec![clean_stream()],
         },
         poses: vec![stream(POSE, true)],

@@ -39,7 +39,8 @@ pub(super) fn tools_first(
         let optional = menu.optional.iter().filter(without).copied().collect();
         let menu = Menu { optional, ..menu.clone() };
         let other = explain(witnesses, start, &menu, Approach::Careful, most);
-        if other.causes.len() <= explanation.causes.len() && leaves_as_little(&other, &explanation) {
+        if other.causes.len() <= explanation.causes.len() && leaves_as_little(&other, &explanation)
+        {
             explanation = other;
         }
     }
@@ -48,7 +49,9 @@ pub(super) fn tools_first(
 
 fn leaves_as_little(one: &Explanation, other: &Explanation) -> bool {
     let kinds = AS_LITTLE_MORE.iter().cycle();
-    one.noise().iter().zip(&other.noise()).zip(kinds).all(|((one, other), more)| {
-        one.sigma <= (AS_LITTLE * other.sigma).max(other.sigma + more)
-    })
+    one.noise()
+        .iter()
+        .zip(&other.noise())
+        .zip(kinds)
+        .all(|((one, other), more)| one.sigma <= (AS_LITTLE * other.sigma).max(other.sigma + more))
 }

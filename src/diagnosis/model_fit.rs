@@ -10,6 +10,7 @@ use super::prepare::{by_size, slow_samples};
 use super::latency::{joint_activity, linear_speed, peaks};
 use super::model::pose_of_twist;
 use super::placing::Expected;
+use super::prepare::{position_scale, slow_samples};
 use crate::geometry::{Pose, Vec3};
 use crate::robot::JointKind;
 use crate::stream::{JointTrack, Orientations};
@@ -107,7 +108,8 @@ impl ModelFit {
 
     /// The cheapest way, where residuals below `floor_m` are the same to any model.
     pub fn best(&self, floor_m: f64) -> Option<Priced> {
-        let ways = self.ways.iter().map(|way| Priced { way: *way, score: self.score(way, floor_m) });
+        let ways =
+            self.ways.iter().map(|way| Priced { way: *way, score: self.score(way, floor_m) });
         ways.min_by(|a, b| a.score.total_cmp(&b.score))
     }
 
@@ -184,12 +186,7 @@ struct Guess {
 }
 
 impl<'a> Sight<'a> {
-    fn of(
-        joints: &'a JointTrack,
-        stream: &PoseStream<'a>,
-        scale: f64,
-        lag_s: f64,
-    ) -> Option<Self> {
+    fn of(joints: &'a JointTrack, stream: &PoseStream<'a>, scale: f64, lag_s: f64) -> Option<Self> {
         let PoseStream { track, chain, columns, .. } = *stream;
         let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, lag_s);
         let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row] * scale).collect();
@@ -216,20 +213,15 @@ impl<'a> Sight<'a> {
     /// All ways, with poses and joints read as they are.
     fn fit(&self) -> ModelFit {
         let dof = self.stream.chain.dof();
-        let zeros = (0..dof).flat_map(|joint| {
-            [false, true].map(|tool| Needs::Zero { joint, tool })
-        });
+        let zeros =
+            (0..dof).flat_map(|joint| [false, true].map(|tool| Needs::Zero { joint, tool }));
         let needs: Vec<Needs> = [Needs::Nothing, Needs::Tool]
             .into_iter()
             .chain([false, true].map(|tool| Needs::Reference { tool }))
             .chain(zeros)
             .collect();
         let ways = needs.into_iter().filter_map(|needs| self.way(needs)).collect();
-        ModelFit {
-            samples: self.t_s.len(),
-            spread_m: super::placing::spread(&self.xyz),
-            ways,
-        }
+        ModelFit { samples: self.t_s.len(), spread_m: super::placing::spread(&self.xyz), ways }
     }
 
     /// The ways of poses that are inverted, and of joints that are in degrees.
@@ -259,10 +251,7 @@ impl<'a> Sight<'a> {
     fn poses(&self) -> Vec<Pose> {
         let guess = self.plain();
         let mut moment = Moment::new(self);
-        self.t_s
-            .iter()
-            .filter_map(|&t_s| moment.at(t_s, &guess).then(|| moment.pose))
-            .collect()
+        self.t_s.iter().filter_map(|&t_s| moment.at(t_s, &guess).then(|| moment.pose)).collect()
     }
 
     fn plain(&self) -> Guess {
@@ -420,7 +409,9 @@ impl<'a> Moment<'a> {
         if !joints.at(t_s - guess.lag_s, &mut self.cursor, q, qd) {
             return false;
         }
-        for (at, (&column, kind)) in stream.columns.iter().zip(stream.chain.joint_kinds()).enumerate() {
+        for (at, (&column, kind)) in
+            stream.columns.iter().zip(stream.chain.joint_kinds()).enumerate()
+        {
             let turns = *in_degrees && *kind != JointKind::Prismatic;
             let unit = if turns { 1_f64.to_radians() } else { 1.0 };
             self.q[at] = unit * q[column] + guess.zeros[at];

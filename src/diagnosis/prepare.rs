@@ -2,6 +2,7 @@
 //! mean it does mean.
 
 use super::arm::{FOLLOWS, SEARCH_SAMPLES};
+use super::joints::Read;
 use super::latency::{Peak, pose_peaks};
 use super::layout::{Layout, Written, layouts, matrix_of};
 use super::model::{Blind, StreamState, Sweep, Witness};
@@ -115,6 +116,11 @@ impl Placement {
             placement.metres = Ok(metres);
         }
         placement
+    }
+
+    /// What takes the positions to metres; 1 where nothing tells.
+    pub fn metres(&self) -> f64 {
+        *self.metres.as_ref().unwrap_or(&1.0)
     }
 
     /// The likeliest layout where it leaves little.
@@ -389,11 +395,11 @@ impl Turning<'_> {
 
 /// Settles reading and units of a stream and chooses the branch of each sample.
 pub(super) fn prepare<'a>(
-    joints: &'a JointTrack,
+    read_as: &'a Read,
     stream: &PoseStream<'a>,
     placement: &Placement,
-    still: &'a [f64],
 ) -> Seen<Prepared<'a>> {
+    let joints = read_as.near();
     let PoseStream { track, chain, columns, reference_known, .. } = *stream;
     let peaks = placement.peaks.clone();
     let lag_s = peaks.first().map_or(0.0, |peak| peak.lag_s);
@@ -403,7 +409,7 @@ pub(super) fn prepare<'a>(
     }
     let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
     let turning: Vec<Rotation> = fk.iter().map(|pose| pose.rotation).collect();
-    let metres = *placement.metres.as_ref().unwrap_or(&1.0);
+    let metres = placement.metres();
     let mut ways: Vec<Way> =
         placement.layouts.iter().flat_map(|layout| Way::of(layout, spread(&at))).collect();
     if ways.is_empty() {
@@ -442,18 +448,20 @@ pub(super) fn prepare<'a>(
         blind
     };
     let mut witness = Witness {
-        joints,
+        joints: &read_as.track,
         chain,
         columns,
+        gained: &read_as.gained,
         reference_known,
-        still,
+        still: &read_as.still,
         t_s: track.t_s.clone(),
         xyz: way.positions(&track.xyz),
         rotation: Vec::new(),
         blind: Blind { position: constant_axes, rotation: fit.is_none() },
         middle_s: 0.5 * (track.t_s[0] + track.t_s[track.t_s.len() - 1]),
     };
-    choose_branches(&mut witness, &Logged::of(&orientation), &way, fit.as_ref(), lag_s);
+    let logged = Logged::of(&orientation);
+    choose_branches(&mut witness, &logged, &way, fit.as_ref(), lag_s, &read_as.offsets);
     if witness.len() < 3 {
         return Err(Unseen::TooFewSamples { have: witness.len(), need: 3 });
     }
@@ -573,15 +581,15 @@ fn choose_branches(
     way: &Way,
     fit: Option<&Fit>,
     lag_s: f64,
+    offsets: &[f64],
 ) {
     let (mut kept_t, mut kept_xyz, mut kept_rotation) = (Vec::new(), Vec::new(), Vec::new());
     let mut sweep = Sweep::new(witness);
     let mut buffer = Vec::new();
-    let offsets = vec![0.0; witness.joints.dof];
     let state = StreamState::at_latency(lag_s);
     let after = way.after();
     for k in 0..witness.len() {
-        let Some(fk) = witness.pose_at(k, &state, &offsets, &mut sweep) else {
+        let Some(fk) = witness.pose_at(k, &state, offsets, &mut sweep) else {
             continue;
         };
         let rotation = match fit {

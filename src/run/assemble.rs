@@ -21,10 +21,12 @@ use super::frozen::Frozen;
 use super::models;
 use super::norms::norms;
 use super::role::Role;
-use super::strays::strays;
+use super::sift::Sift;
+use super::stalled;
 use super::streams::{Stream, Timing, split};
 use super::tf_tree::TfTree;
 use super::topics;
+use super::unfold::{self, unfold};
 use super::{Run, RunOptions};
 
 use arms::{Said, joint_topics};
@@ -54,9 +56,10 @@ impl Run {
             }
         }
         topics::apply(&options.topics, &mut streams)?;
+        let folded = unfold(&mut streams);
         let mut timing = Timing::settle(&streams, options.stamp, options.max_latency_s);
         timing.measure(&mut streams);
-        timing.strays = strays(&streams, &timing);
+        timing.sift = Sift::of(&streams, &timing);
         timing.excerpts = Excerpts::of(&streams, &timing);
         let origin = origin(&streams);
         let tf = tf_tree(&streams, &timing);
@@ -93,12 +96,13 @@ impl Run {
             assembly.assign(stream)?;
         }
         assembly.name_joints();
+        unfold::say(&mut assembly.streams, &folded);
         let (targets, references) = (assembly.targets(), assembly.references());
         let Assembly { streams, timing, tf, arms, frozen, watched, .. } = assembly;
         let span = span(streams.iter().filter(|stream| stream.rate_hz.is_some()));
         let rhythms = rhythms(&streams, &timing, &joint_topics(&streams, &timing), &arms);
-        let (flaws, norms) = (flaws(&streams), norms(&streams, &timing));
-        let Timing { clocks, excerpts, strays, .. } = timing;
+        let (flaws, norms) = (flaws(&streams, &timing.sift.publishers), norms(&streams, &timing));
+        let Timing { clocks, excerpts, sift, .. } = timing;
         Ok(Run {
             origin,
             span,
@@ -110,9 +114,10 @@ impl Run {
             clocks,
             rhythms,
             flaws,
+            folded,
             norms,
-            strays,
-            frozen,
+            frozen: stalled::times(&sift.stalled).chain(frozen).collect(),
+            sift,
             watched,
             excerpts,
             has_clock_topic,

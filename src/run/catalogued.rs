@@ -88,7 +88,10 @@ impl Contest {
 /// The arms of the catalogue whose joint names are in the log, each of equals the one that needs the
 /// fewest causes. One whose names the log has only behind a prefix that it does not know must fit too:
 /// names such as `joint_1` are anybody's.
-pub(super) fn from_catalogue(clues: &Clues<'_>, judges: &Judges<'_>) -> Result<Vec<Model>, RunError> {
+pub(super) fn from_catalogue(
+    clues: &Clues<'_>,
+    judges: &Judges<'_>,
+) -> Result<Vec<Model>, RunError> {
     let mut joints = clues.joints.to_vec();
     let mut models: Vec<Model> = Vec::new();
     loop {
@@ -171,9 +174,7 @@ fn the_one_of(
             Ok(take(best.model, contest.words(&names)))
         }
         Some(_) if is_stranger => Ok(None),
-        _ => {
-            Err(RunError::Ambiguous { arms: names.into_iter().map(str::to_owned).collect() })
-        }
+        _ => Err(RunError::Ambiguous { arms: names.into_iter().map(str::to_owned).collect() }),
     }
 }
 

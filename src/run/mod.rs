@@ -18,13 +18,18 @@ mod error;
 mod excerpts;
 mod flaws;
 mod frozen;
+mod held;
 mod joints;
 mod models;
 mod norms;
 mod poses;
+mod publishers;
 mod role;
 mod segments;
+mod series;
+mod sift;
 mod skeleton;
+mod stalled;
 mod strays;
 mod streams;
 mod targets;
@@ -32,6 +37,7 @@ mod targets;
 mod tests;
 mod tf_tree;
 mod topics;
+mod unfold;
 mod witness;
 
 use crate::time::{Clock, Stamp};
@@ -45,16 +51,20 @@ pub use error::RunError;
 pub use excerpts::Excerpts;
 pub use flaws::{Apart, Between, Flaw, FlawKind};
 pub use frozen::Frozen;
+pub use held::Held;
 pub use joints::{JointFacts, JointSamples, Velocities};
 pub use models::robot_of;
 pub use norms::{Norms, Written};
+pub use publishers::Publishers;
 pub use role::Role;
 pub use segments::{Segment, segments};
+pub use sift::Sift;
 pub use strays::{FEWEST_SAMPLES, Strays};
 pub use streams::Stream;
 pub use targets::{CameraAxes, HandKind, HandSource, TargetSource};
 pub use tf_tree::{Edge, EdgeKind, TfError, TfPath, TfTree};
 pub use topics::{SaidRole, TopicSettings};
+pub use unfold::Folded;
 pub use witness::Witness;
 
 /// Correlation of speeds from which a stream follows the arm.
@@ -125,11 +135,14 @@ pub struct Run {
     pub rhythms: Vec<Rhythm>,
     /// What keeps the transforms from being a tree.
     pub flaws: Vec<Flaw>,
+    /// The joints that are logged within one turn; their positions are unwrapped.
+    pub folded: Vec<Folded>,
     /// How far the rotations of every stream that logs them are from being rotations.
     pub norms: Vec<Norms>,
-    /// The samples that jump away and back; the estimators do not see them.
-    pub strays: Vec<Strays>,
-    /// When streams of poses stood still and their arm did not; the estimators do not see that either.
+    /// What the estimators do not see: stray samples, second publishers, repeats.
+    pub sift: Sift,
+    /// When streams of poses stood still and their arm did not, and joint states on their way; the
+    /// estimators do not see that either.
     pub frozen: Vec<Frozen>,
     /// The streams that were looked at for that.
     pub watched: Vec<usize>,

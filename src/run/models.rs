@@ -342,8 +342,7 @@ mod tests {
     const NO_CLUES: Clues<'static> =
         Clues { joints: &[], frames: &BTreeSet::new(), descriptions: &[], calibrations: &[] };
 
-    const NOBODY: Judges<'static> =
-        Judges { by_transforms: &|_| None, by_poses: &|_| None };
+    const NOBODY: Judges<'static> = Judges { by_transforms: &|_| None, by_poses: &|_| None };
 
     fn prefixed(prefix: &str) -> Vec<String> {
         UR.iter().map(|name| format!("{prefix}{name}")).collect()

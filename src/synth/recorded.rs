@@ -36,14 +36,14 @@ pub struct JointStream {
     /// `q_true − q_reported`, rad or m, one a joint from base to tip; joints beyond its end have
     /// none. The pose stream and the IMU know the truth, /tf follows the joint states.
     pub zero_offsets: Vec<f64>,
+    /// What each joint's positions and velocities are multiplied by before they are reported, after
+    /// their offset; joints beyond its end by 1. /tf believes them.
+    pub scales: Vec<f64>,
     /// Whether the numbers are degrees. /tf takes them for radians, as a state publisher does.
     pub in_degrees: bool,
     /// The joints in the order that the numbers are in, each counted from the base, where that is
     /// not the order of the names. /tf believes the names.
     pub number_order: Option<Vec<usize>>,
-    /// What the true position is multiplied by, one a joint: −1 where a joint is reversed, 2 where its
-    /// gear is. Joints beyond its end are right.
-    pub gears: Vec<f64>,
     /// Whether endless joints are brought back into one turn.
     pub fold: Option<Fold>,
     /// The step of the encoders, rad or m; 0 where they have none.

@@ -340,8 +340,8 @@ impl JointStream {
         let said = positions.iter().zip(offsets).zip(kinds).enumerate();
         let said: Vec<f64> = said
             .map(|(joint, ((q, offset), kind))| {
-                let geared = self.gear(joint) * (q - offset);
-                let folded = self.fold.map_or(geared, |fold| fold.folded(geared, *kind));
+                let scaled = self.scale(joint) * (q - offset);
+                let folded = self.fold.map_or(scaled, |fold| fold.folded(scaled, *kind));
                 match self.quantum > 0.0 {
                     true => (folded / self.quantum).round() * self.quantum,
                     false => folded,
@@ -356,12 +356,12 @@ impl JointStream {
         if !self.with_velocity {
             return Vec::new();
         }
-        let said = velocities.iter().enumerate().map(|(joint, rate)| self.gear(joint) * rate);
+        let said = velocities.iter().enumerate().map(|(joint, rate)| self.scale(joint) * rate);
         self.reported(&said.collect::<Vec<f64>>())
     }
 
-    fn gear(&self, joint: usize) -> f64 {
-        self.gears.get(joint).copied().unwrap_or(1.0)
+    fn scale(&self, joint: usize) -> f64 {
+        self.scales.get(joint).copied().unwrap_or(1.0)
     }
 
     /// The same numbers in the order and unit of the log.

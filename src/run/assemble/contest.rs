@@ -84,9 +84,9 @@ impl Assembly<'_> {
         }
         let joints: BTreeSet<&String> = path.joints.iter().collect();
         let candidates = catalogue::candidates_for(&path.joints);
-        let complete = candidates.iter().filter(|other| {
-            other.names.is_complete() && other.names.joints == path.joints.len()
-        });
+        let complete = candidates
+            .iter()
+            .filter(|other| other.names.is_complete() && other.names.joints == path.joints.len());
         let rivals: Vec<Model> = complete
             .filter_map(|other| Some((other.renamed()?, &other.names.to_prefix)))
             .map(|(robot, prefix)| Model::new(robot, String::new(), prefix, clues))
@@ -135,8 +135,8 @@ impl Assembly<'_> {
             .only_path(model, topics)
             .and_then(|path| Arm::new(model, &path, ends, topics, self.origin).ok());
         let Some(arm) = arm else { return Entry::default() };
-        let fits = (0..self.streams.len())
-            .filter_map(|stream| Some((stream, self.fit_of(&arm, stream)?)));
+        let fits =
+            (0..self.streams.len()).filter_map(|stream| Some((stream, self.fit_of(&arm, stream)?)));
         Entry { fits: fits.collect() }
     }
 

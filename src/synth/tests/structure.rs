@@ -24,10 +24,10 @@ fn held_values_are_repeated_under_new_stamps_until_they_are_new() {
 }
 
 #[test]
-fn gears_folds_and_encoders_change_what_the_joints_say_and_what_tf_believes() {
+fn scales_folds_and_encoders_change_what_the_joints_say_and_what_tf_believes() {
     let mut run = quiet_run();
     run.home = vec![0.0, -1.5, 1.5, -1.5, -1.5, PI];
-    run.joints.gears = vec![1.0, -1.0];
+    run.joints.scales = vec![1.0, -1.0];
     run.joints.fold = Some(Fold::PlusMinusPi);
     let truth = Truth::new(&run).unwrap();
     let log = Log::of(&run);
@@ -40,7 +40,7 @@ fn gears_folds_and_encoders_change_what_the_joints_say_and_what_tf_believes() {
         was_folded |= (joints.positions[5] - q[5]).abs() > 6.0;
     }
     assert!(was_folded);
-    run.joints = JointStream { gears: Vec::new(), fold: None, quantum: 0.01, ..run.joints };
+    run.joints = JointStream { scales: Vec::new(), fold: None, quantum: 0.01, ..run.joints };
     for joints in Log::of(&run).joints() {
         for (said, q) in joints.positions.iter().zip(truth.joints(joints.stamp_s).0) {
             assert!((said / 0.01).fract().abs() < 1e-6 || (said / 0.01).fract().abs() > 1.0 - 1e-6);
