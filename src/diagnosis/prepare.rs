@@ -159,7 +159,7 @@ fn constant(xyz: &[Vec3], fk: &[Vec3]) -> [bool; 3] {
 
 /// What takes positions to metres by their size alone: the extent of motion against FK's, or at rest the
 /// distance from a known base.
-fn by_size(
+pub(super) fn by_size(
     fk: &[Vec3],
     xyz: &[Vec3],
     reach_m: f64,
