@@ -183,7 +183,7 @@ impl<'a> Sight<'a> {
                 let inverse = rows.iter().zip(&xyz).map(|(&row, p)| -(all[row].inverse() * p));
                 Some(inverse.collect())
             }
-            Orientations::Numbers(_) => None,
+            Orientations::Numbers(_) | Orientations::Unset(_) => None,
         };
         let t_s = rows.iter().map(|&row| track.t_s[row]).collect();
         (rows.len() >= ENOUGH).then_some(Self {
