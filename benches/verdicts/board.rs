@@ -80,7 +80,10 @@ fn first_rows(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
     )?;
     let due = |case: &Case| case.planted.iter().any(|planted| case.must_find(planted));
     let silent = |(case, verdict): &(&Case, &Verdict)| {
-        case.planted.iter().zip(&verdict.fates).any(|(one, fate)| case.must_find(one) && !fate.is_named())
+        case.planted
+            .iter()
+            .zip(&verdict.fates)
+            .any(|(one, fate)| case.must_find(one) && !fate.is_named())
     };
     let asked = || all().filter(|(case, _)| due(case));
     writeln!(
@@ -95,11 +98,7 @@ fn first_rows(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
         })
     };
     let named = fates().filter(|fate| fate.is_named()).count();
-    writeln!(
-        t,
-        "| faults that must be found: named | {} | ≥ 98 % |",
-        share(named, fates().count())
-    )
+    writeln!(t, "| faults that must be found: named | {} | ≥ 98 % |", share(named, fates().count()))
 }
 
 /// What became of every scene, and of every kind of fault.
@@ -364,7 +363,9 @@ fn wrongs(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
                 }
             }
             Err(Trouble::Panic) => groups.entry("panic").or_default().push((case, "")),
-            Err(Trouble::Refused(what)) => groups.entry("not audited").or_default().push((case, what)),
+            Err(Trouble::Refused(what)) => {
+                groups.entry("not audited").or_default().push((case, what))
+            }
         }
     }
     writeln!(t, "\n## Wrong outcomes")?;

@@ -98,11 +98,14 @@ pub fn judge(case: &Case, report: &Report) -> Verdict {
         match fate {
             Fate::Named | Fate::NamedAsTwin => {}
             Fate::Passed | Fate::Absent if planted.times >= SURE => {
-                verdict.wrong(format!("missed {} {:?}", planted.codes[0], planted.kind), described());
+                verdict
+                    .wrong(format!("missed {} {:?}", planted.codes[0], planted.kind), described());
             }
             Fate::Undecided if case.must_find(planted) => {
-                verdict
-                    .wrong(format!("undecided {} {:?}", planted.codes[0], planted.kind), described());
+                verdict.wrong(
+                    format!("undecided {} {:?}", planted.codes[0], planted.kind),
+                    described(),
+                );
             }
             _ => {}
         }
@@ -115,7 +118,8 @@ pub fn judge(case: &Case, report: &Report) -> Verdict {
             let figure = truth.abs() / planted.times;
             if (value - truth).abs() > (0.5 * figure).max(0.05 * truth.abs()) {
                 let what = format!("{planted}: found {value:.6}");
-                verdict.wrong(format!("wrong amount {} {:?}", planted.codes[0], planted.kind), what);
+                verdict
+                    .wrong(format!("wrong amount {} {:?}", planted.codes[0], planted.kind), what);
             }
             if planted.times < 0.5 {
                 let what = format!("{planted}: found {value:.6}");

@@ -111,13 +111,26 @@ const fn kind(
 }
 
 /// All that concerns the stream of tool poses.
-const POSE: &[&str] = &[
-    "pose time", "skew", "growth", "reference", "tool", "pose coding", "pose units", "pose rows",
-];
+const POSE: &[&str] =
+    &["pose time", "skew", "growth", "reference", "tool", "pose coding", "pose units", "pose rows"];
 /// All that hangs on the joint states.
 const ALL: &[&str] = &[
-    "pose time", "skew", "growth", "reference", "tool", "pose coding", "pose units", "pose rows",
-    "imu time", "tf time", "tf", "joint numbers", "drift", "mount", "gyro", "imu coding",
+    "pose time",
+    "skew",
+    "growth",
+    "reference",
+    "tool",
+    "pose coding",
+    "pose units",
+    "pose rows",
+    "imu time",
+    "tf time",
+    "tf",
+    "joint numbers",
+    "drift",
+    "mount",
+    "gyro",
+    "imu coding",
 ];
 
 /// Every kind of fault.
@@ -151,7 +164,12 @@ pub const KINDS: [KindOf; 40] = [
     kind(Kind::Constant, &["ORD011"], &["MDL001", "FRM"], POSE),
     kind(Kind::Unset, &["FRM007", "FRM005", "ORD"], &["FRM"], &["pose coding", "tool"]),
     kind(Kind::OwnFrame, &["FRM007", "FRM002"], &["FRM", "ORD003"], POSE),
-    kind(Kind::Homed, &["ZER001"], &["FRM002", "FRM003", "MOT003"], &["joint numbers", "reference", "tool"]),
+    kind(
+        Kind::Homed,
+        &["ZER001"],
+        &["FRM002", "FRM003", "MOT003"],
+        &["joint numbers", "reference", "tool"],
+    ),
     kind(Kind::Reversed, &["ORD009"], &["VEL", "MOT003"], ALL),
     kind(Kind::Geared, &["ORD009"], &["VEL", "MOT003"], ALL),
     kind(Kind::HeldPose, &["TIM008"], &["LAT001"], POSE),
@@ -353,7 +371,8 @@ pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times
                 false => from_s + run.duration_s * 0.3,
             };
             let by_m = *choose(r, &[0.01, 0.04, 0.08]);
-            let tool_from_slipped = pose((by_m * direction).into(), rotation_from_rotvec(Vec3::zeros()));
+            let tool_from_slipped =
+                pose((by_m * direction).into(), rotation_from_rotvec(Vec3::zeros()));
             run.pose.slip = Some(ToolSlip { from_s, to_s, tool_from_slipped });
             is_there = true;
         }

@@ -197,7 +197,8 @@ fn outcome(case: &Case, dir: &Path, options: &Options) -> Outcome {
         fs::create_dir_all(keep).expect("the folder to keep logs in");
         let name = format!("s{}-{}", options.seed, case.index);
         fs::copy(&log, keep.join(format!("{name}.mcap"))).expect("the log can be kept");
-        let tip = if case.names_tip { format!(" --tip {}", case.scenario.tip) } else { String::new() };
+        let tip =
+            if case.names_tip { format!(" --tip {}", case.scenario.tip) } else { String::new() };
         let robot = case.named_robot.iter().map(|name| format!(" --robot {name}"));
         let robot: String = robot.collect();
         let mut text = format!("{case}\nBIN audit {name}.mcap{tip}{robot}\n");

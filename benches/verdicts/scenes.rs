@@ -149,14 +149,19 @@ impl Scene {
 
     /// Whether the call names the tip.
     pub fn names_tip(self) -> bool {
-        !matches!(self, Scene::ActiveTcp | Scene::CatalogueByPoses | Scene::TwoNamespaces | Scene::TwoPrefixes)
+        !matches!(
+            self,
+            Scene::ActiveTcp | Scene::CatalogueByPoses | Scene::TwoNamespaces | Scene::TwoPrefixes
+        )
     }
 
     /// Puts the run together; answers with the other arm's run where there are two.
     pub fn set(self, run: &mut Scenario, r: &mut Pcg64) -> Option<Scenario> {
         match self {
             Scene::Plain => {}
-            Scene::Namespaced => run.namespace = (*choose(r, &["/left", "/cell1/arm", "/ur"])).to_owned(),
+            Scene::Namespaced => {
+                run.namespace = (*choose(r, &["/left", "/cell1/arm", "/ur"])).to_owned()
+            }
             Scene::Prefixed => prefix(run, choose(r, &["left_", "robot1_", "ur/"])),
             Scene::TwoNamespaces => {
                 run.tf.timing.rate_hz = 0.0;

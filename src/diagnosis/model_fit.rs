@@ -6,7 +6,6 @@
 //! slow samples; what it leaves is compared between arms, not judged.
 
 use super::PoseStream;
-use super::prepare::{by_size, slow_samples};
 use super::latency::{joint_activity, linear_speed, peaks};
 use super::model::pose_of_twist;
 use super::placing::Expected;

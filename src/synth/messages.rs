@@ -47,7 +47,9 @@ impl Topic {
         match self {
             Self::RobotDescription => "std_msgs/msg/String",
             Self::TfStatic | Self::Tf => "tf2_msgs/msg/TFMessage",
-            Self::JointStates | Self::JointsApart | Self::CommandedJoints => "sensor_msgs/msg/JointState",
+            Self::JointStates | Self::JointsApart | Self::CommandedJoints => {
+                "sensor_msgs/msg/JointState"
+            }
             Self::Imu => "sensor_msgs/msg/Imu",
             Self::Numbers => "std_msgs/msg/Float64MultiArray",
             Self::Pose | Self::Target | Self::CommandedPose | Self::Goal | Self::Leader => {

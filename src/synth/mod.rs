@@ -37,9 +37,7 @@ use messages::Topic;
 pub use motion::Motion;
 pub use noise::Noise;
 pub use path::Lines;
-pub use recorded::{
-    Coding, ImuStream, JointStream, OtherTransform, PoseStream, TfStream, Timing,
-};
+pub use recorded::{Coding, ImuStream, JointStream, OtherTransform, PoseStream, TfStream, Timing};
 pub use reference::{Commands, ReferenceStream};
 pub use structure::{Drive, Fold, LeaderStream, SecondPublisher, ToolSlip, write_cell};
 pub use target::{Camera, Swapped, TargetStream};
@@ -216,7 +214,6 @@ impl Scenario {
                 axes: None,
                 constant: None,
                 unset: None,
-                slip: None,
                 quaternion_norm: 1.0,
                 as_numbers: None,
                 numbers_in_degrees: false,
@@ -321,12 +318,7 @@ fn write(
             Entry::Occupied(known) => known.into_mut(),
             Entry::Vacant(new) => {
                 let channel_id = add_channel(&mut writer, message.topic, new.key())?;
-                new.insert(MessageHeader {
-                    channel_id,
-                    sequence: 0,
-                    log_time: 0,
-                    publish_time: 0,
-                })
+                new.insert(MessageHeader { channel_id, sequence: 0, log_time: 0, publish_time: 0 })
             }
         };
         header.sequence += 1;

@@ -174,7 +174,8 @@ fn poses(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
 
 fn transforms(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let stream = &scenario.tf;
-    let of = |timing: &Timing, transport, moved| published(scenario, truth, timing, transport, moved);
+    let of =
+        |timing: &Timing, transport, moved| published(scenario, truth, timing, transport, moved);
     let mut messages = of(&stream.timing, Purpose::TfTransport, &None);
     if let Some(second) = &stream.second {
         messages.extend(of(&second.timing, Purpose::SecondTfTransport, &second.moved));

@@ -7,7 +7,8 @@ use std::io::Cursor;
 
 use super::*;
 use crate::geometry::{
-    QuaternionSlip, Rotation, angle_between, pose, rotation_from_rpy, rotation_from_xyzw, rotvec_from_rotation,
+    QuaternionSlip, Rotation, angle_between, pose, rotation_from_rpy, rotation_from_xyzw,
+    rotvec_from_rotation,
 };
 use crate::time::seconds;
 

@@ -121,8 +121,7 @@ fn a_second_publisher_says_the_same_but_for_the_transform_that_is_moved() {
     run.tf.second = Some(SecondPublisher { timing, moved: Some((2, moved)) });
     let transforms = Log::of(&run).transforms(TF);
     assert_eq!(transforms.len(), 2 * 100 * 6);
-    let elbow: Vec<&LoggedTf> =
-        transforms.iter().filter(|tf| tf.child == "forearm_link").collect();
+    let elbow: Vec<&LoggedTf> = transforms.iter().filter(|tf| tf.child == "forearm_link").collect();
     for pair in elbow.chunks(2).filter(|pair| pair[0].stamp_s == pair[1].stamp_s) {
         let [a, b] = [pair[0], pair[1]].map(|tf| tf.parent_from_child.translation.vector);
         assert!(((a - b).norm() - 0.005).abs() < 1e-9);
