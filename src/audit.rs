@@ -6,17 +6,18 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use crate::candidates::settle_candidates;
 use crate::checks::{
     ArmFacts, Declared, DhFacts, Due, EmptyFacts, EulerFacts, EvaluatedPart, Evaluation, Facts,
-    FrameFacts, FrozenFacts, ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts, RhythmFacts,
-    Settings, ShakeFacts, StampFacts, StrayFacts, UndecodableTopic, evaluate, merged,
+    FrameFacts, FrozenFacts, HeldFacts, ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts,
+    RhythmFacts, Settings, ShakeFacts, StampFacts, StrayFacts, UndecodableTopic, evaluate, merged,
 };
 use crate::corrections::{Given, Mending};
 use crate::diagnosis::{
-    ArmDiagnosis, DhEstimate, DhStream, DhTold, ImuDiagnosis, ImuStream, Left, NoShake,
-    PoseDiagnosis, PoseStream, Reading, Series, Shake, Unseen, abruptness, beyond_positions,
-    beyond_speed, diagnose_arm, diagnose_derived, diagnose_imu, faults, follows, position_misfit_m,
-    shake,
+    ArmDiagnosis, DhEstimate, DhStream, DhTold, ImuDiagnosis, ImuStream, LatencySteps, Left,
+    NoShake, PoseDiagnosis, PoseStream, Reading, Series, Shake, Unseen, abruptness,
+    beyond_positions, beyond_speed, diagnose_arm, diagnose_derived, diagnose_imu, faults, follows,
+    imu_steps, pose_steps, position_misfit_m, shake,
 };
 use crate::finding::{Severity, Span, Subject};
 use crate::hand_eye::{hand_eyes, settle_hands};
@@ -28,7 +29,7 @@ use crate::report::{
     Figures, FileRow, LogSummary, NoteRow, Report, RobotRow, StreamRow, Trouble, TroubleKind,
     tells_hand_eye,
 };
-use crate::robot::{Chain, JointKind, catalogue};
+use crate::robot::JointKind;
 use crate::run::{
     Arm, CalibrationSource, Coding, Declaration, Excerpts, HeaderStamps, ImuSource, JointSamples,
     PoseSource, RobotSource, Role, Run, RunOptions, Segment, Strays, Stream, TopicSettings,
@@ -217,21 +218,6 @@ pub(crate) fn imu_stream(source: &ImuSource) -> ImuStream<'_> {
     }
 }
 
-/// Settles which candidates are tool poses, by whether they follow the arm.
-pub(crate) fn settle_candidates(run: &mut Run, most_lag_s: f64) {
-    let candidates: Vec<usize> = run.candidates().collect();
-    for candidate in candidates {
-        let source = run
-            .arms
-            .iter()
-            .flat_map(|arm| arm.poses.iter().map(move |source| (arm, source)))
-            .find(|(_, source)| source.stream == candidate);
-        let peak = source
-            .and_then(|(arm, source)| follows(&arm.joints, &pose_stream(run, source), most_lag_s));
-        run.settle(candidate, peak.map(|peak| peak.correlation));
-    }
-}
-
 /// What was estimated on one arm.
 struct Diagnosis {
     pub arm: ArmDiagnosis,
@@ -374,39 +360,58 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
 /// The diagnosis of an arm's pose streams; where the latency of some is not steady, that of the
 /// streams as they would be if it were, so that no other cause is sought for what it does.
 fn diagnose_steadied(arm: &Arm, streams: &[PoseStream], most_lag_s: f64) -> ArmDiagnosis {
-    let found = diagnose_arm(&arm.joints, streams, most_lag_s);
-    let tracks: Vec<Option<PoseTrack>> =
-        streams.iter().zip(&found.streams).map(|(stream, found)| steadied(stream, found)).collect();
-    if tracks.iter().all(Option::is_none) {
-        return found;
-    }
-    let streams: Vec<PoseStream> = streams
+    let steps: Vec<Option<LatencySteps>> =
+        streams.par_iter().map(|stream| pose_steps(&arm.joints, stream, most_lag_s)).collect();
+    let unstepped: Vec<Option<PoseTrack>> = streams
         .iter()
-        .zip(&tracks)
-        .map(|(stream, track)| PoseStream {
-            track: track.as_ref().unwrap_or(stream.track),
-            ..*stream
+        .zip(&steps)
+        .map(|(stream, steps)| {
+            let track = stream.track;
+            Some(straightened(track, &steps.as_ref()?.straightened(&track.t_s)))
         })
         .collect();
-    let mut steady = diagnose_arm(&arm.joints, &streams, most_lag_s);
-    for (steady, found) in steady.streams.iter_mut().zip(found.streams) {
-        steady.course = found.course;
+    let streams = with_tracks(streams, &unstepped);
+    let found = diagnose_arm(&arm.joints, &streams, most_lag_s);
+    let tracks: Vec<Option<PoseTrack>> =
+        streams.iter().zip(&found.streams).map(|(stream, found)| steadied(stream, found)).collect();
+    let courses: Vec<_> = found
+        .streams
+        .iter()
+        .zip(&steps)
+        .map(|(found, steps)| match steps {
+            Some(steps) => Ok(steps.course(&found.course)),
+            None => found.course.clone(),
+        })
+        .collect();
+    let mut steady = if tracks.iter().all(Option::is_none) {
+        found
+    } else {
+        diagnose_arm(&arm.joints, &with_tracks(&streams, &tracks), most_lag_s)
+    };
+    for (steady, course) in steady.streams.iter_mut().zip(courses) {
+        steady.course = course;
     }
     steady
+}
+
+/// Streams with other tracks, where there are such.
+fn with_tracks<'a>(
+    streams: &[PoseStream<'a>],
+    tracks: &'a [Option<PoseTrack>],
+) -> Vec<PoseStream<'a>> {
+    let with = |(stream, track): (&PoseStream<'a>, &'a Option<PoseTrack>)| PoseStream {
+        track: track.as_ref().unwrap_or(stream.track),
+        ..*stream
+    };
+    streams.iter().zip(tracks).map(with).collect()
 }
 
 /// The diagnosis of an IMU; where its latency is not steady, that of the IMU as it would be if it
 /// were.
 fn diagnose_imu_steadied(joints: &JointTrack, source: &ImuSource, most_lag_s: f64) -> ImuDiagnosis {
     let stream = imu_stream(source);
-    let found = diagnose_imu(joints, &stream, most_lag_s);
-    let Some(course) = found.latency_course.as_ref().ok().filter(|course| course.is_unsteady)
-    else {
-        return found;
-    };
-    let track = stream.track;
-    let rows = course.straightened(&track.t_s);
-    let track = ImuTrack {
+    let steps = imu_steps(joints, &stream, most_lag_s);
+    let of_rows = |track: &ImuTrack, rows: &[(usize, f64)]| ImuTrack {
         t_s: rows.iter().map(|&(_, t_s)| t_s).collect(),
         orientation: rows
             .iter()
@@ -415,16 +420,30 @@ fn diagnose_imu_steadied(joints: &JointTrack, source: &ImuSource, most_lag_s: f6
         gyro: rows.iter().map(|&(row, _)| track.gyro[row]).collect(),
         accel: rows.iter().map(|&(row, _)| track.accel[row]).collect(),
     };
+    let unstepped =
+        steps.as_ref().map(|steps| of_rows(stream.track, &steps.straightened(&stream.track.t_s)));
+    let track = unstepped.as_ref().unwrap_or(stream.track);
+    let found = diagnose_imu(joints, &ImuStream { track, ..stream }, most_lag_s);
+    let latency_course = match &steps {
+        Some(steps) => Ok(steps.course(&found.latency_course)),
+        None => found.latency_course.clone(),
+    };
+    let unsteady = found.latency_course.as_ref().ok().filter(|course| course.is_unsteady);
+    let Some(course) = unsteady else { return ImuDiagnosis { latency_course, ..found } };
+    let track = of_rows(track, &course.straightened(&track.t_s));
     let steady = diagnose_imu(joints, &ImuStream { track: &track, ..stream }, most_lag_s);
-    ImuDiagnosis { latency_course: found.latency_course, ..steady }
+    ImuDiagnosis { latency_course, ..steady }
 }
 
 /// The poses of a stream at the stamps that they would have if its latency were steady; `None` where
 /// it is.
 fn steadied(stream: &PoseStream, found: &PoseDiagnosis) -> Option<PoseTrack> {
     let course = found.course.as_ref().ok().filter(|course| course.is_unsteady)?;
-    let track = stream.track;
-    let rows = course.straightened(&track.t_s);
+    Some(straightened(stream.track, &course.straightened(&stream.track.t_s)))
+}
+
+/// Some rows of a track of poses, each at another time.
+fn straightened(track: &PoseTrack, rows: &[(usize, f64)]) -> PoseTrack {
     let declared = track.declared.as_ref().map(|declared| DeclaredUnits {
         in_other_angles: declared
             .in_other_angles
@@ -441,12 +460,12 @@ fn steadied(stream: &PoseStream, found: &PoseDiagnosis) -> Option<PoseTrack> {
         }
         Orientations::Unset(_) => Orientations::Unset(rows.len()),
     };
-    Some(PoseTrack {
+    PoseTrack {
         t_s: rows.iter().map(|&(_, t_s)| t_s).collect(),
         xyz: rows.iter().map(|&(row, _)| track.xyz[row]).collect(),
         orientation,
         declared,
-    })
+    }
 }
 
 /// The joint states of an arm with what was found on them taken off; `None` where no reading of them
@@ -490,6 +509,7 @@ fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read, options: &Options) -
         norms: norms(run),
         strays: strays(run),
         frozen: frozen(run),
+        held: held(run),
         empty: empty(run),
         missing: missing(run, &options.topics),
         figures: options.rules.figures.clone(),
@@ -603,7 +623,7 @@ fn strays(run: &Run) -> Vec<StrayFacts> {
     let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));
     let of = |(index, stream): (usize, &Stream)| {
         let parts: Vec<Strays> =
-            run.strays.iter().filter(|strays| strays.stream == index).cloned().collect();
+            run.sift.strays.iter().filter(|strays| strays.stream == index).cloned().collect();
         StrayFacts {
             subject: subject_of(run, stream),
             span: span_of(run, index),
@@ -630,7 +650,8 @@ fn frozen(run: &Run) -> Vec<FrozenFacts> {
     let of = |index: usize| {
         let stream = run.streams.get(index)?;
         let times = run.frozen.iter().filter(|found| found.stream == index);
-        if stream.role != Role::Pose && !times.clone().any(|found| found.whole) {
+        let is_asked = matches!(stream.role, Role::Pose | Role::Joints);
+        if !is_asked && !times.clone().any(|found| found.whole) {
             return None;
         }
         Some(FrozenFacts {
@@ -639,7 +660,39 @@ fn frozen(run: &Run) -> Vec<FrozenFacts> {
             times: times.copied().collect(),
         })
     };
-    run.watched.iter().copied().filter_map(of).collect()
+    let joints = (0..run.streams.len()).filter(|&index| run.streams[index].role == Role::Joints);
+    joints.chain(run.watched.iter().copied()).filter_map(of).collect()
+}
+
+/// The streams whose values could repeat, each with what of it does.
+fn held(run: &Run) -> Vec<HeldFacts> {
+    let is_tf = |topic: &str| {
+        run.streams.iter().any(|stream| stream.role == Role::Tf && stream.topic == topic)
+    };
+    let is_asked = |stream: &Stream| match stream.role {
+        Role::Joints | Role::Tf | Role::Imu => true,
+        // What a transform says is judged on its own topic.
+        Role::Pose => !is_tf(&stream.topic),
+        _ => false,
+    };
+    let of_stream = |index: usize| run.sift.held.iter().filter(move |held| held.stream == index);
+    let repeats = |index: usize| of_stream(index).any(|held| held.is_taken_once());
+    let is_of_joints = |index: usize| {
+        run.arms.iter().any(|arm| {
+            let follows = |tf: &PoseSource| tf.stream == index && tf.stamps_copied;
+            arm.tf.as_ref().is_ok_and(follows)
+                && arm.joint_facts.iter().any(|joint| repeats(joint.stream))
+        })
+    };
+    let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));
+    let of = |(index, stream): (usize, &Stream)| HeldFacts {
+        subject: subject_of(run, stream),
+        span: span_of(run, index),
+        parts: of_stream(index).cloned().collect(),
+        is_latched: stream.topic.to_lowercase().contains("latched"),
+        is_of_joints: is_of_joints(index),
+    };
+    streams.map(of).collect()
 }
 
 /// The topics that hold nothing and would be audited; of joint states and transforms only where no
@@ -717,7 +770,6 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         tip: source.chain.tip_name().to_owned(),
         tip_named: source.tip_named,
         witness: run.streams[source.stream].witness.unwrap_or(Witness::Unknown),
-        better_model: None,
         euler: None,
         independent: !source.stamps_copied,
         bare_numbers: matches!(source.track.orientation, Orientations::Numbers(_)),
@@ -748,7 +800,8 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         None => samples,
     };
     let joints: Vec<usize> = (0..arm.joint_names.len()).collect();
-    let joints = joints.par_iter().map(|&joint| joint_facts(arm, joint, &samples[joint])).collect();
+    let joints =
+        joints.par_iter().map(|&joint| joint_facts(run, arm, joint, &samples[joint])).collect();
     let mut shakes = vec![ShakeFacts {
         topic: run.streams[joints_stream].topic.clone(),
         span: span_of(run, joints_stream).unwrap_or(whole),
@@ -765,7 +818,6 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         }
     }));
     let poses = arm.poses.iter().zip(&diagnosis.arm.streams).map(|(source, found)| PoseFacts {
-        better_model: better_model(run, arm, source, found),
         euler: euler(run, source, found, declared),
         ..pose_facts(source)
     });
@@ -776,6 +828,7 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         span: span_of(run, joints_stream).unwrap_or(whole),
         joints,
         reach_m: arm.chain.max_reach_m(),
+        wrong_model: arm.instead_of.clone(),
         dh: diagnosis.dh,
         diagnosis: diagnosis.arm,
         poses,
@@ -803,16 +856,23 @@ fn shake_of_joints(arm: &Arm, samples: &[JointSamples<'_>]) -> Result<Shake, NoS
 }
 
 /// A joint, and what it does by all of its samples.
-fn joint_facts(arm: &Arm, joint: usize, samples: &JointSamples<'_>) -> JointFacts {
+fn joint_facts(run: &Run, arm: &Arm, joint: usize, samples: &JointSamples<'_>) -> JointFacts {
     let name = arm.joint_names[joint].clone();
     let model = arm.robot.joint(&name);
     let limits = model.map(|joint| joint.limits).unwrap_or_default();
     let mut motion = JointMotion::default();
     if let Some(source) = arm.joint_facts.get(joint) {
         let JointSamples { t_s, position, velocity } = samples;
-        motion.positions = beyond_positions(t_s, position, &limits);
+        let is_folded = run
+            .folded
+            .iter()
+            .any(|folded| folded.stream == source.stream && folded.joint == source.name);
+        motion.is_endless =
+            is_folded || model.is_some_and(|joint| joint.kind == JointKind::Continuous);
+        // What is logged within one turn has no place on a longer way.
+        motion.positions = if is_folded { None } else { beyond_positions(t_s, position, &limits) };
         (motion.speeds, motion.abruptness) = match source.velocities {
-            Velocities::Logged => (
+            Velocities::Logged | Velocities::Near => (
                 beyond_speed(t_s, velocity, &limits),
                 abruptness(t_s, velocity, Series::Velocities),
             ),
@@ -864,41 +924,6 @@ fn euler(
         convention,
         margins_rad: (0..array.times.len()).filter_map(margin).collect(),
     })
-}
-
-/// The arm of the catalogue with the same joints that fits a stream far better than its model does,
-/// and to how much, rms m. Nothing is looked for where the model leaves little.
-fn better_model(
-    run: &Run,
-    arm: &Arm,
-    source: &PoseSource,
-    found: &PoseDiagnosis,
-) -> Option<(String, f64)> {
-    /// What a model leaves that is the right one, or the drawing of it, m.
-    const LITTLE_M: f64 = 1e-3;
-    /// An arm fits that leaves less than this share of what the model leaves.
-    const SHARE: f64 = 0.1;
-    let left_m = found.residual.as_ref().ok()?.excess_m.value;
-    if left_m < LITTLE_M || found.nominal {
-        return None;
-    }
-    let scale = position_factor(found);
-    let latency_s = found.latency_s.as_ref().map_or(0.0, |latency| latency.value);
-    let stream = pose_stream(run, source);
-    let misfit_m = |chain: &Chain| {
-        position_misfit_m(&arm.joints, &PoseStream { chain, ..stream }, scale, latency_s)
-    };
-    let most_m = SHARE * misfit_m(&source.chain)?;
-    let candidates = catalogue::candidates_for(&arm.joint_names).into_iter();
-    let fits = candidates.filter(|candidate| candidate.names.is_complete()).filter_map(|other| {
-        let robot = other.renamed()?;
-        let [base, tip] = [source.chain.base_name(), source.chain.tip_name()];
-        let chain = robot.chain(robot.link(base)?, robot.link(tip)?).ok()?;
-        let same_joints = chain.joint_names() == source.chain.joint_names();
-        let misfit_m = misfit_m(&chain).filter(|misfit_m| same_joints && *misfit_m < most_m)?;
-        Some((robot.name, misfit_m))
-    });
-    fits.min_by(|(_, a), (_, b)| a.total_cmp(b))
 }
 
 /// A segment of a run, audited.

@@ -19,6 +19,7 @@
 #![warn(missing_docs)]
 
 mod audit;
+mod candidates;
 mod demo;
 mod hand_eye;
 mod pictures;
@@ -26,6 +27,7 @@ mod recording;
 mod references;
 mod workspace;
 
+pub mod boundary;
 pub mod checks;
 pub mod compare;
 pub mod config;
@@ -102,7 +104,7 @@ pub fn info(logs: &[PathBuf], how: &ReadOptions<'_>) -> Result<Report, Trouble> 
     let read = audit::Read::of(&log);
     let options = RunOptions::default();
     let mut run = Run::assemble(log, &options).map_err(|error| Trouble::from(&error))?;
-    audit::settle_candidates(&mut run, options.max_latency_s);
+    candidates::settle_candidates(&mut run, options.max_latency_s);
     hand_eye::settle_hands(&mut run, options.max_latency_s);
     Ok(audit::summary(&run, read))
 }

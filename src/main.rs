@@ -5,12 +5,15 @@ mod cli;
 use std::process::ExitCode;
 
 use cli::Outcome;
+use poseaudit::boundary::caught;
 
 fn main() -> ExitCode {
-    ExitCode::from(match cli::run() {
+    let outcome = caught(cli::run).unwrap_or_else(|what| cli::fault(&what));
+    ExitCode::from(match outcome {
         Outcome::Clean => 0,
         Outcome::Findings => 1,
         Outcome::Misuse => 2,
         Outcome::Unusable => 3,
+        Outcome::Fault => 70,
     })
 }

@@ -1,6 +1,7 @@
 use crate::checks::decision::{Decision, Figure, decide, unseen};
-use crate::checks::{ArmFacts, Facts, Grade, Judged, PoseFacts};
+use crate::checks::{ArmFacts, Facts, Grade, Judged};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::run::WrongModel;
 
 rule! {
     /// A residual is left that no modelled cause explains.
@@ -17,8 +18,10 @@ rule! {
     /// ## Evidence
     /// `value` is the rms of position beyond the sample-to-sample noise, `rotation` that of
     /// orientation; `rms_m` and `rms_rad` are with the noise, `before_m` and `before_rad` before
-    /// anything was taken off. `fits` names an arm of the catalogue with the same joints that fits ten
-    /// times better, and to how much (`misfit_m`, with tool and reference taken off).
+    /// anything was taken off. `fits` names an arm of the catalogue with the same joints that fits
+    /// without a cause where the model that was named does not, and to how much (`misfit_m`; `tool_m`
+    /// where it needs an active TCP); `value` is then what the named model leaves of the positions as
+    /// logged, and everything else is judged with the arm that fits.
     ///
     /// ## How to fix
     /// Use the arm's own calibrated description (for a UR, `calibration.yaml` extracted from the
@@ -56,6 +59,9 @@ fn check(facts: &Facts) -> Vec<Judged> {
         .flat_map(|arm| arm.poses().map(move |(stream, diagnosis)| (arm, stream, diagnosis)));
     let judged = streams.map(|(arm, stream, diagnosis)| {
         let subject = arm.topic(&stream.topic);
+        if let Some(wrong) = arm.wrong_model.as_ref().filter(|wrong| wrong.topic == stream.topic) {
+            return Judged::new(subject, wrong_model(facts, arm, wrong)).within(stream.span);
+        }
         let residual = match (diagnosis.unread(), &diagnosis.residual) {
             (None, Ok(residual)) => residual,
             (Some(why), _) | (None, Err(why)) => return Judged::new(subject, unseen(why, SETTLE)).within(stream.span),
@@ -77,16 +83,10 @@ fn check(facts: &Facts) -> Vec<Judged> {
                     .to_owned(),
             }),
             Decision::Pass => Outcome::sound(),
-            Decision::Undecided(why) if stream.better_model.is_none() => {
-                Outcome::Inconclusive(format!("{why}; {SETTLE}"))
-            }
-            decision => {
-                let severity = match decision {
-                    Decision::Fail(severity) => severity,
-                    _ => Severity::Error,
-                };
+            Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
+            Decision::Fail(severity) => {
                 let left = format!("{length} rms and {angle} are left");
-                Outcome::faulty(unexplained(stream, severity, &left, residual.excess_m.value))
+                Outcome::faulty(unexplained(severity, &left, residual.excess_m.value))
             }
         };
         Judged::new(subject, outcome)
@@ -108,9 +108,6 @@ const FAR_BEYOND: f64 = 10.0;
 /// Why a cause that moves the poses of `arm` by `effect_m` cannot be believed, where it cannot: what
 /// is left beside it makes it a part of whatever the model does not have.
 pub(super) fn doubt(arm: &ArmFacts, effect_m: f64) -> Option<String> {
-    if let Some((robot, _)) = arm.poses.iter().find_map(|stream| stream.better_model.as_ref()) {
-        return Some(format!("the catalogue's {robot} fits this log far better (MDL001)"));
-    }
     let left = arm.poses().filter_map(|(_, stream)| stream.residual.as_ref().ok());
     let left_m = left.map(|residual| residual.excess_m.value).fold(0.0, f64::max);
     (left_m > UNEXPLAINED_M && effect_m < FAR_BEYOND * left_m).then(|| {
@@ -119,25 +116,42 @@ pub(super) fn doubt(arm: &ArmFacts, effect_m: f64) -> Option<String> {
     })
 }
 
-/// What is left, and the arm of the catalogue that leaves less where there is one.
-fn unexplained(stream: &PoseFacts, severity: Severity, left: &str, effect_m: f64) -> Fault {
-    let mut evidence = Evidence { effect_m: Some(effect_m), ..Evidence::default() };
-    let (message, fix) = match &stream.better_model {
-        Some((robot, misfit_m)) => {
-            let fits = serde_json::json!({ "robot": robot, "misfit_m": misfit_m });
-            evidence.more.insert("fits".to_owned(), fits);
-            let misfit = Unit::Metre.show(*misfit_m);
-            (
-                format!("{left}, and the catalogue's {robot} fits to {misfit}"),
-                format!("it is another arm: audit with --robot {robot}"),
-            )
-        }
-        None => (
-            format!("{left} when all that was found is taken off"),
-            "use the arm's calibrated description, or see whether it is the right one".to_owned(),
-        ),
+/// What is left when all that was found is taken off.
+fn unexplained(severity: Severity, left: &str, effect_m: f64) -> Fault {
+    Fault {
+        severity,
+        title: "unexplained residual",
+        message: format!("{left} when all that was found is taken off"),
+        evidence: Evidence { effect_m: Some(effect_m), ..Evidence::default() },
+        fix: "use the arm's calibrated description, or see whether it is the right one".to_owned(),
+    }
+}
+
+/// The model that was named is another arm's.
+fn wrong_model(facts: &Facts, arm: &ArmFacts, wrong: &WrongModel) -> Outcome {
+    let (is, named) = (&arm.name, &wrong.named.name);
+    let [fits, off] = [wrong.rival_m, wrong.named_m].map(|left_m| Unit::Metre.show(left_m));
+    let with = match wrong.tool_m {
+        Some(tool_m) => format!("with a TCP of {}", Unit::Metre.show(tool_m)),
+        None => "without any cause".to_owned(),
     };
-    Fault { severity, title: "unexplained residual", message, evidence, fix }
+    let mut evidence = Evidence { effect_m: Some(wrong.named_m), ..Evidence::default() };
+    let fits_json = serde_json::json!({
+        "robot": is,
+        "misfit_m": wrong.rival_m,
+        "tool_m": wrong.tool_m,
+    });
+    evidence.more.insert("fits".to_owned(), fits_json);
+    Outcome::faulty(Fault {
+        severity: figure(facts).severity(wrong.named_m).unwrap_or(Severity::Warning),
+        title: "wrong robot model",
+        message: format!(
+            "this log is of a {is}, which fits to {fits} {with}, not of the {named} that was named, \
+             which leaves {off}"
+        ),
+        evidence,
+        fix: format!("audit with --robot {is}: everything else here is judged with it"),
+    })
 }
 
 #[cfg(test)]
@@ -146,16 +160,24 @@ mod tests {
     use crate::checks::evaluate;
     use crate::checks::testing::{ask, clean_run, frame, sure};
     use crate::diagnosis::FrameEstimate;
+    use crate::robot::catalogue;
 
     #[test]
-    fn an_arm_that_fits_is_named() {
+    fn an_arm_that_fits_where_the_named_one_does_not_is_the_finding() {
         let mut facts = clean_run();
         let arm = &mut facts.robots[0];
-        arm.diagnosis.streams[0].residual.as_mut().unwrap().excess_m = sure(0.028);
-        let message = |facts: &Facts| ask(&MDL001, facts).1.remove(0).message;
-        assert!(message(&facts).ends_with("when all that was found is taken off"));
-        facts.robots[0].poses[0].better_model = Some(("ur5e".to_owned(), 2e-5));
-        assert!(message(&facts).ends_with("the catalogue's ur5e fits to 20 µm"));
+        arm.wrong_model = Some(WrongModel {
+            named: catalogue::find("ur3e").unwrap().clone(),
+            topic: arm.poses[0].topic.clone(),
+            named_m: 0.0274,
+            rival_m: 2e-5,
+            tool_m: None,
+        });
+        let finding = ask(&MDL001, &facts).1.remove(0);
+        assert!(finding.message.contains("fits to 20 µm without any cause"), "{}", finding.message);
+        assert!(finding.message.ends_with("which leaves 27.4 mm"), "{}", finding.message);
+        assert_eq!(finding.severity, Severity::Error);
+        assert_eq!(finding.evidence.more["fits"]["misfit_m"], 2e-5);
     }
 
     #[test]

@@ -29,9 +29,9 @@ use crate::finding::{
 pub use decision::{Decision, Figure, FrameFigures, decide, decide_both, decide_frame};
 pub use facts::{
     ArmFacts, Declared, DhFacts, Due, EmptyFacts, EulerFacts, Facts, FrameFacts, FrozenFacts,
-    HandEyeFacts, ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts, ReferenceFacts,
-    ReferenceWitness, RhythmFacts, ShakeFacts, StampFacts, StrayFacts, UndecodableTopic,
-    WitnessKind,
+    HandEyeFacts, HeldFacts, ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts,
+    ReferenceFacts, ReferenceWitness, RhythmFacts, ShakeFacts, StampFacts, StrayFacts,
+    UndecodableTopic, WitnessKind,
 };
 pub use figures::{Figures, Limit};
 pub use merge::{Part as EvaluatedPart, merged};
@@ -95,6 +95,7 @@ registry! {
     ord006::ORD006,
     ord007::ORD007,
     ord008::ORD008,
+    ord009::ORD009,
     ord010::ORD010,
     ord011::ORD011,
     tim001::TIM001,
@@ -104,6 +105,7 @@ registry! {
     tim005::TIM005,
     tim006::TIM006,
     tim007::TIM007,
+    tim008::TIM008,
     yaw001::YAW001,
     yaw002::YAW002,
     yaw003::YAW003,
@@ -336,14 +338,15 @@ mod tests {
         let settings =
             Settings { select: vec![ord], ignore: vec!["ORD001".parse()?], ..Settings::default() };
         let asked = REGISTRY.iter().filter(|rule| settings.asks(rule)).map(|rule| rule.code);
-        let expected = ["ORD002", "ORD003", "ORD004", "ORD005", "ORD006", "ORD007", "ORD008"];
+        let expected =
+            ["ORD002", "ORD003", "ORD004", "ORD005", "ORD006", "ORD007", "ORD008", "ORD009"];
         assert_eq!(asked.collect::<Vec<_>>(), expected);
         Ok(())
     }
 
     #[test]
     fn an_unknown_code_names_the_nearest() {
-        let error = "ORD009".parse::<Selector>().expect_err("no such rule");
+        let error = "ORD000".parse::<Selector>().expect_err("no such rule");
         assert_eq!(error.nearest, ["ORD001", "ORD002", "ORD003"]);
         let unlike = "".parse::<Selector>().expect_err("names no rule");
         assert_eq!(unlike.to_string(), "there is no rule ``; `poseaudit rules` lists them all");

@@ -86,6 +86,7 @@ pub fn clean_run() -> Facts {
         span: SPAN,
         joints: ["pan", "lift", "elbow"].map(joint).to_vec(),
         reach_m: 0.85,
+        wrong_model: None,
         dh: Some(DhFacts {
             declared: DhConvention::Standard,
             estimate: DhEstimate {
@@ -99,8 +100,9 @@ pub fn clean_run() -> Facts {
             },
         }),
         diagnosis: ArmDiagnosis {
-            joints: Ok(JointReading { degrees: None, permutation: None, runner_up_m: None }),
+            joints: Ok(JointReading::default()),
             offsets: vec![offset(), offset(), offset()],
+            scales: Vec::new(),
             streams: vec![clean_stream()],
         },
         poses: vec![stream(POSE, true)],
@@ -241,7 +243,6 @@ fn stream(topic: &str, independent: bool) -> PoseFacts {
         tip: "tool0".to_owned(),
         tip_named: true,
         witness: Witness::Unknown,
-        better_model: None,
         independent,
         bare_numbers: false,
         bare: false,

@@ -37,6 +37,8 @@ pub enum Outcome {
     Misuse,
     /// The log cannot be audited.
     Unusable,
+    /// This program failed.
+    Fault,
 }
 
 impl From<TroubleKind> for Outcome {
@@ -120,6 +122,20 @@ pub fn run() -> Outcome {
     })
 }
 
+/// Says in one line that this program failed, and what is to be done.
+pub fn fault(what: &str) -> Outcome {
+    output::error(fault_line(what));
+    Outcome::Fault
+}
+
+fn fault_line(what: &str) -> String {
+    format!(
+        "poseaudit {} failed, which is a fault of its own: {what}; please report this line, with the \
+         log if you can",
+        env!("CARGO_PKG_VERSION")
+    )
+}
+
 /// A trouble with the option `place`.
 fn misuse(place: impl Into<String>, what: impl Into<String>, remedy: impl Into<String>) -> Trouble {
     let kind = TroubleKind::Call;
@@ -134,6 +150,14 @@ mod tests {
     #[test]
     fn the_arguments_are_consistent() {
         Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn a_panic_ends_in_one_line_that_asks_for_a_report() {
+        let told = poseaudit::boundary::caught(|| -> Outcome { panic!("no such column\nmore") });
+        let line = fault_line(&told.expect_err("a panic"));
+        assert!(line.contains(": no such column (") && line.contains("please report"), "{line}");
+        assert!(line.contains("cli/mod.rs:") && !line.contains('\n'), "{line}");
     }
 
     /// The calls of poseaudit among the examples of a command.

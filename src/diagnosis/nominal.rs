@@ -78,7 +78,7 @@ struct Calibration {
 impl Calibration {
     fn fit(witness: &Witness, plain: &StreamState, stride: usize) -> Self {
         let rows = (0..witness.len()).step_by(stride);
-        let none = vec![0.0; witness.columns.len()];
+        let none = vec![0.0; witness.joints.dof];
         let frames = link_frames(witness, plain, &none, rows);
         let all: Vec<usize> = (0..frames.width).collect();
         let usual: Vec<f64> = all.iter().map(|&i| usual_change(i, witness, plain)).collect();

@@ -93,8 +93,9 @@ impl Observability {
     ) -> Self {
         let dof = witness.joints.dof;
         let joints = (0..dof).filter(|joint| witness.columns.contains(joint));
-        let kept: Vec<usize> = joints.chain(dof..dof + STREAM_WIDTH).collect();
-        let parameter = |&column: &usize| match column.checked_sub(dof) {
+        let own = offsets.len();
+        let kept: Vec<usize> = joints.chain(own..own + STREAM_WIDTH).collect();
+        let parameter = |&column: &usize| match column.checked_sub(own) {
             None => Parameter::JointZero(column),
             Some(own) => Parameter::of_stream(own),
         };
@@ -205,6 +206,7 @@ fn possible(witness: &Witness, state: &StreamState, offsets: &[f64]) -> DMatrix<
         joints: &joints,
         chain: witness.chain,
         columns: witness.columns,
+        gained: witness.gained,
         reference_known: witness.reference_known,
         still: &vec![0.0; dof],
         xyz: vec![Vec3::zeros(); POSTURES],

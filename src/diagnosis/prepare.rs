@@ -2,6 +2,7 @@
 //! mean it does mean.
 
 use super::arm::{FOLLOWS, SEARCH_SAMPLES};
+use super::joints::Read;
 use super::latency::{Peak, pose_peaks};
 use super::layout::{Layout, Written, layouts, matrix_of};
 use super::model::{Blind, StreamState, Sweep, ToolPart, Witness};
@@ -69,10 +70,7 @@ impl Placement {
         let rotation = as_rotations(&track.orientation);
         let mut peaks = stream_peaks(joints, stream, rotation, most_lag_s);
         peaks.retain(|peak| peak.correlation > FOLLOWS);
-        let read_as_m = match &track.declared {
-            Some(declared) if declared.millimetres => 1e-3,
-            _ => 1.0,
-        };
+        let read_as_m = read_as_m(track);
         let reach_m = chain.max_reach_m();
         let mut placement = Self {
             metres: Err(Unseen::NoOverlap),
@@ -117,6 +115,11 @@ impl Placement {
         placement
     }
 
+    /// What takes the positions to metres; 1 where nothing tells.
+    pub fn metres(&self) -> f64 {
+        *self.metres.as_ref().unwrap_or(&1.0)
+    }
+
     /// The likeliest layout where it leaves little.
     fn told(&self) -> Option<&Layout> {
         self.layouts.first().filter(|layout| layout.is_explained)
@@ -152,6 +155,23 @@ fn constant(xyz: &[Vec3], fk: &[Vec3]) -> [bool; 3] {
     let least = MOVES_M.max(MOVES * widest(expected));
     let all_move = expected.into_iter().all(|spread| spread > least);
     logged.map(|spread| all_move && spread <= STAYS * widest(logged))
+}
+
+/// What takes a stream's positions to metres by their size alone; 1 where that does not tell.
+pub(super) fn metres_by_size(joints: &JointTrack, stream: &PoseStream) -> f64 {
+    let PoseStream { track, chain, columns, reference_known, .. } = *stream;
+    let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, 0.0);
+    let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row]).collect();
+    let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
+    by_size(&at, &xyz, chain.max_reach_m(), read_as_m(track), reference_known).unwrap_or(1.0)
+}
+
+/// How many metres a number of a track was taken for when the track was made.
+fn read_as_m(track: &PoseTrack) -> f64 {
+    match &track.declared {
+        Some(declared) if declared.millimetres => 1e-3,
+        _ => 1.0,
+    }
 }
 
 /// What takes positions to metres by their size alone: the extent of motion against FK's, or at rest the
@@ -390,11 +410,11 @@ impl Turning<'_> {
 
 /// Settles reading and units of a stream and chooses the branch of each sample.
 pub(super) fn prepare<'a>(
-    joints: &'a JointTrack,
+    read_as: &'a Read,
     stream: &PoseStream<'a>,
     placement: &Placement,
-    still: &'a [f64],
 ) -> Seen<Prepared<'a>> {
+    let joints = read_as.near();
     let PoseStream { track, chain, columns, reference_known, .. } = *stream;
     let peaks = placement.peaks.clone();
     let lag_s = peaks.first().map_or(0.0, |peak| peak.lag_s);
@@ -404,7 +424,7 @@ pub(super) fn prepare<'a>(
     }
     let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
     let turning: Vec<Rotation> = fk.iter().map(|pose| pose.rotation).collect();
-    let metres = *placement.metres.as_ref().unwrap_or(&1.0);
+    let metres = placement.metres();
     let mut ways: Vec<Way> =
         placement.layouts.iter().flat_map(|layout| Way::of(layout, spread(&at))).collect();
     if ways.is_empty() {
@@ -443,11 +463,12 @@ pub(super) fn prepare<'a>(
         blind
     };
     let mut witness = Witness {
-        joints,
+        joints: &read_as.track,
         chain,
         columns,
+        gained: &read_as.gained,
         reference_known,
-        still,
+        still: &read_as.still,
         t_s: track.t_s.clone(),
         xyz: way.positions(&track.xyz),
         rotation: Vec::new(),
@@ -459,7 +480,8 @@ pub(super) fn prepare<'a>(
         },
         middle_s: 0.5 * (track.t_s[0] + track.t_s[track.t_s.len() - 1]),
     };
-    choose_branches(&mut witness, &Logged::of(&orientation), &way, fit.as_ref(), lag_s);
+    let logged = Logged::of(&orientation);
+    choose_branches(&mut witness, &logged, &way, fit.as_ref(), lag_s, &read_as.offsets);
     if witness.len() < 3 {
         return Err(Unseen::TooFewSamples { have: witness.len(), need: 3 });
     }
@@ -586,15 +608,15 @@ fn choose_branches(
     way: &Way,
     fit: Option<&Fit>,
     lag_s: f64,
+    offsets: &[f64],
 ) {
     let (mut kept_t, mut kept_xyz, mut kept_rotation) = (Vec::new(), Vec::new(), Vec::new());
     let mut sweep = Sweep::new(witness);
     let mut buffer = Vec::new();
-    let offsets = vec![0.0; witness.joints.dof];
     let state = StreamState::at_latency(lag_s);
     let after = way.after();
     for k in 0..witness.len() {
-        let Some(fk) = witness.pose_at(k, &state, &offsets, &mut sweep) else {
+        let Some(fk) = witness.pose_at(k, &state, offsets, &mut sweep) else {
             continue;
         };
         let rotation = match fit {

@@ -1,15 +1,13 @@
 //! One log of a fleet: what is asked of it, and how it ended.
 
-use std::any::Any;
-use std::panic::{self, AssertUnwindSafe};
 use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
 
 use polars::prelude::PolarsError;
 use serde::{Deserialize, Serialize};
 
 use super::labels::Labels;
 use super::store::{Row, Status, Store, StoreError, Tables, found};
+use crate::boundary::caught;
 use crate::finding::Severity;
 use crate::report::{Report, Trouble, TroubleKind, Verdict};
 use crate::{Options, audit};
@@ -91,7 +89,7 @@ pub fn settle(
         Ok(Ok(report)) => (of_report(task, &report), report.error),
         Ok(Err(trouble)) => (of_trouble(task, Status::NotAudited, &trouble), Some(trouble)),
         Err(panic) => {
-            let trouble = crashed(task, panic);
+            let trouble = crashed(task, format!("the audit failed: {panic}"));
             (of_trouble(task, Status::Crashed, &trouble), Some(trouble))
         }
     };
@@ -148,42 +146,9 @@ pub fn crashed(task: &Task, what: String) -> Trouble {
     }
 }
 
-/// What `work` returns, or what it said when it panicked.
-fn caught<T>(work: impl FnOnce() -> T) -> Result<T, String> {
-    let said = Arc::new(Mutex::new(None));
-    let before = panic::take_hook();
-    let hears = Arc::clone(&said);
-    panic::set_hook(Box::new(move |info| {
-        let mut said = hears.lock().unwrap_or_else(PoisonError::into_inner);
-        let place = info.location().map(|at| format!(" ({}:{})", at.file(), at.line()));
-        said.get_or_insert(format!("{}{}", message(info.payload()), place.unwrap_or_default()));
-    }));
-    let done = panic::catch_unwind(AssertUnwindSafe(work));
-    panic::set_hook(before);
-    done.map_err(|payload| {
-        let said = said.lock().unwrap_or_else(PoisonError::into_inner).take();
-        format!("the audit failed: {}", said.unwrap_or_else(|| message(payload.as_ref())))
-    })
-}
-
-fn message(payload: &(dyn Any + Send)) -> String {
-    let text = payload.downcast_ref::<String>().map(String::as_str);
-    let text = text.or_else(|| payload.downcast_ref::<&str>().copied());
-    text.unwrap_or("no reason given").lines().next().unwrap_or_default().to_owned()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_panic_is_told_in_one_line_with_its_place() {
-        let told = caught(|| -> u32 { panic!("index {} is out of bounds\nmore", 7) });
-        let told = told.expect_err("a panic");
-        assert!(told.starts_with("the audit failed: index 7 is out of bounds ("), "{told}");
-        assert!(told.contains("task.rs:") && !told.contains('\n'), "{told}");
-        assert_eq!(caught(|| 3), Ok(3));
-    }
 
     #[test]
     fn what_fails_is_what_the_caller_says() {

@@ -21,6 +21,8 @@ pub struct Arm {
     pub robot: Robot,
     /// How the robot was found, in words.
     pub found: String,
+    /// The model that was named, where the log is of another arm and `robot` takes its place.
+    pub instead_of: Option<WrongModel>,
     /// The chain from base to tip.
     pub chain: Chain,
     /// For each joint of `chain`, its column in `joints`.
@@ -49,6 +51,21 @@ pub struct Arm {
     pub(super) unnamed_base: LinkId,
     pub(super) frames: FrameNames,
     pub(super) joint_stamps: Vec<Stamp>,
+}
+
+/// A model that was named and is not that of the log's arm.
+#[derive(Clone, Debug)]
+pub struct WrongModel {
+    /// The model that was named.
+    pub named: Robot,
+    /// The topic of poses that shows it.
+    pub topic: String,
+    /// What the named model leaves of these where neither frame nor joint is off, rms m.
+    pub named_m: f64,
+    /// What the arm that took its place leaves, rms m.
+    pub rival_m: f64,
+    /// How long a tool that arm needs, m; none where it needs none.
+    pub tool_m: Option<f64>,
 }
 
 /// A stream of poses of one arm.
@@ -235,6 +252,7 @@ impl Arm {
             name: robot.name.clone(),
             robot: robot.clone(),
             found: model.found.clone(),
+            instead_of: model.instead_of.clone(),
             chain,
             columns,
             tip_named: ends.tip.is_some(),

@@ -5,6 +5,8 @@ use std::path::Path;
 
 use crate::robot::{Calibration, LinkId, Robot, catalogue};
 
+use super::arm::WrongModel;
+use super::catalogued::{Judges, from_catalogue};
 use super::declaration::{CalibrationSource, RobotSource};
 use super::error::RunError;
 use super::skeleton::is_own;
@@ -22,6 +24,8 @@ pub(super) struct Model {
     pub controller_base: Option<LinkId>,
     /// The link whose pose the controller reports, if the robot has it.
     pub controller_tip: Option<LinkId>,
+    /// The model that was named, where this one takes its place.
+    pub instead_of: Option<WrongModel>,
 }
 
 /// A robot that the caller named, and what its joints start with in the log.
@@ -140,15 +144,15 @@ pub fn robot_of(model: &str) -> Result<Robot, RunError> {
 }
 
 /// The robots of the log: those that the caller named, else those described in the log, else those
-/// of the catalogue whose joint names match; of catalogue arms with the same names the one that
-/// `misfit_m` (of a robot and how the log names its links) says is the closest.
+/// of the catalogue whose joint names match; of catalogue arms with the same names the one that the
+/// `judges` say needs the fewest causes.
 ///
 /// # Errors
 /// Where there is none whose joints are in the log.
 pub(super) fn models(
     given: Vec<Given>,
     clues: &Clues<'_>,
-    misfit_m: impl Fn(&Robot, &FrameNames) -> Option<f64>,
+    judges: &Judges<'_>,
 ) -> Result<Vec<Model>, RunError> {
     if !given.is_empty() {
         let alone = given.len() == 1;
@@ -178,7 +182,7 @@ pub(super) fn models(
     if !described.is_empty() {
         return Ok(described);
     }
-    let catalogued = from_catalogue(clues, misfit_m)?;
+    let catalogued = from_catalogue(clues, judges)?;
     if catalogued.is_empty() {
         let none = || RunError::NoModel { logged: clues.joints.to_vec() };
         return Err(refusal.unwrap_or_else(none));
@@ -252,63 +256,8 @@ fn same_joints(a: &Model, b: &Model) -> bool {
     names(a) == names(b)
 }
 
-/// The arms of the catalogue whose joint names are in the log, each of equals the closest. One whose
-/// names the log has only behind a prefix that it does not know must fit too: names such as `joint_1`
-/// are anybody's.
-fn from_catalogue(
-    clues: &Clues<'_>,
-    misfit_m: impl Fn(&Robot, &FrameNames) -> Option<f64>,
-) -> Result<Vec<Model>, RunError> {
-    /// An arm that is further from the log than this is another one.
-    const FITS_M: f64 = 0.01;
-    /// An arm that is closer by less than this is not clearly closer.
-    const APART_M: f64 = 1e-3;
-    let mut joints = clues.joints.to_vec();
-    let mut models = Vec::new();
-    loop {
-        let found = catalogue::candidates_for(&joints);
-        let best: Vec<_> = found
-            .iter()
-            .filter(|other| {
-                other.names.is_complete() && other.names.joints == found[0].names.joints
-            })
-            .filter(|other| other.names.strangeness == found[0].names.strangeness)
-            .filter_map(|candidate| Some((candidate.renamed()?, &candidate.names)))
-            .collect();
-        if best.is_empty() {
-            return Ok(models);
-        }
-        let mut ranked: Vec<(f64, Model)> = best
-            .into_iter()
-            .map(|(robot, names)| {
-                let model = Model::new(robot, String::new(), &names.to_prefix, clues);
-                (misfit_m(&model.robot, &model.frames).unwrap_or(f64::INFINITY), model)
-            })
-            .collect();
-        ranked.sort_by(|(a, _), (b, _)| a.total_cmp(b));
-        let names: Vec<String> = ranked.iter().map(|(_, model)| model.robot.name.clone()).collect();
-        let is_stranger = found[0].names.strangeness > 0;
-        let mut ranked = ranked.into_iter();
-        let Some((misfit, mut model)) = ranked.next() else { return Ok(models) };
-        model.found = match ranked.next() {
-            None if is_stranger && misfit >= FITS_M => return Ok(models),
-            None => "the catalogue: the one arm with these joint names".to_owned(),
-            Some((next, _)) if misfit < FITS_M && next > 2.0 * misfit + APART_M => format!(
-                "the catalogue: the closest of {} arms with these joint names, within {:.1} mm; \
-                 the next is {:.1} mm off",
-                names.len(),
-                1e3 * misfit,
-                1e3 * next
-            ),
-            Some(_) => return Err(RunError::Ambiguous { arms: names }),
-        };
-        joints.retain(|joint| model.robot.joint(joint).is_none());
-        models.push(model);
-    }
-}
-
 impl Model {
-    fn new(robot: Robot, found: String, joint_prefix: &str, clues: &Clues<'_>) -> Self {
+    pub(super) fn new(robot: Robot, found: String, joint_prefix: &str, clues: &Clues<'_>) -> Self {
         let frames = FrameNames::fit(&robot, joint_prefix, clues.frames);
         let known = controller_links(&robot, clues.joints);
         let link = |own: &Option<String>, known: Option<String>| {
@@ -316,7 +265,7 @@ impl Model {
         };
         let controller_base = link(&robot.controller_base, known.0);
         let controller_tip = link(&robot.controller_tip, known.1);
-        Self { robot, found, frames, controller_base, controller_tip }
+        Self { robot, found, frames, controller_base, controller_tip, instead_of: None }
     }
 }
 
@@ -393,6 +342,8 @@ mod tests {
     const NO_CLUES: Clues<'static> =
         Clues { joints: &[], frames: &BTreeSet::new(), descriptions: &[], calibrations: &[] };
 
+    const NOBODY: Judges<'static> = Judges { by_transforms: &|_| None, by_poses: &|_| None };
+
     fn prefixed(prefix: &str) -> Vec<String> {
         UR.iter().map(|name| format!("{prefix}{name}")).collect()
     }
@@ -400,7 +351,7 @@ mod tests {
     fn ur5e(joints: &[String], frames: &[&str]) -> Result<Vec<Model>, RunError> {
         let frames = frames.iter().map(|&frame| frame.to_owned()).collect();
         let clues = Clues { joints, frames: &frames, ..NO_CLUES };
-        models(given(&["ur5e".into()])?, &clues, |_, _| None)
+        models(given(&["ur5e".into()])?, &clues, &NOBODY)
     }
 
     #[test]
@@ -433,27 +384,6 @@ mod tests {
         let error = ur5e(&["panda_joint1".to_owned(), "panda_joint2".to_owned()], &[]).unwrap_err();
         let text = error.to_string();
         assert!(text.contains("panda_joint1") && text.contains("elbow_joint"), "{text}");
-    }
-
-    #[test]
-    fn of_catalogue_arms_with_the_same_joints_the_closest_is_taken_and_said() {
-        let joints = prefixed("");
-        let clues = Clues { joints: &joints, frames: &BTreeSet::new(), ..NO_CLUES };
-        let misfit =
-            |robot: &Robot, _: &FrameNames| Some(if robot.name == "ur10e" { 1e-4 } else { 0.1 });
-        let found = models(Vec::new(), &clues, misfit).unwrap();
-        assert_eq!(found[0].robot.name, "ur10e");
-        assert!(found[0].found.contains("within 0.1 mm"), "{}", found[0].found);
-        let unknown = models(Vec::new(), &clues, |_, _| None).unwrap_err();
-        assert!(matches!(unknown, RunError::Ambiguous { .. }), "{unknown}");
-    }
-
-    #[test]
-    fn common_names_behind_a_strange_prefix_are_not_enough() {
-        let joints: Vec<String> = (1..=7).map(|i| format!("iiwa_joint_{i}")).collect();
-        let clues = Clues { joints: &joints, frames: &BTreeSet::new(), ..NO_CLUES };
-        let error = models(Vec::new(), &clues, |_, _| Some(0.2)).unwrap_err();
-        assert!(matches!(error, RunError::NoModel { .. }), "{error}");
     }
 
     #[test]
@@ -496,7 +426,7 @@ kinematics:
         let joints = prefixed("");
         let found = [("arm.yaml".to_owned(), CALIBRATION.to_owned())];
         let clues = Clues { joints: &joints, calibrations: &found, ..NO_CLUES };
-        let mut models = models(given(&["ur5e".into()]).unwrap(), &clues, |_, _| None).unwrap();
+        let mut models = models(given(&["ur5e".into()]).unwrap(), &clues, &NOBODY).unwrap();
         calibrate(&mut models, &[], &clues).unwrap();
         assert_eq!(height_of_shoulder(&models[0], ""), 0.1627);
         assert!(models[0].found.ends_with("with the calibration arm.yaml (calib_1)"));
@@ -507,7 +437,7 @@ kinematics:
         let joints = prefixed("");
         let found = [("arm.yaml".to_owned(), CALIBRATION.to_owned())];
         let clues = Clues { joints: &joints, calibrations: &found, ..NO_CLUES };
-        let mut models = models(given(&["ur10e".into()]).unwrap(), &clues, |_, _| None).unwrap();
+        let mut models = models(given(&["ur10e".into()]).unwrap(), &clues, &NOBODY).unwrap();
         calibrate(&mut models, &[], &clues).unwrap();
         assert_eq!(height_of_shoulder(&models[0], ""), 0.1807);
         assert!(models[0].found.contains("is left out"), "{}", models[0].found);

@@ -175,6 +175,9 @@ pub struct JointStream {
     /// `q_true − q_reported`, rad or m, one a joint from base to tip; joints beyond its end have
     /// none. The pose stream and the IMU know the truth, /tf follows the joint states.
     pub zero_offsets: Vec<f64>,
+    /// What each joint's positions and velocities are multiplied by before they are reported, after
+    /// their offset; joints beyond its end by 1. /tf believes them.
+    pub scales: Vec<f64>,
     /// Whether the numbers are degrees. /tf takes them for radians, as a state publisher does.
     pub in_degrees: bool,
     /// The joints in the order that the numbers are in, each counted from the base, where that is
@@ -316,6 +319,7 @@ impl Scenario {
                 timing: Timing::every(125.0, 0.0),
                 with_velocity: true,
                 zero_offsets: Vec::new(),
+                scales: Vec::new(),
                 in_degrees: false,
                 number_order: None,
             },

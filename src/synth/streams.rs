@@ -257,7 +257,7 @@ impl JointStream {
     /// The same numbers in the order and unit of the log.
     fn reported(&self, numbers: &[f64]) -> Vec<f64> {
         let unit = if self.in_degrees { 1_f64.to_degrees() } else { 1.0 };
-        let in_unit = |at: usize| unit * numbers[at];
+        let in_unit = |at: usize| unit * self.scales.get(at).unwrap_or(&1.0) * numbers[at];
         match &self.number_order {
             Some(order) if !numbers.is_empty() => {
                 assert_eq!(order.len(), numbers.len(), "an order of all joints");

@@ -1,0 +1,83 @@
+//! What cameras see, and the hands that may carry camera or target.
+
+use crate::geometry::Pose;
+use crate::stream::{Columns, PoseTrack};
+use crate::time::Stamp;
+
+use super::super::poses;
+use super::super::role::Role;
+use super::super::targets::{self, HandKind, HandSource, TargetSource};
+use super::Assembly;
+
+impl Assembly<'_> {
+    /// What cameras see, each with the hands that it may be held against.
+    pub(super) fn targets(&self) -> Vec<TargetSource> {
+        let is_target = |&index: &usize| self.streams[index].role == Role::Target;
+        (0..self.streams.len()).filter(is_target).filter_map(|index| self.target(index)).collect()
+    }
+
+    fn target(&self, index: usize) -> Option<TargetSource> {
+        let stream = &self.streams[index];
+        let camera = &stream.frame_id;
+        if self.is_transform(stream) && !targets::is_sighting(camera, &stream.child_frame_id) {
+            return None;
+        }
+        let hands = match self.owner(stream) {
+            Some(owner) => {
+                let arm = &self.arms[owner];
+                let (kind, [hand_from_camera, base_from_camera]) =
+                    HandKind::of_arm(owner, arm, &self.tf, camera)?;
+                let stamp_error_s = self.stamp_error_s(arm, index, 0);
+                vec![HandSource { kind, hand_from_camera, base_from_camera, stamp_error_s }]
+            }
+            None => self.hands_without_arm(index),
+        };
+        // A detector's poses are never all the same; a frame that is published over and over is.
+        let track = self.plain_track(index).filter(|track| track.changes())?;
+        Some(TargetSource { stream: index, track, axes: targets::axes_of(&self.tf, camera), hands })
+    }
+
+    /// The poses of a stream that holds one pose, as logged.
+    fn plain_track(&self, index: usize) -> Option<PoseTrack> {
+        let Some(Columns::Poses(poses)) = &self.streams[index].columns else { return None };
+        let [poses] = poses.as_slice() else { return None };
+        let mut rows = self.timing.rows(&self.streams, index, 0);
+        self.timing.sift.sift(index, 0, &mut rows);
+        let track = poses::from_poses(poses, &rows, None, self.origin).ok()?.track;
+        (track.t_s.len() > 1).then_some(track)
+    }
+
+    /// The streams of poses that may be a hand's in a log without an arm, and what its transforms
+    /// move.
+    fn hands_without_arm(&self, target: usize) -> Vec<HandSource> {
+        let camera = &self.streams[target].frame_id;
+        let tied = |frame: &str| {
+            let found = self.tf.tied(camera, |other| !frame.is_empty() && other == frame);
+            found.map(|(_, frame_from_camera)| frame_from_camera)
+        };
+        let may_be = |&index: &usize| {
+            let stream = &self.streams[index];
+            matches!(stream.role, Role::Unassigned | Role::Pose) && !self.is_transform(stream)
+        };
+        let streams = (0..self.streams.len()).filter(may_be).filter_map(|index| {
+            let stream = &self.streams[index];
+            Some(HandSource {
+                kind: HandKind::Stream { stream: index, track: self.plain_track(index)? },
+                hand_from_camera: tied(&stream.child_frame_id),
+                base_from_camera: tied(&stream.frame_id),
+                stamp_error_s: self.timing.alignment_error_s((index, 0), (target, 0)),
+            })
+        });
+        let by_transforms = targets::hand_frame(&self.tf, camera).and_then(|(base, hand)| {
+            let path = self.tf.path(&base, &hand, |_| true).ok()?;
+            let stamps = path.stamps().into_iter();
+            let samples: Vec<(Stamp, Pose)> =
+                stamps.filter_map(|stamp| Some((stamp, path.at(stamp).ok()?))).collect();
+            let track = poses::from_samples(samples, self.origin).track;
+            let (hand_from_camera, base_from_camera) = (tied(&hand), tied(&base));
+            let kind = HandKind::Transforms { base, frame: hand, track };
+            Some(HandSource { kind, hand_from_camera, base_from_camera, stamp_error_s: 0.0 })
+        });
+        streams.chain(by_transforms).collect()
+    }
+}

@@ -1,0 +1,229 @@
+//! The transforms of a log: their tree, the arm's own among them, and those that are measured poses.
+
+use crate::geometry::{Pose, Vec3, pose, rotation_from_xyzw};
+use crate::robot::{Chain, JointKind, Robot};
+use crate::stream::{Columns, PoseColumns};
+use crate::time::Stamp;
+
+use super::super::arm::{Arm, NoTf, PoseSource};
+use super::super::models::FrameNames;
+use super::super::poses::{self, Stamped};
+use super::super::role::{Place, Role};
+use super::super::streams::{Stream, Timing};
+use super::super::targets;
+use super::super::tf_tree::{Edge, EdgeKind, TfTree, without_slash};
+use super::super::witness::Witness;
+use super::Assembly;
+
+/// The tree of all transforms of the log's TF topics.
+pub(super) fn tf_tree(streams: &[Stream], timing: &Timing) -> TfTree {
+    let mut tree = TfTree::default();
+    for (index, stream) in streams.iter().enumerate() {
+        let Some(Columns::Transforms(transforms)) = &stream.columns else { continue };
+        for (piece, transform) in transforms.iter().enumerate() {
+            let (parent, child) = (&transform.frame_id, &transform.child_frame_id);
+            if stream.role == Role::TfStatic {
+                let last = (0..transform.times.len()).rev().find_map(|row| pose_at(transform, row));
+                if let (Some(last), None) = (last, tree.edge(parent, child)) {
+                    tree.insert_fixed(parent, child, EdgeKind::Static, last);
+                }
+                continue;
+            }
+            let rows = timing.seen_rows(streams, index, piece, 0.0).into_iter();
+            let mut samples: Vec<(Stamp, Pose)> =
+                rows.filter_map(|(stamp, row)| Some((stamp, pose_at(transform, row)?))).collect();
+            samples.sort_by_key(|(stamp, _)| *stamp);
+            samples.dedup_by_key(|(stamp, _)| *stamp);
+            let (stamps, poses) = samples.into_iter().unzip();
+            tree.insert_samples(parent, child, stamps, poses);
+        }
+    }
+    tree
+}
+
+fn pose_at(poses: &PoseColumns, row: usize) -> Option<Pose> {
+    Some(pose(poses.xyz[row], rotation_from_xyzw(poses.q_xyzw[row])?))
+}
+
+/// How far the transforms of the log are from the lengths of a robot's links, rms m; `None` where
+/// fewer than three of them stand for a turning joint.
+pub(super) fn misfit_m(tf: &TfTree, robot: &Robot, frames: &FrameNames) -> Option<f64> {
+    const ENOUGH: usize = 3;
+    let turning = robot
+        .joints()
+        .iter()
+        .filter(|joint| matches!(joint.kind, JointKind::Revolute | JointKind::Continuous));
+    let gaps: Vec<f64> = turning
+        .filter_map(|joint| {
+            let [parent, child] =
+                [joint.parent, joint.child].map(|link| frames.frame_of(robot.link_name(link)));
+            let logged: Vec3 = tf.edge(&parent, &child)?.first()?.translation.vector;
+            Some((logged - joint.parent_from_joint.translation.vector).norm_squared())
+        })
+        .collect();
+    (gaps.len() >= ENOUGH).then(|| (gaps.iter().sum::<f64>() / gaps.len() as f64).sqrt())
+}
+
+impl Assembly<'_> {
+    /// The poses of `arm`'s tip by the log's transforms, and which of these the model had to give.
+    pub(super) fn follow_transforms(
+        &self,
+        arm: &Arm,
+        tf_stream: Option<usize>,
+    ) -> Result<(PoseSource, Vec<(String, String)>), NoTf> {
+        let stream = tf_stream.ok_or(NoTf::NoTransforms)?;
+        let [base, tip] = [arm.base, arm.tip].map(|link| arm.frame_of(link));
+        let crosses = |edge: &Edge| {
+            let (parent, child) = self.tf.names(edge);
+            arm.joints_between(parent, child)
+        };
+        // A transform across several joints, or of a frame that is no link, is a measured pose.
+        let is_of_the_model = |edge: &Edge| {
+            edge.kind != EdgeKind::Dynamic || crosses(edge).is_some_and(|joints| joints.len() < 2)
+        };
+        let path = self.tf.path(&base, &tip, is_of_the_model)?;
+        let crossed: Vec<String> = path
+            .edges()
+            .filter(|edge| edge.kind == EdgeKind::Dynamic)
+            .flat_map(|edge| crosses(edge).unwrap_or_default())
+            .collect();
+        let uncrossed: Vec<String> = arm
+            .chain
+            .joint_names()
+            .iter()
+            .filter(|joint| !crossed.contains(joint))
+            .cloned()
+            .collect();
+        if !uncrossed.is_empty() {
+            return Err(NoTf::NotCovered { joints: uncrossed });
+        }
+        let mut stamps = path.stamps();
+        poses::thinned(&mut stamps);
+        let stamps = stamps.into_iter();
+        let samples: Vec<(Stamp, Pose)> =
+            stamps.filter_map(|stamp| Some((stamp, path.at(stamp).ok()?))).collect();
+        if samples.len() < 2 {
+            return Err(NoTf::NoSamples);
+        }
+        let from_model = path.edges().filter(|edge| edge.kind == EdgeKind::Model).map(|edge| {
+            let (parent, child) = self.tf.names(edge);
+            (parent.to_owned(), child.to_owned())
+        });
+        let piece = self.piece_of(stream, path.edges().find(|edge| edge.kind == EdgeKind::Dynamic));
+        let Stamped { track, stamps } = poses::from_samples(samples, self.origin);
+        let (chain, columns) = self.publishers_chain(arm);
+        let source = PoseSource {
+            stream,
+            chain,
+            columns,
+            track,
+            reference_known: true,
+            stamps_copied: poses::are_copies(&stamps, &arm.joint_stamps),
+            stamp_error_s: self.stamp_error_s(arm, stream, piece),
+            tip_named: arm.tip_named,
+        };
+        Ok((source, from_model.collect()))
+    }
+
+    /// The chain that the transforms are of: where another model was named, and their lengths are that
+    /// one's, its publisher has it, too.
+    fn publishers_chain(&self, arm: &Arm) -> (Chain, Vec<usize>) {
+        let own = || (arm.chain.clone(), arm.columns.clone());
+        let Some(wrong) = &arm.instead_of else { return own() };
+        let misfit_m = |robot: &Robot| misfit_m(&self.tf, robot, &arm.frames);
+        if misfit_m(&wrong.named) >= misfit_m(&arm.robot) {
+            return own();
+        }
+        let named = arm.with_robot(wrong.named.clone());
+        named.map_or_else(own, |named| (named.chain, named.columns))
+    }
+
+    /// Which transform of a TF stream an edge is.
+    pub(super) fn piece_of(&self, stream: usize, edge: Option<&Edge>) -> usize {
+        let Some(Columns::Transforms(transforms)) = &self.streams[stream].columns else { return 0 };
+        let Some(names) = edge.map(|edge| self.tf.names(edge)) else { return 0 };
+        let is_it = |poses: &PoseColumns| {
+            (without_slash(&poses.frame_id), without_slash(&poses.child_frame_id)) == names
+        };
+        transforms.iter().position(is_it).unwrap_or(0)
+    }
+
+    /// Lists as streams of their own the transforms over time that are measured poses: those across
+    /// several joints, and those of a child that is no link of an arm and carries none.
+    pub(super) fn measured_transforms(&mut self) {
+        for index in 0..self.streams.len() {
+            let stream = &self.streams[index];
+            let (Role::Tf, Some(Columns::Transforms(transforms))) = (stream.role, &stream.columns)
+            else {
+                continue;
+            };
+            let measured: Vec<usize> = (0..transforms.len())
+                .filter(|&piece| self.is_measured(&transforms[piece]))
+                .collect();
+            let new: Vec<Stream> = measured
+                .iter()
+                .map(|&piece| {
+                    let mut new = self.streams[index].of_pose(transforms[piece].clone());
+                    new.role = Role::Unassigned;
+                    new
+                })
+                .collect();
+            for (piece, stream) in measured.into_iter().zip(new) {
+                self.timing.share(index, piece);
+                self.streams.push(stream);
+            }
+        }
+    }
+
+    pub(super) fn is_measured(&self, transform: &PoseColumns) -> bool {
+        let frame = without_slash(&transform.frame_id);
+        let child = without_slash(&transform.child_frame_id);
+        let carries_none = || {
+            let roots = self.arms.iter().map(|arm| arm.frame_of(arm.robot.root()));
+            roots.into_iter().all(|root| child != root && !self.tf.is_above(child, &root))
+        };
+        let is_link = |arm: &Arm| arm.place(&self.tf, child).0 != Place::Unknown;
+        if targets::is_sighting(frame, child) && !self.arms.iter().any(is_link) {
+            return true;
+        }
+        for arm in &self.arms {
+            let places = (arm.place(&self.tf, frame).0, arm.place(&self.tf, child).0);
+            return match (arm.joints_between(frame, child), places) {
+                (Some(joints), _) => joints.len() > 1,
+                (None, (Place::Unknown, Place::Unknown)) => continue,
+                (None, (Place::MovingLink, _)) => false,
+                (None, (_, Place::MovingLink)) => arm.is_far_out(child),
+                (None, (_, place)) => {
+                    let carries_more =
+                        self.tf.edges().iter().any(|edge| self.tf.names(edge).0 == child);
+                    place == Place::Unknown && carries_none() && !carries_more
+                }
+            };
+        }
+        !self.arms.is_empty() && carries_none()
+    }
+
+    pub(super) fn assign_tf(&mut self, index: usize) {
+        let follows = |arm: &Arm| arm.tf.as_ref().is_ok_and(|source| source.stream == index);
+        let stream = &mut self.streams[index];
+        stream.arm = self.arms.iter().position(follows);
+        if let Some(arm) = stream.arm.map(|arm| &self.arms[arm]) {
+            stream.reference = Some(arm.frame_of(arm.base));
+            stream.link = Some(arm.frame_of(arm.tip));
+            // Transforms of the model's joints: what is measured became a stream of its own.
+            stream.witness = Some(Witness::Controller);
+        } else if let Some(Err(reason)) = self.arms.first().map(|arm| &arm.tf) {
+            stream.reason = format!("{}; {reason}", stream.reason);
+        }
+    }
+}
+
+/// Adds those fixed joints of the arm's robot to the tree whose child has no parent there.
+pub(super) fn add_fixed_joints(tf: &mut TfTree, arm: &Arm) {
+    for joint in arm.robot.joints().iter().filter(|joint| joint.kind == JointKind::Fixed) {
+        let [parent, child] = [joint.parent, joint.child].map(|link| arm.frame_of(link));
+        if !tf.has_parent(&child) {
+            tf.insert_fixed(&parent, &child, EdgeKind::Model, joint.parent_from_joint);
+        }
+    }
+}
