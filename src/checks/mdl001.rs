@@ -440,6 +440,7 @@ fn candidates(stream: &PoseFacts, found: &PoseDiagnosis) -> Vec<String> {
         format!("{is} read as {was}, which leaves {}", Unit::Radian.show(*left_rad))
     });
     all.into_iter().chain(readings).collect()
+}
 
 /// The model that was named is another arm's.
 fn wrong_model(facts: &Facts, arm: &ArmFacts, wrong: &WrongModel) -> Outcome {
