@@ -6,11 +6,11 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use crate::candidates::settle_candidates;
 use crate::checks::{
     ArmFacts, Declared, DhFacts, Due, EmptyFacts, EulerFacts, EvaluatedPart, Evaluation, Facts,
     FrameFacts, FrozenFacts, HeldFacts, ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts,
-    RhythmFacts, Settings, ShakeFacts, StampFacts, StrayFacts, UndecodableTopic, evaluate, merged,
+    RhythmFacts, Settings, ShakeFacts, StampFacts, StrayFacts, UnauditedFacts, UndecodableTopic,
+    evaluate, merged,
 };
 use crate::corrections::{Given, Mending};
 use crate::diagnosis::{
@@ -35,6 +35,7 @@ use crate::run::{
     PoseSource, RobotSource, Role, Run, RunOptions, Segment, Strays, Stream, TopicSettings,
     Velocities, Witness, segments,
 };
+use crate::settle::{retake_carried, settle};
 use crate::stream::{
     Columns, DeclaredUnits, ImuTrack, JointColumn, JointTrack, Orientations, PoseTrack,
 };
@@ -235,6 +236,10 @@ fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<Diagnosis> {
     let arms = 0..run.arms.len();
     arms.map(|index| {
         let found = diagnose_one(run, &run.arms[index], most_lag_s);
+        let found = match retake_carried(run, index, &found.arm) {
+            true => diagnose_one(run, &run.arms[index], most_lag_s),
+            false => found,
+        };
         let Some(dh) = &run.arms[index].robot.dh else { return found };
         let declared = dh.convention;
         let (estimate, other) = by_other_convention(run, &run.arms[index], &found.arm, most_lag_s);
@@ -512,6 +517,7 @@ fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read, options: &Options) -
         strays: strays(run),
         frozen: frozen(run),
         held: held(run),
+        unaudited: unaudited(run),
         empty: empty(run),
         missing: missing(run, &options.topics),
         figures: options.rules.figures.clone(),
@@ -695,6 +701,20 @@ fn held(run: &Run) -> Vec<HeldFacts> {
         is_of_joints: is_of_joints(index),
     };
     streams.map(of).collect()
+}
+
+/// The streams that are audited or would be, each with why it is not, or not as what it says it is.
+fn unaudited(run: &Run) -> Vec<UnauditedFacts> {
+    let of = |(index, stream): (usize, &Stream)| {
+        let why: Vec<_> = run.unaudited.iter().filter(|found| found.stream == index).collect();
+        let is_asked = matches!(stream.role, Role::Joints | Role::Pose) || !why.is_empty();
+        is_asked.then(|| UnauditedFacts {
+            subject: subject_of(run, stream),
+            span: span_of(run, index),
+            why: why.into_iter().map(|found| found.why.clone()).collect(),
+        })
+    };
+    run.streams.iter().enumerate().filter_map(of).collect()
 }
 
 /// The topics that hold nothing and would be audited; of joint states and transforms only where no
@@ -1078,7 +1098,7 @@ impl Audited {
         if let Some(given) = given {
             given.apply(&mut run, options.max_latency_s)?;
         }
-        settle_candidates(&mut run, options.max_latency_s);
+        settle(&mut run, options.max_latency_s);
         settle_hands(&mut run, options.max_latency_s);
         let diagnoses = diagnose(&mut run, options.max_latency_s);
         let joints = |arm: usize| readable_joints(&run.arms[arm], &diagnoses[arm].arm);

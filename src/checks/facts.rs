@@ -12,7 +12,7 @@ use crate::geometry::{Convention, Rotation};
 use crate::log::{self, Loss};
 use crate::robot::{DhConvention, Limits};
 use crate::run::{
-    Cadence, CameraAxes, Extent, Flaw, Frozen, Held, Norms, Strays, StreamClock, Witness,
+    Cadence, CameraAxes, Extent, Flaw, Frozen, Held, Norms, Strays, StreamClock, WhyNot, Witness,
     WrongModel,
 };
 use crate::time::Stamp;
@@ -40,6 +40,9 @@ pub struct Facts {
     pub frozen: Vec<FrozenFacts>,
     /// What repeats values with new stamps.
     pub held: Vec<HeldFacts>,
+    /// Every stream of joint states or tool poses, and every other that says it is one, with why it is not
+    /// audited as that.
+    pub unaudited: Vec<UnauditedFacts>,
     /// Topics that would play a role, and hold no message, or none with finite numbers.
     pub empty: Vec<EmptyFacts>,
     /// Topics that the caller expects and the log does not have, with where that is said.
@@ -88,6 +91,17 @@ impl Facts {
             .iter()
             .flat_map(|arm| arm.imus.iter().map(move |(imu, found)| (arm, imu, found)))
     }
+}
+
+/// A stream that is audited or should be.
+#[derive(Clone, Debug)]
+pub struct UnauditedFacts {
+    /// The stream.
+    pub subject: Subject,
+    /// Its first and last stamp.
+    pub span: Option<Span>,
+    /// Why it is not audited as what it says it is; nothing where it is.
+    pub why: Vec<WhyNot>,
 }
 
 /// One robot and its streams.

@@ -32,7 +32,7 @@ pub use facts::{
     ArmFacts, Declared, DhFacts, Due, EmptyFacts, EulerFacts, Facts, FrameFacts, FrozenFacts,
     HandEyeFacts, HeldFacts, ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts,
     ReferenceFacts, ReferenceWitness, RhythmFacts, ShakeFacts, StampFacts, StrayFacts,
-    UndecodableTopic, WitnessKind,
+    UnauditedFacts, UndecodableTopic, WitnessKind,
 };
 pub use figures::{Figures, Limit};
 pub use merge::{Part as EvaluatedPart, merged};
@@ -74,6 +74,7 @@ registry! {
     frm004::FRM004,
     frm005::FRM005,
     frm006::FRM006,
+    frm007::FRM007,
     hec001::HEC001,
     hec002::HEC002,
     hec003::HEC003,

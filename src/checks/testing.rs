@@ -229,6 +229,7 @@ fn clean_stream() -> PoseDiagnosis {
         reading: Ok(as_logged()),
         length: Ok(None),
         axes: Ok(None),
+        inverted: false,
         constant: Vec::new(),
         degrees: None,
         latency_s: Ok(sure(0.0)),

@@ -8,7 +8,7 @@ use super::joints::{
     Left, Read, corrected, half_turns, lies_on_arm, lone_zeros, other_reading, read_joints,
 };
 use super::latency::{Peak, arm_speeds, median_period_s, top};
-use super::model::{Blind, State, StreamState, Sweep, Witness};
+use super::model::{Blind, State, StreamState, Sweep, ToolPart, Witness};
 use super::nominal::{MOST_M, MOST_RAD, is_nominal};
 use super::observability::Observability;
 use super::placing::spread;
@@ -36,11 +36,11 @@ const ALIAS_FLOOR: f64 = 2e-5;
 ///
 /// `most_lag_s` bounds the latency that is sought, s.
 pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64) -> ArmDiagnosis {
+    let slides = prismatic(joints.dof, streams);
     let placed = |joints: &JointTrack| -> Vec<Placement> {
         streams.iter().map(|stream| Placement::of(joints, stream, most_lag_s)).collect()
     };
     let placements = placed(joints);
-    let slides = prismatic(joints.dof, streams);
     let by = |reading: &JointReading| {
         let read = Read::by(joints, reading, &slides);
         let anew = (*reading != JointReading::default()).then(|| placed(read.near()));
@@ -138,12 +138,14 @@ impl Found {
 
 /// What is left of a stream beyond its noise; a metre and a radian where it could not be read.
 fn left(found: &PoseDiagnosis) -> Left {
-    match (&found.residual, &found.reading) {
-        (Ok(residual), _) => {
-            Left { m: residual.excess_m.value, rad: Some(residual.excess_rad.value) }
-        }
-        (Err(_), Err(Unseen::DoesNotFollow(_))) => Left { m: 1.0, rad: Some(1.0) },
-        (Err(_), _) => Left { m: 0.0, rad: None },
+    let is_unread = matches!(found.reading, Err(Unseen::DoesNotFollow(_)));
+    match &found.residual {
+        Ok(residual) => Left {
+            m: residual.excess_m.value,
+            rad: Some(if is_unread { 1.0 } else { residual.excess_rad.value }),
+        },
+        Err(_) if is_unread => Left { m: 1.0, rad: Some(1.0) },
+        Err(_) => Left { m: 0.0, rad: None },
     }
 }
 
@@ -254,7 +256,7 @@ fn diagnose(
         .collect();
     let usable: Vec<&Prepared> = prepared.iter().flatten().collect();
     let fitted = fit(&usable, read, with_offsets);
-    let (offsets, scales_found) = match &fitted {
+    let (offsets, scales) = match &fitted {
         Some(fitted) => (joint_offsets(fitted, &usable, joints), joint_scales(fitted, read)),
         None => {
             let why = prepared.iter().find_map(|prepared| prepared.as_ref().err());
@@ -274,7 +276,7 @@ fn diagnose(
             (Err(why), _) => no_diagnosis(why.clone()),
         })
         .collect();
-    Found { offsets, scales: scales_found, streams: diagnoses }
+    Found { offsets, scales, streams: diagnoses }
 }
 
 /// The fit of all streams together.
@@ -374,7 +376,12 @@ fn menu(prepared: &[&Prepared], read: &Read, with_offsets: bool) -> Menu {
         // A stream that is derived from the joint states agrees with them or does not: nothing is
         // to be explained away.
         if with_offsets {
-            optional.extend([Cause::Tool(s), Cause::Growth(s)]);
+            // In a world that is anywhere, and with a tool that never turns, its own turn is no cause.
+            match prepared.witness.tool_part {
+                ToolPart::Turn => always.push(Cause::Tool(s)),
+                ToolPart::Whole | ToolPart::Point => optional.push(Cause::Tool(s)),
+            }
+            optional.push(Cause::Growth(s));
         }
     }
     Menu { always, optional }
@@ -640,6 +647,7 @@ fn no_diagnosis(why: Unseen) -> PoseDiagnosis {
         length: Err(why.clone()),
         axes: Err(why.clone()),
         reading: Err(why),
+        inverted: false,
         constant: Vec::new(),
         degrees: None,
         latency_s: Err(rests()),
@@ -769,6 +777,7 @@ fn stream_diagnosis(
         reading,
         length: length_slip(stream, placement, prepared, &residual),
         axes: Ok(prepared.axes),
+        inverted: prepared.inverted,
         constant: constant_parts(stream, prepared, &aligned),
         degrees: prepared.degrees,
         latency_s,
@@ -871,6 +880,7 @@ fn align(
         xyz: Vec::new(),
         rotation: Vec::new(),
         blind: witness.blind,
+        tool_part: witness.tool_part,
         middle_s: witness.middle_s,
     };
     let zero = vec![0.0; recorded.dof];

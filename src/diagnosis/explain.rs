@@ -46,8 +46,10 @@ impl Cause {
             Cause::Skew(stream) => (stream, SKEW, 1),
             Cause::Growth(stream) => (stream, GROWTH, 1),
             Cause::Reference(stream) => (stream, REFERENCE, 6),
-            Cause::Tool(stream) if state.streams[stream].tool_point_only => (stream, TOOL, 3),
-            Cause::Tool(stream) => (stream, TOOL, 6),
+            Cause::Tool(stream) => {
+                let part = state.streams[stream].tool_part.range();
+                (stream, TOOL + part.start, part.len())
+            }
         };
         let start = state.index(stream, first);
         start..start + count

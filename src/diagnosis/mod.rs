@@ -5,6 +5,7 @@
 //! these numbers into verdicts and words.
 
 mod arm;
+mod carried;
 mod course;
 mod dh;
 mod explain;
@@ -45,6 +46,7 @@ use crate::robot::Chain;
 use crate::stream::{ImuTrack, PoseTrack};
 
 pub use arm::{diagnose_arm, diagnose_derived, follows};
+pub use carried::{BaseTravel, CarrierLag, base_travel, carrier_lag};
 pub use course::{LatencyCourse, LatencyJump};
 pub use dh::{DhEstimate, DhStream, DhTold, Left, faults};
 pub use handeye::{
@@ -64,7 +66,7 @@ pub use reference::{
     diagnose_reference, unnamed_order,
 };
 pub use reread::{Meant, reread_imu, reread_poses};
-pub use rival::position_misfit_m;
+pub use rival::{is_seen_from_tool, position_misfit_m};
 pub use shake::{NoShake, Shake, shake};
 pub use steps::{LatencySteps, imu_steps, pose_steps};
 pub use trend::{LEAST_RUNS, Step, Told, Trend, trend};
@@ -314,6 +316,8 @@ pub struct PoseDiagnosis {
     pub reading: Seen<ReadingEstimate>,
     /// Positions in another unit.
     pub length: Seen<Option<LengthSlip>>,
+    /// Whether the poses as a whole are inverted, by their positions.
+    pub inverted: bool,
     /// Axes that are exchanged or mirrored.
     pub axes: Seen<Option<AxesSlip>>,
     /// Coordinates that never change.

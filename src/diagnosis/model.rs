@@ -77,8 +77,32 @@ pub(super) struct Witness<'a> {
     pub rotation: Vec<Rotation>,
     /// What of these says nothing.
     pub blind: Blind,
+    /// What of the tool they show.
+    pub tool_part: ToolPart,
     /// The stamp about which skew turns, s.
     pub middle_s: f64,
+}
+
+/// What of a tool frame a log can show.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum ToolPart {
+    /// Where it is and how it is turned.
+    Whole,
+    /// Where it is: orientations say nothing.
+    Point,
+    /// How it is turned: in a world that is anywhere, a tool that never turns may be anywhere on it.
+    Turn,
+}
+
+impl ToolPart {
+    /// Its parameters among the tool's six.
+    pub fn range(self) -> std::ops::Range<usize> {
+        match self {
+            Self::Whole => 0..6,
+            Self::Point => 0..3,
+            Self::Turn => 3..6,
+        }
+    }
 }
 
 /// The parameters of one stream.
@@ -93,8 +117,8 @@ pub(super) struct StreamState {
     pub round_reference: Option<Pose>,
     /// The part of `tool` that is a round slip rather than a tuned number.
     pub round_tool: Option<Pose>,
-    /// Whether nothing shows how the tool is turned, so that only where it is can be a cause.
-    pub tool_point_only: bool,
+    /// What of the tool can be a cause.
+    pub tool_part: ToolPart,
 }
 
 impl StreamState {
@@ -107,7 +131,7 @@ impl StreamState {
             tool: Pose::identity(),
             round_reference: None,
             round_tool: None,
-            tool_point_only: false,
+            tool_part: ToolPart::Whole,
         }
     }
 

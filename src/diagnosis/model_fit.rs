@@ -9,7 +9,7 @@ use super::PoseStream;
 use super::latency::{joint_activity, linear_speed, peaks};
 use super::model::pose_of_twist;
 use super::placing::Expected;
-use super::prepare::{position_scale, slow_samples};
+use super::prepare::{metres_by_size, slow_samples};
 use crate::geometry::{Pose, Vec3};
 use crate::robot::JointKind;
 use crate::stream::{JointTrack, Orientations};
@@ -125,7 +125,7 @@ impl ModelFit {
 /// How the model behind `stream`'s chain fits its positions; `None` where the joints cover too few
 /// samples.
 pub fn model_fit(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Option<ModelFit> {
-    let scale = position_scale(joints, stream).unwrap_or(1.0);
+    let scale = metres_by_size(joints, stream);
     let lag_s = lags(joints, stream, most_lag_s);
     let tried = lag_s.into_iter().filter_map(|lag_s| Sight::of(joints, stream, scale, lag_s));
     let best = tried
@@ -271,7 +271,7 @@ impl<'a> Sight<'a> {
         let mut starts = vec![self.plain()];
         if reference {
             let turned = Expected::of(&self.fk).turned(&self.xyz);
-            starts.extend(turned.map(|reference| Guess { reference, ..self.plain() }));
+            starts.extend(turned.map(|(reference, _)| Guess { reference, ..self.plain() }));
         }
         let found = starts.into_iter().map(|start| self.solve(start, &free));
         let (left_m, guess) = found.min_by(|a, b| a.0.total_cmp(&b.0))?;

@@ -8,7 +8,7 @@
 //! motion takes to become another (von Neumann 1941; Hall, Kay and Titterington 1990), and an error is
 //! held against that.
 
-use super::model::{Blind, StreamState, Sweep, Witness};
+use super::model::{Blind, StreamState, Sweep, ToolPart, Witness};
 use super::nominal::calibrated;
 use super::prepare::still_speeds;
 use super::{Aligned, PoseDiagnosis, PoseStream, Seen, Unseen};
@@ -184,6 +184,7 @@ fn by_calibration(
         xyz: corrected.iter().map(|pose| pose.translation.vector).collect(),
         rotation: corrected.iter().map(|pose| pose.rotation).collect(),
         blind: Blind::default(),
+        tool_part: ToolPart::Whole,
         middle_s: 0.5 * (first + last),
     };
     let skew = found.skew.as_ref().ok().filter(|_| found.skew_chosen);

@@ -9,7 +9,7 @@ use poseaudit::geometry::{Convention, Pose, xyz_of};
 use poseaudit::report::Verdict;
 use poseaudit::robot::Robot;
 use poseaudit::run::CalibrationSource;
-use poseaudit::synth::{Coding, Noise, POSE, Scenario, urdf_text};
+use poseaudit::synth::{Coding, Noise, POSE, Scenario, ToolSlip, urdf_text};
 
 use crate::case::On::Topic;
 use crate::case::What::ResidualBetween;
@@ -63,7 +63,8 @@ fn joint_states_alone(run: &mut Scenario) {
 #[test]
 fn a_tool_that_slips_in_mid_run_is_no_pass() {
     let report = Log::with(|log| {
-        log.run.pose.slip = Some((4.0, Pose::translation(0.0, 0.07, 0.0)));
+        let tool_from_slipped = Pose::translation(0.0, 0.07, 0.0);
+        log.run.pose.slip = Some(ToolSlip { from_s: 4.0, to_s: 60.0, tool_from_slipped });
     })
     .audited();
     assert_eq!(report.verdict, Verdict::Fail, "{}", summary(&report.findings));

@@ -2,17 +2,20 @@
 //! the streams of poses say. The same question is asked of a model that was named.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use super::Assembly;
+use super::groups::Group;
 use crate::diagnosis::{ModelFit, Needs, PoseStream, Priced, model_fit};
 use crate::finding::Unit;
 use crate::robot::catalogue;
 use crate::run::arm::{Arm, Ends, WrongModel};
 use crate::run::catalogued::{Contest, Standing};
-use crate::run::joints::JointTopic;
 use crate::run::models::{Clues, Model};
 use crate::run::role::Role;
 use crate::run::skeleton;
+use crate::run::space::Claim;
+use crate::run::tf_tree::TfTree;
 use crate::stream::Columns;
 
 /// A model fits where no more than this is left, m, as of a drawing against a calibrated arm, …
@@ -46,11 +49,18 @@ struct Rank {
     decisive: (usize, Priced),
 }
 
-impl Assembly<'_> {
+/// What models of one group of joint states are held against.
+pub(super) struct Court<'a> {
+    pub assembly: &'a Assembly<'a>,
+    pub group: &'a Group<'a>,
+    pub tree: &'a Arc<TfTree>,
+}
+
+impl Court<'_> {
     /// The models ranked by what they need to be where the streams of poses say, best first; none where
     /// no stream tells.
-    pub(super) fn contest(&self, models: &[&Model], topics: &[JointTopic<'_>]) -> Option<Contest> {
-        let entries: Vec<Entry> = models.iter().map(|model| self.entry(model, topics)).collect();
+    pub fn contest(&self, models: &[&Model]) -> Option<Contest> {
+        let entries: Vec<Entry> = models.iter().map(|model| self.entry(model)).collect();
         let ranks = ranks(&entries);
         let standings = ranks.into_iter().map(|rank| {
             let (stream, Priced { way, .. }) = rank.decisive;
@@ -62,7 +72,7 @@ impl Assembly<'_> {
                 way,
                 as_is_m: fit.map_or(f64::INFINITY, ModelFit::as_is_m),
                 fits: way.left_m <= FITS_M.max(FITS_SHARE * spread_m),
-                topic: self.streams[stream].topic.clone(),
+                topic: self.assembly.streams[stream].topic.clone(),
             }
         });
         let standings: Vec<Standing> = standings.collect();
@@ -70,14 +80,9 @@ impl Assembly<'_> {
     }
 
     /// The arm of the catalogue that needs no cause where `model`, which was named, does.
-    pub(super) fn rival(
-        &self,
-        model: &Model,
-        clues: &Clues<'_>,
-        topics: &[JointTopic<'_>],
-    ) -> Option<Model> {
-        let path = self.only_path(model, topics)?;
-        let own = self.contest(&[model], topics)?;
+    pub fn rival(&self, model: &Model, clues: &Clues<'_>) -> Option<Model> {
+        let path = self.only_path(model)?;
+        let own = self.contest(&[model])?;
         let own = own.standings.first()?;
         if own.fits && own.way.needs == Needs::Nothing && !own.way.misread {
             return None;
@@ -91,12 +96,12 @@ impl Assembly<'_> {
             .filter_map(|other| Some((other.renamed()?, &other.names.to_prefix)))
             .map(|(robot, prefix)| Model::new(robot, String::new(), prefix, clues))
             .filter(|rival| {
-                self.only_path(rival, topics)
+                self.only_path(rival)
                     .is_some_and(|path| path.joints.iter().collect::<BTreeSet<_>>() == joints)
             })
             .collect();
         let all: Vec<&Model> = std::iter::once(model).chain(&rivals).collect();
-        let contest = self.contest(&all, topics)?;
+        let contest = self.contest(&all)?;
         let best = contest.standings.first().filter(|best| best.model > 0)?;
         let own = contest.standings.iter().find(|standing| standing.model == 0);
         let is_better = own.is_none_or(|own| best.score + APART < own.score);
@@ -123,39 +128,46 @@ impl Assembly<'_> {
     }
 
     /// The one path of joints through a model that the joint states hold.
-    fn only_path(&self, model: &Model, topics: &[JointTopic<'_>]) -> Option<skeleton::ArmPath> {
-        let is_logged = |name: &str| topics.iter().any(|topic| topic.holds(name));
+    fn only_path(&self, model: &Model) -> Option<skeleton::ArmPath> {
+        let is_logged = |name: &str| self.group.topics.iter().any(|topic| topic.holds(name));
         let paths = skeleton::arms(&model.robot, is_logged);
         <[_; 1]>::try_from(paths).ok().map(|[path]| path)
     }
 
-    fn entry(&self, model: &Model, topics: &[JointTopic<'_>]) -> Entry {
-        let ends = Ends { base: self.options.base.as_deref(), tip: self.options.tip.as_deref() };
+    fn entry(&self, model: &Model) -> Entry {
+        let Assembly { options, streams, origin, .. } = self.assembly;
+        let ends = Ends { base: options.base.as_deref(), tip: options.tip.as_deref() };
         let arm = self
-            .only_path(model, topics)
-            .and_then(|path| Arm::new(model, &path, ends, topics, self.origin).ok());
+            .only_path(model)
+            .and_then(|path| Arm::new(model, &path, ends, &self.group.topics, *origin).ok());
         let Some(arm) = arm else { return Entry::default() };
+        let arm = Arm { space: self.group.space.clone(), tree: Arc::clone(self.tree), ..arm };
         let fits =
-            (0..self.streams.len()).filter_map(|stream| Some((stream, self.fit_of(&arm, stream)?)));
+            (0..streams.len()).filter_map(|stream| Some((stream, self.fit_of(&arm, stream)?)));
         Entry { fits: fits.collect() }
     }
 
     /// How `arm` fits a stream, where that may be its tool's pose.
     fn fit_of(&self, arm: &Arm, index: usize) -> Option<ModelFit> {
-        let stream = &self.streams[index];
-        if !matches!(stream.columns, Some(Columns::Poses(_) | Columns::Array(_))) {
+        let assembly = self.assembly;
+        let stream = &assembly.streams[index];
+        let is_foreign = self.group.space.claim([stream.topic.as_str()]) == Claim::Foreign;
+        if is_foreign || !matches!(stream.columns, Some(Columns::Poses(_) | Columns::Array(_))) {
             return None;
         }
-        let declared =
-            self.options.declared.iter().find(|declared| super::is_topic(stream, &declared.topic));
+        let declared = assembly
+            .options
+            .declared
+            .iter()
+            .find(|declared| super::is_topic(stream, &declared.topic));
         let declared = declared.filter(|declared| declared.fits(stream.columns.as_ref()));
-        let site = self.site(arm, stream);
-        let (role, _) = self.role_of(stream, Some(&site), declared.is_some());
-        if !matches!(role, Role::Pose | Role::Candidate { .. }) || self.is_transform(stream) {
+        let site = assembly.site(arm, stream);
+        let (role, _) = assembly.role_of(stream, Some(&site), declared.is_some());
+        if !matches!(role, Role::Pose | Role::Candidate { .. }) || assembly.is_transform(stream) {
             return None;
         }
         let how = (false, &mut Vec::new());
-        let source = self.pose_source(index, arm, &site, declared, how).ok()?;
+        let source = assembly.pose_source(index, arm, &site, declared, how).ok()?;
         let stream = PoseStream {
             track: &source.track,
             chain: &source.chain,
@@ -164,7 +176,7 @@ impl Assembly<'_> {
             stamp_error_s: source.stamp_error_s,
             stamps_copied: source.stamps_copied,
         };
-        model_fit(&arm.joints, &stream, self.options.max_latency_s)
+        model_fit(&arm.joints, &stream, assembly.options.max_latency_s)
     }
 }
 
