@@ -138,14 +138,17 @@ impl Found {
 
 /// What is left of a stream beyond its noise; a metre and a radian where it could not be read.
 fn left(found: &PoseDiagnosis) -> Left {
-    let is_unread = matches!(found.reading, Err(Unseen::DoesNotFollow(_)));
-    match &found.residual {
-        Ok(residual) => Left {
-            m: residual.excess_m.value,
-            rad: Some(if is_unread { 1.0 } else { residual.excess_rad.value }),
-        },
-        Err(_) if is_unread => Left { m: 1.0, rad: Some(1.0) },
-        Err(_) => Left { m: 0.0, rad: None },
+    match (&found.residual, &found.reading) {
+        (Ok(residual), Ok(_)) => {
+            Left { m: residual.excess_m.value, rad: Some(residual.excess_rad.value) }
+        }
+        // Its positions are read all the same; the last joint may turn the other way.
+        (Ok(residual), Err(Unseen::DoesNotFollow(_))) => {
+            Left { m: residual.excess_m.value, rad: Some(1.0) }
+        }
+        (Ok(residual), Err(_)) => Left { m: residual.excess_m.value, rad: None },
+        (Err(_), Err(Unseen::DoesNotFollow(_))) => Left { m: 1.0, rad: Some(1.0) },
+        (Err(_), _) => Left { m: 0.0, rad: None },
     }
 }
 
