@@ -118,10 +118,15 @@ pub(super) fn tool_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
     pose(mean(tools.iter().map(|tool| tool.translation.vector)).into(), mean_rotation(&turns))
 }
 
-/// The tool frame that alone best takes FK to a stream's poses; none of too few samples.
-pub(super) fn tool_start(witness: &Witness, state: &StreamState) -> Option<Pose> {
+/// The tool frame that alone best takes FK, its joints' zeros moved by `offsets`, to a stream's poses;
+/// none of too few samples.
+pub(super) fn tool_start(
+    witness: &Witness,
+    state: &StreamState,
+    offsets: &[f64],
+) -> Option<Pose> {
     let plain = StreamState { tool: Pose::identity(), ..state.clone() };
-    let (fk, logged) = pairs(witness, &plain);
+    let (fk, logged) = pairs(witness, &plain, offsets);
     (fk.len() >= 3).then(|| tool_frame(&fk, &logged))
 }
 

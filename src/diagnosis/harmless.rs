@@ -32,7 +32,8 @@ pub(super) fn tools_first(
             continue;
         }
         let plain = StreamState { reference: Pose::identity(), ..found.clone() };
-        let Some(tool) = tool_start(witnesses[s], &plain) else { continue };
+        let tool = tool_start(witnesses[s], &plain, &explanation.state.offsets);
+        let Some(tool) = tool else { continue };
         let mut start = explanation.state.clone();
         start.streams[s] = StreamState { tool, ..plain };
         let without = |cause: &&Cause| **cause != Cause::Reference(s);

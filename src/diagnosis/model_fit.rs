@@ -6,11 +6,10 @@
 //! slow samples; what it leaves is compared between arms, not judged.
 
 use super::PoseStream;
-use super::prepare::{by_size, slow_samples};
 use super::latency::{joint_activity, linear_speed, peaks};
 use super::model::pose_of_twist;
 use super::placing::Expected;
-use super::prepare::{position_scale, slow_samples};
+use super::prepare::{by_size, slow_samples};
 use crate::geometry::{Pose, Vec3};
 use crate::robot::JointKind;
 use crate::stream::{JointTrack, Orientations};
