@@ -1,6 +1,7 @@
 //! What joins the rooms: a run's streams into the diagnosis, its results into facts for the rules,
 //! and both into the report.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -13,10 +14,10 @@ use crate::checks::{
 };
 use crate::corrections::{Given, Mending};
 use crate::diagnosis::{
-    ArmDiagnosis, DhEstimate, DhStream, DhTold, ImuDiagnosis, ImuStream, Left, NoShake,
-    PoseDiagnosis, PoseStream, Reading, Series, Shake, Unseen, abruptness, beyond_positions,
-    beyond_speed, diagnose_arm, diagnose_derived, diagnose_imu, faults, follows, position_misfit_m,
-    shake,
+    ArmDiagnosis, DhEstimate, DhStream, DhTold, ImuDiagnosis, ImuStream, JointOffset, Left,
+    NoShake, PoseDiagnosis, PoseStream, Reading, Series, Shake, Unseen, abruptness,
+    beyond_positions, beyond_speed, diagnose_arm, diagnose_derived, diagnose_imu, faults, follows,
+    position_misfit_m, shake,
 };
 use crate::finding::{Severity, Span, Subject};
 use crate::hand_eye::{hand_eyes, settle_hands};
@@ -30,9 +31,9 @@ use crate::report::{
 };
 use crate::robot::{Chain, JointKind, catalogue};
 use crate::run::{
-    Arm, CalibrationSource, Coding, Declaration, Excerpts, HeaderStamps, ImuSource, JointSamples,
-    PoseSource, RobotSource, Role, Run, RunOptions, Segment, Strays, Stream, TopicSettings,
-    Velocities, Witness, segments,
+    Arm, CalibrationSource, Coding, Declaration, Excerpts, HeaderStamps, ImuSource, JointMending,
+    JointSamples, PoseSource, RobotSource, Role, Run, RunOptions, Segment, Strays, Stream,
+    TopicSettings, Velocities, Witness, segments,
 };
 use crate::stream::{
     Columns, DeclaredUnits, ImuTrack, JointColumn, JointTrack, Orientations, PoseTrack,
@@ -747,13 +748,20 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         Some((_, mending)) => mending.mended_samples(&samples),
         None => samples,
     };
+    let (samples, track) = match mending(arm, &diagnosis.arm) {
+        Some(mending) => {
+            (mending.mended_samples(&samples), Cow::Owned(mending.mended(&arm.joints)))
+        }
+        None => (samples, Cow::Borrowed(&arm.joints)),
+    };
     let joints: Vec<usize> = (0..arm.joint_names.len()).collect();
-    let joints = joints.par_iter().map(|&joint| joint_facts(arm, joint, &samples[joint])).collect();
+    let joint = |&joint: &usize| joint_facts(arm, joint, &samples[joint], &track);
+    let joints = joints.par_iter().map(joint).collect();
     let mut shakes = vec![ShakeFacts {
         topic: run.streams[joints_stream].topic.clone(),
         span: span_of(run, joints_stream).unwrap_or(whole),
         in_other_units: false,
-        shake: shake_of_joints(arm, &samples),
+        shake: shake_of_joints(arm, &samples, &track),
     }];
     shakes.extend(arm.poses.iter().zip(&diagnosis.arm.streams).map(|(source, found)| {
         let PoseTrack { t_s, xyz, .. } = &source.track;
@@ -786,9 +794,39 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
     }
 }
 
+/// What makes the joint states those that the arm has, where they are far from that: how the arm moves
+/// is not told by numbers that are no positions.
+fn mending(arm: &Arm, found: &ArmDiagnosis) -> Option<JointMending> {
+    /// A smaller zero changes neither speeds nor what a limit says of them, rad or m.
+    const FAR: f64 = 0.1;
+    let reading = found.joints.as_ref().ok()?;
+    let zero = |(joint, offset): (usize, &JointOffset)| {
+        let coded = found.scales.iter().find(|scale| scale.column == joint && scale.is_coded());
+        let own = offset.offset.as_ref().ok().filter(|_| offset.chosen).map_or(0.0, |it| it.value);
+        coded.map_or(own, |scale| scale.offset)
+    };
+    let offset: Vec<f64> = found.offsets.iter().enumerate().map(zero).collect();
+    if reading.is_as_logged() && offset.iter().all(|offset| offset.abs() < FAR) {
+        return None;
+    }
+    let mut mending = JointMending { offset, ..JointMending::none(arm.joint_names.len()) };
+    if let Some((really, _)) = &reading.permutation {
+        really.iter().enumerate().for_each(|(named, &really)| mending.from[really] = named);
+    }
+    for (factor, slides) in mending.factor.iter_mut().zip(prismatic(arm)) {
+        *factor = if reading.degrees.is_some() && !slides { 1f64.to_radians() } else { 1.0 };
+    }
+    reading.slips.iter().for_each(|slip| mending.factor[slip.column] *= slip.factor);
+    Some(mending)
+}
+
 /// The shake of the tip by the joint states as they are, or where the joints do not share their stamps
 /// by the track that they were brought to.
-fn shake_of_joints(arm: &Arm, samples: &[JointSamples<'_>]) -> Result<Shake, NoShake> {
+fn shake_of_joints(
+    arm: &Arm,
+    samples: &[JointSamples<'_>],
+    track: &JointTrack,
+) -> Result<Shake, NoShake> {
     let mut q = vec![0.0; arm.columns.len()];
     let mut tip = |position: &dyn Fn(usize) -> f64| {
         q.iter_mut().zip(&arm.columns).for_each(|(q, &column)| *q = position(column));
@@ -798,12 +836,17 @@ fn shake_of_joints(arm: &Arm, samples: &[JointSamples<'_>]) -> Result<Shake, NoS
         Some(first) if samples.iter().all(|other| other.is_beside(first)) => {
             shake(&first.t_s, |row| tip(&|column| samples[column].position[row]))
         }
-        _ => shake(&arm.joints.t_s, |row| tip(&|column| arm.joints.row(row)[column])),
+        _ => shake(&track.t_s, |row| tip(&|column| track.row(row)[column])),
     }
 }
 
 /// A joint, and what it does by all of its samples.
-fn joint_facts(arm: &Arm, joint: usize, samples: &JointSamples<'_>) -> JointFacts {
+fn joint_facts(
+    arm: &Arm,
+    joint: usize,
+    samples: &JointSamples<'_>,
+    track: &JointTrack,
+) -> JointFacts {
     let name = arm.joint_names[joint].clone();
     let model = arm.robot.joint(&name);
     let limits = model.map(|joint| joint.limits).unwrap_or_default();
@@ -817,7 +860,7 @@ fn joint_facts(arm: &Arm, joint: usize, samples: &JointSamples<'_>) -> JointFact
                 abruptness(t_s, velocity, Series::Velocities),
             ),
             Velocities::Derived => {
-                let JointTrack { t_s: times_s, dof, qd, .. } = &arm.joints;
+                let JointTrack { t_s: times_s, dof, qd, .. } = track;
                 let qd: Vec<f64> = qd.iter().skip(joint).step_by(*dof).copied().collect();
                 (beyond_speed(times_s, &qd, &limits), abruptness(t_s, position, Series::Positions))
             }

@@ -49,13 +49,21 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
     let is_confirmed = |(stream, placement): (&PoseStream, &Placement)| {
         placement.explains() && prepare(&read, stream, placement).is_ok_and(|it| it.is_confirmed())
     };
-    let metres: Vec<f64> =
+    let mut metres: Vec<f64> =
         placements.iter().map(|placed| *placed.metres.as_ref().unwrap_or(&1.0)).collect();
     let mut reading = match streams.iter().zip(&placements).any(is_confirmed) {
         // What positions lie on as they are written needs no other joint states.
         true => Ok(as_logged.clone()),
         false => read_joints(joints, streams, &metres, most_lag_s),
     };
+    let as_said = vec![1.0; streams.len()];
+    if reading.is_err() && metres != as_said {
+        // Joints that are read wrongly may feign another unit of the poses.
+        let by_said = read_joints(joints, streams, &as_said, most_lag_s);
+        if by_said.as_ref().is_ok_and(|reading| !reading.is_as_logged()) {
+            (reading, metres) = (by_said, as_said);
+        }
+    }
     let mut found = by(reading.as_ref().unwrap_or(&as_logged));
     if reading.as_ref().is_ok_and(|reading| *reading != as_logged) && !found.is_near() {
         // A reading that leaves much is none.
