@@ -62,9 +62,9 @@ fn check(facts: &Facts) -> Vec<Judged> {
 /// cannot.
 pub(super) fn doubt(arm: &ArmFacts) -> Option<String> {
     let why = match &arm.diagnosis.joints {
-        Ok(reading) if !reading.is_as_logged() => {
+        Ok(reading) if reading.degrees.is_some() || reading.permutation.is_some() => {
             "the joint positions are not what their names and units say; read them right first \
-             (ORD004, ORD005, ORD008, ORD009)"
+             (ORD004, ORD005)"
         }
         Err(Unseen::NotExcited) => {
             "poses and joint states disagree in whatever order and unit the joint positions are \
@@ -104,23 +104,13 @@ fn judge(facts: &Facts, arm: &ArmFacts, index: usize, joint: &JointFacts) -> Jud
     }
     let motion = &joint.motion;
     let range = limits.lower.zip(limits.upper).map_or(0.0, |(lower, upper)| upper - lower);
-    // A position that is logged from another zero is elsewhere.
-    let zero = arm.diagnosis.offsets.get(index).filter(|zero| zero.chosen);
-    let off = zero.and_then(|zero| zero.offset.as_ref().ok()).map_or(0.0, |off| off.value.abs());
-    let is_there = |excess: &&Excess| off < excess.over();
-    let position = Broken::of("position", motion.positions.as_ref().filter(is_there), range);
+    let position = Broken::of("position", motion.positions.as_ref(), range);
     let top_speed = limits.velocity.unwrap_or(0.0);
     let slight_from = if motion.is_endless { ENDLESS / SLIGHT } else { 1.0 };
     let speed = Broken::of("speed", motion.speeds.as_ref(), slight_from * top_speed);
     let broken: Vec<&Broken<'_>> = [&position, &speed].into_iter().flatten().collect();
     let Some(worst) = broken.iter().rev().max_by_key(|broken| broken.severity) else {
-        let is_beyond = motion.positions.as_ref().is_some_and(|excess| excess.over() > NOISE);
-        return judged(match is_beyond {
-            false => Outcome::sound(),
-            true => Outcome::Inconclusive(
-                "its zero is off by more than it is beyond its limit: home it first (ZER001)".to_owned(),
-            ),
-        });
+        return judged(Outcome::sound());
     };
     let unit = arm.joint_unit(index);
     let told: Vec<String> = broken.iter().map(|broken| tell(facts, broken, unit)).collect();
