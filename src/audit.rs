@@ -706,6 +706,9 @@ fn held(run: &Run) -> Vec<HeldFacts> {
 
 /// The streams that are audited or would be, each with why it is not, or not as what it says it is.
 fn unaudited(run: &Run) -> Vec<UnauditedFacts> {
+    if run.arms.is_empty() {
+        return Vec::new();
+    }
     let of = |(index, stream): (usize, &Stream)| {
         let why: Vec<_> = run.unaudited.iter().filter(|found| found.stream == index).collect();
         let is_asked = matches!(stream.role, Role::Joints | Role::Pose) || !why.is_empty();

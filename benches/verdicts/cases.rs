@@ -164,7 +164,8 @@ impl Case {
             let mut codes: Vec<&str> = possible.iter().map(|of| of.codes[0]).collect();
             codes.dedup();
             let code = *choose(r, &codes);
-            let kinds: Vec<&&KindOf> = possible.iter().filter(|of| of.codes[0] == code).collect();
+            let kinds: Vec<&KindOf> =
+                possible.iter().copied().filter(|of| of.codes[0] == code).collect();
             let of: &KindOf = choose(r, &kinds);
             let mut slots: Vec<String> = of.slots.iter().map(|&slot| slot.to_owned()).collect();
             let dof = chain(&self.scenario).dof();

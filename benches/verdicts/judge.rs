@@ -41,7 +41,7 @@ pub enum Fate {
 }
 
 impl Fate {
-    fn is_named(self) -> bool {
+    pub fn is_named(self) -> bool {
         matches!(self, Fate::Named | Fate::NamedAsTwin)
     }
 }

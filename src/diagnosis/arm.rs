@@ -69,7 +69,7 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
         }
     }
     let mut found = by(reading.as_ref().unwrap_or(&as_logged));
-    if reading.as_ref().is_ok_and(|reading| *reading != as_logged) && !found.is_near() {
+    if reading.as_ref().is_ok_and(|reading| *reading != as_logged) && !found.holds() {
         // A reading that leaves much is none.
         (reading, found) = (Err(Unseen::NotExcited), by(&as_logged));
     }
@@ -82,7 +82,7 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
         let other = other_reading(joints, own, metres[stream], lag_s, left);
         if let Some(other) = other {
             let by_other = by(&other);
-            if by_other.is_near() && by_other.left() * FAR_BETTER < found.left() {
+            if by_other.holds() && by_other.left() * FAR_BETTER < found.left() {
                 (reading, found) = (Ok(other), by_other);
             }
         }
@@ -127,6 +127,13 @@ impl Found {
             found.residual.as_ref().is_ok_and(|residual| residual.excess_m.value < most_m)
         };
         self.streams.iter().any(near)
+    }
+
+    /// Whether the reading may be believed: some stream is near the arm, and no joint needs a scale of
+    /// its own that is no gear's unless that explains all.
+    fn holds(&self) -> bool {
+        let is_odd = self.scales.iter().any(|scale| !scale.is_coded() && !scale.is_round());
+        self.is_near() && (!is_odd || self.unexplained().is_none())
     }
 
     /// All that is left, an angle counting at an arm's length of 0.3 m, m.

@@ -453,6 +453,15 @@ impl JointScale {
     pub fn is_coded(&self) -> bool {
         is_coded(self.factor.value)
     }
+
+    /// Whether the factor is a whole number, or one part of one, as of a reversed joint or a gear.
+    pub fn is_round(&self) -> bool {
+        /// Within this share.
+        const NEAR: f64 = 0.01;
+        let size = self.factor.value.abs();
+        let whole = size.max(size.recip());
+        (whole - whole.round()).abs() < NEAR * whole
+    }
 }
 
 /// Whether a joint's numbers that must be multiplied by `factor` are of another kind than rad or m.

@@ -421,7 +421,8 @@ pub(super) fn prepare<'a>(
     let joints = read_as.near();
     let PoseStream { track, chain, columns, reference_known, .. } = *stream;
     let peaks = placement.peaks.clone();
-    let lag_s = peaks.first().map_or(0.0, |peak| peak.lag_s);
+    let peak_s = peaks.first().map_or(0.0, |peak| peak.lag_s);
+    let lag_s = if lies_as_logged(joints, stream) { 0.0 } else { peak_s };
     let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, lag_s);
     if rows.is_empty() {
         return Err(Unseen::NoOverlap);
@@ -494,6 +495,23 @@ pub(super) fn prepare<'a>(
     let Way { metres, inverted, .. } = way;
     let constant = placement.constant;
     Ok(Prepared { witness, reading, degrees, metres, axes, inverted, constant, peaks, moves })
+}
+
+/// Whether a stream lies on the arm as it is and when it says so: then no lag that its speeds feign in a
+/// short or even motion calls for another reading.
+fn lies_as_logged(joints: &JointTrack, stream: &PoseStream) -> bool {
+    /// It lies on the arm within this share of FK's extent.
+    const LIES: f64 = 0.02;
+    let PoseStream { track, chain, columns, .. } = *stream;
+    let Some(rotations) = as_rotations(&track.orientation) else { return false };
+    let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, 0.0);
+    let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
+    let most_m = LIES * spread(&at);
+    let is_there = |(&row, fk): (&usize, &Pose)| {
+        (track.xyz[row] - fk.translation.vector).norm() <= most_m
+            && angle_between(&rotations[row], &fk.rotation) <= FITS_RAD
+    };
+    !rows.is_empty() && rows.iter().zip(&fk).all(is_there)
 }
 
 /// Whether orientations are any: not where they stay as they are while FK's turn.

@@ -170,7 +170,7 @@ fn a_tool_and_growth_are_no_calibration_however_noisy_the_tracker() {
 fn the_catalogue_arm_that_fits_is_named_beside_a_model_that_does_not() {
     let report = Log::with(|log| log.options.robots = vec!["ur10e".into()]).audited();
     let message = &the(&report, "MDL001", POSE).message;
-    assert!(message.contains("the catalogue's ur5e fits to"), "{message}");
+    assert!(message.contains("this log is of a ur5e, which fits to"), "{message}");
 }
 
 /// Moves the origin of a joint by x, y, z (m) and roll, pitch, yaw (rad). The log tells neither the

@@ -87,6 +87,14 @@ impl Court<'_> {
         if own.fits && own.way.needs == Needs::Nothing && !own.way.misread {
             return None;
         }
+        // What fits by the other convention of its own table is no other arm (ORD007).
+        if let Some(robot) = model.robot.under_other_convention() {
+            let contest = self.contest(&[&Model { robot, ..model.clone() }]);
+            let turned = contest.as_ref().and_then(|contest| contest.standings.first());
+            if turned.is_some_and(|it| it.fits && it.way.needs.is_harmless() && !it.way.misread) {
+                return None;
+            }
+        }
         let joints: BTreeSet<&String> = path.joints.iter().collect();
         let candidates = catalogue::candidates_for(&path.joints);
         let complete = candidates
