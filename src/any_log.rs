@@ -392,7 +392,7 @@ impl AnyLog {
 
 #[test]
 fn no_log_makes_the_audit_panic() {
-    let config = Config { cases: 96, failure_persistence: None, ..Config::default() };
+    let config = Config { failure_persistence: None, ..Config::with_cases(48) };
     let rng = TestRng::deterministic_rng(RngAlgorithm::ChaCha);
     let mut runner = TestRunner::new_with_rng(config, rng);
     let outcome = runner.run(&any_log(), |log| {

@@ -34,7 +34,7 @@ use crate::robot::JointKind;
 use crate::run::{
     Arm, CalibrationSource, Coding, Declaration, Excerpts, HeaderStamps, ImuSource, JointMending,
     JointSamples, PoseSource, RobotSource, Role, Run, RunOptions, Segment, Strays, Stream,
-    TopicSettings, Velocities, Witness, segments,
+    TopicSettings, Unaudited, Velocities, WhyNot, Witness, segments,
 };
 use crate::settle::{retake_carried, settle};
 use crate::stream::{
@@ -494,6 +494,8 @@ pub(crate) fn prismatic(arm: &Arm) -> Vec<bool> {
 
 /// The facts for the rules.
 fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read, options: &Options) -> Facts {
+    let unset = run.arms.iter().zip(&diagnoses).flat_map(|(arm, found)| unset(arm, &found.arm));
+    let unset: Vec<Unaudited> = unset.collect();
     let arms = run.arms.iter().zip(diagnoses);
     let robots = arms.map(|(arm, diagnosis)| arm_facts(run, arm, diagnosis, options));
     let stamps = run.clocks.iter().filter_map(|clock| {
@@ -518,7 +520,7 @@ fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read, options: &Options) -
         strays: strays(run),
         frozen: frozen(run),
         held: held(run),
-        unaudited: unaudited(run),
+        unaudited: unaudited(run, &unset),
         empty: empty(run),
         missing: missing(run, &options.topics),
         figures: options.rules.figures.clone(),
@@ -704,13 +706,23 @@ fn held(run: &Run) -> Vec<HeldFacts> {
     streams.map(of).collect()
 }
 
+/// The streams of an arm whose orientations were never set.
+fn unset(arm: &Arm, found: &ArmDiagnosis) -> Vec<Unaudited> {
+    let streams = arm.poses.iter().zip(&found.streams);
+    let unset =
+        streams.filter(|(_, found)| matches!(found.reading, Err(Unseen::OrientationNotSet)));
+    let why = WhyNot::NoOrientation;
+    unset.map(|(source, _)| Unaudited { stream: source.stream, why: why.clone() }).collect()
+}
+
 /// The streams that are audited or would be, each with why it is not, or not as what it says it is.
-fn unaudited(run: &Run) -> Vec<UnauditedFacts> {
+fn unaudited(run: &Run, unset: &[Unaudited]) -> Vec<UnauditedFacts> {
     if run.arms.is_empty() {
         return Vec::new();
     }
     let of = |(index, stream): (usize, &Stream)| {
-        let why: Vec<_> = run.unaudited.iter().filter(|found| found.stream == index).collect();
+        let known = run.unaudited.iter().chain(unset);
+        let why: Vec<_> = known.filter(|found| found.stream == index).collect();
         let is_asked = matches!(stream.role, Role::Joints | Role::Pose) || !why.is_empty();
         is_asked.then(|| UnauditedFacts {
             subject: subject_of(run, stream),

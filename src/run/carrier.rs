@@ -72,7 +72,10 @@ impl Carrier {
             taken.xyz.push(pose.translation.vector);
             turned.push(pose.rotation);
         }
-        taken.orientation = Orientations::Rotations(turned);
+        taken.orientation = match rotations {
+            Some(_) => Orientations::Rotations(turned),
+            None => Orientations::Unset(taken.t_s.len()),
+        };
         taken
     }
 }

@@ -4,7 +4,7 @@ use crate::geometry::Pose;
 use crate::run::role::{Role, shared, words};
 use crate::stream::{ArrayColumns, Columns, JointColumns, PoseTrack};
 
-use super::super::arm::Arm;
+use super::super::arm::{Anchor, Arm};
 use super::super::poses;
 use super::super::role::Place;
 use super::super::streams::{Rows, Stream};
@@ -139,8 +139,11 @@ impl Assembly<'_> {
         }
         let frame = &stream.frame_id;
         let (place, anchor) = arm.place(frame);
+        // What moves an arm's base, as a waist, moves the frames on it.
+        let is_of_base =
+            |anchor: Anchor| arm.robot.fixed_transform(arm.base, anchor.link).is_some();
         let (link, link_from_frame) = match (place, anchor) {
-            (Place::MovingLink, _) => {
+            (Place::MovingLink, anchor) if !anchor.is_some_and(is_of_base) => {
                 return Err(format!("it is in '{frame}', which the arm itself moves"));
             }
             (Place::Unnamed, _) => (arm.unnamed_base, Pose::identity()),

@@ -112,7 +112,9 @@ impl Assembly<'_> {
                     return Err(not_so(declared, what.to_string()));
                 }
                 Err(why) => {
-                    if let (true, NoSource::Kinematics(what)) = (known, &why) {
+                    // Between two links that move together nothing could be audited.
+                    let is_asked = known && site.frame != Place::MovingLink;
+                    if let (true, NoSource::Kinematics(what)) = (is_asked, &why) {
                         unaudited = Some(WhyNot::NoKinematics { what: what.clone() });
                     }
                     (role, reason) = (Role::Unassigned, why.to_string());
@@ -278,6 +280,7 @@ impl Assembly<'_> {
         } else if carrier.is_some() {
             (frame, frame_anchor) = (Place::Carried, None);
         } else if frame == Place::MovingLink
+            && child != Place::MovingLink
             && frame_anchor
                 .is_some_and(|base| arm.robot.fixed_transform(base.link, tip.link).is_some())
         {
@@ -341,6 +344,9 @@ impl Assembly<'_> {
             Some(Columns::Array(array)) => poses::from_array(array, &rows, declared, self.origin)?,
             _ => return Err("it holds no poses".to_owned().into()),
         };
+        if site.frame == Place::Tool && !logged.track.changes() {
+            return Err("it never changes, as a tool's offset in its own frame".to_owned().into());
+        }
         let how = (known, self.options.max_latency_s);
         *frozen = take_frozen(index, &mut logged, &arm.joints, &columns, how);
         if frozen.iter().any(|frozen| frozen.whole) {
