@@ -1,6 +1,7 @@
 //! What joins the rooms: a run's streams into the diagnosis, its results into facts for the rules,
 //! and both into the report.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -9,14 +10,15 @@ use rayon::prelude::*;
 use crate::checks::{
     ArmFacts, Declared, DhFacts, Due, EmptyFacts, EulerFacts, EvaluatedPart, Evaluation, Facts,
     FrameFacts, FrozenFacts, HeldFacts, ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts,
-    RhythmFacts, Settings, ShakeFacts, StampFacts, StrayFacts, UndecodableTopic, evaluate, merged,
+    RhythmFacts, Settings, ShakeFacts, StampFacts, StrayFacts, UnauditedFacts, UndecodableTopic,
+    evaluate, merged,
 };
 use crate::corrections::{Given, Mending};
 use crate::diagnosis::{
-    ArmDiagnosis, DhEstimate, DhStream, DhTold, ImuDiagnosis, ImuStream, LatencySteps, Left,
-    NoShake, PoseDiagnosis, PoseStream, Reading, Series, Shake, Unseen, abruptness,
+    ArmDiagnosis, DhEstimate, DhStream, DhTold, ImuDiagnosis, ImuStream, JointOffset, LatencySteps,
+    Left, NoShake, PoseDiagnosis, PoseStream, Reading, Series, Shake, Unseen, abruptness,
     beyond_positions, beyond_speed, diagnose_arm, diagnose_derived, diagnose_imu, faults, follows,
-    imu_steps, pose_steps, position_misfit_m, shake,
+    imu_steps, pose_steps, position_misfit_m, proof, proof_of_imu, shake,
 };
 use crate::finding::{Severity, Span, Subject};
 use crate::hand_eye::{hand_eyes, settle_hands};
@@ -28,12 +30,13 @@ use crate::report::{
     Figures, FileRow, LogSummary, NoteRow, Report, RobotRow, StreamRow, Trouble, TroubleKind,
     tells_hand_eye,
 };
-use crate::robot::{Chain, JointKind, catalogue};
+use crate::robot::JointKind;
 use crate::run::{
-    Arm, CalibrationSource, Coding, Declaration, Excerpts, HeaderStamps, ImuSource, JointSamples,
-    PoseSource, RobotSource, Role, Run, RunOptions, Segment, Strays, Stream, TopicSettings,
-    Velocities, Witness, segments,
+    Arm, CalibrationSource, Coding, Declaration, Excerpts, HeaderStamps, ImuSource, JointMending,
+    JointSamples, PoseSource, RobotSource, Role, Run, RunOptions, Segment, Strays, Stream,
+    TopicSettings, Velocities, Witness, segments,
 };
+use crate::settle::{retake_carried, settle};
 use crate::stream::{
     Columns, DeclaredUnits, ImuTrack, JointColumn, JointTrack, Orientations, PoseTrack,
 };
@@ -78,6 +81,8 @@ pub struct Options {
     pub rules: Settings,
     /// Findings of this severity or above fail the run; `None`: none does.
     pub fail_on: Option<Severity>,
+    /// Whether a verdict that is inconclusive fails the run, too.
+    pub fail_on_inconclusive: bool,
     /// The recording for the Rerun viewer to write.
     pub recording: Option<Recording>,
     /// The folder to write tables into, as Parquet.
@@ -107,6 +112,7 @@ impl Default for Options {
             fix: None,
             rules: Settings::default(),
             fail_on: Some(Severity::Warning),
+            fail_on_inconclusive: false,
             recording: None,
             tables: None,
             figures: false,
@@ -217,21 +223,6 @@ pub(crate) fn imu_stream(source: &ImuSource) -> ImuStream<'_> {
     }
 }
 
-/// Settles which candidates are tool poses, by whether they follow the arm.
-pub(crate) fn settle_candidates(run: &mut Run, most_lag_s: f64) {
-    let candidates: Vec<usize> = run.candidates().collect();
-    for candidate in candidates {
-        let source = run
-            .arms
-            .iter()
-            .flat_map(|arm| arm.poses.iter().map(move |source| (arm, source)))
-            .find(|(_, source)| source.stream == candidate);
-        let peak = source
-            .and_then(|(arm, source)| follows(&arm.joints, &pose_stream(run, source), most_lag_s));
-        run.settle(candidate, peak.map(|peak| peak.correlation));
-    }
-}
-
 /// What was estimated on one arm.
 struct Diagnosis {
     pub arm: ArmDiagnosis,
@@ -246,6 +237,10 @@ fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<Diagnosis> {
     let arms = 0..run.arms.len();
     arms.map(|index| {
         let found = diagnose_one(run, &run.arms[index], most_lag_s);
+        let found = match retake_carried(run, index, &found.arm) {
+            true => diagnose_one(run, &run.arms[index], most_lag_s),
+            false => found,
+        };
         let Some(dh) = &run.arms[index].robot.dh else { return found };
         let declared = dh.convention;
         let (estimate, other) = by_other_convention(run, &run.arms[index], &found.arm, most_lag_s);
@@ -499,9 +494,8 @@ pub(crate) fn prismatic(arm: &Arm) -> Vec<bool> {
 
 /// The facts for the rules.
 fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read, options: &Options) -> Facts {
-    let declared = &options.declarations;
     let arms = run.arms.iter().zip(diagnoses);
-    let robots = arms.map(|(arm, diagnosis)| arm_facts(run, arm, diagnosis, declared));
+    let robots = arms.map(|(arm, diagnosis)| arm_facts(run, arm, diagnosis, options));
     let stamps = run.clocks.iter().filter_map(|clock| {
         let stream = run.streams.get(clock.stream)?;
         Some(StampFacts {
@@ -524,6 +518,7 @@ fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read, options: &Options) -
         strays: strays(run),
         frozen: frozen(run),
         held: held(run),
+        unaudited: unaudited(run),
         empty: empty(run),
         missing: missing(run, &options.topics),
         figures: options.rules.figures.clone(),
@@ -709,6 +704,20 @@ fn held(run: &Run) -> Vec<HeldFacts> {
     streams.map(of).collect()
 }
 
+/// The streams that are audited or would be, each with why it is not, or not as what it says it is.
+fn unaudited(run: &Run) -> Vec<UnauditedFacts> {
+    let of = |(index, stream): (usize, &Stream)| {
+        let why: Vec<_> = run.unaudited.iter().filter(|found| found.stream == index).collect();
+        let is_asked = matches!(stream.role, Role::Joints | Role::Pose) || !why.is_empty();
+        is_asked.then(|| UnauditedFacts {
+            subject: subject_of(run, stream),
+            span: span_of(run, index),
+            why: why.into_iter().map(|found| found.why.clone()).collect(),
+        })
+    };
+    run.streams.iter().enumerate().filter_map(of).collect()
+}
+
 /// The topics that hold nothing and would be audited; of joint states and transforms only where no
 /// other topic has any.
 fn empty(run: &Run) -> Vec<EmptyFacts> {
@@ -768,11 +777,15 @@ fn span_of(run: &Run, stream: usize) -> Option<Span> {
     Some(Span { start: stream.start?, end: stream.end? })
 }
 
-fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration]) -> ArmFacts {
+fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, options: &Options) -> ArmFacts {
     let joints_stream = arm.joint_facts.first().map_or(0, |facts| facts.stream);
     let whole = run.span.unwrap_or((run.origin, run.origin));
     let whole = Span { start: whole.0, end: whole.1 };
-    let pose_facts = |source: &PoseSource| PoseFacts {
+    let mended = diagnosis.arm.corrected_joints(&arm.joints, &prismatic(arm));
+    let is_read = !matches!(diagnosis.arm.joints, Err(Unseen::NotExcited));
+    let most_lag_s = options.max_latency_s;
+    let pose_facts = |source: &PoseSource, found: &PoseDiagnosis| PoseFacts {
+        proof: proof(&arm.joints, &mended, &pose_stream(run, source), found),
         topic: run.streams[source.stream].topic.clone(),
         span: span_of(run, source.stream).unwrap_or(whole),
         reference: if source.reference_known {
@@ -784,7 +797,6 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         tip: source.chain.tip_name().to_owned(),
         tip_named: source.tip_named,
         witness: run.streams[source.stream].witness.unwrap_or(Witness::Unknown),
-        better_model: None,
         euler: None,
         independent: !source.stamps_copied,
         bare_numbers: matches!(source.track.orientation, Orientations::Numbers(_)),
@@ -806,6 +818,9 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
             independent: !source.stamps_copied,
             link: source.chain.tip_name().to_owned(),
             link_from_imu: source.link_from_imu.map(|pose| pose.rotation),
+            proof: is_read
+                .then(|| proof_of_imu(&mended, &imu_stream(source), &diagnosis, most_lag_s))
+                .flatten(),
         };
         (facts, diagnosis)
     });
@@ -814,14 +829,20 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         Some((_, mending)) => mending.mended_samples(&samples),
         None => samples,
     };
+    let (samples, track) = match mending(arm, &diagnosis.arm) {
+        Some(mending) => {
+            (mending.mended_samples(&samples), Cow::Owned(mending.mended(&arm.joints)))
+        }
+        None => (samples, Cow::Borrowed(&arm.joints)),
+    };
     let joints: Vec<usize> = (0..arm.joint_names.len()).collect();
-    let joints =
-        joints.par_iter().map(|&joint| joint_facts(run, arm, joint, &samples[joint])).collect();
+    let joint = |&joint: &usize| joint_facts(run, arm, joint, &samples[joint], &track);
+    let joints = joints.par_iter().map(joint).collect();
     let mut shakes = vec![ShakeFacts {
         topic: run.streams[joints_stream].topic.clone(),
         span: span_of(run, joints_stream).unwrap_or(whole),
         in_other_units: false,
-        shake: shake_of_joints(arm, &samples),
+        shake: shake_of_joints(arm, &samples, &track),
     }];
     shakes.extend(arm.poses.iter().zip(&diagnosis.arm.streams).map(|(source, found)| {
         let PoseTrack { t_s, xyz, .. } = &source.track;
@@ -833,9 +854,8 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         }
     }));
     let poses = arm.poses.iter().zip(&diagnosis.arm.streams).map(|(source, found)| PoseFacts {
-        better_model: better_model(run, arm, source, found),
-        euler: euler(run, source, found, declared),
-        ..pose_facts(source)
+        euler: euler(run, source, found, &options.declarations),
+        ..pose_facts(source, found)
     });
     let poses = poses.collect();
     ArmFacts {
@@ -844,19 +864,50 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         span: span_of(run, joints_stream).unwrap_or(whole),
         joints,
         reach_m: arm.chain.max_reach_m(),
+        wrong_model: arm.instead_of.clone(),
         dh: diagnosis.dh,
         diagnosis: diagnosis.arm,
         poses,
-        tf: tf.into_iter().map(|(source, diagnosis)| (pose_facts(source), diagnosis)).collect(),
+        tf: tf.into_iter().map(|(source, found)| (pose_facts(source, &found), found)).collect(),
         shakes,
         imus: imus.collect(),
         references: Vec::new(),
     }
 }
 
+/// What makes the joint states those that the arm has, where they are far from that: how the arm moves
+/// is not told by numbers that are no positions.
+fn mending(arm: &Arm, found: &ArmDiagnosis) -> Option<JointMending> {
+    /// A smaller zero changes neither speeds nor what a limit says of them, rad or m.
+    const FAR: f64 = 0.1;
+    let reading = found.joints.as_ref().ok()?;
+    let zero = |(joint, offset): (usize, &JointOffset)| {
+        let coded = found.scales.iter().find(|scale| scale.column == joint && scale.is_coded());
+        let own = offset.offset.as_ref().ok().filter(|_| offset.chosen).map_or(0.0, |it| it.value);
+        coded.map_or(own, |scale| scale.offset)
+    };
+    let offset: Vec<f64> = found.offsets.iter().enumerate().map(zero).collect();
+    if reading.is_as_logged() && offset.iter().all(|offset| offset.abs() < FAR) {
+        return None;
+    }
+    let mut mending = JointMending { offset, ..JointMending::none(arm.joint_names.len()) };
+    if let Some((really, _)) = &reading.permutation {
+        really.iter().enumerate().for_each(|(named, &really)| mending.from[really] = named);
+    }
+    for (factor, slides) in mending.factor.iter_mut().zip(prismatic(arm)) {
+        *factor = if reading.degrees.is_some() && !slides { 1f64.to_radians() } else { 1.0 };
+    }
+    reading.slips.iter().for_each(|slip| mending.factor[slip.column] *= slip.factor);
+    Some(mending)
+}
+
 /// The shake of the tip by the joint states as they are, or where the joints do not share their stamps
 /// by the track that they were brought to.
-fn shake_of_joints(arm: &Arm, samples: &[JointSamples<'_>]) -> Result<Shake, NoShake> {
+fn shake_of_joints(
+    arm: &Arm,
+    samples: &[JointSamples<'_>],
+    track: &JointTrack,
+) -> Result<Shake, NoShake> {
     let mut q = vec![0.0; arm.columns.len()];
     let mut tip = |position: &dyn Fn(usize) -> f64| {
         q.iter_mut().zip(&arm.columns).for_each(|(q, &column)| *q = position(column));
@@ -866,12 +917,18 @@ fn shake_of_joints(arm: &Arm, samples: &[JointSamples<'_>]) -> Result<Shake, NoS
         Some(first) if samples.iter().all(|other| other.is_beside(first)) => {
             shake(&first.t_s, |row| tip(&|column| samples[column].position[row]))
         }
-        _ => shake(&arm.joints.t_s, |row| tip(&|column| arm.joints.row(row)[column])),
+        _ => shake(&track.t_s, |row| tip(&|column| track.row(row)[column])),
     }
 }
 
 /// A joint, and what it does by all of its samples.
-fn joint_facts(run: &Run, arm: &Arm, joint: usize, samples: &JointSamples<'_>) -> JointFacts {
+fn joint_facts(
+    run: &Run,
+    arm: &Arm,
+    joint: usize,
+    samples: &JointSamples<'_>,
+    track: &JointTrack,
+) -> JointFacts {
     let name = arm.joint_names[joint].clone();
     let model = arm.robot.joint(&name);
     let limits = model.map(|joint| joint.limits).unwrap_or_default();
@@ -892,7 +949,7 @@ fn joint_facts(run: &Run, arm: &Arm, joint: usize, samples: &JointSamples<'_>) -
                 abruptness(t_s, velocity, Series::Velocities),
             ),
             Velocities::Derived => {
-                let JointTrack { t_s: times_s, dof, qd, .. } = &arm.joints;
+                let JointTrack { t_s: times_s, dof, qd, .. } = track;
                 let qd: Vec<f64> = qd.iter().skip(joint).step_by(*dof).copied().collect();
                 (beyond_speed(times_s, &qd, &limits), abruptness(t_s, position, Series::Positions))
             }
@@ -939,43 +996,6 @@ fn euler(
         convention,
         margins_rad: (0..array.times.len()).filter_map(margin).collect(),
     })
-}
-
-/// The arm of the catalogue with the same joints that fits a stream far better than its model does,
-/// and to how much, rms m. Nothing is looked for where the model leaves little.
-fn better_model(
-    run: &Run,
-    arm: &Arm,
-    source: &PoseSource,
-    found: &PoseDiagnosis,
-) -> Option<(String, f64)> {
-    /// What a model leaves that is the right one, or the drawing of it, m.
-    const LITTLE_M: f64 = 1e-3;
-    /// An arm fits that leaves less than this share of what the model leaves.
-    const SHARE: f64 = 0.1;
-    let left_m = found.residual.as_ref().ok()?.excess_m.value;
-    if left_m < LITTLE_M || found.nominal {
-        return None;
-    }
-    let scale = position_factor(found);
-    let latency_s = found.latency_s.as_ref().map_or(0.0, |latency| latency.value);
-    let stream = pose_stream(run, source);
-    let misfit_m = |chain: &Chain| {
-        position_misfit_m(&arm.joints, &PoseStream { chain, ..stream }, scale, latency_s)
-    };
-    let most_m = SHARE * misfit_m(&source.chain)?;
-    let candidates = catalogue::candidates_for(&arm.joint_names).into_iter();
-    let fits = candidates.filter(|candidate| candidate.names.is_complete()).filter_map(|other| {
-        let robot = other.renamed()?;
-        let [base, tip] = [source.chain.base_name(), source.chain.tip_name()];
-        let chain = robot.chain(robot.link(base)?, robot.link(tip)?).ok()?;
-        // What has other joints cannot take these positions.
-        let chain =
-            Some(chain).filter(|chain| chain.joint_names() == source.chain.joint_names())?;
-        let misfit_m = misfit_m(&chain).filter(|misfit_m| *misfit_m < most_m)?;
-        Some((robot.name, misfit_m))
-    });
-    fits.min_by(|(_, a), (_, b)| a.total_cmp(b))
 }
 
 /// A segment of a run, audited.
@@ -1089,6 +1109,7 @@ impl Audits {
         let mut report =
             Report::new(read.summary, robots(&main.run), streams, evaluation, options.fail_on);
         report.workspace = workspace;
+        report.fails_open = options.fail_on_inconclusive;
         match &main.run.no_arm {
             Some(error) if options.rules.need_model() && !tells_hand_eye(&report.checks) => {
                 report.with_trouble(error.into())
@@ -1120,7 +1141,7 @@ impl Audited {
         if let Some(given) = given {
             given.apply(&mut run, options.max_latency_s)?;
         }
-        settle_candidates(&mut run, options.max_latency_s);
+        settle(&mut run, options.max_latency_s);
         settle_hands(&mut run, options.max_latency_s);
         let diagnoses = diagnose(&mut run, options.max_latency_s);
         let joints = |arm: usize| readable_joints(&run.arms[arm], &diagnoses[arm].arm);

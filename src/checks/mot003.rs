@@ -61,12 +61,18 @@ fn check(facts: &Facts) -> Vec<Judged> {
 /// Why the numbers of the joint states cannot be held against limits or called motion, where they
 /// cannot.
 pub(super) fn doubt(arm: &ArmFacts) -> Option<String> {
-    let is_doubtful = match &arm.diagnosis.joints {
-        Ok(reading) => reading.degrees.is_some() || reading.permutation.is_some(),
-        Err(why) => *why == Unseen::NotExcited,
+    let why = match &arm.diagnosis.joints {
+        Ok(reading) if reading.degrees.is_some() || reading.permutation.is_some() => {
+            "the joint positions are not what their names and units say; read them right first \
+             (ORD004, ORD005)"
+        }
+        Err(Unseen::NotExcited) => {
+            "poses and joint states disagree in whatever order and unit the joint positions are \
+             (MDL001), and that leaves open what those are"
+        }
+        _ => return None,
     };
-    let why = "the joint positions are not what their names and units say; read them right first";
-    is_doubtful.then(|| format!("{why} (ORD004, ORD005)"))
+    Some(why.to_owned())
 }
 
 /// A limit that is exceeded.

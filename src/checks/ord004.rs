@@ -1,16 +1,16 @@
 use crate::checks::decision::unseen;
 use crate::checks::{ArmFacts, Facts, Grade, Judged};
-use crate::diagnosis::UnitSlip;
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::diagnosis::{JointUnit, UnitSlip};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 
 rule! {
     /// Degrees stand where radians belong, or the other way round.
     ///
     /// ## What it means
-    /// The joint positions are degrees, and everything that reads them takes them for radians
-    /// (REP 103). Of rotation numbers that were declared it is the declaration that names the wrong unit,
-    /// either way. A bare array of which nothing is declared has no unit to violate: what it was read as
-    /// is said by ORD001.
+    /// The joint positions, or those of one joint, are degrees, and everything that reads them takes
+    /// them for radians (REP 103). Of rotation numbers that were declared it is the declaration that
+    /// names the wrong unit, either way. A bare array of which nothing is declared has no unit to
+    /// violate: what it was read as is said by ORD001.
     ///
     /// ## Why it matters
     /// Forward kinematics of degrees read as radians is noise within the arm's reach: nothing built
@@ -43,9 +43,19 @@ fn check(facts: &Facts) -> Vec<Judged> {
 }
 
 fn judge_arm(arm: &ArmFacts) -> Vec<Judged> {
+    let topic = arm.topic(&arm.joints_topic);
     let joints = match &arm.diagnosis.joints {
-        Err(why) => Judged::new(arm.topic(&arm.joints_topic), unseen(why, "log a pose or /tf too")),
-        Ok(reading) => judge(arm, &arm.joints_topic, reading.degrees, Unit::Metre, Taken::Logged),
+        Err(why) => vec![Judged::new(topic, unseen(why, "log a pose or /tf too"))],
+        Ok(reading) => {
+            let alone = reading.slips_of(JointUnit::Degrees).map(|(slip, left)| {
+                judge(arm, arm.joint_states(slip.column), Some(left), Unit::Metre, Taken::Logged)
+            });
+            let alone: Vec<Judged> = alone.collect();
+            match alone.is_empty() {
+                true => vec![judge(arm, topic, reading.degrees, Unit::Metre, Taken::Logged)],
+                false => alone,
+            }
+        }
     };
     let numbers = arm.poses().filter_map(|(stream, diagnosis)| {
         let declared = stream.declared.and_then(|declared| declared.angles);
@@ -56,10 +66,11 @@ fn judge_arm(arm: &ArmFacts) -> Vec<Judged> {
                 .then(|| judged.within(stream.span));
         }
         let taken = if stream.bare_numbers { Taken::Logged } else { Taken::Declared(declared?) };
-        let judged = judge(arm, &stream.topic, diagnosis.degrees, Unit::Radian, taken);
+        let subject = arm.topic(&stream.topic);
+        let judged = judge(arm, subject, diagnosis.degrees, Unit::Radian, taken);
         Some(judged.within(stream.span))
     });
-    std::iter::once(joints.within(arm.span)).chain(numbers).collect()
+    joints.into_iter().map(|joints| joints.within(arm.span)).chain(numbers).collect()
 }
 
 /// What angles are taken for.
@@ -84,12 +95,12 @@ impl Taken {
 
 fn judge(
     arm: &ArmFacts,
-    topic: &str,
+    subject: Subject,
     slip: Option<UnitSlip>,
     residual: Unit,
     taken: Taken,
 ) -> Judged {
-    let subject = arm.topic(topic);
+    let topic = subject.joint.as_deref().or(subject.topic.as_deref()).unwrap_or_default();
     let Some(slip) = slip else {
         return Judged::new(subject, Outcome::sound());
     };

@@ -1,6 +1,6 @@
 use crate::checks::decision::unseen;
-use crate::checks::{Facts, Grade, Judged, PoseFacts};
-use crate::diagnosis::LengthSlip;
+use crate::checks::{ArmFacts, Facts, Grade, Judged, PoseFacts};
+use crate::diagnosis::{JointUnit, LengthSlip};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::geometry::LengthScale;
 
@@ -9,8 +9,9 @@ rule! {
     ///
     /// ## What it means
     /// The positions of a pose stream are in another unit than the metres that a message wants (REP 103):
-    /// millimetres as pendants show them, centimetres, inches, tenths of a millimetre. Of a stream that was
-    /// declared it is the declaration that names the wrong unit, either way.
+    /// millimetres as pendants show them, centimetres, inches, tenths of a millimetre. Or the positions
+    /// of a sliding joint are millimetres or centimetres. Of a stream that was declared it is the
+    /// declaration that names the wrong unit, either way.
     ///
     /// ## Why it matters
     /// The tip appears a thousand times too far out. What does not crash on that will scale it
@@ -69,6 +70,38 @@ fn check(facts: &Facts) -> Vec<Judged> {
             }
         };
         Judged::new(subject, outcome).within(stream.span)
+    });
+    judged.chain(facts.robots.iter().flat_map(judge_joints)).collect()
+}
+
+/// The sliding joints whose positions are not metres.
+fn judge_joints(arm: &ArmFacts) -> Vec<Judged> {
+    let Ok(reading) = &arm.diagnosis.joints else { return Vec::new() };
+    let units = [(JointUnit::Millimetres, "mm", 1000), (JointUnit::Centimetres, "cm", 100)];
+    let slips = units.into_iter().flat_map(|(unit, is, number)| {
+        reading.slips_of(unit).map(move |(slip, left)| (slip, left, is, number))
+    });
+    let judged = slips.map(|(slip, left, is, number)| {
+        let subject = arm.joint_states(slip.column);
+        let joint = subject.joint.as_deref().unwrap_or_default();
+        let what = if is == "mm" { "millimetres" } else { "centimetres" };
+        let (before, after) = (Unit::Metre.show(left.as_logged), Unit::Metre.show(left.corrected));
+        let fault = Fault {
+            severity: Severity::Error,
+            title: "sliding joint not in metres",
+            message: format!("the positions of {joint} are {what}, {before} off as logged"),
+            evidence: Evidence {
+                effect: Some(format!("{after} once read as {what}")),
+                effect_m: Some(left.as_logged),
+                ..Evidence::default()
+            },
+            fix: format!("divide the positions of {joint} by {number}"),
+        };
+        Judged::new(subject, Outcome::faulty(fault))
+            .within(arm.span)
+            .estimated(Estimate::slip("length unit", is, "m"))
+            .with_evidence("as_logged_m", left.as_logged)
+            .with_evidence("corrected_m", left.corrected)
     });
     judged.collect()
 }

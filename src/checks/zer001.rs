@@ -66,6 +66,10 @@ fn judge_arm(facts: &Facts, arm: &ArmFacts) -> Vec<Judged> {
 
 fn judge(facts: &Facts, arm: &ArmFacts, joint: usize, offset: &JointOffset) -> Judged {
     let subject = arm.joint(joint);
+    if let Some(scale) = arm.scale(joint).filter(|scale| scale.is_coded()) {
+        let why = format!("a part of its scale, {:.5} (ORD009)", scale.offset);
+        return Judged::new(subject, Outcome::sound_because(why)).within(arm.span);
+    }
     let figure = facts.figures.of(&ZER001, figure(arm.joint_unit(joint)));
     let measured = match &offset.offset {
         Ok(measured) => measured,
@@ -148,17 +152,18 @@ fn fault(
     evidence.more.insert("meaning".to_owned(), meaning(witness).into());
     let sign = if measured.value < 0.0 { "−" } else { "+" };
     let (size, symbol, shown) = (measured.value.abs(), unit.symbol(), unit.show_signed(measured));
+    let factor = arm.scale(joint).map_or(String::new(), |s| format!("{:.5} · ", s.factor.value));
     let (message, fix) = match witness {
         Witness::Controller => (
             format!("this model or these joint states differ from the controller's by {shown}"),
             format!(
                 "audit with the controller's model and calibration; by its poses \
-                 q = q_reported {sign} {size:.5} {symbol}"
+                 q = {factor}q_reported {sign} {size:.5} {symbol}"
             ),
         ),
         Witness::External | Witness::Unknown => (
             format!("zero off by {shown}"),
-            format!("q_true = q_reported {sign} {size:.5} {symbol}, or re-home the joint"),
+            format!("q_true = {factor}q_reported {sign} {size:.5} {symbol}, or re-home the joint"),
         ),
     };
     Fault { severity, title: "joint zero is off", message, evidence, fix }

@@ -159,13 +159,15 @@ impl Given<'_> {
             if let (true, Some(column)) = (is_robot, column(&joint.name)) {
                 let model = arm.robot.joint(&joint.name);
                 let slides = model.is_some_and(|joint| joint.kind == JointKind::Prismatic);
-                if joint.offset_m.is_some() != slides {
+                let is_other = if slides { joint.offset_rad } else { joint.offset_m };
+                if is_other.is_some() {
                     let (does, key) =
                         if slides { ("slides", "offset_m") } else { ("turns", "offset_rad") };
                     let name = &joint.name;
                     return Err(self.refuse(format!("joint '{name}' {does}: its key is {key}")));
                 }
                 mending.offset[column] = joint.offset_rad.or(joint.offset_m).unwrap_or(0.0);
+                mending.factor[column] *= joint.factor.unwrap_or(1.0);
             }
         }
         Ok(mending)
@@ -174,11 +176,12 @@ impl Given<'_> {
     /// What is corrected, in words, for the report.
     pub fn notes(&self) -> Vec<String> {
         let joints = self.corrections.joints.iter().map(|joint| {
-            let offset = match (joint.offset_rad, joint.offset_m) {
-                (Some(rad), _) => Unit::Radian.show(rad),
-                (None, offset_m) => Unit::Metre.show(offset_m.unwrap_or(0.0)),
-            };
-            format!("corrected: {} by an offset of {offset}", joint.name)
+            let turned = joint.offset_rad.map(|rad| Unit::Radian.show(rad));
+            let offset = turned.or(joint.offset_m.map(|m| Unit::Metre.show(m)));
+            let factor = joint.factor.map(|factor| format!("a factor of {factor:.5}"));
+            let offset = offset.map(|offset| format!("an offset of {offset}"));
+            let both: Vec<String> = factor.into_iter().chain(offset).collect();
+            format!("corrected: {} by {}", joint.name, both.join(" and "))
         });
         let topics = self.corrections.topics.iter().map(|topic| {
             format!("corrected: {} by its {}", topic.name, topic.parts().join(", its "))

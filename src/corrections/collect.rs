@@ -3,9 +3,7 @@
 use serde_json::Value;
 
 use super::code::{self, Lines};
-use super::file::{
-    AxesCorrection, Corrections, FrameCorrection, JointCorrection, JointOrder, RotationSlip, Slip,
-};
+use super::file::{AxesCorrection, Corrections, FrameCorrection, JointOrder, RotationSlip, Slip};
 use super::frames::{FixedFrame, rounded};
 use crate::checks::Facts;
 use crate::diagnosis::Reading;
@@ -108,7 +106,11 @@ impl Mending {
             "LAT001" => self.take_latency(source, finding),
             "LAT002" if !is_of_segment => self.take_skew(source, finding),
             "ORD001" | "ORD002" | "ORD003" => self.take_rotation(source, finding),
+            "ORD004" | "ORD008" if finding.subject.joint.is_some() => {
+                self.take_joint_unit(source, finding)
+            }
             "ORD004" | "ORD008" => self.take_unit(source, finding),
+            "ORD009" => self.take_scale(source, finding),
             "ORD010" => self.take_axes(source, finding),
             "ORD005" => self.take_order(finding),
             "ORD007" => match &finding.estimate {
@@ -133,18 +135,58 @@ impl Mending {
     fn take_zero(&mut self, source: &Source<'_>, finding: &Finding) -> Taken {
         let (value, unit, ci95) = amount(finding)?;
         let name = finding.subject.joint.clone().ok_or_else(nothing)?;
-        let arms = source.run.arms.iter().filter(|arm| arm.joint_names.contains(&name));
-        let robot = finding.subject.robot.clone().filter(|_| arms.count() > 1);
+        let robot = source.robot_of(finding, &name);
         let slides = unit == Unit::Metre.symbol();
-        self.corrections.joints.push(JointCorrection {
-            name,
-            robot,
-            offset_rad: (!slides).then_some(value),
-            offset_m: slides.then_some(value),
-            ci95,
-        });
+        let joint = self.corrections.joint(&name, robot);
+        (joint.offset_rad, joint.offset_m) =
+            if slides { (None, Some(value)) } else { (Some(value), None) };
+        joint.ci95 = ci95;
         let unit = if slides { Unit::Metre } else { Unit::Radian };
         Ok((format!("offset of {}", unit.show(value)), vec![OFFSETS, MODEL, CORRECTIONS]))
+    }
+
+    /// A joint whose numbers alone are of another unit.
+    fn take_joint_unit(&mut self, source: &Source<'_>, finding: &Finding) -> Taken {
+        let Some(Estimate::Slip { is, read_as, .. }) = &finding.estimate else {
+            return Err(nothing());
+        };
+        let name = finding.subject.joint.clone().ok_or_else(nothing)?;
+        let robot = source.robot_of(finding, &name);
+        let factor = match is.as_ref() {
+            "deg" => AngleUnit::Degree.in_rad(),
+            "cm" => 1e-2,
+            _ => LengthScale::MILLIMETRE.in_m(),
+        };
+        self.corrections.joint(&name, robot).factor = Some(factor);
+        Ok((format!("{is} read as {read_as}"), vec![OFFSETS, CORRECTIONS]))
+    }
+
+    /// Joints that have a scale of their own.
+    fn take_scale(&mut self, source: &Source<'_>, finding: &Finding) -> Taken {
+        let topic = finding.subject.topic.clone().ok_or_else(nothing)?;
+        let of_topic = source.facts.robots.iter().filter(|arm| arm.joints_topic == topic);
+        let is_meant = |name: &str| finding.subject.joint.as_deref().is_none_or(|own| own == name);
+        let mut shown = None;
+        for arm in of_topic.filter(|arm| finding.subject.robot.as_ref() == Some(&arm.name)) {
+            for scale in &arm.diagnosis.scales {
+                let Some(joint) = arm.joints.get(scale.column) else { continue };
+                if !is_meant(&joint.name) {
+                    continue;
+                }
+                let robot = source.robot_of(finding, &joint.name);
+                let own = self.corrections.joint(&joint.name, robot);
+                own.factor = Some(scale.factor.value);
+                own.factor_ci95 = Unit::One.interval95(&scale.factor);
+                if scale.is_coded() && scale.offset != 0.0 {
+                    let offset = Some(scale.offset);
+                    (own.offset_rad, own.offset_m) =
+                        if joint.prismatic { (None, offset) } else { (offset, None) };
+                }
+                shown = shown.or(Some(scale.factor.value));
+            }
+        }
+        let factor = shown.ok_or_else(nothing)?;
+        Ok((format!("factor of {factor:.5}"), vec![OFFSETS, CORRECTIONS]))
     }
 
     fn take_latency(&mut self, source: &Source<'_>, finding: &Finding) -> Taken {
@@ -486,6 +528,13 @@ impl Source<'_> {
             0 | 1 => Ok(topic),
             _ => Err(format!("{topic} holds several streams, which no correction tells apart")),
         }
+    }
+
+    /// The robot of a finding on a joint, where several have a joint of that name.
+    fn robot_of(&self, finding: &Finding, joint: &str) -> Option<String> {
+        let arms =
+            self.run.arms.iter().filter(|arm| arm.joint_names.iter().any(|own| own == joint));
+        finding.subject.robot.clone().filter(|_| arms.count() > 1)
     }
 
     fn is_tf(&self, topic: &str) -> bool {

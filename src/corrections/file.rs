@@ -21,7 +21,7 @@ use crate::report::{Trouble, TroubleKind};
 #[serde(deny_unknown_fields)]
 pub struct Corrections {
     schema: Schema,
-    /// The joints whose zero is off.
+    /// The joints whose zero or scale is off.
     #[serde(default, rename = "joint", skip_serializing_if = "Vec::is_empty")]
     pub joints: Vec<JointCorrection>,
     /// The topics, each with all that is wrong with it.
@@ -36,8 +36,8 @@ enum Schema {
     One,
 }
 
-/// The zero of a joint: `q_true = q_reported + offset`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// Zero and scale of a joint: `q_true = factor · q_reported + offset`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JointCorrection {
     /// The joint.
@@ -45,6 +45,12 @@ pub struct JointCorrection {
     /// The robot, where several have a joint of that name.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub robot: Option<String>,
+    /// What its positions and velocities are multiplied by.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "finite")]
+    pub factor: Option<f64>,
+    /// 95 % interval of the factor.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub factor_ci95: Option<[f64; 2]>,
     /// The offset of a joint that turns, rad; at most a turn.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "angle")]
     pub offset_rad: Option<f64>,
@@ -346,7 +352,7 @@ fn unit_quaternion<'de, D: Deserializer<'de>>(from: D) -> Result<[f64; 4], D::Er
 /// What a file of corrections begins with.
 const HEADER: &str = "\
 # Corrections, as `poseaudit audit LOG --corrections FILE` takes them back.
-# A joint: q_true = q_reported + offset. A latency: what is stamped t was true at t - latency.
+# A joint: q_true = factor * q_reported + offset. A latency: what is stamped t was true at t - latency.
 # Frames: `a_from_b` maps coordinates in b to coordinates in a; lengths in m, angles in rad.
 
 ";
@@ -399,8 +405,12 @@ impl Corrections {
     fn flaw(&self) -> Option<String> {
         for (index, joint) in self.joints.iter().enumerate() {
             let name = &joint.name;
-            if joint.offset_rad.is_some() == joint.offset_m.is_some() {
+            let offsets = [joint.offset_rad, joint.offset_m].iter().flatten().count();
+            if offsets > 1 || (offsets == 0 && joint.factor.is_none()) {
                 return Some(format!("joint '{name}' needs one of offset_rad and offset_m"));
+            }
+            if joint.factor == Some(0.0) {
+                return Some(format!("joint '{name}': a factor of 0 leaves nothing"));
             }
             let same = |other: &JointCorrection| other.name == *name && other.robot == joint.robot;
             if self.joints[..index].iter().any(same) {
@@ -447,6 +457,17 @@ impl Corrections {
         format!("{HEADER}{body}")
     }
 
+    /// The correction of a joint, which is made where there is none.
+    pub(super) fn joint(&mut self, name: &str, robot: Option<String>) -> &mut JointCorrection {
+        let at = self.joints.iter().position(|joint| joint.name == name && joint.robot == robot);
+        let at = at.unwrap_or_else(|| {
+            let name = name.to_owned();
+            self.joints.push(JointCorrection { name, robot, ..Default::default() });
+            self.joints.len() - 1
+        });
+        &mut self.joints[at]
+    }
+
     /// The correction of a topic, which is made where there is none.
     pub(super) fn topic(&mut self, name: &str) -> &mut TopicCorrection {
         let at = self.topics.iter().position(|topic| topic.name == name);
@@ -471,6 +492,8 @@ mod tests {
             offset_rad: Some(-0.010_471_975_5),
             offset_m: None,
             ci95: Some([-0.0105, -0.0104]),
+            factor: Some(-1.0),
+            factor_ci95: Some([-1.001, -0.999]),
         });
         let topic = corrections.topic("/tcp \"odd\"");
         (topic.latency_s, topic.skew) = (Some(0.022), Some(2e-4));

@@ -131,23 +131,28 @@ impl Mending {
             return None;
         }
         let mut text = "\
-# Zero offsets of joints: q_true = q_reported + offset (rad; m of a joint that slides).
+# Zero offsets of joints: q_true = q_reported + offset (rad; m of a joint that slides). A joint with a
+# factor has q_true = factor * q_reported + offset.
 # ci95 is the 95 % interval. Add the offset where the position is reported, or use the patched model,
 # not both.
 joints:
 "
         .to_owned();
         for joint in &self.corrections.joints {
-            let JointCorrection { name, robot, offset_rad, offset_m, ci95 } = joint;
+            let JointCorrection { name, robot, factor, factor_ci95, offset_rad, offset_m, ci95 } =
+                joint;
             let _ = writeln!(text, "  {}:", quoted(name));
             if let Some(robot) = robot {
                 let _ = writeln!(text, "    robot: {}", quoted(robot));
             }
-            for (key, offset) in [("offset_rad", offset_rad), ("offset_m", offset_m)] {
+            for (key, offset) in
+                [("factor", factor), ("offset_rad", offset_rad), ("offset_m", offset_m)]
+            {
                 if let Some(offset) = offset {
                     let _ = writeln!(text, "    {key}: {offset}");
                 }
             }
+            push_interval(&mut text, "factor_ci95", *factor_ci95);
             push_interval(&mut text, "ci95", *ci95);
         }
         Some(text)

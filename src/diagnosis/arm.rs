@@ -3,16 +3,20 @@
 use super::course::latency_course;
 use super::explain::{Approach, Cause, ENTANGLED, Explanation, Menu, best, explain};
 use super::frames::{frame_estimate, starts};
-use super::joints::{corrected, lies_on_arm, read_joints};
+use super::harmless::tools_first;
+use super::joints::{
+    Left, Read, corrected, half_turns, lies_on_arm, lone_zeros, other_reading, read_joints,
+};
 use super::latency::{Peak, arm_speeds, median_period_s, top};
-use super::model::{Blind, State, StreamState, Sweep, Witness};
+use super::model::{Blind, State, StreamState, Sweep, ToolPart, Witness};
 use super::nominal::{MOST_M, MOST_RAD, is_nominal};
 use super::observability::Observability;
-use super::prepare::{Placement, Prepared, as_rotations, prepare, still_speeds, stream_peaks};
+use super::placing::spread;
+use super::prepare::{Placement, Prepared, as_rotations, prepare, stream_lag_s, stream_peaks};
 use super::residual::residual;
 use super::{
-    Aligned, ArmDiagnosis, AxesSlip, ConstantPart, JointOffset, JointReading, LengthSlip, Measured,
-    PoseDiagnosis, PoseStream, Residual, Seen, Twin, UnitSlip, Unseen,
+    Aligned, ArmDiagnosis, AxesSlip, ConstantPart, JointOffset, JointReading, JointScale,
+    LengthSlip, Measured, PoseDiagnosis, PoseStream, Residual, Seen, Twin, UnitSlip, Unseen,
 };
 use crate::geometry::{LengthScale, Pose, Vec3, pose};
 use crate::robot::JointKind;
@@ -32,41 +36,139 @@ const ALIAS_FLOOR: f64 = 2e-5;
 ///
 /// `most_lag_s` bounds the latency that is sought, s.
 pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64) -> ArmDiagnosis {
+    let slides = prismatic(joints.dof, streams);
     let placed = |joints: &JointTrack| -> Vec<Placement> {
         streams.iter().map(|stream| Placement::of(joints, stream, most_lag_s)).collect()
     };
-    let mut placements = placed(joints);
-    let still = still_speeds(joints);
-    let is_confirmed = |(stream, placement): (&PoseStream, &Placement)| {
-        placement.explains()
-            && prepare(joints, stream, placement, &still).is_ok_and(|it| it.is_confirmed())
+    let placements = placed(joints);
+    let by = |reading: &JointReading| {
+        let read = Read::by(joints, reading, &slides);
+        let anew = (*reading != JointReading::default()).then(|| placed(read.near()));
+        diagnose(joints, &read, streams, anew.as_ref().unwrap_or(&placements), true)
     };
-    let reading = match streams.iter().zip(&placements).any(is_confirmed) {
+    let as_logged = JointReading::default();
+    let mut metres: Vec<f64> = placements.iter().map(Placement::metres).collect();
+    let is_confirmed = |read: &Read| {
+        let mut both = streams.iter().zip(&placements);
+        both.any(|(stream, placement)| {
+            placement.explains()
+                && prepare(read, stream, placement).is_ok_and(|it| it.is_confirmed())
+        })
+    };
+    let mut reading = match is_confirmed(&Read::by(joints, &as_logged, &slides)) {
         // What positions lie on as they are written needs no other joint states.
-        true => Ok(JointReading { degrees: None, permutation: None, runner_up_m: None }),
-        false => {
-            let metres = placements.iter().map(|placed| *placed.metres.as_ref().unwrap_or(&1.0));
-            read_joints(joints, streams, &metres.collect::<Vec<f64>>(), most_lag_s)
+        true => Ok(JointReading::default()),
+        false => read_joints(joints, streams, &metres, most_lag_s),
+    };
+    let as_said = vec![1.0; streams.len()];
+    if reading.is_err() && metres != as_said {
+        // Joints that are read wrongly may feign another unit of the poses.
+        let by_said = read_joints(joints, streams, &as_said, most_lag_s);
+        if by_said.as_ref().is_ok_and(|reading| !reading.is_as_logged()) {
+            (reading, metres) = (by_said, as_said);
         }
-    };
-    let joints_read = match &reading {
-        Ok(reading) => corrected(joints, reading, &prismatic(joints.dof, streams)),
-        Err(_) => joints.clone(),
-    };
-    let as_logged =
-        |reading: &JointReading| reading.degrees.is_none() && reading.permutation.is_none();
-    if !reading.as_ref().is_ok_and(as_logged) {
-        placements = placed(&joints_read);
     }
-    let (offsets, diagnoses) = diagnose(joints, &joints_read, streams, &placements, true);
+    let mut found = by(reading.as_ref().unwrap_or(&as_logged));
+    if reading.as_ref().is_ok_and(|reading| *reading != as_logged) && !found.is_near() {
+        // A reading that leaves much is none.
+        (reading, found) = (Err(Unseen::NotExcited), by(&as_logged));
+    }
+    if let (Ok(_), Some((stream, left))) = (&reading, found.unexplained()) {
+        let own = &streams[stream];
+        let lag_s = found.streams[stream]
+            .latency_s
+            .as_ref()
+            .map_or_else(|_| stream_lag_s(joints, own, most_lag_s), |latency| latency.value);
+        let other = other_reading(joints, own, metres[stream], lag_s, left);
+        if let Some(other) = other {
+            let by_other = by(&other);
+            if by_other.is_near() && by_other.left() * FAR_BETTER < found.left() {
+                (reading, found) = (Ok(other), by_other);
+            }
+        }
+    }
     // Names and units that leave every stream astray are not read rightly, however near some of the
     // positions are.
-    let astray = !diagnoses.is_empty() && diagnoses.iter().all(PoseDiagnosis::strays);
-    let reading = match reading {
-        Ok(reading) if astray && as_logged(&reading) => Err(Unseen::NotExcited),
-        reading => reading,
-    };
-    ArmDiagnosis { joints: reading, offsets, streams: diagnoses }
+    let astray = !found.streams.is_empty() && found.streams.iter().all(PoseDiagnosis::strays);
+    if astray && reading.as_ref().is_ok_and(JointReading::is_as_logged) {
+        reading = Err(Unseen::NotExcited);
+    }
+    if let Ok(reading) = &mut reading {
+        for slip in &mut reading.slips {
+            let own = found.scales.iter().find(|scale| scale.column == slip.column);
+            slip.factor = own.map_or(slip.factor, |scale| scale.factor.value);
+        }
+    }
+    let Found { offsets, scales, streams } = found;
+    ArmDiagnosis { joints: reading, offsets, scales, streams }
+}
+
+/// Another reading of the joints must leave so many times less than the one as logged.
+const FAR_BETTER: f64 = 5.0;
+/// What is left counts as explained below this, rms m and rad beyond the noise: MDL001's figures.
+const EXPLAINED_M: f64 = 1e-3;
+const EXPLAINED_RAD: f64 = 1.75e-3;
+/// A reading of the joints may leave this share of the motion's extent, or so much, m.
+const NEAR: f64 = 0.02;
+const NEAR_M: f64 = 5e-3;
+
+/// What was found by one reading of the joints.
+struct Found {
+    offsets: Vec<JointOffset>,
+    scales: Vec<JointScale>,
+    streams: Vec<PoseDiagnosis>,
+}
+
+impl Found {
+    /// Whether some stream is near the arm.
+    fn is_near(&self) -> bool {
+        let near = |found: &PoseDiagnosis| {
+            let most_m = (NEAR * extent_m(found)).max(NEAR_M);
+            found.residual.as_ref().is_ok_and(|residual| residual.excess_m.value < most_m)
+        };
+        self.streams.iter().any(near)
+    }
+
+    /// All that is left, an angle counting at an arm's length of 0.3 m, m.
+    fn left(&self) -> f64 {
+        self.streams.iter().map(|found| together(&left(found))).sum()
+    }
+
+    /// The stream of which most is left, and that, if it is not explained.
+    fn unexplained(&self) -> Option<(usize, Left)> {
+        let lefts = self.streams.iter().map(left).enumerate();
+        let worst = lefts.max_by(|a, b| together(&a.1).total_cmp(&together(&b.1)))?;
+        let Left { m, rad } = worst.1;
+        let is_open = m > EXPLAINED_M || rad.is_some_and(|rad| rad > EXPLAINED_RAD);
+        (is_open && !self.streams[worst.0].nominal).then_some(worst)
+    }
+}
+
+/// What is left of a stream beyond its noise; a metre and a radian where it could not be read.
+fn left(found: &PoseDiagnosis) -> Left {
+    match (&found.residual, &found.reading) {
+        (Ok(residual), Ok(_)) => {
+            Left { m: residual.excess_m.value, rad: Some(residual.excess_rad.value) }
+        }
+        // Its positions are read all the same; the last joint may turn the other way.
+        (Ok(residual), Err(Unseen::DoesNotFollow(_))) => {
+            Left { m: residual.excess_m.value, rad: Some(1.0) }
+        }
+        (Ok(residual), Err(_)) => Left { m: residual.excess_m.value, rad: None },
+        (Err(_), Err(Unseen::DoesNotFollow(_))) => Left { m: 1.0, rad: Some(1.0) },
+        (Err(_), _) => Left { m: 0.0, rad: None },
+    }
+}
+
+fn together(left: &Left) -> f64 {
+    left.together(0.3)
+}
+
+/// Extent of the tip's motion by FK, m.
+fn extent_m(found: &PoseDiagnosis) -> f64 {
+    let fk: Vec<Vec3> =
+        found.aligned.fk_at_truth.iter().map(|pose| pose.translation.vector).collect();
+    spread(&fk)
 }
 
 /// Diagnoses a stream that is computed from the joint states, such as /tf: it can be late or
@@ -81,17 +183,18 @@ pub fn diagnose_derived(
     most_lag_s: f64,
 ) -> PoseDiagnosis {
     let streams = std::slice::from_ref(stream);
-    let by = |track: &JointTrack| {
-        let placements = [Placement::of(track, stream, most_lag_s)];
-        let (_, mut diagnoses) = diagnose(joints, track, streams, &placements, false);
-        diagnoses.remove(0)
+    let slides = prismatic(joints.dof, streams);
+    let by = |reading: &JointReading| {
+        let read = Read::by(joints, reading, &slides).for_derived();
+        let placements = [Placement::of(&read.track, stream, most_lag_s)];
+        diagnose(joints, &read, streams, &placements, false).streams.remove(0)
     };
     let left =
         |diagnosis: &PoseDiagnosis| diagnosis.residual.as_ref().map_or(f64::INFINITY, |r| r.rms_m);
-    let as_recorded = by(joints);
+    let as_recorded = by(&JointReading::default());
     match reading {
-        Some(reading) if reading.degrees.is_some() || reading.permutation.is_some() => {
-            let mended = by(&corrected(joints, reading, &prismatic(joints.dof, streams)));
+        Some(reading) if !reading.is_as_logged() => {
+            let mended = by(reading);
             if left(&mended) < left(&as_recorded) { mended } else { as_recorded }
         }
         _ => as_recorded,
@@ -112,7 +215,10 @@ impl ArmDiagnosis {
             Ok(measured) if offset.chosen => measured.value,
             _ => 0.0,
         };
-        let offsets: Vec<f64> = self.offsets.iter().map(offset).collect();
+        let mut offsets: Vec<f64> = self.offsets.iter().map(offset).collect();
+        for scale in self.scales.iter().filter(|scale| scale.is_coded()) {
+            offsets[scale.column] = scale.offset;
+        }
         for row in track.q.chunks_exact_mut(offsets.len().max(1)) {
             for (q, offset) in row.iter_mut().zip(&offsets) {
                 *q += offset;
@@ -130,8 +236,7 @@ pub fn follows(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Opt
     let peak = stream_peaks(joints, stream, rotation, most_lag_s).first().copied()?;
     let placed = rotation.is_some() || {
         let placement = Placement::of(joints, stream, most_lag_s);
-        let metres = *placement.metres.as_ref().unwrap_or(&1.0);
-        placement.explains() || lies_on_arm(joints, stream, metres, peak.lag_s)
+        placement.explains() || lies_on_arm(joints, stream, placement.metres(), peak.lag_s)
     };
     Some(if placed { peak } else { Peak { correlation: 0.0, ..peak } })
 }
@@ -149,22 +254,25 @@ fn prismatic(dof: usize, streams: &[PoseStream]) -> Vec<bool> {
 /// Fits all streams together and writes each one's diagnosis.
 fn diagnose(
     recorded: &JointTrack,
-    joints: &JointTrack,
+    read: &Read,
     streams: &[PoseStream],
     placements: &[Placement],
     with_offsets: bool,
-) -> (Vec<JointOffset>, Vec<PoseDiagnosis>) {
-    let still = still_speeds(joints);
+) -> Found {
+    let joints = &read.track;
     let prepared: Vec<Seen<Prepared>> = streams
         .iter()
         .zip(placements)
-        .map(|(stream, placement)| prepare(joints, stream, placement, &still))
+        .map(|(stream, placement)| prepare(read, stream, placement))
         .collect();
     let usable: Vec<&Prepared> = prepared.iter().flatten().collect();
-    let fitted = fit(&usable, joints.dof, with_offsets);
-    let offsets = match &fitted {
-        Some(fitted) => joint_offsets(fitted, &usable, joints),
-        None => unseen_offsets(joints.dof),
+    let fitted = fit(&usable, read, with_offsets);
+    let (offsets, scales) = match &fitted {
+        Some(fitted) => (joint_offsets(fitted, &usable, joints), joint_scales(fitted, read)),
+        None => {
+            let why = prepared.iter().find_map(|prepared| prepared.as_ref().err());
+            (unseen_offsets(joints.dof, why.unwrap_or(&Unseen::NoOverlap)), Vec::new())
+        }
     };
     let mut used = 0;
     let diagnoses = streams
@@ -179,7 +287,7 @@ fn diagnose(
             (Err(why), _) => no_diagnosis(why.clone()),
         })
         .collect();
-    (offsets, diagnoses)
+    Found { offsets, scales, streams: diagnoses }
 }
 
 /// The fit of all streams together.
@@ -191,14 +299,14 @@ struct Fitted {
     nominal: bool,
 }
 
-fn fit(prepared: &[&Prepared], dof: usize, with_offsets: bool) -> Option<Fitted> {
+fn fit(prepared: &[&Prepared], read: &Read, with_offsets: bool) -> Option<Fitted> {
     if prepared.is_empty() {
         return None;
     }
     let alone: Vec<State> =
-        prepared.iter().map(|prepared| best_start(prepared, dof, with_offsets)).collect();
+        prepared.iter().map(|prepared| best_start(prepared, read, with_offsets)).collect();
     let witnesses: Vec<&Witness> = prepared.iter().map(|prepared| &prepared.witness).collect();
-    let menu = menu(prepared, dof, with_offsets);
+    let menu = menu(prepared, read, with_offsets);
     // Streams share the joints: the offsets of the stream with most samples start all.
     let most = (0..prepared.len()).max_by_key(|&s| prepared[s].witness.len()).unwrap_or(0);
     let start = State {
@@ -206,6 +314,7 @@ fn fit(prepared: &[&Prepared], dof: usize, with_offsets: bool) -> Option<Fitted>
         streams: alone.into_iter().flat_map(|state| state.streams).collect(),
     };
     let explanation = explain(&witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
+    let explanation = tools_first(&witnesses, explanation, &menu, FIT_SAMPLES);
     let plain: Vec<StreamState> =
         (0..witnesses.len()).map(|s| without_small_causes(&explanation, s)).collect();
     let nominal = with_offsets
@@ -213,16 +322,29 @@ fn fit(prepared: &[&Prepared], dof: usize, with_offsets: bool) -> Option<Fitted>
     if !nominal {
         return Some(Fitted { explanation, menu, nominal });
     }
+    let large = large_zeros(&explanation.state, read);
     let kept = |cause: &Cause| match *cause {
-        Cause::Zero(_) | Cause::Growth(_) => false,
+        Cause::Zero(joint) => large[joint] != 0.0,
+        Cause::Growth(_) => false,
+        Cause::Gain(_) => true,
         Cause::Latency(_) | Cause::Skew(_) => true,
         Cause::Reference(s) => plain[s].reference != Pose::identity(),
         Cause::Tool(s) => plain[s].tool != Pose::identity(),
     };
     let menu = Menu { optional: menu.optional.into_iter().filter(kept).collect(), ..menu };
-    let start = State { offsets: vec![0.0; dof], streams: plain };
+    let start = State { offsets: large, streams: plain };
     let explanation = explain(&witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
     Some(Fitted { explanation, menu, nominal })
+}
+
+/// The joint offsets that no calibration feigns, and what scales are found.
+fn large_zeros(state: &State, read: &Read) -> Vec<f64> {
+    /// Calibrations change no zero by more, rad or m.
+    const MOST: f64 = 0.1;
+    let kept = |(index, value): (usize, &f64)| {
+        if index >= read.track.dof || value.abs() > MOST { *value } else { 0.0 }
+    };
+    state.offsets.iter().enumerate().map(kept).collect()
 }
 
 /// A stream's state without the causes that a calibration may feign: frames stay where they are
@@ -241,11 +363,16 @@ fn without_small_causes(explanation: &Explanation, stream: usize) -> StreamState
     }
 }
 
-fn menu(prepared: &[&Prepared], dof: usize, with_offsets: bool) -> Menu {
+fn menu(prepared: &[&Prepared], read: &Read, with_offsets: bool) -> Menu {
     let (mut always, mut optional) = (Vec::new(), Vec::new());
     if with_offsets {
+        let dof = read.track.dof;
         let seen = |joint: &usize| prepared.iter().any(|p| p.witness.columns.contains(joint));
-        optional.extend((0..dof).filter(seen).map(Cause::Zero));
+        let (of_code, own): (Vec<usize>, Vec<usize>) =
+            (0..dof).filter(seen).partition(|&joint| read.has_zero_of_code(joint));
+        optional.extend(own.into_iter().map(Cause::Zero));
+        always.extend(of_code.into_iter().map(Cause::Zero));
+        always.extend((dof..dof + read.gained.len()).map(Cause::Gain));
     }
     for (s, prepared) in prepared.iter().enumerate() {
         if prepared.moves {
@@ -260,15 +387,20 @@ fn menu(prepared: &[&Prepared], dof: usize, with_offsets: bool) -> Menu {
         // A stream that is derived from the joint states agrees with them or does not: nothing is
         // to be explained away.
         if with_offsets {
-            optional.extend([Cause::Tool(s), Cause::Growth(s)]);
+            // In a world that is anywhere, and with a tool that never turns, its own turn is no cause.
+            match prepared.witness.tool_part {
+                ToolPart::Turn => always.push(Cause::Tool(s)),
+                ToolPart::Whole | ToolPart::Point => optional.push(Cause::Tool(s)),
+            }
+            optional.push(Cause::Growth(s));
         }
     }
     Menu { always, optional }
 }
 
 /// The start from which a stream alone is explained best.
-fn best_start(prepared: &Prepared, dof: usize, with_offsets: bool) -> State {
-    let menu = menu(&[prepared], dof, with_offsets);
+fn best_start(prepared: &Prepared, read: &Read, with_offsets: bool) -> State {
+    let menu = menu(&[prepared], read, with_offsets);
     let best_lag = prepared.peaks.first().map_or(0.0, |peak| peak.correlation);
     let lags: Vec<f64> = if prepared.moves {
         let near = |peak: &&Peak| peak.correlation > best_lag - 0.1;
@@ -277,30 +409,41 @@ fn best_start(prepared: &Prepared, dof: usize, with_offsets: bool) -> State {
     } else {
         vec![0.0]
     };
-    let starts: Vec<(StreamState, Approach)> = lags
-        .iter()
-        .flat_map(|&lag_s| match with_offsets {
-            true => starts(&prepared.witness, lag_s),
-            false => vec![StreamState::at_latency(lag_s)],
-        })
-        .flat_map(|stream| [(stream.clone(), Approach::Careful), (stream, Approach::Bold)])
-        .collect();
-    let explanations = starts
+    let start = |offsets: &[f64], stream: StreamState| State {
+        offsets: offsets.to_vec(),
+        streams: vec![stream],
+    };
+    let mut begun: Vec<State> = Vec::new();
+    for &lag_s in &lags {
+        if !with_offsets {
+            begun.push(start(&read.offsets, StreamState::at_latency(lag_s)));
+            continue;
+        }
+        let frames = starts(&prepared.witness, lag_s, &read.offsets);
+        let is_far = frames.len() > 1;
+        begun.extend(frames.into_iter().map(|stream| start(&read.offsets, stream)));
+        if is_far && prepared.witness.reference_known {
+            for (joint, zero) in lone_zeros(&prepared.witness, lag_s, &read.offsets) {
+                let mut offsets = read.offsets.clone();
+                offsets[joint] = zero;
+                begun.push(start(&offsets, StreamState::at_latency(lag_s)));
+            }
+        }
+    }
+    let explanations = begun
         .into_par_iter()
-        .map(|(stream, approach)| {
-            let state = State { offsets: vec![0.0; dof], streams: vec![stream] };
+        .flat_map_iter(|state| [(state.clone(), Approach::Careful), (state, Approach::Bold)])
+        .map(|(state, approach)| {
             explain(&[&prepared.witness], state, &menu, approach, SEARCH_SAMPLES)
         })
         .collect();
-    best(explanations).map_or_else(
-        || State { offsets: vec![0.0; dof], streams: vec![StreamState::at_latency(0.0)] },
-        |best| best.state,
-    )
+    best(explanations)
+        .map_or_else(|| start(&read.offsets, StreamState::at_latency(0.0)), |best| best.state)
 }
 
-fn unseen_offsets(dof: usize) -> Vec<JointOffset> {
+fn unseen_offsets(dof: usize, why: &Unseen) -> Vec<JointOffset> {
     let offset = || JointOffset {
-        offset: Err(Unseen::NoOverlap),
+        offset: Err(why.clone()),
         chosen: false,
         effect_m: 0.0,
         twins: Vec::new(),
@@ -333,10 +476,47 @@ fn joint_offsets(fitted: &Fitted, prepared: &[&Prepared], joints: &JointTrack) -
                 measured(fitted, &everyone, cause, 0)
             };
             let twins = if chosen { twins(fitted, cause) } else { frame_twins(fitted, cause) };
-            let amount = offset.as_ref().map_or(0.0, |offset| offset.value);
-            JointOffset { offset, chosen, effect_m: amount.abs() * lever_m(prepared, joint), twins }
+            let slides = slides(prepared, joint);
+            let within_a_turn = |offset: Measured| match slides {
+                true => offset,
+                false => {
+                    Measured { value: offset.value - TAU * half_turns(offset.value), ..offset }
+                }
+            };
+            let offset = offset.map(within_a_turn);
+            let amount = offset.as_ref().map_or(0.0, |offset| offset.value.abs());
+            let chord = if slides { amount } else { 2.0 * (0.5 * amount).sin() };
+            JointOffset { offset, chosen, effect_m: chord * lever_m(prepared, joint), twins }
         })
         .collect()
+}
+
+/// Whether a joint of the track slides.
+fn slides(prepared: &[&Prepared], joint: usize) -> bool {
+    prepared.iter().any(|Prepared { witness, .. }| {
+        let own = witness.columns.iter().position(|&column| column == joint);
+        own.is_some_and(|own| witness.chain.joint_kinds()[own] == JointKind::Prismatic)
+    })
+}
+
+/// The scales of the joints that have one of their own.
+fn joint_scales(fitted: &Fitted, read: &Read) -> Vec<JointScale> {
+    let explanation = &fitted.explanation;
+    let scale = |(at, &column): (usize, &usize)| {
+        let gain = Cause::Gain(read.track.dof + at);
+        let about = read.factors[column];
+        let gain = measured(fitted, &explanation.causes, gain, 0).ok()?;
+        let factor = Measured {
+            value: about * (1.0 + gain.value),
+            std_error: about.abs() * gain.std_error,
+            ..gain
+        };
+        let zero = Cause::Zero(column);
+        let is_off = explanation.causes.contains(&zero) || fitted.menu.always.contains(&zero);
+        let offset = if is_off { explanation.state.offsets[column] } else { 0.0 };
+        Some(JointScale { column, factor, offset })
+    };
+    read.gained.iter().enumerate().filter_map(scale).collect()
 }
 
 /// Joints that move by more than 3° (or 5 mm) over the run.
@@ -430,7 +610,7 @@ fn twins(fitted: &Fitted, cause: Cause) -> Vec<Twin> {
                 Cause::Zero(joint) => Some(Twin::JointZero(joint, own[0])),
                 Cause::Reference(s) => Some(Twin::Reference(s, frame_amount(&own))),
                 Cause::Tool(s) => Some(Twin::Tool(s, frame_amount(&own))),
-                Cause::Latency(_) | Cause::Skew(_) | Cause::Growth(_) => None,
+                Cause::Gain(_) | Cause::Latency(_) | Cause::Skew(_) | Cause::Growth(_) => None,
             }
         })
         .collect()
@@ -478,6 +658,7 @@ fn no_diagnosis(why: Unseen) -> PoseDiagnosis {
         length: Err(why.clone()),
         axes: Err(why.clone()),
         reading: Err(why),
+        inverted: false,
         constant: Vec::new(),
         degrees: None,
         latency_s: Err(rests()),
@@ -607,6 +788,7 @@ fn stream_diagnosis(
         reading,
         length: length_slip(stream, placement, prepared, &residual),
         axes: Ok(prepared.axes),
+        inverted: prepared.inverted,
         constant: constant_parts(stream, prepared, &aligned),
         degrees: prepared.degrees,
         latency_s,
@@ -638,7 +820,7 @@ fn is_hidden(fitted: &Fitted, cause: Cause, index: usize) -> bool {
         Cause::Reference(_) => found.round_reference.is_some(),
         Cause::Tool(_) => found.round_tool.is_some(),
         Cause::Growth(_) => false,
-        Cause::Zero(_) | Cause::Latency(_) | Cause::Skew(_) => return false,
+        Cause::Zero(_) | Cause::Gain(_) | Cause::Latency(_) | Cause::Skew(_) => return false,
     };
     if is_round || explanation.causes.contains(&cause) || !menu.optional.contains(&cause) {
         return false;
@@ -702,12 +884,14 @@ fn align(
         joints: recorded,
         chain: witness.chain,
         columns: witness.columns,
+        gained: &[],
         reference_known: witness.reference_known,
         still: witness.still,
         t_s: witness.t_s.clone(),
         xyz: Vec::new(),
         rotation: Vec::new(),
         blind: witness.blind,
+        tool_part: witness.tool_part,
         middle_s: witness.middle_s,
     };
     let zero = vec![0.0; recorded.dof];

@@ -23,6 +23,8 @@ const EXHAUSTIVE: usize = 4;
 pub(super) enum Cause {
     /// Zero offset of a joint of the track.
     Zero(usize),
+    /// Scale of a joint: the parameter that it is, among the joint offsets.
+    Gain(usize),
     /// Latency of a stream.
     Latency(usize),
     /// Clock skew of a stream.
@@ -39,13 +41,15 @@ impl Cause {
     /// The parameters of this cause in a model's order.
     pub fn parameters(self, state: &State) -> std::ops::Range<usize> {
         let (stream, first, count) = match self {
-            Cause::Zero(joint) => return joint..joint + 1,
+            Cause::Zero(joint) | Cause::Gain(joint) => return joint..joint + 1,
             Cause::Latency(stream) => (stream, LATENCY, 1),
             Cause::Skew(stream) => (stream, SKEW, 1),
             Cause::Growth(stream) => (stream, GROWTH, 1),
             Cause::Reference(stream) => (stream, REFERENCE, 6),
-            Cause::Tool(stream) if state.streams[stream].tool_point_only => (stream, TOOL, 3),
-            Cause::Tool(stream) => (stream, TOOL, 6),
+            Cause::Tool(stream) => {
+                let part = state.streams[stream].tool_part.range();
+                (stream, TOOL + part.start, part.len())
+            }
         };
         let start = state.index(stream, first);
         start..start + count
@@ -402,8 +406,8 @@ pub(super) fn best(explanations: Vec<Explanation>) -> Option<Explanation> {
 }
 
 impl Explanation {
-    /// The noise of each stream and kind of residual at the state reached.
-    fn noise(&self) -> Vec<Noise> {
+    /// The noise of each stream and kind of residual (positions, rotations) at the state reached.
+    pub fn noise(&self) -> Vec<Noise> {
         let streams = self.linear.streams.iter();
         streams
             .flat_map(|stream| stream.weights_after(&vec![0.0; stream.width]))

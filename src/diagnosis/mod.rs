@@ -5,11 +5,13 @@
 //! these numbers into verdicts and words.
 
 mod arm;
+mod carried;
 mod course;
 mod dh;
 mod explain;
 mod frames;
 mod handeye;
+mod harmless;
 mod imu;
 mod joints;
 mod lag;
@@ -18,12 +20,14 @@ mod layout;
 mod linear;
 mod measured;
 mod model;
+mod model_fit;
 mod motion;
 mod noise;
 mod nominal;
 mod observability;
 mod placing;
 mod prepare;
+mod proof;
 mod reading;
 mod reference;
 mod reread;
@@ -42,24 +46,27 @@ use crate::robot::Chain;
 use crate::stream::{ImuTrack, PoseTrack};
 
 pub use arm::{diagnose_arm, diagnose_derived, follows};
+pub use carried::{BaseTravel, CarrierLag, base_travel, carrier_lag};
 pub use course::{LatencyCourse, LatencyJump};
 pub use dh::{DhEstimate, DhStream, DhTold, Left, faults};
 pub use handeye::{
     CameraPose, Closure, Diversity, HandEyeDiagnosis, HandEyeStreams, Mount, PoseSeries, Solution,
     TargetReading, diagnose_hand_eye, turning_peaks,
 };
-pub use imu::{diagnose_imu, turning_by_latency};
+pub use imu::{ImuProof, Rates, diagnose_imu, proof_of_imu, turning_by_latency};
 pub use lag::{LatencyResidual, residual_by_latency};
 pub use latency::Peak;
 pub use measured::{Length, Measured};
+pub use model_fit::{ModelFit, Needs, Priced, Way, model_fit};
 pub use motion::{Abruptness, Excess, Series, abruptness, beyond_positions, beyond_speed};
 pub use observability::{BlindDirection, Observability, Parameter};
+pub use proof::{Amount, Error, Part, Proof, Short, Size, proof};
 pub use reference::{
     CommandedArm, Commands, Constancy, Following, Line, LineWitness, ReferenceDiagnosis, RestGap,
     diagnose_reference, unnamed_order,
 };
 pub use reread::{Meant, reread_imu, reread_poses};
-pub use rival::position_misfit_m;
+pub use rival::{is_seen_from_tool, position_misfit_m};
 pub use shake::{NoShake, Shake, shake};
 pub use steps::{LatencySteps, imu_steps, pose_steps};
 pub use trend::{LEAST_RUNS, Step, Told, Trend, trend};
@@ -309,6 +316,8 @@ pub struct PoseDiagnosis {
     pub reading: Seen<ReadingEstimate>,
     /// Positions in another unit.
     pub length: Seen<Option<LengthSlip>>,
+    /// Whether the poses as a whole are inverted, by their positions.
+    pub inverted: bool,
     /// Axes that are exchanged or mirrored.
     pub axes: Seen<Option<AxesSlip>>,
     /// Coordinates that never change.
@@ -369,16 +378,88 @@ impl PoseDiagnosis {
     }
 }
 
-/// How the joint states must be read.
-#[derive(Clone, Debug, PartialEq)]
+/// How the joint states must be read; as logged by default.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct JointReading {
-    /// Whether positions are degrees.
+    /// Whether the positions of all turning joints are degrees.
     pub degrees: Option<UnitSlip>,
     /// The order that positions are really in: entry `i` is the index of the joint whose position
     /// stands under the name of joint `i`.
     pub permutation: Option<(Vec<usize>, UnitSlip)>,
+    /// Joints whose numbers are of another unit or scale, each by itself.
+    pub slips: Vec<JointSlip>,
+    /// What then must be added to each joint's positions about, rad or m; empty where nothing.
+    pub zeros: Vec<f64>,
+    /// Residual of the positions as logged and so read, m, where they are not read as logged.
+    pub left: Option<UnitSlip>,
     /// Residual of the next best reading, m.
     pub runner_up_m: Option<f64>,
+}
+
+impl JointReading {
+    /// Whether the numbers mean what they say, up to their zeros.
+    pub fn is_as_logged(&self) -> bool {
+        self.degrees.is_none() && self.permutation.is_none() && self.slips.is_empty()
+    }
+
+    /// The joints whose numbers alone are of one unit, with what is left as logged and so read.
+    pub fn slips_of(&self, unit: JointUnit) -> impl Iterator<Item = (&JointSlip, UnitSlip)> {
+        let left = self.left.into_iter();
+        left.flat_map(move |left| {
+            let own = self.slips.iter().filter(move |slip| slip.unit == unit);
+            own.map(move |slip| (slip, left))
+        })
+    }
+}
+
+/// A joint whose numbers must be multiplied.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JointSlip {
+    /// The joint's column.
+    pub column: usize,
+    /// What its numbers are.
+    pub unit: JointUnit,
+    /// What takes its numbers to rad or m; of a scale about that.
+    pub factor: f64,
+}
+
+/// What a joint's numbers are in the place of rad or m.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum JointUnit {
+    /// Degrees.
+    Degrees,
+    /// Millimetres.
+    Millimetres,
+    /// Centimetres.
+    Centimetres,
+    /// Reversed, behind a gear, ticks, shares of the range.
+    Scaled,
+}
+
+/// The scale and direction of a joint: `q_true = factor · q_reported + offset`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JointScale {
+    /// The joint's column.
+    pub column: usize,
+    /// The factor, 1 for rad or m.
+    pub factor: Measured,
+    /// The offset that belongs to it, rad or m; 0 where the zero is right.
+    pub offset: f64,
+}
+
+impl JointScale {
+    /// Whether the joint's numbers are of another kind than rad or m, such as ticks or a percentage,
+    /// so that their zero is a part of what they mean and no fault of its own.
+    pub fn is_coded(&self) -> bool {
+        is_coded(self.factor.value)
+    }
+}
+
+/// Whether a joint's numbers that must be multiplied by `factor` are of another kind than rad or m.
+fn is_coded(factor: f64) -> bool {
+    /// A gear between a motor and its joint, or its inverse, counts as one up to this.
+    const GEAR: f64 = 4.0;
+    !(1.0 / GEAR..=GEAR).contains(&factor.abs())
 }
 
 /// All that was estimated from the joint states and the pose streams together.
@@ -388,6 +469,8 @@ pub struct ArmDiagnosis {
     pub joints: Seen<JointReading>,
     /// Zero offset of each joint of the chain, from all pose streams.
     pub offsets: Vec<JointOffset>,
+    /// The joints whose scale or direction is wrong.
+    pub scales: Vec<JointScale>,
     /// One entry for each pose stream given.
     pub streams: Vec<PoseDiagnosis>,
 }

@@ -67,6 +67,8 @@ pub(super) struct Witness<'a> {
     pub joints: &'a JointTrack,
     pub chain: &'a Chain,
     pub columns: &'a [usize],
+    /// The joints of the track whose scale is to be found.
+    pub gained: &'a [usize],
     pub reference_known: bool,
     /// Joint speeds below which a joint counts as still, by joint of the track, rad/s or m/s.
     pub still: &'a [f64],
@@ -75,8 +77,32 @@ pub(super) struct Witness<'a> {
     pub rotation: Vec<Rotation>,
     /// What of these says nothing.
     pub blind: Blind,
+    /// What of the tool they show.
+    pub tool_part: ToolPart,
     /// The stamp about which skew turns, s.
     pub middle_s: f64,
+}
+
+/// What of a tool frame a log can show.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum ToolPart {
+    /// Where it is and how it is turned.
+    Whole,
+    /// Where it is: orientations say nothing.
+    Point,
+    /// How it is turned: in a world that is anywhere, a tool that never turns may be anywhere on it.
+    Turn,
+}
+
+impl ToolPart {
+    /// Its parameters among the tool's six.
+    pub fn range(self) -> std::ops::Range<usize> {
+        match self {
+            Self::Whole => 0..6,
+            Self::Point => 0..3,
+            Self::Turn => 3..6,
+        }
+    }
 }
 
 /// The parameters of one stream.
@@ -91,8 +117,8 @@ pub(super) struct StreamState {
     pub round_reference: Option<Pose>,
     /// The part of `tool` that is a round slip rather than a tuned number.
     pub round_tool: Option<Pose>,
-    /// Whether nothing shows how the tool is turned, so that only where it is can be a cause.
-    pub tool_point_only: bool,
+    /// What of the tool can be a cause.
+    pub tool_part: ToolPart,
 }
 
 impl StreamState {
@@ -105,7 +131,7 @@ impl StreamState {
             tool: Pose::identity(),
             round_reference: None,
             round_tool: None,
-            tool_point_only: false,
+            tool_part: ToolPart::Whole,
         }
     }
 
@@ -137,16 +163,19 @@ pub(super) fn twist_of(pose: &Pose) -> [f64; 6] {
     [p.x, p.y, p.z, r.x, r.y, r.z]
 }
 
-fn pose_of_twist(twist: &[f64]) -> Pose {
+pub(super) fn pose_of_twist(twist: &[f64]) -> Pose {
     Pose::from_parts(
         Translation3::new(twist[0], twist[1], twist[2]),
         rotation_from_rotvec(Vec3::new(twist[3], twist[4], twist[5])),
     )
 }
 
-/// The parameters of the whole model: joint offsets, then each stream's.
+/// The parameters of the whole model: joint offsets, with them the gains of joints whose scale is
+/// to be found, then each stream's.
 #[derive(Clone, Debug)]
 pub(super) struct State {
+    /// Offset of each joint of the track, rad or m; then of each of [`Witness::gained`] by what share
+    /// it moves more than its numbers say.
     pub offsets: Vec<f64>,
     pub streams: Vec<StreamState>,
 }
@@ -245,6 +274,12 @@ impl Witness<'_> {
         self.t_s.len()
     }
 
+    /// Where the gain of a joint of the track stands among the offsets, if it is to be found.
+    fn gain_of(&self, column: usize) -> Option<usize> {
+        let at = self.gained.iter().position(|&gained| gained == column)?;
+        Some(self.joints.dof + at)
+    }
+
     /// The pose that the model gives for sample `k`; the Jacobian of the chain is left in `sweep`.
     fn predict(
         &self,
@@ -261,8 +296,9 @@ impl Witness<'_> {
         }
         let mut moving = false;
         for (i, &column) in self.columns.iter().enumerate() {
-            q[i] = track_q[column] + offsets[column];
-            qd[i] = track_qd[column];
+            let gain = self.gain_of(column).map_or(1.0, |at| 1.0 + offsets.get(at).unwrap_or(&0.0));
+            q[i] = gain * track_q[column] + offsets[column];
+            qd[i] = gain * track_qd[column];
             moving |= qd[i].abs() > self.still[column];
         }
         let base_from_link = self.chain.forward_with_jacobian(q, jacobian);
@@ -355,6 +391,10 @@ impl Witness<'_> {
             let linear = Vec3::new(column[0], column[1], column[2]) + angular.cross(&lever);
             let (linear, angular) = (to_reference * linear, to_reference * angular);
             set(self.columns[i], linear, angular);
+            if let Some(gain) = self.gain_of(self.columns[i]).filter(|&gain| gain < joints) {
+                let number = sweep.track_q[self.columns[i]];
+                set(gain, linear * number, angular * number);
+            }
             v += linear * sweep.qd[i];
             w += angular * sweep.qd[i];
         }

@@ -93,8 +93,9 @@ impl Observability {
     ) -> Self {
         let dof = witness.joints.dof;
         let joints = (0..dof).filter(|joint| witness.columns.contains(joint));
-        let kept: Vec<usize> = joints.chain(dof..dof + STREAM_WIDTH).collect();
-        let parameter = |&column: &usize| match column.checked_sub(dof) {
+        let own = offsets.len();
+        let kept: Vec<usize> = joints.chain(own..own + STREAM_WIDTH).collect();
+        let parameter = |&column: &usize| match column.checked_sub(own) {
             None => Parameter::JointZero(column),
             Some(own) => Parameter::of_stream(own),
         };
@@ -128,9 +129,17 @@ impl Observability {
             DMatrix::from_fn(n, n, |i, j| matrix[(i, j)] * figures[i] * figures[j])
         };
         let information = scaled(&self.information);
-        let possible = scaled(&self.possible).symmetric_eigen();
+        let possible = scaled(&self.possible);
+        // Positions and lengths that no arm has overflow; of no number there is no direction.
+        if n == 0 || !information.iter().chain(possible.iter()).all(|entry| entry.is_finite()) {
+            return Vec::new();
+        }
+        let possible = possible.symmetric_eigen();
         let threshold = NEVER * possible.eigenvalues.max();
         let seen: Vec<usize> = (0..n).filter(|&i| possible.eigenvalues[i] > threshold).collect();
+        if seen.is_empty() {
+            return Vec::new();
+        }
         let basis = possible.eigenvectors.select_columns(&seen);
         let eigen = (basis.transpose() * &information * &basis).symmetric_eigen();
         let weak: Vec<usize> =
@@ -205,11 +214,13 @@ fn possible(witness: &Witness, state: &StreamState, offsets: &[f64]) -> DMatrix<
         joints: &joints,
         chain: witness.chain,
         columns: witness.columns,
+        gained: witness.gained,
         reference_known: witness.reference_known,
         still: &vec![0.0; dof],
         xyz: vec![Vec3::zeros(); POSTURES],
         rotation: vec![Rotation::identity(); POSTURES],
         blind: witness.blind,
+        tool_part: witness.tool_part,
         middle_s: 0.5 * t_s[POSTURES - 1],
         t_s,
     };

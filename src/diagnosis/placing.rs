@@ -36,6 +36,17 @@ impl Expected {
         self.turned(xyz).map_or(plain, |(reference, _)| plain.min(self.misfit_at(xyz, &reference)))
     }
 
+    /// The reference frame and the constant tool offset that leave least of `xyz`, sought by so many
+    /// turns; of none the tool offset alone.
+    pub fn frames(&self, xyz: &[Vec3], turns: usize) -> (Pose, Vec3) {
+        let plain = (Pose::identity(), self.tool(xyz, &Pose::identity()));
+        let found = if turns > 0 { self.turned_by(xyz, turns) } else { None };
+        match found {
+            Some(found) if self.misfit_at(xyz, &found.0) < self.tool_misfit(xyz) => found,
+            _ => plain,
+        }
+    }
+
     /// Rms of `reference⁻¹·xyz − fk − R·t` at the best constant tool offset `t`.
     fn misfit_at(&self, xyz: &[Vec3], reference: &Pose) -> f64 {
         let tool = self.tool(xyz, reference);
@@ -59,9 +70,13 @@ impl Expected {
     /// The reference frame and tool offset that best take FK to `xyz`, by turns: the frame by
     /// Kabsch's method (1976), the tool by averaging. `None` where the positions lie on a line.
     pub fn turned(&self, xyz: &[Vec3]) -> Option<(Pose, Vec3)> {
+        self.turned_by(xyz, 30)
+    }
+
+    fn turned_by(&self, xyz: &[Vec3], turns: usize) -> Option<(Pose, Vec3)> {
         let mut tool = Vec3::zeros();
         let mut reference = Pose::identity();
-        for _ in 0..30 {
+        for _ in 0..turns {
             let points: Vec<Vec3> = self
                 .xyz
                 .iter()

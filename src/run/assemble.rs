@@ -1,10 +1,14 @@
 //! From a decoded log to a run.
 
 mod arms;
+mod contest;
+mod groups;
 mod hands;
 mod references;
 mod tool_poses;
 mod transforms;
+
+use std::sync::Arc;
 
 use crate::log::Log;
 use crate::stream::Columns;
@@ -12,6 +16,7 @@ use crate::time::Stamp;
 
 use super::arm::Arm;
 use super::cadence::rhythms;
+use super::contest::Contest;
 use super::declaration::Declaration;
 use super::error::RunError;
 use super::excerpts::Excerpts;
@@ -21,10 +26,12 @@ use super::models;
 use super::norms::norms;
 use super::role::Role;
 use super::sift::Sift;
+use super::space::Space;
 use super::stalled;
 use super::streams::{Stream, Timing, split};
 use super::tf_tree::TfTree;
 use super::topics;
+use super::unaudited::Unaudited;
 use super::unfold::{self, unfold};
 use super::{Run, RunOptions};
 
@@ -61,7 +68,7 @@ impl Run {
         timing.sift = Sift::of(&streams, &timing);
         timing.excerpts = Excerpts::of(&streams, &timing);
         let origin = origin(&streams);
-        let tf = tf_tree(&streams, &timing);
+        let tf = Arc::new(tf_tree(&streams, &timing, &Space::default()));
         let (attached, logged_calibrations): (Vec<_>, Vec<_>) =
             log.descriptions.into_iter().partition(|found| found.text.starts_with('<'));
         let descriptions = descriptions(&streams, attached);
@@ -74,6 +81,9 @@ impl Run {
             origin,
             tf,
             arms: Vec::new(),
+            strangers: Vec::new(),
+            unaudited: Vec::new(),
+            contests: Vec::new(),
             frozen: Vec::new(),
             watched: Vec::new(),
         };
@@ -83,7 +93,7 @@ impl Run {
             descriptions: &descriptions,
             logged_calibrations: &logged_calibrations,
         };
-        let no_arm = match assembly.find_arms(said) {
+        let no_arm = match assembly.find_arms(&said) {
             Ok(()) => None,
             Err(error) if error.is_of_the_call() => return Err(error),
             Err(error) => Some(error),
@@ -97,7 +107,8 @@ impl Run {
         assembly.name_joints();
         unfold::say(&mut assembly.streams, &folded);
         let (targets, references) = (assembly.targets(), assembly.references());
-        let Assembly { streams, timing, tf, arms, frozen, watched, .. } = assembly;
+        let Assembly { streams, timing, tf, arms, unaudited, contests, frozen, watched, .. } =
+            assembly;
         let span = span(streams.iter().filter(|stream| stream.rate_hz.is_some()));
         let rhythms = rhythms(&streams, &timing, &joint_topics(&streams, &timing), &arms);
         let (flaws, norms) = (flaws(&streams, &timing.sift.publishers), norms(&streams, &timing));
@@ -115,6 +126,8 @@ impl Run {
             flaws,
             folded,
             norms,
+            contests,
+            unaudited,
             frozen: stalled::times(&sift.stalled).chain(frozen).collect(),
             sift,
             watched,
@@ -131,8 +144,12 @@ struct Assembly<'a> {
     streams: Vec<Stream>,
     timing: Timing,
     origin: Stamp,
-    tf: TfTree,
+    tf: Arc<TfTree>,
     arms: Vec<Arm>,
+    /// The streams of joint states of which there is no arm.
+    strangers: Vec<usize>,
+    unaudited: Vec<Unaudited>,
+    contests: Vec<Contest>,
     frozen: Vec<Frozen>,
     /// The streams that were looked at for that.
     watched: Vec<usize>,

@@ -371,7 +371,7 @@ impl Run {
         let of_streams = self.streams.iter().filter_map(|stream| {
             let is_audited = matches!(stream.role, Role::Pose | Role::Imu);
             let arm = self.arms.get(stream.arm.filter(|_| is_audited)?)?;
-            let (place, _) = arm.place(&self.tf, &stream.frame_id);
+            let (place, _) = arm.place(&stream.frame_id);
             let base = arm.frame_of(arm.base);
             let is_loose = place == Place::Unknown;
             is_loose.then(|| self.apart(&stream.topic, &stream.frame_id, &base)).flatten()

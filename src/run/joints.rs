@@ -38,6 +38,7 @@ pub struct JointFacts {
 }
 
 /// A JointState topic.
+#[derive(Clone)]
 pub(super) struct JointTopic<'a> {
     /// Index of its stream.
     pub stream: usize,

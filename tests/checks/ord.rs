@@ -1,6 +1,6 @@
 //! ORD: conventions, units and orders taken for others.
 
-use std::f64::consts::FRAC_PI_2;
+use std::f64::consts::{FRAC_PI_2, TAU};
 use std::fs;
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use poseaudit::geometry::{
 use poseaudit::report::Report;
 use poseaudit::synth::{Coding, IMU, JOINT_STATES, Motion, POSE};
 
-use crate::case::On::{self, Topic};
+use crate::case::On::{self, JointOf, Topic};
 use crate::case::What::{self, Degrees, Order, ReadAs};
 use crate::case::{Expected, Log, cases, error, summary, the, warning};
 use crate::recording::{Field, Message};
@@ -223,6 +223,34 @@ cases! {
         log.run.tf.timing.rate_hz = 0.0;
     } => Skipped("no pose stream");
 
+    ORD009 a_joint_that_is_reversed: |log| log.run.joints.scales = vec![1.0, 1.0, -1.0]
+        => error(JointOf(JOINT_STATES, "elbow_joint"), What::Amount(-1.0, 1e-3));
+    ORD009 a_wrist_that_is_reversed: |log| {
+        log.run.joints.scales = vec![1.0, 1.0, 1.0, 1.0, 1.0, -1.0];
+    } => error(JointOf(JOINT_STATES, "wrist_3_joint"), What::Amount(-1.0, 1e-3));
+    ORD009 a_gear_that_is_counted_twice: |log| log.run.joints.scales = vec![1.0, 0.5]
+        => error(JointOf(JOINT_STATES, "shoulder_lift_joint"), What::Amount(2.0, 2e-3));
+    ORD009 ticks_of_all_encoders: |log| log.run.joints.scales = vec![4096.0 / TAU; 6]
+        => error(Topic(JOINT_STATES), What::Amount(TAU / 4096.0, 1e-6));
+    ORD009 joints_in_degrees_have_no_gear: |log| log.run.joints.in_degrees = true
+        => BlamedOn("ORD004");
+    ORD009 joints_in_another_order_are_not_reversed: |log| {
+        log.run.joints.number_order = Some(vec![2, 1, 0, 3, 4, 5]);
+    } => BlamedOn("ORD005");
+    ORD009 a_joint_homed_elsewhere_has_no_gear: |log| {
+        log.run.joints.zero_offsets = crate::zer::zero(2, 120.0);
+    } => BlamedOn("ZER001");
+    ORD009 a_turned_base_is_no_gear: |log| {
+        log.run.pose.reference_from_stream = crate::frm::half_turn();
+    } => BlamedOn("FRM002");
+    ORD009 joints_that_count_rightly_are_sound: |_| {} => Sound;
+    ORD009 no_joint_states_to_scale: |log| log.run.joints.timing.rate_hz = 0.0 => Skipped("joint states");
+    ORD009 only_what_believes_the_joints: |log| {
+        log.run.joints.scales = vec![1.0, 1.0, -1.0];
+        log.run.pose.timing.rate_hz = 0.0;
+        log.run.imu.timing.rate_hz = 0.0;
+    } => Undecided("log a pose that does not come from /tf");
+
     ORD010 y_up_and_left_handed: |log| log.edit = Some(|messages| in_axes(messages, UNITY, UNITY))
         => error(Topic(POSE), ReadAs("x right, y up, z forward (left-handed)", STANDARD));
     ORD010 y_and_z_exchanged: |log| log.edit = Some(|messages| in_axes(messages, EXCHANGED, EXCHANGED))
@@ -239,7 +267,7 @@ cases! {
     } => BlamedOn("FRM002");
     ORD010 an_inverse_is_no_exchange: |log| log.run.pose.coding = Coding::Inverted
         => BlamedOn("ORD003");
-    ORD010 no_poses: |log| {
+    ORD010 no_poses_with_axes: |log| {
         log.run.pose.timing.rate_hz = 0.0;
         log.run.tf.timing.rate_hz = 0.0;
     } => Skipped("no pose stream");
@@ -252,7 +280,7 @@ cases! {
     ORD011 a_base_alone_that_turns_is_sound: |log| log.run.motion = Motion::OneJoint(0) => Sound;
     ORD011 millimetres_are_not_constant: |log| log.run.pose.in_millimetres = true
         => BlamedOn("ORD008");
-    ORD011 no_poses: |log| {
+    ORD011 no_poses_with_coordinates: |log| {
         log.run.pose.timing.rate_hz = 0.0;
         log.run.tf.timing.rate_hz = 0.0;
     } => Skipped("no pose stream");

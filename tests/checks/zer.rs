@@ -19,6 +19,12 @@ cases! {
         => warning(Joint("shoulder_pan_joint"), Degrees(0.4, 0.02));
     ZER001 the_last_joint: |log| log.run.joints.zero_offsets = zero(5, -0.8)
         => error(Joint("wrist_3_joint"), Degrees(-0.8, 0.02));
+    ZER001 an_elbow_a_third_of_a_turn_off: |log| log.run.joints.zero_offsets = zero(2, 120.0)
+        => error(Joint("elbow_joint"), Degrees(120.0, 0.02));
+    ZER001 a_wrist_half_a_turn_off: |log| log.run.joints.zero_offsets = zero(3, -178.0)
+        => error(Joint("wrist_1_joint"), Degrees(-178.0, 0.02));
+    ZER001 the_first_joint_by_no_round_angle: |log| log.run.joints.zero_offsets = zero(0, 50.0)
+        => error(Joint("shoulder_pan_joint"), Degrees(50.0, 0.02));
     ZER001 a_rail: |log| {
         on_a_rail(&mut log.run);
         log.run.joints.zero_offsets = vec![0.003];

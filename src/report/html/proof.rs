@@ -84,7 +84,8 @@ impl Case<'_> {
                 let of_imus = self.imus().map(|imu| readings(&imu.readings));
                 proof.bars.extend(of_poses.chain(of_imus).flatten());
             }
-            "ORD004" | "ORD005" | "ORD007" | "ORD008" | "FRM001" | "FRM002" | "FRM003" => {
+            "ORD004" | "ORD005" | "ORD007" | "ORD008" | "ORD009" | "FRM001" | "FRM002"
+            | "FRM003" => {
                 proof.plots.extend(self.poses().map(position_over_time));
                 proof.plots.extend(self.poses().map(rotation_over_time));
             }

@@ -26,7 +26,7 @@ impl Assembly<'_> {
             Some(owner) => {
                 let arm = &self.arms[owner];
                 let (kind, [hand_from_camera, base_from_camera]) =
-                    HandKind::of_arm(owner, arm, &self.tf, camera)?;
+                    HandKind::of_arm(owner, arm, camera)?;
                 let stamp_error_s = self.stamp_error_s(arm, index, 0);
                 vec![HandSource { kind, hand_from_camera, base_from_camera, stamp_error_s }]
             }

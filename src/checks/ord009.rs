@@ -1,0 +1,219 @@
+use crate::checks::decision::unseen;
+use crate::checks::{ArmFacts, Facts, Grade, Judged};
+use crate::diagnosis::{JointScale, UnitSlip};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use serde_json::json;
+use std::f64::consts::TAU;
+
+rule! {
+    /// A joint's direction or scale is wrong.
+    ///
+    /// ## What it means
+    /// The joint's numbers must be multiplied before they are its position in rad or m:
+    /// `q_true = factor · q_reported + offset`. −1 is a joint that counts the other way round; 2, 0.5 or
+    /// 100 is a gear that somebody counted twice or not at all; 0.00153 is a tick of an encoder of
+    /// 4096 a turn; half the joint's range over 100 is a number from −100 to 100. One finding a joint;
+    /// where all joints have the same factor, one on their topic.
+    ///
+    /// ## Why it matters
+    /// Forward kinematics of such a joint is wrong wherever the joint is not at its zero, by as much
+    /// as the arm is long, and everything computed from it is wrong with it: /tf, collision checks, every
+    /// other finding. The audit therefore goes on with the joint as it should be.
+    ///
+    /// ## Evidence
+    /// `factor` is estimated together with all else that is found on the arm's pose streams, and its
+    /// interval says how well. `as_logged_m` and `corrected_m` are what the poses leave as logged, and
+    /// with the joint read so; a reading that leaves much is not named. `offset` is what is then added,
+    /// where the numbers are of another kind than rad or m and have a zero of their own; the offset of
+    /// any other joint is ZER001. `joints` lists the joints where the finding is on all of them.
+    ///
+    /// ## How to fix
+    /// Multiply where the joint states are filled, or correct the driver's `direction`, gear ratio or
+    /// encoder resolution. Where the numbers are right, it is the axis in the robot's description that
+    /// points the other way: the log cannot tell these two apart.
+    ///
+    /// ## When it misleads
+    /// A joint that hardly moves shows neither its sign nor its scale. The sign of the last joint shows in
+    /// orientations only. All joints of an arm that is its own mirror image, turned the other way, are
+    /// the same as poses in mirrored axes.
+    ORD009 {
+        name: "joint-scale",
+        grade: Grade::Fixed(Severity::Error),
+        headline: false,
+        needs_model: true,
+        missing: "no joint states with a stream to hold them against",
+        check: check,
+    }
+}
+
+/// Factors this near to each other, as a share, are one.
+const SAME: f64 = 2e-3;
+
+fn check(facts: &Facts) -> Vec<Judged> {
+    facts.robots.iter().flat_map(judge_arm).collect()
+}
+
+fn judge_arm(arm: &ArmFacts) -> Vec<Judged> {
+    let topic = arm.topic(&arm.joints_topic);
+    let (scales, reading) = match &arm.diagnosis.joints {
+        Ok(reading) => (&arm.diagnosis.scales, reading),
+        Err(why) => {
+            let outcome = unseen(why, "log a pose that does not come from /tf too");
+            return vec![Judged::new(topic, outcome).within(arm.span)];
+        }
+    };
+    let left = reading.left.unwrap_or(UnitSlip { as_logged: 0.0, corrected: 0.0 });
+    let judged = |scale: &JointScale, joints: &[JointScale]| {
+        let is_all = joints.len() > 1;
+        let subject = match is_all {
+            true => topic.clone(),
+            false => arm.joint_states(scale.column),
+        };
+        let names = joints.iter().filter_map(|other| arm.joints.get(other.column));
+        let names: Vec<&str> = names.map(|joint| joint.name.as_str()).collect();
+        let fault = fault(arm, scale, is_all, &left);
+        Judged::new(subject, Outcome::faulty(fault))
+            .within(arm.span)
+            .estimated(Estimate::amount("joint scale", Unit::One, &scale.factor))
+            .with_evidence("offset", if scale.is_coded() { json!(scale.offset) } else { json!(null) })
+            .with_evidence("joints", if is_all { json!(names) } else { json!(null) })
+            .with_evidence("as_logged_m", left.as_logged)
+            .with_evidence("corrected_m", left.corrected)
+    };
+    match scales.as_slice() {
+        [] => vec![Judged::new(topic, Outcome::sound()).within(arm.span)],
+        [first, rest @ ..] if rest.len() > 1 && rest.iter().all(|other| is_same(first, other)) => {
+            vec![judged(first, scales)]
+        }
+        scales => scales.iter().map(|scale| judged(scale, &[*scale])).collect(),
+    }
+}
+
+/// Whether two joints have the same factor.
+fn is_same(a: &JointScale, b: &JointScale) -> bool {
+    let apart = (a.factor.value - b.factor.value).abs();
+    let known = a.factor.std_error.hypot(b.factor.std_error);
+    apart < (SAME * a.factor.value.abs()).max(4.0 * known)
+}
+
+fn fault(arm: &ArmFacts, scale: &JointScale, is_all: bool, left: &UnitSlip) -> Fault {
+    let factor = scale.factor.value;
+    let (title, what) = if near(factor, -1.0) {
+        ("joint is reversed", "the positions have the wrong sign".to_owned())
+    } else {
+        ("joint scale is wrong", kind(arm, scale))
+    };
+    let who = if is_all { "all joints: " } else { "" };
+    let offset = match scale.offset {
+        offset if offset == 0.0 || !scale.is_coded() => String::new(),
+        offset if offset < 0.0 => format!(" − {:.5}", -offset),
+        offset => format!(" + {offset:.5}"),
+    };
+    let (before, after) = (Unit::Metre.show(left.as_logged), Unit::Metre.show(left.corrected));
+    Fault {
+        severity: Severity::Error,
+        title,
+        message: format!("{who}{what}, {before} off as logged"),
+        evidence: Evidence {
+            effect: Some(format!("{after} once multiplied by {}", shown(factor))),
+            effect_m: Some(left.as_logged),
+            ..Evidence::default()
+        },
+        fix: format!("q_true = {} · q_reported{offset}", shown(factor)),
+    }
+}
+
+/// What a factor looks like, in words.
+fn kind(arm: &ArmFacts, scale: &JointScale) -> String {
+    let factor = scale.factor.value.abs();
+    let reversed = if scale.factor.value < 0.0 { ", counted backwards" } else { "" };
+    let ticks = TAU / factor;
+    let bits = ticks.log2().round();
+    if (8.0..=24.0).contains(&bits) && near(ticks, bits.exp2()) {
+        return format!("the positions are ticks of {:.0} a turn{reversed}", bits.exp2());
+    }
+    let limits = arm.joints.get(scale.column).map(|joint| joint.limits);
+    let range = limits.and_then(|limits| Some(limits.upper? - limits.lower?));
+    let is_share = |of: f64| range.is_some_and(|range| near(range / factor, of));
+    if is_share(200.0) {
+        return format!("the positions are from -100 to 100 of the range{reversed}");
+    }
+    if is_share(100.0) {
+        return format!("the positions are a percentage of the range{reversed}");
+    }
+    format!("the joint moves {} times what its positions say", shown(scale.factor.value))
+}
+
+/// Whether a number is another one for all that a log can show.
+fn near(value: f64, other: f64) -> bool {
+    (value - other).abs() < SAME * other.abs()
+}
+
+fn shown(factor: f64) -> String {
+    match factor.abs() {
+        size if near(size, size.round()) && size >= 1.0 => format!("{:.0}", factor),
+        size if size < 0.1 => format!("{factor:.4e}"),
+        _ => format!("{factor:.4}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{JOINTS, ask, clean_run, sure};
+    use crate::diagnosis::{JointReading, JointSlip, JointUnit};
+
+    fn scaled(scales: &[(usize, f64)]) -> Facts {
+        let mut facts = clean_run();
+        let arm = &mut facts.robots[0];
+        let scale = |&(column, factor): &(usize, f64)| JointScale {
+            column,
+            factor: sure(factor),
+            offset: 0.25,
+        };
+        arm.diagnosis.scales = scales.iter().map(scale).collect();
+        let slip = |scale: &JointScale| JointSlip {
+            column: scale.column,
+            unit: JointUnit::Scaled,
+            factor: scale.factor.value,
+        };
+        arm.diagnosis.joints = Ok(JointReading {
+            slips: arm.diagnosis.scales.iter().map(slip).collect(),
+            left: Some(UnitSlip { as_logged: 0.4, corrected: 2e-4 }),
+            ..JointReading::default()
+        });
+        facts
+    }
+
+    #[test]
+    fn a_joint_is_named_with_its_factor() {
+        let (_, findings) = ask(&ORD009, &scaled(&[(1, -1.0)]));
+        let [finding] = findings.as_slice() else { panic!("{findings:?}") };
+        assert_eq!(finding.subject.joint.as_deref(), Some("lift"));
+        assert_eq!(finding.subject.topic.as_deref(), Some(JOINTS));
+        assert_eq!(finding.message, "the positions have the wrong sign, 400 mm off as logged");
+        assert_eq!(finding.fix, "q_true = -1 · q_reported");
+        assert_eq!(finding.estimate.as_ref().and_then(Estimate::value), Some(-1.0));
+    }
+
+    #[test]
+    fn one_factor_of_all_joints_is_one_cause_and_two_factors_are_two() {
+        let tick = TAU / 4096.0;
+        let (_, findings) = ask(&ORD009, &scaled(&[(0, tick), (1, tick), (2, tick)]));
+        let [finding] = findings.as_slice() else { panic!("{findings:?}") };
+        assert!(finding.subject.joint.is_none(), "{finding:?}");
+        assert!(finding.message.contains("ticks of 4096 a turn"), "{}", finding.message);
+        assert!(finding.fix.ends_with("+ 0.25000"), "{}", finding.fix);
+        let (_, findings) = ask(&ORD009, &scaled(&[(0, 2.0), (1, 0.5)]));
+        assert_eq!(findings.len(), 2);
+    }
+
+    #[test]
+    fn shares_of_the_range_are_called_so() {
+        // The joints of the clean run go from -3 to 3.
+        let (_, findings) = ask(&ORD009, &scaled(&[(0, 0.03)]));
+        assert!(findings[0].message.contains("from -100 to 100"), "{}", findings[0].message);
+        let (_, findings) = ask(&ORD009, &scaled(&[(0, 0.06)]));
+        assert!(findings[0].message.contains("a percentage"), "{}", findings[0].message);
+    }
+}

@@ -1,0 +1,153 @@
+//! One joint whose number may mean anything, the others being right: its scale and zero in closed
+//! form.
+//!
+//! A turning joint takes the tip round a circle and its axes round theirs: a pose is
+//! `c + a·cos θ + b·sin θ` in all its twelve numbers. The sum of squares that angles θₖ leave is then
+//! a constant less `2·Re Σ zₖ·exp(−iθₖ)`, with `zₖ` from what the log says. With `θₖ = s·vₖ + o` the
+//! best `o` for a given `s` is the argument of `Σ zₖ·exp(−i·s·vₖ)`, and the best `s` is where its
+//! magnitude is greatest: a spectrum of few hundred lines tells every scale, sign and zero at once.
+
+use super::map::JointMap;
+use super::view::{Frames, View};
+use crate::geometry::Pose;
+use crate::robot::JointKind;
+use std::f64::consts::{PI, TAU};
+
+/// How the log speaks of one joint.
+pub(super) struct Lone {
+    /// The joint's numbers.
+    values: Vec<f64>,
+    /// Of a turning joint the real and imaginary part of `zₖ`; of a sliding one where it must be, m.
+    wanted: Vec<[f64; 2]>,
+    slides: bool,
+    /// The least and greatest number.
+    span: [f64; 2],
+}
+
+/// The numbers of a pose, its rotation at a lever: twelve, or three where it has none.
+fn numbers(pose: &Pose, lever_m: Option<f64>) -> [f64; 12] {
+    let mut numbers = [0.0; 12];
+    numbers[..3].copy_from_slice(pose.translation.vector.as_slice());
+    if let Some(lever_m) = lever_m {
+        let matrix = pose.rotation.to_rotation_matrix();
+        // The sum of squares of a matrix's change is twice that of its angle.
+        let scale = lever_m / 2f64.sqrt();
+        for (number, entry) in numbers[3..].iter_mut().zip(matrix.matrix().iter()) {
+            *number = scale * entry;
+        }
+    }
+    numbers
+}
+
+fn dot(a: &[f64; 12], b: &[f64; 12]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+impl Lone {
+    /// What `view` says of `joint`, the others being read by `map`, in `frames`.
+    pub fn of(view: &View, map: &JointMap, frames: &Frames, joint: usize) -> Self {
+        let dof = view.chain.dof();
+        let slides = view.chain.joint_kinds()[joint] == JointKind::Prismatic;
+        let lever_m = view.rotation.as_ref().map(|_| view.lever_m);
+        let mut q = vec![0.0; dof];
+        let (mut values, mut wanted) = (Vec::new(), Vec::new());
+        for (k, row) in view.q.chunks_exact(dof).enumerate() {
+            map.apply(row, &mut q);
+            values.push(row[map.from[joint]]);
+            let mut at = |position: f64| {
+                q[joint] = position;
+                numbers(&(frames.reference * view.chain.forward(&q) * frames.tool), lever_m)
+            };
+            let turn = view.rotation.as_ref().map_or_else(Default::default, |all| all[k]);
+            let logged = numbers(&Pose::from_parts(view.xyz[k].into(), turn), lever_m);
+            let between = |a: &[f64; 12], b: &[f64; 12]| std::array::from_fn(|i| a[i] - b[i]);
+            wanted.push(if slides {
+                let (zero, one) = (at(0.0), at(1.0));
+                let along = between(&one, &zero);
+                [dot(&along, &between(&logged, &zero)) / dot(&along, &along).max(1e-12), 0.0]
+            } else {
+                // c, a and b from three angles a third of a turn apart.
+                let third = [at(0.0), at(TAU / 3.0), at(2.0 * TAU / 3.0)];
+                let part = |weights: [f64; 3]| -> [f64; 12] {
+                    std::array::from_fn(|i| (0..3).map(|n| weights[n] * third[n][i]).sum())
+                };
+                let (cos, sin) = ((TAU / 3.0).cos(), (TAU / 3.0).sin());
+                let centre = part([1.0 / 3.0; 3]);
+                let a = part([1.0, cos, cos].map(|w| w * 2.0 / 3.0));
+                let b = part([0.0, sin, -sin].map(|w| w * 2.0 / 3.0));
+                let off = between(&logged, &centre);
+                [dot(&a, &off), dot(&b, &off)]
+            });
+        }
+        Self { values, wanted, slides, span: view.spans[map.from[joint]] }
+    }
+
+    /// The best zero for a factor, and how well that does (more is better).
+    pub fn zero(&self, factor: f64) -> (f64, f64) {
+        if self.slides {
+            let n = self.values.len().max(1) as f64;
+            let offs = || self.values.iter().zip(&self.wanted).map(|(v, w)| w[0] - factor * v);
+            let zero = offs().sum::<f64>() / n;
+            return (zero, -offs().map(|off| (off - zero).powi(2)).sum::<f64>());
+        }
+        let (mut real, mut imaginary) = (0.0, 0.0);
+        for (value, [a, b]) in self.values.iter().zip(&self.wanted) {
+            // z·exp(−i·s·v)
+            let (sin, cos) = (factor * value).sin_cos();
+            real += a * cos + b * sin;
+            imaginary += b * cos - a * sin;
+        }
+        (imaginary.atan2(real), real.hypot(imaginary))
+    }
+
+    /// How well a factor does with no zero.
+    pub fn without_zero(&self, factor: f64) -> f64 {
+        let samples = self.values.iter().zip(&self.wanted);
+        if self.slides {
+            return -samples.map(|(v, w)| (w[0] - factor * v).powi(2)).sum::<f64>();
+        }
+        let part = |(value, [a, b]): (&f64, &[f64; 2])| {
+            let (sin, cos) = (factor * value).sin_cos();
+            a * cos + b * sin
+        };
+        samples.map(part).sum()
+    }
+
+    /// The factors that do best: with the zero that each needs, and without any.
+    pub fn factors(&self) -> Vec<(f64, f64)> {
+        /// No joint turns further, rad.
+        const MOST: f64 = 2.5 * TAU;
+        /// Joints whose numbers span less do not tell their scale: 3° at most factors.
+        const LINE: f64 = PI / 16.0;
+        let width = self.span[1] - self.span[0];
+        let largest = self.span[0].abs().max(self.span[1].abs());
+        if width <= 0.0 {
+            return Vec::new();
+        }
+        if self.slides {
+            return self.line();
+        }
+        let best = |lines: usize, step: f64, well: &dyn Fn(f64) -> f64| {
+            let lines = (0..=2 * lines).map(|i| (i as f64 - lines as f64) * step);
+            let best = lines.map(|s| (well(s), s)).max_by(|a, b| a.0.total_cmp(&b.0));
+            best.map_or(1.0, |(_, s)| s)
+        };
+        let lines = (MOST / LINE) as usize;
+        let with_zero = best(lines, LINE / width, &|s| self.zero(s).1);
+        let without = best(lines, LINE / largest, &|s| self.without_zero(s));
+        vec![(with_zero, self.zero(with_zero).0), (without, 0.0)]
+    }
+
+    /// The straight lines, through zero and not, of a sliding joint.
+    fn line(&self) -> Vec<(f64, f64)> {
+        let n = self.values.len().max(1) as f64;
+        let mean = |of: &dyn Fn(usize) -> f64| (0..self.values.len()).map(of).sum::<f64>() / n;
+        let (v, w) = (|k: usize| self.values[k], |k: usize| self.wanted[k][0]);
+        let (mean_v, mean_w) = (mean(&v), mean(&w));
+        let slope = |v0: f64, w0: f64| {
+            mean(&|k| (v(k) - v0) * (w(k) - w0)) / mean(&|k| (v(k) - v0).powi(2)).max(1e-18)
+        };
+        let with_zero = slope(mean_v, mean_w);
+        vec![(with_zero, mean_w - with_zero * mean_v), (slope(0.0, 0.0), 0.0)]
+    }
+}

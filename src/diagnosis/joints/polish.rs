@@ -1,0 +1,191 @@
+//! Gauss–Newton from a map and frames that are near (Levenberg 1944).
+
+use super::map::JointMap;
+use super::view::{Frames, Freedom, Left, View};
+use crate::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
+use crate::robot::JointKind;
+use nalgebra::{DMatrix, DVector};
+
+/// A way of reading the joints that is to be tried.
+#[derive(Clone, Debug)]
+pub(super) struct Proposal {
+    pub map: JointMap,
+    /// The joints whose zero is to be found.
+    pub zeros: Vec<usize>,
+    /// The joints whose factor is to be found.
+    pub factors: Vec<usize>,
+    /// How many causes it takes.
+    pub price: f64,
+}
+
+/// What became of a proposal.
+#[derive(Clone, Debug)]
+pub(super) struct Polished {
+    pub map: JointMap,
+    pub left: Left,
+    /// How many causes it takes, a turned tool among them.
+    pub price: f64,
+}
+
+/// A tool that is turned by more is a cause, rad; and what it costs.
+const TURNED: f64 = 0.1;
+const TOOL: f64 = 1.0;
+
+impl Proposal {
+    /// The proposal where it leaves least, after so many steps at most.
+    pub fn polished(&self, view: &View, freedom: Freedom, steps: usize) -> Polished {
+        let mut map = self.map.clone();
+        let mut frames = view.frames(&view.fk(&map), freedom);
+        let cost = |map: &JointMap, frames: &Frames| {
+            view.left(&view.fk(map), frames).together(view.lever_m)
+        };
+        let mut best = cost(&map, &frames);
+        let mut damping = 1e-3;
+        for _ in 0..steps {
+            let (normal, right) = self.normal(view, freedom, &map, &frames);
+            let step = |damping: f64| {
+                let mut damped = normal.clone();
+                for i in 0..damped.nrows() {
+                    damped[(i, i)] += damping * damped[(i, i)] + 1e-9;
+                }
+                damped.cholesky().map(|cholesky| cholesky.solve(&right))
+            };
+            let Some(step) = step(damping) else { break };
+            let (next_map, next_frames) = self.moved(freedom, view, &map, &frames, &step);
+            let next = cost(&next_map, &next_frames);
+            if next < best {
+                let gained = best - next;
+                (map, frames, best) = (next_map, next_frames, next);
+                damping = (damping * 0.2).max(1e-9);
+                if gained < 1e-4 * best {
+                    break;
+                }
+            } else {
+                damping *= 10.0;
+                if damping > 1e3 {
+                    break;
+                }
+            }
+        }
+        map.settle_turns(view.chain, &view.spans);
+        let left = view.left(&view.fk(&map), &frames);
+        let is_turned = view.rotation.is_some() && frames.tool.rotation.angle() > TURNED;
+        let price = self.price + if is_turned { TOOL } else { 0.0 };
+        Polished { map, left, price }
+    }
+
+    /// Parameters: zeros, factors over what they are, the tool, the reference.
+    fn width(&self, freedom: Freedom, view: &View) -> usize {
+        let tool = if view.rotation.is_some() { 6 } else { 3 };
+        let reference = if freedom == Freedom::Both { 6 } else { 0 };
+        self.zeros.len() + self.factors.len() + tool + reference
+    }
+
+    fn normal(
+        &self,
+        view: &View,
+        freedom: Freedom,
+        map: &JointMap,
+        frames: &Frames,
+    ) -> (DMatrix<f64>, DVector<f64>) {
+        let (dof, width) = (view.chain.dof(), self.width(freedom, view));
+        let with_rotation = view.rotation.is_some();
+        let rows = if with_rotation { 6 } else { 3 };
+        let mut design = DMatrix::zeros(view.len() * rows, width);
+        let mut residuals = DVector::zeros(view.len() * rows);
+        let (mut q, mut jacobian) = (vec![0.0; dof], vec![[0.0; 6]; dof]);
+        let turn = frames.reference.rotation;
+        for (k, row) in view.q.chunks_exact(dof).enumerate() {
+            map.apply(row, &mut q);
+            let fk = view.chain.forward_with_jacobian(&q, &mut jacobian);
+            let in_base = fk * frames.tool;
+            let predicted = frames.reference * in_base;
+            let [position, rotation] = view.residual(k, &predicted);
+            let lever = fk.rotation * frames.tool.translation.vector;
+            let first = k * rows;
+            let mut set = |column: usize, linear: Vec3, angular: Vec3| {
+                for axis in 0..3 {
+                    design[(first + axis, column)] = linear[axis];
+                    if with_rotation {
+                        design[(first + 3 + axis, column)] = view.lever_m * angular[axis];
+                    }
+                }
+            };
+            let by_joint = |joint: usize| {
+                let [x, y, z, a, b, c] = jacobian[joint];
+                let angular = Vec3::new(a, b, c);
+                (turn * (Vec3::new(x, y, z) + angular.cross(&lever)), turn * angular)
+            };
+            let mut column = 0;
+            for &joint in &self.zeros {
+                let (linear, angular) = by_joint(joint);
+                set(column, linear, angular);
+                column += 1;
+            }
+            for &joint in &self.factors {
+                let (linear, angular) = by_joint(joint);
+                let moved = map.factor[joint] * row[map.from[joint]];
+                set(column, moved * linear, moved * angular);
+                column += 1;
+            }
+            for axis in 0..3 {
+                let along = predicted.rotation * Vec3::ith(axis, 1.0);
+                set(column + axis, along, Vec3::zeros());
+                if with_rotation {
+                    set(column + 3 + axis, Vec3::zeros(), along);
+                }
+            }
+            column += if with_rotation { 6 } else { 3 };
+            if freedom == Freedom::Both {
+                for axis in 0..3 {
+                    let unit = Vec3::ith(axis, 1.0);
+                    set(column + axis, unit, Vec3::zeros());
+                    set(column + 3 + axis, unit.cross(&predicted.translation.vector), unit);
+                }
+            }
+            for axis in 0..3 {
+                residuals[first + axis] = position[axis];
+                if with_rotation {
+                    residuals[first + 3 + axis] = view.lever_m * rotation[axis];
+                }
+            }
+        }
+        (design.tr_mul(&design), design.tr_mul(&residuals))
+    }
+
+    fn moved(
+        &self,
+        freedom: Freedom,
+        view: &View,
+        map: &JointMap,
+        frames: &Frames,
+        step: &DVector<f64>,
+    ) -> (JointMap, Frames) {
+        /// A turn beyond this is a step across the curve, rad.
+        const MOST: f64 = 0.5;
+        let (mut map, mut frames, mut at) = (map.clone(), *frames, 0);
+        let kinds = view.chain.joint_kinds();
+        for &joint in &self.zeros {
+            let most = if kinds[joint] == JointKind::Prismatic { f64::INFINITY } else { MOST };
+            map.zero[joint] += step[at].clamp(-most, most);
+            at += 1;
+        }
+        for &joint in &self.factors {
+            map.factor[joint] *= 1.0 + step[at].clamp(-0.2, 0.2);
+            at += 1;
+        }
+        let three = |first: usize| Vec3::new(step[first], step[first + 1], step[first + 2]);
+        let small = |turn: Vec3| rotation_from_rotvec(turn * (MOST / turn.norm().max(MOST)));
+        let shift = |first: usize, with_turn: bool| -> Pose {
+            let turn = if with_turn { small(three(first + 3)) } else { Default::default() };
+            pose(three(first).into(), turn)
+        };
+        let with_rotation = view.rotation.is_some();
+        frames.tool *= shift(at, with_rotation);
+        at += if with_rotation { 6 } else { 3 };
+        if freedom == Freedom::Both {
+            frames.reference = shift(at, true) * frames.reference;
+        }
+        (map, frames)
+    }
+}

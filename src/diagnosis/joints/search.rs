@@ -1,0 +1,458 @@
+//! The simplest way of reading the joints that leaves hardly anything of a stream.
+//!
+//! Ways are proposed by kinds, the simplest first: all joints in another unit, some reversed, one
+//! joint that means something else; then another order; then two of those at once. Of each kind the
+//! likeliest are polished, and where one of them fits, no further kind is tried.
+
+use super::super::placing::spread;
+use super::lone::Lone;
+use super::map::{ALL_ORDERS, JointMap, orders, wholes};
+use super::polish::{Polished, Proposal};
+use super::view::{Frames, Freedom, Left, View};
+use crate::robot::JointKind;
+use rayon::prelude::*;
+use std::f64::consts::TAU;
+
+/// Proposals of a kind that are polished, after so many steps on so few samples.
+const POLISHED: usize = 24;
+const ROUGH_STEPS: usize = 8;
+const ROUGH_SAMPLES: usize = 20;
+/// Most steps in which they are.
+const STEPS: usize = 25;
+/// Of more proposals than these only the ones are looked at closely that strain the log least, and the
+/// samples on which that is told.
+const CLOSELY: usize = 150;
+const STRAINED: usize = 12;
+/// A joint that moves by less tells neither its sign nor its scale, rad or m.
+const MOVES: f64 = 0.05;
+/// Another way is told from the best where it leaves so many times as much.
+const TOLD: f64 = 2.0;
+/// What costs more may leave less by this factor without being needed …
+const NO_BETTER: f64 = 4.0;
+/// … or by this much, m.
+const FLOOR_M: f64 = 3e-4;
+/// The price of another order.
+const ORDER: f64 = 1.5;
+/// The price from which joints that are reversed cost more than one mirror.
+const MIRROR: f64 = 1.2;
+/// The prices of a scale that is not a round number, and of a reading beyond the model's limits.
+const ODD: f64 = 0.5;
+const BEYOND: f64 = 0.25;
+
+/// A way of reading the joints that fits.
+pub(super) struct Found {
+    pub map: JointMap,
+    pub left: Left,
+    /// What the next best way leaves that takes no more causes, m.
+    pub runner_up_m: Option<f64>,
+}
+
+/// What a search came to.
+pub(super) enum Search {
+    /// One way stands out.
+    Found(Found),
+    /// Several ways fit alike.
+    Ambiguous,
+    /// None fits.
+    Nothing,
+}
+
+/// Kinds of ways, the simplest first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Kind {
+    /// All joints in another unit, some of them reversed, or one joint read otherwise.
+    One,
+    /// The numbers in another order.
+    Order,
+    /// All joints in another unit and one joint besides.
+    UnitAndOne,
+    /// Two joints.
+    Two,
+    /// The numbers in another order and one joint besides.
+    OrderAndOne,
+}
+
+impl Kind {
+    /// All of them.
+    pub const ALL: [Kind; 5] =
+        [Kind::One, Kind::Order, Kind::UnitAndOne, Kind::Two, Kind::OrderAndOne];
+}
+
+/// Looks for a way of one kind that leaves no more than `most`.
+pub(super) fn search(view: &View, kind: Kind, freedom: Freedom, most: Left) -> Search {
+    let none = JointMap::as_logged(view.chain.dof());
+    let fk = view.fk(&none);
+    if fits(&view.left(&fk, &view.frames(&fk, freedom)), most) {
+        // Taken so, the poses have nothing against the joints as they are.
+        return Search::Nothing;
+    }
+    let proposals = match kind {
+        Kind::One => one(view, freedom),
+        Kind::Order => ordered(view, freedom),
+        Kind::UnitAndOne => unit_and_one(view, freedom),
+        Kind::Two => two(view, freedom),
+        Kind::OrderAndOne => order_and_one(view, freedom),
+    };
+    judge(view, proposals, freedom, most)
+}
+
+fn fits(left: &Left, most: Left) -> bool {
+    left.m <= most.m && left.rad.zip(most.rad).is_none_or(|(left, most)| left <= most)
+}
+
+fn judge(view: &View, proposals: Vec<Proposal>, freedom: Freedom, most: Left) -> Search {
+    let together = |polished: &Polished| polished.left.together(view.lever_m);
+    let price = |polished: &Polished| {
+        polished.price + BEYOND * polished.map.beyond_limits(view.chain, &view.spans) as f64
+    };
+    let thin = view.thinned(ROUGH_SAMPLES);
+    let mut rough: Vec<(f64, Proposal)> = proposals
+        .into_par_iter()
+        .map(|proposal| {
+            let Polished { map, left, .. } = proposal.polished(&thin, freedom, ROUGH_STEPS);
+            (left.together(view.lever_m), Proposal { map, ..proposal })
+        })
+        .collect();
+    rough.sort_by(|a, b| a.0.total_cmp(&b.0));
+    rough.truncate(POLISHED);
+    let polished: Vec<(f64, Polished)> = rough
+        .into_par_iter()
+        .map(|(_, proposal)| proposal.polished(view, freedom, STEPS))
+        .map(|polished| (price(&polished), polished))
+        .collect();
+    let least = polished.iter().map(|(_, one)| together(one)).fold(f64::INFINITY, f64::min);
+    let enough = (NO_BETTER * least).max(FLOOR_M);
+    let good = polished.iter().filter(|(_, one)| fits(&one.left, most) && together(one) <= enough);
+    let Some((paid, best)) =
+        good.min_by(|a, b| a.0.total_cmp(&b.0).then(together(&a.1).total_cmp(&together(&b.1))))
+    else {
+        return Search::Nothing;
+    };
+    let others = polished
+        .iter()
+        .filter(|(price, other)| *price <= *paid && !same(view, &other.map, &best.map));
+    let runner_up = others.min_by(|a, b| together(&a.1).total_cmp(&together(&b.1)));
+    if runner_up.is_some_and(|(_, other)| together(other) < TOLD * together(best).max(FLOOR_M)) {
+        return Search::Ambiguous;
+    }
+    let runner_up_m = runner_up.map(|(_, other)| other.left.m);
+    Search::Found(Found { map: best.map.clone(), left: best.left, runner_up_m })
+}
+
+/// Whether two maps say the same of all moments.
+fn same(view: &View, a: &JointMap, b: &JointMap) -> bool {
+    /// Closer is the same: rad or m.
+    const NEAR: f64 = 0.02;
+    let dof = view.chain.dof();
+    let (mut by_a, mut by_b) = (vec![0.0; dof], vec![0.0; dof]);
+    let kinds = view.chain.joint_kinds();
+    view.q.chunks_exact(dof).all(|row| {
+        a.apply(row, &mut by_a);
+        b.apply(row, &mut by_b);
+        by_a.iter().zip(&by_b).zip(kinds).all(|((a, b), kind)| {
+            let off = a - b;
+            let turns = if *kind == JointKind::Prismatic { 0.0 } else { (off / TAU).round() };
+            (off - TAU * turns).abs() < NEAR
+        })
+    })
+}
+
+/// The ways of `proposals` that leave least as they are.
+fn best_of(view: &View, proposals: Vec<Proposal>, freedom: Freedom, most: usize) -> Vec<Proposal> {
+    let thin = view.thinned(STRAINED);
+    let by = |proposals: Vec<Proposal>, most: usize, score: &(dyn Fn(&JointMap) -> f64 + Sync)| {
+        let mut scored: Vec<(f64, Proposal)> =
+            proposals.into_par_iter().map(|one| (score(&one.map), one)).collect();
+        scored.sort_by(|a, b| a.0.total_cmp(&b.0));
+        scored.into_iter().take(most).map(|(_, one)| one).collect::<Vec<_>>()
+    };
+    let few = match proposals.len() > CLOSELY {
+        true => by(proposals, CLOSELY, &|map| thin.strain(map)),
+        false => proposals,
+    };
+    by(few, most, &|map| view.misfit(map, freedom))
+}
+
+fn as_it_is(map: JointMap, price: f64) -> Proposal {
+    Proposal { map, zeros: Vec::new(), factors: Vec::new(), price }
+}
+
+/// The joints that move when they are read by `map`.
+fn moving(view: &View, map: &JointMap) -> Vec<usize> {
+    let moves = |j: &usize| {
+        let [low, high] = view.spans[map.from[*j]];
+        map.factor[*j].abs() * (high - low) > MOVES
+    };
+    (0..view.chain.dof()).filter(moves).collect()
+}
+
+/// All joints in another unit, some of them reversed, or one joint read otherwise.
+fn one(view: &View, freedom: Freedom) -> Vec<Proposal> {
+    let none = JointMap::as_logged(view.chain.dof());
+    let whole = wholes(view.chain)
+        .into_iter()
+        .map(|whole| as_it_is(whole.map, if whole.is_unit { 1.0 } else { 1.25 }))
+        .collect();
+    let mut proposals = best_of(view, whole, freedom, POLISHED / 2);
+    let mut reversed = reversed(view, &none);
+    if is_mirrored(view, &none) {
+        // Joints that are reversed together may mirror an arm: that is one cause, and they are several.
+        reversed.retain(|proposal| proposal.price < MIRROR);
+    }
+    proposals.extend(best_of(view, reversed, freedom, POLISHED / 2));
+    proposals.extend(geared(view, &none, freedom));
+    proposals
+        .extend((0..view.chain.dof()).flat_map(|joint| lone(view, &none, 0.0, freedom, joint)));
+    proposals
+}
+
+/// Whether the positions lie on the arm as logged once they are seen in a mirror.
+fn is_mirrored(view: &View, as_logged: &JointMap) -> bool {
+    /// What may be left, as a share of their extent.
+    const SHARE: f64 = 0.02;
+    let mut mirrored = View { rotation: None, ..view.clone() };
+    mirrored.xyz.iter_mut().for_each(|xyz| xyz.x = -xyz.x);
+    mirrored.misfit(as_logged, Freedom::Both) < SHARE * spread(&view.xyz)
+}
+
+/// Some of the joints reversed. All of them are one cause.
+fn reversed(view: &View, base: &JointMap) -> Vec<Proposal> {
+    /// Most joints whose signs are all tried.
+    const MOST: usize = 10;
+    let moving = moving(view, base);
+    if moving.len() > MOST {
+        return Vec::new();
+    }
+    let flipped = |signs: u32| {
+        let mut map = base.clone();
+        for (bit, &joint) in moving.iter().enumerate() {
+            if signs & (1 << bit) != 0 {
+                map.factor[joint] = -map.factor[joint];
+            }
+        }
+        let count = signs.count_ones() as usize;
+        as_it_is(map, if count == moving.len() { 1.25 } else { count as f64 })
+    };
+    (1..1u32 << moving.len()).map(flipped).collect()
+}
+
+/// All turning joints behind one gear that is no round number.
+fn geared(view: &View, base: &JointMap, freedom: Freedom) -> Option<Proposal> {
+    /// The largest turn of any joint, rad, and its least share; factors by this ratio apart.
+    const MOST: f64 = 2.0 * TAU;
+    const LEAST: f64 = 0.01;
+    const STEP: f64 = 1.04;
+    let kinds = view.chain.joint_kinds();
+    let turning: Vec<usize> = moving(view, base)
+        .into_iter()
+        .filter(|&joint| kinds[joint] != JointKind::Prismatic)
+        .collect();
+    let widest = turning
+        .iter()
+        .map(|&joint| {
+            let [low, high] = view.spans[base.from[joint]];
+            high - low
+        })
+        .fold(0.0, f64::max);
+    if widest <= 0.0 {
+        return None;
+    }
+    let scaled = |factor: f64| {
+        let mut map = base.clone();
+        turning.iter().for_each(|&joint| map.factor[joint] = factor);
+        map
+    };
+    let steps = ((MOST / LEAST).ln() / STEP.ln()) as i32;
+    let tried = (0..=steps).flat_map(|step| {
+        let factor = LEAST / widest * STEP.powi(step);
+        [factor, -factor].map(|factor| as_it_is(scaled(factor), 1.25 + ODD))
+    });
+    let best = best_of(&view.thinned(ROUGH_SAMPLES), tried.collect(), freedom, 1).pop()?;
+    Some(Proposal { factors: turning, ..best })
+}
+
+/// The numbers in another order.
+fn ordered(view: &View, freedom: Freedom) -> Vec<Proposal> {
+    let thin = view.thinned(20);
+    let none = JointMap::as_logged(view.chain.dof());
+    let orders = orders(view.chain.joint_names(), ALL_ORDERS);
+    let units: Vec<JointMap> =
+        wholes(view.chain).into_iter().filter(|whole| whole.is_unit).map(|w| w.map).collect();
+    let bases = std::iter::once((&none, 0.0)).chain(units.iter().map(|unit| (unit, 1.0)));
+    let all = bases
+        .flat_map(|(base, price)| {
+            orders.iter().map(move |order| as_it_is(base.in_order(order), price + ORDER))
+        })
+        .filter(|proposal| proposal.map.from != none.from)
+        .collect();
+    best_of(&thin, all, freedom, POLISHED / 2)
+}
+
+/// All joints in another unit and one joint besides.
+fn unit_and_one(view: &View, freedom: Freedom) -> Vec<Proposal> {
+    let units = wholes(view.chain).into_iter().filter(|whole| whole.is_unit);
+    let joints = 0..view.chain.dof();
+    let pairs: Vec<(JointMap, usize)> =
+        units.flat_map(|unit| joints.clone().map(move |joint| (unit.map.clone(), joint))).collect();
+    pairs
+        .into_par_iter()
+        .flat_map_iter(|(unit, joint)| lone(view, &unit, 1.0, freedom, joint))
+        .collect()
+}
+
+/// One joint read otherwise than in `base`: its zero, its direction, its unit, its scale.
+fn lone(view: &View, base: &JointMap, price: f64, freedom: Freedom, joint: usize) -> Vec<Proposal> {
+    let slides = view.chain.joint_kinds()[joint] == JointKind::Prismatic;
+    let own = base.factor[joint];
+    let [low, high] = view.spans[base.from[joint]];
+    let moves = |factor: f64| factor.abs() * (high - low) > MOVES;
+    let zero_of = |factor: f64| {
+        let settled = settled(view, base, freedom, joint, |lone| (factor, lone.zero(factor).0));
+        settled.1
+    };
+    let proposal = |factor: f64, zero: Option<f64>, is_free: bool, more: f64| Proposal {
+        map: base.with(joint, factor, zero.unwrap_or(0.0)),
+        zeros: zero.map(|_| joint).into_iter().collect(),
+        factors: is_free.then_some(joint).into_iter().collect(),
+        price: price + more,
+    };
+    let mut proposals = vec![proposal(own, Some(zero_of(own)), false, 1.0)];
+    if moves(own) {
+        proposals.push(proposal(-own, None, false, 1.0));
+        proposals.push(proposal(-own, Some(zero_of(-own)), false, 2.0));
+    }
+    let units: &[f64] = if slides { &[1e-3, 1e-2] } else { &[std::f64::consts::PI / 180.0] };
+    for &unit in units.iter().filter(|&&unit| own == 1.0 && moves(unit)) {
+        proposals.push(proposal(unit, None, false, 1.0));
+        proposals.push(proposal(unit, Some(zero_of(unit)), false, 2.0));
+    }
+    for with_zero in [true, false] {
+        let at = usize::from(!with_zero);
+        let pick = |lone: &Lone| lone.factors().get(at).copied().unwrap_or((own, 0.0));
+        let (factor, zero) = settled(view, base, freedom, joint, pick);
+        if moves(factor) {
+            let zero = with_zero.then_some(zero);
+            proposals.push(proposal(
+                factor,
+                zero,
+                true,
+                1.0 + ODD + f64::from(u8::from(with_zero)),
+            ));
+        }
+    }
+    proposals
+}
+
+/// What `pick` makes of one joint, the constant frames found with it by turns.
+fn settled(
+    view: &View,
+    base: &JointMap,
+    freedom: Freedom,
+    joint: usize,
+    pick: impl Fn(&Lone) -> (f64, f64),
+) -> (f64, f64) {
+    /// Turns.
+    const TURNS: usize = 3;
+    let mut frames = match freedom {
+        Freedom::Tool => Frames::default(),
+        Freedom::Both => view.frames(&view.fk(base), freedom),
+    };
+    let mut found = (base.factor[joint], base.zero[joint]);
+    for _ in 0..TURNS {
+        found = pick(&Lone::of(view, base, &frames, joint));
+        frames = view.frames(&view.fk(&base.with(joint, found.0, found.1)), freedom);
+    }
+    found
+}
+
+/// Two joints, the first of them at a zero of a grid, either way round.
+fn two(view: &View, freedom: Freedom) -> Vec<Proposal> {
+    /// Zeros of the first joint.
+    const ZEROS: u32 = 24;
+    let thin = view.thinned(16);
+    let dof = view.chain.dof();
+    let none = JointMap::as_logged(dof);
+    let kinds = view.chain.joint_kinds();
+    let can_move = moving(view, &none);
+    let mut firsts: Vec<(usize, f64, f64, f64)> = Vec::new();
+    for joint in 0..dof {
+        if kinds[joint] == JointKind::Prismatic {
+            firsts.extend([(joint, 1e-3, 0.0, 1.0), (joint, -1.0, 0.0, 1.0)]);
+            continue;
+        }
+        firsts.push((joint, 1f64.to_radians(), 0.0, 1.0));
+        for step in 0..ZEROS {
+            let zero = TAU * f64::from(step) / f64::from(ZEROS);
+            let turned = if step == 0 { 0.0 } else { 1.0 };
+            if step > 0 {
+                firsts.push((joint, 1.0, zero, 1.0));
+            }
+            if can_move.contains(&joint) {
+                firsts.push((joint, -1.0, zero, 1.0 + turned));
+            }
+        }
+    }
+    let proposals: Vec<Proposal> = firsts
+        .into_par_iter()
+        .flat_map_iter(|(first, factor, zero, price)| {
+            let base = none.with(first, factor, zero);
+            let frames = match freedom {
+                Freedom::Tool => Frames::default(),
+                Freedom::Both => thin.frames(&thin.fk(&base), freedom),
+            };
+            let seconds = (0..dof).filter(move |&second| second != first);
+            let firsts = if zero == 0.0 { Vec::new() } else { vec![first] };
+            let (thin, can_move) = (&thin, &can_move);
+            seconds.flat_map(move |second| {
+                let lone = Lone::of(thin, &base, &frames, second);
+                let mut ways = vec![(1.0, Some(lone.zero(1.0).0), 1.0)];
+                if can_move.contains(&second) {
+                    ways.push((-1.0, None, 1.0));
+                    ways.push((-1.0, Some(lone.zero(-1.0).0), 2.0));
+                }
+                let proposal = |(factor, zero, more): (f64, Option<f64>, f64)| {
+                    let second_zero = zero.map(|_| second);
+                    Proposal {
+                        map: base.with(second, factor, zero.unwrap_or(0.0)),
+                        zeros: firsts.iter().copied().chain(second_zero).collect(),
+                        factors: Vec::new(),
+                        price: price + more,
+                    }
+                };
+                ways.into_iter().map(proposal).collect::<Vec<_>>()
+            })
+        })
+        .collect();
+    best_of(&thin, proposals, freedom, POLISHED)
+}
+
+/// The numbers in another order and one joint besides.
+fn order_and_one(view: &View, freedom: Freedom) -> Vec<Proposal> {
+    let thin = view.thinned(10);
+    let dof = view.chain.dof();
+    let none = JointMap::as_logged(dof);
+    // All orders of one joint less: each is tried with each joint.
+    let orders = orders(view.chain.joint_names(), ALL_ORDERS - 1);
+    let proposals = orders
+        .into_par_iter()
+        .filter(|order| *order != none.from)
+        .flat_map_iter(|order| {
+            let base = none.in_order(&order);
+            let can_move = moving(&thin, &base);
+            let thin = &thin;
+            (0..dof).flat_map(move |joint| {
+                let zero = Lone::of(thin, &base, &Frames::default(), joint).zero(1.0).0;
+                let turned = Proposal {
+                    map: base.with(joint, 1.0, zero),
+                    zeros: vec![joint],
+                    factors: Vec::new(),
+                    price: ORDER + 1.0,
+                };
+                let moves = can_move.contains(&joint);
+                let reversed = moves.then(|| as_it_is(base.with(joint, -1.0, 0.0), ORDER + 1.0));
+                std::iter::once(turned).chain(reversed).collect::<Vec<_>>()
+            })
+        })
+        .collect();
+    best_of(&thin, proposals, freedom, POLISHED)
+}

@@ -1,0 +1,166 @@
+//! A stream at slow moments beside the numbers of the joint states: what is left of it when these are
+//! read in some way.
+
+use super::super::frames::{both_frames, tool_frame};
+use super::super::placing::Expected;
+use super::map::JointMap;
+use crate::geometry::{Pose, Rotation, Vec3, angle_between, pose, rotvec_from_rotation};
+use crate::robot::Chain;
+
+/// Turns in which the frames of a thinned view are sought, and of a whole one.
+const FEW_TURNS: usize = 5;
+pub(super) const TURNS: usize = 30;
+
+/// The constant frames that may be off beside the joints.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Freedom {
+    /// The tool's: an active TCP.
+    Tool,
+    /// The tool's and the reference.
+    Both,
+}
+
+/// Constant frames: `logged = reference · FK · tool`.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Frames {
+    pub reference: Pose,
+    pub tool: Pose,
+}
+
+/// What is left, rms m and rad; no angle where only positions are looked at.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in super::super) struct Left {
+    pub m: f64,
+    pub rad: Option<f64>,
+}
+
+impl Left {
+    /// Both as one length, an angle at `lever_m`.
+    pub fn together(self, lever_m: f64) -> f64 {
+        self.m.hypot(lever_m * self.rad.unwrap_or(0.0))
+    }
+}
+
+/// A stream's poses at some moments, taken in one way, and the numbers of the joint states then.
+#[derive(Clone)]
+pub(super) struct View<'a> {
+    pub chain: &'a Chain,
+    pub xyz: Vec<Vec3>,
+    /// The rotations, where they are taken for what they say.
+    pub rotation: Option<Vec<Rotation>>,
+    /// Row-major, in the chain's order.
+    pub q: Vec<f64>,
+    /// The least and the greatest number of each joint over the run.
+    pub spans: Vec<[f64; 2]>,
+    /// The length at which an angle counts, m.
+    pub lever_m: f64,
+    /// Turns in which frames are sought by positions.
+    pub turns: usize,
+}
+
+impl View<'_> {
+    pub fn len(&self) -> usize {
+        self.xyz.len()
+    }
+
+    /// Every `n`-th moment, so that at most `most` are left.
+    pub fn thinned(&self, most: usize) -> Self {
+        let step = self.len().div_ceil(most).max(1);
+        let rows = self.q.chunks_exact(self.chain.dof()).step_by(step);
+        let some = |all: &Vec<Rotation>| all.iter().copied().step_by(step).collect();
+        Self {
+            xyz: self.xyz.iter().copied().step_by(step).collect(),
+            rotation: self.rotation.as_ref().map(some),
+            q: rows.flatten().copied().collect(),
+            spans: self.spans.clone(),
+            turns: FEW_TURNS,
+            ..*self
+        }
+    }
+
+    /// FK of all moments when the numbers are read by `map`.
+    pub fn fk(&self, map: &JointMap) -> Vec<Pose> {
+        let dof = self.chain.dof();
+        let mut q = vec![0.0; dof];
+        let forward = |row: &[f64]| {
+            map.apply(row, &mut q);
+            self.chain.forward(&q)
+        };
+        self.q.chunks_exact(dof).map(forward).collect()
+    }
+
+    fn logged(&self) -> Option<Vec<Pose>> {
+        let rotation = self.rotation.as_ref()?;
+        Some(self.xyz.iter().zip(rotation).map(|(p, r)| pose((*p).into(), *r)).collect())
+    }
+
+    /// The constant frames that leave least.
+    pub fn frames(&self, fk: &[Pose], freedom: Freedom) -> Frames {
+        let expected = Expected::of(fk);
+        let by_positions = |turns: usize| {
+            let (reference, tool) = expected.frames(&self.xyz, turns);
+            Frames { reference, tool: pose(tool.into(), Rotation::identity()) }
+        };
+        let Some(logged) = self.logged() else {
+            return by_positions(if freedom == Freedom::Both { self.turns } else { 0 });
+        };
+        let tool = Frames { reference: Pose::identity(), tool: tool_frame(fk, &logged) };
+        if freedom == Freedom::Tool {
+            return tool;
+        }
+        let (reference, turned_tool) = both_frames(fk, &logged);
+        let placed = by_positions(self.turns).reference;
+        let seen: Vec<Pose> = logged.iter().map(|pose| placed.inverse() * pose).collect();
+        let placed = Frames { reference: placed, tool: tool_frame(fk, &seen) };
+        let both = [Frames { reference, tool: turned_tool }, placed, tool];
+        let left = |frames: &Frames| self.left(fk, frames).together(self.lever_m);
+        both.into_iter().min_by(|a, b| left(a).total_cmp(&left(b))).unwrap_or(tool)
+    }
+
+    /// What is left when the poses of `fk` are taken off in `frames`.
+    pub fn left(&self, fk: &[Pose], frames: &Frames) -> Left {
+        let (mut metres, mut radians) = (0.0, 0.0);
+        for (k, fk) in fk.iter().enumerate() {
+            let [position, rotation] = self.residual(k, &(frames.reference * fk * frames.tool));
+            metres += position.norm_squared();
+            radians += rotation.norm_squared();
+        }
+        let n = self.len().max(1) as f64;
+        let rad = self.rotation.as_ref().map(|_| (radians / n).sqrt());
+        Left { m: (metres / n).sqrt(), rad }
+    }
+
+    /// Logged minus predicted at moment `k`, m and rad.
+    pub fn residual(&self, k: usize, predicted: &Pose) -> [Vec3; 2] {
+        let turn =
+            |all: &Vec<Rotation>| rotvec_from_rotation(&(all[k] * predicted.rotation.inverse()));
+        let rotation = self.rotation.as_ref().map_or_else(Vec3::zeros, turn);
+        [self.xyz[k] - predicted.translation.vector, rotation]
+    }
+
+    /// How far FK of a map is from the log in what no constant frame changes: distances and angles
+    /// between moments (a tool's offset changes distances a little). Rms m.
+    pub fn strain(&self, map: &JointMap) -> f64 {
+        let fk = self.fk(map);
+        let n = fk.len();
+        let pairs = (0..n).flat_map(|k| [1, n / 3 + 1].map(|step| (k, (k + step) % n)));
+        let (mut sum, mut count) = (0.0, 0);
+        for (a, b) in pairs {
+            let far = (fk[a].translation.vector - fk[b].translation.vector).norm();
+            sum += (far - (self.xyz[a] - self.xyz[b]).norm()).powi(2);
+            if let Some(rotation) = &self.rotation {
+                let turned = angle_between(&fk[a].rotation, &fk[b].rotation);
+                let angle = turned - angle_between(&rotation[a], &rotation[b]);
+                sum += (self.lever_m * angle).powi(2);
+            }
+            count += 1;
+        }
+        (sum / f64::from(count.max(1))).sqrt()
+    }
+
+    /// What a map leaves in the best frames, as one length.
+    pub fn misfit(&self, map: &JointMap, freedom: Freedom) -> f64 {
+        let fk = self.fk(map);
+        self.left(&fk, &self.frames(&fk, freedom)).together(self.lever_m)
+    }
+}
