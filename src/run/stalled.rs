@@ -14,8 +14,10 @@ const LEAST_S: f64 = 0.25;
 const LEAST_ROWS: usize = 10;
 /// Standing still is to move by no more than so many deviations of the noise.
 const STILL: f64 = 8.0;
-/// It ends with a leap of this at least, rad or m, …
+/// It ends with a leap of this at least, rad or m, and of so many of the steps that the joint usually
+/// makes where it makes one: a coarse encoder's last bit is no leap, …
 const LEAP: f64 = 5e-3;
+const BITS: f64 = 4.0;
 /// … so many times the steps after it.
 const FAR: f64 = 5.0;
 /// Rows after it, and before, that say how fast the joints went.
@@ -42,13 +44,26 @@ pub(super) fn stalled(series: &Series<'_>, rows: &Rows) -> Vec<Stalled> {
     let noise: Vec<f64> = (0..joints.joints.len())
         .map(|joint| sample_noise(&(0..rows.len()).map(|at| q(at, joint)).collect::<Vec<f64>>()))
         .collect();
+    let usual: Vec<f64> = noise
+        .iter()
+        .enumerate()
+        .map(|(joint, noise)| {
+            let steps = (1..rows.len()).map(|at| (q(at, joint) - q(at - 1, joint)).abs());
+            let mut steps: Vec<f64> =
+                steps.filter(|step| *step > (6.0 * noise).max(1e-6)).collect();
+            let middle = steps.len() / 2;
+            steps.sort_by(f64::total_cmp);
+            steps.get(middle).copied().unwrap_or(0.0)
+        })
+        .collect();
     let count = noise.len();
     let (mut found, mut from) = (Vec::new(), 0);
     for at in 0..rows.len().saturating_sub(1 + BESIDE) {
         let leaps = |joint: usize| {
             let by = (q(at + 1, joint) - q(at, joint)).abs();
             let after = (1..BESIDE).map(|k| (q(at + 1 + k, joint) - q(at + k, joint)).abs());
-            by > LEAP.max(20.0 * noise[joint]) && by > FAR * after.fold(0.0, f64::max)
+            by > LEAP.max(20.0 * noise[joint]).max(BITS * usual[joint])
+                && by > FAR * after.fold(0.0, f64::max)
         };
         if !(0..count).any(leaps) {
             continue;
@@ -133,6 +148,16 @@ mod tests {
             hide(&found, 0, &mut rows);
             assert!((rows.len() as i64 - 1801).abs() < 5);
         }
+    }
+
+    #[test]
+    fn a_coarse_encoder_that_ticks_does_not_stand_still() {
+        const BIT: f64 = std::f64::consts::TAU / 1024.0;
+        let mut columns = swings(0.0, |t| (0.08 * t, 0.0));
+        for (row, q) in columns.joints[0].position.iter_mut().enumerate() {
+            *q = (*q / BIT).round() * BIT + 2e-5 * ((row * 7919 % 13) as f64 - 6.0) / 6.0;
+        }
+        assert!(found(&columns).is_empty());
     }
 
     #[test]
