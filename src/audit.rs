@@ -9,15 +9,16 @@ use rayon::prelude::*;
 
 use crate::checks::{
     ArmFacts, Declared, DhFacts, Due, EmptyFacts, EulerFacts, EvaluatedPart, Evaluation, Facts,
-    FrameFacts, FrozenFacts, ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts, RhythmFacts,
-    Settings, ShakeFacts, StampFacts, StrayFacts, UndecodableTopic, evaluate, merged,
+    FrameFacts, FrozenFacts, HeldFacts, ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts,
+    RhythmFacts, Settings, ShakeFacts, StampFacts, StrayFacts, UnauditedFacts, UndecodableTopic,
+    evaluate, merged,
 };
 use crate::corrections::{Given, Mending};
 use crate::diagnosis::{
-    ArmDiagnosis, DhEstimate, DhStream, DhTold, ImuDiagnosis, ImuStream, JointOffset, Left,
-    NoShake, PoseDiagnosis, PoseStream, Reading, Series, Shake, Unseen, abruptness,
+    ArmDiagnosis, DhEstimate, DhStream, DhTold, ImuDiagnosis, ImuStream, JointOffset, LatencySteps,
+    Left, NoShake, PoseDiagnosis, PoseStream, Reading, Series, Shake, Unseen, abruptness,
     beyond_positions, beyond_speed, diagnose_arm, diagnose_derived, diagnose_imu, faults, follows,
-    position_misfit_m, shake,
+    imu_steps, pose_steps, position_misfit_m, proof, proof_of_imu, shake,
 };
 use crate::finding::{Severity, Span, Subject};
 use crate::hand_eye::{hand_eyes, settle_hands};
@@ -29,12 +30,13 @@ use crate::report::{
     Figures, FileRow, LogSummary, NoteRow, Report, RobotRow, StreamRow, Trouble, TroubleKind,
     tells_hand_eye,
 };
-use crate::robot::{Chain, JointKind, catalogue};
+use crate::robot::JointKind;
 use crate::run::{
     Arm, CalibrationSource, Coding, Declaration, Excerpts, HeaderStamps, ImuSource, JointMending,
     JointSamples, PoseSource, RobotSource, Role, Run, RunOptions, Segment, Strays, Stream,
     TopicSettings, Velocities, Witness, segments,
 };
+use crate::settle::{retake_carried, settle};
 use crate::stream::{
     Columns, DeclaredUnits, ImuTrack, JointColumn, JointTrack, Orientations, PoseTrack,
 };
@@ -79,6 +81,8 @@ pub struct Options {
     pub rules: Settings,
     /// Findings of this severity or above fail the run; `None`: none does.
     pub fail_on: Option<Severity>,
+    /// Whether a verdict that is inconclusive fails the run, too.
+    pub fail_on_inconclusive: bool,
     /// The recording for the Rerun viewer to write.
     pub recording: Option<Recording>,
     /// The folder to write tables into, as Parquet.
@@ -108,6 +112,7 @@ impl Default for Options {
             fix: None,
             rules: Settings::default(),
             fail_on: Some(Severity::Warning),
+            fail_on_inconclusive: false,
             recording: None,
             tables: None,
             figures: false,
@@ -218,21 +223,6 @@ pub(crate) fn imu_stream(source: &ImuSource) -> ImuStream<'_> {
     }
 }
 
-/// Settles which candidates are tool poses, by whether they follow the arm.
-pub(crate) fn settle_candidates(run: &mut Run, most_lag_s: f64) {
-    let candidates: Vec<usize> = run.candidates().collect();
-    for candidate in candidates {
-        let source = run
-            .arms
-            .iter()
-            .flat_map(|arm| arm.poses.iter().map(move |source| (arm, source)))
-            .find(|(_, source)| source.stream == candidate);
-        let peak = source
-            .and_then(|(arm, source)| follows(&arm.joints, &pose_stream(run, source), most_lag_s));
-        run.settle(candidate, peak.map(|peak| peak.correlation));
-    }
-}
-
 /// What was estimated on one arm.
 struct Diagnosis {
     pub arm: ArmDiagnosis,
@@ -247,6 +237,10 @@ fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<Diagnosis> {
     let arms = 0..run.arms.len();
     arms.map(|index| {
         let found = diagnose_one(run, &run.arms[index], most_lag_s);
+        let found = match retake_carried(run, index, &found.arm) {
+            true => diagnose_one(run, &run.arms[index], most_lag_s),
+            false => found,
+        };
         let Some(dh) = &run.arms[index].robot.dh else { return found };
         let declared = dh.convention;
         let (estimate, other) = by_other_convention(run, &run.arms[index], &found.arm, most_lag_s);
@@ -375,39 +369,58 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
 /// The diagnosis of an arm's pose streams; where the latency of some is not steady, that of the
 /// streams as they would be if it were, so that no other cause is sought for what it does.
 fn diagnose_steadied(arm: &Arm, streams: &[PoseStream], most_lag_s: f64) -> ArmDiagnosis {
-    let found = diagnose_arm(&arm.joints, streams, most_lag_s);
-    let tracks: Vec<Option<PoseTrack>> =
-        streams.iter().zip(&found.streams).map(|(stream, found)| steadied(stream, found)).collect();
-    if tracks.iter().all(Option::is_none) {
-        return found;
-    }
-    let streams: Vec<PoseStream> = streams
+    let steps: Vec<Option<LatencySteps>> =
+        streams.par_iter().map(|stream| pose_steps(&arm.joints, stream, most_lag_s)).collect();
+    let unstepped: Vec<Option<PoseTrack>> = streams
         .iter()
-        .zip(&tracks)
-        .map(|(stream, track)| PoseStream {
-            track: track.as_ref().unwrap_or(stream.track),
-            ..*stream
+        .zip(&steps)
+        .map(|(stream, steps)| {
+            let track = stream.track;
+            Some(straightened(track, &steps.as_ref()?.straightened(&track.t_s)))
         })
         .collect();
-    let mut steady = diagnose_arm(&arm.joints, &streams, most_lag_s);
-    for (steady, found) in steady.streams.iter_mut().zip(found.streams) {
-        steady.course = found.course;
+    let streams = with_tracks(streams, &unstepped);
+    let found = diagnose_arm(&arm.joints, &streams, most_lag_s);
+    let tracks: Vec<Option<PoseTrack>> =
+        streams.iter().zip(&found.streams).map(|(stream, found)| steadied(stream, found)).collect();
+    let courses: Vec<_> = found
+        .streams
+        .iter()
+        .zip(&steps)
+        .map(|(found, steps)| match steps {
+            Some(steps) => Ok(steps.course(&found.course)),
+            None => found.course.clone(),
+        })
+        .collect();
+    let mut steady = if tracks.iter().all(Option::is_none) {
+        found
+    } else {
+        diagnose_arm(&arm.joints, &with_tracks(&streams, &tracks), most_lag_s)
+    };
+    for (steady, course) in steady.streams.iter_mut().zip(courses) {
+        steady.course = course;
     }
     steady
+}
+
+/// Streams with other tracks, where there are such.
+fn with_tracks<'a>(
+    streams: &[PoseStream<'a>],
+    tracks: &'a [Option<PoseTrack>],
+) -> Vec<PoseStream<'a>> {
+    let with = |(stream, track): (&PoseStream<'a>, &'a Option<PoseTrack>)| PoseStream {
+        track: track.as_ref().unwrap_or(stream.track),
+        ..*stream
+    };
+    streams.iter().zip(tracks).map(with).collect()
 }
 
 /// The diagnosis of an IMU; where its latency is not steady, that of the IMU as it would be if it
 /// were.
 fn diagnose_imu_steadied(joints: &JointTrack, source: &ImuSource, most_lag_s: f64) -> ImuDiagnosis {
     let stream = imu_stream(source);
-    let found = diagnose_imu(joints, &stream, most_lag_s);
-    let Some(course) = found.latency_course.as_ref().ok().filter(|course| course.is_unsteady)
-    else {
-        return found;
-    };
-    let track = stream.track;
-    let rows = course.straightened(&track.t_s);
-    let track = ImuTrack {
+    let steps = imu_steps(joints, &stream, most_lag_s);
+    let of_rows = |track: &ImuTrack, rows: &[(usize, f64)]| ImuTrack {
         t_s: rows.iter().map(|&(_, t_s)| t_s).collect(),
         orientation: rows
             .iter()
@@ -416,16 +429,30 @@ fn diagnose_imu_steadied(joints: &JointTrack, source: &ImuSource, most_lag_s: f6
         gyro: rows.iter().map(|&(row, _)| track.gyro[row]).collect(),
         accel: rows.iter().map(|&(row, _)| track.accel[row]).collect(),
     };
+    let unstepped =
+        steps.as_ref().map(|steps| of_rows(stream.track, &steps.straightened(&stream.track.t_s)));
+    let track = unstepped.as_ref().unwrap_or(stream.track);
+    let found = diagnose_imu(joints, &ImuStream { track, ..stream }, most_lag_s);
+    let latency_course = match &steps {
+        Some(steps) => Ok(steps.course(&found.latency_course)),
+        None => found.latency_course.clone(),
+    };
+    let unsteady = found.latency_course.as_ref().ok().filter(|course| course.is_unsteady);
+    let Some(course) = unsteady else { return ImuDiagnosis { latency_course, ..found } };
+    let track = of_rows(track, &course.straightened(&track.t_s));
     let steady = diagnose_imu(joints, &ImuStream { track: &track, ..stream }, most_lag_s);
-    ImuDiagnosis { latency_course: found.latency_course, ..steady }
+    ImuDiagnosis { latency_course, ..steady }
 }
 
 /// The poses of a stream at the stamps that they would have if its latency were steady; `None` where
 /// it is.
 fn steadied(stream: &PoseStream, found: &PoseDiagnosis) -> Option<PoseTrack> {
     let course = found.course.as_ref().ok().filter(|course| course.is_unsteady)?;
-    let track = stream.track;
-    let rows = course.straightened(&track.t_s);
+    Some(straightened(stream.track, &course.straightened(&stream.track.t_s)))
+}
+
+/// Some rows of a track of poses, each at another time.
+fn straightened(track: &PoseTrack, rows: &[(usize, f64)]) -> PoseTrack {
     let declared = track.declared.as_ref().map(|declared| DeclaredUnits {
         in_other_angles: declared
             .in_other_angles
@@ -442,12 +469,12 @@ fn steadied(stream: &PoseStream, found: &PoseDiagnosis) -> Option<PoseTrack> {
         }
         Orientations::Unset(_) => Orientations::Unset(rows.len()),
     };
-    Some(PoseTrack {
+    PoseTrack {
         t_s: rows.iter().map(|&(_, t_s)| t_s).collect(),
         xyz: rows.iter().map(|&(row, _)| track.xyz[row]).collect(),
         orientation,
         declared,
-    })
+    }
 }
 
 /// The joint states of an arm with what was found on them taken off; `None` where no reading of them
@@ -467,9 +494,8 @@ pub(crate) fn prismatic(arm: &Arm) -> Vec<bool> {
 
 /// The facts for the rules.
 fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read, options: &Options) -> Facts {
-    let declared = &options.declarations;
     let arms = run.arms.iter().zip(diagnoses);
-    let robots = arms.map(|(arm, diagnosis)| arm_facts(run, arm, diagnosis, declared));
+    let robots = arms.map(|(arm, diagnosis)| arm_facts(run, arm, diagnosis, options));
     let stamps = run.clocks.iter().filter_map(|clock| {
         let stream = run.streams.get(clock.stream)?;
         Some(StampFacts {
@@ -491,6 +517,8 @@ fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read, options: &Options) -
         norms: norms(run),
         strays: strays(run),
         frozen: frozen(run),
+        held: held(run),
+        unaudited: unaudited(run),
         empty: empty(run),
         missing: missing(run, &options.topics),
         figures: options.rules.figures.clone(),
@@ -604,7 +632,7 @@ fn strays(run: &Run) -> Vec<StrayFacts> {
     let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));
     let of = |(index, stream): (usize, &Stream)| {
         let parts: Vec<Strays> =
-            run.strays.iter().filter(|strays| strays.stream == index).cloned().collect();
+            run.sift.strays.iter().filter(|strays| strays.stream == index).cloned().collect();
         StrayFacts {
             subject: subject_of(run, stream),
             span: span_of(run, index),
@@ -631,7 +659,8 @@ fn frozen(run: &Run) -> Vec<FrozenFacts> {
     let of = |index: usize| {
         let stream = run.streams.get(index)?;
         let times = run.frozen.iter().filter(|found| found.stream == index);
-        if stream.role != Role::Pose && !times.clone().any(|found| found.whole) {
+        let is_asked = matches!(stream.role, Role::Pose | Role::Joints);
+        if !is_asked && !times.clone().any(|found| found.whole) {
             return None;
         }
         Some(FrozenFacts {
@@ -640,7 +669,53 @@ fn frozen(run: &Run) -> Vec<FrozenFacts> {
             times: times.copied().collect(),
         })
     };
-    run.watched.iter().copied().filter_map(of).collect()
+    let joints = (0..run.streams.len()).filter(|&index| run.streams[index].role == Role::Joints);
+    joints.chain(run.watched.iter().copied()).filter_map(of).collect()
+}
+
+/// The streams whose values could repeat, each with what of it does.
+fn held(run: &Run) -> Vec<HeldFacts> {
+    let is_tf = |topic: &str| {
+        run.streams.iter().any(|stream| stream.role == Role::Tf && stream.topic == topic)
+    };
+    let is_asked = |stream: &Stream| match stream.role {
+        Role::Joints | Role::Tf | Role::Imu => true,
+        // What a transform says is judged on its own topic.
+        Role::Pose => !is_tf(&stream.topic),
+        _ => false,
+    };
+    let of_stream = |index: usize| run.sift.held.iter().filter(move |held| held.stream == index);
+    let repeats = |index: usize| of_stream(index).any(|held| held.is_taken_once());
+    let is_of_joints = |index: usize| {
+        run.arms.iter().any(|arm| {
+            let follows = |tf: &PoseSource| tf.stream == index && tf.stamps_copied;
+            arm.tf.as_ref().is_ok_and(follows)
+                && arm.joint_facts.iter().any(|joint| repeats(joint.stream))
+        })
+    };
+    let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));
+    let of = |(index, stream): (usize, &Stream)| HeldFacts {
+        subject: subject_of(run, stream),
+        span: span_of(run, index),
+        parts: of_stream(index).cloned().collect(),
+        is_latched: stream.topic.to_lowercase().contains("latched"),
+        is_of_joints: is_of_joints(index),
+    };
+    streams.map(of).collect()
+}
+
+/// The streams that are audited or would be, each with why it is not, or not as what it says it is.
+fn unaudited(run: &Run) -> Vec<UnauditedFacts> {
+    let of = |(index, stream): (usize, &Stream)| {
+        let why: Vec<_> = run.unaudited.iter().filter(|found| found.stream == index).collect();
+        let is_asked = matches!(stream.role, Role::Joints | Role::Pose) || !why.is_empty();
+        is_asked.then(|| UnauditedFacts {
+            subject: subject_of(run, stream),
+            span: span_of(run, index),
+            why: why.into_iter().map(|found| found.why.clone()).collect(),
+        })
+    };
+    run.streams.iter().enumerate().filter_map(of).collect()
 }
 
 /// The topics that hold nothing and would be audited; of joint states and transforms only where no
@@ -702,11 +777,15 @@ fn span_of(run: &Run, stream: usize) -> Option<Span> {
     Some(Span { start: stream.start?, end: stream.end? })
 }
 
-fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration]) -> ArmFacts {
+fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, options: &Options) -> ArmFacts {
     let joints_stream = arm.joint_facts.first().map_or(0, |facts| facts.stream);
     let whole = run.span.unwrap_or((run.origin, run.origin));
     let whole = Span { start: whole.0, end: whole.1 };
-    let pose_facts = |source: &PoseSource| PoseFacts {
+    let mended = diagnosis.arm.corrected_joints(&arm.joints, &prismatic(arm));
+    let is_read = !matches!(diagnosis.arm.joints, Err(Unseen::NotExcited));
+    let most_lag_s = options.max_latency_s;
+    let pose_facts = |source: &PoseSource, found: &PoseDiagnosis| PoseFacts {
+        proof: proof(&arm.joints, &mended, &pose_stream(run, source), found),
         topic: run.streams[source.stream].topic.clone(),
         span: span_of(run, source.stream).unwrap_or(whole),
         reference: if source.reference_known {
@@ -718,7 +797,6 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         tip: source.chain.tip_name().to_owned(),
         tip_named: source.tip_named,
         witness: run.streams[source.stream].witness.unwrap_or(Witness::Unknown),
-        better_model: None,
         euler: None,
         independent: !source.stamps_copied,
         bare_numbers: matches!(source.track.orientation, Orientations::Numbers(_)),
@@ -740,6 +818,9 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
             independent: !source.stamps_copied,
             link: source.chain.tip_name().to_owned(),
             link_from_imu: source.link_from_imu.map(|pose| pose.rotation),
+            proof: is_read
+                .then(|| proof_of_imu(&mended, &imu_stream(source), &diagnosis, most_lag_s))
+                .flatten(),
         };
         (facts, diagnosis)
     });
@@ -755,7 +836,7 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         None => (samples, Cow::Borrowed(&arm.joints)),
     };
     let joints: Vec<usize> = (0..arm.joint_names.len()).collect();
-    let joint = |&joint: &usize| joint_facts(arm, joint, &samples[joint], &track);
+    let joint = |&joint: &usize| joint_facts(run, arm, joint, &samples[joint], &track);
     let joints = joints.par_iter().map(joint).collect();
     let mut shakes = vec![ShakeFacts {
         topic: run.streams[joints_stream].topic.clone(),
@@ -773,9 +854,8 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         }
     }));
     let poses = arm.poses.iter().zip(&diagnosis.arm.streams).map(|(source, found)| PoseFacts {
-        better_model: better_model(run, arm, source, found),
-        euler: euler(run, source, found, declared),
-        ..pose_facts(source)
+        euler: euler(run, source, found, &options.declarations),
+        ..pose_facts(source, found)
     });
     let poses = poses.collect();
     ArmFacts {
@@ -784,10 +864,11 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, declared: &[Declaration
         span: span_of(run, joints_stream).unwrap_or(whole),
         joints,
         reach_m: arm.chain.max_reach_m(),
+        wrong_model: arm.instead_of.clone(),
         dh: diagnosis.dh,
         diagnosis: diagnosis.arm,
         poses,
-        tf: tf.into_iter().map(|(source, diagnosis)| (pose_facts(source), diagnosis)).collect(),
+        tf: tf.into_iter().map(|(source, found)| (pose_facts(source, &found), found)).collect(),
         shakes,
         imus: imus.collect(),
         references: Vec::new(),
@@ -842,6 +923,7 @@ fn shake_of_joints(
 
 /// A joint, and what it does by all of its samples.
 fn joint_facts(
+    run: &Run,
     arm: &Arm,
     joint: usize,
     samples: &JointSamples<'_>,
@@ -853,9 +935,16 @@ fn joint_facts(
     let mut motion = JointMotion::default();
     if let Some(source) = arm.joint_facts.get(joint) {
         let JointSamples { t_s, position, velocity } = samples;
-        motion.positions = beyond_positions(t_s, position, &limits);
+        let is_folded = run
+            .folded
+            .iter()
+            .any(|folded| folded.stream == source.stream && folded.joint == source.name);
+        motion.is_endless =
+            is_folded || model.is_some_and(|joint| joint.kind == JointKind::Continuous);
+        // What is logged within one turn has no place on a longer way.
+        motion.positions = if is_folded { None } else { beyond_positions(t_s, position, &limits) };
         (motion.speeds, motion.abruptness) = match source.velocities {
-            Velocities::Logged => (
+            Velocities::Logged | Velocities::Near => (
                 beyond_speed(t_s, velocity, &limits),
                 abruptness(t_s, velocity, Series::Velocities),
             ),
@@ -907,43 +996,6 @@ fn euler(
         convention,
         margins_rad: (0..array.times.len()).filter_map(margin).collect(),
     })
-}
-
-/// The arm of the catalogue with the same joints that fits a stream far better than its model does,
-/// and to how much, rms m. Nothing is looked for where the model leaves little.
-fn better_model(
-    run: &Run,
-    arm: &Arm,
-    source: &PoseSource,
-    found: &PoseDiagnosis,
-) -> Option<(String, f64)> {
-    /// What a model leaves that is the right one, or the drawing of it, m.
-    const LITTLE_M: f64 = 1e-3;
-    /// An arm fits that leaves less than this share of what the model leaves.
-    const SHARE: f64 = 0.1;
-    let left_m = found.residual.as_ref().ok()?.excess_m.value;
-    if left_m < LITTLE_M || found.nominal {
-        return None;
-    }
-    let scale = position_factor(found);
-    let latency_s = found.latency_s.as_ref().map_or(0.0, |latency| latency.value);
-    let stream = pose_stream(run, source);
-    let misfit_m = |chain: &Chain| {
-        position_misfit_m(&arm.joints, &PoseStream { chain, ..stream }, scale, latency_s)
-    };
-    let most_m = SHARE * misfit_m(&source.chain)?;
-    let candidates = catalogue::candidates_for(&arm.joint_names).into_iter();
-    let fits = candidates.filter(|candidate| candidate.names.is_complete()).filter_map(|other| {
-        let robot = other.renamed()?;
-        let [base, tip] = [source.chain.base_name(), source.chain.tip_name()];
-        let chain = robot.chain(robot.link(base)?, robot.link(tip)?).ok()?;
-        // What has other joints cannot take these positions.
-        let chain =
-            Some(chain).filter(|chain| chain.joint_names() == source.chain.joint_names())?;
-        let misfit_m = misfit_m(&chain).filter(|misfit_m| *misfit_m < most_m)?;
-        Some((robot.name, misfit_m))
-    });
-    fits.min_by(|(_, a), (_, b)| a.total_cmp(b))
 }
 
 /// A segment of a run, audited.
@@ -1057,6 +1109,7 @@ impl Audits {
         let mut report =
             Report::new(read.summary, robots(&main.run), streams, evaluation, options.fail_on);
         report.workspace = workspace;
+        report.fails_open = options.fail_on_inconclusive;
         match &main.run.no_arm {
             Some(error) if options.rules.need_model() && !tells_hand_eye(&report.checks) => {
                 report.with_trouble(error.into())
@@ -1088,7 +1141,7 @@ impl Audited {
         if let Some(given) = given {
             given.apply(&mut run, options.max_latency_s)?;
         }
-        settle_candidates(&mut run, options.max_latency_s);
+        settle(&mut run, options.max_latency_s);
         settle_hands(&mut run, options.max_latency_s);
         let diagnoses = diagnose(&mut run, options.max_latency_s);
         let joints = |arm: usize| readable_joints(&run.arms[arm], &diagnoses[arm].arm);

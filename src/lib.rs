@@ -18,12 +18,15 @@
 //! Beside it, [`desk`] says what single poses are.
 #![warn(missing_docs)]
 
+#[cfg(test)]
+mod any_log;
 mod audit;
 mod demo;
 mod hand_eye;
 mod pictures;
 mod recording;
 mod references;
+mod settle;
 mod workspace;
 
 pub mod boundary;
@@ -103,7 +106,7 @@ pub fn info(logs: &[PathBuf], how: &ReadOptions<'_>) -> Result<Report, Trouble> 
     let read = audit::Read::of(&log);
     let options = RunOptions::default();
     let mut run = Run::assemble(log, &options).map_err(|error| Trouble::from(&error))?;
-    audit::settle_candidates(&mut run, options.max_latency_s);
+    settle::settle(&mut run, options.max_latency_s);
     hand_eye::settle_hands(&mut run, options.max_latency_s);
     Ok(audit::summary(&run, read))
 }

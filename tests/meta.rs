@@ -81,7 +81,7 @@ fn limits_can_be_told_apart_from_each_other_and_from_figures() {
 #[test]
 fn the_headline_rules_are_those_of_the_contract() {
     let headline = registry().iter().filter(|rule| rule.headline).map(|rule| rule.code);
-    assert_eq!(headline.collect::<Vec<_>>(), ["LAT001", "ORD001", "YAW001", "ZER001"]);
+    assert_eq!(headline.collect::<Vec<_>>(), ["LAT001", "MDL001", "ORD001", "YAW001", "ZER001"]);
 }
 
 #[test]

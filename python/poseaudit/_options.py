@@ -33,7 +33,7 @@ class How(TypedDict, total=False):
     """Rules to ask: codes, or the letters that a family begins with."""
     ignore: Texts | None
     """Rules not to ask."""
-    fail_on: Literal["error", "warning", "never"] | None
+    fail_on: Literal["error", "warning", "inconclusive", "never"] | None
     """From which severity on a finding fails the run."""
     stamp: Literal["header", "log", "publish"] | None
     """The time that places a sample."""

@@ -4,14 +4,17 @@
 
 use super::Figures;
 use crate::diagnosis::{
-    Abruptness, ArmDiagnosis, DhEstimate, Excess, HandEyeDiagnosis, ImuDiagnosis, JointScale,
-    Mount, NoShake, PoseDiagnosis, ReferenceDiagnosis, Seen, Shake,
+    Abruptness, ArmDiagnosis, DhEstimate, Excess, HandEyeDiagnosis, ImuDiagnosis, ImuProof,
+    JointScale, Mount, NoShake, PoseDiagnosis, Proof, ReferenceDiagnosis, Seen, Shake,
 };
 use crate::finding::{Span, Subject, Unit};
 use crate::geometry::{Convention, Rotation};
 use crate::log::{self, Loss};
 use crate::robot::{DhConvention, Limits};
-use crate::run::{Cadence, CameraAxes, Extent, Flaw, Frozen, Norms, Strays, StreamClock, Witness};
+use crate::run::{
+    Cadence, CameraAxes, Extent, Flaw, Frozen, Held, Norms, Strays, StreamClock, WhyNot, Witness,
+    WrongModel,
+};
 use crate::time::Stamp;
 
 /// All that is known of one run.
@@ -35,6 +38,11 @@ pub struct Facts {
     pub strays: Vec<StrayFacts>,
     /// Every stream of tool poses that the arm can be held against, by when it stood still.
     pub frozen: Vec<FrozenFacts>,
+    /// What repeats values with new stamps.
+    pub held: Vec<HeldFacts>,
+    /// Every stream of joint states or tool poses, and every other that says it is one, with why it is not
+    /// audited as that.
+    pub unaudited: Vec<UnauditedFacts>,
     /// Topics that would play a role, and hold no message, or none with finite numbers.
     pub empty: Vec<EmptyFacts>,
     /// Topics that the caller expects and the log does not have, with where that is said.
@@ -85,6 +93,17 @@ impl Facts {
     }
 }
 
+/// A stream that is audited or should be.
+#[derive(Clone, Debug)]
+pub struct UnauditedFacts {
+    /// The stream.
+    pub subject: Subject,
+    /// Its first and last stamp.
+    pub span: Option<Span>,
+    /// Why it is not audited as what it says it is; nothing where it is.
+    pub why: Vec<WhyNot>,
+}
+
 /// One robot and its streams.
 #[derive(Clone, Debug)]
 pub struct ArmFacts {
@@ -98,6 +117,8 @@ pub struct ArmFacts {
     pub joints: Vec<JointFacts>,
     /// Distance of the tip from the base at full stretch, m.
     pub reach_m: f64,
+    /// The model that was named, where the log is of another arm, with which all else is judged.
+    pub wrong_model: Option<WrongModel>,
     /// What its DH table says of itself and what the streams say of that, where it is one.
     pub dh: Option<DhFacts>,
     /// What was estimated; its `streams` stand beside `poses`.
@@ -217,6 +238,8 @@ pub struct JointMotion {
     pub speeds: Option<Excess>,
     /// How abruptly it changes its speed; `None` where its samples do not tell.
     pub abruptness: Option<Abruptness>,
+    /// Whether it turns without end, by the model or as the log shows.
+    pub is_endless: bool,
 }
 
 /// One stream of poses.
@@ -237,8 +260,8 @@ pub struct PoseFacts {
     pub tip_named: bool,
     /// Whose word the poses are.
     pub witness: Witness,
-    /// The arm of the catalogue that fits far better than this model, and to how much, rms m.
-    pub better_model: Option<(String, f64)>,
+    /// Its error straight from FK.
+    pub proof: Seen<Proof>,
     /// Whether its stamps are its own, not copies of the joints'.
     pub independent: bool,
     /// Whether its rotations are bare numbers, which may be degrees.
@@ -296,6 +319,8 @@ pub struct ImuFacts {
     pub link: String,
     /// How it is turned in that link by the log's frames, where they say.
     pub link_from_imu: Option<Rotation>,
+    /// What it leaves straight against FK; `None` where it does not turn with the arm.
+    pub proof: Option<ImuProof>,
 }
 
 /// One stream of commands.
@@ -537,6 +562,21 @@ pub struct FrozenFacts {
     pub span: Option<Span>,
     /// The times, in order.
     pub times: Vec<Frozen>,
+}
+
+/// What a stream repeats with new stamps while the arm moves.
+#[derive(Clone, Debug)]
+pub struct HeldFacts {
+    /// The stream.
+    pub subject: Subject,
+    /// First and last stamp used.
+    pub span: Option<Span>,
+    /// Of each of its transforms, or of all of it, where anything is repeated.
+    pub parts: Vec<Held>,
+    /// Whether its name says that it repeats on purpose.
+    pub is_latched: bool,
+    /// Whether it is computed from joint states that repeat, and has their stamps.
+    pub is_of_joints: bool,
 }
 
 /// A topic that could not be decoded.

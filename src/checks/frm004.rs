@@ -9,8 +9,8 @@ rule! {
     ///
     /// ## What it means
     /// A frame hangs below two others at once, frames hang below each other in a ring, a transform
-    /// of /tf_static is published with different values, two publishers give one transform different
-    /// values, or no transforms lead from a frame that an audited stream needs to the arm's base.
+    /// of /tf_static is published with different values, two publishers give one transform or one topic
+    /// of poses or joint states different values, or no transforms lead from a frame that an audited stream needs to the arm's base.
     ///
     /// ## Why it matters
     /// tf2 keeps whichever message came last: with two parents or two publishers a lookup gives one
@@ -21,8 +21,10 @@ rule! {
     /// ## Evidence
     /// `what` is `several-parents`, `cycle`, `static-moves`, `conflict` or `pieces`; `frames` the
     /// frames, `topics` the topics. Where values differ, `length_m` and `angle_rad` say by how much,
-    /// and the estimate is the length. Of a conflict, `jumps` of `samples` are elsewhere than those
-    /// beside them.
+    /// and the estimate is the length, or the angle where there is no length. Of a conflict, `jumps` of
+    /// `samples` are elsewhere than those beside them. `what` is `publishers` where two rhythms tell two
+    /// publishers of a topic or a transform apart: `rates_hz` and `samples` are those of each. The other
+    /// rules look at the one with more samples.
     ///
     /// ## How to fix
     /// Let one node publish each transform, and give each frame one parent: turn a transform round,
@@ -31,7 +33,7 @@ rule! {
     ///
     /// ## When it misleads
     /// What is picked up and put down changes its parent now and then, which is no fault and not
-    /// counted as one. A static transform that was calibrated anew during the run did move. Streams
+    /// counted as one. Two publishers that say the same are told as `info`. A static transform that was calibrated anew during the run did move. Streams
     /// in the world of a tracker that no transform names need no tie: it is estimated. Topics in
     /// different namespaces (`/left/tf`, `/right/tf`) are trees of their own.
     FRM004 {
@@ -62,7 +64,7 @@ fn judge(flaw: &Flaw) -> Judged {
         ..Subject::default()
     };
     let fault = Fault {
-        severity: Severity::Error,
+        severity: said.severity,
         title: said.title,
         message: said.message,
         evidence: Evidence::default(),
@@ -75,12 +77,17 @@ fn judge(flaw: &Flaw) -> Judged {
     for (key, value) in said.numbers {
         judged = judged.with_evidence(key, value);
     }
-    let moved = said.by.map(|by| Estimate::counted("difference", "m", by.length_m));
+    // Of what turns only, by how much.
+    let moved = said.by.map(|by| match by.length_m < 1e-6 && by.angle_rad > 0.0 {
+        true => Estimate::counted("difference", "rad", by.angle_rad),
+        false => Estimate::counted("difference", "m", by.length_m),
+    });
     judged.estimated(moved)
 }
 
 /// A flaw in words.
 struct Said {
+    severity: Severity,
     what: &'static str,
     title: &'static str,
     /// The frames, that which is meant first.
@@ -96,6 +103,7 @@ impl Said {
         let on = flaw.topics.join(" and ");
         match &flaw.kind {
             FlawKind::SeveralParents { child, parents } => Self {
+                severity: Severity::Error,
                 what: "several-parents",
                 title: "a frame has several parents",
                 frames: std::iter::once(child).chain(parents).cloned().collect(),
@@ -110,6 +118,7 @@ impl Said {
                 ),
             },
             FlawKind::Cycle { frames } => Self {
+                severity: Severity::Error,
                 what: "cycle",
                 title: "frames form a ring",
                 frames: frames.clone(),
@@ -123,6 +132,7 @@ impl Said {
                     .to_owned(),
             },
             FlawKind::StaticMoves { edge, by } => Self {
+                severity: Severity::Error,
                 what: "static-moves",
                 title: "a static frame moves",
                 frames: vec![edge.child.clone(), edge.parent.clone()],
@@ -137,6 +147,7 @@ impl Said {
                 fix: format!("publish '{}' on /tf, or once", edge.child),
             },
             FlawKind::Conflict { edge, by, jumps, rows } => Self {
+                severity: Severity::Error,
                 what: "conflict",
                 title: "two publishers of one transform",
                 frames: vec![edge.child.clone(), edge.parent.clone()],
@@ -151,7 +162,47 @@ impl Said {
                 ),
                 fix: format!("find the two nodes that publish '{}', and stop one", edge.child),
             },
+            FlawKind::Publishers { edge, edges, by, rates_hz, rows, are_joints } => {
+                let what = match (edge, edges) {
+                    (Some(edge), 0 | 1) => format!("'{}' to '{}' on {on}", edge.parent, edge.child),
+                    (Some(edge), edges) => format!(
+                        "{edges} transforms on {on}, '{}' to '{}' above all,",
+                        edge.parent, edge.child
+                    ),
+                    (None, _) => on.clone(),
+                };
+                let [a, b] = rates_hz.map(|rate_hz| format!("{rate_hz:.1} Hz"));
+                let amount = |by: &Apart| match are_joints {
+                    true => format!("{} in a joint", Unit::Radian.show(by.angle_rad)),
+                    false => shown(by),
+                };
+                let message = match by {
+                    Some(by) => format!(
+                        "{what} is published twice, at {a} and at {b}, with values that are {} apart",
+                        amount(by)
+                    ),
+                    None => format!("it is published twice, at {a} and at {b}, with the same values"),
+                };
+                let frames = edge.iter().flat_map(|edge| [edge.child.clone(), edge.parent.clone()]);
+                let severity = if by.is_some() { Severity::Error } else { Severity::Info };
+                let mut told = by.as_ref().map_or(Vec::new(), |by| numbers(by).to_vec());
+                told.extend([("rates_hz", json!(rates_hz)), ("samples", json!(rows))]);
+                Self {
+                    severity,
+                    what: "publishers",
+                    title: match by {
+                        Some(_) => "two publishers disagree",
+                        None => "two publishers say the same",
+                    },
+                    frames: frames.collect(),
+                    by: *by,
+                    numbers: told,
+                    message,
+                    fix: format!("find the two nodes that publish {on}, and stop one"),
+                }
+            }
             FlawKind::Pieces { needed_by, frame, base } => Self {
+                severity: Severity::Error,
                 what: "pieces",
                 title: "the frames are in pieces",
                 frames: vec![frame.clone(), base.clone()],

@@ -1,8 +1,10 @@
+use std::collections::BTreeSet;
+
 use crate::checks::decision::{Decision, Figure, decide, unseen};
 use crate::checks::{ArmFacts, Facts, Grade, Judged};
 use crate::diagnosis::{Measured, Seen};
 use crate::finding::{
-    Alternative, Estimate, Evidence, Fault, Outcome, Severity, Span, Subject, Unit,
+    Alternative, Estimate, Evidence, Fault, Outcome, Ruling, Severity, Span, Subject, Unit,
 };
 
 rule! {
@@ -63,7 +65,29 @@ fn figure(facts: &Facts) -> Figure {
 }
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    facts.robots.iter().flat_map(|arm| judge_arm(facts, arm)).collect()
+    let mut rows: Vec<Judged> =
+        facts.robots.iter().flat_map(|arm| judge_arm(facts, arm)).collect();
+    name_once(&mut rows, figure(facts).warning);
+    rows
+}
+
+/// Leaves of the transforms on one topic that are late by the same, up to `apart_s`, the first as the
+/// finding: one program stamped them all.
+fn name_once(rows: &mut [Judged], apart_s: f64) {
+    let is_late = |row: &Judged| matches!(row.outcome, Outcome::Evaluated(Ruling::Faulty(_)));
+    for at in 1..rows.len() {
+        let (named, rest) = rows.split_at_mut(at);
+        let Some(row) = rest.first_mut().filter(|row| is_late(row)) else { continue };
+        let value = |row: &Judged| row.estimate.as_ref().and_then(Estimate::value);
+        let is_same = |other: &&mut Judged| {
+            let near = value(other).zip(value(row)).is_some_and(|(a, b)| (a - b).abs() < apart_s);
+            other.subject.topic == row.subject.topic && is_late(other) && near
+        };
+        let Some(first) = named.iter_mut().find(is_same) else { continue };
+        let others = first.evidence.get("others_late").and_then(|count| count.as_u64());
+        first.evidence.insert("others_late".to_owned(), (others.unwrap_or(0) + 1).into());
+        row.outcome = Outcome::sound_because("its latency is that of the whole topic, named once");
+    }
 }
 
 fn judge_arm(facts: &Facts, arm: &ArmFacts) -> Vec<Judged> {
@@ -96,15 +120,20 @@ fn judge_arm(facts: &Facts, arm: &ArmFacts) -> Vec<Judged> {
 /// disagrees.
 fn joints_lateness(facts: &Facts, streams: &[Stream]) -> Option<Measured> {
     let figure = figure(facts);
-    let mut witnesses = Vec::new();
-    for latency in streams.iter().filter(|stream| stream.independent).filter_map(estimate) {
+    let (mut witnesses, mut topics) = (Vec::new(), BTreeSet::new());
+    for stream in streams.iter().filter(|stream| stream.independent) {
+        let Some(latency) = estimate(stream) else { continue };
         match decide(latency, &figure, facts.subjects()) {
-            Decision::Fail(_) if latency.value < 0.0 => witnesses.push(*latency),
+            Decision::Fail(_) if latency.value < 0.0 => {
+                witnesses.push(*latency);
+                // Several transforms of one topic are one witness.
+                topics.insert(stream.topic);
+            }
             Decision::Undecided(_) => {}
             Decision::Fail(_) | Decision::Pass => return None,
         }
     }
-    let early = (witnesses.len() >= 2).then(|| common(&witnesses))??;
+    let early = (topics.len() >= 2).then(|| common(&witnesses))??;
     let agree = witnesses.iter().all(|one| (one.value - early.value).abs() < figure.warning);
     agree.then(|| early.scaled(-1.0))
 }
@@ -248,8 +277,9 @@ mod tests {
     }
 
     fn lateness(latencies: &[(bool, Seen<Measured>)]) -> Option<f64> {
-        let streams = latencies.iter().map(|(independent, latency)| Stream {
-            topic: "/pose",
+        let topics = ["/pose", "/tracker", "/imu"];
+        let streams = topics.iter().zip(latencies).map(|(topic, (independent, latency))| Stream {
+            topic,
             span: Span { start: ORIGIN, end: ORIGIN },
             independent: *independent,
             latency,
@@ -274,5 +304,34 @@ mod tests {
         assert_eq!(lateness(&[(true, latency(-0.02)), (true, latency(-0.05))]), None);
         assert_eq!(lateness(&[(true, latency(0.02)), (true, latency(0.02))]), None);
         assert_eq!(lateness(&[(true, latency(-0.02)), (true, Err(Unseen::AtRest))]), None);
+    }
+
+    #[test]
+    fn transforms_of_one_topic_are_one_witness_and_one_finding() {
+        let late = latency(-0.03);
+        let streams: Vec<Stream> = (0..5)
+            .map(|_| Stream {
+                topic: "/tf",
+                span: Span { start: ORIGIN, end: ORIGIN },
+                independent: true,
+                latency: &late,
+            })
+            .collect();
+        let facts = clean_run();
+        assert_eq!(joints_lateness(&facts, &streams), None);
+        let arm = &facts.robots[0];
+        let mut rows: Vec<Judged> =
+            streams.iter().map(|stream| judge_stream(&facts, arm, stream, &streams)).collect();
+        let other = Stream { topic: "/pose", ..streams[0] };
+        rows.push(judge_stream(&facts, arm, &other, &[]));
+        let apart = latency(-0.05);
+        rows.push(judge_stream(&facts, arm, &Stream { latency: &apart, ..streams[0] }, &[]));
+        name_once(&mut rows, 2e-3);
+        let named: Vec<bool> = rows
+            .iter()
+            .map(|row| matches!(row.outcome, Outcome::Evaluated(Ruling::Faulty(_))))
+            .collect();
+        assert_eq!(named, [true, false, false, false, false, true, true]);
+        assert_eq!(rows[0].evidence["others_late"], 4);
     }
 }

@@ -1,8 +1,8 @@
 use crate::checks::amount::{Amount, Estimated};
 use crate::checks::decision::Figure;
 use crate::checks::{ArmFacts, Facts, Grade, Judged};
-use crate::diagnosis::Measured;
-use crate::finding::{Evidence, Fault, Severity, Unit};
+use crate::diagnosis::{Measured, Seen};
+use crate::finding::{Evidence, Fault, Outcome, Severity, Span, Unit};
 
 rule! {
     /// A stream's latency grows, as of a clock that runs at another rate.
@@ -23,8 +23,9 @@ rule! {
     /// Discipline both clocks by NTP, PTP or chrony, or stamp on one host.
     ///
     /// ## When it misleads
-    /// A buffer that fills up grows like a clock that runs away, until it drops samples. A run of a
-    /// few seconds knows a rate to some ten ppm at best.
+    /// A buffer that fills up grows like a clock that runs away, until it drops samples. A run of less
+    /// than a minute tells a rate only where the latency grows by 2 ms in it. Where a stream has the
+    /// joint states' stamps there is one clock, and nothing to judge.
     LAT002 {
         name: "clock-skew",
         grade: Grade::From(&[FIGURE]),
@@ -37,10 +38,12 @@ rule! {
 
 const FIGURE: Figure = Figure { unit: Unit::SecondPerSecond, warning: 50e-6, error: 500e-6 };
 
+const SETTLE: &str = "record a minute or more in which the arm moves from first to last";
+
 const SKEW: Amount = Amount {
     name: "clock skew",
     figure: FIGURE,
-    settle: "record a minute or more in which the arm moves from first to last",
+    settle: SETTLE,
     fault,
 };
 
@@ -48,15 +51,41 @@ fn check(facts: &Facts) -> Vec<Judged> {
     let poses = facts.poses().map(|(arm, stream, diagnosis)| {
         let (estimate, is_chosen) = (&diagnosis.skew, diagnosis.skew_chosen);
         let (topic, span) = (stream.topic.as_str(), stream.span);
-        let skew = Estimated { topic, span, estimate, is_chosen, doubt: None };
-        SKEW.judge(&LAT002, facts, arm, skew)
+        let doubt = doubt(estimate, span);
+        judge(facts, arm, stream.independent, Estimated { topic, span, estimate, is_chosen, doubt })
     });
     let imus = facts.imus().map(|(arm, imu, diagnosis)| {
         let (topic, span, estimate) = (imu.topic.as_str(), imu.span, &diagnosis.skew);
-        let skew = Estimated { topic, span, estimate, is_chosen: true, doubt: None };
-        SKEW.judge(&LAT002, facts, arm, skew)
+        let doubt = doubt(estimate, span);
+        let skew = Estimated { topic, span, estimate, is_chosen: true, doubt };
+        judge(facts, arm, imu.independent, skew)
     });
     poses.chain(imus).collect()
+}
+
+/// A stream of less than this, s, tells a rate only by a latency that grows by `GROWS_S` in it.
+const OWN_MINUTE_S: f64 = 60.0;
+const GROWS_S: f64 = 2e-3;
+
+fn judge(facts: &Facts, arm: &ArmFacts, is_own: bool, skew: Estimated<'_>) -> Judged {
+    if is_own {
+        return SKEW.judge(&LAT002, facts, arm, skew);
+    }
+    let why = "its stamps are those of the joint states: there is one clock";
+    Judged::new(arm.topic(skew.topic), Outcome::Skipped(why.to_owned())).within(skew.span)
+}
+
+/// Why a rate cannot be believed of a run that is short.
+fn doubt(skew: &Seen<Measured>, span: Span) -> Option<String> {
+    let (seconds, skew) = (span.seconds(), skew.as_ref().ok()?);
+    let moved_s = skew.value.abs() * seconds;
+    (seconds < OWN_MINUTE_S && moved_s < GROWS_S).then(|| {
+        format!(
+            "{} moves the latency by {} over {seconds:.0} s, which is too short to tell a rate by; {SETTLE}",
+            FIGURE.unit.show_signed(skew),
+            Unit::Second.show(moved_s),
+        )
+    })
 }
 
 fn fault(arm: &ArmFacts, stream: &Estimated<'_>, skew: &Measured, severity: Severity) -> Fault {

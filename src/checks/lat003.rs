@@ -18,10 +18,12 @@ rule! {
     /// the jump, and poses scatter by speed times jump.
     ///
     /// ## Evidence
-    /// The latency in windows of a second, from how the stream lies behind forward kinematics along
+    /// Steps of more than a few hundredths of a second first, by which lag the stream's speed follows the
+    /// arm's at which time; then the latency in windows of a second, from how the stream lies behind forward kinematics along
     /// the motion; of an IMU by its orientation, or where it has none by its gyro. The estimate is the largest jump (positive where the stream is later from then
     /// on), or from least to most where it wanders; `jumps` says when each was. The other rules judge
-    /// the stream with this taken off, at the latency that it has longest.
+    /// the stream with this taken off, at the latency that it has longest, or of large steps at the
+    /// least.
     ///
     /// ## How to fix
     /// Stamp a sample when it is taken. Slew clocks instead of setting them, and look at what began

@@ -58,6 +58,7 @@ pub fn merged(parts: Vec<Part>, main: usize) -> Evaluation {
             whole.observability = evaluation.observability;
         }
     }
+    drop_short(&mut whole.checks, &ranks);
     leave_unasked_to_others(&mut whole.checks);
     whole.checks.sort_by_key(|row| row.code);
     rank(&mut whole.findings);
@@ -74,6 +75,18 @@ fn gravity(row: &CheckRow, is_short: bool) -> u8 {
         Status::Inconclusive => 1,
         Status::Skipped => 0,
     }
+}
+
+/// Drops what short segments alone leave open of a whole arm where the rule was asked in others, too.
+fn drop_short(rows: &mut Vec<CheckRow>, ranks: &[u8]) {
+    let told: Vec<&str> =
+        rows.iter().zip(ranks).filter(|(_, rank)| **rank > 1).map(|(row, _)| row.code).collect();
+    let mut ranks = ranks.iter();
+    rows.retain(|row| {
+        let is_open = ranks.next() == Some(&1);
+        let is_of_arm = row.subject.topic.is_none() && row.subject.joint.is_none();
+        !(is_open && is_of_arm && told.contains(&row.code))
+    });
 }
 
 /// Drops what a rule says of no subject where in another segment it had some.

@@ -8,8 +8,9 @@ rule! {
     ///
     /// ## What it means
     /// The acceleration of a joint exceeds 20 rad/s² (5 m/s² where it slides). It is the slope of the
-    /// logged velocities where they agree with the positions, else the bend of the positions, fitted
-    /// over windows from 3 to 33 samples. Each window says how much of it noise could make, and the
+    /// logged velocities where there are any that are near the positions' own, else the bend of the
+    /// positions, fitted over windows from 3 to 33 samples as if these came evenly and as they are
+    /// stamped, whichever is less. Each window says how much of it noise could make, and the
     /// one that is the surest beyond noise counts.
     ///
     /// ## Why it matters
@@ -29,7 +30,9 @@ rule! {
     /// ## When it misleads
     /// A stop between two samples is averaged over them: record at 100 Hz or more. Where the noise of
     /// the joint states, or the jitter of their stamps, hides such an acceleration, or samples are
-    /// farther apart than 50 ms, it is inconclusive. Times over gaps are not looked at (TIM002).
+    /// farther apart than 50 ms, it is inconclusive. Times over gaps are not looked at (TIM002), and of
+    /// rows that repeat (TIM008) each value once. A figure that no arm reaches is told as what it is:
+    /// numbers that are wrong.
     MOT002 {
         limits: &[TURNING, SLIDING],
         name: "abrupt-stops",
@@ -110,7 +113,25 @@ fn estimate(found: &Abruptness, unit: &'static str) -> Estimate {
     Estimate::Amount { name: "joint acceleration", value: found.acceleration, unit, ci95 }
 }
 
+/// No joint of an arm accelerates like this, rad/s² or m/s².
+const BEYOND_ARMS: f64 = 1e4;
+
 fn fault(facts: &Facts, found: &Abruptness, limit: f64, unit: &str) -> Fault {
+    if found.acceleration >= BEYOND_ARMS {
+        return Fault {
+            severity: Severity::Warning,
+            title: "its numbers leap as no joint does",
+            message: format!(
+                "an acceleration of {:.0e} {unit} at {}: no arm does that, so that its positions or their \
+                 stamps are wrong there",
+                found.acceleration,
+                facts.moment(facts.origin.shifted(found.at_s)),
+            ),
+            evidence: Evidence::default(),
+            fix: "look at the joint's positions there: a unit, a turn too many, a second publisher, stamps"
+                .to_owned(),
+        };
+    }
     Fault {
         severity: Severity::Warning,
         title: "abrupt stop or start",

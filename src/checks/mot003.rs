@@ -10,7 +10,8 @@ rule! {
     /// ## What it means
     /// By the model's limits (`<limit lower upper velocity>` of the URDF, or the catalogue's) a joint
     /// was where it may not be, or faster than it may be. All joint states of the run are looked at.
-    /// Within 1 % of the range, or of the speed limit, it is told as `info`.
+    /// Within 1 % of the range, or of the speed limit, it is told as `info`; so is up to twice the speed
+    /// limit of a joint that turns without end.
     ///
     /// ## Why it matters
     /// An arm cannot do what its limits exclude. Either the limits in the model are not the arm's,
@@ -27,7 +28,9 @@ rule! {
     /// declare it continuous, or unwind it before the driver publishes it.
     ///
     /// ## When it misleads
-    /// A continuous joint has no position limits, however far it turned. Speeds are the logged ones
+    /// A continuous joint has no position limits, however far it turned, and neither has one that is
+    /// logged within one turn and passes its seam. Speed limits of such joints are those of a mode of
+    /// control more often than of the joint. Speeds are the logged ones
     /// where they agree with the positions, else the positions' slope; one sample alone beyond a
     /// speed limit is taken for a bad reading. Some models state limits narrower than the arm's, on
     /// purpose. A joint's wrong zero (ZER001) shifts its positions against their limits, too.
@@ -43,6 +46,8 @@ rule! {
 
 /// Within this share of the range, or of the limit, it is worth knowing only.
 const SLIGHT: f64 = 0.01;
+/// Of a joint that turns without end, within this share of the speed limit.
+const ENDLESS: f64 = 1.0;
 /// Less than this is an encoder's noise at a stop, rad or m, or a second of it.
 const NOISE: f64 = 1e-4;
 
@@ -56,12 +61,18 @@ fn check(facts: &Facts) -> Vec<Judged> {
 /// Why the numbers of the joint states cannot be held against limits or called motion, where they
 /// cannot.
 pub(super) fn doubt(arm: &ArmFacts) -> Option<String> {
-    let is_doubtful = match &arm.diagnosis.joints {
-        Ok(reading) => reading.degrees.is_some() || reading.permutation.is_some(),
-        Err(why) => *why == Unseen::NotExcited,
+    let why = match &arm.diagnosis.joints {
+        Ok(reading) if !reading.is_as_logged() => {
+            "the joint positions are not what their names and units say; read them right first \
+             (ORD004, ORD005, ORD008, ORD009)"
+        }
+        Err(Unseen::NotExcited) => {
+            "poses and joint states disagree in whatever order and unit the joint positions are \
+             (MDL001), and that leaves open what those are"
+        }
+        _ => return None,
     };
-    let why = "the joint positions are not what their names and units say; read them right first";
-    is_doubtful.then(|| format!("{why} (ORD004, ORD005)"))
+    Some(why.to_owned())
 }
 
 /// A limit that is exceeded.
@@ -93,11 +104,23 @@ fn judge(facts: &Facts, arm: &ArmFacts, index: usize, joint: &JointFacts) -> Jud
     }
     let motion = &joint.motion;
     let range = limits.lower.zip(limits.upper).map_or(0.0, |(lower, upper)| upper - lower);
-    let position = Broken::of("position", motion.positions.as_ref(), range);
-    let speed = Broken::of("speed", motion.speeds.as_ref(), limits.velocity.unwrap_or(0.0));
+    // A position that is logged from another zero is elsewhere.
+    let zero = arm.diagnosis.offsets.get(index).filter(|zero| zero.chosen);
+    let off = zero.and_then(|zero| zero.offset.as_ref().ok()).map_or(0.0, |off| off.value.abs());
+    let is_there = |excess: &&Excess| off < excess.over();
+    let position = Broken::of("position", motion.positions.as_ref().filter(is_there), range);
+    let top_speed = limits.velocity.unwrap_or(0.0);
+    let slight_from = if motion.is_endless { ENDLESS / SLIGHT } else { 1.0 };
+    let speed = Broken::of("speed", motion.speeds.as_ref(), slight_from * top_speed);
     let broken: Vec<&Broken<'_>> = [&position, &speed].into_iter().flatten().collect();
     let Some(worst) = broken.iter().rev().max_by_key(|broken| broken.severity) else {
-        return judged(Outcome::sound());
+        let is_beyond = motion.positions.as_ref().is_some_and(|excess| excess.over() > NOISE);
+        return judged(match is_beyond {
+            false => Outcome::sound(),
+            true => Outcome::Inconclusive(
+                "its zero is off by more than it is beyond its limit: home it first (ZER001)".to_owned(),
+            ),
+        });
     };
     let unit = arm.joint_unit(index);
     let told: Vec<String> = broken.iter().map(|broken| tell(facts, broken, unit)).collect();

@@ -139,8 +139,10 @@ pub(super) fn observability(facts: &Facts, checks: &mut [CheckRow]) -> Vec<Strea
     for arm in &facts.robots {
         for (stream, diagnosis) in arm.poses() {
             let Some(seen) = &diagnosis.observability else { continue };
+            let is_noise = is_noise(checks, &arm.topic(&stream.topic));
             let found = seen.blind(|parameter| figure(facts, arm, parameter), SEEN);
-            let directions: Vec<Blind> = found.iter().map(|one| blind(arm, seen, one)).collect();
+            let directions: Vec<Blind> =
+                found.iter().map(|one| blind(arm, seen, one, is_noise)).collect();
             let mut leaves_open = vec![false; directions.len()];
             let open =
                 checks.iter_mut().filter(|row| is_left_to_motion(row, arm, stream, diagnosis));
@@ -164,7 +166,7 @@ pub(super) fn observability(facts: &Facts, checks: &mut [CheckRow]) -> Vec<Strea
                 // What does not show by itself is said by its check.
                 together: groups
                     .iter()
-                    .map(|group| blind(arm, seen, group))
+                    .map(|group| blind(arm, seen, group, is_noise))
                     .filter(|group| group.parts_by_cause().len() > 1)
                     .collect(),
                 directions,
@@ -246,12 +248,17 @@ fn figure(facts: &Facts, arm: &ArmFacts, parameter: Parameter) -> f64 {
     own.map_or(1.0, |own| facts.figures.of(rule, *own).warning)
 }
 
-fn blind(arm: &ArmFacts, seen: &Observability, direction: &BlindDirection) -> Blind {
+fn blind(
+    arm: &ArmFacts,
+    seen: &Observability,
+    direction: &BlindDirection,
+    is_noise: bool,
+) -> Blind {
     let parameters = direction.parameters.iter();
     Blind {
         parameters: parameters.map(|&(parameter, weight)| part(arm, parameter, weight)).collect(),
         singular_value: direction.singular_value,
-        motion: motion(arm, seen, direction),
+        motion: motion(arm, seen, direction, is_noise),
     }
 }
 
@@ -274,8 +281,19 @@ fn part(arm: &ArmFacts, parameter: Parameter, weight: f64) -> Part {
     Part { name: format!("{cause}{axis}"), weight, cause: cause.to_owned(), code, joint: None }
 }
 
-/// The motion that would show a direction.
-fn motion(arm: &ArmFacts, seen: &Observability, direction: &BlindDirection) -> String {
+/// Whether what is left of a stream is no more than its noise may be.
+fn is_noise(checks: &[CheckRow], stream: &Subject) -> bool {
+    let mut rows = checks.iter().filter(|row| row.code == "MDL001" && row.subject == *stream);
+    rows.all(|row| row.status == Status::Pass)
+}
+
+/// The motion that would show a direction; `is_noise` where what is left of the poses is noise.
+fn motion(
+    arm: &ArmFacts,
+    seen: &Observability,
+    direction: &BlindDirection,
+    is_noise: bool,
+) -> String {
     let is_timing = |one: &(Parameter, f64)| matches!(one.0, Parameter::Latency | Parameter::Skew);
     let stays = |joint: usize| {
         let far = if arm.joint_unit(joint) == Unit::Metre { FAR_M } else { FAR_RAD };
@@ -298,7 +316,8 @@ fn motion(arm: &ArmFacts, seen: &Observability, direction: &BlindDirection) -> S
     let own: Vec<usize> = still.iter().copied().filter(takes_part).collect();
     let joints = if own.is_empty() { still } else { own };
     if joints.is_empty() {
-        return "record for longer and in more postures: its noise hides this".to_owned();
+        let what = if is_noise { "its noise" } else { "what is left of it" };
+        return format!("record for longer and in more postures: {what} hides this");
     }
     let slides = joints.iter().any(|&joint| arm.joint_unit(joint) == Unit::Metre);
     let names: Vec<&str> = joints.iter().map(|&joint| arm.joints[joint].name.as_str()).collect();
@@ -322,7 +341,7 @@ mod tests {
     fn sentence(travel: [f64; 3], parameters: &[Parameter]) -> String {
         let facts = clean_run();
         let seen = Observability::of_travel(travel.to_vec());
-        blind(&facts.robots[0], &seen, &direction(parameters)).sentence("/pose")
+        blind(&facts.robots[0], &seen, &direction(parameters), true).sentence("/pose")
     }
 
     #[test]

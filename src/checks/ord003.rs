@@ -1,7 +1,7 @@
 use crate::checks::reading::{self, Kind, Wording};
 use crate::checks::{Facts, Grade, Judged};
-use crate::diagnosis::{Reading, ReadingEstimate};
-use crate::finding::{Estimate, Severity};
+use crate::diagnosis::{PoseDiagnosis, Reading, ReadingEstimate};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
     /// A rotation or a whole pose is inverted.
@@ -39,15 +39,50 @@ rule! {
 }
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    reading::judge(facts, Kind::Direction, word)
+    let mut judged = reading::judge(facts, Kind::Direction, word);
+    // Positions tell an inverse where orientations say nothing.
+    let inverted = facts.poses().filter(|(_, _, found)| found.inverted && found.reading.is_err());
+    for (arm, stream, found) in inverted.filter(|(_, _, found)| !found.strays()) {
+        let subject = arm.topic(&stream.topic);
+        if let Some(row) = judged.iter_mut().find(|row| row.subject == subject) {
+            *row = Judged::new(subject, Outcome::faulty(by_positions(found)))
+                .within(stream.span)
+                .estimated(Estimate::slip("direction", "pose-inverse", "pose"));
+        }
+    }
+    judged
 }
+
+fn by_positions(found: &PoseDiagnosis) -> Fault {
+    let residual = found.residual.as_ref().ok();
+    let [before, after] = [residual.map(|left| left.before_m), residual.map(|left| left.rms_m)]
+        .map(|left| left.unwrap_or_default());
+    Fault {
+        severity: Severity::Error,
+        title: "pose is inverted",
+        message: format!(
+            "positions are those of the inverse of what its frames say, {} off as logged",
+            Unit::Metre.show(before)
+        ),
+        evidence: Evidence {
+            effect: Some(format!("{} once inverted", Unit::Metre.show(after))),
+            effect_m: Some(before),
+            ..Evidence::default()
+        },
+        fix: EXCHANGE.to_owned(),
+    }
+}
+
+/// How an inverse pose is mended.
+const EXCHANGE: &str =
+    "exchange parent and child: publish base_from_tip, as lookup_transform(base, tip) gives it";
 
 fn word(estimate: &ReadingEstimate) -> Option<Wording> {
     let (title, what, fix, is) = match estimate.best {
         _ if estimate.inverted => (
             "pose is inverted",
             "the pose is the inverse of what its frames say",
-            "exchange parent and child: publish base_from_tip, as lookup_transform(base, tip) gives it",
+            EXCHANGE,
             "pose-inverse",
         ),
         Reading::Transposed => (

@@ -9,9 +9,9 @@ rule! {
     ///
     /// ## What it means
     /// The positions of a pose stream are in another unit than the metres that a message wants (REP 103):
-    /// millimetres as pendants show them, centimetres, inches, tenths of a millimetre. Or those of a
-    /// sliding joint are millimetres or centimetres. Of a stream that was declared it is the declaration
-    /// that names the wrong unit, either way.
+    /// millimetres as pendants show them, centimetres, inches, tenths of a millimetre. Or the positions
+    /// of a sliding joint are millimetres or centimetres. Of a stream that was declared it is the
+    /// declaration that names the wrong unit, either way.
     ///
     /// ## Why it matters
     /// The tip appears a thousand times too far out. What does not crash on that will scale it

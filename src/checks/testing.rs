@@ -2,13 +2,14 @@
 
 use crate::checks::{
     ArmFacts, DhFacts, EulerFacts, Facts, FrozenFacts, ImuFacts, JointFacts, JointMotion,
-    PoseFacts, ReferenceFacts, ReferenceWitness, Rule, ShakeFacts, WitnessKind, evaluate,
+    PoseFacts, ReferenceFacts, ReferenceWitness, Rule, ShakeFacts, UnauditedFacts, WitnessKind,
+    evaluate,
 };
 use crate::diagnosis::{
-    Abruptness, Aligned, ArmDiagnosis, DhEstimate, DhStream, FrameEstimate, GyroBias, ImuDiagnosis,
-    JointOffset, JointReading, LatencyCourse, Left, Length, Line, LineWitness, Measured,
-    PoseDiagnosis, Reading, ReadingEstimate, ReferenceDiagnosis, Residual, RestGap, Shake,
-    YawCourse,
+    Abruptness, Aligned, Amount, ArmDiagnosis, DhEstimate, DhStream, Error, FrameEstimate,
+    GyroBias, ImuDiagnosis, ImuProof, JointOffset, JointReading, LatencyCourse, Left, Length, Line,
+    LineWitness, Measured, Part, PoseDiagnosis, Proof, Reading, ReadingEstimate,
+    ReferenceDiagnosis, Residual, RestGap, Shake, Short, Size, YawCourse,
 };
 use crate::finding::{CheckRow, Finding, Span};
 use crate::geometry::{Convention, Pose, Vec3, pose, rotation_from_rotvec};
@@ -41,6 +42,26 @@ pub fn ask(rule: &Rule, facts: &Facts) -> (Vec<CheckRow>, Vec<Finding>) {
     rows.retain(|row| row.code == rule.code);
     findings.retain(|finding| finding.code == rule.code);
     (rows, findings)
+}
+
+/// An error of this size in all of the run, as logged and beside all that was found, far beyond what
+/// differs from sample to sample.
+pub fn left(most_m: f64, most_rad: f64) -> Proof {
+    let size = |most: f64| {
+        let noise = Some(Short { rms: 1e-8, most: 2e-8, over: 1 });
+        let whole = Amount { samples: 1000, rms: 0.8 * most, most, noise };
+        let part = Part { from_s: 0.0, to_s: 40.0, at: Vec3::new(0.4, 0.1, 0.3), amount: whole };
+        Size { whole, parts: vec![part] }
+    };
+    let error = Error { length: size(most_m), angle: Some(size(most_rad)) };
+    Proof {
+        at_rest: false,
+        left: Some(error.clone()),
+        beside_joints: Some(error.clone()),
+        beside_poses: Some(error.clone()),
+        calibrated: None,
+        as_logged: error,
+    }
 }
 
 /// One arm with a pose stream, /tf, an IMU and three joints, and nothing wrong with any of them.
@@ -86,6 +107,7 @@ pub fn clean_run() -> Facts {
         span: SPAN,
         joints: ["pan", "lift", "elbow"].map(joint).to_vec(),
         reach_m: 0.85,
+        wrong_model: None,
         dh: Some(DhFacts {
             declared: DhConvention::Standard,
             estimate: DhEstimate {
@@ -119,13 +141,15 @@ pub fn clean_run() -> Facts {
                 independent: true,
                 link: "tool0".to_owned(),
                 link_from_imu: None,
+                proof: Some(ImuProof::default()),
             },
             imu,
         )],
         references: vec![commands()],
     };
     let frozen = FrozenFacts { subject: arm.topic(POSE), span: Some(SPAN), times: Vec::new() };
-    Facts { robots: vec![arm], frozen: vec![frozen], ..Facts::default() }
+    let audited = UnauditedFacts { subject: arm.topic(POSE), span: Some(SPAN), why: Vec::new() };
+    Facts { robots: vec![arm], frozen: vec![frozen], unaudited: vec![audited], ..Facts::default() }
 }
 
 /// Commands that the arm follows, along a line too, by FK and by a stream.
@@ -207,6 +231,7 @@ fn clean_stream() -> PoseDiagnosis {
         reading: Ok(as_logged()),
         length: Ok(None),
         axes: Ok(None),
+        inverted: false,
         constant: Vec::new(),
         degrees: None,
         latency_s: Ok(sure(0.0)),
@@ -241,7 +266,7 @@ fn stream(topic: &str, independent: bool) -> PoseFacts {
         tip: "tool0".to_owned(),
         tip_named: true,
         witness: Witness::Unknown,
-        better_model: None,
+        proof: Ok(left(1e-5, 1e-5)),
         independent,
         bare_numbers: false,
         bare: false,

@@ -22,11 +22,14 @@ rule! {
     /// ## Evidence
     /// `gaps` lists where a gap begins, how long it is, and `count` how many there are; `lost` and
     /// `samples` how many samples are missing, and there; `skipped` how many by their numbers. The
-    /// estimate is the longest gap in seconds, or without gaps the share of samples lost.
+    /// estimate is the longest gap in seconds, or without gaps the share of samples lost. `made_by` says
+    /// what made them where the log shows it: `recorder` or `transport`. Where two publish one topic, the
+    /// samples of each are counted by themselves.
     ///
     /// ## How to fix
-    /// Compare with the receive times of other streams: if all stop, it is the recorder's disk or
-    /// CPU; if one, its driver or network. Use reliable transport or a longer queue.
+    /// Where all streams stop at once it is the recorder's disk or CPU; where numbers are left out
+    /// messages were sent and lost: use reliable transport or a longer queue. Else the log does not show
+    /// whether the sender stopped or its messages were lost, and `made_by` is null.
     ///
     /// ## When it misleads
     /// A stream that is sent on change is silent while the arm rests; that is no gap. A stream
@@ -236,6 +239,9 @@ fn fault(
         }
         None => ("samples are lost", loss, Estimate::counted("lost samples", "1", share)),
     };
+    let longest = gaps().max_by(|a, b| longer(a, b));
+    let cause = cause(facts, rhythm, longest, skipped);
+    let message = format!("{message}{}", cause.said);
     let listed: Vec<Value> = gaps()
         .take(LISTED)
         .map(|gap| json!({ "start_ns": gap.start.to_string(), "length_s": gap.seconds() }))
@@ -245,8 +251,7 @@ fn fault(
         title,
         message,
         evidence: Evidence::default(),
-        fix: "look at the load of recorder and network, and use a reliable, longer queue"
-            .to_owned(),
+        fix: cause.fix.to_owned(),
     };
     Judged::new(rhythm.subject(concerned), Outcome::faulty(fault))
         .estimated(estimate)
@@ -255,6 +260,53 @@ fn fault(
         .with_evidence("lost", lost)
         .with_evidence("samples", samples)
         .with_evidence("skipped", skipped)
+        .with_evidence("made_by", cause.made_by)
+}
+
+/// What made a gap or lost samples, as far as the log shows it.
+struct Cause {
+    made_by: Option<&'static str>,
+    said: &'static str,
+    fix: &'static str,
+}
+
+/// Where all streams stop it is the recorder or its machine; where numbers are left out the messages
+/// were sent; else the sender may have stopped as well as its way to the recorder.
+fn cause(facts: &Facts, rhythm: &RhythmFacts, gap: Option<&Stretch>, skipped: Option<usize>) -> Cause {
+    let others = || {
+        let others = facts.rhythms.iter().filter(|other| other.topic != rhythm.topic);
+        others.filter(|other| other.due.is_expected())
+    };
+    let stops = |other: &RhythmFacts, gap: &Stretch| {
+        let holes = other.wanted().flat_map(|part| &part.holes).filter(|hole| hole.is_silent);
+        let shared_s = |hole: &Hole| {
+            hole.stretch.end.min(gap.end).seconds_since(hole.stretch.start.max(gap.start))
+        };
+        holes.into_iter().any(|hole| 2.0 * shared_s(hole) > gap.seconds())
+    };
+    let all_stop = |gap: &Stretch| {
+        others().next().is_some() && others().all(|other| stops(other, gap))
+    };
+    if gap.is_some_and(all_stop) {
+        return Cause {
+            made_by: Some("recorder"),
+            said: "; all other streams stop with it",
+            fix: "look at the recorder's disk and the load of its machine at that time",
+        };
+    }
+    match skipped {
+        Some(1..) => Cause {
+            made_by: Some("transport"),
+            said: "; numbers are left out, so that messages were sent and lost on their way",
+            fix: "look at the load of recorder and network, and use a reliable, longer queue",
+        },
+        _ => Cause {
+            made_by: None,
+            said: "",
+            fix: "the log does not show whether its sender stopped or messages were lost on their way: \
+                  number them, and look at the sender's log and at the load of recorder and network",
+        },
+    }
 }
 
 #[cfg(test)]

@@ -18,7 +18,8 @@ rule! {
     /// ## Evidence
     /// The offset of the stream's clock from the one that the others share, by the message that
     /// came through the transport fastest. `spread_s` is how far the transport's delay scatters,
-    /// which no alignment can see through: LAT001 carries it in its interval.
+    /// which no alignment can see through: LAT001 carries it in its interval. Where messages of a stream
+    /// on the common clock were received before the time that they are stamped with, its row says so.
     ///
     /// ## How to fix
     /// Stamp with the ROS clock, synchronise the machines (chrony, PTP), or use receive times with
@@ -36,6 +37,9 @@ rule! {
         check: check,
     }
 }
+
+/// Clocks of one machine differ by less, s.
+const AHEAD_S: f64 = 1e-3;
 
 fn check(facts: &Facts) -> Vec<Judged> {
     let streams = facts.stamps.iter().map(|stream| judge(stream, facts.simulated));
@@ -66,7 +70,16 @@ fn shared_clock(facts: &Facts) -> Option<Judged> {
 fn judge(stream: &StampFacts, simulated: bool) -> Judged {
     let clock = &stream.clock;
     if clock.epoch != Epoch::Foreign {
-        return Judged::new(stream.subject(), Outcome::sound()).within(stream.span);
+        let early_s = clock.soonest_s.map(|soonest_s| -soonest_s).filter(|_| clock.epoch == Epoch::Common);
+        let outcome = match early_s.filter(|early_s| *early_s > AHEAD_S) {
+            None => Outcome::sound(),
+            Some(early_s) => Outcome::sound_because(format!(
+                "messages were received up to {} before the time that they are stamped with: its clock is \
+                 ahead of the recorder's, or it stamps ahead",
+                Unit::Second.show(early_s)
+            )),
+        };
+        return Judged::new(stream.subject(), outcome).within(stream.span);
     }
     let aligned = clock.alignment.map(|aligned| (-seconds(aligned.offset_nanos), aligned.spread_s));
     let offset_s = aligned.map(|(offset_s, _)| offset_s).or(clock.log_minus_header_s.map(|s| -s));

@@ -5,11 +5,13 @@ use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Frozen;
 
 rule! {
-    /// A stream of poses repeats one value while the arm moves.
+    /// A stream of poses or joint states repeats one value while the arm moves.
     ///
     /// ## What it means
     /// For a quarter of a second and ten samples or more a stream says the same pose, to the last bit,
-    /// with new stamps, and at no latency that is sought do the joints rest for half of that time.
+    /// with new stamps, and at no latency that is sought do the joints rest for half of that time. Or
+    /// joint states say the same as long, but for their noise, and then go on from elsewhere at once, amid
+    /// a motion.
     ///
     /// ## Why it matters
     /// The stream looks alive: its rate and its stamps are as they should be. Whoever uses it takes an
@@ -29,14 +31,15 @@ rule! {
     /// A slow source in a fast stream looks alike where it comes less than four times a second: its
     /// stamps are the fault then. A stream that stands still at the very end of the log, or near a rest
     /// of the arm, may as well be late, and is not reported. Transforms are not looked at: those that
-    /// stand still while the joints move are FRM001's. Of a long run only the excerpts are looked at, and
+    /// stand still while the joints move are FRM001's. Joint states that stand still to the very end are
+    /// not told from an arm that rests. Of a long run only the excerpts are looked at, and
     /// `samples` counts those that were.
     TIM007 {
         name: "frozen-stream",
         grade: Grade::Fixed(Severity::Error),
         headline: false,
         needs_model: true,
-        missing: "no tool pose that could be held against the arm",
+        missing: "no joint states, and no tool pose that could be held against an arm",
         check: check,
     }
 }
@@ -67,7 +70,7 @@ fn judge(facts: &Facts, stream: &FrozenFacts) -> Judged {
         severity: Severity::Error,
         title: "stream stands still while the arm moves",
         message: format!(
-            "says one pose for {} from {} on while the arm moves{others}; left out of everything else",
+            "says one value for {} from {} on while the arm moves{others}; left out of everything else",
             Unit::Second.show(seconds(longest)),
             facts.moment(longest.start),
         ),

@@ -12,8 +12,8 @@ use super::{Outcome, misuse, output, reports, view};
 
 /// Audit one recorded run: what is wrong with its poses, by how much, and how sure that is
 ///
-/// Exit status: 0 nothing at or above --fail-on; 1 a finding, or a rule of --require that could not
-/// conclude; 2 the call is wrong; 3 the log cannot be audited.
+/// Exit status: 0 nothing at or above --fail-on; 1 a finding, a rule of --require that could not
+/// conclude, or, with --fail-on inconclusive, that verdict; 2 the call is wrong; 3 the log cannot be audited.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

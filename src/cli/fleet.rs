@@ -157,9 +157,9 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     if args.pending {
         return list_pending(&args, &options, &out);
     }
-    let fail_on = options.fail_on;
+    let (fail_on, fails_open) = (options.fail_on, options.fail_on_inconclusive);
     let outcomes = audit(&args, &options, &out)?;
-    let summary = Summary::of(&out, &outcomes, fail_on);
+    let summary = Summary::of(&out, &outcomes, (fail_on, fails_open));
     output::emit(args.output.as_deref(), |to| match args.format {
         Format::Text => summary.text(to),
         Format::Json => {
@@ -252,9 +252,10 @@ struct Summary<'a> {
 const MOST_NAMED: usize = 20;
 
 impl<'a> Summary<'a> {
-    fn of(out: &Path, outcomes: &'a Outcomes, fail_on: Option<Severity>) -> Self {
+    fn of(out: &Path, outcomes: &'a Outcomes, fail: (Option<Severity>, bool)) -> Self {
         let out = out.display().to_string();
-        Self { schema: "poseaudit.fleet-run/1", out, failing: outcomes.failing(fail_on), outcomes }
+        let failing = outcomes.failing(fail.0, fail.1);
+        Self { schema: "poseaudit.fleet-run/1", out, failing, outcomes }
     }
 
     fn text(&self, to: &mut dyn Write) -> io::Result<()> {

@@ -41,9 +41,9 @@ pub struct How {
     #[arg(long, value_name = "CODES", value_delimiter = ',')]
     ignore: Vec<Selector>,
 
-    /// Exit with 1 from findings of this severity [default: warning]
+    /// Exit with 1 from findings of this severity, or where the verdict is open, too [default: warning]
     #[arg(long, value_enum, value_name = "SEVERITY")]
-    fail_on: Option<FailOn>,
+    fail_on: Option<FailFrom>,
 
     /// The time that places a sample; streams without header stamps fall back to log time [default:
     /// header]
@@ -79,6 +79,29 @@ impl From<FailOn> for Option<Severity> {
             FailOn::Error => Some(Severity::Error),
             FailOn::Warning => Some(Severity::Warning),
             FailOn::Never => None,
+        }
+    }
+}
+
+/// What fails an audit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum FailFrom {
+    /// Errors
+    Error,
+    /// Warnings and errors
+    Warning,
+    /// Warnings, errors, and a verdict that is inconclusive
+    Inconclusive,
+    /// Nothing
+    Never,
+}
+
+impl From<FailFrom> for Option<Severity> {
+    fn from(fail_from: FailFrom) -> Self {
+        match fail_from {
+            FailFrom::Error => Some(Severity::Error),
+            FailFrom::Warning | FailFrom::Inconclusive => Some(Severity::Warning),
+            FailFrom::Never => None,
         }
     }
 }
@@ -140,6 +163,9 @@ impl How {
             declarations,
             rules,
             fail_on: self.fail_on.map_or(by_config.fail_on, Into::into),
+            fail_on_inconclusive: self
+                .fail_on
+                .map_or(by_config.fail_on_inconclusive, |from| from == FailFrom::Inconclusive),
             ..by_config
         };
         Ok((options, required))

@@ -214,13 +214,15 @@ impl From<ClockName> for Clock {
 }
 
 /// The severity from which on a finding fails the run.
-#[derive(Clone, Copy, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum FailOn {
     /// Errors.
     Error,
     /// Warnings and errors.
     Warning,
+    /// Warnings, errors, and a verdict that is inconclusive.
+    Inconclusive,
     /// Nothing.
     Never,
 }
@@ -229,7 +231,7 @@ impl From<FailOn> for Option<Severity> {
     fn from(fail_on: FailOn) -> Self {
         match fail_on {
             FailOn::Error => Some(Severity::Error),
-            FailOn::Warning => Some(Severity::Warning),
+            FailOn::Warning | FailOn::Inconclusive => Some(Severity::Warning),
             FailOn::Never => None,
         }
     }

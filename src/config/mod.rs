@@ -80,6 +80,7 @@ impl Config {
         }
         if let Some(fail_on) = fail_on {
             options.fail_on = (*fail_on).into();
+            options.fail_on_inconclusive = *fail_on == file::FailOn::Inconclusive;
         }
         options.rules.select = self.file.select.iter().map(|code| code.0.clone()).collect();
         options.rules.exemptions = self.exemptions();

@@ -97,7 +97,7 @@ impl Template {
     fn options(&mut self) {
         self.unset("stamp", "\"header\"", "or \"log\", \"publish\"");
         self.unset("max_latency", "\"5 s\"", "what is off by more is on another clock");
-        self.unset("fail_on", "\"warning\"", "or \"error\", \"never\"");
+        self.unset("fail_on", "\"warning\"", "or \"error\", \"inconclusive\", \"never\"");
         self.unset(
             "require",
             "[\"LAT001\", \"ZER001\"]",

@@ -155,7 +155,7 @@ impl Mending {
         let factor = match is.as_ref() {
             "deg" => AngleUnit::Degree.in_rad(),
             "cm" => 1e-2,
-            _ => 1e-3,
+            _ => LengthScale::MILLIMETRE.in_m(),
         };
         self.corrections.joint(&name, robot).factor = Some(factor);
         Ok((format!("{is} read as {read_as}"), vec![OFFSETS, CORRECTIONS]))

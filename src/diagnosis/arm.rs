@@ -3,11 +3,12 @@
 use super::course::latency_course;
 use super::explain::{Approach, Cause, ENTANGLED, Explanation, Menu, best, explain};
 use super::frames::{frame_estimate, starts};
+use super::harmless::tools_first;
 use super::joints::{
     Left, Read, corrected, half_turns, lies_on_arm, lone_zeros, other_reading, read_joints,
 };
 use super::latency::{Peak, arm_speeds, median_period_s, top};
-use super::model::{Blind, State, StreamState, Sweep, Witness};
+use super::model::{Blind, State, StreamState, Sweep, ToolPart, Witness};
 use super::nominal::{MOST_M, MOST_RAD, is_nominal};
 use super::observability::Observability;
 use super::placing::spread;
@@ -36,24 +37,27 @@ const ALIAS_FLOOR: f64 = 2e-5;
 /// `most_lag_s` bounds the latency that is sought, s.
 pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64) -> ArmDiagnosis {
     let slides = prismatic(joints.dof, streams);
-    let placed = |read: &Read| -> Vec<Placement> {
-        streams.iter().map(|stream| Placement::of(read.near(), stream, most_lag_s)).collect()
+    let placed = |joints: &JointTrack| -> Vec<Placement> {
+        streams.iter().map(|stream| Placement::of(joints, stream, most_lag_s)).collect()
     };
+    let placements = placed(joints);
     let by = |reading: &JointReading| {
         let read = Read::by(joints, reading, &slides);
-        diagnose(joints, &read, streams, &placed(&read), true)
+        let anew = (*reading != JointReading::default()).then(|| placed(read.near()));
+        diagnose(joints, &read, streams, anew.as_ref().unwrap_or(&placements), true)
     };
     let as_logged = JointReading::default();
-    let read = Read::by(joints, &as_logged, &slides);
-    let placements = placed(&read);
-    let is_confirmed = |(stream, placement): (&PoseStream, &Placement)| {
-        placement.explains() && prepare(&read, stream, placement).is_ok_and(|it| it.is_confirmed())
+    let mut metres: Vec<f64> = placements.iter().map(Placement::metres).collect();
+    let is_confirmed = |read: &Read| {
+        let mut both = streams.iter().zip(&placements);
+        both.any(|(stream, placement)| {
+            placement.explains()
+                && prepare(read, stream, placement).is_ok_and(|it| it.is_confirmed())
+        })
     };
-    let mut metres: Vec<f64> =
-        placements.iter().map(|placed| *placed.metres.as_ref().unwrap_or(&1.0)).collect();
-    let mut reading = match streams.iter().zip(&placements).any(is_confirmed) {
+    let mut reading = match is_confirmed(&Read::by(joints, &as_logged, &slides)) {
         // What positions lie on as they are written needs no other joint states.
-        true => Ok(as_logged.clone()),
+        true => Ok(JointReading::default()),
         false => read_joints(joints, streams, &metres, most_lag_s),
     };
     let as_said = vec![1.0; streams.len()];
@@ -142,14 +146,17 @@ impl Found {
 
 /// What is left of a stream beyond its noise; a metre and a radian where it could not be read.
 fn left(found: &PoseDiagnosis) -> Left {
-    let is_unread = matches!(found.reading, Err(Unseen::DoesNotFollow(_)));
-    match &found.residual {
-        Ok(residual) => Left {
-            m: residual.excess_m.value,
-            rad: Some(if is_unread { 1.0 } else { residual.excess_rad.value }),
-        },
-        Err(_) if is_unread => Left { m: 1.0, rad: Some(1.0) },
-        Err(_) => Left { m: 0.0, rad: None },
+    match (&found.residual, &found.reading) {
+        (Ok(residual), Ok(_)) => {
+            Left { m: residual.excess_m.value, rad: Some(residual.excess_rad.value) }
+        }
+        // Its positions are read all the same; the last joint may turn the other way.
+        (Ok(residual), Err(Unseen::DoesNotFollow(_))) => {
+            Left { m: residual.excess_m.value, rad: Some(1.0) }
+        }
+        (Ok(residual), Err(_)) => Left { m: residual.excess_m.value, rad: None },
+        (Err(_), Err(Unseen::DoesNotFollow(_))) => Left { m: 1.0, rad: Some(1.0) },
+        (Err(_), _) => Left { m: 0.0, rad: None },
     }
 }
 
@@ -229,8 +236,7 @@ pub fn follows(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Opt
     let peak = stream_peaks(joints, stream, rotation, most_lag_s).first().copied()?;
     let placed = rotation.is_some() || {
         let placement = Placement::of(joints, stream, most_lag_s);
-        let metres = *placement.metres.as_ref().unwrap_or(&1.0);
-        placement.explains() || lies_on_arm(joints, stream, metres, peak.lag_s)
+        placement.explains() || lies_on_arm(joints, stream, placement.metres(), peak.lag_s)
     };
     Some(if placed { peak } else { Peak { correlation: 0.0, ..peak } })
 }
@@ -263,7 +269,10 @@ fn diagnose(
     let fitted = fit(&usable, read, with_offsets);
     let (offsets, scales) = match &fitted {
         Some(fitted) => (joint_offsets(fitted, &usable, joints), joint_scales(fitted, read)),
-        None => (unseen_offsets(joints.dof), Vec::new()),
+        None => {
+            let why = prepared.iter().find_map(|prepared| prepared.as_ref().err());
+            (unseen_offsets(joints.dof, why.unwrap_or(&Unseen::NoOverlap)), Vec::new())
+        }
     };
     let mut used = 0;
     let diagnoses = streams
@@ -305,6 +314,7 @@ fn fit(prepared: &[&Prepared], read: &Read, with_offsets: bool) -> Option<Fitted
         streams: alone.into_iter().flat_map(|state| state.streams).collect(),
     };
     let explanation = explain(&witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
+    let explanation = tools_first(&witnesses, explanation, &menu, FIT_SAMPLES);
     let plain: Vec<StreamState> =
         (0..witnesses.len()).map(|s| without_small_causes(&explanation, s)).collect();
     let nominal = with_offsets
@@ -377,7 +387,12 @@ fn menu(prepared: &[&Prepared], read: &Read, with_offsets: bool) -> Menu {
         // A stream that is derived from the joint states agrees with them or does not: nothing is
         // to be explained away.
         if with_offsets {
-            optional.extend([Cause::Tool(s), Cause::Growth(s)]);
+            // In a world that is anywhere, and with a tool that never turns, its own turn is no cause.
+            match prepared.witness.tool_part {
+                ToolPart::Turn => always.push(Cause::Tool(s)),
+                ToolPart::Whole | ToolPart::Point => optional.push(Cause::Tool(s)),
+            }
+            optional.push(Cause::Growth(s));
         }
     }
     Menu { always, optional }
@@ -426,9 +441,9 @@ fn best_start(prepared: &Prepared, read: &Read, with_offsets: bool) -> State {
         .map_or_else(|| start(&read.offsets, StreamState::at_latency(0.0)), |best| best.state)
 }
 
-fn unseen_offsets(dof: usize) -> Vec<JointOffset> {
+fn unseen_offsets(dof: usize, why: &Unseen) -> Vec<JointOffset> {
     let offset = || JointOffset {
-        offset: Err(Unseen::NoOverlap),
+        offset: Err(why.clone()),
         chosen: false,
         effect_m: 0.0,
         twins: Vec::new(),
@@ -643,6 +658,7 @@ fn no_diagnosis(why: Unseen) -> PoseDiagnosis {
         length: Err(why.clone()),
         axes: Err(why.clone()),
         reading: Err(why),
+        inverted: false,
         constant: Vec::new(),
         degrees: None,
         latency_s: Err(rests()),
@@ -772,6 +788,7 @@ fn stream_diagnosis(
         reading,
         length: length_slip(stream, placement, prepared, &residual),
         axes: Ok(prepared.axes),
+        inverted: prepared.inverted,
         constant: constant_parts(stream, prepared, &aligned),
         degrees: prepared.degrees,
         latency_s,
@@ -874,6 +891,7 @@ fn align(
         xyz: Vec::new(),
         rotation: Vec::new(),
         blind: witness.blind,
+        tool_part: witness.tool_part,
         middle_s: witness.middle_s,
     };
     let zero = vec![0.0; recorded.dof];

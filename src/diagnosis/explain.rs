@@ -46,8 +46,10 @@ impl Cause {
             Cause::Skew(stream) => (stream, SKEW, 1),
             Cause::Growth(stream) => (stream, GROWTH, 1),
             Cause::Reference(stream) => (stream, REFERENCE, 6),
-            Cause::Tool(stream) if state.streams[stream].tool_point_only => (stream, TOOL, 3),
-            Cause::Tool(stream) => (stream, TOOL, 6),
+            Cause::Tool(stream) => {
+                let part = state.streams[stream].tool_part.range();
+                (stream, TOOL + part.start, part.len())
+            }
         };
         let start = state.index(stream, first);
         start..start + count
@@ -404,8 +406,8 @@ pub(super) fn best(explanations: Vec<Explanation>) -> Option<Explanation> {
 }
 
 impl Explanation {
-    /// The noise of each stream and kind of residual at the state reached.
-    fn noise(&self) -> Vec<Noise> {
+    /// The noise of each stream and kind of residual (positions, rotations) at the state reached.
+    pub fn noise(&self) -> Vec<Noise> {
         let streams = self.linear.streams.iter();
         streams
             .flat_map(|stream| stream.weights_after(&vec![0.0; stream.width]))

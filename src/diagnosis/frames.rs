@@ -24,8 +24,8 @@ const ROUND_RAD: f64 = 0.06;
 /// frame error, and where the stream
 /// lies far off, each simple frame error in closed form and as a round slip.
 pub(super) fn starts(witness: &Witness, latency_s: f64, offsets: &[f64]) -> Vec<StreamState> {
-    let tool_point_only = witness.blind.rotation;
-    let plain = StreamState { tool_point_only, ..StreamState::at_latency(latency_s) };
+    let tool_part = witness.tool_part;
+    let plain = StreamState { tool_part, ..StreamState::at_latency(latency_s) };
     let (fk, logged) = pairs(witness, &plain, offsets);
     if fk.len() < 3 {
         return vec![plain];
@@ -116,6 +116,13 @@ pub(super) fn tool_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
     let tools: Vec<Pose> = fk.iter().zip(logged).map(|(fk, l)| fk.inverse() * l).collect();
     let turns: Vec<Rotation> = tools.iter().map(|tool| tool.rotation).collect();
     pose(mean(tools.iter().map(|tool| tool.translation.vector)).into(), mean_rotation(&turns))
+}
+
+/// The tool frame that alone best takes FK to a stream's poses; none of too few samples.
+pub(super) fn tool_start(witness: &Witness, state: &StreamState, offsets: &[f64]) -> Option<Pose> {
+    let plain = StreamState { tool: Pose::identity(), ..state.clone() };
+    let (fk, logged) = pairs(witness, &plain, offsets);
+    (fk.len() >= 3).then(|| tool_frame(&fk, &logged))
 }
 
 /// Reference and tool frame together (`A X = X B`; Park and Martin 1994).
@@ -214,16 +221,18 @@ pub(super) fn frame_estimate(
     let dof = linear.dof(parameters.len());
     let tuned = moved.values().rows(own.start, width).into_owned();
     let p_value = if round.is_some() { 0.0 } else { joint_p_value(&tuned, &block, f64::INFINITY) };
+    let is_tool = matches!(cause, Cause::Tool(_));
+    let part = if is_tool { found.tool_part.range() } else { 0..6 };
     let length = |first: usize| {
-        if first >= width {
-            // Nothing shows the rotation.
+        let Some(at) = first.checked_sub(part.start).filter(|_| part.contains(&first)) else {
+            // Nothing shows it: it may be anything.
             return Measured { value: 0.0, std_error: std::f64::consts::PI, dof };
-        }
-        let own = block.view((first, first), (3, 3)).into_owned();
+        };
+        let own = block.view((at, at), (3, 3)).into_owned();
         Length::of(&twist[first..first + 3], &own, dof).norm
     };
     let chosen = round.is_some() || explanation.causes.contains(&cause);
     // The model takes base coordinates to the stream's; what is off is told the other way round.
-    let pose = if matches!(cause, Cause::Tool(_)) { frame } else { frame.inverse() };
+    let pose = if is_tool { frame } else { frame.inverse() };
     Ok(FrameEstimate { pose, translation_m: length(0), rotation_rad: length(3), p_value, chosen })
 }

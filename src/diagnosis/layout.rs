@@ -92,9 +92,8 @@ pub(super) fn layouts(fk: &[Pose], reach_m: f64, written: &Written) -> Vec<Layou
     if sound_m > FINE * extent_m {
         let inverse: Vec<Pose> = fk.iter().map(Pose::inverse).collect();
         let inverse = Search { inverted: true, ..Search::of(&inverse, written, extent_m) };
-        found.extend(inverse.candidates(1.0, true));
         for search in [&search, &inverse] {
-            for metres in search.units() {
+            for metres in std::iter::once(1.0).chain(search.units()) {
                 found.extend(search.candidates(metres, true));
             }
         }

@@ -5,11 +5,13 @@
 //! these numbers into verdicts and words.
 
 mod arm;
+mod carried;
 mod course;
 mod dh;
 mod explain;
 mod frames;
 mod handeye;
+mod harmless;
 mod imu;
 mod joints;
 mod lag;
@@ -18,18 +20,21 @@ mod layout;
 mod linear;
 mod measured;
 mod model;
+mod model_fit;
 mod motion;
 mod noise;
 mod nominal;
 mod observability;
 mod placing;
 mod prepare;
+mod proof;
 mod reading;
 mod reference;
 mod reread;
 mod residual;
 mod rival;
 mod shake;
+mod steps;
 mod trend;
 mod workspace;
 
@@ -41,25 +46,29 @@ use crate::robot::Chain;
 use crate::stream::{ImuTrack, PoseTrack};
 
 pub use arm::{diagnose_arm, diagnose_derived, follows};
+pub use carried::{BaseTravel, CarrierLag, base_travel, carrier_lag};
 pub use course::{LatencyCourse, LatencyJump};
 pub use dh::{DhEstimate, DhStream, DhTold, Left, faults};
 pub use handeye::{
     CameraPose, Closure, Diversity, HandEyeDiagnosis, HandEyeStreams, Mount, PoseSeries, Solution,
     TargetReading, diagnose_hand_eye, turning_peaks,
 };
-pub use imu::{diagnose_imu, turning_by_latency};
+pub use imu::{ImuProof, Rates, diagnose_imu, proof_of_imu, turning_by_latency};
 pub use lag::{LatencyResidual, residual_by_latency};
 pub use latency::Peak;
 pub use measured::{Length, Measured};
+pub use model_fit::{ModelFit, Needs, Priced, Way, model_fit};
 pub use motion::{Abruptness, Excess, Series, abruptness, beyond_positions, beyond_speed};
 pub use observability::{BlindDirection, Observability, Parameter};
+pub use proof::{Amount, Error, Part, Proof, Short, Size, proof};
 pub use reference::{
     CommandedArm, Commands, Constancy, Following, Line, LineWitness, ReferenceDiagnosis, RestGap,
     diagnose_reference, unnamed_order,
 };
 pub use reread::{Meant, reread_imu, reread_poses};
-pub use rival::position_misfit_m;
+pub use rival::{is_seen_from_tool, position_misfit_m};
 pub use shake::{NoShake, Shake, shake};
+pub use steps::{LatencySteps, imu_steps, pose_steps};
 pub use trend::{LEAST_RUNS, Step, Told, Trend, trend};
 pub use workspace::{
     APART_RAD, CELL_M, JOINT_APART, JointSpan, Place, ReachedPose, Workspace, centre_m, reach_m,
@@ -307,6 +316,8 @@ pub struct PoseDiagnosis {
     pub reading: Seen<ReadingEstimate>,
     /// Positions in another unit.
     pub length: Seen<Option<LengthSlip>>,
+    /// Whether the poses as a whole are inverted, by their positions.
+    pub inverted: bool,
     /// Axes that are exchanged or mirrored.
     pub axes: Seen<Option<AxesSlip>>,
     /// Coordinates that never change.

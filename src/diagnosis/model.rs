@@ -77,8 +77,32 @@ pub(super) struct Witness<'a> {
     pub rotation: Vec<Rotation>,
     /// What of these says nothing.
     pub blind: Blind,
+    /// What of the tool they show.
+    pub tool_part: ToolPart,
     /// The stamp about which skew turns, s.
     pub middle_s: f64,
+}
+
+/// What of a tool frame a log can show.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum ToolPart {
+    /// Where it is and how it is turned.
+    Whole,
+    /// Where it is: orientations say nothing.
+    Point,
+    /// How it is turned: in a world that is anywhere, a tool that never turns may be anywhere on it.
+    Turn,
+}
+
+impl ToolPart {
+    /// Its parameters among the tool's six.
+    pub fn range(self) -> std::ops::Range<usize> {
+        match self {
+            Self::Whole => 0..6,
+            Self::Point => 0..3,
+            Self::Turn => 3..6,
+        }
+    }
 }
 
 /// The parameters of one stream.
@@ -93,8 +117,8 @@ pub(super) struct StreamState {
     pub round_reference: Option<Pose>,
     /// The part of `tool` that is a round slip rather than a tuned number.
     pub round_tool: Option<Pose>,
-    /// Whether nothing shows how the tool is turned, so that only where it is can be a cause.
-    pub tool_point_only: bool,
+    /// What of the tool can be a cause.
+    pub tool_part: ToolPart,
 }
 
 impl StreamState {
@@ -107,7 +131,7 @@ impl StreamState {
             tool: Pose::identity(),
             round_reference: None,
             round_tool: None,
-            tool_point_only: false,
+            tool_part: ToolPart::Whole,
         }
     }
 
@@ -139,7 +163,7 @@ pub(super) fn twist_of(pose: &Pose) -> [f64; 6] {
     [p.x, p.y, p.z, r.x, r.y, r.z]
 }
 
-fn pose_of_twist(twist: &[f64]) -> Pose {
+pub(super) fn pose_of_twist(twist: &[f64]) -> Pose {
     Pose::from_parts(
         Translation3::new(twist[0], twist[1], twist[2]),
         rotation_from_rotvec(Vec3::new(twist[3], twist[4], twist[5])),

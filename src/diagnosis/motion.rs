@@ -3,6 +3,8 @@
 
 use std::borrow::Cow;
 
+use nalgebra::{Matrix3, Vector3};
+
 use crate::robot::Limits;
 
 /// How far a joint is beyond a limit.
@@ -146,8 +148,16 @@ pub fn abruptness(t_s: &[f64], values: &[f64], series: Series) -> Option<Abruptn
             }
             for (row, acceleration) in (first..).zip(accelerations.iter().map(|a| a.abs())) {
                 let is_even = uneven[row + half] == uneven[row - half];
-                let is_surer = |best: &Abruptness| acceleration - floor > excess(best);
-                if is_even && acceleration.is_finite() && surest.as_ref().is_none_or(is_surer) {
+                let is_surer = |acceleration: f64| {
+                    let surer = |best: &Abruptness| acceleration - floor > excess(best);
+                    acceleration.is_finite() && surest.as_ref().is_none_or(surer)
+                };
+                if !is_even || !is_surer(acceleration) {
+                    continue;
+                }
+                // Stamps may jitter, or samples may: what is there shows either way.
+                let acceleration = acceleration.min(fit.as_stamped(t_s, values, row).abs());
+                if is_surer(acceleration) {
                     surest = Some(Abruptness {
                         acceleration,
                         noise: floor,
@@ -241,6 +251,7 @@ fn quantile_of(values: impl Iterator<Item = f64>, part: f64) -> Option<f64> {
 /// Acceleration by least squares over evenly spaced samples.
 struct Fit {
     half: usize,
+    series: Series,
     /// What each sample of the window counts.
     weights: Vec<f64>,
 }
@@ -260,7 +271,7 @@ impl Fit {
                 offsets().map(|k| scale * (k * k - mean)).collect()
             }
         };
-        Self { half, weights }
+        Self { half, series, weights }
     }
 
     /// What it makes of noise of unit deviation.
@@ -272,6 +283,30 @@ impl Fit {
     fn at(&self, values: &[f64], row: usize) -> f64 {
         let window = &values[row - self.half..=row + self.half];
         window.iter().zip(&self.weights).map(|(value, weight)| value * weight).sum()
+    }
+
+    /// The acceleration at `row` by least squares over the samples at their stamps; NaN where these tell
+    /// none.
+    fn as_stamped(&self, t_s: &[f64], values: &[f64], row: usize) -> f64 {
+        let window = row - self.half..=row + self.half;
+        let scale = (t_s[row + self.half] - t_s[row - self.half]).max(f64::MIN_POSITIVE);
+        let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+        for (t, value) in t_s[window.clone()].iter().zip(&values[window]) {
+            let x = (t - t_s[row]) / scale;
+            // A line needs no bend, and three samples have none to spare.
+            let bend = if self.series == Series::Positions { x * x } else { 0.0 };
+            let powers = Vector3::new(1.0, x, bend);
+            normal += powers * powers.transpose();
+            right += powers * (value - values[row]);
+        }
+        if self.series == Series::Velocities {
+            normal[(2, 2)] = 1.0;
+        }
+        let fit = normal.lu().solve(&right);
+        fit.map_or(f64::NAN, |fit| match self.series {
+            Series::Positions => 2.0 * fit[2] / (scale * scale),
+            Series::Velocities => fit[1] / scale,
+        })
     }
 
     /// The accelerations at the rows from `first` on, as many as there is room for.

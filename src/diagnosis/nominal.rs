@@ -73,6 +73,22 @@ struct Calibration {
     weights: Vec<Weight>,
     /// What they cost, in units of a squared deviation.
     price: f64,
+    /// The changes, as [`link_frames`] numbers them.
+    step: DVector<f64>,
+}
+
+/// What is left of the samples of `witness` when the most likely changes of the link frames are taken
+/// off: position in m and rotation in rad, of every `stride`-th sample that the joints cover.
+pub(super) fn calibrated(
+    witness: &Witness,
+    plain: &StreamState,
+    stride: usize,
+) -> Vec<Vec<[f64; 3]>> {
+    let few = witness.len().div_ceil(SAMPLES).max(1);
+    let calibration = Calibration::fit(witness, plain, few);
+    let none = vec![0.0; witness.joints.dof];
+    let rows = (0..witness.len()).step_by(stride.max(1));
+    link_frames(witness, plain, &none, rows).after(calibration.step.as_slice())
 }
 
 impl Calibration {
@@ -84,7 +100,7 @@ impl Calibration {
         let usual: Vec<f64> = all.iter().map(|&i| usual_change(i, witness, plain)).collect();
         let none = DVector::zeros(frames.width);
         let mut weights = frames.first_weights();
-        let mut price = 0.0;
+        let (mut price, mut changes) = (0.0, none.clone());
         for _ in 0..ROUNDS {
             let mut normal = Normal::zeros(frames.width);
             frames.accumulate(&weights, &all, &mut normal);
@@ -94,8 +110,9 @@ impl Calibration {
             let step = normal.step(&none, &all);
             weights = frames.weights_after(step.as_slice());
             price = price_of(&step, &normal, &usual);
+            changes = step;
         }
-        Self { samples: frames.len(), weights, price }
+        Self { samples: frames.len(), weights, price, step: changes }
     }
 
     /// How much likelier the stream is than under causes that leave residuals of weights `left`, as

@@ -129,9 +129,17 @@ impl Observability {
             DMatrix::from_fn(n, n, |i, j| matrix[(i, j)] * figures[i] * figures[j])
         };
         let information = scaled(&self.information);
-        let possible = scaled(&self.possible).symmetric_eigen();
+        let possible = scaled(&self.possible);
+        // Positions and lengths that no arm has overflow; of no number there is no direction.
+        if n == 0 || !information.iter().chain(possible.iter()).all(|entry| entry.is_finite()) {
+            return Vec::new();
+        }
+        let possible = possible.symmetric_eigen();
         let threshold = NEVER * possible.eigenvalues.max();
         let seen: Vec<usize> = (0..n).filter(|&i| possible.eigenvalues[i] > threshold).collect();
+        if seen.is_empty() {
+            return Vec::new();
+        }
         let basis = possible.eigenvectors.select_columns(&seen);
         let eigen = (basis.transpose() * &information * &basis).symmetric_eigen();
         let weak: Vec<usize> =
@@ -212,6 +220,7 @@ fn possible(witness: &Witness, state: &StreamState, offsets: &[f64]) -> DMatrix<
         xyz: vec![Vec3::zeros(); POSTURES],
         rotation: vec![Rotation::identity(); POSTURES],
         blind: witness.blind,
+        tool_part: witness.tool_part,
         middle_s: 0.5 * t_s[POSTURES - 1],
         t_s,
     };

@@ -42,7 +42,7 @@ impl Expected {
         let plain = (Pose::identity(), self.tool(xyz, &Pose::identity()));
         let found = if turns > 0 { self.turned_by(xyz, turns) } else { None };
         match found {
-            Some((at, tool)) if self.misfit_at(xyz, &at) < self.tool_misfit(xyz) => (at, tool),
+            Some(found) if self.misfit_at(xyz, &found.0) < self.tool_misfit(xyz) => found,
             _ => plain,
         }
     }

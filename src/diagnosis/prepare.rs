@@ -5,7 +5,7 @@ use super::arm::{FOLLOWS, SEARCH_SAMPLES};
 use super::joints::Read;
 use super::latency::{Peak, pose_peaks};
 use super::layout::{Layout, Written, layouts, matrix_of};
-use super::model::{Blind, StreamState, Sweep, Witness};
+use super::model::{Blind, StreamState, Sweep, ToolPart, Witness};
 use super::placing::{ON_ARM, spread};
 use super::reading::{After, Fit, Logged, Samples, fit_known, nearest_truth, read};
 use super::{AxesSlip, PoseStream, Reading, ReadingEstimate, Seen, UnitSlip, Unseen};
@@ -70,10 +70,7 @@ impl Placement {
         let rotation = as_rotations(&track.orientation);
         let mut peaks = stream_peaks(joints, stream, rotation, most_lag_s);
         peaks.retain(|peak| peak.correlation > FOLLOWS);
-        let read_as_m = match &track.declared {
-            Some(declared) if declared.millimetres => 1e-3,
-            _ => 1.0,
-        };
+        let read_as_m = in_metres(track);
         let reach_m = chain.max_reach_m();
         let mut placement = Self {
             metres: Err(Unseen::NoOverlap),
@@ -118,6 +115,11 @@ impl Placement {
         placement
     }
 
+    /// What takes the positions to metres; 1 where nothing tells.
+    pub fn metres(&self) -> f64 {
+        *self.metres.as_ref().unwrap_or(&1.0)
+    }
+
     /// The likeliest layout where it leaves little.
     fn told(&self) -> Option<&Layout> {
         self.layouts.first().filter(|layout| layout.is_explained)
@@ -157,7 +159,7 @@ fn constant(xyz: &[Vec3], fk: &[Vec3]) -> [bool; 3] {
 
 /// What takes positions to metres by their size alone: the extent of motion against FK's, or at rest the
 /// distance from a known base.
-fn by_size(
+pub(super) fn by_size(
     fk: &[Vec3],
     xyz: &[Vec3],
     reach_m: f64,
@@ -185,6 +187,27 @@ fn by_size(
     Ok(if (0.2..5.0).contains(&ratio) { 1.0 } else { nearest.unwrap_or(1.0) })
 }
 
+/// What takes a stream's positions to metres by their size alone; 1 where nothing tells.
+pub(super) fn metres_by_size(joints: &JointTrack, stream: &PoseStream) -> f64 {
+    let PoseStream { track, chain, columns, reference_known, .. } = *stream;
+    let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, 0.0);
+    let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row]).collect();
+    let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
+    if at.len() < 2 {
+        return 1.0;
+    }
+    let read_as_m = in_metres(track);
+    by_size(&at, &xyz, chain.max_reach_m(), read_as_m, reference_known).unwrap_or(1.0)
+}
+
+/// How many metres a number of a stream is as it was read.
+fn in_metres(track: &PoseTrack) -> f64 {
+    match &track.declared {
+        Some(declared) if declared.millimetres => 1e-3,
+        _ => 1.0,
+    }
+}
+
 /// A stream whose reading is settled, with what settled it.
 pub(super) struct Prepared<'a> {
     pub witness: Witness<'a>,
@@ -194,6 +217,8 @@ pub(super) struct Prepared<'a> {
     pub metres: f64,
     /// The axes that positions and rotations are in, where they are not the standard ones.
     pub axes: Option<AxesSlip>,
+    /// Whether the poses are inverted as a whole.
+    pub inverted: bool,
     /// Which coordinates never change.
     pub constant: [bool; 3],
     pub peaks: Vec<Peak>,
@@ -202,12 +227,16 @@ pub(super) struct Prepared<'a> {
 
 impl Prepared<'_> {
     /// Whether rotations confirm that the poses are written otherwise than they should be, so that no
-    /// fault of the joint states need be sought.
+    /// fault of the joint states need be sought. Where rotations say nothing no joint feigns an inverse.
     pub fn is_confirmed(&self) -> bool {
         let is_constant = self.constant.contains(&true);
-        self.reading.as_ref().is_ok_and(|reading| {
-            reading.best_rad <= FITS_RAD && (self.axes.is_some() || reading.inverted || is_constant)
-        })
+        match &self.reading {
+            Ok(reading) if reading.best_rad <= FITS_RAD => {
+                self.axes.is_some() || self.inverted || is_constant
+            }
+            Ok(_) => false,
+            Err(_) => self.inverted,
+        }
     }
 }
 
@@ -342,6 +371,9 @@ impl Turning<'_> {
         const BETTER: f64 = 5.0;
         let mut best: Option<(Way, ReadingEstimate, Fit)> = None;
         let mut why = Unseen::NoOrientation;
+        // Where positions tell the frame and are in its axes, rotations may still be in others.
+        let is_told = |way: &&Way| way.reference.is_some() && way.axes == AxesSlip::NONE;
+        let told = ways.iter().find(is_told).map(|way| Way { ..*way });
         for way in ways {
             let (reading, fit) = match self.read(&way) {
                 Ok(found) => found,
@@ -367,22 +399,14 @@ impl Turning<'_> {
             }
         }
         let left = best.as_ref().map_or(f64::INFINITY, |(_, _, fit)| fit.residual_rad);
-        if left <= FITS_RAD {
-            return best.ok_or(why);
-        }
-        let is_told = |way: &Way| way.reference.is_some() && way.axes == AxesSlip::NONE;
-        let others = best.as_ref().filter(|(way, ..)| is_told(way)).map(|(way, ..)| {
-            let right_handed = Axes::all().iter().filter(|axes| !axes.are_left_handed());
-            let ways: Vec<Way> = right_handed.map(|&axes| way.with_rotations_in(axes)).collect();
-            ways
-        });
-        let turned = others.into_iter().flatten().map(|way| (self.plain_rad(&way), way));
-        let turned =
-            turned.min_by(|a, b| a.0.total_cmp(&b.0)).filter(|(rad, _)| rad * BETTER < left);
-        match turned
-            .and_then(|(_, way)| self.read(&way).ok().map(|(reading, fit)| (way, reading, fit)))
-        {
-            Some(found) => Ok(found),
+        let Some(told) = told.filter(|_| left > FITS_RAD) else { return best.ok_or(why) };
+        let right_handed = Axes::all().iter().filter(|axes| !axes.are_left_handed());
+        let turned = right_handed.map(|&axes| told.with_rotations_in(axes));
+        let turned = turned.map(|way| (self.plain_rad(&way), way));
+        let turned = turned.min_by(|a, b| a.0.total_cmp(&b.0));
+        let better = turned.filter(|(rad, _)| *rad <= FITS_RAD && rad * BETTER < left);
+        match better.and_then(|(_, way)| Some((self.read(&way).ok()?, way))) {
+            Some(((reading, fit), way)) => Ok((way, reading, fit)),
             None => best.ok_or(why),
         }
     }
@@ -404,7 +428,7 @@ pub(super) fn prepare<'a>(
     }
     let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
     let turning: Vec<Rotation> = fk.iter().map(|pose| pose.rotation).collect();
-    let metres = *placement.metres.as_ref().unwrap_or(&1.0);
+    let metres = placement.metres();
     let mut ways: Vec<Way> =
         placement.layouts.iter().flat_map(|layout| Way::of(layout, spread(&at))).collect();
     if ways.is_empty() {
@@ -453,41 +477,47 @@ pub(super) fn prepare<'a>(
         xyz: way.positions(&track.xyz),
         rotation: Vec::new(),
         blind: Blind { position: constant_axes, rotation: fit.is_none() },
+        tool_part: match fit {
+            None => ToolPart::Point,
+            Some(_) if !reference_known && !turns(turning.fk) => ToolPart::Turn,
+            Some(_) => ToolPart::Whole,
+        },
         middle_s: 0.5 * (track.t_s[0] + track.t_s[track.t_s.len() - 1]),
     };
-    choose_branches(
-        &mut witness,
-        &Logged::of(&orientation),
-        &way,
-        fit.as_ref(),
-        lag_s,
-        &read_as.offsets,
-    );
+    let logged = Logged::of(&orientation);
+    choose_branches(&mut witness, &logged, &way, fit.as_ref(), lag_s, &read_as.offsets);
     if witness.len() < 3 {
         return Err(Unseen::TooFewSamples { have: witness.len(), need: 3 });
     }
     let moves = witness.moving(lag_s, SEARCH_SAMPLES) >= MOVING_SAMPLES && !peaks.is_empty();
     let axes = Some(way.axes).filter(|axes| *axes != AxesSlip::NONE);
-    let (metres, constant) = (way.metres, placement.constant);
-    Ok(Prepared { witness, reading, degrees, metres, axes, constant, peaks, moves })
+    let Way { metres, inverted, .. } = way;
+    let constant = placement.constant;
+    Ok(Prepared { witness, reading, degrees, metres, axes, inverted, constant, peaks, moves })
 }
 
 /// Whether orientations are any: not where they stay as they are while FK's turn.
 fn is_set(logged: &Orientations, fk: &[Rotation]) -> bool {
-    /// Orientations that stay within this are one, rad …
+    /// Orientations that stay within this are one, rad.
     const STAYS_RAD: f64 = 1e-3;
-    /// … and FK's turn that go further than this.
-    const TURNS_RAD: f64 = 0.2;
-    let farthest = |all: &[Rotation]| {
-        let from = all.first().copied().unwrap_or_default();
-        all.iter().map(|one| angle_between(&from, one)).fold(0.0, f64::max)
-    };
     let stays = match logged {
         Orientations::Rotations(all) => farthest(all) < STAYS_RAD,
         Orientations::Numbers(all) => all.windows(2).all(|pair| pair[0] == pair[1]),
         Orientations::Unset(_) => return false,
     };
-    !stays || farthest(fk) < TURNS_RAD
+    !stays || !turns(fk)
+}
+
+/// Whether rotations turn by more than joints that are a little off may feign.
+fn turns(rotations: &[Rotation]) -> bool {
+    const TURNS_RAD: f64 = 0.2;
+    farthest(rotations) > TURNS_RAD
+}
+
+/// The largest angle to the first of some rotations, rad.
+fn farthest(rotations: &[Rotation]) -> f64 {
+    let from = rotations.first().copied().unwrap_or_default();
+    rotations.iter().map(|one| angle_between(&from, one)).fold(0.0, f64::max)
 }
 
 /// A stream's orientations with their angles in the unit that follows the arm, and the slip where

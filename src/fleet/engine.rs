@@ -129,9 +129,11 @@ pub struct Failure {
 }
 
 impl Outcomes {
-    /// Logs with a finding of severity `fail_on` or above.
-    pub fn failing(&self, fail_on: Option<Severity>) -> usize {
-        self.answers.iter().filter(|answer| answer.fails(fail_on)).count()
+    /// Logs with a finding of severity `fail_on` or above; where `fails_open`, those whose verdict is
+    /// inconclusive, too.
+    pub fn failing(&self, fail_on: Option<Severity>, fails_open: bool) -> usize {
+        let is_open = |answer: &Answer| fails_open && answer.verdict == Some(Verdict::Inconclusive);
+        self.answers.iter().filter(|answer| answer.fails(fail_on) || is_open(answer)).count()
     }
 
     /// Logs on which there is no audit.

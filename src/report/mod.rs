@@ -65,6 +65,9 @@ pub struct Report {
     /// The least severity that fails the run; `None` where nothing does.
     #[serde(skip)]
     fail_on: Option<Severity>,
+    /// Whether an inconclusive verdict fails the run, too.
+    #[serde(skip)]
+    pub fails_open: bool,
     /// What its pictures show, where they were asked for.
     #[serde(skip)]
     pub figures: Option<Figures>,
@@ -294,6 +297,7 @@ impl Report {
             observability: Vec::new(),
             workspace: Vec::new(),
             fail_on: None,
+            fails_open: false,
             figures: None,
         }
     }
@@ -350,8 +354,8 @@ pub(crate) fn tells_hand_eye(checks: &[CheckRow]) -> bool {
 }
 
 /// Fail with a finding at or above `fail_on`; else inconclusive where a headline rule found its
-/// input and decided none of its subjects; else pass. Subjects that no such log could decide do not
-/// count.
+/// input and decided none of its subjects, or what proves a pass left one open; else pass. Subjects that
+/// no such log could decide do not count.
 fn verdict(checks: &[CheckRow], findings: &[Finding], fail_on: Option<Severity>) -> Verdict {
     if fail_on.is_some_and(|least| findings.iter().any(|finding| finding.severity >= least)) {
         return Verdict::Fail;
@@ -360,14 +364,18 @@ fn verdict(checks: &[CheckRow], findings: &[Finding], fail_on: Option<Severity>)
     if is_open { Verdict::Inconclusive } else { Verdict::Pass }
 }
 
-/// The headline rules that found their input and decided none of their subjects.
+/// The headline rules that found their input and decided none of their subjects, or of which one open
+/// subject is too many.
 fn undecided(checks: &[CheckRow]) -> impl Iterator<Item = &'static Rule> {
     let headline = checks::registry().iter().copied().filter(|rule| rule.headline);
     headline.filter(|rule| {
         let rows = checks.iter().filter(|row| row.code == rule.code);
         let asked = rows.filter(|row| row.status != Status::Skipped && !row.indistinguishable);
-        let mut asked = asked.peekable();
-        asked.peek().is_some() && !asked.any(|row| row.status.is_decided())
+        let decided: Vec<bool> = asked.map(|row| row.status.is_decided()).collect();
+        match rule.is_proof() {
+            true => decided.contains(&false),
+            false => !decided.is_empty() && !decided.contains(&true),
+        }
     })
 }
 
@@ -437,6 +445,8 @@ mod tests {
         assert!(report.error.is_some() && report.verdict == Verdict::Inconclusive);
         assert_eq!(verdict_of(vec![row("FRM001", open, false)]), Verdict::Pass);
         assert_eq!(verdict_of(vec![row("ZER001", open, true)]), Verdict::Pass);
+        let one_unproven = vec![row("MDL001", open, false), row("MDL001", decided, false)];
+        assert_eq!(verdict_of(one_unproven), Verdict::Inconclusive);
     }
 
     #[test]

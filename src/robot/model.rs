@@ -358,15 +358,9 @@ impl Robot {
     /// The same robot with every link and joint name passed through `rename`; `None` where two
     /// names would become one.
     pub(super) fn renamed(&self, rename: impl Fn(&str) -> String) -> Option<Robot> {
-        let mut robot = self.clone();
+        let mut robot = self.with_joints_renamed(&rename)?;
         for link in &mut robot.links {
             link.name = rename(&link.name);
-        }
-        for joint in &mut robot.joints {
-            joint.name = rename(&joint.name);
-            if let Some(mimic) = &mut joint.mimic {
-                mimic.joint = rename(&mimic.joint);
-            }
         }
         let named = [
             &mut robot.default_base,
@@ -379,11 +373,22 @@ impl Robot {
         }
         let links = robot.links.iter().enumerate();
         robot.link_ids = links.map(|(index, link)| (link.name.clone(), LinkId(index))).collect();
+        (robot.link_ids.len() == robot.links.len()).then_some(robot)
+    }
+
+    /// The same robot with every joint name passed through `rename`, and its links as they are; `None`
+    /// where two names would become one.
+    pub(crate) fn with_joints_renamed(&self, rename: impl Fn(&str) -> String) -> Option<Robot> {
+        let mut robot = self.clone();
+        for joint in &mut robot.joints {
+            joint.name = rename(&joint.name);
+            if let Some(mimic) = &mut joint.mimic {
+                mimic.joint = rename(&mimic.joint);
+            }
+        }
         let joints = robot.joints.iter().enumerate();
         robot.joint_ids = joints.map(|(index, joint)| (joint.name.clone(), index)).collect();
-        let unique = robot.link_ids.len() == robot.links.len()
-            && robot.joint_ids.len() == robot.joints.len();
-        unique.then_some(robot)
+        (robot.joint_ids.len() == robot.joints.len()).then_some(robot)
     }
 }
 

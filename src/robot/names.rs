@@ -74,11 +74,20 @@ impl Robot {
         self.joints().iter().filter(moving).map(|joint| joint.name.as_str()).collect()
     }
 
-    /// The prefixes that all of the joint names have: none, the declared ones, the common one.
+    /// The prefixes of the joint names: none, the declared and the common one that all of them have, and
+    /// the one that most have (an arm's on a rail).
     fn own_prefixes<'a>(&'a self, names: &[&'a str]) -> BTreeSet<&'a str> {
         let declared = self.joint_prefixes.iter().map(String::as_str);
         let shared = |prefix: &&str| names.iter().all(|name| name.starts_with(prefix));
-        [""].into_iter().chain(declared.filter(shared)).chain(common_prefix(names)).collect()
+        let common = common_prefix(names).or_else(|| {
+            let most = |prefix: &Vec<&'a str>| 2 * prefix.len() > names.len();
+            let first = names.iter().filter_map(|name| name.split(is_separator).next());
+            let sharing = first.map(|word| {
+                names.iter().copied().filter(|name| name.starts_with(word)).collect::<Vec<&str>>()
+            });
+            common_prefix(&sharing.into_iter().find(most)?)
+        });
+        [""].into_iter().chain(declared.filter(shared)).chain(common).collect()
     }
 }
 
@@ -114,7 +123,7 @@ fn strangeness(from: &str, to: &str, own: &BTreeSet<&str>, declared: &[String]) 
 
 /// The prefix of all names up to a separator, after which each goes on with a letter.
 fn common_prefix<'a>(names: &[&'a str]) -> Option<&'a str> {
-    let first = names.first()?;
+    let first: &'a str = names.first()?;
     let ends = first.rmatch_indices(is_separator).map(|(at, separator)| at + separator.len());
     ends.map(|end| &first[..end]).find(|prefix| {
         names.iter().all(|name| {

@@ -1,15 +1,19 @@
 //! One arm of a run: its joints over time and the streams that say where it was.
 
+use std::sync::Arc;
+
 use crate::geometry::Pose;
-use crate::robot::{Chain, LinkId, Robot};
+use crate::robot::{Chain, Joint, LinkId, Robot};
 use crate::stream::{ImuTrack, JointTrack, PoseTrack};
 use crate::time::Stamp;
 
+use super::carrier::Carrier;
 use super::error::RunError;
 use super::joints::{JointFacts, JointSamples, JointTopic, merge};
 use super::models::{FrameNames, Model};
-use super::role::Place;
-use super::skeleton::{self, ArmPath};
+use super::role::{Place, words};
+use super::skeleton::{self, ArmPath, driver};
+use super::space::{Claim, Space};
 use super::tf_tree::{TfError, TfTree, without_slash};
 
 /// One arm of a run.
@@ -21,6 +25,8 @@ pub struct Arm {
     pub robot: Robot,
     /// How the robot was found, in words.
     pub found: String,
+    /// The model that was named, where the log is of another arm and `robot` takes its place.
+    pub instead_of: Option<WrongModel>,
     /// The chain from base to tip.
     pub chain: Chain,
     /// For each joint of `chain`, its column in `joints`.
@@ -49,6 +55,25 @@ pub struct Arm {
     pub(super) unnamed_base: LinkId,
     pub(super) frames: FrameNames,
     pub(super) joint_stamps: Vec<Stamp>,
+    /// What tells it from other arms by name.
+    pub(super) space: Space,
+    /// The frames that are its own or nobody's, and the transforms between them.
+    pub(super) tree: Arc<TfTree>,
+}
+
+/// A model that was named and is not that of the log's arm.
+#[derive(Clone, Debug)]
+pub struct WrongModel {
+    /// The model that was named.
+    pub named: Robot,
+    /// The topic of poses that shows it.
+    pub topic: String,
+    /// What the named model leaves of these where neither frame nor joint is off, rms m.
+    pub named_m: f64,
+    /// What the arm that took its place leaves, rms m.
+    pub rival_m: f64,
+    /// How long a tool that arm needs, m; none where it needs none.
+    pub tool_m: Option<f64>,
 }
 
 /// A stream of poses of one arm.
@@ -70,6 +95,8 @@ pub struct PoseSource {
     pub stamp_error_s: f64,
     /// Whether the link was named: by the caller, or as the stream's child frame.
     pub tip_named: bool,
+    /// The frame that the poses were logged in, where it moves against the chain's base.
+    pub carrier: Option<Carrier>,
 }
 
 /// An IMU that an arm carries.
@@ -235,6 +262,7 @@ impl Arm {
             name: robot.name.clone(),
             robot: robot.clone(),
             found: model.found.clone(),
+            instead_of: model.instead_of.clone(),
             chain,
             columns,
             tip_named: ends.tip.is_some(),
@@ -251,6 +279,8 @@ impl Arm {
             unnamed_base: model.controller_base.unwrap_or(base),
             frames: model.frames.clone(),
             joint_stamps: merged.stamps,
+            space: Space::default(),
+            tree: Arc::default(),
         })
     }
 
@@ -304,7 +334,7 @@ impl Arm {
     }
 
     /// What is known of a frame that a stream names, and the link that it is, or is tied to.
-    pub(super) fn place(&self, tf: &TfTree, frame: &str) -> (Place, Option<Anchor>) {
+    pub(super) fn place(&self, frame: &str) -> (Place, Option<Anchor>) {
         if frame.is_empty() {
             return (Place::Unnamed, None);
         }
@@ -312,7 +342,7 @@ impl Arm {
         let (anchor, is_link) = match link_of(frame) {
             Some(link) => (Anchor { link, link_from_frame: Pose::identity() }, true),
             None => {
-                let tied = tf.tied(frame, |other| link_of(other).is_some());
+                let tied = self.tree.tied(frame, |other| link_of(other).is_some());
                 let anchor = tied.and_then(|(name, link_from_frame)| {
                     Some(Anchor { link: link_of(name)?, link_from_frame })
                 });
@@ -338,21 +368,47 @@ impl Arm {
     }
 
     /// Whether a joint of this arm moves `link`.
-    fn moves(&self, link: LinkId) -> bool {
+    pub(super) fn moves(&self, link: LinkId) -> bool {
         self.joints_above(link) > 0
     }
 
     /// A joint that moves `link` and is not in the joint states: whatever the link does is not known then.
     pub(super) fn unlogged_above(&self, link: LinkId) -> Option<&str> {
         skeleton::moving_joints_above(&self.robot, link)
-            .map(|joint| joint.name.as_str())
-            .find(|name| !self.joint_names.iter().any(|known| known == name))
+            .map(|joint| driver(&self.robot, joint).name.as_str())
+            .find(|name| !self.reads(name))
+    }
+
+    /// Whether the joint states that are read hold the joint called `name`.
+    fn reads(&self, name: &str) -> bool {
+        self.joint_names.iter().any(|known| known == name)
+    }
+
+    /// Whether a joint that the joint states hold lies between two frames that are links of this robot.
+    pub(super) fn knows_between(&self, a: &str, b: &str) -> bool {
+        let joints = self.joints_between(a, b);
+        joints.is_some_and(|joints| joints.iter().any(|joint| self.reads(joint)))
+    }
+
+    /// Whose something is that goes by these names, as far as words tell.
+    pub(super) fn claim<'n>(&self, names: impl IntoIterator<Item = &'n str>) -> Claim {
+        self.space.claim(names)
     }
 
     /// How many joints of this arm move `link`.
     fn joints_above(&self, link: LinkId) -> usize {
         let above = skeleton::moving_joints_above(&self.robot, link);
-        above.filter(|joint| self.joint_names.contains(&joint.name)).count()
+        above.filter(|joint| self.reads(&driver(&self.robot, joint).name)).count()
+    }
+
+    /// Whether more than half of the arm's joints, and no fewer than four, lie between two links.
+    pub(super) fn has_most_between(&self, base: LinkId, tip: LinkId) -> bool {
+        const FEWEST: usize = 4;
+        let own = self.chain.joint_names();
+        self.chain_between(base, tip).is_some_and(|(chain, _)| {
+            let shared = chain.joint_names().iter().filter(|name| own.contains(name)).count();
+            shared >= FEWEST && 2 * shared > own.len()
+        })
     }
 
     /// Whether the frame called `name` is a link that most of the arm's joints move.
@@ -361,10 +417,18 @@ impl Arm {
         link.is_some_and(|link| 2 * self.joints_above(link) > self.joint_names.len())
     }
 
-    /// The word that the names of all its joints start with.
-    pub(super) fn namespace(&self) -> Option<&str> {
-        let word = self.joint_names.first()?.split(['_', '/', '-', '.']).next()?;
-        self.joint_names.iter().all(|name| name.starts_with(word)).then_some(word)
+    /// The words of its joints and its tip: what those of most of its joints have.
+    pub(super) fn words(&self) -> Vec<String> {
+        let of_joints: Vec<Vec<String>> = self.joint_names.iter().map(|name| words(name)).collect();
+        let is_of_most = |word: &String| {
+            2 * of_joints.iter().filter(|words| words.contains(word)).count() > of_joints.len()
+        };
+        let mut own: Vec<String> = of_joints.iter().flatten().cloned().collect();
+        own.retain(is_of_most);
+        own.extend(words(&self.frame_of(self.tip)));
+        own.sort_unstable();
+        own.dedup();
+        own
     }
 
     /// The frame that the log calls `link`.
@@ -377,7 +441,7 @@ impl Arm {
 /// the joint states do not hold.
 fn default_base(model: &Model, path: &ArmPath) -> LinkId {
     let robot = &model.robot;
-    let known = |joint: &crate::robot::Joint| path.joints.contains(&joint.name);
+    let known = |joint: &Joint| path.joints.contains(&driver(robot, joint).name);
     let wanted = model.controller_base.unwrap_or(robot.root());
     let is_reachable = skeleton::moving_joints_above(robot, path.base).all(known)
         && skeleton::moving_joints_above(robot, wanted).all(known);

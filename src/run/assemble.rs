@@ -1,10 +1,14 @@
 //! From a decoded log to a run.
 
 mod arms;
+mod contest;
+mod groups;
 mod hands;
 mod references;
 mod tool_poses;
 mod transforms;
+
+use std::sync::Arc;
 
 use crate::log::Log;
 use crate::stream::Columns;
@@ -12,6 +16,7 @@ use crate::time::Stamp;
 
 use super::arm::Arm;
 use super::cadence::rhythms;
+use super::contest::Contest;
 use super::declaration::Declaration;
 use super::error::RunError;
 use super::excerpts::Excerpts;
@@ -20,10 +25,14 @@ use super::frozen::Frozen;
 use super::models;
 use super::norms::norms;
 use super::role::Role;
-use super::strays::strays;
+use super::sift::Sift;
+use super::space::Space;
+use super::stalled;
 use super::streams::{Stream, Timing, split};
 use super::tf_tree::TfTree;
 use super::topics;
+use super::unaudited::Unaudited;
+use super::unfold::{self, unfold};
 use super::{Run, RunOptions};
 
 use arms::{Said, joint_topics};
@@ -53,12 +62,13 @@ impl Run {
             }
         }
         topics::apply(&options.topics, &mut streams)?;
+        let folded = unfold(&mut streams);
         let mut timing = Timing::settle(&streams, options.stamp, options.max_latency_s);
         timing.measure(&mut streams);
-        timing.strays = strays(&streams, &timing);
+        timing.sift = Sift::of(&streams, &timing);
         timing.excerpts = Excerpts::of(&streams, &timing);
         let origin = origin(&streams);
-        let tf = tf_tree(&streams, &timing);
+        let tf = Arc::new(tf_tree(&streams, &timing, &Space::default()));
         let (attached, logged_calibrations): (Vec<_>, Vec<_>) =
             log.descriptions.into_iter().partition(|found| found.text.starts_with('<'));
         let descriptions = descriptions(&streams, attached);
@@ -71,6 +81,9 @@ impl Run {
             origin,
             tf,
             arms: Vec::new(),
+            strangers: Vec::new(),
+            unaudited: Vec::new(),
+            contests: Vec::new(),
             frozen: Vec::new(),
             watched: Vec::new(),
         };
@@ -80,7 +93,7 @@ impl Run {
             descriptions: &descriptions,
             logged_calibrations: &logged_calibrations,
         };
-        let no_arm = match assembly.find_arms(said) {
+        let no_arm = match assembly.find_arms(&said) {
             Ok(()) => None,
             Err(error) if error.is_of_the_call() => return Err(error),
             Err(error) => Some(error),
@@ -92,12 +105,14 @@ impl Run {
             assembly.assign(stream)?;
         }
         assembly.name_joints();
+        unfold::say(&mut assembly.streams, &folded);
         let (targets, references) = (assembly.targets(), assembly.references());
-        let Assembly { streams, timing, tf, arms, frozen, watched, .. } = assembly;
+        let Assembly { streams, timing, tf, arms, unaudited, contests, frozen, watched, .. } =
+            assembly;
         let span = span(streams.iter().filter(|stream| stream.rate_hz.is_some()));
         let rhythms = rhythms(&streams, &timing, &joint_topics(&streams, &timing), &arms);
-        let (flaws, norms) = (flaws(&streams), norms(&streams, &timing));
-        let Timing { clocks, excerpts, strays, .. } = timing;
+        let (flaws, norms) = (flaws(&streams, &timing.sift.publishers), norms(&streams, &timing));
+        let Timing { clocks, excerpts, sift, .. } = timing;
         Ok(Run {
             origin,
             span,
@@ -109,9 +124,12 @@ impl Run {
             clocks,
             rhythms,
             flaws,
+            folded,
             norms,
-            strays,
-            frozen,
+            contests,
+            unaudited,
+            frozen: stalled::times(&sift.stalled).chain(frozen).collect(),
+            sift,
             watched,
             excerpts,
             has_clock_topic,
@@ -126,8 +144,12 @@ struct Assembly<'a> {
     streams: Vec<Stream>,
     timing: Timing,
     origin: Stamp,
-    tf: TfTree,
+    tf: Arc<TfTree>,
     arms: Vec<Arm>,
+    /// The streams of joint states of which there is no arm.
+    strangers: Vec<usize>,
+    unaudited: Vec<Unaudited>,
+    contests: Vec<Contest>,
     frozen: Vec<Frozen>,
     /// The streams that were looked at for that.
     watched: Vec<usize>,

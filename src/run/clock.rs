@@ -55,6 +55,9 @@ pub struct StreamClock {
     pub zero: u64,
     /// Median of log time minus header stamp, s; `None` where the headers are not [`HeaderStamps::Sound`].
     pub log_minus_header_s: Option<f64>,
+    /// The same of the one message in a hundred that came soonest: negative where messages were received
+    /// before the time that they are stamped with.
+    pub soonest_s: Option<f64>,
     /// Whose time the header stamps are.
     pub epoch: Epoch,
     /// How the stamps were moved, where they were.
@@ -221,6 +224,7 @@ pub(super) fn settle(
             rows: source.rows() as u64,
             zero: zero as u64,
             log_minus_header_s: header.map(|delay| seconds(delay.median)),
+            soonest_s: header.map(|delay| seconds(delay.floor)),
             epoch: Epoch::Common,
             alignment: None,
         });

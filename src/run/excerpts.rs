@@ -12,7 +12,6 @@ use crate::stream::{Columns, JointColumns};
 use crate::time::{NANOS_PER_SECOND, Stamp, nanos};
 
 use super::role::Role;
-use super::strays;
 use super::streams::{Rows, Stream, Timing};
 
 /// A run that is no longer is seen whole, s.
@@ -93,7 +92,7 @@ fn joints<'a>(streams: &'a [Stream], timing: &Timing) -> Vec<(&'a JointColumns, 
     let with_rows = joints.filter_map(|(index, stream)| match &stream.columns {
         Some(Columns::Joints(joints)) => {
             let mut rows = timing.rows(streams, index, 0);
-            strays::hide(&timing.strays, index, 0, &mut rows);
+            timing.sift.sift(index, 0, &mut rows);
             Some((joints, rows))
         }
         _ => None,

@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use crate::stream::{Columns, PoseColumns};
 
 use super::Run;
+use super::publishers::Publishers;
 use super::role::{Place, Role};
 use super::streams::Stream;
 use super::tf_tree::{Edge, EdgeKind, TfError, without_slash};
@@ -50,6 +51,22 @@ pub enum FlawKind {
         jumps: usize,
         /// Samples.
         rows: usize,
+    },
+    /// Two publish a topic or some of its transforms.
+    Publishers {
+        /// Parent and child of the transform in which they disagree most, or of the first; `None` of
+        /// poses and joint states.
+        edge: Option<Between>,
+        /// How many transforms they disagree in.
+        edges: usize,
+        /// How far they are apart; `None` where they say the same.
+        by: Option<Apart>,
+        /// Rows a second of each.
+        rates_hz: [f64; 2],
+        /// Rows of each.
+        rows: [usize; 2],
+        /// Whether joint positions are apart, and not poses.
+        are_joints: bool,
     },
     /// No transforms lead from a frame that a stream needs to the arm's base.
     Pieces {
@@ -100,7 +117,7 @@ impl Apart {
     }
 
     /// One number for comparisons: what it comes to at the end of a lever of a metre, m.
-    fn size(self) -> f64 {
+    pub(super) fn size(self) -> f64 {
         self.length_m + self.angle_rad
     }
 }
@@ -118,6 +135,8 @@ const ROUNDING: f64 = 1e-4;
 struct Piece<'a> {
     topic: &'a str,
     is_static: bool,
+    /// Whether its publishers are told apart, and looked at by themselves.
+    is_of_two: bool,
     poses: &'a PoseColumns,
 }
 
@@ -137,17 +156,48 @@ impl Piece<'_> {
 
 /// The flaws of the transforms themselves, namespace by namespace: robots that have TF topics of their
 /// own may use the same names.
-pub(super) fn flaws(streams: &[Stream]) -> Vec<Flaw> {
+pub(super) fn flaws(streams: &[Stream], publishers: &[Publishers]) -> Vec<Flaw> {
     let mut spaces: BTreeMap<&str, Vec<Piece<'_>>> = BTreeMap::new();
-    for stream in streams {
+    for (index, stream) in streams.iter().enumerate() {
         let Some(Columns::Transforms(transforms)) = &stream.columns else { continue };
         let space = stream.topic.rsplit_once('/').map_or("", |(space, _)| space);
         let is_static = stream.role == Role::TfStatic;
-        let filled = transforms.iter().filter(|poses| !poses.times.is_empty());
-        let pieces = filled.map(|poses| Piece { topic: &stream.topic, is_static, poses });
+        let of_two =
+            |piece: usize| publishers.iter().any(|two| (two.stream, two.piece) == (index, piece));
+        let filled = transforms.iter().enumerate().filter(|(_, poses)| !poses.times.is_empty());
+        let pieces = filled.map(|(piece, poses)| Piece {
+            topic: &stream.topic,
+            is_static,
+            is_of_two: of_two(piece),
+            poses,
+        });
         spaces.entry(space).or_default().extend(pieces);
     }
-    spaces.values().flat_map(|pieces| flaws_of(pieces)).collect()
+    let mut flaws: Vec<Flaw> = spaces.values().flat_map(|pieces| flaws_of(pieces)).collect();
+    flaws.extend(streams.iter().enumerate().filter_map(|(index, stream)| {
+        let of_it = publishers.iter().filter(|two| two.stream == index);
+        several_publishers(stream, &of_it.collect::<Vec<_>>())
+    }));
+    flaws
+}
+
+/// The one flaw of a topic that two publish.
+fn several_publishers(stream: &Stream, found: &[&Publishers]) -> Option<Flaw> {
+    let size = |two: &Publishers| two.apart.map_or(0.0, Apart::size);
+    let worst = found.iter().rev().max_by(|a, b| size(a).total_cmp(&size(b)))?;
+    let between = |(parent, child): &(String, String)| Between {
+        parent: without_slash(parent).to_owned(),
+        child: without_slash(child).to_owned(),
+    };
+    let kind = FlawKind::Publishers {
+        edge: worst.frames.as_ref().map(between),
+        edges: found.iter().filter(|two| two.apart.is_some()).count(),
+        by: worst.apart,
+        rates_hz: worst.rates_hz,
+        rows: worst.rows,
+        are_joints: matches!(stream.columns, Some(Columns::Joints(_))),
+    };
+    Some(Flaw { kind, topics: vec![stream.topic.clone()] })
 }
 
 fn flaws_of(pieces: &[Piece<'_>]) -> Vec<Flaw> {
@@ -253,7 +303,7 @@ fn moving(piece: &Piece<'_>) -> Option<Flaw> {
 fn conflicts(pieces: &[Piece<'_>]) -> Vec<Flaw> {
     let mut found = Vec::new();
     for piece in pieces.iter().filter(|piece| !piece.is_static) {
-        found.extend(alternates(piece));
+        found.extend((!piece.is_of_two).then(|| alternates(piece)).flatten());
         let fixed = pieces.iter().filter(|other| other.is_static);
         let same = fixed.filter(|other| other.between() == piece.between());
         found.extend(same.filter_map(|other| overrules(other, piece)));
@@ -321,7 +371,7 @@ impl Run {
         let of_streams = self.streams.iter().filter_map(|stream| {
             let is_audited = matches!(stream.role, Role::Pose | Role::Imu);
             let arm = self.arms.get(stream.arm.filter(|_| is_audited)?)?;
-            let (place, _) = arm.place(&self.tf, &stream.frame_id);
+            let (place, _) = arm.place(&stream.frame_id);
             let base = arm.frame_of(arm.base);
             let is_loose = place == Place::Unknown;
             is_loose.then(|| self.apart(&stream.topic, &stream.frame_id, &base)).flatten()
@@ -382,11 +432,11 @@ mod tests {
     }
 
     fn dynamic(poses: &PoseColumns) -> Piece<'_> {
-        Piece { topic: "/tf", is_static: false, poses }
+        Piece { topic: "/tf", is_static: false, is_of_two: false, poses }
     }
 
     fn fixed(poses: &PoseColumns) -> Piece<'_> {
-        Piece { topic: "/tf_static", is_static: true, poses }
+        Piece { topic: "/tf_static", is_static: true, is_of_two: false, poses }
     }
 
     #[test]

@@ -9,14 +9,17 @@ use rayon::prelude::*;
 use crate::stream::{Columns, JointColumns, JointTrack, sample_noise};
 use crate::time::Stamp;
 
+use super::Run;
 use super::streams::Rows;
-use super::{Run, strays};
 
 /// Where the velocities of a joint come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Velocities {
     /// The log's, which agree with the positions.
     Logged,
+    /// Differentiated; the log's are near the positions' own, as they are where rows are read unevenly,
+    /// and tell motion better.
+    Near,
     /// Differentiated: the log has none, or they do not agree with the positions.
     Derived,
 }
@@ -35,6 +38,7 @@ pub struct JointFacts {
 }
 
 /// A JointState topic.
+#[derive(Clone)]
 pub(super) struct JointTopic<'a> {
     /// Index of its stream.
     pub stream: usize,
@@ -181,7 +185,7 @@ impl Run {
         };
         let clock = self.clocks.iter().find(|clock| clock.stream == stream)?;
         let mut rows: Rows = clock.rows_of(&columns.times).collect();
-        strays::hide(&self.strays, stream, 0, &mut rows);
+        self.sift.sift(stream, 0, &mut rows);
         let topic = JointTopic { stream, columns, rows };
         let seconds = |(stamp, _): &(Stamp, usize)| stamp.seconds_since(self.origin);
         let t_s = topic.is_in_order().then(|| topic.rows.iter().map(seconds).collect());
@@ -260,11 +264,7 @@ impl Samples {
     fn track(&self, origin: Stamp) -> (JointTrack, Velocities) {
         let t_s: Vec<f64> = self.stamps.iter().map(|stamp| stamp.seconds_since(origin)).collect();
         let (q, derived) = smoothed(&t_s, &self.position);
-        let velocities = if agree(&t_s, &q, &self.velocity, &derived) {
-            Velocities::Logged
-        } else {
-            Velocities::Derived
-        };
+        let velocities = agreement(&t_s, &q, &self.velocity, &derived);
         let qd = if velocities == Velocities::Logged { self.velocity.clone() } else { derived };
         (JointTrack { t_s, dof: 1, q, qd }, velocities)
     }
@@ -336,19 +336,23 @@ fn derivative(t_s: &[f64], q: &[f64]) -> Vec<f64> {
     (0..rows).map(at).collect()
 }
 
-/// Whether logged velocities are those of the positions.
+/// How well logged velocities are those of the positions.
 ///
 /// Over windows of 0.1 s their integral (trapezoids) must be the change of position within 2 % of
 /// its rms and what the positions' noise makes of it: integrals rather than derivatives. A joint
-/// that does not move has no velocity above what its positions' derivative shows.
-fn agree(t_s: &[f64], q: &[f64], velocity: &[f64], derived: &[f64]) -> bool {
+/// that does not move has no velocity above what its positions' derivative shows. They are near where
+/// their integrals go with the changes, and neither is a fifth more than the other.
+fn agreement(t_s: &[f64], q: &[f64], velocity: &[f64], derived: &[f64]) -> Velocities {
+    const NEAR: f64 = 0.2;
     const WINDOW_S: f64 = 0.1;
     const MOVES: f64 = 1e-3;
     const DISAGREEMENT: f64 = 0.02;
     if velocity.len() < 2 || velocity.iter().any(|v| !v.is_finite()) {
-        return false;
+        return Velocities::Derived;
     }
+    let or_else = |agrees: bool, other: Velocities| if agrees { Velocities::Logged } else { other };
     let (mut moved, mut differed, mut windows) = (0.0, 0.0, 0.0);
+    let (mut along, mut summed) = (0.0, 0.0);
     let (mut start, mut integral, mut largest) = (0, 0.0, 0.0_f64);
     for row in 1..t_s.len() {
         if t_s[row] - t_s[row - 1] > 2.0 * WINDOW_S {
@@ -362,17 +366,22 @@ fn agree(t_s: &[f64], q: &[f64], velocity: &[f64], derived: &[f64]) -> bool {
         let change = q[row] - q[start];
         largest = largest.max(change.abs());
         moved += change * change;
+        along += change * integral;
+        summed += integral * integral;
         differed += (integral - change).powi(2);
         windows += 1.0;
         (start, integral) = (row, 0.0);
     }
     if largest < MOVES {
         let peak = |values: &[f64]| values.iter().fold(0.0_f64, |peak, v| peak.max(v.abs()));
-        return peak(velocity) <= peak(derived);
+        return or_else(peak(velocity) <= peak(derived), Velocities::Derived);
     }
     // Each end of a window adds its noise; three times its variance is beyond chance.
     let by_noise = 3.0 * windows * 2.0 * sample_noise(q).powi(2);
-    differed <= DISAGREEMENT * DISAGREEMENT * moved + by_noise.min(0.1 * moved)
+    let slope = along / moved;
+    let is_near = (slope - 1.0).abs() < NEAR && along * along > (1.0 - NEAR) * moved * summed;
+    let near = if is_near { Velocities::Near } else { Velocities::Derived };
+    or_else(differed <= DISAGREEMENT * DISAGREEMENT * moved + by_noise.min(0.1 * moved), near)
 }
 
 #[cfg(test)]
@@ -435,8 +444,8 @@ mod tests {
         let t_s: Vec<f64> = (0..100).map(|row| row as f64 * 0.01).collect();
         let noise: Vec<f64> = (0..100).map(|row| 1e-5 * f64::from(row % 3)).collect();
         let derived = derivative(&t_s, &noise);
-        assert!(agree(&t_s, &noise, &[0.0; 100], &derived));
-        assert!(!agree(&t_s, &noise, &[0.3; 100], &derived));
+        assert_eq!(agreement(&t_s, &noise, &[0.0; 100], &derived), Velocities::Logged);
+        assert_eq!(agreement(&t_s, &noise, &[0.3; 100], &derived), Velocities::Derived);
     }
 
     #[test]

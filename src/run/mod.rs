@@ -11,19 +11,28 @@
 mod arm;
 mod assemble;
 mod cadence;
+mod carrier;
+mod catalogued;
 mod clock;
+mod contest;
 mod declaration;
 mod error;
 mod excerpts;
 mod flaws;
 mod frozen;
+mod held;
 mod joints;
 mod models;
 mod norms;
 mod poses;
+mod publishers;
 mod role;
 mod segments;
+mod series;
+mod sift;
 mod skeleton;
+mod space;
+mod stalled;
 mod strays;
 mod streams;
 mod targets;
@@ -31,29 +40,40 @@ mod targets;
 mod tests;
 mod tf_tree;
 mod topics;
+mod unaudited;
+mod unfold;
 mod witness;
+
+use std::sync::Arc;
 
 use crate::time::{Clock, Stamp};
 
-pub use arm::{Arm, ImuSource, JointMending, NoTf, PoseSource};
+pub use arm::{Arm, ImuSource, JointMending, NoTf, PoseSource, WrongModel};
 pub use assemble::{ReferenceContent, ReferenceSource};
 pub use cadence::{Cadence, Extent, Hole, Rhythm, Stretch};
+pub use carrier::Carrier;
 pub use clock::{Alignment, Epoch, HeaderStamps, StreamClock};
+pub use contest::{Claimant, Contest};
 pub use declaration::{CalibrationSource, Coding, Declaration, DeclarationError, RobotSource};
 pub use error::RunError;
 pub use excerpts::Excerpts;
 pub use flaws::{Apart, Between, Flaw, FlawKind};
 pub use frozen::Frozen;
+pub use held::Held;
 pub use joints::{JointFacts, JointSamples, Velocities};
 pub use models::robot_of;
 pub use norms::{Norms, Written};
+pub use publishers::Publishers;
 pub use role::Role;
 pub use segments::{Segment, segments};
+pub use sift::Sift;
 pub use strays::{FEWEST_SAMPLES, Strays};
 pub use streams::Stream;
 pub use targets::{CameraAxes, HandKind, HandSource, TargetSource};
 pub use tf_tree::{Edge, EdgeKind, TfError, TfPath, TfTree};
 pub use topics::{SaidRole, TopicSettings};
+pub use unaudited::{Unaudited, WhyNot};
+pub use unfold::Folded;
 pub use witness::Witness;
 
 /// Correlation of speeds from which a stream follows the arm.
@@ -116,19 +136,26 @@ pub struct Run {
     pub targets: Vec<TargetSource>,
     /// What the arms were told, as far as it can be held against them.
     pub references: Vec<ReferenceSource>,
-    /// The frames, and the transforms between them.
-    pub tf: TfTree,
+    /// The frames of all arms, and the transforms between them.
+    pub tf: Arc<TfTree>,
     /// The clock of every stream that moves in time.
     pub clocks: Vec<StreamClock>,
     /// How regularly every stream comes that plays a part.
     pub rhythms: Vec<Rhythm>,
     /// What keeps the transforms from being a tree.
     pub flaws: Vec<Flaw>,
+    /// The joints that are logged within one turn; their positions are unwrapped.
+    pub folded: Vec<Folded>,
     /// How far the rotations of every stream that logs them are from being rotations.
     pub norms: Vec<Norms>,
-    /// The samples that jump away and back; the estimators do not see them.
-    pub strays: Vec<Strays>,
-    /// When streams of poses stood still and their arm did not; the estimators do not see that either.
+    /// The streams that several arms may claim.
+    pub contests: Vec<Contest>,
+    /// The streams that are not audited, or not as what they say they are.
+    pub unaudited: Vec<Unaudited>,
+    /// What the estimators do not see: stray samples, second publishers, repeats.
+    pub sift: Sift,
+    /// When streams of poses stood still and their arm did not, and joint states on their way; the
+    /// estimators do not see that either.
     pub frozen: Vec<Frozen>,
     /// The streams that were looked at for that.
     pub watched: Vec<usize>,
@@ -204,11 +231,24 @@ impl Run {
         settled.role = if is_pose { Role::Pose } else { Role::Unassigned };
         settled.reason = format!("{}; {verdict}", settled.reason);
         if !is_pose {
-            (settled.arm, settled.reference, settled.link) = (None, None, None);
-            settled.witness = None;
-            for arm in &mut self.arms {
-                arm.poses.retain(|source| source.stream != stream);
-            }
+            let reason = settled.reason.clone();
+            self.unassign(stream, reason);
+        }
+    }
+
+    /// Makes candidate `stream` a command: it does by `lead_s` before the arm what the arm then does.
+    pub fn settle_leader(&mut self, stream: usize, lead_s: f64) {
+        let Some(settled) = self.streams.get(stream) else { return };
+        let reason = format!(
+            "{}; it leads the arm: it was received {:.0} ms before the arm did the same, which no \
+             measurement of the arm can be (a hand tracker or a leader arm; or else the joint states are \
+             recorded late)",
+            settled.reason,
+            1e3 * lead_s
+        );
+        self.unassign(stream, reason);
+        if let Some(leader) = self.streams.get_mut(stream) {
+            leader.role = Role::Reference;
         }
     }
 }

@@ -295,7 +295,7 @@ mod tests {
     fn rotations(track: &PoseTrack) -> &[Rotation] {
         match &track.orientation {
             Orientations::Rotations(rotations) => rotations,
-            Orientations::Numbers(_) => panic!("rotations expected"),
+            _ => panic!("rotations expected"),
         }
     }
 

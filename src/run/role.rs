@@ -147,8 +147,14 @@ pub(super) enum Place {
     StillLink,
     /// A link that the arm moves.
     MovingLink,
+    /// A link that the arm moves, most of whose joints are below it, as on a waist.
+    Upstream,
+    /// A link that moves with the tool whose pose it is said to be in.
+    Tool,
     /// Tied to a link that the arm does not move, by static transforms.
     Tied,
+    /// Tied to such a link by transforms over time, as odometry's.
+    Carried,
     /// None of these.
     Unknown,
 }
@@ -223,7 +229,7 @@ pub(super) fn pose_role(pose: &PoseTopic<'_>) -> Verdict {
                 format!("the arm does not move its child frame '{child_frame_id}'"),
             );
         }
-        Place::Unnamed | Place::Unknown => {}
+        _ => {}
     }
     let child_words = words(child_frame_id);
     if let Some(word) = shared(&topic_words, MOBILE).or_else(|| shared(&child_words, MOBILE)) {
@@ -236,9 +242,17 @@ pub(super) fn pose_role(pose: &PoseTopic<'_>) -> Verdict {
         Place::MovingLink => {
             (Role::Unassigned, format!("it is in '{frame_id}', which the arm itself moves"))
         }
-        Place::StillLink => (
+        Place::Tool => (
+            Role::Candidate { presumed: false },
+            format!("its frame '{frame_id}' is the tool's own, in which the tool cannot move"),
+        ),
+        Place::StillLink | Place::Upstream => (
             Role::Candidate { presumed: true },
             format!("its frame '{frame_id}' is a link of the robot"),
+        ),
+        Place::Carried => (
+            Role::Candidate { presumed: false },
+            format!("its frame '{frame_id}' moves against the arm's base, as the transforms say"),
         ),
         Place::Tied | Place::Unnamed | Place::Unknown => (
             Role::Candidate { presumed: false },

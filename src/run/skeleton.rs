@@ -24,6 +24,14 @@ pub(super) fn is_own(joint: &Joint) -> bool {
     joint.kind.has_position() && joint.mimic.is_none()
 }
 
+/// The joint that moves `joint` in the end: itself, or the one that it mimics.
+pub(super) fn driver<'a>(robot: &'a Robot, joint: &'a Joint) -> &'a Joint {
+    let master = |joint: &&'a Joint| robot.joint(&joint.mimic.as_ref()?.joint);
+    // No more steps than joints, so that those that mimic each other end.
+    let drivers = std::iter::successors(Some(joint), master).take(robot.joints().len() + 1);
+    drivers.last().unwrap_or(joint)
+}
+
 /// The arms of `robot`: the longest path of own joints that `logged` holds, and further ones with
 /// at least four joints of their own, of which there are more than they share.
 ///
@@ -93,7 +101,7 @@ impl<F: Fn(&str) -> bool> Walk<'_, F> {
             }
             path.joints.push(joint.name.clone());
             path.end = joint.child;
-        } else if is_own(joint) || (!joint.kind.has_position() && !is_fixed(joint)) {
+        } else if !is_fixed(joint) && !(self.logged)(&driver(self.robot, joint).name) {
             // Where this joint stands is not known, so the arm can only begin below it.
             path = ArmPath { base: joint.child, end: joint.child, joints: Vec::new() };
         }
@@ -164,11 +172,11 @@ pub(super) fn moving_joints_above(robot: &Robot, link: LinkId) -> impl Iterator<
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
     /// A URDF of joints given as "name type parent child".
-    fn robot(joints: &[&str]) -> Robot {
+    pub fn robot(joints: &[&str]) -> Robot {
         let mut links: Vec<&str> = Vec::new();
         let mut body = String::new();
         for joint in joints {
@@ -269,6 +277,15 @@ mod tests {
         let arms = arms(&robot, |name| name != "j1");
         assert_eq!(arms[0].joints, ["j2", "j3", "j4"]);
         assert_eq!(robot.link_name(arms[0].base), "l1");
+    }
+
+    #[test]
+    fn a_mimic_joint_is_where_its_driver_is() {
+        let joints = ["lift revolute base l1", "stage revolute=lift l1 l2", "j2 revolute l2 l3"];
+        let robot = robot(&joints);
+        assert_eq!(driver(&robot, robot.joint("stage").unwrap()).name, "lift");
+        assert_eq!(arms(&robot, |name| name != "stage")[0].joints, ["lift", "j2"]);
+        assert_eq!(arms(&robot, |name| name == "j2")[0].joints, ["j2"]);
     }
 
     #[test]

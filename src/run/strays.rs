@@ -14,6 +14,7 @@ use crate::time::Stamp;
 
 use super::flaws::Apart;
 use super::poses::Layout;
+use super::publishers::Publishers;
 use super::role::Role;
 use super::streams::{Rows, Stream, Timing};
 
@@ -70,8 +71,15 @@ pub(super) fn hide(strays: &[Strays], stream: usize, piece: usize, rows: &mut Ro
     }
 }
 
-/// The stray samples of joint states, poses and transforms.
-pub(super) fn strays(streams: &[Stream], timing: &Timing) -> Vec<Strays> {
+/// The stray samples of joint states, poses and transforms; of what two publish nothing is stray for being the other's.
+pub(super) fn strays(
+    streams: &[Stream],
+    timing: &Timing,
+    publishers: &[Publishers],
+) -> Vec<Strays> {
+    let is_of_two = |stream: usize, piece: usize| {
+        publishers.iter().any(|two| (two.stream, two.piece) == (stream, piece))
+    };
     let may_jump = |role| {
         matches!(
             role,
@@ -86,14 +94,17 @@ pub(super) fn strays(streams: &[Stream], timing: &Timing) -> Vec<Strays> {
             clock.and_then(|(clock, times)| clock.stamp_of(times, row))
         };
         let found = match &stream.columns {
-            _ if !may_jump(stream.role) => Vec::new(),
+            _ if !may_jump(stream.role) || is_of_two(index, 0) && times.len() == 1 => Vec::new(),
             Some(Columns::Joints(joints)) => of_joints(joints, &|row| at(0, row)),
             Some(Columns::Poses(poses)) => {
                 let of = |(piece, poses)| of_poses(piece, poses, false, &|row| at(piece, row));
                 poses.par_iter().enumerate().filter_map(of).collect()
             }
             Some(Columns::Transforms(poses)) => {
-                let of = |(piece, poses)| of_poses(piece, poses, true, &|row| at(piece, row));
+                let of = |(piece, poses)| {
+                    let is_one = !is_of_two(index, piece);
+                    is_one.then(|| of_poses(piece, poses, true, &|row| at(piece, row))).flatten()
+                };
                 poses.par_iter().enumerate().filter_map(of).collect()
             }
             Some(Columns::Array(array)) if array.width >= 6 => {

@@ -7,7 +7,7 @@ use crate::time::{Clock, Stamp};
 use super::clock::{self, Source, StreamClock};
 use super::excerpts::Excerpts;
 use super::role::{Role, named_role, plain_role};
-use super::strays::{self, Strays};
+use super::sift::Sift;
 use super::tf_tree::without_slash;
 use super::witness::Witness;
 
@@ -226,8 +226,8 @@ pub(super) struct Timing {
     of: Vec<Vec<usize>>,
     /// What of a long run is seen.
     pub excerpts: Option<Excerpts>,
-    /// The samples that are not seen because they jump away and back.
-    pub strays: Vec<Strays>,
+    /// What else is not seen.
+    pub sift: Sift,
 }
 
 impl Timing {
@@ -263,7 +263,7 @@ impl Timing {
             }
         }
         let clocks = clock::settle(&sources, wanted, max_latency_s);
-        Self { clocks, of, excerpts: None, strays: Vec::new() }
+        Self { clocks, of, excerpts: None, sift: Sift::default() }
     }
 
     /// The clock of a piece of a stream; none for what holds at all times.
@@ -277,7 +277,7 @@ impl Timing {
     }
 
     /// Those of them that the estimators see: in the run's excerpts, or less than `around_s` off, and
-    /// not stray.
+    /// not sifted out.
     pub fn seen_rows(
         &self,
         streams: &[Stream],
@@ -289,7 +289,7 @@ impl Timing {
             Some(excerpts) => self.rows_where(streams, stream, piece, excerpts.holds(around_s)),
             None => self.rows(streams, stream, piece),
         };
-        strays::hide(&self.strays, stream, piece, &mut rows);
+        self.sift.sift(stream, piece, &mut rows);
         rows
     }
 
@@ -309,17 +309,11 @@ impl Timing {
         }
     }
 
-    /// Makes the clock and the strays of one piece those of another stream too, which is appended.
+    /// Makes the clock of one piece, and what was found on it, those of another stream too, which is
+    /// appended.
     pub fn share(&mut self, stream: usize, piece: usize) {
         let clock = self.of[stream][piece];
-        let is_of_it = |strays: &&Strays| (strays.stream, strays.piece) == (stream, piece);
-        let shared: Vec<Strays> = self
-            .strays
-            .iter()
-            .filter(is_of_it)
-            .map(|strays| Strays { stream: self.of.len(), piece: 0, ..strays.clone() })
-            .collect();
-        self.strays.extend(shared);
+        self.sift.share((stream, piece), self.of.len());
         self.of.push(vec![clock]);
     }
 

@@ -80,10 +80,9 @@ impl HandKind {
     pub(super) fn of_arm(
         index: usize,
         arm: &Arm,
-        tf: &TfTree,
         camera: &str,
     ) -> Option<(Self, [Option<Pose>; 2])> {
-        let (place, anchor) = arm.place(tf, camera);
+        let (place, anchor) = arm.place(camera);
         // What stands beside a rail does not ride on it.
         let root = arm.robot.root();
         let rides = arm.robot.fixed_transform(root, arm.base).is_none();

@@ -61,7 +61,7 @@ impl Edge {
 }
 
 /// The pose at `part` of the way from `a` to `b`.
-fn between(a: &Pose, b: &Pose, part: f64) -> Pose {
+pub(super) fn between(a: &Pose, b: &Pose, part: f64) -> Pose {
     let turn = rotvec_from_rotation(&(a.rotation.inverse() * b.rotation));
     Pose::from_parts(
         a.translation.vector.lerp(&b.translation.vector, part).into(),

@@ -204,7 +204,7 @@ pub(super) fn check_frames(
     if arms.is_empty() {
         return Ok(());
     }
-    let is_known = |name: &str| arms.iter().any(|arm| arm.place(tf, name).0 != Place::Unknown);
+    let is_known = |name: &str| arms.iter().any(|arm| arm.place(name).0 != Place::Unknown);
     for said in settings.iter().filter(|said| streams.iter().any(|one| said.is_of(&one.topic))) {
         let links = arms.iter().flat_map(|arm| arm.robot.links().map(|link| arm.frame_of(link)));
         let known: Vec<String> = links.chain(tf.frames().map(str::to_owned)).collect();

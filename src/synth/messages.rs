@@ -14,6 +14,7 @@ pub(super) enum Topic {
     RobotDescription,
     TfStatic,
     JointStates,
+    JointsApart,
     Imu,
     Pose,
     Numbers,
@@ -22,6 +23,7 @@ pub(super) enum Topic {
     CommandedPose,
     CommandedJoints,
     Goal,
+    Leader,
 }
 
 impl Topic {
@@ -29,9 +31,9 @@ impl Topic {
         match self {
             Self::RobotDescription => ROBOT_DESCRIPTION,
             Self::TfStatic => TF_STATIC,
-            Self::JointStates => JOINT_STATES,
+            Self::JointStates | Self::JointsApart => JOINT_STATES,
             Self::Imu => IMU,
-            Self::Pose => POSE,
+            Self::Pose | Self::Leader => POSE,
             Self::Numbers => NUMBERS,
             Self::Tf => TF,
             Self::Target => TARGET,
@@ -45,10 +47,12 @@ impl Topic {
         match self {
             Self::RobotDescription => "std_msgs/msg/String",
             Self::TfStatic | Self::Tf => "tf2_msgs/msg/TFMessage",
-            Self::JointStates | Self::CommandedJoints => "sensor_msgs/msg/JointState",
+            Self::JointStates | Self::JointsApart | Self::CommandedJoints => {
+                "sensor_msgs/msg/JointState"
+            }
             Self::Imu => "sensor_msgs/msg/Imu",
             Self::Numbers => "std_msgs/msg/Float64MultiArray",
-            Self::Pose | Self::Target | Self::CommandedPose | Self::Goal => {
+            Self::Pose | Self::Target | Self::CommandedPose | Self::Goal | Self::Leader => {
                 "geometry_msgs/msg/PoseStamped"
             }
         }
@@ -62,7 +66,7 @@ impl Topic {
                 "geometry_msgs/TransformStamped[] transforms\n",
                 &[TRANSFORM_STAMPED, HEADER, TIME, TRANSFORM, VECTOR3, QUATERNION],
             ),
-            Self::JointStates | Self::CommandedJoints => (
+            Self::JointStates | Self::JointsApart | Self::CommandedJoints => (
                 "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\n\
                  float64[] effort\n",
                 &[HEADER, TIME],
@@ -80,7 +84,7 @@ impl Topic {
                  float64[9] linear_acceleration_covariance\n",
                 &[HEADER, TIME, QUATERNION, VECTOR3],
             ),
-            Self::Pose | Self::Target | Self::CommandedPose | Self::Goal => (
+            Self::Pose | Self::Target | Self::CommandedPose | Self::Goal | Self::Leader => (
                 "std_msgs/Header header\nPose pose\n",
                 &[HEADER, TIME, POSE_TYPE, POINT, QUATERNION],
             ),
@@ -127,6 +131,7 @@ pub(super) struct LoggedTransform<'a> {
 }
 
 /// The numbers of an IMU sample in the IMU's frame; gyro in rad/s, specific force in m/s².
+#[derive(Clone, Copy)]
 pub(super) struct LoggedImu {
     pub(super) orientation_xyzw: Option<[f64; 4]>,
     pub(super) gyro: Vec3,

@@ -13,8 +13,10 @@ mod messages;
 mod motion;
 mod noise;
 mod path;
+mod recorded;
 mod reference;
 mod streams;
+mod structure;
 mod target;
 mod truth;
 mod urdf;
@@ -27,9 +29,7 @@ use mcap::records::MessageHeader;
 use mcap::{Compression, McapError, WriteOptions};
 use nalgebra::Matrix3;
 
-use crate::geometry::{
-    Convention, Misreading, Pose, QuaternionSlip, Vec3, pose, rotation_from_rotvec,
-};
+use crate::geometry::{Convention, Misreading, Pose, Vec3, pose, rotation_from_rotvec};
 use crate::robot::{ChainError, Robot, catalogue};
 use crate::time::Stamp;
 
@@ -37,7 +37,9 @@ use messages::Topic;
 pub use motion::Motion;
 pub use noise::Noise;
 pub use path::Lines;
+pub use recorded::{Coding, ImuStream, JointStream, OtherTransform, PoseStream, TfStream, Timing};
 pub use reference::{Commands, ReferenceStream};
+pub use structure::{Drive, Fold, LeaderStream, SecondPublisher, ToolSlip, write_cell};
 pub use target::{Camera, Swapped, TargetStream};
 use truth::Truth;
 pub use urdf::urdf_text;
@@ -124,6 +126,16 @@ pub struct Scenario {
     pub target: TargetStream,
     /// What the arm is told; nothing unless its rate is set.
     pub reference: ReferenceStream,
+    /// The hand that the arm follows; none unless its rate is set.
+    pub leader: LeaderStream,
+    /// What the names of all topics but those of transforms begin with, such as `/left`.
+    pub namespace: String,
+    /// The link that the joint states and the transforms begin at, where that is above `base`: a rail, a
+    /// lift or a waist moves the base. `home`, offsets and orders count joints from it. The IMU knows
+    /// nothing of it.
+    pub root: Option<String>,
+    /// How the robot's root drives about. The IMU knows nothing of it.
+    pub drive: Option<Drive>,
     /// Whether the arm's URDF is in the log.
     pub description: bool,
 }
@@ -146,145 +158,6 @@ pub struct Shake {
     pub amplitude: f64,
     /// The frequency, Hz.
     pub frequency_hz: f64,
-}
-
-/// When the messages of a stream are made, stamped and received.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Timing {
-    /// Messages a second; 0 leaves the stream out.
-    pub rate_hz: f64,
-    /// When the content of the first message is true, s after the start.
-    pub phase_s: f64,
-    /// Latency, s: what is stamped *t* was true at *t − latency*. With a skew, the value at mid-run.
-    pub latency_s: f64,
-    /// By how much the latency grows with each second of stamp, s/s.
-    pub skew: f64,
-    /// The clock of the stamps minus the recorder's, s, beyond latency and skew.
-    pub clock_offset_s: f64,
-    /// Whether header stamps are set; they are zero where not.
-    pub stamped: bool,
-}
-
-/// The joint states.
-#[derive(Debug, Clone, PartialEq)]
-pub struct JointStream {
-    /// Its times.
-    pub timing: Timing,
-    /// Whether velocities are logged.
-    pub with_velocity: bool,
-    /// `q_true − q_reported`, rad or m, one a joint from base to tip; joints beyond its end have
-    /// none. The pose stream and the IMU know the truth, /tf follows the joint states.
-    pub zero_offsets: Vec<f64>,
-    /// What each joint's positions and velocities are multiplied by before they are reported, after
-    /// their offset; joints beyond its end by 1. /tf believes them.
-    pub scales: Vec<f64>,
-    /// Whether the numbers are degrees. /tf takes them for radians, as a state publisher does.
-    pub in_degrees: bool,
-    /// The joints in the order that the numbers are in, each counted from the base, where that is
-    /// not the order of the names. /tf believes the names.
-    pub number_order: Option<Vec<usize>>,
-}
-
-/// The stream of tool poses.
-///
-/// Its rows are `reference_from_stream⁻¹ · base_from_tip · tip_from_stream`, then grown, then coded.
-#[derive(Debug, Clone, PartialEq)]
-pub struct PoseStream {
-    /// Its times.
-    pub timing: Timing,
-    /// The frame that the messages name.
-    pub frame_id: String,
-    /// Pose of the frame that the numbers are in, in the base.
-    pub reference_from_stream: Pose,
-    /// Pose of the frame that the numbers are of, in the tip.
-    pub tip_from_stream: Pose,
-    /// Scale of the logged over the true position, minus 1.
-    pub growth: f64,
-    /// What became of the pose on its way into the log.
-    pub coding: Coding,
-    /// Whether it was inverted as a whole before that.
-    pub inverted: bool,
-    /// Whether positions are in mm.
-    pub in_millimetres: bool,
-    /// Scale of the quaternions: 1 where they are of unit norm.
-    pub quaternion_norm: f64,
-    /// Where this says how, the poses are on [`NUMBERS`] instead: six bare numbers, position in m and
-    /// rotation in this convention, rad. Such a message has no stamp and no frame.
-    pub as_numbers: Option<Convention>,
-    /// Samples by their number from 0, and how far off each is, m.
-    pub strays: Vec<(usize, Vec3)>,
-    /// From when to when the stream goes on saying what it said first, s from the start.
-    pub stuck_s: Option<(f64, f64)>,
-}
-
-/// The transforms of the arm's joints, as a state publisher computes them from the joint states, and
-/// the fixed ones.
-#[derive(Debug, Clone, PartialEq)]
-pub struct TfStream {
-    /// Its times. Rate and phase of the joint states, or a fraction of that rate, give it stamps
-    /// that are copies of theirs.
-    pub timing: Timing,
-    /// What became of the transforms on their way into the log.
-    pub coding: Coding,
-    /// Whether /tf_static is there.
-    pub with_static: bool,
-    /// Transforms in /tf_static beside the arm's own.
-    pub others: Vec<OtherTransform>,
-}
-
-/// A transform that is none of the arm's own.
-#[derive(Debug, Clone, PartialEq)]
-pub struct OtherTransform {
-    /// The frame above.
-    pub parent: String,
-    /// The frame below.
-    pub child: String,
-    /// Pose of the child in the parent.
-    pub parent_from_child: Pose,
-}
-
-/// The IMU at the tip: gyro, accelerometer and an orientation in a world of its own yaw.
-#[derive(Debug, Clone, PartialEq)]
-pub struct ImuStream {
-    /// Its times.
-    pub timing: Timing,
-    /// `tip_from_imu` as /tf_static has it.
-    pub tip_from_imu: Pose,
-    /// How the IMU is truly mounted: `imu_as_published_from_imu`.
-    pub mount_error: Pose,
-    /// Whether the orientation is logged; where not, its covariance says so (REP 145).
-    pub with_orientation: bool,
-    /// Yaw of the base in the IMU's world at the start, rad. No fault.
-    pub world_yaw_rad: f64,
-    /// By how much the logged yaw runs ahead of the true one, rad/s about the base's z axis.
-    pub yaw_drift_rad_s: f64,
-    /// When the logged yaw jumps, s after the start, and by how much, rad.
-    pub yaw_jumps: Vec<(f64, f64)>,
-    /// Density of a random walk of the logged yaw, rad/√s.
-    pub yaw_walk_rad_rt_s: f64,
-    /// Bias of the gyro in its own frame, rad/s.
-    pub gyro_bias_rad_s: Vec3,
-    /// What the gyro makes of true rates before the bias: 1 on the diagonal where the scale is right,
-    /// 0 beside it where the axes are square.
-    pub gyro_from_rate: Matrix3<f64>,
-    /// What became of the orientation on its way into the log.
-    pub coding: Coding,
-}
-
-/// What became of a pose on its way into the log.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Coding {
-    /// Nothing.
-    #[default]
-    Faithful,
-    /// The rotation was shown as three numbers and these were read otherwise.
-    Misread(Misreading),
-    /// The quaternion's components were taken in the wrong order.
-    Slipped(QuaternionSlip),
-    /// The rotation was transposed, the position left.
-    Transposed,
-    /// The whole pose was inverted.
-    Inverted,
 }
 
 /// Why a log could not be made.
@@ -322,18 +195,28 @@ impl Scenario {
                 scales: Vec::new(),
                 in_degrees: false,
                 number_order: None,
+                fold: None,
+                quantum: 0.0,
+                apart: None,
+                stuck_s: None,
             },
             pose: PoseStream {
                 timing: Timing::every(125.0, 0.0037),
                 frame_id: base.to_owned(),
                 reference_from_stream: Pose::identity(),
                 tip_from_stream: Pose::identity(),
+                slip: None,
                 growth: 0.0,
                 coding: Coding::Faithful,
                 inverted: false,
                 in_millimetres: false,
+                times: 1.0,
+                axes: None,
+                constant: None,
+                unset: None,
                 quaternion_norm: 1.0,
                 as_numbers: None,
+                numbers_in_degrees: false,
                 strays: Vec::new(),
                 stuck_s: None,
             },
@@ -341,6 +224,7 @@ impl Scenario {
                 timing: Timing::every(50.0, 0.0083),
                 coding: Coding::Faithful,
                 with_static: true,
+                second: None,
                 others: Vec::new(),
             },
             imu: ImuStream {
@@ -361,6 +245,10 @@ impl Scenario {
             },
             target: TargetStream::none(),
             reference: ReferenceStream::none(base),
+            leader: LeaderStream::none(),
+            namespace: String::new(),
+            root: None,
+            drive: None,
             description: true,
         }
     }
@@ -387,49 +275,68 @@ impl Scenario {
         out: impl Write + Seek,
         compression: Option<Compression>,
     ) -> Result<(), SynthError> {
-        let messages = streams::messages(self, &Truth::new(self)?);
-        // Compressing on other threads would cut the data elsewhere on other machines.
-        let options = WriteOptions::new()
-            .profile("ros2")
-            .library("poseaudit")
-            .compression(compression)
-            .compression_threads(0);
-        let mut writer = options.create(out)?;
-        let mut channels = BTreeMap::new();
-        for message in messages {
-            let header = match channels.entry(message.topic) {
-                Entry::Occupied(known) => known.into_mut(),
-                Entry::Vacant(new) => new.insert(MessageHeader {
-                    channel_id: add_channel(&mut writer, message.topic)?,
-                    sequence: 0,
-                    log_time: 0,
-                    publish_time: 0,
-                }),
-            };
-            header.sequence += 1;
-            header.log_time = message.received.nanos().cast_unsigned();
-            header.publish_time = header.log_time;
-            writer.write_to_known_channel(header, &message.cdr)?;
-        }
-        writer.finish()?;
-        Ok(writer.into_inner().flush().map_err(McapError::from)?)
+        write(std::slice::from_ref(self), out, compression)
     }
+
+    /// The name of a topic in the log.
+    fn name_of(&self, topic: Topic) -> String {
+        let own = match (topic, &self.joints.apart) {
+            (Topic::Leader, _) => &self.leader.topic,
+            (Topic::JointsApart, Some((_, name))) => name,
+            _ => topic.name(),
+        };
+        match topic {
+            Topic::Tf | Topic::TfStatic => own.to_owned(),
+            _ => format!("{}{own}", self.namespace),
+        }
+    }
+}
+
+/// Writes the runs of some arms as one file.
+fn write(
+    arms: &[Scenario],
+    out: impl Write + Seek,
+    compression: Option<Compression>,
+) -> Result<(), SynthError> {
+    let mut messages = Vec::new();
+    for arm in arms {
+        let said = streams::messages(arm, &Truth::new(arm)?);
+        messages.extend(said.into_iter().map(|message| (arm.name_of(message.topic), message)));
+    }
+    // Those of one arm are in order; of several at one moment, the first arm's come first.
+    messages.sort_by_key(|(_, message)| (message.received, message.topic));
+    // Compressing on other threads would cut the data elsewhere on other machines.
+    let options = WriteOptions::new()
+        .profile("ros2")
+        .library("poseaudit")
+        .compression(compression)
+        .compression_threads(0);
+    let mut writer = options.create(out)?;
+    let mut channels = BTreeMap::new();
+    for (name, message) in messages {
+        let header = match channels.entry(name) {
+            Entry::Occupied(known) => known.into_mut(),
+            Entry::Vacant(new) => {
+                let channel_id = add_channel(&mut writer, message.topic, new.key())?;
+                new.insert(MessageHeader { channel_id, sequence: 0, log_time: 0, publish_time: 0 })
+            }
+        };
+        header.sequence += 1;
+        header.log_time = message.received.nanos().cast_unsigned();
+        header.publish_time = header.log_time;
+        writer.write_to_known_channel(header, &message.cdr)?;
+    }
+    writer.finish()?;
+    Ok(writer.into_inner().flush().map_err(McapError::from)?)
 }
 
 fn add_channel<W: Write + Seek>(
     writer: &mut mcap::Writer<W>,
     topic: Topic,
+    name: &str,
 ) -> Result<u16, McapError> {
     let schema = writer.add_schema(topic.type_name(), "ros2msg", topic.definition().as_bytes())?;
-    writer.add_channel(schema, topic.name(), "cdr", &BTreeMap::new())
-}
-
-impl Timing {
-    /// `rate_hz` messages a second from `phase_s` after the start on, in time and on the recorder's
-    /// clock.
-    pub fn every(rate_hz: f64, phase_s: f64) -> Self {
-        Self { rate_hz, phase_s, latency_s: 0.0, skew: 0.0, clock_offset_s: 0.0, stamped: true }
-    }
+    writer.add_channel(schema, name, "cdr", &BTreeMap::new())
 }
 
 /// The demo's run: 20 s of a UR5e with four faults at once.

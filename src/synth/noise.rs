@@ -75,6 +75,10 @@ pub(super) enum Purpose {
     TargetNoise,
     TargetTransport,
     ReferenceTransport,
+    LeaderNoise,
+    LeaderTransport,
+    DriveTransport,
+    SecondTfTransport,
 }
 
 /// The random numbers of `purpose`.

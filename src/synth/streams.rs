@@ -5,11 +5,15 @@ use rand::RngExt;
 use super::messages::{self, LoggedImu, LoggedPose, LoggedTransform, Topic};
 use super::noise::{Purpose, UnitNoise, random};
 use super::reference::commands;
+use super::structure::{driving, hand};
 use super::target::sightings;
 use super::truth::{GRAVITY, Truth};
-use super::{Coding, IMU_FRAME, ImuStream, JointStream, Scenario, Timing, urdf_text};
+use super::{
+    Coding, IMU_FRAME, ImuStream, JointStream, PoseStream, Scenario, Timing, ToolSlip, urdf_text,
+};
 use crate::geometry::{
-    Pose, QuaternionSlip, Rotation, Vec3, pose, rotation_from_rotvec, xyz_of, xyzw_from_rotation,
+    Pose, QuaternionSlip, Rotation, Vec3, pose, rotation_from_matrix_rows, rotation_from_rotvec,
+    xyz_of, xyzw_from_rotation,
 };
 use crate::robot::{Joint, JointKind, Robot};
 use crate::time::Stamp;
@@ -31,6 +35,8 @@ pub(super) fn messages(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     messages.extend(imu_samples(scenario, truth));
     messages.extend(sightings(scenario, truth));
     messages.extend(commands(scenario, truth));
+    messages.extend(driving(scenario));
+    messages.extend(hand(scenario, truth));
     messages.sort_by_key(|message| (message.received, message.topic));
     messages
 }
@@ -71,38 +77,69 @@ fn latched(scenario: &Scenario) -> Vec<Message> {
 fn joint_states(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let stream = &scenario.joints;
     let mut noise = scenario.unit_noise(Purpose::JointNoise, truth.chain.dof());
+    let kinds = truth.chain.joint_kinds();
     let ticks = scenario.ticks(&stream.timing, Purpose::JointTransport);
-    ticks
-        .map(|tick| {
-            let (mut positions, mut velocities) = truth.joints(tick.time_s);
+    let (mut last, mut stuck) = (None, None);
+    let mut messages = Vec::new();
+    for tick in ticks {
+        let fresh = {
+            let (mut positions, velocities) = truth.joints(tick.time_s);
             add_noise(&mut positions, noise.next(), scenario.noise.joints);
-            let positions = stream.reported_positions(&positions);
-            if !stream.with_velocity {
-                velocities.clear();
+            (stream.reported_positions(&positions, kinds), stream.reported_velocities(&velocities))
+        };
+        let mut said = if tick.is_new { fresh } else { last.unwrap_or(fresh) };
+        if stream.stuck_s.is_some_and(|(from, to)| (from..to).contains(&tick.time_s)) {
+            said = stuck.get_or_insert(said).clone();
+        }
+        last = Some(said.clone());
+        let names = truth.chain.joint_names();
+        let of = |wanted: &dyn Fn(&usize) -> bool, topic: Topic| {
+            let some: Vec<usize> = (0..names.len()).filter(wanted).collect();
+            let pick = |all: &[f64]| -> Vec<f64> {
+                some.iter().filter_map(|&at| all.get(at).copied()).collect()
+            };
+            let names: Vec<String> = some.iter().map(|&at| names[at].clone()).collect();
+            let cdr = messages::joint_state(tick.stamp, &names, &pick(&said.0), &pick(&said.1));
+            tick.message(topic, cdr)
+        };
+        match &stream.apart {
+            Some((apart, _)) => {
+                messages.push(of(&|at| !apart.contains(at), Topic::JointStates));
+                messages.push(of(&|at| apart.contains(at), Topic::JointsApart));
             }
-            let velocities = stream.reported(&velocities);
-            let names = truth.chain.joint_names();
-            let cdr = messages::joint_state(tick.stamp, names, &positions, &velocities);
-            tick.message(Topic::JointStates, cdr)
-        })
-        .collect()
+            None => messages.push(of(&|_| true, Topic::JointStates)),
+        }
+    }
+    messages
 }
 
 fn poses(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let stream = &scenario.pose;
     let stream_from_reference = stream.reference_from_stream.inverse();
+    let drive = scenario.drive.as_ref().filter(|drive| drive.frame_id == stream.frame_id);
     let mut noise = scenario.unit_noise(Purpose::PoseNoise, 6);
     let ticks = scenario.ticks(&stream.timing, Purpose::PoseTransport);
-    let mut stuck: Option<Pose> = None;
+    let (mut stuck, mut last): (Option<Pose>, Option<Pose>) = (None, None);
     ticks
         .enumerate()
         .map(|(sample, tick)| {
-            let base_from_tip = truth.base_from_tip(tick.time_s);
-            let mut pose = stream_from_reference * base_from_tip * stream.tip_from_stream;
+            let reference_from_tip = match drive {
+                Some(drive) => drive.at(tick.time_s) * truth.first_from_tip(tick.time_s),
+                None => truth.base_from_tip(tick.time_s),
+            };
+            let mut pose = stream_from_reference * reference_from_tip * stream.tip_from_stream;
+            let slipped = |slip: &&ToolSlip| (slip.from_s..slip.to_s).contains(&tick.time_s);
+            if let Some(slip) = stream.slip.as_ref().filter(slipped) {
+                pose *= slip.tool_from_slipped;
+            }
             let noise = noise.next();
             pose.translation.vector *= 1.0 + stream.growth;
             pose.translation.vector += scenario.noise.pose_m * Vec3::from_column_slice(&noise[..3]);
             pose.rotation *= small_rotation(&noise[3..], scenario.noise.pose_rad);
+            if !tick.is_new {
+                pose = last.unwrap_or(pose);
+            }
+            last = Some(pose);
             for (_, by) in stream.strays.iter().filter(|(stray, _)| *stray == sample) {
                 pose.translation.vector += by;
             }
@@ -112,16 +149,23 @@ fn poses(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
             if stream.inverted {
                 pose = pose.inverse();
             }
+            let pose = stream.in_axes(&pose);
             let mut logged = stream.coding.logged(&pose);
             if stream.in_millimetres {
                 logged.xyz = logged.xyz.map(|metres| 1000.0 * metres);
             }
+            logged.xyz = logged.xyz.map(|length| stream.times * length);
+            if let Some((axis, value)) = stream.constant {
+                logged.xyz[axis] = value;
+            }
             if let Some(convention) = stream.as_numbers {
-                let [a, b, c] = convention.numbers(&pose.rotation);
+                let unit = if stream.numbers_in_degrees { 1_f64.to_degrees() } else { 1.0 };
+                let [a, b, c] = convention.numbers(&pose.rotation).map(|angle| unit * angle);
                 let [x, y, z] = logged.xyz;
                 return tick.message(Topic::Numbers, messages::numbers(&[x, y, z, a, b, c]));
             }
             logged.xyzw = logged.xyzw.map(|component| stream.quaternion_norm * component);
+            logged.xyzw = stream.unset.unwrap_or(logged.xyzw);
             let cdr = messages::pose_stamped(tick.stamp, &stream.frame_id, logged);
             tick.message(Topic::Pose, cdr)
         })
@@ -129,22 +173,51 @@ fn poses(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
 }
 
 fn transforms(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
+    let stream = &scenario.tf;
+    let of =
+        |timing: &Timing, transport, moved| published(scenario, truth, timing, transport, moved);
+    let mut messages = of(&stream.timing, Purpose::TfTransport, &None);
+    if let Some(second) = &stream.second {
+        messages.extend(of(&second.timing, Purpose::SecondTfTransport, &second.moved));
+    }
+    messages
+}
+
+/// The transforms of one program, of which that of one joint may be `moved`.
+fn published(
+    scenario: &Scenario,
+    truth: &Truth,
+    timing: &Timing,
+    transport: Purpose,
+    moved: &Option<(usize, Pose)>,
+) -> Vec<Message> {
     let robot = &scenario.robot;
     let names = truth.chain.joint_names().iter();
     let joints: Vec<&Joint> =
         names.map(|name| robot.joint(name).expect("a chain's joints are its robot's")).collect();
     let mut noise = scenario.unit_noise(Purpose::TfNoise, joints.len());
-    let ticks = scenario.ticks(&scenario.tf.timing, Purpose::TfTransport);
+    let mut last: Option<Vec<f64>> = None;
+    let ticks = scenario.ticks(timing, transport);
     ticks
         .map(|tick| {
             let (mut positions, _) = truth.joints(tick.time_s);
             add_noise(&mut positions, noise.next(), scenario.noise.joints);
-            let believed = scenario.joints.reported_positions(&positions);
+            let mut believed =
+                scenario.joints.reported_positions(&positions, truth.chain.joint_kinds());
+            if let Some(last) = last.as_ref().filter(|_| !tick.is_new) {
+                believed.clone_from(last);
+            }
+            last = Some(believed.clone());
             let transforms: Vec<LoggedTransform> = joints
                 .iter()
                 .zip(believed)
-                .map(|(joint, position)| {
-                    let parent_from_child = joint.parent_from_joint * motion(joint, position);
+                .enumerate()
+                .map(|(at, (joint, position))| {
+                    let mut origin = joint.parent_from_joint;
+                    if let Some((_, by)) = moved.filter(|(joint, _)| *joint == at) {
+                        origin *= by;
+                    }
+                    let parent_from_child = origin * motion(joint, position);
                     logged_transform(robot, joint, scenario.tf.coding.logged(&parent_from_child))
                 })
                 .collect();
@@ -160,6 +233,7 @@ fn imu_samples(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let mut walk = UnitNoise::new(random(scenario.seed, Purpose::ImuWalk), 1, 0.0);
     let step_rad = stream.yaw_walk_rad_rt_s / stream.timing.rate_hz.sqrt();
     let mut wandered_rad = 0.0;
+    let mut last: Option<LoggedImu> = None;
     let ticks = scenario.ticks(&stream.timing, Purpose::ImuTransport);
     ticks
         .map(|tick| {
@@ -184,6 +258,8 @@ fn imu_samples(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
                 specific_force: imu_from_base * (acceleration + GRAVITY * Vec3::z())
                     + scaled(6, scenario.noise.accel_m_s2),
             };
+            let sample = last.filter(|_| !tick.is_new).unwrap_or(sample);
+            last = Some(sample);
             tick.message(Topic::Imu, messages::imu(tick.stamp, IMU_FRAME, &sample))
         })
         .collect()
@@ -193,6 +269,8 @@ fn imu_samples(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
 pub(super) struct Tick {
     /// When its content is true, s after the start.
     pub(super) time_s: f64,
+    /// Whether that content was not in the message before.
+    pub(super) is_new: bool,
     /// What its header says.
     pub(super) stamp: Stamp,
     received: Stamp,
@@ -210,14 +288,22 @@ impl Scenario {
     pub(super) fn ticks(&self, timing: &Timing, transport: Purpose) -> impl Iterator<Item = Tick> {
         const TRANSPORT_S: std::ops::Range<f64> = 0.1e-3..2e-3;
         let mut random = random(self.seed, transport);
-        let Timing { rate_hz, phase_s, .. } = *timing;
+        let Timing { rate_hz, phase_s, new_hz, .. } = *timing;
         let count = ((self.duration_s - phase_s) * rate_hz).ceil().max(0.0) as usize;
         let start = self.start;
         let mut received = start;
+        let mut held = None;
         (0..count).map(move |index| {
-            let time_s = phase_s + index as f64 / rate_hz;
-            received = received.max(start.shifted(time_s + random.random_range(TRANSPORT_S)));
-            Tick { time_s, stamp: timing.stamp(start, time_s, self.duration_s / 2.0), received }
+            let sent_s = phase_s + index as f64 / rate_hz;
+            received = received.max(start.shifted(sent_s + random.random_range(TRANSPORT_S)));
+            let stamp = timing.stamp(start, sent_s, self.duration_s / 2.0);
+            if new_hz <= 0.0 {
+                return Tick { time_s: sent_s, is_new: true, stamp, received };
+            }
+            // A hair more than a rounding error, so that whole numbers of periods stay whole.
+            let number = ((sent_s - phase_s) * new_hz + 1e-9).floor();
+            let is_new = held.replace(number) != Some(number);
+            Tick { time_s: phase_s + number / new_hz, is_new, stamp, received }
         })
     }
 
@@ -225,7 +311,8 @@ impl Scenario {
     pub(super) fn moment(&self, timing: &Timing, time_s: f64) -> Tick {
         const TRANSPORT_S: f64 = 1e-3;
         let stamp = timing.stamp(self.start, time_s, self.duration_s / 2.0);
-        Tick { time_s, stamp, received: self.start.shifted(time_s + TRANSPORT_S) }
+        let received = self.start.shifted(time_s + TRANSPORT_S);
+        Tick { time_s, is_new: true, stamp, received }
     }
 
     pub(super) fn unit_noise(&self, purpose: Purpose, components: usize) -> UnitNoise {
@@ -241,23 +328,47 @@ impl Timing {
             return Stamp::default();
         }
         let stamp_s = (time_s + self.latency_s - self.skew * middle_s) / (1.0 - self.skew);
+        let stepped = self.step.filter(|(at_s, _)| time_s >= *at_s);
+        let stamp_s = stamp_s + stepped.map_or(0.0, |(_, by_s)| by_s);
         start.shifted(self.clock_offset_s).shifted(stamp_s)
     }
 }
 
 impl JointStream {
-    /// The numbers that are logged for true `positions`.
-    fn reported_positions(&self, positions: &[f64]) -> Vec<f64> {
+    /// The numbers that are logged for true `positions` of joints of these `kinds`.
+    fn reported_positions(&self, positions: &[f64], kinds: &[JointKind]) -> Vec<f64> {
         let offsets = self.zero_offsets.iter().copied().chain(std::iter::repeat(0.0));
-        let zeroed: Vec<f64> =
-            positions.iter().zip(offsets).map(|(q, offset)| q - offset).collect();
-        self.reported(&zeroed)
+        let said = positions.iter().zip(offsets).zip(kinds).enumerate();
+        let said: Vec<f64> = said
+            .map(|(joint, ((q, offset), kind))| {
+                let scaled = self.scale(joint) * (q - offset);
+                let folded = self.fold.map_or(scaled, |fold| fold.folded(scaled, *kind));
+                match self.quantum > 0.0 {
+                    true => (folded / self.quantum).round() * self.quantum,
+                    false => folded,
+                }
+            })
+            .collect();
+        self.reported(&said)
+    }
+
+    /// The numbers that are logged for true `velocities`; none where none are.
+    fn reported_velocities(&self, velocities: &[f64]) -> Vec<f64> {
+        if !self.with_velocity {
+            return Vec::new();
+        }
+        let said = velocities.iter().enumerate().map(|(joint, rate)| self.scale(joint) * rate);
+        self.reported(&said.collect::<Vec<f64>>())
+    }
+
+    fn scale(&self, joint: usize) -> f64 {
+        self.scales.get(joint).copied().unwrap_or(1.0)
     }
 
     /// The same numbers in the order and unit of the log.
     fn reported(&self, numbers: &[f64]) -> Vec<f64> {
         let unit = if self.in_degrees { 1_f64.to_degrees() } else { 1.0 };
-        let in_unit = |at: usize| unit * self.scales.get(at).unwrap_or(&1.0) * numbers[at];
+        let in_unit = |at: usize| unit * numbers[at];
         match &self.number_order {
             Some(order) if !numbers.is_empty() => {
                 assert_eq!(order.len(), numbers.len(), "an order of all joints");
@@ -265,6 +376,19 @@ impl JointStream {
             }
             _ => (0..numbers.len()).map(in_unit).collect(),
         }
+    }
+}
+
+impl PoseStream {
+    /// `pose` in the axes that the numbers are in.
+    fn in_axes(&self, pose: &Pose) -> Pose {
+        let Some(axes) = self.axes else { return *pose };
+        let xyz = axes * pose.translation.vector;
+        // A mirror on both sides leaves a rotation one.
+        let turned = axes * pose.rotation.to_rotation_matrix().matrix() * axes.transpose();
+        let rows = [0, 1, 2].map(|row| [0, 1, 2].map(|column| turned[(row, column)]));
+        let rotation = rotation_from_matrix_rows(rows).map_or(pose.rotation, |(turn, _)| turn);
+        Pose::from_parts(xyz.into(), rotation)
     }
 }
 

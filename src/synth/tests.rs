@@ -1,11 +1,14 @@
 //! What is in a log, against the truth that it was made of.
 
+mod structure;
+
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::io::Cursor;
 
 use super::*;
 use crate::geometry::{
-    Rotation, angle_between, pose, rotation_from_rpy, rotation_from_xyzw, rotvec_from_rotation,
+    QuaternionSlip, Rotation, angle_between, pose, rotation_from_rpy, rotation_from_xyzw,
+    rotvec_from_rotation,
 };
 use crate::time::seconds;
 

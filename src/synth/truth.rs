@@ -12,7 +12,12 @@ pub(super) const GRAVITY: f64 = 9.80665;
 
 /// The true motion of a scenario's arm; times are seconds after the start.
 pub(super) struct Truth {
+    /// From the root to the tip.
     pub(super) chain: Chain,
+    /// From the root to the base, where joints lie between them.
+    above: Option<Chain>,
+    /// From the robot's first link to the tip.
+    whole: Chain,
     trajectory: Trajectory,
     brake: Option<Brake>,
     shake: Option<Shake>,
@@ -59,10 +64,13 @@ impl Truth {
         let robot = &scenario.robot;
         let base = robot.link_or_nearest(&scenario.base)?;
         let tip = robot.link_or_nearest(&scenario.tip)?;
-        let chain = robot.chain(base, tip)?;
+        let root = scenario.root.as_deref().map(|root| robot.link_or_nearest(root)).transpose()?;
+        let chain = robot.chain(root.unwrap_or(base), tip)?;
+        let above = root.map(|root| robot.chain(root, base)).transpose()?;
+        let whole = robot.chain(robot.root(), tip)?;
         let trajectory = Trajectory::new(scenario, &chain);
         let brake = scenario.stop.as_ref().map(|stop| Brake::new(stop, &trajectory));
-        Ok(Self { chain, trajectory, brake, shake: scenario.shake })
+        Ok(Self { chain, above, whole, trajectory, brake, shake: scenario.shake })
     }
 
     /// Positions and velocities of the joints.
@@ -91,7 +99,17 @@ impl Truth {
     }
 
     pub(super) fn base_from_tip(&self, time_s: f64) -> Pose {
-        self.chain.forward(&self.joints(time_s).0)
+        let q = self.joints(time_s).0;
+        let root_from_tip = self.chain.forward(&q);
+        match &self.above {
+            Some(above) => above.forward(&q[..above.dof()]).inverse() * root_from_tip,
+            None => root_from_tip,
+        }
+    }
+
+    /// The tip in the robot's first link, which is what a drive carries.
+    pub(super) fn first_from_tip(&self, time_s: f64) -> Pose {
+        self.whole.forward(&self.joints(time_s).0)
     }
 
     /// The angular velocity of the tip in the base, rad/s.

@@ -159,6 +159,22 @@ cases! {
         log.run.imu.timing.rate_hz = 0.0;
     } => Skipped("no stream with quaternions");
 
+    FRM007 a_pose_in_the_tools_own_frame: |log| {
+        log.run.motion = Motion::Continuous;
+        log.run.pose.frame_id = "tool0".to_owned();
+    } => warning(On::Topic(POSE), What::None);
+    FRM007 a_pose_in_the_base: |_| () => Sound;
+    FRM007 a_pose_in_a_world_of_its_own: |log| {
+        log.run.motion = Motion::Continuous;
+        log.run.pose.frame_id = "mocap_world".to_owned();
+        log.run.pose.reference_from_stream = far_off();
+    } => Sound;
+    FRM007 a_turned_base_is_a_frame_all_the_same: |log| {
+        log.run.pose.reference_from_stream = half_turn();
+    } => BlamedOn("FRM002");
+    FRM007 no_joint_states: |log| log.run.joints.timing.rate_hz = 0.0
+        => Skipped("no joint states");
+
     FRM006 goals_that_are_missed_by_three_millimetres: |log| {
         told(log, Commands::Goals, 0.0);
         log.options.tip = Some("tool0".to_owned());

@@ -4,15 +4,17 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
+use poseaudit::finding::Severity;
 use poseaudit::geometry::{Convention, Pose, xyz_of};
+use poseaudit::report::Verdict;
 use poseaudit::robot::Robot;
 use poseaudit::run::CalibrationSource;
-use poseaudit::synth::{Coding, Noise, POSE, Scenario, urdf_text};
+use poseaudit::synth::{Coding, Noise, POSE, Scenario, ToolSlip, urdf_text};
 
 use crate::case::On::Topic;
 use crate::case::What::ResidualBetween;
 use crate::case::{Expected, Log, cases, error, info, summary, the};
-use Expected::{BlamedOn, Skipped, Sound, Undecided};
+use Expected::{BlamedOn, Sound, Undecided};
 
 cases! {
     MDL001 nominal_kinematics: |log| calibrate(&mut log.run)
@@ -43,9 +45,40 @@ cases! {
     MDL001 growth_with_reach_leaves_nothing: |log| log.run.pose.growth = 0.01
         => BlamedOn("ZER002");
 
-    MDL001 no_pose_to_leave_a_residual: |log| log.run.pose.timing.rate_hz = 0.0
-        => Skipped("no pose stream");
-    MDL001 a_handful_of_samples: |log| log.run.pose.timing.rate_hz = 0.3 => Undecided("samples");
+    MDL001 nothing_but_joint_states: |log| joint_states_alone(&mut log.run)
+        => Undecided("nothing in this log could be held against /joint_states");
+    MDL001 a_handful_of_samples: |log| {
+        joint_states_alone(&mut log.run);
+        log.run.pose.timing.rate_hz = 0.3;
+    } => Undecided("samples");
+}
+
+/// Leaves nothing in the log that the joint states could be held against.
+fn joint_states_alone(run: &mut Scenario) {
+    for timing in [&mut run.pose.timing, &mut run.tf.timing, &mut run.imu.timing] {
+        timing.rate_hz = 0.0;
+    }
+}
+
+#[test]
+fn a_tool_that_slips_in_mid_run_is_no_pass() {
+    let report = Log::with(|log| {
+        let tool_from_slipped = Pose::translation(0.0, 0.07, 0.0);
+        log.run.pose.slip = Some(ToolSlip { from_s: 4.0, to_s: 60.0, tool_from_slipped });
+    })
+    .audited();
+    assert_eq!(report.verdict, Verdict::Fail, "{}", summary(&report.findings));
+    let left = the(&report, "MDL001", POSE);
+    assert_eq!(left.severity, Severity::Error);
+    // It is largest where the tool is the further from what is taken for it.
+    let evidence = &left.evidence.more["left"];
+    assert!(evidence["most_m"].as_f64().is_some_and(|most| (0.02..0.08).contains(&most)));
+}
+
+#[test]
+fn joint_states_alone_are_no_pass() {
+    let report = Log::with(|log| joint_states_alone(&mut log.run)).audited();
+    assert_eq!(report.verdict, Verdict::Inconclusive);
 }
 
 /// Makes the forearm 60 mm longer and the upper arm as much shorter: no joint does that, and no frame.

@@ -353,3 +353,39 @@ pub fn freeze(messages: &mut [Message], topic: &str) {
         }
     }
 }
+
+/// Has only every so many-th sample of `topic` say something new, and those after it the same.
+pub fn repeat(messages: &mut [Message], topic: &str, every: usize) {
+    let mut new: Vec<[f64; 7]> = Vec::new();
+    let of_topic = messages.iter_mut().filter(|message| message.topic == topic);
+    for (row, message) in of_topic.enumerate() {
+        let places = message.fields().into_iter().filter_map(|field| match field {
+            Field::Xyz(at, _) => Some(at),
+            _ => None,
+        });
+        let places: Vec<usize> = places.collect();
+        if row % every == 0 {
+            new = places.iter().map(|&at| message.floats(at)).collect();
+        }
+        for (&at, numbers) in places.iter().zip(&new) {
+            message.set_floats(at, numbers);
+        }
+    }
+}
+
+/// Has the joint states received from `from_s` to `to_s` say what the first of them says.
+pub fn stick_joints(messages: &mut [Message], from_s: f64, to_s: f64) {
+    /// Where a message's stamp ends.
+    const STAMP_END: usize = 12;
+    let nanos = |seconds: f64| (seconds * 1e9) as i64;
+    let start_ns = messages.iter().map(|message| message.log_ns).min().unwrap_or(0);
+    let within = start_ns + nanos(from_s)..start_ns.saturating_add(nanos(to_s));
+    let mut first: Option<Vec<u8>> = None;
+    let is_meant =
+        |message: &&mut Message| message.topic == JOINT_STATES && within.contains(&message.log_ns);
+    for message in messages.iter_mut().filter(is_meant) {
+        let body = first.get_or_insert_with(|| message.cdr[STAMP_END..].to_vec()).clone();
+        message.cdr.truncate(STAMP_END);
+        message.cdr.extend(body);
+    }
+}

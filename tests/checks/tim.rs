@@ -2,11 +2,11 @@
 
 use poseaudit::finding::{Finding, Severity, Status};
 use poseaudit::report::{Report, Verdict};
-use poseaudit::synth::{IMU, Motion, POSE, Scenario, TF};
+use poseaudit::synth::{IMU, JOINT_STATES, Motion, POSE, Scenario, TF};
 
 use crate::case::What::{self, About, Amount};
 use crate::case::{Expected, Log, On, cases, error, info, summary, the, warning};
-use crate::recording::{Message, cut_out, restamp, stick, throw};
+use crate::recording::{Message, cut_out, repeat, restamp, stick, stick_joints, throw};
 use Expected::{BlamedOn, Skipped, Sound};
 use On::{Run, Topic};
 
@@ -132,8 +132,21 @@ cases! {
     } => Sound;
     TIM007 a_late_pose_does_not_stand_still: |log| log.run.pose.timing.latency_s = 1.5
         => BlamedOn("LAT001");
-    TIM007 no_pose_that_could_stand_still: |log| log.run.pose.timing.rate_hz = 0.0
-        => Skipped("no tool pose");
+    TIM007 joint_states_that_stand_still_amid_a_motion: |log| {
+        log.run.motion = Motion::Continuous;
+        log.edit = Some(|messages| stick_joints(messages, 3.0, 4.5));
+    } => error(Topic(JOINT_STATES), About(1.46, 0.1));
+    TIM007 no_stream_that_could_stand_still: |log| without_streams(&mut log.run) => Skipped("no");
+
+    TIM008 transforms_that_are_sent_three_times: |log| {
+        log.run.tf.timing.rate_hz = 50.0;
+        log.edit = Some(|messages| repeat(messages, TF, 3));
+    } => error(Topic(TF), About(0.667, 0.05));
+    TIM008 fresh_transforms_are_sound: |log| log.run.tf.timing.rate_hz = 50.0 => Sound;
+    TIM008 a_pose_that_stands_still_is_no_poller: |log| {
+        log.edit = Some(|messages| stick(messages, POSE, 3.0, 5.0));
+    } => BlamedOn("TIM007");
+    TIM008 no_stream_that_repeats: |log| without_streams(&mut log.run) => Skipped("no stream");
 
     TIM003 an_imu_that_counts_from_its_start: |log| log.run.imu.timing.clock_offset_s = -1.78e9
         => warning(Topic(IMU), Amount(-1.78e9, 0.005));

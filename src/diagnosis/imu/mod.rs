@@ -8,6 +8,7 @@
 //! of mount error without them.
 
 mod gyro;
+mod held;
 mod orientation;
 mod solve;
 mod tilt;
@@ -18,6 +19,8 @@ use super::prepare::still_speeds;
 use super::reading::mean_rotation;
 use super::reread;
 use super::{AxesSlip, ImuDiagnosis, ImuStream, Meant, Measured, Reading, Seen, Unseen, YawCourse};
+pub use held::{ImuProof, Rates, proof_of_imu};
+
 use crate::geometry::{Rotation, Vec3, angle_between};
 use crate::stream::JointTrack;
 

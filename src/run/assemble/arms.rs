@@ -1,22 +1,25 @@
 //! The arms of a log: which robots it is about, and which joint states are whose.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
-use crate::geometry::Vec3;
-use crate::robot::Robot;
-use crate::stream::Columns;
+use crate::stream::{Columns, JointColumn};
 
 use super::super::arm::{Arm, Ends};
+use super::super::catalogued::Judges;
 use super::super::error::RunError;
-use super::super::joints::{JointTopic, merge};
-use super::super::models::{self, Clues, FrameNames, Given, GivenCalibration};
-use super::super::poses;
-use super::super::role::Role;
+use super::super::joints::JointTopic;
+use super::super::models::{self, Clues, Given, GivenCalibration};
+use super::super::role::{Role, shared, words};
 use super::super::skeleton;
+use super::super::space::{Claim, Space};
 use super::super::streams::{Stream, Timing};
-use super::super::tf_tree::without_slash;
+use super::super::tf_tree::TfTree;
+use super::super::unaudited::{Unaudited, WhyNot};
 use super::Assembly;
-use super::transforms::{add_fixed_joints, misfit_m};
+use super::contest::Court;
+use super::groups::{Group, groups};
+use super::transforms::{add_fixed_joints, add_odometry, misfit_m, tf_tree};
 
 /// What the caller and the log say of the robots.
 pub(super) struct Said<'a> {
@@ -29,16 +32,9 @@ pub(super) struct Said<'a> {
 
 impl Assembly<'_> {
     /// Finds the robots, cuts the arms out of them and follows the transforms along each.
-    pub(super) fn find_arms(&mut self, said: Said<'_>) -> Result<(), RunError> {
+    pub(super) fn find_arms(&mut self, said: &Said<'_>) -> Result<(), RunError> {
         let topics = seen_joint_topics(&self.streams, &self.timing, self.options.max_latency_s);
-        let mut joints: Vec<String> = Vec::new();
-        for topic in &topics {
-            let names = topic.columns.joints.iter().map(|joint| &joint.name);
-            let new: Vec<String> =
-                names.filter(|name| !joints.contains(name) && topic.holds(name)).cloned().collect();
-            joints.extend(new);
-        }
-        if joints.is_empty() {
+        if held_by(&topics).is_empty() {
             let is_command = |stream: &&Stream| {
                 stream.role == Role::Reference && matches!(stream.columns, Some(Columns::Joints(_)))
             };
@@ -47,95 +43,113 @@ impl Assembly<'_> {
                 commands: commands.map(|stream| stream.topic.clone()).collect(),
             });
         }
-        let named =
-            self.streams.iter().flat_map(|stream| [&stream.frame_id, &stream.child_frame_id]);
-        let frames: BTreeSet<String> =
-            self.tf.frames().chain(named.map(String::as_str)).map(str::to_owned).collect();
-        let clues = Clues {
-            joints: &joints,
-            frames: &frames,
-            descriptions: said.descriptions,
-            calibrations: said.logged_calibrations,
-        };
-        let mut models = models::models(said.given, &clues, |robot, frames| {
-            let by_poses = || self.radial_misfit_m(robot, frames, &topics);
-            misfit_m(&self.tf, robot, frames).or_else(by_poses)
-        })?;
-        models::calibrate(&mut models, &said.calibrations, &clues)?;
-        let ends = Ends { base: self.options.base.as_deref(), tip: self.options.tip.as_deref() };
-        let mut refusal = None;
-        for model in &models {
-            for path in
-                skeleton::arms(&model.robot, |name| joints.iter().any(|joint| joint == name))
-            {
-                match Arm::new(model, &path, ends, &topics, self.origin) {
-                    Ok(arm) if arm.is_along(&path) => self.arms.push(arm),
-                    Ok(_) => {}
-                    Err(error) => refusal = refusal.or(Some(error)),
+        let groups = groups(&self.streams, topics);
+        let is_alone = groups.len() == 1;
+        let (mut arms, mut strangers, mut refusal) = (Vec::new(), Vec::new(), None);
+        for group in &groups {
+            let mut tree = match is_alone {
+                true => std::mem::take(&mut self.tf),
+                false => Arc::new(tf_tree(&self.streams, &self.timing, &group.space)),
+            };
+            match self.arms_of(group, &mut tree, said) {
+                Ok(found) => arms.extend(found),
+                Err(error) => {
+                    strangers.extend(group.topics.iter().map(|topic| topic.stream));
+                    refusal = refusal.or(Some(error));
                 }
             }
+            let is_of_group = |arm: &&mut Arm| arm.tree.frames().next().is_none();
+            arms.iter_mut().filter(is_of_group).for_each(|arm| arm.tree = Arc::clone(&tree));
+            if is_alone {
+                self.tf = tree;
+            }
         }
-        if self.arms.is_empty() {
-            return Err(refusal.unwrap_or(RunError::NoModel { logged: joints }));
+        drop(groups);
+        if arms.is_empty() {
+            return Err(refusal.unwrap_or(RunError::NoModel { logged: Vec::new() }));
         }
-        drop(topics);
-        self.tell_arms_apart();
-        for arm in &self.arms {
-            add_fixed_joints(&mut self.tf, arm);
+        tell_apart(&mut arms);
+        if !is_alone {
+            let all = Arc::make_mut(&mut self.tf);
+            arms.iter().for_each(|arm| add_fixed_joints(all, arm));
         }
-        let tf_stream = self.streams.iter().position(|stream| stream.role == Role::Tf);
-        for index in 0..self.arms.len() {
-            let followed = self.follow_transforms(&self.arms[index], tf_stream);
-            let arm = &mut self.arms[index];
+        for index in 0..arms.len() {
+            let followed = self.follow_transforms(&arms[index]);
+            let arm = &mut arms[index];
             match followed {
                 Ok((source, from_model)) => (arm.tf, arm.from_model) = (Ok(source), from_model),
                 Err(reason) => arm.tf = Err(reason),
             }
         }
+        (self.arms, self.strangers) = (arms, strangers);
         Ok(())
     }
 
-    /// How far the tool poses of a driver's topic are from where `robot` puts them, in distance from
-    /// the frame that they are in: the median, m. Distance is the same however that frame is turned.
-    fn radial_misfit_m(
+    /// The arms of a group of joint states; `tree` gets what the model and odometry add to it.
+    fn arms_of(
         &self,
-        robot: &Robot,
-        frames: &FrameNames,
-        topics: &[JointTopic<'_>],
-    ) -> Option<f64> {
-        let link = |name: &Option<String>| robot.link(name.as_deref()?);
-        let tip = link(&robot.controller_tip)?;
-        let (index, poses) = self.streams.iter().enumerate().find_map(|(index, stream)| {
-            let Some(Columns::Poses(poses)) = &stream.columns else { return None };
-            (self.role_of(stream, None, false).0 == Role::Pose).then_some((index, poses.first()?))
-        })?;
-        let frame = frames.link_of(robot, without_slash(&poses.frame_id));
-        let chain = robot.chain(frame.or(link(&robot.controller_base))?, tip).ok()?;
-        let joints = merge(topics, chain.joint_names(), self.origin)?.track;
-        let (mut cursor, mut q, mut qd) = (0, vec![0.0; chain.dof()], vec![0.0; chain.dof()]);
-        let mut rows = self.timing.seen_rows(&self.streams, index, 0, 0.0);
-        poses::thinned(&mut rows);
-        let mut gaps_m: Vec<f64> = rows
-            .iter()
-            .filter_map(|&(stamp, row)| {
-                let t_s = stamp.seconds_since(self.origin);
-                let known = joints.at(t_s, &mut cursor, &mut q, &mut qd);
-                let logged_m = Vec3::from(poses.xyz[row]).norm();
-                known.then(|| (logged_m - chain.forward(&q).translation.vector.norm()).abs())
-            })
-            .collect();
-        gaps_m.sort_by(f64::total_cmp);
-        gaps_m.get(gaps_m.len() / 2).copied()
-    }
-
-    /// Gives arms of equal names their tip's name too.
-    fn tell_arms_apart(&mut self) {
-        let names: Vec<String> = self.arms.iter().map(|arm| arm.name.clone()).collect();
-        for arm in &mut self.arms {
-            if names.iter().filter(|name| **name == arm.name).count() > 1 {
-                arm.name = format!("{} ({})", arm.name, arm.chain.tip_name());
+        group: &Group<'_>,
+        tree: &mut Arc<TfTree>,
+        said: &Said<'_>,
+    ) -> Result<Vec<Arm>, RunError> {
+        let Group { topics, space } = group;
+        let is_own = |names: &[&str]| space.claim(names.iter().copied()) != Claim::Foreign;
+        let joints = held_by(topics);
+        let streams = self.streams.iter().filter(|stream| is_own(&[&stream.topic]));
+        let named = streams.flat_map(|stream| [&stream.frame_id, &stream.child_frame_id]);
+        let frames: BTreeSet<String> =
+            tree.frames().chain(named.map(String::as_str)).map(str::to_owned).collect();
+        let of_group = |wanted: Claim| {
+            let descriptions = said.descriptions.iter();
+            descriptions.filter(move |(place, _)| space.claim([place.as_str()]) == wanted).cloned()
+        };
+        let mut descriptions: Vec<(String, String)> = of_group(Claim::Own).collect();
+        if descriptions.is_empty() {
+            descriptions = of_group(Claim::Neutral).collect();
+        }
+        let clues = Clues {
+            joints: &joints,
+            frames: &frames,
+            descriptions: &descriptions,
+            calibrations: said.logged_calibrations,
+            space,
+        };
+        let court = Court { assembly: self, group, tree };
+        let judges = Judges {
+            by_transforms: &|model| misfit_m(tree, &model.robot, &model.frames),
+            by_poses: &|models| court.contest(models),
+        };
+        let mut models = models::models(&said.given, &clues, &judges)?;
+        models::calibrate(&mut models, &said.calibrations, &clues)?;
+        for model in &mut models {
+            if let Some(rival) = court.rival(model, &clues) {
+                *model = rival;
             }
         }
+        let ends = Ends { base: self.options.base.as_deref(), tip: self.options.tip.as_deref() };
+        let (mut arms, mut refusal) = (Vec::new(), None);
+        for model in &models {
+            for path in
+                skeleton::arms(&model.robot, |name| joints.iter().any(|joint| joint == name))
+            {
+                match Arm::new(model, &path, ends, topics, self.origin) {
+                    Ok(arm) if arm.is_along(&path) => {
+                        arms.push(Arm { space: space.clone(), ..arm });
+                    }
+                    Ok(_) => {}
+                    Err(error) => refusal = refusal.or(Some(error)),
+                }
+            }
+        }
+        if arms.is_empty() {
+            return Err(refusal.unwrap_or(RunError::NoModel { logged: joints }));
+        }
+        let tree = Arc::make_mut(tree);
+        for arm in &arms {
+            add_fixed_joints(tree, arm);
+        }
+        add_odometry(tree, &self.streams, &self.timing, &arms);
+        Ok(arms)
     }
 
     /// Says of every stream of joint states which joints the arms use, and which they do not.
@@ -158,6 +172,16 @@ impl Assembly<'_> {
                 .map(|joint| joint.name.as_str())
                 .partition(|name| arms.iter().any(|arm| reads(arm, name)));
             stream.arm = arms.iter().position(|arm| used.iter().any(|name| reads(arm, name)));
+            let is_stranger = self.strangers.contains(&index);
+            let is_known =
+                |joint: &JointColumn| arms.iter().any(|arm| arm.robot.joint(&joint.name).is_some());
+            let unknown: Vec<&JointColumn> =
+                columns.joints.iter().filter(|joint| is_stranger || !is_known(joint)).collect();
+            if are_of_an_arm(&unknown) {
+                let joints = unknown.iter().map(|joint| joint.name.clone()).collect();
+                let why = WhyNot::NoModel { joints };
+                self.unaudited.push(Unaudited { stream: index, why });
+            }
             if used.is_empty() {
                 stream.role = Role::Ignored;
                 stream.reason =
@@ -168,6 +192,59 @@ impl Assembly<'_> {
                     format!("joint states; ignored, as they do not move an arm's tip: {ignored}");
             }
         }
+    }
+}
+
+/// Whether joints are those of an arm, as far as they tell: at least four that move and are not named
+/// after what is no arm's.
+fn are_of_an_arm(joints: &[&JointColumn]) -> bool {
+    const FEWEST: usize = 4;
+    const MOVES: f64 = 0.02;
+    const OTHER: &[&str] = &[
+        "finger", "fingers", "thumb", "gripper", "hand", "jaw", "knuckle", "wheel", "wheels",
+        "caster", "steering", "head", "neck", "camera", "leg", "hip", "knee", "ankle", "toe",
+    ];
+    let moves = |joint: &JointColumn| {
+        let finite = joint.position.iter().copied().filter(|q| q.is_finite());
+        let (low, high) = finite
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), q| (low.min(q), high.max(q)));
+        high - low > MOVES
+    };
+    let is_arms = |joint: &JointColumn| shared(&words(&joint.name), OTHER).is_none();
+    joints.iter().filter(|joint| moves(joint) && is_arms(joint)).count() >= FEWEST
+}
+
+/// The joints that topics hold a sample of, in the order in which they appear.
+fn held_by(topics: &[JointTopic<'_>]) -> Vec<String> {
+    let mut joints: Vec<String> = Vec::new();
+    for topic in topics {
+        let names = topic.columns.joints.iter().map(|joint| &joint.name);
+        let new: Vec<String> =
+            names.filter(|name| !joints.contains(name) && topic.holds(name)).cloned().collect();
+        joints.extend(new);
+    }
+    joints
+}
+
+/// Gives arms of equal names their tip's name too, or what their topics have that those of the others
+/// have not; and each the words that names of its streams may have.
+fn tell_apart(arms: &mut [Arm]) {
+    let is_double =
+        |arms: &[Arm], arm: &Arm| arms.iter().filter(|other| other.name == arm.name).count() > 1;
+    let labels: [fn(&Arm) -> Option<String>; 2] =
+        [|arm| arm.space.label(), |arm| Some(arm.chain.tip_name().to_owned())];
+    for label in labels {
+        let doubles: Vec<bool> = arms.iter().map(|arm| is_double(arms, arm)).collect();
+        for (arm, _) in arms.iter_mut().zip(doubles).filter(|(_, is_double)| *is_double) {
+            if let Some(label) = label(arm) {
+                arm.name = format!("{} ({label})", arm.name);
+            }
+        }
+    }
+    let words: Vec<Vec<String>> =
+        arms.iter().map(|arm| [arm.space.words(), &arm.words()].concat()).collect();
+    for (arm, space) in arms.iter_mut().zip(Space::of_words(&words)) {
+        arm.space = space;
     }
 }
 

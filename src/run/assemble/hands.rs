@@ -6,7 +6,6 @@ use crate::time::Stamp;
 
 use super::super::poses;
 use super::super::role::Role;
-use super::super::strays::hide;
 use super::super::targets::{self, HandKind, HandSource, TargetSource};
 use super::Assembly;
 
@@ -27,7 +26,7 @@ impl Assembly<'_> {
             Some(owner) => {
                 let arm = &self.arms[owner];
                 let (kind, [hand_from_camera, base_from_camera]) =
-                    HandKind::of_arm(owner, arm, &self.tf, camera)?;
+                    HandKind::of_arm(owner, arm, camera)?;
                 let stamp_error_s = self.stamp_error_s(arm, index, 0);
                 vec![HandSource { kind, hand_from_camera, base_from_camera, stamp_error_s }]
             }
@@ -43,7 +42,7 @@ impl Assembly<'_> {
         let Some(Columns::Poses(poses)) = &self.streams[index].columns else { return None };
         let [poses] = poses.as_slice() else { return None };
         let mut rows = self.timing.rows(&self.streams, index, 0);
-        hide(&self.timing.strays, index, 0, &mut rows);
+        self.timing.sift.sift(index, 0, &mut rows);
         let track = poses::from_poses(poses, &rows, None, self.origin).ok()?.track;
         (track.t_s.len() > 1).then_some(track)
     }

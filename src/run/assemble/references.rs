@@ -138,7 +138,7 @@ impl Assembly<'_> {
             return Err("it has no usable sample".to_owned());
         }
         let frame = &stream.frame_id;
-        let (place, anchor) = arm.place(&self.tf, frame);
+        let (place, anchor) = arm.place(frame);
         let (link, link_from_frame) = match (place, anchor) {
             (Place::MovingLink, _) => {
                 return Err(format!("it is in '{frame}', which the arm itself moves"));
@@ -153,7 +153,7 @@ impl Assembly<'_> {
             format!("the arm's own joints lie between '{frame}' and '{}'", arm.frame_of(arm.base))
         })?;
         let child = &stream.child_frame_id;
-        let (tip_from_child, child_named) = match arm.place(&self.tf, child) {
+        let (tip_from_child, child_named) = match arm.place(child) {
             (Place::MovingLink, Some(anchor)) => {
                 let tip_from_link = arm.robot.fixed_transform(arm.tip, anchor.link);
                 let tip_from_link = tip_from_link.ok_or_else(|| {
@@ -185,8 +185,10 @@ impl Assembly<'_> {
             let named = joints.joints.iter().enumerate();
             named.filter_map(|(at, joint)| Some((at, column(&joint.name)?))).collect()
         };
-        let of_arms = self.arms.iter().map(places).enumerate();
-        let (arm, places) = of_arms.rev().max_by_key(|(_, places)| places.len())?;
+        let topic = self.streams[index].topic.as_str();
+        let of_arms = self.arms.iter().map(|arm| (places(arm), arm.claim([topic]))).enumerate();
+        let (arm, (places, _)) =
+            of_arms.rev().max_by_key(|(_, (places, claim))| (places.len(), *claim))?;
         if places.is_empty() {
             return None;
         }

@@ -3,15 +3,21 @@
 use crate::geometry::Pose;
 use crate::robot::LinkId;
 use crate::stream::Columns;
+use crate::time::Stamp;
 
 use super::super::arm::{Anchor, Arm, ImuSource, PoseSource};
+use super::super::carrier::Carrier;
+use super::super::contest::{Claimant, Contest};
 use super::super::declaration::Declaration;
 use super::super::error::RunError;
 use super::super::frozen::{Frozen, take_frozen};
 use super::super::poses::{self, Stamped};
 use super::super::role::{Place, PoseTopic, Role, Verdict, array_role, pose_role};
+use super::super::space::Claim;
 use super::super::streams::Stream;
+use super::super::tf_tree::{Edge, EdgeKind};
 use super::super::topics::{SaidRole, TopicSettings};
+use super::super::unaudited::{Unaudited, WhyNot};
 use super::super::witness::{PoseNames, Witness, witness_of};
 use super::{Assembly, is_topic, not_so};
 
@@ -22,8 +28,40 @@ pub(super) struct Site {
     pub base: Anchor,
     pub tip: Anchor,
     pub tip_named: bool,
+    /// The frame in the base, where it moves there.
+    pub carrier: Option<Vec<(Stamp, Pose)>>,
     /// What of it needs saying.
     pub said: String,
+}
+
+/// A stream as one of an arm.
+struct Held {
+    claim: Claimant,
+    source: PoseSource,
+}
+
+/// Whether two poses are the same but for rounding.
+fn is_same(a: &Pose, b: &Pose) -> bool {
+    const ROUNDING: f64 = 1e-6;
+    let apart = (a.translation.vector - b.translation.vector).norm();
+    apart < ROUNDING && a.rotation.angle_to(&b.rotation) < ROUNDING
+}
+
+/// Why a stream of poses cannot be held against an arm.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum NoSource {
+    /// No chain of known joints predicts it.
+    #[error("{0}")]
+    Kinematics(String),
+    /// Its samples are of no use.
+    #[error("{0}")]
+    Samples(String),
+}
+
+impl From<String> for NoSource {
+    fn from(what: String) -> Self {
+        Self::Samples(what)
+    }
 }
 
 impl Assembly<'_> {
@@ -33,7 +71,8 @@ impl Assembly<'_> {
             self.options.declared.iter().find(|declared| is_topic(stream, &declared.topic));
         let unfit = declared.filter(|declared| !declared.fits(stream.columns.as_ref()));
         let declared = declared.filter(|_| unfit.is_none());
-        let owner = self.owner(stream);
+        let claimants = self.claimants(stream);
+        let owner = claimants.first().copied();
         let site = owner.map(|arm| self.site(&self.arms[arm], stream));
         let said = self.said_of(stream);
         let (mut role, mut reason) = self.role_of(stream, site.as_ref(), declared.is_some());
@@ -45,17 +84,13 @@ impl Assembly<'_> {
         }
         let is_wanted = matches!(role, Role::Pose | Role::Candidate { .. });
         let mut source = None;
+        let mut unaudited = None;
         if let (true, Some(arm), Some(site)) = (is_wanted, owner, &site) {
             let mut frozen = Vec::new();
             let known = role == Role::Pose;
             match self.pose_source(index, &self.arms[arm], site, declared, (known, &mut frozen)) {
                 Ok(found) => {
                     reason += &site.said;
-                    let reference = match found.reference_known {
-                        true => self.arms[arm].frame_of(site.base.link),
-                        false => stream.frame_id.clone(),
-                    };
-                    let link = self.arms[arm].frame_of(site.tip.link);
                     let by_names = || {
                         witness_of(&PoseNames {
                             topic: &stream.topic,
@@ -68,15 +103,20 @@ impl Assembly<'_> {
                     };
                     let set = said.and_then(|said| Some((said.witness?, said.place.clone())));
                     let witness = set.unwrap_or_else(by_names);
-                    source = Some((arm, found, reference, link, witness));
+                    source = Some((self.held(arm, site, found), witness));
                 }
                 Err(what)
                     if let Some(declared) = declared
                         && frozen.is_empty() =>
                 {
-                    return Err(not_so(declared, what));
+                    return Err(not_so(declared, what.to_string()));
                 }
-                Err(why) => (role, reason) = (Role::Unassigned, why),
+                Err(why) => {
+                    if let (true, NoSource::Kinematics(what)) = (known, &why) {
+                        unaudited = Some(WhyNot::NoKinematics { what: what.clone() });
+                    }
+                    (role, reason) = (Role::Unassigned, why.to_string());
+                }
             }
             self.watched.push(index);
             self.frozen.extend(frozen);
@@ -84,15 +124,52 @@ impl Assembly<'_> {
             role = Role::Unassigned;
             reason += ", and there is no arm that it could follow";
         }
+        let rivals: Vec<Held> = match &source {
+            Some(_) => claimants.iter().skip(1).filter_map(|&arm| self.rival(index, arm)).collect(),
+            None => Vec::new(),
+        };
+        let is_own_frame = site.as_ref().is_some_and(|site| site.frame == Place::Tool);
+        if source.is_some() && is_own_frame {
+            unaudited = Some(WhyNot::OwnFrame { frame: stream.frame_id.clone() });
+        }
+        let why = |why| Unaudited { stream: index, why };
+        self.unaudited.extend(unaudited.map(why));
         let stream = &mut self.streams[index];
         (stream.role, stream.reason) = (role, reason);
-        if let Some((arm, source, reference, link, (witness, why))) = source {
+        if let Some((held, (witness, why))) = source {
             stream.reason += &format!("; witness: {}, by {why}", witness.name());
-            (stream.arm, stream.witness) = (Some(arm), Some(witness));
-            (stream.reference, stream.link) = (Some(reference), Some(link));
-            self.arms[arm].poses.push(source);
+            stream.witness = Some(witness);
+            held.claim.give(stream);
+            let claims = std::iter::once(&held).chain(&rivals).map(|held| held.claim.clone());
+            if !rivals.is_empty() {
+                self.contests.push(Contest { stream: index, claims: claims.collect() });
+            }
+            for Held { claim, source } in std::iter::once(held).chain(rivals) {
+                self.arms[claim.arm].poses.push(source);
+            }
         }
         Ok(())
+    }
+
+    /// What another arm has to say for a stream being its own.
+    fn rival(&self, index: usize, arm: usize) -> Option<Held> {
+        let stream = &self.streams[index];
+        let site = self.site(&self.arms[arm], stream);
+        let is_wanted = matches!(
+            self.role_of(stream, Some(&site), false).0,
+            Role::Pose | Role::Candidate { .. }
+        );
+        let found = self.pose_source(index, &self.arms[arm], &site, None, (true, &mut Vec::new()));
+        found.ok().filter(|_| is_wanted).map(|source| self.held(arm, &site, source))
+    }
+
+    fn held(&self, arm: usize, site: &Site, source: PoseSource) -> Held {
+        let of = &self.arms[arm];
+        let reference = match source.reference_known {
+            true => of.frame_of(site.base.link),
+            false => self.streams[source.stream].frame_id.clone(),
+        };
+        Held { claim: Claimant { arm, reference, link: of.frame_of(site.tip.link) }, source }
     }
 
     /// What the caller says of the topic of a stream.
@@ -147,43 +224,85 @@ impl Assembly<'_> {
         self.streams.iter().any(|other| other.role == Role::Tf && other.topic == stream.topic)
     }
 
-    /// The arm that a stream may belong to: the one that moves its child frame, else the one that
-    /// has its frame, else the one whose robot's name is in the topic, else the first.
-    pub(super) fn owner(&self, stream: &Stream) -> Option<usize> {
-        let place = |arm: &Arm, frame: &str| arm.place(&self.tf, frame).0;
+    /// The arms that a stream may belong to, by what of the following tells them apart, in this order: the
+    /// arm moves its child frame, words of its topic are the arm's, the arm has its frame, words of its
+    /// frames are the arm's. Where several are left only the motion can tell.
+    fn claimants(&self, stream: &Stream) -> Vec<usize> {
+        let place = |arm: &Arm, frame: &str| arm.place(frame).0;
+        let frames = [stream.frame_id.as_str(), stream.child_frame_id.as_str()];
+        let of_topic = |arm: &Arm| arm.claim([stream.topic.as_str()]);
+        let of_frames = |arm: &Arm| arm.claim(frames);
         let is_known =
-            |arm: &&Arm| !matches!(place(arm, &stream.frame_id), Place::Unknown | Place::Unnamed);
-        let moves = |arm: &Arm| place(arm, &stream.child_frame_id) == Place::MovingLink;
-        let has_frame =
-            |arm: &Arm| is_known(&arm) && self.arms.iter().filter(is_known).count() == 1;
-        let is_named = |arm: &Arm| arm.namespace().is_some_and(|name| stream.topic.contains(name));
-        let first = |fits: &dyn Fn(&Arm) -> bool| self.arms.iter().position(fits);
-        first(&moves)
-            .or_else(|| first(&has_frame))
-            .or_else(|| first(&is_named))
-            .or_else(|| first(&|_| true))
+            |arm: &Arm| !matches!(place(arm, frames[0]), Place::Unknown | Place::Unnamed);
+        let tests: [&dyn Fn(&Arm) -> bool; 6] = [
+            &|arm| place(arm, frames[1]) == Place::MovingLink,
+            &|arm| of_topic(arm) == Claim::Own,
+            &|arm| of_topic(arm) != Claim::Foreign,
+            &is_known,
+            &|arm| of_frames(arm) == Claim::Own,
+            &|arm| of_frames(arm) != Claim::Foreign,
+        ];
+        tests.iter().fold((0..self.arms.len()).collect(), |left: Vec<usize>, fits| {
+            let fitting: Vec<usize> =
+                left.iter().copied().filter(|&arm| fits(&self.arms[arm])).collect();
+            if fitting.is_empty() { left } else { fitting }
+        })
+    }
+
+    /// The first arm that a stream may belong to.
+    pub(super) fn owner(&self, stream: &Stream) -> Option<usize> {
+        self.claimants(stream).first().copied()
     }
 
     /// Between which links of `arm` a stream's poses are.
     pub(super) fn site(&self, arm: &Arm, stream: &Stream) -> Site {
-        let (frame, frame_anchor) = arm.place(&self.tf, &stream.frame_id);
-        let (child, child_anchor) = arm.place(&self.tf, &stream.child_frame_id);
+        let (mut frame, mut frame_anchor) = arm.place(&stream.frame_id);
+        let (child, child_anchor) = arm.place(&stream.child_frame_id);
         let still = |link: LinkId| Anchor { link, link_from_frame: Pose::identity() };
-        let base = match frame {
-            Place::Unnamed => still(arm.unnamed_base),
-            _ => frame_anchor.unwrap_or(still(arm.base)),
-        };
         // The caller's tip stands before a stream's own child frame, but a transform is of its child.
         let names_tip = child == Place::MovingLink && (!arm.tip_named || self.is_transform(stream));
         let child_tip = child_anchor.filter(|_| names_tip);
         let tip = child_tip.unwrap_or(still(arm.tip));
+        let is_reached = |base: Anchor| arm.chain_between(base.link, tip.link).is_some();
+        let mut carrier = None;
+        if frame == Place::Unknown || frame_anchor.is_some_and(|base| !is_reached(base)) {
+            carrier = self.carrier(arm, &stream.frame_id);
+        }
+        let stands = carrier.as_ref().and_then(|samples| samples.first()).map(|(_, first)| *first);
+        let stands =
+            stands.filter(|first| carrier.iter().flatten().all(|(_, pose)| is_same(first, pose)));
+        if let Some(base_from_frame) = stands {
+            // Transforms over time that never change are as good as static ones.
+            let anchor = Anchor { link: arm.base, link_from_frame: base_from_frame };
+            (frame, frame_anchor, carrier) = (Place::Tied, Some(anchor), None);
+        } else if carrier.is_some() {
+            (frame, frame_anchor) = (Place::Carried, None);
+        } else if frame == Place::MovingLink
+            && frame_anchor
+                .is_some_and(|base| arm.robot.fixed_transform(base.link, tip.link).is_some())
+        {
+            (frame, frame_anchor) = (Place::Tool, None);
+        } else if frame == Place::MovingLink
+            && frame_anchor.is_some_and(|base| arm.has_most_between(base.link, tip.link))
+        {
+            frame = Place::Upstream;
+        }
+        let base = match frame {
+            Place::Unnamed => still(arm.unnamed_base),
+            _ => frame_anchor.unwrap_or(still(arm.base)),
+        };
         let mut said = String::new();
         let sides = [(&stream.frame_id, frame_anchor), (&stream.child_frame_id, child_tip)];
         for (frame, anchor) in sides {
             let Some(anchor) = anchor else { continue };
             let link = arm.frame_of(anchor.link);
             if link != *frame {
-                said += &format!("; '{frame}' is tied to '{link}' by static transforms");
+                let how = if stands.is_some() {
+                    "transforms that never change"
+                } else {
+                    "static transforms"
+                };
+                said += &format!("; '{frame}' is tied to '{link}' by {how}");
             }
         }
         if child == Place::MovingLink && child_anchor.is_some_and(|anchor| anchor.link != tip.link)
@@ -191,55 +310,99 @@ impl Assembly<'_> {
             said += &format!("; audited as '{}', which the caller named", arm.chain.tip_name());
         }
         let tip_named = arm.tip_named || child == Place::MovingLink;
-        Site { frame, child, base, tip, tip_named, said }
+        Site { frame, child, base, tip, tip_named, carrier, said }
     }
 
     /// The poses of a stream with the chain that predicts them, or why there are none.
-    fn pose_source(
+    pub(super) fn pose_source(
         &self,
         index: usize,
         arm: &Arm,
         site: &Site,
         declared: Option<&Declaration>,
         (known, frozen): (bool, &mut Vec<Frozen>),
-    ) -> Result<PoseSource, String> {
+    ) -> Result<PoseSource, NoSource> {
         let (chain, columns) =
             arm.chain_between(site.base.link, site.tip.link).ok_or_else(|| {
                 let [base, tip] = [site.base.link, site.tip.link].map(|link| arm.frame_of(link));
-                format!("no joint in the joint states moves '{tip}' against '{base}'")
+                NoSource::Kinematics(format!(
+                    "no joint in the joint states moves '{tip}' against '{base}'"
+                ))
             })?;
         let mut rows = self.timing.seen_rows(&self.streams, index, 0, 0.0);
         poses::thinned(&mut rows);
         let mut logged = match &self.streams[index].columns {
             Some(Columns::Poses(poses)) => {
                 let [poses] = poses.as_slice() else {
-                    return Err("it holds several poses".to_owned());
+                    return Err("it holds several poses".to_owned().into());
                 };
                 poses::from_poses(poses, &rows, declared, self.origin)?
             }
             Some(Columns::Array(array)) => poses::from_array(array, &rows, declared, self.origin)?,
-            _ => return Err("it holds no poses".to_owned()),
+            _ => return Err("it holds no poses".to_owned().into()),
         };
         let how = (known, self.options.max_latency_s);
         *frozen = take_frozen(index, &mut logged, &arm.joints, &columns, how);
         if frozen.iter().any(|frozen| frozen.whole) {
-            return Err("it repeats one value while the arm moves".to_owned());
+            return Err("it repeats one value while the arm moves".to_owned().into());
         }
         let Stamped { track, stamps } = logged;
         if track.t_s.len() < 2 {
-            return Err("it has fewer than two usable samples".to_owned());
+            return Err("it has fewer than two usable samples".to_owned().into());
         }
         let (before, after) = (site.base.link_from_frame, site.tip.link_from_frame.inverse());
+        let track = poses::reframed(track, &before, &after);
+        let seconds = |stamp: &Stamp| stamp.seconds_since(self.origin);
+        let carrier = site.carrier.as_ref().map(|samples| Carrier {
+            frame: self.streams[index].frame_id.clone(),
+            t_s: samples.iter().map(|(stamp, _)| seconds(stamp)).collect(),
+            base_from_frame: samples.iter().map(|(_, pose)| *pose).collect(),
+            logged: track.clone(),
+            lag_s: 0.0,
+            is_on_time: true,
+        });
+        let track = carrier.as_ref().map_or(track, |carrier| carrier.taken(0.0));
+        if track.t_s.len() < 2 {
+            let what = "the transforms of its frame are not of its time".to_owned();
+            return Err(NoSource::Kinematics(what));
+        }
         Ok(PoseSource {
             stream: index,
             chain,
             columns,
-            track: poses::reframed(track, &before, &after),
-            reference_known: site.frame != Place::Unknown,
+            track,
+            carrier,
+            reference_known: !matches!(site.frame, Place::Unknown | Place::Tool),
             stamps_copied: poses::are_copies(&stamps, &arm.joint_stamps),
             stamp_error_s: self.stamp_error_s(arm, index, 0),
             tip_named: site.tip_named,
         })
+    }
+
+    /// A frame that moves against an arm's base, in that base: by transforms that no known joint makes, of
+    /// which one at least is over time.
+    fn carrier(&self, arm: &Arm, frame: &str) -> Option<Vec<(Stamp, Pose)>> {
+        let is_free = |edge: &Edge| {
+            let (parent, child) = arm.tree.names(edge);
+            edge.kind != EdgeKind::Dynamic || !arm.knows_between(parent, child)
+        };
+        let path = arm.tree.path(&arm.frame_of(arm.base), frame, is_free).ok()?;
+        let mut stamps = path.stamps();
+        poses::thinned(&mut stamps);
+        let samples: Vec<(Stamp, Pose)> =
+            stamps.into_iter().filter_map(|stamp| Some((stamp, path.at(stamp).ok()?))).collect();
+        (samples.len() > 1).then_some(samples)
+    }
+
+    /// The frame above an arm's base in which that turns, by transforms that no known joint makes.
+    fn turns_in<'t>(&self, arm: &'t Arm) -> Option<&'t str> {
+        /// A base that turns by less stands, rad.
+        const STANDS_RAD: f64 = 0.02;
+        let root = arm.tree.root_of(&arm.frame_of(arm.base));
+        let samples = self.carrier(arm, root)?;
+        let first = samples.first()?.1.rotation;
+        let turns = samples.iter().any(|(_, pose)| pose.rotation.angle_to(&first) > STANDS_RAD);
+        turns.then_some(root)
     }
 
     pub(super) fn assign_imu(&mut self, index: usize) {
@@ -247,7 +410,7 @@ impl Assembly<'_> {
         let Some(Columns::Imu(imu)) = &stream.columns else { return };
         let Some(owner) = self.owner(stream) else { return };
         let arm = &self.arms[owner];
-        let (place, anchor) = arm.place(&self.tf, &stream.frame_id);
+        let (place, anchor) = arm.place(&stream.frame_id);
         let (carrier, link_from_imu, why) = match (place, anchor) {
             (Place::MovingLink, Some(anchor)) => {
                 (anchor.link, Some(anchor.link_from_frame), "the arm moves its frame".to_owned())
@@ -266,7 +429,17 @@ impl Assembly<'_> {
             self.streams[index].reason = format!("inertial measurements; {reason}");
             return;
         }
-        let Some((chain, columns)) = arm.chain_between(arm.base, carrier) else { return };
+        if let Some(root) = self.turns_in(arm) {
+            let reason = format!("the arm's base turns in '{root}', and it with it");
+            self.streams[index].reason = format!("inertial measurements; {reason}");
+            return;
+        }
+        // Gravity and the world do not ride on a waist.
+        let root = arm.robot.root();
+        let rides = arm.robot.fixed_transform(root, arm.base).is_none();
+        let base =
+            if rides && arm.chain_between(root, carrier).is_some() { root } else { arm.base };
+        let Some((chain, columns)) = arm.chain_between(base, carrier) else { return };
         let rows = self.timing.seen_rows(&self.streams, index, 0, 0.0);
         let Stamped { track, stamps } = poses::from_imu(imu, &rows, self.origin);
         let source = ImuSource {
@@ -279,7 +452,7 @@ impl Assembly<'_> {
             stamp_error_s: self.stamp_error_s(arm, index, 0),
         };
         let reason = format!("inertial measurements; {why}");
-        let [reference, link] = [arm.base, carrier].map(|link| arm.frame_of(link));
+        let [reference, link] = [base, carrier].map(|link| arm.frame_of(link));
         let stream = &mut self.streams[index];
         (stream.arm, stream.reason) = (Some(owner), reason);
         stream.witness = Some(Witness::External);

@@ -1,7 +1,7 @@
 //! The transforms of a log: their tree, the arm's own among them, and those that are measured poses.
 
 use crate::geometry::{Pose, Vec3, pose, rotation_from_xyzw};
-use crate::robot::{JointKind, Robot};
+use crate::robot::{Chain, JointKind, Robot};
 use crate::stream::{Columns, PoseColumns};
 use crate::time::Stamp;
 
@@ -9,17 +9,22 @@ use super::super::arm::{Arm, NoTf, PoseSource};
 use super::super::models::FrameNames;
 use super::super::poses::{self, Stamped};
 use super::super::role::{Place, Role};
+use super::super::space::{Claim, Space};
 use super::super::streams::{Stream, Timing};
 use super::super::targets;
 use super::super::tf_tree::{Edge, EdgeKind, TfTree, without_slash};
 use super::super::witness::Witness;
 use super::Assembly;
 
-/// The tree of all transforms of the log's TF topics.
-pub(super) fn tf_tree(streams: &[Stream], timing: &Timing) -> TfTree {
+/// The tree of the transforms of the log's TF topics, but for those of another arm than the one in
+/// `space`.
+pub(super) fn tf_tree(streams: &[Stream], timing: &Timing, space: &Space) -> TfTree {
     let mut tree = TfTree::default();
     for (index, stream) in streams.iter().enumerate() {
         let Some(Columns::Transforms(transforms)) = &stream.columns else { continue };
+        if space.claim([stream.topic.as_str()]) == Claim::Foreign {
+            continue;
+        }
         for (piece, transform) in transforms.iter().enumerate() {
             let (parent, child) = (&transform.frame_id, &transform.child_frame_id);
             if stream.role == Role::TfStatic {
@@ -29,16 +34,47 @@ pub(super) fn tf_tree(streams: &[Stream], timing: &Timing) -> TfTree {
                 }
                 continue;
             }
-            let rows = timing.seen_rows(streams, index, piece, 0.0).into_iter();
-            let mut samples: Vec<(Stamp, Pose)> =
-                rows.filter_map(|(stamp, row)| Some((stamp, pose_at(transform, row)?))).collect();
-            samples.sort_by_key(|(stamp, _)| *stamp);
-            samples.dedup_by_key(|(stamp, _)| *stamp);
-            let (stamps, poses) = samples.into_iter().unzip();
+            let (stamps, poses) = samples_of(streams, timing, (index, piece), transform);
             tree.insert_samples(parent, child, stamps, poses);
         }
     }
     tree
+}
+
+/// The samples of a piece of a stream that are poses, strictly increasing in time.
+fn samples_of(
+    streams: &[Stream],
+    timing: &Timing,
+    (index, piece): (usize, usize),
+    poses: &PoseColumns,
+) -> (Vec<Stamp>, Vec<Pose>) {
+    let rows = timing.seen_rows(streams, index, piece, 0.0).into_iter();
+    let mut samples: Vec<(Stamp, Pose)> =
+        rows.filter_map(|(stamp, row)| Some((stamp, pose_at(poses, row)?))).collect();
+    samples.sort_by_key(|(stamp, _)| *stamp);
+    samples.dedup_by_key(|(stamp, _)| *stamp);
+    samples.into_iter().unzip()
+}
+
+/// Adds what topics of odometry say of an arm's base to the tree, where no transform does.
+pub(super) fn add_odometry(tree: &mut TfTree, streams: &[Stream], timing: &Timing, arms: &[Arm]) {
+    for (index, stream) in streams.iter().enumerate() {
+        let Some(Columns::Poses(poses)) = &stream.columns else { continue };
+        let (frame, child) = (&stream.frame_id, &stream.child_frame_id);
+        let is_odometry = stream.type_name.ends_with("Odometry") && !frame.is_empty();
+        let ([poses], true) = (poses.as_slice(), is_odometry) else { continue };
+        let is_base = |arm: &Arm| {
+            let link = arm.frames.link_of(&arm.robot, child);
+            link.is_some_and(|link| !arm.moves(link))
+                && arm.frames.link_of(&arm.robot, frame).is_none()
+        };
+        if arms.iter().any(is_base) && tree.path(frame, child, |_| true).is_err() {
+            let (stamps, poses) = samples_of(streams, timing, (index, 0), poses);
+            if stamps.len() > 1 {
+                tree.insert_samples(frame, child, stamps, poses);
+            }
+        }
+    }
 }
 
 fn pose_at(poses: &PoseColumns, row: usize) -> Option<Pose> {
@@ -69,19 +105,21 @@ impl Assembly<'_> {
     pub(super) fn follow_transforms(
         &self,
         arm: &Arm,
-        tf_stream: Option<usize>,
     ) -> Result<(PoseSource, Vec<(String, String)>), NoTf> {
-        let stream = tf_stream.ok_or(NoTf::NoTransforms)?;
+        let first = self.streams.iter().position(|stream| {
+            stream.role == Role::Tf && arm.claim([stream.topic.as_str()]) != Claim::Foreign
+        });
+        let first = first.ok_or(NoTf::NoTransforms)?;
         let [base, tip] = [arm.base, arm.tip].map(|link| arm.frame_of(link));
         let crosses = |edge: &Edge| {
-            let (parent, child) = self.tf.names(edge);
+            let (parent, child) = arm.tree.names(edge);
             arm.joints_between(parent, child)
         };
         // A transform across several joints, or of a frame that is no link, is a measured pose.
         let is_of_the_model = |edge: &Edge| {
             edge.kind != EdgeKind::Dynamic || crosses(edge).is_some_and(|joints| joints.len() < 2)
         };
-        let path = self.tf.path(&base, &tip, is_of_the_model)?;
+        let path = arm.tree.path(&base, &tip, is_of_the_model)?;
         let crossed: Vec<String> = path
             .edges()
             .filter(|edge| edge.kind == EdgeKind::Dynamic)
@@ -106,32 +144,53 @@ impl Assembly<'_> {
             return Err(NoTf::NoSamples);
         }
         let from_model = path.edges().filter(|edge| edge.kind == EdgeKind::Model).map(|edge| {
-            let (parent, child) = self.tf.names(edge);
+            let (parent, child) = arm.tree.names(edge);
             (parent.to_owned(), child.to_owned())
         });
-        let piece = self.piece_of(stream, path.edges().find(|edge| edge.kind == EdgeKind::Dynamic));
+        let moving = path.edges().find(|edge| edge.kind == EdgeKind::Dynamic);
+        let (stream, piece) =
+            moving.and_then(|edge| self.piece_of(arm, edge)).unwrap_or((first, 0));
         let Stamped { track, stamps } = poses::from_samples(samples, self.origin);
+        let (chain, columns) = self.publishers_chain(arm);
         let source = PoseSource {
             stream,
-            chain: arm.chain.clone(),
-            columns: arm.columns.clone(),
+            chain,
+            columns,
             track,
             reference_known: true,
             stamps_copied: poses::are_copies(&stamps, &arm.joint_stamps),
             stamp_error_s: self.stamp_error_s(arm, stream, piece),
             tip_named: arm.tip_named,
+            carrier: None,
         };
         Ok((source, from_model.collect()))
     }
 
-    /// Which transform of a TF stream an edge is.
-    pub(super) fn piece_of(&self, stream: usize, edge: Option<&Edge>) -> usize {
-        let Some(Columns::Transforms(transforms)) = &self.streams[stream].columns else { return 0 };
-        let Some(names) = edge.map(|edge| self.tf.names(edge)) else { return 0 };
+    /// The chain that the transforms are of: where another model was named, and their lengths are that
+    /// one's, its publisher has it, too.
+    fn publishers_chain(&self, arm: &Arm) -> (Chain, Vec<usize>) {
+        let own = || (arm.chain.clone(), arm.columns.clone());
+        let Some(wrong) = &arm.instead_of else { return own() };
+        let misfit_m = |robot: &Robot| misfit_m(&arm.tree, robot, &arm.frames);
+        if misfit_m(&wrong.named) >= misfit_m(&arm.robot) {
+            return own();
+        }
+        let named = arm.with_robot(wrong.named.clone());
+        named.map_or_else(own, |named| (named.chain, named.columns))
+    }
+
+    /// The TF stream that an edge of an arm's tree is on, and which of its transforms.
+    fn piece_of(&self, arm: &Arm, edge: &Edge) -> Option<(usize, usize)> {
+        let names = arm.tree.names(edge);
         let is_it = |poses: &PoseColumns| {
             (without_slash(&poses.frame_id), without_slash(&poses.child_frame_id)) == names
         };
-        transforms.iter().position(is_it).unwrap_or(0)
+        self.streams.iter().enumerate().find_map(|(index, stream)| {
+            let Some(Columns::Transforms(transforms)) = &stream.columns else { return None };
+            let is_own =
+                stream.role == Role::Tf && arm.claim([stream.topic.as_str()]) != Claim::Foreign;
+            Some((index, transforms.iter().filter(|_| is_own).position(is_it)?))
+        })
     }
 
     /// Lists as streams of their own the transforms over time that are measured poses: those across
@@ -144,7 +203,7 @@ impl Assembly<'_> {
                 continue;
             };
             let measured: Vec<usize> = (0..transforms.len())
-                .filter(|&piece| self.is_measured(&transforms[piece]))
+                .filter(|&piece| self.is_measured(&stream.topic, &transforms[piece]))
                 .collect();
             let new: Vec<Stream> = measured
                 .iter()
@@ -161,19 +220,21 @@ impl Assembly<'_> {
         }
     }
 
-    pub(super) fn is_measured(&self, transform: &PoseColumns) -> bool {
+    fn is_measured(&self, topic: &str, transform: &PoseColumns) -> bool {
         let frame = without_slash(&transform.frame_id);
         let child = without_slash(&transform.child_frame_id);
+        let is_own = |arm: &&Arm| arm.claim([topic]) != Claim::Foreign;
+        let arms: Vec<&Arm> = self.arms.iter().filter(is_own).collect();
         let carries_none = || {
-            let roots = self.arms.iter().map(|arm| arm.frame_of(arm.robot.root()));
-            roots.into_iter().all(|root| child != root && !self.tf.is_above(child, &root))
+            let mut roots = arms.iter().map(|arm| (arm, arm.frame_of(arm.robot.root())));
+            roots.all(|(arm, root)| child != root && !arm.tree.is_above(child, &root))
         };
-        let is_link = |arm: &Arm| arm.place(&self.tf, child).0 != Place::Unknown;
-        if targets::is_sighting(frame, child) && !self.arms.iter().any(is_link) {
+        let is_link = |arm: &&Arm| arm.place(child).0 != Place::Unknown;
+        if targets::is_sighting(frame, child) && !arms.iter().any(is_link) {
             return true;
         }
-        for arm in &self.arms {
-            let places = (arm.place(&self.tf, frame).0, arm.place(&self.tf, child).0);
+        for arm in &arms {
+            let places = (arm.place(frame).0, arm.place(child).0);
             return match (arm.joints_between(frame, child), places) {
                 (Some(joints), _) => joints.len() > 1,
                 (None, (Place::Unknown, Place::Unknown)) => continue,
@@ -181,12 +242,12 @@ impl Assembly<'_> {
                 (None, (_, Place::MovingLink)) => arm.is_far_out(child),
                 (None, (_, place)) => {
                     let carries_more =
-                        self.tf.edges().iter().any(|edge| self.tf.names(edge).0 == child);
+                        arm.tree.edges().iter().any(|edge| arm.tree.names(edge).0 == child);
                     place == Place::Unknown && carries_none() && !carries_more
                 }
             };
         }
-        !self.arms.is_empty() && carries_none()
+        !arms.is_empty() && carries_none()
     }
 
     pub(super) fn assign_tf(&mut self, index: usize) {

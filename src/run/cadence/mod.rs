@@ -119,7 +119,17 @@ pub(super) fn rhythms(
     let rhythm = |(index, stream): (usize, &Stream)| {
         let has_rhythm = has_rhythm(stream) && !is_within_tf(stream, streams);
         let columns = stream.columns.as_ref().filter(|_| has_rhythm)?;
-        let mut parts = parts(columns, arms);
+        let mut parts: Vec<Part<'_>> = parts(columns, arms)
+            .into_iter()
+            .flat_map(|part| {
+                let two = timing.sift.publishers.iter();
+                let mut two = two.filter(|two| (two.stream, two.piece) == (index, part.piece));
+                match two.next() {
+                    Some(two) => Vec::from(part.by_publisher(&two.second)),
+                    None => vec![part],
+                }
+            })
+            .collect();
         if stream.role == Role::Tf {
             parts.retain(|part| !is_stream_of_its_own(part, stream, streams));
         }

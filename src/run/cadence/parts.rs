@@ -1,5 +1,7 @@
 //! The parts of a stream that have a rhythm of their own: senders, transforms.
 
+use std::collections::HashSet;
+
 use crate::run::arm::Arm;
 use crate::run::role::is_sight;
 use crate::run::tf_tree::without_slash;
@@ -22,6 +24,20 @@ pub(super) struct Order {
     count: usize,
     /// `None` of all rows in the order of the log, which is nearly always that of receipt.
     rows: Option<Vec<usize>>,
+}
+
+impl Part<'_> {
+    /// The part's rows of each of two publishers.
+    pub fn by_publisher(self, second: &HashSet<usize>) -> [Self; 2] {
+        let (of_second, of_first): (Vec<usize>, Vec<usize>) =
+            self.rows.iter().partition(|row| second.contains(row));
+        let other = Part {
+            rows: Order::of_receipt(self.times, of_second),
+            columns: self.columns.clone(),
+            ..self
+        };
+        [Part { rows: Order::of_receipt(self.times, of_first), ..self }, other]
+    }
 }
 
 impl Order {
@@ -50,6 +66,7 @@ impl Order {
 }
 
 /// What the rows of a part hold.
+#[derive(Clone)]
 pub(super) enum Piece<'a> {
     Joints(&'a JointColumns),
     Poses(&'a PoseColumns),

@@ -34,6 +34,7 @@ fn cadence(columns: &Columns) -> Cadence {
         rows: 0,
         zero: 0,
         log_minus_header_s: Some(1e-3),
+        soonest_s: Some(1e-3),
         epoch: Epoch::Common,
         alignment: None,
     };

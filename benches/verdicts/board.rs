@@ -1,0 +1,395 @@
+//! The table: what was reached, by target, scene, kind, amount and rule.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::{self, Write as _};
+
+use crate::Options;
+use crate::cases::Case;
+use crate::judge::{CORE, Fate, Interval, Outcome, Trouble, Verdict};
+use crate::kinds::{DEGREE, Kind, SURE, TIMES};
+
+pub struct Board {
+    pub logs: usize,
+    text: String,
+}
+
+impl fmt::Display for Board {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.text)
+    }
+}
+
+type Outcomes = [(Case, Outcome)];
+
+impl Board {
+    pub fn new(options: &Options, outcomes: &Outcomes) -> Self {
+        let mut text = String::new();
+        table(&mut text, options, outcomes).expect("text takes text");
+        Self { logs: outcomes.len(), text }
+    }
+}
+
+fn table(t: &mut String, options: &Options, outcomes: &Outcomes) -> fmt::Result {
+    let count = |few: usize, many: usize| {
+        let of = |(case, _): &&(Case, _)| (few..=many).contains(&case.planted.len());
+        outcomes.iter().filter(of).count()
+    };
+    writeln!(
+        t,
+        "{} logs, seed {}: {} clean, {} with one fault, {} with two, {} with more.",
+        outcomes.len(),
+        options.seed,
+        count(0, 0),
+        count(1, 1),
+        count(2, 2),
+        count(3, usize::MAX),
+    )?;
+    targets(t, outcomes)?;
+    by_scene(t, outcomes)?;
+    detection(t, outcomes)?;
+    strangers(t, outcomes)?;
+    intervals(t, outcomes, options.verbose)?;
+    if options.verbose {
+        wrongs(t, outcomes)?;
+    }
+    Ok(())
+}
+
+/// What counts most, the gravest first.
+fn first_rows(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
+    let all = || judged(outcomes);
+    let clean = || all().filter(|(case, _)| case.planted.is_empty());
+    let faulty = || all().filter(|(case, _)| !case.planted.is_empty());
+    let strange = |(_, verdict): &(&Case, &Verdict)| !verdict.strangers.is_empty();
+    let wrong_passes = all().filter(|(_, verdict)| verdict.is_wrong_pass).count();
+    writeln!(t, "| **wrong passes** | {} | 0 |", share(wrong_passes, all().count()))?;
+    let panics = outcomes.iter().filter(|(_, one)| matches!(one, Err(Trouble::Panic))).count();
+    writeln!(t, "| panics | {} | 0 |", share(panics, outcomes.len()))?;
+    let refused = outcomes.len() - panics - all().count();
+    writeln!(t, "| logs that were not audited | {} | 0 |", share(refused, outcomes.len()))?;
+    writeln!(
+        t,
+        "| faulty logs with a wrong cause | {} | ≤ 1 % |",
+        share(faulty().filter(strange).count(), faulty().count())
+    )?;
+    writeln!(
+        t,
+        "| clean logs with a false alarm of {} | {} | ≤ 0.5 % |",
+        CORE.join(", "),
+        share(clean().filter(strange).count(), clean().count())
+    )?;
+    let due = |case: &Case| case.planted.iter().any(|planted| case.must_find(planted));
+    let silent = |(case, verdict): &(&Case, &Verdict)| {
+        case.planted
+            .iter()
+            .zip(&verdict.fates)
+            .any(|(one, fate)| case.must_find(one) && !fate.is_named())
+    };
+    let asked = || all().filter(|(case, _)| due(case));
+    writeln!(
+        t,
+        "| logs in which a fault that must be found is not named | {} | ≤ 2 % |",
+        share(asked().filter(silent).count(), asked().count())
+    )?;
+    let fates = || {
+        all().flat_map(|(case, verdict)| {
+            let both = case.planted.iter().zip(&verdict.fates);
+            both.filter(|(one, _)| case.must_find(one)).map(|(_, fate)| *fate).collect::<Vec<_>>()
+        })
+    };
+    let named = fates().filter(|fate| fate.is_named()).count();
+    writeln!(t, "| faults that must be found: named | {} | ≥ 98 % |", share(named, fates().count()))
+}
+
+/// What became of every scene, and of every kind of fault.
+fn by_scene(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
+    let row = |t: &mut String, name: &str, of: &dyn Fn(&Case) -> bool| {
+        let here: Vec<&(Case, Outcome)> = outcomes.iter().filter(|(case, _)| of(case)).collect();
+        let judged = || here.iter().filter_map(|(case, one)| Some((case, one.as_ref().ok()?)));
+        let wrong_passes = judged().filter(|(_, verdict)| verdict.is_wrong_pass).count();
+        let strange = judged().filter(|(_, verdict)| !verdict.strangers.is_empty()).count();
+        let due: Vec<bool> = judged()
+            .flat_map(|(case, verdict)| {
+                let both = case.planted.iter().zip(&verdict.fates);
+                both.filter(|(one, _)| case.must_find(one)).map(|(_, fate)| fate.is_named())
+            })
+            .collect();
+        let named = due.iter().filter(|named| **named).count();
+        let lost = here.len() - judged().count();
+        writeln!(
+            t,
+            "| {name} | {} | {wrong_passes} | {strange} | {lost} | {} |",
+            here.len(),
+            share(named, due.len())
+        )
+    };
+    let head = "| logs | wrong passes | wrong causes, false alarms | not audited | named |\n\
+                |---|---|---|---|---|---|";
+    writeln!(t, "\n## By scene\n\n| scene {head}")?;
+    let names: BTreeSet<&str> = outcomes.iter().map(|(case, _)| case.scene.name()).collect();
+    for name in names {
+        row(t, name, &|case| case.scene.name() == name)?;
+    }
+    writeln!(t, "\n## By kind of fault\n\n| kind {head}")?;
+    let kinds: BTreeSet<Kind> =
+        outcomes.iter().flat_map(|(case, _)| case.planted.iter().map(|one| one.kind)).collect();
+    for kind in kinds {
+        let has = |case: &Case| case.planted.iter().any(|one| one.kind == kind);
+        row(t, &format!("{kind:?}"), &has)?;
+    }
+    Ok(())
+}
+
+/// Those logs that were audited, with what came of it.
+fn judged(outcomes: &Outcomes) -> impl Iterator<Item = (&Case, &Verdict)> {
+    outcomes.iter().filter_map(|(case, outcome)| Some((case, outcome.as_ref().ok()?)))
+}
+
+fn targets(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
+    writeln!(t, "\n## Targets\n\n| what | reached | target |\n|---|---|---|")?;
+    first_rows(t, outcomes)?;
+
+    let sure = |case: &Case| {
+        !case.planted.is_empty()
+            && case.excited
+            && case.planted.iter().all(|planted| planted.times >= SURE)
+    };
+    let fates = |least: usize, most: usize| {
+        judged(outcomes)
+            .filter(move |(case, _)| sure(case) && (least..=most).contains(&case.planted.len()))
+    };
+    for (least, most, what) in
+        [(1, 1, "one fault"), (2, 2, "two faults"), (3, usize::MAX, "four faults")]
+    {
+        let faults = || fates(least, most).flat_map(|(_, verdict)| &verdict.fates);
+        let named = faults().filter(|fate| fate.is_named()).count();
+        let target = if most == 1 { "≥ 99 %" } else { "≥ 98 %" };
+        writeln!(
+            t,
+            "| {what}, each at twice its figure or more: named | {} | {target} |",
+            share(named, faults().count())
+        )?;
+        let right = |(_, verdict): &(&Case, &Verdict)| {
+            verdict.fates.iter().all(|fate| fate.is_named()) && verdict.strangers.is_empty()
+        };
+        let logs = fates(least, most).count();
+        writeln!(
+            t,
+            "| {what}: logs with all of them named and nothing else | {} | |",
+            share(fates(least, most).filter(right).count(), logs)
+        )?;
+    }
+
+    let conventions: Vec<bool> =
+        judged(outcomes).flat_map(|(_, verdict)| verdict.convention.iter().copied()).collect();
+    let right = conventions.iter().filter(|&&right| right).count();
+    writeln!(
+        t,
+        "| convention right where the motion dwells | {} | 100 % |",
+        share(right, conventions.len())
+    )?;
+
+    for (noise, latency, zero) in
+        [("white", "≤ 20 µs", "≤ 0.001°"), ("coloured", "≤ 0.2 ms", "≤ 0.01°")]
+    {
+        let errors = |code: &'static str| {
+            let cases = judged(outcomes)
+                .filter(move |(case, _)| case.noise == noise && case.at_125_hz() && case.excited);
+            cases.flat_map(|(_, verdict)| &verdict.intervals).filter(move |one| one.code == code)
+        };
+        let absolute = |code| median(errors(code).map(|one| one.error.abs()).collect());
+        let shown = |value: Option<f64>, show: &dyn Fn(f64) -> String| {
+            value.map_or_else(|| "no such log".to_owned(), show)
+        };
+        writeln!(
+            t,
+            "| median latency error at 125 Hz, {noise} noise | {} | {latency} |",
+            shown(absolute("LAT001"), &|s| format!("{:.1} µs", s * 1e6))
+        )?;
+        writeln!(
+            t,
+            "| median joint zero error at 125 Hz, {noise} noise | {} | {zero} |",
+            shown(absolute("ZER001"), &|rad| format!("{:.5}°", rad / DEGREE))
+        )?;
+        let drifting = errors("YAW001").filter(|one| one.truth != 0.0);
+        let relative = median(drifting.map(|one| (one.error / one.truth).abs()).collect());
+        writeln!(
+            t,
+            "| median drift rate error at 125 Hz, {noise} noise | {} | ≤ 1 % |",
+            shown(relative, &|share| format!("{:.2} %", 100.0 * share))
+        )?;
+    }
+
+    let covered = |norms: bool| {
+        let all: Vec<&Interval> = judged(outcomes)
+            .flat_map(|(_, verdict)| &verdict.intervals)
+            .filter(|one| one.is_norm == norms)
+            .collect();
+        share(all.iter().filter(|one| one.covers).count(), all.len())
+    };
+    writeln!(t, "| coverage of the 95 % intervals of amounts | {} | 92–98 % |", covered(false))?;
+    writeln!(t, "| coverage of the 95 % intervals of norms | {} | 92–98 % |", covered(true))
+}
+
+/// Each rule's detection rate by amount.
+fn detection(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
+    writeln!(
+        t,
+        "\n## Detection by amount, in units of the first figure\n\n\
+         The share that is named of those planted, one fault or more in the log. Motions of less than 0.2 rad \
+         stand apart. What is not named is undecided (`?`) or passed (`!`).\n"
+    )?;
+    let slip = f64::INFINITY;
+    let columns: Vec<f64> = TIMES.into_iter().chain([slip]).collect();
+    write!(t, "| rule |")?;
+    for times in &columns {
+        if *times == slip { write!(t, " slip |")? } else { write!(t, " ×{times} |")? }
+    }
+    writeln!(t, "\n|---|{}", "---|".repeat(columns.len()))?;
+    let mut codes: Vec<(&str, bool)> = judged(outcomes)
+        .flat_map(|(case, _)| case.planted.iter().map(|planted| (planted.codes[0], !case.excited)))
+        .collect();
+    codes.sort_unstable();
+    codes.dedup();
+    for (code, small) in codes {
+        write!(t, "| {code}{} |", if small { ", small motion" } else { "" })?;
+        for &times in &columns {
+            let fates: Vec<Fate> = judged(outcomes)
+                .filter(|(case, _)| case.excited != small)
+                .flat_map(|(case, verdict)| case.planted.iter().zip(&verdict.fates))
+                .filter(|(planted, _)| planted.codes[0] == code && planted.times == times)
+                .map(|(_, fate)| *fate)
+                .collect();
+            let named = fates.iter().filter(|fate| fate.is_named()).count();
+            let undecided = fates.iter().filter(|&&fate| fate == Fate::Undecided).count();
+            let passed = fates.len() - named - undecided;
+            if fates.is_empty() {
+                write!(t, " |")?;
+                continue;
+            }
+            write!(t, " {:.0} % of {}", percent(named, fates.len()), fates.len())?;
+            if undecided > 0 {
+                write!(t, " {undecided}?")?;
+            }
+            if passed > 0 {
+                write!(t, " {passed}!")?;
+            }
+            write!(t, " |")?;
+        }
+        writeln!(t)?;
+    }
+    Ok(())
+}
+
+/// Findings that nothing planted, by rule.
+fn strangers(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
+    let clean = judged(outcomes).filter(|(case, _)| case.planted.is_empty()).count();
+    let faulty = judged(outcomes).count() - clean;
+    writeln!(
+        t,
+        "\n## Findings that nothing planted, in 1000 logs\n\n\
+         | rule | clean ({clean}) | faulty ({faulty}) |\n|---|---|---|"
+    )?;
+    let mut logs: BTreeMap<&str, [usize; 2]> = BTreeMap::new();
+    for (case, verdict) in judged(outcomes) {
+        let mut codes: Vec<&str> =
+            verdict.strangers.iter().chain(&verdict.other).copied().collect();
+        codes.sort_unstable();
+        codes.dedup();
+        for code in codes {
+            logs.entry(code).or_default()[usize::from(!case.planted.is_empty())] += 1;
+        }
+    }
+    for (code, [alarms, misattributions]) in logs {
+        writeln!(
+            t,
+            "| {code} | {:.1} | {:.1} |",
+            10.0 * percent(alarms, clean),
+            10.0 * percent(misattributions, faulty)
+        )?;
+    }
+    Ok(())
+}
+
+/// Coverage and errors by rule; where all is wanted, by noise, motion, velocities and topic too.
+fn intervals(t: &mut String, outcomes: &Outcomes, verbose: bool) -> fmt::Result {
+    writeln!(
+        t,
+        "\n## Intervals at 95 %\n\nFaults that are not planted, and those at twice the figure or more; \
+         SI units.\n\n\
+         | rule | fault | estimates | covered | bias | median error |\n|---|---|---|---|---|---|"
+    )?;
+    let mut rows: BTreeMap<(String, &str), Vec<&Interval>> = BTreeMap::new();
+    for (case, verdict) in judged(outcomes) {
+        for one in &verdict.intervals {
+            let planted = if one.planted { "planted" } else { "none" };
+            rows.entry((one.code.clone(), planted)).or_default().push(one);
+            if verbose {
+                let velocity = case.scenario.joints.with_velocity;
+                let velocity = if velocity { "with" } else { "without" };
+                for detail in [
+                    format!("{}, {} noise", one.code, case.noise),
+                    format!("{}, {} motion", one.code, case.motion),
+                    format!("{}, {velocity} velocities", one.code),
+                    format!("{}, {}", one.code, one.topic),
+                ] {
+                    rows.entry((detail, planted)).or_default().push(one);
+                }
+            }
+        }
+    }
+    for ((row, planted), of) in rows {
+        let covered = of.iter().filter(|one| one.covers).count();
+        let bias = of.iter().map(|one| one.error).sum::<f64>() / of.len() as f64;
+        let error = median(of.iter().map(|one| one.error.abs()).collect()).unwrap_or_default();
+        writeln!(
+            t,
+            "| {row} | {planted} | {} | {:.1} % | {bias:+.1e} | {error:.1e} |",
+            of.len(),
+            percent(covered, of.len())
+        )?;
+    }
+    Ok(())
+}
+
+/// Every outcome that is not as it should be, with what makes its log again.
+fn wrongs(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
+    let mut groups: BTreeMap<&str, Vec<(&Case, &str)>> = BTreeMap::new();
+    for (case, outcome) in outcomes {
+        match outcome {
+            Ok(verdict) => {
+                for (kind, what) in &verdict.wrongs {
+                    groups.entry(kind).or_default().push((case, what));
+                }
+            }
+            Err(Trouble::Panic) => groups.entry("panic").or_default().push((case, "")),
+            Err(Trouble::Refused(what)) => {
+                groups.entry("not audited").or_default().push((case, what))
+            }
+        }
+    }
+    writeln!(t, "\n## Wrong outcomes")?;
+    for (kind, cases) in groups {
+        writeln!(t, "\n### {kind}: {}\n", cases.len())?;
+        for (case, what) in cases {
+            writeln!(t, "- {case}\n  {what}")?;
+        }
+    }
+    Ok(())
+}
+
+fn share(part: usize, whole: usize) -> String {
+    match whole {
+        0 => "no such log".to_owned(),
+        _ => format!("{:.1} % ({part} of {whole})", percent(part, whole)),
+    }
+}
+
+fn percent(part: usize, whole: usize) -> f64 {
+    100.0 * part as f64 / whole.max(1) as f64
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}

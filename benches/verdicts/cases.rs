@@ -1,0 +1,254 @@
+//! One log of the board: its arm, scene, motion, rates, noise, and what is wrong with it.
+
+use std::fmt;
+
+use poseaudit::checks;
+use poseaudit::geometry::{pose, rotation_from_rotvec};
+use poseaudit::robot::Chain;
+use poseaudit::synth::{Motion, Noise, Scenario};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use std::f64::consts::PI;
+
+use crate::Options;
+use crate::kinds::{KINDS, Kind, KindOf, Planted, SURE, TIMES, choose, plant, unit_vector};
+use crate::scenes::{ARMS, Scene, brother, robot};
+
+/// An arm, the links between which its poses are, and where it is parked.
+pub struct Arm {
+    pub name: &'static str,
+    pub base: &'static str,
+    pub tip: &'static str,
+    pub home: &'static [f64],
+}
+
+/// A log and what is wrong with it.
+pub struct Case {
+    pub index: usize,
+    pub arm: &'static str,
+    pub scene: Scene,
+    pub motion: &'static str,
+    pub noise: &'static str,
+    pub scenario: Scenario,
+    /// The other arm in the log, healthy.
+    pub other: Option<Scenario>,
+    /// Whether the call names the tip.
+    pub names_tip: bool,
+    /// The robot that the call names.
+    pub named_robot: Option<String>,
+    /// Whether every joint moves enough for every rule to see its fault.
+    pub excited: bool,
+    pub planted: Vec<Planted>,
+}
+
+/// The chain that the joint states are of.
+pub fn chain(run: &Scenario) -> Chain {
+    let link = |name: &str| run.robot.link(name).expect("a link of the arm");
+    let first = run.root.as_deref().unwrap_or(&run.base);
+    run.robot.chain(link(first), link(&run.tip)).expect("a chain from base to tip")
+}
+
+impl Case {
+    pub fn new(options: &Options, index: usize) -> Self {
+        let mut random = Pcg64::seed_from_u64(options.seed.rotate_left(32) ^ index as u64);
+        let r = &mut random;
+        let wanted = |scene: &&Scene| {
+            options.scenes.is_empty()
+                || options.scenes.iter().any(|name| scene.name().starts_with(name.as_str()))
+        };
+        let scenes: Vec<&Scene> = Scene::ALL.iter().filter(wanted).collect();
+        // Every other log is of one plain arm: readings and amounts are what most faults are about.
+        let scene = match r.random_bool(0.4) && options.scenes.is_empty() {
+            true => Scene::Plain,
+            false => **choose(r, &scenes),
+        };
+        let arms: Vec<&Arm> = ARMS
+            .iter()
+            .filter(|arm| scene.arms().contains(&arm.name))
+            .filter(|arm| options.arms.is_empty() || options.arms.iter().any(|a| a == arm.name))
+            .collect();
+        let &Arm { name: arm, base, tip, home } = match arms.as_slice() {
+            [] => &ARMS[0],
+            arms => choose(r, arms),
+        };
+        let mut run = Scenario::new(robot(arm), base, tip);
+        run.seed = r.random();
+        run.duration_s = *choose(r, &[15.0, 20.0, 20.0, 30.0]);
+        run.home = home.iter().map(|q| q + r.random_range(-0.3..0.3)).collect();
+        let motion = *choose(r, &["pick", "pick", "continuous", "small", "fast"]);
+        match motion {
+            "pick" => {}
+            "continuous" => (run.motion, run.amplitude) = (Motion::Continuous, 0.9),
+            "small" => {
+                run.motion = *choose(r, &[Motion::PickAndPlace, Motion::Continuous]);
+                run.amplitude = r.random_range(0.05..0.2);
+            }
+            _ => run.speed = 3.0,
+        }
+        let noise = match arm {
+            "so101" => *choose(r, &["hobby", "white"]),
+            _ => *choose(r, &["white", "white", "coloured", "coloured", "tracker"]),
+        };
+        run.noise = match noise {
+            "white" => Noise::default(),
+            "coloured" => {
+                Noise { pose_m: 2e-4, pose_rad: 2e-4, correlation: 0.95, ..Noise::default() }
+            }
+            "hobby" => Noise { joints: 5e-4, pose_m: 5e-4, pose_rad: 1e-3, ..Noise::default() },
+            _ => Noise { pose_m: 5e-4, pose_rad: 1e-3, ..Noise::default() },
+        };
+        // At the targets' rates every other time.
+        let rates = [20.0, 50.0, 100.0, 125.0, 125.0, 125.0, 125.0, 125.0, 250.0, 500.0];
+        let joints_hz = *choose(r, &rates);
+        let pose_hz = if r.random_bool(0.7) { joints_hz } else { *choose(r, &rates) };
+        run.joints.timing.rate_hz = joints_hz;
+        run.joints.with_velocity = r.random_bool(0.7);
+        run.pose.timing.rate_hz = pose_hz;
+        run.pose.timing.phase_s = r.random_range(0.0..1.0 / pose_hz);
+        if r.random_bool(0.3) {
+            // A state publisher: the stamps are the joints'.
+            (run.tf.timing.rate_hz, run.tf.timing.phase_s) = (joints_hz, 0.0);
+        } else {
+            run.tf.timing.phase_s = r.random_range(0.001..0.02);
+        }
+        run.imu.world_yaw_rad = r.random_range(-PI..PI);
+        let turn = r.random_range(0.0..0.5) * unit_vector(r);
+        run.imu.tip_from_imu = pose([0.02, -0.01, 0.03], rotation_from_rotvec(turn));
+        let other = scene.set(&mut run, r);
+
+        let counts = options.faults.as_deref().unwrap_or(&[0, 1, 2, 0, 1, 4]);
+        let count = counts[index % counts.len()];
+        let mut case = Self {
+            index,
+            arm,
+            scene,
+            motion,
+            noise,
+            scenario: run,
+            other,
+            names_tip: scene.names_tip(),
+            named_robot: None,
+            excited: motion != "small",
+            planted: Vec::new(),
+        };
+        case.plant_some(r, count, options);
+        case
+    }
+
+    /// The runs of all arms in the log.
+    pub fn arms(&self) -> Vec<Scenario> {
+        std::iter::once(&self.scenario).chain(&self.other).cloned().collect()
+    }
+
+    fn plant_some(&mut self, r: &mut Pcg64, count: usize, options: &Options) {
+        let known = |of: &KindOf| {
+            of.codes.iter().any(|code| checks::registry().iter().any(|rule| rule.code == *code))
+        };
+        let is_named = |of: &KindOf| {
+            options.kinds.is_empty()
+                || options.kinds.iter().any(|kind| {
+                    of.codes[0].starts_with(kind) || format!("{:?}", of.kind).starts_with(kind)
+                })
+        };
+        let possible: Vec<&KindOf> = KINDS
+            .iter()
+            .filter(|of| known(of) && is_named(of) && self.scene.takes(of.kind))
+            .filter(|of| !self.is_senseless(of.kind))
+            .collect();
+        let mut taken: Vec<String> = Vec::new();
+        for _ in 0..40 {
+            if self.planted.len() == count || possible.is_empty() {
+                break;
+            }
+            // By rule first, so that rules with many kinds are not all there is.
+            let mut codes: Vec<&str> = possible.iter().map(|of| of.codes[0]).collect();
+            codes.dedup();
+            let code = *choose(r, &codes);
+            let kinds: Vec<&&KindOf> = possible.iter().filter(|of| of.codes[0] == code).collect();
+            let of: &KindOf = choose(r, &kinds);
+            let mut slots: Vec<String> = of.slots.iter().map(|&slot| slot.to_owned()).collect();
+            let dof = chain(&self.scenario).dof();
+            let joint = r.random_range(0..dof);
+            if matches!(of.kind, Kind::Zero | Kind::Homed) {
+                slots.push(format!("joint {joint}"));
+                // The same by construction as a frame.
+                if joint == 0 {
+                    slots.push("reference".to_owned());
+                }
+                if joint + 1 == dof {
+                    slots.push("tool".to_owned());
+                }
+            }
+            if slots.iter().any(|slot| taken.contains(slot)) {
+                continue;
+            }
+            taken.append(&mut slots);
+            let times = match count {
+                1 => *choose(r, &TIMES),
+                _ => *choose(r, &TIMES[5..]),
+            };
+            let planted = plant(&mut self.scenario, r, of, joint, times);
+            if of.kind == Kind::WrongArm {
+                self.named_robot = brother(self.arm).map(str::to_owned);
+            }
+            self.planted.push(planted);
+        }
+    }
+
+    /// Whether a kind of fault makes no sense in this case.
+    fn is_senseless(&self, kind: Kind) -> bool {
+        let copied = self.scenario.tf.timing.phase_s == 0.0;
+        match kind {
+            Kind::JointsLate => copied,
+            // The generator would write the rail's position in degrees, too.
+            Kind::JointDegrees => self.arm == "rail",
+            Kind::WrongArm => brother(self.arm).is_none(),
+            // The other arm would be named, too.
+            Kind::OwnFrame => self.other.is_some(),
+            _ => false,
+        }
+    }
+
+    /// Whether a fault at twice the figure or more must be found in this log.
+    pub fn must_find(&self, planted: &Planted) -> bool {
+        planted.times >= SURE && self.excited
+    }
+
+    /// 125 Hz, the targets' rate.
+    pub fn at_125_hz(&self) -> bool {
+        let run = &self.scenario;
+        run.joints.timing.rate_hz == 125.0 && run.pose.timing.rate_hz == 125.0
+    }
+}
+
+impl fmt::Display for Case {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let run = &self.scenario;
+        write!(
+            f,
+            "case {} {} {} {} {} joints {} Hz{} pose {} Hz {} s{}",
+            self.index,
+            self.arm,
+            self.scene.name(),
+            self.motion,
+            self.noise,
+            run.joints.timing.rate_hz,
+            if run.joints.with_velocity { "" } else { " (no velocity)" },
+            run.pose.timing.rate_hz,
+            run.duration_s,
+            if run.tf.timing.phase_s == 0.0 { " tf=joints' stamps" } else { "" },
+        )?;
+        if let Some(named) = &self.named_robot {
+            write!(f, " --robot {named}")?;
+        }
+        if run.motion != Motion::PickAndPlace || self.motion == "small" {
+            write!(f, " {:?} ±{:.2}", run.motion, run.amplitude)?;
+        }
+        let planted: Vec<String> = self.planted.iter().map(ToString::to_string).collect();
+        write!(
+            f,
+            " | planted: {}",
+            if planted.is_empty() { "nothing".into() } else { planted.join(", ") }
+        )
+    }
+}

@@ -1,0 +1,306 @@
+//! What an audit made of a case: every planted fault's fate, every finding that nothing planted, every
+//! interval against the truth.
+
+use poseaudit::finding::{CheckRow, Estimate, Finding, Severity, Status, Subject};
+use poseaudit::geometry::{Misreading, misreading_classes};
+use poseaudit::report::{self, Report};
+use poseaudit::synth;
+
+use crate::cases::Case;
+use crate::kinds::{Kind, Planted, SURE, Truth};
+
+/// The rules whose amount is the norm of a vector, or an rms.
+const NORMS: [&str; 4] = ["FRM", "YAW002", "YAW003", "YAW004"];
+/// The families in which a finding that nothing planted is a false alarm.
+pub const CORE: [&str; 8] = ["ORD", "LAT", "ZER", "FRM", "YAW", "MDL", "HEC", "MOT"];
+
+/// What came of an audit.
+pub type Outcome = Result<Verdict, Trouble>;
+
+/// Why there is no verdict.
+#[derive(Debug)]
+pub enum Trouble {
+    Panic,
+    /// With what the audit said.
+    Refused(String),
+}
+
+/// How a planted fault fared.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Fate {
+    /// Named with its subject.
+    Named,
+    /// Another cause is named, and this one listed as indistinguishable from it.
+    NamedAsTwin,
+    /// The rule said that the log does not tell.
+    Undecided,
+    /// The rule passed it.
+    Passed,
+    /// Neither passed nor failed: no such row.
+    Absent,
+}
+
+impl Fate {
+    fn is_named(self) -> bool {
+        matches!(self, Fate::Named | Fate::NamedAsTwin)
+    }
+}
+
+pub struct Verdict {
+    pub fates: Vec<Fate>,
+    /// Whether the report passes a log in which something that must be found is not even mentioned.
+    pub is_wrong_pass: bool,
+    /// What is wrong with the outcome: what kind of wrong, and the whole of it.
+    pub wrongs: Vec<(String, String)>,
+    /// Findings of the core families that nothing planted, by code.
+    pub strangers: Vec<&'static str>,
+    /// Findings of the other families, by code.
+    pub other: Vec<&'static str>,
+    pub intervals: Vec<Interval>,
+    /// Whether the convention was right, for each ORD001 planted with at least three dwells.
+    pub convention: Vec<bool>,
+}
+
+pub struct Interval {
+    /// Code of the rule, and the quantity where it has two.
+    pub code: String,
+    pub topic: String,
+    pub planted: bool,
+    pub error: f64,
+    pub truth: f64,
+    pub covers: bool,
+    /// Whether it is the norm of a vector, or an rms.
+    pub is_norm: bool,
+}
+
+pub fn judge(case: &Case, report: &Report) -> Verdict {
+    let mut verdict = Verdict {
+        fates: Vec::new(),
+        is_wrong_pass: false,
+        wrongs: Vec::new(),
+        strangers: Vec::new(),
+        other: Vec::new(),
+        intervals: Vec::new(),
+        convention: Vec::new(),
+    };
+    let grave = |finding: &&Finding| finding.severity >= Severity::Warning;
+    let findings: Vec<&Finding> = report.findings.iter().filter(grave).collect();
+    for planted in &case.planted {
+        let fate = fate(planted, &findings, &report.checks);
+        verdict.fates.push(fate);
+        let described =
+            || match report.checks.iter().find(|row| is_about(planted, row.code, &row.subject)) {
+                Some(row) => {
+                    format!("{planted}: {:?} {}", row.status, row.reason.as_deref().unwrap_or(""))
+                }
+                None => format!("{planted}: no row"),
+            };
+        match fate {
+            Fate::Named | Fate::NamedAsTwin => {}
+            Fate::Passed | Fate::Absent if planted.times >= SURE => {
+                verdict
+                    .wrong(format!("missed {} {:?}", planted.codes[0], planted.kind), described());
+            }
+            Fate::Undecided if case.must_find(planted) => {
+                verdict.wrong(
+                    format!("undecided {} {:?}", planted.codes[0], planted.kind),
+                    described(),
+                );
+            }
+            _ => {}
+        }
+        let finding =
+            findings.iter().find(|finding| is_about(planted, finding.code, &finding.subject));
+        let Some(estimate) = finding.and_then(|finding| finding.estimate.as_ref()) else {
+            continue;
+        };
+        if let (Truth::Amount(truth), Some(value)) = (planted.truth, estimate.value()) {
+            let figure = truth.abs() / planted.times;
+            if (value - truth).abs() > (0.5 * figure).max(0.05 * truth.abs()) {
+                let what = format!("{planted}: found {value:.6}");
+                verdict
+                    .wrong(format!("wrong amount {} {:?}", planted.codes[0], planted.kind), what);
+            }
+            if planted.times < 0.5 {
+                let what = format!("{planted}: found {value:.6}");
+                verdict.wrong(format!("overcalled {} {:?}", planted.codes[0], planted.kind), what);
+            }
+        }
+        if let Truth::Convention(truth) = planted.truth {
+            let right = is_named(&truth, estimate);
+            if !right {
+                let what = format!("{planted}: found {:?}", estimate.convention());
+                verdict.wrong(format!("wrong convention {:?}", planted.kind), what);
+            }
+        }
+    }
+    for planted in &case.planted {
+        if let Truth::Convention(truth) = planted.truth
+            && case.excited
+            && case.motion != "continuous"
+        {
+            let finding =
+                findings.iter().find(|finding| is_about(planted, finding.code, &finding.subject));
+            let estimate = finding.and_then(|finding| finding.estimate.as_ref());
+            verdict.convention.push(estimate.is_some_and(|estimate| is_named(&truth, estimate)));
+        }
+    }
+    for finding in &findings {
+        let is_its = |planted: &Planted| {
+            is_about(planted, finding.code, &finding.subject)
+                || is_twin(planted, finding)
+                || planted.also.iter().any(|code| finding.code.starts_with(code))
+        };
+        if case.planted.iter().any(is_its) || case.scene.allows(finding.code) {
+            continue;
+        }
+        if CORE.iter().any(|family| finding.code.starts_with(family)) {
+            verdict.strangers.push(finding.code);
+            let kind = if case.planted.is_empty() { "false alarm" } else { "misattributed" };
+            let codes: Vec<String> = case.planted.iter().map(|p| format!("{:?}", p.kind)).collect();
+            verdict.wrong(
+                format!("{kind} {}", finding.code),
+                format!("{} on {} [{}]", finding.message, finding.subject.label(), codes.join("+")),
+            );
+        } else {
+            verdict.other.push(finding.code);
+            verdict.wrong(
+                format!("other {}", finding.code),
+                format!("{} on {}", finding.message, finding.subject.label()),
+            );
+        }
+    }
+    let is_mentioned = |planted: &Planted| {
+        let said = report.findings.iter().map(|finding| (finding.code, &finding.subject));
+        let ignored = report.ignored.iter().map(|one| (one.finding.code, &one.finding.subject));
+        said.chain(ignored).any(|(code, subject)| {
+            is_about(planted, code, subject)
+                || planted.also.iter().any(|also| code.starts_with(also))
+        })
+    };
+    let unsaid = case.planted.iter().find(|one| case.must_find(one) && !is_mentioned(one));
+    if let (report::Verdict::Pass, Some(planted)) = (report.verdict, unsaid) {
+        verdict.is_wrong_pass = true;
+        let kind = format!("WRONG PASS {} {:?}", planted.codes[0], planted.kind);
+        verdict.wrong(kind, format!("{planted} in {}", case.scene.name()));
+    }
+    for row in &report.checks {
+        verdict.intervals.extend(interval(case, row));
+    }
+    verdict
+}
+
+impl Verdict {
+    fn wrong(&mut self, kind: String, what: String) {
+        self.wrongs.push((kind, what));
+    }
+}
+
+pub fn is_about(planted: &Planted, code: &str, subject: &Subject) -> bool {
+    let is_its = match &planted.subject {
+        Some(name) => subject_name(subject) == Some(name),
+        None => true,
+    };
+    planted.codes.contains(&code) && is_its
+}
+
+pub fn subject_name(subject: &Subject) -> Option<&str> {
+    subject.joint.as_deref().or(subject.topic.as_deref())
+}
+
+/// Whether the finding lists the planted fault among those that the log cannot tell from it.
+pub fn is_twin(planted: &Planted, finding: &Finding) -> bool {
+    let mut twins = finding.evidence.indistinguishable.iter();
+    twins.any(|twin| is_about(planted, twin.code, &twin.subject))
+}
+
+pub fn fate(planted: &Planted, findings: &[&Finding], rows: &[CheckRow]) -> Fate {
+    if findings.iter().any(|finding| is_about(planted, finding.code, &finding.subject)) {
+        return Fate::Named;
+    }
+    if findings.iter().any(|finding| is_twin(planted, finding)) {
+        return Fate::NamedAsTwin;
+    }
+    match rows.iter().find(|row| is_about(planted, row.code, &row.subject)).map(|row| row.status) {
+        Some(Status::Inconclusive | Status::Skipped) => Fate::Undecided,
+        Some(_) => Fate::Passed,
+        None => Fate::Absent,
+    }
+}
+
+pub fn is_named(truth: &Misreading, estimate: &Estimate) -> bool {
+    let Some((is, read_as)) = estimate.convention() else { return false };
+    let class = misreading_classes().iter().find(|class| class.members.contains(truth));
+    class.is_some_and(|class| {
+        class
+            .members
+            .iter()
+            .any(|one| one.is.to_string() == is && one.read_as.to_string() == read_as)
+    })
+}
+
+/// The interval of a row against the truth, where there are both.
+pub fn interval(case: &Case, row: &CheckRow) -> Vec<Interval> {
+    let estimate = match &row.estimate {
+        Some(estimate) if !row.indistinguishable => estimate,
+        _ => return Vec::new(),
+    };
+    if !CORE.iter().any(|family| row.code.starts_with(family)) {
+        return Vec::new();
+    }
+    let planted = case.planted.iter().find(|planted| is_about(planted, row.code, &row.subject));
+    if planted.is_some_and(|planted| planted.times < SURE) {
+        return Vec::new();
+    }
+    // With a skew, the latency is that at mid-run, which is known to milliseconds only.
+    let skewed = case.scenario.pose.timing.skew != 0.0;
+    if row.code == "LAT001" && skewed && row.subject.topic.as_deref() == Some(synth::POSE) {
+        return Vec::new();
+    }
+    let joints_late = case.scenario.joints.timing.latency_s;
+    let is_planted = planted.is_some() || (row.code == "LAT001" && joints_late != 0.0);
+    let make = |code: String, value: f64, ci95: Option<[f64; 2]>, truth: f64| {
+        let [low, high] = ci95?;
+        let covers = (low..=high).contains(&truth);
+        let mut topic = row.subject.topic.clone().unwrap_or("joints".to_owned());
+        if topic == synth::TF && case.scenario.tf.timing.phase_s == 0.0 {
+            topic += " with the joints' stamps";
+        }
+        let is_norm = NORMS.iter().any(|norm| code.starts_with(norm));
+        Some(Interval {
+            code,
+            topic,
+            planted: is_planted,
+            error: value - truth,
+            truth,
+            covers,
+            is_norm,
+        })
+    };
+    match *estimate {
+        Estimate::Amount { name, value, ci95, .. } => {
+            // A jump of yaw and a drift have a row each.
+            let is_jump = name == "yaw jump";
+            let planted = planted.filter(|one| (one.kind == Kind::YawJump) == is_jump);
+            let mut truth = match planted.map(|planted| planted.truth) {
+                Some(Truth::Amount(truth)) => truth,
+                _ => 0.0,
+            };
+            if row.code == "LAT001" && row.subject.topic.as_deref() != Some(synth::JOINT_STATES) {
+                truth -= joints_late;
+            }
+            let code = if is_jump { format!("{} jump", row.code) } else { row.code.to_owned() };
+            make(code, value, ci95, truth).into_iter().collect()
+        }
+        Estimate::Frame { value, ci95, rotation, .. } => {
+            let (length_m, angle_rad) = match planted.map(|planted| planted.truth) {
+                Some(Truth::Frame { length_m, angle_rad }) => (length_m, angle_rad),
+                _ => (0.0, 0.0),
+            };
+            let length = make(format!("{} m", row.code), value, ci95, length_m);
+            let angle = make(format!("{} rad", row.code), rotation.value, rotation.ci95, angle_rad);
+            length.into_iter().chain(angle).collect()
+        }
+        _ => Vec::new(),
+    }
+}

@@ -1,0 +1,456 @@
+//! The kinds of fault, what each does to a run, and which findings name it.
+
+use std::f64::consts::PI;
+use std::fmt;
+
+use nalgebra::Matrix3;
+use poseaudit::checks::{self, Grade};
+use poseaudit::finding::Unit;
+use poseaudit::geometry::{
+    Misreading, Pose, QuaternionSlip, Vec3, misreading_classes, pose, rotation_from_rotvec,
+};
+use poseaudit::robot::JointKind;
+use poseaudit::synth::{self, Coding, Scenario, SecondPublisher, ToolSlip};
+use rand::RngExt;
+use rand_pcg::Pcg64;
+
+use crate::cases::chain;
+
+pub const DEGREE: f64 = PI / 180.0;
+
+/// Amounts that are planted, in units of the rule's first figure.
+pub const TIMES: [f64; 8] = [0.1, 0.3, 0.6, 0.9, 1.25, 2.0, 5.0, 20.0];
+/// From here on a fault has to be found.
+pub const SURE: f64 = 2.0;
+
+/// A fault in a log.
+pub struct Planted {
+    pub kind: Kind,
+    /// The codes of which one must name it; the first is the usual one.
+    pub codes: &'static [&'static str],
+    /// What else may be found of it, by the beginning of the code.
+    pub also: &'static [&'static str],
+    /// Topic or joint; none where any will do.
+    pub subject: Option<String>,
+    /// How many times the first figure; infinite where the fault has no amount.
+    pub times: f64,
+    pub truth: Truth,
+}
+
+#[derive(Clone, Copy)]
+pub enum Truth {
+    Amount(f64),
+    Frame { length_m: f64, angle_rad: f64 },
+    Convention(Misreading),
+    There,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Debug, PartialOrd, Ord)]
+pub enum Kind {
+    PoseLate,
+    ImuLate,
+    TfLate,
+    JointsLate,
+    Skew,
+    Zero,
+    Growth,
+    Reference,
+    BaseTurned,
+    Tool,
+    YawDrift,
+    YawJump,
+    Mount,
+    GyroBias,
+    Misread,
+    ImuMisread,
+    Wxyz,
+    ImuWxyz,
+    Transposed,
+    Inverted,
+    ImuTransposed,
+    JointDegrees,
+    JointOrder,
+    Millimetres,
+    LengthUnit,
+    Axes,
+    Constant,
+    Unset,
+    OwnFrame,
+    Homed,
+    Reversed,
+    Geared,
+    HeldPose,
+    HeldJoints,
+    StuckPose,
+    StuckJoints,
+    ClockStep,
+    ToolSlips,
+    SecondTfDiffers,
+    WrongArm,
+}
+
+/// A kind of fault.
+pub struct KindOf {
+    pub kind: Kind,
+    /// The codes of which one must name it.
+    pub codes: &'static [&'static str],
+    /// What else may be found of it, by the beginning of the code.
+    pub also: &'static [&'static str],
+    /// All that it needs to itself: two faults that share a slot cannot be told apart, or cannot be
+    /// planted together.
+    pub slots: &'static [&'static str],
+}
+
+const fn kind(
+    kind: Kind,
+    codes: &'static [&'static str],
+    also: &'static [&'static str],
+    slots: &'static [&'static str],
+) -> KindOf {
+    KindOf { kind, codes, also, slots }
+}
+
+/// All that concerns the stream of tool poses.
+const POSE: &[&str] =
+    &["pose time", "skew", "growth", "reference", "tool", "pose coding", "pose units", "pose rows"];
+/// All that hangs on the joint states.
+const ALL: &[&str] = &[
+    "pose time",
+    "skew",
+    "growth",
+    "reference",
+    "tool",
+    "pose coding",
+    "pose units",
+    "pose rows",
+    "imu time",
+    "tf time",
+    "tf",
+    "joint numbers",
+    "drift",
+    "mount",
+    "gyro",
+    "imu coding",
+];
+
+/// Every kind of fault.
+pub const KINDS: [KindOf; 40] = [
+    kind(Kind::PoseLate, &["LAT001"], &[], &["pose time"]),
+    kind(Kind::ImuLate, &["LAT001"], &[], &["imu time"]),
+    kind(Kind::TfLate, &["LAT001"], &[], &["tf time"]),
+    kind(Kind::JointsLate, &["LAT001"], &[], &["pose time", "imu time", "tf time"]),
+    kind(Kind::Skew, &["LAT002"], &[], &["skew"]),
+    kind(Kind::Zero, &["ZER001"], &[], &[]),
+    kind(Kind::Growth, &["ZER002"], &[], &["growth"]),
+    kind(Kind::Reference, &["FRM002"], &[], &["reference"]),
+    kind(Kind::BaseTurned, &["FRM002"], &[], &["reference"]),
+    kind(Kind::Tool, &["FRM003"], &[], &["tool"]),
+    kind(Kind::YawDrift, &["YAW001"], &[], &["drift"]),
+    kind(Kind::YawJump, &["YAW001"], &[], &["drift"]),
+    kind(Kind::Mount, &["YAW003"], &[], &["mount"]),
+    kind(Kind::GyroBias, &["YAW004"], &[], &["gyro"]),
+    kind(Kind::Misread, &["ORD001"], &[], &["pose coding"]),
+    kind(Kind::ImuMisread, &["ORD001"], &[], &["imu coding", "mount"]),
+    kind(Kind::Wxyz, &["ORD002"], &[], &["pose coding"]),
+    kind(Kind::ImuWxyz, &["ORD002"], &[], &["imu coding", "mount"]),
+    kind(Kind::Transposed, &["ORD003"], &[], &["pose coding"]),
+    kind(Kind::Inverted, &["ORD003"], &[], &["pose coding"]),
+    kind(Kind::ImuTransposed, &["ORD003"], &[], &["imu coding", "mount"]),
+    kind(Kind::JointDegrees, &["ORD004"], &[], &["joint numbers"]),
+    kind(Kind::JointOrder, &["ORD005"], &[], &["joint numbers"]),
+    kind(Kind::Millimetres, &["ORD008"], &[], &["pose units"]),
+    kind(Kind::LengthUnit, &["ORD008"], &[], &["pose units", "growth"]),
+    kind(Kind::Axes, &["ORD010"], &["FRM002", "ORD"], &["pose coding", "reference"]),
+    kind(Kind::Constant, &["ORD011"], &["MDL001", "FRM"], POSE),
+    kind(Kind::Unset, &["FRM007", "FRM005", "ORD"], &["FRM"], &["pose coding", "tool"]),
+    kind(Kind::OwnFrame, &["FRM007", "FRM002"], &["FRM", "ORD003"], POSE),
+    kind(
+        Kind::Homed,
+        &["ZER001"],
+        &["FRM002", "FRM003", "MOT003"],
+        &["joint numbers", "reference", "tool"],
+    ),
+    kind(Kind::Reversed, &["ORD009"], &["VEL", "MOT003"], ALL),
+    kind(Kind::Geared, &["ORD009"], &["VEL", "MOT003"], ALL),
+    kind(Kind::HeldPose, &["TIM008"], &["LAT001"], POSE),
+    kind(Kind::HeldJoints, &["TIM008"], &["LAT001", "VEL"], ALL),
+    kind(Kind::StuckPose, &["TIM007"], &["TIM"], POSE),
+    kind(Kind::StuckJoints, &["TIM007"], &["TIM", "LAT", "MDL", "MOT", "VEL"], ALL),
+    kind(Kind::ClockStep, &["LAT003"], &["LAT001", "TIM"], POSE),
+    kind(Kind::ToolSlips, &["MDL001", "FRM003"], &["FRM003", "MDL001"], POSE),
+    kind(Kind::SecondTfDiffers, &["FRM004"], &["FRM001", "TIM"], &["tf time", "tf"]),
+    kind(Kind::WrongArm, &["MDL001"], &["FRM001"], ALL),
+];
+
+impl fmt::Display for Planted {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let subject = self.subject.as_deref().unwrap_or("");
+        write!(f, "{} {subject} {:?}", self.codes[0], self.kind)?;
+        match self.truth {
+            Truth::Amount(value) => write!(f, " {value:.6} (×{})", self.times),
+            Truth::Frame { length_m, angle_rad } => {
+                write!(f, " {:.3} mm {:.3}° (×{})", length_m * 1e3, angle_rad / DEGREE, self.times)
+            }
+            Truth::Convention(Misreading { is, read_as }) => write!(f, " {is} as {read_as}"),
+            Truth::There => Ok(()),
+        }
+    }
+}
+
+/// Plants one fault of `times` the first figure, of either sign.
+pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times: f64) -> Planted {
+    let kind = of.kind;
+    let sign = if r.random_bool(0.5) { 1.0 } else { -1.0 };
+    let figures = first_figures(of.codes[0]);
+    let amount = sign * times * figures.first().map_or(0.0, |figure| figure.1);
+    let direction = unit_vector(r);
+    let topic = |name: &str| Some(format!("{}{name}", run.namespace));
+    let (pose_topic, imu_topic) = (topic(synth::POSE), topic(synth::IMU));
+    let joints_topic = topic(synth::JOINT_STATES);
+    let mut subject = pose_topic;
+    let mut truth = Truth::Amount(amount);
+    let mut times = times;
+    // What has no amount, or another one than the rule's figures.
+    let mut is_there = figures.is_empty();
+    match kind {
+        Kind::PoseLate => run.pose.timing.latency_s += amount,
+        Kind::ImuLate => {
+            run.imu.timing.latency_s += amount;
+            subject = imu_topic;
+        }
+        Kind::TfLate => {
+            run.tf.timing.latency_s += amount;
+            subject = Some(synth::TF.to_owned());
+        }
+        Kind::JointsLate => {
+            // Joints that are early make all else late, which is told the other way round.
+            run.joints.timing.latency_s += amount.abs();
+            truth = Truth::Amount(amount.abs());
+            subject = joints_topic;
+        }
+        Kind::Skew => run.pose.timing.skew = amount,
+        Kind::Zero => {
+            let chain = chain(run);
+            let amount = match chain.joint_kinds()[joint] {
+                JointKind::Prismatic => sign * times * 0.2e-3,
+                _ => sign * times * 0.1 * DEGREE,
+            };
+            run.joints.zero_offsets.resize(chain.dof(), 0.0);
+            run.joints.zero_offsets[joint] = amount;
+            truth = Truth::Amount(amount);
+            subject = Some(chain.joint_names()[joint].clone());
+        }
+        Kind::Homed => {
+            let chain = chain(run);
+            let amount = sign * *choose(r, &[5.0, 10.0, 30.0, 45.0, 90.0, 120.0, 180.0]) * DEGREE;
+            run.joints.zero_offsets.resize(chain.dof(), 0.0);
+            run.joints.zero_offsets[joint] = amount;
+            // The amount is held in the board's own table of homed joints: modulo a turn.
+            is_there = true;
+            subject = Some(chain.joint_names()[joint].clone());
+        }
+        Kind::Reversed | Kind::Geared => {
+            let chain = chain(run);
+            run.joints.scales.resize(chain.dof(), 1.0);
+            run.joints.scales[joint] = match kind {
+                Kind::Reversed => -1.0,
+                _ => *choose(r, &[2.0, 0.5, 1.1, 3.0, -2.0, 100.0 / PI, 4096.0 / (2.0 * PI)]),
+            };
+            subject = Some(chain.joint_names()[joint].clone());
+        }
+        Kind::Growth => run.pose.growth = amount,
+        Kind::Reference | Kind::Tool => {
+            let (length_m, angle_rad) = match r.random_range(0..3) {
+                0 => (times * 1e-3, 0.0),
+                1 => (0.0, times * 0.1 * DEGREE),
+                _ => (times * 1e-3, times * 0.1 * DEGREE),
+            };
+            let offset = pose(
+                (length_m * unit_vector(r)).into(),
+                rotation_from_rotvec(angle_rad * direction),
+            );
+            match kind {
+                Kind::Tool => run.pose.tip_from_stream = offset,
+                _ => run.pose.reference_from_stream = offset,
+            }
+            truth = Truth::Frame { length_m, angle_rad };
+        }
+        Kind::BaseTurned => {
+            let turned: Pose = pose([0.0; 3], rotation_from_rotvec(PI * Vec3::z()));
+            run.pose.reference_from_stream = turned;
+            truth = Truth::Frame { length_m: 0.0, angle_rad: PI };
+            times = f64::INFINITY;
+        }
+        Kind::YawDrift => {
+            run.imu.yaw_drift_rad_s = amount;
+            subject = imu_topic;
+        }
+        Kind::YawJump => {
+            let amount = sign * times * figures.last().map_or(0.0, |figure| figure.1);
+            let at_s = run.duration_s * r.random_range(0.2..0.8);
+            run.imu.yaw_jumps = vec![(at_s, amount)];
+            truth = Truth::Amount(amount);
+            subject = imu_topic;
+        }
+        Kind::Mount => {
+            run.imu.mount_error = pose([0.0; 3], rotation_from_rotvec(amount.abs() * direction));
+            truth = Truth::Amount(amount.abs());
+            subject = imu_topic;
+        }
+        Kind::GyroBias => {
+            run.imu.gyro_bias_rad_s = amount.abs() * direction;
+            truth = Truth::Amount(amount.abs());
+            subject = imu_topic;
+        }
+        Kind::Misread | Kind::ImuMisread => {
+            let classes = misreading_classes();
+            // The usual ones more often.
+            let class = match r.random_bool(0.3) {
+                true => &classes[r.random_range(0..classes.len().min(12))],
+                false => choose(r, classes),
+            };
+            let misreading = *choose(r, &class.members);
+            truth = Truth::Convention(misreading);
+            if kind == Kind::Misread {
+                run.pose.coding = Coding::Misread(misreading);
+            } else {
+                run.imu.coding = Coding::Misread(misreading);
+                subject = imu_topic;
+            }
+        }
+        Kind::Wxyz => run.pose.coding = Coding::Slipped(slip(r)),
+        Kind::ImuWxyz => {
+            run.imu.coding = Coding::Slipped(slip(r));
+            subject = imu_topic;
+        }
+        Kind::Transposed => run.pose.coding = Coding::Transposed,
+        Kind::Inverted => run.pose.coding = Coding::Inverted,
+        Kind::ImuTransposed => {
+            run.imu.coding = Coding::Transposed;
+            subject = imu_topic;
+        }
+        Kind::JointDegrees => {
+            run.joints.in_degrees = true;
+            subject = joints_topic;
+        }
+        Kind::JointOrder => {
+            run.joints.number_order = Some(order(r, chain(run).dof()));
+            subject = joints_topic;
+        }
+        Kind::Millimetres => run.pose.in_millimetres = true,
+        Kind::LengthUnit => run.pose.times = *choose(r, &[100.0, 1.0 / 0.0254, 1e4, 10.0]),
+        Kind::Axes => run.pose.axes = Some(axes(r)),
+        Kind::Constant => run.pose.constant = Some((r.random_range(0..3), 0.0)),
+        Kind::Unset => {
+            run.pose.unset = Some(*choose(r, &[[0.0; 4], [0.0, 0.0, 0.0, 1.0]]));
+        }
+        Kind::OwnFrame => run.pose.frame_id = run.tip.clone(),
+        Kind::HeldPose => {
+            let hz = run.pose.timing.rate_hz;
+            run.pose.timing.new_hz = hz / *choose(r, &[2.0, 3.0, 5.0, 6.25]);
+        }
+        Kind::HeldJoints => {
+            let hz = run.joints.timing.rate_hz;
+            run.joints.timing.new_hz = hz / *choose(r, &[2.0, 4.0, 5.0]);
+            subject = joints_topic;
+        }
+        Kind::StuckPose => run.pose.stuck_s = Some(a_while(run, r)),
+        Kind::StuckJoints => {
+            run.joints.stuck_s = Some(a_while(run, r));
+            subject = joints_topic;
+        }
+        Kind::ClockStep => {
+            let by_s = sign * *choose(r, &[0.03, 0.08, 0.2, 0.5]);
+            run.pose.timing.step = Some((run.duration_s * r.random_range(0.3..0.7), by_s));
+            is_there = true;
+        }
+        Kind::ToolSlips => {
+            let from_s = run.duration_s * r.random_range(0.3..0.6);
+            let to_s = match r.random_bool(0.7) {
+                true => run.duration_s,
+                false => from_s + run.duration_s * 0.3,
+            };
+            let by_m = *choose(r, &[0.01, 0.04, 0.08]);
+            let tool_from_slipped =
+                pose((by_m * direction).into(), rotation_from_rotvec(Vec3::zeros()));
+            run.pose.slip = Some(ToolSlip { from_s, to_s, tool_from_slipped });
+            is_there = true;
+        }
+        Kind::SecondTfDiffers => {
+            let by = pose((*choose(r, &[3e-3, 5e-3, 0.02]) * direction).into(), Default::default());
+            let mut timing = run.tf.timing.clone();
+            timing.rate_hz = *choose(r, &[timing.rate_hz, 30.0, 100.0]);
+            timing.phase_s += 0.0041;
+            run.tf.second = Some(SecondPublisher { timing, moved: Some((joint, by)) });
+            subject = None;
+        }
+        Kind::WrongArm => {
+            is_there = true;
+        }
+    }
+    if is_there {
+        times = f64::INFINITY;
+        truth = match truth {
+            Truth::Convention(_) => truth,
+            _ => Truth::There,
+        };
+    }
+    Planted { kind, codes: of.codes, also: of.also, subject, times, truth }
+}
+
+/// An order of so many joints that is not theirs.
+fn order(r: &mut Pcg64, dof: usize) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..dof).collect();
+    match r.random_range(0..3) {
+        0 => {
+            let at = r.random_range(0..dof - 1);
+            order.swap(at, at + 1);
+        }
+        1 => order.reverse(),
+        _ => {
+            let (a, b) = (r.random_range(0..dof), r.random_range(1..dof));
+            order.swap(a, (a + b) % dof);
+        }
+    }
+    order
+}
+
+/// Axes as game engines and cameras have them: y up, left-handed, mirrored.
+fn axes(r: &mut Pcg64) -> Matrix3<f64> {
+    let [x, y, z] = [Vec3::x(), Vec3::y(), Vec3::z()].map(|axis| axis.transpose());
+    let rows = *choose(r, &[[x, z, -y], [-y, z, x], [x, z, y], [x, -y, z], [y, x, z], [-y, -z, x]]);
+    Matrix3::from_rows(&rows)
+}
+
+/// A while in the middle of a run, s after the start.
+fn a_while(run: &Scenario, r: &mut Pcg64) -> (f64, f64) {
+    let from_s = run.duration_s * r.random_range(0.25..0.6);
+    (from_s, from_s + *choose(r, &[1.0, 2.0, 3.0]))
+}
+
+/// Unit and first figure of each amount that the rule judges.
+fn first_figures(code: &str) -> Vec<(Unit, f64)> {
+    match checks::find(code).map(|rule| rule.grade) {
+        Ok(Grade::From(figures)) => {
+            figures.iter().map(|figure| (figure.unit, figure.warning)).collect()
+        }
+        _ => Vec::new(),
+    }
+}
+
+fn slip(r: &mut Pcg64) -> QuaternionSlip {
+    *choose(r, &[QuaternionSlip::WxyzReadAsXyzw, QuaternionSlip::XyzwReadAsWxyz])
+}
+
+pub fn choose<'a, T>(r: &mut Pcg64, from: &'a [T]) -> &'a T {
+    &from[r.random_range(0..from.len())]
+}
+
+pub fn unit_vector(r: &mut Pcg64) -> Vec3 {
+    loop {
+        let v = Vec3::from_fn(|_, _| r.random_range(-1.0..1.0));
+        if (0.01..1.0).contains(&v.norm()) {
+            return v.normalize();
+        }
+    }
+}

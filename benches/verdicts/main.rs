@@ -1,0 +1,219 @@
+//! The score board: how often the audit is right on logs that it has not seen.
+//!
+//! Seeded Monte Carlo over arms, motions, rates, noise and planted faults. Every case is made from
+//! the seed and its number alone, so that one case can be made again:
+//!
+//! ```sh
+//! cargo bench --bench verdicts                                  # the table
+//! cargo bench --bench verdicts -- --logs 5000 --seed 7
+//! cargo bench --bench verdicts -- --verbose --keep /tmp/logs    # and what went wrong, with the logs
+//! cargo bench --bench verdicts -- --only 812 --keep /tmp/logs   # one log and all that is said of it
+//! ```
+//!
+//! A case has a *scene* (how the cell's log is put together: rails, namespaces, folded joints, second
+//! publishers, hands that lead …; see `scenes.rs`) and *faults* (see `kinds.rs`). What is planted follows
+//! the registry: a rule with a kind of fault takes part as soon as it is there. A seed makes other logs
+//! when a rule or a scene is added. Lost samples are not simulated.
+
+mod board;
+mod cases;
+mod judge;
+mod kinds;
+mod scenes;
+
+use std::fmt::Write as _;
+use std::fs;
+use std::io::BufWriter;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
+
+use board::Board;
+use cases::Case;
+use judge::{Outcome, Trouble, judge};
+use poseaudit::synth;
+
+fn main() {
+    let options = Options::from_args();
+    let started = Instant::now();
+    let board = run(&options);
+    if options.only.is_none() {
+        print!("{board}");
+    }
+    eprintln!("{} logs in {:.0} s", board.logs, started.elapsed().as_secs_f64());
+}
+
+pub struct Options {
+    pub logs: usize,
+    pub seed: u64,
+    pub threads: usize,
+    /// Where to keep the logs whose outcome is wrong; with `only`, the one log.
+    pub keep: Option<PathBuf>,
+    pub only: Option<usize>,
+    /// The numbers of faults to plant, taken in turn.
+    pub faults: Option<Vec<usize>>,
+    /// Kinds of fault to choose from, by the beginning of their rule's code.
+    pub kinds: Vec<String>,
+    pub arms: Vec<String>,
+    /// Scenes to choose from, by the beginning of their names.
+    pub scenes: Vec<String>,
+    /// Whether to list every wrong outcome.
+    pub verbose: bool,
+}
+
+impl Options {
+    fn from_args() -> Self {
+        // `cargo test --benches` runs this without `--bench`: a look at whether it works.
+        let logs = if std::env::args().any(|arg| arg == "--bench") { 1000 } else { 12 };
+        let mut options = Self {
+            logs,
+            seed: 1,
+            threads: 2,
+            keep: None,
+            only: None,
+            faults: None,
+            kinds: Vec::new(),
+            arms: Vec::new(),
+            scenes: Vec::new(),
+            verbose: false,
+        };
+        let mut args = std::env::args().skip(1).filter(|arg| arg != "--bench");
+        while let Some(name) = args.next() {
+            let mut value = || args.next().unwrap_or_else(|| misuse(&name));
+            let list = |text: String| text.split(',').map(str::to_owned).collect::<Vec<_>>();
+            match name.as_str() {
+                "--logs" => options.logs = number(&name, &value()),
+                "--seed" => options.seed = number(&name, &value()),
+                "--threads" => options.threads = number(&name, &value()),
+                "--keep" => options.keep = Some(value().into()),
+                "--only" => options.only = Some(number(&name, &value())),
+                "--faults" => {
+                    let counts = list(value());
+                    options.faults = Some(counts.iter().map(|text| number(&name, text)).collect());
+                }
+                "--kinds" => options.kinds = list(value()),
+                "--verbose" => options.verbose = true,
+                "--arms" => options.arms = list(value()),
+                "--scenes" => options.scenes = list(value()),
+                _ => misuse(&name),
+            }
+        }
+        options
+    }
+}
+
+fn number<T: std::str::FromStr>(name: &str, text: &str) -> T {
+    text.parse().unwrap_or_else(|_| misuse(name))
+}
+
+fn misuse(name: &str) -> ! {
+    eprintln!(
+        "{name}: not understood; options are --logs N --seed N --threads N --keep DIR --only CASE \
+         --faults 0,1,2,4 --kinds LAT,ZER001 --arms ur5e,rail --scenes rail --verbose"
+    );
+    std::process::exit(2)
+}
+
+fn run(options: &Options) -> Board {
+    let cases: Vec<usize> = match options.only {
+        Some(only) => vec![only],
+        None => (0..options.logs).collect(),
+    };
+    let (next, board) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+    let dir = std::env::temp_dir().join(format!("poseaudit-verdicts-{}", std::process::id()));
+    fs::create_dir_all(&dir).expect("a folder for the logs");
+    std::thread::scope(|scope| {
+        for _ in 0..options.threads.max(1) {
+            scope.spawn(|| {
+                loop {
+                    let at = next.fetch_add(1, Ordering::Relaxed);
+                    let Some(&index) = cases.get(at) else { break };
+                    let case = Case::new(options, index);
+                    let outcome = outcome(&case, &dir, options);
+                    if at % 100 == 99 {
+                        eprintln!("{} of {}", at + 1, cases.len());
+                    }
+                    board.lock().expect("no thread panics").push((case, outcome));
+                }
+            });
+        }
+    });
+    fs::remove_dir_all(&dir).expect("the folder of the logs can be removed");
+    let mut outcomes = board.into_inner().expect("no thread panics");
+    outcomes.sort_by_key(|(case, _)| case.index);
+    Board::new(options, &outcomes)
+}
+
+fn outcome(case: &Case, dir: &Path, options: &Options) -> Outcome {
+    let log = dir.join(format!("{}.mcap", case.index));
+    write(case, &log);
+    let audit_options = poseaudit::Options {
+        logs: vec![log.clone()],
+        tip: case.names_tip.then(|| case.scenario.tip.clone()),
+        robots: case.named_robot.iter().map(|name| name.as_str().into()).collect(),
+        ..Default::default()
+    };
+    let audited = catch_unwind(AssertUnwindSafe(|| poseaudit::audit(&audit_options)));
+    let outcome = match &audited {
+        Err(_) => Err(Trouble::Panic),
+        Ok(Err(trouble)) => Err(Trouble::Refused(trouble.what.clone())),
+        Ok(Ok(report)) => match &report.error {
+            Some(trouble) => Err(Trouble::Refused(trouble.what.clone())),
+            None => Ok(judge(case, report)),
+        },
+    };
+    let is_wrong = outcome.as_ref().map_or(true, |verdict| !verdict.wrongs.is_empty());
+    if options.only.is_some() {
+        println!("{case}");
+        if let Ok(Ok(report)) = &audited {
+            for row in &report.checks {
+                println!(
+                    "{row:?}",
+                    row = (
+                        row.code,
+                        row.subject.label(),
+                        row.status,
+                        row.reason.as_deref().unwrap_or(""),
+                        &row.estimate
+                    )
+                );
+            }
+        }
+        match &outcome {
+            Ok(verdict) => {
+                println!("fates: {:?}", verdict.fates);
+                for (kind, what) in &verdict.wrongs {
+                    println!("{kind}: {what}");
+                }
+            }
+            Err(trouble) => println!("{trouble:?}"),
+        }
+    }
+    if let Some(keep) = &options.keep
+        && (is_wrong || options.only.is_some())
+    {
+        fs::create_dir_all(keep).expect("the folder to keep logs in");
+        let name = format!("s{}-{}", options.seed, case.index);
+        fs::copy(&log, keep.join(format!("{name}.mcap"))).expect("the log can be kept");
+        let tip =
+            if case.names_tip { format!(" --tip {}", case.scenario.tip) } else { String::new() };
+        let robot = case.named_robot.iter().map(|name| format!(" --robot {name}"));
+        let robot: String = robot.collect();
+        let mut text = format!("{case}\nBIN audit {name}.mcap{tip}{robot}\n");
+        if let Ok(verdict) = &outcome {
+            for (kind, what) in &verdict.wrongs {
+                writeln!(text, "{kind}: {what}").expect("text takes text");
+            }
+        }
+        fs::write(keep.join(format!("{name}.txt")), text).expect("the truth can be kept");
+    }
+    fs::remove_file(&log).expect("the log can be removed");
+    outcome
+}
+
+fn write(case: &Case, log: &Path) {
+    let out = BufWriter::new(fs::File::create(log).expect("a log can be made"));
+    synth::write_cell(&case.arms(), out, None).expect("a log can be written");
+}

@@ -1,0 +1,334 @@
+//! The scenes: how a cell's log is put together, all of it healthy. Faults are planted on top.
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use poseaudit::geometry::{Convention, pose, rotation_from_rotvec};
+use poseaudit::robot::{Robot, catalogue};
+use poseaudit::synth::{self, Drive, Fold, Scenario, SecondPublisher, Timing};
+use rand::RngExt;
+use rand_pcg::Pcg64;
+
+use crate::cases::Arm;
+use crate::kinds::{Kind, choose, unit_vector};
+
+/// How a cell's log is put together.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Scene {
+    /// One arm, all of its topics at the root.
+    Plain,
+    /// All topics in a namespace.
+    Namespaced,
+    /// The names of joints and links begin with a prefix.
+    Prefixed,
+    /// Two arms with the same joint names in two namespaces, without /tf.
+    TwoNamespaces,
+    /// Two arms with prefixes on one /tf.
+    TwoPrefixes,
+    /// A rail above the arm's base whose joint has a topic of its own; poses in the arm's base.
+    RailApart,
+    /// A waist above the arm's base, in the same joint states; poses in the arm's base.
+    Waist,
+    /// Endless joints are brought back into one turn, across which the arm moves.
+    Folded,
+    /// The base drives: poses in odom, and that edge in /tf.
+    Driven,
+    /// Two programs publish the same transforms.
+    TwoPublishers,
+    /// Encoders with steps.
+    Encoders,
+    /// Poses in the world of a tracker.
+    TrackerWorld,
+    /// A hand leads the arm.
+    Led,
+    /// Tool poses are bare numbers as a maker has them.
+    BareNumbers,
+    /// No description: the catalogue must tell.
+    Catalogue,
+    /// Neither description nor /tf nor IMU: the poses must tell.
+    CatalogueByPoses,
+    /// An active TCP, and nobody named the tip.
+    ActiveTcp,
+}
+
+impl Scene {
+    pub const ALL: [Scene; 17] = [
+        Scene::Plain,
+        Scene::Namespaced,
+        Scene::Prefixed,
+        Scene::TwoNamespaces,
+        Scene::TwoPrefixes,
+        Scene::RailApart,
+        Scene::Waist,
+        Scene::Folded,
+        Scene::Driven,
+        Scene::TwoPublishers,
+        Scene::Encoders,
+        Scene::TrackerWorld,
+        Scene::Led,
+        Scene::BareNumbers,
+        Scene::Catalogue,
+        Scene::CatalogueByPoses,
+        Scene::ActiveTcp,
+    ];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Scene::Plain => "plain",
+            Scene::Namespaced => "namespaced",
+            Scene::Prefixed => "prefixed",
+            Scene::TwoNamespaces => "two-namespaces",
+            Scene::TwoPrefixes => "two-prefixes",
+            Scene::RailApart => "rail-apart",
+            Scene::Waist => "waist",
+            Scene::Folded => "folded",
+            Scene::Driven => "driven",
+            Scene::TwoPublishers => "two-publishers",
+            Scene::Encoders => "encoders",
+            Scene::TrackerWorld => "tracker-world",
+            Scene::Led => "led",
+            Scene::BareNumbers => "bare-numbers",
+            Scene::Catalogue => "catalogue",
+            Scene::CatalogueByPoses => "catalogue-by-poses",
+            Scene::ActiveTcp => "active-tcp",
+        }
+    }
+
+    /// Findings that are right in this scene whatever is planted: that a stream is not audited, how long
+    /// the arm takes to follow the hand.
+    pub fn allows(self, code: &str) -> bool {
+        matches!((self, code), (Scene::Led, "FRM007" | "LAT004"))
+    }
+
+    /// The arms that this scene is made with; empty where any will do.
+    pub fn arms(self) -> &'static [&'static str] {
+        match self {
+            Scene::RailApart => &["rail"],
+            Scene::Waist => &["waist"],
+            Scene::Folded => &["ur5e", "kinova_gen3_7dof"],
+            // Those whose names do not tell them.
+            Scene::CatalogueByPoses => &["ur3", "ur3e", "ur5e", "ur10e", "kuka_lbr_iiwa14"],
+            Scene::Catalogue => {
+                &["ur5e", "ur10e", "franka_fer", "kuka_lbr_iiwa14", "kinova_gen3_7dof"]
+            }
+            // The catalogue's names carry a prefix that may be replaced.
+            Scene::Prefixed | Scene::TwoPrefixes => &["ur5e", "ur3e"],
+            _ => &["ur5e", "franka_fer", "kuka_lbr_iiwa14", "so101", "ur3e", "kinova_gen3_7dof"],
+        }
+    }
+
+    /// Whether a kind of fault may be planted in it: not where its stream is missing, where the scene
+    /// makes it no fault, or where it makes another one of it.
+    pub fn takes(self, kind: Kind) -> bool {
+        use Kind::*;
+        let of_imu = matches!(
+            kind,
+            ImuLate | YawDrift | YawJump | Mount | GyroBias | ImuMisread | ImuWxyz | ImuTransposed
+        );
+        let of_tf = matches!(kind, TfLate | SecondTfDiffers | JointsLate);
+        let of_frames = matches!(kind, Reference | BaseTurned | OwnFrame | Axes);
+        match self {
+            Scene::Plain | Scene::Namespaced | Scene::Prefixed | Scene::Encoders => true,
+            Scene::TwoNamespaces => !of_tf && kind != WrongArm,
+            Scene::TwoPrefixes => kind != WrongArm,
+            Scene::RailApart | Scene::Waist => {
+                !of_imu && !matches!(kind, JointsLate | JointOrder | JointDegrees | WrongArm)
+            }
+            Scene::Folded => !matches!(kind, JointDegrees | Geared | HeldJoints),
+            Scene::Driven => !of_imu && !of_frames && !matches!(kind, JointsLate | WrongArm),
+            Scene::TwoPublishers => !of_tf && kind != WrongArm,
+            // Where that world is, and how long the tool, nobody says.
+            Scene::TrackerWorld => !of_frames && !matches!(kind, Growth | WrongArm | Inverted),
+            Scene::Led => kind != WrongArm,
+            Scene::BareNumbers => of_imu || matches!(kind, Zero | TfLate),
+            // Nothing but the arm's own words tells which it is.
+            Scene::Catalogue => !matches!(kind, WrongArm | JointDegrees),
+            Scene::CatalogueByPoses => matches!(kind, PoseLate | Misread | Wxyz | Skew | StuckPose),
+            Scene::ActiveTcp => !matches!(kind, Tool | WrongArm),
+        }
+    }
+
+    /// Whether the call names the tip.
+    pub fn names_tip(self) -> bool {
+        !matches!(
+            self,
+            Scene::ActiveTcp | Scene::CatalogueByPoses | Scene::TwoNamespaces | Scene::TwoPrefixes
+        )
+    }
+
+    /// Puts the run together; answers with the other arm's run where there are two.
+    pub fn set(self, run: &mut Scenario, r: &mut Pcg64) -> Option<Scenario> {
+        match self {
+            Scene::Plain => {}
+            Scene::Namespaced => {
+                run.namespace = (*choose(r, &["/left", "/cell1/arm", "/ur"])).to_owned()
+            }
+            Scene::Prefixed => prefix(run, choose(r, &["left_", "robot1_", "ur/"])),
+            Scene::TwoNamespaces => {
+                run.tf.timing.rate_hz = 0.0;
+                run.tf.with_static = false;
+                run.imu.timing.rate_hz = 0.0;
+                let mut other = Scenario { seed: r.random(), ..run.clone() };
+                (run.namespace, other.namespace) = ("/left".to_owned(), "/right".to_owned());
+                return Some(other);
+            }
+            Scene::TwoPrefixes => {
+                run.imu.timing.rate_hz = 0.0;
+                let mut other = Scenario { seed: r.random(), ..run.clone() };
+                prefix(run, "left_");
+                prefix(&mut other, "right_");
+                (run.namespace, other.namespace) = ("/left".to_owned(), "/right".to_owned());
+                return Some(other);
+            }
+            Scene::RailApart => {
+                apart(run, "rail_base");
+                run.joints.apart = Some((vec![0], "/rail/joint_states".to_owned()));
+            }
+            Scene::Waist => apart(run, "waist_base"),
+            Scene::Folded => {
+                run.joints.fold = Some(*choose(r, &[Fold::PlusMinusPi, Fold::ZeroToTwoPi]));
+                let seam = if run.joints.fold == Some(Fold::PlusMinusPi) { PI } else { 0.0 };
+                let endless = run.home.len() - 1;
+                run.home[endless] = seam + r.random_range(-0.3..0.3);
+            }
+            Scene::Driven => {
+                run.imu.timing.rate_hz = 0.0;
+                let edge = Timing::every(*choose(r, &[30.0, 50.0]), 0.0061);
+                let frame_id = "odom".to_owned();
+                run.pose.frame_id = frame_id.clone();
+                run.drive = Some(Drive { frame_id, reach_m: 1.5, turn_rad: 0.8, edge });
+            }
+            Scene::TwoPublishers => {
+                let mut timing = run.tf.timing.clone();
+                timing.rate_hz = *choose(r, &[timing.rate_hz, 30.0, 100.0]);
+                timing.phase_s += 0.0037;
+                run.tf.second = Some(SecondPublisher { timing, moved: None });
+            }
+            Scene::Encoders => {
+                run.joints.quantum = 2.0 * PI / *choose(r, &[4096.0, 16384.0, 65536.0]);
+            }
+            Scene::TrackerWorld => {
+                let world = choose(r, &["mocap_world", "vive/world", "optitrack", "lab/world"]);
+                run.pose.frame_id = (*world).to_owned();
+                let turn = rotation_from_rotvec(r.random_range(0.2..3.0) * unit_vector(r));
+                run.pose.reference_from_stream = pose((1.5 * unit_vector(r)).into(), turn);
+            }
+            Scene::Led => {
+                run.leader.timing.rate_hz = *choose(r, &[60.0, 90.0, 120.0]);
+                run.leader.lead_s = r.random_range(0.05..0.3);
+                let words = [("/hand/pose", "hand_world"), ("/tracker/left", "vive/world")];
+                let (topic, frame_id) = *choose(r, &words);
+                run.leader.topic = topic.to_owned();
+                run.leader.frame_id = frame_id.to_owned();
+            }
+            Scene::BareNumbers => {
+                let makers = [
+                    (Convention::RotVec, 1.0, false),
+                    ("euler:ZYX".parse().unwrap_or(Convention::RPY), 1e3, true),
+                    (Convention::RPY, 1e3, true),
+                    (Convention::RPY, 1.0, false),
+                ];
+                let (convention, times, degrees) = *choose(r, &makers);
+                run.pose.as_numbers = Some(convention);
+                (run.pose.times, run.pose.numbers_in_degrees) = (times, degrees);
+            }
+            Scene::Catalogue => run.description = false,
+            Scene::CatalogueByPoses => {
+                run.description = false;
+                run.tf.timing.rate_hz = 0.0;
+                run.tf.with_static = false;
+                run.imu.timing.rate_hz = 0.0;
+            }
+            Scene::ActiveTcp => {
+                let [x, y] = [0, 1].map(|_| r.random_range(-0.02..0.02));
+                let at = [x, y, r.random_range(0.05..0.25)];
+                run.pose.tip_from_stream = pose(at, rotation_from_rotvec(0.1 * unit_vector(r)));
+            }
+        }
+        None
+    }
+}
+
+/// Puts `prefix` before the names of joints and links.
+fn prefix(run: &mut Scenario, prefix: &str) {
+    run.robot = run.robot.with_prefix_replaced("", prefix).expect("names that were unique stay so");
+    for name in [&mut run.base, &mut run.tip, &mut run.pose.frame_id] {
+        *name = format!("{prefix}{name}");
+    }
+}
+
+/// Lets the joint states begin at `root`, and the poses at the arm's own base.
+fn apart(run: &mut Scenario, root: &str) {
+    run.root = Some(root.to_owned());
+    run.base = "base_link".to_owned();
+    run.pose.frame_id = run.base.clone();
+    run.imu.timing.rate_hz = 0.0;
+}
+
+/// The robot of an arm: of the catalogue, or a UR5e on a rail or a waist.
+pub fn robot(arm: &str) -> Robot {
+    let above = |name: &str, kind: &str, axis: &str, limit: f64| {
+        let ur5e = synth::urdf_text(catalogue::find("ur5e").expect("an arm of the catalogue"));
+        let joint = format!(
+            "  <link name=\"{name}_base\"/>\n  <joint name=\"{name}_joint\" type=\"{kind}\">\n    \
+             <parent link=\"{name}_base\"/>\n    <child link=\"base_link\"/>\n    \
+             <origin xyz=\"0.1 0 0.4\" rpy=\"0 0 0.3\"/>\n    <axis xyz=\"{axis}\"/>\n    \
+             <limit effort=\"0\" lower=\"-{limit}\" upper=\"{limit}\" velocity=\"1\"/>\n  </joint>\n\
+             </robot>"
+        );
+        let named = format!("robot name=\"{name}\"");
+        let text = ur5e.replace("</robot>", &joint).replace("robot name=\"ur5e\"", &named);
+        Robot::from_urdf(&text, "bench").expect("the arm with a joint above it is a valid model")
+    };
+    match arm {
+        "rail" => above("rail", "prismatic", "1 0 0", 1.0),
+        "waist" => above("waist", "revolute", "0 0 1", 2.0),
+        _ => catalogue::find(arm).expect("an arm of the catalogue").clone(),
+    }
+}
+
+/// The arms: name, base, tip, and the posture that they are parked in.
+pub const ARMS: [Arm; 11] = {
+    const UR: &[f64] = &[0.0, -FRAC_PI_2, FRAC_PI_2, -FRAC_PI_2, -FRAC_PI_2, 0.0];
+    const ABOVE_UR: &[f64] = &[0.0, 0.0, -FRAC_PI_2, FRAC_PI_2, -FRAC_PI_2, -FRAC_PI_2, 0.0];
+    [
+        Arm { name: "ur5e", base: "base", tip: "tool0", home: UR },
+        Arm { name: "ur3", base: "base", tip: "tool0", home: UR },
+        Arm { name: "ur3e", base: "base", tip: "tool0", home: UR },
+        Arm { name: "ur10e", base: "base", tip: "tool0", home: UR },
+        Arm {
+            name: "franka_fer",
+            base: "fer_link0",
+            tip: "fer_link8",
+            home: &[0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.8],
+        },
+        Arm {
+            name: "kuka_lbr_iiwa14",
+            base: "lbr_link_0",
+            tip: "lbr_link_ee",
+            home: &[0.0, 0.5, 0.0, -1.4, 0.0, 1.0, 0.0],
+        },
+        Arm {
+            name: "kinova_gen3_7dof",
+            base: "base_link",
+            tip: "end_effector_link",
+            home: &[0.0, 0.4, 0.0, 1.4, 0.0, -0.9, 0.0],
+        },
+        Arm { name: "so101", base: "base_link", tip: "gripper_frame_link", home: &[0.0; 5] },
+        Arm { name: "rail", base: "rail_base", tip: "tool0", home: ABOVE_UR },
+        Arm { name: "waist", base: "waist_base", tip: "tool0", home: ABOVE_UR },
+        Arm { name: "ur5", base: "base", tip: "tool0", home: UR },
+    ]
+};
+
+/// An arm of the catalogue with the same joint names, which somebody may name in its place.
+pub fn brother(arm: &str) -> Option<&'static str> {
+    Some(match arm {
+        "ur3" => "ur3e",
+        "ur3e" => "ur3",
+        "ur5e" => "ur5",
+        "ur5" => "ur5e",
+        "ur10e" => "ur10",
+        "kuka_lbr_iiwa14" => "kuka_lbr_iiwa7",
+        _ => return None,
+    })
+}

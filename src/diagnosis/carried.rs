@@ -1,0 +1,338 @@
+//! Arms whose base moves: poses in a frame that it moves in.
+
+use super::PoseStream;
+use super::latency::pose_peaks;
+use crate::geometry::{Pose, Vec3};
+use crate::stream::{JointTrack, Orientations, PoseTrack};
+
+/// Samples that are looked at.
+const SAMPLES: usize = 300;
+/// Samples without which nothing is told.
+const ENOUGH: usize = 20;
+/// Times are sought within this of each other, s.
+const MOST_S: f64 = 0.5;
+/// How far apart they are tried first, and how finely they are told, s.
+const STEP_S: f64 = 0.02;
+const FINEST_S: f64 = 2e-5;
+/// A frame's transforms are late or early where that leaves less than this share of what they leave
+/// when they are of the time that the poses are of, …
+const SHARE: f64 = 0.7;
+/// … and by more than this, s.
+const APART_S: f64 = 2e-3;
+
+/// When the transforms of a moving frame must be taken for poses that are in it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CarrierLag {
+    /// Before the poses' stamps, s.
+    pub lag_s: f64,
+    /// Whether it is the poses' own latency: the transforms are of the time of their stamps.
+    pub is_on_time: bool,
+}
+
+/// When the transforms of the frame that `logged` is in must be taken so that the arm is where the
+/// joints put it: with `logged(s) = frame_from_base(s − λ) · FK(q(s − τ)) · tool`, λ and τ that leave
+/// least of the positions, both the same wherever that does. `None` where too few samples are known.
+///
+/// `stream` has the chain and its columns; `base_from_frame` is known at some times only.
+pub fn carrier_lag(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    logged: &PoseTrack,
+    base_from_frame: &(dyn Fn(f64) -> Option<Pose> + Sync),
+    most_lag_s: f64,
+) -> Option<CarrierLag> {
+    let rows = some_of(logged.t_s.len());
+    let cost = |lag_s: f64, latency_s: f64| -> f64 {
+        let mut fk = Forward::new(joints, stream);
+        let offsets = rows.iter().filter_map(|&row| {
+            let t_s = logged.t_s[row];
+            let at = base_from_frame(t_s - lag_s)? * nalgebra::Point3::from(logged.xyz[row]);
+            let arm = fk.at(t_s - latency_s)?;
+            Some(arm.rotation.inverse() * (at.coords - arm.translation.vector))
+        });
+        let offsets: Vec<Vec3> = offsets.collect();
+        if 2 * offsets.len() < rows.len() || offsets.len() < ENOUGH {
+            return f64::INFINITY;
+        }
+        // About a constant tool.
+        let tool = offsets.iter().sum::<Vec3>() / offsets.len() as f64;
+        let squares = offsets.iter().map(|offset| (offset - tool).norm_squared());
+        (squares.sum::<f64>() / offsets.len() as f64).sqrt()
+    };
+    let tried = (most_lag_s.min(MOST_S) / STEP_S) as i32;
+    let lags = (-tried..=tried).map(|step| f64::from(step) * STEP_S);
+    let best = lags.min_by(|&a, &b| cost(a, a).total_cmp(&cost(b, b)))?;
+    let together = descend([best, 0.0], &|[both, _]| cost(both, both))[0];
+    let left = cost(together, together);
+    if !left.is_finite() {
+        return None;
+    }
+    let [lag_s, latency_s] = descend([together, together], &|[lag, latency]| cost(lag, latency));
+    let is_on_time = (lag_s - latency_s).abs() < APART_S || cost(lag_s, latency_s) > SHARE * left;
+    Some(CarrierLag { lag_s: if is_on_time { together } else { lag_s }, is_on_time })
+}
+
+/// The least of a function near a point, by steps along the axes and between them that are halved where
+/// none helps (Hooke and Jeeves 1961).
+fn descend(start: [f64; 2], cost: &dyn Fn([f64; 2]) -> f64) -> [f64; 2] {
+    const WAYS: [[f64; 2]; 8] = [
+        [1.0, 0.0],
+        [-1.0, 0.0],
+        [0.0, 1.0],
+        [0.0, -1.0],
+        [1.0, 1.0],
+        [-1.0, -1.0],
+        [1.0, -1.0],
+        [-1.0, 1.0],
+    ];
+    let (mut at, mut least, mut step) = (start, cost(start), STEP_S);
+    while step > FINEST_S {
+        let ways = WAYS.iter().map(|way| [at[0] + step * way[0], at[1] + step * way[1]]);
+        let best = ways.map(|to| (cost(to), to)).min_by(|a, b| a.0.total_cmp(&b.0));
+        match best {
+            Some((less, to)) if less < least => (at, least) = (to, less),
+            _ => step *= 0.5,
+        }
+    }
+    at
+}
+
+/// How an arm's base moves in the frame of its poses.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BaseTravel {
+    /// How far it goes from where it is in the middle, at most, m.
+    pub travel_m: f64,
+    /// How far it turns from how it stands first, at most, rad.
+    pub turn_rad: f64,
+}
+
+/// Whether the arm's base moves in the frame of a stream's poses as a vehicle, a lift or a rail does: at
+/// some latency, what FK leaves of the poses moves in a plane or along a line and turns about one axis
+/// only, and goes several times as far there as it strays from that.
+pub fn base_travel(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    most_lag_s: f64,
+) -> Option<BaseTravel> {
+    /// A base that goes less far stands, m.
+    const STANDS_M: f64 = 0.02;
+    /// It goes so many times as far as it strays, …
+    const FARTHER: f64 = 10.0;
+    /// … and no more than this share of it at once: what was pushed stands before and after.
+    const AT_ONCE: f64 = 0.5;
+    let Orientations::Rotations(rotations) = &stream.track.orientation else { return None };
+    let rows = some_of(stream.track.t_s.len());
+    let bases = |latency_s: f64| -> Vec<Pose> {
+        let mut fk = Forward::new(joints, stream);
+        let of_row = |&row: &usize| {
+            let logged = Pose::from_parts(stream.track.xyz[row].into(), rotations[row]);
+            Some(logged * fk.at(stream.track.t_s[row] - latency_s)?.inverse())
+        };
+        rows.iter().filter_map(of_row).collect()
+    };
+    let strays = |latency_s: f64| -> f64 {
+        let bases = bases(latency_s);
+        match 2 * bases.len() < rows.len() || bases.len() < ENOUGH {
+            true => f64::INFINITY,
+            false => Course::of(&bases).strays_m,
+        }
+    };
+    let peaks = pose_peaks(
+        joints,
+        stream.chain,
+        stream.columns,
+        &stream.track.t_s,
+        &stream.track.xyz,
+        Some(rotations),
+        most_lag_s,
+    );
+    let tried = (most_lag_s.min(MOST_S) / STEP_S) as i32;
+    let lags = (-tried..=tried).map(|step| f64::from(step) * STEP_S);
+    let near = peaks.iter().take(3).map(|peak| peak.lag_s);
+    let best = lags.chain(near).min_by(|&a, &b| strays(a).total_cmp(&strays(b)))?;
+    let latency_s = descend([best, 0.0], &|[latency_s, _]| strays(latency_s))[0];
+    let bases = bases(latency_s);
+    if bases.len() < ENOUGH {
+        return None;
+    }
+    let course = Course::of(&bases);
+    let steps = bases.windows(2).map(|two| two[1].translation.vector - two[0].translation.vector);
+    let largest_m = steps.map(|step| step.norm()).fold(0.0, f64::max);
+    let moves = course.along_m > STANDS_M
+        && course.along_m > FARTHER * course.strays_m
+        && largest_m < AT_ONCE * course.along_m;
+    moves.then(|| {
+        let middle =
+            bases.iter().map(|base| base.translation.vector).sum::<Vec3>() / bases.len() as f64;
+        let far = bases.iter().map(|base| (base.translation.vector - middle).norm());
+        let turned = bases.iter().map(|base| base.rotation.angle_to(&bases[0].rotation));
+        BaseTravel { travel_m: far.fold(0.0, f64::max), turn_rad: turned.fold(0.0, f64::max) }
+    })
+}
+
+/// How far poses go in the plane across the axis that they turn about, and how far they stray from it.
+struct Course {
+    along_m: f64,
+    strays_m: f64,
+}
+
+impl Course {
+    /// Rotations that are off by 1 rad stray as far as positions by this, m.
+    const LEVER_M: f64 = 0.5;
+    /// A body turns hardly where the mean of its rotations is that near to one (5 mrad, rms).
+    const HARDLY: f64 = 1e-5;
+
+    fn of(poses: &[Pose]) -> Self {
+        let n = poses.len().max(1) as f64;
+        let mut mean = nalgebra::Matrix3::zeros();
+        for pose in poses {
+            mean += pose.rotation.to_rotation_matrix().into_inner() / n;
+        }
+        let middle = poses.iter().map(|pose| pose.translation.vector).sum::<Vec3>() / n;
+        let away: Vec<Vec3> = poses.iter().map(|pose| pose.translation.vector - middle).collect();
+        let scatter =
+            away.iter().map(|away| away * away.transpose()).sum::<nalgebra::Matrix3<f64>>() / n;
+        let squares = scatter.symmetric_eigenvalues();
+        let svd = mean.svd(true, true);
+        let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
+            return Self { along_m: 0.0, strays_m: f64::INFINITY };
+        };
+        let turns = 1.0 - svd.singular_values.min();
+        let (across, leans_rad) = if turns < Self::HARDLY {
+            // All axes keep their directions: positions lie in a plane or they do not.
+            (squares.min(), (2.0 * turns).max(0.0).sqrt())
+        } else {
+            // The axis of the body that keeps its direction best, and that direction.
+            let at = svd.singular_values.imax();
+            let (up, axis) = (u.column(at).into_owned(), v_t.row(at).transpose());
+            let leans = poses.iter().map(|pose| (pose.rotation * axis - up).norm_squared());
+            let across = away.iter().map(|away| away.dot(&up).powi(2));
+            (across.sum::<f64>() / n, (leans.sum::<f64>() / n).sqrt())
+        };
+        Self {
+            along_m: (squares.sum() - across).max(0.0).sqrt(),
+            strays_m: across.max(0.0).sqrt().hypot(Self::LEVER_M * leans_rad),
+        }
+    }
+}
+
+/// FK of a stream's chain at times that mostly increase.
+struct Forward<'a> {
+    joints: &'a JointTrack,
+    stream: &'a PoseStream<'a>,
+    cursor: usize,
+    row: Vec<f64>,
+    rates: Vec<f64>,
+    q: Vec<f64>,
+}
+
+impl<'a> Forward<'a> {
+    fn new(joints: &'a JointTrack, stream: &'a PoseStream<'a>) -> Self {
+        let (row, rates) = (vec![0.0; joints.dof], vec![0.0; joints.dof]);
+        Self { joints, stream, cursor: 0, row, rates, q: vec![0.0; stream.columns.len()] }
+    }
+
+    fn at(&mut self, t_s: f64) -> Option<Pose> {
+        if !self.joints.at(t_s, &mut self.cursor, &mut self.row, &mut self.rates) {
+            return None;
+        }
+        for (q, &column) in self.q.iter_mut().zip(self.stream.columns) {
+            *q = self.row[column];
+        }
+        Some(self.stream.chain.forward(&self.q))
+    }
+}
+
+/// Rows spread evenly over so many.
+fn some_of(rows: usize) -> Vec<usize> {
+    (0..rows).step_by(rows.div_ceil(SAMPLES).max(1)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::rotation_from_rpy;
+    use crate::robot::catalogue;
+
+    /// Joints that move, and where FK puts the tool at a time.
+    fn arm() -> (JointTrack, crate::robot::Chain) {
+        let robot = catalogue::find("ur5e").unwrap();
+        let link = |name| robot.link(name).unwrap();
+        let chain = robot.chain(link("base"), link("tool0")).unwrap();
+        let mut joints = JointTrack { dof: 6, ..Default::default() };
+        for row in 0..2500 {
+            let t_s = f64::from(row) * 0.008;
+            joints.t_s.push(t_s);
+            for joint in 0..6 {
+                let (rate, phase) = (0.7 + 0.23 * f64::from(joint), f64::from(joint));
+                joints.q.push(0.5 * (rate * t_s + phase).sin() - 0.6);
+                joints.qd.push(0.5 * rate * (rate * t_s + phase).cos());
+            }
+        }
+        (joints, chain)
+    }
+
+    fn odometry(t_s: f64) -> Pose {
+        let turn = rotation_from_rpy([0.0, 0.0, 0.4 * (0.27 * t_s).sin()]);
+        Pose::from_parts([0.2 * t_s, 0.5 * (0.31 * t_s).sin(), 0.0].into(), turn)
+    }
+
+    /// Poses of the tool in `frame(t)`, all of them late by so much.
+    fn track(
+        joints: &JointTrack,
+        chain: &crate::robot::Chain,
+        latency_s: f64,
+        frame: impl Fn(f64) -> Pose,
+    ) -> PoseTrack {
+        let (mut xyz, mut rotations, mut t_s) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut q, mut qd) = ([0.0; 6], [0.0; 6]);
+        for row in 100..1800 {
+            let stamp = f64::from(row) * 0.01 + 0.003;
+            assert!(joints.at(stamp - latency_s, &mut 0, &mut q, &mut qd));
+            let pose = frame(stamp - latency_s) * chain.forward(&q);
+            t_s.push(stamp);
+            xyz.push(pose.translation.vector);
+            rotations.push(pose.rotation);
+        }
+        PoseTrack { t_s, xyz, orientation: Orientations::Rotations(rotations), declared: None }
+    }
+
+    fn stream<'a>(track: &'a PoseTrack, chain: &'a crate::robot::Chain) -> PoseStream<'a> {
+        const COLUMNS: [usize; 6] = [0, 1, 2, 3, 4, 5];
+        PoseStream {
+            track,
+            chain,
+            columns: &COLUMNS,
+            reference_known: false,
+            stamp_error_s: 0.0,
+            stamps_copied: false,
+        }
+    }
+
+    #[test]
+    fn transforms_are_taken_when_they_were_true_be_they_late_or_not() {
+        let (joints, chain) = arm();
+        let logged = track(&joints, &chain, 0.03, odometry);
+        let lag = |edge_s: f64| {
+            let at = move |t_s: f64| Some(odometry(t_s - edge_s).inverse());
+            carrier_lag(&joints, &stream(&logged, &chain), &logged, &at, 5.0).unwrap()
+        };
+        let (on_time, late) = (lag(0.0), lag(0.05));
+        assert!(on_time.is_on_time && (on_time.lag_s - 0.03).abs() < 2e-4, "{on_time:?}");
+        assert!(!late.is_on_time && (late.lag_s + 0.02).abs() < 1e-3, "{late:?}");
+    }
+
+    #[test]
+    fn a_base_that_drives_is_told_from_one_that_stands_and_from_an_arm_that_is_another() {
+        let (joints, chain) = arm();
+        let travel = |track: PoseTrack| base_travel(&joints, &stream(&track, &chain), 5.0);
+        let driven = travel(track(&joints, &chain, 0.03, odometry)).unwrap();
+        assert!(driven.travel_m > 1.0 && (driven.turn_rad - 0.8).abs() < 0.4, "{driven:?}");
+        assert_eq!(travel(track(&joints, &chain, 0.0, |_| odometry(3.0))), None);
+        let pushed = |t_s: f64| odometry(if t_s < 9.0 { 1.0 } else { 2.0 });
+        assert_eq!(travel(track(&joints, &chain, 0.0, pushed)), None);
+        let mut other = track(&joints, &chain, 0.0, |_| Pose::identity());
+        other.xyz.iter_mut().for_each(|xyz| xyz.x += 0.3 * xyz.y * xyz.z);
+        assert_eq!(travel(other), None);
+    }
+}

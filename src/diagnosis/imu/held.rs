@@ -1,0 +1,140 @@
+//! What an IMU leaves straight against FK, beside the fits: what a pass rests on.
+
+use super::super::proof::{Error, Series};
+use super::super::reading::{mean_rotation, wahba};
+use super::{FIT_SAMPLES, FOLLOWS, ImuDiagnosis, ImuStream, Link, rms};
+use crate::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
+use crate::stream::{JointTrack, sample_noise};
+use nalgebra::Matrix3;
+
+/// Samples without which nothing is said.
+const NEED: usize = 50;
+
+/// What an IMU that turns with the arm leaves against FK.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ImuProof {
+    /// What its orientation leaves, rad, with latency, mount, a constant world and the course of its
+    /// yaw taken off; `length` is nothing.
+    pub turning: Option<Error>,
+    /// What its gyro leaves.
+    pub rates: Option<Rates>,
+    /// The median of what its accelerometer feels, m/s²; `None` where it feels nothing.
+    pub gravity_m_s2: Option<f64>,
+}
+
+/// A gyro against the arm's angular rate, its mount and its mean taken off.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rates {
+    /// How many times as fast as the arm it says that it turns.
+    pub scale: f64,
+    /// What it leaves, rms rad/s.
+    pub left: f64,
+    /// The arm's rate, rms rad/s.
+    pub by_fk: f64,
+    /// The gyro's noise from sample to sample, rms rad/s.
+    pub noise: f64,
+}
+
+/// What an IMU leaves against FK of `joints`, which should be those corrected by what was found on
+/// them. `None` where it does not turn with the arm, so that it could not be held against it.
+pub fn proof_of_imu(
+    joints: &JointTrack,
+    stream: &ImuStream,
+    found: &ImuDiagnosis,
+    most_lag_s: f64,
+) -> Option<ImuProof> {
+    let link = Link::new(joints, stream);
+    let peak = link.peaks(most_lag_s).first().copied()?;
+    if peak.correlation <= FOLLOWS {
+        return None;
+    }
+    let lag_s = found.latency_s.as_ref().map_or(peak.lag_s, |latency| latency.value);
+    let skew = found.skew.as_ref().map_or(0.0, |skew| skew.value);
+    let truth_s = |t_s: f64| t_s - lag_s - skew * (t_s - link.middle_s);
+    let t_s = &stream.track.t_s;
+    let mut sweep = link.sweep();
+    let stride = t_s.len().div_ceil(FIT_SAMPLES).max(1);
+    let mut moments: Vec<(usize, Rotation, Vec3)> = Vec::new();
+    for row in (0..t_s.len()).step_by(stride) {
+        if let Some(moment) = link.at(truth_s(t_s[row]), &mut sweep)
+            && moment.moving
+        {
+            moments.push((row, moment.rotation, moment.rotation.inverse() * moment.rate));
+        }
+    }
+    (moments.len() >= NEED).then(|| ImuProof {
+        turning: turning(stream, found, &moments),
+        rates: rates(&stream.track.gyro, &moments),
+        gravity_m_s2: gravity(&stream.track.accel),
+    })
+}
+
+/// What the orientation leaves; `None` where there is none that was read as it is logged.
+fn turning(
+    stream: &ImuStream,
+    found: &ImuDiagnosis,
+    moments: &[(usize, Rotation, Vec3)],
+) -> Option<Error> {
+    let reading = found.reading.as_ref().ok()?;
+    let (track, link_from_imu) = (stream.track, found.link_from_imu?);
+    if track.orientation.is_empty() || !reading.best.is_as_logged() {
+        return None;
+    }
+    let yaw_at = |t_s: f64| {
+        let next = found.yaw_error.partition_point(|(at_s, _)| *at_s <= t_s);
+        let last = found.yaw_error.get(next.saturating_sub(1));
+        last.map_or(0.0, |(_, yaw_rad)| *yaw_rad)
+    };
+    let worlds: Vec<Rotation> = moments
+        .iter()
+        .map(|(row, base_from_link, _)| {
+            let world = track.orientation[*row] * (base_from_link * link_from_imu).inverse();
+            rotation_from_rotvec(Vec3::z() * -yaw_at(track.t_s[*row])) * world
+        })
+        .collect();
+    let mean = mean_rotation(&worlds);
+    let angle = worlds.iter().map(|world| rotvec_from_rotation(&(world * mean.inverse())));
+    let angle: Vec<Vec3> = angle.collect();
+    let t_s: Vec<f64> = moments.iter().map(|(row, ..)| track.t_s[*row]).collect();
+    let fk: Vec<Pose> = moments
+        .iter()
+        .map(|(_, rotation, _)| Pose::from_parts(Vec3::zeros().into(), *rotation))
+        .collect();
+    let nothing = vec![Vec3::zeros(); angle.len()];
+    let moves = vec![true; angle.len()];
+    Some(Series::new(&t_s, &fk, nothing, Some(angle)).error(&moves, false))
+}
+
+/// What the gyro leaves of the arm's rates with the mount that suits it best; `None` where it says
+/// nothing.
+fn rates(gyro: &[Vec3], moments: &[(usize, Rotation, Vec3)]) -> Option<Rates> {
+    let n = moments.len() as f64;
+    let mean = moments.iter().map(|(row, ..)| gyro[*row]).sum::<Vec3>() / n;
+    let mean_rate = moments.iter().map(|(.., rate)| rate).sum::<Vec3>() / n;
+    let pairs = || moments.iter().map(|(row, _, rate)| (gyro[*row] - mean, rate - mean_rate));
+    let correlation: Matrix3<f64> = pairs().map(|(gyro, rate)| rate * gyro.transpose()).sum();
+    let link_from_imu = wahba(&correlation);
+    let (mut along, mut square) = (0.0, 0.0);
+    for (gyro, rate) in pairs() {
+        along += rate.dot(&(link_from_imu * gyro));
+        square += rate.norm_squared();
+    }
+    let noise = |axis: usize| {
+        let column: Vec<f64> = gyro.iter().map(|gyro| gyro[axis]).collect();
+        sample_noise(&column)
+    };
+    let says_something = gyro.iter().any(|gyro| gyro.norm() > 0.0);
+    (says_something && square > 0.0).then(|| Rates {
+        scale: along / square,
+        left: rms(pairs().map(|(gyro, rate)| (link_from_imu * gyro - rate).norm())),
+        by_fk: (square / n).sqrt(),
+        noise: Vec3::new(noise(0), noise(1), noise(2)).norm(),
+    })
+}
+
+/// The median of what the accelerometer feels, m/s²; `None` where it feels nothing.
+fn gravity(accel: &[Vec3]) -> Option<f64> {
+    let mut sizes: Vec<f64> = accel.iter().map(Vec3::norm).collect();
+    sizes.sort_by(f64::total_cmp);
+    sizes.get(sizes.len() / 2).copied().filter(|size| *size > 0.0)
+}

@@ -1,0 +1,426 @@
+//! What a model of the arm needs to explain the positions of a stream: nothing, an active TCP, a joint
+//! zero, a moved frame. Of several arms with the same joint names the log is of the one that needs least.
+//!
+//! Positions alone are held against FK, so that no convention of rotations is in the way. Each way is a
+//! Gauss–Newton fit of `p(s) = reference · FK(q(s − τ) + δ) · tool` with the latency free, on a few dozen
+//! slow samples; what it leaves is compared between arms, not judged.
+
+use super::PoseStream;
+use super::latency::{joint_activity, linear_speed, peaks};
+use super::model::pose_of_twist;
+use super::placing::Expected;
+use super::prepare::{metres_by_size, slow_samples};
+use crate::geometry::{Pose, Vec3};
+use crate::robot::JointKind;
+use crate::stream::{JointTrack, Orientations};
+use nalgebra::{DMatrix, DVector, Point3};
+
+/// Fewer samples tell nothing.
+const ENOUGH: usize = 12;
+/// Where this is left, m, the pose may be inverted or the joints in degrees.
+const ASTRAY_M: f64 = 5e-3;
+
+/// What must be assumed for a model to fit, the most harmless first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Needs {
+    /// Nothing.
+    Nothing,
+    /// A tool of constant offset: an active TCP.
+    Tool,
+    /// The zero of a joint, by its place in the chain, with or without a tool.
+    Zero {
+        /// The joint.
+        joint: usize,
+        /// Whether with a tool.
+        tool: bool,
+    },
+    /// Another reference frame, with or without a tool.
+    Reference {
+        /// Whether with a tool.
+        tool: bool,
+    },
+}
+
+impl Needs {
+    /// Whether that is no fault: nothing, or an active TCP.
+    pub fn is_harmless(self) -> bool {
+        matches!(self, Needs::Nothing | Needs::Tool)
+    }
+
+    /// How many numbers are fitted beside the latency.
+    fn parameters(self) -> usize {
+        let tool = |tool: bool| if tool { 3 } else { 0 };
+        match self {
+            Needs::Nothing => 0,
+            Needs::Tool => 3,
+            Needs::Zero { tool: with, .. } => 1 + tool(with),
+            Needs::Reference { tool: with } => 6 + tool(with),
+        }
+    }
+}
+
+/// One way in which a model fits a stream.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Way {
+    /// What it needs.
+    pub needs: Needs,
+    /// Whether besides the poses are inverted or the joints in degrees.
+    pub misread: bool,
+    /// What it leaves of the positions, rms m over the best nine tenths of the samples.
+    pub left_m: f64,
+    /// The tool's offset in the link's frame, m.
+    pub tool_m: Vec3,
+}
+
+/// How a model fits a stream.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ModelFit {
+    /// Samples that it was tried on.
+    pub samples: usize,
+    /// Rms distance of the positions from their mean, m.
+    pub spread_m: f64,
+    /// Every way that was tried.
+    pub ways: Vec<Way>,
+}
+
+/// One way of a model with its price paid: less is better.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Priced {
+    /// The way.
+    pub way: Way,
+    /// `n ln σ²` of what it leaves, and the price of what it needs.
+    pub score: f64,
+}
+
+impl ModelFit {
+    /// The least that is left without a fault, m.
+    pub fn harmless_m(&self) -> f64 {
+        let harmless = self.ways.iter().filter(|way| way.needs.is_harmless() && !way.misread);
+        harmless.map(|way| way.left_m).fold(f64::INFINITY, f64::min)
+    }
+
+    /// What is left with nothing assumed but a latency, m.
+    pub fn as_is_m(&self) -> f64 {
+        let as_is = self.ways.iter().find(|way| way.needs == Needs::Nothing && !way.misread);
+        as_is.map_or(f64::INFINITY, |way| way.left_m)
+    }
+
+    /// The cheapest way, where residuals below `floor_m` are the same to any model.
+    pub fn best(&self, floor_m: f64) -> Option<Priced> {
+        let ways =
+            self.ways.iter().map(|way| Priced { way: *way, score: self.score(way, floor_m) });
+        ways.min_by(|a, b| a.score.total_cmp(&b.score))
+    }
+
+    fn score(&self, way: &Way, floor_m: f64) -> f64 {
+        /// Samples of one motion hang together: no more of them count.
+        const COUNTED: f64 = 40.0;
+        let n = (self.samples as f64).min(COUNTED);
+        let price = super::explain::price(n);
+        let parameters = way.needs.parameters() as f64 + if way.misread { 3.0 } else { 0.0 };
+        n * (way.left_m.powi(2) + floor_m.powi(2)).ln() + price * parameters
+    }
+}
+
+/// How the model behind `stream`'s chain fits its positions; `None` where the joints cover too few
+/// samples.
+pub fn model_fit(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Option<ModelFit> {
+    let scale = metres_by_size(joints, stream);
+    let lag_s = lags(joints, stream, most_lag_s);
+    let tried = lag_s.into_iter().filter_map(|lag_s| Sight::of(joints, stream, scale, lag_s));
+    let best = tried
+        .map(|sight| {
+            let fit = sight.fit();
+            (fit.harmless_m(), sight, fit)
+        })
+        .min_by(|a, b| a.0.total_cmp(&b.0));
+    let (_, sight, mut fit) = best?;
+    if fit.ways.iter().all(|way| way.left_m > ASTRAY_M) {
+        fit.ways.extend(sight.misread_ways());
+    }
+    Some(fit)
+}
+
+/// Latencies at which the stream moves as the joints do, and none.
+fn lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<f64> {
+    let track = stream.track;
+    let speed = linear_speed(&track.t_s, &track.xyz);
+    let peaks = peaks(&joint_activity(joints), &speed, most_lag_s);
+    let near = peaks.iter().filter(|peak| peak.correlation > 0.4).take(2).map(|peak| peak.lag_s);
+    std::iter::once(0.0).chain(near.filter(|lag_s| lag_s.abs() > 0.02)).collect()
+}
+
+/// Some samples of a stream beside what moves it.
+struct Sight<'a> {
+    joints: &'a JointTrack,
+    stream: PoseStream<'a>,
+    lag_s: f64,
+    t_s: Vec<f64>,
+    xyz: Vec<Vec3>,
+    /// Positions of the inverse poses, where the stream has rotations.
+    inverse_xyz: Option<Vec<Vec3>>,
+    fk: Vec<Pose>,
+    /// Whether positions of the joints are degrees.
+    in_degrees: bool,
+}
+
+/// What is fitted.
+#[derive(Clone)]
+struct Guess {
+    lag_s: f64,
+    zeros: Vec<f64>,
+    reference: Pose,
+    tool: Vec3,
+}
+
+impl<'a> Sight<'a> {
+    fn of(joints: &'a JointTrack, stream: &PoseStream<'a>, scale: f64, lag_s: f64) -> Option<Self> {
+        let PoseStream { track, chain, columns, .. } = *stream;
+        let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, lag_s);
+        let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row] * scale).collect();
+        let inverse_xyz = match &track.orientation {
+            Orientations::Rotations(all) => {
+                let inverse = rows.iter().zip(&xyz).map(|(&row, p)| -(all[row].inverse() * p));
+                Some(inverse.collect())
+            }
+            Orientations::Numbers(_) | Orientations::Unset(_) => None,
+        };
+        let t_s = rows.iter().map(|&row| track.t_s[row]).collect();
+        (rows.len() >= ENOUGH).then_some(Self {
+            joints,
+            stream: *stream,
+            lag_s,
+            t_s,
+            xyz,
+            inverse_xyz,
+            fk,
+            in_degrees: false,
+        })
+    }
+
+    /// All ways, with poses and joints read as they are.
+    fn fit(&self) -> ModelFit {
+        let dof = self.stream.chain.dof();
+        let zeros =
+            (0..dof).flat_map(|joint| [false, true].map(|tool| Needs::Zero { joint, tool }));
+        let needs: Vec<Needs> = [Needs::Nothing, Needs::Tool]
+            .into_iter()
+            .chain([false, true].map(|tool| Needs::Reference { tool }))
+            .chain(zeros)
+            .collect();
+        let ways = needs.into_iter().filter_map(|needs| self.way(needs)).collect();
+        ModelFit { samples: self.t_s.len(), spread_m: super::placing::spread(&self.xyz), ways }
+    }
+
+    /// The ways of poses that are inverted, and of joints that are in degrees.
+    fn misread_ways(&self) -> Vec<Way> {
+        let of = |sight: Sight<'_>| {
+            let needs = [Needs::Nothing, Needs::Tool, Needs::Reference { tool: true }];
+            let ways = needs.into_iter().filter_map(|needs| sight.way(needs));
+            ways.map(|way| Way { misread: true, ..way }).collect::<Vec<_>>()
+        };
+        let as_it_is = || Sight {
+            joints: self.joints,
+            stream: self.stream,
+            lag_s: self.lag_s,
+            t_s: self.t_s.clone(),
+            xyz: self.xyz.clone(),
+            inverse_xyz: None,
+            fk: self.fk.clone(),
+            in_degrees: self.in_degrees,
+        };
+        let inverted = self.inverse_xyz.clone().map(|xyz| of(Sight { xyz, ..as_it_is() }));
+        let mut in_radians = Sight { in_degrees: true, ..as_it_is() };
+        in_radians.fk = in_radians.poses();
+        inverted.into_iter().flatten().chain(of(in_radians)).collect()
+    }
+
+    /// FK at the samples.
+    fn poses(&self) -> Vec<Pose> {
+        let guess = self.plain();
+        let mut moment = Moment::new(self);
+        self.t_s.iter().filter_map(|&t_s| moment.at(t_s, &guess).then(|| moment.pose)).collect()
+    }
+
+    fn plain(&self) -> Guess {
+        Guess {
+            lag_s: self.lag_s,
+            zeros: vec![0.0; self.stream.chain.dof()],
+            reference: Pose::identity(),
+            tool: Vec3::zeros(),
+        }
+    }
+
+    /// The fit with what `needs` says free; a frame that is not known is free at any rate.
+    fn way(&self, needs: Needs) -> Option<Way> {
+        let dof = self.stream.chain.dof();
+        let is_free = !self.stream.reference_known;
+        let (reference, tool) = match needs {
+            Needs::Reference { .. } if is_free => return None,
+            Needs::Reference { tool } => (true, tool),
+            Needs::Tool => (is_free, true),
+            Needs::Zero { tool, .. } => (is_free, tool),
+            Needs::Nothing => (is_free, false),
+        };
+        let mut free = vec![0];
+        if let Needs::Zero { joint, .. } = needs {
+            free.push(1 + joint);
+        }
+        free.extend((0..6).filter(|_| reference).map(|at| 1 + dof + at));
+        free.extend((0..3).filter(|_| tool).map(|at| 7 + dof + at));
+        let mut starts = vec![self.plain()];
+        if reference {
+            let turned = Expected::of(&self.fk).turned(&self.xyz);
+            starts.extend(turned.map(|(reference, _)| Guess { reference, ..self.plain() }));
+        }
+        let found = starts.into_iter().map(|start| self.solve(start, &free));
+        let (left_m, guess) = found.min_by(|a, b| a.0.total_cmp(&b.0))?;
+        left_m.is_finite().then_some(Way { needs, misread: false, left_m, tool_m: guess.tool })
+    }
+
+    /// Gauss–Newton on the numbers `free`: latency, joint zeros, reference frame, tool, in this order.
+    fn solve(&self, mut guess: Guess, free: &[usize]) -> (f64, Guess) {
+        const ROUNDS: usize = 10;
+        let mut best = (self.left_m(&guess), guess.clone());
+        for _ in 0..ROUNDS {
+            let Some(step) = self.step(&guess, free) else { break };
+            let dof = guess.zeros.len();
+            for (&at, &change) in free.iter().zip(step.iter()) {
+                match at {
+                    0 => guess.lag_s += change,
+                    at if at <= dof => guess.zeros[at - 1] += change,
+                    at if at > 6 + dof => guess.tool[at - 7 - dof] += change,
+                    _ => {}
+                }
+            }
+            let twist: [f64; 6] = std::array::from_fn(|axis| {
+                let at = free.iter().position(|&at| at == 1 + dof + axis);
+                at.map_or(0.0, |at| step[at])
+            });
+            guess.reference = pose_of_twist(&twist) * guess.reference;
+            let left_m = self.left_m(&guess);
+            let gain = best.0 - left_m;
+            if gain > 0.0 {
+                best = (left_m, guess.clone());
+            }
+            if gain.abs() < 1e-9 {
+                break;
+            }
+        }
+        best
+    }
+
+    fn step(&self, guess: &Guess, free: &[usize]) -> Option<DVector<f64>> {
+        /// Steps are damped at this scale, so that what the log does not show stays in place.
+        const SCALE: f64 = 0.5;
+        let (n, dof) = (free.len(), guess.zeros.len());
+        let mut moment = Moment::new(self);
+        let (mut normal, mut right) = (DMatrix::zeros(n, n), DVector::zeros(n));
+        let turn = guess.reference.rotation;
+        for (&t_s, logged) in self.t_s.iter().zip(&self.xyz) {
+            if !moment.at(t_s, guess) {
+                continue;
+            }
+            let at = moment.tip(guess);
+            let lever = moment.pose.rotation * guess.tool;
+            let rows: Vec<Vec3> = free
+                .iter()
+                .map(|&parameter| match parameter {
+                    0 => -(turn * moment.velocity(&lever)),
+                    p if p <= dof => turn * moment.along(p - 1, &lever),
+                    p if p <= 3 + dof => Vec3::ith(p - 1 - dof, 1.0),
+                    p if p <= 6 + dof => Vec3::ith(p - 4 - dof, 1.0).cross(&at),
+                    p => turn * (moment.pose.rotation * Vec3::ith(p - 7 - dof, 1.0)),
+                })
+                .collect();
+            let residual = logged - at;
+            for (i, a) in rows.iter().enumerate() {
+                right[i] += a.dot(&residual);
+                for (j, b) in rows.iter().enumerate() {
+                    normal[(i, j)] += a.dot(b);
+                }
+            }
+        }
+        for at in 0..n {
+            normal[(at, at)] += 1e-9 * self.t_s.len() as f64 / (SCALE * SCALE);
+        }
+        normal.cholesky().map(|factor| factor.solve(&right))
+    }
+
+    /// What is left, rms m over the best nine tenths; infinite where the joints cover too little.
+    fn left_m(&self, guess: &Guess) -> f64 {
+        let mut moment = Moment::new(self);
+        let mut squares: Vec<f64> = Vec::with_capacity(self.t_s.len());
+        for (&t_s, logged) in self.t_s.iter().zip(&self.xyz) {
+            if moment.at(t_s, guess) {
+                squares.push((logged - moment.tip(guess)).norm_squared());
+            }
+        }
+        if squares.len() < ENOUGH {
+            return f64::INFINITY;
+        }
+        squares.sort_by(f64::total_cmp);
+        let kept = (9 * squares.len()).div_ceil(10);
+        (squares[..kept].iter().sum::<f64>() / kept as f64).sqrt()
+    }
+}
+
+/// The chain at one moment.
+struct Moment<'a> {
+    sight: &'a Sight<'a>,
+    cursor: usize,
+    track: (Vec<f64>, Vec<f64>),
+    q: Vec<f64>,
+    qd: Vec<f64>,
+    jacobian: Vec<[f64; 6]>,
+    pose: Pose,
+}
+
+impl<'a> Moment<'a> {
+    fn new(sight: &'a Sight<'a>) -> Self {
+        let (dof, track) = (sight.stream.chain.dof(), sight.joints.dof);
+        Self {
+            sight,
+            cursor: 0,
+            track: (vec![0.0; track], vec![0.0; track]),
+            q: vec![0.0; dof],
+            qd: vec![0.0; dof],
+            jacobian: vec![[0.0; 6]; dof],
+            pose: Pose::identity(),
+        }
+    }
+
+    /// Goes to what a sample stamped `t_s` speaks of; false where the joints do not cover it.
+    fn at(&mut self, t_s: f64, guess: &Guess) -> bool {
+        let Sight { joints, stream, in_degrees, .. } = self.sight;
+        let (q, qd) = &mut self.track;
+        if !joints.at(t_s - guess.lag_s, &mut self.cursor, q, qd) {
+            return false;
+        }
+        for (at, (&column, kind)) in
+            stream.columns.iter().zip(stream.chain.joint_kinds()).enumerate()
+        {
+            let turns = *in_degrees && *kind != JointKind::Prismatic;
+            let unit = if turns { 1_f64.to_radians() } else { 1.0 };
+            self.q[at] = unit * q[column] + guess.zeros[at];
+            self.qd[at] = unit * qd[column];
+        }
+        self.pose = stream.chain.forward_with_jacobian(&self.q, &mut self.jacobian);
+        true
+    }
+
+    /// Where the model puts the stream's point, in its reference frame.
+    fn tip(&self, guess: &Guess) -> Vec3 {
+        (guess.reference * (self.pose * Point3::from(guess.tool))).coords
+    }
+
+    /// How that point moves with a joint, in the base, `lever` from the link's origin.
+    fn along(&self, joint: usize, lever: &Vec3) -> Vec3 {
+        let [x, y, z, a, b, c] = self.jacobian[joint];
+        Vec3::new(x, y, z) + Vec3::new(a, b, c).cross(lever)
+    }
+
+    fn velocity(&self, lever: &Vec3) -> Vec3 {
+        self.qd.iter().enumerate().map(|(joint, rate)| *rate * self.along(joint, lever)).sum()
+    }
+}

@@ -1,0 +1,337 @@
+//! Steps of a stream's latency that are too large for [`super::course`], which takes a residual for
+//! small: told from speeds alone, before anything else is sought.
+//!
+//! In windows of some seconds the stream follows the arm at one lag or another. Which of these lags it
+//! has at which time is the path of least difference of speeds, each step at a price (Viterbi 1967).
+
+use super::course::{LatencyCourse, LatencyJump};
+use super::latency::{Speed, angular_speed, arm_speeds, linear_speed, norms, peaks};
+use super::{ImuStream, Measured, PoseStream, Seen};
+use crate::stream::{JointTrack, Orientations};
+
+/// Speeds correlate as well in a window at the lag that the stream has there.
+const FOLLOWS: f64 = 0.85;
+/// Lags closer than this are one, s.
+const APART_S: f64 = 0.015;
+/// A level lasts this long, s.
+const LASTS_S: f64 = 1.5;
+/// Lags that are tried.
+const LAGS: usize = 8;
+/// Samples that the path is sought on.
+const SAMPLES: usize = 4000;
+/// Steps leave at most this share of the difference that one lag leaves.
+const LEFT: f64 = 0.35;
+/// With them the speeds are the same but for this share of how they vary.
+const MISFIT: f64 = 0.15;
+
+/// The levels of a latency that steps.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LatencySteps {
+    /// From which stamp on, s from the run's origin, and how late, s. Two at least; the first from the
+    /// beginning on.
+    levels: Vec<(f64, f64)>,
+}
+
+/// Where the latency of a stream of poses steps; `None` where it does not.
+pub fn pose_steps(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    most_lag_s: f64,
+) -> Option<LatencySteps> {
+    let (linear, angular) = arm_speeds(joints, stream.chain, stream.columns);
+    let track = stream.track;
+    let mut pairs = vec![(linear, linear_speed(&track.t_s, &track.xyz))];
+    if let Orientations::Rotations(rotations) = &track.orientation {
+        pairs.push((angular, angular_speed(&track.t_s, rotations)));
+    }
+    steps(&pairs, most_lag_s)
+}
+
+/// Where the latency of an IMU steps, by how fast it turns.
+pub fn imu_steps(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) -> Option<LatencySteps> {
+    let (_, angular) = arm_speeds(joints, stream.chain, stream.columns);
+    steps(&[(angular, norms(&stream.track.t_s, &stream.track.gyro))], most_lag_s)
+}
+
+/// A window of time, and where a stream's speed follows the arm's best in it.
+struct Window {
+    lag_s: f64,
+    correlation: f64,
+}
+
+/// By the pair of speeds, the arm's and the stream's, that follow each other best.
+fn steps(pairs: &[(Speed, Speed)], most_lag_s: f64) -> Option<LatencySteps> {
+    let seen = pairs.iter().map(|(arm, stream)| (arm, stream, windows(arm, stream, most_lag_s)));
+    let typical = |windows: &[Window]| {
+        let mut all: Vec<f64> = windows.iter().map(|window| window.correlation).collect();
+        all.sort_by(f64::total_cmp);
+        all.get(all.len() / 2).copied().unwrap_or(0.0)
+    };
+    let (arm, stream, windows) = seen.max_by(|a, b| typical(&a.2).total_cmp(&typical(&b.2)))?;
+    let lags = lags(&windows);
+    (lags.len() > 1).then(|| path(arm, stream, &lags)).flatten()
+}
+
+fn windows(arm: &Speed, stream: &Speed, most_lag_s: f64) -> Vec<Window> {
+    const LENGTHS_S: (f64, f64) = (5.0, 10.0);
+    let (Some(&begin_s), Some(&end_s)) = (arm.t_s.first(), arm.t_s.last()) else {
+        return Vec::new();
+    };
+    let length_s = (0.25 * (end_s - begin_s)).clamp(LENGTHS_S.0, LENGTHS_S.1);
+    let count = (2.0 * (end_s - begin_s) / length_s) as usize;
+    let window = |index: usize| {
+        let from_s = begin_s + 0.5 * length_s * index as f64;
+        let own = between(arm, from_s, from_s + length_s);
+        let best = peaks(&own, stream, most_lag_s).into_iter().next()?;
+        Some(Window { lag_s: best.lag_s, correlation: best.correlation })
+    };
+    (0..count).filter_map(window).collect()
+}
+
+fn between(speed: &Speed, from_s: f64, to_s: f64) -> Speed {
+    let [from, to] = [from_s, to_s].map(|at_s| speed.t_s.partition_point(|t_s| *t_s < at_s));
+    Speed { t_s: speed.t_s[from..to].to_vec(), value: speed.value[from..to].to_vec() }
+}
+
+/// The lags of the windows in which the stream follows, those that are close as one.
+fn lags(windows: &[Window]) -> Vec<f64> {
+    let mut all: Vec<f64> = windows
+        .iter()
+        .filter(|window| window.correlation >= FOLLOWS)
+        .map(|window| window.lag_s)
+        .collect();
+    all.sort_by(f64::total_cmp);
+    let mut groups: Vec<&[f64]> = all.chunk_by(|a, b| b - a < APART_S).collect();
+    groups.sort_by_key(|group| std::cmp::Reverse(group.len()));
+    groups.into_iter().take(LAGS).map(|group| group[group.len() / 2]).collect()
+}
+
+/// Which of `lags` the stream has when.
+fn path(arm: &Speed, stream: &Speed, lags: &[f64]) -> Option<LatencySteps> {
+    /// A step costs as much as what differs at best does in this time, s.
+    const PRICE_S: f64 = 10.0;
+    let stride = stream.t_s.len().div_ceil(SAMPLES).max(1);
+    let rows: Vec<usize> = (0..stream.t_s.len()).step_by(stride).collect();
+    let costs: Vec<Vec<f64>> =
+        lags.iter().map(|&lag_s| differences(arm, stream, &rows, lag_s)).collect();
+    let at = |row: usize, lag: usize| costs[lag][row];
+    let least = |row: usize| (0..lags.len()).map(|lag| at(row, lag)).fold(f64::INFINITY, f64::min);
+    let (first, last) = (*rows.first()?, *rows.last()?);
+    let span_s = stream.t_s[last] - stream.t_s[first];
+    let best: f64 = (0..rows.len()).map(least).sum();
+    let price = (PRICE_S * best / span_s.max(f64::MIN_POSITIVE)).max(f64::MIN_POSITIVE);
+    let mut sums: Vec<f64> = (0..lags.len()).map(|lag| at(0, lag)).collect();
+    let mut came_by: Vec<Vec<usize>> = Vec::with_capacity(rows.len());
+    for row in 1..rows.len() {
+        let cheapest = (0..lags.len()).min_by(|a, b| sums[*a].total_cmp(&sums[*b]))?;
+        let from: Vec<usize> = (0..lags.len())
+            .map(|lag| if sums[cheapest] + price < sums[lag] { cheapest } else { lag })
+            .collect();
+        let next = (0..lags.len()).map(|lag| {
+            let step = if from[lag] == lag { 0.0 } else { price };
+            sums[from[lag]] + step + at(row, lag)
+        });
+        sums = next.collect();
+        came_by.push(from);
+    }
+    let mut lag = (0..lags.len()).min_by(|a, b| sums[*a].total_cmp(&sums[*b]))?;
+    let mut way = vec![lag; rows.len()];
+    for row in (1..rows.len()).rev() {
+        lag = came_by[row - 1][lag];
+        way[row - 1] = lag;
+    }
+    let mut levels: Vec<(f64, usize)> = vec![(f64::NEG_INFINITY, way[0])];
+    for row in 1..rows.len() {
+        if way[row] != way[row - 1] {
+            levels.push((stream.t_s[rows[row]], way[row]));
+        }
+    }
+    // What does not last is a glitch of one of the two speeds.
+    let ends: Vec<f64> =
+        levels.iter().skip(1).map(|level| level.0).chain([stream.t_s[last]]).collect();
+    let begin_s = stream.t_s[first];
+    let lasts = |(level, end_s): (&(f64, usize), &f64)| end_s - level.0.max(begin_s) >= LASTS_S;
+    let mut kept: Vec<(f64, usize)> =
+        levels.iter().zip(&ends).filter(|both| lasts(*both)).map(|(level, _)| *level).collect();
+    kept.dedup_by_key(|level| level.1);
+    kept.first_mut()?.0 = f64::NEG_INFINITY;
+    let with: f64 = (0..rows.len())
+        .map(|row| {
+            let level = kept.partition_point(|level| level.0 <= stream.t_s[rows[row]]) - 1;
+            at(row, kept[level].1)
+        })
+        .sum();
+    let alone = (0..lags.len()).map(|lag| costs[lag].iter().sum::<f64>());
+    let alone = alone.fold(f64::INFINITY, f64::min);
+    let levels: Vec<(f64, f64)> = kept.iter().map(|(from_s, lag)| (*from_s, lags[*lag])).collect();
+    let values = || rows.iter().map(|&row| stream.value[row]);
+    let mean = values().sum::<f64>() / rows.len() as f64;
+    let spread: f64 = values().map(|value| (value - mean).powi(2)).sum();
+    let explains = with < (LEFT * alone).min(MISFIT * spread);
+    (levels.len() > 1 && explains).then_some(LatencySteps { levels })
+}
+
+/// The squares of what the stream's speed differs from the arm's at a lag; 0 where that is not known.
+fn differences(arm: &Speed, stream: &Speed, rows: &[usize], lag_s: f64) -> Vec<f64> {
+    /// The arm's speed is not known through a longer silence, s.
+    const SILENCE_S: f64 = 0.5;
+    let mut after = 0;
+    let arm_at = |t_s: f64, after: &mut usize| {
+        while arm.t_s.get(*after).is_some_and(|own| *own < t_s) {
+            *after += 1;
+        }
+        let before = after.checked_sub(1)?;
+        let (a_s, b_s) = (arm.t_s[before], *arm.t_s.get(*after)?);
+        let part = (t_s - a_s) / (b_s - a_s);
+        (b_s - a_s < SILENCE_S)
+            .then(|| arm.value[before] + part * (arm.value[*after] - arm.value[before]))
+    };
+    let pairs: Vec<Option<(f64, f64)>> = rows
+        .iter()
+        .map(|&row| Some((arm_at(stream.t_s[row] - lag_s, &mut after)?, stream.value[row])))
+        .collect();
+    let square = |of: fn(&(f64, f64)) -> f64| pairs.iter().flatten().map(of).sum::<f64>();
+    // The stream may be in another unit of length: its differences are told in its own.
+    let scale = (square(|pair| pair.0 * pair.0) / square(|pair| pair.1 * pair.1)).sqrt();
+    let scale = if (0.5..2.0).contains(&scale) || !scale.is_finite() { 1.0 } else { scale };
+    pairs
+        .into_iter()
+        .map(|pair| pair.map_or(0.0, |(arm, stream)| (stream - arm / scale).powi(2)))
+        .collect()
+}
+
+impl LatencySteps {
+    /// The lag that is kept when the steps are taken off: the least.
+    fn kept_s(&self) -> f64 {
+        let lags = self.levels.iter().map(|level| level.1);
+        lags.min_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or(0.0)
+    }
+
+    fn beyond_s(&self, t_s: f64) -> f64 {
+        let after = self.levels.partition_point(|(from_s, _)| *from_s <= t_s);
+        self.levels[after.saturating_sub(1)].1 - self.kept_s()
+    }
+
+    /// The stamps `t_s` as they would be without the steps, each with its row; rows that would then come
+    /// before an earlier one are left out.
+    pub fn straightened(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
+        let mut kept: Vec<(usize, f64)> = Vec::with_capacity(t_s.len());
+        for (row, t_s) in t_s.iter().enumerate() {
+            let straight_s = t_s - self.beyond_s(*t_s);
+            if kept.last().is_none_or(|(_, before_s)| straight_s > *before_s) {
+                kept.push((row, straight_s));
+            }
+        }
+        kept
+    }
+
+    /// The course of the latency: these steps, made finer by the course that was found on the stream
+    /// without them, and the jumps that it has beside them.
+    pub fn course(&self, found: &Seen<LatencyCourse>) -> LatencyCourse {
+        /// A jump of the rest so near to a step is a part of it, s.
+        const NEAR_S: f64 = 2.0;
+        /// Standard error of a lag by correlation alone, s.
+        const COARSE_S: f64 = 2e-3;
+        let fine = found.as_ref().ok();
+        let begins: Vec<f64> =
+            self.levels.iter().map(|(from_s, lag_s)| from_s - (lag_s - self.kept_s())).collect();
+        let level = |index: usize| {
+            let until_s = begins.get(index + 1).copied().unwrap_or(f64::INFINITY);
+            let windows = fine.map_or(&[][..], |fine| fine.windows.as_slice());
+            mean(windows.iter().filter(|(t_s, _)| (begins[index]..until_s).contains(t_s)))
+        };
+        let mut jumps: Vec<LatencyJump> = (1..self.levels.len())
+            .map(|index| {
+                let [(_, before_s), (at_s, after_s)] = [self.levels[index - 1], self.levels[index]];
+                let coarse_s = after_s - before_s;
+                let size_s = match (level(index - 1), level(index)) {
+                    (Some(before), Some(after)) => Measured {
+                        value: coarse_s + after.value - before.value,
+                        std_error: before.std_error.hypot(after.std_error),
+                        dof: before.dof + after.dof,
+                    },
+                    _ => Measured { value: coarse_s, std_error: COARSE_S, dof: f64::INFINITY },
+                };
+                LatencyJump { at_s, size_s }
+            })
+            .collect();
+        let is_beside =
+            |jump: &&LatencyJump| begins.iter().all(|begin_s| (jump.at_s - begin_s).abs() > NEAR_S);
+        let own = fine.filter(|fine| fine.is_unsteady).map_or(&[][..], |fine| &fine.jumps);
+        jumps.extend(own.iter().filter(is_beside));
+        jumps.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+        let size = |jump: &LatencyJump| jump.size_s.value.abs();
+        let largest = jumps.iter().max_by(|a, b| size(a).total_cmp(&size(b)));
+        let none = Measured { value: 0.0, std_error: COARSE_S, dof: f64::INFINITY };
+        LatencyCourse {
+            swing_s: largest.map_or(none, |jump| jump.size_s),
+            is_unsteady: true,
+            levels: self.levels.iter().map(|(t_s, lag_s)| (*t_s, lag_s - self.kept_s())).collect(),
+            windows: fine.map_or(Vec::new(), |fine| fine.windows.clone()),
+            jumps,
+        }
+    }
+}
+
+/// The mean of what some windows found, weighted, with the error by which they scatter.
+fn mean<'a>(windows: impl Iterator<Item = &'a (f64, Measured)>) -> Option<Measured> {
+    /// No mean is better known than this, s.
+    const FLOOR_S: f64 = 2e-5;
+    let windows: Vec<&Measured> = windows.map(|(_, measured)| measured).collect();
+    let weight: f64 = windows.iter().map(|one| one.std_error.powi(-2)).sum();
+    if windows.len() < 2 || !weight.is_finite() {
+        return None;
+    }
+    let value = windows.iter().map(|one| one.value * one.std_error.powi(-2)).sum::<f64>() / weight;
+    let chi2: f64 = windows.iter().map(|one| ((one.value - value) / one.std_error).powi(2)).sum();
+    let birge = (chi2 / (windows.len() as f64 - 1.0)).max(1.0).sqrt();
+    let std_error = (birge / weight.sqrt()).max(FLOOR_S);
+    Some(Measured { value, std_error, dof: windows.len() as f64 })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shape(t_s: f64) -> f64 {
+        (1.3 * t_s).sin().powi(2) + 0.5 * (0.037 * t_s * t_s).sin().powi(2)
+    }
+
+    /// 40 s of an arm, and a stream that is late by `late` of its stamps.
+    fn pair(late: impl Fn(f64) -> f64) -> (Speed, Speed) {
+        let t_s: Vec<f64> = (0..4000).map(|row| f64::from(row) * 0.01).collect();
+        let value = t_s.iter().map(|t_s| shape(*t_s)).collect();
+        let own = t_s.iter().map(|t_s| shape(t_s - late(*t_s))).collect();
+        (Speed { t_s: t_s.clone(), value }, Speed { t_s, value: own })
+    }
+
+    #[test]
+    fn steps_are_found_with_their_moments() {
+        for sizes_s in [[0.3, 0.3], [-0.4, -0.4], [0.1, 0.8], [1.5, 0.0]] {
+            let late = |t_s: f64| match t_s {
+                t_s if t_s < 14.0 => 0.0,
+                t_s if t_s < 27.0 => sizes_s[0],
+                _ => sizes_s[1],
+            };
+            let found = steps(&[pair(late)], 5.0).expect("it steps");
+            let course = found.course(&Err(super::super::Unseen::AtRest));
+            let first = course.jumps[0];
+            assert!((first.at_s - 14.0).abs() < 0.3, "{sizes_s:?}: {found:?}");
+            assert!((first.size_s.value - sizes_s[0]).abs() < 0.01, "{sizes_s:?}: {found:?}");
+            let is_one = sizes_s[0] == sizes_s[1];
+            assert_eq!(course.jumps.len(), if is_one { 1 } else { 2 }, "{found:?}");
+            let straight = found.straightened(&[1.0, 2.0, 38.0]);
+            let last = straight[straight.len() - 1].1 - 38.0 + sizes_s[1];
+            assert!(last.abs() < 0.01, "{sizes_s:?}: {straight:?}");
+        }
+    }
+
+    #[test]
+    fn a_latency_that_stays_has_no_step() {
+        for late_s in [0.0, 0.022, -0.7] {
+            assert_eq!(steps(&[pair(|_| late_s)], 5.0), None);
+        }
+        let skewed = steps(&[pair(|t_s| 3e-4 * t_s)], 5.0);
+        assert_eq!(skewed, None);
+    }
+}

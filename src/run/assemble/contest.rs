@@ -1,0 +1,227 @@
+//! Which arm a log is of, where several have its joint names: the one whose model needs least to be where
+//! the streams of poses say. The same question is asked of a model that was named.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use super::Assembly;
+use super::groups::Group;
+use crate::diagnosis::{ModelFit, Needs, PoseStream, Priced, model_fit};
+use crate::finding::Unit;
+use crate::robot::catalogue;
+use crate::run::arm::{Arm, Ends, WrongModel};
+use crate::run::catalogued::{Contest, Standing};
+use crate::run::models::{Clues, Model};
+use crate::run::role::Role;
+use crate::run::skeleton;
+use crate::run::space::Claim;
+use crate::run::tf_tree::TfTree;
+use crate::stream::Columns;
+
+/// A model fits where no more than this is left, m, as of a drawing against a calibrated arm, …
+const FITS_M: f64 = 3e-3;
+/// … or this share of the positions' extent, as of a noisy tracker.
+const FITS_SHARE: f64 = 0.01;
+/// Scores nearer than this cannot be told apart.
+const APART: f64 = 20.0;
+/// Residuals below these say nothing: rounding, and the difference of an arm from its drawing.
+const FLOOR_M: std::ops::RangeInclusive<f64> = 5e-6..=1e-3;
+
+/// How one model fits the streams of poses, by their indices.
+#[derive(Default)]
+struct Entry {
+    fits: Vec<(usize, ModelFit)>,
+}
+
+impl Entry {
+    fn of(&self, stream: usize) -> Option<&ModelFit> {
+        self.fits.iter().find(|(index, _)| *index == stream).map(|(_, fit)| fit)
+    }
+}
+
+/// A model beside the others.
+struct Rank {
+    /// Its place among the models.
+    model: usize,
+    /// The sum of its scores.
+    score: f64,
+    /// The stream that says most, and the way in which the model fits it.
+    decisive: (usize, Priced),
+}
+
+/// What models of one group of joint states are held against.
+pub(super) struct Court<'a> {
+    pub assembly: &'a Assembly<'a>,
+    pub group: &'a Group<'a>,
+    pub tree: &'a Arc<TfTree>,
+}
+
+impl Court<'_> {
+    /// The models ranked by what they need to be where the streams of poses say, best first; none where
+    /// no stream tells.
+    pub fn contest(&self, models: &[&Model]) -> Option<Contest> {
+        let entries: Vec<Entry> = models.iter().map(|model| self.entry(model)).collect();
+        let ranks = ranks(&entries);
+        let standings = ranks.into_iter().map(|rank| {
+            let (stream, Priced { way, .. }) = rank.decisive;
+            let fit = entries[rank.model].of(stream);
+            let spread_m = fit.map_or(0.0, |fit| fit.spread_m);
+            Standing {
+                model: rank.model,
+                score: rank.score,
+                way,
+                as_is_m: fit.map_or(f64::INFINITY, ModelFit::as_is_m),
+                fits: way.left_m <= FITS_M.max(FITS_SHARE * spread_m),
+                topic: self.assembly.streams[stream].topic.clone(),
+            }
+        });
+        let standings: Vec<Standing> = standings.collect();
+        (!standings.is_empty()).then_some(Contest { standings, apart: APART })
+    }
+
+    /// The arm of the catalogue that needs no cause where `model`, which was named, does.
+    pub fn rival(&self, model: &Model, clues: &Clues<'_>) -> Option<Model> {
+        let path = self.only_path(model)?;
+        let own = self.contest(&[model])?;
+        let own = own.standings.first()?;
+        if own.fits && own.way.needs == Needs::Nothing && !own.way.misread {
+            return None;
+        }
+        let joints: BTreeSet<&String> = path.joints.iter().collect();
+        let candidates = catalogue::candidates_for(&path.joints);
+        let complete = candidates
+            .iter()
+            .filter(|other| other.names.is_complete() && other.names.joints == path.joints.len());
+        let rivals: Vec<Model> = complete
+            .filter_map(|other| Some((other.renamed()?, &other.names.to_prefix)))
+            .map(|(robot, prefix)| Model::new(robot, String::new(), prefix, clues))
+            .filter(|rival| {
+                self.only_path(rival)
+                    .is_some_and(|path| path.joints.iter().collect::<BTreeSet<_>>() == joints)
+            })
+            .collect();
+        let all: Vec<&Model> = std::iter::once(model).chain(&rivals).collect();
+        let contest = self.contest(&all)?;
+        let best = contest.standings.first().filter(|best| best.model > 0)?;
+        let own = contest.standings.iter().find(|standing| standing.model == 0);
+        let is_better = own.is_none_or(|own| best.score + APART < own.score);
+        if !is_better || !best.fits || !best.way.needs.is_harmless() || best.way.misread {
+            return None;
+        }
+        let wrong = WrongModel {
+            named: model.robot.clone(),
+            topic: best.topic.clone(),
+            named_m: own.map_or(f64::INFINITY, |own| own.as_is_m),
+            rival_m: best.way.left_m,
+            tool_m: (best.way.needs == Needs::Tool).then(|| best.way.tool_m.norm()),
+        };
+        let found = format!(
+            "the catalogue, in place of {} ({}), which leaves {} where this fits {} to {}",
+            model.robot.name,
+            model.found,
+            Unit::Metre.show(wrong.named_m),
+            wrong.topic,
+            best.words()
+        );
+        let rival = rivals.into_iter().nth(best.model - 1)?;
+        Some(Model { found, instead_of: Some(wrong), ..rival })
+    }
+
+    /// The one path of joints through a model that the joint states hold.
+    fn only_path(&self, model: &Model) -> Option<skeleton::ArmPath> {
+        let is_logged = |name: &str| self.group.topics.iter().any(|topic| topic.holds(name));
+        let paths = skeleton::arms(&model.robot, is_logged);
+        <[_; 1]>::try_from(paths).ok().map(|[path]| path)
+    }
+
+    fn entry(&self, model: &Model) -> Entry {
+        let Assembly { options, streams, origin, .. } = self.assembly;
+        let ends = Ends { base: options.base.as_deref(), tip: options.tip.as_deref() };
+        let arm = self
+            .only_path(model)
+            .and_then(|path| Arm::new(model, &path, ends, &self.group.topics, *origin).ok());
+        let Some(arm) = arm else { return Entry::default() };
+        let arm = Arm { space: self.group.space.clone(), tree: Arc::clone(self.tree), ..arm };
+        let fits =
+            (0..streams.len()).filter_map(|stream| Some((stream, self.fit_of(&arm, stream)?)));
+        Entry { fits: fits.collect() }
+    }
+
+    /// How `arm` fits a stream, where that may be its tool's pose.
+    fn fit_of(&self, arm: &Arm, index: usize) -> Option<ModelFit> {
+        let assembly = self.assembly;
+        let stream = &assembly.streams[index];
+        let is_foreign = self.group.space.claim([stream.topic.as_str()]) == Claim::Foreign;
+        if is_foreign || !matches!(stream.columns, Some(Columns::Poses(_) | Columns::Array(_))) {
+            return None;
+        }
+        let declared = assembly
+            .options
+            .declared
+            .iter()
+            .find(|declared| super::is_topic(stream, &declared.topic));
+        let declared = declared.filter(|declared| declared.fits(stream.columns.as_ref()));
+        let site = assembly.site(arm, stream);
+        let (role, _) = assembly.role_of(stream, Some(&site), declared.is_some());
+        if !matches!(role, Role::Pose | Role::Candidate { .. }) || assembly.is_transform(stream) {
+            return None;
+        }
+        let how = (false, &mut Vec::new());
+        let source = assembly.pose_source(index, arm, &site, declared, how).ok()?;
+        let stream = PoseStream {
+            track: &source.track,
+            chain: &source.chain,
+            columns: &source.columns,
+            reference_known: source.reference_known,
+            stamp_error_s: source.stamp_error_s,
+            stamps_copied: source.stamps_copied,
+        };
+        model_fit(&arm.joints, &stream, assembly.options.max_latency_s)
+    }
+}
+
+/// The models by their scores over the streams that some of them explains, or over all where none does.
+fn ranks(entries: &[Entry]) -> Vec<Rank> {
+    let streams: BTreeSet<usize> =
+        entries.iter().flat_map(|entry| entry.fits.iter().map(|(stream, _)| *stream)).collect();
+    let of = |stream: usize| entries.iter().filter_map(move |entry| entry.of(stream));
+    let is_explained = |stream: &&usize| {
+        of(**stream).any(|fit| {
+            let least = fit.ways.iter().map(|way| way.left_m).fold(f64::INFINITY, f64::min);
+            least <= FITS_M.max(FITS_SHARE * fit.spread_m)
+        })
+    };
+    let explained: Vec<usize> = streams.iter().filter(is_explained).copied().collect();
+    let counted: Vec<usize> =
+        if explained.is_empty() { streams.into_iter().collect() } else { explained };
+    let floor_m = |stream: usize| {
+        let least = of(stream).map(ModelFit::harmless_m).fold(f64::INFINITY, f64::min);
+        (2.0 * least).clamp(*FLOOR_M.start(), *FLOOR_M.end())
+    };
+    let rank = |(model, entry): (usize, &Entry)| {
+        let each = counted.iter().map(|&stream| {
+            let best = entry.of(stream)?.best(floor_m(stream))?;
+            Some((stream, best))
+        });
+        let each: Vec<(usize, Priced)> = each.collect::<Option<_>>()?;
+        let score = each.iter().map(|(_, best)| best.score).sum();
+        let decisive = *each.iter().min_by(|a, b| a.1.way.left_m.total_cmp(&b.1.way.left_m))?;
+        Some(Rank { model, score, decisive })
+    };
+    let mut ranks: Vec<Rank> = entries.iter().enumerate().filter_map(rank).collect();
+    ranks.sort_by(|a, b| a.score.total_cmp(&b.score));
+    // Of those that cannot be told apart the most harmless: nothing, then the tool nearest to the
+    // flange's axis, as tools are.
+    let least = ranks.first().map_or(0.0, |best| best.score);
+    let near = ranks.iter().take_while(|rank| rank.score <= least + APART).count();
+    let harm = |rank: &Rank| {
+        let way = &rank.decisive.1.way;
+        let aside_m = if way.needs == Needs::Nothing { 0.0 } else { way.tool_m.xy().norm() };
+        (way.misread, way.needs, aside_m)
+    };
+    ranks[..near].sort_by(|a, b| {
+        let (a, b) = (harm(a), harm(b));
+        a.0.cmp(&b.0).then(a.1.cmp(&b.1)).then(a.2.total_cmp(&b.2))
+    });
+    ranks
+}

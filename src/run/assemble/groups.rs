@@ -1,0 +1,191 @@
+//! Which topics of joint states are one arm's: two arms may name their joints alike.
+
+use std::collections::HashSet;
+
+use super::super::joints::{JointTopic, Samples};
+use super::super::space::{Claim, Space};
+use super::super::streams::Stream;
+
+/// Topics of joint states that may be one robot's, no joint of which is two.
+pub(super) struct Group<'a> {
+    pub topics: Vec<JointTopic<'a>>,
+    pub space: Space,
+}
+
+/// Samples of a joint that are compared.
+const SAMPLES: usize = 200;
+/// A joint that spreads by less rests, rad or m.
+const AT_REST: f64 = 0.01;
+/// Two readings of one joint differ by less than this share of its motion.
+const AGREE: f64 = 0.01;
+
+/// Puts every topic to those that it can be of one robot with: topics that give joints of one name
+/// different positions are of different arms. What shares no joint with any, as a rail, goes to those
+/// that its name speaks for, else to all.
+pub(super) fn groups<'a>(streams: &[Stream], topics: Vec<JointTopic<'a>>) -> Vec<Group<'a>> {
+    let name = |topic: &JointTopic<'_>| streams[topic.stream].topic.clone();
+    let mut ranked: Vec<usize> = (0..topics.len()).collect();
+    ranked.sort_by_key(|&index| std::cmp::Reverse(topics[index].columns.joints.len()));
+    let mut groups: Vec<Vec<usize>> = Vec::new();
+    let mut alone: Vec<usize> = Vec::new();
+    for index in ranked {
+        let kin = |members: &Vec<usize>| {
+            let known = members.iter().map(|&other| {
+                let names = [&topics[other], &topics[index]].map(name);
+                relation(&topics[other], &topics[index], are_siblings(&names[0], &names[1]))
+            });
+            known.fold(Relation::Strangers, Relation::and)
+        };
+        let relations: Vec<Relation> = groups.iter().map(kin).collect();
+        let is = |wanted: Relation| relations.iter().position(|found| *found == wanted);
+        match (is(Relation::One), is(Relation::Two)) {
+            (Some(group), _) => groups[group].push(index),
+            (None, Some(_)) => groups.push(vec![index]),
+            (None, None) if groups.is_empty() => groups.push(vec![index]),
+            (None, None) => alone.push(index),
+        }
+    }
+    // The topics with most joints of each name it.
+    let heads: Vec<String> = groups.iter().map(|members| name(&topics[members[0]])).collect();
+    let spaces = Space::of_names(&heads);
+    for index in alone {
+        let claims: Vec<Claim> =
+            spaces.iter().map(|space| space.claim([name(&topics[index]).as_str()])).collect();
+        let is_claimed = claims.contains(&Claim::Own);
+        for (members, claim) in groups.iter_mut().zip(claims) {
+            if !is_claimed || claim == Claim::Own {
+                members.push(index);
+            }
+        }
+    }
+    if let [members] = groups.as_mut_slice() {
+        // In the order of the log.
+        members.sort_unstable();
+        return vec![Group { topics, space: Space::default() }];
+    }
+    let group = |(mut members, space): (Vec<usize>, Space)| {
+        members.sort_unstable();
+        Group { topics: members.into_iter().map(|index| topics[index].clone()).collect(), space }
+    };
+    groups.into_iter().zip(spaces).map(group).collect()
+}
+
+/// Whether two topics are in namespaces of their own, neither above the other.
+fn are_siblings(a: &str, b: &str) -> bool {
+    let space = |topic: &str| -> Vec<String> {
+        let mut parts: Vec<String> =
+            topic.split('/').filter(|part| !part.is_empty()).map(str::to_owned).collect();
+        parts.pop();
+        parts
+    };
+    let (a, b) = (space(a), space(b));
+    !a.starts_with(&b) && !b.starts_with(&a)
+}
+
+/// What the joints say of two topics that they share.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Relation {
+    /// They share none.
+    Strangers,
+    /// They are of one arm.
+    One,
+    /// They are of two.
+    Two,
+}
+
+impl Relation {
+    fn and(self, other: Self) -> Self {
+        match (self, other) {
+            (Self::Two, _) | (_, Self::Two) => Self::Two,
+            (Self::One, _) | (_, Self::One) => Self::One,
+            _ => Self::Strangers,
+        }
+    }
+}
+
+/// One joint by two topics: positions of the first interpolated to the stamps of some samples of the
+/// second, and those.
+struct Beside {
+    a: Vec<f64>,
+    b: Vec<f64>,
+    /// Share of the samples of the second whose value the first has, too.
+    copied: f64,
+}
+
+fn relation(a: &JointTopic<'_>, b: &JointTopic<'_>, siblings: bool) -> Relation {
+    let names = a.columns.joints.iter().map(|joint| &joint.name);
+    let shared: Vec<&String> =
+        names.filter(|name| a.holds(name) && b.holds(name)).take(8).collect();
+    if shared.is_empty() {
+        return Relation::Strangers;
+    }
+    let beside: Vec<Beside> = shared.iter().filter_map(|name| beside(a, b, name)).collect();
+    let mean = |values: &dyn Fn(&Beside) -> f64| {
+        beside.iter().map(values).sum::<f64>() / beside.len().max(1) as f64
+    };
+    // Relays repeat values, whenever they stamp them; also where neither is at a time of the other.
+    let copied = match beside.is_empty() {
+        true => 1.0,
+        false => mean(&|joint| joint.copied),
+    };
+    let moved = mean(&|joint| spread(&joint.a).max(spread(&joint.b)));
+    let apart =
+        |joint: &Beside| -> Vec<f64> { joint.a.iter().zip(&joint.b).map(|(a, b)| a - b).collect() };
+    let gap = mean(&|joint| root_mean_square(&apart(joint)));
+    let about_mean = mean(&|joint| spread(&apart(joint)));
+    let is_one = match (moved < AT_REST, siblings) {
+        _ if copied > 0.9 => true,
+        (true, siblings) => !siblings && gap < AT_REST,
+        (false, true) => gap < 0.1 * AGREE * moved,
+        // Encoders that are read twice may be homed differently.
+        (false, false) => about_mean < AGREE * moved,
+    };
+    if is_one { Relation::One } else { Relation::Two }
+}
+
+fn beside(a: &JointTopic<'_>, b: &JointTopic<'_>, name: &str) -> Option<Beside> {
+    let (a, b) = (Samples::of(a, name), Samples::of(b, name));
+    let bits: HashSet<u32> = a.position.iter().map(|q| (*q as f32).to_bits()).collect();
+    let step = b.stamps.len().div_ceil(SAMPLES).max(1);
+    let mut both = Beside { a: Vec::new(), b: Vec::new(), copied: 0.0 };
+    for row in (0..b.stamps.len()).step_by(step) {
+        let (stamp, value) = (b.stamps[row], b.position[row]);
+        let right = a.stamps.partition_point(|&other| other < stamp);
+        let left = right.saturating_sub(usize::from(a.stamps.get(right) != Some(&stamp)));
+        let (Some(&before), Some(&after)) = (a.stamps.get(left), a.stamps.get(right)) else {
+            continue;
+        };
+        if before > stamp {
+            continue;
+        }
+        let span_s = after.seconds_since(before);
+        let part = if span_s > 0.0 { stamp.seconds_since(before) / span_s } else { 0.0 };
+        both.a.push(a.position[left] + part * (a.position[right] - a.position[left]));
+        both.b.push(value);
+        both.copied += f64::from(u8::from(bits.contains(&(value as f32).to_bits())));
+    }
+    both.copied /= both.b.len().max(1) as f64;
+    (!both.b.is_empty()).then_some(both)
+}
+
+fn root_mean_square(values: &[f64]) -> f64 {
+    (values.iter().map(|v| v * v).sum::<f64>() / values.len().max(1) as f64).sqrt()
+}
+
+fn spread(values: &[f64]) -> f64 {
+    let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
+    root_mean_square(&values.iter().map(|v| v - mean).collect::<Vec<f64>>())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_namespace_above_another_is_no_sibling() {
+        assert!(are_siblings("/left/joint_states", "/right/joint_states"));
+        assert!(!are_siblings("/joint_states", "/right/joint_states"));
+        assert!(!are_siblings("/joint_states", "/joint_states_raw"));
+        assert!(are_siblings("/cell/r1/joint_states", "/cell/r2/joint_states"));
+    }
+}

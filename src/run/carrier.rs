@@ -1,0 +1,78 @@
+//! Poses in a frame that moves against the arm's base, as odometry's, and the transforms that say how.
+
+use crate::geometry::Pose;
+use crate::stream::{Orientations, PoseTrack};
+
+use super::arm::PoseSource;
+use super::tf_tree::between;
+
+/// A frame that moves against an arm's base, and poses that are in it.
+#[derive(Clone, Debug)]
+pub struct Carrier {
+    /// The frame.
+    pub frame: String,
+    /// Times of the transforms, s from the run's origin, strictly increasing.
+    pub t_s: Vec<f64>,
+    /// The frame in the base.
+    pub base_from_frame: Vec<Pose>,
+    /// The poses as logged: of the link that is audited, in the frame.
+    pub logged: PoseTrack,
+    /// How long before a pose's stamp the transforms are taken, s.
+    pub lag_s: f64,
+    /// Whether that is the poses' own latency, so that it changes with it.
+    pub is_on_time: bool,
+}
+
+impl PoseSource {
+    /// Takes poses in a frame that moves into the base anew, the transforms so long before their stamps;
+    /// `is_on_time` where that is the poses' own latency.
+    pub(crate) fn take(&mut self, lag_s: f64, is_on_time: bool) {
+        let Some(carrier) = &mut self.carrier else { return };
+        let taken = carrier.taken(lag_s);
+        if taken.t_s.len() > 1 {
+            (carrier.lag_s, carrier.is_on_time) = (lag_s, is_on_time);
+            self.track = taken;
+        }
+    }
+}
+
+impl Carrier {
+    /// The frame in the base at a time, interpolated; `None` before the first transform and after the
+    /// last.
+    pub fn at(&self, t_s: f64) -> Option<Pose> {
+        let right = self.t_s.partition_point(|&t| t < t_s);
+        let (&after_s, after) = (self.t_s.get(right)?, self.base_from_frame.get(right)?);
+        if after_s == t_s {
+            return Some(*after);
+        }
+        let left = right.checked_sub(1)?;
+        let part = (t_s - self.t_s[left]) / (after_s - self.t_s[left]);
+        Some(between(&self.base_from_frame[left], after, part))
+    }
+
+    /// The poses in the base, the transforms taken so long before their stamps.
+    pub fn taken(&self, lag_s: f64) -> PoseTrack {
+        let logged = &self.logged;
+        let rotations = match &logged.orientation {
+            Orientations::Rotations(rotations) => Some(rotations),
+            _ => None,
+        };
+        let mut taken = PoseTrack {
+            t_s: Vec::new(),
+            xyz: Vec::new(),
+            orientation: Orientations::Rotations(Vec::new()),
+            declared: None,
+        };
+        let mut turned = Vec::new();
+        for (row, &t_s) in logged.t_s.iter().enumerate() {
+            let rotation = rotations.map(|rotations| rotations[row]).unwrap_or_default();
+            let Some(base_from_frame) = self.at(t_s - lag_s) else { continue };
+            let pose = base_from_frame * Pose::from_parts(logged.xyz[row].into(), rotation);
+            taken.t_s.push(t_s);
+            taken.xyz.push(pose.translation.vector);
+            turned.push(pose.rotation);
+        }
+        taken.orientation = Orientations::Rotations(turned);
+        taken
+    }
+}

@@ -1,0 +1,278 @@
+//! Which arm of the catalogue a log is of, where several have its joint names.
+
+use crate::diagnosis::{Needs, Way};
+use crate::finding::Unit;
+use crate::robot::catalogue;
+
+use super::error::RunError;
+use super::models::{Clues, Model};
+
+/// What tells arms with the same joint names apart.
+pub(super) struct Judges<'a> {
+    /// How far the transforms of the log are from the lengths of a model's links, rms m.
+    pub by_transforms: &'a dyn Fn(&Model) -> Option<f64>,
+    /// What each of several models needs to be where the streams of poses say.
+    pub by_poses: &'a dyn Fn(&[&Model]) -> Option<Contest>,
+}
+
+/// Several models, ranked by what they need to be where the streams of poses say.
+pub(super) struct Contest {
+    /// The best first; of those that cannot be told apart the one that needs the most harmless.
+    pub standings: Vec<Standing>,
+    /// Scores nearer than this cannot be told apart.
+    pub apart: f64,
+}
+
+/// Where one of several models stands.
+pub(super) struct Standing {
+    /// Its place among the models.
+    pub model: usize,
+    /// What it needs and leaves; less is better.
+    pub score: f64,
+    /// The way in which it fits best.
+    pub way: Way,
+    /// What it leaves of the positions as logged, m.
+    pub as_is_m: f64,
+    /// Whether that way is near enough to be this arm's.
+    pub fits: bool,
+    /// The topic that says most.
+    pub topic: String,
+}
+
+impl Standing {
+    /// How it fits, in words.
+    pub fn words(&self) -> String {
+        let left = Unit::Metre.show(self.way.left_m);
+        match self.way.needs {
+            _ if self.way.misread => format!("{left} with its numbers read otherwise"),
+            Needs::Nothing => left,
+            Needs::Tool => {
+                format!("{left} with a TCP of {}", Unit::Metre.show(self.way.tool_m.norm()))
+            }
+            Needs::Zero { .. } => format!("{left} with a joint zero"),
+            Needs::Reference { .. } => format!("{left} in another frame"),
+        }
+    }
+}
+
+impl Contest {
+    /// How the best was told from the others, in words.
+    fn words(&self, names: &[&str]) -> String {
+        let [best, others @ ..] = self.standings.as_slice() else { return String::new() };
+        let least = self.standings.iter().map(|one| one.score).fold(f64::INFINITY, f64::min);
+        let (same, further): (Vec<&Standing>, Vec<&Standing>) =
+            others.iter().partition(|other| other.score <= least + self.apart);
+        let mut words = format!(
+            "the catalogue: of {} arms with these joint names it needs the fewest causes: {} fits to {}",
+            names.len(),
+            best.topic,
+            best.words()
+        );
+        if let Some(next) = further.first() {
+            words += &format!("; the next, {}, to {}", names[next.model], next.words());
+        }
+        if !same.is_empty() {
+            let same: Vec<String> = same
+                .iter()
+                .map(|other| format!("{} ({})", names[other.model], other.words()))
+                .collect();
+            words += &format!(
+                "; this motion cannot tell it from {}: name yours with --robot",
+                same.join(", ")
+            );
+        }
+        words
+    }
+}
+
+/// The arms of the catalogue whose joint names are in the log, each of equals the one that needs the
+/// fewest causes. One whose names the log has only behind a prefix that it does not know must fit too:
+/// names such as `joint_1` are anybody's.
+pub(super) fn from_catalogue(
+    clues: &Clues<'_>,
+    judges: &Judges<'_>,
+) -> Result<Vec<Model>, RunError> {
+    let mut joints = clues.joints.to_vec();
+    let mut models: Vec<Model> = Vec::new();
+    loop {
+        let found = catalogue::candidates_for(&joints);
+        let equals: Vec<Model> = found
+            .iter()
+            .filter(|other| {
+                other.names.is_complete() && other.names.joints == found[0].names.joints
+            })
+            .filter(|other| other.names.strangeness == found[0].names.strangeness)
+            .filter_map(|candidate| Some((candidate.renamed()?, &candidate.names.to_prefix)))
+            .map(|(robot, prefix)| Model::new(robot, String::new(), prefix, clues))
+            .collect();
+        if equals.is_empty() {
+            return Ok(models);
+        }
+        let is_stranger = found[0].names.strangeness > 0;
+        match the_one_of(equals, is_stranger, judges) {
+            Ok(Some(model)) => {
+                joints.retain(|joint| model.robot.joint(joint).is_none());
+                models.push(model);
+            }
+            Ok(None) => return Ok(models),
+            Err(_) if !models.is_empty() => return Ok(models),
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+/// The one of catalogue arms with the same joint names that the log is of.
+fn the_one_of(
+    equals: Vec<Model>,
+    is_stranger: bool,
+    judges: &Judges<'_>,
+) -> Result<Option<Model>, RunError> {
+    /// An arm whose links are further from the log's transforms than this is another one, m.
+    const FITS_M: f64 = 0.01;
+    /// An arm that is closer by less than this is not clearly closer, m.
+    const APART_M: f64 = 1e-3;
+    let take = |at: usize, found: String| {
+        let model = equals.get(at).cloned()?;
+        Some(Model { found, ..model })
+    };
+    let names: Vec<&str> = equals.iter().map(|model| model.robot.name.as_str()).collect();
+    let mut by_transforms: Vec<(f64, usize)> = equals
+        .iter()
+        .enumerate()
+        .map(|(at, model)| ((judges.by_transforms)(model).unwrap_or(f64::INFINITY), at))
+        .collect();
+    by_transforms.sort_by(|a, b| a.0.total_cmp(&b.0));
+    if let [(_, only)] = by_transforms.as_slice() {
+        let fits = || {
+            let by_poses = (judges.by_poses)(&equals.iter().collect::<Vec<_>>());
+            by_transforms[0].0 < FITS_M
+                || by_poses.is_some_and(|contest| contest.standings.iter().any(|one| one.fits))
+        };
+        let is_it = !is_stranger || fits();
+        let found = "the catalogue: the one arm with these joint names".to_owned();
+        return Ok(is_it.then(|| take(*only, found)).flatten());
+    }
+    if let [(misfit, best), (next, _), ..] = by_transforms[..]
+        && misfit < FITS_M
+        && next > 2.0 * misfit + APART_M
+    {
+        let found = format!(
+            "the catalogue: the closest of {} arms with these joint names, within {:.1} mm; the next is \
+             {:.1} mm off",
+            names.len(),
+            1e3 * misfit,
+            1e3 * next
+        );
+        return Ok(take(best, found));
+    }
+    let vendor = |model: &Model| model.robot.provenance.as_ref().map(|of| of.vendor.clone());
+    let is_one_makers = equals.iter().all(|model| vendor(model) == vendor(&equals[0]));
+    let contest = (judges.by_poses)(&equals.iter().collect::<Vec<_>>());
+    match contest.as_ref().and_then(|contest| Some((contest, contest.standings.first()?))) {
+        // Names such as joint_1 are anybody's: an arm that does not fit is not this maker's.
+        Some((contest, best)) if best.fits || is_one_makers => {
+            Ok(take(best.model, contest.words(&names)))
+        }
+        Some(_) if is_stranger => Ok(None),
+        _ => Err(RunError::Ambiguous { arms: names.into_iter().map(str::to_owned).collect() }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::super::space::Space;
+    use super::*;
+    use crate::geometry::Vec3;
+
+    const UR: [&str; 6] = [
+        "shoulder_pan_joint",
+        "shoulder_lift_joint",
+        "elbow_joint",
+        "wrist_1_joint",
+        "wrist_2_joint",
+        "wrist_3_joint",
+    ];
+
+    fn found(joints: &[String], judges: &Judges<'_>) -> Result<Vec<Model>, RunError> {
+        let frames = BTreeSet::new();
+        let space = Space::default();
+        let clues =
+            Clues { joints, frames: &frames, descriptions: &[], calibrations: &[], space: &space };
+        from_catalogue(&clues, judges)
+    }
+
+    fn ur() -> Vec<String> {
+        UR.map(str::to_owned).to_vec()
+    }
+
+    fn standing(model: usize, needs: Needs, left_m: f64, score: f64) -> Standing {
+        let tool_m = Vec3::new(0.0, 0.0, 0.15);
+        let way = Way { needs, misread: false, left_m, tool_m };
+        let topic = "actual_TCP_pose".to_owned();
+        Standing { model, score, way, as_is_m: left_m, fits: left_m < 3e-3, topic }
+    }
+
+    #[test]
+    fn transforms_tell_the_closest() {
+        let by_transforms =
+            |model: &Model| Some(if model.robot.name == "ur10e" { 1e-4 } else { 0.1 });
+        let judges = Judges { by_transforms: &by_transforms, by_poses: &|_| None };
+        let found = found(&ur(), &judges).unwrap();
+        assert_eq!(found[0].robot.name, "ur10e");
+        assert!(found[0].found.contains("within 0.1 mm"), "{}", found[0].found);
+    }
+
+    #[test]
+    fn poses_tell_the_one_that_needs_least_and_the_next_is_said() {
+        let by_poses = |models: &[&Model]| {
+            let at = |name: &str| models.iter().position(|model| model.robot.name == name);
+            let best = standing(at("ur3")?, Needs::Nothing, 2e-5, -700.0);
+            let next = standing(at("ur3e")?, Needs::Tool, 0.0081, -300.0);
+            Some(Contest { standings: vec![best, next], apart: 20.0 })
+        };
+        let judges = Judges { by_transforms: &|_| None, by_poses: &by_poses };
+        let found = found(&ur(), &judges).unwrap();
+        assert_eq!(found[0].robot.name, "ur3");
+        let said = &found[0].found;
+        assert!(said.contains("actual_TCP_pose fits to 20 µm"), "{said}");
+        assert!(said.contains("the next, ur3e, to 8.1 mm with a TCP of 150 mm"), "{said}");
+    }
+
+    #[test]
+    fn those_that_this_motion_cannot_tell_apart_are_listed() {
+        let by_poses = |models: &[&Model]| {
+            let at = |name: &str| models.iter().position(|model| model.robot.name == name);
+            let best = standing(at("ur5e")?, Needs::Tool, 1e-5, -700.0);
+            let next = standing(at("ur16e")?, Needs::Tool, 1e-5, -701.0);
+            Some(Contest { standings: vec![best, next], apart: 20.0 })
+        };
+        let judges = Judges { by_transforms: &|_| None, by_poses: &by_poses };
+        let found = found(&ur(), &judges).unwrap();
+        let said = &found[0].found;
+        assert!(said.contains("cannot tell it from ur16e") && said.contains("--robot"), "{said}");
+    }
+
+    #[test]
+    fn without_transforms_and_poses_nothing_is_guessed() {
+        let judges = Judges { by_transforms: &|_| None, by_poses: &|_| None };
+        let unknown = found(&ur(), &judges).unwrap_err();
+        assert!(matches!(unknown, RunError::Ambiguous { .. }), "{unknown}");
+    }
+
+    #[test]
+    fn names_that_are_anybodys_are_not_enough() {
+        let off = |models: &[&Model]| {
+            let standings =
+                (0..models.len()).map(|at| standing(at, Needs::Reference { tool: true }, 0.2, 0.0));
+            Some(Contest { standings: standings.collect(), apart: 20.0 })
+        };
+        let judges = Judges { by_transforms: &|_| Some(0.2), by_poses: &off };
+        let strange: Vec<String> = (1..=7).map(|i| format!("iiwa_joint_{i}")).collect();
+        assert!(found(&strange, &judges).unwrap().is_empty());
+        let plain: Vec<String> = (1..=6).map(|i| format!("joint_{i}")).collect();
+        let error = found(&plain, &judges).unwrap_err();
+        assert!(matches!(error, RunError::Ambiguous { .. }), "{error}");
+    }
+}

@@ -1,0 +1,461 @@
+//! Two publishers of one topic or of one transform, told apart by their rhythms.
+//!
+//! Rows that no single rhythm explains are two publishers' where each of two does nearly all of its
+//! own. That needs no value: two that say the same are told as well as two that disagree. Whether
+//! they disagree is then seen by holding the rows of the one against what lies between those of the
+//! other.
+
+use std::collections::HashSet;
+
+use rayon::prelude::*;
+
+use crate::stream::PoseColumns;
+use crate::time::seconds;
+
+use super::flaws::Apart;
+use super::series::{Series, Values};
+use super::streams::Rows;
+
+/// Two publishers of one piece of a stream.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Publishers {
+    /// Index of the stream.
+    pub stream: usize,
+    /// Parent and child of the transform; `None` of poses and joint states.
+    pub frames: Option<(String, String)>,
+    /// Rows of each, those of the one that is used first.
+    pub rows: [usize; 2],
+    /// Rows a second of each.
+    pub rates_hz: [f64; 2],
+    /// How far what they say is apart: of poses m and rad, of joints the farthest in its unit, as
+    /// `angle_rad`; nothing where they say the same.
+    pub apart: Option<Apart>,
+    /// Which of the stream's pieces.
+    pub(super) piece: usize,
+    /// The rows of the second.
+    pub(super) second: HashSet<usize>,
+}
+
+/// Takes the rows of the second publisher out.
+pub(super) fn hide(found: &[Publishers], stream: usize, piece: usize, rows: &mut Rows) {
+    let of_it = |found: &&Publishers| (found.stream, found.piece) == (stream, piece);
+    if let Some(found) = found.iter().find(of_it) {
+        rows.retain(|(_, row)| !found.second.contains(row));
+    }
+}
+
+/// The pieces that two publish.
+pub(super) fn publishers(series: &[Series<'_>]) -> Vec<Publishers> {
+    series.par_iter().filter_map(of).collect()
+}
+
+/// A rhythm explains nearly all where it leaves less than this share.
+const NEARLY: f64 = 0.04;
+/// A rhythm has a row at this share of its ticks, at least.
+const KEPT: f64 = 0.85;
+/// Rows without which nothing is told, and without which of the second of them.
+const ENOUGH: usize = 60;
+const FEWEST: usize = 12;
+/// Rows that are looked at.
+const MOST: usize = 4000;
+
+fn of(series: &Series<'_>) -> Option<Publishers> {
+    if series.rows.len() < ENOUGH || matches!(series.values, Values::Imu(_) | Values::Array(_)) {
+        return None;
+    }
+    // One publisher that stamps or sends evenly, whatever it loses.
+    let looked_at = &series.rows[..series.rows.len().min(MOST)];
+    let begin = looked_at[0].0;
+    let stamped_s: Vec<f64> =
+        looked_at.iter().map(|(stamp, _)| stamp.seconds_since(begin)).collect();
+    let mut received: Vec<i64> = looked_at.iter().map(|(_, row)| series.times.log[*row]).collect();
+    received.sort_unstable();
+    let since = |nanos: &i64| seconds(nanos.saturating_sub(received[0]));
+    let received_s: Vec<f64> = received.iter().map(since).collect();
+    if is_one(&stamped_s) || is_one(&received_s) {
+        return None;
+    }
+    let t_s = series.seconds();
+    let off = |before: usize, from: usize, to: usize| {
+        let [before_s, from_s, to_s] = [before, from, to].map(|at| t_s[at]);
+        let part = if from_s > before_s { (to_s - before_s) / (from_s - before_s) } else { 1.0 };
+        gap(&series.values, [before, to, from].map(|at| series.rows[at].1), part).size()
+    };
+    let parts = split(&stamped_s, &off)?;
+    // The whole run by the rhythms that a part of it has.
+    let [first, second] = match looked_at.len() == t_s.len() {
+        true => parts.rows,
+        false => split_by(&t_s, parts.periods_s, &off)?.rows,
+    };
+    let apart = apart(series, &t_s, [&first, &second])?;
+    // What is sent again with its stamp is no second publisher.
+    let sent: HashSet<i64> = first.iter().map(|&at| series.rows[at].0.nanos()).collect();
+    let is_again = |at: &&usize| sent.contains(&series.rows[**at].0.nanos());
+    if !apart.is_there && second.iter().filter(is_again).count() * 10 > second.len() * 9 {
+        return None;
+    }
+    let rate = |rows: &[usize]| {
+        let span_s = t_s[rows[rows.len() - 1]] - t_s[rows[0]];
+        (rows.len() - 1) as f64 / span_s
+    };
+    let frames = match series.values {
+        Values::Poses(poses) if series.frame.is_some() => {
+            Some((poses.frame_id.clone(), poses.child_frame_id.clone()))
+        }
+        _ => None,
+    };
+    Some(Publishers {
+        stream: series.stream,
+        frames,
+        rows: [first.len(), second.len()],
+        rates_hz: [rate(&first), rate(&second)],
+        apart: apart.is_there.then_some(apart.by),
+        piece: series.piece,
+        second: second.iter().map(|&at| series.rows[at].1).collect(),
+    })
+}
+
+/// How far a row is from where two others before it lead, in one number.
+type Off<'a> = &'a dyn Fn(usize, usize, usize) -> f64;
+
+/// Whether one rhythm explains nearly all rows.
+fn is_one(t_s: &[f64]) -> bool {
+    /// At less than this share of its ticks, a fine rhythm explains whatever two coarse ones do.
+    const LOSSY: f64 = 0.7;
+    let distinct: Vec<f64> =
+        t_s.iter().copied().fold(Vec::with_capacity(t_s.len()), |mut kept, t| {
+            if kept.last().is_none_or(|last| t - last > 1e-6) {
+                kept.push(t);
+            }
+            kept
+        });
+    let few = |left: usize| (left as f64) < NEARLY * t_s.len() as f64;
+    few(t_s.len() - distinct.len())
+        && periods(&distinct).into_iter().any(|period_s| {
+            let train =
+                best_train(&distinct, &vec![false; distinct.len()], period_s, &|_, _, _| 0.0);
+            let ticks = (distinct[distinct.len() - 1] - distinct[0]) / period_s;
+            few(distinct.len() - train.len()) && train.len() as f64 > LOSSY * ticks
+        })
+}
+
+/// The intervals between rows and the next few after them that come most often, s.
+fn periods(t_s: &[f64]) -> Vec<f64> {
+    /// Rows after each that are looked at.
+    const AHEAD: usize = 6;
+    /// Intervals within this share are one.
+    const ALIKE: f64 = 0.03;
+    const KEPT: usize = 14;
+    /// Of those that come most often so many may be one that is stamped unevenly, where they are apart by
+    /// less than this.
+    const COPIED: usize = 8;
+    const ONE_APART: f64 = 1.8;
+    let mut all: Vec<f64> = (1..=AHEAD)
+        .flat_map(|ahead| t_s.iter().zip(t_s.iter().skip(ahead)).map(|(a, b)| b - a))
+        .filter(|dt| *dt > 1e-6)
+        .collect();
+    all.sort_by(f64::total_cmp);
+    let mut bins: Vec<(usize, f64)> = Vec::new();
+    let mut at = 0;
+    while at < all.len() {
+        let end = at + all[at..].partition_point(|dt| *dt <= all[at] * (1.0 + ALIKE));
+        bins.push((end - at, all[(at + end) / 2]));
+        at = end;
+    }
+    bins.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.total_cmp(&b.1)));
+    let often: Vec<f64> = bins.into_iter().take(KEPT).map(|(_, period_s)| period_s).collect();
+    // A stamp that is copied from joint states is one of theirs before it is due or after it.
+    let mut sorted: Vec<f64> = often.iter().copied().take(COPIED).collect();
+    sorted.sort_by(f64::total_cmp);
+    let between = sorted.windows(2).filter(|pair| pair[1] < ONE_APART * pair[0]);
+    let between: Vec<f64> = between.map(|pair| 0.5 * (pair[0] + pair[1])).collect();
+    often.into_iter().chain(between).collect()
+}
+
+/// The rows that are not `used` and come every `period_s`, from the start that finds most of them.
+fn best_train(t_s: &[f64], used: &[bool], period_s: f64, off: Off<'_>) -> Vec<usize> {
+    const STARTS: usize = 6;
+    let free = (0..t_s.len()).filter(|&row| !used[row]);
+    let trains = free.take(STARTS).map(|start| train(t_s, used, start, period_s, off));
+    trains.max_by_key(Vec::len).unwrap_or_default()
+}
+
+/// The rows that follow `start` every `period_s`, each timed by the one before: of several at one tick
+/// the one that is nearest to where the rows before lead.
+fn train(t_s: &[f64], used: &[bool], start: usize, period_s: f64, off: Off<'_>) -> Vec<usize> {
+    /// A tick may be off by this share of a period.
+    const TOLERANCE: f64 = 0.3;
+    /// Stamps as close as this share are of one tick.
+    const EQUAL: f64 = 0.02;
+    /// Of these one is surely nearer that is off by less than this share of the other.
+    const SURELY: f64 = 0.5;
+    let mut rows = vec![start];
+    loop {
+        let from = rows[rows.len() - 1];
+        let before = rows[rows.len().saturating_sub(2)];
+        let mut best: Option<(f64, usize)> = None;
+        for row in from + 1..t_s.len() {
+            let periods = (t_s[row] - t_s[from]) / period_s;
+            if best.is_some() && periods > 1.0 + TOLERANCE {
+                break;
+            }
+            let tick = periods.round().max(1.0);
+            let late = (periods - tick).abs();
+            if used[row] || late > TOLERANCE {
+                continue;
+            }
+            if best.is_none_or(|(least, _)| late < least - EQUAL) {
+                best = Some((late, row));
+            } else if let Some((least, rival)) = best
+                && late < least + EQUAL
+                && off(before, from, row) < SURELY * off(before, from, rival)
+            {
+                best = Some((least.min(late), row));
+            }
+            if tick > 1.0 {
+                break;
+            }
+        }
+        let Some((_, row)) = best else { return rows };
+        rows.push(row);
+    }
+}
+
+/// Two rhythms, the one with more rows first, and the rows of each.
+struct Split {
+    periods_s: [f64; 2],
+    rows: [Vec<usize>; 2],
+}
+
+/// The two rhythms that explain nearly all rows and nearly all of whose ticks have one.
+fn split(t_s: &[f64], off: Off<'_>) -> Option<Split> {
+    let tried = periods(t_s).into_iter().filter_map(|period_s| {
+        let (first, used) = kept_train(t_s, &vec![false; t_s.len()], period_s, off)?;
+        let rest: Vec<f64> = (0..t_s.len()).filter(|&row| !used[row]).map(|row| t_s[row]).collect();
+        let splits = periods(&rest).into_iter().filter_map(|second_s| {
+            let second = kept_train(t_s, &used, second_s, off)?.0;
+            Split::of(t_s, [period_s, second_s], [first.clone(), second])
+        });
+        splits.max_by_key(Split::explained)
+    });
+    tried.max_by_key(Split::explained)
+}
+
+fn split_by(t_s: &[f64], periods_s: [f64; 2], off: Off<'_>) -> Option<Split> {
+    let (first, used) = kept_train(t_s, &vec![false; t_s.len()], periods_s[0], off)?;
+    let second = kept_train(t_s, &used, periods_s[1], off)?.0;
+    Split::of(t_s, periods_s, [first, second])
+}
+
+/// The rows that come every `period_s`, and those with what was used before; `None` where too many of
+/// its ticks have none.
+fn kept_train(
+    t_s: &[f64],
+    used: &[bool],
+    period_s: f64,
+    off: Off<'_>,
+) -> Option<(Vec<usize>, Vec<bool>)> {
+    let train = best_train(t_s, used, period_s, off);
+    let ticks = (t_s.last()? - t_s.first()?) / period_s;
+    let is_kept = train.len() >= FEWEST && train.len() as f64 > KEPT * ticks;
+    let mut used = used.to_vec();
+    train.iter().for_each(|&row| used[row] = true);
+    is_kept.then_some((train, used))
+}
+
+impl Split {
+    fn explained(&self) -> usize {
+        self.rows[0].len() + self.rows[1].len()
+    }
+
+    /// `None` where they leave too many rows.
+    fn of(t_s: &[f64], periods_s: [f64; 2], rows: [Vec<usize>; 2]) -> Option<Self> {
+        let mut split = Self { periods_s, rows };
+        if split.rows[0].len() < split.rows[1].len() {
+            split.rows.reverse();
+            split.periods_s.reverse();
+        }
+        let left = t_s.len() - split.explained();
+        ((left as f64) < NEARLY * t_s.len() as f64).then_some(split)
+    }
+}
+
+/// How far what two publishers say is apart.
+struct Gap {
+    by: Apart,
+    is_there: bool,
+}
+
+/// The rows of the second held against what lies between those of the first, and these against what
+/// lies between their neighbours, which is what that tells at best. `None` where nothing lies between.
+fn apart(series: &Series<'_>, t_s: &[f64], [first, second]: [&[usize]; 2]) -> Option<Gap> {
+    /// What is apart by less is not, m or rad: rounding, and noise of encoders.
+    const LEAST: f64 = 3e-4;
+    /// It is more than what lies between rows is uncertain by.
+    const TIMES: f64 = 2.0;
+    /// What is apart by more at times than usually is apart by motion.
+    const VARIES: f64 = 2.0;
+    let row = |at: usize| series.rows[at].1;
+    let gap = |left: usize, at: usize, right: usize| {
+        let span_s = t_s[right] - t_s[left];
+        let part = if span_s > 0.0 { (t_s[at] - t_s[left]) / span_s } else { 0.0 };
+        gap(&series.values, [row(left), row(at), row(right)], part)
+    };
+    let period_s = (t_s[first[first.len() - 1]] - t_s[first[0]]) / (first.len() - 1) as f64;
+    let gaps: Vec<Apart> = second
+        .iter()
+        .filter_map(|&at| {
+            let after = first.partition_point(|&other| t_s[other] < t_s[at]);
+            let (left, right) = (*first.get(after.checked_sub(1)?)?, *first.get(after)?);
+            (t_s[right] - t_s[left] < 2.5 * period_s).then(|| gap(left, at, right))
+        })
+        .collect();
+    let own: Vec<Apart> =
+        first.windows(3).map(|window| gap(window[0], window[1], window[2])).collect();
+    if gaps.len() < FEWEST || own.is_empty() {
+        return None;
+    }
+    let told = |of: fn(&Apart) -> f64| {
+        let [usual, far] = [0.5, 0.9].map(|part| quantile(gaps.iter().map(of), part));
+        // Some rows of the one may be the other's where they come together.
+        let uncertain = quantile(own.iter().map(of), 0.8);
+        let by = if far > VARIES * usual { far } else { usual };
+        (by, far > LEAST + TIMES * uncertain)
+    };
+    let (length, angle) = (told(|gap| gap.length_m), told(|gap| gap.angle_rad));
+    let part = |(by, is_there): (f64, bool)| if is_there { by } else { 0.0 };
+    let by = Apart { length_m: part(length), angle_rad: part(angle) };
+    Some(Gap { by, is_there: length.1 || angle.1 })
+}
+
+fn quantile(values: impl Iterator<Item = f64>, part: f64) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values.get((values.len().saturating_sub(1) as f64 * part) as usize).copied().unwrap_or(0.0)
+}
+
+/// How far the middle one of three rows is from `part` of the way between the others.
+fn gap(values: &Values<'_>, [left, at, right]: [usize; 3], part: f64) -> Apart {
+    match values {
+        Values::Poses(poses) => {
+            let mut between = PoseColumns::default();
+            let mix = |a: f64, b: f64| a + part * (b - a);
+            let (a, b) = (poses.q_xyzw[left], poses.q_xyzw[right]);
+            let dot: f64 = a.iter().zip(b).map(|(a, b)| a * b).sum();
+            let sign = if dot < 0.0 { -1.0 } else { 1.0 };
+            between.q_xyzw.push(std::array::from_fn(|i| mix(a[i], sign * b[i])));
+            let (a, b) = (poses.xyz[left], poses.xyz[right]);
+            between.xyz.push(std::array::from_fn(|i| mix(a[i], b[i])));
+            Apart::between((&between, 0), (poses, at))
+        }
+        _ => {
+            let off = |number: usize| {
+                let [a, q, b] = [left, at, right].map(|row| values.at(row, number));
+                (q - a - part * (b - a)).abs()
+            };
+            let angle_rad = (0..values.width()).map(off).fold(0.0, f64::max);
+            Apart { length_m: 0.0, angle_rad }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stream::Times;
+    use crate::time::Stamp;
+
+    const MS: i64 = 1_000_000;
+
+    /// 20 s of a transform that publishers send every so many ms from so many ms on; each says a swing
+    /// of its own plus what it is off by, m.
+    fn sent(by: &[(f64, f64, f64)]) -> PoseColumns {
+        let mut rows: Vec<(i64, f64)> = Vec::new();
+        for (period_ms, phase_ms, off_m) in by {
+            let mut t_ms = *phase_ms;
+            while t_ms < 20_000.0 {
+                let x = 0.3 * (t_ms * 1.1e-3).sin() + off_m;
+                rows.push(((t_ms * MS as f64) as i64, x));
+                t_ms += period_ms;
+            }
+        }
+        rows.sort_by_key(|row| row.0);
+        let mut poses = PoseColumns { child_frame_id: "b".to_owned(), ..PoseColumns::default() };
+        for (nanos, x) in rows {
+            poses.times.push(1 + nanos, 1 + nanos + MS, 0);
+            poses.xyz.push([x, 0.0, 0.0]);
+            poses.q_xyzw.push([0.0, 0.0, 0.0, 1.0]);
+        }
+        poses
+    }
+
+    fn found(poses: &PoseColumns) -> Option<Publishers> {
+        let times: &Times = &poses.times;
+        let rows = times.header.iter().map(|nanos| Stamp::from_nanos(*nanos)).zip(0..).collect();
+        let (frame, values) = (Some("b"), Values::Poses(poses));
+        of(&Series { stream: 0, piece: 0, frame, rows, times, values })
+    }
+
+    #[test]
+    fn two_are_told_apart_at_any_pair_of_rates() {
+        for (a_ms, b_ms, phase_ms) in [
+            (20.0, 33.333, 3.0),
+            (33.333, 20.0, 0.0),
+            (20.0, 20.0, 3.0),
+            (40.0, 25.0, 7.0),
+            (10.0, 50.0, 2.0),
+            (20.0, 20.0, 0.0),
+        ] {
+            for off_m in [0.0, 0.005] {
+                let two = sent(&[(a_ms, 0.0, 0.0), (b_ms, phase_ms, off_m)]);
+                let found = found(&two);
+                let case = format!(
+                    "{a_ms} {b_ms} {phase_ms} {off_m}: {:?}",
+                    found.as_ref().map(|f| (f.rows, f.apart))
+                );
+                let found = found.expect(&case);
+                let mut rates = found.rates_hz.map(|rate_hz| 1000.0 / rate_hz);
+                rates.sort_by(f64::total_cmp);
+                assert!((rates[0] - f64::min(a_ms, b_ms)).abs() < 0.1, "{case}");
+                assert!((rates[1] - f64::max(a_ms, b_ms)).abs() < 0.1, "{case}");
+                let apart_m = found.apart.map_or(0.0, |apart| apart.length_m);
+                assert!((apart_m - off_m).abs() < 1e-4, "{case}");
+            }
+        }
+    }
+
+    #[test]
+    fn stamps_that_are_copied_from_joint_states_are_told_apart() {
+        let copied = |by: &[(f64, f64, f64)]| {
+            let mut poses = sent(by);
+            for (row, nanos) in poses.times.header.iter_mut().enumerate() {
+                *nanos = 1 + (*nanos + 8 * MS - 2).div_euclid(8 * MS) * 8 * MS;
+                poses.times.log[row] = *nanos + MS;
+            }
+            poses
+        };
+        let found = |by: &[(f64, f64, f64)]| found(&copied(by));
+        assert_eq!(found(&[(20.0, 0.0, 0.0)]), None);
+        let two = found(&[(20.0, 0.0, 0.0), (33.333, 0.0, 0.005)]).expect("two publishers");
+        assert!(two.apart.is_some_and(|apart| (apart.length_m - 0.005).abs() < 1e-3), "{two:?}");
+    }
+
+    #[test]
+    fn one_that_loses_rows_or_has_no_rhythm_is_one() {
+        let mut lossy = sent(&[(20.0, 0.0, 0.0)]);
+        let kept: Vec<usize> = (0..lossy.times.len()).filter(|row| (row * 7919) % 9 != 4).collect();
+        let keep = |values: &Vec<[f64; 3]>| kept.iter().map(|&row| values[row]).collect();
+        lossy.xyz = keep(&lossy.xyz);
+        lossy.q_xyzw.truncate(kept.len());
+        let header = kept.iter().map(|&row| lossy.times.header[row]).collect::<Vec<_>>();
+        lossy.times = Times::default();
+        header.iter().for_each(|nanos| lossy.times.push(*nanos, *nanos, 0));
+        assert_eq!(found(&lossy), None);
+        let mut ragged = sent(&[(20.0, 0.0, 0.0)]);
+        for (row, nanos) in ragged.times.header.iter_mut().enumerate() {
+            *nanos += ((row * 7919) % 17) as i64 * MS;
+        }
+        ragged.times.log.clone_from(&ragged.times.header);
+        assert_eq!(found(&ragged), None);
+    }
+}

@@ -1,0 +1,115 @@
+//! Each piece of each stream as rows of numbers in the order of time, whatever they mean: one of
+//! joint states, of poses, of each transform, of an IMU.
+
+use crate::stream::{ArrayColumns, Columns, ImuColumns, JointColumns, PoseColumns, Times};
+
+use super::role::Role;
+use super::streams::{Rows, Stream, Timing};
+use super::tf_tree::without_slash;
+
+/// A piece of a stream.
+pub(super) struct Series<'a> {
+    /// Index of the stream.
+    pub stream: usize,
+    /// Which of its pieces.
+    pub piece: usize,
+    /// The child frame of a transform.
+    pub frame: Option<&'a str>,
+    /// The rows that have a stamp, in the order of their stamps.
+    pub rows: Rows,
+    pub times: &'a Times,
+    pub values: Values<'a>,
+}
+
+/// What the rows hold.
+#[derive(Clone, Copy)]
+pub(super) enum Values<'a> {
+    Joints(&'a JointColumns),
+    Poses(&'a PoseColumns),
+    Imu(&'a ImuColumns),
+    Array(&'a ArrayColumns),
+}
+
+impl Values<'_> {
+    /// How many numbers a row has.
+    pub fn width(&self) -> usize {
+        match self {
+            Values::Joints(joints) => joints.joints.len(),
+            Values::Poses(_) => 7,
+            Values::Imu(_) => 10,
+            Values::Array(array) => array.width,
+        }
+    }
+
+    /// One number of a row.
+    pub fn at(&self, row: usize, number: usize) -> f64 {
+        match (self, number) {
+            (Values::Joints(joints), _) => joints.joints[number].position[row],
+            (Values::Poses(poses), 0..3) => poses.xyz[row][number],
+            (Values::Poses(poses), _) => poses.q_xyzw[row][number - 3],
+            (Values::Array(array), _) => array.row(row)[number],
+            (Values::Imu(imu), 0..3) => imu.gyro[row][number],
+            (Values::Imu(imu), 3..6) => imu.accel[row][number - 3],
+            (Values::Imu(imu), _) => imu.q_xyzw[row][number - 6],
+        }
+    }
+
+    /// Whether two rows are the same to the last bit.
+    pub fn is_same(&self, a: usize, b: usize) -> bool {
+        let same = |a: f64, b: f64| a == b || (a.is_nan() && b.is_nan());
+        (0..self.width()).all(|number| same(self.at(a, number), self.at(b, number)))
+    }
+}
+
+impl Series<'_> {
+    /// Seconds from the first row to each.
+    pub fn seconds(&self) -> Vec<f64> {
+        let first = self.rows.first().map(|(stamp, _)| *stamp).unwrap_or_default();
+        self.rows.iter().map(|(stamp, _)| stamp.seconds_since(first)).collect()
+    }
+}
+
+/// All pieces that a run may use, but for those of joint states that not each message has all of.
+pub(super) fn series<'a>(streams: &'a [Stream], timing: &Timing) -> Vec<Series<'a>> {
+    let mut found = Vec::new();
+    for (stream, held) in streams.iter().enumerate() {
+        let is_used = matches!(
+            held.role,
+            Role::Joints
+                | Role::Pose
+                | Role::Candidate { .. }
+                | Role::Unassigned
+                | Role::Tf
+                | Role::Imu
+        );
+        let Some(columns) = held.columns.as_ref().filter(|_| is_used) else { continue };
+        let mut add = |piece: usize, frame, times: &'a Times, values| {
+            let mut rows = timing.rows(streams, stream, piece);
+            rows.sort_by_key(|(stamp, row)| (*stamp, times.log[*row]));
+            found.push(Series { stream, piece, frame, rows, times, values });
+        };
+        match columns {
+            Columns::Joints(joints) => {
+                let is_known = |q: &f64| q.is_finite();
+                if joints.joints.iter().all(|joint| joint.position.iter().all(is_known)) {
+                    add(0, None, &joints.times, Values::Joints(joints));
+                }
+            }
+            Columns::Poses(poses) => {
+                for (piece, poses) in poses.iter().enumerate() {
+                    add(piece, None, &poses.times, Values::Poses(poses));
+                }
+            }
+            Columns::Transforms(poses) => {
+                for (piece, poses) in poses.iter().enumerate() {
+                    let child = without_slash(&poses.child_frame_id);
+                    add(piece, Some(child), &poses.times, Values::Poses(poses));
+                }
+            }
+            Columns::Imu(imu) => add(0, None, &imu.times, Values::Imu(imu)),
+            Columns::Array(array) => add(0, None, &array.times, Values::Array(array)),
+            Columns::Text(_) => {}
+        }
+    }
+    found
+}

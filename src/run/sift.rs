@@ -1,0 +1,85 @@
+//! Which rows of a stream the estimators see, and at what time: of one publisher, neither stray nor
+//! old, and each value once.
+
+use super::held::{self, Held, held};
+use super::publishers::{self, Publishers, publishers};
+use super::role::Role;
+use super::series::{Values, series};
+use super::stalled::{self, Stalled, stalled};
+use super::strays::{self, Strays, strays};
+use super::streams::{Rows, Stream, Timing};
+
+/// What was found that keeps rows from being seen.
+#[derive(Debug, Default)]
+pub struct Sift {
+    /// The samples that jump away and back.
+    pub strays: Vec<Strays>,
+    /// The topics and transforms that two publish.
+    pub publishers: Vec<Publishers>,
+    /// What repeats values with new stamps.
+    pub held: Vec<Held>,
+    /// When joint states stood still.
+    pub(super) stalled: Vec<Stalled>,
+}
+
+impl Sift {
+    /// Looks through all streams.
+    pub(super) fn of(streams: &[Stream], timing: &Timing) -> Self {
+        let mut series = series(streams, timing);
+        let publishers = publishers(&series);
+        for series in &mut series {
+            publishers::hide(&publishers, series.stream, series.piece, &mut series.rows);
+            // What is sent again with its stamp is the same row.
+            series.rows.dedup_by_key(|(stamp, _)| *stamp);
+        }
+        let held = held(&series);
+        let joints = series.iter().filter(|series| {
+            matches!(series.values, Values::Joints(_))
+                && streams[series.stream].role == Role::Joints
+        });
+        let stalled = joints.flat_map(|series| {
+            let mut rows = series.rows.clone();
+            held::take_once(&held, series.stream, series.piece, &mut rows);
+            stalled(series, &rows)
+        });
+        let stalled = stalled.collect();
+        let strays = strays(streams, timing, &publishers);
+        Self { strays, publishers, held, stalled }
+    }
+
+    /// Leaves of the rows of a piece those that are seen.
+    pub(super) fn sift(&self, stream: usize, piece: usize, rows: &mut Rows) {
+        publishers::hide(&self.publishers, stream, piece, rows);
+        strays::hide(&self.strays, stream, piece, rows);
+        stalled::hide(&self.stalled, stream, rows);
+        held::take_once(&self.held, stream, piece, rows);
+    }
+
+    /// Makes what was found on one piece that of another stream too.
+    pub(super) fn share(&mut self, (stream, piece): (usize, usize), to: usize) {
+        fn shared<T: Clone>(
+            all: &mut Vec<T>,
+            is_of_it: impl Fn(&T) -> bool,
+            moved: impl Fn(T) -> T,
+        ) {
+            let new: Vec<T> = all.iter().filter(|one| is_of_it(one)).cloned().map(moved).collect();
+            all.extend(new);
+        }
+        let of_it = |own: (usize, usize)| own == (stream, piece);
+        shared(
+            &mut self.strays,
+            |one| of_it((one.stream, one.piece)),
+            |one| Strays { stream: to, piece: 0, ..one },
+        );
+        shared(
+            &mut self.publishers,
+            |one| of_it((one.stream, one.piece)),
+            |one| Publishers { stream: to, piece: 0, ..one },
+        );
+        shared(
+            &mut self.held,
+            |one| of_it((one.stream, one.piece)),
+            |one| Held { stream: to, piece: 0, ..one },
+        );
+    }
+}

@@ -1,0 +1,158 @@
+//! Times in which joint states stand still though the arm moves.
+//!
+//! A joint that stops on its way at full speed and is elsewhere one sample later did not stop: its
+//! number did. The times are taken out of what the estimators see, as a gap.
+
+use crate::stream::sample_noise;
+
+use super::frozen::Frozen;
+use super::series::{Series, Values};
+use super::streams::Rows;
+
+/// Shorter times, and of fewer rows, are how a slow source looks, s.
+const LEAST_S: f64 = 0.25;
+const LEAST_ROWS: usize = 10;
+/// Standing still is to move by no more than so many deviations of the noise.
+const STILL: f64 = 8.0;
+/// It ends with a leap of this at least, rad or m, …
+const LEAP: f64 = 5e-3;
+/// … so many times the steps after it.
+const FAR: f64 = 5.0;
+/// Rows after it, and before, that say how fast the joints went.
+const BESIDE: usize = 4;
+
+/// A time in which joint states stood still, and its rows, from the second on.
+#[derive(Debug)]
+pub(super) struct Stalled {
+    pub frozen: Frozen,
+    pub rows: Vec<usize>,
+}
+
+/// Takes the rows out that say an old value.
+pub(super) fn hide(stalled: &[Stalled], stream: usize, rows: &mut Rows) {
+    for found in stalled.iter().filter(|found| found.frozen.stream == stream) {
+        rows.retain(|(_, row)| found.rows.binary_search(row).is_err());
+    }
+}
+
+/// The times in which the joint states of `series` stand still; `rows` are those that are looked at.
+pub(super) fn stalled(series: &Series<'_>, rows: &Rows) -> Vec<Stalled> {
+    let Values::Joints(joints) = series.values else { return Vec::new() };
+    let q = |at: usize, joint: usize| joints.joints[joint].position[rows[at].1];
+    let noise: Vec<f64> = (0..joints.joints.len())
+        .map(|joint| sample_noise(&(0..rows.len()).map(|at| q(at, joint)).collect::<Vec<f64>>()))
+        .collect();
+    let count = noise.len();
+    let (mut found, mut from) = (Vec::new(), 0);
+    for at in 0..rows.len().saturating_sub(1 + BESIDE) {
+        let leaps = |joint: usize| {
+            let by = (q(at + 1, joint) - q(at, joint)).abs();
+            let after = (1..BESIDE).map(|k| (q(at + 1 + k, joint) - q(at + k, joint)).abs());
+            by > LEAP.max(20.0 * noise[joint]) && by > FAR * after.fold(0.0, f64::max)
+        };
+        if !(0..count).any(leaps) {
+            continue;
+        }
+        let is_still = |other: &usize| {
+            (0..count)
+                .all(|joint| (q(*other, joint) - q(at, joint)).abs() <= STILL * noise[joint] + 1e-9)
+        };
+        let first = (from..at).rev().take_while(is_still).last().unwrap_or(at);
+        from = at + 1;
+        let (start, end) = (rows[first].0, rows[at].0);
+        let is_long = end.seconds_since(start) >= LEAST_S && at - first >= LEAST_ROWS;
+        let period_s = end.seconds_since(start) / (at - first).max(1) as f64;
+        let is_beside = rows[at + 1].0.seconds_since(end) < 3.0 * period_s;
+        // A number that is set anew at rest leaps, too: then nothing moves before it nor after it.
+        let moves = |a: usize, b: usize| {
+            (0..count).any(|joint| {
+                let by = (q(b, joint) - q(a, joint)).abs();
+                leaps(joint) && by > (10.0 * noise[joint]).max(1e-4)
+            })
+        };
+        let goes_on = moves(at + 1, at + BESIDE) || first >= BESIDE && moves(first - BESIDE, first);
+        if !is_long || !is_beside || !goes_on {
+            continue;
+        }
+        let moved = (0..count).map(|j| (q(at + 1, j) - q(at, j)).abs()).fold(0.0, f64::max);
+        let samples = at + 1 - first;
+        let stream = series.stream;
+        let mut old: Vec<usize> = (first + 1..=at).map(|at| rows[at].1).collect();
+        old.sort_unstable();
+        let frozen = Frozen { stream, start, end, samples, whole: false, moved };
+        found.push(Stalled { frozen, rows: old });
+    }
+    found
+}
+
+/// The times alone.
+pub(super) fn times(stalled: &[Stalled]) -> impl Iterator<Item = Frozen> + '_ {
+    stalled.iter().map(|found| found.frozen)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stream::{JointColumn, JointColumns};
+    use crate::time::Stamp;
+
+    /// 20 s of a joint that swings at 100 Hz, with noise, and what `edit` makes of the time that each
+    /// row says and adds to it.
+    fn swings(noise: f64, edit: impl Fn(f64) -> (f64, f64)) -> JointColumns {
+        let mut columns = JointColumns::default();
+        columns.joints.push(JointColumn { name: "a".to_owned(), ..JointColumn::default() });
+        for row in 0..2000_i64 {
+            let (t, offset) = edit(row as f64 * 0.01);
+            columns.times.push(1 + row * 10_000_000, 0, 0);
+            let noise = noise * f64::from((row * 7919 % 13) as i32 - 6) / 6.0;
+            columns.joints[0].position.push((1.1 * t).sin() + offset + noise);
+            columns.joints[0].velocity.push(f64::NAN);
+        }
+        columns
+    }
+
+    fn found(columns: &JointColumns) -> Vec<Stalled> {
+        let rows: Rows =
+            columns.times.header.iter().map(|&t| Stamp::from_nanos(t)).zip(0..).collect();
+        let (times, values) = (&columns.times, Values::Joints(columns));
+        let series = Series { stream: 0, piece: 0, frame: None, rows: rows.clone(), times, values };
+        stalled(&series, &rows)
+    }
+
+    #[test]
+    fn a_value_that_stands_still_amid_motion_is_found_with_noise_and_without() {
+        for noise in [0.0, 5e-5] {
+            let columns = swings(noise, |t| (if (5.0..7.0).contains(&t) { 5.0 } else { t }, 0.0));
+            let found = found(&columns);
+            let [one] = found.as_slice() else { panic!("{noise}: {}", found.len()) };
+            assert!((one.frozen.samples as i64 - 200).abs() < 5, "{:?}", one.frozen);
+            let times: Vec<Frozen> = times(&found).collect();
+            let within = times[0].start..=times[0].end;
+            assert!(within.contains(&Stamp::from_nanos(6_000_000_000)));
+            let mut rows: Rows = (0..2000).map(|row| (Stamp::default(), row)).collect();
+            hide(&found, 0, &mut rows);
+            assert!((rows.len() as i64 - 1801).abs() < 5);
+        }
+    }
+
+    #[test]
+    fn rests_strays_and_numbers_set_anew_are_no_such_time() {
+        let rests = swings(5e-5, |t| {
+            (
+                if (5.0..7.0).contains(&t) {
+                    5.0
+                } else if t < 5.0 {
+                    t
+                } else {
+                    t - 2.0
+                },
+                0.0,
+            )
+        });
+        let stray = swings(5e-5, |t| (t, if (t - 5.0).abs() < 1e-3 { 0.4 } else { 0.0 }));
+        let anew = swings(5e-5, |t| (1.43, if t > 8.0 { 0.1 } else { 0.0 }));
+        for columns in [rests, stray, anew] {
+            assert!(found(&columns).is_empty());
+        }
+    }
+}

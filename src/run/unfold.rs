@@ -1,0 +1,174 @@
+//! Joints that are logged within one turn, ±π or 0…2π, though they go on: unwrapped.
+//!
+//! Where a position leaps by a whole turn from one end of what the joint says to the other, the joint
+//! went on and its number began anew. The leaps are taken off before anything is differentiated,
+//! interpolated or held against limits. Numbers may be degrees.
+
+use std::f64::consts::TAU;
+
+use rayon::prelude::*;
+
+use crate::stream::{Columns, JointColumn};
+
+use super::role::Role;
+use super::streams::Stream;
+
+/// A turn in the units that joints are logged in, rad and degrees.
+const TURNS: [f64; 2] = [TAU, 360.0];
+/// Both sides of the seam lie within this share of a turn of its ends, …
+const NEAR: f64 = 0.02;
+/// … or within as many of the longest usual steps, …
+const STEPS: f64 = 4.0;
+/// … but never farther than this share of a turn.
+const FAR: f64 = 0.125;
+/// Of the numbers this share lies between the ends of the seam.
+const WITHIN: f64 = 0.99;
+
+/// A joint whose position is logged within one turn.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Folded {
+    /// Index of the stream.
+    pub stream: usize,
+    /// The joint, as the log names it.
+    pub joint: String,
+    /// A turn in the unit of its numbers.
+    pub turn: f64,
+    /// How often it passed the seam.
+    pub times: usize,
+}
+
+/// Unwraps the joints of all streams, states and commands, and says which.
+pub(super) fn unfold(streams: &mut [Stream]) -> Vec<Folded> {
+    let of = |(index, stream): (usize, &mut Stream)| {
+        let Some(Columns::Joints(joints)) = &mut stream.columns else { return Vec::new() };
+        let unfolded = |joint: &mut JointColumn| {
+            let (turn, times) = unfold_column(&mut joint.position)?;
+            Some(Folded { stream: index, joint: joint.name.clone(), turn, times })
+        };
+        joints.joints.iter_mut().filter_map(unfolded).collect()
+    };
+    streams.par_iter_mut().enumerate().flat_map_iter(of).collect()
+}
+
+/// Says so of every stream of joint states that it concerns.
+pub(super) fn say(streams: &mut [Stream], folded: &[Folded]) {
+    for (index, stream) in streams.iter_mut().enumerate() {
+        let names: Vec<&str> = folded
+            .iter()
+            .filter(|folded| folded.stream == index)
+            .map(|folded| folded.joint.as_str())
+            .collect();
+        if stream.role == Role::Joints && !names.is_empty() {
+            stream.reason +=
+                &format!("; logged within one turn, and unwrapped: {}", names.join(", "));
+        }
+    }
+}
+
+/// Takes the leaps of a whole turn off, and says how many there were; `None`, and nothing is changed,
+/// where there is none.
+fn unfold_column(q: &mut [f64]) -> Option<(f64, usize)> {
+    TURNS.into_iter().find_map(|turn| Some((turn, take_off(q, turn)?)))
+}
+
+fn take_off(q: &mut [f64], turn: f64) -> Option<usize> {
+    let known: Vec<usize> = (0..q.len()).filter(|&row| q[row].is_finite()).collect();
+    let turns = |pair: &[usize]| ((q[pair[1]] - q[pair[0]]) / turn).round();
+    if !known.windows(2).any(|pair| turns(pair) != 0.0) {
+        return None;
+    }
+    let mut usual: Vec<f64> = known
+        .windows(2)
+        .filter(|pair| turns(pair) == 0.0)
+        .map(|pair| (q[pair[1]] - q[pair[0]]).abs())
+        .collect();
+    let rank = usual.len().checked_sub(1)? * 99 / 100;
+    let long = *usual.select_nth_unstable_by(rank, f64::total_cmp).1;
+    if long > FAR * turn {
+        return None;
+    }
+    let near = (STEPS * long).max(NEAR * turn).min(FAR * turn);
+    // A joint that goes on by a little and begins anew leaps by a turn, less that.
+    let leaps = |pair: &[usize]| {
+        let by = q[pair[1]] - q[pair[0]];
+        turns(pair).abs() == 1.0 && (by - turn * turns(pair)).abs() <= near
+    };
+    let ends = known.windows(2).filter(|pair| leaps(pair)).map(|pair| {
+        let (a, b) = (q[pair[0]], q[pair[1]]);
+        (a.min(b), a.max(b))
+    });
+    let (low, high) = ends.reduce(|(low, high), (a, b)| (low.min(a), high.max(b)))?;
+    let within = known.iter().filter(|&&row| (low - near..=high + near).contains(&q[row])).count();
+    if (within as f64) < WITHIN * known.len() as f64 || high - low > turn + near {
+        return None;
+    }
+    let passes = |pair: &[usize]| {
+        let (a, b) = (q[pair[0]], q[pair[1]]);
+        leaps(pair) && a.min(b) <= low + near && a.max(b) >= high - near
+    };
+    let steps: Vec<(usize, f64)> = known
+        .windows(2)
+        .filter(|pair| passes(pair))
+        .map(|pair| (pair[1], -turn * turns(pair)))
+        .collect();
+    let (mut next, mut shift) = (0, 0.0);
+    for row in known {
+        if let Some((_, by)) = steps.get(next).filter(|(at, _)| *at == row) {
+            shift += by;
+            next += 1;
+        }
+        q[row] += shift;
+    }
+    Some(steps.len())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::PI;
+
+    /// A joint that turns on, then back, in steps of a hundredth of a second, with some noise.
+    fn turning() -> Vec<f64> {
+        let noise = |row: i32| 2e-4 * f64::from((row * 7919) % 13 - 6);
+        (0..3000).map(|row| 9.0 * (f64::from(row) * 4e-3).sin() + noise(row)).collect()
+    }
+
+    #[test]
+    fn what_is_folded_anywhere_and_in_any_unit_is_unwrapped() {
+        for (seam, unit) in [(PI, 1.0), (TAU, 1.0), (PI, 1_f64.to_degrees()), (1.0, 1.0)] {
+            let truth: Vec<f64> = turning().into_iter().map(|q| q * unit).collect();
+            let turn = TAU * unit;
+            let fold = |q: f64| seam * unit - (seam * unit - q).rem_euclid(turn);
+            let mut folded: Vec<f64> = truth.iter().map(|q| fold(*q)).collect();
+            folded[100] = f64::NAN;
+            let found = unfold_column(&mut folded);
+            let offset = folded[0] - truth[0];
+            assert!(found.is_some_and(|(_, times)| times > 5), "{found:?}");
+            let is_near =
+                |(row, q): (usize, &f64)| row == 100 || (q - truth[row] - offset).abs() < 1e-9;
+            assert!(folded.iter().enumerate().all(is_near), "{seam} {unit}");
+        }
+    }
+
+    #[test]
+    fn noise_at_the_seam_is_unwrapped() {
+        let mut q: Vec<f64> = (0..500)
+            .map(|row| PI + 1e-3 * f64::from(row % 3 - 1))
+            .map(|q| if q > PI { q - TAU } else { q })
+            .collect();
+        assert!(unfold_column(&mut q).is_some());
+        assert!(q.windows(2).all(|pair| (pair[1] - pair[0]).abs() < 0.01));
+    }
+
+    #[test]
+    fn other_joints_are_left_as_they_are() {
+        let mut stray = turning().into_iter().map(|q| q / 9.0).collect::<Vec<f64>>();
+        stray[700] += TAU;
+        let degrees: Vec<f64> = turning().into_iter().map(|q| 20.0 * q).collect();
+        for q in [turning(), stray, degrees, vec![f64::NAN; 9], Vec::new()] {
+            let mut same = q.clone();
+            assert_eq!(unfold_column(&mut same), None);
+            assert!(same.iter().zip(&q).all(|(a, b)| a == b || a.is_nan()));
+        }
+    }
+}

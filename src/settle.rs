@@ -1,0 +1,194 @@
+//! Settles what names and frames leave open about a run's streams of poses: which arm each is of, when
+//! the frame that it is in was where, and whether it follows the arm at all. Joins the run to the
+//! diagnosis; decides by its numbers.
+
+use crate::audit::{imu_stream, pose_stream};
+use crate::diagnosis::{
+    ArmDiagnosis, BaseTravel, Peak, base_travel, carrier_lag, diagnose_imu, follows,
+    is_seen_from_tool, position_misfit_m,
+};
+use crate::run::{Arm, PoseSource, Role, Run, WhyNot};
+
+/// Settles all of it.
+pub(crate) fn settle(run: &mut Run, most_lag_s: f64) {
+    settle_carried(run, most_lag_s);
+    settle_contests(run, most_lag_s);
+    settle_candidates(run, most_lag_s);
+    leave_moving_bases(run, most_lag_s);
+}
+
+/// Settles which candidates are tool poses, by whether they follow the arm.
+fn settle_candidates(run: &mut Run, most_lag_s: f64) {
+    let candidates: Vec<usize> = run.candidates().collect();
+    for candidate in candidates {
+        let found = source_of(run, candidate);
+        let peak = found
+            .and_then(|(arm, source)| follows(&arm.joints, &pose_stream(run, source), most_lag_s));
+        let is_of_own_frame = run
+            .unaudited
+            .iter()
+            .any(|found| found.stream == candidate && matches!(found.why, WhyNot::OwnFrame { .. }));
+        let is_seen = found.zip(peak).is_some_and(|((arm, source), peak)| {
+            is_seen_from_tool(&arm.joints, &pose_stream(run, source), peak.lag_s)
+        });
+        if is_of_own_frame && is_seen {
+            let reason = "it moves as what stands still and is seen from the tool".to_owned();
+            run.unassign(candidate, reason);
+            continue;
+        }
+        let lead_s = found
+            .zip(peak)
+            .and_then(|((arm, source), peak)| lead_s(run, arm, source, peak, most_lag_s));
+        match lead_s {
+            Some(lead_s) => run.settle_leader(candidate, lead_s),
+            None => run.settle(candidate, peak.map(|peak| peak.correlation)),
+        }
+    }
+}
+
+/// By how much a stream leads its arm, s, where it does.
+///
+/// What is measured on an arm cannot be received before the arm did it. Stamps that run ahead of their
+/// clock make a stream early, and its messages come with the others all the same; joint states that are
+/// late make all other streams early.
+fn lead_s(run: &Run, arm: &Arm, source: &PoseSource, peak: Peak, most_lag_s: f64) -> Option<f64> {
+    /// Shorter leads are stamps, transport and filters, s.
+    const LEAST_S: f64 = 0.04;
+    /// Speeds of a stream that leads correlate as well as those of one that follows.
+    const LEADS: f64 = 0.7;
+    let joints = arm.joint_facts.first()?.stream;
+    let delay_s = |stream: usize| {
+        let clock = run.clocks.iter().find(|clock| clock.stream == stream);
+        clock.and_then(|clock| clock.log_minus_header_s).unwrap_or(0.0)
+    };
+    let received_s = peak.lag_s + delay_s(source.stream) - delay_s(joints);
+    if peak.correlation < LEADS || peak.lag_s > -LEAST_S || received_s > -LEAST_S {
+        return None;
+    }
+    let is_as_early = |lag_s: f64| lag_s < 0.5 * peak.lag_s;
+    let poses_agree = arm
+        .poses
+        .iter()
+        .filter(|other| run.streams[other.stream].role == Role::Pose)
+        .filter_map(|other| follows(&arm.joints, &pose_stream(run, other), most_lag_s))
+        .any(|other| other.correlation >= LEADS && is_as_early(other.lag_s));
+    let imus_agree = || {
+        arm.imus.iter().any(|imu| {
+            let found = diagnose_imu(&arm.joints, &imu_stream(imu), most_lag_s);
+            found.latency_s.is_ok_and(|latency| is_as_early(latency.value))
+        })
+    };
+    (!poses_agree && !imus_agree()).then_some(-received_s)
+}
+
+fn source_of(run: &Run, stream: usize) -> Option<(&Arm, &PoseSource)> {
+    let sources = run.arms.iter().flat_map(|arm| arm.poses.iter().map(move |source| (arm, source)));
+    sources.into_iter().find(|(_, source)| source.stream == stream)
+}
+
+/// Takes poses in frames that move into the arms' bases, with the transforms of the time that they are
+/// of.
+fn settle_carried(run: &mut Run, most_lag_s: f64) {
+    for arm in 0..run.arms.len() {
+        for source in 0..run.arms[arm].poses.len() {
+            let of = &run.arms[arm];
+            let Some(carrier) = &of.poses[source].carrier else { continue };
+            let stream = pose_stream(run, &of.poses[source]);
+            let at = |t_s: f64| carrier.at(t_s);
+            let Some(lag) = carrier_lag(&of.joints, &stream, &carrier.logged, &at, most_lag_s)
+            else {
+                continue;
+            };
+            let frame = carrier.frame.clone();
+            let source = &mut run.arms[arm].poses[source];
+            source.take(lag.lag_s, lag.is_on_time);
+            let index = source.stream;
+            if let (false, Some(stream)) = (lag.is_on_time, run.streams.get_mut(index)) {
+                stream.reason += &format!(
+                    "; the transforms of '{frame}' that it lies on best are those of {:.0} ms before \
+                     its stamps",
+                    1e3 * lag.lag_s
+                );
+            }
+        }
+    }
+}
+
+/// Takes the poses of an arm that are in a frame that moves into its base anew, where what was `found`
+/// says that they are of another time than was thought; whether there are such.
+pub(crate) fn retake_carried(run: &mut Run, arm: usize, found: &ArmDiagnosis) -> bool {
+    /// Transforms that are nearer in time than this are near enough, s.
+    const NEAR_S: f64 = 3e-4;
+    let mut are_other = false;
+    for (source, found) in run.arms[arm].poses.iter_mut().zip(&found.streams) {
+        let Some(carrier) = source.carrier.as_ref().filter(|carrier| carrier.is_on_time) else {
+            continue;
+        };
+        let Ok(latency) = &found.latency_s else { continue };
+        if (latency.value - carrier.lag_s).abs() > NEAR_S {
+            source.take(latency.value, true);
+            are_other = true;
+        }
+    }
+    are_other
+}
+
+/// Gives every stream that several arms may claim to the one that it lies on best or, where it lies on
+/// all alike, follows best.
+fn settle_contests(run: &mut Run, most_lag_s: f64) {
+    /// It lies on one arm where it is less than this share as far off as off the next.
+    const NEARER: f64 = 0.5;
+    /// It follows one arm where its speed correlates by this much more than with the next.
+    const MORE: f64 = 0.1;
+    for contest in std::mem::take(&mut run.contests) {
+        let mut scores: Vec<(usize, f64, f64)> = Vec::new();
+        for claim in &contest.claims {
+            let Some(arm) = run.arms.get(claim.arm) else { continue };
+            let Some(source) = arm.poses.iter().find(|one| one.stream == contest.stream) else {
+                continue;
+            };
+            let stream = pose_stream(run, source);
+            let peak = follows(&arm.joints, &stream, most_lag_s);
+            let lag_s = peak.map_or(0.0, |peak| peak.lag_s);
+            let misfits_m =
+                [1.0, 1e-3].map(|scale| position_misfit_m(&arm.joints, &stream, scale, lag_s));
+            let misfit_m = misfits_m.into_iter().flatten().fold(f64::INFINITY, f64::min);
+            scores.push((claim.arm, misfit_m, peak.map_or(0.0, |peak| peak.correlation)));
+        }
+        scores.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let nearest = match scores.as_slice() {
+            [(arm, ..)] => Some(*arm),
+            [(arm, near_m, _), (_, next_m, _), ..] if *near_m < NEARER * next_m => Some(*arm),
+            _ => None,
+        };
+        scores.sort_by(|a, b| b.2.total_cmp(&a.2));
+        let follower = match scores.as_slice() {
+            [(arm, _, most), (_, _, next), ..] if most - next > MORE => Some(*arm),
+            _ => None,
+        };
+        run.award(&contest, nearest.or(follower));
+    }
+}
+
+/// Leaves out streams in whose frame the arm's base moves and nothing says how: no cause that stays the
+/// same could be found on them.
+fn leave_moving_bases(run: &mut Run, most_lag_s: f64) {
+    let is_of_unknown_frame = |source: &&PoseSource| {
+        let is_pose = run.streams.get(source.stream).is_some_and(|one| one.role == Role::Pose);
+        is_pose && !source.reference_known && source.carrier.is_none()
+    };
+    let mut moving: Vec<(usize, String, BaseTravel)> = Vec::new();
+    for arm in &run.arms {
+        for source in arm.poses.iter().filter(is_of_unknown_frame) {
+            let travel = base_travel(&arm.joints, &pose_stream(run, source), most_lag_s);
+            let base = source.chain.base_name().to_owned();
+            moving.extend(travel.map(|travel| (source.stream, base, travel)));
+        }
+    }
+    for (stream, base, BaseTravel { travel_m, turn_rad }) in moving {
+        let frame = run.streams.get(stream).map_or_else(String::new, |one| one.frame_id.clone());
+        let reason =
+            format!("'{base}' moves in its frame '{frame}', and nothing in the log says how");
+        run.leave_out(stream, WhyNot::BaseMoves { frame, base, travel_m, turn_rad }, reason);
+    }
+}
