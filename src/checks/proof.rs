@@ -267,10 +267,13 @@ impl Causes {
         .collect();
         let offsets = arm.joints.iter().zip(&arm.diagnosis.offsets);
         let zeros = offsets.filter(|(_, offset)| offset.chosen).map(|(joint, _)| &joint.name);
+        let slips = arm.diagnosis.joints.iter().flat_map(|reading| &reading.slips);
+        let read = slips.filter_map(|slip| Some(&arm.joints.get(slip.column)?.name));
         let of_joints = named
             .on(arm, &stream.topic, &times)
             .chain(named.on(arm, &arm.joints_topic, &["LAT001", "ORD004", "ORD005", "ORD009"]))
-            .chain(zeros.flat_map(|joint| named.on(arm, joint, &["ZER001"])));
+            .chain(zeros.flat_map(|joint| named.on(arm, joint, &["ZER001"])))
+            .chain(read.flat_map(|joint| named.on(arm, joint, &["ORD004", "ORD008", "ORD009"])));
         let of_joints: Vec<_> = of_joints.collect();
         let of_poses: Vec<_> = named.on(arm, &stream.topic, &poses).collect();
         let is_named = |(_, outcome): &(&str, &Outcome)| is_faulty(outcome);

@@ -476,3 +476,6 @@ fn misfit(chain: &Chain, moments: &Moments) -> f64 {
     // An inverted stream's positions lie on the arm once they are inverted.
     moments.inverse_xyz.as_ref().map_or(plain, |inverse| plain.min(expected.misfit(inverse)))
 }
+
+#[cfg(test)]
+mod tests;

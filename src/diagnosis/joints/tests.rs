@@ -1,0 +1,149 @@
+use super::map::{JointMap, half_turns, orders};
+use super::search::{Kind, Search, search};
+use super::view::{Freedom, Left, TURNS, View};
+use crate::geometry::test_random::Lcg;
+use crate::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
+use crate::robot::{Chain, Robot};
+use std::f64::consts::{PI, TAU};
+
+/// What a search may leave.
+const MOST: Left = Left { m: 5e-3, rad: Some(0.03) };
+
+fn ur5e() -> Chain {
+    let robot = Robot::from_name("ur5e").expect("it is in the catalogue");
+    let [base, tip] = ["base", "tool0"].map(|name| robot.link(name).expect("a link"));
+    robot.chain(base, tip).expect("a chain")
+}
+
+/// Poses of an arm at true positions all over its range, with a tool, beside what was logged of these.
+fn view<'a>(chain: &'a Chain, tool: Pose, logged: impl Fn(&[f64]) -> Vec<f64>) -> View<'a> {
+    let mut random = Lcg::new();
+    let mut of = |most: f64| random.number(2.0 * most) - most;
+    let rows: Vec<Vec<f64>> =
+        (0..60).map(|_| (0..chain.dof()).map(|_| of(1.2)).collect()).collect();
+    let poses: Vec<Pose> = rows.iter().map(|q| chain.forward(q) * tool).collect();
+    let noise = |k: usize| 1e-4 * Vec3::new((k as f64).sin(), (3.0 * k as f64).cos(), 0.3);
+    let xyz = poses.iter().enumerate().map(|(k, at)| at.translation.vector + noise(k)).collect();
+    let q: Vec<f64> = rows.iter().flat_map(|row| logged(row)).collect();
+    let span = |joint: usize| {
+        let column = q.iter().skip(joint).step_by(chain.dof());
+        column.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], &q| [a.min(q), b.max(q)])
+    };
+    View {
+        chain,
+        xyz,
+        rotation: Some(poses.iter().map(|pose| pose.rotation).collect()),
+        spans: (0..chain.dof()).map(span).collect(),
+        q,
+        lever_m: 0.25,
+        turns: TURNS,
+    }
+}
+
+fn found(view: &View, kind: Kind, freedom: Freedom) -> JointMap {
+    match search(view, kind, freedom, MOST) {
+        Search::Found(found) => found.map,
+        Search::Ambiguous => panic!("several ways fit"),
+        Search::Nothing => panic!("nothing fits"),
+    }
+}
+
+fn assert_near(found: &[f64], expected: &[f64], most: f64) {
+    let near = found.iter().zip(expected).all(|(a, b)| (a - b).abs() < most);
+    assert!(near, "{found:?}, not {expected:?}");
+}
+
+fn tcp() -> Pose {
+    pose([0.02, -0.01, 0.15], Default::default())
+}
+
+#[test]
+fn one_joint_is_found_whatever_its_numbers_mean() {
+    let chain = ur5e();
+    for (joint, factor, zero) in [
+        (2, -1.0, 0.0),
+        (1, 0.5, 0.0),
+        (3, TAU / 4096.0, -PI),
+        (0, 0.011, 0.7),
+        (4, 1.0, 2.0 * TAU / 3.0 - TAU),
+        (5, -1.0, 0.0),
+    ] {
+        let view = view(&chain, tcp(), |q| {
+            let mut logged = q.to_vec();
+            logged[joint] = (q[joint] - zero) / factor;
+            logged
+        });
+        let map = found(&view, Kind::One, Freedom::Tool);
+        let expected = JointMap::as_logged(6).with(joint, factor, zero);
+        for (own, truth) in map.factor.iter().zip(&expected.factor) {
+            assert!((own / truth - 1.0).abs() < 1e-2, "{map:?}, not {expected:?}");
+        }
+        assert_near(&map.zero, &expected.zero, 0.02);
+    }
+}
+
+#[test]
+fn all_joints_in_another_unit_are_one_cause() {
+    let chain = ur5e();
+    for factor in [1f64.to_radians(), TAU / 65536.0, -1.0, 1.0 / 101.0] {
+        let view = view(&chain, tcp(), |q| q.iter().map(|q| q / factor).collect());
+        let map = found(&view, Kind::One, Freedom::Tool);
+        assert_near(&map.factor.iter().map(|f| f / factor).collect::<Vec<_>>(), &[1.0; 6], 1e-2);
+    }
+}
+
+#[test]
+fn two_joints_and_an_order_beside_one_are_found() {
+    let chain = ur5e();
+    let two = view(&chain, tcp(), |q| vec![q[0], q[1] - 1.9, -q[2], q[3], q[4], q[5]]);
+    let map = found(&two, Kind::Two, Freedom::Tool);
+    assert_near(&map.zero, &[0.0, 1.9, 0.0, 0.0, 0.0, 0.0], 0.02);
+    assert_near(&map.factor, &[1.0, 1.0, -1.0, 1.0, 1.0, 1.0], 1e-6);
+
+    let order = view(&chain, Pose::identity(), |q| vec![q[2], q[1], q[0], -q[3], q[4], q[5]]);
+    let map = found(&order, Kind::OrderAndOne, Freedom::Tool);
+    assert_eq!(map.from, [2, 1, 0, 3, 4, 5]);
+    assert_near(&map.factor, &[1.0, 1.0, 1.0, -1.0, 1.0, 1.0], 1e-6);
+}
+
+#[test]
+fn in_a_world_of_its_own_joints_are_read_too() {
+    let chain = ur5e();
+    let mut view = view(&chain, tcp(), |q| vec![q[0], -q[1], q[2], q[3], q[4], q[5]]);
+    let world = pose([1.0, -2.0, 0.3], rotation_from_rotvec(Vec3::new(0.3, 0.1, 2.0)));
+    for (xyz, rotation) in view.xyz.iter_mut().zip(view.rotation.as_mut().expect("rotations")) {
+        let moved = world * Pose::from_parts((*xyz).into(), *rotation);
+        (*xyz, *rotation) = (moved.translation.vector, moved.rotation);
+    }
+    let map = found(&view, Kind::One, Freedom::Both);
+    assert_near(&map.factor, &[1.0, -1.0, 1.0, 1.0, 1.0, 1.0], 1e-6);
+}
+
+#[test]
+fn where_the_joints_are_right_or_nothing_fits_nothing_is_found() {
+    let chain = ur5e();
+    let right = view(&chain, tcp(), <[f64]>::to_vec);
+    let coupled = view(&chain, Pose::identity(), |q| {
+        vec![q[0], q[1], q[2], q[3], q[4] + 0.6 * q[3], q[5] - 0.5 * q[0]]
+    });
+    for view in [right, coupled] {
+        for kind in Kind::ALL {
+            assert!(matches!(search(&view, kind, Freedom::Tool, MOST), Search::Nothing));
+        }
+    }
+}
+
+#[test]
+fn many_joints_have_few_orders() {
+    let names: Vec<String> = (0..30).map(|joint| format!("joint_{joint}")).collect();
+    assert_eq!(orders(&names[..4], 7).len(), 24);
+    assert!(orders(&names, 7).len() < 500);
+}
+
+#[test]
+fn angles_are_settled_within_half_a_turn() {
+    for (angle, expected) in [(3.5, 3.5 - TAU), (-3.5, TAU - 3.5), (PI, PI), (-PI, PI), (0.2, 0.2)]
+    {
+        assert!((angle - TAU * half_turns(angle) - expected).abs() < 1e-12);
+    }
+}
