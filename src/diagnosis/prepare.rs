@@ -78,7 +78,8 @@ impl Placement {
             constant: [false; 3],
             peaks,
         };
-        let lags = placement.peaks.iter().take(2).map(|peak| peak.lag_s).chain([0.0]);
+        let near = if lies_as_logged(joints, stream) { 0 } else { 2 };
+        let lags = placement.peaks.iter().take(near).map(|peak| peak.lag_s).chain([0.0]);
         let mut least_m = f64::INFINITY;
         for lag_s in lags.collect::<Vec<f64>>() {
             let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, lag_s);
@@ -221,6 +222,8 @@ pub(super) struct Prepared<'a> {
     pub inverted: bool,
     /// Which coordinates never change.
     pub constant: [bool; 3],
+    /// How many frames must be turned for the rotations to be so.
+    frames: u8,
     pub peaks: Vec<Peak>,
     pub moves: bool,
 }
@@ -232,7 +235,9 @@ impl Prepared<'_> {
         let is_constant = self.constant.contains(&true);
         match &self.reading {
             Ok(reading) if reading.best_rad <= FITS_RAD => {
-                self.axes.is_some() || self.inverted || is_constant
+                // An arm that is read from its tip to its base moves much as an inverse between turned
+                // frames does.
+                self.axes.is_some() || (self.inverted && self.frames < 2) || is_constant
             }
             Ok(_) => false,
             Err(_) => self.inverted,
@@ -494,7 +499,19 @@ pub(super) fn prepare<'a>(
     let axes = Some(way.axes).filter(|axes| *axes != AxesSlip::NONE);
     let Way { metres, inverted, .. } = way;
     let constant = placement.constant;
-    Ok(Prepared { witness, reading, degrees, metres, axes, inverted, constant, peaks, moves })
+    let frames = fit.map_or(0, |fit| fit.frames.count());
+    Ok(Prepared {
+        witness,
+        reading,
+        degrees,
+        metres,
+        axes,
+        inverted,
+        constant,
+        frames,
+        peaks,
+        moves,
+    })
 }
 
 /// Whether a stream lies on the arm as it is and when it says so: then no lag that its speeds feign in a

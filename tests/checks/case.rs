@@ -42,9 +42,9 @@ pub enum Expected {
     /// Neighbouring fault: the rule named here finds it and no other does. The rule of the case
     /// passes, or says that no such log could tell.
     BlamedOn(&'static str),
-    /// Neighbouring fault: the rule named here finds it, no other does, and it leaves the rule of the
-    /// case open, which says why.
-    LeftOpenBy(&'static str, &'static str),
+    /// Neighbouring fault: the rule named here finds it, no other does, and it takes what the rule of
+    /// the case would ask, which says why.
+    TakenBy(&'static str, &'static str),
     /// Missing input: the rule has nothing to look at, and says what.
     Skipped(&'static str),
     /// Missing input: the rule cannot tell of any subject, and says why; nothing is found.
@@ -215,10 +215,10 @@ impl Case {
                     assert!(is_fine, "{row:#?}");
                 }
             }
-            Expected::LeftOpenBy(code, part) => {
+            Expected::TakenBy(code, part) => {
                 let found_by: Vec<&str> = report.findings.iter().map(|found| found.code).collect();
                 assert_eq!(found_by, [*code], "found:\n{found}");
-                assert_all_say(&rows, Status::Inconclusive, part);
+                assert_all_say(&rows, Status::Skipped, part);
             }
             Expected::Skipped(part) => {
                 assert_all_say(&rows, Status::Skipped, part);
@@ -271,7 +271,7 @@ impl Expected {
         match self {
             Self::Found(..) => planted,
             Self::Sound => clean,
-            Self::BlamedOn(_) | Self::LeftOpenBy(..) => neighbour,
+            Self::BlamedOn(_) | Self::TakenBy(..) => neighbour,
             Self::Skipped(_) | Self::Undecided(_) | Self::Refused(_) => missing,
         }
     }

@@ -15,7 +15,7 @@ use crate::case::On::{self, JointOf, Topic};
 use crate::case::What::{self, Degrees, Order, ReadAs};
 use crate::case::{Expected, Log, cases, error, summary, the, warning};
 use crate::recording::{Field, Message};
-use Expected::{BlamedOn, Skipped, Sound, Undecided};
+use Expected::{BlamedOn, Skipped, Sound, TakenBy, Undecided};
 
 /// The topic of the poses as bare numbers.
 const NUMBERS: &str = "/arm/tool_vector";
@@ -189,7 +189,7 @@ cases! {
     } => BlamedOn("FRM002");
     ORD007 another_arms_table_is_no_convention: |log| {
         by_table(log, "standard", ["-0.425", "-0.365"]);
-    } => BlamedOn("MDL001");
+    } => TakenBy("MDL001", "no DH table");
     ORD007 a_urdf: |_| {} => Skipped("no DH table");
     ORD007 nothing_to_hold_the_table_against: |log| {
         by_table(log, "modified", [""; 2]);
