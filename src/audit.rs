@@ -1,6 +1,7 @@
 //! What joins the rooms: a run's streams into the diagnosis, its results into facts for the rules,
 //! and both into the report.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -14,8 +15,8 @@ use crate::checks::{
 };
 use crate::corrections::{Given, Mending};
 use crate::diagnosis::{
-    ArmDiagnosis, DhEstimate, DhStream, DhTold, ImuDiagnosis, ImuStream, LatencySteps, Left,
-    NoShake, PoseDiagnosis, PoseStream, Reading, Series, Shake, Unseen, abruptness,
+    ArmDiagnosis, DhEstimate, DhStream, DhTold, ImuDiagnosis, ImuStream, JointOffset, LatencySteps,
+    Left, NoShake, PoseDiagnosis, PoseStream, Reading, Series, Shake, Unseen, abruptness,
     beyond_positions, beyond_speed, diagnose_arm, diagnose_derived, diagnose_imu, faults, follows,
     imu_steps, pose_steps, position_misfit_m, proof, proof_of_imu, shake,
 };
@@ -31,9 +32,9 @@ use crate::report::{
 };
 use crate::robot::JointKind;
 use crate::run::{
-    Arm, CalibrationSource, Coding, Declaration, Excerpts, HeaderStamps, ImuSource, JointSamples,
-    PoseSource, RobotSource, Role, Run, RunOptions, Segment, Strays, Stream, TopicSettings,
-    Unaudited, Velocities, WhyNot, Witness, segments,
+    Arm, CalibrationSource, Coding, Declaration, Excerpts, HeaderStamps, ImuSource, JointMending,
+    JointSamples, PoseSource, RobotSource, Role, Run, RunOptions, Segment, Strays, Stream,
+    TopicSettings, Unaudited, Velocities, WhyNot, Witness, segments,
 };
 use crate::settle::{retake_carried, settle};
 use crate::stream::{
@@ -840,14 +841,20 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, options: &Options) -> A
         Some((_, mending)) => mending.mended_samples(&samples),
         None => samples,
     };
+    let (samples, track) = match mending(arm, &diagnosis.arm) {
+        Some(mending) => {
+            (mending.mended_samples(&samples), Cow::Owned(mending.mended(&arm.joints)))
+        }
+        None => (samples, Cow::Borrowed(&arm.joints)),
+    };
     let joints: Vec<usize> = (0..arm.joint_names.len()).collect();
-    let joints =
-        joints.par_iter().map(|&joint| joint_facts(run, arm, joint, &samples[joint])).collect();
+    let joint = |&joint: &usize| joint_facts(run, arm, joint, &samples[joint], &track);
+    let joints = joints.par_iter().map(joint).collect();
     let mut shakes = vec![ShakeFacts {
         topic: run.streams[joints_stream].topic.clone(),
         span: span_of(run, joints_stream).unwrap_or(whole),
         in_other_units: false,
-        shake: shake_of_joints(arm, &samples),
+        shake: shake_of_joints(arm, &samples, &track),
     }];
     shakes.extend(arm.poses.iter().zip(&diagnosis.arm.streams).map(|(source, found)| {
         let PoseTrack { t_s, xyz, .. } = &source.track;
@@ -880,9 +887,39 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, options: &Options) -> A
     }
 }
 
+/// What makes the joint states those that the arm has, where they are far from that: how the arm moves
+/// is not told by numbers that are no positions.
+fn mending(arm: &Arm, found: &ArmDiagnosis) -> Option<JointMending> {
+    /// A smaller zero changes neither speeds nor what a limit says of them, rad or m.
+    const FAR: f64 = 0.1;
+    let reading = found.joints.as_ref().ok()?;
+    let zero = |(joint, offset): (usize, &JointOffset)| {
+        let coded = found.scales.iter().find(|scale| scale.column == joint && scale.is_coded());
+        let own = offset.offset.as_ref().ok().filter(|_| offset.chosen).map_or(0.0, |it| it.value);
+        coded.map_or(own, |scale| scale.offset)
+    };
+    let offset: Vec<f64> = found.offsets.iter().enumerate().map(zero).collect();
+    if reading.is_as_logged() && offset.iter().all(|offset| offset.abs() < FAR) {
+        return None;
+    }
+    let mut mending = JointMending { offset, ..JointMending::none(arm.joint_names.len()) };
+    if let Some((really, _)) = &reading.permutation {
+        really.iter().enumerate().for_each(|(named, &really)| mending.from[really] = named);
+    }
+    for (factor, slides) in mending.factor.iter_mut().zip(prismatic(arm)) {
+        *factor = if reading.degrees.is_some() && !slides { 1f64.to_radians() } else { 1.0 };
+    }
+    reading.slips.iter().for_each(|slip| mending.factor[slip.column] *= slip.factor);
+    Some(mending)
+}
+
 /// The shake of the tip by the joint states as they are, or where the joints do not share their stamps
 /// by the track that they were brought to.
-fn shake_of_joints(arm: &Arm, samples: &[JointSamples<'_>]) -> Result<Shake, NoShake> {
+fn shake_of_joints(
+    arm: &Arm,
+    samples: &[JointSamples<'_>],
+    track: &JointTrack,
+) -> Result<Shake, NoShake> {
     let mut q = vec![0.0; arm.columns.len()];
     let mut tip = |position: &dyn Fn(usize) -> f64| {
         q.iter_mut().zip(&arm.columns).for_each(|(q, &column)| *q = position(column));
@@ -892,12 +929,18 @@ fn shake_of_joints(arm: &Arm, samples: &[JointSamples<'_>]) -> Result<Shake, NoS
         Some(first) if samples.iter().all(|other| other.is_beside(first)) => {
             shake(&first.t_s, |row| tip(&|column| samples[column].position[row]))
         }
-        _ => shake(&arm.joints.t_s, |row| tip(&|column| arm.joints.row(row)[column])),
+        _ => shake(&track.t_s, |row| tip(&|column| track.row(row)[column])),
     }
 }
 
 /// A joint, and what it does by all of its samples.
-fn joint_facts(run: &Run, arm: &Arm, joint: usize, samples: &JointSamples<'_>) -> JointFacts {
+fn joint_facts(
+    run: &Run,
+    arm: &Arm,
+    joint: usize,
+    samples: &JointSamples<'_>,
+    track: &JointTrack,
+) -> JointFacts {
     let name = arm.joint_names[joint].clone();
     let model = arm.robot.joint(&name);
     let limits = model.map(|joint| joint.limits).unwrap_or_default();
@@ -918,7 +961,7 @@ fn joint_facts(run: &Run, arm: &Arm, joint: usize, samples: &JointSamples<'_>) -
                 abruptness(t_s, velocity, Series::Velocities),
             ),
             Velocities::Derived => {
-                let JointTrack { t_s: times_s, dof, qd, .. } = &arm.joints;
+                let JointTrack { t_s: times_s, dof, qd, .. } = track;
                 let qd: Vec<f64> = qd.iter().skip(joint).step_by(*dof).copied().collect();
                 (beyond_speed(times_s, &qd, &limits), abruptness(t_s, position, Series::Positions))
             }

@@ -348,8 +348,9 @@ mod tests {
         let settings =
             Settings { select: vec![ord], ignore: vec!["ORD001".parse()?], ..Settings::default() };
         let asked = REGISTRY.iter().filter(|rule| settings.asks(rule)).map(|rule| rule.code);
-        let expected =
-            ["ORD002", "ORD003", "ORD004", "ORD005", "ORD006", "ORD007", "ORD008", "ORD009"];
+        let orders = REGISTRY.iter().map(|rule| rule.code).filter(|code| code.starts_with("ORD"));
+        let expected: Vec<&str> = orders.filter(|code| *code != "ORD001").collect();
+        assert!(expected.contains(&"ORD002"));
         assert_eq!(asked.collect::<Vec<_>>(), expected);
         Ok(())
     }

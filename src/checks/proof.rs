@@ -15,8 +15,10 @@ const NEAR: f64 = 2.0;
 const BEYOND: f64 = 3.0;
 
 /// Sag, play and encoder error that are each below their figures leave together up to so many times the
-/// figures, for moments.
+/// figures for moments …
 const TOGETHER: f64 = 2.0;
+/// … and so many times, rms, over a tenth of the run.
+const LASTING: f64 = 1.5;
 
 /// What the rules that name causes made of a run.
 pub(super) struct Named(Vec<(&'static str, Judged)>);
@@ -77,8 +79,8 @@ pub(super) enum Standing {
     /// What was found leaves less than the figures, or what differs from sample to sample; whether a
     /// rule names any of it.
     Accounted { is_named: bool },
-    /// What is left is below the figures in the mean square, in every part of the run, and hardly above
-    /// them anywhere, as what amounts below a figure at every joint leave together.
+    /// What is left is below the figures in the mean square and hardly above them anywhere, as what
+    /// amounts below a figure at every joint leave together.
     Small(Left),
     /// Small changes of many kinematic parameters account for what else is left.
     Nominal(Error),
@@ -190,10 +192,12 @@ impl Left {
     /// Whether it is what amounts below a figure at every joint leave together.
     fn is_small(&self, figures: &FrameFigures) -> bool {
         let small = |amount: &Amount, warning: f64| {
-            amount.rms < warning && amount.most < TOGETHER * warning
+            amount.rms < LASTING * warning && amount.most < TOGETHER * warning
         };
-        sizes(&self.error, figures)
-            .all(|(size, figure)| size.parts.iter().all(|part| small(&part.amount, figure.warning)))
+        sizes(&self.error, figures).all(|(size, figure)| {
+            let in_parts = size.parts.iter().all(|part| small(&part.amount, figure.warning));
+            size.whole.rms < figure.warning && in_parts
+        })
     }
 
     /// Whether over the whole run the error reaches its figure in the mean square too, and is in some part

@@ -353,8 +353,8 @@ mod tests {
         let mut facts = clean_run();
         let as_logged_rad = Some(1.1);
         facts.robots[0].diagnosis.streams[0].reading = Ok(ReadingEstimate {
+            inverted: matches!(best, Reading::Inverted),
             best,
-            inverted: false,
             as_logged_rad,
             best_rad,
             runner_up,

@@ -2,7 +2,8 @@
 
 use crate::checks::{
     ArmFacts, DhFacts, EulerFacts, Facts, FrozenFacts, ImuFacts, JointFacts, JointMotion,
-    PoseFacts, ReferenceFacts, ReferenceWitness, Rule, ShakeFacts, WitnessKind, evaluate,
+    PoseFacts, ReferenceFacts, ReferenceWitness, Rule, ShakeFacts, UnauditedFacts, WitnessKind,
+    evaluate,
 };
 use crate::diagnosis::{
     Abruptness, Aligned, Amount, ArmDiagnosis, DhEstimate, DhStream, Error, FrameEstimate,
@@ -147,7 +148,8 @@ pub fn clean_run() -> Facts {
         references: vec![commands()],
     };
     let frozen = FrozenFacts { subject: arm.topic(POSE), span: Some(SPAN), times: Vec::new() };
-    Facts { robots: vec![arm], frozen: vec![frozen], ..Facts::default() }
+    let audited = UnauditedFacts { subject: arm.topic(POSE), span: Some(SPAN), why: Vec::new() };
+    Facts { robots: vec![arm], frozen: vec![frozen], unaudited: vec![audited], ..Facts::default() }
 }
 
 /// Commands that the arm follows, along a line too, by FK and by a stream.

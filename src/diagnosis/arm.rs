@@ -47,7 +47,7 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
         diagnose(joints, &read, streams, anew.as_ref().unwrap_or(&placements), true)
     };
     let as_logged = JointReading::default();
-    let metres: Vec<f64> = placements.iter().map(Placement::metres).collect();
+    let mut metres: Vec<f64> = placements.iter().map(Placement::metres).collect();
     let is_confirmed = |read: &Read| {
         let mut both = streams.iter().zip(&placements);
         both.any(|(stream, placement)| {
@@ -60,6 +60,14 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
         true => Ok(JointReading::default()),
         false => read_joints(joints, streams, &metres, most_lag_s),
     };
+    let as_said = vec![1.0; streams.len()];
+    if reading.is_err() && metres != as_said {
+        // Joints that are read wrongly may feign another unit of the poses.
+        let by_said = read_joints(joints, streams, &as_said, most_lag_s);
+        if by_said.as_ref().is_ok_and(|reading| !reading.is_as_logged()) {
+            (reading, metres) = (by_said, as_said);
+        }
+    }
     let mut found = by(reading.as_ref().unwrap_or(&as_logged));
     if reading.as_ref().is_ok_and(|reading| *reading != as_logged) && !found.is_near() {
         // A reading that leaves much is none.
@@ -138,14 +146,17 @@ impl Found {
 
 /// What is left of a stream beyond its noise; a metre and a radian where it could not be read.
 fn left(found: &PoseDiagnosis) -> Left {
-    let is_unread = matches!(found.reading, Err(Unseen::DoesNotFollow(_)));
-    match &found.residual {
-        Ok(residual) => Left {
-            m: residual.excess_m.value,
-            rad: Some(if is_unread { 1.0 } else { residual.excess_rad.value }),
-        },
-        Err(_) if is_unread => Left { m: 1.0, rad: Some(1.0) },
-        Err(_) => Left { m: 0.0, rad: None },
+    match (&found.residual, &found.reading) {
+        (Ok(residual), Ok(_)) => {
+            Left { m: residual.excess_m.value, rad: Some(residual.excess_rad.value) }
+        }
+        // Its positions are read all the same; the last joint may turn the other way.
+        (Ok(residual), Err(Unseen::DoesNotFollow(_))) => {
+            Left { m: residual.excess_m.value, rad: Some(1.0) }
+        }
+        (Ok(residual), Err(_)) => Left { m: residual.excess_m.value, rad: None },
+        (Err(_), Err(Unseen::DoesNotFollow(_))) => Left { m: 1.0, rad: Some(1.0) },
+        (Err(_), _) => Left { m: 0.0, rad: None },
     }
 }
 

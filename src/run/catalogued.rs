@@ -182,6 +182,7 @@ fn the_one_of(
 mod tests {
     use std::collections::BTreeSet;
 
+    use super::super::space::Space;
     use super::*;
     use crate::geometry::Vec3;
 
@@ -196,7 +197,9 @@ mod tests {
 
     fn found(joints: &[String], judges: &Judges<'_>) -> Result<Vec<Model>, RunError> {
         let frames = BTreeSet::new();
-        let clues = Clues { joints, frames: &frames, descriptions: &[], calibrations: &[] };
+        let space = Space::default();
+        let clues =
+            Clues { joints, frames: &frames, descriptions: &[], calibrations: &[], space: &space };
         from_catalogue(&clues, judges)
     }
 

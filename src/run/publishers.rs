@@ -120,6 +120,8 @@ type Off<'a> = &'a dyn Fn(usize, usize, usize) -> f64;
 
 /// Whether one rhythm explains nearly all rows.
 fn is_one(t_s: &[f64]) -> bool {
+    /// At less than this share of its ticks, a fine rhythm explains whatever two coarse ones do.
+    const LOSSY: f64 = 0.7;
     let distinct: Vec<f64> =
         t_s.iter().copied().fold(Vec::with_capacity(t_s.len()), |mut kept, t| {
             if kept.last().is_none_or(|last| t - last > 1e-6) {
@@ -132,7 +134,8 @@ fn is_one(t_s: &[f64]) -> bool {
         && periods(&distinct).into_iter().any(|period_s| {
             let train =
                 best_train(&distinct, &vec![false; distinct.len()], period_s, &|_, _, _| 0.0);
-            few(distinct.len() - train.len())
+            let ticks = (distinct[distinct.len() - 1] - distinct[0]) / period_s;
+            few(distinct.len() - train.len()) && train.len() as f64 > LOSSY * ticks
         })
 }
 
@@ -184,6 +187,8 @@ fn train(t_s: &[f64], used: &[bool], start: usize, period_s: f64, off: Off<'_>) 
     const TOLERANCE: f64 = 0.3;
     /// Stamps as close as this share are of one tick.
     const EQUAL: f64 = 0.02;
+    /// Of these one is surely nearer that is off by less than this share of the other.
+    const SURELY: f64 = 0.5;
     let mut rows = vec![start];
     loop {
         let from = rows[rows.len() - 1];
@@ -203,7 +208,7 @@ fn train(t_s: &[f64], used: &[bool], start: usize, period_s: f64, off: Off<'_>) 
                 best = Some((late, row));
             } else if let Some((least, rival)) = best
                 && late < least + EQUAL
-                && off(before, from, row) < off(before, from, rival)
+                && off(before, from, row) < SURELY * off(before, from, rival)
             {
                 best = Some((least.min(late), row));
             }
@@ -312,7 +317,8 @@ fn apart(series: &Series<'_>, t_s: &[f64], [first, second]: [&[usize]; 2]) -> Op
     }
     let told = |of: fn(&Apart) -> f64| {
         let [usual, far] = [0.5, 0.9].map(|part| quantile(gaps.iter().map(of), part));
-        let uncertain = quantile(own.iter().map(of), 0.9);
+        // Some rows of the one may be the other's where they come together.
+        let uncertain = quantile(own.iter().map(of), 0.8);
         let by = if far > VARIES * usual { far } else { usual };
         (by, far > LEAST + TIMES * uncertain)
     };

@@ -45,7 +45,7 @@ cases! {
     MDL001 growth_with_reach_leaves_nothing: |log| log.run.pose.growth = 0.01
         => BlamedOn("ZER002");
 
-    MDL001 joint_states_alone: |log| joint_states_alone(&mut log.run)
+    MDL001 nothing_but_joint_states: |log| joint_states_alone(&mut log.run)
         => Undecided("nothing in this log could be held against /joint_states");
     MDL001 a_handful_of_samples: |log| {
         joint_states_alone(&mut log.run);

@@ -244,7 +244,7 @@ cases! {
         log.run.pose.reference_from_stream = crate::frm::half_turn();
     } => BlamedOn("FRM002");
     ORD009 joints_that_count_rightly_are_sound: |_| {} => Sound;
-    ORD009 no_joint_states: |log| log.run.joints.timing.rate_hz = 0.0 => Skipped("joint states");
+    ORD009 no_joint_states_to_scale: |log| log.run.joints.timing.rate_hz = 0.0 => Skipped("joint states");
     ORD009 only_what_believes_the_joints: |log| {
         log.run.joints.scales = vec![1.0, 1.0, -1.0];
         log.run.pose.timing.rate_hz = 0.0;
@@ -267,7 +267,7 @@ cases! {
     } => BlamedOn("FRM002");
     ORD010 an_inverse_is_no_exchange: |log| log.run.pose.coding = Coding::Inverted
         => BlamedOn("ORD003");
-    ORD010 no_poses: |log| {
+    ORD010 no_poses_with_axes: |log| {
         log.run.pose.timing.rate_hz = 0.0;
         log.run.tf.timing.rate_hz = 0.0;
     } => Skipped("no pose stream");
@@ -280,7 +280,7 @@ cases! {
     ORD011 a_base_alone_that_turns_is_sound: |log| log.run.motion = Motion::OneJoint(0) => Sound;
     ORD011 millimetres_are_not_constant: |log| log.run.pose.in_millimetres = true
         => BlamedOn("ORD008");
-    ORD011 no_poses: |log| {
+    ORD011 no_poses_with_coordinates: |log| {
         log.run.pose.timing.rate_hz = 0.0;
         log.run.tf.timing.rate_hz = 0.0;
     } => Skipped("no pose stream");

@@ -146,7 +146,7 @@ cases! {
     TIM008 a_pose_that_stands_still_is_no_poller: |log| {
         log.edit = Some(|messages| stick(messages, POSE, 3.0, 5.0));
     } => BlamedOn("TIM007");
-    TIM008 no_stream_to_repeat: |log| without_streams(&mut log.run) => Skipped("no stream");
+    TIM008 no_stream_that_repeats: |log| without_streams(&mut log.run) => Skipped("no stream");
 
     TIM003 an_imu_that_counts_from_its_start: |log| log.run.imu.timing.clock_offset_s = -1.78e9
         => warning(Topic(IMU), Amount(-1.78e9, 0.005));

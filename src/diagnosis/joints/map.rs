@@ -145,15 +145,16 @@ pub(super) fn wholes(chain: &Chain) -> Vec<Whole> {
     distinct
 }
 
-/// Calls `visit` with orders in which the numbers of `dof` joints may stand: all of them of up to
-/// seven joints, else every exchange of two joints, and back to front, and by `names` sorted.
-pub(super) fn orders(names: &[String]) -> Vec<Vec<usize>> {
-    /// Most joints whose orders are all tried (7! = 5040).
-    const MOST: usize = 7;
+/// Most joints whose orders are all tried (7! = 5040).
+pub(super) const ALL_ORDERS: usize = 7;
+
+/// Orders in which the numbers of joints may stand: all of them of up to `most` joints, else every
+/// exchange of two joints, and back to front, and by `names` sorted.
+pub(super) fn orders(names: &[String], most: usize) -> Vec<Vec<usize>> {
     let dof = names.len();
     let mut order: Vec<usize> = (0..dof).collect();
     let mut all = Vec::new();
-    if dof <= MOST {
+    if dof <= most {
         permutations(&mut order, 0, &mut |order| all.push(order.to_vec()));
         return all;
     }

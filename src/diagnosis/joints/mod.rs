@@ -100,11 +100,9 @@ pub(super) fn read_joints(
         as_logged = left.min(as_logged);
         at_lags.push(moments);
     }
-    for moments in &at_lags {
-        let most = Left { m: (FITS * extent).min(as_logged / BETTER), rad: Some(FITS_RAD) };
-        if let Some(found) = look(joints, stream, moments, most, &Kind::ALL) {
-            return Ok(reading(joints.dof, stream, &found, as_logged));
-        }
+    let most = Left { m: (FITS * extent).min(as_logged / BETTER), rad: Some(FITS_RAD) };
+    if let Some(found) = look(joints, stream, &at_lags, most, &Kind::ALL) {
+        return Ok(reading(joints.dof, stream, &found, as_logged));
     }
     if as_logged > ON_ARM * extent {
         // Not as logged, and no one other reading stands out.
@@ -137,20 +135,24 @@ pub(super) fn other_reading(
     let is_far =
         as_logged.m > FINE * spread(&moments.xyz) || as_logged.rad.is_some_and(|rad| rad > FAR_RAD);
     let kinds = if is_far { &Kind::ALL[..] } else { &Kind::ALL[..1] };
-    let found = look(joints, stream, &moments, most, kinds)?;
+    let found = look(joints, stream, std::slice::from_ref(&moments), most, kinds)?;
     Some(reading(joints.dof, stream, &found, as_logged.m))
 }
 
 /// The simplest way of reading the joints that leaves no more than `most`, if one stands out: by the
-/// poses as they are, inverted, and by the positions alone.
+/// poses as they are, inverted, and by the positions alone, each at the moments of one lag after the
+/// other.
 fn look(
     joints: &JointTrack,
     stream: &PoseStream,
-    moments: &Moments,
+    at_lags: &[Moments],
     most: Left,
     kinds: &[Kind],
 ) -> Option<Found> {
-    let views = views(joints, stream, moments);
+    /// Lags at which all is tried; at the others only what is simple.
+    const LAGS: usize = 2;
+    let views: Vec<Vec<View>> =
+        at_lags.iter().map(|moments| views(joints, stream, moments)).collect();
     let both: &[Freedom] = match stream.reference_known {
         true => &[Freedom::Tool, Freedom::Both],
         false => &[Freedom::Both],
@@ -161,7 +163,8 @@ fn look(
             if is_late || (freedom == Freedom::Both && kind == Kind::OrderAndOne) {
                 continue;
             }
-            for view in &views {
+            let lags = if kind == Kind::One { views.len() } else { LAGS };
+            for view in views.iter().take(lags).flatten() {
                 match search(view, kind, freedom, most) {
                     Search::Found(found) => return Some(found),
                     Search::Ambiguous => return None,

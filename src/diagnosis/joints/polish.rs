@@ -23,15 +23,17 @@ pub(super) struct Proposal {
 pub(super) struct Polished {
     pub map: JointMap,
     pub left: Left,
+    /// How many causes it takes, a turned tool among them.
     pub price: f64,
 }
 
-/// Most steps.
-const STEPS: usize = 25;
+/// A tool that is turned by more is a cause, rad; and what it costs.
+const TURNED: f64 = 0.1;
+const TOOL: f64 = 1.0;
 
 impl Proposal {
-    /// The proposal where it leaves least.
-    pub fn polished(&self, view: &View, freedom: Freedom) -> Polished {
+    /// The proposal where it leaves least, after so many steps at most.
+    pub fn polished(&self, view: &View, freedom: Freedom, steps: usize) -> Polished {
         let mut map = self.map.clone();
         let mut frames = view.frames(&view.fk(&map), freedom);
         let cost = |map: &JointMap, frames: &Frames| {
@@ -39,7 +41,7 @@ impl Proposal {
         };
         let mut best = cost(&map, &frames);
         let mut damping = 1e-3;
-        for _ in 0..STEPS {
+        for _ in 0..steps {
             let (normal, right) = self.normal(view, freedom, &map, &frames);
             let step = |damping: f64| {
                 let mut damped = normal.clone();
@@ -55,7 +57,7 @@ impl Proposal {
                 let gained = best - next;
                 (map, frames, best) = (next_map, next_frames, next);
                 damping = (damping * 0.2).max(1e-9);
-                if gained < 1e-5 * best {
+                if gained < 1e-4 * best {
                     break;
                 }
             } else {
@@ -67,7 +69,9 @@ impl Proposal {
         }
         map.settle_turns(view.chain, &view.spans);
         let left = view.left(&view.fk(&map), &frames);
-        Polished { map, left, price: self.price }
+        let is_turned = view.rotation.is_some() && frames.tool.rotation.angle() > TURNED;
+        let price = self.price + if is_turned { TOOL } else { 0.0 };
+        Polished { map, left, price }
     }
 
     /// Parameters: zeros, factors over what they are, the tool, the reference.

@@ -6,15 +6,23 @@
 
 use super::super::placing::spread;
 use super::lone::Lone;
-use super::map::{JointMap, orders, wholes};
+use super::map::{ALL_ORDERS, JointMap, orders, wholes};
 use super::polish::{Polished, Proposal};
 use super::view::{Frames, Freedom, Left, View};
 use crate::robot::JointKind;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 
-/// Proposals of a kind that are polished.
+/// Proposals of a kind that are polished, after so many steps on so few samples.
 const POLISHED: usize = 24;
+const ROUGH_STEPS: usize = 8;
+const ROUGH_SAMPLES: usize = 20;
+/// Most steps in which they are.
+const STEPS: usize = 25;
+/// Of more proposals than these only the ones are looked at closely that strain the log least, and the
+/// samples on which that is told.
+const CLOSELY: usize = 150;
+const STRAINED: usize = 12;
 /// A joint that moves by less tells neither its sign nor its scale, rad or m.
 const MOVES: f64 = 0.05;
 /// Another way is told from the best where it leaves so many times as much.
@@ -97,9 +105,19 @@ fn judge(view: &View, proposals: Vec<Proposal>, freedom: Freedom, most: Left) ->
     let price = |polished: &Polished| {
         polished.price + BEYOND * polished.map.beyond_limits(view.chain, &view.spans) as f64
     };
-    let polished: Vec<(f64, Polished)> = proposals
+    let thin = view.thinned(ROUGH_SAMPLES);
+    let mut rough: Vec<(f64, Proposal)> = proposals
         .into_par_iter()
-        .map(|proposal| proposal.polished(view, freedom))
+        .map(|proposal| {
+            let Polished { map, left, .. } = proposal.polished(&thin, freedom, ROUGH_STEPS);
+            (left.together(view.lever_m), Proposal { map, ..proposal })
+        })
+        .collect();
+    rough.sort_by(|a, b| a.0.total_cmp(&b.0));
+    rough.truncate(POLISHED);
+    let polished: Vec<(f64, Polished)> = rough
+        .into_par_iter()
+        .map(|(_, proposal)| proposal.polished(view, freedom, STEPS))
         .map(|polished| (price(&polished), polished))
         .collect();
     let least = polished.iter().map(|(_, one)| together(one)).fold(f64::INFINITY, f64::min);
@@ -141,12 +159,18 @@ fn same(view: &View, a: &JointMap, b: &JointMap) -> bool {
 
 /// The ways of `proposals` that leave least as they are.
 fn best_of(view: &View, proposals: Vec<Proposal>, freedom: Freedom, most: usize) -> Vec<Proposal> {
-    let mut scored: Vec<(f64, Proposal)> = proposals
-        .into_par_iter()
-        .map(|proposal| (view.misfit(&proposal.map, freedom), proposal))
-        .collect();
-    scored.sort_by(|a, b| a.0.total_cmp(&b.0));
-    scored.into_iter().take(most).map(|(_, proposal)| proposal).collect()
+    let thin = view.thinned(STRAINED);
+    let by = |proposals: Vec<Proposal>, most: usize, score: &(dyn Fn(&JointMap) -> f64 + Sync)| {
+        let mut scored: Vec<(f64, Proposal)> =
+            proposals.into_par_iter().map(|one| (score(&one.map), one)).collect();
+        scored.sort_by(|a, b| a.0.total_cmp(&b.0));
+        scored.into_iter().take(most).map(|(_, one)| one).collect::<Vec<_>>()
+    };
+    let few = match proposals.len() > CLOSELY {
+        true => by(proposals, CLOSELY, &|map| thin.strain(map)),
+        false => proposals,
+    };
+    by(few, most, &|map| view.misfit(map, freedom))
 }
 
 fn as_it_is(map: JointMap, price: f64) -> Proposal {
@@ -239,20 +263,19 @@ fn geared(view: &View, base: &JointMap, freedom: Freedom) -> Option<Proposal> {
         map
     };
     let steps = ((MOST / LEAST).ln() / STEP.ln()) as i32;
-    let tried = (0..=steps).into_par_iter().flat_map_iter(|step| {
+    let tried = (0..=steps).flat_map(|step| {
         let factor = LEAST / widest * STEP.powi(step);
-        [factor, -factor].map(|factor| (view.misfit(&scaled(factor), freedom), factor))
+        [factor, -factor].map(|factor| as_it_is(scaled(factor), 1.25 + ODD))
     });
-    let (_, factor) = tried.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    let price = 1.25 + ODD;
-    Some(Proposal { map: scaled(factor), zeros: Vec::new(), factors: turning, price })
+    let best = best_of(&view.thinned(ROUGH_SAMPLES), tried.collect(), freedom, 1).pop()?;
+    Some(Proposal { factors: turning, ..best })
 }
 
 /// The numbers in another order.
 fn ordered(view: &View, freedom: Freedom) -> Vec<Proposal> {
     let thin = view.thinned(20);
     let none = JointMap::as_logged(view.chain.dof());
-    let orders = orders(view.chain.joint_names());
+    let orders = orders(view.chain.joint_names(), ALL_ORDERS);
     let units: Vec<JointMap> =
         wholes(view.chain).into_iter().filter(|whole| whole.is_unit).map(|w| w.map).collect();
     let bases = std::iter::once((&none, 0.0)).chain(units.iter().map(|unit| (unit, 1.0)));
@@ -408,7 +431,8 @@ fn order_and_one(view: &View, freedom: Freedom) -> Vec<Proposal> {
     let thin = view.thinned(10);
     let dof = view.chain.dof();
     let none = JointMap::as_logged(dof);
-    let orders = orders(view.chain.joint_names());
+    // All orders of one joint less: each is tried with each joint.
+    let orders = orders(view.chain.joint_names(), ALL_ORDERS - 1);
     let proposals = orders
         .into_par_iter()
         .filter(|order| *order != none.from)

@@ -4,7 +4,7 @@
 use super::super::frames::{both_frames, tool_frame};
 use super::super::placing::Expected;
 use super::map::JointMap;
-use crate::geometry::{Pose, Rotation, Vec3, pose, rotvec_from_rotation};
+use crate::geometry::{Pose, Rotation, Vec3, angle_between, pose, rotvec_from_rotation};
 use crate::robot::Chain;
 
 /// Turns in which the frames of a thinned view are sought, and of a whole one.
@@ -136,6 +136,26 @@ impl View<'_> {
             |all: &Vec<Rotation>| rotvec_from_rotation(&(all[k] * predicted.rotation.inverse()));
         let rotation = self.rotation.as_ref().map_or_else(Vec3::zeros, turn);
         [self.xyz[k] - predicted.translation.vector, rotation]
+    }
+
+    /// How far FK of a map is from the log in what no constant frame changes: distances and angles
+    /// between moments (a tool's offset changes distances a little). Rms m.
+    pub fn strain(&self, map: &JointMap) -> f64 {
+        let fk = self.fk(map);
+        let n = fk.len();
+        let pairs = (0..n).flat_map(|k| [1, n / 3 + 1].map(|step| (k, (k + step) % n)));
+        let (mut sum, mut count) = (0.0, 0);
+        for (a, b) in pairs {
+            let far = (fk[a].translation.vector - fk[b].translation.vector).norm();
+            sum += (far - (self.xyz[a] - self.xyz[b]).norm()).powi(2);
+            if let Some(rotation) = &self.rotation {
+                let turned = angle_between(&fk[a].rotation, &fk[b].rotation);
+                let angle = turned - angle_between(&rotation[a], &rotation[b]);
+                sum += (self.lever_m * angle).powi(2);
+            }
+            count += 1;
+        }
+        (sum / f64::from(count.max(1))).sqrt()
     }
 
     /// What a map leaves in the best frames, as one length.
