@@ -239,7 +239,13 @@ impl<'a> Sight<'a> {
     fn poses(&self) -> Vec<Pose> {
         let guess = self.plain();
         let mut moment = Moment::new(self);
-        self.t_s.iter().filter_map(|&t_s| moment.at(t_s, &guess).then(|| moment.pose)).collect()
+        let mut poses = Vec::with_capacity(self.t_s.len());
+        for &t_s in &self.t_s {
+            if moment.at(t_s, &guess) {
+                poses.push(moment.pose);
+            }
+        }
+        poses
     }
 
     fn plain(&self) -> Guess {

@@ -375,8 +375,8 @@ fn two(view: &View, freedom: Freedom) -> Vec<Proposal> {
     let kinds = view.chain.joint_kinds();
     let can_move = moving(view, &none);
     let mut firsts: Vec<(usize, f64, f64, f64)> = Vec::new();
-    for joint in 0..dof {
-        if kinds[joint] == JointKind::Prismatic {
+    for (joint, kind) in kinds.iter().enumerate() {
+        if *kind == JointKind::Prismatic {
             firsts.extend([(joint, 1e-3, 0.0, 1.0), (joint, -1.0, 0.0, 1.0)]);
             continue;
         }

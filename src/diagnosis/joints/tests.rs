@@ -3,14 +3,14 @@ use super::search::{Kind, Search, search};
 use super::view::{Freedom, Left, TURNS, View};
 use crate::geometry::test_random::Lcg;
 use crate::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
-use crate::robot::{Chain, Robot};
+use crate::robot::{Chain, catalogue};
 use std::f64::consts::{PI, TAU};
 
 /// What a search may leave.
 const MOST: Left = Left { m: 5e-3, rad: Some(0.03) };
 
 fn ur5e() -> Chain {
-    let robot = Robot::from_name("ur5e").expect("it is in the catalogue");
+    let robot = catalogue::find("ur5e").expect("it is in the catalogue");
     let [base, tip] = ["base", "tool0"].map(|name| robot.link(name).expect("a link"));
     robot.chain(base, tip).expect("a chain")
 }

@@ -73,10 +73,8 @@ impl Assembly<'_> {
             let all = Arc::make_mut(&mut self.tf);
             arms.iter().for_each(|arm| add_fixed_joints(all, arm));
         }
-        for index in 0..arms.len() {
-            let followed = self.follow_transforms(&arms[index]);
-            let arm = &mut arms[index];
-            match followed {
+        for arm in &mut arms {
+            match self.follow_transforms(arm) {
                 Ok((source, from_model)) => (arm.tf, arm.from_model) = (Ok(source), from_model),
                 Err(reason) => arm.tf = Err(reason),
             }
