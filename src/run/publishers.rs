@@ -444,8 +444,7 @@ mod tests {
     fn one_that_loses_rows_or_has_no_rhythm_is_one() {
         let mut lossy = sent(&[(20.0, 0.0, 0.0)]);
         let kept: Vec<usize> = (0..lossy.times.len()).filter(|row| (row * 7919) % 9 != 4).collect();
-        let keep = |values: &Vec<[f64; 3]>| kept.iter().map(|&row| values[row]).collect();
-        lossy.xyz = keep(&lossy.xyz);
+        lossy.xyz = kept.iter().map(|&row| lossy.xyz[row]).collect();
         lossy.q_xyzw.truncate(kept.len());
         let header = kept.iter().map(|&row| lossy.times.header[row]).collect::<Vec<_>>();
         lossy.times = Times::default();

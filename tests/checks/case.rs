@@ -42,6 +42,9 @@ pub enum Expected {
     /// Neighbouring fault: the rule named here finds it and no other does. The rule of the case
     /// passes, or says that no such log could tell.
     BlamedOn(&'static str),
+    /// Neighbouring fault: the rule named here finds it, no other does, and it leaves the rule of the
+    /// case open, which says why.
+    LeftOpenBy(&'static str, &'static str),
     /// Neighbouring fault: the rule named here finds it, no other does, and it takes what the rule of
     /// the case would ask, which says why.
     TakenBy(&'static str, &'static str),
@@ -215,6 +218,11 @@ impl Case {
                     assert!(is_fine, "{row:#?}");
                 }
             }
+            Expected::LeftOpenBy(code, part) => {
+                let found_by: Vec<&str> = report.findings.iter().map(|found| found.code).collect();
+                assert_eq!(found_by, [*code], "found:\n{found}");
+                assert_all_say(&rows, Status::Inconclusive, part);
+            }
             Expected::TakenBy(code, part) => {
                 let found_by: Vec<&str> = report.findings.iter().map(|found| found.code).collect();
                 assert_eq!(found_by, [*code], "found:\n{found}");
@@ -271,7 +279,7 @@ impl Expected {
         match self {
             Self::Found(..) => planted,
             Self::Sound => clean,
-            Self::BlamedOn(_) | Self::TakenBy(..) => neighbour,
+            Self::BlamedOn(_) | Self::LeftOpenBy(..) | Self::TakenBy(..) => neighbour,
             Self::Skipped(_) | Self::Undecided(_) | Self::Refused(_) => missing,
         }
     }
