@@ -554,7 +554,7 @@ mod tests {
         let evaluation = evaluate(&facts, &Default::default());
         let [finding] = evaluation.findings.as_slice() else { panic!("{evaluation:?}") };
         assert_eq!((finding.code, finding.title), ("MDL001", DISAGREE));
-        let said = "poses and joint states disagree by 560 mm, 32°, and no cause that poseaudit knows \
+        let said = "poses and joint states disagree by 560 mm, 32.1°, and no cause that poseaudit knows \
                     explains it";
         assert!(finding.message.starts_with(said), "{}", finding.message);
         let late = evaluation.checks.iter().find(|row| {
@@ -598,6 +598,6 @@ mod tests {
             codes
         };
         assert_eq!(found(0.03), ["MDL001"]);
-        assert_eq!(found(0.3), ["FRM003", "MDL001"]);
+        assert_eq!(found(0.5), ["FRM003", "MDL001"]);
     }
 }

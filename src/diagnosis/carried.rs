@@ -114,8 +114,8 @@ pub fn base_travel(
     stream: &PoseStream,
     most_lag_s: f64,
 ) -> Option<BaseTravel> {
-    /// A base that goes less far stands, m.
-    const STANDS_M: f64 = 0.02;
+    /// A base that goes less far from its middle stands, m: an arm that is not its model may stray so.
+    const STANDS_M: f64 = 0.1;
     /// It goes so many times as far as it strays, …
     const FARTHER: f64 = 10.0;
     /// … and no more than this share of it at once: what was pushed stands before and after.
@@ -158,15 +158,16 @@ pub fn base_travel(
     let course = Course::of(&bases);
     let steps = bases.windows(2).map(|two| two[1].translation.vector - two[0].translation.vector);
     let largest_m = steps.map(|step| step.norm()).fold(0.0, f64::max);
-    let moves = course.along_m > STANDS_M
+    let middle =
+        bases.iter().map(|base| base.translation.vector).sum::<Vec3>() / bases.len() as f64;
+    let far = bases.iter().map(|base| (base.translation.vector - middle).norm());
+    let travel_m = far.fold(0.0, f64::max);
+    let moves = travel_m > STANDS_M
         && course.along_m > FARTHER * course.strays_m
         && largest_m < AT_ONCE * course.along_m;
     moves.then(|| {
-        let middle =
-            bases.iter().map(|base| base.translation.vector).sum::<Vec3>() / bases.len() as f64;
-        let far = bases.iter().map(|base| (base.translation.vector - middle).norm());
         let turned = bases.iter().map(|base| base.rotation.angle_to(&bases[0].rotation));
-        BaseTravel { travel_m: far.fold(0.0, f64::max), turn_rad: turned.fold(0.0, f64::max) }
+        BaseTravel { travel_m, turn_rad: turned.fold(0.0, f64::max) }
     })
 }
 

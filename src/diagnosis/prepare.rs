@@ -88,6 +88,16 @@ impl Placement {
             }
             let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row]).collect();
             let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
+            let sized = by_size(&at, &xyz, reach_m, read_as_m, reference_known);
+            if let Ok(metres) = sized
+                && metres != 1.0
+                && lies_there(&xyz, metres, &at, SETTLED)
+            {
+                // In that unit they are where FK is, and no frame is needed to say otherwise.
+                placement.metres = Ok(metres);
+                (placement.layouts, placement.constant) = (Vec::new(), [false; 3]);
+                return placement;
+            }
             let constant = constant(&track.xyz, &at);
             let left_out = match constant {
                 [false, false, false] => Some(None),
@@ -103,7 +113,7 @@ impl Placement {
             let left_m = layouts.first().map_or(f64::MAX, |layout| layout.left_m);
             if left_m < least_m {
                 least_m = left_m;
-                placement.metres = by_size(&at, &xyz, reach_m, read_as_m, reference_known);
+                placement.metres = sized;
                 (placement.layouts, placement.constant) = (layouts, constant);
             }
             if least_m < SETTLED * spread(&at) {
@@ -512,6 +522,13 @@ pub(super) fn prepare<'a>(
         peaks,
         moves,
     })
+}
+
+/// Whether positions of so many metres a number are where FK is, but for this share of its extent, rms.
+fn lies_there(xyz: &[Vec3], metres: f64, fk: &[Vec3], share: f64) -> bool {
+    let squares = xyz.iter().zip(fk).map(|(xyz, fk)| (xyz * metres - fk).norm_squared());
+    let rms_m = (squares.sum::<f64>() / fk.len().max(1) as f64).sqrt();
+    rms_m < share * spread(fk)
 }
 
 /// Whether a stream lies on the arm as it is and when it says so: then no lag that its speeds feign in a

@@ -407,6 +407,10 @@ mod tests {
             (20.0, 20.0, 0.0),
         ] {
             for off_m in [0.0, 0.005] {
+                if (a_ms, phase_ms, off_m) == (b_ms, 0.0, 0.0) {
+                    // Copies under the same stamps are one publisher's, sent twice.
+                    continue;
+                }
                 let two = sent(&[(a_ms, 0.0, 0.0), (b_ms, phase_ms, off_m)]);
                 let found = found(&two);
                 let case = format!(
