@@ -166,7 +166,7 @@ impl Case {
             let code = *choose(r, &codes);
             let kinds: Vec<&KindOf> =
                 possible.iter().copied().filter(|of| of.codes[0] == code).collect();
-            let of: &KindOf = *choose(r, &kinds);
+            let of = *choose(r, &kinds);
             let mut slots: Vec<String> = of.slots.iter().map(|&slot| slot.to_owned()).collect();
             let dof = chain(&self.scenario).dof();
             let joint = r.random_range(0..dof);

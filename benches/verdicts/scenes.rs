@@ -162,7 +162,10 @@ impl Scene {
             Scene::Namespaced => {
                 run.namespace = (*choose(r, &["/left", "/cell1/arm", "/ur"])).to_owned()
             }
-            Scene::Prefixed => prefix(run, *choose(r, &["left_", "robot1_", "ur/"])),
+            Scene::Prefixed => {
+                let prefixes = ["left_", "robot1_", "ur/"];
+                prefix(run, prefixes[r.random_range(0..prefixes.len())]);
+            }
             Scene::TwoNamespaces => {
                 run.tf.timing.rate_hz = 0.0;
                 run.tf.with_static = false;
