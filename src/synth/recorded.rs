@@ -87,7 +87,7 @@ pub struct PoseStream {
     pub slip: Option<ToolSlip>,
     /// Scale of the quaternions: 1 where they are of unit norm.
     pub quaternion_norm: f64,
-    /// Where this says how, the poses are on [`NUMBERS`] instead: six bare numbers, position in m and
+    /// Where this says how, the poses are on [`NUMBERS`](super::NUMBERS) instead: six bare numbers, position in m and
     /// rotation in this convention, rad. Such a message has no stamp and no frame.
     pub as_numbers: Option<Convention>,
     /// Whether the three numbers of such a rotation are degrees.
