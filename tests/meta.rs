@@ -45,6 +45,15 @@ fn every_rule_is_documented_in_all_sections() {
 }
 
 #[test]
+fn the_readme_says_of_every_rule_what_its_summary_says() {
+    let readme = include_str!("../README.md");
+    for rule in registry() {
+        let row = format!("\n| {} | {} | ", rule.code, rule.summary());
+        assert!(readme.contains(&row), "{row}");
+    }
+}
+
+#[test]
 fn a_summary_is_one_sentence() {
     for rule in registry() {
         let first = rule.doc().lines().next().unwrap_or_default().to_owned();

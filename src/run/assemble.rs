@@ -1,9 +1,9 @@
 //! From a decoded log to a run.
 
 mod arms;
-mod contest;
 mod groups;
 mod hands;
+mod ranking;
 mod references;
 mod tool_poses;
 mod transforms;

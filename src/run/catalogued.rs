@@ -12,11 +12,11 @@ pub(super) struct Judges<'a> {
     /// How far the transforms of the log are from the lengths of a model's links, rms m.
     pub by_transforms: &'a dyn Fn(&Model) -> Option<f64>,
     /// What each of several models needs to be where the streams of poses say.
-    pub by_poses: &'a dyn Fn(&[&Model]) -> Option<Contest>,
+    pub by_poses: &'a dyn Fn(&[&Model]) -> Option<Ranking>,
 }
 
 /// Several models, ranked by what they need to be where the streams of poses say.
-pub(super) struct Contest {
+pub(super) struct Ranking {
     /// The best first; of those that cannot be told apart the one that needs the most harmless.
     pub standings: Vec<Standing>,
     /// Scores nearer than this cannot be told apart.
@@ -55,7 +55,7 @@ impl Standing {
     }
 }
 
-impl Contest {
+impl Ranking {
     /// How the best was told from the others, in words.
     fn words(&self, names: &[&str]) -> String {
         let [best, others @ ..] = self.standings.as_slice() else { return String::new() };
@@ -146,7 +146,7 @@ fn the_one_of(
         let fits = || {
             let by_poses = (judges.by_poses)(&equals.iter().collect::<Vec<_>>());
             by_transforms[0].0 < FITS_M
-                || by_poses.is_some_and(|contest| contest.standings.iter().any(|one| one.fits))
+                || by_poses.is_some_and(|ranking| ranking.standings.iter().any(|one| one.fits))
         };
         let is_it = !is_stranger || fits();
         let found = "the catalogue: the one arm with these joint names".to_owned();
@@ -167,11 +167,11 @@ fn the_one_of(
     }
     let vendor = |model: &Model| model.robot.provenance.as_ref().map(|of| of.vendor.clone());
     let is_one_makers = equals.iter().all(|model| vendor(model) == vendor(&equals[0]));
-    let contest = (judges.by_poses)(&equals.iter().collect::<Vec<_>>());
-    match contest.as_ref().and_then(|contest| Some((contest, contest.standings.first()?))) {
+    let ranking = (judges.by_poses)(&equals.iter().collect::<Vec<_>>());
+    match ranking.as_ref().and_then(|ranking| Some((ranking, ranking.standings.first()?))) {
         // Names such as joint_1 are anybody's: an arm that does not fit is not this maker's.
-        Some((contest, best)) if best.fits || is_one_makers => {
-            Ok(take(best.model, contest.words(&names)))
+        Some((ranking, best)) if best.fits || is_one_makers => {
+            Ok(take(best.model, ranking.words(&names)))
         }
         Some(_) if is_stranger => Ok(None),
         _ => Err(RunError::Ambiguous { arms: names.into_iter().map(str::to_owned).collect() }),
@@ -230,7 +230,7 @@ mod tests {
             let at = |name: &str| models.iter().position(|model| model.robot.name == name);
             let best = standing(at("ur3")?, Needs::Nothing, 2e-5, -700.0);
             let next = standing(at("ur3e")?, Needs::Tool, 0.0081, -300.0);
-            Some(Contest { standings: vec![best, next], apart: 20.0 })
+            Some(Ranking { standings: vec![best, next], apart: 20.0 })
         };
         let judges = Judges { by_transforms: &|_| None, by_poses: &by_poses };
         let found = found(&ur(), &judges).unwrap();
@@ -246,7 +246,7 @@ mod tests {
             let at = |name: &str| models.iter().position(|model| model.robot.name == name);
             let best = standing(at("ur5e")?, Needs::Tool, 1e-5, -700.0);
             let next = standing(at("ur16e")?, Needs::Tool, 1e-5, -701.0);
-            Some(Contest { standings: vec![best, next], apart: 20.0 })
+            Some(Ranking { standings: vec![best, next], apart: 20.0 })
         };
         let judges = Judges { by_transforms: &|_| None, by_poses: &by_poses };
         let found = found(&ur(), &judges).unwrap();
@@ -266,7 +266,7 @@ mod tests {
         let off = |models: &[&Model]| {
             let standings =
                 (0..models.len()).map(|at| standing(at, Needs::Reference { tool: true }, 0.2, 0.0));
-            Some(Contest { standings: standings.collect(), apart: 20.0 })
+            Some(Ranking { standings: standings.collect(), apart: 20.0 })
         };
         let judges = Judges { by_transforms: &|_| Some(0.2), by_poses: &off };
         let strange: Vec<String> = (1..=7).map(|i| format!("iiwa_joint_{i}")).collect();

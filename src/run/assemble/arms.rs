@@ -17,8 +17,8 @@ use super::super::streams::{Stream, Timing};
 use super::super::tf_tree::TfTree;
 use super::super::unaudited::{Unaudited, WhyNot};
 use super::Assembly;
-use super::contest::Court;
 use super::groups::{Group, groups};
+use super::ranking::ByPoses;
 use super::transforms::{add_fixed_joints, add_odometry, misfit_m, tf_tree};
 
 /// What the caller and the log say of the robots.
@@ -112,15 +112,15 @@ impl Assembly<'_> {
             calibrations: said.logged_calibrations,
             space,
         };
-        let court = Court { assembly: self, group, tree };
+        let poses = ByPoses { assembly: self, group, tree };
         let judges = Judges {
             by_transforms: &|model| misfit_m(tree, &model.robot, &model.frames),
-            by_poses: &|models| court.contest(models),
+            by_poses: &|models| poses.ranking(models),
         };
         let mut models = models::models(&said.given, &clues, &judges)?;
         models::calibrate(&mut models, &said.calibrations, &clues)?;
         for model in &mut models {
-            if let Some(rival) = court.rival(model, &clues) {
+            if let Some(rival) = poses.rival(model, &clues) {
                 *model = rival;
             }
         }

@@ -10,7 +10,7 @@ use crate::diagnosis::{ModelFit, Needs, PoseStream, Priced, model_fit};
 use crate::finding::Unit;
 use crate::robot::catalogue;
 use crate::run::arm::{Arm, Ends, WrongModel};
-use crate::run::catalogued::{Contest, Standing};
+use crate::run::catalogued::{Ranking, Standing};
 use crate::run::models::{Clues, Model};
 use crate::run::role::Role;
 use crate::run::skeleton;
@@ -50,16 +50,16 @@ struct Rank {
 }
 
 /// What models of one group of joint states are held against.
-pub(super) struct Court<'a> {
+pub(super) struct ByPoses<'a> {
     pub assembly: &'a Assembly<'a>,
     pub group: &'a Group<'a>,
     pub tree: &'a Arc<TfTree>,
 }
 
-impl Court<'_> {
+impl ByPoses<'_> {
     /// The models ranked by what they need to be where the streams of poses say, best first; none where
     /// no stream tells.
-    pub fn contest(&self, models: &[&Model]) -> Option<Contest> {
+    pub fn ranking(&self, models: &[&Model]) -> Option<Ranking> {
         let entries: Vec<Entry> = models.iter().map(|model| self.entry(model)).collect();
         let ranks = ranks(&entries);
         let standings = ranks.into_iter().map(|rank| {
@@ -76,21 +76,21 @@ impl Court<'_> {
             }
         });
         let standings: Vec<Standing> = standings.collect();
-        (!standings.is_empty()).then_some(Contest { standings, apart: APART })
+        (!standings.is_empty()).then_some(Ranking { standings, apart: APART })
     }
 
     /// The arm of the catalogue that needs no cause where `model`, which was named, does.
     pub fn rival(&self, model: &Model, clues: &Clues<'_>) -> Option<Model> {
         let path = self.only_path(model)?;
-        let own = self.contest(&[model])?;
+        let own = self.ranking(&[model])?;
         let own = own.standings.first()?;
         if own.fits && own.way.needs == Needs::Nothing && !own.way.misread {
             return None;
         }
         // What fits by the other convention of its own table is no other arm (ORD007).
         if let Some(robot) = model.robot.under_other_convention() {
-            let contest = self.contest(&[&Model { robot, ..model.clone() }]);
-            let turned = contest.as_ref().and_then(|contest| contest.standings.first());
+            let ranking = self.ranking(&[&Model { robot, ..model.clone() }]);
+            let turned = ranking.as_ref().and_then(|ranking| ranking.standings.first());
             if turned.is_some_and(|it| it.fits && it.way.needs.is_harmless() && !it.way.misread) {
                 return None;
             }
@@ -109,9 +109,9 @@ impl Court<'_> {
             })
             .collect();
         let all: Vec<&Model> = std::iter::once(model).chain(&rivals).collect();
-        let contest = self.contest(&all)?;
-        let best = contest.standings.first().filter(|best| best.model > 0)?;
-        let own = contest.standings.iter().find(|standing| standing.model == 0);
+        let ranking = self.ranking(&all)?;
+        let best = ranking.standings.first().filter(|best| best.model > 0)?;
+        let own = ranking.standings.iter().find(|standing| standing.model == 0);
         let is_better = own.is_none_or(|own| best.score + APART < own.score);
         if !is_better || !best.fits || !best.way.needs.is_harmless() || best.way.misread {
             return None;
