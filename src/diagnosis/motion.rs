@@ -435,7 +435,7 @@ mod tests {
         // Samples that are taken up to 0.2 ms beside their stamps, of a joint that swings fast once.
         let t_s: Vec<f64> = (0..12_500).map(|row| row as f64 / 500.0).collect();
         let angle =
-            |t: f64| 1.2 * (2.0 * t).sin() + 0.4 * (-(t - 12.0).powi(2)).exp() * (8.0 * t).sin();
+            |t: f64| 1.2 * (2.0 * t).sin() + 0.2 * (-(t - 12.0).powi(2)).exp() * (8.0 * t).sin();
         let q: Vec<f64> =
             t_s.iter().enumerate().map(|(row, t)| angle(t + 2e-4 * noise(row))).collect();
         let found = abruptness(&t_s, &q, Series::Positions).expect("even samples");

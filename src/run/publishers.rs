@@ -46,7 +46,29 @@ pub(super) fn hide(found: &[Publishers], stream: usize, piece: usize, rows: &mut
 
 /// The pieces that two publish.
 pub(super) fn publishers(series: &[Series<'_>]) -> Vec<Publishers> {
-    series.par_iter().filter_map(of).collect()
+    let mut found: Vec<Option<Publishers>> = series.par_iter().map(of).collect();
+    // What two say differently tells them apart; what comes in the same messages is theirs, too.
+    for leader in 0..series.len() {
+        let Some(led) = found[leader].clone().filter(|one| one.apart.is_some()) else { continue };
+        let sent: HashSet<[i64; 2]> =
+            led.second.iter().map(|&row| sent(&series[leader], row)).collect();
+        let others = series.iter().zip(&mut found).filter(|(other, of_it)| {
+            other.stream == led.stream && of_it.as_ref().is_none_or(|one| one.apart.is_none())
+        });
+        for (other, of_it) in others {
+            let (second, first): (Vec<usize>, Vec<usize>) = (0..other.rows.len())
+                .partition(|&at| sent.contains(&self::sent(other, other.rows[at].1)));
+            if second.len() == led.second.len() {
+                *of_it = told(other, &other.seconds(), [first, second]);
+            }
+        }
+    }
+    found.into_iter().flatten().collect()
+}
+
+/// When a row was stamped and received.
+fn sent(series: &Series<'_>, row: usize) -> [i64; 2] {
+    [series.times.header[row], series.times.log[row]]
 }
 
 /// A rhythm explains nearly all where it leaves less than this share.
@@ -83,11 +105,16 @@ fn of(series: &Series<'_>) -> Option<Publishers> {
     };
     let parts = split(&stamped_s, &off)?;
     // The whole run by the rhythms that a part of it has.
-    let [first, second] = match looked_at.len() == t_s.len() {
+    let rows = match looked_at.len() == t_s.len() {
         true => parts.rows,
         false => split_by(&t_s, parts.periods_s, &off)?.rows,
     };
-    let apart = apart(series, &t_s, [&first, &second])?;
+    told(series, &t_s, rows)
+}
+
+/// What is told of two publishers by the rows of each.
+fn told(series: &Series<'_>, t_s: &[f64], [first, second]: [Vec<usize>; 2]) -> Option<Publishers> {
+    let apart = apart(series, t_s, [&first, &second])?;
     // What is sent again with its stamp is no second publisher.
     let sent: HashSet<i64> = first.iter().map(|&at| series.rows[at].0.nanos()).collect();
     let is_again = |at: &&usize| sent.contains(&series.rows[**at].0.nanos());
@@ -227,18 +254,26 @@ struct Split {
     rows: [Vec<usize>; 2],
 }
 
-/// The two rhythms that explain nearly all rows and nearly all of whose ticks have one.
+/// The two rhythms that explain nearly all rows and nearly all of whose ticks have one: of those whose
+/// rows follow each other as smoothly as any, the two that explain most.
 fn split(t_s: &[f64], off: Off<'_>) -> Option<Split> {
+    /// Rows follow each other as smoothly where they are no farther off than this, m or rad, …
+    const SMOOTH: f64 = 3e-4;
+    /// … or than so many times the least.
+    const TIMES: f64 = 2.0;
     let tried = periods(t_s).into_iter().filter_map(|period_s| {
         let (first, used) = kept_train(t_s, &vec![false; t_s.len()], period_s, off)?;
         let rest: Vec<f64> = (0..t_s.len()).filter(|&row| !used[row]).map(|row| t_s[row]).collect();
-        let splits = periods(&rest).into_iter().filter_map(|second_s| {
+        let splits = periods(&rest).into_iter().filter_map(move |second_s| {
             let second = kept_train(t_s, &used, second_s, off)?.0;
             Split::of(t_s, [period_s, second_s], [first.clone(), second])
         });
-        splits.max_by_key(Split::explained)
+        Some(splits.map(|split| (split.roughness(off), split)).collect::<Vec<_>>())
     });
-    tried.max_by_key(Split::explained)
+    let splits: Vec<(f64, Split)> = tried.flatten().collect();
+    let least = splits.iter().map(|(rough, _)| *rough).fold(f64::INFINITY, f64::min);
+    let smooth = splits.into_iter().filter(|(rough, _)| *rough <= SMOOTH.max(TIMES * least));
+    smooth.map(|(_, split)| split).max_by_key(Split::explained)
 }
 
 fn split_by(t_s: &[f64], periods_s: [f64; 2], off: Off<'_>) -> Option<Split> {
@@ -266,6 +301,14 @@ fn kept_train(
 impl Split {
     fn explained(&self) -> usize {
         self.rows[0].len() + self.rows[1].len()
+    }
+
+    /// How far rows are from where the two before them of the same rhythm lead.
+    fn roughness(&self, off: Off<'_>) -> f64 {
+        let of_one = |rows: &Vec<usize>| {
+            quantile(rows.windows(3).map(|three| off(three[0], three[1], three[2])), 0.8)
+        };
+        self.rows.iter().map(of_one).fold(0.0, f64::max)
     }
 
     /// `None` where they leave too many rows.

@@ -23,8 +23,10 @@ const STEPS: usize = 25;
 /// samples on which that is told.
 const CLOSELY: usize = 150;
 const STRAINED: usize = 12;
-/// A joint that moves by less tells neither its sign nor its scale, rad or m.
-const MOVES: f64 = 0.05;
+/// A joint that moves by less tells neither its sign nor its scale: one that turns, rad, and one that
+/// slides, m.
+const TURNS: f64 = 0.05;
+const SLIDES: f64 = 5e-3;
 /// Another way is told from the best where it leaves so many times as much.
 const TOLD: f64 = 2.0;
 /// What costs more may leave less by this factor without being needed …
@@ -177,13 +179,16 @@ fn as_it_is(map: JointMap, price: f64) -> Proposal {
     Proposal { map, zeros: Vec::new(), factors: Vec::new(), price }
 }
 
+/// Whether a joint moves enough when its number in `map` is read by `factor`.
+fn moves(view: &View, map: &JointMap, joint: usize, factor: f64) -> bool {
+    let [low, high] = view.spans[map.from[joint]];
+    let slides = view.chain.joint_kinds()[joint] == JointKind::Prismatic;
+    factor.abs() * (high - low) > if slides { SLIDES } else { TURNS }
+}
+
 /// The joints that move when they are read by `map`.
 fn moving(view: &View, map: &JointMap) -> Vec<usize> {
-    let moves = |j: &usize| {
-        let [low, high] = view.spans[map.from[*j]];
-        map.factor[*j].abs() * (high - low) > MOVES
-    };
-    (0..view.chain.dof()).filter(moves).collect()
+    (0..view.chain.dof()).filter(|&joint| moves(view, map, joint, map.factor[joint])).collect()
 }
 
 /// All joints in another unit, some of them reversed, or one joint read otherwise.
@@ -304,8 +309,7 @@ fn unit_and_one(view: &View, freedom: Freedom) -> Vec<Proposal> {
 fn lone(view: &View, base: &JointMap, price: f64, freedom: Freedom, joint: usize) -> Vec<Proposal> {
     let slides = view.chain.joint_kinds()[joint] == JointKind::Prismatic;
     let own = base.factor[joint];
-    let [low, high] = view.spans[base.from[joint]];
-    let moves = |factor: f64| factor.abs() * (high - low) > MOVES;
+    let moves = |factor: f64| moves(view, base, joint, factor);
     let zero_of = |factor: f64| {
         let settled = settled(view, base, freedom, joint, |lone| (factor, lone.zero(factor).0));
         settled.1
@@ -351,14 +355,14 @@ fn settled(
     joint: usize,
     pick: impl Fn(&Lone) -> (f64, f64),
 ) -> (f64, f64) {
-    /// Turns.
-    const TURNS: usize = 3;
+    /// How often.
+    const TIMES: usize = 3;
     let mut frames = match freedom {
         Freedom::Tool => Frames::default(),
         Freedom::Both => view.frames(&view.fk(base), freedom),
     };
     let mut found = (base.factor[joint], base.zero[joint]);
-    for _ in 0..TURNS {
+    for _ in 0..TIMES {
         found = pick(&Lone::of(view, base, &frames, joint));
         frames = view.frames(&view.fk(&base.with(joint, found.0, found.1)), freedom);
     }
