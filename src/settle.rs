@@ -4,18 +4,102 @@
 
 use crate::audit::{imu_stream, pose_stream};
 use crate::diagnosis::{
-    ArmDiagnosis, BaseTravel, Peak, base_travel, carrier_lag, diagnose_imu, follows,
+    ArmDiagnosis, BaseTravel, Peak, PoseStream, base_travel, carrier_lag, diagnose_imu, follows,
     is_seen_from_tool, position_misfit_m,
 };
 use crate::run::{Arm, PoseSource, Role, Run, WhyNot};
+use crate::stream::{Orientations, PoseTrack};
 
 /// Settles all of it.
 pub(crate) fn settle(run: &mut Run, most_lag_s: f64) {
     settle_carried(run, most_lag_s);
+    settle_transforms(run);
     settle_contests(run, most_lag_s);
     settle_candidates(run, most_lag_s);
     leave_moving_bases(run, most_lag_s);
+    settle_leading_arms(run, most_lag_s);
 }
+
+/// It lies on one arm where it is less than this share as far off as off the next.
+const NEARER: f64 = 0.5;
+
+/// Leaves transforms between the same frames, which stand for several arms, to the one that they lie on.
+fn settle_transforms(run: &mut Run) {
+    let frames = |arm: &Arm| {
+        let source = arm.tf.as_ref().ok()?;
+        Some((source.stream, arm.end_frames()))
+    };
+    for first in 0..run.arms.len() {
+        let Some(own) = frames(&run.arms[first]) else { continue };
+        let claimants: Vec<usize> = (0..run.arms.len())
+            .filter(|&arm| frames(&run.arms[arm]).as_ref() == Some(&own))
+            .collect();
+        let misfit_m = |&index: &usize| {
+            let arm = &run.arms[index];
+            let stream = pose_stream(run, arm.tf.as_ref().ok()?);
+            Some((position_misfit_m(&arm.joints, &stream, 1.0, 0.0)?, index))
+        };
+        let mut misfits: Vec<(f64, usize)> = claimants.iter().filter_map(misfit_m).collect();
+        misfits.sort_by(|a, b| a.0.total_cmp(&b.0));
+        if let [(near_m, winner), (next_m, _), ..] = misfits.as_slice()
+            && *near_m < NEARER * next_m
+        {
+            run.award_transforms(&claimants, *winner);
+        }
+    }
+}
+
+/// Makes joint states commands that nothing is measured beside, where an arm of the same joints does what
+/// they say later.
+fn settle_leading_arms(run: &mut Run, most_lag_s: f64) {
+    let nothing_beside = |arm: &Arm| arm.poses.is_empty() && arm.imus.is_empty() && arm.tf.is_err();
+    for index in (0..run.arms.len()).rev() {
+        let arm = &run.arms[index];
+        let mut followers = run.arms.iter().filter(|other| !nothing_beside(other));
+        let led = followers.find_map(|other| {
+            let is_alike = other.chain.joint_names() == arm.chain.joint_names();
+            let lead_s = leads(arm, other, most_lag_s).filter(|_| is_alike)?;
+            Some((other.name.clone(), lead_s))
+        });
+        if let (true, Some((of, lead_s))) = (nothing_beside(arm), led) {
+            run.settle_leading_arm(index, &of, lead_s);
+        }
+    }
+}
+
+/// By how much the joint states of `leader` lead those of an arm of the same kind, s, where they do.
+fn leads(leader: &Arm, arm: &Arm, most_lag_s: f64) -> Option<f64> {
+    /// Moments of the arm that are looked at.
+    const MOST: usize = 20_000;
+    let rows = || (0..arm.joints.len()).step_by(arm.joints.len().div_ceil(MOST).max(1));
+    let poses = rows().map(|row| {
+        let positions = arm.joints.row(row);
+        let q: Vec<f64> = arm.columns.iter().map(|&column| positions[column]).collect();
+        arm.chain.forward(&q)
+    });
+    let (xyz, rotations) = poses.map(|pose| (pose.translation.vector, pose.rotation)).unzip();
+    let track = PoseTrack {
+        t_s: rows().map(|row| arm.joints.t_s[row]).collect(),
+        xyz,
+        orientation: Orientations::Rotations(rotations),
+        declared: None,
+    };
+    let stream = PoseStream {
+        track: &track,
+        chain: &leader.chain,
+        columns: &leader.columns,
+        reference_known: true,
+        stamp_error_s: 0.0,
+        stamps_copied: false,
+    };
+    let peak = follows(&leader.joints, &stream, most_lag_s)?;
+    (peak.correlation >= LEADS && peak.lag_s > LEAST_S).then_some(peak.lag_s)
+}
+
+/// Shorter leads are stamps, transport and filters, s.
+const LEAST_S: f64 = 0.04;
+/// Speeds of a stream that leads correlate as well as those of one that follows.
+const LEADS: f64 = 0.7;
 
 /// Settles which candidates are tool poses, by whether they follow the arm.
 fn settle_candidates(run: &mut Run, most_lag_s: f64) {
@@ -52,10 +136,6 @@ fn settle_candidates(run: &mut Run, most_lag_s: f64) {
 /// clock make a stream early, and its messages come with the others all the same; joint states that are
 /// late make all other streams early.
 fn lead_s(run: &Run, arm: &Arm, source: &PoseSource, peak: Peak, most_lag_s: f64) -> Option<f64> {
-    /// Shorter leads are stamps, transport and filters, s.
-    const LEAST_S: f64 = 0.04;
-    /// Speeds of a stream that leads correlate as well as those of one that follows.
-    const LEADS: f64 = 0.7;
     let joints = arm.joint_facts.first()?.stream;
     let delay_s = |stream: usize| {
         let clock = run.clocks.iter().find(|clock| clock.stream == stream);
@@ -136,8 +216,6 @@ pub(crate) fn retake_carried(run: &mut Run, arm: usize, found: &ArmDiagnosis) ->
 /// Gives every stream that several arms may claim to the one that it lies on best or, where it lies on
 /// all alike, follows best.
 fn settle_contests(run: &mut Run, most_lag_s: f64) {
-    /// It lies on one arm where it is less than this share as far off as off the next.
-    const NEARER: f64 = 0.5;
     /// It follows one arm where its speed correlates by this much more than with the next.
     const MORE: f64 = 0.1;
     for contest in std::mem::take(&mut run.contests) {

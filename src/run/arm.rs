@@ -185,6 +185,12 @@ pub enum NoTf {
     /// Some of them were taken from the model, which is not what its table says.
     #[error("some of them are the model's own, whose DH table is of the other convention")]
     OtherModel,
+    /// They lie on another arm with the same joints and frames.
+    #[error("they are of {arm}, by its motion")]
+    OfAnotherArm {
+        /// That arm.
+        arm: String,
+    },
     /// They are never all known at one time.
     #[error("the transforms from base to tip are at no two times all known")]
     NoSamples,
@@ -429,6 +435,11 @@ impl Arm {
         own.sort_unstable();
         own.dedup();
         own
+    }
+
+    /// The frames of the log that are its base and its tip.
+    pub(crate) fn end_frames(&self) -> [String; 2] {
+        [self.base, self.tip].map(|link| self.frame_of(link))
     }
 
     /// The frame that the log calls `link`.

@@ -1,8 +1,10 @@
-//! Streams that several arms may claim, and which of them gets each.
+//! Streams and transforms that several arms may claim, which of them gets each, and arms that only lead.
 
 use super::Run;
+use super::arm::NoTf;
 use super::role::Role;
 use super::streams::Stream;
+use super::targets::HandKind;
 use super::unaudited::{Unaudited, WhyNot};
 
 /// A stream that several arms may claim.
@@ -58,6 +60,38 @@ impl Run {
         claim.give(awarded);
         if let Some(arm) = self.arms.get(claim.arm) {
             awarded.reason += &format!("; of {}, by its motion", arm.name);
+        }
+    }
+
+    /// Leaves transforms that stand for several arms to the one that they lie on.
+    pub fn award_transforms(&mut self, claimants: &[usize], winner: usize) {
+        let arm = self.arms[winner].name.clone();
+        for &loser in claimants.iter().filter(|&&index| index != winner) {
+            self.arms[loser].tf = Err(NoTf::OfAnotherArm { arm: arm.clone() });
+        }
+    }
+
+    /// Makes the joint states of arm `index` commands: they do by `lead_s` before `of` what it then does.
+    pub fn settle_leading_arm(&mut self, index: usize, of: &str, lead_s: f64) {
+        self.arms.remove(index);
+        for stream in self.streams.iter_mut().filter(|stream| stream.arm == Some(index)) {
+            stream.reason += &format!("; they lead {of} by {:.0} ms: a leader arm", 1e3 * lead_s);
+            (stream.role, stream.arm) = (Role::Reference, None);
+        }
+        let moved = |arm: &mut usize| {
+            let stays = *arm != index;
+            *arm -= usize::from(*arm > index);
+            stays
+        };
+        self.streams.iter_mut().filter_map(|stream| stream.arm.as_mut()).for_each(|arm| {
+            moved(arm);
+        });
+        self.references.retain_mut(|source| moved(&mut source.arm));
+        for target in &mut self.targets {
+            target.hands.retain_mut(|hand| match &mut hand.kind {
+                HandKind::Joints { arm, .. } => moved(arm),
+                _ => true,
+            });
         }
     }
 
