@@ -255,7 +255,7 @@ struct Split {
 }
 
 /// The two rhythms that explain nearly all rows and nearly all of whose ticks have one: of those whose
-/// rows follow each other as smoothly as any, the two that explain most.
+/// rows follow each other as smoothly as any, the two that come most evenly.
 fn split(t_s: &[f64], off: Off<'_>) -> Option<Split> {
     /// Rows follow each other as smoothly where they are no farther off than this, m or rad, …
     const SMOOTH: f64 = 3e-4;
@@ -273,7 +273,8 @@ fn split(t_s: &[f64], off: Off<'_>) -> Option<Split> {
     let splits: Vec<(f64, Split)> = tried.flatten().collect();
     let least = splits.iter().map(|(rough, _)| *rough).fold(f64::INFINITY, f64::min);
     let smooth = splits.into_iter().filter(|(rough, _)| *rough <= SMOOTH.max(TIMES * least));
-    smooth.map(|(_, split)| split).max_by_key(Split::explained)
+    let scored = smooth.map(|(_, split)| (split.unevenness(t_s), split));
+    scored.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, split)| split)
 }
 
 fn split_by(t_s: &[f64], periods_s: [f64; 2], off: Off<'_>) -> Option<Split> {
@@ -306,9 +307,25 @@ impl Split {
     /// How far rows are from where the two before them of the same rhythm lead.
     fn roughness(&self, off: Off<'_>) -> f64 {
         let of_one = |rows: &Vec<usize>| {
-            quantile(rows.windows(3).map(|three| off(three[0], three[1], three[2])), 0.8)
+            let offs = rows.windows(3).map(|three| off(three[0], three[1], three[2]));
+            offs.sum::<f64>() / rows.len() as f64
         };
         self.rows.iter().map(of_one).fold(0.0, f64::max)
+    }
+
+    /// How far rows are from their ticks, as a share of the period, and the share of rows that have none.
+    fn unevenness(&self, t_s: &[f64]) -> f64 {
+        let off_tick = |rows: &[usize], period_s: f64| -> f64 {
+            let ticks = rows.windows(2).map(|pair| (t_s[pair[1]] - t_s[pair[0]]) / period_s);
+            ticks.map(|ticks| (ticks - ticks.round()).abs()).sum()
+        };
+        let off: f64 = self
+            .rows
+            .iter()
+            .zip(self.periods_s)
+            .map(|(rows, period_s)| off_tick(rows, period_s))
+            .sum();
+        (off + (t_s.len() - self.explained()) as f64) / t_s.len() as f64
     }
 
     /// `None` where they leave too many rows.
