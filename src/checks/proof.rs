@@ -7,6 +7,7 @@ use crate::diagnosis::{Amount, Error, FrameEstimate, Part, PoseDiagnosis, Residu
 use crate::finding::{
     CheckRow, Estimate, Finding, Outcome, Ruling, Severity, Status, Subject, Unit,
 };
+use crate::run::{Apart, FlawKind};
 
 /// An error this many times as large as what differs from sample to sample is near it …
 const NEAR: f64 = 2.0;
@@ -20,8 +21,15 @@ const TOGETHER: f64 = 2.0;
 /// … and so many times, rms, over a tenth of the run.
 const LASTING: f64 = 1.5;
 
+/// What is turned by less is not turned, rad.
+const ROUNDING_RAD: f64 = 1e-3;
+
 /// What the rules that name causes made of a run.
-pub(super) struct Named(Vec<(&'static str, Judged)>);
+pub(super) struct Named {
+    judged: Vec<(&'static str, Judged)>,
+    /// The topics on which two publishers disagree, by how much, and in how many transforms.
+    doubled: Vec<(String, Apart, usize)>,
+}
 
 impl Named {
     /// Asks them.
@@ -36,7 +44,13 @@ impl Named {
             let judged = (rule.check)(facts).into_iter();
             judged.map(|judged| (rule.code, judged))
         });
-        Self(judged.collect())
+        let doubled = facts.frames.flaws.iter().filter_map(|flaw| match &flaw.kind {
+            FlawKind::Publishers { by: Some(by), edges, .. } => {
+                Some((flaw.topics.first()?.clone(), *by, *edges))
+            }
+            _ => None,
+        });
+        Self { judged: judged.collect(), doubled: doubled.collect() }
     }
 
     /// What the rules among `codes` made of a topic of `arm`, or of one of its joints.
@@ -51,13 +65,28 @@ impl Named {
             let is_of_arm = subject.robot.as_ref() == Some(&arm.name);
             is_of_arm && subject.label() == label && codes.contains(code)
         };
-        self.0.iter().filter(is_meant).map(|(code, judged)| (*code, &judged.outcome))
+        self.judged.iter().filter(is_meant).map(|(code, judged)| (*code, &judged.outcome))
     }
 
-    /// Whether FRM001 has found what `stream` is, which is /tf.
-    fn says_of_tf(&self, arm: &ArmFacts, stream: &PoseFacts) -> bool {
+    /// Whether FRM001 has found what `stream` is, which is /tf, or FRM004 two publishers of it that are
+    /// farther apart than what is left.
+    fn says_of_tf(&self, arm: &ArmFacts, stream: &PoseFacts, left: &Left) -> bool {
+        /// Samples of the run differ in what they leave.
+        const ROOM: f64 = 1.2;
+        let is_doubled = || {
+            self.doubled.iter().any(|(topic, by, edges)| {
+                let times = ROOM * *edges as f64;
+                let (length_m, angle_rad) =
+                    (times * (by.length_m + arm.reach_m * by.angle_rad), times * by.angle_rad);
+                let angle = left.error.angle.as_ref();
+                *topic == stream.topic
+                    && left.error.length.whole.rms <= length_m
+                    && angle.is_none_or(|angle| angle.whole.rms <= angle_rad.max(ROUNDING_RAD))
+            })
+        };
         is_tf(arm, stream)
-            && self.on(arm, &stream.topic, &["FRM001"]).any(|(_, outcome)| is_faulty(outcome))
+            && (self.on(arm, &stream.topic, &["FRM001"]).any(|(_, outcome)| is_faulty(outcome))
+                || is_doubled())
     }
 }
 
@@ -125,7 +154,7 @@ pub(super) fn standing(
     }
     let left = match Left::of(explained, figures, near) {
         // FRM001 says what is left of /tf, of which it is all.
-        Some(_) if named.says_of_tf(arm, stream) => {
+        Some(left) if named.says_of_tf(arm, stream, &left) => {
             return Some(Standing::Accounted { is_named: true });
         }
         // Against a frame that nobody knows, what is logged is off by any amount.

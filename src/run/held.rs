@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use crate::time::Stamp;
 
+use super::flaws::Apart;
 use super::series::{Series, Values};
 use super::streams::Rows;
 
@@ -99,18 +100,31 @@ fn groups(series: &Series<'_>) -> Vec<Group> {
     groups
 }
 
-/// The least step of each number that is one: the source's last bit, or next to nothing.
+/// The least step of each kind that is one: the source's last bit, or next to nothing.
 fn quanta(series: &Series<'_>, groups: &[Group]) -> Vec<f64> {
-    let least = |number: usize| {
-        let steps = groups.windows(2).map(|pair| step(series, pair, number));
-        steps.filter(|step| *step > 1e-12).fold(f64::INFINITY, f64::min)
-    };
-    (0..series.values.width()).map(least).collect()
+    let mut least: Vec<f64> = Vec::new();
+    for pair in groups.windows(2) {
+        let steps = steps(series, pair);
+        least.resize(steps.len(), f64::INFINITY);
+        for (least, step) in least.iter_mut().zip(steps) {
+            if step > 1e-12 {
+                *least = least.min(step);
+            }
+        }
+    }
+    least
 }
 
-fn step(series: &Series<'_>, pair: &[Group], number: usize) -> f64 {
-    let [a, b] = [0, 1].map(|at| series.values.at(series.rows[pair[at].first].1, number));
-    (b - a).abs()
+/// The steps from one group to the next: of a transform its length and its angle, in which a coarse
+/// encoder's steps are alike, else of each number.
+fn steps(series: &Series<'_>, pair: &[Group]) -> Vec<f64> {
+    let [a, b] = [0, 1].map(|at| series.rows[pair[at].first].1);
+    if let (Values::Poses(poses), Some(_)) = (&series.values, series.frame) {
+        let apart = Apart::between((poses, a), (poses, b));
+        return vec![apart.length_m, apart.angle_rad];
+    }
+    let number = |number: usize| (series.values.at(b, number) - series.values.at(a, number)).abs();
+    (0..series.values.width()).map(number).collect()
 }
 
 /// How fast joints go at a time, in their last bits a second, and by how much the one that goes
@@ -181,9 +195,10 @@ fn of(series: &Series<'_>, motion: &[Vec<Pace>], joint_stamps: &[Stamp]) -> Opti
     let moves = |at: usize| {
         let (group, pair) = (&groups[at], groups.get(at..at + 2)?);
         let span_s = rows[pair[1].first].0.seconds_since(rows[group.first].0);
-        let goes_on = quanta.iter().enumerate().any(|(number, quantum)| {
-            step(series, pair, number) >= STEPS * quantum * group.count as f64
-        });
+        let goes_on = steps(series, pair)
+            .iter()
+            .zip(&quanta)
+            .any(|(step, quantum)| *step >= STEPS * quantum * group.count as f64);
         let by_joints = || must_differ(motion, rows[group.first].0, span_s / group.count as f64);
         // A transform is of one joint, and others may move.
         let is_told = goes_on && (is_of_joints || has_frame || by_joints().unwrap_or(true));

@@ -80,6 +80,11 @@ const ENOUGH: usize = 60;
 const FEWEST: usize = 12;
 /// Rows that are looked at.
 const MOST: usize = 4000;
+/// Rows follow each other smoothly where they are no farther than this from where those before them lead,
+/// m or rad.
+const SMOOTH: f64 = 3e-4;
+/// Two publishers in one rhythm are told where each is smoother by this factor than both together.
+const SMOOTHER: f64 = 4.0;
 
 fn of(series: &Series<'_>) -> Option<Publishers> {
     if series.rows.len() < ENOUGH || matches!(series.values, Values::Imu(_) | Values::Array(_)) {
@@ -94,16 +99,21 @@ fn of(series: &Series<'_>) -> Option<Publishers> {
     received.sort_unstable();
     let since = |nanos: &i64| seconds(nanos.saturating_sub(received[0]));
     let received_s: Vec<f64> = received.iter().map(since).collect();
-    if is_one(&stamped_s) || is_one(&received_s) {
-        return None;
-    }
     let t_s = series.seconds();
     let off = |before: usize, from: usize, to: usize| {
         let [before_s, from_s, to_s] = [before, from, to].map(|at| t_s[at]);
         let part = if from_s > before_s { (to_s - before_s) / (from_s - before_s) } else { 1.0 };
         gap(&series.values, [before, to, from].map(|at| series.rows[at].1), part).size()
     };
+    let rough = roughness(&(0..looked_at.len()).collect::<Vec<_>>(), &off);
+    let is_one = is_one(&stamped_s) || is_one(&received_s);
+    if is_one && rough <= SMOOTH {
+        return None;
+    }
     let parts = split(&stamped_s, &off)?;
+    if is_one && SMOOTHER * parts.roughness(&off) > rough {
+        return None;
+    }
     // The whole run by the rhythms that a part of it has.
     let rows = match looked_at.len() == t_s.len() {
         true => parts.rows,
@@ -257,9 +267,7 @@ struct Split {
 /// The two rhythms that explain nearly all rows and nearly all of whose ticks have one: of those whose
 /// rows follow each other as smoothly as any, the two that come most evenly.
 fn split(t_s: &[f64], off: Off<'_>) -> Option<Split> {
-    /// Rows follow each other as smoothly where they are no farther off than this, m or rad, …
-    const SMOOTH: f64 = 3e-4;
-    /// … or than so many times the least.
+    /// Or than so many times the least.
     const TIMES: f64 = 2.0;
     let tried = periods(t_s).into_iter().filter_map(|period_s| {
         let (first, used) = kept_train(t_s, &vec![false; t_s.len()], period_s, off)?;
@@ -306,11 +314,7 @@ impl Split {
 
     /// How far rows are from where the two before them of the same rhythm lead.
     fn roughness(&self, off: Off<'_>) -> f64 {
-        let of_one = |rows: &Vec<usize>| {
-            let offs = rows.windows(3).map(|three| off(three[0], three[1], three[2]));
-            offs.sum::<f64>() / rows.len() as f64
-        };
-        self.rows.iter().map(of_one).fold(0.0, f64::max)
+        self.rows.iter().map(|rows| roughness(rows, off)).fold(0.0, f64::max)
     }
 
     /// How far rows are from their ticks, as a share of the period, and the share of rows that have none.
@@ -338,6 +342,12 @@ impl Split {
         let left = t_s.len() - split.explained();
         ((left as f64) < NEARLY * t_s.len() as f64).then_some(split)
     }
+}
+
+/// How far rows are in the mean from where the two before them lead.
+fn roughness(rows: &[usize], off: Off<'_>) -> f64 {
+    let offs = rows.windows(3).map(|three| off(three[0], three[1], three[2]));
+    offs.sum::<f64>() / rows.len() as f64
 }
 
 /// How far what two publishers say is apart.
