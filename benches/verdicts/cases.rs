@@ -11,7 +11,7 @@ use rand_pcg::Pcg64;
 use std::f64::consts::PI;
 
 use crate::Options;
-use crate::kinds::{KINDS, Kind, KindOf, Planted, SURE, TIMES, choose, plant, unit_vector};
+use crate::kinds::{KINDS, Kind, KindOf, Planted, SURE, TIMES, Truth, choose, plant, unit_vector};
 use crate::scenes::{ARMS, Scene, brother, robot};
 
 /// An arm, the links between which its poses are, and where it is parked.
@@ -212,7 +212,17 @@ impl Case {
 
     /// Whether a fault at twice the figure or more must be found in this log.
     pub fn must_find(&self, planted: &Planted) -> bool {
-        planted.times >= SURE && self.excited
+        /// A rate needs a minute, or has moved the latency by this, s.
+        const MINUTE_S: f64 = 60.0;
+        const MOVED_S: f64 = 2e-3;
+        let is_long_enough = match (planted.kind, planted.truth) {
+            (Kind::Skew, Truth::Amount(skew)) => {
+                let duration_s = self.scenario.duration_s;
+                duration_s >= MINUTE_S || skew.abs() * duration_s > 1.1 * MOVED_S
+            }
+            _ => true,
+        };
+        planted.times >= SURE && self.excited && is_long_enough
     }
 
     /// 125 Hz, the targets' rate.

@@ -347,11 +347,15 @@ pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times
         Kind::OwnFrame => run.pose.frame_id = run.tip.clone(),
         Kind::HeldPose => {
             let hz = run.pose.timing.rate_hz;
-            run.pose.timing.new_hz = hz / *choose(r, &[2.0, 3.0, 5.0, 6.25]);
+            let rows = *choose(r, &[2.0, 3.0, 5.0, 6.25]);
+            run.pose.timing.new_hz = hz / rows;
+            (truth, times) = repeated(rows, &figures);
         }
         Kind::HeldJoints => {
             let hz = run.joints.timing.rate_hz;
-            run.joints.timing.new_hz = hz / *choose(r, &[2.0, 4.0, 5.0]);
+            let rows = *choose(r, &[2.0, 4.0, 5.0]);
+            run.joints.timing.new_hz = hz / rows;
+            (truth, times) = repeated(rows, &figures);
             subject = joints_topic;
         }
         Kind::StuckPose => run.pose.stuck_s = Some(a_while(run, r)),
@@ -396,6 +400,12 @@ pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times
         };
     }
     Planted { kind, codes: of.codes, also: of.also, subject, times, truth }
+}
+
+/// The share of rows that repeat where each value is sent in so many, and how often that is the figure.
+fn repeated(rows: f64, figures: &[(Unit, f64)]) -> (Truth, f64) {
+    let share = 1.0 - 1.0 / rows;
+    (Truth::Amount(share), figures.first().map_or(f64::INFINITY, |figure| share / figure.1))
 }
 
 /// An order of so many joints that is not theirs.

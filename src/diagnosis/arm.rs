@@ -5,7 +5,8 @@ use super::explain::{Approach, Cause, ENTANGLED, Explanation, Menu, best, explai
 use super::frames::{frame_estimate, starts};
 use super::harmless::tools_first;
 use super::joints::{
-    Left, Read, corrected, half_turns, lies_on_arm, lone_zeros, other_reading, read_joints,
+    Left, Read, corrected, half_turns, lies_on_arm, likely_readings, lone_zeros, other_reading,
+    read_joints,
 };
 use super::latency::{Peak, arm_speeds, median_period_s, top};
 use super::model::{Blind, State, StreamState, Sweep, ToolPart, Witness};
@@ -73,6 +74,20 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
         // A reading that leaves much is none.
         (reading, found) = (Err(Unseen::NotExcited), by(&as_logged));
     }
+    let astray = |found: &Found| {
+        !found.streams.is_empty() && found.streams.iter().all(PoseDiagnosis::strays)
+    };
+    if reading.is_err() || astray(&found) {
+        // What is wrong beside them may hide names and units.
+        for likely in likely_readings(joints, streams, &metres, most_lag_s) {
+            let by_it = by(&likely.reading);
+            let is_part = likely.by_range && by_it.left() * PARTLY_BETTER < found.left();
+            if is_part || (by_it.holds() && by_it.left() * FAR_BETTER < found.left()) {
+                (reading, found) = (Ok(likely.reading), by_it);
+                break;
+            }
+        }
+    }
     if let (Ok(_), Some((stream, left))) = (&reading, found.unexplained()) {
         let own = &streams[stream];
         let lag_s = found.streams[stream]
@@ -89,8 +104,7 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
     }
     // Names and units that leave every stream astray are not read rightly, however near some of the
     // positions are.
-    let astray = !found.streams.is_empty() && found.streams.iter().all(PoseDiagnosis::strays);
-    if astray && reading.as_ref().is_ok_and(JointReading::is_as_logged) {
+    if astray(&found) && reading.as_ref().is_ok_and(JointReading::is_as_logged) {
         reading = Err(Unseen::NotExcited);
     }
     if let Ok(reading) = &mut reading {
@@ -105,6 +119,8 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
 
 /// Another reading of the joints must leave so many times less than the one as logged.
 const FAR_BETTER: f64 = 5.0;
+/// Degrees that the joints' ranges speak for must leave so many times less.
+const PARTLY_BETTER: f64 = 3.0;
 /// What is left counts as explained below this, rms m and rad beyond the noise: MDL001's figures.
 const EXPLAINED_M: f64 = 1e-3;
 const EXPLAINED_RAD: f64 = 1.75e-3;

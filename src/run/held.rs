@@ -50,6 +50,9 @@ impl Held {
 
 /// From this share on each value is taken once.
 const TAKEN_ONCE: f64 = 0.05;
+/// Time over which a joint is seen to move, s, and what it then comes to, rad or m.
+const AROUND_S: f64 = 0.1;
+const MOVED: f64 = 5e-3;
 /// Rows in motion without which nothing is told.
 const ENOUGH: usize = 40;
 
@@ -104,7 +107,7 @@ fn groups(series: &Series<'_>) -> Vec<Group> {
 fn quanta(series: &Series<'_>, groups: &[Group]) -> Vec<f64> {
     let mut least: Vec<f64> = Vec::new();
     for pair in groups.windows(2) {
-        let steps = steps(series, pair);
+        let steps = steps(series, [&pair[0], &pair[1]]);
         least.resize(steps.len(), f64::INFINITY);
         for (least, step) in least.iter_mut().zip(steps) {
             if step > 1e-12 {
@@ -117,8 +120,8 @@ fn quanta(series: &Series<'_>, groups: &[Group]) -> Vec<f64> {
 
 /// The steps from one group to the next: of a transform its length and its angle, in which a coarse
 /// encoder's steps are alike, else of each number.
-fn steps(series: &Series<'_>, pair: &[Group]) -> Vec<f64> {
-    let [a, b] = [0, 1].map(|at| series.rows[pair[at].first].1);
+fn steps(series: &Series<'_>, pair: [&Group; 2]) -> Vec<f64> {
+    let [a, b] = pair.map(|group| series.rows[group.first].1);
     if let (Values::Poses(poses), Some(_)) = (&series.values, series.frame) {
         let apart = Apart::between((poses, a), (poses, b));
         return vec![apart.length_m, apart.angle_rad];
@@ -136,8 +139,6 @@ struct Pace {
 }
 
 fn paces(series: &Series<'_>) -> Vec<Pace> {
-    /// Time over which a joint is seen to move, s.
-    const AROUND_S: f64 = 0.1;
     let groups = groups(series);
     let quanta = quanta(series, &groups);
     let stamp = |group: &Group| series.rows[group.first].0;
@@ -166,14 +167,24 @@ fn paces(series: &Series<'_>) -> Vec<Pace> {
 /// Whether the joints go fast enough at a time that rows `period_s` apart must differ; `None` where
 /// none say.
 fn must_differ(motion: &[Vec<Pace>], at: Stamp, period_s: f64) -> Option<bool> {
-    /// Last bits in a period, and what they come to around it, that a pose shows at any noise.
+    /// Last bits in a period that a pose shows at any noise.
     const BITS: f64 = 3.0;
-    const MOVED: f64 = 5e-3;
     let near = motion.iter().filter_map(|paces| {
         let next = paces.partition_point(|pace| pace.at < at);
         paces.get(next.min(paces.len().checked_sub(1)?))
     });
     near.map(|pace| pace.moved > MOVED && pace.bits_per_s * period_s > BITS).reduce(|a, b| a || b)
+}
+
+/// Whether a transform goes somewhere around one of its groups, and does not only tremble.
+fn travels(series: &Series<'_>, groups: &[Group], at: usize) -> bool {
+    let stamp = |group: &Group| series.rows[group.first].0;
+    let now = stamp(&groups[at]);
+    let from = groups.partition_point(|group| now.seconds_since(stamp(group)) > AROUND_S);
+    let to = groups.partition_point(|group| stamp(group).seconds_since(now) < AROUND_S);
+    let ends = [&groups[from], &groups[to.max(from + 1) - 1]];
+    let moved = |pair: [&Group; 2]| steps(series, pair).into_iter().fold(0.0, f64::max);
+    moved(ends) > MOVED
 }
 
 fn of(series: &Series<'_>, motion: &[Vec<Pace>], joint_stamps: &[Stamp]) -> Option<Held> {
@@ -195,13 +206,17 @@ fn of(series: &Series<'_>, motion: &[Vec<Pace>], joint_stamps: &[Stamp]) -> Opti
     let moves = |at: usize| {
         let (group, pair) = (&groups[at], groups.get(at..at + 2)?);
         let span_s = rows[pair[1].first].0.seconds_since(rows[group.first].0);
-        let goes_on = steps(series, pair)
+        let goes_on = steps(series, [&pair[0], &pair[1]])
             .iter()
             .zip(&quanta)
             .any(|(step, quantum)| *step >= STEPS * quantum * group.count as f64);
         let by_joints = || must_differ(motion, rows[group.first].0, span_s / group.count as f64);
         // A transform is of one joint, and others may move.
-        let is_told = goes_on && (is_of_joints || has_frame || by_joints().unwrap_or(true));
+        let is_told = goes_on
+            && match is_of_joints || has_frame {
+                true => is_of_joints || travels(series, &groups, at),
+                false => by_joints().unwrap_or(true),
+            };
         is_told.then_some((at, span_s))
     };
     let mut moving: Vec<(usize, f64)> = (0..groups.len()).filter_map(moves).collect();

@@ -106,6 +106,10 @@ impl Trajectory {
     fn knots(scenario: &Scenario, rooms: &[Room]) -> Self {
         /// Peak speed of a blend over its mean speed.
         const PEAK: f64 = 1.875;
+        /// Its peak acceleration over distance by time squared, and the most that is no abrupt stop,
+        /// rad/s².
+        const BEND: f64 = 5.774;
+        const GENTLE: f64 = 18.0;
         let mut random = random(scenario.seed, Purpose::Motion);
         let mut knots: Vec<Knot> = Vec::new();
         let mut time_s = 0.0;
@@ -116,7 +120,8 @@ impl Trajectory {
                 .collect();
             if let Some(last) = knots.last() {
                 let needed_s = |((to, from), room): ((&f64, &f64), &Room)| {
-                    PEAK * (to - from).abs() / room.speed
+                    let way = (to - from).abs();
+                    (PEAK * way / room.speed).max((BEND * way / GENTLE).sqrt())
                 };
                 time_s += q.iter().zip(&last.q).zip(rooms).map(needed_s).fold(0.2, f64::max);
             }

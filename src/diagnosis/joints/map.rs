@@ -60,6 +60,21 @@ impl JointMap {
         }
     }
 
+    /// Whether it takes a turning joint to where none is: so far beyond its limits or, where it has none,
+    /// through so many turns.
+    pub fn out_of_range(&self, chain: &Chain, spans: &[[f64; 2]]) -> bool {
+        const BEYOND: f64 = 2.0;
+        const TURNS: f64 = 3.0;
+        (0..self.from.len()).any(|j| {
+            let limits = chain.limits()[j];
+            let most = limits.lower.zip(limits.upper).map(|(low, high)| low.abs().max(high.abs()));
+            let ends = spans[self.from[j]].map(|end| self.factor[j] * end + self.zero[j]);
+            let farthest = ends[0].abs().max(ends[1].abs());
+            chain.joint_kinds()[j] != JointKind::Prismatic
+                && farthest > most.map_or(TURNS * TAU, |most| most + BEYOND)
+        })
+    }
+
     /// How many joints it takes beyond the limits of the model by more than a twentieth of their
     /// range.
     pub fn beyond_limits(&self, chain: &Chain, spans: &[[f64; 2]]) -> usize {

@@ -176,6 +176,47 @@ fn look(
     None
 }
 
+/// A reading of the joint states that is likely though it leaves much beside it, and whether the numbers
+/// themselves say so.
+pub(super) struct Likely {
+    pub reading: JointReading,
+    /// The numbers are beyond the limits of the joints as radians and within them as degrees.
+    pub by_range: bool,
+}
+
+/// Readings that may be a part of what is wrong, the likeliest first: degrees where the joints cannot be
+/// where radians put them, then the unit and the order by which the positions are nearest to the arm.
+pub(super) fn likely_readings(
+    joints: &JointTrack,
+    streams: &[PoseStream],
+    scales: &[f64],
+    most_lag_s: f64,
+) -> Vec<Likely> {
+    let both = streams.iter().zip(scales);
+    let Some((stream, scale)) = both.max_by_key(|(stream, _)| stream.track.t_s.len()) else {
+        return Vec::new();
+    };
+    let lag_s = lags(joints, stream, most_lag_s).last().copied().unwrap_or(0.0);
+    let moments = slow_moments(joints, stream, *scale, lag_s);
+    let mut likely = Vec::new();
+    for view in views(joints, stream, &moments).iter().filter(|view| view.len() > 5) {
+        for (map, by_range) in search::likely(view) {
+            let fk = view.fk(&map);
+            let left = view.left(&fk, &view.frames(&fk, Freedom::Both));
+            let found = Found { map, left, runner_up_m: None };
+            let reading = reading(joints.dof, stream, &found, misfit(stream.chain, &moments));
+            likely.push(Likely { reading, by_range });
+        }
+    }
+    likely.sort_by_key(|one| !one.by_range);
+    let said = |one: &Likely| {
+        let order = one.reading.permutation.as_ref().map(|(order, _)| order.clone());
+        (one.reading.degrees.is_some(), order, one.reading.slips.clone())
+    };
+    likely.dedup_by(|a, b| said(a) == said(b));
+    likely
+}
+
 /// The joints of the track, of which one with another zero would bring the poses of `witness` at
 /// latency `lag_s` far nearer to the arm than they are at `offsets`; the two best, with those zeros.
 pub(super) fn lone_zeros(witness: &Witness, lag_s: f64, offsets: &[f64]) -> Vec<(usize, f64)> {

@@ -37,6 +37,8 @@ const FLOOR_M: f64 = 3e-4;
 const ORDER: f64 = 1.5;
 /// The price from which joints that are reversed cost more than one mirror.
 const MIRROR: f64 = 1.2;
+/// Positions lie on an arm in a mirror where less than this share of their extent is left.
+const MIRRORED: f64 = 0.02;
 /// The prices of a scale that is not a round number, and of a reading beyond the model's limits.
 const ODD: f64 = 0.5;
 const BEYOND: f64 = 0.25;
@@ -87,6 +89,9 @@ pub(super) fn search(view: &View, kind: Kind, freedom: Freedom, most: Left) -> S
     if fits(&view.left(&fk, &view.frames(&fk, freedom)), most) {
         // Taken so, the poses have nothing against the joints as they are.
         return Search::Nothing;
+    }
+    if let (Kind::One, Some(found)) = (kind, mirrored_in_unit(view)) {
+        return Search::Found(found);
     }
     let proposals = match kind {
         Kind::One => one(view, freedom),
@@ -175,6 +180,21 @@ fn best_of(view: &View, proposals: Vec<Proposal>, freedom: Freedom, most: usize)
     by(few, most, &|map| view.misfit(map, freedom))
 }
 
+/// The maps that may be a part of what is wrong, and whether the joints' ranges say so.
+pub(super) fn likely(view: &View) -> Vec<(JointMap, bool)> {
+    let none = JointMap::as_logged(view.chain.dof());
+    let units: Vec<JointMap> =
+        wholes(view.chain).into_iter().filter(|whole| whole.is_unit).map(|w| w.map).collect();
+    let is_out = none.out_of_range(view.chain, &view.spans);
+    let in_range =
+        units.iter().filter(|unit| is_out && unit.beyond_limits(view.chain, &view.spans) == 0);
+    let in_range: Vec<(JointMap, bool)> =
+        in_range.take(1).map(|unit| (unit.clone(), true)).collect();
+    let ordered = ordered(view, Freedom::Both);
+    let nearest = best_of(view, ordered, Freedom::Both, 1);
+    in_range.into_iter().chain(nearest.into_iter().map(|one| (one.map, false))).collect()
+}
+
 fn as_it_is(map: JointMap, price: f64) -> Proposal {
     Proposal { map, zeros: Vec::new(), factors: Vec::new(), price }
 }
@@ -211,13 +231,20 @@ fn one(view: &View, freedom: Freedom) -> Vec<Proposal> {
     proposals
 }
 
-/// Whether the positions lie on the arm as logged once they are seen in a mirror.
-fn is_mirrored(view: &View, as_logged: &JointMap) -> bool {
-    /// What may be left, as a share of their extent.
-    const SHARE: f64 = 0.02;
+/// Whether the positions lie on the arm as `map` reads it once they are seen in a mirror.
+fn is_mirrored(view: &View, map: &JointMap) -> bool {
     let mut mirrored = View { rotation: None, ..view.clone() };
     mirrored.xyz.iter_mut().for_each(|xyz| xyz.x = -xyz.x);
-    mirrored.misfit(as_logged, Freedom::Both) < SHARE * spread(&view.xyz)
+    mirrored.misfit(map, Freedom::Both) < MIRRORED * spread(&view.xyz)
+}
+
+/// The unit by which the positions lie on the arm in a mirror: all joints reversed in that unit would put
+/// them there, too, but with turned frames.
+fn mirrored_in_unit(view: &View) -> Option<Found> {
+    let units = wholes(view.chain).into_iter().filter(|whole| whole.is_unit);
+    let map = units.map(|whole| whole.map).find(|unit| is_mirrored(view, unit))?;
+    let left = Left { m: MIRRORED * spread(&view.xyz), rad: None };
+    Some(Found { map, left, runner_up_m: None })
 }
 
 /// Some of the joints reversed. All of them are one cause.
