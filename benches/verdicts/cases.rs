@@ -180,7 +180,12 @@ impl Case {
                     slots.push("tool".to_owned());
                 }
             }
-            if slots.iter().any(|slot| taken.contains(slot)) {
+            let is_known = |slot: &String| match self.scene {
+                Scene::TrackerWorld => slot != "reference",
+                Scene::ActiveTcp => slot != "tool",
+                _ => true,
+            };
+            if slots.iter().any(|slot| taken.contains(slot) || !is_known(slot)) {
                 continue;
             }
             taken.append(&mut slots);
@@ -222,7 +227,11 @@ impl Case {
             }
             _ => true,
         };
-        planted.times >= SURE && self.excited && is_long_enough
+        // Beside what no cause explains no other can be told for sure.
+        let has_no_cause = |kind: Kind| matches!(kind, Kind::ToolSlips | Kind::WrongArm);
+        let is_told = has_no_cause(planted.kind)
+            || !self.planted.iter().any(|other| has_no_cause(other.kind));
+        planted.times >= SURE && self.excited && is_long_enough && is_told
     }
 
     /// 125 Hz, the targets' rate.

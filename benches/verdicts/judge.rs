@@ -245,11 +245,14 @@ pub fn interval(case: &Case, row: &CheckRow) -> Vec<Interval> {
         Some(estimate) if !row.indistinguishable => estimate,
         _ => return Vec::new(),
     };
-    if !CORE.iter().any(|family| row.code.starts_with(family)) {
+    // What an arm does, and what is left, is not planted.
+    let is_of_motion = row.code.starts_with("MOT") || row.code.starts_with("MDL");
+    if is_of_motion || !CORE.iter().any(|family| row.code.starts_with(family)) {
         return Vec::new();
     }
     let planted = case.planted.iter().find(|planted| is_about(planted, row.code, &row.subject));
-    if planted.is_some_and(|planted| planted.times < SURE) {
+    if planted.is_some_and(|planted| planted.times < SURE || matches!(planted.truth, Truth::There))
+    {
         return Vec::new();
     }
     // With a skew, the latency is that at mid-run, which is known to milliseconds only.

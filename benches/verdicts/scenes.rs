@@ -128,13 +128,17 @@ impl Scene {
         let of_frames = matches!(kind, Reference | BaseTurned | OwnFrame | Axes);
         match self {
             Scene::Plain | Scene::Namespaced | Scene::Prefixed | Scene::Encoders => true,
-            Scene::TwoNamespaces => !of_tf && kind != WrongArm,
-            Scene::TwoPrefixes => kind != WrongArm,
+            Scene::TwoNamespaces => !of_tf && !of_imu && kind != WrongArm,
+            Scene::TwoPrefixes => !of_imu && kind != WrongArm,
             Scene::RailApart | Scene::Waist => {
                 !of_imu && !matches!(kind, JointsLate | JointOrder | JointDegrees | WrongArm)
             }
             Scene::Folded => !matches!(kind, JointDegrees | Geared | HeldJoints),
-            Scene::Driven => !of_imu && !of_frames && !matches!(kind, JointsLate | WrongArm),
+            // A pose that is inverted, transposed or stretched in a frame that moves is another pose.
+            Scene::Driven => {
+                let of_poses = matches!(kind, Inverted | Transposed | Growth);
+                !of_imu && !of_frames && !of_poses && !matches!(kind, JointsLate | WrongArm)
+            }
             Scene::TwoPublishers => !of_tf && kind != WrongArm,
             // Where that world is, and how long the tool, nobody says.
             Scene::TrackerWorld => !of_frames && !matches!(kind, Growth | WrongArm | Inverted),
@@ -143,7 +147,8 @@ impl Scene {
             // Nothing but the arm's own words tells which it is.
             Scene::Catalogue => !matches!(kind, WrongArm | JointDegrees),
             Scene::CatalogueByPoses => matches!(kind, PoseLate | Misread | Wxyz | Skew | StuckPose),
-            Scene::ActiveTcp => !matches!(kind, Tool | WrongArm),
+            // Axes that are turned, and not mirrored, are frames that are turned.
+            Scene::ActiveTcp => !matches!(kind, Tool | WrongArm | Axes),
         }
     }
 

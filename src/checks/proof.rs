@@ -139,8 +139,10 @@ pub(super) fn standing(
 ) -> Option<Standing> {
     let proof = stream.proof.as_ref().ok()?;
     let explained = proof.left.as_ref().unwrap_or(&proof.as_logged);
-    // What is computed from the joint states has no noise of its own.
-    let near = if is_tf(arm, stream) { 0.0 } else { NEAR };
+    // What is computed from the joint states has no noise of its own, but for what numbers that race
+    // between two samples leave: degrees that are read as radians.
+    let in_radians = arm.diagnosis.joints.as_ref().is_ok_and(|read| read.degrees.is_none());
+    let near = if is_tf(arm, stream) && in_radians { 0.0 } else { NEAR };
     if let Some(calibrated) = proof.calibrated.as_ref().filter(|_| found.nominal)
         && Left::of(calibrated, figures, near).is_none()
     {

@@ -46,7 +46,7 @@ const ENOUGH: usize = 60_000;
 /// `FROM_HZ` (Welch 1967) is that of shake and of noise. Noise has the same power at all
 /// frequencies, so that the median over frequencies is its, and what is beyond counts where it is
 /// beyond the chance of noise. Of the two windows of a block the less counts, as a single jerk is in
-/// one or in the middle of both.
+/// one or in the middle of both; a step is taken off.
 ///
 /// # Errors
 /// Where the samples are too slow, or nowhere even.
@@ -73,7 +73,8 @@ pub fn shake(t_s: &[f64], mut position_m: impl FnMut(usize) -> Vec3) -> Result<S
     let mut spectrum = Spectrum::new(length, rate_hz);
     let mut strongest: Option<Shake> = None;
     for start in starts().step_by(stride).filter(|&start| is_even(start)) {
-        let path: Vec<Vec3> = (start..start + block).map(&mut position_m).collect();
+        let mut path: Vec<Vec3> = (start..start + block).map(&mut position_m).collect();
+        take_step_off(&mut path);
         let first = spectrum.shake(&path[..length], t_s[start + hop]);
         let second = spectrum.shake(&path[hop..], t_s[start + length]);
         let least = if first.rms_m < second.rms_m { first } else { second };
@@ -151,6 +152,28 @@ impl Spectrum {
             frequency_hz: (from + strongest) as f64 * bin_hz,
             at_s,
         }
+    }
+}
+
+/// Takes off a step from one sample to the next, if there is one: a tool that slips, a clock that is set.
+/// What shakes does so again and again.
+fn take_step_off(path: &mut [Vec3]) {
+    /// A step is so many times what nearly all samples are beside the line through their neighbours.
+    const TIMES: f64 = 10.0;
+    const NEARLY_ALL: f64 = 0.95;
+    let beside = |at: usize| {
+        let [a, b, c, d] = [path[at - 1], path[at], path[at + 1], path[at + 2]];
+        (c - b) - 0.5 * ((b - a) + (d - c))
+    };
+    let steps: Vec<(f64, usize)> =
+        (1..path.len().saturating_sub(2)).map(|at| (beside(at).norm(), at)).collect();
+    let Some(&(largest, at)) = steps.iter().max_by(|a, b| a.0.total_cmp(&b.0)) else { return };
+    let mut sizes: Vec<f64> = steps.iter().map(|step| step.0).collect();
+    let usual = (sizes.len() as f64 * NEARLY_ALL) as usize;
+    let usual = *sizes.select_nth_unstable_by(usual.min(steps.len() - 1), f64::total_cmp).1;
+    if largest > TIMES * usual {
+        let step = beside(at);
+        path[at + 1..].iter_mut().for_each(|point| *point -= step);
     }
 }
 

@@ -106,8 +106,11 @@ fn of(series: &Series<'_>) -> Option<Publishers> {
         gap(&series.values, [before, to, from].map(|at| series.rows[at].1), part).size()
     };
     let rough = roughness(&(0..looked_at.len()).collect::<Vec<_>>(), &off);
+    let again =
+        looked_at.windows(2).filter(|two| series.values.is_same(two[0].1, two[1].1)).count();
     let is_one = is_one(&stamped_s) || is_one(&received_s);
-    if is_one && rough <= SMOOTH {
+    // What repeats values is as rough as two that disagree.
+    if is_one && (rough <= SMOOTH || again as f64 > NEARLY * looked_at.len() as f64) {
         return None;
     }
     let parts = split(&stamped_s, &off)?;
@@ -119,7 +122,8 @@ fn of(series: &Series<'_>) -> Option<Publishers> {
         true => parts.rows,
         false => split_by(&t_s, parts.periods_s, &off)?.rows,
     };
-    told(series, &t_s, rows)
+    // What shares one rhythm and says the same is one.
+    told(series, &t_s, rows).filter(|found| !is_one || found.apart.is_some())
 }
 
 /// What is told of two publishers by the rows of each.

@@ -289,6 +289,7 @@ impl Timing {
             Some(excerpts) => self.rows_where(streams, stream, piece, excerpts.holds(around_s)),
             None => self.rows(streams, stream, piece),
         };
+        leave_out_overlaps(&mut rows);
         self.sift.sift(stream, piece, &mut rows);
         rows
     }
@@ -359,4 +360,29 @@ impl Timing {
             }
         }
     }
+}
+
+/// Leaves out what follows a clock that was set back until it is past where it had been: in the order of
+/// stamps it would lie among what came before. Single messages that overtake each other stay.
+fn leave_out_overlaps(rows: &mut Rows) {
+    /// Rows on end that are stamped before one that came earlier.
+    const BLOCK: usize = 10;
+    let mut latest = None;
+    let behind: Vec<bool> = rows
+        .iter()
+        .map(|(stamp, _)| {
+            let is_behind = latest.is_some_and(|latest| *stamp < latest);
+            latest = latest.max(Some(*stamp));
+            is_behind
+        })
+        .collect();
+    if !behind.contains(&true) {
+        return;
+    }
+    let blocks = behind.chunk_by(|a, b| a == b);
+    let kept: Vec<bool> = blocks
+        .flat_map(|block| std::iter::repeat_n(!block[0] || block.len() < BLOCK, block.len()))
+        .collect();
+    let mut kept = kept.into_iter();
+    rows.retain(|_| kept.next().unwrap_or(true));
 }
