@@ -2,7 +2,7 @@
 //! zero.
 
 use crate::robot::{Chain, JointKind};
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 /// The number that each joint of a chain has, and what it means in rad or m:
 /// `q[j] = factor[j] · row[from[j]] + zero[j]`.
@@ -34,6 +34,16 @@ impl JointMap {
         let mut map = self.clone();
         (map.factor[joint], map.zero[joint]) = (factor, zero);
         map
+    }
+
+    /// The same without a zero of the first joint that is a round turn: the base is turned then, as makers'
+    /// bases are against each other's.
+    pub fn with_base_turned(&self) -> Self {
+        const NEAR: f64 = 5e-3;
+        let quarters = self.zero[0] / FRAC_PI_2;
+        let is_round = (quarters - quarters.round()).abs() * FRAC_PI_2 < NEAR;
+        let zero = if is_round { 0.0 } else { self.zero[0] };
+        self.with(0, self.factor[0], zero)
     }
 
     /// The same with numbers in another order, whose units go with the numbers.

@@ -166,7 +166,9 @@ fn look(
             let lags = if kind == Kind::One { views.len() } else { LAGS };
             for view in views.iter().take(lags).flatten() {
                 match search(view, kind, freedom, most) {
-                    Search::Found(found) => return Some(found),
+                    Search::Found(found) => {
+                        return Some(Found { map: found.map.with_base_turned(), ..found });
+                    }
                     Search::Ambiguous => return None,
                     Search::Nothing => {}
                 }
