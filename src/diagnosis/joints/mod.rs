@@ -201,7 +201,9 @@ pub(super) fn likely_readings(
     let lag_s = lags(joints, stream, most_lag_s).last().copied().unwrap_or(0.0);
     let moments = slow_moments(joints, stream, *scale, lag_s);
     let mut likely = Vec::new();
-    for view in views(joints, stream, &moments).iter().filter(|view| view.len() > 5) {
+    let mut views = views(joints, stream, &moments);
+    views.extend(views.last().map(View::mirrored));
+    for view in views.iter().filter(|view| view.len() > 5) {
         for (map, by_range) in search::likely(view) {
             let fk = view.fk(&map);
             let left = view.left(&fk, &view.frames(&fk, Freedom::Both));

@@ -233,9 +233,7 @@ fn one(view: &View, freedom: Freedom) -> Vec<Proposal> {
 
 /// Whether the positions lie on the arm as `map` reads it once they are seen in a mirror.
 fn is_mirrored(view: &View, map: &JointMap) -> bool {
-    let mut mirrored = View { rotation: None, ..view.clone() };
-    mirrored.xyz.iter_mut().for_each(|xyz| xyz.x = -xyz.x);
-    mirrored.misfit(map, Freedom::Both) < MIRRORED * spread(&view.xyz)
+    view.mirrored().misfit(map, Freedom::Both) < MIRRORED * spread(&view.xyz)
 }
 
 /// The unit by which the positions lie on the arm in a mirror: all joints reversed in that unit would put

@@ -78,6 +78,12 @@ impl View<'_> {
         }
     }
 
+    /// The positions seen in a mirror.
+    pub fn mirrored(&self) -> Self {
+        let mirror = |xyz: &Vec3| Vec3::new(-xyz.x, xyz.y, xyz.z);
+        Self { rotation: None, xyz: self.xyz.iter().map(mirror).collect(), ..self.clone() }
+    }
+
     /// FK of all moments when the numbers are read by `map`.
     pub fn fk(&self, map: &JointMap) -> Vec<Pose> {
         let dof = self.chain.dof();
