@@ -181,9 +181,9 @@ impl Case {
                 }
             }
             let is_known = |slot: &String| match self.scene {
-                Scene::TrackerWorld => slot != "reference",
-                Scene::ActiveTcp => slot != "tool",
-                _ => true,
+                Scene::TrackerWorld if slot == "reference" => false,
+                // What nobody named is most likely meant so.
+                scene => scene.names_tip() || slot != "tool",
             };
             if slots.iter().any(|slot| taken.contains(slot) || !is_known(slot)) {
                 continue;

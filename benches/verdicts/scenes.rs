@@ -134,9 +134,12 @@ impl Scene {
                 !of_imu && !matches!(kind, JointsLate | JointOrder | JointDegrees | WrongArm)
             }
             Scene::Folded => !matches!(kind, JointDegrees | Geared | HeldJoints),
-            // A pose that is inverted, transposed or stretched in a frame that moves is another pose.
+            // A pose that is written otherwise in a frame that moves is another pose in the arm's.
             Scene::Driven => {
-                let of_poses = matches!(kind, Inverted | Transposed | Growth);
+                let of_poses = matches!(
+                    kind,
+                    Inverted | Transposed | Growth | Misread | Wxyz | Millimetres | LengthUnit
+                );
                 !of_imu && !of_frames && !of_poses && !matches!(kind, JointsLate | WrongArm)
             }
             Scene::TwoPublishers => !of_tf && kind != WrongArm,

@@ -21,6 +21,8 @@ const TOGETHER: f64 = 2.0;
 /// … and so many times, rms, over a tenth of the run.
 const LASTING: f64 = 1.5;
 
+/// Samples of the run differ in what two publishers that are apart leave.
+const ROOM: f64 = 1.2;
 /// What is turned by less is not turned, rad.
 const ROUNDING_RAD: f64 = 1e-3;
 
@@ -71,8 +73,6 @@ impl Named {
     /// Whether FRM001 has found what `stream` is, which is /tf, or FRM004 two publishers of it that are
     /// farther apart than what is left.
     fn says_of_tf(&self, arm: &ArmFacts, stream: &PoseFacts, left: &Left) -> bool {
-        /// Samples of the run differ in what they leave.
-        const ROOM: f64 = 1.2;
         let is_doubled = || {
             self.doubled.iter().any(|(topic, by, edges)| {
                 let times = ROOM * *edges as f64;
@@ -139,10 +139,12 @@ pub(super) fn standing(
 ) -> Option<Standing> {
     let proof = stream.proof.as_ref().ok()?;
     let explained = proof.left.as_ref().unwrap_or(&proof.as_logged);
-    // What is computed from the joint states has no noise of its own, but for what numbers that race
-    // between two samples leave: degrees that are read as radians.
-    let in_radians = arm.diagnosis.joints.as_ref().is_ok_and(|read| read.degrees.is_none());
-    let near = if is_tf(arm, stream) && in_radians { 0.0 } else { NEAR };
+    // What is computed from the joint states has no noise of its own.
+    let near = if is_tf(arm, stream) { 0.0 } else { NEAR };
+    let in_degrees = arm.diagnosis.joints.as_ref().is_ok_and(|read| read.degrees.is_some());
+    if is_tf(arm, stream) && in_degrees && races(explained, named, stream, figures) {
+        return Some(Standing::Noise);
+    }
     if let Some(calibrated) = proof.calibrated.as_ref().filter(|_| found.nominal)
         && Left::of(calibrated, figures, near).is_none()
     {
@@ -183,6 +185,20 @@ pub(super) fn standing(
         Some(left) => Standing::Open(left, [causes.joints, causes.poses].concat()),
         None => Standing::Accounted { is_named: causes.is_named },
     })
+}
+
+/// Whether what is left of /tf is what degrees leave that are read as radians: such joints race through
+/// nearly a turn from one sample to the next. Beside it two publishers may be apart.
+fn races(error: &Error, named: &Named, stream: &PoseFacts, figures: &FrameFigures) -> bool {
+    /// In figures.
+    const MOST: f64 = 5.0;
+    let apart = named.doubled.iter().filter(|(topic, ..)| *topic == stream.topic);
+    let (by_m, by_rad) = apart
+        .map(|(_, by, edges)| (by.length_m * *edges as f64, by.angle_rad * *edges as f64))
+        .fold((0.0, 0.0), |sum, by| (sum.0 + by.0, sum.1 + by.1));
+    sizes(error, figures)
+        .zip([by_m, by_rad])
+        .all(|((size, figure), by)| size.whole.rms < MOST * figure.warning + ROOM * by)
 }
 
 /// Whether what is left comes again with the posture, which noise does not, however little of it is known

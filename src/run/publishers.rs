@@ -59,7 +59,7 @@ pub(super) fn publishers(series: &[Series<'_>]) -> Vec<Publishers> {
             let (second, first): (Vec<usize>, Vec<usize>) = (0..other.rows.len())
                 .partition(|&at| sent.contains(&self::sent(other, other.rows[at].1)));
             if second.len() == led.second.len() {
-                *of_it = told(other, &other.seconds(), [first, second]);
+                *of_it = told(other, &other.seconds(), [first, second], false);
             }
         }
     }
@@ -122,13 +122,21 @@ fn of(series: &Series<'_>) -> Option<Publishers> {
         true => parts.rows,
         false => split_by(&t_s, parts.periods_s, &off)?.rows,
     };
-    // What shares one rhythm and says the same is one.
-    told(series, &t_s, rows).filter(|found| !is_one || found.apart.is_some())
+    told(series, &t_s, rows, is_one)
 }
 
-/// What is told of two publishers by the rows of each.
-fn told(series: &Series<'_>, t_s: &[f64], [first, second]: [Vec<usize>; 2]) -> Option<Publishers> {
+/// What is told of two publishers by the rows of each. What shares one rhythm is two publishers' only where
+/// they are as far apart throughout: what shakes as fast as it is sampled is not, nor what is stamped unevenly.
+fn told(
+    series: &Series<'_>,
+    t_s: &[f64],
+    [first, second]: [Vec<usize>; 2],
+    is_one: bool,
+) -> Option<Publishers> {
     let apart = apart(series, t_s, [&first, &second])?;
+    if is_one && !(apart.is_there && apart.is_steady) {
+        return None;
+    }
     // What is sent again with its stamp is no second publisher.
     let sent: HashSet<i64> = first.iter().map(|&at| series.rows[at].0.nanos()).collect();
     let is_again = |at: &&usize| sent.contains(&series.rows[**at].0.nanos());
@@ -358,6 +366,8 @@ fn roughness(rows: &[usize], off: Off<'_>) -> f64 {
 struct Gap {
     by: Apart,
     is_there: bool,
+    /// Whether it is nearly the same throughout.
+    is_steady: bool,
 }
 
 /// The rows of the second held against what lies between those of the first, and these against what
@@ -367,6 +377,8 @@ fn apart(series: &Series<'_>, t_s: &[f64], [first, second]: [&[usize]; 2]) -> Op
     const LEAST: f64 = 3e-4;
     /// It is more than what lies between rows is uncertain by.
     const TIMES: f64 = 2.0;
+    /// It is steady where it is hardly ever less than this share of what it is at most.
+    const STEADY: f64 = 0.7;
     /// What is apart by more at times than usually is apart by motion.
     const VARIES: f64 = 2.0;
     let row = |at: usize| series.rows[at].1;
@@ -399,7 +411,8 @@ fn apart(series: &Series<'_>, t_s: &[f64], [first, second]: [&[usize]; 2]) -> Op
     let (length, angle) = (told(|gap| gap.length_m), told(|gap| gap.angle_rad));
     let part = |(by, is_there): (f64, bool)| if is_there { by } else { 0.0 };
     let by = Apart { length_m: part(length), angle_rad: part(angle) };
-    Some(Gap { by, is_there: length.1 || angle.1 })
+    let [least, most] = [0.1, 0.9].map(|part| quantile(gaps.iter().map(|gap| gap.size()), part));
+    Some(Gap { by, is_there: length.1 || angle.1, is_steady: least > STEADY * most })
 }
 
 fn quantile(values: impl Iterator<Item = f64>, part: f64) -> f64 {

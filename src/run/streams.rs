@@ -289,7 +289,9 @@ impl Timing {
             Some(excerpts) => self.rows_where(streams, stream, piece, excerpts.holds(around_s)),
             None => self.rows(streams, stream, piece),
         };
-        leave_out_overlaps(&mut rows);
+        if let Some(times) = streams[stream].times().get(piece) {
+            leave_out_overlaps(&mut rows, &times.log);
+        }
         self.sift.sift(stream, piece, &mut rows);
         rows
     }
@@ -364,9 +366,13 @@ impl Timing {
 
 /// Leaves out what follows a clock that was set back until it is past where it had been: in the order of
 /// stamps it would lie among what came before. Single messages that overtake each other stay.
-fn leave_out_overlaps(rows: &mut Rows) {
+fn leave_out_overlaps(rows: &mut Rows, received: &[i64]) {
     /// Rows on end that are stamped before one that came earlier.
     const BLOCK: usize = 10;
+    if rows.is_sorted_by_key(|(stamp, _)| *stamp) {
+        return;
+    }
+    rows.sort_by_key(|(_, row)| received[*row]);
     let mut latest = None;
     let behind: Vec<bool> = rows
         .iter()
@@ -376,9 +382,6 @@ fn leave_out_overlaps(rows: &mut Rows) {
             is_behind
         })
         .collect();
-    if !behind.contains(&true) {
-        return;
-    }
     let blocks = behind.chunk_by(|a, b| a == b);
     let kept: Vec<bool> = blocks
         .flat_map(|block| std::iter::repeat_n(!block[0] || block.len() < BLOCK, block.len()))
