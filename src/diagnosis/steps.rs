@@ -20,7 +20,7 @@ const LAGS: usize = 8;
 /// Samples that the path is sought on.
 const SAMPLES: usize = 4000;
 /// Steps leave at most this share of the difference that one lag leaves.
-const LEFT: f64 = 0.35;
+const LEFT: f64 = 0.5;
 /// With them the speeds are the same but for this share of how they vary.
 const MISFIT: f64 = 0.15;
 
@@ -40,11 +40,25 @@ pub fn pose_steps(
 ) -> Option<LatencySteps> {
     let (linear, angular) = arm_speeds(joints, stream.chain, stream.columns);
     let track = stream.track;
-    let mut pairs = vec![(linear, linear_speed(&track.t_s, &track.xyz))];
+    let mut pairs = vec![(linear, without_spikes(linear_speed(&track.t_s, &track.xyz)))];
     if let Orientations::Rotations(rotations) = &track.orientation {
-        pairs.push((angular, angular_speed(&track.t_s, rotations)));
+        pairs.push((angular, without_spikes(angular_speed(&track.t_s, rotations))));
     }
     steps(&pairs, most_lag_s)
+}
+
+/// A speed without what no motion is: where stamps step, positions that are far apart stand side by side.
+fn without_spikes(speed: Speed) -> Speed {
+    /// So many times what nearly all samples stay below.
+    const TIMES: f64 = 4.0;
+    const NEARLY_ALL: f64 = 0.95;
+    let mut values = speed.value.clone();
+    let place = (values.len() as f64 * NEARLY_ALL) as usize;
+    let Some(last) = values.len().checked_sub(1) else { return speed };
+    let most = TIMES * *values.select_nth_unstable_by(place.min(last), f64::total_cmp).1;
+    let kept = speed.t_s.iter().copied().zip(speed.value).filter(|(_, value)| *value <= most);
+    let (t_s, value) = kept.unzip();
+    Speed { t_s, value }
 }
 
 /// Where the latency of an IMU steps, by how fast it turns.
