@@ -20,7 +20,7 @@ const LAGS: usize = 8;
 /// Samples that the path is sought on.
 const SAMPLES: usize = 4000;
 /// Steps leave at most this share of the difference that one lag leaves.
-const LEFT: f64 = 0.5;
+const LEFT: f64 = 0.35;
 /// With them the speeds are the same but for this share of how they vary.
 const MISFIT: f64 = 0.15;
 
