@@ -5,7 +5,7 @@
 use crate::audit::{imu_stream, pose_stream};
 use crate::diagnosis::{
     ArmDiagnosis, BaseTravel, Peak, PoseStream, base_travel, carrier_lag, diagnose_imu, follows,
-    is_seen_from_tool, position_misfit_m,
+    is_seen_from_tool, likely_lags, position_misfit_m,
 };
 use crate::run::{Arm, PoseSource, Role, Run, WhyNot};
 use crate::stream::{Orientations, PoseTrack};
@@ -18,6 +18,32 @@ pub(crate) fn settle(run: &mut Run, most_lag_s: f64) {
     settle_candidates(run, most_lag_s);
     leave_moving_bases(run, most_lag_s);
     settle_leading_arms(run, most_lag_s);
+    settle_frozen(run, most_lag_s);
+}
+
+/// Leaves out what streams of poses repeat while their arm moves at the lags at which they may follow it.
+fn settle_frozen(run: &mut Run, most_lag_s: f64) {
+    /// Speeds correlate by this at least where the lag is known by them, …
+    const FOLLOWS: f64 = 0.5;
+    /// … and at other lags that may be meant by this share of the best.
+    const NEARLY: f64 = 0.8;
+    for arm in 0..run.arms.len() {
+        for source in 0..run.arms[arm].poses.len() {
+            let of = &run.arms[arm];
+            let found = &of.poses[source];
+            if found.carrier.is_some() || !found.stands_still() {
+                continue;
+            }
+            let peaks = likely_lags(&of.joints, &pose_stream(run, found), most_lag_s);
+            let best = peaks.first().map_or(0.0, |peak| peak.correlation);
+            if best < FOLLOWS {
+                continue;
+            }
+            let likely = peaks.iter().filter(|peak| peak.correlation >= NEARLY * best);
+            let lags_s: Vec<f64> = likely.map(|peak| peak.lag_s).collect();
+            run.take_frozen_at(arm, source, &lags_s);
+        }
+    }
 }
 
 /// It lies on one arm where it is less than this share as far off as off the next.

@@ -264,6 +264,11 @@ pub fn follows(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Opt
     Some(if placed { peak } else { Peak { correlation: 0.0, ..peak } })
 }
 
+/// The lags at which a pose stream may follow the arm, by its speeds: the likeliest first.
+pub fn likely_lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<Peak> {
+    stream_peaks(joints, stream, as_rotations(&stream.track.orientation), most_lag_s)
+}
+
 fn prismatic(dof: usize, streams: &[PoseStream]) -> Vec<bool> {
     let mut prismatic = vec![false; dof];
     for stream in streams {

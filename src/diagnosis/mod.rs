@@ -45,7 +45,7 @@ use crate::geometry::{
 use crate::robot::Chain;
 use crate::stream::{ImuTrack, PoseTrack};
 
-pub use arm::{diagnose_arm, diagnose_derived, follows};
+pub use arm::{diagnose_arm, diagnose_derived, follows, likely_lags};
 pub use carried::{BaseTravel, CarrierLag, base_travel, carrier_lag};
 pub use course::{LatencyCourse, LatencyJump};
 pub use dh::{DhEstimate, DhStream, DhTold, Left, faults};

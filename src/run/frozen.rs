@@ -2,11 +2,14 @@
 //!
 //! How late the stream is, nobody knows yet. A time is told to be frozen only where the arm nowhere rests
 //! for half as long within the latency that is sought: then it moved, whatever the latency. Without these
-//! times what is left of the stream shows its faults; with them, its pose would follow nothing.
+//! times what is left of the stream shows its faults; with them, its pose would follow nothing. Once the
+//! lag is known by the speeds of what is left, the times that lie beside a rest are told, too.
 
 use crate::stream::{JointTrack, Orientations, PoseTrack};
 use crate::time::Stamp;
 
+use super::Run;
+use super::arm::{Arm, PoseSource};
 use super::poses::Stamped;
 
 /// Shorter repeats are how a slow source looks in a fast stream, s …
@@ -52,23 +55,14 @@ pub(super) fn take_frozen(
     let Stamped { track, stamps } = poses;
     let mut frozen = Vec::new();
     let mut kept = vec![true; stamps.len()];
-    let mut first = 0;
-    while first < stamps.len() {
-        let repeats = (first + 1..stamps.len()).take_while(|&row| {
-            track.t_s[row] - track.t_s[row - 1] < BREAK_S && is_same(track, first, row)
-        });
-        let last = first + repeats.count();
-        let span_s = track.t_s[last] - track.t_s[first];
-        if last - first >= LEAST_PERIODS && span_s >= LEAST_S {
-            let hold = (track.t_s[first], track.t_s[last]);
-            let moved = least_motion(joints, columns, hold, most_lag_s).unwrap_or(0.0);
-            if moved > REST {
-                let (start, end, samples) = (stamps[first], stamps[last], last + 1 - first);
-                frozen.push(Frozen { stream, start, end, samples, whole: false, moved });
-                kept[first + 1..=last].fill(false);
-            }
+    for (first, last) in holds(track) {
+        let hold = (track.t_s[first], track.t_s[last]);
+        let moved = least_motion(joints, columns, hold, most_lag_s).unwrap_or(0.0);
+        if moved > REST {
+            let (start, end, samples) = (stamps[first], stamps[last], last + 1 - first);
+            frozen.push(Frozen { stream, start, end, samples, whole: false, moved });
+            kept[first + 1..=last].fill(false);
         }
-        first = last + 1;
     }
     let left = kept.iter().filter(|kept| **kept).count();
     if !known && 2 * left < kept.len() {
@@ -80,6 +74,91 @@ pub(super) fn take_frozen(
         retain(stamps, &kept);
     }
     frozen
+}
+
+impl PoseSource {
+    /// Whether it repeats a value for long anywhere.
+    pub fn stands_still(&self) -> bool {
+        !holds(&self.track).is_empty()
+    }
+}
+
+impl Run {
+    /// Takes the samples out of a source's track that repeat a value while the arm moves, now that the
+    /// lags are known at which the source may follow the arm: it moved at each of them.
+    pub fn take_frozen_at(&mut self, arm: usize, source: usize, lags_s: &[f64]) {
+        let Arm { joints, poses, .. } = &mut self.arms[arm];
+        let PoseSource { stream, track, columns, .. } = &mut poses[source];
+        let mut kept = vec![true; track.t_s.len()];
+        let stamp = |t_s: f64| Stamp::from_nanos(self.origin.nanos() + (1e9 * t_s).round() as i64);
+        for (first, last) in holds(track) {
+            let hold = (track.t_s[first], track.t_s[last]);
+            let Some(moved) = motion_at(joints, columns, hold, lags_s).filter(|it| *it > REST)
+            else {
+                continue;
+            };
+            self.frozen.push(Frozen {
+                stream: *stream,
+                start: stamp(hold.0),
+                end: stamp(hold.1),
+                samples: last + 1 - first,
+                whole: false,
+                moved,
+            });
+            kept[first + 1..=last].fill(false);
+        }
+        keep(track, &kept);
+    }
+}
+
+/// The first and the last row of each time that is long enough in which a track repeats one value.
+fn holds(track: &PoseTrack) -> Vec<(usize, usize)> {
+    let (mut holds, mut first) = (Vec::new(), 0);
+    while first < track.t_s.len() {
+        let repeats = (first + 1..track.t_s.len()).take_while(|&row| {
+            track.t_s[row] - track.t_s[row - 1] < BREAK_S && is_same(track, first, row)
+        });
+        let last = first + repeats.count();
+        if last - first >= LEAST_PERIODS && track.t_s[last] - track.t_s[first] >= LEAST_S {
+            holds.push((first, last));
+        }
+        first = last + 1;
+    }
+    holds
+}
+
+/// By how much the joint moves in `hold` that moves most, at the lag of those about `lags_s` at which it
+/// moves least. `None` where the joint states do not cover it.
+fn motion_at(
+    joints: &JointTrack,
+    columns: &[usize],
+    hold: (f64, f64),
+    lags_s: &[f64],
+) -> Option<f64> {
+    /// A lag by speeds alone is right to this, s, and is tried in such steps.
+    const RIGHT_S: f64 = 0.1;
+    const STEP_S: f64 = 0.01;
+    let (&begin_s, &end_s) = (joints.t_s.first()?, joints.t_s.last()?);
+    let steps = (RIGHT_S / STEP_S) as i32;
+    let lags_s = lags_s
+        .iter()
+        .flat_map(|lag_s| (-steps..=steps).map(move |step| lag_s + STEP_S * f64::from(step)));
+    let mut moved = lags_s.map(|lag_s| {
+        let (from_s, to_s) = (hold.0 - lag_s, hold.1 - lag_s);
+        if from_s < begin_s || to_s > end_s {
+            return None;
+        }
+        let rows = joints.t_s.partition_point(|t_s| *t_s < from_s)
+            ..joints.t_s.partition_point(|t_s| *t_s <= to_s);
+        let ranges = columns.iter().map(|&joint| {
+            let of = rows.clone().map(|row| joints.row(row)[joint]);
+            of.clone().fold(f64::NEG_INFINITY, f64::max) - of.fold(f64::INFINITY, f64::min)
+        });
+        Some(ranges.fold(0.0, f64::max))
+    });
+    moved
+        .try_fold(f64::INFINITY, |least, moved| Some(least.min(moved?)))
+        .filter(|it| it.is_finite())
 }
 
 /// Whether two samples are the same to the last bit.
