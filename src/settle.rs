@@ -24,9 +24,9 @@ pub(crate) fn settle(run: &mut Run, most_lag_s: f64) {
 /// Leaves out what streams of poses repeat while their arm moves at the lags at which they may follow it.
 fn settle_frozen(run: &mut Run, most_lag_s: f64) {
     /// Speeds correlate by this at least where the lag is known by them, …
-    const FOLLOWS: f64 = 0.5;
+    const FOLLOWS: f64 = 0.3;
     /// … and at other lags that may be meant by this share of the best.
-    const NEARLY: f64 = 0.8;
+    const NEARLY: f64 = 0.7;
     for arm in 0..run.arms.len() {
         for source in 0..run.arms[arm].poses.len() {
             let of = &run.arms[arm];
