@@ -16,7 +16,7 @@ use crate::checks::{
 use crate::corrections::{Given, Mending};
 use crate::diagnosis::{
     ArmDiagnosis, DhEstimate, DhStream, DhTold, ImuDiagnosis, ImuStream, JointOffset, LatencySteps,
-    Left, NoShake, PoseDiagnosis, PoseStream, Reading, Series, Shake, Unseen, abruptness,
+    Left, NoShake, PoseDiagnosis, PoseStream, Reading, Residual, Series, Shake, Unseen, abruptness,
     beyond_positions, beyond_speed, diagnose_arm, diagnose_derived, diagnose_imu, faults, follows,
     imu_steps, pose_steps, position_misfit_m, proof, proof_of_imu, shake,
 };
@@ -329,7 +329,7 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
     let reading = diagnosis.joints.as_ref().ok();
     let derived = |stream: &PoseStream| {
         let left = |found: &PoseDiagnosis| {
-            found.residual.as_ref().map_or(f64::INFINITY, |residual| residual.rms_m)
+            found.residual.as_ref().map_or(f64::INFINITY, Residual::together_m)
         };
         let found = diagnose_derived(&arm.joints, reading, stream, most_lag_s);
         // What publishes the log's transforms knows of no correction.

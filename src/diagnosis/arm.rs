@@ -212,8 +212,9 @@ pub fn diagnose_derived(
         let placements = [Placement::of(&read.track, stream, most_lag_s)];
         diagnose(joints, &read, streams, &placements, false).streams.remove(0)
     };
-    let left =
-        |diagnosis: &PoseDiagnosis| diagnosis.residual.as_ref().map_or(f64::INFINITY, |r| r.rms_m);
+    let left = |diagnosis: &PoseDiagnosis| {
+        diagnosis.residual.as_ref().map_or(f64::INFINITY, Residual::together_m)
+    };
     let as_recorded = by(&JointReading::default());
     match reading {
         Some(reading) if !reading.is_as_logged() => {

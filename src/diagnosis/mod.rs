@@ -294,6 +294,13 @@ pub struct Residual {
     pub before_rad: f64,
 }
 
+impl Residual {
+    /// Position and rotation together, an angle counting at an arm's length of 0.3 m, rms m.
+    pub fn together_m(&self) -> f64 {
+        self.rms_m.hypot(0.3 * self.rms_rad)
+    }
+}
+
 /// A stream's samples beside what FK says at the same stamps. One entry a sample in each column.
 #[derive(Clone, Debug, Default)]
 pub struct Aligned {

@@ -124,12 +124,18 @@ pub(super) fn other_reading(
 ) -> Option<JointReading> {
     /// An angle that is far, rad.
     const FAR_RAD: f64 = 0.05;
+    /// A length that is near, m.
+    const NEAR_M: f64 = 5e-3;
     let moments = slow_moments(joints, stream, scale, lag_s);
     if moments.xyz.len() < 6 || rests(stream.chain, &moments) {
         return None;
     }
+    // Where the rotations are what is wrong, the positions only have to stay as near as they are.
+    let turns_only = as_logged.rad.is_some_and(|rad| rad > FAR_RAD) && as_logged.m < NEAR_M;
+    let stay_m = if turns_only { 1.2 * misfit(stream.chain, &moments) } else { 0.0 };
+    let better_m = (as_logged.m / BETTER).max(2e-4).max(stay_m);
     let most = Left {
-        m: (FITS * spread(&moments.xyz).max(0.01)).min((as_logged.m / BETTER).max(2e-4)),
+        m: (FITS * spread(&moments.xyz).max(0.01)).min(better_m),
         rad: as_logged.rad.map(|rad| (rad / BETTER).clamp(1e-3, FITS_RAD)),
     };
     let is_far =
