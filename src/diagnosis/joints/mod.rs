@@ -101,7 +101,9 @@ pub(super) fn read_joints(
         at_lags.push(moments);
     }
     let most = Left { m: (FITS * extent).min(as_logged / BETTER), rad: Some(FITS_RAD) };
-    if let Some(found) = look(joints, stream, &at_lags, most, &Kind::ALL) {
+    let views: Vec<Vec<View>> =
+        at_lags.iter().map(|moments| views(joints, stream, moments)).collect();
+    if let Some(found) = look(stream, &views, most, &Kind::ALL) {
         return Ok(reading(joints.dof, stream, &found, as_logged));
     }
     if as_logged > ON_ARM * extent {
@@ -132,7 +134,7 @@ pub(super) fn other_reading(
     }
     // Where the rotations are what is wrong, the positions only have to stay as near as they are.
     let turns_only = as_logged.rad.is_some_and(|rad| rad > FAR_RAD) && as_logged.m < NEAR_M;
-    let stay_m = if turns_only { 1.2 * misfit(stream.chain, &moments) } else { 0.0 };
+    let stay_m = if turns_only { 1.2 * unturned_misfit(stream.chain, &moments) } else { 0.0 };
     let better_m = (as_logged.m / BETTER).max(2e-4).max(stay_m);
     let most = Left {
         m: (FITS * spread(&moments.xyz).max(0.01)).min(better_m),
@@ -141,24 +143,17 @@ pub(super) fn other_reading(
     let is_far =
         as_logged.m > FINE * spread(&moments.xyz) || as_logged.rad.is_some_and(|rad| rad > FAR_RAD);
     let kinds = if is_far { &Kind::ALL[..] } else { &Kind::ALL[..1] };
-    let found = look(joints, stream, std::slice::from_ref(&moments), most, kinds)?;
+    let mut views = views(joints, stream, &moments);
+    views.retain(|view| !turns_only || view.rotation.is_some());
+    let found = look(stream, &[views], most, kinds)?;
     Some(reading(joints.dof, stream, &found, as_logged.m))
 }
 
-/// The simplest way of reading the joints that leaves no more than `most`, if one stands out: by the
-/// poses as they are, inverted, and by the positions alone, each at the moments of one lag after the
-/// other.
-fn look(
-    joints: &JointTrack,
-    stream: &PoseStream,
-    at_lags: &[Moments],
-    most: Left,
-    kinds: &[Kind],
-) -> Option<Found> {
+/// The simplest way of reading the joints that leaves no more than `most`, if one stands out: in the
+/// views at the moments of one lag after the other.
+fn look(stream: &PoseStream, views: &[Vec<View>], most: Left, kinds: &[Kind]) -> Option<Found> {
     /// Lags at which all is tried; at the others only what is simple.
     const LAGS: usize = 2;
-    let views: Vec<Vec<View>> =
-        at_lags.iter().map(|moments| views(joints, stream, moments)).collect();
     let both: &[Freedom] = match stream.reference_known {
         true => &[Freedom::Tool, Freedom::Both],
         false => &[Freedom::Both],
@@ -271,7 +266,7 @@ pub(super) fn lone_zeros(witness: &Witness, lag_s: f64, offsets: &[f64]) -> Vec<
     zeros.into_iter().take(2).map(|(_, joint, zero)| (joint, zero)).collect()
 }
 
-/// The ways in which the poses at `moments` may be taken.
+/// The ways in which the poses at `moments` may be taken: as they are, inverted, and by the positions alone.
 fn views<'a>(joints: &JointTrack, stream: &PoseStream<'a>, moments: &Moments) -> Vec<View<'a>> {
     let chain = stream.chain;
     let span = |&column: &usize| {
