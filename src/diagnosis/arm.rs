@@ -13,7 +13,9 @@ use super::model::{Blind, State, StreamState, Sweep, ToolPart, Witness};
 use super::nominal::{MOST_M, MOST_RAD, is_nominal};
 use super::observability::Observability;
 use super::placing::spread;
-use super::prepare::{Placement, Prepared, as_rotations, prepare, stream_lag_s, stream_peaks};
+use super::prepare::{
+    Placement, Prepared, as_rotations, metres_by_reach, prepare, stream_lag_s, stream_peaks,
+};
 use super::residual::residual;
 use super::{
     Aligned, ArmDiagnosis, AxesSlip, ConstantPart, JointOffset, JointReading, JointScale,
@@ -61,12 +63,15 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
         true => Ok(JointReading::default()),
         false => read_joints(joints, streams, &metres, most_lag_s),
     };
-    let as_said = vec![1.0; streams.len()];
-    if reading.is_err() && metres != as_said {
+    if reading.is_err() {
         // Joints that are read wrongly may feign another unit of the poses.
-        let by_said = read_joints(joints, streams, &as_said, most_lag_s);
-        if by_said.as_ref().is_ok_and(|reading| !reading.is_as_logged()) {
-            (reading, metres) = (by_said, as_said);
+        let others = [vec![1.0; streams.len()], streams.iter().map(metres_by_reach).collect()];
+        for other in others.into_iter().filter(|other| *other != metres) {
+            let by_other = read_joints(joints, streams, &other, most_lag_s);
+            if by_other.as_ref().is_ok_and(|reading| !reading.is_as_logged()) {
+                (reading, metres) = (by_other, other);
+                break;
+            }
         }
     }
     let mut found = by(reading.as_ref().unwrap_or(&as_logged));

@@ -19,6 +19,8 @@ const FINEST_S: f64 = 2e-5;
 const SHARE: f64 = 0.7;
 /// … and by more than this, s.
 const APART_S: f64 = 2e-3;
+/// Another time than that of the stamps is meant where it leaves less than this share.
+const NEARER: f64 = 0.5;
 
 /// When the transforms of a moving frame must be taken for poses that are in it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -68,6 +70,10 @@ pub fn carrier_lag(
         return None;
     }
     let [lag_s, latency_s] = descend([together, together], &|[lag, latency]| cost(lag, latency));
+    if cost(lag_s, latency_s) > NEARER * cost(0.0, 0.0) {
+        // No time puts the arm where the joints do, so that they may be misread: its stamps hold.
+        return Some(CarrierLag { lag_s: 0.0, is_on_time: true });
+    }
     let is_on_time = (lag_s - latency_s).abs() < APART_S || cost(lag_s, latency_s) > SHARE * left;
     Some(CarrierLag { lag_s: if is_on_time { together } else { lag_s }, is_on_time })
 }

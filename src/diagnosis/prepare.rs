@@ -211,6 +211,18 @@ pub(super) fn metres_by_size(joints: &JointTrack, stream: &PoseStream) -> f64 {
     by_size(&at, &xyz, chain.max_reach_m(), read_as_m, reference_known).unwrap_or(1.0)
 }
 
+/// The usual unit in which the positions' extent is most like the arm's reach, as a factor to metres,
+/// whatever the joint states say.
+pub(super) fn metres_by_reach(stream: &PoseStream) -> f64 {
+    /// An arm's tip spreads by about so much of its reach.
+    const SHARE: f64 = 0.3;
+    let track = stream.track;
+    let extent = spread(&track.xyz).max(f64::MIN_POSITIVE);
+    let off = |factor: f64| (extent * factor / (SHARE * stream.chain.max_reach_m())).ln().abs();
+    let usual = LengthScale::usual().map(|unit| unit.in_m() / in_metres(track));
+    usual.chain([1.0]).min_by(|a, b| off(*a).total_cmp(&off(*b))).unwrap_or(1.0)
+}
+
 /// How many metres a number of a stream is as it was read.
 fn in_metres(track: &PoseTrack) -> f64 {
     match &track.declared {
