@@ -15,10 +15,11 @@ use crate::checks::{
 };
 use crate::corrections::{Given, Mending};
 use crate::diagnosis::{
-    ArmDiagnosis, DhEstimate, DhStream, DhTold, ImuDiagnosis, ImuStream, JointOffset, LatencySteps,
-    Left, NoShake, PoseDiagnosis, PoseStream, Reading, Residual, Series, Shake, Unseen, abruptness,
-    beyond_positions, beyond_speed, diagnose_arm, diagnose_derived, diagnose_imu, faults, follows,
-    imu_steps, pose_steps, position_misfit_m, proof, proof_of_imu, shake,
+    ArmDiagnosis, DhEstimate, DhStream, DhTold, ImuDiagnosis, ImuStream, JointOffset, JointReading,
+    LatencySteps, Left, NoShake, PoseDiagnosis, PoseStream, Reading, Residual, Series, Shake,
+    Unseen, abruptness, beyond_positions, beyond_speed, diagnose_arm, diagnose_derived,
+    diagnose_imu, faults, follows, imu_steps, pose_steps, position_misfit_m, proof, proof_of_imu,
+    shake,
 };
 use crate::finding::{Severity, Span, Subject};
 use crate::hand_eye::{hand_eyes, settle_hands};
@@ -369,18 +370,39 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
 /// The diagnosis of an arm's pose streams; where the latency of some is not steady, that of the
 /// streams as they would be if it were, so that no other cause is sought for what it does.
 fn diagnose_steadied(arm: &Arm, streams: &[PoseStream], most_lag_s: f64) -> ArmDiagnosis {
-    let steps: Vec<Option<LatencySteps>> =
-        streams.par_iter().map(|stream| pose_steps(&arm.joints, stream, most_lag_s)).collect();
-    let unstepped: Vec<Option<PoseTrack>> = streams
-        .iter()
-        .zip(&steps)
-        .map(|(stream, steps)| {
+    let steps_by = |joints: &JointTrack| -> Vec<Option<LatencySteps>> {
+        streams.par_iter().map(|stream| pose_steps(joints, stream, most_lag_s)).collect()
+    };
+    let of_steps = |steps: &[Option<LatencySteps>]| -> Vec<Option<PoseTrack>> {
+        let both = streams.iter().zip(steps);
+        both.map(|(stream, steps)| {
             let track = stream.track;
             Some(straightened(track, &steps.as_ref()?.straightened(&track.t_s)))
         })
-        .collect();
+        .collect()
+    };
+    let mut steps = steps_by(&arm.joints);
+    let mut unstepped = of_steps(&steps);
+    let mut found = diagnose_arm(&arm.joints, &with_tracks(streams, &unstepped), most_lag_s);
+    let is_misread = !found.joints.as_ref().is_ok_and(JointReading::is_as_logged);
+    if is_misread && steps.iter().all(Option::is_none) {
+        // Joints that are misread hide steps, and steps hide how they are to be read.
+        let slides = prismatic(arm);
+        let joints = match &found.joints {
+            Ok(_) => found.corrected_joints(&arm.joints, &slides),
+            Err(_) => {
+                let mut joints = arm.joints.clone();
+                joints.take_for_degrees(&slides);
+                joints
+            }
+        };
+        steps = steps_by(&joints);
+        if steps.iter().any(Option::is_some) {
+            unstepped = of_steps(&steps);
+            found = diagnose_arm(&arm.joints, &with_tracks(streams, &unstepped), most_lag_s);
+        }
+    }
     let streams = with_tracks(streams, &unstepped);
-    let found = diagnose_arm(&arm.joints, &streams, most_lag_s);
     let tracks: Vec<Option<PoseTrack>> =
         streams.iter().zip(&found.streams).map(|(stream, found)| steadied(stream, found)).collect();
     let courses: Vec<_> = found

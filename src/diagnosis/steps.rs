@@ -83,7 +83,9 @@ fn steps(pairs: &[(Speed, Speed)], most_lag_s: f64) -> Option<LatencySteps> {
     };
     let (arm, stream, windows) = seen.max_by(|a, b| typical(&a.2).total_cmp(&typical(&b.2)))?;
     let lags = lags(&windows);
-    (lags.len() > 1).then(|| path(arm, stream, &lags)).flatten()
+    let rough = (lags.len() > 1).then(|| path(arm, stream, &lags)).flatten()?;
+    let finer = path(arm, stream, &rough.finer_lags(arm, stream));
+    Some(finer.unwrap_or(rough))
 }
 
 fn windows(arm: &Speed, stream: &Speed, most_lag_s: f64) -> Vec<Window> {
@@ -215,6 +217,32 @@ fn differences(arm: &Speed, stream: &Speed, rows: &[usize], lag_s: f64) -> Vec<f
 }
 
 impl LatencySteps {
+    /// The lags of the levels, each where the speeds differ least as long as it lasts, s.
+    fn finer_lags(&self, arm: &Speed, stream: &Speed) -> Vec<f64> {
+        /// How far they are sought from what a window told, and in which steps, s.
+        const WITHIN_S: f64 = 0.03;
+        const STEP_S: f64 = 1e-3;
+        let ends_s = self.levels.iter().skip(1).map(|level| level.0).chain([f64::INFINITY]);
+        let finer = self.levels.iter().zip(ends_s).map(|(&(from_s, lag_s), end_s)| {
+            let [from, to] =
+                [from_s, end_s].map(|at_s| stream.t_s.partition_point(|t_s| *t_s < at_s));
+            let rows: Vec<usize> =
+                (from..to).step_by((to - from).div_ceil(SAMPLES).max(1)).collect();
+            let cost = |lag_s: f64| differences(arm, stream, &rows, lag_s).iter().sum::<f64>();
+            let steps = (WITHIN_S / STEP_S) as i32;
+            let tried = (-steps..=steps).map(|step| lag_s + STEP_S * f64::from(step));
+            let best_s = tried.map(|lag_s| (cost(lag_s), lag_s)).min_by(|a, b| a.0.total_cmp(&b.0));
+            let Some((least, best_s)) = best_s else { return lag_s };
+            let [before, after] = [best_s - STEP_S, best_s + STEP_S].map(cost);
+            let bend = before - 2.0 * least + after;
+            if bend > 0.0 { best_s + 0.5 * STEP_S * (before - after) / bend } else { best_s }
+        });
+        let mut finer: Vec<f64> = finer.collect();
+        finer.sort_by(f64::total_cmp);
+        finer.dedup_by(|a, b| (*a - *b).abs() < STEP_S);
+        finer
+    }
+
     /// The lag that is kept when the steps are taken off: the least.
     fn kept_s(&self) -> f64 {
         let lags = self.levels.iter().map(|level| level.1);

@@ -17,6 +17,16 @@ pub struct JointTrack {
 }
 
 impl JointTrack {
+    /// Takes the numbers of all joints but those that slide for degrees: makes them radians.
+    pub fn take_for_degrees(&mut self, slides: &[bool]) {
+        for values in [&mut self.q, &mut self.qd] {
+            for row in values.chunks_exact_mut(self.dof.max(1)) {
+                let turning = row.iter_mut().zip(slides).filter(|(_, slides)| !**slides);
+                turning.for_each(|(value, _)| *value = value.to_radians());
+            }
+        }
+    }
+
     /// Number of samples.
     pub fn len(&self) -> usize {
         self.t_s.len()

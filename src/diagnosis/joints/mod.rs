@@ -369,14 +369,7 @@ pub(super) fn corrected(
 ) -> JointTrack {
     let mut track = joints.clone();
     if reading.degrees.is_some() {
-        let dof = track.dof;
-        for values in [&mut track.q, &mut track.qd] {
-            for (i, value) in values.iter_mut().enumerate() {
-                if !prismatic[i % dof] {
-                    *value = value.to_radians();
-                }
-            }
-        }
+        track.take_for_degrees(prismatic);
     }
     if let Some((permutation, _)) = &reading.permutation {
         let named = track.clone();
