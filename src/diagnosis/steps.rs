@@ -109,17 +109,18 @@ fn between(speed: &Speed, from_s: f64, to_s: f64) -> Speed {
     Speed { t_s: speed.t_s[from..to].to_vec(), value: speed.value[from..to].to_vec() }
 }
 
-/// The lags of the windows in which the stream follows, those that are close as one.
+/// The lags of the windows in which the stream follows; of those that are close the one at which it
+/// follows best.
 fn lags(windows: &[Window]) -> Vec<f64> {
-    let mut all: Vec<f64> = windows
-        .iter()
-        .filter(|window| window.correlation >= FOLLOWS)
-        .map(|window| window.lag_s)
-        .collect();
-    all.sort_by(f64::total_cmp);
-    let mut groups: Vec<&[f64]> = all.chunk_by(|a, b| b - a < APART_S).collect();
+    let mut all: Vec<&Window> =
+        windows.iter().filter(|window| window.correlation >= FOLLOWS).collect();
+    all.sort_by(|a, b| a.lag_s.total_cmp(&b.lag_s));
+    let mut groups: Vec<&[&Window]> = all.chunk_by(|a, b| b.lag_s - a.lag_s < APART_S).collect();
     groups.sort_by_key(|group| std::cmp::Reverse(group.len()));
-    groups.into_iter().take(LAGS).map(|group| group[group.len() / 2]).collect()
+    let best = |group: &[&Window]| {
+        group.iter().max_by(|a, b| a.correlation.total_cmp(&b.correlation)).map(|best| best.lag_s)
+    };
+    groups.into_iter().take(LAGS).filter_map(best).collect()
 }
 
 /// Which of `lags` the stream has when.
@@ -171,20 +172,24 @@ fn path(arm: &Speed, stream: &Speed, lags: &[f64]) -> Option<LatencySteps> {
         levels.iter().zip(&ends).filter(|both| lasts(*both)).map(|(level, _)| *level).collect();
     kept.dedup_by_key(|level| level.1);
     kept.first_mut()?.0 = f64::NEG_INFINITY;
-    let with: f64 = (0..rows.len())
-        .map(|row| {
+    let levels: Vec<(f64, f64)> = kept.iter().map(|(from_s, lag)| (*from_s, lags[*lag])).collect();
+    let steps = LatencySteps { levels };
+    let clear: Vec<usize> =
+        (0..rows.len()).filter(|&row| steps.is_clear(stream.t_s[rows[row]])).collect();
+    let with: f64 = clear
+        .iter()
+        .map(|&row| {
             let level = kept.partition_point(|level| level.0 <= stream.t_s[rows[row]]) - 1;
             at(row, kept[level].1)
         })
         .sum();
-    let alone = (0..lags.len()).map(|lag| costs[lag].iter().sum::<f64>());
+    let alone = (0..lags.len()).map(|lag| clear.iter().map(|&row| at(row, lag)).sum::<f64>());
     let alone = alone.fold(f64::INFINITY, f64::min);
-    let levels: Vec<(f64, f64)> = kept.iter().map(|(from_s, lag)| (*from_s, lags[*lag])).collect();
-    let values = || rows.iter().map(|&row| stream.value[row]);
-    let mean = values().sum::<f64>() / rows.len() as f64;
+    let values = || clear.iter().map(|&row| stream.value[rows[row]]);
+    let mean = values().sum::<f64>() / clear.len().max(1) as f64;
     let spread: f64 = values().map(|value| (value - mean).powi(2)).sum();
     let explains = with < (LEFT * alone).min(MISFIT * spread);
-    (levels.len() > 1 && explains).then_some(LatencySteps { levels })
+    (steps.levels.len() > 1 && explains).then_some(steps)
 }
 
 /// The squares of what the stream's speed differs from the arm's at a lag; 0 where that is not known.
@@ -254,11 +259,18 @@ impl LatencySteps {
         self.levels[after.saturating_sub(1)].1 - self.kept_s()
     }
 
-    /// The stamps `t_s` as they would be without the steps, each with its row; rows that would then come
-    /// before an earlier one are left out.
+    /// Whether a stamp is so far from all steps that it is of one level for sure: about a step back stand
+    /// samples of before and after it.
+    fn is_clear(&self, t_s: f64) -> bool {
+        let mut steps = self.levels.windows(2);
+        steps.all(|both| (t_s - both[1].0).abs() > (both[1].1 - both[0].1).abs())
+    }
+
+    /// The stamps `t_s` as they would be without the steps, each with its row; rows beside a step, and
+    /// those that would then come before an earlier one, are left out.
     pub fn straightened(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
         let mut kept: Vec<(usize, f64)> = Vec::with_capacity(t_s.len());
-        for (row, t_s) in t_s.iter().enumerate() {
+        for (row, t_s) in t_s.iter().enumerate().filter(|(_, t_s)| self.is_clear(**t_s)) {
             let straight_s = t_s - self.beyond_s(*t_s);
             if kept.last().is_none_or(|(_, before_s)| straight_s > *before_s) {
                 kept.push((row, straight_s));
