@@ -231,8 +231,10 @@ impl LatencySteps {
         let finer = self.levels.iter().zip(ends_s).map(|(&(from_s, lag_s), end_s)| {
             let [from, to] =
                 [from_s, end_s].map(|at_s| stream.t_s.partition_point(|t_s| *t_s < at_s));
-            let rows: Vec<usize> =
-                (from..to).step_by((to - from).div_ceil(SAMPLES).max(1)).collect();
+            let clear: Vec<usize> =
+                (from..to).filter(|&row| self.is_clear(stream.t_s[row])).collect();
+            let stride = clear.len().div_ceil(SAMPLES).max(1);
+            let rows: Vec<usize> = clear.into_iter().step_by(stride).collect();
             let cost = |lag_s: f64| differences(arm, stream, &rows, lag_s).iter().sum::<f64>();
             let steps = (WITHIN_S / STEP_S) as i32;
             let tried = (-steps..=steps).map(|step| lag_s + STEP_S * f64::from(step));
