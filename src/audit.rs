@@ -882,12 +882,11 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, options: &Options) -> A
         shake: shake_of_joints(arm, &samples, &track),
     }];
     shakes.extend(arm.poses.iter().zip(&diagnosis.arm.streams).map(|(source, found)| {
-        let PoseTrack { t_s, xyz, .. } = &source.track;
         ShakeFacts {
             topic: run.streams[source.stream].topic.clone(),
             span: span_of(run, source.stream).unwrap_or(whole),
             in_other_units: matches!(found.length, Ok(Some(_))),
-            shake: shake(t_s, |row| xyz[row]),
+            shake: shake_of_poses(&source.track, found),
         }
     }));
     let poses = arm.poses.iter().zip(&diagnosis.arm.streams).map(|(source, found)| PoseFacts {
@@ -936,6 +935,17 @@ fn mending(arm: &Arm, found: &ArmDiagnosis) -> Option<JointMending> {
     }
     reading.slips.iter().for_each(|slip| mending.factor[slip.column] *= slip.factor);
     Some(mending)
+}
+
+/// The shake of the tip by a stream of poses, but for where its clock steps: the path does, too.
+fn shake_of_poses(track: &PoseTrack, found: &PoseDiagnosis) -> Result<Shake, NoShake> {
+    /// Rows so near to a step are left out, s.
+    const BESIDE_S: f64 = 0.1;
+    let jumps = found.course.as_ref().map_or(&[][..], |course| course.jumps.as_slice());
+    let is_clear = |t_s: f64| jumps.iter().all(|jump| (jump.at_s - t_s).abs() > BESIDE_S);
+    let rows: Vec<usize> = (0..track.t_s.len()).filter(|&row| is_clear(track.t_s[row])).collect();
+    let t_s: Vec<f64> = rows.iter().map(|&row| track.t_s[row]).collect();
+    shake(&t_s, |row| track.xyz[rows[row]])
 }
 
 /// The shake of the tip by the joint states as they are, or where the joints do not share their stamps

@@ -30,7 +30,9 @@ rule! {
     /// ## When it misleads
     /// Less than 25 samples a second show nothing of it, and what shakes faster than half the rate
     /// shows at another frequency. Tools that vibrate by design, such as a sander, do so. A stop hard
-    /// enough for MOT002 shakes for a moment, which is less than is looked at.
+    /// enough for MOT002 shakes for a moment, which is less than is looked at. A single step of the
+    /// path, as of a tool that slips, is taken off, and where the latency jumps (LAT003) nothing is
+    /// looked at.
     MOT001 {
         name: "shake",
         grade: Grade::From(&[FIGURE]),
