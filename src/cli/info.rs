@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use comfy_table::{CellAlignment, Table};
 use poseaudit::log::ReadOptions;
+use poseaudit::places::Places;
 use poseaudit::report::{LogSummary, Report, StreamRow, Trouble};
 use poseaudit::time::seconds;
 
@@ -24,6 +25,7 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
+    Places::only_read(&args.logs)?;
     let report = watched(|progress| {
         poseaudit::info(&args.logs, &ReadOptions { progress: Some(&progress), verify: false })
     })?;

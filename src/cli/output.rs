@@ -20,6 +20,9 @@ pub enum Format {
     Json,
 }
 
+/// The option that names the file for an answer.
+pub const OUTPUT: &str = "--output";
+
 const ERROR: Style = AnsiColor::Red.on_default().bold();
 
 /// One line on stderr that says what is wrong.

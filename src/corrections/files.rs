@@ -12,20 +12,48 @@ use super::collect::{
 };
 use super::file::JointCorrection;
 use super::frames::in_xml;
+use crate::places::Places;
 use crate::report::write_whole;
 
 /// The file that says what the others are.
 const INDEX: &str = "corrections.md";
 
+/// All files but those of the models.
+pub(crate) const FIX_FILES: [&str; 7] =
+    [INDEX, CORRECTIONS, OFFSETS, LATENCIES, CONVENTIONS, TRANSFORMS, JOINTS];
+
+/// The files that a patched copy of the model at `source` may be, and the patch.
+pub(crate) fn model_files(source: &Path) -> [String; 4] {
+    let stem = model_stem(source);
+    ["urdf", "toml", "urdf.patch", "toml.patch"].map(|ending| format!("{stem}.{ending}"))
+}
+
+/// A text as a part of a name.
+pub(super) fn slug(text: &str) -> String {
+    let plain = text.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' });
+    plain.collect::<String>().trim_matches('_').to_owned()
+}
+
+/// What the name of a patched model begins with: that of its source, where it has one.
+pub(super) fn model_stem(source: &Path) -> String {
+    let stem = slug(source.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default());
+    if stem.is_empty() || stem == "corrections" { "robot".to_owned() } else { stem }
+}
+
 impl Mending {
     /// Writes all files into `folder`, which is made, each whole.
     ///
     /// # Errors
-    /// Where one cannot be written; with its path.
-    pub(crate) fn write(&self, folder: &Path) -> Result<(), (String, io::Error)> {
+    /// Where one cannot be written, or was read for this audit; with its path.
+    pub(crate) fn write(&self, folder: &Path, read: &Places) -> Result<(), (String, io::Error)> {
         fs::create_dir_all(folder).map_err(|error| (folder.display().to_string(), error))?;
         for (name, text) in self.files() {
             let path = folder.join(name);
+            // What a model is called that the log holds is not known before the log is read.
+            if let Some(what) = read.read_at(&path) {
+                let error = io::Error::other(format!("it is {what}, which would be lost"));
+                return Err((path.display().to_string(), error));
+            }
             write_whole(&path, |staged| fs::write(staged, &text))
                 .map_err(|error| (path.display().to_string(), error))?;
         }

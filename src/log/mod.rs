@@ -242,6 +242,12 @@ pub enum Extent {
     Messages,
 }
 
+/// The local file that `path` names, itself or as a `file://` URL; `None` for an object in a store.
+pub(crate) fn local(path: &Path) -> Option<PathBuf> {
+    let is_url = remote::is_url(path);
+    (!is_url).then(|| remote::local(path).unwrap_or_else(|| path.to_owned()))
+}
+
 /// How much of a file's beginning [`looks_like_log`] wants to see, in bytes.
 pub const HEAD_BYTES: u64 = 4096;
 

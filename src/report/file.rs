@@ -2,19 +2,22 @@ use std::fs::{self, Permissions};
 use std::io;
 use std::path::Path;
 
+use crate::places::{is_descriptor, replaceable};
+
 /// Has `write` fill the file that it is given, which takes its place at `path` once it is whole: who
 /// interrupts it finds there what was there before. The folders of `path` are made; what is no
-/// regular file, such as a pipe, is written to directly.
+/// regular file, such as a pipe, is written to directly. A link stays, and what it leads to in its own
+/// folder is replaced.
 ///
 /// # Errors
-/// What `write` returns, or if no file can be made there.
+/// What `write` returns, or if no file can be made there: where a link leads out of its folder, and where
+/// the file that is there is read-only, nothing is.
 pub fn write_whole<E: From<io::Error>>(
     path: &Path,
     write: impl FnOnce(&Path) -> Result<(), E>,
 ) -> Result<(), E> {
-    // A link stays, and what it leads to is replaced.
-    let path = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-    if path.exists() && !path.is_file() {
+    let path = replaceable(path)?;
+    if path.exists() && (!path.is_file() || is_descriptor(&path)) {
         return write(&path);
     }
     let folder = match path.parent() {
@@ -24,7 +27,9 @@ pub fn write_whole<E: From<io::Error>>(
     fs::create_dir_all(folder)?;
     let mut beside = tempfile::Builder::new();
     beside.prefix(".poseaudit-");
-    if let Some(permissions) = permissions() {
+    // Who may not read the old one may not read the new one.
+    let of_old = fs::metadata(&path).map(|metadata| metadata.permissions()).ok();
+    if let Some(permissions) = of_old.or_else(permissions) {
         beside.permissions(permissions);
     }
     let staged = beside.tempfile_in(folder)?.into_temp_path();
@@ -75,8 +80,32 @@ mod tests {
         write_whole(&link, |staged| fs::write(staged, "new")).unwrap();
         assert!(link.is_symlink());
         assert_eq!(fs::read_to_string(&file).unwrap(), "new");
-        let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode();
+        let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode() & 0o777;
         assert_eq!(mode(&file), mode(&plain));
+        fs::set_permissions(&file, Permissions::from_mode(0o600)).unwrap();
+        write_whole(&link, |staged| fs::write(staged, "newer")).unwrap();
+        assert_eq!(mode(&file), 0o600);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn neither_what_a_link_leads_to_elsewhere_nor_what_is_read_only_is_replaced() {
+        use std::os::unix::fs::{PermissionsExt, symlink};
+        let folder = tempfile::tempdir().unwrap();
+        let [file, link] = ["file", "other/link"].map(|name| folder.path().join(name));
+        fs::create_dir(link.parent().unwrap()).unwrap();
+        fs::write(&file, "old").unwrap();
+        symlink(&file, &link).unwrap();
+        let refused = |path: &Path| {
+            let error: io::Error =
+                write_whole(path, |staged| fs::write(staged, "new")).unwrap_err();
+            assert_eq!(fs::read_to_string(&file).unwrap(), "old");
+            error.to_string()
+        };
+        assert!(refused(&link).starts_with("it is a link out of its folder, to /"));
+        fs::set_permissions(&file, Permissions::from_mode(0o444)).unwrap();
+        assert_eq!(refused(&file), "the file there is read-only");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
     }
 
     #[cfg(unix)]
