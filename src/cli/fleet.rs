@@ -14,6 +14,7 @@ use poseaudit::fleet::{
     AuditSettings, Call, Identity, Limits, Outcomes, Source, Store, Template, memory_bytes,
     pending, run as audit_all, serve, sources,
 };
+use poseaudit::log::{SourceName, is_url};
 use poseaudit::places::Places;
 use poseaudit::report::Trouble;
 use serde::Serialize;
@@ -203,7 +204,11 @@ fn list_pending(
     };
     output::emit(args.output.as_deref(), |to| {
         for source in &left {
-            to.write_all(source.path.as_os_str().as_encoded_bytes())?;
+            match is_url(&source.path) {
+                true => write!(to, "{}", SourceName::of(&source.path))?,
+                // Whatever bytes it has.
+                false => to.write_all(source.path.as_os_str().as_encoded_bytes())?,
+            }
             writeln!(to)?;
         }
         Ok(())

@@ -1,7 +1,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::{Log, RemoteFault};
+use super::{Log, RemoteFault, SourceName};
 
 /// What can be read.
 const EXPECTED: &str = "an MCAP file, a ROS 1 bag, a rosbag2 bag or an RTDE CSV";
@@ -10,7 +10,7 @@ const EXPECTED: &str = "an MCAP file, a ROS 1 bag, a rosbag2 bag or an RTDE CSV"
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
     /// There is no such file.
-    #[error("{}: no such file", path.display())]
+    #[error("{}: no such file", SourceName::of(path))]
     NotFound {
         /// The path as given.
         path: PathBuf,

@@ -15,6 +15,7 @@ mod files;
 mod intake;
 mod losses;
 mod mcap;
+mod name;
 mod progress;
 mod ranges;
 mod remote;
@@ -45,8 +46,9 @@ use crate::stream::Columns;
 use crate::time::Stamp;
 
 pub use self::error::LogError;
+pub use self::name::SourceName;
 pub use self::progress::Progress;
-pub use self::remote::{Listed, RemoteFault, is_url, list};
+pub use self::remote::{Listed, RemoteFault, is_url, list, normal};
 
 /// How to read.
 #[derive(Clone, Copy, Debug, Default)]

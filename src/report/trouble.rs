@@ -1,6 +1,6 @@
 use serde::Serialize;
 
-use crate::log::LogError;
+use crate::log::{LogError, SourceName};
 use crate::run::RunError;
 
 /// Why a call or a log cannot be worked with: one line, and what to do.
@@ -92,6 +92,7 @@ impl From<LogError> for Trouble {
             }
             LogError::Remote { url, fault } => (url, fault.to_string(), fault.remedy()),
         };
-        Trouble { kind, what, place: path.display().to_string(), remedy: remedy.to_owned() }
+        let (place, remedy) = (SourceName::of(&path).to_string(), remedy.to_owned());
+        Trouble { kind, what, place, remedy }
     }
 }

@@ -28,6 +28,8 @@ pub struct Manners {
     pub wholes: bool,
     /// Requests need no signature.
     pub public: bool,
+    /// Requests need this user and password, as they stand in a header.
+    pub login: Option<&'static str>,
     /// From so many requests on the objects are others than before; 0: never.
     pub changes: usize,
 }
@@ -154,6 +156,9 @@ impl Shared {
         if !self.manners.public && !request.authorization.contains(&format!("Credential={KEY_ID}/"))
         {
             return refuse("403 Forbidden", "InvalidAccessKeyId");
+        }
+        if self.manners.login.is_some_and(|login| request.authorization != login) {
+            return refuse("401 Unauthorized", "NoLogin");
         }
         if bucket != BUCKET {
             return refuse("404 Not Found", "NoSuchBucket");

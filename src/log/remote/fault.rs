@@ -122,15 +122,17 @@ impl RemoteFault {
             Self::NoBucket => "see whether the bucket is spelt right, and its region and endpoint",
             Self::NoCredentials { store, .. } => match store {
                 Store::S3 => {
-                    "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AWS_SKIP_SIGNATURE=true \
-                     for a public bucket"
+                    "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, AWS_SKIP_SIGNATURE=true for a \
+                     public bucket, or POSEAUDIT_METADATA_SERVICE=true to ask the machine"
                 }
                 Store::Google => {
-                    "set GOOGLE_SERVICE_ACCOUNT, or GOOGLE_SKIP_SIGNATURE=true for a public bucket"
+                    "set GOOGLE_SERVICE_ACCOUNT, GOOGLE_SKIP_SIGNATURE=true for a public bucket, or \
+                     POSEAUDIT_METADATA_SERVICE=true to ask the machine"
                 }
                 Store::Azure => {
-                    "set AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY, or \
-                     AZURE_SKIP_SIGNATURE=true for a public container"
+                    "set AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY, \
+                     AZURE_SKIP_SIGNATURE=true for a public container, or \
+                     POSEAUDIT_METADATA_SERVICE=true to ask the machine"
                 }
                 Store::Web => "name a URL that is signed",
             },
