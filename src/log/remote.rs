@@ -14,6 +14,8 @@ mod listing;
 #[cfg(feature = "cloud")]
 mod named;
 #[cfg(feature = "cloud")]
+mod patience;
+#[cfg(feature = "cloud")]
 mod store;
 
 use std::fmt;

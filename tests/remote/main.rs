@@ -11,6 +11,7 @@ use std::path::Path;
 use std::process::{Command, Output};
 use std::sync::LazyLock;
 use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
 
 use mcap::records::MessageHeader;
 use mcap::{Compression, MessageStream, WriteOptions};
@@ -272,6 +273,34 @@ fn the_machine_is_asked_for_credentials_only_where_a_setting_says_so() {
     assert_eq!(server.counts().requests.load(Ordering::Relaxed), 0);
     said(&s3("run.mcap"), "true");
     assert!(server.counts().requests.load(Ordering::Relaxed) > 0);
+}
+
+#[test]
+fn a_server_that_sends_next_to_nothing_is_given_up() {
+    let servers = [
+        Manners { trickle_ms: 300, public: true, ..Manners::default() },
+        Manners { trickle_ms: 300, wholes: true, public: true, ..Manners::default() },
+        Manners { silent: true, public: true, ..Manners::default() },
+    ];
+    for manners in servers {
+        let server = Server::of(&[("run.mcap", &OPEN)], manners);
+        let url = format!("{}/{BUCKET}/run.mcap", server.endpoint());
+        let mut command = command(&server, &["audit", &url]);
+        command.env("POSEAUDIT_PATIENCE", "3").env("POSEAUDIT_LEAST_RATE", "100");
+        let begin = Instant::now();
+        let output = command.output().expect("the binary runs");
+        let line = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(3), "{manners:?}: {line}");
+        let said = " bytes came in 3 s, and 100 a second are asked for; try again, or set ";
+        assert!(line.contains(said) && line.lines().count() == 1, "{manners:?}: {line}");
+        assert!(begin.elapsed() < Duration::from_secs(20), "{manners:?}");
+    }
+    let server = Server::of(&[("run.mcap", &OPEN)], Manners::default());
+    let mut command = command(&server, &["audit", "https://host/run.mcap"]);
+    let output = command.env("POSEAUDIT_LEAST_RATE", "1 kB").output().expect("the binary runs");
+    let line = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{line}");
+    assert!(line.contains("POSEAUDIT_LEAST_RATE is `1 kB`, which is no whole number"), "{line}");
 }
 
 #[test]

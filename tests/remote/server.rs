@@ -8,6 +8,7 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread;
+use std::time::Duration;
 
 /// The one bucket that there is.
 pub const BUCKET: &str = "logs";
@@ -30,6 +31,10 @@ pub struct Manners {
     pub public: bool,
     /// Requests need this user and password, as they stand in a header.
     pub login: Option<&'static str>,
+    /// Answers come by a byte each so often, ms; 0: at once.
+    pub trickle_ms: u64,
+    /// No request is answered.
+    pub silent: bool,
     /// From so many requests on the objects are others than before; 0: never.
     pub changes: usize,
 }
@@ -136,6 +141,9 @@ impl Shared {
     fn answer(&self, mut connection: TcpStream) -> Option<()> {
         let request = Request::read(&connection)?;
         let _turn = self.turn.lock().ok()?;
+        while self.manners.silent {
+            thread::sleep(Duration::from_secs(1));
+        }
         let number = 1 + self.counts.requests.fetch_add(1, Ordering::Relaxed);
         let mut refuse = |status: &str, code: &str| {
             let body =
@@ -198,6 +206,12 @@ impl Shared {
             part = &part[..part.len() / 2];
         }
         self.counts.bytes.fetch_add(part.len(), Ordering::Relaxed);
+        if self.manners.trickle_ms > 0 {
+            for byte in part.chunks(1) {
+                connection.write_all(byte).ok()?;
+                thread::sleep(Duration::from_millis(self.manners.trickle_ms));
+            }
+        }
         connection.write_all(part).ok()?;
         connection.shutdown(Shutdown::Write).ok()
     }

@@ -54,6 +54,16 @@ pub enum RemoteFault {
         /// How long was waited.
         seconds: u64,
     },
+    /// Too little came for a time.
+    #[error("{bytes} bytes came in {seconds} s, and {rate} a second are asked for")]
+    Slow {
+        /// How much.
+        bytes: usize,
+        /// In how long.
+        seconds: u64,
+        /// How much is asked for, bytes a second.
+        rate: usize,
+    },
     /// The connection broke off whenever the rest was asked for.
     #[error(
         "the connection broke off at byte {byte}, and again when the rest was asked for: {cause}"
@@ -150,6 +160,10 @@ impl RemoteFault {
             },
             Self::Unreachable { .. } => {
                 "check the network, and AWS_ENDPOINT_URL or the host's name"
+            }
+            Self::Slow { .. } => {
+                "try again, or set POSEAUDIT_LEAST_RATE to fewer bytes a second, or POSEAUDIT_PATIENCE \
+                 to more seconds"
             }
             Self::Silent { .. } | Self::BrokenOff { .. } => "try again, or download the log first",
             Self::Changed => "try again when nobody writes it",

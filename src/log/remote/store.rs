@@ -1,5 +1,7 @@
 //! From a URL to the client of its store. Credentials and endpoints come from the environment.
 
+use std::cell::Cell;
+use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -32,6 +34,8 @@ pub(super) struct Source {
     pub(super) store: Store,
     /// The URL up to the key.
     pub(super) root: String,
+    /// Bytes that came, for who watches whether any do.
+    pub(super) came: Rc<Cell<usize>>,
 }
 
 impl Source {
@@ -114,7 +118,7 @@ impl Source {
             }
         };
         let client = client.map_err(|error| invalid(cause::deepest(&error)))?;
-        Ok(Self { client, key, store, root })
+        Ok(Self { client, key, store, root, came: Rc::default() })
     }
 }
 
