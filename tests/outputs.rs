@@ -5,9 +5,9 @@
 use std::collections::BTreeMap;
 use std::fs::{self, Permissions};
 use std::os::unix::fs::{PermissionsExt, symlink};
-use std::os::unix::process::CommandExt;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 
 use tempfile::TempDir;
 
@@ -357,5 +357,65 @@ fn a_disk_without_room_and_a_folder_that_takes_no_file_cost_nothing() {
         let output = poseaudit(folder.path(), &call).output().expect("the binary runs");
         assert_refused(&output, "/proc/none", &call);
         assert_eq!(content(folder.path()), before, "{call:?}");
+    }
+}
+
+#[test]
+fn what_ends_a_call_leaves_no_file_that_is_not_whole() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/faulty.mcap");
+    fs::write(folder.path().join("run.rrd"), "as it was").expect("a file");
+    let names = || {
+        let entries = fs::read_dir(folder.path()).expect("a folder");
+        entries.map(|entry| entry.expect("an entry").file_name()).collect::<Vec<_>>()
+    };
+    for signal in [libc::SIGINT, libc::SIGTERM] {
+        let call = ["audit", &log.display().to_string(), "--rrd", "run.rrd"].map(str::to_owned);
+        // A call may be done before it is seen to write.
+        let interrupted = (0..20).find_map(|_| {
+            let mut command = poseaudit(folder.path(), &call);
+            let mut child = command.stdout(Stdio::null()).spawn().expect("the binary runs");
+            let pid = i32::try_from(child.id()).expect("a process");
+            let mut status = None;
+            while status.is_none() && names().len() < 2 {
+                status = child.try_wait().expect("a child");
+            }
+            // SAFETY: the process is this one's child and not waited for yet.
+            let sent = status.is_none() && unsafe { libc::kill(pid, signal) } == 0;
+            let status = child.wait().expect("a child");
+            (sent && status.signal().is_some()).then_some(status)
+        });
+        assert_eq!(interrupted.and_then(|status| status.signal()), Some(signal));
+        assert_eq!(names(), ["run.rrd"]);
+    }
+}
+
+#[test]
+fn the_same_log_makes_the_same_recording() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/faulty.mcap");
+    let recordings = ["a.rrd", "b.rrd"].map(|name| {
+        let call = ["audit", &log.display().to_string(), "--rrd", name].map(str::to_owned);
+        let output = poseaudit(folder.path(), &call).output().expect("the binary runs");
+        assert_eq!(output.status.code(), Some(1));
+        fs::read(folder.path().join(name)).expect("a recording")
+    });
+    assert!(recordings[0].len() > 100_000 && recordings[0] == recordings[1]);
+}
+
+#[test]
+fn a_temporary_folder_that_takes_no_file_is_named() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/base.mcap"));
+    let packed = zstd::bulk::compress(&log.expect("the fixture"), 1).expect("memory");
+    fs::write(folder.path().join("run.mcap.zst"), packed).expect("a file");
+    for call in ["audit run.mcap.zst", "info run.mcap.zst", "fleet run.mcap.zst --out results"] {
+        for place in ["/none", "/dev/null"] {
+            let call = args(call, "");
+            let output = poseaudit(folder.path(), &call).env("TMPDIR", place).output();
+            let output = output.expect("the binary runs");
+            assert_refused(&output, &format!(" in {place}: "), &call);
+            assert_refused(&output, "let TMPDIR name another folder", &call);
+        }
     }
 }

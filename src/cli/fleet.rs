@@ -202,7 +202,7 @@ fn list_pending(
         Some(store) => pending(sources, &store, &settings, args.identity.into(), args.retry)?,
         None => sources,
     };
-    output::emit(args.output.as_deref(), |to| {
+    output::exactly(args.output.as_deref(), |to| {
         for source in &left {
             match is_url(&source.path) {
                 true => write!(to, "{}", SourceName::of(&source.path))?,

@@ -13,7 +13,8 @@ use super::collect::{
 use super::file::JointCorrection;
 use super::frames::in_xml;
 use crate::places::Places;
-use crate::report::write_whole;
+use crate::report::markdown::prose;
+use crate::report::{quoted, tame, write_whole};
 
 /// The file that says what the others are.
 const INDEX: &str = "corrections.md";
@@ -92,6 +93,7 @@ impl Mending {
             text += "| finding | what is wrong | in |\n|---|---|---|\n";
             for mended in &self.mended {
                 let Mended { finding, what, .. } = mended;
+                let (finding, what) = (prose(finding), prose(what));
                 let _ =
                     writeln!(text, "| {finding} | {what} | {} |", self.names(mended).join(", "));
             }
@@ -99,7 +101,7 @@ impl Mending {
         if !self.open.is_empty() {
             text += "\n## Not in these files\n\n";
             for left in &self.open {
-                let _ = writeln!(text, "- {}: {}", left.finding, left.why);
+                let _ = writeln!(text, "- {}: {}", prose(&left.finding), prose(&left.why));
             }
         }
         text += "\n## The files\n\n";
@@ -116,6 +118,7 @@ impl Mending {
                      was published with is the model before the patch, which FRM001 will say.\n";
         }
         for why in &self.unpatched {
+            let why = prose(why);
             let _ = writeln!(text, "\nNo patched model of {why}. `{OFFSETS}` holds the offsets.");
         }
         text
@@ -223,7 +226,8 @@ topics:
                         after it.\n"
                 .to_owned();
         for coded in &self.codes {
-            let _ = writeln!(text, "\n## {}\n\n{}; {}\n", coded.finding, coded.what, coded.names);
+            let [finding, what] = [&coded.finding, &coded.what].map(|text| prose(text));
+            let _ = writeln!(text, "\n## {finding}\n\n{what}; {}\n", coded.names);
             for (library, line) in coded.lines.iter().flat_map(|lines| lines.named()) {
                 let _ = writeln!(text, "- {library}: `{line}`");
             }
@@ -239,7 +243,7 @@ topics:
             "#!/bin/sh\n# Frames that do not move, for tf2_ros; one process each.\n".to_owned();
         for frame in &self.frames {
             let comment = format!("{}: {}", frame.finding, frame.comment);
-            let comment = comment.replace(char::is_control, " ");
+            let comment = tame(&comment);
             let _ = write!(text, "\n# {comment}\n{} &\n", frame.command());
         }
         text += "\nwait\n";
@@ -266,9 +270,4 @@ fn push_interval(text: &mut String, key: &str, ci95: Option<[f64; 2]>) {
     if let Some([low, high]) = ci95 {
         let _ = writeln!(text, "    {key}: [{low}, {high}]");
     }
-}
-
-/// A text as a key or a value of YAML.
-fn quoted(text: &str) -> String {
-    serde_json::Value::from(text).to_string()
 }

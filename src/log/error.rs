@@ -75,6 +75,14 @@ pub enum LogError {
         /// What its first bytes look like.
         looks: &'static str,
     },
+    /// What is unpacked cannot be kept in a temporary file.
+    #[error("{}: cannot be kept in {}: {source}", path.display(), std::env::temp_dir().display())]
+    Temporary {
+        /// The path as given.
+        path: PathBuf,
+        /// What the operating system said.
+        source: io::Error,
+    },
     /// An object in a store cannot be read.
     #[error("{}: {}; {}", url.display(), fault, fault.remedy())]
     Remote {

@@ -366,7 +366,7 @@ impl Reading<'_> {
         let options = self.options;
         let (Unpacked { file, path }, end) =
             unpack::file(archive, &mut self.intake.allowance, |offset| options.at(offset))
-                .map_err(|source| LogError::io(self.path, source))?;
+                .map_err(|source| LogError::Temporary { path: self.path.to_owned(), source })?;
         if let Err(error) = end {
             self.losses.add_unplaced(Extent::Tail, None, error.to_string());
         }

@@ -182,6 +182,7 @@ impl RemoteFault {
                 | Self::Address { .. }
                 | Self::NoObject
                 | Self::NoBucket
+                | Self::Disk { .. }
         )
     }
 }
