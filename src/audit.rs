@@ -25,6 +25,7 @@ use crate::finding::{Severity, Span, Subject};
 use crate::hand_eye::{hand_eyes, settle_hands};
 use crate::log::{Log, Loss, Progress};
 use crate::pictures::figures;
+use crate::places::Places;
 use crate::references::references;
 use crate::replay::Recording;
 use crate::report::{
@@ -42,8 +43,8 @@ use crate::stream::{
     Columns, DeclaredUnits, ImuTrack, JointColumn, JointTrack, Orientations, PoseTrack,
 };
 use crate::tables::{
-    TableError, aligned_frames, checks_frame, findings_frame, joints_frame, reach_map_frame,
-    reached_poses_frame, write_table,
+    TABLE_FILES, TableError, aligned_frames, checks_frame, findings_frame, joints_frame,
+    reach_map_frame, reached_poses_frame, write_table,
 };
 use crate::time::Clock;
 use crate::workspace::{coverage, reached};
@@ -1105,10 +1106,10 @@ impl Audits {
     }
 
     /// Writes what mends the findings of `report`, which is on these, into `folder`.
-    pub fn write_fixes(&self, report: &Report, folder: &Path) -> Result<(), Trouble> {
+    pub fn write_fixes(&self, report: &Report, of: &Options, folder: &Path) -> Result<(), Trouble> {
         let Audited { run, facts, .. } = self.main();
         let mending = Mending::of(report, run, facts, self.main);
-        mending.write(folder).map_err(|(place, error)| Trouble {
+        mending.write(folder, &Places::of(of)).map_err(|(place, error)| Trouble {
             kind: TroubleKind::Call,
             what: format!("cannot be written: {error}"),
             place,
@@ -1285,14 +1286,14 @@ pub(crate) fn write_tables(
     });
     let arms = reached(run, &report.checks);
     let frames = [
-        ("findings", findings_frame(&report.findings)),
-        ("checks", checks_frame(&report.checks)),
-        ("joints", joints_frame(&report.workspace)),
-        ("aligned", aligned_frames(streams, run.origin)),
-        ("reach_map", reach_map_frame(&arms)),
-        ("reached_poses", reached_poses_frame(&arms, run.origin)),
+        findings_frame(&report.findings),
+        checks_frame(&report.checks),
+        joints_frame(&report.workspace),
+        aligned_frames(streams, run.origin),
+        reach_map_frame(&arms),
+        reached_poses_frame(&arms, run.origin),
     ];
-    for (name, frame) in frames {
+    for (name, frame) in TABLE_FILES.into_iter().zip(frames) {
         let mut frame = frame.map_err(|error| trouble(error.to_string()))?;
         write_table(folder, name, &mut frame).map_err(|TableError { path, cause }| Trouble {
             place: path.display().to_string(),

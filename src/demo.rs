@@ -1,13 +1,17 @@
 //! The demo: a log with four faults planted together, audited, and held against what was planted.
 
-use std::fs::{self, File};
+use std::error::Error;
+use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;
 
 use crate::audit::Options;
 use crate::finding::{Estimate, Finding};
-use crate::report::{Report, Trouble, TroubleKind};
+use crate::report::{Report, Trouble, TroubleKind, write_whole};
 use crate::synth;
+
+/// The file that the log of the demo is written to.
+pub const DEMO_LOG: &str = "demo.mcap";
 
 /// A demo run: what was planted, and what the audit made of it.
 #[derive(Clone, Debug)]
@@ -27,15 +31,15 @@ pub struct Planted {
     pub recovered: bool,
 }
 
-/// Writes a faulty log of a UR5e into `dir` as `demo.mcap`, and audits it.
+/// Writes a faulty log of a UR5e into `dir` as [`DEMO_LOG`], and audits it.
 ///
 /// # Errors
 /// Where the log cannot be written, or the audit has trouble with it.
 pub fn demo(dir: &Path) -> Result<Demo, Trouble> {
-    let log = dir.join("demo.mcap");
-    write(dir, &log).map_err(|error| Trouble {
+    let log = dir.join(DEMO_LOG);
+    write(&log).map_err(|error| Trouble {
         kind: TroubleKind::Call,
-        what: error.to_string(),
+        what: cause(&*error).to_string(),
         place: log.display().to_string(),
         remedy: "name a folder that can be written to".to_owned(),
     })?;
@@ -44,11 +48,17 @@ pub fn demo(dir: &Path) -> Result<Demo, Trouble> {
     Ok(Demo { report, planted })
 }
 
-fn write(dir: &Path, log: &Path) -> Result<(), Box<dyn std::error::Error>> {
-    fs::create_dir_all(dir)?;
-    let out = BufWriter::new(File::create(log)?);
-    synth::demo().write_mcap(out, Some(mcap::Compression::Zstd))?;
-    Ok(())
+fn write(log: &Path) -> Result<(), Box<dyn Error>> {
+    write_whole(log, |staged| {
+        let out = BufWriter::new(File::create(staged)?);
+        synth::demo().write_mcap(out, Some(mcap::Compression::Zstd))?;
+        Ok(())
+    })
+}
+
+/// The innermost cause of an error: why the file cannot be written.
+fn cause<'a>(error: &'a (dyn Error + 'static)) -> &'a (dyn Error + 'static) {
+    error.source().map_or(error, cause)
 }
 
 /// Each fault of [`synth::demo`], and whether a finding names it with its amount.

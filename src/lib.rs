@@ -40,6 +40,7 @@ pub mod finding;
 pub mod fleet;
 pub mod geometry;
 pub mod log;
+pub mod places;
 pub mod replay;
 pub mod report;
 pub mod robot;
@@ -50,12 +51,13 @@ pub mod tables;
 pub mod time;
 
 pub use audit::Options;
-pub use demo::{Demo, Planted, demo};
+pub use demo::{DEMO_LOG, Demo, Planted, demo};
 
 use std::path::PathBuf;
 
 use corrections::{Corrections, Given};
 use log::ReadOptions;
+use places::Places;
 use report::{Report, Trouble};
 use run::{Run, RunOptions};
 
@@ -65,6 +67,7 @@ use run::{Run, RunOptions};
 /// Where the call is wrong or the log cannot be read. A log without an arm or a model is reported
 /// on, with the trouble in [`Report::error`].
 pub fn audit(options: &Options) -> Result<Report, Trouble> {
+    Places::of(options).check()?;
     let how = ReadOptions { verify: options.verify, progress: options.progress.as_deref() };
     let corrections = options.corrections.as_deref().map(Corrections::from_file).transpose()?;
     let given = corrections.as_ref().zip(options.corrections.as_deref());
@@ -90,7 +93,7 @@ pub fn audit(options: &Options) -> Result<Report, Trouble> {
         audit::write_tables(folder, &main.run, &main.facts, &report)?;
     }
     if let Some(folder) = &options.fix {
-        audits.write_fixes(&report, folder)?;
+        audits.write_fixes(&report, options, folder)?;
     }
     // To give back the columns of a long log takes as long as to write the report on it.
     rayon::spawn(|| drop(audits));

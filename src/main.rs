@@ -8,6 +8,7 @@ use cli::Outcome;
 use poseaudit::boundary::caught;
 
 fn main() -> ExitCode {
+    cli::end_on_signals();
     let outcome = caught(cli::run).unwrap_or_else(|what| cli::fault(&what));
     ExitCode::from(match outcome {
         Outcome::Clean => 0,

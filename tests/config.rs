@@ -1,12 +1,15 @@
 //! What a config does to an audit, and what `init` writes.
 
+use std::collections::BTreeMap;
 use std::fs;
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 use poseaudit::Options;
 use poseaudit::config::{Config, template};
 use poseaudit::finding::{Severity, Status};
 use poseaudit::report::{Report, Verdict};
+use poseaudit::synth::POSE;
 use serde_json::Value;
 
 fn fixture(name: &str) -> PathBuf {
@@ -164,4 +167,62 @@ fn a_topic_that_cannot_be_what_is_said_is_refused_with_the_line() {
     }
     let said = refused("[stream.\"/imu/data\"]\nlink = \"tool0\"");
     assert!(said.contains("have no `link`"), "{said}");
+}
+
+/// The log at `path` with its pose topic called `name`.
+fn renamed(path: &Path, name: &str) -> Vec<u8> {
+    let bytes = fs::read(path).expect("the fixture");
+    let mut writer = mcap::Writer::new(Cursor::new(Vec::new())).expect("a writer");
+    let mut channels = BTreeMap::new();
+    for message in mcap::MessageStream::new(&bytes).expect("messages") {
+        let message = message.expect("a sound message");
+        let of = &message.channel;
+        let topic = if of.topic == POSE { name } else { of.topic.as_str() };
+        let schema = of.schema.as_ref().expect("a schema");
+        let channel_id = *channels.entry(of.id).or_insert_with(|| {
+            let schema = writer.add_schema(&schema.name, &schema.encoding, &schema.data);
+            let schema = schema.expect("a schema");
+            let channel = writer.add_channel(schema, topic, &of.message_encoding, &of.metadata);
+            channel.expect("a channel")
+        });
+        let header = mcap::records::MessageHeader {
+            channel_id,
+            sequence: message.sequence,
+            log_time: message.log_time,
+            publish_time: message.publish_time,
+        };
+        writer.write_to_known_channel(&header, &message.data).expect("memory");
+    }
+    writer.finish().expect("memory");
+    writer.into_inner().into_inner()
+}
+
+#[test]
+fn hostile_names_are_read_back_and_escaped() {
+    let name = "/it's|a\\ \"<b>'''topic\u{202e} # H1";
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = folder.path().join("run.mcap");
+    fs::write(&log, renamed(&fixture("faulty.mcap"), name)).expect("a file");
+    let fix = folder.path().join("fix");
+    let options = Options { logs: vec![log.clone()], fix: Some(fix.clone()), ..Options::default() };
+    let without = poseaudit::audit(&options).expect("a report");
+    assert!(without.streams.iter().any(|stream| stream.topic == name));
+    assert_eq!(found(&audited(&log, &template(&without))), found(&without));
+    assert!(!template(&without).contains(['\u{202e}', '\u{1b}']));
+
+    let index = fs::read_to_string(fix.join("corrections.md")).expect("the index");
+    let row = index.lines().find(|line| line.starts_with("| LAT001 on ")).expect("a row");
+    assert!(row.contains("/it's&#124;a") && row.contains("&lt;b&gt;"), "{row}");
+    assert_eq!(row.matches('|').count(), 4, "{row}");
+    for file in fs::read_dir(&fix).expect("a folder") {
+        let path = file.expect("an entry").path();
+        let text = fs::read_to_string(&path).expect("a text");
+        let is_for_people = path.extension().is_some_and(|kind| kind == "md" || kind == "yaml");
+        let is_plain = !text.contains('\u{1b}') && !text.contains('\u{202e}');
+        assert!(is_plain || !is_for_people, "{}", path.display());
+    }
+    let corrections = Some(fix.join("corrections.toml"));
+    let corrected = poseaudit::audit(&Options { corrections, fix: None, ..options });
+    let corrected = corrected.expect("a report");
+    assert!(corrected.findings.len() < without.findings.len());
 }

@@ -2,7 +2,9 @@
 
 use std::path::PathBuf;
 
+use poseaudit::Options;
 use poseaudit::checks::Selector;
+use poseaudit::places::Places;
 use poseaudit::replay::Recording;
 use poseaudit::report::{Report, Trouble};
 
@@ -64,23 +66,26 @@ pub struct Args {
     require: Vec<Selector>,
 }
 
-/// What the command line says of an audit, and after it the config; and the rules that must conclude.
-fn configured(args: Args) -> Result<(poseaudit::Options, Vec<Selector>), Trouble> {
-    let (options, required) = args.how.options()?;
-    let options = poseaudit::Options {
-        logs: args.logs,
-        corrections: args.corrections,
-        fix: args.fix,
-        recording: args.rrd.map(|path| Recording {
+/// What the command line says of an audit, and beside it `how`. No file that is written is one that is
+/// read.
+fn asked(args: &Args, how: Options) -> Result<Options, Trouble> {
+    let options = Options {
+        logs: args.logs.clone(),
+        corrections: args.corrections.clone(),
+        fix: args.fix.clone(),
+        recording: args.rrd.clone().map(|path| Recording {
             path,
-            mesh_roots: args.mesh_roots,
+            mesh_roots: args.mesh_roots.clone(),
             ..Recording::default()
         }),
-        tables: args.parquet,
+        tables: args.parquet.clone(),
         figures: args.reports.are_pictured(),
-        ..options
+        ..how
     };
-    Ok((options, first(args.require, required)))
+    let mut places = Places::of(&options);
+    args.reports.enter(&mut places);
+    places.check()?;
+    Ok(options)
 }
 
 /// Whether the folders of meshes are there, and there is a recording to draw them in.
@@ -98,31 +103,33 @@ fn meshes_can_be_drawn(args: &Args) -> Result<(), Trouble> {
 }
 
 pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
-    let reports = args.reports.clone();
-    reports.can_be_followed()?;
+    args.reports.can_be_followed()?;
     meshes_can_be_drawn(&args)?;
+    // Before the config is read, so that no report on what is wrong with it takes the place of a file.
+    asked(&args, args.how.named())?;
     let viewer = args.view.then(view::viewer).transpose()?;
-    if viewer.is_some() {
-        args.rrd.get_or_insert_with(view::place);
+    if viewer.is_some() && args.rrd.is_none() {
+        args.rrd = Some(view::place()?);
     }
-    let recording = args.rrd.clone();
-    let configured = configured(args);
-    let audited = configured.and_then(|(options, require)| {
-        let report = watched(|progress| {
-            poseaudit::audit(&poseaudit::Options { progress: Some(progress), ..options })
-        });
-        Ok((report?, require))
-    });
-    let (report, require) = match audited {
-        Ok(audited) => audited,
-        Err(trouble) if reports.tell_trouble() => (Report::of_trouble(trouble), Vec::new()),
-        Err(trouble) => return Err(trouble),
+    let mut require = args.require.clone();
+    let audited = match args.how.clone().options() {
+        Err(trouble) => Err(trouble),
+        Ok((how, required)) => {
+            let options = asked(&args, how)?;
+            require = first(require, required);
+            watched(|progress| poseaudit::audit(&Options { progress: Some(progress), ..options }))
+        }
     };
+    let report = match audited {
+        Err(trouble) if !args.reports.tell_trouble() => return Err(trouble),
+        audited => audited.unwrap_or_else(Report::of_trouble),
+    };
+    let (reports, recording) = (&args.reports, &args.rrd);
     reports.emit(&report)?;
     if let Some(trouble) = &report.error {
         output::error(trouble);
     }
-    if let (Some(viewer), Some(recording), None) = (&viewer, &recording, &report.error) {
+    if let (Some(viewer), Some(recording), None) = (&viewer, recording, &report.error) {
         view::open(viewer, recording)?;
     }
     let outcome = Outcome::from(&report);

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use poseaudit::compare::{Kept, compare, markdown, text};
 use poseaudit::log::{self, LogError, ReadOptions};
+use poseaudit::places::Places;
 use poseaudit::report::{Report, Trouble, TroubleKind};
 
 use super::how::FailOn;
@@ -57,6 +58,11 @@ enum Format {
 }
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
+    let mut places = Places::default();
+    places.reads_log(&args.old);
+    places.reads_log(&args.new);
+    args.output.iter().for_each(|path| places.writes(output::OUTPUT, path));
+    places.check()?;
     let (old, new) = (kept(&args.old, Side::Old)?, kept(&args.new, Side::New)?);
     let comparison = compare(&old, &new, args.fail_on.into());
     output::emit(args.output.as_deref(), |out| match args.format {

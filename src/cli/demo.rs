@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use poseaudit::Planted;
+use poseaudit::places::Places;
 use poseaudit::report::{Format, Trouble};
 
 use super::{Outcome, output, reports};
@@ -26,6 +27,9 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
+    let mut places = Places::default();
+    places.writes_into("DIR", &args.dir, [poseaudit::DEMO_LOG.to_owned()]);
+    places.check()?;
     let demo = poseaudit::demo(&args.dir)?;
     reports::emit(args.format, &demo.report, None)?;
     let lines: Vec<String> = demo.planted.iter().map(line).collect();

@@ -4,6 +4,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use poseaudit::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
+use poseaudit::places::Places;
 use poseaudit::report::Trouble;
 use poseaudit::robot::{Chain, Robot};
 use poseaudit::run::robot_of;
@@ -65,6 +66,11 @@ fn finite(text: &str) -> Result<f64, String> {
 }
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
+    let mut places = Places::default();
+    places.reads("the robot", Path::new(&args.robot));
+    args.file.iter().for_each(|file| places.reads("the file of joint positions", file));
+    args.output.iter().for_each(|path| places.writes(output::OUTPUT, path));
+    places.check()?;
     let robot = robot_of(&args.robot)
         .map_err(|error| Trouble { place: args.robot.clone(), ..Trouble::from(&error) })?;
     let chain = chain(&robot, args)?;

@@ -11,9 +11,11 @@ use clap::{Subcommand, ValueEnum};
 use poseaudit::Options;
 use poseaudit::finding::Severity;
 use poseaudit::fleet::{
-    AuditSettings, Call, Identity, Limits, Outcomes, Store, Template, memory_bytes, pending,
-    run as audit_all, serve, sources,
+    AuditSettings, Call, Identity, Limits, Outcomes, Source, Store, Template, memory_bytes,
+    pending, run as audit_all, serve, sources,
 };
+use poseaudit::log::{SourceName, is_url};
+use poseaudit::places::Places;
 use poseaudit::report::Trouble;
 use serde::Serialize;
 
@@ -154,11 +156,13 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     if let Some(log) = &args.worker {
         return work(log, &options, &Store::create(&out)?);
     }
+    let sources = sources(&args.sources, io::stdin().lock())?;
+    places(&args, &options, &out, &sources).check()?;
     if args.pending {
-        return list_pending(&args, &options, &out);
+        return list_pending(&args, &options, &out, sources);
     }
     let (fail_on, fails_open) = (options.fail_on, options.fail_on_inconclusive);
-    let outcomes = audit(&args, &options, &out)?;
+    let outcomes = audit(&args, &options, &out, sources)?;
     let summary = Summary::of(&out, &outcomes, (fail_on, fails_open));
     output::emit(args.output.as_deref(), |to| match args.format {
         Format::Text => summary.text(to),
@@ -176,16 +180,35 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     })
 }
 
-fn list_pending(args: &Args, options: &Options, out: &Path) -> Result<Outcome, Trouble> {
-    let sources = sources(&args.sources, io::stdin().lock())?;
+/// What the call reads and writes.
+fn places(args: &Args, options: &Options, out: &Path, sources: &[Source]) -> Places {
+    let mut places = Places::of(options);
+    Store::folders(out).iter().for_each(|folder| places.keeps("--out", folder));
+    if let Some(path) = &args.output {
+        sources.iter().for_each(|source| places.reads_log(&source.path));
+        places.writes(output::OUTPUT, path);
+    }
+    places
+}
+
+fn list_pending(
+    args: &Args,
+    options: &Options,
+    out: &Path,
+    sources: Vec<Source>,
+) -> Result<Outcome, Trouble> {
     let settings = AuditSettings::of(options)?;
     let left = match Store::open(out) {
         Some(store) => pending(sources, &store, &settings, args.identity.into(), args.retry)?,
         None => sources,
     };
-    output::emit(args.output.as_deref(), |to| {
+    output::exactly(args.output.as_deref(), |to| {
         for source in &left {
-            to.write_all(source.path.as_os_str().as_encoded_bytes())?;
+            match is_url(&source.path) {
+                true => write!(to, "{}", SourceName::of(&source.path))?,
+                // Whatever bytes it has.
+                false => to.write_all(source.path.as_os_str().as_encoded_bytes())?,
+            }
             writeln!(to)?;
         }
         Ok(())
@@ -193,8 +216,12 @@ fn list_pending(args: &Args, options: &Options, out: &Path) -> Result<Outcome, T
     Ok(Outcome::Clean)
 }
 
-fn audit(args: &Args, options: &Options, out: &Path) -> Result<Outcomes, Trouble> {
-    let sources = sources(&args.sources, io::stdin().lock())?;
+fn audit(
+    args: &Args,
+    options: &Options,
+    out: &Path,
+    sources: Vec<Source>,
+) -> Result<Outcomes, Trouble> {
     let settings = AuditSettings::of(options)?;
     let store = Store::create(out)?;
     let jobs = args.jobs.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZero::get);

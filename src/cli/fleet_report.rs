@@ -6,6 +6,7 @@ use clap::ValueEnum;
 use poseaudit::checks::Selector;
 use poseaudit::fleet::report::{Day, FleetReport, Question, write_html, write_text};
 use poseaudit::fleet::{Store, Template};
+use poseaudit::places::Places;
 use poseaudit::report::Trouble;
 
 use super::how::FailOn;
@@ -66,6 +67,10 @@ enum Format {
 }
 
 pub fn run(args: Args) -> Result<Outcome, Trouble> {
+    let mut places = Places::default();
+    Store::folders(&args.folder).iter().for_each(|folder| places.keeps("DIR", folder));
+    args.output.iter().for_each(|path| places.writes(output::OUTPUT, path));
+    places.check()?;
     let Some(store) = Store::open(&args.folder) else {
         let place = args.folder.display().to_string();
         let what = "there are no results of a fleet in it";

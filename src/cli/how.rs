@@ -134,6 +134,16 @@ pub fn positive_seconds(text: &str) -> Result<f64, String> {
 }
 
 impl How {
+    /// The files that the command line names, before the config is read.
+    pub fn named(&self) -> poseaudit::Options {
+        poseaudit::Options {
+            robots: self.robots.clone(),
+            calibrations: self.calibrations.clone(),
+            config: self.config.clone(),
+            ..poseaudit::Options::default()
+        }
+    }
+
     /// What the config says of an audit, and before it the command line; and the rules that the config
     /// says must conclude.
     ///

@@ -5,7 +5,8 @@ use std::path::PathBuf;
 
 use comfy_table::{CellAlignment, Table};
 use poseaudit::log::ReadOptions;
-use poseaudit::report::{LogSummary, Report, StreamRow, Trouble};
+use poseaudit::places::Places;
+use poseaudit::report::{LogSummary, Report, StreamRow, Trouble, tame};
 use poseaudit::time::seconds;
 
 use super::progress::watched;
@@ -24,6 +25,7 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
+    Places::only_read(&args.logs)?;
     let report = watched(|progress| {
         poseaudit::info(&args.logs, &ReadOptions { progress: Some(&progress), verify: false })
     })?;
@@ -65,17 +67,20 @@ fn table(streams: &[StreamRow]) -> Table {
     let header = ["topic", "type", "frames", "role", "witness", "count", "Hz", "span s", "why"];
     let mut table = output::table(header);
     for stream in streams {
-        table.add_row([
-            stream.topic.clone(),
-            stream.type_name.clone(),
-            frames(stream),
-            stream.role.to_owned(),
-            stream.witness.unwrap_or_default().to_owned(),
-            stream.count.to_string(),
-            stream.rate_hz.map_or(String::new(), |rate_hz| format!("{rate_hz:.1}")),
-            span_s(stream).map_or(String::new(), |span_s| format!("{span_s:.1}")),
-            stream.reason.clone(),
-        ]);
+        table.add_row(
+            [
+                stream.topic.clone(),
+                stream.type_name.clone(),
+                frames(stream),
+                stream.role.to_owned(),
+                stream.witness.unwrap_or_default().to_owned(),
+                stream.count.to_string(),
+                stream.rate_hz.map_or(String::new(), |rate_hz| format!("{rate_hz:.1}")),
+                span_s(stream).map_or(String::new(), |span_s| format!("{span_s:.1}")),
+                stream.reason.clone(),
+            ]
+            .map(|cell| tame(&cell).into_owned()),
+        );
     }
     for number in COUNT..=SPAN {
         if let Some(column) = table.column_mut(number) {

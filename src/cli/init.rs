@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use poseaudit::config;
+use poseaudit::places::Places;
 use poseaudit::report::Trouble;
 
 use super::progress::watched;
@@ -32,10 +33,14 @@ pub struct Args {
 
 pub fn run(args: Args) -> Result<Outcome, Trouble> {
     let Args { logs, output, schema } = args;
-    if let Some(path) = output.as_ref().filter(|path| path.exists()) {
+    if let Some(path) = output.as_ref().filter(|path| path.symlink_metadata().is_ok()) {
         let what = "is there already, and is not overwritten";
         return Err(misuse(path.display().to_string(), what, "name another --output, or move it"));
     }
+    let mut places = Places::default();
+    logs.iter().for_each(|log| places.reads_log(log));
+    output.iter().for_each(|path| places.writes(output::OUTPUT, path));
+    places.check()?;
     if schema {
         output::emit(output.as_deref(), |out| out.write_all(config::schema().as_bytes()))?;
         return Ok(Outcome::Clean);

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::{Command, CommandFactory};
 use clap_mangen::Man;
+use poseaudit::places::Places;
 use poseaudit::report::Trouble;
 
 use super::{Cli, Outcome, output};
@@ -27,6 +28,9 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     match &args.output {
         None => output::emit(None, |out| Man::new(whole).render(out))?,
         Some(folder) => {
+            let mut places = Places::default();
+            places.writes_into(output::OUTPUT, folder, []);
+            places.check()?;
             for page in pages(&whole)? {
                 let path = folder.join(page.name);
                 output::emit(Some(&path), |out| out.write_all(&page.text))?;

@@ -123,6 +123,36 @@ pub fn run() -> Outcome {
     })
 }
 
+/// Has the process leave no file behind that is not whole where it is interrupted or terminated.
+pub fn end_on_signals() {
+    #[cfg(unix)]
+    {
+        use signal_hook::consts::{SIGINT, SIGTERM};
+        // A shell has what runs in the background pass over the key that interrupts.
+        let wanted = [SIGINT, SIGTERM].into_iter().filter(|&signal| !is_passed_over(signal));
+        // Where signals cannot be heard, they end the process as they always do.
+        let Ok(mut signals) = signal_hook::iterator::Signals::new(wanted) else { return };
+        std::thread::spawn(move || {
+            if let Some(signal) = signals.forever().next() {
+                poseaudit::report::forget_staged();
+                // What was asked for: the process dies of it.
+                let _ = signal_hook::low_level::emulate_default_handler(signal);
+            }
+        });
+    }
+}
+
+/// Whether who called this program has it pass over a signal.
+#[cfg(unix)]
+fn is_passed_over(signal: i32) -> bool {
+    // SAFETY: the call writes to the struct, which outlives it, and changes nothing.
+    unsafe {
+        let mut action: libc::sigaction = std::mem::zeroed();
+        libc::sigaction(signal, std::ptr::null(), &mut action) == 0
+            && action.sa_sigaction == libc::SIG_IGN
+    }
+}
+
 /// Says in one line that this program failed, and what is to be done.
 pub fn fault(what: &str) -> Outcome {
     output::error(fault_line(what));

@@ -9,7 +9,7 @@ use anstream::{AutoStream, StripStream};
 use anstyle::{AnsiColor, Style};
 use clap::ValueEnum;
 use comfy_table::{Table, presets};
-use poseaudit::report::{Trouble, tame, write_whole};
+use poseaudit::report::{Trouble, tame, upright, write_whole};
 
 /// How an answer that is no report is printed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -19,6 +19,9 @@ pub enum Format {
     /// For programs, in SI units
     Json,
 }
+
+/// The option that names the file for an answer.
+pub const OUTPUT: &str = "--output";
 
 const ERROR: Style = AnsiColor::Red.on_default().bold();
 
@@ -43,10 +46,26 @@ pub fn columns() -> Option<usize> {
     Some(usize::from(width.0))
 }
 
-/// Hands what `write` writes to the file at `path`, whose parents are made, else to stdout.
+/// Hands what `write` writes to the file at `path`, whose parents are made, else to stdout. Characters that
+/// turn the direction of writing are escapes there.
 ///
 /// A reader of stdout who has seen enough is no error.
 pub fn emit(
+    path: Option<&Path>,
+    write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+) -> Result<(), Trouble> {
+    exactly(path, |out| {
+        let mut text = Vec::new();
+        write(&mut text)?;
+        match std::str::from_utf8(&text) {
+            Ok(text) => out.write_all(upright(text).as_bytes()),
+            Err(_) => out.write_all(&text),
+        }
+    })
+}
+
+/// The same, with every byte as it is.
+pub fn exactly(
     path: Option<&Path>,
     write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
 ) -> Result<(), Trouble> {

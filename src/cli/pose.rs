@@ -10,6 +10,7 @@ use poseaudit::desk::{
     maker_names, pairs_from_csv, paste, reconcile, sheet, uses_of,
 };
 use poseaudit::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
+use poseaudit::places::Places;
 use poseaudit::report::Trouble;
 use poseaudit::run::robot_of;
 use serde_json::{Value, json};
@@ -204,6 +205,7 @@ fn frame_names(
 
 fn pairs(args: &Args) -> Result<Vec<Pair>, Trouble> {
     if let Some(path) = &args.pairs {
+        Places::only_read([path])?;
         let place = path.display().to_string();
         let text = fs::read_to_string(path).map_err(|error| {
             misuse(&place, format!("cannot be read: {error}"), "name a CSV with a pair in each row")

@@ -3,8 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use poseaudit::places::Places;
 use poseaudit::report::{FORMATS, Format, Report, Trouble, text};
 
+use super::output::OUTPUT;
 use super::{misuse, output};
 
 /// The options that say so.
@@ -60,6 +62,17 @@ impl Reports {
                 Err(misuse(place, what, "name a folder with --output, or one --format"))
             }
             (Some(_), _) => Ok(()),
+        }
+    }
+
+    /// Enters the files that the report goes to.
+    pub fn enter(&self, places: &mut Places) {
+        match (&self.output, self.each().as_slice()) {
+            (Some(folder), formats @ [_, _, ..]) => {
+                let names = formats.iter().map(|format| format.file_name.to_owned());
+                places.writes_into(OUTPUT, folder, names);
+            }
+            (output, _) => output.iter().for_each(|path| places.writes(OUTPUT, path)),
         }
     }
 

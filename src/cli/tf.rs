@@ -6,6 +6,7 @@ use std::str::FromStr;
 
 use poseaudit::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
 use poseaudit::log::{self, ReadOptions};
+use poseaudit::places::Places;
 use poseaudit::report::Trouble;
 use poseaudit::run::{RobotSource, Run, RunOptions, TfPath};
 use poseaudit::time::Stamp;
@@ -93,6 +94,7 @@ fn positive(text: &str) -> Result<f64, String> {
 }
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
+    Places::only_read([&args.log])?;
     let log = watched(|progress| {
         let how = ReadOptions { progress: Some(&progress), verify: false };
         log::open(std::slice::from_ref(&args.log), &how)

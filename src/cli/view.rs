@@ -26,9 +26,17 @@ pub fn viewer() -> Result<PathBuf, Trouble> {
 }
 
 /// A place for a recording that nobody named, which the viewer can still read when this program has
-/// ended.
-pub fn place() -> PathBuf {
-    env::temp_dir().join(format!("poseaudit-{}.rrd", std::process::id()))
+/// ended: a new file that is this user's alone.
+///
+/// # Errors
+/// If no file can be made there.
+pub fn place() -> Result<PathBuf, Trouble> {
+    let made = tempfile::Builder::new().prefix("poseaudit-").suffix(".rrd").tempfile();
+    let kept = made.and_then(|file| file.keep().map_err(|error| error.error));
+    kept.map(|(_, path)| path).map_err(|error| {
+        let what = format!("no recording can be made in {}: {error}", env::temp_dir().display());
+        misuse("--view", what, "make room, or let TMPDIR name another folder")
+    })
 }
 
 /// Opens a recording in the viewer, and does not wait for it to be closed.

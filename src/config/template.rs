@@ -6,7 +6,7 @@ use std::path::Path;
 
 use crate::checks::{self, Figure};
 use crate::finding::Unit;
-use crate::report::{Report, RobotRow, StreamRow};
+use crate::report::{Report, RobotRow, StreamRow, quoted, tame};
 use crate::robot::catalogue;
 use crate::run::SaidRole;
 
@@ -213,13 +213,9 @@ fn rounded(rate_hz: f64) -> String {
     format!("{rounded:.*}", usize::try_from(digits.max(1)).unwrap_or(1))
 }
 
-/// A text as TOML writes it.
-fn quoted(text: &str) -> String {
-    toml::Value::String(text.to_owned()).to_string()
-}
-
+/// What a comment may hold.
 fn one_line(text: &str) -> String {
-    text.split_whitespace().collect::<Vec<_>>().join(" ")
+    tame(&text.split_whitespace().collect::<Vec<_>>().join(" ")).into_owned()
 }
 
 fn name_of(path: &Path) -> String {

@@ -4,6 +4,7 @@ use serde_json::Value;
 
 use super::code::{self, Lines};
 use super::file::{AxesCorrection, Corrections, FrameCorrection, JointOrder, RotationSlip, Slip};
+use super::files::{model_stem, slug};
 use super::frames::{FixedFrame, rounded};
 use crate::checks::Facts;
 use crate::diagnosis::Reading;
@@ -496,10 +497,7 @@ impl Mending {
         } else {
             "toml"
         };
-        let source = std::path::Path::new(&arm.robot.source);
-        let stem = source.file_stem().and_then(|stem| stem.to_str()).map(slug);
-        let stem = stem.filter(|stem| !stem.is_empty() && *stem != "corrections");
-        let stem = stem.unwrap_or_else(|| "robot".to_owned());
+        let stem = model_stem(std::path::Path::new(&arm.robot.source));
         let plain = format!("{stem}.{extension}");
         match self.models.iter().any(|model| model.file == plain) {
             false => plain,
@@ -590,10 +588,4 @@ fn numbers<const N: usize>(value: Option<&Value>) -> Option<[f64; N]> {
 fn pose_of(value: Option<&Value>) -> Option<Pose> {
     let xyz = numbers::<3>(value?.get("xyz"))?;
     Some(pose(xyz, rotation_from_xyzw(numbers::<4>(value?.get("quaternion_xyzw"))?)?))
-}
-
-/// A text as a part of a name.
-fn slug(text: &str) -> String {
-    let plain = text.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' });
-    plain.collect::<String>().trim_matches('_').to_owned()
 }

@@ -12,20 +12,49 @@ use super::collect::{
 };
 use super::file::JointCorrection;
 use super::frames::in_xml;
-use crate::report::write_whole;
+use crate::places::Places;
+use crate::report::markdown::prose;
+use crate::report::{quoted, tame, write_whole};
 
 /// The file that says what the others are.
 const INDEX: &str = "corrections.md";
+
+/// All files but those of the models.
+pub(crate) const FIX_FILES: [&str; 7] =
+    [INDEX, CORRECTIONS, OFFSETS, LATENCIES, CONVENTIONS, TRANSFORMS, JOINTS];
+
+/// The files that a patched copy of the model at `source` may be, and the patch.
+pub(crate) fn model_files(source: &Path) -> [String; 4] {
+    let stem = model_stem(source);
+    ["urdf", "toml", "urdf.patch", "toml.patch"].map(|ending| format!("{stem}.{ending}"))
+}
+
+/// A text as a part of a name.
+pub(super) fn slug(text: &str) -> String {
+    let plain = text.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' });
+    plain.collect::<String>().trim_matches('_').to_owned()
+}
+
+/// What the name of a patched model begins with: that of its source, where it has one.
+pub(super) fn model_stem(source: &Path) -> String {
+    let stem = slug(source.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default());
+    if stem.is_empty() || stem == "corrections" { "robot".to_owned() } else { stem }
+}
 
 impl Mending {
     /// Writes all files into `folder`, which is made, each whole.
     ///
     /// # Errors
-    /// Where one cannot be written; with its path.
-    pub(crate) fn write(&self, folder: &Path) -> Result<(), (String, io::Error)> {
+    /// Where one cannot be written, or was read for this audit; with its path.
+    pub(crate) fn write(&self, folder: &Path, read: &Places) -> Result<(), (String, io::Error)> {
         fs::create_dir_all(folder).map_err(|error| (folder.display().to_string(), error))?;
         for (name, text) in self.files() {
             let path = folder.join(name);
+            // What a model is called that the log holds is not known before the log is read.
+            if let Some(what) = read.read_at(&path) {
+                let error = io::Error::other(format!("it is {what}, which would be lost"));
+                return Err((path.display().to_string(), error));
+            }
             write_whole(&path, |staged| fs::write(staged, &text))
                 .map_err(|error| (path.display().to_string(), error))?;
         }
@@ -64,6 +93,7 @@ impl Mending {
             text += "| finding | what is wrong | in |\n|---|---|---|\n";
             for mended in &self.mended {
                 let Mended { finding, what, .. } = mended;
+                let (finding, what) = (prose(finding), prose(what));
                 let _ =
                     writeln!(text, "| {finding} | {what} | {} |", self.names(mended).join(", "));
             }
@@ -71,7 +101,7 @@ impl Mending {
         if !self.open.is_empty() {
             text += "\n## Not in these files\n\n";
             for left in &self.open {
-                let _ = writeln!(text, "- {}: {}", left.finding, left.why);
+                let _ = writeln!(text, "- {}: {}", prose(&left.finding), prose(&left.why));
             }
         }
         text += "\n## The files\n\n";
@@ -88,6 +118,7 @@ impl Mending {
                      was published with is the model before the patch, which FRM001 will say.\n";
         }
         for why in &self.unpatched {
+            let why = prose(why);
             let _ = writeln!(text, "\nNo patched model of {why}. `{OFFSETS}` holds the offsets.");
         }
         text
@@ -195,7 +226,8 @@ topics:
                         after it.\n"
                 .to_owned();
         for coded in &self.codes {
-            let _ = writeln!(text, "\n## {}\n\n{}; {}\n", coded.finding, coded.what, coded.names);
+            let [finding, what] = [&coded.finding, &coded.what].map(|text| prose(text));
+            let _ = writeln!(text, "\n## {finding}\n\n{what}; {}\n", coded.names);
             for (library, line) in coded.lines.iter().flat_map(|lines| lines.named()) {
                 let _ = writeln!(text, "- {library}: `{line}`");
             }
@@ -211,7 +243,7 @@ topics:
             "#!/bin/sh\n# Frames that do not move, for tf2_ros; one process each.\n".to_owned();
         for frame in &self.frames {
             let comment = format!("{}: {}", frame.finding, frame.comment);
-            let comment = comment.replace(char::is_control, " ");
+            let comment = tame(&comment);
             let _ = write!(text, "\n# {comment}\n{} &\n", frame.command());
         }
         text += "\nwait\n";
@@ -238,9 +270,4 @@ fn push_interval(text: &mut String, key: &str, ci95: Option<[f64; 2]>) {
     if let Some([low, high]) = ci95 {
         let _ = writeln!(text, "    {key}: [{low}, {high}]");
     }
-}
-
-/// A text as a key or a value of YAML.
-fn quoted(text: &str) -> String {
-    serde_json::Value::from(text).to_string()
 }

@@ -16,3 +16,4 @@ pub(crate) use collect::Mending;
 pub use file::{
     Corrections, FrameCorrection, JointCorrection, JointOrder, RotationSlip, Slip, TopicCorrection,
 };
+pub(crate) use files::{FIX_FILES, model_files};

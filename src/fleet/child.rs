@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 use super::store::Store;
 use super::task::{Answer, Task, settle};
 use crate::Options;
+use crate::report::forget_staged;
 
 /// What one log may take.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -69,7 +70,11 @@ pub fn audited(
     limits: &Limits,
 ) -> Result<(Answer, Option<String>), Death> {
     let unable = |error: io::Error| Death::Unable(format!("no process can be started: {error}"));
-    let errors = tempfile::tempfile().map_err(unable)?;
+    let errors = tempfile::tempfile().map_err(|error| {
+        let folder = std::env::temp_dir();
+        let what = format!("no file can be made in {}: {error}", folder.display());
+        Death::Unable(what + "; let TMPDIR name another folder")
+    })?;
     command
         .env("RAYON_NUM_THREADS", "1")
         .env("POLARS_MAX_THREADS", "1")
@@ -97,7 +102,7 @@ pub fn audited(
     match said.lines().last().and_then(|line| serde_json::from_str(line).ok()) {
         Some(Told::Answer(answer, what)) => Ok((answer, what)),
         Some(Told::Fault(why)) => Err(Death::Unable(why)),
-        None => Err(death(status, &last_words(errors))),
+        None => Err(death(status, &words(errors))),
     }
 }
 
@@ -121,20 +126,28 @@ fn heard(child: &mut Child, time: Option<Duration>) -> Option<String> {
     }
 }
 
-/// The last line that a process wrote to stderr.
-fn last_words(mut errors: File) -> String {
+/// What a process wrote to stderr.
+fn words(mut errors: File) -> String {
     let mut bytes = Vec::new();
-    let read = errors.rewind().and_then(|()| errors.take(1 << 16).read_to_end(&mut bytes));
-    let text = String::from_utf8_lossy(&bytes);
-    let last = text.lines().rev().find(|line| !line.trim().is_empty()).unwrap_or_default();
-    if read.is_ok() { last.trim().to_owned() } else { String::new() }
+    // What cannot be read says nothing.
+    let _ = errors.rewind().and_then(|()| errors.take(1 << 16).read_to_end(&mut bytes));
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+/// Whether a process or a library that says this was refused memory.
+pub(super) fn is_of_memory(words: &str) -> bool {
+    // Of the allocator, of the operating system, of SQLite.
+    ["memory allocation of", "Cannot allocate memory", "out of memory"]
+        .iter()
+        .any(|part| words.contains(part))
 }
 
 fn death(status: ExitStatus, words: &str) -> Death {
-    // What Rust's allocator says before it aborts.
-    if words.contains("memory allocation of") {
+    if is_of_memory(words) {
         return Death::OutOfMemory;
     }
+    // The first line says what went wrong; what follows is how to learn more.
+    let words = words.lines().find(|line| !line.trim().is_empty()).unwrap_or_default().trim();
     let how = match signal(status) {
         Some(9) => "it was killed, as where the machine runs out of memory".to_owned(),
         Some(signal) => format!("it died of signal {signal}"),
@@ -165,6 +178,7 @@ pub fn serve(path: &Path, options: &Options, store: &Store) -> io::Result<()> {
     let Order { task, memory_bytes } = serde_json::from_str(&line)?;
     thread::spawn(move || {
         let _ = io::copy(&mut stdin, &mut io::sink());
+        forget_staged();
         std::process::exit(1);
     });
     if let Some(bytes) = memory_bytes {
@@ -193,4 +207,23 @@ fn limit_memory(bytes: u64) -> io::Result<()> {
 #[cfg(not(target_os = "linux"))]
 fn limit_memory(_: u64) -> io::Result<()> {
     Ok(())
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use std::os::unix::process::ExitStatusExt;
+
+    use super::*;
+
+    #[test]
+    fn a_refused_allocation_is_told_whatever_is_said_after_it() {
+        let aborted = ExitStatus::from_raw(6);
+        let words = "memory allocation of 8589934592 bytes failed\nnote: run with `RUST_BACKTRACE=1` \
+                     environment variable to display a backtrace\n";
+        assert!(matches!(death(aborted, words), Death::OutOfMemory));
+        let Death::Crashed(how) = death(aborted, "\nfree(): invalid pointer\nnote: more\n") else {
+            panic!("no crash");
+        };
+        assert_eq!(how, "it died of signal 6: free(): invalid pointer");
+    }
 }

@@ -19,7 +19,7 @@ use super::sources::Source;
 use super::store::{SourceRow, Status, Store};
 use super::task::{Answer, Task, crashed, give_up};
 use crate::finding::Severity;
-use crate::log::{is_url, list};
+use crate::log::{SourceName, is_url, list};
 use crate::report::{Trouble, TroubleKind, Verdict};
 
 /// After so many logs, or so long, what was learnt of files is written down.
@@ -316,7 +316,7 @@ impl Engine<'_> {
         if Stand::of(path)? == stand {
             self.book().learnt.push(SourceRow {
                 source,
-                path: path.display().to_string(),
+                path: SourceName::of(path).to_string(),
                 bytes: stand.bytes,
                 mtime_ns: stand.mtime_ns,
                 content: content.id.clone(),
@@ -328,12 +328,13 @@ impl Engine<'_> {
     fn task(&self, path: &Path, content: &str, stand: Stand) -> Task {
         let call = self.call;
         let version = env!("CARGO_PKG_VERSION");
-        let by_path = call.template.as_ref().map(|template| template.labels(path));
+        let name = SourceName::of(path).to_string();
+        let by_path = call.template.as_ref().map(|template| template.labels(Path::new(&name)));
         let mut labels = by_path.unwrap_or_default();
         labels.extend(call.labels.clone());
         Task {
             key: key_of(content, version, &call.settings.hash),
-            path: path.display().to_string(),
+            path: name,
             content: content.to_owned(),
             version: version.to_owned(),
             settings: call.settings.hash.clone(),
@@ -392,7 +393,7 @@ impl Engine<'_> {
                 book.course.audited += 1;
                 book.outcomes.count(answer);
                 if answer.status != Status::Audited {
-                    let path = path.display().to_string();
+                    let path = SourceName::of(path).to_string();
                     book.outcomes.errors.push(Failure { path, status: answer.status, what });
                 }
             }
@@ -423,5 +424,6 @@ impl Engine<'_> {
 
 /// What stands for the content of a log that cannot be read.
 fn unread_content(path: &Path) -> String {
-    format!("unread:{}", path.display())
+    let path = path.as_os_str().as_encoded_bytes();
+    format!("unread:{}", blake3::hash(path).to_hex())
 }

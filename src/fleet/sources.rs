@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use walkdir::{DirEntry, WalkDir};
 
 use super::content::Content;
-use crate::log::{self, Listed};
+use crate::log::{self, Listed, SourceName};
 use crate::report::{Trouble, TroubleKind};
 
 /// Where one log is.
@@ -64,6 +64,7 @@ const METADATA: &str = "metadata.yaml";
 pub fn sources(wanted: &[String], mut list: impl Read) -> Result<Vec<Source>, Trouble> {
     let mut found = Vec::new();
     for named in wanted {
+        let named = &log::normal(Path::new(named)).to_string_lossy().into_owned();
         let before = found.len();
         match named.as_str() {
             "-" => {
@@ -142,7 +143,7 @@ fn of_url(url: &str, found: &mut Vec<Source>) -> Result<(), Trouble> {
 /// The logs at `path`, which was named by itself.
 fn of_path(path: &Path, found: &mut Vec<Source>) {
     if log::is_url(path) {
-        found.push(Source::at(path.to_owned()));
+        found.push(Source::at(log::normal(path)));
         return;
     }
     if !path.is_dir() || is_recording(path) {
@@ -203,7 +204,8 @@ fn has_ending(name: &str) -> bool {
 
 fn trouble(place: &str, what: String) -> Trouble {
     let remedy = "name logs, folders of logs, a pattern in quotes, or - for a list on stdin";
-    Trouble { kind: TroubleKind::Call, what, place: place.to_owned(), remedy: remedy.to_owned() }
+    let place = SourceName::of(Path::new(place)).to_string();
+    Trouble { kind: TroubleKind::Call, what, place, remedy: remedy.to_owned() }
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@ use std::path::Path;
 use polars::prelude::PolarsError;
 use serde::{Deserialize, Serialize};
 
+use super::child::is_of_memory;
 use super::labels::Labels;
 use super::store::{Row, Status, Store, StoreError, Tables, found};
 use crate::boundary::caught;
@@ -87,15 +88,24 @@ pub fn settle(
     };
     let ((answer, tables), trouble) = match caught(|| audit(&options)) {
         Ok(Ok(report)) => (of_report(task, &report), report.error),
-        Ok(Err(trouble)) => (of_trouble(task, Status::NotAudited, &trouble), Some(trouble)),
+        Ok(Err(trouble)) => {
+            let status = or_out_of_memory(Status::NotAudited, &trouble);
+            (of_trouble(task, status, &trouble), Some(trouble))
+        }
         Err(panic) => {
             let trouble = crashed(task, format!("the audit failed: {panic}"));
-            (of_trouble(task, Status::Crashed, &trouble), Some(trouble))
+            let status = or_out_of_memory(Status::Crashed, &trouble);
+            (of_trouble(task, status, &trouble), Some(trouble))
         }
     };
     let tables = tables.map_err(|source| StoreError::Content { path: path.to_owned(), source })?;
     store.commit(&task.key, tables)?;
     Ok((answer, trouble.map(|trouble| trouble.what)))
+}
+
+/// `status`, unless it was memory that was missing.
+fn or_out_of_memory(status: Status, trouble: &Trouble) -> Status {
+    if is_of_memory(&trouble.what) { Status::OutOfMemory } else { status }
 }
 
 fn of_report(task: &Task, report: &Report) -> (Answer, Result<Tables, PolarsError>) {

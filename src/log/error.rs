@@ -1,7 +1,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::{Log, RemoteFault};
+use super::{Log, RemoteFault, SourceName};
 
 /// What can be read.
 const EXPECTED: &str = "an MCAP file, a ROS 1 bag, a rosbag2 bag or an RTDE CSV";
@@ -10,7 +10,7 @@ const EXPECTED: &str = "an MCAP file, a ROS 1 bag, a rosbag2 bag or an RTDE CSV"
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
     /// There is no such file.
-    #[error("{}: no such file", path.display())]
+    #[error("{}: no such file", SourceName::of(path))]
     NotFound {
         /// The path as given.
         path: PathBuf,
@@ -74,6 +74,14 @@ pub enum LogError {
         path: PathBuf,
         /// What its first bytes look like.
         looks: &'static str,
+    },
+    /// What is unpacked cannot be kept in a temporary file.
+    #[error("{}: cannot be kept in {}: {source}", path.display(), std::env::temp_dir().display())]
+    Temporary {
+        /// The path as given.
+        path: PathBuf,
+        /// What the operating system said.
+        source: io::Error,
     },
     /// An object in a store cannot be read.
     #[error("{}: {}; {}", url.display(), fault, fault.remedy())]

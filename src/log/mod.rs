@@ -15,6 +15,7 @@ mod files;
 mod intake;
 mod losses;
 mod mcap;
+mod name;
 mod progress;
 mod ranges;
 mod remote;
@@ -45,8 +46,9 @@ use crate::stream::Columns;
 use crate::time::Stamp;
 
 pub use self::error::LogError;
+pub use self::name::SourceName;
 pub use self::progress::Progress;
-pub use self::remote::{Listed, RemoteFault, is_url, list};
+pub use self::remote::{Listed, RemoteFault, is_url, list, normal};
 
 /// How to read.
 #[derive(Clone, Copy, Debug, Default)]
@@ -242,6 +244,12 @@ pub enum Extent {
     Messages,
 }
 
+/// The local file that `path` names, itself or as a `file://` URL; `None` for an object in a store.
+pub(crate) fn local(path: &Path) -> Option<PathBuf> {
+    let is_url = remote::is_url(path);
+    (!is_url).then(|| remote::local(path).unwrap_or_else(|| path.to_owned()))
+}
+
 /// How much of a file's beginning [`looks_like_log`] wants to see, in bytes.
 pub const HEAD_BYTES: u64 = 4096;
 
@@ -358,7 +366,7 @@ impl Reading<'_> {
         let options = self.options;
         let (Unpacked { file, path }, end) =
             unpack::file(archive, &mut self.intake.allowance, |offset| options.at(offset))
-                .map_err(|source| LogError::io(self.path, source))?;
+                .map_err(|source| LogError::Temporary { path: self.path.to_owned(), source })?;
         if let Err(error) = end {
             self.losses.add_unplaced(Extent::Tail, None, error.to_string());
         }

@@ -12,18 +12,24 @@ mod fetch;
 #[cfg(feature = "cloud")]
 mod listing;
 #[cfg(feature = "cloud")]
+mod named;
+#[cfg(feature = "cloud")]
+mod patience;
+#[cfg(feature = "cloud")]
 mod store;
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 
+use super::name::{SourceName, is_scheme};
 use super::ranges::Present;
 use super::unpack::Unpacked;
 use super::{LogError, ReadOptions};
 
 pub use self::fault::RemoteFault;
 
-/// The URL of an object in a store.
-#[derive(Clone, PartialEq, Eq, Debug)]
+/// The URL of an object in a store, with its scheme in lower case.
+#[derive(Clone, PartialEq, Eq)]
 pub(super) struct Address(String);
 
 impl Address {
@@ -32,45 +38,46 @@ impl Address {
     /// # Errors
     /// If it is a URL of a kind that is not known.
     pub(super) fn of(path: &Path) -> Result<Option<Self>, LogError> {
-        let Some((scheme, _)) = scheme(path) else { return Ok(None) };
-        if SCHEMES.contains(&scheme) {
-            return Ok(path.to_str().map(|url| Self(url.to_owned())));
+        let Some((scheme, rest)) = scheme(path) else { return Ok(None) };
+        if SCHEMES.contains(&scheme.as_str()) {
+            return Ok(Some(Self(format!("{scheme}://{rest}"))));
         }
-        let fault = RemoteFault::Scheme { scheme: scheme.to_owned() };
-        Err(LogError::Remote { url: path.to_owned(), fault })
+        let url = SourceName::of(path).into();
+        Err(LogError::Remote { url, fault: RemoteFault::Scheme { scheme } })
     }
 
-    /// What it is called in reports: without what may be secret in it, which are a name and a
-    /// password before the host and a signature behind the path.
+    /// What it is called in reports.
     pub(super) fn shown(&self) -> PathBuf {
-        let Self(url) = self;
-        let Some((scheme, rest)) = url.split_once("://") else { return url.into() };
-        if !matches!(scheme, "http" | "https") {
-            return url.into();
-        }
-        let rest = rest.split(['?', '#']).next().unwrap_or_default();
-        let (host, path) = rest.split_at(rest.find('/').unwrap_or(rest.len()));
-        let host = host.rsplit_once('@').map_or(host, |(_, host)| host);
-        format!("{scheme}://{host}{path}").into()
+        SourceName::of(Path::new(&self.0)).into()
+    }
+}
+
+impl fmt::Debug for Address {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Address({})", self.shown().display())
     }
 }
 
 /// What URLs of objects begin with.
 const SCHEMES: &[&str] = &["s3", "s3a", "gs", "az", "abfs", "abfss", "http", "https"];
 
-/// What `path` begins with and what follows `://`, if it is a URL.
-fn scheme(path: &Path) -> Option<(&str, &str)> {
+/// What `path` begins with, in lower case, and what follows `://`, if it is a URL.
+fn scheme(path: &Path) -> Option<(String, &str)> {
     let (scheme, rest) = path.to_str()?.split_once("://")?;
-    let is_scheme = scheme.len() > 1 && scheme.bytes().all(|byte| byte.is_ascii_alphanumeric());
-    is_scheme.then_some((scheme, rest))
+    is_scheme(scheme).then(|| (scheme.to_ascii_lowercase(), rest))
 }
 
 /// The local file that `path` is a URL of, if it is one of the scheme `file`.
 pub(super) fn local(path: &Path) -> Option<PathBuf> {
-    let ("file", rest) = scheme(path)? else { return None };
+    let (_, rest) = scheme(path).filter(|(scheme, _)| scheme == "file")?;
     let rest = rest.strip_prefix("localhost").unwrap_or(rest);
-    let mut bytes = Vec::with_capacity(rest.len());
-    let mut left = rest.as_bytes();
+    Some(String::from_utf8(percent_decoded(rest)).ok()?.into())
+}
+
+/// The bytes that a part of a URL stands for.
+fn percent_decoded(part: &str) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(part.len());
+    let mut left = part.as_bytes();
     while let Some((&first, others)) = left.split_first() {
         let digits = others.get(..2).and_then(|digits| std::str::from_utf8(digits).ok());
         let decoded = digits.and_then(|digits| u8::from_str_radix(digits, 16).ok());
@@ -78,12 +85,20 @@ pub(super) fn local(path: &Path) -> Option<PathBuf> {
         left = if decoded.is_some() { &others[2..] } else { others };
         bytes.push(decoded.unwrap_or(first));
     }
-    Some(String::from_utf8(bytes).ok()?.into())
+    bytes
 }
 
 /// Whether `path` is a URL of an object, or of a prefix that [`list`] lists.
 pub fn is_url(path: &Path) -> bool {
-    scheme(path).is_some_and(|(scheme, _)| SCHEMES.contains(&scheme))
+    scheme(path).is_some_and(|(scheme, _)| SCHEMES.contains(&scheme.as_str()))
+}
+
+/// `path`, or the URL that it is with its scheme in lower case.
+pub fn normal(path: &Path) -> PathBuf {
+    match Address::of(path) {
+        Ok(Some(Address(url))) => url.into(),
+        _ => path.to_owned(),
+    }
 }
 
 /// An object that [`list`] found.
@@ -159,14 +174,14 @@ mod tests {
     }
 
     #[test]
-    fn a_report_shows_no_secret_of_a_url() {
-        let shown = |url: &str| {
-            let address = Address::of(Path::new(url)).unwrap().expect("a URL");
-            address.shown().display().to_string()
-        };
-        let signed = "https://me:word@host:8080/a%20b/run.mcap?X-Amz-Signature=abc#part";
-        assert_eq!(shown(signed), "https://host:8080/a%20b/run.mcap");
-        assert_eq!(shown("s3://bucket/a?b#c.mcap"), "s3://bucket/a?b#c.mcap");
-        assert_eq!(shown("http://host"), "http://host");
+    fn schemes_ignore_case_and_no_address_can_be_printed() {
+        let path = Path::new("HTTPS://me:word@host/run.mcap?sig=word");
+        let address = Address::of(path).unwrap().expect("a URL");
+        assert_eq!(format!("{address:?}"), "Address(https://host/run.mcap)");
+        assert_eq!(normal(path), Path::new("https://me:word@host/run.mcap?sig=word"));
+        assert!(is_url(Path::new("S3://bucket/run.mcap")));
+        assert_eq!(local(Path::new("FILE:///run.mcap")), Some("/run.mcap".into()));
+        let refused = Address::of(Path::new("htps://me:word@host/run?sig=word")).unwrap_err();
+        assert!(!refused.to_string().contains("word"), "{refused}");
     }
 }

@@ -3,6 +3,8 @@
 //! The SDK's own writer (re_sdk 0.36) cannot set a view's properties, as its camera, and panics where
 //! the environment variable RERUN turns logging off. This one logs the same archetypes.
 
+use std::cell::Cell;
+
 use re_sdk_types::blueprint::archetypes::{
     ContainerBlueprint, PanelBlueprint, TimePanelBlueprint, ViewBlueprint, ViewContents,
     ViewportBlueprint,
@@ -13,11 +15,15 @@ use re_sdk_types::blueprint::components::{
 use re_sdk_types::external::uuid::Uuid;
 use re_sdk_types::{Archetype, View};
 use rerun::external::re_log_types::BlueprintActivationCommand;
+use rerun::log::{Chunk, RowId};
 use rerun::sink::MemorySinkStorage;
+use rerun::time::{TimePoint, Timeline};
 use rerun::{
     ApplicationId, AsComponents, EntityPath, RecordingStream, RecordingStreamBuilder,
     RecordingStreamResult, StoreId, StoreKind,
 };
+
+use super::fixed::{BATCHES, Seed};
 
 /// A view or a container, which can be put into a container.
 #[derive(Clone, Copy)]
@@ -27,10 +33,6 @@ pub(super) struct Part {
 }
 
 impl Part {
-    fn new(kind: &'static str) -> Self {
-        Self { kind, id: Uuid::new_v4() }
-    }
-
     fn path(self) -> String {
         format!("{}/{}", self.kind, self.id)
     }
@@ -41,28 +43,44 @@ pub(super) struct Blueprint {
     id: StoreId,
     stream: RecordingStream,
     messages: MemorySinkStorage,
+    seed: Seed,
+    /// How many parts there are.
+    parts: Cell<usize>,
 }
 
 impl Blueprint {
     /// An empty blueprint for recordings of `application`.
-    pub fn new(application: ApplicationId) -> RecordingStreamResult<Self> {
-        let id = StoreId::random(StoreKind::Blueprint, application);
-        let (stream, messages) =
-            RecordingStreamBuilder::from_store_id(&id).enabled(true).memory()?;
-        // Blueprints live on a timeline of their own.
-        stream.set_time_sequence("blueprint", 0);
-        Ok(Self { id, stream, messages })
+    pub fn new(application: ApplicationId, seed: Seed) -> RecordingStreamResult<Self> {
+        let id = format!("{:032x}", seed.id("blueprint"));
+        let id = StoreId::new(StoreKind::Blueprint, application, id);
+        let builder = RecordingStreamBuilder::from_store_id(&id).enabled(true);
+        let (stream, messages) = builder.batcher_config(BATCHES).send_properties(false).memory()?;
+        Ok(Self { id, stream, messages, seed, parts: Cell::new(0) })
+    }
+
+    /// A part that is not there yet.
+    fn part(&self, kind: &'static str) -> Part {
+        let number = self.parts.replace(self.parts.get() + 1);
+        Part { kind, id: Uuid::from_u128(self.seed.id(&format!("{kind} {number}"))) }
+    }
+
+    /// Logs at the one time that a blueprint has, on a timeline of its own, and at no time of a clock.
+    fn log(&self, path: String, what: &impl AsComponents) -> RecordingStreamResult<()> {
+        let time = TimePoint::default().with(Timeline::new_sequence("blueprint"), 0);
+        let chunk = Chunk::builder(path).with_archetype(RowId::new(), time, what).build()?;
+        self.stream.send_chunk(chunk);
+        Ok(())
     }
 
     /// A view of class `V` on `origin` and all below it.
     pub fn view<V: View>(&self, name: &str, origin: &EntityPath) -> RecordingStreamResult<Part> {
-        let view = Part::new("view");
+        let view = self.part("view");
         let contents = ViewContents::new(["$origin/**"]);
-        self.stream.log(format!("{}/ViewContents", view.path()), &contents)?;
+        self.log(format!("{}/ViewContents", view.path()), &contents)?;
         let blueprint = ViewBlueprint::new(V::identifier().as_str())
             .with_display_name(name)
             .with_space_origin(origin.to_string());
-        self.stream.log(view.path(), &blueprint)?;
+        self.log(view.path(), &blueprint)?;
         Ok(view)
     }
 
@@ -72,7 +90,7 @@ impl Blueprint {
         view: Part,
         property: &A,
     ) -> RecordingStreamResult<()> {
-        self.stream.log(format!("{}/{}", view.path(), A::name().short_name()), property)
+        self.log(format!("{}/{}", view.path(), A::name().short_name()), property)
     }
 
     /// Parts beside each other, with their shares of the width.
@@ -110,10 +128,10 @@ impl Blueprint {
         parts: &[Part],
         with_shares: impl FnOnce(ContainerBlueprint) -> ContainerBlueprint,
     ) -> RecordingStreamResult<Part> {
-        let container = Part::new("container");
+        let container = self.part("container");
         let contents = parts.iter().map(|part| IncludedContent(part.path().into()));
         let blueprint = ContainerBlueprint::new(kind).with_contents(contents);
-        self.stream.log(container.path(), &with_shares(blueprint))?;
+        self.log(container.path(), &with_shares(blueprint))?;
         Ok(container)
     }
 
@@ -129,11 +147,11 @@ impl Blueprint {
             .with_root_container(RootContainer(root.id.into()))
             .with_auto_layout(false)
             .with_auto_views(false);
-        self.stream.log("viewport", &viewport)?;
+        self.log("viewport".to_owned(), &viewport)?;
         let collapsed = PanelBlueprint::new().with_state(PanelState::Collapsed);
-        self.stream.log("blueprint_panel", &collapsed)?;
-        self.stream.log("selection_panel", &collapsed)?;
-        self.stream.log("time_panel", time)?;
+        self.log("blueprint_panel".to_owned(), &collapsed)?;
+        self.log("selection_panel".to_owned(), &collapsed)?;
+        self.log("time_panel".to_owned(), time)?;
         let activation = BlueprintActivationCommand::make_active(self.id);
         recording.send_blueprint(self.messages.take(), activation);
         Ok(())

@@ -16,6 +16,7 @@ use re_sdk_types::datatypes;
 use rerun::{ApplicationId, EntityPath, RecordingStream, RecordingStreamResult};
 
 use super::blueprint::{Blueprint, Part};
+use super::fixed::Seed;
 use super::plots::{self, Quantity};
 use super::{Replay, ReplayArm, ReplayImu, findings, page, scene, tape, tools};
 use crate::finding::Finding;
@@ -33,7 +34,7 @@ pub(super) fn send(
     application: ApplicationId,
     recording: &RecordingStream,
 ) -> RecordingStreamResult<()> {
-    let blueprint = Blueprint::new(application)?;
+    let blueprint = Blueprint::new(application, Seed::of(replay))?;
     let arms = replay.arms.iter().map(|arm| scene(arm, &blueprint));
     let arms = arms.collect::<RecordingStreamResult<Vec<_>>>()?;
     let proof = proof(replay, &blueprint)?;

@@ -22,6 +22,7 @@
 mod arm;
 mod blueprint;
 mod findings;
+mod fixed;
 mod layout;
 mod mesh;
 mod moments;
@@ -32,9 +33,12 @@ mod tape;
 mod tools;
 mod visuals;
 
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use polars::prelude::{DataFrame, PolarsError};
+use rerun::external::re_log_encoding::EncodeError;
+use rerun::log::ChunkError;
 use rerun::sink::SinkFlushError;
 use rerun::{
     ApplicationId, RecordingStream, RecordingStreamBuilder, RecordingStreamError,
@@ -48,6 +52,7 @@ use crate::robot::{Chain, Robot};
 use crate::stream::JointTrack;
 use crate::time::Stamp;
 
+use fixed::{BATCHES, Seed};
 pub use moments::Receipts;
 use tape::{Names, Tape};
 
@@ -65,7 +70,7 @@ pub struct Recording {
     pub path: PathBuf,
     /// The application; poseaudit where there is none.
     pub application: Option<String>,
-    /// The recording's id; a new one where there is none.
+    /// The recording's id; where there is none, one that follows from what it shows.
     pub id: Option<String>,
     /// Whether the viewer shows it beside the log that it reads itself. Its timelines then have the
     /// viewer's names, `ros2_timestamp` and `message_log_time`, so that one cursor moves both.
@@ -256,6 +261,10 @@ pub enum ReplayCause {
     Recording(#[from] RecordingStreamError),
     /// Values have no form in a recording.
     Values(#[from] SerializationError),
+    /// Nor have rows.
+    Rows(#[from] ChunkError),
+    /// It has no form in a file.
+    Encoding(#[from] EncodeError),
     /// It does not arrive on disk.
     Flush(#[from] SinkFlushError),
     /// A stream's frame lacks a column.
@@ -282,12 +291,15 @@ fn record(
     wanted: &Recording,
     replay: &Replay<'_>,
 ) -> Result<Vec<String>, ReplayCause> {
+    let id = wanted.id.clone();
+    let id = id.unwrap_or_else(|| format!("{:032x}", Seed::of(replay).id("recording")));
     // Explicitly enabled: the environment variable RERUN must not empty a file that was asked for.
-    let mut builder = RecordingStreamBuilder::new(application(wanted)).enabled(true);
-    if let Some(id) = &wanted.id {
-        builder = builder.recording_id(id.as_str());
-    }
-    fill(builder.save(staged)?, wanted, replay)
+    let builder = RecordingStreamBuilder::new(application(wanted)).enabled(true);
+    let builder = builder.recording_id(id).batcher_config(BATCHES);
+    let (recording, messages) = builder.recording_started(replay.span.0.nanos()).memory()?;
+    let notes = fill(recording, wanted, replay)?;
+    fs::write(staged, fixed::bytes(messages.take(), replay)?)?;
+    Ok(notes)
 }
 
 fn application(wanted: &Recording) -> ApplicationId {

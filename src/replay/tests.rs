@@ -168,6 +168,13 @@ fn a_recording_is_written_with_its_folder() -> Outcome {
     let notes = write(&Recording::from(path.clone()), &replay(vec![arm], &report))?;
     let bytes = fs::read(&path)?;
     assert!(bytes.starts_with(b"RRF2") && bytes.len() > 10_000);
+    let again = folder.path().join("again.rrd");
+    let mut second = self::arm(robot, &chain, &recorded);
+    second.corrected.q.iter_mut().for_each(|position| *position += 0.01);
+    second.streams = vec![stream(&aligned, StreamKind::Pose)?, stream(&aligned, StreamKind::Tf)?];
+    second.imus = vec![ReplayImu { topic: "/imu/data", received: Receipts::default(), yaw_error }];
+    write(&Recording::from(again.clone()), &replay(vec![second], &report))?;
+    assert!(bytes == fs::read(&again)?, "the same recording has other bytes");
     assert!(notes.is_empty(), "{notes:?}");
     Ok(())
 }
@@ -390,7 +397,7 @@ fn an_error_names_the_file() -> Outcome {
     let recording = Recording::from(folder.path().to_owned());
     let error = write(&recording, &replay(Vec::new(), &report)).unwrap_err();
     assert!(error.to_string().starts_with(&folder.path().display().to_string()), "{error}");
-    assert!(matches!(error.cause, ReplayCause::Recording(_)));
+    assert!(matches!(error.cause, ReplayCause::Folder(_)));
     Ok(())
 }
 

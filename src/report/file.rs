@@ -1,20 +1,26 @@
 use std::fs::{self, Permissions};
 use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+use tempfile::TempPath;
+
+use crate::places::{is_descriptor, replaceable};
 
 /// Has `write` fill the file that it is given, which takes its place at `path` once it is whole: who
 /// interrupts it finds there what was there before. The folders of `path` are made; what is no
-/// regular file, such as a pipe, is written to directly.
+/// regular file, such as a pipe, is written to directly. A link stays, and what it leads to in its own
+/// folder is replaced.
 ///
 /// # Errors
-/// What `write` returns, or if no file can be made there.
+/// What `write` returns, or if no file can be made there: where a link leads out of its folder, and where
+/// the file that is there is read-only, nothing is.
 pub fn write_whole<E: From<io::Error>>(
     path: &Path,
     write: impl FnOnce(&Path) -> Result<(), E>,
 ) -> Result<(), E> {
-    // A link stays, and what it leads to is replaced.
-    let path = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-    if path.exists() && !path.is_file() {
+    let path = replaceable(path)?;
+    if path.exists() && (!path.is_file() || is_descriptor(&path)) {
         return write(&path);
     }
     let folder = match path.parent() {
@@ -24,13 +30,46 @@ pub fn write_whole<E: From<io::Error>>(
     fs::create_dir_all(folder)?;
     let mut beside = tempfile::Builder::new();
     beside.prefix(".poseaudit-");
-    if let Some(permissions) = permissions() {
+    // Who may not read the old one may not read the new one.
+    let of_old = fs::metadata(&path).map(|metadata| metadata.permissions()).ok();
+    if let Some(permissions) = of_old.or_else(permissions) {
         beside.permissions(permissions);
     }
-    let staged = beside.tempfile_in(folder)?.into_temp_path();
-    write(&staged)?;
-    staged.persist(&path).map_err(|error| error.error)?;
+    let staged = Staged::new(|| Ok(beside.tempfile_in(folder)?.into_temp_path()))?;
+    write(&staged.0)?;
+    fs::rename(&staged.0, &path)?;
     Ok(())
+}
+
+/// Files that are being written, and are to go where the process ends before they are whole.
+static STAGED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
+/// A file that is being written. It goes when this does, unless it has got another name.
+struct Staged(TempPath);
+
+impl Staged {
+    fn new(make: impl FnOnce() -> io::Result<TempPath>) -> io::Result<Self> {
+        // Held while it is made: either it is not there yet, or it is known.
+        let mut all = STAGED.lock().unwrap_or_else(PoisonError::into_inner);
+        let path = make()?;
+        all.push(path.to_path_buf());
+        Ok(Self(path))
+    }
+}
+
+impl Drop for Staged {
+    fn drop(&mut self) {
+        let mut all = STAGED.lock().unwrap_or_else(PoisonError::into_inner);
+        all.retain(|path| *path != *self.0);
+    }
+}
+
+/// Deletes the files that are being written, and has none made any more: the process is about to end.
+pub fn forget_staged() {
+    let all = STAGED.lock().unwrap_or_else(PoisonError::into_inner);
+    // What has its name already is whole.
+    all.iter().for_each(|path| drop(fs::remove_file(path)));
+    std::mem::forget(all);
 }
 
 /// Those of any new file; a temporary one is its owner's alone.
@@ -75,8 +114,32 @@ mod tests {
         write_whole(&link, |staged| fs::write(staged, "new")).unwrap();
         assert!(link.is_symlink());
         assert_eq!(fs::read_to_string(&file).unwrap(), "new");
-        let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode();
+        let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode() & 0o777;
         assert_eq!(mode(&file), mode(&plain));
+        fs::set_permissions(&file, Permissions::from_mode(0o600)).unwrap();
+        write_whole(&link, |staged| fs::write(staged, "newer")).unwrap();
+        assert_eq!(mode(&file), 0o600);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn neither_what_a_link_leads_to_elsewhere_nor_what_is_read_only_is_replaced() {
+        use std::os::unix::fs::{PermissionsExt, symlink};
+        let folder = tempfile::tempdir().unwrap();
+        let [file, link] = ["file", "other/link"].map(|name| folder.path().join(name));
+        fs::create_dir(link.parent().unwrap()).unwrap();
+        fs::write(&file, "old").unwrap();
+        symlink(&file, &link).unwrap();
+        let refused = |path: &Path| {
+            let error: io::Error =
+                write_whole(path, |staged| fs::write(staged, "new")).unwrap_err();
+            assert_eq!(fs::read_to_string(&file).unwrap(), "old");
+            error.to_string()
+        };
+        assert!(refused(&link).starts_with("it is a link out of its folder, to /"));
+        fs::set_permissions(&file, Permissions::from_mode(0o444)).unwrap();
+        assert_eq!(refused(&file), "the file there is read-only");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
     }
 
     #[cfg(unix)]

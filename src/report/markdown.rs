@@ -8,7 +8,7 @@ use std::io::{self, Write};
 
 use super::amounts::shown;
 use super::outline::Outline;
-use super::{Report, Verdict};
+use super::{Report, Verdict, upright};
 use crate::finding::Finding;
 
 /// Writes the report.
@@ -103,6 +103,7 @@ pub(crate) fn code(name: &str) -> String {
 
 /// Words in which no character means anything to Markdown or HTML.
 pub(crate) fn prose(text: &str) -> String {
+    let text = upright(text);
     let mut escaped = String::with_capacity(text.len());
     let mut before = ' ';
     let mut rest = text.chars().peekable();

@@ -28,9 +28,10 @@ use crate::finding::{CheckRow, Finding, Ignored, Severity, Status, decimal};
 use crate::time::Stamp;
 
 pub use figures::Figures;
-pub use file::write_whole;
+pub use file::{forget_staged, write_whole};
 pub use format::{FORMATS, Format};
-pub use tame::tame;
+pub(crate) use tame::quoted;
+pub use tame::{tame, upright};
 pub use trouble::{Trouble, TroubleKind};
 
 /// The schema of the JSON report.

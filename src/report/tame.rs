@@ -1,15 +1,54 @@
 use std::borrow::Cow;
+use std::fmt::Write as _;
 
 /// The replacement character.
 const STAND_IN: char = '\u{fffd}';
 
 /// `text` without control characters, for a terminal or a line of a log: a name in a log cannot set
-/// colours, move the cursor or begin a line.
+/// colours, move the cursor or begin a line. Characters that turn the direction of writing are shown as
+/// escapes.
 pub fn tame(text: &str) -> Cow<'_, str> {
     match text.contains(char::is_control) {
-        true => Cow::Owned(text.replace(char::is_control, STAND_IN.encode_utf8(&mut [0; 4]))),
-        false => Cow::Borrowed(text),
+        true => {
+            let text = text.replace(char::is_control, STAND_IN.encode_utf8(&mut [0; 4]));
+            Cow::Owned(upright(&text).into_owned())
+        }
+        false => upright(text),
     }
+}
+
+/// `text` in which characters that turn the direction of writing stand as escapes, so that none of it is
+/// shown elsewhere than it stands. In JSON, YAML and texts of TOML in double quotes it is the same text.
+pub fn upright(text: &str) -> Cow<'_, str> {
+    if !text.contains(turns) {
+        return Cow::Borrowed(text);
+    }
+    Cow::Owned(escaped(text, turns))
+}
+
+/// `text` in double quotes, as JSON, YAML and TOML write it on one line.
+pub(crate) fn quoted(text: &str) -> String {
+    let text = serde_json::Value::from(text).to_string();
+    escaped(&text, |c| turns(c) || c.is_control())
+}
+
+fn escaped(text: &str, is_escaped: impl Fn(char) -> bool) -> String {
+    text.chars().fold(String::with_capacity(text.len()), |mut all, c| {
+        match is_escaped(c) {
+            // Writing to a string cannot fail.
+            true => drop(write!(all, "\\u{:04x}", u32::from(c))),
+            false => all.push(c),
+        }
+        all
+    })
+}
+
+/// Whether a character turns the direction of writing.
+fn turns(c: char) -> bool {
+    matches!(
+        c,
+        '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}'
+    )
 }
 
 #[cfg(test)]
@@ -20,5 +59,20 @@ mod tests {
     fn no_control_character_is_left_and_all_else_is() {
         assert_eq!(tame("/a\u{1b}[31m\nb\u{9b}é"), "/a\u{fffd}[31m\u{fffd}b\u{fffd}é");
         assert!(matches!(tame("0.5° ± 1"), Cow::Borrowed(_)));
+    }
+
+    #[test]
+    fn what_turns_the_direction_of_writing_is_shown_as_an_escape() {
+        let text = "/a\u{202e}b\u{2066}c\u{200f}";
+        assert_eq!(tame(text), r"/a\u202eb\u2066c\u200f");
+        assert!(matches!(upright("/é"), Cow::Borrowed(_)));
+        for text in [text, "'it\u{7f}'s\\\"\n\u{9b}"] {
+            let quoted = quoted(text);
+            assert!(quoted.bytes().all(|byte| byte.is_ascii_graphic()), "{quoted}");
+            let read: toml::Table = format!("a = {quoted}").parse().expect("TOML");
+            assert_eq!(read["a"].as_str(), Some(text));
+            assert_eq!(serde_json::from_str::<String>(&quoted).expect("JSON"), text);
+            assert_eq!(serde_saphyr::from_str::<String>(&quoted).expect("YAML"), text);
+        }
     }
 }

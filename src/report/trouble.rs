@@ -1,6 +1,6 @@
 use serde::Serialize;
 
-use crate::log::LogError;
+use crate::log::{LogError, SourceName};
 use crate::run::RunError;
 
 /// Why a call or a log cannot be worked with: one line, and what to do.
@@ -54,7 +54,9 @@ impl From<&RunError> for Trouble {
 impl From<LogError> for Trouble {
     fn from(error: LogError) -> Self {
         let kind = match error {
-            LogError::NotFound { .. } | LogError::Twice { .. } => TroubleKind::Call,
+            LogError::NotFound { .. } | LogError::Twice { .. } | LogError::Temporary { .. } => {
+                TroubleKind::Call
+            }
             LogError::Remote { ref fault, .. } if fault.is_of_the_call() => TroubleKind::Call,
             _ => TroubleKind::Log,
         };
@@ -90,8 +92,15 @@ impl From<LogError> for Trouble {
             LogError::NoMessages { path, cause } => {
                 (path, format!("no messages can be read: {cause}"), "record again")
             }
+            LogError::Temporary { path, source } => {
+                let folder = std::env::temp_dir();
+                let what =
+                    format!("what it unpacks to cannot be kept in {}: {source}", folder.display());
+                (path, what, "make room, or let TMPDIR name another folder")
+            }
             LogError::Remote { url, fault } => (url, fault.to_string(), fault.remedy()),
         };
-        Trouble { kind, what, place: path.display().to_string(), remedy: remedy.to_owned() }
+        let (place, remedy) = (SourceName::of(&path).to_string(), remedy.to_owned());
+        Trouble { kind, what, place, remedy }
     }
 }

@@ -21,6 +21,10 @@ use crate::diagnosis::Aligned;
 use crate::geometry::{Pose, angle_between, xyz_of, xyzw_from_rotation};
 use crate::time::Stamp;
 
+/// The tables of an audit, in the order in which they are written.
+pub(crate) const TABLE_FILES: [&str; 6] =
+    ["findings", "checks", "joints", "aligned", "reach_map", "reached_poses"];
+
 /// Stamp of the sample, ns since the epoch of its clock (`i64`; every other column is `f64`).
 pub const STAMP_NS: &str = "stamp_ns";
 /// Stamp of the sample, s from the run's origin.

@@ -11,6 +11,7 @@ use std::path::Path;
 use std::process::{Command, Output};
 use std::sync::LazyLock;
 use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
 
 use mcap::records::MessageHeader;
 use mcap::{Compression, MessageStream, WriteOptions};
@@ -73,10 +74,20 @@ static OPEN: LazyLock<Vec<u8>> = LazyLock::new(|| camera(None));
 
 /// Runs the program with the server as its S3, by the key `key_id`.
 fn poseaudit(server: &Server, key_id: &str, args: &[&str]) -> Output {
+    let mut command = command(server, args);
+    command.env("AWS_ACCESS_KEY_ID", key_id).env("AWS_SECRET_ACCESS_KEY", "secret");
+    command.output().expect("the binary runs")
+}
+
+/// The program, without credentials.
+fn command(server: &Server, args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_poseaudit"));
     for (name, _) in std::env::vars_os() {
         let name = name.to_string_lossy().into_owned();
-        if ["AWS_", "GOOGLE_", "AZURE_"].iter().any(|prefix| name.starts_with(prefix)) {
+        if ["AWS_", "GOOGLE_", "AZURE_", "POSEAUDIT_", "HOME"]
+            .iter()
+            .any(|prefix| name.starts_with(prefix))
+        {
             command.env_remove(name);
         }
     }
@@ -85,11 +96,8 @@ fn poseaudit(server: &Server, key_id: &str, args: &[&str]) -> Output {
         .env("AWS_ENDPOINT_URL", server.endpoint())
         .env("AWS_ALLOW_HTTP", "true")
         .env("AWS_REGION", "us-east-1")
-        .env("AWS_ACCESS_KEY_ID", key_id)
-        .env("AWS_SECRET_ACCESS_KEY", "secret")
-        .env("NO_PROXY", "127.0.0.1")
-        .output()
-        .expect("the binary runs")
+        .env("NO_PROXY", "127.0.0.1");
+    command
 }
 
 fn audit(server: &Server, url: &str, more: &[&str]) -> (Value, Output) {
@@ -191,6 +199,108 @@ fn a_web_server_serves_too_also_one_that_knows_no_ranges() {
         assert_eq!(report["log"]["files"][0]["path"], plain);
         assert!(!report.to_string().contains("s3cret"));
     }
+}
+
+#[test]
+fn a_user_and_a_password_are_used_and_shown_nowhere() {
+    let login = Some("Basic bWU6c2VjIHJldA==");
+    let manners = Manners { public: true, login, ..Manners::default() };
+    let server = Server::of(&[("run.mcap", &OPEN)], manners);
+    let host = server.endpoint().replace("http://", "");
+    let address = format!("HTTP://me:sec%20ret@{host}/{BUCKET}/run.mcap?token=sec%20ret");
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().join("out").display().to_string();
+    let misspelt = format!("htp://me:sec%20ret@{host}/run.mcap?token=sec%20ret");
+    let wrong = format!("http://you:sec%20ret@{host}/{BUCKET}/run.mcap");
+    let s3 = "s3://me:sec%20ret@bucket/run.mcap";
+    let report = folder.path().join("report").display().to_string();
+    let fleet = ["fleet", &address, "--select", "ING", "--out", &out];
+    let plain = format!("http://{host}/{BUCKET}/run.mcap");
+    for (args, status, part) in [
+        (&["audit", &address, "--select", "ING"][..], 0, plain.as_str()),
+        (&["audit", &address, "--select", "ING", "--format", "sarif", "--output", &report], 0, ""),
+        (&["info", &address], 0, &plain),
+        (&[&fleet[..], &["--pending"]].concat(), 0, &plain),
+        (&fleet, 0, "1 pass"),
+        (&["fleet", &wrong, "--out", &out], 3, "401 Unauthorized"),
+        (&["audit", &wrong], 3, "401 Unauthorized"),
+        (&["audit", &misspelt], 2, "no store is reached by htp://"),
+        (&["audit", &misspelt.replace("://", ":/")], 2, "no such file"),
+        (&["fleet", &misspelt, "--out", &out], 2, "there is no log in it"),
+        (&["audit", s3], 2, "credentials are not taken from it"),
+        (&["compare", &misspelt, &wrong], 2, "htp://"),
+        (&["tf", &wrong, "a", "b"], 3, "401 Unauthorized"),
+        (&["init", &misspelt], 2, "htp://"),
+    ] {
+        let output = poseaudit(&server, KEY_ID, args);
+        let said = [output.stdout, output.stderr].concat();
+        let said = String::from_utf8_lossy(&said).into_owned();
+        assert_eq!(output.status.code(), Some(status), "{args:?}: {said}");
+        assert!(said.contains(part) && !said.contains("sec"), "{args:?}: {said}");
+    }
+    let mut files = vec![folder.path().to_owned()];
+    while let Some(path) = files.pop() {
+        if path.is_dir() {
+            files.extend(fs::read_dir(&path).expect("a folder").map(|it| it.expect("it").path()));
+            continue;
+        }
+        let bytes = fs::read(&path).expect("a file");
+        let holds = |text: &str| bytes.windows(text.len()).any(|part| part == text.as_bytes());
+        assert!(!holds("sec%20ret") && !holds("sec ret"), "{}", path.display());
+    }
+}
+
+#[test]
+fn the_machine_is_asked_for_credentials_only_where_a_setting_says_so() {
+    let server = Server::of(&[("run.mcap", &OPEN)], Manners::default());
+    let said = |url: &str, setting: &str| {
+        let mut command = command(&server, &["audit", url]);
+        command.env("AWS_METADATA_ENDPOINT", server.endpoint());
+        let output = command.env("POSEAUDIT_METADATA_SERVICE", setting).output().expect("it runs");
+        assert_eq!(output.status.code(), Some(3), "{url}");
+        String::from_utf8_lossy(&output.stderr).into_owned()
+    };
+    for (url, variable) in [
+        (s3("run.mcap"), "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"),
+        ("gs://bucket/run.mcap".to_owned(), "GOOGLE_SERVICE_ACCOUNT"),
+        ("az://box/run.mcap".to_owned(), "AZURE_STORAGE_ACCOUNT_KEY"),
+    ] {
+        let line = said(&url, "false");
+        let expected = format!("error: {url}: no credentials for ");
+        assert!(line.starts_with(&expected) && line.contains(variable), "{line}");
+        assert!(line.contains("POSEAUDIT_METADATA_SERVICE=true"), "{line}");
+    }
+    assert_eq!(server.counts().requests.load(Ordering::Relaxed), 0);
+    said(&s3("run.mcap"), "true");
+    assert!(server.counts().requests.load(Ordering::Relaxed) > 0);
+}
+
+#[test]
+fn a_server_that_sends_next_to_nothing_is_given_up() {
+    let servers = [
+        Manners { trickle_ms: 300, public: true, ..Manners::default() },
+        Manners { trickle_ms: 300, wholes: true, public: true, ..Manners::default() },
+        Manners { silent: true, public: true, ..Manners::default() },
+    ];
+    for manners in servers {
+        let server = Server::of(&[("run.mcap", &OPEN)], manners);
+        let url = format!("{}/{BUCKET}/run.mcap", server.endpoint());
+        let mut command = command(&server, &["audit", &url]);
+        command.env("POSEAUDIT_PATIENCE", "3").env("POSEAUDIT_LEAST_RATE", "100");
+        let begin = Instant::now();
+        let output = command.output().expect("the binary runs");
+        let line = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(3), "{manners:?}: {line}");
+        let said = " bytes came in 3 s, and 100 a second are asked for; try again, or set ";
+        assert!(line.contains(said) && line.lines().count() == 1, "{manners:?}: {line}");
+        assert!(begin.elapsed() < Duration::from_secs(20), "{manners:?}");
+    }
+    let server = Server::of(&[("run.mcap", &OPEN)], Manners::default());
+    let mut command = command(&server, &["audit", "https://host/run.mcap"]);
+    let output = command.env("POSEAUDIT_LEAST_RATE", "1 kB").output().expect("the binary runs");
+    let line = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{line}");
+    assert!(line.contains("POSEAUDIT_LEAST_RATE is `1 kB`, which is no whole number"), "{line}");
 }
 
 #[test]

@@ -8,6 +8,7 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread;
+use std::time::Duration;
 
 /// The one bucket that there is.
 pub const BUCKET: &str = "logs";
@@ -28,6 +29,12 @@ pub struct Manners {
     pub wholes: bool,
     /// Requests need no signature.
     pub public: bool,
+    /// Requests need this user and password, as they stand in a header.
+    pub login: Option<&'static str>,
+    /// Answers come by a byte each so often, ms; 0: at once.
+    pub trickle_ms: u64,
+    /// No request is answered.
+    pub silent: bool,
     /// From so many requests on the objects are others than before; 0: never.
     pub changes: usize,
 }
@@ -134,6 +141,10 @@ impl Shared {
     fn answer(&self, mut connection: TcpStream) -> Option<()> {
         let request = Request::read(&connection)?;
         let _turn = self.turn.lock().ok()?;
+        if self.manners.silent {
+            thread::sleep(Duration::from_secs(600));
+            return None;
+        }
         let number = 1 + self.counts.requests.fetch_add(1, Ordering::Relaxed);
         let mut refuse = |status: &str, code: &str| {
             let body =
@@ -154,6 +165,9 @@ impl Shared {
         if !self.manners.public && !request.authorization.contains(&format!("Credential={KEY_ID}/"))
         {
             return refuse("403 Forbidden", "InvalidAccessKeyId");
+        }
+        if self.manners.login.is_some_and(|login| request.authorization != login) {
+            return refuse("401 Unauthorized", "NoLogin");
         }
         if bucket != BUCKET {
             return refuse("404 Not Found", "NoSuchBucket");
@@ -193,6 +207,12 @@ impl Shared {
             part = &part[..part.len() / 2];
         }
         self.counts.bytes.fetch_add(part.len(), Ordering::Relaxed);
+        if self.manners.trickle_ms > 0 {
+            for byte in part.chunks(1) {
+                connection.write_all(byte).ok()?;
+                thread::sleep(Duration::from_millis(self.manners.trickle_ms));
+            }
+        }
         connection.write_all(part).ok()?;
         connection.shutdown(Shutdown::Write).ok()
     }

@@ -207,10 +207,9 @@ fn new_keys(part: &Part<'_>, seen: &mut HashSet<String>) -> PolarsResult<Vec<Opt
 
 /// What is found on a subject.
 struct Found {
-    title: String,
     severity: Severity,
-    /// The logs it is found in, by their beginnings and paths, with the words of each.
-    logs: BTreeMap<(Option<i64>, String), String>,
+    /// The logs it is found in, by their beginnings and paths, with title and message of each.
+    logs: BTreeMap<(Option<i64>, String), (String, String)>,
 }
 
 /// A rule and whom it is about.
@@ -307,14 +306,13 @@ impl<'a> Gathering<'a> {
         };
         let title = part.text("title", row)?.unwrap_or_default();
         let whose = self.whose(part, row, log)?;
-        let found = self.found.entry((code, whose)).or_insert_with(|| Found {
-            title,
-            severity,
-            logs: BTreeMap::new(),
-        });
+        let found = self
+            .found
+            .entry((code, whose))
+            .or_insert_with(|| Found { severity, logs: BTreeMap::new() });
         found.severity = found.severity.max(severity);
         let message = part.text("message", row)?.unwrap_or_default();
-        found.logs.insert((log.start_ns, log.path.clone()), message);
+        found.logs.insert((log.start_ns, log.path.clone()), (title, message));
         Ok(())
     }
 }
@@ -329,7 +327,7 @@ fn name_of(estimate_json: Option<String>) -> String {
 /// What is found, the most frequent of the gravest first.
 fn finding_rows(found: BTreeMap<Cause, Found>, asked: &BTreeMap<Cause, usize>) -> Vec<FindingRow> {
     let rows = found.into_iter().filter_map(|(cause, found)| {
-        let ((start_ns, path), message) = found.logs.last_key_value()?;
+        let ((start_ns, path), (title, message)) = found.logs.last_key_value()?;
         Some(FindingRow {
             severity: found.severity,
             logs: found.logs.len(),
@@ -337,7 +335,7 @@ fn finding_rows(found: BTreeMap<Cause, Found>, asked: &BTreeMap<Cause, usize>) -
             message: message.clone(),
             path: path.clone(),
             start_ns: start_ns.map(|start_ns| start_ns.to_string()),
-            title: found.title,
+            title: title.clone(),
             code: cause.0,
             whose: cause.1,
         })
@@ -441,5 +439,21 @@ impl Part<'_> {
 
     fn stamp(&self, name: &str, row: usize) -> PolarsResult<Option<i64>> {
         Ok(self.0.column(name)?.i64()?.get(row))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn title_and_message_are_of_one_log() {
+        let words = |name: &str| (format!("title of {name}"), format!("message of {name}"));
+        let logs = ["a", "b"].map(|name| ((Some(1), name.to_owned()), words(name)));
+        let found = Found { severity: Severity::Warning, logs: logs.into() };
+        let cause = ("LAT001".to_owned(), Whose::default());
+        let rows = finding_rows([(cause, found)].into(), &BTreeMap::new());
+        let said = [&rows[0].title, &rows[0].message, &rows[0].path];
+        assert_eq!(said, ["title of b", "message of b", "b"]);
     }
 }

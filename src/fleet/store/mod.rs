@@ -46,6 +46,9 @@ pub enum Table {
 pub const TABLES: [Table; 5] =
     [Table::Streams, Table::Checks, Table::Findings, Table::Errors, Table::Runs];
 
+/// The folder of what settings of a hash are.
+const SETTINGS: &str = "settings";
+
 impl Table {
     /// Its name, which is that of its folder.
     pub const fn name(self) -> &'static str {
@@ -200,6 +203,12 @@ impl Store {
         Ok(store)
     }
 
+    /// The folders below `folder` that it keeps its files in.
+    pub fn folders(folder: &Path) -> Vec<PathBuf> {
+        let tables = TABLES.into_iter().chain([Table::Sources]).map(Table::name);
+        tables.chain([SETTINGS]).map(|name| folder.join(name)).collect()
+    }
+
     /// The store that is in `folder`; `None` where there is none.
     pub fn open(folder: &Path) -> Option<Self> {
         let folder = Folder(folder.to_owned());
@@ -216,7 +225,7 @@ impl Store {
     /// # Errors
     /// Where it cannot be written.
     pub fn keep_settings(&self, settings: &AuditSettings) -> Result<(), StoreError> {
-        let path = self.path().join("settings").join(format!("{}.json", settings.hash));
+        let path = self.path().join(SETTINGS).join(format!("{}.json", settings.hash));
         if path.is_file() {
             return Ok(());
         }
@@ -227,7 +236,7 @@ impl Store {
 
     /// When the settings of this hash were written down first; nothing where they were not.
     pub(super) fn settings_written(&self, hash: &str) -> Option<std::time::SystemTime> {
-        let path = self.path().join("settings").join(format!("{hash}.json"));
+        let path = self.path().join(SETTINGS).join(format!("{hash}.json"));
         fs::metadata(path).and_then(|metadata| metadata.modified()).ok()
     }
 

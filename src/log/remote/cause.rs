@@ -20,7 +20,7 @@ pub(super) fn fault(error: &object_store::Error, store: Store) -> RemoteFault {
         | object_store::Error::Unauthenticated { .. } => {
             RemoteFault::Denied { store, cause: cause() }
         }
-        // Where no credentials are in the environment, the machine is asked whose it is.
+        // The machine was asked for credentials.
         _ if is_of_metadata(&said) => {
             RemoteFault::NoCredentials { store, cause: format!("{} at {METADATA}", deepest(error)) }
         }

@@ -54,6 +54,16 @@ pub enum RemoteFault {
         /// How long was waited.
         seconds: u64,
     },
+    /// Too little came for a time.
+    #[error("{bytes} bytes came in {seconds} s, and {rate} a second are asked for")]
+    Slow {
+        /// How much.
+        bytes: usize,
+        /// In how long.
+        seconds: u64,
+        /// How much is asked for, bytes a second.
+        rate: usize,
+    },
     /// The connection broke off whenever the rest was asked for.
     #[error(
         "the connection broke off at byte {byte}, and again when the rest was asked for: {cause}"
@@ -122,15 +132,17 @@ impl RemoteFault {
             Self::NoBucket => "see whether the bucket is spelt right, and its region and endpoint",
             Self::NoCredentials { store, .. } => match store {
                 Store::S3 => {
-                    "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AWS_SKIP_SIGNATURE=true \
-                     for a public bucket"
+                    "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, AWS_SKIP_SIGNATURE=true for a \
+                     public bucket, or POSEAUDIT_METADATA_SERVICE=true to ask the machine"
                 }
                 Store::Google => {
-                    "set GOOGLE_SERVICE_ACCOUNT, or GOOGLE_SKIP_SIGNATURE=true for a public bucket"
+                    "set GOOGLE_SERVICE_ACCOUNT, GOOGLE_SKIP_SIGNATURE=true for a public bucket, or \
+                     POSEAUDIT_METADATA_SERVICE=true to ask the machine"
                 }
                 Store::Azure => {
-                    "set AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY, or \
-                     AZURE_SKIP_SIGNATURE=true for a public container"
+                    "set AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY, \
+                     AZURE_SKIP_SIGNATURE=true for a public container, or \
+                     POSEAUDIT_METADATA_SERVICE=true to ask the machine"
                 }
                 Store::Web => "name a URL that is signed",
             },
@@ -149,6 +161,10 @@ impl RemoteFault {
             Self::Unreachable { .. } => {
                 "check the network, and AWS_ENDPOINT_URL or the host's name"
             }
+            Self::Slow { .. } => {
+                "try again, or set POSEAUDIT_LEAST_RATE to fewer bytes a second, or POSEAUDIT_PATIENCE \
+                 to more seconds"
+            }
             Self::Silent { .. } | Self::BrokenOff { .. } => "try again, or download the log first",
             Self::Changed => "try again when nobody writes it",
             Self::Refused { .. } => "see docs/remote.md for the settings of stores",
@@ -166,6 +182,7 @@ impl RemoteFault {
                 | Self::Address { .. }
                 | Self::NoObject
                 | Self::NoBucket
+                | Self::Disk { .. }
         )
     }
 }

@@ -3,6 +3,7 @@
 use std::cell::Cell;
 use std::io::{self, Seek, SeekFrom, Write};
 use std::ops::Range;
+use std::rc::Rc;
 use std::time::Duration;
 
 use futures_util::{StreamExt, TryStreamExt, stream};
@@ -11,6 +12,7 @@ use tokio::runtime::{Builder, Runtime};
 use tokio::time::{sleep, timeout};
 
 use super::fault::RemoteFault;
+use super::patience::Patience;
 use super::store::Source;
 use super::{Address, Fetched, cause};
 use crate::log::files::Mapped;
@@ -50,15 +52,16 @@ const TRIES: u32 = 5;
 const PAUSE: Duration = Duration::from_millis(200);
 
 /// How long is waited for an answer, with all that the client repeats.
-const ANSWER: Duration = Duration::from_secs(60);
+const ANSWER: Duration = Duration::from_secs(50);
 
-/// How long is waited for the next bytes of an answer.
-const STALL: Duration = Duration::from_secs(30);
+/// How long is waited for the next bytes of an answer before they are asked for anew.
+const STALL: Duration = Duration::from_secs(10);
 
 /// Fetches what is read of the object at `address`; all of it where everything is to be verified.
 pub(super) fn fetch(address: &Address, options: &ReadOptions<'_>) -> Result<Fetched, RemoteFault> {
     let source = Source::of(address)?;
-    runtime()?.block_on(async {
+    let came = Rc::clone(&source.came);
+    let work = async {
         let mut object = match head(&source).await? {
             Head::Part { meta, bytes } => Object::of(source, meta, &bytes, options)?,
             Head::Whole => {
@@ -72,7 +75,9 @@ pub(super) fn fetch(address: &Address, options: &ReadOptions<'_>) -> Result<Fetc
             object.fetch(Ranges::up_to(object.size)).await?;
         }
         Ok(object.finish())
-    })
+    };
+    let patience = Patience::of_environment()?;
+    runtime()?.block_on(patience.watch(&came, work))
 }
 
 /// What the clients run in: this thread.
@@ -111,7 +116,7 @@ async fn head(source: &Source) -> Result<Head, RemoteFault> {
                 bytes.extend_from_slice(part);
                 Ok(())
             };
-            read(answer, &Cell::new(0), keep).await?;
+            read(answer, source, &Cell::new(0), keep).await?;
         }
         Ok(Head::Part { meta, bytes })
     })
@@ -140,7 +145,7 @@ async fn whole(
         options.at(at.get());
         file.file.write_all(part).map_err(disk)
     };
-    read(answer, &at, keep).await?;
+    read(answer, source, &at, keep).await?;
     let file = file.map_or_else(|| Unpacked::of(&[]), Ok).map_err(disk)?;
     Ok(Fetched { file, present: Present::Whole, bytes: at.get() as u64 })
 }
@@ -233,7 +238,7 @@ impl<'p> Object<'p> {
             if answer.meta.e_tag != self.e_tag || answer.meta.size != self.size as u64 {
                 return Err(RemoteFault::Changed);
             }
-            read(answer, &at, |part| self.keep(at.get(), part)).await
+            read(answer, &self.source, &at, |part| self.keep(at.get(), part)).await
         })
         .await
     }
@@ -262,7 +267,8 @@ async fn ask(
     patiently(source.client.get_opts(&source.key, options)).await
 }
 
-async fn patiently<T>(answer: impl Future<Output = T>) -> Result<T, RemoteFault> {
+/// An answer that takes no longer than it may.
+pub(super) async fn patiently<T>(answer: impl Future<Output = T>) -> Result<T, RemoteFault> {
     let silent = |_| RemoteFault::Silent { seconds: ANSWER.as_secs() };
     timeout(ANSWER, answer).await.map_err(silent)
 }
@@ -270,6 +276,7 @@ async fn patiently<T>(answer: impl Future<Output = T>) -> Result<T, RemoteFault>
 /// Hands on what comes of an answer, and counts it in `at`, which is where it begins.
 async fn read(
     answer: GetResult,
+    source: &Source,
     at: &Cell<usize>,
     mut keep: impl FnMut(&[u8]) -> Result<(), RemoteFault>,
 ) -> Result<(), RemoteFault> {
@@ -282,6 +289,7 @@ async fn read(
         match next.map_err(|_| RemoteFault::Silent { seconds: STALL.as_secs() })? {
             Some(Ok(part)) if part.len() <= end - at.get() => {
                 keep(&part)?;
+                source.came.update(|came| came + part.len());
                 at.set(at.get() + part.len());
             }
             Some(Ok(_)) => return Err(broken("it sent more than it was asked for".to_owned())),

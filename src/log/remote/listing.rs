@@ -1,6 +1,6 @@
 //! What objects there are.
 
-use futures_util::TryStreamExt;
+use futures_util::StreamExt;
 use object_store::{GetOptions, ObjectMeta};
 
 use super::fault::{RemoteFault, Store};
@@ -16,12 +16,17 @@ pub(super) fn list(address: &Address) -> Result<Vec<Listed>, RemoteFault> {
             Store::Web => Vec::new(),
             _ => {
                 let prefix = Some(&source.key).filter(|key| !key.as_ref().is_empty());
-                source.client.list(prefix).try_collect().await.map_err(fault)?
+                let (mut listed, mut found) = (source.client.list(prefix), Vec::new());
+                while let Some(meta) = fetch::patiently(listed.next()).await? {
+                    found.push(meta.map_err(fault)?);
+                }
+                found
             }
         };
         if below.is_empty() {
             let options = GetOptions { head: true, ..GetOptions::default() };
-            let answer = source.client.get_opts(&source.key, options).await.map_err(fault)?;
+            let answer = fetch::patiently(source.client.get_opts(&source.key, options)).await?;
+            let answer = answer.map_err(fault)?;
             return Ok(vec![answer.meta]);
         }
         Ok(below)

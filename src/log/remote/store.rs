@@ -1,17 +1,22 @@
 //! From a URL to the client of its store. Credentials and endpoints come from the environment.
 
+use std::cell::Cell;
+use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
 
+use base64::prelude::{BASE64_STANDARD, Engine as _};
 use object_store::aws::AmazonS3Builder;
 use object_store::azure::MicrosoftAzureBuilder;
 use object_store::gcp::GoogleCloudStorageBuilder;
 use object_store::http::HttpBuilder;
 use object_store::path::Path as Key;
-use object_store::{BackoffConfig, ClientOptions, ObjectStore, RetryConfig};
+use object_store::{
+    BackoffConfig, ClientOptions, HeaderMap, HeaderValue, ObjectStore, RetryConfig,
+};
 
 use super::fault::{RemoteFault, Store};
-use super::{Address, cause};
+use super::{Address, cause, named, percent_decoded};
 
 /// How long a connection may take to stand.
 const CONNECT: Duration = Duration::from_secs(5);
@@ -29,6 +34,8 @@ pub(super) struct Source {
     pub(super) store: Store,
     /// The URL up to the key.
     pub(super) root: String,
+    /// Bytes that came, for who watches whether any do.
+    pub(super) came: Rc<Cell<usize>>,
 }
 
 impl Source {
@@ -36,6 +43,7 @@ impl Source {
     pub(super) fn of(Address(url): &Address) -> Result<Self, RemoteFault> {
         let (scheme, rest) = url.split_once("://").unwrap_or_default();
         let (host, key) = rest.split_once('/').unwrap_or((rest, ""));
+        let is_account = scheme.starts_with("abfs") && !host.contains(':');
         let store = match scheme {
             "s3" | "s3a" => Store::S3,
             "gs" => Store::Google,
@@ -46,41 +54,89 @@ impl Source {
         if host.is_empty() {
             return Err(invalid(format!("nothing stands behind {scheme}://")));
         }
+        if store != Store::Web && !is_account && host.contains(['@', ':']) {
+            let cause = "credentials are not taken from it, but from the environment";
+            return Err(invalid(cause.to_owned()));
+        }
         let root = format!("{scheme}://{host}/");
         let key = match store {
             // The whole URL is the client's root, so that nothing in it is written otherwise.
             Store::Web => Key::default(),
             _ => Key::parse(key).map_err(|error| invalid(error.to_string()))?,
         };
+        let missing = || {
+            let cause = "the environment names none".to_owned();
+            Err(RemoteFault::NoCredentials { store, cause })
+        };
         let client: Result<Arc<dyn ObjectStore>, object_store::Error> = match store {
-            Store::S3 => AmazonS3Builder::from_env()
-                .with_client_options(options("AWS_"))
-                .with_retry(retries())
-                .with_url(&root)
-                .build()
-                .map(|client| Arc::new(client) as _),
-            Store::Google => GoogleCloudStorageBuilder::from_env()
-                .with_client_options(options("GOOGLE_"))
-                .with_retry(retries())
-                .with_url(&root)
-                .build()
-                .map(|client| Arc::new(client) as _),
-            Store::Azure => MicrosoftAzureBuilder::from_env()
-                .with_client_options(options("AZURE_"))
-                .with_retry(retries())
-                .with_url(&root)
-                .build()
-                .map(|client| Arc::new(client) as _),
-            Store::Web => HttpBuilder::new()
-                .with_client_options(plain_options().with_allow_http(true))
-                .with_retry(retries())
-                .with_url(url.split('#').next().unwrap_or_default())
-                .build()
-                .map(|client| Arc::new(client) as _),
+            Store::S3 => {
+                let builder = AmazonS3Builder::from_env();
+                if !named::s3(|key| builder.get_config_value(&key)) {
+                    return missing();
+                }
+                builder
+                    .with_client_options(options("AWS_"))
+                    .with_retry(retries())
+                    .with_url(&root)
+                    .build()
+                    .map(|client| Arc::new(client) as _)
+            }
+            Store::Google => {
+                let builder = GoogleCloudStorageBuilder::from_env();
+                if !named::google(|key| builder.get_config_value(&key)) {
+                    return missing();
+                }
+                builder
+                    .with_client_options(options("GOOGLE_"))
+                    .with_retry(retries())
+                    .with_url(&root)
+                    .build()
+                    .map(|client| Arc::new(client) as _)
+            }
+            Store::Azure => {
+                let builder = MicrosoftAzureBuilder::from_env();
+                if !named::azure(|key| builder.get_config_value(&key)) {
+                    return missing();
+                }
+                builder
+                    .with_client_options(options("AZURE_"))
+                    .with_retry(retries())
+                    .with_url(&root)
+                    .build()
+                    .map(|client| Arc::new(client) as _)
+            }
+            Store::Web => {
+                let (url, login) = login(url.split('#').next().unwrap_or_default());
+                HttpBuilder::new()
+                    .with_client_options(
+                        plain_options().with_allow_http(true).with_default_headers(login),
+                    )
+                    .with_retry(retries())
+                    .with_url(url)
+                    .build()
+                    .map(|client| Arc::new(client) as _)
+            }
         };
         let client = client.map_err(|error| invalid(cause::deepest(&error)))?;
-        Ok(Self { client, key, store, root })
+        Ok(Self { client, key, store, root, came: Rc::default() })
     }
+}
+
+/// A web address without the user and the password in it, and the header that says them.
+fn login(url: &str) -> (String, HeaderMap) {
+    let mut headers = HeaderMap::new();
+    let (scheme, rest) = url.split_once("://").unwrap_or_default();
+    let end = rest.find(['/', '?']).unwrap_or(rest.len());
+    let Some((user, host)) = rest[..end].rsplit_once('@') else { return (url.to_owned(), headers) };
+    let (user, password) = user.split_once(':').unwrap_or((user, ""));
+    let both = [&percent_decoded(user)[..], b":", &percent_decoded(password)].concat();
+    // What base64 makes is always a header.
+    if let Ok(mut value) = HeaderValue::try_from(format!("Basic {}", BASE64_STANDARD.encode(both)))
+    {
+        value.set_sensitive(true);
+        headers.insert("authorization", value);
+    }
+    (format!("{scheme}://{host}{}", &rest[end..]), headers)
 }
 
 /// How a client connects. Bodies take as long as they take; whether anything comes is seen where they

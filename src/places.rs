@@ -1,0 +1,317 @@
+//! What a call reads, and what it writes: no file that it writes is one that it reads, or another that it
+//! writes.
+//!
+//! Files that are there are told by device and inode, so that links and other spellings of a path are the
+//! same file; those that are yet to be made by the folder that they will be in, and their name. All of it is
+//! looked at before anything is read.
+
+use std::fs::{self, Metadata};
+use std::io;
+use std::path::{Component, Path, PathBuf};
+
+use crate::audit::Options;
+use crate::corrections::{FIX_FILES, model_files};
+use crate::log;
+use crate::report::{Trouble, TroubleKind};
+use crate::tables::TABLE_FILES;
+
+/// The files and folders of a call.
+#[derive(Debug, Default)]
+pub struct Places {
+    inputs: Vec<(&'static str, Place)>,
+    /// The folders of meshes, any file below which may be read.
+    trees: Vec<Place>,
+    outputs: Vec<Output>,
+}
+
+/// A file to write, or a folder in which files are written.
+#[derive(Debug)]
+struct Output {
+    /// The option that names it.
+    option: &'static str,
+    place: Place,
+    kind: Kind,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    File,
+    /// A folder in which other files are left as they are.
+    Folder,
+    /// A folder with nothing in it but what is written by this option.
+    Own,
+}
+
+/// Where a file is, or will be.
+#[derive(Clone, Debug)]
+struct Place {
+    /// As it was given.
+    given: PathBuf,
+    /// Without links, `.` and `..`.
+    path: PathBuf,
+    /// What is there.
+    metadata: Option<Metadata>,
+}
+
+impl Places {
+    /// Those of an audit, as far as `options` name them.
+    pub fn of(options: &Options) -> Self {
+        let mut places = Self::default();
+        let robots = options.robots.iter().map(|robot| Path::new(&robot.model));
+        // What is no file is a name of the catalogue.
+        let robots: Vec<&Path> = robots.filter(|path| path.is_file()).collect();
+        options.logs.iter().for_each(|log| places.reads_log(log));
+        robots.iter().for_each(|robot| places.reads("the robot", robot));
+        options.calibrations.iter().for_each(|one| places.reads("the calibration", &one.file));
+        options.config.iter().for_each(|config| places.reads("the config", config));
+        options.corrections.iter().for_each(|file| places.reads("the corrections", file));
+        if let Some(recording) = &options.recording {
+            places.trees.extend(recording.mesh_roots.iter().map(|root| Place::of(root)));
+            places.writes("--rrd", &recording.path);
+        }
+        if let Some(folder) = &options.tables {
+            places.writes_into(
+                "--parquet",
+                folder,
+                TABLE_FILES.map(|name| format!("{name}.parquet")),
+            );
+        }
+        if let Some(folder) = &options.fix {
+            let patched = robots.iter().flat_map(|robot| model_files(robot));
+            let names = FIX_FILES.iter().map(|&name| name.to_owned()).chain(patched);
+            places.writes_into("--fix", folder, names);
+        }
+        places
+    }
+
+    /// `path` is read, which is `what`.
+    pub fn reads(&mut self, what: &'static str, path: &Path) {
+        self.inputs.push((what, Place::of(path)));
+    }
+
+    /// The log at `path` is read: a file, all files of a folder, or an object in a store, which is no
+    /// place here.
+    pub fn reads_log(&mut self, path: &Path) {
+        let Some(path) = log::local(path) else { return };
+        let entries = fs::read_dir(&path).into_iter().flatten().flatten();
+        let inside: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
+        inside.iter().for_each(|file| self.reads("a file of the log", file));
+        self.reads("the log", &path);
+    }
+
+    /// Whether stdout and stderr lead to none of `logs`, of a command that writes nothing else.
+    ///
+    /// # Errors
+    /// If one does.
+    pub fn only_read<'a>(logs: impl IntoIterator<Item = &'a PathBuf>) -> Result<(), Trouble> {
+        let mut places = Self::default();
+        logs.into_iter().for_each(|log| places.reads_log(log));
+        places.check()
+    }
+
+    /// `option` has the file at `path` written.
+    pub fn writes(&mut self, option: &'static str, path: &Path) {
+        self.outputs.push(Output { option, place: Place::of(path), kind: Kind::File });
+    }
+
+    /// `option` has files of these `names` written into `folder`.
+    pub fn writes_into(
+        &mut self,
+        option: &'static str,
+        folder: &Path,
+        names: impl IntoIterator<Item = String>,
+    ) {
+        self.outputs.push(Output { option, place: Place::of(folder), kind: Kind::Folder });
+        names.into_iter().for_each(|name| self.writes(option, &folder.join(name)));
+    }
+
+    /// `option` has `folder`, and nothing else may be written in it.
+    pub fn keeps(&mut self, option: &'static str, folder: &Path) {
+        self.outputs.push(Output { option, place: Place::of(folder), kind: Kind::Own });
+    }
+
+    /// What is read at `path`, if it is one of the inputs.
+    pub(crate) fn read_at(&self, path: &Path) -> Option<&'static str> {
+        let place = Place::of(path);
+        self.inputs.iter().find(|(_, input)| input.is(&place)).map(|(what, _)| *what)
+    }
+
+    /// Whether nothing that is written would take the place of what is read, or of something else that is.
+    ///
+    /// # Errors
+    /// If something would, or where it cannot be written as what it is.
+    pub fn check(&self) -> Result<(), Trouble> {
+        let standard = [standard(&io::stdout()), standard(&io::stderr())];
+        for stream in standard.iter().flatten() {
+            let input = self.inputs.iter().find(|(_, input)| input.is(stream));
+            if let Some((what, input)) = input {
+                let why = format!("it is {what} {}, which would be lost", input.given.display());
+                return Err(refused("stdout", &why, "send it elsewhere"));
+            }
+        }
+        for (at, output) in self.outputs.iter().enumerate() {
+            let Output { option, place, kind } = output;
+            let is_file = *kind == Kind::File;
+            let refuse = |why: &str| {
+                let shown = format!("{option} {}", place.given.display());
+                Err(refused(&shown, why, &format!("name another with {option}")))
+            };
+            if place.is_device() && is_file {
+                continue;
+            }
+            let input = self.inputs.iter().find(|(_, input)| input.is(place) && is_file);
+            if let Some((what, input)) = input {
+                let input = input.given.display();
+                return refuse(&format!("it is {what} {input}, which would be lost"));
+            }
+            if let Some(tree) = self.tree_of(place).filter(|_| is_file) {
+                return refuse(&format!("it is one of the files in --mesh-root {tree}"));
+            }
+            if let Some(other) = self.outputs[..at].iter().find(|other| other.collides(output)) {
+                let (other, path) = (other.option, other.place.given.display());
+                return refuse(&format!("{other} {path} is to be written there"));
+            }
+            if let Err(why) = place.can_be(*kind) {
+                return refuse(&why);
+            }
+            let is_standard = standard.iter().flatten().any(|stream| place.is(stream));
+            if is_standard && is_file && !is_descriptor(&place.given) {
+                return refuse("stdout or stderr leads there");
+            }
+        }
+        Ok(())
+    }
+
+    /// The folder of meshes that what is at `place` is in.
+    fn tree_of(&self, place: &Place) -> Option<std::path::Display<'_>> {
+        let tree = self.trees.iter().find(|tree| place.path.starts_with(&tree.path))?;
+        place.metadata.as_ref().map(|_| tree.given.display())
+    }
+}
+
+impl Output {
+    /// Whether two outputs cannot both be written.
+    fn collides(&self, other: &Self) -> bool {
+        let (a, b) = (&self.place, &other.place);
+        if a.is_device() || b.is_device() {
+            return false;
+        }
+        let within = |outer: &Self, inner: &Self| {
+            outer.kind != Kind::Folder && inner.place.path.starts_with(&outer.place.path)
+        };
+        let are_one = self.kind == Kind::File && other.kind == Kind::File && a.is(b);
+        are_one || within(self, other) || within(other, self)
+    }
+}
+
+impl Place {
+    fn of(given: &Path) -> Self {
+        let path = resolved(given);
+        let metadata = fs::metadata(&path).ok();
+        Self { given: given.to_owned(), path, metadata }
+    }
+
+    /// Whether both are one file.
+    fn is(&self, other: &Self) -> bool {
+        let same = self.metadata.as_ref().zip(other.metadata.as_ref());
+        self.path == other.path || same.is_some_and(|(a, b)| is_same(a, b))
+    }
+
+    /// Whether it is neither file nor folder, such as a pipe: nothing there can be lost.
+    fn is_device(&self) -> bool {
+        self.metadata.as_ref().is_some_and(|is| !is.is_file() && !is.is_dir())
+    }
+
+    /// Whether an output of this kind may be there.
+    fn can_be(&self, kind: Kind) -> Result<(), String> {
+        let is_folder = self.metadata.as_ref().map(Metadata::is_dir);
+        match (kind, is_folder) {
+            (Kind::File, Some(true)) => return Err("it is a folder".to_owned()),
+            (Kind::Folder | Kind::Own, Some(false)) => return Err("it is no folder".to_owned()),
+            (Kind::File, Some(false)) => {
+                replaceable(&self.given).map_err(|error| error.to_string())?;
+            }
+            _ => {}
+        }
+        let mut above = self.path.ancestors().skip(1);
+        match above.find(|above| above.exists()).filter(|above| !above.is_dir()) {
+            Some(above) => Err(format!("{} is no folder", above.display())),
+            None => Ok(()),
+        }
+    }
+}
+
+/// The path at which what is written to `path` would be: that of a file which is there already, unless a link
+/// leads to it out of its own folder.
+///
+/// # Errors
+/// If a link does, or the file is protected against being written.
+pub(crate) fn replaceable(path: &Path) -> io::Result<PathBuf> {
+    let Ok(target) = fs::canonicalize(path) else { return Ok(path.to_owned()) };
+    if is_descriptor(path) {
+        return Ok(path.to_owned());
+    }
+    let metadata = fs::metadata(&target)?;
+    if !metadata.is_file() {
+        return Ok(target);
+    }
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let folder = fs::canonicalize(folder.unwrap_or(Path::new(".")))?;
+    if path.is_symlink() && target.parent() != Some(&folder) {
+        let target = target.display();
+        return Err(io::Error::other(format!("it is a link out of its folder, to {target}")));
+    }
+    if metadata.permissions().readonly() {
+        return Err(io::Error::other("the file there is read-only"));
+    }
+    Ok(target)
+}
+
+/// Whether `path` names what this process has open, as `/dev/stdout` does: that is written to as it is.
+pub(crate) fn is_descriptor(path: &Path) -> bool {
+    path.starts_with("/dev") || path.starts_with("/proc")
+}
+
+/// `path` without links, `.` and `..`, also where its end is not there yet.
+fn resolved(path: &Path) -> PathBuf {
+    let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    let known = path.ancestors().find_map(|above| Some((above, fs::canonicalize(above).ok()?)));
+    let Some((above, mut resolved)) = known else { return path };
+    for part in path.strip_prefix(above).unwrap_or(Path::new("")).components() {
+        match part {
+            Component::ParentDir => drop(resolved.pop()),
+            part => resolved.push(part),
+        }
+    }
+    // A folder that is yet to be made, and out of it again: what is there may be there already.
+    fs::canonicalize(&resolved).unwrap_or(resolved)
+}
+
+#[cfg(unix)]
+fn is_same(a: &Metadata, b: &Metadata) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    (a.dev(), a.ino()) == (b.dev(), b.ino())
+}
+
+#[cfg(not(unix))]
+fn is_same(_: &Metadata, _: &Metadata) -> bool {
+    false
+}
+
+/// The file that a standard stream leads to.
+#[cfg(unix)]
+fn standard(stream: &impl std::os::fd::AsFd) -> Option<Place> {
+    let file = fs::File::from(stream.as_fd().try_clone_to_owned().ok()?);
+    let metadata = file.metadata().ok().filter(Metadata::is_file)?;
+    Some(Place { given: PathBuf::new(), path: PathBuf::new(), metadata: Some(metadata) })
+}
+
+#[cfg(not(unix))]
+fn standard<T>(_: &T) -> Option<Place> {
+    None
+}
+
+fn refused(place: &str, what: &str, remedy: &str) -> Trouble {
+    let (place, what, remedy) = (place.to_owned(), what.to_owned(), remedy.to_owned());
+    Trouble { kind: TroubleKind::Call, what, place, remedy }
+}

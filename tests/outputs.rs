@@ -1,0 +1,421 @@
+//! Every output of every command against every input: nothing that is read, and nothing that was there
+//! before and could not be replaced whole, is lost.
+#![cfg(unix)]
+
+use std::collections::BTreeMap;
+use std::fs::{self, Permissions};
+use std::os::unix::fs::{PermissionsExt, symlink};
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+use tempfile::TempDir;
+
+/// A command: what it reads, and its arguments, of which `OUT` is the output.
+struct Call {
+    args: &'static str,
+    inputs: &'static [&'static str],
+    /// For an output that is a folder, a file that is written into it.
+    file: Option<&'static str>,
+}
+
+const OF_AUDIT: &[&str] =
+    &["run.mcap", "bag/bag_0.mcap", "r.toml", "c.yaml", "poseaudit.toml", "corrections.toml"];
+
+/// What an audit reads in these tests.
+const READS: &str = "run.mcap bag --robot r.toml --calibration c.yaml --config poseaudit.toml";
+
+const CALLS: &[Call] = &[
+    Call {
+        args: "audit READS --corrections corrections.toml --output OUT",
+        inputs: OF_AUDIT,
+        file: None,
+    },
+    Call {
+        args: "audit READS --corrections corrections.toml --format json --output OUT",
+        inputs: OF_AUDIT,
+        file: None,
+    },
+    Call {
+        args: "audit READS --corrections corrections.toml --format json --format html --output OUT",
+        inputs: OF_AUDIT,
+        file: Some("report.json"),
+    },
+    Call {
+        args: "audit READS --corrections corrections.toml --rrd OUT",
+        inputs: OF_AUDIT,
+        file: None,
+    },
+    Call {
+        args: "audit run.mcap --mesh-root meshes --rrd OUT",
+        inputs: &["meshes/a/link.obj"],
+        file: None,
+    },
+    Call {
+        args: "audit run.mcap --mesh-root meshes --rrd new.rrd --output OUT",
+        inputs: &["meshes/a/link.obj"],
+        file: None,
+    },
+    Call {
+        args: "audit READS --corrections corrections.toml --parquet OUT",
+        inputs: OF_AUDIT,
+        file: Some("findings.parquet"),
+    },
+    Call {
+        args: "audit READS --fix OUT",
+        inputs: &["run.mcap", "bag/bag_0.mcap", "r.toml", "c.yaml", "poseaudit.toml"],
+        file: Some("corrections.toml"),
+    },
+    Call { args: "audit READS --fix OUT", inputs: &["run.mcap", "r.toml"], file: Some("r.toml") },
+    Call {
+        args: "compare old.json run.mcap --output OUT",
+        inputs: &["old.json", "run.mcap"],
+        file: None,
+    },
+    Call { args: "compare bag run.mcap --output OUT", inputs: &["bag/bag_0.mcap"], file: None },
+    Call {
+        args: "init run.mcap bag --output OUT",
+        inputs: &["run.mcap", "bag/bag_0.mcap"],
+        file: None,
+    },
+    Call { args: "fk r.toml --file q.csv --output OUT", inputs: &["r.toml", "q.csv"], file: None },
+    Call {
+        args: "fleet run.mcap bag --out results --output OUT",
+        inputs: &["run.mcap", "bag/bag_0.mcap"],
+        file: None,
+    },
+    Call {
+        args: "fleet run.mcap --out results --robot r.toml --config poseaudit.toml --output OUT",
+        inputs: &["r.toml", "poseaudit.toml", "results/runs/part.parquet"],
+        file: None,
+    },
+    Call {
+        args: "fleet run.mcap --out results --pending --output OUT",
+        inputs: &["run.mcap", "results/runs/part.parquet"],
+        file: None,
+    },
+    Call {
+        args: "fleet report results --output OUT",
+        inputs: &["results/runs/part.parquet"],
+        file: None,
+    },
+];
+
+/// A folder with an input of every kind. None is what its reader asks for, so that whatever reads before it
+/// looks at its outputs says something else.
+fn inputs() -> TempDir {
+    let folder = tempfile::tempdir().expect("a folder");
+    for name in OF_AUDIT.iter().chain(&[
+        "meshes/a/link.obj",
+        "old.json",
+        "q.csv",
+        "results/runs/part.parquet",
+    ]) {
+        let path = folder.path().join(name);
+        fs::create_dir_all(path.parent().expect("a folder")).expect("a folder");
+        // A config is read to know which robots it names.
+        let text = if *name == "poseaudit.toml" { "# nothing\n" } else { name };
+        fs::write(path, text).expect("a file");
+    }
+    folder
+}
+
+fn poseaudit(folder: &Path, args: &[String]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_poseaudit"));
+    command.args(args).current_dir(folder);
+    command
+}
+
+fn args(call: &str, out: &str) -> Vec<String> {
+    let call = call.replace("READS", READS);
+    call.split(' ').map(|arg| arg.replace("OUT", out)).collect()
+}
+
+/// A hash of what is in each file below a folder, and where its links lead. A fleet's lock is empty, and
+/// stays.
+fn content(folder: &Path) -> BTreeMap<PathBuf, String> {
+    let mut all = BTreeMap::new();
+    for entry in fs::read_dir(folder).expect("a folder") {
+        let path = entry.expect("an entry").path();
+        if path.is_symlink() {
+            let target = fs::read_link(&path).expect("a link");
+            all.insert(path, target.display().to_string());
+        } else if path.is_dir() {
+            all.extend(content(&path));
+        } else if !path.ends_with(".lock") {
+            let bytes = fs::read(&path).expect("a file");
+            all.insert(path, blake3::hash(&bytes).to_hex().to_string());
+        }
+    }
+    all
+}
+
+/// Asserts that a call ended with status 2 and one line that holds `part`, and printed nothing else.
+#[track_caller]
+fn assert_refused(output: &Output, part: &str, call: &[String]) {
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    let line = said.trim_end();
+    assert_eq!(output.status.code(), Some(2), "{call:?}: {line}");
+    assert!(line.starts_with("error: ") && !line.contains('\n'), "{call:?}: {line}");
+    assert!(line.contains(part), "{call:?}: {line}");
+    assert!(output.stdout.is_empty(), "{call:?}");
+}
+
+/// Runs `call` with its output at `out`, and asserts that it is refused and leaves all as it was.
+#[track_caller]
+fn refused(folder: &Path, call: &Call, out: &str, part: &str) {
+    let before = content(folder);
+    let args = args(call.args, out);
+    let output = poseaudit(folder, &args).output().expect("the binary runs");
+    assert_refused(&output, part, &args);
+    assert_eq!(content(folder), before, "{args:?}");
+}
+
+#[test]
+fn no_output_is_an_input() {
+    let folder = inputs();
+    let at = |name: &str| folder.path().join(name);
+    for (number, call) in CALLS.iter().enumerate() {
+        for input in call.inputs {
+            let name = input.replace('/', "_");
+            // `init` overwrites nothing at all, whichever way that is said; a store has only its own files, and of meshes only those
+            // below their folder are read.
+            let what = match call.args {
+                init if init.starts_with("init") => "",
+                _ if input.starts_with("results") => "is to be written there",
+                _ if input.starts_with("meshes") => "is one of the files in --mesh-root meshes",
+                _ => "which would be lost",
+            };
+            if let Some(file) = call.file {
+                let [hard, soft] = ["hard", "soft"].map(|kind| format!("{kind}-{number}-{name}"));
+                fs::create_dir(at(&hard)).expect("a folder");
+                fs::create_dir(at(&soft)).expect("a folder");
+                fs::hard_link(at(input), at(&hard).join(file)).expect("a link");
+                symlink(at(input), at(&soft).join(file)).expect("a link");
+                refused(folder.path(), call, &hard, what);
+                refused(folder.path(), call, &soft, what);
+                continue;
+            }
+            refused(folder.path(), call, input, what);
+            refused(folder.path(), call, &format!("./new/../meshes/../{input}"), what);
+            refused(folder.path(), call, &at(input).display().to_string(), what);
+            let link = format!("link-{number}-{name}");
+            symlink(at(input), at(&link)).expect("a link");
+            refused(folder.path(), call, &link, what);
+            // Where only names count, another name is another file, which is replaced.
+            if what == "which would be lost" || what.is_empty() {
+                let hard = format!("hard-{number}-{name}");
+                fs::hard_link(at(input), at(&hard)).expect("a link");
+                refused(folder.path(), call, &hard, what);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_report_on_a_wrong_config_takes_the_place_of_no_input() {
+    let folder = inputs();
+    fs::write(folder.path().join("poseaudit.toml"), "no config").expect("a file");
+    let call = &CALLS[1];
+    for input in OF_AUDIT {
+        refused(folder.path(), call, input, "which would be lost");
+    }
+    fs::write(folder.path().join("poseaudit.toml"), "robot = \"named.toml\"\n").expect("a file");
+    fs::write(folder.path().join("named.toml"), "named").expect("a file");
+    let named =
+        Call { args: "audit run.mcap --config poseaudit.toml --format json --output OUT", ..*call };
+    refused(folder.path(), &named, "named.toml", "which would be lost");
+}
+
+#[test]
+fn no_two_outputs_are_one() {
+    let folder = inputs();
+    for (args, part) in [
+        ("audit run.mcap --rrd x --output OUT", "x"),
+        ("audit run.mcap --rrd x --output OUT", "./new/../x"),
+        ("audit run.mcap --rrd x --output OUT", "x/y"),
+        ("audit run.mcap --parquet tables --output OUT", "tables/checks.parquet"),
+        ("audit run.mcap --fix mend --rrd OUT", "mend/corrections.md"),
+        ("audit run.mcap --fix mend --rrd OUT", "mend"),
+        ("audit run.mcap --format json --format html --output o --rrd OUT", "o/report.html"),
+        ("fleet run.mcap --out results --output OUT", "results/runs/new.parquet"),
+    ] {
+        let call = Call { args, inputs: &[], file: None };
+        refused(folder.path(), &call, part, "is to be written there");
+    }
+}
+
+#[test]
+fn folders_files_of_others_and_what_is_read_only_are_left_alone() {
+    let folder = inputs();
+    let at = |name: &str| folder.path().join(name);
+    fs::create_dir_all(at("folder/inside")).expect("a folder");
+    fs::write(at("file"), "mine").expect("a file");
+    fs::write(at("kept"), "kept").expect("a file");
+    fs::set_permissions(at("kept"), Permissions::from_mode(0o444)).expect("permissions");
+    for (number, call) in CALLS.iter().enumerate() {
+        let is_init = call.args.starts_with("init");
+        let or_there = |what| if is_init { "is there already" } else { what };
+        if let Some(file) = call.file {
+            refused(folder.path(), call, "file", "folder");
+            let out = format!("out-{number}");
+            fs::create_dir(at(&out)).expect("a folder");
+            fs::copy(at("kept"), at(&out).join(file)).expect("a copy");
+            refused(folder.path(), call, &out, "is read-only");
+            continue;
+        }
+        refused(folder.path(), call, "folder", or_there("is a folder"));
+        refused(folder.path(), call, "file/new", "file is no folder");
+        refused(folder.path(), call, "kept", or_there("is read-only"));
+        let link = format!("folder/link-{number}");
+        symlink(at("file"), at(&link)).expect("a link");
+        refused(folder.path(), call, &link, or_there("a link out of its folder"));
+    }
+}
+
+#[test]
+fn stdout_that_leads_to_an_input_is_refused() {
+    let folder = inputs();
+    let path = folder.path().join("run.mcap");
+    let before = fs::read(&path).expect("the log");
+    for call in [
+        "audit run.mcap",
+        "info run.mcap",
+        "audit run.mcap --format json --output new",
+        "tf run.mcap base tool0",
+    ] {
+        let stdout = fs::File::options().append(true).open(&path).expect("the log");
+        let args = args(call, "");
+        let output = poseaudit(folder.path(), &args).stdout(stdout).output().expect("it runs");
+        assert_refused(&output, "it is the log run.mcap, which would be lost", &args);
+        assert_eq!(fs::read(&path).expect("the log"), before);
+    }
+}
+
+/// The calls that write, with what is really read.
+const WRITERS: &[&str] = &[
+    "audit LOG --select ING --output OUT/new",
+    "audit LOG --select ING --format json --format html --output OUT",
+    "audit LOG --select ING --rrd OUT/new",
+    "audit LOG --select ING --parquet OUT",
+    "audit LOG --select ING --fix OUT",
+    "compare LOG LOG --output OUT/new",
+    "init LOG --output OUT/new",
+    "fk ur5e --file q.csv --output OUT/new.csv",
+    "fleet LOG --select ING --out OUT",
+    "fleet LOG --out OUT/store --pending --output OUT/new",
+    "fleet report results --output OUT/new",
+    "demo OUT",
+    "man --output OUT",
+];
+
+fn writers(folder: &Path, out: &str) -> Vec<Vec<String>> {
+    let log = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/base.mcap");
+    let joints = "shoulder_pan_joint,shoulder_lift_joint,elbow_joint,wrist_1_joint,wrist_2_joint,\
+                  wrist_3_joint\n0,0,0,0,0,0\n";
+    fs::write(folder.join("q.csv"), joints).expect("a file");
+    let log = log.display().to_string();
+    WRITERS.iter().map(|call| args(&call.replace("LOG", &log), out)).collect()
+}
+
+#[test]
+fn a_disk_without_room_and_a_folder_that_takes_no_file_cost_nothing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let results = args("fleet LOG --select ING --out results", "");
+    let log = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/base.mcap");
+    let results = results.iter().map(|arg| arg.replace("LOG", &log.display().to_string()));
+    let made = poseaudit(folder.path(), &results.collect::<Vec<_>>()).output().expect("it runs");
+    assert!(made.status.code().is_some_and(|code| code < 2));
+    for call in writers(folder.path(), "old") {
+        let old = folder.path().join("old");
+        fs::create_dir_all(&old).expect("a folder");
+        let is_init = call[0] == "init";
+        if !is_init {
+            fs::write(old.join("new"), "as it was").expect("a file");
+            fs::write(old.join("new.csv"), "as it was").expect("a file");
+        }
+        let before = content(folder.path());
+        let mut command = poseaudit(folder.path(), &call);
+        // As of a disk that is full: no file can have a byte.
+        let full = || {
+            let none = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
+            // SAFETY: both calls are for this process alone, and may be made between fork and exec.
+            let set = unsafe {
+                libc::signal(libc::SIGXFSZ, libc::SIG_IGN);
+                libc::setrlimit(libc::RLIMIT_FSIZE, &none)
+            };
+            if set == 0 { Ok(()) } else { Err(std::io::Error::last_os_error()) }
+        };
+        // SAFETY: see above.
+        let output = unsafe { command.pre_exec(full) }.output().expect("the binary runs");
+        assert_refused(&output, "File too large", &call);
+        assert_eq!(content(folder.path()), before, "{call:?}");
+        fs::remove_dir_all(&old).expect("a folder");
+    }
+    for call in writers(folder.path(), "/proc/none") {
+        let before = content(folder.path());
+        let output = poseaudit(folder.path(), &call).output().expect("the binary runs");
+        assert_refused(&output, "/proc/none", &call);
+        assert_eq!(content(folder.path()), before, "{call:?}");
+    }
+}
+
+#[test]
+fn what_ends_a_call_leaves_no_file_that_is_not_whole() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/faulty.mcap");
+    fs::write(folder.path().join("run.rrd"), "as it was").expect("a file");
+    let names = || {
+        let entries = fs::read_dir(folder.path()).expect("a folder");
+        entries.map(|entry| entry.expect("an entry").file_name()).collect::<Vec<_>>()
+    };
+    for signal in [libc::SIGINT, libc::SIGTERM] {
+        let call = ["audit", &log.display().to_string(), "--rrd", "run.rrd"].map(str::to_owned);
+        // A call may be done before it is seen to write.
+        let interrupted = (0..20).find_map(|_| {
+            let mut command = poseaudit(folder.path(), &call);
+            let mut child = command.stdout(Stdio::null()).spawn().expect("the binary runs");
+            let pid = i32::try_from(child.id()).expect("a process");
+            let mut status = None;
+            while status.is_none() && names().len() < 2 {
+                status = child.try_wait().expect("a child");
+            }
+            // SAFETY: the process is this one's child and not waited for yet.
+            let sent = status.is_none() && unsafe { libc::kill(pid, signal) } == 0;
+            let status = child.wait().expect("a child");
+            (sent && status.signal().is_some()).then_some(status)
+        });
+        assert_eq!(interrupted.and_then(|status| status.signal()), Some(signal));
+        assert_eq!(names(), ["run.rrd"]);
+    }
+}
+
+#[test]
+fn the_same_log_makes_the_same_recording() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/faulty.mcap");
+    let recordings = ["a.rrd", "b.rrd"].map(|name| {
+        let call = ["audit", &log.display().to_string(), "--rrd", name].map(str::to_owned);
+        let output = poseaudit(folder.path(), &call).output().expect("the binary runs");
+        assert_eq!(output.status.code(), Some(1));
+        fs::read(folder.path().join(name)).expect("a recording")
+    });
+    assert!(recordings[0].len() > 100_000 && recordings[0] == recordings[1]);
+}
+
+#[test]
+fn a_temporary_folder_that_takes_no_file_is_named() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/base.mcap"));
+    let packed = zstd::bulk::compress(&log.expect("the fixture"), 1).expect("memory");
+    fs::write(folder.path().join("run.mcap.zst"), packed).expect("a file");
+    for call in ["audit run.mcap.zst", "info run.mcap.zst", "fleet run.mcap.zst --out results"] {
+        for place in ["/none", "/dev/null"] {
+            let call = args(call, "");
+            let output = poseaudit(folder.path(), &call).env("TMPDIR", place).output();
+            let output = output.expect("the binary runs");
+            assert_refused(&output, &format!(" in {place}: "), &call);
+            assert_refused(&output, "let TMPDIR name another folder", &call);
+        }
+    }
+}
