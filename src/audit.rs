@@ -38,7 +38,7 @@ use crate::run::{
     JointSamples, PoseSource, RobotSource, Role, Run, RunOptions, Segment, Strays, Stream,
     TopicSettings, Unaudited, Velocities, WhyNot, Witness, segments,
 };
-use crate::settle::{retake_carried, settle};
+use crate::settle::{retake_carried, settle, together};
 use crate::stream::{
     Columns, DeclaredUnits, ImuTrack, JointColumn, JointTrack, Orientations, PoseTrack,
 };
@@ -327,7 +327,18 @@ fn position_factor(found: &PoseDiagnosis) -> f64 {
 fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
     let streams: Vec<PoseStream> =
         arm.poses.iter().map(|source| pose_stream(run, source)).collect();
-    let diagnosis = diagnose_steadied(arm, &streams, most_lag_s);
+    let together = together(arm);
+    let mut diagnosis = diagnose_steadied(arm, &streams[..together], most_lag_s);
+    let corrected = diagnosis.corrected_joints(&arm.joints, &prismatic(arm));
+    let alone = (together..streams.len()).into_par_iter().map(|index| {
+        let same = (0..together).find(|&of| arm.poses[index].is_copy_of(&arm.poses[of]));
+        match same {
+            Some(of) => diagnosis.streams[of].clone(),
+            None => diagnose_derived(&corrected, None, &streams[index], most_lag_s),
+        }
+    });
+    let alone: Vec<PoseDiagnosis> = alone.collect();
+    diagnosis.streams.extend(alone);
     let reading = diagnosis.joints.as_ref().ok();
     let derived = |stream: &PoseStream| {
         let left = |found: &PoseDiagnosis| {
@@ -356,7 +367,6 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
             }
         })
     };
-    let corrected = diagnosis.corrected_joints(&arm.joints, &prismatic(arm));
     let imu = |source| match &diagnosis.joints {
         // No reading of the joint states fits the poses, so that FK of them tells nothing.
         Err(Unseen::NotExcited) => {
@@ -882,13 +892,11 @@ fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, options: &Options) -> A
         in_other_units: false,
         shake: shake_of_joints(arm, &samples, &track),
     }];
-    shakes.extend(arm.poses.iter().zip(&diagnosis.arm.streams).map(|(source, found)| {
-        ShakeFacts {
-            topic: run.streams[source.stream].topic.clone(),
-            span: span_of(run, source.stream).unwrap_or(whole),
-            in_other_units: matches!(found.length, Ok(Some(_))),
-            shake: shake_of_poses(&source.track, found),
-        }
+    shakes.extend(arm.poses.iter().zip(&diagnosis.arm.streams).map(|(source, found)| ShakeFacts {
+        topic: run.streams[source.stream].topic.clone(),
+        span: span_of(run, source.stream).unwrap_or(whole),
+        in_other_units: matches!(found.length, Ok(Some(_))),
+        shake: shake_of_poses(&source.track, found),
     }));
     let poses = arm.poses.iter().zip(&diagnosis.arm.streams).map(|(source, found)| PoseFacts {
         euler: euler(run, source, found, &options.declarations),

@@ -2,6 +2,8 @@
 //! the frame that it is in was where, and whether it follows the arm at all. Joins the run to the
 //! diagnosis; decides by its numbers.
 
+use std::cmp::Reverse;
+
 use crate::audit::{imu_stream, pose_stream};
 use crate::diagnosis::{
     ArmDiagnosis, BaseTravel, Peak, PoseStream, base_travel, carrier_lag, diagnose_imu, follows,
@@ -19,6 +21,38 @@ pub(crate) fn settle(run: &mut Run, most_lag_s: f64) {
     leave_moving_bases(run, most_lag_s);
     settle_leading_arms(run, most_lag_s);
     settle_frozen(run, most_lag_s);
+    settle_crowds(run);
+}
+
+/// Streams of poses of an arm that tell together how its joint states are to be read; those beyond are held
+/// against what these tell, one by one.
+const TOGETHER: usize = 6;
+
+/// Puts the streams of an arm that say most first, and copies of others last.
+fn settle_crowds(run: &mut Run) {
+    for arm in &mut run.arms {
+        let is_copy =
+            |index: usize| arm.poses[..index].iter().any(|one| arm.poses[index].is_copy_of(one));
+        let copies: Vec<bool> = (0..arm.poses.len()).map(is_copy).collect();
+        if arm.poses.len() <= TOGETHER && !copies.contains(&true) {
+            continue;
+        }
+        let mut ranked: Vec<(bool, PoseSource)> =
+            copies.into_iter().zip(std::mem::take(&mut arm.poses)).collect();
+        ranked.sort_by_key(|(is_copy, source)| (*is_copy, Reverse(source.track.t_s.len())));
+        arm.poses = ranked.into_iter().map(|(_, source)| source).collect();
+        for source in &arm.poses[together(arm)..] {
+            let reason = &mut run.streams[source.stream].reason;
+            *reason += "; held alone against the joints as other streams tell them";
+        }
+    }
+}
+
+/// How many of an arm's streams of poses are looked at together: the first that are no copies.
+pub(crate) fn together(arm: &Arm) -> usize {
+    let is_copy =
+        |index: &usize| arm.poses[..*index].iter().any(|one| arm.poses[*index].is_copy_of(one));
+    (0..arm.poses.len().min(TOGETHER)).take_while(|index| !is_copy(index)).count()
 }
 
 /// Leaves out what streams of poses repeat while their arm moves at the lags at which they may follow it.

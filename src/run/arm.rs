@@ -99,6 +99,17 @@ pub struct PoseSource {
     pub carrier: Option<Carrier>,
 }
 
+impl PoseSource {
+    /// Whether it says the same of the same link at the same times.
+    pub fn is_copy_of(&self, other: &Self) -> bool {
+        let (own, other_track) = (&self.track, &other.track);
+        self.columns == other.columns
+            && own.t_s == other_track.t_s
+            && own.xyz == other_track.xyz
+            && own.orientation == other_track.orientation
+    }
+}
+
 /// An IMU that an arm carries.
 #[derive(Clone, Debug)]
 pub struct ImuSource {

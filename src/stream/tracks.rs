@@ -133,7 +133,7 @@ pub fn sample_noise(q: &[f64]) -> f64 {
 }
 
 /// What a pose stream says of orientation.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Orientations {
     /// Rotations `reference_from_child` as logged.
     Rotations(Vec<Rotation>),

@@ -1,6 +1,7 @@
 //! Which arm a log is of, where several have its joint names: the one whose model needs least to be where
 //! the streams of poses say. The same question is asked of a model that was named.
 
+use std::cmp::Reverse;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
@@ -22,6 +23,8 @@ use crate::stream::Columns;
 const FITS_M: f64 = 3e-3;
 /// … or this share of the positions' extent, as of a noisy tracker.
 const FITS_SHARE: f64 = 0.01;
+/// Streams of poses that are asked.
+const MOST_STREAMS: usize = 6;
 /// Scores nearer than this cannot be told apart.
 const APART: f64 = 20.0;
 /// Residuals below these say nothing: rounding, and the difference of an arm from its drawing.
@@ -150,8 +153,13 @@ impl ByPoses<'_> {
             .and_then(|path| Arm::new(model, &path, ends, &self.group.topics, *origin).ok());
         let Some(arm) = arm else { return Entry::default() };
         let arm = Arm { space: self.group.space.clone(), tree: Arc::clone(self.tree), ..arm };
-        let fits =
-            (0..streams.len()).filter_map(|stream| Some((stream, self.fit_of(&arm, stream)?)));
+        // Those that say most, and no more than tell.
+        let mut longest: Vec<usize> = (0..streams.len()).collect();
+        longest.sort_by_key(|&stream| Reverse(streams[stream].count));
+        let fits = longest
+            .into_iter()
+            .filter_map(|stream| Some((stream, self.fit_of(&arm, stream)?)))
+            .take(MOST_STREAMS);
         Entry { fits: fits.collect() }
     }
 
