@@ -299,7 +299,9 @@ fn reading(dof: usize, stream: &PoseStream, found: &Found, as_logged: f64) -> Jo
     let slip = UnitSlip { as_logged, corrected: found.left.m };
     let degree = 1f64.to_radians();
     let slides = |joint: usize| kinds[joint] == JointKind::Prismatic;
-    let in_degrees = |joint: usize| map.factor[joint] == degree;
+    /// A scale that is found is known to this share of itself.
+    const KNOWN: f64 = 1e-3;
+    let in_degrees = |joint: usize| (map.factor[joint] / degree - 1.0).abs() < KNOWN;
     let turning: Vec<usize> = (0..map.from.len()).filter(|&joint| !slides(joint)).collect();
     let all_in_degrees = turning.len() > 1 && turning.iter().all(|&joint| in_degrees(joint));
     let slips = (0..map.from.len()).filter_map(|joint| {
@@ -311,7 +313,8 @@ fn reading(dof: usize, stream: &PoseStream, found: &Found, as_logged: f64) -> Jo
             1e-2 if slides(joint) => JointUnit::Centimetres,
             _ => JointUnit::Scaled,
         };
-        Some(JointSlip { column: columns[joint], unit, factor: map.factor[joint] })
+        let factor = if unit == JointUnit::Degrees { degree } else { map.factor[joint] };
+        Some(JointSlip { column: columns[joint], unit, factor })
     });
     let mut zeros = vec![0.0; dof];
     for (&column, zero) in columns.iter().zip(&map.zero) {
