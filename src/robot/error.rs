@@ -68,7 +68,7 @@ pub enum Problem {
     AnotherArm { robot: String, joint: String, millimetres: f64, degrees: f64 },
     #[error("not well-formed XML: {0}")]
     Xml(String),
-    #[error("it declares a document type, whose entities are not read")]
+    #[error("its document type declares entities, which are not read")]
     DocumentType,
     #[error("it has more than {limit} {what}")]
     TooMuch { what: &'static str, limit: usize },

@@ -17,7 +17,7 @@ impl Robot {
     /// is x, and an axis need not be of unit length, as URDF has it.
     ///
     /// # Errors
-    /// Where the text is no URDF, is not expanded from xacro, has a document type, a bad number or more
+    /// Where the text is no URDF, is not expanded from xacro, declares entities, has a bad number or more
     /// than a model has, or is not one tree.
     pub fn from_urdf(text: &str, source: &str) -> Result<Robot, RobotError> {
         let document = document(text);
