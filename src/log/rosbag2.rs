@@ -7,6 +7,7 @@
 mod database;
 #[cfg(test)]
 mod tests;
+mod wal;
 
 use std::ffi::OsStr;
 use std::fs;
