@@ -5,7 +5,10 @@ mod cli;
 use std::process::ExitCode;
 
 use cli::Outcome;
-use poseaudit::boundary::caught;
+use poseaudit::boundary::{Memory, caught};
+
+#[global_allocator]
+static MEMORY: Memory = Memory;
 
 fn main() -> ExitCode {
     let outcome = caught(cli::run).unwrap_or_else(|what| cli::fault(&what));
