@@ -66,6 +66,9 @@ pub struct Options {
     pub max_latency_s: f64,
     /// Whether every checksum in the files is checked.
     pub verify: bool,
+    /// What the compressed parts of a file may unpack to, GiB, where that is more than 16 GiB and 2000 times
+    /// its size.
+    pub max_unpacked_gib: Option<u32>,
     /// How the rotations of single streams are coded.
     pub declarations: Vec<Declaration>,
     /// What else is said of single topics.
@@ -105,6 +108,7 @@ impl Default for Options {
             stamp: run.stamp,
             max_latency_s: run.max_latency_s,
             verify: false,
+            max_unpacked_gib: None,
             declarations: run.declared,
             topics: run.topics,
             config: None,

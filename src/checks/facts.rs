@@ -70,7 +70,7 @@ impl Facts {
 
     /// Whether messages amid the files are lost, so that what is missing of a stream may be the log's.
     pub fn lost_messages(&self) -> bool {
-        self.losses.iter().any(|loss| loss.extent == log::Extent::Messages)
+        self.losses.iter().any(|loss| loss.extent >= log::Extent::Messages)
     }
 
     /// A moment of the run as a person finds it again: seconds from the start.

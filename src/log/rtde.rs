@@ -10,6 +10,7 @@
 mod tests;
 
 use std::collections::{BTreeMap, HashMap, HashSet};
+use std::io::{self, Read};
 use std::path::Path;
 
 use csv::{ByteRecord, ReaderBuilder};
@@ -36,6 +37,9 @@ const TIMESTAMP: &str = "timestamp";
 
 /// Longest first line that is looked at.
 const MAX_HEADER_BYTES: usize = 1 << 16;
+
+/// Longest line that is read. RTDE has some hundred fields.
+const MAX_LINE_BYTES: usize = 1 << 20;
 
 /// Most names that are listed of a table.
 const MAX_LISTED: usize = 1000;
@@ -140,6 +144,26 @@ fn number(cell: &[u8], decimal_comma: bool) -> Option<f64> {
     cell.parse().ok()
 }
 
+/// The bytes of a table, up to a line without an end, for which a reader would take memory without
+/// bound.
+struct Lines<'a> {
+    rest: &'a [u8],
+    /// Bytes since the last end of a line.
+    line: usize,
+}
+
+impl Read for Lines<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        if self.line > MAX_LINE_BYTES {
+            return Err(io::ErrorKind::InvalidData.into());
+        }
+        let count = self.rest.read(buffer)?;
+        let end = buffer[..count].iter().rposition(|byte| matches!(byte, b'\n' | b'\r'));
+        self.line = end.map_or(self.line + count, |end| count - end);
+        Ok(count)
+    }
+}
+
 /// The samples of all tables of a run: different columns of one run may be in different files.
 #[derive(Default)]
 pub(super) struct Recording {
@@ -189,14 +213,35 @@ impl Recording {
             .quoting(false)
             .flexible(true)
             .has_headers(false)
-            .from_reader(bytes);
+            .from_reader(Lines { rest: bytes, line: 0 });
         let ends_in_line = matches!(bytes.last(), Some(b'\n' | b'\r'));
         let mut table = Table { layout, delimiter, row: vec![Vec::new(); VECTORS.len()] };
         let mut record = ByteRecord::new();
         let mut is_first = true;
-        while let Ok(true) = reader.read_byte_record(&mut record) {
+        loop {
+            let more = reader.read_byte_record(&mut record);
             let (offset, line) =
                 record.position().map_or((0, 0), |position| (position.byte(), position.line()));
+            match more {
+                Ok(true) => {}
+                Ok(false) => break,
+                Err(_) => {
+                    let rest = bytes.get(offset as usize..).unwrap_or_default();
+                    let (extent, what) = match rest.iter().all(|byte| *byte == 0) {
+                        true => {
+                            (Extent::Tail, "the file ends in zeros, as after a crash".to_owned())
+                        }
+                        false => {
+                            let what = format!(
+                                "line {line} has more than {MAX_LINE_BYTES} bytes: nothing from it on is read"
+                            );
+                            (Extent::Messages, what)
+                        }
+                    };
+                    losses.add(offset as usize, extent, None, what);
+                    break;
+                }
+            }
             options.at(offset as usize);
             if std::mem::take(&mut is_first) || record.iter().map(bare).eq(names.iter().copied()) {
                 continue;

@@ -16,7 +16,7 @@ use rusqlite::{Connection, OpenFlags, Row};
 use super::wal;
 use crate::log::decode::{Format, excerpt};
 use crate::log::intake::{ChannelId, Intake, Message, Place};
-use crate::log::losses::{Losses, NOT_DESCRIBED};
+use crate::log::losses::Losses;
 use crate::log::{Extent, ReadOptions};
 
 /// Most places of a database that are passed over because they are damaged.
@@ -329,8 +329,9 @@ impl Reader<'_> {
             self.intake.note(self.losses.file(), what);
         }
         if self.orphans > 0 {
-            let what = format!("{} messages are of topics {NOT_DESCRIBED}", self.orphans);
-            self.losses.add_unplaced(Extent::Messages, Some(self.orphans), what);
+            let (extent, why) = self.intake.nowhere();
+            let what = format!("{} messages are of topics {why}", self.orphans);
+            self.losses.add_unplaced(extent, Some(self.orphans), what);
         }
     }
 

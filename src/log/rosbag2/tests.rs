@@ -311,6 +311,27 @@ fn the_files_of_a_folder_are_one_log_and_missing_ones_are_said() {
 }
 
 #[test]
+fn splits_that_a_cut_list_does_not_name_are_read_and_said() {
+    let folder = folder();
+    for split in [0, 1, 2, 10] {
+        mcap(&folder.path().join(format!("run_{split}.mcap")), 10 * split, 10);
+    }
+    database(&folder.path().join("run_1.db3"), 0, 10);
+    database(&folder.path().join("other_1.db3"), 0, 10);
+    let text =
+        "rosbag2_bagfile_information:\n  relative_file_paths:\n    - run_0.mcap\n    - run_1.mc";
+    fs::write(folder.path().join(METADATA), text).unwrap();
+    let log = read(folder.path());
+    let names: Vec<_> = log.files.iter().filter_map(|file| file.path.file_name()).collect();
+    assert_eq!(names, ["run_0.mcap", "run_1.mcap", "run_2.mcap", "run_10.mcap"]);
+    assert_eq!(log.messages, 40);
+    let said = |extent| log.losses.iter().filter(|loss| loss.extent == extent).count();
+    assert_eq!((said(Extent::Index), said(Extent::Messages), log.losses.len()), (3, 1, 4));
+    let notes: Vec<&str> = log.notes.iter().map(|note| note.what.as_str()).collect();
+    assert_eq!(notes, ["metadata.yaml does not list it: it was not read"; 2]);
+}
+
+#[test]
 fn a_broken_split_does_not_take_the_others_with_it() {
     let folder = folder();
     database(&folder.path().join("run_0.db3"), 0, 10);
