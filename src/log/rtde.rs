@@ -19,7 +19,7 @@ use super::decode::Format;
 use super::intake::{ChannelId, Intake, Message, Place};
 use super::losses::Losses;
 use super::{Extent, ReadOptions};
-use crate::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times};
+use crate::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times, usable};
 use crate::time;
 
 /// The joints of every UR arm, in the controller's order.
@@ -430,7 +430,8 @@ impl Samples {
         let mut joints = JointColumns { times: self.times(), ..JointColumns::default() };
         joints.joints = (0..JOINTS.len())
             .map(|joint| {
-                let velocity = |stamp| by_stamp.get(stamp).map_or(f64::NAN, |row| row[joint]);
+                let velocity =
+                    |stamp| by_stamp.get(stamp).map_or(f64::NAN, |row| finite(row[joint]));
                 JointColumn {
                     name: JOINTS[joint].to_owned(),
                     position: self.rows(JOINTS.len()).map(|row| finite(row[joint])).collect(),
@@ -438,7 +439,10 @@ impl Samples {
                 }
             })
             .collect();
-        joints.not_finite = self.values.iter().filter(|value| !value.is_finite()).count() as u64;
+        for row in self.rows(JOINTS.len()) {
+            let unusable = (0..JOINTS.len()).filter(|&joint| !usable(row[joint]));
+            unusable.for_each(|joint| joints.drop_value(joint));
+        }
         joints
     }
 
@@ -446,7 +450,7 @@ impl Samples {
     fn array(&self, width: usize) -> ArrayColumns {
         let mut array = ArrayColumns { width, ..ArrayColumns::default() };
         for (&stamp, row) in self.stamps.iter().zip(self.rows(width)) {
-            if row.iter().all(|value| value.is_finite()) {
+            if row.iter().all(|value| usable(*value)) {
                 array.times.push(stamp, stamp, stamp);
                 array.values.extend_from_slice(row);
             } else {
@@ -467,9 +471,9 @@ impl Samples {
     }
 }
 
-/// `value`, or NaN in place of an infinity.
+/// `value`, or NaN in place of one that nothing has.
 fn finite(value: f64) -> f64 {
-    if value.is_finite() { value } else { f64::NAN }
+    if usable(value) { value } else { f64::NAN }
 }
 
 /// The names of what is not read, in the order of the columns; the parts of a vector are one.

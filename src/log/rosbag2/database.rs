@@ -83,6 +83,7 @@ pub(in crate::log) fn read(
         orphans: 0,
         before_1970: 0,
         strays: 0,
+        strays_here: 0,
         first_stray: (0, 0),
         is_cut,
     };
@@ -223,6 +224,8 @@ struct Reader<'a> {
     before_1970: u64,
     /// Rows whose number is not above that of the row before.
     strays: usize,
+    /// Those of them since the last that was.
+    strays_here: u64,
     /// The first of them, and the row before it.
     first_stray: (i64, i64),
     /// Whether it was said that rows are lost at the end.
@@ -308,6 +311,8 @@ impl Reader<'_> {
                 break;
             };
             let lost = u64::try_from(next.saturating_sub(from)).ok();
+            // Those of them that came under another number are counted already.
+            let lost = lost.map(|lost| lost.saturating_sub(self.strays_here));
             let last = next.saturating_sub(1);
             let what = format!("rows {from} to {last} of the table `messages` are not readable");
             lose(self.losses, lost, &what, &error);
@@ -360,7 +365,7 @@ impl Reader<'_> {
                 continue;
             }
             self.message(id, row);
-            *from = id.saturating_add(1);
+            (*from, self.strays_here) = (id.saturating_add(1), 0);
         }
         Ok(())
     }
@@ -373,7 +378,7 @@ impl Reader<'_> {
         if self.strays == 0 {
             self.first_stray = (id, from.saturating_sub(1));
         }
-        self.strays += 1;
+        (self.strays, self.strays_here) = (self.strays + 1, self.strays_here + 1);
         if self.strays <= MAX_BREAKS {
             return Ok(());
         }
