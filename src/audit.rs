@@ -631,6 +631,7 @@ fn unusable(run: &Run) -> Vec<UnusableFacts> {
             span: span_of(run, index),
             unusable: stream.unusable(),
             unset: 0,
+            misfits: 0,
             samples: 0,
         };
         let kept: usize = stream.times().iter().map(|times| times.len()).sum();
@@ -643,7 +644,8 @@ fn unusable(run: &Run) -> Vec<UnusableFacts> {
                     run.arms.is_empty() || of_arms.any(|joint| joint.name == *name)
                 });
                 let worst = of_arm.max_by_key(|(_, count)| **count);
-                facts.samples = kept as u64;
+                facts.misfits = joints.wrong_length;
+                facts.samples = kept as u64 + facts.misfits;
                 facts.unusable = worst.map_or(0, |(_, count)| *count);
                 facts.subject.joint =
                     worst.filter(|_| facts.unusable > 0).map(|(name, _)| name.to_owned());
@@ -655,6 +657,10 @@ fn unusable(run: &Run) -> Vec<UnusableFacts> {
                 let some = poses.iter().map(|poses| (unset(poses), poses.times.len()));
                 facts.unset =
                     some.filter(|(unset, all)| unset < all).map(|(unset, _)| unset as u64).sum();
+            }
+            Some(Columns::Array(array)) => {
+                facts.misfits = array.wrong_length;
+                facts.samples += facts.misfits;
             }
             _ => {}
         }

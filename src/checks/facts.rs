@@ -594,6 +594,8 @@ pub struct UnusableFacts {
     pub unusable: u64,
     /// Those without an orientation, where others have one.
     pub unset: u64,
+    /// Those with more or fewer numbers than they should have.
+    pub misfits: u64,
     /// All of them.
     pub samples: u64,
 }

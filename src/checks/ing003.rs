@@ -6,7 +6,8 @@ rule! {
     ///
     /// ## What it means
     /// Positions, orientations or readings are NaN, infinite or beyond ±1e12, in whatever unit, or some of
-    /// a stream's orientations were never set and others were. The samples came; what they say is nothing.
+    /// a stream's orientations were never set and others were. Or joint states have other numbers of names
+    /// and of positions, and arrays other lengths than the first. The samples came; what they say is nothing.
     ///
     /// ## Why it matters
     /// The audit leaves such samples out before anything is made of them, so that they decide nothing else
@@ -14,8 +15,9 @@ rule! {
     /// is left may not be the whole run.
     ///
     /// ## Evidence
-    /// `unusable` is how many samples hold such numbers, `unset` how many have no orientation, of
-    /// `samples`. The estimate is their share. Of a sample without an orientation the position is audited.
+    /// `unusable` is how many samples hold such numbers, `unset` how many have no orientation, `misfits` how
+    /// many have more or fewer numbers than they should, of `samples`. The estimate is their share. Of a
+    /// sample without an orientation the position is audited.
     ///
     /// ## How to fix
     /// Look at what is sent: a driver that has no reading yet, a division by a time of zero, a filter that
@@ -44,9 +46,9 @@ fn check(facts: &Facts) -> Vec<Judged> {
 }
 
 fn judge(stream: &UnusableFacts) -> Judged {
-    let UnusableFacts { unusable, unset, samples, .. } = *stream;
+    let UnusableFacts { unusable, unset, misfits, samples, .. } = *stream;
     let judged = |outcome| Judged::new(stream.subject.clone(), outcome).within(stream.span);
-    let count = unusable.max(unset);
+    let count = unusable.max(unset).max(misfits);
     if count == 0 {
         return judged(Outcome::sound());
     }
@@ -56,6 +58,7 @@ fn judge(stream: &UnusableFacts) -> Judged {
         (count > 0).then(|| format!("{count} of {samples} samples {what}"))
     };
     let said = [
+        of(misfits, "have more or fewer numbers than they should, and are left out"),
         of(unusable, "hold no usable numbers: none, infinite or beyond 1e12; they are left out"),
         of(unset, "have no orientation, while the others have: of these the positions are audited"),
     ];
@@ -70,5 +73,6 @@ fn judge(stream: &UnusableFacts) -> Judged {
         .estimated(Estimate::counted("unusable samples", "1", share))
         .with_evidence("unusable", unusable)
         .with_evidence("unset", unset)
+        .with_evidence("misfits", misfits)
         .with_evidence("samples", samples)
 }
