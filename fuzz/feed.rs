@@ -87,7 +87,7 @@ fn recorded(
 }
 
 fn open(path: &Path) -> Result<Log, LogError> {
-    log::open(&[path.to_owned()], &ReadOptions { verify: true, progress: None })
+    log::open(&[path.to_owned()], &ReadOptions { verify: true, ..ReadOptions::default() })
 }
 
 /// Holds what was read to what every reader promises.

@@ -11,7 +11,7 @@ use crate::checks::{
     ArmFacts, Declared, DhFacts, Due, EmptyFacts, EulerFacts, EvaluatedPart, Evaluation, Facts,
     FrameFacts, FrozenFacts, HeldFacts, ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts,
     RhythmFacts, Settings, ShakeFacts, StampFacts, StrayFacts, UnauditedFacts, UndecodableTopic,
-    evaluate, merged,
+    UnusableFacts, evaluate, merged,
 };
 use crate::corrections::{Given, Mending};
 use crate::diagnosis::{
@@ -40,7 +40,7 @@ use crate::run::{
 };
 use crate::settle::{retake_carried, settle, together};
 use crate::stream::{
-    Columns, DeclaredUnits, ImuTrack, JointColumn, JointTrack, Orientations, PoseTrack,
+    Columns, DeclaredUnits, ImuTrack, JointColumn, JointTrack, Orientations, PoseColumns, PoseTrack,
 };
 use crate::tables::{
     TABLE_FILES, TableError, aligned_frames, checks_frame, findings_frame, joints_frame,
@@ -68,6 +68,9 @@ pub struct Options {
     pub max_latency_s: f64,
     /// Whether every checksum in the files is checked.
     pub verify: bool,
+    /// What the compressed parts of a file may unpack to, GiB, where that is more than 16 GiB and 2000 times
+    /// its size.
+    pub max_unpacked_gib: Option<u32>,
     /// How the rotations of single streams are coded.
     pub declarations: Vec<Declaration>,
     /// What else is said of single topics.
@@ -107,6 +110,7 @@ impl Default for Options {
             stamp: run.stamp,
             max_latency_s: run.max_latency_s,
             verify: false,
+            max_unpacked_gib: None,
             declarations: run.declared,
             topics: run.topics,
             config: None,
@@ -547,6 +551,7 @@ fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read, options: &Options) -
         no_robot: run.no_arm.as_ref().map(|error| error.what()),
         hand_eyes: Vec::new(),
         stamps: stamps.collect(),
+        unusable: unusable(run),
         rhythms: rhythms(run),
         frames: frames(run),
         norms: norms(run),
@@ -596,6 +601,8 @@ fn rhythms(run: &Run) -> Vec<RhythmFacts> {
             due: due(run, stream)?,
             rate_hz: stream.rate_hz,
             said_hz: stream.said_hz,
+            // Of joint states no row is left out.
+            unusable: if stream.role == Role::Joints { 0 } else { stream.unusable() },
             parts: rhythm.parts.clone(),
             extent: rhythm.extent,
         })
@@ -644,6 +651,55 @@ fn norms(run: &Run) -> Vec<NormFacts> {
         last = Some(norms.stream);
     }
     streams
+}
+
+/// The streams that are audited, each with its samples that hold no usable numbers.
+fn unusable(run: &Run) -> Vec<UnusableFacts> {
+    let is_asked =
+        |stream: &Stream| matches!(stream.role, Role::Joints | Role::Pose | Role::Tf | Role::Imu);
+    let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));
+    let of = |(index, stream): (usize, &Stream)| {
+        let mut facts = UnusableFacts {
+            subject: subject_of(run, stream),
+            span: span_of(run, index),
+            unusable: stream.unusable(),
+            unset: 0,
+            misfits: 0,
+            samples: 0,
+        };
+        let kept: usize = stream.times().iter().map(|times| times.len()).sum();
+        facts.samples = kept as u64 + facts.unusable;
+        match &stream.columns {
+            Some(Columns::Joints(joints)) => {
+                let names = joints.joints.iter().map(|joint| joint.name.as_str());
+                let of_arm = names.zip(&joints.unusable).filter(|(name, _)| {
+                    let mut of_arms = run.arms.iter().flat_map(|arm| &arm.joint_facts);
+                    run.arms.is_empty() || of_arms.any(|joint| joint.name == *name)
+                });
+                let worst = of_arm.max_by_key(|(_, count)| **count);
+                facts.misfits = joints.wrong_length;
+                facts.samples = kept as u64 + facts.misfits;
+                facts.unusable = worst.map_or(0, |(_, count)| *count);
+                facts.subject.joint =
+                    worst.filter(|_| facts.unusable > 0).map(|(name, _)| name.to_owned());
+            }
+            Some(Columns::Poses(poses) | Columns::Transforms(poses)) => {
+                let unset = |poses: &PoseColumns| {
+                    poses.q_xyzw.iter().filter(|q| q.iter().all(|part| *part == 0.0)).count()
+                };
+                let some = poses.iter().map(|poses| (unset(poses), poses.times.len()));
+                facts.unset =
+                    some.filter(|(unset, all)| unset < all).map(|(unset, _)| unset as u64).sum();
+            }
+            Some(Columns::Array(array)) => {
+                facts.misfits = array.wrong_length;
+                facts.samples += facts.misfits;
+            }
+            _ => {}
+        }
+        facts
+    };
+    streams.map(of).collect()
 }
 
 /// The streams of joint states, tool poses and transforms, each with what of it jumps away and back.

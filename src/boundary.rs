@@ -1,6 +1,8 @@
-//! Where a fault of this program ends: a panic becomes one line.
+//! Where a fault of this program ends: a panic, or memory that is refused, becomes one line.
 
+use std::alloc::{GlobalAlloc, Layout, System};
 use std::any::Any;
+use std::io::{self, Write};
 use std::panic::{self, AssertUnwindSafe};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -30,6 +32,60 @@ fn message(payload: &(dyn Any + Send)) -> String {
     let text = payload.downcast_ref::<String>().map(String::as_str);
     let text = text.or_else(|| payload.downcast_ref::<&str>().copied());
     text.unwrap_or("no reason given").lines().next().unwrap_or_default().to_owned()
+}
+
+/// The system's memory, as the allocator of a program. Where there is none left, the program ends in one
+/// line and status 70: nobody goes on without memory, and the library would abort with a trace.
+#[derive(Debug)]
+pub struct Memory;
+
+// SAFETY: every call is the system's allocator's, of which nothing but null is kept from the caller.
+unsafe impl GlobalAlloc for Memory {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        // SAFETY: the caller holds what `alloc` asks for.
+        given(unsafe { System.alloc(layout) }, layout.size())
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        // SAFETY: the caller holds what `alloc_zeroed` asks for.
+        given(unsafe { System.alloc_zeroed(layout) }, layout.size())
+    }
+
+    unsafe fn realloc(&self, memory: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        // SAFETY: the caller holds what `realloc` asks for.
+        given(unsafe { System.realloc(memory, layout, size) }, size)
+    }
+
+    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
+        // SAFETY: the caller holds what `dealloc` asks for.
+        unsafe { System.dealloc(memory, layout) }
+    }
+}
+
+#[inline]
+fn given(memory: *mut u8, bytes: usize) -> *mut u8 {
+    if memory.is_null() {
+        refused(bytes);
+    }
+    memory
+}
+
+/// Ends the program without taking any memory. A fleet knows the line.
+#[cold]
+fn refused(bytes: usize) -> ! {
+    // Nobody is left to be told that nobody can be told.
+    let _ = writeln!(
+        io::stderr(),
+        "error: out of memory: a memory allocation of {bytes} bytes was refused; allow more memory, or \
+         audit a part of the log"
+    );
+    #[cfg(target_os = "linux")]
+    // SAFETY: the call ends the process at once, and runs nothing that may need memory.
+    unsafe {
+        libc::_exit(70)
+    }
+    #[cfg(not(target_os = "linux"))]
+    std::process::abort()
 }
 
 #[cfg(test)]

@@ -68,7 +68,11 @@ use run::{Run, RunOptions};
 /// on, with the trouble in [`Report::error`].
 pub fn audit(options: &Options) -> Result<Report, Trouble> {
     Places::of(options).check()?;
-    let how = ReadOptions { verify: options.verify, progress: options.progress.as_deref() };
+    let how = ReadOptions {
+        verify: options.verify,
+        max_unpacked_gib: options.max_unpacked_gib,
+        progress: options.progress.as_deref(),
+    };
     let corrections = options.corrections.as_deref().map(Corrections::from_file).transpose()?;
     let given = corrections.as_ref().zip(options.corrections.as_deref());
     let given = given.map(|(corrections, file)| Given { corrections, file });

@@ -5,7 +5,10 @@ mod cli;
 use std::process::ExitCode;
 
 use cli::Outcome;
-use poseaudit::boundary::caught;
+use poseaudit::boundary::{Memory, caught};
+
+#[global_allocator]
+static MEMORY: Memory = Memory;
 
 fn main() -> ExitCode {
     cli::end_on_signals();

@@ -32,3 +32,23 @@ fn seeds_whole_cut_and_overwritten_are_read_or_refused() {
         }
     }
 }
+
+#[path = "../fuzz/audits.rs"]
+mod audits;
+
+#[test]
+fn seeds_of_whole_audits_keep_what_every_report_promises() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds/audits");
+    let mut seeds: Vec<_> =
+        fs::read_dir(folder).unwrap().map(|seed| seed.unwrap().path()).collect();
+    seeds.sort();
+    assert!(!seeds.is_empty());
+    let mut answers = std::collections::BTreeSet::new();
+    for seed in seeds {
+        answers.extend(audits::audit_of(&fs::read(seed).unwrap()));
+    }
+    // They are of many kinds, or this shows nothing.
+    for code in ["0", "1", "ING003 Warning", "ING003 Pass"] {
+        assert!(answers.iter().any(|answer| answer.starts_with(code)), "{code}: {answers:?}");
+    }
+}

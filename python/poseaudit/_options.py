@@ -41,6 +41,8 @@ class How(TypedDict, total=False):
     """Largest latency, s."""
     verify: bool | None
     """Check every checksum."""
+    max_unpacked: int | None
+    """What a file may unpack to, GiB."""
     declare: Texts | Mapping[str, str] | None
     """How streams are coded: `{topic: convention}`, or `topic=convention`."""
 

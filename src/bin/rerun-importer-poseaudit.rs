@@ -12,7 +12,11 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use poseaudit::Options;
+use poseaudit::boundary::Memory;
 use poseaudit::replay::Recording;
+
+#[global_allocator]
+static MEMORY: Memory = Memory;
 
 /// The file is not of this importer's kind, or an audit has nothing to add to it.
 const INCOMPATIBLE: u8 = 66;

@@ -28,6 +28,8 @@ pub struct Facts {
     pub hand_eyes: Vec<HandEyeFacts>,
     /// Every stream that plays a part, by its stamps.
     pub stamps: Vec<StampFacts>,
+    /// Every stream that is audited, by its samples that hold no usable numbers.
+    pub unusable: Vec<UnusableFacts>,
     /// Every stream that plays a part, by how regularly it comes.
     pub rhythms: Vec<RhythmFacts>,
     /// The TF topics, and what keeps their frames from being a tree.
@@ -70,7 +72,7 @@ impl Facts {
 
     /// Whether messages amid the files are lost, so that what is missing of a stream may be the log's.
     pub fn lost_messages(&self) -> bool {
-        self.losses.iter().any(|loss| loss.extent == log::Extent::Messages)
+        self.losses.iter().any(|loss| loss.extent >= log::Extent::Messages)
     }
 
     /// A moment of the run as a person finds it again: seconds from the start.
@@ -465,6 +467,8 @@ pub struct RhythmFacts {
     pub rate_hz: Option<f64>,
     /// Samples a second as the caller says that there should be.
     pub said_hz: Option<f64>,
+    /// Samples that came and are left out, because they hold no usable numbers.
+    pub unusable: u64,
     /// The rhythm of each of its senders, or of each transform.
     pub parts: Vec<Cadence>,
     /// How it lies against the other streams.
@@ -577,6 +581,23 @@ pub struct HeldFacts {
     pub is_latched: bool,
     /// Whether it is computed from joint states that repeat, and has their stamps.
     pub is_of_joints: bool,
+}
+
+/// The samples of a stream that hold no usable numbers.
+#[derive(Clone, Debug)]
+pub struct UnusableFacts {
+    /// The stream.
+    pub subject: Subject,
+    /// First and last stamp used.
+    pub span: Option<Span>,
+    /// Those that are NaN, infinite or larger than anything is.
+    pub unusable: u64,
+    /// Those without an orientation, where others have one.
+    pub unset: u64,
+    /// Those with more or fewer numbers than they should have.
+    pub misfits: u64,
+    /// All of them.
+    pub samples: u64,
 }
 
 /// A topic that could not be decoded.

@@ -19,11 +19,14 @@ rule! {
     ///
     /// ## How to fix
     /// Record again where messages are lost; see whether the disk was full or the recorder was
-    /// killed. A missing index is made again by `mcap recover`.
+    /// killed. A missing index is made again by `mcap recover`. What is not read, because it would unpack to
+    /// more than 16 GiB and 2000 times the size of the file (a bz2 chunk or a packed file to a sixteenth of
+    /// that), is read with `--max-unpacked GIB`.
     ///
     /// ## When it misleads
     /// It is a warning where only index, summary or a partial last chunk is missing, as after a
-    /// recorder was killed, and an error where messages amid the file are lost. Bits that flipped in
+    /// recorder was killed, or where the log is sound and this program did not read all of it unasked; it
+    /// is an error where messages amid the file are lost. Bits that flipped in
     /// a file without checksums are not seen; `--verify` checks all the checksums that there are.
     ING001 {
         name: "damaged-log",
@@ -53,6 +56,11 @@ fn judge(loss: &Loss) -> Judged {
             "end of the log is cut off",
             "stop the recorder before it is killed",
         ),
+        Extent::Unread => (
+            Severity::Warning,
+            "a part of the log is not read",
+            "audit again with --max-unpacked GIB, or audit a part of the log alone",
+        ),
         Extent::Messages => {
             (Severity::Error, "messages are lost", "record again, or audit the sound part alone")
         }
@@ -74,14 +82,15 @@ fn judge(loss: &Loss) -> Judged {
 fn message(loss: &Loss) -> String {
     let place = loss.offset.map_or_else(String::new, |offset| format!("at byte {offset}: "));
     let seconds = loss.span.map(|(start, end)| end.seconds_since(start));
+    let gone = if loss.extent == Extent::Unread { "not read" } else { "lost" };
     let lost = match (loss.messages, seconds) {
         (None, None) => String::new(),
-        (None, Some(seconds)) => format!("; what is lost lasts {seconds:.3} s"),
-        (Some(0), _) => "; no message is lost".to_owned(),
-        (Some(1), _) => "; one message is lost".to_owned(),
-        (Some(messages), None) => format!("; {messages} messages are lost"),
+        (None, Some(seconds)) => format!("; what is {gone} lasts {seconds:.3} s"),
+        (Some(0), _) => format!("; no message is {gone}"),
+        (Some(1), _) => format!("; one message is {gone}"),
+        (Some(messages), None) => format!("; {messages} messages are {gone}"),
         (Some(messages), Some(seconds)) => {
-            format!("; {messages} messages within {seconds:.3} s are lost")
+            format!("; {messages} messages within {seconds:.3} s are {gone}")
         }
     };
     format!("{place}{}{lost}", loss.what)

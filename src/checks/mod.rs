@@ -32,7 +32,7 @@ pub use facts::{
     ArmFacts, Declared, DhFacts, Due, EmptyFacts, EulerFacts, Facts, FrameFacts, FrozenFacts,
     HandEyeFacts, HeldFacts, ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts,
     ReferenceFacts, ReferenceWitness, RhythmFacts, ShakeFacts, StampFacts, StrayFacts,
-    UnauditedFacts, UndecodableTopic, WitnessKind,
+    UnauditedFacts, UndecodableTopic, UnusableFacts, WitnessKind,
 };
 pub use figures::{Figures, Limit};
 pub use merge::{Part as EvaluatedPart, merged};
@@ -80,6 +80,7 @@ registry! {
     hec003::HEC003,
     ing001::ING001,
     ing002::ING002,
+    ing003::ING003,
     lat001::LAT001,
     lat002::LAT002,
     lat003::LAT003,

@@ -123,6 +123,14 @@ fn judge(facts: &Facts, rhythm: &RhythmFacts) -> Judged {
         let outcome = Outcome::Inconclusive(format!("{why}; record it again"));
         return Judged::new(subject, outcome).within(rhythm.span);
     }
+    let missing: usize = concerned.iter().flat_map(|part| holes(by, part)).map(|hole| hole.missing).sum();
+    if !concerned.is_empty() && rhythm.unusable > 0 && missing as u64 <= 2 * rhythm.unusable {
+        let why = format!(
+            "the samples that are missing came: {} hold no usable numbers (ING003); record it again",
+            rhythm.unusable
+        );
+        return Judged::new(subject, Outcome::Inconclusive(why)).within(rhythm.span);
+    }
     if !concerned.is_empty() {
         return fault(facts, by, rhythm, &concerned).within(rhythm.span);
     }

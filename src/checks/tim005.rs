@@ -4,18 +4,20 @@ use crate::run::HeaderStamps;
 use crate::time::Clock;
 
 rule! {
-    /// Stamps are zero, constant or missing.
+    /// Stamps are zero, constant, missing or beyond the run.
     ///
     /// ## What it means
     /// The messages do not say when their content was true. The audit then takes the time at which
-    /// the recorder received them.
+    /// the recorder received them. Or a few samples carry a time a day or more from all the others, and a
+    /// hundred times as far as these are from each other: no run is that long, and they are left out.
     ///
     /// ## Why it matters
     /// Receive times carry the transport's delay and its scatter: a latency found on such a stream
     /// is that of content and transport together.
     ///
     /// ## Evidence
-    /// `samples` is how many samples there are, `zero` how many of them carry a zero stamp.
+    /// `samples` is how many samples there are, `zero` how many of them carry a zero stamp,
+    /// `far` how many one that is beyond the run.
     ///
     /// ## How to fix
     /// Fill `header.stamp` when the sample is taken. Where the type has no header, use one that has
@@ -24,6 +26,7 @@ rule! {
     /// ## When it misleads
     /// A type without a header cannot carry a stamp; that is said as `info`, and only of a stream that
     /// is audited. Commands are often sent without a stamp, to be followed at once: `info`, too.
+    /// Of stamps beyond the run at most three, or one in a thousand, are `info`.
     /// Static transforms may carry stamp zero by design and are not counted.
     TIM005 {
         name: "unusable-stamps",
@@ -34,6 +37,8 @@ rule! {
         check: check,
     }
 }
+
+const BEYOND: &str = "stamps are beyond the run";
 
 fn check(facts: &Facts) -> Vec<Judged> {
     facts.stamps.iter().filter(|stream| is_asked(stream)).map(judge).collect()
@@ -52,10 +57,21 @@ fn judge(stream: &StampFacts) -> Judged {
         Due::OnOccasion => Severity::Info,
         Due::Always | Due::InMotion | Due::Untold => Severity::Warning,
     };
+    let far = stream.clock.far;
+    let are_few = far <= 3 || far as f64 <= 1e-3 * rows as f64;
     let (severity, title, message) = match stream.clock.stamps {
+        HeaderStamps::Sound if zero <= 1 && far > 0 => (
+            if are_few { Severity::Info } else { usual },
+            BEYOND,
+            format!("{far} of {rows} stamps are a day or more from all others"),
+        ),
         // A simulation's clock starts at zero.
         HeaderStamps::Sound if zero <= 1 => {
-            return Judged::new(stream.subject(), Outcome::sound()).within(stream.span);
+            let outcome = match zero {
+                0 => Outcome::sound(),
+                _ => Outcome::sound_because("one stamp is zero, and its sample left out"),
+            };
+            return Judged::new(stream.subject(), outcome).within(stream.span);
         }
         HeaderStamps::Sound | HeaderStamps::Zero => {
             (usual, "stamps are zero", format!("{zero} of {rows} stamps are zero"))
@@ -69,7 +85,13 @@ fn judge(stream: &StampFacts) -> Judged {
             format!("{rows} messages carry no stamp, as their type has none"),
         ),
     };
+    let message = match far {
+        0 => message,
+        _ if title == BEYOND => message,
+        _ => format!("{message}; {far} samples are a day or more from all others and left out"),
+    };
     let effect = match stream.clock.clock {
+        _ if title == BEYOND => "these samples are left out".to_owned(),
         Clock::Header => "the samples without a stamp are left out".to_owned(),
         clock => format!("judged by {} time, which includes the transport's delay", clock.name()),
     };
@@ -84,4 +106,5 @@ fn judge(stream: &StampFacts) -> Judged {
         .within(stream.span)
         .with_evidence("samples", rows)
         .with_evidence("zero", zero)
+        .with_evidence("far", far)
 }

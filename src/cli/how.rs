@@ -58,6 +58,10 @@ pub struct How {
     #[arg(long)]
     verify: bool,
 
+    /// Unpack up to this much of a file; without it 16 GiB and 2000 times its size
+    #[arg(long, value_name = "GIB")]
+    max_unpacked: Option<u32>,
+
     /// How a stream is coded: rotvec, euler:SEQ, quat:xyzw, quat:wxyz, or a maker such as kuka
     #[arg(long, value_name = "TOPIC=CONVENTION[,deg][,mm]")]
     declare: Vec<Declaration>,
@@ -170,6 +174,7 @@ impl How {
             stamp: self.stamp.map_or(by_config.stamp, Into::into),
             max_latency_s: self.max_latency.unwrap_or(by_config.max_latency_s),
             verify: self.verify,
+            max_unpacked_gib: self.max_unpacked,
             declarations,
             rules,
             fail_on: self.fail_on.map_or(by_config.fail_on, Into::into),

@@ -27,7 +27,10 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     Places::only_read(&args.logs)?;
     let report = watched(|progress| {
-        poseaudit::info(&args.logs, &ReadOptions { progress: Some(&progress), verify: false })
+        poseaudit::info(
+            &args.logs,
+            &ReadOptions { progress: Some(&progress), ..ReadOptions::default() },
+        )
     })?;
     output::emit(None, |out| write(&report, out))?;
     if let Some(trouble) = &report.error {

@@ -7,6 +7,7 @@ use crate::geometry::{AngleUnit, LengthUnit};
 
 use super::error::DeskError;
 use super::form::{Form, Style};
+use crate::robot::xml_document;
 
 /// The numbers of a pose, and what the text around them says of them.
 #[derive(Clone, Debug, PartialEq)]
@@ -85,8 +86,7 @@ fn urdf(text: &str) -> Result<Pasted, DeskError> {
         true => text.to_owned(),
         false => format!("<origin {attributes}/>"),
     };
-    let xml =
-        roxmltree::Document::parse(&element).map_err(|error| DeskError::Xml(error.to_string()))?;
+    let xml = xml_document(&element).map_err(|(_, problem)| DeskError::Xml(problem.to_string()))?;
     let mut origins = xml.descendants().filter(|node| node.has_tag_name("origin"));
     let origin = origins.next().ok_or(DeskError::Lacks("origin"))?;
     if let more @ 1.. = origins.count() {

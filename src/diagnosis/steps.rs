@@ -95,13 +95,24 @@ fn windows(arm: &Speed, stream: &Speed, most_lag_s: f64) -> Vec<Window> {
     };
     let length_s = (0.25 * (end_s - begin_s)).clamp(LENGTHS_S.0, LENGTHS_S.1);
     let count = (2.0 * (end_s - begin_s) / length_s) as usize;
+    let from_s = |index: usize| begin_s + 0.5 * length_s * index as f64;
     let window = |index: usize| {
-        let from_s = begin_s + 0.5 * length_s * index as f64;
+        let from_s = from_s(index);
         let own = between(arm, from_s, from_s + length_s);
         let best = peaks(&own, stream, most_lag_s).into_iter().next()?;
         Some(Window { lag_s: best.lag_s, correlation: best.correlation })
     };
-    (0..count).filter_map(window).collect()
+    let (mut windows, mut index) = (Vec::new(), 0);
+    while index < count {
+        let next = arm.t_s.partition_point(|t_s| *t_s < from_s(index));
+        let Some(next_s) = arm.t_s.get(next) else { break };
+        // Where nothing is there are no windows, however long that lasts.
+        let reaching = ((next_s - begin_s) / (0.5 * length_s)) as usize;
+        index = index.max(reaching.saturating_sub(1));
+        windows.extend(window(index));
+        index += 1;
+    }
+    windows
 }
 
 fn between(speed: &Speed, from_s: f64, to_s: f64) -> Speed {
@@ -359,6 +370,15 @@ mod tests {
         let value = t_s.iter().map(|t_s| shape(*t_s)).collect();
         let own = t_s.iter().map(|t_s| shape(t_s - late(*t_s))).collect();
         (Speed { t_s: t_s.clone(), value }, Speed { t_s, value: own })
+    }
+
+    #[test]
+    fn a_century_without_samples_has_no_windows() {
+        let (mut arm, stream) = pair(|_| 0.0);
+        arm.t_s.push(3e9);
+        arm.value.push(0.0);
+        let windows = windows(&arm, &stream, 5.0);
+        assert!((5..20).contains(&windows.len()), "{}", windows.len());
     }
 
     #[test]

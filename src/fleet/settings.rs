@@ -64,6 +64,7 @@ impl AuditSettings {
             "stamp": format!("{stamp:?}"),
             "max_latency_s": options.max_latency_s,
             "verify": options.verify,
+            "max_unpacked_gib": options.max_unpacked_gib,
             "declarations": shown(format!("{:?}", options.declarations)),
             "topics": shown(format!("{:?}", options.topics)),
             "rules": shown(format!("{:?}", options.rules)),

@@ -5,7 +5,7 @@ use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use memmap2::Mmap;
+use memmap2::{Mmap, MmapOptions};
 
 use super::intake::Intake;
 use super::remote::{self, Address};
@@ -28,6 +28,11 @@ impl Input {
     /// A local file that stands alone.
     fn local(path: PathBuf) -> Self {
         Self { path, address: None, in_bag: false, recorded: None }
+    }
+
+    /// A file of a rosbag2 folder that nothing is said of.
+    pub(super) fn of_bag(path: PathBuf) -> Self {
+        Self { in_bag: true, ..Self::local(path) }
     }
 
     /// Its size; 0 if that cannot be told, as of an object before it is asked for.
@@ -88,6 +93,38 @@ fn is_same(a: &Path, b: &Path) -> bool {
     }
 }
 
+/// How much of a file of `bytes` is mapped: of a hole at its end, which reads as zeros and is of no
+/// length, not more than tells that there are zeros.
+#[cfg(target_os = "linux")]
+fn worth_reading(file: &File, bytes: u64) -> usize {
+    use std::os::fd::AsRawFd;
+    const ZEROS: u64 = 1 << 20;
+    /// Holes beyond which a file is not searched.
+    const MOST: usize = 1000;
+    let whole = usize::try_from(bytes).unwrap_or(usize::MAX);
+    // SAFETY: the call moves the offset of a file that is never read by it.
+    let seek = |from: u64, to| unsafe {
+        let found = libc::lseek64(file.as_raw_fd(), i64::try_from(from).unwrap_or(i64::MAX), to);
+        u64::try_from(found).ok()
+    };
+    let mut from = 0;
+    for _ in 0..MOST {
+        let Some(hole) = seek(from, libc::SEEK_HOLE).filter(|hole| *hole < bytes) else {
+            return whole;
+        };
+        match seek(hole, libc::SEEK_DATA) {
+            Some(data) if data > hole => from = data,
+            _ => return whole.min(usize::try_from(hole + ZEROS).unwrap_or(whole)),
+        }
+    }
+    whole
+}
+
+#[cfg(not(target_os = "linux"))]
+fn worth_reading(_: &File, bytes: u64) -> usize {
+    usize::try_from(bytes).unwrap_or(usize::MAX)
+}
+
 /// A file in memory.
 pub(super) struct Mapped(Mmap);
 
@@ -107,7 +144,9 @@ impl Mapped {
         // SAFETY: the map is read-only and lives only while its file is decoded. Another process
         // that shortens the file meanwhile ends this one with SIGBUS, as with any memory-mapped
         // reader.
-        unsafe { Mmap::map(&file) }.map(Self).map_err(io_error)
+        unsafe { MmapOptions::new().len(worth_reading(&file, metadata.len())).map(&file) }
+            .map(Self)
+            .map_err(io_error)
     }
 
     /// Maps an open file that nobody else knows.

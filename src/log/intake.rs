@@ -10,15 +10,16 @@ use rayon::prelude::*;
 use super::decode::{self, Builder, Format, MAX_FRAMES, Plan, Recipe, Row, RowTimes};
 use super::losses::Losses;
 use super::unpack::{Allowance, Unpacker, ZSTD_MAGIC};
-use super::{Description, Log, LogFile, Loss, Note, Topic, Undecodable};
+use super::{Description, Extent, Log, LogFile, Loss, Note, Topic, Undecodable};
 use crate::stream::Columns;
 use crate::time::Stamp;
 
 /// Longest robot description taken from an attachment or metadata, in bytes.
 const MAX_DESCRIPTION_BYTES: usize = 16 << 20;
 
-/// Most channels that are told apart. The largest recordings have a few thousand.
-const MAX_CHANNELS: usize = 1 << 14;
+/// Most channels that are told apart. The largest recordings have a few thousand, and an MCAP file has
+/// numbers for half as many.
+const MAX_CHANNELS: usize = 1 << 17;
 
 /// Most bytes that the schemas of all channels with a use have. What is made of them takes several
 /// times as many.
@@ -46,6 +47,8 @@ pub(super) struct Intake {
     by_name: HashMap<(String, String), usize>,
     channels: Vec<ChannelOf>,
     by_format: HashMap<FormatKey, ChannelId>,
+    /// Whether there were more channels than are told apart.
+    is_full: bool,
     /// Bytes of the schemas of channels with a use.
     schema_bytes: usize,
     messages: u64,
@@ -220,7 +223,7 @@ impl Intake {
     /// Begins with the next file, of `bytes`.
     pub(super) fn begin_file(&mut self, path: &Path, bytes: u64) {
         self.files.push(path.to_owned());
-        self.allowance = Allowance::of(bytes);
+        self.allowance = Allowance::of(bytes, None);
     }
 
     /// Takes up a channel; one of the same topic and type goes on where the last one stopped.
@@ -231,6 +234,7 @@ impl Intake {
             return Some(known);
         }
         if self.channels.len() == MAX_CHANNELS {
+            self.is_full = true;
             return None;
         }
         let recipe = Recipe::of(format.type_name);
@@ -261,6 +265,14 @@ impl Intake {
         });
         self.by_format.insert(key, id);
         Some(id)
+    }
+
+    /// Why messages of a channel have none to go to: what to call that, and in words.
+    pub(super) fn nowhere(&self) -> (Extent, String) {
+        match self.is_full {
+            true => (Extent::Unread, format!("beyond the {MAX_CHANNELS} that are told apart")),
+            false => (Extent::Messages, "that no record describes".to_owned()),
+        }
     }
 
     /// The index of the topic of this name and type.

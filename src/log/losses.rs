@@ -3,10 +3,6 @@ use std::path::{Path, PathBuf};
 use super::{Extent, Loss};
 use crate::time::Stamp;
 
-/// Why messages of a channel may have none to go to.
-pub(super) const NOT_DESCRIBED: &str =
-    "that no record describes, or that are more than can be told apart";
-
 /// Most losses listed of a file; those beyond are counted into the last.
 const MAX_LOSSES: usize = 100;
 
@@ -51,12 +47,15 @@ impl Losses {
     fn add_at(&mut self, offset: Option<u64>, extent: Extent, messages: Option<u64>, what: String) {
         let file = self.file.clone();
         let loss = Loss { file, offset, what, messages, span: None, extent };
-        if self.list.len() < MAX_LOSSES {
-            self.last = loss.messages;
+        // What is not read is one thing, however many parts it has.
+        let unread = loss.extent == Extent::Unread;
+        let goes_on = unread && self.list.last().is_some_and(|last| last.extent == loss.extent);
+        if self.list.len() < MAX_LOSSES && !goes_on {
+            (self.last, self.before_last) = (loss.messages, None);
             self.list.push(loss);
         } else if let Some(last) = self.list.last_mut() {
             const MORE: &str = ", and more damage after that";
-            if !last.what.ends_with(MORE) {
+            if !last.what.ends_with(MORE) && !goes_on {
                 last.what.push_str(MORE);
             }
             last.extent = last.extent.max(loss.extent);
@@ -81,8 +80,14 @@ impl Losses {
     pub(super) fn date(&mut self, offset: usize, first: u64, last: u64) {
         let at = |loss: &&mut Loss| loss.offset == Some(offset as u64);
         let (Ok(first), Ok(last)) = (first.try_into(), last.try_into()) else { return };
+        let (first, last) = (Stamp::from_nanos(first), Stamp::from_nanos(last));
         if let Some(loss) = self.list.iter_mut().find(at) {
-            loss.span = Some((Stamp::from_nanos(first), Stamp::from_nanos(last)));
+            loss.span = Some((first, last));
+        } else if let Some(unread) = self.list.last_mut()
+            && unread.extent == Extent::Unread
+            && let Some(span) = &mut unread.span
+        {
+            *span = (span.0.min(first), span.1.max(last));
         }
     }
 
@@ -198,6 +203,25 @@ mod tests {
         let losses = losses.finish();
         assert_eq!(losses[0].messages, Some(7));
         assert_eq!(losses[1].messages, Some(2));
+    }
+
+    #[test]
+    fn what_is_not_read_is_one_thing() {
+        let mut losses = Losses::of(Path::new("x"));
+        losses.add(3, Extent::Messages, None, "broken".to_owned());
+        losses.add_to_last(1);
+        for chunk in 1..=50 {
+            losses.add(10 * chunk, Extent::Unread, None, "too much".to_owned());
+            losses.date(10 * chunk, 100 * chunk as u64, 100 * chunk as u64 + 7);
+            losses.add_to_last(2);
+            losses.add_to_last(3);
+        }
+        let losses = losses.finish();
+        let [broken, unread] = losses.as_slice() else { panic!("{losses:?}") };
+        assert_eq!((broken.messages, unread.messages), (Some(1), Some(250)));
+        assert_eq!((unread.offset, unread.what.as_str()), (Some(10), "too much"));
+        let span = [100, 5007].map(Stamp::from_nanos);
+        assert_eq!(unread.span, Some(span.into()));
     }
 
     #[test]

@@ -11,6 +11,7 @@ mod survey;
 #[cfg(test)]
 mod tests;
 
+use std::cell::OnceCell;
 use std::collections::HashMap;
 
 use mcap::MAGIC;
@@ -20,7 +21,7 @@ use self::record::{Broken, Frame};
 use super::ahead::{self, Ahead};
 use super::decode::{Format, excerpt};
 use super::intake::{ChannelId, Intake, MOST_AT_ONCE, Message, Place};
-use super::losses::{Losses, NOT_DESCRIBED, Unknown};
+use super::losses::{Losses, Unknown};
 use super::ranges::Present;
 use super::unpack::{Compression, Packed, Unpacker};
 use super::{Crc, Extent, ReadOptions};
@@ -83,6 +84,8 @@ struct Reader<'a, 'r, 'scope> {
     in_lost_chunk: bool,
     /// Whether a chunk was met.
     has_chunks: bool,
+    /// Where the zeros begin that the file ends in, once that was asked.
+    zeros_from: OnceCell<usize>,
 }
 
 /// A schema as it was read last; chunks repeat them.
@@ -165,6 +168,7 @@ impl<'a, 'r, 'scope> Reader<'a, 'r, 'scope> {
             unknown: Unknown::default(),
             in_lost_chunk: false,
             has_chunks: false,
+            zeros_from: OnceCell::new(),
         }
     }
 }
@@ -271,10 +275,16 @@ impl<'a> Reader<'a, '_, '_> {
     /// messages, so that these are sought only in a file without chunks.
     fn next_record(&self, from: usize) -> Option<usize> {
         let is_known = |id: u16| matches!(self.channels.get(usize::from(id)), Some(Some(_)));
-        record::find_chunk(self.bytes, from).or_else(|| {
-            let find = || record::find_message(self.bytes, from, is_known);
+        let within = || from..self.zeros_from().max(from);
+        record::find_chunk(self.bytes, within()).or_else(|| {
+            let find = || record::find_message(self.bytes, within(), is_known);
             if self.has_chunks { None } else { find() }
         })
+    }
+
+    /// Where the zeros begin that the file ends in: there may be gigabytes of them.
+    fn zeros_from(&self) -> usize {
+        *self.zeros_from.get_or_init(|| record::trailing_zeros(self.bytes))
     }
 
     /// Reads one record of the data section; whether its length is beyond doubt.
@@ -423,7 +433,8 @@ impl<'a> Reader<'a, '_, '_> {
                 true
             }
             Err(error) => {
-                self.lose_chunk(frame.offset, error.to_string());
+                self.losses.add(frame.offset, error.extent(), None, error.to_string());
+                self.in_lost_chunk = true;
                 self.losses.date(frame.offset, chunk.first_time, chunk.last_time);
                 false
             }
@@ -605,7 +616,7 @@ impl<'a> Reader<'a, '_, '_> {
             Broken::Cut { opcode: 0x01..=0x0f, .. } | Broken::Stub { .. } if !closed => {
                 (Extent::Index, Some(0), "the file ends within a record".to_owned())
             }
-            Broken::Zero if self.bytes[offset..].iter().all(|&byte| byte == 0) => {
+            Broken::Zero if self.zeros_from() <= offset => {
                 (Extent::Tail, None, "the file ends in zeros, as after a crash".to_owned())
             }
             _ => {
@@ -633,8 +644,9 @@ impl<'a> Reader<'a, '_, '_> {
             self.intake.note(self.losses.file(), what);
         }
         if let Some((messages, offset)) = self.orphans {
-            let what = format!("the first of {messages} messages of channels {NOT_DESCRIBED}");
-            self.losses.add(offset, Extent::Messages, Some(messages), what);
+            let (extent, why) = self.intake.nowhere();
+            let what = format!("the first of {messages} messages of channels {why}");
+            self.losses.add(offset, extent, Some(messages), what);
         }
         match (summary, end) {
             (Summary::Unclosed, End::Open | End::Closed(_)) => {

@@ -41,7 +41,7 @@ use self::mcap::Absent;
 use self::ranges::Present;
 use self::remote::Fetched;
 use self::sniff::Kind;
-use self::unpack::Unpacked;
+use self::unpack::{Allowance, Unpacked};
 use crate::stream::Columns;
 use crate::time::Stamp;
 
@@ -55,6 +55,9 @@ pub use self::remote::{Listed, RemoteFault, is_url, list, normal};
 pub struct ReadOptions<'a> {
     /// Check every checksum in the files, also where that takes another pass over the bytes.
     pub verify: bool,
+    /// What the compressed parts of a file may unpack to, GiB, where that is more than would be unpacked
+    /// otherwise.
+    pub max_unpacked_gib: Option<u32>,
     /// Kept up to date while the files are read.
     pub progress: Option<&'a Progress>,
 }
@@ -242,6 +245,8 @@ pub enum Extent {
     Tail,
     /// Messages amid the file.
     Messages,
+    /// What this program does not read unasked, and is no damage.
+    Unread,
 }
 
 /// The local file that `path` names, itself or as a `file://` URL; `None` for an object in a store.
@@ -335,7 +340,7 @@ impl Reading<'_> {
             if let Some(recorded) = input.recorded {
                 self.losses.settle("metadata.yaml", recorded, self.intake.messages() - before);
             }
-            return Ok(file);
+            return Ok(LogFile { bytes: input.bytes(), ..file });
         };
         let Fetched { file: Unpacked { file, path: named }, present, bytes } =
             remote::fetch(address, &self.options)
@@ -354,6 +359,7 @@ impl Reading<'_> {
     fn whole(&mut self, bytes: &[u8], named: Option<TempPath>) -> Result<LogFile, LogError> {
         let (path, size) = (self.path, bytes.len() as u64);
         self.intake.begin_file(path, size);
+        self.intake.allowance = Allowance::of(size, self.options.max_unpacked_gib);
         let (container, crc) = match sniff::kind(bytes) {
             Kind::Zstd => self.archive(bytes)?,
             kind => self.named(kind, bytes, named)?,
@@ -368,7 +374,11 @@ impl Reading<'_> {
             unpack::file(archive, &mut self.intake.allowance, |offset| options.at(offset))
                 .map_err(|source| LogError::Temporary { path: self.path.to_owned(), source })?;
         if let Err(error) = end {
-            self.losses.add_unplaced(Extent::Tail, None, error.to_string());
+            let extent = match error.extent() {
+                Extent::Messages => Extent::Tail,
+                ours => ours,
+            };
+            self.losses.add_unplaced(extent, None, error.to_string());
         }
         let looks = "a zstd archive of nothing";
         let unpacked = Mapped::of(&file)
@@ -520,7 +530,7 @@ mod tests {
             fs::write(&path, log.finish()).unwrap();
             paths.push(path);
         }
-        let log = open(&paths, &ReadOptions { verify: true, progress: None }).unwrap();
+        let log = open(&paths, &ReadOptions { verify: true, ..ReadOptions::default() }).unwrap();
         assert_eq!(log.messages, 20);
         assert_eq!(log.span, Some((Stamp::from_nanos(100), Stamp::from_nanos(209))));
         assert_eq!(log.files.len(), 2);

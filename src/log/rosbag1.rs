@@ -14,7 +14,7 @@ use self::record::{Broken, Chunk, Connection, MessageIndex, Record, op};
 use super::ahead::{self, Ahead};
 use super::decode::{Format, excerpt};
 use super::intake::{ChannelId, Intake, MOST_AT_ONCE, Message, Place};
-use super::losses::{Losses, NOT_DESCRIBED, Unknown};
+use super::losses::{Losses, Unknown};
 use super::unpack::{Compression, UnpackError, Unpacker};
 use super::{Crc, Extent, ReadOptions};
 
@@ -304,7 +304,8 @@ impl<'a> Reader<'a, '_, '_> {
                 true
             }
             Err(error) => {
-                self.lose_chunk(record.offset, error.to_string());
+                self.losses.add(record.offset, error.extent(), None, error.to_string());
+                self.in_lost_chunk = true;
                 false
             }
         };
@@ -547,8 +548,9 @@ impl<'a> Reader<'a, '_, '_> {
             self.intake.note(self.losses.file(), what);
         }
         if let Some((messages, offset)) = self.orphans {
-            let what = format!("the first of {messages} messages of connections {NOT_DESCRIBED}");
-            self.losses.add(offset, Extent::Messages, Some(messages), what);
+            let (extent, why) = self.intake.nowhere();
+            let what = format!("the first of {messages} messages of connections {why}");
+            self.losses.add(offset, extent, Some(messages), what);
         }
         match self.index {
             Index::Missing => {

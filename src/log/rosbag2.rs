@@ -7,6 +7,7 @@
 mod database;
 #[cfg(test)]
 mod tests;
+mod wal;
 
 use std::ffi::OsStr;
 use std::fs;
@@ -66,7 +67,16 @@ pub(super) fn files_of(folder: &Path, intake: &mut Intake) -> Result<Vec<Input>,
     }
     let mut losses = Losses::of(&path);
     let inputs = match information(&path) {
-        Ok(information) => listed(folder, &information, &mut losses),
+        Ok(information) => {
+            let mut inputs = listed(folder, &information, &mut losses);
+            let further = further_splits(folder, &inputs);
+            for path in &further {
+                let what = format!("does not list {}, which was read", path.display());
+                losses.add_unplaced(Extent::Index, Some(0), what);
+            }
+            inputs.extend(further.into_iter().map(Input::of_bag));
+            inputs
+        }
         Err(cause) => {
             let what = format!("cannot be read: {cause}; the log files beside it are");
             losses.add_unplaced(Extent::Index, Some(0), what);
@@ -148,10 +158,23 @@ fn logs_in(folder: &Path) -> Result<Vec<Input>, LogError> {
     if paths.iter().any(|path| recording_name(path) != recording_name(first)) {
         return Err(refuse("with the logs of several runs, or without the metadata.yaml of one"));
     }
-    Ok(paths
-        .into_iter()
-        .map(|path| Input { path, address: None, in_bag: true, recorded: None })
-        .collect())
+    Ok(paths.into_iter().map(Input::of_bag).collect())
+}
+
+/// Log files of a folder that are not among `inputs` and are named as one of them, but for the number
+/// of the split: the list may have been cut.
+fn further_splits(folder: &Path, inputs: &[Input]) -> Vec<PathBuf> {
+    let family = |path: &Path| {
+        let name = path.file_name().and_then(OsStr::to_str)?;
+        let (run, split) = name.rsplit_once('_')?;
+        let digits = split.bytes().take_while(u8::is_ascii_digit).count();
+        (digits > 0).then(|| (run.to_owned(), split[digits..].to_owned()))
+    };
+    let families: Vec<_> = inputs.iter().filter_map(|input| family(&input.path)).collect();
+    let mut paths = unlisted(folder, inputs);
+    paths.retain(|path| family(path).is_some_and(|family| families.contains(&family)));
+    paths.sort_by_key(|path| (path.as_os_str().len(), path.clone()));
+    paths
 }
 
 /// Log files of a folder that are not among `inputs`.

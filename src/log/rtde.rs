@@ -10,6 +10,7 @@
 mod tests;
 
 use std::collections::{BTreeMap, HashMap, HashSet};
+use std::io::{self, Read};
 use std::path::Path;
 
 use csv::{ByteRecord, ReaderBuilder};
@@ -18,7 +19,7 @@ use super::decode::Format;
 use super::intake::{ChannelId, Intake, Message, Place};
 use super::losses::Losses;
 use super::{Extent, ReadOptions};
-use crate::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times};
+use crate::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times, usable};
 use crate::time;
 
 /// The joints of every UR arm, in the controller's order.
@@ -36,6 +37,9 @@ const TIMESTAMP: &str = "timestamp";
 
 /// Longest first line that is looked at.
 const MAX_HEADER_BYTES: usize = 1 << 16;
+
+/// Longest line that is read. RTDE has some hundred fields.
+const MAX_LINE_BYTES: usize = 1 << 20;
 
 /// Most names that are listed of a table.
 const MAX_LISTED: usize = 1000;
@@ -140,6 +144,26 @@ fn number(cell: &[u8], decimal_comma: bool) -> Option<f64> {
     cell.parse().ok()
 }
 
+/// The bytes of a table, up to a line without an end, for which a reader would take memory without
+/// bound.
+struct Lines<'a> {
+    rest: &'a [u8],
+    /// Bytes since the last end of a line.
+    line: usize,
+}
+
+impl Read for Lines<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        if self.line > MAX_LINE_BYTES {
+            return Err(io::ErrorKind::InvalidData.into());
+        }
+        let count = self.rest.read(buffer)?;
+        let end = buffer[..count].iter().rposition(|byte| matches!(byte, b'\n' | b'\r'));
+        self.line = end.map_or(self.line + count, |end| count - end);
+        Ok(count)
+    }
+}
+
 /// The samples of all tables of a run: different columns of one run may be in different files.
 #[derive(Default)]
 pub(super) struct Recording {
@@ -189,14 +213,35 @@ impl Recording {
             .quoting(false)
             .flexible(true)
             .has_headers(false)
-            .from_reader(bytes);
+            .from_reader(Lines { rest: bytes, line: 0 });
         let ends_in_line = matches!(bytes.last(), Some(b'\n' | b'\r'));
         let mut table = Table { layout, delimiter, row: vec![Vec::new(); VECTORS.len()] };
         let mut record = ByteRecord::new();
         let mut is_first = true;
-        while let Ok(true) = reader.read_byte_record(&mut record) {
+        loop {
+            let more = reader.read_byte_record(&mut record);
             let (offset, line) =
                 record.position().map_or((0, 0), |position| (position.byte(), position.line()));
+            match more {
+                Ok(true) => {}
+                Ok(false) => break,
+                Err(_) => {
+                    let rest = bytes.get(offset as usize..).unwrap_or_default();
+                    let (extent, what) = match rest.iter().all(|byte| *byte == 0) {
+                        true => {
+                            (Extent::Tail, "the file ends in zeros, as after a crash".to_owned())
+                        }
+                        false => {
+                            let what = format!(
+                                "line {line} has more than {MAX_LINE_BYTES} bytes: nothing from it on is read"
+                            );
+                            (Extent::Messages, what)
+                        }
+                    };
+                    losses.add(offset as usize, extent, None, what);
+                    break;
+                }
+            }
             options.at(offset as usize);
             if std::mem::take(&mut is_first) || record.iter().map(bare).eq(names.iter().copied()) {
                 continue;
@@ -385,7 +430,8 @@ impl Samples {
         let mut joints = JointColumns { times: self.times(), ..JointColumns::default() };
         joints.joints = (0..JOINTS.len())
             .map(|joint| {
-                let velocity = |stamp| by_stamp.get(stamp).map_or(f64::NAN, |row| row[joint]);
+                let velocity =
+                    |stamp| by_stamp.get(stamp).map_or(f64::NAN, |row| finite(row[joint]));
                 JointColumn {
                     name: JOINTS[joint].to_owned(),
                     position: self.rows(JOINTS.len()).map(|row| finite(row[joint])).collect(),
@@ -393,7 +439,10 @@ impl Samples {
                 }
             })
             .collect();
-        joints.not_finite = self.values.iter().filter(|value| !value.is_finite()).count() as u64;
+        for row in self.rows(JOINTS.len()) {
+            let unusable = (0..JOINTS.len()).filter(|&joint| !usable(row[joint]));
+            unusable.for_each(|joint| joints.drop_value(joint));
+        }
         joints
     }
 
@@ -401,7 +450,7 @@ impl Samples {
     fn array(&self, width: usize) -> ArrayColumns {
         let mut array = ArrayColumns { width, ..ArrayColumns::default() };
         for (&stamp, row) in self.stamps.iter().zip(self.rows(width)) {
-            if row.iter().all(|value| value.is_finite()) {
+            if row.iter().all(|value| usable(*value)) {
                 array.times.push(stamp, stamp, stamp);
                 array.values.extend_from_slice(row);
             } else {
@@ -422,9 +471,9 @@ impl Samples {
     }
 }
 
-/// `value`, or NaN in place of an infinity.
+/// `value`, or NaN in place of one that nothing has.
 fn finite(value: f64) -> f64 {
-    if value.is_finite() { value } else { f64::NAN }
+    if usable(value) { value } else { f64::NAN }
 }
 
 /// The names of what is not read, in the order of the columns; the parts of a vector are one.

@@ -118,7 +118,8 @@ fn the_fuzzers_seeds_are_what_the_writers_make() {
         let made = temporary.path().join("log");
         fs::write(&made, &bytes).unwrap();
         let topics = |path: &Path| {
-            let log = open(&[path.to_owned()], &ReadOptions { verify: true, progress: None });
+            let log =
+                open(&[path.to_owned()], &ReadOptions { verify: true, ..ReadOptions::default() });
             log.map(|log| (log.topics, log.losses)).ok()
         };
         let same = kept == bytes || topics(&path).is_some_and(|kept| Some(kept) == topics(&made));

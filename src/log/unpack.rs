@@ -8,6 +8,8 @@ use std::io::{self, Read, Seek, Write};
 
 use tempfile::TempPath;
 
+use super::Extent;
+
 /// What a zstd frame begins with.
 pub(super) const ZSTD_MAGIC: &[u8] = b"\x28\xb5\x2f\xfd";
 
@@ -19,6 +21,9 @@ const MAX_CHUNK_BYTES: u64 = 1 << 30;
 
 /// Largest message that is unpacked.
 const MAX_MESSAGE_BYTES: u64 = 64 << 20;
+
+/// What a byte takes off an [`Allowance`] that is slow to unpack, or is kept on the disk.
+const SLOW_OR_KEPT: u64 = 16;
 
 /// How a part of a file is compressed.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -38,7 +43,10 @@ pub(super) enum Compression {
 pub(super) enum UnpackError {
     #[error("{part} of {size} bytes is larger than the {limit} that are unpacked")]
     TooLarge { part: &'static str, size: u64, limit: u64 },
-    #[error("{part} is not unpacked further: the file holds more than {limit} bytes when unpacked")]
+    #[error(
+        "{part} is not unpacked: with it the file would hold more than the {} GiB that are unpacked unasked",
+        limit >> 30
+    )]
     TooMuch { part: &'static str, limit: u64 },
     #[error("{part} cannot be unpacked: {source}")]
     Broken { part: &'static str, source: io::Error },
@@ -46,6 +54,18 @@ pub(super) enum UnpackError {
     Size { expected: u64, found: u64 },
     #[error("chunk fails its checksum ({found:08x}, its header says {expected:08x})")]
     Crc { expected: u32, found: u32 },
+}
+
+impl UnpackError {
+    /// What it takes from the audit: messages that are damaged, or that are not read unasked.
+    pub(super) fn extent(&self) -> Extent {
+        match self {
+            Self::TooMuch { .. } => Extent::Unread,
+            Self::TooLarge { .. } | Self::Broken { .. } | Self::Size { .. } | Self::Crc { .. } => {
+                Extent::Messages
+            }
+        }
+    }
 }
 
 /// A chunk as its file holds it.
@@ -73,6 +93,16 @@ impl<'a> Packed<'a> {
         }
     }
 
+    /// What unpacking it takes off an [`Allowance`]: bytes, and of bzip2 for each as much as the others do
+    /// of several.
+    fn cost(&self) -> u64 {
+        match self.compression {
+            Compression::None => 0,
+            Compression::Zstd | Compression::Lz4 => self.size,
+            Compression::Bz2 => self.size.saturating_mul(SLOW_OR_KEPT),
+        }
+    }
+
     /// Whether `content` is what the header says.
     fn verify(&self, content: &[u8]) -> Result<(), UnpackError> {
         let found = content.len() as u64;
@@ -97,13 +127,21 @@ pub(super) struct Allowance {
 
 impl Allowance {
     /// What a file may unpack to however small it is.
-    const BASE: u64 = 1 << 30;
-    /// What each of its bytes may unpack to beyond that; logs reach a tenth of it.
-    const RATIO: u64 = 100;
+    const BASE: u64 = 16 << 30;
+    /// What each of its bytes may unpack to beyond that. Black images reach 1400; no chunk stays in memory
+    /// when it was read, so that this bounds time alone.
+    const RATIO: u64 = 2000;
 
-    /// The allowance of a file of `bytes`.
-    pub(super) fn of(bytes: u64) -> Self {
-        Self { limit: bytes.saturating_mul(Self::RATIO).saturating_add(Self::BASE), used: 0 }
+    /// The allowance of a file of `bytes`, and of as many GiB as were asked for.
+    pub(super) fn of(bytes: u64, asked_gib: Option<u32>) -> Self {
+        let unasked = bytes.saturating_mul(Self::RATIO).saturating_add(Self::BASE);
+        Self { limit: unasked.max(u64::from(asked_gib.unwrap_or(0)) << 30), used: 0 }
+    }
+
+    /// One of so many bytes.
+    #[cfg(test)]
+    pub(super) fn exactly(limit: u64) -> Self {
+        Self { limit, used: 0 }
     }
 
     fn left(&self) -> u64 {
@@ -127,15 +165,13 @@ impl Allowance {
         match packed.compression {
             Compression::None => Ok(()),
             _ if size > limit => Err(UnpackError::TooLarge { part: CHUNK, size, limit }),
-            _ => self.check(CHUNK, size),
+            _ => self.check(CHUNK, packed.cost()),
         }
     }
 
     /// Takes off what `packed` cost. What fails in the end has cost no less.
     fn settle(&mut self, packed: &Packed<'_>) {
-        if packed.compression != Compression::None {
-            self.take(packed.size);
-        }
+        self.take(packed.cost());
     }
 }
 
@@ -306,10 +342,12 @@ pub(super) fn file(
     let end = loop {
         // A piece is as long as it can be, so that the first has the whole of the file's magic.
         let (length, end) = fill(&mut stream, &mut buffer);
-        if let Err(error) = allowance.check(PART, length as u64) {
+        // It goes to the disk, of which there is less than of time.
+        let cost = length as u64 * SLOW_OR_KEPT;
+        if let Err(error) = allowance.check(PART, cost) {
             break Err(error);
         }
-        allowance.take(length as u64);
+        allowance.take(cost);
         at(archive.len() - stream.get_ref().len());
         let piece = &buffer[..length];
         let unpacked = match &mut unpacked {
@@ -385,7 +423,7 @@ mod tests {
 
     #[test]
     fn a_message_larger_than_any_is_not_unpacked() {
-        let (mut unpacker, mut allowance) = (Unpacker::default(), Allowance::of(1000));
+        let (mut unpacker, mut allowance) = (Unpacker::default(), Allowance::of(1000, None));
         assert_eq!(unpacker.message(&zeros(70), &mut allowance).unwrap(), [0; 70]);
         let error = unpacker.message(&zeros(65 << 20), &mut allowance).unwrap_err();
         assert!(error.to_string().contains("larger than"), "{error}");
@@ -394,7 +432,8 @@ mod tests {
     #[test]
     fn an_archive_is_unpacked_up_to_its_allowance_or_its_damage() {
         let archive = zeros(300_000);
-        let unpack = |archive: &[u8], limit| {
+        let unpack = |archive: &[u8], limit: u64| {
+            let limit = SLOW_OR_KEPT * limit;
             let (unpacked, end) = file(archive, &mut Allowance { limit, used: 0 }, |_| ()).unwrap();
             (unpacked.file.metadata().unwrap().len(), end.is_ok())
         };
@@ -411,7 +450,7 @@ mod tests {
             let archive = zstd::bulk::compress(content, 1).unwrap();
             let read = std::cell::Cell::new(0);
             let (unpacked, end) =
-                file(&archive, &mut Allowance::of(1000), |at| read.set(at)).unwrap();
+                file(&archive, &mut Allowance::of(1000, None), |at| read.set(at)).unwrap();
             assert!(end.is_ok() && read.get() == archive.len(), "{} bytes", read.get());
             unpacked.path.is_some()
         };

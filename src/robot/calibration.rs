@@ -12,7 +12,7 @@ use serde::Deserialize;
 use serde_saphyr::{Location, Spanned};
 
 use super::error::{Problem, RobotError};
-use super::model::Robot;
+use super::model::{MOST, Robot};
 use super::without_bom;
 use crate::geometry::{Pose, angle_between, pose, rotation_from_rpy};
 
@@ -74,7 +74,7 @@ impl Calibration {
     /// As [`Calibration::from_text`], or where the file cannot be read as text.
     pub fn from_file(path: &Path) -> Result<Self, RobotError> {
         let file = path.display().to_string();
-        let text = std::fs::read_to_string(path)
+        let text = super::text_of(path)
             .map_err(|e| RobotError::new(&file, None, Problem::UnreadableCalibration(e)))?;
         Self::from_text(&text, &file)
     }
@@ -119,7 +119,7 @@ fn line(location: Location) -> usize {
 impl Block {
     fn is_finite(&self) -> bool {
         let Self { x, y, z, roll, pitch, yaw } = self;
-        [x, y, z, roll, pitch, yaw].into_iter().all(|number| number.is_finite())
+        [x, y, z, roll, pitch, yaw].into_iter().all(|number| number.abs() <= MOST)
     }
 
     fn origin(&self) -> Pose {

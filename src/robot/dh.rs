@@ -11,7 +11,7 @@ use serde::Deserialize;
 use crate::geometry::{Pose, Vec3, pose, rotation_from_rpy};
 
 use super::error::Problem;
-use super::model::{JointDraft, JointKind, Limits, Robot};
+use super::model::{JointDraft, JointKind, Limits, MOST, Robot};
 
 /// Which of the two formulas the rows of a DH table belong to; never guessed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -153,7 +153,7 @@ impl DhTable {
     fn check_finite(&self) -> Result<(), Problem> {
         let ends = [self.pre_xyz, self.pre_rpy, self.post_xyz, self.post_rpy];
         let mut numbers = self.rows.iter().flatten().chain(ends.iter().flatten());
-        if numbers.all(|number| number.is_finite()) {
+        if numbers.all(|number| number.abs() <= MOST) {
             return Ok(());
         }
         Err(Problem::NotFinite { element: "[dh]".to_owned() })

@@ -68,6 +68,10 @@ pub enum Problem {
     AnotherArm { robot: String, joint: String, millimetres: f64, degrees: f64 },
     #[error("not well-formed XML: {0}")]
     Xml(String),
+    #[error("its document type declares entities, which are not read")]
+    DocumentType,
+    #[error("it has more than {limit} {what}")]
+    TooMuch { what: &'static str, limit: usize },
     #[error("the XML's root element is <{found}>, not <robot>")]
     NotARobot { found: String },
     #[error("{found} is a leftover of xacro")]
@@ -88,8 +92,12 @@ pub enum Problem {
     Missing { element: String, missing: &'static str },
     #[error("{element}: {attribute}=\"{found}\" is not {expected}")]
     Number { element: String, attribute: &'static str, found: String, expected: &'static str },
-    #[error("{element} has a number that is not finite")]
+    #[error("{element} has a number that is not finite, or beyond 1000000")]
     NotFinite { element: String },
+    #[error(
+        "joint '{joint}' of link '{link}' has the number {found:e}, and none beyond {most} is taken"
+    )]
+    Beyond { joint: String, link: String, found: f64, most: f64 },
     #[error("joint '{joint}': the axis is zero")]
     ZeroAxis { joint: String },
     #[error("joint '{joint}': type \"{found}\" is unknown")]
@@ -121,6 +129,8 @@ impl Problem {
                 "give this arm's calibration, or a model with the frames of ur_description"
             }
             Self::Xml(_) => "repair the file, or export the URDF again",
+            Self::DocumentType => "expand it first: xmllint --noent --dropdtd FILE",
+            Self::TooMuch { .. } => "give links and joints alone",
             Self::NotARobot { .. } => "give the arm's URDF (not an SDF, SRDF or MJCF file)",
             Self::Xacro { .. } => "expand it first: xacro FILE.xacro > FILE.urdf",
             Self::Toml(_) => "compare it with an arm of the catalogue",
@@ -130,7 +140,9 @@ impl Problem {
             Self::NoKinematics => "add one of the two",
             Self::NoLink => "give the URDF itself (an SRDF has only groups)",
             Self::Missing { .. } => "add it",
-            Self::Number { .. } | Self::NotFinite { .. } => "correct the number",
+            Self::Number { .. } | Self::NotFinite { .. } | Self::Beyond { .. } => {
+                "correct the number"
+            }
             Self::ZeroAxis { .. } => "give the axis a direction",
             Self::JointType { .. } => {
                 "use revolute, continuous, prismatic, fixed, floating or planar"

@@ -15,6 +15,7 @@ mod patch;
 mod table;
 mod urdf;
 mod visuals;
+mod xml;
 
 pub use calibration::Calibration;
 pub use chain::Chain;
@@ -26,8 +27,13 @@ pub use names::NameMatch;
 pub(crate) use names::nearest;
 pub use patch::NoPatch;
 pub use visuals::{Shape, Visual};
+pub(crate) use xml::document as xml_document;
 
+use std::fs::File;
+use std::io::{self, Read};
 use std::path::Path;
+
+use xml::MAX_TEXT_BYTES;
 
 impl Robot {
     /// Reads the URDF or TOML file at `path`; the content tells which, not the extension.
@@ -36,8 +42,8 @@ impl Robot {
     /// As [`Robot::from_text`], or where the file cannot be read as text.
     pub fn from_file(path: &Path) -> Result<Robot, RobotError> {
         let file = path.display().to_string();
-        let text = std::fs::read_to_string(path)
-            .map_err(|e| RobotError::new(&file, None, Problem::Unreadable(e)))?;
+        let text =
+            text_of(path).map_err(|e| RobotError::new(&file, None, Problem::Unreadable(e)))?;
         Robot::from_text(&text, &file)
     }
 
@@ -52,6 +58,17 @@ impl Robot {
             Robot::from_toml(text, source)
         }
     }
+}
+
+/// The text at `path`, unless it is larger than any model.
+fn text_of(path: &Path) -> io::Result<String> {
+    let mut bytes = Vec::new();
+    File::open(path)?.take(MAX_TEXT_BYTES as u64 + 1).read_to_end(&mut bytes)?;
+    if bytes.len() > MAX_TEXT_BYTES {
+        let what = format!("it has more than the {MAX_TEXT_BYTES} bytes that are read");
+        return Err(io::Error::new(io::ErrorKind::FileTooLarge, what));
+    }
+    String::from_utf8(bytes).map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))
 }
 
 /// `text` without the byte order mark that some editors put first.

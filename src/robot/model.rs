@@ -139,6 +139,10 @@ impl JointKind {
     }
 }
 
+/// No length, position or factor of a model is beyond this: 1000 km, or as many turns. Squares and sums
+/// of what is taken stay finite, and exact to a micrometre.
+pub(super) const MOST: f64 = 1e6;
+
 /// A joint's limits, each where the model states it: rad and rad/s, or m and m/s if prismatic.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Limits {
@@ -148,6 +152,14 @@ pub struct Limits {
     pub upper: Option<f64>,
     /// The highest speed.
     pub velocity: Option<f64>,
+}
+
+impl Limits {
+    /// The limits that limit anything: 1e308 says that there is none.
+    fn within_reason(self) -> Self {
+        let kept = |limit: Option<f64>| limit.filter(|limit| limit.abs() <= MOST);
+        Self { lower: kept(self.lower), upper: kept(self.upper), velocity: kept(self.velocity) }
+    }
 }
 
 /// `position = multiplier · master's position + offset`, as URDF's `<mimic>`.
@@ -169,7 +181,10 @@ pub(super) fn unit_axis(joint: &str, kind: JointKind, xyz: [f64; 3]) -> Result<V
     if !kind.has_position() {
         return Ok(Vec3::x());
     }
-    let axis = Vec3::from(xyz).try_normalize(1e-9);
+    let axis = Vec3::from(xyz);
+    // Components that are large enough have an infinite square.
+    let largest = axis.amax();
+    let axis = (largest > 1e-9).then(|| (axis / largest).normalize());
     axis.ok_or_else(|| Problem::ZeroAxis { joint: joint.to_owned() })
 }
 
@@ -440,6 +455,14 @@ fn connect(
             link_ids.get(&link).copied().ok_or_else(unknown)
         };
         let (parent, child) = (find("parent", draft.parent)?, find("child", draft.child)?);
+        let mimic = draft.mimic.as_ref();
+        let numbers = mimic.into_iter().flat_map(|mimic| [mimic.multiplier, mimic.offset]);
+        let numbers = numbers.chain(draft.parent_from_joint.translation.vector.iter().copied());
+        if let Some(found) = numbers.map(f64::abs).find(|number| number.is_nan() || *number > MOST)
+        {
+            let link = links[child.0].name.clone();
+            return Err((at, Problem::Beyond { joint: name, link, found, most: MOST }));
+        }
         if let Some(first) = links[child.0].parent.replace(joints.len()) {
             let link = links[child.0].name.clone();
             let first = joints[first].name.clone();
@@ -453,7 +476,7 @@ fn connect(
             child,
             parent_from_joint: draft.parent_from_joint,
             axis: draft.axis,
-            limits: draft.limits,
+            limits: draft.limits.within_reason(),
             mimic: draft.mimic,
         });
     }

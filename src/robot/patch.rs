@@ -2,13 +2,14 @@
 
 use std::ops::Range;
 
-use roxmltree::{Document, Node, ParsingOptions};
+use roxmltree::Node;
 use serde::Deserialize;
 use toml::Spanned;
 
 use super::dh::DhConvention;
 use super::error::RobotError;
 use super::model::{JointKind, Robot};
+use super::xml::document;
 use crate::geometry::{
     Convention, Pose, angle_between, pose, rotation_from_rotvec, xyz_of, xyzw_from_rotation,
 };
@@ -186,8 +187,7 @@ fn urdf_edits(
     own: &Robot,
     offset_of: impl Fn(usize) -> Option<f64>,
 ) -> Result<Vec<Edit>, NoPatch> {
-    let options = ParsingOptions { allow_dtd: true, ..ParsingOptions::default() };
-    let document = Document::parse_with_options(text, options).map_err(|_| NoPatch::Layout)?;
+    let document = document(text).map_err(|_| NoPatch::Layout)?;
     let nodes = document.root_element().children().filter(|node| node.has_tag_name("joint"));
     let mut edits = Vec::new();
     for (index, (joint, node)) in own.joints().iter().zip(nodes).enumerate() {

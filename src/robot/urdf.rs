@@ -2,12 +2,13 @@
 //!
 //! Format and defaults: <https://wiki.ros.org/urdf/XML/joint>.
 
-use roxmltree::{Document, Node, ParsingOptions};
+use roxmltree::Node;
 
 use crate::geometry::{Pose, Rotation, pose, rotation_from_rpy, rotation_from_xyzw};
 
 use super::error::{Problem, RobotError};
 use super::model::{JointDraft, JointKind, Limits, LinkDraft, Located, Mimic, Robot, unit_axis};
+use super::xml::document;
 
 impl Robot {
     /// Reads a URDF; `source` names it in errors, such as its file or topic.
@@ -16,25 +17,14 @@ impl Robot {
     /// is x, and an axis need not be of unit length, as URDF has it.
     ///
     /// # Errors
-    /// Where the text is no URDF, is not expanded from xacro, has a bad number or is not one tree.
+    /// Where the text is no URDF, is not expanded from xacro, declares entities, has a bad number or more
+    /// than a model has, or is not one tree.
     pub fn from_urdf(text: &str, source: &str) -> Result<Robot, RobotError> {
-        let options = ParsingOptions { allow_dtd: true, ..ParsingOptions::default() };
-        let document = Document::parse_with_options(text, options).map_err(|error| {
-            RobotError::new(source, Some(error.pos().row as usize), xml_problem(&error))
-        })?;
-        let mut robot = read_robot(document.root_element(), source)
-            .map_err(|located| RobotError::located(source, text, located))?;
+        let document = document(text);
+        let robot = document.and_then(|document| read_robot(document.root_element(), source));
+        let mut robot = robot.map_err(|located| RobotError::located(source, text, located))?;
         robot.text = Some(text.into());
         Ok(robot)
-    }
-}
-
-fn xml_problem(error: &roxmltree::Error) -> Problem {
-    match error {
-        roxmltree::Error::UnknownNamespace(prefix, _) if prefix == "xacro" => {
-            Problem::Xacro { found: "the prefix xacro:".to_owned() }
-        }
-        other => Problem::Xml(other.to_string()),
     }
 }
 

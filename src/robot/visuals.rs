@@ -3,10 +3,12 @@
 //! It is read where somebody draws the robot, not where one is audited, and leniently: a visual that
 //! is broken is left out. Format: <https://wiki.ros.org/urdf/XML/link>.
 
-use roxmltree::{Document, Node, ParsingOptions};
+use roxmltree::Node;
 
 use crate::geometry::{Pose, pose, rotation_from_rpy};
 
+use super::model::MOST;
+use super::xml::document;
 use super::{LinkId, Robot};
 
 /// A visual of a link.
@@ -46,8 +48,7 @@ pub enum Shape {
 impl Robot {
     /// The visuals of the model's links, in the file's order. A model that is no URDF has none.
     pub fn visuals(&self) -> Vec<Visual> {
-        let options = ParsingOptions { allow_dtd: true, ..ParsingOptions::default() };
-        let document = self.text().map(|text| Document::parse_with_options(text, options));
+        let document = self.text().map(document);
         let Some(Ok(document)) = document else { return Vec::new() };
         // Names may have been changed since it was read; the order has not.
         let links = named(document.root_element(), "link").zip(self.links());
@@ -91,10 +92,10 @@ fn named<'a, 'input>(
     node.children().filter(move |child| child.is_element() && child.tag_name().name() == name)
 }
 
-/// `N` finite numbers.
+/// `N` numbers that a shape can have.
 fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
     let words =
-        text.split_whitespace().map(|word| word.parse().ok().filter(|x: &f64| x.is_finite()));
+        text.split_whitespace().map(|word| word.parse().ok().filter(|x: &f64| x.abs() <= MOST));
     words.collect::<Option<Vec<f64>>>()?.try_into().ok()
 }
 

@@ -1,5 +1,7 @@
 //! Which time places each stream, and which streams run on another clock than the rest.
 
+use std::ops::RangeInclusive;
+
 use crate::stream::Times;
 use crate::time::{Clock, Stamp, seconds};
 
@@ -53,6 +55,10 @@ pub struct StreamClock {
     pub rows: u64,
     /// Rows whose header stamp is zero.
     pub zero: u64,
+    /// Where nearly all of its times lie, ns; one beyond is none.
+    pub near: RangeInclusive<i64>,
+    /// Rows whose time is beyond.
+    pub far: u64,
     /// Median of log time minus header stamp, s; `None` where the headers are not [`HeaderStamps::Sound`].
     pub log_minus_header_s: Option<f64>,
     /// The same of the one message in a hundred that came soonest: negative where messages were received
@@ -71,6 +77,7 @@ impl StreamClock {
         let may_be_unset = self.clock == Clock::Header;
         let rows = times.on(self.clock).iter().zip(0..);
         rows.filter(move |(nanos, _)| !may_be_unset || **nanos != 0)
+            .filter(|(nanos, _)| self.near.contains(*nanos))
             .map(move |(nanos, row)| (Stamp::from_nanos(nanos.saturating_add(offset)), row))
     }
 
@@ -79,6 +86,7 @@ impl StreamClock {
         let offset = self.alignment.map_or(0, |alignment| alignment.offset_nanos);
         let nanos = *times.on(self.clock).get(row)?;
         let set = self.clock != Clock::Header || nanos != 0;
+        let set = set && self.near.contains(&nanos);
         set.then(|| Stamp::from_nanos(nanos.saturating_add(offset)))
     }
 }
@@ -114,6 +122,35 @@ impl Source<'_> {
             HeaderStamps::Sound
         };
         (state, zero)
+    }
+
+    /// The times on `clock`; rows without a stamp are left out.
+    fn nanos(&self, clock: Clock) -> impl Iterator<Item = i64> {
+        let nanos = self.times.iter().flat_map(move |times| times.on(clock)).copied();
+        nanos.filter(move |nanos| clock != Clock::Header || *nanos != 0)
+    }
+
+    /// Where a row may be by the nine rows in ten that are amid the others: a day from these, or a
+    /// hundred times as long as they last. A single stamp from the end of time would make a run of
+    /// centuries.
+    fn near(&self, clock: Clock) -> RangeInclusive<i64> {
+        const DAY: i64 = 86_400_000_000_000;
+        /// Of fewer rows nothing tells which are amid the others, and more say no more.
+        const ROWS: RangeInclusive<usize> = 20..=100_000;
+        let every = self.rows().div_ceil(*ROWS.end()).max(1);
+        let mut nanos: Vec<i64> = self.nanos(clock).step_by(every).collect();
+        if nanos.len() < *ROWS.start() {
+            return i64::MIN..=i64::MAX;
+        }
+        let (low, high) = (nanos.len() / 20, nanos.len() - 1 - nanos.len() / 20);
+        let first = *nanos.select_nth_unstable(low).1;
+        let last = *nanos.select_nth_unstable(high).1;
+        let margin = last.saturating_sub(first).saturating_mul(100).max(DAY);
+        first.saturating_sub(margin)..=last.saturating_add(margin)
+    }
+
+    fn beyond(&self, clock: Clock, near: &RangeInclusive<i64>) -> u64 {
+        self.nanos(clock).filter(|nanos| !near.contains(nanos)).count() as u64
     }
 
     /// Log time minus time on `clock`; rows without a stamp are left out.
@@ -214,6 +251,7 @@ pub(super) fn settle(
         let falls_back = wanted == Clock::Header && stamps != HeaderStamps::Sound;
         let clock = if falls_back { Clock::Log } else { wanted };
         let is_sound = stamps == HeaderStamps::Sound;
+        let near = source.near(clock);
         let header = is_sound.then(|| source.delay(Clock::Header)).flatten();
         delays.push(if clock == Clock::Header { header } else { source.delay(clock) });
         clocks.push(StreamClock {
@@ -223,6 +261,8 @@ pub(super) fn settle(
             stamps,
             rows: source.rows() as u64,
             zero: zero as u64,
+            far: source.beyond(clock, &near),
+            near,
             log_minus_header_s: header.map(|delay| seconds(delay.median)),
             soonest_s: header.map(|delay| seconds(delay.floor)),
             epoch: Epoch::Common,
@@ -317,6 +357,28 @@ mod tests {
         let first = clocks[0].stamp_of(&foreign, 0).unwrap();
         assert_eq!(first, Stamp::from_nanos(START));
         assert_eq!(clocks[1].alignment, None);
+    }
+
+    #[test]
+    fn a_stamp_from_the_end_of_time_is_none_and_a_foreign_clock_is_one() {
+        let odd = |row: usize, truth: i64| match row {
+            500 => i64::MAX,
+            501 => 1_000_000_000,
+            row if row % 2 == 0 => truth,
+            _ => truth + 3_600_000_000_000,
+        };
+        let odd = times(odd);
+        let clocks = settle(&[source(JOINTS, &odd)], Clock::Header, 5.0);
+        assert_eq!((clocks[0].far, clocks[0].rows), (2, 1000));
+        assert_eq!((clocks[0].stamp_of(&odd, 500), clocks[0].stamp_of(&odd, 501)), (None, None));
+        assert_eq!(clocks[0].rows_of(&odd).count(), 998);
+        let foreign = times_of_1970();
+        let clocks = settle(&[source(JOINTS, &foreign)], Clock::Header, 5.0);
+        assert_eq!(clocks[0].far, 0);
+    }
+
+    fn times_of_1970() -> Times {
+        times(|_, truth| truth - START + 1_000_000_000)
     }
 
     #[test]

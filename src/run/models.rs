@@ -199,10 +199,15 @@ pub(super) fn models(
     if !described.is_empty() {
         return Ok(described);
     }
-    let catalogued = from_catalogue(clues, judges)?;
+    let mut catalogued = from_catalogue(clues, judges)?;
     if catalogued.is_empty() {
         let none = || RunError::NoModel { logged: clues.joints.to_vec() };
         return Err(refusal.unwrap_or_else(none));
+    }
+    if let Some(RunError::Robot(error)) = refusal {
+        for model in &mut catalogued {
+            model.found += &format!("; the description in the log is left out: {error}");
+        }
     }
     Ok(catalogued)
 }

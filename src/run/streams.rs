@@ -59,6 +59,19 @@ impl Stream {
         self.columns.as_ref().map(Columns::times).unwrap_or_default()
     }
 
+    /// Rows that came and were left out, because they hold no usable numbers; of joint states values.
+    pub fn unusable(&self) -> u64 {
+        match &self.columns {
+            Some(Columns::Joints(joints)) => joints.not_finite,
+            Some(Columns::Poses(poses) | Columns::Transforms(poses)) => {
+                poses.iter().map(|poses| poses.not_finite).sum()
+            }
+            Some(Columns::Imu(imu)) => imu.not_finite,
+            Some(Columns::Array(array)) => array.not_finite,
+            Some(Columns::Text(_)) | None => 0,
+        }
+    }
+
     /// Says so where an audit would want it and everything in it was dropped.
     fn mark_empty(&mut self) {
         let has_rows = |columns: &Columns| columns.times().iter().any(|times| !times.is_empty());

@@ -101,6 +101,15 @@ pub struct JointColumn {
     pub velocity: Vec<f64>,
 }
 
+/// No joint, length, speed or angle has a number beyond this, in whatever unit: its square is still one.
+const MOST: f64 = 1e12;
+
+/// Whether a number can be a joint's position, a length or the like: neither NaN nor infinite, nor so
+/// large that nothing is.
+pub fn usable(value: f64) -> bool {
+    value.abs() <= MOST
+}
+
 /// A JointState topic: one column a joint name, all over the same rows.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct JointColumns {
@@ -112,8 +121,10 @@ pub struct JointColumns {
     pub joints: Vec<JointColumn>,
     /// Messages dropped whole: lengths of names and positions differ.
     pub wrong_length: u64,
-    /// Values dropped: NaN or infinite positions in messages that were otherwise kept.
+    /// Values dropped: positions that are not [`usable`] in messages that were otherwise kept.
     pub not_finite: u64,
+    /// The same of each joint, in their order, up to the last that has any.
+    pub unusable: Vec<u64>,
     /// Whether the type carries no names, so that those here are the driver's usual ones.
     pub unnamed: bool,
 }
@@ -131,7 +142,7 @@ pub struct PoseColumns {
     pub xyz: Vec<[f64; 3]>,
     /// Quaternion as logged, in the order of the message's fields x, y, z, w.
     pub q_xyzw: Vec<[f64; 4]>,
-    /// Rows dropped because a value was NaN or infinite.
+    /// Rows dropped because a value is not [`usable`].
     pub not_finite: u64,
 }
 
@@ -150,7 +161,7 @@ pub struct ImuColumns {
     pub accel: Vec<[f64; 3]>,
     /// Whether any message says that it has an orientation (`orientation_covariance[0] != -1`).
     pub has_orientation: bool,
-    /// Rows dropped because a value was NaN or infinite.
+    /// Rows dropped because a value is not [`usable`].
     pub not_finite: u64,
 }
 
@@ -165,7 +176,7 @@ pub struct ArrayColumns {
     pub values: Vec<f64>,
     /// Messages dropped because their length was not `width` (the first message's).
     pub wrong_length: u64,
-    /// Rows dropped because a value was NaN or infinite.
+    /// Rows dropped because a value is not [`usable`].
     pub not_finite: u64,
 }
 
@@ -241,6 +252,15 @@ impl Columns {
 }
 
 impl JointColumns {
+    /// Counts a position of a joint, by its place, that is not [`usable`].
+    pub fn drop_value(&mut self, joint: usize) {
+        self.not_finite += 1;
+        if self.unusable.len() <= joint {
+            self.unusable.resize(joint + 1, 0);
+        }
+        self.unusable[joint] += 1;
+    }
+
     fn select(&mut self, rows: &[usize]) {
         self.times.permute(rows);
         for joint in &mut self.joints {

@@ -1,10 +1,12 @@
 //! ING: what cannot be read.
 
-use poseaudit::synth::{IMU, POSE};
+use poseaudit::synth::{IMU, JOINT_STATES, POSE};
 
-use crate::case::On::{File, Topic};
-use crate::case::{Expected, What, cases, error, warning};
-use Expected::{BlamedOn, Refused, Sound};
+use crate::case::On::{File, JointOf, Topic};
+use crate::case::{Expected, What, cases, error, info, warning};
+use crate::recording::{Message, throw};
+use crate::tim::without_streams;
+use Expected::{BlamedOn, Refused, Skipped, Sound};
 
 cases! {
     ING001 a_chunk_with_flipped_bits: |log| {
@@ -54,6 +56,34 @@ cases! {
         log.edit = Some(|_| ());
         log.damage = Some(|bytes| bytes.truncate(bytes.len() * 9 / 10));
     } => BlamedOn("ING001");
+    ING003 poses_of_which_half_are_infinite: |log| {
+        log.edit = Some(|messages| throw(messages, POSE, &every_second(), [f64::INFINITY; 3]));
+    } => warning(Topic(POSE), What::About(0.5, 0.01));
+    ING003 poses_that_are_no_numbers_for_a_second: |log| {
+        log.edit = Some(|messages| {
+            throw(messages, POSE, &(60..85).collect::<Vec<_>>(), [f64::NAN; 3]);
+        });
+    } => warning(Topic(POSE), What::About(0.125, 0.001));
+    ING003 orientations_that_some_senders_leave_unset: |log| {
+        log.edit = Some(|messages| {
+            let poses = messages.iter_mut().filter(|message| message.topic == POSE);
+            for pose in poses.step_by(3) {
+                let end = pose.cdr.len();
+                pose.cdr[end - 32..].fill(0);
+            }
+        });
+    } => warning(Topic(POSE), What::About(1.0 / 3.0, 0.01));
+    ING003 a_joint_sample_that_no_joint_has: |log| {
+        log.edit = Some(|messages| turn(messages, 1e308));
+    } => info(JointOf(JOINT_STATES, "shoulder_lift_joint"), What::About(1.0 / 400.0, 1e-4));
+    ING003 a_joint_sample_whose_square_is_no_number: |log| {
+        log.edit = Some(|messages| turn(messages, 1e155));
+    } => info(JointOf(JOINT_STATES, "shoulder_lift_joint"), What::About(1.0 / 400.0, 1e-4));
+    ING003 a_sound_log: |_| {} => Sound;
+    ING003 no_stream_to_hold_any: |log| without_streams(&mut log.run) => Skipped("no joint states");
+    ING003 a_sample_that_jumps_is_usable: |log| {
+        log.edit = Some(|messages| throw(messages, POSE, &[100], [0.5, 0.0, 0.0]));
+    } => BlamedOn("MOT005");
     ING002 a_text_file: |log| log.damage = Some(|bytes| *bytes = b"t,x,y\n0,1,2\n".to_vec())
         => Refused("text");
 }
@@ -86,4 +116,14 @@ fn flip_bits(bytes: &mut Vec<u8>) {
     assert!(chunk_ends.len() > 2, "a log of some chunks");
     let end = chunk_ends[chunk_ends.len() / 2];
     bytes[end - 64..end].iter_mut().for_each(|byte| *byte ^= 0x55);
+}
+
+fn every_second() -> Vec<usize> {
+    (0..1000).step_by(2).collect()
+}
+
+/// Turns the second joint of one joint state.
+fn turn(messages: &mut [Message], by_rad: f64) {
+    let mut states = messages.iter_mut().filter(|message| message.topic == JOINT_STATES);
+    states.nth(200).expect("a joint state").turn_joint(1, by_rad);
 }

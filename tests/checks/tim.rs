@@ -205,7 +205,7 @@ fn every() -> Vec<usize> {
     (0..10_000).collect()
 }
 
-fn without_streams(run: &mut Scenario) {
+pub(crate) fn without_streams(run: &mut Scenario) {
     let Scenario { joints, pose, tf, imu, .. } = run;
     for timing in [&mut joints.timing, &mut pose.timing, &mut tf.timing, &mut imu.timing] {
         timing.rate_hz = 0.0;

@@ -39,7 +39,7 @@ fn offered(words: &[&str]) -> Vec<String> {
 #[test]
 fn bash_completes_commands_options_and_values() {
     assert_eq!(offered(&["poseaudit", "comp"]), ["compare", "completions"]);
-    assert_eq!(offered(&["poseaudit", "audit", "--max"]), ["--max-latency"]);
+    assert_eq!(offered(&["poseaudit", "audit", "--max"]), ["--max-latency", "--max-unpacked"]);
     let formats = offered(&["poseaudit", "audit", "--format", ""]);
     let known = poseaudit::report::FORMATS.iter().map(|format| format.name.to_owned());
     assert_eq!(formats, known.collect::<Vec<_>>());

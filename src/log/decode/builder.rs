@@ -7,6 +7,7 @@ use super::row::{self, Group, Names, Row, RowTimes};
 use super::schema::bounded;
 use crate::stream::{
     ArrayColumns, Columns, ImuColumns, JointColumn, JointColumns, PoseColumns, TextColumns, Times,
+    usable,
 };
 
 /// Most joint names a topic may have. Rows are dense, so that a message with a new name each time
@@ -30,9 +31,6 @@ const PLACES: [&str; 16] = [
     "", "[1]", "[2]", "[3]", "[4]", "[5]", "[6]", "[7]", "[8]", "[9]", "[10]", "[11]", "[12]",
     "[13]", "[14]", "[15]",
 ];
-
-/// A position that is farther off is none, in m or mm: its square is still a number.
-const FARTHEST: f64 = 1e12;
 
 /// Most pairs of frames on one topic. The largest trees have a few hundred.
 pub(in crate::log) const MAX_FRAMES: usize = 1 << 12;
@@ -277,10 +275,15 @@ impl Joints {
         }
         let with_velocity = velocities.len() == positions.len();
         for (i, (&column, &position)) in self.order.iter().zip(positions).enumerate() {
-            let joint = &mut self.columns.joints[column];
             let velocity = if with_velocity { velocities[i] } else { f64::NAN };
-            self.columns.not_finite += u64::from(!position.is_finite());
-            let position = if position.is_finite() { position } else { f64::NAN };
+            let velocity = if usable(velocity) { velocity } else { f64::NAN };
+            let position = if usable(position) {
+                position
+            } else {
+                self.columns.drop_value(column);
+                f64::NAN
+            };
+            let joint = &mut self.columns.joints[column];
             if self.is_complete {
                 joint.position.push(position);
                 joint.velocity.push(velocity);
@@ -382,10 +385,8 @@ impl Poses {
         }
         let group = &mut self.groups[group];
         let xyz = row.numbers::<3>(row::POSITION);
-        let q_xyzw = row.numbers::<4>(row::QUATERNION);
-        // Not a number in all four places says what zeros say: nobody set them.
-        let q_xyzw = if q_xyzw.iter().all(|part| part.is_nan()) { [0.0; 4] } else { q_xyzw };
-        if !finite(&xyz) || !finite(&q_xyzw) || xyz.iter().any(|part| part.abs() > FARTHEST) {
+        let q_xyzw = quaternion(row);
+        if !all_usable(&xyz) || !all_usable(&q_xyzw) {
             group.not_finite += 1;
             return;
         }
@@ -518,7 +519,7 @@ fn append_imu(imu: &mut ImuColumns, row: &Row, times: RowTimes) {
     let q_xyzw = if has_orientation { row.numbers(row::QUATERNION) } else { [0.0; 4] };
     let gyro = row.numbers(row::GYRO);
     let accel = row.numbers(row::ACCEL);
-    if !finite(&q_xyzw) || !finite(&gyro) || !finite(&accel) {
+    if !all_usable(&q_xyzw) || !all_usable(&gyro) || !all_usable(&accel) {
         imu.not_finite += 1;
         return;
     }
@@ -561,7 +562,7 @@ impl Array {
         }
         if values.is_empty() || values.len() != array.width {
             array.wrong_length += 1;
-        } else if !finite(values) {
+        } else if !all_usable(values) {
             array.not_finite += 1;
         } else {
             push_times(&mut array.times, row.stamp(), times);
@@ -592,8 +593,14 @@ fn keep_first(kept: &mut String, text: &str) {
     }
 }
 
-fn finite(values: &[f64]) -> bool {
-    values.iter().all(|value| value.is_finite())
+fn all_usable(values: &[f64]) -> bool {
+    values.iter().all(|value| usable(*value))
+}
+
+/// A quaternion; not a number in all four places says what zeros say: nobody set it.
+fn quaternion(row: &Row) -> [f64; 4] {
+    let q_xyzw = row.numbers::<4>(row::QUATERNION);
+    if q_xyzw.iter().all(|part| part.is_nan()) { [0.0; 4] } else { q_xyzw }
 }
 
 #[cfg(test)]

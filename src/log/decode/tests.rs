@@ -231,6 +231,17 @@ fn the_other_pose_types_have_their_child_frame() {
 }
 
 #[test]
+fn numbers_that_nothing_has_are_dropped_and_counted() {
+    let first = Cdr::joint_state(&["a", "b"], &[1e155, 0.2], &[1.0, 1e155]);
+    let second = Cdr::joint_state(&["a", "b"], &[9e11, -1e308], &[1.0, 1.0]);
+    let joints = joints(testing::JOINT_STATE, &[first, second]);
+    assert_eq!((joints.not_finite, joints.unusable.as_slice()), (2, &[1, 1][..]));
+    let [a, b] = joints.joints.as_slice() else { panic!("{:?}", joints.joints) };
+    assert!(a.position[0].is_nan() && a.position[1] == 9e11 && b.position[1].is_nan());
+    assert!(b.position[0] == 0.2 && b.velocity[0].is_nan() && b.velocity[1] == 1.0);
+}
+
+#[test]
 fn an_imu_may_have_no_orientation() {
     let reading = |orientation: [f64; 4], first: f64, x: f64| {
         let cdr = Cdr::little().header(1, 0, "/imu").all(&orientation).f64(first).all(&[0.0; 8]);

@@ -3,6 +3,8 @@
 //! The `mcap` crate's own record types copy every string and trust attachments to be long enough;
 //! here a record that is too short is `None`.
 
+use std::ops::Range;
+
 use mcap::records::op;
 
 use crate::log::unpack::{Allowance, Compression, Packed, Unpacker};
@@ -74,13 +76,12 @@ pub(super) fn frames(
     })
 }
 
-/// Where the next whole chunk begins, at `from` or after it.
+/// Where the next whole chunk begins, `within` these bytes of all.
 ///
 /// A chunk states its length twice, in the record and with its compressed data; that both agree
 /// and that its compression is a known one does not happen by chance.
-pub(super) fn find_chunk(bytes: &[u8], from: usize) -> Option<usize> {
-    let starts = bytes.iter().enumerate().skip(from).filter(|&(_, &byte)| byte == op::CHUNK);
-    starts.map(|(offset, _)| offset).find(|&offset| {
+pub(super) fn find_chunk(bytes: &[u8], within: Range<usize>) -> Option<usize> {
+    starts(bytes, within, op::CHUNK).find(|&offset| {
         let Ok(frame) = frame(bytes, offset) else {
             return false;
         };
@@ -94,15 +95,14 @@ pub(super) fn find_chunk(bytes: &[u8], from: usize) -> Option<usize> {
     })
 }
 
-/// Where the next message outside of chunks begins, at `from` or after it: one of a channel that
+/// Where the next message outside of chunks begins, `within` these bytes of all: one of a channel that
 /// `is_known`, with a record behind it or the end of the bytes.
 pub(super) fn find_message(
     bytes: &[u8],
-    from: usize,
+    within: Range<usize>,
     is_known: impl Fn(u16) -> bool,
 ) -> Option<usize> {
-    let starts = bytes.iter().enumerate().skip(from).filter(|&(_, &byte)| byte == op::MESSAGE);
-    starts.map(|(offset, _)| offset).find(|&offset| {
+    starts(bytes, within, op::MESSAGE).find(|&offset| {
         let Ok(found) = frame(bytes, offset) else {
             return false;
         };
@@ -110,6 +110,24 @@ pub(super) fn find_message(
             && (found.end() == bytes.len()
                 || frame(bytes, found.end()).is_ok_and(|next| next.opcode <= op::DATA_END))
     })
+}
+
+/// Where a record of kind `opcode` may begin.
+fn starts(bytes: &[u8], within: Range<usize>, opcode: u8) -> impl Iterator<Item = usize> {
+    let from = within.start;
+    let within = bytes.get(within).unwrap_or_default();
+    let found = within.iter().enumerate().filter(move |&(_, &byte)| byte == opcode);
+    found.map(move |(offset, _)| from + offset)
+}
+
+/// Where the zeros begin that `bytes` end in.
+pub(super) fn trailing_zeros(bytes: &[u8]) -> usize {
+    const BLOCK: usize = 1 << 12;
+    let mut end = bytes.len();
+    while end >= BLOCK && bytes[end - BLOCK..end] == [0; BLOCK] {
+        end -= BLOCK;
+    }
+    bytes[..end].iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1)
 }
 
 /// Longest name of a compression that is believed.

@@ -1,11 +1,15 @@
 //! Sound and damaged files.
 
 use std::borrow::Cow;
+use std::io;
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 use mcap::{Compression, WriteOptions};
 
+use super::super::files::Mapped;
 use super::super::testing::{self, Cdr, LogWriter};
+use super::super::unpack::Allowance;
 use super::super::{Container, Log, LogFile, Loss};
 use super::*;
 use crate::stream::{Columns, PoseColumns};
@@ -45,7 +49,7 @@ pub(super) fn read_present(
 }
 
 fn read_all(bytes: &[u8]) -> Log {
-    read_with(bytes, ReadOptions { verify: true, progress: None })
+    read_with(bytes, ReadOptions { verify: true, ..ReadOptions::default() })
 }
 
 fn rows(log: &Log) -> &PoseColumns {
@@ -107,7 +111,7 @@ fn images_are_counted_and_passed_over() {
     for (compression, crc) in [(None, Crc::Partial), (Some(Compression::Zstd), Crc::Partial)] {
         let bytes = with_images(compression);
         for (verify, crc) in [(false, crc), (true, Crc::All)] {
-            let log = read_with(&bytes, ReadOptions { verify, progress: None });
+            let log = read_with(&bytes, ReadOptions { verify, ..ReadOptions::default() });
             assert_eq!(log.losses, []);
             assert_eq!(log.files[0].crc, crc, "{compression:?}, verify {verify}");
             let [camera, pose] = log.topics.as_slice() else { panic!("two topics") };
@@ -135,7 +139,7 @@ fn a_damaged_image_is_found_where_all_is_checked() {
         let length = record::frame(&bytes, images.unwrap()).unwrap().body.len();
         bytes[images.unwrap() + length] ^= 0x55;
         let lost_with = |verify| {
-            let log = read_with(&bytes, ReadOptions { verify, progress: None });
+            let log = read_with(&bytes, ReadOptions { verify, ..ReadOptions::default() });
             assert_eq!(log.topics[1].messages, MESSAGES);
             log.losses.iter().filter(|loss| loss.extent == Extent::Messages).count()
         };
@@ -157,8 +161,10 @@ fn files_without_chunks_or_without_index_are_read_alike() {
         (unchunked, false, Crc::None),
         (bare, true, Crc::None),
     ] {
-        let log =
-            read_with(&poses(LogWriter::with(options)), ReadOptions { verify, progress: None });
+        let log = read_with(
+            &poses(LogWriter::with(options)),
+            ReadOptions { verify, ..ReadOptions::default() },
+        );
         assert_eq!(log.losses, []);
         assert_eq!(rows(&log).times.len() as u64, MESSAGES);
         assert_eq!(log.files[0].crc, crc);
@@ -281,6 +287,41 @@ fn a_file_that_ends_in_zeros_is_cut() {
     let log = read_all(&bytes);
     assert!(log.messages > 0);
     assert_eq!(lost(&log), [(Extent::Tail, None)]);
+}
+
+#[test]
+fn gigabytes_of_zeros_at_the_end_are_passed_at_once() {
+    let whole = poses(LogWriter::default());
+    let mut file = tempfile::NamedTempFile::new().unwrap();
+    io::Write::write_all(&mut file, &whole[..chunks(&whole)[1]]).unwrap();
+    // A file that is sparse, so that this takes no room on the disk.
+    file.as_file().set_len(4 << 30).unwrap();
+    let start = Instant::now();
+    let mapped = Mapped::open(file.path()).unwrap();
+    let log = read_with(mapped.bytes(), ReadOptions::default());
+    assert!(start.elapsed() < Duration::from_secs(10), "{:?}", start.elapsed());
+    assert!(log.messages > 0);
+    assert_eq!(lost(&log), [(Extent::Tail, None)]);
+}
+
+#[test]
+fn what_is_not_read_unasked_is_no_damage() {
+    let whole = poses(LogWriter::new(Some(Compression::Zstd)));
+    let read = |allowance: Allowance| {
+        let (path, mut intake) = (Path::new("run.mcap"), Intake::default());
+        let mut losses = Losses::of(path);
+        intake.begin_file(path, whole.len() as u64);
+        intake.allowance = allowance;
+        super::read(&whole, &Present::Whole, &ReadOptions::default(), &mut losses, &mut intake)
+            .unwrap();
+        (intake.messages(), losses.finish())
+    };
+    let (messages, losses) = read(Allowance::of(0, None));
+    assert_eq!((messages, losses), (MESSAGES, Vec::new()));
+    let (messages, losses) = read(Allowance::exactly(5000));
+    let [unread] = losses.as_slice() else { panic!("{losses:?}") };
+    assert!(0 < messages && messages < MESSAGES, "{messages}");
+    assert_eq!((unread.extent, unread.messages), (Extent::Unread, Some(MESSAGES - messages)));
 }
 
 #[test]

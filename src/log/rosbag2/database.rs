@@ -4,7 +4,8 @@
 //! holds the schemas. A database is opened to be read only, and leaves nothing beside it.
 
 use std::collections::HashMap;
-use std::fs;
+use std::fs::{self, File};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use rusqlite::config::DbConfig;
@@ -12,9 +13,10 @@ use rusqlite::limits::Limit;
 use rusqlite::types::ValueRef;
 use rusqlite::{Connection, OpenFlags, Row};
 
+use super::wal;
 use crate::log::decode::{Format, excerpt};
 use crate::log::intake::{ChannelId, Intake, Message, Place};
-use crate::log::losses::{Losses, NOT_DESCRIBED};
+use crate::log::losses::Losses;
 use crate::log::{Extent, ReadOptions};
 
 /// Most places of a database that are passed over because they are damaged.
@@ -35,9 +37,21 @@ pub(in crate::log) fn read(
     intake: &mut Intake,
     opened: impl FnOnce(),
 ) -> bool {
-    let tables = open(path).and_then(|database| {
+    let tables = |strictness| {
+        let database = open(path, strictness)?;
         let tables = Tables::of(&database)?;
         Ok((database, tables))
+    };
+    let mut is_cut = false;
+    let tables: rusqlite::Result<_> = tables(Strictness::Sound).or_else(|error| {
+        let Ok(opened) = tables(Strictness::Damaged) else { return Err(error) };
+        let cut = cut(path);
+        is_cut = cut.is_some();
+        match cut {
+            Some((bytes, what)) => losses.add(bytes, Extent::Messages, None, what),
+            None => lose(losses, None, "the database is damaged", &error),
+        }
+        Ok(opened)
     });
     let (database, tables) = match tables {
         Ok(opened) => opened,
@@ -47,6 +61,7 @@ pub(in crate::log) fn read(
         }
     };
     opened();
+    write_ahead_log(path, losses);
     if !tables.topics || !tables.messages {
         return false;
     }
@@ -67,14 +82,54 @@ pub(in crate::log) fn read(
         bytes: 0,
         orphans: 0,
         before_1970: 0,
+        strays: 0,
+        strays_here: 0,
+        first_stray: (0, 0),
+        is_cut,
     };
     reader.topics(tables.definitions);
     reader.messages();
     true
 }
 
+/// What a database must be to be read.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Strictness {
+    Sound,
+    /// Its end may be missing, and tables whose description is broken.
+    Damaged,
+}
+
+/// Where the file at `path` ends and what to say of it, if it is shorter than its header says.
+fn cut(path: &Path) -> Option<(usize, String)> {
+    let mut head = [0; 32];
+    File::open(path).ok()?.read_exact(&mut head).ok()?;
+    let page = match u64::from(u16::from_be_bytes([head[16], head[17]])) {
+        1 => 1 << 16,
+        page => page,
+    };
+    let stated = page * u64::from(u32::from_be_bytes([head[28], head[29], head[30], head[31]]));
+    let bytes = fs::metadata(path).ok()?.len();
+    let what = format!("the database is cut: {bytes} of its {stated} bytes are there");
+    (bytes < stated).then_some((usize::try_from(bytes).ok()?, what))
+}
+
+/// Takes down what of the write-ahead log beside the database SQLite passes over in silence.
+fn write_ahead_log(path: &Path, losses: &mut Losses) {
+    let wal = beside(&fs::canonicalize(path).unwrap_or_else(|_| path.to_owned()), "-wal");
+    if !fs::metadata(&wal).is_ok_and(|wal| wal.len() > 0) {
+        return;
+    }
+    let what = match wal::damage(&wal) {
+        Ok(None) => return,
+        Ok(Some((at, what))) => format!("{}: at byte {at}: {what}", wal.display()),
+        Err(error) => format!("{}: {error}", wal.display()),
+    };
+    losses.add_unplaced(Extent::Messages, None, what);
+}
+
 /// Opens a database without a lock on it and without a file beside it.
-fn open(path: &Path) -> rusqlite::Result<Connection> {
+fn open(path: &Path, strictness: Strictness) -> rusqlite::Result<Connection> {
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY
         | OpenFlags::SQLITE_OPEN_URI
         | OpenFlags::SQLITE_OPEN_NO_MUTEX;
@@ -86,7 +141,11 @@ fn open(path: &Path) -> rusqlite::Result<Connection> {
     let database = Connection::open_with_flags(uri(&path, mode), flags)?;
     database.set_limit(Limit::SQLITE_LIMIT_LENGTH, MAX_ROW_BYTES)?;
     database.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
-    database.set_db_config(DbConfig::SQLITE_DBCONFIG_DEFENSIVE, true)?;
+    // To read a damaged database is a right that comes with that to write its schema. The file is opened
+    // to be read only, and of a table nothing is read but rows.
+    let is_sound = strictness == Strictness::Sound;
+    database.set_db_config(DbConfig::SQLITE_DBCONFIG_DEFENSIVE, is_sound)?;
+    database.set_db_config(DbConfig::SQLITE_DBCONFIG_WRITABLE_SCHEMA, !is_sound)?;
     database.set_db_config(DbConfig::SQLITE_DBCONFIG_TRUSTED_SCHEMA, false)?;
     if has_wal {
         database.query_row("PRAGMA locking_mode = EXCLUSIVE", [], |_| Ok(()))?;
@@ -163,6 +222,14 @@ struct Reader<'a> {
     orphans: u64,
     /// Messages whose time is negative.
     before_1970: u64,
+    /// Rows whose number is not above that of the row before.
+    strays: usize,
+    /// Those of them since the last that was.
+    strays_here: u64,
+    /// The first of them, and the row before it.
+    first_stray: (i64, i64),
+    /// Whether it was said that rows are lost at the end.
+    is_cut: bool,
 }
 
 /// A schema and what it is written in.
@@ -230,16 +297,34 @@ impl Reader<'_> {
                 lose(self.losses, None, &what, &error);
                 break;
             }
-            let Some(next) = self.next_sound(from) else {
+            if self.strays > MAX_BREAKS {
+                let what = format!("rows from {from} on are not read");
+                lose(self.losses, None, &what, &error);
+                break;
+            }
+            let Some(next) = self.next_sound(from).filter(|next| *next > from) else {
+                if self.is_cut {
+                    break;
+                }
                 let what = format!("no row from {from} on of the table `messages` is readable");
                 lose(self.losses, None, &what, &error);
                 break;
             };
             let lost = u64::try_from(next.saturating_sub(from)).ok();
+            // Those of them that came under another number are counted already.
+            let lost = lost.map(|lost| lost.saturating_sub(self.strays_here));
             let last = next.saturating_sub(1);
             let what = format!("rows {from} to {last} of the table `messages` are not readable");
             lose(self.losses, lost, &what, &error);
             from = next;
+        }
+        if self.strays > 0 {
+            let (count, (first, before)) = (self.strays, self.first_stray);
+            let what = format!(
+                "{count} rows of the table `messages` do not ascend, the first of them row {first} \
+                 after row {before}"
+            );
+            self.losses.add_unplaced(Extent::Messages, Some(count as u64), what);
         }
         if self.before_1970 > 0 {
             let what = format!(
@@ -249,8 +334,9 @@ impl Reader<'_> {
             self.intake.note(self.losses.file(), what);
         }
         if self.orphans > 0 {
-            let what = format!("{} messages are of topics {NOT_DESCRIBED}", self.orphans);
-            self.losses.add_unplaced(Extent::Messages, Some(self.orphans), what);
+            let (extent, why) = self.intake.nowhere();
+            let what = format!("{} messages are of topics {why}", self.orphans);
+            self.losses.add_unplaced(extent, Some(self.orphans), what);
         }
     }
 
@@ -272,10 +358,33 @@ impl Reader<'_> {
         let mut rows = statement.query([*from])?;
         while let Some(row) = rows.next()? {
             let id: i64 = row.get(0)?;
+            // A page that is reached twice, or a number that was overwritten. Rows that do not ascend
+            // may go on without end.
+            if id < *from {
+                self.stray(id, *from)?;
+                continue;
+            }
             self.message(id, row);
-            *from = id.saturating_add(1);
+            (*from, self.strays_here) = (id.saturating_add(1), 0);
         }
         Ok(())
+    }
+
+    /// Counts row `id`, which comes after those below `from`.
+    ///
+    /// # Errors
+    /// Where there were too many of them.
+    fn stray(&mut self, id: i64, from: i64) -> rusqlite::Result<()> {
+        if self.strays == 0 {
+            self.first_stray = (id, from.saturating_sub(1));
+        }
+        (self.strays, self.strays_here) = (self.strays + 1, self.strays_here + 1);
+        if self.strays <= MAX_BREAKS {
+            return Ok(());
+        }
+        let code = rusqlite::ffi::Error::new(rusqlite::ffi::SQLITE_CORRUPT);
+        let what = "too many do not ascend".to_owned();
+        Err(rusqlite::Error::SqliteFailure(code, Some(what)))
     }
 
     /// What of a message's content is asked for: none where no audit uses it, so that the pages of

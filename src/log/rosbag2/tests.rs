@@ -132,6 +132,35 @@ fn a_write_ahead_log_is_read_and_left_alone() {
     let after: Vec<Vec<u8>> = [&copy, &beside(&copy)].map(|path| fs::read(path).unwrap()).into();
     assert!(before == after);
 
+    // Each frame is of 1048 bytes, each transaction of several frames.
+    let [whole, wal] = [&before[0], &before[1]];
+    let mut leftover = wal.clone();
+    let frame = leftover[32..32 + 1048].to_vec();
+    leftover.extend_from_slice(&frame);
+    let length = wal.len();
+    leftover[length + 8..length + 16].fill(7);
+    let mut flipped = wal.clone();
+    flipped[32 + 10 * 1048 + 500] ^= 1;
+    let mut headless = wal.clone();
+    headless[20] ^= 1;
+    let cases = [
+        (leftover, None),
+        (flipped, Some("at byte 10512: its frames from 11 on cannot be read")),
+        (headless, Some("at byte 0: its header is damaged")),
+        (wal[..length - 7].to_vec(), Some("it is cut within frame")),
+        (wal[..20].to_vec(), Some("it is cut: 20 bytes are no header")),
+        (wal[..length - 1048].to_vec(), Some("of a transaction that was not ended")),
+    ];
+    for (bytes, expected) in cases {
+        fs::write(&copy, whole).unwrap();
+        fs::write(beside(&copy), bytes).unwrap();
+        let log = read(&copy);
+        let what: Vec<&str> = log.losses.iter().map(|loss| loss.what.as_str()).collect();
+        assert_eq!(what.len(), usize::from(expected.is_some()), "{what:?}");
+        assert!(expected.is_none_or(|expected| what[0].contains(expected)), "{what:?}");
+        assert!(log.losses.iter().all(|loss| loss.extent == Extent::Messages));
+    }
+
     /// Goes on with the database at `path`, so that 30 messages are in its write-ahead log only.
     #[expect(non_snake_case)]
     fn DatabaseWriter(path: &Path) -> rusqlite::Connection {
@@ -166,6 +195,62 @@ fn a_damaged_page_costs_its_own_messages() {
     assert_eq!(loss.extent, Extent::Messages);
     assert_eq!(loss.messages, Some(400 - log.messages));
     assert!(log.messages >= 390, "{}", log.messages);
+}
+
+#[test]
+fn a_cut_database_is_read_up_to_where_it_ends() {
+    let folder = folder();
+    let path = folder.path().join("run.db3");
+    database(&path, 0, 400);
+    let whole = fs::read(&path).unwrap();
+    fs::write(&path, &whole[..whole.len() - 5000]).unwrap();
+    let log = read(&path);
+    assert!((340..400).contains(&log.messages), "{}", log.messages);
+    let expected = format!("{} of its {} bytes are there", whole.len() - 5000, whole.len());
+    let of_file = log.losses.iter().filter(|loss| !loss.what.contains("do not ascend"));
+    let [cut] = of_file.collect::<Vec<_>>()[..] else { panic!("{:?}", log.losses) };
+    assert!(cut.what.ends_with(&expected), "{}", cut.what);
+    assert_eq!(cut.extent, Extent::Messages);
+}
+
+/// The cells of a page of a table, as offsets in the file.
+fn cells(bytes: &[u8], page: usize, header: usize) -> Vec<usize> {
+    let two = |at: usize| usize::from(bytes[at]) << 8 | usize::from(bytes[at + 1]);
+    let page = page * 1024;
+    (0..two(page + 3)).map(|cell| page + two(page + header + 2 * cell)).collect()
+}
+
+#[test]
+fn rows_that_do_not_ascend_are_damage_and_have_an_end() {
+    let folder = folder();
+    let path = folder.path().join("run.db3");
+    database(&path, 0, 4000);
+    let whole = fs::read(&path).unwrap();
+    let pages = |kind: u8| (30..whole.len() / 1024).filter(move |&page| whole[page * 1024] == kind);
+    // The number of a row, behind the length of its content, both as one byte or two.
+    let whole = fs::read(&path).unwrap();
+    let mut bytes = whole.clone();
+    let cell = cells(&bytes, pages(0x0d).nth(20).unwrap(), 8)[1];
+    let number = cell + 1 + usize::from(bytes[cell] >> 7);
+    bytes[number] = 0x80;
+    fs::write(&path, &bytes).unwrap();
+    let log = read(&path);
+    let [loss] = log.losses.as_slice() else { panic!("{:?}", log.losses) };
+    assert!(loss.what.starts_with("1 rows of the table `messages` do not ascend"), "{}", loss.what);
+    assert_eq!((loss.messages, log.messages), (Some(1), 3999));
+
+    // Every way down leads to the same page.
+    let mut bytes = whole.clone();
+    let page = (2..).find(|&page| bytes[page * 1024] == 0x05).unwrap();
+    let ways = cells(&bytes, page, 12);
+    let first: [u8; 4] = bytes[ways[0]..ways[0] + 4].try_into().unwrap();
+    for way in ways {
+        bytes[way..way + 4].copy_from_slice(&first);
+    }
+    fs::write(&path, &bytes).unwrap();
+    let log = read(&path);
+    let lost: u64 = log.losses.iter().filter_map(|loss| loss.messages).sum();
+    assert!(log.messages < 4000 && lost > 0, "{} read, {lost} lost", log.messages);
 }
 
 #[test]
@@ -223,6 +308,27 @@ fn the_files_of_a_folder_are_one_log_and_missing_ones_are_said() {
     assert!(loss.what.contains("run_1.db3"), "{}", loss.what);
     assert_eq!(log.messages, 20);
     assert_eq!(rows(&log).times.log.iter().sum::<i64>(), 45 + 345);
+}
+
+#[test]
+fn splits_that_a_cut_list_does_not_name_are_read_and_said() {
+    let folder = folder();
+    for split in [0, 1, 2, 10] {
+        mcap(&folder.path().join(format!("run_{split}.mcap")), 10 * split, 10);
+    }
+    database(&folder.path().join("run_1.db3"), 0, 10);
+    database(&folder.path().join("other_1.db3"), 0, 10);
+    let text =
+        "rosbag2_bagfile_information:\n  relative_file_paths:\n    - run_0.mcap\n    - run_1.mc";
+    fs::write(folder.path().join(METADATA), text).unwrap();
+    let log = read(folder.path());
+    let names: Vec<_> = log.files.iter().filter_map(|file| file.path.file_name()).collect();
+    assert_eq!(names, ["run_0.mcap", "run_1.mcap", "run_2.mcap", "run_10.mcap"]);
+    assert_eq!(log.messages, 40);
+    let said = |extent| log.losses.iter().filter(|loss| loss.extent == extent).count();
+    assert_eq!((said(Extent::Index), said(Extent::Messages), log.losses.len()), (3, 1, 4));
+    let notes: Vec<&str> = log.notes.iter().map(|note| note.what.as_str()).collect();
+    assert_eq!(notes, ["metadata.yaml does not list it: it was not read"; 2]);
 }
 
 #[test]

@@ -46,6 +46,21 @@ fn read(table: &str) -> Log {
     read_tables(&[table.as_bytes()]).unwrap()
 }
 
+#[test]
+fn a_line_without_an_end_is_bounded() {
+    let text = table(",", "\n", 50);
+    for (rest, extent, what) in [
+        (vec![b'1'; 5 << 20], Extent::Messages, "line 52 has more than 1048576 bytes"),
+        (vec![0; 5 << 20], Extent::Tail, "the file ends in zeros"),
+    ] {
+        let log = read_tables(&[&[text.as_bytes(), &rest].concat()]).unwrap();
+        assert_eq!(joints(&log, "actual_q").times.log.len(), 50);
+        let [loss] = log.losses.as_slice() else { panic!("{:?}", log.losses) };
+        assert_eq!((loss.extent, loss.offset), (extent, Some(text.len() as u64)));
+        assert!(loss.what.starts_with(what), "{}", loss.what);
+    }
+}
+
 fn joints<'a>(log: &'a Log, topic: &str) -> &'a JointColumns {
     match log.topics.iter().find(|found| found.name == topic).map(|found| &found.columns) {
         Some(Some(Columns::Joints(joints))) => joints,
