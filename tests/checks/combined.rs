@@ -38,6 +38,42 @@ fn the_demos_four() {
 }
 
 #[test]
+fn a_last_joint_that_turns_the_other_way_beside_a_zero() {
+    let report = Log::with(|log| {
+        log.run.joints.scales = vec![1.0, 1.0, 1.0, 1.0, 1.0, -1.0];
+        log.run.joints.zero_offsets = zero(1, 0.5);
+    })
+    .audited();
+    assert_found(
+        &report,
+        &[
+            ("ORD009", "wrist_3_joint", What::None),
+            ("ZER001", "shoulder_lift_joint", Degrees(0.5, 0.02)),
+        ],
+    );
+}
+
+#[test]
+fn degrees_beside_a_clock_that_is_set_back() {
+    let report = Log::with(|log| {
+        log.run.duration_s = 20.0;
+        log.run.joints.in_degrees = true;
+        log.run.pose.timing.step = Some((9.0, -0.2));
+    })
+    .audited();
+    the(&report, "ORD004", JOINT_STATES);
+    Amount(-0.2, 2e-3).assert_is(the(&report, "LAT003", POSE).estimate.as_ref());
+    assert!(
+        report
+            .findings
+            .iter()
+            .all(|it| it.code.starts_with("TIM") || ["ORD004", "LAT003"].contains(&it.code)),
+        "found:\n{}",
+        summary(&report.findings)
+    );
+}
+
+#[test]
 fn two_joint_zeros() {
     let report = Log::with(|log| {
         log.run.joints.zero_offsets = zero(1, 0.5);

@@ -130,6 +130,15 @@ cases! {
         log.run.motion = Motion::AtRest;
         (log.run.noise.pose_m, log.run.noise.pose_rad) = (0.0, 0.0);
     } => Sound;
+    TIM007 a_pose_that_stands_still_beside_a_rest: |log| {
+        log.run.motion = Motion::PickAndPlace;
+        log.edit = Some(|messages| stick(messages, POSE, 4.0, 5.0));
+    } => error(Topic(POSE), About(0.96, 0.1));
+    TIM007 rests_of_a_late_pose_without_noise_are_sound: |log| {
+        log.run.motion = Motion::PickAndPlace;
+        (log.run.noise.pose_m, log.run.noise.pose_rad) = (0.0, 0.0);
+        log.run.pose.timing.latency_s = 0.3;
+    } => BlamedOn("LAT001");
     TIM007 a_late_pose_does_not_stand_still: |log| log.run.pose.timing.latency_s = 1.5
         => BlamedOn("LAT001");
     TIM007 joint_states_that_stand_still_amid_a_motion: |log| {
