@@ -9,9 +9,9 @@ rule! {
     ///
     /// ## What it means
     /// For a quarter of a second and ten samples or more a stream says the same pose, to the last bit,
-    /// with new stamps, and at no latency that is sought do the joints rest for half of that time. Or
-    /// joint states say the same as long, but for their noise, and then go on from elsewhere at once, amid
-    /// a motion.
+    /// with new stamps, and at no latency that is sought do the joints rest for half of that time, or at
+    /// none that its speeds allow they rest throughout. Or joint states say the same as long, but for
+    /// their noise, and then go on from elsewhere at once, amid a motion.
     ///
     /// ## Why it matters
     /// The stream looks alive: its rate and its stamps are as they should be. Whoever uses it takes an
@@ -29,8 +29,9 @@ rule! {
     ///
     /// ## When it misleads
     /// A slow source in a fast stream looks alike where it comes less than four times a second: its
-    /// stamps are the fault then. A stream that stands still at the very end of the log, or near a rest
-    /// of the arm, may as well be late, and is not reported. Transforms are not looked at: those that
+    /// stamps are the fault then. A stream that stands still at the very end of the log may as well be
+    /// late, and is not reported; nor is one that stands still near a rest of the arm, unless its speeds
+    /// say how late it is. Transforms are not looked at: those that
     /// stand still while the joints move are FRM001's. Joint states that stand still to the very end are
     /// not told from an arm that rests. Of a long run only the excerpts are looked at, and
     /// `samples` counts those that were.

@@ -44,13 +44,10 @@ fn a_last_joint_that_turns_the_other_way_beside_a_zero() {
         log.run.joints.zero_offsets = zero(1, 0.5);
     })
     .audited();
-    assert_found(
-        &report,
-        &[
-            ("ORD009", "wrist_3_joint", What::None),
-            ("ZER001", "shoulder_lift_joint", Degrees(0.5, 0.02)),
-        ],
-    );
+    the(&report, "ORD009", "wrist_3_joint");
+    let lift = the(&report, "ZER001", "shoulder_lift_joint");
+    Degrees(0.5, 0.02).assert_is(lift.estimate.as_ref());
+    assert_eq!(report.findings.len(), 2, "found:\n{}", summary(&report.findings));
 }
 
 #[test]
