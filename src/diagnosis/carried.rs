@@ -2,6 +2,7 @@
 
 use super::PoseStream;
 use super::latency::pose_peaks;
+use super::placing::spread;
 use crate::geometry::{Pose, Vec3};
 use crate::stream::{JointTrack, Orientations, PoseTrack};
 
@@ -19,7 +20,9 @@ const FINEST_S: f64 = 2e-5;
 const SHARE: f64 = 0.7;
 /// … and by more than this, s.
 const APART_S: f64 = 2e-3;
-/// Another time than that of the stamps is meant where it leaves less than this share.
+/// Positions that are off by this share of their extent lie on no arm as the joints are read; another
+/// time than that of the stamps is meant then where it leaves less than this share all the same.
+const OFF_ARM: f64 = 0.1;
 const NEARER: f64 = 0.5;
 
 /// When the transforms of a moving frame must be taken for poses that are in it.
@@ -70,7 +73,13 @@ pub fn carrier_lag(
         return None;
     }
     let [lag_s, latency_s] = descend([together, together], &|[lag, latency]| cost(lag, latency));
-    if cost(lag_s, latency_s) > NEARER * cost(0.0, 0.0) {
+    let in_base = rows.iter().filter_map(|&row| {
+        let at = base_from_frame(logged.t_s[row])? * nalgebra::Point3::from(logged.xyz[row]);
+        Some(at.coords)
+    });
+    let extent_m = spread(&in_base.collect::<Vec<Vec3>>());
+    let least = cost(lag_s, latency_s);
+    if least > OFF_ARM * extent_m && least > NEARER * cost(0.0, 0.0) {
         // No time puts the arm where the joints do, so that they may be misread: its stamps hold.
         return Some(CarrierLag { lag_s: 0.0, is_on_time: true });
     }

@@ -100,13 +100,18 @@ pub struct PoseSource {
 }
 
 impl PoseSource {
-    /// Whether it says the same of the same link at the same times.
+    /// Whether it says the same of the same link in the same frame at the same times.
     pub fn is_copy_of(&self, other: &Self) -> bool {
-        let (own, other_track) = (&self.track, &other.track);
-        self.columns == other.columns
-            && own.t_s == other_track.t_s
-            && own.xyz == other_track.xyz
-            && own.orientation == other_track.orientation
+        let frames = |of: &Self| {
+            let ends = (of.chain.base_name().to_owned(), of.chain.tip_name().to_owned());
+            (ends, of.reference_known, of.carrier.is_some())
+        };
+        let (own, theirs) = (&self.track, &other.track);
+        frames(self) == frames(other)
+            && self.columns == other.columns
+            && own.t_s == theirs.t_s
+            && own.xyz == theirs.xyz
+            && own.orientation == theirs.orientation
     }
 }
 
