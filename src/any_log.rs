@@ -384,7 +384,7 @@ impl AnyLog {
         let read = Read::of(&log);
         if let Ok(audits) = Audits::of(log, &read, &options, None) {
             let mut report = audits.report(read, &options);
-            report.figures = Some(audits.figures());
+            report.figures = Some(audits.figures(&report));
             assert!(report.checks.iter().all(|row| !row.code.is_empty()));
         }
     }

@@ -10,8 +10,8 @@ use rayon::prelude::*;
 use crate::checks::{
     ArmFacts, Declared, DhFacts, Due, EmptyFacts, EulerFacts, EvaluatedPart, Evaluation, Facts,
     FrameFacts, FrozenFacts, HeldFacts, ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts,
-    RhythmFacts, Settings, ShakeFacts, StampFacts, StrayFacts, UnauditedFacts, UndecodableTopic,
-    UnusableFacts, evaluate, merged,
+    RhythmFacts, Settings, ShakeFacts, StampFacts, StrayFacts, UnauditedFacts, Undecodable,
+    UndecodableTopic, UnusableFacts, evaluate, merged,
 };
 use crate::corrections::{Given, Mending};
 use crate::diagnosis::{
@@ -32,7 +32,7 @@ use crate::report::{
     Figures, FileRow, LogSummary, NoteRow, Report, RobotRow, StreamRow, Trouble, TroubleKind,
     tells_hand_eye,
 };
-use crate::robot::JointKind;
+use crate::robot::{JointKind, RobotError};
 use crate::run::{
     Arm, CalibrationSource, Coding, Declaration, Excerpts, HeaderStamps, ImuSource, JointMending,
     JointSamples, PoseSource, RobotSource, Role, Run, RunOptions, Segment, Strays, Stream,
@@ -182,7 +182,7 @@ impl Read {
             let undecodable = topic.undecodable.as_ref()?;
             Some(UndecodableTopic {
                 topic: topic.name.clone(),
-                type_name: topic.type_name.clone(),
+                what: Undecodable::Messages(topic.type_name.clone()),
                 messages: undecodable.messages,
                 why: undecodable.first.clone(),
             })
@@ -566,8 +566,19 @@ fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read, options: &Options) -
         origin: run.origin,
         simulated: run.has_clock_topic,
         losses: read.losses.clone(),
-        undecodable: read.undecodable.clone(),
+        undecodable: undecodable(run, read),
     }
+}
+
+/// What could not be decoded: messages, and robot descriptions.
+fn undecodable(run: &Run, read: &Read) -> Vec<UndecodableTopic> {
+    let description = |(topic, error): &(String, RobotError)| UndecodableTopic {
+        topic: topic.clone(),
+        what: Undecodable::Description,
+        messages: 1,
+        why: error.to_string(),
+    };
+    read.undecodable.iter().cloned().chain(run.unreadable.iter().map(description)).collect()
 }
 
 /// When the samples of a stream are due; `None` where the rules about stamps are not asked about it.
@@ -1159,14 +1170,17 @@ impl Audits {
         &self.segments[self.main]
     }
 
-    /// What the pictures of the longest segment show.
-    pub fn figures(&self) -> Figures {
+    /// What the pictures of the longest segment show that belong to `report`.
+    pub fn figures(&self, report: &Report) -> Figures {
         let Audited { run, facts, .. } = self.main();
         let corrected = |arm: &Arm, facts: &ArmFacts| {
             facts.diagnosis.corrected_joints(&arm.joints, &prismatic(arm))
         };
         let of_longest_segment = self.segments.len() > 1;
-        Figures { of_longest_segment, ..figures(run, facts, corrected) }
+        let is_told = |topic: &str| {
+            report.findings.iter().any(|found| found.subject.topic.as_deref() == Some(topic))
+        };
+        Figures { of_longest_segment, ..figures(run, facts, corrected, is_told) }
     }
 
     /// Writes what mends the findings of `report`, which is on these, into `folder`.

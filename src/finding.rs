@@ -1,6 +1,7 @@
 //! What an audit says: a finding, its estimate with the interval, and the outcome it comes from.
 
 use std::borrow::Cow;
+use std::f64::consts::PI;
 
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::{Map, Value};
@@ -169,9 +170,23 @@ impl Unit {
         interval.iter().all(|end| end.is_finite()).then_some(interval)
     }
 
-    /// Half the width of the interval at `confidence`, never below the noise floor.
+    /// Half the width of the interval at `confidence`, never below the noise floor; infinite where the
+    /// amount is known so badly that a width would mean nothing.
     pub fn half_width(self, measured: &Measured, confidence: f64) -> f64 {
-        measured.half_width(confidence).max(self.noise_floor())
+        let half = measured.half_width(confidence).max(self.noise_floor());
+        if half <= self.most() { half } else { f64::INFINITY }
+    }
+
+    /// What is known to no better than this is not known: half a turn, and more than any arm, run or
+    /// clock has.
+    const fn most(self) -> f64 {
+        match self {
+            Unit::Radian => PI,
+            Unit::Metre | Unit::GyroRate => 1e3,
+            Unit::Second => 1e5,
+            Unit::RadianPerSecond | Unit::SecondPerSecond | Unit::MetrePerMetre => 1.0,
+            Unit::RadianPerSecondSquared | Unit::MetrePerSecondSquared | Unit::One => 1e6,
+        }
     }
 
     /// `value` as a person says it: `22.03 ms`, `0.5°`.
@@ -264,9 +279,14 @@ fn unsigned_zero(text: String) -> String {
     }
 }
 
+/// A number to so many decimals, and no −0.
+pub fn rounded(number: f64, decimals: usize) -> String {
+    unsigned_zero(format!("{number:.decimals$}"))
+}
+
 /// `value` with at most `decimals` decimals, without zeros at the end.
 fn trimmed(value: f64, decimals: usize) -> String {
-    let text = unsigned_zero(format!("{value:.decimals$}"));
+    let text = rounded(value, decimals);
     if !text.contains('.') {
         return text;
     }

@@ -85,7 +85,7 @@ pub fn audit(options: &Options) -> Result<Report, Trouble> {
     let audits = audit::Audits::of(log, &read, options, given)?;
     let mut report = audits.report(read, options);
     if options.figures {
-        report.figures = Some(audits.figures());
+        report.figures = Some(audits.figures(&report));
     }
     if let Some(recording) = &options.recording {
         let main = audits.main();

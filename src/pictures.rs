@@ -1,6 +1,7 @@
 //! Joins a run and what was estimated on it to the series behind a report's pictures.
 
 use polars::prelude::{DataFrame, PolarsResult};
+use rayon::prelude::*;
 
 use crate::audit::{frame_of_several, imu_stream, pose_stream};
 use crate::checks::{ArmFacts, Facts, ImuFacts, PoseFacts, reading_names};
@@ -20,12 +21,16 @@ use crate::time::Stamp;
 /// Silences that are kept of one stream.
 const MOST_SILENCES: usize = 60;
 
+/// Streams of poses of an arm that are drawn though no finding is about them.
+const DRAWN: usize = 16;
+
 /// The series behind the pictures of a run. `corrected` gives an arm's joint states as they should
-/// have been recorded.
+/// have been recorded, `is_told` whether a finding is about a topic.
 pub(crate) fn figures(
     run: &Run,
     facts: &Facts,
     corrected: impl Fn(&Arm, &ArmFacts) -> JointTrack,
+    is_told: impl Fn(&str) -> bool + Sync,
 ) -> Figures {
     let clock = Clock { run, start: run.span.map_or(run.origin, |(start, _)| start) };
     let mut figures = Figures {
@@ -36,9 +41,12 @@ pub(crate) fn figures(
     };
     for (arm, facts) in run.arms.iter().zip(&facts.robots) {
         let corrected = corrected(arm, facts);
-        for (source, (stream, found)) in arm.poses.iter().zip(facts.poses()) {
-            figures.poses.extend(pose(&clock, &corrected, source, facts, stream, found));
-        }
+        let streams: Vec<_> = arm.poses.iter().zip(facts.poses()).enumerate().collect();
+        let drawn = streams.into_par_iter().filter_map(|(index, (source, (stream, found)))| {
+            let is_drawn = index < DRAWN || is_told(&stream.topic);
+            is_drawn.then(|| pose(&clock, &corrected, source, facts, stream, found))?
+        });
+        figures.poses.par_extend(drawn);
         for (source, (stream, found)) in arm.tf.iter().zip(&facts.tf) {
             // What publishes the log's transforms knows of no correction.
             let joints = arm.recorded.as_ref().map_or(&arm.joints, |(recorded, _)| recorded);

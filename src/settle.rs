@@ -3,13 +3,16 @@
 //! diagnosis; decides by its numbers.
 
 use std::cmp::Reverse;
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
 
 use crate::audit::{imu_stream, pose_stream};
 use crate::diagnosis::{
     ArmDiagnosis, BaseTravel, Peak, PoseStream, base_travel, carrier_lag, diagnose_imu, follows,
     is_seen_from_tool, likely_lags, position_misfit_m,
 };
-use crate::run::{Arm, PoseSource, Role, Run, WhyNot};
+use crate::run::{Arm, ImuSource, PoseSource, Role, Run, WhyNot};
 use crate::stream::{Orientations, PoseTrack};
 
 /// Settles all of it.
@@ -17,6 +20,7 @@ pub(crate) fn settle(run: &mut Run, most_lag_s: f64) {
     settle_carried(run, most_lag_s);
     settle_transforms(run);
     settle_contests(run, most_lag_s);
+    leave_unmoved(run);
     settle_candidates(run, most_lag_s);
     leave_moving_bases(run, most_lag_s);
     settle_leading_arms(run, most_lag_s);
@@ -164,10 +168,15 @@ const LEADS: f64 = 0.7;
 /// Settles which candidates are tool poses, by whether they follow the arm.
 fn settle_candidates(run: &mut Run, most_lag_s: f64) {
     let candidates: Vec<usize> = run.candidates().collect();
+    let lag_of = |&candidate: &usize| {
+        let (arm, source) = source_of(run, candidate)?;
+        Some((candidate, follows(&arm.joints, &pose_stream(run, source), most_lag_s)))
+    };
+    let poses = candidates.par_iter().filter_map(lag_of).collect();
+    let mut lags = Lags { most_lag_s, poses, imus: BTreeMap::new() };
     for candidate in candidates {
         let found = source_of(run, candidate);
-        let peak = found
-            .and_then(|(arm, source)| follows(&arm.joints, &pose_stream(run, source), most_lag_s));
+        let peak = found.and_then(|(arm, source)| lags.of_pose(run, arm, source));
         let is_of_own_frame = run
             .unaudited
             .iter()
@@ -182,7 +191,7 @@ fn settle_candidates(run: &mut Run, most_lag_s: f64) {
         }
         let lead_s = found
             .zip(peak)
-            .and_then(|((arm, source), peak)| lead_s(run, arm, source, peak, most_lag_s));
+            .and_then(|((arm, source), peak)| lead_s(run, arm, source, peak, &mut lags));
         match lead_s {
             Some(lead_s) => run.settle_leader(candidate, lead_s),
             None => run.settle(candidate, peak.map(|peak| peak.correlation)),
@@ -195,7 +204,7 @@ fn settle_candidates(run: &mut Run, most_lag_s: f64) {
 /// What is measured on an arm cannot be received before the arm did it. Stamps that run ahead of their
 /// clock make a stream early, and its messages come with the others all the same; joint states that are
 /// late make all other streams early.
-fn lead_s(run: &Run, arm: &Arm, source: &PoseSource, peak: Peak, most_lag_s: f64) -> Option<f64> {
+fn lead_s(run: &Run, arm: &Arm, source: &PoseSource, peak: Peak, lags: &mut Lags) -> Option<f64> {
     let joints = arm.joint_facts.first()?.stream;
     let delay_s = |stream: usize| {
         let clock = run.clocks.iter().find(|clock| clock.stream == stream);
@@ -206,19 +215,36 @@ fn lead_s(run: &Run, arm: &Arm, source: &PoseSource, peak: Peak, most_lag_s: f64
         return None;
     }
     let is_as_early = |lag_s: f64| lag_s < 0.5 * peak.lag_s;
-    let poses_agree = arm
-        .poses
-        .iter()
-        .filter(|other| run.streams[other.stream].role == Role::Pose)
-        .filter_map(|other| follows(&arm.joints, &pose_stream(run, other), most_lag_s))
-        .any(|other| other.correlation >= LEADS && is_as_early(other.lag_s));
-    let imus_agree = || {
-        arm.imus.iter().any(|imu| {
-            let found = diagnose_imu(&arm.joints, &imu_stream(imu), most_lag_s);
-            found.latency_s.is_ok_and(|latency| is_as_early(latency.value))
-        })
-    };
-    (!poses_agree && !imus_agree()).then_some(-received_s)
+    let mut poses = arm.poses.iter().filter(|other| run.streams[other.stream].role == Role::Pose);
+    let agrees = poses.any(|other| {
+        let other = lags.of_pose(run, arm, other);
+        other.is_some_and(|other| other.correlation >= LEADS && is_as_early(other.lag_s))
+    }) || arm.imus.iter().any(|imu| lags.of_imu(arm, imu).is_some_and(is_as_early));
+    (!agrees).then_some(-received_s)
+}
+
+/// The lags at which streams follow their arms, found once each.
+struct Lags {
+    most_lag_s: f64,
+    /// By the streams' indices.
+    poses: BTreeMap<usize, Option<Peak>>,
+    /// Likewise, s.
+    imus: BTreeMap<usize, Option<f64>>,
+}
+
+impl Lags {
+    fn of_pose(&mut self, run: &Run, arm: &Arm, source: &PoseSource) -> Option<Peak> {
+        let lag = || follows(&arm.joints, &pose_stream(run, source), self.most_lag_s);
+        *self.poses.entry(source.stream).or_insert_with(lag)
+    }
+
+    fn of_imu(&mut self, arm: &Arm, imu: &ImuSource) -> Option<f64> {
+        let latency_s = || {
+            let found = diagnose_imu(&arm.joints, &imu_stream(imu), self.most_lag_s);
+            found.latency_s.ok().map(|latency| latency.value)
+        };
+        *self.imus.entry(imu.stream).or_insert_with(latency_s)
+    }
 }
 
 fn source_of(run: &Run, stream: usize) -> Option<(&Arm, &PoseSource)> {
@@ -305,6 +331,26 @@ fn settle_contests(run: &mut Run, most_lag_s: f64) {
             _ => None,
         };
         run.award(&contest, nearest.or(follower));
+    }
+}
+
+/// Leaves out streams that say one pose throughout while the joints move the tool: whether they stand
+/// still or are of another time, nothing can be told by them.
+fn leave_unmoved(run: &mut Run) {
+    let unmoved = run.arms.iter().flat_map(|arm| {
+        let of = |source: &PoseSource| {
+            let moved_m = source.unmoved_by_m(&arm.joints)?;
+            Some((source.stream, source.track.t_s.len(), moved_m))
+        };
+        let is_said = |source: &&PoseSource| {
+            let role = run.streams.get(source.stream).map(|stream| stream.role);
+            matches!(role, Some(Role::Pose | Role::Candidate { presumed: true }))
+        };
+        arm.poses.iter().filter(is_said).filter_map(of)
+    });
+    for (stream, samples, moved_m) in unmoved.collect::<Vec<_>>() {
+        let reason = "all its poses are the same while the joints move the tool".to_owned();
+        run.leave_out(stream, WhyNot::NeverChanges { samples, moved_m }, reason);
     }
 }
 

@@ -1,7 +1,7 @@
 //! The one place where a number meets a figure.
 
 use crate::diagnosis::{FrameEstimate, Length, Measured, Unseen};
-use crate::finding::{Fault, Outcome, Severity, Unit};
+use crate::finding::{Fault, Outcome, Severity, Unit, rounded};
 
 /// Confidence of the interval that must exclude zero before a rule fails.
 const FAIL_CONFIDENCE: f64 = 0.999;
@@ -156,7 +156,7 @@ pub fn unseen(unseen: &Unseen, settle: &str) -> Outcome {
             format!("the motion repeats itself, so that several lags fit ({})", lags.join(", "))
         }
         Unseen::DoesNotFollow(peak) => {
-            format!("it does not follow the arm (correlation {peak:.2} at best)")
+            format!("it does not follow the arm (correlation {} at best)", rounded(*peak, 2))
         }
         Unseen::LittleRotation(span) => {
             format!("its orientation spans {} only", Unit::Radian.show(*span))

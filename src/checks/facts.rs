@@ -605,10 +605,19 @@ pub struct UnusableFacts {
 pub struct UndecodableTopic {
     /// Its name.
     pub topic: String,
-    /// Its type, as the log spells it.
-    pub type_name: String,
+    /// What could not: its type, as the log spells it, or a robot description.
+    pub what: Undecodable,
     /// How many of its messages could not be decoded.
     pub messages: u64,
     /// Why the first of them could not.
     pub why: String,
+}
+
+/// What of a topic could not be decoded.
+#[derive(Clone, Debug)]
+pub enum Undecodable {
+    /// Messages of this type.
+    Messages(String),
+    /// The robot description in them.
+    Description,
 }

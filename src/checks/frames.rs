@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use crate::checks::decision::{DEGREE, Decision, Figure, FrameFigures, decide_frame, unseen};
 use crate::checks::{ArmFacts, Facts, Judged, PoseFacts, Rule, mdl001, zer001};
 use crate::diagnosis::{FrameEstimate, JointOffset, PoseDiagnosis, Seen, Twin};
-use crate::finding::{Alternative, Estimate, Fault, Outcome, Severity, Subject, Unit};
+use crate::finding::{Alternative, Estimate, Fault, Outcome, Severity, Subject, Unit, rounded};
 use crate::geometry::{Pose, rotvec_from_rotation, xyz_of, xyzw_from_rotation};
 
 /// The figures of every rule on frames.
@@ -131,7 +131,7 @@ pub fn show(frame: &FrameEstimate) -> String {
 /// A pose in words: `xyz (0, 0, 0.14) m, rotation vector (0, 0, 180)°`.
 pub fn show_pose(pose: &Pose) -> String {
     let list = |numbers: [f64; 3], decimals: usize| {
-        numbers.map(|number| format!("{:.decimals$}", number + 0.0)).join(", ")
+        numbers.map(|number| rounded(number, decimals)).join(", ")
     };
     let degrees: [f64; 3] = rotvec_from_rotation(&pose.rotation).map(f64::to_degrees).into();
     format!("xyz ({}) m, rotation vector ({})°", list(xyz_of(pose), 4), list(degrees, 2))

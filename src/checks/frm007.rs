@@ -1,7 +1,7 @@
 use serde_json::{Value, json};
 
 use crate::checks::{Facts, Grade, Judged, UnauditedFacts};
-use crate::finding::{Evidence, Fault, Outcome, Severity};
+use crate::finding::{Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::WhyNot;
 
 rule! {
@@ -10,7 +10,7 @@ rule! {
     /// ## What it means
     /// The log holds a stream that says it is a tool's pose, or joint states of an arm, and it cannot be
     /// taken at its word: its `frame_id` is the tool's own frame, in which the tool never moves; its
-    /// orientations were never set; the arm's base moves in its frame and no transform says how; it may
+    /// orientations were never set; its pose never changes while the joints move the tool; the arm's base moves in its frame and no transform says how; it may
     /// be of either of two arms; no kinematics can be held against it; no model has its joints. What can
     /// be told without that is told all the same: positions are audited where orientations are not set,
     /// and poses in the tool's own frame as ones in an unknown frame.
@@ -20,8 +20,8 @@ rule! {
     /// that believes its frame or its orientation is wrong by all of it.
     ///
     /// ## Evidence
-    /// `why` is `own-frame`, `no-orientation`, `base-moves`, `whose-arm`, `no-kinematics` or `no-model`;
-    /// beside it stand the `frame`, the `base` with how far it travels (`travel_m`) and turns
+    /// `why` is `own-frame`, `no-orientation`, `never-changes`, `base-moves`, `whose-arm`, `no-kinematics` or
+    /// `no-model`; beside it stand the number of `samples` and how far the joints move the tool (`moved_m`), the `frame`, the `base` with how far it travels (`travel_m`) and turns
     /// (`turn_rad`), the `arms`, what is `missing`, or the `joints`.
     ///
     /// ## How to fix
@@ -99,6 +99,17 @@ fn words(why: &WhyNot) -> Words {
                 .to_owned(),
             fix: "set the orientation, or publish a point".to_owned(),
             evidence: Vec::new(),
+        },
+        WhyNot::NeverChanges { samples, moved_m } => Words {
+            why: "never-changes",
+            title: "poses that never change",
+            message: format!(
+                "all its {samples} poses are the same, while the joints move the tool by {}; nothing is \
+                 held against them",
+                Unit::Metre.show(*moved_m)
+            ),
+            fix: "look for what stopped it, and record it for as long as the arm moves".to_owned(),
+            evidence: vec![("samples", json!(samples)), ("moved_m", json!(moved_m))],
         },
         WhyNot::BaseMoves { frame, base, travel_m, turn_rad } => Words {
             why: "base-moves",

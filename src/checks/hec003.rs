@@ -2,7 +2,7 @@ use crate::checks::decision::DEGREE;
 use crate::checks::hand_eye::{does_not_follow, unseen};
 use crate::checks::{Facts, Grade, HandEyeFacts, Judged};
 use crate::diagnosis::TargetReading;
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, rounded};
 use crate::geometry::{Rotation, Vec3, angle_between, rotation_from_rpy};
 use crate::run::CameraAxes;
 
@@ -149,7 +149,7 @@ fn unswapped(facts: &HandEyeFacts) -> Outcome {
             Outcome::sound_because(format!("the target lies ahead ({})", named.words()))
         }
         (None, Some(named), None) => {
-            let view = found.view.map(|part| format!("{part:.2}")).join(", ");
+            let view = found.view.map(|part| rounded(part, 2)).join(", ");
             Outcome::Inconclusive(format!(
                 "the target lies neither along z nor along x but at ({view}), and the frame should \
                  have {}; show the target in the middle of the view",

@@ -1,4 +1,4 @@
-use crate::checks::{Facts, Grade, Judged, UndecodableTopic};
+use crate::checks::{Facts, Grade, Judged, Undecodable, UndecodableTopic};
 use crate::finding::{Evidence, Fault, Outcome, Severity, Subject};
 
 rule! {
@@ -6,7 +6,9 @@ rule! {
     ///
     /// ## What it means
     /// The topic's type is one that an audit uses, but its messages cannot be read: the schema is
-    /// missing or malformed, the encoding is unknown, or messages are shorter than the schema says.
+    /// missing or malformed, the encoding is unknown, or messages are shorter than the schema says. Or
+    /// the topic holds a robot description that cannot be read, and no `--robot` stands in for it: the
+    /// catalogue's arm may, and is no proof that the description is right.
     ///
     /// ## Why it matters
     /// What is on the topic was not audited. That must not be taken for "fine".
@@ -38,15 +40,22 @@ fn check(facts: &Facts) -> Vec<Judged> {
 }
 
 fn judge(topic: &UndecodableTopic) -> Judged {
+    let (message, fix) = match &topic.what {
+        Undecodable::Messages(type_name) => (
+            format!("{} messages of {type_name} cannot be decoded: {}", topic.messages, topic.why),
+            "record with the message definitions that the publisher was built with",
+        ),
+        Undecodable::Description => (
+            format!("its robot description cannot be read: {}", topic.why),
+            "correct the description, or name the model with --robot",
+        ),
+    };
     let fault = Fault {
         severity: Severity::Warning,
         title: "topic cannot be decoded",
-        message: format!(
-            "{} messages of {} cannot be decoded: {}",
-            topic.messages, topic.type_name, topic.why
-        ),
+        message,
         evidence: Evidence::default(),
-        fix: "record with the message definitions that the publisher was built with".to_owned(),
+        fix: fix.to_owned(),
     };
     let subject = Subject { topic: Some(topic.topic.clone()), ..Subject::default() };
     Judged::new(subject, Outcome::faulty(fault)).with_evidence("messages", topic.messages)

@@ -6,7 +6,7 @@ use crate::checks::proof::{Left, Named, Standing, standing};
 use crate::checks::reading::read_as;
 use crate::checks::{ArmFacts, Facts, Figure, Grade, ImuFacts, Judged, PoseFacts};
 use crate::diagnosis::{Amount, Error, Measured, Part, PoseDiagnosis, Rates, Reading, Size};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, ReadAs, Severity, Subject, Unit};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, ReadAs, Severity, Subject, Unit, rounded};
 use crate::run::WrongModel;
 
 rule! {
@@ -286,13 +286,13 @@ fn where_left(facts: &Facts, left: &Left) -> String {
     let (first, last) = (left.parts.first(), left.parts.last());
     let from = moment(first.map_or(0.0, |part| part.from_s));
     let to = moment(last.map_or(0.0, |part| part.to_s));
-    let [x, y, z]: [f64; 3] = at.into();
+    let at = <[f64; 3]>::from(at).map(|part| rounded(part, 2)).join(", ");
     let (count, all) = (left.parts.len(), left.error.length.parts.len());
     let parts = match count {
         _ if count == all => "throughout".to_owned(),
         count => format!("in {count} of {all} parts of the run, from {from} to {to}"),
     };
-    format!("{parts}, up to {most}, most near ({x:.2}, {y:.2}, {z:.2}) m")
+    format!("{parts}, up to {most}, most near ({at}) m")
 }
 
 /// Why it is open what is left.

@@ -32,7 +32,7 @@ pub use facts::{
     ArmFacts, Declared, DhFacts, Due, EmptyFacts, EulerFacts, Facts, FrameFacts, FrozenFacts,
     HandEyeFacts, HeldFacts, ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts,
     ReferenceFacts, ReferenceWitness, RhythmFacts, ShakeFacts, StampFacts, StrayFacts,
-    UnauditedFacts, UndecodableTopic, UnusableFacts, WitnessKind,
+    UnauditedFacts, Undecodable, UndecodableTopic, UnusableFacts, WitnessKind,
 };
 pub use figures::{Figures, Limit};
 pub use merge::{Part as EvaluatedPart, merged};

@@ -1,7 +1,7 @@
 use crate::checks::decision::unseen;
 use crate::checks::{Facts, Grade, Judged, PoseFacts};
 use crate::diagnosis::ConstantPart;
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit, rounded};
 
 rule! {
     /// A coordinate never changes while the arm moves it.
@@ -60,8 +60,8 @@ fn fault(stream: &PoseFacts, parts: &[ConstantPart], most_m: f64) -> Fault {
     let said: Vec<String> = parts
         .iter()
         .map(|ConstantPart { coordinate, value, moved_m }| {
-            let moved = Unit::Metre.show(*moved_m);
-            format!("{coordinate} is {value:.4} throughout while forward kinematics moves it by {moved}")
+            let (value, moved) = (rounded(*value, 4), Unit::Metre.show(*moved_m));
+            format!("{coordinate} is {value} throughout while forward kinematics moves it by {moved}")
         })
         .collect();
     let names: Vec<String> = parts.iter().map(|part| part.coordinate.to_string()).collect();

@@ -13,7 +13,7 @@ rule! {
     /// Nothing came for longer than ten periods and 0.1 s while the arm moved, or more than 1 % of
     /// the samples are missing between the others. The period is the stream's own, by the interval
     /// that most of its samples keep; where the sender numbers its messages (`header.seq` in ROS 1,
-    /// `sequence` in MCAP), numbers that are left out are lost samples, too.
+    /// `sequence` in MCAP) by one in each topic, numbers that are left out are lost samples, too.
     ///
     /// ## Why it matters
     /// Whoever interpolates over a gap invents a path. Samples that get lost under load get lost when

@@ -9,6 +9,7 @@ use poseaudit::desk::{
     Pasted, Question, Reading, Residual, Row, Sheet, Sheets, Style, Tool, Use, Verdict,
     maker_names, pairs_from_csv, paste, reconcile, sheet, uses_of,
 };
+use poseaudit::finding::rounded;
 use poseaudit::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
 use poseaudit::places::Places;
 use poseaudit::report::Trouble;
@@ -231,17 +232,8 @@ const USERS_WIDTH: usize = 56;
 
 fn listed(numbers: &[f64], digits: usize) -> String {
     let width = digits + 6;
-    let numbers = numbers.iter().map(|number| format!("{:>width$}", decimal(*number, digits)));
+    let numbers = numbers.iter().map(|number| format!("{:>width$}", rounded(*number, digits)));
     numbers.collect::<Vec<_>>().join("")
-}
-
-/// A number to so many digits, and no −0.
-fn decimal(number: f64, digits: usize) -> String {
-    let shown = format!("{number:.digits$}");
-    match shown.strip_prefix('-') {
-        Some(zero) if zero.chars().all(|c| "0.".contains(c)) => zero.to_owned(),
-        _ => shown,
-    }
 }
 
 fn degrees(numbers: &[f64]) -> Vec<f64> {
@@ -393,7 +385,7 @@ fn left(residual: &Residual) -> String {
 /// Position in mm, then roll, pitch and yaw in degrees.
 fn frame_text(pose: &Pose) -> String {
     let joined = |numbers: &[f64]| {
-        let numbers: Vec<String> = numbers.iter().map(|number| decimal(*number, 2)).collect();
+        let numbers: Vec<String> = numbers.iter().map(|number| rounded(*number, 2)).collect();
         numbers.join(" ")
     };
     let xyz = joined(&xyz_of(pose).map(|x| 1e3 * x));

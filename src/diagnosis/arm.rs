@@ -8,7 +8,7 @@ use super::joints::{
     Left, Read, corrected, half_turns, lies_on_arm, likely_readings, lone_zeros, other_reading,
     read_joints,
 };
-use super::latency::{Peak, arm_speeds, median_period_s, top};
+use super::latency::{ArmSpeeds, Peak, median_period_s};
 use super::model::{Blind, State, StreamState, Sweep, ToolPart, Witness};
 use super::nominal::{MOST_M, MOST_RAD, is_nominal};
 use super::observability::Observability;
@@ -261,9 +261,8 @@ impl ArmDiagnosis {
 ///
 /// Bare numbers must also lie where the arm is: joint angles in an array move when the arm moves.
 pub fn follows(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Option<Peak> {
-    let rotation = as_rotations(&stream.track.orientation);
-    let peak = stream_peaks(joints, stream, rotation, most_lag_s).first().copied()?;
-    let placed = rotation.is_some() || {
+    let peak = likely_lags(joints, stream, most_lag_s).first().copied()?;
+    let placed = as_rotations(&stream.track.orientation).is_some() || {
         let placement = Placement::of(joints, stream, most_lag_s);
         placement.explains() || lies_on_arm(joints, stream, placement.metres(), peak.lag_s)
     };
@@ -272,7 +271,7 @@ pub fn follows(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Opt
 
 /// The lags at which a pose stream may follow the arm, by its speeds: the likeliest first.
 pub fn likely_lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<Peak> {
-    stream_peaks(joints, stream, as_rotations(&stream.track.orientation), most_lag_s)
+    stream_peaks(&ArmSpeeds::of(joints, stream.chain, stream.columns), stream, most_lag_s)
 }
 
 fn prismatic(dof: usize, streams: &[PoseStream]) -> Vec<bool> {
@@ -302,6 +301,7 @@ fn diagnose(
     let usable: Vec<&Prepared> = prepared.iter().flatten().collect();
     let fitted = fit(&usable, read, with_offsets);
     let (offsets, scales) = match &fitted {
+        Some(_) if !with_offsets => (Vec::new(), Vec::new()),
         Some(fitted) => (joint_offsets(fitted, &usable, joints), joint_scales(fitted, read)),
         None => {
             let why = prepared.iter().find_map(|prepared| prepared.as_ref().err());
@@ -810,7 +810,6 @@ fn stream_diagnosis(
         Ok(_) => latency_course(&aligned, found.skew),
         Err(why) => Err(why.clone()),
     };
-    let (linear, _) = arm_speeds(prepared.witness.joints, stream.chain, stream.columns);
     let t_s = &prepared.witness.t_s;
     let span_s = (t_s[t_s.len() - 1] - t_s[0]).max(f64::MIN_POSITIVE);
     let mut reading = prepared.reading.clone();
@@ -840,7 +839,7 @@ fn stream_diagnosis(
         residual,
         nominal: fitted.nominal,
         observability: Some(observability),
-        top_speed_m_s: top(&linear),
+        top_speed_m_s: placement.top_speed_m_s,
         aligned,
     }
 }

@@ -1,7 +1,7 @@
 //! Arms whose base moves: poses in a frame that it moves in.
 
 use super::PoseStream;
-use super::latency::pose_peaks;
+use super::latency::ArmSpeeds;
 use super::placing::spread;
 use crate::geometry::{Pose, Vec3};
 use crate::stream::{JointTrack, Orientations, PoseTrack};
@@ -152,15 +152,8 @@ pub fn base_travel(
             false => Course::of(&bases).strays_m,
         }
     };
-    let peaks = pose_peaks(
-        joints,
-        stream.chain,
-        stream.columns,
-        &stream.track.t_s,
-        &stream.track.xyz,
-        Some(rotations),
-        most_lag_s,
-    );
+    let arm = ArmSpeeds::of(joints, stream.chain, stream.columns);
+    let peaks = arm.peaks_of(&stream.track.t_s, &stream.track.xyz, Some(rotations), most_lag_s);
     let tried = (most_lag_s.min(MOST_S) / STEP_S) as i32;
     let lags = (-tried..=tried).map(|step| f64::from(step) * STEP_S);
     let near = peaks.iter().take(3).map(|peak| peak.lag_s);

@@ -25,43 +25,75 @@ pub(super) struct Speed {
     pub value: Vec<f64>,
 }
 
-/// Linear (m/s) and angular (rad/s) speed of the chain's tip by FK, at the joint stamps; where there
-/// are more than 30 000 of these at every second, third and so on.
-pub(super) fn arm_speeds(joints: &JointTrack, chain: &Chain, columns: &[usize]) -> (Speed, Speed) {
-    let [linear, angular, _] = all_arm_speeds(joints, chain, columns);
-    (linear, angular)
+/// Speeds of an arm by FK, at the joint stamps; where there are more than 30 000 of these at every second,
+/// third and so on.
+pub(super) struct ArmSpeeds {
+    /// Of the chain's tip, m/s.
+    pub linear: Speed,
+    /// Of the chain's tip, rad/s.
+    pub angular: Speed,
+    /// Of the base as it is seen from the tip, m/s.
+    inverse: Speed,
 }
 
-/// The same, and the linear speed of the base as it is seen from the tip.
-fn all_arm_speeds(joints: &JointTrack, chain: &Chain, columns: &[usize]) -> [Speed; 3] {
-    let mut jacobian = vec![[0.0; 6]; columns.len()];
-    /// Rows beyond these do not make a correlation better.
-    const ENOUGH: usize = 30_000;
-    let mut q = vec![0.0; columns.len()];
-    let mut t_s = Vec::new();
-    let mut speeds: [Vec<f64>; 3] = Default::default();
-    for row in (0..joints.len()).step_by(joints.len().div_ceil(ENOUGH).max(1)) {
-        t_s.push(joints.t_s[row]);
-        for (own, &column) in q.iter_mut().zip(columns) {
-            *own = joints.row(row)[column];
-        }
-        let base_from_tip = chain.forward_with_jacobian(&q, &mut jacobian);
-        let mut twist = [0.0; 6];
-        for (column, &track) in jacobian.iter().zip(columns) {
-            let rate = joints.qd[row * joints.dof + track];
-            for (sum, part) in twist.iter_mut().zip(column) {
-                *sum += part * rate;
+impl ArmSpeeds {
+    pub fn of(joints: &JointTrack, chain: &Chain, columns: &[usize]) -> Self {
+        /// Rows beyond these do not make a correlation better.
+        const ENOUGH: usize = 30_000;
+        let mut jacobian = vec![[0.0; 6]; columns.len()];
+        let mut q = vec![0.0; columns.len()];
+        let mut t_s = Vec::new();
+        let mut speeds: [Vec<f64>; 3] = Default::default();
+        for row in (0..joints.len()).step_by(joints.len().div_ceil(ENOUGH).max(1)) {
+            t_s.push(joints.t_s[row]);
+            for (own, &column) in q.iter_mut().zip(columns) {
+                *own = joints.row(row)[column];
+            }
+            let base_from_tip = chain.forward_with_jacobian(&q, &mut jacobian);
+            let mut twist = [0.0; 6];
+            for (column, &track) in jacobian.iter().zip(columns) {
+                let rate = joints.qd[row * joints.dof + track];
+                for (sum, part) in twist.iter_mut().zip(column) {
+                    *sum += part * rate;
+                }
+            }
+            let linear = Vec3::new(twist[0], twist[1], twist[2]);
+            let angular = Vec3::new(twist[3], twist[4], twist[5]);
+            // Of −Rᵀp: −Rᵀ(v − ω × p).
+            let inverse = linear - angular.cross(&base_from_tip.translation.vector);
+            for (speed, vector) in speeds.iter_mut().zip([linear, angular, inverse]) {
+                speed.push(vector.norm());
             }
         }
-        let linear = Vec3::new(twist[0], twist[1], twist[2]);
-        let angular = Vec3::new(twist[3], twist[4], twist[5]);
-        // Of −Rᵀp: −Rᵀ(v − ω × p).
-        let inverse = linear - angular.cross(&base_from_tip.translation.vector);
-        for (speed, vector) in speeds.iter_mut().zip([linear, angular, inverse]) {
-            speed.push(vector.norm());
-        }
+        let [linear, angular, inverse] = speeds.map(|value| Speed { t_s: t_s.clone(), value });
+        Self { linear, angular, inverse }
     }
-    speeds.map(|value| Speed { t_s: t_s.clone(), value })
+
+    /// Speed of the tip at its fastest, m/s.
+    pub fn top_m_s(&self) -> f64 {
+        self.linear.value.iter().copied().fold(0.0, f64::max)
+    }
+
+    /// The lags of a pose stream by the linear or angular speed that follows the arm best.
+    pub fn peaks_of(
+        &self,
+        t_s: &[f64],
+        xyz: &[Vec3],
+        rotation: Option<&[Rotation]>,
+        most_s: f64,
+    ) -> Vec<Peak> {
+        let linear = linear_speed(t_s, xyz);
+        // Whatever the rotations are read as, positions tell whether the poses are inverse.
+        let mut found =
+            vec![peaks(&self.linear, &linear, most_s), peaks(&self.inverse, &linear, most_s)];
+        if let Some(rotation) = rotation {
+            found.push(peaks(&self.angular, &angular_speed(t_s, rotation), most_s));
+            let inverse = inverse_linear_speed(t_s, xyz, rotation);
+            found.push(peaks(&self.linear, &inverse, most_s));
+        }
+        let best = |peaks: &Vec<Peak>| peaks.first().map_or(f64::MIN, |peak| peak.correlation);
+        found.into_iter().max_by(|a, b| best(a).total_cmp(&best(b))).unwrap_or_default()
+    }
 }
 
 /// Speed of all joints together (root of the sum of squares), at the joint stamps: what any
@@ -302,33 +334,6 @@ impl Sums {
         };
         (0..self.sums[0].len()).map(at).collect()
     }
-}
-
-/// The best peak of the linear and angular speeds of a pose stream, against those by FK.
-pub(super) fn pose_peaks(
-    joints: &JointTrack,
-    chain: &Chain,
-    columns: &[usize],
-    t_s: &[f64],
-    xyz: &[Vec3],
-    rotation: Option<&[Rotation]>,
-    most_s: f64,
-) -> Vec<Peak> {
-    let [arm_linear, arm_angular, arm_inverse] = all_arm_speeds(joints, chain, columns);
-    let linear = linear_speed(t_s, xyz);
-    // Whatever the rotations are read as, positions tell whether the poses are inverse.
-    let mut found = vec![peaks(&arm_linear, &linear, most_s), peaks(&arm_inverse, &linear, most_s)];
-    if let Some(rotation) = rotation {
-        found.push(peaks(&arm_angular, &angular_speed(t_s, rotation), most_s));
-        found.push(peaks(&arm_linear, &inverse_linear_speed(t_s, xyz, rotation), most_s));
-    }
-    let best = |peaks: &Vec<Peak>| peaks.first().map_or(f64::MIN, |peak| peak.correlation);
-    found.into_iter().max_by(|a, b| best(a).total_cmp(&best(b))).unwrap_or_default()
-}
-
-/// Speed of the tip at its fastest, m/s.
-pub(super) fn top(speed: &Speed) -> f64 {
-    speed.value.iter().copied().fold(0.0, f64::max)
 }
 
 #[cfg(test)]

@@ -242,6 +242,7 @@ impl<'a> Sight<'a> {
         let mut poses = Vec::with_capacity(self.t_s.len());
         for &t_s in &self.t_s {
             if moment.at(t_s, &guess) {
+                moment.pose = self.stream.chain.forward(&moment.q);
                 poses.push(moment.pose);
             }
         }
@@ -327,6 +328,7 @@ impl<'a> Sight<'a> {
             if !moment.at(t_s, guess) {
                 continue;
             }
+            moment.pose = self.stream.chain.forward_with_jacobian(&moment.q, &mut moment.jacobian);
             let at = moment.tip(guess);
             let lever = moment.pose.rotation * guess.tool;
             let rows: Vec<Vec3> = free
@@ -359,6 +361,7 @@ impl<'a> Sight<'a> {
         let mut squares: Vec<f64> = Vec::with_capacity(self.t_s.len());
         for (&t_s, logged) in self.t_s.iter().zip(&self.xyz) {
             if moment.at(t_s, guess) {
+                moment.pose = self.stream.chain.forward(&moment.q);
                 squares.push((logged - moment.tip(guess)).norm_squared());
             }
         }
@@ -396,7 +399,7 @@ impl<'a> Moment<'a> {
         }
     }
 
-    /// Goes to what a sample stamped `t_s` speaks of; false where the joints do not cover it.
+    /// Takes the joints to what a sample stamped `t_s` speaks of; false where they do not cover it.
     fn at(&mut self, t_s: f64, guess: &Guess) -> bool {
         let Sight { joints, stream, in_degrees, .. } = self.sight;
         let (q, qd) = &mut self.track;
@@ -411,7 +414,6 @@ impl<'a> Moment<'a> {
             self.q[at] = unit * q[column] + guess.zeros[at];
             self.qd[at] = unit * qd[column];
         }
-        self.pose = stream.chain.forward_with_jacobian(&self.q, &mut self.jacobian);
         true
     }
 

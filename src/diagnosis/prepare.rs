@@ -3,7 +3,7 @@
 
 use super::arm::{FOLLOWS, SEARCH_SAMPLES};
 use super::joints::Read;
-use super::latency::{Peak, pose_peaks};
+use super::latency::{ArmSpeeds, Peak};
 use super::layout::{Layout, Written, layouts, matrix_of};
 use super::model::{Blind, StreamState, Sweep, ToolPart, Witness};
 use super::placing::{ON_ARM, spread};
@@ -31,20 +31,16 @@ pub(super) fn as_rotations(orientation: &Orientations) -> Option<&[Rotation]> {
     }
 }
 
-pub(super) fn stream_peaks(
-    joints: &JointTrack,
-    stream: &PoseStream,
-    rotation: Option<&[Rotation]>,
-    most_lag_s: f64,
-) -> Vec<Peak> {
-    let PoseStream { track, chain, columns, .. } = stream;
-    pose_peaks(joints, chain, columns, &track.t_s, &track.xyz, rotation, most_lag_s)
+/// The lags at which a stream may follow the arm by its speeds, the likeliest first.
+pub(super) fn stream_peaks(arm: &ArmSpeeds, stream: &PoseStream, most_lag_s: f64) -> Vec<Peak> {
+    let PoseTrack { t_s, xyz, orientation, .. } = stream.track;
+    arm.peaks_of(t_s, xyz, as_rotations(orientation), most_lag_s)
 }
 
 /// The lag at which a stream follows the arm best by its speeds, s; 0 where none does.
 pub(super) fn stream_lag_s(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> f64 {
-    let rotation = as_rotations(&stream.track.orientation);
-    let peaks = stream_peaks(joints, stream, rotation, most_lag_s);
+    let arm = ArmSpeeds::of(joints, stream.chain, stream.columns);
+    let peaks = stream_peaks(&arm, stream, most_lag_s);
     let best = peaks.first().filter(|peak| peak.correlation > FOLLOWS);
     best.map_or(0.0, |peak| peak.lag_s)
 }
@@ -59,6 +55,8 @@ pub(super) struct Placement {
     pub constant: [bool; 3],
     /// The lags at which the stream follows the arm.
     peaks: Vec<Peak>,
+    /// Speed of the arm's tip at its fastest, m/s.
+    pub top_speed_m_s: f64,
 }
 
 impl Placement {
@@ -67,8 +65,8 @@ impl Placement {
         /// Positions that leave this share of the motion's extent are settled.
         const SETTLED: f64 = 0.02;
         let PoseStream { track, chain, columns, reference_known, .. } = *stream;
-        let rotation = as_rotations(&track.orientation);
-        let mut peaks = stream_peaks(joints, stream, rotation, most_lag_s);
+        let arm = ArmSpeeds::of(joints, chain, columns);
+        let mut peaks = stream_peaks(&arm, stream, most_lag_s);
         peaks.retain(|peak| peak.correlation > FOLLOWS);
         let read_as_m = in_metres(track);
         let reach_m = chain.max_reach_m();
@@ -77,6 +75,7 @@ impl Placement {
             layouts: Vec::new(),
             constant: [false; 3],
             peaks,
+            top_speed_m_s: arm.top_m_s(),
         };
         let near = if lies_as_logged(joints, stream) { 0 } else { 2 };
         let lags = placement.peaks.iter().take(near).map(|peak| peak.lag_s).chain([0.0]);
@@ -148,13 +147,15 @@ impl Placement {
     }
 }
 
-/// Which coordinates of a stream never change but for noise, where those of FK all do.
+/// Which coordinates of a stream never change but for noise, where others do and those of FK all do.
 fn constant(xyz: &[Vec3], fk: &[Vec3]) -> [bool; 3] {
     /// A coordinate is constant that spreads by less than this share of the widest …
     const STAYS: f64 = 0.01;
     /// … where FK's spread by this share of their widest at least, and by this, m.
     const MOVES: f64 = 0.05;
     const MOVES_M: f64 = 5e-3;
+    /// Positions that spread by less than this share of their size are one: the rest is rounding.
+    const ROUNDING: f64 = 1e-9;
     let spreads = |points: &[Vec3]| -> [f64; 3] {
         [0, 1, 2].map(|axis| {
             let along: Vec<Vec3> = points.iter().map(|p| Vec3::x() * p[axis]).collect();
@@ -165,7 +166,9 @@ fn constant(xyz: &[Vec3], fk: &[Vec3]) -> [bool; 3] {
     let (logged, expected) = (spreads(xyz), spreads(fk));
     let least = MOVES_M.max(MOVES * widest(expected));
     let all_move = expected.into_iter().all(|spread| spread > least);
-    logged.map(|spread| all_move && spread <= STAYS * widest(logged))
+    let size = xyz.iter().map(Vec3::amax).fold(0.0, f64::max);
+    let some_move = widest(logged) > ROUNDING * size;
+    logged.map(|spread| all_move && some_move && spread <= STAYS * widest(logged))
 }
 
 /// What takes positions to metres by their size alone: the extent of motion against FK's, or at rest the

@@ -356,27 +356,43 @@ fn readings(samples: &Samples) -> Vec<Reading> {
     }
 }
 
+/// Every reading with the frames that it may need. Where the stream as logged fits without a fault no
+/// other frames can be chosen, and none are tried.
 fn all_fits(samples: &Samples) -> Vec<Fit> {
+    let mut frames = allowed(samples);
+    if let Logged::Rotations(_) = samples.logged {
+        let plain = &frames[..1];
+        let known = &mut Default::default();
+        let as_logged = fits_of(samples, plain, Reading::AsLogged, known, &mut Vec::new());
+        if as_logged.iter().all(|fit| fit.residual_rad <= NEAR_RAD) {
+            frames = plain;
+        }
+    }
     let fits_of = |(truths, buffer): &mut (Truths, Vec<_>), reading: Reading| {
-        fits_of(samples, reading, truths, buffer)
+        fits_of(samples, frames, reading, truths, buffer)
     };
     let fits: Vec<Vec<Fit>> =
         readings(samples).into_par_iter().map_init(Default::default, fits_of).collect();
     fits.into_iter().flatten().collect()
 }
 
-/// The fits of one reading, with each of the frames that it is allowed.
+/// The frames that readings are allowed; the first is no fault.
+fn allowed(samples: &Samples) -> &'static [Frames] {
+    match (samples.reference_known, samples.reference_free) {
+        (false, _) => &[Frames::Reference, Frames::Both],
+        (true, false) => &[Frames::None, Frames::Tool],
+        (true, true) => &[Frames::None, Frames::Tool, Frames::Reference, Frames::Both],
+    }
+}
+
+/// The fits of one reading, with each of `frames`.
 fn fits_of(
     samples: &Samples,
+    frames: &[Frames],
     reading: Reading,
     truths: &mut Truths,
     buffer: &mut Vec<Rotation>,
 ) -> Vec<Fit> {
-    let allowed: &[Frames] = match (samples.reference_known, samples.reference_free) {
-        (false, _) => &[Frames::Reference, Frames::Both],
-        (true, false) => &[Frames::None, Frames::Tool],
-        (true, true) => &[Frames::None, Frames::Tool, Frames::Reference, Frames::Both],
-    };
     truths.fill(&reading, samples, buffer);
     let fit = |&frames: &Frames| {
         let (reference, tool) = match frames {
@@ -390,12 +406,13 @@ fn fits_of(
         let residual_rad = residual(truths, samples.fk, &reference, &tool);
         Fit { reading, frames, reference, tool, residual_rad }
     };
-    allowed.iter().map(fit).collect()
+    frames.iter().map(fit).collect()
 }
 
 /// The simplest fit of a reading that is known, near the best of its fits.
 pub(super) fn fit_known(samples: &Samples, reading: Reading) -> Option<Fit> {
-    let fits = fits_of(samples, reading, &mut Truths::default(), &mut Vec::new());
+    let known = &mut Truths::default();
+    let fits = fits_of(samples, allowed(samples), reading, known, &mut Vec::new());
     let least = fits.iter().map(|fit| fit.residual_rad).min_by(f64::total_cmp)?;
     let near = (NEAR * least).max(least + NEAR_RAD);
     let near = fits.into_iter().filter(|fit| fit.residual_rad <= near);

@@ -5,7 +5,7 @@
 //! has at which time is the path of least difference of speeds, each step at a price (Viterbi 1967).
 
 use super::course::{LatencyCourse, LatencyJump};
-use super::latency::{Speed, angular_speed, arm_speeds, linear_speed, norms, peaks};
+use super::latency::{ArmSpeeds, Speed, angular_speed, linear_speed, norms, peaks};
 use super::{ImuStream, Measured, PoseStream, Seen};
 use crate::stream::{JointTrack, Orientations};
 
@@ -38,7 +38,7 @@ pub fn pose_steps(
     stream: &PoseStream,
     most_lag_s: f64,
 ) -> Option<LatencySteps> {
-    let (linear, angular) = arm_speeds(joints, stream.chain, stream.columns);
+    let ArmSpeeds { linear, angular, .. } = ArmSpeeds::of(joints, stream.chain, stream.columns);
     let track = stream.track;
     let mut pairs = vec![(linear, without_spikes(linear_speed(&track.t_s, &track.xyz)))];
     if let Orientations::Rotations(rotations) = &track.orientation {
@@ -63,8 +63,8 @@ fn without_spikes(speed: Speed) -> Speed {
 
 /// Where the latency of an IMU steps, by how fast it turns.
 pub fn imu_steps(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) -> Option<LatencySteps> {
-    let (_, angular) = arm_speeds(joints, stream.chain, stream.columns);
-    steps(&[(angular, norms(&stream.track.t_s, &stream.track.gyro))], most_lag_s)
+    let arm = ArmSpeeds::of(joints, stream.chain, stream.columns);
+    steps(&[(arm.angular, norms(&stream.track.t_s, &stream.track.gyro))], most_lag_s)
 }
 
 /// A window of time, and where a stream's speed follows the arm's best in it.

@@ -1,5 +1,7 @@
 //! Forward kinematics of the path between two links.
 
+use std::sync::OnceLock;
+
 use nalgebra::{Matrix3, Rotation3, Translation3};
 
 use crate::geometry::{Pose, Rotation, Vec3};
@@ -22,6 +24,17 @@ pub struct Chain {
     steps: Vec<Step>,
     /// The tip in the frame of the last step.
     step_from_tip: Rigid,
+    max_reach_m: Derived,
+}
+
+/// What follows from the rest of a chain, once it was asked for; it makes no two chains differ.
+#[derive(Debug, Clone, Default)]
+struct Derived(OnceLock<f64>);
+
+impl PartialEq for Derived {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
 }
 
 /// One motion of the path, in a frame turned such that the motion is about or along z.
@@ -172,6 +185,7 @@ impl<'a> Builder<'a> {
             limits: self.coordinates.iter().map(|joint| joint.limits).collect(),
             steps: self.steps,
             step_from_tip: Rigid::from(self.since_last_step),
+            max_reach_m: Derived::default(),
         }
     }
 }
@@ -278,9 +292,11 @@ impl Chain {
     /// the quarters of the joints' ranges, each joint in turn takes the best of 48 positions.
     /// Joints without limits turn by ±π; sliding joints without limits stay at zero.
     pub fn max_reach_m(&self) -> f64 {
-        let ranges: Vec<[f64; 2]> = (0..self.dof()).map(|joint| self.range(joint)).collect();
-        let starts = [0.5, 0.25, 0.75].map(|part| self.climb_to_reach(&ranges, part));
-        starts.into_iter().fold(0.0, f64::max)
+        *self.max_reach_m.0.get_or_init(|| {
+            let ranges: Vec<[f64; 2]> = (0..self.dof()).map(|joint| self.range(joint)).collect();
+            let starts = [0.5, 0.25, 0.75].map(|part| self.climb_to_reach(&ranges, part));
+            starts.into_iter().fold(0.0, f64::max)
+        })
     }
 
     fn climb_to_reach(&self, ranges: &[[f64; 2]], start: f64) -> f64 {

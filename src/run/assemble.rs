@@ -11,6 +11,7 @@ mod transforms;
 use std::sync::Arc;
 
 use crate::log::Log;
+use crate::robot::{Robot, RobotError};
 use crate::stream::Columns;
 use crate::time::Stamp;
 
@@ -72,6 +73,10 @@ impl Run {
         let (attached, logged_calibrations): (Vec<_>, Vec<_>) =
             log.descriptions.into_iter().partition(|found| found.text.starts_with('<'));
         let descriptions = descriptions(&streams, attached);
+        let unreadable = match options.robots.is_empty() {
+            true => unreadable(&descriptions),
+            false => Vec::new(),
+        };
         let logged_calibrations: Vec<_> =
             logged_calibrations.into_iter().map(|found| (found.name, found.text)).collect();
         let mut assembly = Assembly {
@@ -134,6 +139,7 @@ impl Run {
             excerpts,
             has_clock_topic,
             no_arm,
+            unreadable,
         })
     }
 }
@@ -199,11 +205,23 @@ fn descriptions(
     let mut found = Vec::new();
     for stream in streams.iter().filter(|stream| stream.role == Role::Description) {
         if let Some(Columns::Text(texts)) = &stream.columns {
-            found.extend(texts.text.iter().map(|text| (stream.topic.clone(), text.clone())));
+            let mut own: Vec<&String> = texts.text.iter().collect();
+            own.dedup();
+            found.extend(own.into_iter().map(|text| (stream.topic.clone(), text.clone())));
         }
     }
     found.extend(attached.into_iter().map(|description| (description.name, description.text)));
     found
+}
+
+/// The places whose descriptions cannot be read, and why the first there cannot.
+fn unreadable(descriptions: &[(String, String)]) -> Vec<(String, RobotError)> {
+    let refused = |(place, text): &(String, String)| {
+        Some((place.clone(), Robot::from_text(text, place).err()?))
+    };
+    let mut refused: Vec<_> = descriptions.iter().filter_map(refused).collect();
+    refused.dedup_by(|later, first| later.0 == first.0);
+    refused
 }
 
 impl Assembly<'_> {

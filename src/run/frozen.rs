@@ -21,8 +21,10 @@ const BREAK_S: f64 = 1.0;
 /// Where a stream may be later than this, and what it says is of before the first joint state or of after
 /// the last, nothing is told, s.
 const LATE_S: f64 = 1.0;
-/// An arm whose joints all move by less is at rest, rad or m.
+/// A joint that moves by less rests, rad or m, …
 const REST: f64 = 5e-3;
+/// … and by less than this share of its range over the run, in whatever unit it is.
+const REST_SHARE: f64 = 0.01;
 
 /// A time in which a stream stood still and the arm did not.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,10 +57,11 @@ pub(super) fn take_frozen(
     let Stamped { track, stamps } = poses;
     let mut frozen = Vec::new();
     let mut kept = vec![true; stamps.len()];
+    let rests = rests(joints);
     for (first, last) in holds(track) {
         let hold = (track.t_s[first], track.t_s[last]);
-        let moved = least_motion(joints, columns, hold, most_lag_s).unwrap_or(0.0);
-        if moved > REST {
+        let moved = least_motion(joints, (columns, &rests), hold, most_lag_s).unwrap_or(0.0);
+        if moved > 0.0 {
             let (start, end, samples) = (stamps[first], stamps[last], last + 1 - first);
             frozen.push(Frozen { stream, start, end, samples, whole: false, moved });
             kept[first + 1..=last].fill(false);
@@ -81,6 +84,29 @@ impl PoseSource {
     pub fn stands_still(&self) -> bool {
         !holds(&self.track).is_empty()
     }
+
+    /// By how much the joints move what it is the pose of while it says one thing only, m; `None` where it
+    /// says more, or they do not move it.
+    pub fn unmoved_by_m(&self, joints: &JointTrack) -> Option<f64> {
+        /// Moments that are looked at.
+        const LOOKS: usize = 64;
+        let Self { track, chain, columns, .. } = self;
+        let ([first_s, .., last_s], true) =
+            (track.t_s.as_slice(), (1..track.t_s.len()).all(|row| is_same(track, 0, row)))
+        else {
+            return None;
+        };
+        let row_of = |t_s: f64| joints.t_s.partition_point(|at_s| *at_s < t_s);
+        let rows = row_of(*first_s)..row_of(*last_s);
+        let pose = |row: usize| {
+            let q: Vec<f64> = columns.iter().map(|&column| joints.row(row)[column]).collect();
+            chain.forward(&q).translation.vector
+        };
+        let places: Vec<_> =
+            rows.clone().step_by(rows.len().div_ceil(LOOKS).max(1)).map(pose).collect();
+        let from_first_m = places.iter().map(|place| (place - places[0]).norm());
+        Some(from_first_m.fold(0.0, f64::max)).filter(|moved_m| *moved_m > REST)
+    }
 }
 
 impl Run {
@@ -90,13 +116,14 @@ impl Run {
         let Arm { joints, poses, .. } = &mut self.arms[arm];
         let PoseSource { stream, track, columns, .. } = &mut poses[source];
         let mut kept = vec![true; track.t_s.len()];
+        let rests = rests(joints);
         let stamp = |t_s: f64| Stamp::from_nanos(self.origin.nanos() + (1e9 * t_s).round() as i64);
         for (first, last) in holds(track) {
             let hold = (track.t_s[first], track.t_s[last]);
-            let Some(moved) = motion_at(joints, columns, hold, lags_s).filter(|it| *it > REST)
-            else {
+            let moved = motion_at(joints, (columns, &rests), hold, lags_s).unwrap_or(0.0);
+            if moved <= 0.0 {
                 continue;
-            };
+            }
             self.frozen.push(Frozen {
                 stream: *stream,
                 start: stamp(hold.0),
@@ -109,6 +136,17 @@ impl Run {
         }
         keep(track, &kept);
     }
+}
+
+/// What each joint of the track must move by in order not to rest.
+fn rests(joints: &JointTrack) -> Vec<f64> {
+    let rows = || 0..joints.len();
+    let rest = |joint| (REST_SHARE * range(rows().map(|row| joints.row(row)[joint]))).max(REST);
+    (0..joints.dof).map(rest).collect()
+}
+
+fn range(of: impl Iterator<Item = f64> + Clone) -> f64 {
+    of.clone().fold(f64::NEG_INFINITY, f64::max) - of.fold(f64::INFINITY, f64::min)
 }
 
 /// The first and the last row of each time that is long enough in which a track repeats one value.
@@ -128,10 +166,10 @@ fn holds(track: &PoseTrack) -> Vec<(usize, usize)> {
 }
 
 /// By how much the joint moves in `hold` that moves most, at the lag of those about `lags_s` at which it
-/// moves least. `None` where the joint states do not cover it.
+/// moves least; 0 where all rest. `None` where the joint states do not cover it.
 fn motion_at(
     joints: &JointTrack,
-    columns: &[usize],
+    (columns, rests): (&[usize], &[f64]),
     hold: (f64, f64),
     lags_s: &[f64],
 ) -> Option<f64> {
@@ -150,11 +188,11 @@ fn motion_at(
         }
         let rows = joints.t_s.partition_point(|t_s| *t_s < from_s)
             ..joints.t_s.partition_point(|t_s| *t_s <= to_s);
-        let ranges = columns.iter().map(|&joint| {
-            let of = rows.clone().map(|row| joints.row(row)[joint]);
-            of.clone().fold(f64::NEG_INFINITY, f64::max) - of.fold(f64::INFINITY, f64::min)
+        let moved = columns.iter().filter_map(|&joint| {
+            let range = range(rows.clone().map(|row| joints.row(row)[joint]));
+            (range > rests[joint]).then_some(range)
         });
-        Some(ranges.fold(0.0, f64::max))
+        Some(moved.fold(0.0, f64::max))
     });
     moved
         .try_fold(f64::INFINITY, |least, moved| Some(least.min(moved?)))
@@ -192,11 +230,11 @@ fn retain<T>(values: &mut Vec<T>, kept: &[bool]) {
 }
 
 /// Of all times half as long as `hold` and within `most_lag_s` of it the one in which the joints move
-/// least: by how much the joint moves then that moves most. `None` where the joint states do not cover
-/// them, so that the arm may have rested unseen.
+/// least: by how much the joint moves then that moves most, 0 where all rest. `None` where the joint
+/// states do not cover them, so that the arm may have rested unseen.
 fn least_motion(
     joints: &JointTrack,
-    columns: &[usize],
+    (columns, rests): (&[usize], &[f64]),
     hold: (f64, f64),
     most_lag_s: f64,
 ) -> Option<f64> {
@@ -222,11 +260,11 @@ fn least_motion(
     while start_s + length_s <= to_s {
         let rows = (0..=LOOKS).map(|look| at(start_s + length_s * look as f64 / LOOKS as f64));
         let rows: Vec<&[f64]> = rows.collect();
-        let range = |joint: usize| {
-            let of = rows.iter().map(|row| row[joint]);
-            of.clone().fold(f64::NEG_INFINITY, f64::max) - of.fold(f64::INFINITY, f64::min)
-        };
-        let most = columns.iter().map(|&joint| range(joint)).fold(0.0, f64::max);
+        let moved = columns.iter().filter_map(|&joint| {
+            let range = range(rows.iter().map(|row| row[joint]));
+            (range > rests[joint]).then_some(range)
+        });
+        let most = moved.fold(0.0, f64::max);
         least = Some(least.map_or(most, |least| least.min(most)));
         start_s += length_s / STARTS;
     }

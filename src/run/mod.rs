@@ -46,6 +46,8 @@ mod witness;
 
 use std::sync::Arc;
 
+use crate::finding::rounded;
+use crate::robot::RobotError;
 use crate::time::{Clock, Stamp};
 
 pub use arm::{Arm, ImuSource, JointMending, NoTf, PoseSource, WrongModel};
@@ -165,6 +167,8 @@ pub struct Run {
     pub has_clock_topic: bool,
     /// Why there is no arm.
     pub no_arm: Option<RunError>,
+    /// Where the log holds a robot description that is wanted and cannot be read, and why not.
+    pub unreadable: Vec<(String, RobotError)>,
 }
 
 impl Run {
@@ -222,7 +226,8 @@ impl Run {
             Some(peak) => (
                 false,
                 format!(
-                    "it does not follow the arm: its speed correlates by {peak:.2}, not {FOLLOWS}"
+                    "it does not follow the arm: its speed correlates by {}, not {FOLLOWS}",
+                    rounded(peak, 2)
                 ),
             ),
             None if presumed => (true, "the motion cannot tell".to_owned()),

@@ -20,6 +20,13 @@ pub enum WhyNot {
     },
     /// Its orientations were never set. Its positions are audited.
     NoOrientation,
+    /// All its poses are one while the joints move the tool.
+    NeverChanges {
+        /// Samples.
+        samples: usize,
+        /// How far the joints move the tool meanwhile, m.
+        moved_m: f64,
+    },
     /// The arm's base moves in its frame, and nothing in the log says how.
     BaseMoves {
         /// The frame.

@@ -43,6 +43,14 @@ cases! {
             }
         });
     } => warning(Topic(IMU), What::None);
+    ING002 a_description_that_is_cut: |log| {
+        log.edit = Some(|messages| {
+            for message in messages.iter_mut().filter(|it| it.topic == "/robot_description") {
+                let kept = message.cdr.len() / 2;
+                message.cdr[kept..].fill(b' ');
+            }
+        });
+    } => warning(Topic("/robot_description"), What::None);
     ING002 a_type_that_no_audit_wants_is_sound: |log| {
         log.edit = Some(|messages| {
             let mut foreign = messages[0].clone();

@@ -14,7 +14,7 @@ use poseaudit::synth::{Coding, IMU, JOINT_STATES, Motion, POSE};
 use crate::case::On::{self, JointOf, Topic};
 use crate::case::What::{self, Degrees, Order, ReadAs};
 use crate::case::{Expected, Log, cases, error, summary, the, warning};
-use crate::recording::{Field, Message};
+use crate::recording::{Field, Message, cut_out, stick};
 use Expected::{BlamedOn, Skipped, Sound, TakenBy, Undecided};
 
 /// The topic of the poses as bare numbers.
@@ -281,6 +281,12 @@ cases! {
         log.run.motion = Motion::OneJoint(0);
         log.run.speed *= 0.5;
     } => Sound;
+    ORD011 a_pose_that_never_moves_has_no_constant_coordinate: |log| {
+        log.edit = Some(|messages| {
+            stick(messages, POSE, -1.0, 9.0);
+            cut_out(messages, POSE, 1.0, 9.0);
+        });
+    } => BlamedOn("FRM007");
     ORD011 millimetres_are_not_constant: |log| log.run.pose.in_millimetres = true
         => BlamedOn("ORD008");
     ORD011 no_poses_with_coordinates: |log| {

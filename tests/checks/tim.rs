@@ -139,6 +139,12 @@ cases! {
         (log.run.noise.pose_m, log.run.noise.pose_rad) = (0.0, 0.0);
         log.run.pose.timing.latency_s = 0.3;
     } => BlamedOn("LAT001");
+    TIM007 rests_of_a_pose_without_noise_beside_joints_in_degrees_are_sound: |log| {
+        log.run.motion = Motion::PickAndPlace;
+        (log.run.noise.pose_m, log.run.noise.pose_rad) = (0.0, 0.0);
+        log.run.noise.joints = 2e-4;
+        log.run.joints.in_degrees = true;
+    } => BlamedOn("ORD004");
     TIM007 a_late_pose_does_not_stand_still: |log| log.run.pose.timing.latency_s = 1.5
         => BlamedOn("LAT001");
     TIM007 joint_states_that_stand_still_amid_a_motion: |log| {

@@ -14,7 +14,7 @@ mod solve;
 mod tilt;
 mod yaw;
 
-use super::latency::{Peak, angular_speed, arm_speeds, by_lag, norms, peaks};
+use super::latency::{ArmSpeeds, Peak, angular_speed, by_lag, norms, peaks};
 use super::prepare::still_speeds;
 use super::reading::mean_rotation;
 use super::reread;
@@ -120,7 +120,8 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
 /// How the speed at which an IMU turns correlates with its link's at each lag within ±`most_lag_s`:
 /// by its gyro or by its orientation, whichever follows better. For the pictures.
 pub fn turning_by_latency(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) -> Vec<Peak> {
-    let (track, (_, turning)) = (stream.track, arm_speeds(joints, stream.chain, stream.columns));
+    let track = stream.track;
+    let turning = ArmSpeeds::of(joints, stream.chain, stream.columns).angular;
     let curve = |speed| {
         let mut curve = by_lag(&turning, &speed, most_lag_s);
         curve.retain(|at| at.correlation.is_finite());
@@ -301,7 +302,8 @@ impl<'a> Link<'a> {
     /// Lags at which the IMU turns as fast as the link.
     fn peaks(&self, most_lag_s: f64) -> Vec<Peak> {
         let track = self.stream.track;
-        let (_, turning) = arm_speeds(self.joints, self.stream.chain, self.stream.columns);
+        let ImuStream { chain, columns, .. } = *self.stream;
+        let turning = ArmSpeeds::of(self.joints, chain, columns).angular;
         let gyro = peaks(&turning, &norms(&track.t_s, &track.gyro), most_lag_s);
         if track.orientation.is_empty() {
             return gyro;

@@ -8,7 +8,7 @@
 mod line;
 mod rest;
 
-use super::latency::{Peak, median_period_s, pose_peaks};
+use super::latency::{ArmSpeeds, Peak, median_period_s};
 use super::measured::{Length, Measured};
 use super::noise::Noise;
 use super::{PoseSeries, Seen, Unseen};
@@ -475,7 +475,8 @@ fn following(series: &PoseSeries, arm: &CommandedArm<'_>, most_lag_s: f64) -> Op
     let CommandedArm { joints, chain, columns } = *arm;
     let (xyz, rotations): (Vec<Vec3>, Vec<Rotation>) =
         series.poses.iter().map(|pose| (pose.translation.vector, pose.rotation)).unzip();
-    let peaks = pose_peaks(joints, chain, columns, &series.t_s, &xyz, Some(&rotations), most_lag_s);
+    let speeds = ArmSpeeds::of(joints, chain, columns);
+    let peaks = speeds.peaks_of(&series.t_s, &xyz, Some(&rotations), most_lag_s);
     let highest = peaks.first()?.correlation;
     let high = peaks.iter().filter(|peak| peak.correlation >= highest - AS_HIGH);
     let peak = high.min_by(|a, b| a.lag_s.abs().total_cmp(&b.lag_s.abs()))?;

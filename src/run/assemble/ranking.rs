@@ -5,12 +5,14 @@ use std::cmp::Reverse;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
+use rayon::prelude::*;
+
 use super::Assembly;
 use super::groups::Group;
 use crate::diagnosis::{ModelFit, Needs, PoseStream, Priced, model_fit};
 use crate::finding::Unit;
 use crate::robot::catalogue;
-use crate::run::arm::{Arm, Ends, WrongModel};
+use crate::run::arm::{Arm, Ends, PoseSource, WrongModel};
 use crate::run::catalogued::{Ranking, Standing};
 use crate::run::models::{Clues, Model};
 use crate::run::role::Role;
@@ -63,7 +65,7 @@ impl ByPoses<'_> {
     /// The models ranked by what they need to be where the streams of poses say, best first; none where
     /// no stream tells.
     pub fn ranking(&self, models: &[&Model]) -> Option<Ranking> {
-        let entries: Vec<Entry> = models.iter().map(|model| self.entry(model)).collect();
+        let entries: Vec<Entry> = models.par_iter().map(|model| self.entry(model)).collect();
         let ranks = ranks(&entries);
         let standings = ranks.into_iter().map(|rank| {
             let (stream, Priced { way, .. }) = rank.decisive;
@@ -153,18 +155,25 @@ impl ByPoses<'_> {
             .and_then(|path| Arm::new(model, &path, ends, &self.group.topics, *origin).ok());
         let Some(arm) = arm else { return Entry::default() };
         let arm = Arm { space: self.group.space.clone(), tree: Arc::clone(self.tree), ..arm };
-        // Those that say most, and no more than tell.
+        // Those that say most, copies once, and no more than tell.
         let mut longest: Vec<usize> = (0..streams.len()).collect();
         longest.sort_by_key(|&stream| Reverse(streams[stream].count));
-        let fits = longest
-            .into_iter()
-            .filter_map(|stream| Some((stream, self.fit_of(&arm, stream)?)))
-            .take(MOST_STREAMS);
-        Entry { fits: fits.collect() }
+        let (mut fits, mut sources): (_, Vec<PoseSource>) = (Vec::new(), Vec::new());
+        for stream in longest {
+            let source = self.source_of(&arm, stream);
+            let new = source.filter(|one| !sources.iter().any(|other| one.is_copy_of(other)));
+            let Some(source) = new else { continue };
+            fits.extend(self.fit_of(&arm, &source).map(|fit| (stream, fit)));
+            sources.push(source);
+            if fits.len() == MOST_STREAMS {
+                break;
+            }
+        }
+        Entry { fits }
     }
 
-    /// How `arm` fits a stream, where that may be its tool's pose.
-    fn fit_of(&self, arm: &Arm, index: usize) -> Option<ModelFit> {
+    /// A stream of `arm`, where it may be its tool's pose.
+    fn source_of(&self, arm: &Arm, index: usize) -> Option<PoseSource> {
         let assembly = self.assembly;
         let stream = &assembly.streams[index];
         let is_foreign = self.group.space.claim([stream.topic.as_str()]) == Claim::Foreign;
@@ -182,8 +191,11 @@ impl ByPoses<'_> {
         if !matches!(role, Role::Pose | Role::Candidate { .. }) || assembly.is_transform(stream) {
             return None;
         }
-        let how = (false, &mut Vec::new());
-        let source = assembly.pose_source(index, arm, &site, declared, how).ok()?;
+        assembly.pose_source(index, arm, &site, declared, (false, &mut Vec::new())).ok()
+    }
+
+    /// How `arm` fits a stream.
+    fn fit_of(&self, arm: &Arm, source: &PoseSource) -> Option<ModelFit> {
         let stream = PoseStream {
             track: &source.track,
             chain: &source.chain,
@@ -192,7 +204,7 @@ impl ByPoses<'_> {
             stamp_error_s: source.stamp_error_s,
             stamps_copied: source.stamps_copied,
         };
-        model_fit(&arm.joints, &stream, assembly.options.max_latency_s)
+        model_fit(&arm.joints, &stream, self.assembly.options.max_latency_s)
     }
 }
 
