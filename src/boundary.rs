@@ -1,10 +1,16 @@
-//! Where a fault of this program ends: a panic, or memory that is refused, becomes one line.
+//! Where this program ends before its time: a panic, or memory that is refused, becomes one line, and
+//! temporary files go.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::any::Any;
+use std::fs;
 use std::io::{self, Write};
+use std::ops::Deref;
 use std::panic::{self, AssertUnwindSafe};
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
+
+use tempfile::TempPath;
 
 /// What `work` returns, or in one line what it said when it panicked and where. Whatever it would print
 /// of its own is not printed.
@@ -32,6 +38,47 @@ fn message(payload: &(dyn Any + Send)) -> String {
     let text = payload.downcast_ref::<String>().map(String::as_str);
     let text = text.or_else(|| payload.downcast_ref::<&str>().copied());
     text.unwrap_or("no reason given").lines().next().unwrap_or_default().to_owned()
+}
+
+/// Files that are to go where the process ends before they are done with.
+static STAGED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
+/// A temporary file. It goes when this does, or when the process is interrupted, unless it has got another
+/// name.
+#[derive(Debug)]
+pub(crate) struct Staged(TempPath);
+
+impl Staged {
+    pub fn new(make: impl FnOnce() -> io::Result<TempPath>) -> io::Result<Self> {
+        // Held while it is made: either it is not there yet, or it is known.
+        let mut all = STAGED.lock().unwrap_or_else(PoisonError::into_inner);
+        let path = make()?;
+        all.push(path.to_path_buf());
+        Ok(Self(path))
+    }
+}
+
+impl Deref for Staged {
+    type Target = Path;
+
+    fn deref(&self) -> &Path {
+        &self.0
+    }
+}
+
+impl Drop for Staged {
+    fn drop(&mut self) {
+        let mut all = STAGED.lock().unwrap_or_else(PoisonError::into_inner);
+        all.retain(|path| *path != *self.0);
+    }
+}
+
+/// Deletes the temporary files, and has none made any more: the process is about to end.
+pub fn forget_staged() {
+    let all = STAGED.lock().unwrap_or_else(PoisonError::into_inner);
+    // What has got its name already is whole.
+    all.iter().for_each(|path| drop(fs::remove_file(path)));
+    std::mem::forget(all);
 }
 
 /// The system's memory, as the allocator of a program. Where there is none left, the program ends in one

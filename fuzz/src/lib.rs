@@ -1,5 +1,7 @@
 //! The rooms of poseaudit that read logs, as the fuzz targets need them.
 
+#[path = "../../src/boundary.rs"]
+pub mod boundary;
 #[path = "../../src/geometry/mod.rs"]
 pub mod geometry;
 #[path = "../../src/log/mod.rs"]

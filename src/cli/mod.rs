@@ -132,13 +132,17 @@ pub fn end_on_signals() {
         let wanted = [SIGINT, SIGTERM].into_iter().filter(|&signal| !is_passed_over(signal));
         // Where signals cannot be heard, they end the process as they always do.
         let Ok(mut signals) = signal_hook::iterator::Signals::new(wanted) else { return };
-        std::thread::spawn(move || {
+        let handle = signals.handle();
+        let heard = std::thread::Builder::new().spawn(move || {
             if let Some(signal) = signals.forever().next() {
-                poseaudit::report::forget_staged();
+                poseaudit::boundary::forget_staged();
                 // What was asked for: the process dies of it.
                 let _ = signal_hook::low_level::emulate_default_handler(signal);
             }
         });
+        if heard.is_err() {
+            handle.close();
+        }
     }
 }
 
@@ -155,7 +159,14 @@ fn is_passed_over(signal: i32) -> bool {
 
 /// Says in one line that this program failed, and what is to be done.
 pub fn fault(what: &str) -> Outcome {
-    output::error(fault_line(what));
+    // The libraries that start threads say no more than that where the system refuses one.
+    match what.contains("spawn") || what.contains("ThreadPoolBuildError") {
+        true => output::error(
+            "out of memory: the system starts no more threads; allow more memory (ulimit -v) or more \
+             processes (ulimit -u)",
+        ),
+        false => output::error(fault_line(what)),
+    }
     Outcome::Fault
 }
 

@@ -22,7 +22,7 @@ pub fn watched<T>(work: impl FnOnce(Arc<Progress>) -> T) -> T {
         return work(progress);
     }
     let (done, waits) = mpsc::channel::<()>();
-    let watcher = thread::spawn({
+    let watcher = thread::Builder::new().spawn({
         let progress = Arc::clone(&progress);
         move || {
             if waits.recv_timeout(PATIENCE) != Err(RecvTimeoutError::Timeout) {
@@ -37,8 +37,8 @@ pub fn watched<T>(work: impl FnOnce(Arc<Progress>) -> T) -> T {
     });
     let result = work(progress);
     drop(done);
-    // A watcher that failed has nothing to say about the work.
-    let _ = watcher.join();
+    // A watcher that failed, or that the system did not start, has nothing to say about the work.
+    let _ = watcher.map(thread::JoinHandle::join);
     result
 }
 

@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use super::store::Store;
 use super::task::{Answer, Task, settle};
 use crate::Options;
-use crate::report::forget_staged;
+use crate::boundary::forget_staged;
 
 /// What one log may take.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

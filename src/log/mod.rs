@@ -32,7 +32,7 @@ mod unpack;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use tempfile::TempPath;
+use crate::boundary::Staged;
 
 use self::files::{Input, Mapped};
 use self::intake::Intake;
@@ -356,7 +356,7 @@ impl Reading<'_> {
     }
 
     /// Reads the `bytes` of a file, which is a temporary one if it is `named`.
-    fn whole(&mut self, bytes: &[u8], named: Option<TempPath>) -> Result<LogFile, LogError> {
+    fn whole(&mut self, bytes: &[u8], named: Option<Staged>) -> Result<LogFile, LogError> {
         let (path, size) = (self.path, bytes.len() as u64);
         self.intake.begin_file(path, size);
         self.intake.allowance = Allowance::of(size, self.options.max_unpacked_gib);
@@ -393,7 +393,7 @@ impl Reading<'_> {
         &mut self,
         kind: Kind,
         bytes: &[u8],
-        named: Option<TempPath>,
+        named: Option<Staged>,
     ) -> Result<(Container, Crc), LogError> {
         match named {
             None => self.content(kind, self.path, bytes, || ()),
@@ -401,7 +401,7 @@ impl Reading<'_> {
             // theirs, it goes in the end.
             Some(path) => {
                 let place = path.to_path_buf();
-                let opened = || drop(std::fs::remove_file(&path));
+                let opened = || drop(std::fs::remove_file(&*path));
                 self.content(kind, &place, bytes, opened)
             }
         }

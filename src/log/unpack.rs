@@ -6,7 +6,7 @@
 use std::fs::File;
 use std::io::{self, Read, Seek, Write};
 
-use tempfile::TempPath;
+use crate::boundary::Staged;
 
 use super::Extent;
 
@@ -307,7 +307,7 @@ pub(super) struct Unpacked {
     pub(super) file: File,
     /// Where it is, if it has a name: SQLite opens files by name only. Without one, nothing stays
     /// behind however the process ends.
-    pub(super) path: Option<TempPath>,
+    pub(super) path: Option<Staged>,
 }
 
 impl Unpacked {
@@ -316,7 +316,8 @@ impl Unpacked {
         if !head.starts_with(SQLITE_MAGIC) {
             return Ok(Self { file: tempfile::tempfile()?, path: None });
         }
-        let (file, path) = tempfile::NamedTempFile::new()?.into_parts();
+        let path = Staged::new(|| Ok(tempfile::NamedTempFile::new()?.into_temp_path()))?;
+        let file = File::options().read(true).write(true).open(&*path)?;
         Ok(Self { file, path: Some(path) })
     }
 }

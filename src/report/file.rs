@@ -1,10 +1,8 @@
 use std::fs::{self, Permissions};
 use std::io;
-use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::path::Path;
 
-use tempfile::TempPath;
-
+use crate::boundary::Staged;
 use crate::places::{is_descriptor, replaceable};
 
 /// Has `write` fill the file that it is given, which takes its place at `path` once it is whole: who
@@ -36,40 +34,9 @@ pub fn write_whole<E: From<io::Error>>(
         beside.permissions(permissions);
     }
     let staged = Staged::new(|| Ok(beside.tempfile_in(folder)?.into_temp_path()))?;
-    write(&staged.0)?;
-    fs::rename(&staged.0, &path)?;
+    write(&staged)?;
+    fs::rename(&*staged, &path)?;
     Ok(())
-}
-
-/// Files that are being written, and are to go where the process ends before they are whole.
-static STAGED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
-
-/// A file that is being written. It goes when this does, unless it has got another name.
-struct Staged(TempPath);
-
-impl Staged {
-    fn new(make: impl FnOnce() -> io::Result<TempPath>) -> io::Result<Self> {
-        // Held while it is made: either it is not there yet, or it is known.
-        let mut all = STAGED.lock().unwrap_or_else(PoisonError::into_inner);
-        let path = make()?;
-        all.push(path.to_path_buf());
-        Ok(Self(path))
-    }
-}
-
-impl Drop for Staged {
-    fn drop(&mut self) {
-        let mut all = STAGED.lock().unwrap_or_else(PoisonError::into_inner);
-        all.retain(|path| *path != *self.0);
-    }
-}
-
-/// Deletes the files that are being written, and has none made any more: the process is about to end.
-pub fn forget_staged() {
-    let all = STAGED.lock().unwrap_or_else(PoisonError::into_inner);
-    // What has its name already is whole.
-    all.iter().for_each(|path| drop(fs::remove_file(path)));
-    std::mem::forget(all);
 }
 
 /// Those of any new file; a temporary one is its owner's alone.

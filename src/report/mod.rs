@@ -28,7 +28,7 @@ use crate::finding::{CheckRow, Finding, Ignored, Severity, Status, decimal};
 use crate::time::Stamp;
 
 pub use figures::Figures;
-pub use file::{forget_staged, write_whole};
+pub use file::write_whole;
 pub use format::{FORMATS, Format};
 pub(crate) use tame::quoted;
 pub use tame::{tame, upright};

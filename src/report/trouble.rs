@@ -1,3 +1,5 @@
+use std::io::ErrorKind;
+
 use serde::Serialize;
 
 use crate::log::{LogError, SourceName};
@@ -76,7 +78,11 @@ impl From<LogError> for Trouble {
                 (path, "it is not a regular file".to_owned(), "save the log to a file first")
             }
             LogError::Io { path, source } => {
-                (path, format!("it cannot be read: {source}"), another)
+                let remedy = match source.kind() {
+                    ErrorKind::OutOfMemory => "allow more memory",
+                    _ => another,
+                };
+                (path, format!("it cannot be read: {source}"), remedy)
             }
             LogError::Empty { path } => {
                 (path, "the file is empty (0 bytes)".to_owned(), "see whether it was ever written")
