@@ -22,12 +22,7 @@
 mod any_log;
 mod audit;
 mod demo;
-mod hand_eye;
-mod pictures;
 mod recording;
-mod references;
-mod settle;
-mod workspace;
 
 pub mod boundary;
 pub mod checks;
@@ -113,7 +108,7 @@ pub fn info(logs: &[PathBuf], how: &ReadOptions<'_>) -> Result<Report, Trouble> 
     let read = audit::Read::of(&log);
     let options = RunOptions::default();
     let mut run = Run::assemble(log, &options).map_err(|error| Trouble::from(&error))?;
-    settle::settle(&mut run, options.max_latency_s);
-    hand_eye::settle_hands(&mut run, options.max_latency_s);
+    audit::settle(&mut run, options.max_latency_s);
+    audit::settle_hands(&mut run, options.max_latency_s);
     Ok(audit::summary(&run, read))
 }

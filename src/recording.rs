@@ -2,7 +2,6 @@
 
 use polars::prelude::PolarsResult;
 
-use crate::audit::{prismatic, unwritable};
 use crate::checks::{ArmFacts, Facts, PoseFacts};
 use crate::diagnosis::PoseDiagnosis;
 use crate::geometry::Pose;
@@ -25,7 +24,7 @@ pub(crate) fn record(
     report: &Report,
 ) -> Result<Vec<NoteRow>, Trouble> {
     let remedy = "name a file that can be written with --rrd";
-    let trouble = |what| unwritable(&recording.path, what, remedy);
+    let trouble = |what| Trouble::unwritable(&recording.path, what, remedy);
     let arms = run.arms.iter().zip(&facts.robots).map(|(arm, facts)| replay_arm(run, arm, facts));
     let replay = Replay {
         origin: run.origin,
@@ -67,7 +66,7 @@ fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmFacts) -> PolarsResult<
             .first()
             .map_or_else(Receipts::default, |joint| receipts(run, joint.stream)),
         recorded: arm.recorded.as_ref().map_or(&arm.joints, |(recorded, _)| recorded),
-        corrected: facts.diagnosis.corrected_joints(&arm.joints, &prismatic(arm)),
+        corrected: facts.diagnosis.corrected_joints(&arm.joints, &arm.slides()),
         streams: poses.chain(tf).collect::<PolarsResult<_>>()?,
         imus: imus
             .map(|(source, (facts, found))| ReplayImu {

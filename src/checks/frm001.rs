@@ -101,7 +101,9 @@ fn misread(arm: &ArmFacts) -> Option<&'static str> {
     match joints {
         joints if joints.degrees.is_some() => Some("units are wrong (ORD004)"),
         joints if joints.permutation.is_some() => Some("names are mixed up (ORD005)"),
-        joints if !joints.is_as_logged() => Some("units or scales are wrong (ORD004, ORD008, ORD009)"),
+        joints if !joints.is_as_logged() => {
+            Some("units or scales are wrong (ORD004, ORD008, ORD009)")
+        }
         _ => None,
     }
 }

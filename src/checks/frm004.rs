@@ -181,7 +181,9 @@ impl Said {
                         "{what} is published twice, at {a} and at {b}, with values that are {} apart",
                         amount(by)
                     ),
-                    None => format!("it is published twice, at {a} and at {b}, with the same values"),
+                    None => {
+                        format!("it is published twice, at {a} and at {b}, with the same values")
+                    }
                 };
                 let frames = edge.iter().flat_map(|edge| [edge.child.clone(), edge.parent.clone()]);
                 let severity = if by.is_some() { Severity::Error } else { Severity::Info };

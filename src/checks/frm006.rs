@@ -2,10 +2,8 @@ use serde_json::{Value, json};
 
 use crate::checks::decision::{Decision, decide_frame};
 use crate::checks::frames::{FIGURES, pose_json, show};
-use crate::checks::reference::{
-    self, following_json, witness_name, witnesses_differ,
-};
-use crate::checks::{ArmFacts, Facts, Grade, Judged, ReferenceFacts, WitnessKind, FrameFigures};
+use crate::checks::reference::{self, following_json, witness_name, witnesses_differ};
+use crate::checks::{ArmFacts, Facts, FrameFigures, Grade, Judged, ReferenceFacts, WitnessKind};
 use crate::diagnosis::{Constancy, FrameEstimate, Measured, ReferenceDiagnosis, RestGap};
 use crate::finding::{Alternative, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
@@ -120,8 +118,7 @@ fn size(gap: &RestGap, figures: &FrameFigures) -> f64 {
 fn judge(facts: &Facts, arm: &ArmFacts, reference: &ReferenceFacts) -> Judged {
     let figures = figures(facts);
     let size = |gap: &RestGap| size(gap, &figures);
-    let judged =
-        |outcome| Judged::new(arm.topic(&reference.topic), outcome).within(reference.span);
+    let judged = |outcome| Judged::new(arm.topic(&reference.topic), outcome).within(reference.span);
     let found = match reference::found(arm, reference, SETTLE) {
         Ok(found) => found,
         Err(outcome) => return judged(outcome),
@@ -157,8 +154,11 @@ fn judge(facts: &Facts, arm: &ArmFacts, reference: &ReferenceFacts) -> Judged {
         })
         .collect();
     let moment = facts.origin.shifted(nearest.gap.from_s).to_string();
-    let estimate =
-        Estimate::frame("difference", &nearest.estimate.translation_m, &nearest.estimate.rotation_rad);
+    let estimate = Estimate::frame(
+        "difference",
+        &nearest.estimate.translation_m,
+        &nearest.estimate.rotation_rad,
+    );
     let judged = with_commands(judged(outcome))
         .estimated(estimate)
         .with_evidence("measured_by", name)
@@ -230,9 +230,10 @@ fn fault(
     let figures = &figures(facts);
     let may_be_a_frame = !reference.is_of_joints;
     let (in_tool, in_base) = match Constancy::of(gaps) {
-        Some(constancy) => {
-            (is_one(nearest.gap, constancy.in_tool, figures), is_one(nearest.gap, constancy.in_base, figures))
-        }
+        Some(constancy) => (
+            is_one(nearest.gap, constancy.in_tool, figures),
+            is_one(nearest.gap, constancy.in_base, figures),
+        ),
         None => (true, true),
     };
     let is_beyond = |m: f64| may_be_a_frame && nearest.estimate.translation_m.value > m;
@@ -277,7 +278,9 @@ fn fault(
         add("MDL001", "residual");
     }
     let (severity, guess) = match severity {
-        _ if is_a_tool => (Severity::Info, ", seen from the tool always the same: probably another TCP"),
+        _ if is_a_tool => {
+            (Severity::Info, ", seen from the tool always the same: probably another TCP")
+        }
         Severity::Error if is_as_of_a_drawing => (Severity::Warning, ""),
         severity => (severity, ""),
     };
@@ -296,9 +299,11 @@ fn fault(
         },
         fix: match is_a_tool {
             true => "command the tool that is active, or name the commanded link".to_owned(),
-            false => "express goal and pose by one chain of frames; then see why the controller stays \
+            false => {
+                "express goal and pose by one chain of frames; then see why the controller stays \
                       off"
-            .to_owned(),
+                .to_owned()
+            }
         },
     })
 }
@@ -413,6 +418,9 @@ mod tests {
             (found.goals, found.nearest_miss) = (2, Some((0.3, 0.1)));
         });
         let row = &ask(&FRM006, &facts).0[0];
-        assert!(row.reason.as_deref().is_some_and(|why| why.contains("none of 2 goals")), "{row:?}");
+        assert!(
+            row.reason.as_deref().is_some_and(|why| why.contains("none of 2 goals")),
+            "{row:?}"
+        );
     }
 }

@@ -88,15 +88,17 @@ fn words(why: &WhyNot) -> Words {
                 "its frame_id '{frame}' is the tool's own frame, in which the tool does not move, and \
                  its poses do; they are audited as ones in an unknown frame"
             ),
-            fix: "write the frame that the numbers are in (the arm's base) into frame_id".to_owned(),
+            fix: "write the frame that the numbers are in (the arm's base) into frame_id"
+                .to_owned(),
             evidence: vec![("frame", json!(frame))],
         },
         WhyNot::NoOrientation => Words {
             why: "no-orientation",
             title: "orientations were never set",
-            message: "all its orientations are the same or none, while the joints turn the tool; only \
+            message:
+                "all its orientations are the same or none, while the joints turn the tool; only \
                       its positions are audited"
-                .to_owned(),
+                    .to_owned(),
             fix: "set the orientation, or publish a point".to_owned(),
             evidence: Vec::new(),
         },

@@ -3,7 +3,9 @@ use crate::checks::frames::show;
 use crate::checks::hand_eye::{
     FIGURES, LEAST_SPAN, SETTLE, does_not_follow, is_mount_decided, unseen, with_solution,
 };
-use crate::checks::{ArmFacts, Facts, Grade, HandEyeFacts, Judged, hec003, mdl001, FrameFigures, hec002};
+use crate::checks::{
+    ArmFacts, Facts, FrameFigures, Grade, HandEyeFacts, Judged, hec002, hec003, mdl001,
+};
 use crate::diagnosis::{Mount, PoseDiagnosis, Solution, TargetReading};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
@@ -164,7 +166,10 @@ fn setting(solution: &Solution) -> String {
     if least > 0.0 || most < 0.0 {
         return format!("{mount}, target {} late", Unit::Second.show_signed(offset));
     }
-    format!("{mount}, no time between hand and target beyond {}", Unit::Second.show(most.max(-least)))
+    format!(
+        "{mount}, no time between hand and target beyond {}",
+        Unit::Second.show(most.max(-least))
+    )
 }
 
 fn open_chain(solution: &Solution, severity: Severity) -> Fault {

@@ -1,8 +1,6 @@
 use crate::checks::decision::DEGREE;
-use crate::checks::hand_eye::{
-    FIGURES, LEAST_SPAN, LEAST_SPREAD, does_not_follow, unseen,
-};
-use crate::checks::{Facts, Grade, HandEyeFacts, Judged, FrameFigures, hec001};
+use crate::checks::hand_eye::{FIGURES, LEAST_SPAN, LEAST_SPREAD, does_not_follow, unseen};
+use crate::checks::{Facts, FrameFigures, Grade, HandEyeFacts, Judged, hec001};
 use crate::diagnosis::{CameraPose, Diversity, Measured};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
@@ -110,19 +108,22 @@ fn fault(diversity: &Diversity, needed: [f64; 2], undetermined: &[String]) -> Fa
         title: "too little rotation",
         message: message + &limits,
         evidence: Evidence::default(),
-        fix: motion(diversity, needed[1]),
+        fix: motion(diversity, needed),
     }
 }
 
 /// The motion to add.
-fn motion(diversity: &Diversity, least_spread: f64) -> String {
+fn motion(diversity: &Diversity, [least_span, least_spread]: [f64; 2]) -> String {
+    /// What makes a hand-eye calibration a good one, rad, where less is asked for.
+    const GOOD: f64 = 30.0 * DEGREE;
+    let turn = Unit::Radian.show(least_span.max(least_spread).max(GOOD));
     if diversity.span_rad < 2.0 * DEGREE {
-        return "turn the hand by 30° or more about two axes, the target in view".to_owned();
+        return format!("turn the hand by {turn} or more about two axes, the target in view");
     }
     let [across, other] = across(diversity.axis_in_hand);
     match diversity.spread_rad < least_spread {
-        true => format!("add poses tilted by 30° or more about {across} or {other} of the hand"),
-        false => "add poses tilted by 30° or more, the target in view".to_owned(),
+        true => format!("add poses tilted by {turn} or more about {across} or {other} of the hand"),
+        false => format!("add poses tilted by {turn} or more, the target in view"),
     }
 }
 

@@ -65,8 +65,7 @@ fn figure(facts: &Facts) -> Figure {
 }
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    let mut rows: Vec<Judged> =
-        facts.robots.iter().flat_map(|arm| judge_arm(facts, arm)).collect();
+    let mut rows: Vec<Judged> = facts.robots.iter().flat_map(|arm| judge_arm(facts, arm)).collect();
     name_once(&mut rows, figure(facts).warning);
     rows
 }
@@ -110,9 +109,7 @@ fn judge_arm(facts: &Facts, arm: &ArmFacts) -> Vec<Judged> {
             let witnesses = streams.iter().map(|stream| beside_late_joints(facts, arm, stream));
             std::iter::once(joints).chain(witnesses).collect()
         }
-        None => {
-            streams.iter().map(|stream| judge_stream(facts, arm, stream, &streams)).collect()
-        }
+        None => streams.iter().map(|stream| judge_stream(facts, arm, stream, &streams)).collect(),
     }
 }
 

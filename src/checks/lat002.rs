@@ -40,12 +40,7 @@ const FIGURE: Figure = Figure { unit: Unit::SecondPerSecond, warning: 50e-6, err
 
 const SETTLE: &str = "record a minute or more in which the arm moves from first to last";
 
-const SKEW: Amount = Amount {
-    name: "clock skew",
-    figure: FIGURE,
-    settle: SETTLE,
-    fault,
-};
+const SKEW: Amount = Amount { name: "clock skew", figure: FIGURE, settle: SETTLE, fault };
 
 fn check(facts: &Facts) -> Vec<Judged> {
     let poses = facts.poses().map(|(arm, stream, diagnosis)| {

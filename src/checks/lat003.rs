@@ -119,7 +119,8 @@ fn joints_course(facts: &Facts, streams: &[Stream]) -> Option<LatencyCourse> {
     let surest = *witnesses.iter().min_by(by_error).filter(|_| witnesses.len() >= 2)?;
     let is_shared = |jump: &LatencyJump| {
         let is_same = |other: &LatencyJump| {
-            let by_s = figure(facts).warning + 2.0 * jump.size_s.std_error.hypot(other.size_s.std_error);
+            let by_s =
+                figure(facts).warning + 2.0 * jump.size_s.std_error.hypot(other.size_s.std_error);
             (other.at_s - jump.at_s).abs() < TOGETHER_S
                 && (other.size_s.value - jump.size_s.value).abs() < by_s
         };

@@ -6,7 +6,9 @@ use crate::checks::proof::{Left, Named, Standing, standing};
 use crate::checks::reading::read_as;
 use crate::checks::{ArmFacts, Facts, Figure, Grade, ImuFacts, Judged, PoseFacts};
 use crate::diagnosis::{Amount, Error, Measured, Part, PoseDiagnosis, Rates, Reading, Size};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, ReadAs, Severity, Subject, Unit, rounded};
+use crate::finding::{
+    Estimate, Evidence, Fault, Outcome, ReadAs, Severity, Subject, Unit, rounded,
+};
 use crate::run::WrongModel;
 
 rule! {
@@ -243,7 +245,9 @@ fn outcome(facts: &Facts, held: &Held, all: &[Held]) -> Outcome {
     match standing {
         Standing::Left(left) | Standing::Open(left, _) if at_rest => {
             let off = sizes(&left.error);
-            Outcome::Inconclusive(format!("it is {off} off at rest, and one posture does not tell why; {SETTLE}"))
+            Outcome::Inconclusive(format!(
+                "it is {off} off at rest, and one posture does not tell why; {SETTLE}"
+            ))
         }
         _ if at_rest => Outcome::Inconclusive(format!(
             "the arm hardly moves, and that poses agree in one posture proves little; {SETTLE}"
@@ -333,10 +337,7 @@ fn nominal(error: &Error) -> Fault {
     Fault {
         severity: Severity::Info,
         title: "nominal kinematics",
-        message: format!(
-            "{} rms are left, as of a drawing against a calibrated arm",
-            sizes(error)
-        ),
+        message: format!("{} rms are left, as of a drawing against a calibrated arm", sizes(error)),
         evidence: Evidence { effect_m: Some(error.length.whole.rms), ..Evidence::default() },
         fix: "use the arm's calibration; for a UR, calibration.yaml from the controller".to_owned(),
     }
@@ -393,21 +394,13 @@ fn disagreement(held: &Held, left: &Left) -> Fault {
         Some(first) => format!("; nearest is {first}"),
         None => String::new(),
     };
-    let mut evidence =
-        Evidence { effect_m: Some(error.length.whole.rms), ..Evidence::default() };
-    let message =
-        format!("{said}, and no cause that poseaudit knows explains it{nearest}");
+    let mut evidence = Evidence { effect_m: Some(error.length.whole.rms), ..Evidence::default() };
+    let message = format!("{said}, and no cause that poseaudit knows explains it{nearest}");
     let fix = format!(
         "see whether it is this arm's description, and whether the joint states are this arm's; {TELLS}"
     );
     evidence.more.insert("candidates".to_owned(), candidates.into());
-    Fault {
-        severity: Severity::Error,
-        title: DISAGREE,
-        message,
-        evidence,
-        fix,
-    }
+    Fault { severity: Severity::Error, title: DISAGREE, message, evidence, fix }
 }
 
 /// The title where nothing makes poses and joint states those of one arm.
@@ -434,7 +427,8 @@ fn candidates(stream: &PoseFacts, found: &PoseDiagnosis) -> Vec<String> {
     });
     let all = left.map(|left| format!("all that was found together, which leaves {}", sizes(left)));
     let ranked = found.reading.as_ref().map_or(&[] as &[_], |reading| &reading.ranked);
-    let readings = ranked.iter().filter(|(reading, _)| !matches!(reading, Reading::AsLogged)).take(3);
+    let readings =
+        ranked.iter().filter(|(reading, _)| !matches!(reading, Reading::AsLogged)).take(3);
     let readings = readings.map(|(reading, left_rad)| {
         let ReadAs { is, read_as: was } = read_as(reading);
         format!("{is} read as {was}, which leaves {}", Unit::Radian.show(*left_rad))
@@ -475,12 +469,16 @@ mod tests {
     use crate::checks::evaluate;
     use crate::checks::testing::{POSE, ask, clean_run, frame, left, sure};
     use crate::diagnosis::{FrameEstimate, Proof, Short, Unseen};
-    use crate::robot::catalogue;
     use crate::finding::{CheckRow, Finding, Status};
+    use crate::robot::catalogue;
 
     /// What the rule says of a pose stream that is off by `as_logged_m` and, beside all that was found,
     /// by `left_m`.
-    fn judged(as_logged_m: f64, left_m: f64, change: fn(&mut ArmFacts)) -> (CheckRow, Vec<Finding>) {
+    fn judged(
+        as_logged_m: f64,
+        left_m: f64,
+        change: fn(&mut ArmFacts),
+    ) -> (CheckRow, Vec<Finding>) {
         let mut facts = clean_run();
         facts.robots[0].poses[0].proof =
             Ok(Proof { as_logged: left(as_logged_m, 0.0).as_logged, ..left(left_m, 0.0) });
@@ -557,9 +555,10 @@ mod tests {
         let said = "poses and joint states disagree by 560 mm, 32.1°, and no cause that poseaudit knows \
                     explains it";
         assert!(finding.message.starts_with(said), "{}", finding.message);
-        let late = evaluation.checks.iter().find(|row| {
-            row.code == "LAT001" && row.subject.topic.as_deref() == Some(POSE)
-        });
+        let late = evaluation
+            .checks
+            .iter()
+            .find(|row| row.code == "LAT001" && row.subject.topic.as_deref() == Some(POSE));
         let late = late.expect("a row");
         assert_eq!(late.status, Status::Inconclusive);
         assert!(late.reason.as_deref().is_some_and(|why| why.starts_with(said)), "{late:?}");

@@ -59,10 +59,57 @@ macro_rules! rule {
     };
 }
 
-/// The rules' files, and the table of them in the order of their codes.
+mod frm001;
+mod frm002;
+mod frm003;
+mod frm004;
+mod frm005;
+mod frm006;
+mod frm007;
+mod hec001;
+mod hec002;
+mod hec003;
+mod ing001;
+mod ing002;
+mod ing003;
+mod lat001;
+mod lat002;
+mod lat003;
+mod mdl001;
+mod mot001;
+mod mot002;
+mod mot003;
+mod mot004;
+mod mot005;
+mod ord001;
+mod ord002;
+mod ord003;
+mod ord004;
+mod ord005;
+mod ord006;
+mod ord007;
+mod ord008;
+mod ord009;
+mod ord010;
+mod ord011;
+mod tim001;
+mod tim002;
+mod tim003;
+mod tim004;
+mod tim005;
+mod tim006;
+mod tim007;
+mod tim008;
+mod yaw001;
+mod yaw002;
+mod yaw003;
+mod yaw004;
+mod zer001;
+mod zer002;
+
+/// The table of the rules in the order of their codes.
 macro_rules! registry {
     ($($module:ident::$rule:ident),* $(,)?) => {
-        $(mod $module;)*
         static REGISTRY: &[&Rule] = &[$(&$module::$rule),*];
     };
 }

@@ -83,7 +83,8 @@ fn judge(facts: &Facts, arm: &ArmFacts, stream: &ShakeFacts) -> Judged {
     let outcome = match figure.severity(found.rms_m) {
         Some(severity) => Outcome::faulty(fault(facts, stream, found, severity)),
         None if found.resolved_m > figure.warning => {
-            let [resolved, needed] = [found.resolved_m, figure.warning].map(|m| FIGURE.unit.show(m));
+            let [resolved, needed] =
+                [found.resolved_m, figure.warning].map(|m| FIGURE.unit.show(m));
             let why = format!("its noise hides shake below {resolved}, and {needed} is needed");
             Outcome::Inconclusive(format!("{why}; {SETTLE}"))
         }

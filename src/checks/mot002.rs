@@ -63,7 +63,11 @@ const SETTLE: &str = "log joint velocities at 100 Hz or more, evenly stamped";
 
 fn check(facts: &Facts) -> Vec<Judged> {
     let of_arm = |arm: &ArmFacts| -> Vec<Judged> {
-        arm.joints.iter().enumerate().map(|(index, joint)| judge(facts, arm, index, joint)).collect()
+        arm.joints
+            .iter()
+            .enumerate()
+            .map(|(index, joint)| judge(facts, arm, index, joint))
+            .collect()
     };
     facts.robots.iter().flat_map(of_arm).collect()
 }

@@ -53,7 +53,11 @@ const NOISE: f64 = 1e-4;
 
 fn check(facts: &Facts) -> Vec<Judged> {
     let of_arm = |arm: &ArmFacts| -> Vec<Judged> {
-        arm.joints.iter().enumerate().map(|(index, joint)| judge(facts, arm, index, joint)).collect()
+        arm.joints
+            .iter()
+            .enumerate()
+            .map(|(index, joint)| judge(facts, arm, index, joint))
+            .collect()
     };
     facts.robots.iter().flat_map(of_arm).collect()
 }
@@ -126,8 +130,11 @@ fn judge(facts: &Facts, arm: &ArmFacts, index: usize, joint: &JointFacts) -> Jud
         (_, Unit::Metre) => ("beyond speed limit", "m/s"),
         _ => ("beyond speed limit", "rad/s"),
     };
-    let mut judged = judged(Outcome::faulty(fault))
-        .estimated(Estimate::counted(name, symbol, worst.excess.over()));
+    let mut judged = judged(Outcome::faulty(fault)).estimated(Estimate::counted(
+        name,
+        symbol,
+        worst.excess.over(),
+    ));
     for broken in broken {
         judged = judged.with_evidence(broken.what, evidence(facts, broken.excess));
     }

@@ -53,7 +53,8 @@ const FIGURES: FrameFigures = FrameFigures {
 };
 
 /// What would tell.
-const SETTLE: &str = "log the tool pose or the joint states at 50 Hz or more, with a rest at both ends";
+const SETTLE: &str =
+    "log the tool pose or the joint states at 50 Hz or more, with a rest at both ends";
 
 /// From where this audit speaks up.
 fn figures(facts: &Facts) -> FrameFigures {
@@ -94,8 +95,7 @@ fn worst<'a>(
 
 fn judge(facts: &Facts, arm: &ArmFacts, reference: &ReferenceFacts) -> Judged {
     let figures = &figures(facts);
-    let judged =
-        |outcome| Judged::new(arm.topic(&reference.topic), outcome).within(reference.span);
+    let judged = |outcome| Judged::new(arm.topic(&reference.topic), outcome).within(reference.span);
     let found = match reference::found(arm, reference, SETTLE) {
         Ok(found) => found,
         Err(outcome) => return judged(outcome),
@@ -111,7 +111,8 @@ fn judge(facts: &Facts, arm: &ArmFacts, reference: &ReferenceFacts) -> Judged {
     };
     let of_witnesses = (0..reference.witnesses.len())
         .filter_map(|witness| Some((witness, worst(lines, witness, figures)?)));
-    let kept = of_witnesses.min_by(|(_, a), (_, b)| size(a.0, a.1, figures).total_cmp(&size(b.0, b.1, figures)));
+    let kept = of_witnesses
+        .min_by(|(_, a), (_, b)| size(a.0, a.1, figures).total_cmp(&size(b.0, b.1, figures)));
     let (line, measured) = match kept {
         _ if is_off(commanded, figures) => (commanded, kept.map(|(_, (_, measured))| *measured)),
         Some((_, (line, measured))) => (line, Some(*measured)),
@@ -120,9 +121,9 @@ fn judge(facts: &Facts, arm: &ArmFacts, reference: &ReferenceFacts) -> Judged {
     let outcome = match (is_off(commanded, figures), &measured) {
         (true, _) => swings(commanded, figures),
         (false, Some(measured)) => leaves(facts, line, measured, lines.len()),
-        (false, None) => {
-            Outcome::Inconclusive(format!("no witness has the tip along any of the lines; {SETTLE}"))
-        }
+        (false, None) => Outcome::Inconclusive(format!(
+            "no witness has the tip along any of the lines; {SETTLE}"
+        )),
     };
     // The command's fault does not hide that the tip leaves the line.
     let outcome = match (outcome, kept) {
@@ -202,9 +203,15 @@ fn swings(line: &Line, figures: &FrameFigures) -> Outcome {
     let across = Unit::Radian.show(line.command_off_axis_rad);
     let is_pace = figures.angle.severity(line.command_off_axis_rad).is_none();
     let (severity, as_if) = match &line.interpolated {
-        Some(name) => (figures.angle.severity(line.command_rad), format!(": as of {name} interpolated")),
-        None if is_pace => (Some(Severity::Info), ": it turns at another pace than it goes".to_owned()),
-        None => (figures.angle.severity(line.command_rad), format!(", {across} of it across the axis")),
+        Some(name) => {
+            (figures.angle.severity(line.command_rad), format!(": as of {name} interpolated"))
+        }
+        None if is_pace => {
+            (Some(Severity::Info), ": it turns at another pace than it goes".to_owned())
+        }
+        None => {
+            (figures.angle.severity(line.command_rad), format!(", {across} of it across the axis"))
+        }
     };
     Outcome::faulty(Fault {
         severity: severity.unwrap_or(Severity::Info),

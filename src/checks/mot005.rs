@@ -115,7 +115,8 @@ fn fault(facts: &Facts, stream: &StrayFacts, worst: &Strays, count: usize, shown
         (_, Some(part), _) | (_, None, Some(part)) => format!(" ({part})"),
         _ => String::new(),
     };
-    let (samples, topic) = (if count == 1 { "sample jumps" } else { "samples jump" }, stream.subject.label());
+    let (samples, topic) =
+        (if count == 1 { "sample jumps" } else { "samples jump" }, stream.subject.label());
     let most = if count == 1 { "" } else { "up to " };
     Fault {
         severity: Severity::Warning,

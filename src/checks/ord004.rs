@@ -61,7 +61,8 @@ fn judge_arm(arm: &ArmFacts) -> Vec<Judged> {
         let declared = stream.declared.and_then(|declared| declared.angles);
         if stream.bare {
             let why = "bare numbers of which nothing is declared have no unit to violate";
-            let judged = Judged::new(arm.topic(&stream.topic), Outcome::sound_because(why.to_owned()));
+            let judged =
+                Judged::new(arm.topic(&stream.topic), Outcome::sound_because(why.to_owned()));
             return (stream.bare_numbers && diagnosis.degrees.is_some())
                 .then(|| judged.within(stream.span));
         }

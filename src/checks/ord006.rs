@@ -110,7 +110,8 @@ fn judge(facts: &Facts, arm: &ArmFacts, topic: &str, coded: &EulerFacts) -> Judg
     let found = near(coded, within_rad);
     let samples: usize = found.iter().map(|near| near.samples).sum();
     let share = samples as f64 / coded.margins_rad.len() as f64;
-    let least_rad = coded.margins_rad.iter().map(|(_, margin)| *margin).fold(f64::INFINITY, f64::min);
+    let least_rad =
+        coded.margins_rad.iter().map(|(_, margin)| *margin).fold(f64::INFINITY, f64::min);
     let longest = found.iter().max_by(|a, b| a.span.seconds().total_cmp(&b.span.seconds()));
     let outcome = match longest {
         None => Outcome::sound(),

@@ -69,8 +69,7 @@ fn judge(arm: &ArmFacts, facts: &DhFacts) -> Judged {
             "the rows explain the streams under neither convention; {SETTLE}"
         )),
     };
-    let slip =
-        (told == DhTold::Other).then_some(Estimate::slip("DH convention", is, read_as));
+    let slip = (told == DhTold::Other).then_some(Estimate::slip("DH convention", is, read_as));
     let finite = |value: f64| Some(value).filter(|value| value.is_finite());
     let streams = arm.poses.iter().zip(&estimate.streams).map(|(facts, stream)| {
         json!({

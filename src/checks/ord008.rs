@@ -114,7 +114,11 @@ fn fault(stream: &PoseFacts, slip: &LengthSlip) -> Fault {
     let is_millimetres = slip.is == LengthScale::MILLIMETRE;
     let (title, what, fix) = match stream.declared {
         Some(_) => (
-            if is_metres { "metres declared as millimetres" } else { "another unit of length declared" },
+            if is_metres {
+                "metres declared as millimetres"
+            } else {
+                "another unit of length declared"
+            },
             format!("positions are {is} and were declared as {read_as}"),
             match (is_metres, is_millimetres) {
                 (true, _) => format!("declare {topic} without `,mm`"),

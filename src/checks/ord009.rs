@@ -75,7 +75,10 @@ fn judge_arm(arm: &ArmFacts) -> Vec<Judged> {
         Judged::new(subject, Outcome::faulty(fault))
             .within(arm.span)
             .estimated(Estimate::amount("joint scale", Unit::One, &scale.factor))
-            .with_evidence("offset", if scale.is_coded() { json!(scale.offset) } else { json!(null) })
+            .with_evidence(
+                "offset",
+                if scale.is_coded() { json!(scale.offset) } else { json!(null) },
+            )
             .with_evidence("joints", if is_all { json!(names) } else { json!(null) })
             .with_evidence("as_logged_m", left.as_logged)
             .with_evidence("corrected_m", left.corrected)

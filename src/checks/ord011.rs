@@ -44,10 +44,16 @@ fn check(facts: &Facts) -> Vec<Judged> {
             (Ok(_), []) => Judged::new(subject, Outcome::sound()),
             (Ok(_), parts) => {
                 let most = parts.iter().map(|part| part.moved_m).fold(0.0, f64::max);
-                let values: serde_json::Map<String, serde_json::Value> =
-                    parts.iter().map(|part| (part.coordinate.to_string(), part.value.into())).collect();
+                let values: serde_json::Map<String, serde_json::Value> = parts
+                    .iter()
+                    .map(|part| (part.coordinate.to_string(), part.value.into()))
+                    .collect();
                 Judged::new(subject, Outcome::faulty(fault(stream, parts, most)))
-                    .estimated(Estimate::counted("motion that is missing", Unit::Metre.symbol(), most))
+                    .estimated(Estimate::counted(
+                        "motion that is missing",
+                        Unit::Metre.symbol(),
+                        most,
+                    ))
                     .with_evidence("constant", values)
             }
         };
@@ -61,7 +67,9 @@ fn fault(stream: &PoseFacts, parts: &[ConstantPart], most_m: f64) -> Fault {
         .iter()
         .map(|ConstantPart { coordinate, value, moved_m }| {
             let (value, moved) = (rounded(*value, 4), Unit::Metre.show(*moved_m));
-            format!("{coordinate} is {value} throughout while forward kinematics moves it by {moved}")
+            format!(
+                "{coordinate} is {value} throughout while forward kinematics moves it by {moved}"
+            )
         })
         .collect();
     let names: Vec<String> = parts.iter().map(|part| part.coordinate.to_string()).collect();

@@ -1,7 +1,7 @@
 use serde_json::{Value, json};
 
 use crate::checks::tim006::{Pace, slow};
-use crate::checks::{Due, Facts, Grade, Judged, RhythmFacts, Limit};
+use crate::checks::{Due, Facts, Grade, Judged, Limit, RhythmFacts};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::{Cadence, Hole, Stretch};
 use crate::time::Stamp;
@@ -55,12 +55,8 @@ const GAP_PERIODS: Limit = Limit {
     what: "a gap is longer than this many periods",
 };
 /// A gap is longer than this.
-const GAP: Limit = Limit {
-    key: "gap",
-    unit: Unit::Second,
-    value: 0.1,
-    what: "a gap is longer than this, too",
-};
+const GAP: Limit =
+    Limit { key: "gap", unit: Unit::Second, value: 0.1, what: "a gap is longer than this, too" };
 /// The share of samples from which on losing them is a fault.
 const LOST: Limit = Limit {
     key: "lost",
@@ -123,7 +119,8 @@ fn judge(facts: &Facts, rhythm: &RhythmFacts) -> Judged {
         let outcome = Outcome::Inconclusive(format!("{why}; record it again"));
         return Judged::new(subject, outcome).within(rhythm.span);
     }
-    let missing: usize = concerned.iter().flat_map(|part| holes(by, part)).map(|hole| hole.missing).sum();
+    let missing: usize =
+        concerned.iter().flat_map(|part| holes(by, part)).map(|hole| hole.missing).sum();
     if !concerned.is_empty() && rhythm.unusable > 0 && missing as u64 <= 2 * rhythm.unusable {
         let why = format!(
             "the samples that are missing came: {} hold no usable numbers (ING003); record it again",
@@ -221,14 +218,10 @@ fn loses(by: &Limits, part: &Cadence) -> bool {
     lost(by, part).is_some_and(|lost| lost >= COUNTS) && lost_share(by, part) > by.lost
 }
 
-fn fault(
-    facts: &Facts,
-    by: &Limits,
-    rhythm: &RhythmFacts,
-    concerned: &[&Cadence],
-) -> Judged {
+fn fault(facts: &Facts, by: &Limits, rhythm: &RhythmFacts, concerned: &[&Cadence]) -> Judged {
     let gaps = || concerned.iter().flat_map(|part| moving(by, part));
-    let worst = concerned.iter().copied().max_by(|a, b| lost_share(by, a).total_cmp(&lost_share(by, b)));
+    let worst =
+        concerned.iter().copied().max_by(|a, b| lost_share(by, a).total_cmp(&lost_share(by, b)));
     let (lost, samples) = worst.map_or((0, 0), |part| (lost(by, part).unwrap_or(0), part.rows));
     let skipped = worst.and_then(|part| part.skipped);
     let share = worst.map_or(0.0, |part| lost_share(by, part));
@@ -280,7 +273,12 @@ struct Cause {
 
 /// Where all streams stop it is the recorder or its machine; where numbers are left out the messages
 /// were sent; else the sender may have stopped as well as its way to the recorder.
-fn cause(facts: &Facts, rhythm: &RhythmFacts, gap: Option<&Stretch>, skipped: Option<usize>) -> Cause {
+fn cause(
+    facts: &Facts,
+    rhythm: &RhythmFacts,
+    gap: Option<&Stretch>,
+    skipped: Option<usize>,
+) -> Cause {
     let others = || {
         let others = facts.rhythms.iter().filter(|other| other.topic != rhythm.topic);
         others.filter(|other| other.due.is_expected())
@@ -292,9 +290,8 @@ fn cause(facts: &Facts, rhythm: &RhythmFacts, gap: Option<&Stretch>, skipped: Op
         };
         holes.into_iter().any(|hole| 2.0 * shared_s(hole) > gap.seconds())
     };
-    let all_stop = |gap: &Stretch| {
-        others().next().is_some() && others().all(|other| stops(other, gap))
-    };
+    let all_stop =
+        |gap: &Stretch| others().next().is_some() && others().all(|other| stops(other, gap));
     if gap.is_some_and(all_stop) {
         return Cause {
             made_by: Some("recorder"),

@@ -70,7 +70,8 @@ fn shared_clock(facts: &Facts) -> Option<Judged> {
 fn judge(stream: &StampFacts, simulated: bool) -> Judged {
     let clock = &stream.clock;
     if clock.epoch != Epoch::Foreign {
-        let early_s = clock.soonest_s.map(|soonest_s| -soonest_s).filter(|_| clock.epoch == Epoch::Common);
+        let early_s =
+            clock.soonest_s.map(|soonest_s| -soonest_s).filter(|_| clock.epoch == Epoch::Common);
         let outcome = match early_s.filter(|early_s| *early_s > AHEAD_S) {
             None => Outcome::sound(),
             Some(early_s) => Outcome::sound_because(format!(

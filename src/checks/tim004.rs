@@ -1,4 +1,4 @@
-use crate::checks::{Facts, Grade, Judged, RhythmFacts, Limit};
+use crate::checks::{Facts, Grade, Judged, Limit, RhythmFacts};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Cadence;
 
@@ -54,8 +54,7 @@ fn share(part: &Cadence) -> f64 {
 
 fn judge(facts: &Facts, rhythm: &RhythmFacts) -> Judged {
     let most = facts.figures.limit(&TIM004, &DUPLICATES);
-    let concerned: Vec<&Cadence> =
-        rhythm.parts.iter().filter(|part| share(part) > most).collect();
+    let concerned: Vec<&Cadence> = rhythm.parts.iter().filter(|part| share(part) > most).collect();
     let subject = rhythm.subject(&concerned);
     if !rhythm.parts.iter().any(|part| part.stamped) {
         let outcome = Outcome::Skipped("its messages carry no stamps".to_owned());

@@ -55,12 +55,8 @@ const SLOW: Limit = Limit {
     what: "a stream is slow where its interval is this many times the usual",
 };
 /// … for this long or longer.
-const LASTS: Limit = Limit {
-    key: "lasts",
-    unit: Unit::Second,
-    value: 2.0,
-    what: "and stays so for this long",
-};
+const LASTS: Limit =
+    Limit { key: "lasts", unit: Unit::Second, value: 2.0, what: "and stays so for this long" };
 /// A stream is slow that runs below this share of its declared rate.
 const BELOW: Limit = Limit {
     key: "below",
@@ -138,8 +134,7 @@ fn judge(facts: &Facts, rhythm: &RhythmFacts) -> Judged {
     let (pace, together_s) = (Pace::of(facts), facts.figures.limit(&TIM006, &TOGETHER));
     let slowest = |part| slowest(pace, rhythm, part);
     let (late_s, early_s) = missed(rhythm);
-    let slow: Vec<&Cadence> =
-        rhythm.wanted().filter(|part| slowest(part).is_some()).collect();
+    let slow: Vec<&Cadence> = rhythm.wanted().filter(|part| slowest(part).is_some()).collect();
     let worst = slow.iter().filter_map(|part| Some((part.period_s?, slowest(part)?)));
     let worst = worst.min_by(|a, b| (a.0 * a.1.rate_hz).total_cmp(&(b.0 * b.1.rate_hz)));
     let shown = |missed_s: f64| Unit::Second.show(missed_s);

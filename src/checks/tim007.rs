@@ -76,7 +76,9 @@ fn judge(facts: &Facts, stream: &FrozenFacts) -> Judged {
             facts.moment(longest.start),
         ),
         evidence: Evidence::default(),
-        fix: format!("see why the source of {topic} stopped then, and what repeated its last value"),
+        fix: format!(
+            "see why the source of {topic} stopped then, and what repeated its last value"
+        ),
     });
     let times = stream.times.iter().take(LISTED).map(|time| {
         json!({

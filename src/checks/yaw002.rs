@@ -34,8 +34,7 @@ rule! {
     }
 }
 
-const FIGURE: Figure =
-    Figure { unit: Unit::Radian, warning: 0.5 * DEGREE, error: 2.0 * DEGREE };
+const FIGURE: Figure = Figure { unit: Unit::Radian, warning: 0.5 * DEGREE, error: 2.0 * DEGREE };
 
 /// What would tell where the tilt could not be had.
 const SETTLE: &str = "record 10 s with rests";

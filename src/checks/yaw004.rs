@@ -39,8 +39,7 @@ rule! {
     }
 }
 
-const FIGURE: Figure =
-    Figure { unit: Unit::GyroRate, warning: 0.1 * DEGREE, error: 1.0 * DEGREE };
+const FIGURE: Figure = Figure { unit: Unit::GyroRate, warning: 0.1 * DEGREE, error: 1.0 * DEGREE };
 
 /// What would tell where the bias could not be had.
 const SETTLE: &str = "record 10 s with rests";
@@ -62,9 +61,11 @@ fn judge(facts: &Facts, arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis
     };
     let decision = decide_length(&bias.length_rad_s, &figure(facts), facts.subjects());
     let outcome = decision.into_outcome(SETTLE, |severity| fault(bias, severity));
-    let judged = Judged::new(subject, outcome)
-        .within(imu.span)
-        .estimated(Estimate::length("gyro bias", FIGURE.unit, &bias.length_rad_s));
+    let judged = Judged::new(subject, outcome).within(imu.span).estimated(Estimate::length(
+        "gyro bias",
+        FIGURE.unit,
+        &bias.length_rad_s,
+    ));
     match &bias.shape {
         Some(GyroShape { scale, misalignment_rad }) => judged
             .with_evidence("scale", scale.map(shown).to_vec())

@@ -5,7 +5,6 @@ use std::path::Path;
 use super::file::{
     AxesCorrection, Corrections, FrameCorrection, JointOrder, Slip, TopicCorrection,
 };
-use crate::audit::{imu_stream, pose_stream};
 use crate::diagnosis::{AxesSlip, Meant, Reading, reread_imu, reread_poses};
 use crate::finding::Unit;
 use crate::geometry::{AngleUnit, LengthScale, Pose, rotation_from_xyzw};
@@ -284,7 +283,7 @@ fn mend_poses(
         let mut mended = source.clone();
         mend_units(&mut mended, correction, open);
         if let Some(meant) = correction.meant() {
-            let (joints, stream) = (&run.arms[arm].joints, pose_stream(run, &mended));
+            let (joints, stream) = (&run.arms[arm].joints, run.pose_stream(&mended));
             let turned = |frame: Option<FrameCorrection>| {
                 frame.map(|frame| frame.pose().rotation).unwrap_or_default()
             };
@@ -369,7 +368,7 @@ fn mend_imus(
             mended.link_from_imu = Some(Pose::from_parts(logged.translation, rotation));
         }
         if let Some(reading) = correction.rotation.and_then(|slip| slip.reading()) {
-            let stream = imu_stream(&mended);
+            let stream = mended.as_stream();
             let truths = reread_imu(&run.arms[arm].joints, &stream, reading, most_lag_s);
             if let Some(truths) = truths {
                 open.take("rotation");

@@ -34,6 +34,7 @@ mod reread;
 mod residual;
 mod rival;
 mod shake;
+mod steady;
 mod steps;
 mod trend;
 mod workspace;
@@ -68,7 +69,9 @@ pub use reference::{
 pub use reread::{Meant, reread_imu, reread_poses};
 pub use rival::{is_seen_from_tool, position_misfit_m};
 pub use shake::{NoShake, Shake, shake};
-pub use steps::{LatencySteps, imu_steps, pose_steps};
+pub use steady::{diagnose_imu_steadied, diagnose_steadied, steadied};
+pub use steps::LatencySteps;
+use steps::{imu_steps, pose_steps};
 pub use trend::{LEAST_RUNS, Step, Told, Trend, trend};
 pub use workspace::{
     APART_RAD, CELL_M, JOINT_APART, JointSpan, Place, ReachedPose, Workspace, centre_m, reach_m,

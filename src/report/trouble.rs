@@ -1,4 +1,5 @@
 use std::io::ErrorKind;
+use std::path::Path;
 
 use serde::Serialize;
 
@@ -29,6 +30,14 @@ pub enum TroubleKind {
     Call,
     /// The log's: unreadable, no arm in it, no model of the arm.
     Log,
+}
+
+impl Trouble {
+    /// The trouble with a file or folder that the caller named to be written.
+    pub fn unwritable(path: &Path, what: String, remedy: &str) -> Self {
+        let (kind, place) = (TroubleKind::Call, path.display().to_string());
+        Trouble { kind, what, place, remedy: remedy.to_owned() }
+    }
 }
 
 impl From<&RunError> for Trouble {

@@ -2,8 +2,9 @@
 
 use std::sync::Arc;
 
+use crate::diagnosis::ImuStream;
 use crate::geometry::Pose;
-use crate::robot::{Chain, Joint, LinkId, Robot};
+use crate::robot::{Chain, Joint, JointKind, LinkId, Robot};
 use crate::stream::{ImuTrack, JointTrack, PoseTrack};
 use crate::time::Stamp;
 
@@ -97,6 +98,29 @@ pub struct PoseSource {
     pub tip_named: bool,
     /// The frame that the poses were logged in, where it moves against the chain's base.
     pub carrier: Option<Carrier>,
+}
+
+impl ImuSource {
+    /// It, as the diagnosis takes it.
+    pub fn as_stream(&self) -> ImuStream<'_> {
+        ImuStream {
+            track: &self.track,
+            chain: &self.chain,
+            columns: &self.columns,
+            link_from_imu: self.link_from_imu,
+            stamp_error_s: self.stamp_error_s,
+        }
+    }
+}
+
+impl Arm {
+    /// For each column of its joint track, whether that joint slides.
+    pub fn slides(&self) -> Vec<bool> {
+        let slides = |name: &String| {
+            self.robot.joint(name).is_some_and(|joint| joint.kind == JointKind::Prismatic)
+        };
+        self.joint_names.iter().map(slides).collect()
+    }
 }
 
 impl PoseSource {

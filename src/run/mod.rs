@@ -46,6 +46,7 @@ mod witness;
 
 use std::sync::Arc;
 
+use crate::diagnosis::PoseStream;
 use crate::finding::rounded;
 use crate::robot::RobotError;
 use crate::time::{Clock, Stamp};
@@ -171,7 +172,25 @@ pub struct Run {
     pub unreadable: Vec<(String, RobotError)>,
 }
 
+/// Standard error of receive times, s, where a stream has no stamps of its own: transports differ by
+/// about a millisecond.
+const TRANSPORT_S: f64 = 1e-3;
+
 impl Run {
+    /// A stream of poses, as the diagnosis takes it.
+    pub fn pose_stream<'a>(&self, source: &'a PoseSource) -> PoseStream<'a> {
+        let mut clocks = self.clocks.iter().filter(|clock| clock.stream == source.stream);
+        let received = clocks.any(|clock| clock.stamps != HeaderStamps::Sound);
+        PoseStream {
+            track: &source.track,
+            chain: &source.chain,
+            columns: &source.columns,
+            reference_known: source.reference_known,
+            stamp_error_s: source.stamp_error_s.max(if received { TRANSPORT_S } else { 0.0 }),
+            stamps_copied: source.stamps_copied,
+        }
+    }
+
     /// The candidates of an arm: indices of their streams.
     pub fn candidates(&self) -> impl Iterator<Item = usize> + '_ {
         let is_candidate =

@@ -7,7 +7,6 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use crate::audit::{imu_stream, pose_stream};
 use crate::diagnosis::{
     ArmDiagnosis, BaseTravel, Peak, PoseStream, base_travel, carrier_lag, diagnose_imu, follows,
     is_seen_from_tool, likely_lags, position_misfit_m,
@@ -16,7 +15,7 @@ use crate::run::{Arm, ImuSource, PoseSource, Role, Run, WhyNot};
 use crate::stream::{Orientations, PoseTrack};
 
 /// Settles all of it.
-pub(crate) fn settle(run: &mut Run, most_lag_s: f64) {
+pub fn settle(run: &mut Run, most_lag_s: f64) {
     settle_carried(run, most_lag_s);
     settle_transforms(run);
     settle_contests(run, most_lag_s);
@@ -53,7 +52,7 @@ fn settle_crowds(run: &mut Run) {
 }
 
 /// How many of an arm's streams of poses are looked at together: the first that are no copies.
-pub(crate) fn together(arm: &Arm) -> usize {
+pub fn together(arm: &Arm) -> usize {
     let is_copy =
         |index: &usize| arm.poses[..*index].iter().any(|one| arm.poses[*index].is_copy_of(one));
     (0..arm.poses.len().min(TOGETHER)).take_while(|index| !is_copy(index)).count()
@@ -72,7 +71,7 @@ fn settle_frozen(run: &mut Run, most_lag_s: f64) {
             if found.carrier.is_some() || !found.stands_still() {
                 continue;
             }
-            let peaks = likely_lags(&of.joints, &pose_stream(run, found), most_lag_s);
+            let peaks = likely_lags(&of.joints, &run.pose_stream(found), most_lag_s);
             let best = peaks.first().map_or(0.0, |peak| peak.correlation);
             if best < FOLLOWS {
                 continue;
@@ -100,7 +99,7 @@ fn settle_transforms(run: &mut Run) {
             .collect();
         let misfit_m = |&index: &usize| {
             let arm = &run.arms[index];
-            let stream = pose_stream(run, arm.tf.as_ref().ok()?);
+            let stream = run.pose_stream(arm.tf.as_ref().ok()?);
             Some((position_misfit_m(&arm.joints, &stream, 1.0, 0.0)?, index))
         };
         let mut misfits: Vec<(f64, usize)> = claimants.iter().filter_map(misfit_m).collect();
@@ -170,7 +169,7 @@ fn settle_candidates(run: &mut Run, most_lag_s: f64) {
     let candidates: Vec<usize> = run.candidates().collect();
     let lag_of = |&candidate: &usize| {
         let (arm, source) = source_of(run, candidate)?;
-        Some((candidate, follows(&arm.joints, &pose_stream(run, source), most_lag_s)))
+        Some((candidate, follows(&arm.joints, &run.pose_stream(source), most_lag_s)))
     };
     let poses = candidates.par_iter().filter_map(lag_of).collect();
     let mut lags = Lags { most_lag_s, poses, imus: BTreeMap::new() };
@@ -182,7 +181,7 @@ fn settle_candidates(run: &mut Run, most_lag_s: f64) {
             .iter()
             .any(|found| found.stream == candidate && matches!(found.why, WhyNot::OwnFrame { .. }));
         let is_seen = found.zip(peak).is_some_and(|((arm, source), peak)| {
-            is_seen_from_tool(&arm.joints, &pose_stream(run, source), peak.lag_s)
+            is_seen_from_tool(&arm.joints, &run.pose_stream(source), peak.lag_s)
         });
         if is_of_own_frame && is_seen {
             let reason = "it moves as what stands still and is seen from the tool".to_owned();
@@ -234,13 +233,13 @@ struct Lags {
 
 impl Lags {
     fn of_pose(&mut self, run: &Run, arm: &Arm, source: &PoseSource) -> Option<Peak> {
-        let lag = || follows(&arm.joints, &pose_stream(run, source), self.most_lag_s);
+        let lag = || follows(&arm.joints, &run.pose_stream(source), self.most_lag_s);
         *self.poses.entry(source.stream).or_insert_with(lag)
     }
 
     fn of_imu(&mut self, arm: &Arm, imu: &ImuSource) -> Option<f64> {
         let latency_s = || {
-            let found = diagnose_imu(&arm.joints, &imu_stream(imu), self.most_lag_s);
+            let found = diagnose_imu(&arm.joints, &imu.as_stream(), self.most_lag_s);
             found.latency_s.ok().map(|latency| latency.value)
         };
         *self.imus.entry(imu.stream).or_insert_with(latency_s)
@@ -259,7 +258,7 @@ fn settle_carried(run: &mut Run, most_lag_s: f64) {
         for source in 0..run.arms[arm].poses.len() {
             let of = &run.arms[arm];
             let Some(carrier) = &of.poses[source].carrier else { continue };
-            let stream = pose_stream(run, &of.poses[source]);
+            let stream = run.pose_stream(&of.poses[source]);
             let at = |t_s: f64| carrier.at(t_s);
             let Some(lag) = carrier_lag(&of.joints, &stream, &carrier.logged, &at, most_lag_s)
             else {
@@ -282,7 +281,7 @@ fn settle_carried(run: &mut Run, most_lag_s: f64) {
 
 /// Takes the poses of an arm that are in a frame that moves into its base anew, where what was `found`
 /// says that they are of another time than was thought; whether there are such.
-pub(crate) fn retake_carried(run: &mut Run, arm: usize, found: &ArmDiagnosis) -> bool {
+pub fn retake_carried(run: &mut Run, arm: usize, found: &ArmDiagnosis) -> bool {
     /// Transforms that are nearer in time than this are near enough, s.
     const NEAR_S: f64 = 3e-4;
     let mut are_other = false;
@@ -311,7 +310,7 @@ fn settle_contests(run: &mut Run, most_lag_s: f64) {
             let Some(source) = arm.poses.iter().find(|one| one.stream == contest.stream) else {
                 continue;
             };
-            let stream = pose_stream(run, source);
+            let stream = run.pose_stream(source);
             let peak = follows(&arm.joints, &stream, most_lag_s);
             let lag_s = peak.map_or(0.0, |peak| peak.lag_s);
             let misfits_m =
@@ -364,7 +363,7 @@ fn leave_moving_bases(run: &mut Run, most_lag_s: f64) {
     let mut moving: Vec<(usize, String, BaseTravel)> = Vec::new();
     for arm in &run.arms {
         for source in arm.poses.iter().filter(is_of_unknown_frame) {
-            let travel = base_travel(&arm.joints, &pose_stream(run, source), most_lag_s);
+            let travel = base_travel(&arm.joints, &run.pose_stream(source), most_lag_s);
             let base = source.chain.base_name().to_owned();
             moving.extend(travel.map(|travel| (source.stream, base, travel)));
         }

@@ -3,7 +3,7 @@
 use polars::prelude::{DataFrame, PolarsResult};
 use rayon::prelude::*;
 
-use crate::audit::{frame_of_several, imu_stream, pose_stream};
+use super::facts::frame_of_several;
 use crate::checks::{ArmFacts, Facts, ImuFacts, PoseFacts, reading_names};
 use crate::diagnosis::{
     ImuDiagnosis, LatencyCourse, Measured, PoseDiagnosis, Reading, ReadingEstimate, Seen,
@@ -98,7 +98,7 @@ fn pose(
     let frame = aligned_frame(&found.aligned, clock.run.origin).ok()?;
     let [t_s, before_m, before_rad, after_m, after_rad, reach_m] = columns(&frame).ok()?;
     let tied = |values: Vec<f64>| if facts.reference_known { values } else { Vec::new() };
-    let stream = pose_stream(clock.run, source);
+    let stream = clock.run.pose_stream(source);
     let valley = residual_by_latency(joints, &stream, found).into_iter();
     Some(PoseFigure {
         robot: arm.name.clone(),
@@ -151,7 +151,7 @@ fn imus(clock: &Clock, joints: &JointTrack, arm: &Arm, facts: &ArmFacts) -> Vec<
     const BESIDE_S: f64 = 0.08;
     let figure = |source: &ImuSource, imu: &ImuFacts, found: &ImuDiagnosis| {
         let most_s = found.latency_s.as_ref().map(|latency| 2.0 * latency.value.abs() + BESIDE_S);
-        let curve = most_s.map(|most_s| turning_by_latency(joints, &imu_stream(source), most_s));
+        let curve = most_s.map(|most_s| turning_by_latency(joints, &source.as_stream(), most_s));
         let (yaw_error, headings) = (found.yaw_error.iter(), found.headings.iter());
         ImuFigure {
             robot: facts.name.clone(),

@@ -1,0 +1,173 @@
+//! What is estimated on each arm of a run.
+
+use rayon::prelude::*;
+
+use super::settle::{retake_carried, together};
+use crate::checks::DhFacts;
+use crate::diagnosis::{
+    ArmDiagnosis, DhEstimate, DhStream, DhTold, ImuDiagnosis, Left, PoseDiagnosis, PoseStream,
+    Residual, Unseen, diagnose_derived, diagnose_imu_steadied, diagnose_steadied, faults, follows,
+    position_misfit_m, steadied,
+};
+use crate::run::{Arm, ImuSource, Run};
+use crate::stream::JointTrack;
+
+/// What was estimated on one arm.
+pub(super) struct Diagnosis {
+    pub arm: ArmDiagnosis,
+    pub tf: Option<PoseDiagnosis>,
+    pub imus: Vec<ImuDiagnosis>,
+    pub dh: Option<DhFacts>,
+}
+
+/// Diagnoses every arm of a run. An arm whose DH table proves to be of the other convention than it
+/// says is read by that one from here on.
+pub(super) fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<Diagnosis> {
+    let arms = 0..run.arms.len();
+    arms.map(|index| {
+        let found = diagnose_one(run, &run.arms[index], most_lag_s);
+        let found = match retake_carried(run, index, &found.arm) {
+            true => diagnose_one(run, &run.arms[index], most_lag_s),
+            false => found,
+        };
+        let Some(dh) = &run.arms[index].robot.dh else { return found };
+        let declared = dh.convention;
+        let (estimate, other) = by_other_convention(run, &run.arms[index], &found.arm, most_lag_s);
+        let is_other = estimate.told() == DhTold::Other;
+        let dh = Some(DhFacts { declared, estimate });
+        match other.filter(|_| is_other) {
+            Some((mut arm, other)) => {
+                let convention = declared.other().name();
+                arm.found += &format!(", its DH table read as {convention}");
+                run.replace_arm(index, arm);
+                Diagnosis { dh, ..other }
+            }
+            None => Diagnosis { dh, ..found },
+        }
+    })
+    .collect()
+}
+
+/// What the convention that an arm's DH table does not name leaves of its streams, beside what was
+/// `found` under the one that it names. Nothing is looked for where that explains them without a
+/// fault, or where the positions alone rule the other out.
+fn by_other_convention(
+    run: &Run,
+    arm: &Arm,
+    found: &ArmDiagnosis,
+    most_lag_s: f64,
+) -> (DhEstimate, Option<(Arm, Diagnosis)>) {
+    /// Positions lie on an arm to this much with any faults, m, …
+    const NEAR_M: f64 = 0.02;
+    /// … or to this share of what they do on another.
+    const NEARER: f64 = 0.5;
+    let declared = Left::of(found);
+    let mut estimate = DhEstimate {
+        streams: declared
+            .iter()
+            .map(|&declared| DhStream { declared, declared_positions_m: None, other: None })
+            .collect(),
+        declared_faults: faults(found),
+        other_faults: 0,
+    };
+    if estimate.declared_faults == 0 && declared.iter().any(Left::is_explained) {
+        return (estimate, None);
+    }
+    let misfits_m = |arm: &Arm| -> Vec<Option<f64>> {
+        let streams = arm.poses.iter().zip(&found.streams).map(|(source, found)| {
+            let stream = run.pose_stream(source);
+            let lag_s = follows(&arm.joints, &stream, most_lag_s).map_or(0.0, |peak| peak.lag_s);
+            position_misfit_m(&arm.joints, &stream, position_factor(found), lag_s)
+        });
+        streams.collect()
+    };
+    let declared_m = misfits_m(arm);
+    for (stream, declared_m) in estimate.streams.iter_mut().zip(&declared_m) {
+        stream.declared_positions_m = *declared_m;
+    }
+    let Some(other) = arm.robot.under_other_convention().and_then(|robot| arm.with_robot(robot))
+    else {
+        return (estimate, None);
+    };
+    let ruled_out = declared_m.iter().zip(misfits_m(&other)).map(|(declared_m, other_m)| {
+        let both = declared_m.zip(other_m);
+        both.is_some_and(|(declared_m, other_m)| other_m > NEAR_M && other_m > NEARER * declared_m)
+    });
+    let ruled_out: Vec<bool> = ruled_out.collect();
+    let contradicts = |(left, ruled_out): (&Left, &bool)| left.is_explained() && *ruled_out;
+    if declared.iter().zip(&ruled_out).any(contradicts) || ruled_out.iter().all(|is| *is) {
+        return (estimate, None);
+    }
+    let diagnosis = diagnose_one(run, &other, most_lag_s);
+    for (stream, left) in estimate.streams.iter_mut().zip(Left::of(&diagnosis.arm)) {
+        stream.other = Some(left);
+    }
+    estimate.other_faults = faults(&diagnosis.arm);
+    (estimate, Some((other, diagnosis)))
+}
+
+/// What takes the positions of a stream to m.
+fn position_factor(found: &PoseDiagnosis) -> f64 {
+    found.length.as_ref().ok().copied().flatten().map_or(1.0, |slip| slip.factor())
+}
+
+fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
+    let streams: Vec<PoseStream> = arm.poses.iter().map(|source| run.pose_stream(source)).collect();
+    let together = together(arm);
+    let mut diagnosis =
+        diagnose_steadied(&arm.joints, &streams[..together], &arm.slides(), most_lag_s);
+    let corrected = diagnosis.corrected_joints(&arm.joints, &arm.slides());
+    let alone = (together..streams.len()).into_par_iter().map(|index| {
+        let same = (0..together).find(|&of| arm.poses[index].is_copy_of(&arm.poses[of]));
+        match same {
+            Some(of) => diagnosis.streams[of].clone(),
+            None => diagnose_derived(&corrected, None, &streams[index], most_lag_s),
+        }
+    });
+    let alone: Vec<PoseDiagnosis> = alone.collect();
+    diagnosis.streams.extend(alone);
+    let reading = diagnosis.joints.as_ref().ok();
+    let derived = |stream: &PoseStream| {
+        let left = |found: &PoseDiagnosis| {
+            found.residual.as_ref().map_or(f64::INFINITY, Residual::together_m)
+        };
+        let found = diagnose_derived(&arm.joints, reading, stream, most_lag_s);
+        // What publishes the log's transforms knows of no correction.
+        let as_recorded = arm
+            .recorded
+            .as_ref()
+            .map(|(recorded, _)| diagnose_derived(recorded, None, stream, most_lag_s));
+        match as_recorded {
+            Some(as_recorded) if left(&as_recorded) < left(&found) => as_recorded,
+            _ => found,
+        }
+    };
+    let tf = || {
+        let source = arm.tf.as_ref().ok()?;
+        let stream = run.pose_stream(source);
+        let found = derived(&stream);
+        Some(match steadied(&stream, &found) {
+            None => found,
+            Some(track) => {
+                let stream = PoseStream { track: &track, ..stream };
+                PoseDiagnosis { course: found.course, ..derived(&stream) }
+            }
+        })
+    };
+    let imu = |source: &ImuSource| match &diagnosis.joints {
+        // No reading of the joint states fits the poses, so that FK of them tells nothing.
+        Err(Unseen::NotExcited) => {
+            ImuDiagnosis::unseen(&Unseen::RestsOn("the order and the unit of the joint positions"))
+        }
+        _ => diagnose_imu_steadied(&corrected, source.as_stream(), most_lag_s),
+    };
+    let (tf, imus) = rayon::join(tf, || arm.imus.iter().map(imu).collect());
+    Diagnosis { arm: diagnosis, tf, imus, dh: None }
+}
+
+/// The joint states of an arm with what was found on them taken off; `None` where no reading of them
+/// fits the arm's poses.
+pub(super) fn readable_joints(arm: &Arm, found: &ArmDiagnosis) -> Option<JointTrack> {
+    let is_unread = matches!(found.joints, Err(Unseen::NotExcited));
+    (!is_unread).then(|| found.corrected_joints(&arm.joints, &arm.slides()))
+}

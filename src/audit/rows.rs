@@ -1,0 +1,61 @@
+//! The rows of a report that say what the log holds.
+
+use crate::report::{RobotRow, StreamRow};
+use crate::run::{Arm, Run, Witness};
+
+/// One row for each stream of the segments.
+pub(super) fn joined(rows: impl Iterator<Item = StreamRow>) -> Vec<StreamRow> {
+    let mut joined: Vec<StreamRow> = Vec::new();
+    for row in rows {
+        let is_same = |other: &&mut StreamRow| {
+            let names = |row: &StreamRow| {
+                (row.topic.clone(), row.frame_id.clone(), row.child_frame_id.clone())
+            };
+            other.type_name == row.type_name && names(other) == names(&row)
+        };
+        match joined.iter_mut().find(is_same) {
+            Some(known) => {
+                known.count += row.count;
+                known.dropped += row.dropped;
+                known.rate_hz = known.rate_hz.or(row.rate_hz);
+                known.start_ns = [known.start_ns, row.start_ns].into_iter().flatten().min();
+                known.end_ns = known.end_ns.max(row.end_ns);
+            }
+            None => joined.push(row),
+        }
+    }
+    joined
+}
+
+pub(super) fn robots(run: &Run) -> Vec<RobotRow> {
+    let row = |arm: &Arm| RobotRow {
+        name: arm.name.clone(),
+        source: arm.found.clone(),
+        base: arm.chain.base_name().to_owned(),
+        tip: arm.chain.tip_name().to_owned(),
+        joints: arm.chain.joint_names().to_vec(),
+    };
+    run.arms.iter().map(row).collect()
+}
+
+pub(super) fn streams(run: &Run) -> Vec<StreamRow> {
+    let named = |text: &String| (!text.is_empty()).then(|| text.clone());
+    let rows = run.streams.iter().map(|stream| StreamRow {
+        topic: stream.topic.clone(),
+        type_name: stream.type_name.clone(),
+        role: stream.role.name(),
+        reason: stream.reason.clone(),
+        robot: stream.arm.and_then(|arm| run.arms.get(arm)).map(|arm| arm.name.clone()),
+        frame_id: named(&stream.frame_id),
+        child_frame_id: named(&stream.child_frame_id),
+        reference: stream.reference.clone(),
+        link: stream.link.clone(),
+        witness: stream.witness.map(Witness::name),
+        count: stream.count,
+        dropped: stream.dropped,
+        rate_hz: stream.rate_hz,
+        start_ns: stream.start,
+        end_ns: stream.end,
+    });
+    rows.collect()
+}

@@ -1,0 +1,72 @@
+//! A stream's samples beside FK, before and after the explanation.
+
+use crate::diagnosis::explain::Explanation;
+use crate::diagnosis::model::{Blind, StreamState, Sweep, Witness};
+use crate::diagnosis::prepare::Prepared;
+use crate::diagnosis::{Aligned, PoseStream};
+use crate::geometry::pose;
+use crate::stream::{JointTrack, Orientations};
+
+/// The stream's samples beside FK, before and after the explanation.
+pub(super) fn align(
+    recorded: &JointTrack,
+    stream: &PoseStream,
+    prepared: &Prepared,
+    explanation: &Explanation,
+    index: usize,
+) -> Aligned {
+    let witness = &prepared.witness;
+    let found = &explanation.state.streams[index];
+    let plain = StreamState::at_latency(0.0);
+    let as_recorded = Witness {
+        joints: recorded,
+        chain: witness.chain,
+        columns: witness.columns,
+        gained: &[],
+        reference_known: witness.reference_known,
+        still: witness.still,
+        t_s: witness.t_s.clone(),
+        xyz: Vec::new(),
+        rotation: Vec::new(),
+        blind: witness.blind,
+        tool_part: witness.tool_part,
+        middle_s: witness.middle_s,
+    };
+    let zero = vec![0.0; recorded.dof];
+    let (mut sweep, mut truth_sweep) = (Sweep::new(&as_recorded), Sweep::new(witness));
+    let truth_state = StreamState {
+        latency_s: found.latency_s,
+        skew: found.skew,
+        ..StreamState::at_latency(0.0)
+    };
+    let mut aligned = Aligned::default();
+    let mut source = 0;
+    for k in 0..witness.len() {
+        let truth = witness.pose_at(k, &truth_state, &explanation.state.offsets, &mut truth_sweep);
+        let fk = as_recorded.pose_at(k, &plain, &zero, &mut sweep);
+        let (Some(truth), Some(fk)) = (truth, fk) else {
+            continue;
+        };
+        while stream.track.t_s[source] < witness.t_s[k] {
+            source += 1;
+        }
+        let rotation = match &stream.track.orientation {
+            Orientations::Rotations(rotations) => rotations[source],
+            Orientations::Numbers(_) | Orientations::Unset(_) => witness.rotation[k],
+        };
+        let mut read = pose(witness.xyz[k].into(), witness.rotation[k]);
+        if witness.blind != Blind::default() {
+            let mut in_base = truth * found.tool;
+            in_base.translation.vector *= 1.0 + found.growth;
+            witness.blind.fill(&mut read, &(found.reference * in_base));
+        }
+        let mut in_base = found.reference.inverse() * read;
+        in_base.translation.vector /= 1.0 + found.growth;
+        aligned.t_s.push(witness.t_s[k]);
+        aligned.logged.push(pose(stream.track.xyz[source].into(), rotation));
+        aligned.fk.push(fk);
+        aligned.corrected.push(in_base * found.tool.inverse());
+        aligned.fk_at_truth.push(truth);
+    }
+    aligned
+}

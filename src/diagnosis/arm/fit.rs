@@ -1,0 +1,166 @@
+//! The fit of all streams of an arm together, from the start that explains each one best.
+
+use super::SEARCH_SAMPLES;
+use crate::diagnosis::explain::{Approach, Cause, Explanation, Menu, best, explain};
+use crate::diagnosis::frames::starts;
+use crate::diagnosis::harmless::tools_first;
+use crate::diagnosis::joints::{Read, lone_zeros};
+use crate::diagnosis::latency::Peak;
+use crate::diagnosis::model::{State, StreamState, ToolPart, Witness};
+use crate::diagnosis::nominal::{MOST_M, MOST_RAD, is_nominal};
+use crate::diagnosis::prepare::Prepared;
+use crate::geometry::Pose;
+use rayon::prelude::*;
+
+const FIT_SAMPLES: usize = 4000;
+
+/// The fit of all streams together.
+pub(super) struct Fitted {
+    pub(super) explanation: Explanation,
+    pub(super) menu: Menu,
+    /// Whether the model is a drawing held against a calibrated arm, so that no single cause of
+    /// that size is named.
+    pub(super) nominal: bool,
+}
+
+pub(super) fn fit(prepared: &[&Prepared], read: &Read, with_offsets: bool) -> Option<Fitted> {
+    if prepared.is_empty() {
+        return None;
+    }
+    let alone: Vec<State> =
+        prepared.iter().map(|prepared| best_start(prepared, read, with_offsets)).collect();
+    let witnesses: Vec<&Witness> = prepared.iter().map(|prepared| &prepared.witness).collect();
+    let menu = menu(prepared, read, with_offsets);
+    // Streams share the joints: the offsets of the stream with most samples start all.
+    let most = (0..prepared.len()).max_by_key(|&s| prepared[s].witness.len()).unwrap_or(0);
+    let start = State {
+        offsets: alone[most].offsets.clone(),
+        streams: alone.into_iter().flat_map(|state| state.streams).collect(),
+    };
+    let explanation = explain(&witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
+    let explanation = tools_first(&witnesses, explanation, &menu, FIT_SAMPLES);
+    let plain: Vec<StreamState> =
+        (0..witnesses.len()).map(|s| without_small_causes(&explanation, s)).collect();
+    let nominal = with_offsets
+        && (0..witnesses.len()).any(|s| is_nominal(witnesses[s], s, &explanation.state, &plain[s]));
+    if !nominal {
+        return Some(Fitted { explanation, menu, nominal });
+    }
+    let large = large_zeros(&explanation.state, read);
+    let kept = |cause: &Cause| match *cause {
+        Cause::Zero(joint) => large[joint] != 0.0,
+        Cause::Growth(_) => false,
+        Cause::Gain(_) => true,
+        Cause::Latency(_) | Cause::Skew(_) => true,
+        Cause::Reference(s) => plain[s].reference != Pose::identity(),
+        Cause::Tool(s) => plain[s].tool != Pose::identity(),
+    };
+    let menu = Menu { optional: menu.optional.into_iter().filter(kept).collect(), ..menu };
+    let start = State { offsets: large, streams: plain };
+    let explanation = explain(&witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
+    Some(Fitted { explanation, menu, nominal })
+}
+
+/// The joint offsets that no calibration feigns, and what scales are found.
+fn large_zeros(state: &State, read: &Read) -> Vec<f64> {
+    /// Calibrations change no zero by more, rad or m.
+    const MOST: f64 = 0.1;
+    let kept = |(index, value): (usize, &f64)| {
+        if index >= read.track.dof || value.abs() > MOST { *value } else { 0.0 }
+    };
+    state.offsets.iter().enumerate().map(kept).collect()
+}
+
+/// A stream's state without the causes that a calibration may feign: frames stay where they are
+/// unknown, round, or larger than calibrations are.
+fn without_small_causes(explanation: &Explanation, stream: usize) -> StreamState {
+    let found = &explanation.state.streams[stream];
+    let is_large = |frame: &Pose| {
+        frame.translation.vector.norm() > MOST_M || frame.rotation.angle() > MOST_RAD
+    };
+    let kept = |frame: &Pose| if is_large(frame) { *frame } else { Pose::identity() };
+    StreamState {
+        growth: 0.0,
+        reference: kept(&found.reference),
+        tool: kept(&found.tool),
+        ..found.clone()
+    }
+}
+
+fn menu(prepared: &[&Prepared], read: &Read, with_offsets: bool) -> Menu {
+    let (mut always, mut optional) = (Vec::new(), Vec::new());
+    if with_offsets {
+        let dof = read.track.dof;
+        let seen = |joint: &usize| prepared.iter().any(|p| p.witness.columns.contains(joint));
+        let (of_code, own): (Vec<usize>, Vec<usize>) =
+            (0..dof).filter(seen).partition(|&joint| read.has_zero_of_code(joint));
+        optional.extend(own.into_iter().map(Cause::Zero));
+        always.extend(of_code.into_iter().map(Cause::Zero));
+        always.extend((dof..dof + read.gained.len()).map(Cause::Gain));
+    }
+    for (s, prepared) in prepared.iter().enumerate() {
+        if prepared.moves {
+            always.push(Cause::Latency(s));
+            optional.push(Cause::Skew(s));
+        }
+        if !prepared.witness.reference_known {
+            always.push(Cause::Reference(s));
+        } else if with_offsets {
+            optional.push(Cause::Reference(s));
+        }
+        // A stream that is derived from the joint states agrees with them or does not: nothing is
+        // to be explained away.
+        if with_offsets {
+            // In a world that is anywhere, and with a tool that never turns, its own turn is no cause.
+            match prepared.witness.tool_part {
+                ToolPart::Turn => always.push(Cause::Tool(s)),
+                ToolPart::Whole | ToolPart::Point => optional.push(Cause::Tool(s)),
+            }
+            optional.push(Cause::Growth(s));
+        }
+    }
+    Menu { always, optional }
+}
+
+/// The start from which a stream alone is explained best.
+fn best_start(prepared: &Prepared, read: &Read, with_offsets: bool) -> State {
+    let menu = menu(&[prepared], read, with_offsets);
+    let best_lag = prepared.peaks.first().map_or(0.0, |peak| peak.correlation);
+    let lags: Vec<f64> = if prepared.moves {
+        let near = |peak: &&Peak| peak.correlation > best_lag - 0.1;
+        // Streams that copy the joints' stamps lie exactly at none, in a hole of their own noise.
+        prepared.peaks.iter().filter(near).take(3).map(|peak| peak.lag_s).chain([0.0]).collect()
+    } else {
+        vec![0.0]
+    };
+    let start = |offsets: &[f64], stream: StreamState| State {
+        offsets: offsets.to_vec(),
+        streams: vec![stream],
+    };
+    let mut begun: Vec<State> = Vec::new();
+    for &lag_s in &lags {
+        if !with_offsets {
+            begun.push(start(&read.offsets, StreamState::at_latency(lag_s)));
+            continue;
+        }
+        let frames = starts(&prepared.witness, lag_s, &read.offsets);
+        let is_far = frames.len() > 1;
+        begun.extend(frames.into_iter().map(|stream| start(&read.offsets, stream)));
+        if is_far && prepared.witness.reference_known {
+            for (joint, zero) in lone_zeros(&prepared.witness, lag_s, &read.offsets) {
+                let mut offsets = read.offsets.clone();
+                offsets[joint] = zero;
+                begun.push(start(&offsets, StreamState::at_latency(lag_s)));
+            }
+        }
+    }
+    let explanations = begun
+        .into_par_iter()
+        .flat_map_iter(|state| [(state.clone(), Approach::Careful), (state, Approach::Bold)])
+        .map(|(state, approach)| {
+            explain(&[&prepared.witness], state, &menu, approach, SEARCH_SAMPLES)
+        })
+        .collect();
+    best(explanations)
+        .map_or_else(|| start(&read.offsets, StreamState::at_latency(0.0)), |best| best.state)
+}

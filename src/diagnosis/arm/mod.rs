@@ -1,0 +1,320 @@
+//! The arm and its pose streams: everything that is estimated from joint states and poses together.
+
+mod align;
+mod fit;
+mod stream;
+mod twins;
+mod zeros;
+
+use super::joints::{
+    Left, Read, corrected, lies_on_arm, likely_readings, other_reading, read_joints,
+};
+use super::latency::{ArmSpeeds, Peak};
+use super::placing::spread;
+use super::prepare::{
+    Placement, Prepared, as_rotations, metres_by_reach, prepare, stream_lag_s, stream_peaks,
+};
+use super::{
+    ArmDiagnosis, JointOffset, JointReading, JointScale, PoseDiagnosis, PoseStream, Residual, Seen,
+    Unseen,
+};
+use crate::geometry::Vec3;
+use crate::robot::JointKind;
+use crate::stream::JointTrack;
+use fit::fit;
+use stream::{no_diagnosis, stream_diagnosis};
+use zeros::{joint_offsets, joint_scales, unseen_offsets};
+
+/// Samples a stream in the search for the explanation, and in the final fit.
+pub(super) const SEARCH_SAMPLES: usize = 500;
+/// Speeds correlate less than this where a stream does not follow the arm.
+pub(super) const FOLLOWS: f64 = 0.3;
+
+/// Diagnoses the joint states and all pose streams that are witnesses to them.
+///
+/// `most_lag_s` bounds the latency that is sought, s.
+pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64) -> ArmDiagnosis {
+    let slides = prismatic(joints.dof, streams);
+    let placed = |joints: &JointTrack| -> Vec<Placement> {
+        streams.iter().map(|stream| Placement::of(joints, stream, most_lag_s)).collect()
+    };
+    let placements = placed(joints);
+    let by = |reading: &JointReading| {
+        let read = Read::by(joints, reading, &slides);
+        let anew = (*reading != JointReading::default()).then(|| placed(read.near()));
+        diagnose(joints, &read, streams, anew.as_ref().unwrap_or(&placements), true)
+    };
+    let as_logged = JointReading::default();
+    let mut metres: Vec<f64> = placements.iter().map(Placement::metres).collect();
+    let is_confirmed = |read: &Read| {
+        let mut both = streams.iter().zip(&placements);
+        both.any(|(stream, placement)| {
+            placement.explains()
+                && prepare(read, stream, placement).is_ok_and(|it| it.is_confirmed())
+        })
+    };
+    let mut reading = match is_confirmed(&Read::by(joints, &as_logged, &slides)) {
+        // What positions lie on as they are written needs no other joint states.
+        true => Ok(JointReading::default()),
+        false => read_joints(joints, streams, &metres, most_lag_s),
+    };
+    if reading.is_err() {
+        // Joints that are read wrongly may feign another unit of the poses.
+        let others = [vec![1.0; streams.len()], streams.iter().map(metres_by_reach).collect()];
+        for other in others.into_iter().filter(|other| *other != metres) {
+            let by_other = read_joints(joints, streams, &other, most_lag_s);
+            if by_other.as_ref().is_ok_and(|reading| !reading.is_as_logged()) {
+                (reading, metres) = (by_other, other);
+                break;
+            }
+        }
+    }
+    let mut found = by(reading.as_ref().unwrap_or(&as_logged));
+    if reading.as_ref().is_ok_and(|reading| *reading != as_logged) && !found.holds() {
+        // A reading that leaves much is none.
+        (reading, found) = (Err(Unseen::NotExcited), by(&as_logged));
+    }
+    let astray = |found: &Found| {
+        !found.streams.is_empty() && found.streams.iter().all(PoseDiagnosis::strays)
+    };
+    if reading.is_err() || astray(&found) {
+        // What is wrong beside them may hide names and units.
+        for likely in likely_readings(joints, streams, &metres, most_lag_s) {
+            let by_it = by(&likely.reading);
+            let is_part = likely.by_range && by_it.left() * PARTLY_BETTER < found.left();
+            if is_part || (by_it.holds() && by_it.left() * FAR_BETTER < found.left()) {
+                (reading, found) = (Ok(likely.reading), by_it);
+                break;
+            }
+        }
+    }
+    if let (Ok(_), Some((stream, left))) = (&reading, found.unexplained()) {
+        let own = &streams[stream];
+        let lag_s = found.streams[stream]
+            .latency_s
+            .as_ref()
+            .map_or_else(|_| stream_lag_s(joints, own, most_lag_s), |latency| latency.value);
+        let other = other_reading(joints, own, metres[stream], lag_s, left);
+        if let Some(other) = other {
+            let by_other = by(&other);
+            if by_other.holds() && by_other.left() * FAR_BETTER < found.left() {
+                (reading, found) = (Ok(other), by_other);
+            }
+        }
+    }
+    // Names and units that leave every stream astray are not read rightly, however near some of the
+    // positions are.
+    if astray(&found) && reading.as_ref().is_ok_and(JointReading::is_as_logged) {
+        reading = Err(Unseen::NotExcited);
+    }
+    if let Ok(reading) = &mut reading {
+        for slip in &mut reading.slips {
+            let own = found.scales.iter().find(|scale| scale.column == slip.column);
+            slip.factor = own.map_or(slip.factor, |scale| scale.factor.value);
+        }
+    }
+    let Found { offsets, scales, streams } = found;
+    ArmDiagnosis { joints: reading, offsets, scales, streams }
+}
+
+/// Another reading of the joints must leave so many times less than the one as logged.
+const FAR_BETTER: f64 = 5.0;
+/// Degrees that the joints' ranges speak for must leave so many times less.
+const PARTLY_BETTER: f64 = 3.0;
+/// What is left counts as explained below this, rms m and rad beyond the noise: MDL001's figures.
+const EXPLAINED_M: f64 = 1e-3;
+const EXPLAINED_RAD: f64 = 1.75e-3;
+/// A reading of the joints may leave this share of the motion's extent, or so much, m.
+const NEAR: f64 = 0.02;
+const NEAR_M: f64 = 5e-3;
+
+/// What was found by one reading of the joints.
+struct Found {
+    offsets: Vec<JointOffset>,
+    scales: Vec<JointScale>,
+    streams: Vec<PoseDiagnosis>,
+}
+
+impl Found {
+    /// Whether some stream is near the arm.
+    fn is_near(&self) -> bool {
+        let near = |found: &PoseDiagnosis| {
+            let most_m = (NEAR * extent_m(found)).max(NEAR_M);
+            found.residual.as_ref().is_ok_and(|residual| residual.excess_m.value < most_m)
+        };
+        self.streams.iter().any(near)
+    }
+
+    /// Whether the reading may be believed: some stream is near the arm, and no joint needs a scale of
+    /// its own that is no gear's unless that explains all.
+    fn holds(&self) -> bool {
+        let is_odd = self.scales.iter().any(|scale| !scale.is_coded() && !scale.is_round());
+        self.is_near() && (!is_odd || self.unexplained().is_none())
+    }
+
+    /// All that is left, an angle counting at an arm's length of 0.3 m, m.
+    fn left(&self) -> f64 {
+        self.streams.iter().map(|found| together(&left(found))).sum()
+    }
+
+    /// The stream of which most is left, and that, if it is not explained.
+    fn unexplained(&self) -> Option<(usize, Left)> {
+        let lefts = self.streams.iter().map(left).enumerate();
+        let worst = lefts.max_by(|a, b| together(&a.1).total_cmp(&together(&b.1)))?;
+        let Left { m, rad } = worst.1;
+        let is_open = m > EXPLAINED_M || rad.is_some_and(|rad| rad > EXPLAINED_RAD);
+        (is_open && !self.streams[worst.0].nominal).then_some(worst)
+    }
+}
+
+/// What is left of a stream beyond its noise; a metre and a radian where it could not be read.
+fn left(found: &PoseDiagnosis) -> Left {
+    match (&found.residual, &found.reading) {
+        (Ok(residual), Ok(_)) => {
+            Left { m: residual.excess_m.value, rad: Some(residual.excess_rad.value) }
+        }
+        // Its positions are read all the same; the last joint may turn the other way.
+        (Ok(residual), Err(Unseen::DoesNotFollow(_))) => {
+            Left { m: residual.excess_m.value, rad: Some(1.0) }
+        }
+        (Ok(residual), Err(_)) => Left { m: residual.excess_m.value, rad: None },
+        (Err(_), Err(Unseen::DoesNotFollow(_))) => Left { m: 1.0, rad: Some(1.0) },
+        (Err(_), _) => Left { m: 0.0, rad: None },
+    }
+}
+
+fn together(left: &Left) -> f64 {
+    left.together(0.3)
+}
+
+/// Extent of the tip's motion by FK, m.
+fn extent_m(found: &PoseDiagnosis) -> f64 {
+    let fk: Vec<Vec3> =
+        found.aligned.fk_at_truth.iter().map(|pose| pose.translation.vector).collect();
+    spread(&fk)
+}
+
+/// Diagnoses a stream that is computed from the joint states, such as /tf: it can be late or
+/// wrongly assembled, but it is no witness to the joints' zeros.
+///
+/// It is held against the joint states as recorded, or as `reading` corrects them, whichever it
+/// follows.
+pub fn diagnose_derived(
+    joints: &JointTrack,
+    reading: Option<&JointReading>,
+    stream: &PoseStream,
+    most_lag_s: f64,
+) -> PoseDiagnosis {
+    let streams = std::slice::from_ref(stream);
+    let slides = prismatic(joints.dof, streams);
+    let by = |reading: &JointReading| {
+        let read = Read::by(joints, reading, &slides).for_derived();
+        let placements = [Placement::of(&read.track, stream, most_lag_s)];
+        diagnose(joints, &read, streams, &placements, false).streams.remove(0)
+    };
+    let left = |diagnosis: &PoseDiagnosis| {
+        diagnosis.residual.as_ref().map_or(f64::INFINITY, Residual::together_m)
+    };
+    let as_recorded = by(&JointReading::default());
+    match reading {
+        Some(reading) if !reading.is_as_logged() => {
+            let mended = by(reading);
+            if left(&mended) < left(&as_recorded) { mended } else { as_recorded }
+        }
+        _ => as_recorded,
+    }
+}
+
+impl ArmDiagnosis {
+    /// The joint states as they should have been recorded: names and units as found, and the joint
+    /// offsets of the smallest explanation added.
+    ///
+    /// `prismatic` says for each column of `joints` whether that joint slides.
+    pub fn corrected_joints(&self, joints: &JointTrack, prismatic: &[bool]) -> JointTrack {
+        let mut track = match &self.joints {
+            Ok(reading) => corrected(joints, reading, prismatic),
+            Err(_) => joints.clone(),
+        };
+        let offset = |offset: &JointOffset| match &offset.offset {
+            Ok(measured) if offset.chosen => measured.value,
+            _ => 0.0,
+        };
+        let mut offsets: Vec<f64> = self.offsets.iter().map(offset).collect();
+        for scale in self.scales.iter().filter(|scale| scale.is_coded()) {
+            offsets[scale.column] = scale.offset;
+        }
+        for row in track.q.chunks_exact_mut(offsets.len().max(1)) {
+            for (q, offset) in row.iter_mut().zip(&offsets) {
+                *q += offset;
+            }
+        }
+        track
+    }
+}
+
+/// How well a pose stream follows the arm: the best correlation of its speeds with FK's.
+///
+/// Bare numbers must also lie where the arm is: joint angles in an array move when the arm moves.
+pub fn follows(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Option<Peak> {
+    let peak = likely_lags(joints, stream, most_lag_s).first().copied()?;
+    let placed = as_rotations(&stream.track.orientation).is_some() || {
+        let placement = Placement::of(joints, stream, most_lag_s);
+        placement.explains() || lies_on_arm(joints, stream, placement.metres(), peak.lag_s)
+    };
+    Some(if placed { peak } else { Peak { correlation: 0.0, ..peak } })
+}
+
+/// The lags at which a pose stream may follow the arm, by its speeds: the likeliest first.
+pub fn likely_lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<Peak> {
+    stream_peaks(&ArmSpeeds::of(joints, stream.chain, stream.columns), stream, most_lag_s)
+}
+
+fn prismatic(dof: usize, streams: &[PoseStream]) -> Vec<bool> {
+    let mut prismatic = vec![false; dof];
+    for stream in streams {
+        for (kind, &column) in stream.chain.joint_kinds().iter().zip(stream.columns) {
+            prismatic[column] = *kind == JointKind::Prismatic;
+        }
+    }
+    prismatic
+}
+
+/// Fits all streams together and writes each one's diagnosis.
+fn diagnose(
+    recorded: &JointTrack,
+    read: &Read,
+    streams: &[PoseStream],
+    placements: &[Placement],
+    with_offsets: bool,
+) -> Found {
+    let joints = &read.track;
+    let prepared: Vec<Seen<Prepared>> = streams
+        .iter()
+        .zip(placements)
+        .map(|(stream, placement)| prepare(read, stream, placement))
+        .collect();
+    let usable: Vec<&Prepared> = prepared.iter().flatten().collect();
+    let fitted = fit(&usable, read, with_offsets);
+    let (offsets, scales) = match &fitted {
+        Some(_) if !with_offsets => (Vec::new(), Vec::new()),
+        Some(fitted) => (joint_offsets(fitted, &usable, joints), joint_scales(fitted, read)),
+        None => {
+            let why = prepared.iter().find_map(|prepared| prepared.as_ref().err());
+            (unseen_offsets(joints.dof, why.unwrap_or(&Unseen::NoOverlap)), Vec::new())
+        }
+    };
+    let mut used = 0;
+    let diagnoses = streams
+        .iter()
+        .zip(prepared.iter().zip(placements))
+        .map(|(stream, (prepared, placement))| match (prepared, &fitted) {
+            (Ok(prepared), Some(fitted)) => {
+                used += 1;
+                stream_diagnosis(recorded, stream, placement, prepared, fitted, used - 1)
+            }
+            (Ok(_), None) => no_diagnosis(Unseen::NoOverlap),
+            (Err(why), _) => no_diagnosis(why.clone()),
+        })
+        .collect();
+    Found { offsets, scales, streams: diagnoses }
+}

@@ -1,0 +1,239 @@
+//! What a fit says of one stream.
+
+use super::SEARCH_SAMPLES;
+use super::align::align;
+use super::fit::Fitted;
+use super::twins::measured;
+use crate::diagnosis::course::latency_course;
+use crate::diagnosis::explain::{Cause, ENTANGLED, Explanation};
+use crate::diagnosis::frames::frame_estimate;
+use crate::diagnosis::latency::median_period_s;
+use crate::diagnosis::model::StreamState;
+use crate::diagnosis::observability::Observability;
+use crate::diagnosis::prepare::{Placement, Prepared};
+use crate::diagnosis::residual::residual;
+use crate::diagnosis::{
+    Aligned, AxesSlip, ConstantPart, LengthSlip, Measured, PoseDiagnosis, PoseStream, Residual,
+    Seen, UnitSlip, Unseen,
+};
+use crate::geometry::LengthScale;
+use crate::stream::JointTrack;
+
+/// Residuals below this cannot tell two latencies apart, rms rad and m at an arm's length of 1 m.
+const ALIAS_FLOOR: f64 = 2e-5;
+
+pub(super) fn no_diagnosis(why: Unseen) -> PoseDiagnosis {
+    let rests = || Unseen::RestsOn("the reading of the rotations");
+    PoseDiagnosis {
+        length: Err(why.clone()),
+        axes: Err(why.clone()),
+        reading: Err(why),
+        inverted: false,
+        constant: Vec::new(),
+        degrees: None,
+        latency_s: Err(rests()),
+        skew: Err(rests()),
+        skew_chosen: false,
+        course: Err(rests()),
+        growth: Err(rests()),
+        growth_chosen: false,
+        reference: Err(rests()),
+        tool: Err(rests()),
+        residual: Err(rests()),
+        nominal: false,
+        observability: None,
+        top_speed_m_s: 0.0,
+        aligned: Aligned::default(),
+    }
+}
+
+/// The unit that positions turned out to be in, where it is another one than they were read as.
+fn length_slip(
+    stream: &PoseStream,
+    placement: &Placement,
+    prepared: &Prepared,
+    residual: &Seen<Residual>,
+) -> Seen<Option<LengthSlip>> {
+    placement.metres.as_ref().map_err(Unseen::clone)?;
+    if prepared.metres == 1.0 {
+        return Ok(None);
+    }
+    let declared = stream.track.declared.as_ref();
+    let read_as = match declared.is_some_and(|declared| declared.millimetres) {
+        true => LengthScale::MILLIMETRE,
+        false => LengthScale::METRE,
+    };
+    let is = LengthScale::of(prepared.metres * read_as.in_m());
+    let residual = residual.as_ref().ok();
+    let corrected = residual.map_or(0.0, |residual| residual.rms_m);
+    let as_logged = residual.map_or(0.0, |residual| residual.before_m);
+    Ok(Some(LengthSlip { is, read_as, residual: UnitSlip { as_logged, corrected } }))
+}
+
+/// The coordinates that never change, with what FK does to them.
+fn constant_parts(
+    stream: &PoseStream,
+    prepared: &Prepared,
+    aligned: &Aligned,
+) -> Vec<ConstantPart> {
+    let axes = prepared.axes.unwrap_or(AxesSlip::NONE).positions;
+    let coordinates = ['x', 'y', 'z'].into_iter().enumerate();
+    let constant = coordinates.filter(|&(axis, _)| prepared.constant[axis]);
+    let part = |(axis, coordinate): (usize, char)| {
+        let along = aligned.fk.iter().map(|fk| axes.of(fk.translation.vector)[axis]);
+        let (low, high) = along
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high): (f64, f64), value| {
+                (value.min(low), value.max(high))
+            });
+        let all = stream.track.xyz.iter().map(|xyz| xyz[axis]);
+        let value = all.sum::<f64>() / stream.track.xyz.len().max(1) as f64;
+        ConstantPart { coordinate, value, moved_m: (high - low).max(0.0) }
+    };
+    constant.map(part).collect()
+}
+
+pub(super) fn stream_diagnosis(
+    recorded: &JointTrack,
+    stream: &PoseStream,
+    placement: &Placement,
+    prepared: &Prepared,
+    fitted: &Fitted,
+    index: usize,
+) -> PoseDiagnosis {
+    let Fitted { explanation, menu, .. } = fitted;
+    let causes = &explanation.causes;
+    let with = |cause: Cause| -> Vec<Cause> {
+        let mut with = causes.clone();
+        if !with.contains(&cause) && !menu.always.contains(&cause) {
+            with.push(cause);
+        }
+        with
+    };
+    let one = |cause: Cause| {
+        if fitted.nominal && matches!(cause, Cause::Growth(_)) {
+            Err(Unseen::NominalKinematics)
+        } else if is_hidden(fitted, cause, index) {
+            Err(Unseen::NotExcited)
+        } else if menu.all().contains(&cause) {
+            measured(fitted, &with(cause), cause, 0)
+        } else {
+            Err(Unseen::AtRest)
+        }
+    };
+    let latency_s = one(Cause::Latency(index)).map(|latency| Measured {
+        std_error: latency.std_error.hypot(stream.stamp_error_s),
+        ..latency
+    });
+    let latency_s = match aliases(prepared, explanation, index) {
+        Some(lags) => Err(Unseen::Periodic(lags)),
+        None => latency_s,
+    };
+    let frame = |cause: Cause| {
+        if fitted.nominal && !menu.all().contains(&cause) {
+            return Err(Unseen::NominalKinematics);
+        }
+        if is_hidden(fitted, cause, index) {
+            return Err(Unseen::NotExcited);
+        }
+        frame_estimate(explanation, menu, &with(cause), cause, index)
+    };
+    let aligned = align(recorded, stream, prepared, explanation, index);
+    let (found, zeros) = (&explanation.state.streams[index], &explanation.state.offsets);
+    let residual = residual(&aligned, &prepared.witness, found, zeros);
+    let information = explanation.linear.information_of(index);
+    let observability = Observability::of(&prepared.witness, found, zeros, &information);
+    let course = match &latency_s {
+        Ok(_) => latency_course(&aligned, found.skew),
+        Err(why) => Err(why.clone()),
+    };
+    let t_s = &prepared.witness.t_s;
+    let span_s = (t_s[t_s.len() - 1] - t_s[0]).max(f64::MIN_POSITIVE);
+    let mut reading = prepared.reading.clone();
+    if let (Ok(reading), Ok(residual)) = (&mut reading, &residual) {
+        // Latency, offsets and frames have been taken off since the readings were compared.
+        reading.best_rad = reading.best_rad.min(residual.rms_rad);
+    }
+    PoseDiagnosis {
+        reading,
+        length: length_slip(stream, placement, prepared, &residual),
+        axes: Ok(prepared.axes),
+        inverted: prepared.inverted,
+        constant: constant_parts(stream, prepared, &aligned),
+        degrees: prepared.degrees,
+        latency_s,
+        skew: one(Cause::Skew(index)).map(|skew| Measured {
+            // Stamps that are off by this much at either end feign a skew.
+            std_error: skew.std_error.hypot(2.0 * stream.stamp_error_s / span_s),
+            ..skew
+        }),
+        skew_chosen: causes.contains(&Cause::Skew(index)),
+        course,
+        growth: one(Cause::Growth(index)),
+        growth_chosen: causes.contains(&Cause::Growth(index)),
+        reference: frame(Cause::Reference(index)),
+        tool: frame(Cause::Tool(index)),
+        residual,
+        nominal: fitted.nominal,
+        observability: Some(observability),
+        top_speed_m_s: placement.top_speed_m_s,
+        aligned,
+    }
+}
+
+/// Whether a frame or the growth of stream `index`, which nothing needs, may be there all the same,
+/// made up for by another of them: at rest only all of them together show.
+fn is_hidden(fitted: &Fitted, cause: Cause, index: usize) -> bool {
+    let Fitted { explanation, menu, .. } = fitted;
+    let (state, found) = (&explanation.state, &explanation.state.streams[index]);
+    let is_round = match cause {
+        Cause::Reference(_) => found.round_reference.is_some(),
+        Cause::Tool(_) => found.round_tool.is_some(),
+        Cause::Growth(_) => false,
+        Cause::Zero(_) | Cause::Gain(_) | Cause::Latency(_) | Cause::Skew(_) => return false,
+    };
+    if is_round || explanation.causes.contains(&cause) || !menu.optional.contains(&cause) {
+        return false;
+    }
+    let others = [Cause::Reference(index), Cause::Tool(index), Cause::Growth(index)];
+    let makes_up = |other: &Cause| {
+        let mut both: Vec<usize> = cause.parameters(state).chain(other.parameters(state)).collect();
+        both.sort_unstable();
+        *other != cause
+            && menu.optional.contains(other)
+            && explanation.linear.normal.separation(&both) < ENTANGLED
+    };
+    others.iter().any(makes_up)
+}
+
+/// Other lags at which the stream lies as well on the arm as at the one found: repeating motion.
+fn aliases(prepared: &Prepared, explanation: &Explanation, index: usize) -> Option<Vec<f64>> {
+    let found = &explanation.state.streams[index];
+    let witness = &prepared.witness;
+    let at = |latency_s: f64| {
+        let state = StreamState { latency_s, ..found.clone() };
+        witness.at_latency(&state, &explanation.state.offsets, SEARCH_SAMPLES)
+    };
+    let (best, _) = at(found.latency_s);
+    let apart = 4.0 * median_period_s(&witness.t_s).max(0.02);
+    let others: Vec<f64> = prepared
+        .peaks
+        .iter()
+        .take(6)
+        .map(|peak| peak.lag_s)
+        .chain([0.0])
+        .filter(|lag_s| (lag_s - found.latency_s).abs() > apart)
+        .filter_map(|lag_s| {
+            let settled = (0..4).fold(lag_s, |lag_s, _| lag_s + at(lag_s).1);
+            let same = (settled - found.latency_s).abs() < apart;
+            (!same && at(settled).0 < 2.0 * best.max(ALIAS_FLOOR)).then_some(settled)
+        })
+        .collect();
+    if others.is_empty() {
+        return None;
+    }
+    let mut lags = vec![found.latency_s];
+    lags.extend(others);
+    lags.sort_by(f64::total_cmp);
+    lags.dedup_by(|a, b| (*a - *b).abs() < apart);
+    Some(lags)
+}

@@ -1,0 +1,92 @@
+//! One amount of a fit with its interval, and the causes that would explain the log as well in its place.
+
+use super::fit::Fitted;
+use crate::diagnosis::explain::{Cause, ENTANGLED};
+use crate::diagnosis::{Measured, Seen, Twin, Unseen};
+
+/// The estimate of one parameter of `cause` when `causes` and what is always free are free.
+pub(super) fn measured(
+    fitted: &Fitted,
+    causes: &[Cause],
+    cause: Cause,
+    which: usize,
+) -> Seen<Measured> {
+    let Fitted { explanation, menu, .. } = fitted;
+    let state = &explanation.state;
+    let mut parameters: Vec<usize> =
+        menu.always.iter().chain(causes).flat_map(|cause| cause.parameters(state)).collect();
+    parameters.sort_unstable();
+    parameters.dedup();
+    let wanted = cause.parameters(state).start + which;
+    let at = parameters.binary_search(&wanted).map_err(|_| Unseen::NotExcited)?;
+    explanation.linear.measured(&parameters, at, state).ok_or(Unseen::NotExcited)
+}
+
+/// Causes that explain the log as well in the place of `cause`.
+pub(super) fn twins(fitted: &Fitted, cause: Cause) -> Vec<Twin> {
+    let Fitted { explanation, menu, .. } = fitted;
+    let (state, linear) = (&explanation.state, &explanation.linear);
+    let parameters = |causes: &[Cause]| -> Vec<usize> {
+        let mut list: Vec<usize> =
+            menu.always.iter().chain(causes).flat_map(|c| c.parameters(state)).collect();
+        list.sort_unstable();
+        list
+    };
+    let cost = linear.cost(&parameters(&explanation.causes));
+    let rest: Vec<Cause> = explanation.causes.iter().copied().filter(|c| *c != cause).collect();
+    menu.optional
+        .iter()
+        .filter(|other| !explanation.causes.contains(other))
+        .filter_map(|&other| {
+            let swapped: Vec<Cause> = rest.iter().copied().chain([other]).collect();
+            let parameters = parameters(&swapped);
+            if linear.cost(&parameters) > cost + 12.0 {
+                return None;
+            }
+            let values = state.values() + linear.step(&parameters);
+            let own: Vec<f64> = other.parameters(state).map(|p| values[p]).collect();
+            match other {
+                Cause::Zero(joint) => Some(Twin::JointZero(joint, own[0])),
+                Cause::Reference(s) => Some(Twin::Reference(s, frame_amount(&own))),
+                Cause::Tool(s) => Some(Twin::Tool(s, frame_amount(&own))),
+                Cause::Gain(_) | Cause::Latency(_) | Cause::Skew(_) | Cause::Growth(_) => None,
+            }
+        })
+        .collect()
+}
+
+/// Frames of the explanation that do to this log what the joint offset `cause` does.
+pub(super) fn frame_twins(fitted: &Fitted, cause: Cause) -> Vec<Twin> {
+    let Fitted { explanation, menu, .. } = fitted;
+    let (state, linear) = (&explanation.state, &explanation.linear);
+    let values = state.values();
+    let frames = menu.always.iter().chain(&explanation.causes);
+    let round = (0..state.streams.len()).flat_map(|s| {
+        let stream = &state.streams[s];
+        let reference = stream.round_reference.map(|_| Cause::Reference(s));
+        reference.into_iter().chain(stream.round_tool.map(|_| Cause::Tool(s)))
+    });
+    let round: Vec<Cause> = round.collect();
+    frames
+        .chain(&round)
+        .filter_map(|&frame| {
+            let mut parameters: Vec<usize> = frame.parameters(state).collect();
+            let own: Vec<f64> = parameters.iter().map(|&p| values[p]).collect();
+            parameters.extend(cause.parameters(state));
+            parameters.sort_unstable();
+            let same = linear.normal.separation(&parameters) < ENTANGLED;
+            match frame {
+                Cause::Reference(s) if same => Some(Twin::Reference(s, frame_amount(&own))),
+                Cause::Tool(s) if same => Some(Twin::Tool(s, frame_amount(&own))),
+                _ => None,
+            }
+        })
+        .collect()
+}
+
+/// The size of a frame change: its angle in rad, or where it does not turn its length in m.
+fn frame_amount(twist: &[f64]) -> f64 {
+    let norm = |part: &[f64]| part.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let (length, angle) = (norm(&twist[..3]), norm(&twist[3..]));
+    if angle > 1e-5 { angle } else { length }
+}

@@ -1,0 +1,145 @@
+//! What a fit says of the joints: the offset of each, and its scale where it has a wrong one.
+
+use super::fit::Fitted;
+use super::twins::{frame_twins, measured, twins};
+use crate::diagnosis::explain::Cause;
+use crate::diagnosis::joints::{Read, half_turns};
+use crate::diagnosis::prepare::Prepared;
+use crate::diagnosis::{JointOffset, JointScale, Measured, Unseen};
+use crate::geometry::Vec3;
+use crate::robot::JointKind;
+use crate::stream::JointTrack;
+use std::f64::consts::TAU;
+
+pub(super) fn unseen_offsets(dof: usize, why: &Unseen) -> Vec<JointOffset> {
+    let offset = || JointOffset {
+        offset: Err(why.clone()),
+        chosen: false,
+        effect_m: 0.0,
+        twins: Vec::new(),
+    };
+    (0..dof).map(|_| offset()).collect()
+}
+
+/// The offset of every joint: those chosen with the chosen causes alone, the others with all
+/// joints free.
+pub(super) fn joint_offsets(
+    fitted: &Fitted,
+    prepared: &[&Prepared],
+    joints: &JointTrack,
+) -> Vec<JointOffset> {
+    let Fitted { explanation, menu, .. } = fitted;
+    let moved = moved_joints(joints);
+    let zeros: Vec<Cause> =
+        menu.optional.iter().copied().filter(|cause| matches!(cause, Cause::Zero(_))).collect();
+    let everyone: Vec<Cause> =
+        explanation.causes.iter().copied().chain(zeros.iter().copied()).collect();
+    (0..joints.dof)
+        .map(|joint| {
+            let cause = Cause::Zero(joint);
+            let chosen = explanation.causes.contains(&cause);
+            let offset = if fitted.nominal {
+                Err(Unseen::NominalKinematics)
+            } else if !zeros.contains(&cause) {
+                Err(Unseen::NotExcited)
+            } else if chosen {
+                measured(fitted, &explanation.causes, cause, 0)
+            } else if !moved[joint] || moved.iter().filter(|m| **m).count() < 2 {
+                Err(Unseen::NotExcited)
+            } else {
+                measured(fitted, &everyone, cause, 0)
+            };
+            let twins = if chosen { twins(fitted, cause) } else { frame_twins(fitted, cause) };
+            let slides = slides(prepared, joint);
+            let within_a_turn = |offset: Measured| match slides {
+                true => offset,
+                false => {
+                    Measured { value: offset.value - TAU * half_turns(offset.value), ..offset }
+                }
+            };
+            let offset = offset.map(within_a_turn);
+            let amount = offset.as_ref().map_or(0.0, |offset| offset.value.abs());
+            let chord = if slides { amount } else { 2.0 * (0.5 * amount).sin() };
+            JointOffset { offset, chosen, effect_m: chord * lever_m(prepared, joint), twins }
+        })
+        .collect()
+}
+
+/// Whether a joint of the track slides.
+fn slides(prepared: &[&Prepared], joint: usize) -> bool {
+    prepared.iter().any(|Prepared { witness, .. }| {
+        let own = witness.columns.iter().position(|&column| column == joint);
+        own.is_some_and(|own| witness.chain.joint_kinds()[own] == JointKind::Prismatic)
+    })
+}
+
+/// The scales of the joints that have one of their own.
+pub(super) fn joint_scales(fitted: &Fitted, read: &Read) -> Vec<JointScale> {
+    let explanation = &fitted.explanation;
+    let scale = |(at, &column): (usize, &usize)| {
+        let gain = Cause::Gain(read.track.dof + at);
+        let about = read.factors[column];
+        let gain = measured(fitted, &explanation.causes, gain, 0).ok()?;
+        let factor = Measured {
+            value: about * (1.0 + gain.value),
+            std_error: about.abs() * gain.std_error,
+            ..gain
+        };
+        let zero = Cause::Zero(column);
+        let is_off = explanation.causes.contains(&zero) || fitted.menu.always.contains(&zero);
+        let offset = if is_off { explanation.state.offsets[column] } else { 0.0 };
+        Some(JointScale { column, factor, offset })
+    };
+    read.gained.iter().enumerate().filter_map(scale).collect()
+}
+
+/// Joints that move by more than 3° (or 50 mm) over the run.
+fn moved_joints(joints: &JointTrack) -> Vec<bool> {
+    (0..joints.dof)
+        .map(|j| {
+            let column = || joints.q.iter().skip(j).step_by(joints.dof);
+            let low = column().copied().fold(f64::INFINITY, f64::min);
+            let high = column().copied().fold(f64::NEG_INFINITY, f64::max);
+            high - low > 0.05
+        })
+        .collect()
+}
+
+/// Distance from a joint's axis to the tip at full stretch, m a rad (1 for a sliding joint): the
+/// largest over joint positions spread evenly over a turn each (Halton 1960).
+fn lever_m(prepared: &[&Prepared], joint: usize) -> f64 {
+    const TRIED: u32 = 500;
+    const BASES: [u32; 10] = [2, 3, 5, 7, 11, 13, 17, 19, 23, 29];
+    let lever = |prepared: &&Prepared| {
+        let own = prepared.witness.columns.iter().position(|&column| column == joint)?;
+        let chain = prepared.witness.chain;
+        let kinds = chain.joint_kinds();
+        if kinds[own] == JointKind::Prismatic {
+            return Some(1.0);
+        }
+        let mut jacobian = vec![[0.0; 6]; chain.dof()];
+        let levers = (1..=TRIED).map(|index| {
+            let at = |(j, kind): (usize, &JointKind)| match kind {
+                JointKind::Prismatic => 0.0,
+                _ => TAU * (radical_inverse(index, BASES[j % BASES.len()]) - 0.5),
+            };
+            let q: Vec<f64> = kinds.iter().enumerate().map(at).collect();
+            chain.forward_with_jacobian(&q, &mut jacobian);
+            let [x, y, z, ..] = jacobian[own];
+            Vec3::new(x, y, z).norm()
+        });
+        Some(levers.fold(0.0, f64::max))
+    };
+    prepared.iter().filter_map(lever).fold(0.0, f64::max)
+}
+
+/// The digits of `index` in `base` mirrored at the point, in [0, 1).
+fn radical_inverse(mut index: u32, base: u32) -> f64 {
+    let (mut value, mut digit) = (0.0, 1.0 / f64::from(base));
+    while index > 0 {
+        value += f64::from(index % base) * digit;
+        index /= base;
+        digit /= f64::from(base);
+    }
+    value
+}

@@ -1,0 +1,148 @@
+//! Streams whose latency is not steady: what else is wrong with them is sought on the streams as they would
+//! be if it were.
+
+use super::{
+    ArmDiagnosis, ImuDiagnosis, ImuStream, JointReading, LatencySteps, PoseDiagnosis, PoseStream,
+    diagnose_arm, diagnose_imu, imu_steps, pose_steps,
+};
+use crate::stream::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack};
+use rayon::prelude::*;
+
+/// The diagnosis of an arm's pose streams; where the latency of some is not steady, that of the
+/// streams as they would be if it were, so that no other cause is sought for what it does.
+pub fn diagnose_steadied(
+    joints: &JointTrack,
+    streams: &[PoseStream],
+    slides: &[bool],
+    most_lag_s: f64,
+) -> ArmDiagnosis {
+    let steps_by = |joints: &JointTrack| -> Vec<Option<LatencySteps>> {
+        streams.par_iter().map(|stream| pose_steps(joints, stream, most_lag_s)).collect()
+    };
+    let of_steps = |steps: &[Option<LatencySteps>]| -> Vec<Option<PoseTrack>> {
+        let both = streams.iter().zip(steps);
+        both.map(|(stream, steps)| {
+            let track = stream.track;
+            Some(straightened(track, &steps.as_ref()?.straightened(&track.t_s)))
+        })
+        .collect()
+    };
+    let mut steps = steps_by(joints);
+    let mut unstepped = of_steps(&steps);
+    let mut found = diagnose_arm(joints, &with_tracks(streams, &unstepped), most_lag_s);
+    let is_misread = !found.joints.as_ref().is_ok_and(JointReading::is_as_logged);
+    if is_misread && steps.iter().all(Option::is_none) {
+        // Joints that are misread hide steps, and steps hide how they are to be read.
+        let mended = match &found.joints {
+            Ok(_) => found.corrected_joints(joints, slides),
+            Err(_) => {
+                let mut radians = joints.clone();
+                radians.take_for_degrees(slides);
+                radians
+            }
+        };
+        steps = steps_by(&mended);
+        if steps.iter().any(Option::is_some) {
+            unstepped = of_steps(&steps);
+            found = diagnose_arm(joints, &with_tracks(streams, &unstepped), most_lag_s);
+        }
+    }
+    let streams = with_tracks(streams, &unstepped);
+    let tracks: Vec<Option<PoseTrack>> =
+        streams.iter().zip(&found.streams).map(|(stream, found)| steadied(stream, found)).collect();
+    let courses: Vec<_> = found
+        .streams
+        .iter()
+        .zip(&steps)
+        .map(|(found, steps)| match steps {
+            Some(steps) => Ok(steps.course(&found.course)),
+            None => found.course.clone(),
+        })
+        .collect();
+    let mut steady = if tracks.iter().all(Option::is_none) {
+        found
+    } else {
+        diagnose_arm(joints, &with_tracks(&streams, &tracks), most_lag_s)
+    };
+    for (steady, course) in steady.streams.iter_mut().zip(courses) {
+        steady.course = course;
+    }
+    steady
+}
+
+/// Streams with other tracks, where there are such.
+fn with_tracks<'a>(
+    streams: &[PoseStream<'a>],
+    tracks: &'a [Option<PoseTrack>],
+) -> Vec<PoseStream<'a>> {
+    let with = |(stream, track): (&PoseStream<'a>, &'a Option<PoseTrack>)| PoseStream {
+        track: track.as_ref().unwrap_or(stream.track),
+        ..*stream
+    };
+    streams.iter().zip(tracks).map(with).collect()
+}
+
+/// The diagnosis of an IMU; where its latency is not steady, that of the IMU as it would be if it
+/// were.
+pub fn diagnose_imu_steadied(
+    joints: &JointTrack,
+    stream: ImuStream,
+    most_lag_s: f64,
+) -> ImuDiagnosis {
+    let steps = imu_steps(joints, &stream, most_lag_s);
+    let of_rows = |track: &ImuTrack, rows: &[(usize, f64)]| ImuTrack {
+        t_s: rows.iter().map(|&(_, t_s)| t_s).collect(),
+        orientation: rows
+            .iter()
+            .filter_map(|&(row, _)| track.orientation.get(row).copied())
+            .collect(),
+        gyro: rows.iter().map(|&(row, _)| track.gyro[row]).collect(),
+        accel: rows.iter().map(|&(row, _)| track.accel[row]).collect(),
+    };
+    let unstepped =
+        steps.as_ref().map(|steps| of_rows(stream.track, &steps.straightened(&stream.track.t_s)));
+    let track = unstepped.as_ref().unwrap_or(stream.track);
+    let found = diagnose_imu(joints, &ImuStream { track, ..stream }, most_lag_s);
+    let latency_course = match &steps {
+        Some(steps) => Ok(steps.course(&found.latency_course)),
+        None => found.latency_course.clone(),
+    };
+    let unsteady = found.latency_course.as_ref().ok().filter(|course| course.is_unsteady);
+    let Some(course) = unsteady else { return ImuDiagnosis { latency_course, ..found } };
+    let track = of_rows(track, &course.straightened(&track.t_s));
+    let steady = diagnose_imu(joints, &ImuStream { track: &track, ..stream }, most_lag_s);
+    ImuDiagnosis { latency_course, ..steady }
+}
+
+/// The poses of a stream at the stamps that they would have if its latency were steady; `None` where
+/// it is.
+pub fn steadied(stream: &PoseStream, found: &PoseDiagnosis) -> Option<PoseTrack> {
+    let course = found.course.as_ref().ok().filter(|course| course.is_unsteady)?;
+    Some(straightened(stream.track, &course.straightened(&stream.track.t_s)))
+}
+
+/// Some rows of a track of poses, each at another time.
+fn straightened(track: &PoseTrack, rows: &[(usize, f64)]) -> PoseTrack {
+    let declared = track.declared.as_ref().map(|declared| DeclaredUnits {
+        in_other_angles: declared
+            .in_other_angles
+            .as_ref()
+            .map(|all| rows.iter().map(|&(row, _)| all[row]).collect()),
+        ..*declared
+    });
+    let orientation = match &track.orientation {
+        Orientations::Rotations(all) => {
+            Orientations::Rotations(rows.iter().map(|&(row, _)| all[row]).collect())
+        }
+        Orientations::Numbers(all) => {
+            Orientations::Numbers(rows.iter().map(|&(row, _)| all[row]).collect())
+        }
+        Orientations::Unset(_) => Orientations::Unset(rows.len()),
+    };
+    PoseTrack {
+        t_s: rows.iter().map(|&(_, t_s)| t_s).collect(),
+        xyz: rows.iter().map(|&(row, _)| track.xyz[row]).collect(),
+        orientation,
+        declared,
+    }
+}
