@@ -40,6 +40,7 @@ pub mod replay;
 pub mod report;
 pub mod robot;
 pub mod run;
+pub mod stats;
 pub mod stream;
 pub mod synth;
 pub mod tables;

@@ -6,6 +6,8 @@ pub mod boundary;
 pub mod geometry;
 #[path = "../../src/log/mod.rs"]
 pub mod log;
+#[path = "../../src/stats/mod.rs"]
+pub mod stats;
 #[path = "../../src/stream/mod.rs"]
 pub mod stream;
 #[path = "../../src/time.rs"]

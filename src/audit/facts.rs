@@ -4,13 +4,15 @@ use super::arms::arm_facts;
 use super::estimate::Diagnosis;
 use super::{Options, Read};
 use crate::checks::{
-    Due, EmptyFacts, Facts, FrameFacts, FrozenFacts, HeldFacts, NormFacts, RhythmFacts, StampFacts,
-    StrayFacts, UnauditedFacts, Undecodable, UndecodableTopic, UnusableFacts,
+    Due, EmptyFacts, Facts, FrameFacts, HeldFacts, Of, RhythmFacts, StampFacts, StrayFacts,
+    Undecodable, UndecodableTopic, UnusableFacts,
 };
 use crate::diagnosis::{ArmDiagnosis, Unseen};
 use crate::finding::{Span, Subject};
 use crate::robot::{JointKind, RobotError};
-use crate::run::{Arm, PoseSource, Role, Run, Strays, Stream, TopicSettings, Unaudited, WhyNot};
+use crate::run::{
+    Arm, Frozen, Norms, PoseSource, Role, Run, Stream, TopicSettings, Unaudited, WhyNot,
+};
 use crate::stream::{Columns, JointColumn, PoseColumns};
 
 /// The facts for the rules.
@@ -21,14 +23,10 @@ pub(super) fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read, options: 
     let robots = arms.map(|(arm, diagnosis)| arm_facts(run, arm, diagnosis, options));
     let stamps = run.clocks.iter().filter_map(|clock| {
         let stream = run.streams.get(clock.stream)?;
-        Some(StampFacts {
-            robot: stream.arm.and_then(|arm| run.arms.get(arm)).map(|arm| arm.name.clone()),
-            topic: stream.topic.clone(),
-            span: span_of(run, clock.stream),
-            frame: frame_of_several(run, stream),
-            due: due(run, stream)?,
-            clock: clock.clone(),
-        })
+        let mut of =
+            of(run, clock.stream, StampFacts { due: due(run, stream)?, clock: clock.clone() });
+        of.subject.frame = clock.frame.clone().or(of.subject.frame);
+        Some(of)
     });
     Facts {
         robots: robots.collect(),
@@ -85,14 +83,10 @@ pub(super) fn frame_of_several(run: &Run, stream: &Stream) -> Option<String> {
     is_one_of_several.then(|| stream.child_frame_id.clone())
 }
 
-fn rhythms(run: &Run) -> Vec<RhythmFacts> {
+fn rhythms(run: &Run) -> Vec<Of<RhythmFacts>> {
     let rhythms = run.rhythms.iter().filter_map(|rhythm| {
         let stream = run.streams.get(rhythm.stream)?;
-        Some(RhythmFacts {
-            robot: stream.arm.and_then(|arm| run.arms.get(arm)).map(|arm| arm.name.clone()),
-            topic: stream.topic.clone(),
-            span: span_of(run, rhythm.stream),
-            frame: frame_of_several(run, stream),
+        let found = RhythmFacts {
             due: due(run, stream)?,
             rate_hz: stream.rate_hz,
             said_hz: stream.said_hz,
@@ -100,7 +94,8 @@ fn rhythms(run: &Run) -> Vec<RhythmFacts> {
             unusable: if stream.role == Role::Joints { 0 } else { stream.unusable() },
             parts: rhythm.parts.clone(),
             extent: rhythm.extent,
-        })
+        };
+        Some(of(run, rhythm.stream, found))
     });
     rhythms.filter(|rhythm| !rhythm.parts.is_empty()).collect()
 }
@@ -115,11 +110,11 @@ fn frames(run: &Run) -> FrameFacts {
 }
 
 /// The norms of the streams that log rotations, each with all its transforms.
-fn norms(run: &Run) -> Vec<NormFacts> {
+fn norms(run: &Run) -> Vec<Of<Vec<Norms>>> {
     let is_tf = |topic: &str| {
         run.streams.iter().any(|stream| stream.role == Role::Tf && stream.topic == topic)
     };
-    let mut streams: Vec<NormFacts> = Vec::new();
+    let mut streams: Vec<Of<Vec<Norms>>> = Vec::new();
     let mut last = None;
     for norms in &run.norms {
         let Some(stream) = run.streams.get(norms.stream) else { continue };
@@ -134,14 +129,8 @@ fn norms(run: &Run) -> Vec<NormFacts> {
             continue;
         }
         match streams.last_mut().filter(|_| last == Some(norms.stream)) {
-            Some(known) => known.parts.push(norms.clone()),
-            None => streams.push(NormFacts {
-                robot: stream.arm.and_then(|arm| run.arms.get(arm)).map(|arm| arm.name.clone()),
-                topic: stream.topic.clone(),
-                span: span_of(run, norms.stream),
-                frame: frame_of_several(run, stream),
-                parts: vec![norms.clone()],
-            }),
+            Some(known) => known.found.push(norms.clone()),
+            None => streams.push(of(run, norms.stream, vec![norms.clone()])),
         }
         last = Some(norms.stream);
     }
@@ -149,19 +138,14 @@ fn norms(run: &Run) -> Vec<NormFacts> {
 }
 
 /// The streams that are audited, each with its samples that hold no usable numbers.
-fn unusable(run: &Run) -> Vec<UnusableFacts> {
+fn unusable(run: &Run) -> Vec<Of<UnusableFacts>> {
     let is_asked =
         |stream: &Stream| matches!(stream.role, Role::Joints | Role::Pose | Role::Tf | Role::Imu);
     let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));
-    let of = |(index, stream): (usize, &Stream)| {
-        let mut facts = UnusableFacts {
-            subject: subject_of(run, stream),
-            span: span_of(run, index),
-            unusable: stream.unusable(),
-            unset: 0,
-            misfits: 0,
-            samples: 0,
-        };
+    let unusable = |(index, stream): (usize, &Stream)| {
+        let mut facts =
+            UnusableFacts { unusable: stream.unusable(), unset: 0, misfits: 0, samples: 0 };
+        let mut joint = None;
         let kept: usize = stream.times().iter().map(|times| times.len()).sum();
         facts.samples = kept as u64 + facts.unusable;
         match &stream.columns {
@@ -175,8 +159,7 @@ fn unusable(run: &Run) -> Vec<UnusableFacts> {
                 facts.misfits = joints.wrong_length;
                 facts.samples = kept as u64 + facts.misfits;
                 facts.unusable = worst.map_or(0, |(_, count)| *count);
-                facts.subject.joint =
-                    worst.filter(|_| facts.unusable > 0).map(|(name, _)| name.to_owned());
+                joint = worst.filter(|_| facts.unusable > 0).map(|(name, _)| name.to_owned());
             }
             Some(Columns::Poses(poses) | Columns::Transforms(poses)) => {
                 let unset = |poses: &PoseColumns| {
@@ -192,13 +175,15 @@ fn unusable(run: &Run) -> Vec<UnusableFacts> {
             }
             _ => {}
         }
-        facts
+        let mut of = of(run, index, facts);
+        of.subject.joint = joint;
+        of
     };
-    streams.map(of).collect()
+    streams.map(unusable).collect()
 }
 
 /// The streams of joint states, tool poses and transforms, each with what of it jumps away and back.
-fn strays(run: &Run) -> Vec<StrayFacts> {
+fn strays(run: &Run) -> Vec<Of<StrayFacts>> {
     let is_tf = |topic: &str| {
         run.streams.iter().any(|stream| stream.role == Role::Tf && stream.topic == topic)
     };
@@ -216,51 +201,47 @@ fn strays(run: &Run) -> Vec<StrayFacts> {
         .map(|joint| joint.name.clone())
         .collect();
     let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));
-    let of = |(index, stream): (usize, &Stream)| {
-        let parts: Vec<Strays> =
-            run.sift.strays.iter().filter(|strays| strays.stream == index).cloned().collect();
-        StrayFacts {
-            subject: subject_of(run, stream),
-            span: span_of(run, index),
+    let strays = |(index, stream): (usize, &Stream)| {
+        let parts = run.sift.strays.iter().filter(|strays| strays.stream == index);
+        let found = StrayFacts {
             samples: stream.times().iter().map(|times| times.len()).max().unwrap_or(0),
             sliding: sliding.clone(),
-            parts,
-        }
+            parts: parts.cloned().collect(),
+        };
+        of(run, index, found)
     };
-    streams.map(of).collect()
+    streams.map(strays).collect()
 }
 
-/// A stream as a subject.
-fn subject_of(run: &Run, stream: &Stream) -> Subject {
-    Subject {
+/// What was found on the stream `index`.
+fn of<T>(run: &Run, index: usize, found: T) -> Of<T> {
+    let stream = &run.streams[index];
+    let subject = Subject {
         robot: stream.arm.and_then(|arm| run.arms.get(arm)).map(|arm| arm.name.clone()),
         topic: Some(stream.topic.clone()),
         frame: frame_of_several(run, stream),
         ..Subject::default()
-    }
+    };
+    Of { subject, span: span_of(run, index), found }
 }
 
 /// The streams of poses that an arm was held against, each with when it stood still.
-fn frozen(run: &Run) -> Vec<FrozenFacts> {
-    let of = |index: usize| {
+fn frozen(run: &Run) -> Vec<Of<Vec<Frozen>>> {
+    let frozen = |index: usize| {
         let stream = run.streams.get(index)?;
         let times = run.frozen.iter().filter(|found| found.stream == index);
         let is_asked = matches!(stream.role, Role::Pose | Role::Joints);
         if !is_asked && !times.clone().any(|found| found.whole) {
             return None;
         }
-        Some(FrozenFacts {
-            subject: subject_of(run, stream),
-            span: span_of(run, index),
-            times: times.copied().collect(),
-        })
+        Some(of(run, index, times.copied().collect()))
     };
     let joints = (0..run.streams.len()).filter(|&index| run.streams[index].role == Role::Joints);
-    joints.chain(run.watched.iter().copied()).filter_map(of).collect()
+    joints.chain(run.watched.iter().copied()).filter_map(frozen).collect()
 }
 
 /// The streams whose values could repeat, each with what of it does.
-fn held(run: &Run) -> Vec<HeldFacts> {
+fn held(run: &Run) -> Vec<Of<HeldFacts>> {
     let is_tf = |topic: &str| {
         run.streams.iter().any(|stream| stream.role == Role::Tf && stream.topic == topic)
     };
@@ -280,14 +261,15 @@ fn held(run: &Run) -> Vec<HeldFacts> {
         })
     };
     let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));
-    let of = |(index, stream): (usize, &Stream)| HeldFacts {
-        subject: subject_of(run, stream),
-        span: span_of(run, index),
-        parts: of_stream(index).cloned().collect(),
-        is_latched: stream.topic.to_lowercase().contains("latched"),
-        is_of_joints: is_of_joints(index),
+    let held = |(index, stream): (usize, &Stream)| {
+        let found = HeldFacts {
+            parts: of_stream(index).cloned().collect(),
+            is_latched: stream.topic.to_lowercase().contains("latched"),
+            is_of_joints: is_of_joints(index),
+        };
+        of(run, index, found)
     };
-    streams.map(of).collect()
+    streams.map(held).collect()
 }
 
 /// The streams of an arm whose orientations were never set.
@@ -300,21 +282,17 @@ fn unset(arm: &Arm, found: &ArmDiagnosis) -> Vec<Unaudited> {
 }
 
 /// The streams that are audited or would be, each with why it is not, or not as what it says it is.
-fn unaudited(run: &Run, unset: &[Unaudited]) -> Vec<UnauditedFacts> {
+fn unaudited(run: &Run, unset: &[Unaudited]) -> Vec<Of<Vec<WhyNot>>> {
     if run.arms.is_empty() {
         return Vec::new();
     }
-    let of = |(index, stream): (usize, &Stream)| {
-        let known = run.unaudited.iter().chain(unset);
-        let why: Vec<_> = known.filter(|found| found.stream == index).collect();
+    let why_not = |(index, stream): (usize, &Stream)| {
+        let known = run.unaudited.iter().chain(unset).filter(|found| found.stream == index);
+        let why: Vec<WhyNot> = known.map(|found| found.why.clone()).collect();
         let is_asked = matches!(stream.role, Role::Joints | Role::Pose) || !why.is_empty();
-        is_asked.then(|| UnauditedFacts {
-            subject: subject_of(run, stream),
-            span: span_of(run, index),
-            why: why.into_iter().map(|found| found.why.clone()).collect(),
-        })
+        is_asked.then(|| of(run, index, why))
     };
-    run.streams.iter().enumerate().filter_map(of).collect()
+    run.streams.iter().enumerate().filter_map(why_not).collect()
 }
 
 /// The topics that hold nothing and would be audited; of joint states and transforms only where no

@@ -2,12 +2,14 @@
 //!
 //! The pipeline fills these from `run` and `diagnosis`; the rules only read them.
 
-use super::Figures;
+use std::ops::Deref;
+
+use super::{Figures, Judged};
 use crate::diagnosis::{
     Abruptness, ArmDiagnosis, DhEstimate, Excess, HandEyeDiagnosis, ImuDiagnosis, ImuProof,
     JointScale, Mount, NoShake, PoseDiagnosis, Proof, ReferenceDiagnosis, Seen, Shake,
 };
-use crate::finding::{Span, Subject, Unit};
+use crate::finding::{Outcome, Span, Subject, Unit};
 use crate::geometry::{Convention, Rotation};
 use crate::log::{self, Loss};
 use crate::robot::{DhConvention, Limits};
@@ -27,24 +29,24 @@ pub struct Facts {
     /// What cameras see, each held against a hand.
     pub hand_eyes: Vec<HandEyeFacts>,
     /// Every stream that plays a part, by its stamps.
-    pub stamps: Vec<StampFacts>,
+    pub stamps: Vec<Of<StampFacts>>,
     /// Every stream that is audited, by its samples that hold no usable numbers.
-    pub unusable: Vec<UnusableFacts>,
+    pub unusable: Vec<Of<UnusableFacts>>,
     /// Every stream that plays a part, by how regularly it comes.
-    pub rhythms: Vec<RhythmFacts>,
+    pub rhythms: Vec<Of<RhythmFacts>>,
     /// The TF topics, and what keeps their frames from being a tree.
     pub frames: FrameFacts,
     /// Every stream that logs rotations as more than three numbers, by how far they are from rotations.
-    pub norms: Vec<NormFacts>,
+    pub norms: Vec<Of<Vec<Norms>>>,
     /// Every stream of joint states, tool poses or transforms, by the samples that jump away and back.
-    pub strays: Vec<StrayFacts>,
+    pub strays: Vec<Of<StrayFacts>>,
     /// Every stream of tool poses that the arm can be held against, by when it stood still.
-    pub frozen: Vec<FrozenFacts>,
+    pub frozen: Vec<Of<Vec<Frozen>>>,
     /// What repeats values with new stamps.
-    pub held: Vec<HeldFacts>,
+    pub held: Vec<Of<HeldFacts>>,
     /// Every stream of joint states or tool poses, and every other that says it is one, with why it is not
     /// audited as that.
-    pub unaudited: Vec<UnauditedFacts>,
+    pub unaudited: Vec<Of<Vec<WhyNot>>>,
     /// Topics that would play a role, and hold no message, or none with finite numbers.
     pub empty: Vec<EmptyFacts>,
     /// Topics that the caller expects and the log does not have, with where that is said.
@@ -95,15 +97,30 @@ impl Facts {
     }
 }
 
-/// A stream that is audited or should be.
+/// What was found on a stream.
 #[derive(Clone, Debug)]
-pub struct UnauditedFacts {
+pub struct Of<T> {
     /// The stream.
     pub subject: Subject,
-    /// Its first and last stamp.
+    /// First and last stamp used.
     pub span: Option<Span>,
-    /// Why it is not audited as what it says it is; nothing where it is.
-    pub why: Vec<WhyNot>,
+    /// What was found.
+    pub found: T,
+}
+
+impl<T> Of<T> {
+    /// What a rule says of it.
+    pub(super) fn judged(&self, outcome: Outcome) -> Judged {
+        Judged::new(self.subject.clone(), outcome).within(self.span)
+    }
+}
+
+impl<T> Deref for Of<T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        &self.found
+    }
 }
 
 /// One robot and its streams.
@@ -421,46 +438,18 @@ impl HandEyeFacts {
     }
 }
 
-/// The stamps of one stream.
+/// The stamps of one stream, with when they are due.
 #[derive(Clone, Debug)]
 pub struct StampFacts {
-    /// Name of the robot it belongs to, where one is known.
-    pub robot: Option<String>,
-    /// Its topic.
-    pub topic: String,
-    /// First and last stamp used.
-    pub span: Option<Span>,
-    /// The frame whose poses they are, where the topic has those of several.
-    pub frame: Option<String>,
     /// When its samples are due.
     pub due: Due,
     /// What its headers say, and whose time that is.
     pub clock: StreamClock,
 }
 
-impl StampFacts {
-    /// The stream as a subject.
-    pub fn subject(&self) -> Subject {
-        Subject {
-            robot: self.robot.clone(),
-            topic: Some(self.topic.clone()),
-            frame: self.clock.frame.clone().or_else(|| self.frame.clone()),
-            joint: None,
-        }
-    }
-}
-
 /// How regularly one stream comes.
 #[derive(Clone, Debug)]
 pub struct RhythmFacts {
-    /// Name of the robot it belongs to, where one is known.
-    pub robot: Option<String>,
-    /// Its topic.
-    pub topic: String,
-    /// First and last stamp used.
-    pub span: Option<Span>,
-    /// The frame whose poses they are, where the topic has those of several.
-    pub frame: Option<String>,
     /// When its samples are due.
     pub due: Due,
     /// Samples a second.
@@ -475,19 +464,15 @@ pub struct RhythmFacts {
     pub extent: Option<Extent>,
 }
 
-impl RhythmFacts {
+impl Of<RhythmFacts> {
     /// The stream as a subject; of a TF topic the one transform that is concerned, where it is one
     /// of several.
-    pub fn subject(&self, concerned: &[&Cadence]) -> Subject {
-        let frame = match concerned {
-            [only] if self.parts.len() > 1 => only.frame.clone(),
-            _ => self.frame.clone(),
-        };
-        Subject {
-            robot: self.robot.clone(),
-            topic: Some(self.topic.clone()),
-            frame,
-            ..Subject::default()
+    pub fn subject_of(&self, concerned: &[&Cadence]) -> Subject {
+        match concerned {
+            [only] if self.parts.len() > 1 => {
+                Subject { frame: only.frame.clone(), ..self.subject.clone() }
+            }
+            _ => self.subject.clone(),
         }
     }
 
@@ -506,33 +491,6 @@ pub struct FrameFacts {
     pub flaws: Vec<Flaw>,
 }
 
-/// How far the rotations of one stream are from being rotations.
-#[derive(Clone, Debug)]
-pub struct NormFacts {
-    /// Name of the robot it belongs to, where one is known.
-    pub robot: Option<String>,
-    /// Its topic.
-    pub topic: String,
-    /// First and last stamp used.
-    pub span: Option<Span>,
-    /// The frame whose poses they are, where the topic has those of several.
-    pub frame: Option<String>,
-    /// The norms of each of its transforms, or of all of it.
-    pub parts: Vec<Norms>,
-}
-
-impl NormFacts {
-    /// The stream as a subject; of a TF topic one transform, where it is meant.
-    pub fn subject(&self, frame: Option<String>) -> Subject {
-        Subject {
-            robot: self.robot.clone(),
-            topic: Some(self.topic.clone()),
-            frame: frame.or_else(|| self.frame.clone()),
-            ..Subject::default()
-        }
-    }
-}
-
 /// A topic that says nothing.
 #[derive(Clone, Debug)]
 pub struct EmptyFacts {
@@ -545,10 +503,6 @@ pub struct EmptyFacts {
 /// What of a stream jumps away and comes back.
 #[derive(Clone, Debug)]
 pub struct StrayFacts {
-    /// The stream.
-    pub subject: Subject,
-    /// First and last stamp used.
-    pub span: Option<Span>,
     /// Its samples; where it holds several poses, those of the one that has most.
     pub samples: usize,
     /// The joints of it, or its transforms, that have such samples.
@@ -557,24 +511,9 @@ pub struct StrayFacts {
     pub sliding: Vec<String>,
 }
 
-/// When a stream of poses stood still and its arm did not.
-#[derive(Clone, Debug)]
-pub struct FrozenFacts {
-    /// The stream.
-    pub subject: Subject,
-    /// First and last stamp used.
-    pub span: Option<Span>,
-    /// The times, in order.
-    pub times: Vec<Frozen>,
-}
-
 /// What a stream repeats with new stamps while the arm moves.
 #[derive(Clone, Debug)]
 pub struct HeldFacts {
-    /// The stream.
-    pub subject: Subject,
-    /// First and last stamp used.
-    pub span: Option<Span>,
     /// Of each of its transforms, or of all of it, where anything is repeated.
     pub parts: Vec<Held>,
     /// Whether its name says that it repeats on purpose.
@@ -586,10 +525,6 @@ pub struct HeldFacts {
 /// The samples of a stream that hold no usable numbers.
 #[derive(Clone, Debug)]
 pub struct UnusableFacts {
-    /// The stream.
-    pub subject: Subject,
-    /// First and last stamp used.
-    pub span: Option<Span>,
     /// Those that are NaN, infinite or larger than anything is.
     pub unusable: u64,
     /// Those without an orientation, where others have one.

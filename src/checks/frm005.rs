@@ -1,8 +1,8 @@
 use serde_json::{Value, json};
 
 use crate::checks::decision::Figure;
-use crate::checks::{Facts, Grade, Judged, NormFacts};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::checks::{Facts, Grade, Judged, Of};
+use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::run::{Norms, Written};
 
 rule! {
@@ -55,19 +55,22 @@ fn check(facts: &Facts) -> Vec<Judged> {
     facts.norms.iter().map(|norms| judge(facts, norms)).collect()
 }
 
-fn judge(facts: &Facts, stream: &NormFacts) -> Judged {
+fn judge(facts: &Facts, stream: &Of<Vec<Norms>>) -> Judged {
     let figure = figure(facts);
-    let worst = stream.parts.iter().max_by(|a, b| a.largest.total_cmp(&b.largest));
+    let worst = stream.iter().max_by(|a, b| a.largest.total_cmp(&b.largest));
     let Some(worst) = worst.filter(|worst| worst.rows > 0) else {
         let outcome = Outcome::Skipped("none of its quaternions is set".to_owned());
-        return Judged::new(stream.subject(None), outcome).within(stream.span);
+        return stream.judged(outcome);
     };
-    let unset: usize = stream.parts.iter().map(|part| part.unset).sum();
+    let unset: usize = stream.iter().map(|part| part.unset).sum();
     let concerned: Vec<&Norms> =
-        stream.parts.iter().filter(|part| figure.severity(part.largest).is_some()).collect();
+        stream.iter().filter(|part| figure.severity(part.largest).is_some()).collect();
     let subject = match concerned.as_slice() {
-        [only] if stream.parts.len() > 1 => stream.subject(only.frame.clone()),
-        _ => stream.subject(None),
+        [only] if stream.len() > 1 => {
+            let frame = only.frame.clone().or_else(|| stream.subject.frame.clone());
+            Subject { frame, ..stream.subject.clone() }
+        }
+        _ => stream.subject.clone(),
     };
     let outcome = match figure.severity(worst.largest) {
         Some(severity) => Outcome::faulty(fault(facts, worst, severity)),

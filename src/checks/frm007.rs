@@ -1,6 +1,6 @@
 use serde_json::{Value, json};
 
-use crate::checks::{Facts, Grade, Judged, UnauditedFacts};
+use crate::checks::{Facts, Grade, Judged, Of};
 use crate::finding::{Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::WhyNot;
 
@@ -49,10 +49,9 @@ fn check(facts: &Facts) -> Vec<Judged> {
     facts.unaudited.iter().flat_map(judge).collect()
 }
 
-fn judge(stream: &UnauditedFacts) -> Vec<Judged> {
-    let judged = |outcome| Judged::new(stream.subject.clone(), outcome).within(stream.span);
-    if stream.why.is_empty() {
-        return vec![judged(Outcome::sound())];
+fn judge(stream: &Of<Vec<WhyNot>>) -> Vec<Judged> {
+    if stream.is_empty() {
+        return vec![stream.judged(Outcome::sound())];
     }
     let of = |why: &WhyNot| {
         let Words { why: name, title, message, fix, evidence } = words(why);
@@ -64,11 +63,11 @@ fn judge(stream: &UnauditedFacts) -> Vec<Judged> {
             fix,
         };
         evidence.into_iter().fold(
-            judged(Outcome::faulty(fault)).with_evidence("why", name),
+            stream.judged(Outcome::faulty(fault)).with_evidence("why", name),
             |judged, (key, value)| judged.with_evidence(key, value),
         )
     };
-    stream.why.iter().map(of).collect()
+    stream.iter().map(of).collect()
 }
 
 struct Words {

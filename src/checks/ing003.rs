@@ -1,4 +1,4 @@
-use crate::checks::{Facts, Grade, Judged, UnusableFacts};
+use crate::checks::{Facts, Grade, Judged, Of, UnusableFacts};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity};
 
 rule! {
@@ -45,12 +45,11 @@ fn check(facts: &Facts) -> Vec<Judged> {
     facts.unusable.iter().map(judge).collect()
 }
 
-fn judge(stream: &UnusableFacts) -> Judged {
-    let UnusableFacts { unusable, unset, misfits, samples, .. } = *stream;
-    let judged = |outcome| Judged::new(stream.subject.clone(), outcome).within(stream.span);
+fn judge(stream: &Of<UnusableFacts>) -> Judged {
+    let UnusableFacts { unusable, unset, misfits, samples, .. } = stream.found;
     let count = unusable.max(unset).max(misfits);
     if count == 0 {
-        return judged(Outcome::sound());
+        return stream.judged(Outcome::sound());
     }
     let share = count as f64 / samples.max(1) as f64;
     let are_few = count <= FEW || share <= FEW_OF_ALL;
@@ -69,7 +68,8 @@ fn judge(stream: &UnusableFacts) -> Judged {
         evidence: Evidence::default(),
         fix: "see what is sent then, and send nothing where there is nothing".to_owned(),
     };
-    judged(Outcome::faulty(fault))
+    stream
+        .judged(Outcome::faulty(fault))
         .estimated(Estimate::counted("unusable samples", "1", share))
         .with_evidence("unusable", unusable)
         .with_evidence("unset", unset)

@@ -29,10 +29,10 @@ use crate::finding::{
 
 pub use decision::{Decision, Figure, FrameFigures, decide, decide_both, decide_frame};
 pub use facts::{
-    ArmFacts, Declared, DhFacts, Due, EmptyFacts, EulerFacts, Facts, FrameFacts, FrozenFacts,
-    HandEyeFacts, HeldFacts, ImuFacts, JointFacts, JointMotion, NormFacts, PoseFacts,
-    ReferenceFacts, ReferenceWitness, RhythmFacts, ShakeFacts, StampFacts, StrayFacts,
-    UnauditedFacts, Undecodable, UndecodableTopic, UnusableFacts, WitnessKind,
+    ArmFacts, Declared, DhFacts, Due, EmptyFacts, EulerFacts, Facts, FrameFacts, HandEyeFacts,
+    HeldFacts, ImuFacts, JointFacts, JointMotion, Of, PoseFacts, ReferenceFacts, ReferenceWitness,
+    RhythmFacts, ShakeFacts, StampFacts, StrayFacts, Undecodable, UndecodableTopic, UnusableFacts,
+    WitnessKind,
 };
 pub use figures::{Figures, Limit};
 pub use merge::{Part as EvaluatedPart, merged};

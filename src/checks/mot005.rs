@@ -1,6 +1,6 @@
 use serde_json::{Value, json};
 
-use crate::checks::{Facts, Grade, Judged, StrayFacts};
+use crate::checks::{Facts, Grade, Judged, Of, StrayFacts};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::run::{FEWEST_SAMPLES, Strays};
 
@@ -50,7 +50,7 @@ fn check(facts: &Facts) -> Vec<Judged> {
     facts.strays.iter().map(|stream| judge(facts, stream)).collect()
 }
 
-fn judge(facts: &Facts, stream: &StrayFacts) -> Judged {
+fn judge(facts: &Facts, stream: &Of<StrayFacts>) -> Judged {
     let judged = |subject, outcome| Judged::new(subject, outcome).within(stream.span);
     let are_untold = |part: &Strays| part.count() == 0;
     if !stream.parts.is_empty() && stream.parts.iter().all(are_untold) {
@@ -108,7 +108,13 @@ impl StrayFacts {
     }
 }
 
-fn fault(facts: &Facts, stream: &StrayFacts, worst: &Strays, count: usize, shown: &str) -> Fault {
+fn fault(
+    facts: &Facts,
+    stream: &Of<StrayFacts>,
+    worst: &Strays,
+    count: usize,
+    shown: &str,
+) -> Fault {
     let when = worst.at.map_or(String::new(), |at| format!(" at {}", facts.moment(at)));
     let of = match (stream.parts.len(), &worst.joint, &worst.frame) {
         (1, ..) => String::new(),

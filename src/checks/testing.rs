@@ -1,9 +1,8 @@
 //! A run in which nothing is wrong, for tests to plant estimates in.
 
 use crate::checks::{
-    ArmFacts, DhFacts, EulerFacts, Facts, FrozenFacts, ImuFacts, JointFacts, JointMotion,
-    PoseFacts, ReferenceFacts, ReferenceWitness, Rule, ShakeFacts, UnauditedFacts, WitnessKind,
-    evaluate,
+    ArmFacts, DhFacts, EulerFacts, Facts, ImuFacts, JointFacts, JointMotion, Of, PoseFacts,
+    ReferenceFacts, ReferenceWitness, Rule, ShakeFacts, WitnessKind, evaluate,
 };
 use crate::diagnosis::{
     Abruptness, Aligned, Amount, ArmDiagnosis, DhEstimate, DhStream, Error, FrameEstimate,
@@ -147,8 +146,8 @@ pub fn clean_run() -> Facts {
         )],
         references: vec![commands()],
     };
-    let frozen = FrozenFacts { subject: arm.topic(POSE), span: Some(SPAN), times: Vec::new() };
-    let audited = UnauditedFacts { subject: arm.topic(POSE), span: Some(SPAN), why: Vec::new() };
+    let frozen = Of { subject: arm.topic(POSE), span: Some(SPAN), found: Vec::new() };
+    let audited = Of { subject: arm.topic(POSE), span: Some(SPAN), found: Vec::new() };
     Facts { robots: vec![arm], frozen: vec![frozen], unaudited: vec![audited], ..Facts::default() }
 }
 

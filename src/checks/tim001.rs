@@ -1,6 +1,6 @@
 use serde_json::{Value, json};
 
-use crate::checks::{Facts, Grade, Judged, RhythmFacts};
+use crate::checks::{Facts, Grade, Judged, Of, RhythmFacts};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Cadence;
 use crate::time::Stamp;
@@ -55,10 +55,10 @@ fn steps_back(part: &Cadence) -> impl Iterator<Item = &(Stamp, f64)> {
     part.steps_back.iter().filter(move |(_, by_s)| *by_s > least_s)
 }
 
-fn judge(facts: &Facts, rhythm: &RhythmFacts) -> Judged {
+fn judge(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Judged {
     let concerned: Vec<&Cadence> =
         rhythm.parts.iter().filter(|part| steps_back(part).next().is_some()).collect();
-    let subject = rhythm.subject(&concerned);
+    let subject = rhythm.subject_of(&concerned);
     if !rhythm.parts.iter().any(|part| part.stamped) {
         let outcome = Outcome::Skipped("its messages carry no stamps".to_owned());
         return Judged::new(subject, outcome).within(rhythm.span);
@@ -84,7 +84,10 @@ fn judge(facts: &Facts, rhythm: &RhythmFacts) -> Judged {
         title: "stamps run backwards",
         message,
         evidence: Evidence::default(),
-        fix: format!("look for a second publisher on {}, or a clock that is set", rhythm.topic),
+        fix: format!(
+            "look for a second publisher on {}, or a clock that is set",
+            rhythm.subject.label()
+        ),
     };
     Judged::new(subject, Outcome::faulty(fault))
         .within(rhythm.span)

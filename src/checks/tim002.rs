@@ -1,7 +1,7 @@
 use serde_json::{Value, json};
 
 use crate::checks::tim006::{Pace, slow};
-use crate::checks::{Due, Facts, Grade, Judged, Limit, RhythmFacts};
+use crate::checks::{Due, Facts, Grade, Judged, Limit, Of, RhythmFacts};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::{Cadence, Hole, Stretch};
 use crate::time::Stamp;
@@ -85,7 +85,7 @@ struct Limits {
 }
 
 impl Limits {
-    fn of(facts: &Facts, rhythm: &RhythmFacts) -> Self {
+    fn of(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Self {
         let [gap_periods, gap_s, lost] =
             [&GAP_PERIODS, &GAP, &LOST].map(|limit| facts.figures.limit(&TIM002, limit));
         let said_period_s = rhythm.said_hz.map(|rate_hz| 1.0 / rate_hz);
@@ -100,12 +100,12 @@ fn check(facts: &Facts) -> Vec<Judged> {
 
 /// The parts of a stream that are judged: those that an audit may expect to be steady, and of a
 /// stream of which nothing is known those that are.
-fn judged(rhythm: &RhythmFacts) -> impl Iterator<Item = &Cadence> {
+fn judged(rhythm: &Of<RhythmFacts>) -> impl Iterator<Item = &Cadence> {
     let is_known = rhythm.due.is_expected();
     rhythm.wanted().filter(move |part| is_known || part.is_regular)
 }
 
-fn judge(facts: &Facts, rhythm: &RhythmFacts) -> Judged {
+fn judge(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Judged {
     let by = &Limits::of(facts, rhythm);
     let silent = |moving: Option<bool>| {
         let gaps = judged(rhythm).flat_map(|part| gaps(by, part));
@@ -113,7 +113,7 @@ fn judge(facts: &Facts, rhythm: &RhythmFacts) -> Judged {
     };
     let concerned: Vec<&Cadence> =
         judged(rhythm).filter(|part| has_gaps(by, part) || loses(by, part)).collect();
-    let subject = rhythm.subject(&concerned);
+    let subject = rhythm.subject_of(&concerned);
     if !concerned.is_empty() && facts.lost_messages() {
         let why = "samples are missing, but so are messages of the log itself (ING001)";
         let outcome = Outcome::Inconclusive(format!("{why}; record it again"));
@@ -218,7 +218,7 @@ fn loses(by: &Limits, part: &Cadence) -> bool {
     lost(by, part).is_some_and(|lost| lost >= COUNTS) && lost_share(by, part) > by.lost
 }
 
-fn fault(facts: &Facts, by: &Limits, rhythm: &RhythmFacts, concerned: &[&Cadence]) -> Judged {
+fn fault(facts: &Facts, by: &Limits, rhythm: &Of<RhythmFacts>, concerned: &[&Cadence]) -> Judged {
     let gaps = || concerned.iter().flat_map(|part| moving(by, part));
     let worst =
         concerned.iter().copied().max_by(|a, b| lost_share(by, a).total_cmp(&lost_share(by, b)));
@@ -254,7 +254,7 @@ fn fault(facts: &Facts, by: &Limits, rhythm: &RhythmFacts, concerned: &[&Cadence
         evidence: Evidence::default(),
         fix: cause.fix.to_owned(),
     };
-    Judged::new(rhythm.subject(concerned), Outcome::faulty(fault))
+    Judged::new(rhythm.subject_of(concerned), Outcome::faulty(fault))
         .estimated(estimate)
         .with_evidence("count", gaps().count())
         .with_evidence("gaps", listed)
@@ -275,15 +275,16 @@ struct Cause {
 /// were sent; else the sender may have stopped as well as its way to the recorder.
 fn cause(
     facts: &Facts,
-    rhythm: &RhythmFacts,
+    rhythm: &Of<RhythmFacts>,
     gap: Option<&Stretch>,
     skipped: Option<usize>,
 ) -> Cause {
     let others = || {
-        let others = facts.rhythms.iter().filter(|other| other.topic != rhythm.topic);
+        let others =
+            facts.rhythms.iter().filter(|other| other.subject.topic != rhythm.subject.topic);
         others.filter(|other| other.due.is_expected())
     };
-    let stops = |other: &RhythmFacts, gap: &Stretch| {
+    let stops = |other: &Of<RhythmFacts>, gap: &Stretch| {
         let holes = other.wanted().flat_map(|part| &part.holes).filter(|hole| hole.is_silent);
         let shared_s = |hole: &Hole| {
             hole.stretch.end.min(gap.end).seconds_since(hole.stretch.start.max(gap.start))

@@ -1,4 +1,4 @@
-use crate::checks::{Facts, Grade, Judged, StampFacts};
+use crate::checks::{Facts, Grade, Judged, Of, StampFacts};
 use crate::diagnosis::Measured;
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::run::Epoch;
@@ -67,7 +67,7 @@ fn shared_clock(facts: &Facts) -> Option<Judged> {
     Some(Judged::new(Subject::default(), outcome).estimated(estimate(offset_s, f64::INFINITY)))
 }
 
-fn judge(stream: &StampFacts, simulated: bool) -> Judged {
+fn judge(stream: &Of<StampFacts>, simulated: bool) -> Judged {
     let clock = &stream.clock;
     if clock.epoch != Epoch::Foreign {
         let early_s =
@@ -80,7 +80,7 @@ fn judge(stream: &StampFacts, simulated: bool) -> Judged {
                 Unit::Second.show(early_s)
             )),
         };
-        return Judged::new(stream.subject(), outcome).within(stream.span);
+        return stream.judged(outcome);
     }
     let aligned = clock.alignment.map(|aligned| (-seconds(aligned.offset_nanos), aligned.spread_s));
     let offset_s = aligned.map(|(offset_s, _)| offset_s).or(clock.log_minus_header_s.map(|s| -s));
@@ -97,11 +97,14 @@ fn judge(stream: &StampFacts, simulated: bool) -> Judged {
         title: "stream is on another clock",
         message: format!("stamps are {by}off the other streams' clock"),
         evidence: Evidence { effect: Some(effect), ..Evidence::default() },
-        fix: format!("stamp {} with the clock of the others, or use --stamp log", stream.topic),
+        fix: format!(
+            "stamp {} with the clock of the others, or use --stamp log",
+            stream.subject.label()
+        ),
     };
     let spread_s = aligned.map(|(_, spread_s)| spread_s);
-    Judged::new(stream.subject(), Outcome::faulty(fault))
-        .within(stream.span)
+    stream
+        .judged(Outcome::faulty(fault))
         .estimated(offset_s.map(|offset_s| estimate(offset_s, spread_s.unwrap_or(f64::INFINITY))))
         .with_evidence("spread_s", spread_s)
 }

@@ -1,4 +1,4 @@
-use crate::checks::{Facts, Grade, Judged, Limit, RhythmFacts};
+use crate::checks::{Facts, Grade, Judged, Limit, Of, RhythmFacts};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Cadence;
 
@@ -52,10 +52,10 @@ fn share(part: &Cadence) -> f64 {
     part.conflicts as f64 / part.rows.max(1) as f64
 }
 
-fn judge(facts: &Facts, rhythm: &RhythmFacts) -> Judged {
+fn judge(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Judged {
     let most = facts.figures.limit(&TIM004, &DUPLICATES);
     let concerned: Vec<&Cadence> = rhythm.parts.iter().filter(|part| share(part) > most).collect();
-    let subject = rhythm.subject(&concerned);
+    let subject = rhythm.subject_of(&concerned);
     if !rhythm.parts.iter().any(|part| part.stamped) {
         let outcome = Outcome::Skipped("its messages carry no stamps".to_owned());
         return Judged::new(subject, outcome).within(rhythm.span);
@@ -77,7 +77,10 @@ fn judge(facts: &Facts, rhythm: &RhythmFacts) -> Judged {
             worst.conflicts, worst.rows
         ),
         evidence: Evidence::default(),
-        fix: format!("look for a second publisher on {}, and stamp every reading", rhythm.topic),
+        fix: format!(
+            "look for a second publisher on {}, and stamp every reading",
+            rhythm.subject.label()
+        ),
     };
     Judged::new(subject, Outcome::faulty(fault))
         .within(rhythm.span)

@@ -1,4 +1,4 @@
-use crate::checks::{Due, Facts, Grade, Judged, StampFacts};
+use crate::checks::{Due, Facts, Grade, Judged, Of, StampFacts};
 use crate::finding::{Evidence, Fault, Outcome, Severity};
 use crate::run::HeaderStamps;
 use crate::time::Clock;
@@ -46,11 +46,11 @@ fn check(facts: &Facts) -> Vec<Judged> {
 
 /// Whether the rule is asked about a stream: not where nothing is audited by it and its type has no
 /// stamp to fill.
-fn is_asked(stream: &StampFacts) -> bool {
+fn is_asked(stream: &Of<StampFacts>) -> bool {
     stream.due.is_expected() || stream.clock.stamps != HeaderStamps::Absent
 }
 
-fn judge(stream: &StampFacts) -> Judged {
+fn judge(stream: &Of<StampFacts>) -> Judged {
     let (rows, zero) = (stream.clock.rows, stream.clock.zero);
     // Many a command is sent without a stamp, to be followed at once.
     let usual = match stream.due {
@@ -71,7 +71,7 @@ fn judge(stream: &StampFacts) -> Judged {
                 0 => Outcome::sound(),
                 _ => Outcome::sound_because("one stamp is zero, and its sample left out"),
             };
-            return Judged::new(stream.subject(), outcome).within(stream.span);
+            return stream.judged(outcome);
         }
         HeaderStamps::Sound | HeaderStamps::Zero => {
             (usual, "stamps are zero", format!("{zero} of {rows} stamps are zero"))
@@ -102,8 +102,8 @@ fn judge(stream: &StampFacts) -> Judged {
         evidence: Evidence { effect: Some(effect), ..Evidence::default() },
         fix: "fill header.stamp when the sample is taken".to_owned(),
     };
-    Judged::new(stream.subject(), Outcome::faulty(fault))
-        .within(stream.span)
+    stream
+        .judged(Outcome::faulty(fault))
         .with_evidence("samples", rows)
         .with_evidence("zero", zero)
         .with_evidence("far", far)

@@ -1,4 +1,4 @@
-use crate::checks::{Due, EmptyFacts, Facts, Grade, Judged, Limit, RhythmFacts};
+use crate::checks::{Due, EmptyFacts, Facts, Grade, Judged, Limit, Of, RhythmFacts};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::run::{Cadence, Stretch};
 
@@ -125,12 +125,12 @@ fn missing(subject: Subject, place: &str) -> Judged {
 }
 
 /// The rate of a stream where it is notably below that which the caller says, and that one, Hz.
-fn below_said(facts: &Facts, rhythm: &RhythmFacts) -> Option<(f64, f64)> {
+fn below_said(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Option<(f64, f64)> {
     let (said_hz, rate_hz) = (rhythm.said_hz?, rhythm.rate_hz?);
     (rate_hz < facts.figures.limit(&TIM006, &BELOW) * said_hz).then_some((rate_hz, said_hz))
 }
 
-fn judge(facts: &Facts, rhythm: &RhythmFacts) -> Judged {
+fn judge(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Judged {
     let (pace, together_s) = (Pace::of(facts), facts.figures.limit(&TIM006, &TOGETHER));
     let slowest = |part| slowest(pace, rhythm, part);
     let (late_s, early_s) = missed(rhythm);
@@ -160,21 +160,21 @@ fn judge(facts: &Facts, rhythm: &RhythmFacts) -> Judged {
         let message = format!("runs at {rate_hz:.1} Hz, and {said_hz:.1} Hz are declared");
         ("stream is slow", message, Estimate::counted("rate", "Hz", rate_hz))
     } else {
-        return Judged::new(rhythm.subject(&[]), Outcome::sound()).within(rhythm.span);
+        return Judged::new(rhythm.subject_of(&[]), Outcome::sound()).within(rhythm.span);
     };
     if facts.lost_messages() {
         let why = format!("it {message}, but messages of the log itself are lost (ING001)");
         let outcome = Outcome::Inconclusive(format!("{why}; record it again"));
-        return Judged::new(rhythm.subject(&slow), outcome).within(rhythm.span);
+        return Judged::new(rhythm.subject_of(&slow), outcome).within(rhythm.span);
     }
     let fault = Fault {
         severity: Severity::Warning,
         title,
         message,
         evidence: Evidence::default(),
-        fix: format!("see what became of the sender of {} at that time", rhythm.topic),
+        fix: format!("see what became of the sender of {} at that time", rhythm.subject.label()),
     };
-    Judged::new(rhythm.subject(&slow), Outcome::faulty(fault))
+    Judged::new(rhythm.subject_of(&slow), Outcome::faulty(fault))
         .within(rhythm.span)
         .estimated(estimate)
         .with_evidence("late_start_s", late_s)
@@ -183,7 +183,7 @@ fn judge(facts: &Facts, rhythm: &RhythmFacts) -> Judged {
 
 /// What a stream misses at its start and at its end, s; nothing where it may be silent because the
 /// arm rests.
-fn missed(rhythm: &RhythmFacts) -> (f64, f64) {
+fn missed(rhythm: &Of<RhythmFacts>) -> (f64, f64) {
     let Some(extent) = rhythm.extent else { return (0.0, 0.0) };
     // The next sample may have been due a period after the last.
     let period_s = rhythm.wanted().filter_map(|part| part.period_s).fold(0.0, f64::max);
@@ -203,7 +203,7 @@ pub(super) fn slow(pace: Pace, part: &Cadence) -> impl Iterator<Item = &Stretch>
 }
 
 /// The slowest stretch of a part, but for those of a rest that may be slow.
-fn slowest<'a>(pace: Pace, rhythm: &RhythmFacts, part: &'a Cadence) -> Option<&'a Stretch> {
+fn slowest<'a>(pace: Pace, rhythm: &Of<RhythmFacts>, part: &'a Cadence) -> Option<&'a Stretch> {
     let is_due = |lull: &&Stretch| lull.moving == Some(true) || rhythm.due != Due::InMotion;
     let stretches = slow(pace, part).filter(is_due);
     stretches.min_by(|a, b| a.rate_hz.total_cmp(&b.rate_hz))

@@ -1,6 +1,6 @@
 use serde_json::{Value, json};
 
-use crate::checks::{Facts, FrozenFacts, Grade, Judged};
+use crate::checks::{Facts, Grade, Judged, Of};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Frozen;
 
@@ -56,12 +56,12 @@ fn seconds(time: &Frozen) -> f64 {
     time.end.seconds_since(time.start)
 }
 
-fn judge(facts: &Facts, stream: &FrozenFacts) -> Judged {
-    let longest = stream.times.iter().max_by(|a, b| seconds(a).total_cmp(&seconds(b)));
+fn judge(facts: &Facts, stream: &Of<Vec<Frozen>>) -> Judged {
+    let longest = stream.iter().max_by(|a, b| seconds(a).total_cmp(&seconds(b)));
     let Some(longest) = longest else {
-        return Judged::new(stream.subject.clone(), Outcome::sound()).within(stream.span);
+        return stream.judged(Outcome::sound());
     };
-    let others = match stream.times.len() {
+    let others = match stream.len() {
         1 => String::new(),
         2 => ", and once more".to_owned(),
         times => format!(", and {} more times", times - 1),
@@ -80,7 +80,7 @@ fn judge(facts: &Facts, stream: &FrozenFacts) -> Judged {
             "see why the source of {topic} stopped then, and what repeated its last value"
         ),
     });
-    let times = stream.times.iter().take(LISTED).map(|time| {
+    let times = stream.iter().take(LISTED).map(|time| {
         json!({
             "start_ns": time.start.to_string(),
             "end_ns": time.end.to_string(),
@@ -88,9 +88,9 @@ fn judge(facts: &Facts, stream: &FrozenFacts) -> Judged {
             "moved": time.moved,
         })
     });
-    Judged::new(stream.subject.clone(), outcome)
-        .within(stream.span)
+    stream
+        .judged(outcome)
         .estimated(Estimate::counted("stands still", Unit::Second.symbol(), seconds(longest)))
-        .with_evidence("count", stream.times.len())
+        .with_evidence("count", stream.len())
         .with_evidence("times", times.collect::<Vec<Value>>())
 }

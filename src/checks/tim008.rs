@@ -1,5 +1,5 @@
 use crate::checks::decision::Figure;
-use crate::checks::{Facts, Grade, HeldFacts, Judged};
+use crate::checks::{Facts, Grade, HeldFacts, Judged, Of};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Held;
 
@@ -48,10 +48,9 @@ fn check(facts: &Facts) -> Vec<Judged> {
     facts.held.iter().map(|stream| judge(facts, stream)).collect()
 }
 
-fn judge(facts: &Facts, stream: &HeldFacts) -> Judged {
-    let judged = |outcome| Judged::new(stream.subject.clone(), outcome).within(stream.span);
+fn judge(facts: &Facts, stream: &Of<HeldFacts>) -> Judged {
     let worst = stream.parts.iter().max_by(|a, b| a.share().total_cmp(&b.share()));
-    let Some(worst) = worst else { return judged(Outcome::sound()) };
+    let Some(worst) = worst else { return stream.judged(Outcome::sound()) };
     let outcome = match facts.figures.of(&TIM008, FIGURE).severity(worst.share()) {
         None => Outcome::sound(),
         Some(_) if stream.is_of_joints => {
@@ -60,7 +59,8 @@ fn judge(facts: &Facts, stream: &HeldFacts) -> Judged {
         Some(severity) => Outcome::faulty(fault(stream, worst, severity)),
     };
     let Held { rows, repeated, rows_hz, values_hz, mean_age_s, .. } = *worst;
-    judged(outcome)
+    stream
+        .judged(outcome)
         .estimated(Estimate::counted("repeated rows", "1", worst.share()))
         .with_evidence("rows", rows)
         .with_evidence("repeated", repeated)
@@ -69,7 +69,7 @@ fn judge(facts: &Facts, stream: &HeldFacts) -> Judged {
         .with_evidence("mean_age_s", mean_age_s)
 }
 
-fn fault(stream: &HeldFacts, held: &Held, severity: Severity) -> Fault {
+fn fault(stream: &Of<HeldFacts>, held: &Held, severity: Severity) -> Fault {
     let frame = match (&held.frame, stream.parts.len()) {
         (Some(frame), 2..) => format!(" (most of all '{frame}')"),
         _ => String::new(),
@@ -97,19 +97,19 @@ fn fault(stream: &HeldFacts, held: &Held, severity: Severity) -> Fault {
 mod tests {
     use super::*;
     use crate::checks::testing::{ask, clean_run};
-    use crate::finding::Subject;
+    use crate::finding::{Finding, Subject};
+
+    fn asked(found: HeldFacts) -> Vec<Finding> {
+        let subject = Subject { topic: Some("/pose".to_owned()), ..Subject::default() };
+        let held = vec![Of { subject, span: None, found }];
+        ask(&TIM008, &Facts { held, ..clean_run() }).1
+    }
 
     fn stream(repeated: usize) -> HeldFacts {
         let mut held = Held::default();
         (held.rows, held.repeated) = (1000, repeated);
         (held.rows_hz, held.values_hz, held.mean_age_s) = (125.0, 25.0, 0.016);
-        HeldFacts {
-            subject: Subject { topic: Some("/pose".to_owned()), ..Subject::default() },
-            span: None,
-            parts: vec![held],
-            is_latched: false,
-            is_of_joints: false,
-        }
+        HeldFacts { parts: vec![held], is_latched: false, is_of_joints: false }
     }
 
     #[test]
@@ -117,16 +117,12 @@ mod tests {
         for (repeated, severity) in
             [(800, Some(Severity::Error)), (80, Some(Severity::Warning)), (20, None)]
         {
-            let facts = crate::checks::Facts { held: vec![stream(repeated)], ..clean_run() };
-            let (_, findings) = ask(&TIM008, &facts);
+            let findings = asked(stream(repeated));
             assert_eq!(findings.first().map(|found| found.severity), severity, "{findings:?}");
         }
         let latched = HeldFacts { is_latched: true, ..stream(800) };
-        let (_, findings) =
-            ask(&TIM008, &crate::checks::Facts { held: vec![latched], ..clean_run() });
-        assert_eq!(findings[0].severity, Severity::Info);
+        assert_eq!(asked(latched)[0].severity, Severity::Info);
         let inherited = HeldFacts { is_of_joints: true, ..stream(800) };
-        let facts = crate::checks::Facts { held: vec![inherited], ..clean_run() };
-        assert!(ask(&TIM008, &facts).1.is_empty());
+        assert!(asked(inherited).is_empty());
     }
 }

@@ -1,7 +1,6 @@
 //! Constant frame errors: first guesses from which the fit starts, and what it says of them.
 
 use super::explain::{Cause, Explanation, Menu};
-use super::measured::{Length, joint_p_value};
 use super::model::{StreamState, Sweep, Witness, twist_of};
 use super::placing::Expected;
 use super::reading::{mean_rotation, wahba};
@@ -9,6 +8,7 @@ use super::{FrameEstimate, Measured, Seen, Unseen};
 use crate::geometry::{
     Pose, Rotation, Vec3, angle_between, pose, rotation_from_matrix_rows, rotvec_from_rotation,
 };
+use crate::stats::{Length, joint_p_value};
 use nalgebra::{DMatrix, DVector, Matrix3};
 use std::sync::LazyLock;
 

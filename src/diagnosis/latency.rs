@@ -6,6 +6,7 @@
 
 use crate::geometry::{Rotation, Vec3, angle_between};
 use crate::robot::Chain;
+use crate::stats::median;
 use crate::stream::JointTrack;
 use realfft::RealFftPlanner;
 
@@ -136,11 +137,7 @@ fn window_s(t_s: &[f64]) -> f64 {
 /// The median time between samples, s.
 pub(super) fn median_period_s(t_s: &[f64]) -> f64 {
     let mut periods: Vec<f64> = t_s.windows(2).map(|w| w[1] - w[0]).collect();
-    if periods.is_empty() {
-        return 0.0;
-    }
-    let middle = periods.len() / 2;
-    *periods.select_nth_unstable_by(middle, f64::total_cmp).1
+    median(&mut periods).unwrap_or(0.0)
 }
 
 /// Speed of logged positions, in the positions' unit per second.

@@ -2,6 +2,7 @@
 //! equations, and the covariance of what they give.
 
 use super::noise::Noise;
+use crate::stats::{NORMAL, median};
 use nalgebra::{DMatrix, DMatrixView, DVector, Dyn};
 use std::sync::OnceLock;
 
@@ -486,14 +487,8 @@ fn huber(residual: &[[f64; 3]], floor: f64) -> Vec<f64> {
 
 /// Standard deviation of one component by the median magnitude of all.
 fn robust_sigma(residual: &[[f64; 3]]) -> f64 {
-    /// Standard deviations in a median magnitude of normal noise.
-    const NORMAL: f64 = 1.4826;
     let mut magnitudes: Vec<f64> = residual.iter().flatten().map(|c| c.abs()).collect();
-    if magnitudes.is_empty() {
-        return 0.0;
-    }
-    let middle = magnitudes.len() / 2;
-    NORMAL * *magnitudes.select_nth_unstable_by(middle, f64::total_cmp).1
+    NORMAL * median(&mut magnitudes).unwrap_or(0.0)
 }
 
 /// Inverse on the directions that the log shows, and for each parameter the share of it (0 to 1)

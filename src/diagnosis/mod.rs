@@ -18,13 +18,13 @@ mod lag;
 mod latency;
 mod layout;
 mod linear;
-mod measured;
 mod model;
 mod model_fit;
 mod motion;
 mod noise;
 mod nominal;
 mod observability;
+mod placement;
 mod placing;
 mod prepare;
 mod proof;
@@ -40,12 +40,12 @@ mod trend;
 mod workspace;
 
 use crate::geometry::{
-    Axes, Convention, LengthScale, Misreading, MisreadingClass, Pose, QuaternionSlip, Rotation,
-    Vec3,
+    Axes, Convention, LengthScale, Misreading, MisreadingClass, Pose, QuaternionSlip, Vec3,
 };
 use crate::robot::Chain;
-use crate::stream::{ImuTrack, PoseTrack};
+use crate::stream::PoseTrack;
 
+pub use crate::stats::{Length, Measured};
 pub use arm::{diagnose_arm, diagnose_derived, follows, likely_lags};
 pub use carried::{BaseTravel, CarrierLag, base_travel, carrier_lag};
 pub use course::{LatencyCourse, LatencyJump};
@@ -54,10 +54,13 @@ pub use handeye::{
     CameraPose, Closure, Diversity, HandEyeDiagnosis, HandEyeStreams, Mount, PoseSeries, Solution,
     TargetReading, diagnose_hand_eye, turning_peaks,
 };
-pub use imu::{ImuProof, Rates, diagnose_imu, proof_of_imu, turning_by_latency};
+pub use imu::{
+    GyroBias, GyroShape, Heading, ImuDiagnosis, ImuProof, ImuStream, Rates, YawCourse, YawJump,
+    diagnose_imu, proof_of_imu, turning_by_latency,
+};
+pub use joints::{JointOffset, JointReading, JointScale, JointSlip, JointUnit, Twin};
 pub use lag::{LatencyResidual, residual_by_latency};
 pub use latency::Peak;
-pub use measured::{Length, Measured};
 pub use model_fit::{ModelFit, Needs, Priced, Way, model_fit};
 pub use motion::{Abruptness, Excess, Series, abruptness, beyond_positions, beyond_speed};
 pub use observability::{BlindDirection, Observability, Parameter};
@@ -255,30 +258,6 @@ pub struct FrameEstimate {
     pub chosen: bool,
 }
 
-/// A cause that does to this log what another one does.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Twin {
-    /// Zero offset of a joint (index in the chain), rad or m.
-    JointZero(usize, f64),
-    /// Rotation or shift of the reference frame of pose stream `usize`: amount in rad or m.
-    Reference(usize, f64),
-    /// Rotation or shift of the tool frame of pose stream `usize`: amount in rad or m.
-    Tool(usize, f64),
-}
-
-/// The zero offset of one joint: `q_true = q_reported + offset`.
-#[derive(Clone, Debug)]
-pub struct JointOffset {
-    /// The offset, rad or m.
-    pub offset: Seen<Measured>,
-    /// Whether the smallest explanation of the log contains it.
-    pub chosen: bool,
-    /// What the offset moves the tip by at full stretch, m.
-    pub effect_m: f64,
-    /// Causes that this log cannot tell from it.
-    pub twins: Vec<Twin>,
-}
-
 /// What is left of a stream when everything found is taken off.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Residual {
@@ -388,99 +367,6 @@ impl PoseDiagnosis {
     }
 }
 
-/// How the joint states must be read; as logged by default.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct JointReading {
-    /// Whether the positions of all turning joints are degrees.
-    pub degrees: Option<UnitSlip>,
-    /// The order that positions are really in: entry `i` is the index of the joint whose position
-    /// stands under the name of joint `i`.
-    pub permutation: Option<(Vec<usize>, UnitSlip)>,
-    /// Joints whose numbers are of another unit or scale, each by itself.
-    pub slips: Vec<JointSlip>,
-    /// What then must be added to each joint's positions about, rad or m; empty where nothing.
-    pub zeros: Vec<f64>,
-    /// Residual of the positions as logged and so read, m, where they are not read as logged.
-    pub left: Option<UnitSlip>,
-    /// Residual of the next best reading, m.
-    pub runner_up_m: Option<f64>,
-}
-
-impl JointReading {
-    /// Whether the numbers mean what they say, up to their zeros.
-    pub fn is_as_logged(&self) -> bool {
-        self.degrees.is_none() && self.permutation.is_none() && self.slips.is_empty()
-    }
-
-    /// The joints whose numbers alone are of one unit, with what is left as logged and so read.
-    pub fn slips_of(&self, unit: JointUnit) -> impl Iterator<Item = (&JointSlip, UnitSlip)> {
-        let left = self.left.into_iter();
-        left.flat_map(move |left| {
-            let own = self.slips.iter().filter(move |slip| slip.unit == unit);
-            own.map(move |slip| (slip, left))
-        })
-    }
-}
-
-/// A joint whose numbers must be multiplied.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct JointSlip {
-    /// The joint's column.
-    pub column: usize,
-    /// What its numbers are.
-    pub unit: JointUnit,
-    /// What takes its numbers to rad or m; of a scale about that.
-    pub factor: f64,
-}
-
-/// What a joint's numbers are in the place of rad or m.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum JointUnit {
-    /// Degrees.
-    Degrees,
-    /// Millimetres.
-    Millimetres,
-    /// Centimetres.
-    Centimetres,
-    /// Reversed, behind a gear, ticks, shares of the range.
-    Scaled,
-}
-
-/// The scale and direction of a joint: `q_true = factor · q_reported + offset`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct JointScale {
-    /// The joint's column.
-    pub column: usize,
-    /// The factor, 1 for rad or m.
-    pub factor: Measured,
-    /// The offset that belongs to it, rad or m; 0 where the zero is right.
-    pub offset: f64,
-}
-
-impl JointScale {
-    /// Whether the joint's numbers are of another kind than rad or m, such as ticks or a percentage,
-    /// so that their zero is a part of what they mean and no fault of its own.
-    pub fn is_coded(&self) -> bool {
-        is_coded(self.factor.value)
-    }
-
-    /// Whether the factor is a whole number, or one part of one, as of a reversed joint or a gear.
-    pub fn is_round(&self) -> bool {
-        /// Within this share.
-        const NEAR: f64 = 0.01;
-        let size = self.factor.value.abs();
-        let whole = size.max(size.recip());
-        (whole - whole.round()).abs() < NEAR * whole
-    }
-}
-
-/// Whether a joint's numbers that must be multiplied by `factor` are of another kind than rad or m.
-fn is_coded(factor: f64) -> bool {
-    /// A gear between a motor and its joint, or its inverse, counts as one up to this.
-    const GEAR: f64 = 4.0;
-    !(1.0 / GEAR..=GEAR).contains(&factor.abs())
-}
-
 /// All that was estimated from the joint states and the pose streams together.
 #[derive(Clone, Debug)]
 pub struct ArmDiagnosis {
@@ -492,120 +378,4 @@ pub struct ArmDiagnosis {
     pub scales: Vec<JointScale>,
     /// One entry for each pose stream given.
     pub streams: Vec<PoseDiagnosis>,
-}
-
-/// An IMU, as the estimators see it.
-#[derive(Clone, Copy, Debug)]
-pub struct ImuStream<'a> {
-    /// The readings.
-    pub track: &'a ImuTrack,
-    /// The chain from the robot's base to the link that carries the IMU.
-    pub chain: &'a Chain,
-    /// For each joint of `chain`, its column in the joint track.
-    pub columns: &'a [usize],
-    /// Standard error that aligning a foreign clock left in the stamps, s; 0 on a shared clock.
-    pub stamp_error_s: f64,
-    /// `link_from_imu` by the log's frames, where they say.
-    pub link_from_imu: Option<Pose>,
-}
-
-/// The constant part of (gyro − rate by FK).
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct GyroBias {
-    /// In the sensor's frame, rad/s.
-    pub vector_rad_s: Vec3,
-    /// Its length, rad/s.
-    pub length_rad_s: Length,
-    /// How fast yaw that is integrated from this gyro would drift about the base's z, rad/s.
-    pub yaw_rate_rad_s: f64,
-    /// Scale and misalignment, where the gyro surely has them; they are no part of the bias.
-    pub shape: Option<GyroShape>,
-}
-
-/// By what a gyro's rates differ from the true ones beside a bias and a rotation:
-/// `gyro = (1 + S)·ω + bias` with S symmetric.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct GyroShape {
-    /// Scale errors along x, y and z; positive where the gyro reads too much.
-    pub scale: [Measured; 3],
-    /// By how much the axes y and z, x and z, x and y lean towards each other, rad each axis.
-    pub misalignment_rad: [Measured; 3],
-}
-
-/// What an IMU's yaw error does beside drifting steadily.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct YawCourse {
-    /// Its jumps, in the order of time.
-    pub jumps: Vec<YawJump>,
-    /// Density of its random walk, rad/√s, where it wanders.
-    pub walk_rad_rt_s: Option<f64>,
-}
-
-/// A sudden change of yaw that stays.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct YawJump {
-    /// When, s from the run's origin.
-    pub at_s: f64,
-    /// By how much, rad; positive to the left.
-    pub size_rad: Measured,
-}
-
-/// All that was estimated on one IMU.
-#[derive(Clone, Debug)]
-pub struct ImuDiagnosis {
-    /// Convention and direction of the orientation.
-    pub reading: Seen<ReadingEstimate>,
-    /// Latency against the joint states, s; where the clock surely has a skew, that at mid-run.
-    pub latency_s: Seen<Measured>,
-    /// How its latency went over the run.
-    pub latency_course: Seen<LatencyCourse>,
-    /// Clock skew, s/s.
-    pub skew: Seen<Measured>,
-    /// Drift of the IMU's yaw against FK's about gravity, rad/s.
-    pub yaw_drift_rad_s: Seen<Measured>,
-    /// What that yaw does beside drifting.
-    pub yaw_course: YawCourse,
-    /// The best-fitting `link_from_imu` rotation error against the log's frames, rad.
-    pub mount_rad: Seen<Length>,
-    /// `link_from_imu` as it fits best.
-    pub link_from_imu: Option<Rotation>,
-    /// Angle between gravity by the accelerometer and the vertical of the orientation, rad.
-    pub tilt_rad: Seen<Length>,
-    /// Constant part of (gyro − rate by FK).
-    pub gyro_bias: Seen<GyroBias>,
-    /// Stamp (s from the origin), yaw of IMU against FK (rad), for the pictures.
-    pub yaw_error: Vec<(f64, f64)>,
-    /// The headings that this is the difference of, for the pictures.
-    pub headings: Vec<Heading>,
-}
-
-/// Where one axis of an IMU points, about gravity.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Heading {
-    /// Stamp, s from the run's origin.
-    pub t_s: f64,
-    /// By the IMU's orientation, rad, without jumps by whole turns.
-    pub imu_rad: f64,
-    /// By FK, turned to the IMU's world, rad, likewise.
-    pub fk_rad: f64,
-}
-
-impl ImuDiagnosis {
-    /// Nothing of it can be told.
-    pub fn unseen(why: &Unseen) -> Self {
-        Self {
-            reading: Err(why.clone()),
-            latency_s: Err(why.clone()),
-            latency_course: Err(why.clone()),
-            skew: Err(why.clone()),
-            yaw_drift_rad_s: Err(why.clone()),
-            yaw_course: YawCourse::default(),
-            mount_rad: Err(why.clone()),
-            link_from_imu: None,
-            tilt_rad: Err(why.clone()),
-            gyro_bias: Err(why.clone()),
-            yaw_error: Vec::new(),
-            headings: Vec::new(),
-        }
-    }
 }

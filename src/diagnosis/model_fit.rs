@@ -8,8 +8,9 @@
 use super::PoseStream;
 use super::latency::{joint_activity, linear_speed, peaks};
 use super::model::pose_of_twist;
+use super::placement::metres_by_size;
 use super::placing::Expected;
-use super::prepare::{metres_by_size, slow_samples};
+use super::prepare::slow_samples;
 use crate::geometry::{Pose, Vec3};
 use crate::robot::JointKind;
 use crate::stream::{JointTrack, Orientations};

@@ -1,6 +1,7 @@
 //! What a joint's motion comes to, from its samples alone: how far it is beyond its limits, and how
 //! abruptly it changes its speed.
 
+use crate::stats::quantile;
 use std::borrow::Cow;
 
 use nalgebra::{Matrix3, Vector3};
@@ -282,8 +283,7 @@ fn median_of(values: impl Iterator<Item = f64>) -> Option<f64> {
 
 fn quantile_of(values: impl Iterator<Item = f64>, part: f64) -> Option<f64> {
     let mut values: Vec<f64> = values.filter(|value| value.is_finite()).collect();
-    let at = ((values.len() as f64 * part) as usize).min(values.len().checked_sub(1)?);
-    Some(*values.select_nth_unstable_by(at, f64::total_cmp).1)
+    quantile(&mut values, part)
 }
 
 /// Acceleration by least squares over evenly spaced samples.

@@ -8,6 +8,7 @@
 //! motion takes to become another (von Neumann 1941; Hall, Kay and Titterington 1990), and an error is
 //! held against that.
 
+use super::latency::median_period_s;
 use super::model::{Blind, StreamState, Sweep, ToolPart, Witness};
 use super::nominal::calibrated;
 use super::prepare::still_speeds;
@@ -272,7 +273,7 @@ impl<'a> Series<'a> {
         length: Vec<Vec3>,
         angle: Option<Vec<Vec3>>,
     ) -> Self {
-        let period_s = median(t_s.windows(2).map(|pair| pair[1] - pair[0]).collect());
+        let period_s = median_period_s(t_s);
         let short = SHORT * memory_s(t_s, fk, period_s) / period_s.max(f64::MIN_POSITIVE);
         let short = (short as usize).min(t_s.len() / 4);
         Self { t_s, fk, length, angle, short, period_s }
@@ -346,11 +347,6 @@ fn sizes(mut sizes: Vec<f64>) -> [f64; 2] {
     let most = sizes[((sizes.len() - 1) as f64 * MOST) as usize];
     let squares: f64 = sizes.iter().map(|size| size.min(most).powi(2)).sum();
     [(squares / sizes.len() as f64).sqrt(), most]
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// Three points of the tip, which show how it moves and turns: itself, and two beside it from it, m.

@@ -1,5 +1,6 @@
 //! Shake: what a path has above the frequencies of work, beside what noise has there.
 
+use crate::stats::{median, quantile};
 use std::f64::consts::TAU;
 
 use realfft::RealFftPlanner;
@@ -88,8 +89,7 @@ pub fn shake(t_s: &[f64], mut position_m: impl FnMut(usize) -> Vec3) -> Result<S
 /// The median time between samples, s.
 fn period(t_s: &[f64]) -> Option<f64> {
     let mut steps: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    let middle = steps.len().checked_sub(1)? / 2;
-    let period_s = *steps.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let period_s = median(&mut steps)?;
     (period_s > 0.0).then_some(period_s)
 }
 
@@ -139,8 +139,7 @@ impl Spectrum {
         };
         let count = band.len() as f64;
         let mut sorted = band.to_vec();
-        let middle = *sorted.select_nth_unstable_by(band.len() / 2, f64::total_cmp).1;
-        let floor = middle / MEDIAN;
+        let floor = median(&mut sorted).unwrap_or(0.0) / MEDIAN;
         let excess = band.iter().sum::<f64>() - count * floor;
         // A power of six degrees of freedom deviates by 1/√3 of its mean, and neighbours share.
         let by_chance = SIGMAS * floor * count.sqrt();
@@ -169,8 +168,7 @@ fn take_step_off(path: &mut [Vec3]) {
         (1..path.len().saturating_sub(2)).map(|at| (beside(at).norm(), at)).collect();
     let Some(&(largest, at)) = steps.iter().max_by(|a, b| a.0.total_cmp(&b.0)) else { return };
     let mut sizes: Vec<f64> = steps.iter().map(|step| step.0).collect();
-    let usual = (sizes.len() as f64 * NEARLY_ALL) as usize;
-    let usual = *sizes.select_nth_unstable_by(usual.min(steps.len() - 1), f64::total_cmp).1;
+    let usual = quantile(&mut sizes, NEARLY_ALL).unwrap_or(largest);
     if largest > TIMES * usual {
         let step = beside(at);
         path[at + 1..].iter_mut().for_each(|point| *point -= step);

@@ -7,6 +7,7 @@
 use super::course::{LatencyCourse, LatencyJump};
 use super::latency::{ArmSpeeds, Speed, angular_speed, linear_speed, norms, peaks};
 use super::{ImuStream, Measured, PoseStream, Seen};
+use crate::stats::quantile;
 use crate::stream::{JointTrack, Orientations};
 
 /// Speeds correlate as well in a window at the lag that the stream has there.
@@ -53,9 +54,8 @@ fn without_spikes(speed: Speed) -> Speed {
     const TIMES: f64 = 4.0;
     const NEARLY_ALL: f64 = 0.95;
     let mut values = speed.value.clone();
-    let place = (values.len() as f64 * NEARLY_ALL) as usize;
-    let Some(last) = values.len().checked_sub(1) else { return speed };
-    let most = TIMES * *values.select_nth_unstable_by(place.min(last), f64::total_cmp).1;
+    let Some(nearly_all) = quantile(&mut values, NEARLY_ALL) else { return speed };
+    let most = TIMES * nearly_all;
     let kept = speed.t_s.iter().copied().zip(speed.value).filter(|(_, value)| *value <= most);
     let (t_s, value) = kept.unzip();
     Speed { t_s, value }

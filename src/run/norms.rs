@@ -3,6 +3,7 @@
 
 use rayon::prelude::*;
 
+use crate::stats::median;
 use crate::stream::{ArrayColumns, Columns, ImuColumns, PoseColumns};
 use crate::time::Stamp;
 
@@ -145,11 +146,7 @@ impl Norms {
                 worst = (row, defect);
             }
         }
-        let middle = some.len() / 2;
-        let median = match some.as_mut_slice() {
-            [] => 0.0,
-            some => *some.select_nth_unstable_by(middle, f64::total_cmp).1,
-        };
+        let median = median(&mut some).unwrap_or(0.0);
         let (row, largest) = worst;
         let at = at(row);
         Some(Self { stream, frame, written, rows, unset: all - rows, largest, median, at })

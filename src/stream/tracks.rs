@@ -1,4 +1,5 @@
 use crate::geometry::{Rotation, Vec3};
+use crate::stats::{NORMAL, median};
 
 /// Positions of a chain's joints over time, on one common time grid.
 ///
@@ -119,17 +120,11 @@ fn bracket(t: &[f64], t_s: f64, cursor: &mut usize) -> Option<usize> {
 /// differences, which smooth motion hardly has; of very many, of some evenly spread over all. In the
 /// unit of `q`, 0 of fewer than three samples.
 pub fn sample_noise(q: &[f64]) -> f64 {
-    /// Standard deviations in a median magnitude of normal noise.
-    const NORMAL: f64 = 1.4826;
     /// As many differences tell the median within 1 %.
     const ENOUGH: usize = 25_000;
     let some = q.windows(3).step_by(q.len().div_ceil(ENOUGH).max(1));
     let mut bends: Vec<f64> = some.map(|w| (w[0] - 2.0 * w[1] + w[2]).abs()).collect();
-    if bends.is_empty() {
-        return 0.0;
-    }
-    let middle = bends.len() / 2;
-    NORMAL * *bends.select_nth_unstable_by(middle, f64::total_cmp).1 / 6f64.sqrt()
+    NORMAL * median(&mut bends).unwrap_or(0.0) / 6f64.sqrt()
 }
 
 /// What a pose stream says of orientation.

@@ -10,10 +10,9 @@ use super::joints::{
     Left, Read, corrected, lies_on_arm, likely_readings, other_reading, read_joints,
 };
 use super::latency::{ArmSpeeds, Peak};
+use super::placement::{Placement, metres_by_reach};
 use super::placing::spread;
-use super::prepare::{
-    Placement, Prepared, as_rotations, metres_by_reach, prepare, stream_lag_s, stream_peaks,
-};
+use super::prepare::{Prepared, as_rotations, prepare, stream_lag_s, stream_peaks};
 use super::{
     ArmDiagnosis, JointOffset, JointReading, JointScale, PoseDiagnosis, PoseStream, Residual, Seen,
     Unseen,

@@ -10,7 +10,8 @@ use crate::diagnosis::frames::frame_estimate;
 use crate::diagnosis::latency::median_period_s;
 use crate::diagnosis::model::StreamState;
 use crate::diagnosis::observability::Observability;
-use crate::diagnosis::prepare::{Placement, Prepared};
+use crate::diagnosis::placement::Placement;
+use crate::diagnosis::prepare::Prepared;
 use crate::diagnosis::residual::residual;
 use crate::diagnosis::{
     Aligned, AxesSlip, ConstantPart, LengthSlip, Measured, PoseDiagnosis, PoseStream, Residual,

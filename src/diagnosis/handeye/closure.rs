@@ -1,11 +1,11 @@
 //! How far the chain is from closing, pose by pose, and by how much that is more than noise.
 
-use super::super::measured::Measured;
 use super::fit::Fit;
 use super::series::Setting;
-use super::start::median;
 use super::{Closure, FEWEST};
 use crate::geometry::Vec3;
+use crate::stats::Measured;
+use crate::stats::median;
 
 /// Blocks over which the excess over noise is judged.
 const BLOCKS: usize = 12;
@@ -29,7 +29,7 @@ pub(super) fn closure(setting: &Setting, fit: &Fit) -> Option<Closure> {
     let of = |kind: usize| -> Vec<Vec3> { near.iter().map(|left| left[kind]).collect() };
     let medians = [0, 1].map(|kind| {
         let mut norms: Vec<f64> = left.iter().map(|(_, left)| left[kind].norm()).collect();
-        median(&mut norms)
+        median(&mut norms).unwrap_or(0.0)
     });
     Some(Closure {
         poses: all,

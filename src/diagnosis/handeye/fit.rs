@@ -4,11 +4,12 @@
 //! are the detector's own, so position and rotation are weighed by what each of them leaves.
 
 use super::super::linear::{Linear, Normal, Weight, sandwich};
-use super::super::measured::Measured;
 use super::series::Setting;
-use super::start::{Start, median, together};
+use super::start::{Start, together};
 use super::{CameraPose, FEWEST};
 use crate::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotvec_from_rotation};
+use crate::stats::Measured;
+use crate::stats::median;
 use nalgebra::DMatrix;
 
 /// Parameters: `X` shifted and turned in the camera's axes, `Y` shifted and turned in its parent's,
@@ -227,7 +228,7 @@ fn finished(state: State, setting: &Setting, keep: &[bool]) -> Option<Fit> {
         const NORMAL: f64 = 1.5382;
         let mut norms: Vec<f64> =
             linear.residual[kind].iter().map(|residual| Vec3::from(*residual).norm()).collect();
-        median(&mut norms) / NORMAL
+        median(&mut norms).unwrap_or(0.0) / NORMAL
     });
     let offset_s = Measured {
         value: state.offset_s,

@@ -22,9 +22,9 @@ mod series;
 mod start;
 
 use super::latency::{self, Peak, Speed};
-use super::measured::{Length, Measured};
 use super::{FrameEstimate, Seen, Unseen};
 use crate::geometry::{Pose, angle_between, rotvec_from_rotation};
+use crate::stats::{Length, Measured};
 
 use closure::closure;
 use diversity::diversity;

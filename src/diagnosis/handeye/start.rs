@@ -5,6 +5,7 @@ use super::series::Pair;
 use crate::geometry::{
     Pose, Rotation, Vec3, angle_between, pose, rotation_from_rotvec, rotvec_from_rotation,
 };
+use crate::stats::median;
 use nalgebra::{Matrix3, Matrix6, Vector6};
 
 /// Poses that the closed form uses.
@@ -50,7 +51,7 @@ fn with_rotation(pairs: &[Pair], rotation: &Rotation) -> Option<Start> {
     let camera = pose(camera_xyz.into(), rotation);
     let constant = pose(constant_xyz.into(), constant_rotation);
     let mut misfits: Vec<f64> = pairs.iter().map(|pair| misfit(pair, &camera, &constant)).collect();
-    Some(Start { camera, constant, misfit: median(&mut misfits) })
+    Some(Start { camera, constant, misfit: median(&mut misfits).unwrap_or(0.0) })
 }
 
 /// By how much one pair fails to close.
@@ -80,7 +81,7 @@ fn turns(pairs: &[Pair]) -> Vec<(Vec3, Vec3)> {
 pub(super) fn angle_gap(pairs: &[Pair]) -> f64 {
     let mut gaps: Vec<f64> =
         turns(pairs).iter().map(|(a, b)| (a.norm() - b.norm()).abs()).collect();
-    median(&mut gaps)
+    median(&mut gaps).unwrap_or(0.0)
 }
 
 /// The rotation that takes the camera's turns to the carrier's; several about the axis where there is
@@ -104,7 +105,7 @@ fn camera_rotations(pairs: &[Pair]) -> Option<Vec<Rotation>> {
         })
         .collect();
     let mut gaps: Vec<f64> = usable.iter().map(|(a, b)| (a.norm() - b.norm()).abs()).collect();
-    let limit = 3.0 * median(&mut gaps) + 1e-9;
+    let limit = 3.0 * median(&mut gaps).unwrap_or(0.0) + 1e-9;
     let alike = || usable.iter().filter(|(a, b)| (a.norm() - b.norm()).abs() <= limit);
     if largest < 1e-6 || alike().count() < 3 {
         return None;
@@ -112,7 +113,7 @@ fn camera_rotations(pairs: &[Pair]) -> Option<Vec<Rotation>> {
     let guess = wahba(&alike().map(|(a, b)| a * b.transpose()).sum::<Matrix3<f64>>());
     // Once more without those that the guess leaves far off.
     let mut off: Vec<f64> = alike().map(|(a, b)| (a - guess * b).norm()).collect();
-    let limit = 3.0 * median(&mut off) + 1e-9;
+    let limit = 3.0 * median(&mut off).unwrap_or(0.0) + 1e-9;
     let near = || alike().filter(|(a, b)| (a - guess * b).norm() <= limit);
     let rotation = wahba(&near().map(|(a, b)| a * b.transpose()).sum::<Matrix3<f64>>());
     let scatter: Matrix3<f64> = near().map(|(a, _)| a * a.transpose()).sum();
@@ -134,7 +135,7 @@ fn central(rotations: &[Rotation]) -> Option<Rotation> {
     let step = rotations.len().div_ceil(TRIED).max(1);
     let distance = |one: &Rotation| {
         let mut all: Vec<f64> = rotations.iter().map(|other| angle_between(one, other)).collect();
-        median(&mut all)
+        median(&mut all).unwrap_or(0.0)
     };
     let tried = rotations.iter().step_by(step).map(|one| (distance(one), *one));
     tried.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, one)| one)
@@ -174,17 +175,8 @@ fn translations(pairs: &[Pair], rotation: &Rotation) -> Option<(Vec3, Vec3)> {
         constant = solution.fixed_rows::<3>(3).into();
         let off: Vec<f64> =
             rows.iter().map(|(turned, seen)| (turned * camera - constant - seen).norm()).collect();
-        let scale = median(&mut off.clone()).max(1e-9);
+        let scale = median(&mut off.clone()).unwrap_or(0.0).max(1e-9);
         weights = off.iter().map(|off| 1.0 / (1.0 + (off / (2.0 * scale)).powi(2))).collect();
     }
     Some((camera, constant))
-}
-
-/// The median; 0 of nothing.
-pub(super) fn median(values: &mut [f64]) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }

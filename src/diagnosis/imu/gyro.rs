@@ -9,12 +9,12 @@
 use super::super::course::{Lagging, course_of};
 use super::super::latency::median_period_s;
 use super::super::linear::Linear;
-use super::super::measured::Length;
 use super::super::reading::wahba;
 use super::super::{GyroBias, GyroShape, LatencyCourse, Measured, Seen, Unseen};
 use super::solve::{Model, Solved, lengths, solve};
 use super::{Clock, Delay, Link, NEED, SKEW_CHANCE, TURNS_RAD, explains, rms};
 use crate::geometry::{Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
+use crate::stats::Length;
 use nalgebra::{DVector, Matrix3};
 use std::ops::RangeInclusive;
 

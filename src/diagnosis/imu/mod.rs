@@ -7,6 +7,7 @@
 //! carries the joint offsets found, since a wrist zero of 1° looks like 0.6 °/min of drift and 0.9°
 //! of mount error without them.
 
+mod found;
 mod gyro;
 mod held;
 mod orientation;
@@ -18,7 +19,8 @@ use super::latency::{ArmSpeeds, Peak, angular_speed, by_lag, norms, peaks};
 use super::prepare::still_speeds;
 use super::reading::mean_rotation;
 use super::reread;
-use super::{AxesSlip, ImuDiagnosis, ImuStream, Meant, Measured, Reading, Seen, Unseen, YawCourse};
+use super::{AxesSlip, Meant, Measured, Reading, Seen, Unseen};
+pub use found::{GyroBias, GyroShape, Heading, ImuDiagnosis, ImuStream, YawCourse, YawJump};
 pub use held::{ImuProof, Rates, proof_of_imu};
 
 use crate::geometry::{Rotation, Vec3, angle_between};

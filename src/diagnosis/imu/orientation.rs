@@ -4,7 +4,6 @@
 
 use super::super::course::{Lagging, course_of};
 use super::super::linear::Linear;
-use super::super::measured::Length;
 use super::super::model::FLOOR_RAD;
 use super::super::reading::{
     After, Fit, Logged, Samples, mean_rotation, nearest_truth, read_in_gravity,
@@ -14,6 +13,7 @@ use super::solve::{Model, Solved, lengths, solve};
 use super::yaw::{self, Course};
 use super::{Clock, Delay, Link, MOUNT_CHANCE, NEED, SKEW_CHANCE, TURNS_RAD, explains, rms};
 use crate::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
+use crate::stats::Length;
 use nalgebra::DVector;
 use std::f64::consts::TAU;
 use std::ops::Range;

@@ -1,9 +1,9 @@
 //! Gauss–Newton over the free parameters of a model of an IMU.
 
 use super::super::linear::{Linear, Normal, Weight, sandwich};
-use super::super::measured::{Length, joint_p_value};
 use super::super::{Measured, Seen, Unseen};
 use crate::geometry::Vec3;
+use crate::stats::{Length, joint_p_value};
 use nalgebra::{DMatrix, DVector};
 
 /// A model with parameters, of which some are fitted.

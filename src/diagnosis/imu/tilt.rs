@@ -1,9 +1,9 @@
 //! An IMU's lean against gravity.
 
-use super::super::measured::Length;
 use super::super::{Seen, Unseen};
 use super::Link;
 use crate::geometry::Vec3;
+use crate::stats::Length;
 use nalgebra::DMatrix;
 
 /// An arm rests where it also does this long before and after, s.

@@ -4,6 +4,7 @@
 //! before anything else is known: each unit and each pairing of names is held against them, leaving
 //! a constant tool offset or a turned reference frame free.
 
+mod found;
 mod lone;
 mod map;
 mod polish;
@@ -14,10 +15,11 @@ mod view;
 use super::latency::{joint_activity, linear_speed, peaks};
 use super::model::Witness;
 use super::placing::{Expected, spread};
-use super::{JointReading, JointSlip, JointUnit, PoseStream, Seen, UnitSlip, Unseen};
+use super::{PoseStream, Seen, UnitSlip, Unseen};
 use crate::geometry::{Pose, Rotation, Vec3};
 use crate::robot::{Chain, JointKind};
 use crate::stream::{JointTrack, Orientations};
+pub use found::{JointOffset, JointReading, JointScale, JointSlip, JointUnit, Twin};
 use lone::Lone;
 use map::JointMap;
 use search::{Found, Kind, Search, search};

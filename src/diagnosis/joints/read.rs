@@ -1,7 +1,7 @@
 //! The joint states under one reading.
 
 use super::super::prepare::still_speeds;
-use super::super::{JointReading, JointUnit, is_coded};
+use super::found::{JointReading, JointUnit, is_coded};
 use super::{corrected, moved};
 use crate::stream::JointTrack;
 

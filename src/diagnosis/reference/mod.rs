@@ -9,11 +9,11 @@ mod line;
 mod rest;
 
 use super::latency::{ArmSpeeds, Peak, median_period_s};
-use super::measured::{Length, Measured};
 use super::noise::Noise;
 use super::{PoseSeries, Seen, Unseen};
 use crate::geometry::{Pose, Rotation, Vec3, angle_between, rotvec_from_rotation};
 use crate::robot::Chain;
+use crate::stats::{Length, Measured};
 use crate::stream::JointTrack;
 
 pub use line::{Line, LineWitness};

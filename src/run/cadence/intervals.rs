@@ -2,6 +2,7 @@
 
 use super::motion::Motion;
 use super::{Hole, Stretch};
+use crate::stats::median;
 use crate::time::{Stamp, seconds};
 
 /// An interval of more periods than this lacks a row.
@@ -30,8 +31,7 @@ impl Pace {
             return None;
         }
         let mut some: Vec<f64> = intervals().step_by(count.div_ceil(ENOUGH)).collect();
-        let middle = some.len() / 2;
-        let median = *some.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let median = median(&mut some)?;
         let close = intervals().filter(|dt| (dt - median).abs() < SINGLE * median);
         let (sum_s, singles) =
             close.fold((0.0, 0), |(sum_s, singles), dt| (sum_s + dt, singles + 1));

@@ -1,0 +1,205 @@
+//! Amounts in words: their units, and as many digits as they are known to.
+
+use std::f64::consts::PI;
+
+use crate::stats::Measured;
+
+/// The unit of an amount: SI where it is stored, everyday units where it is shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unit {
+    /// Metres; people read mm.
+    Metre,
+    /// Radians; people read degrees.
+    Radian,
+    /// Seconds; people read ms.
+    Second,
+    /// Radians a second of a drift; people read degrees a minute.
+    RadianPerSecond,
+    /// Radians a second of a gyro; people read degrees a second.
+    GyroRate,
+    /// Seconds a second; people read parts per million.
+    SecondPerSecond,
+    /// Metres a metre; people read millimetres a metre.
+    MetrePerMetre,
+    /// Radians a second, a second.
+    RadianPerSecondSquared,
+    /// Metres a second, a second.
+    MetrePerSecondSquared,
+    /// A number without a unit.
+    One,
+}
+
+impl Unit {
+    /// The unit's symbol in SI, as the JSON report has it.
+    pub const fn symbol(self) -> &'static str {
+        match self {
+            Unit::Metre => "m",
+            Unit::Radian => "rad",
+            Unit::Second => "s",
+            Unit::RadianPerSecond | Unit::GyroRate => "rad/s",
+            Unit::SecondPerSecond => "s/s",
+            Unit::MetrePerMetre => "m/m",
+            Unit::RadianPerSecondSquared => "rad/s²",
+            Unit::MetrePerSecondSquared => "m/s²",
+            Unit::One => "1",
+        }
+    }
+
+    /// The unit that the estimate `name` of a report is in, by its symbol; `None` for a symbol that no
+    /// unit has.
+    pub fn of(symbol: &str, name: &str) -> Option<Self> {
+        match (symbol, name) {
+            ("m", _) => Some(Unit::Metre),
+            ("rad", _) => Some(Unit::Radian),
+            ("s", _) => Some(Unit::Second),
+            ("rad/s", "gyro bias") => Some(Unit::GyroRate),
+            ("rad/s", _) => Some(Unit::RadianPerSecond),
+            ("s/s", _) => Some(Unit::SecondPerSecond),
+            ("m/m", _) => Some(Unit::MetrePerMetre),
+            ("rad/s²" | "rad/s^2", _) => Some(Unit::RadianPerSecondSquared),
+            ("m/s²" | "m/s^2", _) => Some(Unit::MetrePerSecondSquared),
+            ("1", _) => Some(Unit::One),
+            _ => None,
+        }
+    }
+
+    /// Amounts smaller than this are zero, before any statistics.
+    pub const fn noise_floor(self) -> f64 {
+        match self {
+            Unit::Metre | Unit::Radian | Unit::Second => 1e-6,
+            Unit::RadianPerSecond | Unit::GyroRate => 0.0,
+            Unit::SecondPerSecond | Unit::MetrePerMetre | Unit::One => 0.0,
+            Unit::RadianPerSecondSquared | Unit::MetrePerSecondSquared => 0.0,
+        }
+    }
+
+    /// The 95 % interval of `measured`, never narrower than the noise floor; `None` where there is
+    /// none.
+    pub fn interval95(self, measured: &Measured) -> Option<[f64; 2]> {
+        let half = self.half_width(measured, 0.95);
+        let interval = [measured.value - half, measured.value + half];
+        interval.iter().all(|end| end.is_finite()).then_some(interval)
+    }
+
+    /// Half the width of the interval at `confidence`, never below the noise floor; infinite where the
+    /// amount is known so badly that a width would mean nothing.
+    pub fn half_width(self, measured: &Measured, confidence: f64) -> f64 {
+        let half = measured.half_width(confidence).max(self.noise_floor());
+        if half <= self.most() { half } else { f64::INFINITY }
+    }
+
+    /// What is known to no better than this is not known: half a turn, and more than any arm, run or
+    /// clock has.
+    const fn most(self) -> f64 {
+        match self {
+            Unit::Radian => PI,
+            Unit::Metre | Unit::GyroRate => 1e3,
+            Unit::Second => 1e5,
+            Unit::RadianPerSecond | Unit::SecondPerSecond | Unit::MetrePerMetre => 1.0,
+            Unit::RadianPerSecondSquared | Unit::MetrePerSecondSquared | Unit::One => 1e6,
+        }
+    }
+
+    /// `value` as a person says it: `22.03 ms`, `0.5°`.
+    pub fn show(self, value: f64) -> String {
+        let (factor, suffix) = self.everyday(value.abs());
+        let shown = value * factor;
+        format!("{}{suffix}", trimmed(shown, significant_decimals(shown.abs(), 3).min(4)))
+    }
+
+    /// The amount with the half-width of its 95 % interval: `22.03 ± 0.02 ms`.
+    pub fn show_measured(self, measured: &Measured) -> String {
+        self.show_interval(measured.value, self.half_width(measured, 0.95), false)
+    }
+
+    /// As [`Unit::show_measured`], with the sign always there: `+0.500 ± 0.001°`.
+    pub fn show_signed(self, measured: &Measured) -> String {
+        self.show_interval(measured.value, self.half_width(measured, 0.95), true)
+    }
+
+    /// A value of an [`Estimate`] with the wider half of its interval, where it has one.
+    pub fn show_within(self, value: f64, interval: Option<[f64; 2]>) -> String {
+        match interval {
+            Some([low, high]) => self.show_interval(value, (high - value).max(value - low), false),
+            None => self.show(value),
+        }
+    }
+
+    /// As [`Unit::show_within`], with the sign always there.
+    pub fn show_signed_within(self, value: f64, interval: Option<[f64; 2]>) -> String {
+        match interval {
+            Some([low, high]) => self.show_interval(value, (high - value).max(value - low), true),
+            None if value > 0.0 => format!("+{}", self.show(value)),
+            None => self.show(value),
+        }
+    }
+
+    /// `value` with the half-width of its interval, both in the unit's symbol.
+    pub fn show_interval(self, value: f64, half: f64, signed: bool) -> String {
+        if !half.is_finite() {
+            return format!("{} ± ?", self.show(value));
+        }
+        let (factor, suffix) = self.everyday(value.abs().max(half));
+        let (value, half) = (value * factor, half * factor);
+        let decimals = significant_decimals(half, 1).min(3);
+        // Rounded up, so that the interval shown covers the one meant.
+        let ulp = 10f64.powi(-(decimals as i32));
+        let half = ((half / ulp - 1e-9).ceil() * ulp).max(ulp);
+        match signed {
+            true => unsigned_zero(format!("{value:+.decimals$} ± {half:.decimals$}{suffix}")),
+            false => unsigned_zero(format!("{value:.decimals$} ± {half:.decimals$}{suffix}")),
+        }
+    }
+
+    /// Factor and suffix of the everyday unit that suits an amount of size `size`.
+    fn everyday(self, size: f64) -> (f64, &'static str) {
+        match self {
+            Unit::Metre if size >= 1.0 => (1.0, " m"),
+            Unit::Metre if size >= 1e-4 => (1e3, " mm"),
+            Unit::Metre => (1e6, " µm"),
+            Unit::Radian => (1f64.to_degrees(), "°"),
+            Unit::Second if size >= 1.0 => (1.0, " s"),
+            Unit::Second if size >= 1e-4 => (1e3, " ms"),
+            Unit::Second => (1e6, " µs"),
+            Unit::RadianPerSecond => (60.0 * 1f64.to_degrees(), " °/min"),
+            Unit::GyroRate => (1f64.to_degrees(), " °/s"),
+            Unit::SecondPerSecond => (1e6, " ppm"),
+            Unit::MetrePerMetre => (1e3, " mm/m"),
+            Unit::RadianPerSecondSquared => (1.0, " rad/s²"),
+            Unit::MetrePerSecondSquared => (1.0, " m/s²"),
+            Unit::One => (1.0, ""),
+        }
+    }
+}
+
+/// Decimals that show `digits` significant digits of `size`.
+fn significant_decimals(size: f64, digits: i32) -> usize {
+    if size <= 0.0 || !size.is_finite() {
+        return 0;
+    }
+    let leading = size.log10().floor() as i32;
+    (digits - 1 - leading).clamp(0, 12) as usize
+}
+
+/// A text that begins with a number, which loses its minus where it was rounded to zero.
+fn unsigned_zero(text: String) -> String {
+    let digits = |c: &char| c.is_ascii_digit() || *c == '.';
+    match text.strip_prefix('-') {
+        Some(rest) if rest.chars().take_while(digits).all(|c| "0.".contains(c)) => rest.to_owned(),
+        _ => text,
+    }
+}
+
+/// A number to so many decimals, and no −0.
+pub fn rounded(number: f64, decimals: usize) -> String {
+    unsigned_zero(format!("{number:.decimals$}"))
+}
+
+/// `value` with at most `decimals` decimals, without zeros at the end.
+fn trimmed(value: f64, decimals: usize) -> String {
+    let text = rounded(value, decimals);
+    if !text.contains('.') {
+        return text;
+    }
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}

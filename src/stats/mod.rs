@@ -1,0 +1,47 @@
+//! Numbers with their errors, and what is usual among many.
+
+mod measured;
+
+pub(crate) use measured::joint_p_value;
+pub use measured::{Length, Measured};
+
+/// Standard deviations in a median magnitude of normal noise: 1/Φ⁻¹(3/4).
+pub(crate) const NORMAL: f64 = 1.4826;
+
+/// The number that `part` of `values`, from 0 to 1, lie below; `None` of nothing. `values` are put into
+/// another order.
+pub(crate) fn quantile(values: &mut [f64], part: f64) -> Option<f64> {
+    let at = ((values.len() as f64 * part) as usize).min(values.len().checked_sub(1)?);
+    Some(*values.select_nth_unstable_by(at, f64::total_cmp).1)
+}
+
+/// The median; of an even number of values the upper of the two in the middle.
+pub(crate) fn median(values: &mut [f64]) -> Option<f64> {
+    quantile(values, 0.5)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn as_many_lie_below_a_quantile_as_are_asked_for(
+            mut values in prop::collection::vec(-1e9..1e9_f64, 1..60),
+            part in 0.0..=1.0_f64,
+        ) {
+            let found = quantile(&mut values, part).expect("some");
+            let below = values.iter().filter(|value| **value < found).count();
+            let above = values.iter().filter(|value| **value > found).count();
+            let rank = values.len() as f64 * part;
+            prop_assert!(below as f64 <= rank && (values.len() - above) as f64 >= rank.floor());
+        }
+    }
+
+    #[test]
+    fn nothing_has_no_median() {
+        assert_eq!(median(&mut []), None);
+        assert_eq!(median(&mut [3.0, 1.0, 2.0, 9.0]), Some(3.0));
+    }
+}
