@@ -14,11 +14,12 @@ use crate::run::{
     Arm, Frozen, Norms, PoseSource, Role, Run, Stream, TopicSettings, Unaudited, WhyNot,
 };
 use crate::stream::{Columns, JointColumn, PoseColumns};
+use crate::time::Clock;
 
 /// The facts for the rules.
 pub(super) fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read, options: &Options) -> Facts {
     let unset = run.arms.iter().zip(&diagnoses).flat_map(|(arm, found)| unset(arm, &found.arm));
-    let unset: Vec<Unaudited> = unset.collect();
+    let unset: Vec<Unaudited> = unset.chain(in_other_frames(run)).collect();
     let arms = run.arms.iter().zip(diagnoses);
     let robots = arms.map(|(arm, diagnosis)| arm_facts(run, arm, diagnosis, options));
     let stamps = run.clocks.iter().filter_map(|clock| {
@@ -90,6 +91,16 @@ fn rhythms(run: &Run) -> Vec<Of<RhythmFacts>> {
             due: due(run, stream)?,
             rate_hz: stream.rate_hz,
             said_hz: stream.said_hz,
+            unstamped: run
+                .clocks
+                .iter()
+                .filter(|clock| clock.stream == rhythm.stream && clock.clock == Clock::Header)
+                .map(|clock| clock.zero)
+                .sum(),
+            elsewhere: beside(run, stream)
+                .filter(|(index, _)| *index != rhythm.stream)
+                .map(|(_, other)| other.count)
+                .sum(),
             // Of joint states no row is left out.
             unusable: if stream.role == Role::Joints { 0 } else { stream.unusable() },
             parts: rhythm.parts.clone(),
@@ -139,12 +150,13 @@ fn norms(run: &Run) -> Vec<Of<Vec<Norms>>> {
 
 /// The streams that are audited, each with its samples that hold no usable numbers.
 fn unusable(run: &Run) -> Vec<Of<UnusableFacts>> {
+    /// A quaternion of smaller parts is none.
+    const NEXT_TO_NOTHING: f64 = 1e-6;
     let is_asked =
         |stream: &Stream| matches!(stream.role, Role::Joints | Role::Pose | Role::Tf | Role::Imu);
     let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));
     let unusable = |(index, stream): (usize, &Stream)| {
-        let mut facts =
-            UnusableFacts { unusable: stream.unusable(), unset: 0, misfits: 0, samples: 0 };
+        let mut facts = UnusableFacts { unusable: stream.unusable(), ..UnusableFacts::default() };
         let mut joint = None;
         let kept: usize = stream.times().iter().map(|times| times.len()).sum();
         facts.samples = kept as u64 + facts.unusable;
@@ -157,13 +169,16 @@ fn unusable(run: &Run) -> Vec<Of<UnusableFacts>> {
                 });
                 let worst = of_arm.max_by_key(|(_, count)| **count);
                 facts.misfits = joints.wrong_length;
+                facts.contradictory = joints.contradictory;
                 facts.samples = kept as u64 + facts.misfits;
                 facts.unusable = worst.map_or(0, |(_, count)| *count);
                 joint = worst.filter(|_| facts.unusable > 0).map(|(name, _)| name.to_owned());
             }
             Some(Columns::Poses(poses) | Columns::Transforms(poses)) => {
                 let unset = |poses: &PoseColumns| {
-                    poses.q_xyzw.iter().filter(|q| q.iter().all(|part| *part == 0.0)).count()
+                    let is_unset =
+                        |q: &&[f64; 4]| q.iter().all(|part| part.abs() < NEXT_TO_NOTHING);
+                    poses.q_xyzw.iter().filter(is_unset).count()
                 };
                 let some = poses.iter().map(|poses| (unset(poses), poses.times.len()));
                 facts.unset =
@@ -279,6 +294,39 @@ fn unset(arm: &Arm, found: &ArmDiagnosis) -> Vec<Unaudited> {
         streams.filter(|(_, found)| matches!(found.reading, Err(Unseen::OrientationNotSet)));
     let why = WhyNot::NoOrientation;
     unset.map(|(source, _)| Unaudited { stream: source.stream, why: why.clone() }).collect()
+}
+
+/// The streams of poses of the same on the same topic, whatever frames they are in, with their indices.
+fn beside<'a>(run: &'a Run, own: &'a Stream) -> impl Iterator<Item = (usize, &'a Stream)> {
+    run.streams.iter().enumerate().filter(|(_, other)| {
+        other.topic == own.topic
+            && other.child_frame_id == own.child_frame_id
+            && matches!(other.columns, Some(Columns::Poses(_)))
+    })
+}
+
+/// The topics of which the arm is held against some poses, and others are in frames that nothing ties to it.
+fn in_other_frames(run: &Run) -> Vec<Unaudited> {
+    let sources = run.arms.iter().flat_map(|arm| &arm.poses);
+    let tied: Vec<usize> =
+        sources.filter(|source| source.reference_known).map(|source| source.stream).collect();
+    let of = |index: usize| {
+        let all = || beside(run, &run.streams[index]);
+        let others: Vec<&Stream> =
+            all().filter(|(index, _)| !tied.contains(index)).map(|(_, other)| other).collect();
+        let is_first =
+            all().find(|(index, _)| tied.contains(index)).is_some_and(|it| it.0 == index);
+        if others.is_empty() || !is_first {
+            return None;
+        }
+        let why = WhyNot::OtherFrames {
+            frames: others.iter().map(|other| other.frame_id.clone()).collect(),
+            samples: others.iter().map(|other| other.count).sum(),
+            of: all().map(|(_, stream)| stream.count).sum(),
+        };
+        Some(Unaudited { stream: index, why })
+    };
+    tied.iter().filter_map(|&index| of(index)).collect()
 }
 
 /// The streams that are audited or would be, each with why it is not, or not as what it says it is.

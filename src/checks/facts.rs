@@ -458,6 +458,10 @@ pub struct RhythmFacts {
     pub said_hz: Option<f64>,
     /// Samples that came and are left out, because they hold no usable numbers.
     pub unusable: u64,
+    /// Samples that came and are left out, because their stamps are none.
+    pub unstamped: u64,
+    /// Samples of its topic that came and say that they are in another frame.
+    pub elsewhere: u64,
     /// The rhythm of each of its senders, or of each transform.
     pub parts: Vec<Cadence>,
     /// How it lies against the other streams.
@@ -523,7 +527,7 @@ pub struct HeldFacts {
 }
 
 /// The samples of a stream that hold no usable numbers.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct UnusableFacts {
     /// Those that are NaN, infinite or larger than anything is.
     pub unusable: u64,
@@ -531,6 +535,8 @@ pub struct UnusableFacts {
     pub unset: u64,
     /// Those with more or fewer numbers than they should have.
     pub misfits: u64,
+    /// Those that name a joint twice, with other positions.
+    pub contradictory: u64,
     /// All of them.
     pub samples: u64,
 }

@@ -10,7 +10,8 @@ rule! {
     /// ## What it means
     /// The log holds a stream that says it is a tool's pose, or joint states of an arm, and it cannot be
     /// taken at its word: its `frame_id` is the tool's own frame, in which the tool never moves; its
-    /// orientations were never set; its pose never changes while the joints move the tool; the arm's base moves in its frame and no transform says how; it may
+    /// orientations were never set; its pose never changes while the joints move the tool; some of its poses are in frames that
+    /// nothing ties to the arm; the arm's base moves in its frame and no transform says how; it may
     /// be of either of two arms; no kinematics can be held against it; no model has its joints. What can
     /// be told without that is told all the same: positions are audited where orientations are not set,
     /// and poses in the tool's own frame as ones in an unknown frame.
@@ -20,7 +21,7 @@ rule! {
     /// that believes its frame or its orientation is wrong by all of it.
     ///
     /// ## Evidence
-    /// `why` is `own-frame`, `no-orientation`, `never-changes`, `base-moves`, `whose-arm`, `no-kinematics` or
+    /// `why` is `own-frame`, `no-orientation`, `never-changes`, `other-frames`, `base-moves`, `whose-arm`, `no-kinematics` or
     /// `no-model`; beside it stand the number of `samples` and how far the joints move the tool (`moved_m`), the `frame`, the `base` with how far it travels (`travel_m`) and turns
     /// (`turn_rad`), the `arms`, what is `missing`, or the `joints`.
     ///
@@ -100,6 +101,19 @@ fn words(why: &WhyNot) -> Words {
                     .to_owned(),
             fix: "set the orientation, or publish a point".to_owned(),
             evidence: Vec::new(),
+        },
+        WhyNot::OtherFrames { frames, samples, of } => Words {
+            why: "other-frames",
+            title: "a topic whose poses are in several frames",
+            message: format!(
+                "{samples} of its {of} poses are in other frames ({}), which nothing ties to the arm; they \
+                 are not held against it",
+                few(frames)
+            ),
+            fix: "see who else sends on the topic, and give each source a topic, or record the transforms \
+                  to these frames"
+                .to_owned(),
+            evidence: vec![("frames", json!(frames.len())), ("samples", json!(samples))],
         },
         WhyNot::NeverChanges { samples, moved_m } => Words {
             why: "never-changes",

@@ -7,7 +7,8 @@ rule! {
     /// ## What it means
     /// Positions, orientations or readings are NaN, infinite or beyond ±1e12, in whatever unit, or some of
     /// a stream's orientations were never set and others were. Or joint states have other numbers of names
-    /// and of positions, and arrays other lengths than the first. The samples came; what they say is nothing.
+    /// and of positions, or name a joint twice with other positions, and arrays other lengths than the first.
+    /// The samples came; what they say is nothing.
     ///
     /// ## Why it matters
     /// The audit leaves such samples out before anything is made of them, so that they decide nothing else
@@ -16,7 +17,8 @@ rule! {
     ///
     /// ## Evidence
     /// `unusable` is how many samples hold such numbers, `unset` how many have no orientation, `misfits` how
-    /// many have more or fewer numbers than they should, of `samples`. The estimate is their share. Of a
+    /// many have more or fewer numbers than they should, `contradictory` how many name a joint twice, of
+    /// `samples`. The estimate is their share. Of a
     /// sample without an orientation the position is audited.
     ///
     /// ## How to fix
@@ -46,8 +48,8 @@ fn check(facts: &Facts) -> Vec<Judged> {
 }
 
 fn judge(stream: &Of<UnusableFacts>) -> Judged {
-    let UnusableFacts { unusable, unset, misfits, samples, .. } = stream.found;
-    let count = unusable.max(unset).max(misfits);
+    let UnusableFacts { unusable, unset, misfits, contradictory, samples } = stream.found;
+    let count = unusable.max(unset).max(misfits).max(contradictory);
     if count == 0 {
         return stream.judged(Outcome::sound());
     }
@@ -58,6 +60,7 @@ fn judge(stream: &Of<UnusableFacts>) -> Judged {
     };
     let said = [
         of(misfits, "have more or fewer numbers than they should, and are left out"),
+        of(contradictory, "name a joint twice, with other positions; the last is taken"),
         of(unusable, "hold no usable numbers: none, infinite or beyond 1e12; they are left out"),
         of(unset, "have no orientation, while the others have: of these the positions are audited"),
     ];
@@ -74,5 +77,6 @@ fn judge(stream: &Of<UnusableFacts>) -> Judged {
         .with_evidence("unusable", unusable)
         .with_evidence("unset", unset)
         .with_evidence("misfits", misfits)
+        .with_evidence("contradictory", contradictory)
         .with_evidence("samples", samples)
 }

@@ -121,10 +121,12 @@ fn judge(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Judged {
     }
     let missing: usize =
         concerned.iter().flat_map(|part| holes(by, part)).map(|hole| hole.missing).sum();
-    if !concerned.is_empty() && rhythm.unusable > 0 && missing as u64 <= 2 * rhythm.unusable {
+    let came = rhythm.unusable + rhythm.unstamped + rhythm.elsewhere;
+    if !concerned.is_empty() && came > 0 && missing as u64 <= 2 * came {
         let why = format!(
-            "the samples that are missing came: {} hold no usable numbers (ING003); record it again",
-            rhythm.unusable
+            "the samples that are missing came: {} hold no usable numbers (ING003), {} no stamp (TIM005), \
+             {} are in another frame (FRM007); record it again",
+            rhythm.unusable, rhythm.unstamped, rhythm.elsewhere
         );
         return Judged::new(subject, Outcome::Inconclusive(why)).within(rhythm.span);
     }

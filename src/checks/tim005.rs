@@ -4,7 +4,7 @@ use crate::run::HeaderStamps;
 use crate::time::Clock;
 
 rule! {
-    /// Stamps are zero, constant, missing or beyond the run.
+    /// Stamps are zero, constant, backward, missing or beyond the run.
     ///
     /// ## What it means
     /// The messages do not say when their content was true. The audit then takes the time at which
@@ -74,8 +74,13 @@ fn judge(stream: &Of<StampFacts>) -> Judged {
             return stream.judged(outcome);
         }
         HeaderStamps::Sound | HeaderStamps::Zero => {
-            (usual, "stamps are zero", format!("{zero} of {rows} stamps are zero"))
+            (usual, "stamps are zero", format!("{zero} of {rows} stamps are zero or no time"))
         }
+        HeaderStamps::Backward => (
+            usual,
+            "stamps run backward",
+            format!("most of {rows} stamps are before the one before"),
+        ),
         HeaderStamps::Constant => {
             (usual, "stamps stand still", format!("all {rows} stamps are the same"))
         }

@@ -104,6 +104,9 @@ impl Unit {
     pub fn show(self, value: f64) -> String {
         let (factor, suffix) = self.everyday(value.abs());
         let shown = value * factor;
+        if shown.abs() >= MANY_DIGITS {
+            return format!("{shown:.1e}{suffix}");
+        }
         format!("{}{suffix}", trimmed(shown, significant_decimals(shown.abs(), 3).min(4)))
     }
 
@@ -171,6 +174,9 @@ impl Unit {
         }
     }
 }
+
+/// Larger numbers are said by their power of ten.
+const MANY_DIGITS: f64 = 1e7;
 
 /// Decimals that show `digits` significant digits of `size`.
 fn significant_decimals(size: f64, digits: i32) -> usize {

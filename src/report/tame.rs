@@ -43,11 +43,17 @@ fn escaped(text: &str, is_escaped: impl Fn(char) -> bool) -> String {
     })
 }
 
-/// Whether a character turns the direction of writing.
+/// Whether a character turns the direction of writing, ends a line unseen, or is a control of a terminal
+/// that no format escapes (C1).
 fn turns(c: char) -> bool {
     matches!(
         c,
-        '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}'
+        '\u{61c}'
+            | '\u{80}'..='\u{9f}'
+            | '\u{200e}'
+            | '\u{200f}'
+            | '\u{2028}'..='\u{202e}'
+            | '\u{2066}'..='\u{2069}'
     )
 }
 
@@ -63,8 +69,9 @@ mod tests {
 
     #[test]
     fn what_turns_the_direction_of_writing_is_shown_as_an_escape() {
-        let text = "/a\u{202e}b\u{2066}c\u{200f}";
-        assert_eq!(tame(text), r"/a\u202eb\u2066c\u200f");
+        let text = "/a\u{202e}b\u{2066}c\u{200f}\u{2028}";
+        assert_eq!(tame(text), r"/a\u202eb\u2066c\u200f\u2028");
+        assert_eq!(upright("\u{9b}31m"), r"\u009b31m");
         assert!(matches!(upright("/é"), Cow::Borrowed(_)));
         for text in [text, "'it\u{7f}'s\\\"\n\u{9b}"] {
             let quoted = quoted(text);

@@ -16,6 +16,8 @@ pub enum HeaderStamps {
     Zero,
     /// They stand still.
     Constant,
+    /// Most of them are before the one before.
+    Backward,
 }
 
 /// Whose time a stream's header stamps are.
@@ -111,6 +113,8 @@ impl Source<'_> {
     fn header_stamps(&self) -> (HeaderStamps, usize) {
         let stamps = || self.times.iter().flat_map(|times| &times.header);
         let (rows, zero) = (self.rows(), stamps().filter(|&&stamp| stamp == 0).count());
+        let back = |times: &Times| times.header.windows(2).filter(|pair| pair[1] < pair[0]).count();
+        let steps_back: usize = self.times.iter().map(|times| back(times)).sum();
         let is_constant = || stamps().all(|stamp| Some(stamp) == stamps().next());
         let state = if !self.has_header {
             HeaderStamps::Absent
@@ -118,6 +122,8 @@ impl Source<'_> {
             HeaderStamps::Zero
         } else if rows > 1 && is_constant() {
             HeaderStamps::Constant
+        } else if self.times.iter().all(|times| times.log.is_sorted()) && 2 * steps_back > rows {
+            HeaderStamps::Backward
         } else {
             HeaderStamps::Sound
         };

@@ -4,6 +4,7 @@
 //! a fault of its own, which the rules name.
 
 use crate::log::{Log, Topic};
+use crate::stats::median;
 use crate::stream::{Columns, Times};
 use crate::time::{NANOS_PER_SECOND, Stamp};
 
@@ -20,6 +21,9 @@ pub struct Segment {
     /// From its first to its last stamp, s.
     pub seconds: f64,
 }
+
+/// Where most segments are briefer, it is stamps that leap and not a clock that begins anew, s.
+const BRIEF_S: f64 = 1.0;
 
 /// The segments of a log, in the order of receipt; one where its clock runs through.
 pub fn segments(log: Log) -> Vec<Segment> {
@@ -43,6 +47,9 @@ pub fn segments(log: Log) -> Vec<Segment> {
     let cuts = reference.cuts(&restarts);
     let spans: Vec<f64> =
         (0..=restarts.len()).map(|segment| reference.seconds(&cuts, segment)).collect();
+    if median(&mut spans.clone()).is_none_or(|usual_s| usual_s < BRIEF_S) {
+        return vec![Segment { seconds: 0.0, log }];
+    }
     spans
         .into_iter()
         .enumerate()

@@ -20,6 +20,15 @@ pub enum WhyNot {
     },
     /// Its orientations were never set. Its positions are audited.
     NoOrientation,
+    /// Its topic has poses of the same in other frames, which nothing ties to the arm.
+    OtherFrames {
+        /// The frames, in the order of the log.
+        frames: Vec<String>,
+        /// Poses in them.
+        samples: u64,
+        /// Poses of the topic.
+        of: u64,
+    },
     /// All its poses are one while the joints move the tool.
     NeverChanges {
         /// Samples.

@@ -121,6 +121,8 @@ pub struct JointColumns {
     pub joints: Vec<JointColumn>,
     /// Messages dropped whole: lengths of names and positions differ.
     pub wrong_length: u64,
+    /// Messages that name a joint twice with other positions, of which the last is taken.
+    pub contradictory: u64,
     /// Values dropped: positions that are not [`usable`] in messages that were otherwise kept.
     pub not_finite: u64,
     /// The same of each joint, in their order, up to the last that has any.

@@ -163,6 +163,9 @@ cases! {
         log.run.motion = Motion::Continuous;
         log.run.pose.frame_id = "tool0".to_owned();
     } => warning(On::Topic(POSE), What::None);
+    FRM007 a_topic_of_which_every_tenth_pose_is_in_another_frame: |log| {
+        log.edit = Some(|messages| crate::recording::rename_frame(messages, POSE, 10));
+    } => warning(On::Topic(POSE), What::None);
     FRM007 a_pose_in_the_base: |_| () => Sound;
     FRM007 a_pose_in_a_world_of_its_own: |log| {
         log.run.motion = Motion::Continuous;

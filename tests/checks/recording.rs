@@ -323,6 +323,26 @@ pub fn throw(messages: &mut [Message], topic: &str, rows: &[usize], by_m: [f64; 
     }
 }
 
+/// Writes `stamp`, seconds and nanoseconds, into the header of a message.
+pub fn set_stamp(message: &mut Message, stamp: [u8; 8]) {
+    for field in message.fields() {
+        let Field::Stamp(at) = field else { continue };
+        message.cdr[at..at + 8].copy_from_slice(&stamp);
+    }
+}
+
+/// Has every `step`th message of `topic` say that it is in another frame.
+pub fn rename_frame(messages: &mut [Message], topic: &str, step: usize) {
+    let of_topic = messages.iter_mut().filter(|message| message.topic == topic);
+    for message in of_topic.step_by(step) {
+        for field in message.fields() {
+            let Field::Stamp(at) = field else { continue };
+            // Behind the stamp and the length stands the name.
+            message.cdr[at + 12] = b'x';
+        }
+    }
+}
+
 /// Has the samples of `topic` received from `from_s` to `to_s` say what the first of them says.
 pub fn stick(messages: &mut [Message], topic: &str, from_s: f64, to_s: f64) {
     let nanos = |seconds: f64| (seconds * 1e9) as i64;

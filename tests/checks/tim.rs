@@ -6,7 +6,7 @@ use poseaudit::synth::{IMU, JOINT_STATES, Motion, POSE, Scenario, TF};
 
 use crate::case::What::{self, About, Amount};
 use crate::case::{Expected, Log, On, cases, error, info, summary, the, warning};
-use crate::recording::{Message, cut_out, repeat, restamp, stick, stick_joints, throw};
+use crate::recording::{Message, cut_out, repeat, restamp, set_stamp, stick, stick_joints, throw};
 use Expected::{BlamedOn, Skipped, Sound};
 use On::{Run, Topic};
 
@@ -191,6 +191,25 @@ cases! {
     } => info(Topic("/goal_pose"), What::None);
     TIM005 stamps_that_stand_still: |log| {
         log.edit = Some(|messages| crate::recording::freeze(messages, POSE));
+    } => warning(Topic(POSE), What::None);
+    TIM005 stamps_of_four_thousand_million_nanoseconds: |log| {
+        log.edit = Some(|messages| {
+            let of_pose = messages.iter_mut().filter(|message| message.topic == POSE);
+            for message in of_pose.step_by(20) {
+                let second = (message.log_ns / 1_000_000_000) as u32;
+                let stamp = [second.to_le_bytes(), u32::MAX.to_le_bytes()].concat();
+                set_stamp(message, stamp.try_into().expect("eight bytes"));
+            }
+        });
+    } => warning(Topic(POSE), What::None);
+    TIM005 stamps_that_run_backward: |log| {
+        log.edit = Some(|messages| {
+            for message in messages.iter_mut().filter(|message| message.topic == POSE) {
+                let second = (4_000_000_000 - message.log_ns / 10_000_000 % 1_000_000_000) as u32;
+                let stamp = [second.to_le_bytes(), [0; 4]].concat();
+                set_stamp(message, stamp.try_into().expect("eight bytes"));
+            }
+        });
     } => warning(Topic(POSE), What::None);
     TIM005 stamps_that_advance_are_sound: |log| log.run.pose.timing.phase_s = 0.0 => Sound;
     TIM005 another_clock_is_no_missing_stamp: |log| log.run.imu.timing.clock_offset_s = -1.78e9

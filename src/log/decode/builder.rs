@@ -274,6 +274,7 @@ impl Joints {
             }
         }
         let with_velocity = velocities.len() == positions.len();
+        let mut contradicts = false;
         for (i, (&column, &position)) in self.order.iter().zip(positions).enumerate() {
             let velocity = if with_velocity { velocities[i] } else { f64::NAN };
             let velocity = if usable(velocity) { velocity } else { f64::NAN };
@@ -290,6 +291,8 @@ impl Joints {
             } else {
                 // Of a name that is there twice the last value counts that is one.
                 if !position.is_nan() {
+                    let known = joint.position[index];
+                    contradicts |= !known.is_nan() && known != position;
                     joint.position[index] = position;
                 }
                 if with_velocity {
@@ -297,6 +300,7 @@ impl Joints {
                 }
             }
         }
+        self.columns.contradictory += u64::from(contradicts);
         Ok(())
     }
 

@@ -107,8 +107,12 @@ pub(super) enum Group {
 }
 
 impl Row {
-    /// The stamp in nanoseconds; saturates.
+    /// The stamp in nanoseconds; saturates. 0, as where none was set, where the nanoseconds beside whole
+    /// seconds are a second or more: no clock says so.
     pub(super) fn stamp(&self) -> i64 {
+        if self.seconds != 0 && !(0..1_000_000_000).contains(&self.nanoseconds) {
+            return 0;
+        }
         self.seconds.saturating_mul(1_000_000_000).saturating_add(self.nanoseconds)
     }
 

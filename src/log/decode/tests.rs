@@ -123,6 +123,15 @@ fn joint_messages_of_wrong_length_are_dropped_and_counted() {
 }
 
 #[test]
+fn a_joint_that_is_named_twice_contradicts_itself_where_the_positions_differ() {
+    let messages = [[1.0, 2.0, 1.5], [1.0, 2.0, 1.0], [1.0, 2.0, NAN], [NAN, 2.0, 1.5]]
+        .map(|positions| Cdr::joint_state(&["a", "b", "a"], &positions, &[]));
+    let joints = joints(testing::JOINT_STATE, &messages);
+    assert_eq!(joints.contradictory, 1);
+    assert_same(&joints.joints[0].position, &[1.5, 1.0, 1.0, 1.5]);
+}
+
+#[test]
 fn joint_names_without_end_are_refused() {
     let names: Vec<String> = (0..300).map(|index| format!("joint_{index}")).collect();
     let message = |name: &String| Cdr::joint_state(&[name], &[0.0], &[]);
