@@ -6,6 +6,7 @@
 
 use std::collections::HashSet;
 use std::f64::consts::TAU;
+use std::ops::Range;
 
 use rayon::prelude::*;
 
@@ -24,6 +25,8 @@ const LONGEST: usize = 3;
 const SOON_S: f64 = 0.25;
 /// A stray is this many times as far off as samples usually are from the next, and as any near it.
 const FAR: f64 = 5.0;
+/// What is so many times as far off as usual is no motion, whatever is near.
+const BEYOND: f64 = 1000.0;
 /// It has come back where what is left is less than this share of the jump.
 const BACK: f64 = 0.2;
 /// Jumps shorter than this are none, rad or m …
@@ -162,7 +165,12 @@ fn of_joints(joints: &JointColumns, at: At) -> Vec<Found> {
 /// How far a joint went, whole turns in rad or in degrees left out: a continuous joint is logged with
 /// or without them.
 fn turned(by: f64) -> f64 {
-    let without = |turn: f64| (by - turn * (by / turn).round()).abs();
+    /// Nobody counts more turns from one sample to the next.
+    const TURNS: f64 = 4.0;
+    let without = |turn: f64| match by.abs() > TURNS * turn {
+        true => f64::INFINITY,
+        false => (by - turn * (by / turn).round()).abs(),
+    };
     match by.abs() {
         small if small < 3.0 => small,
         far => far.min(without(TAU)).min(without(360.0)),
@@ -270,8 +278,10 @@ fn leaps(
             }
             None => None,
         };
-        let Some(astray) = astray.filter(|astray| far > FAR * nearby(samples, astray, &step))
-        else {
+        let stands_out = |astray: &Range<usize>| {
+            (usual > 0.0 && far > BEYOND * usual) || far > FAR * nearby(samples, astray, &step)
+        };
+        let Some(astray) = astray.filter(stands_out) else {
             sample += 1;
             continue;
         };
@@ -312,7 +322,7 @@ fn usual_step(samples: usize, distance: &impl Fn(usize, usize) -> f64) -> Option
 
 /// The sixth largest of the steps within eight samples of `astray`: other strays may be near, but in a
 /// fast motion more than that are long.
-fn nearby(samples: usize, astray: &std::ops::Range<usize>, step: &impl Fn(usize) -> f64) -> f64 {
+fn nearby(samples: usize, astray: &Range<usize>, step: &impl Fn(usize) -> f64) -> f64 {
     const AROUND: usize = 8;
     let before = astray.start.saturating_sub(AROUND + 1)..astray.start.saturating_sub(1);
     let after = astray.end..(astray.end + AROUND).min(samples - 1);
@@ -324,6 +334,15 @@ fn nearby(samples: usize, astray: &std::ops::Range<usize>, step: &impl Fn(usize)
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn samples_that_are_far_off_stand_out_however_near_each_other() {
+        let mut q = smooth(400);
+        let stray: Vec<usize> = (60..120).step_by(4).collect();
+        stray.iter().for_each(|&sample| q[sample] = 1e6);
+        let found = leaps(q.len(), &|_| None, |a, b| (q[b] - q[a]).abs()).expect("samples");
+        assert_eq!(found.iter().map(|(sample, _)| *sample).collect::<Vec<_>>(), stray);
+    }
 
     /// Positions of a smooth motion, with a rest in the middle.
     fn smooth(samples: usize) -> Vec<f64> {
