@@ -49,8 +49,9 @@ impl JointTrack {
     }
 
     /// Positions at time `t_s` by cubic Hermite interpolation and velocities by linear, written to
-    /// `q` and `qd` (`dof` each): the curve's own slope would carry the positions' noise. Returns false, and writes nothing, outside the track's span and in gaps
-    /// through which a joint moved: longer than 0.1 s and than ten intervals beside them.
+    /// `q` and `qd` (`dof` each): the curve's own slope would carry the positions' noise. Returns
+    /// false, and writes nothing, outside the track's span and in gaps through which a joint moved: longer
+    /// than 0.1 s and than ten intervals beside them, or than 2 s.
     ///
     /// `cursor` remembers the last interval, so that a sweep in time order costs O(1) a call.
     /// Hermite basis: Press et al., *Numerical Recipes*, 3rd ed., §3.3 (cubic with given slopes).
@@ -80,6 +81,8 @@ impl JointTrack {
     fn is_gap(&self, left: usize) -> bool {
         const LONG_S: f64 = 0.1;
         const PERIODS: f64 = 10.0;
+        /// Longer than this is long whatever the others are, s.
+        const UNTOLD_S: f64 = 2.0;
         /// Less than this a joint at rest may show: rad or m, and rad/s or m/s.
         const STILL: (f64, f64) = (1e-3, 1e-2);
         let interval = |left: usize| Some(self.t_s.get(left + 1)? - self.t_s[left]);
@@ -87,7 +90,8 @@ impl JointTrack {
             |h: f64, beside: Option<f64>| beside.is_some_and(|beside| h > PERIODS * beside);
         let h = self.t_s[left + 1] - self.t_s[left];
         if h <= LONG_S
-            || !(is_longer(h, left.checked_sub(1).and_then(interval))
+            || !(h > UNTOLD_S
+                || is_longer(h, left.checked_sub(1).and_then(interval))
                 || is_longer(h, interval(left + 1)))
         {
             return false;
