@@ -41,20 +41,28 @@ pub(super) fn bytes(messages: Vec<LogMsg>, replay: &Replay<'_>) -> Result<Vec<u8
     // The index in it stands in the order of a hash map.
     encoder.do_not_emit_footer();
     let mut ids = Ids::of(replay);
+    let (mut chunks, mut activations) = (Vec::new(), Vec::new());
     for message in messages {
-        let message = match message {
+        match message {
             LogMsg::SetStoreInfo(info) => {
-                LogMsg::SetStoreInfo(SetStoreInfo { row_id: ids.take(1), ..info })
+                let info = SetStoreInfo { row_id: ids.take(1), ..info };
+                encoder.append(&LogMsg::SetStoreInfo(info))?;
             }
             LogMsg::ArrowMsg(store, message) => {
-                let chunk = Chunk::from_arrow_msg(&message)?;
-                let (id, row) = (ids.take(1), ids.take(chunk.num_rows()));
-                let chunk = chunk.clone_as(ChunkId::from_tuid(id), RowId::from_tuid(row));
-                LogMsg::ArrowMsg(store, chunk.to_arrow_msg()?)
+                chunks.push((store, Chunk::from_arrow_msg(&message)?));
             }
-            activation => activation,
-        };
-        encoder.append(&message)?;
+            activation => activations.push(activation),
+        }
+    }
+    // Rows and columns come by two ways, which overtake each other; their ids ascend as they were made.
+    chunks.sort_by_key(|(_, chunk)| chunk.row_id_range().map(|(first, _)| first));
+    for (store, chunk) in chunks {
+        let (id, row) = (ids.take(1), ids.take(chunk.num_rows()));
+        let chunk = chunk.clone_as(ChunkId::from_tuid(id), RowId::from_tuid(row));
+        encoder.append(&LogMsg::ArrowMsg(store, chunk.to_arrow_msg()?))?;
+    }
+    for activation in activations {
+        encoder.append(&activation)?;
     }
     encoder.finish()?;
     Ok(encoder.into_inner()?)
