@@ -35,7 +35,7 @@ pub(super) fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read, options: 
         hand_eyes: Vec::new(),
         stamps: stamps.collect(),
         unusable: unusable(run),
-        rhythms: rhythms(run),
+        rhythms: rhythms(run, &unset),
         frames: frames(run),
         norms: norms(run),
         strays: strays(run),
@@ -84,7 +84,7 @@ pub(super) fn frame_of_several(run: &Run, stream: &Stream) -> Option<String> {
     is_one_of_several.then(|| stream.child_frame_id.clone())
 }
 
-fn rhythms(run: &Run) -> Vec<Of<RhythmFacts>> {
+fn rhythms(run: &Run, others: &[Unaudited]) -> Vec<Of<RhythmFacts>> {
     let rhythms = run.rhythms.iter().filter_map(|rhythm| {
         let stream = run.streams.get(rhythm.stream)?;
         let found = RhythmFacts {
@@ -97,9 +97,13 @@ fn rhythms(run: &Run) -> Vec<Of<RhythmFacts>> {
                 .filter(|clock| clock.stream == rhythm.stream && clock.clock == Clock::Header)
                 .map(|clock| clock.zero)
                 .sum(),
-            elsewhere: beside(run, stream)
-                .filter(|(index, _)| *index != rhythm.stream)
-                .map(|(_, other)| other.count)
+            elsewhere: others
+                .iter()
+                .filter(|found| found.stream == rhythm.stream)
+                .map(|found| match found.why {
+                    WhyNot::OtherFrames { samples, .. } => samples,
+                    _ => 0,
+                })
                 .sum(),
             // Of joint states no row is left out.
             unusable: if stream.role == Role::Joints { 0 } else { stream.unusable() },

@@ -106,8 +106,8 @@ fn words(why: &WhyNot) -> Words {
             why: "other-frames",
             title: "a topic whose poses are in several frames",
             message: format!(
-                "{samples} of its {of} poses are in other frames ({}), which nothing ties to the arm; they \
-                 are not held against it",
+                "{samples} of its {of} poses are in other frames ({}), which nothing ties to the arm: where \
+                 they should be is not known",
                 few(frames)
             ),
             fix: "see who else sends on the topic, and give each source a topic, or record the transforms \
