@@ -15,6 +15,7 @@ use crate::diagnosis::{
     beyond_positions, beyond_speed, proof, proof_of_imu, shake,
 };
 use crate::finding::Span;
+use crate::geometry::{AngleUnit, LengthScale};
 use crate::robot::JointKind;
 use crate::run::{
     Arm, Coding, Declaration, JointMending, JointSamples, PoseSource, Run, Velocities, Witness,
@@ -48,10 +49,10 @@ pub(super) fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, options: &Op
             && matches!(run.streams[source.stream].columns, Some(Columns::Array(_))),
         declared: source.track.declared.as_ref().map(|units| Declared {
             angles: units.in_other_angles.is_some().then_some(match units.degrees {
-                true => "deg",
-                false => "rad",
+                true => AngleUnit::Degree,
+                false => AngleUnit::Radian,
             }),
-            lengths: if units.millimetres { "mm" } else { "m" },
+            lengths: if units.millimetres { LengthScale::MILLIMETRE } else { LengthScale::METRE },
         }),
     };
     let tf = arm.tf.as_ref().ok().zip(diagnosis.tf);

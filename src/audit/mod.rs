@@ -207,7 +207,7 @@ impl Audits {
             });
             read.summary.notes.extend(unused);
         }
-        let workspace = coverage(&main.run, &evaluation.checks);
+        let workspace = coverage(&main.run, &evaluation);
         let mut report =
             Report::new(read.summary, robots(&main.run), streams, evaluation, options.fail_on);
         report.workspace = workspace;

@@ -24,7 +24,7 @@ pub(crate) fn write_tables(
         let found = arm.poses().chain(arm.tf.iter().map(|(facts, found)| (facts, found)));
         found.map(move |(facts, found)| (arm.name.as_str(), facts.topic.as_str(), &found.aligned))
     });
-    let arms = reached(run, &report.checks);
+    let arms = reached(run, &report.findings);
     let frames = [
         findings_frame(&report.findings),
         checks_frame(&report.checks),

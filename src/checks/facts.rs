@@ -10,7 +10,7 @@ use crate::diagnosis::{
     JointScale, Mount, NoShake, PoseDiagnosis, Proof, ReferenceDiagnosis, Seen, Shake,
 };
 use crate::finding::{Outcome, Span, Subject, Unit};
-use crate::geometry::{Convention, Rotation};
+use crate::geometry::{AngleUnit, Convention, LengthScale, Rotation};
 use crate::log::{self, Loss};
 use crate::robot::{DhConvention, Limits};
 use crate::run::{
@@ -304,12 +304,12 @@ pub struct EulerFacts {
 }
 
 /// The units of a stream's numbers as the caller declared them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Declared {
-    /// `deg` or `rad`, where the numbers hold angles.
-    pub angles: Option<&'static str>,
-    /// `mm` or `m`.
-    pub lengths: &'static str,
+    /// The unit of the angles, where the numbers hold any.
+    pub angles: Option<AngleUnit>,
+    /// The unit of the positions.
+    pub lengths: LengthScale,
 }
 
 /// What one stream says of the tip's shake.
@@ -416,6 +416,8 @@ pub struct HandEyeFacts {
     pub span: Option<Span>,
     /// The hand in words: a topic, or a link and what its poses are computed from.
     pub hand: String,
+    /// The frame of the hand; empty where the log names none.
+    pub hand_frame: String,
     /// The frame of the base that the hand's poses are in; empty where the log names none.
     pub base: String,
     /// Which way the camera's axes should point, where the log's frames say.
@@ -427,6 +429,15 @@ pub struct HandEyeFacts {
 }
 
 impl HandEyeFacts {
+    /// The frame that a camera on this mount is in, where the log names it.
+    pub fn parent_of(&self, mount: Mount) -> Option<String> {
+        let frame = match mount {
+            Mount::InHand => &self.hand_frame,
+            Mount::InBase => &self.base,
+        };
+        Some(frame.clone()).filter(|frame| !frame.is_empty())
+    }
+
     /// The target as a subject.
     pub fn subject(&self) -> Subject {
         Subject {

@@ -2,7 +2,7 @@ use crate::checks::decision::{Decision, decide_both, decide_frame, unseen};
 use crate::checks::frames::FIGURES;
 use crate::checks::{ArmFacts, Facts, Grade, Judged};
 use crate::diagnosis::{Measured, PoseDiagnosis, Unseen};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Unit};
 
 rule! {
     /// /tf disagrees with forward kinematics of the joint states.
@@ -120,6 +120,7 @@ fn outcome(found: Disagreement) -> Outcome {
     };
     let kind = if found.constant { "everywhere" } else { "rms" };
     Outcome::faulty(Fault {
+        cause: Cause::TfDisagrees,
         severity,
         title: "/tf disagrees with kinematics",
         message: format!("{length} and {angle} {kind} off from FK of the joint states"),

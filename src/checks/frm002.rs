@@ -2,7 +2,7 @@ use crate::checks::decision::DEGREE;
 use crate::checks::frames::{self, End, FIGURES, show, show_pose};
 use crate::checks::{ArmFacts, Facts, Grade, Judged, PoseFacts};
 use crate::diagnosis::{FrameEstimate, Twin};
-use crate::finding::{Evidence, Fault, Severity};
+use crate::finding::{Cause, Evidence, Fault, Severity};
 use crate::geometry::{Pose, rotvec_from_rotation};
 
 rule! {
@@ -70,6 +70,7 @@ fn fault(arm: &ArmFacts, stream: &PoseFacts, frame: &FrameEstimate, severity: Se
     let effect_m = frame.translation_m.value + frame.rotation_rad.value * arm.reach_m;
     Fault {
         severity,
+        cause: Cause::Reference(frame.pose),
         title: "reference frame is off",
         message: format!("poses are {} off from {reference}, everywhere", show(frame)),
         evidence: Evidence { effect_m: Some(effect_m), ..Evidence::default() },

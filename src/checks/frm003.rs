@@ -1,7 +1,7 @@
 use crate::checks::frames::{self, End, FIGURES, show, show_pose};
 use crate::checks::{ArmFacts, Facts, Grade, Judged, PoseFacts};
 use crate::diagnosis::{FrameEstimate, Twin};
-use crate::finding::{Evidence, Fault, Severity, Unit};
+use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
 
 rule! {
     /// The tool frame of a stream is off by a constant.
@@ -59,6 +59,7 @@ fn fault(_: &ArmFacts, stream: &PoseFacts, frame: &FrameEstimate, severity: Seve
     let (offset, pose) = (Unit::Metre.show(frame.translation_m.value), show_pose(&frame.pose));
     Fault {
         severity,
+        cause: Cause::Tool(frame.pose),
         title: "tool frame is off",
         message: format!("poses are {} off from {tip}{guess}", show(frame)),
         evidence: Evidence {

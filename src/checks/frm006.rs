@@ -5,7 +5,7 @@ use crate::checks::frames::{FIGURES, pose_json, show};
 use crate::checks::reference::{self, following_json, witness_name, witnesses_differ};
 use crate::checks::{ArmFacts, Facts, FrameFigures, Grade, Judged, ReferenceFacts, WitnessKind};
 use crate::diagnosis::{Constancy, FrameEstimate, Measured, ReferenceDiagnosis, RestGap};
-use crate::finding::{Alternative, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Alternative, Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
     /// A command and the pose that the arm comes to rest at differ.
@@ -289,6 +289,7 @@ fn fault(
     let moment = facts.moment(facts.origin.shifted(nearest.gap.from_s));
     let of = if rests == 1 { String::new() } else { format!(", at {beyond} of {rests} rests") };
     Outcome::faulty(Fault {
+        cause: Cause::Other,
         severity,
         title: "command and rest differ",
         message: format!("the arm rests {off} off what it was told, at {moment}{of}{stays}{guess}"),

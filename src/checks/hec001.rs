@@ -7,7 +7,7 @@ use crate::checks::{
     ArmFacts, Facts, FrameFigures, Grade, HandEyeFacts, Judged, hec002, hec003, mdl001,
 };
 use crate::diagnosis::{Mount, PoseDiagnosis, Solution, TargetReading};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
     /// A hand-eye chain does not close.
@@ -109,6 +109,11 @@ fn judge(run: &Facts, arm: Option<&ArmFacts>, facts: &HandEyeFacts) -> Judged {
                     }
                     Decision::Fail(severity) => Outcome::faulty(Fault {
                         severity,
+                        cause: Cause::CameraMount {
+                            in_hand: is_mount_decided(best).then_some(best.mount == Mount::InHand),
+                            parent: facts.parent_of(best.mount),
+                            pose: best.camera.pose,
+                        },
                         title: "camera is not where frames say",
                         message: format!("the camera is {} off the log's frames", show(error)),
                         evidence: Evidence {
@@ -178,6 +183,7 @@ fn open_chain(solution: &Solution, severity: Severity) -> Fault {
     let rad = Unit::Radian.show_measured(&closure.excess_rad);
     Fault {
         severity,
+        cause: Cause::Other,
         title: "hand-eye chain is open",
         message: format!(
             "{m} and {rad} rms are left beyond the noise at the best pose of the camera ({})",
@@ -199,6 +205,7 @@ fn misread(reading: &TargetReading, as_logged: &Solution, figures: &FrameFigures
         .max(figures.angle.severity(closure.excess_rad.value));
     Fault {
         severity: severity.unwrap_or(Severity::Warning),
+        cause: Cause::Other,
         title: "target's poses are misread",
         message: format!("{m} and {rad} rms are left as logged, and it closes if {words}"),
         evidence: Evidence { effect_m: Some(closure.rms_m), ..Evidence::default() },
@@ -218,6 +225,7 @@ fn other_mount(logged: Mount) -> Fault {
     };
     Fault {
         severity: Severity::Error,
+        cause: Cause::Other,
         title: "camera is mounted otherwise",
         message: format!(
             "the log's frames have the camera {}, and the chain closes only with it {} or with the \

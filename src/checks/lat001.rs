@@ -4,7 +4,7 @@ use crate::checks::decision::{Decision, Figure, decide, unseen};
 use crate::checks::{ArmFacts, Facts, Grade, Judged};
 use crate::diagnosis::{Measured, Seen};
 use crate::finding::{
-    Alternative, Estimate, Evidence, Fault, Outcome, Ruling, Severity, Span, Subject, Unit,
+    Alternative, Cause, Estimate, Evidence, Fault, Outcome, Ruling, Severity, Span, Subject, Unit,
 };
 
 rule! {
@@ -163,6 +163,7 @@ fn joints_late(facts: &Facts, arm: &ArmFacts, streams: &[Stream], lateness: &Mea
     let (effect, effect_m) = effect(arm, lateness);
     let fault = Fault {
         severity: figure(facts).severity(lateness.value).unwrap_or(Severity::Warning),
+        cause: Cause::Latency(*lateness),
         title: "joint states are late",
         message: format!("{} late against {topics}", FIGURE.unit.show_measured(lateness)),
         evidence: Evidence {
@@ -215,6 +216,7 @@ fn judge_stream(facts: &Facts, arm: &ArmFacts, stream: &Stream, streams: &[Strea
             let (effect, effect_m) = effect(arm, latency);
             Outcome::faulty(Fault {
                 severity,
+                cause: Cause::Latency(*latency),
                 title: if latency.value > 0.0 { "stream is late" } else { "stream is early" },
                 message: message(arm, latency),
                 evidence: Evidence { indistinguishable, effect, effect_m, ..Evidence::default() },

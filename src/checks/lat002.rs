@@ -2,7 +2,7 @@ use crate::checks::amount::{Amount, Estimated};
 use crate::checks::decision::Figure;
 use crate::checks::{ArmFacts, Facts, Grade, Judged};
 use crate::diagnosis::{Measured, Seen};
-use crate::finding::{Evidence, Fault, Outcome, Severity, Span, Unit};
+use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Span, Unit};
 
 rule! {
     /// A stream's latency grows, as of a clock that runs at another rate.
@@ -89,6 +89,7 @@ fn fault(arm: &ArmFacts, stream: &Estimated<'_>, skew: &Measured, severity: Seve
     let moved = Unit::Second.show(moved_s);
     Fault {
         severity,
+        cause: Cause::Skew(*skew),
         title: "clock runs at another rate",
         message: format!(
             "latency grows by {} against {}",

@@ -3,7 +3,7 @@ use serde_json::{Value, json};
 use crate::checks::decision::{Decision, Figure, decide, unseen};
 use crate::checks::{ArmFacts, Facts, Grade, Judged};
 use crate::diagnosis::{LatencyCourse, LatencyJump, Seen};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Span, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Span, Unit};
 
 rule! {
     /// The latency of a stream jumps or wanders within the run.
@@ -200,6 +200,7 @@ fn fault(facts: &Facts, arm: &ArmFacts, course: &LatencyCourse, severity: Severi
     };
     evidence.more.insert("jumps".to_owned(), listed.into());
     Fault {
+        cause: Cause::UnsteadyLatency,
         severity,
         title,
         message,

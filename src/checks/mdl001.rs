@@ -7,7 +7,7 @@ use crate::checks::reading::read_as;
 use crate::checks::{ArmFacts, Facts, Figure, Grade, ImuFacts, Judged, PoseFacts};
 use crate::diagnosis::{Amount, Error, Measured, Part, PoseDiagnosis, Rates, Reading, Size};
 use crate::finding::{
-    Estimate, Evidence, Fault, Outcome, ReadAs, Severity, Subject, Unit, rounded,
+    Cause, Estimate, Evidence, Fault, Outcome, ReadAs, Severity, Subject, Unit, rounded,
 };
 use crate::run::WrongModel;
 
@@ -318,6 +318,7 @@ fn why_open(facts: &Facts, left: &Left, open: &[&str]) -> String {
 
 fn small(facts: &Facts, left: &Left) -> Fault {
     Fault {
+        cause: Cause::Model,
         severity: Severity::Info,
         title: "small residual",
         message: format!(
@@ -335,6 +336,7 @@ fn small(facts: &Facts, left: &Left) -> Fault {
 
 fn nominal(error: &Error) -> Fault {
     Fault {
+        cause: Cause::Model,
         severity: Severity::Info,
         title: "nominal kinematics",
         message: format!("{} rms are left, as of a drawing against a calibrated arm", sizes(error)),
@@ -379,7 +381,14 @@ fn unexplained(facts: &Facts, held: &Held, all: &[Held], left: &Left) -> Fault {
     let fix = "use the arm's calibrated description, or see whether it is the right one; where it \
                begins at some time, see what happened to the tool, the frames or the joints then"
         .to_owned();
-    Fault { severity: left.severity, title: "unexplained residual", message, evidence, fix }
+    Fault {
+        severity: left.severity,
+        cause: Cause::Model,
+        title: "unexplained residual",
+        message,
+        evidence,
+        fix,
+    }
 }
 
 /// Poses and joint states that nothing makes those of one arm.
@@ -400,7 +409,14 @@ fn disagreement(held: &Held, left: &Left) -> Fault {
         "see whether it is this arm's description, and whether the joint states are this arm's; {TELLS}"
     );
     evidence.more.insert("candidates".to_owned(), candidates.into());
-    Fault { severity: Severity::Error, title: DISAGREE, message, evidence, fix }
+    Fault {
+        severity: Severity::Error,
+        cause: Cause::Model,
+        title: DISAGREE,
+        message,
+        evidence,
+        fix,
+    }
 }
 
 /// The title where nothing makes poses and joint states those of one arm.
@@ -452,6 +468,7 @@ fn wrong_model(facts: &Facts, arm: &ArmFacts, wrong: &WrongModel) -> Outcome {
     });
     evidence.more.insert("fits".to_owned(), fits_json);
     Outcome::faulty(Fault {
+        cause: Cause::OtherRobot(is.clone()),
         severity: figures(facts).length.severity(wrong.named_m).unwrap_or(Severity::Warning),
         title: "wrong robot model",
         message: format!(

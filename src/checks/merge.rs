@@ -45,6 +45,7 @@ pub fn merged(parts: Vec<Part>, main: usize) -> Evaluation {
         for mut finding in evaluation.findings.into_iter().filter(|found| !is_told(found.code)) {
             if !finding.code.starts_with("ING") {
                 finding.message += &format!(", in segment {} of {count}", index + 1);
+                finding.segment = Some(index);
                 let segment: Value = json!({ "number": index + 1, "of": count });
                 finding.evidence.more.insert("segment".to_owned(), segment);
             }

@@ -2,7 +2,7 @@ use crate::checks::decision::Figure;
 use crate::checks::mot003::doubt;
 use crate::checks::{ArmFacts, Facts, Grade, Judged, ShakeFacts};
 use crate::diagnosis::{NoShake, Shake};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
     /// The tool shakes at frequencies at which arms do not work.
@@ -100,6 +100,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, stream: &ShakeFacts) -> Judged {
 
 fn fault(facts: &Facts, stream: &ShakeFacts, found: &Shake, severity: Severity) -> Fault {
     Fault {
+        cause: Cause::Other,
         severity,
         title: "the tool shakes",
         message: format!(

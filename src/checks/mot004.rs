@@ -4,7 +4,7 @@ use crate::checks::decision::{DEGREE, Decision, Figure, FrameFigures, decide_len
 use crate::checks::reference::{self, witness_name};
 use crate::checks::{ArmFacts, Facts, Grade, Judged, ReferenceFacts};
 use crate::diagnosis::{Line, LineWitness, Measured};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
     /// A commanded straight line is not straight, or its orientation is not a slerp.
@@ -179,6 +179,7 @@ fn leaves(facts: &Facts, line: &Line, measured: &LineWitness, lines: usize) -> O
         }
         Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
         Decision::Fail(severity) => Outcome::faulty(Fault {
+            cause: Cause::Other,
             severity,
             title: "commanded line is not straight",
             message: format!(
@@ -214,6 +215,7 @@ fn swings(line: &Line, figures: &FrameFigures) -> Outcome {
         }
     };
     Outcome::faulty(Fault {
+        cause: Cause::Other,
         severity: severity.unwrap_or(Severity::Info),
         title: "line's orientation is no slerp",
         message: format!("the commanded orientation is {off} off the slerp of {turn}{as_if}"),
@@ -238,6 +240,7 @@ fn with_distance(
     };
     match decide(facts, &off_line, measured, lines) {
         Decision::Fail(severity) => Outcome::faulty(Fault {
+            cause: Cause::Other,
             severity: severity.max(fault.severity),
             message: format!("{}, and the tip is {distance} off the line", fault.message),
             ..*fault

@@ -1,7 +1,7 @@
 use crate::checks::decision::unseen;
 use crate::checks::{ArmFacts, Facts, Grade, Judged};
 use crate::diagnosis::JointReading;
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
     /// Joint names and positions are paired in the wrong order.
@@ -56,6 +56,7 @@ fn judge(arm: &ArmFacts) -> Judged {
             let swapped = names.iter().zip(&is).filter(|(name, is)| name != is).count();
             let fault = Fault {
                 severity: Severity::Error,
+                cause: Cause::JointOrder { is: is.clone(), read_as: names.clone() },
                 title: "joint names and positions in different orders",
                 message: format!(
                     "{swapped} positions stand under other joints' names, {before} off as logged"

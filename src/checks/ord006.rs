@@ -2,7 +2,7 @@ use serde_json::{Value, json};
 
 use crate::checks::decision::DEGREE;
 use crate::checks::{ArmFacts, EulerFacts, Facts, Grade, Judged, Limit};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Span, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Span, Unit};
 
 rule! {
     /// An Euler-coded stream works near gimbal lock.
@@ -116,6 +116,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, topic: &str, coded: &EulerFacts) -> Judg
     let outcome = match longest {
         None => Outcome::sound(),
         Some(longest) => Outcome::faulty(Fault {
+            cause: Cause::Other,
             severity: Severity::Warning,
             title: "Euler angles near gimbal lock",
             message: format!(

@@ -1,8 +1,8 @@
 use crate::checks::decision::unseen;
 use crate::checks::{ArmFacts, Facts, Grade, Judged, PoseFacts};
 use crate::diagnosis::{JointUnit, LengthSlip};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
-use crate::geometry::LengthScale;
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::geometry::{LengthScale, Slip};
 
 rule! {
     /// Millimetres, or another unit, stand where metres belong, or the other way round.
@@ -77,17 +77,20 @@ fn check(facts: &Facts) -> Vec<Judged> {
 /// The sliding joints whose positions are not metres.
 fn judge_joints(arm: &ArmFacts) -> Vec<Judged> {
     let Ok(reading) = &arm.diagnosis.joints else { return Vec::new() };
-    let units = [(JointUnit::Millimetres, "mm", 1000), (JointUnit::Centimetres, "cm", 100)];
-    let slips = units.into_iter().flat_map(|(unit, is, number)| {
-        reading.slips_of(unit).map(move |(slip, left)| (slip, left, is, number))
+    let units = [
+        (JointUnit::Millimetres, "mm", "millimetres", 1000),
+        (JointUnit::Centimetres, "cm", "centimetres", 100),
+    ];
+    let slips = units.into_iter().flat_map(|(unit, is, what, number)| {
+        reading.slips_of(unit).map(move |(slip, left)| (slip, left, is, what, number))
     });
-    let judged = slips.map(|(slip, left, is, number)| {
+    let judged = slips.map(|(slip, left, is, what, number)| {
         let subject = arm.joint_states(slip.column);
         let joint = subject.joint.as_deref().unwrap_or_default();
-        let what = if is == "mm" { "millimetres" } else { "centimetres" };
         let (before, after) = (Unit::Metre.show(left.as_logged), Unit::Metre.show(left.corrected));
         let fault = Fault {
             severity: Severity::Error,
+            cause: Cause::JointUnit(slip.factor),
             title: "sliding joint not in metres",
             message: format!("the positions of {joint} are {what}, {before} off as logged"),
             evidence: Evidence {
@@ -143,6 +146,7 @@ fn fault(stream: &PoseFacts, slip: &LengthSlip) -> Fault {
         [slip.residual.as_logged, slip.residual.corrected].map(|left| Unit::Metre.show(left));
     Fault {
         severity: Severity::Error,
+        cause: Cause::LengthUnit(Slip { is: slip.is, read_as: slip.read_as }),
         title,
         message: format!("{what}, {before} off as logged"),
         evidence: Evidence {

@@ -1,7 +1,7 @@
 use crate::checks::decision::unseen;
 use crate::checks::{Facts, Grade, Judged, PoseFacts};
 use crate::diagnosis::{AxesSlip, PoseDiagnosis};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::geometry::Axes;
 
 rule! {
@@ -120,6 +120,7 @@ fn fault(stream: &PoseFacts, diagnosis: &PoseDiagnosis, slip: AxesSlip) -> Fault
     }
     Fault {
         severity: Severity::Error,
+        cause: Cause::Axes { positions, rotations },
         title,
         message: format!(
             "axes are {} where {} belong, {} off as logged",

@@ -1,7 +1,7 @@
 use crate::checks::decision::unseen;
 use crate::checks::{Facts, Grade, Judged, PoseFacts};
 use crate::diagnosis::ConstantPart;
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit, rounded};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit, rounded};
 
 rule! {
     /// A coordinate never changes while the arm moves it.
@@ -74,6 +74,7 @@ fn fault(stream: &PoseFacts, parts: &[ConstantPart], most_m: f64) -> Fault {
         .collect();
     let names: Vec<String> = parts.iter().map(|part| part.coordinate.to_string()).collect();
     Fault {
+        cause: Cause::Other,
         severity: Severity::Error,
         title: "a coordinate never changes",
         message: said.join("; "),

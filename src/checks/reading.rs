@@ -4,8 +4,10 @@ use crate::checks::decision::{DEGREE, unseen};
 use crate::checks::{ArmFacts, Facts, Judged};
 use crate::desk::{self, Form};
 use crate::diagnosis::{PoseDiagnosis, Reading, ReadingEstimate, Seen};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, ReadAs, Ruling, Severity, Unit};
-use crate::geometry::{Convention, LengthScale, Misreading, QuaternionSlip};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, ReadAs, Ruling, Severity, Unit};
+use crate::geometry::{
+    AngleUnit, Convention, LengthScale, Misreading, QuaternionSlip, RotationSlip,
+};
 
 /// A fault must leave at least this many times less than the stream as logged, and than the next
 /// best reading, to be named.
@@ -47,6 +49,8 @@ pub struct Wording {
     pub once: String,
     /// As in [`Fault::fix`].
     pub fix: String,
+    /// What is misread.
+    pub slip: RotationSlip,
     /// The estimate.
     pub estimate: Estimate,
 }
@@ -151,9 +155,17 @@ fn of_bare_numbers(
             let mut evidence = Evidence::default();
             let (length, angle) = bare_units(found);
             evidence.more.insert("length_unit".to_owned(), length.to_string().into());
-            evidence.more.insert("angle_unit".to_owned(), angle.into());
+            evidence.more.insert("angle_unit".to_owned(), angle.symbol().into());
             let fault = Fault {
                 severity: Severity::Info,
+                cause: Cause::Bare {
+                    convention: match form {
+                        Form::Three(convention) => Some(convention),
+                        _ => None,
+                    },
+                    length,
+                    angle,
+                },
                 title: "how bare numbers were read",
                 message: format!("read as {said}: that is how they follow the arm"),
                 evidence,
@@ -174,9 +186,10 @@ fn of_bare_numbers(
 }
 
 /// Unit of lengths and of angles that bare numbers turned out to be in.
-fn bare_units(found: &PoseDiagnosis) -> (LengthScale, &'static str) {
+fn bare_units(found: &PoseDiagnosis) -> (LengthScale, AngleUnit) {
     let length = found.length.as_ref().ok().copied().flatten().map(|slip| slip.is);
-    (length.unwrap_or(LengthScale::METRE), if found.degrees.is_some() { "deg" } else { "rad" })
+    let angle = if found.degrees.is_some() { AngleUnit::Degree } else { AngleUnit::Radian };
+    (length.unwrap_or(LengthScale::METRE), angle)
 }
 
 /// How bare numbers were read, with makers whose numbers are so: `KUKA's: mm, euler:ZYX in deg`.
@@ -188,7 +201,7 @@ fn bare_reading(arm: &ArmFacts, topic: &str, form: Form, found: &PoseDiagnosis) 
     let is_alike = |entry: &&'static desk::Use| {
         let metres =
             if entry.in_millimetres() { LengthScale::MILLIMETRE } else { LengthScale::METRE };
-        let angles = !is_three || entry.in_degrees() == (angle == "deg");
+        let angles = !is_three || entry.in_degrees() == (angle == AngleUnit::Degree);
         entry.is_maker() && metres == length && angles
     };
     // Whose arm it is, its own names say best.
@@ -213,14 +226,15 @@ fn bare_reading(arm: &ArmFacts, topic: &str, form: Form, found: &PoseDiagnosis) 
             if makers.len() == 1 { "gives" } else { "give" }
         ),
     };
-    let angles = if is_three { format!(" in {angle}") } else { String::new() };
+    let angles = if is_three { format!(" in {}", angle.symbol()) } else { String::new() };
     format!("{length}, {form}{angles}{makers}")
 }
 
 /// What to declare of numbers that were read so.
 fn declared(form: Form, found: &PoseDiagnosis) -> String {
     let (length, angle) = bare_units(found);
-    let angle = if matches!(form, Form::Three(_)) && angle == "deg" { ",deg" } else { "" };
+    let angle =
+        if matches!(form, Form::Three(_)) && angle == AngleUnit::Degree { ",deg" } else { "" };
     let length = if length == LengthScale::MILLIMETRE { ",mm" } else { "" };
     format!("{form}{angle}{length}")
 }
@@ -230,7 +244,7 @@ fn fault(
     reading: &ReadingEstimate,
     wording: Wording,
 ) -> (Outcome, Option<Estimate>) {
-    let Wording { title, what, once, fix, estimate } = wording;
+    let Wording { title, what, once, fix, slip, estimate } = wording;
     let left = Unit::Radian.show(reading.best_rad);
     let next = match reading.runner_up {
         Some((_, rad)) => format!(" (next best reading: {})", Unit::Radian.show(rad)),
@@ -247,7 +261,8 @@ fn fault(
     };
     evidence.more.insert("as_logged_rad".to_owned(), reading.as_logged_rad.into());
     evidence.more.insert("corrected_rad".to_owned(), reading.best_rad.into());
-    let fault = Fault { severity: Severity::Error, title, message, evidence, fix };
+    let cause = Cause::Rotation(slip);
+    let fault = Fault { severity: Severity::Error, cause, title, message, evidence, fix };
     (Outcome::faulty(fault), Some(estimate))
 }
 

@@ -3,7 +3,7 @@ use serde_json::{Map, Value, json};
 use crate::checks::decision::{DEGREE, Figure, decide, unseen};
 use crate::checks::{ArmFacts, Facts, Grade, ImuFacts, Judged};
 use crate::diagnosis::{ImuDiagnosis, Measured, YawCourse, YawJump};
-use crate::finding::{Estimate, Evidence, Fault, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Severity, Unit};
 
 rule! {
     /// The yaw of an IMU drifts or jumps against the arm.
@@ -124,6 +124,7 @@ fn drifts(imu: &ImuFacts, drift: &Measured, severity: Severity) -> Fault {
     let turned = Unit::Radian.show(drift.value.abs() * seconds);
     Fault {
         severity,
+        cause: Cause::YawDrift(*drift),
         title: "IMU yaw drifts",
         message: format!("yaw drifts {} against the arm", FIGURE.unit.show_signed(drift)),
         evidence: Evidence {
@@ -138,6 +139,7 @@ fn jumps(jump: &YawJump, severity: Severity) -> Fault {
     let size = JUMP.unit.show_signed(&jump.size_rad);
     Fault {
         severity,
+        cause: Cause::YawJump,
         title: "IMU yaw jumps",
         message: format!("yaw jumps by {size} against the arm at +{:.2} s", jump.at_s),
         evidence: Evidence::default(),

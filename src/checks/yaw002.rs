@@ -1,7 +1,7 @@
 use crate::checks::decision::{DEGREE, Figure, decide_length, unseen};
 use crate::checks::{ArmFacts, Facts, Grade, ImuFacts, Judged};
 use crate::diagnosis::{ImuDiagnosis, Length};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
     /// The roll and pitch of an IMU disagree with gravity.
@@ -69,6 +69,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis
 fn fault(tilt: &Length, severity: Severity) -> Fault {
     let shown = FIGURE.unit.show_measured(&tilt.norm);
     Fault {
+        cause: Cause::Other,
         severity,
         title: "IMU leans",
         message: format!("roll and pitch are {shown} off gravity"),

@@ -1,7 +1,7 @@
 use crate::checks::decision::{DEGREE, Figure, decide_length, unseen};
 use crate::checks::{ArmFacts, Facts, Grade, ImuFacts, Judged};
 use crate::diagnosis::{ImuDiagnosis, Length};
-use crate::finding::{Estimate, Evidence, Fault, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Severity, Unit};
 use crate::geometry::{Rotation, Vec3, xyzw_from_rotation};
 use serde_json::{Value, json};
 
@@ -131,6 +131,7 @@ fn fault(mount: &Length, imu: &ImuFacts, found: Option<Rotation>, severity: Seve
     });
     Fault {
         severity,
+        cause: found.map_or(Cause::Other, Cause::ImuMount),
         title: "IMU mounted otherwise",
         message: format!("mounted {shown} off the log's frames{axes}"),
         evidence: Evidence::default(),

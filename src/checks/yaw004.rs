@@ -3,7 +3,7 @@ use serde_json::{Value, json};
 use crate::checks::decision::{DEGREE, Figure, decide_length, unseen};
 use crate::checks::{ArmFacts, Facts, Grade, ImuFacts, Judged};
 use crate::diagnosis::{GyroBias, GyroShape, ImuDiagnosis, Measured};
-use crate::finding::{Estimate, Evidence, Fault, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Severity, Unit};
 
 rule! {
     /// A gyro has a bias.
@@ -91,6 +91,7 @@ fn fault(bias: &GyroBias, severity: Severity) -> Fault {
     evidence.more.insert("vector_rad_s".to_owned(), json!(vector));
     evidence.more.insert("yaw_rate_rad_s".to_owned(), json!(bias.yaw_rate_rad_s));
     Fault {
+        cause: Cause::Other,
         severity,
         title: "gyro bias",
         message: format!("gyro reads {shown} at rest"),

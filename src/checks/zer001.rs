@@ -1,7 +1,7 @@
 use crate::checks::decision::{DEGREE, Decision, Figure, decide, unseen};
 use crate::checks::{ArmFacts, Facts, Grade, Judged, frm001, frm002, frm003, mdl001};
 use crate::diagnosis::{FrameEstimate, JointOffset, Measured, Seen, Twin};
-use crate::finding::{Alternative, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Alternative, Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Witness;
 
 rule! {
@@ -166,7 +166,8 @@ fn fault(
             format!("q_true = {factor}q_reported {sign} {size:.5} {symbol}, or re-home the joint"),
         ),
     };
-    Fault { severity, title: "joint zero is off", message, evidence, fix }
+    let cause = Cause::JointZero { offset: *measured, slides: unit == Unit::Metre };
+    Fault { severity, cause, title: "joint zero is off", message, evidence, fix }
 }
 
 /// What an offset says of the arm itself, by whose word it is.

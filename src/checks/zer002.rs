@@ -2,7 +2,7 @@ use crate::checks::amount::{Amount, Estimated};
 use crate::checks::decision::Figure;
 use crate::checks::{ArmFacts, Facts, Grade, Judged, mdl001};
 use crate::diagnosis::{Measured, PoseDiagnosis};
-use crate::finding::{Evidence, Fault, Severity, Unit};
+use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
 
 rule! {
     /// The position error grows with reach, and no joint offset explains it.
@@ -74,6 +74,7 @@ fn fault(arm: &ArmFacts, growth: &Measured, severity: Severity) -> Fault {
     let (reach, moved_m) = (arm.reach_m, growth.value.abs() * arm.reach_m);
     let moved = Unit::Metre.show(moved_m);
     Fault {
+        cause: Cause::Growth,
         severity,
         title: "error grows with reach",
         message: format!("positions are off by {} of reach", FIGURE.unit.show_signed(growth)),
