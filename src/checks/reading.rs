@@ -63,19 +63,20 @@ pub fn judge(
 ) -> Vec<Judged> {
     let mut judged = Vec::new();
     for arm in &facts.robots {
-        let streams = arm.poses_and_tf().map(|(stream, diagnosis)| {
-            let doubt = diagnosis.strays().then_some("its positions do not lie on the arm");
-            let bare = stream.bare.then_some(diagnosis);
-            (&stream.topic, stream.span, &diagnosis.reading, doubt, bare)
+        let streams = arm.poses_and_tf().map(|stream| {
+            let found = &stream.diagnosis;
+            let doubt = found.strays().then_some("its positions do not lie on the arm");
+            stream.with((&found.reading, doubt, stream.bare.then_some(found)))
         });
-        let unread = arm.diagnosis.joints.is_err() && !arm.poses.is_empty();
+        let unread = arm.diagnosis.reading.is_err() && !arm.poses.is_empty();
         let doubt = unread.then_some("the joint states themselves could not be read for sure");
         let imus = arm.imus.iter();
-        let imus = imus.map(|(imu, found)| (&imu.topic, imu.span, &found.reading, doubt, None));
-        judged.extend(streams.chain(imus).map(|(topic, span, reading, doubt, bare)| {
+        let imus = imus.map(|imu| imu.with((&imu.diagnosis.reading, doubt, None)));
+        judged.extend(streams.chain(imus).map(|stream| {
+            let (reading, doubt, bare) = stream.found;
             let judged = judge_stream(arm, reading, asked, word);
             let judged = match bare {
-                Some(found) => of_bare_numbers(arm, topic, asked, found, judged),
+                Some(found) => of_bare_numbers(arm, stream.topic(), asked, found, judged),
                 None => judged,
             };
             let (outcome, estimate) = match (judged, doubt) {
@@ -85,7 +86,7 @@ pub fn judge(
                 ),
                 (judged, _) => judged,
             };
-            Judged::new(arm.topic(topic), outcome).within(span).estimated(estimate)
+            stream.judged(outcome).estimated(estimate)
         }));
     }
     judged
@@ -367,7 +368,7 @@ mod tests {
     fn read(best: Reading, best_rad: f64, runner_up: Option<(Reading, f64)>) -> Facts {
         let mut facts = clean_run();
         let as_logged_rad = Some(1.1);
-        facts.robots[0].diagnosis.streams[0].reading = Ok(ReadingEstimate {
+        facts.robots[0].poses[0].diagnosis.reading = Ok(ReadingEstimate {
             inverted: matches!(best, Reading::Inverted),
             best,
             as_logged_rad,

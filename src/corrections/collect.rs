@@ -14,7 +14,6 @@ use crate::geometry::{
 use crate::report::{Report, StreamRow};
 use crate::run::{Arm, Run};
 use crate::stats::Measured;
-use crate::stream::Orientations;
 
 /// All that mends what an audit found, and what is found that nothing here mends.
 pub(crate) struct Mending {
@@ -234,10 +233,10 @@ impl Mending {
         let mut copies = Vec::new();
         if let Some(arm) = source.facts.robots.iter().find(|arm| arm.joints_topic == topic) {
             // Who copies the joints' stamps is as late as they are.
-            let poses = arm.poses_and_tf().filter(|(stream, _)| !stream.independent);
-            copies.extend(poses.map(|(stream, _)| stream.topic.clone()));
-            let imus = arm.imus.iter().filter(|(imu, _)| !imu.independent);
-            copies.extend(imus.map(|(imu, _)| imu.topic.clone()));
+            let poses = arm.poses_and_tf().filter(|stream| !stream.independent);
+            copies.extend(poses.map(|stream| stream.topic().to_owned()));
+            let imus = arm.imus.iter().filter(|imu| !imu.independent);
+            copies.extend(imus.map(|imu| imu.topic().to_owned()));
         }
         let mut what = format!("latency of {}", Unit::Second.show(value));
         if !copies.is_empty() {
@@ -523,14 +522,9 @@ impl Source<'_> {
 
     /// The convention that the bare numbers of a topic turned out to be in.
     fn convention_of_numbers(&self, topic: &str) -> Option<Convention> {
-        let arms = self.run.arms.iter().zip(&self.facts.robots);
-        let mut streams =
-            arms.flat_map(|(arm, facts)| arm.poses.iter().zip(&facts.diagnosis.streams));
-        let (source, found) =
-            streams.find(|(source, _)| self.run.streams[source.stream].topic == topic)?;
-        let is_numbers = matches!(source.track.orientation, Orientations::Numbers(_));
-        match found.reading.as_ref().ok()?.best {
-            Reading::Numbers(convention) if is_numbers => Some(convention),
+        let (_, stream) = self.facts.poses().find(|(_, stream)| stream.topic() == topic)?;
+        match stream.diagnosis.reading.as_ref().ok()?.best {
+            Reading::Numbers(convention) if stream.bare_numbers => Some(convention),
             _ => None,
         }
     }
