@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use clap::ValueEnum;
 use schemars::JsonSchema;
 use serde::Deserialize;
 use toml::Spanned;
@@ -109,7 +110,7 @@ pub(super) struct StreamTable {
     /// Whose numbers they are, as in `kuka`: sets convention and units as its controller gives them.
     pub vendor: Option<Vendor>,
     /// Whose word its poses are. Default: as names and frames say.
-    pub witness: Option<WitnessName>,
+    pub witness: Option<Witness>,
     /// How often it should come, Hz: it is expected, and slow below 0.9 of that (TIM006).
     pub rate_hz: Option<Rate>,
     /// The frame that its poses are in, instead of that in its messages; of an IMU its own frame.
@@ -192,14 +193,15 @@ impl TryFrom<String> for Code {
 }
 
 /// The clock that places a sample.
-#[derive(Clone, Copy, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema, ValueEnum)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum ClockName {
+pub enum ClockName {
     /// The stamp in the message's header.
     Header,
     /// When the recorder received the message.
     Log,
     /// When the sender published it.
+    #[value(help = "When the sender published the message")]
     Publish,
 }
 
@@ -214,9 +216,9 @@ impl From<ClockName> for Clock {
 }
 
 /// The severity from which on a finding fails the run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema, ValueEnum)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum FailOn {
+pub enum FailOn {
     /// Errors.
     Error,
     /// Warnings and errors.
@@ -233,28 +235,6 @@ impl From<FailOn> for Option<Severity> {
             FailOn::Error => Some(Severity::Error),
             FailOn::Warning | FailOn::Inconclusive => Some(Severity::Warning),
             FailOn::Never => None,
-        }
-    }
-}
-
-/// Whose word poses are.
-#[derive(Clone, Copy, Debug, Deserialize, JsonSchema)]
-#[serde(rename_all = "lowercase")]
-pub(super) enum WitnessName {
-    /// The controller's, or a program's that computes it from the joint states.
-    Controller,
-    /// A tracker's or a camera's.
-    External,
-    /// Nobody knows.
-    Unknown,
-}
-
-impl From<WitnessName> for Witness {
-    fn from(name: WitnessName) -> Self {
-        match name {
-            WitnessName::Controller => Witness::Controller,
-            WitnessName::External => Witness::External,
-            WitnessName::Unknown => Witness::Unknown,
         }
     }
 }

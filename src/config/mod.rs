@@ -24,6 +24,7 @@ use crate::run::{CalibrationSource, Declaration, RobotSource, TopicSettings};
 
 use self::file::{ByPrefix, File, Ignore, Stream};
 
+pub use file::{ClockName, FailOn};
 pub use schema::schema;
 pub use template::template;
 
@@ -173,7 +174,7 @@ impl Config {
                 topic: topic.as_ref().clone(),
                 place: self.place(topic.span().start),
                 role: said.role,
-                witness: said.witness.map(Into::into),
+                witness: said.witness,
                 frame: said.frame.clone(),
                 link: said.link.clone(),
                 rate_hz: said.rate_hz.map(|rate| rate.0),
