@@ -4,7 +4,6 @@
 //! and [`reconcile()`] ranks what makes pairs of poses one. Facts about makers and libraries are in
 //! `conventions.toml`.
 
-mod code;
 mod error;
 mod form;
 mod frames;
@@ -18,7 +17,6 @@ mod usage;
 mod tests;
 
 pub use crate::geometry::{AngleUnit, LengthUnit};
-pub use code::CodeLine;
 pub use error::DeskError;
 pub use form::{Form, Reading, Style};
 pub use frames::{Corrections, FixedFrame, FrameNames};

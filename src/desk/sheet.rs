@@ -1,8 +1,10 @@
 //! One pose in every convention.
 
-use crate::geometry::{AngleUnit, Convention, LengthUnit, Pose, xyzw_from_rotation};
+use crate::geometry::{
+    AngleUnit, CodeLine, Convention, LengthUnit, Pose, code_of_numbers, code_of_quaternion,
+    xyzw_from_rotation,
+};
 
-use super::code::{self, CodeLine};
 use super::error::DeskError;
 use super::form::{Form, LOCK_RAD, Reading, SAID_DEFECT, Style, defect, has_position, readings};
 use super::paste::Pasted;
@@ -181,24 +183,26 @@ fn one(reading: Reading, pasted: &Pasted, mut notes: Vec<String>) -> Result<Shee
     }
     let code_of_numbers = match reading.form {
         Form::Three(convention) => {
-            let given = pasted.numbers[pasted.numbers.len() - 3..].iter();
-            let mut numbers = [0.0; 3];
-            for (number, given) in numbers.iter_mut().zip(given) {
-                *number = given * reading.angle.in_rad();
-            }
-            code::of_numbers(convention, numbers)
+            let given = &pasted.numbers[pasted.numbers.len() - 3..];
+            let numbers = [0, 1, 2].map(|at| literal(given[at] * reading.angle.in_rad()));
+            code_of_numbers(convention, numbers)
         }
         _ => Vec::new(),
     };
     Ok(Sheet {
         has_position: has_position(pasted.numbers.len()),
         code_of_numbers,
-        code_of_quaternion: code::of_quaternion(rotation),
+        code_of_quaternion: code_of_quaternion(xyzw_from_rotation(rotation).map(literal)),
         reading,
         pose,
         rows,
         notes,
     })
+}
+
+/// A number to a billionth that every language takes for a float.
+fn literal(value: f64) -> String {
+    format!("{:?}", (value * 1e9).round() / 1e9 + 0.0)
 }
 
 #[cfg(test)]

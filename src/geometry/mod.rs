@@ -6,6 +6,7 @@
 #![allow(clippy::disallowed_methods, reason = "the one room where numbers become rotations")]
 
 mod axes;
+mod code;
 mod convention;
 mod euler;
 mod reading;
@@ -15,6 +16,7 @@ mod units;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 pub use axes::Axes;
+pub use code::{CodeLine, code_of_numbers, code_of_quaternion};
 pub use convention::{Convention, ConventionError};
 pub use euler::EulerOrder;
 pub use reading::{Misreading, MisreadingClass, QuaternionSlip, misreading_classes};
