@@ -15,9 +15,10 @@ use crate::diagnosis::{
     beyond_positions, beyond_speed, proof, proof_of_imu, shake,
 };
 use crate::finding::Span;
+use crate::geometry::{AngleUnit, Coding, LengthScale};
 use crate::robot::JointKind;
 use crate::run::{
-    Arm, Coding, Declaration, JointMending, JointSamples, PoseSource, Run, Velocities, Witness,
+    Arm, Declaration, JointMending, JointSamples, PoseSource, Run, Velocities, Witness,
 };
 use crate::stream::{Columns, JointTrack, Orientations, PoseTrack};
 
@@ -47,11 +48,8 @@ pub(super) fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, options: &Op
         bare: source.track.declared.is_none()
             && matches!(run.streams[source.stream].columns, Some(Columns::Array(_))),
         declared: source.track.declared.as_ref().map(|units| Declared {
-            angles: units.in_other_angles.is_some().then_some(match units.degrees {
-                true => "deg",
-                false => "rad",
-            }),
-            lengths: if units.millimetres { "mm" } else { "m" },
+            angles: units.in_other_angles.is_some().then_some(units.angle.symbol()),
+            lengths: if units.length == LengthScale::MILLIMETRE { "mm" } else { "m" },
         }),
     };
     let tf = arm.tf.as_ref().ok().zip(diagnosis.tf);
@@ -237,7 +235,8 @@ fn euler(
         _ => None,
     });
     let convention = told.or(said);
-    let in_degrees = declared.is_some_and(|declared| declared.degrees) != found.degrees.is_some();
+    let in_degrees = declared.is_some_and(|declared| declared.angle == AngleUnit::Degree)
+        != found.degrees.is_some();
     let to_radians = if in_degrees { 1_f64.to_radians() } else { 1.0 };
     let margin = |row: usize| {
         let numbers = array.row(row);

@@ -2,10 +2,9 @@
 
 use crate::checks::decision::{DEGREE, unseen};
 use crate::checks::{ArmFacts, Facts, Judged};
-use crate::desk::{self, Form};
 use crate::diagnosis::{PoseDiagnosis, Reading, ReadingEstimate, Seen};
 use crate::finding::{Estimate, Evidence, Fault, Outcome, ReadAs, Ruling, Severity, Unit};
-use crate::geometry::{Convention, LengthScale, Misreading, QuaternionSlip};
+use crate::geometry::{Coding, Convention, LengthScale, Misreading, QuaternionSlip, vendors};
 
 /// A fault must leave at least this many times less than the stream as logged, and than the next
 /// best reading, to be named.
@@ -141,8 +140,8 @@ fn of_bare_numbers(
 ) -> (Outcome, Option<Estimate>) {
     let is_read = matches!(outcome, Outcome::Evaluated(_));
     let form = found.reading.as_ref().ok().and_then(|reading| match reading.best {
-        Reading::Numbers(convention) => Some(Form::Three(convention)),
-        Reading::QuaternionOrder(QuaternionSlip::WxyzReadAsXyzw) => Some(Form::Wxyz),
+        Reading::Numbers(convention) => Some(Coding::Three(convention)),
+        Reading::QuaternionOrder(QuaternionSlip::WxyzReadAsXyzw) => Some(Coding::Wxyz),
         _ => None,
     });
     match (asked, form) {
@@ -165,7 +164,7 @@ fn of_bare_numbers(
             let (is, read_as) = (form.to_string(), form.to_string());
             (Outcome::faulty(fault), Some(Estimate::slip("reading", is, read_as)))
         }
-        (Kind::QuaternionOrder, Some(Form::Wxyz)) if is_read => {
+        (Kind::QuaternionOrder, Some(Coding::Wxyz)) if is_read => {
             let why = "bare numbers of which nothing is declared have no order to violate";
             (Outcome::sound_because(why.to_owned()), None)
         }
@@ -180,16 +179,14 @@ fn bare_units(found: &PoseDiagnosis) -> (LengthScale, &'static str) {
 }
 
 /// How bare numbers were read, with makers whose numbers are so: `KUKA's: mm, euler:ZYX in deg`.
-fn bare_reading(arm: &ArmFacts, topic: &str, form: Form, found: &PoseDiagnosis) -> String {
+fn bare_reading(arm: &ArmFacts, topic: &str, form: Coding, found: &PoseDiagnosis) -> String {
     /// Makers that are named.
     const NAMED: usize = 3;
     let (length, angle) = bare_units(found);
-    let is_three = matches!(form, Form::Three(_));
-    let is_alike = |entry: &&'static desk::Use| {
-        let metres =
-            if entry.in_millimetres() { LengthScale::MILLIMETRE } else { LengthScale::METRE };
-        let angles = !is_three || entry.in_degrees() == (angle == "deg");
-        entry.is_maker() && metres == length && angles
+    let is_three = matches!(form, Coding::Three(_));
+    let is_alike = |entry: &&'static vendors::Use| {
+        let angles = !is_three || entry.units.angle.unwrap_or_default().symbol() == angle;
+        entry.is_vendor() && entry.units.length.unwrap_or_default() == length && angles
     };
     // Whose arm it is, its own names say best.
     let names = format!("{} {topic}", arm.name).to_lowercase();
@@ -198,7 +195,7 @@ fn bare_reading(arm: &ArmFacts, topic: &str, form: Form, found: &PoseDiagnosis) 
         !names.contains(&first)
     };
     let mut makers: Vec<&str> = Vec::new();
-    for entry in desk::uses_of(form).filter(is_alike) {
+    for entry in vendors::uses_of(form).filter(is_alike) {
         if !makers.contains(&entry.who.as_str()) {
             makers.push(&entry.who);
         }
@@ -218,9 +215,9 @@ fn bare_reading(arm: &ArmFacts, topic: &str, form: Form, found: &PoseDiagnosis) 
 }
 
 /// What to declare of numbers that were read so.
-fn declared(form: Form, found: &PoseDiagnosis) -> String {
+fn declared(form: Coding, found: &PoseDiagnosis) -> String {
     let (length, angle) = bare_units(found);
-    let angle = if matches!(form, Form::Three(_)) && angle == "deg" { ",deg" } else { "" };
+    let angle = if matches!(form, Coding::Three(_)) && angle == "deg" { ",deg" } else { "" };
     let length = if length == LengthScale::MILLIMETRE { ",mm" } else { "" };
     format!("{form}{angle}{length}")
 }

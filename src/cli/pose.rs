@@ -5,12 +5,13 @@ use std::io::{self, Read, Write};
 use std::path::PathBuf;
 
 use poseaudit::desk::{
-    Answer, Candidate, Corrections, DeskError, Form, FrameNames, Hypothesis, Inversion, Pair,
-    Pasted, Question, Reading, Residual, Row, Sheet, Sheets, Style, Tool, Use, Verdict,
-    maker_names, pairs_from_csv, paste, reconcile, sheet, uses_of,
+    Answer, Candidate, Corrections, DeskError, FrameNames, Hypothesis, Inversion, Pair, Pasted,
+    Question, Reading, Residual, Row, Sheet, Sheets, Style, Tool, Verdict, pairs_from_csv, paste,
+    reconcile, sheet,
 };
 use poseaudit::finding::rounded;
-use poseaudit::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
+use poseaudit::geometry::vendors::{self, Use};
+use poseaudit::geometry::{Coding, Convention, Pose, xyz_of, xyzw_from_rotation};
 use poseaudit::places::Places;
 use poseaudit::report::Trouble;
 use poseaudit::run::robot_of;
@@ -329,14 +330,16 @@ fn write_row(row: &Row, out: &mut dyn Write) -> io::Result<()> {
         return Ok(());
     }
     let mut left = match row.form {
-        Form::Three(_) => vec![
+        Coding::Three(_) => vec![
             format!("deg{}", listed(&degrees(&row.numbers), 4)),
             format!("rad{}", listed(&row.numbers, 6)),
         ],
-        Form::Xyzw | Form::Wxyz => vec![format!("   {}", listed(&row.numbers, 6))],
-        Form::Rows => row.numbers.chunks(3).map(|line| format!("   {}", listed(line, 6))).collect(),
+        Coding::Xyzw | Coding::Wxyz => vec![format!("   {}", listed(&row.numbers, 6))],
+        Coding::Rows => {
+            row.numbers.chunks(3).map(|line| format!("   {}", listed(line, 6))).collect()
+        }
         // Those of the rows, turned.
-        Form::Columns => vec!["   the same, column by column".to_owned()],
+        Coding::Columns => vec!["   the same, column by column".to_owned()],
     };
     if let (true, Some(margin_rad)) = (row.is_near_lock(), row.gimbal_margin_rad) {
         left.push(format!("   {:.2}° from gimbal lock", margin_rad.to_degrees()));
@@ -366,7 +369,7 @@ fn write_candidates(
         let right = in_lines(&users(&candidate.uses), USERS_WIDTH);
         beside(out, &candidate.reading.form.to_string(), &left, &right)?;
     }
-    let makers: Vec<String> = maker_names().map(str::to_owned).collect();
+    let makers: Vec<String> = vendors::names().map(str::to_owned).collect();
     writeln!(out)?;
     for (at, line) in in_lines(&makers, 80).iter().enumerate() {
         writeln!(out, "{:16}{line}", if at == 0 { "also --from" } else { "" })?;
@@ -495,14 +498,11 @@ fn in_short(hypothesis: &Hypothesis) -> String {
 
 /// Those who use the form of `reading` in its units.
 fn uses_with_units(reading: &Reading) -> Vec<&'static Use> {
-    let length = reading.has_position.then(|| reading.length.symbol());
-    let angle = reading.form.has_angles().then(|| reading.angle.symbol());
-    let units: Vec<&str> = length.into_iter().chain(angle).collect();
     let in_units = |entry: &&'static Use| {
-        let of_entry: Vec<&str> = entry.units.split(", ").collect();
-        units.iter().all(|unit| of_entry.contains(unit))
+        (!reading.has_position || entry.units.length == Some(reading.length))
+            && (!reading.form.has_angles() || entry.units.angle == Some(reading.angle))
     };
-    uses_of(reading.form).filter(in_units).collect()
+    vendors::uses_of(reading.form).filter(in_units).collect()
 }
 
 fn write_cautions(answer: &Answer, out: &mut dyn Write) -> io::Result<()> {
@@ -545,7 +545,7 @@ fn reading_as_json(reading: &Reading) -> Value {
     json!({
         "convention": reading.form.to_string(),
         "angles": angle,
-        "lengths": reading.has_position.then(|| reading.length.symbol()),
+        "lengths": reading.has_position.then(|| reading.length.to_string()),
     })
 }
 
@@ -554,7 +554,7 @@ fn uses_as_json(uses: &[&'static Use]) -> Vec<Value> {
         json!({
             "who": entry.who,
             "what": entry.what,
-            "units": entry.units,
+            "units": entry.units.to_string(),
             "confirmed": entry.is_confirmed,
             "source": entry.source,
         })

@@ -154,13 +154,13 @@ impl Config {
     fn declarations(&self) -> Vec<Declaration> {
         let streams = self.file.stream.iter();
         let declared = streams.filter_map(|(topic, Stream { said, coding })| {
-            let (coding, degrees, millimetres) = (*coding)?;
+            let (coding, units) = (*coding)?;
             Some(Declaration {
                 topic: topic.as_ref().clone(),
                 place: self.place(topic.span().start),
                 coding,
-                degrees,
-                millimetres,
+                length: units.length.unwrap_or_default(),
+                angle: units.angle.unwrap_or_default(),
                 is_of_vendor: said.convention.is_none(),
             })
         });

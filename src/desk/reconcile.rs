@@ -5,13 +5,13 @@
 //! explanation wins over a longer one that leaves about as much.
 
 use crate::geometry::{
-    Misreading, Pose, Rotation, Vec3, angle_between, misreading_classes, rotation_from_rotvec,
-    rotvec_from_rotation, xyz_of,
+    Coding, Misreading, Pose, Rotation, Vec3, angle_between, misreading_classes,
+    rotation_from_rotvec, rotvec_from_rotation, xyz_of,
 };
 
 use super::error::DeskError;
 use super::form::{
-    Form, LOCK_RAD, Reading, SAID_DEFECT, Style, defect, gimbal_margin, has_position, readings,
+    LOCK_RAD, Reading, SAID_DEFECT, Style, defect, gimbal_margin, has_position, readings,
 };
 use super::frames::{Corrections, FixedFrame};
 use super::pairs::Pair;
@@ -723,7 +723,7 @@ impl Search<'_> {
 fn is_settled(side: &[Group]) -> bool {
     let mut forms = side.iter().flat_map(|group| &group.readings).map(|reading| reading.form);
     let first = forms.next();
-    !matches!(first, Some(Form::Three(_))) || forms.all(|form| Some(form) == first)
+    !matches!(first, Some(Coding::Three(_))) || forms.all(|form| Some(form) == first)
 }
 
 /// The pose that `but` should be where the one side is `is`.
