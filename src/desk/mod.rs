@@ -3,23 +3,24 @@
 //! [`paste()`] takes a text apart, [`sheet()`] says one pose in every convention with those who use each,
 //! and [`reconcile()`] ranks what makes pairs of poses one.
 
+mod answer;
 mod error;
 mod form;
 mod frames;
 mod pairs;
 mod paste;
 mod reconcile;
+mod search;
 mod sheet;
 
 #[cfg(test)]
 mod tests;
 
+pub use answer::{Answer, Hypothesis, Inversion, Residual, Tool, Verdict, WouldDo};
 pub use error::DeskError;
 pub use form::{Reading, Style};
 pub use frames::{Corrections, FixedFrame, FrameNames};
 pub use pairs::{Pair, pairs_from_csv};
 pub use paste::{Pasted, paste};
-pub use reconcile::{
-    Answer, Hypothesis, Inversion, Question, Residual, Tool, Verdict, WouldDo, reconcile,
-};
+pub use reconcile::{Question, reconcile};
 pub use sheet::{Candidate, Row, Sheet, Sheets, sheet};
