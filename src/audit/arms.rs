@@ -15,10 +15,10 @@ use crate::diagnosis::{
     Unseen, abruptness, beyond_positions, beyond_speed, proof, proof_of_imu, shake,
 };
 use crate::finding::{Span, Subject};
-use crate::geometry::{AngleUnit, LengthScale};
+use crate::geometry::{AngleUnit, Coding};
 use crate::robot::JointKind;
 use crate::run::{
-    Arm, Coding, Declaration, JointMending, JointSamples, PoseSource, Run, Velocities, Witness,
+    Arm, Declaration, JointMending, JointSamples, PoseSource, Run, Velocities, Witness,
 };
 use crate::stream::{Columns, JointTrack, Orientations, PoseTrack};
 
@@ -45,11 +45,8 @@ pub(super) fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, options: &Op
         bare: source.track.declared.is_none()
             && matches!(run.streams[source.stream].columns, Some(Columns::Array(_))),
         declared: source.track.declared.as_ref().map(|units| Declared {
-            angles: units.in_other_angles.is_some().then_some(match units.degrees {
-                true => AngleUnit::Degree,
-                false => AngleUnit::Radian,
-            }),
-            lengths: if units.millimetres { LengthScale::MILLIMETRE } else { LengthScale::METRE },
+            angles: units.in_other_angles.is_some().then_some(units.angle),
+            lengths: units.length,
         }),
         diagnosis: found,
     };
@@ -245,7 +242,8 @@ fn euler(
         _ => None,
     });
     let convention = told.or(said);
-    let in_degrees = declared.is_some_and(|declared| declared.degrees) != found.degrees.is_some();
+    let in_degrees = declared.is_some_and(|declared| declared.angle == AngleUnit::Degree)
+        != found.degrees.is_some();
     let to_radians = if in_degrees { 1_f64.to_radians() } else { 1.0 };
     let margin = |row: usize| {
         let numbers = array.row(row);

@@ -2,11 +2,10 @@
 
 use crate::checks::decision::{DEGREE, unseen};
 use crate::checks::{ArmFacts, Facts, Judged};
-use crate::desk::{self, Form};
 use crate::diagnosis::{PoseDiagnosis, Reading, ReadingEstimate, Seen};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, ReadAs, Ruling, Severity, Unit};
 use crate::geometry::{
-    AngleUnit, Convention, LengthScale, Misreading, QuaternionSlip, RotationSlip,
+    AngleUnit, Coding, Convention, LengthScale, Misreading, QuaternionSlip, RotationSlip, vendors,
 };
 
 /// A fault must leave at least this many times less than the stream as logged, and than the next
@@ -146,8 +145,8 @@ fn of_bare_numbers(
 ) -> (Outcome, Option<Estimate>) {
     let is_read = matches!(outcome, Outcome::Evaluated(_));
     let form = found.reading.as_ref().ok().and_then(|reading| match reading.best {
-        Reading::Numbers(convention) => Some(Form::Three(convention)),
-        Reading::QuaternionOrder(QuaternionSlip::WxyzReadAsXyzw) => Some(Form::Wxyz),
+        Reading::Numbers(convention) => Some(Coding::Three(convention)),
+        Reading::QuaternionOrder(QuaternionSlip::WxyzReadAsXyzw) => Some(Coding::Wxyz),
         _ => None,
     });
     match (asked, form) {
@@ -159,14 +158,7 @@ fn of_bare_numbers(
             evidence.more.insert("angle_unit".to_owned(), angle.symbol().into());
             let fault = Fault {
                 severity: Severity::Info,
-                cause: Cause::Bare {
-                    convention: match form {
-                        Form::Three(convention) => Some(convention),
-                        _ => None,
-                    },
-                    length,
-                    angle,
-                },
+                cause: Cause::Bare { coding: form, length, angle },
                 title: "how bare numbers were read",
                 message: format!("read as {said}: that is how they follow the arm"),
                 evidence,
@@ -178,7 +170,7 @@ fn of_bare_numbers(
             let (is, read_as) = (form.to_string(), form.to_string());
             (Outcome::faulty(fault), Some(Estimate::slip("reading", is, read_as)))
         }
-        (Kind::QuaternionOrder, Some(Form::Wxyz)) if is_read => {
+        (Kind::QuaternionOrder, Some(Coding::Wxyz)) if is_read => {
             let why = "bare numbers of which nothing is declared have no order to violate";
             (Outcome::sound_because(why.to_owned()), None)
         }
@@ -194,16 +186,14 @@ fn bare_units(found: &PoseDiagnosis) -> (LengthScale, AngleUnit) {
 }
 
 /// How bare numbers were read, with makers whose numbers are so: `KUKA's: mm, euler:ZYX in deg`.
-fn bare_reading(arm: &ArmFacts, topic: &str, form: Form, found: &PoseDiagnosis) -> String {
+fn bare_reading(arm: &ArmFacts, topic: &str, form: Coding, found: &PoseDiagnosis) -> String {
     /// Makers that are named.
     const NAMED: usize = 3;
     let (length, angle) = bare_units(found);
-    let is_three = matches!(form, Form::Three(_));
-    let is_alike = |entry: &&'static desk::Use| {
-        let metres =
-            if entry.in_millimetres() { LengthScale::MILLIMETRE } else { LengthScale::METRE };
-        let angles = !is_three || entry.in_degrees() == (angle == AngleUnit::Degree);
-        entry.is_maker() && metres == length && angles
+    let is_three = matches!(form, Coding::Three(_));
+    let is_alike = |entry: &&'static vendors::Use| {
+        let angles = !is_three || entry.units.angle.unwrap_or_default() == angle;
+        entry.is_vendor() && entry.units.length.unwrap_or_default() == length && angles
     };
     // Whose arm it is, its own names say best.
     let names = format!("{} {topic}", arm.name).to_lowercase();
@@ -212,7 +202,7 @@ fn bare_reading(arm: &ArmFacts, topic: &str, form: Form, found: &PoseDiagnosis) 
         !names.contains(&first)
     };
     let mut makers: Vec<&str> = Vec::new();
-    for entry in desk::uses_of(form).filter(is_alike) {
+    for entry in vendors::uses_of(form).filter(is_alike) {
         if !makers.contains(&entry.who.as_str()) {
             makers.push(&entry.who);
         }
@@ -232,10 +222,10 @@ fn bare_reading(arm: &ArmFacts, topic: &str, form: Form, found: &PoseDiagnosis) 
 }
 
 /// What to declare of numbers that were read so.
-fn declared(form: Form, found: &PoseDiagnosis) -> String {
+fn declared(form: Coding, found: &PoseDiagnosis) -> String {
     let (length, angle) = bare_units(found);
-    let angle =
-        if matches!(form, Form::Three(_)) && angle == AngleUnit::Degree { ",deg" } else { "" };
+    let is_degrees = matches!(form, Coding::Three(_)) && angle == AngleUnit::Degree;
+    let angle = if is_degrees { ",deg" } else { "" };
     let length = if length == LengthScale::MILLIMETRE { ",mm" } else { "" };
     format!("{form}{angle}{length}")
 }

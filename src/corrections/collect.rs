@@ -8,7 +8,7 @@ use crate::checks::Facts;
 use crate::diagnosis::Reading;
 use crate::finding::{Cause, Estimate, Finding, JointScaling, Unit};
 use crate::geometry::{
-    AngleUnit, Convention, LengthScale, Pose, QuaternionSlip, Rotation, RotationSlip, Slip,
+    AngleUnit, Coding, Convention, LengthScale, Pose, QuaternionSlip, Rotation, RotationSlip, Slip,
     xyzw_from_rotation,
 };
 use crate::report::{Report, StreamRow};
@@ -142,8 +142,8 @@ impl Mending {
                 Ok((what, vec![LATENCIES, CORRECTIONS]))
             }
             Cause::Rotation(slip) => self.take_rotation(source, finding, *slip),
-            Cause::Bare { convention, length, angle } => {
-                self.take_numbers(source, finding, *convention, *length, *angle)
+            Cause::Bare { coding, length, angle } => {
+                self.take_numbers(source, finding, *coding, *length, *angle)
             }
             Cause::AngleUnit(unit) => {
                 let lines = code::angles(unit.is == AngleUnit::Degree);
@@ -258,7 +258,7 @@ impl Mending {
         &mut self,
         source: &Source<'_>,
         finding: &Finding,
-        convention: Option<Convention>,
+        coding: Coding,
         length: LengthScale,
         angle: AngleUnit,
     ) -> Taken {
@@ -267,22 +267,20 @@ impl Mending {
         if length != LengthScale::METRE {
             correction.length_unit = Some(Slip { is: length, read_as: LengthScale::METRE });
         }
-        let form = match convention {
-            Some(convention) => {
+        match coding {
+            Coding::Three(convention) => {
                 correction.convention = Some(convention);
                 if angle == AngleUnit::Degree {
                     let slip = Slip { is: angle, read_as: AngleUnit::Radian };
                     correction.angle_unit = Some(slip);
                 }
-                convention.to_string()
             }
-            None => {
-                let slip = RotationSlip::Quaternion(QuaternionSlip::WxyzReadAsXyzw);
-                correction.rotation = Some(slip);
-                Slip::<String>::from(slip).is
+            _ => {
+                let slip = QuaternionSlip::WxyzReadAsXyzw;
+                correction.rotation = Some(RotationSlip::Quaternion(slip));
             }
-        };
-        let what = format!("bare numbers are {form}, {length}, {}", angle.symbol());
+        }
+        let what = format!("bare numbers are {coding}, {length}, {}", angle.symbol());
         Ok((what, vec![CORRECTIONS]))
     }
 

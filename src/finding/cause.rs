@@ -1,8 +1,6 @@
 //! Causes: what is wrong, with the amounts that mend it.
 
-use crate::geometry::{
-    AngleUnit, Axes, Convention, LengthScale, Pose, Rotation, RotationSlip, Slip,
-};
+use crate::geometry::{AngleUnit, Axes, Coding, LengthScale, Pose, Rotation, RotationSlip, Slip};
 use crate::robot::DhConvention;
 use crate::stats::Measured;
 
@@ -46,8 +44,8 @@ pub enum Cause {
     Rotation(RotationSlip),
     /// The reading of bare numbers of which nothing is declared.
     Bare {
-        /// The convention of the rotations; `None` for quaternions that begin with w.
-        convention: Option<Convention>,
+        /// How the rotations are coded.
+        coding: Coding,
         /// The unit of the positions.
         length: LengthScale,
         /// The unit of the angles.

@@ -46,6 +46,7 @@ use crate::stream::Columns;
 use crate::time::Stamp;
 
 pub use self::error::LogError;
+pub(crate) use self::name::ESCAPED;
 pub use self::name::SourceName;
 pub use self::progress::Progress;
 pub use self::remote::{Listed, RemoteFault, is_url, list, normal};

@@ -57,7 +57,7 @@ pub use cadence::{Cadence, Extent, Hole, Rhythm, Stretch};
 pub use carrier::Carrier;
 pub use clock::{Alignment, Epoch, HeaderStamps, StreamClock};
 pub use contest::{Claimant, Contest};
-pub use declaration::{CalibrationSource, Coding, Declaration, DeclarationError, RobotSource};
+pub use declaration::{CalibrationSource, Declaration, DeclarationError, RobotSource};
 pub use error::RunError;
 pub use excerpts::Excerpts;
 pub use flaws::{Apart, Between, Flaw, FlawKind};

@@ -3,6 +3,7 @@
 use std::collections::{HashMap, VecDeque};
 
 use crate::geometry::{Pose, rotation_from_rotvec, rotvec_from_rotation};
+use crate::robot::nearest;
 use crate::time::Stamp;
 
 /// Where the transform between two frames comes from.
@@ -434,22 +435,6 @@ impl TfPath<'_> {
 /// A frame's name without the leading `/` that older logs write.
 pub(super) fn without_slash(frame: &str) -> &str {
     frame.trim_start_matches('/')
-}
-
-/// Up to three of `names` that share at least half of `name` with it, counted from both ends; the
-/// most alike first.
-pub(super) fn nearest<'a>(name: &str, names: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
-    let shared = |other: &str| {
-        let ends = name.bytes().zip(other.bytes()).take_while(|(a, b)| a == b).count()
-            + name.bytes().rev().zip(other.bytes().rev()).take_while(|(a, b)| a == b).count();
-        ends.min(name.len()).min(other.len())
-    };
-    let mut near: Vec<(usize, &str)> = names
-        .map(|other| (shared(other), other))
-        .filter(|(shared, _)| 2 * shared >= name.len().max(1))
-        .collect();
-    near.sort_by_key(|(shared, _)| std::cmp::Reverse(*shared));
-    near.into_iter().take(3).map(|(_, other)| other).collect()
 }
 
 #[cfg(test)]

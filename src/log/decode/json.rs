@@ -12,6 +12,7 @@ use super::plan::{Append, DecodeError};
 use super::recipes::Recipe;
 use super::row::{Row, Slot};
 use super::schema::excerpt;
+use crate::time::NANOS_PER_SECOND;
 
 /// The wanted fields as a tree.
 #[derive(Debug)]
@@ -615,63 +616,25 @@ fn number(text: &str) -> Option<f64> {
     }
 }
 
-/// Seconds since 1970 and nanoseconds of a time in RFC 3339, such as `2024-05-06T07:08:09.5Z`.
+/// Seconds since 1970 and nanoseconds of a time in RFC 3339, such as `2024-05-06T07:08:09.5Z`; what is
+/// below a nanosecond is cut off.
 fn timestamp(text: &str) -> Option<(i64, i64)> {
-    let (date, time) = text.trim().split_once(['T', 't', ' '])?;
-    let mut parts = date.splitn(3, '-');
-    let (year, month, day) = (digits(parts.next()?, 4)?, digits(parts.next()?, 2)?, parts.next()?);
-    let day = digits(day, 2)?;
-    let zone_at = time.find(['Z', 'z', '+', '-'])?;
-    let (clock, zone) = time.split_at(zone_at);
-    let (clock, fraction) = clock.split_once('.').unwrap_or((clock, "0"));
-    let mut parts = clock.splitn(3, ':');
-    let (hour, minute) = (digits(parts.next()?, 2)?, digits(parts.next()?, 2)?);
-    let second = digits(parts.next()?, 2)?;
-    let in_range = (1..=12).contains(&month)
-        && (1..=31).contains(&day)
-        && hour < 24
-        && minute < 60
-        && second <= 60;
-    let days = days_since_1970(year, month, day);
-    let seconds = days * 86_400 + hour * 3600 + minute * 60 + second - zone_offset_s(zone)?;
-    in_range.then_some((seconds, nanoseconds(fraction)?))
-}
-
-/// The number that `text` is in exactly `count` digits.
-fn digits(text: &str, count: usize) -> Option<i64> {
-    let fits = text.len() == count && text.bytes().all(|byte| byte.is_ascii_digit());
-    if fits { text.parse().ok() } else { None }
-}
-
-/// The nanoseconds of decimal places, cut off after the ninth.
-fn nanoseconds(fraction: &str) -> Option<i64> {
-    if fraction.is_empty() || !fraction.bytes().all(|byte| byte.is_ascii_digit()) {
-        return None;
+    let text = text.trim();
+    let (whole, places) = text.split_once('.').unwrap_or((text, ""));
+    let zone_at = places.find(|c: char| !c.is_ascii_digit()).unwrap_or(places.len());
+    let time: jiff::Timestamp = match zone_at > NANOSECOND_PLACES {
+        true => format!("{whole}.{}{}", &places[..NANOSECOND_PLACES], &places[zone_at..]).parse(),
+        false => text.parse(),
     }
-    let digit = |place: usize| fraction.as_bytes().get(place).map_or(0, |byte| byte - b'0');
-    Some((0..9).fold(0, |sum, place| 10 * sum + i64::from(digit(place))))
+    .ok()?;
+    let (second, nanosecond) = (time.as_second(), i64::from(time.subsec_nanosecond()));
+    // Before 1970 both are negative.
+    let borrow = i64::from(nanosecond < 0);
+    Some((second - borrow, nanosecond + borrow * NANOS_PER_SECOND))
 }
 
-/// How far a zone such as `Z` or `+02:00` is ahead, s.
-fn zone_offset_s(zone: &str) -> Option<i64> {
-    let (sign, offset) = match zone.split_at_checked(1)? {
-        ("Z" | "z", "") => return Some(0),
-        ("+", offset) => (1, offset),
-        ("-", offset) => (-1, offset),
-        _ => return None,
-    };
-    let (hours, minutes) = offset.split_once(':')?;
-    Some(sign * (digits(hours, 2)? * 3600 + digits(minutes, 2)? * 60))
-}
-
-/// Days since 1970-01-01 in the Gregorian calendar: years begin with March, so that the leap day
-/// ends them (Hinnant, "chrono-compatible low-level date algorithms", `days_from_civil`).
-fn days_since_1970(year: i64, month: i64, day: i64) -> i64 {
-    let year = if month <= 2 { year - 1 } else { year };
-    let (era, of_era) = (year.div_euclid(400), year.rem_euclid(400));
-    let of_year = (153 * ((month + 9) % 12) + 2) / 5 + day - 1;
-    era * 146_097 + of_era * 365 + of_era / 4 - of_era / 100 + of_year - 719_468
-}
+/// Decimal places of a second down to a nanosecond.
+const NANOSECOND_PLACES: usize = 9;
 
 #[cfg(test)]
 mod tests {
