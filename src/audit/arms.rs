@@ -6,7 +6,6 @@ use rayon::prelude::*;
 
 use super::Options;
 use super::estimate::Diagnosis;
-use super::facts::span_of;
 use crate::checks::{
     ArmFacts, Declared, EulerFacts, ImuFacts, JointFacts, JointMotion, Of, PoseFacts, ShakeFacts,
 };
@@ -111,6 +110,12 @@ pub(super) fn of<T>(run: &Run, arm: &Arm, stream: usize, found: T) -> Of<T> {
     let (robot, topic) = (Some(arm.name.clone()), Some(run.streams[stream].topic.clone()));
     let subject = Subject { robot, topic, ..Subject::default() };
     Of { subject, span: Some(span_in(run, stream)), found }
+}
+
+/// First and last stamp of a stream.
+pub(super) fn span_of(run: &Run, stream: usize) -> Option<Span> {
+    let stream = run.streams.get(stream)?;
+    Some(Span { start: stream.start?, end: stream.end? })
 }
 
 /// First and last stamp of a stream, else of the run.

@@ -1,7 +1,6 @@
 //! What joins the commands of a run to the diagnosis of what an arm made of them, and that to facts.
 
-use super::arms::of;
-use super::facts::span_of;
+use super::arms::{of, span_of};
 use crate::checks::{ArmFacts, Of, ReferenceFacts, ReferenceWitness, WitnessKind};
 use crate::diagnosis::{
     Aligned, CommandedArm, Commands, PoseDiagnosis, PoseSeries, ReferenceDiagnosis, Seen,

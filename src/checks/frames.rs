@@ -3,7 +3,8 @@
 use serde_json::{Value, json};
 
 use crate::checks::decision::{DEGREE, Decision, Figure, FrameFigures, decide_frame, unseen};
-use crate::checks::{ArmFacts, Facts, Judged, Of, PoseFacts, Rule, mdl001, zer001};
+use crate::checks::twins::zero_cause;
+use crate::checks::{ArmFacts, Facts, Judged, Of, PoseFacts, Rule, standing};
 use crate::diagnosis::{FrameEstimate, JointOffset, PoseDiagnosis, Seen, Twin};
 use crate::finding::{Alternative, Estimate, Fault, Outcome, Severity, Subject, Unit, rounded};
 use crate::geometry::{Pose, rotvec_from_rotation, xyz_of, xyzw_from_rotation};
@@ -76,7 +77,7 @@ fn judge_stream(
     let effect_m = frame.translation_m.value + frame.rotation_rad.value * arm.reach_m;
     let outcome = match (decide_frame(frame, &figures, facts.subjects()), not_judged) {
         (_, Some(why)) => Outcome::sound_because(why),
-        (Decision::Fail(severity), None) if frame.chosen => match mdl001::doubt(arm, effect_m) {
+        (Decision::Fail(severity), None) if frame.chosen => match standing::doubt(arm, effect_m) {
             Some(why) => Outcome::Inconclusive(why),
             None => {
                 let mut fault = (end.fault)(arm, stream, frame, severity);
@@ -96,7 +97,7 @@ fn judge_stream(
 }
 
 fn named_instead(arm: &ArmFacts, cause: &Alternative) -> Outcome {
-    if let Some(why) = mdl001::doubt(arm, 0.0) {
+    if let Some(why) = standing::doubt(arm, 0.0) {
         return Outcome::Inconclusive(why);
     }
     let (code, joint) = (cause.code, cause.subject.label());
@@ -120,7 +121,7 @@ fn twins<'a>(arm: &'a ArmFacts, end: &End, index: usize) -> Vec<(&'a JointOffset
     let offsets = arm.diagnosis.offsets.iter().enumerate();
     let same =
         offsets.filter(|(_, offset)| offset.twins.iter().any(|twin| (end.is_twin)(twin, index)));
-    same.map(|(joint, offset)| (offset, zer001::cause(arm, joint))).collect()
+    same.map(|(joint, offset)| (offset, zero_cause(arm, joint))).collect()
 }
 
 /// The two norms of a frame error with their intervals.

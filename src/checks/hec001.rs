@@ -5,7 +5,7 @@ use crate::checks::hand_eye::{
 };
 use crate::checks::{
     ArmFacts, Facts, FrameFigures, Grade, HandEyeFacts, Judged, Of, PoseFacts, hec002, hec003,
-    mdl001,
+    standing,
 };
 use crate::diagnosis::{Mount, Solution, TargetReading};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
@@ -152,7 +152,7 @@ fn wrong_model(arm: &ArmFacts, open_m: f64) -> Option<String> {
              the arm's own calibration"
         ));
     }
-    mdl001::doubt(arm, open_m)
+    standing::doubt(arm, open_m)
 }
 
 /// The chain closes: how well, and what else was found.

@@ -2,8 +2,8 @@ use serde_json::{Value, json};
 
 use crate::checks::decision::{FrameFigures, unseen};
 use crate::checks::frames::FIGURES;
-use crate::checks::proof::{Left, Named, Standing, standing};
 use crate::checks::reading::read_as;
+use crate::checks::standing::{Left, Named, Standing, standing};
 use crate::checks::{ArmFacts, Facts, Figure, Grade, ImuFacts, Judged, Of, PoseFacts};
 use crate::diagnosis::{Amount, Error, Measured, Part, Rates, Reading, Size};
 use crate::finding::{
@@ -343,22 +343,6 @@ fn nominal(error: &Error) -> Fault {
     }
 }
 
-/// Where more than this is left, rms m, the model may be another arm's.
-const UNEXPLAINED_M: f64 = 5e-3;
-/// A cause that moves poses by so many times what is left is there whatever else is.
-const FAR_BEYOND: f64 = 10.0;
-
-/// Why a cause that moves the poses of `arm` by `effect_m` cannot be believed, where it cannot: what
-/// is left beside it makes it a part of whatever the model does not have.
-pub(super) fn doubt(arm: &ArmFacts, effect_m: f64) -> Option<String> {
-    let left = arm.poses.iter().filter_map(|stream| stream.diagnosis.residual.as_ref().ok());
-    let left_m = left.map(|residual| residual.excess_m.value).fold(0.0, f64::max);
-    (left_m > UNEXPLAINED_M && effect_m < FAR_BEYOND * left_m).then(|| {
-        let left = Unit::Metre.show(left_m);
-        format!("{left} is left that nothing explains (MDL001); check the model")
-    })
-}
-
 /// What is left beside the causes that were found.
 fn unexplained(facts: &Facts, held: &Held, all: &[Held], left: &Left) -> Fault {
     let sharing = all.iter().filter(|other| other.subject != held.subject);
@@ -402,14 +386,15 @@ fn disagreement(held: &Held, left: &Left) -> Fault {
         None => String::new(),
     };
     let mut evidence = Evidence { effect_m: Some(error.length.whole.rms), ..Evidence::default() };
-    let message = format!("{said}, and no cause that poseaudit knows explains it{nearest}");
+    let said = format!("{said}, and no cause that poseaudit knows explains it");
+    let message = format!("{said}{nearest}");
     let fix = format!(
         "see whether it is this arm's description, and whether the joint states are this arm's; {TELLS}"
     );
     evidence.more.insert("candidates".to_owned(), candidates.into());
     Fault {
         severity: Severity::Error,
-        cause: Cause::Model,
+        cause: Cause::Disagreement { said },
         title: DISAGREE,
         message,
         evidence,
@@ -418,7 +403,7 @@ fn disagreement(held: &Held, left: &Left) -> Fault {
 }
 
 /// The title where nothing makes poses and joint states those of one arm.
-pub(super) const DISAGREE: &str = "poses and joint states disagree";
+const DISAGREE: &str = "poses and joint states disagree";
 
 /// What would tell why they do.
 const TELLS: &str = "record 10 s in which one joint after the other moves by 30° alone";

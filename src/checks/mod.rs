@@ -16,8 +16,10 @@ mod proof;
 mod reading;
 mod reference;
 mod settings;
+mod standing;
 #[cfg(test)]
 mod testing;
+mod twins;
 
 use std::fmt;
 

@@ -4,7 +4,7 @@
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use crate::checks::{ArmFacts, Facts, Of, PoseFacts, find, mdl001};
+use crate::checks::{ArmFacts, Facts, Of, PoseFacts, find, standing};
 use crate::diagnosis::{BlindDirection, Observability, Parameter};
 use crate::finding::{CheckRow, Status, Subject, Unit};
 
@@ -184,7 +184,7 @@ fn is_left_to_motion(row: &CheckRow, arm: &ArmFacts, stream: &Of<PoseFacts>) -> 
         && robot.as_ref() == Some(&arm.name)
         && topic.as_ref().is_none_or(|topic| topic == stream.topic())
         && (row.code.starts_with("LAT")
-            || !stream.diagnosis.nominal && mdl001::doubt(arm, 0.0).is_none())
+            || !stream.diagnosis.nominal && standing::doubt(arm, 0.0).is_none())
 }
 
 /// The directions, those that share a cause made one: of what is in either, only mixes show.

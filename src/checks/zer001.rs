@@ -1,7 +1,8 @@
 use crate::checks::decision::{DEGREE, Decision, Figure, decide, unseen};
-use crate::checks::{ArmFacts, Facts, Grade, Judged, frm001, frm002, frm003, mdl001};
+use crate::checks::twins::{estimate, twin_cause};
+use crate::checks::{ArmFacts, Facts, Grade, Judged, frm001, standing};
 use crate::diagnosis::{FrameEstimate, JointOffset, Measured, Seen, Twin};
-use crate::finding::{Alternative, Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Witness;
 
 rule! {
@@ -89,7 +90,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, joint: usize, offset: &JointOffset) -> J
                 "it rests on a latency that fits at several lags; {SETTLE}"
             ))
         }
-        (Decision::Fail(severity), _) if offset.chosen => match mdl001::doubt(arm, 0.0) {
+        (Decision::Fail(severity), _) if offset.chosen => match standing::doubt(arm, 0.0) {
             Some(why) => Outcome::Inconclusive(why),
             None => Outcome::faulty(fault(facts, arm, joint, measured, severity)),
         },
@@ -106,7 +107,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, joint: usize, offset: &JointOffset) -> J
 }
 
 fn not_told_from(arm: &ArmFacts, twin: &str) -> Outcome {
-    match mdl001::doubt(arm, 0.0) {
+    match standing::doubt(arm, 0.0) {
         Some(why) => Outcome::Inconclusive(why),
         None => Outcome::Indistinguishable(format!(
             "it cannot be told from {twin}, which is named instead"
@@ -119,10 +120,6 @@ fn figure(unit: Unit) -> Figure {
         Unit::Metre => PRISMATIC,
         _ => ROTARY,
     }
-}
-
-fn estimate(unit: Unit, offset: &Measured) -> Estimate {
-    Estimate::amount("joint zero offset", unit, offset)
 }
 
 fn fault(
@@ -184,31 +181,6 @@ fn meaning(witness: Witness) -> &'static str {
              tracker's or camera's the joint itself is off"
         }
     }
-}
-
-/// The offset of joint `joint` as a cause that another rule cannot tell from its own.
-pub(super) fn cause(arm: &ArmFacts, joint: usize) -> Alternative {
-    let offset = arm.diagnosis.offsets.get(joint).and_then(|offset| offset.offset.as_ref().ok());
-    let estimate = offset.map(|offset| estimate(arm.joint_unit(joint), offset));
-    Alternative { code: ZER001.code, subject: arm.joint(joint), estimate }
-}
-
-/// A twin of an offset in `unit`, as a cause.
-fn twin_cause(arm: &ArmFacts, twin: &Twin, unit: Unit) -> Alternative {
-    let topic = |stream: usize| arm.poses.get(stream).map_or("", |stream| stream.topic());
-    let (code, subject, name, value, unit) = match *twin {
-        Twin::JointZero(joint, value) => {
-            (ZER001.code, arm.joint(joint), "joint zero offset", value, arm.joint_unit(joint))
-        }
-        Twin::Reference(stream, value) => {
-            (frm002::FRM002.code, arm.topic(topic(stream)), "reference frame", value, unit)
-        }
-        Twin::Tool(stream, value) => {
-            (frm003::FRM003.code, arm.topic(topic(stream)), "tool frame", value, unit)
-        }
-    };
-    let estimate = Estimate::Amount { name, value, unit: unit.symbol(), ci95: None };
-    Alternative { code, subject, estimate: Some(estimate) }
 }
 
 /// The twin of `offset` that the smallest explanation contains, in words.
@@ -291,7 +263,7 @@ mod tests {
             Ok(FrameEstimate { chosen: true, ..frame(0.1) });
         let (rows, findings) = ask(&ZER001, &facts);
         assert!(findings.is_empty() && rows[0].indistinguishable, "{rows:?}");
-        let (_, named) = ask(&frm002::FRM002, &facts);
+        let (_, named) = ask(&crate::checks::frm002::FRM002, &facts);
         assert_eq!(named[0].evidence.indistinguishable[0].code, "ZER001");
     }
 }

@@ -1,6 +1,6 @@
 use crate::checks::amount::{Amount, Estimated};
 use crate::checks::decision::Figure;
-use crate::checks::{ArmFacts, Facts, Grade, Judged, mdl001};
+use crate::checks::{ArmFacts, Facts, Grade, Judged, standing};
 use crate::diagnosis::{Measured, PoseDiagnosis};
 use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
 
@@ -65,7 +65,7 @@ fn doubt(arm: &ArmFacts, diagnosis: &PoseDiagnosis) -> Option<String> {
         return Some(why.to_owned());
     }
     // Another arm is first of all a longer or a shorter one.
-    mdl001::doubt(arm, 0.0)
+    standing::doubt(arm, 0.0)
 }
 
 fn fault(arm: &ArmFacts, growth: &Measured, severity: Severity) -> Fault {

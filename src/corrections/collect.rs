@@ -176,6 +176,7 @@ impl Mending {
             }
             Cause::Growth
             | Cause::Model
+            | Cause::Disagreement { .. }
             | Cause::UnsteadyLatency
             | Cause::TfDisagrees
             | Cause::YawDrift(_)

@@ -34,6 +34,11 @@ pub enum Cause {
     OtherRobot(String),
     /// The model does not explain the log.
     Model,
+    /// Nothing makes poses and joint states those of one arm.
+    Disagreement {
+        /// By how much they disagree, in a clause.
+        said: String,
+    },
     /// What is stamped *t* was true at *t − latency*, s.
     Latency(Measured),
     /// By how much the latency grows with each second, s/s.
