@@ -29,8 +29,10 @@ mod rtde;
 #[cfg(test)]
 mod seeds;
 mod sniff;
+mod spans;
 #[cfg(test)]
 mod testing;
+mod topic;
 mod unpack;
 
 use std::path::{Path, PathBuf};
