@@ -6,8 +6,10 @@ use std::io::BufWriter;
 use std::path::Path;
 
 use crate::audit::Options;
-use crate::finding::{Estimate, Finding};
+use crate::finding::{Cause, Finding};
+use crate::geometry::{Convention, Misreading, RotationSlip};
 use crate::report::{Report, Trouble, TroubleKind, write_whole};
+use crate::stats::Measured;
 use crate::synth;
 
 /// The file that the log of the demo is written to.
@@ -63,45 +65,42 @@ fn cause<'a>(error: &'a (dyn Error + 'static)) -> &'a (dyn Error + 'static) {
 
 /// Each fault of [`synth::demo`], and whether a finding names it with its amount.
 fn planted(findings: &[Finding]) -> Vec<Planted> {
-    let named = |code: &str, topic: Option<&str>, joint: Option<&str>| {
-        let subject = move |finding: &&Finding| {
-            finding.code == code
-                && finding.subject.topic.as_deref() == topic
+    let has = |topic: Option<&str>, joint: Option<&str>, is_it: &dyn Fn(&Cause) -> bool| {
+        findings.iter().any(|finding| {
+            finding.subject.topic.as_deref() == topic
                 && finding.subject.joint.as_deref() == joint
-        };
-        findings
-            .iter()
-            .filter(subject)
-            .filter_map(|finding| finding.estimate.as_ref())
-            .collect::<Vec<_>>()
+                && is_it(&finding.cause)
+        })
     };
-    let amount = |estimates: Vec<&Estimate>, value: f64, tolerance: f64| {
-        estimates
-            .iter()
-            .filter_map(|estimate| estimate.value())
-            .any(|found| (found - value).abs() <= tolerance)
-    };
+    let near =
+        |found: &Measured, value: f64, tolerance: f64| (found.value - value).abs() <= tolerance;
     let run = synth::demo();
     let latency_s = run.pose.timing.latency_s;
     let (lift, zero_rad) = ("shoulder_lift_joint", run.joints.zero_offsets[1]);
     let drift_rad_s = run.imu.yaw_drift_rad_s;
     let degrees_a_minute = |rad_s: f64| rad_s.to_degrees() * 60.0;
-    let misread = named("ORD001", Some(synth::POSE), None)
-        .iter()
-        .any(|estimate| estimate.convention() == Some(("rotvec", "euler:xyz")));
+    let misreading = Misreading { is: Convention::RotVec, read_as: Convention::RPY };
+    let misread = Cause::Rotation(RotationSlip::Misread(misreading));
     let pose = synth::POSE;
     vec![
         Planted {
             what: format!("rotation vector read as roll-pitch-yaw on {pose}"),
-            recovered: misread,
+            recovered: has(Some(pose), None, &|cause| *cause == misread),
         },
         Planted {
             what: format!("{pose} {:.0} ms late", latency_s * 1e3),
-            recovered: amount(named("LAT001", Some(pose), None), latency_s, 1e-3),
+            recovered: has(
+                Some(pose),
+                None,
+                &|cause| matches!(cause, Cause::Latency(found) if near(found, latency_s, 1e-3)),
+            ),
         },
         Planted {
             what: format!("zero of {lift} off by {:+.1}°", zero_rad.to_degrees()),
-            recovered: amount(named("ZER001", None, Some(lift)), zero_rad, 0.05_f64.to_radians()),
+            recovered: has(None, Some(lift), &|cause| {
+                let tolerance = 0.05_f64.to_radians();
+                matches!(cause, Cause::JointZero { offset, .. } if near(offset, zero_rad, tolerance))
+            }),
         },
         Planted {
             what: format!(
@@ -109,11 +108,10 @@ fn planted(findings: &[Finding]) -> Vec<Planted> {
                 synth::IMU,
                 degrees_a_minute(drift_rad_s)
             ),
-            recovered: amount(
-                named("YAW001", Some(synth::IMU), None),
-                drift_rad_s,
-                0.15_f64.to_radians() / 60.0,
-            ),
+            recovered: has(Some(synth::IMU), None, &|cause| {
+                let tolerance = 0.15_f64.to_radians() / 60.0;
+                matches!(cause, Cause::YawDrift(found) if near(found, drift_rad_s, tolerance))
+            }),
         },
     ]
 }

@@ -2,8 +2,7 @@
 
 use polars::prelude::PolarsResult;
 
-use crate::checks::{ArmFacts, Facts, PoseFacts};
-use crate::diagnosis::PoseDiagnosis;
+use crate::checks::{ArmFacts, Facts, Of, PoseFacts};
 use crate::geometry::Pose;
 use crate::replay::{
     self, Receipts, Recording, Replay, ReplayArm, ReplayImu, ReplayStream, StreamKind,
@@ -38,10 +37,11 @@ pub(crate) fn record(
 }
 
 fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmFacts) -> PolarsResult<ReplayArm<'a>> {
-    let stream = |kind, source: &PoseSource, facts: &'a PoseFacts, found: &PoseDiagnosis| {
+    let stream = |kind, source: &PoseSource, facts: &'a Of<PoseFacts>| {
+        let found = &facts.diagnosis;
         let base_from_reference = base_from_link(arm, source.chain.base_name());
         Ok(ReplayStream {
-            topic: &facts.topic,
+            topic: facts.topic(),
             kind,
             frame: aligned_frame(&found.aligned, run.origin)?,
             received: receipts(run, source.stream),
@@ -50,11 +50,10 @@ fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmFacts) -> PolarsResult<
             latency_s: found.latency_s.as_ref().map_or(0.0, |latency| latency.value),
         })
     };
-    let poses = arm.poses.iter().zip(facts.poses());
-    let poses =
-        poses.map(|(source, (facts, found))| stream(StreamKind::Pose, source, facts, found));
+    let poses = arm.poses.iter().zip(&facts.poses);
+    let poses = poses.map(|(source, facts)| stream(StreamKind::Pose, source, facts));
     let tf = arm.tf.iter().zip(&facts.tf);
-    let tf = tf.map(|(source, (facts, found))| stream(StreamKind::Tf, source, facts, found));
+    let tf = tf.map(|(source, facts)| stream(StreamKind::Tf, source, facts));
     let imus = arm.imus.iter().zip(&facts.imus);
     Ok(ReplayArm {
         name: &arm.name,
@@ -69,10 +68,10 @@ fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmFacts) -> PolarsResult<
         corrected: facts.diagnosis.corrected_joints(&arm.joints, &arm.slides()),
         streams: poses.chain(tf).collect::<PolarsResult<_>>()?,
         imus: imus
-            .map(|(source, (facts, found))| ReplayImu {
-                topic: &facts.topic,
+            .map(|(source, facts)| ReplayImu {
+                topic: facts.topic(),
                 received: receipts(run, source.stream),
-                yaw_error: &found.yaw_error,
+                yaw_error: &facts.diagnosis.yaw_error,
             })
             .collect(),
     })

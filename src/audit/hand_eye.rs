@@ -60,6 +60,7 @@ pub(crate) fn hand_eyes(
             target: stream.child_frame_id.clone(),
             span: stream.start.zip(stream.end).map(|(start, end)| Span { start, end }),
             hand: name_of(run, &source.kind),
+            hand_frame: hand_frame_of(run, &source.kind),
             base: base_of(run, &source.kind),
             axes: target.axes,
             logged: streams.logged.map(|(mount, _)| mount),
@@ -104,6 +105,15 @@ fn base_of(run: &Run, kind: &HandKind) -> String {
         HandKind::Joints { chain, .. } => chain.base_name().to_owned(),
         HandKind::Stream { stream, .. } => run.streams[*stream].frame_id.clone(),
         HandKind::Transforms { base, .. } => base.clone(),
+    }
+}
+
+/// The frame of the hand.
+fn hand_frame_of(run: &Run, kind: &HandKind) -> String {
+    match kind {
+        HandKind::Joints { chain, .. } => chain.tip_name().to_owned(),
+        HandKind::Stream { stream, .. } => run.streams[*stream].child_frame_id.clone(),
+        HandKind::Transforms { frame, .. } => frame.clone(),
     }
 }
 

@@ -207,7 +207,7 @@ impl Audits {
             });
             read.summary.notes.extend(unused);
         }
-        let workspace = coverage(&main.run, &evaluation.checks);
+        let workspace = coverage(&main.run, &evaluation);
         let mut report =
             Report::new(read.summary, robots(&main.run), streams, evaluation, options.fail_on);
         report.workspace = workspace;
@@ -250,7 +250,7 @@ impl Audited {
         let hand_eyes = hand_eyes(&run, joints, options.max_latency_s);
         let mut facts = Facts { hand_eyes, ..facts(&run, diagnoses, read, options) };
         for (index, arm) in facts.robots.iter_mut().enumerate() {
-            arm.references = references(&run, index, &arm.diagnosis, options.max_latency_s);
+            arm.references = references(&run, index, arm, options.max_latency_s);
         }
         let evaluation = evaluate(&facts, &options.rules);
         Ok(Self { run, facts, evaluation, seconds })

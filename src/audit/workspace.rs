@@ -1,8 +1,8 @@
 //! Joins a run's joint states to where its arms have been, for the report and for tables.
 
-use crate::checks::hidden_zero;
+use crate::checks::{Evaluation, hidden_zero};
 use crate::diagnosis::{JointSpan, Workspace, reach_m};
-use crate::finding::{CheckRow, Status, Unit};
+use crate::finding::{Cause, CheckRow, Finding, Unit};
 use crate::report::{JointCoverage, WorkspaceRow};
 use crate::robot::JointKind;
 use crate::run::{Arm, JointSamples, Run};
@@ -10,14 +10,14 @@ use crate::tables::ArmWorkspace;
 
 /// Over which part of its ranges each arm moved, and what was left open for it. Arms whose joint
 /// states are to be read otherwise than they are have none.
-pub(crate) fn coverage(run: &Run, checks: &[CheckRow]) -> Vec<WorkspaceRow> {
-    let rows = run.arms.iter().filter(|arm| !is_misread(arm, checks));
-    rows.filter_map(|arm| arm_coverage(run, arm, checks)).collect()
+pub(crate) fn coverage(run: &Run, judged: &Evaluation) -> Vec<WorkspaceRow> {
+    let rows = run.arms.iter().filter(|arm| !is_misread(arm, &judged.findings));
+    rows.filter_map(|arm| arm_coverage(run, arm, &judged.checks)).collect()
 }
 
 /// The places and poses that the tip of each arm reached, by all samples of its joint states.
-pub(crate) fn reached<'a>(run: &'a Run, checks: &[CheckRow]) -> Vec<ArmWorkspace<'a>> {
-    let arms = run.arms.iter().filter(|arm| !is_misread(arm, checks));
+pub(crate) fn reached<'a>(run: &'a Run, findings: &[Finding]) -> Vec<ArmWorkspace<'a>> {
+    let arms = run.arms.iter().filter(|arm| !is_misread(arm, findings));
     let reached = arms.map(|arm| {
         let rows = Rows::of(run, arm);
         let workspace = Workspace::of(&arm.chain, (0..rows.len()).map(|row| rows.at(row)));
@@ -27,11 +27,12 @@ pub(crate) fn reached<'a>(run: &'a Run, checks: &[CheckRow]) -> Vec<ArmWorkspace
 }
 
 /// Whether the joint states of an arm are in another unit or order than they seem.
-fn is_misread(arm: &Arm, checks: &[CheckRow]) -> bool {
+fn is_misread(arm: &Arm, findings: &[Finding]) -> bool {
     let is_of_arm =
-        |row: &&CheckRow| row.subject.robot.as_ref().is_none_or(|robot| *robot == arm.name);
-    let mut rows = checks.iter().filter(is_of_arm);
-    rows.any(|row| ["ORD004", "ORD005"].contains(&row.code) && row.status == Status::Fail)
+        |found: &&Finding| found.subject.robot.as_ref().is_none_or(|robot| *robot == arm.name);
+    findings.iter().filter(is_of_arm).any(|found| {
+        matches!(found.cause, Cause::AngleUnit(_) | Cause::JointUnit(_) | Cause::JointOrder { .. })
+    })
 }
 
 fn arm_coverage(run: &Run, arm: &Arm, checks: &[CheckRow]) -> Option<WorkspaceRow> {

@@ -1,7 +1,7 @@
 use crate::checks::frames::{self, End, FIGURES, show, show_pose};
-use crate::checks::{ArmFacts, Facts, Grade, Judged, PoseFacts};
+use crate::checks::{ArmFacts, Facts, Grade, Judged, Of, PoseFacts};
 use crate::diagnosis::{FrameEstimate, Twin};
-use crate::finding::{Evidence, Fault, Severity, Unit};
+use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
 
 rule! {
     /// The tool frame of a stream is off by a constant.
@@ -50,7 +50,7 @@ fn check(facts: &Facts) -> Vec<Judged> {
     frames::judge(facts, &tool)
 }
 
-fn fault(_: &ArmFacts, stream: &PoseFacts, frame: &FrameEstimate, severity: Severity) -> Fault {
+fn fault(_: &ArmFacts, stream: &Of<PoseFacts>, frame: &FrameEstimate, severity: Severity) -> Fault {
     let tip = &stream.tip;
     let (severity, guess) = match stream.tip_named {
         true => (severity, ""),
@@ -59,6 +59,7 @@ fn fault(_: &ArmFacts, stream: &PoseFacts, frame: &FrameEstimate, severity: Seve
     let (offset, pose) = (Unit::Metre.show(frame.translation_m.value), show_pose(&frame.pose));
     Fault {
         severity,
+        cause: Cause::Tool(frame.pose),
         title: "tool frame is off",
         message: format!("poses are {} off from {tip}{guess}", show(frame)),
         evidence: Evidence {
@@ -79,7 +80,7 @@ mod tests {
         let mut facts = clean_run();
         let arm = &mut facts.robots[0];
         arm.poses[0].tip_named = tip_named;
-        arm.diagnosis.streams[0].tool = Ok(FrameEstimate { chosen: true, ..frame(0.14) });
+        arm.poses[0].diagnosis.tool = Ok(FrameEstimate { chosen: true, ..frame(0.14) });
         ask(&FRM003, &facts).1.first().map(|finding| finding.severity)
     }
 

@@ -1,7 +1,7 @@
 use serde_json::{Value, json};
 
 use crate::checks::{Facts, Grade, Judged};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::run::{Apart, Flaw, FlawKind};
 
 rule! {
@@ -64,6 +64,7 @@ fn judge(flaw: &Flaw) -> Judged {
         ..Subject::default()
     };
     let fault = Fault {
+        cause: Cause::Frames,
         severity: said.severity,
         title: said.title,
         message: said.message,

@@ -2,7 +2,7 @@ use serde_json::{Value, json};
 
 use crate::checks::decision::Figure;
 use crate::checks::{Facts, Grade, Judged, Of};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::run::{Norms, Written};
 
 rule! {
@@ -111,6 +111,7 @@ fn fault(facts: &Facts, worst: &Norms, severity: Severity) -> Fault {
         Written::Matrix => ("matrix is not orthonormal", "matrices are off orthonormal"),
     };
     Fault {
+        cause: Cause::Other,
         severity,
         title,
         message: format!("{what} by up to {shown}{when}, {half}"),

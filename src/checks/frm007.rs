@@ -1,7 +1,7 @@
 use serde_json::{Value, json};
 
 use crate::checks::{Facts, Grade, Judged, Of};
-use crate::finding::{Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::WhyNot;
 
 rule! {
@@ -57,6 +57,7 @@ fn judge(stream: &Of<Vec<WhyNot>>) -> Vec<Judged> {
     let of = |why: &WhyNot| {
         let Words { why: name, title, message, fix, evidence } = words(why);
         let fault = Fault {
+            cause: Cause::Other,
             severity: Severity::Warning,
             title,
             message,

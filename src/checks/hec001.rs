@@ -4,10 +4,11 @@ use crate::checks::hand_eye::{
     FIGURES, LEAST_SPAN, SETTLE, does_not_follow, is_mount_decided, unseen, with_solution,
 };
 use crate::checks::{
-    ArmFacts, Facts, FrameFigures, Grade, HandEyeFacts, Judged, hec002, hec003, mdl001,
+    ArmFacts, Facts, FrameFigures, Grade, HandEyeFacts, Judged, Of, PoseFacts, hec002, hec003,
+    mdl001,
 };
-use crate::diagnosis::{Mount, PoseDiagnosis, Solution, TargetReading};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::diagnosis::{Mount, Solution, TargetReading};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
     /// A hand-eye chain does not close.
@@ -109,6 +110,11 @@ fn judge(run: &Facts, arm: Option<&ArmFacts>, facts: &HandEyeFacts) -> Judged {
                     }
                     Decision::Fail(severity) => Outcome::faulty(Fault {
                         severity,
+                        cause: Cause::CameraMount {
+                            in_hand: is_mount_decided(best).then_some(best.mount == Mount::InHand),
+                            parent: facts.parent_of(best.mount),
+                            pose: best.camera.pose,
+                        },
                         title: "camera is not where frames say",
                         message: format!("the camera is {} off the log's frames", show(error)),
                         evidence: Evidence {
@@ -134,9 +140,10 @@ fn judge(run: &Facts, arm: Option<&ArmFacts>, facts: &HandEyeFacts) -> Judged {
 /// Why an open chain says nothing of hand and eye, where the arm's model may be what opens it: FK by
 /// it is the hand.
 fn wrong_model(arm: &ArmFacts, open_m: f64) -> Option<String> {
-    let left =
-        |(_, stream): (_, &PoseDiagnosis)| stream.residual.as_ref().ok()?.excess_m.value.into();
-    let nominal_m = arm.poses().filter(|(_, stream)| stream.nominal).filter_map(left);
+    let left = |stream: &Of<PoseFacts>| {
+        stream.diagnosis.residual.as_ref().ok().map(|residual| residual.excess_m.value)
+    };
+    let nominal_m = arm.poses.iter().filter(|stream| stream.diagnosis.nominal).filter_map(left);
     let nominal_m: f64 = nominal_m.fold(0.0, f64::max);
     if nominal_m > 0.0 && open_m < 3.0 * nominal_m {
         let left = Unit::Metre.show(nominal_m);
@@ -178,6 +185,7 @@ fn open_chain(solution: &Solution, severity: Severity) -> Fault {
     let rad = Unit::Radian.show_measured(&closure.excess_rad);
     Fault {
         severity,
+        cause: Cause::Other,
         title: "hand-eye chain is open",
         message: format!(
             "{m} and {rad} rms are left beyond the noise at the best pose of the camera ({})",
@@ -199,6 +207,7 @@ fn misread(reading: &TargetReading, as_logged: &Solution, figures: &FrameFigures
         .max(figures.angle.severity(closure.excess_rad.value));
     Fault {
         severity: severity.unwrap_or(Severity::Warning),
+        cause: Cause::Other,
         title: "target's poses are misread",
         message: format!("{m} and {rad} rms are left as logged, and it closes if {words}"),
         evidence: Evidence { effect_m: Some(closure.rms_m), ..Evidence::default() },
@@ -218,6 +227,7 @@ fn other_mount(logged: Mount) -> Fault {
     };
     Fault {
         severity: Severity::Error,
+        cause: Cause::Other,
         title: "camera is mounted otherwise",
         message: format!(
             "the log's frames have the camera {}, and the chain closes only with it {} or with the \

@@ -2,7 +2,7 @@ use crate::checks::decision::DEGREE;
 use crate::checks::hand_eye::{FIGURES, LEAST_SPAN, LEAST_SPREAD, does_not_follow, unseen};
 use crate::checks::{Facts, FrameFigures, Grade, HandEyeFacts, Judged, hec001};
 use crate::diagnosis::{CameraPose, Diversity, Measured};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
     /// A hand turns too little to solve hand and eye.
@@ -104,6 +104,7 @@ fn fault(diversity: &Diversity, needed: [f64; 2], undetermined: &[String]) -> Fa
         some => format!("; it leaves the camera open {}", some.join(", ")),
     };
     Fault {
+        cause: Cause::Other,
         severity: Severity::Warning,
         title: "too little rotation",
         message: message + &limits,

@@ -2,7 +2,7 @@ use crate::checks::decision::DEGREE;
 use crate::checks::hand_eye::{does_not_follow, unseen};
 use crate::checks::{Facts, Grade, HandEyeFacts, Judged};
 use crate::diagnosis::TargetReading;
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, rounded};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, rounded};
 use crate::geometry::{Rotation, Vec3, angle_between, rotation_from_rpy};
 use crate::run::CameraAxes;
 
@@ -199,6 +199,7 @@ fn fault(facts: &HandEyeFacts, swap: &Swap) -> Fault {
         ),
     };
     Fault {
+        cause: Cause::Other,
         severity: Severity::Error,
         title: "camera axes are swapped",
         message,

@@ -1,5 +1,5 @@
 use crate::checks::{Facts, Grade, Judged};
-use crate::finding::{Evidence, Fault, Outcome, Severity, Span, Subject};
+use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Span, Subject};
 use crate::log::{Extent, Loss};
 
 rule! {
@@ -66,6 +66,7 @@ fn judge(loss: &Loss) -> Judged {
         }
     };
     let fault = Fault {
+        cause: Cause::Other,
         severity,
         title,
         message: message(loss),

@@ -1,5 +1,5 @@
 use crate::checks::{Facts, Grade, Judged, Undecodable, UndecodableTopic};
-use crate::finding::{Evidence, Fault, Outcome, Severity, Subject};
+use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Subject};
 
 rule! {
     /// A topic that the audit wants cannot be decoded.
@@ -51,6 +51,7 @@ fn judge(topic: &UndecodableTopic) -> Judged {
         ),
     };
     let fault = Fault {
+        cause: Cause::Other,
         severity: Severity::Warning,
         title: "topic cannot be decoded",
         message,

@@ -1,5 +1,5 @@
 use crate::checks::{Facts, Grade, Judged, Of, UnusableFacts};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity};
 
 rule! {
     /// Samples hold numbers that nothing can have.
@@ -65,6 +65,7 @@ fn judge(stream: &Of<UnusableFacts>) -> Judged {
         of(unset, "have no orientation, while the others have: of these the positions are audited"),
     ];
     let fault = Fault {
+        cause: Cause::Other,
         severity: if are_few { Severity::Info } else { Severity::Warning },
         title: "samples hold no usable numbers",
         message: said.into_iter().flatten().collect::<Vec<_>>().join("; "),

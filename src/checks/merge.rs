@@ -45,6 +45,7 @@ pub fn merged(parts: Vec<Part>, main: usize) -> Evaluation {
         for mut finding in evaluation.findings.into_iter().filter(|found| !is_told(found.code)) {
             if !finding.code.starts_with("ING") {
                 finding.message += &format!(", in segment {} of {count}", index + 1);
+                finding.segment = Some(index);
                 let segment: Value = json!({ "number": index + 1, "of": count });
                 finding.evidence.more.insert("segment".to_owned(), segment);
             }
@@ -107,7 +108,7 @@ mod tests {
 
     fn part(latency: Result<f64, Unseen>, is_short: bool) -> Part {
         let mut facts = clean_run();
-        facts.robots[0].diagnosis.streams[0].latency_s = latency.map(sure);
+        facts.robots[0].poses[0].diagnosis.latency_s = latency.map(sure);
         Part { evaluation: evaluate(&facts, &Settings::default()), is_short }
     }
 

@@ -24,7 +24,7 @@ use std::fmt;
 use serde_json::{Map, Value};
 
 use crate::finding::{
-    CheckRow, Estimate, Finding, Ignored, Outcome, Ruling, Severity, Span, Status, Subject,
+    Cause, CheckRow, Estimate, Finding, Ignored, Outcome, Ruling, Severity, Span, Status, Subject,
 };
 
 pub use decision::{Decision, Figure, FrameFigures, decide, decide_both, decide_frame};
@@ -35,11 +35,13 @@ pub use facts::{
     WitnessKind,
 };
 pub use figures::{Figures, Limit};
+pub(crate) use lat001::LAT001;
 pub use merge::{Part as EvaluatedPart, merged};
 pub(crate) use observability::hidden_zero;
 pub use observability::{Blind, Part, StreamObservability};
 pub(crate) use reading::read_as as reading_names;
 pub use settings::{Exemption, Selector, Settings, UnknownRule};
+pub(crate) use zer001::ZER001;
 
 /// Declares a rule; its doc comment is the text that `explain` prints.
 macro_rules! rule {
@@ -47,7 +49,7 @@ macro_rules! rule {
         limits: $limits:expr, $($field:ident: $value:expr),* $(,)?
     }) => {
         $(#[doc = $line])*
-        pub(super) static $code: $crate::checks::Rule = $crate::checks::Rule {
+        pub(crate) static $code: $crate::checks::Rule = $crate::checks::Rule {
             code: stringify!($code),
             doc: concat!($($line, "\n"),*),
             limits: $limits,
@@ -278,6 +280,13 @@ impl Judged {
         Self { estimate: estimate.into(), ..self }
     }
 
+    /// Names the cause of its fault, where it found one.
+    fn caused_by(&mut self, cause: Cause) {
+        if let Outcome::Evaluated(Ruling::Faulty(fault)) = &mut self.outcome {
+            fault.cause = cause;
+        }
+    }
+
     fn with_evidence(mut self, key: &str, value: impl Into<Value>) -> Self {
         self.evidence.insert(key.to_owned(), value.into());
         self
@@ -355,6 +364,8 @@ impl Evaluation {
                     title: fault.title,
                     message: fault.message,
                     subject: row.subject.clone(),
+                    cause: fault.cause,
+                    segment: None,
                     estimate: row.estimate.clone(),
                     evidence,
                     fix: fault.fix,
@@ -456,7 +467,7 @@ mod tests {
     #[test]
     fn a_severity_that_is_set_is_that_of_all_but_what_is_meant_so() {
         let mut facts = testing::clean_run();
-        facts.robots[0].diagnosis.streams[0].latency_s = Ok(testing::sure(0.05));
+        facts.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.05));
         let mut settings = Settings::default();
         settings.severities.push(("LAT001", Severity::Warning));
         let found = evaluate(&facts, &settings).findings;
@@ -468,7 +479,7 @@ mod tests {
     #[test]
     fn what_is_exempt_is_said_and_not_counted() {
         let mut facts = testing::clean_run();
-        facts.robots[0].diagnosis.streams[0].latency_s = Ok(testing::sure(0.05));
+        facts.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.05));
         let exemption = |topic: &str| Exemption {
             rules: "LAT".parse().expect("a family"),
             subject: Subject { topic: Some(topic.to_owned()), ..Subject::default() },
@@ -494,11 +505,10 @@ mod tests {
     #[test]
     fn findings_stand_by_gravity_and_then_by_effect() {
         let mut facts = testing::clean_run();
-        let diagnosis = &mut facts.robots[0].diagnosis;
-        diagnosis.streams[0].latency_s = Ok(testing::sure(0.003));
+        facts.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.003));
         for (joint, degrees) in [(1, 0.6), (2, 2.0)] {
             let radians = f64::to_radians(degrees);
-            let offset = &mut diagnosis.offsets[joint];
+            let offset = &mut facts.robots[0].diagnosis.offsets[joint];
             (offset.offset, offset.chosen) = (Ok(testing::sure(radians)), true);
             offset.effect_m = radians;
         }

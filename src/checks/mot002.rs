@@ -1,7 +1,7 @@
 use crate::checks::mot003::doubt;
 use crate::checks::{ArmFacts, Facts, Grade, JointFacts, Judged, Limit};
 use crate::diagnosis::Abruptness;
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
     /// A joint stops, or starts, abruptly.
@@ -123,6 +123,7 @@ const BEYOND_ARMS: f64 = 1e4;
 fn fault(facts: &Facts, found: &Abruptness, limit: f64, unit: &str) -> Fault {
     if found.acceleration >= BEYOND_ARMS {
         return Fault {
+            cause: Cause::Other,
             severity: Severity::Warning,
             title: "its numbers leap as no joint does",
             message: format!(
@@ -137,6 +138,7 @@ fn fault(facts: &Facts, found: &Abruptness, limit: f64, unit: &str) -> Fault {
         };
     }
     Fault {
+        cause: Cause::Other,
         severity: Severity::Warning,
         title: "abrupt stop or start",
         message: format!(

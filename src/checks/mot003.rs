@@ -2,7 +2,7 @@ use serde_json::{Value, json};
 
 use crate::checks::{ArmFacts, Facts, Grade, JointFacts, Judged};
 use crate::diagnosis::{Excess, Unseen};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
     /// A joint goes beyond its position or speed limits.
@@ -65,7 +65,7 @@ fn check(facts: &Facts) -> Vec<Judged> {
 /// Why the numbers of the joint states cannot be held against limits or called motion, where they
 /// cannot.
 pub(super) fn doubt(arm: &ArmFacts) -> Option<String> {
-    let why = match &arm.diagnosis.joints {
+    let why = match &arm.diagnosis.reading {
         Ok(reading) if reading.degrees.is_some() || reading.permutation.is_some() => {
             "the joint positions are not what their names and units say; read them right first \
              (ORD004, ORD005)"
@@ -119,6 +119,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, index: usize, joint: &JointFacts) -> Jud
     let unit = arm.joint_unit(index);
     let told: Vec<String> = broken.iter().map(|broken| tell(facts, broken, unit)).collect();
     let fault = Fault {
+        cause: Cause::Other,
         severity: worst.severity,
         title: "joint limit exceeded",
         message: told.join("; "),

@@ -2,9 +2,9 @@ use serde_json::{Value, json};
 
 use crate::checks::decision::{DEGREE, Decision, Figure, FrameFigures, decide_length};
 use crate::checks::reference::{self, witness_name};
-use crate::checks::{ArmFacts, Facts, Grade, Judged, ReferenceFacts};
+use crate::checks::{ArmFacts, Facts, Grade, Judged, Of, ReferenceFacts};
 use crate::diagnosis::{Line, LineWitness, Measured};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
     /// A commanded straight line is not straight, or its orientation is not a slerp.
@@ -93,9 +93,9 @@ fn worst<'a>(
     kept.max_by(|a, b| size(a.0, a.1, figures).total_cmp(&size(b.0, b.1, figures)))
 }
 
-fn judge(facts: &Facts, arm: &ArmFacts, reference: &ReferenceFacts) -> Judged {
+fn judge(facts: &Facts, arm: &ArmFacts, reference: &Of<ReferenceFacts>) -> Judged {
     let figures = &figures(facts);
-    let judged = |outcome| Judged::new(arm.topic(&reference.topic), outcome).within(reference.span);
+    let judged = |outcome| Judged::new(reference.subject.clone(), outcome).within(reference.span);
     let found = match reference::found(arm, reference, SETTLE) {
         Ok(found) => found,
         Err(outcome) => return judged(outcome),
@@ -179,6 +179,7 @@ fn leaves(facts: &Facts, line: &Line, measured: &LineWitness, lines: usize) -> O
         }
         Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
         Decision::Fail(severity) => Outcome::faulty(Fault {
+            cause: Cause::Other,
             severity,
             title: "commanded line is not straight",
             message: format!(
@@ -214,6 +215,7 @@ fn swings(line: &Line, figures: &FrameFigures) -> Outcome {
         }
     };
     Outcome::faulty(Fault {
+        cause: Cause::Other,
         severity: severity.unwrap_or(Severity::Info),
         title: "line's orientation is no slerp",
         message: format!("the commanded orientation is {off} off the slerp of {turn}{as_if}"),
@@ -238,6 +240,7 @@ fn with_distance(
     };
     match decide(facts, &off_line, measured, lines) {
         Decision::Fail(severity) => Outcome::faulty(Fault {
+            cause: Cause::Other,
             severity: severity.max(fault.severity),
             message: format!("{}, and the tip is {distance} off the line", fault.message),
             ..*fault
@@ -254,7 +257,7 @@ mod tests {
 
     fn planted(change: impl Fn(&mut Line)) -> Facts {
         let mut facts = clean_run();
-        if let Ok(Ok(found)) = &mut facts.robots[0].references[0].found {
+        if let Ok(Ok(found)) = &mut facts.robots[0].references[0].diagnosis {
             change(&mut found.lines[0]);
         }
         facts

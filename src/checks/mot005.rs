@@ -1,7 +1,7 @@
 use serde_json::{Value, json};
 
 use crate::checks::{Facts, Grade, Judged, Of, StrayFacts};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::run::{FEWEST_SAMPLES, Strays};
 
 rule! {
@@ -125,6 +125,7 @@ fn fault(
         (if count == 1 { "sample jumps" } else { "samples jump" }, stream.subject.label());
     let most = if count == 1 { "" } else { "up to " };
     Fault {
+        cause: Cause::Other,
         severity: Severity::Warning,
         title: "samples jump away and back",
         message: format!(

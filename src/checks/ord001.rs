@@ -2,7 +2,7 @@ use crate::checks::reading::{self, Kind, Wording, read_as, read_as_misreading, w
 use crate::checks::{Facts, Grade, Judged};
 use crate::diagnosis::{Reading, ReadingEstimate};
 use crate::finding::{Estimate, RunnerUp, Severity, Unit};
-use crate::geometry::{Convention, Misreading};
+use crate::geometry::{Convention, Misreading, RotationSlip};
 
 rule! {
     /// Rotation numbers of one convention are read as another.
@@ -70,6 +70,7 @@ fn word(estimate: &ReadingEstimate) -> Option<Wording> {
         what: format!("{} read as {}", words(named.is), words(named.read_as)),
         once: format!("read as {}", words(named.is)),
         fix: fix(named),
+        slip: RotationSlip::Misread(*named),
         estimate: Estimate::Convention {
             name: "convention",
             is: named.is.to_string(),

@@ -2,7 +2,7 @@ use crate::checks::reading::{self, Kind, Wording, quaternion_orders};
 use crate::checks::{Facts, Grade, Judged};
 use crate::diagnosis::{Reading, ReadingEstimate};
 use crate::finding::{Estimate, Severity};
-use crate::geometry::QuaternionSlip;
+use crate::geometry::{QuaternionSlip, RotationSlip};
 
 rule! {
     /// Quaternion components stand in the wrong order.
@@ -62,6 +62,7 @@ fn word(estimate: &ReadingEstimate) -> Option<Wording> {
         what: format!("quaternion {right} read as {wrong}"),
         once: format!("read as {right}"),
         fix: fix.to_owned(),
+        slip: RotationSlip::Quaternion(slip),
         estimate: Estimate::slip("quaternion order", is, read_as),
     })
 }

@@ -1,7 +1,8 @@
 use crate::checks::reading::{self, Kind, Wording};
 use crate::checks::{Facts, Grade, Judged};
 use crate::diagnosis::{PoseDiagnosis, Reading, ReadingEstimate};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::geometry::{RotationSlip, Slip};
 
 rule! {
     /// A rotation or a whole pose is inverted.
@@ -41,16 +42,24 @@ rule! {
 fn check(facts: &Facts) -> Vec<Judged> {
     let mut judged = reading::judge(facts, Kind::Direction, word);
     // Positions tell an inverse where orientations say nothing.
-    let inverted = facts.poses().filter(|(_, _, found)| found.inverted && found.reading.is_err());
-    for (arm, stream, found) in inverted.filter(|(_, _, found)| !found.strays()) {
-        let subject = arm.topic(&stream.topic);
-        if let Some(row) = judged.iter_mut().find(|row| row.subject == subject) {
-            *row = Judged::new(subject, Outcome::faulty(by_positions(found)))
-                .within(stream.span)
-                .estimated(Estimate::slip("direction", "pose-inverse", "pose"));
+    let inverted = facts.poses().filter(|(_, stream)| {
+        let found = &stream.diagnosis;
+        found.inverted && found.reading.is_err() && !found.strays()
+    });
+    for (_, stream) in inverted {
+        if let Some(row) = judged.iter_mut().find(|row| row.subject == stream.subject) {
+            *row = stream
+                .judged(Outcome::faulty(by_positions(&stream.diagnosis)))
+                .estimated(direction(RotationSlip::Inverted));
         }
     }
     judged
+}
+
+/// The estimate of a transposed rotation or an inverted pose.
+fn direction(slip: RotationSlip) -> Estimate {
+    let Slip { is, read_as } = slip.into();
+    Estimate::slip("direction", is, read_as)
 }
 
 fn by_positions(found: &PoseDiagnosis) -> Fault {
@@ -59,6 +68,7 @@ fn by_positions(found: &PoseDiagnosis) -> Fault {
         .map(|left| left.unwrap_or_default());
     Fault {
         severity: Severity::Error,
+        cause: Cause::Rotation(RotationSlip::Inverted),
         title: "pose is inverted",
         message: format!(
             "positions are those of the inverse of what its frames say, {} off as logged",
@@ -78,18 +88,18 @@ const EXCHANGE: &str =
     "exchange parent and child: publish base_from_tip, as lookup_transform(base, tip) gives it";
 
 fn word(estimate: &ReadingEstimate) -> Option<Wording> {
-    let (title, what, fix, is) = match estimate.best {
+    let (title, what, fix, slip) = match estimate.best {
         _ if estimate.inverted => (
             "pose is inverted",
             "the pose is the inverse of what its frames say",
             EXCHANGE,
-            "pose-inverse",
+            RotationSlip::Inverted,
         ),
         Reading::Transposed => (
             "rotation is transposed",
             "the rotation is the transpose of what the frames say",
             "invert the rotation where it is written; a matrix stored by columns is read by columns",
-            "transpose",
+            RotationSlip::Transposed,
         ),
         _ => return None,
     };
@@ -98,6 +108,7 @@ fn word(estimate: &ReadingEstimate) -> Option<Wording> {
         what: what.to_owned(),
         once: "inverted".to_owned(),
         fix: fix.to_owned(),
-        estimate: Estimate::slip("direction", is, "pose"),
+        slip,
+        estimate: direction(slip),
     })
 }

@@ -1,7 +1,8 @@
 use crate::checks::decision::unseen;
 use crate::checks::{ArmFacts, Facts, Grade, Judged};
 use crate::diagnosis::{JointUnit, UnitSlip};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
+use crate::geometry::{AngleUnit, Slip};
 
 rule! {
     /// Degrees stand where radians belong, or the other way round.
@@ -44,11 +45,14 @@ fn check(facts: &Facts) -> Vec<Judged> {
 
 fn judge_arm(arm: &ArmFacts) -> Vec<Judged> {
     let topic = arm.topic(&arm.joints_topic);
-    let joints = match &arm.diagnosis.joints {
+    let joints = match &arm.diagnosis.reading {
         Err(why) => vec![Judged::new(topic, unseen(why, "log a pose or /tf too"))],
         Ok(reading) => {
             let alone = reading.slips_of(JointUnit::Degrees).map(|(slip, left)| {
-                judge(arm, arm.joint_states(slip.column), Some(left), Unit::Metre, Taken::Logged)
+                let subject = arm.joint_states(slip.column);
+                let mut judged = judge(arm, subject, Some(left), Unit::Metre, Taken::Logged);
+                judged.caused_by(Cause::JointUnit(slip.factor));
+                judged
             });
             let alone: Vec<Judged> = alone.collect();
             match alone.is_empty() {
@@ -57,18 +61,16 @@ fn judge_arm(arm: &ArmFacts) -> Vec<Judged> {
             }
         }
     };
-    let numbers = arm.poses().filter_map(|(stream, diagnosis)| {
+    let numbers = arm.poses.iter().filter_map(|stream| {
         let declared = stream.declared.and_then(|declared| declared.angles);
         if stream.bare {
             let why = "bare numbers of which nothing is declared have no unit to violate";
-            let judged =
-                Judged::new(arm.topic(&stream.topic), Outcome::sound_because(why.to_owned()));
-            return (stream.bare_numbers && diagnosis.degrees.is_some())
-                .then(|| judged.within(stream.span));
+            return (stream.bare_numbers && stream.diagnosis.degrees.is_some())
+                .then(|| stream.judged(Outcome::sound_because(why.to_owned())));
         }
         let taken = if stream.bare_numbers { Taken::Logged } else { Taken::Declared(declared?) };
-        let subject = arm.topic(&stream.topic);
-        let judged = judge(arm, subject, diagnosis.degrees, Unit::Radian, taken);
+        let subject = stream.subject.clone();
+        let judged = judge(arm, subject, stream.diagnosis.degrees, Unit::Radian, taken);
         Some(judged.within(stream.span))
     });
     joints.into_iter().map(|joints| joints.within(arm.span)).chain(numbers).collect()
@@ -79,17 +81,17 @@ fn judge_arm(arm: &ArmFacts) -> Vec<Judged> {
 enum Taken {
     /// Radians, as every log should have them.
     Logged,
-    /// What the caller declared them to be, `deg` or `rad`.
-    Declared(&'static str),
+    /// What the caller declared them to be.
+    Declared(AngleUnit),
 }
 
 impl Taken {
-    /// The names of the unit that they are in, if it is the other one, and of the one they are
-    /// taken for.
-    fn slip(self) -> [&'static str; 2] {
+    /// The unit that they are in, if it is the other one, and the one they are taken for.
+    fn slip(self) -> Slip<AngleUnit> {
+        let (degrees, radians) = (AngleUnit::Degree, AngleUnit::Radian);
         match self {
-            Self::Declared("deg") => ["rad", "deg"],
-            Self::Logged | Self::Declared(_) => ["deg", "rad"],
+            Self::Declared(AngleUnit::Degree) => Slip { is: radians, read_as: degrees },
+            Self::Logged | Self::Declared(_) => Slip { is: degrees, read_as: radians },
         }
     }
 }
@@ -105,15 +107,14 @@ fn judge(
     let Some(slip) = slip else {
         return Judged::new(subject, Outcome::sound());
     };
-    let [is, read_as] = taken.slip();
-    let word = |unit: &str| if unit == "deg" { "degrees" } else { "radians" };
-    let (title, what, fix) = match (taken, is) {
+    let unit = taken.slip();
+    let (title, what, fix) = match (taken, unit.is) {
         (Taken::Logged, _) => (
             "degrees where radians belong",
             "the numbers are degrees where radians belong".to_owned(),
             format!("publish {topic} in radians: np.deg2rad(q)"),
         ),
-        (Taken::Declared(_), "deg") => (
+        (Taken::Declared(_), AngleUnit::Degree) => (
             "degrees declared as radians",
             "the numbers are degrees and were declared as radians".to_owned(),
             format!("declare {topic} with `,deg`"),
@@ -127,10 +128,11 @@ fn judge(
     let (before, after) = (residual.show(slip.as_logged), residual.show(slip.corrected));
     let fault = Fault {
         severity: Severity::Error,
+        cause: Cause::AngleUnit(unit),
         title,
         message: format!("{what}, {before} off as logged"),
         evidence: Evidence {
-            effect: Some(format!("{after} once read as {}", word(is))),
+            effect: Some(format!("{after} once read as {}", unit.is.words())),
             effect_m: Some(match residual {
                 Unit::Metre => slip.as_logged,
                 _ => slip.as_logged * arm.reach_m,
@@ -140,7 +142,7 @@ fn judge(
         fix,
     };
     Judged::new(subject, Outcome::faulty(fault))
-        .estimated(Estimate::slip("angle unit", is, read_as))
+        .estimated(Estimate::slip("angle unit", unit.is.symbol(), unit.read_as.symbol()))
         .with_evidence("as_logged", slip.as_logged)
         .with_evidence("corrected", slip.corrected)
 }

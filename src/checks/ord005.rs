@@ -1,7 +1,7 @@
 use crate::checks::decision::unseen;
 use crate::checks::{ArmFacts, Facts, Grade, Judged};
 use crate::diagnosis::JointReading;
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
     /// Joint names and positions are paired in the wrong order.
@@ -43,7 +43,7 @@ fn check(facts: &Facts) -> Vec<Judged> {
 
 fn judge(arm: &ArmFacts) -> Judged {
     let subject = arm.topic(&arm.joints_topic);
-    match &arm.diagnosis.joints {
+    match &arm.diagnosis.reading {
         Err(why) => Judged::new(subject, unseen(why, "log a pose that does not come from /tf too")),
         Ok(JointReading { permutation: None, .. }) => Judged::new(subject, Outcome::sound()),
         Ok(JointReading { permutation: Some((order, slip)), runner_up_m, .. }) => {
@@ -56,6 +56,7 @@ fn judge(arm: &ArmFacts) -> Judged {
             let swapped = names.iter().zip(&is).filter(|(name, is)| name != is).count();
             let fault = Fault {
                 severity: Severity::Error,
+                cause: Cause::JointOrder { is: is.clone(), read_as: names.clone() },
                 title: "joint names and positions in different orders",
                 message: format!(
                     "{swapped} positions stand under other joints' names, {before} off as logged"

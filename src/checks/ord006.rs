@@ -2,7 +2,7 @@ use serde_json::{Value, json};
 
 use crate::checks::decision::DEGREE;
 use crate::checks::{ArmFacts, EulerFacts, Facts, Grade, Judged, Limit};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Span, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Span, Unit};
 
 rule! {
     /// An Euler-coded stream works near gimbal lock.
@@ -54,14 +54,14 @@ const LISTED: usize = 10;
 
 fn check(facts: &Facts) -> Vec<Judged> {
     let of_arm = |arm: &ArmFacts| -> Vec<Judged> {
-        let numbers = arm.poses().filter_map(|(stream, _)| {
+        let numbers = arm.poses.iter().filter_map(|stream| {
             let coded = stream.euler.as_ref()?;
             let judged = match stream.bare {
                 true => Judged::new(
-                    arm.topic(&stream.topic),
+                    stream.subject.clone(),
                     Outcome::sound_because("nobody declared how it is coded".to_owned()),
                 ),
-                false => judge(facts, arm, &stream.topic, coded),
+                false => judge(facts, arm, stream.topic(), coded),
             };
             Some(judged.within(stream.span))
         });
@@ -116,6 +116,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, topic: &str, coded: &EulerFacts) -> Judg
     let outcome = match longest {
         None => Outcome::sound(),
         Some(longest) => Outcome::faulty(Fault {
+            cause: Cause::Other,
             severity: Severity::Warning,
             title: "Euler angles near gimbal lock",
             message: format!(

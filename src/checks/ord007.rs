@@ -2,7 +2,8 @@ use serde_json::json;
 
 use crate::checks::{ArmFacts, DhFacts, Facts, Grade, Judged};
 use crate::diagnosis::{DhEstimate, DhStream, DhTold};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::robot::DhConvention;
 
 rule! {
     /// The DH table fits only under the other DH convention.
@@ -58,7 +59,7 @@ fn judge(arm: &ArmFacts, facts: &DhFacts) -> Judged {
             Outcome::Skipped("no pose stream to hold the DH table against".to_owned())
         }
         DhTold::AsDeclared => Outcome::sound(),
-        DhTold::Other => Outcome::faulty(fault([is, read_as], estimate)),
+        DhTold::Other => Outcome::faulty(fault(convention.other(), estimate)),
         DhTold::Either => Outcome::Inconclusive(format!(
             "the rows explain the streams as {read_as}, with {}, and as {is}, with {}; see where the \
              table comes from",
@@ -73,7 +74,7 @@ fn judge(arm: &ArmFacts, facts: &DhFacts) -> Judged {
     let finite = |value: f64| Some(value).filter(|value| value.is_finite());
     let streams = arm.poses.iter().zip(&estimate.streams).map(|(facts, stream)| {
         json!({
-            "topic": facts.topic,
+            "topic": facts.topic(),
             "declared_m": finite(stream.declared.m),
             "declared_rad": finite(stream.declared.rad),
             "declared_positions_m": stream.declared_positions_m,
@@ -100,7 +101,8 @@ fn faults(count: usize) -> String {
     }
 }
 
-fn fault([is, read_as]: [&'static str; 2], estimate: &DhEstimate) -> Fault {
+fn fault(convention: DhConvention, estimate: &DhEstimate) -> Fault {
+    let (is, read_as) = (convention.name(), convention.other().name());
     let speaking = || estimate.streams.iter().filter(|stream| stream.speaks_for_other());
     let off = |stream: &DhStream| match stream.declared.m.is_finite() {
         true => Some(stream.declared.m),
@@ -118,6 +120,7 @@ fn fault([is, read_as]: [&'static str; 2], estimate: &DhEstimate) -> Fault {
     };
     Fault {
         severity: Severity::Error,
+        cause: Cause::Dh(convention),
         title: "DH table of the other convention",
         message,
         evidence: Evidence {

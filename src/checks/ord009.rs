@@ -1,7 +1,7 @@
 use crate::checks::decision::unseen;
 use crate::checks::{ArmFacts, Facts, Grade, Judged};
 use crate::diagnosis::{JointScale, UnitSlip};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, JointScaling, Outcome, Severity, Unit};
 use serde_json::json;
 use std::f64::consts::TAU;
 
@@ -55,7 +55,7 @@ fn check(facts: &Facts) -> Vec<Judged> {
 
 fn judge_arm(arm: &ArmFacts) -> Vec<Judged> {
     let topic = arm.topic(&arm.joints_topic);
-    let (scales, reading) = match &arm.diagnosis.joints {
+    let (scales, reading) = match &arm.diagnosis.reading {
         Ok(reading) => (&arm.diagnosis.scales, reading),
         Err(why) => {
             let outcome = unseen(why, "log a pose that does not come from /tf too");
@@ -71,7 +71,7 @@ fn judge_arm(arm: &ArmFacts) -> Vec<Judged> {
         };
         let names = joints.iter().filter_map(|other| arm.joints.get(other.column));
         let names: Vec<&str> = names.map(|joint| joint.name.as_str()).collect();
-        let fault = fault(arm, scale, is_all, &left);
+        let fault = fault(arm, scale, joints, &left);
         Judged::new(subject, Outcome::faulty(fault))
             .within(arm.span)
             .estimated(Estimate::amount("joint scale", Unit::One, &scale.factor))
@@ -99,14 +99,14 @@ fn is_same(a: &JointScale, b: &JointScale) -> bool {
     apart < (SAME * a.factor.value.abs()).max(4.0 * known)
 }
 
-fn fault(arm: &ArmFacts, scale: &JointScale, is_all: bool, left: &UnitSlip) -> Fault {
+fn fault(arm: &ArmFacts, scale: &JointScale, joints: &[JointScale], left: &UnitSlip) -> Fault {
     let factor = scale.factor.value;
     let (title, what) = if near(factor, -1.0) {
         ("joint is reversed", "the positions have the wrong sign".to_owned())
     } else {
         ("joint scale is wrong", kind(arm, scale))
     };
-    let who = if is_all { "all joints: " } else { "" };
+    let who = if joints.len() > 1 { "all joints: " } else { "" };
     let offset = match scale.offset {
         offset if offset == 0.0 || !scale.is_coded() => String::new(),
         offset if offset < 0.0 => format!(" − {:.5}", -offset),
@@ -115,6 +115,7 @@ fn fault(arm: &ArmFacts, scale: &JointScale, is_all: bool, left: &UnitSlip) -> F
     let (before, after) = (Unit::Metre.show(left.as_logged), Unit::Metre.show(left.corrected));
     Fault {
         severity: Severity::Error,
+        cause: Cause::JointScale(joints.iter().filter_map(|scale| scaling(arm, scale)).collect()),
         title,
         message: format!("{who}{what}, {before} off as logged"),
         evidence: Evidence {
@@ -124,6 +125,17 @@ fn fault(arm: &ArmFacts, scale: &JointScale, is_all: bool, left: &UnitSlip) -> F
         },
         fix: format!("q_true = {} · q_reported{offset}", shown(factor)),
     }
+}
+
+/// What mends a joint that has this scale.
+fn scaling(arm: &ArmFacts, scale: &JointScale) -> Option<JointScaling> {
+    let joint = arm.joints.get(scale.column)?;
+    Some(JointScaling {
+        joint: joint.name.clone(),
+        factor: scale.factor,
+        offset: Some(scale.offset).filter(|offset| scale.is_coded() && *offset != 0.0),
+        slides: joint.prismatic,
+    })
 }
 
 /// What a factor looks like, in words.
@@ -180,7 +192,7 @@ mod tests {
             unit: JointUnit::Scaled,
             factor: scale.factor.value,
         };
-        arm.diagnosis.joints = Ok(JointReading {
+        arm.diagnosis.reading = Ok(JointReading {
             slips: arm.diagnosis.scales.iter().map(slip).collect(),
             left: Some(UnitSlip { as_logged: 0.4, corrected: 2e-4 }),
             ..JointReading::default()

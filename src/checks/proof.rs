@@ -2,7 +2,7 @@
 //! and what a pass rests on.
 
 use crate::checks::decision::{Decision, FrameFigures, decide_both};
-use crate::checks::{ArmFacts, Evaluation, Facts, Judged, PoseFacts, find, mdl001};
+use crate::checks::{ArmFacts, Evaluation, Facts, Judged, Of, PoseFacts, find, mdl001};
 use crate::diagnosis::{Amount, Error, FrameEstimate, Part, PoseDiagnosis, Residual, Seen, Size};
 use crate::finding::{
     CheckRow, Estimate, Finding, Outcome, Ruling, Severity, Status, Subject, Unit,
@@ -72,27 +72,27 @@ impl Named {
 
     /// Whether FRM001 has found what `stream` is, which is /tf, or FRM004 two publishers of it that are
     /// farther apart than what is left.
-    fn says_of_tf(&self, arm: &ArmFacts, stream: &PoseFacts, left: &Left) -> bool {
+    fn says_of_tf(&self, arm: &ArmFacts, stream: &Of<PoseFacts>, left: &Left) -> bool {
         let is_doubled = || {
             self.doubled.iter().any(|(topic, by, edges)| {
                 let times = ROOM * *edges as f64;
                 let (length_m, angle_rad) =
                     (times * (by.length_m + arm.reach_m * by.angle_rad), times * by.angle_rad);
                 let angle = left.error.angle.as_ref();
-                *topic == stream.topic
+                topic == stream.topic()
                     && left.error.length.whole.rms <= length_m
                     && angle.is_none_or(|angle| angle.whole.rms <= angle_rad.max(ROUNDING_RAD))
             })
         };
         is_tf(arm, stream)
-            && (self.on(arm, &stream.topic, &["FRM001"]).any(|(_, outcome)| is_faulty(outcome))
+            && (self.on(arm, stream.topic(), &["FRM001"]).any(|(_, outcome)| is_faulty(outcome))
                 || is_doubled())
     }
 }
 
 /// Whether a stream of `arm` is what /tf says of its tip.
-fn is_tf(arm: &ArmFacts, stream: &PoseFacts) -> bool {
-    arm.tf.iter().any(|(tf, _)| std::ptr::eq(tf, stream))
+fn is_tf(arm: &ArmFacts, stream: &Of<PoseFacts>) -> bool {
+    arm.tf.as_ref().is_some_and(|tf| std::ptr::eq(tf, stream))
 }
 
 fn is_faulty(outcome: &Outcome) -> bool {
@@ -133,15 +133,16 @@ pub(super) struct Left {
 pub(super) fn standing(
     named: &Named,
     arm: &ArmFacts,
-    (stream, found): (&PoseFacts, &PoseDiagnosis),
+    stream: &Of<PoseFacts>,
     figures: &FrameFigures,
     subjects: usize,
 ) -> Option<Standing> {
+    let found = &stream.diagnosis;
     let proof = stream.proof.as_ref().ok()?;
     let explained = proof.left.as_ref().unwrap_or(&proof.as_logged);
     // What is computed from the joint states has no noise of its own.
     let near = if is_tf(arm, stream) { 0.0 } else { NEAR };
-    let in_degrees = arm.diagnosis.joints.as_ref().is_ok_and(|read| read.degrees.is_some());
+    let in_degrees = arm.diagnosis.reading.as_ref().is_ok_and(|read| read.degrees.is_some());
     if is_tf(arm, stream) && in_degrees && races(explained, named, stream, figures) {
         return Some(Standing::Noise);
     }
@@ -170,7 +171,7 @@ pub(super) fn standing(
         }
         left => left,
     };
-    let causes = Causes::of(named, arm, stream, found);
+    let causes = Causes::of(named, arm, stream);
     let as_logged = || Some(&proof.as_logged);
     let unexplained = match (causes.joints.is_empty(), causes.poses.is_empty()) {
         (true, true) => None,
@@ -189,10 +190,10 @@ pub(super) fn standing(
 
 /// Whether what is left of /tf is what degrees leave that are read as radians: such joints race through
 /// nearly a turn from one sample to the next. Beside it two publishers may be apart.
-fn races(error: &Error, named: &Named, stream: &PoseFacts, figures: &FrameFigures) -> bool {
+fn races(error: &Error, named: &Named, stream: &Of<PoseFacts>, figures: &FrameFigures) -> bool {
     /// In figures.
     const MOST: f64 = 5.0;
-    let apart = named.doubled.iter().filter(|(topic, ..)| *topic == stream.topic);
+    let apart = named.doubled.iter().filter(|(topic, ..)| topic == stream.topic());
     let (by_m, by_rad) = apart
         .map(|(_, by, edges)| (by.length_m * *edges as f64, by.angle_rad * *edges as f64))
         .fold((0.0, 0.0), |sum, by| (sum.0 + by.0, sum.1 + by.1));
@@ -281,7 +282,8 @@ struct Causes {
 }
 
 impl Causes {
-    fn of(named: &Named, arm: &ArmFacts, stream: &PoseFacts, found: &PoseDiagnosis) -> Self {
+    fn of(named: &Named, arm: &ArmFacts, stream: &Of<PoseFacts>) -> Self {
+        let found = &stream.diagnosis;
         let chosen = |is: bool, code: &'static str| is.then_some(code);
         let unsteady = found.course.as_ref().is_ok_and(|course| course.is_unsteady);
         let times: Vec<&str> =
@@ -314,15 +316,15 @@ impl Causes {
         .collect();
         let offsets = arm.joints.iter().zip(&arm.diagnosis.offsets);
         let zeros = offsets.filter(|(_, offset)| offset.chosen).map(|(joint, _)| &joint.name);
-        let slips = arm.diagnosis.joints.iter().flat_map(|reading| &reading.slips);
+        let slips = arm.diagnosis.reading.iter().flat_map(|reading| &reading.slips);
         let read = slips.filter_map(|slip| Some(&arm.joints.get(slip.column)?.name));
         let of_joints = named
-            .on(arm, &stream.topic, &times)
+            .on(arm, stream.topic(), &times)
             .chain(named.on(arm, &arm.joints_topic, &["LAT001", "ORD004", "ORD005", "ORD009"]))
             .chain(zeros.flat_map(|joint| named.on(arm, joint, &["ZER001"])))
             .chain(read.flat_map(|joint| named.on(arm, joint, &["ORD004", "ORD008", "ORD009"])));
         let of_joints: Vec<_> = of_joints.collect();
-        let of_poses: Vec<_> = named.on(arm, &stream.topic, &poses).collect();
+        let of_poses: Vec<_> = named.on(arm, stream.topic(), &poses).collect();
         let is_named = |(_, outcome): &(&str, &Outcome)| is_faulty(outcome);
         let open = |of: &[(&'static str, &Outcome)]| -> Vec<&'static str> {
             let mut open: Vec<&str> = of
@@ -430,7 +432,7 @@ pub(super) fn leave_open_beside_disagreement(facts: &Facts, evaluation: &mut Eva
             disagreeing.iter().filter(|(subject, _)| of_arm(subject)).collect();
         let Some((_, first)) = own.first() else { continue };
         let on = |topic: &str| own.iter().find(|(said, _)| said.topic.as_deref() == Some(topic));
-        let is_all = arm.poses.iter().all(|stream| on(&stream.topic).is_some());
+        let is_all = arm.poses.iter().all(|stream| on(stream.topic()).is_some());
         let why = |subject: &Subject| {
             let own = subject.topic.as_deref().and_then(&on).map(|(_, why)| why);
             own.or(is_all.then_some(first))

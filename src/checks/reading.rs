@@ -3,8 +3,10 @@
 use crate::checks::decision::{DEGREE, unseen};
 use crate::checks::{ArmFacts, Facts, Judged};
 use crate::diagnosis::{PoseDiagnosis, Reading, ReadingEstimate, Seen};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, ReadAs, Ruling, Severity, Unit};
-use crate::geometry::{Coding, Convention, LengthScale, Misreading, QuaternionSlip, vendors};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, ReadAs, Ruling, Severity, Unit};
+use crate::geometry::{
+    AngleUnit, Coding, Convention, LengthScale, Misreading, QuaternionSlip, RotationSlip, vendors,
+};
 
 /// A fault must leave at least this many times less than the stream as logged, and than the next
 /// best reading, to be named.
@@ -46,6 +48,8 @@ pub struct Wording {
     pub once: String,
     /// As in [`Fault::fix`].
     pub fix: String,
+    /// What is misread.
+    pub slip: RotationSlip,
     /// The estimate.
     pub estimate: Estimate,
 }
@@ -58,19 +62,20 @@ pub fn judge(
 ) -> Vec<Judged> {
     let mut judged = Vec::new();
     for arm in &facts.robots {
-        let streams = arm.poses_and_tf().map(|(stream, diagnosis)| {
-            let doubt = diagnosis.strays().then_some("its positions do not lie on the arm");
-            let bare = stream.bare.then_some(diagnosis);
-            (&stream.topic, stream.span, &diagnosis.reading, doubt, bare)
+        let streams = arm.poses_and_tf().map(|stream| {
+            let found = &stream.diagnosis;
+            let doubt = found.strays().then_some("its positions do not lie on the arm");
+            stream.with((&found.reading, doubt, stream.bare.then_some(found)))
         });
-        let unread = arm.diagnosis.joints.is_err() && !arm.poses.is_empty();
+        let unread = arm.diagnosis.reading.is_err() && !arm.poses.is_empty();
         let doubt = unread.then_some("the joint states themselves could not be read for sure");
         let imus = arm.imus.iter();
-        let imus = imus.map(|(imu, found)| (&imu.topic, imu.span, &found.reading, doubt, None));
-        judged.extend(streams.chain(imus).map(|(topic, span, reading, doubt, bare)| {
+        let imus = imus.map(|imu| imu.with((&imu.diagnosis.reading, doubt, None)));
+        judged.extend(streams.chain(imus).map(|stream| {
+            let (reading, doubt, bare) = stream.found;
             let judged = judge_stream(arm, reading, asked, word);
             let judged = match bare {
-                Some(found) => of_bare_numbers(arm, topic, asked, found, judged),
+                Some(found) => of_bare_numbers(arm, stream.topic(), asked, found, judged),
                 None => judged,
             };
             let (outcome, estimate) = match (judged, doubt) {
@@ -80,7 +85,7 @@ pub fn judge(
                 ),
                 (judged, _) => judged,
             };
-            Judged::new(arm.topic(topic), outcome).within(span).estimated(estimate)
+            stream.judged(outcome).estimated(estimate)
         }));
     }
     judged
@@ -150,9 +155,10 @@ fn of_bare_numbers(
             let mut evidence = Evidence::default();
             let (length, angle) = bare_units(found);
             evidence.more.insert("length_unit".to_owned(), length.to_string().into());
-            evidence.more.insert("angle_unit".to_owned(), angle.into());
+            evidence.more.insert("angle_unit".to_owned(), angle.symbol().into());
             let fault = Fault {
                 severity: Severity::Info,
+                cause: Cause::Bare { coding: form, length, angle },
                 title: "how bare numbers were read",
                 message: format!("read as {said}: that is how they follow the arm"),
                 evidence,
@@ -173,9 +179,10 @@ fn of_bare_numbers(
 }
 
 /// Unit of lengths and of angles that bare numbers turned out to be in.
-fn bare_units(found: &PoseDiagnosis) -> (LengthScale, &'static str) {
+fn bare_units(found: &PoseDiagnosis) -> (LengthScale, AngleUnit) {
     let length = found.length.as_ref().ok().copied().flatten().map(|slip| slip.is);
-    (length.unwrap_or(LengthScale::METRE), if found.degrees.is_some() { "deg" } else { "rad" })
+    let angle = if found.degrees.is_some() { AngleUnit::Degree } else { AngleUnit::Radian };
+    (length.unwrap_or(LengthScale::METRE), angle)
 }
 
 /// How bare numbers were read, with makers whose numbers are so: `KUKA's: mm, euler:ZYX in deg`.
@@ -185,7 +192,7 @@ fn bare_reading(arm: &ArmFacts, topic: &str, form: Coding, found: &PoseDiagnosis
     let (length, angle) = bare_units(found);
     let is_three = matches!(form, Coding::Three(_));
     let is_alike = |entry: &&'static vendors::Use| {
-        let angles = !is_three || entry.units.angle.unwrap_or_default().symbol() == angle;
+        let angles = !is_three || entry.units.angle.unwrap_or_default() == angle;
         entry.is_vendor() && entry.units.length.unwrap_or_default() == length && angles
     };
     // Whose arm it is, its own names say best.
@@ -210,14 +217,15 @@ fn bare_reading(arm: &ArmFacts, topic: &str, form: Coding, found: &PoseDiagnosis
             if makers.len() == 1 { "gives" } else { "give" }
         ),
     };
-    let angles = if is_three { format!(" in {angle}") } else { String::new() };
+    let angles = if is_three { format!(" in {}", angle.symbol()) } else { String::new() };
     format!("{length}, {form}{angles}{makers}")
 }
 
 /// What to declare of numbers that were read so.
 fn declared(form: Coding, found: &PoseDiagnosis) -> String {
     let (length, angle) = bare_units(found);
-    let angle = if matches!(form, Coding::Three(_)) && angle == "deg" { ",deg" } else { "" };
+    let is_degrees = matches!(form, Coding::Three(_)) && angle == AngleUnit::Degree;
+    let angle = if is_degrees { ",deg" } else { "" };
     let length = if length == LengthScale::MILLIMETRE { ",mm" } else { "" };
     format!("{form}{angle}{length}")
 }
@@ -227,7 +235,7 @@ fn fault(
     reading: &ReadingEstimate,
     wording: Wording,
 ) -> (Outcome, Option<Estimate>) {
-    let Wording { title, what, once, fix, estimate } = wording;
+    let Wording { title, what, once, fix, slip, estimate } = wording;
     let left = Unit::Radian.show(reading.best_rad);
     let next = match reading.runner_up {
         Some((_, rad)) => format!(" (next best reading: {})", Unit::Radian.show(rad)),
@@ -244,7 +252,8 @@ fn fault(
     };
     evidence.more.insert("as_logged_rad".to_owned(), reading.as_logged_rad.into());
     evidence.more.insert("corrected_rad".to_owned(), reading.best_rad.into());
-    let fault = Fault { severity: Severity::Error, title, message, evidence, fix };
+    let cause = Cause::Rotation(slip);
+    let fault = Fault { severity: Severity::Error, cause, title, message, evidence, fix };
     (Outcome::faulty(fault), Some(estimate))
 }
 
@@ -349,7 +358,7 @@ mod tests {
     fn read(best: Reading, best_rad: f64, runner_up: Option<(Reading, f64)>) -> Facts {
         let mut facts = clean_run();
         let as_logged_rad = Some(1.1);
-        facts.robots[0].diagnosis.streams[0].reading = Ok(ReadingEstimate {
+        facts.robots[0].poses[0].diagnosis.reading = Ok(ReadingEstimate {
             inverted: matches!(best, Reading::Inverted),
             best,
             as_logged_rad,

@@ -1,7 +1,7 @@
 use serde_json::{Value, json};
 
 use crate::checks::{Facts, Grade, Judged, Of, RhythmFacts};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Cadence;
 use crate::time::Stamp;
 
@@ -80,6 +80,7 @@ fn judge(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Judged {
         ),
     };
     let fault = Fault {
+        cause: Cause::Stamps,
         severity: Severity::Warning,
         title: "stamps run backwards",
         message,

@@ -2,7 +2,7 @@ use serde_json::{Value, json};
 
 use crate::checks::tim006::{Pace, slow};
 use crate::checks::{Due, Facts, Grade, Judged, Limit, Of, RhythmFacts};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::{Cadence, Hole, Stretch};
 use crate::time::Stamp;
 
@@ -250,6 +250,7 @@ fn fault(facts: &Facts, by: &Limits, rhythm: &Of<RhythmFacts>, concerned: &[&Cad
         .map(|gap| json!({ "start_ns": gap.start.to_string(), "length_s": gap.seconds() }))
         .collect();
     let fault = Fault {
+        cause: Cause::Stamps,
         severity: Severity::Warning,
         title,
         message,
@@ -267,7 +268,7 @@ fn fault(facts: &Facts, by: &Limits, rhythm: &Of<RhythmFacts>, concerned: &[&Cad
 }
 
 /// What made a gap or lost samples, as far as the log shows it.
-struct Cause {
+struct Maker {
     made_by: Option<&'static str>,
     said: &'static str,
     fix: &'static str,
@@ -280,7 +281,7 @@ fn cause(
     rhythm: &Of<RhythmFacts>,
     gap: Option<&Stretch>,
     skipped: Option<usize>,
-) -> Cause {
+) -> Maker {
     let others = || {
         let others =
             facts.rhythms.iter().filter(|other| other.subject.topic != rhythm.subject.topic);
@@ -296,19 +297,19 @@ fn cause(
     let all_stop =
         |gap: &Stretch| others().next().is_some() && others().all(|other| stops(other, gap));
     if gap.is_some_and(all_stop) {
-        return Cause {
+        return Maker {
             made_by: Some("recorder"),
             said: "; all other streams stop with it",
             fix: "look at the recorder's disk and the load of its machine at that time",
         };
     }
     match skipped {
-        Some(1..) => Cause {
+        Some(1..) => Maker {
             made_by: Some("transport"),
             said: "; numbers are left out, so that messages were sent and lost on their way",
             fix: "look at the load of recorder and network, and use a reliable, longer queue",
         },
-        _ => Cause {
+        _ => Maker {
             made_by: None,
             said: "",
             fix: "the log does not show whether its sender stopped or messages were lost on their way: \

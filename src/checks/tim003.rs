@@ -1,6 +1,6 @@
 use crate::checks::{Facts, Grade, Judged, Of, StampFacts};
 use crate::diagnosis::Measured;
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::run::Epoch;
 use crate::time::seconds;
 
@@ -58,6 +58,7 @@ fn shared_clock(facts: &Facts) -> Option<Judged> {
     offsets.sort_by(f64::total_cmp);
     let offset_s = *offsets.get(offsets.len() / 2)?;
     let outcome = Outcome::faulty(Fault {
+        cause: Cause::Stamps,
         severity: Severity::Info,
         title: "all stamps are from one foreign clock",
         message: format!("all stamps are {} off the recorder's clock", Unit::Second.show(offset_s)),
@@ -93,6 +94,7 @@ fn judge(stream: &Of<StampFacts>, simulated: bool) -> Judged {
         None => "not aligned, and not judged against the others".to_owned(),
     };
     let fault = Fault {
+        cause: Cause::Stamps,
         severity: if simulated { Severity::Info } else { Severity::Warning },
         title: "stream is on another clock",
         message: format!("stamps are {by}off the other streams' clock"),

@@ -1,5 +1,5 @@
 use crate::checks::{Facts, Grade, Judged, Limit, Of, RhythmFacts};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Cadence;
 
 rule! {
@@ -70,6 +70,7 @@ fn judge(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Judged {
         return Judged::new(subject, outcome).within(rhythm.span);
     };
     let fault = Fault {
+        cause: Cause::Stamps,
         severity: Severity::Warning,
         title: "stamps are used twice",
         message: format!(

@@ -1,5 +1,5 @@
 use crate::checks::{Due, Facts, Grade, Judged, Of, StampFacts};
-use crate::finding::{Evidence, Fault, Outcome, Severity};
+use crate::finding::{Cause, Evidence, Fault, Outcome, Severity};
 use crate::run::HeaderStamps;
 use crate::time::Clock;
 
@@ -101,6 +101,7 @@ fn judge(stream: &Of<StampFacts>) -> Judged {
         clock => format!("judged by {} time, which includes the transport's delay", clock.name()),
     };
     let fault = Fault {
+        cause: Cause::Stamps,
         severity,
         title,
         message,

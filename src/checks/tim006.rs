@@ -1,5 +1,5 @@
 use crate::checks::{Due, EmptyFacts, Facts, Grade, Judged, Limit, Of, RhythmFacts};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::run::{Cadence, Stretch};
 
 rule! {
@@ -101,6 +101,7 @@ fn nothing(empty: &EmptyFacts) -> Judged {
     Judged::new(
         empty.subject.clone(),
         Outcome::faulty(Fault {
+            cause: Cause::Stamps,
             severity: Severity::Warning,
             title: "stream is empty",
             message,
@@ -115,6 +116,7 @@ fn missing(subject: Subject, place: &str) -> Judged {
     Judged::new(
         subject,
         Outcome::faulty(Fault {
+            cause: Cause::Stamps,
             severity: Severity::Warning,
             title: "stream is missing",
             message: format!("the log has no such topic, and {place} expects it"),
@@ -168,6 +170,7 @@ fn judge(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Judged {
         return Judged::new(rhythm.subject_of(&slow), outcome).within(rhythm.span);
     }
     let fault = Fault {
+        cause: Cause::Stamps,
         severity: Severity::Warning,
         title,
         message,

@@ -1,7 +1,7 @@
 use serde_json::{Value, json};
 
 use crate::checks::{Facts, Grade, Judged, Of};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Frozen;
 
 rule! {
@@ -68,6 +68,7 @@ fn judge(facts: &Facts, stream: &Of<Vec<Frozen>>) -> Judged {
     };
     let topic = stream.subject.label();
     let outcome = Outcome::faulty(Fault {
+        cause: Cause::Other,
         severity: Severity::Error,
         title: "stream stands still while the arm moves",
         message: format!(

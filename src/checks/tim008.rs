@@ -1,6 +1,6 @@
 use crate::checks::decision::Figure;
 use crate::checks::{Facts, Grade, HeldFacts, Judged, Of};
-use crate::finding::{Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Held;
 
 rule! {
@@ -75,6 +75,7 @@ fn fault(stream: &Of<HeldFacts>, held: &Held, severity: Severity) -> Fault {
         _ => String::new(),
     };
     Fault {
+        cause: Cause::Other,
         severity: if stream.is_latched { Severity::Info } else { severity },
         title: "rows repeat old values",
         message: format!(

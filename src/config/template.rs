@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use crate::checks::{self, Figure};
-use crate::finding::Unit;
+use crate::finding::{CheckRow, Unit};
 use crate::report::{Report, RobotRow, StreamRow, quoted, tame};
 use crate::robot::catalogue;
 use crate::run::SaidRole;
@@ -148,11 +148,9 @@ impl Template {
         if let Some(link) = &stream.link {
             self.unset("link", &quoted(link), "if set, an offset from it is a fault");
         }
-        let found = report
-            .checks
-            .iter()
-            .find(|row| row.code == "ORD001" && row.subject.topic.as_ref() == Some(&stream.topic));
-        let found = found.and_then(|row| row.estimate.as_ref()?.convention());
+        let is_its = |row: &&CheckRow| row.subject.topic.as_ref() == Some(&stream.topic);
+        let mut rows = report.checks.iter().filter(is_its);
+        let found = rows.find_map(|row| row.estimate.as_ref()?.convention());
         let coding = match found {
             Some((is, _)) => is,
             None if stream.type_name.contains("Array") => "rotvec",

@@ -2,12 +2,10 @@
 
 use std::path::Path;
 
-use super::file::{
-    AxesCorrection, Corrections, FrameCorrection, JointOrder, Slip, TopicCorrection,
-};
+use super::file::{AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection};
 use crate::diagnosis::{AxesSlip, Meant, Reading, reread_imu, reread_poses};
 use crate::finding::Unit;
-use crate::geometry::{LengthScale, Pose, rotation_from_xyzw};
+use crate::geometry::{LengthScale, Pose, Slip, rotation_from_xyzw};
 use crate::log::Log;
 use crate::report::{Trouble, TroubleKind};
 use crate::robot::JointKind;

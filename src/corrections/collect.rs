@@ -1,20 +1,19 @@
 //! From the findings of an audit to what mends them.
 
-use serde_json::Value;
-
 use super::code::{self, Lines};
-use super::file::{AxesCorrection, Corrections, FrameCorrection, JointOrder, RotationSlip, Slip};
+use super::file::{AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection};
 use super::files::{model_stem, slug};
 use super::frames::{FixedFrame, rounded};
 use crate::checks::Facts;
 use crate::diagnosis::Reading;
-use crate::finding::{Estimate, Finding, Unit};
+use crate::finding::{Cause, Estimate, Finding, JointScaling, Unit};
 use crate::geometry::{
-    AngleUnit, Axes, Convention, LengthScale, Pose, QuaternionSlip, pose, rotation_from_xyzw,
+    AngleUnit, Coding, Convention, LengthScale, Pose, QuaternionSlip, Rotation, RotationSlip, Slip,
+    xyzw_from_rotation,
 };
 use crate::report::{Report, StreamRow};
 use crate::run::{Arm, Run};
-use crate::stream::Orientations;
+use crate::stats::Measured;
 
 /// All that mends what an audit found, and what is found that nothing here mends.
 pub(crate) struct Mending {
@@ -68,6 +67,9 @@ pub(super) const JOINTS: &str = "fixed_joints.xml";
 /// Stands for the patched model, whose name is that of the model.
 pub(super) const MODEL: &str = "the patched model";
 
+/// What is said beside a mending that belongs to the program that publishes /tf.
+const WHERE_PUBLISHED: &str = " (where the transforms are published)";
+
 /// What a finding is mended by, in words, and in which files; or why by nothing.
 type Taken = Result<(String, Vec<&'static str>), String>;
 
@@ -86,11 +88,11 @@ impl Mending {
         let source = Source { report, run, facts };
         for finding in &report.findings {
             let label = label(finding);
-            let taken = match segment(finding) {
-                Some(number) if number != main as u64 + 1 => {
+            let taken = match finding.segment {
+                Some(other) if other != main => {
                     Err("it is of another segment of the run than the longest".to_owned())
                 }
-                of => mending.take(&source, finding, of.is_some()),
+                _ => mending.take(&source, finding),
             };
             match taken {
                 Ok((what, files)) => mending.mended.push(Mended { finding: label, what, files }),
@@ -101,105 +103,140 @@ impl Mending {
         mending
     }
 
-    fn take(&mut self, source: &Source<'_>, finding: &Finding, is_of_segment: bool) -> Taken {
-        match finding.code {
-            "ZER001" => self.take_zero(source, finding),
-            "LAT001" => self.take_latency(source, finding),
-            "LAT002" if !is_of_segment => self.take_skew(source, finding),
-            "ORD001" | "ORD002" | "ORD003" => self.take_rotation(source, finding),
-            "ORD004" | "ORD008" if finding.subject.joint.is_some() => {
-                self.take_joint_unit(source, finding)
+    /// Takes what mends the cause of a finding.
+    fn take(&mut self, source: &Source<'_>, finding: &Finding) -> Taken {
+        match &finding.cause {
+            Cause::JointZero { offset, slides } => self.take_zero(source, finding, offset, *slides),
+            Cause::JointUnit(factor) => {
+                let name = finding.subject.joint.clone().ok_or_else(nothing)?;
+                let robot = source.robot_of(finding, &name);
+                self.corrections.joint(&name, robot).factor = Some(*factor);
+                Ok((slip_words(finding)?, vec![OFFSETS, CORRECTIONS]))
             }
-            "ORD004" | "ORD008" => self.take_unit(source, finding),
-            "ORD009" => self.take_scale(source, finding),
-            "ORD010" => self.take_axes(source, finding),
-            "ORD005" => self.take_order(finding),
-            "ORD007" => match &finding.estimate {
-                Some(Estimate::Slip { is, read_as, .. }) => {
-                    Ok((format!("the DH table is {is}, not {read_as}"), vec![MODEL]))
-                }
-                _ => Err(nothing()),
-            },
-            "FRM002" | "FRM003" => self.take_frame(source, finding),
-            "YAW003" => self.take_mount(source, finding),
-            "HEC001" => self.take_camera(source, finding),
-            "MDL001" => {
-                match finding.evidence.more.get("fits").and_then(|fits| fits["robot"].as_str()) {
-                    Some(robot) => Ok((format!("audit with `--robot {robot}`"), Vec::new())),
-                    None => Err(finding.fix.clone()),
-                }
+            Cause::JointScale(joints) => self.take_scale(source, finding, joints),
+            Cause::JointOrder { is, read_as } => {
+                let topic = finding.subject.topic.clone().ok_or_else(nothing)?;
+                let order = JointOrder { is: is.clone(), read_as: read_as.clone() };
+                self.corrections.topic(&topic).joint_order = Some(order);
+                let what = "the positions stand in another order than the names".to_owned();
+                let names = format!("the names in the order of the numbers: {}", is.join(", "));
+                self.code(finding, &what, names, None);
+                Ok((what, vec![CONVENTIONS, CORRECTIONS]))
             }
-            _ => Err(finding.fix.clone()),
+            Cause::Dh(is) => {
+                let what = format!("the DH table is {}, not {}", is.name(), is.other().name());
+                Ok((what, vec![MODEL]))
+            }
+            Cause::OtherRobot(robot) => Ok((format!("audit with `--robot {robot}`"), Vec::new())),
+            Cause::Latency(latency) => self.take_latency(source, finding, latency),
+            // The rate of one segment's clock says nothing of the next.
+            Cause::Skew(_) if finding.segment.is_some() => Err(finding.fix.clone()),
+            Cause::Skew(skew) => {
+                let (value, ci95) = amount(Unit::SecondPerSecond, skew)?;
+                let topic = source.lone_topic(finding)?;
+                let (start, end) = finding.start_ns.zip(finding.end_ns).ok_or_else(nothing)?;
+                let own = self.corrections.topic(&topic);
+                (own.skew, own.skew_ci95) = (Some(value), ci95);
+                own.skew_about_s = Some(0.5 * end.seconds_since(start));
+                let what = format!("clock skew of {}", Unit::SecondPerSecond.show(value));
+                Ok((what, vec![LATENCIES, CORRECTIONS]))
+            }
+            Cause::Rotation(slip) => self.take_rotation(source, finding, *slip),
+            Cause::Bare { coding, length, angle } => {
+                self.take_numbers(source, finding, *coding, *length, *angle)
+            }
+            Cause::AngleUnit(unit) => {
+                let lines = code::angles(unit.is == AngleUnit::Degree);
+                let names = "angles: the numbers as they are";
+                let is_of = |topic: &mut TopicCorrection| topic.angle_unit = Some(*unit);
+                self.take_unit(source, finding, (names, lines), is_of)
+            }
+            Cause::LengthUnit(unit) => {
+                let lines = code::lengths(unit.factor());
+                let names = "xyz: the position as it is read now";
+                let is_of = |topic: &mut TopicCorrection| topic.length_unit = Some(*unit);
+                self.take_unit(source, finding, (names, lines), is_of)
+            }
+            Cause::Axes { positions, rotations } => {
+                let (positions, rotations) = (*positions, *rotations);
+                let topic = source.lone_topic(finding)?;
+                if source.is_tf(&topic) {
+                    return Err(finding.fix.clone());
+                }
+                let axes = AxesCorrection { positions, rotations };
+                self.corrections.topic(&topic).axes = Some(axes);
+                let what = format!("positions are in {positions}, rotations in {rotations}");
+                Ok((what, vec![CORRECTIONS]))
+            }
+            Cause::Reference(pose) => self.take_frame(source, finding, pose, true),
+            Cause::Tool(pose) => self.take_frame(source, finding, pose, false),
+            Cause::ImuMount(rotation) => self.take_mount(source, finding, rotation),
+            Cause::CameraMount { in_hand, parent, pose } => {
+                self.take_camera(source, finding, *in_hand, parent.as_ref(), pose)
+            }
+            Cause::Growth
+            | Cause::Model
+            | Cause::UnsteadyLatency
+            | Cause::TfDisagrees
+            | Cause::YawDrift(_)
+            | Cause::YawJump
+            | Cause::Frames
+            | Cause::Stamps
+            | Cause::Other => Err(finding.fix.clone()),
         }
     }
 
-    fn take_zero(&mut self, source: &Source<'_>, finding: &Finding) -> Taken {
-        let (value, unit, ci95) = amount(finding)?;
+    fn take_zero(
+        &mut self,
+        source: &Source<'_>,
+        finding: &Finding,
+        offset: &Measured,
+        slides: bool,
+    ) -> Taken {
+        let unit = if slides { Unit::Metre } else { Unit::Radian };
+        let (value, ci95) = amount(unit, offset)?;
         let name = finding.subject.joint.clone().ok_or_else(nothing)?;
         let robot = source.robot_of(finding, &name);
-        let slides = unit == Unit::Metre.symbol();
         let joint = self.corrections.joint(&name, robot);
-        (joint.offset_rad, joint.offset_m) =
-            if slides { (None, Some(value)) } else { (Some(value), None) };
+        joint.set_offset(value, slides);
         joint.ci95 = ci95;
-        let unit = if slides { Unit::Metre } else { Unit::Radian };
         Ok((format!("offset of {}", unit.show(value)), vec![OFFSETS, MODEL, CORRECTIONS]))
     }
 
-    /// A joint whose numbers alone are of another unit.
-    fn take_joint_unit(&mut self, source: &Source<'_>, finding: &Finding) -> Taken {
-        let Some(Estimate::Slip { is, read_as, .. }) = &finding.estimate else {
-            return Err(nothing());
-        };
-        let name = finding.subject.joint.clone().ok_or_else(nothing)?;
-        let robot = source.robot_of(finding, &name);
-        let factor = match is.as_ref() {
-            "deg" => AngleUnit::Degree.in_rad(),
-            "cm" => 1e-2,
-            _ => LengthScale::MILLIMETRE.in_m(),
-        };
-        self.corrections.joint(&name, robot).factor = Some(factor);
-        Ok((format!("{is} read as {read_as}"), vec![OFFSETS, CORRECTIONS]))
-    }
-
-    /// Joints that have a scale of their own.
-    fn take_scale(&mut self, source: &Source<'_>, finding: &Finding) -> Taken {
-        let topic = finding.subject.topic.clone().ok_or_else(nothing)?;
-        let of_topic = source.facts.robots.iter().filter(|arm| arm.joints_topic == topic);
-        let is_meant = |name: &str| finding.subject.joint.as_deref().is_none_or(|own| own == name);
-        let mut shown = None;
-        for arm in of_topic.filter(|arm| finding.subject.robot.as_ref() == Some(&arm.name)) {
-            for scale in &arm.diagnosis.scales {
-                let Some(joint) = arm.joints.get(scale.column) else { continue };
-                if !is_meant(&joint.name) {
-                    continue;
-                }
-                let robot = source.robot_of(finding, &joint.name);
-                let own = self.corrections.joint(&joint.name, robot);
-                own.factor = Some(scale.factor.value);
-                own.factor_ci95 = Unit::One.interval95(&scale.factor);
-                if scale.is_coded() && scale.offset != 0.0 {
-                    let offset = Some(scale.offset);
-                    (own.offset_rad, own.offset_m) =
-                        if joint.prismatic { (None, offset) } else { (offset, None) };
-                }
-                shown = shown.or(Some(scale.factor.value));
+    fn take_scale(
+        &mut self,
+        source: &Source<'_>,
+        finding: &Finding,
+        joints: &[JointScaling],
+    ) -> Taken {
+        for scaling in joints {
+            let robot = source.robot_of(finding, &scaling.joint);
+            let own = self.corrections.joint(&scaling.joint, robot);
+            own.factor = Some(scaling.factor.value);
+            own.factor_ci95 = Unit::One.interval95(&scaling.factor);
+            if let Some(offset) = scaling.offset {
+                own.set_offset(offset, scaling.slides);
             }
         }
-        let factor = shown.ok_or_else(nothing)?;
+        let factor = joints.first().ok_or_else(nothing)?.factor.value;
         Ok((format!("factor of {factor:.5}"), vec![OFFSETS, CORRECTIONS]))
     }
 
-    fn take_latency(&mut self, source: &Source<'_>, finding: &Finding) -> Taken {
-        let (value, _, ci95) = amount(finding)?;
+    fn take_latency(
+        &mut self,
+        source: &Source<'_>,
+        finding: &Finding,
+        latency: &Measured,
+    ) -> Taken {
+        let (value, ci95) = amount(Unit::Second, latency)?;
         let topic = source.lone_topic(finding)?;
         let mut copies = Vec::new();
         if let Some(arm) = source.facts.robots.iter().find(|arm| arm.joints_topic == topic) {
             // Who copies the joints' stamps is as late as they are.
-            let poses = arm.poses_and_tf().filter(|(stream, _)| !stream.independent);
-            copies.extend(poses.map(|(stream, _)| stream.topic.clone()));
-            let imus = arm.imus.iter().filter(|(imu, _)| !imu.independent);
-            copies.extend(imus.map(|(imu, _)| imu.topic.clone()));
+            let poses = arm.poses_and_tf().filter(|stream| !stream.independent);
+            copies.extend(poses.map(|stream| stream.topic().to_owned()));
+            let imus = arm.imus.iter().filter(|imu| !imu.independent);
+            copies.extend(imus.map(|imu| imu.topic().to_owned()));
         }
         let mut what = format!("latency of {}", Unit::Second.show(value));
         if !copies.is_empty() {
@@ -216,54 +253,43 @@ impl Mending {
         Ok((what, vec![LATENCIES, CORRECTIONS]))
     }
 
-    fn take_skew(&mut self, source: &Source<'_>, finding: &Finding) -> Taken {
-        let (value, _, ci95) = amount(finding)?;
-        let topic = source.lone_topic(finding)?;
-        let (start, end) = finding.start_ns.zip(finding.end_ns).ok_or_else(nothing)?;
-        let own = self.corrections.topic(&topic);
-        (own.skew, own.skew_ci95) = (Some(value), ci95);
-        own.skew_about_s = Some(0.5 * end.seconds_since(start));
-        let what = format!("clock skew of {}", Unit::SecondPerSecond.show(value));
-        Ok((what, vec![LATENCIES, CORRECTIONS]))
-    }
-
     /// Takes what bare numbers were read as, so that frames can be applied to them.
-    fn take_numbers(&mut self, source: &Source<'_>, finding: &Finding, form: &str) -> Taken {
-        let text = |name: &str| finding.evidence.more.get(name).and_then(Value::as_str);
-        let (length, angle) = text("length_unit").zip(text("angle_unit")).ok_or_else(nothing)?;
+    fn take_numbers(
+        &mut self,
+        source: &Source<'_>,
+        finding: &Finding,
+        coding: Coding,
+        length: LengthScale,
+        angle: AngleUnit,
+    ) -> Taken {
         let topic = source.lone_topic(finding)?;
         let correction = self.corrections.topic(&topic);
-        if length != "m" {
-            let slip = Slip { is: length.parse()?, read_as: LengthScale::METRE };
-            correction.length_unit = Some(slip);
+        if length != LengthScale::METRE {
+            correction.length_unit = Some(Slip { is: length, read_as: LengthScale::METRE });
         }
-        match form.parse::<Convention>() {
-            Ok(convention) => {
+        match coding {
+            Coding::Three(convention) => {
                 correction.convention = Some(convention);
-                if angle == "deg" {
-                    let slip = Slip { is: AngleUnit::Degree, read_as: AngleUnit::Radian };
+                if angle == AngleUnit::Degree {
+                    let slip = Slip { is: angle, read_as: AngleUnit::Radian };
                     correction.angle_unit = Some(slip);
                 }
             }
-            Err(_) => {
+            _ => {
                 let slip = QuaternionSlip::WxyzReadAsXyzw;
                 correction.rotation = Some(RotationSlip::Quaternion(slip));
             }
         }
-        Ok((format!("bare numbers are {form}, {length}, {angle}"), vec![CORRECTIONS]))
+        let what = format!("bare numbers are {coding}, {length}, {}", angle.symbol());
+        Ok((what, vec![CORRECTIONS]))
     }
 
-    fn take_rotation(&mut self, source: &Source<'_>, finding: &Finding) -> Taken {
-        if let Some(Estimate::Slip { name: "reading", is, .. }) = &finding.estimate {
-            return self.take_numbers(source, finding, is);
-        }
-        let (is, read_as) = match &finding.estimate {
-            Some(Estimate::Convention { is, read_as, .. }) => (is.as_str(), read_as.as_str()),
-            Some(Estimate::Slip { is, read_as, .. }) => (is.as_ref(), read_as.as_ref()),
-            _ => return Err(nothing()),
-        };
-        let slip = Slip { is: is.to_owned(), read_as: read_as.to_owned() };
-        let slip = RotationSlip::try_from(slip)?;
+    fn take_rotation(
+        &mut self,
+        source: &Source<'_>,
+        finding: &Finding,
+        slip: RotationSlip,
+    ) -> Taken {
         let topic = source.lone_topic(finding)?;
         let (names, lines) = match slip {
             RotationSlip::Misread(misreading) => {
@@ -281,10 +307,11 @@ impl Mending {
             }
             RotationSlip::Inverted => ("pose: as it is read now".to_owned(), code::inverse_pose()),
         };
+        let Slip { is, read_as } = Slip::<String>::from(slip);
         let what = format!("{is} read as {read_as}");
         self.code(finding, &what, names, Some(lines));
         if source.is_tf(&topic) {
-            return Ok((what + " (where the transforms are published)", vec![CONVENTIONS]));
+            return Ok((what + WHERE_PUBLISHED, vec![CONVENTIONS]));
         }
         let correction = self.corrections.topic(&topic);
         match (slip, correction.rotation) {
@@ -298,153 +325,105 @@ impl Mending {
         Ok((what, vec![CONVENTIONS, CORRECTIONS]))
     }
 
-    fn take_axes(&mut self, source: &Source<'_>, finding: &Finding) -> Taken {
-        let axes = |name: &str| -> Result<Axes, String> {
-            finding.evidence.more.get(name).and_then(Value::as_str).ok_or_else(nothing)?.parse()
-        };
-        let (positions, rotations) = (axes("positions")?, axes("rotations")?);
+    /// Takes numbers that are of another unit; `code` names them and mends them, `set` corrects their
+    /// topic.
+    fn take_unit(
+        &mut self,
+        source: &Source<'_>,
+        finding: &Finding,
+        (names, lines): (&str, Lines),
+        set: impl Fn(&mut TopicCorrection),
+    ) -> Taken {
         let topic = source.lone_topic(finding)?;
-        let what = format!("positions are in {positions}, rotations in {rotations}");
-        if source.is_tf(&topic) {
-            return Err(finding.fix.clone());
-        }
-        self.corrections.topic(&topic).axes = Some(AxesCorrection { positions, rotations });
-        Ok((what, vec![CORRECTIONS]))
-    }
-
-    fn take_unit(&mut self, source: &Source<'_>, finding: &Finding) -> Taken {
-        let Some(Estimate::Slip { is, read_as, .. }) = &finding.estimate else {
-            return Err(nothing());
-        };
-        let (is, read_as) = (is.as_ref(), read_as.as_ref());
-        let topic = source.lone_topic(finding)?;
-        let what = format!("{is} read as {read_as}");
-        let is_angle = matches!(is, "deg" | "rad");
-        let (names, lines) = match is_angle {
-            true => ("angles: the numbers as they are", code::angles(is == "deg")),
-            false => {
-                let slip: Slip<LengthScale> = Slip { is: is.parse()?, read_as: read_as.parse()? };
-                ("xyz: the position as it is read now", code::lengths(slip.factor()))
-            }
-        };
+        let what = slip_words(finding)?;
         self.code(finding, &what, names.to_owned(), Some(lines));
         if source.is_tf(&topic) {
-            return Ok((what + " (where the transforms are published)", vec![CONVENTIONS]));
+            return Ok((what + WHERE_PUBLISHED, vec![CONVENTIONS]));
         }
-        let correction = self.corrections.topic(&topic);
-        if is_angle {
-            let unit = |name| if name == "deg" { AngleUnit::Degree } else { AngleUnit::Radian };
-            correction.angle_unit = Some(Slip { is: unit(is), read_as: unit(read_as) });
-        } else {
-            correction.length_unit = Some(Slip { is: is.parse()?, read_as: read_as.parse()? });
-        }
+        set(self.corrections.topic(&topic));
         Ok((what, vec![CONVENTIONS, CORRECTIONS]))
     }
 
-    fn take_order(&mut self, finding: &Finding) -> Taken {
-        let Some(Estimate::Order { is, read_as, .. }) = &finding.estimate else {
-            return Err(nothing());
-        };
-        let topic = finding.subject.topic.clone().ok_or_else(nothing)?;
-        let order = JointOrder { is: is.clone(), read_as: read_as.clone() };
-        self.corrections.topic(&topic).joint_order = Some(order);
-        let what = "the positions stand in another order than the names".to_owned();
-        let names = format!("the names in the order of the numbers: {}", is.join(", "));
-        self.code(finding, &what, names, None);
-        Ok((what, vec![CONVENTIONS, CORRECTIONS]))
-    }
-
-    fn take_frame(&mut self, source: &Source<'_>, finding: &Finding) -> Taken {
-        let found = pose_of(finding.evidence.more.get("pose")).ok_or_else(nothing)?;
+    /// Takes the frame that poses are in (`is_reference`), or that they are of.
+    fn take_frame(
+        &mut self,
+        source: &Source<'_>,
+        finding: &Finding,
+        found: &Pose,
+        is_reference: bool,
+    ) -> Taken {
         let topic = source.lone_topic(finding)?;
         let parent = finding.subject.frame.clone().ok_or_else(nothing)?;
         let child = format!("{parent}_of_{}", slug(&topic));
-        let is_reference = finding.code == "FRM002";
         let convention = source.convention_of_numbers(&topic);
         let correction = self.corrections.topic(&topic);
-        let (what, comment) = match is_reference {
-            true => {
-                correction.reference_from_stream = Some(FrameCorrection::from(&found));
-                let comment = format!("the frame that {topic} is in: make it its frame_id");
-                (format!("{topic} is in a frame of its own, {child}"), comment)
-            }
-            false => {
-                correction.tip_from_stream = Some(FrameCorrection::from(&found));
-                let comment =
-                    format!("the frame whose poses {topic} holds: make it its child frame");
-                (format!("{topic} is of a frame of its own, {child}"), comment)
-            }
+        let frame = Some(FrameCorrection::from(found));
+        let (what, comment) = if is_reference {
+            correction.reference_from_stream = frame;
+            let comment = format!("the frame that {topic} is in: make it its frame_id");
+            (format!("{topic} is in a frame of its own, {child}"), comment)
+        } else {
+            correction.tip_from_stream = frame;
+            let comment = format!("the frame whose poses {topic} holds: make it its child frame");
+            (format!("{topic} is of a frame of its own, {child}"), comment)
         };
         correction.convention = correction.convention.or(convention);
-        self.frames.push(FixedFrame {
-            finding: label(finding),
-            comment,
-            parent,
-            child,
-            pose: found,
-        });
+        self.fix_frame(finding, comment, [parent, child], *found);
         Ok((what, vec![TRANSFORMS, JOINTS, CORRECTIONS]))
     }
 
-    fn take_mount(&mut self, source: &Source<'_>, finding: &Finding) -> Taken {
-        let q_xyzw =
-            numbers::<4>(finding.evidence.more.get("link_from_imu")).ok_or_else(nothing)?;
-        let rotation = rotation_from_xyzw(q_xyzw).ok_or_else(nothing)?;
+    fn take_mount(&mut self, source: &Source<'_>, finding: &Finding, rotation: &Rotation) -> Taken {
         let topic = source.lone_topic(finding)?;
         let row = source.row(&topic).ok_or_else(nothing)?;
         let (parent, child) = row.link.clone().zip(row.frame_id.clone()).ok_or_else(nothing)?;
         let logged = source.run.arms.iter().flat_map(|arm| &arm.imus);
         let mut logged = logged.filter(|imu| source.run.streams[imu.stream].topic == topic);
         let logged = logged.next().and_then(|imu| imu.link_from_imu).unwrap_or_default();
-        let pose = Pose::from_parts(logged.translation, rotation);
-        self.corrections.topic(&topic).link_from_imu_xyzw = Some(q_xyzw);
+        let pose = Pose::from_parts(logged.translation, *rotation);
+        let correction = self.corrections.topic(&topic);
+        correction.link_from_imu_xyzw = Some(xyzw_from_rotation(rotation));
         let what = format!("{child} is turned otherwise in {parent}");
-        self.frames.push(FixedFrame {
-            finding: label(finding),
-            comment: format!(
-                "in the place of the static transform to {child}; its position is the log's"
-            ),
-            parent,
-            child,
-            pose,
-        });
+        let comment =
+            format!("in the place of the static transform to {child}; its position is the log's");
+        self.fix_frame(finding, comment, [parent, child], pose);
         Ok((what, vec![TRANSFORMS, JOINTS, CORRECTIONS]))
     }
 
-    fn take_camera(&mut self, source: &Source<'_>, finding: &Finding) -> Taken {
-        let evidence = &finding.evidence.more;
-        let is_mount =
-            matches!(&finding.estimate, Some(Estimate::Frame { name: "mount error", .. }));
-        let pose = pose_of(evidence.get("pose")).filter(|_| is_mount);
-        let pose = pose.ok_or_else(|| finding.fix.clone())?;
+    fn take_camera(
+        &mut self,
+        source: &Source<'_>,
+        finding: &Finding,
+        in_hand: Option<bool>,
+        parent: Option<&String>,
+        pose: &Pose,
+    ) -> Taken {
         let topic = source.lone_topic(finding)?;
         let child = source.row(&topic).and_then(|row| row.frame_id.clone()).ok_or_else(nothing)?;
-        let text = |key: &str| evidence.get(key).and_then(Value::as_str).unwrap_or_default();
-        let (pose_in, mount) = (text("pose_in"), text("mount"));
-        let parent = pose_in.strip_suffix(" by FK").or(pose_in.strip_suffix(" by /tf"));
-        let parent = match (parent, source.row(pose_in)) {
-            (Some(parent), _) => parent.to_owned(),
-            (None, Some(stream)) => stream.child_frame_id.clone().ok_or_else(nothing)?,
-            (None, None) => pose_in.to_owned(),
-        };
+        let parent = parent.cloned().ok_or_else(nothing)?;
         let correction = self.corrections.topic(&topic);
-        let frame = Some(FrameCorrection::from(&pose));
-        match mount {
-            "camera in hand" => correction.hand_from_camera = frame,
-            "camera fixed" => correction.base_from_camera = frame,
-            _ => {
+        let frame = Some(FrameCorrection::from(pose));
+        match in_hand {
+            Some(true) => correction.hand_from_camera = frame,
+            Some(false) => correction.base_from_camera = frame,
+            None => {
                 return Err("the motion does not tell whether the camera is in the hand".to_owned());
             }
         }
         let what = format!("{child} is elsewhere in {parent}");
-        self.frames.push(FixedFrame {
-            finding: label(finding),
-            comment: format!("in the place of the static transform to {child}"),
-            parent,
-            child,
-            pose,
-        });
+        let comment = format!("in the place of the static transform to {child}");
+        self.fix_frame(finding, comment, [parent, child], *pose);
         Ok((what, vec![TRANSFORMS, JOINTS, CORRECTIONS]))
+    }
+
+    fn fix_frame(
+        &mut self,
+        finding: &Finding,
+        comment: String,
+        [parent, child]: [String; 2],
+        pose: Pose,
+    ) {
+        let finding = label(finding);
+        self.frames.push(FixedFrame { finding, comment, parent, child, pose });
     }
 
     fn code(&mut self, finding: &Finding, what: &str, names: String, lines: Option<Lines>) {
@@ -541,14 +520,9 @@ impl Source<'_> {
 
     /// The convention that the bare numbers of a topic turned out to be in.
     fn convention_of_numbers(&self, topic: &str) -> Option<Convention> {
-        let arms = self.run.arms.iter().zip(&self.facts.robots);
-        let mut streams =
-            arms.flat_map(|(arm, facts)| arm.poses.iter().zip(&facts.diagnosis.streams));
-        let (source, found) =
-            streams.find(|(source, _)| self.run.streams[source.stream].topic == topic)?;
-        let is_numbers = matches!(source.track.orientation, Orientations::Numbers(_));
-        match found.reading.as_ref().ok()?.best {
-            Reading::Numbers(convention) if is_numbers => Some(convention),
+        let (_, stream) = self.facts.poses().find(|(_, stream)| stream.topic() == topic)?;
+        match stream.diagnosis.reading.as_ref().ok()?.best {
+            Reading::Numbers(convention) if stream.bare_numbers => Some(convention),
             _ => None,
         }
     }
@@ -562,30 +536,22 @@ fn label(finding: &Finding) -> String {
     }
 }
 
-fn segment(finding: &Finding) -> Option<u64> {
-    finding.evidence.more.get("segment")?["number"].as_u64()
-}
-
 fn nothing() -> String {
     "the finding holds no amount that could be applied".to_owned()
 }
 
-/// The value of an amount, its unit and its interval.
-fn amount(finding: &Finding) -> Result<(f64, &'static str, Option<[f64; 2]>), String> {
-    match finding.estimate {
-        Some(Estimate::Amount { value, unit, ci95, .. }) if value.is_finite() => {
-            Ok((rounded(value), unit, ci95.map(|ends| ends.map(rounded))))
-        }
-        _ => Err(nothing()),
+/// The value of an amount in `unit`, and its interval.
+fn amount(unit: Unit, found: &Measured) -> Result<(f64, Option<[f64; 2]>), String> {
+    match found.value.is_finite() {
+        true => Ok((rounded(found.value), unit.interval95(found).map(|ends| ends.map(rounded)))),
+        false => Err(nothing()),
     }
 }
 
-fn numbers<const N: usize>(value: Option<&Value>) -> Option<[f64; N]> {
-    let all: Option<Vec<f64>> = value?.as_array()?.iter().map(Value::as_f64).collect();
-    all?.try_into().ok()
-}
-
-fn pose_of(value: Option<&Value>) -> Option<Pose> {
-    let xyz = numbers::<3>(value?.get("xyz"))?;
-    Some(pose(xyz, rotation_from_xyzw(numbers::<4>(value?.get("quaternion_xyzw"))?)?))
+/// What was taken for what, in words.
+fn slip_words(finding: &Finding) -> Result<String, String> {
+    match &finding.estimate {
+        Some(Estimate::Slip { is, read_as, .. }) => Ok(format!("{is} read as {read_as}")),
+        _ => Err(nothing()),
+    }
 }

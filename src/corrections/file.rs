@@ -11,8 +11,8 @@ use super::apply::is_same;
 use super::frames::rounded;
 use crate::diagnosis::Reading;
 use crate::geometry::{
-    AngleUnit, Axes, Convention, LengthScale, Misreading, Pose, QuaternionSlip, misreading_classes,
-    pose, rotation_from_xyzw, xyz_of, xyzw_from_rotation,
+    AngleUnit, Axes, Convention, LengthScale, Pose, RotationSlip, Slip, misreading_classes, pose,
+    rotation_from_xyzw, xyz_of, xyzw_from_rotation,
 };
 use crate::report::{Trouble, TroubleKind};
 
@@ -60,6 +60,14 @@ pub struct JointCorrection {
     /// 95 % interval of the offset, in its unit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ci95: Option<[f64; 2]>,
+}
+
+impl JointCorrection {
+    /// Sets the offset of a joint that turns, rad, or of one that slides, m.
+    pub(super) fn set_offset(&mut self, offset: f64, slides: bool) {
+        (self.offset_rad, self.offset_m) =
+            if slides { (None, Some(offset)) } else { (Some(offset), None) };
+    }
 }
 
 /// What is wrong with a topic. Of several slips units are mended first, then rotations, then frames.
@@ -121,30 +129,6 @@ pub struct TopicCorrection {
     pub base_from_camera: Option<FrameCorrection>,
 }
 
-/// One thing that was taken for another.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Slip<T> {
-    /// What it is.
-    pub is: T,
-    /// What it was read as.
-    pub read_as: T,
-}
-
-impl Slip<LengthScale> {
-    /// What lengths must be multiplied by.
-    pub(super) fn factor(self) -> f64 {
-        self.is.in_m() / self.read_as.in_m()
-    }
-}
-
-impl Slip<AngleUnit> {
-    /// What angles must be multiplied by.
-    pub(super) fn factor(self) -> f64 {
-        self.is.in_rad() / self.read_as.in_rad()
-    }
-}
-
 /// Positions that stand under other joints' names: that under `read_as[i]` is that of `is[i]`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -189,62 +173,6 @@ impl FrameCorrection {
     /// The frame as a pose.
     pub fn pose(&self) -> Pose {
         pose(self.xyz, rotation_from_xyzw(self.quaternion_xyzw).unwrap_or_default())
-    }
-}
-
-/// What became of the rotations of a stream, or of its poses as a whole.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(try_from = "Slip<String>", into = "Slip<String>")]
-pub enum RotationSlip {
-    /// Three numbers of one convention were read as another.
-    Misread(Misreading),
-    /// The quaternion's components stand in the other order.
-    Quaternion(QuaternionSlip),
-    /// The rotation is inverted, the position is not.
-    Transposed,
-    /// The pose is inverted as a whole.
-    Inverted,
-}
-
-impl TryFrom<Slip<String>> for RotationSlip {
-    type Error = String;
-
-    fn try_from(slip: Slip<String>) -> Result<Self, String> {
-        let Slip { is, read_as } = &slip;
-        Ok(match (is.as_str(), read_as.as_str()) {
-            ("transpose", "pose") => Self::Transposed,
-            ("pose-inverse", "pose") => Self::Inverted,
-            ("quat:wxyz", "quat:xyzw") => Self::Quaternion(QuaternionSlip::WxyzReadAsXyzw),
-            ("quat:xyzw", "quat:wxyz") => Self::Quaternion(QuaternionSlip::XyzwReadAsWxyz),
-            _ => {
-                let convention =
-                    |name: &str| name.parse::<Convention>().map_err(|error| error.to_string());
-                let misreading = Misreading { is: convention(is)?, read_as: convention(read_as)? };
-                if misreading.is == misreading.read_as {
-                    return Err(format!("`{is}` read as `{read_as}` is no slip"));
-                }
-                Self::Misread(misreading)
-            }
-        })
-    }
-}
-
-impl From<RotationSlip> for Slip<String> {
-    fn from(slip: RotationSlip) -> Self {
-        let of = |is: &str, read_as: &str| Slip { is: is.to_owned(), read_as: read_as.to_owned() };
-        match slip {
-            RotationSlip::Transposed => of("transpose", "pose"),
-            RotationSlip::Inverted => of("pose-inverse", "pose"),
-            RotationSlip::Quaternion(QuaternionSlip::WxyzReadAsXyzw) => {
-                of("quat:wxyz", "quat:xyzw")
-            }
-            RotationSlip::Quaternion(QuaternionSlip::XyzwReadAsWxyz) => {
-                of("quat:xyzw", "quat:wxyz")
-            }
-            RotationSlip::Misread(Misreading { is, read_as }) => {
-                of(&is.to_string(), &read_as.to_string())
-            }
-        }
     }
 }
 
@@ -482,6 +410,7 @@ impl Corrections {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::Misreading;
 
     #[test]
     fn what_is_written_is_read_back() {

@@ -13,7 +13,5 @@ mod frames;
 
 pub(crate) use apply::Given;
 pub(crate) use collect::Mending;
-pub use file::{
-    Corrections, FrameCorrection, JointCorrection, JointOrder, RotationSlip, Slip, TopicCorrection,
-};
+pub use file::{Corrections, FrameCorrection, JointCorrection, JointOrder, TopicCorrection};
 pub(crate) use files::{FIX_FILES, model_files};

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 
+mod cause;
 mod unit;
 
 use serde::{Deserialize, Serialize, Serializer};
@@ -10,6 +11,7 @@ use serde_json::{Map, Value};
 use crate::stats::{Length, Measured};
 use crate::time::Stamp;
 
+pub use cause::{Cause, JointScaling};
 pub use unit::{Unit, rounded};
 
 /// How grave a finding is.
@@ -284,6 +286,8 @@ pub struct Evidence {
 pub struct Fault {
     /// How grave it is.
     pub severity: Severity,
+    /// What is wrong, with the amounts that mend it.
+    pub cause: Cause,
     /// The fault in a few words, without figures.
     pub title: &'static str,
     /// The fault in one clause: lower-case start, no final period, the figure with its unit.
@@ -348,6 +352,12 @@ pub struct Finding {
     pub message: String,
     /// What is at fault.
     pub subject: Subject,
+    /// What is wrong, with the amounts that mend it.
+    #[serde(skip)]
+    pub cause: Cause,
+    /// Which segment of the run it is of, from 0, where there are several.
+    #[serde(skip)]
+    pub segment: Option<usize>,
     /// By how much.
     pub estimate: Option<Estimate>,
     /// What it rests on.

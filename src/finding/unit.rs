@@ -120,7 +120,7 @@ impl Unit {
         self.show_interval(measured.value, self.half_width(measured, 0.95), true)
     }
 
-    /// A value of an [`Estimate`] with the wider half of its interval, where it has one.
+    /// A value of an [`Estimate`](super::Estimate) with the wider half of its interval, where it has one.
     pub fn show_within(self, value: f64, interval: Option<[f64; 2]>) -> String {
         match interval {
             Some([low, high]) => self.show_interval(value, (high - value).max(value - low), false),

@@ -22,12 +22,12 @@ pub use code::{CodeLine, code_of_numbers, code_of_quaternion};
 pub use coding::Coding;
 pub use convention::{Convention, ConventionError};
 pub use euler::EulerOrder;
-pub use reading::{Misreading, MisreadingClass, QuaternionSlip, misreading_classes};
+pub use reading::{Misreading, MisreadingClass, QuaternionSlip, RotationSlip, misreading_classes};
 pub use rotation::{
     angle_between, rotation_from_matrix_rows, rotation_from_rotvec, rotation_from_rpy,
     rotation_from_xyzw, rotvec_from_rotation, xyzw_from_rotation,
 };
-pub use units::{AngleUnit, LengthScale, UnitError, Units};
+pub use units::{AngleUnit, LengthScale, Slip, UnitError, Units};
 
 /// A rigid transform `a_from_b`; translation in metres.
 pub type Pose = Isometry3<f64>;

@@ -1,7 +1,8 @@
 //! The fault of reading the numbers of one rotation convention as another's.
 
 use super::convention::{Convention, rotvec_branches};
-use super::{Rotation, Vec3, rotation_from_rotvec};
+use super::{Rotation, Slip, Vec3, rotation_from_rotvec};
+use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 use std::sync::LazyLock;
 
@@ -156,6 +157,62 @@ impl QuaternionSlip {
         match self {
             Self::WxyzReadAsXyzw => [y, z, w, x],
             Self::XyzwReadAsWxyz => [w, x, y, z],
+        }
+    }
+}
+
+/// What became of the rotations of a stream, or of its poses as a whole.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "Slip<String>", into = "Slip<String>")]
+pub enum RotationSlip {
+    /// Three numbers of one convention were read as another.
+    Misread(Misreading),
+    /// The quaternion's components stand in the other order.
+    Quaternion(QuaternionSlip),
+    /// The rotation is inverted, the position is not.
+    Transposed,
+    /// The pose is inverted as a whole.
+    Inverted,
+}
+
+impl TryFrom<Slip<String>> for RotationSlip {
+    type Error = String;
+
+    fn try_from(slip: Slip<String>) -> Result<Self, String> {
+        let Slip { is, read_as } = &slip;
+        Ok(match (is.as_str(), read_as.as_str()) {
+            ("transpose", "pose") => Self::Transposed,
+            ("pose-inverse", "pose") => Self::Inverted,
+            ("quat:wxyz", "quat:xyzw") => Self::Quaternion(QuaternionSlip::WxyzReadAsXyzw),
+            ("quat:xyzw", "quat:wxyz") => Self::Quaternion(QuaternionSlip::XyzwReadAsWxyz),
+            _ => {
+                let convention =
+                    |name: &str| name.parse::<Convention>().map_err(|error| error.to_string());
+                let misreading = Misreading { is: convention(is)?, read_as: convention(read_as)? };
+                if misreading.is == misreading.read_as {
+                    return Err(format!("`{is}` read as `{read_as}` is no slip"));
+                }
+                Self::Misread(misreading)
+            }
+        })
+    }
+}
+
+impl From<RotationSlip> for Slip<String> {
+    fn from(slip: RotationSlip) -> Self {
+        let of = |is: &str, read_as: &str| Slip { is: is.to_owned(), read_as: read_as.to_owned() };
+        match slip {
+            RotationSlip::Transposed => of("transpose", "pose"),
+            RotationSlip::Inverted => of("pose-inverse", "pose"),
+            RotationSlip::Quaternion(QuaternionSlip::WxyzReadAsXyzw) => {
+                of("quat:wxyz", "quat:xyzw")
+            }
+            RotationSlip::Quaternion(QuaternionSlip::XyzwReadAsWxyz) => {
+                of("quat:xyzw", "quat:wxyz")
+            }
+            RotationSlip::Misread(Misreading { is, read_as }) => {
+                of(&is.to_string(), &read_as.to_string())
+            }
         }
     }
 }

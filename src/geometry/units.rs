@@ -138,6 +138,38 @@ impl AngleUnit {
             Self::Degree => "deg",
         }
     }
+
+    /// Its name, as of several.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Radian => "radians",
+            Self::Degree => "degrees",
+        }
+    }
+}
+
+/// One thing that was taken for another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Slip<T> {
+    /// What it is.
+    pub is: T,
+    /// What it was read as.
+    pub read_as: T,
+}
+
+impl Slip<AngleUnit> {
+    /// What angles must be multiplied by.
+    pub fn factor(self) -> f64 {
+        self.is.in_rad() / self.read_as.in_rad()
+    }
+}
+
+impl Slip<LengthScale> {
+    /// What lengths must be multiplied by.
+    pub fn factor(self) -> f64 {
+        self.is.in_m() / self.read_as.in_m()
+    }
 }
 
 /// The units that somebody named, `mm, deg`; none of what they left open.

@@ -9,7 +9,7 @@ use rerun::{ComponentDescriptor, EntityPath, StoreKind, TimelineName};
 use super::tape::entity;
 use super::*;
 use crate::diagnosis::Aligned;
-use crate::finding::{Evidence, Severity, Subject};
+use crate::finding::{Cause, Evidence, Severity, Subject};
 use crate::report::{Trouble, TroubleKind, Verdict};
 use crate::robot::catalogue;
 use crate::tables::{AFTER_M, aligned_frame};
@@ -58,6 +58,8 @@ fn finding() -> Finding {
         title: "stream is late",
         message: "22 ms late".to_owned(),
         subject: Subject { topic: Some("/tcp/pose".to_owned()), ..Subject::default() },
+        cause: Cause::Other,
+        segment: None,
         estimate: None,
         evidence: Evidence { effect: Some("26 mm".to_owned()), ..Evidence::default() },
         fix: "stamp it when it is sampled".to_owned(),

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::LazyLock;
 
 use poseaudit::checks::Evaluation;
-use poseaudit::finding::{CheckRow, Estimate, Evidence, Finding, Severity, Status, Subject};
+use poseaudit::finding::{Cause, CheckRow, Estimate, Evidence, Finding, Severity, Status, Subject};
 use poseaudit::report::{FileRow, Format, LogSummary, Report};
 use poseaudit::{Options, audit};
 
@@ -40,6 +40,8 @@ pub fn hostile(fail_on: Option<Severity>) -> Report {
         title: "stream is late",
         message: format!("3 ms late against {HOSTILE}"),
         subject: subject.clone(),
+        cause: Cause::Other,
+        segment: None,
         estimate: Some(Estimate::counted("latency", "s", 3e-3)),
         evidence: Evidence { effect: Some(HOSTILE.to_owned()), ..Evidence::default() },
         fix: format!("shift {HOSTILE}"),

@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 
 use super::bars::{Bar, Bars, Whisker, Whiskers};
 use super::plot::{Mark, Plot, Role, Series, Style};
-use crate::finding::{CheckRow, Estimate, Finding, Status, Unit};
+use crate::checks::{LAT001, ZER001};
+use crate::finding::{Cause, CheckRow, Estimate, Finding, Status, Unit};
+use crate::geometry::RotationSlip;
 use crate::report::Report;
 use crate::report::figures::{CoursePoint, Figures, ImuFigure, PoseFigure, ReadingScore};
 
@@ -74,41 +76,50 @@ struct Case<'a> {
 impl Case<'_> {
     fn proof(&self) -> Proof {
         let mut proof = Proof::default();
-        match self.finding.code {
-            "ORD001" | "ORD002" | "ORD003" => {
+        match &self.finding.cause {
+            Cause::Rotation(_) | Cause::Bare { .. } => {
                 proof.plots.extend(self.poses().map(rotation_over_time));
-                if self.finding.code == "ORD003" {
+                let is_whole =
+                    |slip| matches!(slip, RotationSlip::Transposed | RotationSlip::Inverted);
+                if matches!(self.finding.cause, Cause::Rotation(slip) if is_whole(slip)) {
                     proof.plots.extend(self.poses().map(position_over_time));
                 }
                 let of_poses = self.poses().map(|pose| readings(&pose.readings));
                 let of_imus = self.imus().map(|imu| readings(&imu.readings));
                 proof.bars.extend(of_poses.chain(of_imus).flatten());
             }
-            "ORD004" | "ORD005" | "ORD007" | "ORD008" | "ORD009" | "FRM001" | "FRM002"
-            | "FRM003" => {
+            Cause::AngleUnit(_)
+            | Cause::LengthUnit(_)
+            | Cause::JointUnit(_)
+            | Cause::JointScale(_)
+            | Cause::JointOrder { .. }
+            | Cause::Dh(_)
+            | Cause::TfDisagrees
+            | Cause::Reference(_)
+            | Cause::Tool(_) => {
                 proof.plots.extend(self.poses().map(position_over_time));
                 proof.plots.extend(self.poses().map(rotation_over_time));
             }
-            "MDL001" => {
+            Cause::Model | Cause::OtherRobot(_) => {
                 proof.plots.extend(self.poses().map(position_over_time));
                 proof.plots.extend(self.poses().map(rotation_over_time));
                 proof.plots.extend(self.poses().map(error_over_reach));
             }
-            "ZER001" => {
+            Cause::JointZero { .. } => {
                 proof.whiskers.extend(self.offsets());
                 proof.plots.extend(self.poses().map(position_over_time));
                 proof.plots.extend(self.poses().map(error_over_reach));
             }
-            "ZER002" => {
+            Cause::Growth => {
                 proof.plots.extend(self.poses().map(error_over_reach));
                 proof.plots.extend(self.poses().map(position_over_time));
             }
-            "LAT001" => {
+            Cause::Latency(_) => {
                 proof.plots.extend(self.poses().map(|pose| self.valley(pose)));
                 proof.plots.extend(self.imus().map(|imu| self.correlation(imu)));
                 proof.plots.extend(self.poses().map(position_over_time));
             }
-            "LAT002" | "LAT003" => {
+            Cause::Skew(_) | Cause::UnsteadyLatency => {
                 let of_poses = self
                     .poses()
                     .map(|pose| course([&pose.robot, &pose.topic], &pose.latency_course));
@@ -116,15 +127,15 @@ impl Case<'_> {
                     self.imus().map(|imu| course([&imu.robot, &imu.topic], &imu.latency_course));
                 proof.plots.extend(of_poses.chain(of_imus));
             }
-            "YAW001" => {
+            Cause::YawDrift(_) | Cause::YawJump => {
                 proof.plots.extend(self.imus().map(|imu| self.yaw_error(imu)));
                 proof.plots.extend(self.imus().map(headings));
             }
-            "FRM004" => proof.part = Some(("frames", "the tree of frames")),
-            "TIM001" | "TIM002" | "TIM003" | "TIM004" | "TIM005" | "TIM006" => {
-                proof.part = Some(("timeline", "when each stream was there"));
+            Cause::Frames => proof.part = Some(("frames", "the tree of frames")),
+            Cause::Stamps => proof.part = Some(("timeline", "when each stream was there")),
+            Cause::Axes { .. } | Cause::ImuMount(_) | Cause::CameraMount { .. } | Cause::Other => {
+                proof.whiskers.extend(self.amounts())
             }
-            _ => proof.whiskers.extend(self.amounts()),
         }
         proof
     }
@@ -176,7 +187,8 @@ impl Case<'_> {
 
     /// The latency found on a topic, as a mark in ms.
     fn latency_mark(&self, topic: &str) -> Option<Mark> {
-        let row = self.checks("LAT001").find(|row| row.subject.topic.as_deref() == Some(topic))?;
+        let row =
+            self.checks(LAT001.code).find(|row| row.subject.topic.as_deref() == Some(topic))?;
         let Some(Estimate::Amount { value, ci95, .. }) = &row.estimate else { return None };
         Some(Mark {
             at: value * 1e3,
@@ -243,7 +255,7 @@ impl Case<'_> {
 
     /// The zero offsets of all joints of the robot.
     fn offsets(&self) -> Option<Whiskers> {
-        let rows = self.checks("ZER001").map(|row| {
+        let rows = self.checks(ZER001.code).map(|row| {
             let joint = row.subject.label().to_owned();
             let Some(Estimate::Amount { value, ci95, unit, .. }) = &row.estimate else {
                 return Whisker { label: joint, amount: None, is_fault: false };
@@ -271,13 +283,12 @@ impl Case<'_> {
             values: imu.yaw_error.iter().map(|at| at[1].to_degrees()).collect(),
             half_widths: Vec::new(),
         }];
-        let drift = self.finding.estimate.as_ref().and_then(Estimate::value);
-        if let (Some(drift), [first, .., last]) = (drift, t_s.as_slice()) {
+        if let (Cause::YawDrift(drift), [first, .., last]) = (&self.finding.cause, t_s.as_slice()) {
             let middle = 0.5 * (first + last);
             series.push(Series {
                 label: "drift found".to_owned(),
                 role: Role::Beside,
-                values: t_s.iter().map(|t_s| (drift * (t_s - middle)).to_degrees()).collect(),
+                values: t_s.iter().map(|t_s| (drift.value * (t_s - middle)).to_degrees()).collect(),
                 half_widths: Vec::new(),
             });
         }

@@ -3,11 +3,13 @@ use serde_json::Value;
 use super::plot::{Plot, Role, Series};
 use super::*;
 use crate::checks::{self, Evaluation};
-use crate::finding::{Evidence, Finding, Severity, Subject};
+use crate::finding::{Cause, Evidence, Finding, Severity, Subject};
+use crate::geometry::{Convention, Misreading, Pose, RotationSlip};
 use crate::report::figures::{
     Figures, FrameEdge, FrameEdgeKind, ImuFigure, PoseFigure, ReadingScore, Silence, TimelineRow,
 };
 use crate::report::{LogSummary, NoteRow, RobotRow, StreamRow};
+use crate::stats::Measured;
 
 /// What a topic may be called by who wishes the reader ill.
 const HOSTILE: &str = "/pose</script><img src=x onerror=alert(1)>\"'&";
@@ -15,7 +17,26 @@ const HOSTILE: &str = "/pose</script><img src=x onerror=alert(1)>\"'&";
 const POSE: &str = "/pose";
 const IMU: &str = "/imu";
 
+/// A finding of a rule that has pictures.
 fn finding(code: &'static str, topic: &str) -> Finding {
+    let measured = Measured { value: 1e-2, std_error: 1e-4, dof: 1e3 };
+    let cause = match code {
+        "ORD001" => {
+            let misreading = Misreading { is: Convention::RotVec, read_as: Convention::RPY };
+            Cause::Rotation(RotationSlip::Misread(misreading))
+        }
+        "ZER001" => Cause::JointZero { offset: measured, slides: false },
+        "LAT001" => Cause::Latency(measured),
+        "LAT003" => Cause::UnsteadyLatency,
+        "YAW001" => Cause::YawDrift(measured),
+        "MDL001" => Cause::Model,
+        "FRM004" => Cause::Frames,
+        "TIM002" => Cause::Stamps,
+        "LAT002" => Cause::Skew(measured),
+        "ZER002" => Cause::Growth,
+        "FRM002" => Cause::Reference(Pose::identity()),
+        _ => Cause::Other,
+    };
     Finding {
         code,
         severity: Severity::Error,
@@ -26,6 +47,8 @@ fn finding(code: &'static str, topic: &str) -> Finding {
             topic: Some(topic.to_owned()),
             ..Subject::default()
         },
+        cause,
+        segment: None,
         estimate: None,
         evidence: Evidence::default(),
         fix: format!("mend {topic}"),
