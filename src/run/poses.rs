@@ -9,7 +9,7 @@ use crate::stream::{
 use crate::time::Stamp;
 
 use super::declaration::Declaration;
-use super::streams::Rows;
+use super::rows::Rows;
 
 /// A track, and the stamps of its samples.
 #[derive(Clone, Debug)]

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use mcap::{Compression, WriteOptions};
 
-use super::super::files::Mapped;
+use super::super::mapped::Mapped;
 use super::super::testing::{self, Cdr, LogWriter};
 use super::super::unpack::Allowance;
 use super::super::{Container, Log, LogFile, Loss};

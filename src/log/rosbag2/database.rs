@@ -16,8 +16,9 @@ use rusqlite::{Connection, OpenFlags, Row};
 
 use super::wal;
 use crate::log::decode::{Format, excerpt};
-use crate::log::intake::{ChannelId, Intake, Message, Place};
+use crate::log::intake::{ChannelId, Intake};
 use crate::log::losses::Losses;
+use crate::log::topic::{Message, Place};
 use crate::log::{ESCAPED, Extent, ReadOptions};
 
 /// Most places of a database that are passed over because they are damaged.

@@ -5,14 +5,15 @@ use crate::robot::LinkId;
 use crate::stream::Columns;
 use crate::time::Stamp;
 
-use super::super::arm::{Anchor, Arm, ImuSource, PoseSource};
-use super::super::carrier::Carrier;
+use super::super::arm::{Anchor, Arm};
 use super::super::contest::{Claimant, Contest};
 use super::super::declaration::Declaration;
 use super::super::error::RunError;
 use super::super::frozen::{Frozen, take_frozen};
 use super::super::poses::{self, Stamped};
 use super::super::role::{Place, PoseTopic, Role, Verdict, array_role, pose_role};
+use super::super::sources::Carrier;
+use super::super::sources::{ImuSource, PoseSource};
 use super::super::space::Claim;
 use super::super::streams::Stream;
 use super::super::tf_tree::{Edge, EdgeKind};

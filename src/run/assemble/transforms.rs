@@ -5,10 +5,11 @@ use crate::robot::{Chain, JointKind, Robot};
 use crate::stream::{Columns, PoseColumns};
 use crate::time::Stamp;
 
-use super::super::arm::{Arm, NoTf, PoseSource};
-use super::super::models::FrameNames;
+use super::super::arm::{Arm, NoTf};
+use super::super::model::FrameNames;
 use super::super::poses::{self, Stamped};
 use super::super::role::{Place, Role};
+use super::super::sources::PoseSource;
 use super::super::space::{Claim, Space};
 use super::super::streams::{Stream, Timing};
 use super::super::targets;
