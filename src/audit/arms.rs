@@ -28,7 +28,7 @@ pub(super) fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, options: &Op
     let whole = Span { start: whole.0, end: whole.1 };
     let mended = diagnosis.arm.corrected_joints(&arm.joints, &arm.slides());
     let is_read = !matches!(diagnosis.arm.joints, Err(Unseen::NotExcited));
-    let most_lag_s = options.max_latency_s;
+    let most_lag_s = options.run.max_latency_s;
     let pose_facts = |source: &PoseSource, found: &PoseDiagnosis| PoseFacts {
         proof: proof(&arm.joints, &mended, &run.pose_stream(source), found),
         topic: run.streams[source.stream].topic.clone(),
@@ -96,7 +96,7 @@ pub(super) fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, options: &Op
         shake: shake_of_poses(&source.track, found),
     }));
     let poses = arm.poses.iter().zip(&diagnosis.arm.streams).map(|(source, found)| PoseFacts {
-        euler: euler(run, source, found, &options.declarations),
+        euler: euler(run, source, found, &options.run.declared),
         ..pose_facts(source, found)
     });
     let poses = poses.collect();

@@ -31,6 +31,7 @@ mod unpack;
 
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use crate::boundary::Staged;
 
@@ -51,21 +52,21 @@ pub use self::progress::Progress;
 pub use self::remote::{Listed, RemoteFault, is_url, list, normal};
 
 /// How to read.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct ReadOptions<'a> {
+#[derive(Clone, Debug, Default)]
+pub struct ReadOptions {
     /// Check every checksum in the files, also where that takes another pass over the bytes.
     pub verify: bool,
     /// What the compressed parts of a file may unpack to, GiB, where that is more than would be unpacked
     /// otherwise.
     pub max_unpacked_gib: Option<u32>,
     /// Kept up to date while the files are read.
-    pub progress: Option<&'a Progress>,
+    pub progress: Option<Arc<Progress>>,
 }
 
-impl ReadOptions<'_> {
+impl ReadOptions {
     /// Says how far the file that is being read was read.
     fn at(&self, offset: usize) {
-        if let Some(progress) = self.progress {
+        if let Some(progress) = &self.progress {
             progress.at(offset as u64);
         }
     }
@@ -271,12 +272,12 @@ pub fn looks_like_log(head: &[u8]) -> bool {
 /// If one of the files cannot be opened or is no log of a supported kind, if the same file is given
 /// twice, or if no message can be read from any of them. Damage to a part of a file is no error: see
 /// [`Log::losses`].
-pub fn open(paths: &[PathBuf], options: &ReadOptions<'_>) -> Result<Log, LogError> {
+pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
     let mut intake = Intake::default();
     let mut rtde = rtde::Recording::default();
     let inputs = files::inputs(paths, &mut intake)?;
     files::refuse_repeats(&inputs)?;
-    if let Some(progress) = options.progress {
+    if let Some(progress) = &options.progress {
         progress.begin(inputs.iter().map(Input::bytes).sum());
     }
     let mut files = Vec::with_capacity(inputs.len());
@@ -284,7 +285,7 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions<'_>) -> Result<Log, LogErro
         let mut reading = Reading {
             path: &input.path,
             in_bag: input.in_bag,
-            options: *options,
+            options: options.clone(),
             losses: Losses::of(&input.path),
             intake: &mut intake,
             rtde: &mut rtde,
@@ -305,7 +306,7 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions<'_>) -> Result<Log, LogErro
             Err(error) => return Err(error),
         }
         intake.losses(losses);
-        if let Some(progress) = options.progress {
+        if let Some(progress) = &options.progress {
             progress.file_done(bytes);
         }
     }
@@ -321,7 +322,7 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions<'_>) -> Result<Log, LogErro
 struct Reading<'a> {
     path: &'a Path,
     in_bag: bool,
-    options: ReadOptions<'a>,
+    options: ReadOptions,
     losses: Losses,
     intake: &'a mut Intake,
     rtde: &'a mut rtde::Recording,
@@ -369,7 +370,7 @@ impl Reading<'_> {
 
     /// Reads the log that is packed in `archive`.
     fn archive(&mut self, archive: &[u8]) -> Result<(Container, Crc), LogError> {
-        let options = self.options;
+        let options = &self.options;
         let (Unpacked { file, path }, end) =
             unpack::file(archive, &mut self.intake.allowance, |offset| options.at(offset))
                 .map_err(|source| LogError::Temporary { path: self.path.to_owned(), source })?;
@@ -598,8 +599,9 @@ mod tests {
         writer.poses(1, "/pose");
         writer.count_poses(1, 200, 10);
         drop(writer);
-        let progress = Progress::default();
-        let options = ReadOptions { progress: Some(&progress), ..ReadOptions::default() };
+        let progress = Arc::new(Progress::default());
+        let options =
+            ReadOptions { progress: Some(Arc::clone(&progress)), ..ReadOptions::default() };
         open(&paths, &options).unwrap();
         let bytes = paths.map(|path| fs::metadata(path).unwrap().len()).iter().sum();
         assert_eq!((progress.read(), progress.total()), (bytes, bytes));

@@ -27,7 +27,7 @@ pub(super) fn poses(mut log: LogWriter) -> Vec<u8> {
     log.finish()
 }
 
-fn read_with(bytes: &[u8], options: ReadOptions<'_>) -> Log {
+fn read_with(bytes: &[u8], options: ReadOptions) -> Log {
     read_present(bytes, &Present::Whole, options).unwrap()
 }
 
@@ -35,7 +35,7 @@ fn read_with(bytes: &[u8], options: ReadOptions<'_>) -> Log {
 pub(super) fn read_present(
     bytes: &[u8],
     present: &Present,
-    options: ReadOptions<'_>,
+    options: ReadOptions,
 ) -> Result<Log, Absent> {
     let (path, mut intake) = (Path::new("run.mcap"), Intake::default());
     let mut losses = Losses::of(path);
