@@ -12,8 +12,8 @@ use mcap::records::MessageHeader;
 use mcap::{Compression, WriteOptions};
 use poseaudit::boundary::caught;
 use poseaudit::geometry::{Convention, Misreading};
-use poseaudit::report::{Format, Report, TroubleKind, Verdict};
-use poseaudit::run::RobotSource;
+use poseaudit::report::{Format, Report, Trouble, TroubleKind, Verdict};
+use poseaudit::run::{RobotSource, RunOptions};
 use poseaudit::synth::{Coding, Motion, ROBOT_DESCRIPTION, Scenario};
 use poseaudit::{Options, audit};
 
@@ -118,12 +118,19 @@ pub fn audit_of(bytes: &[u8]) -> BTreeSet<String> {
     let robot = draw.one_of(&[None, None, Some("ur5e"), Some("panda")]);
     let options = Options {
         logs: vec![path],
-        robots: robot.into_iter().map(RobotSource::from).collect(),
-        figures: draw.is(),
+        run: RunOptions {
+            robots: robot.into_iter().map(RobotSource::from).collect(),
+            ..RunOptions::default()
+        },
         ..Options::default()
     };
+    let are_pictured = draw.is();
+    let audited = || -> Result<Report, Trouble> {
+        let audited = audit(&options)?;
+        Ok(if are_pictured { audited.with_figures().report } else { audited.report })
+    };
     let start_s = processor_s();
-    let report = caught(|| audit(&options)).unwrap_or_else(|panic| panic!("a panic: {panic}"));
+    let report = caught(audited).unwrap_or_else(|panic| panic!("a panic: {panic}"));
     let took_s = processor_s() - start_s;
     assert!(took_s < LONGEST_S, "it took {took_s} s");
     let peak_kb = peak_kb();

@@ -5,12 +5,11 @@ use proptest::prelude::*;
 use proptest::sample::Index;
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 
-use crate::Options;
-use crate::audit::{Audits, Read};
+use crate::audit::{Audited, Options};
 use crate::geometry::{Pose, xyzw_from_rotation};
 use crate::log::{Log, Topic};
 use crate::robot::Robot;
-use crate::run::RobotSource;
+use crate::run::{RobotSource, RunOptions};
 use crate::stream::{
     ArrayColumns, Columns, ImuColumns, JointColumn, JointColumns, PoseColumns, TextColumns,
 };
@@ -375,16 +374,16 @@ impl AnyLog {
             Some(self.link(&Frame::Link(*link)))
         };
         let options = Options {
-            robots: self.robot.into_iter().map(RobotSource::from).collect(),
-            base: end(0),
-            tip: end(1),
-            figures: true,
+            run: RunOptions {
+                robots: self.robot.into_iter().map(RobotSource::from).collect(),
+                base: end(0),
+                tip: end(1),
+                ..RunOptions::default()
+            },
             ..Options::default()
         };
-        let read = Read::of(&log);
-        if let Ok(audits) = Audits::of(log, &read, &options, None) {
-            let mut report = audits.report(read, &options);
-            report.figures = Some(audits.figures(&report));
+        if let Ok(audited) = Audited::of(log, &options, None) {
+            let report = audited.with_figures().report;
             assert!(report.checks.iter().all(|row| !row.code.is_empty()));
         }
     }

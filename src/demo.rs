@@ -45,7 +45,8 @@ pub fn demo(dir: &Path) -> Result<Demo, Trouble> {
         place: log.display().to_string(),
         remedy: "name a folder that can be written to".to_owned(),
     })?;
-    let report = crate::audit(&Options { logs: vec![log], figures: true, ..Options::default() })?;
+    let audited = crate::audit(&Options { logs: vec![log], ..Options::default() })?;
+    let report = audited.with_figures().into_report();
     let planted = planted(&report.findings);
     Ok(Demo { report, planted })
 }

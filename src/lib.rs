@@ -6,14 +6,15 @@
 //!
 //! ```no_run
 //! let options = poseaudit::Options { logs: vec!["run.mcap".into()], ..Default::default() };
-//! let report = poseaudit::audit(&options)?;
-//! for finding in &report.findings {
+//! let audited = poseaudit::audit(&options)?;
+//! for finding in &audited.report.findings {
 //!     println!("{} {}", finding.code, finding.message);
 //! }
+//! audited.write_fixes("mend".as_ref())?;
 //! # Ok::<(), poseaudit::report::Trouble>(())
 //! ```
 //!
-//! Data walks one way: bytes → [`log`] → [`run`] → [`diagnosis`] → [`checks`] → [`report`].
+//! Data walks one way: bytes → [`log`] → [`run`] → [`diagnosis`] → [`checks`] → [`report`] → [`output`].
 //! [`robot`] feeds the diagnosis; [`stream`], [`geometry`] and [`time`] are the ground floor.
 //! Beside it, [`desk`] says what single poses are.
 #![warn(missing_docs)]
@@ -22,7 +23,6 @@
 mod any_log;
 mod audit;
 mod demo;
-mod recording;
 
 pub mod boundary;
 pub mod checks;
@@ -35,76 +35,48 @@ pub mod finding;
 pub mod fleet;
 pub mod geometry;
 pub mod log;
+pub mod output;
 pub mod places;
-pub mod replay;
 pub mod report;
 pub mod robot;
 pub mod run;
 pub mod stats;
 pub mod stream;
 pub mod synth;
-pub mod tables;
 pub mod time;
 
-pub use audit::Options;
+pub use audit::{Audited, Options, Policy};
 pub use demo::{DEMO_LOG, Demo, Planted, demo};
 
 use std::path::PathBuf;
 
 use corrections::{Corrections, Given};
 use log::ReadOptions;
-use places::Places;
 use report::{Report, Trouble};
 use run::{Run, RunOptions};
 
-/// Audits one run.
+/// Audits one run, and writes nothing.
 ///
 /// # Errors
 /// Where the call is wrong or the log cannot be read. A log without an arm or a model is reported
 /// on, with the trouble in [`Report::error`].
-pub fn audit(options: &Options) -> Result<Report, Trouble> {
-    Places::of(options).check()?;
-    let how = ReadOptions {
-        verify: options.verify,
-        max_unpacked_gib: options.max_unpacked_gib,
-        progress: options.progress.as_deref(),
-    };
+pub fn audit(options: &Options) -> Result<Audited, Trouble> {
+    options.places().check()?;
     let corrections = options.corrections.as_deref().map(Corrections::from_file).transpose()?;
     let given = corrections.as_ref().zip(options.corrections.as_deref());
     let given = given.map(|(corrections, file)| Given { corrections, file });
-    let mut log = log::open(&options.logs, &how)?;
-    let mut read = audit::Read::of(&log);
+    let mut log = log::open(&options.logs, &options.read)?;
     if let Some(given) = &given {
         given.shift(&mut log)?;
-        read.note_corrections(given);
     }
-    let audits = audit::Audits::of(log, &read, options, given)?;
-    let mut report = audits.report(read, options);
-    if options.figures {
-        report.figures = Some(audits.figures(&report));
-    }
-    if let Some(recording) = &options.recording {
-        let main = audits.main();
-        let notes = recording::record(recording, &main.run, &main.facts, &report)?;
-        report.log.notes.extend(notes);
-    }
-    if let Some(folder) = &options.tables {
-        let main = audits.main();
-        audit::write_tables(folder, &main.run, &main.facts, &report)?;
-    }
-    if let Some(folder) = &options.fix {
-        audits.write_fixes(&report, options, folder)?;
-    }
-    // To give back the columns of a long log takes as long as to write the report on it.
-    rayon::spawn(|| drop(audits));
-    Ok(report)
+    Audited::of(log, options, given)
 }
 
 /// What a log holds: its topics, and which role each gets and why. Nothing is audited.
 ///
 /// # Errors
 /// Where the log cannot be read.
-pub fn info(logs: &[PathBuf], how: &ReadOptions<'_>) -> Result<Report, Trouble> {
+pub fn info(logs: &[PathBuf], how: &ReadOptions) -> Result<Report, Trouble> {
     let log = log::open(logs, how)?;
     let read = audit::Read::of(&log);
     let options = RunOptions::default();

@@ -9,14 +9,11 @@ use std::fs::{self, Metadata};
 use std::io;
 use std::path::{Component, Path, PathBuf};
 
-use crate::audit::Options;
-use crate::corrections::{FIX_FILES, model_files};
 use crate::log;
-use crate::report::{Trouble, TroubleKind};
-use crate::tables::TABLE_FILES;
+use crate::report::{Trouble, TroubleKind, is_descriptor, replaceable};
 
 /// The files and folders of a call.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Places {
     inputs: Vec<(&'static str, Place)>,
     /// The folders of meshes, any file below which may be read.
@@ -25,7 +22,7 @@ pub struct Places {
 }
 
 /// A file to write, or a folder in which files are written.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Output {
     /// The option that names it.
     option: &'static str,
@@ -54,39 +51,14 @@ struct Place {
 }
 
 impl Places {
-    /// Those of an audit, as far as `options` name them.
-    pub fn of(options: &Options) -> Self {
-        let mut places = Self::default();
-        let robots = options.robots.iter().map(|robot| Path::new(&robot.model));
-        // What is no file is a name of the catalogue.
-        let robots: Vec<&Path> = robots.filter(|path| path.is_file()).collect();
-        options.logs.iter().for_each(|log| places.reads_log(log));
-        robots.iter().for_each(|robot| places.reads("the robot", robot));
-        options.calibrations.iter().for_each(|one| places.reads("the calibration", &one.file));
-        options.config.iter().for_each(|config| places.reads("the config", config));
-        options.corrections.iter().for_each(|file| places.reads("the corrections", file));
-        if let Some(recording) = &options.recording {
-            places.trees.extend(recording.mesh_roots.iter().map(|root| Place::of(root)));
-            places.writes("--rrd", &recording.path);
-        }
-        if let Some(folder) = &options.tables {
-            places.writes_into(
-                "--parquet",
-                folder,
-                TABLE_FILES.map(|name| format!("{name}.parquet")),
-            );
-        }
-        if let Some(folder) = &options.fix {
-            let patched = robots.iter().flat_map(|robot| model_files(robot));
-            let names = FIX_FILES.iter().map(|&name| name.to_owned()).chain(patched);
-            places.writes_into("--fix", folder, names);
-        }
-        places
-    }
-
     /// `path` is read, which is `what`.
     pub fn reads(&mut self, what: &'static str, path: &Path) {
         self.inputs.push((what, Place::of(path)));
+    }
+
+    /// Any file below `folder` may be read.
+    pub fn reads_below(&mut self, folder: &Path) {
+        self.trees.push(Place::of(folder));
     }
 
     /// The log at `path` is read: a file, all files of a folder, or an object in a store, which is no
@@ -128,12 +100,6 @@ impl Places {
     /// `option` has `folder`, and nothing else may be written in it.
     pub fn keeps(&mut self, option: &'static str, folder: &Path) {
         self.outputs.push(Output { option, place: Place::of(folder), kind: Kind::Own });
-    }
-
-    /// What is read at `path`, if it is one of the inputs.
-    pub(crate) fn read_at(&self, path: &Path) -> Option<&'static str> {
-        let place = Place::of(path);
-        self.inputs.iter().find(|(_, input)| input.is(&place)).map(|(what, _)| *what)
     }
 
     /// Whether nothing that is written would take the place of what is read, or of something else that is.
@@ -239,37 +205,6 @@ impl Place {
             None => Ok(()),
         }
     }
-}
-
-/// The path at which what is written to `path` would be: that of a file which is there already, unless a link
-/// leads to it out of its own folder.
-///
-/// # Errors
-/// If a link does, or the file is protected against being written.
-pub(crate) fn replaceable(path: &Path) -> io::Result<PathBuf> {
-    let Ok(target) = fs::canonicalize(path) else { return Ok(path.to_owned()) };
-    if is_descriptor(path) {
-        return Ok(path.to_owned());
-    }
-    let metadata = fs::metadata(&target)?;
-    if !metadata.is_file() {
-        return Ok(target);
-    }
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    let folder = fs::canonicalize(folder.unwrap_or(Path::new(".")))?;
-    if path.is_symlink() && target.parent() != Some(&folder) {
-        let target = target.display();
-        return Err(io::Error::other(format!("it is a link out of its folder, to {target}")));
-    }
-    if metadata.permissions().readonly() {
-        return Err(io::Error::other("the file there is read-only"));
-    }
-    Ok(target)
-}
-
-/// Whether `path` names what this process has open, as `/dev/stdout` does: that is written to as it is.
-pub(crate) fn is_descriptor(path: &Path) -> bool {
-    path.starts_with("/dev") || path.starts_with("/proc")
 }
 
 /// `path` without links, `.` and `..`, also where its end is not there yet.

@@ -20,7 +20,7 @@ fn fixture(name: &str) -> PathBuf {
 fn audited(log: &Path, config: &str) -> Report {
     let config = Config::from_text(config.to_owned(), Path::new("p.toml")).expect("a config");
     let options = Options { logs: vec![log.to_owned()], ..config.options() };
-    poseaudit::audit(&options).expect("a report")
+    poseaudit::audit(&options).expect("a report").report
 }
 
 fn faulty(config: &str) -> Report {
@@ -42,7 +42,7 @@ fn what_init_writes_audits_its_log_as_no_config_does() {
             continue;
         }
         let options = Options { logs: vec![log.clone()], ..Options::default() };
-        let without = poseaudit::audit(&options).expect("a report");
+        let without = poseaudit::audit(&options).expect("a report").report;
         let with = audited(&log, &template(&without));
         for key in ["verdict", "error", "robots", "checks", "findings", "observability"] {
             let of = |report: &Report| -> Value {
@@ -204,8 +204,10 @@ fn hostile_names_are_read_back_and_escaped() {
     let log = folder.path().join("run.mcap");
     fs::write(&log, renamed(&fixture("faulty.mcap"), name)).expect("a file");
     let fix = folder.path().join("fix");
-    let options = Options { logs: vec![log.clone()], fix: Some(fix.clone()), ..Options::default() };
-    let without = poseaudit::audit(&options).expect("a report");
+    let options = Options { logs: vec![log.clone()], ..Options::default() };
+    let first = poseaudit::audit(&options).expect("a report");
+    first.write_fixes(&fix).expect("a folder to write to");
+    let without = first.report;
     assert!(without.streams.iter().any(|stream| stream.topic == name));
     assert_eq!(found(&audited(&log, &template(&without))), found(&without));
     assert!(!template(&without).contains(['\u{202e}', '\u{1b}']));
@@ -222,7 +224,7 @@ fn hostile_names_are_read_back_and_escaped() {
         assert!(is_plain || !is_for_people, "{}", path.display());
     }
     let corrections = Some(fix.join("corrections.toml"));
-    let corrected = poseaudit::audit(&Options { corrections, fix: None, ..options });
-    let corrected = corrected.expect("a report");
+    let corrected = poseaudit::audit(&Options { corrections, ..options });
+    let corrected = corrected.expect("a report").report;
     assert!(corrected.findings.len() < without.findings.len());
 }

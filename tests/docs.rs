@@ -124,7 +124,7 @@ fn the_config_that_is_shown_can_be_read_and_is_of_the_schema() {
     let path = Path::new("poseaudit.toml");
     let options =
         poseaudit::config::Config::from_text(example.to_owned(), path).expect("a config").options();
-    assert_eq!((options.topics.len(), options.rules.exemptions.len()), (2, 1));
+    assert_eq!((options.run.topics.len(), options.policy.rules.exemptions.len()), (2, 1));
     let schema: serde_json::Value =
         serde_json::from_str(&document("poseaudit.schema.json")).expect("JSON");
     let table: toml::Table = example.parse().expect("TOML");

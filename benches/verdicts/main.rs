@@ -33,7 +33,8 @@ use std::time::Instant;
 use board::Board;
 use cases::Case;
 use judge::{Outcome, Trouble, judge};
-use poseaudit::synth;
+use poseaudit::run::RunOptions;
+use poseaudit::{Audited, synth};
 
 fn main() {
     let options = Options::from_args();
@@ -151,11 +152,15 @@ fn outcome(case: &Case, dir: &Path, options: &Options) -> Outcome {
     write(case, &log);
     let audit_options = poseaudit::Options {
         logs: vec![log.clone()],
-        tip: case.names_tip.then(|| case.scenario.tip.clone()),
-        robots: case.named_robot.iter().map(|name| name.as_str().into()).collect(),
+        run: RunOptions {
+            tip: case.names_tip.then(|| case.scenario.tip.clone()),
+            robots: case.named_robot.iter().map(|name| name.as_str().into()).collect(),
+            ..Default::default()
+        },
         ..Default::default()
     };
-    let audited = catch_unwind(AssertUnwindSafe(|| poseaudit::audit(&audit_options)));
+    let audited = || poseaudit::audit(&audit_options).map(Audited::into_report);
+    let audited = catch_unwind(AssertUnwindSafe(audited));
     let outcome = match &audited {
         Err(_) => Err(Trouble::Panic),
         Ok(Err(trouble)) => Err(Trouble::Refused(trouble.what.clone())),

@@ -26,7 +26,7 @@ pub(super) fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, options: &Op
     let ArmDiagnosis { joints: found, streams } = diagnosis.arm;
     let mended = found.corrected_joints(&arm.joints, &arm.slides());
     let is_read = !matches!(found.reading, Err(Unseen::NotExcited));
-    let most_lag_s = options.max_latency_s;
+    let most_lag_s = options.run.max_latency_s;
     let pose_facts = |source: &PoseSource, found: PoseDiagnosis, euler| PoseFacts {
         proof: proof(&arm.joints, &mended, &run.pose_stream(source), &found),
         reference: if source.reference_known {
@@ -83,7 +83,7 @@ pub(super) fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, options: &Op
         let in_other_units = matches!(found.length, Ok(Some(_)));
         let shake = shake_of_poses(&source.track, &found);
         shakes.push(of(run, arm, source.stream, ShakeFacts { in_other_units, shake }));
-        let euler = euler(run, source, &found, &options.declarations);
+        let euler = euler(run, source, &found, &options.run.declared);
         poses.push(of(run, arm, source.stream, pose_facts(source, found, euler)));
     }
     let tf = arm.tf.as_ref().ok().zip(diagnosis.tf);

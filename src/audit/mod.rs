@@ -10,33 +10,28 @@ mod pictures;
 mod references;
 mod rows;
 mod settle;
-mod tables;
 mod workspace;
-
-use std::path::Path;
 
 use crate::checks::{
     ArmFacts, EvaluatedPart, Evaluation, Facts, Undecodable, UndecodableTopic, evaluate, merged,
 };
-use crate::corrections::{Given, Mending};
+use crate::corrections::Given;
 use crate::log::{Log, Loss};
 use crate::places::Places;
-use crate::report::{
-    Figures, FileRow, LogSummary, NoteRow, Report, Trouble, TroubleKind, tells_hand_eye,
-};
+use crate::report::{Figures, FileRow, LogSummary, NoteRow, Report, Trouble, tells_hand_eye};
 use crate::run::{Arm, Excerpts, Run, Segment, segments};
 
 use estimate::{diagnose, readable_joints};
 use facts::facts;
 use hand_eye::hand_eyes;
 pub(crate) use hand_eye::settle_hands;
-pub use options::Options;
+pub use options::{Options, Policy};
 use pictures::figures;
 use references::references;
 use rows::{joined, robots, streams};
 pub(crate) use settle::settle;
-pub(crate) use tables::write_tables;
-use workspace::{coverage, reached};
+use workspace::coverage;
+pub(crate) use workspace::{ArmWorkspace, reached};
 
 /// What the report says of the files themselves.
 pub(crate) struct Read {
@@ -97,141 +92,147 @@ impl Read {
     }
 }
 
-/// A segment of a run, audited.
-pub(crate) struct Audited {
+/// An audited run: the report, and what it rests on. Outputs are written of it.
+#[derive(Debug)]
+#[non_exhaustive]
+pub struct Audited {
+    /// What the audit says.
+    pub report: Report,
+    /// The run; where its clock began anew, the longest segment.
     pub run: Run,
+    /// What was estimated on it, as the rules read it.
     pub facts: Facts,
-    evaluation: Evaluation,
-    seconds: f64,
+    /// Which of the segments it is.
+    pub(crate) segment: usize,
+    /// Whether there are others.
+    is_part: bool,
+    /// What was read.
+    pub(crate) read: Places,
 }
 
-/// The audits of all segments, one at least.
-pub(crate) struct Audits {
-    segments: Vec<Audited>,
-    /// The longest.
-    main: usize,
-}
-
-impl Audits {
-    /// Audits the segments of `log`, each as a run of its own. One that cannot be is left out, unless
-    /// it is the longest.
-    pub fn of(
+impl Audited {
+    /// Audits `log`, each of its segments as a run of its own. A segment that cannot be audited is left out,
+    /// unless it is the longest.
+    pub(crate) fn of(
         log: Log,
-        read: &Read,
         options: &Options,
         given: Option<Given<'_>>,
     ) -> Result<Self, Trouble> {
+        let mut read = Read::of(&log);
+        if let Some(given) = &given {
+            read.note_corrections(given);
+        }
         let segments = segments(log);
         let longest = segments.iter().map(|segment| segment.seconds).fold(0.0, f64::max);
-        let mut audits = Audits { segments: Vec::new(), main: 0 };
-        let mut has_main = false;
+        let (mut parts, mut main) = (Vec::new(), None);
         for segment in segments {
-            let is_main = !has_main && segment.seconds >= longest;
-            match Audited::of(segment, read, options, given) {
-                Ok(audited) => {
+            let is_main = main.is_none() && segment.seconds >= longest;
+            match Part::of(segment, &read, options, given) {
+                Ok(part) => {
                     if is_main {
-                        (audits.main, has_main) = (audits.segments.len(), true);
+                        main = Some(parts.len());
                     }
-                    audits.segments.push(audited);
+                    parts.push(part);
                 }
                 Err(trouble) if is_main => return Err(trouble),
                 Err(_) => {}
             }
         }
-        Ok(audits)
+        let main = main.unwrap_or_default();
+        let report = report(&parts, main, read, options);
+        let is_part = parts.len() > 1;
+        let Part { run, facts, .. } = parts.swap_remove(main);
+        Ok(Self { report, run, facts, segment: main, is_part, read: options.places() })
     }
 
-    /// The longest segment.
-    pub fn main(&self) -> &Audited {
-        &self.segments[self.main]
-    }
-
-    /// What the pictures of the longest segment show that belong to `report`.
-    pub fn figures(&self, report: &Report) -> Figures {
-        let Audited { run, facts, .. } = self.main();
+    /// With [`Report::figures`], what the pictures of the report show.
+    pub fn with_figures(mut self) -> Self {
         let corrected = |arm: &Arm, facts: &ArmFacts| {
             facts.diagnosis.corrected_joints(&arm.joints, &arm.slides())
         };
-        let of_longest_segment = self.segments.len() > 1;
         let is_told = |topic: &str| {
-            report.findings.iter().any(|found| found.subject.topic.as_deref() == Some(topic))
+            let mut findings = self.report.findings.iter();
+            findings.any(|found| found.subject.topic.as_deref() == Some(topic))
         };
-        Figures { of_longest_segment, ..figures(run, facts, corrected, is_told) }
+        let drawn = figures(&self.run, &self.facts, corrected, is_told);
+        self.report.figures = Some(Figures { of_longest_segment: self.is_part, ..drawn });
+        self
     }
 
-    /// Writes what mends the findings of `report`, which is on these, into `folder`.
-    pub fn write_fixes(&self, report: &Report, of: &Options, folder: &Path) -> Result<(), Trouble> {
-        let Audited { run, facts, .. } = self.main();
-        let mending = Mending::of(report, run, facts, self.main);
-        mending.write(folder, &Places::of(of)).map_err(|(place, error)| Trouble {
-            kind: TroubleKind::Call,
-            what: format!("cannot be written: {error}"),
-            place,
-            remedy: "name a folder that can be written to with --fix".to_owned(),
-        })
-    }
-
-    /// The report on all of them.
-    pub fn report(&self, mut read: Read, options: &Options) -> Report {
-        /// A segment of less than this share of the longest is short.
-        const SHORT: f64 = 0.2;
-        let main = self.main();
-        if let Some((count, seconds)) = main.run.excerpts.as_ref().map(Excerpts::extent) {
-            read.note(&format!(
-                "a long run: causes are sought in {count} excerpts of {:.0} s where the joints move \
-                 most; clocks, rates and gaps are of all of it",
-                seconds / count.max(1) as f64
-            ));
-        }
-        let evaluation = match self.segments.as_slice() {
-            [only] => only.evaluation.clone(),
-            segments => {
-                read.note(&self.note());
-                let parts = segments.iter().map(|segment| EvaluatedPart {
-                    evaluation: segment.evaluation.clone(),
-                    is_short: segment.seconds < SHORT * main.seconds,
-                });
-                merged(parts.collect(), self.main)
-            }
-        };
-        let streams = match self.segments.as_slice() {
-            [only] => streams(&only.run),
-            segments => joined(segments.iter().flat_map(|segment| streams(&segment.run))),
-        };
-        if let Some(config) = &options.config {
-            let row = |note: String| NoteRow { path: config.clone(), note };
-            read.summary.notes.push(row("settings are taken from this file".to_owned()));
-            let unused = options.rules.unused(&evaluation.checks).into_iter();
-            let unused = unused.map(|known| {
-                row(format!("nothing was asked that `ignore` names: {known} ({})", known.place))
-            });
-            read.summary.notes.extend(unused);
-        }
-        let workspace = coverage(&main.run, &evaluation);
-        let mut report =
-            Report::new(read.summary, robots(&main.run), streams, evaluation, options.fail_on);
-        report.workspace = workspace;
-        report.fails_open = options.fail_on_inconclusive;
-        match &main.run.no_arm {
-            Some(error) if options.rules.need_model() && !tells_hand_eye(&report.checks) => {
-                report.with_trouble(error.into())
-            }
-            _ => report,
-        }
-    }
-
-    /// What became of the run.
-    fn note(&self) -> String {
-        let lengths: Vec<String> =
-            self.segments.iter().map(|segment| format!("{:.1} s", segment.seconds)).collect();
-        let (count, lengths) = (lengths.len(), lengths.join(", "));
-        format!(
-            "all stamps step back: the clock began anew. Audited in {count} segments: {lengths}"
-        )
+    /// The report alone. To give back the columns of a long log takes as long as to write the report on it:
+    /// that is done beside.
+    pub fn into_report(self) -> Report {
+        let Self { report, run, facts, .. } = self;
+        rayon::spawn(|| drop((run, facts)));
+        report
     }
 }
 
-impl Audited {
+/// A segment of a run, audited.
+struct Part {
+    run: Run,
+    facts: Facts,
+    evaluation: Evaluation,
+    seconds: f64,
+}
+
+/// The report on all segments, of which `main` is the longest.
+fn report(parts: &[Part], main: usize, mut read: Read, options: &Options) -> Report {
+    /// A segment of less than this share of the longest is short.
+    const SHORT: f64 = 0.2;
+    let (segment, main) = (main, &parts[main]);
+    if let Some((count, seconds)) = main.run.excerpts.as_ref().map(Excerpts::extent) {
+        read.note(&format!(
+            "a long run: causes are sought in {count} excerpts of {:.0} s where the joints move \
+             most; clocks, rates and gaps are of all of it",
+            seconds / count.max(1) as f64
+        ));
+    }
+    let evaluation = match parts {
+        [only] => only.evaluation.clone(),
+        segments => {
+            read.note(&note(segments));
+            let parts = segments.iter().map(|segment| EvaluatedPart {
+                evaluation: segment.evaluation.clone(),
+                is_short: segment.seconds < SHORT * main.seconds,
+            });
+            merged(parts.collect(), segment)
+        }
+    };
+    let streams = match parts {
+        [only] => streams(&only.run),
+        segments => joined(segments.iter().flat_map(|segment| streams(&segment.run))),
+    };
+    if let Some(config) = &options.config {
+        let row = |note: String| NoteRow { path: config.clone(), note };
+        read.summary.notes.push(row("settings are taken from this file".to_owned()));
+        let unused = options.policy.rules.unused(&evaluation.checks).into_iter();
+        let unused = unused.map(|known| {
+            row(format!("nothing was asked that `ignore` names: {known} ({})", known.place))
+        });
+        read.summary.notes.extend(unused);
+    }
+    let workspace = coverage(&main.run, &evaluation);
+    let mut report =
+        Report::new(read.summary, robots(&main.run), streams, evaluation, options.policy.fail_on);
+    report.workspace = workspace;
+    report.fails_open = options.policy.fail_on_inconclusive;
+    match &main.run.no_arm {
+        Some(error) if options.policy.rules.need_model() && !tells_hand_eye(&report.checks) => {
+            report.with_trouble(error.into())
+        }
+        _ => report,
+    }
+}
+
+/// What became of a run of several segments.
+fn note(parts: &[Part]) -> String {
+    let lengths: Vec<String> =
+        parts.iter().map(|segment| format!("{:.1} s", segment.seconds)).collect();
+    let (count, lengths) = (lengths.len(), lengths.join(", "));
+    format!("all stamps step back: the clock began anew. Audited in {count} segments: {lengths}")
+}
+impl Part {
     fn of(
         segment: Segment,
         read: &Read,
@@ -239,20 +240,20 @@ impl Audited {
         given: Option<Given<'_>>,
     ) -> Result<Self, Trouble> {
         let Segment { log, seconds } = segment;
-        let mut run = Run::assemble(log, &options.run()).map_err(|error| Trouble::from(&error))?;
+        let mut run = Run::assemble(log, &options.run).map_err(|error| Trouble::from(&error))?;
         if let Some(given) = given {
-            given.apply(&mut run, options.max_latency_s)?;
+            given.apply(&mut run, options.run.max_latency_s)?;
         }
-        settle(&mut run, options.max_latency_s);
-        settle_hands(&mut run, options.max_latency_s);
-        let diagnoses = diagnose(&mut run, options.max_latency_s);
+        settle(&mut run, options.run.max_latency_s);
+        settle_hands(&mut run, options.run.max_latency_s);
+        let diagnoses = diagnose(&mut run, options.run.max_latency_s);
         let joints = |arm: usize| readable_joints(&run.arms[arm], &diagnoses[arm].arm);
-        let hand_eyes = hand_eyes(&run, joints, options.max_latency_s);
+        let hand_eyes = hand_eyes(&run, joints, options.run.max_latency_s);
         let mut facts = Facts { hand_eyes, ..facts(&run, diagnoses, read, options) };
         for (index, arm) in facts.robots.iter_mut().enumerate() {
-            arm.references = references(&run, index, arm, options.max_latency_s);
+            arm.references = references(&run, index, arm, options.run.max_latency_s);
         }
-        let evaluation = evaluate(&facts, &options.rules);
+        let evaluation = evaluate(&facts, &options.policy.rules);
         Ok(Self { run, facts, evaluation, seconds })
     }
 }

@@ -1,12 +1,11 @@
 //! Joins a run and what was estimated on it to the series behind a report's pictures.
 
-use polars::prelude::{DataFrame, PolarsResult};
 use rayon::prelude::*;
 
 use super::facts::frame_of_several;
 use crate::checks::{ArmFacts, Facts, ImuFacts, Of, PoseFacts, reading_names};
 use crate::diagnosis::{
-    LatencyCourse, Measured, Reading, ReadingEstimate, Seen, residual_by_latency,
+    LatencyCourse, Measured, Reading, ReadingEstimate, Residuals, Seen, residual_by_latency,
     turning_by_latency,
 };
 use crate::report::figures::{
@@ -15,7 +14,6 @@ use crate::report::figures::{
 };
 use crate::run::{Arm, Edge, EdgeKind, ImuSource, PoseSource, Rhythm, Run, Stream};
 use crate::stream::JointTrack;
-use crate::tables::{self, AFTER_M, AFTER_RAD, BEFORE_M, BEFORE_RAD, REACH_M, T_S, aligned_frame};
 use crate::time::Stamp;
 
 /// Silences that are kept of one stream.
@@ -44,14 +42,14 @@ pub(crate) fn figures(
         let streams: Vec<_> = arm.poses.iter().zip(&facts.poses).enumerate().collect();
         let drawn = streams.into_par_iter().filter_map(|(index, (source, stream))| {
             let is_drawn = index < DRAWN || is_told(stream.topic());
-            is_drawn.then(|| pose(&clock, &corrected, source, facts, stream))?
+            is_drawn.then(|| pose(&clock, &corrected, source, facts, stream))
         });
         figures.poses.par_extend(drawn);
         for (source, stream) in arm.tf.iter().zip(&facts.tf) {
             // What publishes the log's transforms knows of no correction.
             let joints = arm.recorded.as_ref().map_or(&arm.joints, |(recorded, _)| recorded);
             let drawn = pose(&clock, joints, source, facts, stream);
-            figures.poses.extend(drawn.map(|drawn| PoseFigure { is_derived: true, ..drawn }));
+            figures.poses.push(PoseFigure { is_derived: true, ..drawn });
         }
         figures.imus.extend(imus(&clock, &corrected, arm, facts));
     }
@@ -86,46 +84,33 @@ impl Clock<'_> {
     }
 }
 
-/// `None` where the samples of a stream do not stand beside FK.
 fn pose(
     clock: &Clock,
     joints: &JointTrack,
     source: &PoseSource,
     arm: &ArmFacts,
     facts: &Of<PoseFacts>,
-) -> Option<PoseFigure> {
+) -> PoseFigure {
     let found = &facts.diagnosis;
-    let frame = aligned_frame(&found.aligned, clock.run.origin).ok()?;
-    let [t_s, before_m, before_rad, after_m, after_rad, reach_m] = columns(&frame).ok()?;
-    let tied = |values: Vec<f64>| if facts.reference_known { values } else { Vec::new() };
+    let aligned = &found.aligned;
+    let before = if facts.reference_known { aligned.before() } else { Residuals::default() };
+    let after = aligned.after();
     let stream = clock.run.pose_stream(source);
     let valley = residual_by_latency(joints, &stream, found).into_iter();
-    Some(PoseFigure {
+    PoseFigure {
         robot: arm.name.clone(),
         topic: facts.topic().to_owned(),
         is_derived: false,
-        t_s: t_s.into_iter().map(|t_s| clock.of_origin_s(t_s)).collect(),
-        before_m: tied(before_m),
-        before_rad: tied(before_rad),
-        after_m,
-        after_rad,
-        reach_m,
+        t_s: aligned.t_s.iter().map(|&t_s| clock.of_origin_s(t_s)).collect(),
+        before_m: before.m,
+        before_rad: before.rad,
+        after_m: after.m,
+        after_rad: after.rad,
+        reach_m: aligned.reach_m(),
         left_by_latency: valley.map(|at| [at.latency_s, at.rms_m, at.rms_rad]).collect(),
         latency_course: clock.course(&found.course),
         readings: scores(&found.reading),
-    })
-}
-
-fn columns(frame: &DataFrame) -> PolarsResult<[Vec<f64>; 6]> {
-    let column = |name| tables::numbers(frame, name);
-    Ok([
-        column(T_S)?,
-        column(BEFORE_M)?,
-        column(BEFORE_RAD)?,
-        column(AFTER_M)?,
-        column(AFTER_RAD)?,
-        column(REACH_M)?,
-    ])
+    }
 }
 
 fn scores(reading: &Seen<ReadingEstimate>) -> Vec<ReadingScore> {

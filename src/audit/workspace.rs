@@ -4,9 +4,18 @@ use crate::checks::{Evaluation, hidden_zero};
 use crate::diagnosis::{JointSpan, Workspace, reach_m};
 use crate::finding::{Cause, CheckRow, Finding, Unit};
 use crate::report::{JointCoverage, WorkspaceRow};
-use crate::robot::JointKind;
+use crate::robot::{Chain, JointKind};
 use crate::run::{Arm, JointSamples, Run};
-use crate::tables::ArmWorkspace;
+
+/// Where one arm has been.
+pub(crate) struct ArmWorkspace<'a> {
+    /// Its name.
+    pub robot: &'a str,
+    /// Its chain from base to tip.
+    pub chain: &'a Chain,
+    /// What its tip reached.
+    pub workspace: Workspace,
+}
 
 /// Over which part of its ranges each arm moved, and what was left open for it. Arms whose joint
 /// states are to be read otherwise than they are have none.

@@ -13,7 +13,7 @@ use std::process::ExitCode;
 
 use poseaudit::Options;
 use poseaudit::boundary::Memory;
-use poseaudit::replay::Recording;
+use poseaudit::output::replay::Recording;
 
 #[global_allocator]
 static MEMORY: Memory = Memory;
@@ -94,20 +94,15 @@ impl Call {
             beside_log: true,
             mesh_roots: Vec::new(),
         };
-        let options = Options {
-            logs: vec![self.log.clone()],
-            recording: Some(recording),
-            ..Options::default()
-        };
-        match poseaudit::audit(&options) {
-            Ok(report) if report.error.is_none() => {
-                let mut stdout = io::stdout().lock();
-                io::copy(&mut File::open(&path)?, &mut stdout)?;
-                stdout.flush()?;
-                Ok(true)
-            }
-            _ => Ok(false),
+        let options = Options { logs: vec![self.log.clone()], ..Options::default() };
+        let Ok(mut audited) = poseaudit::audit(&options) else { return Ok(false) };
+        if audited.report.error.is_some() || audited.record(&recording).is_err() {
+            return Ok(false);
         }
+        let mut stdout = io::stdout().lock();
+        io::copy(&mut File::open(&path)?, &mut stdout)?;
+        stdout.flush()?;
+        Ok(true)
     }
 }
 

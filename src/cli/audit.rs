@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
-use poseaudit::Options;
 use poseaudit::checks::Selector;
-use poseaudit::places::Places;
-use poseaudit::replay::Recording;
+use poseaudit::output::replay::Recording;
+use poseaudit::output::{fix, tables};
 use poseaudit::report::{Report, Trouble};
+use poseaudit::{Audited, Options};
 
 use super::how::{How, first};
 use super::progress::watched;
@@ -69,23 +69,35 @@ pub struct Args {
 /// What the command line says of an audit, and beside it `how`. No file that is written is one that is
 /// read.
 fn asked(args: &Args, how: Options) -> Result<Options, Trouble> {
-    let options = Options {
-        logs: args.logs.clone(),
-        corrections: args.corrections.clone(),
-        fix: args.fix.clone(),
-        recording: args.rrd.clone().map(|path| Recording {
-            path,
-            mesh_roots: args.mesh_roots.clone(),
-            ..Recording::default()
-        }),
-        tables: args.parquet.clone(),
-        figures: args.reports.are_pictured(),
-        ..how
-    };
-    let mut places = Places::of(&options);
+    let options = Options { logs: args.logs.clone(), corrections: args.corrections.clone(), ..how };
+    let mut places = options.places();
+    if let Some(recording) = args.recording() {
+        recording.enter(&mut places);
+    }
+    if let Some(folder) = &args.parquet {
+        tables::enter(folder, &mut places);
+    }
+    if let Some(folder) = &args.fix {
+        fix::enter(folder, &options.run.robots, &mut places);
+    }
     args.reports.enter(&mut places);
     places.check()?;
     Ok(options)
+}
+
+impl Args {
+    fn recording(&self) -> Option<Recording> {
+        let (path, mesh_roots) = (self.rrd.clone()?, self.mesh_roots.clone());
+        Some(Recording { path, mesh_roots, ..Recording::default() })
+    }
+
+    /// Writes what was asked for beside the report; what could not be.
+    fn write_outputs(&self, audited: &mut Audited) -> Vec<Trouble> {
+        let recorded = self.recording().map(|recording| audited.record(&recording));
+        let tables = self.parquet.as_deref().map(|folder| audited.write_tables(folder));
+        let fixes = self.fix.as_deref().map(|folder| audited.write_fixes(folder));
+        [recorded, tables, fixes].into_iter().flatten().filter_map(Result::err).collect()
+    }
 }
 
 /// Whether the folders of meshes are there, and there is a recording to draw them in.
@@ -115,21 +127,31 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     let audited = match args.how.clone().options() {
         Err(trouble) => Err(trouble),
         Ok((how, required)) => {
-            let options = asked(&args, how)?;
+            let mut options = asked(&args, how)?;
             require = first(require, required);
-            watched(|progress| poseaudit::audit(&Options { progress: Some(progress), ..options }))
+            watched(|progress| {
+                options.read.progress = Some(progress);
+                poseaudit::audit(&options)
+            })
         }
     };
-    let report = match audited {
+    let (report, unwritten) = match audited {
         Err(trouble) if !args.reports.tell_trouble() => return Err(trouble),
-        audited => audited.unwrap_or_else(Report::of_trouble),
+        Err(trouble) => (Report::of_trouble(trouble), Vec::new()),
+        Ok(audited) => {
+            let are_pictured = args.reports.are_pictured();
+            let mut audited = if are_pictured { audited.with_figures() } else { audited };
+            let unwritten = args.write_outputs(&mut audited);
+            (audited.into_report(), unwritten)
+        }
     };
-    let (reports, recording) = (&args.reports, &args.rrd);
-    reports.emit(&report)?;
-    if let Some(trouble) = &report.error {
-        output::error(trouble);
+    // Whatever else could not be written, the report is not lost.
+    args.reports.emit(&report)?;
+    report.error.iter().chain(&unwritten).for_each(output::error);
+    if let Some(trouble) = unwritten.first() {
+        return Ok(trouble.kind.into());
     }
-    if let (Some(viewer), Some(recording), None) = (&viewer, recording, &report.error) {
+    if let (Some(viewer), Some(recording), None) = (&viewer, &args.rrd, &report.error) {
         view::open(viewer, recording)?;
     }
     let outcome = Outcome::from(&report);

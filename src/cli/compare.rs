@@ -5,6 +5,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
+use poseaudit::Options;
 use poseaudit::compare::{Kept, compare, markdown, text};
 use poseaudit::log::{self, LogError, ReadOptions};
 use poseaudit::places::Places;
@@ -89,20 +90,17 @@ fn kept(path: &Path, side: Side) -> Result<Kept, Trouble> {
     if is_json(path) {
         return Kept::from_file(path);
     }
-    let report = watched(|progress| {
-        poseaudit::audit(&poseaudit::Options {
-            logs: vec![path.to_owned()],
-            progress: Some(progress),
-            ..poseaudit::Options::default()
-        })
+    let audited = watched(|progress| {
+        let read = ReadOptions { progress: Some(progress), ..ReadOptions::default() };
+        poseaudit::audit(&Options { logs: vec![path.to_owned()], read, ..Options::default() })
     });
-    let report = match report {
+    let report = match audited {
         Err(trouble) if side == Side::New && trouble.kind == TroubleKind::Log && is_log(path) => {
             Report::of_trouble(trouble)
         }
         // What is neither a log nor a report is a wrong call, and so is no baseline.
         Err(trouble) => return Err(Trouble { kind: TroubleKind::Call, ..trouble }),
-        Ok(report) => report,
+        Ok(audited) => audited.into_report(),
     };
     let place = path.display().to_string();
     Kept::of(&report).map_err(|error| misuse(place, error.to_string(), "report this as a bug"))

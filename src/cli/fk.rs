@@ -4,11 +4,11 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use poseaudit::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
+use poseaudit::output::tables::{Configurations, TableError, kinematics_frame, write_frame};
 use poseaudit::places::Places;
 use poseaudit::report::Trouble;
 use poseaudit::robot::{Chain, Robot};
 use poseaudit::run::robot_of;
-use poseaudit::tables::{Configurations, TableError, kinematics_frame, write_frame};
 use serde_json::json;
 
 use super::output::Format;

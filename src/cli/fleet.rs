@@ -161,7 +161,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     if args.pending {
         return list_pending(&args, &options, &out, sources);
     }
-    let (fail_on, fails_open) = (options.fail_on, options.fail_on_inconclusive);
+    let (fail_on, fails_open) = (options.policy.fail_on, options.policy.fail_on_inconclusive);
     let outcomes = audit(&args, &options, &out, sources)?;
     let summary = Summary::of(&out, &outcomes, (fail_on, fails_open));
     output::emit(args.output.as_deref(), |to| match args.format {
@@ -182,7 +182,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
 
 /// What the call reads and writes.
 fn places(args: &Args, options: &Options, out: &Path, sources: &[Source]) -> Places {
-    let mut places = Places::of(options);
+    let mut places = options.places();
     Store::folders(out).iter().for_each(|folder| places.keeps("--out", folder));
     if let Some(path) = &args.output {
         sources.iter().for_each(|source| places.reads_log(&source.path));

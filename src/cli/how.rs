@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 
 use clap::ValueEnum;
-use poseaudit::checks::{Selector, Settings};
+use poseaudit::checks::Selector;
 use poseaudit::config::{self, ClockName, Config};
 use poseaudit::finding::Severity;
 use poseaudit::report::Trouble;
-use poseaudit::run::{CalibrationSource, Declaration, RobotSource};
+use poseaudit::run::{CalibrationSource, Declaration, RobotSource, RunOptions};
 
 /// The options that say so.
 #[derive(Clone, Debug, clap::Args)]
@@ -98,8 +98,11 @@ impl How {
     /// The files that the command line names, before the config is read.
     pub fn named(&self) -> poseaudit::Options {
         poseaudit::Options {
-            robots: self.robots.clone(),
-            calibrations: self.calibrations.clone(),
+            run: RunOptions {
+                robots: self.robots.clone(),
+                calibrations: self.calibrations.clone(),
+                ..RunOptions::default()
+            },
             config: self.config.clone(),
             ..poseaudit::Options::default()
         }
@@ -113,33 +116,31 @@ impl How {
     pub fn options(self) -> Result<(poseaudit::Options, Vec<Selector>), Trouble> {
         let config = self.config.as_deref().map(Config::from_file).transpose()?;
         let required = config.as_ref().map(Config::required).unwrap_or_default();
-        let by_config = config.as_ref().map(Config::options).unwrap_or_default();
-        let rules = Settings {
-            select: first(self.select, by_config.rules.select),
-            ignore: self.ignore,
-            ..by_config.rules
-        };
+        let mut options = config.as_ref().map(Config::options).unwrap_or_default();
+        let (run, policy) = (&mut options.run, &mut options.policy);
+        if !self.robots.is_empty() {
+            run.robots = self.robots;
+        }
+        if !self.calibrations.is_empty() {
+            run.calibrations = self.calibrations;
+        }
+        run.base = self.base.or(run.base.take());
+        run.tip = self.tip.or(run.tip.take());
+        run.stamp = self.stamp.map_or(run.stamp, Into::into);
+        run.max_latency_s = self.max_latency.unwrap_or(run.max_latency_s);
         // A declaration is of one topic: what the config says of others stands.
-        let is_other = |of: &Declaration| !self.declare.iter().any(|said| said.is_of(&of.topic));
-        let others = by_config.declarations.into_iter().filter(is_other);
-        let declarations = self.declare.iter().cloned().chain(others).collect();
-        let options = poseaudit::Options {
-            robots: first(self.robots, by_config.robots),
-            calibrations: first(self.calibrations, by_config.calibrations),
-            base: self.base.or(by_config.base),
-            tip: self.tip.or(by_config.tip),
-            stamp: self.stamp.map_or(by_config.stamp, Into::into),
-            max_latency_s: self.max_latency.unwrap_or(by_config.max_latency_s),
-            verify: self.verify,
-            max_unpacked_gib: self.max_unpacked,
-            declarations,
-            rules,
-            fail_on: self.fail_on.map_or(by_config.fail_on, Into::into),
-            fail_on_inconclusive: self.fail_on.map_or(by_config.fail_on_inconclusive, |from| {
-                from == config::FailOn::Inconclusive
-            }),
-            ..by_config
-        };
+        run.declared.retain(|of| !self.declare.iter().any(|said| said.is_of(&of.topic)));
+        run.declared.splice(..0, self.declare);
+        if !self.select.is_empty() {
+            policy.rules.select = self.select;
+        }
+        policy.rules.ignore = self.ignore;
+        if let Some(fail_on) = self.fail_on {
+            policy.fail_on = fail_on.into();
+            policy.fail_on_inconclusive = fail_on == config::FailOn::Inconclusive;
+        }
+        options.read.verify = self.verify;
+        options.read.max_unpacked_gib = self.max_unpacked;
         Ok((options, required))
     }
 }

@@ -27,10 +27,8 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     Places::only_read(&args.logs)?;
     let report = watched(|progress| {
-        poseaudit::info(
-            &args.logs,
-            &ReadOptions { progress: Some(&progress), ..ReadOptions::default() },
-        )
+        let how = ReadOptions { progress: Some(progress), ..ReadOptions::default() };
+        poseaudit::info(&args.logs, &how)
     })?;
     output::emit(None, |out| write(&report, out))?;
     if let Some(trouble) = &report.error {

@@ -2,7 +2,9 @@
 
 use std::path::PathBuf;
 
+use poseaudit::Options;
 use poseaudit::config;
+use poseaudit::log::ReadOptions;
 use poseaudit::places::Places;
 use poseaudit::report::Trouble;
 
@@ -45,10 +47,11 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
         output::emit(output.as_deref(), |out| out.write_all(config::schema().as_bytes()))?;
         return Ok(Outcome::Clean);
     }
-    let report = watched(|progress| {
-        let options = poseaudit::Options { logs, ..poseaudit::Options::default() };
-        poseaudit::audit(&poseaudit::Options { progress: Some(progress), ..options })
+    let audited = watched(|progress| {
+        let read = ReadOptions { progress: Some(progress), ..ReadOptions::default() };
+        poseaudit::audit(&Options { logs, read, ..Options::default() })
     })?;
+    let report = audited.into_report();
     output::emit(output.as_deref(), |out| out.write_all(config::template(&report).as_bytes()))?;
     if let Some(trouble) = &report.error {
         output::error(trouble);

@@ -93,9 +93,13 @@ impl Reports {
     /// If a file cannot be written.
     pub fn emit(&self, report: &Report) -> Result<(), Trouble> {
         match (&self.output, self.each().as_slice()) {
-            (Some(folder), formats @ [_, _, ..]) => formats
-                .iter()
-                .try_for_each(|format| emit(format, report, Some(&folder.join(format.file_name)))),
+            (Some(folder), formats @ [_, _, ..]) => {
+                let path = |format: &Format| folder.join(format.file_name);
+                let written =
+                    formats.iter().map(|format| emit(format, report, Some(&path(format))));
+                // One that cannot be written keeps no other from it.
+                written.fold(Ok(()), Result::and)
+            }
             (path, formats) => {
                 formats.iter().try_for_each(|format| emit(format, report, path.as_deref()))
             }

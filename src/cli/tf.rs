@@ -96,7 +96,7 @@ fn positive(text: &str) -> Result<f64, String> {
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     Places::only_read([&args.log])?;
     let log = watched(|progress| {
-        let how = ReadOptions { progress: Some(&progress), ..ReadOptions::default() };
+        let how = ReadOptions { progress: Some(progress), ..ReadOptions::default() };
         log::open(std::slice::from_ref(&args.log), &how)
     })?;
     let options = RunOptions { robots: args.robots.clone(), ..RunOptions::default() };

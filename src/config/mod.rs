@@ -15,12 +15,12 @@ mod tests;
 
 use std::path::{Path, PathBuf};
 
-use crate::Options;
+use crate::audit::{Options, Policy};
 use crate::checks::{Exemption, Selector};
 use crate::finding::Subject;
 use crate::report::Trouble;
 use crate::robot::catalogue;
-use crate::run::{CalibrationSource, Declaration, RobotSource, TopicSettings};
+use crate::run::{CalibrationSource, Declaration, RobotSource, RunOptions, TopicSettings};
 
 use self::file::{ByPrefix, File, Ignore, Stream};
 
@@ -63,30 +63,30 @@ impl Config {
     /// What it says of an audit; what it does not say is as without it.
     pub fn options(&self) -> Options {
         let File { stamp, max_latency, fail_on, base, tip, .. } = &self.file;
-        let mut options = Options {
+        let mut run = RunOptions {
             robots: self.robots(),
             calibrations: self.calibrations(),
             base: base.clone(),
             tip: tip.clone(),
-            declarations: self.declarations(),
+            declared: self.declarations(),
             topics: self.topics(),
-            config: Some(self.path.clone()),
-            ..Options::default()
+            ..RunOptions::default()
         };
         if let Some(clock) = stamp {
-            options.stamp = (*clock).into();
+            run.stamp = (*clock).into();
         }
         if let Some(latency) = max_latency {
-            options.max_latency_s = latency.0;
+            run.max_latency_s = latency.0;
         }
+        let mut policy = Policy::default();
         if let Some(fail_on) = fail_on {
-            options.fail_on = (*fail_on).into();
-            options.fail_on_inconclusive = *fail_on == file::FailOn::Inconclusive;
+            policy.fail_on = (*fail_on).into();
+            policy.fail_on_inconclusive = *fail_on == FailOn::Inconclusive;
         }
-        options.rules.select = self.file.select.iter().map(|code| code.0.clone()).collect();
-        options.rules.exemptions = self.exemptions();
-        self.file.rules.apply(&mut options.rules);
-        options
+        policy.rules.select = self.file.select.iter().map(|code| code.0.clone()).collect();
+        policy.rules.exemptions = self.exemptions();
+        self.file.rules.apply(&mut policy.rules);
+        Options { run, policy, config: Some(self.path.clone()), ..Options::default() }
     }
 
     /// The rules that must conclude.

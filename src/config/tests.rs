@@ -58,21 +58,21 @@ turning = "30 rad/s²"
 "#;
     let config = config(text).expect("a config");
     let options = config.options();
-    let robots: Vec<_> = options.robots.iter().map(|robot| robot.model.as_str()).collect();
+    let robots: Vec<_> = options.run.robots.iter().map(|robot| robot.model.as_str()).collect();
     assert_eq!(robots, ["ur5e", "setup/arms/panda.urdf"]);
-    assert_eq!(options.calibrations[0].file, Path::new("setup/calibration.yaml"));
-    assert_eq!((options.max_latency_s, options.fail_on), (0.5, None));
-    assert_eq!(options.stamp, crate::time::Clock::Log);
-    assert!(config.required()[0].names("LAT001") && options.rules.select[0].names("LAT003"));
-    let [known] = options.rules.exemptions.as_slice() else { panic!("{options:?}") };
+    assert_eq!(options.run.calibrations[0].file, Path::new("setup/calibration.yaml"));
+    assert_eq!((options.run.max_latency_s, options.policy.fail_on), (0.5, None));
+    assert_eq!(options.run.stamp, crate::time::Clock::Log);
+    assert!(config.required()[0].names("LAT001") && options.policy.rules.select[0].names("LAT003"));
+    let [known] = options.policy.rules.exemptions.as_slice() else { panic!("{options:?}") };
     assert_eq!(known.reason, "the driver's delay");
     assert_eq!(known.place, "setup/p.toml:12");
-    let [pendant, tcp] = options.topics.as_slice() else { panic!("{options:?}") };
+    let [pendant, tcp] = options.run.topics.as_slice() else { panic!("{options:?}") };
     assert_eq!((tcp.role, tcp.witness), (Some(SaidRole::Pose), Some(Witness::External)));
     assert_eq!((tcp.rate_hz, tcp.place.as_str()), (Some(125.0), "setup/p.toml:17"));
     assert!(pendant.vendor.as_ref().is_some_and(|said| said.contains("KUKA")), "{pendant:?}");
     let coded = |topic: &str| {
-        let declared = options.declarations.iter().find(|declared| declared.is_of(topic));
+        let declared = options.run.declared.iter().find(|declared| declared.is_of(topic));
         let declared = declared.expect("a declaration");
         (declared.coding, declared.angle, declared.length, declared.is_of_vendor)
     };
@@ -82,15 +82,15 @@ turning = "30 rad/s²"
     let figure = |code: &str, unit: Unit| {
         let rule = find(code).expect("a rule");
         let own = rule.grade.figures().iter().find(|own| own.unit == unit).expect("a figure");
-        options.rules.figures.of(rule, *own)
+        options.policy.rules.figures.of(rule, *own)
     };
     let late = Figure { unit: Unit::Second, warning: 3e-3, error: 10e-3 };
     assert_eq!(figure("LAT001", Unit::Second), late);
     assert_eq!(figure("FRM002", Unit::Metre).error, 6e-3);
     assert_eq!(figure("FRM003", Unit::Metre).error, 5e-3);
-    assert_eq!(options.rules.severities, [("LAT001", Severity::Warning)]);
+    assert_eq!(options.policy.rules.severities, [("LAT001", Severity::Warning)]);
     let mot002 = find("MOT002").expect("a rule");
-    assert_eq!(options.rules.figures.limit(mot002, &mot002.limits[0]), 30.0);
+    assert_eq!(options.policy.rules.figures.limit(mot002, &mot002.limits[0]), 30.0);
 }
 
 #[test]
@@ -142,12 +142,12 @@ fn awake(template: &str) -> String {
 fn a_template_can_be_read_with_and_without_its_comments() {
     let report = crate::report::Report::of_log(Default::default(), Vec::new(), Vec::new());
     let text = template(&report);
-    assert_eq!(config(&text).expect("a config").options().rules.figures, Default::default());
+    assert_eq!(config(&text).expect("a config").options().policy.rules.figures, Default::default());
     let all = awake(&text).replace("\"my_arm.urdf\"", "\"ur5e\"");
     let options = config(&all).expect("a config").options();
     for rule in registry() {
         for own in rule.grade.figures() {
-            let set = options.rules.figures.of(rule, *own);
+            let set = options.policy.rules.figures.of(rule, *own);
             let is_own = |a: f64, b: f64| (a / b - 1.0).abs() < 1e-9;
             let same = is_own(set.warning, own.warning) && is_own(set.error, own.error);
             assert!(same, "{} {set:?}", rule.code);

@@ -1,8 +1,6 @@
 //! The files that hold what mends a system.
 
 use std::fmt::Write as _;
-use std::fs;
-use std::io;
 use std::path::Path;
 
 use similar::TextDiff;
@@ -13,9 +11,8 @@ use super::collect::{
 use super::file::JointCorrection;
 use super::frames::in_xml;
 use crate::geometry::CodeLine;
-use crate::places::Places;
 use crate::report::markdown::prose;
-use crate::report::{quoted, tame, write_whole};
+use crate::report::{quoted, tame};
 
 /// The file that says what the others are.
 const INDEX: &str = "corrections.md";
@@ -43,27 +40,8 @@ pub(super) fn model_stem(source: &Path) -> String {
 }
 
 impl Mending {
-    /// Writes all files into `folder`, which is made, each whole.
-    ///
-    /// # Errors
-    /// Where one cannot be written, or was read for this audit; with its path.
-    pub(crate) fn write(&self, folder: &Path, read: &Places) -> Result<(), (String, io::Error)> {
-        fs::create_dir_all(folder).map_err(|error| (folder.display().to_string(), error))?;
-        for (name, text) in self.files() {
-            let path = folder.join(name);
-            // What a model is called that the log holds is not known before the log is read.
-            if let Some(what) = read.read_at(&path) {
-                let error = io::Error::other(format!("it is {what}, which would be lost"));
-                return Err((path.display().to_string(), error));
-            }
-            write_whole(&path, |staged| fs::write(staged, &text))
-                .map_err(|error| (path.display().to_string(), error))?;
-        }
-        Ok(())
-    }
-
     /// The files, each with its text.
-    fn files(&self) -> Vec<(String, String)> {
+    pub fn files(&self) -> Vec<(String, String)> {
         let mut files = vec![
             (INDEX.to_owned(), self.index()),
             (CORRECTIONS.to_owned(), self.corrections.to_text()),

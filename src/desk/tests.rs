@@ -253,7 +253,7 @@ fn a_rotation_vector_that_was_read_as_euler_angles() {
 fn several_pairs_find_a_tool_that_one_pair_only_suggests() {
     let asked = Asked { is_as: "ros", but_as: "ur", robot: "ur3e", ..Asked::default() };
     let pairs = pairs_from_csv(UR3E_WITH_TOOL).unwrap();
-    let alone = super::reconcile(&Question {
+    let alone = reconcile(&Question {
         pairs: pairs[..1].to_vec(),
         is: "ros".parse().unwrap(),
         but: "ur".parse().unwrap(),

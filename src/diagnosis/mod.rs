@@ -4,6 +4,7 @@
 //! Nothing here reads files, knows topics, holds a rule's threshold or writes prose; `checks` turns
 //! these numbers into verdicts and words.
 
+mod aligned;
 mod arm;
 mod carried;
 mod course;
@@ -46,6 +47,7 @@ use crate::robot::Chain;
 use crate::stream::PoseTrack;
 
 pub use crate::stats::{Length, Measured};
+pub use aligned::{Aligned, Residuals};
 pub use arm::{diagnose_arm, diagnose_derived, follows, likely_lags};
 pub use carried::{BaseTravel, CarrierLag, base_travel, carrier_lag};
 pub use course::{LatencyCourse, LatencyJump};
@@ -281,21 +283,6 @@ impl Residual {
     pub fn together_m(&self) -> f64 {
         self.rms_m.hypot(0.3 * self.rms_rad)
     }
-}
-
-/// A stream's samples beside what FK says at the same stamps. One entry a sample in each column.
-#[derive(Clone, Debug, Default)]
-pub struct Aligned {
-    /// Stamp of the sample, s from the run's origin.
-    pub t_s: Vec<f64>,
-    /// `reference_from_child` as logged.
-    pub logged: Vec<Pose>,
-    /// `reference_from_tip` by FK of the joint states as recorded, at the same stamp.
-    pub fk: Vec<Pose>,
-    /// The logged pose with everything found taken off: what should lie on `fk_at_truth`.
-    pub corrected: Vec<Pose>,
-    /// `reference_from_tip` by FK with the joint offsets found, when the content was true.
-    pub fk_at_truth: Vec<Pose>,
 }
 
 /// All that was estimated on one pose stream.

@@ -28,7 +28,7 @@ impl AuditSettings {
     /// # Errors
     /// Where one of the files cannot be read.
     pub fn of(options: &Options) -> Result<Self, Trouble> {
-        let Options { robots, calibrations, base, tip, stamp, .. } = options;
+        let Options { read, run, policy, .. } = options;
         let robot = |robot: &crate::run::RobotSource| -> Result<Value, Trouble> {
             let file = Path::new(&robot.model);
             let model = match file.is_file() {
@@ -57,17 +57,17 @@ impl AuditSettings {
             None => text,
         };
         let said = json!({
-            "robots": robots.iter().map(robot).collect::<Result<Vec<_>, _>>()?,
-            "calibrations": calibrations.iter().map(calibration).collect::<Result<Vec<_>, _>>()?,
-            "base": base,
-            "tip": tip,
-            "stamp": format!("{stamp:?}"),
-            "max_latency_s": options.max_latency_s,
-            "verify": options.verify,
-            "max_unpacked_gib": options.max_unpacked_gib,
-            "declarations": shown(format!("{:?}", options.declarations)),
-            "topics": shown(format!("{:?}", options.topics)),
-            "rules": shown(format!("{:?}", options.rules)),
+            "robots": run.robots.iter().map(robot).collect::<Result<Vec<_>, _>>()?,
+            "calibrations": run.calibrations.iter().map(calibration).collect::<Result<Vec<_>, _>>()?,
+            "base": run.base,
+            "tip": run.tip,
+            "stamp": format!("{:?}", run.stamp),
+            "max_latency_s": run.max_latency_s,
+            "verify": read.verify,
+            "max_unpacked_gib": read.max_unpacked_gib,
+            "declarations": shown(format!("{:?}", run.declared)),
+            "topics": shown(format!("{:?}", run.topics)),
+            "rules": shown(format!("{:?}", policy.rules)),
             "config": config.map(content_of).transpose()?,
             "corrections": options.corrections.as_deref().map(content_of).transpose()?,
         });
@@ -90,19 +90,21 @@ fn content_of(path: &Path) -> Result<String, Trouble> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::audit::Policy;
     use crate::config::Config;
+    use crate::run::RunOptions;
 
     #[test]
     fn what_changes_an_audit_changes_the_hash_and_nothing_else_does() -> Result<(), Trouble> {
         let plain = AuditSettings::of(&Options::default())?;
         let same = Options {
             logs: vec!["a.mcap".into()],
-            fail_on: None,
-            figures: true,
+            policy: Policy { fail_on: None, ..Policy::default() },
             ..Options::default()
         };
         assert_eq!(AuditSettings::of(&same)?, plain);
-        let other = Options { max_latency_s: 4.0, ..Options::default() };
+        let other = RunOptions { max_latency_s: 4.0, ..RunOptions::default() };
+        let other = Options { run: other, ..Options::default() };
         assert_ne!(AuditSettings::of(&other)?.hash, plain.hash);
         Ok(())
     }

@@ -11,7 +11,7 @@ use super::store::{Row, Status, Store, StoreError, Tables, found};
 use crate::boundary::caught;
 use crate::finding::Severity;
 use crate::report::{Report, Trouble, TroubleKind, Verdict};
-use crate::{Options, audit};
+use crate::{Audited, Options, audit};
 
 /// A log to audit, and under which key its rows are kept.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -77,16 +77,9 @@ pub fn settle(
     options: &Options,
     store: &Store,
 ) -> Result<(Answer, Option<String>), StoreError> {
-    let options = Options {
-        logs: vec![path.to_owned()],
-        fail_on: Some(Severity::Warning),
-        fix: None,
-        recording: None,
-        tables: None,
-        figures: false,
-        ..options.clone()
-    };
-    let ((answer, tables), trouble) = match caught(|| audit(&options)) {
+    let mut options = Options { logs: vec![path.to_owned()], ..options.clone() };
+    options.policy.fail_on = Some(Severity::Warning);
+    let ((answer, tables), trouble) = match caught(|| audit(&options).map(Audited::into_report)) {
         Ok(Ok(report)) => (of_report(task, &report), report.error),
         Ok(Err(trouble)) => {
             let status = or_out_of_memory(Status::NotAudited, &trouble);

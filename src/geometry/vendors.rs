@@ -134,7 +134,7 @@ mod tests {
 
     #[test]
     fn the_table_is_whole_and_its_names_are_unique() {
-        let names: Vec<&str> = super::names().collect();
+        let names: Vec<&str> = names().collect();
         let mut unique = names.clone();
         unique.sort_unstable();
         unique.dedup();

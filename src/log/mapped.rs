@@ -1,4 +1,5 @@
 //! Files in memory.
+#![allow(unsafe_code, reason = "files are mapped")]
 
 use std::fs::{self, File};
 use std::io;

@@ -43,7 +43,7 @@ pub(super) struct Absent(pub(super) usize);
 pub(super) fn read(
     bytes: &[u8],
     present: &Present,
-    options: &ReadOptions<'_>,
+    options: &ReadOptions,
     losses: &mut Losses,
     intake: &mut Intake,
 ) -> Result<Crc, Absent> {
@@ -67,7 +67,7 @@ struct Reader<'a, 'r, 'scope> {
     present: &'r Present,
     /// The first that was needed and is not there.
     absent: Option<Absent>,
-    options: &'r ReadOptions<'r>,
+    options: &'r ReadOptions,
     intake: &'r mut Intake,
     losses: &'r mut Losses,
     ahead: &'r mut Ahead<'scope, 'a>,
@@ -149,7 +149,7 @@ impl<'a, 'r, 'scope> Reader<'a, 'r, 'scope> {
     fn new(
         bytes: &'a [u8],
         present: &'r Present,
-        options: &'r ReadOptions<'r>,
+        options: &'r ReadOptions,
         losses: &'r mut Losses,
         intake: &'r mut Intake,
         ahead: &'r mut Ahead<'scope, 'a>,

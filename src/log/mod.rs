@@ -50,7 +50,7 @@ pub use self::remote::{Listed, RemoteFault, is_url, list, normal};
 
 /// The local file that `path` names, itself or as a `file://` URL; `None` for an object in a store.
 pub(crate) fn local(path: &Path) -> Option<PathBuf> {
-    let is_url = remote::is_url(path);
+    let is_url = is_url(path);
     (!is_url).then(|| remote::local(path).unwrap_or_else(|| path.to_owned()))
 }
 

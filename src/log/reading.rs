@@ -25,12 +25,12 @@ use crate::boundary::Staged;
 /// If one of the files cannot be opened or is no log of a supported kind, if the same file is given
 /// twice, or if no message can be read from any of them. Damage to a part of a file is no error: see
 /// [`Log::losses`].
-pub fn open(paths: &[PathBuf], options: &ReadOptions<'_>) -> Result<Log, LogError> {
+pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
     let mut intake = Intake::default();
     let mut rtde = rtde::Recording::default();
     let inputs = inputs(paths, &mut intake)?;
     refuse_repeats(&inputs)?;
-    if let Some(progress) = options.progress {
+    if let Some(progress) = &options.progress {
         progress.begin(inputs.iter().map(Input::bytes).sum());
     }
     let mut files = Vec::with_capacity(inputs.len());
@@ -38,7 +38,7 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions<'_>) -> Result<Log, LogErro
         let mut reading = Reading {
             path: &input.path,
             in_bag: input.in_bag,
-            options: *options,
+            options: options.clone(),
             losses: Losses::of(&input.path),
             intake: &mut intake,
             rtde: &mut rtde,
@@ -59,7 +59,7 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions<'_>) -> Result<Log, LogErro
             Err(error) => return Err(error),
         }
         intake.losses(losses);
-        if let Some(progress) = options.progress {
+        if let Some(progress) = &options.progress {
             progress.file_done(bytes);
         }
     }
@@ -93,7 +93,7 @@ fn inputs(paths: &[PathBuf], intake: &mut Intake) -> Result<Vec<Input>, LogError
 struct Reading<'a> {
     path: &'a Path,
     in_bag: bool,
-    options: ReadOptions<'a>,
+    options: ReadOptions,
     losses: Losses,
     intake: &'a mut Intake,
     rtde: &'a mut rtde::Recording,
@@ -141,7 +141,7 @@ impl Reading<'_> {
 
     /// Reads the log that is packed in `archive`.
     fn archive(&mut self, archive: &[u8]) -> Result<(Container, Crc), LogError> {
-        let options = self.options;
+        let options = &self.options;
         let (Unpacked { file, path }, end) =
             unpack::file(archive, &mut self.intake.allowance, |offset| options.at(offset))
                 .map_err(|source| LogError::Temporary { path: self.path.to_owned(), source })?;
@@ -227,6 +227,7 @@ impl Reading<'_> {
 #[cfg(test)]
 mod tests {
     use std::fs;
+    use std::sync::Arc;
 
     use super::*;
     use crate::log::testing::{self, Cdr, LogWriter};
@@ -372,8 +373,9 @@ mod tests {
         writer.poses(1, "/pose");
         writer.count_poses(1, 200, 10);
         drop(writer);
-        let progress = Progress::default();
-        let options = ReadOptions { progress: Some(&progress), ..ReadOptions::default() };
+        let progress = Arc::new(Progress::default());
+        let options =
+            ReadOptions { progress: Some(Arc::clone(&progress)), ..ReadOptions::default() };
         open(&paths, &options).unwrap();
         let bytes = paths.map(|path| fs::metadata(path).unwrap().len()).iter().sum();
         assert_eq!((progress.read(), progress.total()), (bytes, bytes));

@@ -129,13 +129,13 @@ pub(super) struct Fetched {
 
 /// Fetches what is read of the object at `address`; all of it where everything is to be verified.
 #[cfg(feature = "cloud")]
-pub(super) fn fetch(address: &Address, options: &ReadOptions<'_>) -> Result<Fetched, RemoteFault> {
+pub(super) fn fetch(address: &Address, options: &ReadOptions) -> Result<Fetched, RemoteFault> {
     fetch::fetch(address, options)
 }
 
 /// Refuses.
 #[cfg(not(feature = "cloud"))]
-pub(super) fn fetch(_: &Address, _: &ReadOptions<'_>) -> Result<Fetched, RemoteFault> {
+pub(super) fn fetch(_: &Address, _: &ReadOptions) -> Result<Fetched, RemoteFault> {
     Err(RemoteFault::NotBuilt)
 }
 

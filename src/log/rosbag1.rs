@@ -26,7 +26,7 @@ pub(super) const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
 /// Reads the bag `bytes`, which begin with [`MAGIC`], into `intake`.
 pub(super) fn read(
     bytes: &[u8],
-    options: &ReadOptions<'_>,
+    options: &ReadOptions,
     losses: &mut Losses,
     intake: &mut Intake,
 ) -> Crc {
@@ -58,7 +58,7 @@ pub(super) fn read(
 
 struct Reader<'a, 'r, 'scope> {
     bytes: &'a [u8],
-    options: &'r ReadOptions<'r>,
+    options: &'r ReadOptions,
     losses: &'r mut Losses,
     intake: &'r mut Intake,
     ahead: &'r mut Ahead<'scope, 'a>,

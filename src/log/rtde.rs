@@ -196,7 +196,7 @@ impl Recording {
         &mut self,
         path: &Path,
         bytes: &[u8],
-        options: &ReadOptions<'_>,
+        options: &ReadOptions,
         losses: &mut Losses,
         intake: &mut Intake,
     ) {

@@ -1,7 +1,7 @@
 //! The series behind a report's pictures, in SI units and seconds from the start of the run.
 //!
 //! Filled where a format draws them, from what plots, tables and the recording read too; see
-//! [`Options::figures`](crate::Options::figures).
+//! [`Audited::with_figures`](crate::Audited::with_figures).
 
 /// What the pictures of a report show.
 #[derive(Clone, Debug, Default)]

@@ -1,9 +1,8 @@
 use std::fs::{self, Permissions};
 use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::boundary::Staged;
-use crate::places::{is_descriptor, replaceable};
 
 /// Has `write` fill the file that it is given, which takes its place at `path` once it is whole: who
 /// interrupts it finds there what was there before. The folders of `path` are made; what is no
@@ -37,6 +36,37 @@ pub fn write_whole<E: From<io::Error>>(
     write(&staged)?;
     fs::rename(&*staged, &path)?;
     Ok(())
+}
+
+/// The path at which what is written to `path` would be: that of a file which is there already, unless a link
+/// leads to it out of its own folder.
+///
+/// # Errors
+/// If a link does, or the file is protected against being written.
+pub(crate) fn replaceable(path: &Path) -> io::Result<PathBuf> {
+    let Ok(target) = fs::canonicalize(path) else { return Ok(path.to_owned()) };
+    if is_descriptor(path) {
+        return Ok(path.to_owned());
+    }
+    let metadata = fs::metadata(&target)?;
+    if !metadata.is_file() {
+        return Ok(target);
+    }
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let folder = fs::canonicalize(folder.unwrap_or(Path::new(".")))?;
+    if path.is_symlink() && target.parent() != Some(&folder) {
+        let target = target.display();
+        return Err(io::Error::other(format!("it is a link out of its folder, to {target}")));
+    }
+    if metadata.permissions().readonly() {
+        return Err(io::Error::other("the file there is read-only"));
+    }
+    Ok(target)
+}
+
+/// Whether `path` names what this process has open, as `/dev/stdout` does: that is written to as it is.
+pub(crate) fn is_descriptor(path: &Path) -> bool {
+    path.starts_with("/dev") || path.starts_with("/proc")
 }
 
 /// Those of any new file; a temporary one is its owner's alone.

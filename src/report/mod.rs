@@ -29,6 +29,7 @@ use crate::time::Stamp;
 
 pub use figures::Figures;
 pub use file::write_whole;
+pub(crate) use file::{is_descriptor, replaceable};
 pub use format::{FORMATS, Format};
 pub(crate) use tame::quoted;
 pub use tame::{tame, upright};

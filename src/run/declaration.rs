@@ -1,6 +1,6 @@
 //! What the caller says of robots and streams, as the command line and the config spell it.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use crate::geometry::{AngleUnit, Coding, ConventionError, LengthScale, UnitError, Units, vendors};
@@ -13,6 +13,13 @@ pub struct RobotSource {
     pub prefix: Option<String>,
     /// Path of a URDF or TOML file, or the name of a catalogue arm.
     pub model: String,
+}
+
+impl RobotSource {
+    /// Its file; `None` where it is named by the catalogue.
+    pub fn file(&self) -> Option<&Path> {
+        Some(Path::new(&self.model)).filter(|path| path.is_file())
+    }
 }
 
 impl From<&str> for RobotSource {

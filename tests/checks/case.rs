@@ -1,6 +1,7 @@
 //! A case: a log with something done to it, and what its audit must say.
 
 use std::collections::HashMap;
+use std::path::PathBuf;
 use std::sync::{Arc, LazyLock, Mutex, OnceLock};
 
 use poseaudit::finding::{CheckRow, Estimate, Finding, Severity, Status, Subject};
@@ -23,6 +24,8 @@ pub struct Log {
     pub damage: Option<fn(&mut Vec<u8>)>,
     /// How it is audited.
     pub options: Options,
+    /// Where what mends it is written.
+    pub fix: Option<PathBuf>,
 }
 
 /// One rule, one log, one expectation.
@@ -138,7 +141,7 @@ impl Log {
         run.pose.timing.rate_hz = 25.0;
         run.tf.timing.rate_hz = 12.5;
         run.imu.timing.rate_hz = 100.0;
-        Self { run, edit: None, damage: None, options: Options::default() }
+        Self { run, edit: None, damage: None, options: Options::default(), fix: None }
     }
 
     /// A sound log with something done to it.
@@ -156,7 +159,7 @@ impl Log {
 
     /// The report on it, or why there is none.
     pub fn audit(&self) -> Result<Report, Trouble> {
-        if self.edit.is_some() || self.damage.is_some() {
+        if self.edit.is_some() || self.damage.is_some() || self.fix.is_some() {
             return self.audit_anew();
         }
         // Neighbours share their faults: what is the same log is audited once.
@@ -173,7 +176,10 @@ impl Log {
         }
         let file = tempfile::Builder::new().suffix(".mcap").tempfile().expect("a file");
         std::fs::write(file.path(), bytes).expect("the file is written");
-        audit(&Options { logs: vec![file.path().to_owned()], ..self.options.clone() })
+        let audited =
+            audit(&Options { logs: vec![file.path().to_owned()], ..self.options.clone() })?;
+        self.fix.as_deref().map_or(Ok(()), |folder| audited.write_fixes(folder))?;
+        Ok(audited.into_report())
     }
 }
 

@@ -151,7 +151,7 @@ fn degrees_in_the_wrong_order_and_late() {
 #[test]
 fn a_turned_base_a_tool_and_a_joint_zero() {
     let report = Log::with(|log| {
-        log.options.tip = Some("tool0".to_owned());
+        log.options.run.tip = Some("tool0".to_owned());
         log.run.pose.reference_from_stream = crate::frm::half_turn();
         log.run.pose.tip_from_stream = crate::frm::tool();
         log.run.joints.zero_offsets = zero(2, 0.6);
@@ -195,7 +195,7 @@ fn iiwa(change: impl FnOnce(&mut Log)) -> Report {
         (log.run.duration_s, log.run.speed) = (sound.duration_s, sound.speed);
         (log.run.joints.timing, log.run.pose.timing) = (sound.joints.timing, sound.pose.timing);
         (log.run.tf.timing, log.run.imu.timing) = (sound.tf.timing, sound.imu.timing);
-        log.options.tip = Some("lbr_link_ee".to_owned());
+        log.options.run.tip = Some("lbr_link_ee".to_owned());
         change(log);
     })
     .audited()

@@ -28,7 +28,7 @@ impl Loop {
         let dir = folder.path().join("made/for/it");
         let before = Log::with(|log| {
             change(log);
-            log.options.fix = Some(dir.clone());
+            log.fix = Some(dir.clone());
         });
         let before = before.audited();
         let after = Log::with(|log| {
@@ -200,7 +200,7 @@ fn joint_zeros_are_mended_by_offsets_and_by_the_model() {
     let file = looped.folder.path().join("made/for/it/robot_description.urdf");
     let by_model = Log::with(|log| {
         faulty(log);
-        log.options.robots = vec![file.display().to_string().as_str().into()];
+        log.options.run.robots = vec![file.display().to_string().as_str().into()];
     });
     let by_model = by_model.audited();
     let codes: Vec<&str> = by_model.findings.iter().map(|finding| finding.code).collect();
@@ -217,7 +217,7 @@ fn a_dh_table_is_patched_in_its_convention_and_its_rows() {
     let folder = tempfile::tempdir().expect("a folder");
     let before = Log::with(|log| {
         faulty(log);
-        log.options.fix = Some(folder.path().to_owned());
+        log.fix = Some(folder.path().to_owned());
     });
     let before = before.audited();
     let codes: Vec<&str> = before.findings.iter().map(|finding| finding.code).collect();
@@ -228,7 +228,7 @@ fn a_dh_table_is_patched_in_its_convention_and_its_rows() {
     assert!(text.contains("[-0.3922, 0.0, 0.0, 0.0104"), "{text}");
     let after = Log::with(|log| {
         faulty(log);
-        log.options.robots = vec![file.display().to_string().as_str().into()];
+        log.options.run.robots = vec![file.display().to_string().as_str().into()];
     });
     let after = after.audited();
     assert!(after.findings.is_empty(), "{}", summary(&after.findings));
@@ -278,7 +278,7 @@ fn a_camera_is_put_where_it_is() {
 #[test]
 fn bare_numbers_are_mended_in_units_and_frames() {
     let looped = Loop::of(|log| {
-        log.options.rules.ignore = vec!["TIM005".parse().expect("a rule")];
+        log.options.policy.rules.ignore = vec!["TIM005".parse().expect("a rule")];
         log.run.pose.reference_from_stream = crate::frm::shifted();
         log.edit = Some(|messages| crate::ord::as_numbers(messages, 1_f64.to_degrees()));
     });
@@ -305,7 +305,7 @@ fn the_same_log_gives_the_same_bytes() {
             log.run.joints.zero_offsets = zero(2, 0.6);
             log.run.pose.reference_from_stream = crate::frm::shifted();
             log.run.pose.coding = misread("rotvec", "euler:xyz");
-            log.options.fix = Some(folder.path().to_owned());
+            log.fix = Some(folder.path().to_owned());
         });
         log.audited();
         let entries = fs::read_dir(folder.path()).expect("a folder").map(|entry| {

@@ -66,25 +66,25 @@ cases! {
         => Skipped("no pose stream");
 
     FRM003 a_tool_beyond_the_named_tip: |log| {
-        log.options.tip = Some("tool0".to_owned());
+        log.options.run.tip = Some("tool0".to_owned());
         log.run.pose.tip_from_stream = tool();
     } => error(TIP, Frame([0.14, 0.1e-3], [90.0, 0.02]));
     FRM003 a_tool_beyond_a_tip_that_nobody_named: |log| log.run.pose.tip_from_stream = tool()
         => info(TIP, Frame([0.14, 0.1e-3], [90.0, 0.02]));
     FRM003 a_little_of_tool: |log| {
-        log.options.tip = Some("tool0".to_owned());
+        log.options.run.tip = Some("tool0".to_owned());
         log.run.pose.tip_from_stream.translation.vector.x = 0.002;
     } => warning(TIP, Frame([0.002, 0.1e-3], [0.0, 0.02]));
     FRM003 a_tenth_of_a_millimetre_of_tool_is_sound: |log| {
-        log.options.tip = Some("tool0".to_owned());
+        log.options.run.tip = Some("tool0".to_owned());
         log.run.pose.tip_from_stream.translation.vector.x = 1e-4;
     } => Sound;
     FRM003 the_last_joints_zero_is_no_tool: |log| {
-        log.options.tip = Some("tool0".to_owned());
+        log.options.run.tip = Some("tool0".to_owned());
         log.run.joints.zero_offsets = crate::zer::zero(5, 0.6);
     } => BlamedOn("ZER001");
     FRM003 a_turned_base_is_no_tool: |log| {
-        log.options.tip = Some("tool0".to_owned());
+        log.options.run.tip = Some("tool0".to_owned());
         log.run.pose.reference_from_stream = half_turn();
     } => BlamedOn("FRM002");
     FRM003 a_misread_rotation_is_no_tool: |log| log.run.pose.coding = crate::ord::misread_as_rpy()
@@ -121,7 +121,7 @@ cases! {
     } => error(On::Frame(TF, "cell"), What::None);
     FRM004 what_is_picked_up_and_put_down_is_sound: |log| {
         // Each of the two transforms has gaps while the other holds.
-        log.options.rules.ignore = vec!["TIM002".parse().expect("a rule")];
+        log.options.policy.rules.ignore = vec!["TIM002".parse().expect("a rule")];
         log.edit = Some(|messages| publish(messages, TF, |row| {
             (if row / 25 % 2 == 0 { "cell" } else { "table" }, "fixture", 0.0)
         }));
@@ -180,13 +180,13 @@ cases! {
 
     FRM006 goals_that_are_missed_by_three_millimetres: |log| {
         told(log, Commands::Goals, 0.0);
-        log.options.tip = Some("tool0".to_owned());
+        log.options.run.tip = Some("tool0".to_owned());
         log.run.reference.tip_from_commanded = Pose::translation(0.003, 0.0, 0.0);
     } => warning(On::Topic(GOAL), Frame([0.003, 0.05e-3], [0.0, 0.01]));
     // The tip is on the last joint's axis.
     FRM006 a_wrist_that_stays_short_of_its_poses: |log| {
         told(log, Commands::Poses, 0.3);
-        log.options.tip = Some("tool0".to_owned());
+        log.options.run.tip = Some("tool0".to_owned());
     } => warning(On::Topic(COMMANDED_POSE), Frame([0.0, 0.05e-3], [0.3, 0.005]));
     FRM006 a_joint_that_stays_short: |log| told(log, Commands::Joints, 0.7)
         => error(On::Topic(COMMANDED_JOINTS), Frame([0.0, 0.05e-3], [0.7, 0.005]));

@@ -110,7 +110,7 @@ fn the_other_sign_of_quaternions() {
 fn twice_the_rate() {
     // Shake shows at more than 25 Hz only.
     let mut log = faulty();
-    log.options.rules.ignore = vec!["MOT001".parse().expect("a rule")];
+    log.options.policy.rules.ignore = vec!["MOT001".parse().expect("a rule")];
     let before = log.audited();
     let run = &mut log.run;
     for timing in

@@ -24,7 +24,7 @@ cases! {
 
     MDL001 the_arms_own_calibration_leaves_nothing: |log| {
         calibrate(&mut log.run);
-        log.options.calibrations = vec![calibration_file(&log.run.robot)];
+        log.options.run.calibrations = vec![calibration_file(&log.run.robot)];
     } => Sound;
     MDL001 a_tenth_of_a_millimetre_of_link_is_sound: |log| {
         alter(&mut log.run, "wrist_1_joint", [1e-4, 0.0, 0.0, 0.0, 0.0, 0.0]);
@@ -129,7 +129,7 @@ fn calibration_file(robot: &Robot) -> CalibrationSource {
 fn a_calibration_is_said_in_the_robots_source() {
     let report = Log::with(|log| {
         calibrate(&mut log.run);
-        log.options.calibrations = vec![calibration_file(&log.run.robot)];
+        log.options.run.calibrations = vec![calibration_file(&log.run.robot)];
     })
     .audited();
     let source = &report.robots[0].source;
@@ -168,7 +168,7 @@ fn a_tool_and_growth_are_no_calibration_however_noisy_the_tracker() {
 
 #[test]
 fn the_catalogue_arm_that_fits_is_named_beside_a_model_that_does_not() {
-    let report = Log::with(|log| log.options.robots = vec!["ur10e".into()]).audited();
+    let report = Log::with(|log| log.options.run.robots = vec!["ur10e".into()]).audited();
     let message = &the(&report, "MDL001", POSE).message;
     assert!(message.contains("this log is of a ur5e, which fits to"), "{message}");
 }

@@ -167,7 +167,7 @@ cases! {
     } => BlamedOn("ORD004");
     ORD006 what_nobody_declared_is_no_lock: |log| {
         turn_the_base_alone(log);
-        log.options.rules.ignore = vec!["TIM005".parse().expect("a rule")];
+        log.options.policy.rules.ignore = vec!["TIM005".parse().expect("a rule")];
         log.edit = Some(|messages| as_euler(messages, Convention::RPY));
     } => Sound;
     ORD006 no_bare_numbers: |_| {} => Skipped("three bare numbers");
@@ -407,7 +407,7 @@ fn units_declared_wrongly_are_one_slip_of_units() {
         let report = Log::with(|log| {
             log.edit = Some(edit);
             let declaration = format!("{NUMBERS}={declared}");
-            log.options.declarations = vec![declaration.parse().expect("a declaration")];
+            log.options.run.declared = vec![declaration.parse().expect("a declaration")];
         });
         let mut report = report.audited();
         report.findings.retain(|finding| finding.code != "TIM005");
@@ -524,7 +524,7 @@ pub fn by_table(log: &mut Log, convention: &str, [from, to]: [&str; 2]) {
     let staged = tempfile::NamedTempFile::new_in(folder).expect("the tests may write there");
     fs::write(staged.path(), text).expect("a file");
     staged.persist(&file).expect("a file");
-    log.options.robots = vec![file.display().to_string().as_str().into()];
+    log.options.run.robots = vec![file.display().to_string().as_str().into()];
     log.run.tf.timing.rate_hz = 0.0;
 }
 
@@ -568,8 +568,8 @@ fn as_euler(messages: &mut [Message], convention: Convention) {
 /// Declares the bare numbers. That they have no stamps is not asked.
 fn declare(log: &mut Log, edit: fn(&mut Vec<Message>), convention: &str) {
     let declaration = format!("{NUMBERS}={convention}");
-    log.options.declarations = vec![declaration.parse().expect("a declaration")];
-    log.options.rules.ignore = vec!["TIM005".parse().expect("a rule")];
+    log.options.run.declared = vec![declaration.parse().expect("a declaration")];
+    log.options.policy.rules.ignore = vec!["TIM005".parse().expect("a rule")];
     log.edit = Some(edit);
 }
 
@@ -578,7 +578,7 @@ fn declare(log: &mut Log, edit: fn(&mut Vec<Message>), convention: &str) {
 fn turn_the_base_alone(log: &mut Log) {
     log.run.motion = Motion::OneJoint(0);
     // One axis does not tell how rotations are coded: that is not asked.
-    log.options.rules.select = vec!["ORD006".parse().expect("a rule")];
+    log.options.policy.rules.select = vec!["ORD006".parse().expect("a rule")];
     log.run.home = vec![0.0, -FRAC_PI_2, FRAC_PI_2, -FRAC_PI_2, 0.0, 0.0];
 }
 

@@ -12,7 +12,8 @@ use serde_json::{Number, Value};
 fn report(fixture: &str) -> Report {
     let path = Path::new("fixtures").join(fixture);
     assert!(path.exists(), "tests run in the folder of the crate");
-    audit(&Options { logs: vec![path], figures: true, ..Options::default() }).expect("a report")
+    let audited = audit(&Options { logs: vec![path], ..Options::default() }).expect("a report");
+    audited.with_figures().report
 }
 
 /// The report for people: as it is, but for the version.

@@ -6,8 +6,8 @@ use serde::Serialize;
 use super::{Status, TABLES, Table};
 use crate::finding::{Finding, Severity, Status as Decided};
 use crate::fleet::task::{Answer, Task};
+use crate::output::tables::{checks_frame, findings_frame};
 use crate::report::{Report, StreamRow, Trouble, Verdict};
-use crate::tables::{checks_frame, findings_frame};
 use crate::time::Stamp;
 
 /// The columns of `runs` that an [`Answer`] is read from, and the key.

@@ -27,7 +27,7 @@ pub(super) fn poses(mut log: LogWriter) -> Vec<u8> {
     log.finish()
 }
 
-fn read_with(bytes: &[u8], options: ReadOptions<'_>) -> Log {
+fn read_with(bytes: &[u8], options: ReadOptions) -> Log {
     read_present(bytes, &Present::Whole, options).unwrap()
 }
 
@@ -35,7 +35,7 @@ fn read_with(bytes: &[u8], options: ReadOptions<'_>) -> Log {
 pub(super) fn read_present(
     bytes: &[u8],
     present: &Present,
-    options: ReadOptions<'_>,
+    options: ReadOptions,
 ) -> Result<Log, Absent> {
     let (path, mut intake) = (Path::new("run.mcap"), Intake::default());
     let mut losses = Losses::of(path);
@@ -312,8 +312,7 @@ fn what_is_not_read_unasked_is_no_damage() {
         let mut losses = Losses::of(path);
         intake.begin_file(path, whole.len() as u64);
         intake.allowance = allowance;
-        super::read(&whole, &Present::Whole, &ReadOptions::default(), &mut losses, &mut intake)
-            .unwrap();
+        read(&whole, &Present::Whole, &ReadOptions::default(), &mut losses, &mut intake).unwrap();
         (intake.messages(), losses.finish())
     };
     let (messages, losses) = read(Allowance::of(0, None));

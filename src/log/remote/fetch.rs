@@ -4,6 +4,7 @@ use std::cell::Cell;
 use std::io::{self, Seek, SeekFrom, Write};
 use std::ops::Range;
 use std::rc::Rc;
+use std::sync::Arc;
 use std::time::Duration;
 
 use futures_util::{StreamExt, TryStreamExt, stream};
@@ -58,7 +59,7 @@ const ANSWER: Duration = Duration::from_secs(50);
 const STALL: Duration = Duration::from_secs(10);
 
 /// Fetches what is read of the object at `address`; all of it where everything is to be verified.
-pub(super) fn fetch(address: &Address, options: &ReadOptions<'_>) -> Result<Fetched, RemoteFault> {
+pub(super) fn fetch(address: &Address, options: &ReadOptions) -> Result<Fetched, RemoteFault> {
     let source = Source::of(address)?;
     let came = Rc::clone(&source.came);
     let work = async {
@@ -127,13 +128,13 @@ async fn head(source: &Source) -> Result<Head, RemoteFault> {
 /// watches.
 async fn whole(
     source: &Source,
-    options: &ReadOptions<'_>,
+    options: &ReadOptions,
     is_told: &Cell<bool>,
 ) -> Result<Fetched, RemoteFault> {
     let answer = ask(source, None).await?.map_err(|error| cause::fault(&error, source.store))?;
     let size = answer.meta.size;
     let mut file = None;
-    if let Some(progress) = options.progress.filter(|_| !is_told.replace(true)) {
+    if let Some(progress) = options.progress.as_ref().filter(|_| !is_told.replace(true)) {
         progress.grow(size);
     }
     let at = Cell::new(0);
@@ -151,7 +152,7 @@ async fn whole(
 }
 
 /// An object that is being fetched.
-struct Object<'p> {
+struct Object {
     source: Source,
     /// What it was when it was first asked for.
     e_tag: Option<String>,
@@ -164,22 +165,22 @@ struct Object<'p> {
     fetched: Cell<usize>,
     /// Bytes that are to come in all, as far as is known.
     planned: usize,
-    progress: Option<&'p Progress>,
+    progress: Option<Arc<Progress>>,
 }
 
-impl<'p> Object<'p> {
+impl Object {
     /// One that begins with `head`.
     fn of(
         source: Source,
         meta: ObjectMeta,
         head: &[u8],
-        options: &ReadOptions<'p>,
+        options: &ReadOptions,
     ) -> Result<Self, RemoteFault> {
         let too_large = |_| RemoteFault::Refused { cause: format!("it has {} bytes", meta.size) };
         let size = usize::try_from(meta.size).map_err(too_large)?;
         let mut file = Unpacked::of(head).map_err(disk)?;
         file.file.set_len(meta.size).and_then(|()| file.file.write_all(head)).map_err(disk)?;
-        if let Some(progress) = options.progress {
+        if let Some(progress) = &options.progress {
             progress.grow(meta.size);
         }
         Ok(Self {
@@ -191,7 +192,7 @@ impl<'p> Object<'p> {
             present: Ranges::up_to(head.len()),
             fetched: Cell::new(head.len()),
             planned: head.len(),
-            progress: options.progress,
+            progress: options.progress.clone(),
         })
     }
 
@@ -248,7 +249,7 @@ impl<'p> Object<'p> {
         let mut file = &self.file.file;
         file.seek(SeekFrom::Start(at as u64)).and_then(|_| file.write_all(part)).map_err(disk)?;
         self.fetched.update(|fetched| fetched + part.len());
-        if let Some(progress) = self.progress {
+        if let Some(progress) = &self.progress {
             let share = self.fetched.get() as f64 / self.planned as f64;
             // It is whole when nothing more is asked for, and not before.
             progress.at((self.size as f64 * share.min(0.99)) as u64);

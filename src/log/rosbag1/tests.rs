@@ -42,7 +42,7 @@ fn read_bag(bytes: &[u8]) -> Log {
     read_bag_with(bytes, &ReadOptions { verify: true, ..ReadOptions::default() })
 }
 
-fn read_bag_with(bytes: &[u8], options: &ReadOptions<'_>) -> Log {
+fn read_bag_with(bytes: &[u8], options: &ReadOptions) -> Log {
     let (path, mut intake) = (Path::new("run.bag"), Intake::default());
     let mut losses = Losses::of(path);
     intake.begin_file(path, bytes.len() as u64);

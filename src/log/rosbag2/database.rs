@@ -34,7 +34,7 @@ const MAX_ROW_BYTES: i32 = 256 << 20;
 /// it is `opened`: from then on its name is not needed.
 pub(in crate::log) fn read(
     path: &Path,
-    options: &ReadOptions<'_>,
+    options: &ReadOptions,
     losses: &mut Losses,
     intake: &mut Intake,
     opened: impl FnOnce(),
@@ -205,7 +205,7 @@ impl Tables {
 
 struct Reader<'a> {
     database: &'a Connection,
-    options: &'a ReadOptions<'a>,
+    options: &'a ReadOptions,
     losses: &'a mut Losses,
     intake: &'a mut Intake,
     /// By the number that messages give; `None` where there are too many channels to take it.

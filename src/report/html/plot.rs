@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 use serde_json::{Value, json};
 
-use crate::tables::thin;
+use crate::stats::thin;
 
 /// Stretches of the table behind a plot.
 const STRETCHES: usize = 20;

@@ -69,7 +69,7 @@ fn decimated(replay: &Replay<'_>) -> Vec<String> {
         .map(|arm| (format!("joint states of {}", arm.name), arm.corrected.len()));
     let streams = replay.arms.iter().flat_map(|arm| &arm.streams);
     let streams =
-        streams.map(|stream| (format!("samples of {}", stream.topic), stream.frame.height()));
+        streams.map(|stream| (format!("samples of {}", stream.topic), stream.aligned.t_s.len()));
     let imus = replay.arms.iter().flat_map(|arm| &arm.imus);
     let imus = imus.map(|imu| (format!("samples of {}", imu.topic), imu.yaw_error.len()));
     let long = joints.chain(streams).chain(imus).filter(|(_, rows)| *rows > MOST_ROWS);

@@ -1,61 +1,70 @@
 //! Joins a run, what was estimated on it and the report to what the recording shows.
 
-use polars::prelude::PolarsResult;
-
-use crate::checks::{ArmFacts, Facts, Of, PoseFacts};
+use super::{Receipts, Recording, Replay, ReplayArm, ReplayImu, ReplayStream, StreamKind, write};
+use crate::audit::Audited;
+use crate::checks::{ArmFacts, Of, PoseFacts};
 use crate::geometry::Pose;
-use crate::replay::{
-    self, Receipts, Recording, Replay, ReplayArm, ReplayImu, ReplayStream, StreamKind,
-};
-use crate::report::{NoteRow, Report, Trouble};
+use crate::places::Places;
+use crate::report::{NoteRow, Trouble};
 use crate::run::{Arm, PoseSource, Run};
-use crate::tables::aligned_frame;
 use crate::time::Stamp;
 
-/// Writes the recording of an audited run; what the report is to say of it.
-///
-/// # Errors
-/// If it cannot be written.
-pub(crate) fn record(
-    recording: &Recording,
-    run: &Run,
-    facts: &Facts,
-    report: &Report,
-) -> Result<Vec<NoteRow>, Trouble> {
-    let remedy = "name a file that can be written with --rrd";
-    let trouble = |what| Trouble::unwritable(&recording.path, what, remedy);
-    let arms = run.arms.iter().zip(&facts.robots).map(|(arm, facts)| replay_arm(run, arm, facts));
-    let replay = Replay {
-        origin: run.origin,
-        span: run.span.unwrap_or((run.origin, run.origin)),
-        arms: arms.collect::<Result<_, _>>().map_err(|error| trouble(error.to_string()))?,
-        report,
-    };
-    let notes = replay::write(recording, &replay).map_err(|it| trouble(it.cause.to_string()))?;
-    let path = &recording.path;
-    Ok(notes.into_iter().map(|note| NoteRow { path: path.clone(), note }).collect())
+impl Recording {
+    /// Enters the file that is written, and the meshes that may be read for it.
+    pub fn enter(&self, places: &mut Places) {
+        self.mesh_roots.iter().for_each(|root| places.reads_below(root));
+        places.writes("--rrd", &self.path);
+    }
 }
 
-fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmFacts) -> PolarsResult<ReplayArm<'a>> {
+impl Audited {
+    /// Writes the recording of the run; the report then notes which meshes were not found.
+    ///
+    /// # Errors
+    /// Where it cannot be written, or would take the place of a file that was read.
+    pub fn record(&mut self, recording: &Recording) -> Result<(), Trouble> {
+        let mut places = self.read.clone();
+        recording.enter(&mut places);
+        places.check()?;
+        let Self { report, run, facts, .. } = self;
+        let arms = run.arms.iter().zip(&facts.robots);
+        let replay = Replay {
+            origin: run.origin,
+            span: run.span.unwrap_or((run.origin, run.origin)),
+            arms: arms.map(|(arm, facts)| replay_arm(run, arm, facts)).collect(),
+            report,
+        };
+        let path = &recording.path;
+        let notes = write(recording, &replay).map_err(|error| {
+            let remedy = "name a file that can be written with --rrd";
+            Trouble::unwritable(path, error.cause.to_string(), remedy)
+        })?;
+        let notes = notes.into_iter().map(|note| NoteRow { path: path.clone(), note });
+        report.log.notes.extend(notes);
+        Ok(())
+    }
+}
+
+fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmFacts) -> ReplayArm<'a> {
     let stream = |kind, source: &PoseSource, facts: &'a Of<PoseFacts>| {
         let found = &facts.diagnosis;
         let base_from_reference = base_from_link(arm, source.chain.base_name());
-        Ok(ReplayStream {
+        ReplayStream {
             topic: facts.topic(),
             kind,
-            frame: aligned_frame(&found.aligned, run.origin)?,
+            aligned: &found.aligned,
             received: receipts(run, source.stream),
             base_from_reference: base_from_reference.unwrap_or_default(),
             reference_known: facts.reference_known && base_from_reference.is_some(),
             latency_s: found.latency_s.as_ref().map_or(0.0, |latency| latency.value),
-        })
+        }
     };
     let poses = arm.poses.iter().zip(&facts.poses);
     let poses = poses.map(|(source, facts)| stream(StreamKind::Pose, source, facts));
     let tf = arm.tf.iter().zip(&facts.tf);
     let tf = tf.map(|(source, facts)| stream(StreamKind::Tf, source, facts));
     let imus = arm.imus.iter().zip(&facts.imus);
-    Ok(ReplayArm {
+    ReplayArm {
         name: &arm.name,
         robot: &arm.robot,
         chain: &arm.chain,
@@ -66,7 +75,7 @@ fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmFacts) -> PolarsResult<
             .map_or_else(Receipts::default, |joint| receipts(run, joint.stream)),
         recorded: arm.recorded.as_ref().map_or(&arm.joints, |(recorded, _)| recorded),
         corrected: facts.diagnosis.corrected_joints(&arm.joints, &arm.slides()),
-        streams: poses.chain(tf).collect::<PolarsResult<_>>()?,
+        streams: poses.chain(tf).collect(),
         imus: imus
             .map(|(source, facts)| ReplayImu {
                 topic: facts.topic(),
@@ -74,7 +83,7 @@ fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmFacts) -> PolarsResult<
                 yaw_error: &facts.diagnosis.yaw_error,
             })
             .collect(),
-    })
+    }
 }
 
 /// When the recorder received the rows of a stream.

@@ -12,7 +12,6 @@ use crate::diagnosis::Aligned;
 use crate::finding::{Cause, Evidence, Severity, Subject};
 use crate::report::{Trouble, TroubleKind, Verdict};
 use crate::robot::catalogue;
-use crate::tables::{AFTER_M, aligned_frame};
 
 type Outcome = Result<(), Box<dyn std::error::Error>>;
 
@@ -80,16 +79,16 @@ fn report(verdict: Verdict, findings: Vec<Finding>) -> Report {
     report
 }
 
-fn stream(aligned: &Aligned, kind: StreamKind) -> Result<ReplayStream<'static>, PolarsError> {
-    Ok(ReplayStream {
+fn stream(aligned: &Aligned, kind: StreamKind) -> ReplayStream<'_> {
+    ReplayStream {
         topic: if kind == StreamKind::Tf { "/tf" } else { "/tcp/pose" },
         kind,
-        frame: aligned_frame(aligned, ORIGIN)?,
+        aligned,
         received: Receipts::default(),
         base_from_reference: Pose::identity(),
         reference_known: true,
         latency_s: 0.022,
-    })
+    }
 }
 
 /// An arm without streams whose joints are as recorded.
@@ -161,7 +160,7 @@ fn a_recording_is_written_with_its_folder() -> Outcome {
     let (recorded, aligned) = motion(&chain, 50);
     let mut arm = arm(robot, &chain, &recorded);
     arm.corrected.q.iter_mut().for_each(|position| *position += 0.01);
-    arm.streams = vec![stream(&aligned, StreamKind::Pose)?, stream(&aligned, StreamKind::Tf)?];
+    arm.streams = vec![stream(&aligned, StreamKind::Pose), stream(&aligned, StreamKind::Tf)];
     let yaw_error = &[(0.0, 0.1), (0.1, 0.2)];
     arm.imus = vec![ReplayImu { topic: "/imu/data", received: Receipts::default(), yaw_error }];
     let report = report(Verdict::Fail, vec![finding()]);
@@ -173,7 +172,7 @@ fn a_recording_is_written_with_its_folder() -> Outcome {
     let again = folder.path().join("again.rrd");
     let mut second = self::arm(robot, &chain, &recorded);
     second.corrected.q.iter_mut().for_each(|position| *position += 0.01);
-    second.streams = vec![stream(&aligned, StreamKind::Pose)?, stream(&aligned, StreamKind::Tf)?];
+    second.streams = vec![stream(&aligned, StreamKind::Pose), stream(&aligned, StreamKind::Tf)];
     second.imus = vec![ReplayImu { topic: "/imu/data", received: Receipts::default(), yaw_error }];
     write(&Recording::from(again.clone()), &replay(vec![second], &report))?;
     assert!(bytes == fs::read(&again)?, "the same recording has other bytes");
@@ -188,7 +187,7 @@ fn every_entity_is_there() -> Outcome {
     let (recorded, aligned) = motion(&chain, 50);
     let mut arm = arm(robot, &chain, &recorded);
     arm.corrected.q.iter_mut().for_each(|position| *position += 0.01);
-    arm.streams = vec![stream(&aligned, StreamKind::Pose)?, stream(&aligned, StreamKind::Tf)?];
+    arm.streams = vec![stream(&aligned, StreamKind::Pose), stream(&aligned, StreamKind::Tf)];
     let yaw_error = &[(0.0, 0.1), (0.1, 0.2)];
     arm.imus = vec![ReplayImu { topic: "/imu/data", received: Receipts::default(), yaw_error }];
     let report = report(Verdict::Fail, vec![finding()]);
@@ -257,7 +256,7 @@ fn what_is_explained_is_drawn_when_it_was_true() -> Outcome {
     let chain = chain(robot);
     let (recorded, aligned) = motion(&chain, 50);
     let mut arm = arm(robot, &chain, &recorded);
-    arm.streams = vec![stream(&aligned, StreamKind::Pose)?];
+    arm.streams = vec![stream(&aligned, StreamKind::Pose)];
     let report = report(Verdict::Pass, Vec::new());
     let seen = Seen::of(&replay(vec![arm], &report), &Recording::default())?;
     let translation = Transform3D::descriptor_translation();
@@ -275,7 +274,7 @@ fn a_long_run_is_thinned_and_says_so() -> Outcome {
     let chain = chain(robot);
     let (recorded, aligned) = motion(&chain, 9_001);
     let mut arm = arm(robot, &chain, &recorded);
-    arm.streams = vec![stream(&aligned, StreamKind::Pose)?];
+    arm.streams = vec![stream(&aligned, StreamKind::Pose)];
     let report = report(Verdict::Pass, Vec::new());
     let seen = Seen::of(&replay(vec![arm], &report), &Recording::default())?;
     let mut in_time = 0;
@@ -404,32 +403,15 @@ fn an_error_names_the_file() -> Outcome {
 }
 
 #[test]
-fn a_frame_without_its_columns_is_an_error() -> Outcome {
-    let robot = catalogue::find("ur5e").unwrap();
-    let chain = chain(robot);
-    let (recorded, aligned) = motion(&chain, 50);
-    let mut broken = stream(&aligned, StreamKind::Pose)?;
-    broken.frame = broken.frame.drop(AFTER_M)?;
-    let mut arm = arm(robot, &chain, &recorded);
-    arm.streams = vec![broken];
-    let report = report(Verdict::Pass, Vec::new());
-    let folder = tempfile::tempdir()?;
-    let recording = Recording::from(folder.path().join("run.rrd"));
-    let error = write(&recording, &replay(vec![arm], &report)).unwrap_err();
-    assert!(matches!(error.cause, ReplayCause::Frame(_)), "{error}");
-    Ok(())
-}
-
-#[test]
 fn the_topic_is_named_only_where_the_state_alone_does_not_tell() -> Outcome {
     let robot = catalogue::find("ur5e").unwrap();
     let chain = chain(robot);
     let (recorded, aligned) = motion(&chain, 50);
     let mut arm = arm(robot, &chain, &recorded);
-    arm.streams = vec![stream(&aligned, StreamKind::Pose)?, stream(&aligned, StreamKind::Tf)?];
+    arm.streams = vec![stream(&aligned, StreamKind::Pose), stream(&aligned, StreamKind::Tf)];
     let of = |arm: &ReplayArm<'_>, row: usize| arm.label(&arm.streams[row], State::Logged);
     assert_eq!((of(&arm, 0), of(&arm, 1)), ("as logged".to_owned(), "/tf".to_owned()));
-    arm.streams.push(stream(&aligned, StreamKind::Pose)?);
+    arm.streams.push(stream(&aligned, StreamKind::Pose));
     assert_eq!(of(&arm, 0), "/tcp/pose as logged");
     Ok(())
 }

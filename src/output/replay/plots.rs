@@ -8,7 +8,7 @@ use super::{
     MOST_ROWS, Receipts, ReplayArm, ReplayCause, ReplayImu, ReplayStream, State, StreamKind,
 };
 use crate::robot::JointKind;
-use crate::tables::{self, AFTER_M, AFTER_RAD, BEFORE_M, BEFORE_RAD, thin};
+use crate::stats::thin;
 use crate::time::Stamp;
 
 const ERRORS: &str = "errors";
@@ -101,15 +101,14 @@ fn residuals(
     arm: &ReplayArm<'_>,
     stream: &ReplayStream<'_>,
 ) -> Result<(), ReplayCause> {
-    let stamps = tables::stamps_ns(&stream.frame)?;
-    let stamps: Vec<Stamp> = stamps.into_iter().map(Stamp::from_nanos).collect();
+    let stamps: Vec<Stamp> = stream.aligned.t_s.iter().map(|&t_s| tape.stamp(t_s)).collect();
+    let drawn: Vec<_> =
+        State::drawn(stream).map(|state| (state, state.residuals(stream))).collect();
     for quantity in [Quantity::Position, Quantity::Rotation] {
-        for state in State::drawn(stream) {
-            let column = match (quantity, state) {
-                (Quantity::Position, State::Logged) => BEFORE_M,
-                (Quantity::Position, State::Explained) => AFTER_M,
-                (_, State::Logged) => BEFORE_RAD,
-                (_, State::Explained) => AFTER_RAD,
+        for (state, residuals) in &drawn {
+            let (state, values) = match quantity {
+                Quantity::Position => (*state, &residuals.m),
+                _ => (*state, &residuals.rad),
             };
             let series = Series {
                 path: entity(&[ERRORS, arm.name, quantity.name(), stream.topic, state.entity()]),
@@ -118,8 +117,7 @@ fn residuals(
                 width: if state == State::Explained { 2.5 } else { 1.0 },
                 factor: quantity.factor(),
             };
-            let values = tables::numbers(&stream.frame, column)?;
-            series.draw(tape, arm, &stream.received, &stamps, &values)?;
+            series.draw(tape, arm, &stream.received, &stamps, values)?;
         }
     }
     Ok(())

@@ -4,28 +4,19 @@ use std::collections::BTreeSet;
 
 use polars::prelude::{Column, DataFrame, PolarsResult};
 
-use crate::diagnosis::{Workspace, centre_m};
+use crate::audit::ArmWorkspace;
+use crate::diagnosis::centre_m;
 use crate::geometry::{xyz_of, xyzw_from_rotation};
 use crate::robot::{Chain, JointKind};
 use crate::time::Stamp;
 
 use super::split;
 
-/// Where one arm has been.
-pub struct ArmWorkspace<'a> {
-    /// Its name.
-    pub robot: &'a str,
-    /// Its chain from base to tip.
-    pub chain: &'a Chain,
-    /// What its tip reached.
-    pub workspace: Workspace,
-}
-
 /// The reach map: a row for every cell of the base's frame that a tip was in.
 ///
 /// # Errors
 /// None that a workspace can cause.
-pub fn reach_map_frame(arms: &[ArmWorkspace<'_>]) -> PolarsResult<DataFrame> {
+pub(super) fn reach_map_frame(arms: &[ArmWorkspace<'_>]) -> PolarsResult<DataFrame> {
     let rows: Vec<_> = arms
         .iter()
         .flat_map(|arm| arm.workspace.places.iter().map(move |(cell, place)| (arm, cell, place)))
@@ -53,7 +44,10 @@ pub fn reach_map_frame(arms: &[ArmWorkspace<'_>]) -> PolarsResult<DataFrame> {
 ///
 /// # Errors
 /// None that a workspace can cause.
-pub fn reached_poses_frame(arms: &[ArmWorkspace<'_>], origin: Stamp) -> PolarsResult<DataFrame> {
+pub(super) fn reached_poses_frame(
+    arms: &[ArmWorkspace<'_>],
+    origin: Stamp,
+) -> PolarsResult<DataFrame> {
     let rows: Vec<_> = arms
         .iter()
         .flat_map(|arm| arm.workspace.poses.iter().map(move |pose| (arm, pose)))

@@ -8,9 +8,8 @@ use super::moments::Moments;
 use super::scene::{ARM_RGB, RECORDED_RGB, kept, positions, quaternion, radius, still};
 use super::tape::{Tape, entity};
 use super::{MOST_ROWS, ReplayArm, ReplayCause, ReplayStream, State, StreamKind};
-use crate::geometry::{Vec3, xyz_of, xyzw_from_rotation};
-use crate::tables::{self, BEFORE_M, Posed, thin};
-use crate::time::Stamp;
+use crate::geometry::{Pose, Vec3, xyz_of, xyzw_from_rotation};
+use crate::stats::thin;
 
 const ERROR_RGB: [u8; 3] = [250, 190, 60];
 
@@ -39,7 +38,7 @@ pub(super) fn draw(
     let reference = entity(&["arms", arm.name, stream.topic]);
     tape.still(&reference, &still(&stream.base_from_reference))?;
     for state in State::drawn(stream) {
-        let moved = Moved::of(tape, arm, stream, state.into())?;
+        let moved = Moved::of(tape, arm, stream, state, state.poses(stream));
         let rgb = state.rgb(stream.kind);
         let fill = match (stream.kind, state) {
             (StreamKind::Tf, _) => FillMode::MajorWireframe,
@@ -57,22 +56,13 @@ pub(super) fn draw(
     if stream.kind == StreamKind::Tf {
         return Ok(());
     }
-    let by_fk = Moved::of(tape, arm, stream, Posed::Fk)?;
+    let by_fk = Moved::of(tape, arm, stream, State::Logged, &stream.aligned.fk);
     trail(tape, &reference.join(&entity(&["fk_trail"])), &by_fk.xyz, RECORDED_RGB)?;
     if !stream.reference_known {
         return Ok(());
     }
-    let logged = Moved::of(tape, arm, stream, Posed::Logged)?;
+    let logged = Moved::of(tape, arm, stream, State::Logged, &stream.aligned.logged);
     errors(tape, &reference.join(&entity(&["error"])), &by_fk, &logged, magnified(arm), size_m)
-}
-
-impl From<State> for Posed {
-    fn from(state: State) -> Self {
-        match state {
-            State::Logged => Posed::Logged,
-            State::Explained => Posed::Corrected,
-        }
-    }
 }
 
 /// A frame that moves.
@@ -84,28 +74,27 @@ struct Moved {
 }
 
 impl Moved {
-    /// A pose of a stream's samples. What is logged is there when its stamp and its receipt say; what
+    /// Poses of a stream's samples. What is logged is there when its stamp and its receipt say; what
     /// is explained is there when it was true, among the joint states of that moment.
     fn of(
         tape: &Tape,
         arm: &ReplayArm<'_>,
         stream: &ReplayStream<'_>,
-        posed: Posed,
-    ) -> Result<Self, ReplayCause> {
-        let stamps_ns = tables::stamps_ns(&stream.frame)?;
-        let xyz = tables::positions(&stream.frame, posed)?;
-        let xyzw = tables::quaternions_xyzw(&stream.frame, posed)?;
-        let (late_s, received) = match posed {
-            Posed::Corrected | Posed::FkAtTruth => (stream.latency_s, &arm.received),
-            Posed::Logged | Posed::Fk => (0.0, &stream.received),
+        state: State,
+        poses: &[Pose],
+    ) -> Self {
+        let (late_s, received) = match state {
+            State::Explained => (stream.latency_s, &arm.received),
+            State::Logged => (0.0, &stream.received),
         };
-        let kept = thin::evenly(stamps_ns.len(), MOST_ROWS);
-        let stamps = kept.iter().map(|&row| Stamp::from_nanos(stamps_ns[row]).shifted(-late_s));
-        Ok(Self {
+        let kept = thin::evenly(poses.len(), MOST_ROWS);
+        let stamps = kept.iter().map(|&row| tape.stamp(stream.aligned.t_s[row]).shifted(-late_s));
+        let drawn = kept.iter().map(|&row| &poses[row]);
+        Self {
             moments: tape.moments(arm, received, stamps),
-            xyz: kept.iter().map(|&row| xyz[row]).collect(),
-            xyzw: kept.iter().map(|&row| xyzw[row]).collect(),
-        })
+            xyz: drawn.clone().map(xyz_of).collect(),
+            xyzw: drawn.map(|pose| xyzw_from_rotation(&pose.rotation)).collect(),
+        }
     }
 }
 
@@ -184,8 +173,8 @@ pub(super) fn magnified(arm: &ReplayArm<'_>) -> f64 {
     const LONGEST: f64 = 0.25;
     let measured =
         arm.streams.iter().filter(|it| it.kind == StreamKind::Pose && it.reference_known);
-    let errors = measured.filter_map(|stream| tables::numbers(&stream.frame, BEFORE_M).ok());
-    let longest_m = errors.flatten().fold(0.0, f64::max);
+    let errors = measured.flat_map(|stream| stream.aligned.before().m);
+    let longest_m = errors.fold(0.0, f64::max);
     most_times(longest_m, LONGEST * arm.chain.max_reach_m())
 }
 

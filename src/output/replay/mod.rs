@@ -20,6 +20,7 @@
 //! `sample`, the number of the last joint state at a stamp, so that all streams are of one moment.
 
 mod arm;
+mod audited;
 mod blueprint;
 mod findings;
 mod fixed;
@@ -36,7 +37,6 @@ mod visuals;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use polars::prelude::{DataFrame, PolarsError};
 use rerun::external::re_log_encoding::EncodeError;
 use rerun::log::ChunkError;
 use rerun::sink::SinkFlushError;
@@ -45,6 +45,7 @@ use rerun::{
     SerializationError,
 };
 
+use crate::diagnosis::{Aligned, Residuals};
 use crate::finding::Finding;
 use crate::geometry::Pose;
 use crate::report::{Report, write_whole};
@@ -156,8 +157,8 @@ pub struct ReplayStream<'a> {
     pub topic: &'a str,
     /// Where its poses come from.
     pub kind: StreamKind,
-    /// Its samples and residuals, by [`tables::aligned_frame`](crate::tables::aligned_frame).
-    pub frame: DataFrame,
+    /// Its samples beside FK.
+    pub aligned: &'a Aligned,
     /// When its messages were received.
     pub received: Receipts,
     /// The frame of the samples in the base of the arm's chain.
@@ -202,6 +203,22 @@ impl State {
         match self {
             State::Logged => "as_logged",
             State::Explained => "as_explained",
+        }
+    }
+
+    /// Where the tool is, in the reference frame.
+    fn poses<'a>(self, stream: &ReplayStream<'a>) -> &'a [Pose] {
+        match self {
+            State::Logged => &stream.aligned.logged,
+            State::Explained => &stream.aligned.corrected,
+        }
+    }
+
+    /// How far the tool is from where it should be.
+    fn residuals(self, stream: &ReplayStream<'_>) -> Residuals {
+        match self {
+            State::Logged => stream.aligned.before(),
+            State::Explained => stream.aligned.after(),
         }
     }
 
@@ -267,15 +284,13 @@ pub enum ReplayCause {
     Encoding(#[from] EncodeError),
     /// It does not arrive on disk.
     Flush(#[from] SinkFlushError),
-    /// A stream's frame lacks a column.
-    Frame(#[from] PolarsError),
 }
 
 /// Writes the recording to its file, whose folders are made; what is to be known of the meshes that
 /// were asked for.
 ///
 /// # Errors
-/// Where the file cannot be written, or a stream's frame lacks a column.
+/// Where the file cannot be written.
 pub fn write(recording: &Recording, replay: &Replay<'_>) -> Result<Vec<String>, ReplayError> {
     let mut notes = Vec::new();
     write_whole(&recording.path, |staged| {

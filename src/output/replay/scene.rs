@@ -10,8 +10,8 @@ use rerun::EntityPath;
 use super::tape::{Tape, entity};
 use super::{MOST_ROWS, ReplayArm, ReplayCause, arm, tools, visuals};
 use crate::geometry::{Pose, Rotation, Vec3, xyz_of, xyzw_from_rotation};
+use crate::stats::thin;
 use crate::stream::JointTrack;
-use crate::tables::thin;
 
 pub(super) const ARM_RGB: [u8; 3] = [205, 210, 220];
 pub(super) const JOINT_RGB: [u8; 3] = [92, 122, 158];

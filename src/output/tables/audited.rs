@@ -1,0 +1,53 @@
+//! The tables of an audited run.
+
+use std::path::Path;
+
+use super::{
+    TableError, aligned_frames, checks_frame, findings_frame, joints_frame, workspace, write_table,
+};
+use crate::audit::{Audited, reached};
+use crate::places::Places;
+use crate::report::Trouble;
+
+/// The tables, in the order in which they are written.
+const NAMES: [&str; 6] = ["findings", "checks", "joints", "aligned", "reach_map", "reached_poses"];
+
+/// Enters the files that are written into `folder`.
+pub fn enter(folder: &Path, places: &mut Places) {
+    places.writes_into("--parquet", folder, NAMES.map(|name| format!("{name}.parquet")));
+}
+
+impl Audited {
+    /// Writes the tables of the run into `folder`, which is made, as Parquet; each file whole.
+    ///
+    /// # Errors
+    /// Where one cannot be written, or would take the place of a file that was read.
+    pub fn write_tables(&self, folder: &Path) -> Result<(), Trouble> {
+        let mut places = self.read.clone();
+        enter(folder, &mut places);
+        places.check()?;
+        let Self { report, run, facts, .. } = self;
+        let remedy = "name a folder that can be written with --parquet";
+        let trouble = |what| Trouble::unwritable(folder, what, remedy);
+        let streams = facts.robots.iter().flat_map(|arm| {
+            let found = arm.poses_and_tf();
+            found.map(move |of| (arm.name.as_str(), of.topic(), &of.diagnosis.aligned))
+        });
+        let arms = reached(run, &report.findings);
+        let frames = [
+            findings_frame(&report.findings),
+            checks_frame(&report.checks),
+            joints_frame(&report.workspace),
+            aligned_frames(streams, run.origin),
+            workspace::reach_map_frame(&arms),
+            workspace::reached_poses_frame(&arms, run.origin),
+        ];
+        for (name, frame) in NAMES.into_iter().zip(frames) {
+            let mut frame = frame.map_err(|error| trouble(error.to_string()))?;
+            write_table(folder, name, &mut frame).map_err(|TableError { path, cause }| {
+                Trouble { place: path.display().to_string(), ..trouble(cause) }
+            })?;
+        }
+        Ok(())
+    }
+}
