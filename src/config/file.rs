@@ -340,7 +340,7 @@ impl UnitName {
 /// The units of a topic's numbers.
 #[derive(Clone, Copy, Debug, Default, Deserialize, JsonSchema)]
 #[serde(try_from = "Vec<UnitName>")]
-#[schemars(with = "Vec<UnitName>")]
+#[schemars(with = "Vec<UnitName>", rename = "Units")]
 pub(super) struct UnitNames(pub Units);
 
 impl TryFrom<Vec<UnitName>> for UnitNames {

@@ -17,7 +17,7 @@ use super::super::space::{Claim, Space};
 use super::super::streams::{Stream, Timing};
 use super::super::tf_tree::TfTree;
 use super::super::unaudited::{Unaudited, WhyNot};
-use super::Assembly;
+use super::assembly::Assembly;
 use super::groups::{Group, groups};
 use super::ranking::ByPoses;
 use super::transforms::{add_fixed_joints, add_odometry, misfit_m, tf_tree};

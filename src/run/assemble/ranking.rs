@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::Assembly;
+use super::assembly::{Assembly, is_topic};
 use super::groups::Group;
 use crate::diagnosis::{ModelFit, Needs, PoseStream, Priced, model_fit};
 use crate::finding::Unit;
@@ -182,11 +182,8 @@ impl ByPoses<'_> {
         if is_foreign || !matches!(stream.columns, Some(Columns::Poses(_) | Columns::Array(_))) {
             return None;
         }
-        let declared = assembly
-            .options
-            .declared
-            .iter()
-            .find(|declared| super::is_topic(stream, &declared.topic));
+        let declared =
+            assembly.options.declared.iter().find(|declared| is_topic(stream, &declared.topic));
         let declared = declared.filter(|declared| declared.fits(stream.columns.as_ref()));
         let site = assembly.site(arm, stream);
         let (role, _) = assembly.role_of(stream, Some(&site), declared.is_some());

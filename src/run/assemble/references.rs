@@ -9,7 +9,7 @@ use super::super::poses;
 use super::super::role::Place;
 use super::super::rows::Rows;
 use super::super::streams::Stream;
-use super::Assembly;
+use super::assembly::Assembly;
 
 /// A stream of commands to one arm.
 #[derive(Clone, Debug)]

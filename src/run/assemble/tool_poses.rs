@@ -20,7 +20,8 @@ use super::super::tf_tree::{Edge, EdgeKind};
 use super::super::topics::{SaidRole, TopicSettings};
 use super::super::unaudited::{Unaudited, WhyNot};
 use super::super::witness::{PoseNames, Witness, witness_of};
-use super::{Assembly, is_topic, not_so};
+use super::assembly::{Assembly, is_topic};
+use super::not_so;
 
 /// Between which links of an arm the poses of a stream are.
 pub(super) struct Site {

@@ -15,7 +15,7 @@ use super::super::streams::{Stream, Timing};
 use super::super::targets;
 use super::super::tf_tree::{Edge, EdgeKind, TfTree, without_slash};
 use super::super::witness::Witness;
-use super::Assembly;
+use super::assembly::Assembly;
 
 /// The tree of the transforms of the log's TF topics, but for those of another arm than the one in
 /// `space`.
