@@ -112,10 +112,18 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
             slip.factor = own.map_or(slip.factor, |scale| scale.factor.value);
         }
     }
-    let Found { offsets, scales, streams } = found;
+    let Found { offsets, mut scales, streams } = found;
+    // A joint that moves as its positions say has no scale, whatever was tried.
+    if let Ok(reading) = &mut reading {
+        let is_one = |factor: f64| (factor - 1.0).abs() < SAME_FACTOR;
+        scales.retain(|scale| !is_one(scale.factor.value));
+        reading.slips.retain(|slip| slip.unit != JointUnit::Scaled || !is_one(slip.factor));
+    }
     ArmDiagnosis { joints: JointDiagnosis { reading, offsets, scales }, streams }
 }
 
+/// Factors of joints this near to each other, as a share, are one.
+const SAME_FACTOR: f64 = 2e-3;
 /// Another reading of the joints must leave so many times less than the one as logged.
 const FAR_BETTER: f64 = 5.0;
 /// Degrees that the joints' ranges speak for must leave so many times less.

@@ -44,7 +44,7 @@ const EXPLAINS: f64 = 0.95;
 const TURNING_SAMPLES: usize = 300;
 
 /// Diagnoses one IMU against the joint states, which should be those corrected by
-/// [`ArmDiagnosis::corrected_joints`](super::ArmDiagnosis::corrected_joints).
+/// [`JointDiagnosis::corrected_joints`](super::JointDiagnosis::corrected_joints).
 pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) -> ImuDiagnosis {
     let link = Link::new(joints, stream);
     let peaks = link.peaks(most_lag_s);
