@@ -62,7 +62,7 @@ fn what_init_writes_audits_its_log_as_no_config_does() {
 }
 
 #[test]
-fn figures_and_severities_are_those_of_the_config() {
+fn thresholds_and_severities_are_those_of_the_config() {
     let late = |config: &str| {
         let report = faulty(config);
         let late = report.findings.iter().find(|one| one.code == "LAT001");

@@ -140,7 +140,12 @@ fn the_config_that_is_shown_can_be_read_and_is_of_the_schema() {
     for rule in poseaudit::checks::registry() {
         let keys = &schema["definitions"]["Rules"]["properties"][rule.code]["properties"];
         assert!(keys["severity"].is_object(), "{}", rule.code);
-        assert_eq!(keys["warning"].is_object(), !rule.grade.figures().is_empty(), "{}", rule.code);
+        assert_eq!(
+            keys["warning"].is_object(),
+            !rule.grade.thresholds().is_empty(),
+            "{}",
+            rule.code
+        );
     }
 }
 

@@ -66,17 +66,21 @@ fn a_summary_is_one_sentence() {
 #[test]
 fn a_warning_comes_before_an_error() {
     for rule in registry() {
-        if let Grade::From(figures) = rule.grade {
-            assert!(!figures.is_empty(), "{}", rule.code);
-            for figure in figures {
-                assert!(0.0 < figure.warning && figure.warning < figure.error, "{}", rule.code);
+        if let Grade::From(thresholds) = rule.grade {
+            assert!(!thresholds.is_empty(), "{}", rule.code);
+            for threshold in thresholds {
+                assert!(
+                    0.0 < threshold.warning && threshold.warning < threshold.error,
+                    "{}",
+                    rule.code
+                );
             }
         }
     }
 }
 
 #[test]
-fn limits_can_be_told_apart_from_each_other_and_from_figures() {
+fn limits_can_be_told_apart_from_each_other_and_from_thresholds() {
     for rule in registry() {
         let mut keys = BTreeSet::from(["warning", "error", "severity"]);
         for limit in rule.limits {

@@ -166,7 +166,7 @@ fn targets(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
         let target = if most == 1 { "≥ 99 %" } else { "≥ 98 %" };
         writeln!(
             t,
-            "| {what}, each at twice its figure or more: named | {} | {target} |",
+            "| {what}, each at twice its threshold or more: named | {} | {target} |",
             share(named, faults().count())
         )?;
         let right = |(_, verdict): &(&Case, &Verdict)| {
@@ -235,7 +235,7 @@ fn targets(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
 fn detection(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
     writeln!(
         t,
-        "\n## Detection by amount, in units of the first figure\n\n\
+        "\n## Detection by amount, in units of the first threshold\n\n\
          The share that is named of those planted, one fault or more in the log. Motions of less than 0.2 rad \
          stand apart. What is not named is undecided (`?`) or passed (`!`).\n"
     )?;
@@ -315,7 +315,7 @@ fn strangers(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
 fn intervals(t: &mut String, outcomes: &Outcomes, verbose: bool) -> fmt::Result {
     writeln!(
         t,
-        "\n## Intervals at 95 %\n\nFaults that are not planted, and those at twice the figure or more; \
+        "\n## Intervals at 95 %\n\nFaults that are not planted, and those at twice the threshold or more; \
          SI units.\n\n\
          | rule | fault | estimates | covered | bias | median error |\n|---|---|---|---|---|---|"
     )?;

@@ -215,7 +215,7 @@ impl Case {
         }
     }
 
-    /// Whether a fault at twice the figure or more must be found in this log.
+    /// Whether a fault at twice the threshold or more must be found in this log.
     pub fn must_find(&self, planted: &Planted) -> bool {
         /// A rate needs a minute, or has moved the latency by this, s.
         const MINUTE_S: f64 = 60.0;

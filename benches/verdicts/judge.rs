@@ -115,8 +115,8 @@ pub fn judge(case: &Case, report: &Report) -> Verdict {
             continue;
         };
         if let (Truth::Amount(truth), Some(value)) = (planted.truth, estimate.value()) {
-            let figure = truth.abs() / planted.times;
-            if (value - truth).abs() > (0.5 * figure).max(0.05 * truth.abs()) {
+            let threshold = truth.abs() / planted.times;
+            if (value - truth).abs() > (0.5 * threshold).max(0.05 * truth.abs()) {
                 let what = format!("{planted}: found {value:.6}");
                 verdict
                     .wrong(format!("wrong amount {} {:?}", planted.codes[0], planted.kind), what);

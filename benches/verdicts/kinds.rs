@@ -18,7 +18,7 @@ use crate::cases::chain;
 
 pub const DEGREE: f64 = PI / 180.0;
 
-/// Amounts that are planted, in units of the rule's first figure.
+/// Amounts that are planted, in units of the rule's first threshold.
 pub const TIMES: [f64; 8] = [0.1, 0.3, 0.6, 0.9, 1.25, 2.0, 5.0, 20.0];
 /// From here on a fault has to be found.
 pub const SURE: f64 = 2.0;
@@ -32,7 +32,7 @@ pub struct Planted {
     pub also: &'static [&'static str],
     /// Topic or joint; none where any will do.
     pub subject: Option<String>,
-    /// How many times the first figure; infinite where the fault has no amount.
+    /// How many times the first threshold; infinite where the fault has no amount.
     pub times: f64,
     pub truth: Truth,
 }
@@ -197,12 +197,12 @@ impl fmt::Display for Planted {
     }
 }
 
-/// Plants one fault of `times` the first figure, of either sign.
+/// Plants one fault of `times` the first threshold, of either sign.
 pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times: f64) -> Planted {
     let kind = of.kind;
     let sign = if r.random_bool(0.5) { 1.0 } else { -1.0 };
-    let figures = first_figures(of.codes[0]);
-    let amount = sign * times * figures.first().map_or(0.0, |figure| figure.1);
+    let thresholds = first_thresholds(of.codes[0]);
+    let amount = sign * times * thresholds.first().map_or(0.0, |threshold| threshold.1);
     let direction = unit_vector(r);
     let topic = |name: &str| Some(format!("{}{name}", run.namespace));
     let (pose_topic, imu_topic) = (topic(synth::POSE), topic(synth::IMU));
@@ -210,8 +210,8 @@ pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times
     let mut subject = pose_topic;
     let mut truth = Truth::Amount(amount);
     let mut times = times;
-    // What has no amount, or another one than the rule's figures.
-    let mut is_there = figures.is_empty();
+    // What has no amount, or another one than the rule's thresholds.
+    let mut is_there = thresholds.is_empty();
     match kind {
         Kind::PoseLate => run.pose.timing.latency_s += amount,
         Kind::ImuLate => {
@@ -286,7 +286,7 @@ pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times
             subject = imu_topic;
         }
         Kind::YawJump => {
-            let amount = sign * times * figures.last().map_or(0.0, |figure| figure.1);
+            let amount = sign * times * thresholds.last().map_or(0.0, |threshold| threshold.1);
             let at_s = run.duration_s * r.random_range(0.2..0.8);
             run.imu.yaw_jumps = vec![(at_s, amount)];
             truth = Truth::Amount(amount);
@@ -349,13 +349,13 @@ pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times
             let hz = run.pose.timing.rate_hz;
             let rows = *choose(r, &[2.0, 3.0, 5.0, 6.25]);
             run.pose.timing.new_hz = hz / rows;
-            (truth, times) = repeated(rows, &figures);
+            (truth, times) = repeated(rows, &thresholds);
         }
         Kind::HeldJoints => {
             let hz = run.joints.timing.rate_hz;
             let rows = *choose(r, &[2.0, 4.0, 5.0]);
             run.joints.timing.new_hz = hz / rows;
-            (truth, times) = repeated(rows, &figures);
+            (truth, times) = repeated(rows, &thresholds);
             subject = joints_topic;
         }
         Kind::StuckPose => run.pose.stuck_s = Some(a_while(run, r)),
@@ -402,10 +402,13 @@ pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times
     Planted { kind, codes: of.codes, also: of.also, subject, times, truth }
 }
 
-/// The share of rows that repeat where each value is sent in so many, and how often that is the figure.
-fn repeated(rows: f64, figures: &[(Unit, f64)]) -> (Truth, f64) {
+/// The share of rows that repeat where each value is sent in so many, and how often that is the threshold.
+fn repeated(rows: f64, thresholds: &[(Unit, f64)]) -> (Truth, f64) {
     let share = 1.0 - 1.0 / rows;
-    (Truth::Amount(share), figures.first().map_or(f64::INFINITY, |figure| share / figure.1))
+    (
+        Truth::Amount(share),
+        thresholds.first().map_or(f64::INFINITY, |threshold| share / threshold.1),
+    )
 }
 
 /// An order of so many joints that is not theirs.
@@ -438,11 +441,11 @@ fn a_while(run: &Scenario, r: &mut Pcg64) -> (f64, f64) {
     (from_s, from_s + *choose(r, &[1.0, 2.0, 3.0]))
 }
 
-/// Unit and first figure of each amount that the rule judges.
-fn first_figures(code: &str) -> Vec<(Unit, f64)> {
+/// Unit and first threshold of each amount that the rule judges.
+fn first_thresholds(code: &str) -> Vec<(Unit, f64)> {
     match checks::find(code).map(|rule| rule.grade) {
-        Ok(Grade::From(figures)) => {
-            figures.iter().map(|figure| (figure.unit, figure.warning)).collect()
+        Ok(Grade::From(thresholds)) => {
+            thresholds.iter().map(|threshold| (threshold.unit, threshold.warning)).collect()
         }
         _ => Vec::new(),
     }

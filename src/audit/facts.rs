@@ -44,7 +44,7 @@ pub(super) fn facts(run: &Run, diagnoses: Vec<Diagnosis>, read: &Read, options: 
         unaudited: unaudited(run, &unset),
         empty: empty(run),
         missing: missing(run, &options.run.topics),
-        figures: options.policy.rules.figures.clone(),
+        thresholds: options.policy.rules.thresholds.clone(),
         start: run.span.map(|(start, _)| start),
         origin: run.origin,
         simulated: run.has_clock_topic,

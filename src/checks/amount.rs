@@ -1,7 +1,7 @@
 //! What LAT002 and ZER002 share: an amount that is estimated on every stream, and that is a fault
 //! only where the smallest explanation needs it.
 
-use crate::checks::decision::{Decision, Figure, decide, unseen};
+use crate::checks::decision::{Decision, Threshold, decide, unseen};
 use crate::checks::{ArmFacts, Facts, Judged, Of, Rule};
 use crate::diagnosis::{Measured, Seen};
 use crate::finding::{Estimate, Fault, Outcome, Severity};
@@ -11,7 +11,7 @@ pub struct Amount {
     /// Name of the estimate.
     pub name: &'static str,
     /// From where it matters.
-    pub figure: Figure,
+    pub threshold: Threshold,
     /// What would tell where it could not be had.
     pub settle: &'static str,
     /// The fault.
@@ -37,14 +37,14 @@ impl Amount {
         arm: &ArmFacts,
         on: &Of<Estimated<'_>>,
     ) -> Judged {
-        let (figure, subjects) = (facts.figures.of(rule, self.figure), facts.subjects());
+        let (threshold, subjects) = (facts.thresholds.of(rule, self.threshold), facts.subjects());
         let settle = self.settle;
         let found = match on.estimate {
             Ok(found) => found,
             Err(why) => return on.judged(unseen(why, settle)),
         };
         let open = |why: String| Outcome::Inconclusive(format!("{why}; {settle}"));
-        let outcome = match (decide(found, &figure, subjects), &on.doubt) {
+        let outcome = match (decide(found, &threshold, subjects), &on.doubt) {
             (Decision::Pass, _) => Outcome::sound(),
             (Decision::Undecided(why), _) => open(why),
             (Decision::Fail(_), Some(why)) => Outcome::Inconclusive(why.clone()),
@@ -52,11 +52,11 @@ impl Amount {
                 Outcome::faulty((self.fault)(arm, on, found, severity))
             }
             (Decision::Fail(_), None) => {
-                let shown = self.figure.unit.show_signed(found);
+                let shown = self.threshold.unit.show_signed(found);
                 open(format!("{shown} would fit, but what is found explains the log without it"))
             }
         };
-        let estimate = Estimate::amount(self.name, self.figure.unit, found);
+        let estimate = Estimate::amount(self.name, self.threshold.unit, found);
         on.judged(outcome).estimated(estimate)
     }
 }

@@ -4,7 +4,7 @@
 
 use std::ops::{Deref, DerefMut};
 
-use super::{Figures, Judged};
+use super::{Judged, Thresholds};
 use crate::diagnosis::{
     Abruptness, DhEstimate, Excess, HandEyeDiagnosis, ImuDiagnosis, ImuProof, JointDiagnosis,
     JointScale, Mount, NoShake, PoseDiagnosis, Proof, ReferenceDiagnosis, Seen, Shake,
@@ -51,8 +51,8 @@ pub struct Facts {
     pub empty: Vec<EmptyFacts>,
     /// Topics that the caller expects and the log does not have, with where that is said.
     pub missing: Vec<(Subject, String)>,
-    /// The figures that the caller set instead of the rules' own.
-    pub figures: Figures,
+    /// The thresholds that the caller set instead of the rules' own.
+    pub thresholds: Thresholds,
     /// First stamp of the run.
     pub start: Option<Stamp>,
     /// The stamp that times in seconds of the diagnosis are relative to.

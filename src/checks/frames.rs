@@ -2,17 +2,17 @@
 
 use serde_json::{Value, json};
 
-use crate::checks::decision::{DEGREE, Decision, Figure, FrameFigures, decide_frame, unseen};
+use crate::checks::decision::{DEGREE, Decision, FrameThresholds, Threshold, decide_frame, unseen};
 use crate::checks::twins::zero_cause;
 use crate::checks::{ArmFacts, Facts, Judged, Of, PoseFacts, Rule, standing};
 use crate::diagnosis::{FrameEstimate, JointOffset, PoseDiagnosis, Seen, Twin};
 use crate::finding::{Alternative, Estimate, Fault, Outcome, Severity, Subject, Unit, rounded};
 use crate::geometry::{Pose, rotvec_from_rotation, xyz_of, xyzw_from_rotation};
 
-/// The figures of every rule on frames.
-pub const FIGURES: FrameFigures = FrameFigures {
-    length: Figure { unit: Unit::Metre, warning: 1e-3, error: 5e-3 },
-    angle: Figure { unit: Unit::Radian, warning: 0.1 * DEGREE, error: 0.5 * DEGREE },
+/// The thresholds of every rule on frames.
+pub const THRESHOLDS: FrameThresholds = FrameThresholds {
+    length: Threshold { unit: Unit::Metre, warning: 1e-3, error: 5e-3 },
+    angle: Threshold { unit: Unit::Radian, warning: 0.1 * DEGREE, error: 0.5 * DEGREE },
 };
 
 /// What would tell where a frame could not be had.
@@ -57,7 +57,7 @@ fn judge_stream(
 ) -> Judged {
     let stream = &arm.poses[index];
     let diagnosis = &stream.diagnosis;
-    let figures = facts.figures.of_frames(end.rule, FIGURES);
+    let thresholds = facts.thresholds.of_frames(end.rule, THRESHOLDS);
     if let Some(why) = diagnosis.unread() {
         return Judged::new(subject, unseen(why, SETTLE));
     }
@@ -75,7 +75,7 @@ fn judge_stream(
         }
     };
     let effect_m = frame.translation_m.value + frame.rotation_rad.value * arm.reach_m;
-    let outcome = match (decide_frame(frame, &figures, facts.subjects()), not_judged) {
+    let outcome = match (decide_frame(frame, &thresholds, facts.subjects()), not_judged) {
         (_, Some(why)) => Outcome::sound_because(why),
         (Decision::Fail(severity), None) if frame.chosen => match standing::doubt(arm, effect_m) {
             Some(why) => Outcome::Inconclusive(why),

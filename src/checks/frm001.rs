@@ -1,5 +1,5 @@
 use crate::checks::decision::{Decision, decide_both, decide_frame, unseen};
-use crate::checks::frames::FIGURES;
+use crate::checks::frames::THRESHOLDS;
 use crate::checks::{ArmFacts, Facts, Grade, Judged};
 use crate::diagnosis::{Measured, PoseDiagnosis, Unseen};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Unit};
@@ -30,7 +30,7 @@ rule! {
     /// finding. Edges of /tf that are missing and fixed in the model are taken from the model.
     FRM001 {
         name: "tf-against-kinematics",
-        grade: Grade::From(&[FIGURES.length, FIGURES.angle]),
+        grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),
         headline: false,
         needs_model: true,
         missing: "no /tf of the arm in this log",
@@ -53,16 +53,17 @@ struct Disagreement {
 impl Disagreement {
     /// The constant offset, where one explains the disagreement; else what is left beyond the noise.
     fn of<'a>(facts: &Facts, tf: &'a PoseDiagnosis) -> Result<Self, &'a Unseen> {
-        let (figures, subjects) = (facts.figures.of_frames(&FRM001, FIGURES), facts.subjects());
+        let (thresholds, subjects) =
+            (facts.thresholds.of_frames(&FRM001, THRESHOLDS), facts.subjects());
         let offset = [&tf.reference, &tf.tool].into_iter().flatten().find(|frame| frame.chosen);
         if let Some(offset) = offset {
             let (length, angle) = (offset.translation_m, offset.rotation_rad);
-            let decision = decide_frame(offset, &figures, subjects);
+            let decision = decide_frame(offset, &thresholds, subjects);
             return Ok(Self { length, angle, constant: true, decision });
         }
         let residual = tf.residual.as_ref()?;
         let (length, angle) = (residual.excess_m, residual.excess_rad);
-        let decision = decide_both(&length, &angle, &figures, subjects);
+        let decision = decide_both(&length, &angle, &thresholds, subjects);
         Ok(Self { length, angle, constant: false, decision })
     }
 }

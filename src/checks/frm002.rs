@@ -1,5 +1,5 @@
 use crate::checks::decision::DEGREE;
-use crate::checks::frames::{self, End, FIGURES, show, show_pose};
+use crate::checks::frames::{self, End, THRESHOLDS, show, show_pose};
 use crate::checks::{ArmFacts, Facts, Grade, Judged, Of, PoseFacts};
 use crate::diagnosis::{FrameEstimate, Twin};
 use crate::finding::{Cause, Evidence, Fault, Severity};
@@ -19,7 +19,7 @@ rule! {
     ///
     /// ## Evidence
     /// `pose` is `reference_from_stream`: apply it to a logged pose to have it in the frame that
-    /// the log names. The figure is the norm of its translation; the angle stands in `rotation`.
+    /// the log names. The amount is the norm of its translation; the angle stands in `rotation`.
     /// The test is joint on all six numbers.
     ///
     /// ## How to fix
@@ -32,7 +32,7 @@ rule! {
     /// estimated and never a fault.
     FRM002 {
         name: "reference-frame",
-        grade: Grade::From(&[FIGURES.length, FIGURES.angle]),
+        grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),
         headline: false,
         needs_model: true,
         missing: "no pose stream beside the joint states",
@@ -86,7 +86,7 @@ fn fault(
 fn is_half_turn_about_z(pose: &Pose) -> bool {
     let [x, y, z]: [f64; 3] = rotvec_from_rotation(&pose.rotation).into();
     let turned = (z.abs() - std::f64::consts::PI).abs() < DEGREE && x.hypot(y) < DEGREE;
-    turned && pose.translation.vector.norm() < FIGURES.length.error
+    turned && pose.translation.vector.norm() < THRESHOLDS.length.error
 }
 
 #[cfg(test)]

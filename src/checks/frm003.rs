@@ -1,4 +1,4 @@
-use crate::checks::frames::{self, End, FIGURES, show, show_pose};
+use crate::checks::frames::{self, End, THRESHOLDS, show, show_pose};
 use crate::checks::{ArmFacts, Facts, Grade, Judged, Of, PoseFacts};
 use crate::diagnosis::{FrameEstimate, Twin};
 use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
@@ -15,7 +15,7 @@ rule! {
     /// so that no correction of a few taught points takes it off.
     ///
     /// ## Evidence
-    /// `pose` is `tip_from_stream`: where the stream's point is, seen from the tip. The figure is
+    /// `pose` is `tip_from_stream`: where the stream's point is, seen from the tip. The amount is
     /// the norm of its translation; the angle stands in `rotation`. The test is joint on all six
     /// numbers.
     ///
@@ -29,7 +29,7 @@ rule! {
     /// log as an offset of that joint's zero; the other stands in `indistinguishable`.
     FRM003 {
         name: "tool-frame",
-        grade: Grade::From(&[FIGURES.length, FIGURES.angle]),
+        grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),
         headline: false,
         needs_model: true,
         missing: "no pose stream beside the joint states",

@@ -1,6 +1,6 @@
 use serde_json::{Value, json};
 
-use crate::checks::decision::Figure;
+use crate::checks::decision::Threshold;
 use crate::checks::{Facts, Grade, Judged, Of};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::run::{Norms, Written};
@@ -10,7 +10,7 @@ rule! {
     ///
     /// ## What it means
     /// The numbers of a rotation are no rotation: the largest of `| |q| − 1 |` over all samples of a
-    /// stream, or of `max |RᵀR − I|` where it logs matrices, reaches the figure. Quaternions of all
+    /// stream, or of `max |RᵀR − I|` where it logs matrices, reaches the threshold. Quaternions of all
     /// zeros were never set; they are counted and not judged.
     ///
     /// ## Why it matters
@@ -34,7 +34,7 @@ rule! {
     /// have unit norm all the same; that is ORD002's.
     FRM005 {
         name: "not-a-rotation",
-        grade: Grade::From(&[FIGURE]),
+        grade: Grade::From(&[THRESHOLD]),
         headline: false,
         needs_model: false,
         missing: "no stream with quaternions or matrices in this log",
@@ -42,21 +42,16 @@ rule! {
     }
 }
 
-const FIGURE: Figure = Figure { unit: Unit::One, warning: 1e-3, error: 1e-2 };
+const THRESHOLD: Threshold = Threshold { unit: Unit::One, warning: 1e-3, error: 1e-2 };
 /// Transforms that the evidence lists.
 const LISTED: usize = 10;
-
-/// From where this audit speaks up.
-fn figure(facts: &Facts) -> Figure {
-    facts.figures.of(&FRM005, FIGURE)
-}
 
 fn check(facts: &Facts) -> Vec<Judged> {
     facts.norms.iter().map(|norms| judge(facts, norms)).collect()
 }
 
 fn judge(facts: &Facts, stream: &Of<Vec<Norms>>) -> Judged {
-    let figure = figure(facts);
+    let threshold = facts.thresholds.of(&FRM005, THRESHOLD);
     let worst = stream.iter().max_by(|a, b| a.largest.total_cmp(&b.largest));
     let Some(worst) = worst.filter(|worst| worst.rows > 0) else {
         let outcome = Outcome::Skipped("none of its quaternions is set".to_owned());
@@ -64,7 +59,7 @@ fn judge(facts: &Facts, stream: &Of<Vec<Norms>>) -> Judged {
     };
     let unset: usize = stream.iter().map(|part| part.unset).sum();
     let concerned: Vec<&Norms> =
-        stream.iter().filter(|part| figure.severity(part.largest).is_some()).collect();
+        stream.iter().filter(|part| threshold.severity(part.largest).is_some()).collect();
     let subject = match concerned.as_slice() {
         [only] if stream.len() > 1 => {
             let frame = only.frame.clone().or_else(|| stream.subject.frame.clone());
@@ -72,7 +67,7 @@ fn judge(facts: &Facts, stream: &Of<Vec<Norms>>) -> Judged {
         }
         _ => stream.subject.clone(),
     };
-    let outcome = match figure.severity(worst.largest) {
+    let outcome = match threshold.severity(worst.largest) {
         Some(severity) => Outcome::faulty(fault(facts, worst, severity)),
         None if unset > 0 => Outcome::sound_because(format!("{unset} quaternions are not set")),
         None => Outcome::sound(),
@@ -102,7 +97,7 @@ fn word(written: Written) -> &'static str {
 fn fault(facts: &Facts, worst: &Norms, severity: Severity) -> Fault {
     let shown = Unit::One.show(worst.largest);
     let when = worst.at.map_or(String::new(), |at| format!(" at {}", facts.moment(at)));
-    let half = match figure(facts).severity(worst.median) {
+    let half = match facts.thresholds.of(&FRM005, THRESHOLD).severity(worst.median) {
         Some(_) => format!("half of the samples by {} or more", Unit::One.show(worst.median)),
         None => "most samples by less than that matters".to_owned(),
     };

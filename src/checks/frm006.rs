@@ -1,10 +1,10 @@
 use serde_json::{Value, json};
 
 use crate::checks::decision::{Decision, decide_frame};
-use crate::checks::frames::{FIGURES, pose_json, show};
+use crate::checks::frames::{THRESHOLDS, pose_json, show};
 use crate::checks::reference::{self, following_json, witness_name, witnesses_differ};
 use crate::checks::{
-    ArmFacts, Facts, FrameFigures, Grade, Judged, Of, ReferenceFacts, WitnessKind,
+    ArmFacts, Facts, FrameThresholds, Grade, Judged, Of, ReferenceFacts, WitnessKind,
 };
 use crate::diagnosis::{Constancy, FrameEstimate, Measured, ReferenceDiagnosis, RestGap};
 use crate::finding::{Alternative, Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
@@ -23,7 +23,7 @@ rule! {
     ///
     /// ## Evidence
     /// The distance at the worst rest of a stream that leads the arm, and at the middle one of single
-    /// goals; `rests` says how many were seen, `beyond` how many exceed the figures, `at_ns` when.
+    /// goals; `rests` says how many were seen, `beyond` how many exceed the thresholds, `at_ns` when.
     /// `pose` is `tip_from_commanded`. `joints` says of each commanded joint by how much it stays off
     /// (`q_measured − q_commanded`). `measured_by` is the witness that is nearest to the command, of FK
     /// and the pose streams, as logged and with what was found taken off: where these differ among
@@ -44,7 +44,7 @@ rule! {
     /// a drawing of a calibrated arm differs by millimetres (MDL001), too.
     FRM006 {
         name: "reference-at-rest",
-        grade: Grade::From(&[FIGURES.length, FIGURES.angle]),
+        grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),
         headline: false,
         needs_model: true,
         missing: "no goal and no command to the arm in this log",
@@ -59,12 +59,7 @@ const LITTLE_M: f64 = 0.02;
 /// No arm stays short of its goal by more than this, m.
 const MUCH_M: f64 = 0.1;
 /// What a drawing of an arm leaves against the calibrated arm, m and rad.
-const NOMINAL: (f64, f64) = (0.01, FIGURES.angle.error);
-
-/// From where this audit speaks up.
-fn figures(facts: &Facts) -> FrameFigures {
-    facts.figures.of_frames(&FRM006, FIGURES)
-}
+const NOMINAL: (f64, f64) = (0.01, THRESHOLDS.angle.error);
 
 fn check(facts: &Facts) -> Vec<Judged> {
     let of_arm = |arm: &ArmFacts| -> Vec<Judged> {
@@ -81,14 +76,14 @@ struct Seen<'a> {
     gap: &'a RestGap,
     estimate: FrameEstimate,
     decision: Decision,
-    /// How many rests exceed the figures.
+    /// How many rests exceed the thresholds.
     beyond: usize,
 }
 
 impl<'a> Seen<'a> {
     fn of(facts: &Facts, found: &'a ReferenceDiagnosis, witness: usize) -> Option<Self> {
-        let figures = figures(facts);
-        let size = |gap: &RestGap| size(gap, &figures);
+        let thresholds = facts.thresholds.of_frames(&FRM006, THRESHOLDS);
+        let size = |gap: &RestGap| size(gap, &thresholds);
         let mut gaps: Vec<&RestGap> = found.gaps.get(witness)?.iter().collect();
         gaps.sort_by(|a, b| size(a).total_cmp(&size(b)));
         let leads = found.following.is_some();
@@ -106,20 +101,20 @@ impl<'a> Seen<'a> {
             p_value: (p_value * tests as f64).min(1.0),
             chosen: true,
         };
-        let decision = decide_frame(&estimate, &figures, facts.subjects());
+        let decision = decide_frame(&estimate, &thresholds, facts.subjects());
         Some(Self { witness, gap, estimate, decision, beyond })
     }
 }
 
-/// How far apart a rest is, in units of the first figures.
-fn size(gap: &RestGap, figures: &FrameFigures) -> f64 {
-    let length = gap.distance_m.norm.value / figures.length.warning;
-    length.max(gap.angle_rad.norm.value / figures.angle.warning)
+/// How far apart a rest is, in units of the first thresholds.
+fn size(gap: &RestGap, thresholds: &FrameThresholds) -> f64 {
+    let length = gap.distance_m.norm.value / thresholds.length.warning;
+    length.max(gap.angle_rad.norm.value / thresholds.angle.warning)
 }
 
 fn judge(facts: &Facts, arm: &ArmFacts, reference: &Of<ReferenceFacts>) -> Judged {
-    let figures = figures(facts);
-    let size = |gap: &RestGap| size(gap, &figures);
+    let thresholds = facts.thresholds.of_frames(&FRM006, THRESHOLDS);
+    let size = |gap: &RestGap| size(gap, &thresholds);
     let judged = |outcome| Judged::new(reference.subject.clone(), outcome).within(reference.span);
     let found = match reference::found(arm, reference, SETTLE) {
         Ok(found) => found,
@@ -229,12 +224,12 @@ fn fault(
 ) -> Outcome {
     let gaps = &found.gaps[nearest.witness];
     let off = show(&nearest.estimate);
-    let figures = &figures(facts);
+    let thresholds = &facts.thresholds.of_frames(&FRM006, THRESHOLDS);
     let may_be_a_frame = !reference.is_of_joints;
     let (in_tool, in_base) = match Constancy::of(gaps) {
         Some(constancy) => (
-            is_one(nearest.gap, constancy.in_tool, figures),
-            is_one(nearest.gap, constancy.in_base, figures),
+            is_one(nearest.gap, constancy.in_tool, thresholds),
+            is_one(nearest.gap, constancy.in_base, thresholds),
         ),
         None => (true, true),
     };
@@ -312,13 +307,13 @@ fn fault(
 }
 
 /// Whether what differs is the same at all rests but for a fifth of it, and a little.
-fn is_one(gap: &RestGap, (spread_m, spread_rad): (f64, f64), figures: &FrameFigures) -> bool {
+fn is_one(gap: &RestGap, (spread_m, spread_rad): (f64, f64), thresholds: &FrameThresholds) -> bool {
     const SHARE: f64 = 0.2;
-    /// Of the first figures.
+    /// Of the first thresholds.
     const LITTLE: f64 = 0.3;
-    let allowed = |size: f64, figure: f64| (SHARE * size).max(LITTLE * figure);
-    spread_m <= allowed(gap.distance_m.norm.value, figures.length.warning)
-        && spread_rad <= allowed(gap.angle_rad.norm.value, figures.angle.warning)
+    let allowed = |size: f64, threshold: f64| (SHARE * size).max(LITTLE * threshold);
+    spread_m <= allowed(gap.distance_m.norm.value, thresholds.length.warning)
+        && spread_rad <= allowed(gap.angle_rad.norm.value, thresholds.angle.warning)
 }
 
 /// The joint that stays off by most, of commanded joints, in words.

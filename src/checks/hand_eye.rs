@@ -2,17 +2,17 @@
 
 use serde_json::{Map, Value, json};
 
-use crate::checks::decision::{DEGREE, Figure, FrameFigures};
+use crate::checks::decision::{DEGREE, FrameThresholds, Threshold};
 use crate::checks::frames::pose_json;
 use crate::checks::{HandEyeFacts, Judged, Limit};
 use crate::diagnosis::{HandEyeDiagnosis, Mount, Solution, Unseen};
 use crate::finding::{Outcome, Unit};
 use crate::run::CameraAxes;
 
-/// The figures of a chain that does not close, and of a mount that is not where frames say.
-pub const FIGURES: FrameFigures = FrameFigures {
-    length: Figure { unit: Unit::Metre, warning: 2e-3, error: 1e-2 },
-    angle: Figure { unit: Unit::Radian, warning: 0.2 * DEGREE, error: 1.0 * DEGREE },
+/// The thresholds of a chain that does not close, and of a mount that is not where frames say.
+pub const THRESHOLDS: FrameThresholds = FrameThresholds {
+    length: Threshold { unit: Unit::Metre, warning: 2e-3, error: 1e-2 },
+    angle: Threshold { unit: Unit::Radian, warning: 0.2 * DEGREE, error: 1.0 * DEGREE },
 };
 
 /// The least span of a hand's rotations from which its chain can be solved: a limit of HEC002.

@@ -1,10 +1,10 @@
 use crate::checks::decision::{Decision, decide_both, decide_frame};
 use crate::checks::frames::show;
 use crate::checks::hand_eye::{
-    FIGURES, LEAST_SPAN, SETTLE, does_not_follow, is_mount_decided, unseen, with_solution,
+    LEAST_SPAN, SETTLE, THRESHOLDS, does_not_follow, is_mount_decided, unseen, with_solution,
 };
 use crate::checks::{
-    ArmFacts, Facts, FrameFigures, Grade, HandEyeFacts, Judged, Of, PoseFacts, hec002, hec003,
+    ArmFacts, Facts, FrameThresholds, Grade, HandEyeFacts, Judged, Of, PoseFacts, hec002, hec003,
     standing,
 };
 use crate::diagnosis::{Mount, Solution, TargetReading};
@@ -43,7 +43,7 @@ rule! {
     /// poses are inverted (parent and child swapped) is the same to any log as a fixed camera.
     HEC001 {
         name: "hand-eye-closure",
-        grade: Grade::From(&[FIGURES.length, FIGURES.angle]),
+        grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),
         headline: false,
         needs_model: false,
         missing: "no target that a camera sees beside a hand's poses",
@@ -60,7 +60,7 @@ fn check(facts: &Facts) -> Vec<Judged> {
 }
 
 fn judge(run: &Facts, arm: Option<&ArmFacts>, facts: &HandEyeFacts) -> Judged {
-    let (figures, subjects) = (run.figures.of_frames(&HEC001, FIGURES), run.subjects());
+    let (thresholds, subjects) = (run.thresholds.of_frames(&HEC001, THRESHOLDS), run.subjects());
     let found = &facts.diagnosis;
     let as_logged = match &found.solution {
         Ok(solution) => solution,
@@ -74,15 +74,15 @@ fn judge(run: &Facts, arm: Option<&ArmFacts>, facts: &HandEyeFacts) -> Judged {
     let closure = |solution: &Solution| {
         Estimate::frame("closure", &solution.closure.excess_m, &solution.closure.excess_rad)
     };
-    let open = decide_both(&best.closure.excess_m, &best.closure.excess_rad, &figures, subjects);
+    let open = decide_both(&best.closure.excess_m, &best.closure.excess_rad, &thresholds, subjects);
     let span_rad = found.diversity.as_ref().map_or(0.0, |diversity| diversity.span_rad);
     let (outcome, estimate) = match (&found.reading, open) {
-        _ if span_rad < run.figures.limit(&hec002::HEC002, &LEAST_SPAN) => {
+        _ if span_rad < run.thresholds.limit(&hec002::HEC002, &LEAST_SPAN) => {
             let why = format!("too little rotation to solve it (HEC002); {SETTLE}");
             (Outcome::Inconclusive(why), closure(best))
         }
         (Some((reading, _)), _) if !matches!(reading, TargetReading::Axes(_)) => {
-            let fault = misread(reading, as_logged, &figures);
+            let fault = misread(reading, as_logged, &thresholds);
             (Outcome::faulty(fault), closure(as_logged))
         }
         (_, Decision::Fail(severity)) => {
@@ -103,7 +103,7 @@ fn judge(run: &Facts, arm: Option<&ArmFacts>, facts: &HandEyeFacts) -> Judged {
             (_, Some(error)) => {
                 let estimate =
                     Estimate::frame("mount error", &error.translation_m, &error.rotation_rad);
-                let outcome = match decide_frame(error, &figures, subjects) {
+                let outcome = match decide_frame(error, &thresholds, subjects) {
                     Decision::Pass => sound(best),
                     Decision::Undecided(why) => {
                         Outcome::Inconclusive(format!("the camera's mount: {why}; {SETTLE}"))
@@ -197,14 +197,14 @@ fn open_chain(solution: &Solution, severity: Severity) -> Fault {
     }
 }
 
-fn misread(reading: &TargetReading, as_logged: &Solution, figures: &FrameFigures) -> Fault {
+fn misread(reading: &TargetReading, as_logged: &Solution, thresholds: &FrameThresholds) -> Fault {
     let closure = &as_logged.closure;
     let (m, rad) = (Unit::Metre.show(closure.rms_m), Unit::Radian.show(closure.rms_rad));
     let words = reading_words(reading);
-    let severity = figures
+    let severity = thresholds
         .length
         .severity(closure.excess_m.value)
-        .max(figures.angle.severity(closure.excess_rad.value));
+        .max(thresholds.angle.severity(closure.excess_rad.value));
     Fault {
         severity: severity.unwrap_or(Severity::Warning),
         cause: Cause::Other,

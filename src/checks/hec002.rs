@@ -1,6 +1,6 @@
 use crate::checks::decision::DEGREE;
-use crate::checks::hand_eye::{FIGURES, LEAST_SPAN, LEAST_SPREAD, does_not_follow, unseen};
-use crate::checks::{Facts, FrameFigures, Grade, HandEyeFacts, Judged, hec001};
+use crate::checks::hand_eye::{LEAST_SPAN, LEAST_SPREAD, THRESHOLDS, does_not_follow, unseen};
+use crate::checks::{Facts, FrameThresholds, Grade, HandEyeFacts, Judged, hec001};
 use crate::diagnosis::{CameraPose, Diversity, Measured};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
@@ -48,7 +48,7 @@ fn check(facts: &Facts) -> Vec<Judged> {
 }
 
 fn judge(run: &Facts, facts: &HandEyeFacts) -> Judged {
-    let needed = [&LEAST_SPAN, &LEAST_SPREAD].map(|limit| run.figures.limit(&HEC002, limit));
+    let needed = [&LEAST_SPAN, &LEAST_SPREAD].map(|limit| run.thresholds.limit(&HEC002, limit));
     let found = &facts.diagnosis;
     let diversity = match &found.diversity {
         Ok(diversity) => diversity,
@@ -135,7 +135,7 @@ fn across(axis: [f64; 3]) -> [&'static str; 2] {
     [named[0].0, named[1].0]
 }
 
-/// Along and about which of its own axes a camera's pose is known no better than the figures of
+/// Along and about which of its own axes a camera's pose is known no better than the thresholds of
 /// HEC001.
 fn undetermined(run: &Facts, camera: &CameraPose) -> Vec<String> {
     let axes = ["x", "y", "z"];
@@ -148,7 +148,7 @@ fn undetermined(run: &Facts, camera: &CameraPose) -> Vec<String> {
         })
         .collect()
     };
-    let FrameFigures { length, angle } = run.figures.of_frames(&hec001::HEC001, FIGURES);
+    let FrameThresholds { length, angle } = run.thresholds.of_frames(&hec001::HEC001, THRESHOLDS);
     let mut all = said("along", Unit::Metre, camera.translation_error_m, length.warning);
     all.extend(said("about", Unit::Radian, camera.rotation_error_rad, angle.warning));
     all

@@ -1,6 +1,6 @@
 use std::collections::BTreeSet;
 
-use crate::checks::decision::{Decision, Figure, decide, unseen};
+use crate::checks::decision::{Decision, Threshold, decide, unseen};
 use crate::checks::{ArmFacts, Facts, Grade, Judged, Of};
 use crate::diagnosis::{Measured, Seen};
 use crate::finding::{
@@ -37,7 +37,7 @@ rule! {
     /// latency as large as the transport's delay cannot be seen.
     LAT001 {
         name: "latency",
-        grade: Grade::From(&[FIGURE]),
+        grade: Grade::From(&[THRESHOLD]),
         headline: true,
         needs_model: true,
         missing: "no pose, /tf or IMU stream beside the joint states",
@@ -45,7 +45,7 @@ rule! {
     }
 }
 
-const FIGURE: Figure = Figure { unit: Unit::Second, warning: 2e-3, error: 10e-3 };
+const THRESHOLD: Threshold = Threshold { unit: Unit::Second, warning: 2e-3, error: 10e-3 };
 
 /// What would tell where a latency could not be had.
 const SETTLE: &str = "record 10 s of motion that starts, stops and does not repeat";
@@ -58,14 +58,9 @@ struct Late<'a> {
     latency: &'a Seen<Measured>,
 }
 
-/// From where this audit speaks up.
-fn figure(facts: &Facts) -> Figure {
-    facts.figures.of(&LAT001, FIGURE)
-}
-
 fn check(facts: &Facts) -> Vec<Judged> {
     let mut rows: Vec<Judged> = facts.robots.iter().flat_map(|arm| judge_arm(facts, arm)).collect();
-    name_once(&mut rows, figure(facts).warning);
+    name_once(&mut rows, facts.thresholds.of(&LAT001, THRESHOLD).warning);
     rows
 }
 
@@ -110,11 +105,11 @@ fn judge_arm(facts: &Facts, arm: &ArmFacts) -> Vec<Judged> {
 /// How late the joint states are, where two or more independent streams agree on it and none
 /// disagrees.
 fn joints_lateness(facts: &Facts, streams: &[Of<Late>]) -> Option<Measured> {
-    let figure = figure(facts);
+    let threshold = facts.thresholds.of(&LAT001, THRESHOLD);
     let (mut witnesses, mut topics) = (Vec::new(), BTreeSet::new());
     for stream in streams.iter().filter(|stream| stream.independent) {
         let Some(latency) = estimate(stream) else { continue };
-        match decide(latency, &figure, facts.subjects()) {
+        match decide(latency, &threshold, facts.subjects()) {
             Decision::Fail(_) if latency.value < 0.0 => {
                 witnesses.push(*latency);
                 // Several transforms of one topic are one witness.
@@ -125,7 +120,7 @@ fn joints_lateness(facts: &Facts, streams: &[Of<Late>]) -> Option<Measured> {
         }
     }
     let early = (topics.len() >= 2).then(|| common(&witnesses))??;
-    let agree = witnesses.iter().all(|one| (one.value - early.value).abs() < figure.warning);
+    let agree = witnesses.iter().all(|one| (one.value - early.value).abs() < threshold.warning);
     agree.then(|| early.scaled(-1.0))
 }
 
@@ -136,7 +131,7 @@ fn estimate<'a>(stream: &Of<Late<'a>>) -> Option<&'a Measured> {
 /// The mean weighted by inverse variance, its error widened where the parts scatter more than
 /// theirs say (Birge ratio; Particle Data Group, *Review of Particle Physics*, §5.2.2).
 fn common(parts: &[Measured]) -> Option<Measured> {
-    let variance = |part: &Measured| part.std_error.max(FIGURE.unit.noise_floor()).powi(2);
+    let variance = |part: &Measured| part.std_error.max(THRESHOLD.unit.noise_floor()).powi(2);
     let weight: f64 = parts.iter().map(|part| 1.0 / variance(part)).sum();
     let value = parts.iter().map(|part| part.value / variance(part)).sum::<f64>() / weight;
     let dof = parts.iter().map(|part| part.dof).fold(f64::INFINITY, f64::min);
@@ -156,10 +151,14 @@ fn joints_late(facts: &Facts, arm: &ArmFacts, streams: &[Of<Late>], lateness: &M
         .filter_map(|stream| Some(alternative(stream.subject.clone(), estimate(stream)?)));
     let (effect, effect_m) = effect(arm, lateness);
     let fault = Fault {
-        severity: figure(facts).severity(lateness.value).unwrap_or(Severity::Warning),
+        severity: facts
+            .thresholds
+            .of(&LAT001, THRESHOLD)
+            .severity(lateness.value)
+            .unwrap_or(Severity::Warning),
         cause: Cause::Latency(*lateness),
         title: "joint states are late",
-        message: format!("{} late against {topics}", FIGURE.unit.show_measured(lateness)),
+        message: format!("{} late against {topics}", THRESHOLD.unit.show_measured(lateness)),
         evidence: Evidence {
             indistinguishable: alternatives.collect(),
             effect,
@@ -174,7 +173,7 @@ fn joints_late(facts: &Facts, arm: &ArmFacts, streams: &[Of<Late>], lateness: &M
     };
     Judged::new(arm.topic(&arm.joints_topic), Outcome::faulty(fault))
         .within(arm.span)
-        .estimated(Estimate::amount("latency", FIGURE.unit, lateness))
+        .estimated(Estimate::amount("latency", THRESHOLD.unit, lateness))
 }
 
 /// A stream beside joint states that were found late: it is not to blame for that.
@@ -184,7 +183,7 @@ fn beside_late_joints(facts: &Facts, arm: &ArmFacts, stream: &Of<Late>) -> Judge
         Ok(_) if stream.independent => Outcome::sound_because(remark),
         _ => return judge_stream(facts, arm, stream, &[]),
     };
-    let amount = |latency| Estimate::amount("latency", FIGURE.unit, latency);
+    let amount = |latency| Estimate::amount("latency", THRESHOLD.unit, latency);
     stream.judged(outcome).estimated(estimate(stream).map(amount))
 }
 
@@ -193,7 +192,8 @@ fn judge_stream(facts: &Facts, arm: &ArmFacts, stream: &Of<Late>, streams: &[Of<
         Ok(latency) => latency,
         Err(why) => return stream.judged(unseen(why, SETTLE)),
     };
-    let outcome = match decide(latency, &figure(facts), facts.subjects()) {
+    let outcome = match decide(latency, &facts.thresholds.of(&LAT001, THRESHOLD), facts.subjects())
+    {
         Decision::Pass => Outcome::sound(),
         Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
         Decision::Fail(severity) => {
@@ -220,19 +220,19 @@ fn judge_stream(facts: &Facts, arm: &ArmFacts, stream: &Of<Late>, streams: &[Of<
             })
         }
     };
-    stream.judged(outcome).estimated(Estimate::amount("latency", FIGURE.unit, latency))
+    stream.judged(outcome).estimated(Estimate::amount("latency", THRESHOLD.unit, latency))
 }
 
 fn message(arm: &ArmFacts, latency: &Measured) -> String {
     let size = Measured { value: latency.value.abs(), ..*latency };
     let side = if latency.value > 0.0 { "late" } else { "early" };
-    format!("{} {side} against {}", FIGURE.unit.show_measured(&size), arm.joints_topic)
+    format!("{} {side} against {}", THRESHOLD.unit.show_measured(&size), arm.joints_topic)
 }
 
 /// The shift that takes `latency` off, with its sign.
 fn shift(latency: &Measured) -> String {
     let sign = if latency.value > 0.0 { "−" } else { "+" };
-    format!("{sign}{}", FIGURE.unit.show(latency.value.abs()))
+    format!("{sign}{}", THRESHOLD.unit.show(latency.value.abs()))
 }
 
 fn effect(arm: &ArmFacts, latency: &Measured) -> (Option<String>, Option<f64>) {
@@ -246,7 +246,7 @@ fn effect(arm: &ArmFacts, latency: &Measured) -> (Option<String>, Option<f64>) {
 }
 
 fn alternative(subject: Subject, latency: &Measured) -> Alternative {
-    let estimate = Estimate::amount("latency", FIGURE.unit, latency);
+    let estimate = Estimate::amount("latency", THRESHOLD.unit, latency);
     Alternative { code: LAT001.code, subject, estimate: Some(estimate) }
 }
 

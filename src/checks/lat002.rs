@@ -1,5 +1,5 @@
 use crate::checks::amount::{Amount, Estimated};
-use crate::checks::decision::Figure;
+use crate::checks::decision::Threshold;
 use crate::checks::{ArmFacts, Facts, Grade, Judged, Of};
 use crate::diagnosis::{Measured, Seen};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
@@ -28,7 +28,7 @@ rule! {
     /// joint states' stamps there is one clock, and nothing to judge.
     LAT002 {
         name: "clock-skew",
-        grade: Grade::From(&[FIGURE]),
+        grade: Grade::From(&[THRESHOLD]),
         headline: false,
         needs_model: true,
         missing: "no pose or IMU stream beside the joint states",
@@ -36,11 +36,12 @@ rule! {
     }
 }
 
-const FIGURE: Figure = Figure { unit: Unit::SecondPerSecond, warning: 50e-6, error: 500e-6 };
+const THRESHOLD: Threshold =
+    Threshold { unit: Unit::SecondPerSecond, warning: 50e-6, error: 500e-6 };
 
 const SETTLE: &str = "record a minute or more in which the arm moves from first to last";
 
-const SKEW: Amount = Amount { name: "clock skew", figure: FIGURE, settle: SETTLE, fault };
+const SKEW: Amount = Amount { name: "clock skew", threshold: THRESHOLD, settle: SETTLE, fault };
 
 fn check(facts: &Facts) -> Vec<Judged> {
     let poses = facts.poses().map(|(arm, stream)| {
@@ -77,7 +78,7 @@ fn doubt(skew: &Seen<Measured>, seconds: f64) -> Option<String> {
     (seconds < OWN_MINUTE_S && moved_s < GROWS_S).then(|| {
         format!(
             "{} moves the latency by {} over {seconds:.0} s, which is too short to tell a rate by; {SETTLE}",
-            FIGURE.unit.show_signed(skew),
+            THRESHOLD.unit.show_signed(skew),
             Unit::Second.show(moved_s),
         )
     })
@@ -93,7 +94,7 @@ fn fault(arm: &ArmFacts, stream: &Of<Estimated<'_>>, skew: &Measured, severity: 
         title: "clock runs at another rate",
         message: format!(
             "latency grows by {} against {}",
-            FIGURE.unit.show_signed(skew),
+            THRESHOLD.unit.show_signed(skew),
             arm.joints_topic
         ),
         evidence: Evidence {

@@ -1,6 +1,6 @@
 use serde_json::{Value, json};
 
-use crate::checks::decision::{Decision, Figure, decide, unseen};
+use crate::checks::decision::{Decision, Threshold, decide, unseen};
 use crate::checks::{ArmFacts, Facts, Grade, Judged, Of};
 use crate::diagnosis::{LatencyCourse, LatencyJump, Seen};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
@@ -36,7 +36,7 @@ rule! {
     /// nothing, so a jump is dated to the next motion.
     LAT003 {
         name: "unsteady-latency",
-        grade: Grade::From(&[FIGURE]),
+        grade: Grade::From(&[THRESHOLD]),
         headline: false,
         needs_model: true,
         missing: "no pose, /tf or IMU stream beside the joint states",
@@ -44,7 +44,7 @@ rule! {
     }
 }
 
-const FIGURE: Figure = Figure { unit: Unit::Second, warning: 5e-3, error: 20e-3 };
+const THRESHOLD: Threshold = Threshold { unit: Unit::Second, warning: 5e-3, error: 20e-3 };
 
 /// What would tell where it could not be told.
 const SETTLE: &str = "record 10 s or more of motion that starts and stops";
@@ -54,11 +54,6 @@ struct Course<'a> {
     /// Whether its stamps are its own.
     independent: bool,
     course: &'a Seen<LatencyCourse>,
-}
-
-/// From where this audit speaks up.
-fn figure(facts: &Facts) -> Figure {
-    facts.figures.of(&LAT003, FIGURE)
 }
 
 fn check(facts: &Facts) -> Vec<Judged> {
@@ -99,7 +94,7 @@ fn joints_course(facts: &Facts, streams: &[Of<Course>]) -> Option<LatencyCourse>
     for course in
         streams.iter().filter(|one| one.independent).filter_map(|one| one.course.as_ref().ok())
     {
-        match decide(&course.swing_s, &figure(facts), facts.subjects()) {
+        match decide(&course.swing_s, &facts.thresholds.of(&LAT003, THRESHOLD), facts.subjects()) {
             Decision::Fail(_) if !course.jumps.is_empty() => witnesses.push(course),
             Decision::Undecided(_) => {}
             Decision::Fail(_) | Decision::Pass => return None,
@@ -111,8 +106,8 @@ fn joints_course(facts: &Facts, streams: &[Of<Course>]) -> Option<LatencyCourse>
     let surest = *witnesses.iter().min_by(by_error).filter(|_| witnesses.len() >= 2)?;
     let is_shared = |jump: &LatencyJump| {
         let is_same = |other: &LatencyJump| {
-            let by_s =
-                figure(facts).warning + 2.0 * jump.size_s.std_error.hypot(other.size_s.std_error);
+            let by_s = facts.thresholds.of(&LAT003, THRESHOLD).warning
+                + 2.0 * jump.size_s.std_error.hypot(other.size_s.std_error);
             (other.at_s - jump.at_s).abs() < TOGETHER_S
                 && (other.size_s.value - jump.size_s.value).abs() < by_s
         };
@@ -132,7 +127,7 @@ fn joints_course(facts: &Facts, streams: &[Of<Course>]) -> Option<LatencyCourse>
 
 fn estimate(course: &LatencyCourse) -> Estimate {
     let name = if course.jumps.is_empty() { "latency swing" } else { "latency jump" };
-    Estimate::amount(name, FIGURE.unit, &course.swing_s)
+    Estimate::amount(name, THRESHOLD.unit, &course.swing_s)
 }
 
 fn judge(facts: &Facts, arm: &ArmFacts, stream: &Of<Course>) -> Judged {
@@ -140,17 +135,18 @@ fn judge(facts: &Facts, arm: &ArmFacts, stream: &Of<Course>) -> Judged {
         Ok(course) => course,
         Err(why) => return stream.judged(unseen(why, SETTLE)),
     };
-    let outcome = match decide(&course.swing_s, &figure(facts), facts.subjects()) {
-        Decision::Pass => Outcome::sound(),
-        Decision::Fail(severity) if course.is_unsteady => {
-            Outcome::faulty(fault(facts, arm, course, severity))
-        }
-        Decision::Fail(_) => {
-            let shown = FIGURE.unit.show(course.swing_s.value);
-            Outcome::Inconclusive(format!("it scatters by {shown}, as noise would; {SETTLE}"))
-        }
-        Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
-    };
+    let outcome =
+        match decide(&course.swing_s, &facts.thresholds.of(&LAT003, THRESHOLD), facts.subjects()) {
+            Decision::Pass => Outcome::sound(),
+            Decision::Fail(severity) if course.is_unsteady => {
+                Outcome::faulty(fault(facts, arm, course, severity))
+            }
+            Decision::Fail(_) => {
+                let shown = THRESHOLD.unit.show(course.swing_s.value);
+                Outcome::Inconclusive(format!("it scatters by {shown}, as noise would; {SETTLE}"))
+            }
+            Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
+        };
     stream.judged(outcome).estimated(estimate(course))
 }
 
@@ -160,18 +156,18 @@ fn fault(facts: &Facts, arm: &ArmFacts, course: &LatencyCourse, severity: Severi
     let (title, message) = match course.jumps.as_slice() {
         [] => (
             "latency wanders",
-            format!("latency wanders by {} within the run", FIGURE.unit.show_measured(swing)),
+            format!("latency wanders by {} within the run", THRESHOLD.unit.show_measured(swing)),
         ),
         [jump] => (
             "latency jumps",
-            format!("latency jumps by {} at {}", FIGURE.unit.show_signed(swing), at(jump.at_s)),
+            format!("latency jumps by {} at {}", THRESHOLD.unit.show_signed(swing), at(jump.at_s)),
         ),
         jumps => (
             "latency jumps",
             format!(
                 "latency jumps {} times, by {} at most",
                 jumps.len(),
-                FIGURE.unit.show_signed(swing)
+                THRESHOLD.unit.show_signed(swing)
             ),
         ),
     };

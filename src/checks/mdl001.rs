@@ -1,10 +1,10 @@
 use serde_json::{Value, json};
 
-use crate::checks::decision::{FrameFigures, unseen};
-use crate::checks::frames::FIGURES;
+use crate::checks::decision::{FrameThresholds, unseen};
+use crate::checks::frames::THRESHOLDS;
 use crate::checks::reading::read_as;
 use crate::checks::standing::{Left, Named, Standing, standing};
-use crate::checks::{ArmFacts, Facts, Figure, Grade, ImuFacts, Judged, Of, PoseFacts};
+use crate::checks::{ArmFacts, Facts, Grade, ImuFacts, Judged, Of, PoseFacts, Threshold};
 use crate::diagnosis::{Amount, Error, Measured, Part, Rates, Reading, Size};
 use crate::finding::{
     Cause, Estimate, Evidence, Fault, Outcome, ReadAs, Severity, Subject, Unit, rounded,
@@ -17,8 +17,8 @@ rule! {
     /// ## What it means
     /// Every stream is held against FK twice. Beside the estimators, and without them, its error as
     /// logged is taken straight from FK: what 95 % of the samples stay below, over the moving run and
-    /// over each tenth of it. Where that reaches the figures, the amounts that other rules found must
-    /// account for it: with them taken off, less than the figures may be left in every tenth, or no
+    /// over each tenth of it. Where that reaches the thresholds, the amounts that other rules found must
+    /// account for it: with them taken off, less than the thresholds may be left in every tenth, or no
     /// more than twice what differs from sample to sample. What is more than that has no name in this
     /// audit: kinematic parameters, a bent link, gear error, a tool that slipped in mid-run, another
     /// arm.
@@ -52,7 +52,7 @@ rule! {
     /// Slowly wandering noise of a tracker counts as an error that is left.
     MDL001 {
         name: "unexplained-residual",
-        grade: Grade::From(&[FIGURES.length, FIGURES.angle]),
+        grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),
         headline: true,
         needs_model: true,
         missing: "no joint states with a model",
@@ -66,11 +66,6 @@ const SETTLE: &str = "record 10 s in which every joint moves";
 /// What must be recorded where there is nothing to hold the joint states against.
 const RECORD: &str = "record the tool's pose (the controller's, a tracker's), /tf or an IMU on the \
                       arm, while every joint moves for 10 s";
-
-/// From where this audit speaks up.
-fn figures(facts: &Facts) -> FrameFigures {
-    facts.figures.of_frames(&MDL001, FIGURES)
-}
 
 fn check(facts: &Facts) -> Vec<Judged> {
     let named = Named::of(facts);
@@ -104,9 +99,9 @@ impl Held<'_> {
 }
 
 fn judge_arm(facts: &Facts, named: &Named, arm: &ArmFacts) -> Vec<Judged> {
-    let figures = figures(facts);
+    let thresholds = facts.thresholds.of_frames(&MDL001, THRESHOLDS);
     let held = |subject: Subject, stream| {
-        let standing = standing(named, arm, stream, &figures, facts.subjects());
+        let standing = standing(named, arm, stream, &thresholds, facts.subjects());
         Held { stream, subject, standing }
     };
     let poses = arm.poses.iter().map(|stream| held(stream.subject.clone(), stream));
@@ -121,7 +116,7 @@ fn judge_arm(facts: &Facts, named: &Named, arm: &ArmFacts) -> Vec<Judged> {
             format!("nothing in this log could be held against {}; {RECORD}", arm.joints_topic);
         return vec![Judged::new(arm.subject(), Outcome::Inconclusive(why)).within(arm.span)];
     }
-    let imus = arm.imus.iter().map(|imu| judge_imu(&figures, imu));
+    let imus = arm.imus.iter().map(|imu| judge_imu(&thresholds, imu));
     let judged = streams.iter().map(|held| {
         let wrong = arm.wrong_model.as_ref().filter(|wrong| wrong.topic == held.stream.topic());
         match wrong.filter(|_| held.subject.frame.is_none()) {
@@ -134,8 +129,8 @@ fn judge_arm(facts: &Facts, named: &Named, arm: &ArmFacts) -> Vec<Judged> {
 }
 
 /// Whether an IMU turns as the arm does, by its orientation, which is a filter's and so judged from the
-/// second figure on, by its gyro, and by the gravity that it feels.
-fn judge_imu(figures: &FrameFigures, imu: &Of<ImuFacts>) -> Judged {
+/// second threshold on, by its gyro, and by the gravity that it feels.
+fn judge_imu(thresholds: &FrameThresholds, imu: &Of<ImuFacts>) -> Judged {
     /// A gyro that leaves a larger share of the arm's rate says something else.
     const SHARE: f64 = 0.3;
     /// Standard gravity, m/s², and by which share of it a healthy accelerometer's median may be off on
@@ -146,8 +141,8 @@ fn judge_imu(figures: &FrameFigures, imu: &Of<ImuFacts>) -> Judged {
         return judged(Outcome::Skipped("it does not turn with the arm".to_owned()));
     };
     let mut odd = Vec::new();
-    let angle = Figure { warning: figures.angle.error, ..figures.angle };
-    let coarse = FrameFigures { angle, ..*figures };
+    let angle = Threshold { warning: thresholds.angle.error, ..thresholds.angle };
+    let coarse = FrameThresholds { angle, ..*thresholds };
     if let Some(left) = proof.turning.as_ref().and_then(|error| Left::beyond(error, &coarse)) {
         let most = Unit::Radian.show(left.worst.amount.most);
         odd.push(format!("its orientation is up to {most} off beside what was found"));
@@ -256,7 +251,7 @@ fn outcome(facts: &Facts, held: &Held, all: &[Held]) -> Outcome {
             as_logged()
         )),
         Standing::Accounted { is_named: false } => Outcome::sound_because(format!(
-            "{} off as logged, by amounts that are each below the figures of their rules",
+            "{} off as logged, by amounts that are each below the thresholds of their rules",
             as_logged()
         )),
         Standing::Small(left) => Outcome::faulty(small(facts, left)),
@@ -453,7 +448,12 @@ fn wrong_model(facts: &Facts, arm: &ArmFacts, wrong: &WrongModel) -> Outcome {
     evidence.more.insert("fits".to_owned(), fits_json);
     Outcome::faulty(Fault {
         cause: Cause::OtherRobot(is.clone()),
-        severity: figures(facts).length.severity(wrong.named_m).unwrap_or(Severity::Warning),
+        severity: facts
+            .thresholds
+            .of_frames(&MDL001, THRESHOLDS)
+            .length
+            .severity(wrong.named_m)
+            .unwrap_or(Severity::Warning),
         title: "wrong robot model",
         message: format!(
             "this log is of a {is}, which fits to {fits} {with}, not of the {named} that was named, \

@@ -1,13 +1,12 @@
 //! The rules: one file each, and the registry of them.
 //!
 //! A rule turns numbers from `diagnosis` into verdicts and words. Its documentation, code, name,
-//! figures and logic stand together in its file; everything that lists or explains rules reads the
+//! thresholds and logic stand together in its file; everything that lists or explains rules reads the
 //! [`registry`]. Nothing here estimates anything or reads files.
 
 mod amount;
 mod decision;
 mod facts;
-mod figures;
 mod frames;
 mod hand_eye;
 mod merge;
@@ -19,6 +18,7 @@ mod settings;
 mod standing;
 #[cfg(test)]
 mod testing;
+mod thresholds;
 mod twins;
 
 use std::fmt;
@@ -29,20 +29,20 @@ use crate::finding::{
     Cause, CheckRow, Estimate, Finding, Ignored, Outcome, Ruling, Severity, Span, Status, Subject,
 };
 
-pub use decision::{Decision, Figure, FrameFigures, decide, decide_both, decide_frame};
+pub use decision::{Decision, FrameThresholds, Threshold, decide, decide_both, decide_frame};
 pub use facts::{
     ArmFacts, Declared, DhFacts, Due, EmptyFacts, EulerFacts, Facts, FrameFacts, HandEyeFacts,
     HeldFacts, ImuFacts, JointFacts, JointMotion, Of, PoseFacts, ReferenceFacts, ReferenceWitness,
     RhythmFacts, ShakeFacts, StampFacts, StrayFacts, Undecodable, UndecodableTopic, UnusableFacts,
     WitnessKind,
 };
-pub use figures::{Figures, Limit};
 pub(crate) use lat001::LAT001;
 pub use merge::{Part as EvaluatedPart, merged};
 pub(crate) use observability::hidden_zero;
 pub use observability::{Blind, Part, StreamObservability};
 pub(crate) use reading::read_as as reading_names;
 pub use settings::{Exemption, Selector, Settings, UnknownRule};
+pub use thresholds::{Limit, Thresholds};
 pub(crate) use zer001::ZER001;
 
 /// Declares a rule; its doc comment is the text that `explain` prints.
@@ -229,16 +229,16 @@ impl Rule {
 pub enum Grade {
     /// The fault is there or it is not; the gravest that it can be.
     Fixed(Severity),
-    /// From these figures, any one of them.
-    From(&'static [Figure]),
+    /// From these thresholds, any one of them.
+    From(&'static [Threshold]),
 }
 
 impl Grade {
-    /// Its figures; none where the fault is there or not.
-    pub fn figures(&self) -> &'static [Figure] {
+    /// Its thresholds; none where the fault is there or not.
+    pub fn thresholds(&self) -> &'static [Threshold] {
         match self {
             Grade::Fixed(_) => &[],
-            Grade::From(figures) => figures,
+            Grade::From(thresholds) => thresholds,
         }
     }
 }
@@ -247,12 +247,14 @@ impl fmt::Display for Grade {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Grade::Fixed(severity) => f.write_str(severity.name()),
-            Grade::From(figures) => {
-                let join = |amount: fn(&Figure) -> f64| {
-                    let shown = figures.iter().map(|figure| figure.unit.show(amount(figure)));
+            Grade::From(thresholds) => {
+                let join = |amount: fn(&Threshold) -> f64| {
+                    let shown =
+                        thresholds.iter().map(|threshold| threshold.unit.show(amount(threshold)));
                     shown.collect::<Vec<_>>().join(" or ")
                 };
-                let (warning, error) = (join(|figure| figure.warning), join(|figure| figure.error));
+                let (warning, error) =
+                    (join(|threshold| threshold.warning), join(|threshold| threshold.error));
                 write!(f, "warning {warning}, error {error}")
             }
         }
@@ -444,12 +446,12 @@ mod tests {
     }
 
     #[test]
-    fn every_figure_that_is_set_reaches_its_rule() {
+    fn every_threshold_that_is_set_reaches_its_rule() {
         // No joint slides there, no yaw jumps and nothing shakes.
         let idle = [("ZER001", Unit::Metre), ("YAW001", Unit::Radian), ("MOT001", Unit::Metre)];
         let mut reached = 0;
         for rule in REGISTRY {
-            for own in rule.grade.figures() {
+            for own in rule.grade.thresholds() {
                 let mut facts = testing::clean_run();
                 let before = statuses(rule, &facts);
                 let is_asked = before.iter().any(|status| *status != Status::Skipped);
@@ -457,8 +459,8 @@ mod tests {
                     continue;
                 }
                 // Nothing is known as well as that.
-                let fine = Figure { warning: 1e-15, error: 2e-15, ..*own };
-                facts.figures.set(rule, fine);
+                let fine = Threshold { warning: 1e-15, error: 2e-15, ..*own };
+                facts.thresholds.set(rule, fine);
                 assert_ne!(statuses(rule, &facts), before, "{} {:?}", rule.code, own.unit);
                 reached += 1;
             }

@@ -1,4 +1,4 @@
-use crate::checks::decision::Figure;
+use crate::checks::decision::Threshold;
 use crate::checks::mot003::doubt;
 use crate::checks::{ArmFacts, Facts, Grade, Judged, Of, ShakeFacts};
 use crate::diagnosis::{NoShake, Shake};
@@ -35,7 +35,7 @@ rule! {
     /// looked at.
     MOT001 {
         name: "shake",
-        grade: Grade::From(&[FIGURE]),
+        grade: Grade::From(&[THRESHOLD]),
         headline: false,
         needs_model: true,
         missing: "no joint states",
@@ -43,14 +43,9 @@ rule! {
     }
 }
 
-const FIGURE: Figure = Figure { unit: Unit::Metre, warning: 0.5e-3, error: 2e-3 };
+const THRESHOLD: Threshold = Threshold { unit: Unit::Metre, warning: 0.5e-3, error: 2e-3 };
 /// What would tell.
 const SETTLE: &str = "log it evenly, at 100 Hz or more";
-
-/// From where this audit speaks up.
-fn figure(facts: &Facts) -> Figure {
-    facts.figures.of(&MOT001, FIGURE)
-}
 
 fn check(facts: &Facts) -> Vec<Judged> {
     let of_arm = |arm: &ArmFacts| -> Vec<Judged> {
@@ -79,19 +74,19 @@ fn judge(facts: &Facts, arm: &ArmFacts, stream: &Of<ShakeFacts>) -> Judged {
             return judged(Outcome::Inconclusive(format!("{why}; {SETTLE}")));
         }
     };
-    let figure = figure(facts);
-    let outcome = match figure.severity(found.rms_m) {
+    let threshold = facts.thresholds.of(&MOT001, THRESHOLD);
+    let outcome = match threshold.severity(found.rms_m) {
         Some(severity) => Outcome::faulty(fault(facts, stream, found, severity)),
-        None if found.resolved_m > figure.warning => {
+        None if found.resolved_m > threshold.warning => {
             let [resolved, needed] =
-                [found.resolved_m, figure.warning].map(|m| FIGURE.unit.show(m));
+                [found.resolved_m, threshold.warning].map(|m| THRESHOLD.unit.show(m));
             let why = format!("its noise hides shake below {resolved}, and {needed} is needed");
             Outcome::Inconclusive(format!("{why}; {SETTLE}"))
         }
         None => Outcome::sound(),
     };
     judged(outcome)
-        .estimated(Estimate::counted("shake", FIGURE.unit.symbol(), found.rms_m))
+        .estimated(Estimate::counted("shake", THRESHOLD.unit.symbol(), found.rms_m))
         .with_evidence("frequency_hz", found.frequency_hz)
         .with_evidence("at_ns", facts.origin.shifted(found.at_s).to_string())
         .with_evidence("noise_m", found.noise_m)
@@ -105,7 +100,7 @@ fn fault(facts: &Facts, stream: &Of<ShakeFacts>, found: &Shake, severity: Severi
         title: "the tool shakes",
         message: format!(
             "the tool shakes by {} rms above 10 Hz, most at {:.0} Hz, at {}",
-            FIGURE.unit.show(found.rms_m),
+            THRESHOLD.unit.show(found.rms_m),
             found.frequency_hz,
             facts.moment(facts.origin.shifted(found.at_s)),
         ),

@@ -31,7 +31,7 @@ rule! {
     /// A stop between two samples is averaged over them: record at 100 Hz or more. Where the noise of
     /// the joint states, or the jitter of their stamps, hides such an acceleration, or samples are
     /// farther apart than 50 ms, it is inconclusive. Times over gaps are not looked at (TIM002), and of
-    /// rows that repeat (TIM008) each value once. A figure that no arm reaches is told as what it is:
+    /// rows that repeat (TIM008) each value once. A value that no arm reaches is told as what it is:
     /// numbers that are wrong.
     MOT002 {
         limits: &[TURNING, SLIDING],
@@ -83,7 +83,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, index: usize, joint: &JointFacts) -> Jud
         return judged(Outcome::Inconclusive(format!("{why}; {SETTLE}")));
     };
     let limit = if joint.prismatic { SLIDING } else { TURNING };
-    let (unit, limit) = (limit.unit.symbol(), facts.figures.limit(&MOT002, &limit));
+    let (unit, limit) = (limit.unit.symbol(), facts.thresholds.limit(&MOT002, &limit));
     let Abruptness { acceleration, noise, resolved, .. } = *found;
     let outcome = if acceleration - noise >= limit {
         Outcome::faulty(fault(facts, found, limit, unit))

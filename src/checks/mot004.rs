@@ -1,6 +1,6 @@
 use serde_json::{Value, json};
 
-use crate::checks::decision::{DEGREE, Decision, Figure, FrameFigures, decide_length};
+use crate::checks::decision::{DEGREE, Decision, FrameThresholds, Threshold, decide_length};
 use crate::checks::reference::{self, witness_name};
 use crate::checks::{ArmFacts, Facts, Grade, Judged, Of, ReferenceFacts};
 use crate::diagnosis::{Line, LineWitness, Measured};
@@ -39,7 +39,7 @@ rule! {
     /// about one axis, is told as `info`. A way that just happens to be straight is taken for a line.
     MOT004 {
         name: "line",
-        grade: Grade::From(&[FIGURES.length, FIGURES.angle]),
+        grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),
         headline: false,
         needs_model: true,
         missing: "no commanded line in this log: no poses are commanded",
@@ -47,19 +47,14 @@ rule! {
     }
 }
 
-const FIGURES: FrameFigures = FrameFigures {
-    length: Figure { unit: Unit::Metre, warning: 1e-3, error: 5e-3 },
-    angle: Figure { unit: Unit::Radian, warning: 0.5 * DEGREE, error: 2.0 * DEGREE },
+const THRESHOLDS: FrameThresholds = FrameThresholds {
+    length: Threshold { unit: Unit::Metre, warning: 1e-3, error: 5e-3 },
+    angle: Threshold { unit: Unit::Radian, warning: 0.5 * DEGREE, error: 2.0 * DEGREE },
 };
 
 /// What would tell.
 const SETTLE: &str =
     "log the tool pose or the joint states at 50 Hz or more, with a rest at both ends";
-
-/// From where this audit speaks up.
-fn figures(facts: &Facts) -> FrameFigures {
-    facts.figures.of_frames(&MOT004, FIGURES)
-}
 
 fn check(facts: &Facts) -> Vec<Judged> {
     let of_arm = |arm: &ArmFacts| -> Vec<Judged> {
@@ -69,32 +64,32 @@ fn check(facts: &Facts) -> Vec<Judged> {
     facts.robots.iter().flat_map(of_arm).collect()
 }
 
-/// How far a witness is off a line, in units of the first figures; without the angle where the command
+/// How far a witness is off a line, in units of the first thresholds; without the angle where the command
 /// is off itself.
-fn size(line: &Line, witness: &LineWitness, figures: &FrameFigures) -> f64 {
-    let length = witness.distance_m.norm.value / figures.length.warning;
-    match is_off(line, figures) {
+fn size(line: &Line, witness: &LineWitness, thresholds: &FrameThresholds) -> f64 {
+    let length = witness.distance_m.norm.value / thresholds.length.warning;
+    match is_off(line, thresholds) {
         true => length,
-        false => length.max(witness.angle_rad.norm.value / figures.angle.warning),
+        false => length.max(witness.angle_rad.norm.value / thresholds.angle.warning),
     }
 }
 
-fn is_off(line: &Line, figures: &FrameFigures) -> bool {
-    figures.angle.severity(line.command_rad).is_some()
+fn is_off(line: &Line, thresholds: &FrameThresholds) -> bool {
+    thresholds.angle.severity(line.command_rad).is_some()
 }
 
 /// The line that a witness is off most.
 fn worst<'a>(
     lines: &'a [Line],
     witness: usize,
-    figures: &FrameFigures,
+    thresholds: &FrameThresholds,
 ) -> Option<(&'a Line, &'a LineWitness)> {
     let kept = lines.iter().filter_map(|line| Some((line, line.witnesses.get(witness)?.as_ref()?)));
-    kept.max_by(|a, b| size(a.0, a.1, figures).total_cmp(&size(b.0, b.1, figures)))
+    kept.max_by(|a, b| size(a.0, a.1, thresholds).total_cmp(&size(b.0, b.1, thresholds)))
 }
 
 fn judge(facts: &Facts, arm: &ArmFacts, reference: &Of<ReferenceFacts>) -> Judged {
-    let figures = &figures(facts);
+    let thresholds = &facts.thresholds.of_frames(&MOT004, THRESHOLDS);
     let judged = |outcome| Judged::new(reference.subject.clone(), outcome).within(reference.span);
     let found = match reference::found(arm, reference, SETTLE) {
         Ok(found) => found,
@@ -110,16 +105,16 @@ fn judge(facts: &Facts, arm: &ArmFacts, reference: &Of<ReferenceFacts>) -> Judge
         return judged(Outcome::Skipped(why.to_owned()));
     };
     let of_witnesses = (0..reference.witnesses.len())
-        .filter_map(|witness| Some((witness, worst(lines, witness, figures)?)));
+        .filter_map(|witness| Some((witness, worst(lines, witness, thresholds)?)));
     let kept = of_witnesses
-        .min_by(|(_, a), (_, b)| size(a.0, a.1, figures).total_cmp(&size(b.0, b.1, figures)));
+        .min_by(|(_, a), (_, b)| size(a.0, a.1, thresholds).total_cmp(&size(b.0, b.1, thresholds)));
     let (line, measured) = match kept {
-        _ if is_off(commanded, figures) => (commanded, kept.map(|(_, (_, measured))| *measured)),
+        _ if is_off(commanded, thresholds) => (commanded, kept.map(|(_, (_, measured))| *measured)),
         Some((_, (line, measured))) => (line, Some(*measured)),
         None => (commanded, None),
     };
-    let outcome = match (is_off(commanded, figures), &measured) {
-        (true, _) => swings(commanded, figures),
+    let outcome = match (is_off(commanded, thresholds), &measured) {
+        (true, _) => swings(commanded, thresholds),
         (false, Some(measured)) => leaves(facts, line, measured, lines.len()),
         (false, None) => Outcome::Inconclusive(format!(
             "no witness has the tip along any of the lines; {SETTLE}"
@@ -127,7 +122,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, reference: &Of<ReferenceFacts>) -> Judge
     };
     // The command's fault does not hide that the tip leaves the line.
     let outcome = match (outcome, kept) {
-        (Outcome::Evaluated(_), Some((_, (line, measured)))) if is_off(commanded, figures) => {
+        (Outcome::Evaluated(_), Some((_, (line, measured)))) if is_off(commanded, thresholds) => {
             with_distance(facts, commanded, line, measured, lines.len())
         }
         (outcome, _) => outcome,
@@ -135,7 +130,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, reference: &Of<ReferenceFacts>) -> Judge
     let unknown = Measured { value: f64::NAN, std_error: f64::INFINITY, dof: 1.0 };
     let distance = measured.as_ref().map_or(unknown, |measured| measured.distance_m.norm);
     let angle = match &measured {
-        _ if is_off(commanded, figures) => {
+        _ if is_off(commanded, thresholds) => {
             Measured { value: commanded.command_rad, std_error: 0.0, dof: f64::INFINITY }
         }
         Some(measured) => measured.angle_rad.norm,
@@ -156,11 +151,12 @@ fn judge(facts: &Facts, arm: &ArmFacts, reference: &Of<ReferenceFacts>) -> Judge
 
 /// How the tip keeps to the worst line.
 fn decide(facts: &Facts, line: &Line, measured: &LineWitness, lines: usize) -> Decision {
-    let (figures, subjects) = (figures(facts), facts.subjects() * lines);
-    let by_length = decide_length(&measured.distance_m, &figures.length, subjects);
-    let angle = match is_off(line, &figures) {
+    let (thresholds, subjects) =
+        (facts.thresholds.of_frames(&MOT004, THRESHOLDS), facts.subjects() * lines);
+    let by_length = decide_length(&measured.distance_m, &thresholds.length, subjects);
+    let angle = match is_off(line, &thresholds) {
         true => Decision::Pass,
-        false => decide_length(&measured.angle_rad, &figures.angle, subjects),
+        false => decide_length(&measured.angle_rad, &thresholds.angle, subjects),
     };
     match (by_length, angle) {
         (Decision::Fail(a), Decision::Fail(b)) => Decision::Fail(a.max(b)),
@@ -199,20 +195,21 @@ fn leaves(facts: &Facts, line: &Line, measured: &LineWitness, lines: usize) -> O
 }
 
 /// The outcome where the command itself is no slerp.
-fn swings(line: &Line, figures: &FrameFigures) -> Outcome {
+fn swings(line: &Line, thresholds: &FrameThresholds) -> Outcome {
     let (off, turn) = (Unit::Radian.show(line.command_rad), Unit::Radian.show(line.turn_rad));
     let across = Unit::Radian.show(line.command_off_axis_rad);
-    let is_pace = figures.angle.severity(line.command_off_axis_rad).is_none();
+    let is_pace = thresholds.angle.severity(line.command_off_axis_rad).is_none();
     let (severity, as_if) = match &line.interpolated {
         Some(name) => {
-            (figures.angle.severity(line.command_rad), format!(": as of {name} interpolated"))
+            (thresholds.angle.severity(line.command_rad), format!(": as of {name} interpolated"))
         }
         None if is_pace => {
             (Some(Severity::Info), ": it turns at another pace than it goes".to_owned())
         }
-        None => {
-            (figures.angle.severity(line.command_rad), format!(", {across} of it across the axis"))
-        }
+        None => (
+            thresholds.angle.severity(line.command_rad),
+            format!(", {across} of it across the axis"),
+        ),
     };
     Outcome::faulty(Fault {
         cause: Cause::Other,
@@ -234,7 +231,7 @@ fn with_distance(
 ) -> Outcome {
     let off_line = Line { command_rad: f64::INFINITY, ..line.clone() };
     let distance = Unit::Metre.show_measured(&measured.distance_m.norm);
-    let swinging = swings(commanded, &figures(facts));
+    let swinging = swings(commanded, &facts.thresholds.of_frames(&MOT004, THRESHOLDS));
     let Outcome::Evaluated(crate::finding::Ruling::Faulty(fault)) = swinging else {
         return swinging;
     };

@@ -8,8 +8,8 @@ use crate::checks::{ArmFacts, Facts, Of, PoseFacts, find, standing};
 use crate::diagnosis::{BlindDirection, Observability, Parameter};
 use crate::finding::{CheckRow, Status, Subject, Unit};
 
-/// A cause of the size of its rule's first figure is seen where it moves the log by this many
-/// standard deviations or more: then the half-width of its 95 % interval is within the figure.
+/// A cause of the size of its rule's first threshold is seen where it moves the log by this many
+/// standard deviations or more: then the half-width of its 95 % interval is within the threshold.
 const SEEN: f64 = 2.0;
 /// A joint that turns or slides by less hardly shows its zero, rad and m.
 const FAR_RAD: f64 = 30.0 * std::f64::consts::PI / 180.0;
@@ -55,7 +55,7 @@ pub struct Blind {
     /// The causes that take part, the greatest weight first.
     pub parameters: Vec<Part>,
     /// By how many standard deviations of noise the log moves where each cause is of its weight
-    /// times its rule's first figure (over the norm of the weights).
+    /// times its rule's first threshold (over the norm of the weights).
     pub singular_value: f64,
     /// The motion that would show them.
     pub motion: String,
@@ -66,7 +66,7 @@ pub struct Blind {
 pub struct Part {
     /// The cause.
     pub name: String,
-    /// Its weight, in units of its rule's first figure.
+    /// Its weight, in units of its rule's first threshold.
     pub weight: f64,
     /// The cause without its axis.
     #[serde(skip)]
@@ -140,7 +140,7 @@ pub(super) fn observability(facts: &Facts, checks: &mut [CheckRow]) -> Vec<Strea
         for stream in &arm.poses {
             let Some(seen) = &stream.diagnosis.observability else { continue };
             let is_noise = is_noise(checks, &stream.subject);
-            let found = seen.blind(|parameter| figure(facts, arm, parameter), SEEN);
+            let found = seen.blind(|parameter| threshold(facts, arm, parameter), SEEN);
             let directions: Vec<Blind> =
                 found.iter().map(|one| blind(arm, seen, one, is_noise)).collect();
             let mut leaves_open = vec![false; directions.len()];
@@ -226,8 +226,8 @@ fn cause_of(parameter: Parameter) -> Parameter {
     }
 }
 
-/// The first figure of the rule that judges a parameter.
-fn figure(facts: &Facts, arm: &ArmFacts, parameter: Parameter) -> f64 {
+/// The first threshold of the rule that judges a parameter.
+fn threshold(facts: &Facts, arm: &ArmFacts, parameter: Parameter) -> f64 {
     let (code, unit) = match parameter {
         Parameter::JointZero(joint) => ("ZER001", arm.joint_unit(joint)),
         Parameter::Latency => ("LAT001", Unit::Second),
@@ -239,8 +239,8 @@ fn figure(facts: &Facts, arm: &ArmFacts, parameter: Parameter) -> f64 {
         Parameter::ToolTurn(_) => ("FRM003", Unit::Radian),
     };
     let Ok(rule) = find(code) else { return 1.0 };
-    let own = rule.grade.figures().iter().find(|figure| figure.unit == unit);
-    own.map_or(1.0, |own| facts.figures.of(rule, *own).warning)
+    let own = rule.grade.thresholds().iter().find(|threshold| threshold.unit == unit);
+    own.map_or(1.0, |own| facts.thresholds.of(rule, *own).warning)
 }
 
 fn blind(

@@ -106,7 +106,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, topic: &str, coded: &EulerFacts) -> Judg
         let why = format!("{convention} has no gimbal lock");
         return Judged::new(subject, Outcome::sound_because(why));
     }
-    let within_rad = facts.figures.limit(&ORD006, &NEAR);
+    let within_rad = facts.thresholds.limit(&ORD006, &NEAR);
     let found = near(coded, within_rad);
     let samples: usize = found.iter().map(|near| near.samples).sum();
     let share = samples as f64 / coded.margins_rad.len() as f64;

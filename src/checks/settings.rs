@@ -1,10 +1,10 @@
-//! What the caller says of the rules: which are asked, by which figures, and what is known already.
+//! What the caller says of the rules: which are asked, by which thresholds, and what is known already.
 
 use std::cmp::Reverse;
 use std::fmt;
 use std::str::FromStr;
 
-use super::{Figures, REGISTRY, Rule};
+use super::{REGISTRY, Rule, Thresholds};
 use crate::finding::{CheckRow, Finding, Ignored, Severity, Subject};
 
 /// Which rules to ask.
@@ -14,8 +14,8 @@ pub struct Settings {
     pub select: Vec<Selector>,
     /// None of these.
     pub ignore: Vec<Selector>,
-    /// The figures that the caller set instead of the rules' own.
-    pub figures: Figures,
+    /// The thresholds that the caller set instead of the rules' own.
+    pub thresholds: Thresholds,
     /// The severity of all that a rule finds wrong, where the caller set one; what is `info` stays so.
     pub severities: Vec<(&'static str, Severity)>,
     /// What is known, and not to be counted.

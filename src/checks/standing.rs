@@ -2,7 +2,7 @@
 //! and what a pass rests on.
 
 use crate::checks::decision::{Decision, decide_both};
-use crate::checks::{ArmFacts, Facts, FrameFigures, Judged, Of, PoseFacts, find};
+use crate::checks::{ArmFacts, Facts, FrameThresholds, Judged, Of, PoseFacts, find};
 use crate::diagnosis::{Amount, Error, FrameEstimate, Part, PoseDiagnosis, Residual, Seen, Size};
 use crate::finding::{Outcome, Ruling, Severity, Unit};
 use crate::run::{Apart, FlawKind};
@@ -13,8 +13,8 @@ const NEAR: f64 = 2.0;
 /// times of seven independent samples.
 const BEYOND: f64 = 3.0;
 
-/// Sag, play and encoder error that are each below their figures leave together up to so many times the
-/// figures for moments …
+/// Sag, play and encoder error that are each below their thresholds leave together up to so many times the
+/// thresholds for moments …
 const TOGETHER: f64 = 2.0;
 /// … and so many times, rms, over a tenth of the run.
 const LASTING: f64 = 1.5;
@@ -99,15 +99,15 @@ fn is_faulty(outcome: &Outcome) -> bool {
 
 /// How the error of one stream stands.
 pub(super) enum Standing {
-    /// It is below the figures as logged.
+    /// It is below the thresholds as logged.
     Below,
     /// It is what differs from sample to sample.
     Noise,
-    /// What was found leaves less than the figures, or what differs from sample to sample; whether a
+    /// What was found leaves less than the thresholds, or what differs from sample to sample; whether a
     /// rule names any of it.
     Accounted { is_named: bool },
-    /// What is left is below the figures in the mean square and hardly above them anywhere, as what
-    /// amounts below a figure at every joint leave together.
+    /// What is left is below the thresholds in the mean square and hardly above them anywhere, as what
+    /// amounts below a threshold at every joint leave together.
     Small(Left),
     /// Small changes of many kinematic parameters account for what else is left.
     Nominal(Error),
@@ -127,12 +127,12 @@ pub(super) struct Left {
     pub parts: Vec<Part>,
 }
 
-/// How the error of a stream stands, as `figures` have it; `None` where there is none.
+/// How the error of a stream stands, as `thresholds` have it; `None` where there is none.
 pub(super) fn standing(
     named: &Named,
     arm: &ArmFacts,
     stream: &Of<PoseFacts>,
-    figures: &FrameFigures,
+    thresholds: &FrameThresholds,
     subjects: usize,
 ) -> Option<Standing> {
     let found = &stream.diagnosis;
@@ -141,21 +141,21 @@ pub(super) fn standing(
     // What is computed from the joint states has no noise of its own.
     let near = if is_tf(arm, stream) { 0.0 } else { NEAR };
     let in_degrees = arm.diagnosis.reading.as_ref().is_ok_and(|read| read.degrees.is_some());
-    if is_tf(arm, stream) && in_degrees && races(explained, named, stream, figures) {
+    if is_tf(arm, stream) && in_degrees && races(explained, named, stream, thresholds) {
         return Some(Standing::Noise);
     }
     if let Some(calibrated) = proof.calibrated.as_ref().filter(|_| found.nominal)
-        && Left::of(calibrated, figures, near).is_none()
+        && Left::of(calibrated, thresholds, near).is_none()
     {
         return Some(Standing::Nominal(explained.clone()));
     }
-    if Left::of(&proof.as_logged, figures, 0.0).is_none() {
+    if Left::of(&proof.as_logged, thresholds, 0.0).is_none() {
         return Some(Standing::Below);
     }
-    if Left::of(&proof.as_logged, figures, near).is_none() {
+    if Left::of(&proof.as_logged, thresholds, near).is_none() {
         return Some(Standing::Noise);
     }
-    let left = match Left::of(explained, figures, near) {
+    let left = match Left::of(explained, thresholds, near) {
         // FRM001 says what is left of /tf, of which it is all.
         Some(left) if named.says_of_tf(arm, stream, &left) => {
             return Some(Standing::Accounted { is_named: true });
@@ -164,7 +164,7 @@ pub(super) fn standing(
         Some(left) if proof.left.is_none() && !stream.reference_known => {
             return Some(Standing::Open(left, vec!["ORD001"]));
         }
-        Some(left) if left.is_sure(figures) || comes_again(found, figures, subjects) => {
+        Some(left) if left.is_sure(thresholds) || comes_again(found, thresholds, subjects) => {
             return Some(Standing::Left(left));
         }
         left => left,
@@ -177,8 +177,8 @@ pub(super) fn standing(
         (true, false) => proof.beside_poses.as_ref().or_else(as_logged),
         (false, false) => as_logged(),
     };
-    Some(match unexplained.map_or(left, |error| Left::of(error, figures, near)) {
-        Some(left) if near > 0.0 && unexplained.is_none() && left.is_small(figures) => {
+    Some(match unexplained.map_or(left, |error| Left::of(error, thresholds, near)) {
+        Some(left) if near > 0.0 && unexplained.is_none() && left.is_small(thresholds) => {
             Standing::Small(left)
         }
         Some(left) => Standing::Open(left, [causes.joints, causes.poses].concat()),
@@ -188,38 +188,43 @@ pub(super) fn standing(
 
 /// Whether what is left of /tf is what degrees leave that are read as radians: such joints race through
 /// nearly a turn from one sample to the next. Beside it two publishers may be apart.
-fn races(error: &Error, named: &Named, stream: &Of<PoseFacts>, figures: &FrameFigures) -> bool {
-    /// In figures.
+fn races(
+    error: &Error,
+    named: &Named,
+    stream: &Of<PoseFacts>,
+    thresholds: &FrameThresholds,
+) -> bool {
+    /// In thresholds.
     const MOST: f64 = 5.0;
     let apart = named.doubled.iter().filter(|(topic, ..)| topic == stream.topic());
     let (by_m, by_rad) = apart
         .map(|(_, by, edges)| (by.length_m * *edges as f64, by.angle_rad * *edges as f64))
         .fold((0.0, 0.0), |sum, by| (sum.0 + by.0, sum.1 + by.1));
-    sizes(error, figures)
+    sizes(error, thresholds)
         .zip([by_m, by_rad])
-        .all(|((size, figure), by)| size.whole.rms < MOST * figure.warning + ROOM * by)
+        .all(|((size, threshold), by)| size.whole.rms < MOST * threshold.warning + ROOM * by)
 }
 
 /// Whether what is left comes again with the posture, which noise does not, however little of it is known
 /// from sample to sample.
-fn comes_again(found: &PoseDiagnosis, figures: &FrameFigures, subjects: usize) -> bool {
+fn comes_again(found: &PoseDiagnosis, thresholds: &FrameThresholds, subjects: usize) -> bool {
     found.residual.as_ref().is_ok_and(|residual| {
         let Residual { excess_m, excess_rad, .. } = residual;
-        matches!(decide_both(excess_m, excess_rad, figures, subjects), Decision::Fail(_))
+        matches!(decide_both(excess_m, excess_rad, thresholds, subjects), Decision::Fail(_))
     })
 }
 
 impl Left {
-    /// What of `error` reaches the figures and is more than `near` times what differs from sample to
+    /// What of `error` reaches the thresholds and is more than `near` times what differs from sample to
     /// sample; `None` where none is.
-    fn of(error: &Error, figures: &FrameFigures, near: f64) -> Option<Self> {
+    fn of(error: &Error, thresholds: &FrameThresholds, near: f64) -> Option<Self> {
         let mut parts: Vec<(f64, Severity, Part)> = Vec::new();
-        for (size, figure) in sizes(error, figures) {
+        for (size, threshold) in sizes(error, thresholds) {
             parts.extend(size.parts.iter().filter_map(|part| {
                 let Amount { most, noise, .. } = part.amount;
                 let is_more = most > near * noise.map_or(0.0, |noise| noise.most);
-                let severity = figure.severity(most).filter(|_| is_more)?;
-                Some((most / figure.warning, severity, *part))
+                let severity = threshold.severity(most).filter(|_| is_more)?;
+                Some((most / threshold.warning, severity, *part))
             }));
         }
         let (_, _, worst) = *parts.iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
@@ -230,31 +235,32 @@ impl Left {
         Some(Self { severity, error: error.clone(), worst, parts })
     }
 
-    /// What of `error` reaches the figures and is not near what differs from sample to sample.
-    pub fn beyond(error: &Error, figures: &FrameFigures) -> Option<Self> {
-        Self::of(error, figures, NEAR)
+    /// What of `error` reaches the thresholds and is not near what differs from sample to sample.
+    pub fn beyond(error: &Error, thresholds: &FrameThresholds) -> Option<Self> {
+        Self::of(error, thresholds, NEAR)
     }
 
-    /// Whether it is what amounts below a figure at every joint leave together.
-    fn is_small(&self, figures: &FrameFigures) -> bool {
+    /// Whether it is what amounts below a threshold at every joint leave together.
+    fn is_small(&self, thresholds: &FrameThresholds) -> bool {
         let small = |amount: &Amount, warning: f64| {
             amount.rms < LASTING * warning && amount.most < TOGETHER * warning
         };
-        sizes(&self.error, figures).all(|(size, figure)| {
-            let in_parts = size.parts.iter().all(|part| small(&part.amount, figure.warning));
-            size.whole.rms < figure.warning && in_parts
+        sizes(&self.error, thresholds).all(|(size, threshold)| {
+            let in_parts = size.parts.iter().all(|part| small(&part.amount, threshold.warning));
+            size.whole.rms < threshold.warning && in_parts
         })
     }
 
-    /// Whether over the whole run the error reaches its figure in the mean square too, and is in some part
+    /// Whether over the whole run the error reaches its threshold in the mean square too, and is in some part
     /// surely beyond measured noise.
-    fn is_sure(&self, figures: &FrameFigures) -> bool {
+    fn is_sure(&self, thresholds: &FrameThresholds) -> bool {
         let sure = |part: &Part| {
             let Amount { rms, noise, .. } = part.amount;
             noise.is_some_and(|noise| rms >= BEYOND * noise.rms)
         };
-        sizes(&self.error, figures)
-            .any(|(size, figure)| size.whole.rms >= figure.warning && size.parts.iter().any(sure))
+        sizes(&self.error, thresholds).any(|(size, threshold)| {
+            size.whole.rms >= threshold.warning && size.parts.iter().any(sure)
+        })
     }
 
     /// Whether it is left in some part at the same time as `other`.
@@ -266,10 +272,10 @@ impl Left {
 
 fn sizes<'a>(
     error: &'a Error,
-    figures: &'a FrameFigures,
-) -> impl Iterator<Item = (&'a Size, &'a super::Figure)> {
-    let angle = error.angle.as_ref().map(|angle| (angle, &figures.angle));
-    std::iter::once((&error.length, &figures.length)).chain(angle)
+    thresholds: &'a FrameThresholds,
+) -> impl Iterator<Item = (&'a Size, &'a super::Threshold)> {
+    let angle = error.angle.as_ref().map(|angle| (angle, &thresholds.angle));
+    std::iter::once((&error.length, &thresholds.length)).chain(angle)
 }
 
 /// Which of the causes found on a stream are open, and whether any is named.

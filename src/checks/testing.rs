@@ -25,7 +25,7 @@ pub const COMMANDS: &str = "/commanded_pose";
 
 const SPAN: Span = Span { start: Stamp::from_nanos(0), end: Stamp::from_nanos(40_000_000_000) };
 
-/// An amount that is surely within every figure around it.
+/// An amount that is surely within every threshold around it.
 pub fn sure(value: f64) -> Measured {
     Measured { value, std_error: 1e-6, dof: 1e3 }
 }

@@ -87,7 +87,7 @@ struct Limits {
 impl Limits {
     fn of(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Self {
         let [gap_periods, gap_s, lost] =
-            [&GAP_PERIODS, &GAP, &LOST].map(|limit| facts.figures.limit(&TIM002, limit));
+            [&GAP_PERIODS, &GAP, &LOST].map(|limit| facts.thresholds.limit(&TIM002, limit));
         let said_period_s = rhythm.said_hz.map(|rate_hz| 1.0 / rate_hz);
         Self { gap_periods, gap_s, lost, pace: Pace::of(facts), said_period_s }
     }

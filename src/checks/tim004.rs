@@ -53,7 +53,7 @@ fn share(part: &Cadence) -> f64 {
 }
 
 fn judge(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Judged {
-    let most = facts.figures.limit(&TIM004, &DUPLICATES);
+    let most = facts.thresholds.limit(&TIM004, &DUPLICATES);
     let concerned: Vec<&Cadence> = rhythm.parts.iter().filter(|part| share(part) > most).collect();
     let subject = rhythm.subject_of(&concerned);
     if !rhythm.parts.iter().any(|part| part.stamped) {

@@ -74,7 +74,7 @@ pub(super) struct Pace {
 
 impl Pace {
     pub(super) fn of(facts: &Facts) -> Self {
-        let [slow, lasts_s] = [&SLOW, &LASTS].map(|limit| facts.figures.limit(&TIM006, limit));
+        let [slow, lasts_s] = [&SLOW, &LASTS].map(|limit| facts.thresholds.limit(&TIM006, limit));
         Self { slow, lasts_s }
     }
 }
@@ -129,11 +129,11 @@ fn missing(subject: Subject, place: &str) -> Judged {
 /// The rate of a stream where it is notably below that which the caller says, and that one, Hz.
 fn below_said(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Option<(f64, f64)> {
     let (said_hz, rate_hz) = (rhythm.said_hz?, rhythm.rate_hz?);
-    (rate_hz < facts.figures.limit(&TIM006, &BELOW) * said_hz).then_some((rate_hz, said_hz))
+    (rate_hz < facts.thresholds.limit(&TIM006, &BELOW) * said_hz).then_some((rate_hz, said_hz))
 }
 
 fn judge(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Judged {
-    let (pace, together_s) = (Pace::of(facts), facts.figures.limit(&TIM006, &TOGETHER));
+    let (pace, together_s) = (Pace::of(facts), facts.thresholds.limit(&TIM006, &TOGETHER));
     let slowest = |part| slowest(pace, rhythm, part);
     let (late_s, early_s) = missed(rhythm);
     let slow: Vec<&Cadence> = rhythm.wanted().filter(|part| slowest(part).is_some()).collect();

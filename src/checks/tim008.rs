@@ -1,4 +1,4 @@
-use crate::checks::decision::Figure;
+use crate::checks::decision::Threshold;
 use crate::checks::{Facts, Grade, HeldFacts, Judged, Of};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Held;
@@ -34,7 +34,7 @@ rule! {
     /// more while the arm moves is TIM007's.
     TIM008 {
         name: "repeated-rows",
-        grade: Grade::From(&[FIGURE]),
+        grade: Grade::From(&[THRESHOLD]),
         headline: false,
         needs_model: false,
         missing: "no stream whose values could repeat",
@@ -42,7 +42,7 @@ rule! {
     }
 }
 
-const FIGURE: Figure = Figure { unit: Unit::One, warning: 0.05, error: 0.5 };
+const THRESHOLD: Threshold = Threshold { unit: Unit::One, warning: 0.05, error: 0.5 };
 
 fn check(facts: &Facts) -> Vec<Judged> {
     facts.held.iter().map(|stream| judge(facts, stream)).collect()
@@ -51,7 +51,7 @@ fn check(facts: &Facts) -> Vec<Judged> {
 fn judge(facts: &Facts, stream: &Of<HeldFacts>) -> Judged {
     let worst = stream.parts.iter().max_by(|a, b| a.share().total_cmp(&b.share()));
     let Some(worst) = worst else { return stream.judged(Outcome::sound()) };
-    let outcome = match facts.figures.of(&TIM008, FIGURE).severity(worst.share()) {
+    let outcome = match facts.thresholds.of(&TIM008, THRESHOLD).severity(worst.share()) {
         None => Outcome::sound(),
         Some(_) if stream.is_of_joints => {
             Outcome::sound_because("what it repeats are the joint states' repeats".to_owned())

@@ -1,6 +1,6 @@
 use serde_json::{Map, Value, json};
 
-use crate::checks::decision::{DEGREE, Figure, decide, unseen};
+use crate::checks::decision::{DEGREE, Threshold, decide, unseen};
 use crate::checks::{Facts, Grade, ImuFacts, Judged, Of};
 use crate::diagnosis::{Measured, YawCourse, YawJump};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Severity, Unit};
@@ -10,7 +10,7 @@ rule! {
     ///
     /// ## What it means
     /// The IMU's heading turns about gravity while the arm's kinematics say that it did not. The
-    /// figure is the rate, d/dt of (IMU yaw − FK yaw), or for a sudden change that stays its size. A
+    /// amount is the rate, d/dt of (IMU yaw − FK yaw), or for a sudden change that stays its size. A
     /// constant yaw between the IMU's world and the robot's base is no fault.
     ///
     /// ## Why it matters
@@ -36,7 +36,7 @@ rule! {
     /// motors makes errors that depend on the pose and not on time, which look like a walk.
     YAW001 {
         name: "yaw-drift",
-        grade: Grade::From(&[FIGURE, JUMP]),
+        grade: Grade::From(&[THRESHOLD, JUMP]),
         headline: true,
         needs_model: true,
         missing: "no IMU with orientation on the arm",
@@ -44,14 +44,15 @@ rule! {
     }
 }
 
-const FIGURE: Figure = Figure {
+const THRESHOLD: Threshold = Threshold {
     unit: Unit::RadianPerSecond,
     warning: 0.2 * DEGREE / 60.0,
     error: 2.0 * DEGREE / 60.0,
 };
 
 /// A jump is shown from here: some times what a good filter wanders, and what matters to a pose.
-const JUMP: Figure = Figure { unit: Unit::Radian, warning: 0.5 * DEGREE, error: 2.0 * DEGREE };
+const JUMP: Threshold =
+    Threshold { unit: Unit::Radian, warning: 0.5 * DEGREE, error: 2.0 * DEGREE };
 
 /// What would tell where the drift could not be had.
 const SETTLE: &str = "record a minute or more, with rests";
@@ -63,22 +64,23 @@ fn check(facts: &Facts) -> Vec<Judged> {
 /// The drift, and the largest jump where there is one.
 fn judge(facts: &Facts, imu: &Of<ImuFacts>) -> Vec<Judged> {
     let subjects = facts.subjects();
-    let [drift_figure, jump_figure] = [FIGURE, JUMP].map(|own| facts.figures.of(&YAW001, own));
+    let [drift_threshold, jump_threshold] =
+        [THRESHOLD, JUMP].map(|own| facts.thresholds.of(&YAW001, own));
     let drift = match &imu.diagnosis.yaw_drift_rad_s {
         Ok(drift) => drift,
         Err(why) => return vec![imu.judged(unseen(why, SETTLE))],
     };
     let course = &imu.diagnosis.yaw_course;
-    let outcome = decide(drift, &drift_figure, subjects)
+    let outcome = decide(drift, &drift_threshold, subjects)
         .into_outcome(&settle(course), |severity| drifts(imu, drift, severity));
-    let estimate = Estimate::amount("yaw drift", FIGURE.unit, drift);
+    let estimate = Estimate::amount("yaw drift", THRESHOLD.unit, drift);
     let kind = if course.walk_rad_rt_s.is_some() { "random-walk" } else { "drift" };
     let mut judged = vec![with_course(imu.judged(outcome).estimated(estimate), course, kind)];
     let size = |jump: &&YawJump| jump.size_rad.value.abs();
     let largest = course.jumps.iter().max_by(|a, b| size(a).total_cmp(&size(b)));
     // A jump that is not worth a word is only taken off the drift.
-    if let Some(jump) = largest.filter(|jump| size(jump) >= jump_figure.warning) {
-        let outcome = decide(&jump.size_rad, &jump_figure, subjects)
+    if let Some(jump) = largest.filter(|jump| size(jump) >= jump_threshold.warning) {
+        let outcome = decide(&jump.size_rad, &jump_threshold, subjects)
             .into_outcome(SETTLE, |severity| jumps(jump, severity));
         let estimate = Estimate::amount("yaw jump", JUMP.unit, &jump.size_rad);
         let of_jump = imu.judged(outcome).estimated(estimate);
@@ -124,7 +126,7 @@ fn drifts(imu: &Of<ImuFacts>, drift: &Measured, severity: Severity) -> Fault {
         severity,
         cause: Cause::YawDrift(*drift),
         title: "IMU yaw drifts",
-        message: format!("yaw drifts {} against the arm", FIGURE.unit.show_signed(drift)),
+        message: format!("yaw drifts {} against the arm", THRESHOLD.unit.show_signed(drift)),
         evidence: Evidence {
             effect: Some(format!("{turned} over this run of {seconds:.1} s")),
             ..Evidence::default()

@@ -1,4 +1,4 @@
-use crate::checks::decision::{DEGREE, Figure, decide_length, unseen};
+use crate::checks::decision::{DEGREE, Threshold, decide_length, unseen};
 use crate::checks::{Facts, Grade, ImuFacts, Judged, Of};
 use crate::diagnosis::Length;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
@@ -26,7 +26,7 @@ rule! {
     /// began has a mean acceleration, but a small one. Without an accelerometer it cannot be told.
     YAW002 {
         name: "imu-tilt",
-        grade: Grade::From(&[FIGURE]),
+        grade: Grade::From(&[THRESHOLD]),
         headline: false,
         needs_model: true,
         missing: "no IMU on the arm",
@@ -34,15 +34,11 @@ rule! {
     }
 }
 
-const FIGURE: Figure = Figure { unit: Unit::Radian, warning: 0.5 * DEGREE, error: 2.0 * DEGREE };
+const THRESHOLD: Threshold =
+    Threshold { unit: Unit::Radian, warning: 0.5 * DEGREE, error: 2.0 * DEGREE };
 
 /// What would tell where the tilt could not be had.
 const SETTLE: &str = "record 10 s with rests";
-
-/// From where this audit speaks up.
-fn figure(facts: &Facts) -> Figure {
-    facts.figures.of(&YAW002, FIGURE)
-}
 
 fn check(facts: &Facts) -> Vec<Judged> {
     facts.imus().map(|(_, imu)| judge(facts, imu)).collect()
@@ -58,15 +54,15 @@ fn judge(facts: &Facts, imu: &Of<ImuFacts>) -> Judged {
         false => Outcome::Inconclusive(
             "the orientation is not as logged; read it right first (ORD001 to ORD003)".to_owned(),
         ),
-        true => decide_length(tilt, &figure(facts), facts.subjects())
+        true => decide_length(tilt, &facts.thresholds.of(&YAW002, THRESHOLD), facts.subjects())
             .into_outcome(SETTLE, |severity| fault(tilt, severity)),
     };
-    let estimate = Estimate::length("tilt against gravity", FIGURE.unit, tilt);
+    let estimate = Estimate::length("tilt against gravity", THRESHOLD.unit, tilt);
     imu.judged(outcome).estimated(estimate)
 }
 
 fn fault(tilt: &Length, severity: Severity) -> Fault {
-    let shown = FIGURE.unit.show_measured(&tilt.norm);
+    let shown = THRESHOLD.unit.show_measured(&tilt.norm);
     Fault {
         cause: Cause::Other,
         severity,

@@ -1,4 +1,4 @@
-use crate::checks::decision::{DEGREE, Figure, decide_length, unseen};
+use crate::checks::decision::{DEGREE, Threshold, decide_length, unseen};
 use crate::checks::{Facts, Grade, ImuFacts, Judged, Of};
 use crate::diagnosis::Length;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Severity, Unit};
@@ -30,7 +30,7 @@ rule! {
     /// the wrist turn the mount too; those that were found are taken off.
     YAW003 {
         name: "imu-mount",
-        grade: Grade::From(&[FIGURE]),
+        grade: Grade::From(&[THRESHOLD]),
         headline: false,
         needs_model: true,
         missing: "no IMU on the arm",
@@ -38,15 +38,11 @@ rule! {
     }
 }
 
-const FIGURE: Figure = Figure { unit: Unit::Radian, warning: 1.0 * DEGREE, error: 5.0 * DEGREE };
+const THRESHOLD: Threshold =
+    Threshold { unit: Unit::Radian, warning: 1.0 * DEGREE, error: 5.0 * DEGREE };
 
 /// What would tell where the mount could not be had.
 const SETTLE: &str = "turn the IMU through 60° about two axes";
-
-/// From where this audit speaks up.
-fn figure(facts: &Facts) -> Figure {
-    facts.figures.of(&YAW003, FIGURE)
-}
 
 fn check(facts: &Facts) -> Vec<Judged> {
     facts.imus().map(|(_, imu)| judge(facts, imu)).collect()
@@ -56,11 +52,12 @@ fn judge(facts: &Facts, imu: &Of<ImuFacts>) -> Judged {
     let judged = match &imu.diagnosis.mount_rad {
         Err(why) => imu.judged(unseen(why, SETTLE)),
         Ok(mount) => {
-            let decision = decide_length(mount, &figure(facts), facts.subjects());
+            let decision =
+                decide_length(mount, &facts.thresholds.of(&YAW003, THRESHOLD), facts.subjects());
             let found = imu.diagnosis.link_from_imu;
             let outcome =
                 decision.into_outcome(SETTLE, |severity| fault(mount, imu, found, severity));
-            let estimate = Estimate::length("mount error", FIGURE.unit, mount);
+            let estimate = Estimate::length("mount error", THRESHOLD.unit, mount);
             imu.judged(outcome).estimated(estimate)
         }
     };
@@ -123,7 +120,7 @@ fn direction(mount: &Rotation, axis: usize, link: &str) -> String {
 }
 
 fn fault(mount: &Length, imu: &Of<ImuFacts>, found: Option<Rotation>, severity: Severity) -> Fault {
-    let shown = FIGURE.unit.show_measured(&mount.norm);
+    let shown = THRESHOLD.unit.show_measured(&mount.norm);
     let axes = found.map_or(String::new(), |found| {
         let [x, y, z] = [0, 1, 2].map(|axis| direction(&found, axis, &imu.link));
         format!(": imu x points {x}; y {y}; z {z}")

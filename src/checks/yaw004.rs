@@ -1,6 +1,6 @@
 use serde_json::{Value, json};
 
-use crate::checks::decision::{DEGREE, Figure, decide_length, unseen};
+use crate::checks::decision::{DEGREE, Threshold, decide_length, unseen};
 use crate::checks::{Facts, Grade, ImuFacts, Judged, Of};
 use crate::diagnosis::{GyroBias, GyroShape, Measured};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Severity, Unit};
@@ -9,7 +9,7 @@ rule! {
     /// A gyro has a bias.
     ///
     /// ## What it means
-    /// The gyro reads a constant rate beside the one that the arm's kinematics say; the figure is
+    /// The gyro reads a constant rate beside the one that the arm's kinematics say; the amount is
     /// its norm.
     ///
     /// ## Why it matters
@@ -27,11 +27,11 @@ rule! {
     /// Subtract the bias; estimate it anew whenever the arm rests, since it moves with temperature.
     ///
     /// ## When it misleads
-    /// The Earth turns at 0.004 °/s, which is below the figure. A driver that removes the bias by
+    /// The Earth turns at 0.004 °/s, which is below the threshold. A driver that removes the bias by
     /// itself leaves what it has not yet learnt.
     YAW004 {
         name: "gyro-bias",
-        grade: Grade::From(&[FIGURE]),
+        grade: Grade::From(&[THRESHOLD]),
         headline: false,
         needs_model: true,
         missing: "no IMU on the arm",
@@ -39,15 +39,11 @@ rule! {
     }
 }
 
-const FIGURE: Figure = Figure { unit: Unit::GyroRate, warning: 0.1 * DEGREE, error: 1.0 * DEGREE };
+const THRESHOLD: Threshold =
+    Threshold { unit: Unit::GyroRate, warning: 0.1 * DEGREE, error: 1.0 * DEGREE };
 
 /// What would tell where the bias could not be had.
 const SETTLE: &str = "record 10 s with rests";
-
-/// From where this audit speaks up.
-fn figure(facts: &Facts) -> Figure {
-    facts.figures.of(&YAW004, FIGURE)
-}
 
 fn check(facts: &Facts) -> Vec<Judged> {
     facts.imus().map(|(_, imu)| judge(facts, imu)).collect()
@@ -58,11 +54,15 @@ fn judge(facts: &Facts, imu: &Of<ImuFacts>) -> Judged {
         Ok(bias) => bias,
         Err(why) => return imu.judged(unseen(why, SETTLE)),
     };
-    let decision = decide_length(&bias.length_rad_s, &figure(facts), facts.subjects());
+    let decision = decide_length(
+        &bias.length_rad_s,
+        &facts.thresholds.of(&YAW004, THRESHOLD),
+        facts.subjects(),
+    );
     let outcome = decision.into_outcome(SETTLE, |severity| fault(bias, severity));
     let judged = imu.judged(outcome).estimated(Estimate::length(
         "gyro bias",
-        FIGURE.unit,
+        THRESHOLD.unit,
         &bias.length_rad_s,
     ));
     match &bias.shape {
@@ -82,7 +82,7 @@ fn fault(bias: &GyroBias, severity: Severity) -> Fault {
     let vector: [f64; 3] = bias.vector_rad_s.into();
     let [x, y, z] = vector.map(|rate| format!("{rate:+.4}"));
     let drift = Unit::RadianPerSecond.show(bias.yaw_rate_rad_s);
-    let shown = FIGURE.unit.show_measured(&bias.length_rad_s.norm);
+    let shown = THRESHOLD.unit.show_measured(&bias.length_rad_s.norm);
     let mut evidence = Evidence {
         effect: Some(format!("yaw that is integrated from it drifts {drift}")),
         ..Evidence::default()

@@ -1,4 +1,4 @@
-use crate::checks::decision::{DEGREE, Decision, Figure, decide, unseen};
+use crate::checks::decision::{DEGREE, Decision, Threshold, decide, unseen};
 use crate::checks::twins::{estimate, twin_cause};
 use crate::checks::{ArmFacts, Facts, Grade, Judged, frm001, standing};
 use crate::diagnosis::{FrameEstimate, JointOffset, Measured, Seen, Twin};
@@ -47,8 +47,9 @@ rule! {
     }
 }
 
-const ROTARY: Figure = Figure { unit: Unit::Radian, warning: 0.1 * DEGREE, error: 0.5 * DEGREE };
-const PRISMATIC: Figure = Figure { unit: Unit::Metre, warning: 0.2e-3, error: 1e-3 };
+const ROTARY: Threshold =
+    Threshold { unit: Unit::Radian, warning: 0.1 * DEGREE, error: 0.5 * DEGREE };
+const PRISMATIC: Threshold = Threshold { unit: Unit::Metre, warning: 0.2e-3, error: 1e-3 };
 
 /// What would tell where an offset could not be had.
 const SETTLE: &str = "move this joint by 30° or more, and the others at other times";
@@ -71,7 +72,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, joint: usize, offset: &JointOffset) -> J
         let why = format!("a part of its scale, {:.5} (ORD009)", scale.offset);
         return Judged::new(subject, Outcome::sound_because(why)).within(arm.span);
     }
-    let figure = facts.figures.of(&ZER001, figure(arm.joint_unit(joint)));
+    let threshold = facts.thresholds.of(&ZER001, threshold(arm.joint_unit(joint)));
     let measured = match &offset.offset {
         Ok(measured) => measured,
         Err(why) => {
@@ -82,7 +83,8 @@ fn judge(facts: &Facts, arm: &ArmFacts, joint: usize, offset: &JointOffset) -> J
             return Judged::new(subject, outcome).within(arm.span);
         }
     };
-    let outcome = match (decide(measured, &figure, facts.subjects()), named_instead(arm, offset)) {
+    let outcome = match (decide(measured, &threshold, facts.subjects()), named_instead(arm, offset))
+    {
         (Decision::Fail(_), _)
             if offset.chosen && arm.poses.iter().any(|s| s.diagnosis.repeats()) =>
         {
@@ -97,13 +99,13 @@ fn judge(facts: &Facts, arm: &ArmFacts, joint: usize, offset: &JointOffset) -> J
         (Decision::Pass, _) => Outcome::sound(),
         (_, Some(twin)) if !offset.chosen => not_told_from(arm, &twin),
         (Decision::Fail(_), _) => {
-            let shown = figure.unit.show_signed(measured);
+            let shown = threshold.unit.show_signed(measured);
             let why = format!("{shown} would fit, but what is found explains the log without it");
             Outcome::Inconclusive(format!("{why}; {SETTLE}"))
         }
         (Decision::Undecided(why), _) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
     };
-    Judged::new(subject, outcome).within(arm.span).estimated(estimate(figure.unit, measured))
+    Judged::new(subject, outcome).within(arm.span).estimated(estimate(threshold.unit, measured))
 }
 
 fn not_told_from(arm: &ArmFacts, twin: &str) -> Outcome {
@@ -115,7 +117,7 @@ fn not_told_from(arm: &ArmFacts, twin: &str) -> Outcome {
     }
 }
 
-fn figure(unit: Unit) -> Figure {
+fn threshold(unit: Unit) -> Threshold {
     match unit {
         Unit::Metre => PRISMATIC,
         _ => ROTARY,

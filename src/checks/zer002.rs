@@ -1,5 +1,5 @@
 use crate::checks::amount::{Amount, Estimated};
-use crate::checks::decision::Figure;
+use crate::checks::decision::Threshold;
 use crate::checks::{ArmFacts, Facts, Grade, Judged, standing};
 use crate::diagnosis::{Measured, PoseDiagnosis};
 use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
@@ -29,7 +29,7 @@ rule! {
     /// does it too: then the arm is right.
     ZER002 {
         name: "growth-with-reach",
-        grade: Grade::From(&[FIGURE]),
+        grade: Grade::From(&[THRESHOLD]),
         headline: false,
         needs_model: true,
         missing: "no pose stream beside the joint states",
@@ -37,11 +37,11 @@ rule! {
     }
 }
 
-const FIGURE: Figure = Figure { unit: Unit::MetrePerMetre, warning: 1e-3, error: 5e-3 };
+const THRESHOLD: Threshold = Threshold { unit: Unit::MetrePerMetre, warning: 1e-3, error: 5e-3 };
 
 const GROWTH: Amount = Amount {
     name: "growth with reach",
-    figure: FIGURE,
+    threshold: THRESHOLD,
     settle: "reach far out and close in, with every joint moving",
     fault: |arm, _, growth, severity| fault(arm, growth, severity),
 };
@@ -75,7 +75,7 @@ fn fault(arm: &ArmFacts, growth: &Measured, severity: Severity) -> Fault {
         cause: Cause::Growth,
         severity,
         title: "error grows with reach",
-        message: format!("positions are off by {} of reach", FIGURE.unit.show_signed(growth)),
+        message: format!("positions are off by {} of reach", THRESHOLD.unit.show_signed(growth)),
         evidence: Evidence {
             effect: Some(format!("{moved} at full reach ({reach:.2} m)")),
             effect_m: Some(moved_m),

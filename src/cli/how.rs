@@ -28,7 +28,7 @@ pub struct How {
     #[arg(long, value_name = "LINK")]
     tip: Option<String>,
 
-    /// The settings of an audit: robot, topics, figures of rules, what is known and to be ignored
+    /// The settings of an audit: robot, topics, thresholds of rules, what is known and to be ignored
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
 

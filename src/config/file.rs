@@ -56,7 +56,7 @@ pub(super) struct File {
     #[serde(default)]
     #[schemars(with = "BTreeMap<String, Stream>")]
     pub stream: BTreeMap<Spanned<String>, Stream>,
-    /// Figures, limits and severities of rules, by their codes.
+    /// Thresholds, limits and severities of rules, by their codes.
     #[serde(default)]
     pub rules: Rules,
 }

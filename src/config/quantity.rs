@@ -131,10 +131,10 @@ mod tests {
     #[test]
     fn what_reports_show_can_be_written() {
         for rule in registry() {
-            let figures = rule.grade.figures().iter();
-            let figures = figures.flat_map(|it| [(it.unit, it.warning), (it.unit, it.error)]);
+            let thresholds = rule.grade.thresholds().iter();
+            let thresholds = thresholds.flat_map(|it| [(it.unit, it.warning), (it.unit, it.error)]);
             let limits = rule.limits.iter().map(|limit| (limit.unit, limit.value));
-            for (unit, amount) in figures.chain(limits) {
+            for (unit, amount) in thresholds.chain(limits) {
                 let shown = unit.show(amount);
                 let read = text(&shown).amount(unit);
                 assert!(

@@ -1,4 +1,4 @@
-//! The tables of rules: figures, limits and severities, each known to the rule itself.
+//! The tables of rules: thresholds, limits and severities, each known to the rule itself.
 
 use std::fmt;
 
@@ -8,7 +8,7 @@ use serde::de::{DeserializeSeed, Deserializer, Error as _, MapAccess, Visitor};
 use serde_json::{Map, Value, json};
 
 use super::quantity::Quantity;
-use crate::checks::{self, Figure, Grade, Limit, Rule, Settings};
+use crate::checks::{self, Grade, Limit, Rule, Settings, Threshold};
 use crate::finding::{Severity, Unit};
 
 /// What is set of rules.
@@ -19,7 +19,7 @@ pub(super) struct Rules(Vec<RuleTable>);
 #[derive(Clone, Debug)]
 struct RuleTable {
     rule: &'static Rule,
-    figures: Vec<Figure>,
+    thresholds: Vec<Threshold>,
     limits: Vec<(&'static Limit, f64)>,
     severity: Option<Severity>,
 }
@@ -28,11 +28,11 @@ impl Rules {
     /// Writes it into the settings of an audit.
     pub fn apply(&self, settings: &mut Settings) {
         for table in &self.0 {
-            for figure in &table.figures {
-                settings.figures.set(table.rule, *figure);
+            for threshold in &table.thresholds {
+                settings.thresholds.set(table.rule, *threshold);
             }
             for (limit, value) in &table.limits {
-                settings.figures.set_limit(table.rule, limit, *value);
+                settings.thresholds.set_limit(table.rule, limit, *value);
             }
             settings.severities.extend(table.severity.map(|severity| (table.rule.code, severity)));
         }
@@ -76,7 +76,7 @@ impl TryFrom<String> for Code {
 
 /// A key of a rule's table.
 enum Key {
-    Figure(Level),
+    Threshold(Level),
     Severity,
     Limit(&'static Limit),
 }
@@ -89,12 +89,12 @@ enum Level {
 
 /// The keys that the table of a rule can have.
 fn keys(rule: &Rule) -> Vec<&'static str> {
-    let figures: &[&str] = match rule.grade {
+    let thresholds: &[&str] = match rule.grade {
         Grade::From(_) => &["warning", "error"],
         Grade::Fixed(_) => &[],
     };
     let limits = rule.limits.iter().map(|limit| limit.key);
-    figures.iter().copied().chain(["severity"]).chain(limits).collect()
+    thresholds.iter().copied().chain(["severity"]).chain(limits).collect()
 }
 
 struct KeyOf(&'static Rule);
@@ -104,11 +104,11 @@ impl<'de> DeserializeSeed<'de> for KeyOf {
 
     fn deserialize<D: Deserializer<'de>>(self, from: D) -> Result<Key, D::Error> {
         let key = String::deserialize(from)?;
-        let has_figures = matches!(self.0.grade, Grade::From(_));
+        let has_thresholds = matches!(self.0.grade, Grade::From(_));
         let limit = self.0.limits.iter().find(|limit| limit.key == key);
         match (key.as_str(), limit) {
-            ("warning", _) if has_figures => Ok(Key::Figure(Level::Warning)),
-            ("error", _) if has_figures => Ok(Key::Figure(Level::Error)),
+            ("warning", _) if has_thresholds => Ok(Key::Threshold(Level::Warning)),
+            ("error", _) if has_thresholds => Ok(Key::Threshold(Level::Error)),
             ("severity", _) => Ok(Key::Severity),
             (_, Some(limit)) => Ok(Key::Limit(limit)),
             (key, None) => {
@@ -141,10 +141,11 @@ impl<'de> Visitor<'de> for Table {
 
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<RuleTable, A::Error> {
         let rule = self.0;
-        let mut table = RuleTable { rule, figures: Vec::new(), limits: Vec::new(), severity: None };
+        let mut table =
+            RuleTable { rule, thresholds: Vec::new(), limits: Vec::new(), severity: None };
         while let Some(key) = map.next_key_seed(KeyOf(rule))? {
             match key {
-                Key::Figure(level) => {
+                Key::Threshold(level) => {
                     for (unit, amount) in map.next_value_seed(AmountsOf(rule))? {
                         table.set(level, unit, amount);
                     }
@@ -158,9 +159,9 @@ impl<'de> Visitor<'de> for Table {
                 }
             }
         }
-        match table.figures.iter().find(|figure| figure.warning >= figure.error) {
+        match table.thresholds.iter().find(|threshold| threshold.warning >= threshold.error) {
             None => Ok(table),
-            Some(Figure { unit, warning, error }) => Err(A::Error::custom(format!(
+            Some(Threshold { unit, warning, error }) => Err(A::Error::custom(format!(
                 "{}: the warning ({}) must be below the error ({})",
                 rule.code,
                 unit.show(*warning),
@@ -172,21 +173,21 @@ impl<'de> Visitor<'de> for Table {
 
 impl RuleTable {
     fn set(&mut self, level: Level, unit: Unit, amount: f64) {
-        let own = self.rule.grade.figures().iter().find(|own| own.unit == unit);
-        let known = self.figures.iter().position(|figure| figure.unit == unit);
+        let own = self.rule.grade.thresholds().iter().find(|own| own.unit == unit);
+        let known = self.thresholds.iter().position(|threshold| threshold.unit == unit);
         let at = known.or_else(|| {
-            self.figures.push(*own?);
-            Some(self.figures.len() - 1)
+            self.thresholds.push(*own?);
+            Some(self.thresholds.len() - 1)
         });
-        let Some(figure) = at.and_then(|at| self.figures.get_mut(at)) else { return };
+        let Some(threshold) = at.and_then(|at| self.thresholds.get_mut(at)) else { return };
         match level {
-            Level::Warning => figure.warning = amount,
-            Level::Error => figure.error = amount,
+            Level::Warning => threshold.warning = amount,
+            Level::Error => threshold.error = amount,
         }
     }
 }
 
-/// The amount of a figure, or of each of several.
+/// The amount of a threshold, or of each of several.
 struct AmountsOf(&'static Rule);
 
 #[derive(Deserialize)]
@@ -207,7 +208,8 @@ impl<'de> DeserializeSeed<'de> for AmountsOf {
             OneOrMore::One(one) => vec![one],
             OneOrMore::More(more) => more,
         };
-        let units: Vec<Unit> = self.0.grade.figures().iter().map(|figure| figure.unit).collect();
+        let units: Vec<Unit> =
+            self.0.grade.thresholds().iter().map(|threshold| threshold.unit).collect();
         let read = |quantity: &Quantity| quantity.one_of(&units).map_err(D::Error::custom);
         amounts.iter().map(read).collect()
     }
@@ -263,10 +265,11 @@ impl JsonSchema for Rules {
                 "description": "Severity of all that the rule finds, but for what it calls info itself",
                 "enum": ["info", "warning", "error"],
             });
-            let figures = rule.grade.figures();
-            if let Some(first) = figures.first() {
-                let own = |of: fn(&Figure) -> f64| -> Value {
-                    let shown = figures.iter().map(|figure| figure.unit.show(of(figure)));
+            let thresholds = rule.grade.thresholds();
+            if let Some(first) = thresholds.first() {
+                let own = |of: fn(&Threshold) -> f64| -> Value {
+                    let shown =
+                        thresholds.iter().map(|threshold| threshold.unit.show(of(threshold)));
                     match shown.collect::<Vec<_>>().as_slice() {
                         [one] => json!(one),
                         more => json!(more),
@@ -274,8 +277,8 @@ impl JsonSchema for Rules {
                 };
                 let one = json!({ "type": amount(first.unit) });
                 for (key, what, default) in [
-                    ("warning", "From here it warns", own(|figure| figure.warning)),
-                    ("error", "From here it is an error", own(|figure| figure.error)),
+                    ("warning", "From here it warns", own(|threshold| threshold.warning)),
+                    ("error", "From here it is an error", own(|threshold| threshold.error)),
                 ] {
                     let several = json!({ "type": "array", "items": one });
                     let schema = json!({

@@ -4,7 +4,7 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use crate::checks::{self, Figure};
+use crate::checks::{self, Threshold};
 use crate::finding::{CheckRow, Unit};
 use crate::report::{Report, RobotRow, StreamRow, quoted, tame};
 use crate::robot::catalogue;
@@ -170,15 +170,15 @@ impl Template {
     }
 
     fn rules(&mut self) {
-        self.line("\n# Figures of the rules, which `poseaudit explain CODE` explains.");
+        self.line("\n# Thresholds of the rules, which `poseaudit explain CODE` explains.");
         for rule in checks::registry() {
             let _ = writeln!(self.0, "\n# {}.\n# [rules.{}]", rule.summary(), rule.code);
-            let figures = rule.grade.figures();
-            if figures.is_empty() {
+            let thresholds = rule.grade.thresholds();
+            if thresholds.is_empty() {
                 let _ = writeln!(self.0, "# severity = {}", quoted(&rule.grade.to_string()));
             } else {
-                self.unset("warning", &amounts(figures, |figure| figure.warning), "");
-                self.unset("error", &amounts(figures, |figure| figure.error), "");
+                self.unset("warning", &amounts(thresholds, |threshold| threshold.warning), "");
+                self.unset("error", &amounts(thresholds, |threshold| threshold.error), "");
             }
             for limit in rule.limits {
                 self.unset(limit.key, &amount(limit.unit, limit.value), limit.what);
@@ -187,8 +187,9 @@ impl Template {
     }
 }
 
-fn amounts(figures: &[Figure], of: fn(&Figure) -> f64) -> String {
-    let shown: Vec<String> = figures.iter().map(|figure| amount(figure.unit, of(figure))).collect();
+fn amounts(thresholds: &[Threshold], of: fn(&Threshold) -> f64) -> String {
+    let shown: Vec<String> =
+        thresholds.iter().map(|threshold| amount(threshold.unit, of(threshold))).collect();
     match shown.as_slice() {
         [one] => one.clone(),
         several => format!("[{}]", several.join(", ")),

@@ -1,5 +1,5 @@
 use super::*;
-use crate::checks::{Figure, find, registry};
+use crate::checks::{Threshold, find, registry};
 use crate::finding::{Severity, Unit};
 use crate::geometry::{AngleUnit, Coding, LengthScale};
 use crate::run::{SaidRole, Witness};
@@ -79,18 +79,18 @@ turning = "30 rad/s²"
     let kuka = Coding::Three("euler:ZYX".parse().expect("a convention"));
     assert_eq!(coded("/tcp"), (kuka, AngleUnit::Degree, LengthScale::MILLIMETRE, false));
     assert_eq!(coded("/pendant"), (kuka, AngleUnit::Degree, LengthScale::METRE, true));
-    let figure = |code: &str, unit: Unit| {
+    let threshold = |code: &str, unit: Unit| {
         let rule = find(code).expect("a rule");
-        let own = rule.grade.figures().iter().find(|own| own.unit == unit).expect("a figure");
-        options.policy.rules.figures.of(rule, *own)
+        let own = rule.grade.thresholds().iter().find(|own| own.unit == unit).expect("a threshold");
+        options.policy.rules.thresholds.of(rule, *own)
     };
-    let late = Figure { unit: Unit::Second, warning: 3e-3, error: 10e-3 };
-    assert_eq!(figure("LAT001", Unit::Second), late);
-    assert_eq!(figure("FRM002", Unit::Metre).error, 6e-3);
-    assert_eq!(figure("FRM003", Unit::Metre).error, 5e-3);
+    let late = Threshold { unit: Unit::Second, warning: 3e-3, error: 10e-3 };
+    assert_eq!(threshold("LAT001", Unit::Second), late);
+    assert_eq!(threshold("FRM002", Unit::Metre).error, 6e-3);
+    assert_eq!(threshold("FRM003", Unit::Metre).error, 5e-3);
     assert_eq!(options.policy.rules.severities, [("LAT001", Severity::Warning)]);
     let mot002 = find("MOT002").expect("a rule");
-    assert_eq!(options.policy.rules.figures.limit(mot002, &mot002.limits[0]), 30.0);
+    assert_eq!(options.policy.rules.thresholds.limit(mot002, &mot002.limits[0]), 30.0);
 }
 
 #[test]
@@ -142,12 +142,15 @@ fn awake(template: &str) -> String {
 fn a_template_can_be_read_with_and_without_its_comments() {
     let report = crate::report::Report::of_log(Default::default(), Vec::new(), Vec::new());
     let text = template(&report);
-    assert_eq!(config(&text).expect("a config").options().policy.rules.figures, Default::default());
+    assert_eq!(
+        config(&text).expect("a config").options().policy.rules.thresholds,
+        Default::default()
+    );
     let all = awake(&text).replace("\"my_arm.urdf\"", "\"ur5e\"");
     let options = config(&all).expect("a config").options();
     for rule in registry() {
-        for own in rule.grade.figures() {
-            let set = options.policy.rules.figures.of(rule, *own);
+        for own in rule.grade.thresholds() {
+            let set = options.policy.rules.thresholds.of(rule, *own);
             let is_own = |a: f64, b: f64| (a / b - 1.0).abs() < 1e-9;
             let same = is_own(set.warning, own.warning) && is_own(set.error, own.error);
             assert!(same, "{} {set:?}", rule.code);

@@ -74,11 +74,11 @@ pub struct Observability {
 /// A change of the parameters that a log hardly shows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BlindDirection {
-    /// The parameters that take part with their weights, in units of each one's figure; the greatest
+    /// The parameters that take part with their weights, in units of each one's threshold; the greatest
     /// weight, which is 1 or −1, first.
     pub parameters: Vec<(Parameter, f64)>,
     /// By how many standard deviations the log moves where the parameters change by their weights
-    /// times their figures, over the root of the sum of squares of the weights.
+    /// times their thresholds, over the root of the sum of squares of the weights.
     pub singular_value: f64,
 }
 
@@ -119,14 +119,14 @@ impl Observability {
     }
 
     /// The directions, orthogonal to those that no log shows, in which a change of the parameters by
-    /// their figures moves the log by less than `least` standard deviations.
+    /// their thresholds moves the log by less than `least` standard deviations.
     ///
-    /// `figure` is the amount of each parameter that matters, in its unit.
-    pub fn blind(&self, figure: impl Fn(Parameter) -> f64, least: f64) -> Vec<BlindDirection> {
-        let figures: Vec<f64> = self.parameters.iter().map(|&one| figure(one)).collect();
-        let n = figures.len();
+    /// `threshold` is the amount of each parameter that matters, in its unit.
+    pub fn blind(&self, threshold: impl Fn(Parameter) -> f64, least: f64) -> Vec<BlindDirection> {
+        let thresholds: Vec<f64> = self.parameters.iter().map(|&one| threshold(one)).collect();
+        let n = thresholds.len();
         let scaled = |matrix: &DMatrix<f64>| {
-            DMatrix::from_fn(n, n, |i, j| matrix[(i, j)] * figures[i] * figures[j])
+            DMatrix::from_fn(n, n, |i, j| matrix[(i, j)] * thresholds[i] * thresholds[j])
         };
         let information = scaled(&self.information);
         let possible = scaled(&self.possible);

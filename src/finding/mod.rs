@@ -20,9 +20,9 @@ pub use unit::{Unit, rounded};
 pub enum Severity {
     /// Worth knowing; nothing is wrong.
     Info,
-    /// Wrong, by more than the rule's first figure.
+    /// Wrong, by more than the rule's first threshold.
     Warning,
-    /// Wrong, by more than the rule's second figure, or a fault that has no amount.
+    /// Wrong, by more than the rule's second threshold, or a fault that has no amount.
     Error,
 }
 
@@ -288,9 +288,9 @@ pub struct Fault {
     pub severity: Severity,
     /// What is wrong, with the amounts that mend it.
     pub cause: Cause,
-    /// The fault in a few words, without figures.
+    /// The fault in a few words, without amounts.
     pub title: &'static str,
-    /// The fault in one clause: lower-case start, no final period, the figure with its unit.
+    /// The fault in one clause: lower-case start, no final period, the amount with its unit.
     pub message: String,
     /// What it rests on.
     pub evidence: Evidence,
@@ -348,7 +348,7 @@ pub struct Finding {
     pub severity: Severity,
     /// The fault in a few words.
     pub title: &'static str,
-    /// The fault in one clause, with its figure.
+    /// The fault in one clause, with its amount.
     pub message: String,
     /// What is at fault.
     pub subject: Subject,

@@ -14,8 +14,8 @@ use super::placement::{Placement, metres_by_reach};
 use super::placing::spread;
 use super::prepare::{Prepared, as_rotations, prepare, stream_lag_s, stream_peaks};
 use super::{
-    ArmDiagnosis, JointDiagnosis, JointOffset, JointReading, JointScale, PoseDiagnosis, PoseStream,
-    Residual, Seen, Unseen,
+    ArmDiagnosis, JointDiagnosis, JointOffset, JointReading, JointScale, JointUnit, PoseDiagnosis,
+    PoseStream, Residual, Seen, Unseen,
 };
 use crate::geometry::Vec3;
 use crate::robot::JointKind;
@@ -128,7 +128,7 @@ const SAME_FACTOR: f64 = 2e-3;
 const FAR_BETTER: f64 = 5.0;
 /// Degrees that the joints' ranges speak for must leave so many times less.
 const PARTLY_BETTER: f64 = 3.0;
-/// What is left counts as explained below this, rms m and rad beyond the noise: MDL001's figures.
+/// What is left counts as explained below this, rms m and rad beyond the noise: MDL001's thresholds.
 const EXPLAINED_M: f64 = 1e-3;
 const EXPLAINED_RAD: f64 = 1.75e-3;
 /// A reading of the joints may leave this share of the motion's extent, or so much, m.

@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Matrix6, Vector6};
 
 /// Poses that the closed form uses.
 pub(super) const POSES: usize = 150;
-/// A length and an angle that count the same, m and rad: the figures of a hand-eye chain.
+/// A length and an angle that count the same, m and rad: the thresholds of a hand-eye chain.
 const M_PER_RAD: f64 = 2e-3 / (0.2 * std::f64::consts::PI / 180.0);
 
 /// The camera in what carries it and the constant that the chain closes on.

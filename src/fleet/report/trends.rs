@@ -12,7 +12,7 @@ use crate::time::seconds;
 /// What counts as movement is told with this confidence, shared among all that was asked.
 const SURE: f64 = 0.999;
 
-/// What moves by a smaller share of the rule's first figure over all its runs does not matter.
+/// What moves by a smaller share of the rule's first threshold over all its runs does not matter.
 const MATERIAL: f64 = 0.1;
 
 /// A day in seconds.
@@ -59,7 +59,7 @@ pub enum Course {
     Creeps,
     /// It went up or down between two runs.
     Stepped,
-    /// It does not move by as much as the rule's first figure.
+    /// It does not move by as much as the rule's first threshold.
     Steady,
     /// The runs do not tell.
     Untold,
@@ -117,7 +117,7 @@ pub struct TrendRow {
     pub step: Option<Moved>,
     /// The last log before the step and the first after it, ns as decimal strings.
     pub step_between_ns: Option<[String; 2]>,
-    /// The rule's first figure for it.
+    /// The rule's first threshold for it.
     pub figure: Option<f64>,
     /// When it reaches that, if it goes on so, ns as a decimal string; the time of the last log where it
     /// is there already.
@@ -215,7 +215,7 @@ fn course(found: &Trend, figure: Option<f64>, span_s: f64, asked: usize) -> Cour
 /// The first figure of a rule for amounts of this unit.
 fn figure(code: &str, unit: &str) -> Option<f64> {
     let rule = checks::find(code).ok()?;
-    let figures = rule.grade.figures();
+    let figures = rule.grade.thresholds();
     figures.iter().find(|figure| figure.unit.symbol() == unit).map(|figure| figure.warning)
 }
 
