@@ -18,6 +18,11 @@
 //! [`robot`] feeds the diagnosis; [`stream`], [`geometry`] and [`time`] are the ground floor.
 //! Beside it, [`desk`] says what single poses are.
 #![warn(missing_docs)]
+// What only the outputs read.
+#![cfg_attr(
+    not(all(feature = "fix", feature = "recording", feature = "tables")),
+    allow(dead_code, unused_imports)
+)]
 
 #[cfg(test)]
 mod any_log;
@@ -32,6 +37,7 @@ pub mod corrections;
 pub mod desk;
 pub mod diagnosis;
 pub mod finding;
+#[cfg(feature = "tables")]
 pub mod fleet;
 pub mod geometry;
 pub mod log;
