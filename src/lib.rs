@@ -18,10 +18,9 @@
 //! [`robot`] feeds the diagnosis; [`stream`], [`geometry`] and [`time`] are the ground floor.
 //! Beside it, [`desk`] says what single poses are.
 #![warn(missing_docs)]
-// What only the outputs read.
 #![cfg_attr(
     not(all(feature = "fix", feature = "recording", feature = "tables")),
-    allow(dead_code, unused_imports)
+    allow(dead_code, unused_imports, reason = "the outputs read it")
 )]
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! Every output of every command against every input: nothing that is read, and nothing that was there
 //! before and could not be replaced whole, is lost.
+#![allow(unsafe_code, reason = "limits and signals of a child")]
 #![cfg(unix)]
 
 use std::collections::BTreeMap;

@@ -109,6 +109,7 @@ fn main() -> Result<()> {
 }
 
 /// Reads a file as the floor does.
+#[allow(unsafe_code, reason = "the floor maps a file")]
 fn floor(path: &Path) -> Result<()> {
     let file = std::fs::File::open(path)?;
     // SAFETY: nobody else writes the benchmark's own log.

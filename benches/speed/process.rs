@@ -97,6 +97,7 @@ fn anonymous(child: &Child) -> Result<f64> {
 }
 
 /// Processor time of all children that have ended, s.
+#[allow(unsafe_code, reason = "the kernel is asked what a process took")]
 fn children_s() -> f64 {
     // SAFETY: an all-zero `rusage` is a valid one, and the call writes nothing else.
     let usage = unsafe {

@@ -6,33 +6,29 @@ use rayon::prelude::*;
 
 use super::Options;
 use super::estimate::Diagnosis;
-use super::facts::span_of;
 use crate::checks::{
-    ArmFacts, Declared, EulerFacts, ImuFacts, JointFacts, JointMotion, PoseFacts, ShakeFacts,
+    ArmFacts, Declared, EulerFacts, ImuFacts, JointFacts, JointMotion, Of, PoseFacts, ShakeFacts,
 };
 use crate::diagnosis::{
-    ArmDiagnosis, JointOffset, NoShake, PoseDiagnosis, Reading, Series, Shake, Unseen, abruptness,
-    beyond_positions, beyond_speed, proof, proof_of_imu, shake,
+    ArmDiagnosis, JointDiagnosis, JointOffset, NoShake, PoseDiagnosis, Reading, Series, Shake,
+    Unseen, abruptness, beyond_positions, beyond_speed, proof, proof_of_imu, shake,
 };
-use crate::finding::Span;
-use crate::geometry::{AngleUnit, LengthScale};
+use crate::finding::{Span, Subject};
+use crate::geometry::{AngleUnit, Coding};
 use crate::robot::JointKind;
 use crate::run::{
-    Arm, Coding, Declaration, JointMending, JointSamples, PoseSource, Run, Velocities, Witness,
+    Arm, Declaration, JointMending, JointSamples, PoseSource, Run, Velocities, Witness,
 };
 use crate::stream::{Columns, JointTrack, Orientations, PoseTrack};
 
 pub(super) fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, options: &Options) -> ArmFacts {
     let joints_stream = arm.joint_facts.first().map_or(0, |facts| facts.stream);
-    let whole = run.span.unwrap_or((run.origin, run.origin));
-    let whole = Span { start: whole.0, end: whole.1 };
-    let mended = diagnosis.arm.corrected_joints(&arm.joints, &arm.slides());
-    let is_read = !matches!(diagnosis.arm.joints, Err(Unseen::NotExcited));
+    let ArmDiagnosis { joints: found, streams } = diagnosis.arm;
+    let mended = found.corrected_joints(&arm.joints, &arm.slides());
+    let is_read = !matches!(found.reading, Err(Unseen::NotExcited));
     let most_lag_s = options.run.max_latency_s;
-    let pose_facts = |source: &PoseSource, found: &PoseDiagnosis| PoseFacts {
-        proof: proof(&arm.joints, &mended, &run.pose_stream(source), found),
-        topic: run.streams[source.stream].topic.clone(),
-        span: span_of(run, source.stream).unwrap_or(whole),
+    let pose_facts = |source: &PoseSource, found: PoseDiagnosis, euler| PoseFacts {
+        proof: proof(&arm.joints, &mended, &run.pose_stream(source), &found),
         reference: if source.reference_known {
             source.chain.base_name().to_owned()
         } else {
@@ -42,39 +38,35 @@ pub(super) fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, options: &Op
         tip: source.chain.tip_name().to_owned(),
         tip_named: source.tip_named,
         witness: run.streams[source.stream].witness.unwrap_or(Witness::Unknown),
-        euler: None,
+        euler,
         independent: !source.stamps_copied,
         bare_numbers: matches!(source.track.orientation, Orientations::Numbers(_)),
         bare: source.track.declared.is_none()
             && matches!(run.streams[source.stream].columns, Some(Columns::Array(_))),
         declared: source.track.declared.as_ref().map(|units| Declared {
-            angles: units.in_other_angles.is_some().then_some(match units.degrees {
-                true => AngleUnit::Degree,
-                false => AngleUnit::Radian,
-            }),
-            lengths: if units.millimetres { LengthScale::MILLIMETRE } else { LengthScale::METRE },
+            angles: units.in_other_angles.is_some().then_some(units.angle),
+            lengths: units.length,
         }),
+        diagnosis: found,
     };
-    let tf = arm.tf.as_ref().ok().zip(diagnosis.tf);
     let imus = arm.imus.iter().zip(diagnosis.imus).map(|(source, diagnosis)| {
-        let facts = ImuFacts {
-            topic: run.streams[source.stream].topic.clone(),
-            span: span_of(run, source.stream).unwrap_or(whole),
+        let found = ImuFacts {
             independent: !source.stamps_copied,
             link: source.chain.tip_name().to_owned(),
             link_from_imu: source.link_from_imu.map(|pose| pose.rotation),
             proof: is_read
                 .then(|| proof_of_imu(&mended, &source.as_stream(), &diagnosis, most_lag_s))
                 .flatten(),
+            diagnosis,
         };
-        (facts, diagnosis)
+        of(run, arm, source.stream, found)
     });
     let samples = run.joint_samples(&arm.joint_facts);
     let samples = match &arm.recorded {
         Some((_, mending)) => mending.mended_samples(&samples),
         None => samples,
     };
-    let (samples, track) = match mending(arm, &diagnosis.arm) {
+    let (samples, track) = match mending(arm, &found) {
         Some(mending) => {
             (mending.mended_samples(&samples), Cow::Owned(mending.mended(&arm.joints)))
         }
@@ -83,46 +75,63 @@ pub(super) fn arm_facts(run: &Run, arm: &Arm, diagnosis: Diagnosis, options: &Op
     let joints: Vec<usize> = (0..arm.joint_names.len()).collect();
     let joint = |&joint: &usize| joint_facts(run, arm, joint, &samples[joint], &track);
     let joints = joints.par_iter().map(joint).collect();
-    let mut shakes = vec![ShakeFacts {
-        topic: run.streams[joints_stream].topic.clone(),
-        span: span_of(run, joints_stream).unwrap_or(whole),
-        in_other_units: false,
-        shake: shake_of_joints(arm, &samples, &track),
-    }];
-    shakes.extend(arm.poses.iter().zip(&diagnosis.arm.streams).map(|(source, found)| ShakeFacts {
-        topic: run.streams[source.stream].topic.clone(),
-        span: span_of(run, source.stream).unwrap_or(whole),
-        in_other_units: matches!(found.length, Ok(Some(_))),
-        shake: shake_of_poses(&source.track, found),
-    }));
-    let poses = arm.poses.iter().zip(&diagnosis.arm.streams).map(|(source, found)| PoseFacts {
-        euler: euler(run, source, found, &options.run.declared),
-        ..pose_facts(source, found)
-    });
-    let poses = poses.collect();
+    let of_joints =
+        ShakeFacts { in_other_units: false, shake: shake_of_joints(arm, &samples, &track) };
+    let mut shakes = vec![of(run, arm, joints_stream, of_joints)];
+    let mut poses = Vec::new();
+    for (source, found) in arm.poses.iter().zip(streams) {
+        let in_other_units = matches!(found.length, Ok(Some(_)));
+        let shake = shake_of_poses(&source.track, &found);
+        shakes.push(of(run, arm, source.stream, ShakeFacts { in_other_units, shake }));
+        let euler = euler(run, source, &found, &options.run.declared);
+        poses.push(of(run, arm, source.stream, pose_facts(source, found, euler)));
+    }
+    let tf = arm.tf.as_ref().ok().zip(diagnosis.tf);
+    let tf = tf.map(|(source, found)| of(run, arm, source.stream, pose_facts(source, found, None)));
     ArmFacts {
         name: arm.name.clone(),
         joints_topic: run.streams[joints_stream].topic.clone(),
-        span: span_of(run, joints_stream).unwrap_or(whole),
+        span: span_in(run, joints_stream),
         joints,
         reach_m: arm.chain.max_reach_m(),
         wrong_model: arm.instead_of.clone(),
         dh: diagnosis.dh,
-        diagnosis: diagnosis.arm,
+        diagnosis: found,
         poses,
-        tf: tf.into_iter().map(|(source, found)| (pose_facts(source, &found), found)).collect(),
+        tf,
         shakes,
         imus: imus.collect(),
         references: Vec::new(),
     }
 }
 
+/// What was found on a stream of an arm: with its topic for a subject, whatever frame it is of.
+pub(super) fn of<T>(run: &Run, arm: &Arm, stream: usize, found: T) -> Of<T> {
+    let (robot, topic) = (Some(arm.name.clone()), Some(run.streams[stream].topic.clone()));
+    let subject = Subject { robot, topic, ..Subject::default() };
+    Of { subject, span: Some(span_in(run, stream)), found }
+}
+
+/// First and last stamp of a stream.
+pub(super) fn span_of(run: &Run, stream: usize) -> Option<Span> {
+    let stream = run.streams.get(stream)?;
+    Some(Span { start: stream.start?, end: stream.end? })
+}
+
+/// First and last stamp of a stream, else of the run.
+fn span_in(run: &Run, stream: usize) -> Span {
+    span_of(run, stream).unwrap_or_else(|| {
+        let (start, end) = run.span.unwrap_or((run.origin, run.origin));
+        Span { start, end }
+    })
+}
+
 /// What makes the joint states those that the arm has, where they are far from that: how the arm moves
 /// is not told by numbers that are no positions.
-fn mending(arm: &Arm, found: &ArmDiagnosis) -> Option<JointMending> {
+fn mending(arm: &Arm, found: &JointDiagnosis) -> Option<JointMending> {
     /// A smaller zero changes neither speeds nor what a limit says of them, rad or m.
     const FAR: f64 = 0.1;
-    let reading = found.joints.as_ref().ok()?;
+    let reading = found.reading.as_ref().ok()?;
     let zero = |(joint, offset): (usize, &JointOffset)| {
         let coded = found.scales.iter().find(|scale| scale.column == joint && scale.is_coded());
         let own = offset.offset.as_ref().ok().filter(|_| offset.chosen).map_or(0.0, |it| it.value);
@@ -238,7 +247,8 @@ fn euler(
         _ => None,
     });
     let convention = told.or(said);
-    let in_degrees = declared.is_some_and(|declared| declared.degrees) != found.degrees.is_some();
+    let in_degrees = declared.is_some_and(|declared| declared.angle == AngleUnit::Degree)
+        != found.degrees.is_some();
     let to_radians = if in_degrees { 1_f64.to_radians() } else { 1.0 };
     let margin = |row: usize| {
         let numbers = array.row(row);

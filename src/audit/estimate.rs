@@ -116,7 +116,7 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
     let together = together(arm);
     let mut diagnosis =
         diagnose_steadied(&arm.joints, &streams[..together], &arm.slides(), most_lag_s);
-    let corrected = diagnosis.corrected_joints(&arm.joints, &arm.slides());
+    let corrected = diagnosis.joints.corrected_joints(&arm.joints, &arm.slides());
     let alone = (together..streams.len()).into_par_iter().map(|index| {
         let same = (0..together).find(|&of| arm.poses[index].is_copy_of(&arm.poses[of]));
         match same {
@@ -126,7 +126,7 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
     });
     let alone: Vec<PoseDiagnosis> = alone.collect();
     diagnosis.streams.extend(alone);
-    let reading = diagnosis.joints.as_ref().ok();
+    let reading = diagnosis.joints.reading.as_ref().ok();
     let derived = |stream: &PoseStream| {
         let left = |found: &PoseDiagnosis| {
             found.residual.as_ref().map_or(f64::INFINITY, Residual::together_m)
@@ -154,7 +154,7 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
             }
         })
     };
-    let imu = |source: &ImuSource| match &diagnosis.joints {
+    let imu = |source: &ImuSource| match &diagnosis.joints.reading {
         // No reading of the joint states fits the poses, so that FK of them tells nothing.
         Err(Unseen::NotExcited) => {
             ImuDiagnosis::unseen(&Unseen::RestsOn("the order and the unit of the joint positions"))
@@ -168,6 +168,6 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
 /// The joint states of an arm with what was found on them taken off; `None` where no reading of them
 /// fits the arm's poses.
 pub(super) fn readable_joints(arm: &Arm, found: &ArmDiagnosis) -> Option<JointTrack> {
-    let is_unread = matches!(found.joints, Err(Unseen::NotExcited));
-    (!is_unread).then(|| found.corrected_joints(&arm.joints, &arm.slides()))
+    let is_unread = matches!(found.joints.reading, Err(Unseen::NotExcited));
+    (!is_unread).then(|| found.joints.corrected_joints(&arm.joints, &arm.slides()))
 }

@@ -1,6 +1,6 @@
 //! What the rules judge of a run's streams.
 
-use super::arms::arm_facts;
+use super::arms::{arm_facts, span_of};
 use super::estimate::Diagnosis;
 use super::{Options, Read};
 use crate::checks::{
@@ -8,7 +8,7 @@ use crate::checks::{
     Undecodable, UndecodableTopic, UnusableFacts,
 };
 use crate::diagnosis::{ArmDiagnosis, Unseen};
-use crate::finding::{Span, Subject};
+use crate::finding::Subject;
 use crate::robot::{JointKind, RobotError};
 use crate::run::{
     Arm, Frozen, Norms, PoseSource, Role, Run, Stream, TopicSettings, Unaudited, WhyNot,
@@ -399,9 +399,4 @@ fn missing(run: &Run, topics: &[TopicSettings]) -> Vec<(Subject, String)> {
     let missing = topics.iter().filter(|said| said.is_expected() && !is_there(said));
     let subject = |topic: &str| Subject { topic: Some(topic.to_owned()), ..Subject::default() };
     missing.map(|said| (subject(&said.topic), said.place.clone())).collect()
-}
-
-pub(super) fn span_of(run: &Run, stream: usize) -> Option<Span> {
-    let stream = run.streams.get(stream)?;
-    Some(Span { start: stream.start?, end: stream.end? })
 }

@@ -251,7 +251,7 @@ impl Part {
         let hand_eyes = hand_eyes(&run, joints, options.run.max_latency_s);
         let mut facts = Facts { hand_eyes, ..facts(&run, diagnoses, read, options) };
         for (index, arm) in facts.robots.iter_mut().enumerate() {
-            arm.references = references(&run, index, &arm.diagnosis, options.run.max_latency_s);
+            arm.references = references(&run, index, arm, options.run.max_latency_s);
         }
         let evaluation = evaluate(&facts, &options.policy.rules);
         Ok(Self { run, facts, evaluation, seconds })

@@ -3,10 +3,10 @@
 use rayon::prelude::*;
 
 use super::facts::frame_of_several;
-use crate::checks::{ArmFacts, Facts, ImuFacts, PoseFacts, reading_names};
+use crate::checks::{ArmFacts, Facts, ImuFacts, Of, PoseFacts, reading_names};
 use crate::diagnosis::{
-    ImuDiagnosis, LatencyCourse, Measured, PoseDiagnosis, Reading, ReadingEstimate, Residuals,
-    Seen, residual_by_latency, turning_by_latency,
+    LatencyCourse, Measured, Reading, ReadingEstimate, Residuals, Seen, residual_by_latency,
+    turning_by_latency,
 };
 use crate::report::figures::{
     CoursePoint, Figures, FrameEdge, FrameEdgeKind, ImuFigure, PoseFigure, ReadingScore, Silence,
@@ -39,16 +39,16 @@ pub(crate) fn figures(
     };
     for (arm, facts) in run.arms.iter().zip(&facts.robots) {
         let corrected = corrected(arm, facts);
-        let streams: Vec<_> = arm.poses.iter().zip(facts.poses()).enumerate().collect();
-        let drawn = streams.into_par_iter().filter_map(|(index, (source, (stream, found)))| {
-            let is_drawn = index < DRAWN || is_told(&stream.topic);
-            is_drawn.then(|| pose(&clock, &corrected, source, facts, stream, found))
+        let streams: Vec<_> = arm.poses.iter().zip(&facts.poses).enumerate().collect();
+        let drawn = streams.into_par_iter().filter_map(|(index, (source, stream))| {
+            let is_drawn = index < DRAWN || is_told(stream.topic());
+            is_drawn.then(|| pose(&clock, &corrected, source, facts, stream))
         });
         figures.poses.par_extend(drawn);
-        for (source, (stream, found)) in arm.tf.iter().zip(&facts.tf) {
+        for (source, stream) in arm.tf.iter().zip(&facts.tf) {
             // What publishes the log's transforms knows of no correction.
             let joints = arm.recorded.as_ref().map_or(&arm.joints, |(recorded, _)| recorded);
-            let drawn = pose(&clock, joints, source, facts, stream, found);
+            let drawn = pose(&clock, joints, source, facts, stream);
             figures.poses.push(PoseFigure { is_derived: true, ..drawn });
         }
         figures.imus.extend(imus(&clock, &corrected, arm, facts));
@@ -89,9 +89,9 @@ fn pose(
     joints: &JointTrack,
     source: &PoseSource,
     arm: &ArmFacts,
-    facts: &PoseFacts,
-    found: &PoseDiagnosis,
+    facts: &Of<PoseFacts>,
 ) -> PoseFigure {
+    let found = &facts.diagnosis;
     let aligned = &found.aligned;
     let before = if facts.reference_known { aligned.before() } else { Residuals::default() };
     let after = aligned.after();
@@ -99,7 +99,7 @@ fn pose(
     let valley = residual_by_latency(joints, &stream, found).into_iter();
     PoseFigure {
         robot: arm.name.clone(),
-        topic: facts.topic.clone(),
+        topic: facts.topic().to_owned(),
         is_derived: false,
         t_s: aligned.t_s.iter().map(|&t_s| clock.of_origin_s(t_s)).collect(),
         before_m: before.m,
@@ -134,13 +134,14 @@ fn scores(reading: &Seen<ReadingEstimate>) -> Vec<ReadingScore> {
 fn imus(clock: &Clock, joints: &JointTrack, arm: &Arm, facts: &ArmFacts) -> Vec<ImuFigure> {
     /// Correlations are shown this far beyond twice the latency, s.
     const BESIDE_S: f64 = 0.08;
-    let figure = |source: &ImuSource, imu: &ImuFacts, found: &ImuDiagnosis| {
+    let figure = |(source, imu): (&ImuSource, &Of<ImuFacts>)| {
+        let found = &imu.diagnosis;
         let most_s = found.latency_s.as_ref().map(|latency| 2.0 * latency.value.abs() + BESIDE_S);
         let curve = most_s.map(|most_s| turning_by_latency(joints, &source.as_stream(), most_s));
         let (yaw_error, headings) = (found.yaw_error.iter(), found.headings.iter());
         ImuFigure {
             robot: facts.name.clone(),
-            topic: imu.topic.clone(),
+            topic: imu.topic().to_owned(),
             yaw_error: yaw_error.map(|&(t_s, rad)| [clock.of_origin_s(t_s), rad]).collect(),
             headings: headings
                 .map(|at| [clock.of_origin_s(at.t_s), at.imu_rad, at.fk_rad])
@@ -154,8 +155,7 @@ fn imus(clock: &Clock, joints: &JointTrack, arm: &Arm, facts: &ArmFacts) -> Vec<
             readings: scores(&found.reading),
         }
     };
-    let imus = arm.imus.iter().zip(&facts.imus);
-    imus.map(|(source, (imu, found))| figure(source, imu, found)).collect()
+    arm.imus.iter().zip(&facts.imus).map(figure).collect()
 }
 
 fn timeline(clock: &Clock) -> Vec<TimelineRow> {

@@ -1,21 +1,21 @@
 //! What joins the commands of a run to the diagnosis of what an arm made of them, and that to facts.
 
-use crate::checks::{ReferenceFacts, ReferenceWitness, WitnessKind};
+use super::arms::{of, span_of};
+use crate::checks::{ArmFacts, Of, ReferenceFacts, ReferenceWitness, WitnessKind};
 use crate::diagnosis::{
-    Aligned, ArmDiagnosis, CommandedArm, Commands, PoseDiagnosis, PoseSeries, ReferenceDiagnosis,
-    Seen, diagnose_reference, unnamed_order,
+    Aligned, CommandedArm, Commands, PoseDiagnosis, PoseSeries, ReferenceDiagnosis, Seen,
+    diagnose_reference, unnamed_order,
 };
-use crate::finding::Span;
 use crate::geometry::Pose;
 use crate::run::{Arm, PoseSource, ReferenceContent, ReferenceSource, Run};
 
-/// Diagnoses the commands to arm `index`, of which `found` was found before.
+/// Diagnoses the commands to arm `index`, of which `facts` were found before.
 pub(crate) fn references(
     run: &Run,
     index: usize,
-    found: &ArmDiagnosis,
+    facts: &ArmFacts,
     most_lag_s: f64,
-) -> Vec<ReferenceFacts> {
+) -> Vec<Of<ReferenceFacts>> {
     let Some(arm) = run.arms.get(index) else { return Vec::new() };
     let sources: Vec<&ReferenceSource> =
         run.references.iter().filter(|source| source.arm == index).collect();
@@ -28,11 +28,10 @@ pub(crate) fn references(
         kind: WitnessKind::Kinematics,
     };
     let of_joints = [(kinematics, by_kinematics)];
-    let streams = arm.poses.iter().zip(&found.streams);
+    let streams = arm.poses.iter().zip(&facts.poses);
     let of_streams: Vec<(ReferenceWitness, PoseSeries)> =
-        streams.flat_map(|(source, found)| of_stream(run, arm, source, found)).collect();
+        streams.flat_map(|(source, of)| of_stream(run, arm, source, &of.diagnosis)).collect();
     let facts = sources.into_iter().map(|source| {
-        let stream = &run.streams[source.stream];
         let (is_of_joints, tip_named, frame_named) = match &source.content {
             Ok(ReferenceContent::Poses { tip_named, frame_named, .. }) => {
                 (false, *tip_named, *frame_named)
@@ -44,18 +43,17 @@ pub(crate) fn references(
         let others = if is_of_joints { [].as_slice() } else { of_streams.as_slice() };
         let (witnesses, series): (Vec<ReferenceWitness>, Vec<PoseSeries>) =
             of_joints.iter().chain(others).cloned().unzip();
-        ReferenceFacts {
-            topic: stream.topic.clone(),
-            span: stream.start.zip(stream.end).map(|(start, end)| Span { start, end }),
+        let found = ReferenceFacts {
             is_of_joints,
             tip_named,
             frame_named,
             witnesses,
-            found: match &source.content {
+            diagnosis: match &source.content {
                 Ok(content) => diagnose(arm, content, &series, most_lag_s),
                 Err(why) => Err(why.clone()),
             },
-        }
+        };
+        Of { span: span_of(run, source.stream), ..of(run, arm, source.stream, found) }
     });
     facts.collect()
 }

@@ -2,9 +2,9 @@
 //! only where the smallest explanation needs it.
 
 use crate::checks::decision::{Decision, Figure, decide, unseen};
-use crate::checks::{ArmFacts, Facts, Judged, Rule};
+use crate::checks::{ArmFacts, Facts, Judged, Of, Rule};
 use crate::diagnosis::{Measured, Seen};
-use crate::finding::{Estimate, Fault, Outcome, Severity, Span};
+use crate::finding::{Estimate, Fault, Outcome, Severity};
 
 /// An amount, and how its rule words it.
 pub struct Amount {
@@ -15,15 +15,11 @@ pub struct Amount {
     /// What would tell where it could not be had.
     pub settle: &'static str,
     /// The fault.
-    pub fault: fn(&ArmFacts, &Estimated<'_>, &Measured, Severity) -> Fault,
+    pub fault: fn(&ArmFacts, &Of<Estimated<'_>>, &Measured, Severity) -> Fault,
 }
 
 /// What is known of an amount on one stream.
 pub struct Estimated<'a> {
-    /// The stream's topic.
-    pub topic: &'a str,
-    /// The span of its stamps.
-    pub span: Span,
     /// The amount.
     pub estimate: &'a Seen<Measured>,
     /// Whether the smallest explanation contains it.
@@ -34,12 +30,18 @@ pub struct Estimated<'a> {
 
 impl Amount {
     /// Judges the amount on one stream of `arm` for `rule`.
-    pub fn judge(&self, rule: &Rule, facts: &Facts, arm: &ArmFacts, on: Estimated<'_>) -> Judged {
+    pub fn judge(
+        &self,
+        rule: &Rule,
+        facts: &Facts,
+        arm: &ArmFacts,
+        on: &Of<Estimated<'_>>,
+    ) -> Judged {
         let (figure, subjects) = (facts.figures.of(rule, self.figure), facts.subjects());
-        let (subject, settle) = (arm.topic(on.topic), self.settle);
+        let settle = self.settle;
         let found = match on.estimate {
             Ok(found) => found,
-            Err(why) => return Judged::new(subject, unseen(why, settle)).within(on.span),
+            Err(why) => return on.judged(unseen(why, settle)),
         };
         let open = |why: String| Outcome::Inconclusive(format!("{why}; {settle}"));
         let outcome = match (decide(found, &figure, subjects), &on.doubt) {
@@ -47,7 +49,7 @@ impl Amount {
             (Decision::Undecided(why), _) => open(why),
             (Decision::Fail(_), Some(why)) => Outcome::Inconclusive(why.clone()),
             (Decision::Fail(severity), None) if on.is_chosen => {
-                Outcome::faulty((self.fault)(arm, &on, found, severity))
+                Outcome::faulty((self.fault)(arm, on, found, severity))
             }
             (Decision::Fail(_), None) => {
                 let shown = self.figure.unit.show_signed(found);
@@ -55,6 +57,6 @@ impl Amount {
             }
         };
         let estimate = Estimate::amount(self.name, self.figure.unit, found);
-        Judged::new(subject, outcome).within(on.span).estimated(estimate)
+        on.judged(outcome).estimated(estimate)
     }
 }

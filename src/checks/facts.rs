@@ -2,11 +2,11 @@
 //!
 //! The pipeline fills these from `run` and `diagnosis`; the rules only read them.
 
-use std::ops::Deref;
+use std::ops::{Deref, DerefMut};
 
 use super::{Figures, Judged};
 use crate::diagnosis::{
-    Abruptness, ArmDiagnosis, DhEstimate, Excess, HandEyeDiagnosis, ImuDiagnosis, ImuProof,
+    Abruptness, DhEstimate, Excess, HandEyeDiagnosis, ImuDiagnosis, ImuProof, JointDiagnosis,
     JointScale, Mount, NoShake, PoseDiagnosis, Proof, ReferenceDiagnosis, Seen, Shake,
 };
 use crate::finding::{Outcome, Span, Subject, Unit};
@@ -82,18 +82,19 @@ impl Facts {
         format!("+{:.2} s", stamp.seconds_since(self.start.unwrap_or(stamp)))
     }
 
-    /// Every pose stream with its robot and what was estimated on it.
-    pub fn poses(&self) -> impl Iterator<Item = (&ArmFacts, &PoseFacts, &PoseDiagnosis)> {
-        self.robots
-            .iter()
-            .flat_map(|arm| arm.poses().map(move |(stream, found)| (arm, stream, found)))
+    /// Every pose stream with its robot.
+    pub fn poses(&self) -> impl Iterator<Item = (&ArmFacts, &Of<PoseFacts>)> {
+        self.robots.iter().flat_map(|arm| arm.poses.iter().map(move |stream| (arm, stream)))
     }
 
-    /// Every IMU with its robot and what was estimated on it.
-    pub fn imus(&self) -> impl Iterator<Item = (&ArmFacts, &ImuFacts, &ImuDiagnosis)> {
-        self.robots
-            .iter()
-            .flat_map(|arm| arm.imus.iter().map(move |(imu, found)| (arm, imu, found)))
+    /// Every pose stream and every /tf with its robot.
+    pub fn poses_and_tf(&self) -> impl Iterator<Item = (&ArmFacts, &Of<PoseFacts>)> {
+        self.robots.iter().flat_map(|arm| arm.poses_and_tf().map(move |stream| (arm, stream)))
+    }
+
+    /// Every IMU with its robot.
+    pub fn imus(&self) -> impl Iterator<Item = (&ArmFacts, &Of<ImuFacts>)> {
+        self.robots.iter().flat_map(|arm| arm.imus.iter().map(move |imu| (arm, imu)))
     }
 }
 
@@ -113,6 +114,23 @@ impl<T> Of<T> {
     pub(super) fn judged(&self, outcome: Outcome) -> Judged {
         Judged::new(self.subject.clone(), outcome).within(self.span)
     }
+
+    /// The topic of the stream.
+    pub fn topic(&self) -> &str {
+        self.subject.topic.as_deref().unwrap_or_default()
+    }
+
+    /// Length of its span, s; 0 without one.
+    pub fn seconds(&self) -> f64 {
+        self.span.map_or(0.0, |span| span.seconds())
+    }
+}
+
+impl<T> Of<T> {
+    /// Something else that was found on the same stream.
+    pub(super) fn with<U>(&self, found: U) -> Of<U> {
+        Of { subject: self.subject.clone(), span: self.span, found }
+    }
 }
 
 impl<T> Deref for Of<T> {
@@ -120,6 +138,12 @@ impl<T> Deref for Of<T> {
 
     fn deref(&self) -> &T {
         &self.found
+    }
+}
+
+impl<T> DerefMut for Of<T> {
+    fn deref_mut(&mut self) -> &mut T {
+        &mut self.found
     }
 }
 
@@ -140,34 +164,30 @@ pub struct ArmFacts {
     pub wrong_model: Option<WrongModel>,
     /// What its DH table says of itself and what the streams say of that, where it is one.
     pub dh: Option<DhFacts>,
-    /// What was estimated; its `streams` stand beside `poses`.
-    pub diagnosis: ArmDiagnosis,
-    /// The pose streams, one for each entry of `diagnosis.streams`.
-    pub poses: Vec<PoseFacts>,
+    /// What was estimated on its joints.
+    pub diagnosis: JointDiagnosis,
+    /// The pose streams, in the order that the twins of a joint offset count them.
+    pub poses: Vec<Of<PoseFacts>>,
     /// What /tf says of the tip, against FK of the joint states as recorded.
-    pub tf: Vec<(PoseFacts, PoseDiagnosis)>,
+    pub tf: Option<Of<PoseFacts>>,
     /// What shakes the tip, by the joint states and by each pose stream.
-    pub shakes: Vec<ShakeFacts>,
+    pub shakes: Vec<Of<ShakeFacts>>,
     /// The IMUs on the arm.
-    pub imus: Vec<(ImuFacts, ImuDiagnosis)>,
+    pub imus: Vec<Of<ImuFacts>>,
     /// What the arm was told.
-    pub references: Vec<ReferenceFacts>,
+    pub references: Vec<Of<ReferenceFacts>>,
 }
 
 impl ArmFacts {
     fn subjects(&self) -> usize {
-        let streams = self.poses.len() + self.tf.len() + self.imus.len() + self.references.len();
+        let poses = self.poses_and_tf().count();
+        let streams = poses + self.imus.len() + self.references.len();
         self.joints.len() + streams
     }
 
-    /// The pose streams, each with what was estimated on it.
-    pub fn poses(&self) -> impl Iterator<Item = (&PoseFacts, &PoseDiagnosis)> {
-        self.poses.iter().zip(&self.diagnosis.streams)
-    }
-
-    /// The pose streams and then /tf, each with what was estimated on it.
-    pub fn poses_and_tf(&self) -> impl Iterator<Item = (&PoseFacts, &PoseDiagnosis)> {
-        self.poses().chain(self.tf.iter().map(|(facts, diagnosis)| (facts, diagnosis)))
+    /// The pose streams and then /tf.
+    pub fn poses_and_tf(&self) -> impl Iterator<Item = &Of<PoseFacts>> {
+        self.poses.iter().chain(&self.tf)
     }
 
     /// Whose word the arm's pose streams are together: an outside witness stands out, and only where
@@ -183,7 +203,7 @@ impl ArmFacts {
 
     /// Largest speed of the tip by FK, m/s; 0 where no stream says.
     pub fn top_speed_m_s(&self) -> f64 {
-        self.poses_and_tf().map(|(_, diagnosis)| diagnosis.top_speed_m_s).fold(0.0, f64::max)
+        self.poses_and_tf().map(|stream| stream.diagnosis.top_speed_m_s).fold(0.0, f64::max)
     }
 
     /// The robot as a subject.
@@ -264,10 +284,6 @@ pub struct JointMotion {
 /// One stream of poses.
 #[derive(Clone, Debug)]
 pub struct PoseFacts {
-    /// Its topic.
-    pub topic: String,
-    /// First and last stamp.
-    pub span: Span,
     /// The frame that its poses are expressed in.
     pub reference: String,
     /// Whether that frame is tied to the robot; if not its pose is estimated and not judged.
@@ -291,6 +307,8 @@ pub struct PoseFacts {
     pub declared: Option<Declared>,
     /// How its rotations are coded, where they are three bare numbers.
     pub euler: Option<EulerFacts>,
+    /// What was estimated on it.
+    pub diagnosis: PoseDiagnosis,
 }
 
 /// Rotations that are coded as three numbers.
@@ -315,10 +333,6 @@ pub struct Declared {
 /// What one stream says of the tip's shake.
 #[derive(Clone, Debug)]
 pub struct ShakeFacts {
-    /// The stream's topic.
-    pub topic: String,
-    /// First and last stamp.
-    pub span: Span,
     /// Whether its positions are not the metres that they are taken for.
     pub in_other_units: bool,
     /// The shake, or why it does not tell.
@@ -328,10 +342,6 @@ pub struct ShakeFacts {
 /// One IMU.
 #[derive(Clone, Debug)]
 pub struct ImuFacts {
-    /// Its topic.
-    pub topic: String,
-    /// First and last stamp.
-    pub span: Span,
     /// Whether its stamps are its own, not copies of the joints'.
     pub independent: bool,
     /// The link that carries it.
@@ -340,15 +350,13 @@ pub struct ImuFacts {
     pub link_from_imu: Option<Rotation>,
     /// What it leaves straight against FK; `None` where it does not turn with the arm.
     pub proof: Option<ImuProof>,
+    /// What was estimated on it.
+    pub diagnosis: ImuDiagnosis,
 }
 
 /// One stream of commands.
 #[derive(Clone, Debug)]
 pub struct ReferenceFacts {
-    /// Its topic.
-    pub topic: String,
-    /// First and last stamp.
-    pub span: Option<Span>,
     /// Whether joints are commanded, and not poses.
     pub is_of_joints: bool,
     /// Whether the link that is commanded was named; if not it may be an active TCP.
@@ -358,7 +366,7 @@ pub struct ReferenceFacts {
     /// Who says where the tip was, one for each entry of the gaps and of a line's witnesses.
     pub witnesses: Vec<ReferenceWitness>,
     /// What was estimated; why the commands cannot be held against the arm, where they cannot.
-    pub found: Result<Seen<ReferenceDiagnosis>, String>,
+    pub diagnosis: Result<Seen<ReferenceDiagnosis>, String>,
 }
 
 /// Who says where the tip was.

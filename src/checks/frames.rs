@@ -3,7 +3,8 @@
 use serde_json::{Value, json};
 
 use crate::checks::decision::{DEGREE, Decision, Figure, FrameFigures, decide_frame, unseen};
-use crate::checks::{ArmFacts, Facts, Judged, PoseFacts, Rule, mdl001, zer001};
+use crate::checks::twins::zero_cause;
+use crate::checks::{ArmFacts, Facts, Judged, Of, PoseFacts, Rule, standing};
 use crate::diagnosis::{FrameEstimate, JointOffset, PoseDiagnosis, Seen, Twin};
 use crate::finding::{Alternative, Estimate, Fault, Outcome, Severity, Subject, Unit, rounded};
 use crate::geometry::{Pose, rotvec_from_rotation, xyz_of, xyzw_from_rotation};
@@ -26,22 +27,22 @@ pub struct End {
     /// Its estimate.
     pub estimate: fn(&PoseDiagnosis) -> &Seen<FrameEstimate>,
     /// The frame.
-    pub frame: fn(&PoseFacts) -> &str,
+    pub frame: fn(&Of<PoseFacts>) -> &str,
     /// Why the offset of this stream is none to judge, where it is none.
-    pub not_judged: fn(&PoseFacts) -> Option<String>,
+    pub not_judged: fn(&Of<PoseFacts>) -> Option<String>,
     /// The twin that it is to joint offsets, if it is one.
     pub is_twin: fn(&Twin, usize) -> bool,
     /// The fault.
-    pub fault: fn(&ArmFacts, &PoseFacts, &FrameEstimate, Severity) -> Fault,
+    pub fault: fn(&ArmFacts, &Of<PoseFacts>, &FrameEstimate, Severity) -> Fault,
 }
 
 /// Judges one end of every pose stream.
 pub fn judge(facts: &Facts, end: &End) -> Vec<Judged> {
     let streams = facts.robots.iter().flat_map(|arm| {
-        arm.poses().enumerate().map(move |(index, (stream, _))| (arm, index, stream))
+        arm.poses.iter().enumerate().map(move |(index, stream)| (arm, index, stream))
     });
     let judged = streams.map(|(arm, index, stream)| {
-        let subject = arm.frame(&stream.topic, (end.frame)(stream));
+        let subject = arm.frame(stream.topic(), (end.frame)(stream));
         judge_stream(facts, arm, index, end, subject).within(stream.span)
     });
     judged.collect()
@@ -54,7 +55,8 @@ fn judge_stream(
     end: &End,
     subject: Subject,
 ) -> Judged {
-    let (stream, diagnosis) = (&arm.poses[index], &arm.diagnosis.streams[index]);
+    let stream = &arm.poses[index];
+    let diagnosis = &stream.diagnosis;
     let figures = facts.figures.of_frames(end.rule, FIGURES);
     if let Some(why) = diagnosis.unread() {
         return Judged::new(subject, unseen(why, SETTLE));
@@ -75,7 +77,7 @@ fn judge_stream(
     let effect_m = frame.translation_m.value + frame.rotation_rad.value * arm.reach_m;
     let outcome = match (decide_frame(frame, &figures, facts.subjects()), not_judged) {
         (_, Some(why)) => Outcome::sound_because(why),
-        (Decision::Fail(severity), None) if frame.chosen => match mdl001::doubt(arm, effect_m) {
+        (Decision::Fail(severity), None) if frame.chosen => match standing::doubt(arm, effect_m) {
             Some(why) => Outcome::Inconclusive(why),
             None => {
                 let mut fault = (end.fault)(arm, stream, frame, severity);
@@ -95,7 +97,7 @@ fn judge_stream(
 }
 
 fn named_instead(arm: &ArmFacts, cause: &Alternative) -> Outcome {
-    if let Some(why) = mdl001::doubt(arm, 0.0) {
+    if let Some(why) = standing::doubt(arm, 0.0) {
         return Outcome::Inconclusive(why);
     }
     let (code, joint) = (cause.code, cause.subject.label());
@@ -119,7 +121,7 @@ fn twins<'a>(arm: &'a ArmFacts, end: &End, index: usize) -> Vec<(&'a JointOffset
     let offsets = arm.diagnosis.offsets.iter().enumerate();
     let same =
         offsets.filter(|(_, offset)| offset.twins.iter().any(|twin| (end.is_twin)(twin, index)));
-    same.map(|(joint, offset)| (offset, zer001::cause(arm, joint))).collect()
+    same.map(|(joint, offset)| (offset, zero_cause(arm, joint))).collect()
 }
 
 /// The two norms of a frame error with their intervals.

@@ -74,8 +74,9 @@ pub(super) fn agrees(facts: &Facts, tf: &PoseDiagnosis) -> bool {
 
 fn check(facts: &Facts) -> Vec<Judged> {
     let streams = facts.robots.iter().flat_map(|arm| arm.tf.iter().map(move |tf| (arm, tf)));
-    let judged = streams.map(|(arm, (stream, diagnosis))| {
-        let subject = arm.frame(&stream.topic, &stream.tip);
+    let judged = streams.map(|(arm, stream)| {
+        let diagnosis = &stream.diagnosis;
+        let subject = arm.frame(stream.topic(), &stream.tip);
         let found = match Disagreement::of(facts, diagnosis) {
             Ok(found) => found,
             Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(stream.span),
@@ -97,7 +98,7 @@ fn check(facts: &Facts) -> Vec<Judged> {
 /// What is wrong with the joint states as recorded, so that nothing computed from them, and no
 /// interpolation of them, can be judged.
 fn misread(arm: &ArmFacts) -> Option<&'static str> {
-    let joints = arm.diagnosis.joints.as_ref().ok()?;
+    let joints = arm.diagnosis.reading.as_ref().ok()?;
     match joints {
         joints if joints.degrees.is_some() => Some("units are wrong (ORD004)"),
         joints if joints.permutation.is_some() => Some("names are mixed up (ORD005)"),
@@ -138,12 +139,13 @@ mod tests {
     #[test]
     fn a_constant_offset_and_a_residual_are_both_disagreements() {
         let mut facts = clean_run();
-        facts.robots[0].tf[0].1.tool = Ok(FrameEstimate { chosen: true, ..frame(0.003) });
+        facts.robots[0].tf.as_mut().unwrap().diagnosis.tool =
+            Ok(FrameEstimate { chosen: true, ..frame(0.003) });
         let constant = ask(&FRM001, &facts).1;
         assert_eq!(constant[0].message, "3 mm and 0° everywhere off from FK of the joint states");
 
         let mut facts = clean_run();
-        let residual = facts.robots[0].tf[0].1.residual.as_mut();
+        let residual = facts.robots[0].tf.as_mut().unwrap().diagnosis.residual.as_mut();
         residual.expect("a residual").excess_m = sure(0.02);
         let varying = ask(&FRM001, &facts).1;
         assert_eq!(varying[0].message, "20 mm and 0° rms off from FK of the joint states");

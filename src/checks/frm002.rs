@@ -1,6 +1,6 @@
 use crate::checks::decision::DEGREE;
 use crate::checks::frames::{self, End, FIGURES, show, show_pose};
-use crate::checks::{ArmFacts, Facts, Grade, Judged, PoseFacts};
+use crate::checks::{ArmFacts, Facts, Grade, Judged, Of, PoseFacts};
 use crate::diagnosis::{FrameEstimate, Twin};
 use crate::finding::{Cause, Evidence, Fault, Severity};
 use crate::geometry::{Pose, rotvec_from_rotation};
@@ -57,7 +57,12 @@ fn check(facts: &Facts) -> Vec<Judged> {
     frames::judge(facts, &reference)
 }
 
-fn fault(arm: &ArmFacts, stream: &PoseFacts, frame: &FrameEstimate, severity: Severity) -> Fault {
+fn fault(
+    arm: &ArmFacts,
+    stream: &Of<PoseFacts>,
+    frame: &FrameEstimate,
+    severity: Severity,
+) -> Fault {
     let reference = &stream.reference;
     let fix = if is_half_turn_about_z(&frame.pose) {
         format!(
@@ -95,7 +100,7 @@ mod tests {
         let mut facts = clean_run();
         let arm = &mut facts.robots[0];
         arm.poses[0].reference_known = false;
-        arm.diagnosis.streams[0].reference = Ok(FrameEstimate { chosen: true, ..frame(1.2) });
+        arm.poses[0].diagnosis.reference = Ok(FrameEstimate { chosen: true, ..frame(1.2) });
         let (rows, findings) = ask(&FRM002, &facts);
         assert!(findings.is_empty() && rows[0].status == Status::Pass, "{rows:?}");
         assert_eq!(rows[0].evidence["pose"]["xyz"][0], 1.2);

@@ -1,5 +1,5 @@
 use crate::checks::frames::{self, End, FIGURES, show, show_pose};
-use crate::checks::{ArmFacts, Facts, Grade, Judged, PoseFacts};
+use crate::checks::{ArmFacts, Facts, Grade, Judged, Of, PoseFacts};
 use crate::diagnosis::{FrameEstimate, Twin};
 use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
 
@@ -50,7 +50,7 @@ fn check(facts: &Facts) -> Vec<Judged> {
     frames::judge(facts, &tool)
 }
 
-fn fault(_: &ArmFacts, stream: &PoseFacts, frame: &FrameEstimate, severity: Severity) -> Fault {
+fn fault(_: &ArmFacts, stream: &Of<PoseFacts>, frame: &FrameEstimate, severity: Severity) -> Fault {
     let tip = &stream.tip;
     let (severity, guess) = match stream.tip_named {
         true => (severity, ""),
@@ -80,7 +80,7 @@ mod tests {
         let mut facts = clean_run();
         let arm = &mut facts.robots[0];
         arm.poses[0].tip_named = tip_named;
-        arm.diagnosis.streams[0].tool = Ok(FrameEstimate { chosen: true, ..frame(0.14) });
+        arm.poses[0].diagnosis.tool = Ok(FrameEstimate { chosen: true, ..frame(0.14) });
         ask(&FRM003, &facts).1.first().map(|finding| finding.severity)
     }
 

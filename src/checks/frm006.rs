@@ -3,7 +3,9 @@ use serde_json::{Value, json};
 use crate::checks::decision::{Decision, decide_frame};
 use crate::checks::frames::{FIGURES, pose_json, show};
 use crate::checks::reference::{self, following_json, witness_name, witnesses_differ};
-use crate::checks::{ArmFacts, Facts, FrameFigures, Grade, Judged, ReferenceFacts, WitnessKind};
+use crate::checks::{
+    ArmFacts, Facts, FrameFigures, Grade, Judged, Of, ReferenceFacts, WitnessKind,
+};
 use crate::diagnosis::{Constancy, FrameEstimate, Measured, ReferenceDiagnosis, RestGap};
 use crate::finding::{Alternative, Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
@@ -115,10 +117,10 @@ fn size(gap: &RestGap, figures: &FrameFigures) -> f64 {
     length.max(gap.angle_rad.norm.value / figures.angle.warning)
 }
 
-fn judge(facts: &Facts, arm: &ArmFacts, reference: &ReferenceFacts) -> Judged {
+fn judge(facts: &Facts, arm: &ArmFacts, reference: &Of<ReferenceFacts>) -> Judged {
     let figures = figures(facts);
     let size = |gap: &RestGap| size(gap, &figures);
-    let judged = |outcome| Judged::new(arm.topic(&reference.topic), outcome).within(reference.span);
+    let judged = |outcome| Judged::new(reference.subject.clone(), outcome).within(reference.span);
     let found = match reference::found(arm, reference, SETTLE) {
         Ok(found) => found,
         Err(outcome) => return judged(outcome),
@@ -175,7 +177,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, reference: &ReferenceFacts) -> Judged {
 
 fn sound(
     arm: &ArmFacts,
-    reference: &ReferenceFacts,
+    reference: &Of<ReferenceFacts>,
     nearest: &Seen<'_>,
     all: &[Seen<'_>],
     name: &str,
@@ -220,7 +222,7 @@ fn not_reached(found: &ReferenceDiagnosis) -> String {
 fn fault(
     facts: &Facts,
     arm: &ArmFacts,
-    reference: &ReferenceFacts,
+    reference: &Of<ReferenceFacts>,
     found: &ReferenceDiagnosis,
     nearest: &Seen<'_>,
     severity: Severity,
@@ -265,7 +267,7 @@ fn fault(
         Some(Estimate::frame(name, translation_m, rotation_rad))
     };
     let mut add = |code, name| {
-        let subject = arm.topic(&reference.topic);
+        let subject = reference.subject.clone();
         indistinguishable.push(Alternative { code, subject, estimate: estimate(name) });
     };
     if may_be_a_frame && in_tool {
@@ -350,9 +352,9 @@ mod tests {
     fn planted(change: impl Fn(&mut ReferenceFacts, &mut ReferenceDiagnosis)) -> Facts {
         let mut facts = clean_run();
         let reference = &mut facts.robots[0].references[0];
-        let Ok(Ok(mut found)) = reference.found.clone() else { panic!("a clean reference") };
+        let Ok(Ok(mut found)) = reference.diagnosis.clone() else { panic!("a clean reference") };
         change(reference, &mut found);
-        reference.found = Ok(Ok(found));
+        reference.diagnosis = Ok(Ok(found));
         facts
     }
 

@@ -4,9 +4,10 @@ use crate::checks::hand_eye::{
     FIGURES, LEAST_SPAN, SETTLE, does_not_follow, is_mount_decided, unseen, with_solution,
 };
 use crate::checks::{
-    ArmFacts, Facts, FrameFigures, Grade, HandEyeFacts, Judged, hec002, hec003, mdl001,
+    ArmFacts, Facts, FrameFigures, Grade, HandEyeFacts, Judged, Of, PoseFacts, hec002, hec003,
+    standing,
 };
-use crate::diagnosis::{Mount, PoseDiagnosis, Solution, TargetReading};
+use crate::diagnosis::{Mount, Solution, TargetReading};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
@@ -139,9 +140,10 @@ fn judge(run: &Facts, arm: Option<&ArmFacts>, facts: &HandEyeFacts) -> Judged {
 /// Why an open chain says nothing of hand and eye, where the arm's model may be what opens it: FK by
 /// it is the hand.
 fn wrong_model(arm: &ArmFacts, open_m: f64) -> Option<String> {
-    let left =
-        |(_, stream): (_, &PoseDiagnosis)| stream.residual.as_ref().ok()?.excess_m.value.into();
-    let nominal_m = arm.poses().filter(|(_, stream)| stream.nominal).filter_map(left);
+    let left = |stream: &Of<PoseFacts>| {
+        stream.diagnosis.residual.as_ref().ok().map(|residual| residual.excess_m.value)
+    };
+    let nominal_m = arm.poses.iter().filter(|stream| stream.diagnosis.nominal).filter_map(left);
     let nominal_m: f64 = nominal_m.fold(0.0, f64::max);
     if nominal_m > 0.0 && open_m < 3.0 * nominal_m {
         let left = Unit::Metre.show(nominal_m);
@@ -150,7 +152,7 @@ fn wrong_model(arm: &ArmFacts, open_m: f64) -> Option<String> {
              the arm's own calibration"
         ));
     }
-    mdl001::doubt(arm, open_m)
+    standing::doubt(arm, open_m)
 }
 
 /// The chain closes: how well, and what else was found.

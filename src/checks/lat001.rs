@@ -1,10 +1,10 @@
 use std::collections::BTreeSet;
 
 use crate::checks::decision::{Decision, Figure, decide, unseen};
-use crate::checks::{ArmFacts, Facts, Grade, Judged};
+use crate::checks::{ArmFacts, Facts, Grade, Judged, Of};
 use crate::diagnosis::{Measured, Seen};
 use crate::finding::{
-    Alternative, Cause, Estimate, Evidence, Fault, Outcome, Ruling, Severity, Span, Subject, Unit,
+    Alternative, Cause, Estimate, Evidence, Fault, Outcome, Ruling, Severity, Subject, Unit,
 };
 
 rule! {
@@ -50,10 +50,9 @@ const FIGURE: Figure = Figure { unit: Unit::Second, warning: 2e-3, error: 10e-3 
 /// What would tell where a latency could not be had.
 const SETTLE: &str = "record 10 s of motion that starts, stops and does not repeat";
 
-/// A stream, as far as this rule looks at it.
-struct Stream<'a> {
-    topic: &'a str,
-    span: Span,
+/// What this rule looks at of a stream.
+#[derive(Clone, Copy)]
+struct Late<'a> {
     /// Whether its stamps are its own.
     independent: bool,
     latency: &'a Seen<Measured>,
@@ -90,19 +89,14 @@ fn name_once(rows: &mut [Judged], apart_s: f64) {
 }
 
 fn judge_arm(facts: &Facts, arm: &ArmFacts) -> Vec<Judged> {
-    let poses = arm.poses_and_tf().map(|(stream, diagnosis)| Stream {
-        topic: &stream.topic,
-        span: stream.span,
-        independent: stream.independent,
-        latency: &diagnosis.latency_s,
+    let poses = arm.poses_and_tf().map(|stream| {
+        let latency = &stream.diagnosis.latency_s;
+        stream.with(Late { independent: stream.independent, latency })
     });
-    let imus = arm.imus.iter().map(|(imu, diagnosis)| Stream {
-        topic: &imu.topic,
-        span: imu.span,
-        independent: imu.independent,
-        latency: &diagnosis.latency_s,
+    let imus = arm.imus.iter().map(|imu| {
+        imu.with(Late { independent: imu.independent, latency: &imu.diagnosis.latency_s })
     });
-    let streams: Vec<Stream> = poses.chain(imus).collect();
+    let streams: Vec<Of<Late>> = poses.chain(imus).collect();
     match joints_lateness(facts, &streams) {
         Some(lateness) => {
             let joints = joints_late(facts, arm, &streams, &lateness);
@@ -115,7 +109,7 @@ fn judge_arm(facts: &Facts, arm: &ArmFacts) -> Vec<Judged> {
 
 /// How late the joint states are, where two or more independent streams agree on it and none
 /// disagrees.
-fn joints_lateness(facts: &Facts, streams: &[Stream]) -> Option<Measured> {
+fn joints_lateness(facts: &Facts, streams: &[Of<Late>]) -> Option<Measured> {
     let figure = figure(facts);
     let (mut witnesses, mut topics) = (Vec::new(), BTreeSet::new());
     for stream in streams.iter().filter(|stream| stream.independent) {
@@ -124,7 +118,7 @@ fn joints_lateness(facts: &Facts, streams: &[Stream]) -> Option<Measured> {
             Decision::Fail(_) if latency.value < 0.0 => {
                 witnesses.push(*latency);
                 // Several transforms of one topic are one witness.
-                topics.insert(stream.topic);
+                topics.insert(stream.topic());
             }
             Decision::Undecided(_) => {}
             Decision::Fail(_) | Decision::Pass => return None,
@@ -135,7 +129,7 @@ fn joints_lateness(facts: &Facts, streams: &[Stream]) -> Option<Measured> {
     agree.then(|| early.scaled(-1.0))
 }
 
-fn estimate<'a>(stream: &Stream<'a>) -> Option<&'a Measured> {
+fn estimate<'a>(stream: &Of<Late<'a>>) -> Option<&'a Measured> {
     stream.latency.as_ref().ok()
 }
 
@@ -153,13 +147,13 @@ fn common(parts: &[Measured]) -> Option<Measured> {
 }
 
 /// The one finding where it is the joint states that are late.
-fn joints_late(facts: &Facts, arm: &ArmFacts, streams: &[Stream], lateness: &Measured) -> Judged {
-    let witnesses: Vec<&Stream> = streams.iter().filter(|stream| stream.independent).collect();
-    let topics: Vec<&str> = witnesses.iter().map(|stream| stream.topic).collect();
+fn joints_late(facts: &Facts, arm: &ArmFacts, streams: &[Of<Late>], lateness: &Measured) -> Judged {
+    let witnesses: Vec<&Of<Late>> = streams.iter().filter(|stream| stream.independent).collect();
+    let topics: Vec<&str> = witnesses.iter().map(|stream| stream.topic()).collect();
     let topics = topics.join(" and ");
     let alternatives = witnesses
         .iter()
-        .filter_map(|stream| Some(alternative(arm.topic(stream.topic), estimate(stream)?)));
+        .filter_map(|stream| Some(alternative(stream.subject.clone(), estimate(stream)?)));
     let (effect, effect_m) = effect(arm, lateness);
     let fault = Fault {
         severity: figure(facts).severity(lateness.value).unwrap_or(Severity::Warning),
@@ -184,29 +178,27 @@ fn joints_late(facts: &Facts, arm: &ArmFacts, streams: &[Stream], lateness: &Mea
 }
 
 /// A stream beside joint states that were found late: it is not to blame for that.
-fn beside_late_joints(facts: &Facts, arm: &ArmFacts, stream: &Stream) -> Judged {
+fn beside_late_joints(facts: &Facts, arm: &ArmFacts, stream: &Of<Late>) -> Judged {
     let remark = format!("what it is off by is {}'s", arm.joints_topic);
     let outcome = match stream.latency {
         Ok(_) if stream.independent => Outcome::sound_because(remark),
         _ => return judge_stream(facts, arm, stream, &[]),
     };
-    Judged::new(arm.topic(stream.topic), outcome).within(stream.span).estimated(
-        estimate(stream).map(|latency| Estimate::amount("latency", FIGURE.unit, latency)),
-    )
+    let amount = |latency| Estimate::amount("latency", FIGURE.unit, latency);
+    stream.judged(outcome).estimated(estimate(stream).map(amount))
 }
 
-fn judge_stream(facts: &Facts, arm: &ArmFacts, stream: &Stream, streams: &[Stream]) -> Judged {
-    let subject = arm.topic(stream.topic);
+fn judge_stream(facts: &Facts, arm: &ArmFacts, stream: &Of<Late>, streams: &[Of<Late>]) -> Judged {
     let latency = match stream.latency {
         Ok(latency) => latency,
-        Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(stream.span),
+        Err(why) => return stream.judged(unseen(why, SETTLE)),
     };
     let outcome = match decide(latency, &figure(facts), facts.subjects()) {
         Decision::Pass => Outcome::sound(),
         Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
         Decision::Fail(severity) => {
             let other_witness = streams.iter().any(|other| {
-                other.independent && other.topic != stream.topic && other.latency.is_ok()
+                other.independent && other.topic() != stream.topic() && other.latency.is_ok()
             });
             let mut indistinguishable = Vec::new();
             if stream.independent && !other_witness {
@@ -222,17 +214,13 @@ fn judge_stream(facts: &Facts, arm: &ArmFacts, stream: &Stream, streams: &[Strea
                 evidence: Evidence { indistinguishable, effect, effect_m, ..Evidence::default() },
                 fix: format!(
                     "stamp it when it is sampled, or shift {} by {}",
-                    stream.topic,
+                    stream.topic(),
                     shift(latency)
                 ),
             })
         }
     };
-    Judged::new(subject, outcome).within(stream.span).estimated(Estimate::amount(
-        "latency",
-        FIGURE.unit,
-        latency,
-    ))
+    stream.judged(outcome).estimated(Estimate::amount("latency", FIGURE.unit, latency))
 }
 
 fn message(arm: &ArmFacts, latency: &Measured) -> String {
@@ -267,22 +255,21 @@ mod tests {
     use super::*;
     use crate::checks::testing::clean_run;
     use crate::diagnosis::Unseen;
-    use crate::time::Stamp;
-
-    const ORIGIN: Stamp = Stamp::from_nanos(0);
 
     fn latency(value: f64) -> Seen<Measured> {
         Ok(Measured { value, std_error: 1e-5, dof: 1e3 })
     }
 
+    fn stream<'a>(topic: &str, independent: bool, latency: &'a Seen<Measured>) -> Of<Late<'a>> {
+        let subject = clean_run().robots[0].topic(topic);
+        Of { subject, span: None, found: Late { independent, latency } }
+    }
+
     fn lateness(latencies: &[(bool, Seen<Measured>)]) -> Option<f64> {
         let topics = ["/pose", "/tracker", "/imu"];
-        let streams = topics.iter().zip(latencies).map(|(topic, (independent, latency))| Stream {
-            topic,
-            span: Span { start: ORIGIN, end: ORIGIN },
-            independent: *independent,
-            latency,
-        });
+        let streams = topics.iter().zip(latencies);
+        let streams =
+            streams.map(|(topic, (independent, latency))| stream(topic, *independent, latency));
         Some(joints_lateness(&clean_run(), &streams.collect::<Vec<_>>())?.value)
     }
 
@@ -308,23 +295,16 @@ mod tests {
     #[test]
     fn transforms_of_one_topic_are_one_witness_and_one_finding() {
         let late = latency(-0.03);
-        let streams: Vec<Stream> = (0..5)
-            .map(|_| Stream {
-                topic: "/tf",
-                span: Span { start: ORIGIN, end: ORIGIN },
-                independent: true,
-                latency: &late,
-            })
-            .collect();
+        let streams: Vec<Of<Late>> = (0..5).map(|_| stream("/tf", true, &late)).collect();
         let facts = clean_run();
         assert_eq!(joints_lateness(&facts, &streams), None);
         let arm = &facts.robots[0];
         let mut rows: Vec<Judged> =
             streams.iter().map(|stream| judge_stream(&facts, arm, stream, &streams)).collect();
-        let other = Stream { topic: "/pose", ..streams[0] };
+        let other = stream("/pose", true, &late);
         rows.push(judge_stream(&facts, arm, &other, &[]));
         let apart = latency(-0.05);
-        rows.push(judge_stream(&facts, arm, &Stream { latency: &apart, ..streams[0] }, &[]));
+        rows.push(judge_stream(&facts, arm, &stream("/tf", true, &apart), &[]));
         name_once(&mut rows, 2e-3);
         let named: Vec<bool> = rows
             .iter()

@@ -1,8 +1,8 @@
 use crate::checks::amount::{Amount, Estimated};
 use crate::checks::decision::Figure;
-use crate::checks::{ArmFacts, Facts, Grade, Judged};
+use crate::checks::{ArmFacts, Facts, Grade, Judged, Of};
 use crate::diagnosis::{Measured, Seen};
-use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Span, Unit};
+use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
     /// A stream's latency grows, as of a clock that runs at another rate.
@@ -43,17 +43,17 @@ const SETTLE: &str = "record a minute or more in which the arm moves from first 
 const SKEW: Amount = Amount { name: "clock skew", figure: FIGURE, settle: SETTLE, fault };
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    let poses = facts.poses().map(|(arm, stream, diagnosis)| {
-        let (estimate, is_chosen) = (&diagnosis.skew, diagnosis.skew_chosen);
-        let (topic, span) = (stream.topic.as_str(), stream.span);
-        let doubt = doubt(estimate, span);
-        judge(facts, arm, stream.independent, Estimated { topic, span, estimate, is_chosen, doubt })
+    let poses = facts.poses().map(|(arm, stream)| {
+        let (estimate, is_chosen) = (&stream.diagnosis.skew, stream.diagnosis.skew_chosen);
+        let doubt = doubt(estimate, stream.seconds());
+        let skew = stream.with(Estimated { estimate, is_chosen, doubt });
+        judge(facts, arm, stream.independent, &skew)
     });
-    let imus = facts.imus().map(|(arm, imu, diagnosis)| {
-        let (topic, span, estimate) = (imu.topic.as_str(), imu.span, &diagnosis.skew);
-        let doubt = doubt(estimate, span);
-        let skew = Estimated { topic, span, estimate, is_chosen: true, doubt };
-        judge(facts, arm, imu.independent, skew)
+    let imus = facts.imus().map(|(arm, imu)| {
+        let estimate = &imu.diagnosis.skew;
+        let doubt = doubt(estimate, imu.seconds());
+        let skew = imu.with(Estimated { estimate, is_chosen: true, doubt });
+        judge(facts, arm, imu.independent, &skew)
     });
     poses.chain(imus).collect()
 }
@@ -62,17 +62,17 @@ fn check(facts: &Facts) -> Vec<Judged> {
 const OWN_MINUTE_S: f64 = 60.0;
 const GROWS_S: f64 = 2e-3;
 
-fn judge(facts: &Facts, arm: &ArmFacts, is_own: bool, skew: Estimated<'_>) -> Judged {
+fn judge(facts: &Facts, arm: &ArmFacts, is_own: bool, skew: &Of<Estimated<'_>>) -> Judged {
     if is_own {
         return SKEW.judge(&LAT002, facts, arm, skew);
     }
     let why = "its stamps are those of the joint states: there is one clock";
-    Judged::new(arm.topic(skew.topic), Outcome::Skipped(why.to_owned())).within(skew.span)
+    skew.judged(Outcome::Skipped(why.to_owned()))
 }
 
 /// Why a rate cannot be believed of a run that is short.
-fn doubt(skew: &Seen<Measured>, span: Span) -> Option<String> {
-    let (seconds, skew) = (span.seconds(), skew.as_ref().ok()?);
+fn doubt(skew: &Seen<Measured>, seconds: f64) -> Option<String> {
+    let skew = skew.as_ref().ok()?;
     let moved_s = skew.value.abs() * seconds;
     (seconds < OWN_MINUTE_S && moved_s < GROWS_S).then(|| {
         format!(
@@ -83,8 +83,8 @@ fn doubt(skew: &Seen<Measured>, span: Span) -> Option<String> {
     })
 }
 
-fn fault(arm: &ArmFacts, stream: &Estimated<'_>, skew: &Measured, severity: Severity) -> Fault {
-    let seconds = stream.span.seconds();
+fn fault(arm: &ArmFacts, stream: &Of<Estimated<'_>>, skew: &Measured, severity: Severity) -> Fault {
+    let seconds = stream.seconds();
     let moved_s = skew.value.abs() * seconds;
     let moved = Unit::Second.show(moved_s);
     Fault {
@@ -114,7 +114,7 @@ mod tests {
     #[test]
     fn an_imus_clock_is_judged_too() {
         let mut facts = clean_run();
-        facts.robots[0].imus[0].1.skew = Ok(sure(2e-3));
+        facts.robots[0].imus[0].diagnosis.skew = Ok(sure(2e-3));
         let (_, findings) = ask(&LAT002, &facts);
         assert_eq!(findings[0].subject.topic.as_deref(), Some(IMU));
         assert_eq!(findings[0].severity, Severity::Error);
@@ -123,11 +123,11 @@ mod tests {
     #[test]
     fn a_skew_is_a_finding_only_where_the_explanation_needs_it() {
         let mut facts = clean_run();
-        let stream = &mut facts.robots[0].diagnosis.streams[0];
+        let stream = &mut facts.robots[0].poses[0].diagnosis;
         stream.skew = Ok(Measured { std_error: 1e-7, ..sure(2e-4) });
         let (rows, findings) = ask(&LAT002, &facts);
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
-        facts.robots[0].diagnosis.streams[0].skew_chosen = true;
+        facts.robots[0].poses[0].diagnosis.skew_chosen = true;
         let (_, findings) = ask(&LAT002, &facts);
         assert_eq!(findings[0].message, "latency grows by +200.0 ± 0.2 ppm against /joint_states");
     }

@@ -1,9 +1,9 @@
 use serde_json::{Value, json};
 
 use crate::checks::decision::{Decision, Figure, decide, unseen};
-use crate::checks::{ArmFacts, Facts, Grade, Judged};
+use crate::checks::{ArmFacts, Facts, Grade, Judged, Of};
 use crate::diagnosis::{LatencyCourse, LatencyJump, Seen};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Span, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
     /// The latency of a stream jumps or wanders within the run.
@@ -49,10 +49,8 @@ const FIGURE: Figure = Figure { unit: Unit::Second, warning: 5e-3, error: 20e-3 
 /// What would tell where it could not be told.
 const SETTLE: &str = "record 10 s or more of motion that starts and stops";
 
-/// A stream, as far as this rule looks at it.
-struct Stream<'a> {
-    topic: &'a str,
-    span: Span,
+/// What this rule looks at of a stream.
+struct Course<'a> {
     /// Whether its stamps are its own.
     independent: bool,
     course: &'a Seen<LatencyCourse>,
@@ -68,39 +66,33 @@ fn check(facts: &Facts) -> Vec<Judged> {
 }
 
 fn judge_arm(facts: &Facts, arm: &ArmFacts) -> Vec<Judged> {
-    let poses = arm.poses_and_tf().map(|(stream, diagnosis)| Stream {
-        topic: &stream.topic,
-        span: stream.span,
-        independent: stream.independent,
-        course: &diagnosis.course,
+    let poses = arm.poses_and_tf().map(|stream| {
+        let course = &stream.diagnosis.course;
+        stream.with(Course { independent: stream.independent, course })
     });
-    let imus = arm.imus.iter().map(|(imu, diagnosis)| Stream {
-        topic: &imu.topic,
-        span: imu.span,
-        independent: imu.independent,
-        course: &diagnosis.latency_course,
+    let imus = arm.imus.iter().map(|imu| {
+        let course = &imu.diagnosis.latency_course;
+        imu.with(Course { independent: imu.independent, course })
     });
-    let streams: Vec<Stream> = poses.chain(imus).collect();
+    let streams: Vec<Of<Course>> = poses.chain(imus).collect();
     let Some(course) = joints_course(facts, &streams) else {
         return streams.iter().map(|stream| judge(facts, arm, stream)).collect();
     };
-    let beside = |stream: &Stream| match stream.course {
+    let beside = |stream: &Of<Course>| match stream.course {
         Ok(course) if stream.independent => {
             let remark = format!("what it jumps by is {}'s", arm.joints_topic);
-            Judged::new(arm.topic(stream.topic), Outcome::sound_because(remark))
-                .within(stream.span)
-                .estimated(estimate(course))
+            stream.judged(Outcome::sound_because(remark)).estimated(estimate(course))
         }
         _ => judge(facts, arm, stream),
     };
-    let joints =
-        Stream { topic: &arm.joints_topic, span: arm.span, independent: true, course: &Ok(course) };
+    let found = Course { independent: true, course: &Ok(course) };
+    let joints = Of { subject: arm.topic(&arm.joints_topic), span: Some(arm.span), found };
     std::iter::once(judge(facts, arm, &joints)).chain(streams.iter().map(beside)).collect()
 }
 
 /// The course of the joint states' own latency, where two or more independent streams jump together
 /// and none stays.
-fn joints_course(facts: &Facts, streams: &[Stream]) -> Option<LatencyCourse> {
+fn joints_course(facts: &Facts, streams: &[Of<Course>]) -> Option<LatencyCourse> {
     /// Jumps so close together are one, s: each is dated to a window or to the next motion.
     const TOGETHER_S: f64 = 1.5;
     let mut witnesses: Vec<&LatencyCourse> = Vec::new();
@@ -143,11 +135,10 @@ fn estimate(course: &LatencyCourse) -> Estimate {
     Estimate::amount(name, FIGURE.unit, &course.swing_s)
 }
 
-fn judge(facts: &Facts, arm: &ArmFacts, stream: &Stream) -> Judged {
-    let subject = arm.topic(stream.topic);
+fn judge(facts: &Facts, arm: &ArmFacts, stream: &Of<Course>) -> Judged {
     let course = match stream.course {
         Ok(course) => course,
-        Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(stream.span),
+        Err(why) => return stream.judged(unseen(why, SETTLE)),
     };
     let outcome = match decide(&course.swing_s, &figure(facts), facts.subjects()) {
         Decision::Pass => Outcome::sound(),
@@ -160,7 +151,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, stream: &Stream) -> Judged {
         }
         Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
     };
-    Judged::new(subject, outcome).within(stream.span).estimated(estimate(course))
+    stream.judged(outcome).estimated(estimate(course))
 }
 
 fn fault(facts: &Facts, arm: &ArmFacts, course: &LatencyCourse, severity: Severity) -> Fault {
@@ -221,11 +212,11 @@ mod tests {
         let course = |swing_s, is_unsteady, jumps| {
             Ok(LatencyCourse { swing_s, is_unsteady, jumps, ..steady() })
         };
-        facts.robots[0].diagnosis.streams[0].course = course(sure(0.012), false, vec![]);
+        facts.robots[0].poses[0].diagnosis.course = course(sure(0.012), false, vec![]);
         let (rows, findings) = ask(&LAT003, &facts);
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
         let jump = LatencyJump { at_s: 4.0, size_s: sure(0.012) };
-        facts.robots[0].diagnosis.streams[0].course = course(sure(0.012), true, vec![jump]);
+        facts.robots[0].poses[0].diagnosis.course = course(sure(0.012), true, vec![jump]);
         let (_, findings) = ask(&LAT003, &facts);
         assert!(findings[0].message.starts_with("latency jumps by +12.000"), "{findings:?}");
     }
@@ -244,11 +235,11 @@ mod tests {
         let with = |pose: Seen<LatencyCourse>, imu: Seen<LatencyCourse>| {
             let mut facts = clean_run();
             let arm = &mut facts.robots[0];
-            arm.diagnosis.streams[0].course = pose;
-            arm.imus[0].1.latency_course = imu;
-            for (tf, found) in &mut arm.tf {
+            arm.poses[0].diagnosis.course = pose;
+            arm.imus[0].diagnosis.latency_course = imu;
+            if let Some(tf) = &mut arm.tf {
                 tf.independent = false;
-                found.course = Err(crate::diagnosis::Unseen::AtRest);
+                tf.diagnosis.course = Err(crate::diagnosis::Unseen::AtRest);
             }
             let found = ask(&LAT003, &facts).1.into_iter();
             found.map(|finding| finding.subject.label().to_owned()).collect::<Vec<_>>()

@@ -2,10 +2,10 @@ use serde_json::{Value, json};
 
 use crate::checks::decision::{FrameFigures, unseen};
 use crate::checks::frames::FIGURES;
-use crate::checks::proof::{Left, Named, Standing, standing};
 use crate::checks::reading::read_as;
-use crate::checks::{ArmFacts, Facts, Figure, Grade, ImuFacts, Judged, PoseFacts};
-use crate::diagnosis::{Amount, Error, Measured, Part, PoseDiagnosis, Rates, Reading, Size};
+use crate::checks::standing::{Left, Named, Standing, standing};
+use crate::checks::{ArmFacts, Facts, Figure, Grade, ImuFacts, Judged, Of, PoseFacts};
+use crate::diagnosis::{Amount, Error, Measured, Part, Rates, Reading, Size};
 use crate::finding::{
     Cause, Estimate, Evidence, Fault, Outcome, ReadAs, Severity, Subject, Unit, rounded,
 };
@@ -77,10 +77,9 @@ fn check(facts: &Facts) -> Vec<Judged> {
     facts.robots.iter().flat_map(|arm| judge_arm(facts, &named, arm)).collect()
 }
 
-/// A stream of an arm, with what was estimated on it and how its error stands.
+/// A stream of an arm, and how its error stands.
 struct Held<'a> {
-    stream: &'a PoseFacts,
-    found: &'a PoseDiagnosis,
+    stream: &'a Of<PoseFacts>,
     subject: Subject,
     standing: Option<Standing>,
 }
@@ -97,8 +96,8 @@ impl Held<'_> {
     /// Whether nothing that was found makes the poses those of the arm.
     fn is_astray(&self) -> bool {
         let reference_known = self.stream.reference_known;
-        match &self.found.residual {
-            Ok(_) => self.found.strays(),
+        match &self.stream.diagnosis.residual {
+            Ok(_) => self.stream.diagnosis.strays(),
             Err(_) => reference_known,
         }
     }
@@ -106,15 +105,14 @@ impl Held<'_> {
 
 fn judge_arm(facts: &Facts, named: &Named, arm: &ArmFacts) -> Vec<Judged> {
     let figures = figures(facts);
-    let held = |subject: Subject, stream, found| {
-        let standing = standing(named, arm, (stream, found), &figures, facts.subjects());
-        Held { stream, found, subject, standing }
+    let held = |subject: Subject, stream| {
+        let standing = standing(named, arm, stream, &figures, facts.subjects());
+        Held { stream, subject, standing }
     };
-    let poses = arm.poses().map(|(stream, found)| held(arm.topic(&stream.topic), stream, found));
-    let tf = arm.tf.iter();
-    let tf = tf.map(|(tf, found)| held(arm.frame(&tf.topic, &tf.tip), tf, found));
+    let poses = arm.poses.iter().map(|stream| held(stream.subject.clone(), stream));
+    let tf = arm.tf.iter().map(|tf| held(arm.frame(tf.topic(), &tf.tip), tf));
     let streams: Vec<Held> = poses.chain(tf).collect();
-    if streams.is_empty() && arm.imus.iter().all(|(imu, _)| imu.proof.is_none()) {
+    if streams.is_empty() && arm.imus.iter().all(|imu| imu.proof.is_none()) {
         if facts.hand_eyes.iter().any(|eye| eye.robot.as_ref() == Some(&arm.name)) {
             let why = "only what a camera sees was held against it (HEC001)".to_owned();
             return vec![Judged::new(arm.subject(), Outcome::Skipped(why))];
@@ -123,9 +121,9 @@ fn judge_arm(facts: &Facts, named: &Named, arm: &ArmFacts) -> Vec<Judged> {
             format!("nothing in this log could be held against {}; {RECORD}", arm.joints_topic);
         return vec![Judged::new(arm.subject(), Outcome::Inconclusive(why)).within(arm.span)];
     }
-    let imus = arm.imus.iter().map(|(imu, _)| judge_imu(&figures, arm, imu));
+    let imus = arm.imus.iter().map(|imu| judge_imu(&figures, imu));
     let judged = streams.iter().map(|held| {
-        let wrong = arm.wrong_model.as_ref().filter(|wrong| wrong.topic == held.stream.topic);
+        let wrong = arm.wrong_model.as_ref().filter(|wrong| wrong.topic == held.stream.topic());
         match wrong.filter(|_| held.subject.frame.is_none()) {
             Some(wrong) => Judged::new(held.subject.clone(), wrong_model(facts, arm, wrong))
                 .within(held.stream.span),
@@ -137,13 +135,13 @@ fn judge_arm(facts: &Facts, named: &Named, arm: &ArmFacts) -> Vec<Judged> {
 
 /// Whether an IMU turns as the arm does, by its orientation, which is a filter's and so judged from the
 /// second figure on, by its gyro, and by the gravity that it feels.
-fn judge_imu(figures: &FrameFigures, arm: &ArmFacts, imu: &ImuFacts) -> Judged {
+fn judge_imu(figures: &FrameFigures, imu: &Of<ImuFacts>) -> Judged {
     /// A gyro that leaves a larger share of the arm's rate says something else.
     const SHARE: f64 = 0.3;
     /// Standard gravity, m/s², and by which share of it a healthy accelerometer's median may be off on
     /// an arm that moves.
     const GRAVITY: (f64, f64) = (9.81, 0.2);
-    let judged = |outcome| Judged::new(arm.topic(&imu.topic), outcome).within(imu.span);
+    let judged = |outcome| imu.judged(outcome);
     let Some(proof) = &imu.proof else {
         return judged(Outcome::Skipped("it does not turn with the arm".to_owned()));
     };
@@ -178,7 +176,7 @@ fn judge_imu(figures: &FrameFigures, arm: &ArmFacts, imu: &ImuFacts) -> Judged {
 }
 
 fn judge(facts: &Facts, held: &Held, all: &[Held]) -> Judged {
-    let Held { stream, found, subject, standing } = held;
+    let Held { stream, subject, standing } = held;
     let proof = match &stream.proof {
         Ok(proof) => proof,
         Err(why) => return Judged::new(subject.clone(), unseen(why, SETTLE)).within(stream.span),
@@ -199,7 +197,7 @@ fn judge(facts: &Facts, held: &Held, all: &[Held]) -> Judged {
         Some(left) => judged.with_evidence("calibrated", error_json(facts, left)),
         None => judged,
     };
-    match &found.residual {
+    match &stream.diagnosis.residual {
         Ok(residual) => judged
             .with_evidence("rms_m", residual.rms_m)
             .with_evidence("rms_rad", residual.rms_rad)
@@ -345,27 +343,11 @@ fn nominal(error: &Error) -> Fault {
     }
 }
 
-/// Where more than this is left, rms m, the model may be another arm's.
-const UNEXPLAINED_M: f64 = 5e-3;
-/// A cause that moves poses by so many times what is left is there whatever else is.
-const FAR_BEYOND: f64 = 10.0;
-
-/// Why a cause that moves the poses of `arm` by `effect_m` cannot be believed, where it cannot: what
-/// is left beside it makes it a part of whatever the model does not have.
-pub(super) fn doubt(arm: &ArmFacts, effect_m: f64) -> Option<String> {
-    let left = arm.poses().filter_map(|(_, stream)| stream.residual.as_ref().ok());
-    let left_m = left.map(|residual| residual.excess_m.value).fold(0.0, f64::max);
-    (left_m > UNEXPLAINED_M && effect_m < FAR_BEYOND * left_m).then(|| {
-        let left = Unit::Metre.show(left_m);
-        format!("{left} is left that nothing explains (MDL001); check the model")
-    })
-}
-
 /// What is left beside the causes that were found.
 fn unexplained(facts: &Facts, held: &Held, all: &[Held], left: &Left) -> Fault {
     let sharing = all.iter().filter(|other| other.subject != held.subject);
     let sharing = sharing.filter(|other| other.left().is_some_and(|other| left.shares(other)));
-    let sharing: Vec<&str> = sharing.map(|other| other.stream.topic.as_str()).collect();
+    let sharing: Vec<&str> = sharing.map(|other| other.stream.topic()).collect();
     let mut evidence = Evidence {
         effect_m: Some(left.error.length.whole.rms),
         effect: Some(where_left(facts, left)),
@@ -393,25 +375,26 @@ fn unexplained(facts: &Facts, held: &Held, all: &[Held], left: &Left) -> Fault {
 
 /// Poses and joint states that nothing makes those of one arm.
 fn disagreement(held: &Held, left: &Left) -> Fault {
-    let Held { stream, found, .. } = held;
+    let stream = held.stream;
     let as_logged = stream.proof.as_ref().ok().map(|proof| &proof.as_logged);
     // Against a frame that is not tied to the robot, what is logged is off by any amount.
     let error = as_logged.filter(|_| stream.reference_known).unwrap_or(&left.error);
-    let candidates = candidates(stream, found);
+    let candidates = candidates(stream);
     let said = said(error);
     let nearest = match candidates.first() {
         Some(first) => format!("; nearest is {first}"),
         None => String::new(),
     };
     let mut evidence = Evidence { effect_m: Some(error.length.whole.rms), ..Evidence::default() };
-    let message = format!("{said}, and no cause that poseaudit knows explains it{nearest}");
+    let said = format!("{said}, and no cause that poseaudit knows explains it");
+    let message = format!("{said}{nearest}");
     let fix = format!(
         "see whether it is this arm's description, and whether the joint states are this arm's; {TELLS}"
     );
     evidence.more.insert("candidates".to_owned(), candidates.into());
     Fault {
         severity: Severity::Error,
-        cause: Cause::Model,
+        cause: Cause::Disagreement { said },
         title: DISAGREE,
         message,
         evidence,
@@ -420,7 +403,7 @@ fn disagreement(held: &Held, left: &Left) -> Fault {
 }
 
 /// The title where nothing makes poses and joint states those of one arm.
-pub(super) const DISAGREE: &str = "poses and joint states disagree";
+const DISAGREE: &str = "poses and joint states disagree";
 
 /// What would tell why they do.
 const TELLS: &str = "record 10 s in which one joint after the other moves by 30° alone";
@@ -434,7 +417,8 @@ fn said(error: &Error) -> String {
 }
 
 /// The nearest causes, each with what it leaves: the best first.
-fn candidates(stream: &PoseFacts, found: &PoseDiagnosis) -> Vec<String> {
+fn candidates(stream: &Of<PoseFacts>) -> Vec<String> {
+    let found = &stream.diagnosis;
     let proof = stream.proof.as_ref().ok();
     let rms = |error: &Error| error.length.whole.rms;
     let left = proof.and_then(|proof| {
@@ -522,10 +506,10 @@ mod tests {
 
     #[test]
     fn what_is_found_accounts_for_its_amount_and_what_is_open_does_not() {
-        let late = |arm: &mut ArmFacts| arm.diagnosis.streams[0].latency_s = Ok(sure(0.02));
+        let late = |arm: &mut ArmFacts| arm.poses[0].diagnosis.latency_s = Ok(sure(0.02));
         assert_eq!(judged(0.03, 1e-4, late).0.status, Status::Pass);
         let (row, _) = judged(0.03, 1e-4, |arm| {
-            arm.diagnosis.streams[0].latency_s = Err(Unseen::Periodic(vec![0.0, 0.3]));
+            arm.poses[0].diagnosis.latency_s = Err(Unseen::Periodic(vec![0.0, 0.3]));
             let proof = arm.poses[0].proof.as_mut().expect("a proof");
             proof.beside_joints = Some(proof.as_logged.clone());
         });
@@ -550,8 +534,7 @@ mod tests {
     fn where_nothing_could_be_held_against_the_joints_that_is_open() {
         let mut facts = clean_run();
         let arm = &mut facts.robots[0];
-        (arm.poses, arm.tf, arm.imus) = (Vec::new(), Vec::new(), Vec::new());
-        arm.diagnosis.streams.clear();
+        (arm.poses, arm.tf, arm.imus) = (Vec::new(), None, Vec::new());
         let (rows, _) = ask(&MDL001, &facts);
         let why = rows[0].reason.as_deref().unwrap_or_default();
         assert_eq!(rows[0].status, Status::Inconclusive);
@@ -563,7 +546,7 @@ mod tests {
         let mut facts = clean_run();
         let arm = &mut facts.robots[0];
         arm.poses[0].proof = Ok(left(0.7, 0.7));
-        let stream = &mut arm.diagnosis.streams[0];
+        let stream = &mut arm.poses[0].diagnosis;
         stream.residual = Err(Unseen::NotExcited);
         stream.latency_s = Ok(sure(0.05));
         let evaluation = evaluate(&facts, &Default::default());
@@ -587,7 +570,7 @@ mod tests {
         let arm = &mut facts.robots[0];
         arm.wrong_model = Some(WrongModel {
             named: catalogue::find("ur3e").unwrap().clone(),
-            topic: arm.poses[0].topic.clone(),
+            topic: arm.poses[0].topic().to_owned(),
             named_m: 0.0274,
             rival_m: 2e-5,
             tool_m: None,
@@ -604,7 +587,7 @@ mod tests {
         let found = |tool_m: f64| {
             let mut facts = clean_run();
             facts.robots[0].poses[0].proof = Ok(left(0.03, 0.0));
-            let stream = &mut facts.robots[0].diagnosis.streams[0];
+            let stream = &mut facts.robots[0].poses[0].diagnosis;
             (stream.growth, stream.growth_chosen) = (Ok(sure(0.01)), true);
             stream.tool = Ok(FrameEstimate { chosen: true, p_value: 0.0, ..frame(tool_m) });
             stream.residual.as_mut().unwrap().excess_m = sure(0.02);

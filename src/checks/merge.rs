@@ -108,7 +108,7 @@ mod tests {
 
     fn part(latency: Result<f64, Unseen>, is_short: bool) -> Part {
         let mut facts = clean_run();
-        facts.robots[0].diagnosis.streams[0].latency_s = latency.map(sure);
+        facts.robots[0].poses[0].diagnosis.latency_s = latency.map(sure);
         Part { evaluation: evaluate(&facts, &Settings::default()), is_short }
     }
 

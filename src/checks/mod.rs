@@ -16,8 +16,10 @@ mod proof;
 mod reading;
 mod reference;
 mod settings;
+mod standing;
 #[cfg(test)]
 mod testing;
+mod twins;
 
 use std::fmt;
 
@@ -467,7 +469,7 @@ mod tests {
     #[test]
     fn a_severity_that_is_set_is_that_of_all_but_what_is_meant_so() {
         let mut facts = testing::clean_run();
-        facts.robots[0].diagnosis.streams[0].latency_s = Ok(testing::sure(0.05));
+        facts.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.05));
         let mut settings = Settings::default();
         settings.severities.push(("LAT001", Severity::Warning));
         let found = evaluate(&facts, &settings).findings;
@@ -479,7 +481,7 @@ mod tests {
     #[test]
     fn what_is_exempt_is_said_and_not_counted() {
         let mut facts = testing::clean_run();
-        facts.robots[0].diagnosis.streams[0].latency_s = Ok(testing::sure(0.05));
+        facts.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.05));
         let exemption = |topic: &str| Exemption {
             rules: "LAT".parse().expect("a family"),
             subject: Subject { topic: Some(topic.to_owned()), ..Subject::default() },
@@ -505,11 +507,10 @@ mod tests {
     #[test]
     fn findings_stand_by_gravity_and_then_by_effect() {
         let mut facts = testing::clean_run();
-        let diagnosis = &mut facts.robots[0].diagnosis;
-        diagnosis.streams[0].latency_s = Ok(testing::sure(0.003));
+        facts.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.003));
         for (joint, degrees) in [(1, 0.6), (2, 2.0)] {
             let radians = f64::to_radians(degrees);
-            let offset = &mut diagnosis.offsets[joint];
+            let offset = &mut facts.robots[0].diagnosis.offsets[joint];
             (offset.offset, offset.chosen) = (Ok(testing::sure(radians)), true);
             offset.effect_m = radians;
         }

@@ -1,6 +1,6 @@
 use crate::checks::decision::Figure;
 use crate::checks::mot003::doubt;
-use crate::checks::{ArmFacts, Facts, Grade, Judged, ShakeFacts};
+use crate::checks::{ArmFacts, Facts, Grade, Judged, Of, ShakeFacts};
 use crate::diagnosis::{NoShake, Shake};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
@@ -59,9 +59,9 @@ fn check(facts: &Facts) -> Vec<Judged> {
     facts.robots.iter().flat_map(of_arm).collect()
 }
 
-fn judge(facts: &Facts, arm: &ArmFacts, stream: &ShakeFacts) -> Judged {
-    let judged = |outcome| Judged::new(arm.topic(&stream.topic), outcome).within(stream.span);
-    let why = match stream.topic == arm.joints_topic {
+fn judge(facts: &Facts, arm: &ArmFacts, stream: &Of<ShakeFacts>) -> Judged {
+    let judged = |outcome| stream.judged(outcome);
+    let why = match stream.topic() == arm.joints_topic {
         true => doubt(arm),
         false => stream.in_other_units.then(|| "its unit is not metres (ORD008)".to_owned()),
     };
@@ -98,7 +98,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, stream: &ShakeFacts) -> Judged {
         .with_evidence("resolved_m", found.resolved_m)
 }
 
-fn fault(facts: &Facts, stream: &ShakeFacts, found: &Shake, severity: Severity) -> Fault {
+fn fault(facts: &Facts, stream: &Of<ShakeFacts>, found: &Shake, severity: Severity) -> Fault {
     Fault {
         cause: Cause::Other,
         severity,
@@ -110,7 +110,7 @@ fn fault(facts: &Facts, stream: &ShakeFacts, found: &Shake, severity: Severity) 
             facts.moment(facts.origin.shifted(found.at_s)),
         ),
         evidence: Evidence { effect_m: Some(found.rms_m), ..Evidence::default() },
-        fix: format!("look for a dead band, a loose joint or a gain too high: {}", stream.topic),
+        fix: format!("look for a dead band, a loose joint or a gain too high: {}", stream.topic()),
     }
 }
 

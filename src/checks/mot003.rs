@@ -65,7 +65,7 @@ fn check(facts: &Facts) -> Vec<Judged> {
 /// Why the numbers of the joint states cannot be held against limits or called motion, where they
 /// cannot.
 pub(super) fn doubt(arm: &ArmFacts) -> Option<String> {
-    let why = match &arm.diagnosis.joints {
+    let why = match &arm.diagnosis.reading {
         Ok(reading) if reading.degrees.is_some() || reading.permutation.is_some() => {
             "the joint positions are not what their names and units say; read them right first \
              (ORD004, ORD005)"

@@ -2,7 +2,7 @@ use serde_json::{Value, json};
 
 use crate::checks::decision::{DEGREE, Decision, Figure, FrameFigures, decide_length};
 use crate::checks::reference::{self, witness_name};
-use crate::checks::{ArmFacts, Facts, Grade, Judged, ReferenceFacts};
+use crate::checks::{ArmFacts, Facts, Grade, Judged, Of, ReferenceFacts};
 use crate::diagnosis::{Line, LineWitness, Measured};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
@@ -93,9 +93,9 @@ fn worst<'a>(
     kept.max_by(|a, b| size(a.0, a.1, figures).total_cmp(&size(b.0, b.1, figures)))
 }
 
-fn judge(facts: &Facts, arm: &ArmFacts, reference: &ReferenceFacts) -> Judged {
+fn judge(facts: &Facts, arm: &ArmFacts, reference: &Of<ReferenceFacts>) -> Judged {
     let figures = &figures(facts);
-    let judged = |outcome| Judged::new(arm.topic(&reference.topic), outcome).within(reference.span);
+    let judged = |outcome| Judged::new(reference.subject.clone(), outcome).within(reference.span);
     let found = match reference::found(arm, reference, SETTLE) {
         Ok(found) => found,
         Err(outcome) => return judged(outcome),
@@ -257,7 +257,7 @@ mod tests {
 
     fn planted(change: impl Fn(&mut Line)) -> Facts {
         let mut facts = clean_run();
-        if let Ok(Ok(found)) = &mut facts.robots[0].references[0].found {
+        if let Ok(Ok(found)) = &mut facts.robots[0].references[0].diagnosis {
             change(&mut found.lines[0]);
         }
         facts

@@ -4,8 +4,8 @@
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use crate::checks::{ArmFacts, Facts, PoseFacts, find, mdl001};
-use crate::diagnosis::{BlindDirection, Observability, Parameter, PoseDiagnosis};
+use crate::checks::{ArmFacts, Facts, Of, PoseFacts, find, standing};
+use crate::diagnosis::{BlindDirection, Observability, Parameter};
 use crate::finding::{CheckRow, Status, Subject, Unit};
 
 /// A cause of the size of its rule's first figure is seen where it moves the log by this many
@@ -137,15 +137,14 @@ fn listed(items: &[&str]) -> String {
 pub(super) fn observability(facts: &Facts, checks: &mut [CheckRow]) -> Vec<StreamObservability> {
     let mut streams = Vec::new();
     for arm in &facts.robots {
-        for (stream, diagnosis) in arm.poses() {
-            let Some(seen) = &diagnosis.observability else { continue };
-            let is_noise = is_noise(checks, &arm.topic(&stream.topic));
+        for stream in &arm.poses {
+            let Some(seen) = &stream.diagnosis.observability else { continue };
+            let is_noise = is_noise(checks, &stream.subject);
             let found = seen.blind(|parameter| figure(facts, arm, parameter), SEEN);
             let directions: Vec<Blind> =
                 found.iter().map(|one| blind(arm, seen, one, is_noise)).collect();
             let mut leaves_open = vec![false; directions.len()];
-            let open =
-                checks.iter_mut().filter(|row| is_left_to_motion(row, arm, stream, diagnosis));
+            let open = checks.iter_mut().filter(|row| is_left_to_motion(row, arm, stream));
             for row in open {
                 let concerned: Vec<usize> = (0..directions.len())
                     .filter(|&one| directions[one].concerns(row.code, &row.subject))
@@ -162,7 +161,7 @@ pub(super) fn observability(facts: &Facts, checks: &mut [CheckRow]) -> Vec<Strea
             let groups = that_share_a_cause(open.cloned().collect());
             streams.push(StreamObservability {
                 robot: arm.name.clone(),
-                topic: stream.topic.clone(),
+                topic: stream.topic().to_owned(),
                 // What does not show by itself is said by its check.
                 together: groups
                     .iter()
@@ -178,18 +177,14 @@ pub(super) fn observability(facts: &Facts, checks: &mut [CheckRow]) -> Vec<Strea
 
 /// Whether a check on `stream` is open for want of motion. What a nominal or wrong model leaves open no
 /// motion settles.
-fn is_left_to_motion(
-    row: &CheckRow,
-    arm: &ArmFacts,
-    stream: &PoseFacts,
-    diagnosis: &PoseDiagnosis,
-) -> bool {
+fn is_left_to_motion(row: &CheckRow, arm: &ArmFacts, stream: &Of<PoseFacts>) -> bool {
     let Subject { robot, topic, .. } = &row.subject;
     row.status == Status::Inconclusive
         && !row.indistinguishable
         && robot.as_ref() == Some(&arm.name)
-        && topic.as_ref().is_none_or(|topic| *topic == stream.topic)
-        && (row.code.starts_with("LAT") || !diagnosis.nominal && mdl001::doubt(arm, 0.0).is_none())
+        && topic.as_ref().is_none_or(|topic| topic == stream.topic())
+        && (row.code.starts_with("LAT")
+            || !stream.diagnosis.nominal && standing::doubt(arm, 0.0).is_none())
 }
 
 /// The directions, those that share a cause made one: of what is in either, only mixes show.

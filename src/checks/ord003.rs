@@ -42,12 +42,14 @@ rule! {
 fn check(facts: &Facts) -> Vec<Judged> {
     let mut judged = reading::judge(facts, Kind::Direction, word);
     // Positions tell an inverse where orientations say nothing.
-    let inverted = facts.poses().filter(|(_, _, found)| found.inverted && found.reading.is_err());
-    for (arm, stream, found) in inverted.filter(|(_, _, found)| !found.strays()) {
-        let subject = arm.topic(&stream.topic);
-        if let Some(row) = judged.iter_mut().find(|row| row.subject == subject) {
-            *row = Judged::new(subject, Outcome::faulty(by_positions(found)))
-                .within(stream.span)
+    let inverted = facts.poses().filter(|(_, stream)| {
+        let found = &stream.diagnosis;
+        found.inverted && found.reading.is_err() && !found.strays()
+    });
+    for (_, stream) in inverted {
+        if let Some(row) = judged.iter_mut().find(|row| row.subject == stream.subject) {
+            *row = stream
+                .judged(Outcome::faulty(by_positions(&stream.diagnosis)))
                 .estimated(direction(RotationSlip::Inverted));
         }
     }

@@ -45,7 +45,7 @@ fn check(facts: &Facts) -> Vec<Judged> {
 
 fn judge_arm(arm: &ArmFacts) -> Vec<Judged> {
     let topic = arm.topic(&arm.joints_topic);
-    let joints = match &arm.diagnosis.joints {
+    let joints = match &arm.diagnosis.reading {
         Err(why) => vec![Judged::new(topic, unseen(why, "log a pose or /tf too"))],
         Ok(reading) => {
             let alone = reading.slips_of(JointUnit::Degrees).map(|(slip, left)| {
@@ -61,18 +61,16 @@ fn judge_arm(arm: &ArmFacts) -> Vec<Judged> {
             }
         }
     };
-    let numbers = arm.poses().filter_map(|(stream, diagnosis)| {
+    let numbers = arm.poses.iter().filter_map(|stream| {
         let declared = stream.declared.and_then(|declared| declared.angles);
         if stream.bare {
             let why = "bare numbers of which nothing is declared have no unit to violate";
-            let judged =
-                Judged::new(arm.topic(&stream.topic), Outcome::sound_because(why.to_owned()));
-            return (stream.bare_numbers && diagnosis.degrees.is_some())
-                .then(|| judged.within(stream.span));
+            return (stream.bare_numbers && stream.diagnosis.degrees.is_some())
+                .then(|| stream.judged(Outcome::sound_because(why.to_owned())));
         }
         let taken = if stream.bare_numbers { Taken::Logged } else { Taken::Declared(declared?) };
-        let subject = arm.topic(&stream.topic);
-        let judged = judge(arm, subject, diagnosis.degrees, Unit::Radian, taken);
+        let subject = stream.subject.clone();
+        let judged = judge(arm, subject, stream.diagnosis.degrees, Unit::Radian, taken);
         Some(judged.within(stream.span))
     });
     joints.into_iter().map(|joints| joints.within(arm.span)).chain(numbers).collect()

@@ -43,7 +43,7 @@ fn check(facts: &Facts) -> Vec<Judged> {
 
 fn judge(arm: &ArmFacts) -> Judged {
     let subject = arm.topic(&arm.joints_topic);
-    match &arm.diagnosis.joints {
+    match &arm.diagnosis.reading {
         Err(why) => Judged::new(subject, unseen(why, "log a pose that does not come from /tf too")),
         Ok(JointReading { permutation: None, .. }) => Judged::new(subject, Outcome::sound()),
         Ok(JointReading { permutation: Some((order, slip)), runner_up_m, .. }) => {

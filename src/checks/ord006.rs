@@ -54,14 +54,14 @@ const LISTED: usize = 10;
 
 fn check(facts: &Facts) -> Vec<Judged> {
     let of_arm = |arm: &ArmFacts| -> Vec<Judged> {
-        let numbers = arm.poses().filter_map(|(stream, _)| {
+        let numbers = arm.poses.iter().filter_map(|stream| {
             let coded = stream.euler.as_ref()?;
             let judged = match stream.bare {
                 true => Judged::new(
-                    arm.topic(&stream.topic),
+                    stream.subject.clone(),
                     Outcome::sound_because("nobody declared how it is coded".to_owned()),
                 ),
-                false => judge(facts, arm, &stream.topic, coded),
+                false => judge(facts, arm, stream.topic(), coded),
             };
             Some(judged.within(stream.span))
         });

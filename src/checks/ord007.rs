@@ -74,7 +74,7 @@ fn judge(arm: &ArmFacts, facts: &DhFacts) -> Judged {
     let finite = |value: f64| Some(value).filter(|value| value.is_finite());
     let streams = arm.poses.iter().zip(&estimate.streams).map(|(facts, stream)| {
         json!({
-            "topic": facts.topic,
+            "topic": facts.topic(),
             "declared_m": finite(stream.declared.m),
             "declared_rad": finite(stream.declared.rad),
             "declared_positions_m": stream.declared_positions_m,

@@ -1,5 +1,5 @@
 use crate::checks::decision::unseen;
-use crate::checks::{ArmFacts, Facts, Grade, Judged, PoseFacts};
+use crate::checks::{ArmFacts, Facts, Grade, Judged, Of, PoseFacts};
 use crate::diagnosis::{JointUnit, LengthSlip};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::geometry::{LengthScale, Slip};
@@ -43,40 +43,37 @@ rule! {
 }
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    let streams = facts.robots.iter().flat_map(|arm| {
-        arm.poses_and_tf().map(move |(stream, diagnosis)| (arm, stream, diagnosis))
-    });
-    let judged = streams.map(|(arm, stream, diagnosis)| {
-        let subject = arm.topic(&stream.topic);
-        let outcome = match &diagnosis.length {
+    let streams = facts.poses_and_tf();
+    let judged = streams.map(|(_, stream)| {
+        let outcome = match &stream.diagnosis.length {
             Err(why) => unseen(why, "move the tip by 10 cm or more"),
             Ok(None) => Outcome::sound(),
             Ok(Some(slip)) if stream.bare => Outcome::sound_because(format!(
                 "read as {}: bare numbers of which nothing is declared have no unit to violate",
                 slip.is.words()
             )),
-            Ok(Some(slip)) if diagnosis.strays() => Outcome::Inconclusive(format!(
+            Ok(Some(slip)) if stream.diagnosis.strays() => Outcome::Inconclusive(format!(
                 "{} would leave {}, which explains nothing (MDL001)",
                 slip.is.words(),
                 Unit::Metre.show(slip.residual.corrected)
             )),
             Ok(Some(slip)) => {
                 let LengthSlip { is, read_as, residual } = slip;
-                return Judged::new(subject, Outcome::faulty(fault(stream, slip)))
+                return stream
+                    .judged(Outcome::faulty(fault(stream, slip)))
                     .estimated(Estimate::slip("length unit", is.to_string(), read_as.to_string()))
                     .with_evidence("as_logged_m", residual.as_logged)
-                    .with_evidence("corrected_m", residual.corrected)
-                    .within(stream.span);
+                    .with_evidence("corrected_m", residual.corrected);
             }
         };
-        Judged::new(subject, outcome).within(stream.span)
+        stream.judged(outcome)
     });
     judged.chain(facts.robots.iter().flat_map(judge_joints)).collect()
 }
 
 /// The sliding joints whose positions are not metres.
 fn judge_joints(arm: &ArmFacts) -> Vec<Judged> {
-    let Ok(reading) = &arm.diagnosis.joints else { return Vec::new() };
+    let Ok(reading) = &arm.diagnosis.reading else { return Vec::new() };
     let units = [
         (JointUnit::Millimetres, "mm", "millimetres", 1000),
         (JointUnit::Centimetres, "cm", "centimetres", 100),
@@ -110,8 +107,8 @@ fn judge_joints(arm: &ArmFacts) -> Vec<Judged> {
 }
 
 /// The fault of positions that are in another unit than they were read as.
-fn fault(stream: &PoseFacts, slip: &LengthSlip) -> Fault {
-    let topic = &stream.topic;
+fn fault(stream: &Of<PoseFacts>, slip: &LengthSlip) -> Fault {
+    let topic = stream.topic();
     let (is, read_as) = (slip.is.words(), slip.read_as.words());
     let is_metres = slip.is == LengthScale::METRE;
     let is_millimetres = slip.is == LengthScale::MILLIMETRE;

@@ -55,7 +55,7 @@ fn check(facts: &Facts) -> Vec<Judged> {
 
 fn judge_arm(arm: &ArmFacts) -> Vec<Judged> {
     let topic = arm.topic(&arm.joints_topic);
-    let (scales, reading) = match &arm.diagnosis.joints {
+    let (scales, reading) = match &arm.diagnosis.reading {
         Ok(reading) => (&arm.diagnosis.scales, reading),
         Err(why) => {
             let outcome = unseen(why, "log a pose that does not come from /tf too");
@@ -192,7 +192,7 @@ mod tests {
             unit: JointUnit::Scaled,
             factor: scale.factor.value,
         };
-        arm.diagnosis.joints = Ok(JointReading {
+        arm.diagnosis.reading = Ok(JointReading {
             slips: arm.diagnosis.scales.iter().map(slip).collect(),
             left: Some(UnitSlip { as_logged: 0.4, corrected: 2e-4 }),
             ..JointReading::default()

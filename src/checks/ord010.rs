@@ -1,6 +1,6 @@
 use crate::checks::decision::unseen;
-use crate::checks::{Facts, Grade, Judged, PoseFacts};
-use crate::diagnosis::{AxesSlip, PoseDiagnosis};
+use crate::checks::{Facts, Grade, Judged, Of, PoseFacts};
+use crate::diagnosis::AxesSlip;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::geometry::Axes;
 
@@ -43,27 +43,24 @@ rule! {
 }
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    let streams = facts.robots.iter().flat_map(|arm| {
-        arm.poses_and_tf().map(move |(stream, diagnosis)| (arm, stream, diagnosis))
-    });
-    let judged = streams.map(|(arm, stream, diagnosis)| {
-        let subject = arm.topic(&stream.topic);
-        let outcome = match diagnosis.axes {
+    let streams = facts.poses_and_tf();
+    let judged = streams.map(|(_, stream)| {
+        let outcome = match stream.diagnosis.axes {
             Err(ref why) => unseen(why, "move the tip by 10 cm or more in all directions"),
             Ok(None) => Outcome::sound(),
-            Ok(Some(_)) if diagnosis.strays() => Outcome::Inconclusive(
+            Ok(Some(_)) if stream.diagnosis.strays() => Outcome::Inconclusive(
                 "no axes explain its positions (MDL001); check the model and its joints".to_owned(),
             ),
             Ok(Some(slip)) => {
-                let outcome = Outcome::faulty(fault(stream, diagnosis, slip));
-                return Judged::new(subject, outcome)
-                    .within(stream.span)
+                let outcome = Outcome::faulty(fault(stream, slip));
+                return stream
+                    .judged(outcome)
                     .estimated(Estimate::slip("axes", named(slip), Axes::STANDARD.to_string()))
                     .with_evidence("positions", slip.positions.to_string())
                     .with_evidence("rotations", slip.rotations.to_string());
             }
         };
-        Judged::new(subject, outcome).within(stream.span)
+        stream.judged(outcome)
     });
     judged.collect()
 }
@@ -85,7 +82,7 @@ fn named(slip: AxesSlip) -> String {
     }
 }
 
-fn fault(stream: &PoseFacts, diagnosis: &PoseDiagnosis, slip: AxesSlip) -> Fault {
+fn fault(stream: &Of<PoseFacts>, slip: AxesSlip) -> Fault {
     let AxesSlip { positions, rotations } = slip;
     let title = match (positions == Axes::STANDARD, rotations == Axes::STANDARD) {
         (true, _) => "axes of the rotations are exchanged",
@@ -93,7 +90,7 @@ fn fault(stream: &PoseFacts, diagnosis: &PoseDiagnosis, slip: AxesSlip) -> Fault
         (_, true) => "axes of the positions are exchanged",
         _ => "axes are exchanged",
     };
-    let residual = diagnosis.residual.as_ref().ok();
+    let residual = stream.diagnosis.residual.as_ref().ok();
     let before = residual.map_or(0.0, |residual| residual.before_m);
     let after = residual.map_or(0.0, |residual| residual.rms_m);
     let after_rad = residual.map_or(0.0, |residual| residual.rms_rad);
@@ -129,7 +126,11 @@ fn fault(stream: &PoseFacts, diagnosis: &PoseDiagnosis, slip: AxesSlip) -> Fault
             Unit::Metre.show(before)
         ),
         evidence,
-        fix: format!("fill {} with {} of what stands there now", stream.topic, lines.join(" and ")),
+        fix: format!(
+            "fill {} with {} of what stands there now",
+            stream.topic(),
+            lines.join(" and ")
+        ),
     }
 }
 
@@ -143,7 +144,7 @@ mod tests {
     fn the_fix_names_each_component() {
         let mut facts = clean_run();
         let slip = AxesSlip { positions: Axes::UNITY, rotations: Axes::UNITY };
-        facts.robots[0].diagnosis.streams[0].axes = Ok(Some(slip));
+        facts.robots[0].poses[0].diagnosis.axes = Ok(Some(slip));
         let (rows, findings) = ask(&ORD010, &facts);
         assert_eq!(rows[0].status, Status::Fail);
         let fix = &findings[0].fix;

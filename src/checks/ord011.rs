@@ -1,5 +1,5 @@
 use crate::checks::decision::unseen;
-use crate::checks::{Facts, Grade, Judged, PoseFacts};
+use crate::checks::{Facts, Grade, Judged, Of, PoseFacts};
 use crate::diagnosis::ConstantPart;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit, rounded};
 
@@ -34,21 +34,20 @@ rule! {
 }
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    let streams = facts.robots.iter().flat_map(|arm| {
-        arm.poses_and_tf().map(move |(stream, diagnosis)| (arm, stream, diagnosis))
-    });
-    let judged = streams.map(|(arm, stream, diagnosis)| {
-        let subject = arm.topic(&stream.topic);
-        let judged = match (&diagnosis.axes, diagnosis.constant.as_slice()) {
-            (Err(why), _) => Judged::new(subject, unseen(why, "move the tip by 10 cm or more")),
-            (Ok(_), []) => Judged::new(subject, Outcome::sound()),
+    let streams = facts.poses_and_tf();
+    let judged = streams.map(|(_, stream)| {
+        let found = &stream.diagnosis;
+        match (&found.axes, found.constant.as_slice()) {
+            (Err(why), _) => stream.judged(unseen(why, "move the tip by 10 cm or more")),
+            (Ok(_), []) => stream.judged(Outcome::sound()),
             (Ok(_), parts) => {
                 let most = parts.iter().map(|part| part.moved_m).fold(0.0, f64::max);
                 let values: serde_json::Map<String, serde_json::Value> = parts
                     .iter()
                     .map(|part| (part.coordinate.to_string(), part.value.into()))
                     .collect();
-                Judged::new(subject, Outcome::faulty(fault(stream, parts, most)))
+                stream
+                    .judged(Outcome::faulty(fault(stream, parts, most)))
                     .estimated(Estimate::counted(
                         "motion that is missing",
                         Unit::Metre.symbol(),
@@ -56,13 +55,12 @@ fn check(facts: &Facts) -> Vec<Judged> {
                     ))
                     .with_evidence("constant", values)
             }
-        };
-        judged.within(stream.span)
+        }
     });
     judged.collect()
 }
 
-fn fault(stream: &PoseFacts, parts: &[ConstantPart], most_m: f64) -> Fault {
+fn fault(stream: &Of<PoseFacts>, parts: &[ConstantPart], most_m: f64) -> Fault {
     let said: Vec<String> = parts
         .iter()
         .map(|ConstantPart { coordinate, value, moved_m }| {
@@ -79,7 +77,7 @@ fn fault(stream: &PoseFacts, parts: &[ConstantPart], most_m: f64) -> Fault {
         title: "a coordinate never changes",
         message: said.join("; "),
         evidence: Evidence { effect_m: Some(most_m), ..Evidence::default() },
-        fix: format!("fill {} of {} where it is written", names.join(" and "), stream.topic),
+        fix: format!("fill {} of {} where it is written", names.join(" and "), stream.topic()),
     }
 }
 
@@ -92,7 +90,7 @@ mod tests {
     fn the_coordinate_its_value_and_what_is_missing_are_said() {
         let mut facts = clean_run();
         assert!(ask(&ORD011, &facts).1.is_empty());
-        facts.robots[0].diagnosis.streams[0].constant =
+        facts.robots[0].poses[0].diagnosis.constant =
             vec![ConstantPart { coordinate: 'z', value: 0.0, moved_m: 0.43 }];
         let findings = ask(&ORD011, &facts).1;
         let expected = "z is 0.0000 throughout while forward kinematics moves it by 430 mm";

@@ -2,11 +2,10 @@
 
 use crate::checks::decision::{DEGREE, unseen};
 use crate::checks::{ArmFacts, Facts, Judged};
-use crate::desk::{self, Form};
 use crate::diagnosis::{PoseDiagnosis, Reading, ReadingEstimate, Seen};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, ReadAs, Ruling, Severity, Unit};
 use crate::geometry::{
-    AngleUnit, Convention, LengthScale, Misreading, QuaternionSlip, RotationSlip,
+    AngleUnit, Coding, Convention, LengthScale, Misreading, QuaternionSlip, RotationSlip, vendors,
 };
 
 /// A fault must leave at least this many times less than the stream as logged, and than the next
@@ -63,19 +62,20 @@ pub fn judge(
 ) -> Vec<Judged> {
     let mut judged = Vec::new();
     for arm in &facts.robots {
-        let streams = arm.poses_and_tf().map(|(stream, diagnosis)| {
-            let doubt = diagnosis.strays().then_some("its positions do not lie on the arm");
-            let bare = stream.bare.then_some(diagnosis);
-            (&stream.topic, stream.span, &diagnosis.reading, doubt, bare)
+        let streams = arm.poses_and_tf().map(|stream| {
+            let found = &stream.diagnosis;
+            let doubt = found.strays().then_some("its positions do not lie on the arm");
+            stream.with((&found.reading, doubt, stream.bare.then_some(found)))
         });
-        let unread = arm.diagnosis.joints.is_err() && !arm.poses.is_empty();
+        let unread = arm.diagnosis.reading.is_err() && !arm.poses.is_empty();
         let doubt = unread.then_some("the joint states themselves could not be read for sure");
         let imus = arm.imus.iter();
-        let imus = imus.map(|(imu, found)| (&imu.topic, imu.span, &found.reading, doubt, None));
-        judged.extend(streams.chain(imus).map(|(topic, span, reading, doubt, bare)| {
+        let imus = imus.map(|imu| imu.with((&imu.diagnosis.reading, doubt, None)));
+        judged.extend(streams.chain(imus).map(|stream| {
+            let (reading, doubt, bare) = stream.found;
             let judged = judge_stream(arm, reading, asked, word);
             let judged = match bare {
-                Some(found) => of_bare_numbers(arm, topic, asked, found, judged),
+                Some(found) => of_bare_numbers(arm, stream.topic(), asked, found, judged),
                 None => judged,
             };
             let (outcome, estimate) = match (judged, doubt) {
@@ -85,7 +85,7 @@ pub fn judge(
                 ),
                 (judged, _) => judged,
             };
-            Judged::new(arm.topic(topic), outcome).within(span).estimated(estimate)
+            stream.judged(outcome).estimated(estimate)
         }));
     }
     judged
@@ -145,8 +145,8 @@ fn of_bare_numbers(
 ) -> (Outcome, Option<Estimate>) {
     let is_read = matches!(outcome, Outcome::Evaluated(_));
     let form = found.reading.as_ref().ok().and_then(|reading| match reading.best {
-        Reading::Numbers(convention) => Some(Form::Three(convention)),
-        Reading::QuaternionOrder(QuaternionSlip::WxyzReadAsXyzw) => Some(Form::Wxyz),
+        Reading::Numbers(convention) => Some(Coding::Three(convention)),
+        Reading::QuaternionOrder(QuaternionSlip::WxyzReadAsXyzw) => Some(Coding::Wxyz),
         _ => None,
     });
     match (asked, form) {
@@ -158,14 +158,7 @@ fn of_bare_numbers(
             evidence.more.insert("angle_unit".to_owned(), angle.symbol().into());
             let fault = Fault {
                 severity: Severity::Info,
-                cause: Cause::Bare {
-                    convention: match form {
-                        Form::Three(convention) => Some(convention),
-                        _ => None,
-                    },
-                    length,
-                    angle,
-                },
+                cause: Cause::Bare { coding: form, length, angle },
                 title: "how bare numbers were read",
                 message: format!("read as {said}: that is how they follow the arm"),
                 evidence,
@@ -177,7 +170,7 @@ fn of_bare_numbers(
             let (is, read_as) = (form.to_string(), form.to_string());
             (Outcome::faulty(fault), Some(Estimate::slip("reading", is, read_as)))
         }
-        (Kind::QuaternionOrder, Some(Form::Wxyz)) if is_read => {
+        (Kind::QuaternionOrder, Some(Coding::Wxyz)) if is_read => {
             let why = "bare numbers of which nothing is declared have no order to violate";
             (Outcome::sound_because(why.to_owned()), None)
         }
@@ -193,16 +186,14 @@ fn bare_units(found: &PoseDiagnosis) -> (LengthScale, AngleUnit) {
 }
 
 /// How bare numbers were read, with makers whose numbers are so: `KUKA's: mm, euler:ZYX in deg`.
-fn bare_reading(arm: &ArmFacts, topic: &str, form: Form, found: &PoseDiagnosis) -> String {
+fn bare_reading(arm: &ArmFacts, topic: &str, form: Coding, found: &PoseDiagnosis) -> String {
     /// Makers that are named.
     const NAMED: usize = 3;
     let (length, angle) = bare_units(found);
-    let is_three = matches!(form, Form::Three(_));
-    let is_alike = |entry: &&'static desk::Use| {
-        let metres =
-            if entry.in_millimetres() { LengthScale::MILLIMETRE } else { LengthScale::METRE };
-        let angles = !is_three || entry.in_degrees() == (angle == AngleUnit::Degree);
-        entry.is_maker() && metres == length && angles
+    let is_three = matches!(form, Coding::Three(_));
+    let is_alike = |entry: &&'static vendors::Use| {
+        let angles = !is_three || entry.units.angle.unwrap_or_default() == angle;
+        entry.is_vendor() && entry.units.length.unwrap_or_default() == length && angles
     };
     // Whose arm it is, its own names say best.
     let names = format!("{} {topic}", arm.name).to_lowercase();
@@ -211,7 +202,7 @@ fn bare_reading(arm: &ArmFacts, topic: &str, form: Form, found: &PoseDiagnosis) 
         !names.contains(&first)
     };
     let mut makers: Vec<&str> = Vec::new();
-    for entry in desk::uses_of(form).filter(is_alike) {
+    for entry in vendors::uses_of(form).filter(is_alike) {
         if !makers.contains(&entry.who.as_str()) {
             makers.push(&entry.who);
         }
@@ -231,10 +222,10 @@ fn bare_reading(arm: &ArmFacts, topic: &str, form: Form, found: &PoseDiagnosis) 
 }
 
 /// What to declare of numbers that were read so.
-fn declared(form: Form, found: &PoseDiagnosis) -> String {
+fn declared(form: Coding, found: &PoseDiagnosis) -> String {
     let (length, angle) = bare_units(found);
-    let angle =
-        if matches!(form, Form::Three(_)) && angle == AngleUnit::Degree { ",deg" } else { "" };
+    let is_degrees = matches!(form, Coding::Three(_)) && angle == AngleUnit::Degree;
+    let angle = if is_degrees { ",deg" } else { "" };
     let length = if length == LengthScale::MILLIMETRE { ",mm" } else { "" };
     format!("{form}{angle}{length}")
 }
@@ -367,7 +358,7 @@ mod tests {
     fn read(best: Reading, best_rad: f64, runner_up: Option<(Reading, f64)>) -> Facts {
         let mut facts = clean_run();
         let as_logged_rad = Some(1.1);
-        facts.robots[0].diagnosis.streams[0].reading = Ok(ReadingEstimate {
+        facts.robots[0].poses[0].diagnosis.reading = Ok(ReadingEstimate {
             inverted: matches!(best, Reading::Inverted),
             best,
             as_logged_rad,

@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use crate::checks::decision::unseen;
-use crate::checks::{ArmFacts, WitnessKind};
+use crate::checks::{ArmFacts, Of, WitnessKind};
 use crate::checks::{ReferenceFacts, mot003};
 use crate::diagnosis::{Following, JointOffset, ReferenceDiagnosis};
 use crate::finding::Outcome;
@@ -11,10 +11,10 @@ use crate::finding::Outcome;
 /// What was found of commands; else the outcome of a rule that is asked about them.
 pub fn found<'a>(
     arm: &ArmFacts,
-    reference: &'a ReferenceFacts,
+    reference: &'a Of<ReferenceFacts>,
     settle: &str,
 ) -> Result<&'a ReferenceDiagnosis, Outcome> {
-    let found = match &reference.found {
+    let found = match &reference.diagnosis {
         Err(why) => return Err(Outcome::Skipped(why.clone())),
         Ok(found) => found.as_ref().map_err(|why| unseen(why, settle))?,
     };
@@ -27,12 +27,13 @@ pub fn found<'a>(
 /// Whether something was found that makes a stream of poses and FK of the joint states differ.
 pub fn witnesses_differ(arm: &ArmFacts) -> bool {
     let is_chosen = |offset: &JointOffset| offset.chosen;
-    let differs = arm.poses().any(|(_, stream)| stream.nominal || stream.growth_chosen);
+    let differs =
+        arm.poses.iter().any(|stream| stream.diagnosis.nominal || stream.diagnosis.growth_chosen);
     differs || arm.diagnosis.offsets.iter().any(is_chosen)
 }
 
 /// A witness in words.
-pub fn witness_name(reference: &ReferenceFacts, index: usize) -> String {
+pub fn witness_name(reference: &Of<ReferenceFacts>, index: usize) -> String {
     match reference.witnesses.get(index) {
         Some(witness) if witness.kind == WitnessKind::Corrected => {
             format!("{} as corrected", witness.name)

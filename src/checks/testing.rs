@@ -5,17 +5,18 @@ use crate::checks::{
     ReferenceFacts, ReferenceWitness, Rule, ShakeFacts, WitnessKind, evaluate,
 };
 use crate::diagnosis::{
-    Abruptness, Aligned, Amount, ArmDiagnosis, DhEstimate, DhStream, Error, FrameEstimate,
-    GyroBias, ImuDiagnosis, ImuProof, JointOffset, JointReading, LatencyCourse, Left, Length, Line,
-    LineWitness, Measured, Part, PoseDiagnosis, Proof, Reading, ReadingEstimate,
+    Abruptness, Aligned, Amount, DhEstimate, DhStream, Error, FrameEstimate, GyroBias,
+    ImuDiagnosis, ImuProof, JointDiagnosis, JointOffset, JointReading, LatencyCourse, Left, Length,
+    Line, LineWitness, Measured, Part, PoseDiagnosis, Proof, Reading, ReadingEstimate,
     ReferenceDiagnosis, Residual, RestGap, Shake, Short, Size, YawCourse,
 };
-use crate::finding::{CheckRow, Finding, Span};
+use crate::finding::{CheckRow, Finding, Span, Subject};
 use crate::geometry::{Convention, Pose, Vec3, pose, rotation_from_rotvec};
 use crate::robot::{DhConvention, Limits};
 use crate::run::Witness;
 use crate::time::Stamp;
 
+const ARM: &str = "arm";
 pub const POSE: &str = "/pose";
 pub const TF: &str = "/tf";
 pub const IMU: &str = "/imu";
@@ -101,7 +102,7 @@ pub fn clean_run() -> Facts {
         headings: Vec::new(),
     };
     let arm = ArmFacts {
-        name: "arm".to_owned(),
+        name: ARM.to_owned(),
         joints_topic: JOINTS.to_owned(),
         span: SPAN,
         joints: ["pan", "lift", "elbow"].map(joint).to_vec(),
@@ -119,36 +120,35 @@ pub fn clean_run() -> Facts {
                 other_faults: 0,
             },
         }),
-        diagnosis: ArmDiagnosis {
-            joints: Ok(JointReading::default()),
+        diagnosis: JointDiagnosis {
+            reading: Ok(JointReading::default()),
             offsets: vec![offset(), offset(), offset()],
             scales: Vec::new(),
-            streams: vec![clean_stream()],
         },
-        poses: vec![stream(POSE, true)],
-        tf: vec![(stream(TF, false), clean_stream())],
-        shakes: vec![ShakeFacts {
-            topic: JOINTS.to_owned(),
-            span: SPAN,
-            in_other_units: false,
-            shake: Ok(Shake::default()),
-        }],
-        imus: vec![(
+        poses: vec![of(POSE, stream(true))],
+        tf: Some(of(TF, stream(false))),
+        shakes: vec![of(JOINTS, ShakeFacts { in_other_units: false, shake: Ok(Shake::default()) })],
+        imus: vec![of(
+            IMU,
             ImuFacts {
-                topic: IMU.to_owned(),
-                span: SPAN,
                 independent: true,
                 link: "tool0".to_owned(),
                 link_from_imu: None,
                 proof: Some(ImuProof::default()),
+                diagnosis: imu,
             },
-            imu,
         )],
-        references: vec![commands()],
+        references: vec![of(COMMANDS, commands())],
     };
-    let frozen = Of { subject: arm.topic(POSE), span: Some(SPAN), found: Vec::new() };
-    let audited = Of { subject: arm.topic(POSE), span: Some(SPAN), found: Vec::new() };
+    let frozen = of(POSE, Vec::new());
+    let audited = of(POSE, Vec::new());
     Facts { robots: vec![arm], frozen: vec![frozen], unaudited: vec![audited], ..Facts::default() }
+}
+
+/// What was found on a topic of the arm.
+fn of<T>(topic: &str, found: T) -> Of<T> {
+    let (robot, topic) = (Some(ARM.to_owned()), Some(topic.to_owned()));
+    Of { subject: Subject { robot, topic, ..Subject::default() }, span: Some(SPAN), found }
 }
 
 /// Commands that the arm follows, along a line too, by FK and by a stream.
@@ -166,8 +166,6 @@ fn commands() -> ReferenceFacts {
         witnesses: vec![Some(kept); 2],
     };
     ReferenceFacts {
-        topic: COMMANDS.to_owned(),
-        span: Some(SPAN),
         is_of_joints: false,
         tip_named: true,
         frame_named: true,
@@ -175,7 +173,7 @@ fn commands() -> ReferenceFacts {
             witness("FK of the joint states", WitnessKind::Kinematics),
             witness(POSE, WitnessKind::Corrected),
         ],
-        found: Ok(Ok(ReferenceDiagnosis {
+        diagnosis: Ok(Ok(ReferenceDiagnosis {
             is_streamed: true,
             following: None,
             goals: 2,
@@ -256,10 +254,9 @@ fn clean_stream() -> PoseDiagnosis {
     }
 }
 
-fn stream(topic: &str, independent: bool) -> PoseFacts {
+fn stream(independent: bool) -> PoseFacts {
     PoseFacts {
-        topic: topic.to_owned(),
-        span: SPAN,
+        diagnosis: clean_stream(),
         reference: "base".to_owned(),
         reference_known: true,
         tip: "tool0".to_owned(),

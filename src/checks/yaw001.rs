@@ -1,8 +1,8 @@
 use serde_json::{Map, Value, json};
 
 use crate::checks::decision::{DEGREE, Figure, decide, unseen};
-use crate::checks::{ArmFacts, Facts, Grade, ImuFacts, Judged};
-use crate::diagnosis::{ImuDiagnosis, Measured, YawCourse, YawJump};
+use crate::checks::{Facts, Grade, ImuFacts, Judged, Of};
+use crate::diagnosis::{Measured, YawCourse, YawJump};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Severity, Unit};
 
 rule! {
@@ -57,25 +57,23 @@ const JUMP: Figure = Figure { unit: Unit::Radian, warning: 0.5 * DEGREE, error: 
 const SETTLE: &str = "record a minute or more, with rests";
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    facts.imus().flat_map(|(arm, imu, diagnosis)| judge(facts, arm, imu, diagnosis)).collect()
+    facts.imus().flat_map(|(_, imu)| judge(facts, imu)).collect()
 }
 
 /// The drift, and the largest jump where there is one.
-fn judge(facts: &Facts, arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis) -> Vec<Judged> {
+fn judge(facts: &Facts, imu: &Of<ImuFacts>) -> Vec<Judged> {
     let subjects = facts.subjects();
     let [drift_figure, jump_figure] = [FIGURE, JUMP].map(|own| facts.figures.of(&YAW001, own));
-    let subject = arm.topic(&imu.topic);
-    let drift = match &diagnosis.yaw_drift_rad_s {
+    let drift = match &imu.diagnosis.yaw_drift_rad_s {
         Ok(drift) => drift,
-        Err(why) => return vec![Judged::new(subject, unseen(why, SETTLE)).within(imu.span)],
+        Err(why) => return vec![imu.judged(unseen(why, SETTLE))],
     };
-    let course = &diagnosis.yaw_course;
+    let course = &imu.diagnosis.yaw_course;
     let outcome = decide(drift, &drift_figure, subjects)
         .into_outcome(&settle(course), |severity| drifts(imu, drift, severity));
     let estimate = Estimate::amount("yaw drift", FIGURE.unit, drift);
     let kind = if course.walk_rad_rt_s.is_some() { "random-walk" } else { "drift" };
-    let mut judged =
-        vec![with_course(Judged::new(subject, outcome).estimated(estimate), course, kind)];
+    let mut judged = vec![with_course(imu.judged(outcome).estimated(estimate), course, kind)];
     let size = |jump: &&YawJump| jump.size_rad.value.abs();
     let largest = course.jumps.iter().max_by(|a, b| size(a).total_cmp(&size(b)));
     // A jump that is not worth a word is only taken off the drift.
@@ -83,7 +81,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis
         let outcome = decide(&jump.size_rad, &jump_figure, subjects)
             .into_outcome(SETTLE, |severity| jumps(jump, severity));
         let estimate = Estimate::amount("yaw jump", JUMP.unit, &jump.size_rad);
-        let of_jump = Judged::new(arm.topic(&imu.topic), outcome).estimated(estimate);
+        let of_jump = imu.judged(outcome).estimated(estimate);
         judged.push(with_course(of_jump, course, "jump"));
     }
     judged.into_iter().map(|judged| judged.within(imu.span)).collect()
@@ -119,8 +117,8 @@ fn shown(jump: &YawJump) -> Value {
     Value::Object(shown)
 }
 
-fn drifts(imu: &ImuFacts, drift: &Measured, severity: Severity) -> Fault {
-    let seconds = imu.span.seconds();
+fn drifts(imu: &Of<ImuFacts>, drift: &Measured, severity: Severity) -> Fault {
+    let seconds = imu.seconds();
     let turned = Unit::Radian.show(drift.value.abs() * seconds);
     Fault {
         severity,
@@ -156,7 +154,7 @@ mod tests {
     #[test]
     fn a_jump_is_a_finding_beside_a_drift_that_passes() {
         let mut facts = clean_run();
-        facts.robots[0].imus[0].1.yaw_course.jumps =
+        facts.robots[0].imus[0].diagnosis.yaw_course.jumps =
             vec![YawJump { at_s: 4.5, size_rad: sure(-DEGREE) }];
         let (rows, findings) = ask(&YAW001, &facts);
         assert_eq!([rows[0].status, rows[1].status], [Status::Pass, Status::Fail]);
@@ -168,7 +166,7 @@ mod tests {
     #[test]
     fn a_small_jump_is_taken_off_and_not_spoken_of() {
         let mut facts = clean_run();
-        facts.robots[0].imus[0].1.yaw_course.jumps =
+        facts.robots[0].imus[0].diagnosis.yaw_course.jumps =
             vec![YawJump { at_s: 4.5, size_rad: sure(0.3 * DEGREE) }];
         let (rows, findings) = ask(&YAW001, &facts);
         assert!(rows.len() == 1 && findings.is_empty(), "{rows:?}");
@@ -177,7 +175,7 @@ mod tests {
     #[test]
     fn a_drift_in_a_walk_says_so() {
         let mut facts = clean_run();
-        let imu = &mut facts.robots[0].imus[0].1;
+        let imu = &mut facts.robots[0].imus[0].diagnosis;
         imu.yaw_drift_rad_s = Ok(Measured { std_error: 1e-2, ..sure(1e-3) });
         imu.yaw_course.walk_rad_rt_s = Some(0.5 * DEGREE);
         let (rows, _) = ask(&YAW001, &facts);

@@ -1,6 +1,6 @@
 use crate::checks::decision::{DEGREE, Figure, decide_length, unseen};
-use crate::checks::{ArmFacts, Facts, Grade, ImuFacts, Judged};
-use crate::diagnosis::{ImuDiagnosis, Length};
+use crate::checks::{Facts, Grade, ImuFacts, Judged, Of};
+use crate::diagnosis::Length;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
@@ -45,16 +45,15 @@ fn figure(facts: &Facts) -> Figure {
 }
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    facts.imus().map(|(arm, imu, diagnosis)| judge(facts, arm, imu, diagnosis)).collect()
+    facts.imus().map(|(_, imu)| judge(facts, imu)).collect()
 }
 
-fn judge(facts: &Facts, arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis) -> Judged {
-    let subject = arm.topic(&imu.topic);
-    let tilt = match &diagnosis.tilt_rad {
+fn judge(facts: &Facts, imu: &Of<ImuFacts>) -> Judged {
+    let tilt = match &imu.diagnosis.tilt_rad {
         Ok(tilt) => tilt,
-        Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(imu.span),
+        Err(why) => return imu.judged(unseen(why, SETTLE)),
     };
-    let as_logged = diagnosis.reading.as_ref().is_ok_and(|reading| reading.best.is_as_logged());
+    let as_logged = imu.diagnosis.reading.as_ref().is_ok_and(|reading| reading.best.is_as_logged());
     let outcome = match as_logged {
         false => Outcome::Inconclusive(
             "the orientation is not as logged; read it right first (ORD001 to ORD003)".to_owned(),
@@ -63,7 +62,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis
             .into_outcome(SETTLE, |severity| fault(tilt, severity)),
     };
     let estimate = Estimate::length("tilt against gravity", FIGURE.unit, tilt);
-    Judged::new(subject, outcome).within(imu.span).estimated(estimate)
+    imu.judged(outcome).estimated(estimate)
 }
 
 fn fault(tilt: &Length, severity: Severity) -> Fault {
@@ -86,7 +85,7 @@ mod tests {
     #[test]
     fn a_lean_beyond_the_figure_is_named_on_its_topic() {
         let mut facts = clean_run();
-        facts.robots[0].imus[0].1.tilt_rad = Ok(length(1.0 * DEGREE));
+        facts.robots[0].imus[0].diagnosis.tilt_rad = Ok(length(1.0 * DEGREE));
         let (_, findings) = ask(&YAW002, &facts);
         assert_eq!(findings[0].subject.topic.as_deref(), Some(IMU));
         assert_eq!(findings[0].message, "roll and pitch are 1.000 ± 0.001° off gravity");

@@ -1,6 +1,6 @@
 use crate::checks::decision::{DEGREE, Figure, decide_length, unseen};
-use crate::checks::{ArmFacts, Facts, Grade, ImuFacts, Judged};
-use crate::diagnosis::{ImuDiagnosis, Length};
+use crate::checks::{Facts, Grade, ImuFacts, Judged, Of};
+use crate::diagnosis::Length;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Severity, Unit};
 use crate::geometry::{Rotation, Vec3, xyzw_from_rotation};
 use serde_json::{Value, json};
@@ -49,25 +49,24 @@ fn figure(facts: &Facts) -> Figure {
 }
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    facts.imus().map(|(arm, imu, diagnosis)| judge(facts, arm, imu, diagnosis)).collect()
+    facts.imus().map(|(_, imu)| judge(facts, imu)).collect()
 }
 
-fn judge(facts: &Facts, arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis) -> Judged {
-    let subject = arm.topic(&imu.topic);
-    let judged = match &diagnosis.mount_rad {
-        Err(why) => Judged::new(subject, unseen(why, SETTLE)),
+fn judge(facts: &Facts, imu: &Of<ImuFacts>) -> Judged {
+    let judged = match &imu.diagnosis.mount_rad {
+        Err(why) => imu.judged(unseen(why, SETTLE)),
         Ok(mount) => {
             let decision = decide_length(mount, &figure(facts), facts.subjects());
-            let found = diagnosis.link_from_imu;
+            let found = imu.diagnosis.link_from_imu;
             let outcome =
                 decision.into_outcome(SETTLE, |severity| fault(mount, imu, found, severity));
             let estimate = Estimate::length("mount error", FIGURE.unit, mount);
-            Judged::new(subject, outcome).estimated(estimate)
+            imu.judged(outcome).estimated(estimate)
         }
     };
     let judged = judged.within(imu.span);
     let link = &imu.link;
-    let judged = match diagnosis.link_from_imu {
+    let judged = match imu.diagnosis.link_from_imu {
         Some(mount) => judged
             .with_evidence("link_from_imu", xyzw_from_rotation(&mount).to_vec())
             .with_evidence("direction_cosines", direction_cosines(&mount, link))
@@ -123,7 +122,7 @@ fn direction(mount: &Rotation, axis: usize, link: &str) -> String {
     format!("between {first} and {second}, {off:.0}° off the first")
 }
 
-fn fault(mount: &Length, imu: &ImuFacts, found: Option<Rotation>, severity: Severity) -> Fault {
+fn fault(mount: &Length, imu: &Of<ImuFacts>, found: Option<Rotation>, severity: Severity) -> Fault {
     let shown = FIGURE.unit.show_measured(&mount.norm);
     let axes = found.map_or(String::new(), |found| {
         let [x, y, z] = [0, 1, 2].map(|axis| direction(&found, axis, &imu.link));
@@ -181,14 +180,14 @@ mod tests {
     #[test]
     fn a_turned_mount_is_an_error_and_no_frame_is_nothing_to_judge() {
         let mut facts = clean_run();
-        let imu = &mut facts.robots[0].imus[0].1;
+        let imu = &mut facts.robots[0].imus[0].diagnosis;
         imu.mount_rad = Ok(length(90.0 * DEGREE));
         imu.link_from_imu = Some(mount([0.0, 0.0, 90.0]));
         let (_, findings) = ask(&YAW003, &facts);
         assert_eq!(findings[0].severity, Severity::Error);
         let said = &findings[0].message;
         assert!(said.ends_with("imu x points along tool0 y; y along tool0 −x; z along tool0 z"));
-        facts.robots[0].imus[0].1.mount_rad = Err(Unseen::NoFrame);
+        facts.robots[0].imus[0].diagnosis.mount_rad = Err(Unseen::NoFrame);
         let (rows, _) = ask(&YAW003, &facts);
         assert_eq!(rows[0].status, Status::Skipped);
     }

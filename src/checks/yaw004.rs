@@ -1,8 +1,8 @@
 use serde_json::{Value, json};
 
 use crate::checks::decision::{DEGREE, Figure, decide_length, unseen};
-use crate::checks::{ArmFacts, Facts, Grade, ImuFacts, Judged};
-use crate::diagnosis::{GyroBias, GyroShape, ImuDiagnosis, Measured};
+use crate::checks::{Facts, Grade, ImuFacts, Judged, Of};
+use crate::diagnosis::{GyroBias, GyroShape, Measured};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Severity, Unit};
 
 rule! {
@@ -50,18 +50,17 @@ fn figure(facts: &Facts) -> Figure {
 }
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    facts.imus().map(|(arm, imu, diagnosis)| judge(facts, arm, imu, diagnosis)).collect()
+    facts.imus().map(|(_, imu)| judge(facts, imu)).collect()
 }
 
-fn judge(facts: &Facts, arm: &ArmFacts, imu: &ImuFacts, diagnosis: &ImuDiagnosis) -> Judged {
-    let subject = arm.topic(&imu.topic);
-    let bias = match &diagnosis.gyro_bias {
+fn judge(facts: &Facts, imu: &Of<ImuFacts>) -> Judged {
+    let bias = match &imu.diagnosis.gyro_bias {
         Ok(bias) => bias,
-        Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(imu.span),
+        Err(why) => return imu.judged(unseen(why, SETTLE)),
     };
     let decision = decide_length(&bias.length_rad_s, &figure(facts), facts.subjects());
     let outcome = decision.into_outcome(SETTLE, |severity| fault(bias, severity));
-    let judged = Judged::new(subject, outcome).within(imu.span).estimated(Estimate::length(
+    let judged = imu.judged(outcome).estimated(Estimate::length(
         "gyro bias",
         FIGURE.unit,
         &bias.length_rad_s,
@@ -109,7 +108,7 @@ mod tests {
     #[test]
     fn a_bias_is_named_with_its_vector() {
         let mut facts = clean_run();
-        facts.robots[0].imus[0].1.gyro_bias = Ok(GyroBias {
+        facts.robots[0].imus[0].diagnosis.gyro_bias = Ok(GyroBias {
             vector_rad_s: Vec3::new(0.0, 0.03, -0.04),
             length_rad_s: length(0.05),
             yaw_rate_rad_s: -0.04,

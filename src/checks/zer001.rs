@@ -1,7 +1,8 @@
 use crate::checks::decision::{DEGREE, Decision, Figure, decide, unseen};
-use crate::checks::{ArmFacts, Facts, Grade, Judged, frm001, frm002, frm003, mdl001};
+use crate::checks::twins::{estimate, twin_cause};
+use crate::checks::{ArmFacts, Facts, Grade, Judged, frm001, standing};
 use crate::diagnosis::{FrameEstimate, JointOffset, Measured, Seen, Twin};
-use crate::finding::{Alternative, Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Witness;
 
 rule! {
@@ -82,12 +83,14 @@ fn judge(facts: &Facts, arm: &ArmFacts, joint: usize, offset: &JointOffset) -> J
         }
     };
     let outcome = match (decide(measured, &figure, facts.subjects()), named_instead(arm, offset)) {
-        (Decision::Fail(_), _) if offset.chosen && arm.poses().any(|(_, s)| s.repeats()) => {
+        (Decision::Fail(_), _)
+            if offset.chosen && arm.poses.iter().any(|s| s.diagnosis.repeats()) =>
+        {
             Outcome::Inconclusive(format!(
                 "it rests on a latency that fits at several lags; {SETTLE}"
             ))
         }
-        (Decision::Fail(severity), _) if offset.chosen => match mdl001::doubt(arm, 0.0) {
+        (Decision::Fail(severity), _) if offset.chosen => match standing::doubt(arm, 0.0) {
             Some(why) => Outcome::Inconclusive(why),
             None => Outcome::faulty(fault(facts, arm, joint, measured, severity)),
         },
@@ -104,7 +107,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, joint: usize, offset: &JointOffset) -> J
 }
 
 fn not_told_from(arm: &ArmFacts, twin: &str) -> Outcome {
-    match mdl001::doubt(arm, 0.0) {
+    match standing::doubt(arm, 0.0) {
         Some(why) => Outcome::Inconclusive(why),
         None => Outcome::Indistinguishable(format!(
             "it cannot be told from {twin}, which is named instead"
@@ -119,10 +122,6 @@ fn figure(unit: Unit) -> Figure {
     }
 }
 
-fn estimate(unit: Unit, offset: &Measured) -> Estimate {
-    Estimate::amount("joint zero offset", unit, offset)
-}
-
 fn fault(
     facts: &Facts,
     arm: &ArmFacts,
@@ -131,7 +130,7 @@ fn fault(
     severity: Severity,
 ) -> Fault {
     let (offset, unit) = (&arm.diagnosis.offsets[joint], arm.joint_unit(joint));
-    let left = arm.poses().filter_map(|(_, stream)| stream.residual.as_ref().ok());
+    let left = arm.poses.iter().filter_map(|stream| stream.diagnosis.residual.as_ref().ok());
     let left = left.map(|residual| residual.rms_m).reduce(f64::max);
     let left =
         left.map_or(String::new(), |m| format!(", {} left when corrected", Unit::Metre.show(m)));
@@ -142,8 +141,8 @@ fn fault(
         effect_m: Some(offset.effect_m),
         ..Evidence::default()
     };
-    let heirs = arm.tf.iter().filter(|(_, tf)| frm001::agrees(facts, tf));
-    let heirs: Vec<&str> = heirs.map(|(stream, _)| stream.topic.as_str()).collect();
+    let heirs = arm.tf.iter().filter(|tf| frm001::agrees(facts, &tf.diagnosis));
+    let heirs: Vec<&str> = heirs.map(|tf| tf.topic()).collect();
     if !heirs.is_empty() {
         evidence.more.insert("inherited_by".to_owned(), heirs.into());
     }
@@ -184,44 +183,20 @@ fn meaning(witness: Witness) -> &'static str {
     }
 }
 
-/// The offset of joint `joint` as a cause that another rule cannot tell from its own.
-pub(super) fn cause(arm: &ArmFacts, joint: usize) -> Alternative {
-    let offset = arm.diagnosis.offsets.get(joint).and_then(|offset| offset.offset.as_ref().ok());
-    let estimate = offset.map(|offset| estimate(arm.joint_unit(joint), offset));
-    Alternative { code: ZER001.code, subject: arm.joint(joint), estimate }
-}
-
-/// A twin of an offset in `unit`, as a cause.
-fn twin_cause(arm: &ArmFacts, twin: &Twin, unit: Unit) -> Alternative {
-    let topic = |stream: usize| arm.poses.get(stream).map_or("", |stream| &stream.topic);
-    let (code, subject, name, value, unit) = match *twin {
-        Twin::JointZero(joint, value) => {
-            (ZER001.code, arm.joint(joint), "joint zero offset", value, arm.joint_unit(joint))
-        }
-        Twin::Reference(stream, value) => {
-            (frm002::FRM002.code, arm.topic(topic(stream)), "reference frame", value, unit)
-        }
-        Twin::Tool(stream, value) => {
-            (frm003::FRM003.code, arm.topic(topic(stream)), "tool frame", value, unit)
-        }
-    };
-    let estimate = Estimate::Amount { name, value, unit: unit.symbol(), ci95: None };
-    Alternative { code, subject, estimate: Some(estimate) }
-}
-
 /// The twin of `offset` that the smallest explanation contains, in words.
 fn named_instead(arm: &ArmFacts, offset: &JointOffset) -> Option<String> {
     let chosen = |frame: &Seen<FrameEstimate>| frame.as_ref().is_ok_and(|frame| frame.chosen);
-    let streams = &arm.diagnosis.streams;
     let named = offset.twins.iter().find(|twin| match **twin {
         Twin::JointZero(joint, _) => {
             arm.diagnosis.offsets.get(joint).is_some_and(|other| other.chosen)
         }
-        Twin::Reference(stream, _) => {
-            let unknown = arm.poses.get(stream).is_some_and(|stream| !stream.reference_known);
-            unknown || streams.get(stream).is_some_and(|s| chosen(&s.reference))
+        Twin::Reference(stream, _) => arm
+            .poses
+            .get(stream)
+            .is_some_and(|stream| !stream.reference_known || chosen(&stream.diagnosis.reference)),
+        Twin::Tool(stream, _) => {
+            arm.poses.get(stream).is_some_and(|stream| chosen(&stream.diagnosis.tool))
         }
-        Twin::Tool(stream, _) => streams.get(stream).is_some_and(|s| chosen(&s.tool)),
     })?;
     let cause = twin_cause(arm, named, Unit::Radian);
     Some(format!("{} on {}", cause.code, cause.subject.label()))
@@ -284,10 +259,11 @@ mod tests {
         let diagnosis = &mut facts.robots[0].diagnosis;
         diagnosis.offsets[0].offset = Ok(sure(-0.01));
         diagnosis.offsets[0].twins = vec![Twin::Reference(0, -0.01)];
-        diagnosis.streams[0].reference = Ok(FrameEstimate { chosen: true, ..frame(0.1) });
+        facts.robots[0].poses[0].diagnosis.reference =
+            Ok(FrameEstimate { chosen: true, ..frame(0.1) });
         let (rows, findings) = ask(&ZER001, &facts);
         assert!(findings.is_empty() && rows[0].indistinguishable, "{rows:?}");
-        let (_, named) = ask(&frm002::FRM002, &facts);
+        let (_, named) = ask(&crate::checks::frm002::FRM002, &facts);
         assert_eq!(named[0].evidence.indistinguishable[0].code, "ZER001");
     }
 }

@@ -1,6 +1,6 @@
 use crate::checks::amount::{Amount, Estimated};
 use crate::checks::decision::Figure;
-use crate::checks::{ArmFacts, Facts, Grade, Judged, mdl001};
+use crate::checks::{ArmFacts, Facts, Grade, Judged, standing};
 use crate::diagnosis::{Measured, PoseDiagnosis};
 use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
 
@@ -47,15 +47,13 @@ const GROWTH: Amount = Amount {
 };
 
 fn check(facts: &Facts) -> Vec<Judged> {
-    let judged = facts.poses().map(|(arm, stream, diagnosis)| {
-        let growth = Estimated {
-            topic: &stream.topic,
-            span: stream.span,
-            estimate: &diagnosis.growth,
-            is_chosen: diagnosis.growth_chosen,
-            doubt: doubt(arm, diagnosis),
-        };
-        GROWTH.judge(&ZER002, facts, arm, growth)
+    let judged = facts.poses().map(|(arm, stream)| {
+        let growth = stream.with(Estimated {
+            estimate: &stream.diagnosis.growth,
+            is_chosen: stream.diagnosis.growth_chosen,
+            doubt: doubt(arm, &stream.diagnosis),
+        });
+        GROWTH.judge(&ZER002, facts, arm, &growth)
     });
     judged.collect()
 }
@@ -67,7 +65,7 @@ fn doubt(arm: &ArmFacts, diagnosis: &PoseDiagnosis) -> Option<String> {
         return Some(why.to_owned());
     }
     // Another arm is first of all a longer or a shorter one.
-    mdl001::doubt(arm, 0.0)
+    standing::doubt(arm, 0.0)
 }
 
 fn fault(arm: &ArmFacts, growth: &Measured, severity: Severity) -> Fault {
@@ -98,7 +96,7 @@ mod tests {
     #[test]
     fn a_growth_that_is_chosen_is_a_finding_with_its_effect_at_reach() {
         let mut facts = clean_run();
-        let stream = &mut facts.robots[0].diagnosis.streams[0];
+        let stream = &mut facts.robots[0].poses[0].diagnosis;
         (stream.growth, stream.growth_chosen) = (Ok(sure(0.01)), true);
         let (_, findings) = ask(&ZER002, &facts);
         assert_eq!(findings[0].evidence.effect.as_deref(), Some("8.5 mm at full reach (0.85 m)"));

@@ -4,11 +4,10 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use poseaudit::checks::Selector;
-use poseaudit::config::Config;
+use poseaudit::config::{self, ClockName, Config};
 use poseaudit::finding::Severity;
 use poseaudit::report::Trouble;
 use poseaudit::run::{CalibrationSource, Declaration, RobotSource, RunOptions};
-use poseaudit::time::Clock;
 
 /// The options that say so.
 #[derive(Clone, Debug, clap::Args)]
@@ -43,12 +42,12 @@ pub struct How {
 
     /// Exit with 1 from findings of this severity, or where the verdict is open, too [default: warning]
     #[arg(long, value_enum, value_name = "SEVERITY")]
-    fail_on: Option<FailFrom>,
+    fail_on: Option<config::FailOn>,
 
     /// The time that places a sample; streams without header stamps fall back to log time [default:
     /// header]
     #[arg(long, value_enum, value_name = "CLOCK")]
-    stamp: Option<StampSource>,
+    stamp: Option<ClockName>,
 
     /// Largest latency in seconds; what is off by more is on another clock [default: 5]
     #[arg(long, value_name = "S", value_parser = positive_seconds)]
@@ -67,6 +66,7 @@ pub struct How {
     declare: Vec<Declaration>,
 }
 
+/// What fails a comparison or a report, which have no open verdict.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum FailOn {
     /// Errors
@@ -83,49 +83,6 @@ impl From<FailOn> for Option<Severity> {
             FailOn::Error => Some(Severity::Error),
             FailOn::Warning => Some(Severity::Warning),
             FailOn::Never => None,
-        }
-    }
-}
-
-/// What fails an audit.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum FailFrom {
-    /// Errors
-    Error,
-    /// Warnings and errors
-    Warning,
-    /// Warnings, errors, and a verdict that is inconclusive
-    Inconclusive,
-    /// Nothing
-    Never,
-}
-
-impl From<FailFrom> for Option<Severity> {
-    fn from(fail_from: FailFrom) -> Self {
-        match fail_from {
-            FailFrom::Error => Some(Severity::Error),
-            FailFrom::Warning | FailFrom::Inconclusive => Some(Severity::Warning),
-            FailFrom::Never => None,
-        }
-    }
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum StampSource {
-    /// The stamp in the message's header
-    Header,
-    /// When the recorder received the message
-    Log,
-    /// When the sender published the message
-    Publish,
-}
-
-impl From<StampSource> for Clock {
-    fn from(source: StampSource) -> Self {
-        match source {
-            StampSource::Header => Clock::Header,
-            StampSource::Log => Clock::Log,
-            StampSource::Publish => Clock::Publish,
         }
     }
 }
@@ -180,7 +137,7 @@ impl How {
         policy.rules.ignore = self.ignore;
         if let Some(fail_on) = self.fail_on {
             policy.fail_on = fail_on.into();
-            policy.fail_on_inconclusive = fail_on == FailFrom::Inconclusive;
+            policy.fail_on_inconclusive = fail_on == config::FailOn::Inconclusive;
         }
         options.read.verify = self.verify;
         options.read.max_unpacked_gib = self.max_unpacked;

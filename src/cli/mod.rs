@@ -148,6 +148,7 @@ pub fn end_on_signals() {
 
 /// Whether who called this program has it pass over a signal.
 #[cfg(unix)]
+#[allow(unsafe_code, reason = "a signal is asked for")]
 fn is_passed_over(signal: i32) -> bool {
     // SAFETY: the call writes to the struct, which outlives it, and changes nothing.
     unsafe {

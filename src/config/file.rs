@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use clap::ValueEnum;
 use schemars::JsonSchema;
 use serde::Deserialize;
 use toml::Spanned;
@@ -9,10 +10,10 @@ use toml::Spanned;
 use super::quantity::Quantity;
 use super::rules::Rules;
 use crate::checks::Selector;
-use crate::desk;
 use crate::finding::{Severity, Unit};
-use crate::geometry::Convention;
-use crate::run::{Coding, SaidRole, Witness};
+use crate::geometry::{Coding, Units, vendors};
+use crate::robot::nearest;
+use crate::run::{SaidRole, Witness};
 use crate::time::Clock;
 
 /// The settings of an audit. Options of the command line stand before them; paths are relative to
@@ -88,8 +89,8 @@ impl ByPrefix {
 #[schemars(with = "StreamTable")]
 pub(super) struct Stream {
     pub said: StreamTable,
-    /// How its numbers are coded: the coding, whether degrees, whether mm.
-    pub coding: Option<(Coding, bool, bool)>,
+    /// How its numbers are coded.
+    pub coding: Option<(Coding, Units)>,
 }
 
 /// What is known of a topic.
@@ -105,11 +106,11 @@ pub(super) struct StreamTable {
     /// The units of its numbers: one of `m` and `mm`, one of `rad` and `deg`. Default: those of the
     /// vendor, else `m` and `rad`. What the log says against them is a finding (ORD004, ORD008).
     #[serde(default)]
-    pub units: Units,
+    pub units: UnitNames,
     /// Whose numbers they are, as in `kuka`: sets convention and units as its controller gives them.
     pub vendor: Option<Vendor>,
     /// Whose word its poses are. Default: as names and frames say.
-    pub witness: Option<WitnessName>,
+    pub witness: Option<Witness>,
     /// How often it should come, Hz: it is expected, and slow below 0.9 of that (TIM006).
     pub rate_hz: Option<Rate>,
     /// The frame that its poses are in, instead of that in its messages; of an IMU its own frame.
@@ -123,21 +124,15 @@ impl TryFrom<StreamTable> for Stream {
     type Error = String;
 
     fn try_from(said: StreamTable) -> Result<Self, String> {
-        let units = said.units;
-        let by_vendor = said.vendor.as_ref().map(|vendor| vendor.0);
-        let coding_of = |profile: &desk::Use| Coding::of(profile.form);
-        let coding = match (&said.convention, by_vendor.and_then(coding_of)) {
-            (Some(CodingName(coding)), _) => Some(*coding),
-            (None, by_vendor) => by_vendor,
-        };
-        if coding.is_none() && (units.degrees.is_some() || units.millimetres.is_some()) {
+        let UnitNames(units) = said.units;
+        let vendor = said.vendor.as_ref().map(|vendor| vendor.0);
+        let by_vendor = vendor.map(|vendor| vendor.coding).filter(|coding| !coding.is_matrix());
+        let coding = said.convention.as_ref().map(|name| name.0).or(by_vendor);
+        if coding.is_none() && units != Units::default() {
             return Err("`units` need a `convention` or a `vendor`".to_owned());
         }
-        let degrees = units.degrees.unwrap_or_else(|| by_vendor.is_some_and(desk::Use::in_degrees));
-        let millimetres =
-            units.millimetres.unwrap_or_else(|| by_vendor.is_some_and(desk::Use::in_millimetres));
-        let coding = coding.map(|coding| (coding, degrees, millimetres));
-        Ok(Self { said, coding })
+        let units = units.or(vendor.map_or_else(Units::default, |vendor| vendor.units));
+        Ok(Self { coding: coding.map(|coding| (coding, units)), said })
     }
 }
 
@@ -192,14 +187,15 @@ impl TryFrom<String> for Code {
 }
 
 /// The clock that places a sample.
-#[derive(Clone, Copy, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema, ValueEnum)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum ClockName {
+pub enum ClockName {
     /// The stamp in the message's header.
     Header,
     /// When the recorder received the message.
     Log,
     /// When the sender published it.
+    #[value(help = "When the sender published the message")]
     Publish,
 }
 
@@ -214,9 +210,9 @@ impl From<ClockName> for Clock {
 }
 
 /// The severity from which on a finding fails the run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema, ValueEnum)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum FailOn {
+pub enum FailOn {
     /// Errors.
     Error,
     /// Warnings and errors.
@@ -233,28 +229,6 @@ impl From<FailOn> for Option<Severity> {
             FailOn::Error => Some(Severity::Error),
             FailOn::Warning | FailOn::Inconclusive => Some(Severity::Warning),
             FailOn::Never => None,
-        }
-    }
-}
-
-/// Whose word poses are.
-#[derive(Clone, Copy, Debug, Deserialize, JsonSchema)]
-#[serde(rename_all = "lowercase")]
-pub(super) enum WitnessName {
-    /// The controller's, or a program's that computes it from the joint states.
-    Controller,
-    /// A tracker's or a camera's.
-    External,
-    /// Nobody knows.
-    Unknown,
-}
-
-impl From<WitnessName> for Witness {
-    fn from(name: WitnessName) -> Self {
-        match name {
-            WitnessName::Controller => Witness::Controller,
-            WitnessName::External => Witness::External,
-            WitnessName::Unknown => Witness::Unknown,
         }
     }
 }
@@ -315,12 +289,7 @@ impl TryFrom<String> for CodingName {
     type Error = String;
 
     fn try_from(name: String) -> Result<Self, String> {
-        let coding = match name.as_str() {
-            "quat:xyzw" => Coding::QuaternionXyzw,
-            "quat:wxyz" => Coding::QuaternionWxyz,
-            name => Coding::Three(name.parse::<Convention>().map_err(|error| error.to_string())?),
-        };
-        Ok(Self(coding))
+        Coding::declared(&name).map(Self).map_err(|error| error.to_string())
     }
 }
 
@@ -328,13 +297,18 @@ impl TryFrom<String> for CodingName {
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(try_from = "String")]
 #[schemars(with = "String")]
-pub(super) struct Vendor(pub &'static desk::Use);
+pub(super) struct Vendor(pub &'static vendors::Use);
 
 impl TryFrom<String> for Vendor {
     type Error = String;
 
     fn try_from(name: String) -> Result<Self, String> {
-        desk::maker(&name).map(Self)
+        let known: Vec<&str> = vendors::names().collect();
+        let near = nearest(&name.trim().to_lowercase(), known.iter().copied());
+        vendors::find(&name).map(Self).ok_or_else(|| match near.first() {
+            Some(near) => format!("no maker `{name}` is known: did you mean `{near}`?"),
+            None => format!("no maker `{name}` is known: there are {}", known.join(", ")),
+        })
     }
 }
 
@@ -352,32 +326,31 @@ pub(super) enum UnitName {
     Deg,
 }
 
+impl UnitName {
+    fn symbol(self) -> &'static str {
+        match self {
+            Self::M => "m",
+            Self::Mm => "mm",
+            Self::Rad => "rad",
+            Self::Deg => "deg",
+        }
+    }
+}
+
 /// The units of a topic's numbers.
 #[derive(Clone, Copy, Debug, Default, Deserialize, JsonSchema)]
 #[serde(try_from = "Vec<UnitName>")]
-#[schemars(with = "Vec<UnitName>")]
-pub(super) struct Units {
-    pub degrees: Option<bool>,
-    pub millimetres: Option<bool>,
-}
+#[schemars(with = "Vec<UnitName>", rename = "Units")]
+pub(super) struct UnitNames(pub Units);
 
-impl TryFrom<Vec<UnitName>> for Units {
+impl TryFrom<Vec<UnitName>> for UnitNames {
     type Error = &'static str;
 
     fn try_from(names: Vec<UnitName>) -> Result<Self, Self::Error> {
-        let mut units = Self::default();
-        for name in names {
-            let (unit, is) = match name {
-                UnitName::M => (&mut units.millimetres, false),
-                UnitName::Mm => (&mut units.millimetres, true),
-                UnitName::Rad => (&mut units.degrees, false),
-                UnitName::Deg => (&mut units.degrees, true),
-            };
-            if unit.is_some_and(|known| known != is) {
-                return Err("the units contradict each other: one of m and mm, one of rad and deg");
-            }
-            *unit = Some(is);
+        let mut units = Units::default();
+        match names.iter().try_for_each(|name| units.take(name.symbol())) {
+            Ok(()) => Ok(Self(units)),
+            Err(_) => Err("the units contradict each other: one of m and mm, one of rad and deg"),
         }
-        Ok(units)
     }
 }

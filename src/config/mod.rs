@@ -24,6 +24,7 @@ use crate::run::{CalibrationSource, Declaration, RobotSource, RunOptions, TopicS
 
 use self::file::{ByPrefix, File, Ignore, Stream};
 
+pub use file::{ClockName, FailOn};
 pub use schema::schema;
 pub use template::template;
 
@@ -80,7 +81,7 @@ impl Config {
         let mut policy = Policy::default();
         if let Some(fail_on) = fail_on {
             policy.fail_on = (*fail_on).into();
-            policy.fail_on_inconclusive = *fail_on == file::FailOn::Inconclusive;
+            policy.fail_on_inconclusive = *fail_on == FailOn::Inconclusive;
         }
         policy.rules.select = self.file.select.iter().map(|code| code.0.clone()).collect();
         policy.rules.exemptions = self.exemptions();
@@ -153,13 +154,13 @@ impl Config {
     fn declarations(&self) -> Vec<Declaration> {
         let streams = self.file.stream.iter();
         let declared = streams.filter_map(|(topic, Stream { said, coding })| {
-            let (coding, degrees, millimetres) = (*coding)?;
+            let (coding, units) = (*coding)?;
             Some(Declaration {
                 topic: topic.as_ref().clone(),
                 place: self.place(topic.span().start),
                 coding,
-                degrees,
-                millimetres,
+                length: units.length.unwrap_or_default(),
+                angle: units.angle.unwrap_or_default(),
                 is_of_vendor: said.convention.is_none(),
             })
         });
@@ -173,7 +174,7 @@ impl Config {
                 topic: topic.as_ref().clone(),
                 place: self.place(topic.span().start),
                 role: said.role,
-                witness: said.witness.map(Into::into),
+                witness: said.witness,
                 frame: said.frame.clone(),
                 link: said.link.clone(),
                 rate_hz: said.rate_hz.map(|rate| rate.0),

@@ -1,7 +1,8 @@
 use super::*;
 use crate::checks::{Figure, find, registry};
 use crate::finding::{Severity, Unit};
-use crate::run::{Coding, SaidRole, Witness};
+use crate::geometry::{AngleUnit, Coding, LengthScale};
+use crate::run::{SaidRole, Witness};
 
 fn config(text: &str) -> Result<Config, Trouble> {
     Config::from_text(text.to_owned(), Path::new("setup/p.toml"))
@@ -73,11 +74,11 @@ turning = "30 rad/s²"
     let coded = |topic: &str| {
         let declared = options.run.declared.iter().find(|declared| declared.is_of(topic));
         let declared = declared.expect("a declaration");
-        (declared.coding, declared.degrees, declared.millimetres, declared.is_of_vendor)
+        (declared.coding, declared.angle, declared.length, declared.is_of_vendor)
     };
     let kuka = Coding::Three("euler:ZYX".parse().expect("a convention"));
-    assert_eq!(coded("/tcp"), (kuka, true, true, false));
-    assert_eq!(coded("/pendant"), (kuka, true, false, true));
+    assert_eq!(coded("/tcp"), (kuka, AngleUnit::Degree, LengthScale::MILLIMETRE, false));
+    assert_eq!(coded("/pendant"), (kuka, AngleUnit::Degree, LengthScale::METRE, true));
     let figure = |code: &str, unit: Unit| {
         let rule = find(code).expect("a rule");
         let own = rule.grade.figures().iter().find(|own| own.unit == unit).expect("a figure");

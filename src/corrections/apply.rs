@@ -5,7 +5,7 @@ use std::path::Path;
 use super::file::{AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection};
 use crate::diagnosis::{AxesSlip, Meant, Reading, reread_imu, reread_poses};
 use crate::finding::Unit;
-use crate::geometry::{AngleUnit, LengthScale, Pose, Slip, rotation_from_xyzw};
+use crate::geometry::{LengthScale, Pose, Slip, rotation_from_xyzw};
 use crate::log::Log;
 use crate::report::{Trouble, TroubleKind};
 use crate::robot::JointKind;
@@ -303,7 +303,8 @@ fn mend_units(source: &mut PoseSource, correction: &TopicCorrection, open: &mut 
         open.take("length_unit");
         track.xyz.iter_mut().for_each(|xyz| *xyz *= slip.factor());
         if let Some(declared) = &mut track.declared {
-            declared.millimetres = slip.is == LengthScale::MILLIMETRE;
+            let millimetres = Some(LengthScale::MILLIMETRE).filter(|unit| slip.is == *unit);
+            declared.length = millimetres.unwrap_or_default();
         }
     }
     if let Some(slip) = correction.angle_unit {
@@ -317,7 +318,7 @@ fn mend_units(source: &mut PoseSource, correction: &TopicCorrection, open: &mut 
                 if let Some(other) = &mut declared.in_other_angles {
                     open.take("angle_unit");
                     std::mem::swap(rotations, other);
-                    declared.degrees = slip.is == AngleUnit::Degree;
+                    declared.angle = slip.is;
                 }
             }
             (Orientations::Rotations(_), None) | (Orientations::Unset(_), _) => {}

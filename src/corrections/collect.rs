@@ -10,13 +10,12 @@ use crate::checks::Facts;
 use crate::diagnosis::Reading;
 use crate::finding::{Cause, Estimate, Finding, JointScaling, Unit};
 use crate::geometry::{
-    AngleUnit, Convention, LengthScale, Pose, QuaternionSlip, Rotation, RotationSlip, Slip,
+    AngleUnit, Coding, Convention, LengthScale, Pose, QuaternionSlip, Rotation, RotationSlip, Slip,
     xyzw_from_rotation,
 };
 use crate::report::{Report, StreamRow};
 use crate::run::{Arm, Run};
 use crate::stats::Measured;
-use crate::stream::Orientations;
 
 /// All that mends what an audit found, and what is found that nothing here mends.
 pub(crate) struct Mending {
@@ -145,8 +144,8 @@ impl Mending {
                 Ok((what, vec![LATENCIES, CORRECTIONS]))
             }
             Cause::Rotation(slip) => self.take_rotation(source, finding, *slip),
-            Cause::Bare { convention, length, angle } => {
-                self.take_numbers(source, finding, *convention, *length, *angle)
+            Cause::Bare { coding, length, angle } => {
+                self.take_numbers(source, finding, *coding, *length, *angle)
             }
             Cause::AngleUnit(unit) => {
                 let lines = code::angles(unit.is == AngleUnit::Degree);
@@ -179,6 +178,7 @@ impl Mending {
             }
             Cause::Growth
             | Cause::Model
+            | Cause::Disagreement { .. }
             | Cause::UnsteadyLatency
             | Cause::TfDisagrees
             | Cause::YawDrift(_)
@@ -236,10 +236,10 @@ impl Mending {
         let mut copies = Vec::new();
         if let Some(arm) = source.facts.robots.iter().find(|arm| arm.joints_topic == topic) {
             // Who copies the joints' stamps is as late as they are.
-            let poses = arm.poses_and_tf().filter(|(stream, _)| !stream.independent);
-            copies.extend(poses.map(|(stream, _)| stream.topic.clone()));
-            let imus = arm.imus.iter().filter(|(imu, _)| !imu.independent);
-            copies.extend(imus.map(|(imu, _)| imu.topic.clone()));
+            let poses = arm.poses_and_tf().filter(|stream| !stream.independent);
+            copies.extend(poses.map(|stream| stream.topic().to_owned()));
+            let imus = arm.imus.iter().filter(|imu| !imu.independent);
+            copies.extend(imus.map(|imu| imu.topic().to_owned()));
         }
         let mut what = format!("latency of {}", Unit::Second.show(value));
         if !copies.is_empty() {
@@ -261,7 +261,7 @@ impl Mending {
         &mut self,
         source: &Source<'_>,
         finding: &Finding,
-        convention: Option<Convention>,
+        coding: Coding,
         length: LengthScale,
         angle: AngleUnit,
     ) -> Taken {
@@ -270,22 +270,20 @@ impl Mending {
         if length != LengthScale::METRE {
             correction.length_unit = Some(Slip { is: length, read_as: LengthScale::METRE });
         }
-        let form = match convention {
-            Some(convention) => {
+        match coding {
+            Coding::Three(convention) => {
                 correction.convention = Some(convention);
                 if angle == AngleUnit::Degree {
                     let slip = Slip { is: angle, read_as: AngleUnit::Radian };
                     correction.angle_unit = Some(slip);
                 }
-                convention.to_string()
             }
-            None => {
-                let slip = RotationSlip::Quaternion(QuaternionSlip::WxyzReadAsXyzw);
-                correction.rotation = Some(slip);
-                Slip::<String>::from(slip).is
+            _ => {
+                let slip = QuaternionSlip::WxyzReadAsXyzw;
+                correction.rotation = Some(RotationSlip::Quaternion(slip));
             }
-        };
-        let what = format!("bare numbers are {form}, {length}, {}", angle.symbol());
+        }
+        let what = format!("bare numbers are {coding}, {length}, {}", angle.symbol());
         Ok((what, vec![CORRECTIONS]))
     }
 
@@ -525,14 +523,9 @@ impl Source<'_> {
 
     /// The convention that the bare numbers of a topic turned out to be in.
     fn convention_of_numbers(&self, topic: &str) -> Option<Convention> {
-        let arms = self.run.arms.iter().zip(&self.facts.robots);
-        let mut streams =
-            arms.flat_map(|(arm, facts)| arm.poses.iter().zip(&facts.diagnosis.streams));
-        let (source, found) =
-            streams.find(|(source, _)| self.run.streams[source.stream].topic == topic)?;
-        let is_numbers = matches!(source.track.orientation, Orientations::Numbers(_));
-        match found.reading.as_ref().ok()?.best {
-            Reading::Numbers(convention) if is_numbers => Some(convention),
+        let (_, stream) = self.facts.poses().find(|(_, stream)| stream.topic() == topic)?;
+        match stream.diagnosis.reading.as_ref().ok()?.best {
+            Reading::Numbers(convention) if stream.bare_numbers => Some(convention),
             _ => None,
         }
     }

@@ -10,6 +10,7 @@ use super::collect::{
 };
 use super::file::JointCorrection;
 use super::frames::in_xml;
+use crate::geometry::CodeLine;
 use crate::report::markdown::prose;
 use crate::report::{quoted, tame};
 
@@ -206,7 +207,7 @@ topics:
         for coded in &self.codes {
             let [finding, what] = [&coded.finding, &coded.what].map(|text| prose(text));
             let _ = writeln!(text, "\n## {finding}\n\n{what}; {}\n", coded.names);
-            for (library, line) in coded.lines.iter().flat_map(|lines| lines.named()) {
+            for CodeLine { library, line } in coded.lines.iter().flatten() {
                 let _ = writeln!(text, "- {library}: `{line}`");
             }
         }

@@ -1,8 +1,6 @@
 //! Why the desk cannot take what it was given.
 
-use crate::geometry::ConventionError;
-
-use super::form::Form;
+use crate::geometry::{Coding, ConventionError};
 
 /// Why a text is no pose, or is not in the form that was named.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -19,7 +17,7 @@ pub enum DeskError {
     #[error("{count} numbers are no pose")]
     Count { count: usize },
     #[error("{count} numbers are not in the form {form}")]
-    CountOfForm { form: Form, count: usize },
+    CountOfForm { form: Coding, count: usize },
     #[error("{number:e} is in no pose")]
     Beyond { number: f64 },
     #[error("the poses have {first} and {other} numbers")]

@@ -5,12 +5,11 @@ use std::fmt;
 use std::str::FromStr;
 
 use crate::geometry::{
-    AngleUnit, Convention, LengthUnit, Pose, Rotation, pose, rotation_from_matrix_rows,
-    rotation_from_xyzw, xyz_of, xyzw_from_rotation,
+    AngleUnit, Coding, Convention, LengthScale, Pose, Rotation, UnitError, Units, pose,
+    rotation_from_matrix_rows, rotation_from_xyzw, vendors, xyz_of, xyzw_from_rotation,
 };
 
 use super::error::DeskError;
-use super::usage;
 
 /// How far a matrix, `max |RᵀR − I|`, or a quaternion's norm may be off before it is refused.
 const REFUSED_DEFECT: f64 = 1e-2;
@@ -27,91 +26,28 @@ const LONGEST_M: f64 = 10.0;
 /// An angle, in the unit as given, beyond which it is not in radians.
 const WIDEST_RAD: f64 = 1.1 * TAU;
 
-/// In which form numbers code a rotation, and in which order.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Form {
-    /// Three numbers.
-    Three(Convention),
-    /// Four numbers x, y, z, w.
-    Xyzw,
-    /// Four numbers w, x, y, z.
-    Wxyz,
-    /// A matrix row by row: nine numbers, or twelve or sixteen with the position.
-    Rows,
-    /// The same column by column.
-    Columns,
-}
-
-impl Form {
-    /// Whether its rotation numbers are angles.
-    pub fn has_angles(self) -> bool {
-        matches!(self, Self::Three(_))
-    }
-
-    /// Whether `count` numbers can be a pose, or a rotation alone, in this form.
-    fn takes(self, count: usize) -> bool {
-        match self {
-            Self::Three(_) => matches!(count, 3 | 6),
-            Self::Xyzw | Self::Wxyz => matches!(count, 4 | 7),
-            Self::Rows | Self::Columns => matches!(count, 9 | 12 | 16),
-        }
-    }
-
-    /// How unusual it is, from 0.
-    pub(super) fn usual_rank(self) -> u8 {
-        match self {
-            Self::Three(convention) => convention.usual_rank(),
-            Self::Xyzw | Self::Rows => 0,
-            Self::Wxyz | Self::Columns => 1,
-        }
-    }
-}
-
-impl fmt::Display for Form {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Three(convention) => convention.fmt(f),
-            Self::Xyzw => f.write_str("quat:xyzw"),
-            Self::Wxyz => f.write_str("quat:wxyz"),
-            Self::Rows => f.write_str("matrix:rows"),
-            Self::Columns => f.write_str("matrix:columns"),
-        }
-    }
-}
-
-impl FromStr for Form {
-    type Err = DeskError;
-
-    fn from_str(name: &str) -> Result<Self, DeskError> {
-        Ok(match name {
-            "quat:xyzw" => Self::Xyzw,
-            "quat:wxyz" => Self::Wxyz,
-            "matrix:rows" => Self::Rows,
-            "matrix:columns" => Self::Columns,
-            name => Self::Three(name.parse().map_err(|source| DeskError::Form { source })?),
-        })
+/// Whether `count` numbers can be a pose, or a rotation alone, that is coded so.
+fn takes(form: Coding, count: usize) -> bool {
+    match form {
+        Coding::Three(_) => matches!(count, 3 | 6),
+        Coding::Xyzw | Coding::Wxyz => matches!(count, 4 | 7),
+        Coding::Rows | Coding::Columns => matches!(count, 9 | 12 | 16),
     }
 }
 
 /// What is known of how numbers are coded.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Style {
     /// The form.
-    pub form: Option<Form>,
-    /// The unit of the position.
-    pub length: Option<LengthUnit>,
-    /// The unit of the angles.
-    pub angle: Option<AngleUnit>,
+    pub form: Option<Coding>,
+    /// The units.
+    pub units: Units,
 }
 
 impl Style {
     /// This, and where it says nothing what `other` says.
     pub fn or(self, other: Self) -> Self {
-        Self {
-            form: self.form.or(other.form),
-            length: self.length.or(other.length),
-            angle: self.angle.or(other.angle),
-        }
+        Self { form: self.form.or(other.form), units: self.units.or(other.units) }
     }
 }
 
@@ -120,30 +56,24 @@ impl FromStr for Style {
     type Err = DeskError;
 
     fn from_str(text: &str) -> Result<Self, DeskError> {
-        /// Sets what is not set to something else.
-        fn set<T: PartialEq>(known: &mut Option<T>, to: T, part: &str) -> Result<(), DeskError> {
-            match known.replace(to) {
-                Some(before) if known.as_ref() != Some(&before) => {
-                    Err(DeskError::Contradiction { unit: part.to_owned() })
-                }
-                _ => Ok(()),
-            }
-        }
         let mut style = Self::default();
-        let mut of_maker = Self::default();
+        let mut of_vendor = Self::default();
         for part in text.split(',').map(str::trim) {
-            match part {
-                "deg" => set(&mut style.angle, AngleUnit::Degree, part)?,
-                "rad" => set(&mut style.angle, AngleUnit::Radian, part)?,
-                "mm" => set(&mut style.length, LengthUnit::Millimetre, part)?,
-                "m" => set(&mut style.length, LengthUnit::Metre, part)?,
-                part => match usage::style_of(part) {
-                    Some(style) => of_maker = style,
-                    None => style.form = Some(part.parse()?),
-                },
+            match (style.units.take(part), vendors::find(part)) {
+                (Ok(()), _) => {}
+                (Err(UnitError::Contradiction), _) => {
+                    return Err(DeskError::Contradiction { unit: part.to_owned() });
+                }
+                (Err(UnitError::Unknown), Some(vendor)) => {
+                    of_vendor = Self { form: Some(vendor.coding), units: vendor.units };
+                }
+                (Err(UnitError::Unknown), None) => {
+                    let form = part.parse().map_err(|source| DeskError::Form { source })?;
+                    style.form = Some(form);
+                }
             }
         }
-        Ok(style.or(of_maker))
+        Ok(style.or(of_vendor))
     }
 }
 
@@ -151,9 +81,9 @@ impl FromStr for Style {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {
     /// The form of the rotation.
-    pub form: Form,
+    pub form: Coding,
     /// The unit of the position.
-    pub length: LengthUnit,
+    pub length: LengthScale,
     /// The unit of the angles; of no matter where there are none.
     pub angle: AngleUnit,
     /// Whether the numbers hold a position; if not its unit is of no matter.
@@ -179,7 +109,7 @@ impl Reading {
     /// Where their number does not fit the form, or they are no rotation.
     pub fn pose(&self, numbers: &[f64]) -> Result<Pose, DeskError> {
         let form = self.form;
-        if !form.takes(numbers.len()) {
+        if !takes(form, numbers.len()) {
             return Err(DeskError::CountOfForm { form, count: numbers.len() });
         }
         let is_beyond = |number: &&f64| !number.is_finite() || number.abs() > FARTHEST;
@@ -187,18 +117,18 @@ impl Reading {
             return Err(DeskError::Beyond { number });
         }
         let (xyz, rotation) = match form {
-            Form::Three(convention) => {
+            Coding::Three(convention) => {
                 let (xyz, three) = before_last::<3>(numbers);
                 (xyz, convention.rotation(three.map(|angle| angle * self.angle.in_rad())))
             }
-            Form::Xyzw | Form::Wxyz => {
+            Coding::Xyzw | Coding::Wxyz => {
                 let (xyz, four) = before_last::<4>(numbers);
                 let [a, b, c, d] = four;
-                let q_xyzw = if form == Form::Wxyz { [b, c, d, a] } else { four };
+                let q_xyzw = if form == Coding::Wxyz { [b, c, d, a] } else { four };
                 (xyz, unit_quaternion(q_xyzw)?)
             }
-            Form::Rows | Form::Columns => {
-                let (xyz, rows) = matrix(numbers, form == Form::Columns)?;
+            Coding::Rows | Coding::Columns => {
+                let (xyz, rows) = matrix(numbers, form == Coding::Columns)?;
                 (xyz, orthonormal(rows)?)
             }
         };
@@ -213,7 +143,7 @@ impl fmt::Display for Reading {
             write!(f, ", {}", self.angle.symbol())?;
         }
         if self.has_position {
-            write!(f, ", {}", self.length.symbol())?;
+            write!(f, ", {}", self.length)?;
         }
         Ok(())
     }
@@ -292,11 +222,11 @@ fn norm_of(q: [f64; 4]) -> f64 {
 
 /// By how much the rotation numbers miss a rotation: a matrix `max |RᵀR − I|`, a quaternion its norm
 /// minus 1; zero where nothing can be missed.
-pub(super) fn defect(form: Form, numbers: &[f64]) -> f64 {
+pub(super) fn defect(form: Coding, numbers: &[f64]) -> f64 {
     match form {
-        Form::Three(_) => 0.0,
-        Form::Xyzw | Form::Wxyz => (norm_of(before_last::<4>(numbers).1) - 1.0).abs(),
-        Form::Rows | Form::Columns => matrix(numbers, form == Form::Columns)
+        Coding::Three(_) => 0.0,
+        Coding::Xyzw | Coding::Wxyz => (norm_of(before_last::<4>(numbers).1) - 1.0).abs(),
+        Coding::Rows | Coding::Columns => matrix(numbers, form == Coding::Columns)
             .ok()
             .and_then(|(_, rows)| rotation_from_matrix_rows(rows))
             .map_or(0.0, |(_, defect)| defect),
@@ -306,7 +236,7 @@ pub(super) fn defect(form: Form, numbers: &[f64]) -> f64 {
 /// How far the angles of `numbers` are from gimbal lock, rad; none where they have no such thing.
 pub(super) fn gimbal_margin(reading: &Reading, numbers: &[f64]) -> Option<f64> {
     match reading.form {
-        Form::Three(convention) if numbers.len() >= 3 => {
+        Coding::Three(convention) if numbers.len() >= 3 => {
             let (_, three) = before_last::<3>(numbers);
             convention.gimbal_margin(three.map(|angle| angle * reading.angle.in_rad()))
         }
@@ -323,12 +253,12 @@ pub(super) fn gimbal_margin(reading: &Reading, numbers: &[f64]) -> Option<f64> {
 /// Where there is none; then why the likeliest is not.
 pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>, DeskError> {
     let count = samples.first().map_or(0, |numbers| numbers.len());
-    let forms: Vec<Form> = match (style.form, count) {
+    let forms: Vec<Coding> = match (style.form, count) {
         (Some(form), _) => vec![form],
-        (None, 3 | 6) => Convention::all().iter().map(|&three| Form::Three(three)).collect(),
-        (None, 4 | 7) => vec![Form::Xyzw, Form::Wxyz],
-        (None, 9) => vec![Form::Rows],
-        (None, 12 | 16) => vec![Form::Rows, Form::Columns],
+        (None, 3 | 6) => Convention::all().iter().map(|&three| Coding::Three(three)).collect(),
+        (None, 4 | 7) => vec![Coding::Xyzw, Coding::Wxyz],
+        (None, 9) => vec![Coding::Rows],
+        (None, 12 | 16) => vec![Coding::Rows, Coding::Columns],
         _ => return Err(DeskError::Count { count }),
     };
     let mut found: Vec<Reading> = Vec::new();
@@ -336,7 +266,7 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
     for form in forms {
         let plain = Reading {
             form,
-            length: LengthUnit::Metre,
+            length: LengthScale::METRE,
             angle: AngleUnit::Radian,
             has_position: has_position(count),
             has_odd_length: false,
@@ -357,7 +287,7 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
         };
         // A symmetric matrix is one pose by rows and by columns.
         let is_known = |known: &Reading| {
-            matches!((known.form, form), (Form::Rows, Form::Columns))
+            matches!((known.form, form), (Coding::Rows, Coding::Columns))
                 && samples.iter().zip(&poses).all(|(numbers, pose)| {
                     known.pose(numbers).is_ok_and(|known| {
                         (known.to_homogeneous() - pose.to_homogeneous()).amax() < 1e-9
@@ -370,19 +300,19 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
         let longest =
             poses.iter().flat_map(xyz_of).fold(0.0, |longest: f64, x| longest.max(x.abs()));
         let widest = match form {
-            Form::Three(_) => samples
+            Coding::Three(_) => samples
                 .iter()
                 .flat_map(|numbers| before_last::<3>(numbers).1)
                 .fold(0.0, |widest: f64, angle| widest.max(angle.abs())),
             _ => 0.0,
         };
-        let lengths = match (style.length, longest) {
+        let lengths = match (style.units.length, longest) {
             (Some(unit), _) => vec![(unit, false)],
-            (None, 0.0) => vec![(LengthUnit::Metre, false)],
-            (None, longest) if longest > LONGEST_M => vec![(LengthUnit::Millimetre, false)],
-            (None, _) => vec![(LengthUnit::Metre, false), (LengthUnit::Millimetre, true)],
+            (None, 0.0) => vec![(LengthScale::METRE, false)],
+            (None, longest) if longest > LONGEST_M => vec![(LengthScale::MILLIMETRE, false)],
+            (None, _) => vec![(LengthScale::METRE, false), (LengthScale::MILLIMETRE, true)],
         };
-        let angles = match (style.angle, widest) {
+        let angles = match (style.units.angle, widest) {
             (Some(unit), _) => vec![(unit, false)],
             (None, 0.0) => vec![(AngleUnit::Radian, false)],
             (None, widest) if widest > WIDEST_RAD => vec![(AngleUnit::Degree, false)],

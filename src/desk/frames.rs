@@ -1,10 +1,14 @@
-//! Fixed frames at the ends of an arm that two poses may differ by.
+//! Fixed frames at the ends of an arm that two poses may differ by; those of usual arms are in
+//! `frames.toml`.
+
+use std::sync::LazyLock;
+
+use serde::Deserialize;
 
 use crate::geometry::{Pose, angle_between};
 use crate::robot::{LinkId, Robot, catalogue, nearest};
 
 use super::error::DeskError;
-use super::usage::fixed_pairs;
 
 /// Two transforms by less than this apart, m and rad, are one.
 const SAME: f64 = 1e-6;
@@ -47,6 +51,50 @@ fn meets(given: &str, frame: &str) -> bool {
     let prefix = given.strip_suffix(frame);
     prefix.is_some_and(|prefix| prefix.is_empty() || prefix.ends_with(['/', '_', '-', '.']))
 }
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    frames: Vec<Entry>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Entry {
+    end: String,
+    arm: String,
+    arms: String,
+    from: String,
+    to: String,
+}
+
+/// Two frames that stand fixed to each other at one end of usual arms.
+struct FixedPair {
+    is_base: bool,
+    /// Whose arms have them.
+    arms: String,
+    from: String,
+    to: String,
+    from_to: Pose,
+}
+
+static PAIRS: LazyLock<Vec<FixedPair>> = LazyLock::new(|| {
+    let file: File =
+        toml::from_str(include_str!("frames.toml")).expect("the embedded table is valid");
+    let pairs = file.frames.into_iter().map(|frames| {
+        let arm = catalogue::find(&frames.arm).expect("the embedded table names arms");
+        let link = |name: &str| arm.link(name).expect("the embedded table names links");
+        let from_to = arm.fixed_transform(link(&frames.from), link(&frames.to));
+        FixedPair {
+            is_base: frames.end == "base",
+            from_to: from_to.expect("the frames of the embedded table are fixed"),
+            arms: frames.arms,
+            from: frames.from,
+            to: frames.to,
+        }
+    });
+    pairs.collect()
+});
 
 /// The frames of the two poses at one end, and the constant transform between them.
 #[derive(Clone, Debug, PartialEq)]
@@ -98,7 +146,7 @@ impl Corrections {
                 }
             }
             None => {
-                for pair in fixed_pairs() {
+                for pair in PAIRS.iter() {
                     let end = if pair.is_base { &mut found.base } else { &mut found.tip };
                     push_both(&pair.arms, [&pair.from, &pair.to], pair.from_to, pair.is_base, end);
                 }

@@ -3,10 +3,10 @@
 use serde_json::Value;
 
 use crate::geometry::Convention;
-use crate::geometry::{AngleUnit, LengthUnit};
+use crate::geometry::{AngleUnit, Coding, LengthScale, Units};
 
 use super::error::DeskError;
-use super::form::{Form, Style};
+use super::form::Style;
 use crate::robot::xml_document;
 
 /// The numbers of a pose, and what the text around them says of them.
@@ -43,7 +43,7 @@ pub fn paste(text: &str) -> Result<Pasted, DeskError> {
         text.strip_prefix('p').and_then(|rest| rest.trim_start().strip_prefix('['))
     {
         let numbers = bare(numbers)?;
-        let form = Form::Three(Convention::RotVec);
+        let form = Coding::Three(Convention::RotVec);
         return match numbers.len() {
             6 => Ok(Pasted::new(numbers, si(form), "UR pose p[…]")),
             count => Err(DeskError::CountOfForm { form, count }),
@@ -56,8 +56,9 @@ pub fn paste(text: &str) -> Result<Pasted, DeskError> {
     }
 }
 
-fn si(form: Form) -> Style {
-    Style { form: Some(form), length: Some(LengthUnit::Metre), angle: Some(AngleUnit::Radian) }
+fn si(form: Coding) -> Style {
+    let units = Units { length: Some(LengthScale::METRE), angle: Some(AngleUnit::Radian) };
+    Style { form: Some(form), units }
 }
 
 impl Pasted {
@@ -101,7 +102,7 @@ fn urdf(text: &str) -> Result<Pasted, DeskError> {
         }
         numbers.extend(found);
     }
-    Ok(Pasted::new(numbers, si(Form::Three(Convention::RPY)), "URDF origin"))
+    Ok(Pasted::new(numbers, si(Coding::Three(Convention::RPY)), "URDF origin"))
 }
 
 /// What `tf2_echo` prints.
@@ -119,7 +120,7 @@ fn tf2_echo(text: &str) -> Result<Pasted, DeskError> {
         }
     };
     let numbers = [listed("Translation:", 3)?, listed("Quaternion", 4)?].concat();
-    Ok(Pasted::new(numbers, si(Form::Xyzw), "tf2_echo"))
+    Ok(Pasted::new(numbers, si(Coding::Xyzw), "tf2_echo"))
 }
 
 /// A ROS message as `ros2 topic echo` prints it, or in JSON.
@@ -169,7 +170,7 @@ fn of_message(holder: &Value, message: &Value) -> Result<Pasted, DeskError> {
         &["x", "y", "z", "w"],
         "x, y, z, w of an orientation",
     )?);
-    let mut pasted = Pasted::new(numbers, si(Form::Xyzw), "ROS message");
+    let mut pasted = Pasted::new(numbers, si(Coding::Xyzw), "ROS message");
     pasted.parent = name(message, "frame_id");
     pasted.child = name(message, "child_frame_id");
     Ok(pasted)
@@ -197,7 +198,7 @@ mod tests {
     fn a_ur_literal_is_a_rotation_vector_in_metres() {
         let pasted = paste("p[0.1, -0.2, 0.3, 1.2, -1.7, 0.6]").unwrap();
         assert_eq!(pasted.numbers, [0.1, -0.2, 0.3, 1.2, -1.7, 0.6]);
-        assert_eq!(pasted.style, si(Form::Three(Convention::RotVec)));
+        assert_eq!(pasted.style, si(Coding::Three(Convention::RotVec)));
     }
 
     #[test]

@@ -1,18 +1,20 @@
 //! One pose in every convention.
 
-use crate::geometry::{AngleUnit, Convention, LengthUnit, Pose, xyzw_from_rotation};
+use crate::geometry::{
+    AngleUnit, CodeLine, Coding, Convention, LengthScale, Pose, code_of_numbers,
+    code_of_quaternion, xyzw_from_rotation,
+};
 
-use super::code::{self, CodeLine};
 use super::error::DeskError;
-use super::form::{Form, LOCK_RAD, Reading, SAID_DEFECT, Style, defect, has_position, readings};
+use super::form::{LOCK_RAD, Reading, SAID_DEFECT, Style, defect, has_position, readings};
 use super::paste::Pasted;
-use super::usage::{LibraryName, Use, library_names, uses_of};
+use crate::geometry::vendors::{LibraryName, Use, library_names, uses_of};
 
 /// A pose in one convention.
 #[derive(Clone, Debug)]
 pub struct Row {
     /// The convention.
-    pub form: Form,
+    pub form: Coding,
     /// The numbers of the rotation, rad where they are angles; a matrix has nine.
     pub numbers: Vec<f64>,
     /// How far from gimbal lock, rad; none where there is no such thing.
@@ -24,7 +26,7 @@ pub struct Row {
 }
 
 impl Row {
-    fn of(form: Form, numbers: Vec<f64>) -> Self {
+    fn of(form: Coding, numbers: Vec<f64>) -> Self {
         Self {
             gimbal_margin_rad: None,
             uses: uses_of(form).collect(),
@@ -124,15 +126,13 @@ pub fn sheet(pasted: &Pasted, style: Style) -> Result<Sheets, DeskError> {
 
 fn unit_notes(reading: &Reading, known: Style, count: usize) -> Vec<String> {
     let mut notes = Vec::new();
-    if has_position(count) && known.length.is_none() {
-        notes.push(match reading.length {
-            LengthUnit::Metre => "metres: no length is above 10; --mm says otherwise".to_owned(),
-            LengthUnit::Millimetre => {
-                "millimetres: a length is above 10; --m says otherwise".to_owned()
-            }
+    if has_position(count) && known.units.length.is_none() {
+        notes.push(match reading.length == LengthScale::METRE {
+            true => "metres: no length is above 10; --mm says otherwise".to_owned(),
+            false => "millimetres: a length is above 10; --m says otherwise".to_owned(),
         });
     }
-    if reading.form.has_angles() && known.angle.is_none() {
+    if reading.form.has_angles() && known.units.angle.is_none() {
         notes.push(match reading.angle {
             AngleUnit::Radian => "radians: no angle is above 6.9; --deg says otherwise".to_owned(),
             AngleUnit::Degree => "degrees: an angle is above 6.9; --rad says otherwise".to_owned(),
@@ -146,7 +146,7 @@ fn one(reading: Reading, pasted: &Pasted, mut notes: Vec<String>) -> Result<Shee
     let missed = defect(reading.form, &pasted.numbers);
     if missed > SAID_DEFECT {
         notes.push(match reading.form {
-            Form::Rows | Form::Columns => {
+            Coding::Rows | Coding::Columns => {
                 format!("the matrix is not quite orthonormal (max |RᵀR − I| {missed:.1e}); this is the nearest rotation")
             }
             _ => format!("the quaternion's norm is off 1 by {missed:.1e}; it was divided by it"),
@@ -158,14 +158,14 @@ fn one(reading: Reading, pasted: &Pasted, mut notes: Vec<String>) -> Result<Shee
     let by_rows: Vec<f64> = matrix.matrix().transpose().iter().map(|c| c + 0.0).collect();
     let by_columns: Vec<f64> = matrix.matrix().iter().map(|c| c + 0.0).collect();
     let mut rows = vec![
-        Row::of(Form::Xyzw, vec![x, y, z, w]),
-        Row::of(Form::Wxyz, vec![w, x, y, z]),
-        Row::of(Form::Rows, by_rows),
-        Row::of(Form::Columns, by_columns),
+        Row::of(Coding::Xyzw, vec![x, y, z, w]),
+        Row::of(Coding::Wxyz, vec![w, x, y, z]),
+        Row::of(Coding::Rows, by_rows),
+        Row::of(Coding::Columns, by_columns),
     ];
     rows.extend(Convention::all().iter().map(|&convention| {
         let numbers = convention.numbers(rotation);
-        let mut row = Row::of(Form::Three(convention), numbers.to_vec());
+        let mut row = Row::of(Coding::Three(convention), numbers.to_vec());
         row.gimbal_margin_rad = convention.gimbal_margin(numbers);
         row
     }));
@@ -180,25 +180,27 @@ fn one(reading: Reading, pasted: &Pasted, mut notes: Vec<String>) -> Result<Shee
         ));
     }
     let code_of_numbers = match reading.form {
-        Form::Three(convention) => {
-            let given = pasted.numbers[pasted.numbers.len() - 3..].iter();
-            let mut numbers = [0.0; 3];
-            for (number, given) in numbers.iter_mut().zip(given) {
-                *number = given * reading.angle.in_rad();
-            }
-            code::of_numbers(convention, numbers)
+        Coding::Three(convention) => {
+            let given = &pasted.numbers[pasted.numbers.len() - 3..];
+            let numbers = [0, 1, 2].map(|at| literal(given[at] * reading.angle.in_rad()));
+            code_of_numbers(convention, numbers)
         }
         _ => Vec::new(),
     };
     Ok(Sheet {
         has_position: has_position(pasted.numbers.len()),
         code_of_numbers,
-        code_of_quaternion: code::of_quaternion(rotation),
+        code_of_quaternion: code_of_quaternion(xyzw_from_rotation(rotation).map(literal)),
         reading,
         pose,
         rows,
         notes,
     })
+}
+
+/// A number to a billionth that every language takes for a float.
+fn literal(value: f64) -> String {
+    format!("{:?}", (value * 1e9).round() / 1e9 + 0.0)
 }
 
 #[cfg(test)]
@@ -216,7 +218,7 @@ mod tests {
     }
 
     fn numbers(sheet: &Sheet, form: &str) -> Vec<f64> {
-        let form: Form = form.parse().unwrap();
+        let form: Coding = form.parse().unwrap();
         sheet.rows.iter().find(|row| row.form == form).unwrap().numbers.clone()
     }
 
@@ -265,14 +267,14 @@ mod tests {
         // Rz(90°), then 0.3, 0.1, 0.5.
         let columns = one("0 1 0 0  -1 0 0 0  0 0 1 0  0.3 0.1 0.5 1", "");
         let rows = one("0 -1 0 0.3  1 0 0 0.1  0 0 1 0.5  0 0 0 1", "");
-        assert_eq!(columns.reading.form, Form::Columns);
-        assert_eq!(rows.reading.form, Form::Rows);
+        assert_eq!(columns.reading.form, Coding::Columns);
+        assert_eq!(rows.reading.form, Coding::Rows);
         assert_eq!(columns.pose, rows.pose);
         // Without the last row.
         let columns = one("0 1 0  -1 0 0  0 0 1  0.3 0.1 0.5", "");
-        assert_eq!((columns.reading.form, columns.pose), (Form::Columns, rows.pose));
+        assert_eq!((columns.reading.form, columns.pose), (Coding::Columns, rows.pose));
         let short = one("0 -1 0 0.3  1 0 0 0.1  0 0 1 0.5", "");
-        assert_eq!((short.reading.form, short.pose), (Form::Rows, rows.pose));
+        assert_eq!((short.reading.form, short.pose), (Coding::Rows, rows.pose));
     }
 
     #[test]

@@ -3,6 +3,7 @@
 //! Poses are those of other programs (the catalogue's check values); what a pendant would show of them
 //! was computed by SciPy 1.17.1 and rounded as pendants do.
 
+use crate::geometry::{AngleUnit, LengthScale};
 use crate::robot::catalogue;
 
 use super::*;
@@ -252,7 +253,7 @@ fn a_rotation_vector_that_was_read_as_euler_angles() {
 fn several_pairs_find_a_tool_that_one_pair_only_suggests() {
     let asked = Asked { is_as: "ros", but_as: "ur", robot: "ur3e", ..Asked::default() };
     let pairs = pairs_from_csv(UR3E_WITH_TOOL).unwrap();
-    let alone = super::reconcile(&Question {
+    let alone = reconcile(&Question {
         pairs: pairs[..1].to_vec(),
         is: "ros".parse().unwrap(),
         but: "ur".parse().unwrap(),
@@ -358,4 +359,15 @@ fn poses_that_have_nothing_in_common_stay_open() {
     .answer();
     assert_eq!(answer.verdict, Verdict::Open, "{:?}", answer.hypotheses[0]);
     assert!(answer.would_do.is_some());
+}
+
+#[test]
+fn a_vendors_name_stands_for_its_form_and_units() {
+    let kuka: Style = "kuka".parse().unwrap();
+    assert_eq!(kuka.form.map(|form| form.to_string()).as_deref(), Some("euler:ZYX"));
+    let (mm, degrees) = (Some(LengthScale::MILLIMETRE), Some(AngleUnit::Degree));
+    assert_eq!((kuka.units.length, kuka.units.angle), (mm, degrees));
+    assert!("kuka,rad,deg".parse::<Style>().is_err());
+    let in_radians: Style = "kuka,rad".parse().unwrap();
+    assert_eq!((in_radians.units.length, in_radians.units.angle), (mm, Some(AngleUnit::Radian)));
 }

@@ -58,7 +58,7 @@ pub enum DhTold {
 impl Left {
     /// What a diagnosis leaves of each stream.
     pub fn of(diagnosis: &ArmDiagnosis) -> Vec<Self> {
-        let is_read = diagnosis.joints.is_ok();
+        let is_read = diagnosis.joints.reading.is_ok();
         diagnosis.streams.iter().map(|stream| Self::of_stream(stream, is_read)).collect()
     }
 
@@ -77,10 +77,10 @@ impl Left {
 
 /// How many faults a diagnosis takes to leave no more.
 pub fn faults(diagnosis: &ArmDiagnosis) -> usize {
-    let of_joints = diagnosis.joints.as_ref().map_or(0, |reading| {
+    let of_joints = diagnosis.joints.reading.as_ref().map_or(0, |reading| {
         usize::from(reading.degrees.is_some()) + usize::from(reading.permutation.is_some())
     });
-    let zeros = diagnosis.offsets.iter().filter(|offset| offset.chosen).count();
+    let zeros = diagnosis.joints.offsets.iter().filter(|offset| offset.chosen).count();
     let of_stream = |stream: &PoseDiagnosis| {
         let frames = [&stream.reference, &stream.tool];
         let chosen = frames.iter().filter(|frame| frame.as_ref().is_ok_and(|one| one.chosen));

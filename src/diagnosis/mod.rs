@@ -357,12 +357,19 @@ impl PoseDiagnosis {
 /// All that was estimated from the joint states and the pose streams together.
 #[derive(Clone, Debug)]
 pub struct ArmDiagnosis {
-    /// Names and units of the joint states.
-    pub joints: Seen<JointReading>,
+    /// What is said of the joint states.
+    pub joints: JointDiagnosis,
+    /// One entry for each pose stream given.
+    pub streams: Vec<PoseDiagnosis>,
+}
+
+/// What was estimated on the joint states of an arm.
+#[derive(Clone, Debug)]
+pub struct JointDiagnosis {
+    /// Their names and units.
+    pub reading: Seen<JointReading>,
     /// Zero offset of each joint of the chain, from all pose streams.
     pub offsets: Vec<JointOffset>,
     /// The joints whose scale or direction is wrong.
     pub scales: Vec<JointScale>,
-    /// One entry for each pose stream given.
-    pub streams: Vec<PoseDiagnosis>,
 }

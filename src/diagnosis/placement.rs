@@ -193,10 +193,7 @@ pub(super) fn metres_by_reach(stream: &PoseStream) -> f64 {
 
 /// How many metres a number of a stream is as it was read.
 fn in_metres(track: &PoseTrack) -> f64 {
-    match &track.declared {
-        Some(declared) if declared.millimetres => 1e-3,
-        _ => 1.0,
-    }
+    track.declared.as_ref().map_or(1.0, |declared| declared.length.in_m())
 }
 
 /// Whether positions of so many metres a number are where FK is, but for this share of its extent, rms.

@@ -30,11 +30,11 @@ pub fn diagnose_steadied(
     let mut steps = steps_by(joints);
     let mut unstepped = of_steps(&steps);
     let mut found = diagnose_arm(joints, &with_tracks(streams, &unstepped), most_lag_s);
-    let is_misread = !found.joints.as_ref().is_ok_and(JointReading::is_as_logged);
+    let is_misread = !found.joints.reading.as_ref().is_ok_and(JointReading::is_as_logged);
     if is_misread && steps.iter().all(Option::is_none) {
         // Joints that are misread hide steps, and steps hide how they are to be read.
-        let mended = match &found.joints {
-            Ok(_) => found.corrected_joints(joints, slides),
+        let mended = match &found.joints.reading {
+            Ok(_) => found.joints.corrected_joints(joints, slides),
             Err(_) => {
                 let mut radians = joints.clone();
                 radians.take_for_degrees(slides);

@@ -1,8 +1,6 @@
 //! Causes: what is wrong, with the amounts that mend it.
 
-use crate::geometry::{
-    AngleUnit, Axes, Convention, LengthScale, Pose, Rotation, RotationSlip, Slip,
-};
+use crate::geometry::{AngleUnit, Axes, Coding, LengthScale, Pose, Rotation, RotationSlip, Slip};
 use crate::robot::DhConvention;
 use crate::stats::Measured;
 
@@ -36,6 +34,11 @@ pub enum Cause {
     OtherRobot(String),
     /// The model does not explain the log.
     Model,
+    /// Nothing makes poses and joint states those of one arm.
+    Disagreement {
+        /// By how much they disagree, in a clause.
+        said: String,
+    },
     /// What is stamped *t* was true at *t − latency*, s.
     Latency(Measured),
     /// By how much the latency grows with each second, s/s.
@@ -46,8 +49,8 @@ pub enum Cause {
     Rotation(RotationSlip),
     /// The reading of bare numbers of which nothing is declared.
     Bare {
-        /// The convention of the rotations; `None` for quaternions that begin with w.
-        convention: Option<Convention>,
+        /// How the rotations are coded.
+        coding: Coding,
         /// The unit of the positions.
         length: LengthScale,
         /// The unit of the angles.

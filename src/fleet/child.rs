@@ -195,6 +195,7 @@ pub fn serve(path: &Path, options: &Options, store: &Store) -> io::Result<()> {
 
 /// Lets this process have no more memory than this. Pages of files that are only read do not count.
 #[cfg(target_os = "linux")]
+#[allow(unsafe_code, reason = "a limit is set")]
 fn limit_memory(bytes: u64) -> io::Result<()> {
     let limit = libc::rlimit { rlim_cur: bytes, rlim_max: bytes };
     // SAFETY: the call reads the struct, which outlives it, and changes nothing but the limit.

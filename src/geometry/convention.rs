@@ -99,6 +99,14 @@ impl Convention {
         }
     }
 
+    /// Whether the numbers are of the axes x, y and z, and not of turns one after the other.
+    pub fn is_by_axis(self) -> bool {
+        match self {
+            Self::RotVec => true,
+            Self::Euler(order) => order.is_labelled_by_axis(),
+        }
+    }
+
     /// The rotation (`a_from_b`) that `numbers` (rad) code.
     pub fn rotation(self, numbers: [f64; 3]) -> Rotation {
         match self {

@@ -92,6 +92,21 @@ impl EulerOrder {
         }
     }
 
+    /// Whether the turns go about the fixed axes, and not about those that the earlier ones moved.
+    pub(super) fn is_about_fixed_axes(self) -> bool {
+        self.frame == Frame::Fixed
+    }
+
+    /// The turns in the order of the name: the axis (`x`, `y` or `z`), and which of the three numbers is
+    /// the angle.
+    pub(super) fn lettered(self) -> [(char, usize); 3] {
+        let mut turns = self.turns();
+        if self.frame == Frame::Moving {
+            turns.reverse();
+        }
+        turns.map(|turn| (['x', 'y', 'z'][turn.axis as usize], turn.number))
+    }
+
     /// The rotation that `numbers` (rad) code.
     pub(super) fn rotation(self, numbers: [f64; 3]) -> Rotation {
         self.rotation_from_half_angles(numbers.map(Phase::of_half))

@@ -6,15 +6,20 @@
 #![allow(clippy::disallowed_methods, reason = "the one room where numbers become rotations")]
 
 mod axes;
+mod code;
+mod coding;
 mod convention;
 mod euler;
 mod reading;
 mod rotation;
 mod units;
+pub mod vendors;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 pub use axes::Axes;
+pub use code::{CodeLine, code_of_numbers, code_of_quaternion};
+pub use coding::Coding;
 pub use convention::{Convention, ConventionError};
 pub use euler::EulerOrder;
 pub use reading::{Misreading, MisreadingClass, QuaternionSlip, RotationSlip, misreading_classes};
@@ -22,7 +27,7 @@ pub use rotation::{
     angle_between, rotation_from_matrix_rows, rotation_from_rotvec, rotation_from_rpy,
     rotation_from_xyzw, rotvec_from_rotation, xyzw_from_rotation,
 };
-pub use units::{AngleUnit, LengthScale, LengthUnit, Slip};
+pub use units::{AngleUnit, LengthScale, Slip, UnitError, Units};
 
 /// A rigid transform `a_from_b`; translation in metres.
 pub type Pose = Isometry3<f64>;

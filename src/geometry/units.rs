@@ -4,36 +4,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 use std::str::FromStr;
 
-/// The unit of a position.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum LengthUnit {
-    /// Metres.
-    #[serde(rename = "m")]
-    Metre,
-    /// Millimetres.
-    #[serde(rename = "mm")]
-    Millimetre,
-}
-
-impl LengthUnit {
-    /// How many metres it is.
-    pub fn in_m(self) -> f64 {
-        match self {
-            Self::Metre => 1.0,
-            Self::Millimetre => 1e-3,
-        }
-    }
-
-    /// Its symbol.
-    pub fn symbol(self) -> &'static str {
-        match self {
-            Self::Metre => "m",
-            Self::Millimetre => "mm",
-        }
-    }
-}
-
-/// The unit that positions are found to be in: how many metres a number is.
+/// The unit of a position: how many metres a number is.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct LengthScale(f64);
 
@@ -83,6 +54,12 @@ impl LengthScale {
     }
 }
 
+impl Default for LengthScale {
+    fn default() -> Self {
+        Self::METRE
+    }
+}
+
 impl fmt::Display for LengthScale {
     /// Its symbol: `cm`; of an unusual one how many metres a number is: `0.0043 m`.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -126,9 +103,10 @@ impl<'de> Deserialize<'de> for LengthScale {
 }
 
 /// The unit of angles.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum AngleUnit {
     /// Radians.
+    #[default]
     #[serde(rename = "rad")]
     Radian,
     /// Degrees.
@@ -142,6 +120,14 @@ impl AngleUnit {
         match self {
             Self::Radian => 1.0,
             Self::Degree => 1_f64.to_radians(),
+        }
+    }
+
+    /// The other one.
+    pub fn other(self) -> Self {
+        match self {
+            Self::Radian => Self::Degree,
+            Self::Degree => Self::Radian,
         }
     }
 
@@ -183,6 +169,73 @@ impl Slip<LengthScale> {
     /// What lengths must be multiplied by.
     pub fn factor(self) -> f64 {
         self.is.in_m() / self.read_as.in_m()
+    }
+}
+
+/// The units that somebody named, `mm, deg`; none of what they left open.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[serde(try_from = "String")]
+pub struct Units {
+    /// The unit of positions: metres or millimetres.
+    pub length: Option<LengthScale>,
+    /// The unit of angles.
+    pub angle: Option<AngleUnit>,
+}
+
+/// Why a word is not taken into [`Units`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum UnitError {
+    /// It is none of `m`, `mm`, `rad` and `deg`.
+    Unknown,
+    /// Another unit of the same kind was named before.
+    Contradiction,
+}
+
+impl Units {
+    /// Takes one more unit.
+    ///
+    /// # Errors
+    /// Where the word is no unit, or contradicts another one.
+    pub fn take(&mut self, symbol: &str) -> Result<(), UnitError> {
+        let is_known = match symbol {
+            "m" => is_or_becomes(&mut self.length, LengthScale::METRE),
+            "mm" => is_or_becomes(&mut self.length, LengthScale::MILLIMETRE),
+            "rad" => is_or_becomes(&mut self.angle, AngleUnit::Radian),
+            "deg" => is_or_becomes(&mut self.angle, AngleUnit::Degree),
+            _ => return Err(UnitError::Unknown),
+        };
+        is_known.then_some(()).ok_or(UnitError::Contradiction)
+    }
+
+    /// These, and where they say nothing what `others` say.
+    pub fn or(self, others: Self) -> Self {
+        Self { length: self.length.or(others.length), angle: self.angle.or(others.angle) }
+    }
+}
+
+fn is_or_becomes<T: Copy + PartialEq>(known: &mut Option<T>, unit: T) -> bool {
+    *known.get_or_insert(unit) == unit
+}
+
+impl TryFrom<String> for Units {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        let mut units = Self::default();
+        for symbol in text.split(", ") {
+            units.take(symbol).map_err(|error| format!("unit `{symbol}`: {error:?}"))?;
+        }
+        Ok(units)
+    }
+}
+
+impl fmt::Display for Units {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (self.length, self.angle) {
+            (Some(length), Some(angle)) => write!(f, "{length}, {}", angle.symbol()),
+            (Some(length), None) => length.fmt(f),
+            (None, angle) => f.write_str(angle.map_or("", AngleUnit::symbol)),
+        }
     }
 }
 

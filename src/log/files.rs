@@ -1,15 +1,12 @@
-//! From the paths given to the files to read.
+//! The files to read, each once.
 
 use std::collections::HashMap;
-use std::fs::{self, File};
-use std::io;
+use std::fs;
 use std::path::{Path, PathBuf};
 
-use memmap2::{Mmap, MmapOptions};
-
-use super::intake::Intake;
-use super::remote::{self, Address};
-use super::{LogError, rosbag2};
+use super::LogError;
+use super::mapped::Mapped;
+use super::remote::Address;
 
 /// One file to read.
 #[derive(Clone, PartialEq, Eq, Debug)]
@@ -26,7 +23,7 @@ pub(super) struct Input {
 
 impl Input {
     /// A local file that stands alone.
-    fn local(path: PathBuf) -> Self {
+    pub(super) fn local(path: PathBuf) -> Self {
         Self { path, address: None, in_bag: false, recorded: None }
     }
 
@@ -39,24 +36,6 @@ impl Input {
     pub(super) fn bytes(&self) -> u64 {
         fs::metadata(&self.path).map_or(0, |metadata| metadata.len())
     }
-}
-
-/// The files that `paths` stand for: a folder for those of the recording in it.
-pub(super) fn inputs(paths: &[PathBuf], intake: &mut Intake) -> Result<Vec<Input>, LogError> {
-    let mut inputs = Vec::new();
-    for path in paths {
-        let named = remote::local(path);
-        let path = named.as_ref().unwrap_or(path);
-        match Address::of(path)? {
-            Some(address) => {
-                let path = address.shown();
-                inputs.push(Input { address: Some(address), ..Input::local(path) });
-            }
-            None if path.is_dir() => inputs.extend(rosbag2::files_of(path, intake)?),
-            None => inputs.push(Input::local(path.clone())),
-        }
-    }
-    Ok(inputs)
 }
 
 /// Refuses a file that is given twice, under the same or another path, and a copy of it.
@@ -90,78 +69,5 @@ fn is_same(a: &Path, b: &Path) -> bool {
     match (Mapped::open(a), Mapped::open(b)) {
         (Ok(a), Ok(b)) => a.bytes() == b.bytes(),
         _ => false,
-    }
-}
-
-/// How much of a file of `bytes` is mapped: of a hole at its end, which reads as zeros and is of no
-/// length, not more than tells that there are zeros.
-#[cfg(target_os = "linux")]
-fn worth_reading(file: &File, bytes: u64) -> usize {
-    use std::os::fd::AsRawFd;
-    const ZEROS: u64 = 1 << 20;
-    /// Holes beyond which a file is not searched.
-    const MOST: usize = 1000;
-    let whole = usize::try_from(bytes).unwrap_or(usize::MAX);
-    // SAFETY: the call moves the offset of a file that is never read by it.
-    let seek = |from: u64, to| unsafe {
-        let found = libc::lseek64(file.as_raw_fd(), i64::try_from(from).unwrap_or(i64::MAX), to);
-        u64::try_from(found).ok()
-    };
-    let mut from = 0;
-    for _ in 0..MOST {
-        let Some(hole) = seek(from, libc::SEEK_HOLE).filter(|hole| *hole < bytes) else {
-            return whole;
-        };
-        match seek(hole, libc::SEEK_DATA) {
-            Some(data) if data > hole => from = data,
-            _ => return whole.min(usize::try_from(hole + ZEROS).unwrap_or(whole)),
-        }
-    }
-    whole
-}
-
-#[cfg(not(target_os = "linux"))]
-fn worth_reading(_: &File, bytes: u64) -> usize {
-    usize::try_from(bytes).unwrap_or(usize::MAX)
-}
-
-/// A file in memory.
-pub(super) struct Mapped(Mmap);
-
-impl Mapped {
-    /// Maps a file into memory, or says in one line why it cannot be read.
-    pub(super) fn open(path: &Path) -> Result<Self, LogError> {
-        let io_error = |source: io::Error| LogError::io(path, source);
-        // Before it is opened: a pipe would wait for somebody to write to it.
-        let metadata = fs::metadata(path).map_err(io_error)?;
-        if !metadata.is_file() {
-            return Err(LogError::NotAFile { path: path.to_owned() });
-        }
-        let file = File::open(path).map_err(io_error)?;
-        if metadata.len() == 0 {
-            return Err(LogError::Empty { path: path.to_owned() });
-        }
-        // SAFETY: the map is read-only and lives only while its file is decoded. Another process
-        // that shortens the file meanwhile ends this one with SIGBUS, as with any memory-mapped
-        // reader.
-        unsafe { MmapOptions::new().len(worth_reading(&file, metadata.len())).map(&file) }
-            .map(Self)
-            .map_err(io_error)
-    }
-
-    /// Maps an open file that nobody else knows.
-    pub(super) fn of(file: &File) -> io::Result<Self> {
-        // SAFETY: the map is read-only, and nobody else writes to the file.
-        let mapped = unsafe { Mmap::map(file) }.map(Self)?;
-        if mapped.bytes().is_empty() {
-            Err(io::ErrorKind::UnexpectedEof.into())
-        } else {
-            Ok(mapped)
-        }
-    }
-
-    /// Its content.
-    pub(super) fn bytes(&self) -> &[u8] {
-        &self.0
     }
 }

@@ -1,16 +1,17 @@
 //! What every container hands its content to.
 
 use std::collections::{HashMap, HashSet};
-use std::fmt;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use super::decode::{self, Builder, Format, MAX_FRAMES, Plan, Recipe, Row, RowTimes};
+use super::decode::{self, Format, Recipe};
 use super::losses::Losses;
-use super::unpack::{Allowance, Unpacker, ZSTD_MAGIC};
-use super::{Description, Extent, Log, LogFile, Loss, Note, Topic, Undecodable};
+use super::spans::{Span, gaps, join, overlaps};
+use super::topic::{Channel, Decoding, Message, TopicIntake, saturating, take_down};
+use super::unpack::{Allowance, Unpacker};
+use super::{Description, Extent, Log, LogFile, Loss, Note, Topic};
 use crate::stream::Columns;
 use crate::time::Stamp;
 
@@ -25,9 +26,6 @@ const MAX_CHANNELS: usize = 1 << 17;
 /// times as many.
 const MAX_SCHEMA_BYTES: usize = 32 << 20;
 
-/// Most different messages of a latching channel that are known again.
-const MAX_LATCHED: usize = 1 << 12;
-
 /// Most robot descriptions kept.
 const MAX_DESCRIPTIONS: usize = 64;
 
@@ -36,9 +34,6 @@ const MAX_NOTES: usize = 100;
 
 /// Most messages of a batch.
 pub(super) const MOST_AT_ONCE: usize = 1 << 14;
-
-/// First and last log time.
-pub(super) type Span = (Stamp, Stamp);
 
 /// Collects topics, messages and damage over all files of a run.
 #[derive(Default)]
@@ -69,154 +64,11 @@ type FormatKey = (String, String, String, u64);
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) struct ChannelId(usize);
 
-/// One message as a container holds it.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Message<'a> {
-    /// When the recorder received it, in nanoseconds.
-    pub(super) log_time: u64,
-    /// When the sender published it, in nanoseconds.
-    pub(super) publish_time: u64,
-    /// The number that its sender, or the recorder, gave it; 0 where none did.
-    pub(super) sequence: u32,
-    /// The encoded message.
-    pub(super) data: &'a [u8],
-    /// Where in the file it is, or the chunk that holds it.
-    pub(super) place: Place,
-    /// Whether it is one that its sender repeats to whoever comes late, and a recorder at the
-    /// beginning of every file.
-    pub(super) latched: bool,
-}
-
-/// Where in a file a message is.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Place {
-    /// At this byte.
-    Byte(u64),
-    /// In this row of a table.
-    Row(i64),
-}
-
-impl fmt::Display for Place {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Place::Byte(offset) => write!(f, "record at byte {offset} of the file"),
-            Place::Row(row) => write!(f, "row {row} of the table `messages`"),
-        }
-    }
-}
-
 /// Where a channel is: its topic, and its place among those of the topic.
 #[derive(Clone, Copy)]
 struct ChannelOf {
     topic: usize,
     place: usize,
-}
-
-/// How messages of one channel are decoded.
-struct Channel {
-    decoding: Decoding,
-    /// Whether each message may be a zstd frame: no CDR message begins like one.
-    may_be_packed: bool,
-    /// Hashes of the latched messages that were taken.
-    latched: HashSet<u64>,
-}
-
-enum Decoding {
-    /// No audit uses the type.
-    Ignored,
-    By {
-        plan: Plan,
-        /// Of the channel's own, so that no slot holds what another type left there.
-        row: Box<Row>,
-    },
-    Impossible {
-        cause: String,
-    },
-}
-
-struct TopicIntake {
-    name: String,
-    type_name: String,
-    encoding: String,
-    channels: Vec<Channel>,
-    messages: u64,
-    builder: Option<Builder>,
-    /// Rows that were not decoded from messages.
-    columns: Option<Columns>,
-    undecodable: Option<Undecodable>,
-    /// The files that hold it, by their number, and the span in each.
-    spans: Vec<(usize, Span)>,
-    /// Which messages of a batch are its own: the channel's place, and the message's.
-    waiting: Vec<(usize, usize)>,
-}
-
-impl TopicIntake {
-    /// Counts a message of file number `file`, and appends its rows where its channel has columns.
-    fn message(&mut self, place: usize, message: &Message<'_>, file: usize) {
-        let times = RowTimes {
-            log: saturating(message.log_time),
-            publish: saturating(message.publish_time),
-            sequence: message.sequence,
-        };
-        self.messages += 1;
-        self.seen(file, Stamp::from_nanos(times.log));
-        let channel = &mut self.channels[place];
-        if message.latched && channel.is_repeated(message.data) {
-            return;
-        }
-        match (&mut channel.decoding, &mut self.builder) {
-            (Decoding::By { plan, row }, Some(builder)) => {
-                let mut append = |row: &Row| builder.append(row, times);
-                if let Err(error) = plan.decode(message.data, row, &mut append) {
-                    take_down(&mut self.undecodable, message.place, &error);
-                }
-            }
-            (Decoding::Impossible { cause }, _) => {
-                take_down(&mut self.undecodable, message.place, cause);
-            }
-            (Decoding::By { .. } | Decoding::Ignored, _) => {}
-        }
-    }
-
-    /// Takes down that file number `file` holds a message of log time `at`.
-    fn seen(&mut self, file: usize, at: Stamp) {
-        match self.spans.last_mut() {
-            Some((last, (first_at, last_at))) if *last == file => {
-                *first_at = at.min(*first_at);
-                *last_at = at.max(*last_at);
-            }
-            _ => self.spans.push((file, (at, at))),
-        }
-    }
-
-    /// The topic, and one more for each further part of what its messages hold.
-    fn finish(self) -> Vec<Topic> {
-        let span = self.spans.into_iter().map(|(_, span)| span).reduce(join);
-        let refused = self.builder.as_ref().map_or(0, Builder::refused);
-        let mut undecodable = self.undecodable;
-        if refused > 0 {
-            let first = format!("it has more than {MAX_FRAMES} pairs of frames");
-            undecodable.get_or_insert(Undecodable { messages: 0, first }).messages += refused;
-        }
-        let useless = self.builder.as_ref().and_then(Builder::useless);
-        let parts = match (self.columns, self.builder) {
-            (Some(columns), _) => vec![("", Some(columns))],
-            (None, Some(builder)) => builder.finalize(),
-            (None, None) => vec![("", None)],
-        };
-        let topic = |(part, columns): (&str, _)| Topic {
-            name: format!("{}{part}", self.name),
-            type_name: self.type_name.clone(),
-            encoding: self.encoding.clone(),
-            messages: self.messages,
-            columns,
-            // Told once, for the whole of the messages.
-            undecodable: undecodable.clone().filter(|_| part.is_empty()),
-            useless: useless.clone(),
-            span,
-        };
-        parts.into_iter().map(topic).collect()
-    }
 }
 
 impl Intake {
@@ -241,7 +93,7 @@ impl Intake {
         if recipe.is_some() {
             self.schema_bytes = self.schema_bytes.saturating_add(format.schema.len());
         }
-        let decoding = match recipe.map(|recipe| recipe.plan(format)) {
+        let decoding = match recipe.map(|recipe| format.plan(recipe)) {
             Some(_) if self.schema_bytes > MAX_SCHEMA_BYTES => {
                 let cause =
                     format!("the schemas before it have more than {MAX_SCHEMA_BYTES} bytes");
@@ -471,30 +323,6 @@ impl Intake {
     }
 }
 
-impl Channel {
-    /// Whether a message is a zstd frame that must be unpacked before it is decoded.
-    fn is_packed(&self, data: &[u8]) -> bool {
-        let is_decoded = matches!(self.decoding, Decoding::By { .. });
-        is_decoded && self.may_be_packed && data.starts_with(ZSTD_MAGIC)
-    }
-
-    /// Whether a latched message of this channel was taken before.
-    fn is_repeated(&mut self, data: &[u8]) -> bool {
-        let mut hasher = DefaultHasher::new();
-        data.hash(&mut hasher);
-        let hash = hasher.finish();
-        self.latched.contains(&hash)
-            || (self.latched.len() < MAX_LATCHED && !self.latched.insert(hash))
-    }
-}
-
-/// Takes down that the message at `place` cannot be decoded.
-fn take_down(undecodable: &mut Option<Undecodable>, place: Place, cause: &dyn fmt::Display) {
-    let undecodable = undecodable
-        .get_or_insert_with(|| Undecodable { messages: 0, first: format!("{cause} ({place})") });
-    undecodable.messages += 1;
-}
-
 fn format_key(topic: &str, format: Format<'_>) -> FormatKey {
     let mut hasher = DefaultHasher::new();
     (format.schema_encoding, format.schema).hash(&mut hasher);
@@ -502,56 +330,11 @@ fn format_key(topic: &str, format: Format<'_>) -> FormatKey {
     (topic.to_owned(), encoding.to_owned(), type_name.to_owned(), hasher.finish())
 }
 
-/// Pairs of files (the one that begins first, the other) that share more of their time than the
-/// splits of one recording do, and how much, s: longer than a second, or than half of the shorter.
-fn overlaps(spans: &[(usize, Span)]) -> Vec<(usize, usize, f64)> {
-    const SPLIT_S: f64 = 1.0;
-    let length_s = |(first, last): Span| last.seconds_since(first);
-    let shared_s = |a: Span, b: Span| length_s((a.0.max(b.0), a.1.min(b.1)));
-    neighbours(spans)
-        .map(|(a, b)| (a.0, b.0, shared_s(a.1, b.1), length_s(a.1).min(length_s(b.1))))
-        .filter(|&(_, _, shared, shorter)| shared > 0.0 && shared > SPLIT_S.min(0.5 * shorter))
-        .map(|(a, b, shared, _)| (a, b, shared))
-        .collect()
-}
-
-/// Pairs of files between which nothing was recorded for longer than a day, and how long, s.
-fn gaps(spans: &[(usize, Span)]) -> Vec<(usize, usize, f64)> {
-    const DAY_S: f64 = 86_400.0;
-    neighbours(spans)
-        .map(|(a, b)| (a.0, b.0, b.1.0.seconds_since(a.1.1)))
-        .filter(|&(_, _, apart)| apart > DAY_S)
-        .collect()
-}
-
-/// Each file but the first, in the order in which they begin, behind the one that ends last of
-/// those before it.
-fn neighbours(spans: &[(usize, Span)]) -> impl Iterator<Item = ((usize, Span), (usize, Span))> {
-    let mut spans = spans.to_vec();
-    spans.sort_by_key(|&(number, span)| (span.0, number));
-    let mut spans = spans.into_iter();
-    let mut last_ending = spans.next();
-    spans.filter_map(move |next| {
-        let before = last_ending?;
-        if next.1.1 > before.1.1 {
-            last_ending = Some(next);
-        }
-        Some((before, next))
-    })
-}
-
-fn saturating(nanos: u64) -> i64 {
-    i64::try_from(nanos).unwrap_or(i64::MAX)
-}
-
-/// The span that covers both.
-fn join(a: Span, b: Span) -> Span {
-    (a.0.min(b.0), a.1.max(b.1))
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::decode::MAX_FRAMES;
     use super::super::testing::{Cdr, POSE_STAMPED};
+    use super::super::topic::Place;
     use super::*;
 
     const HOUR: u64 = 3_600_000_000_000;

@@ -4,6 +4,8 @@
 //! would take with it. The messages are then found by walking the records themselves, so that files
 //! with and without an index are read alike.
 
+mod chunks;
+mod definitions;
 mod record;
 mod sparse;
 #[cfg(feature = "cloud")]
@@ -19,11 +21,11 @@ use mcap::records::op;
 
 use self::record::{Broken, Frame};
 use super::ahead::{self, Ahead};
-use super::decode::{Format, excerpt};
-use super::intake::{ChannelId, Intake, MOST_AT_ONCE, Message, Place};
+use super::intake::{ChannelId, Intake, MOST_AT_ONCE};
 use super::losses::{Losses, Unknown};
 use super::ranges::Present;
-use super::unpack::{Compression, Packed, Unpacker};
+use super::topic::{Message, Place};
+use super::unpack::Unpacker;
 use super::{Crc, Extent, ReadOptions};
 
 #[cfg(feature = "cloud")]
@@ -312,167 +314,6 @@ impl<'a> Reader<'a, '_, '_> {
         false
     }
 
-    /// Hands in chunks beyond those that were, as far as there is room and not far beyond `here`.
-    fn unpack_ahead(&mut self, here: usize) {
-        let far = here.saturating_add(ahead::MOST_DISTANCE);
-        while let Some(offset) = self.scanned.filter(|at| *at < far && self.ahead.has_room()) {
-            let frame = match record::frame(self.bytes, offset) {
-                Ok(frame) if !matches!(frame.opcode, op::DATA_END | op::FOOTER) => frame,
-                _ => return self.scanned = None,
-            };
-            self.scanned = Some(frame.end());
-            let chunk = match frame.opcode {
-                op::CHUNK => record::Chunk::parse(frame.body).filter(record::Chunk::is_whole),
-                _ => None,
-            };
-            if let Some(packed) = chunk.and_then(|chunk| chunk.packed())
-                && self.use_of(&frame, &packed) == Use::All
-                && self.intake.allowance.admit(&packed).is_ok()
-            {
-                self.ahead.unpack(offset, packed);
-            }
-        }
-    }
-
-    /// What of a chunk is of use.
-    fn use_of(&self, frame: &Frame<'a>, packed: &Packed<'a>) -> Use {
-        if !self.present.holds(&self.place(packed.data)) {
-            return self.use_of_parts(frame, packed);
-        }
-        if self.options.verify {
-            return Use::All;
-        }
-        if packed.compression == Compression::None {
-            let is_whole = packed.data.len() as u64 == packed.size;
-            let may_be_passed_over = is_whole && self.has_ignored_channels();
-            return if may_be_passed_over { self.use_of_records(packed.data) } else { Use::All };
-        }
-        if self.is_ignored_by_index(frame) { Use::Counts } else { Use::All }
-    }
-
-    /// Whether a channel is known that is of no use.
-    fn has_ignored_channels(&self) -> bool {
-        let mut known = self.channels.iter().flatten().filter_map(|channel| channel.id);
-        known.any(|id| self.intake.ignores(id))
-    }
-
-    /// What of the records of a chunk is of use, which are not packed: nothing needs to be looked
-    /// into of large messages that no audit uses.
-    fn use_of_records(&self, records: &[u8]) -> Use {
-        let (mut ignored, mut frames) = (0, record::frames(records, 0));
-        for frame in &mut frames {
-            let Ok(frame) = frame else { return Use::All };
-            let message = match frame.opcode {
-                op::MESSAGE => record::Message::parse(frame.body),
-                _ => None,
-            };
-            if let Some(message) = message
-                && self.channel_of(message.channel_id).is_some_and(|id| self.intake.ignores(id))
-            {
-                ignored += message.data.len();
-            }
-        }
-        if ignored > records.len() / 2 { Use::Some } else { Use::All }
-    }
-
-    /// The message indexes behind a chunk.
-    fn indexes_behind(
-        &self,
-        chunk: &Frame<'a>,
-    ) -> impl Iterator<Item = record::MessageIndex<'a>> + use<'a> {
-        record::frames(self.bytes, chunk.end())
-            .map_while(|frame| frame.ok().filter(|frame| frame.opcode == op::MESSAGE_INDEX))
-            .filter_map(|frame| record::MessageIndex::parse(frame.body))
-    }
-
-    fn channel_of(&self, channel_id: u16) -> Option<ChannelId> {
-        self.channels.get(usize::from(channel_id))?.as_ref()?.id
-    }
-
-    /// Reads the records of a chunk; whether all of them could be.
-    fn chunk(&mut self, frame: &Frame<'a>, unpacker: &mut Unpacker) -> bool {
-        let chunk = record::Chunk::parse(frame.body).filter(record::Chunk::is_whole);
-        self.has_chunks = true;
-        let Some(chunk) = chunk else {
-            self.lose_chunk(frame.offset, "chunk is shorter than it says".to_owned());
-            return false;
-        };
-        let Some(packed) = chunk.packed() else {
-            let found = chunk.compression;
-            let what = format!("chunk is compressed by `{found}`, expected `zstd`, `lz4` or none");
-            self.lose_chunk(frame.offset, what);
-            self.losses.date(frame.offset, chunk.first_time, chunk.last_time);
-            return false;
-        };
-        let mut unpacked = self.ahead.take(frame.offset);
-        let records = match &mut unpacked {
-            Some(unpacked) => unpacked.content(&packed, &mut self.intake.allowance),
-            None => match self.use_of(frame, &packed) {
-                Use::Counts => {
-                    self.count(frame);
-                    return true;
-                }
-                Use::Some => {
-                    self.chunk_records(packed.data, frame.offset);
-                    return true;
-                }
-                Use::Absent => {
-                    self.absent.get_or_insert(Absent(frame.offset));
-                    return true;
-                }
-                Use::All => unpacker.chunk(&packed, &mut self.intake.allowance),
-            },
-        };
-        let is_sound = match records {
-            Ok(records) => {
-                let before = self.intake.messages();
-                self.chunk_records(records, frame.offset);
-                if packed.crc != 0 {
-                    self.covered += self.intake.messages() - before;
-                }
-                true
-            }
-            Err(error) => {
-                self.losses.add(frame.offset, error.extent(), None, error.to_string());
-                self.in_lost_chunk = true;
-                self.losses.date(frame.offset, chunk.first_time, chunk.last_time);
-                false
-            }
-        };
-        if let Some(unpacked) = unpacked {
-            self.ahead.give_back(unpacked);
-        }
-        is_sound
-    }
-
-    /// Counts the messages of a chunk that is left packed.
-    fn count(&mut self, chunk: &Frame<'a>) {
-        for index in self.indexes_behind(chunk) {
-            if let Some((id, span)) = self.channel_of(index.channel_id).zip(index.span()) {
-                self.intake.count(id, index.count(), span);
-            }
-        }
-    }
-
-    /// Reads the records inside the chunk at `offset`.
-    fn chunk_records(&mut self, records: &[u8], offset: usize) {
-        let mut batch = Vec::new();
-        for frame in record::frames(records, 0) {
-            match frame {
-                Ok(frame) => {
-                    if self.content(&frame, offset, &mut batch).is_none() {
-                        self.lose_record(&frame, offset);
-                    }
-                }
-                Err(broken) => {
-                    let what = format!("in the chunk, expected a record, found {broken}");
-                    self.losses.add(offset, Extent::Messages, None, what);
-                }
-            }
-        }
-        self.intake.batch(&mut batch);
-    }
-
     /// Reads a schema, channel or message, which is put into `batch`; `None` if it is malformed.
     fn content<'m>(
         &mut self,
@@ -505,85 +346,6 @@ impl<'a> Reader<'a, '_, '_> {
             self.intake.batch(batch);
         }
         Some(())
-    }
-
-    /// Takes up a schema or a channel; `None` if it is malformed.
-    fn definition(&mut self, frame: &Frame<'_>) -> Option<()> {
-        match frame.opcode {
-            op::SCHEMA => self.schema(record::Schema::parse(frame.body)?),
-            op::CHANNEL => self.channel(record::Channel::parse(frame.body)?),
-            _ => {}
-        }
-        Some(())
-    }
-
-    fn schema(&mut self, schema: record::Schema<'_>) {
-        let known = self.schemas.get(&schema.id).is_some_and(|known| {
-            (known.name.as_str(), known.encoding.as_str(), known.data.as_slice())
-                == (schema.name, schema.encoding, schema.data)
-        });
-        if !known {
-            self.schemas.insert(
-                schema.id,
-                Schema {
-                    name: schema.name.to_owned(),
-                    encoding: schema.encoding.to_owned(),
-                    data: schema.data.to_owned(),
-                },
-            );
-        }
-    }
-
-    fn channel(&mut self, channel: record::Channel<'_>) {
-        let index = usize::from(channel.id);
-        if index >= self.channels.len() {
-            self.channels.resize_with(index + 1, || None);
-        }
-        let slot = &mut self.channels[index];
-        if slot.as_ref().is_some_and(|known| known.is(&channel)) {
-            return;
-        }
-        let schema = self.schemas.get(&channel.schema_id);
-        let format = Format {
-            encoding: channel.encoding,
-            type_name: schema.map_or("", |schema| &schema.name),
-            schema_encoding: schema.map_or("", |schema| &schema.encoding),
-            schema: schema.map_or(&[], |schema| &schema.data),
-        };
-        *slot = Some(Channel {
-            id: self.intake.channel(channel.topic, format),
-            schema_id: channel.schema_id,
-            topic: channel.topic.to_owned(),
-            encoding: channel.encoding.to_owned(),
-        });
-    }
-
-    fn attachment(&mut self, frame: &Frame<'_>) {
-        /// Largest attachment whose checksum is looked at unasked.
-        const SMALL: usize = 16 << 20;
-        let Some(attachment) = record::Attachment::parse(frame.body) else {
-            return self.lose_summary(frame.offset, "attachment is shorter than it says");
-        };
-        let checked = self.options.verify || attachment.covered.len() <= SMALL;
-        if checked && attachment.crc != 0 && crc32fast::hash(attachment.covered) != attachment.crc {
-            let what = format!("attachment `{}` fails its checksum", excerpt(attachment.name));
-            return self.lose_summary(frame.offset, &what);
-        }
-        self.intake.text(attachment.name, attachment.data);
-    }
-
-    fn metadata(&mut self, frame: &Frame<'_>) {
-        let Some((name, pairs)) = record::metadata(frame.body) else {
-            return self.lose_summary(frame.offset, "metadata is shorter than it says");
-        };
-        for (key, value) in pairs {
-            self.intake.text(&format!("{name}/{key}"), value.as_bytes());
-        }
-    }
-
-    fn lose_chunk(&mut self, offset: usize, what: String) {
-        self.losses.add(offset, Extent::Messages, None, what);
-        self.in_lost_chunk = true;
     }
 
     fn lose_record(&mut self, frame: &Frame<'_>, offset: usize) {
@@ -625,17 +387,6 @@ impl<'a> Reader<'a, '_, '_> {
             }
         };
         self.losses.add(offset, extent, messages, what);
-    }
-
-    /// Reads the whole records at the beginning of a chunk that is cut.
-    fn cut_chunk(&mut self, records: &[u8], offset: usize) {
-        let mut batch = Vec::new();
-        for frame in record::frames(records, 0).flatten() {
-            if self.content(&frame, offset, &mut batch).is_none() {
-                self.lose_record(&frame, offset);
-            }
-        }
-        self.intake.batch(&mut batch);
     }
 
     /// Holds what was read against what the end of the file says.

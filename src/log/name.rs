@@ -4,6 +4,8 @@ use std::fmt;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use percent_encoding::{AsciiSet, NON_ALPHANUMERIC};
+
 /// The name of a log in reports, tables and messages: its path, or its URL without what may be secret in it.
 /// That is a user and a password before the host, and what follows `?` or `#`. Of what looks like a URL and
 /// is none, such as one with a misspelt scheme, the same is left out.
@@ -42,6 +44,10 @@ impl From<SourceName> for PathBuf {
         name.into()
     }
 }
+
+/// What is escaped in a path that becomes a part of a URI.
+pub(crate) const ESCAPED: &AsciiSet =
+    &NON_ALPHANUMERIC.remove(b'/').remove(b'.').remove(b'_').remove(b'-').remove(b'~');
 
 /// Whether `text` is what may stand before `://`.
 pub(super) fn is_scheme(text: &str) -> bool {

@@ -21,6 +21,8 @@ mod store;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use percent_encoding::percent_decode_str;
+
 use super::name::{SourceName, is_scheme};
 use super::ranges::Present;
 use super::unpack::Unpacked;
@@ -71,21 +73,7 @@ fn scheme(path: &Path) -> Option<(String, &str)> {
 pub(super) fn local(path: &Path) -> Option<PathBuf> {
     let (_, rest) = scheme(path).filter(|(scheme, _)| scheme == "file")?;
     let rest = rest.strip_prefix("localhost").unwrap_or(rest);
-    Some(String::from_utf8(percent_decoded(rest)).ok()?.into())
-}
-
-/// The bytes that a part of a URL stands for.
-fn percent_decoded(part: &str) -> Vec<u8> {
-    let mut bytes = Vec::with_capacity(part.len());
-    let mut left = part.as_bytes();
-    while let Some((&first, others)) = left.split_first() {
-        let digits = others.get(..2).and_then(|digits| std::str::from_utf8(digits).ok());
-        let decoded = digits.and_then(|digits| u8::from_str_radix(digits, 16).ok());
-        let decoded = decoded.filter(|_| first == b'%');
-        left = if decoded.is_some() { &others[2..] } else { others };
-        bytes.push(decoded.unwrap_or(first));
-    }
-    bytes
+    Some(percent_decode_str(rest).decode_utf8().ok()?.into_owned().into())
 }
 
 /// Whether `path` is a URL of an object, or of a prefix that [`list`] lists.

@@ -4,18 +4,20 @@
 //! with it. The messages are then found by walking the records themselves, so that bags with and
 //! without an index, as a crash leaves them, are read alike.
 
+mod chunks;
 mod record;
 #[cfg(test)]
 mod tests;
 
 use std::collections::HashMap;
 
-use self::record::{Broken, Chunk, Connection, MessageIndex, Record, op};
+use self::record::{Broken, Chunk, Connection, Record, op};
 use super::ahead::{self, Ahead};
-use super::decode::{Format, excerpt};
-use super::intake::{ChannelId, Intake, MOST_AT_ONCE, Message, Place};
+use super::decode::Format;
+use super::intake::{ChannelId, Intake, MOST_AT_ONCE};
 use super::losses::{Losses, Unknown};
-use super::unpack::{Compression, UnpackError, Unpacker};
+use super::topic::{Message, Place};
+use super::unpack::{Compression, Unpacker};
 use super::{Crc, Extent, ReadOptions};
 
 /// What a bag begins with.
@@ -161,64 +163,6 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// Hands in chunks beyond those that were, as far as there is room and not far beyond `here`.
-    fn unpack_ahead(&mut self, here: usize) {
-        let far = here.saturating_add(ahead::MOST_DISTANCE);
-        while let Some(offset) = self.scanned.filter(|at| *at < far && self.ahead.has_room()) {
-            self.scanned = None;
-            if offset >= self.bytes.len() {
-                return;
-            }
-            let Ok(record) = record::record(self.bytes, offset) else { return };
-            self.scanned = Some(record.end);
-            let chunk = match record.op {
-                op::CHUNK => Chunk::of(record.header, record.data),
-                _ => None,
-            };
-            if let Some(packed) = chunk.and_then(|chunk| chunk.packed())
-                && packed.compression != Compression::None
-                && !self.is_ignored(&record)
-                && self.intake.allowance.admit(&packed).is_ok()
-            {
-                self.ahead.unpack(offset, packed);
-            }
-        }
-    }
-
-    /// The connections of the messages in a chunk, and how many each has, by the indexes behind it.
-    fn indexed(
-        &self,
-        chunk: &Record<'a>,
-    ) -> impl Iterator<Item = (u32, MessageIndex<'a>)> + use<'a> {
-        let (bytes, mut offset) = (self.bytes, chunk.end);
-        std::iter::from_fn(move || {
-            let record = (offset < bytes.len()).then(|| record::record(bytes, offset).ok())??;
-            offset = record.end;
-            (record.op == op::INDEX).then(|| MessageIndex::of(&record))?
-        })
-    }
-
-    /// Whether its indexes say that no audit uses the messages of a chunk.
-    fn is_ignored(&self, chunk: &Record<'a>) -> bool {
-        let is_ignored = |(id, _): (u32, MessageIndex<'_>)| {
-            let channel = self.connections.get(&id).and_then(|sender| sender.channel);
-            channel.is_some_and(|channel| self.intake.ignores(channel))
-        };
-        let mut indexed = self.indexed(chunk).peekable();
-        let has_index = indexed.peek().is_some();
-        !self.options.verify && has_index && indexed.all(is_ignored)
-    }
-
-    /// Counts the messages of a chunk that is left packed.
-    fn count(&mut self, chunk: &Record<'a>) {
-        for (id, index) in self.indexed(chunk) {
-            let channel = self.connections.get(&id).and_then(|sender| sender.channel);
-            if let Some((channel, span)) = channel.zip(index.span()) {
-                self.intake.count(channel, index.count(), span);
-            }
-        }
-    }
-
     /// Reads a record outside of chunks; whether its length is beyond doubt.
     fn top(&mut self, record: &Record<'a>) -> bool {
         let in_lost_chunk = std::mem::take(&mut self.in_lost_chunk);
@@ -246,153 +190,6 @@ impl<'a> Reader<'a, '_, '_> {
             }
         }
         false
-    }
-
-    /// Reads the records of a chunk; whether its length is beyond doubt.
-    fn chunk(
-        &mut self,
-        record: &Record<'a>,
-        unpacker: &mut Unpacker,
-        open: &mut Option<Chunk<'a>>,
-    ) -> bool {
-        self.in_lost_chunk = false;
-        self.in_packed = false;
-        let Some(chunk) = Chunk::of(record.header, record.data) else {
-            self.lose_chunk(record.offset, "malformed chunk record".to_owned());
-            return false;
-        };
-        if chunk.size == 0 && chunk.data.is_empty() {
-            *open = Some(chunk);
-            return false;
-        }
-        let Some(packed) = chunk.packed() else {
-            let found = excerpt(record.header.text("compression").unwrap_or_default());
-            let what = format!("chunk is compressed by `{found}`, expected `lz4`, `bz2` or `none`");
-            self.lose_chunk(record.offset, what);
-            return false;
-        };
-        let compression = packed.compression;
-        self.in_packed = compression != Compression::None;
-        if compression == Compression::None && chunk.data.len() != chunk.size as usize {
-            return self.ambiguous_chunk(record, chunk);
-        }
-        if compression != Compression::None && self.is_ignored(record) {
-            self.count(record);
-            return true;
-        }
-        let mut unpacked = self.ahead.take(record.offset);
-        let content = match &mut unpacked {
-            Some(unpacked) => unpacked.content(&packed, &mut self.intake.allowance),
-            None => unpacker.chunk(&packed, &mut self.intake.allowance),
-        };
-        let is_sound = match content {
-            Ok(records) => {
-                let before = self.intake.messages();
-                self.chunk_records(records, record.offset);
-                if chunk.has_checksum() {
-                    self.covered += self.intake.messages() - before;
-                }
-                true
-            }
-            Err(error @ UnpackError::Size { .. }) => {
-                let before = self.intake.messages();
-                let allowance = &mut self.intake.allowance;
-                let records = unpacker.cut_chunk(compression, chunk.data, allowance);
-                self.chunk_records(records, record.offset);
-                let read = self.intake.messages() - before;
-                self.misstated_chunk(record.offset, &error, read);
-                true
-            }
-            Err(error) => {
-                self.losses.add(record.offset, error.extent(), None, error.to_string());
-                self.in_lost_chunk = true;
-                false
-            }
-        };
-        if let Some(unpacked) = unpacked {
-            self.ahead.give_back(unpacked);
-        }
-        is_sound
-    }
-
-    /// Reads a chunk that is not compressed and states two lengths that differ; whether its record's
-    /// is beyond doubt.
-    fn ambiguous_chunk(&mut self, record: &Record<'a>, chunk: Chunk<'a>) -> bool {
-        let goes_on =
-            record.end == self.bytes.len() || record::record(self.bytes, record.end).is_ok();
-        if !goes_on {
-            // Not to read its records twice, they are left to the search for the next record.
-            self.lose_chunk(record.offset, "chunk states two lengths that differ".to_owned());
-            return false;
-        }
-        let before = self.intake.messages();
-        self.chunk_records(chunk.data, record.offset);
-        let (expected, found) = (chunk.size.into(), chunk.data.len() as u64);
-        let read = self.intake.messages() - before;
-        self.misstated_chunk(record.offset, &UnpackError::Size { expected, found }, read);
-        true
-    }
-
-    /// Takes down that a chunk of which `read` messages were read holds more than it says, or less.
-    fn misstated_chunk(&mut self, offset: usize, error: &UnpackError, read: u64) {
-        let (extent, messages) = match error {
-            UnpackError::Size { expected, found } if found < expected => (Extent::Messages, None),
-            _ => (Extent::Index, Some(0)),
-        };
-        let what = format!("{error}; {read} messages of it were read");
-        self.losses.add(offset, extent, messages, what);
-    }
-
-    /// Reads the records inside the chunk at `place`.
-    fn chunk_records(&mut self, records: &[u8], place: usize) {
-        let (mut offset, mut sound) = (0, 0);
-        let mut batch = Vec::new();
-        while offset < records.len() {
-            match record::record(records, offset) {
-                Ok(record) => {
-                    self.content(&record, place, &mut batch);
-                    sound = record.offset + 1;
-                    offset = record.end;
-                }
-                Err(broken) => {
-                    let what = format!("in the chunk, expected a record, found {broken}");
-                    self.losses.add(place, Extent::Messages, None, what);
-                    let Some(next) = record::find_record(records, sound, None) else { break };
-                    (offset, sound) = (next, next);
-                }
-            }
-        }
-        self.intake.batch(&mut batch);
-    }
-
-    /// Reads what is left of a chunk whose end is missing; how many messages that were.
-    fn cut_chunk(
-        &mut self,
-        chunk: &Chunk<'_>,
-        data: &[u8],
-        place: usize,
-        unpacker: &mut Unpacker,
-    ) -> u64 {
-        let before = self.intake.messages();
-        if let Some(compression) = chunk.compression {
-            let records = unpacker.cut_chunk(compression, data, &mut self.intake.allowance);
-            let (mut offset, mut batch) = (0, Vec::new());
-            while let Ok(record) = record::record(records, offset) {
-                self.content(&record, place, &mut batch);
-                offset = record.end;
-                if offset >= records.len() {
-                    break;
-                }
-            }
-            self.intake.batch(&mut batch);
-        }
-        self.intake.messages() - before
-    }
-
-    /// Reads the last chunk of a bag that was not closed: its data go to the end of the file.
-    fn open_chunk(&mut self, chunk: Chunk<'a>, offset: usize, unpacker: &mut Unpacker) {
-        let saved = self.cut_chunk(&chunk, &self.bytes[offset..], offset, unpacker);
-        self.lose_tail(offset, "within a chunk", saved);
     }
 
     /// Reads a connection, or a message, which is put into `batch`, inside of the chunk at `place` or
@@ -467,11 +264,6 @@ impl<'a> Reader<'a, '_, '_> {
             numbers: connection.begins_with_header(),
         });
         true
-    }
-
-    fn lose_chunk(&mut self, offset: usize, what: String) {
-        self.losses.add(offset, Extent::Messages, None, what);
-        self.in_lost_chunk = true;
     }
 
     fn lose_tail(&mut self, offset: usize, place: &str, saved: u64) {

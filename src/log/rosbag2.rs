@@ -16,9 +16,10 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 
 use super::decode::excerpt;
-use super::files::{Input, Mapped};
+use super::files::Input;
 use super::intake::Intake;
 use super::losses::Losses;
+use super::mapped::Mapped;
 use super::sniff::{self, Kind};
 use super::{Extent, LogError};
 

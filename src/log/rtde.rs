@@ -1,10 +1,9 @@
 //! Tables of Universal Robots' RTDE client: what its `record.py` writes.
 //!
-//! The first line names the columns, each line after it is a sample. A vector is as many columns,
-//! numbered from 0 (`actual_q_0` …). `timestamp` is the controller's time in seconds since it was
-//! started; nothing says when a sample was received, so that every time of a row is that stamp.
-//! Fields: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", table of robot controller
-//! outputs; angles in rad, poses as metres and rotation vector.
+//! The first line names the columns, each line after it is a sample. A vector is as many columns, numbered
+//! from 0 (`actual_q_0` …). `timestamp` is the controller's time, s since it was started; nothing says when
+//! a sample was received, so that every time of a row is that stamp. Fields: Universal Robots, "Real-Time
+//! Data Exchange (RTDE) Guide", table of robot controller outputs; rad, and poses as m and rotation vector.
 
 #[cfg(test)]
 mod tests;
@@ -16,8 +15,9 @@ use std::path::Path;
 use csv::{ByteRecord, ReaderBuilder};
 
 use super::decode::Format;
-use super::intake::{ChannelId, Intake, Message, Place};
+use super::intake::{ChannelId, Intake};
 use super::losses::Losses;
+use super::topic::{Message, Place};
 use super::{Extent, ReadOptions};
 use crate::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times, usable};
 use crate::time;

@@ -6,13 +6,14 @@
 use std::io::{self, Write};
 use std::path::Path;
 
+use percent_encoding::utf8_percent_encode;
 use serde_json::{Map, Value, json};
 
 use super::Report;
 use super::outline::Outline;
 use crate::checks::{self, Grade, Rule};
 use crate::finding::{Finding, Ignored, Severity, Status, Subject};
-use crate::log::is_url;
+use crate::log::{ESCAPED, is_url};
 
 const SCHEMA: &str =
     "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json";
@@ -211,19 +212,12 @@ fn uri(path: &Path) -> String {
         return format!("{scheme}://{rest}");
     }
     let text = path.to_string_lossy().replace('\\', "/");
-    let mut encoded = String::new();
-    if path.is_absolute() {
-        encoded.push_str(if text.starts_with('/') { "file://" } else { "file:///" });
-    }
-    for byte in text.bytes() {
-        match byte {
-            b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' | b'/' | b'-' | b'.' | b'_' | b'~' => {
-                encoded.push(char::from(byte));
-            }
-            _ => encoded.push_str(&format!("%{byte:02X}")),
-        }
-    }
-    encoded
+    let scheme = match path.is_absolute() {
+        true if text.starts_with('/') => "file://",
+        true => "file:///",
+        false => "",
+    };
+    format!("{scheme}{}", utf8_percent_encode(&text, ESCAPED))
 }
 
 #[cfg(test)]

@@ -12,7 +12,8 @@ use serde::Deserialize;
 use serde_saphyr::{Location, Spanned};
 
 use super::error::{Problem, RobotError};
-use super::model::{MOST, Robot};
+use super::joint::MOST;
+use super::model::Robot;
 use super::without_bom;
 use crate::geometry::{Pose, angle_between, pose, rotation_from_rpy};
 

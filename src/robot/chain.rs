@@ -7,7 +7,8 @@ use nalgebra::{Matrix3, Rotation3, Translation3};
 use crate::geometry::{Pose, Rotation, Vec3};
 
 use super::error::ChainError;
-use super::model::{Joint, JointKind, Limits, LinkId, PathStep, Robot};
+use super::joint::{JointKind, Limits};
+use super::model::{Joint, LinkId, PathStep, Robot};
 
 /// The path from a base link to a tip link, ready to be computed.
 ///

@@ -11,7 +11,7 @@ use serde::Deserialize;
 use crate::geometry::{Pose, Vec3, pose, rotation_from_rpy};
 
 use super::error::Problem;
-use super::model::{JointDraft, JointKind, Limits, MOST, Robot};
+use super::joint::{JointDraft, JointKind, Limits, MOST};
 
 /// Which of the two formulas the rows of a DH table belong to; never guessed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -47,19 +47,7 @@ pub struct DhModel {
     /// The convention that the table says it is in.
     pub convention: DhConvention,
     /// `parent_from_joint` of every joint, in the file's order, if the rows are of the other one.
-    other_origins: Vec<Pose>,
-}
-
-impl Robot {
-    /// The robot that the same rows describe under the other DH convention; none where its joints
-    /// are of no DH table.
-    pub fn under_other_convention(&self) -> Option<Robot> {
-        let dh = self.dh.as_ref()?;
-        let mut robot = self.with_origins(&dh.other_origins);
-        let other_origins = self.joints().iter().map(|joint| joint.parent_from_joint).collect();
-        robot.dh = Some(DhModel { convention: dh.convention.other(), other_origins });
-        Some(robot)
-    }
+    pub(super) other_origins: Vec<Pose>,
 }
 
 /// How the joint of a row moves.

@@ -2,7 +2,10 @@
 
 use std::fmt;
 
-use super::model::{JointKind, Located};
+use super::joint::JointKind;
+
+/// A problem and where in the text it stands, byte offset.
+pub(super) type Located = (usize, Problem);
 
 /// Why a robot could not be read.
 #[derive(Debug)]

@@ -6,8 +6,9 @@ use std::sync::Arc;
 use crate::geometry::{Pose, Vec3};
 
 use super::dh::DhModel;
-use super::error::{ChainError, Problem};
-use super::names::nearest;
+use super::error::{ChainError, Located, Problem};
+use super::joint::{JointDraft, JointKind, Limits, LinkDraft, MOST, Mimic};
+use super::nearest::nearest;
 
 /// A robot: links joined into one tree.
 #[derive(Debug, Clone, PartialEq)]
@@ -89,127 +90,6 @@ pub struct Joint {
     pub mimic: Option<Mimic>,
 }
 
-/// How a joint moves.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum JointKind {
-    /// Turns about its axis between limits, rad.
-    Revolute,
-    /// Turns about its axis without end, rad.
-    Continuous,
-    /// Slides along its axis, m.
-    Prismatic,
-    /// Does not move.
-    Fixed,
-    /// Moves freely; no chain leads over it.
-    Floating,
-    /// Moves in a plane; no chain leads over it.
-    Planar,
-}
-
-impl JointKind {
-    const ALL: [JointKind; 6] = [
-        Self::Revolute,
-        Self::Continuous,
-        Self::Prismatic,
-        Self::Fixed,
-        Self::Floating,
-        Self::Planar,
-    ];
-
-    /// The name that URDF gives it.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Revolute => "revolute",
-            Self::Continuous => "continuous",
-            Self::Prismatic => "prismatic",
-            Self::Fixed => "fixed",
-            Self::Floating => "floating",
-            Self::Planar => "planar",
-        }
-    }
-
-    /// The kind of that URDF name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|kind| kind.name() == name)
-    }
-
-    /// Whether one number says where the joint stands.
-    pub const fn has_position(self) -> bool {
-        matches!(self, Self::Revolute | Self::Continuous | Self::Prismatic)
-    }
-}
-
-/// No length, position or factor of a model is beyond this: 1000 km, or as many turns. Squares and sums
-/// of what is taken stay finite, and exact to a micrometre.
-pub(super) const MOST: f64 = 1e6;
-
-/// A joint's limits, each where the model states it: rad and rad/s, or m and m/s if prismatic.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Limits {
-    /// The lowest position.
-    pub lower: Option<f64>,
-    /// The highest position.
-    pub upper: Option<f64>,
-    /// The highest speed.
-    pub velocity: Option<f64>,
-}
-
-impl Limits {
-    /// The limits that limit anything: 1e308 says that there is none.
-    fn within_reason(self) -> Self {
-        let kept = |limit: Option<f64>| limit.filter(|limit| limit.abs() <= MOST);
-        Self { lower: kept(self.lower), upper: kept(self.upper), velocity: kept(self.velocity) }
-    }
-}
-
-/// `position = multiplier · master's position + offset`, as URDF's `<mimic>`.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Mimic {
-    /// The name of the driving joint.
-    pub joint: String,
-    /// The factor on its position.
-    pub multiplier: f64,
-    /// What is added, rad or m.
-    pub offset: f64,
-}
-
-/// The unit vector along `xyz`; any where the kind has no axis.
-///
-/// # Errors
-/// Where the axis matters and has no direction.
-pub(super) fn unit_axis(joint: &str, kind: JointKind, xyz: [f64; 3]) -> Result<Vec3, Problem> {
-    if !kind.has_position() {
-        return Ok(Vec3::x());
-    }
-    let axis = Vec3::from(xyz);
-    // Components that are large enough have an infinite square.
-    let largest = axis.amax();
-    let axis = (largest > 1e-9).then(|| (axis / largest).normalize());
-    axis.ok_or_else(|| Problem::ZeroAxis { joint: joint.to_owned() })
-}
-
-/// A name and where in the text it was declared, byte offset.
-pub(super) struct LinkDraft {
-    pub name: String,
-    pub at: usize,
-}
-
-/// A joint as read, its links still names.
-pub(super) struct JointDraft {
-    pub name: String,
-    pub kind: JointKind,
-    pub parent: String,
-    pub child: String,
-    pub parent_from_joint: Pose,
-    pub axis: Vec3,
-    pub limits: Limits,
-    pub mimic: Option<Mimic>,
-    pub at: usize,
-}
-
-/// A problem and where in the text it stands, byte offset.
-pub(super) type Located = (usize, Problem);
-
 /// Where links and joints were declared, in their order.
 struct Offsets {
     links: Vec<usize>,
@@ -288,6 +168,16 @@ impl Robot {
             joint.parent_from_joint = *origin;
         }
         robot
+    }
+
+    /// The robot that the same rows describe under the other DH convention; none where its joints
+    /// are of no DH table.
+    pub fn under_other_convention(&self) -> Option<Robot> {
+        let dh = self.dh.as_ref()?;
+        let mut robot = self.with_origins(&dh.other_origins);
+        let other_origins = self.joints().iter().map(|joint| joint.parent_from_joint).collect();
+        robot.dh = Some(DhModel { convention: dh.convention.other(), other_origins });
+        Some(robot)
     }
 
     /// The link of that name.
@@ -423,6 +313,21 @@ impl PathStep<'_> {
             self.joint.parent_from_joint
         }
     }
+}
+
+/// The unit vector along `xyz`; any where the kind has no axis.
+///
+/// # Errors
+/// Where the axis matters and has no direction.
+pub(super) fn unit_axis(joint: &str, kind: JointKind, xyz: [f64; 3]) -> Result<Vec3, Problem> {
+    if !kind.has_position() {
+        return Ok(Vec3::x());
+    }
+    let axis = Vec3::from(xyz);
+    // Components that are large enough have an infinite square.
+    let largest = axis.amax();
+    let axis = (largest > 1e-9).then(|| (axis / largest).normalize());
+    axis.ok_or_else(|| Problem::ZeroAxis { joint: joint.to_owned() })
 }
 
 fn collect_links(drafts: Vec<LinkDraft>) -> Result<(Vec<Link>, HashMap<String, LinkId>), Located> {

@@ -136,45 +136,9 @@ fn is_separator(c: char) -> bool {
     matches!(c, '_' | '-' | '/' | '.' | ':')
 }
 
-/// Up to three of `candidates` that a misspelt `name` may mean, nearest first.
-pub(crate) fn nearest<'a>(name: &str, candidates: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
-    let furthest = (name.chars().count() / 3).max(1);
-    let mut near: Vec<(usize, &str)> = candidates
-        .map(|candidate| (edit_distance(name, candidate), candidate))
-        .filter(|(distance, _)| *distance <= furthest)
-        .collect();
-    near.sort_by_key(|(distance, _)| *distance);
-    near.into_iter().take(3).map(|(_, candidate)| candidate).collect()
-}
-
-/// The number of characters to insert, delete or replace, upper and lower case being the same
-/// (Levenshtein, by Wagner and Fischer's rows).
-fn edit_distance(a: &str, b: &str) -> usize {
-    let (a, b) = (a.to_lowercase(), b.to_lowercase());
-    let mut row: Vec<usize> = (0..=b.chars().count()).collect();
-    for (i, a_char) in a.chars().enumerate() {
-        let mut diagonal = row[0];
-        row[0] = i + 1;
-        for (j, b_char) in b.chars().enumerate() {
-            let replaced = diagonal + usize::from(a_char != b_char);
-            diagonal = row[j + 1];
-            row[j + 1] = replaced.min(row[j] + 1).min(diagonal + 1);
-        }
-    }
-    row[row.len() - 1]
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn edits_are_counted_without_regard_to_case() {
-        assert_eq!(edit_distance("tool0", "Tool0"), 0);
-        assert_eq!(edit_distance("tol0", "tool0"), 1);
-        assert_eq!(edit_distance("", "abc"), 3);
-        assert_eq!(edit_distance("kitten", "sitting"), 3);
-    }
 
     #[test]
     fn a_common_prefix_leaves_stems_that_start_with_a_letter() {

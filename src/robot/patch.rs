@@ -8,7 +8,8 @@ use toml::Spanned;
 
 use super::dh::DhConvention;
 use super::error::RobotError;
-use super::model::{JointKind, Robot};
+use super::joint::JointKind;
+use super::model::Robot;
 use super::xml::document;
 use crate::geometry::{
     Convention, Pose, angle_between, pose, rotation_from_rotvec, xyz_of, xyzw_from_rotation,

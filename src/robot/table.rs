@@ -8,10 +8,10 @@ use toml::Spanned;
 use crate::geometry::{pose, rotation_from_rpy};
 
 use super::dh::{DhModel, DhTable};
+use super::error::Located;
 use super::error::{Problem, RobotError};
-use super::model::{
-    JointDraft, JointKind, Limits, LinkDraft, Located, Provenance, Robot, unit_axis,
-};
+use super::joint::{JointDraft, JointKind, Limits, LinkDraft};
+use super::model::{Provenance, Robot, unit_axis};
 use super::without_bom;
 
 impl Robot {

@@ -6,8 +6,10 @@ use roxmltree::Node;
 
 use crate::geometry::{Pose, Rotation, pose, rotation_from_rpy, rotation_from_xyzw};
 
+use super::error::Located;
 use super::error::{Problem, RobotError};
-use super::model::{JointDraft, JointKind, Limits, LinkDraft, Located, Mimic, Robot, unit_axis};
+use super::joint::{JointDraft, JointKind, Limits, LinkDraft, Mimic};
+use super::model::{Robot, unit_axis};
 use super::xml::document;
 
 impl Robot {

@@ -7,7 +7,7 @@ use roxmltree::Node;
 
 use crate::geometry::{Pose, pose, rotation_from_rpy};
 
-use super::model::MOST;
+use super::joint::MOST;
 use super::xml::document;
 use super::{LinkId, Robot};
 

@@ -2,20 +2,20 @@
 
 use std::sync::Arc;
 
-use crate::diagnosis::ImuStream;
 use crate::geometry::Pose;
 use crate::robot::{Chain, Joint, JointKind, LinkId, Robot};
-use crate::stream::{ImuTrack, JointTrack, PoseTrack};
+use crate::stream::JointTrack;
 use crate::time::Stamp;
 
-use super::carrier::Carrier;
 use super::error::RunError;
 use super::joints::{JointFacts, JointSamples, JointTopic, merge};
-use super::models::{FrameNames, Model};
+use super::model::{FrameNames, Model, WrongModel};
 use super::role::{Place, words};
 use super::skeleton::{self, ArmPath, driver};
+use super::sources::{ImuSource, PoseSource};
 use super::space::{Claim, Space};
-use super::tf_tree::{TfError, TfTree, without_slash};
+use super::tf_error::TfError;
+use super::tf_tree::{TfTree, without_slash};
 
 /// One arm of a run.
 #[derive(Clone, Debug)]
@@ -62,57 +62,6 @@ pub struct Arm {
     pub(super) tree: Arc<TfTree>,
 }
 
-/// A model that was named and is not that of the log's arm.
-#[derive(Clone, Debug)]
-pub struct WrongModel {
-    /// The model that was named.
-    pub named: Robot,
-    /// The topic of poses that shows it.
-    pub topic: String,
-    /// What the named model leaves of these where neither frame nor joint is off, rms m.
-    pub named_m: f64,
-    /// What the arm that took its place leaves, rms m.
-    pub rival_m: f64,
-    /// How long a tool that arm needs, m; none where it needs none.
-    pub tool_m: Option<f64>,
-}
-
-/// A stream of poses of one arm.
-#[derive(Clone, Debug)]
-pub struct PoseSource {
-    /// Index of the stream.
-    pub stream: usize,
-    /// The chain from the reference link to the link whose pose it is.
-    pub chain: Chain,
-    /// For each joint of `chain`, its column in the arm's joint track.
-    pub columns: Vec<usize>,
-    /// The poses, in the frame of the chain's base where that is known.
-    pub track: PoseTrack,
-    /// Whether the stream's frame is a link, or tied to one; if not, its pose is to be estimated.
-    pub reference_known: bool,
-    /// Whether its stamps are copies of the joints' stamps.
-    pub stamps_copied: bool,
-    /// Standard error that aligning a foreign clock left in the stamps, s; 0 on a shared clock.
-    pub stamp_error_s: f64,
-    /// Whether the link was named: by the caller, or as the stream's child frame.
-    pub tip_named: bool,
-    /// The frame that the poses were logged in, where it moves against the chain's base.
-    pub carrier: Option<Carrier>,
-}
-
-impl ImuSource {
-    /// It, as the diagnosis takes it.
-    pub fn as_stream(&self) -> ImuStream<'_> {
-        ImuStream {
-            track: &self.track,
-            chain: &self.chain,
-            columns: &self.columns,
-            link_from_imu: self.link_from_imu,
-            stamp_error_s: self.stamp_error_s,
-        }
-    }
-}
-
 impl Arm {
     /// For each column of its joint track, whether that joint slides.
     pub fn slides(&self) -> Vec<bool> {
@@ -121,41 +70,6 @@ impl Arm {
         };
         self.joint_names.iter().map(slides).collect()
     }
-}
-
-impl PoseSource {
-    /// Whether it says the same of the same link in the same frame at the same times.
-    pub fn is_copy_of(&self, other: &Self) -> bool {
-        let frames = |of: &Self| {
-            let ends = (of.chain.base_name().to_owned(), of.chain.tip_name().to_owned());
-            (ends, of.reference_known, of.carrier.is_some())
-        };
-        let (own, theirs) = (&self.track, &other.track);
-        frames(self) == frames(other)
-            && self.columns == other.columns
-            && own.t_s == theirs.t_s
-            && own.xyz == theirs.xyz
-            && own.orientation == theirs.orientation
-    }
-}
-
-/// An IMU that an arm carries.
-#[derive(Clone, Debug)]
-pub struct ImuSource {
-    /// Index of the stream.
-    pub stream: usize,
-    /// The chain from the base to the link that carries it.
-    pub chain: Chain,
-    /// For each joint of `chain`, its column in the arm's joint track.
-    pub columns: Vec<usize>,
-    /// The readings.
-    pub track: ImuTrack,
-    /// Its pose in the carrying link by the log's frames, where they say.
-    pub link_from_imu: Option<Pose>,
-    /// Whether its stamps are copies of the joints' stamps.
-    pub stamps_copied: bool,
-    /// Standard error that aligning a foreign clock left in the stamps, s; 0 on a shared clock.
-    pub stamp_error_s: f64,
 }
 
 /// How the joint states of an arm must be corrected, column for column.

@@ -1,6 +1,7 @@
 //! From a decoded log to a run.
 
 mod arms;
+mod assembly;
 mod groups;
 mod hands;
 mod ranking;
@@ -17,12 +18,10 @@ use crate::time::Stamp;
 
 use super::arm::Arm;
 use super::cadence::rhythms;
-use super::contest::Contest;
 use super::declaration::Declaration;
 use super::error::RunError;
 use super::excerpts::Excerpts;
 use super::flaws::flaws;
-use super::frozen::Frozen;
 use super::models;
 use super::norms::norms;
 use super::role::Role;
@@ -30,13 +29,12 @@ use super::sift::Sift;
 use super::space::Space;
 use super::stalled;
 use super::streams::{Stream, Timing, split};
-use super::tf_tree::TfTree;
 use super::topics;
-use super::unaudited::Unaudited;
 use super::unfold::{self, unfold};
 use super::{Run, RunOptions};
 
 use arms::{Said, joint_topics};
+use assembly::{Assembly, is_topic};
 use transforms::tf_tree;
 
 pub use references::{ReferenceContent, ReferenceSource};
@@ -144,23 +142,6 @@ impl Run {
     }
 }
 
-/// A run in the making.
-struct Assembly<'a> {
-    options: &'a RunOptions,
-    streams: Vec<Stream>,
-    timing: Timing,
-    origin: Stamp,
-    tf: Arc<TfTree>,
-    arms: Vec<Arm>,
-    /// The streams of joint states of which there is no arm.
-    strangers: Vec<usize>,
-    unaudited: Vec<Unaudited>,
-    contests: Vec<Contest>,
-    frozen: Vec<Frozen>,
-    /// The streams that were looked at for that.
-    watched: Vec<usize>,
-}
-
 fn check_topic(declared: &Declaration, streams: &[Stream]) -> Result<(), RunError> {
     let is_pose =
         |stream: &&Stream| matches!(stream.columns, Some(Columns::Poses(_) | Columns::Array(_)));
@@ -177,10 +158,6 @@ fn check_topic(declared: &Declaration, streams: &[Stream]) -> Result<(), RunErro
 fn not_so(declared: &Declaration, what: String) -> RunError {
     let remedy = "check the topic's name and type with `poseaudit info`";
     RunError::Declared { place: declared.place.clone(), what, remedy }
-}
-
-fn is_topic(stream: &Stream, topic: &str) -> bool {
-    stream.topic.trim_start_matches('/') == topic.trim_start_matches('/')
 }
 
 /// First and last time of some streams.

@@ -3,25 +3,8 @@
 use crate::geometry::Pose;
 use crate::stream::{Orientations, PoseTrack};
 
-use super::arm::PoseSource;
+use super::sources::{Carrier, PoseSource};
 use super::tf_tree::between;
-
-/// A frame that moves against an arm's base, and poses that are in it.
-#[derive(Clone, Debug)]
-pub struct Carrier {
-    /// The frame.
-    pub frame: String,
-    /// Times of the transforms, s from the run's origin, strictly increasing.
-    pub t_s: Vec<f64>,
-    /// The frame in the base.
-    pub base_from_frame: Vec<Pose>,
-    /// The poses as logged: of the link that is audited, in the frame.
-    pub logged: PoseTrack,
-    /// How long before a pose's stamp the transforms are taken, s.
-    pub lag_s: f64,
-    /// Whether that is the poses' own latency, so that it changes with it.
-    pub is_on_time: bool,
-}
 
 impl PoseSource {
     /// Takes poses in a frame that moves into the base anew, the transforms so long before their stamps;

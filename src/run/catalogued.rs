@@ -5,7 +5,7 @@ use crate::finding::Unit;
 use crate::robot::catalogue;
 
 use super::error::RunError;
-use super::models::{Clues, Model};
+use super::model::{Clues, Model};
 
 /// What tells arms with the same joint names apart.
 pub(super) struct Judges<'a> {

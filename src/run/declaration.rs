@@ -3,8 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use crate::desk::{self, Form, Use};
-use crate::geometry::{Convention, ConventionError};
+use crate::geometry::{AngleUnit, Coding, ConventionError, LengthScale, UnitError, Units, vendors};
 use crate::stream::Columns;
 
 /// Where a robot comes from: `FILE`, `NAME` of the catalogue, or `PREFIX=` and one of them.
@@ -54,32 +53,8 @@ fn after_prefix(text: &str) -> (Option<String>, &str) {
     }
 }
 
-/// How the numbers of a stream code its rotations.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Coding {
-    /// Three numbers of this convention.
-    Three(Convention),
-    /// A quaternion with its scalar part last.
-    QuaternionXyzw,
-    /// A quaternion with its scalar part first.
-    QuaternionWxyz,
-}
-
-impl Coding {
-    /// The coding of numbers in a form of the desk; `None` of matrices, whose layout their numbers
-    /// tell.
-    pub fn of(form: Form) -> Option<Self> {
-        match form {
-            Form::Three(convention) => Some(Self::Three(convention)),
-            Form::Xyzw => Some(Self::QuaternionXyzw),
-            Form::Wxyz => Some(Self::QuaternionWxyz),
-            Form::Rows | Form::Columns => None,
-        }
-    }
-}
-
 /// What the caller says of one topic: `TOPIC=CONVENTION[,deg][,mm]`, or `TOPIC=MAKER`, as in `kuka`.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Declaration {
     /// The topic.
     pub topic: String,
@@ -87,10 +62,10 @@ pub struct Declaration {
     pub place: String,
     /// How its rotations are coded.
     pub coding: Coding,
-    /// Whether its angles are degrees.
-    pub degrees: bool,
-    /// Whether its positions are millimetres.
-    pub millimetres: bool,
+    /// The unit of its positions: metres or millimetres.
+    pub length: LengthScale,
+    /// The unit of its angles.
+    pub angle: AngleUnit,
     /// Whether only a vendor was named: it then says nothing of a topic of other numbers.
     pub is_of_vendor: bool,
 }
@@ -103,10 +78,11 @@ impl Declaration {
 
     /// Whether it says something of what these columns hold.
     pub(super) fn fits(&self, columns: Option<&Columns>) -> bool {
-        let is_three = matches!(self.coding, Coding::Three(_));
         match columns {
             _ if !self.is_of_vendor => true,
-            Some(Columns::Array(array)) => array.width == if is_three { 6 } else { 7 },
+            Some(Columns::Array(array)) => {
+                array.width == if self.coding.has_angles() { 6 } else { 7 }
+            }
             _ => false,
         }
     }
@@ -144,40 +120,30 @@ impl FromStr for Declaration {
             .ok_or_else(|| DeclarationError::NoConvention(text.to_owned()))?;
         let mut words = said.split(',');
         let name = words.next().unwrap_or_default();
-        let maker = desk::maker(name).ok();
-        let coding = match (name, maker) {
-            ("quat:xyzw", _) => Coding::QuaternionXyzw,
-            ("quat:wxyz", _) => Coding::QuaternionWxyz,
-            (name, Some(maker)) => {
-                let coding = Coding::of(maker.form);
-                coding.ok_or_else(|| DeclarationError::Matrix(name.to_owned()))?
+        let vendor = vendors::find(name);
+        let coding = match vendor {
+            Some(vendor) if vendor.coding.is_matrix() => {
+                return Err(DeclarationError::Matrix(name.to_owned()));
             }
-            (convention, None) => Coding::Three(convention.parse()?),
+            Some(vendor) => vendor.coding,
+            None => Coding::declared(name)?,
         };
-        let mut declaration = Self {
+        let mut units = Units::default();
+        for word in words {
+            units.take(word).map_err(|error| match error {
+                UnitError::Unknown => DeclarationError::Unit(word.to_owned()),
+                UnitError::Contradiction => DeclarationError::Contradiction(word.to_owned()),
+            })?;
+        }
+        let units = units.or(vendor.map_or_else(Units::default, |vendor| vendor.units));
+        Ok(Self {
             topic: topic.to_owned(),
             place: format!("--declare {topic}"),
             coding,
-            degrees: maker.is_some_and(Use::in_degrees),
-            millimetres: maker.is_some_and(Use::in_millimetres),
-            is_of_vendor: maker.is_some(),
-        };
-        let (mut degrees, mut millimetres) = (None, None);
-        for word in words {
-            let (unit, is) = match word {
-                "deg" => (&mut degrees, true),
-                "rad" => (&mut degrees, false),
-                "mm" => (&mut millimetres, true),
-                "m" => (&mut millimetres, false),
-                _ => return Err(DeclarationError::Unit(word.to_owned())),
-            };
-            if unit.replace(is).is_some_and(|known| known != is) {
-                return Err(DeclarationError::Contradiction(word.to_owned()));
-            }
-        }
-        declaration.degrees = degrees.unwrap_or(declaration.degrees);
-        declaration.millimetres = millimetres.unwrap_or(declaration.millimetres);
-        Ok(declaration)
+            length: units.length.unwrap_or_default(),
+            angle: units.angle.unwrap_or_default(),
+            is_of_vendor: vendor.is_some(),
+        })
     }
 }
 
@@ -190,13 +156,14 @@ mod tests {
         let declared: Declaration = "/tcp=euler:ZYX,deg,mm".parse().unwrap();
         assert_eq!(declared.topic, "/tcp");
         assert_eq!(declared.coding, Coding::Three("euler:ZYX".parse().unwrap()));
-        assert!(declared.degrees && declared.millimetres);
+        let (mm, degrees) = (LengthScale::MILLIMETRE, AngleUnit::Degree);
+        assert_eq!((declared.length, declared.angle), (mm, degrees));
         let kuka: Declaration = "/tcp=kuka".parse().unwrap();
-        assert_eq!((kuka.coding, kuka.degrees, kuka.millimetres), (declared.coding, true, true));
+        assert_eq!((kuka.coding, kuka.length, kuka.angle), (declared.coding, mm, degrees));
         let in_metres: Declaration = "/tcp=kuka,m".parse().unwrap();
-        assert!(in_metres.degrees && !in_metres.millimetres);
+        assert_eq!((in_metres.length, in_metres.angle), (LengthScale::METRE, degrees));
         let quaternion: Declaration = "/tcp=quat:wxyz".parse().unwrap();
-        assert_eq!(quaternion.coding, Coding::QuaternionWxyz);
+        assert_eq!(quaternion.coding, Coding::Wxyz);
     }
 
     #[test]

@@ -12,7 +12,8 @@ use crate::stream::{Columns, JointColumns};
 use crate::time::{NANOS_PER_SECOND, Stamp, nanos};
 
 use super::role::Role;
-use super::streams::{Rows, Stream, Timing};
+use super::rows::Rows;
+use super::streams::{Stream, Timing};
 
 /// A run that is no longer is seen whole, s.
 const WHOLE_S: i64 = 300;

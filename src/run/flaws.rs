@@ -5,10 +5,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use crate::stream::{Columns, PoseColumns};
 
 use super::Run;
+use super::apart::Apart;
 use super::publishers::Publishers;
 use super::role::{Place, Role};
 use super::streams::Stream;
-use super::tf_tree::{Edge, EdgeKind, TfError, without_slash};
+use super::tf_error::TfError;
+use super::tf_tree::{Edge, EdgeKind, without_slash};
 
 /// A flaw of the frames, and the topics that it is on.
 #[derive(Clone, Debug, PartialEq)]
@@ -86,46 +88,6 @@ pub struct Between {
     pub parent: String,
     /// The frame whose pose it is.
     pub child: String,
-}
-
-/// How far two poses are apart.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Apart {
-    /// Distance of the origins, m.
-    pub length_m: f64,
-    /// Angle between the orientations, rad.
-    pub angle_rad: f64,
-}
-
-impl Apart {
-    /// How far row `b` of some poses is from row `a` of others, whatever the norms and signs of the
-    /// quaternions; no angle where one is not set.
-    pub(super) fn between(a: (&PoseColumns, usize), b: (&PoseColumns, usize)) -> Self {
-        let xyz = [a, b].map(|(poses, row)| poses.xyz[row]);
-        let [p, q] = [a, b].map(|(poses, row)| poses.q_xyzw[row]);
-        let dot = |p: [f64; 4], q: [f64; 4]| p.iter().zip(q).map(|(a, b)| a * b).sum::<f64>();
-        let sign = if dot(p, q) < 0.0 { -1.0 } else { 1.0 };
-        let [norm_p, norm_q] = [p, q].map(|q| dot(q, q).sqrt());
-        let (to_p, to_q) = (1.0 / norm_p, sign / norm_q);
-        // The chord tells small angles that the cosine cannot (angle = 4 asin(chord / 2)).
-        let chord: f64 = (0..4).map(|i| (p[i] * to_p - q[i] * to_q).powi(2)).sum::<f64>().sqrt();
-        let angle_rad = 4.0 * arc_sine((chord / 2.0).min(1.0));
-        let squares: f64 = xyz[0].iter().zip(xyz[1]).map(|(a, b)| (a - b).powi(2)).sum();
-        let are_set = norm_p > 0.0 && norm_q > 0.0;
-        let angle_rad = if are_set { angle_rad } else { 0.0 };
-        Self { length_m: squares.sqrt(), angle_rad }
-    }
-
-    /// One number for comparisons: what it comes to at the end of a lever of a metre, m.
-    pub(super) fn size(self) -> f64 {
-        self.length_m + self.angle_rad
-    }
-}
-
-/// `asin(x)`, by the first terms of its series where the next one is below the last bit: nearly all
-/// samples are close to the one before.
-fn arc_sine(x: f64) -> f64 {
-    if x < 1e-4 { x * (1.0 + x * x / 6.0) } else { x.asin() }
 }
 
 /// Less than this is what rounding does, m at a metre.

@@ -9,8 +9,9 @@ use crate::stream::{JointTrack, Orientations, PoseTrack};
 use crate::time::Stamp;
 
 use super::Run;
-use super::arm::{Arm, PoseSource};
+use super::arm::Arm;
 use super::poses::Stamped;
+use super::sources::PoseSource;
 
 /// Shorter repeats are how a slow source looks in a fast stream, s …
 const LEAST_S: f64 = 0.25;

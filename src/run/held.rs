@@ -8,9 +8,9 @@ use rayon::prelude::*;
 
 use crate::time::Stamp;
 
-use super::flaws::Apart;
+use super::apart::Apart;
+use super::rows::Rows;
 use super::series::{Series, Values};
-use super::streams::Rows;
 
 /// What a piece of a stream repeats.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -8,6 +8,7 @@
 //! A log without an arm, or without a model of it, is no error here: its streams, clocks and
 //! transforms can still be audited, and [`Run::no_arm`] says what is missing.
 
+mod apart;
 mod arm;
 mod assemble;
 mod cadence;
@@ -22,15 +23,18 @@ mod flaws;
 mod frozen;
 mod held;
 mod joints;
+mod model;
 mod models;
 mod norms;
 mod poses;
 mod publishers;
 mod role;
+mod rows;
 mod segments;
 mod series;
 mod sift;
 mod skeleton;
+mod sources;
 mod space;
 mod stalled;
 mod strays;
@@ -38,10 +42,13 @@ mod streams;
 mod targets;
 #[cfg(test)]
 mod tests;
+mod tf_error;
 mod tf_tree;
 mod topics;
+mod trains;
 mod unaudited;
 mod unfold;
+mod velocities;
 mod witness;
 
 use std::sync::Arc;
@@ -51,32 +58,37 @@ use crate::finding::rounded;
 use crate::robot::RobotError;
 use crate::time::{Clock, Stamp};
 
-pub use arm::{Arm, ImuSource, JointMending, NoTf, PoseSource, WrongModel};
+pub use apart::Apart;
+pub use arm::{Arm, JointMending, NoTf};
 pub use assemble::{ReferenceContent, ReferenceSource};
 pub use cadence::{Cadence, Extent, Hole, Rhythm, Stretch};
-pub use carrier::Carrier;
 pub use clock::{Alignment, Epoch, HeaderStamps, StreamClock};
 pub use contest::{Claimant, Contest};
-pub use declaration::{CalibrationSource, Coding, Declaration, DeclarationError, RobotSource};
+pub use declaration::{CalibrationSource, Declaration, DeclarationError, RobotSource};
 pub use error::RunError;
 pub use excerpts::Excerpts;
-pub use flaws::{Apart, Between, Flaw, FlawKind};
+pub use flaws::{Between, Flaw, FlawKind};
 pub use frozen::Frozen;
 pub use held::Held;
-pub use joints::{JointFacts, JointSamples, Velocities};
+pub use joints::{JointFacts, JointSamples};
+pub use model::WrongModel;
 pub use models::robot_of;
 pub use norms::{Norms, Written};
 pub use publishers::Publishers;
 pub use role::Role;
 pub use segments::{Segment, segments};
 pub use sift::Sift;
+pub use sources::Carrier;
+pub use sources::{ImuSource, PoseSource};
 pub use strays::{FEWEST_SAMPLES, Strays};
 pub use streams::Stream;
 pub use targets::{CameraAxes, HandKind, HandSource, TargetSource};
-pub use tf_tree::{Edge, EdgeKind, TfError, TfPath, TfTree};
+pub use tf_error::TfError;
+pub use tf_tree::{Edge, EdgeKind, TfPath, TfTree};
 pub use topics::{SaidRole, TopicSettings};
 pub use unaudited::{Unaudited, WhyNot};
 pub use unfold::Folded;
+pub use velocities::Velocities;
 pub use witness::Witness;
 
 /// Correlation of speeds from which a stream follows the arm.

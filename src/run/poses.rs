@@ -1,13 +1,15 @@
 //! Columns of poses, arrays and IMU readings as tracks.
 
-use crate::geometry::{Pose, Rotation, Vec3, rotation_from_matrix_rows, rotation_from_xyzw};
+use crate::geometry::{
+    AngleUnit, Coding, Pose, Rotation, Vec3, rotation_from_matrix_rows, rotation_from_xyzw,
+};
 use crate::stream::{
     ArrayColumns, DeclaredUnits, ImuColumns, ImuTrack, Orientations, PoseColumns, PoseTrack,
 };
 use crate::time::Stamp;
 
-use super::declaration::{Coding, Declaration};
-use super::streams::Rows;
+use super::declaration::Declaration;
+use super::rows::Rows;
 
 /// A track, and the stamps of its samples.
 #[derive(Clone, Debug)]
@@ -111,7 +113,7 @@ fn read_array(
 ) -> Result<Stamped<PoseTrack>, String> {
     let scale = unit_m(declared);
     let xyz = |row: usize| Vec3::from_column_slice(&array.row(row)[..3]) * scale;
-    let is_quaternion = declared.map(|declared| !matches!(declared.coding, Coding::Three(_)));
+    let is_quaternion = declared.map(|declared| !declared.coding.has_angles());
     match array.width {
         6 if is_quaternion == Some(true) => {
             Err("the topic holds three rotation numbers, not a quaternion".to_owned())
@@ -123,15 +125,14 @@ fn read_array(
                 [row[3], row[4], row[5]]
             });
             let (orientation, declared) = match declared {
-                Some(&Declaration { coding: Coding::Three(convention), degrees, .. }) => {
-                    let in_unit = |degrees: bool| -> Vec<Rotation> {
-                        let radians =
-                            |n: [f64; 3]| if degrees { n.map(f64::to_radians) } else { n };
+                Some(&Declaration { coding: Coding::Three(convention), angle, .. }) => {
+                    let in_unit = |unit: AngleUnit| -> Vec<Rotation> {
+                        let radians = |n: [f64; 3]| n.map(|n| n * unit.in_rad());
                         numbers.clone().map(|n| convention.rotation(radians(n))).collect()
                     };
-                    let in_other_angles = Some(in_unit(!degrees));
+                    let in_other_angles = Some(in_unit(angle.other()));
                     let units = DeclaredUnits { in_other_angles, ..DeclaredUnits::default() };
-                    (Orientations::Rotations(in_unit(degrees)), Some(units))
+                    (Orientations::Rotations(in_unit(angle)), Some(units))
                 }
                 _ => (Orientations::Numbers(numbers.collect()), None),
             };
@@ -160,21 +161,21 @@ fn read_array(
 }
 
 fn unit_m(declared: Option<&Declaration>) -> f64 {
-    if declared.is_some_and(|declared| declared.millimetres) { 1e-3 } else { 1.0 }
+    declared.map_or(1.0, |declared| declared.length.in_m())
 }
 
 /// The track with the units that the caller declared.
 fn with_units(mut track: Stamped<PoseTrack>, declared: Option<&Declaration>) -> Stamped<PoseTrack> {
-    if let Some(&Declaration { millimetres, degrees, .. }) = declared {
+    if let Some(&Declaration { length, angle, .. }) = declared {
         let known = track.track.declared.take().unwrap_or_default();
-        track.track.declared = Some(DeclaredUnits { millimetres, degrees, ..known });
+        track.track.declared = Some(DeclaredUnits { length, angle, ..known });
     }
     track
 }
 
 fn as_xyzw(logged: [f64; 4], declared: Option<&Declaration>) -> [f64; 4] {
     match declared.map(|declared| declared.coding) {
-        Some(Coding::QuaternionWxyz) => [logged[1], logged[2], logged[3], logged[0]],
+        Some(Coding::Wxyz) => [logged[1], logged[2], logged[3], logged[0]],
         _ => logged,
     }
 }

@@ -4,7 +4,8 @@
 use crate::stream::{ArrayColumns, Columns, ImuColumns, JointColumns, PoseColumns, Times};
 
 use super::role::Role;
-use super::streams::{Rows, Stream, Timing};
+use super::rows::Rows;
+use super::streams::{Stream, Timing};
 use super::tf_tree::without_slash;
 
 /// A piece of a stream.

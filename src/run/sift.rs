@@ -4,10 +4,11 @@
 use super::held::{self, Held, held};
 use super::publishers::{self, Publishers, publishers};
 use super::role::Role;
+use super::rows::Rows;
 use super::series::{Values, series};
 use super::stalled::{self, Stalled, stalled};
 use super::strays::{self, Strays, strays};
-use super::streams::{Rows, Stream, Timing};
+use super::streams::{Stream, Timing};
 
 /// What was found that keeps rows from being seen.
 #[derive(Debug, Default)]

@@ -6,8 +6,8 @@
 use crate::stream::sample_noise;
 
 use super::frozen::Frozen;
+use super::rows::Rows;
 use super::series::{Series, Values};
-use super::streams::Rows;
 
 /// Shorter times, and of fewer rows, are how a slow source looks, s.
 const LEAST_S: f64 = 0.25;

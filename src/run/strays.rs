@@ -13,11 +13,12 @@ use rayon::prelude::*;
 use crate::stream::{ArrayColumns, Columns, JointColumn, JointColumns, PoseColumns};
 use crate::time::Stamp;
 
-use super::flaws::Apart;
+use super::apart::Apart;
 use super::poses::Layout;
 use super::publishers::Publishers;
 use super::role::Role;
-use super::streams::{Rows, Stream, Timing};
+use super::rows::Rows;
+use super::streams::{Stream, Timing};
 
 /// Samples in a row that may be stray; more of them are a motion.
 const LONGEST: usize = 3;

@@ -7,6 +7,7 @@ use crate::time::{Clock, Stamp};
 use super::clock::{self, Source, StreamClock};
 use super::excerpts::Excerpts;
 use super::role::{Role, named_role, plain_role};
+use super::rows::Rows;
 use super::sift::Sift;
 use super::tf_tree::without_slash;
 use super::witness::Witness;
@@ -228,9 +229,6 @@ fn dropped_in(columns: &Columns) -> u64 {
         Columns::Text(_) => 0,
     }
 }
-
-/// Rows of a piece of a stream, in the order of the log, each after the time when it was.
-pub(super) type Rows = Vec<(Stamp, usize)>;
 
 /// The clocks of all streams.
 pub(super) struct Timing {

@@ -2,7 +2,9 @@
 
 use std::collections::{HashMap, VecDeque};
 
+use super::tf_error::TfError;
 use crate::geometry::{Pose, rotation_from_rotvec, rotvec_from_rotation};
+use crate::robot::nearest;
 use crate::time::Stamp;
 
 /// Where the transform between two frames comes from.
@@ -67,54 +69,6 @@ pub(super) fn between(a: &Pose, b: &Pose, part: f64) -> Pose {
         a.translation.vector.lerp(&b.translation.vector, part).into(),
         a.rotation * rotation_from_rotvec(turn * part),
     )
-}
-
-/// Why a transform cannot be told.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum TfError {
-    /// No edge of the tree has this frame.
-    #[error("frame '{frame}' is not in the tree{}", did_you_mean(.nearest))]
-    UnknownFrame {
-        /// The frame asked for.
-        frame: String,
-        /// Frames whose names come near.
-        nearest: Vec<String>,
-    },
-    /// The frames are in different trees.
-    #[error(
-        "'{target}' and '{source_frame}' are not connected: their trees have the roots '{target_root}' and '{source_root}'"
-    )]
-    NotConnected {
-        /// The frame asked for.
-        target: String,
-        /// The other frame asked for.
-        source_frame: String,
-        /// The root above the one.
-        target_root: String,
-        /// The root above the other.
-        source_root: String,
-    },
-    /// A transform on the way has no samples on both sides of the time.
-    #[error("'{parent}' to '{child}' has no transform at that time: it is {} s {} of its samples", outside_by_s.abs(), side(*.outside_by_s))]
-    Extrapolation {
-        /// The parent frame of the transform.
-        parent: String,
-        /// The child frame of the transform.
-        child: String,
-        /// How far outside the samples the time lies, s: negative before the first.
-        outside_by_s: f64,
-    },
-}
-
-fn side(outside_by_s: f64) -> &'static str {
-    if outside_by_s < 0.0 { "before the first" } else { "after the last" }
-}
-
-fn did_you_mean(nearest: &[String]) -> String {
-    match nearest {
-        [] => String::new(),
-        names => format!("; did you mean '{}'?", names.join("' or '")),
-    }
 }
 
 /// The frames of a log and the transforms between them.
@@ -434,22 +388,6 @@ impl TfPath<'_> {
 /// A frame's name without the leading `/` that older logs write.
 pub(super) fn without_slash(frame: &str) -> &str {
     frame.trim_start_matches('/')
-}
-
-/// Up to three of `names` that share at least half of `name` with it, counted from both ends; the
-/// most alike first.
-pub(super) fn nearest<'a>(name: &str, names: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
-    let shared = |other: &str| {
-        let ends = name.bytes().zip(other.bytes()).take_while(|(a, b)| a == b).count()
-            + name.bytes().rev().zip(other.bytes().rev()).take_while(|(a, b)| a == b).count();
-        ends.min(name.len()).min(other.len())
-    };
-    let mut near: Vec<(usize, &str)> = names
-        .map(|other| (shared(other), other))
-        .filter(|(shared, _)| 2 * shared >= name.len().max(1))
-        .collect();
-    near.sort_by_key(|(shared, _)| std::cmp::Reverse(*shared));
-    near.into_iter().take(3).map(|(_, other)| other).collect()
 }
 
 #[cfg(test)]

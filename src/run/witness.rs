@@ -5,16 +5,21 @@
 //! both. Whether a stream is one is told from names and frames alone: how its noise relates to the
 //! joints' would be a further hint, but filters and rounding make it a poor one.
 
+use schemars::JsonSchema;
+use serde::Deserialize;
+
 use super::role::{Place, driver_of, shared, words};
 
-/// Whose word a stream of poses is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+/// Whose word poses are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+#[schemars(rename = "WitnessName")]
 pub enum Witness {
     /// The controller's, or a program's that computes it from the joint states.
     Controller,
-    /// A tracker's, a camera's or an IMU's.
+    /// A tracker's or a camera's.
     External,
-    /// Nothing says whose.
+    /// Nobody knows.
     Unknown,
 }
 

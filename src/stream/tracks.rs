@@ -1,4 +1,4 @@
-use crate::geometry::{Rotation, Vec3};
+use crate::geometry::{AngleUnit, LengthScale, Rotation, Vec3};
 use crate::stats::{NORMAL, median};
 
 /// Positions of a chain's joints over time, on one common time grid.
@@ -187,10 +187,10 @@ impl PoseTrack {
 /// are read by them; the caller may be wrong.
 #[derive(Clone, Debug, Default)]
 pub struct DeclaredUnits {
-    /// Whether positions are millimetres, and not metres.
-    pub millimetres: bool,
-    /// Whether angles are degrees, and not radians.
-    pub degrees: bool,
+    /// The unit of positions: metres or millimetres.
+    pub length: LengthScale,
+    /// The unit of angles.
+    pub angle: AngleUnit,
     /// The orientations if the angles were in the other unit; none where there are no angles.
     pub in_other_angles: Option<Vec<Rotation>>,
 }

@@ -12,7 +12,7 @@ use crate::{fleet, status};
 /// The report, as a reader of its JSON declares it. Keys that it does not name are refused.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[allow(dead_code)]
+#[allow(dead_code, reason = "the test reads it as a tool would, whole")]
 struct Report {
     schema: String,
     tool: Tool,
@@ -26,7 +26,7 @@ struct Report {
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[allow(dead_code)]
+#[allow(dead_code, reason = "the test reads it as a tool would, whole")]
 struct Tool {
     name: String,
     version: String,
@@ -34,7 +34,7 @@ struct Tool {
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[allow(dead_code)]
+#[allow(dead_code, reason = "the test reads it as a tool would, whole")]
 struct Logs {
     total: usize,
     statuses: Statuses,
@@ -51,7 +51,7 @@ struct Logs {
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[allow(dead_code)]
+#[allow(dead_code, reason = "the test reads it as a tool would, whole")]
 struct Statuses {
     audited: usize,
     not_audited: usize,
@@ -63,7 +63,7 @@ struct Statuses {
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[allow(dead_code)]
+#[allow(dead_code, reason = "the test reads it as a tool would, whole")]
 struct Verdicts {
     pass: usize,
     fail: usize,
@@ -72,7 +72,7 @@ struct Verdicts {
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[allow(dead_code)]
+#[allow(dead_code, reason = "the test reads it as a tool would, whole")]
 struct Arm {
     site: Option<String>,
     arm: Option<String>,
@@ -84,7 +84,7 @@ struct Arm {
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[allow(dead_code)]
+#[allow(dead_code, reason = "the test reads it as a tool would, whole")]
 struct Fails {
     code: String,
     logs: usize,
@@ -92,7 +92,7 @@ struct Fails {
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[allow(dead_code)]
+#[allow(dead_code, reason = "the test reads it as a tool would, whole")]
 struct Found {
     code: String,
     title: String,
@@ -112,7 +112,7 @@ struct Found {
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[allow(dead_code)]
+#[allow(dead_code, reason = "the test reads it as a tool would, whole")]
 struct Trend {
     code: String,
     name: String,
@@ -145,7 +145,7 @@ struct Moved {
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[allow(dead_code)]
+#[allow(dead_code, reason = "the test reads it as a tool would, whole")]
 struct Point {
     start_ns: String,
     value: f64,
@@ -155,7 +155,7 @@ struct Point {
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[allow(dead_code)]
+#[allow(dead_code, reason = "the test reads it as a tool would, whole")]
 struct Failed {
     path: String,
     status: String,

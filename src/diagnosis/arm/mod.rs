@@ -14,8 +14,8 @@ use super::placement::{Placement, metres_by_reach};
 use super::placing::spread;
 use super::prepare::{Prepared, as_rotations, prepare, stream_lag_s, stream_peaks};
 use super::{
-    ArmDiagnosis, JointOffset, JointReading, JointScale, PoseDiagnosis, PoseStream, Residual, Seen,
-    Unseen,
+    ArmDiagnosis, JointDiagnosis, JointOffset, JointReading, JointScale, PoseDiagnosis, PoseStream,
+    Residual, Seen, Unseen,
 };
 use crate::geometry::Vec3;
 use crate::robot::JointKind;
@@ -113,7 +113,7 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
         }
     }
     let Found { offsets, scales, streams } = found;
-    ArmDiagnosis { joints: reading, offsets, scales, streams }
+    ArmDiagnosis { joints: JointDiagnosis { reading, offsets, scales }, streams }
 }
 
 /// Another reading of the joints must leave so many times less than the one as logged.
@@ -224,13 +224,13 @@ pub fn diagnose_derived(
     }
 }
 
-impl ArmDiagnosis {
+impl JointDiagnosis {
     /// The joint states as they should have been recorded: names and units as found, and the joint
     /// offsets of the smallest explanation added.
     ///
     /// `prismatic` says for each column of `joints` whether that joint slides.
     pub fn corrected_joints(&self, joints: &JointTrack, prismatic: &[bool]) -> JointTrack {
-        let mut track = match &self.joints {
+        let mut track = match &self.reading {
             Ok(reading) => corrected(joints, reading, prismatic),
             Err(_) => joints.clone(),
         };

@@ -60,10 +60,7 @@ fn length_slip(
         return Ok(None);
     }
     let declared = stream.track.declared.as_ref();
-    let read_as = match declared.is_some_and(|declared| declared.millimetres) {
-        true => LengthScale::MILLIMETRE,
-        false => LengthScale::METRE,
-    };
+    let read_as = declared.map_or(LengthScale::METRE, |declared| declared.length);
     let is = LengthScale::of(prepared.metres * read_as.in_m());
     let residual = residual.as_ref().ok();
     let corrected = residual.map_or(0.0, |residual| residual.rms_m);

@@ -1,5 +1,9 @@
 //! Days, as people write them.
 
+use jiff::Timestamp;
+use jiff::civil::Date;
+use jiff::tz::Offset;
+
 use crate::time::NANOS_PER_SECOND;
 
 /// Nanoseconds of a day.
@@ -8,49 +12,23 @@ pub const DAY_NS: i64 = 86_400 * NANOS_PER_SECOND;
 /// Stamps before 2000-01-01 are of no calendar: of a controller's or a simulation's clock.
 pub const FIRST_NS: i64 = 946_684_800 * NANOS_PER_SECOND;
 
+/// The day of a stamp, `2026-05-28`.
+pub fn day(stamp_ns: i64) -> String {
+    // Every stamp is within jiff's calendar.
+    let time = Timestamp::from_nanosecond(stamp_ns.into()).unwrap_or_default();
+    Offset::UTC.to_datetime(time).date().to_string()
+}
+
 /// A day of the Gregorian calendar, in UTC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Day {
-    year: i64,
-    month: i64,
-    day: i64,
-}
-
-/// Days of 400 years.
-const ERA_DAYS: i64 = 146_097;
-/// From 0000-03-01 to 1970-01-01.
-const EPOCH_DAYS: i64 = 719_468;
-
-/// The day of a stamp, `2026-05-28`.
-pub fn day(stamp_ns: i64) -> String {
-    let Day { year, month, day } = Day::of(stamp_ns);
-    format!("{year:04}-{month:02}-{day:02}")
+    start_ns: i64,
 }
 
 impl Day {
-    /// The day of a stamp.
-    ///
-    /// Years are counted from March, so that the day that is not always there comes last: Howard
-    /// Hinnant, *chrono-Compatible Low-Level Date Algorithms*, `civil_from_days`.
-    fn of(stamp_ns: i64) -> Self {
-        let days = stamp_ns.div_euclid(DAY_NS) + EPOCH_DAYS;
-        let (era, of_era) = (days.div_euclid(ERA_DAYS), days.rem_euclid(ERA_DAYS));
-        let year = (of_era - of_era / 1460 + of_era / 36_524 - of_era / (ERA_DAYS - 1)) / 365;
-        let of_year = of_era - (365 * year + year / 4 - year / 100);
-        let month = (5 * of_year + 2) / 153;
-        let day = of_year - (153 * month + 2) / 5 + 1;
-        let month = if month < 10 { month + 3 } else { month - 9 };
-        Self { year: year + era * 400 + i64::from(month <= 2), month, day }
-    }
-
     /// When it begins, ns since 1970.
     pub fn start_ns(self) -> i64 {
-        let year = self.year - i64::from(self.month <= 2);
-        let (era, of_era) = (year.div_euclid(400), year.rem_euclid(400));
-        let month = (self.month + 9) % 12;
-        let of_year = (153 * month + 2) / 5 + self.day - 1;
-        let days = era * ERA_DAYS + of_era * 365 + of_era / 4 - of_era / 100 + of_year;
-        (days - EPOCH_DAYS).saturating_mul(DAY_NS)
+        self.start_ns
     }
 }
 
@@ -58,17 +36,12 @@ impl std::str::FromStr for Day {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let parts: Vec<i64> = text.split('-').filter_map(|part| part.parse().ok()).collect();
-        let parsed = match parts.as_slice() {
-            [year @ 1970..=2200, month @ 1..=12, day @ 1..=31] => {
-                Some(Self { year: *year, month: *month, day: *day })
-            }
-            _ => None,
-        };
-        // What no month has becomes a day of the next.
-        parsed
-            .filter(|parsed| Self::of(parsed.start_ns()) == *parsed && text.len() == 10)
-            .ok_or_else(|| "expected a day such as 2026-05-28".to_owned())
+        let date = Date::strptime("%Y-%m-%d", text).ok();
+        let date = date.filter(|date| (1970..=2200).contains(&date.year()) && text.len() == 10);
+        let start = date.and_then(|date| Offset::UTC.to_timestamp(date.at(0, 0, 0, 0)).ok());
+        let start_ns = start.and_then(|start| i64::try_from(start.as_nanosecond()).ok());
+        let start_ns = start_ns.ok_or("expected a day such as 2026-05-28")?;
+        Ok(Self { start_ns })
     }
 }
 

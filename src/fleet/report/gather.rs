@@ -133,8 +133,8 @@ const FINDINGS: &[&str] = &[
 ];
 
 /// The logs of one version and of the same settings, by key; and how many rows are of others.
-fn logs(store: &Store, question: &Question) -> Result<(HashMap<String, Log>, usize), StoreError> {
-    let mut logs = HashMap::new();
+fn logs(store: &Store, question: &Question) -> Result<(BTreeMap<String, Log>, usize), StoreError> {
+    let mut logs = BTreeMap::new();
     store.each(Table::Runs, Some(RUNS), |part| {
         let frame = Part(&part);
         for row in 0..part.height() {
@@ -174,7 +174,7 @@ fn logs(store: &Store, question: &Question) -> Result<(HashMap<String, Log>, usi
 /// version those that were written down last.
 fn wanted(
     store: &Store,
-    logs: &HashMap<String, Log>,
+    logs: &BTreeMap<String, Log>,
     question: &Question,
 ) -> Option<(String, String)> {
     let is_asked = |log: &&Log| match &question.settings {
@@ -226,7 +226,7 @@ struct Gathering<'a> {
 }
 
 impl<'a> Gathering<'a> {
-    fn of(logs: &'a HashMap<String, Log>, question: &'a Question) -> Self {
+    fn of(logs: &'a BTreeMap<String, Log>, question: &'a Question) -> Self {
         let sole = logs.values().filter_map(|log| {
             let robots = log.robots.as_deref().filter(|robots| !robots.contains(", "))?;
             Some((log.path.as_str(), robots))
@@ -347,7 +347,7 @@ fn finding_rows(found: BTreeMap<Cause, Found>, asked: &BTreeMap<Cause, usize>) -
 
 /// The arms, by site and name.
 fn arms(
-    logs: &HashMap<String, Log>,
+    logs: &BTreeMap<String, Log>,
     question: &Question,
     found: &BTreeMap<Cause, Found>,
 ) -> Vec<ArmRow> {
@@ -394,7 +394,7 @@ fn arms(
 
 fn log_counts(
     store: &Store,
-    logs: &HashMap<String, Log>,
+    logs: &BTreeMap<String, Log>,
     question: &Question,
     set_aside: usize,
 ) -> Result<LogCounts, StoreError> {

@@ -7,6 +7,7 @@
 
 mod builder;
 mod cursor;
+mod fault;
 mod idl;
 mod json;
 mod msg;
@@ -61,7 +62,7 @@ pub(super) enum FormatError {
 
 impl Format<'_> {
     /// How to read the fields of `recipe` from messages in this format.
-    fn plan(self, recipe: &Recipe) -> Result<Plan, FormatError> {
+    pub(super) fn plan(self, recipe: &Recipe) -> Result<Plan, FormatError> {
         match self.encoding {
             "cdr" => self.steps(recipe, Serialization::Cdr),
             "ros1" => self.steps(recipe, Serialization::Ros1),

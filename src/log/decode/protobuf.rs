@@ -7,13 +7,13 @@
 mod descriptor;
 mod wire;
 
-use super::plan::{Append, DecodeError};
+use super::fault::{Append, DecodeError};
 use super::recipes::Fields;
 use super::row::{Row, Slot};
 use super::schema::SchemaError;
 
 pub(super) use self::descriptor::Types;
-use self::descriptor::{Field, Kind, Message};
+use self::descriptor::{Field, Kind, Message, Scalar};
 pub(in crate::log) use self::wire::WireError;
 use self::wire::{Fault, Reader, Value};
 
@@ -50,22 +50,6 @@ enum What {
     Message(Vec<Wanted>),
     /// A message for each row.
     Rows(Vec<Wanted>),
-}
-
-/// How the bits of a number are meant.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) enum Scalar {
-    F64,
-    F32,
-    /// 64 bits of which negative numbers take all, also those of fewer bits.
-    Signed,
-    Unsigned,
-    /// The sign in the lowest bit.
-    Zigzag,
-    Fixed32,
-    Fixed64,
-    SignedFixed32,
-    SignedFixed64,
 }
 
 /// What was met on a walk over a message.

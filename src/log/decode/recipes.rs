@@ -1,10 +1,8 @@
 //! Which fields of which message types fill which slots, and the columns that they become.
 
 use super::builder::{Builder, Part, PartOf};
-use super::plan::Plan;
 use super::row::{self, Slot};
 use super::schema::canonical;
-use super::{Format, FormatError};
 
 /// Which field fills which slot, by its path from the message's root.
 pub(super) type Fields = &'static [(&'static str, Slot)];
@@ -28,11 +26,6 @@ impl Recipe {
     pub(in crate::log) fn of(type_name: &str) -> Option<&'static Recipe> {
         let type_name = canonical(type_name);
         RECIPES.iter().find(|recipe| recipe.type_names.contains(&type_name.as_ref()))
-    }
-
-    /// How to read this recipe's fields from messages in `format`.
-    pub(in crate::log) fn plan(&self, format: Format<'_>) -> Result<Plan, FormatError> {
-        format.plan(self)
     }
 
     /// Empty columns.

@@ -19,7 +19,7 @@ fn decode_all(
     messages: &[Vec<u8>],
 ) -> (Vec<(&'static str, Option<Columns>)>, Option<String>) {
     let recipe = Recipe::of(format.type_name).unwrap();
-    let plan = recipe.plan(format).unwrap();
+    let plan = format.plan(recipe).unwrap();
     let (mut builder, mut row) = (recipe.builder(), Row::default());
     let mut first = None;
     for (index, message) in messages.iter().enumerate() {
@@ -71,7 +71,7 @@ fn refusal(type_name: &str, schema: &str) -> String {
 }
 
 fn refused(format: Format<'_>) -> String {
-    Recipe::of(format.type_name).unwrap().plan(format).unwrap_err().to_string()
+    format.plan(Recipe::of(format.type_name).unwrap()).unwrap_err().to_string()
 }
 
 /// Equal, where NaN equals NaN.

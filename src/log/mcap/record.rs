@@ -331,7 +331,7 @@ pub(super) fn metadata(body: &[u8]) -> Option<(&str, impl Iterator<Item = (&str,
 
 /// Where a chunk is, by its index in the summary.
 #[cfg(feature = "cloud")]
-pub(super) fn chunk_place(body: &[u8]) -> Option<std::ops::Range<usize>> {
+pub(super) fn chunk_place(body: &[u8]) -> Option<Range<usize>> {
     let mut fields = Fields(body);
     let _times = fields.bytes(16)?;
     let start = usize::try_from(fields.u64()?).ok()?;

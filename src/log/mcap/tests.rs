@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use mcap::{Compression, WriteOptions};
 
-use super::super::files::Mapped;
+use super::super::mapped::Mapped;
 use super::super::testing::{self, Cdr, LogWriter};
 use super::super::unpack::Allowance;
 use super::super::{Container, Log, LogFile, Loss};
@@ -312,8 +312,7 @@ fn what_is_not_read_unasked_is_no_damage() {
         let mut losses = Losses::of(path);
         intake.begin_file(path, whole.len() as u64);
         intake.allowance = allowance;
-        super::read(&whole, &Present::Whole, &ReadOptions::default(), &mut losses, &mut intake)
-            .unwrap();
+        read(&whole, &Present::Whole, &ReadOptions::default(), &mut losses, &mut intake).unwrap();
         (intake.messages(), losses.finish())
     };
     let (messages, losses) = read(Allowance::of(0, None));

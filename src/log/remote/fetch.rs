@@ -16,7 +16,7 @@ use super::fault::RemoteFault;
 use super::patience::Patience;
 use super::store::Source;
 use super::{Address, Fetched, cause};
-use crate::log::files::Mapped;
+use crate::log::mapped::Mapped;
 use crate::log::mcap::{self, Survey};
 use crate::log::ranges::{Present, Ranges};
 use crate::log::sniff::{self, Kind};

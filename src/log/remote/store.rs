@@ -1,6 +1,7 @@
 //! From a URL to the client of its store. Credentials and endpoints come from the environment.
 
 use std::cell::Cell;
+use std::iter;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,9 +15,10 @@ use object_store::path::Path as Key;
 use object_store::{
     BackoffConfig, ClientOptions, HeaderMap, HeaderValue, ObjectStore, RetryConfig,
 };
+use percent_encoding::percent_decode_str;
 
 use super::fault::{RemoteFault, Store};
-use super::{Address, cause, named, percent_decoded};
+use super::{Address, cause, named};
 
 /// How long a connection may take to stand.
 const CONNECT: Duration = Duration::from_secs(5);
@@ -129,7 +131,9 @@ fn login(url: &str) -> (String, HeaderMap) {
     let end = rest.find(['/', '?']).unwrap_or(rest.len());
     let Some((user, host)) = rest[..end].rsplit_once('@') else { return (url.to_owned(), headers) };
     let (user, password) = user.split_once(':').unwrap_or((user, ""));
-    let both = [&percent_decoded(user)[..], b":", &percent_decoded(password)].concat();
+    let colon = iter::once(b':');
+    let both: Vec<u8> =
+        percent_decode_str(user).chain(colon).chain(percent_decode_str(password)).collect();
     // What base64 makes is always a header.
     if let Ok(mut value) = HeaderValue::try_from(format!("Basic {}", BASE64_STANDARD.encode(both)))
     {

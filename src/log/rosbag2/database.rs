@@ -8,6 +8,7 @@ use std::fs::{self, File};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+use percent_encoding::percent_encode;
 use rusqlite::config::DbConfig;
 use rusqlite::limits::Limit;
 use rusqlite::types::ValueRef;
@@ -15,9 +16,10 @@ use rusqlite::{Connection, OpenFlags, Row};
 
 use super::wal;
 use crate::log::decode::{Format, excerpt};
-use crate::log::intake::{ChannelId, Intake, Message, Place};
+use crate::log::intake::{ChannelId, Intake};
 use crate::log::losses::Losses;
-use crate::log::{Extent, ReadOptions};
+use crate::log::topic::{Message, Place};
+use crate::log::{ESCAPED, Extent, ReadOptions};
 
 /// Most places of a database that are passed over because they are damaged.
 const MAX_BREAKS: usize = 1000;
@@ -162,16 +164,8 @@ fn beside(path: &Path, suffix: &str) -> PathBuf {
 
 /// `path` as a URI with a parameter.
 fn uri(path: &Path, parameter: &str) -> String {
-    let mut uri = "file:".to_owned();
-    for &byte in path.as_os_str().as_encoded_bytes() {
-        match byte {
-            b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' | b'/' | b'.' | b'_' | b'-' => {
-                uri.push(byte.into());
-            }
-            _ => uri.push_str(&format!("%{byte:02X}")),
-        }
-    }
-    format!("{uri}?mode=ro&{parameter}")
+    let path = percent_encode(path.as_os_str().as_encoded_bytes(), ESCAPED);
+    format!("file:{path}?mode=ro&{parameter}")
 }
 
 fn lose(losses: &mut Losses, messages: Option<u64>, what: &str, error: &rusqlite::Error) {

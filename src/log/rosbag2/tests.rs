@@ -162,7 +162,7 @@ fn a_write_ahead_log_is_read_and_left_alone() {
     }
 
     /// Goes on with the database at `path`, so that 30 messages are in its write-ahead log only.
-    #[expect(non_snake_case)]
+    #[expect(non_snake_case, reason = "they are named as ROS names them")]
     fn DatabaseWriter(path: &Path) -> rusqlite::Connection {
         let database = rusqlite::Connection::open(path).unwrap();
         database.query_row("PRAGMA journal_mode = WAL", [], |_| Ok(())).unwrap();

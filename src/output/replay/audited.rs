@@ -2,8 +2,7 @@
 
 use super::{Receipts, Recording, Replay, ReplayArm, ReplayImu, ReplayStream, StreamKind, write};
 use crate::audit::Audited;
-use crate::checks::{ArmFacts, PoseFacts};
-use crate::diagnosis::PoseDiagnosis;
+use crate::checks::{ArmFacts, Of, PoseFacts};
 use crate::geometry::Pose;
 use crate::places::Places;
 use crate::report::{NoteRow, Trouble};
@@ -47,10 +46,11 @@ impl Audited {
 }
 
 fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmFacts) -> ReplayArm<'a> {
-    let stream = |kind, source: &PoseSource, facts: &'a PoseFacts, found: &'a PoseDiagnosis| {
+    let stream = |kind, source: &PoseSource, facts: &'a Of<PoseFacts>| {
+        let found = &facts.diagnosis;
         let base_from_reference = base_from_link(arm, source.chain.base_name());
         ReplayStream {
-            topic: &facts.topic,
+            topic: facts.topic(),
             kind,
             aligned: &found.aligned,
             received: receipts(run, source.stream),
@@ -59,11 +59,10 @@ fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmFacts) -> ReplayArm<'a>
             latency_s: found.latency_s.as_ref().map_or(0.0, |latency| latency.value),
         }
     };
-    let poses = arm.poses.iter().zip(facts.poses());
-    let poses =
-        poses.map(|(source, (facts, found))| stream(StreamKind::Pose, source, facts, found));
+    let poses = arm.poses.iter().zip(&facts.poses);
+    let poses = poses.map(|(source, facts)| stream(StreamKind::Pose, source, facts));
     let tf = arm.tf.iter().zip(&facts.tf);
-    let tf = tf.map(|(source, (facts, found))| stream(StreamKind::Tf, source, facts, found));
+    let tf = tf.map(|(source, facts)| stream(StreamKind::Tf, source, facts));
     let imus = arm.imus.iter().zip(&facts.imus);
     ReplayArm {
         name: &arm.name,
@@ -78,10 +77,10 @@ fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmFacts) -> ReplayArm<'a>
         corrected: facts.diagnosis.corrected_joints(&arm.joints, &arm.slides()),
         streams: poses.chain(tf).collect(),
         imus: imus
-            .map(|(source, (facts, found))| ReplayImu {
-                topic: &facts.topic,
+            .map(|(source, facts)| ReplayImu {
+                topic: facts.topic(),
                 received: receipts(run, source.stream),
-                yaw_error: &found.yaw_error,
+                yaw_error: &facts.diagnosis.yaw_error,
             })
             .collect(),
     }

@@ -30,10 +30,8 @@ impl Audited {
         let remedy = "name a folder that can be written with --parquet";
         let trouble = |what| Trouble::unwritable(folder, what, remedy);
         let streams = facts.robots.iter().flat_map(|arm| {
-            let found = arm.poses().chain(arm.tf.iter().map(|(facts, found)| (facts, found)));
-            found.map(move |(facts, found)| {
-                (arm.name.as_str(), facts.topic.as_str(), &found.aligned)
-            })
+            let found = arm.poses_and_tf();
+            found.map(move |of| (arm.name.as_str(), of.topic(), &of.diagnosis.aligned))
         });
         let arms = reached(run, &report.findings);
         let frames = [

@@ -6,7 +6,8 @@ use serde::Deserialize;
 
 use super::Robot;
 use super::error::RobotError;
-use super::names::{NameMatch, nearest};
+use super::names::NameMatch;
+use super::nearest::nearest;
 use super::table::{RobotTable, parse};
 
 /// The embedded files.

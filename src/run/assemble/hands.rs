@@ -7,7 +7,7 @@ use crate::time::Stamp;
 use super::super::poses;
 use super::super::role::Role;
 use super::super::targets::{self, HandKind, HandSource, TargetSource};
-use super::Assembly;
+use super::assembly::Assembly;
 
 impl Assembly<'_> {
     /// What cameras see, each with the hands that it may be held against.

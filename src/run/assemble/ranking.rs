@@ -7,16 +7,18 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::Assembly;
+use super::assembly::{Assembly, is_topic};
 use super::groups::Group;
 use crate::diagnosis::{ModelFit, Needs, PoseStream, Priced, model_fit};
 use crate::finding::Unit;
 use crate::robot::catalogue;
-use crate::run::arm::{Arm, Ends, PoseSource, WrongModel};
+use crate::run::arm::{Arm, Ends};
 use crate::run::catalogued::{Ranking, Standing};
-use crate::run::models::{Clues, Model};
+use crate::run::model::WrongModel;
+use crate::run::model::{Clues, Model};
 use crate::run::role::Role;
 use crate::run::skeleton;
+use crate::run::sources::PoseSource;
 use crate::run::space::Claim;
 use crate::run::tf_tree::TfTree;
 use crate::stream::Columns;
@@ -180,11 +182,8 @@ impl ByPoses<'_> {
         if is_foreign || !matches!(stream.columns, Some(Columns::Poses(_) | Columns::Array(_))) {
             return None;
         }
-        let declared = assembly
-            .options
-            .declared
-            .iter()
-            .find(|declared| super::is_topic(stream, &declared.topic));
+        let declared =
+            assembly.options.declared.iter().find(|declared| is_topic(stream, &declared.topic));
         let declared = declared.filter(|declared| declared.fits(stream.columns.as_ref()));
         let site = assembly.site(arm, stream);
         let (role, _) = assembly.role_of(stream, Some(&site), declared.is_some());

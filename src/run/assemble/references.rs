@@ -7,8 +7,9 @@ use crate::stream::{ArrayColumns, Columns, JointColumns, PoseTrack};
 use super::super::arm::{Anchor, Arm};
 use super::super::poses;
 use super::super::role::Place;
-use super::super::streams::{Rows, Stream};
-use super::Assembly;
+use super::super::rows::Rows;
+use super::super::streams::Stream;
+use super::assembly::Assembly;
 
 /// A stream of commands to one arm.
 #[derive(Clone, Debug)]

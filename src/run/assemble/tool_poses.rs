@@ -5,21 +5,23 @@ use crate::robot::LinkId;
 use crate::stream::Columns;
 use crate::time::Stamp;
 
-use super::super::arm::{Anchor, Arm, ImuSource, PoseSource};
-use super::super::carrier::Carrier;
+use super::super::arm::{Anchor, Arm};
 use super::super::contest::{Claimant, Contest};
 use super::super::declaration::Declaration;
 use super::super::error::RunError;
 use super::super::frozen::{Frozen, take_frozen};
 use super::super::poses::{self, Stamped};
 use super::super::role::{Place, PoseTopic, Role, Verdict, array_role, pose_role};
+use super::super::sources::Carrier;
+use super::super::sources::{ImuSource, PoseSource};
 use super::super::space::Claim;
 use super::super::streams::Stream;
 use super::super::tf_tree::{Edge, EdgeKind};
 use super::super::topics::{SaidRole, TopicSettings};
 use super::super::unaudited::{Unaudited, WhyNot};
 use super::super::witness::{PoseNames, Witness, witness_of};
-use super::{Assembly, is_topic, not_so};
+use super::assembly::{Assembly, is_topic};
+use super::not_so;
 
 /// Between which links of an arm the poses of a stream are.
 pub(super) struct Site {

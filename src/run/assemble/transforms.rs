@@ -5,16 +5,17 @@ use crate::robot::{Chain, JointKind, Robot};
 use crate::stream::{Columns, PoseColumns};
 use crate::time::Stamp;
 
-use super::super::arm::{Arm, NoTf, PoseSource};
-use super::super::models::FrameNames;
+use super::super::arm::{Arm, NoTf};
+use super::super::model::FrameNames;
 use super::super::poses::{self, Stamped};
 use super::super::role::{Place, Role};
+use super::super::sources::PoseSource;
 use super::super::space::{Claim, Space};
 use super::super::streams::{Stream, Timing};
 use super::super::targets;
 use super::super::tf_tree::{Edge, EdgeKind, TfTree, without_slash};
 use super::super::witness::Witness;
-use super::Assembly;
+use super::assembly::Assembly;
 
 /// The tree of the transforms of the log's TF topics, but for those of another arm than the one in
 /// `space`.

@@ -1,9 +1,39 @@
 //! The intervals between the rows of a stream, held against their pace.
 
 use super::motion::Motion;
-use super::{Hole, Stretch};
 use crate::stats::median;
 use crate::time::{Stamp, seconds};
+
+/// A part of a stream's time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stretch {
+    /// The stamp that it begins with.
+    pub start: Stamp,
+    /// The stamp that it ends with.
+    pub end: Stamp,
+    /// Rows a second in it, both ends counted as half a row.
+    pub rate_hz: f64,
+    /// Whether the arm moved in it; `None` where no joint states say.
+    pub moving: Option<bool>,
+}
+
+impl Stretch {
+    /// Its length, s.
+    pub fn seconds(&self) -> f64 {
+        self.end.seconds_since(self.start)
+    }
+}
+
+/// An interval between two rows that lasts longer than a period.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hole {
+    /// Its time.
+    pub stretch: Stretch,
+    /// How many rows are missing in it, at the stream's period.
+    pub missing: usize,
+    /// Whether nothing was received for most of it. What was received all the time had its clock set.
+    pub is_silent: bool,
+}
 
 /// An interval of more periods than this lacks a row.
 const LONG: f64 = 1.5;

@@ -30,6 +30,7 @@ use super::role::Role;
 use super::streams::{Stream, Timing};
 
 pub use self::extent::Extent;
+pub use self::intervals::{Hole, Stretch};
 
 /// How regularly the rows of one stream come, or of one transform of a TF topic, or of one of
 /// several senders on a topic of joint states.
@@ -64,37 +65,6 @@ pub struct Cadence {
     pub lulls: Vec<Stretch>,
     /// Rows missing by the numbers that the sender gives its messages; `None` where it gives none.
     pub skipped: Option<usize>,
-}
-
-/// A part of a stream's time.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stretch {
-    /// The stamp that it begins with.
-    pub start: Stamp,
-    /// The stamp that it ends with.
-    pub end: Stamp,
-    /// Rows a second in it, both ends counted as half a row.
-    pub rate_hz: f64,
-    /// Whether the arm moved in it; `None` where no joint states say.
-    pub moving: Option<bool>,
-}
-
-impl Stretch {
-    /// Its length, s.
-    pub fn seconds(&self) -> f64 {
-        self.end.seconds_since(self.start)
-    }
-}
-
-/// An interval between two rows that lasts longer than a period.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Hole {
-    /// Its time.
-    pub stretch: Stretch,
-    /// How many rows are missing in it, at the stream's period.
-    pub missing: usize,
-    /// Whether nothing was received for most of it. What was received all the time had its clock set.
-    pub is_silent: bool,
 }
 
 /// The rhythm of one stream.

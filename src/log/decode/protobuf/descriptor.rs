@@ -4,8 +4,23 @@
 use std::collections::HashMap;
 
 use super::super::schema::{MAX_DEPTH, MAX_FIELDS, MAX_NAME, MAX_TYPES, SchemaError, check_length};
-use super::Scalar;
 use super::wire::{Reader, Value, WireError};
+
+/// How the bits of a number are meant.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Scalar {
+    F64,
+    F32,
+    /// 64 bits of which negative numbers take all, also those of fewer bits.
+    Signed,
+    Unsigned,
+    /// The sign in the lowest bit.
+    Zigzag,
+    Fixed32,
+    Fixed64,
+    SignedFixed32,
+    SignedFixed64,
+}
 
 /// All message types of a set of files, by their full names without a leading dot.
 #[derive(Debug, Default)]

@@ -7,10 +7,10 @@
 use std::ops::Range;
 
 use super::super::cursor::{Cursor, Short};
-use super::super::plan::{Append, DecodeError};
+use super::super::fault::{Append, DecodeError};
 use super::super::row::{Group, MAX_LIST, Row};
 use super::super::schema::Primitive;
-use super::{Count, Op, Plan, Step};
+use super::op::{Count, Op, Step};
 
 /// Most values that are read by their places. Arms have fewer, clouds of particles more.
 const MOST_READS: usize = 512;
@@ -128,19 +128,27 @@ impl Shape {
     }
 
     /// Takes the shape of `message`, which was walked without fault.
-    pub(super) fn take(&mut self, plan: &Plan, message: &[u8]) {
+    ///
+    /// `steps` are those of the message, `cursor` is at its first value, and `whole` says whether the
+    /// message itself is the row.
+    pub(super) fn take(
+        &mut self,
+        steps: &[Step],
+        mut cursor: Cursor<'_>,
+        whole: bool,
+        message: &[u8],
+    ) {
         self.reads.clear();
         self.decisive.clear();
         self.bytes.clear();
         self.groups.clear();
         self.is_told = false;
-        let Ok(mut cursor) = plan.cursor(message) else { return };
         let before = cursor.before();
         self.decisive.push(0..before);
         let is_little_endian = cursor.is_little_endian();
-        let mut walk = Walk { shape: self, before, is_little_endian, several: !plan.whole };
-        let walked = walk.over(plan.steps(&cursor), &mut cursor);
-        if plan.whole {
+        let mut walk = Walk { shape: self, before, is_little_endian, several: !whole };
+        let walked = walk.over(steps, &mut cursor);
+        if whole {
             self.reads.push(Read::Only);
         }
         let end = self.decisive.last().map_or(0, |part| part.end);

@@ -170,10 +170,7 @@ fn bytes_at_random_are_never_more_than_an_error() {
         let at = (usize::from(next()) << 8 | usize::from(next())) % schema.len();
         schema[at] = next();
         let recipe = Recipe::of("foxglove.PosesInFrame").unwrap();
-        let _ = recipe.plan(Format {
-            schema: &schema,
-            type_name: "foxglove.PosesInFrame",
-            ..formats[3]
-        });
+        let format = Format { schema: &schema, type_name: "foxglove.PosesInFrame", ..formats[3] };
+        let _ = format.plan(recipe);
     }
 }

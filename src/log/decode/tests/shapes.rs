@@ -17,7 +17,7 @@ fn decoded(
     one_row: bool,
 ) -> (Vec<(&'static str, Option<Columns>)>, usize) {
     let recipe = Recipe::of(type_name).unwrap();
-    let plan = recipe.plan(cdr(type_name, schema)).unwrap();
+    let plan = cdr(type_name, schema).plan(recipe).unwrap();
     let (mut builder, mut row, mut failed) = (recipe.builder(), Row::default(), 0);
     for (index, message) in messages.iter().enumerate() {
         if !one_row {
@@ -102,7 +102,7 @@ fn two_publishers_whose_schemas_differ_share_the_frames_of_a_topic() {
     // Each has a row of its own, and the columns are the same.
     let type_name = "tf2_msgs/msg/TFMessage";
     let recipe = Recipe::of(type_name).unwrap();
-    let plan = recipe.plan(cdr(type_name, testing::TF_MESSAGE)).unwrap();
+    let plan = cdr(type_name, testing::TF_MESSAGE).plan(recipe).unwrap();
     let (mut builder, mut rows) = (recipe.builder(), [Row::default(), Row::default()]);
     for index in 0..60 {
         let children = [["b", "c"], ["c", "b"]][index % 2];

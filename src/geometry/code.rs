@@ -1,7 +1,8 @@
 //! A rotation as lines of code.
 
-use crate::geometry::Rotation;
-use crate::geometry::{Convention, xyzw_from_rotation};
+use std::fmt::Display;
+
+use super::Convention;
 
 /// A line of code in a library.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -12,12 +13,11 @@ pub struct CodeLine {
     pub line: String,
 }
 
-/// Lines that make the rotation of `numbers` (rad) in `convention`, by the turns themselves and not by
-/// the library's own name of the order.
-pub(super) fn of_numbers(convention: Convention, numbers: [f64; 3]) -> Vec<CodeLine> {
-    let name = convention.to_string();
-    let [a, b, c] = numbers.map(number);
-    let Some(order) = name.strip_prefix("euler:") else {
+/// Lines that make the rotation of `numbers` (rad; literals or names) in `convention`, by the turns
+/// themselves and not by the library's own name of the order.
+pub fn code_of_numbers(convention: Convention, numbers: [impl Display; 3]) -> Vec<CodeLine> {
+    let Convention::Euler(order) = convention else {
+        let [a, b, c] = numbers;
         return lines([
             ("SciPy", format!("Rotation.from_rotvec([{a}, {b}, {c}])")),
             (
@@ -41,32 +41,22 @@ pub(super) fn of_numbers(convention: Convention, numbers: [f64; 3]) -> Vec<CodeL
             ("nalgebra", format!("UnitQuaternion::from_scaled_axis(Vector3::new({a}, {b}, {c}))")),
         ]);
     };
-    let (letters, is_by_axis) = match order.strip_suffix("@axes") {
-        Some(letters) => (letters, true),
-        None => (order, false),
-    };
-    let turns: Vec<(char, String)> = letters
-        .chars()
-        .enumerate()
-        .map(|(letter, axis)| {
-            let axis = axis.to_ascii_lowercase();
-            let of = if is_by_axis { usize::from(axis as u8 - b'x') } else { letter };
-            (axis, number(numbers[of]))
-        })
-        .collect();
-    let in_order: Vec<&str> = turns.iter().map(|(_, angle)| angle.as_str()).collect();
-    let in_order = in_order.join(", ");
-    let is_fixed = letters.starts_with(|letter: char| letter.is_ascii_lowercase());
+    let turns = order.lettered().map(|(axis, number)| (axis, numbers[number].to_string()));
+    let letters: String = turns.iter().map(|(axis, _)| *axis).collect();
+    let in_order = turns.each_ref().map(|(_, angle)| angle.as_str()).join(", ");
+    let is_fixed = order.is_about_fixed_axes();
     // The first of several turns about fixed axes stands last, of those about moving axes first.
     let product = |factor: &dyn Fn(char, &str) -> String| {
-        let mut factors: Vec<String> =
-            turns.iter().map(|(axis, angle)| factor(*axis, angle)).collect();
+        let mut factors = turns.each_ref().map(|(axis, angle)| factor(*axis, angle));
         if is_fixed {
             factors.reverse();
         }
         factors.join(" * ")
     };
-    let axes_code = format!("{}{}", if is_fixed { 's' } else { 'r' }, letters.to_ascii_lowercase());
+    let (scipy, axes_code) = match is_fixed {
+        true => (letters.clone(), format!("s{letters}")),
+        false => (letters.to_ascii_uppercase(), format!("r{letters}")),
+    };
     let tf2 = product(&|axis, angle| {
         let unit = ['x', 'y', 'z'].map(|other| if other == axis { "1" } else { "0" }).join(", ");
         format!("tf2::Quaternion(tf2::Vector3({unit}), {angle})")
@@ -75,7 +65,7 @@ pub(super) fn of_numbers(convention: Convention, numbers: [f64; 3]) -> Vec<CodeL
         format!("Eigen::AngleAxisd({angle}, Eigen::Vector3d::Unit{}())", axis.to_ascii_uppercase())
     });
     lines([
-        ("SciPy", format!("Rotation.from_euler(\"{letters}\", [{in_order}])")),
+        ("SciPy", format!("Rotation.from_euler(\"{scipy}\", [{in_order}])")),
         ("tf_transformations", format!("quaternion_from_euler({in_order}, axes=\"{axes_code}\")")),
         ("tf2 (C++)", format!("tf2::Quaternion q = {tf2};")),
         ("Eigen", format!("Eigen::Quaterniond q = {eigen};")),
@@ -88,9 +78,9 @@ pub(super) fn of_numbers(convention: Convention, numbers: [f64; 3]) -> Vec<CodeL
     ])
 }
 
-/// Lines that make `rotation` from a quaternion, its numbers in each library's order.
-pub(super) fn of_quaternion(rotation: &Rotation) -> Vec<CodeLine> {
-    let [x, y, z, w] = xyzw_from_rotation(rotation).map(number);
+/// Lines that make the rotation of a quaternion, its numbers (literals or names) in each library's order.
+pub fn code_of_quaternion(xyzw: [impl Display; 4]) -> Vec<CodeLine> {
+    let [x, y, z, w] = xyzw;
     lines([
         ("SciPy", format!("Rotation.from_quat([{x}, {y}, {z}, {w}])")),
         ("geometry_msgs", format!("Quaternion(x={x}, y={y}, z={z}, w={w})")),
@@ -109,15 +99,10 @@ fn lines<const N: usize>(lines: [(&'static str, String); N]) -> Vec<CodeLine> {
     lines.into_iter().map(|(library, line)| CodeLine { library, line }).collect()
 }
 
-/// A number to a billionth that every language takes for a float.
-fn number(value: f64) -> String {
-    format!("{:?}", (value * 1e9).round() / 1e9 + 0.0)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{Vec3, angle_between, rotation_from_rotvec};
+    use crate::geometry::{Rotation, Vec3, angle_between, rotation_from_rotvec};
 
     fn line(lines: &[CodeLine], library: &str) -> String {
         lines.iter().find(|line| line.library == library).unwrap().line.clone()
@@ -143,7 +128,7 @@ mod tests {
     fn the_lines_are_the_convention() {
         let numbers = [0.7, -0.4, 2.1];
         for &convention in Convention::all() {
-            let lines = of_numbers(convention, numbers);
+            let lines = code_of_numbers(convention, numbers);
             let found = evaluated(&line(&lines, "nalgebra"));
             assert!(angle_between(&found, &convention.rotation(numbers)) < 1e-9, "{convention}");
         }
@@ -151,7 +136,7 @@ mod tests {
 
     #[test]
     fn libraries_take_their_own_names_and_orders() {
-        let rpy = of_numbers(Convention::RPY, [0.1, 0.2, 0.3]);
+        let rpy = code_of_numbers(Convention::RPY, [0.1, 0.2, 0.3]);
         assert_eq!(line(&rpy, "SciPy"), "Rotation.from_euler(\"xyz\", [0.1, 0.2, 0.3])");
         assert_eq!(
             line(&rpy, "tf_transformations"),
@@ -163,15 +148,23 @@ mod tests {
              Eigen::AngleAxisd(0.2, Eigen::Vector3d::UnitY()) * \
              Eigen::AngleAxisd(0.1, Eigen::Vector3d::UnitX());"
         );
-        let by_axis = of_numbers("euler:xzy@axes".parse().unwrap(), [0.1, 0.2, 0.3]);
+        let by_axis = code_of_numbers("euler:xzy@axes".parse().unwrap(), [0.1, 0.2, 0.3]);
         assert_eq!(
             line(&by_axis, "tf2 (C++)"),
             "tf2::Quaternion q = tf2::Quaternion(tf2::Vector3(0, 1, 0), 0.2) * \
              tf2::Quaternion(tf2::Vector3(0, 0, 1), 0.3) * tf2::Quaternion(tf2::Vector3(1, 0, 0), 0.1);"
         );
         assert_eq!(line(&by_axis, "SciPy"), "Rotation.from_euler(\"xzy\", [0.1, 0.3, 0.2])");
-        let turned = of_quaternion(&Convention::RPY.rotation([0.0, 0.0, std::f64::consts::PI]));
-        assert!(line(&turned, "Eigen").contains("(0.0, 0.0, 0.0, 1.0)"));
-        assert!(line(&turned, "SciPy").contains("[0.0, 0.0, 1.0, 0.0]"));
+        let moving = code_of_numbers("euler:ZYX".parse().unwrap(), ["a", "b", "c"]);
+        assert_eq!(line(&moving, "SciPy"), "Rotation.from_euler(\"ZYX\", [a, b, c])");
+        assert_eq!(
+            line(&moving, "Eigen"),
+            "Eigen::Quaterniond q = Eigen::AngleAxisd(a, Eigen::Vector3d::UnitZ()) * \
+             Eigen::AngleAxisd(b, Eigen::Vector3d::UnitY()) * \
+             Eigen::AngleAxisd(c, Eigen::Vector3d::UnitX());"
+        );
+        let turned = code_of_quaternion(["x", "y", "z", "w"]);
+        assert!(line(&turned, "Eigen").contains("(w, x, y, z)"));
+        assert!(line(&turned, "SciPy").contains("[x, y, z, w]"));
     }
 }

@@ -1,0 +1,360 @@
+//! What is left of a stream's error when what the other rules decided is taken off: what MDL001 judges,
+//! and what a pass rests on.
+
+use crate::checks::decision::{Decision, decide_both};
+use crate::checks::{ArmFacts, Facts, FrameFigures, Judged, Of, PoseFacts, find};
+use crate::diagnosis::{Amount, Error, FrameEstimate, Part, PoseDiagnosis, Residual, Seen, Size};
+use crate::finding::{Outcome, Ruling, Severity, Unit};
+use crate::run::{Apart, FlawKind};
+
+/// An error this many times as large as what differs from sample to sample is near it …
+const NEAR: f64 = 2.0;
+/// … and surely beyond it from so many times on: an F of nine, which chance reaches once in a thousand
+/// times of seven independent samples.
+const BEYOND: f64 = 3.0;
+
+/// Sag, play and encoder error that are each below their figures leave together up to so many times the
+/// figures for moments …
+const TOGETHER: f64 = 2.0;
+/// … and so many times, rms, over a tenth of the run.
+const LASTING: f64 = 1.5;
+
+/// Samples of the run differ in what two publishers that are apart leave.
+const ROOM: f64 = 1.2;
+/// What is turned by less is not turned, rad.
+const ROUNDING_RAD: f64 = 1e-3;
+
+/// What the rules that name causes made of a run.
+pub(super) struct Named {
+    judged: Vec<(&'static str, Judged)>,
+    /// The topics on which two publishers disagree, by how much, and in how many transforms.
+    doubled: Vec<(String, Apart, usize)>,
+}
+
+impl Named {
+    /// Asks them.
+    pub fn of(facts: &Facts) -> Self {
+        const CODES: [&str; 17] = [
+            "FRM001", "FRM002", "FRM003", "LAT001", "LAT002", "LAT003", "ORD001", "ORD002",
+            "ORD003", "ORD004", "ORD005", "ORD008", "ORD009", "ORD010", "ORD011", "ZER001",
+            "ZER002",
+        ];
+        let rules = CODES.into_iter().filter_map(|code| find(code).ok());
+        let judged = rules.flat_map(|rule| {
+            let judged = (rule.check)(facts).into_iter();
+            judged.map(|judged| (rule.code, judged))
+        });
+        let doubled = facts.frames.flaws.iter().filter_map(|flaw| match &flaw.kind {
+            FlawKind::Publishers { by: Some(by), edges, .. } => {
+                Some((flaw.topics.first()?.clone(), *by, *edges))
+            }
+            _ => None,
+        });
+        Self { judged: judged.collect(), doubled: doubled.collect() }
+    }
+
+    /// What the rules among `codes` made of a topic of `arm`, or of one of its joints.
+    fn on<'a>(
+        &'a self,
+        arm: &'a ArmFacts,
+        label: &'a str,
+        codes: &'a [&str],
+    ) -> impl Iterator<Item = (&'static str, &'a Outcome)> {
+        let is_meant = move |(code, judged): &&(&str, Judged)| {
+            let subject = &judged.subject;
+            let is_of_arm = subject.robot.as_ref() == Some(&arm.name);
+            is_of_arm && subject.label() == label && codes.contains(code)
+        };
+        self.judged.iter().filter(is_meant).map(|(code, judged)| (*code, &judged.outcome))
+    }
+
+    /// Whether FRM001 has found what `stream` is, which is /tf, or FRM004 two publishers of it that are
+    /// farther apart than what is left.
+    fn says_of_tf(&self, arm: &ArmFacts, stream: &Of<PoseFacts>, left: &Left) -> bool {
+        let is_doubled = || {
+            self.doubled.iter().any(|(topic, by, edges)| {
+                let times = ROOM * *edges as f64;
+                let (length_m, angle_rad) =
+                    (times * (by.length_m + arm.reach_m * by.angle_rad), times * by.angle_rad);
+                let angle = left.error.angle.as_ref();
+                topic == stream.topic()
+                    && left.error.length.whole.rms <= length_m
+                    && angle.is_none_or(|angle| angle.whole.rms <= angle_rad.max(ROUNDING_RAD))
+            })
+        };
+        is_tf(arm, stream)
+            && (self.on(arm, stream.topic(), &["FRM001"]).any(|(_, outcome)| is_faulty(outcome))
+                || is_doubled())
+    }
+}
+
+/// Whether a stream of `arm` is what /tf says of its tip.
+fn is_tf(arm: &ArmFacts, stream: &Of<PoseFacts>) -> bool {
+    arm.tf.as_ref().is_some_and(|tf| std::ptr::eq(tf, stream))
+}
+
+fn is_faulty(outcome: &Outcome) -> bool {
+    matches!(outcome, Outcome::Evaluated(Ruling::Faulty(_)))
+}
+
+/// How the error of one stream stands.
+pub(super) enum Standing {
+    /// It is below the figures as logged.
+    Below,
+    /// It is what differs from sample to sample.
+    Noise,
+    /// What was found leaves less than the figures, or what differs from sample to sample; whether a
+    /// rule names any of it.
+    Accounted { is_named: bool },
+    /// What is left is below the figures in the mean square and hardly above them anywhere, as what
+    /// amounts below a figure at every joint leave together.
+    Small(Left),
+    /// Small changes of many kinematic parameters account for what else is left.
+    Nominal(Error),
+    /// Some is left that is surely more than all that.
+    Left(Left),
+    /// More is left than may be, and that may be noise, or causes whose rules are open: which.
+    Open(Left, Vec<&'static str>),
+}
+
+/// What is left of a stream's error where it is too large.
+pub(super) struct Left {
+    pub severity: Severity,
+    pub error: Error,
+    /// The part in which it is largest.
+    pub worst: Part,
+    /// The parts of the run in which it is too large, in the order of time.
+    pub parts: Vec<Part>,
+}
+
+/// How the error of a stream stands, as `figures` have it; `None` where there is none.
+pub(super) fn standing(
+    named: &Named,
+    arm: &ArmFacts,
+    stream: &Of<PoseFacts>,
+    figures: &FrameFigures,
+    subjects: usize,
+) -> Option<Standing> {
+    let found = &stream.diagnosis;
+    let proof = stream.proof.as_ref().ok()?;
+    let explained = proof.left.as_ref().unwrap_or(&proof.as_logged);
+    // What is computed from the joint states has no noise of its own.
+    let near = if is_tf(arm, stream) { 0.0 } else { NEAR };
+    let in_degrees = arm.diagnosis.reading.as_ref().is_ok_and(|read| read.degrees.is_some());
+    if is_tf(arm, stream) && in_degrees && races(explained, named, stream, figures) {
+        return Some(Standing::Noise);
+    }
+    if let Some(calibrated) = proof.calibrated.as_ref().filter(|_| found.nominal)
+        && Left::of(calibrated, figures, near).is_none()
+    {
+        return Some(Standing::Nominal(explained.clone()));
+    }
+    if Left::of(&proof.as_logged, figures, 0.0).is_none() {
+        return Some(Standing::Below);
+    }
+    if Left::of(&proof.as_logged, figures, near).is_none() {
+        return Some(Standing::Noise);
+    }
+    let left = match Left::of(explained, figures, near) {
+        // FRM001 says what is left of /tf, of which it is all.
+        Some(left) if named.says_of_tf(arm, stream, &left) => {
+            return Some(Standing::Accounted { is_named: true });
+        }
+        // Against a frame that nobody knows, what is logged is off by any amount.
+        Some(left) if proof.left.is_none() && !stream.reference_known => {
+            return Some(Standing::Open(left, vec!["ORD001"]));
+        }
+        Some(left) if left.is_sure(figures) || comes_again(found, figures, subjects) => {
+            return Some(Standing::Left(left));
+        }
+        left => left,
+    };
+    let causes = Causes::of(named, arm, stream);
+    let as_logged = || Some(&proof.as_logged);
+    let unexplained = match (causes.joints.is_empty(), causes.poses.is_empty()) {
+        (true, true) => None,
+        (false, true) => proof.beside_joints.as_ref().or_else(as_logged),
+        (true, false) => proof.beside_poses.as_ref().or_else(as_logged),
+        (false, false) => as_logged(),
+    };
+    Some(match unexplained.map_or(left, |error| Left::of(error, figures, near)) {
+        Some(left) if near > 0.0 && unexplained.is_none() && left.is_small(figures) => {
+            Standing::Small(left)
+        }
+        Some(left) => Standing::Open(left, [causes.joints, causes.poses].concat()),
+        None => Standing::Accounted { is_named: causes.is_named },
+    })
+}
+
+/// Whether what is left of /tf is what degrees leave that are read as radians: such joints race through
+/// nearly a turn from one sample to the next. Beside it two publishers may be apart.
+fn races(error: &Error, named: &Named, stream: &Of<PoseFacts>, figures: &FrameFigures) -> bool {
+    /// In figures.
+    const MOST: f64 = 5.0;
+    let apart = named.doubled.iter().filter(|(topic, ..)| topic == stream.topic());
+    let (by_m, by_rad) = apart
+        .map(|(_, by, edges)| (by.length_m * *edges as f64, by.angle_rad * *edges as f64))
+        .fold((0.0, 0.0), |sum, by| (sum.0 + by.0, sum.1 + by.1));
+    sizes(error, figures)
+        .zip([by_m, by_rad])
+        .all(|((size, figure), by)| size.whole.rms < MOST * figure.warning + ROOM * by)
+}
+
+/// Whether what is left comes again with the posture, which noise does not, however little of it is known
+/// from sample to sample.
+fn comes_again(found: &PoseDiagnosis, figures: &FrameFigures, subjects: usize) -> bool {
+    found.residual.as_ref().is_ok_and(|residual| {
+        let Residual { excess_m, excess_rad, .. } = residual;
+        matches!(decide_both(excess_m, excess_rad, figures, subjects), Decision::Fail(_))
+    })
+}
+
+impl Left {
+    /// What of `error` reaches the figures and is more than `near` times what differs from sample to
+    /// sample; `None` where none is.
+    fn of(error: &Error, figures: &FrameFigures, near: f64) -> Option<Self> {
+        let mut parts: Vec<(f64, Severity, Part)> = Vec::new();
+        for (size, figure) in sizes(error, figures) {
+            parts.extend(size.parts.iter().filter_map(|part| {
+                let Amount { most, noise, .. } = part.amount;
+                let is_more = most > near * noise.map_or(0.0, |noise| noise.most);
+                let severity = figure.severity(most).filter(|_| is_more)?;
+                Some((most / figure.warning, severity, *part))
+            }));
+        }
+        let (_, _, worst) = *parts.iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let severity = parts.iter().map(|(_, severity, _)| *severity).max()?;
+        let mut parts: Vec<Part> = parts.into_iter().map(|(_, _, part)| part).collect();
+        parts.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
+        parts.dedup_by(|a, b| a.from_s == b.from_s);
+        Some(Self { severity, error: error.clone(), worst, parts })
+    }
+
+    /// What of `error` reaches the figures and is not near what differs from sample to sample.
+    pub fn beyond(error: &Error, figures: &FrameFigures) -> Option<Self> {
+        Self::of(error, figures, NEAR)
+    }
+
+    /// Whether it is what amounts below a figure at every joint leave together.
+    fn is_small(&self, figures: &FrameFigures) -> bool {
+        let small = |amount: &Amount, warning: f64| {
+            amount.rms < LASTING * warning && amount.most < TOGETHER * warning
+        };
+        sizes(&self.error, figures).all(|(size, figure)| {
+            let in_parts = size.parts.iter().all(|part| small(&part.amount, figure.warning));
+            size.whole.rms < figure.warning && in_parts
+        })
+    }
+
+    /// Whether over the whole run the error reaches its figure in the mean square too, and is in some part
+    /// surely beyond measured noise.
+    fn is_sure(&self, figures: &FrameFigures) -> bool {
+        let sure = |part: &Part| {
+            let Amount { rms, noise, .. } = part.amount;
+            noise.is_some_and(|noise| rms >= BEYOND * noise.rms)
+        };
+        sizes(&self.error, figures)
+            .any(|(size, figure)| size.whole.rms >= figure.warning && size.parts.iter().any(sure))
+    }
+
+    /// Whether it is left in some part at the same time as `other`.
+    pub fn shares(&self, other: &Left) -> bool {
+        let meets = |a: &Part, b: &Part| a.from_s < b.to_s && b.from_s < a.to_s;
+        other.parts.iter().any(|part| meets(part, &self.worst))
+    }
+}
+
+fn sizes<'a>(
+    error: &'a Error,
+    figures: &'a FrameFigures,
+) -> impl Iterator<Item = (&'a Size, &'a super::Figure)> {
+    let angle = error.angle.as_ref().map(|angle| (angle, &figures.angle));
+    std::iter::once((&error.length, &figures.length)).chain(angle)
+}
+
+/// Which of the causes found on a stream are open, and whether any is named.
+struct Causes {
+    joints: Vec<&'static str>,
+    poses: Vec<&'static str>,
+    is_named: bool,
+}
+
+impl Causes {
+    fn of(named: &Named, arm: &ArmFacts, stream: &Of<PoseFacts>) -> Self {
+        let found = &stream.diagnosis;
+        let chosen = |is: bool, code: &'static str| is.then_some(code);
+        let unsteady = found.course.as_ref().is_ok_and(|course| course.is_unsteady);
+        let times: Vec<&str> =
+            [Some("LAT001"), chosen(found.skew_chosen, "LAT002"), chosen(unsteady, "LAT003")]
+                .into_iter()
+                .flatten()
+                .collect();
+        let frame = |frame: &Seen<FrameEstimate>| frame.as_ref().is_ok_and(|frame| frame.chosen);
+        // Orientations that were logged and not read are not accounted for.
+        let has_angle = stream.proof.as_ref().is_ok_and(|proof| proof.as_logged.angle.is_some());
+        let reading = match &found.reading {
+            Ok(reading) => reading.inverted || !reading.best.is_as_logged(),
+            Err(_) => has_angle,
+        };
+        let poses: Vec<&str> = [
+            chosen(frame(&found.reference) || frame(&found.tool), "FRM001"),
+            chosen(frame(&found.reference) && stream.reference_known, "FRM002"),
+            chosen(frame(&found.tool), "FRM003"),
+            chosen(reading, "ORD001"),
+            chosen(reading, "ORD002"),
+            chosen(reading, "ORD003"),
+            chosen(found.degrees.is_some(), "ORD004"),
+            chosen(matches!(found.length, Ok(Some(_))), "ORD008"),
+            chosen(matches!(found.axes, Ok(Some(_))), "ORD010"),
+            chosen(!found.constant.is_empty(), "ORD011"),
+            chosen(found.growth_chosen, "ZER002"),
+        ]
+        .into_iter()
+        .flatten()
+        .collect();
+        let offsets = arm.joints.iter().zip(&arm.diagnosis.offsets);
+        let zeros = offsets.filter(|(_, offset)| offset.chosen).map(|(joint, _)| &joint.name);
+        let slips = arm.diagnosis.reading.iter().flat_map(|reading| &reading.slips);
+        let read = slips.filter_map(|slip| Some(&arm.joints.get(slip.column)?.name));
+        let of_joints = named
+            .on(arm, stream.topic(), &times)
+            .chain(named.on(arm, &arm.joints_topic, &["LAT001", "ORD004", "ORD005", "ORD009"]))
+            .chain(zeros.flat_map(|joint| named.on(arm, joint, &["ZER001"])))
+            .chain(read.flat_map(|joint| named.on(arm, joint, &["ORD004", "ORD008", "ORD009"])));
+        let of_joints: Vec<_> = of_joints.collect();
+        let of_poses: Vec<_> = named.on(arm, stream.topic(), &poses).collect();
+        let is_named = |(_, outcome): &(&str, &Outcome)| is_faulty(outcome);
+        let open = |of: &[(&'static str, &Outcome)]| -> Vec<&'static str> {
+            let mut open: Vec<&str> = of
+                .iter()
+                .filter(|(_, outcome)| matches!(outcome, Outcome::Inconclusive(_)))
+                .map(|(code, _)| *code)
+                .collect();
+            open.dedup();
+            open
+        };
+        Self {
+            is_named: !stream.reference_known
+                || stream.bare_numbers
+                || of_joints.iter().chain(&of_poses).any(is_named),
+            joints: open(&of_joints),
+            poses: open(&of_poses),
+        }
+    }
+}
+
+/// Where more than this is left, rms m, the model may be another arm's.
+const UNEXPLAINED_M: f64 = 5e-3;
+/// A cause that moves poses by so many times what is left is there whatever else is.
+const FAR_BEYOND: f64 = 10.0;
+
+/// Why a cause that moves the poses of `arm` by `effect_m` cannot be believed, where it cannot: what
+/// is left beside it makes it a part of whatever the model does not have.
+pub(super) fn doubt(arm: &ArmFacts, effect_m: f64) -> Option<String> {
+    let left = arm.poses.iter().filter_map(|stream| stream.diagnosis.residual.as_ref().ok());
+    let left_m = left.map(|residual| residual.excess_m.value).fold(0.0, f64::max);
+    (left_m > UNEXPLAINED_M && effect_m < FAR_BEYOND * left_m).then(|| {
+        let left = Unit::Metre.show(left_m);
+        format!("{left} is left that nothing explains (MDL001); check the model")
+    })
+}

@@ -1,0 +1,145 @@
+//! Poses as JSON.
+
+use poseaudit::desk::{Answer, Hypothesis, Inversion, Reading, Sheets, Tool, Verdict};
+use poseaudit::geometry::vendors::Use;
+use poseaudit::geometry::{Pose, xyz_of, xyzw_from_rotation};
+use serde_json::{Value, json};
+
+fn pose_as_json(pose: &Pose) -> Value {
+    let matrix = pose.to_homogeneous();
+    let rows: [[f64; 4]; 4] =
+        std::array::from_fn(|row| std::array::from_fn(|column| matrix[(row, column)] + 0.0));
+    json!({
+        "xyz_m": xyz_of(pose),
+        "xyzw": xyzw_from_rotation(&pose.rotation),
+        "matrix": rows,
+    })
+}
+
+fn reading_as_json(reading: &Reading) -> Value {
+    let angle = reading.form.has_angles().then(|| reading.angle.symbol());
+    json!({
+        "convention": reading.form.to_string(),
+        "angles": angle,
+        "lengths": reading.has_position.then(|| reading.length.to_string()),
+    })
+}
+
+fn uses_as_json(uses: &[&'static Use]) -> Vec<Value> {
+    let entry = |entry: &&'static Use| {
+        json!({
+            "who": entry.who,
+            "what": entry.what,
+            "units": entry.units.to_string(),
+            "confirmed": entry.is_confirmed,
+            "source": entry.source,
+        })
+    };
+    uses.iter().map(entry).collect()
+}
+
+pub(super) fn sheets_as_json(sheets: &Sheets) -> Value {
+    let schema = "poseaudit.pose/1";
+    match sheets {
+        Sheets::One(sheet) => {
+            let rows = sheet.rows.iter().map(|row| {
+                let names = row
+                    .names
+                    .iter()
+                    .map(|library| json!({"who": library.who, "name": library.name}));
+                json!({
+                    "convention": row.form.to_string(),
+                    "numbers": row.numbers,
+                    "gimbal_margin_rad": row.gimbal_margin_rad,
+                    "used_by": uses_as_json(&row.uses),
+                    "called": names.collect::<Vec<_>>(),
+                })
+            });
+            let code = sheet.code_of_numbers.iter().chain(&sheet.code_of_quaternion);
+            let code = code.map(|line| json!({"library": line.library, "line": line.line}));
+            json!({
+                "schema": schema,
+                "read_as": reading_as_json(&sheet.reading),
+                "notes": sheet.notes,
+                "has_position": sheet.has_position,
+                "pose": pose_as_json(&sheet.pose),
+                "conventions": rows.collect::<Vec<_>>(),
+                "code": code.collect::<Vec<_>>(),
+            })
+        }
+        Sheets::Several { candidates, notes } => {
+            let candidates = candidates.iter().map(|candidate| {
+                json!({
+                    "read_as": reading_as_json(&candidate.reading),
+                    "pose": pose_as_json(&candidate.pose),
+                    "used_by": uses_as_json(&candidate.uses),
+                })
+            });
+            json!({"schema": schema, "notes": notes, "candidates": candidates.collect::<Vec<_>>()})
+        }
+    }
+}
+
+pub(super) fn answer_as_json(answer: &Answer, pairs: usize) -> Value {
+    let hypotheses: Vec<Value> = answer.hypotheses.iter().map(hypothesis_as_json).collect();
+    let would_do = answer.would_do.as_ref().map(|would_do| {
+        json!({"is_from_but": pose_as_json(&would_do.tool), "is_translation": would_do.is_translation})
+    });
+    json!({
+        "schema": "poseaudit.reconciled/1",
+        "verdict": match answer.verdict {
+            Verdict::Reconciled => "reconciled",
+            Verdict::Ambiguous => "ambiguous",
+            Verdict::Open => "open",
+        },
+        "pairs": pairs,
+        "as_good": answer.as_good,
+        "hypotheses": hypotheses,
+        "would_do": would_do,
+        "tried": answer.tried,
+        "by_chance": answer.by_chance,
+        "notes": answer.notes,
+    })
+}
+
+fn hypothesis_as_json(hypothesis: &Hypothesis) -> Value {
+    let equivalents = hypothesis
+        .equivalents
+        .iter()
+        .map(|[is, but]| json!({"is": reading_as_json(is), "but": reading_as_json(but)}));
+    let base = hypothesis.base.as_ref().map(|base| {
+        json!({"is": base.is, "but": base.but, "arms": base.arms, "but_from_is": pose_as_json(&base.transform)})
+    });
+    let tool = match &hypothesis.tool {
+        Tool::None => Value::Null,
+        Tool::Frames(tip) => {
+            json!({"is": tip.is, "but": tip.but, "arms": tip.arms, "also": tip.also, "is_from_but": pose_as_json(&tip.transform)})
+        }
+        Tool::Fitted(tool) => json!({"fitted": true, "is_from_but": pose_as_json(tool)}),
+    };
+    let residual = &hypothesis.residual;
+    json!({
+        "is": reading_as_json(&hypothesis.is),
+        "but": reading_as_json(&hypothesis.but),
+        "inversion": match hypothesis.inversion {
+            Inversion::None => Value::Null,
+            Inversion::Pose => "pose-inverse".into(),
+            Inversion::Rotation => "transpose".into(),
+        },
+        "misreading": hypothesis.misreading.map(|misreading| {
+            json!({"is": misreading.is.to_string(), "read_as": misreading.read_as.to_string()})
+        }),
+        "base": base,
+        "tool": tool,
+        "claims": hypothesis.claims(),
+        "residual": {
+            "rotation_rad": residual.rotation_rad,
+            "position_m": residual.position_m,
+            "worst_rotation_rad": residual.worst_rotation_rad,
+            "worst_position_m": residual.worst_position_m,
+        },
+        "agrees": residual.agrees(),
+        "score": hypothesis.score,
+        "equivalents": equivalents.collect::<Vec<_>>(),
+    })
+}

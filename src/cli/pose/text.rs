@@ -1,0 +1,311 @@
+//! Poses for a reader.
+
+use std::io::{self, Write};
+
+use poseaudit::desk::{
+    Answer, Candidate, Hypothesis, Pasted, Reading, Residual, Row, Sheet, Tool, Verdict,
+};
+use poseaudit::finding::rounded;
+use poseaudit::geometry::vendors::{self, Use};
+use poseaudit::geometry::{Coding, Convention, Pose, xyz_of, xyzw_from_rotation};
+
+/// How wide the names of users run.
+const USERS_WIDTH: usize = 56;
+
+fn listed(numbers: &[f64], digits: usize) -> String {
+    let width = digits + 6;
+    let numbers = numbers.iter().map(|number| format!("{:>width$}", rounded(*number, digits)));
+    numbers.collect::<Vec<_>>().join("")
+}
+
+fn degrees(numbers: &[f64]) -> Vec<f64> {
+    numbers.iter().map(|angle| angle.to_degrees()).collect()
+}
+
+/// Those who use something, each once; `?` behind those that are not confirmed.
+fn users(uses: &[&'static Use]) -> Vec<String> {
+    let mut names: Vec<String> = Vec::new();
+    for entry in uses {
+        let name = format!("{}{}", entry.who, if entry.is_confirmed { "" } else { " (?)" });
+        if !names.contains(&name) {
+            names.push(name);
+        }
+    }
+    names
+}
+
+/// Names with commas, in lines.
+fn in_lines(names: &[String], width: usize) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for (at, name) in names.iter().enumerate() {
+        let comma = if at + 1 < names.len() { "," } else { "" };
+        let word = format!("{name}{comma}");
+        match lines.last_mut() {
+            Some(line) if line.chars().count() + word.chars().count() < width => {
+                line.push(' ');
+                line.push_str(&word);
+            }
+            _ => lines.push(word),
+        }
+    }
+    lines
+}
+
+/// `left` and `right` beside each other, behind a name of 16 columns.
+fn beside(out: &mut dyn Write, name: &str, left: &[String], right: &[String]) -> io::Result<()> {
+    let width = left.iter().map(|line| line.chars().count()).max().unwrap_or(0).max(44);
+    for at in 0..left.len().max(right.len()) {
+        let name = if at == 0 { name } else { "" };
+        let [left, right] = [left, right].map(|lines| lines.get(at).map_or("", String::as_str));
+        writeln!(out, "{}", format!("{name:16}{left:width$}  {right}").trim_end())?;
+    }
+    Ok(())
+}
+
+pub(super) fn write_sheet(sheet: &Sheet, pasted: &Pasted, out: &mut dyn Write) -> io::Result<()> {
+    writeln!(out, "{:16}{} ({})", "read as", sheet.reading, pasted.kind)?;
+    for note in &sheet.notes {
+        writeln!(out, "{:16}{note}", "")?;
+    }
+    writeln!(out)?;
+    if sheet.has_position {
+        let xyz = xyz_of(&sheet.pose);
+        let left =
+            [format!("m  {}", listed(&xyz, 6)), format!("mm {}", listed(&xyz.map(|x| 1e3 * x), 3))];
+        beside(out, "position", &left, &[])?;
+    }
+    for row in &sheet.rows {
+        write_row(row, out)?;
+    }
+    let others: Vec<&Row> = sheet.rows.iter().filter(|row| row.uses.is_empty()).collect();
+    writeln!(out, "\nother orders, °")?;
+    for pair in others.chunks(2) {
+        let shown = pair.iter().map(|row| {
+            let mark = if row.is_near_lock() { "!" } else { " " };
+            format!("{:15}{mark}{}", row.form.to_string(), listed(&degrees(&row.numbers), 4))
+        });
+        writeln!(out, "{}", shown.collect::<Vec<_>>().join("    ").trim_end())?;
+    }
+    if others.iter().any(|row| row.is_near_lock()) {
+        writeln!(out, "! within 5° of gimbal lock")?;
+    }
+    let of_numbers = format!("code, from {}", sheet.reading.form);
+    for (title, lines) in [
+        (of_numbers.as_str(), &sheet.code_of_numbers),
+        ("code, from the quaternion", &sheet.code_of_quaternion),
+    ] {
+        if lines.is_empty() {
+            continue;
+        }
+        writeln!(out, "\n{title}")?;
+        for line in lines {
+            writeln!(out, "{:20}{}", line.library, line.line)?;
+        }
+    }
+    Ok(())
+}
+
+/// A convention that somebody uses.
+fn write_row(row: &Row, out: &mut dyn Write) -> io::Result<()> {
+    if row.uses.is_empty() {
+        return Ok(());
+    }
+    let mut left = match row.form {
+        Coding::Three(_) => vec![
+            format!("deg{}", listed(&degrees(&row.numbers), 4)),
+            format!("rad{}", listed(&row.numbers, 6)),
+        ],
+        Coding::Xyzw | Coding::Wxyz => vec![format!("   {}", listed(&row.numbers, 6))],
+        Coding::Rows => {
+            row.numbers.chunks(3).map(|line| format!("   {}", listed(line, 6))).collect()
+        }
+        // Those of the rows, turned.
+        Coding::Columns => vec!["   the same, column by column".to_owned()],
+    };
+    if let (true, Some(margin_rad)) = (row.is_near_lock(), row.gimbal_margin_rad) {
+        left.push(format!("   {:.2}° from gimbal lock", margin_rad.to_degrees()));
+    }
+    let mut names = users(&row.uses);
+    let named = row.names.iter().filter(|library| !library.who.starts_with("SciPy"));
+    names.extend(named.map(|library| format!("{} {}", library.who, library.name)));
+    beside(out, &row.form.to_string(), &left, &in_lines(&names, USERS_WIDTH))
+}
+
+pub(super) fn write_candidates(
+    candidates: &[Candidate],
+    notes: &[String],
+    out: &mut dyn Write,
+) -> io::Result<()> {
+    writeln!(
+        out,
+        "{:16}the numbers do not say in which convention they are; --from does",
+        "left open"
+    )?;
+    for note in notes {
+        writeln!(out, "{:16}{note}", "")?;
+    }
+    writeln!(out, "\n{:16}{:46}used by", "if it is", "the rotation is x y z w")?;
+    for candidate in candidates {
+        let left = [listed(&xyzw_from_rotation(&candidate.pose.rotation), 6)];
+        let right = in_lines(&users(&candidate.uses), USERS_WIDTH);
+        beside(out, &candidate.reading.form.to_string(), &left, &right)?;
+    }
+    let makers: Vec<String> = vendors::names().map(str::to_owned).collect();
+    writeln!(out)?;
+    for (at, line) in in_lines(&makers, 80).iter().enumerate() {
+        writeln!(out, "{:16}{line}", if at == 0 { "also --from" } else { "" })?;
+    }
+    Ok(())
+}
+
+fn left(residual: &Residual) -> String {
+    let mut left = format!("{:.2}°", residual.rotation_rad.to_degrees());
+    if let Some(position_m) = residual.position_m {
+        left += &format!(", {:.2} mm", 1e3 * position_m);
+    }
+    left
+}
+
+/// Position in mm, then roll, pitch and yaw in degrees.
+fn frame_text(pose: &Pose) -> String {
+    let joined = |numbers: &[f64]| {
+        let numbers: Vec<String> = numbers.iter().map(|number| rounded(*number, 2)).collect();
+        numbers.join(" ")
+    };
+    let xyz = joined(&xyz_of(pose).map(|x| 1e3 * x));
+    let rpy = joined(&degrees(&Convention::RPY.numbers(&pose.rotation)));
+    format!("xyz {xyz} mm, rpy {rpy}°")
+}
+
+pub(super) fn write_answer(answer: &Answer, pairs: usize, out: &mut dyn Write) -> io::Result<()> {
+    let of = if pairs == 1 { "one pair".to_owned() } else { format!("{pairs} pairs, rms") };
+    let head = match answer.verdict {
+        Verdict::Reconciled => "reconciled",
+        Verdict::Ambiguous => "ambiguous",
+        Verdict::Open => "not reconciled",
+    };
+    if answer.hypotheses.is_empty() {
+        writeln!(out, "{head:16}nothing that was tried comes near")?;
+    }
+    let mut last = "";
+    for (at, hypothesis) in answer.hypotheses.iter().enumerate() {
+        if at < answer.as_good.max(1) {
+            write_hypothesis(if at == 0 { head } else { "or as well" }, hypothesis, &of, out)?;
+            continue;
+        }
+        let label = if hypothesis.residual.agrees() { "the longer way" } else { "worse" };
+        let name = if label == last { "" } else { label };
+        last = label;
+        writeln!(out, "{name:16}{:22}{}", left(&hypothesis.residual), in_short(hypothesis))?;
+    }
+    write_cautions(answer, out)
+}
+
+fn write_hypothesis(
+    name: &str,
+    hypothesis: &Hypothesis,
+    of: &str,
+    out: &mut dyn Write,
+) -> io::Result<()> {
+    let claims = hypothesis.claims();
+    let mut name = name;
+    let mut line = |out: &mut dyn Write, text: &str| {
+        let done = writeln!(out, "{name:16}{text}");
+        name = "";
+        done
+    };
+    line(out, &format!("{} left ({of})", left(&hypothesis.residual)))?;
+    for (side, reading) in [("is ", hypothesis.is), ("but", hypothesis.but)] {
+        let names = in_lines(&users(&uses_with_units(&reading)), USERS_WIDTH);
+        let names = names.first().map_or(String::new(), |first| match names.len() {
+            1 => first.clone(),
+            _ => format!("{first} …"),
+        });
+        line(out, format!("{side}  {:24}{names}", reading.to_string()).trim_end())?;
+    }
+    for claim in &claims {
+        line(out, claim)?;
+    }
+    match &hypothesis.tool {
+        Tool::None => {}
+        Tool::Frames(frames) => {
+            let transform = frame_text(&frames.transform);
+            line(out, &format!("{} → {}: {transform}", frames.is, frames.but))?;
+            if !frames.also.is_empty() {
+                line(out, &format!("as far apart: {}", frames.also.join(", ")))?;
+            }
+        }
+        Tool::Fitted(tool) => line(out, &format!("tool: {}", frame_text(tool)))?,
+    }
+    if !hypothesis.equivalents.is_empty() {
+        let names = equivalents(hypothesis);
+        line(out, "these numbers cannot tell it from:")?;
+        for names in in_lines(&names, 80) {
+            line(out, &format!("  {names}"))?;
+        }
+    }
+    Ok(())
+}
+
+/// The other readings that leave as much.
+fn equivalents(hypothesis: &Hypothesis) -> Vec<String> {
+    let (alike, unlike): (Vec<&[Reading; 2]>, Vec<&[Reading; 2]>) =
+        hypothesis.equivalents.iter().partition(|[is, but]| is.form == but.form);
+    let mut names: Vec<String> = Vec::new();
+    for [is, but] in unlike {
+        let name = match (is.form == hypothesis.is.form, but.form == hypothesis.but.form) {
+            (true, _) => format!("`but` as {}", but.form),
+            (_, true) => format!("`is` as {}", is.form),
+            _ => format!("{} and {}", is.form, but.form),
+        };
+        if !names.contains(&name) {
+            names.push(name);
+        }
+    }
+    match alike.as_slice() {
+        [] => {}
+        [[both, _]] => names.push(format!("both as {}", both.form)),
+        several => names.push(format!("both in one of {} other conventions", several.len())),
+    }
+    names
+}
+
+/// An explanation on one line.
+fn in_short(hypothesis: &Hypothesis) -> String {
+    let mut parts = vec![format!("is {}; but {}", hypothesis.is, hypothesis.but)];
+    parts.extend(hypothesis.claims());
+    parts.join("; ")
+}
+
+fn write_cautions(answer: &Answer, out: &mut dyn Write) -> io::Result<()> {
+    if let Some(would_do) = &answer.would_do {
+        let what = match would_do.is_translation {
+            true => "the rotations agree; this constant tool would do for the rest",
+            false => "this constant tool would do, as some tool does for any one pair",
+        };
+        writeln!(out, "\n{:16}{what}; several pairs would tell", "no claim")?;
+        writeln!(out, "{:16}tool: {}", "", frame_text(&would_do.tool))?;
+    }
+    if let Some(by_chance) = answer.by_chance.filter(|by_chance| *by_chance >= 0.01)
+        && answer.verdict != Verdict::Open
+    {
+        writeln!(
+            out,
+            "\n{:16}{} readings were tried; of as many random rotations {by_chance:.2} would come as close",
+            "chance", answer.tried
+        )?;
+    }
+    for note in &answer.notes {
+        writeln!(out, "\n{:16}{note}", "caution")?;
+    }
+    Ok(())
+}
+
+/// Those who use the form of `reading` in its units.
+fn uses_with_units(reading: &Reading) -> Vec<&'static Use> {
+    let in_units = |entry: &&'static Use| {
+        (!reading.has_position || entry.units.length == Some(reading.length))
+            && (!reading.form.has_angles() || entry.units.angle == Some(reading.angle))
+    };
+    vendors::uses_of(reading.form).filter(in_units).collect()
+}

@@ -1,0 +1,184 @@
+//! What was read from the files of one run.
+
+use std::path::PathBuf;
+
+use crate::stream::Columns;
+use crate::time::Stamp;
+
+/// All that was read from the files of one run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Log {
+    /// The files, in the order given.
+    pub files: Vec<LogFile>,
+    /// The topics of all files, in the order of their names.
+    pub topics: Vec<Topic>,
+    /// Robot descriptions and calibrations found beside the messages, in attachments and metadata.
+    pub descriptions: Vec<Description>,
+    /// Messages read, of whatever type.
+    pub messages: u64,
+    /// First and last log time; `None` without messages.
+    pub span: Option<(Stamp, Stamp)>,
+    /// What was damaged, in the order of the files and of the bytes in them.
+    pub losses: Vec<Loss>,
+    /// What a reader of a report should know of the files, and is no damage.
+    pub notes: Vec<Note>,
+}
+
+impl Log {
+    /// Whether the log holds `/clock`, the mark of simulation time.
+    pub fn has_clock(&self) -> bool {
+        self.topics.iter().any(|topic| topic.name.trim_start_matches('/') == "clock")
+    }
+}
+
+/// One file that was read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LogFile {
+    /// Path as given; of a file in a folder, the folder's path and its name.
+    pub path: PathBuf,
+    /// What kind of file it is.
+    pub container: Container,
+    /// Size of the file.
+    pub bytes: u64,
+    /// How many bytes were fetched to read it; `None` for a file that was there.
+    pub fetched: Option<u64>,
+    /// How many of its messages a checksum vouches for.
+    pub crc: Crc,
+}
+
+/// The kind of a log file.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Container {
+    /// An MCAP file.
+    Mcap,
+    /// A ROS 1 bag of version 2.0.
+    RosBag1,
+    /// A SQLite database of rosbag2.
+    RosBag2Sqlite,
+    /// An MCAP file of a rosbag2 folder.
+    RosBag2Mcap,
+    /// What Universal Robots' RTDE client writes.
+    RtdeCsv,
+}
+
+impl Container {
+    /// The name used in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Container::Mcap => "mcap",
+            Container::RosBag1 => "rosbag1",
+            Container::RosBag2Sqlite => "rosbag2-sqlite",
+            Container::RosBag2Mcap => "rosbag2-mcap",
+            Container::RtdeCsv => "rtde-csv",
+        }
+    }
+}
+
+/// How many of a file's messages are covered by a checksum that was checked and held.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Crc {
+    /// Every message that was read.
+    All,
+    /// Some of them.
+    Partial,
+    /// None of them.
+    None,
+}
+
+impl Crc {
+    /// What it is where a checksum holds for `covered` of `read` messages.
+    pub(super) fn of(covered: u64, read: u64) -> Self {
+        match covered {
+            0 => Crc::None,
+            covered if covered < read => Crc::Partial,
+            _ => Crc::All,
+        }
+    }
+
+    /// The name used in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Crc::All => "all",
+            Crc::Partial => "partial",
+            Crc::None => "none",
+        }
+    }
+}
+
+/// One topic, over all files.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Topic {
+    /// Topic name.
+    pub name: String,
+    /// Type name as the log spells it, such as `sensor_msgs/msg/JointState`; empty without a schema.
+    pub type_name: String,
+    /// Encoding of the messages, such as `cdr`.
+    pub encoding: String,
+    /// Messages read, decoded or not.
+    pub messages: u64,
+    /// What they held; `None` for types that an audit does not use, or where none could be decoded.
+    pub columns: Option<Columns>,
+    /// Messages of a type that an audit uses, which could not be decoded.
+    pub undecodable: Option<Undecodable>,
+    /// Why there are no columns, where its messages could be decoded and are of no use.
+    pub useless: Option<String>,
+    /// First and last log time; `None` without messages.
+    pub span: Option<(Stamp, Stamp)>,
+}
+
+/// Messages of one topic that could not be decoded.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Undecodable {
+    /// How many.
+    pub messages: u64,
+    /// Why the first of them could not, in one line.
+    pub first: String,
+}
+
+/// A robot description or a UR's calibration that travelled in the log, but not as a message.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Description {
+    /// Name of the attachment or the metadata entry.
+    pub name: String,
+    /// The text: XML of a URDF, or YAML of a calibration.
+    pub text: String,
+}
+
+/// A part of a file that could not be read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Loss {
+    /// The file.
+    pub file: PathBuf,
+    /// Where in the file the damage begins, in bytes; `None` where it is not at one place.
+    pub offset: Option<u64>,
+    /// What is wrong there, in one line.
+    pub what: String,
+    /// How many messages are lost; `None` where nothing in the file says.
+    pub messages: Option<u64>,
+    /// First and last log time of what was there; `None` where nothing in the file says.
+    pub span: Option<(Stamp, Stamp)>,
+    /// What kind of content is gone.
+    pub extent: Extent,
+}
+
+/// What a reader of a report should know of a file, though nothing in it is damaged.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Note {
+    /// The file.
+    pub file: PathBuf,
+    /// What to know, in one line.
+    pub what: String,
+}
+
+/// What a [`Loss`] took.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
+pub enum Extent {
+    /// Index, summary, footer or an attachment: every message is there.
+    Index,
+    /// The end of the file within its last record, as when a recorder is killed.
+    Tail,
+    /// Messages amid the file.
+    Messages,
+    /// What this program does not read unasked, and is no damage.
+    Unread,
+}

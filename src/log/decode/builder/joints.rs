@@ -1,0 +1,174 @@
+//! Joint states, appended row by row.
+
+use std::collections::HashMap;
+
+use super::super::row::{self, Names, Row, RowTimes};
+use super::super::schema::bounded;
+use super::values::{keep_first, push_times};
+use crate::stream::{JointColumn, JointColumns, usable};
+
+/// Most joint names a topic may have. Rows are dense, so that a message with a new name each time
+/// would fill the memory; the largest humanoids have below a hundred joints.
+const MAX_JOINTS: usize = 256;
+
+/// Once this many values are of joints that their message did not name (a gigabyte of them), …
+const ABSENT_CELLS: usize = 1 << 26;
+/// … one in so many values must be of one that it did: a topic has no more senders.
+const SENDERS: usize = 8;
+
+/// A message with joints for which there is no room.
+#[derive(Debug, thiserror::Error)]
+pub(in crate::log) enum TooManyJoints {
+    /// It names more joints than a topic may have.
+    #[error("more than {MAX_JOINTS} different joint names on one topic")]
+    Names,
+    /// Too many of the joints that were named before are not in this message and most others.
+    #[error("most of the topic's joints are in hardly any of its messages")]
+    Absent,
+}
+
+/// Joint states, with the way from a message's names to their columns.
+#[derive(Debug, Default)]
+pub(in crate::log::decode) struct Joints {
+    /// Index into [`Row::lists`] of the positions,
+    pub(super) positions: usize,
+    /// and of the velocities.
+    pub(super) velocities: usize,
+    pub(super) columns: JointColumns,
+    pub(super) by_name: HashMap<String, usize>,
+    /// Names of the message before, which the next one mostly repeats,
+    pub(super) names: Names,
+    /// and the column of each,
+    pub(super) order: Vec<usize>,
+    /// and whether that is every column once.
+    pub(super) is_complete: bool,
+    /// Values of all rows, and how many of them no message had.
+    pub(super) cells: usize,
+    pub(super) absent: usize,
+}
+
+impl Joints {
+    pub(super) fn of(positions: usize, velocities: usize) -> Self {
+        Self { positions, velocities, ..Self::default() }
+    }
+
+    pub(super) fn append(&mut self, row: &Row, times: RowTimes) -> Result<(), TooManyJoints> {
+        let [positions, velocities] =
+            [self.positions, self.velocities].map(|index| row.lists[index].as_slice());
+        let unnamed = self.columns.unnamed;
+        if !unnamed && positions.len() != row.names.len() {
+            self.columns.wrong_length += 1;
+            return Ok(());
+        }
+        if unnamed && positions.len() != self.names.len() {
+            self.map_names(&usual_names(positions.len()))?;
+        } else if !unnamed && row.names != self.names {
+            self.map_names(&row.names)?;
+        }
+        let (width, own) = (self.columns.joints.len(), self.order.len());
+        let (cells, absent) = (self.cells + width, self.absent + width.saturating_sub(own));
+        if is_too_sparse(cells, absent) {
+            return Err(TooManyJoints::Absent);
+        }
+        (self.cells, self.absent) = (cells, absent);
+        keep_first(&mut self.columns.frame_id, row.frame(row::FRAME));
+        let index = push_times(&mut self.columns.times, row.stamp(), times);
+        if !self.is_complete {
+            for joint in &mut self.columns.joints {
+                joint.position.push(f64::NAN);
+                joint.velocity.push(f64::NAN);
+            }
+        }
+        let with_velocity = velocities.len() == positions.len();
+        let mut contradicts = false;
+        for (i, (&column, &position)) in self.order.iter().zip(positions).enumerate() {
+            let velocity = if with_velocity { velocities[i] } else { f64::NAN };
+            let velocity = if usable(velocity) { velocity } else { f64::NAN };
+            let position = if usable(position) {
+                position
+            } else {
+                self.columns.drop_value(column);
+                f64::NAN
+            };
+            let joint = &mut self.columns.joints[column];
+            if self.is_complete {
+                joint.position.push(position);
+                joint.velocity.push(velocity);
+            } else {
+                // Of a name that is there twice the last value counts that is one.
+                if !position.is_nan() {
+                    let known = joint.position[index];
+                    contradicts |= !known.is_nan() && known != position;
+                    joint.position[index] = position;
+                }
+                if with_velocity {
+                    joint.velocity[index] = velocity;
+                }
+            }
+        }
+        self.columns.contradictory += u64::from(contradicts);
+        Ok(())
+    }
+
+    /// Finds the columns of `names`, and makes those that are new.
+    pub(super) fn map_names(&mut self, names: &Names) -> Result<(), TooManyJoints> {
+        // Should the columns run out halfway, the next message must be mapped anew.
+        self.names.clear();
+        self.order.clear();
+        self.is_complete = false;
+        let rows = self.columns.times.len();
+        for name in names.iter() {
+            let column = match self.by_name.get(name) {
+                Some(&column) => column,
+                None if self.columns.joints.len() == MAX_JOINTS => {
+                    return Err(TooManyJoints::Names);
+                }
+                None => {
+                    let absent = vec![f64::NAN; rows];
+                    self.columns.joints.push(JointColumn {
+                        name: bounded(name).into_owned(),
+                        position: absent.clone(),
+                        velocity: absent,
+                    });
+                    let column = self.columns.joints.len() - 1;
+                    self.by_name.insert(name.to_owned(), column);
+                    column
+                }
+            };
+            self.order.push(column);
+        }
+        let mut once = self.order.clone();
+        once.sort_unstable();
+        self.is_complete = once.iter().copied().eq(0..self.columns.joints.len());
+        self.names.clone_from(names);
+        Ok(())
+    }
+}
+
+/// Whether the rows of joint states take far more memory than what is in them, with so many values, of
+/// which so many are of joints that their message did not name.
+fn is_too_sparse(cells: usize, absent: usize) -> bool {
+    absent > ABSENT_CELLS && cells / SENDERS > cells - absent
+}
+
+/// What Franka's drivers call `count` joints unless told otherwise.
+fn usual_names(count: usize) -> Names {
+    let mut names = Names::default();
+    for joint in 1..=count {
+        names.push(format!("panda_joint{joint}").as_bytes());
+    }
+    names
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_of_single_joints_are_bounded_by_what_is_in_them() {
+        const MANY: usize = 1 << 30;
+        assert!(!is_too_sparse(MANY, MANY / 2));
+        assert!(!is_too_sparse(1 << 25, 1 << 25));
+        assert!(is_too_sparse(MANY, MANY - MANY / 20));
+    }
+}

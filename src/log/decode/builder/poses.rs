@@ -1,0 +1,189 @@
+//! Poses, appended row by row to the columns of their pair of frames.
+
+use std::collections::HashMap;
+
+use super::super::row::{self, Group, Row, RowTimes};
+use super::super::schema::bounded;
+use super::values::{all_usable, push_times, quaternion};
+use crate::stream::PoseColumns;
+
+/// What stands for the child frame of poses that are told apart by their place in the message; the
+/// first has none, as where it is the only one. Particle clouds and paths have more.
+const PLACES: [&str; 16] = [
+    "", "[1]", "[2]", "[3]", "[4]", "[5]", "[6]", "[7]", "[8]", "[9]", "[10]", "[11]", "[12]",
+    "[13]", "[14]", "[15]",
+];
+
+/// Most pairs of frames on one topic. The largest trees have a few hundred.
+pub(in crate::log) const MAX_FRAMES: usize = 1 << 12;
+
+/// What Gazebo calls the frame that its states are in.
+const SIMULATED_WORLD: &str = "world";
+
+/// Poses split by frame and child frame.
+#[derive(Debug, Default)]
+pub(in crate::log::decode) struct Poses {
+    pub(super) groups: Vec<PoseColumns>,
+    pub(super) by_frames: HashMap<String, usize>,
+    /// Scratch for a key of `by_frames`.
+    pub(super) key: String,
+    /// The group of the row before,
+    pub(super) last: usize,
+    /// and for each group the one whose row came after its own the last time: trees are published
+    /// in one order.
+    pub(super) next: Vec<usize>,
+    /// Rows of pairs of frames beyond [`MAX_FRAMES`].
+    pub(super) refused: u64,
+}
+
+impl Poses {
+    pub(super) fn append(&mut self, row: &Row, times: RowTimes) {
+        self.append_of(row.frame(row::FRAME), row.frame(row::CHILD), row, times);
+    }
+
+    pub(super) fn append_of(
+        &mut self,
+        frame_id: &str,
+        child_frame_id: &str,
+        row: &Row,
+        times: RowTimes,
+    ) {
+        let group = match row.group.get() {
+            Group::Known(group) => Some(group),
+            Group::Wanted | Group::ByTexts => self.group(frame_id, child_frame_id),
+        };
+        let Some(group) = group else {
+            self.refused += 1;
+            return;
+        };
+        if row.group.get() == Group::Wanted {
+            row.group.set(Group::Known(group));
+        }
+        let group = &mut self.groups[group];
+        let xyz = row.numbers::<3>(row::POSITION);
+        let q_xyzw = quaternion(row);
+        if !all_usable(&xyz) || !all_usable(&q_xyzw) {
+            group.not_finite += 1;
+            return;
+        }
+        push_times(&mut group.times, row.stamp(), times);
+        group.xyz.push(xyz);
+        group.q_xyzw.push(q_xyzw);
+    }
+
+    /// The group of a pair of frames; `None` where there are too many of them.
+    pub(super) fn group(&mut self, frame_id: &str, child_frame_id: &str) -> Option<usize> {
+        let group = self.find(frame_id, child_frame_id)?;
+        self.next.resize(self.groups.len(), 0);
+        if let Some(next) = self.next.get_mut(self.last) {
+            *next = group;
+        }
+        self.last = group;
+        Some(group)
+    }
+
+    pub(super) fn find(&mut self, frame_id: &str, child_frame_id: &str) -> Option<usize> {
+        let same = |group: &PoseColumns| {
+            group.frame_id == frame_id && group.child_frame_id == child_frame_id
+        };
+        let next = self.next.get(self.last).copied().unwrap_or(self.last);
+        let mut likely = [next, self.last].into_iter();
+        if let Some(group) = likely.find(|&group| self.groups.get(group).is_some_and(same)) {
+            return Some(group);
+        }
+        self.key.clear();
+        self.key.push_str(frame_id);
+        self.key.push('\0');
+        self.key.push_str(child_frame_id);
+        if let Some(&group) = self.by_frames.get(&self.key) {
+            return Some(group);
+        }
+        if self.groups.len() == MAX_FRAMES {
+            return None;
+        }
+        self.groups.push(PoseColumns {
+            frame_id: bounded(frame_id).into_owned(),
+            child_frame_id: bounded(child_frame_id).into_owned(),
+            ..PoseColumns::default()
+        });
+        let group = self.groups.len() - 1;
+        self.by_frames.insert(self.key.clone(), group);
+        Some(group)
+    }
+}
+
+/// The poses of messages that hold several at once.
+#[derive(Debug)]
+pub(in crate::log::decode) struct Crowd {
+    pub(super) poses: Poses,
+    pub(super) naming: Naming,
+    /// Most that a message held.
+    pub(super) most: usize,
+}
+
+/// How the poses of one message are told apart.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Naming {
+    /// By their place; see [`PLACES`].
+    Numbers,
+    /// By the name at their place, in the frame of the simulated world.
+    Names,
+}
+
+impl Naming {
+    pub(super) const fn most(self) -> usize {
+        match self {
+            Naming::Numbers => PLACES.len(),
+            Naming::Names => MAX_FRAMES,
+        }
+    }
+}
+
+impl Crowd {
+    pub(super) fn append(&mut self, row: &Row, times: RowTimes) {
+        self.most = self.most.max(row.index + 1);
+        if self.is_too_large() {
+            return;
+        }
+        match self.naming {
+            Naming::Numbers => {
+                self.poses.append_of(row.frame(row::FRAME), PLACES[row.index], row, times);
+            }
+            Naming::Names => {
+                if let Some(name) = row.names.get(row.index) {
+                    self.poses.append_of(SIMULATED_WORLD, name, row, times);
+                }
+            }
+        }
+    }
+
+    /// Whether a message held too many to be those of an arm.
+    pub(super) fn is_too_large(&self) -> bool {
+        self.most > self.naming.most()
+    }
+
+    /// The poses, unless they are too many to be an arm's.
+    pub(super) fn finalize(self) -> Option<Vec<PoseColumns>> {
+        let is_too_large = self.is_too_large();
+        let mut groups = self.poses.groups;
+        if self.naming == Naming::Names {
+            take_off_models(&mut groups);
+        }
+        (!is_too_large).then_some(groups)
+    }
+}
+
+/// Takes the model off `model::link` where the links can be told apart without it.
+fn take_off_models(groups: &mut [PoseColumns]) {
+    let link = |name: &str| name.rsplit("::").next().unwrap_or(name).to_owned();
+    let links: Vec<String> = groups.iter().map(|group| link(&group.child_frame_id)).collect();
+    let mut models = HashMap::<&str, usize>::new();
+    for link in &links {
+        *models.entry(link).or_default() += 1;
+    }
+    for (group, link) in groups.iter_mut().zip(&links) {
+        if models[link.as_str()] == 1 {
+            group.child_frame_id.clone_from(link);
+        }
+    }
+}

@@ -1,0 +1,104 @@
+//! Readings of IMUs, bare numbers and texts, appended row by row.
+
+use std::ops::Range;
+
+use super::super::row::{self, Row, RowTimes};
+use super::super::schema::bounded;
+use crate::stream::{ArrayColumns, ImuColumns, TextColumns, Times, usable};
+
+/// Most distinct texts kept of a topic.
+const MAX_TEXTS: usize = 64;
+
+/// Longest text kept, in bytes.
+const MAX_TEXT_BYTES: usize = 16 << 20;
+
+pub(super) fn append_imu(imu: &mut ImuColumns, row: &Row, times: RowTimes) {
+    keep_first(&mut imu.frame_id, row.frame(row::FRAME));
+    // REP 145: −1 in the first place says that there is no orientation.
+    let has_orientation = row.lists[row::VALUES].first() != Some(&-1.0);
+    let q_xyzw = if has_orientation { row.numbers(row::QUATERNION) } else { [0.0; 4] };
+    let gyro = row.numbers(row::GYRO);
+    let accel = row.numbers(row::ACCEL);
+    if !all_usable(&q_xyzw) || !all_usable(&gyro) || !all_usable(&accel) {
+        imu.not_finite += 1;
+        return;
+    }
+    imu.has_orientation |= has_orientation;
+    push_times(&mut imu.times, row.stamp(), times);
+    imu.q_xyzw.push(q_xyzw);
+    imu.gyro.push(gyro);
+    imu.accel.push(accel);
+}
+
+/// Bare numbers, and where they are from.
+#[derive(Debug)]
+pub(in crate::log::decode) struct Array {
+    pub(super) numbers: Numbers,
+    pub(super) columns: ArrayColumns,
+}
+
+/// Which numbers of a row.
+#[derive(Debug)]
+pub(super) enum Numbers {
+    /// One of [`Row::lists`].
+    List(usize),
+    /// Some of [`Row::numbers`].
+    Fields(Range<usize>),
+}
+
+impl Array {
+    pub(super) fn of(numbers: Numbers) -> Self {
+        Self { numbers, columns: ArrayColumns::default() }
+    }
+
+    pub(super) fn append(&mut self, row: &Row, times: RowTimes) {
+        let array = &mut self.columns;
+        let values = match &self.numbers {
+            Numbers::List(index) => row.lists[*index].as_slice(),
+            Numbers::Fields(fields) => &row.numbers[fields.clone()],
+        };
+        if array.width == 0 {
+            array.width = values.len();
+        }
+        if values.is_empty() || values.len() != array.width {
+            array.wrong_length += 1;
+        } else if !all_usable(values) {
+            array.not_finite += 1;
+        } else {
+            push_times(&mut array.times, row.stamp(), times);
+            array.values.extend_from_slice(values);
+        }
+    }
+}
+
+pub(super) fn append_text(column: &mut TextColumns, row: &Row, times: RowTimes) {
+    let text = &row.texts[row::BODY];
+    let full = column.text.len() == MAX_TEXTS || text.len() > MAX_TEXT_BYTES;
+    if !full && !column.text.contains(text) {
+        push_times(&mut column.times, 0, times);
+        column.text.push(text.clone());
+    }
+}
+
+/// Appends the times of a row and returns its index.
+pub(super) fn push_times(column: &mut Times, stamp: i64, times: RowTimes) -> usize {
+    column.push(stamp, times.log, times.publish);
+    column.sequence.push(times.sequence);
+    column.len() - 1
+}
+
+pub(super) fn keep_first(kept: &mut String, text: &str) {
+    if kept.is_empty() && !text.is_empty() {
+        *kept = bounded(text).into_owned();
+    }
+}
+
+pub(super) fn all_usable(values: &[f64]) -> bool {
+    values.iter().all(|value| usable(*value))
+}
+
+/// A quaternion; not a number in all four places says what zeros say: nobody set it.
+pub(super) fn quaternion(row: &Row) -> [f64; 4] {
+    let q_xyzw = row.numbers::<4>(row::QUATERNION);
+    if q_xyzw.iter().all(|part| part.is_nan()) { [0.0; 4] } else { q_xyzw }
+}

@@ -1,0 +1,309 @@
+//! A schema and the wanted fields, compiled into steps.
+
+use super::super::recipes::Fields;
+use super::super::row::Slot;
+use super::super::schema::{
+    Arity, Base, Definition, Extensibility, Field, MAX_DEPTH, MAX_FIELDS, Primitive, Schema,
+    SchemaError,
+};
+use super::op::{Count, Op, Step};
+
+/// How steps differ by what they are walked over.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Wire {
+    Ros1,
+    Cdr,
+    Cdr2,
+}
+
+/// What is known while a schema is walked.
+pub(super) struct Compiler<'a> {
+    schema: &'a Schema,
+    wanted: Fields,
+    each: Option<&'static str>,
+    wire: Wire,
+    /// Fields met so far.
+    fields: usize,
+    /// Which of the wanted fields were met.
+    found: Vec<bool>,
+}
+
+impl<'a> Compiler<'a> {
+    pub(super) fn new(
+        schema: &'a Schema,
+        wanted: Fields,
+        each: Option<&'static str>,
+        wire: Wire,
+    ) -> Self {
+        Self { schema, wanted, each, wire, fields: 0, found: vec![false; wanted.len()] }
+    }
+
+    /// The steps of a whole message.
+    pub(super) fn compile(mut self) -> Result<Vec<Step>, SchemaError> {
+        let mut steps = Vec::new();
+        self.message(self.schema.root(), "", 0, &mut steps)?;
+        if let Some(index) = self.found.iter().position(|found| !found) {
+            let missing = SchemaError::Missing { field: self.wanted[index].0 };
+            return Err(unreadable(&steps).unwrap_or(missing));
+        }
+        trim(&mut steps);
+        join(&mut steps);
+        unreadable(&steps).map_or(Ok(steps), Err)
+    }
+
+    /// Appends the steps for the fields of `message`, whose own path is `prefix`.
+    fn message(
+        &mut self,
+        message: &Definition,
+        prefix: &str,
+        depth: usize,
+        steps: &mut Vec<Step>,
+    ) -> Result<(), SchemaError> {
+        if depth > MAX_DEPTH {
+            return Err(SchemaError::TooDeep { field: prefix.into() });
+        }
+        // Without a length before them, the fields are as if they stood where the message does.
+        let mut own = Vec::new();
+        let always = match (self.wire, message.extensibility) {
+            (Wire::Ros1 | Wire::Cdr, _) | (_, Extensibility::Final) => None,
+            (Wire::Cdr2, extensibility) => Some(extensibility == Extensibility::Appendable),
+        };
+        let inner = if always.is_some() { &mut own } else { &mut *steps };
+        if message.extensibility == Extensibility::Mutable {
+            let why = "in which every field carries its id";
+            push(inner, unread(prefix, &message.name, why), prefix.into());
+        }
+        for field in &message.fields {
+            let path = match prefix {
+                "" => field.name.clone(),
+                // A type that stands for an array in an array has no name of its own.
+                _ if field.name.is_empty() => prefix.to_owned(),
+                _ => format!("{prefix}.{}", field.name),
+            };
+            self.field(field, path, depth, inner)?;
+        }
+        if message.fields.is_empty() && self.wire != Wire::Ros1 {
+            // An empty message takes a byte in ROS 2 (`structure_needs_at_least_one_member`).
+            push(inner, Op::Skip { size: 1, count: Count::Fixed(1) }, prefix.into());
+        }
+        if let Some(always) = always {
+            push(steps, Op::Delimited { always, steps: own }, prefix.into());
+        }
+        Ok(())
+    }
+
+    /// Appends the steps for one field.
+    fn field(
+        &mut self,
+        field: &Field,
+        path: String,
+        depth: usize,
+        steps: &mut Vec<Step>,
+    ) -> Result<(), SchemaError> {
+        // A long path takes the memory of several fields.
+        self.fields += 1 + path.len() / 64;
+        if self.fields > MAX_FIELDS {
+            return Err(SchemaError::TooManyFields);
+        }
+        let wanted = self.wanted.iter().position(|(wanted, _)| *wanted == path);
+        if let Some(index) = wanted {
+            self.found[index] = true;
+            return self.read(field, path, self.wanted[index].1, depth, steps);
+        }
+        let count = Count::from(field.arity);
+        let op = match &field.base {
+            Base::Number(primitive) => Op::Skip { size: primitive.size(), count },
+            Base::Text => {
+                self.push_length(field, &path, steps);
+                Op::SkipTexts(count)
+            }
+            Base::Enumeration(primitive) => {
+                self.push_length(field, &path, steps);
+                Op::Skip { size: primitive.size(), count }
+            }
+            Base::Unreadable(why) => unread(&path, &field.spelled, why),
+            Base::Message(name) => {
+                let rows = self.each == Some(path.as_str());
+                if field.arity != Arity::One && !rows && self.leads_to_wanted(&path) {
+                    return Err(mismatch(field, path, "a single message"));
+                }
+                if field.arity == Arity::One && !rows {
+                    return self.nested(name, &path, depth, steps);
+                }
+                let mut nested = Vec::new();
+                self.nested(name, &path, depth, &mut nested)?;
+                self.push_length(field, &path, steps);
+                match (nested.is_empty() && !rows, count) {
+                    // In ROS 1 an empty message takes no bytes, however often it is there.
+                    (true, Count::Fixed(_)) => return Ok(()),
+                    (true, Count::Wire) => Op::Skip { size: 0, count },
+                    (false, _) => Op::Repeat { count, steps: nested, rows },
+                }
+            }
+        };
+        push(steps, op, path);
+        Ok(())
+    }
+
+    /// Appends the steps for the message type `name` at `path`.
+    fn nested(
+        &mut self,
+        name: &str,
+        path: &str,
+        depth: usize,
+        steps: &mut Vec<Step>,
+    ) -> Result<(), SchemaError> {
+        match self.schema.definition(name) {
+            Some(definition) => self.message(definition, path, depth + 1, steps),
+            None => {
+                let undefined =
+                    SchemaError::Undefined { field: path.into(), type_name: name.into() };
+                push(steps, Op::Unreadable(Box::new(undefined)), path.into());
+                Ok(())
+            }
+        }
+    }
+
+    /// Passes over the length in bytes that the second CDR puts before a collection of anything but
+    /// numbers.
+    fn push_length(&self, field: &Field, path: &str, steps: &mut Vec<Step>) {
+        if self.wire == Wire::Cdr2 && field.arity != Arity::One {
+            push(steps, Op::Skip { size: 4, count: Count::Fixed(1) }, path.into());
+        }
+    }
+
+    /// Whether the recipe wants a field below `path`.
+    fn leads_to_wanted(&self, path: &str) -> bool {
+        let below =
+            |wanted: &str| wanted.strip_prefix(path).is_some_and(|rest| rest.starts_with('.'));
+        self.wanted.iter().any(|(wanted, _)| below(wanted))
+    }
+
+    /// Appends the steps that read `field` into `slot`.
+    fn read(
+        &mut self,
+        field: &Field,
+        path: String,
+        slot: Slot,
+        depth: usize,
+        steps: &mut Vec<Step>,
+    ) -> Result<(), SchemaError> {
+        let count = Count::from(field.arity);
+        let op = match (slot, &field.base, field.arity) {
+            (Slot::Stamp, Base::Message(name), Arity::One) => {
+                return self.stamp(field, name, path, depth, steps);
+            }
+            (Slot::Number(index), &Base::Number(primitive), Arity::One) => {
+                Op::Number(primitive, index)
+            }
+            (Slot::Text(index), Base::Text, Arity::One) => Op::Text(index),
+            (Slot::List(index), &Base::Number(primitive), Arity::Array(_) | Arity::Sequence) => {
+                Op::List(primitive, count, index)
+            }
+            (Slot::Names, Base::Text, Arity::Array(_) | Arity::Sequence) => {
+                self.push_length(field, &path, steps);
+                Op::Names(count)
+            }
+            _ => return Err(mismatch(field, path, slot.expected())),
+        };
+        push(steps, op, path);
+        Ok(())
+    }
+
+    /// Appends the steps that read a stamp: a message of seconds and nanoseconds, in any order.
+    fn stamp(
+        &mut self,
+        field: &Field,
+        name: &str,
+        path: String,
+        depth: usize,
+        steps: &mut Vec<Step>,
+    ) -> Result<(), SchemaError> {
+        let Some(definition) = self.schema.definition(name) else {
+            return self.nested(name, &path, depth, steps);
+        };
+        let part = |field: &Field| match (field.name.as_str(), &field.base, field.arity) {
+            ("sec" | "secs", &Base::Number(primitive), Arity::One) => Some(Op::Seconds(primitive)),
+            ("nanosec" | "nsec" | "nsecs", &Base::Number(primitive), Arity::One) => {
+                Some(Op::Nanoseconds(primitive))
+            }
+            _ => None,
+        };
+        let parts: Vec<Op> = definition.fields.iter().filter_map(part).collect();
+        let both = parts.iter().any(|op| matches!(op, Op::Seconds(_)))
+            && parts.iter().any(|op| matches!(op, Op::Nanoseconds(_)));
+        if !both || parts.len() != definition.fields.len() {
+            return Err(mismatch(field, path, Slot::Stamp.expected()));
+        }
+        let parts = parts.into_iter().map(|op| Step { op, field: path.as_str().into() });
+        match (self.wire, definition.extensibility) {
+            (Wire::Ros1 | Wire::Cdr, _) | (_, Extensibility::Final) => steps.extend(parts),
+            (Wire::Cdr2, extensibility) => {
+                let always = extensibility == Extensibility::Appendable;
+                push(steps, Op::Delimited { always, steps: parts.collect() }, path.clone());
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Makes one step of doubles that follow each other, on the wire and in the row.
+fn join(steps: &mut Vec<Step>) {
+    let mut joined: Vec<Step> = Vec::with_capacity(steps.len());
+    for mut step in steps.drain(..) {
+        if let Op::Repeat { steps, .. } | Op::Delimited { steps, .. } = &mut step.op {
+            join(steps);
+        }
+        if let Op::Number(Primitive::F64, index) = step.op {
+            if let Some(Step { op: Op::Doubles(range), .. }) = joined.last_mut()
+                && range.end == index
+            {
+                range.end += 1;
+                continue;
+            }
+            step.op = Op::Doubles(index..index + 1);
+        }
+        joined.push(step);
+    }
+    *steps = joined;
+}
+
+/// Cuts off what follows the last wanted field: it need not be walked. Within the elements of an
+/// array all must be, to find the next; a delimited message says itself where it ends.
+fn trim(steps: &mut Vec<Step>) {
+    while steps.pop_if(|step| step.op.is_skip()).is_some() {}
+    if let Some(Step { op: Op::Delimited { steps, .. }, .. }) = steps.last_mut() {
+        trim(steps);
+    }
+}
+
+/// The first reason why a step cannot be walked.
+fn unreadable(steps: &[Step]) -> Option<SchemaError> {
+    steps.iter().find_map(|step| match &step.op {
+        Op::Unreadable(error) => Some((**error).clone()),
+        op => unreadable(op.inner()),
+    })
+}
+
+fn unread(path: &str, spelled: &str, why: &'static str) -> Op {
+    let (field, spelled) = (path.to_owned(), spelled.to_owned());
+    Op::Unreadable(Box::new(SchemaError::Unreadable { field, spelled, why }))
+}
+
+/// Appends a step; numbers to pass over join those before them.
+fn push(steps: &mut Vec<Step>, op: Op, path: String) {
+    if let Op::Skip { size, count: Count::Fixed(more) } = op
+        && let Some(Step { op: Op::Skip { size: before, count: Count::Fixed(count) }, .. }) =
+            steps.last_mut()
+        && *before == size
+        && let Some(sum) = count.checked_add(more)
+    {
+        *count = sum;
+        return;
+    }
+    steps.push(Step { op, field: path.into() });
+}
+
+fn mismatch(field: &Field, path: String, expected: &'static str) -> SchemaError {
+    SchemaError::Mismatch { field: path, expected, found: field.spelled.clone() }
+}

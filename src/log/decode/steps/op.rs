@@ -1,0 +1,124 @@
+//! One step: a field to read or to pass over.
+
+use super::super::cursor::{Cursor, Short};
+use super::super::row::Row;
+use super::super::schema::{Arity, Primitive, SchemaError};
+
+/// One field to read or to pass over.
+#[derive(Debug)]
+pub(super) struct Step {
+    pub(super) op: Op,
+    /// Path of the field from the message's root.
+    pub(super) field: Box<str>,
+}
+
+#[derive(Debug)]
+pub(super) enum Op {
+    /// Pass over numbers of `size` bytes.
+    Skip { size: usize, count: Count },
+    /// Pass over strings.
+    SkipTexts(Count),
+    /// Read [`Row::seconds`].
+    Seconds(Primitive),
+    /// Read [`Row::nanoseconds`].
+    Nanoseconds(Primitive),
+    /// Read into one of [`Row::numbers`].
+    Number(Primitive, usize),
+    /// Read doubles that follow each other into as many of [`Row::numbers`].
+    Doubles(std::ops::Range<usize>),
+    /// Read into one of [`Row::lists`].
+    List(Primitive, Count, usize),
+    /// Read into one of [`Row::texts`].
+    Text(usize),
+    /// Read [`Row::names`].
+    Names(Count),
+    /// Walk the steps for every element of an array.
+    Repeat { count: Count, steps: Vec<Step>, rows: bool },
+    /// Walk the steps of a message before which its length may stand: `always`, or where the
+    /// header of the message says that types are delimited.
+    Delimited { always: bool, steps: Vec<Step> },
+    /// Fail: what follows cannot be found. Compiled only to be cut off as of no use, or refused.
+    Unreadable(Box<SchemaError>),
+}
+
+/// How often a value is there.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Count {
+    /// As often as the schema says.
+    Fixed(u32),
+    /// As often as the length on the wire says.
+    Wire,
+}
+
+impl Op {
+    /// Whether the step leaves the row as it is.
+    pub(super) fn is_skip(&self) -> bool {
+        match self {
+            Op::Skip { .. } | Op::SkipTexts(_) => true,
+            Op::Repeat { steps, rows, .. } => !rows && steps.iter().all(|step| step.op.is_skip()),
+            Op::Delimited { steps, .. } => steps.iter().all(|step| step.op.is_skip()),
+            Op::Unreadable(_) => true,
+            _ => false,
+        }
+    }
+
+    /// Steps within this one.
+    pub(super) fn inner(&self) -> &[Step] {
+        match self {
+            Op::Repeat { steps, .. } | Op::Delimited { steps, .. } => steps,
+            _ => &[],
+        }
+    }
+
+    /// Reads or passes over one field; what has steps of its own is walked by [`walk`].
+    pub(super) fn run(&self, cursor: &mut Cursor<'_>, row: &mut Row) -> Result<(), Short> {
+        match *self {
+            Op::Skip { size, count } => {
+                let count = count.of(cursor)?;
+                cursor.skip(size, count.into())?;
+            }
+            Op::SkipTexts(count) => {
+                for _ in 0..count.of(cursor)? {
+                    cursor.text()?;
+                }
+            }
+            Op::Seconds(primitive) => row.seconds = cursor.integer(primitive)?,
+            Op::Nanoseconds(primitive) => row.nanoseconds = cursor.integer(primitive)?,
+            Op::Number(primitive, index) => row.numbers[index] = cursor.number(primitive)?,
+            Op::Doubles(ref range) => cursor.doubles(&mut row.numbers[range.clone()])?,
+            Op::List(primitive, count, index) => {
+                let count = count.of(cursor)?;
+                cursor.numbers(primitive, count, &mut row.lists[index])?;
+            }
+            Op::Text(index) => row.set_text(index, cursor.text()?),
+            Op::Names(count) => {
+                row.names.clear();
+                for _ in 0..count.of(cursor)? {
+                    row.names.push(cursor.text()?);
+                }
+            }
+            Op::Repeat { .. } | Op::Delimited { .. } | Op::Unreadable(_) => {}
+        }
+        Ok(())
+    }
+}
+
+impl Count {
+    /// The count for the value at the cursor.
+    pub(super) fn of(self, cursor: &mut Cursor<'_>) -> Result<u32, Short> {
+        match self {
+            Count::Fixed(count) => Ok(count),
+            Count::Wire => cursor.length(),
+        }
+    }
+}
+
+impl From<Arity> for Count {
+    fn from(arity: Arity) -> Self {
+        match arity {
+            Arity::One => Count::Fixed(1),
+            Arity::Array(count) => Count::Fixed(count),
+            Arity::Sequence => Count::Wire,
+        }
+    }
+}

@@ -1,0 +1,189 @@
+//! Chunks: which are unpacked, ahead of where the file is read, and what is in them.
+
+use mcap::records::op;
+
+use super::record::{self, Frame};
+use super::{Absent, Reader, Use};
+use crate::log::Extent;
+use crate::log::ahead;
+use crate::log::intake::ChannelId;
+use crate::log::unpack::{Compression, Packed, Unpacker};
+
+impl<'a> Reader<'a, '_, '_> {
+    /// Hands in chunks beyond those that were, as far as there is room and not far beyond `here`.
+    pub(super) fn unpack_ahead(&mut self, here: usize) {
+        let far = here.saturating_add(ahead::MOST_DISTANCE);
+        while let Some(offset) = self.scanned.filter(|at| *at < far && self.ahead.has_room()) {
+            let frame = match record::frame(self.bytes, offset) {
+                Ok(frame) if !matches!(frame.opcode, op::DATA_END | op::FOOTER) => frame,
+                _ => return self.scanned = None,
+            };
+            self.scanned = Some(frame.end());
+            let chunk = match frame.opcode {
+                op::CHUNK => record::Chunk::parse(frame.body).filter(record::Chunk::is_whole),
+                _ => None,
+            };
+            if let Some(packed) = chunk.and_then(|chunk| chunk.packed())
+                && self.use_of(&frame, &packed) == Use::All
+                && self.intake.allowance.admit(&packed).is_ok()
+            {
+                self.ahead.unpack(offset, packed);
+            }
+        }
+    }
+
+    /// What of a chunk is of use.
+    pub(super) fn use_of(&self, frame: &Frame<'a>, packed: &Packed<'a>) -> Use {
+        if !self.present.holds(&self.place(packed.data)) {
+            return self.use_of_parts(frame, packed);
+        }
+        if self.options.verify {
+            return Use::All;
+        }
+        if packed.compression == Compression::None {
+            let is_whole = packed.data.len() as u64 == packed.size;
+            let may_be_passed_over = is_whole && self.has_ignored_channels();
+            return if may_be_passed_over { self.use_of_records(packed.data) } else { Use::All };
+        }
+        if self.is_ignored_by_index(frame) { Use::Counts } else { Use::All }
+    }
+
+    /// Whether a channel is known that is of no use.
+    pub(super) fn has_ignored_channels(&self) -> bool {
+        let mut known = self.channels.iter().flatten().filter_map(|channel| channel.id);
+        known.any(|id| self.intake.ignores(id))
+    }
+
+    /// What of the records of a chunk is of use, which are not packed: nothing needs to be looked
+    /// into of large messages that no audit uses.
+    pub(super) fn use_of_records(&self, records: &[u8]) -> Use {
+        let (mut ignored, mut frames) = (0, record::frames(records, 0));
+        for frame in &mut frames {
+            let Ok(frame) = frame else { return Use::All };
+            let message = match frame.opcode {
+                op::MESSAGE => record::Message::parse(frame.body),
+                _ => None,
+            };
+            if let Some(message) = message
+                && self.channel_of(message.channel_id).is_some_and(|id| self.intake.ignores(id))
+            {
+                ignored += message.data.len();
+            }
+        }
+        if ignored > records.len() / 2 { Use::Some } else { Use::All }
+    }
+
+    /// The message indexes behind a chunk.
+    pub(super) fn indexes_behind(
+        &self,
+        chunk: &Frame<'a>,
+    ) -> impl Iterator<Item = record::MessageIndex<'a>> + use<'a> {
+        record::frames(self.bytes, chunk.end())
+            .map_while(|frame| frame.ok().filter(|frame| frame.opcode == op::MESSAGE_INDEX))
+            .filter_map(|frame| record::MessageIndex::parse(frame.body))
+    }
+
+    pub(super) fn channel_of(&self, channel_id: u16) -> Option<ChannelId> {
+        self.channels.get(usize::from(channel_id))?.as_ref()?.id
+    }
+
+    /// Reads the records of a chunk; whether all of them could be.
+    pub(super) fn chunk(&mut self, frame: &Frame<'a>, unpacker: &mut Unpacker) -> bool {
+        let chunk = record::Chunk::parse(frame.body).filter(record::Chunk::is_whole);
+        self.has_chunks = true;
+        let Some(chunk) = chunk else {
+            self.lose_chunk(frame.offset, "chunk is shorter than it says".to_owned());
+            return false;
+        };
+        let Some(packed) = chunk.packed() else {
+            let found = chunk.compression;
+            let what = format!("chunk is compressed by `{found}`, expected `zstd`, `lz4` or none");
+            self.lose_chunk(frame.offset, what);
+            self.losses.date(frame.offset, chunk.first_time, chunk.last_time);
+            return false;
+        };
+        let mut unpacked = self.ahead.take(frame.offset);
+        let records = match &mut unpacked {
+            Some(unpacked) => unpacked.content(&packed, &mut self.intake.allowance),
+            None => match self.use_of(frame, &packed) {
+                Use::Counts => {
+                    self.count(frame);
+                    return true;
+                }
+                Use::Some => {
+                    self.chunk_records(packed.data, frame.offset);
+                    return true;
+                }
+                Use::Absent => {
+                    self.absent.get_or_insert(Absent(frame.offset));
+                    return true;
+                }
+                Use::All => unpacker.chunk(&packed, &mut self.intake.allowance),
+            },
+        };
+        let is_sound = match records {
+            Ok(records) => {
+                let before = self.intake.messages();
+                self.chunk_records(records, frame.offset);
+                if packed.crc != 0 {
+                    self.covered += self.intake.messages() - before;
+                }
+                true
+            }
+            Err(error) => {
+                self.losses.add(frame.offset, error.extent(), None, error.to_string());
+                self.in_lost_chunk = true;
+                self.losses.date(frame.offset, chunk.first_time, chunk.last_time);
+                false
+            }
+        };
+        if let Some(unpacked) = unpacked {
+            self.ahead.give_back(unpacked);
+        }
+        is_sound
+    }
+
+    /// Counts the messages of a chunk that is left packed.
+    pub(super) fn count(&mut self, chunk: &Frame<'a>) {
+        for index in self.indexes_behind(chunk) {
+            if let Some((id, span)) = self.channel_of(index.channel_id).zip(index.span()) {
+                self.intake.count(id, index.count(), span);
+            }
+        }
+    }
+
+    /// Reads the records inside the chunk at `offset`.
+    pub(super) fn chunk_records(&mut self, records: &[u8], offset: usize) {
+        let mut batch = Vec::new();
+        for frame in record::frames(records, 0) {
+            match frame {
+                Ok(frame) => {
+                    if self.content(&frame, offset, &mut batch).is_none() {
+                        self.lose_record(&frame, offset);
+                    }
+                }
+                Err(broken) => {
+                    let what = format!("in the chunk, expected a record, found {broken}");
+                    self.losses.add(offset, Extent::Messages, None, what);
+                }
+            }
+        }
+        self.intake.batch(&mut batch);
+    }
+
+    pub(super) fn lose_chunk(&mut self, offset: usize, what: String) {
+        self.losses.add(offset, Extent::Messages, None, what);
+        self.in_lost_chunk = true;
+    }
+
+    /// Reads the whole records at the beginning of a chunk that is cut.
+    pub(super) fn cut_chunk(&mut self, records: &[u8], offset: usize) {
+        let mut batch = Vec::new();
+        for frame in record::frames(records, 0).flatten() {
+            if self.content(&frame, offset, &mut batch).is_none() {
+                self.lose_record(&frame, offset);
+            }
+        }
+        self.intake.batch(&mut batch);
+    }
+}

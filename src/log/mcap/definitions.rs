@@ -1,0 +1,83 @@
+//! Schemas and channels, and what stands beside messages: attachments and metadata.
+
+use mcap::records::op;
+
+use super::record::{self, Frame};
+use super::{Channel, Reader, Schema};
+use crate::log::decode::{Format, excerpt};
+
+impl<'a> Reader<'a, '_, '_> {
+    /// Takes up a schema or a channel; `None` if it is malformed.
+    pub(super) fn definition(&mut self, frame: &Frame<'_>) -> Option<()> {
+        match frame.opcode {
+            op::SCHEMA => self.schema(record::Schema::parse(frame.body)?),
+            op::CHANNEL => self.channel(record::Channel::parse(frame.body)?),
+            _ => {}
+        }
+        Some(())
+    }
+
+    pub(super) fn schema(&mut self, schema: record::Schema<'_>) {
+        let known = self.schemas.get(&schema.id).is_some_and(|known| {
+            (known.name.as_str(), known.encoding.as_str(), known.data.as_slice())
+                == (schema.name, schema.encoding, schema.data)
+        });
+        if !known {
+            self.schemas.insert(
+                schema.id,
+                Schema {
+                    name: schema.name.to_owned(),
+                    encoding: schema.encoding.to_owned(),
+                    data: schema.data.to_owned(),
+                },
+            );
+        }
+    }
+
+    pub(super) fn channel(&mut self, channel: record::Channel<'_>) {
+        let index = usize::from(channel.id);
+        if index >= self.channels.len() {
+            self.channels.resize_with(index + 1, || None);
+        }
+        let slot = &mut self.channels[index];
+        if slot.as_ref().is_some_and(|known| known.is(&channel)) {
+            return;
+        }
+        let schema = self.schemas.get(&channel.schema_id);
+        let format = Format {
+            encoding: channel.encoding,
+            type_name: schema.map_or("", |schema| &schema.name),
+            schema_encoding: schema.map_or("", |schema| &schema.encoding),
+            schema: schema.map_or(&[], |schema| &schema.data),
+        };
+        *slot = Some(Channel {
+            id: self.intake.channel(channel.topic, format),
+            schema_id: channel.schema_id,
+            topic: channel.topic.to_owned(),
+            encoding: channel.encoding.to_owned(),
+        });
+    }
+
+    pub(super) fn attachment(&mut self, frame: &Frame<'_>) {
+        /// Largest attachment whose checksum is looked at unasked.
+        const SMALL: usize = 16 << 20;
+        let Some(attachment) = record::Attachment::parse(frame.body) else {
+            return self.lose_summary(frame.offset, "attachment is shorter than it says");
+        };
+        let checked = self.options.verify || attachment.covered.len() <= SMALL;
+        if checked && attachment.crc != 0 && crc32fast::hash(attachment.covered) != attachment.crc {
+            let what = format!("attachment `{}` fails its checksum", excerpt(attachment.name));
+            return self.lose_summary(frame.offset, &what);
+        }
+        self.intake.text(attachment.name, attachment.data);
+    }
+
+    pub(super) fn metadata(&mut self, frame: &Frame<'_>) {
+        let Some((name, pairs)) = record::metadata(frame.body) else {
+            return self.lose_summary(frame.offset, "metadata is shorter than it says");
+        };
+        for (key, value) in pairs {
+            self.intake.text(&format!("{name}/{key}"), value.as_bytes());
+        }
+    }
+}

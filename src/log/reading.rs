@@ -1,0 +1,399 @@
+//! From the paths given to what is in the files.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use super::contents::{Container, Crc, Extent, Log, LogFile};
+use super::files::{Input, refuse_repeats};
+use super::intake::Intake;
+use super::losses::Losses;
+use super::mapped::Mapped;
+use super::mcap::Absent;
+use super::options::ReadOptions;
+use super::ranges::Present;
+use super::remote::{Address, Fetched};
+use super::sniff::Kind;
+use super::unpack::{Allowance, Unpacked};
+use super::{LogError, RemoteFault, mcap, remote, rosbag1, rosbag2, rtde, sniff, unpack};
+use crate::boundary::Staged;
+
+/// Reads the files, rosbag2 folders and objects in stores (by URL) of one run, of whatever kinds;
+/// rows of the same topic and type are appended in the order given.
+///
+/// # Errors
+///
+/// If one of the files cannot be opened or is no log of a supported kind, if the same file is given
+/// twice, or if no message can be read from any of them. Damage to a part of a file is no error: see
+/// [`Log::losses`].
+pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
+    let mut intake = Intake::default();
+    let mut rtde = rtde::Recording::default();
+    let inputs = inputs(paths, &mut intake)?;
+    refuse_repeats(&inputs)?;
+    if let Some(progress) = &options.progress {
+        progress.begin(inputs.iter().map(Input::bytes).sum());
+    }
+    let mut files = Vec::with_capacity(inputs.len());
+    for input in &inputs {
+        let mut reading = Reading {
+            path: &input.path,
+            in_bag: input.in_bag,
+            options: options.clone(),
+            losses: Losses::of(&input.path),
+            intake: &mut intake,
+            rtde: &mut rtde,
+            present: Present::Whole,
+        };
+        let read = reading.file(input);
+        let mut losses = reading.losses;
+        let mut bytes = input.bytes();
+        match read {
+            Ok(file) => {
+                bytes = file.bytes;
+                files.push(file);
+            }
+            // One file of a recording does not take the others with it.
+            Err(error) if input.in_bag && inputs.len() > 1 => {
+                losses.add_unplaced(Extent::Messages, input.recorded, error.to_string());
+            }
+            Err(error) => return Err(error),
+        }
+        intake.losses(losses);
+        if let Some(progress) = &options.progress {
+            progress.file_done(bytes);
+        }
+    }
+    rtde.hand_over(&mut intake);
+    let log = intake.finish(files);
+    if log.messages == 0 {
+        return Err(LogError::no_messages(&log));
+    }
+    Ok(log)
+}
+
+/// The files that `paths` stand for: a folder for those of the recording in it.
+fn inputs(paths: &[PathBuf], intake: &mut Intake) -> Result<Vec<Input>, LogError> {
+    let mut inputs = Vec::new();
+    for path in paths {
+        let named = remote::local(path);
+        let path = named.as_ref().unwrap_or(path);
+        match Address::of(path)? {
+            Some(address) => {
+                let path = address.shown();
+                inputs.push(Input { address: Some(address), ..Input::local(path) });
+            }
+            None if path.is_dir() => inputs.extend(rosbag2::files_of(path, intake)?),
+            None => inputs.push(Input::local(path.clone())),
+        }
+    }
+    Ok(inputs)
+}
+
+/// One file being read.
+struct Reading<'a> {
+    path: &'a Path,
+    in_bag: bool,
+    options: ReadOptions,
+    losses: Losses,
+    intake: &'a mut Intake,
+    rtde: &'a mut rtde::Recording,
+    /// What of the file is there.
+    present: Present,
+}
+
+impl Reading<'_> {
+    /// Reads the file, or fetches the object and reads that.
+    fn file(&mut self, input: &Input) -> Result<LogFile, LogError> {
+        let path = self.path;
+        let Some(address) = &input.address else {
+            let mapped = Mapped::open(path)?;
+            let before = self.intake.messages();
+            let file = self.whole(mapped.bytes(), None)?;
+            if let Some(recorded) = input.recorded {
+                self.losses.settle("metadata.yaml", recorded, self.intake.messages() - before);
+            }
+            return Ok(LogFile { bytes: input.bytes(), ..file });
+        };
+        let Fetched { file: Unpacked { file, path: named }, present, bytes } =
+            remote::fetch(address, &self.options)
+                .map_err(|fault| LogError::Remote { url: path.to_owned(), fault })?;
+        let mapped = Mapped::of(&file).map_err(|source| match source.kind() {
+            io::ErrorKind::UnexpectedEof => LogError::Empty { path: path.to_owned() },
+            _ => LogError::io(path, source),
+        })?;
+        // To fetch it is what takes time.
+        self.options.progress = None;
+        self.present = present;
+        Ok(LogFile { fetched: Some(bytes), ..self.whole(mapped.bytes(), named)? })
+    }
+
+    /// Reads the `bytes` of a file, which is a temporary one if it is `named`.
+    fn whole(&mut self, bytes: &[u8], named: Option<Staged>) -> Result<LogFile, LogError> {
+        let (path, size) = (self.path, bytes.len() as u64);
+        self.intake.begin_file(path, size);
+        self.intake.allowance = Allowance::of(size, self.options.max_unpacked_gib);
+        let (container, crc) = match sniff::kind(bytes) {
+            Kind::Zstd => self.archive(bytes)?,
+            kind => self.named(kind, bytes, named)?,
+        };
+        Ok(LogFile { path: path.to_owned(), container, bytes: size, fetched: None, crc })
+    }
+
+    /// Reads the log that is packed in `archive`.
+    fn archive(&mut self, archive: &[u8]) -> Result<(Container, Crc), LogError> {
+        let options = &self.options;
+        let (Unpacked { file, path }, end) =
+            unpack::file(archive, &mut self.intake.allowance, |offset| options.at(offset))
+                .map_err(|source| LogError::Temporary { path: self.path.to_owned(), source })?;
+        if let Err(error) = end {
+            let extent = match error.extent() {
+                Extent::Messages => Extent::Tail,
+                ours => ours,
+            };
+            self.losses.add_unplaced(extent, None, error.to_string());
+        }
+        let looks = "a zstd archive of nothing";
+        let unpacked = Mapped::of(&file)
+            .map_err(|_| LogError::NotALog { path: self.path.to_owned(), looks })?;
+        // The archive is what counts, and it was read.
+        self.options.progress = None;
+        self.named(sniff::kind(unpacked.bytes()), unpacked.bytes(), path)
+    }
+
+    /// Reads the `bytes` of a log, of a temporary file if it is `named`.
+    fn named(
+        &mut self,
+        kind: Kind,
+        bytes: &[u8],
+        named: Option<Staged>,
+    ) -> Result<(Container, Crc), LogError> {
+        match named {
+            None => self.content(kind, self.path, bytes, || ()),
+            // Once the file is open, its name is not needed any more. Where open files cannot lose
+            // theirs, it goes in the end.
+            Some(path) => {
+                let place = path.to_path_buf();
+                let opened = || drop(std::fs::remove_file(&*path));
+                self.content(kind, &place, bytes, opened)
+            }
+        }
+    }
+
+    /// Reads the `bytes` of a log, which are at `place`: its own path, or where it was unpacked to.
+    /// What needs the name of that place says when it is `opened`.
+    fn content(
+        &mut self,
+        kind: Kind,
+        place: &Path,
+        bytes: &[u8],
+        opened: impl FnOnce(),
+    ) -> Result<(Container, Crc), LogError> {
+        let Self { options, losses, intake, rtde, present, .. } = self;
+        let path = || self.path.to_owned();
+        let absent = |Absent(byte)| {
+            let fault = RemoteFault::Contradiction { byte: byte as u64 };
+            LogError::Remote { url: path(), fault }
+        };
+        Ok(match kind {
+            Kind::Mcap => {
+                let of_bag = if self.in_bag { Container::RosBag2Mcap } else { Container::Mcap };
+                let crc = mcap::read(bytes, present, options, losses, intake).map_err(absent)?;
+                (of_bag, crc)
+            }
+            Kind::RosBag1 => (Container::RosBag1, rosbag1::read(bytes, options, losses, intake)),
+            Kind::Sqlite => {
+                if !rosbag2::read_database(place, options, losses, intake, opened) {
+                    let looks = "a SQLite database without the tables of a rosbag2 bag";
+                    return Err(LogError::NotALog { path: path(), looks });
+                }
+                (Container::RosBag2Sqlite, Crc::None)
+            }
+            Kind::Rtde => {
+                rtde.read(self.path, bytes, options, losses, intake);
+                (Container::RtdeCsv, Crc::None)
+            }
+            Kind::Zstd => {
+                let (looks, instead) = ("a zstd archive within another", "unpack it first");
+                return Err(LogError::Unsupported { path: path(), looks, instead });
+            }
+            Kind::Known { looks, instead } => {
+                return Err(LogError::Unsupported { path: path(), looks, instead });
+            }
+            Kind::Unknown { looks } => return Err(LogError::NotALog { path: path(), looks }),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::log::testing::{self, Cdr, LogWriter};
+    use crate::log::{Progress, Topic};
+    use crate::stream::Columns;
+    use crate::time::Stamp;
+
+    fn open_one(path: &Path) -> Result<Log, LogError> {
+        open(&[path.to_owned()], &ReadOptions::default())
+    }
+
+    fn refusal(name: &str, content: &[u8]) -> String {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(name);
+        fs::write(&path, content).unwrap();
+        let line = open_one(&path).unwrap_err().to_string();
+        assert!(!line.contains('\n'), "{line}");
+        line.replace(&path.display().to_string(), "FILE")
+    }
+
+    #[test]
+    fn what_is_no_log_is_told_from_its_bytes() {
+        let text = refusal("run.mcap", b"time,x,y\n0.0,1.0,2.0\n");
+        assert!(text.contains("FILE: not a robot log: it looks like text"), "{text}");
+        let sqlite = refusal("run.mcap", b"SQLite format 3\0\x10\0");
+        assert!(sqlite.contains("the database cannot be opened: "), "{sqlite}");
+        let bag = refusal("run.mcap", b"#ROSBAG V1.2\nabc");
+        assert!(bag.contains("ROS 1 bag of another version than 2.0"), "{bag}");
+        let numbers = refusal("run.csv", b"0.0,1.0,2.0\n");
+        assert!(numbers.contains("without a first line that names them"), "{numbers}");
+        let empty = refusal("run.mcap", b"");
+        assert!(empty.contains("the file is empty"), "{empty}");
+        let bytes = refusal("run.mcap", &[0x80, 0xff, 0, 1, 2, 3]);
+        assert!(bytes.contains("unknown binary data"), "{bytes}");
+        let stub = refusal("run.mcap", b"\x89MCA");
+        assert!(stub.contains("MCAP file that was cut off"), "{stub}");
+    }
+
+    #[test]
+    fn a_missing_file_and_a_directory_get_one_clear_line() {
+        let folder = tempfile::tempdir().unwrap();
+        let missing = open_one(&folder.path().join("none.mcap")).unwrap_err();
+        assert!(matches!(missing, LogError::NotFound { .. }), "{missing}");
+        let directory = open_one(folder.path()).unwrap_err();
+        assert!(matches!(directory, LogError::Directory { .. }), "{directory}");
+        let text = directory.to_string();
+        assert!(text.contains("is a directory without log files; name the log files"), "{text}");
+    }
+
+    #[test]
+    fn a_log_without_messages_is_an_error_that_says_so() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("run.mcap");
+        fs::write(&path, LogWriter::default().finish()).unwrap();
+        let error = open_one(&path).unwrap_err();
+        assert!(matches!(error, LogError::NoMessages { .. }), "{error}");
+    }
+
+    #[test]
+    fn several_files_are_one_run() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut paths = Vec::new();
+        for (name, first) in [("a.mcap", 100), ("b.mcap", 200)] {
+            let mut log = LogWriter::default();
+            let channel =
+                log.channel("/pose", "geometry_msgs/msg/PoseStamped", testing::POSE_STAMPED);
+            for time in first..first + 10 {
+                log.message(
+                    channel,
+                    time,
+                    &Cdr::pose_stamped(0, time as u32, "base", [1.0, 2.0, 3.0]),
+                );
+            }
+            let path = folder.path().join(name);
+            fs::write(&path, log.finish()).unwrap();
+            paths.push(path);
+        }
+        let log = open(&paths, &ReadOptions { verify: true, ..ReadOptions::default() }).unwrap();
+        assert_eq!(log.messages, 20);
+        assert_eq!(log.span, Some((Stamp::from_nanos(100), Stamp::from_nanos(209))));
+        assert_eq!(log.files.len(), 2);
+        assert!(log.files.iter().all(|file| file.crc == Crc::All));
+        assert_eq!(log.losses, []);
+        let [topic] = log.topics.as_slice() else { panic!("one topic") };
+        let Some(Columns::Poses(poses)) = &topic.columns else { panic!("poses") };
+        assert_eq!(poses.len(), 1);
+        assert_eq!(poses[0].times.len(), 20);
+        assert_eq!(poses[0].times.header[19], 209);
+    }
+
+    /// A file of ten poses at times from `first` on.
+    fn ten_poses(path: &Path, first: u64) {
+        let mut log = LogWriter::default();
+        let channel = log.channel("/pose", "geometry_msgs/msg/PoseStamped", testing::POSE_STAMPED);
+        for time in first..first + 10 {
+            log.message(channel, time, &Cdr::pose_stamped(0, time as u32, "base", [0.0; 3]));
+        }
+        fs::write(path, log.finish()).unwrap();
+    }
+
+    #[test]
+    fn the_same_file_twice_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let [a, copy, other] = ["a", "copy", "other"].map(|name| folder.path().join(name));
+        ten_poses(&a, 100);
+        ten_poses(&other, 200);
+        fs::copy(&a, &copy).unwrap();
+        let detour = folder.path().join(".").join("a");
+        for second in [&a, &copy, &detour] {
+            let twice = [a.clone(), other.clone(), second.clone()];
+            let error = open(&twice, &ReadOptions::default()).unwrap_err();
+            assert!(matches!(&error, LogError::Twice { first, .. } if *first == a), "{error}");
+            assert!(error.to_string().contains("is given twice"), "{error}");
+        }
+        assert_eq!(open(&[a, other], &ReadOptions::default()).unwrap().messages, 20);
+    }
+
+    #[test]
+    fn files_of_different_kinds_are_merged_by_topic() {
+        let folder = tempfile::tempdir().unwrap();
+        let [mcap, database] = ["a", "b"].map(|name| folder.path().join(name));
+        ten_poses(&mcap, 100);
+        let writer = testing::DatabaseWriter::create(&database);
+        writer.poses(1, "/pose");
+        writer.count_poses(1, 110, 10);
+        drop(writer);
+        let log = open(&[mcap, database], &ReadOptions::default()).unwrap();
+        let kinds: Vec<&str> = log.files.iter().map(|file| file.container.name()).collect();
+        assert_eq!(kinds, ["mcap", "rosbag2-sqlite"]);
+        let [Topic { columns: Some(Columns::Poses(poses)), .. }] = log.topics.as_slice() else {
+            panic!("{:?}", log.topics)
+        };
+        assert_eq!(poses[0].times.log, (100..120).collect::<Vec<_>>());
+        assert_eq!((log.losses.as_slice(), log.notes.as_slice()), ([].as_slice(), [].as_slice()));
+    }
+
+    #[test]
+    fn progress_ends_where_the_files_do() {
+        let folder = tempfile::tempdir().unwrap();
+        let paths = ["a", "b"].map(|name| folder.path().join(name));
+        ten_poses(&paths[0], 100);
+        let writer = testing::DatabaseWriter::create(&paths[1]);
+        writer.poses(1, "/pose");
+        writer.count_poses(1, 200, 10);
+        drop(writer);
+        let progress = Arc::new(Progress::default());
+        let options =
+            ReadOptions { progress: Some(Arc::clone(&progress)), ..ReadOptions::default() };
+        open(&paths, &options).unwrap();
+        let bytes = paths.map(|path| fs::metadata(path).unwrap().len()).iter().sum();
+        assert_eq!((progress.read(), progress.total()), (bytes, bytes));
+    }
+
+    #[test]
+    fn a_simulated_clock_is_seen() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("run.mcap");
+        let mut log = LogWriter::default();
+        let schema = "builtin_interfaces/Time clock\n";
+        let channel = log.channel("/clock", "rosgraph_msgs/msg/Clock", schema);
+        log.message(channel, 5, &Cdr::little().u32(1).u32(2).done());
+        fs::write(&path, log.finish()).unwrap();
+        let log = open_one(&path).unwrap();
+        assert!(log.has_clock());
+        assert_eq!(log.topics[0].messages, 1);
+        assert_eq!(log.topics[0].columns, None);
+        assert_eq!(log.topics[0].undecodable, None);
+    }
+}

@@ -1,0 +1,51 @@
+//! When each file holds messages, and how the files lie to each other.
+
+use crate::time::Stamp;
+
+/// First and last log time.
+pub(super) type Span = (Stamp, Stamp);
+
+/// Pairs of files (the one that begins first, the other) that share more of their time than the
+/// splits of one recording do, and how much, s: longer than a second, or than half of the shorter.
+pub(super) fn overlaps(spans: &[(usize, Span)]) -> Vec<(usize, usize, f64)> {
+    const SPLIT_S: f64 = 1.0;
+    let length_s = |(first, last): Span| last.seconds_since(first);
+    let shared_s = |a: Span, b: Span| length_s((a.0.max(b.0), a.1.min(b.1)));
+    neighbours(spans)
+        .map(|(a, b)| (a.0, b.0, shared_s(a.1, b.1), length_s(a.1).min(length_s(b.1))))
+        .filter(|&(_, _, shared, shorter)| shared > 0.0 && shared > SPLIT_S.min(0.5 * shorter))
+        .map(|(a, b, shared, _)| (a, b, shared))
+        .collect()
+}
+
+/// Pairs of files between which nothing was recorded for longer than a day, and how long, s.
+pub(super) fn gaps(spans: &[(usize, Span)]) -> Vec<(usize, usize, f64)> {
+    const DAY_S: f64 = 86_400.0;
+    neighbours(spans)
+        .map(|(a, b)| (a.0, b.0, b.1.0.seconds_since(a.1.1)))
+        .filter(|&(_, _, apart)| apart > DAY_S)
+        .collect()
+}
+
+/// Each file but the first, in the order in which they begin, behind the one that ends last of
+/// those before it.
+pub(super) fn neighbours(
+    spans: &[(usize, Span)],
+) -> impl Iterator<Item = ((usize, Span), (usize, Span))> {
+    let mut spans = spans.to_vec();
+    spans.sort_by_key(|&(number, span)| (span.0, number));
+    let mut spans = spans.into_iter();
+    let mut last_ending = spans.next();
+    spans.filter_map(move |next| {
+        let before = last_ending?;
+        if next.1.1 > before.1.1 {
+            last_ending = Some(next);
+        }
+        Some((before, next))
+    })
+}
+
+/// The span that covers both.
+pub(super) fn join(a: Span, b: Span) -> Span {
+    (a.0.min(b.0), a.1.max(b.1))
+}

@@ -1,0 +1,212 @@
+//! Rows in the rhythm of one sender or of two, told from their times.
+
+/// A rhythm explains nearly all where it leaves less than this share.
+pub(super) const NEARLY: f64 = 0.04;
+
+/// A rhythm has a row at this share of its ticks, at least.
+const KEPT: f64 = 0.85;
+
+/// Rows follow each other smoothly where they are no farther than this from where those before them lead,
+/// m or rad.
+pub(super) const SMOOTH: f64 = 3e-4;
+
+/// Rows of a publisher without which nothing is told of it.
+pub(super) const FEWEST: usize = 12;
+
+/// How far a row is from where two others before it lead, in one number.
+pub(super) type Off<'a> = &'a dyn Fn(usize, usize, usize) -> f64;
+
+/// Whether one rhythm explains nearly all rows.
+pub(super) fn is_one(t_s: &[f64]) -> bool {
+    /// At less than this share of its ticks, a fine rhythm explains whatever two coarse ones do.
+    const LOSSY: f64 = 0.7;
+    let distinct: Vec<f64> =
+        t_s.iter().copied().fold(Vec::with_capacity(t_s.len()), |mut kept, t| {
+            if kept.last().is_none_or(|last| t - last > 1e-6) {
+                kept.push(t);
+            }
+            kept
+        });
+    let few = |left: usize| (left as f64) < NEARLY * t_s.len() as f64;
+    few(t_s.len() - distinct.len())
+        && periods(&distinct).into_iter().any(|period_s| {
+            let train =
+                best_train(&distinct, &vec![false; distinct.len()], period_s, &|_, _, _| 0.0);
+            let ticks = (distinct[distinct.len() - 1] - distinct[0]) / period_s;
+            few(distinct.len() - train.len()) && train.len() as f64 > LOSSY * ticks
+        })
+}
+
+/// The intervals between rows and the next few after them that come most often, s.
+fn periods(t_s: &[f64]) -> Vec<f64> {
+    /// Rows after each that are looked at.
+    const AHEAD: usize = 6;
+    /// Intervals within this share are one.
+    const ALIKE: f64 = 0.03;
+    const KEPT: usize = 14;
+    /// Of those that come most often so many may be one that is stamped unevenly, where they are apart by
+    /// less than this.
+    const COPIED: usize = 8;
+    const ONE_APART: f64 = 1.8;
+    let mut all: Vec<f64> = (1..=AHEAD)
+        .flat_map(|ahead| t_s.iter().zip(t_s.iter().skip(ahead)).map(|(a, b)| b - a))
+        .filter(|dt| *dt > 1e-6)
+        .collect();
+    all.sort_by(f64::total_cmp);
+    let mut bins: Vec<(usize, f64)> = Vec::new();
+    let mut at = 0;
+    while at < all.len() {
+        let end = at + all[at..].partition_point(|dt| *dt <= all[at] * (1.0 + ALIKE));
+        bins.push((end - at, all[(at + end) / 2]));
+        at = end;
+    }
+    bins.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.total_cmp(&b.1)));
+    let often: Vec<f64> = bins.into_iter().take(KEPT).map(|(_, period_s)| period_s).collect();
+    // A stamp that is copied from joint states is one of theirs before it is due or after it.
+    let mut sorted: Vec<f64> = often.iter().copied().take(COPIED).collect();
+    sorted.sort_by(f64::total_cmp);
+    let between = sorted.windows(2).filter(|pair| pair[1] < ONE_APART * pair[0]);
+    let between: Vec<f64> = between.map(|pair| 0.5 * (pair[0] + pair[1])).collect();
+    often.into_iter().chain(between).collect()
+}
+
+/// The rows that are not `used` and come every `period_s`, from the start that finds most of them.
+fn best_train(t_s: &[f64], used: &[bool], period_s: f64, off: Off<'_>) -> Vec<usize> {
+    const STARTS: usize = 6;
+    let free = (0..t_s.len()).filter(|&row| !used[row]);
+    let trains = free.take(STARTS).map(|start| train(t_s, used, start, period_s, off));
+    trains.max_by_key(Vec::len).unwrap_or_default()
+}
+
+/// The rows that follow `start` every `period_s`, each timed by the one before: of several at one tick
+/// the one that is nearest to where the rows before lead.
+fn train(t_s: &[f64], used: &[bool], start: usize, period_s: f64, off: Off<'_>) -> Vec<usize> {
+    /// A tick may be off by this share of a period.
+    const TOLERANCE: f64 = 0.3;
+    /// Stamps as close as this share are of one tick.
+    const EQUAL: f64 = 0.02;
+    /// Of these one is surely nearer that is off by less than this share of the other.
+    const SURELY: f64 = 0.5;
+    let mut rows = vec![start];
+    loop {
+        let from = rows[rows.len() - 1];
+        let before = rows[rows.len().saturating_sub(2)];
+        let mut best: Option<(f64, usize)> = None;
+        for row in from + 1..t_s.len() {
+            let periods = (t_s[row] - t_s[from]) / period_s;
+            if best.is_some() && periods > 1.0 + TOLERANCE {
+                break;
+            }
+            let tick = periods.round().max(1.0);
+            let late = (periods - tick).abs();
+            if used[row] || late > TOLERANCE {
+                continue;
+            }
+            if best.is_none_or(|(least, _)| late < least - EQUAL) {
+                best = Some((late, row));
+            } else if let Some((least, rival)) = best
+                && late < least + EQUAL
+                && off(before, from, row) < SURELY * off(before, from, rival)
+            {
+                best = Some((least.min(late), row));
+            }
+            if tick > 1.0 {
+                break;
+            }
+        }
+        let Some((_, row)) = best else { return rows };
+        rows.push(row);
+    }
+}
+
+/// Two rhythms, the one with more rows first, and the rows of each.
+pub(super) struct Split {
+    pub(super) periods_s: [f64; 2],
+    pub(super) rows: [Vec<usize>; 2],
+}
+
+/// The two rhythms that explain nearly all rows and nearly all of whose ticks have one: of those whose
+/// rows follow each other as smoothly as any, the two that come most evenly.
+pub(super) fn split(t_s: &[f64], off: Off<'_>) -> Option<Split> {
+    /// Or than so many times the least.
+    const TIMES: f64 = 2.0;
+    let tried = periods(t_s).into_iter().filter_map(|period_s| {
+        let (first, used) = kept_train(t_s, &vec![false; t_s.len()], period_s, off)?;
+        let rest: Vec<f64> = (0..t_s.len()).filter(|&row| !used[row]).map(|row| t_s[row]).collect();
+        let splits = periods(&rest).into_iter().filter_map(move |second_s| {
+            let second = kept_train(t_s, &used, second_s, off)?.0;
+            Split::of(t_s, [period_s, second_s], [first.clone(), second])
+        });
+        Some(splits.map(|split| (split.roughness(off), split)).collect::<Vec<_>>())
+    });
+    let splits: Vec<(f64, Split)> = tried.flatten().collect();
+    let least = splits.iter().map(|(rough, _)| *rough).fold(f64::INFINITY, f64::min);
+    let smooth = splits.into_iter().filter(|(rough, _)| *rough <= SMOOTH.max(TIMES * least));
+    let scored = smooth.map(|(_, split)| (split.unevenness(t_s), split));
+    scored.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, split)| split)
+}
+
+pub(super) fn split_by(t_s: &[f64], periods_s: [f64; 2], off: Off<'_>) -> Option<Split> {
+    let (first, used) = kept_train(t_s, &vec![false; t_s.len()], periods_s[0], off)?;
+    let second = kept_train(t_s, &used, periods_s[1], off)?.0;
+    Split::of(t_s, periods_s, [first, second])
+}
+
+/// The rows that come every `period_s`, and those with what was used before; `None` where too many of
+/// its ticks have none.
+fn kept_train(
+    t_s: &[f64],
+    used: &[bool],
+    period_s: f64,
+    off: Off<'_>,
+) -> Option<(Vec<usize>, Vec<bool>)> {
+    let train = best_train(t_s, used, period_s, off);
+    let ticks = (t_s.last()? - t_s.first()?) / period_s;
+    let is_kept = train.len() >= FEWEST && train.len() as f64 > KEPT * ticks;
+    let mut used = used.to_vec();
+    train.iter().for_each(|&row| used[row] = true);
+    is_kept.then_some((train, used))
+}
+
+impl Split {
+    pub(super) fn explained(&self) -> usize {
+        self.rows[0].len() + self.rows[1].len()
+    }
+
+    /// How far rows are from where the two before them of the same rhythm lead.
+    pub(super) fn roughness(&self, off: Off<'_>) -> f64 {
+        self.rows.iter().map(|rows| roughness(rows, off)).fold(0.0, f64::max)
+    }
+
+    /// How far rows are from their ticks, as a share of the period, and the share of rows that have none.
+    pub(super) fn unevenness(&self, t_s: &[f64]) -> f64 {
+        let off_tick = |rows: &[usize], period_s: f64| -> f64 {
+            let ticks = rows.windows(2).map(|pair| (t_s[pair[1]] - t_s[pair[0]]) / period_s);
+            ticks.map(|ticks| (ticks - ticks.round()).abs()).sum()
+        };
+        let off: f64 = self
+            .rows
+            .iter()
+            .zip(self.periods_s)
+            .map(|(rows, period_s)| off_tick(rows, period_s))
+            .sum();
+        (off + (t_s.len() - self.explained()) as f64) / t_s.len() as f64
+    }
+
+    /// `None` where they leave too many rows.
+    pub(super) fn of(t_s: &[f64], periods_s: [f64; 2], rows: [Vec<usize>; 2]) -> Option<Self> {
+        let mut split = Self { periods_s, rows };
+        if split.rows[0].len() < split.rows[1].len() {
+            split.rows.reverse();
+            split.periods_s.reverse();
+        }
+        let left = t_s.len() - split.explained();
+        ((left as f64) < NEARLY * t_s.len() as f64).then_some(split)
+    }
+}
+
+/// How far rows are in the mean from where the two before them lead.
+pub(super) fn roughness(rows: &[usize], off: Off<'_>) -> f64 {
+    let offs = rows.windows(3).map(|three| off(three[0], three[1], three[2]));
+    offs.sum::<f64>() / rows.len() as f64
+}
