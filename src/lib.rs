@@ -18,6 +18,10 @@
 //! [`robot`] feeds the diagnosis; [`stream`], [`geometry`] and [`time`] are the ground floor.
 //! Beside it, [`desk`] says what single poses are.
 #![warn(missing_docs)]
+#![cfg_attr(
+    not(all(feature = "fix", feature = "recording", feature = "tables")),
+    allow(dead_code, unused_imports, reason = "the outputs read it")
+)]
 
 #[cfg(test)]
 mod any_log;
@@ -32,6 +36,7 @@ pub mod corrections;
 pub mod desk;
 pub mod diagnosis;
 pub mod finding;
+#[cfg(feature = "tables")]
 pub mod fleet;
 pub mod geometry;
 pub mod log;

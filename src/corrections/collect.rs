@@ -1,9 +1,11 @@
 //! From the findings of an audit to what mends them.
 
 use super::code::{self, Lines};
-use super::file::{AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection};
+use super::file::{
+    AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection, rounded,
+};
 use super::files::{model_stem, slug};
-use super::frames::{FixedFrame, rounded};
+use super::frames::FixedFrame;
 use crate::checks::Facts;
 use crate::diagnosis::Reading;
 use crate::finding::{Cause, Estimate, Finding, JointScaling, Unit};

@@ -8,7 +8,6 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::apply::is_same;
-use super::frames::rounded;
 use crate::diagnosis::Reading;
 use crate::geometry::{
     AngleUnit, Axes, Convention, LengthScale, Pose, RotationSlip, Slip, misreading_classes, pose,
@@ -34,6 +33,11 @@ enum Schema {
     #[default]
     #[serde(rename = "poseaudit.corrections/1")]
     One,
+}
+
+/// `value` to a billionth, and no −0.
+pub(super) fn rounded(value: f64) -> f64 {
+    (value * 1e9).round() / 1e9 + 0.0
 }
 
 /// Zero and scale of a joint: `q_true = factor · q_reported + offset`.

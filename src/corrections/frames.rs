@@ -1,5 +1,6 @@
 //! Constant frames as a static transform's command and as a joint of a URDF.
 
+use super::file::rounded;
 use crate::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
 
 /// A frame that does not move in another.
@@ -48,11 +49,6 @@ impl FixedFrame {
 /// A number to a billionth of a metre, a radian or a part.
 fn number(value: f64) -> String {
     rounded(value).to_string()
-}
-
-/// `value` to a billionth, and no −0.
-pub(super) fn rounded(value: f64) -> f64 {
-    (value * 1e9).round() / 1e9 + 0.0
 }
 
 /// A name that a shell takes as one word.

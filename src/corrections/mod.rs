@@ -5,13 +5,19 @@
 //! hold amounts and no thresholds; nothing here estimates.
 
 mod apply;
+#[cfg(feature = "fix")]
 mod code;
+#[cfg(feature = "fix")]
 mod collect;
 mod file;
+#[cfg(feature = "fix")]
 mod files;
+#[cfg(feature = "fix")]
 mod frames;
 
 pub(crate) use apply::Given;
+#[cfg(feature = "fix")]
 pub(crate) use collect::Mending;
 pub use file::{Corrections, FrameCorrection, JointCorrection, JointOrder, TopicCorrection};
+#[cfg(feature = "fix")]
 pub(crate) use files::{FIX_FILES, model_files};

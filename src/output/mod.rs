@@ -4,6 +4,9 @@
 //! first makes sure that no file which was read is lost. None of them touches what the report says is wrong,
 //! so that a report outlives an output that cannot be written.
 
+#[cfg(feature = "fix")]
 pub mod fix;
+#[cfg(feature = "recording")]
 pub mod replay;
+#[cfg(feature = "tables")]
 pub mod tables;

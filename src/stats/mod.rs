@@ -1,7 +1,7 @@
 //! Numbers with their errors, and what is usual among many.
 
 mod measured;
-pub(crate) mod thin;
+pub mod thin;
 
 pub(crate) use measured::joint_p_value;
 pub use measured::{Length, Measured};
