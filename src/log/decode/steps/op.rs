@@ -70,7 +70,7 @@ impl Op {
         }
     }
 
-    /// Reads or passes over one field; what has steps of its own is walked by [`walk`].
+    /// Reads or passes over one field; what has steps of its own the plan walks.
     pub(super) fn run(&self, cursor: &mut Cursor<'_>, row: &mut Row) -> Result<(), Short> {
         match *self {
             Op::Skip { size, count } => {
