@@ -2,8 +2,7 @@
 
 use super::code::{self, Lines};
 use super::file::{AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection};
-use super::files::{model_stem, slug};
-use super::frames::FixedFrame;
+use super::frames::{FixedFrame, model_stem, slug};
 use super::source::{Source, amount, label, nothing, slip_words};
 use crate::checks::Facts;
 use crate::finding::{Cause, Finding, JointScaling, Unit};
