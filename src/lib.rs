@@ -23,14 +23,10 @@
     allow(dead_code, unused_imports, reason = "the outputs read it")
 )]
 
-#[cfg(test)]
-mod any_log;
 mod audit;
-mod demo;
 
 pub mod boundary;
 pub mod checks;
-pub mod compare;
 pub mod config;
 pub mod corrections;
 pub mod desk;
@@ -50,8 +46,8 @@ pub mod stream;
 pub mod synth;
 pub mod time;
 
-pub use audit::{Audited, Options, Policy};
-pub use demo::{DEMO_LOG, Demo, Planted, demo};
+pub use audit::{Audited, DEMO_LOG, Demo, Options, Planted, Policy, demo};
+pub use report::compare;
 
 use std::path::PathBuf;
 

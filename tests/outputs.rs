@@ -10,6 +10,7 @@ use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
+use poseaudit::synth::Scenario;
 use tempfile::TempDir;
 
 /// A command: what it reads, and its arguments, of which `OUT` is the output.
@@ -383,7 +384,11 @@ fn a_disk_without_room_and_a_folder_that_takes_no_file_cost_nothing() {
 #[test]
 fn what_ends_a_call_leaves_no_file_that_is_not_whole() {
     let folder = tempfile::tempdir().expect("a folder");
-    let log = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/faulty.mcap");
+    // A recording of a minute takes longer to write than a signal takes to come.
+    let logs = tempfile::tempdir().expect("a folder");
+    let log = logs.path().join("run.mcap");
+    let run = Scenario { duration_s: 60.0, ..Scenario::ur5e() };
+    run.write_mcap(fs::File::create(&log).expect("a file"), None).expect("a log");
     fs::write(folder.path().join("run.rrd"), "as it was").expect("a file");
     let names = || {
         let entries = fs::read_dir(folder.path()).expect("a folder");

@@ -1,7 +1,10 @@
 //! What joins the rooms: a run's streams into the diagnosis, its results into facts for the rules,
 //! and both into the report.
 
+#[cfg(test)]
+mod any_log;
 mod arms;
+mod demo;
 mod estimate;
 mod facts;
 mod hand_eye;
@@ -21,6 +24,7 @@ use crate::places::Places;
 use crate::report::{Figures, FileRow, LogSummary, NoteRow, Report, Trouble, tells_hand_eye};
 use crate::run::{Arm, Excerpts, Run, Segment, segments};
 
+pub use demo::{DEMO_LOG, Demo, Planted, demo};
 use estimate::{diagnose, readable_joints};
 use facts::facts;
 use hand_eye::hand_eyes;

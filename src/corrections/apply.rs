@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use super::file::{AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection};
+use super::file::{
+    AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection, is_same,
+};
 use crate::diagnosis::{AxesSlip, Meant, Reading, reread_imu, reread_poses};
 use crate::finding::Unit;
 use crate::geometry::{LengthScale, Pose, Slip, rotation_from_xyzw};
@@ -254,10 +256,6 @@ impl Open {
     fn first(&self) -> Option<&'static str> {
         self.0.first().copied()
     }
-}
-
-pub(super) fn is_same(topic: &str, name: &str) -> bool {
-    topic.trim_start_matches('/') == name.trim_start_matches('/')
 }
 
 fn mend_poses(

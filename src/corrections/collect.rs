@@ -1,19 +1,16 @@
 //! From the findings of an audit to what mends them.
 
 use super::code::{self, Lines};
-use super::file::{
-    AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection, rounded,
-};
-use super::files::{model_stem, slug};
-use super::frames::FixedFrame;
+use super::file::{AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection};
+use super::frames::{FixedFrame, model_stem, slug};
+use super::source::{Source, amount, label, nothing, slip_words};
 use crate::checks::Facts;
-use crate::diagnosis::Reading;
-use crate::finding::{Cause, Estimate, Finding, JointScaling, Unit};
+use crate::finding::{Cause, Finding, JointScaling, Unit};
 use crate::geometry::{
-    AngleUnit, Coding, Convention, LengthScale, Pose, QuaternionSlip, Rotation, RotationSlip, Slip,
+    AngleUnit, Coding, LengthScale, Pose, QuaternionSlip, Rotation, RotationSlip, Slip,
     xyzw_from_rotation,
 };
-use crate::report::{Report, StreamRow};
+use crate::report::Report;
 use crate::run::{Arm, Run};
 use crate::stats::Measured;
 
@@ -485,76 +482,5 @@ impl Mending {
             false => plain,
             true => format!("{stem}-{}.{extension}", self.models.len() + 1),
         }
-    }
-}
-
-/// What findings are read with.
-struct Source<'a> {
-    report: &'a Report,
-    run: &'a Run,
-    facts: &'a Facts,
-}
-
-impl Source<'_> {
-    fn row(&self, topic: &str) -> Option<&StreamRow> {
-        self.report.streams.iter().find(|row| row.topic == topic)
-    }
-
-    /// The topic of a finding, which holds one stream.
-    fn lone_topic(&self, finding: &Finding) -> Result<String, String> {
-        let topic = finding.subject.topic.clone().ok_or_else(nothing)?;
-        let streams = self.report.streams.iter().filter(|row| row.topic == topic).count();
-        match streams {
-            0 | 1 => Ok(topic),
-            _ => Err(format!("{topic} holds several streams, which no correction tells apart")),
-        }
-    }
-
-    /// The robot of a finding on a joint, where several have a joint of that name.
-    fn robot_of(&self, finding: &Finding, joint: &str) -> Option<String> {
-        let arms =
-            self.run.arms.iter().filter(|arm| arm.joint_names.iter().any(|own| own == joint));
-        finding.subject.robot.clone().filter(|_| arms.count() > 1)
-    }
-
-    fn is_tf(&self, topic: &str) -> bool {
-        self.row(topic).is_some_and(|row| row.role == "tf")
-    }
-
-    /// The convention that the bare numbers of a topic turned out to be in.
-    fn convention_of_numbers(&self, topic: &str) -> Option<Convention> {
-        let (_, stream) = self.facts.poses().find(|(_, stream)| stream.topic() == topic)?;
-        match stream.diagnosis.reading.as_ref().ok()?.best {
-            Reading::Numbers(convention) if stream.bare_numbers => Some(convention),
-            _ => None,
-        }
-    }
-}
-
-/// The code of a finding, and what it is on.
-fn label(finding: &Finding) -> String {
-    match finding.subject.label() {
-        "" => finding.code.to_owned(),
-        on => format!("{} on {on}", finding.code),
-    }
-}
-
-fn nothing() -> String {
-    "the finding holds no amount that could be applied".to_owned()
-}
-
-/// The value of an amount in `unit`, and its interval.
-fn amount(unit: Unit, found: &Measured) -> Result<(f64, Option<[f64; 2]>), String> {
-    match found.value.is_finite() {
-        true => Ok((rounded(found.value), unit.interval95(found).map(|ends| ends.map(rounded)))),
-        false => Err(nothing()),
-    }
-}
-
-/// What was taken for what, in words.
-fn slip_words(finding: &Finding) -> Result<String, String> {
-    match &finding.estimate {
-        Some(Estimate::Slip { is, read_as, .. }) => Ok(format!("{is} read as {read_as}")),
-        _ => Err(nothing()),
     }
 }

@@ -7,7 +7,6 @@ use std::path::Path;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::apply::is_same;
 use crate::diagnosis::Reading;
 use crate::geometry::{
     AngleUnit, Axes, Convention, LengthScale, Pose, RotationSlip, Slip, misreading_classes, pose,
@@ -409,6 +408,10 @@ impl Corrections {
         });
         &mut self.topics[at]
     }
+}
+
+pub(super) fn is_same(topic: &str, name: &str) -> bool {
+    topic.trim_start_matches('/') == name.trim_start_matches('/')
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use super::collect::{
     CONVENTIONS, CORRECTIONS, JOINTS, LATENCIES, MODEL, Mended, Mending, OFFSETS, TRANSFORMS,
 };
 use super::file::JointCorrection;
-use super::frames::in_xml;
+use super::frames::{in_xml, model_stem};
 use crate::geometry::CodeLine;
 use crate::report::markdown::prose;
 use crate::report::{quoted, tame};
@@ -25,18 +25,6 @@ pub(crate) const FIX_FILES: [&str; 7] =
 pub(crate) fn model_files(source: &Path) -> [String; 4] {
     let stem = model_stem(source);
     ["urdf", "toml", "urdf.patch", "toml.patch"].map(|ending| format!("{stem}.{ending}"))
-}
-
-/// A text as a part of a name.
-pub(super) fn slug(text: &str) -> String {
-    let plain = text.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' });
-    plain.collect::<String>().trim_matches('_').to_owned()
-}
-
-/// What the name of a patched model begins with: that of its source, where it has one.
-pub(super) fn model_stem(source: &Path) -> String {
-    let stem = slug(source.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default());
-    if stem.is_empty() || stem == "corrections" { "robot".to_owned() } else { stem }
 }
 
 impl Mending {

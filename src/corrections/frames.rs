@@ -1,5 +1,7 @@
 //! Constant frames as a static transform's command and as a joint of a URDF.
 
+use std::path::Path;
+
 use super::file::rounded;
 use crate::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
 
@@ -64,6 +66,18 @@ fn in_shell(name: &str) -> String {
 pub(super) fn in_xml(text: &str) -> String {
     let escaped = text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
     escaped.replace('"', "&quot;").replace("--", "- -")
+}
+
+/// A text as a part of a name.
+pub(super) fn slug(text: &str) -> String {
+    let plain = text.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' });
+    plain.collect::<String>().trim_matches('_').to_owned()
+}
+
+/// What the name of a patched model begins with: that of its source, where it has one.
+pub(super) fn model_stem(source: &Path) -> String {
+    let stem = slug(source.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default());
+    if stem.is_empty() || stem == "corrections" { "robot".to_owned() } else { stem }
 }
 
 #[cfg(test)]

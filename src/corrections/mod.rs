@@ -14,6 +14,7 @@ mod file;
 mod files;
 #[cfg(feature = "fix")]
 mod frames;
+mod source;
 
 pub(crate) use apply::Given;
 #[cfg(feature = "fix")]

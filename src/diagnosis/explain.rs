@@ -5,9 +5,10 @@
 //! that, Gauss–Newton moves the state until the chosen set no longer changes.
 
 use super::Measured;
-use super::linear::{Linear, Normal, Weight, influence, sandwich};
+use super::linear::{Linear, Normal, Weight};
 use super::model::{GROWTH, LATENCY, REFERENCE, SKEW, STREAM_WIDTH, State, TOOL, Witness};
 use super::noise::Noise;
+use super::robust::{influence, sandwich};
 use nalgebra::{DMatrix, DVector};
 use std::sync::{Arc, Mutex, PoisonError};
 

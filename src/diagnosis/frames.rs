@@ -1,9 +1,9 @@
 //! Constant frame errors: first guesses from which the fit starts, and what it says of them.
 
+use super::constant::{mean_rotation, wahba};
 use super::explain::{Cause, Explanation, Menu};
 use super::model::{StreamState, Sweep, Witness, twist_of};
 use super::placing::Expected;
-use super::reading::{mean_rotation, wahba};
 use super::{FrameEstimate, Measured, Seen, Unseen};
 use crate::geometry::{
     Pose, Rotation, Vec3, angle_between, pose, rotation_from_matrix_rows, rotvec_from_rotation,

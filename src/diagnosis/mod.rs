@@ -7,6 +7,7 @@
 mod aligned;
 mod arm;
 mod carried;
+mod constant;
 mod course;
 mod dh;
 mod explain;
@@ -34,10 +35,12 @@ mod reference;
 mod reread;
 mod residual;
 mod rival;
+mod robust;
 mod shake;
 mod steady;
 mod steps;
 mod trend;
+mod turning;
 mod workspace;
 
 use crate::geometry::{

@@ -1,6 +1,6 @@
 //! Where a stream's positions lie against the arm's: what can be said before any rotation is read.
 
-use super::reading::wahba;
+use super::constant::wahba;
 use crate::geometry::{Pose, Rotation, Vec3, pose};
 use nalgebra::Matrix3;
 

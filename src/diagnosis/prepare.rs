@@ -4,23 +4,20 @@
 use super::arm::{FOLLOWS, SEARCH_SAMPLES};
 use super::joints::Read;
 use super::latency::{ArmSpeeds, Peak};
-use super::layout::{Layout, matrix_of};
 use super::model::{Blind, StreamState, Sweep, ToolPart, Witness};
 use super::placement::{Placement, lies_as_logged};
-use super::placing::{ON_ARM, spread};
-use super::reading::{After, Fit, Logged, Samples, fit_known, nearest_truth, read};
-use super::{AxesSlip, PoseStream, Reading, ReadingEstimate, Seen, UnitSlip, Unseen};
-use crate::geometry::{Axes, Convention, Pose, QuaternionSlip, Rotation, Vec3, angle_between};
+use super::placing::spread;
+use super::reading::{After, Fit, Logged, Samples, nearest_truth, read};
+use super::turning::{FITS_RAD, Turning, Way};
+use super::{AxesSlip, PoseStream, ReadingEstimate, Seen, UnitSlip, Unseen};
+use crate::geometry::{Pose, Rotation, Vec3, angle_between};
 use crate::robot::Chain;
 use crate::stats::{NORMAL, median};
 use crate::stream::{DeclaredUnits, JointTrack, Orientations, PoseTrack};
-use nalgebra::Matrix3;
 use std::borrow::Cow;
 
 /// Samples that readings are tried on.
 const READING_SAMPLES: usize = 72;
-/// Rotations are read rightly that leave no more than this, rad: joints may be off by some degrees.
-pub(super) const FITS_RAD: f64 = 0.05;
 /// Moving samples without which a latency is not sought.
 const MOVING_SAMPLES: usize = 10;
 
@@ -77,178 +74,6 @@ impl Prepared<'_> {
             }
             Ok(_) => false,
             Err(_) => self.inverted,
-        }
-    }
-}
-
-/// One way to take a stream's poses to the base, before the rotations' numbers are read.
-struct Way {
-    metres: f64,
-    axes: AxesSlip,
-    inverted: bool,
-    /// How the reference frame is turned, where positions tell.
-    reference: Option<Rotation>,
-}
-
-impl Way {
-    /// The ways to understand a layout; what it leaves is not much of the motion's `extent_m`.
-    fn of(layout: &Layout, extent_m: f64) -> Vec<Self> {
-        let standard = AxesSlip { positions: Axes::STANDARD, rotations: Axes::STANDARD };
-        let way = |axes, reference| {
-            let Layout { metres, inverted, .. } = *layout;
-            // Positions of inverse poses are in the tool's frame: they do not tell how the base's is turned.
-            Way { metres, axes, inverted, reference: if inverted { None } else { reference } }
-        };
-        if layout.left_m > ON_ARM * extent_m {
-            return vec![way(standard, None)];
-        }
-        let both = |axes| AxesSlip { positions: axes, rotations: axes };
-        let positions = |axes| AxesSlip { positions: axes, ..standard };
-        match (layout.axes, layout.is_mirrored()) {
-            (Some(axes), true) => {
-                vec![
-                    way(both(axes), Some(Rotation::identity())),
-                    way(positions(axes), Some(Rotation::identity())),
-                ]
-            }
-            (None, true) => {
-                // In a world that is turned at will all mirrors are one: the most usual is named.
-                let back = matrix_of(Axes::UNITY).transpose();
-                let turn = rotation_of(&(back * layout.turn));
-                vec![way(both(Axes::UNITY), Some(turn)), way(positions(Axes::UNITY), None)]
-            }
-            (Some(axes), false) if axes.are_exchanged() && !layout.inverted => vec![
-                way(standard, Some(rotation_of(&layout.turn))),
-                way(both(axes), Some(Rotation::identity())),
-                way(positions(axes), Some(Rotation::identity())),
-            ],
-            (_, false) => vec![way(standard, Some(rotation_of(&layout.turn)))],
-        }
-    }
-
-    /// Another one in which rotations alone are in axes of their own.
-    fn with_rotations_in(&self, rotations: Axes) -> Self {
-        Way { axes: AxesSlip { rotations, ..self.axes }, ..*self }
-    }
-
-    fn after(&self) -> After {
-        let axes = self.axes.rotations;
-        let conjugator = (axes != Axes::STANDARD).then(|| axes.conjugator());
-        After { conjugator, inverted: self.inverted }
-    }
-
-    /// Positions of poses that are not yet turned round, m.
-    fn positions(&self, xyz: &[Vec3]) -> Vec<Vec3> {
-        xyz.iter().map(|p| self.axes.positions.standard(*p) * self.metres).collect()
-    }
-}
-
-fn rotation_of(matrix: &Matrix3<f64>) -> Rotation {
-    Rotation::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(*matrix))
-}
-
-/// Orientations at some samples, and FK there.
-struct Turning<'a> {
-    logged: Logged<'a>,
-    fk: &'a [Rotation],
-    reference_known: bool,
-    are_quaternions: bool,
-}
-
-impl Turning<'_> {
-    /// What the rotations are read as on one way, with the turned reference in the fit.
-    fn read(&self, way: &Way) -> Seen<(ReadingEstimate, Fit)> {
-        let turned = self.turned(way);
-        let (mut reading, mut fit) = read(&self.samples(way, &turned))?;
-        fit.reference *= way.reference.unwrap_or_default();
-        if way.axes != AxesSlip::NONE {
-            reading.as_logged_rad = self.as_logged_rad();
-        }
-        Ok((reading, fit))
-    }
-
-    /// What the simplest readings leave on one way, rad.
-    fn plain_rad(&self, way: &Way) -> f64 {
-        let turned = self.turned(way);
-        let samples = self.samples(way, &turned);
-        let simple = [Reading::AsLogged, Reading::Transposed]
-            .into_iter()
-            .chain(QuaternionSlip::BOTH.map(Reading::QuaternionOrder));
-        let numbers = || Convention::all().iter().map(|&one| Reading::Numbers(one));
-        let readings: Vec<Reading> = match self.logged {
-            Logged::Rotations(_) => simple.collect(),
-            Logged::Numbers(_) => numbers().collect(),
-        };
-        let fits = readings.into_iter().filter_map(|reading| fit_known(&samples, reading));
-        fits.map(|fit| fit.residual_rad).fold(f64::INFINITY, f64::min)
-    }
-
-    fn turned(&self, way: &Way) -> Vec<Rotation> {
-        let reference = way.reference.unwrap_or_default();
-        self.fk.iter().map(|fk| reference * fk).collect()
-    }
-
-    fn samples<'s>(&'s self, way: &Way, turned: &'s [Rotation]) -> Samples<'s> {
-        Samples {
-            logged: self.logged,
-            fk: turned,
-            reference_free: way.reference.is_none(),
-            reference_known: self.reference_known || way.reference.is_some(),
-            are_quaternions: self.are_quaternions,
-            after: way.after(),
-        }
-    }
-
-    /// Angle to FK of rotations as logged, rms rad.
-    fn as_logged_rad(&self) -> Option<f64> {
-        let Logged::Rotations(logged) = self.logged else { return None };
-        let squares = logged.iter().zip(self.fk).map(|(a, b)| angle_between(a, b).powi(2));
-        Some((squares.sum::<f64>() / logged.len().max(1) as f64).sqrt())
-    }
-
-    /// The way on which rotations can be read best, with their reading.
-    fn best(&self, ways: Vec<Way>) -> Seen<(Way, ReadingEstimate, Fit)> {
-        /// Rotations alone are in other axes only where that leaves so many times less.
-        const BETTER: f64 = 5.0;
-        let mut best: Option<(Way, ReadingEstimate, Fit)> = None;
-        let mut why = Unseen::NoOrientation;
-        // Where positions tell the frame and are in its axes, rotations may still be in others.
-        let is_told = |way: &&Way| way.reference.is_some() && way.axes == AxesSlip::NONE;
-        let told = ways.iter().find(is_told).map(|way| Way { ..*way });
-        for way in ways {
-            let (reading, fit) = match self.read(&way) {
-                Ok(found) => found,
-                Err(unseen) => {
-                    why = unseen;
-                    continue;
-                }
-            };
-            // Reversed joints may mirror positions, but not so that rotations fit.
-            if way.axes != AxesSlip::NONE && fit.residual_rad > FITS_RAD {
-                continue;
-            }
-            let order = |fit: &Fit| match fit.residual_rad <= FITS_RAD {
-                true => (0, f64::from(fit.frames.count())),
-                false => (1, fit.residual_rad),
-            };
-            let is_done = order(&fit) == (0, 0.0);
-            if best.as_ref().is_none_or(|(_, _, known)| order(&fit) < order(known)) {
-                best = Some((way, reading, fit));
-            }
-            if is_done {
-                break;
-            }
-        }
-        let left = best.as_ref().map_or(f64::INFINITY, |(_, _, fit)| fit.residual_rad);
-        let Some(told) = told.filter(|_| left > FITS_RAD) else { return best.ok_or(why) };
-        let right_handed = Axes::all().iter().filter(|axes| !axes.are_left_handed());
-        let turned = right_handed.map(|&axes| told.with_rotations_in(axes));
-        let turned = turned.map(|way| (self.plain_rad(&way), way));
-        let turned = turned.min_by(|a, b| a.0.total_cmp(&b.0));
-        let better = turned.filter(|(rad, _)| *rad <= FITS_RAD && rad * BETTER < left);
-        match better.and_then(|(_, way)| Some((self.read(&way).ok()?, way))) {
-            Some(((reading, fit), way)) => Ok((way, reading, fit)),
-            None => best.ok_or(why),
         }
     }
 }

@@ -5,13 +5,13 @@
 //! it may need. The simplest reading near the least residual wins. Frame-free invariants alone
 //! cannot do this: several readings differ by a constant frame only.
 
+use super::constant::{Side, Truths, both_frames, nearest, one_frame};
 use super::{Reading, ReadingEstimate, Seen, Unseen};
 use crate::geometry::{
     Convention, QuaternionSlip, Rotation, Vec3, angle_between, misreading_classes,
-    rotation_from_rotvec, rotation_from_xyzw, rotvec_from_rotation, xyzw_from_rotation,
+    rotation_from_xyzw, xyzw_from_rotation,
 };
 use crate::stream::Orientations;
-use nalgebra::Matrix3;
 use rayon::prelude::*;
 
 /// A reading fits when its residual is within this factor of the least one …
@@ -121,33 +121,18 @@ pub(super) struct Fit {
     pub residual_rad: f64,
 }
 
-/// The candidate true rotations of every sample under one reading.
-#[derive(Default)]
-struct Truths {
-    ends: Vec<usize>,
-    rotations: Vec<Rotation>,
-}
-
-impl Truths {
-    fn of(&self, sample: usize) -> &[Rotation] {
-        let start = sample.checked_sub(1).map_or(0, |before| self.ends[before]);
-        &self.rotations[start..self.ends[sample]]
-    }
-
-    fn fill(&mut self, reading: &Reading, samples: &Samples, buffer: &mut Vec<Rotation>) {
-        self.ends.clear();
-        self.rotations.clear();
-        let logged = &samples.logged;
-        let count = match logged {
-            Logged::Rotations(rotations) => rotations.len(),
-            Logged::Numbers(numbers) => numbers.len(),
-        };
-        for sample in 0..count {
-            truths(reading, logged, sample, buffer);
-            samples.after.undo(buffer);
-            self.rotations.extend_from_slice(buffer);
-            self.ends.push(self.rotations.len());
-        }
+/// Fills in the candidate true rotations of every sample under `reading`.
+fn fill(truths_of: &mut Truths, reading: &Reading, samples: &Samples, buffer: &mut Vec<Rotation>) {
+    truths_of.clear();
+    let logged = &samples.logged;
+    let count = match logged {
+        Logged::Rotations(rotations) => rotations.len(),
+        Logged::Numbers(numbers) => numbers.len(),
+    };
+    for sample in 0..count {
+        truths(reading, logged, sample, buffer);
+        samples.after.undo(buffer);
+        truths_of.push(buffer);
     }
 }
 
@@ -188,14 +173,6 @@ pub(super) fn nearest_truth(
     truths(reading, logged, sample, buffer);
     after.undo(buffer);
     nearest(buffer, expected).map(|(rotation, _)| rotation)
-}
-
-/// The candidate nearest to `expected`, with the cosine of half the angle between them.
-fn nearest(candidates: &[Rotation], expected: &Rotation) -> Option<(Rotation, f64)> {
-    candidates
-        .iter()
-        .map(|candidate| (*candidate, candidate.coords.dot(&expected.coords).abs()))
-        .max_by(|a, b| a.1.total_cmp(&b.1))
 }
 
 /// Which reading follows FK.
@@ -393,7 +370,7 @@ fn fits_of(
     truths: &mut Truths,
     buffer: &mut Vec<Rotation>,
 ) -> Vec<Fit> {
-    truths.fill(&reading, samples, buffer);
+    fill(truths, &reading, samples, buffer);
     let fit = |&frames: &Frames| {
         let (reference, tool) = match frames {
             Frames::None => (Rotation::identity(), Rotation::identity()),
@@ -435,118 +412,4 @@ fn residual(truths: &Truths, fk: &[Rotation], reference: &Rotation, tool: &Rotat
     let kept = (squares.len() * 9).div_ceil(10);
     squares.sort_unstable_by(f64::total_cmp);
     (squares[..kept].iter().sum::<f64>() / kept as f64).sqrt()
-}
-
-#[derive(Clone, Copy)]
-enum Side {
-    Reference,
-    Tool,
-}
-
-/// The one constant frame that best takes FK to the truths.
-///
-/// A few samples' candidates are tried as anchors, since a wrong branch at one of them must not
-/// decide; the best is then averaged over all samples.
-fn one_frame(truths: &Truths, fk: &[Rotation], side: Side) -> Rotation {
-    let frame_at = |truth: &Rotation, fk: &Rotation| match side {
-        Side::Reference => truth * fk.inverse(),
-        Side::Tool => fk.inverse() * truth,
-    };
-    let apply = |frame: &Rotation, fk: &Rotation| match side {
-        Side::Reference => frame * fk,
-        Side::Tool => fk * frame,
-    };
-    let step = fk.len().div_ceil(4);
-    let anchors = (0..fk.len())
-        .step_by(step)
-        .flat_map(|sample| truths.of(sample).iter().map(move |truth| (sample, truth)));
-    let closeness = |frame: &Rotation| -> f64 {
-        let cosine = |(sample, fk): (usize, &Rotation)| {
-            nearest(truths.of(sample), &apply(frame, fk)).map_or(0.0, |(_, cosine)| cosine)
-        };
-        fk.iter().enumerate().map(cosine).sum()
-    };
-    let anchored = anchors
-        .map(|(sample, truth)| frame_at(truth, &fk[sample]))
-        .map(|frame| (closeness(&frame), frame))
-        .max_by(|a, b| a.0.total_cmp(&b.0));
-    let Some((_, mut frame)) = anchored else {
-        return Rotation::identity();
-    };
-    for _ in 0..2 {
-        let mean: Vec3 = fk
-            .iter()
-            .enumerate()
-            .filter_map(|(sample, fk)| {
-                let (truth, _) = nearest(truths.of(sample), &apply(&frame, fk))?;
-                Some(rotvec_from_rotation(&(frame.inverse() * frame_at(&truth, fk))))
-            })
-            .sum::<Vec3>()
-            / fk.len() as f64;
-        frame *= rotation_from_rotvec(mean);
-    }
-    frame
-}
-
-/// Reference and tool rotation together: relative rotations of the stream are those of FK turned by
-/// the reference (`AX = XB`), whose axes give the reference by Wahba's problem; the tool follows.
-///
-/// Park and Martin, "Robot sensor calibration: solving AX = XB on the Euclidean group", 1994, with
-/// the singular value solution of Wahba's problem (Markley 1988).
-fn both_frames(truths: &Truths, fk: &[Rotation]) -> (Rotation, Rotation) {
-    let (mut reference, mut tool) = (None, Rotation::identity());
-    for _ in 0..3 {
-        let chosen: Vec<Option<Rotation>> = (0..fk.len())
-            .map(|sample| match reference {
-                None => truths.of(sample).first().copied(),
-                Some(reference) => {
-                    nearest(truths.of(sample), &(reference * fk[sample] * tool)).map(|n| n.0)
-                }
-            })
-            .collect();
-        let mut correlation = Matrix3::zeros();
-        let stride = (fk.len() / 3).max(1);
-        for a in 0..fk.len() {
-            let b = (a + stride) % fk.len();
-            let (Some(truth_a), Some(truth_b)) = (chosen[a], chosen[b]) else { continue };
-            let by_stream = rotvec_from_rotation(&(truth_b * truth_a.inverse()));
-            let by_fk = rotvec_from_rotation(&(fk[b] * fk[a].inverse()));
-            correlation += by_stream * by_fk.transpose();
-        }
-        let turned = wahba(&correlation);
-        reference = Some(turned);
-        let offsets: Vec<Rotation> = chosen
-            .iter()
-            .zip(fk)
-            .filter_map(|(truth, fk)| truth.map(|truth| (turned * fk).inverse() * truth))
-            .collect();
-        tool = mean_rotation(&offsets);
-    }
-    (reference.unwrap_or_default(), tool)
-}
-
-/// The rotation `a_from_b` that best takes vectors b to vectors a, from `Σ a·bᵀ`.
-pub(super) fn wahba(correlation: &Matrix3<f64>) -> Rotation {
-    let svd = correlation.svd(true, true);
-    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
-        return Rotation::identity();
-    };
-    let mut flip = Matrix3::identity();
-    flip[(2, 2)] = (u * v_t).determinant().signum();
-    let matrix = u * flip * v_t;
-    Rotation::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(matrix))
-}
-
-/// The mean of rotations that lie close together, by averaging rotation vectors about the median
-/// of the first guesses.
-pub(super) fn mean_rotation(rotations: &[Rotation]) -> Rotation {
-    let Some(first) = rotations.get(rotations.len() / 2) else {
-        return Rotation::identity();
-    };
-    let mut mean = *first;
-    for _ in 0..4 {
-        let sum: Vec3 = rotations.iter().map(|r| rotvec_from_rotation(&(mean.inverse() * r))).sum();
-        mean *= rotation_from_rotvec(sum / rotations.len() as f64);
-    }
-    mean
 }

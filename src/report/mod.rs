@@ -3,6 +3,7 @@
 //! A format only renders. What is in a report is settled when it is made.
 
 pub(crate) mod amounts;
+pub mod compare;
 pub mod figures;
 mod file;
 mod format;

@@ -3,7 +3,8 @@
 //! What is predicted is what the camera sees: `camera_from_target = (carrier · X)⁻¹ · Y`. Its errors
 //! are the detector's own, so position and rotation are weighed by what each of them leaves.
 
-use super::super::linear::{Linear, Normal, Weight, sandwich};
+use super::super::linear::{Linear, Normal, Weight};
+use super::super::robust::sandwich;
 use super::series::Setting;
 use super::start::{Start, together};
 use super::{CameraPose, FEWEST};

@@ -1,6 +1,6 @@
 //! A first guess of the camera's pose in closed form.
 
-use super::super::reading::wahba;
+use super::super::constant::wahba;
 use super::series::Pair;
 use crate::geometry::{
     Pose, Rotation, Vec3, angle_between, pose, rotation_from_rotvec, rotvec_from_rotation,

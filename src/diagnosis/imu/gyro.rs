@@ -6,10 +6,10 @@
 //! IEEE T-RO 2017, with its first-order derivatives). A window is as short as the joints' noise
 //! allows, since a short one tells more of latency and mount.
 
+use super::super::constant::wahba;
 use super::super::course::{Lagging, course_of};
 use super::super::latency::median_period_s;
 use super::super::linear::Linear;
-use super::super::reading::wahba;
 use super::super::{GyroBias, GyroShape, LatencyCourse, Measured, Seen, Unseen};
 use super::solve::{Model, Solved, lengths, solve};
 use super::{Clock, Delay, Link, NEED, SKEW_CHANCE, TURNS_RAD, explains, rms};

@@ -1,7 +1,7 @@
 //! What an IMU leaves straight against FK, beside the fits: what a pass rests on.
 
+use super::super::constant::{mean_rotation, wahba};
 use super::super::proof::{Error, Series};
-use super::super::reading::{mean_rotation, wahba};
 use super::{FIT_SAMPLES, FOLLOWS, ImuDiagnosis, ImuStream, Link, rms};
 use crate::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use crate::stream::{JointTrack, sample_noise};

@@ -15,9 +15,9 @@ mod solve;
 mod tilt;
 mod yaw;
 
+use super::constant::mean_rotation;
 use super::latency::{ArmSpeeds, Peak, angular_speed, by_lag, norms, peaks};
 use super::prepare::still_speeds;
-use super::reading::mean_rotation;
 use super::reread;
 use super::{AxesSlip, Meant, Measured, Reading, Seen, Unseen};
 pub use found::{GyroBias, GyroShape, Heading, ImuDiagnosis, ImuStream, YawCourse, YawJump};

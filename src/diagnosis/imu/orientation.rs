@@ -2,12 +2,11 @@
 //! `world_from_imu(s) = Rz(yaw(s)) · world_from_base · FK(q(s − τ)) · link_from_imu`, where
 //! `yaw(s) = drift·(s − middle) + jumps before s + walk(s)`.
 
+use super::super::constant::mean_rotation;
 use super::super::course::{Lagging, course_of};
 use super::super::linear::Linear;
 use super::super::model::FLOOR_RAD;
-use super::super::reading::{
-    After, Fit, Logged, Samples, mean_rotation, nearest_truth, read_in_gravity,
-};
+use super::super::reading::{After, Fit, Logged, Samples, nearest_truth, read_in_gravity};
 use super::super::{Heading, LatencyCourse, Measured, ReadingEstimate, Seen, Unseen, YawCourse};
 use super::solve::{Model, Solved, lengths, solve};
 use super::yaw::{self, Course};

@@ -1,6 +1,7 @@
 //! Gauss–Newton over the free parameters of a model of an IMU.
 
-use super::super::linear::{Linear, Normal, Weight, sandwich};
+use super::super::linear::{Linear, Normal, Weight};
+use super::super::robust::sandwich;
 use super::super::{Measured, Seen, Unseen};
 use crate::geometry::Vec3;
 use crate::stats::{Length, joint_p_value};

@@ -7,18 +7,20 @@
 mod found;
 mod lone;
 mod map;
+mod moments;
 mod polish;
 mod read;
 mod search;
 mod view;
 
+use self::moments::{Moments, SAMPLES, evened, in_radians, slow_moments};
 use super::latency::{joint_activity, linear_speed, peaks};
 use super::model::Witness;
 use super::placing::{Expected, spread};
 use super::{PoseStream, Seen, UnitSlip, Unseen};
 use crate::geometry::{Pose, Rotation, Vec3};
 use crate::robot::{Chain, JointKind};
-use crate::stream::{JointTrack, Orientations};
+use crate::stream::JointTrack;
 pub use found::{JointOffset, JointReading, JointScale, JointSlip, JointUnit, Twin};
 use lone::Lone;
 use map::JointMap;
@@ -30,8 +32,6 @@ pub(super) use map::half_turns;
 pub(super) use read::Read;
 pub(super) use view::Left;
 
-/// Samples that readings are tried on.
-const SAMPLES: usize = 60;
 /// Another reading must be better than the one as logged by this factor.
 const BETTER: f64 = 5.0;
 /// Residual below which the joint states are not questioned, as a share of the motion's extent.
@@ -50,18 +50,6 @@ pub(super) const ON_ARM: f64 = 0.3;
 const AT_REST_M: f64 = 2e-3;
 /// A resting tip is where the joint states say, up to this share of the arm's reach.
 const THERE: f64 = 0.03;
-
-/// Positions of a stream and the joint rows at the same moments.
-#[derive(Clone)]
-struct Moments {
-    xyz: Vec<Vec3>,
-    /// Rotations, where the stream has them and not bare numbers.
-    rotation: Option<Vec<Rotation>>,
-    /// Positions of the inverse poses, where the stream has rotations.
-    inverse_xyz: Option<Vec<Vec3>>,
-    /// Row-major, in the chain's order.
-    q: Vec<f64>,
-}
 
 /// Judges names and units of the joint states by the stream with the most samples.
 ///
@@ -433,75 +421,6 @@ fn lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<f64> {
         }
     }
     lags
-}
-
-/// The joints with velocities in units of what each has, rms.
-fn evened(joints: &JointTrack) -> JointTrack {
-    let mut evened = joints.clone();
-    let rms = rms_speeds(joints);
-    for row in evened.qd.chunks_exact_mut(joints.dof.max(1)) {
-        row.iter_mut().zip(&rms).for_each(|(speed, rms)| *speed /= rms);
-    }
-    evened
-}
-
-/// The speed of each joint, rms; at least one that no joint has.
-fn rms_speeds(joints: &JointTrack) -> Vec<f64> {
-    let square = |joint: usize| {
-        joints.qd.iter().skip(joint).step_by(joints.dof).map(|speed| speed * speed).sum::<f64>()
-    };
-    let rms = |joint: usize| (square(joint) / joints.len().max(1) as f64).sqrt().max(1e-4);
-    (0..joints.dof).map(rms).collect()
-}
-
-/// Slow moments at a latency, spread over the run.
-fn slow_moments(joints: &JointTrack, stream: &PoseStream, scale: f64, lag_s: f64) -> Moments {
-    let track = stream.track;
-    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
-    let rms = rms_speeds(joints);
-    let mut covered: Vec<(usize, f64, Vec<f64>)> = Vec::new();
-    for (k, t_s) in track.t_s.iter().enumerate() {
-        if joints.at(t_s - lag_s, &mut cursor, &mut q, &mut qd) {
-            let speed = qd.iter().zip(&rms).map(|(speed, rms)| (speed / rms).powi(2)).sum();
-            covered.push((k, speed, stream.columns.iter().map(|&c| q[c]).collect()));
-        }
-    }
-    let mut by_speed: Vec<usize> = (0..covered.len()).collect();
-    by_speed.sort_by(|&a, &b| covered[a].1.total_cmp(&covered[b].1));
-    by_speed.truncate(covered.len().div_ceil(2));
-    by_speed.sort_unstable();
-    let step = by_speed.len().div_ceil(SAMPLES).max(1);
-    let rotations = match &track.orientation {
-        Orientations::Rotations(rotations) => Some(rotations),
-        Orientations::Numbers(_) | Orientations::Unset(_) => None,
-    };
-    let mut moments = Moments {
-        xyz: Vec::new(),
-        rotation: rotations.map(|_| Vec::new()),
-        inverse_xyz: rotations.map(|_| Vec::new()),
-        q: Vec::new(),
-    };
-    for &i in by_speed.iter().step_by(step) {
-        let k = covered[i].0;
-        let xyz = track.xyz[k] * scale;
-        moments.xyz.push(xyz);
-        if let (Some(inverse_xyz), Some(rotations)) = (&mut moments.inverse_xyz, rotations) {
-            inverse_xyz.push(-(rotations[k].inverse() * xyz));
-        }
-        if let (Some(rotation), Some(rotations)) = (&mut moments.rotation, rotations) {
-            rotation.push(rotations[k]);
-        }
-        moments.q.extend_from_slice(&covered[i].2);
-    }
-    moments
-}
-
-fn in_radians(chain: &Chain, moments: &Moments) -> Moments {
-    let kinds = chain.joint_kinds();
-    let convert = |(i, q): (usize, &f64)| {
-        if kinds[i % kinds.len()] == JointKind::Prismatic { *q } else { q.to_radians() }
-    };
-    Moments { q: moments.q.iter().enumerate().map(convert).collect(), ..moments.clone() }
 }
 
 /// What is left of the positions, rms m, when a constant tool offset is taken off.

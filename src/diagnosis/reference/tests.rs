@@ -1,6 +1,6 @@
 use super::line::lines;
 use super::*;
-use crate::geometry::{Convention, pose, rotation_from_rotvec, rotation_from_rpy};
+use crate::geometry::{Convention, Pose, pose, rotation_from_rotvec, rotation_from_rpy};
 use crate::robot::catalogue;
 
 /// A smooth way from 0 to 1 in a second that begins at `from_s`.

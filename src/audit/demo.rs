@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;
 
-use crate::audit::Options;
+use super::Options;
 use crate::finding::{Cause, Finding};
 use crate::geometry::{Convention, Misreading, RotationSlip};
 use crate::report::{Report, Trouble, TroubleKind, write_whole};

@@ -1,0 +1,134 @@
+use super::*;
+use crate::finding::Unit;
+
+#[test]
+fn a_selector_is_a_code_or_the_beginning_of_some() -> Result<(), UnknownRule> {
+    let ord: Selector = "ord".parse()?;
+    assert!(ord.names("ORD001") && !ord.names("LAT001"));
+    let settings =
+        Settings { select: vec![ord], ignore: vec!["ORD001".parse()?], ..Settings::default() };
+    let asked = REGISTRY.iter().filter(|rule| settings.asks(rule)).map(|rule| rule.code);
+    let orders = REGISTRY.iter().map(|rule| rule.code).filter(|code| code.starts_with("ORD"));
+    let expected: Vec<&str> = orders.filter(|code| *code != "ORD001").collect();
+    assert!(expected.contains(&"ORD002"));
+    assert_eq!(asked.collect::<Vec<_>>(), expected);
+    Ok(())
+}
+
+#[test]
+fn an_unknown_code_names_the_nearest() {
+    let error = "ORD000".parse::<Selector>().expect_err("no such rule");
+    assert_eq!(error.nearest, ["ORD001", "ORD002", "ORD003"]);
+    let unlike = "".parse::<Selector>().expect_err("names no rule");
+    assert_eq!(unlike.to_string(), "there is no rule ``; `poseaudit rules` lists them all");
+}
+
+#[test]
+fn a_clean_run_passes_every_rule_about_an_arm() {
+    let evaluation = evaluate(&testing::clean_run(), &Settings::default());
+    assert!(evaluation.findings.is_empty(), "{:?}", evaluation.findings);
+    for row in evaluation.checks {
+        let asked = find(row.code).is_ok_and(|rule| rule.needs_model);
+        assert!(!asked || row.status == Status::Pass, "{row:?}");
+    }
+}
+
+/// What a rule says of a run, without words.
+fn statuses(rule: &Rule, facts: &Facts) -> Vec<Status> {
+    let settings = Settings {
+        select: vec![rule.code.parse().expect("the rule's own code")],
+        ..Settings::default()
+    };
+    evaluate(facts, &settings).checks.iter().map(|row| row.status).collect()
+}
+
+#[test]
+fn every_threshold_that_is_set_reaches_its_rule() {
+    // No joint slides there, no yaw jumps and nothing shakes.
+    let idle = [("ZER001", Unit::Metre), ("YAW001", Unit::Radian), ("MOT001", Unit::Metre)];
+    let mut reached = 0;
+    for rule in REGISTRY {
+        for own in rule.grade.thresholds() {
+            let mut facts = testing::clean_run();
+            let before = statuses(rule, &facts);
+            let is_asked = before.iter().any(|status| *status != Status::Skipped);
+            if !is_asked || idle.contains(&(rule.code, own.unit)) {
+                continue;
+            }
+            // Nothing is known as well as that.
+            let fine = Threshold { warning: 1e-15, error: 2e-15, ..*own };
+            facts.thresholds.set(rule, fine);
+            assert_ne!(statuses(rule, &facts), before, "{} {:?}", rule.code, own.unit);
+            reached += 1;
+        }
+    }
+    assert!(reached >= 15, "{reached}");
+}
+
+#[test]
+fn a_severity_that_is_set_is_that_of_all_but_what_is_meant_so() {
+    let mut facts = testing::clean_run();
+    facts.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.05));
+    let mut settings = Settings::default();
+    settings.severities.push(("LAT001", Severity::Warning));
+    let found = evaluate(&facts, &settings).findings;
+    assert_eq!((found[0].code, found[0].severity), ("LAT001", Severity::Warning));
+    let lat001 = find("LAT001").expect("a rule");
+    assert_eq!(settings.severity(lat001, Severity::Info), Severity::Info);
+}
+
+#[test]
+fn what_is_exempt_is_said_and_not_counted() {
+    let mut facts = testing::clean_run();
+    facts.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.05));
+    let exemption = |topic: &str| Exemption {
+        rules: "LAT".parse().expect("a family"),
+        subject: Subject { topic: Some(topic.to_owned()), ..Subject::default() },
+        reason: "a known driver".to_owned(),
+        place: "p.toml:3".to_owned(),
+    };
+    let settings = Settings {
+        exemptions: vec![exemption("pose"), exemption("/other")],
+        ..Settings::default()
+    };
+    let evaluation = evaluate(&facts, &settings);
+    assert!(evaluation.findings.is_empty(), "{:?}", evaluation.findings);
+    assert_eq!(evaluation.ignored[0].finding.code, "LAT001");
+    let row = evaluation
+        .checks
+        .iter()
+        .find(|row| row.code == "LAT001" && row.subject.topic.as_deref() == Some(testing::POSE));
+    let said = row.map(|row| (row.status, row.reason.as_deref()));
+    assert_eq!(said, Some((Status::Skipped, Some("ignored: a known driver (p.toml:3)"))));
+    assert_eq!(settings.unused(&evaluation.checks), [&exemption("/other")]);
+    assert_eq!(exemption("/t").to_string(), "LAT on /t");
+}
+
+#[test]
+fn findings_stand_by_gravity_and_then_by_effect() {
+    let mut facts = testing::clean_run();
+    facts.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.003));
+    for (joint, degrees) in [(1, 0.6), (2, 2.0)] {
+        let radians = f64::to_radians(degrees);
+        let offset = &mut facts.robots[0].diagnosis.offsets[joint];
+        (offset.offset, offset.chosen) = (Ok(testing::sure(radians)), true);
+        offset.effect_m = radians;
+    }
+    let findings = evaluate(&facts, &Settings::default()).findings;
+    let said: Vec<_> = findings.iter().map(|one| (one.code, one.subject.label())).collect();
+    assert_eq!(said, [("ZER001", "elbow"), ("ZER001", "lift"), ("LAT001", testing::POSE)]);
+}
+
+#[test]
+fn a_run_of_which_nothing_is_known_passes_nothing_that_needs_a_model() {
+    let no_robot = "no joint states in this log";
+    let facts = Facts { no_robot: Some(no_robot.to_owned()), ..Facts::default() };
+    let evaluation = evaluate(&facts, &Settings::default());
+    for (rule, row) in REGISTRY.iter().zip(&evaluation.checks) {
+        assert_eq!(rule.code, row.code);
+        if rule.needs_model {
+            assert_eq!((row.status, row.reason.as_deref()), (Status::Skipped, Some(no_robot)));
+        }
+    }
+    assert!(evaluation.findings.is_empty());
+}

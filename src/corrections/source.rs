@@ -1,0 +1,81 @@
+//! What findings are read with.
+
+use super::file::rounded;
+use crate::checks::Facts;
+use crate::diagnosis::Reading;
+use crate::finding::{Estimate, Finding, Unit};
+use crate::geometry::Convention;
+use crate::report::{Report, StreamRow};
+use crate::run::Run;
+use crate::stats::Measured;
+
+/// What findings are read with.
+pub(super) struct Source<'a> {
+    pub report: &'a Report,
+    pub run: &'a Run,
+    pub facts: &'a Facts,
+}
+
+impl Source<'_> {
+    pub fn row(&self, topic: &str) -> Option<&StreamRow> {
+        self.report.streams.iter().find(|row| row.topic == topic)
+    }
+
+    /// The topic of a finding, which holds one stream.
+    pub fn lone_topic(&self, finding: &Finding) -> Result<String, String> {
+        let topic = finding.subject.topic.clone().ok_or_else(nothing)?;
+        let streams = self.report.streams.iter().filter(|row| row.topic == topic).count();
+        match streams {
+            0 | 1 => Ok(topic),
+            _ => Err(format!("{topic} holds several streams, which no correction tells apart")),
+        }
+    }
+
+    /// The robot of a finding on a joint, where several have a joint of that name.
+    pub fn robot_of(&self, finding: &Finding, joint: &str) -> Option<String> {
+        let arms =
+            self.run.arms.iter().filter(|arm| arm.joint_names.iter().any(|own| own == joint));
+        finding.subject.robot.clone().filter(|_| arms.count() > 1)
+    }
+
+    pub fn is_tf(&self, topic: &str) -> bool {
+        self.row(topic).is_some_and(|row| row.role == "tf")
+    }
+
+    /// The convention that the bare numbers of a topic turned out to be in.
+    pub fn convention_of_numbers(&self, topic: &str) -> Option<Convention> {
+        let (_, stream) = self.facts.poses().find(|(_, stream)| stream.topic() == topic)?;
+        match stream.diagnosis.reading.as_ref().ok()?.best {
+            Reading::Numbers(convention) if stream.bare_numbers => Some(convention),
+            _ => None,
+        }
+    }
+}
+
+/// The code of a finding, and what it is on.
+pub(super) fn label(finding: &Finding) -> String {
+    match finding.subject.label() {
+        "" => finding.code.to_owned(),
+        on => format!("{} on {on}", finding.code),
+    }
+}
+
+pub(super) fn nothing() -> String {
+    "the finding holds no amount that could be applied".to_owned()
+}
+
+/// The value of an amount in `unit`, and its interval.
+pub(super) fn amount(unit: Unit, found: &Measured) -> Result<(f64, Option<[f64; 2]>), String> {
+    match found.value.is_finite() {
+        true => Ok((rounded(found.value), unit.interval95(found).map(|ends| ends.map(rounded)))),
+        false => Err(nothing()),
+    }
+}
+
+/// What was taken for what, in words.
+pub(super) fn slip_words(finding: &Finding) -> Result<String, String> {
+    match &finding.estimate {
+        Some(Estimate::Slip { is, read_as, .. }) => Ok(format!("{is} read as {read_as}")),
+        _ => Err(nothing()),
+    }
+}

@@ -1,0 +1,152 @@
+//! Constant frames between two series of rotations.
+
+use crate::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
+use nalgebra::Matrix3;
+
+/// The candidate true rotations of every sample under one reading.
+#[derive(Default)]
+pub(super) struct Truths {
+    ends: Vec<usize>,
+    rotations: Vec<Rotation>,
+}
+
+impl Truths {
+    pub fn of(&self, sample: usize) -> &[Rotation] {
+        let start = sample.checked_sub(1).map_or(0, |before| self.ends[before]);
+        &self.rotations[start..self.ends[sample]]
+    }
+
+    /// Forgets them all.
+    pub fn clear(&mut self) {
+        self.ends.clear();
+        self.rotations.clear();
+    }
+
+    /// Those of the next sample.
+    pub fn push(&mut self, candidates: &[Rotation]) {
+        self.rotations.extend_from_slice(candidates);
+        self.ends.push(self.rotations.len());
+    }
+}
+
+/// The candidate nearest to `expected`, with the cosine of half the angle between them.
+pub(super) fn nearest(candidates: &[Rotation], expected: &Rotation) -> Option<(Rotation, f64)> {
+    candidates
+        .iter()
+        .map(|candidate| (*candidate, candidate.coords.dot(&expected.coords).abs()))
+        .max_by(|a, b| a.1.total_cmp(&b.1))
+}
+
+#[derive(Clone, Copy)]
+pub(super) enum Side {
+    Reference,
+    Tool,
+}
+
+/// The one constant frame that best takes FK to the truths.
+///
+/// A few samples' candidates are tried as anchors, since a wrong branch at one of them must not
+/// decide; the best is then averaged over all samples.
+pub(super) fn one_frame(truths: &Truths, fk: &[Rotation], side: Side) -> Rotation {
+    let frame_at = |truth: &Rotation, fk: &Rotation| match side {
+        Side::Reference => truth * fk.inverse(),
+        Side::Tool => fk.inverse() * truth,
+    };
+    let apply = |frame: &Rotation, fk: &Rotation| match side {
+        Side::Reference => frame * fk,
+        Side::Tool => fk * frame,
+    };
+    let step = fk.len().div_ceil(4);
+    let anchors = (0..fk.len())
+        .step_by(step)
+        .flat_map(|sample| truths.of(sample).iter().map(move |truth| (sample, truth)));
+    let closeness = |frame: &Rotation| -> f64 {
+        let cosine = |(sample, fk): (usize, &Rotation)| {
+            nearest(truths.of(sample), &apply(frame, fk)).map_or(0.0, |(_, cosine)| cosine)
+        };
+        fk.iter().enumerate().map(cosine).sum()
+    };
+    let anchored = anchors
+        .map(|(sample, truth)| frame_at(truth, &fk[sample]))
+        .map(|frame| (closeness(&frame), frame))
+        .max_by(|a, b| a.0.total_cmp(&b.0));
+    let Some((_, mut frame)) = anchored else {
+        return Rotation::identity();
+    };
+    for _ in 0..2 {
+        let mean: Vec3 = fk
+            .iter()
+            .enumerate()
+            .filter_map(|(sample, fk)| {
+                let (truth, _) = nearest(truths.of(sample), &apply(&frame, fk))?;
+                Some(rotvec_from_rotation(&(frame.inverse() * frame_at(&truth, fk))))
+            })
+            .sum::<Vec3>()
+            / fk.len() as f64;
+        frame *= rotation_from_rotvec(mean);
+    }
+    frame
+}
+
+/// Reference and tool rotation together: relative rotations of the stream are those of FK turned by
+/// the reference (`AX = XB`), whose axes give the reference by Wahba's problem; the tool follows.
+///
+/// Park and Martin, "Robot sensor calibration: solving AX = XB on the Euclidean group", 1994, with
+/// the singular value solution of Wahba's problem (Markley 1988).
+pub(super) fn both_frames(truths: &Truths, fk: &[Rotation]) -> (Rotation, Rotation) {
+    let (mut reference, mut tool) = (None, Rotation::identity());
+    for _ in 0..3 {
+        let chosen: Vec<Option<Rotation>> = (0..fk.len())
+            .map(|sample| match reference {
+                None => truths.of(sample).first().copied(),
+                Some(reference) => {
+                    nearest(truths.of(sample), &(reference * fk[sample] * tool)).map(|n| n.0)
+                }
+            })
+            .collect();
+        let mut correlation = Matrix3::zeros();
+        let stride = (fk.len() / 3).max(1);
+        for a in 0..fk.len() {
+            let b = (a + stride) % fk.len();
+            let (Some(truth_a), Some(truth_b)) = (chosen[a], chosen[b]) else { continue };
+            let by_stream = rotvec_from_rotation(&(truth_b * truth_a.inverse()));
+            let by_fk = rotvec_from_rotation(&(fk[b] * fk[a].inverse()));
+            correlation += by_stream * by_fk.transpose();
+        }
+        let turned = wahba(&correlation);
+        reference = Some(turned);
+        let offsets: Vec<Rotation> = chosen
+            .iter()
+            .zip(fk)
+            .filter_map(|(truth, fk)| truth.map(|truth| (turned * fk).inverse() * truth))
+            .collect();
+        tool = mean_rotation(&offsets);
+    }
+    (reference.unwrap_or_default(), tool)
+}
+
+/// The rotation `a_from_b` that best takes vectors b to vectors a, from `Σ a·bᵀ`.
+pub(super) fn wahba(correlation: &Matrix3<f64>) -> Rotation {
+    let svd = correlation.svd(true, true);
+    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
+        return Rotation::identity();
+    };
+    let mut flip = Matrix3::identity();
+    flip[(2, 2)] = (u * v_t).determinant().signum();
+    let matrix = u * flip * v_t;
+    Rotation::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(matrix))
+}
+
+/// The mean of rotations that lie close together, by averaging rotation vectors about the median
+/// of the first guesses.
+pub(super) fn mean_rotation(rotations: &[Rotation]) -> Rotation {
+    let Some(first) = rotations.get(rotations.len() / 2) else {
+        return Rotation::identity();
+    };
+    let mut mean = *first;
+    for _ in 0..4 {
+        let sum: Vec3 = rotations.iter().map(|r| rotvec_from_rotation(&(mean.inverse() * r))).sum();
+        mean *= rotation_from_rotvec(sum / rotations.len() as f64);
+    }
+    mean
+}
