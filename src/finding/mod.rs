@@ -1,20 +1,21 @@
 //! What an audit says: a finding, its estimate with the interval, and the outcome it comes from.
 
 use std::borrow::Cow;
-use std::collections::BTreeSet;
-use std::sync::{Mutex, PoisonError};
 
 mod cause;
+mod read;
 mod unit;
 
 use schemars::JsonSchema;
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 use crate::stats::{Length, Measured};
 use crate::time::Stamp;
 
 pub use cause::{Cause, JointScaling};
+pub use read::Word;
+pub(crate) use read::{maybe_word, number, word};
 pub use unit::{Unit, rounded};
 
 /// How grave a finding is.
@@ -409,24 +410,6 @@ pub struct Ignored {
     pub place: String,
 }
 
-/// A word that this program has for something: a rule's code, what an estimate is of, a unit.
-pub type Word = &'static str;
-
-/// Reads a word. Each is kept once and for as long as the process lives; reports have few.
-pub(crate) fn word<'de, D: Deserializer<'de>>(from: D) -> Result<Word, D::Error> {
-    static KNOWN: Mutex<BTreeSet<Word>> = Mutex::new(BTreeSet::new());
-    let text = String::deserialize(from)?;
-    let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
-    let word = known.get(text.as_str()).copied().unwrap_or_else(|| text.leak());
-    known.insert(word);
-    Ok(word)
-}
-
-/// Reads a number, of which what is not finite was written as `null`.
-pub(crate) fn number<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
-    Ok(Option::deserialize(from)?.unwrap_or(f64::NAN))
-}
-
 /// How asking a rule about a subject ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
@@ -490,40 +473,13 @@ pub struct CheckRow {
 mod tests {
     use super::*;
 
-    fn measured(value: f64, std_error: f64) -> Measured {
-        Measured { value, std_error, dof: 1e6 }
-    }
-
-    #[test]
-    fn amounts_read_as_people_say_them() {
-        assert_eq!(Unit::Second.show(0.0231), "23.1 ms");
-        assert_eq!(Unit::Second.show(2.5e-5), "25 µs");
-        assert_eq!(Unit::Metre.show(0.002), "2 mm");
-        assert_eq!(Unit::Metre.show(0.8512), "851 mm");
-        assert_eq!(Unit::Radian.show(0.1f64.to_radians()), "0.1°");
-        assert_eq!(Unit::RadianPerSecond.show(0.2f64.to_radians() / 60.0), "0.2 °/min");
-    }
-
-    #[test]
-    fn an_interval_gives_the_digits_and_is_rounded_up() {
-        assert_eq!(Unit::Second.show_measured(&measured(0.02203, 1.05e-5)), "22.03 ± 0.03 ms");
-        assert_eq!(
-            Unit::Radian.show_signed(&measured(0.5f64.to_radians(), 1e-9)),
-            "+0.500 ± 0.001°"
-        );
-        assert_eq!(Unit::Metre.show_measured(&measured(0.002, f64::NAN)), "2 mm ± ?");
-        assert_eq!(Unit::Radian.show_signed(&measured(-1e-9, 1e-9)), "0.000 ± 0.001°");
-    }
-
-    #[test]
-    fn an_interval_is_never_narrower_than_the_noise_floor() {
-        assert_eq!(Unit::Metre.interval95(&measured(0.0, 0.0)), Some([-1e-6, 1e-6]));
-        assert_eq!(Unit::Metre.interval95(&measured(0.0, f64::INFINITY)), None);
-    }
-
     #[test]
     fn what_is_not_finite_becomes_null() -> Result<(), serde_json::Error> {
-        let estimate = Estimate::amount("latency", Unit::Second, &measured(f64::NAN, 1.0));
+        let estimate = Estimate::amount(
+            "latency",
+            Unit::Second,
+            &Measured { value: f64::NAN, std_error: 1.0, dof: 1e6 },
+        );
         let json = serde_json::to_string(&estimate)?;
         assert_eq!(json, r#"{"name":"latency","value":null,"unit":"s","ci95":null}"#);
         Ok(())

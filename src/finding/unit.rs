@@ -209,3 +209,39 @@ fn trimmed(value: f64, decimals: usize) -> String {
     }
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn measured(value: f64, std_error: f64) -> Measured {
+        Measured { value, std_error, dof: 1e6 }
+    }
+
+    #[test]
+    fn amounts_read_as_people_say_them() {
+        assert_eq!(Unit::Second.show(0.0231), "23.1 ms");
+        assert_eq!(Unit::Second.show(2.5e-5), "25 µs");
+        assert_eq!(Unit::Metre.show(0.002), "2 mm");
+        assert_eq!(Unit::Metre.show(0.8512), "851 mm");
+        assert_eq!(Unit::Radian.show(0.1f64.to_radians()), "0.1°");
+        assert_eq!(Unit::RadianPerSecond.show(0.2f64.to_radians() / 60.0), "0.2 °/min");
+    }
+
+    #[test]
+    fn an_interval_gives_the_digits_and_is_rounded_up() {
+        assert_eq!(Unit::Second.show_measured(&measured(0.02203, 1.05e-5)), "22.03 ± 0.03 ms");
+        assert_eq!(
+            Unit::Radian.show_signed(&measured(0.5f64.to_radians(), 1e-9)),
+            "+0.500 ± 0.001°"
+        );
+        assert_eq!(Unit::Metre.show_measured(&measured(0.002, f64::NAN)), "2 mm ± ?");
+        assert_eq!(Unit::Radian.show_signed(&measured(-1e-9, 1e-9)), "0.000 ± 0.001°");
+    }
+
+    #[test]
+    fn an_interval_is_never_narrower_than_the_noise_floor() {
+        assert_eq!(Unit::Metre.interval95(&measured(0.0, 0.0)), Some([-1e-6, 1e-6]));
+        assert_eq!(Unit::Metre.interval95(&measured(0.0, f64::INFINITY)), None);
+    }
+}

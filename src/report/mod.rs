@@ -24,12 +24,10 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use schemars::JsonSchema;
-use serde::de::Error;
-use serde::{Deserialize, Deserializer, Serialize};
-use serde_json::Value;
+use serde::{Deserialize, Serialize};
 
 use crate::checks::{self, Evaluation, Rule, StreamObservability};
-use crate::finding::{CheckRow, Finding, Ignored, Severity, Status, Word, word};
+use crate::finding::{CheckRow, Finding, Ignored, Severity, Status, Word, maybe_word, word};
 use crate::time::Stamp;
 
 pub use figures::Figures;
@@ -241,7 +239,7 @@ pub struct StreamRow {
     /// The link whose poses they are taken to be.
     pub link: Option<String>,
     /// Whose word its poses are: `controller`, `external` or `unknown`.
-    #[serde(default, deserialize_with = "witness")]
+    #[serde(default, deserialize_with = "maybe_word")]
     pub witness: Option<Word>,
     /// Messages or samples.
     pub count: u64,
@@ -255,10 +253,6 @@ pub struct StreamRow {
     /// Last stamp.
     #[schemars(with = "Option<String>")]
     pub end_ns: Option<Stamp>,
-}
-
-fn witness<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Word>, D::Error> {
-    Option::<Value>::deserialize(from)?.map(|name| word(name).map_err(Error::custom)).transpose()
 }
 
 impl Report {
@@ -443,8 +437,8 @@ mod tests {
 
     fn row(code: &'static str, status: Status, indistinguishable: bool) -> CheckRow {
         CheckRow {
-            code: code.into(),
-            name: "".into(),
+            code,
+            name: "",
             subject: Subject::default(),
             status,
             reason: None,
