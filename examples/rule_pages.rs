@@ -1,4 +1,4 @@
-//! Writes the pages in `docs/rules/` again: `cargo run --example rule_pages`.
+//! Writes the pages in `docs/rules/` and the report's schema again: `cargo run --example rule_pages`.
 
 use std::fs;
 use std::path::Path;
@@ -13,5 +13,6 @@ fn main() -> anyhow::Result<()> {
     for (name, text) in pages::all(&fs::read_to_string(docs.join("symptoms.md"))?) {
         fs::write(folder.join(name), text)?;
     }
+    fs::write(docs.join("poseaudit.report.schema.json"), poseaudit::report::json::schema())?;
     Ok(())
 }

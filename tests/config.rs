@@ -3,14 +3,29 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::Cursor;
+use std::mem::discriminant;
 use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 
+use boon::{Compiler, Schemas};
 use poseaudit::Options;
 use poseaudit::config::{Config, template};
 use poseaudit::finding::{Severity, Status};
 use poseaudit::report::{Report, Verdict};
 use poseaudit::synth::POSE;
 use serde_json::Value;
+
+/// The reports on the fixtures, each with its log.
+static REPORTS: LazyLock<Vec<(PathBuf, Report)>> = LazyLock::new(|| {
+    let entries = fs::read_dir(fixture("")).expect("the fixtures");
+    let logs = entries.map(|entry| entry.expect("an entry").path());
+    let logs = logs.filter(|log| log.extension().is_some_and(|extension| extension == "mcap"));
+    let audited = logs.map(|log| {
+        let options = Options { logs: vec![log.clone()], ..Options::default() };
+        (log, poseaudit::audit(&options).expect("a report").report)
+    });
+    audited.collect()
+});
 
 fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures").join(name)
@@ -35,20 +50,13 @@ fn found(report: &Report) -> Vec<String> {
 
 #[test]
 fn what_init_writes_audits_its_log_as_no_config_does() {
-    let mut logs = 0;
-    for entry in fs::read_dir(fixture("")).expect("the fixtures") {
-        let log = entry.expect("an entry").path();
-        if log.extension().is_none_or(|extension| extension != "mcap") {
-            continue;
-        }
-        let options = Options { logs: vec![log.clone()], ..Options::default() };
-        let without = poseaudit::audit(&options).expect("a report").report;
-        let with = audited(&log, &template(&without));
+    for (log, without) in &*REPORTS {
+        let with = audited(log, &template(without));
         for key in ["verdict", "error", "robots", "checks", "findings", "observability"] {
             let of = |report: &Report| -> Value {
                 serde_json::to_value(report).expect("a report is JSON")[key].clone()
             };
-            let (mut without, mut with) = (of(&without), of(&with));
+            let (mut without, mut with) = (of(without), of(&with));
             // The config is where the robot is from, then.
             for robots in [&mut without, &mut with] {
                 let rows = robots.as_array_mut().into_iter().flatten();
@@ -56,9 +64,30 @@ fn what_init_writes_audits_its_log_as_no_config_does() {
             }
             assert_eq!(with, without, "{key} of {}", log.display());
         }
-        logs += 1;
     }
-    assert!(logs > 15, "{logs}");
+    assert!(REPORTS.len() > 15, "{}", REPORTS.len());
+}
+
+#[test]
+fn every_report_is_of_its_schema_and_is_read_back() {
+    let (mut schemas, mut compiler) = (Schemas::new(), Compiler::new());
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/poseaudit.report.schema.json");
+    let schema = compiler.compile(path, &mut schemas).expect("a schema");
+    for (log, report) in &*REPORTS {
+        let value = serde_json::to_value(report).expect("a report is JSON");
+        let valid = schemas.validate(&value, schema);
+        valid.unwrap_or_else(|error| panic!("{}: {error:#}", log.display()));
+        let text = serde_json::to_string(&value).expect("JSON");
+        let read: Report = serde_json::from_str(&text).expect("a report");
+        assert_eq!(serde_json::to_string(&read).expect("JSON"), text, "{}", log.display());
+        let estimates = |of: &Report| -> Vec<_> {
+            of.checks.iter().map(|row| row.estimate.as_ref().map(discriminant)).collect()
+        };
+        assert_eq!(estimates(&read), estimates(report), "{}", log.display());
+        let mut wrong = value;
+        wrong["checks"][0]["status"] = "fine".into();
+        assert!(schemas.validate(&wrong, schema).is_err(), "the schema must look at checks");
+    }
 }
 
 #[test]

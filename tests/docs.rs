@@ -117,6 +117,14 @@ fn the_schema_of_the_config_is_current() {
 }
 
 #[test]
+fn the_schema_of_the_report_is_current() {
+    assert!(
+        document("poseaudit.report.schema.json") == poseaudit::report::json::schema(),
+        "run `cargo run --example rule_pages`"
+    );
+}
+
+#[test]
 fn the_config_that_is_shown_can_be_read_and_is_of_the_schema() {
     let text = document("config.md");
     let example = text.split("```toml\n").nth(1).and_then(|rest| rest.split("```").next());

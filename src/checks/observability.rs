@@ -1,12 +1,13 @@
 //! What the motion of a log cannot show, in words: which causes, and the motion that would show
 //! them.
 
-use serde::Serialize;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use crate::checks::{ArmFacts, Facts, Of, PoseFacts, find, standing};
 use crate::diagnosis::{BlindDirection, Observability, Parameter};
-use crate::finding::{CheckRow, Status, Subject, Unit};
+use crate::finding::{CheckRow, Status, Subject, Unit, number};
 
 /// A cause of the size of its rule's first threshold is seen where it moves the log by this many
 /// standard deviations or more: then the half-width of its 95 % interval is within the threshold.
@@ -35,7 +36,7 @@ pub(crate) fn hidden_zero(
 }
 
 /// What one pose stream cannot show.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct StreamObservability {
     /// Name of the robot.
     pub robot: String,
@@ -50,23 +51,27 @@ pub struct StreamObservability {
 }
 
 /// Causes that this log does not show, or does not tell apart.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct Blind {
     /// The causes that take part, the greatest weight first.
     pub parameters: Vec<Part>,
     /// By how many standard deviations of noise the log moves where each cause is of its weight
     /// times its rule's first threshold (over the norm of the weights).
+    #[serde(deserialize_with = "number")]
+    #[schemars(with = "Option<f64>")]
     pub singular_value: f64,
     /// The motion that would show them.
     pub motion: String,
 }
 
 /// One cause's part in a direction.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct Part {
     /// The cause.
     pub name: String,
     /// Its weight, in units of its rule's first threshold.
+    #[serde(deserialize_with = "number")]
+    #[schemars(with = "Option<f64>")]
     pub weight: f64,
     /// The cause without its axis.
     #[serde(skip)]

@@ -6,14 +6,14 @@ use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 use poseaudit::Options;
-use poseaudit::compare::{Kept, compare, markdown, text};
+use poseaudit::compare::{compare, markdown, text};
 use poseaudit::log::{self, LogError, ReadOptions};
 use poseaudit::places::Places;
 use poseaudit::report::{Report, Trouble, TroubleKind};
 
 use super::how::FailOn;
 use super::progress::watched;
-use super::{Outcome, misuse, output};
+use super::{Outcome, output};
 
 /// Compare two reports, or a log with the report that is its baseline: what appeared, went or grew
 ///
@@ -86,24 +86,22 @@ enum Side {
 
 /// The report at `path`, or that on the log there. Of a new log that cannot be read it says so, which
 /// is worse than any baseline.
-fn kept(path: &Path, side: Side) -> Result<Kept, Trouble> {
+fn kept(path: &Path, side: Side) -> Result<Report, Trouble> {
     if is_json(path) {
-        return Kept::from_file(path);
+        return Report::from_file(path);
     }
     let audited = watched(|progress| {
         let read = ReadOptions { progress: Some(progress), ..ReadOptions::default() };
         poseaudit::audit(&Options { logs: vec![path.to_owned()], read, ..Options::default() })
     });
-    let report = match audited {
+    match audited {
         Err(trouble) if side == Side::New && trouble.kind == TroubleKind::Log && is_log(path) => {
-            Report::of_trouble(trouble)
+            Ok(Report::of_trouble(trouble))
         }
         // What is neither a log nor a report is a wrong call, and so is no baseline.
-        Err(trouble) => return Err(Trouble { kind: TroubleKind::Call, ..trouble }),
-        Ok(audited) => audited.into_report(),
-    };
-    let place = path.display().to_string();
-    Kept::of(&report).map_err(|error| misuse(place, error.to_string(), "report this as a bug"))
+        Err(trouble) => Err(Trouble { kind: TroubleKind::Call, ..trouble }),
+        Ok(audited) => Ok(audited.into_report()),
+    }
 }
 
 /// Whether a file that could not be audited is a log all the same, if a damaged one.

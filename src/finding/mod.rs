@@ -1,11 +1,14 @@
 //! What an audit says: a finding, its estimate with the interval, and the outcome it comes from.
 
 use std::borrow::Cow;
+use std::collections::BTreeSet;
+use std::sync::{Mutex, PoisonError};
 
 mod cause;
 mod unit;
 
-use serde::{Deserialize, Serialize, Serializer};
+use schemars::JsonSchema;
+use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::{Map, Value};
 
 use crate::stats::{Length, Measured};
@@ -15,7 +18,9 @@ pub use cause::{Cause, JointScaling};
 pub use unit::{Unit, rounded};
 
 /// How grave a finding is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema,
+)]
 #[serde(rename_all = "lowercase")]
 pub enum Severity {
     /// Worth knowing; nothing is wrong.
@@ -38,7 +43,9 @@ impl Severity {
 }
 
 /// What a rule was asked about.
-#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(
+    Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema,
+)]
 pub struct Subject {
     /// Name of the robot.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -99,37 +106,46 @@ impl Span {
 }
 
 /// An amount, or a reading, as the contract's table of estimates has it.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Estimate {
-    /// One number.
-    Amount {
-        /// What it is.
-        name: &'static str,
-        /// The number, in `unit`.
-        value: f64,
-        /// SI symbol.
-        unit: &'static str,
-        /// 95 % interval.
-        ci95: Option<[f64; 2]>,
-    },
     /// A length and an angle: the norms of a frame error, or two rms.
     Frame {
         /// What it is.
-        name: &'static str,
+        #[serde(deserialize_with = "word")]
+        name: Word,
         /// Length, m.
+        #[serde(deserialize_with = "number")]
+        #[schemars(with = "Option<f64>")]
         value: f64,
         /// SI symbol of `value`.
-        unit: &'static str,
+        #[serde(deserialize_with = "word")]
+        unit: Word,
         /// 95 % interval of `value`.
         ci95: Option<[f64; 2]>,
         /// The angle, rad.
         rotation: Angle,
     },
+    /// One number.
+    Amount {
+        /// What it is.
+        #[serde(deserialize_with = "word")]
+        name: Word,
+        /// The number, in `unit`.
+        #[serde(deserialize_with = "number")]
+        #[schemars(with = "Option<f64>")]
+        value: f64,
+        /// SI symbol.
+        #[serde(deserialize_with = "word")]
+        unit: Word,
+        /// 95 % interval.
+        ci95: Option<[f64; 2]>,
+    },
     /// Three numbers that are of one convention, and that somebody read as another.
     Convention {
         /// Always `convention`.
-        name: &'static str,
+        #[serde(deserialize_with = "word")]
+        name: Word,
         /// What the numbers are.
         is: String,
         /// What they were read as.
@@ -142,7 +158,8 @@ pub enum Estimate {
     /// One of two ways to write the same thing, taken for the other.
     Slip {
         /// What was mixed up.
-        name: &'static str,
+        #[serde(deserialize_with = "word")]
+        name: Word,
         /// What it is.
         is: Cow<'static, str>,
         /// What it was read as.
@@ -151,7 +168,8 @@ pub enum Estimate {
     /// Numbers that stand under the wrong names.
     Order {
         /// What is out of order.
-        name: &'static str,
+        #[serde(deserialize_with = "word")]
+        name: Word,
         /// Whose number stands at each place.
         is: Vec<String>,
         /// Whose name stands at each place.
@@ -226,16 +244,18 @@ impl Estimate {
 }
 
 /// The angle of a frame estimate.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Angle {
     /// The angle, rad.
+    #[serde(deserialize_with = "number")]
+    #[schemars(with = "Option<f64>")]
     pub value: f64,
     /// 95 % interval, rad.
     pub ci95: Option<[f64; 2]>,
 }
 
 /// What numbers are, and what they were read as.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct ReadAs {
     /// What they are.
     pub is: String,
@@ -244,21 +264,24 @@ pub struct ReadAs {
 }
 
 /// The reading that comes second.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RunnerUp {
     /// What the numbers would be.
     pub is: String,
     /// What they would have been read as.
     pub read_as: String,
     /// Its residual over that of the best reading.
+    #[serde(deserialize_with = "number")]
+    #[schemars(with = "Option<f64>")]
     pub ratio: f64,
 }
 
 /// Another cause that does the same to this log.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Alternative {
     /// The rule that would name it.
-    pub code: &'static str,
+    #[serde(deserialize_with = "word")]
+    pub code: Word,
     /// Its subject.
     pub subject: Subject,
     /// How much of it would be needed.
@@ -266,7 +289,7 @@ pub struct Alternative {
 }
 
 /// What a finding rests on.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Evidence {
     /// Causes that this log cannot tell from the one named.
     pub indistinguishable: Vec<Alternative>,
@@ -340,14 +363,16 @@ impl Outcome {
 }
 
 /// A finding, as reports list it.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Finding {
     /// Code of the rule.
-    pub code: &'static str,
+    #[serde(deserialize_with = "word")]
+    pub code: Word,
     /// How grave it is.
     pub severity: Severity,
     /// The fault in a few words.
-    pub title: &'static str,
+    #[serde(deserialize_with = "word")]
+    pub title: Word,
     /// The fault in one clause, with its amount.
     pub message: String,
     /// What is at fault.
@@ -365,15 +390,15 @@ pub struct Finding {
     /// What to do about it.
     pub fix: String,
     /// First stamp of what was looked at.
-    #[serde(serialize_with = "decimal")]
+    #[schemars(with = "Option<String>")]
     pub start_ns: Option<Stamp>,
     /// Last stamp of what was looked at.
-    #[serde(serialize_with = "decimal")]
+    #[schemars(with = "Option<String>")]
     pub end_ns: Option<Stamp>,
 }
 
 /// A finding that the caller knows of and does not want counted.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Ignored {
     /// What was found.
     #[serde(flatten)]
@@ -384,16 +409,26 @@ pub struct Ignored {
     pub place: String,
 }
 
-/// Writes a stamp as the decimal string of its nanoseconds, which JSON's numbers cannot hold.
-pub(crate) fn decimal<S: Serializer>(stamp: &Option<Stamp>, s: S) -> Result<S::Ok, S::Error> {
-    match stamp {
-        Some(stamp) => s.collect_str(stamp),
-        None => s.serialize_none(),
-    }
+/// A word that this program has for something: a rule's code, what an estimate is of, a unit.
+pub type Word = &'static str;
+
+/// Reads a word. Each is kept once and for as long as the process lives; reports have few.
+pub(crate) fn word<'de, D: Deserializer<'de>>(from: D) -> Result<Word, D::Error> {
+    static KNOWN: Mutex<BTreeSet<Word>> = Mutex::new(BTreeSet::new());
+    let text = String::deserialize(from)?;
+    let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
+    let word = known.get(text.as_str()).copied().unwrap_or_else(|| text.leak());
+    known.insert(word);
+    Ok(word)
+}
+
+/// Reads a number, of which what is not finite was written as `null`.
+pub(crate) fn number<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+    Ok(Option::deserialize(from)?.unwrap_or(f64::NAN))
 }
 
 /// How asking a rule about a subject ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Status {
     /// Decided: nothing wrong.
@@ -424,12 +459,14 @@ impl Status {
 }
 
 /// A rule and a subject it was asked about, as reports list them.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CheckRow {
     /// Code of the rule.
-    pub code: &'static str,
+    #[serde(deserialize_with = "word")]
+    pub code: Word,
     /// Name of the rule.
-    pub name: &'static str,
+    #[serde(deserialize_with = "word")]
+    pub name: Word,
     /// What it was asked about.
     pub subject: Subject,
     /// How that ended.
@@ -439,7 +476,7 @@ pub struct CheckRow {
     /// What was estimated, whether or not it decided anything.
     pub estimate: Option<Estimate>,
     /// What else was seen, where no finding says it.
-    #[serde(skip_serializing_if = "Map::is_empty")]
+    #[serde(default, skip_serializing_if = "Map::is_empty")]
     pub evidence: Map<String, Value>,
     /// Whether no such log could decide it, so that it does not count against the verdict.
     #[serde(skip)]

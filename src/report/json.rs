@@ -2,6 +2,8 @@
 
 use std::io::{self, Write};
 
+use schemars::generate::SchemaSettings;
+
 use super::Report;
 
 /// Writes the report; numbers that are not finite become `null`.
@@ -11,4 +13,80 @@ use super::Report;
 pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     serde_json::to_writer_pretty(&mut *out, report)?;
     writeln!(out)
+}
+
+/// The JSON schema of a report, with a newline at its end; `docs/poseaudit.report.schema.json`.
+pub fn schema() -> String {
+    let settings = SchemaSettings::draft07().for_serialize();
+    let schema = settings.into_generator().into_root_schema_for::<Report>();
+    let mut text = serde_json::to_string_pretty(&schema).expect("a schema is JSON");
+    text.push('\n');
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use crate::finding::{Angle, Estimate, ReadAs, RunnerUp};
+
+    fn any_estimate() -> impl Strategy<Value = Estimate> {
+        let number = any::<f64>().prop_filter("finite", |number| number.is_finite());
+        let interval = || prop::option::of([number.clone(), number.clone()]);
+        let (text, names) = (|| ".{0,9}", || prop::collection::vec(".{0,9}", 0..4));
+        let word = || prop::sample::select(vec!["latency", "rad/s", "", "°"]);
+        let amount = (word(), number.clone(), word(), interval())
+            .prop_map(|(name, value, unit, ci95)| Estimate::Amount { name, value, unit, ci95 });
+        let frame = (word(), number.clone(), interval(), number.clone(), interval()).prop_map(
+            |(name, value, ci95, angle, of_angle)| Estimate::Frame {
+                name,
+                value,
+                unit: "m",
+                ci95,
+                rotation: Angle { value: angle, ci95: of_angle },
+            },
+        );
+        let runner_up = prop::option::of((text(), text(), number.clone()));
+        let convention =
+            (text(), text(), names(), runner_up).prop_map(|(is, read_as, others, runner_up)| {
+                Estimate::Convention {
+                    name: "convention",
+                    is,
+                    equivalent: others
+                        .into_iter()
+                        .map(|is| ReadAs { is, read_as: read_as.clone() })
+                        .collect(),
+                    read_as,
+                    runner_up: runner_up.map(|(is, read_as, ratio)| RunnerUp {
+                        is,
+                        read_as,
+                        ratio,
+                    }),
+                }
+            });
+        let slip = (text(), text()).prop_map(|(is, read_as)| Estimate::slip("unit", is, read_as));
+        let order = (names(), names()).prop_map(|(is, read_as)| Estimate::Order {
+            name: "order",
+            permutation: is.clone(),
+            is,
+            read_as,
+        });
+        prop_oneof![amount, frame, convention, slip, order]
+    }
+
+    proptest! {
+        #[test]
+        fn any_estimate_is_read_back(estimate in any_estimate()) {
+            let text = serde_json::to_string(&estimate).expect("JSON");
+            prop_assert_eq!(serde_json::from_str::<Estimate>(&text).expect("an estimate"), estimate);
+        }
+    }
+
+    #[test]
+    fn what_is_not_finite_is_read_back_as_no_number() {
+        let text = r#"{"name":"latency","value":null,"unit":"s","ci95":null}"#;
+        let read: Estimate = serde_json::from_str(text).expect("an estimate");
+        assert!(read.value().expect("a number").is_nan());
+        assert_eq!(serde_json::to_string(&read).expect("JSON"), text);
+    }
 }

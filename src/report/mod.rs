@@ -11,6 +11,7 @@ pub mod github;
 pub mod html;
 pub mod json;
 pub mod junit;
+mod kept;
 pub mod markdown;
 pub(crate) mod outline;
 pub mod sarif;
@@ -22,10 +23,13 @@ mod trouble;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use serde::{Deserialize, Serialize};
+use schemars::JsonSchema;
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::Value;
 
 use crate::checks::{self, Evaluation, Rule, StreamObservability};
-use crate::finding::{CheckRow, Finding, Ignored, Severity, Status, decimal};
+use crate::finding::{CheckRow, Finding, Ignored, Severity, Status, Word, word};
 use crate::time::Stamp;
 
 pub use figures::Figures;
@@ -39,10 +43,17 @@ pub use trouble::{Trouble, TroubleKind};
 /// The schema of the JSON report.
 pub const SCHEMA: &str = "poseaudit.report/1";
 
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+enum Schema {
+    #[serde(rename = "poseaudit.report/1")]
+    One,
+}
+
 /// The report on one run. Its fields stand in the order of the JSON object.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[schemars(title = "poseaudit.report/1")]
 pub struct Report {
-    schema: &'static str,
+    schema: Schema,
     tool: Tool,
     /// The answer in one word.
     pub verdict: Verdict,
@@ -59,11 +70,13 @@ pub struct Report {
     /// What is wrong: the gravest first, then what moves the arm's tip most.
     pub findings: Vec<Finding>,
     /// What is wrong, known to the caller and not counted, with the reason.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub ignored: Vec<Ignored>,
     /// What each pose stream cannot show, and the motion that would.
+    #[serde(default)]
     pub observability: Vec<StreamObservability>,
     /// Over which part of its ranges each arm moved.
+    #[serde(default)]
     pub workspace: Vec<WorkspaceRow>,
     /// The least severity that fails the run; `None` where nothing does.
     #[serde(skip)]
@@ -77,7 +90,7 @@ pub struct Report {
 }
 
 /// Over which part of its ranges one arm moved.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct WorkspaceRow {
     /// The arm.
     pub robot: String,
@@ -92,12 +105,13 @@ pub struct WorkspaceRow {
 }
 
 /// Over which part of its range one joint moved.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct JointCoverage {
     /// The joint.
     pub joint: String,
     /// Unit of the positions: `rad` or `m`.
-    pub unit: &'static str,
+    #[serde(deserialize_with = "word")]
+    pub unit: Word,
     /// Its lowest position.
     pub lowest: f64,
     /// Its highest.
@@ -110,14 +124,16 @@ pub struct JointCoverage {
     pub visited: Option<f64>,
 }
 
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 struct Tool {
-    name: &'static str,
-    version: &'static str,
+    #[serde(deserialize_with = "word")]
+    name: Word,
+    #[serde(deserialize_with = "word")]
+    version: Word,
 }
 
 /// The answer in one word.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
     /// Nothing wrong, and the headline rules could tell.
@@ -129,39 +145,42 @@ pub enum Verdict {
 }
 
 /// What was read.
-#[derive(Clone, Debug, Default, Serialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 pub struct LogSummary {
     /// The files, in the order given.
     pub files: Vec<FileRow>,
     /// Messages read.
     pub messages: u64,
     /// First log time.
-    #[serde(serialize_with = "decimal")]
+    #[schemars(with = "Option<String>")]
     pub start_ns: Option<Stamp>,
     /// Last log time.
-    #[serde(serialize_with = "decimal")]
+    #[schemars(with = "Option<String>")]
     pub end_ns: Option<Stamp>,
     /// From the first to the last log time, s.
     pub duration_s: Option<f64>,
     /// What a reader should know of the files, and is no damage.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<NoteRow>,
 }
 
 /// One file.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct FileRow {
     /// Path as given.
+    #[schemars(with = "String")]
     pub path: PathBuf,
     /// What kind of file it is.
-    pub container: &'static str,
+    #[serde(deserialize_with = "word")]
+    pub container: Word,
     /// Its size.
     pub bytes: u64,
     /// How many bytes were fetched to read it, where it is an object in a store.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fetched_bytes: Option<u64>,
     /// How much of it a checksum vouches for: `all`, `partial` or `none`.
-    pub crc: &'static str,
+    #[serde(deserialize_with = "word")]
+    pub crc: Word,
 }
 
 impl FileRow {
@@ -174,16 +193,17 @@ impl FileRow {
 }
 
 /// What a reader should know of a file, and is no damage.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct NoteRow {
     /// The file, or the folder.
+    #[schemars(with = "String")]
     pub path: PathBuf,
     /// What there is to know.
     pub note: String,
 }
 
 /// One arm.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct RobotRow {
     /// Its name.
     pub name: String,
@@ -198,7 +218,7 @@ pub struct RobotRow {
 }
 
 /// One topic, or one pair of frames of it.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct StreamRow {
     /// Its topic.
     pub topic: String,
@@ -206,7 +226,8 @@ pub struct StreamRow {
     #[serde(rename = "type")]
     pub type_name: String,
     /// The part it plays.
-    pub role: &'static str,
+    #[serde(deserialize_with = "word")]
+    pub role: Word,
     /// Why it plays that part.
     pub reason: String,
     /// The robot it belongs to.
@@ -220,7 +241,8 @@ pub struct StreamRow {
     /// The link whose poses they are taken to be.
     pub link: Option<String>,
     /// Whose word its poses are: `controller`, `external` or `unknown`.
-    pub witness: Option<&'static str>,
+    #[serde(default, deserialize_with = "witness")]
+    pub witness: Option<Word>,
     /// Messages or samples.
     pub count: u64,
     /// Samples that could not be used.
@@ -228,11 +250,15 @@ pub struct StreamRow {
     /// Samples a second.
     pub rate_hz: Option<f64>,
     /// First stamp.
-    #[serde(serialize_with = "decimal")]
+    #[schemars(with = "Option<String>")]
     pub start_ns: Option<Stamp>,
     /// Last stamp.
-    #[serde(serialize_with = "decimal")]
+    #[schemars(with = "Option<String>")]
     pub end_ns: Option<Stamp>,
+}
+
+fn witness<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Word>, D::Error> {
+    Option::<Value>::deserialize(from)?.map(|name| word(name).map_err(Error::custom)).transpose()
 }
 
 impl Report {
@@ -287,7 +313,7 @@ impl Report {
 
     fn empty() -> Self {
         Self {
-            schema: SCHEMA,
+            schema: Schema::One,
             tool: Tool { name: env!("CARGO_PKG_NAME"), version: env!("CARGO_PKG_VERSION") },
             verdict: Verdict::Inconclusive,
             error: None,
@@ -417,8 +443,8 @@ mod tests {
 
     fn row(code: &'static str, status: Status, indistinguishable: bool) -> CheckRow {
         CheckRow {
-            code,
-            name: "",
+            code: code.into(),
+            name: "".into(),
             subject: Subject::default(),
             status,
             reason: None,

@@ -1,13 +1,14 @@
 use std::io::ErrorKind;
 use std::path::Path;
 
-use serde::Serialize;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 use crate::log::{LogError, SourceName};
 use crate::run::RunError;
 
 /// Why a call or a log cannot be worked with: one line, and what to do.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, thiserror::Error)]
 #[error("{place}: {what}; {remedy}")]
 pub struct Trouble {
     /// Whose fault it is.
@@ -24,11 +25,12 @@ pub struct Trouble {
 }
 
 /// Whose fault a [`Trouble`] is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TroubleKind {
     /// The call's: an option, a file that is not there.
     Call,
     /// The log's: unreadable, no arm in it, no model of the arm.
+    #[default]
     Log,
 }
 

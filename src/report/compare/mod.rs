@@ -5,17 +5,13 @@
 //! where the two 95 % intervals share no value and it changed by a tenth or more: intervals of sound
 //! logs are narrower than one run differs from the next.
 
-mod kept;
 mod words;
 
 use serde::Serialize;
 
-use crate::finding::{Severity, Status, Subject};
-use crate::report::Verdict;
+use crate::finding::{CheckRow, Estimate, Finding, Severity, Status, Subject, Word};
+use crate::report::{Report, Verdict};
 
-pub use kept::{
-    Kept, KeptAngle, KeptCheck, KeptEstimate, KeptFile, KeptFinding, KeptLog, KeptTrouble,
-};
 pub use words::{markdown, text};
 
 /// Amounts that differ by a smaller share are the same.
@@ -49,13 +45,13 @@ pub struct Change {
     /// Whether it fails the comparison.
     pub regression: bool,
     /// Code of the rule.
-    pub code: String,
+    pub code: Word,
     /// What is at fault.
     pub subject: Subject,
     /// The finding of the old report.
-    pub old: Option<KeptFinding>,
+    pub old: Option<Finding>,
     /// That of the new one.
-    pub new: Option<KeptFinding>,
+    pub new: Option<Finding>,
     /// Why nothing is told of it any more, where that is so.
     pub reason: Option<String>,
 }
@@ -64,7 +60,7 @@ pub struct Change {
 #[derive(Clone, Debug, Serialize)]
 pub struct Lost {
     /// Code of the rule.
-    pub code: String,
+    pub code: Word,
     /// What it was asked about.
     pub subject: Subject,
     /// How it ended now: inconclusive, or skipped.
@@ -92,7 +88,7 @@ pub struct Comparison {
 /// Puts `old` and `new` side by side. What appeared, grew or became another thing is a regression
 /// from the severity `fail_on`; so is a pass that became inconclusive, and a log that cannot be
 /// audited any more. `None` lets nothing fail.
-pub fn compare(old: &Kept, new: &Kept, fail_on: Option<Severity>) -> Comparison {
+pub fn compare(old: &Report, new: &Report, fail_on: Option<Severity>) -> Comparison {
     let fails = |severity: Severity| fail_on.is_some_and(|least| severity >= least);
     let mut causes: Vec<Change> = Vec::new();
     for finding in causes_of(new) {
@@ -102,7 +98,7 @@ pub fn compare(old: &Kept, new: &Kept, fail_on: Option<Severity>) -> Comparison 
         causes.push(Change {
             course,
             regression: is_worse && fails(finding.severity),
-            code: finding.code.clone(),
+            code: finding.code,
             subject: finding.subject.clone(),
             old: before.cloned(),
             new: Some(finding.clone()),
@@ -111,9 +107,8 @@ pub fn compare(old: &Kept, new: &Kept, fail_on: Option<Severity>) -> Comparison 
     }
     for finding in causes_of(old).filter(|finding| same_cause(new, old, finding).is_none()) {
         // Some rules pass on the whole log and fault a part of it.
-        let row = new
-            .check(&finding.code, &old.whom(&finding.subject))
-            .or_else(|| new.check(&finding.code, &Subject::default()));
+        let row = check(new, finding.code, &whom(old, &finding.subject))
+            .or_else(|| check(new, finding.code, &Subject::default()));
         let (course, reason) = match row {
             Some(row) if row.status == Status::Pass => (Course::Gone, None),
             Some(row) => (Course::Untold, row.reason.clone()),
@@ -122,7 +117,7 @@ pub fn compare(old: &Kept, new: &Kept, fail_on: Option<Severity>) -> Comparison 
         causes.push(Change {
             course,
             regression: false,
-            code: finding.code.clone(),
+            code: finding.code,
             subject: finding.subject.clone(),
             old: Some(finding.clone()),
             new: None,
@@ -145,28 +140,42 @@ pub fn compare(old: &Kept, new: &Kept, fail_on: Option<Severity>) -> Comparison 
 }
 
 /// The findings, of a cause that was found several times (in segments of a run) the gravest.
-fn causes_of(report: &Kept) -> impl Iterator<Item = &KeptFinding> {
+fn causes_of(report: &Report) -> impl Iterator<Item = &Finding> {
     report.findings.iter().enumerate().filter_map(|(index, finding)| {
         let is_same =
-            |other: &KeptFinding| other.code == finding.code && other.subject == finding.subject;
+            |other: &Finding| other.code == finding.code && other.subject == finding.subject;
         (!report.findings[..index].iter().any(is_same)).then_some(finding)
     })
 }
 
 /// The finding in `report` that names the same cause as `finding`, which is one of `its`.
-fn same_cause<'a>(report: &'a Kept, its: &Kept, finding: &KeptFinding) -> Option<&'a KeptFinding> {
-    let whom = its.whom(&finding.subject);
+fn same_cause<'a>(report: &'a Report, its: &Report, finding: &Finding) -> Option<&'a Finding> {
+    let subject = whom(its, &finding.subject);
     let is_same =
-        |other: &&KeptFinding| other.code == finding.code && report.whom(&other.subject) == whom;
+        |other: &&Finding| other.code == finding.code && whom(report, &other.subject) == subject;
     report.findings.iter().find(is_same)
 }
 
-fn lost(old: &Kept, new: &Kept) -> Vec<Lost> {
+/// Whom a check or a finding of `report` is about, whatever the file is called that it was seen in.
+fn whom(report: &Report, subject: &Subject) -> Subject {
+    let is_file =
+        |name: &String| report.log.files.iter().any(|file| file.path.to_str() == Some(name));
+    let topic = subject.topic.clone();
+    Subject { topic: topic.filter(|topic| !is_file(topic)), ..subject.clone() }
+}
+
+/// How asking a rule about a subject ended, if it was asked.
+fn check<'a>(report: &'a Report, code: &str, subject: &Subject) -> Option<&'a CheckRow> {
+    let mut rows = report.checks.iter();
+    rows.find(|row| row.code == code && &whom(report, &row.subject) == subject)
+}
+
+fn lost(old: &Report, new: &Report) -> Vec<Lost> {
     let passed = old.checks.iter().filter(|row| row.status == Status::Pass);
     let lost = passed.filter_map(|row| {
-        let now = new.check(&row.code, &old.whom(&row.subject))?;
+        let now = check(new, row.code, &whom(old, &row.subject))?;
         (!now.status.is_decided()).then(|| Lost {
-            code: row.code.clone(),
+            code: row.code,
             subject: row.subject.clone(),
             status: now.status,
             reason: now.reason.clone(),
@@ -175,7 +184,7 @@ fn lost(old: &Kept, new: &Kept) -> Vec<Lost> {
     lost.collect()
 }
 
-fn course(old: &KeptFinding, new: &KeptFinding) -> Course {
+fn course(old: &Finding, new: &Finding) -> Course {
     if new.severity > old.severity {
         return Course::Grew;
     }
@@ -189,34 +198,48 @@ fn course(old: &KeptFinding, new: &KeptFinding) -> Course {
     }
 }
 
-fn between(old: &KeptEstimate, new: &KeptEstimate) -> Course {
-    let what =
-        |it: &KeptEstimate| (it.name.clone(), it.unit.clone(), it.is.clone(), it.read_as.clone());
-    if what(old) != what(new) {
+fn between(old: &Estimate, new: &Estimate) -> Course {
+    use Estimate::{Amount, Convention, Frame, Order, Slip};
+    let name = |estimate: &Estimate| match estimate {
+        Amount { name, .. } | Frame { name, .. } | Convention { name, .. } => *name,
+        Slip { name, .. } | Order { name, .. } => *name,
+    };
+    if name(old) != name(new) {
         return Course::Changed;
     }
-    let length = amount(old.value, old.ci95, new.value, new.ci95);
-    let angle = match (&old.rotation, &new.rotation) {
-        (Some(old), Some(new)) => amount(old.value, old.ci95, new.value, new.ci95),
-        _ => Course::Same,
-    };
-    // Worse in one way is worse.
-    match length.min(angle) {
-        Course::Same => length.max(angle),
-        course => course,
+    let course = |is_same| if is_same { Course::Same } else { Course::Changed };
+    match (old, new) {
+        (
+            Amount { unit, value, ci95, .. },
+            Amount { unit: now, value: new, ci95: new_ci95, .. },
+        ) if unit == now => amount(*value, *ci95, *new, *new_ci95),
+        (
+            Frame { value, ci95, rotation, .. },
+            Frame { value: new, ci95: new_ci95, rotation: turned, .. },
+        ) => {
+            let length = amount(*value, *ci95, *new, *new_ci95);
+            let angle = amount(rotation.value, rotation.ci95, turned.value, turned.ci95);
+            // Worse in one way is worse.
+            match length.min(angle) {
+                Course::Same => length.max(angle),
+                course => course,
+            }
+        }
+        (Convention { is, read_as, .. }, Convention { is: now, read_as: new, .. }) => {
+            course((is, read_as) == (now, new))
+        }
+        (Slip { is, read_as, .. }, Slip { is: now, read_as: new, .. }) => {
+            course((is, read_as) == (now, new))
+        }
+        (Order { is, read_as, .. }, Order { is: now, read_as: new, .. }) => {
+            course((is, read_as) == (now, new))
+        }
+        _ => Course::Changed,
     }
 }
 
 /// What became of a number.
-fn amount(
-    old: Option<f64>,
-    old_ci95: Option<[f64; 2]>,
-    new: Option<f64>,
-    new_ci95: Option<[f64; 2]>,
-) -> Course {
-    let (Some(old), Some(new)) = (old, new) else {
-        return Course::Same;
-    };
+fn amount(old: f64, old_ci95: Option<[f64; 2]>, new: f64, new_ci95: Option<[f64; 2]>) -> Course {
     let half = |value: f64, ci95: Option<[f64; 2]>| {
         ci95.map_or(0.0, |[low, high]| (high - value).max(value - low))
     };

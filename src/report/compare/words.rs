@@ -4,8 +4,8 @@ use std::io::{self, Write};
 
 use anstyle::{AnsiColor, Style};
 
-use super::{Change, Comparison, Course, KeptEstimate, KeptFinding, Lost};
-use crate::finding::{Subject, Unit};
+use super::{Change, Comparison, Course, Lost};
+use crate::finding::{Estimate, Finding, Subject};
 use crate::report::{amounts, markdown as md, tame};
 
 /// Width of the column of labels.
@@ -173,27 +173,11 @@ impl Change {
 }
 
 /// Severity and amount, or what was said where there is no amount.
-fn short(finding: &KeptFinding) -> String {
-    let amount = finding.estimate.as_ref().and_then(shown);
-    let said = amount.unwrap_or_else(|| finding.message.clone());
+fn short(finding: &Finding) -> String {
+    let is_known = |estimate: &&Estimate| estimate.value().is_none_or(f64::is_finite);
+    let amount = finding.estimate.as_ref().filter(is_known);
+    let said = amount.map_or_else(|| finding.message.clone(), amounts::shown);
     format!("{} {said}", finding.severity.name())
-}
-
-fn shown(estimate: &KeptEstimate) -> Option<String> {
-    if let (Some(is), Some(read_as)) = (&estimate.is, &estimate.read_as) {
-        let word = |value: &serde_json::Value| match value.as_str() {
-            Some(text) => text.to_owned(),
-            None => value.to_string(),
-        };
-        return Some(amounts::reading(&word(is), &word(read_as)));
-    }
-    let (value, unit) = (estimate.value?, estimate.unit.as_deref()?);
-    let length = amounts::of_unit(unit, &estimate.name, value, estimate.ci95);
-    let angle = estimate.rotation.as_ref().and_then(|angle| {
-        let radian = Unit::Radian.symbol();
-        Some(amounts::of_unit(radian, &estimate.name, angle.value?, angle.ci95))
-    });
-    Some([Some(length), angle].into_iter().flatten().collect::<Vec<_>>().join("; "))
 }
 
 /// Writes one line with its label.
