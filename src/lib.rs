@@ -17,7 +17,8 @@
 //! Data walks one way: bytes → [`log`] → [`run`] → [`diagnosis`] → [`checks`] → [`report`] → [`output`].
 //! [`robot`] feeds the diagnosis; [`stream`], [`geometry`] and [`time`] are the ground floor.
 //! Beside it, [`desk`] says what single poses are.
-#![warn(missing_docs)]
+// Items say units and frames, and nothing that came from a file ends in a panic.
+#![warn(missing_docs, clippy::unwrap_used)]
 #![cfg_attr(
     not(all(feature = "fix", feature = "recording", feature = "tables")),
     allow(dead_code, unused_imports, reason = "the outputs read it")

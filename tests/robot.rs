@@ -1,5 +1,4 @@
 //! The robot room: readers, catalogue, forward kinematics.
-#![allow(clippy::unwrap_used, reason = "a panic is a failed test")]
 
 use std::f64::consts::{FRAC_PI_2, PI};
 

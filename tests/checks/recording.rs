@@ -1,5 +1,4 @@
 //! A log as its messages, and what can be done to them that the generator does not do.
-#![allow(clippy::unwrap_used, reason = "a panic is a failed test")]
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
