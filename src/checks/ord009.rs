@@ -166,7 +166,10 @@ fn near(value: f64, other: f64) -> bool {
 
 fn shown(factor: f64) -> String {
     match factor.abs() {
-        size if near(size, size.round()) && size >= 1.0 => format!("{:.0}", factor),
+        // What is near 1 is told by how much.
+        size if near(size, size.round()) && size >= 1.0 && factor.round() != 1.0 => {
+            format!("{factor:.0}")
+        }
         size if size < 0.1 => format!("{factor:.4e}"),
         _ => format!("{factor:.4}"),
     }

@@ -122,8 +122,8 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
     ArmDiagnosis { joints: JointDiagnosis { reading, offsets, scales }, streams }
 }
 
-/// Factors of joints this near to each other, as a share, are one.
-const SAME_FACTOR: f64 = 2e-3;
+/// A factor this near to 1 is none: over a turn it makes less than a tenth of a degree.
+const SAME_FACTOR: f64 = 2e-4;
 /// Another reading of the joints must leave so many times less than the one as logged.
 const FAR_BETTER: f64 = 5.0;
 /// Degrees that the joints' ranges speak for must leave so many times less.
