@@ -439,6 +439,10 @@ fn wrong_model(facts: &Facts, arm: &ArmFacts, wrong: &WrongModel) -> Outcome {
         Some(tool_m) => format!("with a TCP of {}", Unit::Metre.show(tool_m)),
         None => "without any cause".to_owned(),
     };
+    let named = match is == named {
+        true => format!("as the {named} of the model that was given"),
+        false => format!("not of the {named} that was named"),
+    };
     let mut evidence = Evidence { effect_m: Some(wrong.named_m), ..Evidence::default() };
     let fits_json = json!({
         "robot": is,
@@ -456,8 +460,8 @@ fn wrong_model(facts: &Facts, arm: &ArmFacts, wrong: &WrongModel) -> Outcome {
             .unwrap_or(Severity::Warning),
         title: "wrong robot model",
         message: format!(
-            "this log is of a {is}, which fits to {fits} {with}, not of the {named} that was named, \
-             which leaves {off}"
+            "this log is of a {is}, which fits to {fits} {with}, {named}, which \
+             leaves {off}"
         ),
         evidence,
         fix: format!("audit with --robot {is}: everything else here is judged with it"),

@@ -1,18 +1,19 @@
 //! MDL: what no modelled cause explains.
 
 use std::collections::BTreeSet;
+use std::f64::consts::PI;
 use std::fs;
 use std::path::Path;
 
 use poseaudit::finding::Severity;
-use poseaudit::geometry::{Convention, Pose, xyz_of};
+use poseaudit::geometry::{Convention, Pose, Vec3, pose, rotation_from_rotvec, xyz_of};
 use poseaudit::report::Verdict;
 use poseaudit::robot::Robot;
 use poseaudit::run::CalibrationSource;
 use poseaudit::synth::{Coding, Noise, POSE, Scenario, ToolSlip, urdf_text};
 
 use crate::case::On::Topic;
-use crate::case::What::ResidualBetween;
+use crate::case::What::{Frame, ResidualBetween};
 use crate::case::{Expected, Log, cases, error, info, summary, the};
 use Expected::{BlamedOn, Sound, Undecided};
 
@@ -171,6 +172,27 @@ fn the_catalogue_arm_that_fits_is_named_beside_a_model_that_does_not() {
     let report = Log::with(|log| log.options.run.robots = vec!["ur10e".into()]).audited();
     let message = &the(&report, "MDL001", POSE).message;
     assert!(message.contains("this log is of a ur5e, which fits to"), "{message}");
+}
+
+#[test]
+fn the_catalogue_does_not_displace_a_model_that_a_frame_makes_fit_as_well() {
+    let report = Log::with(|log| {
+        let Log { run, .. } = log;
+        let root = run.robot.link_name(run.robot.root());
+        let mount = format!(
+            "<link name=\"world\"/><joint name=\"mount\" type=\"fixed\"><parent link=\"world\"/>\
+             <child link=\"{root}\"/></joint></robot>"
+        );
+        let text = urdf_text(&run.robot).replace("</robot>", &mount);
+        run.robot = Robot::from_urdf(&text, "an arm in its cell").expect("a robot");
+        (run.base, run.pose.frame_id) = ("world".to_owned(), "world".to_owned());
+        run.pose.reference_from_stream = pose([0.0; 3], rotation_from_rotvec(Vec3::z() * PI));
+        run.tf.timing.rate_hz = 0.0;
+    })
+    .audited();
+    let codes: BTreeSet<&str> = report.findings.iter().map(|finding| finding.code).collect();
+    assert_eq!(codes, ["FRM002"].into(), "{}", summary(&report.findings));
+    Frame([0.0, 1e-3], [180.0, 0.1]).assert_is(the(&report, "FRM002", POSE).estimate.as_ref());
 }
 
 /// Moves the origin of a joint by x, y, z (m) and roll, pitch, yaw (rad). The log tells neither the

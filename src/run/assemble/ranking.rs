@@ -34,15 +34,29 @@ const APART: f64 = 20.0;
 /// Residuals below these say nothing: rounding, and the difference of an arm from its drawing.
 const FLOOR_M: std::ops::RangeInclusive<f64> = 5e-6..=1e-3;
 
-/// How one model fits the streams of poses, by their indices.
+/// How one model fits the streams of poses.
 #[derive(Default)]
 struct Entry {
-    fits: Vec<(usize, ModelFit)>,
+    fits: Vec<Fitted>,
+}
+
+/// How one model fits one stream.
+struct Fitted {
+    stream: usize,
+    /// Whether the model says where the stream's frame is, and was held to it.
+    knows_frame: bool,
+    fit: ModelFit,
 }
 
 impl Entry {
     fn of(&self, stream: usize) -> Option<&ModelFit> {
-        self.fits.iter().find(|(index, _)| *index == stream).map(|(_, fit)| fit)
+        self.fits.iter().find(|fitted| fitted.stream == stream).map(|fitted| &fitted.fit)
+    }
+
+    /// The streams whose frame the model knows, or does not.
+    fn whose_frame_is(&self, known: bool) -> impl Iterator<Item = usize> + '_ {
+        let alike = move |fitted: &&Fitted| fitted.knows_frame == known;
+        self.fits.iter().filter(alike).map(|fitted| fitted.stream)
     }
 }
 
@@ -65,9 +79,17 @@ pub(super) struct ByPoses<'a> {
 
 impl ByPoses<'_> {
     /// The models ranked by what they need to be where the streams of poses say, best first; none where
-    /// no stream tells.
+    /// no stream tells. No model is held to a frame that another one does not know.
     pub fn ranking(&self, models: &[&Model]) -> Option<Ranking> {
-        let entries: Vec<Entry> = models.par_iter().map(|model| self.entry(model)).collect();
+        let of = |model: &&Model| self.entry(model, &BTreeSet::new());
+        let mut entries: Vec<Entry> = models.par_iter().map(of).collect();
+        let unknown = entries.iter().flat_map(|entry| entry.whose_frame_is(false));
+        let free: BTreeSet<usize> = unknown.collect();
+        entries.par_iter_mut().zip(models).for_each(|(entry, model)| {
+            if entry.whose_frame_is(true).any(|stream| free.contains(&stream)) {
+                *entry = self.entry(model, &free);
+            }
+        });
         let ranks = ranks(&entries);
         let standings = ranks.into_iter().map(|rank| {
             let (stream, Priced { way, .. }) = rank.decisive;
@@ -149,7 +171,8 @@ impl ByPoses<'_> {
         <[_; 1]>::try_from(paths).ok().map(|[path]| path)
     }
 
-    fn entry(&self, model: &Model) -> Entry {
+    /// How a model fits the streams, held to the frames of all but those that are `free`.
+    fn entry(&self, model: &Model, free: &BTreeSet<usize>) -> Entry {
         let Assembly { options, streams, origin, .. } = self.assembly;
         let ends = Ends { base: options.base.as_deref(), tip: options.tip.as_deref() };
         let arm = self
@@ -165,7 +188,9 @@ impl ByPoses<'_> {
             let source = self.source_of(&arm, stream);
             let new = source.filter(|one| !sources.iter().any(|other| one.is_copy_of(other)));
             let Some(source) = new else { continue };
-            fits.extend(self.fit_of(&arm, &source).map(|fit| (stream, fit)));
+            let knows_frame = source.reference_known && !free.contains(&stream);
+            let fit = self.fit_of(&arm, &source, knows_frame);
+            fits.extend(fit.map(|fit| Fitted { stream, knows_frame, fit }));
             sources.push(source);
             if fits.len() == MOST_STREAMS {
                 break;
@@ -193,13 +218,13 @@ impl ByPoses<'_> {
         assembly.pose_source(index, arm, &site, declared, (false, &mut Vec::new())).ok()
     }
 
-    /// How `arm` fits a stream.
-    fn fit_of(&self, arm: &Arm, source: &PoseSource) -> Option<ModelFit> {
+    /// How `arm` fits a stream, held to its frame or not.
+    fn fit_of(&self, arm: &Arm, source: &PoseSource, knows_frame: bool) -> Option<ModelFit> {
         let stream = PoseStream {
             track: &source.track,
             chain: &source.chain,
             columns: &source.columns,
-            reference_known: source.reference_known,
+            reference_known: knows_frame,
             stamp_error_s: source.stamp_error_s,
             stamps_copied: source.stamps_copied,
         };
@@ -210,7 +235,7 @@ impl ByPoses<'_> {
 /// The models by their scores over the streams that some of them explains, or over all where none does.
 fn ranks(entries: &[Entry]) -> Vec<Rank> {
     let streams: BTreeSet<usize> =
-        entries.iter().flat_map(|entry| entry.fits.iter().map(|(stream, _)| *stream)).collect();
+        entries.iter().flat_map(|entry| entry.fits.iter().map(|fitted| fitted.stream)).collect();
     let of = |stream: usize| entries.iter().filter_map(move |entry| entry.of(stream));
     let is_explained = |stream: &&usize| {
         of(**stream).any(|fit| {
