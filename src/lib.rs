@@ -14,8 +14,8 @@
 //! # Ok::<(), poseaudit::report::Trouble>(())
 //! ```
 //!
-//! Data walks one way: bytes → [`log`] → [`run`] → [`diagnosis`] → [`checks`] → [`report`] → [`output`].
-//! [`robot`] feeds the diagnosis; [`stream`], [`geometry`] and [`time`] are the ground floor.
+//! Data walks one way: bytes → [`log`] → [`run`] → [`evidence`] → [`checks`] → [`report`] → [`output`].
+//! [`diagnosis`] estimates, [`robot`] feeds it; [`stream`], [`geometry`] and [`time`] are the ground floor.
 //! Beside it, [`desk`] says what single poses are.
 // Items say units and frames, and nothing that came from a file ends in a panic.
 #![warn(missing_docs, clippy::unwrap_used)]
@@ -32,6 +32,7 @@ pub mod config;
 pub mod corrections;
 pub mod desk;
 pub mod diagnosis;
+pub mod evidence;
 pub mod finding;
 #[cfg(feature = "tables")]
 pub mod fleet;
@@ -81,9 +82,6 @@ pub fn audit(options: &Options) -> Result<Audited, Trouble> {
 pub fn info(logs: &[PathBuf], how: &ReadOptions) -> Result<Report, Trouble> {
     let log = log::open(logs, how)?;
     let read = audit::Read::of(&log);
-    let options = RunOptions::default();
-    let mut run = Run::assemble(log, &options).map_err(|error| Trouble::from(&error))?;
-    audit::settle(&mut run, options.max_latency_s);
-    audit::settle_hands(&mut run, options.max_latency_s);
+    let run = Run::complete(log, &RunOptions::default(), |_| Ok::<_, Trouble>(()))?;
     Ok(audit::summary(&run, read))
 }

@@ -1,47 +1,28 @@
-//! What joins the rooms: a run's streams into the diagnosis, its results into facts for the rules,
-//! and both into the report.
+//! What joins the rooms: a log into runs, what is known of each into verdicts, and both into the report.
 
 #[cfg(test)]
 mod any_log;
-mod arms;
 mod demo;
-mod estimate;
-mod facts;
-mod hand_eye;
 mod options;
-mod pictures;
-mod references;
-mod rows;
-mod settle;
-mod workspace;
 
-use crate::checks::{
-    ArmFacts, EvaluatedPart, Evaluation, Facts, Undecodable, UndecodableTopic, evaluate, merged,
-};
+use crate::checks::{EvaluatedPart, Evaluation, evaluate, merged};
 use crate::corrections::Given;
-use crate::log::{Log, Loss};
+use crate::evidence::{ArmEvidence, Lost, RunEvidence, Undecodable, UndecodableTopic};
+use crate::log::Log;
 use crate::places::Places;
-use crate::report::{Figures, FileRow, LogSummary, NoteRow, Report, Trouble, tells_hand_eye};
+use crate::report::{
+    Figures, FileRow, LogSummary, NoteRow, Report, Trouble, coverage, figures, joined, robots,
+    streams, tells_hand_eye,
+};
 use crate::run::{Arm, Excerpts, Run, Segment, segments};
 
 pub use demo::{DEMO_LOG, Demo, Planted, demo};
-use estimate::{diagnose, readable_joints};
-use facts::facts;
-use hand_eye::hand_eyes;
-pub(crate) use hand_eye::settle_hands;
 pub use options::{Options, Policy};
-use pictures::figures;
-use references::references;
-use rows::{joined, robots, streams};
-pub(crate) use settle::settle;
-use workspace::coverage;
-pub(crate) use workspace::{ArmWorkspace, reached};
 
 /// What the report says of the files themselves.
 pub(crate) struct Read {
     summary: LogSummary,
-    losses: Vec<Loss>,
-    undecodable: Vec<UndecodableTopic>,
+    lost: Lost,
 }
 
 impl Read {
@@ -90,8 +71,7 @@ impl Read {
                 end_ns: log.span.map(|span| span.1),
                 duration_s: log.span.map(|(start, end)| end.seconds_since(start)),
             },
-            losses: log.losses.clone(),
-            undecodable: undecodable.collect(),
+            lost: Lost { losses: log.losses.clone(), undecodable: undecodable.collect() },
         }
     }
 }
@@ -105,7 +85,7 @@ pub struct Audited {
     /// The run; where its clock began anew, the longest segment.
     pub run: Run,
     /// What was estimated on it, as the rules read it.
-    pub facts: Facts,
+    pub evidence: RunEvidence,
     /// Which of the segments it is.
     pub(crate) segment: usize,
     /// Whether there are others.
@@ -145,20 +125,19 @@ impl Audited {
         let main = main.unwrap_or_default();
         let report = report(&parts, main, read, options);
         let is_part = parts.len() > 1;
-        let Part { run, facts, .. } = parts.swap_remove(main);
-        Ok(Self { report, run, facts, segment: main, is_part, read: options.places() })
+        let Part { run, evidence, .. } = parts.swap_remove(main);
+        Ok(Self { report, run, evidence, segment: main, is_part, read: options.places() })
     }
 
     /// With [`Report::figures`], what the pictures of the report show.
     pub fn with_figures(mut self) -> Self {
-        let corrected = |arm: &Arm, facts: &ArmFacts| {
-            facts.diagnosis.corrected_joints(&arm.joints, &arm.slides())
-        };
+        let corrected =
+            |arm: &Arm, of: &ArmEvidence| of.diagnosis.corrected_joints(&arm.joints, &arm.slides());
         let is_told = |topic: &str| {
             let mut findings = self.report.findings.iter();
             findings.any(|found| found.subject.topic.as_deref() == Some(topic))
         };
-        let drawn = figures(&self.run, &self.facts, corrected, is_told);
+        let drawn = figures(&self.run, &self.evidence, corrected, is_told);
         self.report.figures = Some(Figures { of_longest_segment: self.is_part, ..drawn });
         self
     }
@@ -166,8 +145,8 @@ impl Audited {
     /// The report alone. To give back the columns of a long log takes as long as to write the report on it:
     /// that is done beside.
     pub fn into_report(self) -> Report {
-        let Self { report, run, facts, .. } = self;
-        rayon::spawn(|| drop((run, facts)));
+        let Self { report, run, evidence, .. } = self;
+        rayon::spawn(|| drop((run, evidence)));
         report
     }
 }
@@ -175,7 +154,7 @@ impl Audited {
 /// A segment of a run, audited.
 struct Part {
     run: Run,
-    facts: Facts,
+    evidence: RunEvidence,
     evaluation: Evaluation,
     seconds: f64,
 }
@@ -244,21 +223,14 @@ impl Part {
         given: Option<Given<'_>>,
     ) -> Result<Self, Trouble> {
         let Segment { log, seconds } = segment;
-        let mut run = Run::assemble(log, &options.run).map_err(|error| Trouble::from(&error))?;
-        if let Some(given) = given {
-            given.apply(&mut run, options.run.max_latency_s)?;
-        }
-        settle(&mut run, options.run.max_latency_s);
-        settle_hands(&mut run, options.run.max_latency_s);
-        let diagnoses = diagnose(&mut run, options.run.max_latency_s);
-        let joints = |arm: usize| readable_joints(&run.arms[arm], &diagnoses[arm].arm);
-        let hand_eyes = hand_eyes(&run, joints, options.run.max_latency_s);
-        let mut facts = Facts { hand_eyes, ..facts(&run, diagnoses, read, options) };
-        for (index, arm) in facts.robots.iter_mut().enumerate() {
-            arm.references = references(&run, index, arm, options.run.max_latency_s);
-        }
-        let evaluation = evaluate(&facts, &options.policy.rules);
-        Ok(Self { run, facts, evaluation, seconds })
+        let run = &options.run;
+        let mut run = Run::complete(log, run, |run| match given {
+            Some(given) => given.apply(run, options.run.max_latency_s),
+            None => Ok(()),
+        })?;
+        let evidence = RunEvidence::of(&mut run, &read.lost, &options.run);
+        let evaluation = evaluate(&evidence, &options.policy.rules);
+        Ok(Self { run, evidence, evaluation, seconds })
     }
 }
 

@@ -2,8 +2,9 @@
 //! only where the smallest explanation needs it.
 
 use crate::checks::decision::{Decision, Threshold, decide, unseen};
-use crate::checks::{ArmFacts, Facts, Judged, Of, Rule};
+use crate::checks::{Case, Judged, Rule};
 use crate::diagnosis::{Measured, Seen};
+use crate::evidence::{ArmEvidence, Of};
 use crate::finding::{Estimate, Fault, Outcome, Severity};
 
 /// An amount, and how its rule words it.
@@ -15,7 +16,7 @@ pub struct Amount {
     /// What would tell where it could not be had.
     pub settle: &'static str,
     /// The fault.
-    pub fault: fn(&ArmFacts, &Of<Estimated<'_>>, &Measured, Severity) -> Fault,
+    pub fault: fn(&ArmEvidence, &Of<Estimated<'_>>, &Measured, Severity) -> Fault,
 }
 
 /// What is known of an amount on one stream.
@@ -33,11 +34,12 @@ impl Amount {
     pub fn judge(
         &self,
         rule: &Rule,
-        facts: &Facts,
-        arm: &ArmFacts,
+        case: &Case,
+        arm: &ArmEvidence,
         on: &Of<Estimated<'_>>,
     ) -> Judged {
-        let (threshold, subjects) = (facts.thresholds.of(rule, self.threshold), facts.subjects());
+        let (threshold, subjects) =
+            (case.thresholds.of(rule, self.threshold), case.evidence.subjects());
         let settle = self.settle;
         let found = match on.estimate {
             Ok(found) => found,

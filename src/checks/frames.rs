@@ -4,8 +4,9 @@ use serde_json::{Value, json};
 
 use crate::checks::decision::{DEGREE, Decision, FrameThresholds, Threshold, decide_frame, unseen};
 use crate::checks::twins::zero_cause;
-use crate::checks::{ArmFacts, Facts, Judged, Of, PoseFacts, Rule, standing};
+use crate::checks::{Case, Judged, Rule, standing};
 use crate::diagnosis::{FrameEstimate, JointOffset, PoseDiagnosis, Seen, Twin};
+use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Alternative, Estimate, Fault, Outcome, Severity, Subject, Unit, rounded};
 use crate::geometry::{Pose, rotvec_from_rotation, xyz_of, xyzw_from_rotation};
 
@@ -27,37 +28,37 @@ pub struct End {
     /// Its estimate.
     pub estimate: fn(&PoseDiagnosis) -> &Seen<FrameEstimate>,
     /// The frame.
-    pub frame: fn(&Of<PoseFacts>) -> &str,
+    pub frame: fn(&Of<PoseEvidence>) -> &str,
     /// Why the offset of this stream is none to judge, where it is none.
-    pub not_judged: fn(&Of<PoseFacts>) -> Option<String>,
+    pub not_judged: fn(&Of<PoseEvidence>) -> Option<String>,
     /// The twin that it is to joint offsets, if it is one.
     pub is_twin: fn(&Twin, usize) -> bool,
     /// The fault.
-    pub fault: fn(&ArmFacts, &Of<PoseFacts>, &FrameEstimate, Severity) -> Fault,
+    pub fault: fn(&ArmEvidence, &Of<PoseEvidence>, &FrameEstimate, Severity) -> Fault,
 }
 
 /// Judges one end of every pose stream.
-pub fn judge(facts: &Facts, end: &End) -> Vec<Judged> {
-    let streams = facts.robots.iter().flat_map(|arm| {
+pub fn judge(case: &Case, end: &End) -> Vec<Judged> {
+    let streams = case.evidence.robots.iter().flat_map(|arm| {
         arm.poses.iter().enumerate().map(move |(index, stream)| (arm, index, stream))
     });
     let judged = streams.map(|(arm, index, stream)| {
         let subject = arm.frame(stream.topic(), (end.frame)(stream));
-        judge_stream(facts, arm, index, end, subject).within(stream.span)
+        judge_stream(case, arm, index, end, subject).within(stream.span)
     });
     judged.collect()
 }
 
 fn judge_stream(
-    facts: &Facts,
-    arm: &ArmFacts,
+    case: &Case,
+    arm: &ArmEvidence,
     index: usize,
     end: &End,
     subject: Subject,
 ) -> Judged {
     let stream = &arm.poses[index];
     let diagnosis = &stream.diagnosis;
-    let thresholds = facts.thresholds.of_frames(end.rule, THRESHOLDS);
+    let thresholds = case.thresholds.of_frames(end.rule, THRESHOLDS);
     if let Some(why) = diagnosis.unread() {
         return Judged::new(subject, unseen(why, SETTLE));
     }
@@ -75,7 +76,7 @@ fn judge_stream(
         }
     };
     let effect_m = frame.translation_m.value + frame.rotation_rad.value * arm.reach_m;
-    let outcome = match (decide_frame(frame, &thresholds, facts.subjects()), not_judged) {
+    let outcome = match (decide_frame(frame, &thresholds, case.evidence.subjects()), not_judged) {
         (_, Some(why)) => Outcome::sound_because(why),
         (Decision::Fail(severity), None) if frame.chosen => match standing::doubt(arm, effect_m) {
             Some(why) => Outcome::Inconclusive(why),
@@ -96,7 +97,7 @@ fn judge_stream(
         .with_evidence("pose", pose_json(&frame.pose))
 }
 
-fn named_instead(arm: &ArmFacts, cause: &Alternative) -> Outcome {
+fn named_instead(arm: &ArmEvidence, cause: &Alternative) -> Outcome {
     if let Some(why) = standing::doubt(arm, 0.0) {
         return Outcome::Inconclusive(why);
     }
@@ -117,7 +118,7 @@ fn undecided(decision: &Decision, frame: &FrameEstimate) -> String {
 }
 
 /// The joint offsets that do the same as this end of stream `index`.
-fn twins<'a>(arm: &'a ArmFacts, end: &End, index: usize) -> Vec<(&'a JointOffset, Alternative)> {
+fn twins<'a>(arm: &'a ArmEvidence, end: &End, index: usize) -> Vec<(&'a JointOffset, Alternative)> {
     let offsets = arm.diagnosis.offsets.iter().enumerate();
     let same =
         offsets.filter(|(_, offset)| offset.twins.iter().any(|twin| (end.is_twin)(twin, index)));

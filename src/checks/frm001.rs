@@ -1,7 +1,8 @@
 use crate::checks::decision::{Decision, decide_both, decide_frame, unseen};
 use crate::checks::frames::THRESHOLDS;
-use crate::checks::{ArmFacts, Facts, Grade, Judged};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Measured, PoseDiagnosis, Unseen};
+use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Unit};
 
 rule! {
@@ -52,9 +53,9 @@ struct Disagreement {
 
 impl Disagreement {
     /// The constant offset, where one explains the disagreement; else what is left beyond the noise.
-    fn of<'a>(facts: &Facts, tf: &'a PoseDiagnosis) -> Result<Self, &'a Unseen> {
+    fn of<'a>(case: &Case, tf: &'a PoseDiagnosis) -> Result<Self, &'a Unseen> {
         let (thresholds, subjects) =
-            (facts.thresholds.of_frames(&FRM001, THRESHOLDS), facts.subjects());
+            (case.thresholds.of_frames(&FRM001, THRESHOLDS), case.evidence.subjects());
         let offset = [&tf.reference, &tf.tool].into_iter().flatten().find(|frame| frame.chosen);
         if let Some(offset) = offset {
             let (length, angle) = (offset.translation_m, offset.rotation_rad);
@@ -69,16 +70,17 @@ impl Disagreement {
 }
 
 /// Whether /tf says what the joint states as recorded say, so that it inherits their faults.
-pub(super) fn agrees(facts: &Facts, tf: &PoseDiagnosis) -> bool {
-    Disagreement::of(facts, tf).is_ok_and(|found| found.decision == Decision::Pass)
+pub(super) fn agrees(case: &Case, tf: &PoseDiagnosis) -> bool {
+    Disagreement::of(case, tf).is_ok_and(|found| found.decision == Decision::Pass)
 }
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let streams = facts.robots.iter().flat_map(|arm| arm.tf.iter().map(move |tf| (arm, tf)));
+fn check(case: &Case) -> Vec<Judged> {
+    let streams =
+        case.evidence.robots.iter().flat_map(|arm| arm.tf.iter().map(move |tf| (arm, tf)));
     let judged = streams.map(|(arm, stream)| {
         let diagnosis = &stream.diagnosis;
         let subject = arm.frame(stream.topic(), &stream.tip);
-        let found = match Disagreement::of(facts, diagnosis) {
+        let found = match Disagreement::of(case, diagnosis) {
             Ok(found) => found,
             Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(stream.span),
         };
@@ -98,7 +100,7 @@ fn check(facts: &Facts) -> Vec<Judged> {
 
 /// What is wrong with the joint states as recorded, so that nothing computed from them, and no
 /// interpolation of them, can be judged.
-fn misread(arm: &ArmFacts) -> Option<&'static str> {
+fn misread(arm: &ArmEvidence) -> Option<&'static str> {
     let joints = arm.diagnosis.reading.as_ref().ok()?;
     match joints {
         joints if joints.degrees.is_some() => Some("units are wrong (ORD004)"),
@@ -139,16 +141,16 @@ mod tests {
 
     #[test]
     fn a_constant_offset_and_a_residual_are_both_disagreements() {
-        let mut facts = clean_run();
-        facts.robots[0].tf.as_mut().unwrap().diagnosis.tool =
+        let mut run = clean_run();
+        run.robots[0].tf.as_mut().unwrap().diagnosis.tool =
             Ok(FrameEstimate { chosen: true, ..frame(0.003) });
-        let constant = ask(&FRM001, &facts).1;
+        let constant = ask(&FRM001, &run).1;
         assert_eq!(constant[0].message, "3 mm and 0° everywhere off from FK of the joint states");
 
-        let mut facts = clean_run();
-        let residual = facts.robots[0].tf.as_mut().unwrap().diagnosis.residual.as_mut();
+        let mut run = clean_run();
+        let residual = run.robots[0].tf.as_mut().unwrap().diagnosis.residual.as_mut();
         residual.expect("a residual").excess_m = sure(0.02);
-        let varying = ask(&FRM001, &facts).1;
+        let varying = ask(&FRM001, &run).1;
         assert_eq!(varying[0].message, "20 mm and 0° rms off from FK of the joint states");
     }
 }

@@ -1,7 +1,8 @@
 use crate::checks::decision::DEGREE;
 use crate::checks::frames::{self, End, THRESHOLDS, show, show_pose};
-use crate::checks::{ArmFacts, Facts, Grade, Judged, Of, PoseFacts};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{FrameEstimate, Twin};
+use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Cause, Evidence, Fault, Severity};
 use crate::geometry::{Pose, rotvec_from_rotation};
 
@@ -40,7 +41,7 @@ rule! {
     }
 }
 
-fn check(facts: &Facts) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<Judged> {
     let reference = End {
         rule: &FRM002,
         name: "reference frame",
@@ -54,12 +55,12 @@ fn check(facts: &Facts) -> Vec<Judged> {
         is_twin: |twin, index| matches!(twin, Twin::Reference(stream, _) if *stream == index),
         fault,
     };
-    frames::judge(facts, &reference)
+    frames::judge(case, &reference)
 }
 
 fn fault(
-    arm: &ArmFacts,
-    stream: &Of<PoseFacts>,
+    arm: &ArmEvidence,
+    stream: &Of<PoseEvidence>,
     frame: &FrameEstimate,
     severity: Severity,
 ) -> Fault {
@@ -97,11 +98,11 @@ mod tests {
 
     #[test]
     fn a_frame_that_is_not_tied_to_the_robot_is_estimated_and_not_judged() {
-        let mut facts = clean_run();
-        let arm = &mut facts.robots[0];
+        let mut run = clean_run();
+        let arm = &mut run.robots[0];
         arm.poses[0].reference_known = false;
         arm.poses[0].diagnosis.reference = Ok(FrameEstimate { chosen: true, ..frame(1.2) });
-        let (rows, findings) = ask(&FRM002, &facts);
+        let (rows, findings) = ask(&FRM002, &run);
         assert!(findings.is_empty() && rows[0].status == Status::Pass, "{rows:?}");
         assert_eq!(rows[0].evidence["pose"]["xyz"][0], 1.2);
     }

@@ -1,6 +1,7 @@
 use crate::checks::frames::{self, End, THRESHOLDS, show, show_pose};
-use crate::checks::{ArmFacts, Facts, Grade, Judged, Of, PoseFacts};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{FrameEstimate, Twin};
+use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
 
 rule! {
@@ -37,7 +38,7 @@ rule! {
     }
 }
 
-fn check(facts: &Facts) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<Judged> {
     let tool = End {
         rule: &FRM003,
         name: "tool frame",
@@ -47,10 +48,15 @@ fn check(facts: &Facts) -> Vec<Judged> {
         is_twin: |twin, index| matches!(twin, Twin::Tool(stream, _) if *stream == index),
         fault,
     };
-    frames::judge(facts, &tool)
+    frames::judge(case, &tool)
 }
 
-fn fault(_: &ArmFacts, stream: &Of<PoseFacts>, frame: &FrameEstimate, severity: Severity) -> Fault {
+fn fault(
+    _: &ArmEvidence,
+    stream: &Of<PoseEvidence>,
+    frame: &FrameEstimate,
+    severity: Severity,
+) -> Fault {
     let tip = &stream.tip;
     let (severity, guess) = match stream.tip_named {
         true => (severity, ""),
@@ -77,11 +83,11 @@ mod tests {
     use crate::checks::testing::{ask, clean_run, frame};
 
     fn severity_of(tip_named: bool) -> Option<Severity> {
-        let mut facts = clean_run();
-        let arm = &mut facts.robots[0];
+        let mut run = clean_run();
+        let arm = &mut run.robots[0];
         arm.poses[0].tip_named = tip_named;
         arm.poses[0].diagnosis.tool = Ok(FrameEstimate { chosen: true, ..frame(0.14) });
-        ask(&FRM003, &facts).1.first().map(|finding| finding.severity)
+        ask(&FRM003, &run).1.first().map(|finding| finding.severity)
     }
 
     #[test]

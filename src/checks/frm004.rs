@@ -1,6 +1,6 @@
 use serde_json::{Value, json};
 
-use crate::checks::{Facts, Grade, Judged};
+use crate::checks::{Case, Grade, Judged};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::run::{Apart, Flaw, FlawKind};
 
@@ -46,8 +46,8 @@ rule! {
     }
 }
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let frames = &facts.frames;
+fn check(case: &Case) -> Vec<Judged> {
+    let frames = &case.evidence.frames;
     let is_sound = |topic: &&String| !frames.flaws.iter().any(|flaw| flaw.topics.contains(topic));
     let sound = frames.topics.iter().filter(is_sound).map(|topic| {
         let subject = Subject { topic: Some(topic.clone()), ..Subject::default() };

@@ -1,7 +1,8 @@
 use serde_json::{Value, json};
 
 use crate::checks::decision::Threshold;
-use crate::checks::{Facts, Grade, Judged, Of};
+use crate::checks::{Case, Grade, Judged};
+use crate::evidence::Of;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::run::{Norms, Written};
 
@@ -46,12 +47,12 @@ const THRESHOLD: Threshold = Threshold { unit: Unit::One, warning: 1e-3, error: 
 /// Transforms that the evidence lists.
 const LISTED: usize = 10;
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    facts.norms.iter().map(|norms| judge(facts, norms)).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    case.evidence.norms.iter().map(|norms| judge(case, norms)).collect()
 }
 
-fn judge(facts: &Facts, stream: &Of<Vec<Norms>>) -> Judged {
-    let threshold = facts.thresholds.of(&FRM005, THRESHOLD);
+fn judge(case: &Case, stream: &Of<Vec<Norms>>) -> Judged {
+    let threshold = case.thresholds.of(&FRM005, THRESHOLD);
     let worst = stream.iter().max_by(|a, b| a.largest.total_cmp(&b.largest));
     let Some(worst) = worst.filter(|worst| worst.rows > 0) else {
         let outcome = Outcome::Skipped("none of its quaternions is set".to_owned());
@@ -68,7 +69,7 @@ fn judge(facts: &Facts, stream: &Of<Vec<Norms>>) -> Judged {
         _ => stream.subject.clone(),
     };
     let outcome = match threshold.severity(worst.largest) {
-        Some(severity) => Outcome::faulty(fault(facts, worst, severity)),
+        Some(severity) => Outcome::faulty(fault(case, worst, severity)),
         None if unset > 0 => Outcome::sound_because(format!("{unset} quaternions are not set")),
         None => Outcome::sound(),
     };
@@ -94,10 +95,10 @@ fn word(written: Written) -> &'static str {
     }
 }
 
-fn fault(facts: &Facts, worst: &Norms, severity: Severity) -> Fault {
+fn fault(case: &Case, worst: &Norms, severity: Severity) -> Fault {
     let shown = Unit::One.show(worst.largest);
-    let when = worst.at.map_or(String::new(), |at| format!(" at {}", facts.moment(at)));
-    let half = match facts.thresholds.of(&FRM005, THRESHOLD).severity(worst.median) {
+    let when = worst.at.map_or(String::new(), |at| format!(" at {}", case.evidence.moment(at)));
+    let half = match case.thresholds.of(&FRM005, THRESHOLD).severity(worst.median) {
         Some(_) => format!("half of the samples by {} or more", Unit::One.show(worst.median)),
         None => "most samples by less than that matters".to_owned(),
     };

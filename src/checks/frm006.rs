@@ -3,10 +3,9 @@ use serde_json::{Value, json};
 use crate::checks::decision::{Decision, decide_frame};
 use crate::checks::frames::{THRESHOLDS, pose_json, show};
 use crate::checks::reference::{self, following_json, witness_name, witnesses_differ};
-use crate::checks::{
-    ArmFacts, Facts, FrameThresholds, Grade, Judged, Of, ReferenceFacts, WitnessKind,
-};
+use crate::checks::{Case, FrameThresholds, Grade, Judged};
 use crate::diagnosis::{Constancy, FrameEstimate, Measured, ReferenceDiagnosis, RestGap};
+use crate::evidence::{ArmEvidence, Of, ReferenceEvidence, WitnessKind};
 use crate::finding::{Alternative, Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
@@ -61,11 +60,11 @@ const MUCH_M: f64 = 0.1;
 /// What a drawing of an arm leaves against the calibrated arm, m and rad.
 const NOMINAL: (f64, f64) = (0.01, THRESHOLDS.angle.error);
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let of_arm = |arm: &ArmFacts| -> Vec<Judged> {
-        arm.references.iter().map(|one| judge(facts, arm, one)).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    let of_arm = |arm: &ArmEvidence| -> Vec<Judged> {
+        arm.references.iter().map(|one| judge(case, arm, one)).collect()
     };
-    facts.robots.iter().flat_map(of_arm).collect()
+    case.evidence.robots.iter().flat_map(of_arm).collect()
 }
 
 /// The rests by one witness.
@@ -81,8 +80,8 @@ struct Seen<'a> {
 }
 
 impl<'a> Seen<'a> {
-    fn of(facts: &Facts, found: &'a ReferenceDiagnosis, witness: usize) -> Option<Self> {
-        let thresholds = facts.thresholds.of_frames(&FRM006, THRESHOLDS);
+    fn of(case: &Case, found: &'a ReferenceDiagnosis, witness: usize) -> Option<Self> {
+        let thresholds = case.thresholds.of_frames(&FRM006, THRESHOLDS);
         let size = |gap: &RestGap| size(gap, &thresholds);
         let mut gaps: Vec<&RestGap> = found.gaps.get(witness)?.iter().collect();
         gaps.sort_by(|a, b| size(a).total_cmp(&size(b)));
@@ -101,7 +100,7 @@ impl<'a> Seen<'a> {
             p_value: (p_value * tests as f64).min(1.0),
             chosen: true,
         };
-        let decision = decide_frame(&estimate, &thresholds, facts.subjects());
+        let decision = decide_frame(&estimate, &thresholds, case.evidence.subjects());
         Some(Self { witness, gap, estimate, decision, beyond })
     }
 }
@@ -112,8 +111,8 @@ fn size(gap: &RestGap, thresholds: &FrameThresholds) -> f64 {
     length.max(gap.angle_rad.norm.value / thresholds.angle.warning)
 }
 
-fn judge(facts: &Facts, arm: &ArmFacts, reference: &Of<ReferenceFacts>) -> Judged {
-    let thresholds = facts.thresholds.of_frames(&FRM006, THRESHOLDS);
+fn judge(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence>) -> Judged {
+    let thresholds = case.thresholds.of_frames(&FRM006, THRESHOLDS);
     let size = |gap: &RestGap| size(gap, &thresholds);
     let judged = |outcome| Judged::new(reference.subject.clone(), outcome).within(reference.span);
     let found = match reference::found(arm, reference, SETTLE) {
@@ -127,7 +126,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, reference: &Of<ReferenceFacts>) -> Judge
             .with_evidence("following", following_json(found.following.as_ref()))
     };
     let all: Vec<Seen<'_>> = (0..reference.witnesses.len())
-        .filter_map(|witness| Seen::of(facts, found, witness))
+        .filter_map(|witness| Seen::of(case, found, witness))
         .collect();
     let Some(nearest) = all.iter().min_by(|a, b| size(a.gap).total_cmp(&size(b.gap))) else {
         return with_commands(judged(Outcome::Inconclusive(not_reached(found))));
@@ -135,7 +134,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, reference: &Of<ReferenceFacts>) -> Judge
     let gaps = &found.gaps[nearest.witness];
     let name = witness_name(reference, nearest.witness);
     let outcome = match &nearest.decision {
-        Decision::Fail(severity) => fault(facts, arm, reference, found, nearest, *severity),
+        Decision::Fail(severity) => fault(case, arm, reference, found, nearest, *severity),
         Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
         Decision::Pass => sound(arm, reference, nearest, &all, &name),
     };
@@ -150,7 +149,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, reference: &Of<ReferenceFacts>) -> Judge
             })
         })
         .collect();
-    let moment = facts.origin.shifted(nearest.gap.from_s).to_string();
+    let moment = case.evidence.origin.shifted(nearest.gap.from_s).to_string();
     let estimate = Estimate::frame(
         "difference",
         &nearest.estimate.translation_m,
@@ -171,8 +170,8 @@ fn judge(facts: &Facts, arm: &ArmFacts, reference: &Of<ReferenceFacts>) -> Judge
 }
 
 fn sound(
-    arm: &ArmFacts,
-    reference: &Of<ReferenceFacts>,
+    arm: &ArmEvidence,
+    reference: &Of<ReferenceEvidence>,
     nearest: &Seen<'_>,
     all: &[Seen<'_>],
     name: &str,
@@ -215,16 +214,16 @@ fn not_reached(found: &ReferenceDiagnosis) -> String {
 }
 
 fn fault(
-    facts: &Facts,
-    arm: &ArmFacts,
-    reference: &Of<ReferenceFacts>,
+    case: &Case,
+    arm: &ArmEvidence,
+    reference: &Of<ReferenceEvidence>,
     found: &ReferenceDiagnosis,
     nearest: &Seen<'_>,
     severity: Severity,
 ) -> Outcome {
     let gaps = &found.gaps[nearest.witness];
     let off = show(&nearest.estimate);
-    let thresholds = &facts.thresholds.of_frames(&FRM006, THRESHOLDS);
+    let thresholds = &case.thresholds.of_frames(&FRM006, THRESHOLDS);
     let may_be_a_frame = !reference.is_of_joints;
     let (in_tool, in_base) = match Constancy::of(gaps) {
         Some(constancy) => (
@@ -283,7 +282,7 @@ fn fault(
     };
     let stays = worst_joint(arm, nearest.gap).map_or(String::new(), |words| format!(": {words}"));
     let (beyond, rests) = (nearest.beyond, gaps.len());
-    let moment = facts.moment(facts.origin.shifted(nearest.gap.from_s));
+    let moment = case.evidence.moment(case.evidence.origin.shifted(nearest.gap.from_s));
     let of = if rests == 1 { String::new() } else { format!(", at {beyond} of {rests} rests") };
     Outcome::faulty(Fault {
         cause: Cause::Other,
@@ -317,14 +316,14 @@ fn is_one(gap: &RestGap, (spread_m, spread_rad): (f64, f64), thresholds: &FrameT
 }
 
 /// The joint that stays off by most, of commanded joints, in words.
-fn worst_joint(arm: &ArmFacts, gap: &RestGap) -> Option<String> {
+fn worst_joint(arm: &ArmEvidence, gap: &RestGap) -> Option<String> {
     let (joint, off) =
         gap.joints.iter().max_by(|a, b| a.1.value.abs().total_cmp(&b.1.value.abs()))?;
     let name = &arm.joints.get(*joint)?.name;
     Some(format!("{name} stays {} off", arm.joint_unit(*joint).show_signed(off)))
 }
 
-fn joints_json(arm: &ArmFacts, joints: &[(usize, Measured)]) -> Value {
+fn joints_json(arm: &ArmEvidence, joints: &[(usize, Measured)]) -> Value {
     let joint = |(index, off): &(usize, Measured)| {
         let unit = arm.joint_unit(*index);
         let name = arm.joints.get(*index).map(|joint| joint.name.as_str());
@@ -342,21 +341,22 @@ fn joints_json(arm: &ArmFacts, joints: &[(usize, Measured)]) -> Value {
 mod tests {
     use super::*;
     use crate::checks::testing::{COMMANDS, ask, clean_run, rest_gap};
+    use crate::evidence::RunEvidence;
     use crate::finding::Status;
 
-    fn planted(change: impl Fn(&mut ReferenceFacts, &mut ReferenceDiagnosis)) -> Facts {
-        let mut facts = clean_run();
-        let reference = &mut facts.robots[0].references[0];
+    fn planted(change: impl Fn(&mut ReferenceEvidence, &mut ReferenceDiagnosis)) -> RunEvidence {
+        let mut run = clean_run();
+        let reference = &mut run.robots[0].references[0];
         let Ok(Ok(mut found)) = reference.diagnosis.clone() else { panic!("a clean reference") };
         change(reference, &mut found);
         reference.diagnosis = Ok(Ok(found));
-        facts
+        run
     }
 
     #[test]
     fn a_single_rest_off_its_goal_is_a_finding_that_lists_frames() {
-        let facts = planted(|_, found| found.gaps = vec![vec![rest_gap(0.003, 0.0)]; 2]);
-        let (_, findings) = ask(&FRM006, &facts);
+        let run = planted(|_, found| found.gaps = vec![vec![rest_gap(0.003, 0.0)]; 2]);
+        let (_, findings) = ask(&FRM006, &run);
         assert_eq!(findings[0].severity, Severity::Warning);
         assert_eq!(findings[0].subject.topic.as_deref(), Some(COMMANDS));
         let others = findings[0].evidence.indistinguishable.iter().map(|other| other.code);
@@ -366,29 +366,29 @@ mod tests {
     #[test]
     fn one_of_several_goals_that_was_given_up_is_no_fault() {
         let gaps = [0.0, 0.008, 0.0].map(|m| rest_gap(m, 0.0)).to_vec();
-        let facts = planted(|_, found| found.gaps = vec![gaps.clone(), gaps.clone()]);
-        assert_eq!(ask(&FRM006, &facts).0[0].status, Status::Pass);
+        let run = planted(|_, found| found.gaps = vec![gaps.clone(), gaps.clone()]);
+        assert_eq!(ask(&FRM006, &run).0[0].status, Status::Pass);
     }
 
     #[test]
     fn the_same_seen_from_a_turned_tool_is_probably_another_tcp() {
         let gaps: Vec<RestGap> = [0.0, 1.0, 2.0].map(|turn| rest_gap(0.14, turn)).to_vec();
-        let facts = planted(|reference, found| {
+        let run = planted(|reference, found| {
             reference.tip_named = false;
             found.gaps = vec![gaps.clone(), gaps.clone()];
         });
-        let (_, findings) = ask(&FRM006, &facts);
+        let (_, findings) = ask(&FRM006, &run);
         assert_eq!(findings[0].severity, Severity::Info);
         assert!(findings[0].message.ends_with("probably another TCP"), "{}", findings[0].message);
     }
 
     #[test]
     fn a_large_offset_at_one_rest_is_left_open() {
-        let facts = planted(|reference, found| {
+        let run = planted(|reference, found| {
             reference.tip_named = false;
             found.gaps = vec![vec![rest_gap(0.14, 0.0)]; 2];
         });
-        let (rows, findings) = ask(&FRM006, &facts);
+        let (rows, findings) = ask(&FRM006, &run);
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
     }
 
@@ -400,22 +400,22 @@ mod tests {
                 let commanded = crate::geometry::Pose::translation(0.3, 0.0, 0.0) * gap.measured;
                 RestGap { commanded, ..gap }
             });
-            let facts = planted(|reference, found| {
+            let run = planted(|reference, found| {
                 reference.frame_named = frame_named;
                 found.gaps = vec![gaps.to_vec(), gaps.to_vec()];
             });
-            let row = &ask(&FRM006, &facts).0[0];
+            let row = &ask(&FRM006, &run).0[0];
             assert_eq!(row.status, status, "{row:?}");
         }
     }
 
     #[test]
     fn what_no_rest_tells_is_said() {
-        let facts = planted(|_, found| {
+        let run = planted(|_, found| {
             found.gaps = vec![Vec::new(); 2];
             (found.goals, found.nearest_miss) = (2, Some((0.3, 0.1)));
         });
-        let row = &ask(&FRM006, &facts).0[0];
+        let row = &ask(&FRM006, &run).0[0];
         assert!(
             row.reason.as_deref().is_some_and(|why| why.contains("none of 2 goals")),
             "{row:?}"

@@ -1,6 +1,7 @@
 use serde_json::{Value, json};
 
-use crate::checks::{Facts, Grade, Judged, Of};
+use crate::checks::{Case, Grade, Judged};
+use crate::evidence::Of;
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::WhyNot;
 
@@ -46,8 +47,8 @@ rule! {
     }
 }
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    facts.unaudited.iter().flat_map(judge).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    case.evidence.unaudited.iter().flat_map(judge).collect()
 }
 
 fn judge(stream: &Of<Vec<WhyNot>>) -> Vec<Judged> {

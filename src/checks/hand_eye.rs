@@ -4,8 +4,9 @@ use serde_json::{Map, Value, json};
 
 use crate::checks::decision::{DEGREE, FrameThresholds, Threshold};
 use crate::checks::frames::pose_json;
-use crate::checks::{HandEyeFacts, Judged, Limit};
+use crate::checks::{Judged, Limit};
 use crate::diagnosis::{HandEyeDiagnosis, Mount, Solution, Unseen};
+use crate::evidence::HandEyeEvidence;
 use crate::finding::{Outcome, Unit};
 use crate::run::CameraAxes;
 
@@ -90,7 +91,7 @@ pub fn unseen(why: &Unseen) -> Outcome {
 }
 
 /// What every rule says of a solution.
-pub fn with_solution(judged: Judged, facts: &HandEyeFacts, solution: &Solution) -> Judged {
+pub fn with_solution(judged: Judged, facts: &HandEyeEvidence, solution: &Solution) -> Judged {
     let mut all = Map::new();
     let closure = &solution.closure;
     let mount = match (is_mount_decided(solution), solution.mount) {

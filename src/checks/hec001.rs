@@ -3,11 +3,9 @@ use crate::checks::frames::show;
 use crate::checks::hand_eye::{
     LEAST_SPAN, SETTLE, THRESHOLDS, does_not_follow, is_mount_decided, unseen, with_solution,
 };
-use crate::checks::{
-    ArmFacts, Facts, FrameThresholds, Grade, HandEyeFacts, Judged, Of, PoseFacts, hec002, hec003,
-    standing,
-};
+use crate::checks::{Case, FrameThresholds, Grade, Judged, hec002, hec003, standing};
 use crate::diagnosis::{Mount, Solution, TargetReading};
+use crate::evidence::{ArmEvidence, HandEyeEvidence, Of, PoseEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
@@ -51,16 +49,17 @@ rule! {
     }
 }
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let judged = facts.hand_eyes.iter().map(|one| {
-        let arm = facts.robots.iter().find(|arm| Some(&arm.name) == one.robot.as_ref());
-        judge(facts, arm, one).within(one.span)
+fn check(case: &Case) -> Vec<Judged> {
+    let judged = case.evidence.hand_eyes.iter().map(|one| {
+        let arm = case.evidence.robots.iter().find(|arm| Some(&arm.name) == one.robot.as_ref());
+        judge(case, arm, one).within(one.span)
     });
     judged.collect()
 }
 
-fn judge(run: &Facts, arm: Option<&ArmFacts>, facts: &HandEyeFacts) -> Judged {
-    let (thresholds, subjects) = (run.thresholds.of_frames(&HEC001, THRESHOLDS), run.subjects());
+fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Judged {
+    let (thresholds, subjects) =
+        (case.thresholds.of_frames(&HEC001, THRESHOLDS), case.evidence.subjects());
     let found = &facts.diagnosis;
     let as_logged = match &found.solution {
         Ok(solution) => solution,
@@ -77,7 +76,7 @@ fn judge(run: &Facts, arm: Option<&ArmFacts>, facts: &HandEyeFacts) -> Judged {
     let open = decide_both(&best.closure.excess_m, &best.closure.excess_rad, &thresholds, subjects);
     let span_rad = found.diversity.as_ref().map_or(0.0, |diversity| diversity.span_rad);
     let (outcome, estimate) = match (&found.reading, open) {
-        _ if span_rad < run.thresholds.limit(&hec002::HEC002, &LEAST_SPAN) => {
+        _ if span_rad < case.thresholds.limit(&hec002::HEC002, &LEAST_SPAN) => {
             let why = format!("too little rotation to solve it (HEC002); {SETTLE}");
             (Outcome::Inconclusive(why), closure(best))
         }
@@ -139,8 +138,8 @@ fn judge(run: &Facts, arm: Option<&ArmFacts>, facts: &HandEyeFacts) -> Judged {
 
 /// Why an open chain says nothing of hand and eye, where the arm's model may be what opens it: FK by
 /// it is the hand.
-fn wrong_model(arm: &ArmFacts, open_m: f64) -> Option<String> {
-    let left = |stream: &Of<PoseFacts>| {
+fn wrong_model(arm: &ArmEvidence, open_m: f64) -> Option<String> {
+    let left = |stream: &Of<PoseEvidence>| {
         stream.diagnosis.residual.as_ref().ok().map(|residual| residual.excess_m.value)
     };
     let nominal_m = arm.poses.iter().filter(|stream| stream.diagnosis.nominal).filter_map(left);

@@ -1,7 +1,8 @@
 use crate::checks::decision::DEGREE;
 use crate::checks::hand_eye::{LEAST_SPAN, LEAST_SPREAD, THRESHOLDS, does_not_follow, unseen};
-use crate::checks::{Facts, FrameThresholds, Grade, HandEyeFacts, Judged, hec001};
+use crate::checks::{Case, FrameThresholds, Grade, Judged, hec001};
 use crate::diagnosis::{CameraPose, Diversity, Measured};
+use crate::evidence::HandEyeEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
@@ -43,19 +44,19 @@ rule! {
 /// A run shorter than this is no try at hand and eye, s.
 const SHORT_S: f64 = 3.0;
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    facts.hand_eyes.iter().map(|one| judge(facts, one).within(one.span)).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    case.evidence.hand_eyes.iter().map(|one| judge(case, one).within(one.span)).collect()
 }
 
-fn judge(run: &Facts, facts: &HandEyeFacts) -> Judged {
-    let needed = [&LEAST_SPAN, &LEAST_SPREAD].map(|limit| run.thresholds.limit(&HEC002, limit));
+fn judge(case: &Case, facts: &HandEyeEvidence) -> Judged {
+    let needed = [&LEAST_SPAN, &LEAST_SPREAD].map(|limit| case.thresholds.limit(&HEC002, limit));
     let found = &facts.diagnosis;
     let diversity = match &found.diversity {
         Ok(diversity) => diversity,
         Err(why) => return Judged::new(facts.subject(), unseen(why)),
     };
     let undetermined =
-        found.best().map_or_else(Vec::new, |solution| undetermined(run, &solution.camera));
+        found.best().map_or_else(Vec::new, |solution| undetermined(case, &solution.camera));
     let seen_s = facts.span.map_or(f64::INFINITY, |span| span.seconds());
     let turns_enough = diversity.span_rad >= needed[0];
     let is_poor = !turns_enough || diversity.spread_rad < needed[1];
@@ -137,7 +138,7 @@ fn across(axis: [f64; 3]) -> [&'static str; 2] {
 
 /// Along and about which of its own axes a camera's pose is known no better than the thresholds of
 /// HEC001.
-fn undetermined(run: &Facts, camera: &CameraPose) -> Vec<String> {
+fn undetermined(case: &Case, camera: &CameraPose) -> Vec<String> {
     let axes = ["x", "y", "z"];
     let half = |error: f64| Measured { std_error: error, ..camera.distance_m }.half_width(0.95);
     let said = |how: &str, unit: Unit, errors: [f64; 3], needed: f64| -> Vec<String> {
@@ -148,7 +149,7 @@ fn undetermined(run: &Facts, camera: &CameraPose) -> Vec<String> {
         })
         .collect()
     };
-    let FrameThresholds { length, angle } = run.thresholds.of_frames(&hec001::HEC001, THRESHOLDS);
+    let FrameThresholds { length, angle } = case.thresholds.of_frames(&hec001::HEC001, THRESHOLDS);
     let mut all = said("along", Unit::Metre, camera.translation_error_m, length.warning);
     all.extend(said("about", Unit::Radian, camera.rotation_error_rad, angle.warning));
     all

@@ -1,7 +1,8 @@
 use crate::checks::decision::DEGREE;
 use crate::checks::hand_eye::{does_not_follow, unseen};
-use crate::checks::{Facts, Grade, HandEyeFacts, Judged};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::TargetReading;
+use crate::evidence::HandEyeEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, rounded};
 use crate::geometry::{Rotation, Vec3, angle_between, rotation_from_rpy};
 use crate::run::CameraAxes;
@@ -56,7 +57,7 @@ pub(super) enum Swap {
 }
 
 /// The swap that a target's poses show, if they show one.
-pub(super) fn swap(facts: &HandEyeFacts) -> Option<Swap> {
+pub(super) fn swap(facts: &HandEyeEvidence) -> Option<Swap> {
     let found = &facts.diagnosis;
     if let Some((TargetReading::Axes(axes), _)) = found.reading {
         return Some(Swap::Within(axes));
@@ -111,11 +112,11 @@ pub(super) fn axes_words(axes: &[(usize, f64); 3]) -> String {
     format!("read as ({})", named.join(", "))
 }
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    facts.hand_eyes.iter().map(|one| judge(one).within(one.span)).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    case.evidence.hand_eyes.iter().map(|one| judge(one).within(one.span)).collect()
 }
 
-fn judge(facts: &HandEyeFacts) -> Judged {
+fn judge(facts: &HandEyeEvidence) -> Judged {
     let found = &facts.diagnosis;
     if let Err(why) = &found.solution {
         return Judged::new(facts.subject(), unseen(why));
@@ -138,7 +139,7 @@ fn judge(facts: &HandEyeFacts) -> Judged {
 }
 
 /// The outcome where nothing is swapped, as far as that can be told.
-fn unswapped(facts: &HandEyeFacts) -> Outcome {
+fn unswapped(facts: &HandEyeEvidence) -> Outcome {
     let found = &facts.diagnosis;
     if let Some(why) = does_not_follow(found) {
         return Outcome::Inconclusive(why);
@@ -181,7 +182,7 @@ fn kinds(swap: &Swap) -> (&'static str, &'static str) {
     }
 }
 
-fn fault(facts: &HandEyeFacts, swap: &Swap) -> Fault {
+fn fault(facts: &HandEyeEvidence, swap: &Swap) -> Fault {
     let (is, read_as) = kinds(swap);
     let camera = &facts.camera;
     let (message, fix) = match swap {

@@ -1,4 +1,4 @@
-use crate::checks::{Facts, Grade, Judged};
+use crate::checks::{Case, Grade, Judged};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Span, Subject};
 use crate::log::{Extent, Loss};
 
@@ -38,11 +38,11 @@ rule! {
     }
 }
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    if facts.losses.is_empty() {
+fn check(case: &Case) -> Vec<Judged> {
+    if case.evidence.losses.is_empty() {
         return vec![Judged::new(Subject::default(), Outcome::sound())];
     }
-    facts.losses.iter().map(judge).collect()
+    case.evidence.losses.iter().map(judge).collect()
 }
 
 fn judge(loss: &Loss) -> Judged {

@@ -1,4 +1,5 @@
-use crate::checks::{Facts, Grade, Judged, Undecodable, UndecodableTopic};
+use crate::checks::{Case, Grade, Judged};
+use crate::evidence::{Undecodable, UndecodableTopic};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Subject};
 
 rule! {
@@ -32,11 +33,11 @@ rule! {
     }
 }
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    if facts.undecodable.is_empty() {
+fn check(case: &Case) -> Vec<Judged> {
+    if case.evidence.undecodable.is_empty() {
         return vec![Judged::new(Subject::default(), Outcome::sound())];
     }
-    facts.undecodable.iter().map(judge).collect()
+    case.evidence.undecodable.iter().map(judge).collect()
 }
 
 fn judge(topic: &UndecodableTopic) -> Judged {

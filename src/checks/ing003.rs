@@ -1,4 +1,5 @@
-use crate::checks::{Facts, Grade, Judged, Of, UnusableFacts};
+use crate::checks::{Case, Grade, Judged};
+use crate::evidence::{Of, UnusableEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity};
 
 rule! {
@@ -43,12 +44,12 @@ rule! {
 const FEW: u64 = 3;
 const FEW_OF_ALL: f64 = 1e-3;
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    facts.unusable.iter().map(judge).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    case.evidence.unusable.iter().map(judge).collect()
 }
 
-fn judge(stream: &Of<UnusableFacts>) -> Judged {
-    let UnusableFacts { unusable, unset, misfits, contradictory, samples } = stream.found;
+fn judge(stream: &Of<UnusableEvidence>) -> Judged {
+    let UnusableEvidence { unusable, unset, misfits, contradictory, samples } = stream.found;
     let count = unusable.max(unset).max(misfits).max(contradictory);
     if count == 0 {
         return stream.judged(Outcome::sound());

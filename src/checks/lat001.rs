@@ -1,8 +1,9 @@
 use std::collections::BTreeSet;
 
 use crate::checks::decision::{Decision, Threshold, decide, unseen};
-use crate::checks::{ArmFacts, Facts, Grade, Judged, Of};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Measured, Seen};
+use crate::evidence::{ArmEvidence, Of};
 use crate::finding::{
     Alternative, Cause, Estimate, Evidence, Fault, Outcome, Ruling, Severity, Subject, Unit,
 };
@@ -58,9 +59,10 @@ struct Late<'a> {
     latency: &'a Seen<Measured>,
 }
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let mut rows: Vec<Judged> = facts.robots.iter().flat_map(|arm| judge_arm(facts, arm)).collect();
-    name_once(&mut rows, facts.thresholds.of(&LAT001, THRESHOLD).warning);
+fn check(case: &Case) -> Vec<Judged> {
+    let mut rows: Vec<Judged> =
+        case.evidence.robots.iter().flat_map(|arm| judge_arm(case, arm)).collect();
+    name_once(&mut rows, case.thresholds.of(&LAT001, THRESHOLD).warning);
     rows
 }
 
@@ -83,7 +85,7 @@ fn name_once(rows: &mut [Judged], apart_s: f64) {
     }
 }
 
-fn judge_arm(facts: &Facts, arm: &ArmFacts) -> Vec<Judged> {
+fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     let poses = arm.poses_and_tf().map(|stream| {
         let latency = &stream.diagnosis.latency_s;
         stream.with(Late { independent: stream.independent, latency })
@@ -92,24 +94,24 @@ fn judge_arm(facts: &Facts, arm: &ArmFacts) -> Vec<Judged> {
         imu.with(Late { independent: imu.independent, latency: &imu.diagnosis.latency_s })
     });
     let streams: Vec<Of<Late>> = poses.chain(imus).collect();
-    match joints_lateness(facts, &streams) {
+    match joints_lateness(case, &streams) {
         Some(lateness) => {
-            let joints = joints_late(facts, arm, &streams, &lateness);
-            let witnesses = streams.iter().map(|stream| beside_late_joints(facts, arm, stream));
+            let joints = joints_late(case, arm, &streams, &lateness);
+            let witnesses = streams.iter().map(|stream| beside_late_joints(case, arm, stream));
             std::iter::once(joints).chain(witnesses).collect()
         }
-        None => streams.iter().map(|stream| judge_stream(facts, arm, stream, &streams)).collect(),
+        None => streams.iter().map(|stream| judge_stream(case, arm, stream, &streams)).collect(),
     }
 }
 
 /// How late the joint states are, where two or more independent streams agree on it and none
 /// disagrees.
-fn joints_lateness(facts: &Facts, streams: &[Of<Late>]) -> Option<Measured> {
-    let threshold = facts.thresholds.of(&LAT001, THRESHOLD);
+fn joints_lateness(case: &Case, streams: &[Of<Late>]) -> Option<Measured> {
+    let threshold = case.thresholds.of(&LAT001, THRESHOLD);
     let (mut witnesses, mut topics) = (Vec::new(), BTreeSet::new());
     for stream in streams.iter().filter(|stream| stream.independent) {
         let Some(latency) = estimate(stream) else { continue };
-        match decide(latency, &threshold, facts.subjects()) {
+        match decide(latency, &threshold, case.evidence.subjects()) {
             Decision::Fail(_) if latency.value < 0.0 => {
                 witnesses.push(*latency);
                 // Several transforms of one topic are one witness.
@@ -142,7 +144,12 @@ fn common(parts: &[Measured]) -> Option<Measured> {
 }
 
 /// The one finding where it is the joint states that are late.
-fn joints_late(facts: &Facts, arm: &ArmFacts, streams: &[Of<Late>], lateness: &Measured) -> Judged {
+fn joints_late(
+    case: &Case,
+    arm: &ArmEvidence,
+    streams: &[Of<Late>],
+    lateness: &Measured,
+) -> Judged {
     let witnesses: Vec<&Of<Late>> = streams.iter().filter(|stream| stream.independent).collect();
     let topics: Vec<&str> = witnesses.iter().map(|stream| stream.topic()).collect();
     let topics = topics.join(" and ");
@@ -151,7 +158,7 @@ fn joints_late(facts: &Facts, arm: &ArmFacts, streams: &[Of<Late>], lateness: &M
         .filter_map(|stream| Some(alternative(stream.subject.clone(), estimate(stream)?)));
     let (effect, effect_m) = effect(arm, lateness);
     let fault = Fault {
-        severity: facts
+        severity: case
             .thresholds
             .of(&LAT001, THRESHOLD)
             .severity(lateness.value)
@@ -177,53 +184,58 @@ fn joints_late(facts: &Facts, arm: &ArmFacts, streams: &[Of<Late>], lateness: &M
 }
 
 /// A stream beside joint states that were found late: it is not to blame for that.
-fn beside_late_joints(facts: &Facts, arm: &ArmFacts, stream: &Of<Late>) -> Judged {
+fn beside_late_joints(case: &Case, arm: &ArmEvidence, stream: &Of<Late>) -> Judged {
     let remark = format!("what it is off by is {}'s", arm.joints_topic);
     let outcome = match stream.latency {
         Ok(_) if stream.independent => Outcome::sound_because(remark),
-        _ => return judge_stream(facts, arm, stream, &[]),
+        _ => return judge_stream(case, arm, stream, &[]),
     };
     let amount = |latency| Estimate::amount("latency", THRESHOLD.unit, latency);
     stream.judged(outcome).estimated(estimate(stream).map(amount))
 }
 
-fn judge_stream(facts: &Facts, arm: &ArmFacts, stream: &Of<Late>, streams: &[Of<Late>]) -> Judged {
+fn judge_stream(case: &Case, arm: &ArmEvidence, stream: &Of<Late>, streams: &[Of<Late>]) -> Judged {
     let latency = match stream.latency {
         Ok(latency) => latency,
         Err(why) => return stream.judged(unseen(why, SETTLE)),
     };
-    let outcome = match decide(latency, &facts.thresholds.of(&LAT001, THRESHOLD), facts.subjects())
-    {
-        Decision::Pass => Outcome::sound(),
-        Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
-        Decision::Fail(severity) => {
-            let other_witness = streams.iter().any(|other| {
-                other.independent && other.topic() != stream.topic() && other.latency.is_ok()
-            });
-            let mut indistinguishable = Vec::new();
-            if stream.independent && !other_witness {
-                let joints = arm.topic(&arm.joints_topic);
-                indistinguishable.push(alternative(joints, &latency.scaled(-1.0)));
+    let outcome =
+        match decide(latency, &case.thresholds.of(&LAT001, THRESHOLD), case.evidence.subjects()) {
+            Decision::Pass => Outcome::sound(),
+            Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
+            Decision::Fail(severity) => {
+                let other_witness = streams.iter().any(|other| {
+                    other.independent && other.topic() != stream.topic() && other.latency.is_ok()
+                });
+                let mut indistinguishable = Vec::new();
+                if stream.independent && !other_witness {
+                    let joints = arm.topic(&arm.joints_topic);
+                    indistinguishable.push(alternative(joints, &latency.scaled(-1.0)));
+                }
+                let (effect, effect_m) = effect(arm, latency);
+                Outcome::faulty(Fault {
+                    severity,
+                    cause: Cause::Latency(*latency),
+                    title: if latency.value > 0.0 { "stream is late" } else { "stream is early" },
+                    message: message(arm, latency),
+                    evidence: Evidence {
+                        indistinguishable,
+                        effect,
+                        effect_m,
+                        ..Evidence::default()
+                    },
+                    fix: format!(
+                        "stamp it when it is sampled, or shift {} by {}",
+                        stream.topic(),
+                        shift(latency)
+                    ),
+                })
             }
-            let (effect, effect_m) = effect(arm, latency);
-            Outcome::faulty(Fault {
-                severity,
-                cause: Cause::Latency(*latency),
-                title: if latency.value > 0.0 { "stream is late" } else { "stream is early" },
-                message: message(arm, latency),
-                evidence: Evidence { indistinguishable, effect, effect_m, ..Evidence::default() },
-                fix: format!(
-                    "stamp it when it is sampled, or shift {} by {}",
-                    stream.topic(),
-                    shift(latency)
-                ),
-            })
-        }
-    };
+        };
     stream.judged(outcome).estimated(Estimate::amount("latency", THRESHOLD.unit, latency))
 }
 
-fn message(arm: &ArmFacts, latency: &Measured) -> String {
+fn message(arm: &ArmEvidence, latency: &Measured) -> String {
     let size = Measured { value: latency.value.abs(), ..*latency };
     let side = if latency.value > 0.0 { "late" } else { "early" };
     format!("{} {side} against {}", THRESHOLD.unit.show_measured(&size), arm.joints_topic)
@@ -235,7 +247,7 @@ fn shift(latency: &Measured) -> String {
     format!("{sign}{}", THRESHOLD.unit.show(latency.value.abs()))
 }
 
-fn effect(arm: &ArmFacts, latency: &Measured) -> (Option<String>, Option<f64>) {
+fn effect(arm: &ArmEvidence, latency: &Measured) -> (Option<String>, Option<f64>) {
     let speed = arm.top_speed_m_s();
     if speed <= 0.0 {
         return (None, None);
@@ -253,7 +265,7 @@ fn alternative(subject: Subject, latency: &Measured) -> Alternative {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::clean_run;
+    use crate::checks::testing::{as_case, clean_run};
     use crate::diagnosis::Unseen;
 
     fn latency(value: f64) -> Seen<Measured> {
@@ -270,7 +282,7 @@ mod tests {
         let streams = topics.iter().zip(latencies);
         let streams =
             streams.map(|(topic, (independent, latency))| stream(topic, *independent, latency));
-        Some(joints_lateness(&clean_run(), &streams.collect::<Vec<_>>())?.value)
+        Some(joints_lateness(&as_case(&clean_run()), &streams.collect::<Vec<_>>())?.value)
     }
 
     #[test]
@@ -296,15 +308,17 @@ mod tests {
     fn transforms_of_one_topic_are_one_witness_and_one_finding() {
         let late = latency(-0.03);
         let streams: Vec<Of<Late>> = (0..5).map(|_| stream("/tf", true, &late)).collect();
-        let facts = clean_run();
-        assert_eq!(joints_lateness(&facts, &streams), None);
-        let arm = &facts.robots[0];
-        let mut rows: Vec<Judged> =
-            streams.iter().map(|stream| judge_stream(&facts, arm, stream, &streams)).collect();
+        let run = clean_run();
+        assert_eq!(joints_lateness(&as_case(&run), &streams), None);
+        let arm = &run.robots[0];
+        let mut rows: Vec<Judged> = streams
+            .iter()
+            .map(|stream| judge_stream(&as_case(&run), arm, stream, &streams))
+            .collect();
         let other = stream("/pose", true, &late);
-        rows.push(judge_stream(&facts, arm, &other, &[]));
+        rows.push(judge_stream(&as_case(&run), arm, &other, &[]));
         let apart = latency(-0.05);
-        rows.push(judge_stream(&facts, arm, &stream("/tf", true, &apart), &[]));
+        rows.push(judge_stream(&as_case(&run), arm, &stream("/tf", true, &apart), &[]));
         name_once(&mut rows, 2e-3);
         let named: Vec<bool> = rows
             .iter()

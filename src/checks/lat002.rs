@@ -1,7 +1,8 @@
 use crate::checks::amount::{Amount, Estimated};
 use crate::checks::decision::Threshold;
-use crate::checks::{ArmFacts, Facts, Grade, Judged, Of};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Measured, Seen};
+use crate::evidence::{ArmEvidence, Of};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
@@ -43,18 +44,18 @@ const SETTLE: &str = "record a minute or more in which the arm moves from first 
 
 const SKEW: Amount = Amount { name: "clock skew", threshold: THRESHOLD, settle: SETTLE, fault };
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let poses = facts.poses().map(|(arm, stream)| {
+fn check(case: &Case) -> Vec<Judged> {
+    let poses = case.evidence.poses().map(|(arm, stream)| {
         let (estimate, is_chosen) = (&stream.diagnosis.skew, stream.diagnosis.skew_chosen);
         let doubt = doubt(estimate, stream.seconds());
         let skew = stream.with(Estimated { estimate, is_chosen, doubt });
-        judge(facts, arm, stream.independent, &skew)
+        judge(case, arm, stream.independent, &skew)
     });
-    let imus = facts.imus().map(|(arm, imu)| {
+    let imus = case.evidence.imus().map(|(arm, imu)| {
         let estimate = &imu.diagnosis.skew;
         let doubt = doubt(estimate, imu.seconds());
         let skew = imu.with(Estimated { estimate, is_chosen: true, doubt });
-        judge(facts, arm, imu.independent, &skew)
+        judge(case, arm, imu.independent, &skew)
     });
     poses.chain(imus).collect()
 }
@@ -63,9 +64,9 @@ fn check(facts: &Facts) -> Vec<Judged> {
 const OWN_MINUTE_S: f64 = 60.0;
 const GROWS_S: f64 = 2e-3;
 
-fn judge(facts: &Facts, arm: &ArmFacts, is_own: bool, skew: &Of<Estimated<'_>>) -> Judged {
+fn judge(case: &Case, arm: &ArmEvidence, is_own: bool, skew: &Of<Estimated<'_>>) -> Judged {
     if is_own {
-        return SKEW.judge(&LAT002, facts, arm, skew);
+        return SKEW.judge(&LAT002, case, arm, skew);
     }
     let why = "its stamps are those of the joint states: there is one clock";
     skew.judged(Outcome::Skipped(why.to_owned()))
@@ -84,7 +85,12 @@ fn doubt(skew: &Seen<Measured>, seconds: f64) -> Option<String> {
     })
 }
 
-fn fault(arm: &ArmFacts, stream: &Of<Estimated<'_>>, skew: &Measured, severity: Severity) -> Fault {
+fn fault(
+    arm: &ArmEvidence,
+    stream: &Of<Estimated<'_>>,
+    skew: &Measured,
+    severity: Severity,
+) -> Fault {
     let seconds = stream.seconds();
     let moved_s = skew.value.abs() * seconds;
     let moved = Unit::Second.show(moved_s);
@@ -114,22 +120,22 @@ mod tests {
 
     #[test]
     fn an_imus_clock_is_judged_too() {
-        let mut facts = clean_run();
-        facts.robots[0].imus[0].diagnosis.skew = Ok(sure(2e-3));
-        let (_, findings) = ask(&LAT002, &facts);
+        let mut run = clean_run();
+        run.robots[0].imus[0].diagnosis.skew = Ok(sure(2e-3));
+        let (_, findings) = ask(&LAT002, &run);
         assert_eq!(findings[0].subject.topic.as_deref(), Some(IMU));
         assert_eq!(findings[0].severity, Severity::Error);
     }
 
     #[test]
     fn a_skew_is_a_finding_only_where_the_explanation_needs_it() {
-        let mut facts = clean_run();
-        let stream = &mut facts.robots[0].poses[0].diagnosis;
+        let mut run = clean_run();
+        let stream = &mut run.robots[0].poses[0].diagnosis;
         stream.skew = Ok(Measured { std_error: 1e-7, ..sure(2e-4) });
-        let (rows, findings) = ask(&LAT002, &facts);
+        let (rows, findings) = ask(&LAT002, &run);
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
-        facts.robots[0].poses[0].diagnosis.skew_chosen = true;
-        let (_, findings) = ask(&LAT002, &facts);
+        run.robots[0].poses[0].diagnosis.skew_chosen = true;
+        let (_, findings) = ask(&LAT002, &run);
         assert_eq!(findings[0].message, "latency grows by +200.0 ± 0.2 ppm against /joint_states");
     }
 }

@@ -1,8 +1,9 @@
 use serde_json::{Value, json};
 
 use crate::checks::decision::{Decision, Threshold, decide, unseen};
-use crate::checks::{ArmFacts, Facts, Grade, Judged, Of};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{LatencyCourse, LatencyJump, Seen};
+use crate::evidence::{ArmEvidence, Of};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
@@ -56,11 +57,11 @@ struct Course<'a> {
     course: &'a Seen<LatencyCourse>,
 }
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    facts.robots.iter().flat_map(|arm| judge_arm(facts, arm)).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    case.evidence.robots.iter().flat_map(|arm| judge_arm(case, arm)).collect()
 }
 
-fn judge_arm(facts: &Facts, arm: &ArmFacts) -> Vec<Judged> {
+fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     let poses = arm.poses_and_tf().map(|stream| {
         let course = &stream.diagnosis.course;
         stream.with(Course { independent: stream.independent, course })
@@ -70,31 +71,35 @@ fn judge_arm(facts: &Facts, arm: &ArmFacts) -> Vec<Judged> {
         imu.with(Course { independent: imu.independent, course })
     });
     let streams: Vec<Of<Course>> = poses.chain(imus).collect();
-    let Some(course) = joints_course(facts, &streams) else {
-        return streams.iter().map(|stream| judge(facts, arm, stream)).collect();
+    let Some(course) = joints_course(case, &streams) else {
+        return streams.iter().map(|stream| judge(case, arm, stream)).collect();
     };
     let beside = |stream: &Of<Course>| match stream.course {
         Ok(course) if stream.independent => {
             let remark = format!("what it jumps by is {}'s", arm.joints_topic);
             stream.judged(Outcome::sound_because(remark)).estimated(estimate(course))
         }
-        _ => judge(facts, arm, stream),
+        _ => judge(case, arm, stream),
     };
     let found = Course { independent: true, course: &Ok(course) };
     let joints = Of { subject: arm.topic(&arm.joints_topic), span: Some(arm.span), found };
-    std::iter::once(judge(facts, arm, &joints)).chain(streams.iter().map(beside)).collect()
+    std::iter::once(judge(case, arm, &joints)).chain(streams.iter().map(beside)).collect()
 }
 
 /// The course of the joint states' own latency, where two or more independent streams jump together
 /// and none stays.
-fn joints_course(facts: &Facts, streams: &[Of<Course>]) -> Option<LatencyCourse> {
+fn joints_course(case: &Case, streams: &[Of<Course>]) -> Option<LatencyCourse> {
     /// Jumps so close together are one, s: each is dated to a window or to the next motion.
     const TOGETHER_S: f64 = 1.5;
     let mut witnesses: Vec<&LatencyCourse> = Vec::new();
     for course in
         streams.iter().filter(|one| one.independent).filter_map(|one| one.course.as_ref().ok())
     {
-        match decide(&course.swing_s, &facts.thresholds.of(&LAT003, THRESHOLD), facts.subjects()) {
+        match decide(
+            &course.swing_s,
+            &case.thresholds.of(&LAT003, THRESHOLD),
+            case.evidence.subjects(),
+        ) {
             Decision::Fail(_) if !course.jumps.is_empty() => witnesses.push(course),
             Decision::Undecided(_) => {}
             Decision::Fail(_) | Decision::Pass => return None,
@@ -106,7 +111,7 @@ fn joints_course(facts: &Facts, streams: &[Of<Course>]) -> Option<LatencyCourse>
     let surest = *witnesses.iter().min_by(by_error).filter(|_| witnesses.len() >= 2)?;
     let is_shared = |jump: &LatencyJump| {
         let is_same = |other: &LatencyJump| {
-            let by_s = facts.thresholds.of(&LAT003, THRESHOLD).warning
+            let by_s = case.thresholds.of(&LAT003, THRESHOLD).warning
                 + 2.0 * jump.size_s.std_error.hypot(other.size_s.std_error);
             (other.at_s - jump.at_s).abs() < TOGETHER_S
                 && (other.size_s.value - jump.size_s.value).abs() < by_s
@@ -130,29 +135,32 @@ fn estimate(course: &LatencyCourse) -> Estimate {
     Estimate::amount(name, THRESHOLD.unit, &course.swing_s)
 }
 
-fn judge(facts: &Facts, arm: &ArmFacts, stream: &Of<Course>) -> Judged {
+fn judge(case: &Case, arm: &ArmEvidence, stream: &Of<Course>) -> Judged {
     let course = match stream.course {
         Ok(course) => course,
         Err(why) => return stream.judged(unseen(why, SETTLE)),
     };
-    let outcome =
-        match decide(&course.swing_s, &facts.thresholds.of(&LAT003, THRESHOLD), facts.subjects()) {
-            Decision::Pass => Outcome::sound(),
-            Decision::Fail(severity) if course.is_unsteady => {
-                Outcome::faulty(fault(facts, arm, course, severity))
-            }
-            Decision::Fail(_) => {
-                let shown = THRESHOLD.unit.show(course.swing_s.value);
-                Outcome::Inconclusive(format!("it scatters by {shown}, as noise would; {SETTLE}"))
-            }
-            Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
-        };
+    let outcome = match decide(
+        &course.swing_s,
+        &case.thresholds.of(&LAT003, THRESHOLD),
+        case.evidence.subjects(),
+    ) {
+        Decision::Pass => Outcome::sound(),
+        Decision::Fail(severity) if course.is_unsteady => {
+            Outcome::faulty(fault(case, arm, course, severity))
+        }
+        Decision::Fail(_) => {
+            let shown = THRESHOLD.unit.show(course.swing_s.value);
+            Outcome::Inconclusive(format!("it scatters by {shown}, as noise would; {SETTLE}"))
+        }
+        Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
+    };
     stream.judged(outcome).estimated(estimate(course))
 }
 
-fn fault(facts: &Facts, arm: &ArmFacts, course: &LatencyCourse, severity: Severity) -> Fault {
+fn fault(case: &Case, arm: &ArmEvidence, course: &LatencyCourse, severity: Severity) -> Fault {
     let swing = &course.swing_s;
-    let at = |at_s: f64| facts.moment(facts.origin.shifted(at_s));
+    let at = |at_s: f64| case.evidence.moment(case.evidence.origin.shifted(at_s));
     let (title, message) = match course.jumps.as_slice() {
         [] => (
             "latency wanders",
@@ -175,7 +183,7 @@ fn fault(facts: &Facts, arm: &ArmFacts, course: &LatencyCourse, severity: Severi
         .jumps
         .iter()
         .map(|jump| {
-            let at_ns = facts.origin.shifted(jump.at_s).to_string();
+            let at_ns = case.evidence.origin.shifted(jump.at_s).to_string();
             json!({ "at_ns": at_ns, "by_s": jump.size_s.value })
         })
         .collect();
@@ -204,16 +212,16 @@ mod tests {
 
     #[test]
     fn scatter_that_noise_may_be_is_no_finding() {
-        let mut facts = clean_run();
+        let mut run = clean_run();
         let course = |swing_s, is_unsteady, jumps| {
             Ok(LatencyCourse { swing_s, is_unsteady, jumps, ..steady() })
         };
-        facts.robots[0].poses[0].diagnosis.course = course(sure(0.012), false, vec![]);
-        let (rows, findings) = ask(&LAT003, &facts);
+        run.robots[0].poses[0].diagnosis.course = course(sure(0.012), false, vec![]);
+        let (rows, findings) = ask(&LAT003, &run);
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
         let jump = LatencyJump { at_s: 4.0, size_s: sure(0.012) };
-        facts.robots[0].poses[0].diagnosis.course = course(sure(0.012), true, vec![jump]);
-        let (_, findings) = ask(&LAT003, &facts);
+        run.robots[0].poses[0].diagnosis.course = course(sure(0.012), true, vec![jump]);
+        let (_, findings) = ask(&LAT003, &run);
         assert!(findings[0].message.starts_with("latency jumps by +12.000"), "{findings:?}");
     }
 
@@ -229,15 +237,15 @@ mod tests {
             })
         };
         let with = |pose: Seen<LatencyCourse>, imu: Seen<LatencyCourse>| {
-            let mut facts = clean_run();
-            let arm = &mut facts.robots[0];
+            let mut run = clean_run();
+            let arm = &mut run.robots[0];
             arm.poses[0].diagnosis.course = pose;
             arm.imus[0].diagnosis.latency_course = imu;
             if let Some(tf) = &mut arm.tf {
                 tf.independent = false;
                 tf.diagnosis.course = Err(crate::diagnosis::Unseen::AtRest);
             }
-            let found = ask(&LAT003, &facts).1.into_iter();
+            let found = ask(&LAT003, &run).1.into_iter();
             found.map(|finding| finding.subject.label().to_owned()).collect::<Vec<_>>()
         };
         assert_eq!(with(jumps(4.0, -0.02), jumps(4.4, -0.021)), [JOINTS]);

@@ -4,8 +4,9 @@ use crate::checks::decision::{FrameThresholds, unseen};
 use crate::checks::frames::THRESHOLDS;
 use crate::checks::reading::read_as;
 use crate::checks::standing::{Left, Named, Standing, standing};
-use crate::checks::{ArmFacts, Facts, Grade, ImuFacts, Judged, Of, PoseFacts, Threshold};
+use crate::checks::{Case, Grade, Judged, Threshold};
 use crate::diagnosis::{Amount, Error, Measured, Part, Rates, Reading, Size};
+use crate::evidence::{ArmEvidence, ImuEvidence, Of, PoseEvidence};
 use crate::finding::{
     Cause, Estimate, Evidence, Fault, Outcome, ReadAs, Severity, Subject, Unit, rounded,
 };
@@ -67,14 +68,14 @@ const SETTLE: &str = "record 10 s in which every joint moves";
 const RECORD: &str = "record the tool's pose (the controller's, a tracker's), /tf or an IMU on the \
                       arm, while every joint moves for 10 s";
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let named = Named::of(facts);
-    facts.robots.iter().flat_map(|arm| judge_arm(facts, &named, arm)).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    let named = Named::of(case);
+    case.evidence.robots.iter().flat_map(|arm| judge_arm(case, &named, arm)).collect()
 }
 
 /// A stream of an arm, and how its error stands.
 struct Held<'a> {
-    stream: &'a Of<PoseFacts>,
+    stream: &'a Of<PoseEvidence>,
     subject: Subject,
     standing: Option<Standing>,
 }
@@ -98,17 +99,17 @@ impl Held<'_> {
     }
 }
 
-fn judge_arm(facts: &Facts, named: &Named, arm: &ArmFacts) -> Vec<Judged> {
-    let thresholds = facts.thresholds.of_frames(&MDL001, THRESHOLDS);
+fn judge_arm(case: &Case, named: &Named, arm: &ArmEvidence) -> Vec<Judged> {
+    let thresholds = case.thresholds.of_frames(&MDL001, THRESHOLDS);
     let held = |subject: Subject, stream| {
-        let standing = standing(named, arm, stream, &thresholds, facts.subjects());
+        let standing = standing(named, arm, stream, &thresholds, case.evidence.subjects());
         Held { stream, subject, standing }
     };
     let poses = arm.poses.iter().map(|stream| held(stream.subject.clone(), stream));
     let tf = arm.tf.iter().map(|tf| held(arm.frame(tf.topic(), &tf.tip), tf));
     let streams: Vec<Held> = poses.chain(tf).collect();
     if streams.is_empty() && arm.imus.iter().all(|imu| imu.proof.is_none()) {
-        if facts.hand_eyes.iter().any(|eye| eye.robot.as_ref() == Some(&arm.name)) {
+        if case.evidence.hand_eyes.iter().any(|eye| eye.robot.as_ref() == Some(&arm.name)) {
             let why = "only what a camera sees was held against it (HEC001)".to_owned();
             return vec![Judged::new(arm.subject(), Outcome::Skipped(why))];
         }
@@ -120,9 +121,9 @@ fn judge_arm(facts: &Facts, named: &Named, arm: &ArmFacts) -> Vec<Judged> {
     let judged = streams.iter().map(|held| {
         let wrong = arm.wrong_model.as_ref().filter(|wrong| wrong.topic == held.stream.topic());
         match wrong.filter(|_| held.subject.frame.is_none()) {
-            Some(wrong) => Judged::new(held.subject.clone(), wrong_model(facts, arm, wrong))
+            Some(wrong) => Judged::new(held.subject.clone(), wrong_model(case, arm, wrong))
                 .within(held.stream.span),
-            None => judge(facts, held, &streams),
+            None => judge(case, held, &streams),
         }
     });
     judged.chain(imus).collect()
@@ -130,7 +131,7 @@ fn judge_arm(facts: &Facts, named: &Named, arm: &ArmFacts) -> Vec<Judged> {
 
 /// Whether an IMU turns as the arm does, by its orientation, which is a filter's and so judged from the
 /// second threshold on, by its gyro, and by the gravity that it feels.
-fn judge_imu(thresholds: &FrameThresholds, imu: &Of<ImuFacts>) -> Judged {
+fn judge_imu(thresholds: &FrameThresholds, imu: &Of<ImuEvidence>) -> Judged {
     /// A gyro that leaves a larger share of the arm's rate says something else.
     const SHARE: f64 = 0.3;
     /// Standard gravity, m/s², and by which share of it a healthy accelerometer's median may be off on
@@ -170,7 +171,7 @@ fn judge_imu(thresholds: &FrameThresholds, imu: &Of<ImuFacts>) -> Judged {
     )))
 }
 
-fn judge(facts: &Facts, held: &Held, all: &[Held]) -> Judged {
+fn judge(case: &Case, held: &Held, all: &[Held]) -> Judged {
     let Held { stream, subject, standing } = held;
     let proof = match &stream.proof {
         Ok(proof) => proof,
@@ -183,13 +184,13 @@ fn judge(facts: &Facts, held: &Held, all: &[Held]) -> Judged {
     let angle = error.angle.as_ref().map(|angle| beyond_noise(&angle.whole));
     let none = Measured { value: 0.0, std_error: 0.0, dof: f64::INFINITY };
     let length = beyond_noise(&error.length.whole);
-    let judged = Judged::new(subject.clone(), outcome(facts, held, all))
+    let judged = Judged::new(subject.clone(), outcome(case, held, all))
         .within(stream.span)
         .estimated(Estimate::frame("residual", &length, &angle.unwrap_or(none)))
-        .with_evidence("as_logged", error_json(facts, &proof.as_logged))
-        .with_evidence("left", error_json(facts, error));
+        .with_evidence("as_logged", error_json(case, &proof.as_logged))
+        .with_evidence("left", error_json(case, error));
     let judged = match &proof.calibrated {
-        Some(left) => judged.with_evidence("calibrated", error_json(facts, left)),
+        Some(left) => judged.with_evidence("calibrated", error_json(case, left)),
         None => judged,
     };
     match &stream.diagnosis.residual {
@@ -215,10 +216,10 @@ fn beyond_noise(whole: &Amount) -> Measured {
 }
 
 /// The size of an error over the run, and in the part in which it is largest.
-fn error_json(facts: &Facts, error: &Error) -> Value {
+fn error_json(case: &Case, error: &Error) -> Value {
     let most = |size: &Size| size.worst().map(|part| part.amount.most);
     let worst = error.length.worst();
-    let ns = |at_s: f64| facts.origin.shifted(at_s).to_string();
+    let ns = |at_s: f64| case.evidence.origin.shifted(at_s).to_string();
     json!({
         "most_m": most(&error.length),
         "most_rad": error.angle.as_ref().and_then(most),
@@ -230,7 +231,7 @@ fn error_json(facts: &Facts, error: &Error) -> Value {
     })
 }
 
-fn outcome(facts: &Facts, held: &Held, all: &[Held]) -> Outcome {
+fn outcome(case: &Case, held: &Held, all: &[Held]) -> Outcome {
     let Some(standing) = &held.standing else { return Outcome::sound() };
     let at_rest = held.stream.proof.as_ref().is_ok_and(|proof| proof.at_rest);
     let as_logged =
@@ -254,11 +255,11 @@ fn outcome(facts: &Facts, held: &Held, all: &[Held]) -> Outcome {
             "{} off as logged, by amounts that are each below the thresholds of their rules",
             as_logged()
         )),
-        Standing::Small(left) => Outcome::faulty(small(facts, left)),
+        Standing::Small(left) => Outcome::faulty(small(case, left)),
         Standing::Nominal(error) => Outcome::faulty(nominal(error)),
         Standing::Left(left) if held.is_astray() => Outcome::faulty(disagreement(held, left)),
-        Standing::Left(left) => Outcome::faulty(unexplained(facts, held, all, left)),
-        Standing::Open(left, open) => Outcome::Inconclusive(why_open(facts, left, open)),
+        Standing::Left(left) => Outcome::faulty(unexplained(case, held, all, left)),
+        Standing::Open(left, open) => Outcome::Inconclusive(why_open(case, left, open)),
     }
 }
 
@@ -273,13 +274,13 @@ fn sizes(error: &Error) -> String {
 
 /// When and where too much is left: `in 5 of 10 parts of the run, from +10.02 s to +20.00 s, up to 70 mm
 /// and 0.2° near (…) m`.
-fn where_left(facts: &Facts, left: &Left) -> String {
+fn where_left(case: &Case, left: &Left) -> String {
     let Part { at, .. } = left.worst;
     let most = |size: &Size| size.worst().map_or(0.0, |part| part.amount.most);
     let length = Unit::Metre.show(most(&left.error.length));
     let angle = left.error.angle.as_ref().map(|angle| Unit::Radian.show(most(angle)));
     let most = angle.map_or(length.clone(), |angle| format!("{length} and {angle}"));
-    let moment = |at_s: f64| facts.moment(facts.origin.shifted(at_s));
+    let moment = |at_s: f64| case.evidence.moment(case.evidence.origin.shifted(at_s));
     let (first, last) = (left.parts.first(), left.parts.last());
     let from = moment(first.map_or(0.0, |part| part.from_s));
     let to = moment(last.map_or(0.0, |part| part.to_s));
@@ -293,8 +294,8 @@ fn where_left(facts: &Facts, left: &Left) -> String {
 }
 
 /// Why it is open what is left.
-fn why_open(facts: &Facts, left: &Left, open: &[&str]) -> String {
-    let (off, most) = (sizes(&left.error), where_left(facts, left));
+fn why_open(case: &Case, left: &Left, open: &[&str]) -> String {
+    let (off, most) = (sizes(&left.error), where_left(case, left));
     let why = match (open, left.error.length.whole.noise) {
         ([], Some(noise)) => format!(
             "no finding accounts for that, and it is not surely more than {} that differ from sample \
@@ -309,7 +310,7 @@ fn why_open(facts: &Facts, left: &Left, open: &[&str]) -> String {
     format!("{off} are left, {most}; {why}; {SETTLE}")
 }
 
-fn small(facts: &Facts, left: &Left) -> Fault {
+fn small(case: &Case, left: &Left) -> Fault {
     Fault {
         cause: Cause::Model,
         severity: Severity::Info,
@@ -319,7 +320,7 @@ fn small(facts: &Facts, left: &Left) -> Fault {
             sizes(&left.error)
         ),
         evidence: Evidence {
-            effect: Some(where_left(facts, left)),
+            effect: Some(where_left(case, left)),
             effect_m: Some(left.error.length.whole.rms),
             ..Evidence::default()
         },
@@ -339,13 +340,13 @@ fn nominal(error: &Error) -> Fault {
 }
 
 /// What is left beside the causes that were found.
-fn unexplained(facts: &Facts, held: &Held, all: &[Held], left: &Left) -> Fault {
+fn unexplained(case: &Case, held: &Held, all: &[Held], left: &Left) -> Fault {
     let sharing = all.iter().filter(|other| other.subject != held.subject);
     let sharing = sharing.filter(|other| other.left().is_some_and(|other| left.shares(other)));
     let sharing: Vec<&str> = sharing.map(|other| other.stream.topic()).collect();
     let mut evidence = Evidence {
         effect_m: Some(left.error.length.whole.rms),
-        effect: Some(where_left(facts, left)),
+        effect: Some(where_left(case, left)),
         ..Evidence::default()
     };
     let shared = match sharing.as_slice() {
@@ -412,7 +413,7 @@ fn said(error: &Error) -> String {
 }
 
 /// The nearest causes, each with what it leaves: the best first.
-fn candidates(stream: &Of<PoseFacts>) -> Vec<String> {
+fn candidates(stream: &Of<PoseEvidence>) -> Vec<String> {
     let found = &stream.diagnosis;
     let proof = stream.proof.as_ref().ok();
     let rms = |error: &Error| error.length.whole.rms;
@@ -432,7 +433,7 @@ fn candidates(stream: &Of<PoseFacts>) -> Vec<String> {
 }
 
 /// The model that was named is another arm's.
-fn wrong_model(facts: &Facts, arm: &ArmFacts, wrong: &WrongModel) -> Outcome {
+fn wrong_model(case: &Case, arm: &ArmEvidence, wrong: &WrongModel) -> Outcome {
     let (is, named) = (&arm.name, &wrong.named.name);
     let [fits, off] = [wrong.rival_m, wrong.named_m].map(|left_m| Unit::Metre.show(left_m));
     let with = match wrong.tool_m {
@@ -452,7 +453,7 @@ fn wrong_model(facts: &Facts, arm: &ArmFacts, wrong: &WrongModel) -> Outcome {
     evidence.more.insert("fits".to_owned(), fits_json);
     Outcome::faulty(Fault {
         cause: Cause::OtherRobot(is.clone()),
-        severity: facts
+        severity: case
             .thresholds
             .of_frames(&MDL001, THRESHOLDS)
             .length

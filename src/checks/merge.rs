@@ -107,9 +107,9 @@ mod tests {
     use crate::diagnosis::Unseen;
 
     fn part(latency: Result<f64, Unseen>, is_short: bool) -> Part {
-        let mut facts = clean_run();
-        facts.robots[0].poses[0].diagnosis.latency_s = latency.map(sure);
-        Part { evaluation: evaluate(&facts, &Settings::default()), is_short }
+        let mut run = clean_run();
+        run.robots[0].poses[0].diagnosis.latency_s = latency.map(sure);
+        Part { evaluation: evaluate(&run, &Settings::default()), is_short }
     }
 
     fn latency(parts: Vec<Part>) -> (Vec<Status>, usize) {

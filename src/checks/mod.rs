@@ -6,7 +6,6 @@
 
 mod amount;
 mod decision;
-mod facts;
 mod frames;
 mod hand_eye;
 mod merge;
@@ -25,17 +24,12 @@ use std::fmt;
 
 use serde_json::{Map, Value};
 
+use crate::evidence::{Of, RunEvidence};
 use crate::finding::{
     Cause, CheckRow, Estimate, Finding, Ignored, Outcome, Ruling, Severity, Span, Status, Subject,
 };
 
 pub use decision::{Decision, FrameThresholds, Threshold, decide, decide_both, decide_frame};
-pub use facts::{
-    ArmFacts, Declared, DhFacts, Due, EmptyFacts, EulerFacts, Facts, FrameFacts, HandEyeFacts,
-    HeldFacts, ImuFacts, JointFacts, JointMotion, Of, PoseFacts, ReferenceFacts, ReferenceWitness,
-    RhythmFacts, ShakeFacts, StampFacts, StrayFacts, Undecodable, UndecodableTopic, UnusableFacts,
-    WitnessKind,
-};
 pub(crate) use lat001::LAT001;
 pub use merge::{Part as EvaluatedPart, merged};
 pub(crate) use observability::hidden_zero;
@@ -201,7 +195,7 @@ pub struct Rule {
     /// What is not in the log where the rule has no subject.
     missing: &'static str,
     /// Asks the rule about each of its subjects.
-    check: fn(&Facts) -> Vec<Judged>,
+    check: fn(&Case) -> Vec<Judged>,
     /// Its doc comment, each line with the blank that follows `///`.
     doc: &'static str,
 }
@@ -271,6 +265,13 @@ pub struct Judged {
     outcome: Outcome,
 }
 
+impl<T> Of<T> {
+    /// What a rule says of it.
+    fn judged(&self, outcome: Outcome) -> Judged {
+        Judged::new(self.subject.clone(), outcome).within(self.span)
+    }
+}
+
 impl Judged {
     fn new(subject: Subject, outcome: Outcome) -> Self {
         Self { subject, span: None, estimate: None, evidence: Map::new(), outcome }
@@ -310,13 +311,23 @@ pub struct Evaluation {
     pub observability: Vec<StreamObservability>,
 }
 
+/// What the rules are asked about: what is known of a run, and what they hold it against.
+#[derive(Clone, Copy, Debug)]
+pub struct Case<'a> {
+    /// What is known of the run.
+    pub evidence: &'a RunEvidence,
+    /// The thresholds that the caller set instead of the rules' own.
+    pub thresholds: &'a Thresholds,
+}
+
 /// Asks every rule that `settings` leaves about every one of its subjects.
-pub fn evaluate(facts: &Facts, settings: &Settings) -> Evaluation {
+pub fn evaluate(evidence: &RunEvidence, settings: &Settings) -> Evaluation {
+    let case = &Case { evidence, thresholds: &settings.thresholds };
     let mut evaluation = Evaluation::default();
     for rule in REGISTRY.iter().filter(|rule| settings.asks(rule)) {
-        let mut judged = (rule.check)(facts);
+        let mut judged = (rule.check)(case);
         if judged.is_empty() {
-            let why = match &facts.no_robot {
+            let why = match &case.evidence.no_robot {
                 Some(why) if rule.needs_model => why.clone(),
                 _ => rule.missing.to_owned(),
             };
@@ -327,8 +338,8 @@ pub fn evaluate(facts: &Facts, settings: &Settings) -> Evaluation {
         }
     }
     proof::leave_open_beside_what_is_left(&mut evaluation);
-    proof::leave_open_beside_disagreement(facts, &mut evaluation);
-    evaluation.observability = observability::observability(facts, &mut evaluation.checks);
+    proof::leave_open_beside_disagreement(case, &mut evaluation);
+    evaluation.observability = observability::observability(case, &mut evaluation.checks);
     rank(&mut evaluation.findings);
     evaluation
 }

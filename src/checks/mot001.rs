@@ -1,7 +1,8 @@
 use crate::checks::decision::Threshold;
 use crate::checks::mot003::doubt;
-use crate::checks::{ArmFacts, Facts, Grade, Judged, Of, ShakeFacts};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{NoShake, Shake};
+use crate::evidence::{ArmEvidence, Of, ShakeEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
@@ -47,14 +48,14 @@ const THRESHOLD: Threshold = Threshold { unit: Unit::Metre, warning: 0.5e-3, err
 /// What would tell.
 const SETTLE: &str = "log it evenly, at 100 Hz or more";
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let of_arm = |arm: &ArmFacts| -> Vec<Judged> {
-        arm.shakes.iter().map(|stream| judge(facts, arm, stream)).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    let of_arm = |arm: &ArmEvidence| -> Vec<Judged> {
+        arm.shakes.iter().map(|stream| judge(case, arm, stream)).collect()
     };
-    facts.robots.iter().flat_map(of_arm).collect()
+    case.evidence.robots.iter().flat_map(of_arm).collect()
 }
 
-fn judge(facts: &Facts, arm: &ArmFacts, stream: &Of<ShakeFacts>) -> Judged {
+fn judge(case: &Case, arm: &ArmEvidence, stream: &Of<ShakeEvidence>) -> Judged {
     let judged = |outcome| stream.judged(outcome);
     let why = match stream.topic() == arm.joints_topic {
         true => doubt(arm),
@@ -74,9 +75,9 @@ fn judge(facts: &Facts, arm: &ArmFacts, stream: &Of<ShakeFacts>) -> Judged {
             return judged(Outcome::Inconclusive(format!("{why}; {SETTLE}")));
         }
     };
-    let threshold = facts.thresholds.of(&MOT001, THRESHOLD);
+    let threshold = case.thresholds.of(&MOT001, THRESHOLD);
     let outcome = match threshold.severity(found.rms_m) {
-        Some(severity) => Outcome::faulty(fault(facts, stream, found, severity)),
+        Some(severity) => Outcome::faulty(fault(case, stream, found, severity)),
         None if found.resolved_m > threshold.warning => {
             let [resolved, needed] =
                 [found.resolved_m, threshold.warning].map(|m| THRESHOLD.unit.show(m));
@@ -88,12 +89,12 @@ fn judge(facts: &Facts, arm: &ArmFacts, stream: &Of<ShakeFacts>) -> Judged {
     judged(outcome)
         .estimated(Estimate::counted("shake", THRESHOLD.unit.symbol(), found.rms_m))
         .with_evidence("frequency_hz", found.frequency_hz)
-        .with_evidence("at_ns", facts.origin.shifted(found.at_s).to_string())
+        .with_evidence("at_ns", case.evidence.origin.shifted(found.at_s).to_string())
         .with_evidence("noise_m", found.noise_m)
         .with_evidence("resolved_m", found.resolved_m)
 }
 
-fn fault(facts: &Facts, stream: &Of<ShakeFacts>, found: &Shake, severity: Severity) -> Fault {
+fn fault(case: &Case, stream: &Of<ShakeEvidence>, found: &Shake, severity: Severity) -> Fault {
     Fault {
         cause: Cause::Other,
         severity,
@@ -102,7 +103,7 @@ fn fault(facts: &Facts, stream: &Of<ShakeFacts>, found: &Shake, severity: Severi
             "the tool shakes by {} rms above 10 Hz, most at {:.0} Hz, at {}",
             THRESHOLD.unit.show(found.rms_m),
             found.frequency_hz,
-            facts.moment(facts.origin.shifted(found.at_s)),
+            case.evidence.moment(case.evidence.origin.shifted(found.at_s)),
         ),
         evidence: Evidence { effect_m: Some(found.rms_m), ..Evidence::default() },
         fix: format!("look for a dead band, a loose joint or a gain too high: {}", stream.topic()),
@@ -122,10 +123,10 @@ mod tests {
             (0.0, 1e-3, Status::Inconclusive),
             (1e-4, 1e-5, Status::Pass),
         ] {
-            let mut facts = clean_run();
+            let mut run = clean_run();
             let shake = Shake { rms_m, resolved_m, frequency_hz: 12.0, ..Shake::default() };
-            facts.robots[0].shakes[0].shake = Ok(shake);
-            let (rows, _) = ask(&MOT001, &facts);
+            run.robots[0].shakes[0].shake = Ok(shake);
+            let (rows, _) = ask(&MOT001, &run);
             assert_eq!(rows[0].status, status, "{:?}", rows[0]);
         }
     }

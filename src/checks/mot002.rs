@@ -1,6 +1,7 @@
 use crate::checks::mot003::doubt;
-use crate::checks::{ArmFacts, Facts, Grade, JointFacts, Judged, Limit};
+use crate::checks::{Case, Grade, Judged, Limit};
 use crate::diagnosis::Abruptness;
+use crate::evidence::{ArmEvidence, JointEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
@@ -61,18 +62,14 @@ const SLIDING: Limit = Limit {
 /// What would tell.
 const SETTLE: &str = "log joint velocities at 100 Hz or more, evenly stamped";
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let of_arm = |arm: &ArmFacts| -> Vec<Judged> {
-        arm.joints
-            .iter()
-            .enumerate()
-            .map(|(index, joint)| judge(facts, arm, index, joint))
-            .collect()
+fn check(case: &Case) -> Vec<Judged> {
+    let of_arm = |arm: &ArmEvidence| -> Vec<Judged> {
+        arm.joints.iter().enumerate().map(|(index, joint)| judge(case, arm, index, joint)).collect()
     };
-    facts.robots.iter().flat_map(of_arm).collect()
+    case.evidence.robots.iter().flat_map(of_arm).collect()
 }
 
-fn judge(facts: &Facts, arm: &ArmFacts, index: usize, joint: &JointFacts) -> Judged {
+fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) -> Judged {
     let subject = arm.joint(index);
     let judged = |outcome| Judged::new(subject.clone(), outcome).within(arm.span);
     if let Some(why) = doubt(arm) {
@@ -83,10 +80,10 @@ fn judge(facts: &Facts, arm: &ArmFacts, index: usize, joint: &JointFacts) -> Jud
         return judged(Outcome::Inconclusive(format!("{why}; {SETTLE}")));
     };
     let limit = if joint.prismatic { SLIDING } else { TURNING };
-    let (unit, limit) = (limit.unit.symbol(), facts.thresholds.limit(&MOT002, &limit));
+    let (unit, limit) = (limit.unit.symbol(), case.thresholds.limit(&MOT002, &limit));
     let Abruptness { acceleration, noise, resolved, .. } = *found;
     let outcome = if acceleration - noise >= limit {
-        Outcome::faulty(fault(facts, found, limit, unit))
+        Outcome::faulty(fault(case, found, limit, unit))
     } else if acceleration >= limit {
         let seen = format!("it may accelerate by {acceleration:.0} {unit}, beyond {limit} {unit}");
         let noise = format!("noise may make {noise:.0} of it");
@@ -102,7 +99,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, index: usize, joint: &JointFacts) -> Jud
     };
     judged(outcome)
         .estimated(estimate(found, if joint.prismatic { "m/s^2" } else { "rad/s^2" }))
-        .with_evidence("at_ns", facts.origin.shifted(found.at_s).to_string())
+        .with_evidence("at_ns", case.evidence.origin.shifted(found.at_s).to_string())
         .with_evidence("window_s", found.window_s)
         .with_evidence("jerk", found.jerk)
         .with_evidence("noise", noise)
@@ -120,7 +117,7 @@ fn estimate(found: &Abruptness, unit: &'static str) -> Estimate {
 /// No joint of an arm accelerates like this, rad/s² or m/s².
 const BEYOND_ARMS: f64 = 1e4;
 
-fn fault(facts: &Facts, found: &Abruptness, limit: f64, unit: &str) -> Fault {
+fn fault(case: &Case, found: &Abruptness, limit: f64, unit: &str) -> Fault {
     if found.acceleration >= BEYOND_ARMS {
         return Fault {
             cause: Cause::Other,
@@ -130,7 +127,7 @@ fn fault(facts: &Facts, found: &Abruptness, limit: f64, unit: &str) -> Fault {
                 "an acceleration of {:.0e} {unit} at {}: no arm does that, so that its positions or their \
                  stamps are wrong there",
                 found.acceleration,
-                facts.moment(facts.origin.shifted(found.at_s)),
+                case.evidence.moment(case.evidence.origin.shifted(found.at_s)),
             ),
             evidence: Evidence::default(),
             fix: "look at the joint's positions there: a unit, a turn too many, a second publisher, stamps"
@@ -144,7 +141,7 @@ fn fault(facts: &Facts, found: &Abruptness, limit: f64, unit: &str) -> Fault {
         message: format!(
             "it accelerates by {:.0} {unit} at {}, over {}, beyond {limit} {unit}",
             found.acceleration,
-            facts.moment(facts.origin.shifted(found.at_s)),
+            case.evidence.moment(case.evidence.origin.shifted(found.at_s)),
             Unit::Second.show(found.window_s),
         ),
         evidence: Evidence::default(),
@@ -168,11 +165,11 @@ mod tests {
             (8.0, 2.0, 40.0, Status::Inconclusive),
             (8.0, 2.0, f64::INFINITY, Status::Inconclusive),
         ] {
-            let mut facts = clean_run();
+            let mut run = clean_run();
             let stop =
                 Abruptness { acceleration, noise, window_s: 0.05, at_s: 1.0, jerk: 9.0, resolved };
-            facts.robots[0].joints[0].motion.abruptness = Some(stop);
-            let (rows, _) = ask(&MOT002, &facts);
+            run.robots[0].joints[0].motion.abruptness = Some(stop);
+            let (rows, _) = ask(&MOT002, &run);
             assert_eq!(rows[0].status, status, "{:?}", rows[0]);
         }
     }

@@ -1,7 +1,8 @@
 use serde_json::{Value, json};
 
-use crate::checks::{ArmFacts, Facts, Grade, JointFacts, Judged};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Excess, Unseen};
+use crate::evidence::{ArmEvidence, JointEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
@@ -51,20 +52,16 @@ const ENDLESS: f64 = 1.0;
 /// Less than this is an encoder's noise at a stop, rad or m, or a second of it.
 const NOISE: f64 = 1e-4;
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let of_arm = |arm: &ArmFacts| -> Vec<Judged> {
-        arm.joints
-            .iter()
-            .enumerate()
-            .map(|(index, joint)| judge(facts, arm, index, joint))
-            .collect()
+fn check(case: &Case) -> Vec<Judged> {
+    let of_arm = |arm: &ArmEvidence| -> Vec<Judged> {
+        arm.joints.iter().enumerate().map(|(index, joint)| judge(case, arm, index, joint)).collect()
     };
-    facts.robots.iter().flat_map(of_arm).collect()
+    case.evidence.robots.iter().flat_map(of_arm).collect()
 }
 
 /// Why the numbers of the joint states cannot be held against limits or called motion, where they
 /// cannot.
-pub(super) fn doubt(arm: &ArmFacts) -> Option<String> {
+pub(super) fn doubt(arm: &ArmEvidence) -> Option<String> {
     let why = match &arm.diagnosis.reading {
         Ok(reading) if reading.degrees.is_some() || reading.permutation.is_some() => {
             "the joint positions are not what their names and units say; read them right first \
@@ -96,7 +93,7 @@ impl<'a> Broken<'a> {
     }
 }
 
-fn judge(facts: &Facts, arm: &ArmFacts, index: usize, joint: &JointFacts) -> Judged {
+fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) -> Judged {
     let subject = arm.joint(index);
     let judged = |outcome| Judged::new(subject.clone(), outcome).within(arm.span);
     let limits = &joint.limits;
@@ -117,7 +114,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, index: usize, joint: &JointFacts) -> Jud
         return judged(Outcome::sound());
     };
     let unit = arm.joint_unit(index);
-    let told: Vec<String> = broken.iter().map(|broken| tell(facts, broken, unit)).collect();
+    let told: Vec<String> = broken.iter().map(|broken| tell(case, broken, unit)).collect();
     let fault = Fault {
         cause: Cause::Other,
         severity: worst.severity,
@@ -137,12 +134,12 @@ fn judge(facts: &Facts, arm: &ArmFacts, index: usize, joint: &JointFacts) -> Jud
         worst.excess.over(),
     ));
     for broken in broken {
-        judged = judged.with_evidence(broken.what, evidence(facts, broken.excess));
+        judged = judged.with_evidence(broken.what, evidence(case, broken.excess));
     }
     judged
 }
 
-fn tell(facts: &Facts, broken: &Broken<'_>, unit: Unit) -> String {
+fn tell(case: &Case, broken: &Broken<'_>, unit: Unit) -> String {
     let Excess { limit, value, at_s, seconds } = *broken.excess;
     let per = if broken.what == "speed" { "/s" } else { "" };
     let shown = |amount: f64| match unit {
@@ -156,16 +153,16 @@ fn tell(facts: &Facts, broken: &Broken<'_>, unit: Unit) -> String {
         shown(value),
         shown(broken.excess.over()),
         shown(limit),
-        facts.moment(facts.origin.shifted(at_s)),
+        case.evidence.moment(case.evidence.origin.shifted(at_s)),
         Unit::Second.show(seconds),
     )
 }
 
-fn evidence(facts: &Facts, excess: &Excess) -> Value {
+fn evidence(case: &Case, excess: &Excess) -> Value {
     json!({
         "limit": excess.limit,
         "value": excess.value,
-        "at_ns": facts.origin.shifted(excess.at_s).to_string(),
+        "at_ns": case.evidence.origin.shifted(excess.at_s).to_string(),
         "seconds": excess.seconds,
     })
 }
@@ -180,11 +177,11 @@ mod tests {
         for (over, severity) in
             [(0.5, Some(Severity::Warning)), (0.05, Some(Severity::Info)), (5e-5, None)]
         {
-            let mut facts = clean_run();
-            let motion = &mut facts.robots[0].joints[1].motion;
+            let mut run = clean_run();
+            let motion = &mut run.robots[0].joints[1].motion;
             motion.positions =
                 Some(Excess { limit: 3.0, value: 3.0 + over, at_s: 1.0, seconds: 0.25 });
-            let (_, findings) = ask(&MOT003, &facts);
+            let (_, findings) = ask(&MOT003, &run);
             assert_eq!(findings.first().map(|found| found.severity), severity, "{findings:?}");
         }
     }

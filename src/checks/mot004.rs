@@ -2,8 +2,9 @@ use serde_json::{Value, json};
 
 use crate::checks::decision::{DEGREE, Decision, FrameThresholds, Threshold, decide_length};
 use crate::checks::reference::{self, witness_name};
-use crate::checks::{ArmFacts, Facts, Grade, Judged, Of, ReferenceFacts};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Line, LineWitness, Measured};
+use crate::evidence::{ArmEvidence, Of, ReferenceEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
@@ -56,12 +57,12 @@ const THRESHOLDS: FrameThresholds = FrameThresholds {
 const SETTLE: &str =
     "log the tool pose or the joint states at 50 Hz or more, with a rest at both ends";
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let of_arm = |arm: &ArmFacts| -> Vec<Judged> {
+fn check(case: &Case) -> Vec<Judged> {
+    let of_arm = |arm: &ArmEvidence| -> Vec<Judged> {
         let of_poses = arm.references.iter().filter(|reference| !reference.is_of_joints);
-        of_poses.map(|reference| judge(facts, arm, reference)).collect()
+        of_poses.map(|reference| judge(case, arm, reference)).collect()
     };
-    facts.robots.iter().flat_map(of_arm).collect()
+    case.evidence.robots.iter().flat_map(of_arm).collect()
 }
 
 /// How far a witness is off a line, in units of the first thresholds; without the angle where the command
@@ -88,8 +89,8 @@ fn worst<'a>(
     kept.max_by(|a, b| size(a.0, a.1, thresholds).total_cmp(&size(b.0, b.1, thresholds)))
 }
 
-fn judge(facts: &Facts, arm: &ArmFacts, reference: &Of<ReferenceFacts>) -> Judged {
-    let thresholds = &facts.thresholds.of_frames(&MOT004, THRESHOLDS);
+fn judge(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence>) -> Judged {
+    let thresholds = &case.thresholds.of_frames(&MOT004, THRESHOLDS);
     let judged = |outcome| Judged::new(reference.subject.clone(), outcome).within(reference.span);
     let found = match reference::found(arm, reference, SETTLE) {
         Ok(found) => found,
@@ -115,7 +116,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, reference: &Of<ReferenceFacts>) -> Judge
     };
     let outcome = match (is_off(commanded, thresholds), &measured) {
         (true, _) => swings(commanded, thresholds),
-        (false, Some(measured)) => leaves(facts, line, measured, lines.len()),
+        (false, Some(measured)) => leaves(case, line, measured, lines.len()),
         (false, None) => Outcome::Inconclusive(format!(
             "no witness has the tip along any of the lines; {SETTLE}"
         )),
@@ -123,7 +124,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, reference: &Of<ReferenceFacts>) -> Judge
     // The command's fault does not hide that the tip leaves the line.
     let outcome = match (outcome, kept) {
         (Outcome::Evaluated(_), Some((_, (line, measured)))) if is_off(commanded, thresholds) => {
-            with_distance(facts, commanded, line, measured, lines.len())
+            with_distance(case, commanded, line, measured, lines.len())
         }
         (outcome, _) => outcome,
     };
@@ -140,7 +141,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, reference: &Of<ReferenceFacts>) -> Judge
     judged(outcome)
         .estimated(Estimate::frame("line deviation", &distance, &angle))
         .with_evidence("lines", lines.len())
-        .with_evidence("at_ns", facts.origin.shifted(line.from_s).to_string())
+        .with_evidence("at_ns", case.evidence.origin.shifted(line.from_s).to_string())
         .with_evidence("length_m", line.length_m)
         .with_evidence("turn_rad", line.turn_rad)
         .with_evidence("command_rad", commanded.command_rad)
@@ -150,9 +151,9 @@ fn judge(facts: &Facts, arm: &ArmFacts, reference: &Of<ReferenceFacts>) -> Judge
 }
 
 /// How the tip keeps to the worst line.
-fn decide(facts: &Facts, line: &Line, measured: &LineWitness, lines: usize) -> Decision {
+fn decide(case: &Case, line: &Line, measured: &LineWitness, lines: usize) -> Decision {
     let (thresholds, subjects) =
-        (facts.thresholds.of_frames(&MOT004, THRESHOLDS), facts.subjects() * lines);
+        (case.thresholds.of_frames(&MOT004, THRESHOLDS), case.evidence.subjects() * lines);
     let by_length = decide_length(&measured.distance_m, &thresholds.length, subjects);
     let angle = match is_off(line, &thresholds) {
         true => Decision::Pass,
@@ -166,10 +167,10 @@ fn decide(facts: &Facts, line: &Line, measured: &LineWitness, lines: usize) -> D
 }
 
 /// The outcome where the command is a slerp.
-fn leaves(facts: &Facts, line: &Line, measured: &LineWitness, lines: usize) -> Outcome {
+fn leaves(case: &Case, line: &Line, measured: &LineWitness, lines: usize) -> Outcome {
     let distance = Unit::Metre.show_measured(&measured.distance_m.norm);
     let angle = Unit::Radian.show_measured(&measured.angle_rad.norm);
-    match decide(facts, line, measured, lines) {
+    match decide(case, line, measured, lines) {
         Decision::Pass => {
             Outcome::sound_because(format!("the tip is at most {distance} and {angle} off its lines"))
         }
@@ -181,7 +182,7 @@ fn leaves(facts: &Facts, line: &Line, measured: &LineWitness, lines: usize) -> O
             message: format!(
                 "the tip is {distance} off the line of {} and {angle} off its slerp, from {} on",
                 Unit::Metre.show(line.length_m),
-                facts.moment(facts.origin.shifted(line.from_s)),
+                case.evidence.moment(case.evidence.origin.shifted(line.from_s)),
             ),
             evidence: Evidence {
                 effect_m: Some(measured.distance_m.norm.value),
@@ -223,7 +224,7 @@ fn swings(line: &Line, thresholds: &FrameThresholds) -> Outcome {
 
 /// The same, where the tip may leave the line beside it: the graver of the two is said first.
 fn with_distance(
-    facts: &Facts,
+    case: &Case,
     commanded: &Line,
     line: &Line,
     measured: &LineWitness,
@@ -231,11 +232,11 @@ fn with_distance(
 ) -> Outcome {
     let off_line = Line { command_rad: f64::INFINITY, ..line.clone() };
     let distance = Unit::Metre.show_measured(&measured.distance_m.norm);
-    let swinging = swings(commanded, &facts.thresholds.of_frames(&MOT004, THRESHOLDS));
+    let swinging = swings(commanded, &case.thresholds.of_frames(&MOT004, THRESHOLDS));
     let Outcome::Evaluated(crate::finding::Ruling::Faulty(fault)) = swinging else {
         return swinging;
     };
-    match decide(facts, &off_line, measured, lines) {
+    match decide(case, &off_line, measured, lines) {
         Decision::Fail(severity) => Outcome::faulty(Fault {
             cause: Cause::Other,
             severity: severity.max(fault.severity),
@@ -250,14 +251,15 @@ fn with_distance(
 mod tests {
     use super::*;
     use crate::checks::testing::{ask, clean_run, length};
+    use crate::evidence::RunEvidence;
     use crate::finding::Status;
 
-    fn planted(change: impl Fn(&mut Line)) -> Facts {
-        let mut facts = clean_run();
-        if let Ok(Ok(found)) = &mut facts.robots[0].references[0].diagnosis {
+    fn planted(change: impl Fn(&mut Line)) -> RunEvidence {
+        let mut run = clean_run();
+        if let Ok(Ok(found)) = &mut run.robots[0].references[0].diagnosis {
             change(&mut found.lines[0]);
         }
-        facts
+        run
     }
 
     #[test]
@@ -280,18 +282,18 @@ mod tests {
             (off, Some("euler:xyz".to_owned()), Severity::Error),
             (off, None, Severity::Error),
         ] {
-            let facts = planted(|line| {
+            let run = planted(|line| {
                 (line.command_rad, line.command_off_axis_rad) = (off, across);
                 line.interpolated.clone_from(&interpolated);
             });
-            let (_, findings) = ask(&MOT004, &facts);
+            let (_, findings) = ask(&MOT004, &run);
             assert_eq!(findings[0].severity, severity, "{}", findings[0].message);
         }
     }
 
     #[test]
     fn without_a_witness_it_is_open() {
-        let facts = planted(|line| line.witnesses = vec![None; 2]);
-        assert_eq!(ask(&MOT004, &facts).0[0].status, Status::Inconclusive);
+        let run = planted(|line| line.witnesses = vec![None; 2]);
+        assert_eq!(ask(&MOT004, &run).0[0].status, Status::Inconclusive);
     }
 }

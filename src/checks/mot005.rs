@@ -1,6 +1,7 @@
 use serde_json::{Value, json};
 
-use crate::checks::{Facts, Grade, Judged, Of, StrayFacts};
+use crate::checks::{Case, Grade, Judged};
+use crate::evidence::{Of, StrayEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::run::{FEWEST_SAMPLES, Strays};
 
@@ -46,11 +47,11 @@ rule! {
 /// Joints or transforms that the evidence lists.
 const LISTED: usize = 10;
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    facts.strays.iter().map(|stream| judge(facts, stream)).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    case.evidence.strays.iter().map(|stream| judge(case, stream)).collect()
 }
 
-fn judge(facts: &Facts, stream: &Of<StrayFacts>) -> Judged {
+fn judge(case: &Case, stream: &Of<StrayEvidence>) -> Judged {
     let judged = |subject, outcome| Judged::new(subject, outcome).within(stream.span);
     let are_untold = |part: &Strays| part.count() == 0;
     if !stream.parts.is_empty() && stream.parts.iter().all(are_untold) {
@@ -87,7 +88,7 @@ fn judge(facts: &Facts, stream: &Of<StrayFacts>) -> Judged {
         })
     });
     let parts: Vec<Value> = parts.collect();
-    judged(subject, Outcome::faulty(fault(facts, stream, worst, count, &unit.show(amount))))
+    judged(subject, Outcome::faulty(fault(case, stream, worst, count, &unit.show(amount))))
         .estimated(Estimate::counted("jump", unit.symbol(), amount))
         .with_evidence("count", count)
         .with_evidence("length_m", worst.farthest.length_m)
@@ -96,7 +97,7 @@ fn judge(facts: &Facts, stream: &Of<StrayFacts>) -> Judged {
         .with_evidence("parts", parts)
 }
 
-impl StrayFacts {
+impl StrayEvidence {
     /// The jump of a part in its unit.
     fn amount(&self, part: &Strays) -> (Unit, f64) {
         let turns = part.joint.as_ref().is_some_and(|joint| !self.sliding.contains(joint));
@@ -109,13 +110,13 @@ impl StrayFacts {
 }
 
 fn fault(
-    facts: &Facts,
-    stream: &Of<StrayFacts>,
+    case: &Case,
+    stream: &Of<StrayEvidence>,
     worst: &Strays,
     count: usize,
     shown: &str,
 ) -> Fault {
-    let when = worst.at.map_or(String::new(), |at| format!(" at {}", facts.moment(at)));
+    let when = worst.at.map_or(String::new(), |at| format!(" at {}", case.evidence.moment(at)));
     let of = match (stream.parts.len(), &worst.joint, &worst.frame) {
         (1, ..) => String::new(),
         (_, Some(part), _) | (_, None, Some(part)) => format!(" ({part})"),

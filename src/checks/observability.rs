@@ -5,8 +5,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::checks::{ArmFacts, Facts, Of, PoseFacts, find, standing};
+use crate::checks::{Case, find, standing};
 use crate::diagnosis::{BlindDirection, Observability, Parameter};
+use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{CheckRow, Status, Subject, Unit, number};
 
 /// A cause of the size of its rule's first threshold is seen where it moves the log by this many
@@ -139,13 +140,13 @@ fn listed(items: &[&str]) -> String {
 }
 
 /// What each pose stream cannot show. The checks that it leaves open get it as evidence.
-pub(super) fn observability(facts: &Facts, checks: &mut [CheckRow]) -> Vec<StreamObservability> {
+pub(super) fn observability(case: &Case, checks: &mut [CheckRow]) -> Vec<StreamObservability> {
     let mut streams = Vec::new();
-    for arm in &facts.robots {
+    for arm in &case.evidence.robots {
         for stream in &arm.poses {
             let Some(seen) = &stream.diagnosis.observability else { continue };
             let is_noise = is_noise(checks, &stream.subject);
-            let found = seen.blind(|parameter| threshold(facts, arm, parameter), SEEN);
+            let found = seen.blind(|parameter| threshold(case, arm, parameter), SEEN);
             let directions: Vec<Blind> =
                 found.iter().map(|one| blind(arm, seen, one, is_noise)).collect();
             let mut leaves_open = vec![false; directions.len()];
@@ -182,7 +183,7 @@ pub(super) fn observability(facts: &Facts, checks: &mut [CheckRow]) -> Vec<Strea
 
 /// Whether a check on `stream` is open for want of motion. What a nominal or wrong model leaves open no
 /// motion settles.
-fn is_left_to_motion(row: &CheckRow, arm: &ArmFacts, stream: &Of<PoseFacts>) -> bool {
+fn is_left_to_motion(row: &CheckRow, arm: &ArmEvidence, stream: &Of<PoseEvidence>) -> bool {
     let Subject { robot, topic, .. } = &row.subject;
     row.status == Status::Inconclusive
         && !row.indistinguishable
@@ -232,7 +233,7 @@ fn cause_of(parameter: Parameter) -> Parameter {
 }
 
 /// The first threshold of the rule that judges a parameter.
-fn threshold(facts: &Facts, arm: &ArmFacts, parameter: Parameter) -> f64 {
+fn threshold(case: &Case, arm: &ArmEvidence, parameter: Parameter) -> f64 {
     let (code, unit) = match parameter {
         Parameter::JointZero(joint) => ("ZER001", arm.joint_unit(joint)),
         Parameter::Latency => ("LAT001", Unit::Second),
@@ -245,11 +246,11 @@ fn threshold(facts: &Facts, arm: &ArmFacts, parameter: Parameter) -> f64 {
     };
     let Ok(rule) = find(code) else { return 1.0 };
     let own = rule.grade.thresholds().iter().find(|threshold| threshold.unit == unit);
-    own.map_or(1.0, |own| facts.thresholds.of(rule, *own).warning)
+    own.map_or(1.0, |own| case.thresholds.of(rule, *own).warning)
 }
 
 fn blind(
-    arm: &ArmFacts,
+    arm: &ArmEvidence,
     seen: &Observability,
     direction: &BlindDirection,
     is_noise: bool,
@@ -262,7 +263,7 @@ fn blind(
     }
 }
 
-fn part(arm: &ArmFacts, parameter: Parameter, weight: f64) -> Part {
+fn part(arm: &ArmEvidence, parameter: Parameter, weight: f64) -> Part {
     let along = |what: &str, axis: usize| format!(" {what} {}", ["x", "y", "z"][axis % 3]);
     let (cause, axis, code) = match parameter {
         Parameter::JointZero(joint) => {
@@ -289,7 +290,7 @@ fn is_noise(checks: &[CheckRow], stream: &Subject) -> bool {
 
 /// The motion that would show a direction; `is_noise` where what is left of the poses is noise.
 fn motion(
-    arm: &ArmFacts,
+    arm: &ArmEvidence,
     seen: &Observability,
     direction: &BlindDirection,
     is_noise: bool,
@@ -339,9 +340,9 @@ mod tests {
     }
 
     fn sentence(travel: [f64; 3], parameters: &[Parameter]) -> String {
-        let facts = clean_run();
+        let run = clean_run();
         let seen = Observability::of_travel(travel.to_vec());
-        blind(&facts.robots[0], &seen, &direction(parameters), true).sentence("/pose")
+        blind(&run.robots[0], &seen, &direction(parameters), true).sentence("/pose")
     }
 
     #[test]

@@ -1,5 +1,5 @@
 use crate::checks::reading::{self, Kind, Wording, read_as, read_as_misreading, words};
-use crate::checks::{Facts, Grade, Judged};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Reading, ReadingEstimate};
 use crate::finding::{Estimate, RunnerUp, Severity, Unit};
 use crate::geometry::{Convention, Misreading, RotationSlip};
@@ -51,8 +51,8 @@ rule! {
     }
 }
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    reading::judge(facts, Kind::Convention, word)
+fn check(case: &Case) -> Vec<Judged> {
+    reading::judge(case, Kind::Convention, word)
 }
 
 fn word(estimate: &ReadingEstimate) -> Option<Wording> {

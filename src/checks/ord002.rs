@@ -1,5 +1,5 @@
 use crate::checks::reading::{self, Kind, Wording, quaternion_orders};
-use crate::checks::{Facts, Grade, Judged};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Reading, ReadingEstimate};
 use crate::finding::{Estimate, Severity};
 use crate::geometry::{QuaternionSlip, RotationSlip};
@@ -38,8 +38,8 @@ rule! {
     }
 }
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    reading::judge(facts, Kind::QuaternionOrder, word)
+fn check(case: &Case) -> Vec<Judged> {
+    reading::judge(case, Kind::QuaternionOrder, word)
 }
 
 fn word(estimate: &ReadingEstimate) -> Option<Wording> {

@@ -1,5 +1,5 @@
 use crate::checks::reading::{self, Kind, Wording};
-use crate::checks::{Facts, Grade, Judged};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{PoseDiagnosis, Reading, ReadingEstimate};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::geometry::{RotationSlip, Slip};
@@ -39,10 +39,10 @@ rule! {
     }
 }
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let mut judged = reading::judge(facts, Kind::Direction, word);
+fn check(case: &Case) -> Vec<Judged> {
+    let mut judged = reading::judge(case, Kind::Direction, word);
     // Positions tell an inverse where orientations say nothing.
-    let inverted = facts.poses().filter(|(_, stream)| {
+    let inverted = case.evidence.poses().filter(|(_, stream)| {
         let found = &stream.diagnosis;
         found.inverted && found.reading.is_err() && !found.strays()
     });

@@ -1,6 +1,7 @@
 use crate::checks::decision::unseen;
-use crate::checks::{ArmFacts, Facts, Grade, Judged};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{JointUnit, UnitSlip};
+use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::geometry::{AngleUnit, Slip};
 
@@ -39,11 +40,11 @@ rule! {
     }
 }
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    facts.robots.iter().flat_map(judge_arm).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    case.evidence.robots.iter().flat_map(judge_arm).collect()
 }
 
-fn judge_arm(arm: &ArmFacts) -> Vec<Judged> {
+fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
     let topic = arm.topic(&arm.joints_topic);
     let joints = match &arm.diagnosis.reading {
         Err(why) => vec![Judged::new(topic, unseen(why, "log a pose or /tf too"))],
@@ -97,7 +98,7 @@ impl Taken {
 }
 
 fn judge(
-    arm: &ArmFacts,
+    arm: &ArmEvidence,
     subject: Subject,
     slip: Option<UnitSlip>,
     residual: Unit,

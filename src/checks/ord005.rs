@@ -1,6 +1,7 @@
 use crate::checks::decision::unseen;
-use crate::checks::{ArmFacts, Facts, Grade, Judged};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::JointReading;
+use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
@@ -37,11 +38,11 @@ rule! {
     }
 }
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    facts.robots.iter().map(judge).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    case.evidence.robots.iter().map(judge).collect()
 }
 
-fn judge(arm: &ArmFacts) -> Judged {
+fn judge(arm: &ArmEvidence) -> Judged {
     let subject = arm.topic(&arm.joints_topic);
     match &arm.diagnosis.reading {
         Err(why) => Judged::new(subject, unseen(why, "log a pose that does not come from /tf too")),

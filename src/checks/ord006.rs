@@ -1,7 +1,8 @@
 use serde_json::{Value, json};
 
 use crate::checks::decision::DEGREE;
-use crate::checks::{ArmFacts, EulerFacts, Facts, Grade, Judged, Limit};
+use crate::checks::{Case, Grade, Judged, Limit};
+use crate::evidence::{ArmEvidence, EulerEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Span, Unit};
 
 rule! {
@@ -52,8 +53,8 @@ const APART_S: f64 = 0.5;
 /// Spans that the evidence lists.
 const LISTED: usize = 10;
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let of_arm = |arm: &ArmFacts| -> Vec<Judged> {
+fn check(case: &Case) -> Vec<Judged> {
+    let of_arm = |arm: &ArmEvidence| -> Vec<Judged> {
         let numbers = arm.poses.iter().filter_map(|stream| {
             let coded = stream.euler.as_ref()?;
             let judged = match stream.bare {
@@ -61,13 +62,13 @@ fn check(facts: &Facts) -> Vec<Judged> {
                     stream.subject.clone(),
                     Outcome::sound_because("nobody declared how it is coded".to_owned()),
                 ),
-                false => judge(facts, arm, stream.topic(), coded),
+                false => judge(case, arm, stream.topic(), coded),
             };
             Some(judged.within(stream.span))
         });
         numbers.collect()
     };
-    facts.robots.iter().flat_map(of_arm).collect()
+    case.evidence.robots.iter().flat_map(of_arm).collect()
 }
 
 /// A time near the lock.
@@ -78,7 +79,7 @@ struct Near {
     nearest_rad: f64,
 }
 
-fn near(coded: &EulerFacts, within_rad: f64) -> Vec<Near> {
+fn near(coded: &EulerEvidence, within_rad: f64) -> Vec<Near> {
     let mut found: Vec<Near> = Vec::new();
     for &(at, margin_rad) in coded.margins_rad.iter().filter(|(_, margin)| *margin < within_rad) {
         match found.last_mut().filter(|last| at.seconds_since(last.span.end) < APART_S) {
@@ -96,7 +97,7 @@ fn near(coded: &EulerFacts, within_rad: f64) -> Vec<Near> {
     found
 }
 
-fn judge(facts: &Facts, arm: &ArmFacts, topic: &str, coded: &EulerFacts) -> Judged {
+fn judge(case: &Case, arm: &ArmEvidence, topic: &str, coded: &EulerEvidence) -> Judged {
     let subject = arm.topic(topic);
     let Some(convention) = coded.convention else {
         let why = "which convention its numbers are is not told; declare it with --declare";
@@ -106,7 +107,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, topic: &str, coded: &EulerFacts) -> Judg
         let why = format!("{convention} has no gimbal lock");
         return Judged::new(subject, Outcome::sound_because(why));
     }
-    let within_rad = facts.thresholds.limit(&ORD006, &NEAR);
+    let within_rad = case.thresholds.limit(&ORD006, &NEAR);
     let found = near(coded, within_rad);
     let samples: usize = found.iter().map(|near| near.samples).sum();
     let share = samples as f64 / coded.margins_rad.len() as f64;
@@ -125,7 +126,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, topic: &str, coded: &EulerFacts) -> Judg
                 Unit::Radian.show(within_rad),
                 100.0 * share,
                 Unit::Second.show(longest.span.seconds()),
-                facts.moment(longest.span.start),
+                case.evidence.moment(longest.span.start),
                 Unit::Radian.show(least_rad),
             ),
             evidence: Evidence::default(),
@@ -165,7 +166,7 @@ mod tests {
             40 => 0.01,
             _ => 0.3,
         };
-        let coded = EulerFacts {
+        let coded = EulerEvidence {
             convention: Some(Convention::RPY),
             margins_rad: (0..60).map(|tenth| (at(tenth), margin(tenth))).collect(),
         };

@@ -1,7 +1,8 @@
 use serde_json::json;
 
-use crate::checks::{ArmFacts, DhFacts, Facts, Grade, Judged};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{DhEstimate, DhStream, DhTold};
+use crate::evidence::{ArmEvidence, DhEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::robot::DhConvention;
 
@@ -46,12 +47,12 @@ rule! {
 /// What would tell where neither convention does.
 const SETTLE: &str = "move every joint, and check the table's rows";
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    facts.robots.iter().filter_map(|arm| Some(judge(arm, arm.dh.as_ref()?))).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    case.evidence.robots.iter().filter_map(|arm| Some(judge(arm, arm.dh.as_ref()?))).collect()
 }
 
-fn judge(arm: &ArmFacts, facts: &DhFacts) -> Judged {
-    let DhFacts { declared: convention, estimate } = facts;
+fn judge(arm: &ArmEvidence, facts: &DhEvidence) -> Judged {
+    let DhEvidence { declared: convention, estimate } = facts;
     let (is, read_as) = (convention.other().name(), convention.name());
     let told = estimate.told();
     let outcome = match told {
@@ -140,16 +141,16 @@ mod tests {
     use crate::finding::Status;
 
     fn judged(declared_m: f64, other_m: Option<f64>) -> (Status, String) {
-        let mut facts = clean_run();
+        let mut run = clean_run();
         let left = |m: f64| Left { m, rad: 0.0 };
-        let dh = facts.robots[0].dh.as_mut().unwrap();
+        let dh = run.robots[0].dh.as_mut().unwrap();
         dh.estimate.streams[0] = DhStream {
             declared: left(declared_m),
             declared_positions_m: Some(0.25),
             other: other_m.map(left),
         };
         dh.estimate.declared_faults = 2;
-        let (rows, findings) = ask(&ORD007, &facts);
+        let (rows, findings) = ask(&ORD007, &run);
         let said = findings.first().map(|finding| finding.message.clone());
         (rows[0].status, said.or(rows[0].reason.clone()).unwrap_or_default())
     }

@@ -1,6 +1,7 @@
 use crate::checks::decision::unseen;
-use crate::checks::{ArmFacts, Facts, Grade, Judged, Of, PoseFacts};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{JointUnit, LengthSlip};
+use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::geometry::{LengthScale, Slip};
 
@@ -42,8 +43,8 @@ rule! {
     }
 }
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let streams = facts.poses_and_tf();
+fn check(case: &Case) -> Vec<Judged> {
+    let streams = case.evidence.poses_and_tf();
     let judged = streams.map(|(_, stream)| {
         let outcome = match &stream.diagnosis.length {
             Err(why) => unseen(why, "move the tip by 10 cm or more"),
@@ -68,11 +69,11 @@ fn check(facts: &Facts) -> Vec<Judged> {
         };
         stream.judged(outcome)
     });
-    judged.chain(facts.robots.iter().flat_map(judge_joints)).collect()
+    judged.chain(case.evidence.robots.iter().flat_map(judge_joints)).collect()
 }
 
 /// The sliding joints whose positions are not metres.
-fn judge_joints(arm: &ArmFacts) -> Vec<Judged> {
+fn judge_joints(arm: &ArmEvidence) -> Vec<Judged> {
     let Ok(reading) = &arm.diagnosis.reading else { return Vec::new() };
     let units = [
         (JointUnit::Millimetres, "mm", "millimetres", 1000),
@@ -107,7 +108,7 @@ fn judge_joints(arm: &ArmFacts) -> Vec<Judged> {
 }
 
 /// The fault of positions that are in another unit than they were read as.
-fn fault(stream: &Of<PoseFacts>, slip: &LengthSlip) -> Fault {
+fn fault(stream: &Of<PoseEvidence>, slip: &LengthSlip) -> Fault {
     let topic = stream.topic();
     let (is, read_as) = (slip.is.words(), slip.read_as.words());
     let is_metres = slip.is == LengthScale::METRE;

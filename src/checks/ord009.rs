@@ -1,6 +1,7 @@
 use crate::checks::decision::unseen;
-use crate::checks::{ArmFacts, Facts, Grade, Judged};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{JointScale, UnitSlip};
+use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, JointScaling, Outcome, Severity, Unit};
 use serde_json::json;
 use std::f64::consts::TAU;
@@ -49,11 +50,11 @@ rule! {
 /// Factors this near to each other, as a share, are one.
 const SAME: f64 = 2e-3;
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    facts.robots.iter().flat_map(judge_arm).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    case.evidence.robots.iter().flat_map(judge_arm).collect()
 }
 
-fn judge_arm(arm: &ArmFacts) -> Vec<Judged> {
+fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
     let topic = arm.topic(&arm.joints_topic);
     let (scales, reading) = match &arm.diagnosis.reading {
         Ok(reading) => (&arm.diagnosis.scales, reading),
@@ -99,7 +100,7 @@ fn is_same(a: &JointScale, b: &JointScale) -> bool {
     apart < (SAME * a.factor.value.abs()).max(4.0 * known)
 }
 
-fn fault(arm: &ArmFacts, scale: &JointScale, joints: &[JointScale], left: &UnitSlip) -> Fault {
+fn fault(arm: &ArmEvidence, scale: &JointScale, joints: &[JointScale], left: &UnitSlip) -> Fault {
     let factor = scale.factor.value;
     let (title, what) = if near(factor, -1.0) {
         ("joint is reversed", "the positions have the wrong sign".to_owned())
@@ -128,7 +129,7 @@ fn fault(arm: &ArmFacts, scale: &JointScale, joints: &[JointScale], left: &UnitS
 }
 
 /// What mends a joint that has this scale.
-fn scaling(arm: &ArmFacts, scale: &JointScale) -> Option<JointScaling> {
+fn scaling(arm: &ArmEvidence, scale: &JointScale) -> Option<JointScaling> {
     let joint = arm.joints.get(scale.column)?;
     Some(JointScaling {
         joint: joint.name.clone(),
@@ -139,7 +140,7 @@ fn scaling(arm: &ArmFacts, scale: &JointScale) -> Option<JointScaling> {
 }
 
 /// What a factor looks like, in words.
-fn kind(arm: &ArmFacts, scale: &JointScale) -> String {
+fn kind(arm: &ArmEvidence, scale: &JointScale) -> String {
     let factor = scale.factor.value.abs();
     let reversed = if scale.factor.value < 0.0 { ", counted backwards" } else { "" };
     let ticks = TAU / factor;
@@ -180,10 +181,11 @@ mod tests {
     use super::*;
     use crate::checks::testing::{JOINTS, ask, clean_run, sure};
     use crate::diagnosis::{JointReading, JointSlip, JointUnit};
+    use crate::evidence::RunEvidence;
 
-    fn scaled(scales: &[(usize, f64)]) -> Facts {
-        let mut facts = clean_run();
-        let arm = &mut facts.robots[0];
+    fn scaled(scales: &[(usize, f64)]) -> RunEvidence {
+        let mut run = clean_run();
+        let arm = &mut run.robots[0];
         let scale = |&(column, factor): &(usize, f64)| JointScale {
             column,
             factor: sure(factor),
@@ -200,7 +202,7 @@ mod tests {
             left: Some(UnitSlip { as_logged: 0.4, corrected: 2e-4 }),
             ..JointReading::default()
         });
-        facts
+        run
     }
 
     #[test]

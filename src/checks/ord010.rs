@@ -1,6 +1,7 @@
 use crate::checks::decision::unseen;
-use crate::checks::{Facts, Grade, Judged, Of, PoseFacts};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::AxesSlip;
+use crate::evidence::{Of, PoseEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::geometry::Axes;
 
@@ -42,8 +43,8 @@ rule! {
     }
 }
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let streams = facts.poses_and_tf();
+fn check(case: &Case) -> Vec<Judged> {
+    let streams = case.evidence.poses_and_tf();
     let judged = streams.map(|(_, stream)| {
         let outcome = match stream.diagnosis.axes {
             Err(ref why) => unseen(why, "move the tip by 10 cm or more in all directions"),
@@ -82,7 +83,7 @@ fn named(slip: AxesSlip) -> String {
     }
 }
 
-fn fault(stream: &Of<PoseFacts>, slip: AxesSlip) -> Fault {
+fn fault(stream: &Of<PoseEvidence>, slip: AxesSlip) -> Fault {
     let AxesSlip { positions, rotations } = slip;
     let title = match (positions == Axes::STANDARD, rotations == Axes::STANDARD) {
         (true, _) => "axes of the rotations are exchanged",
@@ -142,10 +143,10 @@ mod tests {
 
     #[test]
     fn the_fix_names_each_component() {
-        let mut facts = clean_run();
+        let mut run = clean_run();
         let slip = AxesSlip { positions: Axes::UNITY, rotations: Axes::UNITY };
-        facts.robots[0].poses[0].diagnosis.axes = Ok(Some(slip));
-        let (rows, findings) = ask(&ORD010, &facts);
+        run.robots[0].poses[0].diagnosis.axes = Ok(Some(slip));
+        let (rows, findings) = ask(&ORD010, &run);
         assert_eq!(rows[0].status, Status::Fail);
         let fix = &findings[0].fix;
         assert!(fix.contains("position (z, -x, y) and quaternion (-z, x, -y, w)"), "{fix}");

@@ -1,6 +1,7 @@
 use crate::checks::decision::unseen;
-use crate::checks::{Facts, Grade, Judged, Of, PoseFacts};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::ConstantPart;
+use crate::evidence::{Of, PoseEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit, rounded};
 
 rule! {
@@ -33,8 +34,8 @@ rule! {
     }
 }
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let streams = facts.poses_and_tf();
+fn check(case: &Case) -> Vec<Judged> {
+    let streams = case.evidence.poses_and_tf();
     let judged = streams.map(|(_, stream)| {
         let found = &stream.diagnosis;
         match (&found.axes, found.constant.as_slice()) {
@@ -60,7 +61,7 @@ fn check(facts: &Facts) -> Vec<Judged> {
     judged.collect()
 }
 
-fn fault(stream: &Of<PoseFacts>, parts: &[ConstantPart], most_m: f64) -> Fault {
+fn fault(stream: &Of<PoseEvidence>, parts: &[ConstantPart], most_m: f64) -> Fault {
     let said: Vec<String> = parts
         .iter()
         .map(|ConstantPart { coordinate, value, moved_m }| {
@@ -88,11 +89,11 @@ mod tests {
 
     #[test]
     fn the_coordinate_its_value_and_what_is_missing_are_said() {
-        let mut facts = clean_run();
-        assert!(ask(&ORD011, &facts).1.is_empty());
-        facts.robots[0].poses[0].diagnosis.constant =
+        let mut run = clean_run();
+        assert!(ask(&ORD011, &run).1.is_empty());
+        run.robots[0].poses[0].diagnosis.constant =
             vec![ConstantPart { coordinate: 'z', value: 0.0, moved_m: 0.43 }];
-        let findings = ask(&ORD011, &facts).1;
+        let findings = ask(&ORD011, &run).1;
         let expected = "z is 0.0000 throughout while forward kinematics moves it by 430 mm";
         assert_eq!(findings[0].message, expected);
     }

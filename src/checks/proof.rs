@@ -1,6 +1,6 @@
 //! What becomes of the other rules' findings where MDL001 has something left.
 
-use crate::checks::{Evaluation, Facts};
+use crate::checks::{Case, Evaluation};
 use crate::finding::{Cause, CheckRow, Estimate, Finding, Severity, Status, Subject, Unit};
 
 /// How many times what is left a cause must move the poses by to be believed beside it: what the model
@@ -80,14 +80,14 @@ const HELD: [&str; 7] = ["FRM001", "FRM002", "FRM003", "LAT", "ORD", "YAW", "ZER
 
 /// Where poses and joint states disagree and nothing explains it, no cause is named that does not, and
 /// what is open on them is so for that reason.
-pub(super) fn leave_open_beside_disagreement(facts: &Facts, evaluation: &mut Evaluation) {
+pub(super) fn leave_open_beside_disagreement(case: &Case, evaluation: &mut Evaluation) {
     let Evaluation { checks, findings, .. } = evaluation;
     let disagreeing = findings.iter().filter_map(|finding| match &finding.cause {
         Cause::Disagreement { said } => Some((finding.subject.clone(), format!("{said} (MDL001)"))),
         _ => None,
     });
     let disagreeing: Vec<(Subject, String)> = disagreeing.collect();
-    for arm in &facts.robots {
+    for arm in &case.evidence.robots {
         let of_arm = |subject: &Subject| subject.robot.as_ref() == Some(&arm.name);
         let own: Vec<&(Subject, String)> =
             disagreeing.iter().filter(|(subject, _)| of_arm(subject)).collect();

@@ -1,8 +1,9 @@
 //! What ORD001, ORD002 and ORD003 share: each judges the same estimate for its own kind of fault.
 
 use crate::checks::decision::{DEGREE, unseen};
-use crate::checks::{ArmFacts, Facts, Judged};
+use crate::checks::{Case, Judged};
 use crate::diagnosis::{PoseDiagnosis, Reading, ReadingEstimate, Seen};
+use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, ReadAs, Ruling, Severity, Unit};
 use crate::geometry::{
     AngleUnit, Coding, Convention, LengthScale, Misreading, QuaternionSlip, RotationSlip, vendors,
@@ -56,12 +57,12 @@ pub struct Wording {
 
 /// Judges the reading of every stream for faults of one kind, which `word` puts into words.
 pub fn judge(
-    facts: &Facts,
+    case: &Case,
     asked: Kind,
     word: fn(&ReadingEstimate) -> Option<Wording>,
 ) -> Vec<Judged> {
     let mut judged = Vec::new();
-    for arm in &facts.robots {
+    for arm in &case.evidence.robots {
         let streams = arm.poses_and_tf().map(|stream| {
             let found = &stream.diagnosis;
             let doubt = found.strays().then_some("its positions do not lie on the arm");
@@ -92,7 +93,7 @@ pub fn judge(
 }
 
 fn judge_stream(
-    arm: &ArmFacts,
+    arm: &ArmEvidence,
     reading: &Seen<ReadingEstimate>,
     asked: Kind,
     word: fn(&ReadingEstimate) -> Option<Wording>,
@@ -137,7 +138,7 @@ fn judge_stream(
 /// What is said of bare numbers of which nothing is declared: how they were read, once, and no fault of
 /// their convention.
 fn of_bare_numbers(
-    arm: &ArmFacts,
+    arm: &ArmEvidence,
     topic: &str,
     asked: Kind,
     found: &PoseDiagnosis,
@@ -186,7 +187,7 @@ fn bare_units(found: &PoseDiagnosis) -> (LengthScale, AngleUnit) {
 }
 
 /// How bare numbers were read, with makers whose numbers are so: `KUKA's: mm, euler:ZYX in deg`.
-fn bare_reading(arm: &ArmFacts, topic: &str, form: Coding, found: &PoseDiagnosis) -> String {
+fn bare_reading(arm: &ArmEvidence, topic: &str, form: Coding, found: &PoseDiagnosis) -> String {
     /// Makers that are named.
     const NAMED: usize = 3;
     let (length, angle) = bare_units(found);
@@ -231,7 +232,7 @@ fn declared(form: Coding, found: &PoseDiagnosis) -> String {
 }
 
 fn fault(
-    arm: &ArmFacts,
+    arm: &ArmEvidence,
     reading: &ReadingEstimate,
     wording: Wording,
 ) -> (Outcome, Option<Estimate>) {
@@ -353,12 +354,13 @@ mod tests {
     use crate::checks::ord002::ORD002;
     use crate::checks::ord003::ORD003;
     use crate::checks::testing::{ask, clean_run};
+    use crate::evidence::RunEvidence;
     use crate::finding::Status;
 
-    fn read(best: Reading, best_rad: f64, runner_up: Option<(Reading, f64)>) -> Facts {
-        let mut facts = clean_run();
+    fn read(best: Reading, best_rad: f64, runner_up: Option<(Reading, f64)>) -> RunEvidence {
+        let mut run = clean_run();
         let as_logged_rad = Some(1.1);
-        facts.robots[0].poses[0].diagnosis.reading = Ok(ReadingEstimate {
+        run.robots[0].poses[0].diagnosis.reading = Ok(ReadingEstimate {
             inverted: matches!(best, Reading::Inverted),
             best,
             as_logged_rad,
@@ -368,7 +370,7 @@ mod tests {
             ranked: Vec::new(),
             is_told: true,
         });
-        facts
+        run
     }
 
     #[test]
@@ -378,9 +380,9 @@ mod tests {
             (Reading::Inverted, "ORD003"),
             (Reading::Transposed, "ORD003"),
         ] {
-            let facts = read(reading, 1e-4, Some((Reading::AsLogged, 1.1)));
+            let run = read(reading, 1e-4, Some((Reading::AsLogged, 1.1)));
             for rule in [&ORD001, &ORD002, &ORD003] {
-                let (rows, findings) = ask(rule, &facts);
+                let (rows, findings) = ask(rule, &run);
                 assert_eq!(
                     findings.len(),
                     usize::from(rule.code == code),
@@ -393,10 +395,10 @@ mod tests {
 
     #[test]
     fn two_readings_that_fit_alike_leave_both_rules_open() {
-        let facts = read(Reading::Inverted, 1e-3, Some((Reading::Transposed, 1.2e-3)));
-        let (rows, findings) = ask(&ORD003, &facts);
+        let run = read(Reading::Inverted, 1e-3, Some((Reading::Transposed, 1.2e-3)));
+        let (rows, findings) = ask(&ORD003, &run);
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
-        assert_eq!(ask(&ORD002, &facts).0[0].status, Status::Pass);
+        assert_eq!(ask(&ORD002, &run).0[0].status, Status::Pass);
     }
 
     #[test]

@@ -3,15 +3,16 @@
 use serde_json::{Value, json};
 
 use crate::checks::decision::unseen;
-use crate::checks::{ArmFacts, Of, WitnessKind};
-use crate::checks::{ReferenceFacts, mot003};
+use crate::checks::mot003;
 use crate::diagnosis::{Following, JointOffset, ReferenceDiagnosis};
+use crate::evidence::ReferenceEvidence;
+use crate::evidence::{ArmEvidence, Of, WitnessKind};
 use crate::finding::Outcome;
 
 /// What was found of commands; else the outcome of a rule that is asked about them.
 pub fn found<'a>(
-    arm: &ArmFacts,
-    reference: &'a Of<ReferenceFacts>,
+    arm: &ArmEvidence,
+    reference: &'a Of<ReferenceEvidence>,
     settle: &str,
 ) -> Result<&'a ReferenceDiagnosis, Outcome> {
     let found = match &reference.diagnosis {
@@ -25,7 +26,7 @@ pub fn found<'a>(
 }
 
 /// Whether something was found that makes a stream of poses and FK of the joint states differ.
-pub fn witnesses_differ(arm: &ArmFacts) -> bool {
+pub fn witnesses_differ(arm: &ArmEvidence) -> bool {
     let is_chosen = |offset: &JointOffset| offset.chosen;
     let differs =
         arm.poses.iter().any(|stream| stream.diagnosis.nominal || stream.diagnosis.growth_chosen);
@@ -33,7 +34,7 @@ pub fn witnesses_differ(arm: &ArmFacts) -> bool {
 }
 
 /// A witness in words.
-pub fn witness_name(reference: &Of<ReferenceFacts>, index: usize) -> String {
+pub fn witness_name(reference: &Of<ReferenceEvidence>, index: usize) -> String {
     match reference.witnesses.get(index) {
         Some(witness) if witness.kind == WitnessKind::Corrected => {
             format!("{} as corrected", witness.name)

@@ -2,8 +2,9 @@
 //! and what a pass rests on.
 
 use crate::checks::decision::{Decision, decide_both};
-use crate::checks::{ArmFacts, Facts, FrameThresholds, Judged, Of, PoseFacts, find};
+use crate::checks::{Case, FrameThresholds, Judged, find};
 use crate::diagnosis::{Amount, Error, FrameEstimate, Part, PoseDiagnosis, Residual, Seen, Size};
+use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Outcome, Ruling, Severity, Unit};
 use crate::run::{Apart, FlawKind};
 
@@ -33,7 +34,7 @@ pub(super) struct Named {
 
 impl Named {
     /// Asks them.
-    pub fn of(facts: &Facts) -> Self {
+    pub fn of(case: &Case) -> Self {
         const CODES: [&str; 17] = [
             "FRM001", "FRM002", "FRM003", "LAT001", "LAT002", "LAT003", "ORD001", "ORD002",
             "ORD003", "ORD004", "ORD005", "ORD008", "ORD009", "ORD010", "ORD011", "ZER001",
@@ -41,10 +42,10 @@ impl Named {
         ];
         let rules = CODES.into_iter().filter_map(|code| find(code).ok());
         let judged = rules.flat_map(|rule| {
-            let judged = (rule.check)(facts).into_iter();
+            let judged = (rule.check)(case).into_iter();
             judged.map(|judged| (rule.code, judged))
         });
-        let doubled = facts.frames.flaws.iter().filter_map(|flaw| match &flaw.kind {
+        let doubled = case.evidence.frames.flaws.iter().filter_map(|flaw| match &flaw.kind {
             FlawKind::Publishers { by: Some(by), edges, .. } => {
                 Some((flaw.topics.first()?.clone(), *by, *edges))
             }
@@ -56,7 +57,7 @@ impl Named {
     /// What the rules among `codes` made of a topic of `arm`, or of one of its joints.
     fn on<'a>(
         &'a self,
-        arm: &'a ArmFacts,
+        arm: &'a ArmEvidence,
         label: &'a str,
         codes: &'a [&str],
     ) -> impl Iterator<Item = (&'static str, &'a Outcome)> {
@@ -70,7 +71,7 @@ impl Named {
 
     /// Whether FRM001 has found what `stream` is, which is /tf, or FRM004 two publishers of it that are
     /// farther apart than what is left.
-    fn says_of_tf(&self, arm: &ArmFacts, stream: &Of<PoseFacts>, left: &Left) -> bool {
+    fn says_of_tf(&self, arm: &ArmEvidence, stream: &Of<PoseEvidence>, left: &Left) -> bool {
         let is_doubled = || {
             self.doubled.iter().any(|(topic, by, edges)| {
                 let times = ROOM * *edges as f64;
@@ -89,7 +90,7 @@ impl Named {
 }
 
 /// Whether a stream of `arm` is what /tf says of its tip.
-fn is_tf(arm: &ArmFacts, stream: &Of<PoseFacts>) -> bool {
+fn is_tf(arm: &ArmEvidence, stream: &Of<PoseEvidence>) -> bool {
     arm.tf.as_ref().is_some_and(|tf| std::ptr::eq(tf, stream))
 }
 
@@ -130,8 +131,8 @@ pub(super) struct Left {
 /// How the error of a stream stands, as `thresholds` have it; `None` where there is none.
 pub(super) fn standing(
     named: &Named,
-    arm: &ArmFacts,
-    stream: &Of<PoseFacts>,
+    arm: &ArmEvidence,
+    stream: &Of<PoseEvidence>,
     thresholds: &FrameThresholds,
     subjects: usize,
 ) -> Option<Standing> {
@@ -191,7 +192,7 @@ pub(super) fn standing(
 fn races(
     error: &Error,
     named: &Named,
-    stream: &Of<PoseFacts>,
+    stream: &Of<PoseEvidence>,
     thresholds: &FrameThresholds,
 ) -> bool {
     /// In thresholds.
@@ -286,7 +287,7 @@ struct Causes {
 }
 
 impl Causes {
-    fn of(named: &Named, arm: &ArmFacts, stream: &Of<PoseFacts>) -> Self {
+    fn of(named: &Named, arm: &ArmEvidence, stream: &Of<PoseEvidence>) -> Self {
         let found = &stream.diagnosis;
         let chosen = |is: bool, code: &'static str| is.then_some(code);
         let unsteady = found.course.as_ref().is_ok_and(|course| course.is_unsteady);
@@ -356,7 +357,7 @@ const FAR_BEYOND: f64 = 10.0;
 
 /// Why a cause that moves the poses of `arm` by `effect_m` cannot be believed, where it cannot: what
 /// is left beside it makes it a part of whatever the model does not have.
-pub(super) fn doubt(arm: &ArmFacts, effect_m: f64) -> Option<String> {
+pub(super) fn doubt(arm: &ArmEvidence, effect_m: f64) -> Option<String> {
     let left = arm.poses.iter().filter_map(|stream| stream.diagnosis.residual.as_ref().ok());
     let left_m = left.map(|residual| residual.excess_m.value).fold(0.0, f64::max);
     (left_m > UNEXPLAINED_M && effect_m < FAR_BEYOND * left_m).then(|| {

@@ -1,14 +1,17 @@
 //! A run in which nothing is wrong, for tests to plant estimates in.
 
-use crate::checks::{
-    ArmFacts, DhFacts, EulerFacts, Facts, ImuFacts, JointFacts, JointMotion, Of, PoseFacts,
-    ReferenceFacts, ReferenceWitness, Rule, ShakeFacts, WitnessKind, evaluate,
-};
+use std::sync::LazyLock;
+
+use crate::checks::{Case, Rule, Thresholds, evaluate};
 use crate::diagnosis::{
     Abruptness, Aligned, Amount, DhEstimate, DhStream, Error, FrameEstimate, GyroBias,
     ImuDiagnosis, ImuProof, JointDiagnosis, JointOffset, JointReading, LatencyCourse, Left, Length,
     Line, LineWitness, Measured, Part, PoseDiagnosis, Proof, Reading, ReadingEstimate,
     ReferenceDiagnosis, Residual, RestGap, Shake, Short, Size, YawCourse,
+};
+use crate::evidence::{
+    ArmEvidence, DhEvidence, EulerEvidence, ImuEvidence, JointEvidence, JointMotion, Of,
+    PoseEvidence, ReferenceEvidence, ReferenceWitness, RunEvidence, ShakeEvidence, WitnessKind,
 };
 use crate::finding::{CheckRow, Finding, Span, Subject};
 use crate::geometry::{Convention, Pose, Vec3, pose, rotation_from_rotvec};
@@ -35,9 +38,15 @@ pub fn length(value: f64) -> Length {
     Length { norm: sure(value), p_value: if value > 0.0 { 0.0 } else { 0.5 } }
 }
 
-/// What `rule` says of `facts`: its rows and its findings.
-pub fn ask(rule: &Rule, facts: &Facts) -> (Vec<CheckRow>, Vec<Finding>) {
-    let evaluation = evaluate(facts, &Default::default());
+/// A run as a rule is asked about it, by the rules' own thresholds.
+pub fn as_case(evidence: &RunEvidence) -> Case<'_> {
+    static OWN: LazyLock<Thresholds> = LazyLock::new(Thresholds::default);
+    Case { evidence, thresholds: &OWN }
+}
+
+/// What `rule` says of `run`: its rows and its findings.
+pub fn ask(rule: &Rule, run: &RunEvidence) -> (Vec<CheckRow>, Vec<Finding>) {
+    let evaluation = evaluate(run, &Default::default());
     let (mut rows, mut findings) = (evaluation.checks, evaluation.findings);
     rows.retain(|row| row.code == rule.code);
     findings.retain(|finding| finding.code == rule.code);
@@ -65,7 +74,7 @@ pub fn left(most_m: f64, most_rad: f64) -> Proof {
 }
 
 /// One arm with a pose stream, /tf, an IMU and three joints, and nothing wrong with any of them.
-pub fn clean_run() -> Facts {
+pub fn clean_run() -> RunEvidence {
     let still = Abruptness {
         acceleration: 0.5,
         noise: 0.1,
@@ -74,7 +83,7 @@ pub fn clean_run() -> Facts {
         jerk: 1.0,
         resolved: 0.1,
     };
-    let joint = |name: &str| JointFacts {
+    let joint = |name: &str| JointEvidence {
         name: name.to_owned(),
         prismatic: false,
         limits: Limits { lower: Some(-3.0), upper: Some(3.0), velocity: Some(2.0) },
@@ -101,14 +110,14 @@ pub fn clean_run() -> Facts {
         yaw_error: Vec::new(),
         headings: Vec::new(),
     };
-    let arm = ArmFacts {
+    let arm = ArmEvidence {
         name: ARM.to_owned(),
         joints_topic: JOINTS.to_owned(),
         span: SPAN,
         joints: ["pan", "lift", "elbow"].map(joint).to_vec(),
         reach_m: 0.85,
         wrong_model: None,
-        dh: Some(DhFacts {
+        dh: Some(DhEvidence {
             declared: DhConvention::Standard,
             estimate: DhEstimate {
                 streams: vec![DhStream {
@@ -127,10 +136,13 @@ pub fn clean_run() -> Facts {
         },
         poses: vec![of(POSE, stream(true))],
         tf: Some(of(TF, stream(false))),
-        shakes: vec![of(JOINTS, ShakeFacts { in_other_units: false, shake: Ok(Shake::default()) })],
+        shakes: vec![of(
+            JOINTS,
+            ShakeEvidence { in_other_units: false, shake: Ok(Shake::default()) },
+        )],
         imus: vec![of(
             IMU,
-            ImuFacts {
+            ImuEvidence {
                 independent: true,
                 link: "tool0".to_owned(),
                 link_from_imu: None,
@@ -142,7 +154,12 @@ pub fn clean_run() -> Facts {
     };
     let frozen = of(POSE, Vec::new());
     let audited = of(POSE, Vec::new());
-    Facts { robots: vec![arm], frozen: vec![frozen], unaudited: vec![audited], ..Facts::default() }
+    RunEvidence {
+        robots: vec![arm],
+        frozen: vec![frozen],
+        unaudited: vec![audited],
+        ..RunEvidence::default()
+    }
 }
 
 /// What was found on a topic of the arm.
@@ -152,7 +169,7 @@ fn of<T>(topic: &str, found: T) -> Of<T> {
 }
 
 /// Commands that the arm follows, along a line too, by FK and by a stream.
-fn commands() -> ReferenceFacts {
+fn commands() -> ReferenceEvidence {
     let witness = |name: &str, kind| ReferenceWitness { name: name.to_owned(), kind };
     let kept = LineWitness { distance_m: length(0.0), angle_rad: length(0.0) };
     let line = Line {
@@ -165,7 +182,7 @@ fn commands() -> ReferenceFacts {
         interpolated: None,
         witnesses: vec![Some(kept); 2],
     };
-    ReferenceFacts {
+    ReferenceEvidence {
         is_of_joints: false,
         tip_named: true,
         frame_named: true,
@@ -254,8 +271,8 @@ fn clean_stream() -> PoseDiagnosis {
     }
 }
 
-fn stream(independent: bool) -> PoseFacts {
-    PoseFacts {
+fn stream(independent: bool) -> PoseEvidence {
+    PoseEvidence {
         diagnosis: clean_stream(),
         reference: "base".to_owned(),
         reference_known: true,
@@ -267,7 +284,7 @@ fn stream(independent: bool) -> PoseFacts {
         bare_numbers: false,
         bare: false,
         declared: None,
-        euler: Some(EulerFacts {
+        euler: Some(EulerEvidence {
             convention: Some(Convention::RPY),
             margins_rad: vec![(SPAN.start, 0.5), (SPAN.end, 0.6)],
         }),

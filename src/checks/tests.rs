@@ -34,12 +34,10 @@ fn a_clean_run_passes_every_rule_about_an_arm() {
 }
 
 /// What a rule says of a run, without words.
-fn statuses(rule: &Rule, facts: &Facts) -> Vec<Status> {
-    let settings = Settings {
-        select: vec![rule.code.parse().expect("the rule's own code")],
-        ..Settings::default()
-    };
-    evaluate(facts, &settings).checks.iter().map(|row| row.status).collect()
+fn statuses(rule: &Rule, run: &RunEvidence, settings: &Settings) -> Vec<Status> {
+    let select = vec![rule.code.parse().expect("the rule's own code")];
+    let settings = Settings { select, ..settings.clone() };
+    evaluate(run, &settings).checks.iter().map(|row| row.status).collect()
 }
 
 #[test]
@@ -49,16 +47,17 @@ fn every_threshold_that_is_set_reaches_its_rule() {
     let mut reached = 0;
     for rule in REGISTRY {
         for own in rule.grade.thresholds() {
-            let mut facts = testing::clean_run();
-            let before = statuses(rule, &facts);
+            let run = testing::clean_run();
+            let mut settings = Settings::default();
+            let before = statuses(rule, &run, &settings);
             let is_asked = before.iter().any(|status| *status != Status::Skipped);
             if !is_asked || idle.contains(&(rule.code, own.unit)) {
                 continue;
             }
             // Nothing is known as well as that.
             let fine = Threshold { warning: 1e-15, error: 2e-15, ..*own };
-            facts.thresholds.set(rule, fine);
-            assert_ne!(statuses(rule, &facts), before, "{} {:?}", rule.code, own.unit);
+            settings.thresholds.set(rule, fine);
+            assert_ne!(statuses(rule, &run, &settings), before, "{} {:?}", rule.code, own.unit);
             reached += 1;
         }
     }
@@ -67,11 +66,11 @@ fn every_threshold_that_is_set_reaches_its_rule() {
 
 #[test]
 fn a_severity_that_is_set_is_that_of_all_but_what_is_meant_so() {
-    let mut facts = testing::clean_run();
-    facts.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.05));
+    let mut run = testing::clean_run();
+    run.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.05));
     let mut settings = Settings::default();
     settings.severities.push(("LAT001", Severity::Warning));
-    let found = evaluate(&facts, &settings).findings;
+    let found = evaluate(&run, &settings).findings;
     assert_eq!((found[0].code, found[0].severity), ("LAT001", Severity::Warning));
     let lat001 = find("LAT001").expect("a rule");
     assert_eq!(settings.severity(lat001, Severity::Info), Severity::Info);
@@ -79,8 +78,8 @@ fn a_severity_that_is_set_is_that_of_all_but_what_is_meant_so() {
 
 #[test]
 fn what_is_exempt_is_said_and_not_counted() {
-    let mut facts = testing::clean_run();
-    facts.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.05));
+    let mut run = testing::clean_run();
+    run.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.05));
     let exemption = |topic: &str| Exemption {
         rules: "LAT".parse().expect("a family"),
         subject: Subject { topic: Some(topic.to_owned()), ..Subject::default() },
@@ -91,7 +90,7 @@ fn what_is_exempt_is_said_and_not_counted() {
         exemptions: vec![exemption("pose"), exemption("/other")],
         ..Settings::default()
     };
-    let evaluation = evaluate(&facts, &settings);
+    let evaluation = evaluate(&run, &settings);
     assert!(evaluation.findings.is_empty(), "{:?}", evaluation.findings);
     assert_eq!(evaluation.ignored[0].finding.code, "LAT001");
     let row = evaluation
@@ -106,15 +105,15 @@ fn what_is_exempt_is_said_and_not_counted() {
 
 #[test]
 fn findings_stand_by_gravity_and_then_by_effect() {
-    let mut facts = testing::clean_run();
-    facts.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.003));
+    let mut run = testing::clean_run();
+    run.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.003));
     for (joint, degrees) in [(1, 0.6), (2, 2.0)] {
         let radians = f64::to_radians(degrees);
-        let offset = &mut facts.robots[0].diagnosis.offsets[joint];
+        let offset = &mut run.robots[0].diagnosis.offsets[joint];
         (offset.offset, offset.chosen) = (Ok(testing::sure(radians)), true);
         offset.effect_m = radians;
     }
-    let findings = evaluate(&facts, &Settings::default()).findings;
+    let findings = evaluate(&run, &Settings::default()).findings;
     let said: Vec<_> = findings.iter().map(|one| (one.code, one.subject.label())).collect();
     assert_eq!(said, [("ZER001", "elbow"), ("ZER001", "lift"), ("LAT001", testing::POSE)]);
 }
@@ -122,8 +121,8 @@ fn findings_stand_by_gravity_and_then_by_effect() {
 #[test]
 fn a_run_of_which_nothing_is_known_passes_nothing_that_needs_a_model() {
     let no_robot = "no joint states in this log";
-    let facts = Facts { no_robot: Some(no_robot.to_owned()), ..Facts::default() };
-    let evaluation = evaluate(&facts, &Settings::default());
+    let run = RunEvidence { no_robot: Some(no_robot.to_owned()), ..RunEvidence::default() };
+    let evaluation = evaluate(&run, &Settings::default());
     for (rule, row) in REGISTRY.iter().zip(&evaluation.checks) {
         assert_eq!(rule.code, row.code);
         if rule.needs_model {

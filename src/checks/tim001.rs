@@ -1,6 +1,7 @@
 use serde_json::{Value, json};
 
-use crate::checks::{Facts, Grade, Judged, Of, RhythmFacts};
+use crate::checks::{Case, Grade, Judged};
+use crate::evidence::{Of, RhythmEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Cadence;
 use crate::time::Stamp;
@@ -45,8 +46,8 @@ const PLACES: f64 = 1.2;
 /// Steps that the evidence lists.
 const LISTED: usize = 10;
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    facts.rhythms.iter().map(|rhythm| judge(facts, rhythm)).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    case.evidence.rhythms.iter().map(|rhythm| judge(case, rhythm)).collect()
 }
 
 /// Where a part's stamps step back by more than a period, and by how much, s.
@@ -55,7 +56,7 @@ fn steps_back(part: &Cadence) -> impl Iterator<Item = &(Stamp, f64)> {
     part.steps_back.iter().filter(move |(_, by_s)| *by_s > least_s)
 }
 
-fn judge(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Judged {
+fn judge(case: &Case, rhythm: &Of<RhythmEvidence>) -> Judged {
     let concerned: Vec<&Cadence> =
         rhythm.parts.iter().filter(|part| steps_back(part).next().is_some()).collect();
     let subject = rhythm.subject_of(&concerned);
@@ -73,10 +74,10 @@ fn judge(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Judged {
         .collect();
     let (count, largest) = (steps().count(), Unit::Second.show(by_s));
     let message = match count {
-        1 => format!("stamps step back by {largest} at {}", facts.moment(at)),
+        1 => format!("stamps step back by {largest} at {}", case.evidence.moment(at)),
         _ => format!(
             "stamps step back {count} times, by {largest} at most (at {})",
-            facts.moment(at)
+            case.evidence.moment(at)
         ),
     };
     let fault = Fault {

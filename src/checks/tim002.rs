@@ -1,7 +1,8 @@
 use serde_json::{Value, json};
 
 use crate::checks::tim006::{Pace, slow};
-use crate::checks::{Due, Facts, Grade, Judged, Limit, Of, RhythmFacts};
+use crate::checks::{Case, Grade, Judged, Limit};
+use crate::evidence::{Due, Of, RhythmEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::{Cadence, Hole, Stretch};
 use crate::time::Stamp;
@@ -85,28 +86,28 @@ struct Limits {
 }
 
 impl Limits {
-    fn of(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Self {
+    fn of(case: &Case, rhythm: &Of<RhythmEvidence>) -> Self {
         let [gap_periods, gap_s, lost] =
-            [&GAP_PERIODS, &GAP, &LOST].map(|limit| facts.thresholds.limit(&TIM002, limit));
+            [&GAP_PERIODS, &GAP, &LOST].map(|limit| case.thresholds.limit(&TIM002, limit));
         let said_period_s = rhythm.said_hz.map(|rate_hz| 1.0 / rate_hz);
-        Self { gap_periods, gap_s, lost, pace: Pace::of(facts), said_period_s }
+        Self { gap_periods, gap_s, lost, pace: Pace::of(case), said_period_s }
     }
 }
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let steady = facts.rhythms.iter().filter(|rhythm| rhythm.due != Due::OnOccasion);
-    steady.map(|rhythm| judge(facts, rhythm)).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    let steady = case.evidence.rhythms.iter().filter(|rhythm| rhythm.due != Due::OnOccasion);
+    steady.map(|rhythm| judge(case, rhythm)).collect()
 }
 
 /// The parts of a stream that are judged: those that an audit may expect to be steady, and of a
 /// stream of which nothing is known those that are.
-fn judged(rhythm: &Of<RhythmFacts>) -> impl Iterator<Item = &Cadence> {
+fn judged(rhythm: &Of<RhythmEvidence>) -> impl Iterator<Item = &Cadence> {
     let is_known = rhythm.due.is_expected();
     rhythm.wanted().filter(move |part| is_known || part.is_regular)
 }
 
-fn judge(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Judged {
-    let by = &Limits::of(facts, rhythm);
+fn judge(case: &Case, rhythm: &Of<RhythmEvidence>) -> Judged {
+    let by = &Limits::of(case, rhythm);
     let silent = |moving: Option<bool>| {
         let gaps = judged(rhythm).flat_map(|part| gaps(by, part));
         gaps.filter(move |gap| gap.moving == moving).max_by(|a, b| longer(a, b))
@@ -114,7 +115,7 @@ fn judge(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Judged {
     let concerned: Vec<&Cadence> =
         judged(rhythm).filter(|part| has_gaps(by, part) || loses(by, part)).collect();
     let subject = rhythm.subject_of(&concerned);
-    if !concerned.is_empty() && facts.lost_messages() {
+    if !concerned.is_empty() && case.evidence.lost_messages() {
         let why = "samples are missing, but so are messages of the log itself (ING001)";
         let outcome = Outcome::Inconclusive(format!("{why}; record it again"));
         return Judged::new(subject, outcome).within(rhythm.span);
@@ -131,10 +132,10 @@ fn judge(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Judged {
         return Judged::new(subject, Outcome::Inconclusive(why)).within(rhythm.span);
     }
     if !concerned.is_empty() {
-        return fault(facts, by, rhythm, &concerned).within(rhythm.span);
+        return fault(case, by, rhythm, &concerned).within(rhythm.span);
     }
     let shown = |gap: &Stretch| {
-        format!("{} at {}", Unit::Second.show(gap.seconds()), facts.moment(gap.start))
+        format!("{} at {}", Unit::Second.show(gap.seconds()), case.evidence.moment(gap.start))
     };
     let outcome = if rhythm.wanted().next().is_none() {
         Outcome::Skipped("no robot says which of its transforms an arm needs".to_owned())
@@ -220,7 +221,7 @@ fn loses(by: &Limits, part: &Cadence) -> bool {
     lost(by, part).is_some_and(|lost| lost >= COUNTS) && lost_share(by, part) > by.lost
 }
 
-fn fault(facts: &Facts, by: &Limits, rhythm: &Of<RhythmFacts>, concerned: &[&Cadence]) -> Judged {
+fn fault(case: &Case, by: &Limits, rhythm: &Of<RhythmEvidence>, concerned: &[&Cadence]) -> Judged {
     let gaps = || concerned.iter().flat_map(|part| moving(by, part));
     let worst =
         concerned.iter().copied().max_by(|a, b| lost_share(by, a).total_cmp(&lost_share(by, b)));
@@ -230,7 +231,7 @@ fn fault(facts: &Facts, by: &Limits, rhythm: &Of<RhythmFacts>, concerned: &[&Cad
     let loss = format!("{:.1} % of samples are lost: {lost} of {}", 100.0 * share, lost + samples);
     let (title, message, estimate) = match gaps().max_by(|a, b| longer(a, b)) {
         Some(gap) => {
-            let (length, at) = (Unit::Second.show(gap.seconds()), facts.moment(gap.start));
+            let (length, at) = (Unit::Second.show(gap.seconds()), case.evidence.moment(gap.start));
             let message = match gaps().count() {
                 1 => format!("nothing came for {length} at {at}, while the arm moved"),
                 count => {
@@ -243,7 +244,7 @@ fn fault(facts: &Facts, by: &Limits, rhythm: &Of<RhythmFacts>, concerned: &[&Cad
         None => ("samples are lost", loss, Estimate::counted("lost samples", "1", share)),
     };
     let longest = gaps().max_by(|a, b| longer(a, b));
-    let cause = cause(facts, rhythm, longest, skipped);
+    let cause = cause(case, rhythm, longest, skipped);
     let message = format!("{message}{}", cause.said);
     let listed: Vec<Value> = gaps()
         .take(LISTED)
@@ -277,17 +278,20 @@ struct Maker {
 /// Where all streams stop it is the recorder or its machine; where numbers are left out the messages
 /// were sent; else the sender may have stopped as well as its way to the recorder.
 fn cause(
-    facts: &Facts,
-    rhythm: &Of<RhythmFacts>,
+    case: &Case,
+    rhythm: &Of<RhythmEvidence>,
     gap: Option<&Stretch>,
     skipped: Option<usize>,
 ) -> Maker {
     let others = || {
-        let others =
-            facts.rhythms.iter().filter(|other| other.subject.topic != rhythm.subject.topic);
+        let others = case
+            .evidence
+            .rhythms
+            .iter()
+            .filter(|other| other.subject.topic != rhythm.subject.topic);
         others.filter(|other| other.due.is_expected())
     };
-    let stops = |other: &Of<RhythmFacts>, gap: &Stretch| {
+    let stops = |other: &Of<RhythmEvidence>, gap: &Stretch| {
         let holes = other.wanted().flat_map(|part| &part.holes).filter(|hole| hole.is_silent);
         let shared_s = |hole: &Hole| {
             hole.stretch.end.min(gap.end).seconds_since(hole.stretch.start.max(gap.start))
@@ -321,13 +325,15 @@ fn cause(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::checks::testing::as_case;
+    use crate::evidence::RunEvidence;
 
     const MS: i64 = 1_000_000;
 
     fn own() -> Limits {
-        let facts = Facts::default();
+        let run = RunEvidence::default();
         let [gap_periods, gap_s, lost] = [GAP_PERIODS, GAP, LOST].map(|limit| limit.value);
-        Limits { gap_periods, gap_s, lost, pace: Pace::of(&facts), said_period_s: None }
+        Limits { gap_periods, gap_s, lost, pace: Pace::of(&as_case(&run)), said_period_s: None }
     }
 
     /// A part of 1000 samples at 100 Hz with a hole of so many periods.

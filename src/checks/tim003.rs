@@ -1,5 +1,6 @@
-use crate::checks::{Facts, Grade, Judged, Of, StampFacts};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::Measured;
+use crate::evidence::{Of, StampEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::run::Epoch;
 use crate::time::seconds;
@@ -41,14 +42,15 @@ rule! {
 /// Clocks of one machine differ by less, s.
 const AHEAD_S: f64 = 1e-3;
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let streams = facts.stamps.iter().map(|stream| judge(stream, facts.simulated));
-    shared_clock(facts).into_iter().chain(streams).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    let streams = case.evidence.stamps.iter().map(|stream| judge(stream, case.evidence.simulated));
+    shared_clock(case).into_iter().chain(streams).collect()
 }
 
 /// The one remark where the clock that the streams share is not the recorder's.
-fn shared_clock(facts: &Facts) -> Option<Judged> {
-    let mut offsets: Vec<f64> = facts
+fn shared_clock(case: &Case) -> Option<Judged> {
+    let mut offsets: Vec<f64> = case
+        .evidence
         .stamps
         .iter()
         .filter(|stream| stream.clock.epoch == Epoch::CommonButNotTheRecorders)
@@ -68,7 +70,7 @@ fn shared_clock(facts: &Facts) -> Option<Judged> {
     Some(Judged::new(Subject::default(), outcome).estimated(estimate(offset_s, f64::INFINITY)))
 }
 
-fn judge(stream: &Of<StampFacts>, simulated: bool) -> Judged {
+fn judge(stream: &Of<StampEvidence>, simulated: bool) -> Judged {
     let clock = &stream.clock;
     if clock.epoch != Epoch::Foreign {
         let early_s =

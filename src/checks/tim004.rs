@@ -1,4 +1,5 @@
-use crate::checks::{Facts, Grade, Judged, Limit, Of, RhythmFacts};
+use crate::checks::{Case, Grade, Judged, Limit};
+use crate::evidence::{Of, RhythmEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Cadence;
 
@@ -44,16 +45,16 @@ const DUPLICATES: Limit = Limit {
     what: "the share of samples from which on duplicates are a fault",
 };
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    facts.rhythms.iter().map(|rhythm| judge(facts, rhythm)).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    case.evidence.rhythms.iter().map(|rhythm| judge(case, rhythm)).collect()
 }
 
 fn share(part: &Cadence) -> f64 {
     part.conflicts as f64 / part.rows.max(1) as f64
 }
 
-fn judge(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Judged {
-    let most = facts.thresholds.limit(&TIM004, &DUPLICATES);
+fn judge(case: &Case, rhythm: &Of<RhythmEvidence>) -> Judged {
+    let most = case.thresholds.limit(&TIM004, &DUPLICATES);
     let concerned: Vec<&Cadence> = rhythm.parts.iter().filter(|part| share(part) > most).collect();
     let subject = rhythm.subject_of(&concerned);
     if !rhythm.parts.iter().any(|part| part.stamped) {

@@ -1,4 +1,5 @@
-use crate::checks::{Due, Facts, Grade, Judged, Of, StampFacts};
+use crate::checks::{Case, Grade, Judged};
+use crate::evidence::{Due, Of, StampEvidence};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity};
 use crate::run::HeaderStamps;
 use crate::time::Clock;
@@ -40,17 +41,17 @@ rule! {
 
 const BEYOND: &str = "stamps are beyond the run";
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    facts.stamps.iter().filter(|stream| is_asked(stream)).map(judge).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    case.evidence.stamps.iter().filter(|stream| is_asked(stream)).map(judge).collect()
 }
 
 /// Whether the rule is asked about a stream: not where nothing is audited by it and its type has no
 /// stamp to fill.
-fn is_asked(stream: &Of<StampFacts>) -> bool {
+fn is_asked(stream: &Of<StampEvidence>) -> bool {
     stream.due.is_expected() || stream.clock.stamps != HeaderStamps::Absent
 }
 
-fn judge(stream: &Of<StampFacts>) -> Judged {
+fn judge(stream: &Of<StampEvidence>) -> Judged {
     let (rows, zero) = (stream.clock.rows, stream.clock.zero);
     // Many a command is sent without a stamp, to be followed at once.
     let usual = match stream.due {

@@ -1,4 +1,5 @@
-use crate::checks::{Due, EmptyFacts, Facts, Grade, Judged, Limit, Of, RhythmFacts};
+use crate::checks::{Case, Grade, Judged, Limit};
+use crate::evidence::{Due, EmptyEvidence, Of, RhythmEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::run::{Cadence, Stretch};
 
@@ -73,20 +74,21 @@ pub(super) struct Pace {
 }
 
 impl Pace {
-    pub(super) fn of(facts: &Facts) -> Self {
-        let [slow, lasts_s] = [&SLOW, &LASTS].map(|limit| facts.thresholds.limit(&TIM006, limit));
+    pub(super) fn of(case: &Case) -> Self {
+        let [slow, lasts_s] = [&SLOW, &LASTS].map(|limit| case.thresholds.limit(&TIM006, limit));
         Self { slow, lasts_s }
     }
 }
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let missing = facts.missing.iter().map(|(subject, place)| missing(subject.clone(), place));
-    let empty = missing.chain(facts.empty.iter().map(nothing));
-    let expected = facts.rhythms.iter().filter(|rhythm| rhythm.due.is_expected());
-    empty.chain(expected.map(|rhythm| judge(facts, rhythm))).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    let missing =
+        case.evidence.missing.iter().map(|(subject, place)| missing(subject.clone(), place));
+    let empty = missing.chain(case.evidence.empty.iter().map(nothing));
+    let expected = case.evidence.rhythms.iter().filter(|rhythm| rhythm.due.is_expected());
+    empty.chain(expected.map(|rhythm| judge(case, rhythm))).collect()
 }
 
-fn nothing(empty: &EmptyFacts) -> Judged {
+fn nothing(empty: &EmptyEvidence) -> Judged {
     let topic = empty.subject.label();
     let (message, fix) = match empty.messages {
         0 => (
@@ -127,13 +129,13 @@ fn missing(subject: Subject, place: &str) -> Judged {
 }
 
 /// The rate of a stream where it is notably below that which the caller says, and that one, Hz.
-fn below_said(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Option<(f64, f64)> {
+fn below_said(case: &Case, rhythm: &Of<RhythmEvidence>) -> Option<(f64, f64)> {
     let (said_hz, rate_hz) = (rhythm.said_hz?, rhythm.rate_hz?);
-    (rate_hz < facts.thresholds.limit(&TIM006, &BELOW) * said_hz).then_some((rate_hz, said_hz))
+    (rate_hz < case.thresholds.limit(&TIM006, &BELOW) * said_hz).then_some((rate_hz, said_hz))
 }
 
-fn judge(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Judged {
-    let (pace, together_s) = (Pace::of(facts), facts.thresholds.limit(&TIM006, &TOGETHER));
+fn judge(case: &Case, rhythm: &Of<RhythmEvidence>) -> Judged {
+    let (pace, together_s) = (Pace::of(case), case.thresholds.limit(&TIM006, &TOGETHER));
     let slowest = |part| slowest(pace, rhythm, part);
     let (late_s, early_s) = missed(rhythm);
     let slow: Vec<&Cadence> = rhythm.wanted().filter(|part| slowest(part).is_some()).collect();
@@ -154,17 +156,17 @@ fn judge(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Judged {
         ("stream is incomplete", message, missed)
     } else if let Some((period_s, stretch)) = worst {
         let (usual_hz, rate_hz) = (1.0 / period_s, stretch.rate_hz);
-        let (length, at) = (shown(stretch.seconds()), facts.moment(stretch.start));
+        let (length, at) = (shown(stretch.seconds()), case.evidence.moment(stretch.start));
         let message =
             format!("runs at {rate_hz:.1} Hz for {length} from {at}, usually at {usual_hz:.1} Hz");
         ("stream is slow", message, Estimate::counted("rate", "Hz", rate_hz))
-    } else if let Some((rate_hz, said_hz)) = below_said(facts, rhythm) {
+    } else if let Some((rate_hz, said_hz)) = below_said(case, rhythm) {
         let message = format!("runs at {rate_hz:.1} Hz, and {said_hz:.1} Hz are declared");
         ("stream is slow", message, Estimate::counted("rate", "Hz", rate_hz))
     } else {
         return Judged::new(rhythm.subject_of(&[]), Outcome::sound()).within(rhythm.span);
     };
-    if facts.lost_messages() {
+    if case.evidence.lost_messages() {
         let why = format!("it {message}, but messages of the log itself are lost (ING001)");
         let outcome = Outcome::Inconclusive(format!("{why}; record it again"));
         return Judged::new(rhythm.subject_of(&slow), outcome).within(rhythm.span);
@@ -186,7 +188,7 @@ fn judge(facts: &Facts, rhythm: &Of<RhythmFacts>) -> Judged {
 
 /// What a stream misses at its start and at its end, s; nothing where it may be silent because the
 /// arm rests.
-fn missed(rhythm: &Of<RhythmFacts>) -> (f64, f64) {
+fn missed(rhythm: &Of<RhythmEvidence>) -> (f64, f64) {
     let Some(extent) = rhythm.extent else { return (0.0, 0.0) };
     // The next sample may have been due a period after the last.
     let period_s = rhythm.wanted().filter_map(|part| part.period_s).fold(0.0, f64::max);
@@ -206,7 +208,7 @@ pub(super) fn slow(pace: Pace, part: &Cadence) -> impl Iterator<Item = &Stretch>
 }
 
 /// The slowest stretch of a part, but for those of a rest that may be slow.
-fn slowest<'a>(pace: Pace, rhythm: &Of<RhythmFacts>, part: &'a Cadence) -> Option<&'a Stretch> {
+fn slowest<'a>(pace: Pace, rhythm: &Of<RhythmEvidence>, part: &'a Cadence) -> Option<&'a Stretch> {
     let is_due = |lull: &&Stretch| lull.moving == Some(true) || rhythm.due != Due::InMotion;
     let stretches = slow(pace, part).filter(is_due);
     stretches.min_by(|a, b| a.rate_hz.total_cmp(&b.rate_hz))

@@ -1,6 +1,7 @@
 use serde_json::{Value, json};
 
-use crate::checks::{Facts, Grade, Judged, Of};
+use crate::checks::{Case, Grade, Judged};
+use crate::evidence::Of;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Frozen;
 
@@ -48,15 +49,15 @@ rule! {
 /// Times that the evidence lists.
 const LISTED: usize = 10;
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    facts.frozen.iter().map(|stream| judge(facts, stream)).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    case.evidence.frozen.iter().map(|stream| judge(case, stream)).collect()
 }
 
 fn seconds(time: &Frozen) -> f64 {
     time.end.seconds_since(time.start)
 }
 
-fn judge(facts: &Facts, stream: &Of<Vec<Frozen>>) -> Judged {
+fn judge(case: &Case, stream: &Of<Vec<Frozen>>) -> Judged {
     let longest = stream.iter().max_by(|a, b| seconds(a).total_cmp(&seconds(b)));
     let Some(longest) = longest else {
         return stream.judged(Outcome::sound());
@@ -74,7 +75,7 @@ fn judge(facts: &Facts, stream: &Of<Vec<Frozen>>) -> Judged {
         message: format!(
             "says one value for {} from {} on while the arm moves{others}; left out of everything else",
             Unit::Second.show(seconds(longest)),
-            facts.moment(longest.start),
+            case.evidence.moment(longest.start),
         ),
         evidence: Evidence::default(),
         fix: format!(

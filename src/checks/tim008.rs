@@ -1,5 +1,6 @@
 use crate::checks::decision::Threshold;
-use crate::checks::{Facts, Grade, HeldFacts, Judged, Of};
+use crate::checks::{Case, Grade, Judged};
+use crate::evidence::{HeldEvidence, Of};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Held;
 
@@ -44,14 +45,14 @@ rule! {
 
 const THRESHOLD: Threshold = Threshold { unit: Unit::One, warning: 0.05, error: 0.5 };
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    facts.held.iter().map(|stream| judge(facts, stream)).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    case.evidence.held.iter().map(|stream| judge(case, stream)).collect()
 }
 
-fn judge(facts: &Facts, stream: &Of<HeldFacts>) -> Judged {
+fn judge(case: &Case, stream: &Of<HeldEvidence>) -> Judged {
     let worst = stream.parts.iter().max_by(|a, b| a.share().total_cmp(&b.share()));
     let Some(worst) = worst else { return stream.judged(Outcome::sound()) };
-    let outcome = match facts.thresholds.of(&TIM008, THRESHOLD).severity(worst.share()) {
+    let outcome = match case.thresholds.of(&TIM008, THRESHOLD).severity(worst.share()) {
         None => Outcome::sound(),
         Some(_) if stream.is_of_joints => {
             Outcome::sound_because("what it repeats are the joint states' repeats".to_owned())
@@ -69,7 +70,7 @@ fn judge(facts: &Facts, stream: &Of<HeldFacts>) -> Judged {
         .with_evidence("mean_age_s", mean_age_s)
 }
 
-fn fault(stream: &Of<HeldFacts>, held: &Held, severity: Severity) -> Fault {
+fn fault(stream: &Of<HeldEvidence>, held: &Held, severity: Severity) -> Fault {
     let frame = match (&held.frame, stream.parts.len()) {
         (Some(frame), 2..) => format!(" (most of all '{frame}')"),
         _ => String::new(),
@@ -98,19 +99,20 @@ fn fault(stream: &Of<HeldFacts>, held: &Held, severity: Severity) -> Fault {
 mod tests {
     use super::*;
     use crate::checks::testing::{ask, clean_run};
+    use crate::evidence::RunEvidence;
     use crate::finding::{Finding, Subject};
 
-    fn asked(found: HeldFacts) -> Vec<Finding> {
+    fn asked(found: HeldEvidence) -> Vec<Finding> {
         let subject = Subject { topic: Some("/pose".to_owned()), ..Subject::default() };
         let held = vec![Of { subject, span: None, found }];
-        ask(&TIM008, &Facts { held, ..clean_run() }).1
+        ask(&TIM008, &RunEvidence { held, ..clean_run() }).1
     }
 
-    fn stream(repeated: usize) -> HeldFacts {
+    fn stream(repeated: usize) -> HeldEvidence {
         let mut held = Held::default();
         (held.rows, held.repeated) = (1000, repeated);
         (held.rows_hz, held.values_hz, held.mean_age_s) = (125.0, 25.0, 0.016);
-        HeldFacts { parts: vec![held], is_latched: false, is_of_joints: false }
+        HeldEvidence { parts: vec![held], is_latched: false, is_of_joints: false }
     }
 
     #[test]
@@ -121,9 +123,9 @@ mod tests {
             let findings = asked(stream(repeated));
             assert_eq!(findings.first().map(|found| found.severity), severity, "{findings:?}");
         }
-        let latched = HeldFacts { is_latched: true, ..stream(800) };
+        let latched = HeldEvidence { is_latched: true, ..stream(800) };
         assert_eq!(asked(latched)[0].severity, Severity::Info);
-        let inherited = HeldFacts { is_of_joints: true, ..stream(800) };
+        let inherited = HeldEvidence { is_of_joints: true, ..stream(800) };
         assert!(asked(inherited).is_empty());
     }
 }

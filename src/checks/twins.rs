@@ -1,7 +1,7 @@
 //! Joint zeros and constant frames that do the same to a log.
 
-use crate::checks::ArmFacts;
 use crate::diagnosis::{Measured, Twin};
+use crate::evidence::ArmEvidence;
 use crate::finding::{Alternative, Estimate, Unit};
 
 /// The estimate of a joint's zero.
@@ -10,14 +10,14 @@ pub fn estimate(unit: Unit, offset: &Measured) -> Estimate {
 }
 
 /// The offset of joint `joint` as a cause that another rule cannot tell from its own.
-pub fn zero_cause(arm: &ArmFacts, joint: usize) -> Alternative {
+pub fn zero_cause(arm: &ArmEvidence, joint: usize) -> Alternative {
     let offset = arm.diagnosis.offsets.get(joint).and_then(|offset| offset.offset.as_ref().ok());
     let estimate = offset.map(|offset| estimate(arm.joint_unit(joint), offset));
     Alternative { code: "ZER001", subject: arm.joint(joint), estimate }
 }
 
 /// A twin of an offset in `unit`, as a cause.
-pub fn twin_cause(arm: &ArmFacts, twin: &Twin, unit: Unit) -> Alternative {
+pub fn twin_cause(arm: &ArmEvidence, twin: &Twin, unit: Unit) -> Alternative {
     let topic = |stream: usize| arm.poses.get(stream).map_or("", |stream| stream.topic());
     let (code, subject, name, value, unit) = match *twin {
         Twin::JointZero(joint, value) => {

@@ -1,8 +1,9 @@
 use serde_json::{Map, Value, json};
 
 use crate::checks::decision::{DEGREE, Threshold, decide, unseen};
-use crate::checks::{Facts, Grade, ImuFacts, Judged, Of};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Measured, YawCourse, YawJump};
+use crate::evidence::{ImuEvidence, Of};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Severity, Unit};
 
 rule! {
@@ -57,15 +58,15 @@ const JUMP: Threshold =
 /// What would tell where the drift could not be had.
 const SETTLE: &str = "record a minute or more, with rests";
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    facts.imus().flat_map(|(_, imu)| judge(facts, imu)).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    case.evidence.imus().flat_map(|(_, imu)| judge(case, imu)).collect()
 }
 
 /// The drift, and the largest jump where there is one.
-fn judge(facts: &Facts, imu: &Of<ImuFacts>) -> Vec<Judged> {
-    let subjects = facts.subjects();
+fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Vec<Judged> {
+    let subjects = case.evidence.subjects();
     let [drift_threshold, jump_threshold] =
-        [THRESHOLD, JUMP].map(|own| facts.thresholds.of(&YAW001, own));
+        [THRESHOLD, JUMP].map(|own| case.thresholds.of(&YAW001, own));
     let drift = match &imu.diagnosis.yaw_drift_rad_s {
         Ok(drift) => drift,
         Err(why) => return vec![imu.judged(unseen(why, SETTLE))],
@@ -119,7 +120,7 @@ fn shown(jump: &YawJump) -> Value {
     Value::Object(shown)
 }
 
-fn drifts(imu: &Of<ImuFacts>, drift: &Measured, severity: Severity) -> Fault {
+fn drifts(imu: &Of<ImuEvidence>, drift: &Measured, severity: Severity) -> Fault {
     let seconds = imu.seconds();
     let turned = Unit::Radian.show(drift.value.abs() * seconds);
     Fault {
@@ -155,10 +156,10 @@ mod tests {
 
     #[test]
     fn a_jump_is_a_finding_beside_a_drift_that_passes() {
-        let mut facts = clean_run();
-        facts.robots[0].imus[0].diagnosis.yaw_course.jumps =
+        let mut run = clean_run();
+        run.robots[0].imus[0].diagnosis.yaw_course.jumps =
             vec![YawJump { at_s: 4.5, size_rad: sure(-DEGREE) }];
-        let (rows, findings) = ask(&YAW001, &facts);
+        let (rows, findings) = ask(&YAW001, &run);
         assert_eq!([rows[0].status, rows[1].status], [Status::Pass, Status::Fail]);
         assert_eq!(findings[0].message, "yaw jumps by -1.000 ± 0.001° against the arm at +4.50 s");
         assert_eq!(findings[0].evidence.more["kind"], "jump");
@@ -167,20 +168,20 @@ mod tests {
 
     #[test]
     fn a_small_jump_is_taken_off_and_not_spoken_of() {
-        let mut facts = clean_run();
-        facts.robots[0].imus[0].diagnosis.yaw_course.jumps =
+        let mut run = clean_run();
+        run.robots[0].imus[0].diagnosis.yaw_course.jumps =
             vec![YawJump { at_s: 4.5, size_rad: sure(0.3 * DEGREE) }];
-        let (rows, findings) = ask(&YAW001, &facts);
+        let (rows, findings) = ask(&YAW001, &run);
         assert!(rows.len() == 1 && findings.is_empty(), "{rows:?}");
     }
 
     #[test]
     fn a_drift_in_a_walk_says_so() {
-        let mut facts = clean_run();
-        let imu = &mut facts.robots[0].imus[0].diagnosis;
+        let mut run = clean_run();
+        let imu = &mut run.robots[0].imus[0].diagnosis;
         imu.yaw_drift_rad_s = Ok(Measured { std_error: 1e-2, ..sure(1e-3) });
         imu.yaw_course.walk_rad_rt_s = Some(0.5 * DEGREE);
-        let (rows, _) = ask(&YAW001, &facts);
+        let (rows, _) = ask(&YAW001, &run);
         assert_eq!(rows[0].status, Status::Inconclusive);
         let reason = rows[0].reason.as_deref().unwrap_or_default();
         assert!(reason.contains("the yaw wanders by 0.5° in each √s"), "{reason}");

@@ -1,6 +1,7 @@
 use crate::checks::decision::{DEGREE, Threshold, decide_length, unseen};
-use crate::checks::{Facts, Grade, ImuFacts, Judged, Of};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::Length;
+use crate::evidence::{ImuEvidence, Of};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
@@ -40,11 +41,11 @@ const THRESHOLD: Threshold =
 /// What would tell where the tilt could not be had.
 const SETTLE: &str = "record 10 s with rests";
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    facts.imus().map(|(_, imu)| judge(facts, imu)).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    case.evidence.imus().map(|(_, imu)| judge(case, imu)).collect()
 }
 
-fn judge(facts: &Facts, imu: &Of<ImuFacts>) -> Judged {
+fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Judged {
     let tilt = match &imu.diagnosis.tilt_rad {
         Ok(tilt) => tilt,
         Err(why) => return imu.judged(unseen(why, SETTLE)),
@@ -54,8 +55,10 @@ fn judge(facts: &Facts, imu: &Of<ImuFacts>) -> Judged {
         false => Outcome::Inconclusive(
             "the orientation is not as logged; read it right first (ORD001 to ORD003)".to_owned(),
         ),
-        true => decide_length(tilt, &facts.thresholds.of(&YAW002, THRESHOLD), facts.subjects())
-            .into_outcome(SETTLE, |severity| fault(tilt, severity)),
+        true => {
+            decide_length(tilt, &case.thresholds.of(&YAW002, THRESHOLD), case.evidence.subjects())
+                .into_outcome(SETTLE, |severity| fault(tilt, severity))
+        }
     };
     let estimate = Estimate::length("tilt against gravity", THRESHOLD.unit, tilt);
     imu.judged(outcome).estimated(estimate)
@@ -80,9 +83,9 @@ mod tests {
 
     #[test]
     fn a_lean_beyond_the_figure_is_named_on_its_topic() {
-        let mut facts = clean_run();
-        facts.robots[0].imus[0].diagnosis.tilt_rad = Ok(length(1.0 * DEGREE));
-        let (_, findings) = ask(&YAW002, &facts);
+        let mut run = clean_run();
+        run.robots[0].imus[0].diagnosis.tilt_rad = Ok(length(1.0 * DEGREE));
+        let (_, findings) = ask(&YAW002, &run);
         assert_eq!(findings[0].subject.topic.as_deref(), Some(IMU));
         assert_eq!(findings[0].message, "roll and pitch are 1.000 ± 0.001° off gravity");
     }

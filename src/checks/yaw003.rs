@@ -1,6 +1,7 @@
 use crate::checks::decision::{DEGREE, Threshold, decide_length, unseen};
-use crate::checks::{Facts, Grade, ImuFacts, Judged, Of};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::Length;
+use crate::evidence::{ImuEvidence, Of};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Severity, Unit};
 use crate::geometry::{Rotation, Vec3, xyzw_from_rotation};
 use serde_json::{Value, json};
@@ -44,16 +45,19 @@ const THRESHOLD: Threshold =
 /// What would tell where the mount could not be had.
 const SETTLE: &str = "turn the IMU through 60° about two axes";
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    facts.imus().map(|(_, imu)| judge(facts, imu)).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    case.evidence.imus().map(|(_, imu)| judge(case, imu)).collect()
 }
 
-fn judge(facts: &Facts, imu: &Of<ImuFacts>) -> Judged {
+fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Judged {
     let judged = match &imu.diagnosis.mount_rad {
         Err(why) => imu.judged(unseen(why, SETTLE)),
         Ok(mount) => {
-            let decision =
-                decide_length(mount, &facts.thresholds.of(&YAW003, THRESHOLD), facts.subjects());
+            let decision = decide_length(
+                mount,
+                &case.thresholds.of(&YAW003, THRESHOLD),
+                case.evidence.subjects(),
+            );
             let found = imu.diagnosis.link_from_imu;
             let outcome =
                 decision.into_outcome(SETTLE, |severity| fault(mount, imu, found, severity));
@@ -119,7 +123,12 @@ fn direction(mount: &Rotation, axis: usize, link: &str) -> String {
     format!("between {first} and {second}, {off:.0}° off the first")
 }
 
-fn fault(mount: &Length, imu: &Of<ImuFacts>, found: Option<Rotation>, severity: Severity) -> Fault {
+fn fault(
+    mount: &Length,
+    imu: &Of<ImuEvidence>,
+    found: Option<Rotation>,
+    severity: Severity,
+) -> Fault {
     let shown = THRESHOLD.unit.show_measured(&mount.norm);
     let axes = found.map_or(String::new(), |found| {
         let [x, y, z] = [0, 1, 2].map(|axis| direction(&found, axis, &imu.link));
@@ -176,16 +185,16 @@ mod tests {
 
     #[test]
     fn a_turned_mount_is_an_error_and_no_frame_is_nothing_to_judge() {
-        let mut facts = clean_run();
-        let imu = &mut facts.robots[0].imus[0].diagnosis;
+        let mut run = clean_run();
+        let imu = &mut run.robots[0].imus[0].diagnosis;
         imu.mount_rad = Ok(length(90.0 * DEGREE));
         imu.link_from_imu = Some(mount([0.0, 0.0, 90.0]));
-        let (_, findings) = ask(&YAW003, &facts);
+        let (_, findings) = ask(&YAW003, &run);
         assert_eq!(findings[0].severity, Severity::Error);
         let said = &findings[0].message;
         assert!(said.ends_with("imu x points along tool0 y; y along tool0 −x; z along tool0 z"));
-        facts.robots[0].imus[0].diagnosis.mount_rad = Err(Unseen::NoFrame);
-        let (rows, _) = ask(&YAW003, &facts);
+        run.robots[0].imus[0].diagnosis.mount_rad = Err(Unseen::NoFrame);
+        let (rows, _) = ask(&YAW003, &run);
         assert_eq!(rows[0].status, Status::Skipped);
     }
 }

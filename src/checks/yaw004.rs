@@ -1,8 +1,9 @@
 use serde_json::{Value, json};
 
 use crate::checks::decision::{DEGREE, Threshold, decide_length, unseen};
-use crate::checks::{Facts, Grade, ImuFacts, Judged, Of};
+use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{GyroBias, GyroShape, Measured};
+use crate::evidence::{ImuEvidence, Of};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Severity, Unit};
 
 rule! {
@@ -45,19 +46,19 @@ const THRESHOLD: Threshold =
 /// What would tell where the bias could not be had.
 const SETTLE: &str = "record 10 s with rests";
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    facts.imus().map(|(_, imu)| judge(facts, imu)).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    case.evidence.imus().map(|(_, imu)| judge(case, imu)).collect()
 }
 
-fn judge(facts: &Facts, imu: &Of<ImuFacts>) -> Judged {
+fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Judged {
     let bias = match &imu.diagnosis.gyro_bias {
         Ok(bias) => bias,
         Err(why) => return imu.judged(unseen(why, SETTLE)),
     };
     let decision = decide_length(
         &bias.length_rad_s,
-        &facts.thresholds.of(&YAW004, THRESHOLD),
-        facts.subjects(),
+        &case.thresholds.of(&YAW004, THRESHOLD),
+        case.evidence.subjects(),
     );
     let outcome = decision.into_outcome(SETTLE, |severity| fault(bias, severity));
     let judged = imu.judged(outcome).estimated(Estimate::length(
@@ -107,14 +108,14 @@ mod tests {
 
     #[test]
     fn a_bias_is_named_with_its_vector() {
-        let mut facts = clean_run();
-        facts.robots[0].imus[0].diagnosis.gyro_bias = Ok(GyroBias {
+        let mut run = clean_run();
+        run.robots[0].imus[0].diagnosis.gyro_bias = Ok(GyroBias {
             vector_rad_s: Vec3::new(0.0, 0.03, -0.04),
             length_rad_s: length(0.05),
             yaw_rate_rad_s: -0.04,
             shape: None,
         });
-        let (_, findings) = ask(&YAW004, &facts);
+        let (_, findings) = ask(&YAW004, &run);
         assert_eq!(findings[0].severity, Severity::Error);
         assert_eq!(findings[0].fix, "subtract (+0.0000, +0.0300, -0.0400) rad/s");
     }

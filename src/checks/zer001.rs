@@ -1,7 +1,8 @@
 use crate::checks::decision::{DEGREE, Decision, Threshold, decide, unseen};
 use crate::checks::twins::{estimate, twin_cause};
-use crate::checks::{ArmFacts, Facts, Grade, Judged, frm001, standing};
+use crate::checks::{Case, Grade, Judged, frm001, standing};
 use crate::diagnosis::{FrameEstimate, JointOffset, Measured, Seen, Twin};
+use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Witness;
 
@@ -54,25 +55,25 @@ const PRISMATIC: Threshold = Threshold { unit: Unit::Metre, warning: 0.2e-3, err
 /// What would tell where an offset could not be had.
 const SETTLE: &str = "move this joint by 30° or more, and the others at other times";
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    facts.robots.iter().flat_map(|arm| judge_arm(facts, arm)).collect()
+fn check(case: &Case) -> Vec<Judged> {
+    case.evidence.robots.iter().flat_map(|arm| judge_arm(case, arm)).collect()
 }
 
-fn judge_arm(facts: &Facts, arm: &ArmFacts) -> Vec<Judged> {
+fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     if arm.poses.is_empty() {
         return Vec::new();
     }
     let offsets = arm.diagnosis.offsets.iter().enumerate();
-    offsets.map(|(joint, offset)| judge(facts, arm, joint, offset)).collect()
+    offsets.map(|(joint, offset)| judge(case, arm, joint, offset)).collect()
 }
 
-fn judge(facts: &Facts, arm: &ArmFacts, joint: usize, offset: &JointOffset) -> Judged {
+fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> Judged {
     let subject = arm.joint(joint);
     if let Some(scale) = arm.scale(joint).filter(|scale| scale.is_coded()) {
         let why = format!("a part of its scale, {:.5} (ORD009)", scale.offset);
         return Judged::new(subject, Outcome::sound_because(why)).within(arm.span);
     }
-    let threshold = facts.thresholds.of(&ZER001, threshold(arm.joint_unit(joint)));
+    let threshold = case.thresholds.of(&ZER001, threshold(arm.joint_unit(joint)));
     let measured = match &offset.offset {
         Ok(measured) => measured,
         Err(why) => {
@@ -83,8 +84,10 @@ fn judge(facts: &Facts, arm: &ArmFacts, joint: usize, offset: &JointOffset) -> J
             return Judged::new(subject, outcome).within(arm.span);
         }
     };
-    let outcome = match (decide(measured, &threshold, facts.subjects()), named_instead(arm, offset))
-    {
+    let outcome = match (
+        decide(measured, &threshold, case.evidence.subjects()),
+        named_instead(arm, offset),
+    ) {
         (Decision::Fail(_), _)
             if offset.chosen && arm.poses.iter().any(|s| s.diagnosis.repeats()) =>
         {
@@ -94,7 +97,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, joint: usize, offset: &JointOffset) -> J
         }
         (Decision::Fail(severity), _) if offset.chosen => match standing::doubt(arm, 0.0) {
             Some(why) => Outcome::Inconclusive(why),
-            None => Outcome::faulty(fault(facts, arm, joint, measured, severity)),
+            None => Outcome::faulty(fault(case, arm, joint, measured, severity)),
         },
         (Decision::Pass, _) => Outcome::sound(),
         (_, Some(twin)) if !offset.chosen => not_told_from(arm, &twin),
@@ -108,7 +111,7 @@ fn judge(facts: &Facts, arm: &ArmFacts, joint: usize, offset: &JointOffset) -> J
     Judged::new(subject, outcome).within(arm.span).estimated(estimate(threshold.unit, measured))
 }
 
-fn not_told_from(arm: &ArmFacts, twin: &str) -> Outcome {
+fn not_told_from(arm: &ArmEvidence, twin: &str) -> Outcome {
     match standing::doubt(arm, 0.0) {
         Some(why) => Outcome::Inconclusive(why),
         None => Outcome::Indistinguishable(format!(
@@ -125,8 +128,8 @@ fn threshold(unit: Unit) -> Threshold {
 }
 
 fn fault(
-    facts: &Facts,
-    arm: &ArmFacts,
+    case: &Case,
+    arm: &ArmEvidence,
     joint: usize,
     measured: &Measured,
     severity: Severity,
@@ -143,7 +146,7 @@ fn fault(
         effect_m: Some(offset.effect_m),
         ..Evidence::default()
     };
-    let heirs = arm.tf.iter().filter(|tf| frm001::agrees(facts, &tf.diagnosis));
+    let heirs = arm.tf.iter().filter(|tf| frm001::agrees(case, &tf.diagnosis));
     let heirs: Vec<&str> = heirs.map(|tf| tf.topic()).collect();
     if !heirs.is_empty() {
         evidence.more.insert("inherited_by".to_owned(), heirs.into());
@@ -186,7 +189,7 @@ fn meaning(witness: Witness) -> &'static str {
 }
 
 /// The twin of `offset` that the smallest explanation contains, in words.
-fn named_instead(arm: &ArmFacts, offset: &JointOffset) -> Option<String> {
+fn named_instead(arm: &ArmEvidence, offset: &JointOffset) -> Option<String> {
     let chosen = |frame: &Seen<FrameEstimate>| frame.as_ref().is_ok_and(|frame| frame.chosen);
     let named = offset.twins.iter().find(|twin| match **twin {
         Twin::JointZero(joint, _) => {
@@ -212,11 +215,11 @@ mod tests {
 
     #[test]
     fn a_chosen_offset_is_a_finding_that_lists_its_twins_and_its_heirs() {
-        let mut facts = clean_run();
-        let pan = &mut facts.robots[0].diagnosis.offsets[0];
+        let mut run = clean_run();
+        let pan = &mut run.robots[0].diagnosis.offsets[0];
         (pan.offset, pan.chosen) = (Ok(sure(-0.01)), true);
         pan.twins = vec![Twin::Reference(0, -0.01)];
-        let (_, findings) = ask(&ZER001, &facts);
+        let (_, findings) = ask(&ZER001, &run);
         let [finding] = findings.as_slice() else { panic!("{findings:?}") };
         assert_eq!(finding.subject.joint.as_deref(), Some("pan"));
         assert_eq!(finding.message, "zero off by -0.573 ± 0.001°");
@@ -229,12 +232,12 @@ mod tests {
     #[test]
     fn what_an_offset_means_follows_whose_word_the_poses_are() {
         let said = |witness: Witness| {
-            let mut facts = clean_run();
-            let arm = &mut facts.robots[0];
+            let mut run = clean_run();
+            let arm = &mut run.robots[0];
             let pan = &mut arm.diagnosis.offsets[0];
             (pan.offset, pan.chosen) = (Ok(sure(-0.01)), true);
             arm.poses[0].witness = witness;
-            let finding = ask(&ZER001, &facts).1.remove(0);
+            let finding = ask(&ZER001, &run).1.remove(0);
             assert_eq!(finding.evidence.more["witness"], witness.name());
             (finding.message, finding.evidence.more["meaning"].as_str().unwrap().to_owned())
         };
@@ -249,23 +252,23 @@ mod tests {
 
     #[test]
     fn an_offset_that_is_not_chosen_never_fails() {
-        let mut facts = clean_run();
-        facts.robots[0].diagnosis.offsets[0].offset = Ok(sure(-0.01));
-        let (rows, findings) = ask(&ZER001, &facts);
+        let mut run = clean_run();
+        run.robots[0].diagnosis.offsets[0].offset = Ok(sure(-0.01));
+        let (rows, findings) = ask(&ZER001, &run);
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
     }
 
     #[test]
     fn where_its_twin_is_named_it_does_not_count() {
-        let mut facts = clean_run();
-        let diagnosis = &mut facts.robots[0].diagnosis;
+        let mut run = clean_run();
+        let diagnosis = &mut run.robots[0].diagnosis;
         diagnosis.offsets[0].offset = Ok(sure(-0.01));
         diagnosis.offsets[0].twins = vec![Twin::Reference(0, -0.01)];
-        facts.robots[0].poses[0].diagnosis.reference =
+        run.robots[0].poses[0].diagnosis.reference =
             Ok(FrameEstimate { chosen: true, ..frame(0.1) });
-        let (rows, findings) = ask(&ZER001, &facts);
+        let (rows, findings) = ask(&ZER001, &run);
         assert!(findings.is_empty() && rows[0].indistinguishable, "{rows:?}");
-        let (_, named) = ask(&crate::checks::frm002::FRM002, &facts);
+        let (_, named) = ask(&crate::checks::frm002::FRM002, &run);
         assert_eq!(named[0].evidence.indistinguishable[0].code, "ZER001");
     }
 }

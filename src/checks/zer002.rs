@@ -1,7 +1,8 @@
 use crate::checks::amount::{Amount, Estimated};
 use crate::checks::decision::Threshold;
-use crate::checks::{ArmFacts, Facts, Grade, Judged, standing};
+use crate::checks::{Case, Grade, Judged, standing};
 use crate::diagnosis::{Measured, PoseDiagnosis};
+use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
 
 rule! {
@@ -46,19 +47,19 @@ const GROWTH: Amount = Amount {
     fault: |arm, _, growth, severity| fault(arm, growth, severity),
 };
 
-fn check(facts: &Facts) -> Vec<Judged> {
-    let judged = facts.poses().map(|(arm, stream)| {
+fn check(case: &Case) -> Vec<Judged> {
+    let judged = case.evidence.poses().map(|(arm, stream)| {
         let growth = stream.with(Estimated {
             estimate: &stream.diagnosis.growth,
             is_chosen: stream.diagnosis.growth_chosen,
             doubt: doubt(arm, &stream.diagnosis),
         });
-        GROWTH.judge(&ZER002, facts, arm, &growth)
+        GROWTH.judge(&ZER002, case, arm, &growth)
     });
     judged.collect()
 }
 
-fn doubt(arm: &ArmFacts, diagnosis: &PoseDiagnosis) -> Option<String> {
+fn doubt(arm: &ArmEvidence, diagnosis: &PoseDiagnosis) -> Option<String> {
     if diagnosis.repeats() {
         let why =
             "it rests on a latency that fits at several lags; record motion that does not repeat";
@@ -68,7 +69,7 @@ fn doubt(arm: &ArmFacts, diagnosis: &PoseDiagnosis) -> Option<String> {
     standing::doubt(arm, 0.0)
 }
 
-fn fault(arm: &ArmFacts, growth: &Measured, severity: Severity) -> Fault {
+fn fault(arm: &ArmEvidence, growth: &Measured, severity: Severity) -> Fault {
     let (reach, moved_m) = (arm.reach_m, growth.value.abs() * arm.reach_m);
     let moved = Unit::Metre.show(moved_m);
     Fault {
@@ -95,10 +96,10 @@ mod tests {
 
     #[test]
     fn a_growth_that_is_chosen_is_a_finding_with_its_effect_at_reach() {
-        let mut facts = clean_run();
-        let stream = &mut facts.robots[0].poses[0].diagnosis;
+        let mut run = clean_run();
+        let stream = &mut run.robots[0].poses[0].diagnosis;
         (stream.growth, stream.growth_chosen) = (Ok(sure(0.01)), true);
-        let (_, findings) = ask(&ZER002, &facts);
+        let (_, findings) = ask(&ZER002, &run);
         assert_eq!(findings[0].evidence.effect.as_deref(), Some("8.5 mm at full reach (0.85 m)"));
         assert_eq!(findings[0].severity, Severity::Error);
     }

@@ -4,7 +4,7 @@ use super::code::{self, Lines};
 use super::file::{AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection};
 use super::frames::{FixedFrame, model_stem, slug};
 use super::source::{Source, amount, label, nothing, slip_words};
-use crate::checks::Facts;
+use crate::evidence::RunEvidence;
 use crate::finding::{Cause, Finding, JointScaling, Unit};
 use crate::geometry::{
     AngleUnit, Coding, LengthScale, Pose, QuaternionSlip, Rotation, RotationSlip, Slip,
@@ -74,7 +74,7 @@ type Taken = Result<(String, Vec<&'static str>), String>;
 
 impl Mending {
     /// What mends the findings of `report`, which is on `run`, or has it as its segment `main`.
-    pub fn of(report: &Report, run: &Run, facts: &Facts, main: usize) -> Self {
+    pub fn of(report: &Report, run: &Run, evidence: &RunEvidence, main: usize) -> Self {
         let mut mending = Self {
             corrections: Corrections::default(),
             codes: Vec::new(),
@@ -84,7 +84,7 @@ impl Mending {
             mended: Vec::new(),
             open: Vec::new(),
         };
-        let source = Source { report, run, facts };
+        let source = Source { report, run, evidence };
         for finding in &report.findings {
             let label = label(finding);
             let taken = match finding.segment {
@@ -231,7 +231,7 @@ impl Mending {
         let (value, ci95) = amount(Unit::Second, latency)?;
         let topic = source.lone_topic(finding)?;
         let mut copies = Vec::new();
-        if let Some(arm) = source.facts.robots.iter().find(|arm| arm.joints_topic == topic) {
+        if let Some(arm) = source.evidence.robots.iter().find(|arm| arm.joints_topic == topic) {
             // Who copies the joints' stamps is as late as they are.
             let poses = arm.poses_and_tf().filter(|stream| !stream.independent);
             copies.extend(poses.map(|stream| stream.topic().to_owned()));

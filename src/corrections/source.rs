@@ -1,8 +1,8 @@
 //! What findings are read with.
 
 use super::file::rounded;
-use crate::checks::Facts;
 use crate::diagnosis::Reading;
+use crate::evidence::RunEvidence;
 use crate::finding::{Estimate, Finding, Unit};
 use crate::geometry::Convention;
 use crate::report::{Report, StreamRow};
@@ -13,7 +13,7 @@ use crate::stats::Measured;
 pub(super) struct Source<'a> {
     pub report: &'a Report,
     pub run: &'a Run,
-    pub facts: &'a Facts,
+    pub evidence: &'a RunEvidence,
 }
 
 impl Source<'_> {
@@ -44,7 +44,7 @@ impl Source<'_> {
 
     /// The convention that the bare numbers of a topic turned out to be in.
     pub fn convention_of_numbers(&self, topic: &str) -> Option<Convention> {
-        let (_, stream) = self.facts.poses().find(|(_, stream)| stream.topic() == topic)?;
+        let (_, stream) = self.evidence.poses().find(|(_, stream)| stream.topic() == topic)?;
         match stream.diagnosis.reading.as_ref().ok()?.best {
             Reading::Numbers(convention) if stream.bare_numbers => Some(convention),
             _ => None,

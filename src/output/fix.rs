@@ -23,8 +23,8 @@ impl Audited {
     /// Where one cannot be written, or would take the place of a file that was read; of several none is then
     /// written.
     pub fn write_fixes(&self, folder: &Path) -> Result<(), Trouble> {
-        let Self { report, run, facts, segment, .. } = self;
-        let files = Mending::of(report, run, facts, *segment).files();
+        let Self { report, run, evidence, segment, .. } = self;
+        let files = Mending::of(report, run, evidence, *segment).files();
         let mut places = self.read.clone();
         // What a model is called that the log holds is not known before the log is read.
         places.writes_into("--fix", folder, files.iter().map(|(name, _)| name.clone()));

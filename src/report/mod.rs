@@ -4,6 +4,7 @@
 
 pub(crate) mod amounts;
 pub mod compare;
+mod drawn;
 pub mod figures;
 mod file;
 mod format;
@@ -14,11 +15,13 @@ pub mod junit;
 mod kept;
 pub mod markdown;
 pub(crate) mod outline;
+mod rows;
 pub mod sarif;
 mod spark;
 mod tame;
 pub mod text;
 mod trouble;
+mod workspace;
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -30,13 +33,16 @@ use crate::checks::{self, Evaluation, Rule, StreamObservability};
 use crate::finding::{CheckRow, Finding, Ignored, Severity, Status, Word, maybe_word, word};
 use crate::time::Stamp;
 
+pub(crate) use drawn::figures;
 pub use figures::Figures;
 pub use file::write_whole;
 pub(crate) use file::{is_descriptor, replaceable};
 pub use format::{FORMATS, Format};
+pub(crate) use rows::{joined, robots, streams};
 pub(crate) use tame::quoted;
 pub use tame::{tame, upright};
 pub use trouble::{Trouble, TroubleKind};
+pub(crate) use workspace::{ArmWorkspace, coverage, reached};
 
 /// The schema of the JSON report.
 pub const SCHEMA: &str = "poseaudit.report/1";

@@ -42,6 +42,12 @@ impl Trouble {
     }
 }
 
+impl From<RunError> for Trouble {
+    fn from(error: RunError) -> Self {
+        Self::from(&error)
+    }
+}
+
 impl From<&RunError> for Trouble {
     fn from(error: &RunError) -> Self {
         let kind = match error {

@@ -25,6 +25,7 @@ use super::flaws::flaws;
 use super::models;
 use super::norms::norms;
 use super::role::Role;
+use super::settle::settle;
 use super::sift::Sift;
 use super::space::Space;
 use super::stalled;
@@ -40,7 +41,23 @@ use transforms::tf_tree;
 pub use references::{ReferenceContent, ReferenceSource};
 
 impl Run {
-    /// Assembles the run that `log` recorded.
+    /// The run that `log` recorded, complete: `mend` corrects it, and then the motion settles what names
+    /// and frames leave open. Nothing changes it after but what is read anew by what was estimated.
+    ///
+    /// # Errors
+    /// As of [`Run::assemble`], and where `mend` fails.
+    pub fn complete<E: From<RunError>>(
+        log: Log,
+        options: &RunOptions,
+        mend: impl FnOnce(&mut Run) -> Result<(), E>,
+    ) -> Result<Run, E> {
+        let mut run = Run::assemble(log, options)?;
+        mend(&mut run)?;
+        settle(&mut run, options.max_latency_s);
+        Ok(run)
+    }
+
+    /// The run that `log` recorded, by what names, types and frames say.
     ///
     /// # Errors
     /// Where the caller's options cannot be followed: a robot that cannot be read, a base or tip that

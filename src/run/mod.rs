@@ -3,7 +3,7 @@
 //! [`Run::assemble`] turns what was decoded into what the estimators need: joint states on one time
 //! grid, pose and IMU streams with the chains that predict them, transforms with interpolation, and
 //! every stream on one clock. What a stream is cannot always be told from its name: such streams are
-//! [`Role::Candidate`]s until [`Run::settle`] is told whether they follow the arm.
+//! [`Role::Candidate`]s until the motion tells whether they follow the arm ([`Run::complete`]).
 //!
 //! A log without an arm, or without a model of it, is no error here: its streams, clocks and
 //! transforms can still be audited, and [`Run::no_arm`] says what is missing.
@@ -32,6 +32,7 @@ mod role;
 mod rows;
 mod segments;
 mod series;
+mod settle;
 mod sift;
 mod skeleton;
 mod sources;
@@ -77,6 +78,7 @@ pub use norms::{Norms, Written};
 pub use publishers::Publishers;
 pub use role::Role;
 pub use segments::{Segment, segments};
+pub(crate) use settle::{retake_carried, together};
 pub use sift::Sift;
 pub use sources::Carrier;
 pub use sources::{ImuSource, PoseSource};

@@ -7,12 +7,12 @@ use crate::robot::catalogue;
 
 /// What the rule says of a pose stream that is off by `as_logged_m` and, beside all that was found,
 /// by `left_m`.
-fn judged(as_logged_m: f64, left_m: f64, change: fn(&mut ArmFacts)) -> (CheckRow, Vec<Finding>) {
-    let mut facts = clean_run();
-    facts.robots[0].poses[0].proof =
+fn judged(as_logged_m: f64, left_m: f64, change: fn(&mut ArmEvidence)) -> (CheckRow, Vec<Finding>) {
+    let mut run = clean_run();
+    run.robots[0].poses[0].proof =
         Ok(Proof { as_logged: left(as_logged_m, 0.0).as_logged, ..left(left_m, 0.0) });
-    change(&mut facts.robots[0]);
-    let (rows, findings) = ask(&MDL001, &facts);
+    change(&mut run.robots[0]);
+    let (rows, findings) = ask(&MDL001, &run);
     let row = rows.into_iter().find(|row| row.subject.label() == POSE);
     (row.expect("the stream was asked about"), findings)
 }
@@ -34,7 +34,7 @@ fn what_nothing_accounts_for_is_a_finding_beyond_noise_and_open_where_noise_is_n
 
 #[test]
 fn what_is_found_accounts_for_its_amount_and_what_is_open_does_not() {
-    let late = |arm: &mut ArmFacts| arm.poses[0].diagnosis.latency_s = Ok(sure(0.02));
+    let late = |arm: &mut ArmEvidence| arm.poses[0].diagnosis.latency_s = Ok(sure(0.02));
     assert_eq!(judged(0.03, 1e-4, late).0.status, Status::Pass);
     let (row, _) = judged(0.03, 1e-4, |arm| {
         arm.poses[0].diagnosis.latency_s = Err(Unseen::Periodic(vec![0.0, 0.3]));
@@ -60,10 +60,10 @@ fn an_error_as_large_as_the_noise_from_sample_to_sample_is_noise() {
 
 #[test]
 fn where_nothing_could_be_held_against_the_joints_that_is_open() {
-    let mut facts = clean_run();
-    let arm = &mut facts.robots[0];
+    let mut run = clean_run();
+    let arm = &mut run.robots[0];
     (arm.poses, arm.tf, arm.imus) = (Vec::new(), None, Vec::new());
-    let (rows, _) = ask(&MDL001, &facts);
+    let (rows, _) = ask(&MDL001, &run);
     let why = rows[0].reason.as_deref().unwrap_or_default();
     assert_eq!(rows[0].status, Status::Inconclusive);
     assert!(why.contains("nothing in this log could be held against /joint_states"), "{why}");
@@ -71,13 +71,13 @@ fn where_nothing_could_be_held_against_the_joints_that_is_open() {
 
 #[test]
 fn where_poses_and_joints_disagree_no_cause_is_named_and_all_say_why() {
-    let mut facts = clean_run();
-    let arm = &mut facts.robots[0];
+    let mut run = clean_run();
+    let arm = &mut run.robots[0];
     arm.poses[0].proof = Ok(left(0.7, 0.7));
     let stream = &mut arm.poses[0].diagnosis;
     stream.residual = Err(Unseen::NotExcited);
     stream.latency_s = Ok(sure(0.05));
-    let evaluation = evaluate(&facts, &Default::default());
+    let evaluation = evaluate(&run, &Default::default());
     let [finding] = evaluation.findings.as_slice() else { panic!("{evaluation:?}") };
     assert_eq!((finding.code, finding.title), ("MDL001", DISAGREE));
     let said = "poses and joint states disagree by 560 mm, 32.1°, and no cause that poseaudit knows \
@@ -94,8 +94,8 @@ fn where_poses_and_joints_disagree_no_cause_is_named_and_all_say_why() {
 
 #[test]
 fn an_arm_that_fits_where_the_named_one_does_not_is_the_finding() {
-    let mut facts = clean_run();
-    let arm = &mut facts.robots[0];
+    let mut run = clean_run();
+    let arm = &mut run.robots[0];
     arm.wrong_model = Some(WrongModel {
         named: catalogue::find("ur3e").unwrap().clone(),
         topic: arm.poses[0].topic().to_owned(),
@@ -103,7 +103,7 @@ fn an_arm_that_fits_where_the_named_one_does_not_is_the_finding() {
         rival_m: 2e-5,
         tool_m: None,
     });
-    let finding = ask(&MDL001, &facts).1.remove(0);
+    let finding = ask(&MDL001, &run).1.remove(0);
     assert!(finding.message.contains("fits to 20 µm without any cause"), "{}", finding.message);
     assert!(finding.message.ends_with("which leaves 27.4 mm"), "{}", finding.message);
     assert_eq!(finding.severity, Severity::Error);
@@ -113,13 +113,13 @@ fn an_arm_that_fits_where_the_named_one_does_not_is_the_finding() {
 #[test]
 fn beside_what_nothing_explains_a_tool_and_growth_are_not_believed() {
     let found = |tool_m: f64| {
-        let mut facts = clean_run();
-        facts.robots[0].poses[0].proof = Ok(left(0.03, 0.0));
-        let stream = &mut facts.robots[0].poses[0].diagnosis;
+        let mut run = clean_run();
+        run.robots[0].poses[0].proof = Ok(left(0.03, 0.0));
+        let stream = &mut run.robots[0].poses[0].diagnosis;
         (stream.growth, stream.growth_chosen) = (Ok(sure(0.01)), true);
         stream.tool = Ok(FrameEstimate { chosen: true, p_value: 0.0, ..frame(tool_m) });
         stream.residual.as_mut().unwrap().excess_m = sure(0.02);
-        let findings = evaluate(&facts, &Default::default()).findings;
+        let findings = evaluate(&run, &Default::default()).findings;
         let mut codes: Vec<&str> = findings.iter().map(|finding| finding.code).collect();
         codes.sort_unstable();
         codes

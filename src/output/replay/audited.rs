@@ -2,7 +2,7 @@
 
 use super::{Receipts, Recording, Replay, ReplayArm, ReplayImu, ReplayStream, StreamKind, write};
 use crate::audit::Audited;
-use crate::checks::{ArmFacts, Of, PoseFacts};
+use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::geometry::Pose;
 use crate::places::Places;
 use crate::report::{NoteRow, Trouble};
@@ -26,8 +26,8 @@ impl Audited {
         let mut places = self.read.clone();
         recording.enter(&mut places);
         places.check()?;
-        let Self { report, run, facts, .. } = self;
-        let arms = run.arms.iter().zip(&facts.robots);
+        let Self { report, run, evidence, .. } = self;
+        let arms = run.arms.iter().zip(&evidence.robots);
         let replay = Replay {
             origin: run.origin,
             span: run.span.unwrap_or((run.origin, run.origin)),
@@ -45,8 +45,8 @@ impl Audited {
     }
 }
 
-fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmFacts) -> ReplayArm<'a> {
-    let stream = |kind, source: &PoseSource, facts: &'a Of<PoseFacts>| {
+fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmEvidence) -> ReplayArm<'a> {
+    let stream = |kind, source: &PoseSource, facts: &'a Of<PoseEvidence>| {
         let found = &facts.diagnosis;
         let base_from_reference = base_from_link(arm, source.chain.base_name());
         ReplayStream {

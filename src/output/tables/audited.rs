@@ -5,9 +5,10 @@ use std::path::Path;
 use super::{
     TableError, aligned_frames, checks_frame, findings_frame, joints_frame, workspace, write_table,
 };
-use crate::audit::{Audited, reached};
+use crate::audit::Audited;
 use crate::places::Places;
 use crate::report::Trouble;
+use crate::report::reached;
 
 /// The tables, in the order in which they are written.
 const NAMES: [&str; 6] = ["findings", "checks", "joints", "aligned", "reach_map", "reached_poses"];
@@ -26,10 +27,10 @@ impl Audited {
         let mut places = self.read.clone();
         enter(folder, &mut places);
         places.check()?;
-        let Self { report, run, facts, .. } = self;
+        let Self { report, run, evidence, .. } = self;
         let remedy = "name a folder that can be written with --parquet";
         let trouble = |what| Trouble::unwritable(folder, what, remedy);
-        let streams = facts.robots.iter().flat_map(|arm| {
+        let streams = evidence.robots.iter().flat_map(|arm| {
             let found = arm.poses_and_tf();
             found.map(move |of| (arm.name.as_str(), of.topic(), &of.diagnosis.aligned))
         });

@@ -4,9 +4,9 @@ use std::collections::BTreeSet;
 
 use polars::prelude::{Column, DataFrame, PolarsResult};
 
-use crate::audit::ArmWorkspace;
 use crate::diagnosis::centre_m;
 use crate::geometry::{xyz_of, xyzw_from_rotation};
+use crate::report::ArmWorkspace;
 use crate::robot::{Chain, JointKind};
 use crate::time::Stamp;
 

@@ -1,7 +1,7 @@
-//! What joins the commands of a run to the diagnosis of what an arm made of them, and that to facts.
+//! What an arm was told, held against what it did.
 
-use super::arms::{of, span_of};
-use crate::checks::{ArmFacts, Of, ReferenceFacts, ReferenceWitness, WitnessKind};
+use super::arm::ArmEvidence;
+use super::{Of, of_arm, span_of};
 use crate::diagnosis::{
     Aligned, CommandedArm, Commands, PoseDiagnosis, PoseSeries, ReferenceDiagnosis, Seen,
     diagnose_reference, unnamed_order,
@@ -9,13 +9,48 @@ use crate::diagnosis::{
 use crate::geometry::Pose;
 use crate::run::{Arm, PoseSource, ReferenceContent, ReferenceSource, Run};
 
+/// One stream of commands.
+#[derive(Clone, Debug)]
+pub struct ReferenceEvidence {
+    /// Whether joints are commanded, and not poses.
+    pub is_of_joints: bool,
+    /// Whether the link that is commanded was named; if not it may be an active TCP.
+    pub tip_named: bool,
+    /// Whether a frame was named that commanded poses are in.
+    pub frame_named: bool,
+    /// Who says where the tip was, one for each entry of the gaps and of a line's witnesses.
+    pub witnesses: Vec<ReferenceWitness>,
+    /// What was estimated; why the commands cannot be held against the arm, where they cannot.
+    pub diagnosis: Result<Seen<ReferenceDiagnosis>, String>,
+}
+
+/// Who says where the tip was.
+#[derive(Clone, Debug)]
+pub struct ReferenceWitness {
+    /// Its name in words: the topic of a stream.
+    pub name: String,
+    /// What its poses are.
+    pub kind: WitnessKind,
+}
+
+/// What the poses of a witness are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WitnessKind {
+    /// Forward kinematics of the joint states as recorded.
+    Kinematics,
+    /// Those of a stream with everything taken off that was found on it.
+    Corrected,
+    /// Those of a stream as it was logged.
+    AsLogged,
+}
+
 /// Diagnoses the commands to arm `index`, of which `facts` were found before.
-pub(crate) fn references(
+pub(super) fn references(
     run: &Run,
     index: usize,
-    facts: &ArmFacts,
+    facts: &ArmEvidence,
     most_lag_s: f64,
-) -> Vec<Of<ReferenceFacts>> {
+) -> Vec<Of<ReferenceEvidence>> {
     let Some(arm) = run.arms.get(index) else { return Vec::new() };
     let sources: Vec<&ReferenceSource> =
         run.references.iter().filter(|source| source.arm == index).collect();
@@ -43,7 +78,7 @@ pub(crate) fn references(
         let others = if is_of_joints { [].as_slice() } else { of_streams.as_slice() };
         let (witnesses, series): (Vec<ReferenceWitness>, Vec<PoseSeries>) =
             of_joints.iter().chain(others).cloned().unzip();
-        let found = ReferenceFacts {
+        let found = ReferenceEvidence {
             is_of_joints,
             tip_named,
             frame_named,
@@ -53,7 +88,7 @@ pub(crate) fn references(
                 Err(why) => Err(why.clone()),
             },
         };
-        Of { span: span_of(run, source.stream), ..of(run, arm, source.stream, found) }
+        Of { span: span_of(run, source.stream), ..of_arm(run, arm, source.stream, found) }
     });
     facts.collect()
 }

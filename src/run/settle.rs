@@ -1,6 +1,5 @@
 //! Settles what names and frames leave open about a run's streams of poses: which arm each is of, when
-//! the frame that it is in was where, and whether it follows the arm at all. Joins the run to the
-//! diagnosis; decides by its numbers.
+//! the frame that it is in was where, and whether it follows the arm at all.
 
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -8,14 +7,14 @@ use std::collections::BTreeMap;
 use rayon::prelude::*;
 
 use crate::diagnosis::{
-    ArmDiagnosis, BaseTravel, Peak, PoseStream, base_travel, carrier_lag, diagnose_imu, follows,
-    is_seen_from_tool, likely_lags, position_misfit_m,
+    ArmDiagnosis, BaseTravel, Peak, PoseSeries, PoseStream, base_travel, carrier_lag, diagnose_imu,
+    follows, is_seen_from_tool, likely_lags, position_misfit_m, turning_peaks,
 };
-use crate::run::{Arm, ImuSource, PoseSource, Role, Run, WhyNot};
+use crate::run::{Arm, HandKind, HandSource, ImuSource, PoseSource, Role, Run, WhyNot};
 use crate::stream::{Orientations, PoseTrack};
 
 /// Settles all of it.
-pub fn settle(run: &mut Run, most_lag_s: f64) {
+pub(super) fn settle(run: &mut Run, most_lag_s: f64) {
     settle_carried(run, most_lag_s);
     settle_transforms(run);
     settle_contests(run, most_lag_s);
@@ -25,6 +24,7 @@ pub fn settle(run: &mut Run, most_lag_s: f64) {
     settle_leading_arms(run, most_lag_s);
     settle_frozen(run, most_lag_s);
     settle_crowds(run);
+    settle_hands(run, most_lag_s);
 }
 
 /// Streams of poses of an arm that tell together how its joint states are to be read; those beyond are held
@@ -52,7 +52,7 @@ fn settle_crowds(run: &mut Run) {
 }
 
 /// How many of an arm's streams of poses are looked at together: the first that are no copies.
-pub fn together(arm: &Arm) -> usize {
+pub(crate) fn together(arm: &Arm) -> usize {
     let is_copy =
         |index: &usize| arm.poses[..*index].iter().any(|one| arm.poses[*index].is_copy_of(one));
     (0..arm.poses.len().min(TOGETHER)).take_while(|index| !is_copy(index)).count()
@@ -281,7 +281,7 @@ fn settle_carried(run: &mut Run, most_lag_s: f64) {
 
 /// Takes the poses of an arm that are in a frame that moves into its base anew, where what was `found`
 /// says that they are of another time than was thought; whether there are such.
-pub fn retake_carried(run: &mut Run, arm: usize, found: &ArmDiagnosis) -> bool {
+pub(crate) fn retake_carried(run: &mut Run, arm: usize, found: &ArmDiagnosis) -> bool {
     /// Transforms that are nearer in time than this are near enough, s.
     const NEAR_S: f64 = 3e-4;
     let mut are_other = false;
@@ -373,5 +373,29 @@ fn leave_moving_bases(run: &mut Run, most_lag_s: f64) {
         let reason =
             format!("'{base}' moves in its frame '{frame}', and nothing in the log says how");
         run.leave_out(stream, WhyNot::BaseMoves { frame, base, travel_m, turn_rad }, reason);
+    }
+}
+
+/// Correlation of angular speeds from which a stream of poses is the hand that a target is held
+/// against.
+const TURNS_ALIKE: f64 = 0.7;
+
+/// Settles in a log without an arm which streams are hands, by whether targets turn as they do.
+fn settle_hands(run: &mut Run, most_lag_s: f64) {
+    let mut found = Vec::new();
+    for target in &run.targets {
+        let Some(series) = PoseSeries::of_track(&target.track) else { continue };
+        let turns_alike = |hand: &HandSource| {
+            let HandKind::Stream { stream, track } = &hand.kind else { return None };
+            let peaks = turning_peaks(&PoseSeries::of_track(track)?, &series, most_lag_s);
+            Some((*stream, peaks.first()?.correlation))
+        };
+        let best = target.hands.iter().filter_map(turns_alike).max_by(|a, b| a.1.total_cmp(&b.1));
+        if let Some((hand, correlation)) = best.filter(|best| best.1 >= TURNS_ALIKE) {
+            found.push((hand, run.streams[target.stream].topic.clone(), correlation));
+        }
+    }
+    for (hand, topic, correlation) in found {
+        run.settle_hand(hand, &topic, correlation);
     }
 }

@@ -1,10 +1,10 @@
 //! The rows of a report that say what the log holds.
 
-use crate::report::{RobotRow, StreamRow};
+use super::{RobotRow, StreamRow};
 use crate::run::{Arm, Run, Witness};
 
 /// One row for each stream of the segments.
-pub(super) fn joined(rows: impl Iterator<Item = StreamRow>) -> Vec<StreamRow> {
+pub(crate) fn joined(rows: impl Iterator<Item = StreamRow>) -> Vec<StreamRow> {
     let mut joined: Vec<StreamRow> = Vec::new();
     for row in rows {
         let is_same = |other: &&mut StreamRow| {
@@ -27,7 +27,7 @@ pub(super) fn joined(rows: impl Iterator<Item = StreamRow>) -> Vec<StreamRow> {
     joined
 }
 
-pub(super) fn robots(run: &Run) -> Vec<RobotRow> {
+pub(crate) fn robots(run: &Run) -> Vec<RobotRow> {
     let row = |arm: &Arm| RobotRow {
         name: arm.name.clone(),
         source: arm.found.clone(),
@@ -38,7 +38,7 @@ pub(super) fn robots(run: &Run) -> Vec<RobotRow> {
     run.arms.iter().map(row).collect()
 }
 
-pub(super) fn streams(run: &Run) -> Vec<StreamRow> {
+pub(crate) fn streams(run: &Run) -> Vec<StreamRow> {
     let named = |text: &String| (!text.is_empty()).then(|| text.clone());
     let rows = run.streams.iter().map(|stream| StreamRow {
         topic: stream.topic.clone(),

@@ -1,42 +1,67 @@
-//! What joins the cameras of a run to the diagnosis of hand and eye, and that to facts.
+//! What cameras see, each held against a hand.
 
-use crate::checks::HandEyeFacts;
-use crate::diagnosis::{HandEyeStreams, Mount, PoseSeries, diagnose_hand_eye, turning_peaks};
-use crate::finding::Span;
-use crate::run::{HandKind, HandSource, Run, TargetSource};
+use crate::diagnosis::{
+    HandEyeDiagnosis, HandEyeStreams, Mount, PoseSeries, diagnose_hand_eye, turning_peaks,
+};
+use crate::finding::{Span, Subject};
+use crate::run::{CameraAxes, HandKind, HandSource, Run, TargetSource};
 use crate::stream::JointTrack;
 
-/// Correlation of angular speeds from which a stream of poses is the hand that a target is held
-/// against.
-const FOLLOWS: f64 = 0.7;
+/// A target that a camera sees, and a hand.
+#[derive(Clone, Debug)]
+pub struct HandEyeEvidence {
+    /// Name of the robot whose hand it is, where there is one.
+    pub robot: Option<String>,
+    /// Topic of the target.
+    pub topic: String,
+    /// The camera's frame.
+    pub camera: String,
+    /// The target's frame; empty where the log names none.
+    pub target: String,
+    /// First and last stamp of the target.
+    pub span: Option<Span>,
+    /// The hand in words: a topic, or a link and what its poses are computed from.
+    pub hand: String,
+    /// The frame of the hand; empty where the log names none.
+    pub hand_frame: String,
+    /// The frame of the base that the hand's poses are in; empty where the log names none.
+    pub base: String,
+    /// Which way the camera's axes should point, where the log's frames say.
+    pub axes: Option<CameraAxes>,
+    /// Where the log's frames have the camera.
+    pub logged: Option<Mount>,
+    /// What was estimated.
+    pub diagnosis: HandEyeDiagnosis,
+}
 
-/// Settles in a log without an arm which streams are hands, by whether targets turn as they do.
-pub(crate) fn settle_hands(run: &mut Run, most_lag_s: f64) {
-    let mut found = Vec::new();
-    for target in &run.targets {
-        let Some(series) = PoseSeries::of_track(&target.track) else { continue };
-        let turns_alike = |hand: &HandSource| {
-            let HandKind::Stream { stream, track } = &hand.kind else { return None };
-            let peaks = turning_peaks(&PoseSeries::of_track(track)?, &series, most_lag_s);
-            Some((*stream, peaks.first()?.correlation))
+impl HandEyeEvidence {
+    /// The frame that a camera on this mount is in, where the log names it.
+    pub fn parent_of(&self, mount: Mount) -> Option<String> {
+        let frame = match mount {
+            Mount::InHand => &self.hand_frame,
+            Mount::InBase => &self.base,
         };
-        let best = target.hands.iter().filter_map(turns_alike).max_by(|a, b| a.1.total_cmp(&b.1));
-        if let Some((hand, correlation)) = best.filter(|best| best.1 >= FOLLOWS) {
-            found.push((hand, run.streams[target.stream].topic.clone(), correlation));
-        }
+        Some(frame.clone()).filter(|frame| !frame.is_empty())
     }
-    for (hand, topic, correlation) in found {
-        run.settle_hand(hand, &topic, correlation);
+
+    /// The target as a subject.
+    pub fn subject(&self) -> Subject {
+        Subject {
+            robot: self.robot.clone(),
+            topic: Some(self.topic.clone()),
+            frame: Some(self.target.clone()).filter(|frame| !frame.is_empty()),
+            joint: None,
+        }
     }
 }
 
 /// Diagnoses every target against its hand. `joints` are those of each arm, corrected by what was
 /// found on them; `None` where they cannot be read.
-pub(crate) fn hand_eyes(
+pub(super) fn hand_eyes(
     run: &Run,
     joints: impl Fn(usize) -> Option<JointTrack>,
     most_lag_s: f64,
-) -> Vec<HandEyeFacts> {
+) -> Vec<HandEyeEvidence> {
     let facts = run.targets.iter().filter_map(|target| {
         let series = PoseSeries::of_track(&target.track)?;
         let (source, hand) = best_hand(target, &series, &joints, most_lag_s)?;
@@ -53,7 +78,7 @@ pub(crate) fn hand_eyes(
             HandKind::Joints { arm, .. } => Some(run.arms[*arm].name.clone()),
             _ => None,
         };
-        Some(HandEyeFacts {
+        Some(HandEyeEvidence {
             robot,
             topic: stream.topic.clone(),
             camera: stream.frame_id.clone(),

@@ -2,16 +2,16 @@
 
 use rayon::prelude::*;
 
-use super::facts::frame_of_several;
-use crate::checks::{ArmFacts, Facts, ImuFacts, Of, PoseFacts, reading_names};
+use super::figures::{
+    CoursePoint, Figures, FrameEdge, FrameEdgeKind, ImuFigure, PoseFigure, ReadingScore, Silence,
+    TimelineRow,
+};
+use crate::checks::reading_names;
 use crate::diagnosis::{
     LatencyCourse, Measured, Reading, ReadingEstimate, Residuals, Seen, residual_by_latency,
     turning_by_latency,
 };
-use crate::report::figures::{
-    CoursePoint, Figures, FrameEdge, FrameEdgeKind, ImuFigure, PoseFigure, ReadingScore, Silence,
-    TimelineRow,
-};
+use crate::evidence::{ArmEvidence, ImuEvidence, Of, PoseEvidence, RunEvidence, frame_of_several};
 use crate::run::{Arm, Edge, EdgeKind, ImuSource, PoseSource, Rhythm, Run, Stream};
 use crate::stream::JointTrack;
 use crate::time::Stamp;
@@ -26,8 +26,8 @@ const DRAWN: usize = 16;
 /// have been recorded, `is_told` whether a finding is about a topic.
 pub(crate) fn figures(
     run: &Run,
-    facts: &Facts,
-    corrected: impl Fn(&Arm, &ArmFacts) -> JointTrack,
+    facts: &RunEvidence,
+    corrected: impl Fn(&Arm, &ArmEvidence) -> JointTrack,
     is_told: impl Fn(&str) -> bool + Sync,
 ) -> Figures {
     let clock = Clock { run, start: run.span.map_or(run.origin, |(start, _)| start) };
@@ -88,8 +88,8 @@ fn pose(
     clock: &Clock,
     joints: &JointTrack,
     source: &PoseSource,
-    arm: &ArmFacts,
-    facts: &Of<PoseFacts>,
+    arm: &ArmEvidence,
+    facts: &Of<PoseEvidence>,
 ) -> PoseFigure {
     let found = &facts.diagnosis;
     let aligned = &found.aligned;
@@ -131,10 +131,10 @@ fn scores(reading: &Seen<ReadingEstimate>) -> Vec<ReadingScore> {
     reading.ranked.iter().map(score).collect()
 }
 
-fn imus(clock: &Clock, joints: &JointTrack, arm: &Arm, facts: &ArmFacts) -> Vec<ImuFigure> {
+fn imus(clock: &Clock, joints: &JointTrack, arm: &Arm, facts: &ArmEvidence) -> Vec<ImuFigure> {
     /// Correlations are shown this far beyond twice the latency, s.
     const BESIDE_S: f64 = 0.08;
-    let figure = |(source, imu): (&ImuSource, &Of<ImuFacts>)| {
+    let figure = |(source, imu): (&ImuSource, &Of<ImuEvidence>)| {
         let found = &imu.diagnosis;
         let most_s = found.latency_s.as_ref().map(|latency| 2.0 * latency.value.abs() + BESIDE_S);
         let curve = most_s.map(|most_s| turning_by_latency(joints, &source.as_stream(), most_s));

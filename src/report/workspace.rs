@@ -1,9 +1,9 @@
 //! Joins a run's joint states to where its arms have been, for the report and for tables.
 
+use super::{JointCoverage, WorkspaceRow};
 use crate::checks::{Evaluation, hidden_zero};
 use crate::diagnosis::{JointSpan, Workspace, reach_m};
 use crate::finding::{Cause, CheckRow, Finding, Unit};
-use crate::report::{JointCoverage, WorkspaceRow};
 use crate::robot::{Chain, JointKind};
 use crate::run::{Arm, JointSamples, Run};
 

@@ -2,14 +2,13 @@
 
 use rayon::prelude::*;
 
-use super::settle::{retake_carried, together};
-use crate::checks::DhFacts;
+use super::arm::DhEvidence;
 use crate::diagnosis::{
     ArmDiagnosis, DhEstimate, DhStream, DhTold, ImuDiagnosis, Left, PoseDiagnosis, PoseStream,
     Residual, Unseen, diagnose_derived, diagnose_imu_steadied, diagnose_steadied, faults, follows,
     position_misfit_m, steadied,
 };
-use crate::run::{Arm, ImuSource, Run};
+use crate::run::{Arm, ImuSource, Run, retake_carried, together};
 use crate::stream::JointTrack;
 
 /// What was estimated on one arm.
@@ -17,7 +16,7 @@ pub(super) struct Diagnosis {
     pub arm: ArmDiagnosis,
     pub tf: Option<PoseDiagnosis>,
     pub imus: Vec<ImuDiagnosis>,
-    pub dh: Option<DhFacts>,
+    pub dh: Option<DhEvidence>,
 }
 
 /// Diagnoses every arm of a run. An arm whose DH table proves to be of the other convention than it
@@ -34,7 +33,7 @@ pub(super) fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<Diagnosis> {
         let declared = dh.convention;
         let (estimate, other) = by_other_convention(run, &run.arms[index], &found.arm, most_lag_s);
         let is_other = estimate.told() == DhTold::Other;
-        let dh = Some(DhFacts { declared, estimate });
+        let dh = Some(DhEvidence { declared, estimate });
         match other.filter(|_| is_other) {
             Some((mut arm, other)) => {
                 let convention = declared.other().name();

@@ -1,0 +1,218 @@
+//! One arm, and what was estimated on it and its streams.
+
+use std::borrow::Cow;
+
+use rayon::prelude::*;
+
+use super::commands::ReferenceEvidence;
+use super::estimate::Diagnosis;
+use super::joints::{JointEvidence, joint_facts, mending};
+use super::poses::{Declared, ImuEvidence, PoseEvidence, euler};
+use super::shake::{ShakeEvidence, shake_of_joints, shake_of_poses};
+use super::{Of, of_arm, span_in};
+use crate::diagnosis::{
+    ArmDiagnosis, DhEstimate, JointDiagnosis, JointScale, PoseDiagnosis, Unseen, proof,
+    proof_of_imu,
+};
+use crate::finding::{Span, Subject, Unit};
+use crate::robot::DhConvention;
+use crate::run::{Arm, PoseSource, Run, RunOptions, Witness, WrongModel};
+use crate::stream::{Columns, Orientations};
+
+/// One robot and its streams.
+#[derive(Clone, Debug)]
+pub struct ArmEvidence {
+    /// Name of the robot.
+    pub name: String,
+    /// Topic of its joint states.
+    pub joints_topic: String,
+    /// First and last stamp of its joint states.
+    pub span: Span,
+    /// The joints of its chain, as `diagnosis` numbers them.
+    pub joints: Vec<JointEvidence>,
+    /// Distance of the tip from the base at full stretch, m.
+    pub reach_m: f64,
+    /// The model that was named, where the log is of another arm, with which all else is judged.
+    pub wrong_model: Option<WrongModel>,
+    /// What its DH table says of itself and what the streams say of that, where it is one.
+    pub dh: Option<DhEvidence>,
+    /// What was estimated on its joints.
+    pub diagnosis: JointDiagnosis,
+    /// The pose streams, in the order that the twins of a joint offset count them.
+    pub poses: Vec<Of<PoseEvidence>>,
+    /// What /tf says of the tip, against FK of the joint states as recorded.
+    pub tf: Option<Of<PoseEvidence>>,
+    /// What shakes the tip, by the joint states and by each pose stream.
+    pub shakes: Vec<Of<ShakeEvidence>>,
+    /// The IMUs on the arm.
+    pub imus: Vec<Of<ImuEvidence>>,
+    /// What the arm was told.
+    pub references: Vec<Of<ReferenceEvidence>>,
+}
+
+impl ArmEvidence {
+    pub(super) fn subjects(&self) -> usize {
+        let poses = self.poses_and_tf().count();
+        let streams = poses + self.imus.len() + self.references.len();
+        self.joints.len() + streams
+    }
+
+    /// The pose streams and then /tf.
+    pub fn poses_and_tf(&self) -> impl Iterator<Item = &Of<PoseEvidence>> {
+        self.poses.iter().chain(&self.tf)
+    }
+
+    /// Whose word the arm's pose streams are together: an outside witness stands out, and only where
+    /// all are the controller's is nothing else there.
+    pub fn witness(&self) -> Witness {
+        let of = |witness: Witness| self.poses.iter().filter(move |s| s.witness == witness).count();
+        match (of(Witness::External), of(Witness::Controller)) {
+            (1.., _) => Witness::External,
+            (0, controllers) if controllers == self.poses.len() => Witness::Controller,
+            _ => Witness::Unknown,
+        }
+    }
+
+    /// Largest speed of the tip by FK, m/s; 0 where no stream says.
+    pub fn top_speed_m_s(&self) -> f64 {
+        self.poses_and_tf().map(|stream| stream.diagnosis.top_speed_m_s).fold(0.0, f64::max)
+    }
+
+    /// The robot as a subject.
+    pub fn subject(&self) -> Subject {
+        Subject { robot: Some(self.name.clone()), ..Subject::default() }
+    }
+
+    /// A topic of this robot as a subject.
+    pub fn topic(&self, topic: &str) -> Subject {
+        Subject { topic: Some(topic.to_owned()), ..self.subject() }
+    }
+
+    /// A frame that a topic of this robot speaks of, as a subject.
+    pub fn frame(&self, topic: &str, frame: &str) -> Subject {
+        Subject { frame: Some(frame.to_owned()), ..self.topic(topic) }
+    }
+
+    /// A joint of this robot as a subject.
+    pub fn joint(&self, index: usize) -> Subject {
+        let joint = self.joints.get(index).map(|joint| joint.name.clone());
+        Subject { joint, ..self.subject() }
+    }
+
+    /// What the joint states say of a joint, as a subject.
+    pub fn joint_states(&self, index: usize) -> Subject {
+        Subject { topic: Some(self.joints_topic.clone()), ..self.joint(index) }
+    }
+
+    /// The scale of a joint that has a wrong one.
+    pub fn scale(&self, index: usize) -> Option<&JointScale> {
+        self.diagnosis.scales.iter().find(|scale| scale.column == index)
+    }
+
+    /// The unit of a joint's positions.
+    pub fn joint_unit(&self, index: usize) -> Unit {
+        match self.joints.get(index) {
+            Some(joint) if joint.prismatic => Unit::Metre,
+            _ => Unit::Radian,
+        }
+    }
+}
+
+/// The DH table of a robot.
+#[derive(Clone, Debug)]
+pub struct DhEvidence {
+    /// The convention that it says it is in.
+    pub declared: DhConvention,
+    /// What either convention leaves of the streams.
+    pub estimate: DhEstimate,
+}
+
+pub(super) fn arm_facts(
+    run: &Run,
+    arm: &Arm,
+    diagnosis: Diagnosis,
+    options: &RunOptions,
+) -> ArmEvidence {
+    let joints_stream = arm.joint_facts.first().map_or(0, |facts| facts.stream);
+    let ArmDiagnosis { joints: found, streams } = diagnosis.arm;
+    let mended = found.corrected_joints(&arm.joints, &arm.slides());
+    let is_read = !matches!(found.reading, Err(Unseen::NotExcited));
+    let most_lag_s = options.max_latency_s;
+    let pose_facts = |source: &PoseSource, found: PoseDiagnosis, euler| PoseEvidence {
+        proof: proof(&arm.joints, &mended, &run.pose_stream(source), &found),
+        reference: if source.reference_known {
+            source.chain.base_name().to_owned()
+        } else {
+            run.streams[source.stream].frame_id.clone()
+        },
+        reference_known: source.reference_known,
+        tip: source.chain.tip_name().to_owned(),
+        tip_named: source.tip_named,
+        witness: run.streams[source.stream].witness.unwrap_or(Witness::Unknown),
+        euler,
+        independent: !source.stamps_copied,
+        bare_numbers: matches!(source.track.orientation, Orientations::Numbers(_)),
+        bare: source.track.declared.is_none()
+            && matches!(run.streams[source.stream].columns, Some(Columns::Array(_))),
+        declared: source.track.declared.as_ref().map(|units| Declared {
+            angles: units.in_other_angles.is_some().then_some(units.angle),
+            lengths: units.length,
+        }),
+        diagnosis: found,
+    };
+    let imus = arm.imus.iter().zip(diagnosis.imus).map(|(source, diagnosis)| {
+        let found = ImuEvidence {
+            independent: !source.stamps_copied,
+            link: source.chain.tip_name().to_owned(),
+            link_from_imu: source.link_from_imu.map(|pose| pose.rotation),
+            proof: is_read
+                .then(|| proof_of_imu(&mended, &source.as_stream(), &diagnosis, most_lag_s))
+                .flatten(),
+            diagnosis,
+        };
+        of_arm(run, arm, source.stream, found)
+    });
+    let samples = run.joint_samples(&arm.joint_facts);
+    let samples = match &arm.recorded {
+        Some((_, mending)) => mending.mended_samples(&samples),
+        None => samples,
+    };
+    let (samples, track) = match mending(arm, &found) {
+        Some(mending) => {
+            (mending.mended_samples(&samples), Cow::Owned(mending.mended(&arm.joints)))
+        }
+        None => (samples, Cow::Borrowed(&arm.joints)),
+    };
+    let joints: Vec<usize> = (0..arm.joint_names.len()).collect();
+    let joint = |&joint: &usize| joint_facts(run, arm, joint, &samples[joint], &track);
+    let joints = joints.par_iter().map(joint).collect();
+    let of_joints =
+        ShakeEvidence { in_other_units: false, shake: shake_of_joints(arm, &samples, &track) };
+    let mut shakes = vec![of_arm(run, arm, joints_stream, of_joints)];
+    let mut poses = Vec::new();
+    for (source, found) in arm.poses.iter().zip(streams) {
+        let in_other_units = matches!(found.length, Ok(Some(_)));
+        let shake = shake_of_poses(&source.track, &found);
+        shakes.push(of_arm(run, arm, source.stream, ShakeEvidence { in_other_units, shake }));
+        let euler = euler(run, source, &found, &options.declared);
+        poses.push(of_arm(run, arm, source.stream, pose_facts(source, found, euler)));
+    }
+    let tf = arm.tf.as_ref().ok().zip(diagnosis.tf);
+    let tf =
+        tf.map(|(source, found)| of_arm(run, arm, source.stream, pose_facts(source, found, None)));
+    ArmEvidence {
+        name: arm.name.clone(),
+        joints_topic: run.streams[joints_stream].topic.clone(),
+        span: span_in(run, joints_stream),
+        joints,
+        reach_m: arm.chain.max_reach_m(),
+        wrong_model: arm.instead_of.clone(),
+        dh: diagnosis.dh,
+        diagnosis: found,
+        poses,
+        tf,
+        shakes,
+        imus: imus.collect(),
+        references: Vec::new(),
+    }
+}

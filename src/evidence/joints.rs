@@ -1,0 +1,99 @@
+//! The joints of an arm, and how they move by all of their samples.
+
+use crate::diagnosis::{
+    Abruptness, Excess, JointDiagnosis, JointOffset, Series, abruptness, beyond_positions,
+    beyond_speed,
+};
+use crate::robot::{JointKind, Limits};
+use crate::run::{Arm, JointMending, JointSamples, Run, Velocities};
+use crate::stream::JointTrack;
+
+/// One joint of a chain.
+#[derive(Clone, Debug)]
+pub struct JointEvidence {
+    /// Its name, as the log spells it.
+    pub name: String,
+    /// Whether it slides.
+    pub prismatic: bool,
+    /// The limits that the model states.
+    pub limits: Limits,
+    /// What it does, by all of its samples.
+    pub motion: JointMotion,
+}
+
+/// What a joint does over the run.
+#[derive(Clone, Debug, Default)]
+pub struct JointMotion {
+    /// How far it is beyond its positions' limits.
+    pub positions: Option<Excess>,
+    /// How far it is beyond its speed limit.
+    pub speeds: Option<Excess>,
+    /// How abruptly it changes its speed; `None` where its samples do not tell.
+    pub abruptness: Option<Abruptness>,
+    /// Whether it turns without end, by the model or as the log shows.
+    pub is_endless: bool,
+}
+
+/// What makes the joint states those that the arm has, where they are far from that: how the arm moves
+/// is not told by numbers that are no positions.
+pub(super) fn mending(arm: &Arm, found: &JointDiagnosis) -> Option<JointMending> {
+    /// A smaller zero changes neither speeds nor what a limit says of them, rad or m.
+    const FAR: f64 = 0.1;
+    let reading = found.reading.as_ref().ok()?;
+    let zero = |(joint, offset): (usize, &JointOffset)| {
+        let coded = found.scales.iter().find(|scale| scale.column == joint && scale.is_coded());
+        let own = offset.offset.as_ref().ok().filter(|_| offset.chosen).map_or(0.0, |it| it.value);
+        coded.map_or(own, |scale| scale.offset)
+    };
+    let offset: Vec<f64> = found.offsets.iter().enumerate().map(zero).collect();
+    if reading.is_as_logged() && offset.iter().all(|offset| offset.abs() < FAR) {
+        return None;
+    }
+    let mut mending = JointMending { offset, ..JointMending::none(arm.joint_names.len()) };
+    if let Some((really, _)) = &reading.permutation {
+        really.iter().enumerate().for_each(|(named, &really)| mending.from[really] = named);
+    }
+    for (factor, slides) in mending.factor.iter_mut().zip(arm.slides()) {
+        *factor = if reading.degrees.is_some() && !slides { 1f64.to_radians() } else { 1.0 };
+    }
+    reading.slips.iter().for_each(|slip| mending.factor[slip.column] *= slip.factor);
+    Some(mending)
+}
+
+/// A joint, and what it does by all of its samples.
+pub(super) fn joint_facts(
+    run: &Run,
+    arm: &Arm,
+    joint: usize,
+    samples: &JointSamples<'_>,
+    track: &JointTrack,
+) -> JointEvidence {
+    let name = arm.joint_names[joint].clone();
+    let model = arm.robot.joint(&name);
+    let limits = model.map(|joint| joint.limits).unwrap_or_default();
+    let mut motion = JointMotion::default();
+    if let Some(source) = arm.joint_facts.get(joint) {
+        let JointSamples { t_s, position, velocity } = samples;
+        let is_folded = run
+            .folded
+            .iter()
+            .any(|folded| folded.stream == source.stream && folded.joint == source.name);
+        motion.is_endless =
+            is_folded || model.is_some_and(|joint| joint.kind == JointKind::Continuous);
+        // What is logged within one turn has no place on a longer way.
+        motion.positions = if is_folded { None } else { beyond_positions(t_s, position, &limits) };
+        (motion.speeds, motion.abruptness) = match source.velocities {
+            Velocities::Logged | Velocities::Near => (
+                beyond_speed(t_s, velocity, &limits),
+                abruptness(t_s, velocity, Series::Velocities),
+            ),
+            Velocities::Derived => {
+                let JointTrack { t_s: times_s, dof, qd, .. } = track;
+                let qd: Vec<f64> = qd.iter().skip(joint).step_by(*dof).copied().collect();
+                (beyond_speed(times_s, &qd, &limits), abruptness(t_s, position, Series::Positions))
+            }
+        };
+    }
+    let prismatic = model.is_some_and(|joint| joint.kind == JointKind::Prismatic);
+    JointEvidence { name, prismatic, limits, motion }
+}

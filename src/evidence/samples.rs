@@ -1,0 +1,198 @@
+//! What samples of a run's streams hold: numbers that are none, jump, repeat, or are no rotations.
+use super::{Of, of};
+use crate::robot::JointKind;
+use crate::run::{Frozen, Held, Norms, PoseSource, Role, Run, Strays, Stream};
+use crate::stream::{Columns, PoseColumns};
+
+/// The samples of a stream that hold no usable numbers.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct UnusableEvidence {
+    /// Those that are NaN, infinite or larger than anything is.
+    pub unusable: u64,
+    /// Those without an orientation, where others have one.
+    pub unset: u64,
+    /// Those with more or fewer numbers than they should have.
+    pub misfits: u64,
+    /// Those that name a joint twice, with other positions.
+    pub contradictory: u64,
+    /// All of them.
+    pub samples: u64,
+}
+
+/// What of a stream jumps away and comes back.
+#[derive(Clone, Debug)]
+pub struct StrayEvidence {
+    /// Its samples; where it holds several poses, those of the one that has most.
+    pub samples: usize,
+    /// The joints of it, or its transforms, that have such samples.
+    pub parts: Vec<Strays>,
+    /// The joints that slide.
+    pub sliding: Vec<String>,
+}
+
+/// What a stream repeats with new stamps while the arm moves.
+#[derive(Clone, Debug)]
+pub struct HeldEvidence {
+    /// Of each of its transforms, or of all of it, where anything is repeated.
+    pub parts: Vec<Held>,
+    /// Whether its name says that it repeats on purpose.
+    pub is_latched: bool,
+    /// Whether it is computed from joint states that repeat, and has their stamps.
+    pub is_of_joints: bool,
+}
+
+/// The norms of the streams that log rotations, each with all its transforms.
+pub(super) fn norms(run: &Run) -> Vec<Of<Vec<Norms>>> {
+    let is_tf = |topic: &str| {
+        run.streams.iter().any(|stream| stream.role == Role::Tf && stream.topic == topic)
+    };
+    let mut streams: Vec<Of<Vec<Norms>>> = Vec::new();
+    let mut last = None;
+    for norms in &run.norms {
+        let Some(stream) = run.streams.get(norms.stream) else { continue };
+        let is_rotations = match &stream.columns {
+            // Four of a bare array's numbers are a quaternion only where it is a pose.
+            Some(Columns::Array(_)) => stream.role == Role::Pose,
+            // What a transform says is judged on its own topic.
+            Some(Columns::Poses(_)) => stream.role != Role::Ignored && !is_tf(&stream.topic),
+            _ => true,
+        };
+        if !is_rotations {
+            continue;
+        }
+        match streams.last_mut().filter(|_| last == Some(norms.stream)) {
+            Some(known) => known.found.push(norms.clone()),
+            None => streams.push(of(run, norms.stream, vec![norms.clone()])),
+        }
+        last = Some(norms.stream);
+    }
+    streams
+}
+
+/// The streams that are audited, each with its samples that hold no usable numbers.
+pub(super) fn unusable(run: &Run) -> Vec<Of<UnusableEvidence>> {
+    /// A quaternion of smaller parts is none.
+    const NEXT_TO_NOTHING: f64 = 1e-6;
+    let is_asked =
+        |stream: &Stream| matches!(stream.role, Role::Joints | Role::Pose | Role::Tf | Role::Imu);
+    let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));
+    let unusable = |(index, stream): (usize, &Stream)| {
+        let mut facts =
+            UnusableEvidence { unusable: stream.unusable(), ..UnusableEvidence::default() };
+        let mut joint = None;
+        let kept: usize = stream.times().iter().map(|times| times.len()).sum();
+        facts.samples = kept as u64 + facts.unusable;
+        match &stream.columns {
+            Some(Columns::Joints(joints)) => {
+                let names = joints.joints.iter().map(|joint| joint.name.as_str());
+                let of_arm = names.zip(&joints.unusable).filter(|(name, _)| {
+                    let mut of_arms = run.arms.iter().flat_map(|arm| &arm.joint_facts);
+                    run.arms.is_empty() || of_arms.any(|joint| joint.name == *name)
+                });
+                let worst = of_arm.max_by_key(|(_, count)| **count);
+                facts.misfits = joints.wrong_length;
+                facts.contradictory = joints.contradictory;
+                facts.samples = kept as u64 + facts.misfits;
+                facts.unusable = worst.map_or(0, |(_, count)| *count);
+                joint = worst.filter(|_| facts.unusable > 0).map(|(name, _)| name.to_owned());
+            }
+            Some(Columns::Poses(poses) | Columns::Transforms(poses)) => {
+                let unset = |poses: &PoseColumns| {
+                    let is_unset =
+                        |q: &&[f64; 4]| q.iter().all(|part| part.abs() < NEXT_TO_NOTHING);
+                    poses.q_xyzw.iter().filter(is_unset).count()
+                };
+                let some = poses.iter().map(|poses| (unset(poses), poses.times.len()));
+                facts.unset =
+                    some.filter(|(unset, all)| unset < all).map(|(unset, _)| unset as u64).sum();
+            }
+            Some(Columns::Array(array)) => {
+                facts.misfits = array.wrong_length;
+                facts.samples += facts.misfits;
+            }
+            _ => {}
+        }
+        let mut of = of(run, index, facts);
+        of.subject.joint = joint;
+        of
+    };
+    streams.map(unusable).collect()
+}
+
+/// The streams of joint states, tool poses and transforms, each with what of it jumps away and back.
+pub(super) fn strays(run: &Run) -> Vec<Of<StrayEvidence>> {
+    let is_tf = |topic: &str| {
+        run.streams.iter().any(|stream| stream.role == Role::Tf && stream.topic == topic)
+    };
+    let is_asked = |stream: &Stream| match stream.role {
+        Role::Joints | Role::Tf => true,
+        // What a transform says is judged on its own topic.
+        Role::Pose => !is_tf(&stream.topic),
+        _ => false,
+    };
+    let sliding: Vec<String> = run
+        .arms
+        .iter()
+        .flat_map(|arm| arm.robot.joints())
+        .filter(|joint| joint.kind == JointKind::Prismatic)
+        .map(|joint| joint.name.clone())
+        .collect();
+    let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));
+    let strays = |(index, stream): (usize, &Stream)| {
+        let parts = run.sift.strays.iter().filter(|strays| strays.stream == index);
+        let found = StrayEvidence {
+            samples: stream.times().iter().map(|times| times.len()).max().unwrap_or(0),
+            sliding: sliding.clone(),
+            parts: parts.cloned().collect(),
+        };
+        of(run, index, found)
+    };
+    streams.map(strays).collect()
+}
+
+/// The streams of poses that an arm was held against, each with when it stood still.
+pub(super) fn frozen(run: &Run) -> Vec<Of<Vec<Frozen>>> {
+    let frozen = |index: usize| {
+        let stream = run.streams.get(index)?;
+        let times = run.frozen.iter().filter(|found| found.stream == index);
+        let is_asked = matches!(stream.role, Role::Pose | Role::Joints);
+        if !is_asked && !times.clone().any(|found| found.whole) {
+            return None;
+        }
+        Some(of(run, index, times.copied().collect()))
+    };
+    let joints = (0..run.streams.len()).filter(|&index| run.streams[index].role == Role::Joints);
+    joints.chain(run.watched.iter().copied()).filter_map(frozen).collect()
+}
+
+/// The streams whose values could repeat, each with what of it does.
+pub(super) fn held(run: &Run) -> Vec<Of<HeldEvidence>> {
+    let is_tf = |topic: &str| {
+        run.streams.iter().any(|stream| stream.role == Role::Tf && stream.topic == topic)
+    };
+    let is_asked = |stream: &Stream| match stream.role {
+        Role::Joints | Role::Tf | Role::Imu => true,
+        // What a transform says is judged on its own topic.
+        Role::Pose => !is_tf(&stream.topic),
+        _ => false,
+    };
+    let of_stream = |index: usize| run.sift.held.iter().filter(move |held| held.stream == index);
+    let repeats = |index: usize| of_stream(index).any(|held| held.is_taken_once());
+    let is_of_joints = |index: usize| {
+        run.arms.iter().any(|arm| {
+            let follows = |tf: &PoseSource| tf.stream == index && tf.stamps_copied;
+            arm.tf.as_ref().is_ok_and(follows)
+                && arm.joint_facts.iter().any(|joint| repeats(joint.stream))
+        })
+    };
+    let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));
+    let held = |(index, stream): (usize, &Stream)| {
+        let found = HeldEvidence {
+            parts: of_stream(index).cloned().collect(),
+            is_latched: stream.topic.to_lowercase().contains("latched"),
+            is_of_joints: is_of_joints(index),
+        };
+        of(run, index, found)
+    };
+    streams.map(held).collect()
+}

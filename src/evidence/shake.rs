@@ -1,0 +1,45 @@
+//! What shakes the tip.
+
+use crate::diagnosis::{NoShake, PoseDiagnosis, Shake, shake};
+use crate::run::{Arm, JointSamples};
+use crate::stream::{JointTrack, PoseTrack};
+
+/// What one stream says of the tip's shake.
+#[derive(Clone, Debug)]
+pub struct ShakeEvidence {
+    /// Whether its positions are not the metres that they are taken for.
+    pub in_other_units: bool,
+    /// The shake, or why it does not tell.
+    pub shake: Result<Shake, NoShake>,
+}
+
+/// The shake of the tip by a stream of poses, but for where its clock steps: the path does, too.
+pub(super) fn shake_of_poses(track: &PoseTrack, found: &PoseDiagnosis) -> Result<Shake, NoShake> {
+    /// Rows so near to a step are left out, s.
+    const BESIDE_S: f64 = 0.1;
+    let jumps = found.course.as_ref().map_or(&[][..], |course| course.jumps.as_slice());
+    let is_clear = |t_s: f64| jumps.iter().all(|jump| (jump.at_s - t_s).abs() > BESIDE_S);
+    let rows: Vec<usize> = (0..track.t_s.len()).filter(|&row| is_clear(track.t_s[row])).collect();
+    let t_s: Vec<f64> = rows.iter().map(|&row| track.t_s[row]).collect();
+    shake(&t_s, |row| track.xyz[rows[row]])
+}
+
+/// The shake of the tip by the joint states as they are, or where the joints do not share their stamps
+/// by the track that they were brought to.
+pub(super) fn shake_of_joints(
+    arm: &Arm,
+    samples: &[JointSamples<'_>],
+    track: &JointTrack,
+) -> Result<Shake, NoShake> {
+    let mut q = vec![0.0; arm.columns.len()];
+    let mut tip = |position: &dyn Fn(usize) -> f64| {
+        q.iter_mut().zip(&arm.columns).for_each(|(q, &column)| *q = position(column));
+        arm.chain.forward(&q).translation.vector
+    };
+    match samples.first() {
+        Some(first) if samples.iter().all(|other| other.is_beside(first)) => {
+            shake(&first.t_s, |row| tip(&|column| samples[column].position[row]))
+        }
+        _ => shake(&track.t_s, |row| tip(&|column| track.row(row)[column])),
+    }
+}
