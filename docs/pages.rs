@@ -8,18 +8,23 @@ use poseaudit::checks::{self, Rule};
 /// The name and the text of every page.
 pub fn all(symptoms: &str) -> Vec<(String, String)> {
     let mut index = String::from("# Rules\n\nMade by `cargo run --example rule_pages`.\n\n");
-    index += "| code | name | severity | what is wrong |\n|---|---|---|---|\n";
     let mut pages = Vec::new();
-    for rule in checks::registry() {
-        let (code, grade) = (rule.code, rule.grade.to_string());
-        let _infallible = writeln!(
-            index,
-            "| [{code}]({code}.md) | {} | {grade} | {} |",
-            rule.name,
-            rule.summary()
-        );
-        pages.push((format!("{code}.md"), page(rule, symptoms)));
+    for family in checks::FAMILIES {
+        index += &format!("## {}\n\n", family.examines);
+        index += "| code | name | severity | what is wrong |\n|---|---|---|---|\n";
+        for rule in family.rules {
+            let (code, grade) = (rule.code, rule.grade.to_string());
+            let _infallible = writeln!(
+                index,
+                "| [{code}]({code}.md) | {} | {grade} | {} |",
+                rule.name,
+                rule.summary()
+            );
+            pages.push((format!("{code}.md"), page(rule, symptoms)));
+        }
+        index += "\n";
     }
+    let index = format!("{}\n", index.trim_end());
     pages.push(("README.md".to_owned(), index));
     pages
 }

@@ -4,23 +4,16 @@ use std::fmt;
 
 use poseaudit::checks;
 use poseaudit::geometry::{pose, rotation_from_rotvec};
-use poseaudit::robot::Chain;
 use poseaudit::synth::{Motion, Noise, Scenario};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use std::f64::consts::PI;
 
 use crate::Options;
-use crate::kinds::{KINDS, Kind, KindOf, Planted, SURE, TIMES, Truth, choose, plant, unit_vector};
-use crate::scenes::{ARMS, Scene, brother, robot};
-
-/// An arm, the links between which its poses are, and where it is parked.
-pub struct Arm {
-    pub name: &'static str,
-    pub base: &'static str,
-    pub tip: &'static str,
-    pub home: &'static [f64],
-}
+use crate::kinds::{
+    KINDS, Kind, KindOf, Planted, SURE, TIMES, Truth, chain, choose, plant, unit_vector,
+};
+use crate::scenes::{ARMS, Arm, Scene, brother, robot};
 
 /// A log and what is wrong with it.
 pub struct Case {
@@ -39,13 +32,6 @@ pub struct Case {
     /// Whether every joint moves enough for every rule to see its fault.
     pub excited: bool,
     pub planted: Vec<Planted>,
-}
-
-/// The chain that the joint states are of.
-pub fn chain(run: &Scenario) -> Chain {
-    let link = |name: &str| run.robot.link(name).expect("a link of the arm");
-    let first = run.root.as_deref().unwrap_or(&run.base);
-    run.robot.chain(link(first), link(&run.tip)).expect("a chain from base to tip")
 }
 
 impl Case {

@@ -9,12 +9,17 @@ use poseaudit::finding::Unit;
 use poseaudit::geometry::{
     Misreading, Pose, QuaternionSlip, Vec3, misreading_classes, pose, rotation_from_rotvec,
 };
-use poseaudit::robot::JointKind;
+use poseaudit::robot::{Chain, JointKind};
 use poseaudit::synth::{self, Coding, Scenario, SecondPublisher, ToolSlip};
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
-use crate::cases::chain;
+/// The chain that the joint states are of.
+pub fn chain(run: &Scenario) -> Chain {
+    let link = |name: &str| run.robot.link(name).expect("a link of the arm");
+    let first = run.root.as_deref().unwrap_or(&run.base);
+    run.robot.chain(link(first), link(&run.tip)).expect("a chain from base to tip")
+}
 
 pub const DEGREE: f64 = PI / 180.0;
 

@@ -8,8 +8,15 @@ use poseaudit::synth::{self, Drive, Fold, Scenario, SecondPublisher, Timing};
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
-use crate::cases::Arm;
 use crate::kinds::{Kind, choose, unit_vector};
+
+/// An arm, the links between which its poses are, and where it is parked.
+pub struct Arm {
+    pub name: &'static str,
+    pub base: &'static str,
+    pub tip: &'static str,
+    pub home: &'static [f64],
+}
 
 /// How a cell's log is put together.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]

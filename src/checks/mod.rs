@@ -7,12 +7,10 @@
 mod amount;
 mod decision;
 mod frames;
-mod hand_eye;
 mod merge;
 mod observability;
 mod proof;
 mod reading;
-mod reference;
 mod settings;
 mod standing;
 #[cfg(test)]
@@ -21,6 +19,7 @@ mod thresholds;
 mod twins;
 
 use std::fmt;
+use std::sync::LazyLock;
 
 use serde_json::{Map, Value};
 
@@ -30,14 +29,14 @@ use crate::finding::{
 };
 
 pub use decision::{Decision, FrameThresholds, Threshold, decide, decide_both, decide_frame};
-pub(crate) use lat001::LAT001;
+pub(crate) use joints::zer001::ZER001;
+pub(crate) use latency::lat001::LAT001;
 pub use merge::{Part as EvaluatedPart, merged};
 pub(crate) use observability::hidden_zero;
 pub use observability::{Blind, Part, StreamObservability};
 pub(crate) use reading::read_as as reading_names;
 pub use settings::{Exemption, Selector, Settings, UnknownRule};
 pub use thresholds::{Limit, Thresholds};
-pub(crate) use zer001::ZER001;
 
 /// Declares a rule; its doc comment is the text that `explain` prints.
 macro_rules! rule {
@@ -57,114 +56,50 @@ macro_rules! rule {
     };
 }
 
-mod frm001;
-mod frm002;
-mod frm003;
-mod frm004;
-mod frm005;
-mod frm006;
-mod frm007;
-mod hec001;
-mod hec002;
-mod hec003;
-mod ing001;
-mod ing002;
-mod ing003;
-mod lat001;
-mod lat002;
-mod lat003;
-mod mdl001;
-mod mot001;
-mod mot002;
-mod mot003;
-mod mot004;
-mod mot005;
-mod ord001;
-mod ord002;
-mod ord003;
-mod ord004;
-mod ord005;
-mod ord006;
-mod ord007;
-mod ord008;
-mod ord009;
-mod ord010;
-mod ord011;
-mod tim001;
-mod tim002;
-mod tim003;
-mod tim004;
-mod tim005;
-mod tim006;
-mod tim007;
-mod tim008;
-mod yaw001;
-mod yaw002;
-mod yaw003;
-mod yaw004;
-mod zer001;
-mod zer002;
+mod commands;
+mod hand_eye;
+mod imu;
+mod joints;
+mod latency;
+mod motion;
+mod poses;
+mod samples;
+mod stamps;
+mod topics;
 
-/// The table of the rules in the order of their codes.
-macro_rules! registry {
-    ($($module:ident::$rule:ident),* $(,)?) => {
-        static REGISTRY: &[&Rule] = &[$(&$module::$rule),*];
-    };
+/// What is examined together: the streams that a family of rules asks about.
+#[derive(Debug)]
+pub struct Family {
+    /// What is examined.
+    pub examines: &'static str,
+    /// The rules that ask.
+    pub rules: &'static [&'static Rule],
 }
 
-registry! {
-    frm001::FRM001,
-    frm002::FRM002,
-    frm003::FRM003,
-    frm004::FRM004,
-    frm005::FRM005,
-    frm006::FRM006,
-    frm007::FRM007,
-    hec001::HEC001,
-    hec002::HEC002,
-    hec003::HEC003,
-    ing001::ING001,
-    ing002::ING002,
-    ing003::ING003,
-    lat001::LAT001,
-    lat002::LAT002,
-    lat003::LAT003,
-    mdl001::MDL001,
-    mot001::MOT001,
-    mot002::MOT002,
-    mot003::MOT003,
-    mot004::MOT004,
-    mot005::MOT005,
-    ord001::ORD001,
-    ord002::ORD002,
-    ord003::ORD003,
-    ord004::ORD004,
-    ord005::ORD005,
-    ord006::ORD006,
-    ord007::ORD007,
-    ord008::ORD008,
-    ord009::ORD009,
-    ord010::ORD010,
-    ord011::ORD011,
-    tim001::TIM001,
-    tim002::TIM002,
-    tim003::TIM003,
-    tim004::TIM004,
-    tim005::TIM005,
-    tim006::TIM006,
-    tim007::TIM007,
-    tim008::TIM008,
-    yaw001::YAW001,
-    yaw002::YAW002,
-    yaw003::YAW003,
-    yaw004::YAW004,
-    zer001::ZER001,
-    zer002::ZER002,
-}
+/// Every family.
+pub static FAMILIES: &[&Family] = &[
+    &topics::FAMILY,
+    &stamps::FAMILY,
+    &samples::FAMILY,
+    &latency::FAMILY,
+    &poses::FAMILY,
+    &joints::FAMILY,
+    &motion::FAMILY,
+    &imu::FAMILY,
+    &hand_eye::FAMILY,
+    &commands::FAMILY,
+];
+
+/// The rules of all families in the order of their codes, in which they are asked.
+static REGISTRY: LazyLock<Vec<&Rule>> = LazyLock::new(|| {
+    let mut rules: Vec<&Rule> = FAMILIES.iter().flat_map(|family| family.rules).copied().collect();
+    rules.sort_by_key(|rule| rule.code);
+    rules
+});
 
 /// Every rule, in the order of the codes.
 pub fn registry() -> &'static [&'static Rule] {
-    REGISTRY
+    &REGISTRY
 }
 
 /// The rule with this code, in whatever case it is written.
@@ -209,7 +144,7 @@ impl Rule {
 
     /// Whether a pass rests on each of its subjects, so that none may be open.
     pub fn is_proof(&self) -> bool {
-        self.code == mdl001::MDL001.code
+        self.code == poses::mdl001::MDL001.code
     }
 
     /// The first line of its text, without the period.

@@ -350,9 +350,9 @@ pub fn words(convention: Convention) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::ord001::ORD001;
-    use crate::checks::ord002::ORD002;
-    use crate::checks::ord003::ORD003;
+    use crate::checks::poses::ord001::ORD001;
+    use crate::checks::poses::ord002::ORD002;
+    use crate::checks::poses::ord003::ORD003;
     use crate::checks::testing::{ask, clean_run};
     use crate::evidence::RunEvidence;
     use crate::finding::Status;

@@ -36,6 +36,7 @@ mod reread;
 mod residual;
 mod rival;
 mod robust;
+mod sampling;
 mod shake;
 mod steady;
 mod steps;
@@ -61,7 +62,7 @@ pub use handeye::{
 };
 pub use imu::{
     GyroBias, GyroShape, Heading, ImuDiagnosis, ImuProof, ImuStream, Rates, YawCourse, YawJump,
-    diagnose_imu, proof_of_imu, turning_by_latency,
+    diagnose_imu, proof_of_imu, reread_imu, turning_by_latency,
 };
 pub use joints::{JointOffset, JointReading, JointScale, JointSlip, JointUnit, Twin};
 pub use lag::{LatencyResidual, residual_by_latency};
@@ -74,7 +75,7 @@ pub use reference::{
     CommandedArm, Commands, Constancy, Following, Line, LineWitness, ReferenceDiagnosis, RestGap,
     diagnose_reference, unnamed_order,
 };
-pub use reread::{Meant, reread_imu, reread_poses};
+pub use reread::{Meant, reread_poses};
 pub use rival::{is_seen_from_tool, position_misfit_m};
 pub use shake::{NoShake, Shake, shake};
 pub use steady::{diagnose_imu_steadied, diagnose_steadied, steadied};

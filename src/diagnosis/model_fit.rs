@@ -10,7 +10,7 @@ use super::latency::{joint_activity, linear_speed, peaks};
 use super::model::pose_of_twist;
 use super::placement::metres_by_size;
 use super::placing::Expected;
-use super::prepare::slow_samples;
+use super::sampling::slow_samples;
 use crate::geometry::{Pose, Vec3};
 use crate::robot::JointKind;
 use crate::stream::{JointTrack, Orientations};

@@ -1,11 +1,10 @@
 //! How a stream's positions are written, as far as they tell by themselves: unit, axes, what is constant, and
 //! at which lags they follow the arm.
 
-use super::arm::FOLLOWS;
 use super::latency::{ArmSpeeds, Peak};
 use super::layout::{Layout, Written, layouts};
 use super::placing::spread;
-use super::prepare::{as_rotations, slow_samples, stream_peaks};
+use super::sampling::{FOLLOWS, as_rotations, slow_samples, stream_peaks};
 use super::turning::FITS_RAD;
 use super::{PoseStream, Seen, Unseen};
 use crate::geometry::{LengthScale, Pose, Vec3, angle_between};

@@ -1,46 +1,22 @@
 //! A stream as it is to be read: its units, its rotations, and which of the rotations that a sample may
 //! mean it does mean.
 
-use super::arm::{FOLLOWS, SEARCH_SAMPLES};
+use std::borrow::Cow;
+
 use super::joints::Read;
-use super::latency::{ArmSpeeds, Peak};
+use super::latency::Peak;
 use super::model::{Blind, StreamState, Sweep, ToolPart, Witness};
 use super::placement::{Placement, lies_as_logged};
 use super::placing::spread;
 use super::reading::{After, Fit, Logged, Samples, nearest_truth, read};
+use super::sampling::{SEARCH_SAMPLES, slow_samples};
 use super::turning::{FITS_RAD, Turning, Way};
 use super::{AxesSlip, PoseStream, ReadingEstimate, Seen, UnitSlip, Unseen};
-use crate::geometry::{Pose, Rotation, Vec3, angle_between};
-use crate::robot::Chain;
-use crate::stats::{NORMAL, median};
-use crate::stream::{DeclaredUnits, JointTrack, Orientations, PoseTrack};
-use std::borrow::Cow;
+use crate::geometry::{Rotation, Vec3, angle_between};
+use crate::stream::{DeclaredUnits, Orientations, PoseTrack};
 
-/// Samples that readings are tried on.
-const READING_SAMPLES: usize = 72;
 /// Moving samples without which a latency is not sought.
 const MOVING_SAMPLES: usize = 10;
-
-pub(super) fn as_rotations(orientation: &Orientations) -> Option<&[Rotation]> {
-    match orientation {
-        Orientations::Rotations(rotations) => Some(rotations),
-        Orientations::Numbers(_) | Orientations::Unset(_) => None,
-    }
-}
-
-/// The lags at which a stream may follow the arm by its speeds, the likeliest first.
-pub(super) fn stream_peaks(arm: &ArmSpeeds, stream: &PoseStream, most_lag_s: f64) -> Vec<Peak> {
-    let PoseTrack { t_s, xyz, orientation, .. } = stream.track;
-    arm.peaks_of(t_s, xyz, as_rotations(orientation), most_lag_s)
-}
-
-/// The lag at which a stream follows the arm best by its speeds, s; 0 where none does.
-pub(super) fn stream_lag_s(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> f64 {
-    let arm = ArmSpeeds::of(joints, stream.chain, stream.columns);
-    let peaks = stream_peaks(&arm, stream, most_lag_s);
-    let best = peaks.first().filter(|peak| peak.correlation > FOLLOWS);
-    best.map_or(0.0, |peak| peak.lag_s)
-}
 
 /// A stream whose reading is settled, with what settled it.
 pub(super) struct Prepared<'a> {
@@ -248,41 +224,6 @@ fn at_rows(orientation: &Orientations, rows: &[usize]) -> Orientations {
     }
 }
 
-/// Slow samples spread over the run, and FK at the moments that they speak of.
-pub(super) fn slow_samples(
-    joints: &JointTrack,
-    chain: &Chain,
-    columns: &[usize],
-    t_s: &[f64],
-    lag_s: f64,
-) -> (Vec<usize>, Vec<Pose>) {
-    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
-    let mut covered: Vec<(usize, f64)> = Vec::new();
-    for (k, t) in t_s.iter().enumerate() {
-        if joints.at(t - lag_s, &mut cursor, &mut q, &mut qd) {
-            covered.push((k, qd.iter().map(|v| v * v).sum()));
-        }
-    }
-    let mut slowest = covered;
-    let kept = slowest.len().div_ceil(2);
-    slowest.sort_by(|a, b| a.1.total_cmp(&b.1));
-    slowest.truncate(kept);
-    let mut rows: Vec<usize> = slowest.iter().map(|(k, _)| *k).collect();
-    rows.sort_unstable();
-    let step = rows.len().div_ceil(READING_SAMPLES).max(1);
-    let rows: Vec<usize> = rows.into_iter().step_by(step).collect();
-    cursor = 0;
-    let fk = rows
-        .iter()
-        .map(|&k| {
-            joints.at(t_s[k] - lag_s, &mut cursor, &mut q, &mut qd);
-            let own: Vec<f64> = columns.iter().map(|&c| q[c]).collect();
-            chain.forward(&own)
-        })
-        .collect();
-    (rows, fk)
-}
-
 /// Applies the reading to every sample, taking the branch nearest to what FK expects; samples that
 /// the joints do not cover are dropped. Without a reading, rotations are what FK expects.
 fn choose_branches(
@@ -318,24 +259,4 @@ fn choose_branches(
         kept_rotation.push(rotation);
     }
     (witness.t_s, witness.xyz, witness.rotation) = (kept_t, kept_xyz, kept_rotation);
-}
-
-/// Joint speeds that are no motion: five times the noise of the velocities, at least 0.2 mrad/s.
-///
-/// Noise by the median magnitude of second differences, which smooth motion hardly has.
-pub(super) fn still_speeds(joints: &JointTrack) -> Vec<f64> {
-    /// A median of more is no better.
-    const ENOUGH: usize = 20_000;
-    let stride = joints.len().div_ceil(ENOUGH).max(1);
-    let speed = |row: usize, joint: usize| joints.qd[row * joints.dof + joint];
-    (0..joints.dof)
-        .map(|j| {
-            let middles = (1..joints.len().saturating_sub(1)).step_by(stride);
-            let mut bends: Vec<f64> = middles
-                .map(|k| (speed(k - 1, j) - 2.0 * speed(k, j) + speed(k + 1, j)).abs())
-                .collect();
-            let Some(median) = median(&mut bends) else { return f64::INFINITY };
-            (5.0 * NORMAL * median / 6f64.sqrt()).max(2e-4)
-        })
-        .collect()
 }

@@ -11,7 +11,7 @@
 use super::latency::median_period_s;
 use super::model::{Blind, StreamState, Sweep, ToolPart, Witness};
 use super::nominal::calibrated;
-use super::prepare::still_speeds;
+use super::sampling::still_speeds;
 use super::{Aligned, PoseDiagnosis, PoseStream, Seen, Unseen};
 use crate::geometry::{Pose, Vec3, pose, rotvec_from_rotation};
 use crate::stream::{JointTrack, Orientations};

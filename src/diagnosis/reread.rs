@@ -1,10 +1,9 @@
 //! Streams read as somebody says that they are meant, where a misreading leaves several rotations
 //! that a sample may mean.
 
-use super::imu;
-use super::prepare::stream_lag_s;
 use super::reading::{After, Logged, Samples, fit_known, nearest_truth};
-use super::{AxesSlip, ImuStream, PoseStream, Reading};
+use super::sampling::stream_lag_s;
+use super::{AxesSlip, PoseStream, Reading};
 use crate::geometry::{Axes, Rotation};
 use crate::stream::{JointTrack, Orientations, PoseTrack};
 
@@ -55,16 +54,6 @@ pub fn reread_poses(
     });
     let xyz = xyz.collect();
     Some(PoseTrack { xyz, orientation: Orientations::Rotations(truths), ..track.clone() })
-}
-
-/// The orientations of an IMU, likewise.
-pub fn reread_imu(
-    joints: &JointTrack,
-    stream: &ImuStream,
-    reading: Reading,
-    most_lag_s: f64,
-) -> Option<Vec<Rotation>> {
-    imu::reread(joints, stream, reading, most_lag_s)
 }
 
 /// What `logged` means as `meant` says, where FK `expected` each rotation but for constant frames and

@@ -2,7 +2,7 @@
 
 use super::PoseStream;
 use super::placing::Expected;
-use super::prepare::slow_samples;
+use super::sampling::slow_samples;
 use crate::geometry::Vec3;
 use crate::stream::{JointTrack, Orientations};
 

@@ -5,17 +5,16 @@ use std::borrow::Cow;
 use rayon::prelude::*;
 
 use super::commands::ReferenceEvidence;
+use super::estimate::DhEvidence;
 use super::estimate::Diagnosis;
 use super::joints::{JointEvidence, joint_facts, mending};
 use super::poses::{Declared, ImuEvidence, PoseEvidence, euler};
 use super::shake::{ShakeEvidence, shake_of_joints, shake_of_poses};
 use super::{Of, of_arm, span_in};
 use crate::diagnosis::{
-    ArmDiagnosis, DhEstimate, JointDiagnosis, JointScale, PoseDiagnosis, Unseen, proof,
-    proof_of_imu,
+    ArmDiagnosis, JointDiagnosis, JointScale, PoseDiagnosis, Unseen, proof, proof_of_imu,
 };
 use crate::finding::{Span, Subject, Unit};
-use crate::robot::DhConvention;
 use crate::run::{Arm, PoseSource, Run, RunOptions, Witness, WrongModel};
 use crate::stream::{Columns, Orientations};
 
@@ -118,16 +117,7 @@ impl ArmEvidence {
     }
 }
 
-/// The DH table of a robot.
-#[derive(Clone, Debug)]
-pub struct DhEvidence {
-    /// The convention that it says it is in.
-    pub declared: DhConvention,
-    /// What either convention leaves of the streams.
-    pub estimate: DhEstimate,
-}
-
-pub(super) fn arm_facts(
+pub(super) fn arm_evidence(
     run: &Run,
     arm: &Arm,
     diagnosis: Diagnosis,

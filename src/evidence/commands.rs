@@ -1,6 +1,6 @@
 //! What an arm was told, held against what it did.
 
-use super::arm::ArmEvidence;
+use super::poses::PoseEvidence;
 use super::{Of, of_arm, span_of};
 use crate::diagnosis::{
     Aligned, CommandedArm, Commands, PoseDiagnosis, PoseSeries, ReferenceDiagnosis, Seen,
@@ -44,11 +44,11 @@ pub enum WitnessKind {
     AsLogged,
 }
 
-/// Diagnoses the commands to arm `index`, of which `facts` were found before.
+/// Diagnoses the commands to arm `index`, on whose streams `poses` were found before.
 pub(super) fn references(
     run: &Run,
     index: usize,
-    facts: &ArmEvidence,
+    poses: &[Of<PoseEvidence>],
     most_lag_s: f64,
 ) -> Vec<Of<ReferenceEvidence>> {
     let Some(arm) = run.arms.get(index) else { return Vec::new() };
@@ -63,10 +63,10 @@ pub(super) fn references(
         kind: WitnessKind::Kinematics,
     };
     let of_joints = [(kinematics, by_kinematics)];
-    let streams = arm.poses.iter().zip(&facts.poses);
+    let streams = arm.poses.iter().zip(poses);
     let of_streams: Vec<(ReferenceWitness, PoseSeries)> =
         streams.flat_map(|(source, of)| of_stream(run, arm, source, &of.diagnosis)).collect();
-    let facts = sources.into_iter().map(|source| {
+    let found = sources.into_iter().map(|source| {
         let (is_of_joints, tip_named, frame_named) = match &source.content {
             Ok(ReferenceContent::Poses { tip_named, frame_named, .. }) => {
                 (false, *tip_named, *frame_named)
@@ -90,7 +90,7 @@ pub(super) fn references(
         };
         Of { span: span_of(run, source.stream), ..of_arm(run, arm, source.stream, found) }
     });
-    facts.collect()
+    found.collect()
 }
 
 /// What was found of one stream of commands; why it cannot be held against the arm, where it cannot.

@@ -2,14 +2,23 @@
 
 use rayon::prelude::*;
 
-use super::arm::DhEvidence;
 use crate::diagnosis::{
     ArmDiagnosis, DhEstimate, DhStream, DhTold, ImuDiagnosis, Left, PoseDiagnosis, PoseStream,
     Residual, Unseen, diagnose_derived, diagnose_imu_steadied, diagnose_steadied, faults, follows,
     position_misfit_m, steadied,
 };
+use crate::robot::DhConvention;
 use crate::run::{Arm, ImuSource, Run, retake_carried, together};
 use crate::stream::JointTrack;
+
+/// The DH table of a robot.
+#[derive(Clone, Debug)]
+pub struct DhEvidence {
+    /// The convention that it says it is in.
+    pub declared: DhConvention,
+    /// What either convention leaves of the streams.
+    pub estimate: DhEstimate,
+}
 
 /// What was estimated on one arm.
 pub(super) struct Diagnosis {

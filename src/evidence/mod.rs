@@ -20,8 +20,9 @@ use crate::log::Loss;
 use crate::run::{Arm, Frozen, Norms, Run, RunOptions, Unaudited, WhyNot};
 use crate::time::Stamp;
 
-pub use arm::{ArmEvidence, DhEvidence};
+pub use arm::ArmEvidence;
 pub use commands::{ReferenceEvidence, ReferenceWitness, WitnessKind};
+pub use estimate::DhEvidence;
 pub use hand_eye::HandEyeEvidence;
 pub use joints::{JointEvidence, JointMotion};
 pub use poses::{Declared, EulerEvidence, ImuEvidence, PoseEvidence};
@@ -175,9 +176,9 @@ impl RunEvidence {
         let unset: Vec<Unaudited> = never_set.chain(topics::in_other_frames(run)).collect();
         let arms = run.arms.iter().zip(diagnoses).enumerate();
         let robots = arms.map(|(index, (arm, diagnosis))| {
-            let mut facts = arm::arm_facts(run, arm, diagnosis, options);
-            facts.references = commands::references(run, index, &facts, most_lag_s);
-            facts
+            let mut found = arm::arm_evidence(run, arm, diagnosis, options);
+            found.references = commands::references(run, index, &found.poses, most_lag_s);
+            found
         });
         Self {
             robots: robots.collect(),

@@ -1,4 +1,5 @@
 //! What samples of a run's streams hold: numbers that are none, jump, repeat, or are no rotations.
+
 use super::{Of, of};
 use crate::robot::JointKind;
 use crate::run::{Frozen, Held, Norms, PoseSource, Role, Run, Strays, Stream};

@@ -1,4 +1,5 @@
 //! Topics and frames: what is not there, not read or not audited, and why.
+
 use super::{Of, of};
 use crate::diagnosis::{ArmDiagnosis, Unseen};
 use crate::finding::Subject;

@@ -14,8 +14,9 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
+use super::settle::{is_of_memory, settle};
 use super::store::Store;
-use super::task::{Answer, Task, settle};
+use super::task::{Answer, Task};
 use crate::Options;
 use crate::boundary::forget_staged;
 
@@ -132,14 +133,6 @@ fn words(mut errors: File) -> String {
     // What cannot be read says nothing.
     let _ = errors.rewind().and_then(|()| errors.take(1 << 16).read_to_end(&mut bytes));
     String::from_utf8_lossy(&bytes).into_owned()
-}
-
-/// Whether a process or a library that says this was refused memory.
-pub(super) fn is_of_memory(words: &str) -> bool {
-    // Of the allocator, of the operating system, of SQLite.
-    ["memory allocation of", "Cannot allocate memory", "out of memory"]
-        .iter()
-        .any(|part| words.contains(part))
 }
 
 fn death(status: ExitStatus, words: &str) -> Death {

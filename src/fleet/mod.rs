@@ -12,6 +12,7 @@ mod machine;
 mod pending;
 pub mod report;
 mod settings;
+mod settle;
 mod sources;
 mod store;
 mod task;

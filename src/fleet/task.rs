@@ -1,17 +1,10 @@
 //! One log of a fleet: what is asked of it, and how it ended.
 
-use std::path::Path;
-
-use polars::prelude::PolarsError;
 use serde::{Deserialize, Serialize};
 
-use super::child::is_of_memory;
 use super::labels::Labels;
-use super::store::{Row, Status, Store, StoreError, Tables, found};
-use crate::boundary::caught;
 use crate::finding::Severity;
-use crate::report::{Report, Trouble, TroubleKind, Verdict};
-use crate::{Audited, Options, audit};
+use crate::report::Verdict;
 
 /// A log to audit, and under which key its rows are kept.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -32,6 +25,58 @@ pub struct Task {
     pub mtime_ns: i64,
     /// Which site, arm or anything else it is of.
     pub labels: Labels,
+}
+
+/// How the audit of a log ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Status {
+    /// It was audited.
+    Audited,
+    /// It was read, and could not be audited: it is no log, has no arm in it, or no model is known.
+    NotAudited,
+    /// It could not be read. Every call tries again.
+    Unreadable,
+    /// It took longer than a log may.
+    TimedOut,
+    /// It needed more memory than a log may.
+    OutOfMemory,
+    /// The audit of it died.
+    Crashed,
+}
+
+impl Status {
+    /// All of them.
+    pub const ALL: [Status; 6] = [
+        Status::Audited,
+        Status::NotAudited,
+        Status::Unreadable,
+        Status::TimedOut,
+        Status::OutOfMemory,
+        Status::Crashed,
+    ];
+
+    /// Its name in tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Status::Audited => "audited",
+            Status::NotAudited => "not_audited",
+            Status::Unreadable => "unreadable",
+            Status::TimedOut => "timed_out",
+            Status::OutOfMemory => "out_of_memory",
+            Status::Crashed => "crashed",
+        }
+    }
+
+    /// The status of this name.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|status| status.name() == name)
+    }
+
+    /// Whether to try again leads to the same.
+    pub const fn is_final(self) -> bool {
+        matches!(self, Status::Audited | Status::NotAudited)
+    }
 }
 
 /// How the audit of a log ended.
@@ -63,89 +108,6 @@ impl Answer {
             Some(Severity::Warning) => self.errors + self.warnings > 0,
             Some(Severity::Info) => self.errors + self.warnings + self.infos > 0,
         }
-    }
-}
-
-/// Audits the log at `path` as `options` say, and puts its rows into `store`. A panic is caught, and
-/// becomes its row. Returns also what kept it from being audited.
-///
-/// # Errors
-/// Where its rows cannot be written.
-pub fn settle(
-    path: &Path,
-    task: &Task,
-    options: &Options,
-    store: &Store,
-) -> Result<(Answer, Option<String>), StoreError> {
-    let mut options = Options { logs: vec![path.to_owned()], ..options.clone() };
-    options.policy.fail_on = Some(Severity::Warning);
-    let ((answer, tables), trouble) = match caught(|| audit(&options).map(Audited::into_report)) {
-        Ok(Ok(report)) => (of_report(task, &report), report.error),
-        Ok(Err(trouble)) => {
-            let status = or_out_of_memory(Status::NotAudited, &trouble);
-            (of_trouble(task, status, &trouble), Some(trouble))
-        }
-        Err(panic) => {
-            let trouble = crashed(task, format!("the audit failed: {panic}"));
-            let status = or_out_of_memory(Status::Crashed, &trouble);
-            (of_trouble(task, status, &trouble), Some(trouble))
-        }
-    };
-    let tables = tables.map_err(|source| StoreError::Content { path: path.to_owned(), source })?;
-    store.commit(&task.key, tables)?;
-    Ok((answer, trouble.map(|trouble| trouble.what)))
-}
-
-/// `status`, unless it was memory that was missing.
-fn or_out_of_memory(status: Status, trouble: &Trouble) -> Status {
-    if is_of_memory(&trouble.what) { Status::OutOfMemory } else { status }
-}
-
-fn of_report(task: &Task, report: &Report) -> (Answer, Result<Tables, PolarsError>) {
-    let trouble = report.error.as_ref();
-    let answer = Answer {
-        status: if trouble.is_some() { Status::NotAudited } else { Status::Audited },
-        verdict: trouble.is_none().then_some(report.verdict),
-        errors: found(report, Severity::Error),
-        warnings: found(report, Severity::Warning),
-        infos: found(report, Severity::Info),
-    };
-    (answer, Tables::of(Row { task, answer: &answer }, report, trouble))
-}
-
-fn of_trouble(
-    task: &Task,
-    status: Status,
-    trouble: &Trouble,
-) -> (Answer, Result<Tables, PolarsError>) {
-    let answer = Answer::without_report(status);
-    (answer, Tables::of_trouble(Row { task, answer: &answer }, trouble))
-}
-
-/// Puts the row of a log into `store` on which there is no report.
-///
-/// # Errors
-/// Where it cannot be written.
-pub fn give_up(
-    task: &Task,
-    status: Status,
-    trouble: &Trouble,
-    store: &Store,
-) -> Result<Answer, StoreError> {
-    let (answer, tables) = of_trouble(task, status, trouble);
-    let path = || store.path().to_owned();
-    let tables = tables.map_err(|source| StoreError::Content { path: path(), source })?;
-    store.commit(&task.key, tables)?;
-    Ok(answer)
-}
-
-/// The trouble with a log that makes the program fail.
-pub fn crashed(task: &Task, what: String) -> Trouble {
-    Trouble {
-        kind: TroubleKind::Log,
-        what,
-        place: task.path.clone(),
-        remedy: "report this as a bug, with the log".to_owned(),
     }
 }
 

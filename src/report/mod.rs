@@ -30,7 +30,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::checks::{self, Evaluation, Rule, StreamObservability};
-use crate::finding::{CheckRow, Finding, Ignored, Severity, Status, Word, maybe_word, word};
+use crate::finding::{CheckRow, Finding, Ignored, Severity, Status, Word, word};
 use crate::time::Stamp;
 
 pub(crate) use drawn::figures;
@@ -38,11 +38,13 @@ pub use figures::Figures;
 pub use file::write_whole;
 pub(crate) use file::{is_descriptor, replaceable};
 pub use format::{FORMATS, Format};
+pub use rows::{RobotRow, StreamRow};
 pub(crate) use rows::{joined, robots, streams};
 pub(crate) use tame::quoted;
 pub use tame::{tame, upright};
 pub use trouble::{Trouble, TroubleKind};
 pub(crate) use workspace::{ArmWorkspace, coverage, reached};
+pub use workspace::{JointCoverage, WorkspaceRow};
 
 /// The schema of the JSON report.
 pub const SCHEMA: &str = "poseaudit.report/1";
@@ -91,41 +93,6 @@ pub struct Report {
     /// What its pictures show, where they were asked for.
     #[serde(skip)]
     pub figures: Option<Figures>,
-}
-
-/// Over which part of its ranges one arm moved.
-#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-pub struct WorkspaceRow {
-    /// The arm.
-    pub robot: String,
-    /// Its joints, from base to tip.
-    pub joints: Vec<JointCoverage>,
-    /// The least and the greatest distance of its tip from its base, m.
-    pub reach_m: [f64; 2],
-    /// How far the tip could be at most, m.
-    pub max_reach_m: f64,
-    /// What could not be concluded because a joint hardly moved: a sentence each.
-    pub hides: Vec<String>,
-}
-
-/// Over which part of its range one joint moved.
-#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-pub struct JointCoverage {
-    /// The joint.
-    pub joint: String,
-    /// Unit of the positions: `rad` or `m`.
-    #[serde(deserialize_with = "word")]
-    pub unit: Word,
-    /// Its lowest position.
-    pub lowest: f64,
-    /// Its highest.
-    pub highest: f64,
-    /// Its lower limit.
-    pub lower: Option<f64>,
-    /// Its upper limit.
-    pub upper: Option<f64>,
-    /// Share of its limits that it visited, of a turn where it has none and turns.
-    pub visited: Option<f64>,
 }
 
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
@@ -204,61 +171,6 @@ pub struct NoteRow {
     pub path: PathBuf,
     /// What there is to know.
     pub note: String,
-}
-
-/// One arm.
-#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-pub struct RobotRow {
-    /// Its name.
-    pub name: String,
-    /// Where its model comes from.
-    pub source: String,
-    /// The link that the chain begins at.
-    pub base: String,
-    /// The link that it ends at.
-    pub tip: String,
-    /// Its joints, from base to tip.
-    pub joints: Vec<String>,
-}
-
-/// One topic, or one pair of frames of it.
-#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-pub struct StreamRow {
-    /// Its topic.
-    pub topic: String,
-    /// Type, as the log spells it.
-    #[serde(rename = "type")]
-    pub type_name: String,
-    /// The part it plays.
-    #[serde(deserialize_with = "word")]
-    pub role: Word,
-    /// Why it plays that part.
-    pub reason: String,
-    /// The robot it belongs to.
-    pub robot: Option<String>,
-    /// The frame its messages name.
-    pub frame_id: Option<String>,
-    /// The child frame its messages name.
-    pub child_frame_id: Option<String>,
-    /// The link that its poses are taken to be in.
-    pub reference: Option<String>,
-    /// The link whose poses they are taken to be.
-    pub link: Option<String>,
-    /// Whose word its poses are: `controller`, `external` or `unknown`.
-    #[serde(default, deserialize_with = "maybe_word")]
-    pub witness: Option<Word>,
-    /// Messages or samples.
-    pub count: u64,
-    /// Samples that could not be used.
-    pub dropped: u64,
-    /// Samples a second.
-    pub rate_hz: Option<f64>,
-    /// First stamp.
-    #[schemars(with = "Option<String>")]
-    pub start_ns: Option<Stamp>,
-    /// Last stamp.
-    #[schemars(with = "Option<String>")]
-    pub end_ns: Option<Stamp>,
 }
 
 impl Report {

@@ -1,7 +1,66 @@
 //! The rows of a report that say what the log holds.
 
-use super::{RobotRow, StreamRow};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::finding::{Word, maybe_word, word};
 use crate::run::{Arm, Run, Witness};
+use crate::time::Stamp;
+
+/// One arm.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct RobotRow {
+    /// Its name.
+    pub name: String,
+    /// Where its model comes from.
+    pub source: String,
+    /// The link that the chain begins at.
+    pub base: String,
+    /// The link that it ends at.
+    pub tip: String,
+    /// Its joints, from base to tip.
+    pub joints: Vec<String>,
+}
+
+/// One topic, or one pair of frames of it.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct StreamRow {
+    /// Its topic.
+    pub topic: String,
+    /// Type, as the log spells it.
+    #[serde(rename = "type")]
+    pub type_name: String,
+    /// The part it plays.
+    #[serde(deserialize_with = "word")]
+    pub role: Word,
+    /// Why it plays that part.
+    pub reason: String,
+    /// The robot it belongs to.
+    pub robot: Option<String>,
+    /// The frame its messages name.
+    pub frame_id: Option<String>,
+    /// The child frame its messages name.
+    pub child_frame_id: Option<String>,
+    /// The link that its poses are taken to be in.
+    pub reference: Option<String>,
+    /// The link whose poses they are taken to be.
+    pub link: Option<String>,
+    /// Whose word its poses are: `controller`, `external` or `unknown`.
+    #[serde(default, deserialize_with = "maybe_word")]
+    pub witness: Option<Word>,
+    /// Messages or samples.
+    pub count: u64,
+    /// Samples that could not be used.
+    pub dropped: u64,
+    /// Samples a second.
+    pub rate_hz: Option<f64>,
+    /// First stamp.
+    #[schemars(with = "Option<String>")]
+    pub start_ns: Option<Stamp>,
+    /// Last stamp.
+    #[schemars(with = "Option<String>")]
+    pub end_ns: Option<Stamp>,
+}
 
 /// One row for each stream of the segments.
 pub(crate) fn joined(rows: impl Iterator<Item = StreamRow>) -> Vec<StreamRow> {

@@ -1,11 +1,48 @@
 //! Joins a run's joint states to where its arms have been, for the report and for tables.
 
-use super::{JointCoverage, WorkspaceRow};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
 use crate::checks::{Evaluation, hidden_zero};
 use crate::diagnosis::{JointSpan, Workspace, reach_m};
-use crate::finding::{Cause, CheckRow, Finding, Unit};
+use crate::finding::{Cause, CheckRow, Finding, Unit, Word, word};
 use crate::robot::{Chain, JointKind};
 use crate::run::{Arm, JointSamples, Run};
+
+/// Over which part of its ranges one arm moved.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct WorkspaceRow {
+    /// The arm.
+    pub robot: String,
+    /// Its joints, from base to tip.
+    pub joints: Vec<JointCoverage>,
+    /// The least and the greatest distance of its tip from its base, m.
+    pub reach_m: [f64; 2],
+    /// How far the tip could be at most, m.
+    pub max_reach_m: f64,
+    /// What could not be concluded because a joint hardly moved: a sentence each.
+    pub hides: Vec<String>,
+}
+
+/// Over which part of its range one joint moved.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct JointCoverage {
+    /// The joint.
+    pub joint: String,
+    /// Unit of the positions: `rad` or `m`.
+    #[serde(deserialize_with = "word")]
+    pub unit: Word,
+    /// Its lowest position.
+    pub lowest: f64,
+    /// Its highest.
+    pub highest: f64,
+    /// Its lower limit.
+    pub lower: Option<f64>,
+    /// Its upper limit.
+    pub upper: Option<f64>,
+    /// Share of its limits that it visited, of a turn where it has none and turns.
+    pub visited: Option<f64>,
+}
 
 /// Where one arm has been.
 pub(crate) struct ArmWorkspace<'a> {

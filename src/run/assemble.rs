@@ -20,16 +20,15 @@ use super::arm::Arm;
 use super::cadence::rhythms;
 use super::declaration::Declaration;
 use super::error::RunError;
-use super::excerpts::Excerpts;
 use super::flaws::flaws;
 use super::models;
 use super::norms::norms;
 use super::role::Role;
 use super::settle::settle;
-use super::sift::Sift;
 use super::space::Space;
 use super::stalled;
-use super::streams::{Stream, Timing, split};
+use super::streams::{Stream, split};
+use super::timing::Timing;
 use super::topics;
 use super::unfold::{self, unfold};
 use super::{Run, RunOptions};
@@ -79,10 +78,7 @@ impl Run {
         }
         topics::apply(&options.topics, &mut streams)?;
         let folded = unfold(&mut streams);
-        let mut timing = Timing::settle(&streams, options.stamp, options.max_latency_s);
-        timing.measure(&mut streams);
-        timing.sift = Sift::of(&streams, &timing);
-        timing.excerpts = Excerpts::of(&streams, &timing);
+        let timing = Timing::of(&mut streams, options.stamp, options.max_latency_s);
         let origin = origin(&streams);
         let tf = Arc::new(tf_tree(&streams, &timing, &Space::default()));
         let (attached, logged_calibrations): (Vec<_>, Vec<_>) =
@@ -131,8 +127,9 @@ impl Run {
             assembly;
         let span = span(streams.iter().filter(|stream| stream.rate_hz.is_some()));
         let rhythms = rhythms(&streams, &timing, &joint_topics(&streams, &timing), &arms);
-        let (flaws, norms) = (flaws(&streams, &timing.sift.publishers), norms(&streams, &timing));
-        let Timing { clocks, excerpts, sift, .. } = timing;
+        let (flaws, norms) =
+            (flaws(&streams, &timing.sift.publishers), norms(&streams, &timing.clocks));
+        let Timing { clocks, excerpts, sift } = timing;
         Ok(Run {
             origin,
             span,
@@ -141,7 +138,7 @@ impl Run {
             targets,
             references,
             tf,
-            clocks,
+            clocks: clocks.all,
             rhythms,
             flaws,
             folded,
@@ -221,7 +218,7 @@ fn unreadable(descriptions: &[(String, String)]) -> Vec<(String, RobotError)> {
 impl Assembly<'_> {
     fn stamp_error_s(&self, arm: &Arm, stream: usize, piece: usize) -> f64 {
         let joints = arm.joint_facts.first().map_or(stream, |joint| joint.stream);
-        self.timing.alignment_error_s((joints, 0), (stream, piece))
+        self.timing.clocks.alignment_error_s((joints, 0), (stream, piece))
     }
 
     /// Gives `stream` its role and, where it belongs to an arm, hands it over.

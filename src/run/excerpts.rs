@@ -13,7 +13,8 @@ use crate::time::{NANOS_PER_SECOND, Stamp, nanos};
 
 use super::role::Role;
 use super::rows::Rows;
-use super::streams::{Stream, Timing};
+use super::sift::Sift;
+use super::streams::{Clocks, Stream};
 
 /// A run that is no longer is seen whole, s.
 const WHOLE_S: i64 = 300;
@@ -33,8 +34,8 @@ pub struct Excerpts {
 
 impl Excerpts {
     /// The excerpts of a run with these streams; `None` where it is seen whole, or has no joint states.
-    pub(super) fn of(streams: &[Stream], timing: &Timing) -> Option<Self> {
-        let topics = joints(streams, timing);
+    pub(super) fn of(streams: &[Stream], clocks: &Clocks, sift: &Sift) -> Option<Self> {
+        let topics = joints(streams, clocks, sift);
         let (start, end) = bulk(&topics.iter().max_by_key(|(_, rows)| rows.len())?.1)?;
         let span = end.saturating_sub(start);
         // Some 2 % of it are margin.
@@ -87,13 +88,17 @@ impl Excerpts {
 }
 
 /// The topics of joint states, each with its rows but for stray ones.
-fn joints<'a>(streams: &'a [Stream], timing: &Timing) -> Vec<(&'a JointColumns, Rows)> {
+fn joints<'a>(
+    streams: &'a [Stream],
+    clocks: &Clocks,
+    sift: &Sift,
+) -> Vec<(&'a JointColumns, Rows)> {
     let is_joints = |(_, stream): &(usize, &Stream)| stream.role == Role::Joints;
     let joints = streams.iter().enumerate().filter(is_joints);
     let with_rows = joints.filter_map(|(index, stream)| match &stream.columns {
         Some(Columns::Joints(joints)) => {
-            let mut rows = timing.rows(streams, index, 0);
-            timing.sift.sift(index, 0, &mut rows);
+            let mut rows = clocks.rows(streams, index, 0);
+            sift.sift(index, 0, &mut rows);
             Some((joints, rows))
         }
         _ => None,
@@ -218,8 +223,8 @@ mod tests {
             useless: None,
             span: None,
         }]);
-        let timing = Timing::settle(&streams, crate::time::Clock::Header, 5.0);
-        Excerpts::of(&streams, &timing)
+        let clocks = Clocks::settle(&streams, crate::time::Clock::Header, 5.0);
+        Excerpts::of(&streams, &clocks, &Sift::default())
     }
 
     #[test]

@@ -45,6 +45,7 @@ mod targets;
 mod tests;
 mod tf_error;
 mod tf_tree;
+mod timing;
 mod topics;
 mod trains;
 mod unaudited;

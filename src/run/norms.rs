@@ -8,7 +8,7 @@ use crate::stream::{ArrayColumns, Columns, ImuColumns, PoseColumns};
 use crate::time::Stamp;
 
 use super::poses::Layout;
-use super::streams::{Stream, Timing};
+use super::streams::{Clocks, Stream};
 
 /// A quaternion shorter than this is one that nobody set.
 const UNSET: f64 = 1e-6;
@@ -44,10 +44,10 @@ pub struct Norms {
 }
 
 /// The norms of every stream that holds quaternions, and of bare arrays that may.
-pub(super) fn norms(streams: &[Stream], timing: &Timing) -> Vec<Norms> {
+pub(super) fn norms(streams: &[Stream], clocks: &Clocks) -> Vec<Norms> {
     let of = |(index, stream): (usize, &Stream)| {
         let at = |piece: usize, row| {
-            timing.clock(index, piece)?.stamp_of(stream.times().get(piece)?, row)
+            clocks.clock(index, piece)?.stamp_of(stream.times().get(piece)?, row)
         };
         let pieces = pieces(stream).into_iter().enumerate();
         let norms = pieces.filter_map(|(piece, (frame, written, rows, defect))| {

@@ -5,7 +5,7 @@ use crate::stream::{ArrayColumns, Columns, ImuColumns, JointColumns, PoseColumns
 
 use super::role::Role;
 use super::rows::Rows;
-use super::streams::{Stream, Timing};
+use super::streams::{Clocks, Stream};
 use super::tf_tree::without_slash;
 
 /// A piece of a stream.
@@ -71,7 +71,7 @@ impl Series<'_> {
 }
 
 /// All pieces that a run may use, but for those of joint states that not each message has all of.
-pub(super) fn series<'a>(streams: &'a [Stream], timing: &Timing) -> Vec<Series<'a>> {
+pub(super) fn series<'a>(streams: &'a [Stream], clocks: &Clocks) -> Vec<Series<'a>> {
     let mut found = Vec::new();
     for (stream, held) in streams.iter().enumerate() {
         let is_used = matches!(
@@ -85,7 +85,7 @@ pub(super) fn series<'a>(streams: &'a [Stream], timing: &Timing) -> Vec<Series<'
         );
         let Some(columns) = held.columns.as_ref().filter(|_| is_used) else { continue };
         let mut add = |piece: usize, frame, times: &'a Times, values| {
-            let mut rows = timing.rows(streams, stream, piece);
+            let mut rows = clocks.rows(streams, stream, piece);
             rows.sort_by_key(|(stamp, row)| (*stamp, times.log[*row]));
             found.push(Series { stream, piece, frame, rows, times, values });
         };

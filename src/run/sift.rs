@@ -8,7 +8,7 @@ use super::rows::Rows;
 use super::series::{Values, series};
 use super::stalled::{self, Stalled, stalled};
 use super::strays::{self, Strays, strays};
-use super::streams::{Stream, Timing};
+use super::streams::{Clocks, Stream};
 
 /// What was found that keeps rows from being seen.
 #[derive(Debug, Default)]
@@ -25,8 +25,8 @@ pub struct Sift {
 
 impl Sift {
     /// Looks through all streams.
-    pub(super) fn of(streams: &[Stream], timing: &Timing) -> Self {
-        let mut series = series(streams, timing);
+    pub(super) fn of(streams: &[Stream], clocks: &Clocks) -> Self {
+        let mut series = series(streams, clocks);
         let publishers = publishers(&series);
         for series in &mut series {
             publishers::hide(&publishers, series.stream, series.piece, &mut series.rows);
@@ -44,7 +44,7 @@ impl Sift {
             stalled(series, &rows)
         });
         let stalled = stalled.collect();
-        let strays = strays(streams, timing, &publishers);
+        let strays = strays(streams, clocks, &publishers);
         Self { strays, publishers, held, stalled }
     }
 

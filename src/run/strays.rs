@@ -18,7 +18,7 @@ use super::poses::Layout;
 use super::publishers::Publishers;
 use super::role::Role;
 use super::rows::Rows;
-use super::streams::{Stream, Timing};
+use super::streams::{Clocks, Stream};
 
 /// Samples in a row that may be stray; more of them are a motion.
 const LONGEST: usize = 3;
@@ -78,7 +78,7 @@ pub(super) fn hide(strays: &[Strays], stream: usize, piece: usize, rows: &mut Ro
 /// The stray samples of joint states, poses and transforms; of what two publish nothing is stray for being the other's.
 pub(super) fn strays(
     streams: &[Stream],
-    timing: &Timing,
+    clocks: &Clocks,
     publishers: &[Publishers],
 ) -> Vec<Strays> {
     let is_of_two = |stream: usize, piece: usize| {
@@ -94,7 +94,7 @@ pub(super) fn strays(
         // The stamps of a log that has none are no help: then only samples in a row count.
         let times = stream.times();
         let at = |piece: usize, row: usize| {
-            let clock = timing.clock(index, piece).zip(times.get(piece));
+            let clock = clocks.clock(index, piece).zip(times.get(piece));
             clock.and_then(|(clock, times)| clock.stamp_of(times, row))
         };
         let found = match &stream.columns {

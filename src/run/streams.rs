@@ -5,10 +5,8 @@ use crate::stream::{Columns, PoseColumns, Times};
 use crate::time::{Clock, Stamp};
 
 use super::clock::{self, Source, StreamClock};
-use super::excerpts::Excerpts;
 use super::role::{Role, named_role, plain_role};
 use super::rows::Rows;
-use super::sift::Sift;
 use super::tf_tree::without_slash;
 use super::witness::Witness;
 
@@ -231,17 +229,13 @@ fn dropped_in(columns: &Columns) -> u64 {
 }
 
 /// The clocks of all streams.
-pub(super) struct Timing {
-    pub clocks: Vec<StreamClock>,
+pub(super) struct Clocks {
+    pub all: Vec<StreamClock>,
     /// For every stream, for every piece of it, the index of its clock.
     of: Vec<Vec<usize>>,
-    /// What of a long run is seen.
-    pub excerpts: Option<Excerpts>,
-    /// What else is not seen.
-    pub sift: Sift,
 }
 
-impl Timing {
+impl Clocks {
     /// Settles the clock of every stream that moves in time.
     pub fn settle(streams: &[Stream], wanted: Clock, max_latency_s: f64) -> Self {
         let mut sources = Vec::new();
@@ -273,13 +267,12 @@ impl Timing {
                 }
             }
         }
-        let clocks = clock::settle(&sources, wanted, max_latency_s);
-        Self { clocks, of, excerpts: None, sift: Sift::default() }
+        Self { all: clock::settle(&sources, wanted, max_latency_s), of }
     }
 
     /// The clock of a piece of a stream; none for what holds at all times.
     pub fn clock(&self, stream: usize, piece: usize) -> Option<&StreamClock> {
-        self.clocks.get(*self.of.get(stream)?.get(piece)?)
+        self.all.get(*self.of.get(stream)?.get(piece)?)
     }
 
     /// The rows of a piece of a stream that have a stamp.
@@ -287,27 +280,8 @@ impl Timing {
         self.rows_where(streams, stream, piece, |_| true)
     }
 
-    /// Those of them that the estimators see: in the run's excerpts, or less than `around_s` off, and
-    /// not sifted out.
-    pub fn seen_rows(
-        &self,
-        streams: &[Stream],
-        stream: usize,
-        piece: usize,
-        around_s: f64,
-    ) -> Rows {
-        let mut rows = match &self.excerpts {
-            Some(excerpts) => self.rows_where(streams, stream, piece, excerpts.holds(around_s)),
-            None => self.rows(streams, stream, piece),
-        };
-        if let Some(times) = streams[stream].times().get(piece) {
-            leave_out_overlaps(&mut rows, &times.log);
-        }
-        self.sift.sift(stream, piece, &mut rows);
-        rows
-    }
-
-    fn rows_where(
+    /// Those of them that are kept.
+    pub fn rows_where(
         &self,
         streams: &[Stream],
         stream: usize,
@@ -323,12 +297,14 @@ impl Timing {
         }
     }
 
-    /// Makes the clock of one piece, and what was found on it, those of another stream too, which is
-    /// appended.
+    /// Makes the clock of one piece that of another stream too, which is appended.
     pub fn share(&mut self, stream: usize, piece: usize) {
-        let clock = self.of[stream][piece];
-        self.sift.share((stream, piece), self.of.len());
-        self.of.push(vec![clock]);
+        self.of.push(vec![self.of[stream][piece]]);
+    }
+
+    /// How many streams have clocks.
+    pub fn streams(&self) -> usize {
+        self.of.len()
     }
 
     /// Standard error of the time between two streams that alignment left, s.
@@ -373,30 +349,4 @@ impl Timing {
             }
         }
     }
-}
-
-/// Leaves out what follows a clock that was set back until it is past where it had been: in the order of
-/// stamps it would lie among what came before. Single messages that overtake each other stay.
-fn leave_out_overlaps(rows: &mut Rows, received: &[i64]) {
-    /// Rows on end that are stamped before one that came earlier.
-    const BLOCK: usize = 10;
-    if rows.is_sorted_by_key(|(stamp, _)| *stamp) {
-        return;
-    }
-    rows.sort_by_key(|(_, row)| received[*row]);
-    let mut latest = None;
-    let behind: Vec<bool> = rows
-        .iter()
-        .map(|(stamp, _)| {
-            let is_behind = latest.is_some_and(|latest| *stamp < latest);
-            latest = latest.max(Some(*stamp));
-            is_behind
-        })
-        .collect();
-    let blocks = behind.chunk_by(|a, b| a == b);
-    let kept: Vec<bool> = blocks
-        .flat_map(|block| std::iter::repeat_n(!block[0] || block.len() < BLOCK, block.len()))
-        .collect();
-    let mut kept = kept.into_iter();
-    rows.retain(|_| kept.next().unwrap_or(true));
 }

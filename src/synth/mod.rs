@@ -300,10 +300,18 @@ fn write(
 ) -> Result<(), SynthError> {
     let mut messages = Vec::new();
     for arm in arms {
-        let said = streams::messages(arm, &Truth::new(arm)?);
-        messages.extend(said.into_iter().map(|message| (arm.name_of(message.topic), message)));
+        let truth = Truth::new(arm)?;
+        let said = [
+            streams::messages(arm, &truth),
+            target::sightings(arm, &truth),
+            reference::commands(arm, &truth),
+            structure::driving(arm),
+            structure::hand(arm, &truth),
+        ];
+        let said = said.into_iter().flatten();
+        messages.extend(said.map(|message| (arm.name_of(message.topic), message)));
     }
-    // Those of one arm are in order; of several at one moment, the first arm's come first.
+    // Of several arms at one moment, the first one's come first.
     messages.sort_by_key(|(_, message)| (message.received, message.topic));
     // Compressing on other threads would cut the data elsewhere on other machines.
     let options = WriteOptions::new()

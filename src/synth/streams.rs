@@ -4,9 +4,6 @@ use rand::RngExt;
 
 use super::messages::{self, LoggedImu, LoggedPose, LoggedTransform, Topic};
 use super::noise::{Purpose, UnitNoise, random};
-use super::reference::commands;
-use super::structure::{driving, hand};
-use super::target::sightings;
 use super::truth::{GRAVITY, Truth};
 use super::{
     Coding, IMU_FRAME, ImuStream, JointStream, PoseStream, Scenario, Timing, ToolSlip, urdf_text,
@@ -26,18 +23,13 @@ pub(super) struct Message {
     pub(super) cdr: Vec<u8>,
 }
 
-/// All messages of the log, in the order in which they are received.
+/// What is said of the arm itself.
 pub(super) fn messages(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let mut messages = latched(scenario);
     messages.extend(joint_states(scenario, truth));
     messages.extend(poses(scenario, truth));
     messages.extend(transforms(scenario, truth));
     messages.extend(imu_samples(scenario, truth));
-    messages.extend(sightings(scenario, truth));
-    messages.extend(commands(scenario, truth));
-    messages.extend(driving(scenario));
-    messages.extend(hand(scenario, truth));
-    messages.sort_by_key(|message| (message.received, message.topic));
     messages
 }
 

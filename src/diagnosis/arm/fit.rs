@@ -1,6 +1,5 @@
 //! The fit of all streams of an arm together, from the start that explains each one best.
 
-use super::SEARCH_SAMPLES;
 use crate::diagnosis::explain::{Approach, Cause, Explanation, Menu, best, explain};
 use crate::diagnosis::frames::starts;
 use crate::diagnosis::harmless::tools_first;
@@ -9,6 +8,7 @@ use crate::diagnosis::latency::Peak;
 use crate::diagnosis::model::{State, StreamState, ToolPart, Witness};
 use crate::diagnosis::nominal::{MOST_M, MOST_RAD, is_nominal};
 use crate::diagnosis::prepare::Prepared;
+use crate::diagnosis::sampling::SEARCH_SAMPLES;
 use crate::geometry::Pose;
 use rayon::prelude::*;
 

@@ -12,7 +12,8 @@ use super::joints::{
 use super::latency::{ArmSpeeds, Peak};
 use super::placement::{Placement, metres_by_reach};
 use super::placing::spread;
-use super::prepare::{Prepared, as_rotations, prepare, stream_lag_s, stream_peaks};
+use super::prepare::{Prepared, prepare};
+use super::sampling::{as_rotations, stream_lag_s, stream_peaks};
 use super::{
     ArmDiagnosis, JointDiagnosis, JointOffset, JointReading, JointScale, JointUnit, PoseDiagnosis,
     PoseStream, Residual, Seen, Unseen,
@@ -23,11 +24,6 @@ use crate::stream::JointTrack;
 use fit::fit;
 use stream::{no_diagnosis, stream_diagnosis};
 use zeros::{joint_offsets, joint_scales, unseen_offsets};
-
-/// Samples a stream in the search for the explanation, and in the final fit.
-pub(super) const SEARCH_SAMPLES: usize = 500;
-/// Speeds correlate less than this where a stream does not follow the arm.
-pub(super) const FOLLOWS: f64 = 0.3;
 
 /// Diagnoses the joint states and all pose streams that are witnesses to them.
 ///

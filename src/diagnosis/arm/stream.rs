@@ -1,6 +1,5 @@
 //! What a fit says of one stream.
 
-use super::SEARCH_SAMPLES;
 use super::align::align;
 use super::fit::Fitted;
 use super::twins::measured;
@@ -13,6 +12,7 @@ use crate::diagnosis::observability::Observability;
 use crate::diagnosis::placement::Placement;
 use crate::diagnosis::prepare::Prepared;
 use crate::diagnosis::residual::residual;
+use crate::diagnosis::sampling::SEARCH_SAMPLES;
 use crate::diagnosis::{
     Aligned, AxesSlip, ConstantPart, LengthSlip, Measured, PoseDiagnosis, PoseStream, Residual,
     Seen, UnitSlip, Unseen,

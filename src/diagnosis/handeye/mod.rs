@@ -196,7 +196,7 @@ pub fn diagnose_hand_eye(streams: &HandEyeStreams, most_lag_s: f64) -> HandEyeDi
     let lags = candidate_lags(&peaks);
     let as_logged = ReadTarget::as_logged(target, FIT_POSES);
     let lag_s = best_lag_s(hand, &as_logged, &lags);
-    let seen = Setting::new(hand, &as_logged, Mount::InHand);
+    let seen = Setting::new(hand, as_logged.poses(), Mount::InHand);
     let have = seen.count_at(lag_s);
     let diversity = diversity(&seen, lag_s);
     let solution = match have {
@@ -240,7 +240,7 @@ fn candidate_lags(peaks: &[Peak]) -> Vec<f64> {
 fn best_lag_s(hand: &PoseSeries, target: &ReadTarget, lags: &[f64]) -> f64 {
     let misfit = |lag_s: f64| {
         let misfits = Mount::ALL.map(|mount| {
-            let setting = Setting::new(hand, target, mount);
+            let setting = Setting::new(hand, target.poses(), mount);
             start::start(&setting.pairs_at(lag_s, start::POSES)).map_or(f64::MAX, |s| s.misfit)
         });
         misfits[0].min(misfits[1])
@@ -258,7 +258,7 @@ fn best_lag_s(hand: &PoseSeries, target: &ReadTarget, lags: &[f64]) -> f64 {
 /// Solves under both mounts and keeps the one that leaves less.
 fn solve(streams: &HandEyeStreams, target: &ReadTarget, lag_s: f64) -> Option<Solution> {
     let fits = Mount::ALL.map(|mount| {
-        let setting = Setting::new(streams.hand, target, mount);
+        let setting = Setting::new(streams.hand, target.poses(), mount);
         let start = start::start(&setting.pairs_at(lag_s, start::POSES))?;
         let fit = fit(&setting, start, lag_s)?;
         Some((mount, fit.misfit(), fit))
@@ -268,7 +268,7 @@ fn solve(streams: &HandEyeStreams, target: &ReadTarget, lag_s: f64) -> Option<So
     let other = fits.get(1).map_or(f64::INFINITY, |other| other.1);
     let (mount, misfit, fit) = fits.into_iter().next()?;
     let full = ReadTarget { series: streams.target, reading: target.reading, stride: 1 };
-    let closure = closure(&Setting::new(streams.hand, &full, mount), &fit)?;
+    let closure = closure(&Setting::new(streams.hand, full.poses(), mount), &fit)?;
     let offset_s =
         Measured { std_error: fit.offset_s.std_error.hypot(streams.stamp_error_s), ..fit.offset_s };
     Some(Solution {

@@ -124,7 +124,10 @@ pub(super) fn better_reading(
 fn closing(streams: &HandEyeStreams, reading: TargetReading, lag_s: f64) -> Option<f64> {
     let read = read_with(streams, reading);
     let misfits = Mount::ALL.into_iter().filter_map(|mount| {
-        Some(quick_start(&Setting::new(streams.hand, &read, mount).pairs_at(lag_s, POSES))?.misfit)
+        Some(
+            quick_start(&Setting::new(streams.hand, read.poses(), mount).pairs_at(lag_s, POSES))?
+                .misfit,
+        )
     });
     misfits.min_by(f64::total_cmp)
 }
@@ -143,7 +146,9 @@ fn candidates(streams: &HandEyeStreams, lag_s: f64) -> Vec<TargetReading> {
     const LOOKED_AT: usize = 6;
     let gap = |reading| {
         let read = read_with(streams, reading);
-        angle_gap(&Setting::new(streams.hand, &read, Mount::InHand).pairs_at(lag_s, POSES / 2))
+        angle_gap(
+            &Setting::new(streams.hand, read.poses(), Mount::InHand).pairs_at(lag_s, POSES / 2),
+        )
     };
     let as_logged = gap(TargetReading::AsLogged);
     if as_logged < ALIKE {
@@ -185,7 +190,7 @@ fn axes() -> impl Iterator<Item = [(usize, f64); 3]> {
 /// translations, `R_c·t_x + s·R_c·R_x·t − t_y = −t_c`.
 fn scale(streams: &HandEyeStreams, mount: Mount, lag_s: f64) -> Option<f64> {
     let read = read_with(streams, TargetReading::AsLogged);
-    let pairs = Setting::new(streams.hand, &read, mount).pairs_at(lag_s, POSES);
+    let pairs = Setting::new(streams.hand, read.poses(), mount).pairs_at(lag_s, POSES);
     let rotation = quick_start(&pairs)?.camera.rotation;
     let mut normal = nalgebra::DMatrix::<f64>::zeros(7, 7);
     let mut right = nalgebra::DVector::<f64>::zeros(7);

@@ -2,7 +2,6 @@
 
 use super::super::latency::median_period_s;
 use super::Mount;
-use super::reading::ReadTarget;
 use crate::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotvec_from_rotation};
 use crate::robot::Chain;
 use crate::stream::{JointTrack, Orientations, PoseTrack};
@@ -106,9 +105,13 @@ pub(super) struct Setting<'a> {
 }
 
 impl<'a> Setting<'a> {
-    pub fn new(hand: &'a PoseSeries, target: &ReadTarget, mount: Mount) -> Self {
+    pub fn new(
+        hand: &'a PoseSeries,
+        target: impl Iterator<Item = (f64, Pose)>,
+        mount: Mount,
+    ) -> Self {
         let period_s = median_period_s(&hand.t_s);
-        Self { hand, period_s, mount, targets: target.poses().collect() }
+        Self { hand, period_s, mount, targets: target.collect() }
     }
 
     /// What carries the camera at `t_s`.

@@ -17,8 +17,8 @@ mod yaw;
 
 use super::constant::mean_rotation;
 use super::latency::{ArmSpeeds, Peak, angular_speed, by_lag, norms, peaks};
-use super::prepare::still_speeds;
-use super::reread;
+use super::reread::rotations;
+use super::sampling::still_speeds;
 use super::{AxesSlip, Meant, Measured, Reading, Seen, Unseen};
 pub use found::{GyroBias, GyroShape, Heading, ImuDiagnosis, ImuStream, YawCourse, YawJump};
 pub use held::{ImuProof, Rates, proof_of_imu};
@@ -141,7 +141,7 @@ pub fn turning_by_latency(joints: &JointTrack, stream: &ImuStream, most_lag_s: f
 /// The orientations of an IMU as `reading` says that they are meant: of the rotations that a sample
 /// may mean the one nearest to what FK and the constant frames that fit best say. `None` where the
 /// IMU does not follow the arm under it.
-pub(super) fn reread(
+pub fn reread_imu(
     joints: &JointTrack,
     stream: &ImuStream,
     reading: Reading,
@@ -158,7 +158,7 @@ pub(super) fn reread(
         .collect();
     let mount = stream.link_from_imu.map(|pose| pose.rotation).unwrap_or_default();
     let meant = Meant { reading, axes: AxesSlip::NONE, inverted: false };
-    reread::rotations(&stream.track.orientation, &meant, &expected, &mount, false)
+    rotations(&stream.track.orientation, &meant, &expected, &mount, false)
 }
 
 /// By how much stamps lag the moments that they speak of: `latency + skew·(stamp − middle)`.

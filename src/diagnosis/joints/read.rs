@@ -1,6 +1,6 @@
 //! The joint states under one reading.
 
-use super::super::prepare::still_speeds;
+use super::super::sampling::still_speeds;
 use super::found::{JointReading, JointUnit, is_coded};
 use super::{corrected, moved};
 use crate::stream::JointTrack;

@@ -16,10 +16,10 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use polars::prelude::{Column, DataFrame, PolarsError};
-use serde::{Deserialize, Serialize};
 
 use super::settings::AuditSettings;
 use super::task::Answer;
+pub use super::task::Status;
 use crate::report::{Trouble, TroubleKind};
 
 pub(super) use frames::found;
@@ -60,58 +60,6 @@ impl Table {
             Table::Errors => "errors",
             Table::Sources => "sources",
         }
-    }
-}
-
-/// How the audit of a log ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Status {
-    /// It was audited.
-    Audited,
-    /// It was read, and could not be audited: it is no log, has no arm in it, or no model is known.
-    NotAudited,
-    /// It could not be read. Every call tries again.
-    Unreadable,
-    /// It took longer than a log may.
-    TimedOut,
-    /// It needed more memory than a log may.
-    OutOfMemory,
-    /// The audit of it died.
-    Crashed,
-}
-
-impl Status {
-    /// All of them.
-    pub const ALL: [Status; 6] = [
-        Status::Audited,
-        Status::NotAudited,
-        Status::Unreadable,
-        Status::TimedOut,
-        Status::OutOfMemory,
-        Status::Crashed,
-    ];
-
-    /// Its name in tables.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Status::Audited => "audited",
-            Status::NotAudited => "not_audited",
-            Status::Unreadable => "unreadable",
-            Status::TimedOut => "timed_out",
-            Status::OutOfMemory => "out_of_memory",
-            Status::Crashed => "crashed",
-        }
-    }
-
-    /// The status of this name.
-    pub fn named(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|status| status.name() == name)
-    }
-
-    /// Whether to try again leads to the same.
-    pub const fn is_final(self) -> bool {
-        matches!(self, Status::Audited | Status::NotAudited)
     }
 }
 

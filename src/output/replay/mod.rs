@@ -37,6 +37,7 @@ mod visuals;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use re_sdk_types::archetypes::ViewCoordinates;
 use rerun::external::re_log_encoding::EncodeError;
 use rerun::log::ChunkError;
 use rerun::sink::SinkFlushError;
@@ -333,13 +334,35 @@ fn fill(
     let tape = Tape::new(recording, replay.origin, names);
     let mut meshes = Vec::new();
     for arm in &replay.arms {
-        meshes.extend(scene::draw(&tape, arm, &wanted.mesh_roots)?);
+        meshes.extend(draw_arm(&tape, arm, &wanted.mesh_roots)?);
         plots::draw(&tape, arm)?;
     }
     findings::write(&tape, replay)?;
     page::write(&tape, replay, &meshes)?;
     tape.finish()?;
     Ok(if wanted.mesh_roots.is_empty() { Vec::new() } else { meshes })
+}
+
+/// Adds an arm and its streams; what is to be known of its meshes.
+fn draw_arm(
+    tape: &Tape,
+    arm: &ReplayArm<'_>,
+    mesh_roots: &[PathBuf],
+) -> Result<Vec<String>, ReplayCause> {
+    let size_m = arm.chain.max_reach_m();
+    tape.still(&scene::root(arm.name), &ViewCoordinates::RIGHT_HAND_Z_UP())?;
+    let drawn = visuals::draw(tape, arm, size_m, mesh_roots)?;
+    if !drawn.is_whole {
+        arm::draw(tape, arm, "arm", &arm.corrected, size_m)?;
+    }
+    if arm.corrected.q != arm.recorded.q {
+        arm::draw_thin(tape, arm, "arm_as_recorded", arm.recorded, size_m)?;
+    }
+    tools::draw_tip(tape, arm, size_m)?;
+    for stream in &arm.streams {
+        tools::draw(tape, arm, stream, size_m)?;
+    }
+    Ok(drawn.notes)
 }
 
 #[cfg(test)]

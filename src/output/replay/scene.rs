@@ -1,14 +1,12 @@
-//! An arm's space: what is drawn in it, and from where it is looked at.
+//! An arm's space: colours, transforms, and from where it is looked at.
 
-use std::path::PathBuf;
-
-use re_sdk_types::archetypes::{Transform3D, ViewCoordinates};
+use re_sdk_types::archetypes::Transform3D;
 use re_sdk_types::components::{Radius, RotationQuat};
 use re_sdk_types::datatypes::Quaternion;
 use rerun::EntityPath;
 
-use super::tape::{Tape, entity};
-use super::{MOST_ROWS, ReplayArm, ReplayCause, arm, tools, visuals};
+use super::tape::entity;
+use super::{MOST_ROWS, ReplayArm};
 use crate::geometry::{Pose, Rotation, Vec3, xyz_of, xyzw_from_rotation};
 use crate::stats::thin;
 use crate::stream::JointTrack;
@@ -20,28 +18,6 @@ pub(super) const RECORDED_RGB: [u8; 3] = [110, 115, 125];
 /// The entity above all that is drawn of an arm; its space is the base of the chain.
 pub(super) fn root(arm: &str) -> EntityPath {
     entity(&["arms", arm])
-}
-
-/// Adds an arm and its streams; what is to be known of its meshes.
-pub(super) fn draw(
-    tape: &Tape,
-    arm: &ReplayArm<'_>,
-    mesh_roots: &[PathBuf],
-) -> Result<Vec<String>, ReplayCause> {
-    let size_m = arm.chain.max_reach_m();
-    tape.still(&root(arm.name), &ViewCoordinates::RIGHT_HAND_Z_UP())?;
-    let drawn = visuals::draw(tape, arm, size_m, mesh_roots)?;
-    if !drawn.is_whole {
-        arm::draw(tape, arm, "arm", &arm.corrected, size_m)?;
-    }
-    if arm.corrected.q != arm.recorded.q {
-        arm::draw_thin(tape, arm, "arm_as_recorded", arm.recorded, size_m)?;
-    }
-    tools::draw_tip(tape, arm, size_m)?;
-    for stream in &arm.streams {
-        tools::draw(tape, arm, stream, size_m)?;
-    }
-    Ok(drawn.notes)
 }
 
 /// The rows of an arm's joint states that are drawn.

@@ -14,8 +14,9 @@ use super::super::models::{self, Given, GivenCalibration};
 use super::super::role::{Role, shared, words};
 use super::super::skeleton;
 use super::super::space::{Claim, Space};
-use super::super::streams::{Stream, Timing};
+use super::super::streams::Stream;
 use super::super::tf_tree::TfTree;
+use super::super::timing::Timing;
 use super::super::unaudited::{Unaudited, WhyNot};
 use super::assembly::Assembly;
 use super::groups::{Group, groups};
@@ -257,7 +258,7 @@ pub(super) fn joint_topics<'a>(streams: &'a [Stream], timing: &Timing) -> Vec<Jo
         .map(|(stream, columns)| JointTopic {
             stream,
             columns,
-            rows: timing.rows(streams, stream, 0),
+            rows: timing.clocks.rows(streams, stream, 0),
         })
         .collect()
 }

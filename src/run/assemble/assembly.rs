@@ -6,8 +6,9 @@ use crate::run::RunOptions;
 use crate::run::arm::Arm;
 use crate::run::contest::Contest;
 use crate::run::frozen::Frozen;
-use crate::run::streams::{Stream, Timing};
+use crate::run::streams::Stream;
 use crate::run::tf_tree::TfTree;
+use crate::run::timing::Timing;
 use crate::run::unaudited::Unaudited;
 use crate::time::Stamp;
 

@@ -41,7 +41,7 @@ impl Assembly<'_> {
     fn plain_track(&self, index: usize) -> Option<PoseTrack> {
         let Some(Columns::Poses(poses)) = &self.streams[index].columns else { return None };
         let [poses] = poses.as_slice() else { return None };
-        let mut rows = self.timing.rows(&self.streams, index, 0);
+        let mut rows = self.timing.clocks.rows(&self.streams, index, 0);
         self.timing.sift.sift(index, 0, &mut rows);
         let track = poses::from_poses(poses, &rows, None, self.origin).ok()?.track;
         (track.t_s.len() > 1).then_some(track)
@@ -65,7 +65,7 @@ impl Assembly<'_> {
                 kind: HandKind::Stream { stream: index, track: self.plain_track(index)? },
                 hand_from_camera: tied(&stream.child_frame_id),
                 base_from_camera: tied(&stream.frame_id),
-                stamp_error_s: self.timing.alignment_error_s((index, 0), (target, 0)),
+                stamp_error_s: self.timing.clocks.alignment_error_s((index, 0), (target, 0)),
             })
         });
         let by_transforms = targets::hand_frame(&self.tf, camera).and_then(|(base, hand)| {

@@ -106,7 +106,7 @@ impl Assembly<'_> {
 
     /// The rows that are looked at.
     fn looked_at(&self, index: usize) -> Rows {
-        let mut rows = self.timing.rows(&self.streams, index, 0);
+        let mut rows = self.timing.clocks.rows(&self.streams, index, 0);
         if rows.len() > MANY {
             let around_s = self.options.max_latency_s;
             rows = self.timing.seen_rows(&self.streams, index, 0, around_s);

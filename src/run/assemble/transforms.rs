@@ -11,9 +11,10 @@ use super::super::poses::{self, Stamped};
 use super::super::role::{Place, Role};
 use super::super::sources::PoseSource;
 use super::super::space::{Claim, Space};
-use super::super::streams::{Stream, Timing};
+use super::super::streams::Stream;
 use super::super::targets;
 use super::super::tf_tree::{Edge, EdgeKind, TfTree, without_slash};
+use super::super::timing::Timing;
 use super::super::witness::Witness;
 use super::assembly::Assembly;
 

@@ -27,7 +27,8 @@ use super::arm::Arm;
 use super::clock::{HeaderStamps, StreamClock};
 use super::joints::JointTopic;
 use super::role::Role;
-use super::streams::{Stream, Timing};
+use super::streams::Stream;
+use super::timing::Timing;
 
 pub use self::extent::Extent;
 pub use self::intervals::{Hole, Stretch};
@@ -106,16 +107,16 @@ pub(super) fn rhythms(
         let bounds = parts
             .iter()
             .filter(|part| part.wanted && is_expected(stream))
-            .filter_map(|part| Bounds::of(part, timing.clock(index, part.piece)?))
+            .filter_map(|part| Bounds::of(part, timing.clocks.clock(index, part.piece)?))
             .reduce(Bounds::join);
         // Where several senders share a topic, the numbers may count the messages of all.
         let numbers = match parts.as_slice() {
             [only] if stream.role != Role::Tf => only.numbers(),
             _ => Vec::new(),
         };
-        let parts = parts
-            .par_iter()
-            .filter_map(|part| Some(part.cadence(timing.clock(index, part.piece)?, &motion)));
+        let parts = parts.par_iter().filter_map(|part| {
+            Some(part.cadence(timing.clocks.clock(index, part.piece)?, &motion))
+        });
         let rhythm = Rhythm { stream: index, parts: parts.collect(), extent: None };
         Some(((rhythm, bounds), numbers))
     };

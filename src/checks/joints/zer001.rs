@@ -1,6 +1,7 @@
 use crate::checks::decision::{DEGREE, Decision, Threshold, decide, unseen};
+use crate::checks::poses::frm001;
 use crate::checks::twins::{estimate, twin_cause};
-use crate::checks::{Case, Grade, Judged, frm001, standing};
+use crate::checks::{Case, Grade, Judged, standing};
 use crate::diagnosis::{FrameEstimate, JointOffset, Measured, Seen, Twin};
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
@@ -268,7 +269,7 @@ mod tests {
             Ok(FrameEstimate { chosen: true, ..frame(0.1) });
         let (rows, findings) = ask(&ZER001, &run);
         assert!(findings.is_empty() && rows[0].indistinguishable, "{rows:?}");
-        let (_, named) = ask(&crate::checks::frm002::FRM002, &run);
+        let (_, named) = ask(&crate::checks::poses::frm002::FRM002, &run);
         assert_eq!(named[0].evidence.indistinguishable[0].code, "ZER001");
     }
 }

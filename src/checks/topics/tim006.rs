@@ -68,13 +68,13 @@ const BELOW: Limit = Limit {
 
 /// What a lower rate is.
 #[derive(Clone, Copy)]
-pub(super) struct Pace {
+pub(in crate::checks) struct Pace {
     slow: f64,
     lasts_s: f64,
 }
 
 impl Pace {
-    pub(super) fn of(case: &Case) -> Self {
+    pub(in crate::checks) fn of(case: &Case) -> Self {
         let [slow, lasts_s] = [&SLOW, &LASTS].map(|limit| case.thresholds.limit(&TIM006, limit));
         Self { slow, lasts_s }
     }
@@ -201,7 +201,7 @@ fn missed(rhythm: &Of<RhythmEvidence>) -> (f64, f64) {
 }
 
 /// Where a part runs below its usual rate.
-pub(super) fn slow(pace: Pace, part: &Cadence) -> impl Iterator<Item = &Stretch> {
+pub(in crate::checks) fn slow(pace: Pace, part: &Cadence) -> impl Iterator<Item = &Stretch> {
     let usual_s = part.period_s.unwrap_or(f64::INFINITY);
     let is_slow = move |lull: &&Stretch| lull.rate_hz * usual_s * pace.slow < 1.0;
     part.lulls.iter().filter(is_slow).filter(move |lull| lull.seconds() >= pace.lasts_s)

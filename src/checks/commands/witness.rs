@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use crate::checks::decision::unseen;
-use crate::checks::mot003;
+use crate::checks::motion::mot003;
 use crate::diagnosis::{Following, JointOffset, ReferenceDiagnosis};
 use crate::evidence::ReferenceEvidence;
 use crate::evidence::{ArmEvidence, Of, WitnessKind};

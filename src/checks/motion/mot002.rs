@@ -1,4 +1,4 @@
-use crate::checks::mot003::doubt;
+use crate::checks::motion::mot003::doubt;
 use crate::checks::{Case, Grade, Judged, Limit};
 use crate::diagnosis::Abruptness;
 use crate::evidence::{ArmEvidence, JointEvidence};

@@ -1,9 +1,10 @@
+use super::{hec002, hec003};
 use crate::checks::decision::{Decision, decide_both, decide_frame};
 use crate::checks::frames::show;
-use crate::checks::hand_eye::{
+use crate::checks::hand_eye::chain::{
     LEAST_SPAN, SETTLE, THRESHOLDS, does_not_follow, is_mount_decided, unseen, with_solution,
 };
-use crate::checks::{Case, FrameThresholds, Grade, Judged, hec002, hec003, standing};
+use crate::checks::{Case, FrameThresholds, Grade, Judged, standing};
 use crate::diagnosis::{Mount, Solution, TargetReading};
 use crate::evidence::{ArmEvidence, HandEyeEvidence, Of, PoseEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
@@ -245,7 +246,9 @@ fn other_mount(logged: Mount) -> Fault {
 fn reading_words(reading: &TargetReading) -> String {
     match reading {
         TargetReading::AsLogged => "they are read as logged".to_owned(),
-        TargetReading::Axes(axes) => format!("its positions are {}", hec003::axes_words(axes)),
+        TargetReading::Axes(axes) => {
+            format!("its positions are {}", hec003::axes_words(axes))
+        }
         TargetReading::Transposed => "its rotations are transposed".to_owned(),
         TargetReading::QuaternionOrder(_) => {
             "its quaternions' components are put in the other order".to_owned()

@@ -1,7 +1,7 @@
 use serde_json::{Value, json};
 
+use crate::checks::commands::witness::{self, witness_name};
 use crate::checks::decision::{DEGREE, Decision, FrameThresholds, Threshold, decide_length};
-use crate::checks::reference::{self, witness_name};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Line, LineWitness, Measured};
 use crate::evidence::{ArmEvidence, Of, ReferenceEvidence};
@@ -92,7 +92,7 @@ fn worst<'a>(
 fn judge(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence>) -> Judged {
     let thresholds = &case.thresholds.of_frames(&MOT004, THRESHOLDS);
     let judged = |outcome| Judged::new(reference.subject.clone(), outcome).within(reference.span);
-    let found = match reference::found(arm, reference, SETTLE) {
+    let found = match witness::found(arm, reference, SETTLE) {
         Ok(found) => found,
         Err(outcome) => return judged(outcome),
     };

@@ -1,6 +1,9 @@
+use super::hec001;
 use crate::checks::decision::DEGREE;
-use crate::checks::hand_eye::{LEAST_SPAN, LEAST_SPREAD, THRESHOLDS, does_not_follow, unseen};
-use crate::checks::{Case, FrameThresholds, Grade, Judged, hec001};
+use crate::checks::hand_eye::chain::{
+    LEAST_SPAN, LEAST_SPREAD, THRESHOLDS, does_not_follow, unseen,
+};
+use crate::checks::{Case, FrameThresholds, Grade, Judged};
 use crate::diagnosis::{CameraPose, Diversity, Measured};
 use crate::evidence::HandEyeEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};

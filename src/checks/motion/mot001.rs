@@ -1,5 +1,5 @@
 use crate::checks::decision::Threshold;
-use crate::checks::mot003::doubt;
+use crate::checks::motion::mot003::doubt;
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{NoShake, Shake};
 use crate::evidence::{ArmEvidence, Of, ShakeEvidence};

@@ -1,5 +1,5 @@
 use crate::checks::decision::DEGREE;
-use crate::checks::hand_eye::{does_not_follow, unseen};
+use crate::checks::hand_eye::chain::{does_not_follow, unseen};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::TargetReading;
 use crate::evidence::HandEyeEvidence;

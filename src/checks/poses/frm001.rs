@@ -70,7 +70,7 @@ impl Disagreement {
 }
 
 /// Whether /tf says what the joint states as recorded say, so that it inherits their faults.
-pub(super) fn agrees(case: &Case, tf: &PoseDiagnosis) -> bool {
+pub(in crate::checks) fn agrees(case: &Case, tf: &PoseDiagnosis) -> bool {
     Disagreement::of(case, tf).is_ok_and(|found| found.decision == Decision::Pass)
 }
 

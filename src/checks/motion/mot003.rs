@@ -61,7 +61,7 @@ fn check(case: &Case) -> Vec<Judged> {
 
 /// Why the numbers of the joint states cannot be held against limits or called motion, where they
 /// cannot.
-pub(super) fn doubt(arm: &ArmEvidence) -> Option<String> {
+pub(in crate::checks) fn doubt(arm: &ArmEvidence) -> Option<String> {
     let why = match &arm.diagnosis.reading {
         Ok(reading) if reading.degrees.is_some() || reading.permutation.is_some() => {
             "the joint positions are not what their names and units say; read them right first \

@@ -1,8 +1,8 @@
 use serde_json::{Value, json};
 
+use crate::checks::commands::witness::{self, following_json, witness_name, witnesses_differ};
 use crate::checks::decision::{Decision, decide_frame};
 use crate::checks::frames::{THRESHOLDS, pose_json, show};
-use crate::checks::reference::{self, following_json, witness_name, witnesses_differ};
 use crate::checks::{Case, FrameThresholds, Grade, Judged};
 use crate::diagnosis::{Constancy, FrameEstimate, Measured, ReferenceDiagnosis, RestGap};
 use crate::evidence::{ArmEvidence, Of, ReferenceEvidence, WitnessKind};
@@ -115,7 +115,7 @@ fn judge(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence>) -> J
     let thresholds = case.thresholds.of_frames(&FRM006, THRESHOLDS);
     let size = |gap: &RestGap| size(gap, &thresholds);
     let judged = |outcome| Judged::new(reference.subject.clone(), outcome).within(reference.span);
-    let found = match reference::found(arm, reference, SETTLE) {
+    let found = match witness::found(arm, reference, SETTLE) {
         Ok(found) => found,
         Err(outcome) => return judged(outcome),
     };

@@ -1,0 +1,12 @@
+//! What the arm was told, against what it did.
+
+pub(super) mod frm006;
+pub(super) mod mot004;
+mod witness;
+
+use super::Family;
+
+pub(super) static FAMILY: Family = Family {
+    examines: "What the arm was told, against what it did",
+    rules: &[&frm006::FRM006, &mot004::MOT004],
+};

@@ -1,0 +1,13 @@
+//! Joints and the model that they move: order, scale, zeros, DH convention.
+
+pub(super) mod ord005;
+pub(super) mod ord007;
+pub(super) mod ord009;
+pub(super) mod zer001;
+
+use super::Family;
+
+pub(super) static FAMILY: Family = Family {
+    examines: "Joints and the model that they move: order, scale, zeros, DH convention",
+    rules: &[&ord005::ORD005, &ord007::ORD007, &ord009::ORD009, &zer001::ZER001],
+};

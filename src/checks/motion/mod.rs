@@ -1,0 +1,12 @@
+//! How the arm moves: shake, stops, limits.
+
+pub(super) mod mot001;
+pub(super) mod mot002;
+pub(super) mod mot003;
+
+use super::Family;
+
+pub(super) static FAMILY: Family = Family {
+    examines: "How the arm moves: shake, stops, limits",
+    rules: &[&mot001::MOT001, &mot002::MOT002, &mot003::MOT003],
+};

@@ -1,0 +1,103 @@
+//! What an audit makes of one log's rows.
+
+use std::path::Path;
+
+use polars::prelude::PolarsError;
+
+use super::store::{Row, Status, Store, StoreError, Tables, found};
+use super::task::{Answer, Task};
+use crate::boundary::caught;
+use crate::finding::Severity;
+use crate::report::{Report, Trouble, TroubleKind};
+use crate::{Audited, Options, audit};
+
+/// Audits the log at `path` as `options` say, and puts its rows into `store`. A panic is caught, and
+/// becomes its row. Returns also what kept it from being audited.
+///
+/// # Errors
+/// Where its rows cannot be written.
+pub fn settle(
+    path: &Path,
+    task: &Task,
+    options: &Options,
+    store: &Store,
+) -> Result<(Answer, Option<String>), StoreError> {
+    let mut options = Options { logs: vec![path.to_owned()], ..options.clone() };
+    options.policy.fail_on = Some(Severity::Warning);
+    let ((answer, tables), trouble) = match caught(|| audit(&options).map(Audited::into_report)) {
+        Ok(Ok(report)) => (of_report(task, &report), report.error),
+        Ok(Err(trouble)) => {
+            let status = or_out_of_memory(Status::NotAudited, &trouble);
+            (of_trouble(task, status, &trouble), Some(trouble))
+        }
+        Err(panic) => {
+            let trouble = crashed(task, format!("the audit failed: {panic}"));
+            let status = or_out_of_memory(Status::Crashed, &trouble);
+            (of_trouble(task, status, &trouble), Some(trouble))
+        }
+    };
+    let tables = tables.map_err(|source| StoreError::Content { path: path.to_owned(), source })?;
+    store.commit(&task.key, tables)?;
+    Ok((answer, trouble.map(|trouble| trouble.what)))
+}
+
+/// `status`, unless it was memory that was missing.
+fn or_out_of_memory(status: Status, trouble: &Trouble) -> Status {
+    if is_of_memory(&trouble.what) { Status::OutOfMemory } else { status }
+}
+
+fn of_report(task: &Task, report: &Report) -> (Answer, Result<Tables, PolarsError>) {
+    let trouble = report.error.as_ref();
+    let answer = Answer {
+        status: if trouble.is_some() { Status::NotAudited } else { Status::Audited },
+        verdict: trouble.is_none().then_some(report.verdict),
+        errors: found(report, Severity::Error),
+        warnings: found(report, Severity::Warning),
+        infos: found(report, Severity::Info),
+    };
+    (answer, Tables::of(Row { task, answer: &answer }, report, trouble))
+}
+
+fn of_trouble(
+    task: &Task,
+    status: Status,
+    trouble: &Trouble,
+) -> (Answer, Result<Tables, PolarsError>) {
+    let answer = Answer::without_report(status);
+    (answer, Tables::of_trouble(Row { task, answer: &answer }, trouble))
+}
+
+/// Puts the row of a log into `store` on which there is no report.
+///
+/// # Errors
+/// Where it cannot be written.
+pub fn give_up(
+    task: &Task,
+    status: Status,
+    trouble: &Trouble,
+    store: &Store,
+) -> Result<Answer, StoreError> {
+    let (answer, tables) = of_trouble(task, status, trouble);
+    let path = || store.path().to_owned();
+    let tables = tables.map_err(|source| StoreError::Content { path: path(), source })?;
+    store.commit(&task.key, tables)?;
+    Ok(answer)
+}
+
+/// The trouble with a log that makes the program fail.
+pub fn crashed(task: &Task, what: String) -> Trouble {
+    Trouble {
+        kind: TroubleKind::Log,
+        what,
+        place: task.path.clone(),
+        remedy: "report this as a bug, with the log".to_owned(),
+    }
+}
+
+/// Whether a process or a library that says this was refused memory.
+pub(super) fn is_of_memory(words: &str) -> bool {
+    // Of the allocator, of the operating system, of SQLite.
+    ["memory allocation of", "Cannot allocate memory", "out of memory"]
+        .iter()
+        .any(|part| words.contains(part))
+}

@@ -1,0 +1,83 @@
+//! When the rows of every stream were, and which of them the estimators see.
+
+use super::excerpts::Excerpts;
+use super::rows::Rows;
+use super::sift::Sift;
+use super::streams::{Clocks, Stream};
+use crate::time::Clock;
+
+/// The clocks of all streams, and what of their rows is seen.
+pub(super) struct Timing {
+    pub clocks: Clocks,
+    /// What of a long run is seen.
+    pub excerpts: Option<Excerpts>,
+    /// What else is not seen.
+    pub sift: Sift,
+}
+
+impl Timing {
+    /// Settles the clock of every stream that moves in time, measures the streams by it, and looks through
+    /// their rows.
+    pub fn of(streams: &mut [Stream], wanted: Clock, max_latency_s: f64) -> Self {
+        let clocks = Clocks::settle(streams, wanted, max_latency_s);
+        clocks.measure(streams);
+        let sift = Sift::of(streams, &clocks);
+        let excerpts = Excerpts::of(streams, &clocks, &sift);
+        Self { clocks, excerpts, sift }
+    }
+
+    /// Those rows of a piece of a stream that the estimators see: in the run's excerpts, or less than
+    /// `around_s` off, and not sifted out.
+    pub fn seen_rows(
+        &self,
+        streams: &[Stream],
+        stream: usize,
+        piece: usize,
+        around_s: f64,
+    ) -> Rows {
+        let mut rows = match &self.excerpts {
+            Some(excerpts) => {
+                self.clocks.rows_where(streams, stream, piece, excerpts.holds(around_s))
+            }
+            None => self.clocks.rows(streams, stream, piece),
+        };
+        if let Some(times) = streams[stream].times().get(piece) {
+            leave_out_overlaps(&mut rows, &times.log);
+        }
+        self.sift.sift(stream, piece, &mut rows);
+        rows
+    }
+
+    /// Makes the clock of one piece, and what was found on it, those of another stream too, which is
+    /// appended.
+    pub fn share(&mut self, stream: usize, piece: usize) {
+        self.sift.share((stream, piece), self.clocks.streams());
+        self.clocks.share(stream, piece);
+    }
+}
+
+/// Leaves out what follows a clock that was set back until it is past where it had been: in the order of
+/// stamps it would lie among what came before. Single messages that overtake each other stay.
+fn leave_out_overlaps(rows: &mut Rows, received: &[i64]) {
+    /// Rows on end that are stamped before one that came earlier.
+    const BLOCK: usize = 10;
+    if rows.is_sorted_by_key(|(stamp, _)| *stamp) {
+        return;
+    }
+    rows.sort_by_key(|(_, row)| received[*row]);
+    let mut latest = None;
+    let behind: Vec<bool> = rows
+        .iter()
+        .map(|(stamp, _)| {
+            let is_behind = latest.is_some_and(|latest| *stamp < latest);
+            latest = latest.max(Some(*stamp));
+            is_behind
+        })
+        .collect();
+    let blocks = behind.chunk_by(|a, b| a == b);
+    let kept: Vec<bool> = blocks
+        .flat_map(|block| std::iter::repeat_n(!block[0] || block.len() < BLOCK, block.len()))
+        .collect();
+    let mut kept = kept.into_iter();
+    rows.retain(|_| kept.next().unwrap_or(true));
+}
