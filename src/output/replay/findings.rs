@@ -2,9 +2,9 @@
 
 use std::fmt::Write as _;
 
+use re_log_types::EntityPath;
 use re_sdk_types::archetypes::{StateChange, StateConfiguration, TextDocument, TextLog};
 use re_sdk_types::components::{MediaType, Text, TextLogLevel};
-use rerun::EntityPath;
 
 use super::moments::Moments;
 use super::tape::{Tape, entity};

@@ -1,6 +1,7 @@
 //! How the viewer opens a recording: the scene left, what proves the worst finding right, the spans of
 //! all findings below.
 
+use re_log_types::EntityPath;
 use re_sdk_types::blueprint::archetypes::{
     Background, EyeControls3D, LineGrid3D, PlotLegend, TextLogColumns, TimePanelBlueprint,
 };
@@ -13,12 +14,11 @@ use re_sdk_types::blueprint::views::{
 };
 use re_sdk_types::components::Color;
 use re_sdk_types::datatypes;
-use rerun::{ApplicationId, EntityPath, RecordingStream, RecordingStreamResult};
 
 use super::blueprint::{Blueprint, Part};
-use super::fixed::Seed;
 use super::plots::{self, Quantity};
-use super::{Replay, ReplayArm, ReplayImu, findings, page, scene, tape, tools};
+use super::reel::Reel;
+use super::{Replay, ReplayArm, ReplayCause, ReplayImu, findings, page, scene, tape, tools};
 use crate::finding::Finding;
 use crate::geometry::Vec3;
 use crate::time::Stamp;
@@ -28,15 +28,11 @@ const MOST_TABS: usize = 8;
 const GROUND_RGB: [u8; 3] = [20, 23, 28];
 const GRID_RGBA: [u8; 4] = [90, 100, 115, 90];
 
-/// Sends the layout of a recording, which the viewer then plays over and over.
-pub(super) fn send(
-    replay: &Replay<'_>,
-    application: ApplicationId,
-    recording: &RecordingStream,
-) -> RecordingStreamResult<()> {
-    let blueprint = Blueprint::new(application, Seed::of(replay))?;
+/// Adds the layout of a recording, which the viewer then plays over and over.
+pub(super) fn draw(replay: &Replay<'_>, reel: &Reel) -> Result<(), ReplayCause> {
+    let blueprint = Blueprint::new(reel);
     let arms = replay.arms.iter().map(|arm| scene(arm, &blueprint));
-    let arms = arms.collect::<RecordingStreamResult<Vec<_>>>()?;
+    let arms = arms.collect::<Result<Vec<_>, ReplayCause>>()?;
     let proof = proof(replay, &blueprint)?;
     let above = match arms.as_slice() {
         [] => proof,
@@ -55,7 +51,7 @@ pub(super) fn send(
         lanes => blueprint
             .column(&[above, below(&blueprint)?], &[10.0, (1.2 + 0.55 * lanes as f32).min(5.0)])?,
     };
-    blueprint.send(root, &time(replay), recording)
+    blueprint.finish(root, &time(replay))
 }
 
 /// Plays the run; where the worst finding is of a part of it, that part.
@@ -89,7 +85,7 @@ fn time(replay: &Replay<'_>) -> TimePanelBlueprint {
     }
 }
 
-fn scene(arm: &ReplayArm<'_>, blueprint: &Blueprint) -> RecordingStreamResult<Part> {
+fn scene(arm: &ReplayArm<'_>, blueprint: &Blueprint<'_>) -> Result<Part, ReplayCause> {
     /// From where it is looked at, …
     const FROM: Vec3 = Vec3::new(0.72, -0.88, 0.5);
     /// … and from how far, as a part of the ball around what it does.
@@ -117,7 +113,7 @@ fn scene(arm: &ReplayArm<'_>, blueprint: &Blueprint) -> RecordingStreamResult<Pa
 }
 
 /// A tab for each finding, then one with all errors of each arm, then the report.
-fn proof(replay: &Replay<'_>, blueprint: &Blueprint) -> RecordingStreamResult<Part> {
+fn proof(replay: &Replay<'_>, blueprint: &Blueprint<'_>) -> Result<Part, ReplayCause> {
     let mut tabs = Vec::new();
     for (index, finding) in replay.report.findings.iter().take(MOST_TABS).enumerate() {
         let text = blueprint.view::<TextDocumentView>("what is wrong", &findings::page(index))?;
@@ -177,14 +173,14 @@ fn plots_of(finding: &Finding, arm: &ReplayArm<'_>) -> Vec<(String, EntityPath)>
     all.into_iter().chain(joint).collect()
 }
 
-fn plot(title: &str, series: &EntityPath, blueprint: &Blueprint) -> RecordingStreamResult<Part> {
+fn plot(title: &str, series: &EntityPath, blueprint: &Blueprint<'_>) -> Result<Part, ReplayCause> {
     let plot = blueprint.view::<TimeSeriesView>(title, series)?;
     blueprint.set(plot, &PlotLegend::new().with_corner(Corner2D::LeftTop))?;
     Ok(plot)
 }
 
 /// The spans of the findings beside their lines.
-fn below(blueprint: &Blueprint) -> RecordingStreamResult<Part> {
+fn below(blueprint: &Blueprint<'_>) -> Result<Part, ReplayCause> {
     let spans = blueprint.view::<StateTimelineView>("when", &findings::spans())?;
     let lines = blueprint.view::<TextLogView>("findings", &findings::log())?;
     let columns = [TextLogColumnKind::LogLevel, TextLogColumnKind::Body];

@@ -23,12 +23,12 @@ mod arm;
 mod audited;
 mod blueprint;
 mod findings;
-mod fixed;
 mod layout;
 mod mesh;
 mod moments;
 mod page;
 mod plots;
+mod reel;
 mod scene;
 mod tape;
 mod tools;
@@ -37,14 +37,11 @@ mod visuals;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use re_chunk::ChunkError;
+use re_log_encoding::EncodeError;
+use re_log_types::{ApplicationId, LogMsg};
+use re_sdk_types::SerializationError;
 use re_sdk_types::archetypes::ViewCoordinates;
-use rerun::external::re_log_encoding::EncodeError;
-use rerun::log::ChunkError;
-use rerun::sink::SinkFlushError;
-use rerun::{
-    ApplicationId, RecordingStream, RecordingStreamBuilder, RecordingStreamError,
-    SerializationError,
-};
 
 use crate::diagnosis::{Aligned, Residuals};
 use crate::finding::Finding;
@@ -54,8 +51,8 @@ use crate::robot::{Chain, Robot};
 use crate::stream::JointTrack;
 use crate::time::Stamp;
 
-use fixed::{BATCHES, Seed};
 pub use moments::Receipts;
+use reel::Reel;
 use tape::{Names, Tape};
 
 /// Whose recordings these are, in the viewer.
@@ -275,16 +272,12 @@ pub struct ReplayError {
 pub enum ReplayCause {
     /// No file can be made there.
     Folder(#[from] std::io::Error),
-    /// It cannot be opened or added to.
-    Recording(#[from] RecordingStreamError),
     /// Values have no form in a recording.
     Values(#[from] SerializationError),
     /// Nor have rows.
     Rows(#[from] ChunkError),
     /// It has no form in a file.
     Encoding(#[from] EncodeError),
-    /// It does not arrive on disk.
-    Flush(#[from] SinkFlushError),
 }
 
 /// Writes the recording to its file, whose folders are made; what is to be known of the meshes that
@@ -307,14 +300,8 @@ fn record(
     wanted: &Recording,
     replay: &Replay<'_>,
 ) -> Result<Vec<String>, ReplayCause> {
-    let id = wanted.id.clone();
-    let id = id.unwrap_or_else(|| format!("{:032x}", Seed::of(replay).id("recording")));
-    // Explicitly enabled: the environment variable RERUN must not empty a file that was asked for.
-    let builder = RecordingStreamBuilder::new(application(wanted)).enabled(true);
-    let builder = builder.recording_id(id).batcher_config(BATCHES);
-    let (recording, messages) = builder.recording_started(replay.span.0.nanos()).memory()?;
-    let notes = fill(recording, wanted, replay)?;
-    fs::write(staged, fixed::bytes(messages.take(), replay)?)?;
+    let (messages, notes) = messages(wanted, replay)?;
+    fs::write(staged, reel::bytes(&messages)?)?;
     Ok(notes)
 }
 
@@ -323,15 +310,15 @@ fn application(wanted: &Recording) -> ApplicationId {
     named.unwrap_or(APPLICATION.into())
 }
 
-/// Puts everything into `recording`; what is to be known of meshes.
-fn fill(
-    recording: RecordingStream,
+/// All that the recording is made of; what is to be known of meshes.
+fn messages(
     wanted: &Recording,
     replay: &Replay<'_>,
-) -> Result<Vec<String>, ReplayCause> {
-    layout::send(replay, application(wanted), &recording)?;
+) -> Result<(Vec<LogMsg>, Vec<String>), ReplayCause> {
+    let reel = Reel::new(replay, &application(wanted), wanted.id.clone());
+    layout::draw(replay, &reel)?;
     let names = if wanted.beside_log { Names::OF_VIEWER } else { Names::OWN };
-    let tape = Tape::new(recording, replay.origin, names);
+    let tape = Tape::new(reel, replay.origin, names);
     let mut meshes = Vec::new();
     for arm in &replay.arms {
         meshes.extend(draw_arm(&tape, arm, &wanted.mesh_roots)?);
@@ -339,8 +326,8 @@ fn fill(
     }
     findings::write(&tape, replay)?;
     page::write(&tape, replay, &meshes)?;
-    tape.finish()?;
-    Ok(if wanted.mesh_roots.is_empty() { Vec::new() } else { meshes })
+    let notes = if wanted.mesh_roots.is_empty() { Vec::new() } else { meshes };
+    Ok((tape.finish().messages()?, notes))
 }
 
 /// Adds an arm and its streams; what is to be known of its meshes.

@@ -2,9 +2,9 @@
 
 use std::fmt::Write as _;
 
+use re_log_types::EntityPath;
 use re_sdk_types::archetypes::TextDocument;
 use re_sdk_types::components::MediaType;
-use rerun::EntityPath;
 
 use super::tape::{Tape, entity};
 use super::{MOST_ROWS, Replay, ReplayCause, findings};

@@ -1,7 +1,7 @@
 //! Errors over time, in the units that people read.
 
+use re_log_types::EntityPath;
 use re_sdk_types::archetypes::{Scalars, SeriesLines};
-use rerun::EntityPath;
 
 use super::tape::{Tape, entity};
 use super::{

@@ -1,9 +1,9 @@
 //! An arm's space: colours, transforms, and from where it is looked at.
 
+use re_log_types::EntityPath;
 use re_sdk_types::archetypes::Transform3D;
 use re_sdk_types::components::{Radius, RotationQuat};
 use re_sdk_types::datatypes::Quaternion;
-use rerun::EntityPath;
 
 use super::tape::entity;
 use super::{MOST_ROWS, ReplayArm};

@@ -1,12 +1,11 @@
 //! The recording as it is written: entity paths, and columns on all timelines.
 
-use rerun::log::TimeColumn;
-use rerun::{
-    AsComponents, EntityPath, EntityPathPart, RecordingStream, RecordingStreamResult,
-    SerializedComponentColumn,
-};
+use re_chunk::TimeColumn;
+use re_log_types::{EntityPath, EntityPathPart};
+use re_sdk_types::{AsComponents, SerializedComponentColumn};
 
 use super::moments::Moments;
+use super::reel::Reel;
 use super::{Receipts, ReplayArm, ReplayCause};
 use crate::time::Stamp;
 
@@ -33,14 +32,14 @@ impl Names {
 
 /// The recording.
 pub(super) struct Tape {
-    recording: RecordingStream,
+    reel: Reel,
     origin: Stamp,
     names: Names,
 }
 
 impl Tape {
-    pub fn new(recording: RecordingStream, origin: Stamp, names: Names) -> Self {
-        Self { recording, origin, names }
+    pub fn new(reel: Reel, origin: Stamp, names: Names) -> Self {
+        Self { reel, origin, names }
     }
 
     /// The stamp of a time in seconds from the origin.
@@ -75,8 +74,8 @@ impl Tape {
     }
 
     /// Adds what holds all the time.
-    pub fn still(&self, path: &EntityPath, what: &impl AsComponents) -> RecordingStreamResult<()> {
-        self.recording.log_static(path.clone(), what)
+    pub fn still(&self, path: &EntityPath, what: &impl AsComponents) -> Result<(), ReplayCause> {
+        self.reel.still(path, what)
     }
 
     /// Adds columns with a row for each moment.
@@ -85,7 +84,7 @@ impl Tape {
         path: &EntityPath,
         moments: &Moments,
         columns: impl Iterator<Item = SerializedComponentColumn>,
-    ) -> RecordingStreamResult<()> {
+    ) -> Result<(), ReplayCause> {
         let Moments { stamps_ns, logs_ns, samples } = moments;
         let since_origin = stamps_ns.iter().map(|stamp| stamp.saturating_sub(self.origin.nanos()));
         let Names { stamp, log } = self.names;
@@ -95,12 +94,12 @@ impl Tape {
             TimeColumn::new_timestamp_nanos_since_epoch(log, logs_ns.iter().copied()),
             TimeColumn::new_sequence(SAMPLE, samples.iter().copied()),
         ];
-        self.recording.send_columns(path.clone(), times, columns)
+        self.reel.columns(path, times, columns)
     }
 
-    /// Waits until everything has arrived.
-    pub fn finish(self) -> Result<(), ReplayCause> {
-        Ok(self.recording.flush_blocking()?)
+    /// All that was added.
+    pub fn finish(self) -> Reel {
+        self.reel
     }
 }
 

@@ -1,10 +1,10 @@
 use std::fs;
 
+use re_chunk::{Chunk, EntityPath, TimelineName};
+use re_log_types::{LogMsg, StoreKind};
+use re_sdk_types::ComponentDescriptor;
 use re_sdk_types::archetypes::{Asset3D, Capsules3D, StateChange, TextDocument, Transform3D};
 use re_sdk_types::components::Text;
-use rerun::log::{Chunk, LogMsg};
-use rerun::sink::MemorySinkStorage;
-use rerun::{ComponentDescriptor, EntityPath, StoreKind, TimelineName};
 
 use super::tape::entity;
 use super::*;
@@ -110,7 +110,7 @@ fn replay<'a>(arms: Vec<ReplayArm<'a>>, report: &'a Report) -> Replay<'a> {
     Replay { origin: ORIGIN, span: (ORIGIN, ORIGIN.shifted(0.5)), arms, report }
 }
 
-/// A recording as the SDK hands it on.
+/// A recording as it is encoded.
 struct Seen {
     messages: Vec<LogMsg>,
     notes: Vec<String>,
@@ -118,10 +118,8 @@ struct Seen {
 
 impl Seen {
     fn of(replay: &Replay<'_>, wanted: &Recording) -> Result<Self, Box<dyn std::error::Error>> {
-        let builder = RecordingStreamBuilder::new(application(wanted)).enabled(true);
-        let (stream, messages): (_, MemorySinkStorage) = builder.memory()?;
-        let notes = fill(stream, wanted, replay)?;
-        Ok(Self { messages: messages.take(), notes })
+        let (messages, notes) = messages(wanted, replay)?;
+        Ok(Self { messages, notes })
     }
 
     /// What is recorded of an entity, without the blueprint.

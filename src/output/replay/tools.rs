@@ -1,8 +1,8 @@
 //! The tool where FK and each stream say that it is, the paths it takes, and how far they are apart.
 
+use re_log_types::EntityPath;
 use re_sdk_types::archetypes::{Arrows3D, Boxes3D, LineStrips3D, Transform3D, TransformAxes3D};
 use re_sdk_types::components::{FillMode, LineStrip3D, Radius};
-use rerun::EntityPath;
 
 use super::moments::Moments;
 use super::scene::{ARM_RGB, RECORDED_RGB, kept, positions, quaternion, radius, still};

@@ -2,12 +2,12 @@
 
 use std::path::PathBuf;
 
+use re_log_types::EntityPath;
 use re_sdk_types::archetypes::{
     Asset3D, Boxes3D, Cylinders3D, Ellipsoids3D, Points3D, TransformAxes3D,
 };
 use re_sdk_types::components::{AlbedoFactor, FillMode, Scale3D};
 use re_sdk_types::datatypes::Rgba32;
-use rerun::EntityPath;
 
 use super::mesh::{Mesh, NoMesh};
 use super::scene::{ARM_RGB, kept, moving, positions, radius, still};

@@ -1,0 +1,161 @@
+//! A recording in the making: its chunks in the order in which they are made, with ids that follow from
+//! what it shows, so that the same recording is the same bytes.
+
+use std::cell::RefCell;
+
+use re_chunk::{Chunk, ChunkId, RowId, TimeColumn, TimePoint};
+use re_log_encoding::Encoder;
+use re_log_types::external::re_tuid::Tuid;
+use re_log_types::{
+    ApplicationId, BlueprintActivationCommand, EntityPath, LogMsg, SetStoreInfo, StoreId,
+    StoreInfo, StoreKind, StoreSource,
+};
+use re_sdk_types::{AsComponents, SerializedComponentColumn};
+
+use super::{Replay, ReplayCause};
+use crate::report::json;
+
+/// What ids follow from: a hash of the report, which names the log and says what was found in it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Seed([u8; 32]);
+
+impl Seed {
+    pub fn of(replay: &Replay<'_>) -> Self {
+        let mut text = Vec::new();
+        // What is written to memory can be.
+        let _ = json::write(replay.report, &mut text);
+        Self(*blake3::hash(&text).as_bytes())
+    }
+
+    /// An id of its own for `what`.
+    pub fn id(self, what: &str) -> u128 {
+        let hash = blake3::keyed_hash(&self.0, what.as_bytes());
+        let first: [u8; 16] = std::array::from_fn(|at| hash.as_bytes()[at]);
+        u128::from_le_bytes(first)
+    }
+}
+
+/// A recording, and the layout in which the viewer shows it.
+pub(super) struct Reel {
+    pub seed: Seed,
+    recording: StoreId,
+    layout: StoreId,
+    rows: RefCell<Rows>,
+}
+
+/// The chunks that there are, and the ids of those to come.
+struct Rows {
+    /// When the run begins, ns since 1970.
+    nanos: u64,
+    next: u64,
+    chunks: Vec<(StoreId, Chunk)>,
+}
+
+impl Reel {
+    /// An empty recording of `application`; without an `id` it has one that follows from what it shows.
+    pub fn new(replay: &Replay<'_>, application: &ApplicationId, id: Option<String>) -> Self {
+        /// Room above for all that follow, and below for all that there are.
+        const MIDDLE: u64 = 0x3fff_ffff_0000_0000;
+        let seed = Seed::of(replay);
+        let own = |what: &str| format!("{:032x}", seed.id(what));
+        let store = |kind, id: String| StoreId::new(kind, application.clone(), id);
+        let nanos = u64::try_from(replay.span.0.nanos()).unwrap_or_default();
+        let next = seed.id("rows") as u64 & MIDDLE;
+        Self {
+            seed,
+            recording: store(StoreKind::Recording, id.unwrap_or_else(|| own("recording"))),
+            layout: store(StoreKind::Blueprint, own("blueprint")),
+            rows: RefCell::new(Rows { nanos, next, chunks: Vec::new() }),
+        }
+    }
+
+    /// Adds what holds all the time.
+    pub fn still(&self, path: &EntityPath, what: &impl AsComponents) -> Result<(), ReplayCause> {
+        self.add(&self.recording, Self::row(path.clone(), TimePoint::default(), what)?);
+        Ok(())
+    }
+
+    /// Adds columns with a row for each of the `times`.
+    pub fn columns(
+        &self,
+        path: &EntityPath,
+        times: impl IntoIterator<Item = TimeColumn>,
+        columns: impl Iterator<Item = SerializedComponentColumn>,
+    ) -> Result<(), ReplayCause> {
+        let times = times.into_iter().map(|times| (*times.timeline().name(), times)).collect();
+        let columns = columns.map(|column| (column.descriptor, column.list_array)).collect();
+        let chunk = Chunk::from_auto_row_ids(ChunkId::ZERO, path.clone(), times, columns)?;
+        self.add(&self.recording, chunk);
+        Ok(())
+    }
+
+    /// Adds to the layout.
+    pub fn lay_out(
+        &self,
+        path: String,
+        at: TimePoint,
+        what: &impl AsComponents,
+    ) -> Result<(), ReplayCause> {
+        self.add(&self.layout, Self::row(path.into(), at, what)?);
+        Ok(())
+    }
+
+    fn row(
+        path: EntityPath,
+        at: TimePoint,
+        what: &impl AsComponents,
+    ) -> Result<Chunk, ReplayCause> {
+        let row = Chunk::builder_with_id(ChunkId::ZERO, path);
+        Ok(row.with_archetype(RowId::ZERO, at, what).build()?)
+    }
+
+    fn add(&self, store: &StoreId, chunk: Chunk) {
+        let mut rows = self.rows.borrow_mut();
+        let (id, row) = (rows.take(1), rows.take(chunk.num_rows()));
+        let chunk = chunk.clone_as(ChunkId::from_tuid(id), RowId::from_tuid(row));
+        rows.chunks.push((store.clone(), chunk));
+    }
+
+    /// The recording as the viewer reads it: the layout is used once it is all there.
+    ///
+    /// # Errors
+    /// If a chunk has no form in a file.
+    pub fn messages(self) -> Result<Vec<LogMsg>, ReplayCause> {
+        let mut rows = self.rows.into_inner();
+        let mut info = |store: &StoreId| {
+            let source = StoreSource::Other("poseaudit".to_owned());
+            let info = StoreInfo::new(store.clone(), source);
+            LogMsg::SetStoreInfo(SetStoreInfo { row_id: rows.take(1), info })
+        };
+        let mut messages = vec![info(&self.recording), info(&self.layout)];
+        for (store, chunk) in rows.chunks {
+            messages.push(LogMsg::ArrowMsg(store, chunk.to_arrow_msg()?));
+        }
+        messages.push(BlueprintActivationCommand::make_active(self.layout).into());
+        Ok(messages)
+    }
+}
+
+impl Rows {
+    /// The first of so many ids, which ascend as those of a clock do.
+    fn take(&mut self, count: usize) -> Tuid {
+        let first = self.next;
+        self.next += count as u64;
+        Tuid::from_nanos_and_inc(self.nanos, first)
+    }
+}
+
+/// The file of these messages.
+///
+/// # Errors
+/// If one has no form in a file.
+pub(super) fn bytes(messages: &[LogMsg]) -> Result<Vec<u8>, ReplayCause> {
+    let mut encoder = Encoder::local()?;
+    // The index in it stands in the order of a hash map.
+    encoder.do_not_emit_footer();
+    for message in messages {
+        encoder.append(message)?;
+    }
+    encoder.finish()?;
+    Ok(encoder.into_inner()?)
+}
