@@ -9,7 +9,7 @@ use poseaudit::report::{Report, Trouble};
 use poseaudit::synth::Scenario;
 use poseaudit::{Options, audit};
 
-use crate::recording::{self, Message};
+use crate::checks::recording::{self, Message};
 
 /// What came of a log, once it is audited.
 type Audited = Arc<OnceLock<Result<Report, Trouble>>>;
@@ -102,7 +102,7 @@ pub enum What {
 /// Makes a family's `CASES`, and a test of each case.
 macro_rules! cases {
     ($($code:ident $name:ident: $log:expr => $expected:expr;)*) => {
-        pub(crate) const CASES: &[$crate::case::Case] = &[$($crate::case::Case {
+        pub(crate) const CASES: &[$crate::checks::case::Case] = &[$($crate::checks::case::Case {
             code: stringify!($code),
             name: stringify!($name),
             log: $log,

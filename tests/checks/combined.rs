@@ -5,9 +5,9 @@ use poseaudit::report::Report;
 use poseaudit::robot::catalogue;
 use poseaudit::synth::{self, Coding, IMU, JOINT_STATES, POSE, Scenario};
 
-use crate::case::What::{Amount, Degrees, DegreesAMinute, Frame, Order, ReadAs};
-use crate::case::{Log, What, summary, the};
-use crate::zer::zero;
+use crate::checks::case::What::{Amount, Degrees, DegreesAMinute, Frame, Order, ReadAs};
+use crate::checks::case::{Log, What, summary, the};
+use crate::checks::zer::zero;
 
 /// Asserts that these are the findings: rule, subject and estimate.
 #[track_caller]
@@ -152,8 +152,8 @@ fn degrees_in_the_wrong_order_and_late() {
 fn a_turned_base_a_tool_and_a_joint_zero() {
     let report = Log::with(|log| {
         log.options.run.tip = Some("tool0".to_owned());
-        log.run.pose.reference_from_stream = crate::frm::half_turn();
-        log.run.pose.tip_from_stream = crate::frm::tool();
+        log.run.pose.reference_from_stream = crate::checks::frm::half_turn();
+        log.run.pose.tip_from_stream = crate::checks::frm::tool();
         log.run.joints.zero_offsets = zero(2, 0.6);
     })
     .audited();
@@ -216,7 +216,7 @@ fn joints_read_from_tip_to_base_are_no_inverse_between_turned_frames() {
 
 #[test]
 fn a_base_turned_by_half_is_no_zero_of_the_first_joint() {
-    let report = iiwa(|log| log.run.pose.reference_from_stream = crate::frm::half_turn());
+    let report = iiwa(|log| log.run.pose.reference_from_stream = crate::checks::frm::half_turn());
     assert_found(&report, &[("FRM002", POSE, Frame([0.0, 0.05e-3], [180.0, 0.01]))]);
     let twins = &report.findings[0].evidence.indistinguishable;
     assert!(twins.iter().any(|twin| twin.code == "ZER001"), "{twins:?}");

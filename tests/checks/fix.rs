@@ -11,9 +11,9 @@ use poseaudit::robot::Robot;
 use poseaudit::synth::{self, Camera, Coding, IMU, JOINT_STATES, POSE, TF, urdf_text};
 use tempfile::TempDir;
 
-use crate::case::{Log, summary, the};
-use crate::ord::misread;
-use crate::zer::zero;
+use crate::checks::case::{Log, summary, the};
+use crate::checks::ord::misread;
+use crate::checks::zer::zero;
 
 /// A log that was audited, what mends it, and its audit with that.
 struct Loop {
@@ -131,13 +131,13 @@ fn units_and_orders_are_mended() {
     looped.assert_mends(&["ORD005"], &[]);
     assert!(looped.text("conventions.md").contains("wrist_3_joint, shoulder_pan_joint, "));
     Loop::of(|log| log.run.pose.in_millimetres = true).assert_mends(&["ORD008"], &[]);
-    Loop::of(|log| log.edit = Some(|messages| crate::ord::in_unit(messages, 0.0254)))
+    Loop::of(|log| log.edit = Some(|messages| crate::checks::ord::in_unit(messages, 0.0254)))
         .assert_mends(&["ORD008"], &[]);
     let unity = "x right, y up, z forward (left-handed)";
     let looped = Loop::of(|log| {
         log.edit = Some(|messages| {
             let unity = "x right, y up, z forward (left-handed)";
-            crate::ord::in_axes(messages, unity, unity);
+            crate::checks::ord::in_axes(messages, unity, unity);
         });
     });
     looped.assert_mends(&["ORD010"], &[]);
@@ -211,7 +211,7 @@ fn joint_zeros_are_mended_by_offsets_and_by_the_model() {
 #[test]
 fn a_dh_table_is_patched_in_its_convention_and_its_rows() {
     let faulty = |log: &mut Log| {
-        crate::ord::by_table(log, "modified", [""; 2]);
+        crate::checks::ord::by_table(log, "modified", [""; 2]);
         log.run.joints.zero_offsets = zero(2, 0.6);
     };
     let folder = tempfile::tempdir().expect("a folder");
@@ -237,7 +237,7 @@ fn a_dh_table_is_patched_in_its_convention_and_its_rows() {
 #[test]
 fn of_a_rail_the_offset_is_in_metres() {
     let looped = Loop::of(|log| {
-        crate::zer::on_a_rail(&mut log.run);
+        crate::checks::zer::on_a_rail(&mut log.run);
         log.run.joints.zero_offsets = vec![0.003];
     });
     looped.assert_mends(&["ZER001"], &[]);
@@ -246,18 +246,18 @@ fn of_a_rail_the_offset_is_in_metres() {
 
 #[test]
 fn frames_are_mended() {
-    let base = Loop::of(|log| log.run.pose.reference_from_stream = crate::frm::shifted());
+    let base = Loop::of(|log| log.run.pose.reference_from_stream = crate::checks::frm::shifted());
     base.assert_mends(&["FRM002"], &[]);
     let command = base.text("static_transforms.sh");
     assert!(command.contains("--frame-id base --child-frame-id base_of_tcp_pose"), "{command}");
     assert!(base.text("fixed_joints.xml").contains("<parent link=\"base\"/>"));
     let tool = Loop::of(|log| {
-        log.run.pose.tip_from_stream = crate::frm::tool();
+        log.run.pose.tip_from_stream = crate::checks::frm::tool();
         log.run.pose.coding = misread("rotvec", "euler:xyz");
-        log.run.pose.reference_from_stream = crate::frm::half_turn();
+        log.run.pose.reference_from_stream = crate::checks::frm::half_turn();
     });
     tool.assert_mends(&["FRM002", "FRM003", "ORD001"], &[]);
-    let mount = Loop::of(|log| log.run.imu.mount_error = crate::yaw::turned(90.0));
+    let mount = Loop::of(|log| log.run.imu.mount_error = crate::checks::yaw::turned(90.0));
     mount.assert_mends(&["YAW003"], &[]);
     let command = mount.text("static_transforms.sh");
     assert!(command.contains("--frame-id tool0 --child-frame-id imu_link"), "{command}");
@@ -268,7 +268,7 @@ fn frames_are_mended() {
 fn a_camera_is_put_where_it_is() {
     for camera in [Camera::InHand, Camera::InBase] {
         let looped = Loop::of(|log| {
-            crate::hec::watched(log, camera);
+            crate::checks::hec::watched(log, camera);
             log.run.target.mount_error = Pose::translation(0.0, 0.012, 0.0);
         });
         looped.assert_mends(&["HEC001"], &[]);
@@ -279,8 +279,8 @@ fn a_camera_is_put_where_it_is() {
 fn bare_numbers_are_mended_in_units_and_frames() {
     let looped = Loop::of(|log| {
         log.options.policy.rules.ignore = vec!["TIM005".parse().expect("a rule")];
-        log.run.pose.reference_from_stream = crate::frm::shifted();
-        log.edit = Some(|messages| crate::ord::as_numbers(messages, 1_f64.to_degrees()));
+        log.run.pose.reference_from_stream = crate::checks::frm::shifted();
+        log.edit = Some(|messages| crate::checks::ord::as_numbers(messages, 1_f64.to_degrees()));
     });
     looped.assert_mends(&["FRM002", "ORD001"], &[]);
     assert!(looped.text("corrections.toml").contains("convention = \"rotvec\""));
@@ -288,7 +288,7 @@ fn bare_numbers_are_mended_in_units_and_frames() {
 
 #[test]
 fn what_no_file_mends_is_said() {
-    let looped = Loop::of(|log| log.run.imu.gyro_bias_rad_s = crate::yaw::bias());
+    let looped = Loop::of(|log| log.run.imu.gyro_bias_rad_s = crate::checks::yaw::bias());
     looped.assert_mends(&[], &["YAW004"]);
     let index = looped.text("corrections.md");
     assert!(index.contains("## Not in these files\n\n- YAW004 on /imu/data: "), "{index}");
@@ -303,7 +303,7 @@ fn the_same_log_gives_the_same_bytes() {
         let folder = tempfile::tempdir().expect("a folder");
         let log = Log::with(|log| {
             log.run.joints.zero_offsets = zero(2, 0.6);
-            log.run.pose.reference_from_stream = crate::frm::shifted();
+            log.run.pose.reference_from_stream = crate::checks::frm::shifted();
             log.run.pose.coding = misread("rotvec", "euler:xyz");
             log.fix = Some(folder.path().to_owned());
         });

@@ -9,10 +9,10 @@ use poseaudit::synth::{
 };
 use serde_json::Value;
 
-use crate::case::On;
-use crate::case::What::{self, About, Frame};
-use crate::case::{Expected, Log, cases, error, info, the, warning};
-use crate::recording::{Field, Message};
+use crate::checks::case::On;
+use crate::checks::case::What::{self, About, Frame};
+use crate::checks::case::{Expected, Log, cases, error, info, the, warning};
+use crate::checks::recording::{Field, Message};
 use Expected::{BlamedOn, Skipped, Sound, Undecided};
 
 const BASE: On = On::Frame(POSE, "base");
@@ -29,7 +29,7 @@ cases! {
     FRM001 a_tenth_of_a_millimetre_is_sound: |log| {
         log.edit = Some(|messages| move_frame(messages, TF_STATIC, "tool0", [0.0, 1e-4, 0.0]));
     } => Sound;
-    FRM001 a_joint_zero_is_inherited: |log| log.run.joints.zero_offsets = crate::zer::zero(2, 0.6)
+    FRM001 a_joint_zero_is_inherited: |log| log.run.joints.zero_offsets = crate::checks::zer::zero(2, 0.6)
         => BlamedOn("ZER001");
     FRM001 a_pose_in_another_frame_is_not_tfs: |log| {
         log.run.pose.reference_from_stream = half_turn();
@@ -53,7 +53,7 @@ cases! {
         log.run.pose.reference_from_stream = shifted();
     } => Sound;
     FRM002 the_first_joints_zero_is_no_frame: |log| {
-        log.run.joints.zero_offsets = crate::zer::zero(0, 0.6);
+        log.run.joints.zero_offsets = crate::checks::zer::zero(0, 0.6);
     } => BlamedOn("ZER001");
     FRM002 a_tool_is_no_base: |log| log.run.pose.tip_from_stream = tool() => BlamedOn("FRM003");
     FRM002 millimetres_are_no_base: |log| log.run.pose.in_millimetres = true
@@ -81,13 +81,13 @@ cases! {
     } => Sound;
     FRM003 the_last_joints_zero_is_no_tool: |log| {
         log.options.run.tip = Some("tool0".to_owned());
-        log.run.joints.zero_offsets = crate::zer::zero(5, 0.6);
+        log.run.joints.zero_offsets = crate::checks::zer::zero(5, 0.6);
     } => BlamedOn("ZER001");
     FRM003 a_turned_base_is_no_tool: |log| {
         log.options.run.tip = Some("tool0".to_owned());
         log.run.pose.reference_from_stream = half_turn();
     } => BlamedOn("FRM002");
-    FRM003 a_misread_rotation_is_no_tool: |log| log.run.pose.coding = crate::ord::misread_as_rpy()
+    FRM003 a_misread_rotation_is_no_tool: |log| log.run.pose.coding = crate::checks::ord::misread_as_rpy()
         => BlamedOn("ORD001");
     FRM003 at_rest_a_base_makes_up_for_the_tool: |log| log.run.motion = Motion::AtRest
         => Undecided("turn the wrist");
@@ -150,7 +150,7 @@ cases! {
         log.edit = Some(|messages| stretch(messages, POSE, |row| 1.0 + 1e-7 * (row % 3) as f64));
     } => Sound;
     FRM005 components_in_another_order_are_of_unit_norm: |log| {
-        log.run.pose.coding = crate::ord::misread_as_rpy();
+        log.run.pose.coding = crate::checks::ord::misread_as_rpy();
     } => BlamedOn("ORD001");
     FRM005 nothing_that_turns: |log| {
         log.run.pose.timing.rate_hz = 0.0;
@@ -164,7 +164,7 @@ cases! {
         log.run.pose.frame_id = "tool0".to_owned();
     } => warning(On::Topic(POSE), What::None);
     FRM007 a_topic_of_which_every_tenth_pose_is_in_another_frame: |log| {
-        log.edit = Some(|messages| crate::recording::rename_frame(messages, POSE, 10));
+        log.edit = Some(|messages| crate::checks::recording::rename_frame(messages, POSE, 10));
     } => warning(On::Topic(POSE), What::None);
     FRM007 a_pose_in_the_base: |_| () => Sound;
     FRM007 a_pose_in_a_world_of_its_own: |log| {
@@ -207,7 +207,7 @@ cases! {
     } => Sound;
     FRM006 a_joint_zero_is_no_goal_missed: |log| {
         told(log, Commands::Goals, 0.0);
-        log.run.joints.zero_offsets = crate::zer::zero(2, 0.6);
+        log.run.joints.zero_offsets = crate::checks::zer::zero(2, 0.6);
     } => BlamedOn("ZER001");
     FRM006 a_late_pose_reaches_its_goals: |log| {
         told(log, Commands::Poses, 0.0);
@@ -219,7 +219,7 @@ cases! {
     } => BlamedOn("FRM002");
     FRM006 a_misread_pose_reaches_its_goals: |log| {
         told(log, Commands::Goals, 0.0);
-        log.run.pose.coding = crate::ord::misread_as_rpy();
+        log.run.pose.coding = crate::checks::ord::misread_as_rpy();
     } => BlamedOn("ORD001");
     FRM006 an_arm_that_never_rests: |log| {
         told(log, Commands::Poses, 0.0);
@@ -234,7 +234,7 @@ cases! {
 
 /// The arm goes along lines and is told so; its last joint stays short by so many degrees.
 fn told(log: &mut Log, commands: Commands, short_by_degrees: f64) {
-    crate::mot::along(log, Lines::default());
+    crate::checks::mot::along(log, Lines::default());
     log.run.reference.commands = commands;
     if short_by_degrees > 0.0 {
         log.run.reference.short_by = vec![0.0, 0.0, 0.0, 0.0, 0.0, short_by_degrees.to_radians()];
@@ -370,7 +370,7 @@ fn a_world_of_its_own_is_estimated_and_not_judged() {
         log.run.pose.reference_from_stream = far_off();
     })
     .audited();
-    assert!(report.findings.is_empty(), "{}", crate::case::summary(&report.findings));
+    assert!(report.findings.is_empty(), "{}", crate::checks::case::summary(&report.findings));
     let row = report.checks.iter().find(|row| row.code == "FRM002").expect("it was asked");
     // `reference_from_stream` of a reference that is the base: nothing else is known of it.
     assert_pose(&row.evidence["pose"], &far_off());

@@ -5,9 +5,9 @@ use poseaudit::geometry::{Pose, QuaternionSlip, Vec3, pose, rotation_from_rotvec
 use poseaudit::report::Report;
 use poseaudit::synth::{Camera, Coding, Motion, Swapped, TARGET, TF};
 
-use crate::case::On::{Frame as OnFrame, Topic};
-use crate::case::What::{About, Frame, ReadAs, ResidualBetween};
-use crate::case::{Expected, Log, cases, error, the, warning};
+use crate::checks::case::On::{Frame as OnFrame, Topic};
+use crate::checks::case::What::{About, Frame, ReadAs, ResidualBetween};
+use crate::checks::case::{Expected, Log, cases, error, the, warning};
 use Expected::{BlamedOn, LeftOpenBy, Skipped, Sound, Undecided};
 
 const OPTICAL: &str = "z forward, x right";
@@ -44,7 +44,7 @@ cases! {
     } => error(Topic(TARGET), ResidualBetween(0.002, 1.0));
     HEC001 a_misread_target: |log| {
         watched(log, Camera::InHand);
-        log.run.target.coding = crate::ord::misread("rotvec", "euler:xyz");
+        log.run.target.coding = crate::checks::ord::misread("rotvec", "euler:xyz");
     } => error(Topic(TARGET), ResidualBetween(0.0, 0.5));
     HEC001 inverted_poses: |log| {
         watched(log, Camera::InHand);
@@ -63,7 +63,7 @@ cases! {
         (log.run.noise.target_m, log.run.noise.target_rad) = (2e-3, 5e-3);
     } => Sound;
     HEC001 an_arm_on_a_rail: |log| {
-        crate::zer::on_a_rail(&mut log.run);
+        crate::checks::zer::on_a_rail(&mut log.run);
         watched(log, Camera::InHand);
     } => Sound;
     HEC001 a_tag_on_tf: |log| {
@@ -89,7 +89,7 @@ cases! {
 
     HEC001 a_joints_zero_is_no_open_chain: |log| {
         watched(log, Camera::InHand);
-        log.run.joints.zero_offsets = crate::zer::zero(2, 0.6);
+        log.run.joints.zero_offsets = crate::checks::zer::zero(2, 0.6);
     } => BlamedOn("ZER001");
     HEC001 a_late_tool_pose_is_no_open_chain: |log| {
         watched(log, Camera::InHand);
@@ -97,11 +97,11 @@ cases! {
     } => BlamedOn("LAT001");
     HEC001 a_misread_tool_pose_is_no_open_chain: |log| {
         watched(log, Camera::InBase);
-        log.run.pose.coding = crate::ord::misread("rotvec", "euler:xyz");
+        log.run.pose.coding = crate::checks::ord::misread("rotvec", "euler:xyz");
     } => BlamedOn("ORD001");
     HEC001 another_forearm_is_no_open_chain: |log| {
         watched(log, Camera::InHand);
-        crate::mdl::lengthen_forearm(&mut log.run);
+        crate::checks::mdl::lengthen_forearm(&mut log.run);
     } => LeftOpenBy("MDL001", "check the model");
     HEC001 swapped_axes_are_no_open_chain: |log| {
         watched(log, Camera::InHand);
@@ -110,7 +110,7 @@ cases! {
     HEC001 no_target: |_| {} => Skipped("no target");
     HEC001 a_target_of_another_motion: |log| {
         watched(log, Camera::InHand);
-        log.edit = Some(|messages| crate::yaw::reverse(messages, TARGET));
+        log.edit = Some(|messages| crate::checks::yaw::reverse(messages, TARGET));
     } => Undecided("does not turn as the hand does");
 
     HEC002 one_joint: |log| {
@@ -228,7 +228,7 @@ fn what_mends_a_target_is_said() {
         the(&report, "HEC001", TARGET).message.clone()
     };
     assert!(said(Coding::Transposed).ends_with("if its rotations are transposed"));
-    let misread = said(crate::ord::misread("rotvec", "euler:xyz"));
+    let misread = said(crate::checks::ord::misread("rotvec", "euler:xyz"));
     assert!(
         misread.contains("its rotations are rotvec, which were read as euler:xyz"),
         "{misread}"

@@ -2,10 +2,10 @@
 
 use poseaudit::synth::{IMU, JOINT_STATES, POSE};
 
-use crate::case::On::{File, JointOf, Topic};
-use crate::case::{Expected, What, cases, error, info, warning};
-use crate::recording::{Message, throw};
-use crate::tim::without_streams;
+use crate::checks::case::On::{File, JointOf, Topic};
+use crate::checks::case::{Expected, What, cases, error, info, warning};
+use crate::checks::recording::{Message, throw};
+use crate::checks::tim::without_streams;
 use Expected::{BlamedOn, Refused, Skipped, Sound};
 
 cases! {

@@ -4,11 +4,11 @@
 use poseaudit::finding::{Estimate, Finding};
 use poseaudit::report::Report;
 
-use crate::case::{Log, half_width, summary};
-use crate::frm;
-use crate::ord::{reorder, turn_signs};
-use crate::recording::Message;
-use crate::zer::zero;
+use crate::checks::case::{Log, half_width, summary};
+use crate::checks::frm;
+use crate::checks::ord::{reorder, turn_signs};
+use crate::checks::recording::Message;
+use crate::checks::zer::zero;
 
 /// Three faults of three kinds, so that there is something to find again.
 fn faulty() -> Log {

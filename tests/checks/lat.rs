@@ -3,10 +3,10 @@
 use poseaudit::finding::{CheckRow, Status};
 use poseaudit::synth::{IMU, JOINT_STATES, Motion, POSE, TF, Timing};
 
-use crate::case::On::Topic;
-use crate::case::What::Amount;
-use crate::case::{Expected, Log, cases, error, half_width, summary, the, warning};
-use crate::recording::restamp;
+use crate::checks::case::On::Topic;
+use crate::checks::case::What::Amount;
+use crate::checks::case::{Expected, Log, cases, error, half_width, summary, the, warning};
+use crate::checks::recording::restamp;
 use Expected::{BlamedOn, Skipped, Sound, Undecided};
 
 cases! {
@@ -37,7 +37,7 @@ cases! {
 
     LAT001 half_a_millisecond_is_sound: |log| log.run.pose.timing.latency_s = 0.5e-3 => Sound;
 
-    LAT001 a_misread_rotation_is_no_latency: |log| log.run.pose.coding = crate::ord::misread_as_rpy()
+    LAT001 a_misread_rotation_is_no_latency: |log| log.run.pose.coding = crate::checks::ord::misread_as_rpy()
         => BlamedOn("ORD001");
     LAT001 an_inverted_pose_is_no_latency: |log| {
         log.run.pose.coding = poseaudit::synth::Coding::Inverted;
@@ -45,7 +45,7 @@ cases! {
     LAT001 a_joint_zero_is_no_latency: |log| log.run.joints.zero_offsets = vec![0.0, 0.0, 0.02]
         => BlamedOn("ZER001");
     LAT001 a_tool_is_no_latency: |log| {
-        log.run.pose.tip_from_stream = crate::frm::tool();
+        log.run.pose.tip_from_stream = crate::checks::frm::tool();
     } => BlamedOn("FRM003");
     LAT001 a_skew_is_no_latency_at_mid_run: |log| log.run.pose.timing.skew = 300e-6
         => BlamedOn("LAT002");

@@ -3,9 +3,9 @@
 use poseaudit::finding::{CheckRow, Status};
 use poseaudit::synth::{IMU, JOINT_STATES, POSE, TF};
 
-use crate::case::What::{Amount, Degrees, DegreesAMinute};
-use crate::case::{Log, the};
-use crate::zer::zero;
+use crate::checks::case::What::{Amount, Degrees, DegreesAMinute};
+use crate::checks::case::{Log, the};
+use crate::checks::zer::zero;
 
 /// Twelve minutes, at rates that keep the log small.
 fn long(change: impl FnOnce(&mut Log)) -> Log {
@@ -55,7 +55,8 @@ fn a_sound_long_run_passes_and_is_counted_whole() {
     assert!(report.findings.is_empty(), "{:#?}", report.findings);
     // At this rate motion does not tell of stops and shake; there is no camera.
     let is_asked = |row: &&CheckRow| {
-        !["MOT", "HEC"].contains(&&row.code[..3]) && !crate::WITHOUT_INPUT.contains(&row.code)
+        !["MOT", "HEC"].contains(&&row.code[..3])
+            && !crate::checks::WITHOUT_INPUT.contains(&row.code)
     };
     for row in report.checks.iter().filter(is_asked) {
         assert_eq!(row.status, Status::Pass, "{row:#?}");

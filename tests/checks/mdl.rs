@@ -12,9 +12,9 @@ use poseaudit::robot::Robot;
 use poseaudit::run::CalibrationSource;
 use poseaudit::synth::{Coding, Noise, POSE, Scenario, ToolSlip, urdf_text};
 
-use crate::case::On::Topic;
-use crate::case::What::{Frame, ResidualBetween};
-use crate::case::{Expected, Log, cases, error, info, summary, the};
+use crate::checks::case::On::Topic;
+use crate::checks::case::What::{Frame, ResidualBetween};
+use crate::checks::case::{Expected, Log, cases, error, info, summary, the};
 use Expected::{BlamedOn, Sound, Undecided};
 
 cases! {
@@ -32,15 +32,15 @@ cases! {
     } => Sound;
 
     MDL001 a_joint_zero_leaves_nothing: |log| {
-        log.run.joints.zero_offsets = crate::zer::zero(1, 0.8);
+        log.run.joints.zero_offsets = crate::checks::zer::zero(1, 0.8);
     } => BlamedOn("ZER001");
     MDL001 a_misread_rotation_leaves_nothing: |log| {
-        log.run.pose.coding = crate::ord::misread_as_rpy();
+        log.run.pose.coding = crate::checks::ord::misread_as_rpy();
     } => BlamedOn("ORD001");
     MDL001 a_late_pose_leaves_nothing: |log| log.run.pose.timing.latency_s = 0.05
         => BlamedOn("LAT001");
     MDL001 a_frame_leaves_nothing: |log| {
-        log.run.pose.reference_from_stream = crate::frm::shifted();
+        log.run.pose.reference_from_stream = crate::checks::frm::shifted();
     } => BlamedOn("FRM002");
 
     MDL001 growth_with_reach_leaves_nothing: |log| log.run.pose.growth = 0.01

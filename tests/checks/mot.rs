@@ -6,10 +6,10 @@ use poseaudit::finding::{CheckRow, Status};
 use poseaudit::geometry::Convention;
 use poseaudit::synth::{COMMANDED_POSE, Commands, JOINT_STATES, Lines, Motion, POSE, Shake, Stop};
 
-use crate::case::On::{self, Joint};
-use crate::case::What::{About, Amount, Frame};
-use crate::case::{Expected, Log, cases, error, info, the, warning};
-use crate::recording::throw;
+use crate::checks::case::On::{self, Joint};
+use crate::checks::case::What::{About, Amount, Frame};
+use crate::checks::case::{Expected, Log, cases, error, info, the, warning};
+use crate::checks::recording::throw;
 use Expected::{BlamedOn, LeftOpenBy, Skipped, Sound};
 
 cases! {
@@ -36,7 +36,7 @@ cases! {
     MOT002 a_stop_at_ten_is_sound: |log| stop(log, 10.0) => Sound;
     MOT002 joints_in_degrees_are_no_motion: |log| log.run.joints.in_degrees = true
         => LeftOpenBy("ORD004", "read them right first");
-    MOT002 a_joint_zero_stops_nothing: |log| log.run.joints.zero_offsets = crate::zer::zero(2, 0.6)
+    MOT002 a_joint_zero_stops_nothing: |log| log.run.joints.zero_offsets = crate::checks::zer::zero(2, 0.6)
         => BlamedOn("ZER001");
     MOT002 no_joint_states: |log| log.run.joints.timing.rate_hz = 0.0 => Skipped("joint states");
 
@@ -48,7 +48,7 @@ cases! {
     MOT003 joints_in_degrees_are_within_no_limits: |log| log.run.joints.in_degrees = true
         => LeftOpenBy("ORD004", "read them right first");
     MOT003 a_joint_zero_within_the_limits: |log| {
-        log.run.joints.zero_offsets = crate::zer::zero(2, 0.6);
+        log.run.joints.zero_offsets = crate::checks::zer::zero(2, 0.6);
     } => BlamedOn("ZER001");
     MOT003 no_joint_states_at_all: |log| log.run.joints.timing.rate_hz = 0.0
         => Skipped("joint states");
@@ -96,11 +96,11 @@ cases! {
     } => BlamedOn("LAT001");
     MOT004 a_misread_pose_keeps_to_its_line: |log| {
         along(log, Lines::default());
-        log.run.pose.coding = crate::ord::misread_as_rpy();
+        log.run.pose.coding = crate::checks::ord::misread_as_rpy();
     } => BlamedOn("ORD001");
     MOT004 a_joint_zero_bows_no_line: |log| {
         along(log, Lines::default());
-        log.run.joints.zero_offsets = crate::zer::zero(2, 0.6);
+        log.run.joints.zero_offsets = crate::checks::zer::zero(2, 0.6);
     } => BlamedOn("ZER001");
     MOT004 goals_are_no_lines: |log| {
         along(log, Lines::default());
@@ -145,7 +145,7 @@ fn an_orientation_that_is_interpolated_by_its_numbers_is_told() {
     assert_eq!(found.title, "line's orientation is no slerp");
     assert_eq!(found.evidence.more["interpolated"], "euler:xyz");
     assert!(found.message.ends_with("as of euler:xyz interpolated"), "{}", found.message);
-    assert_eq!(report.findings.len(), 1, "{}", crate::case::summary(&report.findings));
+    assert_eq!(report.findings.len(), 1, "{}", crate::checks::case::summary(&report.findings));
     assert!(!report.findings.iter().any(|found| found.subject.label() == POSE));
 }
 

@@ -11,10 +11,10 @@ use poseaudit::geometry::{
 use poseaudit::report::Report;
 use poseaudit::synth::{Coding, IMU, JOINT_STATES, Motion, POSE};
 
-use crate::case::On::{self, JointOf, Topic};
-use crate::case::What::{self, Degrees, Order, ReadAs};
-use crate::case::{Expected, Log, cases, error, summary, the, warning};
-use crate::recording::{Field, Message, cut_out, stick};
+use crate::checks::case::On::{self, JointOf, Topic};
+use crate::checks::case::What::{self, Degrees, Order, ReadAs};
+use crate::checks::case::{Expected, Log, cases, error, summary, the, warning};
+use crate::checks::recording::{Field, Message, cut_out, stick};
 use Expected::{BlamedOn, Skipped, Sound, TakenBy, Undecided};
 
 /// The topic of the poses as bare numbers.
@@ -50,7 +50,7 @@ cases! {
     ORD001 a_transpose_is_no_convention: |log| log.run.pose.coding = Coding::Transposed
         => BlamedOn("ORD003");
     ORD001 a_turned_base_is_no_convention: |log| {
-        log.run.pose.reference_from_stream = crate::frm::half_turn();
+        log.run.pose.reference_from_stream = crate::checks::frm::half_turn();
     } => BlamedOn("FRM002");
     ORD001 a_late_pose_is_no_convention: |log| log.run.pose.timing.latency_s = 0.1
         => BlamedOn("LAT001");
@@ -94,7 +94,7 @@ cases! {
     ORD003 a_quaternion_slip_is_no_inverse: |log| {
         log.run.pose.coding = Coding::Slipped(QuaternionSlip::XyzwReadAsWxyz);
     } => BlamedOn("ORD002");
-    ORD003 a_tool_is_no_inverse: |log| log.run.pose.tip_from_stream = crate::frm::tool()
+    ORD003 a_tool_is_no_inverse: |log| log.run.pose.tip_from_stream = crate::checks::frm::tool()
         => BlamedOn("FRM003");
     ORD003 no_poses: |log| {
         log.run.pose.timing.rate_hz = 0.0;
@@ -177,7 +177,7 @@ cases! {
     ORD007 a_table_that_says_what_it_is: |log| by_table(log, "standard", [""; 2]) => Sound;
     ORD007 a_joint_zero_is_no_convention: |log| {
         by_table(log, "standard", [""; 2]);
-        log.run.joints.zero_offsets = crate::zer::zero(2, 0.6);
+        log.run.joints.zero_offsets = crate::checks::zer::zero(2, 0.6);
     } => BlamedOn("ZER001");
     ORD007 a_misread_rotation_is_no_dh_convention: |log| {
         by_table(log, "standard", [""; 2]);
@@ -185,7 +185,7 @@ cases! {
     } => BlamedOn("ORD001");
     ORD007 a_shifted_base_is_no_convention: |log| {
         by_table(log, "standard", [""; 2]);
-        log.run.pose.reference_from_stream = crate::frm::shifted();
+        log.run.pose.reference_from_stream = crate::checks::frm::shifted();
     } => BlamedOn("FRM002");
     ORD007 another_arms_table_is_no_convention: |log| {
         by_table(log, "standard", ["-0.425", "-0.365"]);
@@ -216,7 +216,7 @@ cases! {
     ORD008 degrees_are_no_millimetres: |log| log.run.joints.in_degrees = true
         => BlamedOn("ORD004");
     ORD008 a_frame_far_off_is_no_unit: |log| {
-        log.run.pose.reference_from_stream = crate::frm::far_off();
+        log.run.pose.reference_from_stream = crate::checks::frm::far_off();
     } => BlamedOn("FRM002");
     ORD008 no_positions: |log| {
         log.run.pose.timing.rate_hz = 0.0;
@@ -238,10 +238,10 @@ cases! {
         log.run.joints.number_order = Some(vec![2, 1, 0, 3, 4, 5]);
     } => BlamedOn("ORD005");
     ORD009 a_joint_homed_elsewhere_has_no_gear: |log| {
-        log.run.joints.zero_offsets = crate::zer::zero(2, 120.0);
+        log.run.joints.zero_offsets = crate::checks::zer::zero(2, 120.0);
     } => BlamedOn("ZER001");
     ORD009 a_turned_base_is_no_gear: |log| {
-        log.run.pose.reference_from_stream = crate::frm::half_turn();
+        log.run.pose.reference_from_stream = crate::checks::frm::half_turn();
     } => BlamedOn("FRM002");
     ORD009 joints_that_count_rightly_are_sound: |_| {} => Sound;
     ORD009 no_joint_states_to_scale: |log| log.run.joints.timing.rate_hz = 0.0 => Skipped("joint states");
@@ -263,7 +263,7 @@ cases! {
         => error(Topic(POSE), ReadAs("x right, y down, z forward", STANDARD));
     ORD010 axes_as_they_should_be: |_| {} => Sound;
     ORD010 a_turned_base_is_no_exchange: |log| {
-        log.run.pose.reference_from_stream = crate::frm::half_turn();
+        log.run.pose.reference_from_stream = crate::checks::frm::half_turn();
     } => BlamedOn("FRM002");
     ORD010 an_inverse_is_no_exchange: |log| log.run.pose.coding = Coding::Inverted
         => BlamedOn("ORD003");
@@ -350,7 +350,7 @@ fn audited_as_numbers(edit: fn(&mut Vec<Message>)) -> Report {
 fn beside_a_wrong_dh_convention_other_faults_are_found_as_if_it_were_right() {
     let report = Log::with(|log| {
         by_table(log, "modified", [""; 2]);
-        log.run.joints.zero_offsets = crate::zer::zero(2, 0.6);
+        log.run.joints.zero_offsets = crate::checks::zer::zero(2, 0.6);
         log.run.pose.timing.latency_s = 0.015;
     });
     let report = report.audited();

@@ -1,7 +1,7 @@
 //! The reports on the fixture logs, as they stand in `snapshots/`.
 //!
 //! Numbers are cut to three digits, which the last bits of a platform's sine do not reach. After a
-//! change that is meant, run `INSTA_UPDATE=always cargo test --test checks reports` and read the diff.
+//! change that is meant, run `INSTA_UPDATE=always cargo test --test main checks::reports` and read the diff.
 
 use std::path::Path;
 

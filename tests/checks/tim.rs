@@ -4,9 +4,11 @@ use poseaudit::finding::{Finding, Severity, Status};
 use poseaudit::report::{Report, Verdict};
 use poseaudit::synth::{IMU, JOINT_STATES, Motion, POSE, Scenario, TF};
 
-use crate::case::What::{self, About, Amount};
-use crate::case::{Expected, Log, On, cases, error, info, summary, the, warning};
-use crate::recording::{Message, cut_out, repeat, restamp, set_stamp, stick, stick_joints, throw};
+use crate::checks::case::What::{self, About, Amount};
+use crate::checks::case::{Expected, Log, On, cases, error, info, summary, the, warning};
+use crate::checks::recording::{
+    Message, cut_out, repeat, restamp, set_stamp, stick, stick_joints, throw,
+};
 use Expected::{BlamedOn, Skipped, Sound};
 use On::{Run, Topic};
 
@@ -190,7 +192,7 @@ cases! {
         log.edit = Some(|messages| rename(messages, POSE, "/goal_pose"));
     } => info(Topic("/goal_pose"), What::None);
     TIM005 stamps_that_stand_still: |log| {
-        log.edit = Some(|messages| crate::recording::freeze(messages, POSE));
+        log.edit = Some(|messages| crate::checks::recording::freeze(messages, POSE));
     } => warning(Topic(POSE), What::None);
     TIM005 stamps_of_four_thousand_million_nanoseconds: |log| {
         log.edit = Some(|messages| {
@@ -325,7 +327,8 @@ fn a_tail_too_short_to_judge_leaves_nothing_open() {
     assert_eq!(report.verdict, Verdict::Pass);
     // The poses are too slow to show shake, and there is no camera.
     let others =
-        [&["TIM003", "MOT001", "HEC001", "HEC002", "HEC003"], crate::WITHOUT_INPUT].concat();
+        [&["TIM003", "MOT001", "HEC001", "HEC002", "HEC003"], crate::checks::WITHOUT_INPUT]
+            .concat();
     for row in report.checks.iter().filter(|row| !others.contains(&row.code)) {
         assert_eq!(row.status, Status::Pass, "{row:#?}");
     }

@@ -7,10 +7,10 @@ use poseaudit::geometry::{
 };
 use poseaudit::synth::{IMU, JOINT_STATES, Motion};
 
-use crate::case::On::Topic;
-use crate::case::What::{Amount, Degrees, DegreesAMinute};
-use crate::case::{Expected, Log, cases, error, summary, the, warning};
-use crate::recording::{Field, Message};
+use crate::checks::case::On::Topic;
+use crate::checks::case::What::{Amount, Degrees, DegreesAMinute};
+use crate::checks::case::{Expected, Log, cases, error, summary, the, warning};
+use crate::checks::recording::{Field, Message};
 use Expected::{BlamedOn, Skipped, Sound, Undecided};
 
 cases! {
@@ -43,7 +43,7 @@ cases! {
         log.run.imu.yaw_drift_rad_s = degrees_a_minute(0.05);
     } => Sound;
 
-    YAW001 a_wrists_zero_is_no_drift: |log| log.run.joints.zero_offsets = crate::zer::zero(3, 1.0)
+    YAW001 a_wrists_zero_is_no_drift: |log| log.run.joints.zero_offsets = crate::checks::zer::zero(3, 1.0)
         => BlamedOn("ZER001");
     YAW001 a_late_imu_is_no_drift: |log| log.run.imu.timing.latency_s = 0.02
         => BlamedOn("LAT001");
@@ -53,7 +53,7 @@ cases! {
     YAW001 a_turned_mount_is_no_drift: |log| log.run.imu.mount_error = turned(20.0)
         => BlamedOn("YAW003");
     YAW001 a_misread_imu_is_no_drift: |log| {
-        log.run.imu.coding = crate::ord::misread("euler:ZYX", "euler:xyz");
+        log.run.imu.coding = crate::checks::ord::misread("euler:ZYX", "euler:xyz");
     } => BlamedOn("ORD001");
 
     YAW001 no_imu: |log| log.run.imu.timing.rate_hz = 0.0 => Skipped("no IMU");
@@ -92,16 +92,16 @@ cases! {
     } => error(Topic(IMU), Degrees(90.0, 0.5));
     YAW003 a_twentieth_of_a_degree_is_sound: |log| log.run.imu.mount_error = turned(0.05)
         => Sound;
-    YAW003 a_wrists_zero_is_no_mount: |log| log.run.joints.zero_offsets = crate::zer::zero(4, 2.0)
+    YAW003 a_wrists_zero_is_no_mount: |log| log.run.joints.zero_offsets = crate::checks::zer::zero(4, 2.0)
         => BlamedOn("ZER001");
     YAW003 a_misread_imu_is_no_mount: |log| {
-        log.run.imu.coding = crate::ord::misread("euler:ZYX", "euler:xyz");
+        log.run.imu.coding = crate::checks::ord::misread("euler:ZYX", "euler:xyz");
     } => BlamedOn("ORD001");
     YAW003 a_jump_of_yaw_is_no_mount: |log| {
         log.run.imu.yaw_jumps = vec![(5.1, -10_f64.to_radians())];
     } => BlamedOn("YAW001");
     YAW003 a_misread_imu_is_no_turned_and_leaning_one: |log| {
-        log.run.imu.coding = crate::ord::misread("euler:zyz", "euler:yzy");
+        log.run.imu.coding = crate::checks::ord::misread("euler:zyz", "euler:yzy");
     } => BlamedOn("ORD001");
     YAW003 a_gyros_scale_is_no_mount: |log| {
         log.run.imu.gyro_from_rate = askew();

@@ -3,9 +3,9 @@
 use poseaudit::robot::Robot;
 use poseaudit::synth::{Motion, POSE, Scenario, urdf_text};
 
-use crate::case::On::{Joint, Topic};
-use crate::case::What::{Amount, Degrees};
-use crate::case::{Expected, Log, cases, error, the, warning};
+use crate::checks::case::On::{Joint, Topic};
+use crate::checks::case::What::{Amount, Degrees};
+use crate::checks::case::{Expected, Log, cases, error, the, warning};
 use Expected::{BlamedOn, LeftOpenBy, Skipped, Sound, Undecided};
 
 cases! {
@@ -37,12 +37,12 @@ cases! {
     ZER001 a_late_pose_is_no_zero: |log| log.run.pose.timing.latency_s = 0.022
         => BlamedOn("LAT001");
     ZER001 a_turned_base_is_no_zero: |log| {
-        log.run.pose.reference_from_stream = crate::frm::half_turn();
+        log.run.pose.reference_from_stream = crate::checks::frm::half_turn();
     } => BlamedOn("FRM002");
-    ZER001 a_tool_is_no_zero: |log| log.run.pose.tip_from_stream = crate::frm::tool()
+    ZER001 a_tool_is_no_zero: |log| log.run.pose.tip_from_stream = crate::checks::frm::tool()
         => BlamedOn("FRM003");
     ZER001 growth_with_reach_is_no_zero: |log| log.run.pose.growth = 0.01 => BlamedOn("ZER002");
-    ZER001 nominal_kinematics_are_no_zero: |log| crate::mdl::calibrate(&mut log.run)
+    ZER001 nominal_kinematics_are_no_zero: |log| crate::checks::mdl::calibrate(&mut log.run)
         => LeftOpenBy("MDL001", "calibrat");
     ZER001 a_drifting_imu_is_no_zero: |log| log.run.imu.yaw_drift_rad_s = 1e-3
         => BlamedOn("YAW001");
@@ -58,11 +58,11 @@ cases! {
     ZER002 a_ten_thousandth_is_sound: |log| log.run.pose.growth = 1e-4 => Sound;
     ZER002 a_joint_zero_is_no_growth: |log| log.run.joints.zero_offsets = zero(2, 0.6)
         => BlamedOn("ZER001");
-    ZER002 a_tool_is_no_growth: |log| log.run.pose.tip_from_stream = crate::frm::tool()
+    ZER002 a_tool_is_no_growth: |log| log.run.pose.tip_from_stream = crate::checks::frm::tool()
         => BlamedOn("FRM003");
     ZER002 millimetres_are_no_growth: |log| log.run.pose.in_millimetres = true
         => BlamedOn("ORD008");
-    ZER002 nominal_kinematics_are_no_growth: |log| crate::mdl::calibrate(&mut log.run)
+    ZER002 nominal_kinematics_are_no_growth: |log| crate::checks::mdl::calibrate(&mut log.run)
         => LeftOpenBy("MDL001", "calibrat");
     ZER002 at_rest_a_shift_is_as_good_as_growth: |log| log.run.motion = Motion::AtRest
         => Undecided("reach far out");

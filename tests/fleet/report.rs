@@ -6,8 +6,8 @@ use anyhow::{Context as _, Result};
 use poseaudit::synth::START;
 use serde::Deserialize;
 
-use crate::logs::run_of;
-use crate::{fleet, status};
+use crate::fleet::logs::run_of;
+use crate::fleet::{fleet, status};
 
 /// The report, as a reader of its JSON declares it. Keys that it does not name are refused.
 #[derive(Debug, Deserialize)]

@@ -1,6 +1,5 @@
 //! Logs by URL, of a server on this machine: what is fetched, what is said of it, and what happens
 //! where the way to it breaks.
-#![cfg(feature = "cloud")]
 
 mod server;
 

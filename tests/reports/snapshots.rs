@@ -1,5 +1,5 @@
 //! The formats as they are, for the eye. After a change that is meant, run `INSTA_UPDATE=always cargo
-//! test --test reports` and read the diff.
+//! test --test main reports` and read the diff.
 
 use serde_json::Value;
 

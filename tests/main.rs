@@ -1,0 +1,14 @@
+//! What the program and the library do, from outside: one binary, as each links all that there is.
+
+mod checks;
+mod cli;
+mod config;
+mod docs;
+mod fixtures;
+mod fleet;
+mod fuzz;
+mod meta;
+mod outputs;
+mod reports;
+mod robot;
+mod viewer;
