@@ -26,27 +26,23 @@
 
 mod audit;
 
-pub mod boundary;
 pub mod checks;
 pub mod config;
 pub mod corrections;
 pub mod desk;
-pub mod diagnosis;
 pub mod evidence;
 pub mod finding;
 #[cfg(feature = "tables")]
 pub mod fleet;
-pub mod geometry;
-pub mod log;
 pub mod output;
 pub mod places;
 pub mod report;
-pub mod robot;
 pub mod run;
-pub mod stats;
-pub mod stream;
 pub mod synth;
-pub mod time;
+
+pub use ground::{boundary, geometry, robot, stats, stream, time};
+pub use poseaudit_diagnosis as diagnosis;
+pub use poseaudit_log as log;
 
 pub use audit::{Audited, DEMO_LOG, Demo, Options, Planted, Policy, demo};
 pub use report::compare;

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::file::{
-    AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection, is_same,
+    AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection, is_same, reading,
 };
 use crate::diagnosis::{AxesSlip, Meant, Reading, reread_imu, reread_poses};
 use crate::finding::Unit;
@@ -192,7 +192,7 @@ impl Given<'_> {
 impl TopicCorrection {
     /// How the poses are meant, where that is not as logged.
     fn meant(&self) -> Option<Meant> {
-        let reading = self.rotation.and_then(|slip| slip.reading());
+        let reading = self.rotation.and_then(reading);
         let inverted = self.inverse == Some(true);
         let axes = self.axes.map_or(AxesSlip::NONE, |AxesCorrection { positions, rotations }| {
             AxesSlip { positions, rotations }
@@ -364,7 +364,7 @@ fn mend_imus(
             let logged = mended.link_from_imu.unwrap_or_default();
             mended.link_from_imu = Some(Pose::from_parts(logged.translation, rotation));
         }
-        if let Some(reading) = correction.rotation.and_then(|slip| slip.reading()) {
+        if let Some(reading) = correction.rotation.and_then(reading) {
             let stream = mended.as_stream();
             let truths = reread_imu(&run.arms[arm].joints, &stream, reading, most_lag_s);
             if let Some(truths) = truths {

@@ -179,20 +179,18 @@ impl FrameCorrection {
     }
 }
 
-impl RotationSlip {
-    /// How the stream must be read.
-    pub(super) fn reading(self) -> Option<Reading> {
-        Some(match self {
-            Self::Transposed => Reading::Transposed,
-            Self::Inverted => Reading::Inverted,
-            Self::Quaternion(slip) => Reading::QuaternionOrder(slip),
-            Self::Misread(misreading) => {
-                let classes = misreading_classes().iter();
-                let mut classes = classes.filter(|class| class.members.contains(&misreading));
-                Reading::Misread(classes.next()?)
-            }
-        })
-    }
+/// How a stream must be read whose rotations are misread so.
+pub(super) fn reading(slip: RotationSlip) -> Option<Reading> {
+    Some(match slip {
+        RotationSlip::Transposed => Reading::Transposed,
+        RotationSlip::Inverted => Reading::Inverted,
+        RotationSlip::Quaternion(slip) => Reading::QuaternionOrder(slip),
+        RotationSlip::Misread(misreading) => {
+            let classes = misreading_classes().iter();
+            let mut classes = classes.filter(|class| class.members.contains(&misreading));
+            Reading::Misread(classes.next()?)
+        }
+    })
 }
 
 /// Axes in words.

@@ -1,6 +1,6 @@
 //! A stream's samples beside forward kinematics, and how far the two are apart.
 
-use crate::geometry::{Pose, angle_between};
+use ground::geometry::{Pose, angle_between};
 
 /// A stream's samples beside what FK says at the same stamps. One entry a sample in each column.
 #[derive(Clone, Debug, Default)]

@@ -3,8 +3,8 @@
 use super::PoseStream;
 use super::latency::ArmSpeeds;
 use super::placing::spread;
-use crate::geometry::{Pose, Vec3};
-use crate::stream::{JointTrack, Orientations, PoseTrack};
+use ground::geometry::{Pose, Vec3};
+use ground::stream::{JointTrack, Orientations, PoseTrack};
 
 /// Samples that are looked at.
 const SAMPLES: usize = 300;
@@ -260,11 +260,11 @@ fn some_of(rows: usize) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::rotation_from_rpy;
-    use crate::robot::catalogue;
+    use ground::geometry::rotation_from_rpy;
+    use ground::robot::catalogue;
 
     /// Joints that move, and where FK puts the tool at a time.
-    fn arm() -> (JointTrack, crate::robot::Chain) {
+    fn arm() -> (JointTrack, ground::robot::Chain) {
         let robot = catalogue::find("ur5e").unwrap();
         let link = |name| robot.link(name).unwrap();
         let chain = robot.chain(link("base"), link("tool0")).unwrap();
@@ -289,7 +289,7 @@ mod tests {
     /// Poses of the tool in `frame(t)`, all of them late by so much.
     fn track(
         joints: &JointTrack,
-        chain: &crate::robot::Chain,
+        chain: &ground::robot::Chain,
         latency_s: f64,
         frame: impl Fn(f64) -> Pose,
     ) -> PoseTrack {
@@ -306,7 +306,7 @@ mod tests {
         PoseTrack { t_s, xyz, orientation: Orientations::Rotations(rotations), declared: None }
     }
 
-    fn stream<'a>(track: &'a PoseTrack, chain: &'a crate::robot::Chain) -> PoseStream<'a> {
+    fn stream<'a>(track: &'a PoseTrack, chain: &'a ground::robot::Chain) -> PoseStream<'a> {
         const COLUMNS: [usize; 6] = [0, 1, 2, 3, 4, 5];
         PoseStream {
             track,

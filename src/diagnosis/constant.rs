@@ -1,6 +1,6 @@
 //! Constant frames between two series of rotations.
 
-use crate::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
+use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use nalgebra::Matrix3;
 
 /// The candidate true rotations of every sample under one reading.

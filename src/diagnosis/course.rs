@@ -6,7 +6,7 @@
 //! the posture and changes slowly, from being taken for a latency.
 
 use super::{Aligned, Measured, Seen, Unseen};
-use crate::geometry::{Pose, Vec3, rotvec_from_rotation};
+use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 
 /// Length of a window, s.
 const WINDOW_S: f64 = 1.0;
@@ -409,7 +409,7 @@ fn jumping_course(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{pose, rotation_from_rotvec};
+    use ground::geometry::{pose, rotation_from_rotvec};
 
     fn truth(t_s: f64) -> Pose {
         let swing = |rate: f64, phase: f64| (rate * t_s + phase).sin();
@@ -421,7 +421,7 @@ mod tests {
 
     /// 20 s at 50 Hz, late by `beyond_s` more than was found, with noise and `bent` by a model error.
     fn aligned(beyond_s: impl Fn(f64) -> f64, noise_m: f64, bent_m: f64) -> Aligned {
-        let mut random = crate::geometry::test_random::Lcg::new();
+        let mut random = crate::test_random::Lcg::new();
         let mut aligned = Aligned::default();
         for row in 0..1000 {
             let t_s = f64::from(row) * 0.02;

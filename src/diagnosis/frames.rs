@@ -5,10 +5,10 @@ use super::explain::{Cause, Explanation, Menu};
 use super::model::{StreamState, Sweep, Witness, twist_of};
 use super::placing::Expected;
 use super::{FrameEstimate, Measured, Seen, Unseen};
-use crate::geometry::{
+use ground::geometry::{
     Pose, Rotation, Vec3, angle_between, pose, rotation_from_matrix_rows, rotvec_from_rotation,
 };
-use crate::stats::{Length, joint_p_value};
+use ground::stats::{Length, joint_p_value};
 use nalgebra::{DMatrix, DVector, Matrix3};
 use std::sync::LazyLock;
 

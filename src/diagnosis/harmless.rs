@@ -7,7 +7,7 @@
 use super::explain::{Approach, Cause, Explanation, Menu, explain};
 use super::frames::tool_start;
 use super::model::{StreamState, Witness};
-use crate::geometry::Pose;
+use ground::geometry::Pose;
 
 /// What leaves at most so many times as much, …
 const AS_LITTLE: f64 = 1.5;

@@ -1,8 +1,8 @@
 //! What a stream would leave if its latency were another: the valley around the one found.
 
 use super::{PoseDiagnosis, PoseStream};
-use crate::geometry::angle_between;
-use crate::stream::JointTrack;
+use ground::geometry::angle_between;
+use ground::stream::JointTrack;
 
 /// What a stream with everything else found taken off leaves at one latency.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -4,10 +4,10 @@
 //! correlation with FK's says how late the stream is before anything else is known. It is coarse by
 //! design: a tool offset or a wrong convention biases it by milliseconds, so the model refines it.
 
-use crate::geometry::{Rotation, Vec3, angle_between};
-use crate::robot::Chain;
-use crate::stats::median;
-use crate::stream::JointTrack;
+use ground::geometry::{Rotation, Vec3, angle_between};
+use ground::robot::Chain;
+use ground::stats::median;
+use ground::stream::JointTrack;
 use realfft::RealFftPlanner;
 
 /// A lag with the correlation of speeds there.

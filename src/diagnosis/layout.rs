@@ -6,7 +6,7 @@
 //! and the rest are fitted by turns. What is simplest comes first among those that leave about the least.
 
 use super::placing::{rigid_turn, spread};
-use crate::geometry::{Axes, LengthScale, Pose, Vec3};
+use ground::geometry::{Axes, LengthScale, Pose, Vec3};
 use nalgebra::{DMatrix, DVector, Matrix3};
 
 /// Nothing is told where the tip moves by less than this share of the arm's reach, …

@@ -3,6 +3,11 @@
 //!
 //! Nothing here reads files, knows topics, holds a rule's threshold or writes prose; `checks` turns
 //! these numbers into verdicts and words.
+#![warn(missing_docs, clippy::unwrap_used)]
+
+#[cfg(test)]
+#[path = "../ground/geometry/test_random.rs"]
+mod test_random;
 
 mod aligned;
 mod arm;
@@ -44,18 +49,18 @@ mod trend;
 mod turning;
 mod workspace;
 
-use crate::geometry::{
+use ground::geometry::{
     Axes, Convention, LengthScale, Misreading, MisreadingClass, Pose, QuaternionSlip, Vec3,
 };
-use crate::robot::Chain;
-use crate::stream::PoseTrack;
+use ground::robot::Chain;
+use ground::stream::PoseTrack;
 
-pub use crate::stats::{Length, Measured};
 pub use aligned::{Aligned, Residuals};
 pub use arm::{diagnose_arm, diagnose_derived, follows, likely_lags};
 pub use carried::{BaseTravel, CarrierLag, base_travel, carrier_lag};
 pub use course::{LatencyCourse, LatencyJump};
 pub use dh::{DhEstimate, DhStream, DhTold, Left, faults};
+pub use ground::stats::{Length, Measured};
 pub use handeye::{
     CameraPose, Closure, Diversity, HandEyeDiagnosis, HandEyeStreams, Mount, PoseSeries, Solution,
     TargetReading, diagnose_hand_eye, turning_peaks,

@@ -6,9 +6,9 @@
 //! in m, rotation as the rotation vector of `logged · predicted⁻¹` in rad.
 
 use super::linear::{Linear, Rows};
-use crate::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
-use crate::robot::Chain;
-use crate::stream::JointTrack;
+use ground::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
+use ground::robot::Chain;
+use ground::stream::JointTrack;
 use nalgebra::{DVector, Translation3};
 
 /// Parameters of one stream, in the order of its columns.

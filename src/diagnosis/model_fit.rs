@@ -11,9 +11,9 @@ use super::model::pose_of_twist;
 use super::placement::metres_by_size;
 use super::placing::Expected;
 use super::sampling::slow_samples;
-use crate::geometry::{Pose, Vec3};
-use crate::robot::JointKind;
-use crate::stream::{JointTrack, Orientations};
+use ground::geometry::{Pose, Vec3};
+use ground::robot::JointKind;
+use ground::stream::{JointTrack, Orientations};
 use nalgebra::{DMatrix, DVector, Point3};
 
 /// Fewer samples tell nothing.

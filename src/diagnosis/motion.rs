@@ -1,13 +1,13 @@
 //! What a joint's motion comes to, from its samples alone: how far it is beyond its limits, and how
 //! abruptly it changes its speed.
 
-use crate::stats::quantile;
+use ground::stats::quantile;
 use std::borrow::Cow;
 
 use nalgebra::{Matrix3, Vector3};
 use statrs::distribution::{Continuous, ContinuousCDF, Normal};
 
-use crate::robot::Limits;
+use ground::robot::Limits;
 
 /// How far a joint is beyond a limit.
 #[derive(Clone, Copy, Debug, PartialEq)]

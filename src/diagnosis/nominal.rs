@@ -13,7 +13,7 @@
 
 use super::linear::{Linear, Normal, Weight};
 use super::model::{FLOOR_M, FLOOR_RAD, State, StreamState, Sweep, Witness};
-use crate::geometry::{Pose, Vec3};
+use ground::geometry::{Pose, Vec3};
 use nalgebra::{DMatrix, DVector};
 
 /// No arm's calibration moves its tip by more, rms: 10 mm and 0.5°.

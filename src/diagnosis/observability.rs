@@ -7,9 +7,9 @@
 //! every posture leaves blind, and they are set apart.
 
 use super::model::{GROWTH, LATENCY, REFERENCE, SKEW, STREAM_WIDTH, StreamState, TOOL, Witness};
-use crate::geometry::{Rotation, Vec3};
-use crate::robot::JointKind;
-use crate::stream::JointTrack;
+use ground::geometry::{Rotation, Vec3};
+use ground::robot::JointKind;
+use ground::stream::JointTrack;
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -149,8 +149,7 @@ impl Observability {
     }
 
     /// Of joints that move so far, with nothing else known.
-    #[cfg(test)]
-    pub(crate) fn of_travel(travel: Vec<f64>) -> Self {
+    pub fn of_travel(travel: Vec<f64>) -> Self {
         let parameters = (0..travel.len()).map(Parameter::JointZero).collect();
         let none = DMatrix::zeros(travel.len(), travel.len());
         Self { parameters, information: none.clone(), possible: none, travel }

@@ -7,8 +7,8 @@ use super::placing::spread;
 use super::sampling::{FOLLOWS, as_rotations, slow_samples, stream_peaks};
 use super::turning::FITS_RAD;
 use super::{PoseStream, Seen, Unseen};
-use crate::geometry::{LengthScale, Pose, Vec3, angle_between};
-use crate::stream::{JointTrack, PoseTrack};
+use ground::geometry::{LengthScale, Pose, Vec3, angle_between};
+use ground::stream::{JointTrack, PoseTrack};
 
 /// How a stream's positions are written, as far as they tell by themselves.
 pub(super) struct Placement {

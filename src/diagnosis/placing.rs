@@ -1,7 +1,7 @@
 //! Where a stream's positions lie against the arm's: what can be said before any rotation is read.
 
 use super::constant::wahba;
-use crate::geometry::{Pose, Rotation, Vec3, pose};
+use ground::geometry::{Pose, Rotation, Vec3, pose};
 use nalgebra::Matrix3;
 
 /// Positions lie on the arm where this share of their extent, or less, is left.
@@ -129,7 +129,7 @@ pub(super) fn spread(points: &[Vec3]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{angle_between, rotation_from_rotvec};
+    use ground::geometry::{angle_between, rotation_from_rotvec};
 
     fn arm() -> Expected {
         let poses: Vec<Pose> = (0..40)

@@ -12,8 +12,8 @@ use super::reading::{After, Fit, Logged, Samples, nearest_truth, read};
 use super::sampling::{SEARCH_SAMPLES, slow_samples};
 use super::turning::{FITS_RAD, Turning, Way};
 use super::{AxesSlip, PoseStream, ReadingEstimate, Seen, UnitSlip, Unseen};
-use crate::geometry::{Rotation, Vec3, angle_between};
-use crate::stream::{DeclaredUnits, Orientations, PoseTrack};
+use ground::geometry::{Rotation, Vec3, angle_between};
+use ground::stream::{DeclaredUnits, Orientations, PoseTrack};
 
 /// Moving samples without which a latency is not sought.
 const MOVING_SAMPLES: usize = 10;

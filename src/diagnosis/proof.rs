@@ -13,8 +13,8 @@ use super::model::{Blind, StreamState, Sweep, ToolPart, Witness};
 use super::nominal::calibrated;
 use super::sampling::still_speeds;
 use super::{Aligned, PoseDiagnosis, PoseStream, Seen, Unseen};
-use crate::geometry::{Pose, Vec3, pose, rotvec_from_rotation};
-use crate::stream::{JointTrack, Orientations};
+use ground::geometry::{Pose, Vec3, pose, rotvec_from_rotation};
+use ground::stream::{JointTrack, Orientations};
 
 /// The share of samples that an error's size is reached by.
 const MOST: f64 = 0.95;
@@ -406,7 +406,7 @@ fn memory_s(t_s: &[f64], fk: &[Pose], period_s: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::rotation_from_rotvec;
+    use ground::geometry::rotation_from_rotvec;
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
 

@@ -7,11 +7,11 @@
 
 use super::constant::{Side, Truths, both_frames, nearest, one_frame};
 use super::{Reading, ReadingEstimate, Seen, Unseen};
-use crate::geometry::{
+use ground::geometry::{
     Convention, QuaternionSlip, Rotation, Vec3, angle_between, misreading_classes,
     rotation_from_xyzw, xyzw_from_rotation,
 };
-use crate::stream::Orientations;
+use ground::stream::Orientations;
 use rayon::prelude::*;
 
 /// A reading fits when its residual is within this factor of the least one …

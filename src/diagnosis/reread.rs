@@ -4,8 +4,8 @@
 use super::reading::{After, Logged, Samples, fit_known, nearest_truth};
 use super::sampling::stream_lag_s;
 use super::{AxesSlip, PoseStream, Reading};
-use crate::geometry::{Axes, Rotation};
-use crate::stream::{JointTrack, Orientations, PoseTrack};
+use ground::geometry::{Axes, Rotation};
+use ground::stream::{JointTrack, Orientations, PoseTrack};
 
 /// Samples that the constant frames are fitted on.
 const FIT_SAMPLES: usize = 150;

@@ -10,7 +10,7 @@ use super::model::{StreamState, Witness};
 use super::noise::Noise;
 use super::nominal::{damped, link_frames};
 use super::{Aligned, Measured, Residual, Seen, Unseen};
-use crate::geometry::{Pose, Vec3, rotvec_from_rotation};
+use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use nalgebra::DVector;
 
 /// Samples that the link frames are fitted to.

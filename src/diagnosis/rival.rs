@@ -3,8 +3,8 @@
 use super::PoseStream;
 use super::placing::Expected;
 use super::sampling::slow_samples;
-use crate::geometry::Vec3;
-use crate::stream::{JointTrack, Orientations};
+use ground::geometry::Vec3;
+use ground::stream::{JointTrack, Orientations};
 
 /// How far the positions of `stream` are from where its chain puts them, rms m, with a constant tool
 /// offset and a moved reference frame taken off; `None` where the joints cover too few samples.

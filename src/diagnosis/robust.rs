@@ -1,6 +1,6 @@
 //! Weights of residuals, and covariances that hold whatever their noise.
 
-use crate::stats::{NORMAL, median};
+use ground::stats::{NORMAL, median};
 use nalgebra::{DMatrix, DVector};
 
 /// Eigenvalues of the scaled normal matrix below this are directions that the log does not show.

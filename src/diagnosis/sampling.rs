@@ -2,10 +2,10 @@
 
 use super::PoseStream;
 use super::latency::{ArmSpeeds, Peak};
-use crate::geometry::{Pose, Rotation};
-use crate::robot::Chain;
-use crate::stats::{NORMAL, median};
-use crate::stream::{JointTrack, Orientations, PoseTrack};
+use ground::geometry::{Pose, Rotation};
+use ground::robot::Chain;
+use ground::stats::{NORMAL, median};
+use ground::stream::{JointTrack, Orientations, PoseTrack};
 
 /// Speeds correlate less than this where a stream does not follow the arm.
 pub(super) const FOLLOWS: f64 = 0.3;

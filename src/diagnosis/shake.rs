@@ -1,11 +1,11 @@
 //! Shake: what a path has above the frequencies of work, beside what noise has there.
 
-use crate::stats::{median, quantile};
+use ground::stats::{median, quantile};
 use std::f64::consts::TAU;
 
 use realfft::RealFftPlanner;
 
-use crate::geometry::Vec3;
+use ground::geometry::Vec3;
 
 /// Shake of a path, where it is strongest for a second and a half.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

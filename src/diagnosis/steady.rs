@@ -5,7 +5,7 @@ use super::{
     ArmDiagnosis, ImuDiagnosis, ImuStream, JointReading, LatencySteps, PoseDiagnosis, PoseStream,
     diagnose_arm, diagnose_imu, imu_steps, pose_steps,
 };
-use crate::stream::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack};
+use ground::stream::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack};
 use rayon::prelude::*;
 
 /// The diagnosis of an arm's pose streams; where the latency of some is not steady, that of the

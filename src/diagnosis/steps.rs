@@ -7,8 +7,8 @@
 use super::course::{LatencyCourse, LatencyJump};
 use super::latency::{ArmSpeeds, Speed, angular_speed, linear_speed, norms, peaks};
 use super::{ImuStream, Measured, PoseStream, Seen};
-use crate::stats::quantile;
-use crate::stream::{JointTrack, Orientations};
+use ground::stats::quantile;
+use ground::stream::{JointTrack, Orientations};
 
 /// Speeds correlate as well in a window at the lag that the stream has there.
 const FOLLOWS: f64 = 0.85;

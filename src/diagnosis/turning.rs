@@ -6,8 +6,8 @@ use super::placing::ON_ARM;
 use super::reading::fit_known;
 use super::reading::{After, Fit, Logged, Samples, read};
 use super::{AxesSlip, ReadingEstimate, Seen, Unseen};
-use crate::geometry::{Axes, Rotation, Vec3, angle_between};
-use crate::geometry::{Convention, QuaternionSlip};
+use ground::geometry::{Axes, Rotation, Vec3, angle_between};
+use ground::geometry::{Convention, QuaternionSlip};
 use nalgebra::Matrix3;
 
 /// Rotations are read rightly that leave no more than this, rad: joints may be off by some degrees.

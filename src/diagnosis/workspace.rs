@@ -4,8 +4,8 @@
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
 
-use crate::geometry::{Pose, Vec3, angle_between};
-use crate::robot::{Chain, JointKind, Limits};
+use ground::geometry::{Pose, Vec3, angle_between};
+use ground::robot::{Chain, JointKind, Limits};
 
 /// Edge of the cells of a reach map, m.
 pub const CELL_M: f64 = 0.02;
@@ -178,7 +178,7 @@ pub fn reach_m(chain: &Chain, rows: impl Iterator<Item = Vec<f64>>) -> Option<(f
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::robot::catalogue;
+    use ground::robot::catalogue;
 
     fn limits(lower: f64, upper: f64) -> Limits {
         Limits { lower: Some(lower), upper: Some(upper), velocity: None }

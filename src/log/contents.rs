@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use crate::stream::Columns;
-use crate::time::Stamp;
+use ground::stream::Columns;
+use ground::time::Stamp;
 
 /// All that was read from the files of one run.
 #[derive(Clone, Debug, PartialEq)]

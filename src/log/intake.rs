@@ -12,8 +12,8 @@ use super::spans::{Span, gaps, join, overlaps};
 use super::topic::{Channel, Decoding, Message, TopicIntake, saturating, take_down};
 use super::unpack::{Allowance, Unpacker};
 use super::{Description, Extent, Log, LogFile, Loss, Note, Topic};
-use crate::stream::Columns;
-use crate::time::Stamp;
+use ground::stream::Columns;
+use ground::time::Stamp;
 
 /// Longest robot description taken from an attachment or metadata, in bytes.
 const MAX_DESCRIPTION_BYTES: usize = 16 << 20;

@@ -1,7 +1,7 @@
 use std::path::{Path, PathBuf};
 
 use super::{Extent, Loss};
-use crate::time::Stamp;
+use ground::time::Stamp;
 
 /// Most losses listed of a file; those beyond are counted into the last.
 const MAX_LOSSES: usize = 100;

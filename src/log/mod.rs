@@ -7,6 +7,7 @@
 //! Nothing in a file may stop the reading of what is sound in it: damage becomes a [`Loss`], a topic
 //! that cannot be decoded becomes [`Undecodable`], and only a file of which nothing can be read is a
 //! [`LogError`]. What a stream means is decided further up.
+#![warn(missing_docs, clippy::unwrap_used)]
 
 mod ahead;
 mod contents;
@@ -41,7 +42,7 @@ pub use self::contents::{
     Container, Crc, Description, Extent, Log, LogFile, Loss, Note, Topic, Undecodable,
 };
 pub use self::error::LogError;
-pub(crate) use self::name::ESCAPED;
+pub use self::name::ESCAPED;
 pub use self::name::SourceName;
 pub use self::options::ReadOptions;
 pub use self::progress::Progress;
@@ -49,7 +50,7 @@ pub use self::reading::open;
 pub use self::remote::{Listed, RemoteFault, is_url, list, normal};
 
 /// The local file that `path` names, itself or as a `file://` URL; `None` for an object in a store.
-pub(crate) fn local(path: &Path) -> Option<PathBuf> {
+pub fn local(path: &Path) -> Option<PathBuf> {
     let is_url = is_url(path);
     (!is_url).then(|| remote::local(path).unwrap_or_else(|| path.to_owned()))
 }

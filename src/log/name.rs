@@ -46,7 +46,7 @@ impl From<SourceName> for PathBuf {
 }
 
 /// What is escaped in a path that becomes a part of a URI.
-pub(crate) const ESCAPED: &AsciiSet =
+pub const ESCAPED: &AsciiSet =
     &NON_ALPHANUMERIC.remove(b'/').remove(b'.').remove(b'_').remove(b'-').remove(b'~');
 
 /// Whether `text` is what may stand before `://`.

@@ -15,7 +15,7 @@ use super::remote::{Address, Fetched};
 use super::sniff::Kind;
 use super::unpack::{Allowance, Unpacked};
 use super::{LogError, RemoteFault, mcap, remote, rosbag1, rosbag2, rtde, sniff, unpack};
-use crate::boundary::Staged;
+use ground::boundary::Staged;
 
 /// Reads the files, rosbag2 folders and objects in stores (by URL) of one run, of whatever kinds;
 /// rows of the same topic and type are appended in the order given.
@@ -230,10 +230,10 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::log::testing::{self, Cdr, LogWriter};
-    use crate::log::{Progress, Topic};
-    use crate::stream::Columns;
-    use crate::time::Stamp;
+    use crate::testing::{self, Cdr, LogWriter};
+    use crate::{Progress, Topic};
+    use ground::stream::Columns;
+    use ground::time::Stamp;
 
     fn open_one(path: &Path) -> Result<Log, LogError> {
         open(&[path.to_owned()], &ReadOptions::default())

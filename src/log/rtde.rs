@@ -19,8 +19,8 @@ use super::intake::{ChannelId, Intake};
 use super::losses::Losses;
 use super::topic::{Message, Place};
 use super::{Extent, ReadOptions};
-use crate::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times, usable};
-use crate::time;
+use ground::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times, usable};
+use ground::time;
 
 /// The joints of every UR arm, in the controller's order.
 const JOINTS: [&str; 6] = [

@@ -105,7 +105,7 @@ const WRITE: &str = "POSEAUDIT_WRITE_SEEDS";
 
 #[test]
 fn the_fuzzers_seeds_are_what_the_writers_make() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds");
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/seeds");
     let temporary = tempfile::tempdir().unwrap();
     for (number, (target, bytes)) in all().into_iter().enumerate() {
         let path = folder.join(target).join(format!("{number:02}"));

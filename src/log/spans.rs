@@ -1,6 +1,6 @@
 //! When each file holds messages, and how the files lie to each other.
 
-use crate::time::Stamp;
+use ground::time::Stamp;
 
 /// First and last log time.
 pub(super) type Span = (Stamp, Stamp);

@@ -8,8 +8,8 @@ use super::decode::{Builder, MAX_FRAMES, Plan, Row, RowTimes};
 use super::spans::{Span, join};
 use super::unpack::ZSTD_MAGIC;
 use super::{Topic, Undecodable};
-use crate::stream::Columns;
-use crate::time::Stamp;
+use ground::stream::Columns;
+use ground::time::Stamp;
 
 /// Most different messages of a latching channel that are known again.
 const MAX_LATCHED: usize = 1 << 12;

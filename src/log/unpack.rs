@@ -6,7 +6,7 @@
 use std::fs::File;
 use std::io::{self, Read, Seek, Write};
 
-use crate::boundary::Staged;
+use ground::boundary::Staged;
 
 use super::Extent;
 

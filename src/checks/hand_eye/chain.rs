@@ -40,13 +40,11 @@ const FOLLOWS: f64 = 0.5;
 /// A mount is decided where the other one leaves so many times more.
 const DECIDED: f64 = 1.5;
 
-impl Mount {
-    /// Where the camera is, in words.
-    pub fn words(self) -> &'static str {
-        match self {
-            Mount::InHand => "in the hand",
-            Mount::InBase => "fixed in the base",
-        }
+/// Where a camera is, in words.
+pub fn where_is(mount: Mount) -> &'static str {
+    match mount {
+        Mount::InHand => "in the hand",
+        Mount::InBase => "fixed in the base",
     }
 }
 

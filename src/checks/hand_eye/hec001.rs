@@ -2,7 +2,8 @@ use super::{hec002, hec003};
 use crate::checks::decision::{Decision, decide_both, decide_frame};
 use crate::checks::frames::show;
 use crate::checks::hand_eye::chain::{
-    LEAST_SPAN, SETTLE, THRESHOLDS, does_not_follow, is_mount_decided, unseen, with_solution,
+    LEAST_SPAN, SETTLE, THRESHOLDS, does_not_follow, is_mount_decided, unseen, where_is,
+    with_solution,
 };
 use crate::checks::{Case, FrameThresholds, Grade, Judged, standing};
 use crate::diagnosis::{Mount, Solution, TargetReading};
@@ -165,7 +166,7 @@ fn sound(solution: &Solution) -> Outcome {
 /// Where the camera is and how late the target, in words.
 fn setting(solution: &Solution) -> String {
     let mount = match is_mount_decided(solution) {
-        true => format!("camera {}", solution.mount.words()),
+        true => format!("camera {}", where_is(solution.mount)),
         false => "camera in the hand or fixed, which this motion does not tell".to_owned(),
     };
     let offset = &solution.offset_s;
@@ -232,8 +233,8 @@ fn other_mount(logged: Mount) -> Fault {
         message: format!(
             "the log's frames have the camera {}, and the chain closes only with it {} or with the \
              target's poses inverted",
-            logged.words(),
-            other.words(),
+            where_is(logged),
+            where_is(other),
         ),
         evidence: Evidence::default(),
         fix: "invert the target's poses (parent and child are swapped), or correct the camera's \

@@ -1,11 +1,11 @@
 //! A stream's samples beside FK, before and after the explanation.
 
-use crate::diagnosis::explain::Explanation;
-use crate::diagnosis::model::{Blind, StreamState, Sweep, Witness};
-use crate::diagnosis::prepare::Prepared;
-use crate::diagnosis::{Aligned, PoseStream};
-use crate::geometry::pose;
-use crate::stream::{JointTrack, Orientations};
+use crate::explain::Explanation;
+use crate::model::{Blind, StreamState, Sweep, Witness};
+use crate::prepare::Prepared;
+use crate::{Aligned, PoseStream};
+use ground::geometry::pose;
+use ground::stream::{JointTrack, Orientations};
 
 /// The stream's samples beside FK, before and after the explanation.
 pub(super) fn align(

@@ -1,15 +1,15 @@
 //! The fit of all streams of an arm together, from the start that explains each one best.
 
-use crate::diagnosis::explain::{Approach, Cause, Explanation, Menu, best, explain};
-use crate::diagnosis::frames::starts;
-use crate::diagnosis::harmless::tools_first;
-use crate::diagnosis::joints::{Read, lone_zeros};
-use crate::diagnosis::latency::Peak;
-use crate::diagnosis::model::{State, StreamState, ToolPart, Witness};
-use crate::diagnosis::nominal::{MOST_M, MOST_RAD, is_nominal};
-use crate::diagnosis::prepare::Prepared;
-use crate::diagnosis::sampling::SEARCH_SAMPLES;
-use crate::geometry::Pose;
+use crate::explain::{Approach, Cause, Explanation, Menu, best, explain};
+use crate::frames::starts;
+use crate::harmless::tools_first;
+use crate::joints::{Read, lone_zeros};
+use crate::latency::Peak;
+use crate::model::{State, StreamState, ToolPart, Witness};
+use crate::nominal::{MOST_M, MOST_RAD, is_nominal};
+use crate::prepare::Prepared;
+use crate::sampling::SEARCH_SAMPLES;
+use ground::geometry::Pose;
 use rayon::prelude::*;
 
 const FIT_SAMPLES: usize = 4000;

@@ -18,10 +18,10 @@ use super::{
     ArmDiagnosis, JointDiagnosis, JointOffset, JointReading, JointScale, JointUnit, PoseDiagnosis,
     PoseStream, Residual, Seen, Unseen,
 };
-use crate::geometry::Vec3;
-use crate::robot::JointKind;
-use crate::stream::JointTrack;
 use fit::fit;
+use ground::geometry::Vec3;
+use ground::robot::JointKind;
+use ground::stream::JointTrack;
 use stream::{no_diagnosis, stream_diagnosis};
 use zeros::{joint_offsets, joint_scales, unseen_offsets};
 

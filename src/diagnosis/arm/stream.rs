@@ -3,22 +3,22 @@
 use super::align::align;
 use super::fit::Fitted;
 use super::twins::measured;
-use crate::diagnosis::course::latency_course;
-use crate::diagnosis::explain::{Cause, ENTANGLED, Explanation};
-use crate::diagnosis::frames::frame_estimate;
-use crate::diagnosis::latency::median_period_s;
-use crate::diagnosis::model::StreamState;
-use crate::diagnosis::observability::Observability;
-use crate::diagnosis::placement::Placement;
-use crate::diagnosis::prepare::Prepared;
-use crate::diagnosis::residual::residual;
-use crate::diagnosis::sampling::SEARCH_SAMPLES;
-use crate::diagnosis::{
+use crate::course::latency_course;
+use crate::explain::{Cause, ENTANGLED, Explanation};
+use crate::frames::frame_estimate;
+use crate::latency::median_period_s;
+use crate::model::StreamState;
+use crate::observability::Observability;
+use crate::placement::Placement;
+use crate::prepare::Prepared;
+use crate::residual::residual;
+use crate::sampling::SEARCH_SAMPLES;
+use crate::{
     Aligned, AxesSlip, ConstantPart, LengthSlip, Measured, PoseDiagnosis, PoseStream, Residual,
     Seen, UnitSlip, Unseen,
 };
-use crate::geometry::LengthScale;
-use crate::stream::JointTrack;
+use ground::geometry::LengthScale;
+use ground::stream::JointTrack;
 
 /// Residuals below this cannot tell two latencies apart, rms rad and m at an arm's length of 1 m.
 const ALIAS_FLOOR: f64 = 2e-5;

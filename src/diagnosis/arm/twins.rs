@@ -1,8 +1,8 @@
 //! One amount of a fit with its interval, and the causes that would explain the log as well in its place.
 
 use super::fit::Fitted;
-use crate::diagnosis::explain::{Cause, ENTANGLED};
-use crate::diagnosis::{Measured, Seen, Twin, Unseen};
+use crate::explain::{Cause, ENTANGLED};
+use crate::{Measured, Seen, Twin, Unseen};
 
 /// The estimate of one parameter of `cause` when `causes` and what is always free are free.
 pub(super) fn measured(

@@ -2,13 +2,13 @@
 
 use super::fit::Fitted;
 use super::twins::{frame_twins, measured, twins};
-use crate::diagnosis::explain::Cause;
-use crate::diagnosis::joints::{Read, half_turns};
-use crate::diagnosis::prepare::Prepared;
-use crate::diagnosis::{JointOffset, JointScale, Measured, Unseen};
-use crate::geometry::Vec3;
-use crate::robot::JointKind;
-use crate::stream::JointTrack;
+use crate::explain::Cause;
+use crate::joints::{Read, half_turns};
+use crate::prepare::Prepared;
+use crate::{JointOffset, JointScale, Measured, Unseen};
+use ground::geometry::Vec3;
+use ground::robot::JointKind;
+use ground::stream::JointTrack;
 use std::f64::consts::TAU;
 
 pub(super) fn unseen_offsets(dof: usize, why: &Unseen) -> Vec<JointOffset> {

@@ -3,9 +3,9 @@
 use super::fit::Fit;
 use super::series::Setting;
 use super::{Closure, FEWEST};
-use crate::geometry::Vec3;
-use crate::stats::Measured;
-use crate::stats::median;
+use ground::geometry::Vec3;
+use ground::stats::Measured;
+use ground::stats::median;
 
 /// Blocks over which the excess over noise is judged.
 const BLOCKS: usize = 12;

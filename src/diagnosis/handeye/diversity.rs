@@ -2,7 +2,7 @@
 
 use super::Diversity;
 use super::series::Setting;
-use crate::geometry::{Rotation, Vec3, rotvec_from_rotation};
+use ground::geometry::{Rotation, Vec3, rotvec_from_rotation};
 use nalgebra::Matrix3;
 
 /// Orientations that are held against each other.

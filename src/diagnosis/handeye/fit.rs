@@ -8,9 +8,9 @@ use super::super::robust::sandwich;
 use super::series::Setting;
 use super::start::{Start, together};
 use super::{CameraPose, FEWEST};
-use crate::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotvec_from_rotation};
-use crate::stats::Measured;
-use crate::stats::median;
+use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotvec_from_rotation};
+use ground::stats::Measured;
+use ground::stats::median;
 use nalgebra::DMatrix;
 
 /// Parameters: `X` shifted and turned in the camera's axes, `Y` shifted and turned in its parent's,

@@ -23,8 +23,8 @@ mod start;
 
 use super::latency::{self, Peak, Speed};
 use super::{FrameEstimate, Seen, Unseen};
-use crate::geometry::{Pose, angle_between, rotvec_from_rotation};
-use crate::stats::{Length, Measured};
+use ground::geometry::{Pose, angle_between, rotvec_from_rotation};
+use ground::stats::{Length, Measured};
 
 use closure::closure;
 use diversity::diversity;

@@ -8,7 +8,7 @@
 use super::series::{PoseSeries, Setting};
 use super::start::{angle_gap, quick_start};
 use super::{FIT_POSES, HandEyeStreams, Mount, Solution, solve};
-use crate::geometry::{
+use ground::geometry::{
     MisreadingClass, Pose, QuaternionSlip, Rotation, Vec3, misreading_classes, pose,
     rotation_from_xyzw, xyzw_from_rotation,
 };

@@ -2,9 +2,9 @@
 
 use super::super::latency::median_period_s;
 use super::Mount;
-use crate::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotvec_from_rotation};
-use crate::robot::Chain;
-use crate::stream::{JointTrack, Orientations, PoseTrack};
+use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotvec_from_rotation};
+use ground::robot::Chain;
+use ground::stream::{JointTrack, Orientations, PoseTrack};
 
 /// Poses over time. Times are seconds from the run's origin, strictly increasing.
 #[derive(Clone, Debug, Default)]
@@ -53,7 +53,7 @@ impl PoseSeries {
 
     /// The pose at `t_s`: position linearly, rotation along the shortest turn. `None` outside the
     /// samples, and in gaps of more than 0.2 s and ten times the usual period.
-    pub(in crate::diagnosis) fn at(&self, t_s: f64, period_s: f64) -> Option<Pose> {
+    pub(crate) fn at(&self, t_s: f64, period_s: f64) -> Option<Pose> {
         let right = self.t_s.partition_point(|&t| t < t_s);
         let (after_s, after) = (*self.t_s.get(right)?, self.poses.get(right)?);
         if after_s == t_s {

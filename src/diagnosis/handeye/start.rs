@@ -2,10 +2,10 @@
 
 use super::super::constant::wahba;
 use super::series::Pair;
-use crate::geometry::{
+use ground::geometry::{
     Pose, Rotation, Vec3, angle_between, pose, rotation_from_rotvec, rotvec_from_rotation,
 };
-use crate::stats::median;
+use ground::stats::median;
 use nalgebra::{Matrix3, Matrix6, Vector6};
 
 /// Poses that the closed form uses.

@@ -1,7 +1,7 @@
 //! A hand and a target made of known poses.
 
 use super::*;
-use crate::geometry::{Vec3, pose, rotation_from_rotvec};
+use ground::geometry::{Vec3, pose, rotation_from_rotvec};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 

@@ -1,10 +1,10 @@
 //! What is estimated on an IMU.
 
-use crate::diagnosis::{LatencyCourse, ReadingEstimate, Seen, Unseen};
-use crate::geometry::{Pose, Rotation, Vec3};
-use crate::robot::Chain;
-use crate::stats::{Length, Measured};
-use crate::stream::ImuTrack;
+use crate::{LatencyCourse, ReadingEstimate, Seen, Unseen};
+use ground::geometry::{Pose, Rotation, Vec3};
+use ground::robot::Chain;
+use ground::stats::{Length, Measured};
+use ground::stream::ImuTrack;
 
 /// An IMU, as the estimators see it.
 #[derive(Clone, Copy, Debug)]

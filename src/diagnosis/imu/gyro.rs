@@ -13,8 +13,8 @@ use super::super::linear::Linear;
 use super::super::{GyroBias, GyroShape, LatencyCourse, Measured, Seen, Unseen};
 use super::solve::{Model, Solved, lengths, solve};
 use super::{Clock, Delay, Link, NEED, SKEW_CHANCE, TURNS_RAD, explains, rms};
-use crate::geometry::{Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
-use crate::stats::Length;
+use ground::geometry::{Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
+use ground::stats::Length;
 use nalgebra::{DVector, Matrix3};
 use std::ops::RangeInclusive;
 

@@ -3,8 +3,8 @@
 use super::super::constant::{mean_rotation, wahba};
 use super::super::proof::{Error, Series};
 use super::{FIT_SAMPLES, FOLLOWS, ImuDiagnosis, ImuStream, Link, rms};
-use crate::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
-use crate::stream::{JointTrack, sample_noise};
+use ground::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
+use ground::stream::{JointTrack, sample_noise};
 use nalgebra::Matrix3;
 
 /// Samples without which nothing is said.

@@ -23,8 +23,8 @@ use super::{AxesSlip, Meant, Measured, Reading, Seen, Unseen};
 pub use found::{GyroBias, GyroShape, Heading, ImuDiagnosis, ImuStream, YawCourse, YawJump};
 pub use held::{ImuProof, Rates, proof_of_imu};
 
-use crate::geometry::{Rotation, Vec3, angle_between};
-use crate::stream::JointTrack;
+use ground::geometry::{Rotation, Vec3, angle_between};
+use ground::stream::JointTrack;
 
 /// Samples of an IMU that are fitted.
 const FIT_SAMPLES: usize = 5000;

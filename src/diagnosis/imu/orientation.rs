@@ -11,8 +11,8 @@ use super::super::{Heading, LatencyCourse, Measured, ReadingEstimate, Seen, Unse
 use super::solve::{Model, Solved, lengths, solve};
 use super::yaw::{self, Course};
 use super::{Clock, Delay, Link, MOUNT_CHANCE, NEED, SKEW_CHANCE, TURNS_RAD, explains, rms};
-use crate::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
-use crate::stats::Length;
+use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
+use ground::stats::Length;
 use nalgebra::DVector;
 use std::f64::consts::TAU;
 use std::ops::Range;

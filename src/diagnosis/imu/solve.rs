@@ -3,8 +3,8 @@
 use super::super::linear::{Linear, Normal, Weight};
 use super::super::robust::sandwich;
 use super::super::{Measured, Seen, Unseen};
-use crate::geometry::Vec3;
-use crate::stats::{Length, joint_p_value};
+use ground::geometry::Vec3;
+use ground::stats::{Length, joint_p_value};
 use nalgebra::{DMatrix, DVector};
 
 /// A model with parameters, of which some are fitted.

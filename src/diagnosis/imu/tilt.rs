@@ -2,8 +2,8 @@
 
 use super::super::{Seen, Unseen};
 use super::Link;
-use crate::geometry::Vec3;
-use crate::stats::Length;
+use ground::geometry::Vec3;
+use ground::stats::Length;
 use nalgebra::DMatrix;
 
 /// An arm rests where it also does this long before and after, s.

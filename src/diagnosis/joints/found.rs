@@ -1,7 +1,7 @@
 //! What is estimated on joint states.
 
-use crate::diagnosis::{Seen, UnitSlip};
-use crate::stats::Measured;
+use crate::{Seen, UnitSlip};
+use ground::stats::Measured;
 
 /// The zero offset of one joint: `q_true = q_reported + offset`.
 #[derive(Clone, Debug)]

@@ -9,8 +9,8 @@
 
 use super::map::JointMap;
 use super::view::{Frames, View};
-use crate::geometry::Pose;
-use crate::robot::JointKind;
+use ground::geometry::Pose;
+use ground::robot::JointKind;
 use std::f64::consts::{PI, TAU};
 
 /// How the log speaks of one joint.

@@ -1,7 +1,7 @@
 //! How the numbers of a joint state may have to be read: whose they are, in which unit, from which
 //! zero.
 
-use crate::robot::{Chain, JointKind};
+use ground::robot::{Chain, JointKind};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 /// The number that each joint of a chain has, and what it means in rad or m:

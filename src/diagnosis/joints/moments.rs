@@ -1,9 +1,9 @@
 //! The slow moments that tell how joints are written.
 
 use super::super::PoseStream;
-use crate::geometry::{Rotation, Vec3};
-use crate::robot::{Chain, JointKind};
-use crate::stream::{JointTrack, Orientations};
+use ground::geometry::{Rotation, Vec3};
+use ground::robot::{Chain, JointKind};
+use ground::stream::{JointTrack, Orientations};
 
 /// Samples that readings are tried on.
 pub(super) const SAMPLES: usize = 60;

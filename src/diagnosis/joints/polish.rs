@@ -2,8 +2,8 @@
 
 use super::map::JointMap;
 use super::view::{Frames, Freedom, Left, View};
-use crate::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
-use crate::robot::JointKind;
+use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
+use ground::robot::JointKind;
 use nalgebra::{DMatrix, DVector};
 
 /// A way of reading the joints that is to be tried.

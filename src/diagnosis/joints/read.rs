@@ -3,7 +3,7 @@
 use super::super::sampling::still_speeds;
 use super::found::{JointReading, JointUnit, is_coded};
 use super::{corrected, moved};
-use crate::stream::JointTrack;
+use ground::stream::JointTrack;
 
 /// The joint states as they are read.
 pub(in super::super) struct Read {

@@ -9,7 +9,7 @@ use super::lone::Lone;
 use super::map::{ALL_ORDERS, JointMap, orders, wholes};
 use super::polish::{Polished, Proposal};
 use super::view::{Frames, Freedom, Left, View};
-use crate::robot::JointKind;
+use ground::robot::JointKind;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 

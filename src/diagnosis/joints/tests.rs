@@ -1,9 +1,9 @@
 use super::map::{JointMap, half_turns, orders};
 use super::search::{Kind, Search, search};
 use super::view::{Freedom, Left, TURNS, View};
-use crate::geometry::test_random::Lcg;
-use crate::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
-use crate::robot::{Chain, catalogue};
+use crate::test_random::Lcg;
+use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
+use ground::robot::{Chain, catalogue};
 use std::f64::consts::{PI, TAU};
 
 /// What a search may leave.

@@ -4,8 +4,8 @@
 use super::super::frames::{both_frames, tool_frame};
 use super::super::placing::Expected;
 use super::map::JointMap;
-use crate::geometry::{Pose, Rotation, Vec3, angle_between, pose, rotvec_from_rotation};
-use crate::robot::Chain;
+use ground::geometry::{Pose, Rotation, Vec3, angle_between, pose, rotvec_from_rotation};
+use ground::robot::Chain;
 
 /// Turns in which the frames of a thinned view are sought, and of a whole one.
 const FEW_TURNS: usize = 5;

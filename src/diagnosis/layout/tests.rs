@@ -1,5 +1,5 @@
 use super::*;
-use crate::geometry::{pose, rotation_from_rotvec};
+use ground::geometry::{pose, rotation_from_rotvec};
 
 /// Poses of an arm that moves in all ways.
 fn arm() -> Vec<Pose> {

@@ -1,8 +1,8 @@
 //! What was found on commands.
 
 use super::line::Line;
-use crate::geometry::{Pose, Vec3, rotvec_from_rotation};
-use crate::stats::{Length, Measured};
+use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
+use ground::stats::{Length, Measured};
 
 /// The difference between a command and where the arm came to rest.
 #[derive(Clone, Debug)]

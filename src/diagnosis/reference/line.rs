@@ -10,8 +10,8 @@ use std::f64::consts::{PI, TAU};
 
 use super::rest::{Hold, LEAST_S, Rest, mean_pose};
 use super::{Length, WitnessSeries, length_of, of_mean};
-use crate::diagnosis::PoseSeries;
-use crate::geometry::{
+use crate::PoseSeries;
+use ground::geometry::{
     Convention, Pose, Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation,
 };
 

@@ -13,10 +13,10 @@ pub use self::found::{Constancy, Following, ReferenceDiagnosis, RestGap};
 use super::latency::{ArmSpeeds, Peak, median_period_s};
 use super::noise::Noise;
 use super::{PoseSeries, Seen, Unseen};
-use crate::geometry::{Rotation, Vec3, angle_between, rotvec_from_rotation};
-use crate::robot::Chain;
-use crate::stats::{Length, Measured};
-use crate::stream::JointTrack;
+use ground::geometry::{Rotation, Vec3, angle_between, rotvec_from_rotation};
+use ground::robot::Chain;
+use ground::stats::{Length, Measured};
+use ground::stream::JointTrack;
 
 pub use line::{Line, LineWitness};
 use rest::{Hold, Rest, holds, mean_pose, rests};

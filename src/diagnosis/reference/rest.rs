@@ -1,9 +1,9 @@
 //! Where an arm rests, and where commands stand still.
 
 use super::super::latency::median_period_s;
-use crate::diagnosis::PoseSeries;
-use crate::geometry::{Pose, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
-use crate::stream::{JointTrack, sample_noise};
+use crate::PoseSeries;
+use ground::geometry::{Pose, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
+use ground::stream::{JointTrack, sample_noise};
 
 /// Shorter rests do not show what is left when a motion has died away, s.
 pub(super) const LEAST_S: f64 = 0.1;

@@ -1,7 +1,7 @@
 use super::line::lines;
 use super::*;
-use crate::geometry::{Convention, Pose, pose, rotation_from_rotvec, rotation_from_rpy};
-use crate::robot::catalogue;
+use ground::geometry::{Convention, Pose, pose, rotation_from_rotvec, rotation_from_rpy};
+use ground::robot::catalogue;
 
 /// A smooth way from 0 to 1 in a second that begins at `from_s`.
 fn blend(t_s: f64, from_s: f64) -> f64 {

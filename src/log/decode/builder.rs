@@ -8,17 +8,17 @@ use self::joints::Joints;
 use self::poses::{Crowd, Naming, Poses};
 use self::values::{Array, Numbers, append_imu, append_text};
 use super::row::{self, Row, RowTimes};
-use crate::stream::{Columns, ImuColumns, TextColumns};
+use ground::stream::{Columns, ImuColumns, TextColumns};
 
-pub(in crate::log) use self::joints::TooManyJoints;
-pub(in crate::log) use self::poses::MAX_FRAMES;
+pub(crate) use self::joints::TooManyJoints;
+pub(crate) use self::poses::MAX_FRAMES;
 
 /// The columns of one topic while rows are appended.
 ///
 /// A type that holds several kinds of content has a part for each: the first under the topic's own
 /// name, the others under that name with the field after a dot, as in Foxglove's message paths.
 #[derive(Debug)]
-pub(in crate::log) struct Builder {
+pub(crate) struct Builder {
     parts: Vec<(&'static str, Part)>,
     /// Whether the type has a stamp.
     stamped: bool,
@@ -140,16 +140,12 @@ impl Builder {
     }
 
     /// Appends one row, or counts why it is dropped.
-    pub(in crate::log) fn append(
-        &mut self,
-        row: &Row,
-        times: RowTimes,
-    ) -> Result<(), TooManyJoints> {
+    pub(crate) fn append(&mut self, row: &Row, times: RowTimes) -> Result<(), TooManyJoints> {
         self.parts.iter_mut().try_for_each(|(_, part)| part.append(row, times))
     }
 
     /// Rows that were not taken, because the topic has more pairs of frames than [`MAX_FRAMES`].
-    pub(in crate::log) fn refused(&self) -> u64 {
+    pub(crate) fn refused(&self) -> u64 {
         let refused = |part: &Part| match part {
             Part::Poses(poses) | Part::Transforms(poses) => poses.refused,
             Part::Crowd(crowd) => crowd.poses.refused,
@@ -159,7 +155,7 @@ impl Builder {
     }
 
     /// Why what was appended is of no use, where it is of none.
-    pub(in crate::log) fn useless(&self) -> Option<String> {
+    pub(crate) fn useless(&self) -> Option<String> {
         self.parts.iter().find_map(|(_, part)| match part {
             Part::Crowd(crowd) if crowd.is_too_large() => Some(format!(
                 "a message of it holds {} poses, and an arm has no more than {}",
@@ -172,7 +168,7 @@ impl Builder {
 
     /// The columns of each part, with what comes after the topic's name; none for a part that turned
     /// out to be of no use.
-    pub(in crate::log) fn finalize(self) -> Vec<(&'static str, Option<Columns>)> {
+    pub(crate) fn finalize(self) -> Vec<(&'static str, Option<Columns>)> {
         let unstamped = !self.stamped;
         let finalized = |(name, part): (&'static str, Part)| {
             let mut columns = part.finalize();

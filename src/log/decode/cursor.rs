@@ -5,7 +5,7 @@ use super::schema::Primitive;
 
 /// A message that is not in a representation read here.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
-pub(in crate::log) enum EncapsulationError {
+pub(crate) enum EncapsulationError {
     #[error("the message has {len} bytes, expected at least the 4 of the CDR header")]
     Short { len: usize },
     #[error(
@@ -22,7 +22,7 @@ pub(in crate::log) enum EncapsulationError {
 /// A value that reaches beyond the end of the message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("byte {offset} of the message: {wanted} bytes wanted, {left} left")]
-pub(in crate::log) struct Short {
+pub(crate) struct Short {
     /// Offset of the value from the message's first byte.
     offset: usize,
     /// Bytes it would take.

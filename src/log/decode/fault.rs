@@ -8,7 +8,7 @@ use super::schema::excerpt;
 
 /// Why a message could not be decoded.
 #[derive(Debug, thiserror::Error)]
-pub(in crate::log) enum DecodeError<'p> {
+pub(crate) enum DecodeError<'p> {
     /// The message is not in a representation read here.
     #[error(transparent)]
     Encapsulation(#[from] EncapsulationError),
@@ -28,7 +28,7 @@ pub(in crate::log) enum DecodeError<'p> {
 
 /// Why a message could not be read.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
-pub(in crate::log) enum JsonError {
+pub(crate) enum JsonError {
     #[error("not JSON of this type: {what}")]
     Malformed { what: String },
     #[error("no object `{path}`")]

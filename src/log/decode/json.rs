@@ -18,7 +18,7 @@ use super::schema::excerpt;
 
 /// The wanted fields as a tree.
 #[derive(Debug)]
-pub(in crate::log) struct Plan {
+pub(crate) struct Plan {
     root: Branch,
     /// All slots, to be emptied before a message; and those of one row, before each.
     slots: Vec<Slot>,

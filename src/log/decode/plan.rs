@@ -6,7 +6,7 @@ use super::{json, protobuf, steps};
 
 /// What a recipe became for the format of one channel.
 #[derive(Debug)]
-pub(in crate::log) enum Plan {
+pub(crate) enum Plan {
     /// CDR or ROS 1 serialization.
     Steps(steps::Plan),
     /// JSON.
@@ -17,7 +17,7 @@ pub(in crate::log) enum Plan {
 
 impl Plan {
     /// Reads `message` through `row` and gives each of its rows to `append`.
-    pub(in crate::log) fn decode<'p>(
+    pub(crate) fn decode<'p>(
         &'p self,
         message: &[u8],
         row: &mut Row,

@@ -14,12 +14,12 @@ use super::schema::SchemaError;
 
 pub(super) use self::descriptor::Types;
 use self::descriptor::{Field, Kind, Message, Scalar};
-pub(in crate::log) use self::wire::WireError;
+pub(crate) use self::wire::WireError;
 use self::wire::{Fault, Reader, Value};
 
 /// The wanted fields as a tree of field numbers.
 #[derive(Debug)]
-pub(in crate::log) struct Plan {
+pub(crate) struct Plan {
     root: Vec<Wanted>,
     /// All slots, to be emptied before a message; and those of one row, before each.
     slots: Vec<Slot>,

@@ -8,7 +8,7 @@ use super::schema::canonical;
 pub(super) type Fields = &'static [(&'static str, Slot)];
 
 /// How a message type becomes rows.
-pub(in crate::log) struct Recipe {
+pub(crate) struct Recipe {
     /// Names of the type as `package/Type`, or as `package.Type` where ROS is not.
     type_names: &'static [&'static str],
     /// The array whose elements are a row each; without one, a message is a row.
@@ -23,13 +23,13 @@ pub(in crate::log) struct Recipe {
 
 impl Recipe {
     /// The recipe for a type, which may be spelled `package/Type` or `package/msg/Type`.
-    pub(in crate::log) fn of(type_name: &str) -> Option<&'static Recipe> {
+    pub(crate) fn of(type_name: &str) -> Option<&'static Recipe> {
         let type_name = canonical(type_name);
         RECIPES.iter().find(|recipe| recipe.type_names.contains(&type_name.as_ref()))
     }
 
     /// Empty columns.
-    pub(in crate::log) fn builder(&self) -> Builder {
+    pub(crate) fn builder(&self) -> Builder {
         let is_stamp = |(_, slot): &(&str, Slot)| *slot == Slot::Stamp;
         Builder::new(self.parts, self.layouts.iter().any(|fields| fields.iter().any(is_stamp)))
     }

@@ -64,13 +64,13 @@ impl Slot {
 
 /// The times of a message, in nanoseconds.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
-pub(in crate::log) struct RowTimes {
+pub(crate) struct RowTimes {
     /// When the recorder received it.
-    pub(in crate::log) log: i64,
+    pub(crate) log: i64,
     /// When the sender published it.
-    pub(in crate::log) publish: i64,
+    pub(crate) publish: i64,
     /// The number that its sender, or the recorder, gave it; 0 where none did.
-    pub(in crate::log) sequence: u32,
+    pub(crate) sequence: u32,
 }
 
 /// The fields of one row, as the wire had them.
@@ -79,7 +79,7 @@ pub(in crate::log) struct RowTimes {
 /// decoding allocates only while they grow. A plan fills every slot of its recipe for every row;
 /// the others keep their defaults.
 #[derive(Debug, Default)]
-pub(in crate::log) struct Row {
+pub(crate) struct Row {
     pub(super) seconds: i64,
     pub(super) nanoseconds: i64,
     pub(super) numbers: [f64; 10],

@@ -21,7 +21,7 @@ pub(super) const MAX_NAME: usize = 256;
 
 /// Why a schema cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub(in crate::log) enum SchemaError {
+pub(crate) enum SchemaError {
     #[error("line {line}: expected `MSG: package/Type` after the separator, found `{found}`")]
     Separator { line: usize, found: String },
     #[error("line {line}: expected `type name`, found `{found}`")]
@@ -78,14 +78,14 @@ pub(super) fn text(schema: &[u8]) -> Result<Cow<'_, str>, SchemaError> {
 }
 
 /// The start of `text`, for messages to people.
-pub(in crate::log) fn excerpt(text: &str) -> String {
+pub(crate) fn excerpt(text: &str) -> String {
     const LONGEST: usize = 80;
     start_of(text, LONGEST).into_owned()
 }
 
 /// A name of a topic, type, frame or joint, which messages hold whole; one that is longer than any is
 /// cut.
-pub(in crate::log) fn bounded(name: &str) -> Cow<'_, str> {
+pub(crate) fn bounded(name: &str) -> Cow<'_, str> {
     const LONGEST: usize = 256;
     match start_of(name, LONGEST) {
         short if !short.contains(char::is_control) => short,
@@ -216,7 +216,7 @@ fn built_in((name, seconds, nanoseconds): (&str, Primitive, Primitive)) -> Defin
 }
 
 /// `package/Type` for either spelling of a type name, `package/msg/Type` or `package/Type`.
-pub(in crate::log) fn canonical(type_name: &str) -> Cow<'_, str> {
+pub(crate) fn canonical(type_name: &str) -> Cow<'_, str> {
     match type_name.split_once("/msg/") {
         Some((package, name)) => Cow::Owned(format!("{package}/{name}")),
         None => Cow::Borrowed(type_name),

@@ -16,7 +16,7 @@ pub(super) use self::shape::Shape;
 
 /// The steps that read the wanted fields of a message, and pass over the others, in one walk.
 #[derive(Debug)]
-pub(in crate::log) struct Plan {
+pub(crate) struct Plan {
     serialization: Serialization,
     /// For values that simply follow each other.
     plain: Vec<Step>,

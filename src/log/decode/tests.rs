@@ -1,6 +1,6 @@
 //! Messages of every recipe, through plan and builder.
 
-pub(in crate::log) mod encodings;
+pub(crate) mod encodings;
 mod hostile;
 mod idl;
 mod independent;
@@ -10,8 +10,8 @@ mod vectors;
 
 use super::super::testing::{self, Cdr};
 use super::*;
-use crate::stream::{Columns, ImuColumns, JointColumns, PoseColumns};
-use crate::time::Clock;
+use ground::stream::{Columns, ImuColumns, JointColumns, PoseColumns};
+use ground::time::Clock;
 
 /// What the messages decode to, in parts, and the first error.
 fn decode_all(

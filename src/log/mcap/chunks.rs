@@ -4,10 +4,10 @@ use mcap::records::op;
 
 use super::record::{self, Frame};
 use super::{Absent, Reader, Use};
-use crate::log::Extent;
-use crate::log::ahead;
-use crate::log::intake::ChannelId;
-use crate::log::unpack::{Compression, Packed, Unpacker};
+use crate::Extent;
+use crate::ahead;
+use crate::intake::ChannelId;
+use crate::unpack::{Compression, Packed, Unpacker};
 
 impl<'a> Reader<'a, '_, '_> {
     /// Hands in chunks beyond those that were, as far as there is room and not far beyond `here`.

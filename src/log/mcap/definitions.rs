@@ -4,7 +4,7 @@ use mcap::records::op;
 
 use super::record::{self, Frame};
 use super::{Channel, Reader, Schema};
-use crate::log::decode::{Format, excerpt};
+use crate::decode::{Format, excerpt};
 
 impl<'a> Reader<'a, '_, '_> {
     /// Takes up a schema or a channel; `None` if it is malformed.

@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use mcap::records::op;
 
-use crate::log::unpack::{Allowance, Compression, Packed, Unpacker};
+use crate::unpack::{Allowance, Compression, Packed, Unpacker};
 
 /// Bytes before a record's body: its opcode and its length.
 pub(super) const FRAME_HEADER: usize = 9;

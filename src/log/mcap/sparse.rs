@@ -6,7 +6,7 @@ use mcap::records::op;
 
 use super::record::{self, Frame};
 use super::{Absent, Reader, Use};
-use crate::log::unpack::{Compression, Packed};
+use crate::unpack::{Compression, Packed};
 
 impl<'a> Reader<'a, '_, '_> {
     /// Whether all bytes of `range` are there; the first that is asked for and is not is kept.

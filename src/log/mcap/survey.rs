@@ -15,16 +15,16 @@ use mcap::records::op;
 
 use super::record::{self, FRAME_HEADER, Frame};
 use super::{Reader, Summary};
-use crate::log::ReadOptions;
-use crate::log::ahead;
-use crate::log::intake::Intake;
-use crate::log::losses::Losses;
-use crate::log::ranges::Present;
-use crate::log::unpack::Compression;
+use crate::ReadOptions;
+use crate::ahead;
+use crate::intake::Intake;
+use crate::losses::Losses;
+use crate::ranges::Present;
+use crate::unpack::Compression;
 
 /// What of a file is missing.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(in crate::log) enum Survey {
+pub(crate) enum Survey {
     /// Nothing that its reading looks at.
     Nothing,
     /// At least these ranges.
@@ -34,7 +34,7 @@ pub(in crate::log) enum Survey {
 }
 
 /// What is missing of the file `bytes`, of which only `present` is there.
-pub(in crate::log) fn survey(bytes: &[u8], present: &Present) -> Survey {
+pub(crate) fn survey(bytes: &[u8], present: &Present) -> Survey {
     let options = ReadOptions::default();
     let mut losses = Losses::of("".as_ref());
     let mut intake = Intake::default();

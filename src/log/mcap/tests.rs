@@ -12,8 +12,8 @@ use super::super::testing::{self, Cdr, LogWriter};
 use super::super::unpack::Allowance;
 use super::super::{Container, Log, LogFile, Loss};
 use super::*;
-use crate::stream::{Columns, PoseColumns};
-use crate::time::{Clock, Stamp};
+use ground::stream::{Columns, PoseColumns};
+use ground::time::{Clock, Stamp};
 
 const MESSAGES: u64 = 100;
 

@@ -125,7 +125,7 @@ impl RemoteFault {
     /// What the reader can do.
     pub fn remedy(&self) -> &'static str {
         match self {
-            Self::NotBuilt => "build it with the feature `cloud`, or download the log first",
+            Self::NotBuilt => "build it with `--features full`, or download the log first",
             Self::Scheme { .. } => "name s3://, gs://, az://, abfss:// or https://, or a file",
             Self::Address { .. } => "name it as in s3://bucket/key, and see docs/remote.md",
             Self::NoObject => "see whether the key is spelt right",

@@ -16,12 +16,12 @@ use super::fault::RemoteFault;
 use super::patience::Patience;
 use super::store::Source;
 use super::{Address, Fetched, cause};
-use crate::log::mapped::Mapped;
-use crate::log::mcap::{self, Survey};
-use crate::log::ranges::{Present, Ranges};
-use crate::log::sniff::{self, Kind};
-use crate::log::unpack::Unpacked;
-use crate::log::{Progress, ReadOptions};
+use crate::mapped::Mapped;
+use crate::mcap::{self, Survey};
+use crate::ranges::{Present, Ranges};
+use crate::sniff::{self, Kind};
+use crate::unpack::Unpacked;
+use crate::{Progress, ReadOptions};
 
 /// Bytes of the first request, which also says how many there are.
 const HEAD: usize = 64 << 10;

@@ -2,10 +2,10 @@
 
 use super::Reader;
 use super::record::{self, Chunk, MessageIndex, Record, op};
-use crate::log::Extent;
-use crate::log::ahead;
-use crate::log::decode::excerpt;
-use crate::log::unpack::{Compression, UnpackError, Unpacker};
+use crate::Extent;
+use crate::ahead;
+use crate::decode::excerpt;
+use crate::unpack::{Compression, UnpackError, Unpacker};
 
 impl<'a> Reader<'a, '_, '_> {
     /// Hands in chunks beyond those that were, as far as there is room and not far beyond `here`.

@@ -3,7 +3,7 @@
 //! Format: <http://wiki.ros.org/Bags/Format/2.0>. A record is a header, which is a list of named
 //! fields, and data, each behind its length. The field `op` says what the record is.
 
-use crate::log::unpack::{Compression, Packed};
+use crate::unpack::{Compression, Packed};
 
 /// What a record is.
 pub(super) mod op {

@@ -5,8 +5,8 @@ use std::path::Path;
 use super::super::testing::BagWriter;
 use super::super::{Container, Log, LogFile};
 use super::*;
-use crate::stream::Columns;
-use crate::time::Stamp;
+use ground::stream::Columns;
+use ground::time::Stamp;
 
 const MESSAGES: u64 = 60;
 const A_CHUNK: u64 = 20;

@@ -15,11 +15,11 @@ use rusqlite::types::ValueRef;
 use rusqlite::{Connection, OpenFlags, Row};
 
 use super::wal;
-use crate::log::decode::{Format, excerpt};
-use crate::log::intake::{ChannelId, Intake};
-use crate::log::losses::Losses;
-use crate::log::topic::{Message, Place};
-use crate::log::{ESCAPED, Extent, ReadOptions};
+use crate::decode::{Format, excerpt};
+use crate::intake::{ChannelId, Intake};
+use crate::losses::Losses;
+use crate::topic::{Message, Place};
+use crate::{ESCAPED, Extent, ReadOptions};
 
 /// Most places of a database that are passed over because they are damaged.
 const MAX_BREAKS: usize = 1000;
@@ -32,7 +32,7 @@ const MAX_ROW_BYTES: i32 = 256 << 20;
 
 /// Reads the database at `path` into `intake`; false if it is sound, but none of rosbag2's. Says when
 /// it is `opened`: from then on its name is not needed.
-pub(in crate::log) fn read(
+pub(crate) fn read(
     path: &Path,
     options: &ReadOptions,
     losses: &mut Losses,

@@ -8,7 +8,7 @@ use tempfile::TempDir;
 use super::super::testing::{Cdr, DatabaseWriter, LogWriter, POSE_STAMPED};
 use super::super::{Container, Extent, Log, LogError, ReadOptions, open};
 use super::*;
-use crate::stream::{Columns, PoseColumns};
+use ground::stream::{Columns, PoseColumns};
 
 fn read(path: &Path) -> Log {
     try_read(path).unwrap()

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use super::super::row::{self, Names, Row, RowTimes};
 use super::super::schema::bounded;
 use super::values::{keep_first, push_times};
-use crate::stream::{JointColumn, JointColumns, usable};
+use ground::stream::{JointColumn, JointColumns, usable};
 
 /// Most joint names a topic may have. Rows are dense, so that a message with a new name each time
 /// would fill the memory; the largest humanoids have below a hundred joints.
@@ -18,7 +18,7 @@ const SENDERS: usize = 8;
 
 /// A message with joints for which there is no room.
 #[derive(Debug, thiserror::Error)]
-pub(in crate::log) enum TooManyJoints {
+pub(crate) enum TooManyJoints {
     /// It names more joints than a topic may have.
     #[error("more than {MAX_JOINTS} different joint names on one topic")]
     Names,
@@ -29,7 +29,7 @@ pub(in crate::log) enum TooManyJoints {
 
 /// Joint states, with the way from a message's names to their columns.
 #[derive(Debug, Default)]
-pub(in crate::log::decode) struct Joints {
+pub(in crate::decode) struct Joints {
     /// Index into [`Row::lists`] of the positions,
     pub(super) positions: usize,
     /// and of the velocities.

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use super::super::row::{self, Group, Row, RowTimes};
 use super::super::schema::bounded;
 use super::values::{all_usable, push_times, quaternion};
-use crate::stream::PoseColumns;
+use ground::stream::PoseColumns;
 
 /// What stands for the child frame of poses that are told apart by their place in the message; the
 /// first has none, as where it is the only one. Particle clouds and paths have more.
@@ -15,14 +15,14 @@ const PLACES: [&str; 16] = [
 ];
 
 /// Most pairs of frames on one topic. The largest trees have a few hundred.
-pub(in crate::log) const MAX_FRAMES: usize = 1 << 12;
+pub(crate) const MAX_FRAMES: usize = 1 << 12;
 
 /// What Gazebo calls the frame that its states are in.
 const SIMULATED_WORLD: &str = "world";
 
 /// Poses split by frame and child frame.
 #[derive(Debug, Default)]
-pub(in crate::log::decode) struct Poses {
+pub(in crate::decode) struct Poses {
     pub(super) groups: Vec<PoseColumns>,
     pub(super) by_frames: HashMap<String, usize>,
     /// Scratch for a key of `by_frames`.
@@ -114,7 +114,7 @@ impl Poses {
 
 /// The poses of messages that hold several at once.
 #[derive(Debug)]
-pub(in crate::log::decode) struct Crowd {
+pub(in crate::decode) struct Crowd {
     pub(super) poses: Poses,
     pub(super) naming: Naming,
     /// Most that a message held.

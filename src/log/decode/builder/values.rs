@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::super::row::{self, Row, RowTimes};
 use super::super::schema::bounded;
-use crate::stream::{ArrayColumns, ImuColumns, TextColumns, Times, usable};
+use ground::stream::{ArrayColumns, ImuColumns, TextColumns, Times, usable};
 
 /// Most distinct texts kept of a topic.
 const MAX_TEXTS: usize = 64;
@@ -32,7 +32,7 @@ pub(super) fn append_imu(imu: &mut ImuColumns, row: &Row, times: RowTimes) {
 
 /// Bare numbers, and where they are from.
 #[derive(Debug)]
-pub(in crate::log::decode) struct Array {
+pub(in crate::decode) struct Array {
     pub(super) numbers: Numbers,
     pub(super) columns: ArrayColumns,
 }

@@ -5,7 +5,7 @@ use std::fmt;
 use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
 use super::super::row::{Row, Slot};
-use crate::time::NANOS_PER_SECOND;
+use ground::time::NANOS_PER_SECOND;
 
 /// Reads a value into a slot.
 pub(super) struct SlotVisitor<'v> {

@@ -3,7 +3,7 @@
 /// A message that does not follow the wire format.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}{fault} (byte {offset} of the message that holds it)", said(path))]
-pub(in crate::log) struct WireError {
+pub(crate) struct WireError {
     /// The field, where it is known.
     path: String,
     /// From the beginning of the message that holds the field.

@@ -25,7 +25,7 @@ const SELDOM: u32 = 64;
 
 /// The shape of the message that was walked last.
 #[derive(Debug, Default)]
-pub(in crate::log::decode) struct Shape {
+pub(in crate::decode) struct Shape {
     /// What to do with a message of it, in this order; empty where no shape is known.
     reads: Vec<Read>,
     /// Where the bytes are that decide it.

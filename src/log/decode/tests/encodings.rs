@@ -2,7 +2,7 @@
 
 use super::super::*;
 use super::decode_all;
-use crate::stream::{Columns, JointColumns, PoseColumns};
+use ground::stream::{Columns, JointColumns, PoseColumns};
 
 /// How to write.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -312,7 +312,7 @@ const ROS1_TRANSFORMS: &str = "FrameTransform[] transforms\n===\nMSG: foxglove_m
 
 /// Two transforms in each encoding: its name among the fuzz targets, the type, the schema and the
 /// message.
-pub(in crate::log) fn seeds() -> Vec<(&'static str, &'static str, Vec<u8>, Vec<u8>)> {
+pub(crate) fn seeds() -> Vec<(&'static str, &'static str, Vec<u8>, Vec<u8>)> {
     let mut random = Random(11);
     let transforms = [random.transform(), random.transform()];
     let mut seeds = vec![

@@ -3,7 +3,7 @@
 use super::super::super::testing::Cdr;
 use super::super::*;
 use super::{cdr, decode_all, refused};
-use crate::stream::Columns;
+use ground::stream::Columns;
 
 fn error(format: Format<'_>, message: Vec<u8>) -> String {
     decode_all(format, &[message]).1.expect("an error")

@@ -3,7 +3,7 @@
 use super::super::super::testing::Cdr;
 use super::super::*;
 use super::{decode_all, refused};
-use crate::stream::Columns;
+use ground::stream::Columns;
 
 /// As rosidl generates it and rosbag2 stores it.
 const IMU: &str = r#"================================================================================

@@ -3,7 +3,7 @@
 use super::super::*;
 use super::vectors::*;
 use super::{assert_same, decode_all};
-use crate::stream::{Columns, JointColumns, PoseColumns};
+use ground::stream::{Columns, JointColumns, PoseColumns};
 
 const STAMP: i64 = 1_700_000_000_123_456_789;
 const TURNED: [f64; 4] = [0.0, 0.0, 0.6, 0.8];

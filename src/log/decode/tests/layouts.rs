@@ -2,8 +2,8 @@
 
 use super::super::*;
 use super::{cdr, decode_all, refusal};
-use crate::log::testing::Cdr;
-use crate::stream::Columns;
+use crate::testing::Cdr;
+use ground::stream::Columns;
 
 const JSON: Format<'_> = Format {
     encoding: "json",
@@ -111,7 +111,7 @@ fn what_a_file_calls_things_is_cut_in_messages() {
     let name = "n".repeat(5000);
     let message = Cdr::joint_state(&[&name], &[1.0], &[]);
     let (parts, _) =
-        decode_all(cdr("sensor_msgs/msg/JointState", crate::log::testing::JOINT_STATE), &[message]);
+        decode_all(cdr("sensor_msgs/msg/JointState", crate::testing::JOINT_STATE), &[message]);
     let Some(Columns::Joints(joints)) = &parts[0].1 else { panic!("{parts:?}") };
     assert!(joints.joints[0].name.ends_with("n…") && joints.joints[0].name.len() < 300);
 }

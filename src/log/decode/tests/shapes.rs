@@ -5,8 +5,8 @@ use rand_pcg::Pcg64;
 
 use super::super::*;
 use super::cdr;
-use crate::log::testing::{self, Cdr};
-use crate::stream::Columns;
+use crate::testing::{self, Cdr};
+use ground::stream::Columns;
 
 /// What the messages decode to, with one row for all of them or a new one for each, and how often it
 /// failed.

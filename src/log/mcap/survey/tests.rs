@@ -7,10 +7,10 @@ use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::*;
-use crate::log::mcap::tests::{chunks, poses, read_present, with_images};
-use crate::log::ranges::Ranges;
-use crate::log::testing::{self, Cdr, LogWriter};
-use crate::log::{Log, Topic};
+use crate::mcap::tests::{chunks, poses, read_present, with_images};
+use crate::ranges::Ranges;
+use crate::testing::{self, Cdr, LogWriter};
+use crate::{Log, Topic};
 
 /// The file as it is fetched: in it is what is asked for, and `hole` wherever nothing was.
 fn fetched(bytes: &[u8], hole: u8) -> (Vec<u8>, Present, usize) {

@@ -3,21 +3,21 @@
 mod measured;
 pub mod thin;
 
-pub(crate) use measured::joint_p_value;
+pub use measured::joint_p_value;
 pub use measured::{Length, Measured};
 
 /// Standard deviations in a median magnitude of normal noise: 1/Φ⁻¹(3/4).
-pub(crate) const NORMAL: f64 = 1.4826;
+pub const NORMAL: f64 = 1.4826;
 
 /// The number that `part` of `values`, from 0 to 1, lie below; `None` of nothing. `values` are put into
 /// another order.
-pub(crate) fn quantile(values: &mut [f64], part: f64) -> Option<f64> {
+pub fn quantile(values: &mut [f64], part: f64) -> Option<f64> {
     let at = ((values.len() as f64 * part) as usize).min(values.len().checked_sub(1)?);
     Some(*values.select_nth_unstable_by(at, f64::total_cmp).1)
 }
 
 /// The median; of an even number of values the upper of the two in the middle.
-pub(crate) fn median(values: &mut [f64]) -> Option<f64> {
+pub fn median(values: &mut [f64]) -> Option<f64> {
     quantile(values, 0.5)
 }
 

@@ -47,9 +47,13 @@ static STAGED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 /// A temporary file. It goes when this does, or when the process is interrupted, unless it has got another
 /// name.
 #[derive(Debug)]
-pub(crate) struct Staged(TempPath);
+pub struct Staged(TempPath);
 
 impl Staged {
+    /// Makes the file by `make`.
+    ///
+    /// # Errors
+    /// Where it fails.
     pub fn new(make: impl FnOnce() -> io::Result<TempPath>) -> io::Result<Self> {
         // Held while it is made: either it is not there yet, or it is known.
         let mut all = STAGED.lock().unwrap_or_else(PoisonError::into_inner);
@@ -140,8 +144,12 @@ fn refused(bytes: usize) -> ! {
 mod tests {
     use super::*;
 
+    /// What a panic says is heard by one hook for all of the process.
+    static HOOK: Mutex<()> = Mutex::new(());
+
     #[test]
     fn a_panic_is_told_in_one_line_with_its_place() {
+        let _alone = HOOK.lock().unwrap_or_else(PoisonError::into_inner);
         let told = caught(|| -> u32 { panic!("index {} is out of bounds\nmore", 7) });
         let told = told.expect_err("a panic");
         assert!(told.starts_with("index 7 is out of bounds ("), "{told}");
@@ -151,6 +159,7 @@ mod tests {
 
     #[test]
     fn a_panic_of_another_thread_that_work_waits_for_is_told_as_the_first_one_said() {
+        let _alone = HOOK.lock().unwrap_or_else(PoisonError::into_inner);
         let work = || rayon::join(|| panic!("of a worker"), || 1);
         let told = caught(work).expect_err("a panic");
         assert!(told.starts_with("of a worker (") && told.contains("boundary.rs:"), "{told}");

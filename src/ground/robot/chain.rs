@@ -359,7 +359,7 @@ impl Chain {
 }
 
 /// A rotation that takes z to the unit vector `axis`; the identity where they are equal.
-pub(crate) fn turn_z_to(axis: &Vec3) -> Rotation {
+pub fn turn_z_to(axis: &Vec3) -> Rotation {
     Rotation::rotation_between(&Vec3::z(), axis)
         .unwrap_or_else(|| Rotation::from_axis_angle(&Vec3::x_axis(), std::f64::consts::PI))
 }

@@ -16,12 +16,12 @@ use std::str::FromStr;
 /// the plain convention, and about moving axes to its twin about fixed axes.
 ///
 /// ```
-/// # use poseaudit::geometry::Convention;
+/// # use poseaudit_ground::geometry::Convention;
 /// let kuka: Convention = "euler:ZYX".parse()?;
 /// let rpy: Convention = "euler:xyz".parse()?;
 /// let [a, b, c] = kuka.numbers(&rpy.rotation([0.1, 0.2, 0.3]));
 /// assert!((a - 0.3).abs() + (b - 0.2).abs() + (c - 0.1).abs() < 1e-12);
-/// # Ok::<(), poseaudit::geometry::ConventionError>(())
+/// # Ok::<(), poseaudit_ground::geometry::ConventionError>(())
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Convention {

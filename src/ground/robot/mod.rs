@@ -21,16 +21,16 @@ mod xml;
 
 pub use calibration::Calibration;
 pub use chain::Chain;
-pub(crate) use chain::turn_z_to;
+pub use chain::turn_z_to;
 pub use dh::{DhConvention, DhModel};
 pub use error::{ChainError, Problem, RobotError};
 pub use joint::{JointKind, Limits, Mimic};
 pub use model::{Joint, LinkId, Provenance, Robot};
 pub use names::NameMatch;
-pub(crate) use nearest::nearest;
+pub use nearest::nearest;
 pub use patch::NoPatch;
 pub use visuals::{Shape, Visual};
-pub(crate) use xml::document as xml_document;
+pub use xml::document as xml_document;
 
 use std::fs::File;
 use std::io::{self, Read};

@@ -55,7 +55,7 @@ impl Length {
     /// in Random Variables*, 1992, §3.2). `4 v̂ᵀCv̂` is in the mean `2 tr C²` above that, which makes
     /// up for being smallest where the vector is unluckily short.
     /// The ends of its interval are those of the length squared.
-    pub(crate) fn of(vector: &[f64], covariance: &DMatrix<f64>, dof: f64) -> Self {
+    pub fn of(vector: &[f64], covariance: &DMatrix<f64>, dof: f64) -> Self {
         /// Standard deviations in half a 95 % interval; rounded down, so that an end at zero is one.
         const HALF: f64 = 1.9599;
         /// The interval of a vector that may be zero with this chance reaches down to zero.
@@ -90,7 +90,7 @@ fn largest_std_error(covariance: &DMatrix<f64>) -> f64 {
 
 /// Chance of a vector at least this far from zero if it were truly zero: Hotelling's T² test, Wald's
 /// where `dof` is large.
-pub(crate) fn joint_p_value(vector: &DVector<f64>, covariance: &DMatrix<f64>, dof: f64) -> f64 {
+pub fn joint_p_value(vector: &DVector<f64>, covariance: &DMatrix<f64>, dof: f64) -> f64 {
     let Some(cholesky) = covariance.clone().cholesky() else {
         return 1.0;
     };

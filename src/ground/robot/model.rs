@@ -283,7 +283,7 @@ impl Robot {
 
     /// The same robot with every joint name passed through `rename`, and its links as they are; `None`
     /// where two names would become one.
-    pub(crate) fn with_joints_renamed(&self, rename: impl Fn(&str) -> String) -> Option<Robot> {
+    pub fn with_joints_renamed(&self, rename: impl Fn(&str) -> String) -> Option<Robot> {
         let mut robot = self.clone();
         for joint in &mut robot.joints {
             joint.name = rename(&joint.name);

@@ -2,7 +2,7 @@
 
 /// Up to three of `candidates` that a misspelt `name` may mean, nearest first; upper and lower case are
 /// the same.
-pub(crate) fn nearest<'a>(name: &str, candidates: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
+pub fn nearest<'a>(name: &str, candidates: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
     let furthest = (name.chars().count() / 3).max(1);
     let name = name.to_lowercase();
     let mut near: Vec<(usize, &str)> = candidates
