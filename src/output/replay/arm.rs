@@ -58,7 +58,7 @@ pub(super) fn draw(
         .with_translations(starts)
         .with_quaternions(capsules.iter().map(Capsule::rotation));
     let moments = tape.of_joints(arm, &kept);
-    Ok(tape.columns(&path, &moments, shapes.columns(counts)?)?)
+    tape.columns(&path, &moments, shapes.columns(counts)?)
 }
 
 /// Adds the entity `part` of an arm: a thin line from joint to joint.
@@ -81,7 +81,7 @@ pub(super) fn draw_thin(
         .with_radii([radius(0.3 * LINK * size_m)]);
     tape.still(&path, &style)?;
     let moments = tape.of_joints(arm, &kept);
-    Ok(tape.columns(&path, &moments, strips.columns_of_unit_batches()?)?)
+    tape.columns(&path, &moments, strips.columns_of_unit_batches()?)
 }
 
 /// The base, the links that the joints move, and the tip, in the base.

@@ -89,7 +89,7 @@ fn span(
     tape.still(&path, &style)?;
     let states = StateChange::new().with_state([Text::from(bar), Text::from("")]);
     let moments = moments(tape, replay, finding, &ends);
-    Ok(tape.columns(&path, &moments, states.columns_of_unit_batches()?)?)
+    tape.columns(&path, &moments, states.columns_of_unit_batches()?)
 }
 
 const fn level(severity: Severity) -> &'static str {

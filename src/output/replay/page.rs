@@ -23,7 +23,7 @@ pub(super) fn write(
     meshes: &[String],
 ) -> Result<(), ReplayCause> {
     let page = TextDocument::new(markdown(replay, meshes)).with_media_type(MediaType::MARKDOWN);
-    Ok(tape.still(&report(), &page)?)
+    tape.still(&report(), &page)
 }
 
 fn markdown(replay: &Replay<'_>, meshes: &[String]) -> String {

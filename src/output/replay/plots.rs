@@ -165,6 +165,6 @@ impl Series {
             .with_colors([self.rgb])
             .with_widths([self.width]);
         tape.still(&self.path, &style)?;
-        Ok(tape.columns(&self.path, &moments, Scalars::new(shown).columns_of_unit_batches()?)?)
+        tape.columns(&self.path, &moments, Scalars::new(shown).columns_of_unit_batches()?)
     }
 }

@@ -127,7 +127,7 @@ impl Tool<'_> {
         let poses = Transform3D::update_fields()
             .with_many_translation(moved.xyz.iter().copied())
             .with_many_quaternion(moved.xyzw.iter().copied().map(quaternion));
-        Ok(tape.columns(path, &moved.moments, poses.columns_of_unit_batches()?)?)
+        tape.columns(path, &moved.moments, poses.columns_of_unit_batches()?)
     }
 }
 
@@ -141,7 +141,7 @@ fn trail(
     let strip = LineStrips3D::new([LineStrip3D::from_iter(xyz.iter().copied())])
         .with_colors([rgb])
         .with_radii([Radius::new_ui_points(1.0)]);
-    Ok(tape.still(path, &strip)?)
+    tape.still(path, &strip)
 }
 
 /// Arrows from where FK has the tool to where it is logged, `times` as long as they are.
@@ -164,7 +164,7 @@ fn errors(
     let vectors = vectors.map(|vector| <[f64; 3]>::from(vector).map(|part| part as f32));
     let origins = by_fk.xyz.iter().map(|xyz| xyz.map(|part| part as f32));
     let arrows = Arrows3D::update_fields().with_vectors(vectors).with_origins(origins);
-    Ok(tape.columns(path, &logged.moments, arrows.columns_of_unit_batches()?)?)
+    tape.columns(path, &logged.moments, arrows.columns_of_unit_batches()?)
 }
 
 /// How many times as long as they are the errors of an arm's streams are drawn, so that they are seen.

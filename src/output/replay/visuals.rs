@@ -92,7 +92,7 @@ impl Carried {
 
     fn draw(&self, tape: &Tape, arm: &ReplayArm<'_>, path: &EntityPath) -> Result<(), ReplayCause> {
         let (chain, joints) = match self {
-            Carried::Still(pose) => return Ok(tape.still(path, &still(pose))?),
+            Carried::Still(pose) => return tape.still(path, &still(pose)),
             Carried::Moved(chain, joints) => (chain, joints),
         };
         let kept = kept(&arm.corrected);
@@ -103,7 +103,7 @@ impl Carried {
         });
         let poses: Vec<Pose> = poses.collect();
         let moments = tape.of_joints(arm, &kept);
-        Ok(tape.columns(path, &moments, moving(&poses).columns_of_unit_batches()?)?)
+        tape.columns(path, &moments, moving(&poses).columns_of_unit_batches()?)
     }
 }
 
@@ -123,7 +123,7 @@ fn frame(
         .with_show_labels(is_base);
     let path = path.join(&entity(&["frame"]));
     tape.still(&path, &name_tag)?;
-    Ok(tape.still(&path, &TransformAxes3D::new((0.09 * size_m) as f32))?)
+    tape.still(&path, &TransformAxes3D::new((0.09 * size_m) as f32))
 }
 
 /// What became of the visuals so far.
