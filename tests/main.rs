@@ -9,6 +9,7 @@ mod fleet;
 mod fuzz;
 mod meta;
 mod outputs;
+mod program;
 mod reports;
 mod robot;
 mod viewer;

@@ -215,6 +215,7 @@ fn note(parts: &[Part]) -> String {
     let (count, lengths) = (lengths.len(), lengths.join(", "));
     format!("all stamps step back: the clock began anew. Audited in {count} segments: {lengths}")
 }
+
 impl Part {
     fn of(
         segment: Segment,

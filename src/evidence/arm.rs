@@ -4,10 +4,9 @@ use std::borrow::Cow;
 
 use rayon::prelude::*;
 
-use super::commands::ReferenceEvidence;
-use super::estimate::DhEvidence;
-use super::estimate::Diagnosis;
-use super::joints::{JointEvidence, joint_facts, mending};
+use super::commands::{ReferenceEvidence, references};
+use super::estimate::{DhEvidence, Diagnosis};
+use super::joints::{JointEvidence, joint_evidence, mending};
 use super::poses::{Declared, ImuEvidence, PoseEvidence, euler};
 use super::shake::{ShakeEvidence, shake_of_joints, shake_of_poses};
 use super::{Of, of_arm, span_in};
@@ -15,7 +14,7 @@ use crate::diagnosis::{
     ArmDiagnosis, JointDiagnosis, JointScale, PoseDiagnosis, Unseen, proof, proof_of_imu,
 };
 use crate::finding::{Span, Subject, Unit};
-use crate::run::{Arm, PoseSource, Run, RunOptions, Witness, WrongModel};
+use crate::run::{PoseSource, Run, RunOptions, Witness, WrongModel};
 use crate::stream::{Columns, Orientations};
 
 /// One robot and its streams.
@@ -117,18 +116,20 @@ impl ArmEvidence {
     }
 }
 
+/// What is known of arm `index`, on which `diagnosis` was estimated.
 pub(super) fn arm_evidence(
     run: &Run,
-    arm: &Arm,
+    index: usize,
     diagnosis: Diagnosis,
     options: &RunOptions,
 ) -> ArmEvidence {
+    let arm = &run.arms[index];
     let joints_stream = arm.joint_facts.first().map_or(0, |facts| facts.stream);
     let ArmDiagnosis { joints: found, streams } = diagnosis.arm;
     let mended = found.corrected_joints(&arm.joints, &arm.slides());
     let is_read = !matches!(found.reading, Err(Unseen::NotExcited));
     let most_lag_s = options.max_latency_s;
-    let pose_facts = |source: &PoseSource, found: PoseDiagnosis, euler| PoseEvidence {
+    let of_poses = |source: &PoseSource, found: PoseDiagnosis, euler| PoseEvidence {
         proof: proof(&arm.joints, &mended, &run.pose_stream(source), &found),
         reference: if source.reference_known {
             source.chain.base_name().to_owned()
@@ -174,7 +175,7 @@ pub(super) fn arm_evidence(
         None => (samples, Cow::Borrowed(&arm.joints)),
     };
     let joints: Vec<usize> = (0..arm.joint_names.len()).collect();
-    let joint = |&joint: &usize| joint_facts(run, arm, joint, &samples[joint], &track);
+    let joint = |&joint: &usize| joint_evidence(run, arm, joint, &samples[joint], &track);
     let joints = joints.par_iter().map(joint).collect();
     let of_joints =
         ShakeEvidence { in_other_units: false, shake: shake_of_joints(arm, &samples, &track) };
@@ -185,11 +186,11 @@ pub(super) fn arm_evidence(
         let shake = shake_of_poses(&source.track, &found);
         shakes.push(of_arm(run, arm, source.stream, ShakeEvidence { in_other_units, shake }));
         let euler = euler(run, source, &found, &options.declared);
-        poses.push(of_arm(run, arm, source.stream, pose_facts(source, found, euler)));
+        poses.push(of_arm(run, arm, source.stream, of_poses(source, found, euler)));
     }
     let tf = arm.tf.as_ref().ok().zip(diagnosis.tf);
     let tf =
-        tf.map(|(source, found)| of_arm(run, arm, source.stream, pose_facts(source, found, None)));
+        tf.map(|(source, found)| of_arm(run, arm, source.stream, of_poses(source, found, None)));
     ArmEvidence {
         name: arm.name.clone(),
         joints_topic: run.streams[joints_stream].topic.clone(),
@@ -199,10 +200,10 @@ pub(super) fn arm_evidence(
         wrong_model: arm.instead_of.clone(),
         dh: diagnosis.dh,
         diagnosis: found,
+        references: references(run, index, &poses, most_lag_s),
         poses,
         tf,
         shakes,
         imus: imus.collect(),
-        references: Vec::new(),
     }
 }

@@ -61,7 +61,7 @@ pub(super) fn mending(arm: &Arm, found: &JointDiagnosis) -> Option<JointMending>
 }
 
 /// A joint, and what it does by all of its samples.
-pub(super) fn joint_facts(
+pub(super) fn joint_evidence(
     run: &Run,
     arm: &Arm,
     joint: usize,

@@ -15,8 +15,7 @@ mod topics;
 use std::ops::{Deref, DerefMut};
 
 use crate::finding::{Span, Subject};
-use crate::log;
-use crate::log::Loss;
+use crate::log::{self, Loss};
 use crate::run::{Arm, Frozen, Norms, Run, RunOptions, Unaudited, WhyNot};
 use crate::time::Stamp;
 
@@ -77,6 +76,43 @@ pub struct RunEvidence {
 }
 
 impl RunEvidence {
+    /// What is known of `run`. An arm whose DH table proves to be of the other convention than it says is
+    /// read by that one from here on.
+    pub fn of(run: &mut Run, lost: &Lost, options: &RunOptions) -> Self {
+        let most_lag_s = options.max_latency_s;
+        let diagnoses = estimate::diagnose(run, most_lag_s);
+        let run = &*run;
+        let joints = |arm: usize| estimate::readable_joints(&run.arms[arm], &diagnoses[arm].arm);
+        let hand_eyes = hand_eye::hand_eyes(run, joints, most_lag_s);
+        let never_set =
+            run.arms.iter().zip(&diagnoses).flat_map(|(arm, found)| topics::unset(arm, &found.arm));
+        let unset: Vec<Unaudited> = never_set.chain(topics::in_other_frames(run)).collect();
+        let arms = diagnoses.into_iter().enumerate();
+        let robots =
+            arms.map(|(index, diagnosis)| arm::arm_evidence(run, index, diagnosis, options));
+        Self {
+            robots: robots.collect(),
+            no_robot: run.no_arm.as_ref().map(|error| error.what()),
+            hand_eyes,
+            stamps: streams::stamps(run),
+            unusable: samples::unusable(run),
+            rhythms: streams::rhythms(run, &unset),
+            frames: topics::frames(run),
+            norms: samples::norms(run),
+            strays: samples::strays(run),
+            frozen: samples::frozen(run),
+            held: samples::held(run),
+            unaudited: topics::unaudited(run, &unset),
+            empty: topics::empty(run),
+            missing: topics::missing(run, &options.topics),
+            start: run.span.map(|(start, _)| start),
+            origin: run.origin,
+            simulated: run.has_clock_topic,
+            losses: lost.losses.clone(),
+            undecodable: topics::undecodable(run, &lost.undecodable),
+        }
+    }
+
     /// Number of subjects (streams and joints) in the run, by which intervals are corrected.
     pub fn subjects(&self) -> usize {
         let of_robots: usize = self.robots.iter().map(ArmEvidence::subjects).sum();
@@ -130,9 +166,7 @@ impl<T> Of<T> {
     pub fn seconds(&self) -> f64 {
         self.span.map_or(0.0, |span| span.seconds())
     }
-}
 
-impl<T> Of<T> {
     /// Something else that was found on the same stream.
     pub(crate) fn with<U>(&self, found: U) -> Of<U> {
         Of { subject: self.subject.clone(), span: self.span, found }
@@ -160,48 +194,6 @@ pub struct Lost {
     pub losses: Vec<Loss>,
     /// Topics that the audit wants and that could not be decoded.
     pub undecodable: Vec<UndecodableTopic>,
-}
-
-impl RunEvidence {
-    /// What is known of `run`. An arm whose DH table proves to be of the other convention than it says is
-    /// read by that one from here on.
-    pub fn of(run: &mut Run, lost: &Lost, options: &RunOptions) -> Self {
-        let most_lag_s = options.max_latency_s;
-        let diagnoses = estimate::diagnose(run, most_lag_s);
-        let run = &*run;
-        let joints = |arm: usize| estimate::readable_joints(&run.arms[arm], &diagnoses[arm].arm);
-        let hand_eyes = hand_eye::hand_eyes(run, joints, most_lag_s);
-        let never_set =
-            run.arms.iter().zip(&diagnoses).flat_map(|(arm, found)| topics::unset(arm, &found.arm));
-        let unset: Vec<Unaudited> = never_set.chain(topics::in_other_frames(run)).collect();
-        let arms = run.arms.iter().zip(diagnoses).enumerate();
-        let robots = arms.map(|(index, (arm, diagnosis))| {
-            let mut found = arm::arm_evidence(run, arm, diagnosis, options);
-            found.references = commands::references(run, index, &found.poses, most_lag_s);
-            found
-        });
-        Self {
-            robots: robots.collect(),
-            no_robot: run.no_arm.as_ref().map(|error| error.what()),
-            hand_eyes,
-            stamps: streams::stamps(run),
-            unusable: samples::unusable(run),
-            rhythms: streams::rhythms(run, &unset),
-            frames: topics::frames(run),
-            norms: samples::norms(run),
-            strays: samples::strays(run),
-            frozen: samples::frozen(run),
-            held: samples::held(run),
-            unaudited: topics::unaudited(run, &unset),
-            empty: topics::empty(run),
-            missing: topics::missing(run, &options.topics),
-            start: run.span.map(|(start, _)| start),
-            origin: run.origin,
-            simulated: run.has_clock_topic,
-            losses: lost.losses.clone(),
-            undecodable: topics::undecodable(run, &lost.undecodable),
-        }
-    }
 }
 
 /// What was found on the stream `index`.
