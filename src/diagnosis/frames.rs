@@ -51,16 +51,17 @@ pub(super) fn starts(witness: &Witness, latency_s: f64, offsets: &[f64]) -> Vec<
     }
     let reference_only = reference_frame(&fk, &logged);
     let tool_only = tool_frame(&fk, &logged);
+    let first_joint = witness.chain.first_joint_frame();
     starts.push(with(identity, tool_only));
     starts.push(with(reference_only, identity));
     starts.push(with(reference, tool));
-    if let Some(round) = round(&reference_only.rotation) {
+    if let Some(round) = round_about(&reference_only, &first_joint) {
         let turned: Vec<Pose> = fk.iter().map(|fk| round * fk).collect();
         let start = StreamState { round_reference: Some(round), ..with(round, identity) };
         starts.push(StreamState { tool: tool_frame(&turned, &logged), ..start.clone() });
         starts.push(start);
     }
-    if let Some(round) = round(&reference.rotation) {
+    if let Some(round) = round_about(&reference, &first_joint) {
         let turned: Vec<Pose> = fk.iter().map(|fk| round * fk).collect();
         starts.push(StreamState {
             round_reference: Some(round),
@@ -167,6 +168,17 @@ fn round(rotation: &Rotation) -> Option<Pose> {
         .iter()
         .find(|quarter| angle_between(quarter, rotation) < ROUND_RAD)
         .map(|quarter| pose([0.0; 3], *quarter))
+}
+
+/// The round slip of a reference frame that is off by `frame`: about its own origin, or about the
+/// arm's first joint where the arm stands elsewhere in it, whichever lies nearer.
+fn round_about(frame: &Pose, first_joint: &Pose) -> Option<Pose> {
+    let away_m =
+        |round: &Pose| (round.translation.vector - frame.translation.vector).norm_squared();
+    let at_joint = round(&(first_joint.inverse() * frame * first_joint).rotation)
+        .map(|round| first_joint * round * first_joint.inverse());
+    let both = [round(&frame.rotation), at_joint];
+    both.into_iter().flatten().min_by(|a, b| away_m(a).total_cmp(&away_m(b)))
 }
 
 /// The 23 rotations, other than none, that take the axes to each other.

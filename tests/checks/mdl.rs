@@ -6,7 +6,7 @@ use std::fs;
 use std::path::Path;
 
 use poseaudit::finding::Severity;
-use poseaudit::geometry::{Convention, Pose, Vec3, pose, rotation_from_rotvec, xyz_of};
+use poseaudit::geometry::{Convention, Pose, Rotation, Vec3, pose, rotation_from_rotvec, xyz_of};
 use poseaudit::report::Verdict;
 use poseaudit::robot::Robot;
 use poseaudit::run::CalibrationSource;
@@ -176,23 +176,39 @@ fn the_catalogue_arm_that_fits_is_named_beside_a_model_that_does_not() {
 
 #[test]
 fn the_catalogue_does_not_displace_a_model_that_a_frame_makes_fit_as_well() {
-    let report = Log::with(|log| {
+    let report = turned_in_its_cell([0.0; 3]).audited();
+    let codes: BTreeSet<&str> = report.findings.iter().map(|finding| finding.code).collect();
+    assert_eq!(codes, ["FRM002"].into(), "{}", summary(&report.findings));
+    Frame([0.0, 1e-3], [180.0, 0.1]).assert_is(the(&report, "FRM002", POSE).estimate.as_ref());
+}
+
+#[test]
+fn a_base_turned_by_half_in_a_cell_is_no_joint_turned_by_half() {
+    let report = turned_in_its_cell([0.3, 0.0, 0.8]).audited();
+    let codes: BTreeSet<&str> = report.findings.iter().map(|finding| finding.code).collect();
+    assert_eq!(codes, ["FRM002"].into(), "{}", summary(&report.findings));
+    Frame([0.6, 1e-3], [180.0, 0.1]).assert_is(the(&report, "FRM002", POSE).estimate.as_ref());
+}
+
+/// An arm that stands at `xyz` (m) in its cell and whose poses, told in the cell, are turned by half
+/// about its base's axis.
+fn turned_in_its_cell(xyz: [f64; 3]) -> Log {
+    Log::with(|log| {
         let Log { run, .. } = log;
         let root = run.robot.link_name(run.robot.root());
+        let [x, y, z] = xyz;
         let mount = format!(
             "<link name=\"world\"/><joint name=\"mount\" type=\"fixed\"><parent link=\"world\"/>\
-             <child link=\"{root}\"/></joint></robot>"
+             <child link=\"{root}\"/><origin xyz=\"{x} {y} {z}\"/></joint></robot>"
         );
         let text = urdf_text(&run.robot).replace("</robot>", &mount);
         run.robot = Robot::from_urdf(&text, "an arm in its cell").expect("a robot");
         (run.base, run.pose.frame_id) = ("world".to_owned(), "world".to_owned());
-        run.pose.reference_from_stream = pose([0.0; 3], rotation_from_rotvec(Vec3::z() * PI));
+        let cell_from_base = pose(xyz, Rotation::identity());
+        let half = pose([0.0; 3], rotation_from_rotvec(Vec3::z() * PI));
+        run.pose.reference_from_stream = cell_from_base * half * cell_from_base.inverse();
         run.tf.timing.rate_hz = 0.0;
     })
-    .audited();
-    let codes: BTreeSet<&str> = report.findings.iter().map(|finding| finding.code).collect();
-    assert_eq!(codes, ["FRM002"].into(), "{}", summary(&report.findings));
-    Frame([0.0, 1e-3], [180.0, 0.1]).assert_is(the(&report, "FRM002", POSE).estimate.as_ref());
 }
 
 /// Moves the origin of a joint by x, y, z (m) and roll, pitch, yaw (rad). The log tells neither the

@@ -268,6 +268,13 @@ impl Chain {
         base_from_tip.to_pose()
     }
 
+    /// `base_from_joint` of the first joint's own frame, which no joint moves.
+    pub fn first_joint_frame(&self) -> Pose {
+        let first =
+            |step: &Step| step.previous_from_step.to_pose() * step.step_from_child.to_pose();
+        self.steps.first().map_or_else(Pose::identity, first)
+    }
+
     /// `base_from_link` of the child link of each coordinate's joint.
     ///
     /// A joint outside the path that only drives others in it gives the child link of the first.
