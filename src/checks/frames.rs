@@ -4,8 +4,8 @@ use serde_json::{Value, json};
 
 use crate::checks::decision::{DEGREE, Decision, FrameThresholds, Threshold, decide_frame, unseen};
 use crate::checks::twins::zero_cause;
-use crate::checks::{Case, Judged, Rule, standing};
-use crate::diagnosis::{FrameEstimate, JointOffset, PoseDiagnosis, Seen, Twin};
+use crate::checks::{Case, Judged, Rule, changes, standing};
+use crate::diagnosis::{FrameChange, FrameEstimate, JointOffset, PoseDiagnosis, Seen, Twin};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Alternative, Estimate, Fault, Outcome, Severity, Subject, Unit, rounded};
 use crate::geometry::{Pose, rotvec_from_rotation, xyz_of, xyzw_from_rotation};
@@ -31,6 +31,8 @@ pub struct End {
     pub frame: fn(&Of<PoseEvidence>) -> &str,
     /// Why the offset of this stream is none to judge, where it is none.
     pub not_judged: fn(&Of<PoseEvidence>) -> Option<String>,
+    /// Its changes in mid-run.
+    pub changes: fn(&PoseDiagnosis) -> &[FrameChange],
     /// The twin that it is to joint offsets, if it is one.
     pub is_twin: fn(&Twin, usize) -> bool,
     /// The fault.
@@ -61,6 +63,10 @@ fn judge_stream(
     let thresholds = case.thresholds.of_frames(end.rule, THRESHOLDS);
     if let Some(why) = diagnosis.unread() {
         return Judged::new(subject, unseen(why, SETTLE));
+    }
+    let moved = (end.changes)(diagnosis);
+    if let Some((outcome, estimate)) = changes::frame(case, arm, end.name, moved, &thresholds) {
+        return Judged::new(subject, outcome).estimated(estimate);
     }
     let not_judged = (end.not_judged)(stream);
     let twins = twins(arm, end, index);

@@ -5,6 +5,7 @@
 //! [`registry`]. Nothing here estimates anything or reads files.
 
 mod amount;
+mod changes;
 mod decision;
 mod frames;
 mod merge;
@@ -269,6 +270,7 @@ pub fn evaluate(evidence: &RunEvidence, settings: &Settings) -> Evaluation {
             judged.push(Judged::new(Subject::default(), Outcome::Skipped(why)));
         }
         for judged in judged {
+            let judged = changes::of_part(case, judged);
             evaluation.enter(rule, judged, settings);
         }
     }

@@ -306,7 +306,8 @@ impl Causes {
         let poses: Vec<&str> = [
             chosen(frame(&found.reference) || frame(&found.tool), "FRM001"),
             chosen(frame(&found.reference) && stream.reference_known, "FRM002"),
-            chosen(frame(&found.tool), "FRM003"),
+            chosen(!found.reference_changes.is_empty(), "FRM002"),
+            chosen(frame(&found.tool) || !found.tool_changes.is_empty(), "FRM003"),
             chosen(reading, "ORD001"),
             chosen(reading, "ORD002"),
             chosen(reading, "ORD003"),
@@ -321,12 +322,21 @@ impl Causes {
         .collect();
         let offsets = arm.joints.iter().zip(&arm.diagnosis.offsets);
         let zeros = offsets.filter(|(_, offset)| offset.chosen).map(|(joint, _)| &joint.name);
+        let changed: Vec<&String> = arm
+            .diagnosis
+            .changes
+            .iter()
+            .filter_map(|change| Some(&arm.joints.get(change.column)?.name))
+            .collect();
         let slips = arm.diagnosis.reading.iter().flat_map(|reading| &reading.slips);
         let read = slips.filter_map(|slip| Some(&arm.joints.get(slip.column)?.name));
         let of_joints = named
             .on(arm, stream.topic(), &times)
             .chain(named.on(arm, &arm.joints_topic, &["LAT001", "ORD004", "ORD005", "ORD009"]))
             .chain(zeros.flat_map(|joint| named.on(arm, joint, &["ZER001"])))
+            .chain(
+                changed.into_iter().flat_map(|joint| named.on(arm, joint, &["ORD009", "ZER001"])),
+            )
             .chain(read.flat_map(|joint| named.on(arm, joint, &["ORD004", "ORD008", "ORD009"])));
         let of_joints: Vec<_> = of_joints.collect();
         let of_poses: Vec<_> = named.on(arm, stream.topic(), &poses).collect();

@@ -7,7 +7,7 @@ use crate::diagnosis::{
     Abruptness, Aligned, Amount, DhEstimate, DhStream, Error, FrameEstimate, GyroBias,
     ImuDiagnosis, ImuProof, JointDiagnosis, JointOffset, JointReading, LatencyCourse, Left, Length,
     Line, LineWitness, Measured, Part, PoseDiagnosis, Proof, Reading, ReadingEstimate,
-    ReferenceDiagnosis, Residual, RestGap, Shake, Short, Size, YawCourse,
+    ReferenceDiagnosis, Residual, RestGap, Shake, Short, Size, Taken, YawCourse,
 };
 use crate::evidence::{
     ArmEvidence, DhEvidence, EulerEvidence, ImuEvidence, JointEvidence, JointMotion, Of,
@@ -89,8 +89,13 @@ pub fn clean_run() -> RunEvidence {
         limits: Limits { lower: Some(-3.0), upper: Some(3.0), velocity: Some(2.0) },
         motion: JointMotion { abruptness: Some(still), ..JointMotion::default() },
     };
-    let offset =
-        || JointOffset { offset: Ok(sure(0.0)), chosen: false, effect_m: 0.0, twins: vec![] };
+    let offset = || JointOffset {
+        offset: Ok(sure(0.0)),
+        chosen: false,
+        effect_m: 0.0,
+        lever_m: 1.0,
+        twins: vec![],
+    };
     let imu = ImuDiagnosis {
         reading: Ok(as_logged()),
         latency_s: Ok(sure(0.0)),
@@ -133,6 +138,8 @@ pub fn clean_run() -> RunEvidence {
             reading: Ok(JointReading::default()),
             offsets: vec![offset(), offset(), offset()],
             scales: Vec::new(),
+            changes: Vec::new(),
+            patches: Vec::new(),
         },
         poses: vec![of(POSE, stream(true))],
         tf: Some(of(TF, stream(false))),
@@ -268,6 +275,10 @@ fn clean_stream() -> PoseDiagnosis {
         observability: None,
         top_speed_m_s: 0.8,
         aligned: Aligned::default(),
+        reference_changes: Vec::new(),
+        tool_changes: Vec::new(),
+        coded_s: None,
+        taken: Taken::default(),
     }
 }
 

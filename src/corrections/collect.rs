@@ -177,6 +177,7 @@ impl Mending {
             | Cause::Model
             | Cause::Disagreement { .. }
             | Cause::UnsteadyLatency
+            | Cause::Changes
             | Cause::TfDisagrees
             | Cause::YawDrift(_)
             | Cause::YawJump

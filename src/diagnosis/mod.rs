@@ -12,6 +12,7 @@ mod test_random;
 mod aligned;
 mod arm;
 mod carried;
+mod changes;
 mod constant;
 mod course;
 mod dh;
@@ -58,6 +59,7 @@ use ground::stream::PoseTrack;
 pub use aligned::{Aligned, Residuals};
 pub use arm::{diagnose_arm, diagnose_derived, follows, likely_lags};
 pub use carried::{BaseTravel, CarrierLag, base_travel, carrier_lag};
+pub use changes::{AmountChange, Change, FrameChange, JointChange, JointPatch};
 pub use course::{LatencyCourse, LatencyJump};
 pub use dh::{DhEstimate, DhStream, DhTold, Left, faults};
 pub use ground::stats::{Length, Measured};
@@ -255,7 +257,7 @@ pub struct UnitSlip {
 }
 
 /// A constant frame error, and how it was weighed.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct FrameEstimate {
     /// The pose: for the reference frame `reference_from_stream`, for the tool `tip_from_stream`.
     pub pose: Pose,
@@ -326,6 +328,13 @@ pub struct PoseDiagnosis {
     pub reference: Seen<FrameEstimate>,
     /// Error of the tool frame, `tip_from_stream`.
     pub tool: Seen<FrameEstimate>,
+    /// When its reference frame changes, and by how much.
+    pub reference_changes: Vec<FrameChange>,
+    /// When its tool frame changes, and by how much.
+    pub tool_changes: Vec<FrameChange>,
+    /// The part of the run in which its numbers are coded as `reading`, `length`, `axes`, `inverted` and
+    /// `degrees` say, s from the run's origin by the joints' clock; `None` where they are throughout.
+    pub coded_s: Option<(f64, f64)>,
     /// What is left.
     pub residual: Seen<Residual>,
     /// Whether what is left is that of nominal kinematics against a calibrated arm: at most 10 mm
@@ -337,9 +346,44 @@ pub struct PoseDiagnosis {
     pub top_speed_m_s: f64,
     /// The aligned samples.
     pub aligned: Aligned,
+    /// What was taken off them.
+    pub taken: Taken,
+}
+
+/// The frames and the growth that are taken off a stream's poses to lay them on FK.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Taken {
+    /// `stream_from_reference`.
+    pub reference: Pose,
+    /// `tip_from_stream`.
+    pub tool: Pose,
+    /// Radial growth of positions, m/m.
+    pub growth: f64,
+}
+
+impl Taken {
+    /// A pose as it is read with these taken off: that of the tip in the reference.
+    pub fn off(&self, read: &Pose) -> Pose {
+        let mut in_base = self.reference.inv_mul(read);
+        in_base.translation.vector /= 1.0 + self.growth;
+        in_base * self.tool.inverse()
+    }
+
+    /// The pose as it was read of one with these taken off.
+    pub fn back(&self, tip: &Pose) -> Pose {
+        let mut in_base = tip * self.tool;
+        in_base.translation.vector *= 1.0 + self.growth;
+        self.reference * in_base
+    }
 }
 
 impl PoseDiagnosis {
+    /// Whether something of it changes in mid-run.
+    pub fn changes(&self) -> bool {
+        let Self { reference_changes, tool_changes, coded_s, .. } = self;
+        !reference_changes.is_empty() || !tool_changes.is_empty() || coded_s.is_some()
+    }
+
     /// Why the stream was not read. Where its orientations say nothing its positions still may.
     pub fn unread(&self) -> Option<&Unseen> {
         self.reading.as_ref().err().filter(|_| self.residual.is_err())
@@ -381,4 +425,8 @@ pub struct JointDiagnosis {
     pub offsets: Vec<JointOffset>,
     /// The joints whose scale or direction is wrong.
     pub scales: Vec<JointScale>,
+    /// The joints whose zero or scale changes in mid-run.
+    pub changes: Vec<JointChange>,
+    /// What makes their positions those that they would be had nothing changed.
+    pub patches: Vec<JointPatch>,
 }

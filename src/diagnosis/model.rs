@@ -5,6 +5,7 @@
 //! the left, of `tool` on the right. Residuals are taken in the stream's reference frame: position
 //! in m, rotation as the rotation vector of `logged · predicted⁻¹` in rad.
 
+use super::Taken;
 use super::linear::{Linear, Rows};
 use ground::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::robot::Chain;
@@ -133,6 +134,11 @@ impl StreamState {
             round_tool: None,
             tool_part: ToolPart::Whole,
         }
+    }
+
+    /// What it takes off poses.
+    pub fn taken(&self) -> Taken {
+        Taken { reference: self.reference, tool: self.tool, growth: self.growth }
     }
 
     /// The tuned parameters' present values: how far each is from "no such cause".

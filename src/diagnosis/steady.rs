@@ -1,6 +1,7 @@
 //! Streams whose latency is not steady: what else is wrong with them is sought on the streams as they would
 //! be if it were.
 
+use super::changes::without_changes;
 use super::{
     ArmDiagnosis, ImuDiagnosis, ImuStream, JointReading, LatencySteps, PoseDiagnosis, PoseStream,
     diagnose_arm, diagnose_imu, imu_steps, pose_steps,
@@ -64,6 +65,10 @@ pub fn diagnose_steadied(
     } else {
         diagnose_arm(joints, &with_tracks(&streams, &tracks), most_lag_s)
     };
+    let unsteadied = with_tracks(&streams, &tracks);
+    if let Some(unchanged) = without_changes(joints, &unsteadied, slides, &steady, most_lag_s) {
+        steady = unchanged;
+    }
     for (steady, course) in steady.streams.iter_mut().zip(courses) {
         steady.course = course;
     }
@@ -122,7 +127,7 @@ pub fn steadied(stream: &PoseStream, found: &PoseDiagnosis) -> Option<PoseTrack>
 }
 
 /// Some rows of a track of poses, each at another time.
-fn straightened(track: &PoseTrack, rows: &[(usize, f64)]) -> PoseTrack {
+pub(super) fn straightened(track: &PoseTrack, rows: &[(usize, f64)]) -> PoseTrack {
     let declared = track.declared.as_ref().map(|declared| DeclaredUnits {
         in_other_angles: declared
             .in_other_angles

@@ -43,6 +43,8 @@ pub enum Cause {
     Latency(Measured),
     /// By how much the latency grows with each second, s/s.
     Skew(Measured),
+    /// Something of the arm or of its poses changes in mid-run.
+    Changes,
     /// The latency is not constant.
     UnsteadyLatency,
     /// Rotations are misread, or poses are inverted.

@@ -1,5 +1,5 @@
 use crate::checks::decision::unseen;
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, Judged, Threshold, changes};
 use crate::diagnosis::{JointScale, UnitSlip};
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, JointScaling, Outcome, Severity, Unit};
@@ -51,13 +51,18 @@ rule! {
 const SAME: f64 = 2e-3;
 
 fn check(case: &Case) -> Vec<Judged> {
-    case.evidence.robots.iter().flat_map(judge_arm).collect()
+    let judged = |arm| judge_arm(arm).into_iter().chain(changing(case, arm));
+    case.evidence.robots.iter().flat_map(judged).collect()
 }
 
 fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
     let topic = arm.topic(&arm.joints_topic);
     let (scales, reading) = match &arm.diagnosis.reading {
-        Ok(reading) => (&arm.diagnosis.scales, reading),
+        Ok(reading) => {
+            let mut scales = arm.diagnosis.scales.clone();
+            scales.retain(|scale| arm.diagnosis.factor_change(scale.column).is_none());
+            (scales, reading)
+        }
         Err(why) => {
             let outcome = unseen(why, "log a pose that does not come from /tf too");
             return vec![Judged::new(topic, outcome).within(arm.span)];
@@ -87,10 +92,28 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
     match scales.as_slice() {
         [] => vec![Judged::new(topic, Outcome::sound()).within(arm.span)],
         [first, rest @ ..] if rest.len() > 1 && rest.iter().all(|other| is_same(first, other)) => {
-            vec![judged(first, scales)]
+            vec![judged(first, &scales)]
         }
         scales => scales.iter().map(|scale| judged(scale, &[*scale])).collect(),
     }
+}
+
+/// The joints whose scale changes in mid-run.
+fn changing(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
+    /// Less is no change of a scale.
+    const THRESHOLD: Threshold = Threshold { unit: Unit::One, warning: 1e-3, error: 1e-3 };
+    let columns = 0..arm.joints.len();
+    let judged = columns.filter_map(|column| {
+        let change = arm.diagnosis.factor_change(column)?;
+        let lever_m = arm.diagnosis.offsets.get(column).map_or(0.0, |offset| offset.lever_m);
+        let effect_m = lever_m * change.by.value.abs();
+        let title = "joint scale changes in mid-run";
+        let (outcome, estimate) =
+            changes::amount(case, "joint scale", title, change, &THRESHOLD, effect_m);
+        let subject = arm.joint_states(column);
+        Some(Judged::new(subject, outcome).within(arm.span).estimated(estimate))
+    });
+    judged.collect()
 }
 
 /// Whether two joints have the same factor.

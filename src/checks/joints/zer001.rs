@@ -1,7 +1,7 @@
 use crate::checks::decision::{DEGREE, Decision, Threshold, decide, unseen};
 use crate::checks::poses::frm001;
 use crate::checks::twins::{estimate, twin_cause};
-use crate::checks::{Case, Grade, Judged, standing};
+use crate::checks::{Case, Grade, Judged, changes, standing};
 use crate::diagnosis::{FrameEstimate, JointOffset, Measured, Seen, Twin};
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
@@ -75,6 +75,13 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
         return Judged::new(subject, Outcome::sound_because(why)).within(arm.span);
     }
     let threshold = case.thresholds.of(&ZER001, threshold(arm.joint_unit(joint)));
+    if let Some(change) = arm.diagnosis.zero_change(joint) {
+        let effect_m = offset.lever_m * change.by.value.abs();
+        let title = "joint zero changes in mid-run";
+        let (outcome, estimate) =
+            changes::amount(case, "joint offset", title, change, &threshold, effect_m);
+        return Judged::new(subject, outcome).within(arm.span).estimated(estimate);
+    }
     let measured = match &offset.offset {
         Ok(measured) => measured,
         Err(why) => {

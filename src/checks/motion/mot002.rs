@@ -1,4 +1,4 @@
-use crate::checks::motion::mot003::doubt;
+use crate::checks::motion::mot003::doubt_of_joint;
 use crate::checks::{Case, Grade, Judged, Limit};
 use crate::diagnosis::Abruptness;
 use crate::evidence::{ArmEvidence, JointEvidence};
@@ -72,7 +72,7 @@ fn check(case: &Case) -> Vec<Judged> {
 fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) -> Judged {
     let subject = arm.joint(index);
     let judged = |outcome| Judged::new(subject.clone(), outcome).within(arm.span);
-    if let Some(why) = doubt(arm) {
+    if let Some(why) = doubt_of_joint(arm, index) {
         return judged(Outcome::Inconclusive(why));
     }
     let Some(found) = &joint.motion.abruptness else {

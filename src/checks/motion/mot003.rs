@@ -62,6 +62,18 @@ fn check(case: &Case) -> Vec<Judged> {
 /// Why the numbers of the joint states cannot be held against limits or called motion, where they
 /// cannot.
 pub(in crate::checks) fn doubt(arm: &ArmEvidence) -> Option<String> {
+    doubt_of(arm).map(str::to_owned)
+}
+
+/// The same of one joint.
+pub(in crate::checks) fn doubt_of_joint(arm: &ArmEvidence, joint: usize) -> Option<String> {
+    let changes = arm.diagnosis.changes.iter().any(|change| change.column == joint);
+    let why =
+        "its numbers leap where its zero or scale changes (ZER001, ORD009), and nobody moved there";
+    doubt(arm).or_else(|| changes.then(|| why.to_owned()))
+}
+
+fn doubt_of(arm: &ArmEvidence) -> Option<&'static str> {
     let why = match &arm.diagnosis.reading {
         Ok(reading) if reading.degrees.is_some() || reading.permutation.is_some() => {
             "the joint positions are not what their names and units say; read them right first \
@@ -73,7 +85,7 @@ pub(in crate::checks) fn doubt(arm: &ArmEvidence) -> Option<String> {
         }
         _ => return None,
     };
-    Some(why.to_owned())
+    Some(why)
 }
 
 /// A limit that is exceeded.
@@ -100,7 +112,7 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
     if limits.lower.or(limits.upper).or(limits.velocity).is_none() {
         return judged(Outcome::Skipped("the model states no limits of it".to_owned()));
     }
-    if let Some(why) = doubt(arm) {
+    if let Some(why) = doubt_of_joint(arm, index) {
         return judged(Outcome::Inconclusive(why));
     }
     let motion = &joint.motion;

@@ -52,6 +52,7 @@ fn check(case: &Case) -> Vec<Judged> {
                 || format!("{} is not tied to the robot, its pose is estimated", stream.reference);
             (!stream.reference_known).then(why)
         },
+        changes: |diagnosis| &diagnosis.reference_changes,
         is_twin: |twin, index| matches!(twin, Twin::Reference(stream, _) if *stream == index),
         fault,
     };

@@ -45,6 +45,7 @@ fn check(case: &Case) -> Vec<Judged> {
         estimate: |diagnosis| &diagnosis.tool,
         frame: |stream| &stream.tip,
         not_judged: |_| None,
+        changes: |diagnosis| &diagnosis.tool_changes,
         is_twin: |twin, index| matches!(twin, Twin::Tool(stream, _) if *stream == index),
         fault,
     };

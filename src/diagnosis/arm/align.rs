@@ -17,6 +17,7 @@ pub(super) fn align(
 ) -> Aligned {
     let witness = &prepared.witness;
     let found = &explanation.state.streams[index];
+    let taken = found.taken();
     let plain = StreamState::at_latency(0.0);
     let as_recorded = Witness {
         joints: recorded,
@@ -56,16 +57,12 @@ pub(super) fn align(
         };
         let mut read = pose(witness.xyz[k].into(), witness.rotation[k]);
         if witness.blind != Blind::default() {
-            let mut in_base = truth * found.tool;
-            in_base.translation.vector *= 1.0 + found.growth;
-            witness.blind.fill(&mut read, &(found.reference * in_base));
+            witness.blind.fill(&mut read, &taken.back(&truth));
         }
-        let mut in_base = found.reference.inverse() * read;
-        in_base.translation.vector /= 1.0 + found.growth;
         aligned.t_s.push(witness.t_s[k]);
         aligned.logged.push(pose(stream.track.xyz[source].into(), rotation));
         aligned.fk.push(fk);
-        aligned.corrected.push(in_base * found.tool.inverse());
+        aligned.corrected.push(taken.off(&read));
         aligned.fk_at_truth.push(truth);
     }
     aligned

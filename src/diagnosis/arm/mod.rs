@@ -6,6 +6,8 @@ mod stream;
 mod twins;
 mod zeros;
 
+use std::borrow::Cow;
+
 use super::joints::{
     Left, Read, corrected, lies_on_arm, likely_readings, other_reading, read_joints,
 };
@@ -15,8 +17,8 @@ use super::placing::spread;
 use super::prepare::{Prepared, prepare};
 use super::sampling::{as_rotations, stream_lag_s, stream_peaks};
 use super::{
-    ArmDiagnosis, JointDiagnosis, JointOffset, JointReading, JointScale, JointUnit, PoseDiagnosis,
-    PoseStream, Residual, Seen, Unseen,
+    AmountChange, ArmDiagnosis, JointChange, JointDiagnosis, JointOffset, JointReading, JointScale,
+    JointUnit, PoseDiagnosis, PoseStream, Residual, Seen, Unseen,
 };
 use fit::fit;
 use ground::geometry::Vec3;
@@ -115,7 +117,8 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
         scales.retain(|scale| !is_one(scale.factor.value));
         reading.slips.retain(|slip| slip.unit != JointUnit::Scaled || !is_one(slip.factor));
     }
-    ArmDiagnosis { joints: JointDiagnosis { reading, offsets, scales }, streams }
+    let (changes, patches) = (Vec::new(), Vec::new());
+    ArmDiagnosis { joints: JointDiagnosis { reading, offsets, scales, changes, patches }, streams }
 }
 
 /// A factor this near to 1 is none: over a turn it makes less than a tenth of a degree.
@@ -229,14 +232,37 @@ pub fn diagnose_derived(
 }
 
 impl JointDiagnosis {
-    /// The joint states as they should have been recorded: names and units as found, and the joint
-    /// offsets of the smallest explanation added.
+    /// How the zero of a joint changes in mid-run, by most, where it does.
+    pub fn zero_change(&self, column: usize) -> Option<&AmountChange> {
+        self.largest_change(column, |change| change.zero.as_ref())
+    }
+
+    /// How the scale of a joint changes in mid-run, by most, where it does.
+    pub fn factor_change(&self, column: usize) -> Option<&AmountChange> {
+        self.largest_change(column, |change| change.factor.as_ref())
+    }
+
+    fn largest_change(
+        &self,
+        column: usize,
+        of: impl Fn(&JointChange) -> Option<&AmountChange>,
+    ) -> Option<&AmountChange> {
+        let own = self.changes.iter().filter(|change| change.column == column);
+        own.filter_map(of).max_by(|a, b| a.by.value.abs().total_cmp(&b.by.value.abs()))
+    }
+
+    /// The joint states as they should have been recorded: what changes in mid-run undone, names and
+    /// units as found, and the joint offsets of the smallest explanation added.
     ///
     /// `prismatic` says for each column of `joints` whether that joint slides.
     pub fn corrected_joints(&self, joints: &JointTrack, prismatic: &[bool]) -> JointTrack {
+        let mut unchanged = Cow::Borrowed(joints);
+        for patch in &self.patches {
+            patch.apply(unchanged.to_mut());
+        }
         let mut track = match &self.reading {
-            Ok(reading) => corrected(joints, reading, prismatic),
-            Err(_) => joints.clone(),
+            Ok(reading) => corrected(&unchanged, reading, prismatic),
+            Err(_) => unchanged.into_owned(),
         };
         let offset = |offset: &JointOffset| match &offset.offset {
             Ok(measured) if offset.chosen => measured.value,

@@ -15,7 +15,7 @@ use crate::residual::residual;
 use crate::sampling::SEARCH_SAMPLES;
 use crate::{
     Aligned, AxesSlip, ConstantPart, LengthSlip, Measured, PoseDiagnosis, PoseStream, Residual,
-    Seen, UnitSlip, Unseen,
+    Seen, Taken, UnitSlip, Unseen,
 };
 use ground::geometry::LengthScale;
 use ground::stream::JointTrack;
@@ -40,6 +40,10 @@ pub(super) fn no_diagnosis(why: Unseen) -> PoseDiagnosis {
         growth_chosen: false,
         reference: Err(rests()),
         tool: Err(rests()),
+        reference_changes: Vec::new(),
+        tool_changes: Vec::new(),
+        coded_s: None,
+        taken: Taken::default(),
         residual: Err(rests()),
         nominal: false,
         observability: None,
@@ -170,6 +174,10 @@ pub(super) fn stream_diagnosis(
         growth_chosen: causes.contains(&Cause::Growth(index)),
         reference: frame(Cause::Reference(index)),
         tool: frame(Cause::Tool(index)),
+        reference_changes: Vec::new(),
+        tool_changes: Vec::new(),
+        coded_s: None,
+        taken: found.taken(),
         residual,
         nominal: fitted.nominal,
         observability: Some(observability),

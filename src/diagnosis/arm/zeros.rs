@@ -16,6 +16,7 @@ pub(super) fn unseen_offsets(dof: usize, why: &Unseen) -> Vec<JointOffset> {
         offset: Err(why.clone()),
         chosen: false,
         effect_m: 0.0,
+        lever_m: 0.0,
         twins: Vec::new(),
     };
     (0..dof).map(|_| offset()).collect()
@@ -60,7 +61,8 @@ pub(super) fn joint_offsets(
             let offset = offset.map(within_a_turn);
             let amount = offset.as_ref().map_or(0.0, |offset| offset.value.abs());
             let chord = if slides { amount } else { 2.0 * (0.5 * amount).sin() };
-            JointOffset { offset, chosen, effect_m: chord * lever_m(prepared, joint), twins }
+            let lever_m = lever_m(prepared, joint);
+            JointOffset { offset, chosen, effect_m: chord * lever_m, lever_m, twins }
         })
         .collect()
 }

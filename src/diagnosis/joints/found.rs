@@ -12,6 +12,8 @@ pub struct JointOffset {
     pub chosen: bool,
     /// What the offset moves the tip by at full stretch, m.
     pub effect_m: f64,
+    /// Distance from the joint's axis to the tip at full stretch, m a rad; 1 where it slides.
+    pub lever_m: f64,
     /// Causes that this log cannot tell from it.
     pub twins: Vec<Twin>,
 }

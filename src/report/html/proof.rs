@@ -100,7 +100,7 @@ impl Case<'_> {
                 proof.plots.extend(self.poses().map(position_over_time));
                 proof.plots.extend(self.poses().map(rotation_over_time));
             }
-            Cause::Model | Cause::Disagreement { .. } | Cause::OtherRobot(_) => {
+            Cause::Changes | Cause::Model | Cause::Disagreement { .. } | Cause::OtherRobot(_) => {
                 proof.plots.extend(self.poses().map(position_over_time));
                 proof.plots.extend(self.poses().map(rotation_over_time));
                 proof.plots.extend(self.poses().map(error_over_reach));

@@ -1,0 +1,193 @@
+//! Amounts that change in mid-run: each is a finding of the rule whose amount it is, with what it was,
+//! what it became, and when.
+
+use serde_json::{Value, json};
+
+use crate::checks::decision::{Decision, FrameThresholds, Threshold, decide, decide_frame};
+use crate::checks::frames::{pose_json, show};
+use crate::checks::{Case, Judged};
+use crate::diagnosis::{AmountChange, Change, FrameChange};
+use crate::evidence::ArmEvidence;
+use crate::finding::{
+    Cause, Change as Changes, Estimate, Evidence, Fault, Outcome, Ruling, Severity, Span, Subject,
+    Unit,
+};
+use crate::geometry::Pose;
+use crate::time::Stamp;
+
+/// What is the same of every change, whatever changes.
+struct Told {
+    /// `at +14.00 s`.
+    at: String,
+    from: String,
+    to: String,
+    by: String,
+    /// Of the amount itself, such as "tool frame".
+    name: &'static str,
+    title: &'static str,
+    effect_m: f64,
+    /// Every change of this amount.
+    all: Vec<Value>,
+}
+
+impl Told {
+    fn fault(self, severity: Severity) -> Fault {
+        let Self { at, from, to, by, name, title, effect_m, all } = self;
+        let often = match all.len() {
+            1 => String::new(),
+            times => format!(", and {times} times in all"),
+        };
+        Fault {
+            severity,
+            cause: Cause::Changes,
+            title,
+            message: format!("changes by {by} {at}{often}: from {from} to {to}"),
+            evidence: Evidence {
+                effect: Some(format!("{} at the tip from then on", Unit::Metre.show(effect_m))),
+                effect_m: Some(effect_m),
+                more: std::iter::once(("changes".to_owned(), all.into())).collect(),
+                ..Evidence::default()
+            },
+            fix: format!(
+                "look at what happened {at}, and use the {name} of each part for that part alone"
+            ),
+        }
+    }
+}
+
+fn moments<V, S>(case: &Case, change: &Change<V, S>) -> (Stamp, [Stamp; 2]) {
+    let origin = case.evidence.origin;
+    let at = |by_s: f64| origin.shifted(change.at_s + by_s);
+    (at(0.0), [at(-change.within_s), at(change.within_s)])
+}
+
+/// What is to be said of a frame of a stream that changes; `None` of one that does not.
+pub fn frame(
+    case: &Case,
+    arm: &ArmEvidence,
+    name: &'static str,
+    changes: &[FrameChange],
+    thresholds: &FrameThresholds,
+) -> Option<(Outcome, Estimate)> {
+    let effect_m = |change: &FrameChange| {
+        change.by.translation_m.value + change.by.rotation_rad.value * arm.reach_m
+    };
+    let change = changes.iter().max_by(|a, b| effect_m(a).total_cmp(&effect_m(b)))?;
+    let (at, within) = moments(case, change);
+    let estimate = Estimate::frame(name, &change.by.translation_m, &change.by.rotation_rad)
+        .changing(Changes {
+            from: change.from.translation.vector.norm(),
+            to: change.to.translation.vector.norm(),
+            change_ns: at,
+            change_ci95_ns: Some(within),
+        });
+    let size = |pose: &Pose| {
+        let length = Unit::Metre.show(pose.translation.vector.norm());
+        format!("{length} and {}", Unit::Radian.show(pose.rotation.angle()))
+    };
+    let listed = |change: &FrameChange| {
+        json!({
+            "at_ns": moments(case, change).0.to_string(),
+            "from": pose_json(&change.from),
+            "to": pose_json(&change.to),
+        })
+    };
+    let told = Told {
+        at: format!("at {}", case.evidence.moment(at)),
+        from: size(&change.from),
+        to: size(&change.to),
+        by: show(&change.by),
+        name,
+        title: match name {
+            "tool frame" => "tool frame changes in mid-run",
+            _ => "reference frame changes in mid-run",
+        },
+        effect_m: effect_m(change),
+        all: changes.iter().map(listed).collect(),
+    };
+    let decision = decide_frame(&change.by, thresholds, case.evidence.subjects());
+    Some((outcome(decision, told), estimate))
+}
+
+/// What is to be said of a joint's amount that changes.
+pub fn amount(
+    case: &Case,
+    name: &'static str,
+    title: &'static str,
+    change: &AmountChange,
+    threshold: &Threshold,
+    effect_m: f64,
+) -> (Outcome, Estimate) {
+    let (at, within) = moments(case, change);
+    let unit = threshold.unit;
+    let estimate = Estimate::amount(name, unit, &change.by).changing(Changes {
+        from: change.from,
+        to: change.to,
+        change_ns: at,
+        change_ci95_ns: Some(within),
+    });
+    let told = Told {
+        at: format!("at {}", case.evidence.moment(at)),
+        from: unit.show(change.from),
+        to: unit.show(change.to),
+        by: unit.show_signed(&change.by),
+        name,
+        title,
+        effect_m,
+        all: vec![json!({ "at_ns": at.to_string(), "from": change.from, "to": change.to })],
+    };
+    (outcome(decide(&change.by, threshold, case.evidence.subjects()), told), estimate)
+}
+
+fn outcome(decision: Decision, told: Told) -> Outcome {
+    match decision {
+        Decision::Fail(severity) => Outcome::faulty(told.fault(severity)),
+        Decision::Pass => Outcome::sound_because(format!("it changes by {} {}", told.by, told.at)),
+        Decision::Undecided(why) => {
+            Outcome::Inconclusive(format!("it changes by {} {}; {why}", told.by, told.at))
+        }
+    }
+}
+
+/// A finding on how a stream's numbers are coded, told of the part of the run in which they are.
+pub fn of_part(case: &Case, mut judged: Judged) -> Judged {
+    let is_coding = |cause: &Cause| {
+        matches!(
+            cause,
+            Cause::Rotation(_) | Cause::AngleUnit(_) | Cause::LengthUnit(_) | Cause::Axes { .. }
+        )
+    };
+    let of_stream = |subject: &Subject| {
+        let mut streams = case.evidence.poses_and_tf();
+        let topic = subject.topic.as_deref()?;
+        let (_, stream) = streams.find(|(arm, stream)| {
+            stream.topic() == topic && subject.robot.as_ref().is_none_or(|name| *name == arm.name)
+        })?;
+        stream.diagnosis.coded_s
+    };
+    let Outcome::Evaluated(Ruling::Faulty(fault)) = &mut judged.outcome else { return judged };
+    let Some((from_s, to_s)) = of_stream(&judged.subject).filter(|_| is_coding(&fault.cause))
+    else {
+        return judged;
+    };
+    let at = |at_s: f64| Some(case.evidence.origin.shifted(at_s)).filter(|_| at_s.is_finite());
+    let (from, to) = (at(from_s), at(to_s));
+    let when = match (from, to) {
+        (Some(from), None) => format!("from {} on", case.evidence.moment(from)),
+        (None, Some(to)) => format!("until {}", case.evidence.moment(to)),
+        (Some(from), Some(to)) => {
+            format!("from {} to {}", case.evidence.moment(from), case.evidence.moment(to))
+        }
+        (None, None) => return judged,
+    };
+    fault.title = "the coding of its numbers changes in mid-run";
+    fault.cause = Cause::Changes;
+    fault.message = format!("{when}: {}", fault.message);
+    fault.fix = format!("{}, for what was written {when}", fault.fix);
+    let changes: Vec<Value> =
+        [from, to].into_iter().flatten().map(|at| at.to_string().into()).collect();
+    let span = judged
+        .span
+        .map(|span| Span { start: from.unwrap_or(span.start), end: to.unwrap_or(span.end) });
+    Judged { span, ..judged }.with_evidence("change_ns", changes)
+}

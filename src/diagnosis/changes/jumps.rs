@@ -1,0 +1,162 @@
+//! Moments at which a stream jumps against the arm: from one sample to the next by more than the arm's
+//! motion and the noise make.
+
+use crate::latency::median_period_s;
+use crate::proof::beside_fk;
+use crate::{Aligned, PoseStream};
+use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
+use ground::stats::median;
+use ground::stream::JointTrack;
+
+/// Samples on either side of a moment whose means are compared: one where a jump is large, more where
+/// it hides in the noise.
+const SIDES: [usize; 3] = [1, 5, 25];
+/// A jump is so many times what the motion makes there.
+const TIMES: f64 = 6.0;
+/// Jumps that are followed up.
+const MOST: usize = 4;
+/// A jump that is beside a larger one counts from this share of it on.
+const LEAST: f64 = 0.05;
+/// Jumps closer together are one, s.
+const APART_S: f64 = 0.5;
+/// Distance from the tip of the points that show how it turns, m.
+const ARM_M: f64 = 0.3;
+
+/// A moment between two samples of a stream.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Jump {
+    /// The middle of the two stamps, s from the run's origin.
+    pub at_s: f64,
+    /// Half the time between them, s.
+    pub within_s: f64,
+    /// How many times what the motion makes there; infinite of a gap.
+    pub times: f64,
+}
+
+/// The moments at which a stream most likely jumps: by what `aligned` leaves of it, and straight from
+/// FK at `lag_s`.
+pub(super) fn jumps(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    aligned: &Aligned,
+    lag_s: f64,
+) -> Vec<Jump> {
+    let left = aligned.corrected.iter().zip(&aligned.fk_at_truth);
+    let in_base = |(is, fk): (&Pose, &Pose)| {
+        let turn = rotvec_from_rotation(&(is.rotation * fk.rotation.inverse()));
+        [is.translation.vector - fk.translation.vector, turn * ARM_M]
+    };
+    let left: Vec<[Vec3; 2]> = left.map(in_base).collect();
+    let mut found = of_series(&aligned.t_s, &left, &aligned.fk_at_truth);
+    let raw = beside_fk(joints, stream, lag_s);
+    let turn = |pose: &Pose| [pose.rotation * Vec3::x(), pose.rotation * Vec3::y()];
+    let in_tool: Vec<Pose> =
+        raw.fk.iter().zip(&raw.logged).map(|(fk, logged)| fk.inv_mul(logged)).collect();
+    let at: Vec<[Vec3; 2]> =
+        in_tool.iter().map(|pose| [pose.translation.vector, Vec3::zeros()]).collect();
+    let turned: Vec<[Vec3; 2]> =
+        in_tool.iter().map(|pose| turn(pose).map(|axis| axis * ARM_M)).collect();
+    found.extend(of_series(&raw.t_s, &at, &raw.fk));
+    found.extend(of_series(&raw.t_s, &turned, &raw.fk));
+    found.extend(gaps(&stream.track.t_s));
+    strongest(found)
+}
+
+/// The longest gaps of a stream, in which anything may happen.
+fn gaps(t_s: &[f64]) -> Vec<Jump> {
+    /// A gap is so many periods, …
+    const PERIODS: f64 = 10.0;
+    /// … and so long, s.
+    const LONG_S: f64 = 0.3;
+    const FOLLOWED: usize = 3;
+    let least_s = (PERIODS * median_period_s(t_s)).max(LONG_S);
+    let mut gaps: Vec<(f64, f64)> = t_s
+        .windows(2)
+        .map(|pair| (pair[1] - pair[0], pair[0]))
+        .filter(|(s, _)| *s > least_s)
+        .collect();
+    gaps.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let jump = |(long_s, from_s): (f64, f64)| Jump {
+        at_s: from_s + 0.5 * long_s,
+        within_s: 0.5 * long_s,
+        times: f64::INFINITY,
+    };
+    gaps.into_iter().take(FOLLOWED).map(jump).collect()
+}
+
+/// The strongest jumps, no two of them close together, in the order of time.
+pub(super) fn strongest(mut found: Vec<Jump>) -> Vec<Jump> {
+    found.sort_by(|a, b| b.times.total_cmp(&a.times));
+    let largest = found.iter().find(|jump| jump.times.is_finite());
+    let least = LEAST * largest.map_or(0.0, |jump| jump.times);
+    let mut kept: Vec<Jump> = Vec::new();
+    for jump in found {
+        let is_apart = kept.iter().all(|other| (other.at_s - jump.at_s).abs() > APART_S);
+        if is_apart && kept.len() < MOST && jump.times > least {
+            kept.push(jump);
+        }
+    }
+    kept.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+    kept
+}
+
+fn of_series(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose]) -> Vec<Jump> {
+    SIDES.into_iter().flat_map(|side| of_sides(t_s, series, fk, side)).collect()
+}
+
+/// The jumps between means over `side` samples.
+fn of_sides(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose], side: usize) -> Vec<Jump> {
+    let n = series.len();
+    if n < 4 * side + 20 {
+        return Vec::new();
+    }
+    let mut sums = vec![[Vec3::zeros(); 2]; n + 1];
+    for (row, value) in series.iter().enumerate() {
+        sums[row + 1] = std::array::from_fn(|kind| sums[row][kind] + value[kind]);
+    }
+    let mean = |from: usize, to: usize| -> [Vec3; 2] {
+        std::array::from_fn(|kind| (sums[to][kind] - sums[from][kind]) / (to - from) as f64)
+    };
+    let apart = |a: [Vec3; 2], b: [Vec3; 2]| {
+        a.iter().zip(&b).map(|(a, b)| (a - b).norm_squared()).sum::<f64>().sqrt()
+    };
+    // Between the samples `row - 1` and `row`.
+    let rows: Vec<usize> = (side..=n - side).filter(|row| *row < n).collect();
+    let step = |row: usize| apart(mean(row - side, row), mean(row, row + side));
+    let steps: Vec<f64> = rows.iter().map(|&row| step(row)).collect();
+    let moved = |row: usize| {
+        let (a, b) = (&fk[row - side], &fk[row + side - 1]);
+        let turn = rotvec_from_rotation(&(a.rotation * b.rotation.inverse())) * ARM_M;
+        (a.translation.vector - b.translation.vector).norm() + turn.norm()
+    };
+    let moves: Vec<f64> = rows.iter().map(|&row| moved(row)).collect();
+    let Some(usual) = median(&mut moves.clone()) else { return Vec::new() };
+    let still = steps.iter().zip(&moves).filter(|(_, moved)| **moved <= usual);
+    let mut still: Vec<f64> = still.map(|(step, _)| *step).collect();
+    let fast = steps.iter().zip(&moves).filter(|(_, moved)| **moved > usual.max(1e-9));
+    let mut slopes: Vec<f64> = fast.map(|(step, moved)| step / moved).collect();
+    let (Some(still), slope) = (median(&mut still), median(&mut slopes).unwrap_or(0.0)) else {
+        return Vec::new();
+    };
+    // Below this a step is arithmetic, m.
+    const FLOOR_M: f64 = 1e-5;
+    let jump = |(index, &row): (usize, &usize)| {
+        let usual = still + slope * moves[index] + FLOOR_M;
+        if steps[index] <= TIMES * usual {
+            return None;
+        }
+        // A residual that varies fast does so before and after as well.
+        let before = (2..=6).filter_map(|by| steps.get(index.checked_sub(by * side)?).copied());
+        let after = (2..=6).filter_map(|by| steps.get(index + by * side).copied());
+        let [before, after] = [before.collect(), after.collect()]
+            .map(|mut beside: Vec<f64>| median(&mut beside).unwrap_or(0.0));
+        let usual = usual.max(before.min(after));
+        let times = steps[index] / usual;
+        (times > TIMES).then(|| Jump {
+            at_s: 0.5 * (t_s[row - 1] + t_s[row]),
+            within_s: 0.5 * (t_s[row] - t_s[row - 1]),
+            times,
+        })
+    };
+    rows.iter().enumerate().filter_map(jump).collect()
+}
