@@ -51,6 +51,17 @@ pub struct LatencyJump {
 }
 
 impl LatencyCourse {
+    /// That of a latency that jumps between `levels`; `None` without a jump.
+    pub(super) fn of_jumps(
+        jumps: Vec<LatencyJump>,
+        levels: Vec<(f64, f64)>,
+        windows: Vec<(f64, Measured)>,
+    ) -> Option<Self> {
+        let size = |jump: &LatencyJump| jump.size_s.value.abs();
+        let swing_s = jumps.iter().max_by(|a, b| size(a).total_cmp(&size(b)))?.size_s;
+        Some(Self { swing_s, is_unsteady: true, jumps, levels, windows })
+    }
+
     /// The stamps `t_s` as they would be had the latency kept the level that it has longest, each
     /// with its row; rows that would then come before an earlier one are left out.
     pub fn straightened(&self, t_s: &[f64]) -> Vec<(usize, f64)> {

@@ -1,7 +1,7 @@
 //! Streams whose latency is not steady: what else is wrong with them is sought on the streams as they would
 //! be if it were.
 
-use super::changes::without_changes;
+use super::changes::{jumps_in_time, without_changes};
 use super::{
     ArmDiagnosis, ImuDiagnosis, ImuStream, JointReading, LatencySteps, PoseDiagnosis, PoseStream,
     diagnose_arm, diagnose_imu, imu_steps, pose_steps,
@@ -65,12 +65,16 @@ pub fn diagnose_steadied(
     } else {
         diagnose_arm(joints, &with_tracks(&streams, &tracks), most_lag_s)
     };
+    let mut changed = false;
     let unsteadied = with_tracks(&streams, &tracks);
     if let Some(unchanged) = without_changes(joints, &unsteadied, slides, &steady, most_lag_s) {
         steady = unchanged;
+        changed = true;
     }
     for (steady, course) in steady.streams.iter_mut().zip(courses) {
-        steady.course = course;
+        if !changed || !jumps_in_time(steady) {
+            steady.course = course;
+        }
     }
     steady
 }

@@ -5,12 +5,11 @@ use std::f64::consts::PI;
 use std::fs;
 use std::path::Path;
 
-use poseaudit::finding::Severity;
 use poseaudit::geometry::{Convention, Pose, Rotation, Vec3, pose, rotation_from_rotvec, xyz_of};
 use poseaudit::report::Verdict;
 use poseaudit::robot::Robot;
 use poseaudit::run::CalibrationSource;
-use poseaudit::synth::{Coding, Noise, POSE, Scenario, ToolSlip, urdf_text};
+use poseaudit::synth::{Coding, Noise, POSE, Scenario, urdf_text};
 
 use crate::checks::case::On::Topic;
 use crate::checks::case::What::{Frame, ResidualBetween};
@@ -59,21 +58,6 @@ fn joint_states_alone(run: &mut Scenario) {
     for timing in [&mut run.pose.timing, &mut run.tf.timing, &mut run.imu.timing] {
         timing.rate_hz = 0.0;
     }
-}
-
-#[test]
-fn a_tool_that_slips_in_mid_run_is_no_pass() {
-    let report = Log::with(|log| {
-        let tool_from_slipped = Pose::translation(0.0, 0.07, 0.0);
-        log.run.pose.slip = Some(ToolSlip { from_s: 4.0, to_s: 60.0, tool_from_slipped });
-    })
-    .audited();
-    assert_eq!(report.verdict, Verdict::Fail, "{}", summary(&report.findings));
-    let left = the(&report, "MDL001", POSE);
-    assert_eq!(left.severity, Severity::Error);
-    // It is largest where the tool is the further from what is taken for it.
-    let evidence = &left.evidence.more["left"];
-    assert!(evidence["most_m"].as_f64().is_some_and(|most| (0.02..0.08).contains(&most)));
 }
 
 #[test]

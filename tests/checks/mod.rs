@@ -6,6 +6,7 @@
 //! registry without a case of every kind fails here.
 
 mod case;
+mod changes;
 mod combined;
 mod fix;
 mod frm;

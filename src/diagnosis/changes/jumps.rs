@@ -14,9 +14,11 @@ const SIDES: [usize; 3] = [1, 5, 25];
 /// A jump is so many times what the motion makes there.
 const TIMES: f64 = 6.0;
 /// Jumps that are followed up.
-const MOST: usize = 4;
+const MOST: usize = 8;
 /// A jump that is beside a larger one counts from this share of it on.
-const LEAST: f64 = 0.05;
+const LEAST: f64 = 0.1;
+/// A jump that shows over fewer samples as well, by this share, is dated by them.
+const FINER: f64 = 0.3;
 /// Jumps closer together are one, s.
 const APART_S: f64 = 0.5;
 /// Distance from the tip of the points that show how it turns, m.
@@ -31,6 +33,8 @@ pub(super) struct Jump {
     pub within_s: f64,
     /// How many times what the motion makes there; infinite of a gap.
     pub times: f64,
+    /// The time on either side over whose mean it was seen, s.
+    pub over_s: f64,
 }
 
 /// The moments at which a stream most likely jumps: by what `aligned` leaves of it, and straight from
@@ -80,12 +84,22 @@ fn gaps(t_s: &[f64]) -> Vec<Jump> {
         at_s: from_s + 0.5 * long_s,
         within_s: 0.5 * long_s,
         times: f64::INFINITY,
+        over_s: 0.0,
     };
     gaps.into_iter().take(FOLLOWED).map(jump).collect()
 }
 
 /// The strongest jumps, no two of them close together, in the order of time.
-pub(super) fn strongest(mut found: Vec<Jump>) -> Vec<Jump> {
+pub(super) fn strongest(found: Vec<Jump>) -> Vec<Jump> {
+    // The finer of two says when.
+    let finer = |jump: &Jump| {
+        found.iter().any(|other| {
+            other.over_s < jump.over_s
+                && (other.at_s - jump.at_s).abs() <= jump.over_s
+                && other.times > FINER * jump.times
+        })
+    };
+    let mut found: Vec<Jump> = found.iter().filter(|jump| !finer(jump)).copied().collect();
     found.sort_by(|a, b| b.times.total_cmp(&a.times));
     let largest = found.iter().find(|jump| jump.times.is_finite());
     let least = LEAST * largest.map_or(0.0, |jump| jump.times);
@@ -156,6 +170,7 @@ fn of_sides(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose], side: usize) -> Vec<
             at_s: 0.5 * (t_s[row - 1] + t_s[row]),
             within_s: 0.5 * (t_s[row] - t_s[row - 1]),
             times,
+            over_s: t_s[row + side - 1] - t_s[row],
         })
     };
     rows.iter().enumerate().filter_map(jump).collect()

@@ -8,15 +8,14 @@
 //! (after Chow 1960). That is undone, and everything else is sought on the run as it would be had
 //! nothing changed. Only if far less is left then was it a change.
 
+mod cut;
 mod found;
 mod jumps;
-
-use std::ops::Range;
+mod told;
 
 use super::arm::diagnose_arm;
 use super::proof::leaves_much;
 use super::sampling::stream_lag_s;
-use super::steady::straightened;
 use super::{
     ArmDiagnosis, FrameEstimate, JointDiagnosis, PoseDiagnosis, PoseStream, Reading, Seen,
 };
@@ -24,11 +23,9 @@ use ground::geometry::Pose;
 use ground::stats::Measured;
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
+use cut::{Cut, Span};
 pub use found::{AmountChange, Change, FrameChange, JointChange, JointPatch};
-use jumps::{Jump, jumps, strongest};
 
-/// A part of the run has so many samples of some stream.
-const PART_SAMPLES: usize = 20;
 /// With the changes undone at most this share is left of what was.
 const LEFT: f64 = 0.5;
 
@@ -80,9 +77,14 @@ pub(super) fn without_changes(
     let moment = |at_s: f64| moments.iter().find(|jump| jump.at_s == at_s);
     kept.tell(&run, &parts, &others, moment, &mut after);
     after.joints.patches = undone.patches;
-    let is_told =
-        !after.joints.changes.is_empty() || after.streams.iter().any(PoseDiagnosis::changes);
+    let is_told = !after.joints.changes.is_empty()
+        || after.streams.iter().any(|after| after.changes() || jumps_in_time(after));
     is_told.then_some(after)
+}
+
+/// Whether the latency of a stream surely jumps.
+pub(super) fn jumps_in_time(found: &PoseDiagnosis) -> bool {
+    found.course.as_ref().is_ok_and(|course| course.is_unsteady && !course.jumps.is_empty())
 }
 
 /// All that is left of an arm's streams, an angle counting at 0.3 m; a metre where one was not read.
@@ -92,93 +94,6 @@ fn left_m(found: &ArmDiagnosis) -> f64 {
         _ => 1.0,
     };
     found.streams.iter().map(left).sum()
-}
-
-/// A run that may be cut. Times of cuts are those of the joint states.
-struct Cut<'a> {
-    joints: &'a JointTrack,
-    streams: &'a [PoseStream<'a>],
-    slides: &'a [bool],
-    /// By how much each stream is late, s.
-    lags: &'a [f64],
-    most_lag_s: f64,
-}
-
-/// A part of a run: from the one time on and before the other, s.
-type Span = (f64, f64);
-
-impl Cut<'_> {
-    /// When streams jump, by the clock of the joint states.
-    fn moments(&self, found: &ArmDiagnosis) -> Vec<Jump> {
-        let of_stream = |s: usize| {
-            let aligned = &found.streams[s].aligned;
-            let jumps = jumps(self.joints, &self.streams[s], aligned, self.lags[s]).into_iter();
-            jumps.map(move |jump| Jump { at_s: jump.at_s - self.lags[s], ..jump })
-        };
-        strongest((0..self.streams.len()).flat_map(of_stream).collect())
-    }
-
-    /// The parts between `moments` that are long enough; a shorter one goes with the one before it.
-    fn parts(&self, moments: &[Jump]) -> Vec<Span> {
-        let mut parts = Vec::new();
-        let mut from_s = f64::NEG_INFINITY;
-        for to_s in moments.iter().map(|jump| jump.at_s).chain([f64::INFINITY]) {
-            if self.samples((from_s, to_s)) >= PART_SAMPLES {
-                parts.push((from_s, to_s));
-                from_s = to_s;
-            } else if let Some((_, end_s)) = parts.last_mut().filter(|_| to_s.is_infinite()) {
-                *end_s = to_s;
-            }
-        }
-        parts
-    }
-
-    /// The rows of a stream in a part.
-    fn rows(&self, stream: usize, (from_s, to_s): Span) -> Range<usize> {
-        let (t_s, lag_s) = (&self.streams[stream].track.t_s, self.lags[stream]);
-        let [from, to] = [from_s, to_s].map(|at_s| t_s.partition_point(|t_s| *t_s < at_s + lag_s));
-        from..to
-    }
-
-    /// The most samples that any stream has in a part.
-    fn samples(&self, span: Span) -> usize {
-        (0..self.streams.len()).map(|s| self.rows(s, span).len()).max().unwrap_or(0)
-    }
-
-    fn joints_in(&self, (from_s, to_s): Span) -> JointTrack {
-        let JointTrack { t_s, dof, q, qd } = self.joints;
-        let [from, to] = [from_s, to_s].map(|at_s| t_s.partition_point(|t_s| *t_s < at_s));
-        JointTrack {
-            t_s: t_s[from..to].to_vec(),
-            dof: *dof,
-            q: q[from * dof..to * dof].to_vec(),
-            qd: qd[from * dof..to * dof].to_vec(),
-        }
-    }
-
-    fn tracks_in(&self, span: Span) -> Vec<PoseTrack> {
-        let track = |s: usize| {
-            let track = self.streams[s].track;
-            let rows: Vec<(usize, f64)> =
-                self.rows(s, span).map(|row| (row, track.t_s[row])).collect();
-            straightened(track, &rows)
-        };
-        (0..self.streams.len()).map(track).collect()
-    }
-
-    /// The streams with other tracks.
-    fn with<'a>(&'a self, tracks: &'a [PoseTrack]) -> Vec<PoseStream<'a>> {
-        let with =
-            |(stream, track): (&PoseStream<'a>, &'a PoseTrack)| PoseStream { track, ..*stream };
-        self.streams.iter().zip(tracks).map(with).collect()
-    }
-
-    /// What a part says by itself.
-    fn diagnose(&self, span: Span) -> (JointTrack, ArmDiagnosis) {
-        let (joints, tracks) = (self.joints_in(span), self.tracks_in(span));
-        let found = diagnose_arm(&joints, &self.with(&tracks), self.most_lag_s);
-        (joints, found)
-    }
 }
 
 /// The part of the run against which the others are held.
@@ -228,6 +143,18 @@ impl Kept {
         told && reading_of(own) != reading_of(its)
     }
 
+    /// By how much a stream is later in another part, s, where it surely is.
+    fn later_by(&self, s: usize, other: &Other) -> Option<Measured> {
+        /// Less is left to the course of the latency, s.
+        const LEAST_S: f64 = 1e-3;
+        const SURE: f64 = 6.0;
+        let own = self.found.streams[s].latency_s.as_ref().ok()?;
+        let its = other.beyond.streams[s].latency_s.as_ref().ok()?;
+        let std_error = its.std_error.hypot(own.std_error);
+        let by = Measured { value: its.value - own.value, std_error, ..*its };
+        (by.value.abs() > LEAST_S.max(SURE * std_error)).then_some(by)
+    }
+
     /// The run as it would be had nothing changed; `None` where nothing did.
     fn undone(&self, run: &Cut, others: &[Other]) -> Option<Undone> {
         let mut joints = run.joints.clone();
@@ -250,6 +177,7 @@ impl Kept {
                 let moves = |other: &&Other| {
                     let beyond = &other.beyond.streams[s];
                     self.is_reread(s, other)
+                        || self.later_by(s, other).is_some()
                         || is_chosen(&beyond.reference)
                         || is_chosen(&beyond.tool)
                 };
@@ -267,12 +195,23 @@ impl Kept {
         for other in others {
             let beyond = &other.beyond.streams[s];
             let poses = as_read(beyond).map(|pose| own.taken.back(&beyond.taken.off(&pose)));
-            parts.push((other.span, with_poses(beyond, poses)));
+            let mut track = with_poses(beyond, poses);
+            let late_s = self.later_by(s, other).map_or(0.0, |by| by.value);
+            track.t_s.iter_mut().for_each(|t_s| *t_s -= late_s);
+            parts.push((other.span, track));
         }
         parts.sort_by(|a, b| a.0.0.total_cmp(&b.0.0));
         let mut parts = parts.into_iter().map(|(_, track)| track);
         let first = parts.next().unwrap_or_else(|| with_poses(own, as_read(own)));
         parts.fold(first, |mut all, part| {
+            // What is moved to an earlier time leaves out what would come twice.
+            let end_s = part.t_s.first().copied().unwrap_or(f64::INFINITY);
+            let kept = all.t_s.partition_point(|t_s| *t_s < end_s);
+            all.t_s.truncate(kept);
+            all.xyz.truncate(kept);
+            if let Orientations::Rotations(all) = &mut all.orientation {
+                all.truncate(kept);
+            }
             all.t_s.extend(part.t_s);
             all.xyz.extend(part.xyz);
             if let (Orientations::Rotations(all), Orientations::Rotations(part)) =
@@ -311,75 +250,6 @@ impl Kept {
         after.degrees = by.degrees;
         after.inverted = by.inverted;
         after.constant.clone_from(&by.constant);
-    }
-
-    /// Writes what changed and when into the diagnosis of the run without it.
-    fn tell<'a>(
-        &self,
-        run: &Cut,
-        parts: &[Span],
-        others: &[Other],
-        moment: impl Fn(f64) -> Option<&'a Jump>,
-        after: &mut ArmDiagnosis,
-    ) {
-        let beyond = |span: &Span| others.iter().find(|other| other.span == *span);
-        for pair in parts.windows(2) {
-            let (before, next) = (beyond(&pair[0]), beyond(&pair[1]));
-            let Some(jump) = moment(pair[1].0) else { continue };
-            for (s, after) in after.streams.iter_mut().enumerate() {
-                let own = &self.found.streams[s];
-                let frames = |of: fn(&PoseDiagnosis) -> &Seen<FrameEstimate>| {
-                    let of_part = |part: Option<&Other>| {
-                        let found = part.and_then(|part| of(&part.beyond.streams[s]).as_ref().ok());
-                        found.filter(|frame| frame.chosen).cloned()
-                    };
-                    (of_part(before), of_part(next), of(own).as_ref().ok())
-                };
-                let at = (jump.at_s + run.lags[s], jump.within_s);
-                let known = run.streams[s].reference_known;
-                let base = |own: Option<&FrameEstimate>, is_free: bool| {
-                    own.filter(|own| own.chosen || is_free).cloned()
-                };
-                let (from, to, kept) = frames(|found| &found.tool);
-                after.tool_changes.extend(frame_change(
-                    at,
-                    base(kept, false),
-                    from,
-                    to,
-                    |kept, beyond| beyond * kept,
-                ));
-                let (from, to, kept) = frames(|found| &found.reference);
-                after.reference_changes.extend(frame_change(
-                    at,
-                    base(kept, !known),
-                    from,
-                    to,
-                    |kept, beyond| beyond * kept,
-                ));
-            }
-            let at = (jump.at_s, jump.within_s);
-            for column in 0..run.joints.dof {
-                let zero = |part: Option<&Other>| {
-                    let offset = part?.beyond.joints.offsets.get(column)?;
-                    offset.offset.as_ref().ok().filter(|_| offset.chosen).copied()
-                };
-                let factor = |part: Option<&Other>| {
-                    let scales = &part?.beyond.joints.scales;
-                    Some(scales.iter().find(|scale| scale.column == column)?.factor)
-                };
-                let own = &self.found.joints.offsets.get(column);
-                let own = own.filter(|own| own.chosen).and_then(|own| own.offset.as_ref().ok());
-                let zero = amount_change(at, own, zero(before), zero(next), 0.0);
-                let scales = &self.found.joints.scales;
-                let own = scales.iter().find(|scale| scale.column == column);
-                let own = own.map_or(1.0, |scale| scale.factor.value);
-                let scaled = |part| factor(part).map(|factor: Measured| factor.scaled(own));
-                let factor = amount_change(at, None, scaled(before), scaled(next), own);
-                if zero.is_some() || factor.is_some() {
-                    after.joints.changes.push(JointChange { column, zero, factor });
-                }
-            }
-        }
     }
 }
 
@@ -479,69 +349,4 @@ fn with_poses(found: &PoseDiagnosis, poses: impl Iterator<Item = Pose>) -> PoseT
         Err(_) => Orientations::Unset(rotations.len()),
     };
     PoseTrack { t_s: found.aligned.t_s.clone(), xyz, orientation, declared: None }
-}
-
-/// The change of a frame from the one part to the next: `kept` is the frame of the kept part, `from` and
-/// `to` what the parts have beyond it, and `total` what the two are together.
-fn frame_change(
-    (at_s, within_s): (f64, f64),
-    kept: Option<FrameEstimate>,
-    from: Option<FrameEstimate>,
-    to: Option<FrameEstimate>,
-    total: impl Fn(Pose, Pose) -> Pose,
-) -> Option<FrameChange> {
-    let surest = to.as_ref().or(from.as_ref())?;
-    let pose_of =
-        |frame: &Option<FrameEstimate>| frame.as_ref().map_or_else(Pose::identity, |f| f.pose);
-    let turn = pose_of(&from).inv_mul(&pose_of(&to));
-    let errors = [&kept, &from, &to].into_iter().flatten();
-    let (length, angle) = errors.fold((0.0_f64, 0.0_f64), |(length, angle), frame| {
-        (length.hypot(frame.translation_m.std_error), angle.hypot(frame.rotation_rad.std_error))
-    });
-    let both = from.is_some() && to.is_some();
-    let size = |value: f64, std_error: f64, dof: f64| Measured { value, std_error, dof };
-    let (length_m, angle_rad) = (turn.translation.vector.norm(), turn.rotation.angle());
-    let by = FrameEstimate {
-        pose: turn,
-        translation_m: size(length_m, length, surest.translation_m.dof),
-        rotation_rad: size(angle_rad, angle, surest.rotation_rad.dof),
-        p_value: surest.p_value,
-        chosen: true,
-    };
-    // Two parts that are other in the same way do not differ.
-    let is_same = both && length_m < 4.0 * length + 1e-4 && angle_rad < 4.0 * angle + 1e-4;
-    let base = kept.map_or_else(Pose::identity, |kept| kept.pose);
-    (!is_same).then(|| Change {
-        at_s,
-        within_s,
-        from: total(base, pose_of(&from)),
-        to: total(base, pose_of(&to)),
-        by,
-    })
-}
-
-/// The change of a number from the one part to the next, `none` where a part has none of its own.
-fn amount_change(
-    (at_s, within_s): (f64, f64),
-    kept: Option<&Measured>,
-    from: Option<Measured>,
-    to: Option<Measured>,
-    none: f64,
-) -> Option<AmountChange> {
-    let surest = to.or(from)?;
-    let value = |one: Option<Measured>| one.map_or(none, |one| one.value);
-    let std_error = [kept.copied(), from, to]
-        .into_iter()
-        .flatten()
-        .fold(0.0_f64, |sum, one| sum.hypot(one.std_error));
-    let by = Measured { value: value(to) - value(from), std_error, ..surest };
-    let base = kept.map_or(0.0, |kept| kept.value);
-    let is_same = from.is_some() && to.is_some() && by.value.abs() < 4.0 * by.std_error + 1e-5;
-    (!is_same).then(|| Change {
-        at_s,
-        within_s,
-        from: base + value(from),
-        to: base + value(to),
-        by,
-    })
 }

@@ -1,0 +1,99 @@
+//! A run in parts.
+
+use std::ops::Range;
+
+use super::jumps::{Jump, jumps, strongest};
+use crate::arm::diagnose_arm;
+use crate::steady::straightened;
+use crate::{ArmDiagnosis, PoseStream};
+use ground::stream::{JointTrack, PoseTrack};
+
+/// A part of the run has so many samples of some stream.
+const PART_SAMPLES: usize = 20;
+
+/// A run that may be cut. Times of cuts are those of the joint states.
+pub(super) struct Cut<'a> {
+    pub joints: &'a JointTrack,
+    pub streams: &'a [PoseStream<'a>],
+    pub slides: &'a [bool],
+    /// By how much each stream is late, s.
+    pub lags: &'a [f64],
+    pub most_lag_s: f64,
+}
+
+/// A part of a run: from the one time on and before the other, s.
+pub(super) type Span = (f64, f64);
+
+impl Cut<'_> {
+    /// When streams jump, by the clock of the joint states.
+    pub fn moments(&self, found: &ArmDiagnosis) -> Vec<Jump> {
+        let of_stream = |s: usize| {
+            let aligned = &found.streams[s].aligned;
+            let jumps = jumps(self.joints, &self.streams[s], aligned, self.lags[s]).into_iter();
+            jumps.map(move |jump| Jump { at_s: jump.at_s - self.lags[s], ..jump })
+        };
+        strongest((0..self.streams.len()).flat_map(of_stream).collect())
+    }
+
+    /// The parts between `moments` that are long enough; a shorter one goes with the one before it.
+    pub fn parts(&self, moments: &[Jump]) -> Vec<Span> {
+        let mut parts = Vec::new();
+        let mut from_s = f64::NEG_INFINITY;
+        for to_s in moments.iter().map(|jump| jump.at_s).chain([f64::INFINITY]) {
+            if self.samples((from_s, to_s)) >= PART_SAMPLES {
+                parts.push((from_s, to_s));
+                from_s = to_s;
+            } else if let Some((_, end_s)) = parts.last_mut().filter(|_| to_s.is_infinite()) {
+                *end_s = to_s;
+            }
+        }
+        parts
+    }
+
+    /// The rows of a stream in a part.
+    fn rows(&self, stream: usize, (from_s, to_s): Span) -> Range<usize> {
+        let (t_s, lag_s) = (&self.streams[stream].track.t_s, self.lags[stream]);
+        let [from, to] = [from_s, to_s].map(|at_s| t_s.partition_point(|t_s| *t_s < at_s + lag_s));
+        from..to
+    }
+
+    /// The most samples that any stream has in a part.
+    pub fn samples(&self, span: Span) -> usize {
+        (0..self.streams.len()).map(|s| self.rows(s, span).len()).max().unwrap_or(0)
+    }
+
+    fn joints_in(&self, (from_s, to_s): Span) -> JointTrack {
+        let JointTrack { t_s, dof, q, qd } = self.joints;
+        let [from, to] = [from_s, to_s].map(|at_s| t_s.partition_point(|t_s| *t_s < at_s));
+        JointTrack {
+            t_s: t_s[from..to].to_vec(),
+            dof: *dof,
+            q: q[from * dof..to * dof].to_vec(),
+            qd: qd[from * dof..to * dof].to_vec(),
+        }
+    }
+
+    fn tracks_in(&self, span: Span) -> Vec<PoseTrack> {
+        let track = |s: usize| {
+            let track = self.streams[s].track;
+            let rows: Vec<(usize, f64)> =
+                self.rows(s, span).map(|row| (row, track.t_s[row])).collect();
+            straightened(track, &rows)
+        };
+        (0..self.streams.len()).map(track).collect()
+    }
+
+    /// The streams with other tracks.
+    pub fn with<'a>(&'a self, tracks: &'a [PoseTrack]) -> Vec<PoseStream<'a>> {
+        let with =
+            |(stream, track): (&PoseStream<'a>, &'a PoseTrack)| PoseStream { track, ..*stream };
+        self.streams.iter().zip(tracks).map(with).collect()
+    }
+
+    /// What a part says by itself.
+    pub fn diagnose(&self, span: Span) -> (JointTrack, ArmDiagnosis) {
+        let (joints, tracks) = (self.joints_in(span), self.tracks_in(span));
+        let found = diagnose_arm(&joints, &self.with(&tracks), self.most_lag_s);
+        (joints, found)
+    }
+}

@@ -1,0 +1,165 @@
+//! What is said of the changes that were undone: of each amount what it was, what it became, and when.
+
+use super::cut::{Cut, Span};
+use super::jumps::Jump;
+use super::{AmountChange, Change, FrameChange, JointChange, Kept, Other};
+use crate::{ArmDiagnosis, FrameEstimate, LatencyCourse, LatencyJump, PoseDiagnosis, Seen};
+use ground::geometry::Pose;
+use ground::stats::Measured;
+
+impl Kept {
+    /// Writes what changed and when into the diagnosis of the run without it.
+    pub(super) fn tell<'a>(
+        &self,
+        run: &Cut,
+        parts: &[Span],
+        others: &[Other],
+        moment: impl Fn(f64) -> Option<&'a Jump>,
+        after: &mut ArmDiagnosis,
+    ) {
+        let beyond = |span: &Span| others.iter().find(|other| other.span == *span);
+        let mut latency_jumps: Vec<Vec<LatencyJump>> = vec![Vec::new(); after.streams.len()];
+        for pair in parts.windows(2) {
+            let (before, next) = (beyond(&pair[0]), beyond(&pair[1]));
+            let Some(jump) = moment(pair[1].0) else { continue };
+            for (s, after) in after.streams.iter_mut().enumerate() {
+                let own = &self.found.streams[s];
+                let frames = |of: fn(&PoseDiagnosis) -> &Seen<FrameEstimate>| {
+                    let of_part = |part: Option<&Other>| {
+                        let found = part.and_then(|part| of(&part.beyond.streams[s]).as_ref().ok());
+                        found.filter(|frame| frame.chosen).cloned()
+                    };
+                    (of_part(before), of_part(next), of(own).as_ref().ok())
+                };
+                let at = (jump.at_s + run.lags[s], jump.within_s);
+                let known = run.streams[s].reference_known;
+                let base = |own: Option<&FrameEstimate>, is_free: bool| {
+                    own.filter(|own| own.chosen || is_free).cloned()
+                };
+                let (from, to, kept) = frames(|found| &found.tool);
+                after.tool_changes.extend(frame_change(
+                    at,
+                    base(kept, false),
+                    from,
+                    to,
+                    |kept, beyond| beyond * kept,
+                ));
+                let (from, to, kept) = frames(|found| &found.reference);
+                after.reference_changes.extend(frame_change(
+                    at,
+                    base(kept, !known),
+                    from,
+                    to,
+                    |kept, beyond| beyond * kept,
+                ));
+            }
+            let at = (jump.at_s, jump.within_s);
+            for (s, jumps) in latency_jumps.iter_mut().enumerate() {
+                let later = |part: Option<&Other>| part.and_then(|part| self.later_by(s, part));
+                let change = amount_change(at, None, later(before), later(next), 0.0);
+                jumps.extend(change.map(|change| LatencyJump {
+                    at_s: change.at_s + run.lags[s],
+                    size_s: change.by,
+                }));
+            }
+            for column in 0..run.joints.dof {
+                let zero = |part: Option<&Other>| {
+                    let offset = part?.beyond.joints.offsets.get(column)?;
+                    offset.offset.as_ref().ok().filter(|_| offset.chosen).copied()
+                };
+                let factor = |part: Option<&Other>| {
+                    let scales = &part?.beyond.joints.scales;
+                    Some(scales.iter().find(|scale| scale.column == column)?.factor)
+                };
+                let own = &self.found.joints.offsets.get(column);
+                let own = own.filter(|own| own.chosen).and_then(|own| own.offset.as_ref().ok());
+                let zero = amount_change(at, own, zero(before), zero(next), 0.0);
+                let scales = &self.found.joints.scales;
+                let own = scales.iter().find(|scale| scale.column == column);
+                let own = own.map_or(1.0, |scale| scale.factor.value);
+                let scaled = |part| factor(part).map(|factor: Measured| factor.scaled(own));
+                let factor = amount_change(at, None, scaled(before), scaled(next), own);
+                if zero.is_some() || factor.is_some() {
+                    after.joints.changes.push(JointChange { column, zero, factor });
+                }
+            }
+        }
+        for (s, jumps) in latency_jumps.into_iter().enumerate() {
+            let level = |span: &Span| {
+                let later = beyond(span).and_then(|other| self.later_by(s, other));
+                (span.0 + run.lags[s], later.map_or(0.0, |later| later.value))
+            };
+            let levels = parts.iter().map(level).collect();
+            let windows = after.streams[s].course.as_ref().map(|course| course.windows.clone());
+            let course = LatencyCourse::of_jumps(jumps, levels, windows.unwrap_or_default());
+            if let Some(course) = course {
+                after.streams[s].course = Ok(course);
+            }
+        }
+    }
+}
+
+/// The change of a frame from the one part to the next: `kept` is the frame of the kept part, `from` and
+/// `to` what the parts have beyond it, and `total` what the two are together.
+fn frame_change(
+    (at_s, within_s): (f64, f64),
+    kept: Option<FrameEstimate>,
+    from: Option<FrameEstimate>,
+    to: Option<FrameEstimate>,
+    total: impl Fn(Pose, Pose) -> Pose,
+) -> Option<FrameChange> {
+    let surest = to.as_ref().or(from.as_ref())?;
+    let pose_of =
+        |frame: &Option<FrameEstimate>| frame.as_ref().map_or_else(Pose::identity, |f| f.pose);
+    let turn = pose_of(&from).inv_mul(&pose_of(&to));
+    let errors = [&kept, &from, &to].into_iter().flatten();
+    let (length, angle) = errors.fold((0.0_f64, 0.0_f64), |(length, angle), frame| {
+        (length.hypot(frame.translation_m.std_error), angle.hypot(frame.rotation_rad.std_error))
+    });
+    let both = from.is_some() && to.is_some();
+    let size = |value: f64, std_error: f64, dof: f64| Measured { value, std_error, dof };
+    let (length_m, angle_rad) = (turn.translation.vector.norm(), turn.rotation.angle());
+    let by = FrameEstimate {
+        pose: turn,
+        translation_m: size(length_m, length, surest.translation_m.dof),
+        rotation_rad: size(angle_rad, angle, surest.rotation_rad.dof),
+        p_value: surest.p_value,
+        chosen: true,
+    };
+    // Two parts that are other in the same way do not differ.
+    let is_same = both && length_m < 4.0 * length + 1e-4 && angle_rad < 4.0 * angle + 1e-4;
+    let base = kept.map_or_else(Pose::identity, |kept| kept.pose);
+    (!is_same).then(|| Change {
+        at_s,
+        within_s,
+        from: total(base, pose_of(&from)),
+        to: total(base, pose_of(&to)),
+        by,
+    })
+}
+
+/// The change of a number from the one part to the next, `none` where a part has none of its own.
+fn amount_change(
+    (at_s, within_s): (f64, f64),
+    kept: Option<&Measured>,
+    from: Option<Measured>,
+    to: Option<Measured>,
+    none: f64,
+) -> Option<AmountChange> {
+    let surest = to.or(from)?;
+    let value = |one: Option<Measured>| one.map_or(none, |one| one.value);
+    let std_error = [kept.copied(), from, to]
+        .into_iter()
+        .flatten()
+        .fold(0.0_f64, |sum, one| sum.hypot(one.std_error));
+    let by = Measured { value: value(to) - value(from), std_error, ..surest };
+    let base = kept.map_or(0.0, |kept| kept.value);
+    let is_same = from.is_some() && to.is_some() && by.value.abs() < 4.0 * by.std_error + 1e-5;
+    (!is_same).then(|| Change {
+        at_s,
+        within_s,
+        from: base + value(from),
+        to: base + value(to),
+        by,
+    })
+}

@@ -1,0 +1,168 @@
+//! What changes in mid-run: the rule whose amount it is names it, with its amounts and its moment.
+
+use std::collections::BTreeSet;
+
+use poseaudit::finding::{Estimate, Finding};
+use poseaudit::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotation_from_xyzw};
+use poseaudit::report::Report;
+use poseaudit::synth::{JOINT_STATES, POSE, ToolSlip};
+use serde_json::Value;
+
+use crate::checks::case::{Log, summary, the};
+use crate::checks::recording::{Field, Message};
+
+/// When everything here changes, s from the start.
+const FROM_S: f64 = 4.5;
+
+#[test]
+fn a_tool_that_slips_is_named_with_both_offsets_and_the_moment() {
+    let report = Log::with(|log| {
+        log.run.tf.timing.rate_hz = 0.0;
+        let tool_from_slipped = Pose::translation(0.0, 0.03, 0.04);
+        log.run.pose.slip = Some(ToolSlip { from_s: FROM_S, to_s: 60.0, tool_from_slipped });
+    })
+    .audited();
+    assert_change(&report, "FRM003", POSE, 0.05, 1e-4);
+    let finding = the(&report, "FRM003", POSE);
+    assert_eq!(finding.title, "tool frame changes in mid-run");
+    let to = &finding.evidence.more["changes"][0]["to"]["xyz"];
+    let to = [0, 1, 2].map(|axis| to[axis].as_f64().expect("a number"));
+    assert!((Vec3::from(to) - Vec3::new(0.0, 0.03, 0.04)).norm() < 1e-4, "{to:?}");
+}
+
+#[test]
+fn a_tool_that_slips_and_is_put_back_changes_twice() {
+    let report = Log::with(|log| {
+        log.run.tf.timing.rate_hz = 0.0;
+        let tool_from_slipped = Pose::translation(0.0, 0.0, 0.02);
+        log.run.pose.slip = Some(ToolSlip { from_s: FROM_S, to_s: 6.0, tool_from_slipped });
+    })
+    .audited();
+    assert_eq!(codes(&report), ["FRM003"].into(), "{}", summary(&report.findings));
+    let changes = &the(&report, "FRM003", POSE).evidence.more["changes"];
+    assert_eq!(changes.as_array().map(Vec::len), Some(2), "{changes}");
+}
+
+#[test]
+fn a_base_that_is_moved_is_named() {
+    let report = edited(|messages| {
+        let moved = pose([0.0, 0.012, 0.005], rotation_from_rotvec(Vec3::z() * 0.02));
+        each_pose(later(messages), |logged| moved * logged);
+    });
+    assert_change(&report, "FRM002", POSE, 0.013, 1e-4);
+}
+
+#[test]
+fn a_joint_that_loses_its_zero_is_named_and_does_not_stop_there() {
+    let report = edited(|messages| {
+        for message in later(messages).iter_mut().filter(|message| message.topic == JOINT_STATES) {
+            message.turn_joint(2, -0.8_f64.to_radians());
+        }
+    });
+    assert_change(&report, "ZER001", "elbow_joint", 0.8_f64.to_radians(), 1e-4);
+}
+
+#[test]
+fn numbers_that_are_coded_otherwise_from_then_on_are_named_for_that_part() {
+    let wxyz = edited(|messages| {
+        each_pose_field(later(messages), |message, field| {
+            if let Field::Xyzw(at) = field {
+                let [x, y, z, w] = message.floats(at);
+                message.set_floats(at, &[w, x, y, z]);
+            }
+        });
+    });
+    let millimetres = edited(|messages| {
+        each_pose_field(later(messages), |message, field| {
+            if let Field::Xyz(at, _) = field {
+                let xyz: [f64; 3] = message.floats(at);
+                message.set_floats(at, &xyz.map(|metres| 1e3 * metres));
+            }
+        });
+    });
+    for (code, report) in [("ORD002", wxyz), ("ORD008", millimetres)] {
+        assert_eq!(codes(&report), [code].into(), "{}", summary(&report.findings));
+        let finding = the(&report, code, POSE);
+        let changes = &finding.evidence.more["change_ns"];
+        assert_eq!(changes.as_array().map(Vec::len), Some(1), "{changes}");
+        assert_near_s(seconds(&report, &changes[0]), FROM_S);
+    }
+}
+
+#[test]
+fn what_stays_as_it_is_has_not_changed() {
+    let report = edited(|_| {});
+    assert_eq!(codes(&report), BTreeSet::new(), "{}", summary(&report.findings));
+}
+
+/// The report on a log without /tf whose messages are edited.
+fn edited(edit: fn(&mut Vec<Message>)) -> Report {
+    Log::with(|log| {
+        log.run.tf.timing.rate_hz = 0.0;
+        log.edit = Some(edit);
+    })
+    .audited()
+}
+
+/// The messages from [`FROM_S`] on.
+fn later(messages: &mut [Message]) -> &mut [Message] {
+    let start_ns = messages.iter().map(|message| message.log_ns).min().unwrap_or(0);
+    let from_ns = start_ns + (FROM_S * 1e9) as i64;
+    let first = messages.partition_point(|message| message.log_ns < from_ns);
+    &mut messages[first..]
+}
+
+fn each_pose_field(messages: &mut [Message], change: impl Fn(&mut Message, Field)) {
+    for message in messages.iter_mut().filter(|message| message.topic == POSE) {
+        for field in message.fields() {
+            change(message, field);
+        }
+    }
+}
+
+fn each_pose(messages: &mut [Message], change: impl Fn(Pose) -> Pose) {
+    for message in messages.iter_mut().filter(|message| message.topic == POSE) {
+        let (mut at_xyz, mut at_xyzw) = (0, 0);
+        for field in message.fields() {
+            match field {
+                Field::Xyz(at, _) => at_xyz = at,
+                Field::Xyzw(at) => at_xyzw = at,
+                Field::Stamp(_) => {}
+            }
+        }
+        let rotation = rotation_from_xyzw(message.floats(at_xyzw)).expect("a rotation");
+        let changed = change(pose(message.floats(at_xyz), rotation));
+        message.set_floats(at_xyz, changed.translation.vector.as_slice());
+        message.set_floats(at_xyzw, changed.rotation.coords.as_slice());
+    }
+}
+
+fn codes(report: &Report) -> BTreeSet<&str> {
+    report.findings.iter().map(|finding| finding.code).collect()
+}
+
+/// The one finding is `code` on `label`: its amount changes by `size` at [`FROM_S`].
+#[track_caller]
+fn assert_change(report: &Report, code: &str, label: &str, size: f64, tolerance: f64) {
+    assert_eq!(codes(report), [code].into(), "{}", summary(&report.findings));
+    let finding: &Finding = the(report, code, label);
+    let estimate: &Estimate = finding.estimate.as_ref().expect("an estimate");
+    let value = estimate.value().expect("an amount");
+    assert!((value - size).abs() < tolerance, "{value} is not {size}");
+    let change = estimate.change().expect("a change");
+    assert!((change.to - change.from - size).abs() < tolerance, "{change:?}");
+    assert_near_s(seconds(report, &Value::String(change.change_ns.to_string())), FROM_S);
+}
+
+/// How long after the start of the log a stamp is, s.
+fn seconds(report: &Report, stamp: &Value) -> f64 {
+    let ns = |text: &str| text.parse::<i64>().expect("nanoseconds");
+    let stamp = stamp.as_str().map(ns).expect("a stamp");
+    let start = report.log.start_ns.expect("a start");
+    (stamp - ns(&start.to_string())) as f64 * 1e-9
+}
+
+#[track_caller]
+fn assert_near_s(at_s: f64, expected_s: f64) {
+    assert!((at_s - expected_s).abs() < 0.05, "{at_s} s is not {expected_s} s");
+}
