@@ -409,7 +409,7 @@ impl Changes {
         /// A low-pass leaves at most this share of what a delay alone does, …
         const MUCH: f64 = 0.5;
         /// … and takes this much of the response's energy off it.
-        const WORTH: f64 = 2e-4;
+        const WORTH: f64 = 2e-6;
         /// Time constants that are tried, s, and how many.
         const SHORTEST_S: f64 = 2e-3;
         const TRIED: usize = 24;

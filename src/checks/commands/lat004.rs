@@ -37,7 +37,7 @@ rule! {
     /// ## When it misleads
     /// Goals say nothing of a delay, also where they are sent again and again: the way there is planned.
     /// Motion that repeats itself fits at several delays. A command without a stamp is held against the
-    /// time that it was recorded. Joint states that are late themselves (LAT001) make it longer.
+    /// time that it was recorded. The `time_from_start` of a trajectory's point is not taken off. Joint states that are late themselves (LAT001) make it longer.
     LAT004 {
         name: "command-delay",
         grade: Grade::From(&[THRESHOLD]),

@@ -145,10 +145,11 @@ fn is_same(a: &VelocityShape, b: &VelocityShape) -> bool {
 }
 
 fn percent(share: f64) -> String {
-    match 100.0 * share {
-        much if much >= 9.95 => format!("{much:.0} %"),
-        little => format!("{little:.1} %"),
-    }
+    let shown = match 100.0 * share {
+        much if much >= 9.95 => format!("{much:.0}"),
+        little => format!("{little:.1}"),
+    };
+    format!("{} %", shown.strip_suffix(".0").unwrap_or(&shown))
 }
 
 /// The finding on joints with the same fault.
@@ -267,7 +268,7 @@ fn scale(arm: &ArmEvidence, joint: usize, gain: f64) -> String {
     }
     let sign = if gain < 0.0 { ", with the wrong sign" } else { "" };
     match known.iter().find(|(factor, _)| near(gain.abs(), *factor)) {
-        Some((_, unit)) => format!("velocities are {} times the rate: {unit}{sign}", short(gain)),
+        Some((_, unit)) => format!("velocities are {} times the rate ({unit}{sign})", short(gain)),
         None => format!("velocities are {} times the rate", short(gain)),
     }
 }
