@@ -407,9 +407,11 @@ impl Changes {
     /// a constant of 0 where they do not leave much less than `pure`, a delay alone and what it leaves.
     fn low_pass(&self, reference: &Curve, pure: (f64, f64), most_s: f64) -> (f64, f64, f64) {
         /// A low-pass leaves at most this share of what a delay alone does, …
-        const MUCH: f64 = 0.5;
-        /// … and takes this much of the response's energy off it.
-        const WORTH: f64 = 2e-6;
+        const MUCH: f64 = 0.75;
+        /// … takes this much of the response's energy off it, …
+        const WORTH: f64 = 1e-6;
+        /// … and is this much of the whole delay.
+        const PART: f64 = 0.2;
         /// Time constants that are tried, s, and how many.
         const SHORTEST_S: f64 = 2e-3;
         const TRIED: usize = 24;
@@ -440,7 +442,8 @@ impl Changes {
         let Some(coarse) = tried.min_by(by_left) else { return (0.0, pure.0, pure.1) };
         let finer = (-6..=6).map(|at| with(coarse.0 * ratio.powf(f64::from(at) / 6.0)));
         let best = finer.min_by(by_left).unwrap_or(coarse);
-        let is_worth = best.2 < MUCH * pure.1 && pure.1 - best.2 > WORTH;
+        let is_worth =
+            best.2 < MUCH * pure.1 && pure.1 - best.2 > WORTH && best.0 > PART * (best.0 + best.1);
         // What is causal is no earlier than its reference by more than a stamp's error.
         let is_causal = best.1 > -0.25 * best.0 - 2e-3;
         if is_worth && is_causal { best } else { (0.0, pure.0, pure.1) }
@@ -452,3 +455,6 @@ fn mean_gain(fit: &Fit) -> f64 {
     let columns: usize = fit.gains.iter().map(DMatrix::nrows).sum();
     fit.gains.iter().map(DMatrix::trace).sum::<f64>() / columns.max(1) as f64
 }
+
+#[cfg(test)]
+mod tests;

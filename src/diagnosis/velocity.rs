@@ -318,3 +318,6 @@ fn shape(
         },
     }
 }
+
+#[cfg(test)]
+mod tests;
