@@ -415,29 +415,22 @@ impl Changes {
         /// Time constants that are tried, s, and how many.
         const SHORTEST_S: f64 = 2e-3;
         const TRIED: usize = 24;
-        /// To how much the delay beside one is refined, s.
-        const FINE_S: f64 = 1e-4;
-        let coarsely = |constant_s: f64| {
-            let filtered = reference.filtered(constant_s);
-            let left = [-0.3, -0.1, 0.1].map(|part| {
-                let delay_s = pure.0 - (1.0 - part) * constant_s;
-                (constant_s, delay_s, self.left_at(&filtered, delay_s))
-            });
-            left.into_iter().min_by(|a, b| a.2.total_cmp(&b.2)).unwrap_or((constant_s, pure.0, 1.0))
-        };
+        /// To how much the delay beside one is refined: s at least, and of the constant.
+        const FINE: (f64, f64) = (1e-4, 0.02);
         let with = |constant_s: f64| {
             let filtered = reference.filtered(constant_s);
             let middle_s = pure.0 - constant_s;
             let around_s = (0.5 * constant_s).max(5e-3);
+            let fine_s = FINE.0.max(FINE.1 * constant_s);
             let (delay_s, left) =
-                self.refined(&filtered, (middle_s - around_s, middle_s + around_s), FINE_S);
+                self.refined(&filtered, (middle_s - around_s, middle_s + around_s), fine_s);
             (constant_s, delay_s, left)
         };
         if pure.1 < WORTH {
             return (0.0, pure.0, pure.1);
         }
         let ratio = (most_s / SHORTEST_S).powf(1.0 / TRIED as f64);
-        let tried = (0..=TRIED).map(|at| coarsely(SHORTEST_S * ratio.powi(at as i32)));
+        let tried = (0..=TRIED).map(|at| with(SHORTEST_S * ratio.powi(at as i32)));
         let by_left = |a: &(f64, f64, f64), b: &(f64, f64, f64)| a.2.total_cmp(&b.2);
         let Some(coarse) = tried.min_by(by_left) else { return (0.0, pure.0, pure.1) };
         let finer = (-6..=6).map(|at| with(coarse.0 * ratio.powf(f64::from(at) / 6.0)));

@@ -22,7 +22,7 @@ cases! {
     VEL001 velocities_as_they_should_be: |_| {} => Sound;
     VEL001 three_milliseconds_late_is_sound: |log| log.run.joints.velocity_late_s = 3e-3 => Sound;
     VEL001 fourteen_bits_are_sound: |log| log.run.joints.quantum = TAU / 16384.0 => Sound;
-    VEL001 jitter_of_the_stamps_is_sound: |log| log.run.noise.joints = 1e-4 => Sound;
+    VEL001 noise_of_the_positions_is_sound: |log| log.run.noise.joints = 1e-4 => Sound;
     VEL001 a_late_pose_says_nothing_of_velocities: |log| log.run.pose.timing.latency_s = 0.022
         => BlamedOn("LAT001");
     VEL001 a_joint_zero_has_no_rate: |log| log.run.joints.zero_offsets = vec![0.0, 0.0, 0.02]
