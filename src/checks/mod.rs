@@ -17,6 +17,7 @@ mod standing;
 #[cfg(test)]
 mod testing;
 mod thresholds;
+mod together;
 mod twins;
 
 use std::fmt;

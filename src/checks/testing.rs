@@ -4,10 +4,11 @@ use std::sync::LazyLock;
 
 use crate::checks::{Case, Rule, Thresholds, evaluate};
 use crate::diagnosis::{
-    Abruptness, Aligned, Amount, DhEstimate, DhStream, Error, FrameEstimate, GyroBias,
-    ImuDiagnosis, ImuProof, JointDiagnosis, JointOffset, JointReading, LatencyCourse, Left, Length,
-    Line, LineWitness, Measured, Part, PoseDiagnosis, Proof, Reading, ReadingEstimate,
-    ReferenceDiagnosis, Residual, RestGap, Shake, Short, Size, Taken, YawCourse,
+    Abruptness, Aligned, Amount, CommandDelay, DhEstimate, DhStream, Error, FrameEstimate,
+    GyroBias, ImuDiagnosis, ImuProof, JointDiagnosis, JointOffset, JointReading, LatencyCourse,
+    Left, Length, Line, LineWitness, Measured, Part, PoseDiagnosis, Proof, Reading,
+    ReadingEstimate, ReferenceDiagnosis, Residual, Response, RestGap, Shake, Short, Size, Taken,
+    VelocityDiagnosis, VelocityShape, YawCourse,
 };
 use crate::evidence::{
     ArmEvidence, DhEvidence, EulerEvidence, ImuEvidence, JointEvidence, JointMotion, Of,
@@ -88,6 +89,14 @@ pub fn clean_run() -> RunEvidence {
         prismatic: false,
         limits: Limits { lower: Some(-3.0), upper: Some(3.0), velocity: Some(2.0) },
         motion: JointMotion { abruptness: Some(still), ..JointMotion::default() },
+        velocity: Some(Ok(VelocityDiagnosis {
+            error: sure(0.0),
+            noise: 1e-3,
+            rate: 0.5,
+            window_s: 0.1,
+            shape: VelocityShape::Rates,
+        })),
+        really: None,
     };
     let offset = || JointOffset {
         offset: Ok(sure(0.0)),
@@ -206,6 +215,17 @@ fn commands() -> ReferenceEvidence {
             gaps: vec![vec![rest_gap(0.0, 0.0)]; 2],
             lines: vec![line],
         })),
+        delays: vec![CommandDelay {
+            joint: None,
+            period_s: 0.02,
+            response: Ok(Response {
+                delay_s: sure(0.02),
+                low_pass_s: 0.0,
+                gain: 1.0,
+                explained: 0.999,
+                by_delay_alone: 0.999,
+            }),
+        }],
     }
 }
 

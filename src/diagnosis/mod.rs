@@ -40,6 +40,7 @@ mod reading;
 mod reference;
 mod reread;
 mod residual;
+mod response;
 mod rival;
 mod robust;
 mod sampling;
@@ -48,6 +49,7 @@ mod steady;
 mod steps;
 mod trend;
 mod turning;
+mod velocity;
 mod workspace;
 
 use ground::geometry::{
@@ -79,16 +81,18 @@ pub use motion::{Abruptness, Excess, Series, abruptness, beyond_positions, beyon
 pub use observability::{BlindDirection, Observability, Parameter};
 pub use proof::{Amount, Error, Part, Proof, Short, Size, proof};
 pub use reference::{
-    CommandedArm, Commands, Constancy, Following, Line, LineWitness, ReferenceDiagnosis, RestGap,
-    diagnose_reference, unnamed_order,
+    CommandDelay, CommandedArm, Commands, Constancy, Following, Line, LineWitness, NoDelay,
+    ReferenceDiagnosis, RestGap, diagnose_reference, joint_delays, pose_delay, unnamed_order,
 };
 pub use reread::{Meant, reread_poses};
+pub use response::Response;
 pub use rival::{is_seen_from_tool, position_misfit_m};
 pub use shake::{NoShake, Shake, shake};
 pub use steady::{diagnose_imu_steadied, diagnose_steadied, steadied};
 pub use steps::LatencySteps;
 use steps::{imu_steps, pose_steps};
 pub use trend::{LEAST_RUNS, Step, Told, Trend, trend};
+pub use velocity::{VelocityDiagnosis, VelocitySamples, VelocityShape, diagnose_velocity};
 pub use workspace::{
     APART_RAD, CELL_M, JOINT_APART, JointSpan, Place, ReachedPose, Workspace, centre_m, reach_m,
 };

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::commands::{ReferenceEvidence, references};
 use super::estimate::{DhEvidence, Diagnosis};
-use super::joints::{JointEvidence, joint_evidence, mending};
+use super::joints::{JointEvidence, joint_evidence, mending, velocities};
 use super::poses::{Declared, ImuEvidence, PoseEvidence, euler};
 use super::shake::{ShakeEvidence, shake_of_joints, shake_of_poses};
 use super::{Of, of_arm, span_in};
@@ -164,11 +164,14 @@ pub(super) fn arm_evidence(
         of_arm(run, arm, source.stream, found)
     });
     let samples = run.joint_samples(&arm.joint_facts);
+    let velocities = velocities(&samples);
+    let mended_by = mending(arm, &found);
+    let really = arm.recorded.as_ref().map(|(_, mending)| mending).or(mended_by.as_ref()).cloned();
     let samples = match &arm.recorded {
         Some((_, mending)) => mending.mended_samples(&samples),
         None => samples,
     };
-    let (samples, track) = match mending(arm, &found) {
+    let (samples, track) = match mended_by {
         Some(mending) => {
             (mending.mended_samples(&samples), Cow::Owned(mending.mended(&arm.joints)))
         }
@@ -176,7 +179,11 @@ pub(super) fn arm_evidence(
     };
     let joints: Vec<usize> = (0..arm.joint_names.len()).collect();
     let joint = |&joint: &usize| joint_evidence(run, arm, joint, &samples[joint], &track);
-    let joints = joints.par_iter().map(joint).collect();
+    let mut joints: Vec<JointEvidence> = joints.par_iter().map(joint).collect();
+    for (index, (joint, velocity)) in joints.iter_mut().zip(velocities).enumerate() {
+        joint.velocity = velocity;
+        joint.really = really.as_ref().map(|really| (really.from[index], really.factor[index]));
+    }
     let of_joints =
         ShakeEvidence { in_other_units: false, shake: shake_of_joints(arm, &samples, &track) };
     let mut shakes = vec![of_arm(run, arm, joints_stream, of_joints)];

@@ -3,8 +3,8 @@
 use super::poses::PoseEvidence;
 use super::{Of, of_arm, span_of};
 use crate::diagnosis::{
-    Aligned, CommandedArm, Commands, PoseDiagnosis, PoseSeries, ReferenceDiagnosis, Seen,
-    diagnose_reference, unnamed_order,
+    Aligned, CommandDelay, CommandedArm, Commands, PoseDiagnosis, PoseSeries, ReferenceDiagnosis,
+    Seen, diagnose_reference, joint_delays, pose_delay, unnamed_order,
 };
 use crate::geometry::Pose;
 use crate::run::{Arm, PoseSource, ReferenceContent, ReferenceSource, Run};
@@ -22,6 +22,9 @@ pub struct ReferenceEvidence {
     pub witnesses: Vec<ReferenceWitness>,
     /// What was estimated; why the commands cannot be held against the arm, where they cannot.
     pub diagnosis: Result<Seen<ReferenceDiagnosis>, String>,
+    /// By how much the state follows: of each joint that is commanded, else of the tip. Empty where the
+    /// commands cannot be held against the arm.
+    pub delays: Vec<CommandDelay>,
 }
 
 /// Who says where the tip was.
@@ -78,33 +81,39 @@ pub(super) fn references(
         let others = if is_of_joints { [].as_slice() } else { of_streams.as_slice() };
         let (witnesses, series): (Vec<ReferenceWitness>, Vec<PoseSeries>) =
             of_joints.iter().chain(others).cloned().unzip();
+        let (diagnosis, delays) = match &source.content {
+            Ok(content) => diagnose(arm, content, &series, most_lag_s)
+                .map_or_else(|why| (Err(why), Vec::new()), |(found, delays)| (Ok(found), delays)),
+            Err(why) => (Err(why.clone()), Vec::new()),
+        };
         let found = ReferenceEvidence {
             is_of_joints,
             tip_named,
             frame_named,
             witnesses,
-            diagnosis: match &source.content {
-                Ok(content) => diagnose(arm, content, &series, most_lag_s),
-                Err(why) => Err(why.clone()),
-            },
+            diagnosis,
+            delays,
         };
         Of { span: span_of(run, source.stream), ..of_arm(run, arm, source.stream, found) }
     });
     found.collect()
 }
 
-/// What was found of one stream of commands; why it cannot be held against the arm, where it cannot.
+/// What was found of one stream of commands, and by how much the arm follows it; why it cannot be held
+/// against the arm, where it cannot.
 fn diagnose(
     arm: &Arm,
     content: &ReferenceContent,
     witnesses: &[PoseSeries],
     most_lag_s: f64,
-) -> Result<Seen<ReferenceDiagnosis>, String> {
-    let commands = match content {
-        ReferenceContent::Poses { track, .. } => Commands {
-            series: PoseSeries::of_track(track).ok_or("its rotations are bare numbers")?,
-            joints: Vec::new(),
-        },
+) -> Result<(Seen<ReferenceDiagnosis>, Vec<CommandDelay>), String> {
+    let (commands, delays) = match content {
+        ReferenceContent::Poses { track, .. } => {
+            let series = PoseSeries::of_track(track).ok_or("its rotations are bare numbers")?;
+            let by_kinematics = witnesses.first();
+            let delay = by_kinematics.map(|done| pose_delay(&series, done, most_lag_s));
+            (Commands { series, joints: Vec::new() }, delay.into_iter().collect())
+        }
         ReferenceContent::Joints { t_s, columns, q } => {
             let order = match columns {
                 Some(columns) => columns.clone(),
@@ -112,7 +121,9 @@ fn diagnose(
                     "its numbers have no names, and follow the joints in none of the usual orders",
                 )?,
             };
-            Commands::of_joints(t_s, &order, q, &arm.joints, (&arm.chain, &arm.columns))
+            let delays = joint_delays(t_s, &order, q, &arm.joints, most_lag_s);
+            let chain = (&arm.chain, arm.columns.as_slice());
+            (Commands::of_joints(t_s, &order, q, &arm.joints, chain), delays)
         }
     };
     let arm = CommandedArm { joints: &arm.joints, chain: &arm.chain, columns: &arm.columns };
@@ -123,7 +134,7 @@ fn diagnose(
         Ok(found) if is_unnamed && !leads(found) => {
             Err("its numbers have no names, and do not lead the joints".to_owned())
         }
-        _ => Ok(found),
+        _ => Ok((found, delays)),
     }
 }
 

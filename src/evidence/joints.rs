@@ -1,8 +1,10 @@
 //! The joints of an arm, and how they move by all of their samples.
 
+use rayon::prelude::*;
+
 use crate::diagnosis::{
-    Abruptness, Excess, JointDiagnosis, JointOffset, Series, abruptness, beyond_positions,
-    beyond_speed,
+    Abruptness, Excess, JointDiagnosis, JointOffset, Seen, Series, VelocityDiagnosis,
+    VelocitySamples, abruptness, beyond_positions, beyond_speed, diagnose_velocity,
 };
 use crate::robot::{JointKind, Limits};
 use crate::run::{Arm, JointMending, JointSamples, Run, Velocities};
@@ -19,6 +21,11 @@ pub struct JointEvidence {
     pub limits: Limits,
     /// What it does, by all of its samples.
     pub motion: JointMotion,
+    /// Its velocities, as recorded, against its positions, as recorded; `None` where there are none.
+    pub velocity: Option<Seen<VelocityDiagnosis>>,
+    /// What its positions really are, where the arm's pose streams showed that: those that stand under the
+    /// joint in this place of the list, times a factor.
+    pub really: Option<(usize, f64)>,
 }
 
 /// What a joint does over the run.
@@ -95,5 +102,18 @@ pub(super) fn joint_evidence(
         };
     }
     let prismatic = model.is_some_and(|joint| joint.kind == JointKind::Prismatic);
-    JointEvidence { name, prismatic, limits, motion }
+    JointEvidence { name, prismatic, limits, motion, velocity: None, really: None }
+}
+
+/// The velocities of each joint against its positions, both as recorded; `None` of one that has none.
+pub(super) fn velocities(recorded: &[JointSamples<'_>]) -> Vec<Option<Seen<VelocityDiagnosis>>> {
+    let samples: Vec<VelocitySamples<'_>> = recorded
+        .iter()
+        .map(|JointSamples { t_s, position, velocity }| VelocitySamples { t_s, position, velocity })
+        .collect();
+    let of = |joint: usize| {
+        let has_any = samples[joint].velocity.iter().any(|velocity| velocity.is_finite());
+        has_any.then(|| diagnose_velocity(&samples, joint))
+    };
+    (0..samples.len()).into_par_iter().map(of).collect()
 }

@@ -191,6 +191,8 @@ impl Scenario {
             joints: JointStream {
                 timing: Timing::every(125.0, 0.0),
                 with_velocity: true,
+                velocity_late_s: 0.0,
+                velocity_scales: Vec::new(),
                 zero_offsets: Vec::new(),
                 scales: Vec::new(),
                 in_degrees: false,

@@ -33,6 +33,10 @@ pub struct JointStream {
     pub timing: Timing,
     /// Whether velocities are logged.
     pub with_velocity: bool,
+    /// How late the velocities are against the positions beside them, s.
+    pub velocity_late_s: f64,
+    /// What each joint's velocities alone are multiplied by; those of joints beyond its end by 1.
+    pub velocity_scales: Vec<f64>,
     /// `q_true − q_reported`, rad or m, one a joint from base to tip; joints beyond its end have
     /// none. The pose stream and the IMU know the truth, /tf follows the joint states.
     pub zero_offsets: Vec<f64>,

@@ -75,7 +75,8 @@ fn joint_states(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let mut messages = Vec::new();
     for tick in ticks {
         let fresh = {
-            let (mut positions, velocities) = truth.joints(tick.time_s);
+            let (mut positions, _) = truth.joints(tick.time_s);
+            let (_, velocities) = truth.joints(tick.time_s - stream.velocity_late_s);
             add_noise(&mut positions, noise.next(), scenario.noise.joints);
             (stream.reported_positions(&positions, kinds), stream.reported_velocities(&velocities))
         };
@@ -349,7 +350,9 @@ impl JointStream {
         if !self.with_velocity {
             return Vec::new();
         }
-        let said = velocities.iter().enumerate().map(|(joint, rate)| self.scale(joint) * rate);
+        let own = |joint: usize| self.velocity_scales.get(joint).copied().unwrap_or(1.0);
+        let said = velocities.iter().enumerate();
+        let said = said.map(|(joint, rate)| own(joint) * self.scale(joint) * rate);
         self.reported(&said.collect::<Vec<f64>>())
     }
 

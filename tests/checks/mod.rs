@@ -21,6 +21,7 @@ mod ord;
 mod recording;
 mod reports;
 mod tim;
+mod vel;
 mod yaw;
 mod zer;
 
@@ -43,6 +44,7 @@ const CASES: &[&[Case]] = &[
     mot::CASES,
     ord::CASES,
     tim::CASES,
+    vel::CASES,
     yaw::CASES,
     zer::CASES,
 ];
@@ -66,7 +68,7 @@ fn every_rule_has_a_case_of_every_kind() {
 }
 
 /// Rules about what is not in every log, nor in the sound one.
-const WITHOUT_INPUT: &[&str] = &["FRM006", "MOT004", "ORD006", "ORD007"];
+const WITHOUT_INPUT: &[&str] = &["FRM006", "LAT004", "MOT004", "ORD006", "ORD007"];
 
 #[test]
 fn a_sound_log_passes_every_rule_on_every_subject() {

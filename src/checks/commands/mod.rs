@@ -1,6 +1,7 @@
 //! What the arm was told, against what it did.
 
 pub(super) mod frm006;
+pub(super) mod lat004;
 pub(super) mod mot004;
 mod witness;
 
@@ -8,5 +9,5 @@ use super::Family;
 
 pub(super) static FAMILY: Family = Family {
     examines: "What the arm was told, against what it did",
-    rules: &[&frm006::FRM006, &mot004::MOT004],
+    rules: &[&frm006::FRM006, &lat004::LAT004, &mot004::MOT004],
 };

@@ -1,13 +1,14 @@
-//! Joints and the model that they move: order, scale, zeros, DH convention.
+//! Joints and the model that they move: order, scale, zeros, velocities, DH convention.
 
 pub(super) mod ord005;
 pub(super) mod ord007;
 pub(super) mod ord009;
+pub(super) mod vel001;
 pub(super) mod zer001;
 
 use super::Family;
 
 pub(super) static FAMILY: Family = Family {
-    examines: "Joints and the model that they move: order, scale, zeros, DH convention",
-    rules: &[&ord005::ORD005, &ord007::ORD007, &ord009::ORD009, &zer001::ZER001],
+    examines: "Joints and the model that they move: order, scale, zeros, velocities, DH convention",
+    rules: &[&ord005::ORD005, &ord007::ORD007, &ord009::ORD009, &vel001::VEL001, &zer001::ZER001],
 };

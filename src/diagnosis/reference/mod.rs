@@ -5,10 +5,12 @@
 //! following error have died away, and what differs is a difference of poses. Commands that the arm was
 //! never brought to are told from those that it missed by a little.
 
+mod delay;
 mod found;
 mod line;
 mod rest;
 
+pub use self::delay::{CommandDelay, NoDelay, joint_delays, pose_delay};
 pub use self::found::{Constancy, Following, ReferenceDiagnosis, RestGap};
 use super::latency::{ArmSpeeds, Peak, median_period_s};
 use super::noise::Noise;
@@ -74,17 +76,19 @@ pub fn unnamed_order(
     names: &[String],
     columns: &[usize],
 ) -> Option<Vec<usize>> {
-    /// The joints are no farther from what they were told than this in the mean, rad or m.
+    /// The joints are no farther from what they were told than this in the mean, rad or m, …
     const NEAR: f64 = 0.1;
+    /// … so much later, s.
+    const LATER_S: [f64; 5] = [0.0, 0.1, 0.2, 0.4, 0.8];
     let mut alphabetical = columns.to_vec();
     alphabetical.sort_by_key(|&column| names.get(column));
     let mut as_tracked = columns.to_vec();
     as_tracked.sort_unstable();
-    let distance = |order: &[usize]| {
+    let distance_at = |order: &[usize], later_s: f64| {
         let (mut cursor, mut at, mut speed) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
         let (mut sum, mut count) = (0.0, 0.0);
         for (&t_s, row) in t_s.iter().zip(q.chunks_exact(order.len().max(1))) {
-            if joints.at(t_s, &mut cursor, &mut at, &mut speed) {
+            if joints.at(t_s + later_s, &mut cursor, &mut at, &mut speed) {
                 sum += order
                     .iter()
                     .zip(row)
@@ -94,6 +98,9 @@ pub fn unnamed_order(
             }
         }
         if count > 0.0 { sum / count } else { f64::INFINITY }
+    };
+    let distance = |order: &[usize]| {
+        LATER_S.iter().map(|&later_s| distance_at(order, later_s)).fold(f64::INFINITY, f64::min)
     };
     // Of equals the first counts as the least.
     let orders = [columns.to_vec(), as_tracked, alphabetical].into_iter();
@@ -140,7 +147,7 @@ pub fn diagnose_reference(
     if series.t_s.first().is_none_or(|&first_s| first_s > end_s) {
         return Err(Unseen::NoOverlap);
     }
-    let is_streamed = is_streamed(series);
+    let is_streamed = is_streamed(&series.t_s);
     let following = if is_streamed { following(series, arm, most_lag_s) } else { None };
     let rests = rests(arm.joints);
     if rests.is_empty() {
@@ -209,10 +216,10 @@ pub fn diagnose_reference(
 }
 
 /// Whether commands come so often that they lead the arm, and are not goals.
-fn is_streamed(series: &PoseSeries) -> bool {
+fn is_streamed(t_s: &[f64]) -> bool {
     const ENOUGH: usize = 20;
     const LONGEST_S: f64 = 0.2;
-    series.t_s.len() >= ENOUGH && median_period_s(&series.t_s) <= LONGEST_S
+    t_s.len() >= ENOUGH && median_period_s(t_s) <= LONGEST_S
 }
 
 /// The times at which a command has stood still and the arm rests because of it.

@@ -187,7 +187,7 @@ fn a_command_holds_until_the_next_and_a_stream_until_it_falls_silent() {
     let t_s: Vec<f64> =
         (0..80).map(|row| f64::from(row) * 0.05 + if row < 40 { 0.0 } else { 2.0 }).collect();
     let stream = PoseSeries { poses: vec![here; t_s.len()], t_s };
-    assert!(is_streamed(&stream) && !is_streamed(&goals));
+    assert!(is_streamed(&stream.t_s) && !is_streamed(&goals.t_s));
     let found = spans(&stream, true);
     assert_eq!(found.len(), 2, "{found:?}");
     assert!((found[0].1 - 1.95).abs() < 1e-9 && (found[1].1 - 5.95).abs() < 1e-9, "{found:?}");

@@ -115,6 +115,19 @@ static RECIPES: &[Recipe] = &[
         parts: &[("", Part::joints), (".reference", Part::reference)],
     },
     Recipe {
+        // A set-point, where there is one point; of a whole trajectory the last counts, as a goal.
+        type_names: &["trajectory_msgs/JointTrajectory"],
+        each: Some("points"),
+        layouts: layout![
+            STAMP,
+            FRAME,
+            NAMES,
+            ("points.positions", Slot::List(row::REFERENCE)),
+            ("points.velocities", Slot::List(row::REFERENCE_VELOCITIES)),
+        ],
+        parts: &[(".setpoint", Part::reference)],
+    },
+    Recipe {
         // The arm's own state: ROS 1 spells the matrix in capitals.
         type_names: &[
             "franka_msgs/FrankaState",

@@ -115,3 +115,17 @@ fn what_a_file_calls_things_is_cut_in_messages() {
     let Some(Columns::Joints(joints)) = &parts[0].1 else { panic!("{parts:?}") };
     assert!(joints.joints[0].name.ends_with("n…") && joints.joints[0].name.len() < 300);
 }
+
+#[test]
+fn the_points_of_a_trajectory_are_set_points_of_its_joints() {
+    let json = Format { type_name: "trajectory_msgs/msg/JointTrajectory", ..JSON };
+    let message = br#"{"header":{"stamp":{"sec":5,"nanosec":7}},"joint_names":["a","b"],
+        "points":[{"positions":[0.5,1.5],"velocities":[]},{"positions":[0.25,1.25],"velocities":[]}]}"#;
+    let (parts, error) = decode_all(json, &[message.to_vec()]);
+    assert_eq!((error, parts[0].0), (None, ".setpoint"));
+    let Some(Columns::Joints(joints)) = &parts[0].1 else { panic!("{parts:?}") };
+    let of =
+        |joint: usize| (joints.joints[joint].name.as_str(), &joints.joints[joint].position[..]);
+    assert_eq!([of(0), of(1)], [("a", &[0.5, 0.25][..]), ("b", &[1.5, 1.25][..])]);
+    assert_eq!(joints.times.header, [5_000_000_007; 2]);
+}

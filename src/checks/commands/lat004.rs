@@ -1,0 +1,274 @@
+use crate::checks::decision::{Decision, Threshold, decide, unseen};
+use crate::checks::motion::mot003;
+use crate::checks::together::{alike, listed, prefix, subject};
+use crate::checks::{Case, Grade, Judged};
+use crate::diagnosis::{CommandDelay, Measured, NoDelay, Response};
+use crate::evidence::{ArmEvidence, Of, ReferenceEvidence};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+
+rule! {
+    /// From command to state it takes long.
+    ///
+    /// ## What it means
+    /// The state follows a streamed command by this much: what was commanded at stamp *t* is reached at
+    /// *t + delay*. Positive is a state that follows; negative is one that leads its command, which no arm
+    /// does, so that one of the two stamps is wrong. Commands to joints are judged joint by joint, and
+    /// joints with the same delay are one finding on their topic; commanded poses by FK of the joint states.
+    ///
+    /// ## Why it matters
+    /// A loop that is closed over this delay oscillates: visual servoing, teleoperation and force control
+    /// must be slower than a fraction of its inverse. A policy that is trained on pairs of state and
+    /// command learns the delay with them.
+    ///
+    /// ## Evidence
+    /// The delay at which changes of the command, over windows, explain the changes of the state best, with
+    /// an interval by blocks of time. Where a first-order low-pass explains much more than a delay,
+    /// `low_pass_hz` is its corner, and the delay holds its time constant; `pure_delay_s` is without it.
+    /// `gain` is what the state moves where the command moves by 1, `explained` the share of the state's
+    /// motion that this makes up for, and `command_period_s` the time between commands: a delay of one
+    /// period is a one-step shift. FRM006 says where command and state differ at rest.
+    ///
+    /// ## How to fix
+    /// Look for a trajectory that is smoothed or buffered on the way: a look-ahead time, a low-pass on the
+    /// set-points, a queue of commands, a gain of the tracking loop that is low. A one-step shift comes
+    /// from a controller that interpolates to each command until the next one comes, or from pairing each
+    /// state with the command before.
+    ///
+    /// ## When it misleads
+    /// Goals say nothing of a delay, also where they are sent again and again: the way there is planned.
+    /// Motion that repeats itself fits at several delays. A command without a stamp is held against the
+    /// time that it was recorded. The `time_from_start` of a trajectory's point is not taken off. Joint states that are late themselves (LAT001) make it longer.
+    LAT004 {
+        name: "command-delay",
+        grade: Grade::From(&[THRESHOLD]),
+        headline: false,
+        needs_model: true,
+        missing: "no commands to the arm in this log",
+        check: check,
+    }
+}
+
+const THRESHOLD: Threshold = Threshold { unit: Unit::Second, warning: 0.05, error: 0.2 };
+/// What would tell.
+const SETTLE: &str = "record 10 s of motion that starts, stops and does not repeat";
+
+fn check(case: &Case) -> Vec<Judged> {
+    let of_arm = |arm: &ArmEvidence| -> Vec<Judged> {
+        arm.references.iter().flat_map(|one| judge_stream(case, arm, one)).collect()
+    };
+    case.evidence.robots.iter().flat_map(of_arm).collect()
+}
+
+/// A delay that is too long.
+#[derive(Clone, Copy)]
+struct Long<'a> {
+    of: &'a CommandDelay,
+    response: &'a Response,
+    severity: Severity,
+}
+
+fn judge_stream(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence>) -> Vec<Judged> {
+    let whole = |outcome| vec![reference.judged(outcome)];
+    if let Err(why) = &reference.diagnosis {
+        return whole(Outcome::Skipped(why.clone()));
+    }
+    if let Some(why) = mot003::doubt(arm).filter(|_| reference.is_of_joints) {
+        return whole(Outcome::Inconclusive(why));
+    }
+    if let Some(why) = goals(reference) {
+        return whole(Outcome::Inconclusive(why));
+    }
+    let topic = reference.topic();
+    let mut rows = Vec::new();
+    let mut faults = Vec::new();
+    for (at, of) in reference.delays.iter().enumerate() {
+        let place = of.joint.unwrap_or(at);
+        let subject = match of.joint {
+            Some(joint) => subject(arm, topic, &[joint]),
+            None => reference.subject.clone(),
+        };
+        let judged = |outcome| Judged::new(subject.clone(), outcome).within(reference.span);
+        let response = match &of.response {
+            Ok(response) => response,
+            Err(why) => {
+                rows.push(judged(untold(why)));
+                continue;
+            }
+        };
+        let threshold = case.thresholds.of(&LAT004, THRESHOLD);
+        let outcome = match decide(&response.delay_s, &threshold, case.evidence.subjects()) {
+            Decision::Fail(severity) => {
+                faults.push((place, Long { of, response, severity }));
+                continue;
+            }
+            Decision::Pass => Outcome::sound_because(words(of, response)),
+            Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
+        };
+        rows.push(with_numbers(judged(outcome), of, response));
+    }
+    let groups = alike(faults, |a, b| is_same(a.response, b.response));
+    rows.extend(groups.iter().map(|group| named(case, arm, reference, group)));
+    rows
+}
+
+/// Why a stream whose commands are goals cannot tell.
+fn goals(reference: &ReferenceEvidence) -> Option<String> {
+    let are = |why: &NoDelay| {
+        let is = |of: &CommandDelay| of.response.as_ref().err() == Some(why);
+        !reference.delays.is_empty() && reference.delays.iter().all(is)
+    };
+    let what = match () {
+        () if are(&NoDelay::Goals) => "its commands are goals, and not streamed",
+        () if are(&NoDelay::Steps) => "its commands go in steps, as goals do that are sent again",
+        () => return None,
+    };
+    Some(format!("{what}: the arm plans its way there; log the set-points that the drives get"))
+}
+
+fn untold(why: &NoDelay) -> Outcome {
+    match why {
+        NoDelay::Goals | NoDelay::Steps => Outcome::Inconclusive(format!(
+            "it is given goals, and its way there is planned; {SETTLE}"
+        )),
+        NoDelay::Unseen(why) => unseen(why, SETTLE),
+    }
+}
+
+fn is_same(a: &Response, b: &Response) -> bool {
+    /// Delays this near to each other are one, s, or as a share.
+    const NEAR_S: f64 = 5e-3;
+    const SHARE: f64 = 0.1;
+    let apart_s = (a.delay_s.value - b.delay_s.value).abs();
+    let known_s = 4.0 * a.delay_s.std_error.hypot(b.delay_s.std_error);
+    apart_s < NEAR_S.max(SHARE * a.delay_s.value.abs()).max(known_s.min(0.05))
+}
+
+/// The finding on joints with the same delay, or on the poses.
+fn named(
+    case: &Case,
+    arm: &ArmEvidence,
+    reference: &Of<ReferenceEvidence>,
+    group: &[(usize, Long<'_>)],
+) -> Judged {
+    let joints: Vec<usize> = group.iter().filter_map(|(_, long)| long.of.joint).collect();
+    let by_delay = |a: &&(usize, Long<'_>), b: &&(usize, Long<'_>)| {
+        let size = |one: &(usize, Long<'_>)| one.1.response.delay_s.value.abs();
+        size(a).total_cmp(&size(b))
+    };
+    let (_, Long { of, response, severity }) = *group.iter().max_by(by_delay).unwrap_or(&group[0]);
+    let limit = Unit::Second.show(case.thresholds.of(&LAT004, THRESHOLD).warning);
+    let is_early = response.delay_s.value < 0.0;
+    let (subject, who) = match of.joint {
+        Some(_) => (subject(arm, reference.topic(), &joints), prefix(arm, &joints)),
+        None => (reference.subject.clone(), String::new()),
+    };
+    let fault = Fault {
+        severity,
+        cause: Cause::Other,
+        title: if is_early { "state leads its command" } else { "state follows its command late" },
+        message: format!("{who}{} (limit {limit})", words(of, response)),
+        evidence: Evidence::default(),
+        fix: match is_early {
+            true => "stamp commands when they are given, and states when they are read".to_owned(),
+            false => format!(
+                "shorten what buffers or smooths {}, or allow for it where the loop is closed",
+                reference.topic()
+            ),
+        },
+    };
+    let judged = Judged::new(subject, Outcome::faulty(fault)).within(reference.span);
+    let judged = with_numbers(judged, of, response);
+    if of.joint.is_some() { listed(judged, arm, &joints) } else { judged }
+}
+
+/// How the state follows, in a clause.
+fn words(of: &CommandDelay, response: &Response) -> String {
+    let delay = &response.delay_s;
+    let shown = Unit::Second.show_measured(&Measured { value: delay.value.abs(), ..*delay });
+    if delay.value < 0.0 {
+        return format!("state leads its command by {shown}");
+    }
+    let how = match response.corner_hz() {
+        Some(hz) => {
+            let pure_s = response.pure_delay_s();
+            let beside = match pure_s > 0.3 * response.low_pass_s {
+                true => format!(" after {}", Unit::Second.show(pure_s)),
+                false => String::new(),
+            };
+            format!(": low-pass of {hz:.1} Hz{beside}")
+        }
+        None if is_one_step(of, delay) => {
+            format!(": one-step shift of commands every {}", Unit::Second.show(of.period_s))
+        }
+        None => String::new(),
+    };
+    format!("state follows by {shown}{how}")
+}
+
+/// Whether a delay is that of one command.
+fn is_one_step(of: &CommandDelay, delay: &Measured) -> bool {
+    const SHARE: f64 = 0.1;
+    (delay.value - of.period_s).abs() < SHARE * of.period_s
+}
+
+fn with_numbers(judged: Judged, of: &CommandDelay, response: &Response) -> Judged {
+    judged
+        .estimated(Estimate::amount("command delay", THRESHOLD.unit, &response.delay_s))
+        .with_evidence("low_pass_hz", response.corner_hz())
+        .with_evidence("pure_delay_s", response.pure_delay_s())
+        .with_evidence("gain", response.gain)
+        .with_evidence("explained", response.explained)
+        .with_evidence("command_period_s", of.period_s)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{COMMANDS, ask, clean_run, sure};
+    use crate::evidence::RunEvidence;
+    use crate::finding::Status;
+
+    fn planted(delays: &[(Option<usize>, f64, f64)]) -> RunEvidence {
+        let mut run = clean_run();
+        let clean = run.robots[0].references[0].delays[0].clone();
+        let Ok(response) = clean.response.clone() else { panic!("a clean delay") };
+        let of = |&(joint, delay_s, low_pass_s): &(Option<usize>, f64, f64)| CommandDelay {
+            joint,
+            period_s: 0.1,
+            response: Ok(Response { delay_s: sure(delay_s), low_pass_s, ..response }),
+        };
+        run.robots[0].references[0].delays = delays.iter().map(of).collect();
+        run
+    }
+
+    #[test]
+    fn the_delay_of_poses_is_on_their_topic() {
+        let (_, findings) = ask(&LAT004, &planted(&[(None, 0.14, 0.0)]));
+        assert_eq!(findings[0].severity, Severity::Warning);
+        assert_eq!(findings[0].subject.topic.as_deref(), Some(COMMANDS));
+        assert!(findings[0].message.starts_with("state follows by 140.000 ± "), "{findings:?}");
+    }
+
+    #[test]
+    fn joints_with_one_delay_are_one_finding() {
+        let run = planted(&[(Some(0), 0.1, 0.0), (Some(1), 0.101, 0.0), (Some(2), 0.3, 0.25)]);
+        let (rows, findings) = ask(&LAT004, &run);
+        assert_eq!((rows.len(), findings.len()), (2, 2), "{findings:?}");
+        let all = findings.iter().find(|found| found.subject.joint.is_none()).unwrap();
+        assert!(all.message.starts_with("2 joints: state follows by 101"), "{}", all.message);
+        assert!(all.message.contains("one-step shift of commands every 100 ms"), "{}", all.message);
+        let one = findings.iter().find(|found| found.subject.joint.is_some()).unwrap();
+        assert!(one.message.contains("low-pass of 0.6 Hz (limit 50 ms)"), "{}", one.message);
+        assert_eq!(one.severity, Severity::Error);
+    }
+
+    #[test]
+    fn goals_are_open_and_a_state_that_leads_is_told() {
+        let mut run = planted(&[(Some(0), 0.1, 0.0)]);
+        run.robots[0].references[0].delays[0].response = Err(NoDelay::Goals);
+        let (rows, findings) = ask(&LAT004, &run);
+        assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
+        let (_, findings) = ask(&LAT004, &planted(&[(None, -0.1, 0.0)]));
+        assert_eq!(findings[0].title, "state leads its command");
+    }
+}

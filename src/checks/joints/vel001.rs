@@ -1,0 +1,364 @@
+use crate::checks::decision::{Decision, Threshold, decide};
+use crate::checks::together::{alike, listed, prefix, subject};
+use crate::checks::{Case, Grade, Judged};
+use crate::diagnosis::{Response, Unseen, VelocityDiagnosis, VelocityShape};
+use crate::evidence::{ArmEvidence, JointEvidence};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+
+rule! {
+    /// Recorded velocities are not the rates of the recorded positions.
+    ///
+    /// ## What it means
+    /// The velocities in the joint states differ from the rate at which the positions beside them change:
+    /// another unit, the wrong sign, another joint's number, late or filtered, or zero while the joint
+    /// moves. One finding a joint; joints with the same fault are one finding on their topic.
+    ///
+    /// ## Why it matters
+    /// Velocities go into feed-forward, damping, interpolation between samples, collision detection and
+    /// training data. A sign or unit that is wrong makes a controller unstable, a filter makes it late.
+    ///
+    /// ## Evidence
+    /// Velocities are integrated over windows (`window_s`) and held against the change of position over
+    /// the same windows, so that nothing is differentiated. The estimate is rms error over rms rate, beyond
+    /// `noise`: what the encoder's steps, noise and the jitter of the stamps make of it. `rate` is the rms
+    /// rate of the positions. `kind` is `zero`, `scaled`, `other-joint`, `filtered` or `unlike`; `gain` is
+    /// the velocity where the rate is 1, `delay_s` how late the velocities are (negative: early) with its
+    /// interval, `low_pass_hz` the corner of a first-order low-pass that explains more than a delay.
+    ///
+    /// ## How to fix
+    /// Fill `velocity` from the same reading as `position`, in rad/s (m/s where the joint slides) and in
+    /// the order of `name`. Leave it empty where the driver has none: zeros say that the arm stands still.
+    /// Filter less, or delay the positions by as much.
+    ///
+    /// ## When it misleads
+    /// Positions may be what is wrong, as where they are in degrees; poses of the tool tell (ORD004,
+    /// ORD009), and velocities that are the rates of positions so read are right. White noise on velocities
+    /// is no fault. A velocity that is the difference of two samples is late by half of the time between
+    /// them, which is not counted. A joint that hardly moves shows nothing.
+    VEL001 {
+        name: "velocity-mismatch",
+        grade: Grade::From(&[THRESHOLD]),
+        headline: false,
+        needs_model: true,
+        missing: "no joint states",
+        check: check,
+    }
+}
+
+const THRESHOLD: Threshold = Threshold { unit: Unit::One, warning: 0.05, error: 0.2 };
+/// What would tell.
+const SETTLE: &str = "move each joint by 30° or more, at 0.2 rad/s or more";
+/// Factors this near to each other, as a share, are one.
+const SAME: f64 = 0.03;
+
+fn check(case: &Case) -> Vec<Judged> {
+    case.evidence.robots.iter().flat_map(|arm| judge_arm(case, arm)).collect()
+}
+
+fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
+    if arm.joints.iter().all(|joint| joint.velocity.is_none()) {
+        let why = "the joint states hold no velocities".to_owned();
+        let topic = arm.topic(&arm.joints_topic);
+        return vec![Judged::new(topic, Outcome::Skipped(why)).within(arm.span)];
+    }
+    let mut rows = Vec::new();
+    let mut faults: Vec<(usize, (VelocityDiagnosis, Severity))> = Vec::new();
+    for (index, joint) in arm.joints.iter().enumerate() {
+        let judged = |outcome| Judged::new(arm.joint_states(index), outcome).within(arm.span);
+        let found = match &joint.velocity {
+            None => {
+                rows.push(judged(Outcome::Skipped("it has no velocities".to_owned())));
+                continue;
+            }
+            Some(Err(why)) => {
+                rows.push(judged(Outcome::Inconclusive(format!("{}; {SETTLE}", unseen(why)))));
+                continue;
+            }
+            Some(Ok(found)) => found,
+        };
+        let threshold = case.thresholds.of(&VEL001, THRESHOLD);
+        let outcome = match decide(&found.error, &threshold, case.evidence.subjects()) {
+            Decision::Fail(severity) => match meant(joint, index, &found.shape) {
+                None => {
+                    faults.push((index, (found.clone(), severity)));
+                    continue;
+                }
+                Some(why) => Outcome::sound_because(why.to_owned()),
+            },
+            Decision::Pass => Outcome::sound(),
+            Decision::Undecided(_) => Outcome::Inconclusive(format!(
+                "noise and steps of the positions are {} of the rate (limit {}); {SETTLE}",
+                percent(found.noise),
+                percent(threshold.warning),
+            )),
+        };
+        rows.push(with_numbers(judged(outcome), found));
+    }
+    let groups = alike(faults, |(a, _), (b, _)| is_same(&a.shape, &b.shape));
+    rows.extend(groups.iter().map(|group| named(case, arm, group)));
+    rows
+}
+
+fn unseen(why: &Unseen) -> String {
+    match why {
+        Unseen::TooFewSamples { have, need } => {
+            format!("it has {have} samples with a velocity, {need} are needed")
+        }
+        _ => "the joint hardly moves".to_owned(),
+    }
+}
+
+/// Why velocities are right that are not the rates of the positions as recorded: they are those of the
+/// positions as the pose streams show them.
+fn meant(joint: &JointEvidence, index: usize, shape: &VelocityShape) -> Option<&'static str> {
+    let (from, factor) = joint.really?;
+    let (of, gain) = match *shape {
+        VelocityShape::Scaled(gain) => (index, gain),
+        VelocityShape::OfJoint(other, gain) => (other, gain),
+        _ => return None,
+    };
+    let is_meant = of == from && near(gain, factor);
+    is_meant.then_some(
+        "they are the rates of the positions as these should be (ORD004, ORD005, ORD009)",
+    )
+}
+
+fn near(value: f64, other: f64) -> bool {
+    (value - other).abs() < SAME * other.abs()
+}
+
+fn is_same(a: &VelocityShape, b: &VelocityShape) -> bool {
+    /// Delays this near to each other are one, s, or as a share.
+    const DELAY_S: f64 = 2e-3;
+    const SHARE: f64 = 0.2;
+    match (a, b) {
+        (VelocityShape::Zero, VelocityShape::Zero)
+        | (VelocityShape::Unlike, VelocityShape::Unlike) => true,
+        (VelocityShape::Scaled(a), VelocityShape::Scaled(b)) => near(*a, *b),
+        (VelocityShape::Filtered(a), VelocityShape::Filtered(b)) => {
+            let apart_s = (a.delay_s.value - b.delay_s.value).abs();
+            let is_same = apart_s < DELAY_S.max(SHARE * a.delay_s.value.abs());
+            is_same && (a.gain - b.gain).abs() < 0.1 * a.gain.abs()
+        }
+        _ => false,
+    }
+}
+
+fn percent(share: f64) -> String {
+    let shown = match 100.0 * share {
+        much if much >= 9.95 => format!("{much:.0}"),
+        little => format!("{little:.1}"),
+    };
+    format!("{} %", shown.strip_suffix(".0").unwrap_or(&shown))
+}
+
+/// The finding on joints with the same fault.
+fn named(
+    case: &Case,
+    arm: &ArmEvidence,
+    group: &[(usize, (VelocityDiagnosis, Severity))],
+) -> Judged {
+    let joints: Vec<usize> = group.iter().map(|(joint, _)| *joint).collect();
+    let by_error = |a: &&(usize, (VelocityDiagnosis, Severity)),
+                    b: &&(usize, (VelocityDiagnosis, Severity))| {
+        a.1.0.error.value.total_cmp(&b.1.0.error.value)
+    };
+    let (worst, (found, severity)) = match group.iter().max_by(by_error) {
+        Some(worst) => worst,
+        None => &group[0],
+    };
+    let limit = percent(case.thresholds.of(&VEL001, THRESHOLD).warning);
+    let (what, fix) = words(arm, *worst, found);
+    let fault = Fault {
+        severity: *severity,
+        cause: Cause::Other,
+        title: match found.shape {
+            VelocityShape::Zero => "velocities are zero in motion",
+            VelocityShape::Filtered(_) => "velocities are late or filtered",
+            _ => "velocities are not the positions' rates",
+        },
+        message: format!(
+            "{}{what}: error {} of the rate (limit {limit})",
+            prefix(arm, &joints),
+            percent(found.error.value),
+        ),
+        evidence: Evidence::default(),
+        fix,
+    };
+    let subject = subject(arm, &arm.joints_topic, &joints);
+    let judged = Judged::new(subject, Outcome::faulty(fault)).within(arm.span);
+    listed(with_numbers(judged, found), arm, &joints)
+}
+
+/// What the velocities are, in a clause, and what to do about it.
+fn words(arm: &ArmEvidence, joint: usize, found: &VelocityDiagnosis) -> (String, String) {
+    let fill = |what: &str| format!("{what} where {} is filled", arm.joints_topic);
+    match found.shape {
+        VelocityShape::Zero => (
+            format!(
+                "velocities are zero while the joint moves at {:.2} {} rms",
+                found.rate,
+                per_second(arm, joint)
+            ),
+            "fill the velocities from the drive, or leave the field empty".to_owned(),
+        ),
+        VelocityShape::Scaled(gain) => {
+            (scale(arm, joint, gain), fill(&format!("divide the velocities by {}", short(gain))))
+        }
+        VelocityShape::OfJoint(other, gain) => {
+            let name = arm.joints.get(other).map_or("", |joint| joint.name.as_str());
+            let times =
+                if near(gain, 1.0) { String::new() } else { format!(" times {}", short(gain)) };
+            (
+                format!("velocities are those of {name}{times}"),
+                fill("put the velocities in the order of the names"),
+            )
+        }
+        VelocityShape::Filtered(response) => {
+            let gain = match near(response.gain, 1.0) || (response.gain - 1.0).abs() < 0.1 {
+                true => String::new(),
+                false => format!(", {}", scale(arm, joint, response.gain)),
+            };
+            (
+                format!("{}{gain}", late(&response)),
+                fill("filter the velocities less, or stamp them with their own time"),
+            )
+        }
+        VelocityShape::Rates | VelocityShape::Unlike => (
+            "velocities do not follow the positions".to_owned(),
+            fill("take velocity and position from the same reading"),
+        ),
+    }
+}
+
+fn late(response: &Response) -> String {
+    let delay = &response.delay_s;
+    let size = crate::diagnosis::Measured { value: delay.value.abs(), ..*delay };
+    let shown = Unit::Second.show_measured(&size);
+    match (response.corner_hz(), delay.value < 0.0) {
+        (Some(hz), _) => format!("velocities pass a low-pass of {} Hz ({shown} late)", short(hz)),
+        (None, true) => format!("velocities lead the positions by {shown}"),
+        (None, false) => format!("velocities lag the positions by {shown}"),
+    }
+}
+
+fn per_second(arm: &ArmEvidence, joint: usize) -> &'static str {
+    match arm.joint_unit(joint) {
+        Unit::Metre => "m/s",
+        _ => "rad/s",
+    }
+}
+
+/// A factor in words.
+fn scale(arm: &ArmEvidence, joint: usize, gain: f64) -> String {
+    const DEGREES: f64 = 180.0 / std::f64::consts::PI;
+    const TURNS: f64 = 1.0 / std::f64::consts::TAU;
+    let slides = arm.joint_unit(joint) == Unit::Metre;
+    let known: &[(f64, &str)] = match slides {
+        true => &[(1e3, "millimetres per second"), (1e-3, "of positions in millimetres")],
+        false => &[
+            (DEGREES, "degrees per second"),
+            (1.0 / DEGREES, "rad/s beside positions in degrees"),
+            (60.0 * TURNS, "revolutions per minute"),
+            (TURNS, "revolutions per second"),
+        ],
+    };
+    if near(gain, -1.0) {
+        return "velocities have the wrong sign".to_owned();
+    }
+    let sign = if gain < 0.0 { ", with the wrong sign" } else { "" };
+    match known.iter().find(|(factor, _)| near(gain.abs(), *factor)) {
+        Some((_, unit)) => format!("velocities are {} times the rate ({unit}{sign})", short(gain)),
+        None => format!("velocities are {} times the rate", short(gain)),
+    }
+}
+
+fn short(value: f64) -> String {
+    match value.abs() {
+        size if size >= 100.0 => format!("{value:.0}"),
+        size if size >= 10.0 => format!("{value:.1}"),
+        size if size >= 0.1 => format!("{value:.2}"),
+        _ => format!("{value:.4}"),
+    }
+}
+
+fn with_numbers(judged: Judged, found: &VelocityDiagnosis) -> Judged {
+    let judged = judged
+        .estimated(Estimate::amount("velocity error", Unit::One, &found.error))
+        .with_evidence("noise", found.noise)
+        .with_evidence("rate", found.rate)
+        .with_evidence("window_s", found.window_s);
+    match found.shape {
+        VelocityShape::Rates => judged,
+        VelocityShape::Zero => judged.with_evidence("kind", "zero"),
+        VelocityShape::Unlike => judged.with_evidence("kind", "unlike"),
+        VelocityShape::Scaled(gain) => {
+            judged.with_evidence("kind", "scaled").with_evidence("gain", gain)
+        }
+        VelocityShape::OfJoint(_, gain) => {
+            judged.with_evidence("kind", "other-joint").with_evidence("gain", gain)
+        }
+        VelocityShape::Filtered(response) => judged
+            .with_evidence("kind", "filtered")
+            .with_evidence("gain", response.gain)
+            .with_evidence("delay_s", response.delay_s.value)
+            .with_evidence("delay_ci95", Unit::Second.interval95(&response.delay_s).map(Vec::from))
+            .with_evidence("low_pass_hz", response.corner_hz()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{ask, clean_run, sure};
+    use crate::evidence::RunEvidence;
+    use crate::finding::Status;
+
+    fn planted(shapes: &[(usize, VelocityShape)]) -> RunEvidence {
+        let mut run = clean_run();
+        for &(joint, shape) in shapes {
+            let found = VelocityDiagnosis {
+                error: sure(2.0),
+                noise: 1e-3,
+                rate: 0.5,
+                window_s: 0.1,
+                shape,
+            };
+            run.robots[0].joints[joint].velocity = Some(Ok(found));
+        }
+        run
+    }
+
+    #[test]
+    fn joints_with_the_same_fault_are_one_finding() {
+        let degrees = VelocityShape::Scaled(57.3);
+        let (rows, findings) =
+            ask(&VEL001, &planted(&[(0, degrees), (2, degrees), (1, VelocityShape::Zero)]));
+        assert_eq!(rows.len(), 2);
+        let messages: Vec<&str> = findings.iter().map(|found| found.message.as_str()).collect();
+        assert_eq!(findings.len(), 2, "{messages:?}");
+        let both = findings.iter().find(|found| found.subject.joint.is_none()).unwrap();
+        assert!(both.message.starts_with("2 joints: velocities are 57.3 times"), "{messages:?}");
+        assert!(both.message.contains("degrees per second"), "{messages:?}");
+        assert_eq!(both.evidence.more["joints"], serde_json::json!(["pan", "elbow"]));
+    }
+
+    #[test]
+    fn velocities_are_right_where_the_positions_are_found_wrong() {
+        let mut run = planted(&[(1, VelocityShape::Scaled(-1.0))]);
+        assert!(ask(&VEL001, &run).1[0].message.starts_with("velocities have the wrong sign"));
+        run.robots[0].joints[1].really = Some((1, -1.0));
+        let (rows, findings) = ask(&VEL001, &run);
+        assert!(findings.is_empty() && rows.iter().all(|row| row.status == Status::Pass));
+    }
+
+    #[test]
+    fn a_joint_at_rest_is_open_and_none_with_velocities_is_skipped() {
+        let mut run = clean_run();
+        run.robots[0].joints[0].velocity = Some(Err(Unseen::AtRest));
+        assert_eq!(ask(&VEL001, &run).0[0].status, Status::Inconclusive);
+        run.robots[0].joints.iter_mut().for_each(|joint| joint.velocity = None);
+        let (rows, _) = ask(&VEL001, &run);
+        assert!(rows.len() == 1 && rows[0].status == Status::Skipped, "{rows:?}");
+    }
+}

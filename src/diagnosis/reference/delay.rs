@@ -1,0 +1,180 @@
+//! By how much the state of an arm follows what it was told.
+
+use super::is_streamed;
+use crate::latency::median_period_s;
+use crate::response::{Changes, Curve};
+use crate::{PoseSeries, Response, Unseen};
+use ground::geometry::{Vec3, rotvec_from_rotation};
+use ground::stream::{JointTrack, sample_noise};
+
+/// How a joint, or the tip, follows its commands.
+#[derive(Clone, Debug)]
+pub struct CommandDelay {
+    /// The joint's column in the joint track; `None` of poses.
+    pub joint: Option<usize>,
+    /// Usual time between commands, s.
+    pub period_s: f64,
+    /// How it follows; why that cannot be told.
+    pub response: Result<Response, NoDelay>,
+}
+
+/// Why a delay cannot be told.
+#[derive(Clone, Debug, PartialEq)]
+pub enum NoDelay {
+    /// The commands are goals, and no stream that leads.
+    Goals,
+    /// They come as a stream, and go in steps: goals that are repeated.
+    Steps,
+    /// For a reason that other estimates have, too.
+    Unseen(Unseen),
+}
+
+impl From<Unseen> for NoDelay {
+    fn from(why: Unseen) -> Self {
+        Self::Unseen(why)
+    }
+}
+
+/// Windows over which changes are compared, s: the shortest; in periods of the commands and of the state.
+const WINDOW_S: f64 = 0.1;
+const OF_COMMANDS: f64 = 2.5;
+const OF_STATE: f64 = 4.0;
+/// Longest delay that is looked for, s.
+const MOST_LAG_S: f64 = 2.0;
+/// Less than this is no motion that tells, rad or m.
+const MOVES: f64 = 0.01;
+
+/// By how much each commanded joint follows: `q` has `order.len()` numbers a row at the times `t_s`, NaN
+/// where a command said nothing of a joint, and `order` says of each its column in `joints`.
+pub fn joint_delays(
+    t_s: &[f64],
+    order: &[usize],
+    q: &[f64],
+    joints: &JointTrack,
+    most_lag_s: f64,
+) -> Vec<CommandDelay> {
+    let width = order.len().max(1);
+    let of = |(at, &column): (usize, &usize)| {
+        let told = t_s.iter().zip(q.iter().skip(at).step_by(width));
+        let (t_s, told): (Vec<f64>, Vec<f64>) =
+            told.filter(|(_, q)| q.is_finite()).map(|(t, q)| (*t, *q)).unzip();
+        let done: Vec<f64> = joints.q.iter().skip(column).step_by(joints.dof).copied().collect();
+        let command = (Curve::new(t_s.clone(), vec![told.clone()]), t_s.as_slice());
+        let response = match is_streamed(&t_s) {
+            false => Err(NoDelay::Goals),
+            true if in_steps(&t_s, &told, &joints.t_s, &done) => Err(NoDelay::Steps),
+            true => follow(command, (&joints.t_s, vec![done]), &[told], most_lag_s),
+        };
+        CommandDelay { joint: Some(column), period_s: median_period_s(&t_s), response }
+    };
+    order.iter().enumerate().map(of).collect()
+}
+
+/// By how much the tip follows commanded poses; both are `base_from_tip`.
+pub fn pose_delay(told: &PoseSeries, done: &PoseSeries, most_lag_s: f64) -> CommandDelay {
+    let period_s = median_period_s(&told.t_s);
+    let columns = [told, done].map(columns);
+    let [told_columns, done_columns] = columns;
+    let path = |columns: &[Vec<f64>]| -> Vec<f64> {
+        let mut sum = 0.0;
+        let rows = columns.first().map_or(0, Vec::len);
+        let step = |row: usize| columns.iter().map(|c| (c[row] - c[row - 1]).powi(2)).sum::<f64>();
+        let lengths = (1..rows).map(|row| {
+            sum += step(row).sqrt();
+            sum
+        });
+        std::iter::once(0.0).take(rows.min(1)).chain(lengths).collect()
+    };
+    let response = match is_streamed(&told.t_s) {
+        false => Err(NoDelay::Goals),
+        true if in_steps(&told.t_s, &path(&told_columns), &done.t_s, &path(&done_columns)) => {
+            Err(NoDelay::Steps)
+        }
+        true => {
+            let command = (Curve::new(told.t_s.clone(), told_columns.clone()), told.t_s.as_slice());
+            follow(command, (&done.t_s, done_columns), &told_columns, most_lag_s)
+        }
+    };
+    CommandDelay { joint: None, period_s, response }
+}
+
+/// Whether a command goes in steps that no arm follows as they are: more than half of its way is in
+/// leaps from one command to the next, several times faster than the arm ever is. A profile that is
+/// planned on the way to a goal says nothing of a delay.
+fn in_steps(told_t_s: &[f64], told: &[f64], done_t_s: &[f64], done: &[f64]) -> bool {
+    const FASTER: f64 = 4.0;
+    const SHARE: f64 = 0.5;
+    const OVER_S: f64 = 0.1;
+    let mut fastest = 0.0_f64;
+    let mut first = 0;
+    for (last, &t_s) in done_t_s.iter().enumerate() {
+        while t_s - done_t_s[first] > 2.0 * OVER_S {
+            first += 1;
+        }
+        let length_s = t_s - done_t_s[first];
+        if length_s >= OVER_S {
+            fastest = fastest.max((done[last] - done[first]).abs() / length_s);
+        }
+    }
+    let noise = 6.0 * sample_noise(done);
+    let (mut way, mut leapt) = (0.0, 0.0);
+    for (times, ends) in told_t_s.windows(2).zip(told.windows(2)) {
+        let step = (ends[1] - ends[0]).abs();
+        way += step;
+        if step > FASTER * fastest * (times[1] - times[0]) + noise {
+            leapt += step;
+        }
+    }
+    leapt > SHARE * way
+}
+
+/// Position, m, and the rotation vectors from sample to sample added up, rad, times a length that
+/// balances the two.
+fn columns(series: &PoseSeries) -> Vec<Vec<f64>> {
+    const LENGTH_M: f64 = 0.3;
+    let mut turned = Vec3::zeros();
+    let mut columns = vec![Vec::with_capacity(series.poses.len()); 6];
+    for (row, pose) in series.poses.iter().enumerate() {
+        if let Some(before) = row.checked_sub(1).map(|before| &series.poses[before]) {
+            turned += rotvec_from_rotation(&(pose.rotation * before.rotation.inverse()));
+        }
+        let scaled = LENGTH_M * turned;
+        let both = pose.translation.vector.iter().chain(scaled.iter());
+        columns.iter_mut().zip(both).for_each(|(column, value)| column.push(*value));
+    }
+    columns
+}
+
+fn follow(
+    (command, told_t_s): (Curve, &[f64]),
+    (done_t_s, done): (&[f64], Vec<Vec<f64>>),
+    told: &[Vec<f64>],
+    most_lag_s: f64,
+) -> Result<Response, NoDelay> {
+    let (Some(first), Some(last)) = (told_t_s.first(), told_t_s.last()) else {
+        return Err(Unseen::NoOverlap.into());
+    };
+    let way = |columns: &[Vec<f64>]| -> f64 {
+        let of = |column: &Vec<f64>| {
+            let ends = column
+                .iter()
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &q| (a.min(q), b.max(q)));
+            ends.1 - ends.0
+        };
+        columns.iter().map(of).fold(0.0, f64::max)
+    };
+    if way(told) < MOVES {
+        return Err(Unseen::AtRest.into());
+    }
+    let window_s = (OF_COMMANDS * median_period_s(told_t_s))
+        .max(OF_STATE * median_period_s(done_t_s))
+        .max(WINDOW_S);
+    let changes = Changes::of(done_t_s, &done, (*first, *last), window_s);
+    if changes.windows.is_empty() {
+        return Err(Unseen::NoOverlap.into());
+    }
+    if way(&done) < MOVES {
+        return Err(Unseen::DoesNotFollow(0.0).into());
+    }
+    Ok(changes.follow(&command, most_lag_s.min(MOST_LAG_S))?)
+}

@@ -1,0 +1,453 @@
+//! How one series follows another: by what delay, through which low-pass, with what gain.
+//!
+//! What is compared is the change over windows of time and no derivative, so that noise and the steps of
+//! an encoder count once and not for every sample: an offset between the two series drops out. The
+//! change of the response over a window is fitted by gain times the change of the reference over the same
+//! window `delay` before (Ljung, *System Identification*, 2nd ed., §4.2, with two poles at most).
+
+use super::Unseen;
+use ground::stats::{Measured, median};
+use nalgebra::DMatrix;
+
+/// Most columns of a series.
+const WIDTH: usize = 6;
+
+/// A series of one number, or of groups of three, over time.
+///
+/// Times are seconds from the run's origin, strictly increasing.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Curve {
+    t_s: Vec<f64>,
+    /// Each column at every time.
+    columns: Vec<Vec<f64>>,
+    /// Slopes of the columns there.
+    slopes: Vec<Vec<f64>>,
+    /// The longest interval that is interpolated, s.
+    longest_s: f64,
+}
+
+/// Changes of a response over windows of time.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Changes {
+    /// From when to when, s.
+    pub windows: Vec<(f64, f64)>,
+    /// By how much each column changes.
+    pub by: Vec<[f64; WIDTH]>,
+    /// Number of columns.
+    pub width: usize,
+}
+
+/// How a response follows a reference.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Response {
+    /// How late the response is altogether, s: the delay, and the time constant of the low-pass.
+    pub delay_s: Measured,
+    /// Time constant of the first-order low-pass between the two, s; 0 where a delay explains as much.
+    pub low_pass_s: f64,
+    /// What the response changes by where the reference changes by 1; the mean of several columns.
+    pub gain: f64,
+    /// The share of the response's energy that this explains, at most 1.
+    pub explained: f64,
+    /// The same of the best pure delay.
+    pub by_delay_alone: f64,
+}
+
+impl Response {
+    /// Corner of the low-pass, Hz; `None` where there is none.
+    pub fn corner_hz(&self) -> Option<f64> {
+        (self.low_pass_s > 0.0).then(|| 1.0 / (std::f64::consts::TAU * self.low_pass_s))
+    }
+
+    /// The delay without that of the low-pass, s.
+    pub fn pure_delay_s(&self) -> f64 {
+        self.delay_s.value - self.low_pass_s
+    }
+}
+
+impl Curve {
+    /// Of columns over common times; a gap is what is longer than 0.2 s and five intervals.
+    pub fn new(t_s: Vec<f64>, columns: Vec<Vec<f64>>) -> Self {
+        const GAP: (f64, f64) = (0.2, 5.0);
+        let mut periods: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let period_s = median(&mut periods).unwrap_or(0.0);
+        let slopes = columns.iter().map(|column| slopes(&t_s, column)).collect();
+        Self { t_s, columns, slopes, longest_s: GAP.0.max(GAP.1 * period_s) }
+    }
+
+    /// The columns at `t_s`, by the cubic through the samples with their slopes; `None` outside of the
+    /// series and in gaps. `cursor` remembers the interval.
+    fn at(&self, t_s: f64, cursor: &mut usize) -> Option<[f64; WIDTH]> {
+        let times = &self.t_s;
+        let is_left =
+            |at: usize| times.get(at + 1).is_some_and(|next| times[at] <= t_s && t_s <= *next);
+        let near = (*cursor..*cursor + 3).find(|&at| is_left(at));
+        let left = match near {
+            Some(left) => left,
+            None => times
+                .partition_point(|&t| t <= t_s)
+                .checked_sub(1)?
+                .min(times.len().checked_sub(2)?),
+        };
+        *cursor = left;
+        let (from_s, to_s) = (times[left], times[left + 1]);
+        let length_s = to_s - from_s;
+        if t_s > to_s || length_s > self.longest_s {
+            return None;
+        }
+        let part = (t_s - from_s) / length_s;
+        let mut values = [0.0; WIDTH];
+        for (value, (column, slope)) in values.iter_mut().zip(self.columns.iter().zip(&self.slopes))
+        {
+            let ends = [column[left], column[left + 1]];
+            *value = hermite(part, ends, [slope[left] * length_s, slope[left + 1] * length_s]);
+        }
+        Some(values)
+    }
+
+    /// The changes of the columns over a window of time.
+    fn change(&self, (from_s, to_s): (f64, f64), cursors: &mut [usize; 2]) -> Option<[f64; WIDTH]> {
+        let [first, last] = cursors;
+        let (before, after) = (self.at(from_s, first)?, self.at(to_s, last)?);
+        Some(std::array::from_fn(|column| after[column] - before[column]))
+    }
+
+    /// The curve through a first-order low-pass with this time constant, s: exact for what is straight
+    /// between samples. It starts anew after a gap.
+    fn filtered(&self, constant_s: f64) -> Self {
+        let filter = |column: &Vec<f64>| {
+            let mut filtered = Vec::with_capacity(column.len());
+            let mut last = column.first().copied().unwrap_or(0.0);
+            filtered.extend(column.first());
+            for (times, ends) in self.t_s.windows(2).zip(column.windows(2)) {
+                let length_s = times[1] - times[0];
+                let behind = (ends[1] - ends[0]) / length_s * constant_s;
+                let decay = (-length_s / constant_s).exp();
+                last = match length_s > self.longest_s {
+                    true => ends[1],
+                    false => ends[1] - behind + (last - ends[0] + behind) * decay,
+                };
+                filtered.push(last);
+            }
+            filtered
+        };
+        let columns: Vec<Vec<f64>> = self.columns.iter().map(filter).collect();
+        let slopes = columns.iter().map(|column| slopes(&self.t_s, column)).collect();
+        Self { t_s: self.t_s.clone(), columns, slopes, longest_s: self.longest_s }
+    }
+}
+
+/// The cubic between two values with the slopes there, at `part` of the way.
+fn hermite(part: f64, ends: [f64; 2], slopes: [f64; 2]) -> f64 {
+    let (square, cube) = (part * part, part * part * part);
+    let rise = 3.0 * square - 2.0 * cube;
+    ends[0]
+        + rise * (ends[1] - ends[0])
+        + (cube - 2.0 * square + part) * slopes[0]
+        + (cube - square) * slopes[1]
+}
+
+/// The slope at each sample, of the parabola through it and its neighbours.
+pub(super) fn slopes(t_s: &[f64], values: &[f64]) -> Vec<f64> {
+    let slope = |left: usize| (values[left + 1] - values[left]) / (t_s[left + 1] - t_s[left]);
+    let last = values.len().saturating_sub(1);
+    let at = |row: usize| match row {
+        _ if last == 0 => 0.0,
+        0 => slope(0),
+        row if row == last => slope(last - 1),
+        row => {
+            let (before_s, after_s) = (t_s[row] - t_s[row - 1], t_s[row + 1] - t_s[row]);
+            (slope(row - 1) * after_s + slope(row) * before_s) / (before_s + after_s)
+        }
+    };
+    (0..values.len()).map(at).collect()
+}
+
+/// The least squares of gains at one delay.
+struct Fit {
+    /// For each group of columns: response = gains · reference.
+    gains: Vec<DMatrix<f64>>,
+    /// Squares that are left, and those of the response, over the windows used.
+    left: f64,
+    total: f64,
+    /// How many windows have a reference there.
+    used: usize,
+}
+
+impl Fit {
+    fn share_left(&self) -> f64 {
+        if self.total > 0.0 { self.left / self.total } else { 1.0 }
+    }
+}
+
+impl Changes {
+    /// Of columns over common times, over windows of `window_s` without gaps within `span`, s, each from
+    /// the middle of the one before; of very long series farther apart.
+    pub fn of(t_s: &[f64], columns: &[Vec<f64>], span: (f64, f64), window_s: f64) -> Self {
+        /// More do not make an estimate better.
+        const ENOUGH: f64 = 1500.0;
+        let stride_s = (0.5 * window_s).max((span.1 - span.0) / ENOUGH);
+        let mut changes = Self { width: columns.len(), ..Self::default() };
+        let mut first = t_s.partition_point(|&t| t < span.0);
+        while first < t_s.len() && t_s[first] <= span.1 {
+            let after = |length_s: f64| {
+                first + t_s[first..].partition_point(|&t| t < t_s[first] + length_s)
+            };
+            let (last, next) = (after(window_s), after(stride_s).max(first + 1));
+            let is_whole = t_s.get(last).is_some_and(|&to_s| to_s - t_s[first] < 1.5 * window_s);
+            if is_whole {
+                let mut by = [0.0; WIDTH];
+                by.iter_mut().zip(columns).for_each(|(by, of)| *by = of[last] - of[first]);
+                changes.windows.push((t_s[first], t_s[last]));
+                changes.by.push(by);
+            }
+            first = next;
+        }
+        changes
+    }
+
+    /// Columns of a group, whose gains are one matrix: three of a vector, else one.
+    fn group(&self) -> usize {
+        if self.width.is_multiple_of(3) { 3 } else { 1 }
+    }
+
+    /// The reference's changes over each window, so much earlier.
+    pub fn references(&self, reference: &Curve, delay_s: f64) -> Vec<Option<[f64; WIDTH]>> {
+        let mut cursors = [0; 2];
+        let of = |&(from_s, to_s): &(f64, f64)| {
+            reference.change((from_s - delay_s, to_s - delay_s), &mut cursors)
+        };
+        self.windows.iter().map(of).collect()
+    }
+
+    fn fit(&self, references: &[Option<[f64; WIDTH]>]) -> Fit {
+        let size = self.group();
+        let mut fit = Fit { gains: Vec::new(), left: 0.0, total: 0.0, used: 0 };
+        fit.used = references.iter().flatten().count();
+        for first in (0..self.width).step_by(size) {
+            let mut normal = DMatrix::<f64>::zeros(size, size);
+            let mut right = DMatrix::<f64>::zeros(size, size);
+            let mut total = 0.0;
+            for (by, reference) in self.by.iter().zip(references) {
+                let Some(reference) = reference else { continue };
+                for a in 0..size {
+                    total += by[first + a] * by[first + a];
+                    for b in 0..size {
+                        normal[(a, b)] += reference[first + a] * reference[first + b];
+                        right[(a, b)] += reference[first + a] * by[first + b];
+                    }
+                }
+            }
+            // What hardly moves has no gain of its own.
+            let ridge = 1e-9 * normal.trace() + f64::MIN_POSITIVE;
+            let inverse = (normal + DMatrix::identity(size, size) * ridge).try_inverse();
+            let mut gains = inverse.map_or(DMatrix::zeros(size, size), |inverse| inverse * &right);
+            if size == 1 {
+                // What goes the other way does not follow: half a period late, it would seem to.
+                gains[(0, 0)] = gains[(0, 0)].max(0.0);
+            }
+            fit.total += total;
+            fit.left += (total - gains.component_mul(&right).sum()).max(0.0);
+            fit.gains.push(gains.transpose());
+        }
+        fit
+    }
+
+    fn fit_at(&self, reference: &Curve, delay_s: f64) -> Fit {
+        self.fit(&self.references(reference, delay_s))
+    }
+
+    /// The share left at a delay; 1 where too few windows have a reference there.
+    fn left_at(&self, reference: &Curve, delay_s: f64) -> f64 {
+        let fit = self.fit_at(reference, delay_s);
+        if 2 * fit.used < self.windows.len() { 1.0 } else { fit.share_left() }
+    }
+
+    /// The delay between `low` and `high`, s, that leaves least (golden section).
+    fn refined(
+        &self,
+        reference: &Curve,
+        (mut low, mut high): (f64, f64),
+        fine_s: f64,
+    ) -> (f64, f64) {
+        const RATIO: f64 = 0.618_033_988_749_894_9;
+        let left = |delay_s: f64| self.left_at(reference, delay_s);
+        let mut inner = [high - RATIO * (high - low), low + RATIO * (high - low)];
+        let mut found = inner.map(left);
+        while high - low > fine_s {
+            if found[0] <= found[1] {
+                high = inner[1];
+                inner = [high - RATIO * (high - low), inner[0]];
+                found = [left(inner[0]), found[0]];
+            } else {
+                low = inner[0];
+                inner = [inner[1], low + RATIO * (high - low)];
+                found = [found[1], left(inner[1])];
+            }
+        }
+        let best = usize::from(found[1] < found[0]);
+        (inner[best], found[best])
+    }
+
+    /// The standard error of the delay at `delay_s`, and its degrees of freedom: from what is left in
+    /// blocks of time, which may remember whatever it does within them (Liang and Zeger 1986).
+    fn uncertainty(&self, reference: &Curve, delay_s: f64) -> (f64, f64) {
+        /// Blocks at most, and the shortest, s.
+        const BLOCKS: f64 = 40.0;
+        const SHORTEST_S: f64 = 0.5;
+        const STEP_S: f64 = 1e-3;
+        let references = self.references(reference, delay_s);
+        let fit = self.fit(&references);
+        let [before, after] =
+            [-STEP_S, STEP_S].map(|step_s| self.references(reference, delay_s + step_s));
+        let slope = |row: usize| -> Option<[f64; WIDTH]> {
+            let (before, after) = (before[row]?, after[row]?);
+            Some(std::array::from_fn(|at| (after[at] - before[at]) / (2.0 * STEP_S)))
+        };
+        // The slopes beside what the gains make up for.
+        let sloped = Changes {
+            by: (0..self.by.len())
+                .map(|row| slope(row).map_or([0.0; WIDTH], |slope| self.predicted(&fit, &slope)))
+                .collect(),
+            ..self.clone()
+        };
+        let beside = sloped.fit(&references);
+        let (Some(first), Some(last)) = (self.windows.first(), self.windows.last()) else {
+            return (f64::INFINITY, 1.0);
+        };
+        let block_s = ((last.1 - first.0) / BLOCKS).max(SHORTEST_S);
+        let (mut information, mut blocks) = (0.0, std::collections::BTreeMap::new());
+        for (row, reference) in references.iter().enumerate() {
+            let (Some(reference), Some(_)) = (reference, slope(row)) else { continue };
+            let told = self.predicted(&fit, reference);
+            let taken = self.predicted(&beside, reference);
+            let block = ((self.windows[row].0 - first.0) / block_s) as u64;
+            for at in 0..self.width {
+                let own = sloped.by[row][at] - taken[at];
+                information += own * own;
+                *blocks.entry(block).or_insert(0.0) += own * (self.by[row][at] - told[at]);
+            }
+        }
+        let count = blocks.len() as f64;
+        if count < 4.0 || information <= 0.0 {
+            return (f64::INFINITY, 1.0);
+        }
+        let square: f64 = blocks.values().map(|sum: &f64| sum * sum).sum::<f64>();
+        ((square * count / (count - 1.0)).sqrt() / information, count - 1.0)
+    }
+
+    /// What the gains make of a reference.
+    fn predicted(&self, fit: &Fit, reference: &[f64; WIDTH]) -> [f64; WIDTH] {
+        let size = self.group();
+        std::array::from_fn(|at| {
+            let Some(gains) = fit.gains.get(at / size) else { return 0.0 };
+            (0..size).map(|b| gains[(at % size, b)] * reference[at - at % size + b]).sum()
+        })
+    }
+
+    /// The gain at no delay, and the share of the response's energy that it leaves.
+    pub fn gain(&self, reference: &Curve) -> (f64, f64) {
+        let fit = self.fit_at(reference, 0.0);
+        (mean_gain(&fit), fit.share_left())
+    }
+
+    /// How the response follows `reference`, by delays up to `most_s` either way.
+    ///
+    /// # Errors
+    /// Where too little of it is explained, or several delays explain it as well.
+    pub fn follow(&self, reference: &Curve, most_s: f64) -> Result<Response, Unseen> {
+        /// Share of the energy from which a response follows.
+        const FOLLOWS: f64 = 0.8;
+        /// To how much a delay is refined, s.
+        const FINE_S: f64 = 2e-5;
+        /// A delay that leaves so many times as much as the best, and this share more, is no rival.
+        const RIVAL: (f64, f64) = (2.0, 0.02);
+        let mut lengths: Vec<f64> =
+            self.windows.iter().map(|(from_s, to_s)| to_s - from_s).collect();
+        let step_s = (median(&mut lengths).unwrap_or(0.1) / 4.0).max(5e-3);
+        let steps = (most_s / step_s).ceil() as i64;
+        let tried = |step: i64| step as f64 * step_s;
+        let left: Vec<f64> =
+            (-steps..=steps).map(|step| self.left_at(reference, tried(step))).collect();
+        let is_low = |at: usize| {
+            let beside = |at: Option<usize>| at.and_then(|at| left.get(at)).copied().unwrap_or(1.0);
+            left[at] <= beside(at.checked_sub(1)) && left[at] < beside(Some(at + 1))
+        };
+        let lows: Vec<(f64, f64)> = (0..left.len())
+            .filter(|&at| is_low(at))
+            .map(|at| {
+                let middle = tried(at as i64 - steps);
+                self.refined(reference, (middle - step_s, middle + step_s), FINE_S)
+            })
+            .collect();
+        let Some(&(delay_s, least)) = lows.iter().min_by(|a, b| a.1.total_cmp(&b.1)) else {
+            return Err(Unseen::DoesNotFollow(0.0));
+        };
+        let (low_pass_s, delay_s, left) = self.low_pass(reference, (delay_s, least), most_s);
+        if 1.0 - left < FOLLOWS {
+            return Err(Unseen::DoesNotFollow((1.0 - left).max(0.0).sqrt()));
+        }
+        let is_rival = |low: &&(f64, f64)| low.1 < RIVAL.0 * least + RIVAL.1;
+        let rivals: Vec<f64> = lows.iter().filter(is_rival).map(|low| low.0).collect();
+        if rivals.len() > 1 {
+            return Err(Unseen::Periodic(rivals));
+        }
+        let filtered = (low_pass_s > 0.0).then(|| reference.filtered(low_pass_s));
+        let reference = filtered.as_ref().unwrap_or(reference);
+        let (std_error, dof) = self.uncertainty(reference, delay_s);
+        Ok(Response {
+            delay_s: Measured { value: delay_s + low_pass_s, std_error, dof },
+            low_pass_s,
+            gain: mean_gain(&self.fit_at(reference, delay_s)),
+            explained: 1.0 - left,
+            by_delay_alone: 1.0 - least,
+        })
+    }
+
+    /// The time constant of a low-pass, s, with the delay beside it, s, and the share that these leave;
+    /// a constant of 0 where they do not leave much less than `pure`, a delay alone and what it leaves.
+    fn low_pass(&self, reference: &Curve, pure: (f64, f64), most_s: f64) -> (f64, f64, f64) {
+        /// A low-pass leaves at most this share of what a delay alone does, …
+        const MUCH: f64 = 0.75;
+        /// … takes this much of the response's energy off it, …
+        const WORTH: f64 = 1e-6;
+        /// … and is this much of the whole delay.
+        const PART: f64 = 0.2;
+        /// Time constants that are tried, s, and how many.
+        const SHORTEST_S: f64 = 2e-3;
+        const TRIED: usize = 24;
+        /// To how much the delay beside one is refined: s at least, and of the constant.
+        const FINE: (f64, f64) = (1e-4, 0.02);
+        let with = |constant_s: f64| {
+            let filtered = reference.filtered(constant_s);
+            let middle_s = pure.0 - constant_s;
+            let around_s = (0.5 * constant_s).max(5e-3);
+            let fine_s = FINE.0.max(FINE.1 * constant_s);
+            let (delay_s, left) =
+                self.refined(&filtered, (middle_s - around_s, middle_s + around_s), fine_s);
+            (constant_s, delay_s, left)
+        };
+        if pure.1 < WORTH {
+            return (0.0, pure.0, pure.1);
+        }
+        let ratio = (most_s / SHORTEST_S).powf(1.0 / TRIED as f64);
+        let tried = (0..=TRIED).map(|at| with(SHORTEST_S * ratio.powi(at as i32)));
+        let by_left = |a: &(f64, f64, f64), b: &(f64, f64, f64)| a.2.total_cmp(&b.2);
+        let Some(coarse) = tried.min_by(by_left) else { return (0.0, pure.0, pure.1) };
+        let finer = (-6..=6).map(|at| with(coarse.0 * ratio.powf(f64::from(at) / 6.0)));
+        let best = finer.min_by(by_left).unwrap_or(coarse);
+        let is_worth =
+            best.2 < MUCH * pure.1 && pure.1 - best.2 > WORTH && best.0 > PART * (best.0 + best.1);
+        // What is causal is no earlier than its reference by more than a stamp's error.
+        let is_causal = best.1 > -0.25 * best.0 - 2e-3;
+        if is_worth && is_causal { best } else { (0.0, pure.0, pure.1) }
+    }
+}
+
+/// The mean of the gains of each column to itself.
+fn mean_gain(fit: &Fit) -> f64 {
+    let columns: usize = fit.gains.iter().map(DMatrix::nrows).sum();
+    fit.gains.iter().map(DMatrix::trace).sum::<f64>() / columns.max(1) as f64
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,323 @@
+//! Whether recorded velocities are the rates of the recorded positions, and what they are where not.
+//!
+//! Velocities are integrated between samples and held against the change of position over the same
+//! window, so that nothing is differentiated: the noise of an encoder enters twice a window, that of the
+//! velocities averages out.
+
+use super::latency::median_period_s;
+use super::response::{Changes, Curve, slopes};
+use super::{Response, Unseen};
+use ground::stats::Measured;
+use ground::stream::sample_noise;
+
+/// The samples of one joint.
+#[derive(Clone, Copy, Debug)]
+pub struct VelocitySamples<'a> {
+    /// Sample times, s, strictly increasing.
+    pub t_s: &'a [f64],
+    /// Positions as recorded, rad or m.
+    pub position: &'a [f64],
+    /// Velocities as recorded, rad/s or m/s; NaN where there are none.
+    pub velocity: &'a [f64],
+}
+
+/// The velocities of a joint against the rates of its positions.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VelocityDiagnosis {
+    /// Their error over the error of no velocities at all: rms of velocity less rate, over rms rate, in
+    /// the band of the motion, beyond what noise, steps of the encoder and jitter of the stamps make.
+    pub error: Measured,
+    /// What of such an error these explain by themselves.
+    pub noise: f64,
+    /// Rms of the positions' rate, rad/s or m/s.
+    pub rate: f64,
+    /// Windows that are compared, s.
+    pub window_s: f64,
+    /// What the velocities are.
+    pub shape: VelocityShape,
+}
+
+/// What velocities are where they are not the rates of their positions.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum VelocityShape {
+    /// The rates, as well as this can be told.
+    Rates,
+    /// None: always zero, or next to it.
+    Zero,
+    /// The rates times a factor.
+    Scaled(f64),
+    /// Those of the joint in this place of the list, times a factor.
+    OfJoint(usize, f64),
+    /// The rates, late or early, through a low-pass, or both, times the gain.
+    Filtered(Response),
+    /// None of these.
+    Unlike,
+}
+
+/// Below this relative error no cause is looked for, and a shift by half a sample is that of a
+/// difference of two samples.
+const SMALL: f64 = 0.02;
+/// Longest delay that is looked for, s.
+const MOST_LAG_S: f64 = 0.5;
+
+/// Whether the velocities of joint `index` are the rates of its positions; `joints` are all of the arm,
+/// whose velocities may be mixed up.
+///
+/// # Errors
+/// Where the joint hardly moves, or has too few velocities.
+pub fn diagnose_velocity(
+    joints: &[VelocitySamples<'_>],
+    index: usize,
+) -> Result<VelocityDiagnosis, Unseen> {
+    let own = joints.get(index).ok_or(Unseen::AtRest)?;
+    let windows = Windows::of(own)?;
+    let Windows { noise, ref changes, ref moved, .. } = windows;
+    let (compared, rate_square) = (moved.len() as f64, mean_square(moved) - 2.0 * noise.position);
+    let by_noise = noise.of_window(windows.window_s, mean_square(moved)) / rate_square;
+    let error_of = |moved: &[f64]| {
+        let errors: Vec<f64> = changes.by.iter().zip(moved).map(|(by, q)| by[0] - q).collect();
+        mean_square(&errors) / rate_square
+    };
+    let as_recorded = error_of(moved);
+    let half_s = 0.5 * median_period_s(own.t_s);
+    let curve = Curve::new(own.t_s.to_vec(), vec![own.position.to_vec()]);
+    // A difference of two samples is the rate of the moment between them.
+    let of_difference = [-half_s, half_s]
+        .map(|delay_s| changes.references(&curve, delay_s))
+        .map(|shifted| shifted.iter().map(|at| at.map_or(f64::NAN, |at| at[0])).collect::<Vec<_>>())
+        .map(|shifted| error_of(&shifted));
+    let square = match of_difference.into_iter().fold(f64::INFINITY, f64::min) {
+        shifted if shifted - by_noise < SMALL * SMALL => shifted.min(as_recorded),
+        _ => as_recorded,
+    };
+    let square = (square - by_noise).max(0.0);
+    let value = square.sqrt();
+    // The noise is known to a half of its square; windows that overlap count once.
+    let count = (0.5 * compared).max(1.0);
+    let variance = 4.0 * square * by_noise / count + (0.5 * by_noise).powi(2);
+    let std_error = 0.5 * ((square + 2.0 * variance.sqrt()).sqrt() - value);
+    let shape = match value < SMALL {
+        true => VelocityShape::Rates,
+        false => shape(joints, index, &windows, &curve, by_noise * rate_square),
+    };
+    Ok(VelocityDiagnosis {
+        error: Measured { value, std_error, dof: count },
+        noise: by_noise.sqrt(),
+        rate: rate_square.sqrt() / windows.window_s,
+        window_s: windows.window_s,
+        shape,
+    })
+}
+
+fn mean_square(values: &[f64]) -> f64 {
+    let finite = values.iter().filter(|value| value.is_finite());
+    let (sum, count) = finite.fold((0.0, 0.0), |(sum, count), v| (sum + v * v, count + 1.0));
+    sum / f64::max(count, 1.0)
+}
+
+/// What noise adds, as variances.
+#[derive(Clone, Copy, Debug)]
+struct Noise {
+    /// Of a position, rad² or m².
+    position: f64,
+    /// Of a velocity times the period between samples: of an integral by the second, rad²/s or m²/s.
+    velocity: f64,
+    /// Of a stamp, s².
+    stamp: f64,
+    /// Of integrating between samples, of the changes' own square.
+    between: f64,
+}
+
+impl Noise {
+    /// The variance of the difference between the integral over a window and the change of position, of
+    /// which the square is `moved` in the mean.
+    fn of_window(&self, window_s: f64, moved: f64) -> f64 {
+        let by_stamps = 2.0 * self.stamp * moved / (window_s * window_s);
+        2.0 * self.position + self.velocity * window_s + by_stamps + self.between
+    }
+}
+
+/// What is compared of a joint.
+#[derive(Debug)]
+struct Windows {
+    window_s: f64,
+    /// Integrals of the velocity.
+    changes: Changes,
+    /// Changes of the position over the same windows, rad or m.
+    moved: Vec<f64>,
+    noise: Noise,
+}
+
+impl Windows {
+    fn of(joint: &VelocitySamples<'_>) -> Result<Self, Unseen> {
+        /// A joint moves that goes this far, rad or m.
+        const MOVES: f64 = 5e-3;
+        /// Windows needed.
+        const NEED: usize = 20;
+        /// The shortest window and the longest, s; by how much they are made longer, until noise is this
+        /// share of the changes.
+        const LENGTHS_S: (f64, f64) = (0.1, 0.5);
+        const LONGER: f64 = 1.5;
+        const LITTLE: f64 = 0.01;
+        let known: Vec<usize> = (0..joint.t_s.len().min(joint.velocity.len()))
+            .filter(|&row| joint.velocity[row].is_finite() && joint.position[row].is_finite())
+            .collect();
+        if known.len() < NEED {
+            return Err(Unseen::TooFewSamples { have: known.len(), need: NEED });
+        }
+        let of = |values: &[f64]| known.iter().map(|&row| values[row]).collect::<Vec<f64>>();
+        let (t_s, q, v) = (of(joint.t_s), of(joint.position), of(joint.velocity));
+        let (least, most) =
+            q.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &q| (a.min(q), b.max(q)));
+        let integral = Integral::of(&t_s, &v);
+        let mut noise = noise(&t_s, &q, &v);
+        if most - least < MOVES.max(8.0 * noise.position.sqrt()) {
+            return Err(Unseen::AtRest);
+        }
+        let mut window_s = LENGTHS_S.0.max(4.0 * median_period_s(&t_s));
+        loop {
+            let (changes, moved, between) = integral.windows(&t_s, &q, window_s);
+            noise.between = between;
+            let square = mean_square(&moved);
+            let is_clear = noise.of_window(window_s, square) <= LITTLE * LITTLE * square;
+            if is_clear || window_s >= LENGTHS_S.1 {
+                let is_enough = moved.len() >= NEED && square > 4.0 * noise.position;
+                let found = Self { window_s, changes, moved, noise };
+                return if is_enough { Ok(found) } else { Err(Unseen::AtRest) };
+            }
+            window_s = (LONGER * window_s).min(LENGTHS_S.1.max(window_s));
+        }
+    }
+}
+
+/// The variances of noise in a joint's samples.
+fn noise(t_s: &[f64], q: &[f64], v: &[f64]) -> Noise {
+    let period_s = median_period_s(t_s);
+    let jitter: Vec<f64> = t_s
+        .windows(2)
+        .map(|pair| (pair[1] - pair[0] - period_s).clamp(-period_s, period_s))
+        .collect();
+    let bends: Vec<f64> = v.windows(3).map(|at| at[0] - 2.0 * at[1] + at[2]).collect();
+    let quantum = quantum(q);
+    Noise {
+        position: sample_noise(q).powi(2).max(quantum * quantum / 12.0),
+        velocity: mean_square(&bends) / 6.0 * period_s,
+        stamp: 0.5 * mean_square(&jitter),
+        between: 0.0,
+    }
+}
+
+/// The step of an encoder: what the least of all changes from sample to sample are, which is next to
+/// nothing of positions that have no steps.
+fn quantum(q: &[f64]) -> f64 {
+    const SHARE: usize = 50;
+    const ARITHMETIC: f64 = 1e-9;
+    let steps = q.windows(2).map(|pair| (pair[1] - pair[0]).abs());
+    let mut steps: Vec<f64> = steps.filter(|&step| step > ARITHMETIC).collect();
+    let at = steps.len() / SHARE;
+    if steps.is_empty() { 0.0 } else { *steps.select_nth_unstable_by(at, f64::total_cmp).1 }
+}
+
+/// The integral of velocities from the first sample on.
+struct Integral {
+    /// By the cubic between samples, and by straight lines.
+    at: Vec<[f64; 2]>,
+}
+
+impl Integral {
+    fn of(t_s: &[f64], v: &[f64]) -> Self {
+        let slopes = slopes(t_s, v);
+        let mut at = vec![[0.0; 2]];
+        for row in 1..t_s.len() {
+            let length_s = t_s[row] - t_s[row - 1];
+            let straight = 0.5 * length_s * (v[row] + v[row - 1]);
+            let bend = length_s * length_s / 12.0 * (slopes[row] - slopes[row - 1]);
+            let [cubic_before, straight_before] = at[row - 1];
+            at.push([cubic_before + straight - bend, straight_before + straight]);
+        }
+        Self { at }
+    }
+
+    /// The changes of the integral over windows, those of the position, and the variance of what is not
+    /// known between samples.
+    fn windows(&self, t_s: &[f64], q: &[f64], window_s: f64) -> (Changes, Vec<f64>, f64) {
+        let [cubic, straight] =
+            [0, 1].map(|kind| self.at.iter().map(|at| at[kind]).collect::<Vec<f64>>());
+        let span = (t_s.first().copied().unwrap_or(0.0), t_s.last().copied().unwrap_or(0.0));
+        let all = Changes::of(t_s, &[cubic, straight, q.to_vec()], span, window_s);
+        let mut changes = Changes { width: 1, ..Changes::default() };
+        let (mut moved, mut square) = (Vec::new(), 0.0);
+        for (&window, by) in all.windows.iter().zip(&all.by) {
+            changes.windows.push(window);
+            changes.by.push([by[0], 0.0, 0.0, 0.0, 0.0, 0.0]);
+            moved.push(by[2]);
+            square += (0.5 * (by[0] - by[1])).powi(2);
+        }
+        let between = square / moved.len().max(1) as f64;
+        (changes, moved, between)
+    }
+}
+
+/// What the velocities are, where they are not the rates.
+fn shape(
+    joints: &[VelocitySamples<'_>],
+    index: usize,
+    windows: &Windows,
+    curve: &Curve,
+    by_noise: f64,
+) -> VelocityShape {
+    /// Of the rates' rms, this is none.
+    const NONE: f64 = 0.02;
+    /// Of the error's square a cause leaves this at most.
+    const LEFT: f64 = 0.2;
+    let Windows { changes, moved, .. } = windows;
+    let by: Vec<f64> = changes.by.iter().map(|by| by[0]).collect();
+    let (own, rates) = (mean_square(&by), mean_square(moved));
+    if own <= NONE * NONE * rates {
+        return VelocityShape::Zero;
+    }
+    let errors: Vec<f64> = by.iter().zip(moved).map(|(by, moved)| by - moved).collect();
+    // In squares of the response, as what a fit leaves is.
+    let allowed = (LEFT * mean_square(&errors) + by_noise).min(0.5 * own) / own;
+    let signed = |sign: f64| {
+        let by = changes.by.iter().map(|by| by.map(|by| sign * by)).collect();
+        Changes { by, ..changes.clone() }
+    };
+    let along: f64 = by.iter().zip(moved).map(|(by, moved)| by * moved).sum();
+    let sign = if along < 0.0 { -1.0 } else { 1.0 };
+    let gain_of = |curve: &Curve| {
+        let fits = [1.0, -1.0].map(|sign| (sign, signed(sign).gain(curve)));
+        let [(sign, (gain, left)), _] = match fits[0].1.1 <= fits[1].1.1 {
+            true => fits,
+            false => [fits[1], fits[0]],
+        };
+        (sign * gain, left)
+    };
+    let (gain, left) = gain_of(curve);
+    if left <= allowed {
+        return VelocityShape::Scaled(gain);
+    }
+    let of_others = joints.iter().enumerate().filter(|(other, _)| *other != index);
+    let of_others = of_others.filter(|(_, joint)| joint.t_s.len() > 1).map(|(other, joint)| {
+        let (gain, left) = gain_of(&Curve::new(joint.t_s.to_vec(), vec![joint.position.to_vec()]));
+        (left, other, gain)
+    });
+    let other = of_others.min_by(|a, b| a.0.total_cmp(&b.0));
+    let response = signed(sign)
+        .follow(curve, MOST_LAG_S)
+        .ok()
+        .map(|response| Response { gain: sign * response.gain, ..response });
+    let left = response.map_or(1.0, |response| 1.0 - response.explained);
+    match other {
+        Some((left_by_other, other, gain)) if left_by_other <= allowed.min(0.2 * left) => {
+            VelocityShape::OfJoint(other, gain)
+        }
+        _ => match response.filter(|_| left <= allowed) {
+            Some(response) => VelocityShape::Filtered(response),
+            None => VelocityShape::Unlike,
+        },
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,57 @@
+use super::*;
+
+fn position(joint: usize, t: f64) -> f64 {
+    let rate = 1.0 + 0.37 * joint as f64;
+    (rate * t).sin() + 0.5 * (2.1 * rate * t + 0.3).sin()
+}
+
+fn rate(joint: usize, t: f64) -> f64 {
+    (position(joint, t + 1e-4) - position(joint, t - 1e-4)) / 2e-4
+}
+
+/// What is found on the first of two joints of which `velocity` makes the numbers, their positions in
+/// steps of `quantum`.
+fn found(quantum: f64, velocity: impl Fn(f64) -> f64) -> VelocityDiagnosis {
+    let t_s: Vec<f64> = (0..2000).map(|row| f64::from(row) * 0.01).collect();
+    let stepped = |q: f64| if quantum > 0.0 { (q / quantum).round() * quantum } else { q };
+    let of = |joint: usize| t_s.iter().map(|&t| stepped(position(joint, t))).collect::<Vec<f64>>();
+    let positions = [of(0), of(1)];
+    let own: Vec<f64> = t_s.iter().map(|&t| velocity(t)).collect();
+    let joint = |at: usize| VelocitySamples { t_s: &t_s, position: &positions[at], velocity: &own };
+    diagnose_velocity(&[joint(0), joint(1)], 0).expect("it moves")
+}
+
+#[test]
+fn rates_are_rates_whatever_the_encoder() {
+    for bits in [0.0, 14.0, 12.0, 10.0] {
+        let quantum = if bits > 0.0 { std::f64::consts::TAU / f64::exp2(bits) } else { 0.0 };
+        let found = found(quantum, |t| rate(0, t));
+        assert!(
+            found.error.value < 0.02 && found.error.half_width(0.95) < 0.05,
+            "{bits}: {found:?}"
+        );
+        assert_eq!(found.shape, VelocityShape::Rates);
+    }
+}
+
+#[test]
+fn each_cause_is_named_with_its_amount() {
+    let degrees = found(0.0, |t| rate(0, t).to_degrees());
+    assert!(matches!(degrees.shape, VelocityShape::Scaled(by) if (by - 57.296).abs() < 0.1));
+    assert!((degrees.error.value - 56.296).abs() < 0.1, "{degrees:?}");
+    let turned = found(0.0015, |t| -rate(0, t));
+    assert!(matches!(turned.shape, VelocityShape::Scaled(by) if (by + 1.0).abs() < 0.02));
+    assert_eq!(found(0.0, |_| 0.0).shape, VelocityShape::Zero);
+    let swapped = found(0.0, |t| rate(1, t));
+    assert!(matches!(swapped.shape, VelocityShape::OfJoint(1, by) if (by - 1.0).abs() < 0.02));
+    assert_eq!(found(0.0, |t| (40.0 * t * t).sin()).shape, VelocityShape::Unlike);
+    let late = found(0.0, |t| rate(0, t - 0.06));
+    let VelocityShape::Filtered(response) = late.shape else { panic!("{late:?}") };
+    assert!((response.delay_s.value - 0.06).abs() < 1e-3, "{response:?}");
+}
+
+#[test]
+fn a_difference_of_two_samples_is_a_rate() {
+    let backward = found(0.0, |t| (position(0, t) - position(0, t - 0.01)) / 0.01);
+    assert_eq!(backward.shape, VelocityShape::Rates, "{backward:?}");
+}
