@@ -2,7 +2,7 @@
 
 use super::PoseStream;
 use super::latency::ArmSpeeds;
-use super::placing::spread;
+use super::placing::{Expected, spread};
 use ground::geometry::{Pose, Vec3};
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
@@ -172,11 +172,25 @@ pub fn base_travel(
     let travel_m = far.fold(0.0, f64::max);
     let moves = travel_m > STANDS_M
         && course.along_m > FARTHER * course.strays_m
-        && largest_m < AT_ONCE * course.along_m;
+        && largest_m < AT_ONCE * course.along_m
+        && !stands(joints, stream, latency_s, course.along_m / FARTHER);
     moves.then(|| {
         let turned = bases.iter().map(|base| base.rotation.angle_to(&bases[0].rotation));
         BaseTravel { travel_m, turn_rad: turned.fold(0.0, f64::max) }
     })
+}
+
+/// Whether one world that the base stands still in and one point of the tool leave less than `most_m` of
+/// the positions, rms. A tool that keeps its orientation, seen by a tracker whose world and body are turned
+/// at will, looks like a base that slides along: then orientations leave open how the world is turned, and
+/// positions do not.
+fn stands(joints: &JointTrack, stream: &PoseStream, latency_s: f64, most_m: f64) -> bool {
+    let mut fk = Forward::new(joints, stream);
+    let both = some_of(stream.track.t_s.len())
+        .into_iter()
+        .filter_map(|row| Some((fk.at(stream.track.t_s[row] - latency_s)?, stream.track.xyz[row])));
+    let (fk, xyz): (Vec<Pose>, Vec<Vec3>) = both.unzip();
+    Expected::of(&fk).misfit_anyhow(&xyz) < most_m
 }
 
 /// How far poses go in the plane across the axis that they turn about, and how far they stray from it.

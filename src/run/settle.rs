@@ -163,6 +163,8 @@ fn leads(leader: &Arm, arm: &Arm, most_lag_s: f64) -> Option<f64> {
 const LEAST_S: f64 = 0.04;
 /// Speeds of a stream that leads correlate as well as those of one that follows.
 const LEADS: f64 = 0.7;
+/// Motion repeats itself that correlates at another lag by this share of the best.
+const REPEATS: f64 = 0.9;
 
 /// Settles which candidates are tool poses, by whether they follow the arm.
 fn settle_candidates(run: &mut Run, most_lag_s: f64) {
@@ -211,6 +213,14 @@ fn lead_s(run: &Run, arm: &Arm, source: &PoseSource, peak: Peak, lags: &mut Lags
     };
     let received_s = peak.lag_s + delay_s(source.stream) - delay_s(joints);
     if peak.correlation < LEADS || peak.lag_s > -LEAST_S || received_s > -LEAST_S {
+        return None;
+    }
+    // Motion that repeats itself follows as well at a lag of now.
+    let peaks = likely_lags(&arm.joints, &run.pose_stream(source), lags.most_lag_s);
+    let is_now = |other: &Peak| {
+        other.correlation > LEADS.max(REPEATS * peak.correlation) && other.lag_s > -LEAST_S
+    };
+    if peaks.iter().any(is_now) {
         return None;
     }
     let is_as_early = |lag_s: f64| lag_s < 0.5 * peak.lag_s;

@@ -3,6 +3,7 @@ use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{FrameEstimate, Twin};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
+use crate::run::Witness;
 
 rule! {
     /// The tool frame of a stream is off by a constant.
@@ -58,9 +59,10 @@ fn fault(
     severity: Severity,
 ) -> Fault {
     let tip = &stream.tip;
-    let (severity, guess) = match stream.tip_named {
-        true => (severity, ""),
-        false => (Severity::Info, ", probably the active TCP"),
+    let (severity, guess) = match (stream.witness, stream.tip_named) {
+        (Witness::External, _) => (Severity::Info, ": where its marker sits"),
+        (_, true) => (severity, ""),
+        (_, false) => (Severity::Info, ", probably the active TCP"),
     };
     let (offset, pose) = (Unit::Metre.show(frame.translation_m.value), show_pose(&frame.pose));
     Fault {
