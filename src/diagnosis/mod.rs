@@ -10,6 +10,7 @@
 mod test_random;
 
 mod aligned;
+mod alternation;
 mod arm;
 mod carried;
 mod constant;
@@ -56,6 +57,7 @@ use ground::robot::Chain;
 use ground::stream::PoseTrack;
 
 pub use aligned::{Aligned, Residuals};
+pub use alternation::{Alternation, Other, alternation};
 pub use arm::{diagnose_arm, diagnose_derived, follows, likely_lags};
 pub use carried::{BaseTravel, CarrierLag, base_travel, carrier_lag};
 pub use course::{LatencyCourse, LatencyJump};
@@ -63,7 +65,7 @@ pub use dh::{DhEstimate, DhStream, DhTold, Left, faults};
 pub use ground::stats::{Length, Measured};
 pub use handeye::{
     CameraPose, Closure, Diversity, HandEyeDiagnosis, HandEyeStreams, Mount, PoseSeries, Solution,
-    TargetReading, diagnose_hand_eye, turning_peaks,
+    Stretch, TargetReading, diagnose_hand_eye, turning_peaks,
 };
 pub use imu::{
     GyroBias, GyroShape, Heading, ImuDiagnosis, ImuProof, ImuStream, Rates, YawCourse, YawJump,

@@ -36,11 +36,18 @@ impl Expected {
         self.turned(xyz).map_or(plain, |(reference, _)| plain.min(self.misfit_at(xyz, &reference)))
     }
 
-    /// As [`Expected::misfit`], also of positions along a line, which leave the reference's turn about it
-    /// open.
+    /// As [`Expected::misfit`], also of positions along a line.
     pub fn misfit_anyhow(&self, xyz: &[Vec3]) -> f64 {
-        let along = turned_so(&self.xyz, xyz, &products(&self.xyz, xyz));
-        self.misfit(xyz).min(self.misfit_at(xyz, &along))
+        self.misfit(xyz).min(self.misfit_at(xyz, &self.turned_anyhow(xyz).0))
+    }
+
+    /// As [`Expected::turned`], also of positions along a line: they leave the reference's turn about it
+    /// open, and some turn is taken.
+    pub fn turned_anyhow(&self, xyz: &[Vec3]) -> (Pose, Vec3) {
+        self.turned(xyz).unwrap_or_else(|| {
+            let reference = turned_so(&self.xyz, xyz, &products(&self.xyz, xyz));
+            (reference, self.tool(xyz, &reference))
+        })
     }
 
     /// The reference frame and the constant tool offset that leave least of `xyz`, sought by so many

@@ -207,9 +207,14 @@ fn is_hidden(fitted: &Fitted, cause: Cause, index: usize) -> bool {
 fn aliases(prepared: &Prepared, explanation: &Explanation, index: usize) -> Option<Vec<f64>> {
     let found = &explanation.state.streams[index];
     let witness = &prepared.witness;
+    let offsets = &explanation.state.offsets;
     let at = |latency_s: f64| {
-        let state = StreamState { latency_s, ..found.clone() };
-        witness.at_latency(&state, &explanation.state.offsets, SEARCH_SAMPLES)
+        let mut state = StreamState { latency_s, ..found.clone() };
+        if !witness.reference_known {
+            // Another lag may want the world elsewhere, as a raster's next line does.
+            witness.shift_reference(&mut state, offsets, SEARCH_SAMPLES);
+        }
+        witness.at_latency(&state, offsets, SEARCH_SAMPLES)
     };
     let (best, _) = at(found.latency_s);
     let apart = 4.0 * median_period_s(&witness.t_s).max(0.02);

@@ -20,6 +20,7 @@ mod fit;
 mod reading;
 mod series;
 mod start;
+mod stretch;
 
 use super::latency::{self, Peak, Speed};
 use super::{FrameEstimate, Seen, Unseen};
@@ -33,6 +34,7 @@ pub use reading::TargetReading;
 use reading::{ReadTarget, better_reading};
 pub use series::PoseSeries;
 use series::Setting;
+pub use stretch::Stretch;
 
 /// Poses that the fit uses; more are thinned out evenly.
 const FIT_POSES: usize = 500;
