@@ -88,9 +88,28 @@ struct Step {
     /// The sample.
     row: usize,
     by: Pose,
-    /// Length, m, and angle, rad, each by the square of how many periods the sample came after the one
-    /// before: what motion leaves grows so.
+    /// Length, m, and angle, rad.
     sizes: [f64; 2],
+    /// How many times longer than the steps beside it: what noise leaves grows so, and what motion leaves
+    /// as its square.
+    times: f64,
+}
+
+/// What steps stay below, by length, m, and angle, rad.
+#[derive(Clone, Copy)]
+struct Limits {
+    /// What noise leaves.
+    noise: [f64; 2],
+    /// What motion leaves.
+    motion: [f64; 2],
+}
+
+impl Limits {
+    /// How large a pose is against the limits of a step so many times longer than the ones beside it.
+    fn of(&self, sizes: [f64; 2], times: f64) -> f64 {
+        let most = |kind: usize| (times * self.noise[kind]).max(times * times * self.motion[kind]);
+        (0..2).map(|kind| sizes[kind] / most(kind)).fold(0.0, f64::max)
+    }
 }
 
 fn steps(t_s: &[f64], period_s: f64, poses: &[Pose]) -> Vec<Step> {
@@ -110,9 +129,9 @@ fn steps(t_s: &[f64], period_s: f64, poses: &[Pose]) -> Vec<Step> {
         let from = poses[row - 1] * part(before_s, 1.0, twist(row - 2, row - 1));
         let to = poses[row] * part(after_s, -1.0, twist(row, row + 1));
         let by = from.inverse() * to;
-        let times = (between_s / period_s).powi(2).max(1.0);
-        let sizes = [by.translation.vector.norm() / times, by.rotation.angle() / times];
-        Some(Step { row, by, sizes })
+        let times = (between_s / before_s.min(after_s)).max(1.0);
+        let sizes = [by.translation.vector.norm(), by.rotation.angle()];
+        Some(Step { row, by, sizes, times })
     };
     (2..poses.len().saturating_sub(1)).filter_map(of).collect()
 }
@@ -123,7 +142,7 @@ fn limits(
     stream: &PoseStream,
     period_s: f64,
     steps: &[Step],
-) -> Option<[f64; 2]> {
+) -> Option<Limits> {
     /// So many times what nearly all steps of the stream stay below, and what all of FK's do.
     const TIMES: f64 = 6.0;
     const NEARLY_ALL: f64 = 0.85;
@@ -139,27 +158,28 @@ fn limits(
             stream.chain.forward(&own)
         })
     };
-    // At the stream's own stamps, as its noise grows with the square of how far apart they are.
+    // At the stream's own stamps.
     let covered = stream.track.t_s.iter().filter_map(|&t_s| Some((t_s, fk(t_s)?)));
     let (t_s, fk): (Vec<f64>, Vec<Pose>) = covered.unzip();
     let by_fk = self::steps(&t_s, period_s, &fk);
-    let most = |kind: usize| by_fk.iter().map(|step| step.sizes[kind]).fold(0.0, f64::max);
+    let most = |kind: usize| {
+        let sizes = by_fk.iter().map(|step| step.sizes[kind] / step.times.powi(2));
+        TIMES_FK * sizes.fold(0.0, f64::max)
+    };
     let most_rad = most(1);
-    let by_fk = [most(0) + LEVER_M * most_rad, most_rad];
-    let mut limits = [0.0; 2];
+    let mut limits = Limits { noise: LEAST, motion: [most(0) + LEVER_M * most_rad, most_rad] };
     for kind in 0..2 {
-        let mut sizes: Vec<f64> = steps.iter().map(|step| step.sizes[kind]).collect();
-        let usual = TIMES * quantile(&mut sizes, NEARLY_ALL)?;
-        limits[kind] = usual.max(TIMES_FK * by_fk[kind]).max(LEAST[kind]);
+        let mut sizes: Vec<f64> = steps.iter().map(|step| step.sizes[kind] / step.times).collect();
+        limits.noise[kind] = limits.noise[kind].max(TIMES * quantile(&mut sizes, NEARLY_ALL)?);
     }
     Some(limits)
 }
 
 /// The steps that are jumps: beyond the limits, and the largest about them.
-fn jumps(steps: &[Step], limits: [f64; 2]) -> Vec<Step> {
+fn jumps(steps: &[Step], limits: Limits) -> Vec<Step> {
     /// A jump shows in the steps beside it, too, by half.
     const BESIDE: usize = 2;
-    let size = |step: &Step| (0..2).map(|kind| step.sizes[kind] / limits[kind]).fold(0.0, f64::max);
+    let size = |step: &Step| limits.of(step.sizes, step.times);
     let is_jump = |at: &usize| {
         let about = at.saturating_sub(BESIDE)..(at + BESIDE + 1).min(steps.len());
         let own = size(&steps[*at]);
@@ -172,41 +192,43 @@ fn jumps(steps: &[Step], limits: [f64; 2]) -> Vec<Step> {
 struct Bodies {
     /// The first sample, the one after the last, and the body.
     stretches: Vec<(usize, usize, usize)>,
-    /// `first_from_body` of each, as the first jump to it has it.
-    poses: Vec<Pose>,
+    /// `first_from_body` of each, as the first jump to it has it, and how many times longer than the steps
+    /// beside them the jumps were that it is known by.
+    poses: Vec<(Pose, f64)>,
     /// Every jump, from which body to which.
-    jumps: Vec<(usize, usize, Pose)>,
+    jumps: Vec<(usize, usize, Step)>,
 }
 
 impl Bodies {
     /// `None` where the jumps do not come back to bodies that were there before.
-    fn of(jumps: &[Step], samples: usize, limits: [f64; 2]) -> Option<Self> {
+    fn of(jumps: &[Step], samples: usize, limits: Limits) -> Option<Self> {
         /// Bodies are one that are within so many limits of each other: less than half of a jump.
         const ALIKE: f64 = 1.0;
         let mut bodies =
-            Self { stretches: Vec::new(), poses: vec![Pose::identity()], jumps: Vec::new() };
+            Self { stretches: Vec::new(), poses: vec![(Pose::identity(), 1.0)], jumps: Vec::new() };
         let (mut from, mut body) = (0, 0);
         for jump in jumps {
             if jump.row < from + LEAST {
                 return None;
             }
             bodies.stretches.push((from, jump.row, body));
-            let there = bodies.poses[body] * jump.by;
-            let apart = |own: &Pose| {
+            let (here, times) = bodies.poses[body];
+            let (there, times) = (here * jump.by, times.max(jump.times));
+            let apart = |(own, own_times): &(Pose, f64)| {
                 let off = own.inverse() * there;
-                let by = [off.translation.vector.norm(), off.rotation.angle()];
-                (0..2).map(|kind| by[kind] / limits[kind]).fold(0.0, f64::max)
+                let sizes = [off.translation.vector.norm(), off.rotation.angle()];
+                limits.of(sizes, times.max(*own_times))
             };
             let near = bodies.poses.iter().map(apart).enumerate();
             let nearest = near.min_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, far)| *far < ALIKE);
             let next = match nearest {
                 Some((known, _)) => known,
                 None => {
-                    bodies.poses.push(there);
+                    bodies.poses.push((there, times));
                     bodies.poses.len() - 1
                 }
             };
-            bodies.jumps.push((body, next, jump.by));
+            bodies.jumps.push((body, next, *jump));
             (from, body) = (jump.row, next);
         }
         bodies.stretches.push((from, samples, body));
@@ -225,29 +247,35 @@ impl Bodies {
         (0..self.poses.len()).max_by_key(|&body| samples(body)).unwrap_or(0)
     }
 
-    /// A body beside the usual one, by the mean of all jumps between the two.
+    /// A body beside the usual one, by the mean of all jumps between the two, by inverse variance.
     fn other(&self, body: usize, usual: usize) -> Other {
-        let first = self.poses[usual].inverse() * self.poses[body];
-        let between = self.jumps.iter().filter_map(|&(from, to, by)| match (from, to) {
-            _ if (from, to) == (usual, body) => Some(by),
-            _ if (from, to) == (body, usual) => Some(by.inverse()),
-            _ => None,
+        let first = self.poses[usual].0.inverse() * self.poses[body].0;
+        let between = self.jumps.iter().filter_map(|&(from, to, Step { by, times, .. })| {
+            let by = match (from, to) {
+                _ if (from, to) == (usual, body) => by,
+                _ if (from, to) == (body, usual) => by.inverse(),
+                _ => return None,
+            };
+            Some((twist_of(&(first.inverse() * by)), times.powi(-2)))
         });
-        let about: Vec<[f64; 6]> =
-            between.chain([first]).map(|by| twist_of(&(first.inverse() * by))).collect();
-        // The first is one of them where there is a direct jump.
-        let about = if about.len() > 1 { &about[..about.len() - 1] } else { &about[..] };
+        let mut about: Vec<([f64; 6], f64)> = between.collect();
+        if about.is_empty() {
+            // There is no jump from one to the other at once.
+            about.push(([0.0; 6], 1.0));
+        }
         let n = about.len() as f64;
-        let mean: [f64; 6] =
-            std::array::from_fn(|at| about.iter().map(|one| one[at]).sum::<f64>() / n);
+        let total: f64 = about.iter().map(|(_, weight)| weight).sum();
+        let mean: [f64; 6] = std::array::from_fn(|at| {
+            about.iter().map(|(one, weight)| weight * one[at]).sum::<f64>() / total
+        });
         let pose = first * pose_of_twist(&mean);
         let error = |first: usize| {
-            let squares = about
-                .iter()
-                .flat_map(|one| (first..first + 3).map(move |at| (one[at] - mean[at]).powi(2)));
+            let squares = about.iter().flat_map(|(one, weight)| {
+                (first..first + 3).map(move |at| weight * (one[at] - mean[at]).powi(2))
+            });
             match about.len() {
                 1 => f64::INFINITY,
-                _ => (squares.sum::<f64>() / 3.0 / (n - 1.0) / n).sqrt(),
+                _ => (squares.sum::<f64>() / 3.0 / (n - 1.0) / total).sqrt(),
             }
         };
         let measured = |value: f64, first: usize| Measured {
@@ -263,5 +291,102 @@ impl Bodies {
             spans_s: Vec::new(),
             samples: 0,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ground::geometry::{angle_between, rotation_from_rpy};
+    use ground::robot::{Chain, catalogue};
+    use ground::stream::{Orientations, PoseTrack};
+
+    fn arm() -> (JointTrack, Chain) {
+        let robot = catalogue::find("ur5e").unwrap();
+        let link = |name| robot.link(name).unwrap();
+        let chain = robot.chain(link("base"), link("tool0")).unwrap();
+        let mut joints = JointTrack { dof: 6, ..Default::default() };
+        for row in 0..2500 {
+            let t_s = f64::from(row) * 0.008;
+            joints.t_s.push(t_s);
+            for joint in 0..6 {
+                let (rate, phase) = (0.7 + 0.23 * f64::from(joint), f64::from(joint));
+                joints.q.push(0.5 * (rate * t_s + phase).sin() - 0.6);
+                joints.qd.push(0.5 * rate * (rate * t_s + phase).cos());
+            }
+        }
+        (joints, chain)
+    }
+
+    /// What a tracker says of a body that is another one where `other` says so, and in `moved` worlds.
+    fn found(
+        other: &dyn Fn(f64) -> Option<Pose>,
+        world: &dyn Fn(f64) -> Pose,
+    ) -> Option<(Alternation, Vec<Pose>, Vec<Pose>)> {
+        let (joints, chain) = arm();
+        let body = Pose::from_parts([0.03, 0.0, 0.06].into(), rotation_from_rpy([0.7, 0.3, -1.1]));
+        let (mut t_s, mut usual, mut logged) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut q, mut qd) = ([0.0; 6], [0.0; 6]);
+        for row in 10..1900 {
+            let stamp = f64::from(row) * 0.01 + 0.003;
+            assert!(joints.at(stamp, &mut 0, &mut q, &mut qd));
+            let pose = world(stamp) * chain.forward(&q) * body;
+            t_s.push(stamp);
+            usual.push(pose);
+            logged.push(pose * other(stamp).unwrap_or_default());
+        }
+        let track = PoseTrack {
+            t_s,
+            xyz: logged.iter().map(|pose| pose.translation.vector).collect(),
+            orientation: Orientations::Rotations(logged.iter().map(|pose| pose.rotation).collect()),
+            declared: None,
+        };
+        let stream = PoseStream {
+            track: &track,
+            chain: &chain,
+            columns: &[0, 1, 2, 3, 4, 5],
+            reference_known: false,
+            stamp_error_s: 0.0,
+            stamps_copied: false,
+        };
+        let (alternation, mended) = alternation(&joints, &stream)?;
+        Some((alternation, mended, usual))
+    }
+
+    fn still(_: f64) -> Pose {
+        Pose::from_parts([1.0, 0.2, 0.4].into(), rotation_from_rpy([0.1, -0.2, 2.1]))
+    }
+
+    #[test]
+    fn bodies_that_come_and_go_are_told_and_put_back() {
+        let [one, two] =
+            [([0.005, 0.0, 0.0], [0.0, 0.0, 2.0]), ([0.0, 0.06, 0.0], [0.0, 0.4, 0.0])]
+                .map(|(xyz, rpy)| Pose::from_parts(xyz.into(), rotation_from_rpy(rpy)));
+        let other = |t_s: f64| match t_s {
+            4.0..6.0 | 9.0..9.3 => Some(one),
+            7.0..8.0 | 14.0..16.0 => Some(two),
+            _ => None,
+        };
+        let (alternation, mended, usual) = found(&other, &still).expect("it alternates");
+        assert_eq!(alternation.others.len(), 2);
+        for (other, planted) in alternation.others.iter().zip([one, two]) {
+            let off = other.pose.inverse() * planted;
+            assert!(off.translation.vector.norm() < 1e-3 && off.rotation.angle() < 3e-3, "{off}");
+            assert_eq!(other.spans_s.len(), 2);
+        }
+        for (mended, usual) in mended.iter().zip(&usual) {
+            let off_m = (mended.translation.vector - usual.translation.vector).norm();
+            assert!(off_m < 1e-3 && angle_between(&mended.rotation, &usual.rotation) < 3e-3);
+        }
+    }
+
+    #[test]
+    fn one_change_motion_and_a_world_that_jumps_are_no_alternation() {
+        let body = Pose::from_parts([0.05, 0.0, 0.0].into(), rotation_from_rpy([0.0, 0.0, 1.0]));
+        assert!(found(&|_| None, &still).is_none());
+        assert!(found(&|t_s| (t_s > 8.0).then_some(body), &still).is_none());
+        let jumps =
+            |t_s: f64| if (5.0..9.0).contains(&t_s) { body * still(t_s) } else { still(t_s) };
+        assert!(found(&|_| None, &jumps).is_none());
     }
 }

@@ -346,6 +346,53 @@ mod tests {
     }
 
     #[test]
+    fn a_tool_that_keeps_its_orientation_before_a_tracker_is_no_base_that_slides() {
+        // Only the axes that slide a gantry's tool move: its orientation stays.
+        let urdf = ["x", "y", "z"].iter().enumerate().fold(String::new(), |urdf, (n, axis)| {
+            let unit = ["1 0 0", "0 1 0", "0 0 1"][n];
+            urdf + &format!(
+                "<link name=\"l{}\"/><joint name=\"{axis}\" type=\"prismatic\"><parent link=\"l{n}\"/>\
+                 <child link=\"l{}\"/><axis xyz=\"{unit}\"/><limit lower=\"-2\" upper=\"2\" effort=\"1\" \
+                 velocity=\"2\"/></joint>",
+                n + 1,
+                n + 1
+            )
+        });
+        let urdf = format!("<robot name=\"g\"><link name=\"l0\"/>{urdf}</robot>");
+        let robot = ground::robot::Robot::from_urdf(&urdf, "g").unwrap();
+        let link = |name| robot.link(name).unwrap();
+        let chain = robot.chain(link("l0"), link("l3")).unwrap();
+        let mut joints = JointTrack { dof: 3, ..Default::default() };
+        for row in 0..2500 {
+            let t_s = f64::from(row) * 0.008;
+            joints.t_s.push(t_s);
+            joints.q.extend([0.3 * (0.9 * t_s).sin(), 0.2 * (0.31 * t_s).cos(), 0.0]);
+            joints.qd.extend([0.27 * (0.9 * t_s).cos(), -0.062 * (0.31 * t_s).sin(), 0.0]);
+        }
+        let world = Pose::from_parts([1.0, 0.2, 0.4].into(), rotation_from_rpy([0.1, -0.2, 2.1]));
+        let body = Pose::from_parts([0.03, 0.0, 0.06].into(), rotation_from_rpy([0.7, 0.3, -1.1]));
+        let mut track = PoseTrack {
+            t_s: Vec::new(),
+            xyz: Vec::new(),
+            orientation: Orientations::Rotations(Vec::new()),
+            declared: None,
+        };
+        let (mut q, mut qd) = ([0.0; 3], [0.0; 3]);
+        let mut rotations = Vec::new();
+        for row in 100..1800 {
+            let stamp = f64::from(row) * 0.01 + 0.003;
+            assert!(joints.at(stamp, &mut 0, &mut q, &mut qd));
+            let pose = world * chain.forward(&q) * body;
+            track.t_s.push(stamp);
+            track.xyz.push(pose.translation.vector);
+            rotations.push(pose.rotation);
+        }
+        track.orientation = Orientations::Rotations(rotations);
+        let stream = PoseStream { columns: &[0, 1, 2], ..stream(&track, &chain) };
+        assert_eq!(base_travel(&joints, &stream, 5.0), None);
+    }
+
+    #[test]
     fn a_base_that_drives_is_told_from_one_that_stands_and_from_an_arm_that_is_another() {
         let (joints, chain) = arm();
         let travel = |track: PoseTrack| base_travel(&joints, &stream(&track, &chain), 5.0);

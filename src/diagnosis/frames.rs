@@ -104,6 +104,22 @@ fn reference_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
     pose(mean(fk.iter().zip(logged).map(at)).into(), turn)
 }
 
+/// `state` with the reference and the tool frame that positions want at its latency.
+pub(super) fn placed_by_positions(
+    witness: &Witness,
+    state: StreamState,
+    offsets: &[f64],
+) -> StreamState {
+    let identity = Pose::identity();
+    let plain = StreamState { reference: identity, tool: identity, ..state.clone() };
+    let (fk, logged) = pairs(witness, &plain, offsets);
+    if fk.len() < 3 {
+        return state;
+    }
+    let (reference, tool) = by_positions(&fk, &logged);
+    StreamState { reference, tool, ..state }
+}
+
 /// Reference and tool frame, the former turned as positions want it.
 fn by_positions(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
     let xyz: Vec<Vec3> = logged.iter().map(|pose| pose.translation.vector).collect();

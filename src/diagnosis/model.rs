@@ -332,19 +332,6 @@ impl Witness<'_> {
         ((square / linear.len().max(1) as f64).sqrt(), along / steep)
     }
 
-    /// Shifts the reference of `stream` so that about `most` positions have no mean residual.
-    pub fn shift_reference(&self, stream: &mut StreamState, offsets: &[f64], most: usize) {
-        let mut sweep = Sweep::new(self);
-        let rows = (0..self.len()).step_by(self.len().div_ceil(most).max(1));
-        let off = |k: usize| {
-            let predicted = self.pose_at(k, stream, offsets, &mut sweep)?;
-            Some(Vec3::from(self.residual(k, &predicted)[0]))
-        };
-        let off: Vec<Vec3> = rows.filter_map(off).collect();
-        let mean = off.iter().sum::<Vec3>() / off.len().max(1) as f64;
-        stream.reference.translation.vector += mean;
-    }
-
     /// `reference_from_tip · tool` for sample `k`, or `None` where the joints do not cover it.
     pub fn pose_at(
         &self,

@@ -85,7 +85,7 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
             let why = format!("too little rotation to solve it (HEC002); {SETTLE}");
             (Outcome::Inconclusive(why), closure(best))
         }
-        (Some((reading, _)), _) if !matches!(reading, TargetReading::Axes(_)) => {
+        (Some((reading, _)), _) if is_fault(reading, as_logged, &thresholds) => {
             let fault = misread(reading, as_logged, &thresholds);
             (Outcome::faulty(fault), closure(as_logged))
         }
@@ -271,6 +271,18 @@ fn reading_words(reading: &TargetReading) -> String {
             None => "its rotations are of another convention".to_owned(),
         },
         TargetReading::Stretched(stretch) => stretch_words(stretch),
+    }
+}
+
+/// Whether it is this rule's fault that the target is read otherwise: other axes are HEC003's, and a stretch
+/// counts from the thresholds on.
+fn is_fault(reading: &TargetReading, as_logged: &Solution, thresholds: &FrameThresholds) -> bool {
+    match reading {
+        TargetReading::Axes(_) => false,
+        TargetReading::Stretched(_) => {
+            thresholds.length.severity(as_logged.closure.excess_m.value).is_some()
+        }
+        _ => true,
     }
 }
 

@@ -5,7 +5,7 @@ use super::fit::Fitted;
 use super::twins::measured;
 use crate::course::latency_course;
 use crate::explain::{Cause, ENTANGLED, Explanation};
-use crate::frames::frame_estimate;
+use crate::frames::{frame_estimate, placed_by_positions};
 use crate::latency::median_period_s;
 use crate::model::StreamState;
 use crate::observability::Observability;
@@ -212,7 +212,7 @@ fn aliases(prepared: &Prepared, explanation: &Explanation, index: usize) -> Opti
         let mut state = StreamState { latency_s, ..found.clone() };
         if !witness.reference_known {
             // Another lag may want the world elsewhere, as a raster's next line does.
-            witness.shift_reference(&mut state, offsets, SEARCH_SAMPLES);
+            state = placed_by_positions(witness, state, offsets);
         }
         witness.at_latency(&state, offsets, SEARCH_SAMPLES)
     };

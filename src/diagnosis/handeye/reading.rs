@@ -107,10 +107,15 @@ fn stretched(
 ) -> Option<(TargetReading, Solution)> {
     /// What is left beyond the noise is less than this share of what was.
     const LESS: f64 = 0.5;
-    let view = super::series::mean_direction(streams.target);
-    let reading = TargetReading::Stretched(stretch(streams, as_logged, view)?);
-    let read = ReadTarget { reading, ..ReadTarget::as_logged(streams.target, FIT_POSES) };
-    let solution = solve(streams, &read, lag_s)?;
+    let with = |stretch: Stretch| {
+        let reading = TargetReading::Stretched(stretch);
+        let read = ReadTarget { reading, ..ReadTarget::as_logged(streams.target, FIT_POSES) };
+        Some((reading, solve(streams, &read, lag_s)?))
+    };
+    let at = |one: &Solution| stretch(streams, one.mount, one.offset_s.value);
+    // Where the stretch is large, the offset that was found beside it is none.
+    let (_, first) = with(at(as_logged)?)?;
+    let (reading, solution) = with(at(&first)?)?;
     let (left_m, was_m) = (solution.closure.excess_m.value, as_logged.closure.excess_m.value);
     (left_m < LESS * was_m).then_some((reading, solution))
 }

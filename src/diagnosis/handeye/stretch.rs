@@ -5,9 +5,9 @@
 //! `R_c·t_x − t_y + a·R_c·R_x·t + d·R_c·R_x·t_z·z = −t_c`.
 
 use super::reading::ReadTarget;
-use super::series::{Pair, Setting};
+use super::series::{Pair, Setting, mean_direction};
 use super::start::quick_start;
-use super::{FIT_POSES, HandEyeStreams, Solution};
+use super::{FIT_POSES, HandEyeStreams, Mount};
 use ground::geometry::{Rotation, Vec3};
 use ground::stats::{Measured, median};
 use nalgebra::{DMatrix, DVector, Matrix3};
@@ -51,24 +51,22 @@ struct Tried {
     dof: f64,
 }
 
-/// The stretch of the target's positions that closes the chain far better than none; of one factor where
+/// The stretch of the positions of a target, late by `offset_s`, that closes the chain far better than none; of one factor where
 /// that leaves as little as two. `None` where none does.
-pub(super) fn stretch(
-    streams: &HandEyeStreams,
-    as_logged: &Solution,
-    view: [f64; 3],
-) -> Option<Stretch> {
+pub(super) fn stretch(streams: &HandEyeStreams, mount: Mount, offset_s: f64) -> Option<Stretch> {
     /// None leaves so many times more.
     const WORSE: f64 = 1.4;
     /// One factor leaves at most so many times more than two.
     const AS_LITTLE: f64 = 1.12;
-    /// A factor that is so many standard errors from 1 is not 1.
+    /// A factor that is so many standard errors from 1 is not 1, nor nearer to it than this: a lens bends
+    /// as much.
     const SURE: f64 = 5.0;
+    const LEAST: f64 = 2e-3;
     let target = ReadTarget::as_logged(streams.target, FIT_POSES);
-    let setting = Setting::new(streams.hand, target.poses(), as_logged.mount);
-    let pairs = setting.pairs_at(as_logged.offset_s.value, FIT_POSES);
+    let setting = Setting::new(streams.hand, target.poses(), mount);
+    let pairs = setting.pairs_at(offset_s, FIT_POSES);
     let rotation = quick_start(&pairs)?.camera.rotation;
-    let along = Vec3::from(view).iamax();
+    let along = Vec3::from(mean_direction(streams.target)).iamax();
     let tried = |free: &[usize]| solved(&pairs, &rotation, along, free);
     let neither = tried(&[])?;
     let (of_size, of_depth, of_both) = (tried(&[SIZE])?, tried(&[DEPTH])?, tried(&[SIZE, DEPTH])?);
@@ -88,7 +86,9 @@ pub(super) fn stretch(
     let size = measured(1.0 / all, all_error / (all * all));
     let depth = measured(all / (all + more), more_error * all / (all + more).powi(2));
     let is_sure = |one: &Measured| {
-        one.value.is_finite() && one.value > 0.0 && (one.value - 1.0).abs() > SURE * one.std_error
+        one.value.is_finite()
+            && one.value > 0.0
+            && (one.value - 1.0).abs() > (SURE * one.std_error).max(LEAST)
     };
     let found = Stretch {
         size: Some(size).filter(|one| has_size && is_sure(one)),
