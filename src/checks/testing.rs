@@ -313,6 +313,7 @@ fn stream(independent: bool) -> PoseEvidence {
         proof: Ok(left(1e-5, 1e-5)),
         independent,
         bare_numbers: false,
+        alternation: None,
         bare: false,
         declared: None,
         euler: Some(EulerEvidence {

@@ -2,7 +2,7 @@
 
 use super::PoseStream;
 use super::latency::ArmSpeeds;
-use super::placing::spread;
+use super::placing::{Expected, spread};
 use ground::geometry::{Pose, Vec3};
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
@@ -172,11 +172,25 @@ pub fn base_travel(
     let travel_m = far.fold(0.0, f64::max);
     let moves = travel_m > STANDS_M
         && course.along_m > FARTHER * course.strays_m
-        && largest_m < AT_ONCE * course.along_m;
+        && largest_m < AT_ONCE * course.along_m
+        && !stands(joints, stream, latency_s, course.along_m / FARTHER);
     moves.then(|| {
         let turned = bases.iter().map(|base| base.rotation.angle_to(&bases[0].rotation));
         BaseTravel { travel_m, turn_rad: turned.fold(0.0, f64::max) }
     })
+}
+
+/// Whether one world that the base stands still in and one point of the tool leave less than `most_m` of
+/// the positions, rms. A tool that keeps its orientation, seen by a tracker whose world and body are turned
+/// at will, looks like a base that slides along: then orientations leave open how the world is turned, and
+/// positions do not.
+fn stands(joints: &JointTrack, stream: &PoseStream, latency_s: f64, most_m: f64) -> bool {
+    let mut fk = Forward::new(joints, stream);
+    let both = some_of(stream.track.t_s.len())
+        .into_iter()
+        .filter_map(|row| Some((fk.at(stream.track.t_s[row] - latency_s)?, stream.track.xyz[row])));
+    let (fk, xyz): (Vec<Pose>, Vec<Vec3>) = both.unzip();
+    Expected::of(&fk).misfit_anyhow(&xyz) < most_m
 }
 
 /// How far poses go in the plane across the axis that they turn about, and how far they stray from it.
@@ -329,6 +343,53 @@ mod tests {
         let (on_time, late) = (lag(0.0), lag(0.05));
         assert!(on_time.is_on_time && (on_time.lag_s - 0.03).abs() < 2e-4, "{on_time:?}");
         assert!(!late.is_on_time && (late.lag_s + 0.02).abs() < 1e-3, "{late:?}");
+    }
+
+    #[test]
+    fn a_tool_that_keeps_its_orientation_before_a_tracker_is_no_base_that_slides() {
+        // Only the axes that slide a gantry's tool move: its orientation stays.
+        let urdf = ["x", "y", "z"].iter().enumerate().fold(String::new(), |urdf, (n, axis)| {
+            let unit = ["1 0 0", "0 1 0", "0 0 1"][n];
+            urdf + &format!(
+                "<link name=\"l{}\"/><joint name=\"{axis}\" type=\"prismatic\"><parent link=\"l{n}\"/>\
+                 <child link=\"l{}\"/><axis xyz=\"{unit}\"/><limit lower=\"-2\" upper=\"2\" effort=\"1\" \
+                 velocity=\"2\"/></joint>",
+                n + 1,
+                n + 1
+            )
+        });
+        let urdf = format!("<robot name=\"g\"><link name=\"l0\"/>{urdf}</robot>");
+        let robot = ground::robot::Robot::from_urdf(&urdf, "g").unwrap();
+        let link = |name| robot.link(name).unwrap();
+        let chain = robot.chain(link("l0"), link("l3")).unwrap();
+        let mut joints = JointTrack { dof: 3, ..Default::default() };
+        for row in 0..2500 {
+            let t_s = f64::from(row) * 0.008;
+            joints.t_s.push(t_s);
+            joints.q.extend([0.3 * (0.9 * t_s).sin(), 0.2 * (0.31 * t_s).cos(), 0.0]);
+            joints.qd.extend([0.27 * (0.9 * t_s).cos(), -0.062 * (0.31 * t_s).sin(), 0.0]);
+        }
+        let world = Pose::from_parts([1.0, 0.2, 0.4].into(), rotation_from_rpy([0.1, -0.2, 2.1]));
+        let body = Pose::from_parts([0.03, 0.0, 0.06].into(), rotation_from_rpy([0.7, 0.3, -1.1]));
+        let mut track = PoseTrack {
+            t_s: Vec::new(),
+            xyz: Vec::new(),
+            orientation: Orientations::Rotations(Vec::new()),
+            declared: None,
+        };
+        let (mut q, mut qd) = ([0.0; 3], [0.0; 3]);
+        let mut rotations = Vec::new();
+        for row in 100..1800 {
+            let stamp = f64::from(row) * 0.01 + 0.003;
+            assert!(joints.at(stamp, &mut 0, &mut q, &mut qd));
+            let pose = world * chain.forward(&q) * body;
+            track.t_s.push(stamp);
+            track.xyz.push(pose.translation.vector);
+            rotations.push(pose.rotation);
+        }
+        track.orientation = Orientations::Rotations(rotations);
+        let stream = PoseStream { columns: &[0, 1, 2], ..stream(&track, &chain) };
+        assert_eq!(base_travel(&joints, &stream, 5.0), None);
     }
 
     #[test]

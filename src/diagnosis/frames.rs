@@ -38,7 +38,8 @@ pub(super) fn starts(witness: &Witness, latency_s: f64, offsets: &[f64]) -> Vec<
         starts.push(with(reference_frame(&fk, &logged), identity));
         starts.push(with(reference, tool));
         // Orientations that hardly change leave open how the world is turned; positions do not.
-        starts.extend(by_positions(&fk, &logged).map(|(reference, tool)| with(reference, tool)));
+        let (reference, tool) = by_positions(&fk, &logged);
+        starts.push(with(reference, tool));
         return starts;
     }
     starts.push(plain.clone());
@@ -103,13 +104,29 @@ fn reference_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
     pose(mean(fk.iter().zip(logged).map(at)).into(), turn)
 }
 
-/// Reference and tool frame, the former turned as positions want it; `None` where they lie on a line.
-fn by_positions(fk: &[Pose], logged: &[Pose]) -> Option<(Pose, Pose)> {
+/// `state` with the reference and the tool frame that positions want at its latency.
+pub(super) fn placed_by_positions(
+    witness: &Witness,
+    state: StreamState,
+    offsets: &[f64],
+) -> StreamState {
+    let identity = Pose::identity();
+    let plain = StreamState { reference: identity, tool: identity, ..state.clone() };
+    let (fk, logged) = pairs(witness, &plain, offsets);
+    if fk.len() < 3 {
+        return state;
+    }
+    let (reference, tool) = by_positions(&fk, &logged);
+    StreamState { reference, tool, ..state }
+}
+
+/// Reference and tool frame, the former turned as positions want it.
+fn by_positions(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
     let xyz: Vec<Vec3> = logged.iter().map(|pose| pose.translation.vector).collect();
-    let (reference, point) = Expected::of(fk).turned(&xyz)?;
+    let (reference, point) = Expected::of(fk).turned_anyhow(&xyz);
     let turned: Vec<Pose> = fk.iter().map(|fk| reference * fk).collect();
     let turn = tool_frame(&turned, logged).rotation;
-    Some((reference, pose(point.into(), turn)))
+    (reference, pose(point.into(), turn))
 }
 
 /// The tool frame that best takes FK to the logged poses.

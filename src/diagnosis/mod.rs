@@ -10,6 +10,7 @@
 mod test_random;
 
 mod aligned;
+mod alternation;
 mod arm;
 mod carried;
 mod changes;
@@ -59,6 +60,7 @@ use ground::robot::Chain;
 use ground::stream::PoseTrack;
 
 pub use aligned::{Aligned, Residuals};
+pub use alternation::{Alternation, Other, alternation};
 pub use arm::{diagnose_arm, diagnose_derived, follows, likely_lags};
 pub use carried::{BaseTravel, CarrierLag, base_travel, carrier_lag};
 pub use changes::{AmountChange, Change, FrameChange, JointChange, JointPatch};
@@ -67,7 +69,7 @@ pub use dh::{DhEstimate, DhStream, DhTold, Left, faults};
 pub use ground::stats::{Length, Measured};
 pub use handeye::{
     CameraPose, Closure, Diversity, HandEyeDiagnosis, HandEyeStreams, Mount, PoseSeries, Solution,
-    TargetReading, diagnose_hand_eye, turning_peaks,
+    Stretch, TargetReading, diagnose_hand_eye, turning_peaks,
 };
 pub use imu::{
     GyroBias, GyroShape, Heading, ImuDiagnosis, ImuProof, ImuStream, Rates, YawCourse, YawJump,

@@ -36,6 +36,20 @@ impl Expected {
         self.turned(xyz).map_or(plain, |(reference, _)| plain.min(self.misfit_at(xyz, &reference)))
     }
 
+    /// As [`Expected::misfit`], also of positions along a line.
+    pub fn misfit_anyhow(&self, xyz: &[Vec3]) -> f64 {
+        self.misfit(xyz).min(self.misfit_at(xyz, &self.turned_anyhow(xyz).0))
+    }
+
+    /// As [`Expected::turned`], also of positions along a line: they leave the reference's turn about it
+    /// open, and some turn is taken.
+    pub fn turned_anyhow(&self, xyz: &[Vec3]) -> (Pose, Vec3) {
+        self.turned(xyz).unwrap_or_else(|| {
+            let reference = turned_so(&self.xyz, xyz, &products(&self.xyz, xyz));
+            (reference, self.tool(xyz, &reference))
+        })
+    }
+
     /// The reference frame and the constant tool offset that leave least of `xyz`, sought by so many
     /// turns; of none the tool offset alone.
     pub fn frames(&self, xyz: &[Vec3], turns: usize) -> (Pose, Vec3) {
@@ -92,9 +106,14 @@ impl Expected {
 
 /// The rigid transform that best takes `from` to `to`; `None` where they lie on a line.
 fn rigid(from: &[Vec3], to: &[Vec3]) -> Option<Pose> {
-    let turn = wahba(&correlation(from, to)?);
+    Some(turned_so(from, to, &correlation(from, to)?))
+}
+
+/// The rigid transform that best takes `from` to `to` by their `correlation`.
+fn turned_so(from: &[Vec3], to: &[Vec3], correlation: &Matrix3<f64>) -> Pose {
+    let turn = wahba(correlation);
     let mean = |points: &[Vec3]| points.iter().sum::<Vec3>() / points.len().max(1) as f64;
-    Some(pose((mean(to) - turn * mean(from)).into(), turn))
+    pose((mean(to) - turn * mean(from)).into(), turn)
 }
 
 /// The turn that best takes `from` to `to` about their means, with a mirror where `sign` is −1; `None`
@@ -107,13 +126,16 @@ pub(super) fn rigid_turn(from: &[Vec3], to: &[Vec3], sign: f64) -> Option<Matrix
 }
 
 /// `Σ to·fromᵀ` about the means.
-fn correlation(from: &[Vec3], to: &[Vec3]) -> Option<Matrix3<f64>> {
+fn products(from: &[Vec3], to: &[Vec3]) -> Matrix3<f64> {
     let n = from.len().max(1) as f64;
     let (centre, target) = (from.iter().sum::<Vec3>() / n, to.iter().sum::<Vec3>() / n);
-    let mut correlation = Matrix3::zeros();
-    for (a, b) in from.iter().zip(to) {
-        correlation += (b - target) * (a - centre).transpose();
-    }
+    let both = from.iter().zip(to);
+    both.map(|(a, b)| (b - target) * (a - centre).transpose()).sum()
+}
+
+/// [`products`]; `None` where the points lie on a line.
+fn correlation(from: &[Vec3], to: &[Vec3]) -> Option<Matrix3<f64>> {
+    let correlation = products(from, to);
     let mut singular: Vec<f64> = correlation.singular_values().iter().copied().collect();
     singular.sort_by(|a, b| b.total_cmp(a));
     (singular[1] > SPREAD * SPREAD * singular[0]).then_some(correlation)

@@ -149,6 +149,11 @@ pub(super) fn arm_evidence(
             angles: units.in_other_angles.is_some().then_some(units.angle),
             lengths: units.length,
         }),
+        alternation: run
+            .alternations
+            .iter()
+            .find(|(stream, _)| *stream == source.stream)
+            .map(|(_, alternation)| alternation.clone()),
         diagnosis: found,
     };
     let imus = arm.imus.iter().zip(diagnosis.imus).map(|(source, diagnosis)| {

@@ -22,6 +22,8 @@ pub struct HandEyeEvidence {
     pub span: Option<Span>,
     /// The hand in words: a topic, or a link and what its poses are computed from.
     pub hand: String,
+    /// Whether its poses are FK of the joint states of `robot`, and so of their stamps.
+    pub hand_is_of_joints: bool,
     /// The frame of the hand; empty where the log names none.
     pub hand_frame: String,
     /// The frame of the base that the hand's poses are in; empty where the log names none.
@@ -85,6 +87,7 @@ pub(super) fn hand_eyes(
             target: stream.child_frame_id.clone(),
             span: stream.start.zip(stream.end).map(|(start, end)| Span { start, end }),
             hand: name_of(run, &source.kind),
+            hand_is_of_joints: matches!(source.kind, HandKind::Joints { .. }),
             hand_frame: hand_frame_of(run, &source.kind),
             base: base_of(run, &source.kind),
             axes: target.axes,

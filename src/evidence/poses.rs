@@ -1,6 +1,6 @@
 //! The streams of an arm: tool poses and IMUs.
 
-use crate::diagnosis::{ImuDiagnosis, ImuProof, PoseDiagnosis, Proof, Reading, Seen};
+use crate::diagnosis::{Alternation, ImuDiagnosis, ImuProof, PoseDiagnosis, Proof, Reading, Seen};
 use crate::geometry::{AngleUnit, Coding, Convention, LengthScale, Rotation};
 use crate::run::{Declaration, PoseSource, Run, Witness};
 use crate::stream::Columns;
@@ -32,6 +32,9 @@ pub struct PoseEvidence {
     pub declared: Option<Declared>,
     /// How its rotations are coded, where they are three bare numbers.
     pub euler: Option<EulerEvidence>,
+    /// The rigid bodies on the tool that its poses alternate between, where they do; everything else was
+    /// estimated on all of them as those of the usual one.
+    pub alternation: Option<Alternation>,
     /// What was estimated on it.
     pub diagnosis: PoseDiagnosis,
 }

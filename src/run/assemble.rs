@@ -146,6 +146,7 @@ impl Run {
             contests,
             unaudited,
             frozen: stalled::times(&sift.stalled).chain(frozen).collect(),
+            alternations: Vec::new(),
             sift,
             watched,
             excerpts,

@@ -55,7 +55,7 @@ mod witness;
 
 use std::sync::Arc;
 
-use crate::diagnosis::PoseStream;
+use crate::diagnosis::{Alternation, PoseStream};
 use crate::finding::rounded;
 use crate::robot::RobotError;
 use crate::time::{Clock, Stamp};
@@ -177,6 +177,9 @@ pub struct Run {
     pub frozen: Vec<Frozen>,
     /// The streams that were looked at for that.
     pub watched: Vec<usize>,
+    /// The streams whose poses alternate between several rigid bodies on the tool; the estimators see all
+    /// of them as those of the usual one.
+    pub alternations: Vec<(usize, Alternation)>,
     /// What of it the estimators see; `None` where that is all of it.
     pub excerpts: Option<Excerpts>,
     /// Whether the log holds `/clock`, the mark of simulated time.

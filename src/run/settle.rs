@@ -7,14 +7,15 @@ use std::collections::BTreeMap;
 use rayon::prelude::*;
 
 use crate::diagnosis::{
-    ArmDiagnosis, BaseTravel, Peak, PoseSeries, PoseStream, base_travel, carrier_lag, diagnose_imu,
-    follows, is_seen_from_tool, likely_lags, position_misfit_m, turning_peaks,
+    ArmDiagnosis, BaseTravel, Peak, PoseSeries, PoseStream, alternation, base_travel, carrier_lag,
+    diagnose_imu, follows, is_seen_from_tool, likely_lags, position_misfit_m, turning_peaks,
 };
 use crate::run::{Arm, HandKind, HandSource, ImuSource, PoseSource, Role, Run, WhyNot};
 use crate::stream::{Orientations, PoseTrack};
 
 /// Settles all of it.
 pub(super) fn settle(run: &mut Run, most_lag_s: f64) {
+    settle_alternations(run);
     settle_carried(run, most_lag_s);
     settle_transforms(run);
     settle_contests(run, most_lag_s);
@@ -25,6 +26,31 @@ pub(super) fn settle(run: &mut Run, most_lag_s: f64) {
     settle_frozen(run, most_lag_s);
     settle_crowds(run);
     settle_hands(run, most_lag_s);
+}
+
+/// Takes poses that alternate between several rigid bodies on one tool as those of the usual one.
+fn settle_alternations(run: &mut Run) {
+    let all: Vec<(usize, usize)> = run
+        .arms
+        .iter()
+        .enumerate()
+        .flat_map(|(arm, of)| (0..of.poses.len()).map(move |source| (arm, source)))
+        .collect();
+    let of = |&(arm, source): &(usize, usize)| {
+        let of = &run.arms[arm];
+        let found = of.poses.get(source).filter(|found| found.carrier.is_none())?;
+        Some(((arm, source), alternation(&of.joints, &run.pose_stream(found))?))
+    };
+    let found: Vec<_> = all.par_iter().filter_map(of).collect();
+    for ((arm, source), (alternation, poses)) in found {
+        let source = &mut run.arms[arm].poses[source];
+        source.track.xyz = poses.iter().map(|pose| pose.translation.vector).collect();
+        let rotations = poses.iter().map(|pose| pose.rotation).collect();
+        source.track.orientation = Orientations::Rotations(rotations);
+        if run.alternations.iter().all(|(stream, _)| *stream != source.stream) {
+            run.alternations.push((source.stream, alternation));
+        }
+    }
 }
 
 /// Streams of poses of an arm that tell together how its joint states are to be read; those beyond are held
@@ -163,6 +189,8 @@ fn leads(leader: &Arm, arm: &Arm, most_lag_s: f64) -> Option<f64> {
 const LEAST_S: f64 = 0.04;
 /// Speeds of a stream that leads correlate as well as those of one that follows.
 const LEADS: f64 = 0.7;
+/// Motion repeats itself that correlates at another lag by this share of the best.
+const REPEATS: f64 = 0.9;
 
 /// Settles which candidates are tool poses, by whether they follow the arm.
 fn settle_candidates(run: &mut Run, most_lag_s: f64) {
@@ -211,6 +239,14 @@ fn lead_s(run: &Run, arm: &Arm, source: &PoseSource, peak: Peak, lags: &mut Lags
     };
     let received_s = peak.lag_s + delay_s(source.stream) - delay_s(joints);
     if peak.correlation < LEADS || peak.lag_s > -LEAST_S || received_s > -LEAST_S {
+        return None;
+    }
+    // Motion that repeats itself follows as well at a lag of now.
+    let peaks = likely_lags(&arm.joints, &run.pose_stream(source), lags.most_lag_s);
+    let is_now = |other: &Peak| {
+        other.correlation > LEADS.max(REPEATS * peak.correlation) && other.lag_s > -LEAST_S
+    };
+    if peaks.iter().any(is_now) {
         return None;
     }
     let is_as_early = |lag_s: f64| lag_s < 0.5 * peak.lag_s;

@@ -5,7 +5,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use poseaudit::finding::{Estimate, Severity};
 use poseaudit::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
 use poseaudit::synth::{
-    COMMANDED_JOINTS, COMMANDED_POSE, Commands, GOAL, Lines, Motion, POSE, TF, TF_STATIC,
+    COMMANDED_JOINTS, COMMANDED_POSE, Commands, GOAL, Lines, Motion, POSE, TF, TF_STATIC, ToolSlip,
 };
 use serde_json::Value;
 
@@ -71,6 +71,16 @@ cases! {
     } => error(TIP, Frame([0.14, 0.1e-3], [90.0, 0.02]));
     FRM003 a_tool_beyond_a_tip_that_nobody_named: |log| log.run.pose.tip_from_stream = tool()
         => info(TIP, Frame([0.14, 0.1e-3], [90.0, 0.02]));
+    FRM003 a_marker_beside_the_named_tip: |log| {
+        log.options.run.tip = Some("tool0".to_owned());
+        log.run.pose.frame_id = "tracker".to_owned();
+        log.run.pose.reference_from_stream = shifted();
+        log.run.pose.tip_from_stream = tool();
+    } => info(TIP, Frame([0.14, 0.1e-3], [90.0, 0.02]));
+    FRM003 a_marker_that_is_taken_for_another: |log| {
+        let tool_from_slipped = pose([0.03, 0.0, 0.04], rotation_from_rotvec(Vec3::z() * 2.0));
+        log.run.pose.slip = Some(ToolSlip { from_s: 3.0, to_s: 5.0, tool_from_slipped });
+    } => error(TIP, Frame([0.05, 4e-3], [2_f64.to_degrees(), 1.0]));
     FRM003 a_little_of_tool: |log| {
         log.options.run.tip = Some("tool0".to_owned());
         log.run.pose.tip_from_stream.translation.vector.x = 0.002;

@@ -1,6 +1,6 @@
 //! HEC: hand and eye.
 
-use poseaudit::finding::Status;
+use poseaudit::finding::{Finding, Status};
 use poseaudit::geometry::{Pose, QuaternionSlip, Vec3, pose, rotation_from_rotvec};
 use poseaudit::report::Report;
 use poseaudit::synth::{Camera, Coding, Motion, Swapped, TARGET, TF};
@@ -8,6 +8,7 @@ use poseaudit::synth::{Camera, Coding, Motion, Swapped, TARGET, TF};
 use crate::checks::case::On::{Frame as OnFrame, Topic};
 use crate::checks::case::What::{About, Frame, ReadAs, ResidualBetween};
 use crate::checks::case::{Expected, Log, cases, error, the, warning};
+use crate::checks::recording::{Field, Message};
 use Expected::{BlamedOn, LeftOpenBy, Skipped, Sound, Undecided};
 
 const OPTICAL: &str = "z forward, x right";
@@ -56,7 +57,11 @@ cases! {
     HEC001 a_late_target: |log| {
         watched(log, Camera::InHand);
         log.run.target.timing.latency_s = 0.08;
-    } => Sound;
+    } => BlamedOn("LAT001");
+    HEC001 a_lens_of_another_focal_length: |log| {
+        watched(log, Camera::InHand);
+        log.edit = Some(|messages| deepen(messages, 0.8));
+    } => error(Topic(TARGET), ResidualBetween(0.005, 0.2));
     HEC001 a_noisy_target: |log| {
         watched(log, Camera::InHand);
         log.run.duration_s = 20.0;
@@ -178,6 +183,18 @@ pub fn watched(log: &mut Log, camera: Camera) {
     log.run.amplitude = 0.45;
 }
 
+/// Makes the depth of the target so many times as long.
+fn deepen(messages: &mut [Message], times: f64) {
+    for message in messages.iter_mut().filter(|message| message.topic == TARGET) {
+        for field in message.fields() {
+            if let Field::Xyz(at, _) = field {
+                let [x, y, z]: [f64; 3] = message.floats(at);
+                message.set_floats(at, &[x, y, times * z]);
+            }
+        }
+    }
+}
+
 /// Leaves hand and target.
 fn without_arm(log: &mut Log) {
     log.run.joints.timing.rate_hz = 0.0;
@@ -215,6 +232,30 @@ fn the_camera_and_the_offset_are_evidence() {
             assert!(off.abs() < 1.5e-3, "{off} along {axis}");
         }
     }
+}
+
+#[test]
+fn a_tag_of_another_size_is_told_from_a_lens() {
+    let audited = |scale: f64, edit: Option<fn(&mut Vec<Message>)>| {
+        let log = Log::with(|log| {
+            watched(log, Camera::InHand);
+            log.run.target.scale = scale;
+            log.edit = edit;
+        });
+        the(&log.audited(), "HEC001", TARGET).clone()
+    };
+    let factor = |finding: &Finding, key: &str| finding.evidence.more[key]["value"].as_f64();
+    let tag = audited(1.1, None);
+    let size = factor(&tag, "scale").expect("a size");
+    assert!((size - 1.1).abs() < 5e-3 && factor(&tag, "depth_scale").is_none(), "{tag:?}");
+    assert!(tag.fix.contains("told 40 mm, the target has 36."), "{}", tag.fix);
+    let lens = audited(1.0, Some(|messages| deepen(messages, 0.9)));
+    let depth = factor(&lens, "depth_scale").expect("a depth");
+    assert!((depth - 0.9).abs() < 5e-3 && factor(&lens, "scale").is_none(), "{lens:?}");
+    assert!(lens.fix.contains("fx and fy are 1") && lens.fix.contains("too small"), "{}", lens.fix);
+    let both = audited(1.1, Some(|messages| deepen(messages, 0.9)));
+    let [size, depth] = ["scale", "depth_scale"].map(|key| factor(&both, key).expect("both"));
+    assert!((size - 1.1).abs() < 1e-2 && (depth - 0.9).abs() < 1e-2, "{both:?}");
 }
 
 #[test]

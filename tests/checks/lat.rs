@@ -1,7 +1,7 @@
 //! LAT: streams that are late or early.
 
 use poseaudit::finding::{CheckRow, Status};
-use poseaudit::synth::{IMU, JOINT_STATES, Motion, POSE, TF, Timing};
+use poseaudit::synth::{Camera, IMU, JOINT_STATES, Motion, POSE, TARGET, TF, Timing};
 
 use crate::checks::case::On::Topic;
 use crate::checks::case::What::Amount;
@@ -34,6 +34,15 @@ cases! {
         log.run.motion = Motion::OneJoint(5);
         log.run.pose.timing.latency_s = 0.015;
     } => error(Topic(POSE), Amount(0.015, 0.5e-3));
+    LAT001 a_target_that_is_seen_late: |log| {
+        crate::checks::hec::watched(log, Camera::InHand);
+        log.run.target.timing.latency_s = 0.08;
+    } => error(Topic(TARGET), Amount(0.08, 1.5e-3));
+    LAT001 a_target_on_the_hand_that_is_seen_late: |log| {
+        crate::checks::hec::watched(log, Camera::InBase);
+        log.run.target.timing.latency_s = 0.025;
+    } => error(Topic(TARGET), Amount(0.025, 1.5e-3));
+    LAT001 a_target_that_is_seen_in_time: |log| crate::checks::hec::watched(log, Camera::InHand) => Sound;
 
     LAT001 half_a_millisecond_is_sound: |log| log.run.pose.timing.latency_s = 0.5e-3 => Sound;
 

@@ -6,7 +6,7 @@ use crate::checks::hand_eye::chain::{
     with_solution,
 };
 use crate::checks::{Case, FrameThresholds, Grade, Judged, standing};
-use crate::diagnosis::{Mount, Solution, TargetReading};
+use crate::diagnosis::{Measured, Mount, Solution, Stretch, TargetReading};
 use crate::evidence::{ArmEvidence, HandEyeEvidence, Of, PoseEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
@@ -30,6 +30,9 @@ rule! {
     /// hand's; it is taken off. The estimate is the distance from the log's frames (`mount error`)
     /// where they place the camera, else the rms of what is open beyond the noise from one pose to the
     /// next (`closure`); `rms_m`, `median_m` and their like are with the noise, `each` lists poses.
+    /// `scale` is by how many times all positions of the target are too long (a tag of another size than
+    /// the detector was told, or of another unit), `depth_scale` by how many times depth alone is (a focal
+    /// length that is wrong); of one of them where that closes the chain as well as both.
     /// Solved by Park and Martin (1994), refined by Gauss–Newton on robust weights. `reading` says how
     /// the target's poses must be read for the chain to close, where that is known.
     ///
@@ -82,7 +85,7 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
             let why = format!("too little rotation to solve it (HEC002); {SETTLE}");
             (Outcome::Inconclusive(why), closure(best))
         }
-        (Some((reading, _)), _) if !matches!(reading, TargetReading::Axes(_)) => {
+        (Some((reading, _)), _) if is_fault(reading, as_logged, &thresholds) => {
             let fault = misread(reading, as_logged, &thresholds);
             (Outcome::faulty(fault), closure(as_logged))
         }
@@ -132,10 +135,19 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
     };
     let judged = Judged::new(facts.subject(), outcome).estimated(estimate);
     let judged = with_solution(judged, facts, best);
-    match &found.reading {
+    let judged = match &found.reading {
         Some((reading, _)) => judged.with_evidence("reading", reading_words(reading)),
         None => judged,
-    }
+    };
+    let Some((TargetReading::Stretched(stretch), _)) = &found.reading else { return judged };
+    let factors = [("scale", &stretch.size), ("depth_scale", &stretch.depth)];
+    factors.into_iter().fold(judged, |judged, (key, factor)| match factor {
+        Some(one) => {
+            let ci95 = Unit::One.interval95(one);
+            judged.with_evidence(key, serde_json::json!({ "value": one.value, "ci95": ci95 }))
+        }
+        None => judged,
+    })
 }
 
 /// Why an open chain says nothing of hand and eye, where the arm's model may be what opens it: FK by
@@ -213,9 +225,7 @@ fn misread(reading: &TargetReading, as_logged: &Solution, thresholds: &FrameThre
         message: format!("{m} and {rad} rms are left as logged, and it closes if {words}"),
         evidence: Evidence { effect_m: Some(closure.rms_m), ..Evidence::default() },
         fix: match reading {
-            TargetReading::Scaled(_) => {
-                "give the detector the target's true size, and its unit".to_owned()
-            }
+            TargetReading::Stretched(stretch) => stretch_fix(stretch),
             _ => "correct how the detector's rotation is written".to_owned(),
         },
     }
@@ -260,6 +270,60 @@ fn reading_words(reading: &TargetReading) -> String {
             }
             None => "its rotations are of another convention".to_owned(),
         },
-        TargetReading::Scaled(scale) => format!("its positions are multiplied by {scale:.4}"),
+        TargetReading::Stretched(stretch) => stretch_words(stretch),
+    }
+}
+
+/// Whether it is this rule's fault that the target is read otherwise: other axes are HEC003's, and a stretch
+/// counts from the thresholds on.
+fn is_fault(reading: &TargetReading, as_logged: &Solution, thresholds: &FrameThresholds) -> bool {
+    match reading {
+        TargetReading::Axes(_) => false,
+        TargetReading::Stretched(_) => {
+            thresholds.length.severity(as_logged.closure.excess_m.value).is_some()
+        }
+        _ => true,
+    }
+}
+
+/// A length that a target has to a detector, mm, by which a wrong one is shown.
+const TOLD_MM: f64 = 40.0;
+
+/// By how much positions are stretched, in words.
+fn stretch_words(Stretch { size, depth, .. }: &Stretch) -> String {
+    let factor = |of: &Measured| format!("{:.4} ± {:.4}", of.value, of.half_width(0.95));
+    let size = size.as_ref().map(|size| format!("its positions are divided by {}", factor(size)));
+    let depth =
+        depth.as_ref().map(|depth| format!("its depth alone is divided by {}", factor(depth)));
+    size.into_iter().chain(depth).collect::<Vec<String>>().join(" and ")
+}
+
+/// What must be told to the detector.
+fn stretch_fix(Stretch { size, depth, is_either, .. }: &Stretch) -> String {
+    let size_fix = size.as_ref().map(|size| match size.value {
+        value if (value / 1e3 - 1.0).abs() < 0.02 => "write positions in metres, not in millimetres".to_owned(),
+        value => format!(
+            "tell the detector the size that the target has: where it is told {TOLD_MM:.0} mm, the target \
+             has {:.1} mm",
+            TOLD_MM / value
+        ),
+    });
+    let depth_fix = depth.as_ref().map(|depth| {
+        let (off, side) = (depth.value - 1.0, if depth.value < 1.0 { "small" } else { "large" });
+        format!(
+            "calibrate the lens: fx and fy are {:.1} % too {side}, and depth reads {:.3} times too long",
+            100.0 * off.abs(),
+            depth.value,
+        )
+    });
+    let both = size_fix.into_iter().chain(depth_fix).collect::<Vec<String>>().join("; ");
+    match (is_either, size) {
+        (false, _) => both,
+        (true, Some(_)) => {
+            format!("{both}; or calibrate the lens, as a wrong focal length does the same here")
+        }
+        (true, None) => {
+            format!("{both}; or measure the target, as a wrong size does the same here")
+        }
     }
 }

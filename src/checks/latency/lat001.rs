@@ -3,7 +3,7 @@ use std::collections::BTreeSet;
 use crate::checks::decision::{Decision, Threshold, decide, unseen};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Measured, Seen};
-use crate::evidence::{ArmEvidence, Of};
+use crate::evidence::{ArmEvidence, HandEyeEvidence, Of};
 use crate::finding::{
     Alternative, Cause, Estimate, Evidence, Fault, Outcome, Ruling, Severity, Subject, Unit,
 };
@@ -22,7 +22,8 @@ rule! {
     ///
     /// ## Evidence
     /// The lag at which the stream follows forward kinematics best, with sub-sample resolution and
-    /// an interval that allows for correlated noise. `effect_m` is what it does at this run's top
+    /// an interval that allows for correlated noise. Of a target that a camera sees it is the lag at which
+    /// the hand-eye chain closes best, fitted together with the camera's pose. `effect_m` is what it does at this run's top
     /// speed. Where no other independent stream tells which side is off, the other side stands in
     /// `indistinguishable`.
     ///
@@ -31,8 +32,8 @@ rule! {
     /// A latency that is constant can be shifted off.
     ///
     /// ## When it misleads
-    /// Motion that repeats itself fits at several lags, and an arm at rest fits at all; both are
-    /// said and not guessed. A filter on the stream is a latency too. /tf of a
+    /// Motion that repeats itself fits at several lags, an arm at rest and a target that is seen at rest
+    /// only (stop and go) fit any lag; these are inconclusive and not guessed. A filter on the stream is a latency too. /tf of a
     /// robot_state_publisher copies the joint states' stamps, so it is no witness on whether they
     /// are late. A stream on another clock (TIM003) is aligned by minimum delay first: then a
     /// latency as large as the transport's delay cannot be seen.
@@ -60,8 +61,10 @@ struct Late<'a> {
 }
 
 fn check(case: &Case) -> Vec<Judged> {
-    let mut rows: Vec<Judged> =
-        case.evidence.robots.iter().flat_map(|arm| judge_arm(case, arm)).collect();
+    let arms = case.evidence.robots.iter().flat_map(|arm| judge_arm(case, arm));
+    let targets =
+        case.evidence.hand_eyes.iter().filter_map(|target| judge_without_joints(case, target));
+    let mut rows: Vec<Judged> = arms.chain(targets).collect();
     name_once(&mut rows, case.thresholds.of(&LAT001, THRESHOLD).warning);
     rows
 }
@@ -93,7 +96,15 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     let imus = arm.imus.iter().map(|imu| {
         imu.with(Late { independent: imu.independent, latency: &imu.diagnosis.latency_s })
     });
-    let streams: Vec<Of<Late>> = poses.chain(imus).collect();
+    let is_of_arm = |target: &&HandEyeEvidence| {
+        target.hand_is_of_joints && target.robot.as_ref() == Some(&arm.name)
+    };
+    let targets = case.evidence.hand_eyes.iter().filter(is_of_arm).map(|target| Of {
+        subject: target.subject(),
+        span: target.span,
+        found: Late { independent: true, latency: &target.diagnosis.latency_s },
+    });
+    let streams: Vec<Of<Late>> = poses.chain(imus).chain(targets).collect();
     match joints_lateness(case, &streams) {
         Some(lateness) => {
             let joints = joints_late(case, arm, &streams, &lateness);
@@ -102,6 +113,30 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
         }
         None => streams.iter().map(|stream| judge_stream(case, arm, stream, &streams)).collect(),
     }
+}
+
+/// A target that is late or early against a hand that no joint states with a model move: which of the
+/// two is, nothing tells.
+fn judge_without_joints(case: &Case, target: &HandEyeEvidence) -> Option<Judged> {
+    let latency = target.diagnosis.latency_s.as_ref().ok().filter(|_| !target.hand_is_of_joints)?;
+    let thresholds = case.thresholds.of(&LAT001, THRESHOLD);
+    let Decision::Fail(_) = decide(latency, &thresholds, case.evidence.subjects()) else {
+        return None;
+    };
+    let size = Measured { value: latency.value.abs(), ..*latency };
+    let side = if latency.value > 0.0 { "late" } else { "early" };
+    let why = format!(
+        "{} {side} against {}, and without joint states of a known model nothing shows which of the two; \
+         name the arm with --robot",
+        THRESHOLD.unit.show_measured(&size),
+        target.hand,
+    );
+    let estimate = Estimate::amount("latency", THRESHOLD.unit, latency);
+    Some(
+        Judged::new(target.subject(), Outcome::Inconclusive(why))
+            .within(target.span)
+            .estimated(estimate),
+    )
 }
 
 /// How late the joint states are, where two or more independent streams agree on it and none

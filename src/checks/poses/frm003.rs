@@ -1,8 +1,9 @@
 use crate::checks::frames::{self, End, THRESHOLDS, show, show_pose};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{FrameEstimate, Twin};
+use crate::diagnosis::{FrameEstimate, Other, Twin};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
-use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::run::Witness;
 
 rule! {
     /// The tool frame of a stream is off by a constant.
@@ -18,7 +19,10 @@ rule! {
     /// ## Evidence
     /// `pose` is `tip_from_stream`: where the stream's point is, seen from the tip. The amount is
     /// the norm of its translation; the angle stands in `rotation`. The test is joint on all six
-    /// numbers.
+    /// numbers. Where the poses alternate between rigid bodies on one tool (a tracker that takes one
+    /// marker for another, a TCP that is switched), a finding for each body beside the usual one says how
+    /// far it is from that (`pose` is `usual_from_other`) and when it is seen (`spans_ns`, the first from
+    /// `change_ns` on, of `samples`); everything else is judged with all poses as those of the usual one.
     ///
     /// ## How to fix
     /// Set the controller's active TCP to the one meant, or name with `--tip` the link that the
@@ -26,7 +30,8 @@ rule! {
     ///
     /// ## When it misleads
     /// Where nobody named the tip (`--tip`, the stream's child frame) an offset is most likely the
-    /// active TCP and is reported as `info`. A twist about the last joint's axis is the same to any
+    /// active TCP and is reported as `info`; of an outside witness it is where its marker sits, which is
+    /// `info`, too. A twist about the last joint's axis is the same to any
     /// log as an offset of that joint's zero; the other stands in `indistinguishable`.
     FRM003 {
         name: "tool-frame",
@@ -49,7 +54,80 @@ fn check(case: &Case) -> Vec<Judged> {
         is_twin: |twin, index| matches!(twin, Twin::Tool(stream, _) if *stream == index),
         fault,
     };
-    frames::judge(case, &tool)
+    let mut judged = frames::judge(case, &tool);
+    for arm in &case.evidence.robots {
+        for stream in &arm.poses {
+            let others = stream.alternation.iter().flat_map(|all| &all.others);
+            judged.extend(others.map(|other| alternates(case, arm, stream, other)));
+        }
+    }
+    judged
+}
+
+/// Poses that are of another body on the tool for some of the time.
+fn alternates(case: &Case, arm: &ArmEvidence, stream: &Of<PoseEvidence>, other: &Other) -> Judged {
+    /// Times that are named.
+    const NAMED: usize = 3;
+    let thresholds = case.thresholds.of_frames(&FRM003, THRESHOLDS);
+    let (length, angle) = (&other.length_m, &other.angle_rad);
+    let severity = thresholds
+        .length
+        .severity(length.value)
+        .max(thresholds.angle.severity(angle.value))
+        .unwrap_or(Severity::Info);
+    let samples = stream.alternation.as_ref().map_or(0, |all| all.samples);
+    let stamp = |at_s: f64| case.evidence.origin.shifted(at_s);
+    let spans: Vec<[String; 2]> = other
+        .spans_s
+        .iter()
+        .map(|span| span.map(|at_s| case.evidence.moment(stamp(at_s))))
+        .collect();
+    let named: Vec<String> =
+        spans.iter().take(NAMED).map(|[from, to]| format!("{from} to {to}")).collect();
+    let more = match spans.len().saturating_sub(NAMED) {
+        0 => String::new(),
+        more => format!(" and {more} times more"),
+    };
+    let (what, fix) = match stream.witness {
+        Witness::External => (
+            "the tracker takes another marker or a turned constellation for the body",
+            "make the constellation of markers asymmetric and keep bodies apart; leave out the poses of \
+             these times",
+        ),
+        _ => (
+            "another tool frame is active",
+            "keep one active TCP, or write the frame of each pose into its header",
+        ),
+    };
+    let effect_m = length.value + angle.value * length.value;
+    let fault = Fault {
+        severity,
+        cause: Cause::Other,
+        title: "tool frame alternates",
+        message: format!(
+            "{:.0} % of its poses are of a second body, {} and {} from the first, from {}{more}: {what}",
+            100.0 * other.samples as f64 / samples.max(1) as f64,
+            Unit::Metre.show_measured(length),
+            Unit::Radian.show_measured(angle),
+            named.join(", "),
+        ),
+        evidence: Evidence { effect_m: Some(effect_m), ..Evidence::default() },
+        fix: fix.to_owned(),
+    };
+    let ns = |span: &[f64; 2]| span.map(|at_s| stamp(at_s).to_string());
+    let spans_ns: Vec<[String; 2]> = other.spans_s.iter().map(ns).collect();
+    let change_ns = other.spans_s.first().map(|[from_s, _]| stamp(*from_s).to_string());
+    Judged::new(arm.frame(stream.topic(), &stream.tip), Outcome::faulty(fault))
+        .within(stream.span)
+        .estimated(Estimate::frame("tool frame changes", length, angle))
+        .with_evidence("pose", frames::pose_json(&other.pose))
+        .with_evidence("change_ns", change_ns)
+        .with_evidence(
+            "clusters",
+            stream.alternation.as_ref().map_or(0, |all| all.others.len() + 1),
+        )
+        .with_evidence("spans_ns", serde_json::json!(spans_ns))
+        .with_evidence("samples", other.samples)
 }
 
 fn fault(
@@ -59,9 +137,10 @@ fn fault(
     severity: Severity,
 ) -> Fault {
     let tip = &stream.tip;
-    let (severity, guess) = match stream.tip_named {
-        true => (severity, ""),
-        false => (Severity::Info, ", probably the active TCP"),
+    let (severity, guess) = match (stream.witness, stream.tip_named) {
+        (Witness::External, _) => (Severity::Info, ": where its marker sits"),
+        (_, true) => (severity, ""),
+        (_, false) => (Severity::Info, ", probably the active TCP"),
     };
     let (offset, pose) = (Unit::Metre.show(frame.translation_m.value), show_pose(&frame.pose));
     Fault {

@@ -5,7 +5,7 @@ use super::fit::Fitted;
 use super::twins::measured;
 use crate::course::latency_course;
 use crate::explain::{Cause, ENTANGLED, Explanation};
-use crate::frames::frame_estimate;
+use crate::frames::{frame_estimate, placed_by_positions};
 use crate::latency::median_period_s;
 use crate::model::StreamState;
 use crate::observability::Observability;
@@ -215,9 +215,14 @@ fn is_hidden(fitted: &Fitted, cause: Cause, index: usize) -> bool {
 fn aliases(prepared: &Prepared, explanation: &Explanation, index: usize) -> Option<Vec<f64>> {
     let found = &explanation.state.streams[index];
     let witness = &prepared.witness;
+    let offsets = &explanation.state.offsets;
     let at = |latency_s: f64| {
-        let state = StreamState { latency_s, ..found.clone() };
-        witness.at_latency(&state, &explanation.state.offsets, SEARCH_SAMPLES)
+        let mut state = StreamState { latency_s, ..found.clone() };
+        if !witness.reference_known {
+            // Another lag may want the world elsewhere, as a raster's next line does.
+            state = placed_by_positions(witness, state, offsets);
+        }
+        witness.at_latency(&state, offsets, SEARCH_SAMPLES)
     };
     let (best, _) = at(found.latency_s);
     let apart = 4.0 * median_period_s(&witness.t_s).max(0.02);

@@ -20,6 +20,7 @@ mod fit;
 mod reading;
 mod series;
 mod start;
+mod stretch;
 
 use super::latency::{self, Peak, Speed};
 use super::{FrameEstimate, Seen, Unseen};
@@ -33,6 +34,7 @@ pub use reading::TargetReading;
 use reading::{ReadTarget, better_reading};
 pub use series::PoseSeries;
 use series::Setting;
+pub use stretch::Stretch;
 
 /// Poses that the fit uses; more are thinned out evenly.
 const FIT_POSES: usize = 500;
@@ -134,6 +136,8 @@ pub struct Solution {
     pub camera: CameraPose,
     /// The constant: `base_from_target` or `hand_from_target`.
     pub target: Pose,
+    /// What is left of the poses that the fit uses, position and rotation together, rad.
+    pub misfit_rad: f64,
     /// How far it is from closing.
     pub closure: Closure,
 }
@@ -149,6 +153,9 @@ pub struct HandEyeDiagnosis {
     pub solution: Seen<Solution>,
     /// Another way to read the target's poses under which it closes far better, where there is one.
     pub reading: Option<(TargetReading, Solution)>,
+    /// How late the target's stamps are against the hand's, s: that of the best solution, or why this
+    /// motion does not show it.
+    pub latency_s: Seen<Measured>,
     /// The pose of the camera against what the log's frames say, `logged_from_solved`.
     pub mount_error: Option<FrameEstimate>,
     /// Direction from the camera to the target, the mean in its axes.
@@ -162,6 +169,7 @@ impl HandEyeDiagnosis {
             diversity: Err(why.clone()),
             solution: Err(why.clone()),
             reading: None,
+            latency_s: Err(why.clone()),
             mount_error: None,
             view: [0.0; 3],
         }
@@ -215,11 +223,53 @@ pub fn diagnose_hand_eye(streams: &HandEyeStreams, most_lag_s: f64) -> HandEyeDi
         },
         solution,
         reading,
+        latency_s: Err(Unseen::NotExcited),
         mount_error: None,
         view: series::mean_direction(target),
     };
     diagnosis.mount_error = diagnosis.best().and_then(|best| mount_error(streams, best));
+    diagnosis.latency_s = latency(streams, &diagnosis, &lags);
     diagnosis
+}
+
+/// How late the target is by the best solution; why that is not told where the target does not turn as
+/// the hand does, where nothing moves while it is seen, or where another of `lags` closes the chain as
+/// well.
+fn latency(streams: &HandEyeStreams, found: &HandEyeDiagnosis, lags: &[f64]) -> Seen<Measured> {
+    /// The target is not the hand's of whose turning the chain leaves more than this share.
+    const FOLLOWS: f64 = 0.5;
+    /// Another lag is as good that leaves less than so many times as much.
+    const AS_GOOD: f64 = 2.0;
+    let best = match (found.best(), &found.solution) {
+        (Some(best), _) => best,
+        (None, Err(why)) => return Err(why.clone()),
+        (None, Ok(_)) => return Err(Unseen::NotExcited),
+    };
+    let turning_rad = found.diversity.as_ref().map_or(0.0, |diversity| diversity.turning_rad);
+    if best.closure.rms_rad > FOLLOWS * turning_rad {
+        let correlation = found.follows.map_or(0.0, |peak| peak.correlation);
+        return Err(Unseen::DoesNotFollow(correlation));
+    }
+    if !best.offset_s.std_error.is_finite() {
+        return Err(Unseen::AtRest);
+    }
+    let reading = found.reading.as_ref().map_or(TargetReading::AsLogged, |(reading, _)| *reading);
+    let target = ReadTarget { reading, ..ReadTarget::as_logged(streams.target, FIT_POSES) };
+    let apart_s = (4.0 * latency::median_period_s(&streams.target.t_s)).max(0.1);
+    let is_other = |lag_s: &f64| (lag_s - best.offset_s.value).abs() > apart_s;
+    let others = lags.iter().copied().chain([0.0]).filter(is_other).filter_map(|lag_s| {
+        let other = solve(streams, &target, lag_s)?;
+        let is_as_good = other.misfit_rad < AS_GOOD * best.misfit_rad;
+        Some(other.offset_s.value).filter(|offset_s| is_as_good && is_other(offset_s))
+    });
+    let mut fitting: Vec<f64> = others.collect();
+    if fitting.is_empty() {
+        return Ok(best.offset_s);
+    }
+    fitting.push(best.offset_s.value);
+    fitting.sort_by(f64::total_cmp);
+    fitting.dedup_by(|a, b| (*a - *b).abs() < apart_s);
+    Err(Unseen::Periodic(fitting))
 }
 
 /// The lags that are worth a try: that of the best correlation, and those of correlations near it.
@@ -277,6 +327,7 @@ fn solve(streams: &HandEyeStreams, target: &ReadTarget, lag_s: f64) -> Option<So
         offset_s,
         camera: fit.camera(),
         target: fit.constant,
+        misfit_rad: misfit,
         closure,
     })
 }

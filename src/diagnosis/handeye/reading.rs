@@ -2,17 +2,16 @@
 //!
 //! A turn of all its axes at once is a part of the camera's mount and no fault that the two streams
 //! can show. What they do show is a position in other axes than the rotation, a rotation that is
-//! transposed or read by another convention, and a wrong scale (the size that the detector believes
-//! the target to have).
+//! transposed or read by another convention, and positions that are stretched.
 
 use super::series::{PoseSeries, Setting};
 use super::start::{angle_gap, quick_start};
+use super::stretch::{Stretch, stretch};
 use super::{FIT_POSES, HandEyeStreams, Mount, Solution, solve};
 use ground::geometry::{
-    MisreadingClass, Pose, QuaternionSlip, Rotation, Vec3, misreading_classes, pose,
-    rotation_from_xyzw, xyzw_from_rotation,
+    MisreadingClass, Pose, QuaternionSlip, Rotation, misreading_classes, pose, rotation_from_xyzw,
+    xyzw_from_rotation,
 };
-use nalgebra::Matrix3;
 
 /// How the poses of a target must be read so that the chain closes.
 #[derive(Clone, Copy, Debug)]
@@ -28,8 +27,8 @@ pub enum TargetReading {
     QuaternionOrder(QuaternionSlip),
     /// Rotation numbers of one convention were read as another's.
     Misread(&'static MisreadingClass),
-    /// Positions are this many times too small.
-    Scaled(f64),
+    /// Positions are stretched.
+    Stretched(Stretch),
 }
 
 /// A target as some reading has it.
@@ -73,7 +72,7 @@ impl TargetReading {
                 }
                 pose(xyz.into(), truths.first().copied().unwrap_or(rotation))
             }
-            Self::Scaled(scale) => pose((xyz * *scale).into(), rotation),
+            Self::Stretched(stretch) => pose(stretch.mended(xyz).into(), rotation),
         }
     }
 }
@@ -97,6 +96,36 @@ pub(super) fn better_reading(
     if left.excess_m.value < CLOSES.0 && left.excess_rad.value < CLOSES.1 {
         return None;
     }
+    stretched(streams, as_logged, lag_s).or_else(|| otherwise(streams, as_logged, lag_s))
+}
+
+/// The stretch of the positions under which the chain closes far better than `as_logged`.
+fn stretched(
+    streams: &HandEyeStreams,
+    as_logged: &Solution,
+    lag_s: f64,
+) -> Option<(TargetReading, Solution)> {
+    /// What is left beyond the noise is less than this share of what was.
+    const LESS: f64 = 0.5;
+    let with = |stretch: Stretch| {
+        let reading = TargetReading::Stretched(stretch);
+        let read = ReadTarget { reading, ..ReadTarget::as_logged(streams.target, FIT_POSES) };
+        Some((reading, solve(streams, &read, lag_s)?))
+    };
+    let at = |one: &Solution| stretch(streams, one.mount, one.offset_s.value);
+    // Where the stretch is large, the offset that was found beside it is none.
+    let (_, first) = with(at(as_logged)?)?;
+    let (reading, solution) = with(at(&first)?)?;
+    let (left_m, was_m) = (solution.closure.excess_m.value, as_logged.closure.excess_m.value);
+    (left_m < LESS * was_m).then_some((reading, solution))
+}
+
+/// Another reading than a stretch.
+fn otherwise(
+    streams: &HandEyeStreams,
+    as_logged: &Solution,
+    lag_s: f64,
+) -> Option<(TargetReading, Solution)> {
     let plain = closing(streams, TargetReading::AsLogged, lag_s)?;
     let mut tried: Vec<(f64, TargetReading)> = candidates(streams, lag_s)
         .into_iter()
@@ -158,8 +187,6 @@ fn candidates(streams: &HandEyeStreams, lag_s: f64) -> Vec<TargetReading> {
             TargetReading::QuaternionOrder(QuaternionSlip::XyzwReadAsWxyz),
         ];
         same_angles.extend(axes().map(TargetReading::Axes));
-        let scales = Mount::ALL.into_iter().filter_map(|mount| scale(streams, mount, lag_s));
-        same_angles.extend(scales.map(TargetReading::Scaled));
         return same_angles;
     }
     let mut gaps: Vec<(f64, TargetReading)> = misreading_classes()
@@ -184,29 +211,4 @@ fn axes() -> impl Iterator<Item = [(usize, f64); 3]> {
         })
     });
     all.skip(1)
-}
-
-/// The scale of the target's positions under which they fit the hand's best: linear beside the
-/// translations, `R_c·t_x + s·R_c·R_x·t − t_y = −t_c`.
-fn scale(streams: &HandEyeStreams, mount: Mount, lag_s: f64) -> Option<f64> {
-    let read = read_with(streams, TargetReading::AsLogged);
-    let pairs = Setting::new(streams.hand, read.poses(), mount).pairs_at(lag_s, POSES);
-    let rotation = quick_start(&pairs)?.camera.rotation;
-    let mut normal = nalgebra::DMatrix::<f64>::zeros(7, 7);
-    let mut right = nalgebra::DVector::<f64>::zeros(7);
-    for pair in &pairs {
-        let turned = pair.carrier.rotation;
-        let mut row = nalgebra::DMatrix::zeros(3, 7);
-        row.view_mut((0, 0), (3, 3)).copy_from(turned.to_rotation_matrix().matrix());
-        row.view_mut((0, 3), (3, 3)).copy_from(&-Matrix3::identity());
-        let seen: Vec3 = turned * (rotation * pair.target.translation.vector);
-        row.view_mut((0, 6), (3, 1)).copy_from(&seen);
-        normal += row.transpose() * &row;
-        right -= row.transpose() * pair.carrier.translation.vector;
-    }
-    for i in 0..6 {
-        normal[(i, i)] += 1e-9 * pairs.len() as f64;
-    }
-    let scale = normal.cholesky()?.solve(&right)[6];
-    (scale.is_finite() && scale > 0.0).then_some(scale)
 }

@@ -195,8 +195,18 @@ fn other_readings_are_told() {
         assert!(matches!(transposed, TargetReading::Transposed), "{transposed:?}");
         let small =
             read(mount, &|seen| pose((seen.translation.vector * 0.9).into(), seen.rotation));
-        let TargetReading::Scaled(scale) = small else { panic!("{small:?}") };
-        assert!((scale * 0.9 - 1.0).abs() < 0.01, "{scale}");
+        let TargetReading::Stretched(Stretch { size: Some(size), depth: None, .. }) = small else {
+            panic!("{small:?}")
+        };
+        assert!((size.value - 0.9).abs() < 0.01, "{size:?}");
+        let shallow = read(mount, &|seen| {
+            pose([seen.translation.x, seen.translation.y, 0.9 * seen.translation.z], seen.rotation)
+        });
+        let TargetReading::Stretched(Stretch { size: None, depth: Some(depth), .. }) = shallow
+        else {
+            panic!("{shallow:?}")
+        };
+        assert!((depth.value - 0.9).abs() < 0.01, "{depth:?}");
     }
 }
 

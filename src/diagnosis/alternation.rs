@@ -1,0 +1,392 @@
+//! Poses that alternate between the poses of several rigid bodies on one tool: a tracker that takes one
+//! marker for another and back, a tool centre point that a program switches.
+//!
+//! `logged = world · FK · body`, and `body` is one of a few. Where it changes, the pose jumps by
+//! `body⁻¹ · other`, seen from the tool, whatever the arm does; when it changes back, by the inverse of
+//! that. So the poses on either side are carried on to the middle between them, which leaves of smooth
+//! motion hardly anything; what jumps farther there than the poses elsewhere and than FK anywhere is a
+//! change, and the jumps from the first body on say which body it is.
+
+use super::PoseStream;
+use super::latency::median_period_s;
+use super::model::{pose_of_twist, twist_of};
+use super::sampling::as_rotations;
+use ground::geometry::{Pose, Vec3, pose};
+use ground::stats::{Measured, quantile};
+use ground::stream::JointTrack;
+
+/// Samples without which nothing is told.
+const ENOUGH: usize = 60;
+/// What is between two jumps has so many samples at least: what is shorter is a stray.
+const LEAST: usize = 4;
+/// No more bodies than these are told apart.
+const BODIES: usize = 4;
+
+/// The bodies that the poses of a stream alternate between.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Alternation {
+    /// The others than the usual one, which most poses are of.
+    pub others: Vec<Other>,
+    /// All samples.
+    pub samples: usize,
+}
+
+/// A body beside the usual one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Other {
+    /// `usual_from_other`: the body, seen from the usual one.
+    pub pose: Pose,
+    /// How far it is from the usual one, m.
+    pub length_m: Measured,
+    /// How far it is turned against it, rad.
+    pub angle_rad: Measured,
+    /// When it is seen, from and to, s.
+    pub spans_s: Vec<[f64; 2]>,
+    /// How many samples are of it.
+    pub samples: usize,
+}
+
+/// The bodies that the poses of `stream` alternate between, and all poses as those of the usual one; `None`
+/// where they do not alternate.
+pub fn alternation(joints: &JointTrack, stream: &PoseStream) -> Option<(Alternation, Vec<Pose>)> {
+    let track = stream.track;
+    let rotations = as_rotations(&track.orientation)?;
+    let both = track.xyz.iter().zip(rotations);
+    let poses: Vec<Pose> = both.map(|(xyz, rotation)| pose((*xyz).into(), *rotation)).collect();
+    let period_s = median_period_s(&track.t_s);
+    if poses.len() < ENOUGH || period_s <= 0.0 {
+        return None;
+    }
+    let steps = steps(&track.t_s, period_s, &poses);
+    let limits = limits(joints, stream, period_s, &steps)?;
+    let jumps = jumps(&steps, limits);
+    if jumps.len() < 2 || jumps.len() * LEAST > poses.len() {
+        return None;
+    }
+    let bodies = Bodies::of(&jumps, poses.len(), limits)?;
+    let usual = bodies.usual();
+    let mut mended = poses;
+    let mut others: Vec<(usize, Other)> = Vec::new();
+    for (from, to, body) in bodies.stretches.iter().copied().filter(|(.., body)| *body != usual) {
+        if !others.iter().any(|(own, _)| *own == body) {
+            others.push((body, bodies.other(body, usual)));
+        }
+        let (_, other) = others.iter_mut().find(|(own, _)| *own == body)?;
+        other.spans_s.push([track.t_s[from], track.t_s[to - 1]]);
+        other.samples += to - from;
+        let other_from_usual = other.pose.inverse();
+        mended[from..to].iter_mut().for_each(|pose| *pose *= other_from_usual);
+    }
+    let samples = mended.len();
+    let others: Vec<Other> = others.into_iter().map(|(_, other)| other).collect();
+    Some((Alternation { others, samples }, mended))
+}
+
+/// What poses jump by, from the one before, as it is carried on to the middle, to their own, carried back.
+#[derive(Clone, Copy)]
+struct Step {
+    /// The sample.
+    row: usize,
+    by: Pose,
+    /// Length, m, and angle, rad.
+    sizes: [f64; 2],
+    /// How many times longer than the steps beside it: what noise leaves grows so, and what motion leaves
+    /// as its square.
+    times: f64,
+}
+
+/// What steps stay below, by length, m, and angle, rad.
+#[derive(Clone, Copy)]
+struct Limits {
+    /// What noise leaves.
+    noise: [f64; 2],
+    /// What motion leaves.
+    motion: [f64; 2],
+}
+
+impl Limits {
+    /// How large a pose is against the limits of a step so many times longer than the ones beside it.
+    fn of(&self, sizes: [f64; 2], times: f64) -> f64 {
+        let most = |kind: usize| (times * self.noise[kind]).max(times * times * self.motion[kind]);
+        (0..2).map(|kind| sizes[kind] / most(kind)).fold(0.0, f64::max)
+    }
+}
+
+fn steps(t_s: &[f64], period_s: f64, poses: &[Pose]) -> Vec<Step> {
+    /// Poses that are farther apart say nothing of each other, in periods.
+    const FAR: f64 = 15.0;
+    let twist = |a: usize, b: usize| twist_of(&(poses[a].inverse() * poses[b]));
+    let of = |row: usize| {
+        let before_s = t_s[row - 1] - t_s[row - 2];
+        let (between_s, after_s) = (t_s[row] - t_s[row - 1], t_s[row + 1] - t_s[row]);
+        let most_s = FAR * period_s;
+        if before_s > most_s || between_s > most_s || after_s > most_s {
+            return None;
+        }
+        let part = |over_s: f64, sign: f64, twist: [f64; 6]| {
+            pose_of_twist(&twist.map(|one| sign * 0.5 * between_s / over_s * one))
+        };
+        let from = poses[row - 1] * part(before_s, 1.0, twist(row - 2, row - 1));
+        let to = poses[row] * part(after_s, -1.0, twist(row, row + 1));
+        let by = from.inverse() * to;
+        let times = (between_s / before_s.min(after_s)).max(1.0);
+        let sizes = [by.translation.vector.norm(), by.rotation.angle()];
+        Some(Step { row, by, sizes, times })
+    };
+    (2..poses.len().saturating_sub(1)).filter_map(of).collect()
+}
+
+/// From which length, m, and angle, rad, on a step is no motion and no noise.
+fn limits(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    period_s: f64,
+    steps: &[Step],
+) -> Option<Limits> {
+    /// So many times what nearly all steps of the stream stay below, and what all of FK's do.
+    const TIMES: f64 = 6.0;
+    const NEARLY_ALL: f64 = 0.85;
+    const TIMES_FK: f64 = 3.0;
+    /// A body's origin is so far from the tip at most, m.
+    const LEVER_M: f64 = 0.2;
+    /// No jump is smaller, m and rad.
+    const LEAST: [f64; 2] = [5e-4, 3e-3];
+    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+    let mut fk = |t_s: f64| {
+        joints.at(t_s, &mut cursor, &mut q, &mut qd).then(|| {
+            let own: Vec<f64> = stream.columns.iter().map(|&column| q[column]).collect();
+            stream.chain.forward(&own)
+        })
+    };
+    // At the stream's own stamps.
+    let covered = stream.track.t_s.iter().filter_map(|&t_s| Some((t_s, fk(t_s)?)));
+    let (t_s, fk): (Vec<f64>, Vec<Pose>) = covered.unzip();
+    let by_fk = self::steps(&t_s, period_s, &fk);
+    let most = |kind: usize| {
+        let sizes = by_fk.iter().map(|step| step.sizes[kind] / step.times.powi(2));
+        TIMES_FK * sizes.fold(0.0, f64::max)
+    };
+    let most_rad = most(1);
+    let mut limits = Limits { noise: LEAST, motion: [most(0) + LEVER_M * most_rad, most_rad] };
+    for kind in 0..2 {
+        let mut sizes: Vec<f64> = steps.iter().map(|step| step.sizes[kind] / step.times).collect();
+        limits.noise[kind] = limits.noise[kind].max(TIMES * quantile(&mut sizes, NEARLY_ALL)?);
+    }
+    Some(limits)
+}
+
+/// The steps that are jumps: beyond the limits, and the largest about them.
+fn jumps(steps: &[Step], limits: Limits) -> Vec<Step> {
+    /// A jump shows in the steps beside it, too, by half.
+    const BESIDE: usize = 2;
+    let size = |step: &Step| limits.of(step.sizes, step.times);
+    let is_jump = |at: &usize| {
+        let about = at.saturating_sub(BESIDE)..(at + BESIDE + 1).min(steps.len());
+        let own = size(&steps[*at]);
+        own > 1.0 && about.filter(|other| other != at).all(|other| size(&steps[other]) < own)
+    };
+    (0..steps.len()).filter(is_jump).map(|at| steps[at]).collect()
+}
+
+/// Which body the samples are of.
+struct Bodies {
+    /// The first sample, the one after the last, and the body.
+    stretches: Vec<(usize, usize, usize)>,
+    /// `first_from_body` of each, as the first jump to it has it, and how many times longer than the steps
+    /// beside them the jumps were that it is known by.
+    poses: Vec<(Pose, f64)>,
+    /// Every jump, from which body to which.
+    jumps: Vec<(usize, usize, Step)>,
+}
+
+impl Bodies {
+    /// `None` where the jumps do not come back to bodies that were there before.
+    fn of(jumps: &[Step], samples: usize, limits: Limits) -> Option<Self> {
+        /// Bodies are one that are within so many limits of each other: less than half of a jump.
+        const ALIKE: f64 = 1.0;
+        let mut bodies =
+            Self { stretches: Vec::new(), poses: vec![(Pose::identity(), 1.0)], jumps: Vec::new() };
+        let (mut from, mut body) = (0, 0);
+        for jump in jumps {
+            if jump.row < from + LEAST {
+                return None;
+            }
+            bodies.stretches.push((from, jump.row, body));
+            let (here, times) = bodies.poses[body];
+            let (there, times) = (here * jump.by, times.max(jump.times));
+            let apart = |(own, own_times): &(Pose, f64)| {
+                let off = own.inverse() * there;
+                let sizes = [off.translation.vector.norm(), off.rotation.angle()];
+                limits.of(sizes, times.max(*own_times))
+            };
+            let near = bodies.poses.iter().map(apart).enumerate();
+            let nearest = near.min_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, far)| *far < ALIKE);
+            let next = match nearest {
+                Some((known, _)) => known,
+                None => {
+                    bodies.poses.push((there, times));
+                    bodies.poses.len() - 1
+                }
+            };
+            bodies.jumps.push((body, next, *jump));
+            (from, body) = (jump.row, next);
+        }
+        bodies.stretches.push((from, samples, body));
+        // Bodies that never come again are no alternation, and many of them are none.
+        let comes_again = bodies.stretches.len() > bodies.poses.len();
+        let is_short = samples - from < LEAST;
+        (comes_again && !is_short && (2..=BODIES).contains(&bodies.poses.len())).then_some(bodies)
+    }
+
+    /// The body that most samples are of.
+    fn usual(&self) -> usize {
+        let samples = |body: usize| {
+            let own = self.stretches.iter().filter(|(.., of)| *of == body);
+            own.map(|(from, to, _)| to - from).sum::<usize>()
+        };
+        (0..self.poses.len()).max_by_key(|&body| samples(body)).unwrap_or(0)
+    }
+
+    /// A body beside the usual one, by the mean of all jumps between the two, by inverse variance.
+    fn other(&self, body: usize, usual: usize) -> Other {
+        let first = self.poses[usual].0.inverse() * self.poses[body].0;
+        let between = self.jumps.iter().filter_map(|&(from, to, Step { by, times, .. })| {
+            let by = match (from, to) {
+                _ if (from, to) == (usual, body) => by,
+                _ if (from, to) == (body, usual) => by.inverse(),
+                _ => return None,
+            };
+            Some((twist_of(&(first.inverse() * by)), times.powi(-2)))
+        });
+        let mut about: Vec<([f64; 6], f64)> = between.collect();
+        if about.is_empty() {
+            // There is no jump from one to the other at once.
+            about.push(([0.0; 6], 1.0));
+        }
+        let n = about.len() as f64;
+        let total: f64 = about.iter().map(|(_, weight)| weight).sum();
+        let mean: [f64; 6] = std::array::from_fn(|at| {
+            about.iter().map(|(one, weight)| weight * one[at]).sum::<f64>() / total
+        });
+        let pose = first * pose_of_twist(&mean);
+        let error = |first: usize| {
+            let squares = about.iter().flat_map(|(one, weight)| {
+                (first..first + 3).map(move |at| weight * (one[at] - mean[at]).powi(2))
+            });
+            match about.len() {
+                1 => f64::INFINITY,
+                _ => (squares.sum::<f64>() / 3.0 / (n - 1.0) / total).sqrt(),
+            }
+        };
+        let measured = |value: f64, first: usize| Measured {
+            value,
+            std_error: error(first),
+            dof: (3.0 * (n - 1.0)).max(1.0),
+        };
+        let length: Vec3 = pose.translation.vector;
+        Other {
+            length_m: measured(length.norm(), 0),
+            angle_rad: measured(pose.rotation.angle(), 3),
+            pose,
+            spans_s: Vec::new(),
+            samples: 0,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ground::geometry::{angle_between, rotation_from_rpy};
+    use ground::robot::{Chain, catalogue};
+    use ground::stream::{Orientations, PoseTrack};
+
+    fn arm() -> (JointTrack, Chain) {
+        let robot = catalogue::find("ur5e").unwrap();
+        let link = |name| robot.link(name).unwrap();
+        let chain = robot.chain(link("base"), link("tool0")).unwrap();
+        let mut joints = JointTrack { dof: 6, ..Default::default() };
+        for row in 0..2500 {
+            let t_s = f64::from(row) * 0.008;
+            joints.t_s.push(t_s);
+            for joint in 0..6 {
+                let (rate, phase) = (0.7 + 0.23 * f64::from(joint), f64::from(joint));
+                joints.q.push(0.5 * (rate * t_s + phase).sin() - 0.6);
+                joints.qd.push(0.5 * rate * (rate * t_s + phase).cos());
+            }
+        }
+        (joints, chain)
+    }
+
+    /// What a tracker says of a body that is another one where `other` says so, and in `moved` worlds.
+    fn found(
+        other: &dyn Fn(f64) -> Option<Pose>,
+        world: &dyn Fn(f64) -> Pose,
+    ) -> Option<(Alternation, Vec<Pose>, Vec<Pose>)> {
+        let (joints, chain) = arm();
+        let body = Pose::from_parts([0.03, 0.0, 0.06].into(), rotation_from_rpy([0.7, 0.3, -1.1]));
+        let (mut t_s, mut usual, mut logged) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut q, mut qd) = ([0.0; 6], [0.0; 6]);
+        for row in 10..1900 {
+            let stamp = f64::from(row) * 0.01 + 0.003;
+            assert!(joints.at(stamp, &mut 0, &mut q, &mut qd));
+            let pose = world(stamp) * chain.forward(&q) * body;
+            t_s.push(stamp);
+            usual.push(pose);
+            logged.push(pose * other(stamp).unwrap_or_default());
+        }
+        let track = PoseTrack {
+            t_s,
+            xyz: logged.iter().map(|pose| pose.translation.vector).collect(),
+            orientation: Orientations::Rotations(logged.iter().map(|pose| pose.rotation).collect()),
+            declared: None,
+        };
+        let stream = PoseStream {
+            track: &track,
+            chain: &chain,
+            columns: &[0, 1, 2, 3, 4, 5],
+            reference_known: false,
+            stamp_error_s: 0.0,
+            stamps_copied: false,
+        };
+        let (alternation, mended) = alternation(&joints, &stream)?;
+        Some((alternation, mended, usual))
+    }
+
+    fn still(_: f64) -> Pose {
+        Pose::from_parts([1.0, 0.2, 0.4].into(), rotation_from_rpy([0.1, -0.2, 2.1]))
+    }
+
+    #[test]
+    fn bodies_that_come_and_go_are_told_and_put_back() {
+        let [one, two] =
+            [([0.005, 0.0, 0.0], [0.0, 0.0, 2.0]), ([0.0, 0.06, 0.0], [0.0, 0.4, 0.0])]
+                .map(|(xyz, rpy)| Pose::from_parts(xyz.into(), rotation_from_rpy(rpy)));
+        let other = |t_s: f64| match t_s {
+            4.0..6.0 | 9.0..9.3 => Some(one),
+            7.0..8.0 | 14.0..16.0 => Some(two),
+            _ => None,
+        };
+        let (alternation, mended, usual) = found(&other, &still).expect("it alternates");
+        assert_eq!(alternation.others.len(), 2);
+        for (other, planted) in alternation.others.iter().zip([one, two]) {
+            let off = other.pose.inverse() * planted;
+            assert!(off.translation.vector.norm() < 1e-3 && off.rotation.angle() < 3e-3, "{off}");
+            assert_eq!(other.spans_s.len(), 2);
+        }
+        for (mended, usual) in mended.iter().zip(&usual) {
+            let off_m = (mended.translation.vector - usual.translation.vector).norm();
+            assert!(off_m < 1e-3 && angle_between(&mended.rotation, &usual.rotation) < 3e-3);
+        }
+    }
+
+    #[test]
+    fn one_change_motion_and_a_world_that_jumps_are_no_alternation() {
+        let body = Pose::from_parts([0.05, 0.0, 0.0].into(), rotation_from_rpy([0.0, 0.0, 1.0]));
+        assert!(found(&|_| None, &still).is_none());
+        assert!(found(&|t_s| (t_s > 8.0).then_some(body), &still).is_none());
+        let jumps =
+            |t_s: f64| if (5.0..9.0).contains(&t_s) { body * still(t_s) } else { still(t_s) };
+        assert!(found(&|_| None, &jumps).is_none());
+    }
+}
