@@ -122,12 +122,17 @@ class Rotation:
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
     """By how much: `value` with its unit and 95 % interval; or what the numbers are (`is_`) and what
-    they were read as."""
+    they were read as. Of an amount that changes within the run `value` is the size of the change, from
+    `from_` to `to` at `change_ns`."""
 
     name: str
     value: float | None = None
     unit: str | None = None
     ci95: tuple[float, float] | None = None
+    from_: float | None = None
+    to: float | None = None
+    change_ns: int | None = None
+    change_ci95_ns: tuple[int, int] | None = None
     rotation: Rotation | None = None
     is_: Any = None
     read_as: Any = None

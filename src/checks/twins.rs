@@ -30,6 +30,6 @@ pub fn twin_cause(arm: &ArmEvidence, twin: &Twin, unit: Unit) -> Alternative {
             ("FRM003", arm.topic(topic(stream)), "tool frame", value, unit)
         }
     };
-    let estimate = Estimate::Amount { name, value, unit: unit.symbol(), ci95: None };
+    let estimate = Estimate::counted(name, unit.symbol(), value);
     Alternative { code, subject, estimate: Some(estimate) }
 }

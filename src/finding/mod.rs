@@ -1,8 +1,7 @@
 //! What an audit says: a finding, its estimate with the interval, and the outcome it comes from.
 
-use std::borrow::Cow;
-
 mod cause;
+mod estimate;
 mod read;
 mod unit;
 
@@ -10,10 +9,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use crate::stats::{Length, Measured};
 use crate::time::Stamp;
 
 pub use cause::{Cause, JointScaling};
+pub use estimate::{Angle, Change, Estimate, ReadAs, RunnerUp};
 pub use read::Word;
 pub(crate) use read::{maybe_word, number, word};
 pub use unit::{Unit, rounded};
@@ -104,177 +103,6 @@ impl Span {
     pub fn seconds(&self) -> f64 {
         self.end.seconds_since(self.start)
     }
-}
-
-/// An amount, or a reading, as the contract's table of estimates has it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(untagged)]
-pub enum Estimate {
-    /// A length and an angle: the norms of a frame error, or two rms.
-    Frame {
-        /// What it is.
-        #[serde(deserialize_with = "word")]
-        name: Word,
-        /// Length, m.
-        #[serde(deserialize_with = "number")]
-        #[schemars(with = "Option<f64>")]
-        value: f64,
-        /// SI symbol of `value`.
-        #[serde(deserialize_with = "word")]
-        unit: Word,
-        /// 95 % interval of `value`.
-        ci95: Option<[f64; 2]>,
-        /// The angle, rad.
-        rotation: Angle,
-    },
-    /// One number.
-    Amount {
-        /// What it is.
-        #[serde(deserialize_with = "word")]
-        name: Word,
-        /// The number, in `unit`.
-        #[serde(deserialize_with = "number")]
-        #[schemars(with = "Option<f64>")]
-        value: f64,
-        /// SI symbol.
-        #[serde(deserialize_with = "word")]
-        unit: Word,
-        /// 95 % interval.
-        ci95: Option<[f64; 2]>,
-    },
-    /// Three numbers that are of one convention, and that somebody read as another.
-    Convention {
-        /// Always `convention`.
-        #[serde(deserialize_with = "word")]
-        name: Word,
-        /// What the numbers are.
-        is: String,
-        /// What they were read as.
-        read_as: String,
-        /// Readings that no log, or not this one, can tell from it.
-        equivalent: Vec<ReadAs>,
-        /// The next best reading, and how many times more it leaves.
-        runner_up: Option<RunnerUp>,
-    },
-    /// One of two ways to write the same thing, taken for the other.
-    Slip {
-        /// What was mixed up.
-        #[serde(deserialize_with = "word")]
-        name: Word,
-        /// What it is.
-        is: Cow<'static, str>,
-        /// What it was read as.
-        read_as: Cow<'static, str>,
-    },
-    /// Numbers that stand under the wrong names.
-    Order {
-        /// What is out of order.
-        #[serde(deserialize_with = "word")]
-        name: Word,
-        /// Whose number stands at each place.
-        is: Vec<String>,
-        /// Whose name stands at each place.
-        read_as: Vec<String>,
-        /// The same as `is`: the names in the order that the numbers are in.
-        permutation: Vec<String>,
-    },
-}
-
-impl Estimate {
-    /// The number, in SI units, where it is one.
-    pub fn value(&self) -> Option<f64> {
-        match self {
-            Estimate::Amount { value, .. } | Estimate::Frame { value, .. } => Some(*value),
-            Estimate::Convention { .. } | Estimate::Slip { .. } | Estimate::Order { .. } => None,
-        }
-    }
-
-    /// What the numbers are and what they were read as, where it is a convention.
-    pub fn convention(&self) -> Option<(&str, &str)> {
-        match self {
-            Estimate::Convention { is, read_as, .. } => Some((is, read_as)),
-            _ => None,
-        }
-    }
-
-    /// The estimate of what was taken for something else.
-    pub fn slip(
-        name: &'static str,
-        is: impl Into<Cow<'static, str>>,
-        read_as: impl Into<Cow<'static, str>>,
-    ) -> Self {
-        Estimate::Slip { name, is: is.into(), read_as: read_as.into() }
-    }
-
-    /// The estimate of one number.
-    pub fn amount(name: &'static str, unit: Unit, measured: &Measured) -> Self {
-        Estimate::Amount {
-            name,
-            value: measured.value,
-            unit: unit.symbol(),
-            ci95: unit.interval95(measured),
-        }
-    }
-
-    /// A number that was read off the log and not estimated, so that it has no interval.
-    pub fn counted(name: &'static str, unit: &'static str, value: f64) -> Self {
-        Estimate::Amount { name, value, unit, ci95: None }
-    }
-
-    /// An estimate of a length, which cannot be negative.
-    pub fn length(name: &'static str, unit: Unit, length: &Length) -> Self {
-        let Length { norm, .. } = length;
-        let ci95 = unit.interval95(norm).map(|ends| ends.map(|end| end.max(0.0)));
-        Estimate::Amount { name, value: norm.value, unit: unit.symbol(), ci95 }
-    }
-
-    /// The estimate of a length in m and an angle in rad, neither of which can be negative.
-    pub fn frame(name: &'static str, length: &Measured, angle: &Measured) -> Self {
-        let of_norm = |ends: [f64; 2]| ends.map(|end| end.max(0.0));
-        Estimate::Frame {
-            name,
-            value: length.value,
-            unit: Unit::Metre.symbol(),
-            ci95: Unit::Metre.interval95(length).map(of_norm),
-            rotation: Angle {
-                value: angle.value,
-                ci95: Unit::Radian.interval95(angle).map(of_norm),
-            },
-        }
-    }
-}
-
-/// The angle of a frame estimate.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct Angle {
-    /// The angle, rad.
-    #[serde(deserialize_with = "number")]
-    #[schemars(with = "Option<f64>")]
-    pub value: f64,
-    /// 95 % interval, rad.
-    pub ci95: Option<[f64; 2]>,
-}
-
-/// What numbers are, and what they were read as.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub struct ReadAs {
-    /// What they are.
-    pub is: String,
-    /// What they were read as.
-    pub read_as: String,
-}
-
-/// The reading that comes second.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct RunnerUp {
-    /// What the numbers would be.
-    pub is: String,
-    /// What they would have been read as.
-    pub read_as: String,
-    /// Its residual over that of the best reading.
-    #[serde(deserialize_with = "number")]
-    #[schemars(with = "Option<f64>")]
-    pub ratio: f64,
 }
 
 /// Another cause that does the same to this log.
@@ -467,21 +295,4 @@ pub struct CheckRow {
     /// Whether it was evaluated, and is skipped because the caller said not to count it.
     #[serde(skip)]
     pub exempt: bool,
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_is_not_finite_becomes_null() -> Result<(), serde_json::Error> {
-        let estimate = Estimate::amount(
-            "latency",
-            Unit::Second,
-            &Measured { value: f64::NAN, std_error: 1.0, dof: 1e6 },
-        );
-        let json = serde_json::to_string(&estimate)?;
-        assert_eq!(json, r#"{"name":"latency","value":null,"unit":"s","ci95":null}"#);
-        Ok(())
-    }
 }

@@ -6,8 +6,8 @@ use crate::finding::{Estimate, Unit};
 /// numbers are and what they were read as.
 pub(crate) fn shown(estimate: &Estimate) -> String {
     match estimate {
-        Estimate::Amount { name, value, unit, ci95 } => of_unit(unit, name, *value, *ci95),
-        Estimate::Frame { name, value, unit, ci95, rotation } => {
+        Estimate::Amount { name, value, unit, ci95, .. } => of_unit(unit, name, *value, *ci95),
+        Estimate::Frame { name, value, unit, ci95, rotation, .. } => {
             let length = of_unit(unit, name, *value, *ci95);
             let angle = of_unit(Unit::Radian.symbol(), name, rotation.value, rotation.ci95);
             format!("{length}; {angle}")

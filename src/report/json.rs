@@ -28,22 +28,42 @@ pub fn schema() -> String {
 mod tests {
     use proptest::prelude::*;
 
-    use crate::finding::{Angle, Estimate, ReadAs, RunnerUp};
+    use crate::finding::{Angle, Change, Estimate, ReadAs, RunnerUp};
+    use crate::time::Stamp;
 
     fn any_estimate() -> impl Strategy<Value = Estimate> {
         let number = any::<f64>().prop_filter("finite", |number| number.is_finite());
         let interval = || prop::option::of([number.clone(), number.clone()]);
         let (text, names) = (|| ".{0,9}", || prop::collection::vec(".{0,9}", 0..4));
         let word = || prop::sample::select(vec!["latency", "rad/s", "", "°"]);
-        let amount = (word(), number.clone(), word(), interval())
-            .prop_map(|(name, value, unit, ci95)| Estimate::Amount { name, value, unit, ci95 });
-        let frame = (word(), number.clone(), interval(), number.clone(), interval()).prop_map(
-            |(name, value, ci95, angle, of_angle)| Estimate::Frame {
+        let stamp = || any::<i64>().prop_map(Stamp::from_nanos);
+        let change =
+            (number.clone(), number.clone(), stamp(), prop::option::of([stamp(), stamp()]))
+                .prop_map(|(from, to, change_ns, change_ci95_ns)| Change {
+                    from,
+                    to,
+                    change_ns,
+                    change_ci95_ns,
+                });
+        let change = prop::option::of(change).boxed();
+        let amount = (word(), number.clone(), word(), interval(), change.clone()).prop_map(
+            |(name, value, unit, ci95, change)| Estimate::Amount {
+                name,
+                value,
+                unit,
+                ci95,
+                change,
+            },
+        );
+        let angle = (number.clone(), interval()).prop_map(|(value, ci95)| Angle { value, ci95 });
+        let frame = (word(), number.clone(), interval(), angle, change).prop_map(
+            |(name, value, ci95, rotation, change)| Estimate::Frame {
                 name,
                 value,
                 unit: "m",
                 ci95,
-                rotation: Angle { value: angle, ci95: of_angle },
+                rotation,
+                change,
             },
         );
         let runner_up = prop::option::of((text(), text(), number.clone()));

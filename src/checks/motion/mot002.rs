@@ -111,7 +111,13 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
 fn estimate(found: &Abruptness, unit: &'static str) -> Estimate {
     let half = (found.noise / 3.0).max(0.01 * found.acceleration);
     let ci95 = Some([found.acceleration - half, found.acceleration + half]);
-    Estimate::Amount { name: "joint acceleration", value: found.acceleration, unit, ci95 }
+    Estimate::Amount {
+        name: "joint acceleration",
+        value: found.acceleration,
+        unit,
+        ci95,
+        change: None,
+    }
 }
 
 /// No joint of an arm accelerates like this, rad/s² or m/s².

@@ -319,11 +319,11 @@ fn whiskers(row: &CheckRow) -> Vec<Whisker> {
     };
     let radian = Unit::Radian.symbol();
     let amounts = match &row.estimate {
-        Some(Estimate::Amount { name, value, ci95, unit }) => {
+        Some(Estimate::Amount { name, value, ci95, unit, .. }) => {
             let what = if label.is_empty() { name } else { "" };
             vec![whisker(what, name, *value, *ci95, unit)]
         }
-        Some(Estimate::Frame { name, value, ci95, unit, rotation }) => vec![
+        Some(Estimate::Frame { name, value, ci95, unit, rotation, .. }) => vec![
             whisker("distance", name, *value, *ci95, unit),
             whisker("angle", name, rotation.value, rotation.ci95, radian),
         ],
