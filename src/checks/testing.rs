@@ -5,9 +5,9 @@ use std::sync::LazyLock;
 use crate::checks::{Case, Rule, Thresholds, evaluate};
 use crate::diagnosis::{
     Abruptness, Aligned, Amount, DhEstimate, DhStream, Error, FrameEstimate, GyroBias,
-    ImuDiagnosis, ImuProof, JointDiagnosis, JointOffset, JointReading, LatencyCourse, Left, Length,
-    Line, LineWitness, Measured, Part, PoseDiagnosis, Proof, Reading, ReadingEstimate,
-    ReferenceDiagnosis, Residual, RestGap, Shake, Short, Size, YawCourse,
+    ImuDiagnosis, ImuNumbers, ImuProof, JointDiagnosis, JointOffset, JointReading, LatencyCourse,
+    Left, Length, Line, LineWitness, Measured, Part, PoseDiagnosis, Proof, Reading,
+    ReadingEstimate, ReferenceDiagnosis, Residual, RestGap, Shake, Short, Size, YawCourse,
 };
 use crate::evidence::{
     ArmEvidence, DhEvidence, EulerEvidence, ImuEvidence, JointEvidence, JointMotion, Of,
@@ -100,12 +100,16 @@ pub fn clean_run() -> RunEvidence {
         yaw_course: YawCourse::default(),
         mount_rad: Ok(length(0.0)),
         link_from_imu: None,
+        mount_change: None,
+        numbers: ImuNumbers::default(),
         tilt_rad: Ok(length(0.0)),
+        up: None,
         gyro_bias: Ok(GyroBias {
             vector_rad_s: Vec3::zeros(),
             length_rad_s: length(0.0),
             yaw_rate_rad_s: 0.0,
             shape: None,
+            change: None,
         }),
         yaw_error: Vec::new(),
         headings: Vec::new(),

@@ -66,8 +66,9 @@ pub use handeye::{
     TargetReading, diagnose_hand_eye, turning_peaks,
 };
 pub use imu::{
-    GyroBias, GyroShape, Heading, ImuDiagnosis, ImuProof, ImuStream, Rates, YawCourse, YawJump,
-    diagnose_imu, proof_of_imu, reread_imu, turning_by_latency,
+    AccelSlip, AccelUnit, BiasChange, BiasCourse, Clipped, GyroBias, GyroShape, Heading,
+    HeadingError, ImuDiagnosis, ImuNumbers, ImuProof, ImuStream, MountChange, Rates, Up, YawCourse,
+    YawJump, YawWarmUp, diagnose_imu, proof_of_imu, reread_imu, turning_by_latency,
 };
 pub use joints::{JointOffset, JointReading, JointScale, JointSlip, JointUnit, Twin};
 pub use lag::{LatencyResidual, residual_by_latency};

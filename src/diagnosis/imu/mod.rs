@@ -7,9 +7,11 @@
 //! carries the joint offsets found, since a wrist zero of 1° looks like 0.6 °/min of drift and 0.9°
 //! of mount error without them.
 
+mod change;
 mod found;
 mod gyro;
 mod held;
+mod numbers;
 mod orientation;
 mod solve;
 mod tilt;
@@ -20,8 +22,12 @@ use super::latency::{ArmSpeeds, Peak, angular_speed, by_lag, norms, peaks};
 use super::reread::rotations;
 use super::sampling::still_speeds;
 use super::{AxesSlip, Meant, Measured, Reading, Seen, Unseen};
-pub use found::{GyroBias, GyroShape, Heading, ImuDiagnosis, ImuStream, YawCourse, YawJump};
+pub use found::{
+    BiasChange, BiasCourse, GyroBias, GyroShape, Heading, HeadingError, ImuDiagnosis, ImuStream,
+    MountChange, Up, YawCourse, YawJump, YawWarmUp,
+};
 pub use held::{ImuProof, Rates, proof_of_imu};
+pub use numbers::{AccelSlip, AccelUnit, Clipped, ImuNumbers};
 
 use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::stream::JointTrack;
@@ -46,7 +52,19 @@ const TURNING_SAMPLES: usize = 300;
 /// Diagnoses one IMU against the joint states, which should be those corrected by
 /// [`JointDiagnosis::corrected_joints`](super::JointDiagnosis::corrected_joints).
 pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) -> ImuDiagnosis {
-    let link = Link::new(joints, stream);
+    let numbers = ImuNumbers::of(joints, stream, most_lag_s);
+    let track = numbers.mended(stream.track);
+    diagnose_mended(joints, &ImuStream { track: &track, ..*stream }, &numbers, most_lag_s)
+}
+
+/// The same of a stream whose `numbers` are mended.
+pub(super) fn diagnose_mended(
+    joints: &JointTrack,
+    stream: &ImuStream,
+    numbers: &ImuNumbers,
+    most_lag_s: f64,
+) -> ImuDiagnosis {
+    let link = Link::new(joints, stream, numbers);
     let peaks = link.peaks(most_lag_s);
     let moves = peaks.first().is_some_and(|peak| peak.correlation > FOLLOWS);
     let lag_s = peaks.first().filter(|_| moves).map_or(0.0, |peak| peak.lag_s);
@@ -82,6 +100,7 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
     };
     let turned = gyro.as_ref().ok().filter(|_| moves).map(|fit| fit.link_from_imu);
     let mount_by_gyro = gyro.as_ref().map_err(Clone::clone).and_then(|fit| fit.mount_rad.clone());
+    let changed = gyro.as_ref().ok().filter(|_| moves).and_then(|fit| fit.mount_change);
     let gyro_bias = gyro.and_then(|fit| fit.bias);
     let tilt_rad = link.tilt(lag_s);
     match orientation {
@@ -94,7 +113,10 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
             yaw_course: fit.course,
             mount_rad: fit.mount_rad,
             link_from_imu: Some(fit.link_from_imu),
+            mount_change: fit.mount_change,
+            numbers: numbers.clone(),
             tilt_rad,
+            up: link.up(lag_s, &fit.link_from_imu),
             gyro_bias,
             yaw_error: fit.yaw_error,
             headings: fit.headings,
@@ -111,7 +133,10 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
                 _ => Err(why),
             },
             link_from_imu: turned,
+            mount_change: changed,
+            numbers: numbers.clone(),
             tilt_rad,
+            up: None,
             gyro_bias,
             yaw_error: Vec::new(),
             headings: Vec::new(),
@@ -147,7 +172,8 @@ pub fn reread_imu(
     reading: Reading,
     most_lag_s: f64,
 ) -> Option<Vec<Rotation>> {
-    let link = Link::new(joints, stream);
+    let numbers = ImuNumbers::default();
+    let link = Link::new(joints, stream, &numbers);
     let lag_s = link.peaks(most_lag_s).first().map_or(0.0, |peak| peak.lag_s);
     let mut sweep = link.sweep();
     let expected: Vec<Option<Rotation>> = stream
@@ -221,6 +247,7 @@ fn repeats(peaks: &[Peak]) -> Option<Vec<f64>> {
 struct Link<'a> {
     joints: &'a JointTrack,
     stream: &'a ImuStream<'a>,
+    numbers: &'a ImuNumbers,
     still: Vec<f64>,
     middle_s: f64,
 }
@@ -260,13 +287,13 @@ struct Sweep {
 }
 
 impl<'a> Link<'a> {
-    fn new(joints: &'a JointTrack, stream: &'a ImuStream<'a>) -> Self {
+    fn new(joints: &'a JointTrack, stream: &'a ImuStream<'a>, numbers: &'a ImuNumbers) -> Self {
         let t_s = &stream.track.t_s;
         let middle_s = match (t_s.first(), t_s.last()) {
             (Some(first), Some(last)) => 0.5 * (first + last),
             _ => 0.0,
         };
-        Self { joints, stream, still: still_speeds(joints), middle_s }
+        Self { joints, stream, numbers, still: still_speeds(joints), middle_s }
     }
 
     /// A latency without a skew.
