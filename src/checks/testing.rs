@@ -100,6 +100,7 @@ pub fn clean_run() -> RunEvidence {
         yaw_course: YawCourse::default(),
         mount_rad: Ok(length(0.0)),
         link_from_imu: None,
+        axes_turn: None,
         mount_change: None,
         numbers: ImuNumbers::default(),
         tilt_rad: Ok(length(0.0)),

@@ -122,7 +122,7 @@ fn depends(heading: &HeadingError, severity: Severity) -> Fault {
         cause: Cause::YawJump,
         title: "IMU yaw depends on heading",
         message: format!(
-            "yaw error depends on the heading of imu {}, by ±({size}): hard or soft iron, no drift",
+            "yaw error depends on the heading of imu {}, by up to {size} either way: hard or soft iron, no drift",
             AXES[heading.axis]
         ),
         evidence: Evidence::default(),

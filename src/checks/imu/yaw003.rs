@@ -2,7 +2,7 @@ use crate::checks::decision::{DEGREE, Decision, Threshold, decide_length, unseen
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Length, MountChange};
 use crate::evidence::{ImuEvidence, Of};
-use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Severity, Unit};
+use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::geometry::{Rotation, Vec3, angle_between, xyzw_from_rotation};
 use serde_json::{Value, json};
 
@@ -25,7 +25,8 @@ rule! {
     /// are permuted or reversed are said as such, for instance forward-right-down (FRD) where the frame is
     /// forward-left-up. Of an IMU that slips within the run `value` is the angle by which it does, `from` and
     /// `to` are its angle to the log's frames before and after, and `change_ns` is when;
-    /// `link_from_imu_after` is the mount from then on.
+    /// `link_from_imu_after` is the mount from then on. A gyro whose axes are left-handed, or not those of the
+    /// orientation beside it, is a finding, too.
     ///
     /// ## How to fix
     /// Correct the static transform of the IMU's frame, or the axes that its driver reports.
@@ -50,7 +51,49 @@ const THRESHOLD: Threshold =
 const SETTLE: &str = "turn the IMU through 60° about two axes";
 
 fn check(case: &Case) -> Vec<Judged> {
-    case.evidence.imus().map(|(_, imu)| judge(case, imu)).collect()
+    let imus = || case.evidence.imus().map(|(_, imu)| imu);
+    let axes = imus().filter_map(|imu| judge_axes(case, imu));
+    imus().map(|imu| judge(case, imu)).chain(axes).collect()
+}
+
+/// Whether the gyro has the axes of the orientation beside it, and right-handed ones; `None` where nothing
+/// says otherwise.
+fn judge_axes(case: &Case, imu: &Of<ImuEvidence>) -> Option<Judged> {
+    let fault = |severity, message: String, fix: String| Fault {
+        severity,
+        cause: Cause::Other,
+        title: "gyro axes are not the IMU's",
+        message,
+        evidence: Evidence::default(),
+        fix,
+    };
+    if let Some(axis) = imu.diagnosis.numbers.mirrored {
+        let axis = AXES[axis];
+        let message = format!("the gyro's axes are left-handed: {axis} is reversed");
+        let fix =
+            format!("negate {axis} of the angular velocity, or see which axes the driver swaps");
+        let outcome = Outcome::faulty(fault(Severity::Error, message, fix));
+        let half = Estimate::counted("mount error", THRESHOLD.unit.symbol(), std::f64::consts::PI);
+        return Some(imu.judged(outcome).estimated(half).within(imu.span));
+    }
+    let turn = imu.diagnosis.axes_turn.as_ref()?;
+    // Filters lean a little against their own gyro.
+    let threshold = case.thresholds.of(&YAW003, THRESHOLD);
+    let coarse = Threshold { warning: threshold.error, ..threshold };
+    let decision = decide_length(&turn.size_rad, &coarse, case.evidence.subjects());
+    let Decision::Fail(severity) = decision else { return None };
+    let size = THRESHOLD.unit.show_measured(&turn.size_rad.norm);
+    let what = match turn.with_accel {
+        true => "axes of gyro and accelerometer",
+        false => "axes of the gyro",
+    };
+    let order = permuted(&turn.imu_from_gyro)
+        .map_or(String::new(), |order| format!(": its x, y, z are the orientation's {order}"));
+    let message = format!("the {what} are {size} off those of the orientation{order}");
+    let fix = "report gyro, accelerometer and orientation in the same axes (REP 145)".to_owned();
+    let estimate = Estimate::length("mount error", THRESHOLD.unit, &turn.size_rad);
+    let judged = imu.judged(Outcome::faulty(fault(severity, message, fix))).within(imu.span);
+    Some(judged.estimated(estimate))
 }
 
 fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Judged {
@@ -151,10 +194,9 @@ fn mount_off(imu: &Of<ImuEvidence>, mount: Option<Rotation>) -> f64 {
     of.zip(mount).map_or(0.0, |(of, mount)| angle_between(&of, &mount))
 }
 
-/// Where the axes of an IMU point in the frame that the log has for it, where they are its axes in
-/// another order or reversed; `None` where they are not.
-fn permuted(logged: &Rotation, found: &Rotation) -> Option<String> {
-    let error = logged.inverse() * found;
+/// Where x, y and z point after `error`, where that is the axes in another order or reversed; `None` where
+/// it is not.
+fn permuted(error: &Rotation) -> Option<String> {
     let axes: Vec<(usize, f64)> = (0..3)
         .map(|axis| {
             let points = error * Vec3::ith(axis, 1.0);
@@ -171,21 +213,14 @@ fn permuted(logged: &Rotation, found: &Rotation) -> Option<String> {
     let shown = |(along, cosine): &(usize, f64)| {
         format!("{}{}", if *cosine < 0.0 { "-" } else { "" }, AXES[*along])
     };
-    let shown: Vec<String> = axes.iter().map(shown).collect();
-    let order = shown.join(", ");
-    let said = match order.as_str() {
-        "x, -y, -z" => "the IMU's axes are forward-right-down (FRD, as with NED), the frame's \
-                        forward-left-up: z points down"
-            .to_owned(),
-        "y, x, -z" => {
-            "the IMU's axes are as of NED and the frame's as of ENU: z points down".to_owned()
-        }
-        _ if shown[2] == "-z" => {
-            format!("the IMU's x, y, z are the frame's {order}: z points down")
-        }
-        _ => format!("the IMU's x, y, z are the frame's {order}"),
+    let order = axes.iter().map(shown).collect::<Vec<_>>().join(", ");
+    let known = match order.as_str() {
+        "x, -y, -z" => " (FRD, as with NED: z points down)",
+        "y, x, -z" => " (NED for ENU: z points down)",
+        other if other.ends_with("-z") => " (z points down)",
+        _ => "",
     };
-    Some(said)
+    Some(format!("{order}{known}"))
 }
 
 /// An IMU that turns in its mount within the run.
@@ -226,9 +261,12 @@ fn fault(
         let [x, y, z] = [0, 1, 2].map(|axis| direction(&found, axis, &imu.link));
         format!(": imu x points {x}; y {y}; z {z}")
     });
-    let permuted =
-        imu.link_from_imu.zip(found).and_then(|(logged, found)| permuted(&logged, &found));
-    let permuted = permuted.map_or(String::new(), |permuted| format!(": {permuted}"));
+    let permuted = imu
+        .link_from_imu
+        .zip(found)
+        .and_then(|(logged, found)| permuted(&(logged.inverse() * found)));
+    let permuted = permuted
+        .map_or(String::new(), |order| format!(": the IMU's x, y, z are the frame's {order}"));
     Fault {
         severity,
         cause: found.map_or(Cause::Other, Cause::ImuMount),

@@ -98,6 +98,11 @@ impl<'a> Asked<'a> {
             best_s = least(near, |s| at(s, 1))?;
             around_s *= 4.0 / MOMENTS as f64;
         }
+        // Any moment between two samples is as good.
+        let next = self.t_s.partition_point(|t_s| *t_s <= best_s);
+        if let Some(before) = next.checked_sub(1).filter(|_| next < self.len()) {
+            best_s = 0.5 * (self.t_s[before] + self.t_s[next]);
+        }
         let weight = self.t_s.iter().map(|t_s| f64::from(u8::from(*t_s > best_s))).collect();
         let mut better = self.better(columns, &[weight])?;
         // Moments that are as good but for chance.

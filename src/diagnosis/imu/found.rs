@@ -67,6 +67,17 @@ pub enum BiasCourse {
     },
 }
 
+/// A gyro whose axes are not those of the orientation beside it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AxesTurn {
+    /// What takes rates in the gyro's axes to those of the orientation.
+    pub imu_from_gyro: Rotation,
+    /// Its angle, rad.
+    pub size_rad: Length,
+    /// Whether the accelerometer has the gyro's axes, and not the orientation's.
+    pub with_accel: bool,
+}
+
 /// Where the accelerometer feels up, as unit vectors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Up {
@@ -160,6 +171,9 @@ pub struct ImuDiagnosis {
     pub mount_rad: Seen<Length>,
     /// `link_from_imu` as it fits best; where it changes, that at the beginning.
     pub link_from_imu: Option<Rotation>,
+    /// How the gyro's axes are turned against the orientation's, where both follow the arm and they surely
+    /// are.
+    pub axes_turn: Option<AxesTurn>,
     /// How the mount changes within the run, where it surely does.
     pub mount_change: Option<MountChange>,
     /// How the numbers are written. All else is of the numbers as they should be.
@@ -199,6 +213,7 @@ impl ImuDiagnosis {
             yaw_course: YawCourse::default(),
             mount_rad: Err(why.clone()),
             link_from_imu: None,
+            axes_turn: None,
             mount_change: None,
             numbers: ImuNumbers::default(),
             tilt_rad: Err(why.clone()),

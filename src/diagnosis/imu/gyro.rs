@@ -14,7 +14,7 @@ use super::super::course::{Lagging, course_of};
 use super::super::latency::median_period_s;
 use super::super::linear::Linear;
 use super::super::{GyroBias, GyroShape, LatencyCourse, Measured, Seen, Unseen};
-use super::found::{BiasChange, BiasCourse, MountChange};
+use super::found::{AxesTurn, BiasChange, BiasCourse, MountChange};
 use super::solve::{Model, Solved, lengths, solve};
 use super::{Clock, Delay, Link, NEED, SKEW_CHANCE, TURNS_RAD, explains, rms};
 use ground::geometry::{Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
@@ -48,10 +48,27 @@ pub(super) struct GyroFit {
     pub mount_rad: Seen<Length>,
     pub link_from_imu: Rotation,
     pub mount_change: Option<MountChange>,
+    solved: Solved,
+}
+
+impl GyroFit {
+    /// How the gyro's axes are turned against those of an orientation that is mounted as `link_from_imu`;
+    /// `None` where that cannot be told.
+    pub fn turned_against(&self, link_from_imu: &Rotation) -> Option<AxesTurn> {
+        let imu_from_gyro = link_from_imu.inverse() * self.link_from_imu;
+        let mount: Vec<usize> = GyroModel::MOUNT.collect();
+        let turned = rotvec_from_rotation(&imu_from_gyro);
+        let size_rad = self.solved.length(&mount, turned.as_slice()).ok()?;
+        Some(AxesTurn { imu_from_gyro, size_rad, with_accel: false })
+    }
 }
 
 impl Link<'_> {
     pub(super) fn fit_gyro(&self, lag_s: f64, moves: bool) -> Seen<GyroFit> {
+        let is_zero = self.stream.track.gyro.iter().all(|gyro| *gyro == Vec3::zeros());
+        if is_zero && self.turning_rad(&self.delay(lag_s)) > TURNS_RAD {
+            return Err(Unseen::NoGyro);
+        }
         let period_s = median_period_s(&self.stream.track.t_s);
         let mut window_s = WINDOW_S.max(WINDOW_PERIODS * period_s);
         let mut model = GyroModel {
@@ -123,6 +140,7 @@ impl Link<'_> {
             mount_rad: model.mount(&solved),
             link_from_imu: model.link_from_imu,
             mount_change: model.mount_change(&solved),
+            solved,
         })
     }
 

@@ -23,14 +23,14 @@ use super::reread::rotations;
 use super::sampling::still_speeds;
 use super::{AxesSlip, Meant, Measured, Reading, Seen, Unseen};
 pub use found::{
-    BiasChange, BiasCourse, GyroBias, GyroShape, Heading, HeadingError, ImuDiagnosis, ImuStream,
-    MountChange, Up, YawCourse, YawJump, YawWarmUp,
+    AxesTurn, BiasChange, BiasCourse, GyroBias, GyroShape, Heading, HeadingError, ImuDiagnosis,
+    ImuStream, MountChange, Up, YawCourse, YawJump, YawWarmUp,
 };
 pub use held::{ImuProof, Rates, proof_of_imu};
 pub use numbers::{AccelSlip, AccelUnit, Clipped, ImuNumbers};
 
 use ground::geometry::{Rotation, Vec3, angle_between};
-use ground::stream::JointTrack;
+use ground::stream::{ImuTrack, JointTrack};
 
 /// Samples of an IMU that are fitted.
 const FIT_SAMPLES: usize = 5000;
@@ -101,7 +101,18 @@ pub(super) fn diagnose_mended(
     let turned = gyro.as_ref().ok().filter(|_| moves).map(|fit| fit.link_from_imu);
     let mount_by_gyro = gyro.as_ref().map_err(Clone::clone).and_then(|fit| fit.mount_rad.clone());
     let changed = gyro.as_ref().ok().filter(|_| moves).and_then(|fit| fit.mount_change);
+    let axes_turn = match (&orientation, &gyro) {
+        (Ok(fit), Ok(gyro)) if moves => axes_turn(&link, lag_s, &fit.link_from_imu, gyro),
+        _ => None,
+    };
     let gyro_bias = gyro.and_then(|fit| fit.bias);
+    // Gravity is felt in the accelerometer's axes.
+    let turned_accel = axes_turn.filter(|turn| turn.with_accel).map(|turn| {
+        let accel = stream.track.accel.iter().map(|accel| turn.imu_from_gyro * accel).collect();
+        ImuTrack { accel, ..stream.track.clone() }
+    });
+    let felt = ImuStream { track: turned_accel.as_ref().unwrap_or(stream.track), ..*stream };
+    let link = Link::new(joints, &felt, numbers);
     let tilt_rad = link.tilt(lag_s);
     match orientation {
         Ok(fit) => ImuDiagnosis {
@@ -113,6 +124,7 @@ pub(super) fn diagnose_mended(
             yaw_course: fit.course,
             mount_rad: fit.mount_rad,
             link_from_imu: Some(fit.link_from_imu),
+            axes_turn,
             mount_change: fit.mount_change,
             numbers: numbers.clone(),
             tilt_rad,
@@ -133,6 +145,7 @@ pub(super) fn diagnose_mended(
                 _ => Err(why),
             },
             link_from_imu: turned,
+            axes_turn: None,
             mount_change: changed,
             numbers: numbers.clone(),
             tilt_rad,
@@ -142,6 +155,22 @@ pub(super) fn diagnose_mended(
             headings: Vec::new(),
         },
     }
+}
+
+/// How the gyro's axes are turned against the orientation's, where they surely are.
+fn axes_turn(
+    link: &Link,
+    lag_s: f64,
+    link_from_imu: &Rotation,
+    gyro: &gyro::GyroFit,
+) -> Option<AxesTurn> {
+    /// The accelerometer points one way by so much more in the gyro's axes than in the orientation's.
+    const STEADIER: f64 = 0.05;
+    let turn = gyro.turned_against(link_from_imu)?;
+    let turn = Some(turn).filter(|turn| turn.size_rad.p_value < MOUNT_CHANCE)?;
+    let [by_gyro, by_imu] =
+        [gyro.link_from_imu, *link_from_imu].map(|mount| link.steadiness(lag_s, &mount));
+    Some(AxesTurn { with_accel: by_gyro > by_imu + STEADIER, ..turn })
 }
 
 /// How the speed at which an IMU turns correlates with its link's at each lag within ±`most_lag_s`:

@@ -6,7 +6,7 @@
 use super::super::UnitSlip;
 use super::super::constant::wahba;
 use super::{FOLLOWS, ImuStream, Link, NEED, rms};
-use ground::geometry::{Rotation, Vec3};
+use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::stats::quantile;
 use ground::stream::{ImuTrack, JointTrack};
 use nalgebra::Matrix3;
@@ -26,6 +26,9 @@ pub struct ImuNumbers {
     pub accel: Option<AccelSlip>,
     /// Where the gyro saturates.
     pub clipped: Option<Clipped>,
+    /// The axis of the gyro that is reversed, so that its axes are left-handed: 0 is x. Which one it is only
+    /// a known mount tells.
+    pub mirrored: Option<usize>,
 }
 
 /// An accelerometer in another unit than m/s².
@@ -93,21 +96,31 @@ impl ImuNumbers {
         let follows = peak.filter(|peak| peak.correlation > FOLLOWS);
         let lag_s = follows.map_or(0.0, |peak| peak.lag_s);
         let pairs = follows.map(|_| link.rate_pairs(lag_s)).unwrap_or_default();
-        let degrees = degrees(&pairs);
+        let plateaus = Plateau::all(&stream.track.gyro);
+        let is_free = |pair: &&RatePair| plateaus.iter().all(|plateau| !plateau.at[pair.0]);
+        let free: Vec<RatePair> = pairs.iter().filter(is_free).copied().collect();
+        // A value that is read all the time is no end of a range.
+        let free = if free.len() < NEED { pairs.clone() } else { free };
+        let degrees = degrees(&free);
         let factor = if degrees.is_some() { 1f64.to_radians() } else { 1.0 };
-        let clipped = clipped(&stream.track.gyro, &pairs, factor);
-        Self { degrees, accel: accel(stream.track, &link.rests(lag_s)), clipped }
+        let mirrored = mirrored(&free, factor, stream.link_from_imu.map(|pose| pose.rotation));
+        let clipped = clipped(&plateaus, &pairs, &free, factor, stream.track.gyro.len());
+        Self { degrees, accel: accel(stream.track, &link.rests(lag_s)), clipped, mirrored }
     }
 
     /// The track in rad/s and m/s².
     pub fn mended<'a>(&self, track: &'a ImuTrack) -> Cow<'a, ImuTrack> {
-        if self.degrees.is_none() && self.accel.is_none() {
+        if self.degrees.is_none() && self.accel.is_none() && self.mirrored.is_none() {
             return Cow::Borrowed(track);
         }
         let rate = if self.degrees.is_some() { 1f64.to_radians() } else { 1.0 };
         let force = self.accel.map_or(1.0, |slip| slip.unit.in_m_s2());
+        let mut rates = Vec3::repeat(rate);
+        if let Some(axis) = self.mirrored {
+            rates[axis] = -rate;
+        }
         Cow::Owned(ImuTrack {
-            gyro: track.gyro.iter().map(|gyro| gyro * rate).collect(),
+            gyro: track.gyro.iter().map(|gyro| gyro.component_mul(&rates)).collect(),
             accel: track.accel.iter().map(|accel| accel * force).collect(),
             ..track.clone()
         })
@@ -207,35 +220,85 @@ impl Alignment {
     }
 }
 
-/// Where the gyro stays at one extreme while the arm turns faster; `factor` takes it to rad/s.
-fn clipped(gyro: &[Vec3], pairs: &[RatePair], factor: f64) -> Option<Clipped> {
-    /// So many samples at the extreme, and so many of them in a row, are no chance.
-    const SAMPLES: usize = 8;
-    const IN_A_ROW: usize = 3;
+/// The axis that is reversed, where the gyro turns as the arm does only with its axes left-handed: the one
+/// with which it is turned in its link as the log's frames say, as near as can be.
+fn mirrored(pairs: &[RatePair], factor: f64, known_mount: Option<Rotation>) -> Option<usize> {
+    /// It leaves at most this share of what right-handed axes leave, and of the arm's rate.
+    const LEFT: f64 = 0.3;
+    if pairs.len() < NEED {
+        return None;
+    }
+    let left = |pairs: &[RatePair]| {
+        let mount = Alignment::of(pairs, factor);
+        let off =
+            rms(pairs.iter().map(|(_, gyro, rate)| mount.left(&(gyro * factor), rate).norm()));
+        (off, mount.link_from_imu)
+    };
+    let by_fk = rms(pairs.iter().map(|(_, _, rate)| rate.norm()));
+    let right_handed = left(pairs).0;
+    let reversed = |axis: usize| {
+        let flipped = |(row, gyro, rate): &RatePair| {
+            let mut gyro = *gyro;
+            gyro[axis] = -gyro[axis];
+            (*row, gyro, *rate)
+        };
+        let (off, mount) = left(&pairs.iter().map(flipped).collect::<Vec<_>>());
+        let turned = known_mount.map_or(0.0, |known| angle_between(&known, &mount));
+        (off < LEFT * right_handed.min(by_fk)).then_some((axis, turned))
+    };
+    if right_handed < LEFT * by_fk {
+        return None;
+    }
+    let all = (0..3).filter_map(reversed);
+    all.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(axis, _)| axis)
+}
+
+/// An axis of a gyro that stands at its extreme again and again.
+struct Plateau {
+    axis: usize,
+    /// The extreme, as logged.
+    most: f64,
+    /// Whether each row stands at it.
+    at: Vec<bool>,
+}
+
+impl Plateau {
+    fn all(gyro: &[Vec3]) -> Vec<Self> {
+        /// So many samples at the extreme, and so many of them in a row, are no chance.
+        const SAMPLES: usize = 8;
+        const IN_A_ROW: usize = 3;
+        let of = |axis: usize| {
+            let most = gyro.iter().map(|gyro| gyro[axis].abs()).fold(0.0, f64::max);
+            let limit = most * (1.0 - SAME);
+            let at: Vec<bool> = gyro.iter().map(|gyro| gyro[axis].abs() >= limit).collect();
+            let runs = at.chunk_by(|a, b| a == b).filter(|run| run[0]).map(<[bool]>::len);
+            let is_long = runs.max().is_some_and(|longest| longest >= IN_A_ROW);
+            let is_plateau =
+                most > 0.0 && is_long && at.iter().filter(|at| **at).count() >= SAMPLES;
+            is_plateau.then_some(Self { axis, most, at })
+        };
+        (0..3).filter_map(of).collect()
+    }
+}
+
+/// Where the gyro, of so many `rows`, stays at one extreme while the arm turns faster, by those pairs that are
+/// `free` of extremes; `factor` takes it to rad/s.
+fn clipped(
+    plateaus: &[Plateau],
+    pairs: &[RatePair],
+    free: &[RatePair],
+    factor: f64,
+    rows: usize,
+) -> Option<Clipped> {
     /// The arm turns faster than the extreme by this share, in the median over those samples.
     const FASTER: f64 = 1.03;
-    let most = |axis: usize| gyro.iter().map(|gyro| gyro[axis].abs()).fold(0.0, f64::max);
-    let at_most = |axis: usize, most: f64| {
-        let limit = most * (1.0 - SAME);
-        gyro.iter().map(move |gyro| gyro[axis].abs() >= limit).collect::<Vec<bool>>()
-    };
-    let is_plateau = |at: &[bool]| {
-        let longest = at.chunk_by(|a, b| a == b).filter(|run| run[0]).map(<[bool]>::len).max();
-        at.iter().filter(|at| **at).count() >= SAMPLES && longest.is_some_and(|n| n >= IN_A_ROW)
-    };
-    let plateaus: Vec<(usize, f64, Vec<bool>)> = (0..3)
-        .map(|axis| (axis, most(axis)))
-        .map(|(axis, most)| (axis, most, at_most(axis, most)))
-        .filter(|(_, most, at)| *most > 0.0 && is_plateau(at))
-        .collect();
-    let is_free = |row: usize| plateaus.iter().all(|(.., at)| !at[row]);
-    let free: Vec<RatePair> = pairs.iter().filter(|(row, ..)| is_free(*row)).copied().collect();
     if plateaus.is_empty() || free.len() < NEED {
         return None;
     }
-    let mount = Alignment::of(&free, factor);
+    let mount = Alignment::of(free, factor);
     let mut by_fk_rad_s = 0.0_f64;
-    let passed = plateaus.into_iter().filter(|(axis, most, at)| {
+    let mut is_passed = |plateau: &&Plateau| {
+        let Plateau { axis, most, at } = plateau;
         let rates = pairs.iter().filter(|(row, ..)| at[*row]);
         let expected =
             |(_, gyro, rate): &RatePair| mount.expected(rate)[*axis] * gyro[*axis].signum();
@@ -246,14 +309,14 @@ fn clipped(gyro: &[Vec3], pairs: &[RatePair], factor: f64) -> Option<Clipped> {
             by_fk_rad_s = faster.iter().copied().fold(by_fk_rad_s, f64::max);
         }
         is_passed
-    });
-    let passed: Vec<(usize, f64, Vec<bool>)> = passed.collect();
-    let limit = passed.iter().map(|(_, most, _)| *most).reduce(f64::min)?;
-    let any = (0..gyro.len()).filter(|&row| passed.iter().any(|(.., at)| at[row])).count();
+    };
+    let passed: Vec<&Plateau> = plateaus.iter().filter(|plateau| is_passed(plateau)).collect();
+    let limit = passed.iter().map(|plateau| plateau.most).reduce(f64::min)?;
+    let any = (0..rows).filter(|&row| passed.iter().any(|plateau| plateau.at[row])).count();
     Some(Clipped {
         limit_rad_s: limit * factor,
-        axes: passed.iter().map(|(axis, ..)| *axis).collect(),
-        share: any as f64 / gyro.len() as f64,
+        axes: passed.iter().map(|plateau| plateau.axis).collect(),
+        share: any as f64 / rows as f64,
         by_fk_rad_s,
     })
 }
@@ -309,9 +372,25 @@ mod tests {
         let clip = |rate: Vec3| rate.map(|one| one.clamp(-0.8, 0.8));
         let both = pairs(clip);
         let gyro: Vec<Vec3> = both.iter().map(|pair| pair.1).collect();
-        let found = clipped(&gyro, &both, 1.0).unwrap();
+        let found = saturation(&gyro, &both).unwrap();
         assert!((found.limit_rad_s - 0.8).abs() < 1e-9 && found.share > 0.05, "{found:?}");
         assert!(found.by_fk_rad_s > 1.0, "{found:?}");
+    }
+
+    fn saturation(gyro: &[Vec3], pairs: &[RatePair]) -> Option<Clipped> {
+        let plateaus = Plateau::all(gyro);
+        let is_free = |pair: &&RatePair| plateaus.iter().all(|plateau| !plateau.at[pair.0]);
+        let free: Vec<RatePair> = pairs.iter().filter(is_free).copied().collect();
+        clipped(&plateaus, pairs, &free, 1.0, gyro.len())
+    }
+
+    #[test]
+    fn a_reversed_axis_is_told_by_the_mount() {
+        let reversed = pairs(|rate| Vec3::new(rate.x, -rate.y, rate.z));
+        let mount = ground::geometry::rotation_from_rotvec(Vec3::new(0.4, -1.1, 2.0));
+        assert_eq!(mirrored(&reversed, 1.0, Some(mount)), Some(1));
+        assert!(mirrored(&reversed, 1.0, None).is_some());
+        assert_eq!(mirrored(&pairs(|rate| Vec3::new(-rate.x, -rate.y, rate.z)), 1.0, None), None);
     }
 
     #[test]
@@ -319,7 +398,7 @@ mod tests {
         let coarse = |rate: Vec3| rate.map(|one| (one / 0.05).round() * 0.05);
         let both = pairs(coarse);
         let gyro: Vec<Vec3> = both.iter().map(|pair| pair.1).collect();
-        assert_eq!(clipped(&gyro, &both, 1.0), None);
+        assert_eq!(saturation(&gyro, &both), None);
     }
 
     #[test]

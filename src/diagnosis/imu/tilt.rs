@@ -16,6 +16,21 @@ const BLOCKS: usize = 10;
 const NEED: usize = 4 * BLOCKS;
 
 impl Link<'_> {
+    /// How much what the accelerometer feels points one way in the base, 0 to 1, with it turned in its link by
+    /// `link_from_accel`.
+    pub(super) fn steadiness(&self, lag_s: f64, link_from_accel: &Rotation) -> f64 {
+        let track = self.stream.track;
+        let mut sweep = self.sweep();
+        let (mut sum, mut sizes) = (Vec3::zeros(), f64::MIN_POSITIVE);
+        for k in (0..track.t_s.len()).step_by(self.stride()) {
+            if let Some(moment) = self.at(track.t_s[k] - lag_s, &mut sweep) {
+                sum += moment.rotation * (link_from_accel * track.accel[k]);
+                sizes += track.accel[k].norm();
+            }
+        }
+        sum.norm() / sizes
+    }
+
     /// Where the accelerometer feels up while the arm rests, with the IMU turned in its link by
     /// `link_from_imu`.
     pub(super) fn up(&self, lag_s: f64, link_from_imu: &Rotation) -> Option<Up> {

@@ -85,7 +85,7 @@ fn saturates(imu: &Of<ImuEvidence>, clipped: &Clipped, threshold: &Threshold) ->
         cause: Cause::Other,
         title: "gyro saturates",
         message: format!(
-            "gyro {on} saturates at {limit} while the arm turns at up to {by_fk} ({percent:.1} % of \
+            "gyro saturates at {limit} on {on} while the arm turns at up to {by_fk} ({percent:.1} % of \
              the samples)"
         ),
         evidence: Evidence {
@@ -136,7 +136,7 @@ fn reads(
         _ => axes.join(", "),
     };
     let (gain, half) = (1.0 + worst.value, worst.half_width(0.95));
-    let [percent, half] = [100.0 * worst.value.abs(), 100.0 * half];
+    let percent = GAIN.unit.show_interval(100.0 * worst.value.abs(), 100.0 * half, false);
     let much = if worst.value > 0.0 { "much" } else { "little" };
     let by: Vec<String> = scale.iter().map(|one| format!("{:.4}", 1.0 + one.value)).collect();
     Fault {
@@ -144,7 +144,7 @@ fn reads(
         cause: Cause::Other,
         title: "gyro gain",
         message: format!(
-            "gyro gain {gain:.3} on {on}: it reads {percent:.1} ± {half:.1} % too {much} against the \
+            "gyro gain {gain:.3} on {on}: it reads {percent} % too {much} against the \
              arm's rate"
         ),
         evidence: Evidence {
