@@ -166,6 +166,7 @@ pub fn unseen(unseen: &Unseen, settle: &str) -> Outcome {
             format!("its orientation spans {} only", Unit::Radian.show(*span))
         }
         Unseen::NotExcited => "this motion does not show it".to_owned(),
+        Unseen::NoGyro => return Outcome::Skipped("it carries no angular velocity".to_owned()),
         Unseen::NoOrientation => return Outcome::Skipped("it carries no orientation".to_owned()),
         Unseen::OrientationNotSet => {
             return Outcome::Inconclusive(

@@ -5,8 +5,8 @@ use std::sync::LazyLock;
 use crate::checks::{Case, Rule, Thresholds, evaluate};
 use crate::diagnosis::{
     Abruptness, Aligned, Amount, CommandDelay, DhEstimate, DhStream, Error, FrameEstimate,
-    GyroBias, ImuDiagnosis, ImuProof, JointDiagnosis, JointOffset, JointReading, LatencyCourse,
-    Left, Length, Line, LineWitness, Measured, Part, PoseDiagnosis, Proof, Reading,
+    GyroBias, ImuDiagnosis, ImuNumbers, ImuProof, JointDiagnosis, JointOffset, JointReading,
+    LatencyCourse, Left, Length, Line, LineWitness, Measured, Part, PoseDiagnosis, Proof, Reading,
     ReadingEstimate, ReferenceDiagnosis, Residual, Response, RestGap, Shake, Short, Size, Taken,
     VelocityDiagnosis, VelocityShape, YawCourse,
 };
@@ -114,12 +114,17 @@ pub fn clean_run() -> RunEvidence {
         yaw_course: YawCourse::default(),
         mount_rad: Ok(length(0.0)),
         link_from_imu: None,
+        axes_turn: None,
+        mount_change: None,
+        numbers: ImuNumbers::default(),
         tilt_rad: Ok(length(0.0)),
+        up: None,
         gyro_bias: Ok(GyroBias {
             vector_rad_s: Vec3::zeros(),
             length_rad_s: length(0.0),
             yaw_rate_rad_s: 0.0,
             shape: None,
+            change: None,
         }),
         yaw_error: Vec::new(),
         headings: Vec::new(),

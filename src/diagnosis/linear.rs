@@ -119,7 +119,8 @@ impl Linear {
         self.floor.len()
     }
 
-    fn row(&self, sample: usize, row: usize) -> &[f64] {
+    /// The derivatives of one row of a sample.
+    pub fn row(&self, sample: usize, row: usize) -> &[f64] {
         let start = (sample * 3 * self.kinds() + row) * self.width;
         &self.design[start..start + self.width]
     }

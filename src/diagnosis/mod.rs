@@ -72,8 +72,9 @@ pub use handeye::{
     Stretch, TargetReading, diagnose_hand_eye, turning_peaks,
 };
 pub use imu::{
-    GyroBias, GyroShape, Heading, ImuDiagnosis, ImuProof, ImuStream, Rates, YawCourse, YawJump,
-    diagnose_imu, proof_of_imu, reread_imu, turning_by_latency,
+    AccelSlip, AccelUnit, AxesTurn, BiasChange, BiasCourse, Clipped, GyroBias, GyroShape, Heading,
+    HeadingError, ImuDiagnosis, ImuNumbers, ImuProof, ImuStream, MountChange, Rates, Up, YawCourse,
+    YawJump, YawWarmUp, diagnose_imu, proof_of_imu, reread_imu, turning_by_latency,
 };
 pub use joints::{JointOffset, JointReading, JointScale, JointSlip, JointUnit, Twin};
 pub use lag::{LatencyResidual, residual_by_latency};
@@ -125,6 +126,8 @@ pub enum Unseen {
     NotExcited,
     /// The stream carries no orientation.
     NoOrientation,
+    /// The stream carries no angular velocity: it is zero while the arm turns.
+    NoGyro,
     /// The stream's orientation was never set: it stays as it is while the arm turns.
     OrientationNotSet,
     /// The log does not say how the stream's frame is mounted.

@@ -2,9 +2,10 @@
 //! be if it were.
 
 use super::changes::{jumps_in_time, without_changes};
+use super::imu::diagnose_mended;
 use super::{
-    ArmDiagnosis, ImuDiagnosis, ImuStream, JointReading, LatencySteps, PoseDiagnosis, PoseStream,
-    diagnose_arm, diagnose_imu, imu_steps, pose_steps,
+    ArmDiagnosis, ImuDiagnosis, ImuNumbers, ImuStream, JointReading, LatencySteps, PoseDiagnosis,
+    PoseStream, diagnose_arm, imu_steps, pose_steps,
 };
 use ground::stream::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack};
 use rayon::prelude::*;
@@ -98,6 +99,9 @@ pub fn diagnose_imu_steadied(
     stream: ImuStream,
     most_lag_s: f64,
 ) -> ImuDiagnosis {
+    let numbers = ImuNumbers::of(joints, &stream, most_lag_s);
+    let mended = numbers.mended(stream.track);
+    let stream = ImuStream { track: &mended, ..stream };
     let steps = imu_steps(joints, &stream, most_lag_s);
     let of_rows = |track: &ImuTrack, rows: &[(usize, f64)]| ImuTrack {
         t_s: rows.iter().map(|&(_, t_s)| t_s).collect(),
@@ -111,7 +115,11 @@ pub fn diagnose_imu_steadied(
     let unstepped =
         steps.as_ref().map(|steps| of_rows(stream.track, &steps.straightened(&stream.track.t_s)));
     let track = unstepped.as_ref().unwrap_or(stream.track);
-    let found = diagnose_imu(joints, &ImuStream { track, ..stream }, most_lag_s);
+    let diagnosed = |track: &ImuTrack| {
+        let stream = ImuStream { track, ..stream };
+        diagnose_mended(joints, &stream, &numbers, most_lag_s)
+    };
+    let found = diagnosed(track);
     let latency_course = match &steps {
         Some(steps) => Ok(steps.course(&found.latency_course)),
         None => found.latency_course.clone(),
@@ -119,7 +127,7 @@ pub fn diagnose_imu_steadied(
     let unsteady = found.latency_course.as_ref().ok().filter(|course| course.is_unsteady);
     let Some(course) = unsteady else { return ImuDiagnosis { latency_course, ..found } };
     let track = of_rows(track, &course.straightened(&track.t_s));
-    let steady = diagnose_imu(joints, &ImuStream { track: &track, ..stream }, most_lag_s);
+    let steady = diagnosed(&track);
     ImuDiagnosis { latency_course, ..steady }
 }
 

@@ -52,7 +52,7 @@ impl Unit {
             ("m", _) => Some(Unit::Metre),
             ("rad", _) => Some(Unit::Radian),
             ("s", _) => Some(Unit::Second),
-            ("rad/s", "gyro bias") => Some(Unit::GyroRate),
+            ("rad/s", "gyro bias" | "gyro saturation") => Some(Unit::GyroRate),
             ("rad/s", _) => Some(Unit::RadianPerSecond),
             ("s/s", _) => Some(Unit::SecondPerSecond),
             ("m/m", _) => Some(Unit::MetrePerMetre),

@@ -11,6 +11,7 @@ mod combined;
 mod fix;
 mod frm;
 mod hec;
+mod imu;
 mod ing;
 mod invariance;
 mod lat;
@@ -38,6 +39,7 @@ use case::{Case, Expected, Log};
 const CASES: &[&[Case]] = &[
     frm::CASES,
     hec::CASES,
+    imu::CASES,
     ing::CASES,
     lat::CASES,
     mdl::CASES,

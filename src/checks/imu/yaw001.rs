@@ -2,7 +2,7 @@ use serde_json::{Map, Value, json};
 
 use crate::checks::decision::{DEGREE, Threshold, decide, unseen};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{Measured, YawCourse, YawJump};
+use crate::diagnosis::{HeadingError, Measured, YawCourse, YawJump, YawWarmUp};
 use crate::evidence::{ImuEvidence, Of};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Severity, Unit};
 
@@ -22,8 +22,10 @@ rule! {
     /// ## Evidence
     /// The slope of the yaw error over the run, with the joint offsets that were found taken into
     /// account and an interval that allows for correlated noise. `effect` says what it adds up to.
-    /// `kind` says what the error does: `drift`, `jump` or `random-walk`, whichever explains it with
-    /// the fewest parts. Jumps and a walk are taken off before the slope is: `jumps` has the time of
+    /// `kind` says what the error does: `drift`, `jump`, `random-walk`, `heading` (it depends on where the
+    /// IMU heads, by one and two turns a turn: hard and soft iron; `axis` is the axis of the IMU whose
+    /// heading it is) or `warm-up` (a drift that settles with `time_constant_s`), whichever explains it with
+    /// the fewest parts. What depends on the heading is taken off before jumps and drift are sought. Jumps and a walk are taken off before the slope is: `jumps` has the time of
     /// each from the start of the log and its size, `walk_rad_rt_s` the walk's density in rad/√s. A
     /// walk widens the slope's interval, since it drifts by chance.
     ///
@@ -34,7 +36,7 @@ rule! {
     /// ## When it misleads
     /// It needs orientation in the log (`orientation_covariance[0]` not −1). Short runs leave it
     /// open: a run of 1 s knows a drift to half a degree a minute at best. A magnetometer near
-    /// motors makes errors that depend on the pose and not on time, which look like a walk.
+    /// motors makes errors that depend on the place and not on time or heading, which look like a walk.
     YAW001 {
         name: "yaw-drift",
         grade: Grade::From(&[THRESHOLD, JUMP]),
@@ -87,7 +89,68 @@ fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Vec<Judged> {
         let of_jump = imu.judged(outcome).estimated(estimate);
         judged.push(with_course(of_jump, course, "jump"));
     }
+    if let Some(heading) = &course.heading
+        && heading.amplitude_rad.value >= jump_threshold.warning
+    {
+        let amplitude = &heading.amplitude_rad;
+        let outcome = decide(amplitude, &jump_threshold, subjects)
+            .into_outcome(SETTLE, |severity| depends(heading, severity));
+        let estimate = Estimate::amount("yaw error by heading", JUMP.unit, amplitude);
+        let of_heading = imu.judged(outcome).estimated(estimate).with_evidence("kind", "heading");
+        judged.push(of_heading.with_evidence("axis", AXES[heading.axis]));
+    }
+    if let Some(warm_up) = &course.warm_up
+        && warm_up.at_first_rad_s.value.abs() >= drift_threshold.warning
+    {
+        let at_first = &warm_up.at_first_rad_s;
+        let outcome = decide(at_first, &drift_threshold, subjects)
+            .into_outcome(SETTLE, |severity| settles(warm_up, severity));
+        let estimate = Estimate::amount("yaw drift", THRESHOLD.unit, at_first);
+        let settling = imu.judged(outcome).estimated(estimate).with_evidence("kind", "warm-up");
+        judged.push(settling.with_evidence("time_constant_s", warm_up.time_constant_s));
+    }
     judged.into_iter().map(|judged| judged.within(imu.span)).collect()
+}
+
+/// The axes of an IMU.
+const AXES: [&str; 3] = ["x", "y", "z"];
+
+fn depends(heading: &HeadingError, severity: Severity) -> Fault {
+    let size = JUMP.unit.show_measured(&heading.amplitude_rad);
+    Fault {
+        severity,
+        cause: Cause::YawJump,
+        title: "IMU yaw depends on heading",
+        message: format!(
+            "yaw error depends on the heading of imu {}, by up to {size} either way: hard or soft iron, no drift",
+            AXES[heading.axis]
+        ),
+        evidence: Evidence::default(),
+        fix:
+            "calibrate the magnetometer on the arm, keep it from steel and motors, or leave it out"
+                .to_owned(),
+    }
+}
+
+fn settles(warm_up: &YawWarmUp, severity: Severity) -> Fault {
+    let [rate, turned] = [
+        THRESHOLD.unit.show_signed(&warm_up.at_first_rad_s),
+        JUMP.unit.show_signed(&warm_up.turned_rad),
+    ];
+    let tau_s = warm_up.time_constant_s;
+    Fault {
+        severity,
+        cause: Cause::YawJump,
+        title: "IMU yaw drifts while it warms up",
+        message: format!(
+            "yaw drifts {rate} at first and settles with a time constant of {tau_s:.1} s: warm-up"
+        ),
+        evidence: Evidence {
+            effect: Some(format!("{turned} in all, and no drift once it is warm")),
+            ..Evidence::default()
+        },
+        fix: format!("switch the IMU on {:.0} s before it is used", (5.0 * tau_s).ceil()),
+    }
 }
 
 /// What would settle an open drift, after what the yaw does besides.

@@ -1,6 +1,6 @@
 use crate::checks::decision::{DEGREE, Threshold, decide_length, unseen};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::Length;
+use crate::diagnosis::{Length, Up};
 use crate::evidence::{ImuEvidence, Of};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
@@ -18,6 +18,10 @@ rule! {
     /// ## Evidence
     /// The angle between the mean specific force, turned into the world by the logged orientation,
     /// and the world's vertical, while the arm rests, with an interval from its spread.
+    ///
+    /// Near half or a quarter of a turn it says which axis of the orientation's world is up instead of z
+    /// (REP 145): z down is NED. `up_in_world` is what the accelerometer feels as up, in that world,
+    /// `up_in_base` the same in the arm's base by FK and the mount.
     ///
     /// ## How to fix
     /// Calibrate the accelerometer's bias, or level the IMU's world.
@@ -57,15 +61,67 @@ fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Judged {
         ),
         true => {
             decide_length(tilt, &case.thresholds.of(&YAW002, THRESHOLD), case.evidence.subjects())
-                .into_outcome(SETTLE, |severity| fault(tilt, severity))
+                .into_outcome(SETTLE, |severity| fault(tilt, imu.diagnosis.up.as_ref(), severity))
         }
     };
     let estimate = Estimate::length("tilt against gravity", THRESHOLD.unit, tilt);
-    imu.judged(outcome).estimated(estimate)
+    let judged = imu.judged(outcome).estimated(estimate);
+    match imu.diagnosis.up {
+        Some(up) => judged
+            .with_evidence("up_in_world", <[f64; 3]>::from(up.in_world).to_vec())
+            .with_evidence("up_in_base", <[f64; 3]>::from(up.in_base).to_vec()),
+        None => judged,
+    }
 }
 
-fn fault(tilt: &Length, severity: Severity) -> Fault {
+/// What else than z of its world is up, and what to do about it; `None` of a world that merely leans.
+fn world(up: &Up) -> Option<(&'static str, String, String)> {
+    /// An axis is up to within this angle, rad.
+    const UP: f64 = 10.0 * DEGREE;
+    let axis = up.in_world.iamax();
+    if up.in_world[axis].abs() < UP.cos() || (axis == 2 && up.in_world.z > 0.0) {
+        return None;
+    }
+    if axis == 2 && up.in_base.z < -UP.cos() {
+        return Some((
+            "accelerometer reversed",
+            "the accelerometer's sign is reversed: at rest it reads gravity, and not the specific \
+             force, which points up (REP 145)"
+                .to_owned(),
+            "negate the linear acceleration; or the arm hangs and its orientation's world is NED"
+                .to_owned(),
+        ));
+    }
+    if axis == 2 {
+        return Some((
+            "IMU world is NED",
+            "z of the orientation's world points down (NED), where REP 145 wants ENU, z up"
+                .to_owned(),
+            "convert the orientation from NED to ENU: swap the world's x and y, and negate its z"
+                .to_owned(),
+        ));
+    }
+    let sign = if up.in_world[axis] < 0.0 { "-" } else { "" };
+    let up = format!("{sign}{}", ["x", "y", "z"][axis]);
+    Some((
+        "IMU world is not z up",
+        format!("{up} of the orientation's world points up, where REP 145 wants z"),
+        format!("turn the orientation's world so that its {up} becomes z"),
+    ))
+}
+
+fn fault(tilt: &Length, up: Option<&Up>, severity: Severity) -> Fault {
     let shown = THRESHOLD.unit.show_measured(&tilt.norm);
+    if let Some((title, message, fix)) = up.and_then(world) {
+        return Fault {
+            cause: Cause::Other,
+            severity,
+            title,
+            message: format!("{message}: roll and pitch are {shown} off gravity"),
+            evidence: Evidence::default(),
+            fix,
+        };
+    }
     Fault {
         cause: Cause::Other,
         severity,
@@ -80,6 +136,22 @@ fn fault(tilt: &Length, severity: Severity) -> Fault {
 mod tests {
     use super::*;
     use crate::checks::testing::{IMU, ask, clean_run, length};
+
+    #[test]
+    fn a_world_that_is_not_z_up_is_said_as_such() {
+        let said = |in_world: [f64; 3], base_z: f64| {
+            let mut run = clean_run();
+            let imu = &mut run.robots[0].imus[0].diagnosis;
+            imu.tilt_rad = Ok(length(3.0));
+            imu.up = Some(Up { in_world: in_world.into(), in_base: [0.0, 0.0, base_z].into() });
+            let (_, findings) = ask(&YAW002, &run);
+            findings[0].title.to_owned()
+        };
+        assert_eq!(said([0.0, 0.0, -1.0], 1.0), "IMU world is NED");
+        assert_eq!(said([0.0, 0.0, -1.0], -1.0), "accelerometer reversed");
+        assert_eq!(said([0.0, 1.0, 0.0], 1.0), "IMU world is not z up");
+        assert_eq!(said([0.5, 0.5, -0.7], 1.0), "IMU leans");
+    }
 
     #[test]
     fn a_lean_beyond_the_figure_is_named_on_its_topic() {

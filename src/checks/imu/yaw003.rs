@@ -1,9 +1,9 @@
-use crate::checks::decision::{DEGREE, Threshold, decide_length, unseen};
+use crate::checks::decision::{DEGREE, Decision, Threshold, decide_length, unseen};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::Length;
+use crate::diagnosis::{Length, MountChange};
 use crate::evidence::{ImuEvidence, Of};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Severity, Unit};
-use crate::geometry::{Rotation, Vec3, xyzw_from_rotation};
+use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::geometry::{Rotation, Vec3, angle_between, xyzw_from_rotation};
 use serde_json::{Value, json};
 
 rule! {
@@ -21,7 +21,12 @@ rule! {
     /// that fits, as a quaternion x, y, z, w, and `direction_cosines` the same as a matrix: a column
     /// for each axis of the IMU, in the axes of the link that its rows name. `axes` says in words where
     /// each points; `logged_direction_cosines` and `logged_axes` are what the log's frames say. Where
-    /// the log has no frame of the IMU there is nothing to judge, and the mount is evidence only.
+    /// the log has no frame of the IMU there is nothing to judge, and the mount is evidence only. Axes that
+    /// are permuted or reversed are said as such, for instance forward-right-down (FRD) where the frame is
+    /// forward-left-up. Of an IMU that slips within the run `value` is the angle by which it does, `from` and
+    /// `to` are its angle to the log's frames before and after, and `change_ns` is when;
+    /// `link_from_imu_after` is the mount from then on. A gyro whose axes are left-handed, or not those of the
+    /// orientation beside it, is a finding, too.
     ///
     /// ## How to fix
     /// Correct the static transform of the IMU's frame, or the axes that its driver reports.
@@ -46,18 +51,78 @@ const THRESHOLD: Threshold =
 const SETTLE: &str = "turn the IMU through 60° about two axes";
 
 fn check(case: &Case) -> Vec<Judged> {
-    case.evidence.imus().map(|(_, imu)| judge(case, imu)).collect()
+    let imus = || case.evidence.imus().map(|(_, imu)| imu);
+    let axes = imus().filter_map(|imu| judge_axes(case, imu));
+    imus().map(|imu| judge(case, imu)).chain(axes).collect()
+}
+
+/// Whether the gyro has the axes of the orientation beside it, and right-handed ones; `None` where nothing
+/// says otherwise.
+fn judge_axes(case: &Case, imu: &Of<ImuEvidence>) -> Option<Judged> {
+    let fault = |severity, message: String, fix: String| Fault {
+        severity,
+        cause: Cause::Other,
+        title: "gyro axes are not the IMU's",
+        message,
+        evidence: Evidence::default(),
+        fix,
+    };
+    if let Some(axis) = imu.diagnosis.numbers.mirrored {
+        let axis = AXES[axis];
+        let message = format!("the gyro's axes are left-handed: {axis} is reversed");
+        let fix =
+            format!("negate {axis} of the angular velocity, or see which axes the driver swaps");
+        let outcome = Outcome::faulty(fault(Severity::Error, message, fix));
+        let half = Estimate::counted("mount error", THRESHOLD.unit.symbol(), std::f64::consts::PI);
+        return Some(imu.judged(outcome).estimated(half).within(imu.span));
+    }
+    let turn = imu.diagnosis.axes_turn.as_ref()?;
+    // Filters lean a little against their own gyro.
+    let threshold = case.thresholds.of(&YAW003, THRESHOLD);
+    let coarse = Threshold { warning: threshold.error, ..threshold };
+    let decision = decide_length(&turn.size_rad, &coarse, case.evidence.subjects());
+    let Decision::Fail(severity) = decision else { return None };
+    let size = THRESHOLD.unit.show_measured(&turn.size_rad.norm);
+    let what = match turn.with_accel {
+        true => "axes of gyro and accelerometer",
+        false => "axes of the gyro",
+    };
+    let order = permuted(&turn.imu_from_gyro)
+        .map_or(String::new(), |order| format!(": its x, y, z are the orientation's {order}"));
+    let message = format!("the {what} are {size} off those of the orientation{order}");
+    let fix = "report gyro, accelerometer and orientation in the same axes (REP 145)".to_owned();
+    let estimate = Estimate::length("mount error", THRESHOLD.unit, &turn.size_rad);
+    let judged = imu.judged(Outcome::faulty(fault(severity, message, fix))).within(imu.span);
+    Some(judged.estimated(estimate))
 }
 
 fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Judged {
-    let judged = match &imu.diagnosis.mount_rad {
-        Err(why) => imu.judged(unseen(why, SETTLE)),
-        Ok(mount) => {
-            let decision = decide_length(
-                mount,
-                &case.thresholds.of(&YAW003, THRESHOLD),
-                case.evidence.subjects(),
-            );
+    let threshold = case.thresholds.of(&YAW003, THRESHOLD);
+    let slips = imu.diagnosis.mount_change.as_ref().and_then(|change| {
+        let decision = decide_length(&change.size_rad, &threshold, case.evidence.subjects());
+        matches!(decision, Decision::Fail(_)).then_some((decision, change))
+    });
+    let judged = match (&imu.diagnosis.mount_rad, slips) {
+        (_, Some((decision, change))) => {
+            let when = Change {
+                from: mount_off(imu, imu.diagnosis.link_from_imu),
+                to: mount_off(imu, Some(change.link_from_imu)),
+                change_ns: case.evidence.origin.shifted(change.at_s),
+                change_ci95_ns: Some(
+                    change.interval_s.map(|end_s| case.evidence.origin.shifted(end_s)),
+                ),
+            };
+            let outcome = decision
+                .into_outcome(SETTLE, |severity| slipped(case, imu, change, &when, severity));
+            let estimate = Estimate::length("mount error", THRESHOLD.unit, &change.size_rad);
+            imu.judged(outcome).estimated(estimate.changing(when)).with_evidence(
+                "link_from_imu_after",
+                xyzw_from_rotation(&change.link_from_imu).to_vec(),
+            )
+        }
+        (Err(why), None) => imu.judged(unseen(why, SETTLE)),
+        (Ok(mount), None) => {
+            let decision = decide_length(mount, &threshold, case.evidence.subjects());
             let found = imu.diagnosis.link_from_imu;
             let outcome =
                 decision.into_outcome(SETTLE, |severity| fault(mount, imu, found, severity));
@@ -123,6 +188,68 @@ fn direction(mount: &Rotation, axis: usize, link: &str) -> String {
     format!("between {first} and {second}, {off:.0}° off the first")
 }
 
+/// The angle of a mount to the log's, rad; to the mount at the beginning where the log has none.
+fn mount_off(imu: &Of<ImuEvidence>, mount: Option<Rotation>) -> f64 {
+    let of = imu.link_from_imu.or(imu.diagnosis.link_from_imu);
+    of.zip(mount).map_or(0.0, |(of, mount)| angle_between(&of, &mount))
+}
+
+/// Where x, y and z point after `error`, where that is the axes in another order or reversed; `None` where
+/// it is not.
+fn permuted(error: &Rotation) -> Option<String> {
+    let axes: Vec<(usize, f64)> = (0..3)
+        .map(|axis| {
+            let points = error * Vec3::ith(axis, 1.0);
+            let along = points.iamax();
+            (along, points[along])
+        })
+        .collect();
+    let is_permutation = axes.iter().all(|(_, cosine)| cosine.abs() >= ALONG.cos());
+    let is_same =
+        axes.iter().enumerate().all(|(axis, (along, cosine))| axis == *along && *cosine > 0.0);
+    if !is_permutation || is_same {
+        return None;
+    }
+    let shown = |(along, cosine): &(usize, f64)| {
+        format!("{}{}", if *cosine < 0.0 { "-" } else { "" }, AXES[*along])
+    };
+    let order = axes.iter().map(shown).collect::<Vec<_>>().join(", ");
+    let known = match order.as_str() {
+        "x, -y, -z" => " (FRD, as with NED: z points down)",
+        "y, x, -z" => " (NED for ENU: z points down)",
+        other if other.ends_with("-z") => " (z points down)",
+        _ => "",
+    };
+    Some(format!("{order}{known}"))
+}
+
+/// An IMU that turns in its mount within the run.
+fn slipped(
+    case: &Case,
+    imu: &Of<ImuEvidence>,
+    change: &MountChange,
+    when: &Change,
+    severity: Severity,
+) -> Fault {
+    let size = THRESHOLD.unit.show_measured(&change.size_rad.norm);
+    let at = case.evidence.moment(when.change_ns);
+    let against = match imu.link_from_imu {
+        Some(_) => {
+            let [from, to] = [when.from, when.to].map(|off| Unit::Radian.show(off));
+            format!(": {from} off the log's frames before, {to} after")
+        }
+        None => String::new(),
+    };
+    Fault {
+        severity,
+        cause: Cause::Other,
+        title: "IMU slips in its mount",
+        message: format!("the IMU's mount turns by {size} at {at}{against}"),
+        evidence: Evidence::default(),
+        fix: format!("fasten the IMU; calibrate its mount again for what was recorded after {at}"),
+    }
+}
+
 fn fault(
     mount: &Length,
     imu: &Of<ImuEvidence>,
@@ -134,11 +261,17 @@ fn fault(
         let [x, y, z] = [0, 1, 2].map(|axis| direction(&found, axis, &imu.link));
         format!(": imu x points {x}; y {y}; z {z}")
     });
+    let permuted = imu
+        .link_from_imu
+        .zip(found)
+        .and_then(|(logged, found)| permuted(&(logged.inverse() * found)));
+    let permuted = permuted
+        .map_or(String::new(), |order| format!(": the IMU's x, y, z are the frame's {order}"));
     Fault {
         severity,
         cause: found.map_or(Cause::Other, Cause::ImuMount),
         title: "IMU mounted otherwise",
-        message: format!("mounted {shown} off the log's frames{axes}"),
+        message: format!("mounted {shown} off the log's frames{permuted}{axes}"),
         evidence: Evidence::default(),
         fix: "correct the IMU's static transform, or its driver's axes".to_owned(),
     }

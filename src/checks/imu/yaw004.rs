@@ -1,10 +1,10 @@
 use serde_json::{Value, json};
 
-use crate::checks::decision::{DEGREE, Threshold, decide_length, unseen};
+use crate::checks::decision::{DEGREE, Decision, Threshold, decide_length, unseen};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{GyroBias, GyroShape, Measured};
+use crate::diagnosis::{BiasChange, BiasCourse, GyroBias, GyroShape, Measured};
 use crate::evidence::{ImuEvidence, Of};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Severity, Unit};
+use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Severity, Unit};
 
 rule! {
     /// A gyro has a bias.
@@ -23,6 +23,11 @@ rule! {
     /// surely reads rates too large, too small or askew, `scale` (along x, y and z) and
     /// `misalignment_rad` (of y and z, x and z, x and y) say by how much; they are no part of the
     /// bias.
+    ///
+    /// Where the bias surely is not one over the run, `kind` is `step` or `warm-up`, `from_vector_rad_s` and
+    /// `to_vector_rad_s` are what it is before and after; of a step the estimate says when (`change_ns`), of a
+    /// warm-up `time_constant_s` how fast it settles. `value` is then the size of the change where that
+    /// reaches the threshold, else the larger of the two.
     ///
     /// ## How to fix
     /// Subtract the bias; estimate it anew whenever the arm rests, since it moves with temperature.
@@ -55,23 +60,94 @@ fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Judged {
         Ok(bias) => bias,
         Err(why) => return imu.judged(unseen(why, SETTLE)),
     };
-    let decision = decide_length(
-        &bias.length_rad_s,
-        &case.thresholds.of(&YAW004, THRESHOLD),
-        case.evidence.subjects(),
-    );
-    let outcome = decision.into_outcome(SETTLE, |severity| fault(bias, severity));
-    let judged = imu.judged(outcome).estimated(Estimate::length(
-        "gyro bias",
-        THRESHOLD.unit,
-        &bias.length_rad_s,
-    ));
+    let threshold = case.thresholds.of(&YAW004, THRESHOLD);
+    let subjects = case.evidence.subjects();
+    let changes = bias.change.as_ref().and_then(|change| {
+        let decision = decide_length(&change.size_rad_s, &threshold, subjects);
+        matches!(decision, Decision::Fail(_)).then_some((decision, change))
+    });
+    let judged = match changes {
+        Some((decision, change)) => {
+            let outcome = decision.into_outcome(SETTLE, |severity| changed(case, change, severity));
+            imu.judged(outcome).estimated(estimate(case, change))
+        }
+        None => {
+            let decision = decide_length(&bias.length_rad_s, &threshold, subjects);
+            let outcome = decision.into_outcome(SETTLE, |severity| fault(bias, severity));
+            let estimate = Estimate::length("gyro bias", THRESHOLD.unit, &bias.length_rad_s);
+            imu.judged(outcome).estimated(estimate)
+        }
+    };
+    let judged = match &bias.change {
+        Some(change) => with_change(judged.within(imu.span), change),
+        None => judged,
+    };
     match &bias.shape {
         Some(GyroShape { scale, misalignment_rad }) => judged
             .with_evidence("scale", scale.map(shown).to_vec())
             .with_evidence("misalignment_rad", misalignment_rad.map(shown).to_vec()),
         None => judged,
     }
+}
+
+/// The size of a change, and of a step from what to what and when.
+fn estimate(case: &Case, change: &BiasChange) -> Estimate {
+    let size = Estimate::length("gyro bias", THRESHOLD.unit, &change.size_rad_s);
+    match change.course {
+        BiasCourse::Step { at_s, interval_s } => size.changing(Change {
+            from: change.before_rad_s.norm(),
+            to: change.after_rad_s.norm(),
+            change_ns: case.evidence.origin.shifted(at_s),
+            change_ci95_ns: Some(interval_s.map(|end_s| case.evidence.origin.shifted(end_s))),
+        }),
+        BiasCourse::WarmUp { .. } => size,
+    }
+}
+
+fn with_change(judged: Judged, change: &BiasChange) -> Judged {
+    let [before, after] = [change.before_rad_s, change.after_rad_s].map(<[f64; 3]>::from);
+    let judged = judged
+        .with_evidence("from_vector_rad_s", before.to_vec())
+        .with_evidence("to_vector_rad_s", after.to_vec());
+    match change.course {
+        BiasCourse::Step { .. } => judged.with_evidence("kind", "step"),
+        BiasCourse::WarmUp { time_constant_s } => judged
+            .with_evidence("kind", "warm-up")
+            .with_evidence("time_constant_s", time_constant_s),
+    }
+}
+
+/// A bias that is not one over the run.
+fn changed(case: &Case, change: &BiasChange, severity: Severity) -> Fault {
+    let [from, to] =
+        [change.before_rad_s, change.after_rad_s].map(|bias| Unit::GyroRate.show(bias.norm()));
+    let size = THRESHOLD.unit.show_measured(&change.size_rad_s.norm);
+    let after: [f64; 3] = change.after_rad_s.into();
+    let [x, y, z] = after.map(|rate| format!("{rate:+.4}"));
+    let (title, message, fix) = match change.course {
+        BiasCourse::Step { at_s, .. } => {
+            let when = case.evidence.moment(case.evidence.origin.shifted(at_s));
+            (
+                "gyro bias changes",
+                format!("gyro bias steps by {size} at {when}, from {from} to {to}"),
+                format!(
+                    "estimate the bias anew from {when} on: subtract ({x}, {y}, {z}) rad/s there"
+                ),
+            )
+        }
+        BiasCourse::WarmUp { time_constant_s } => (
+            "gyro bias settles",
+            format!(
+                "gyro bias settles by {size} with a time constant of {time_constant_s:.1} s, from \
+                 {from} to {to}: warm-up"
+            ),
+            format!(
+                "switch the IMU on {:.0} s before it is used, then subtract ({x}, {y}, {z}) rad/s",
+                (5.0 * time_constant_s).ceil()
+            ),
+        ),
+    };
+    Fault { severity, cause: Cause::Other, title, message, evidence: Evidence::default(), fix }
 }
 
 /// A number with its interval, as evidence.
@@ -107,6 +183,32 @@ mod tests {
     use crate::geometry::Vec3;
 
     #[test]
+    fn a_step_says_from_what_to_what_and_when() {
+        let mut run = clean_run();
+        let bias = run.robots[0].imus[0].diagnosis.gyro_bias.as_mut().unwrap();
+        let course = BiasCourse::Step { at_s: 15.0, interval_s: [14.9, 15.1] };
+        let (before_rad_s, after_rad_s) = (Vec3::zeros(), Vec3::new(0.0, 2.0 * DEGREE, 0.0));
+        let size_rad_s = length(2.0 * DEGREE);
+        bias.change = Some(BiasChange { course, before_rad_s, after_rad_s, size_rad_s });
+        let (_, findings) = ask(&YAW004, &run);
+        assert_eq!(
+            findings[0].message,
+            "gyro bias steps by 2.000 ± 0.001 °/s at +15.00 s, from 0 °/s to 2 °/s"
+        );
+        let change = findings[0].estimate.as_ref().and_then(Estimate::change).unwrap();
+        assert_eq!((change.from, change.change_ns.nanos()), (0.0, 15_000_000_000));
+        bias_of(&mut run).change.as_mut().unwrap().course =
+            BiasCourse::WarmUp { time_constant_s: 8.0 };
+        let (_, findings) = ask(&YAW004, &run);
+        assert_eq!(findings[0].title, "gyro bias settles");
+        assert_eq!(findings[0].evidence.more["kind"], "warm-up");
+    }
+
+    fn bias_of(run: &mut crate::evidence::RunEvidence) -> &mut GyroBias {
+        run.robots[0].imus[0].diagnosis.gyro_bias.as_mut().unwrap()
+    }
+
+    #[test]
     fn a_bias_is_named_with_its_vector() {
         let mut run = clean_run();
         run.robots[0].imus[0].diagnosis.gyro_bias = Ok(GyroBias {
@@ -114,6 +216,7 @@ mod tests {
             length_rad_s: length(0.05),
             yaw_rate_rad_s: -0.04,
             shape: None,
+            change: None,
         });
         let (_, findings) = ask(&YAW004, &run);
         assert_eq!(findings[0].severity, Severity::Error);

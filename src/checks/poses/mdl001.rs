@@ -1,12 +1,14 @@
+mod imu;
+
 use serde_json::{Value, json};
 
-use crate::checks::decision::{FrameThresholds, unseen};
+use crate::checks::decision::unseen;
 use crate::checks::frames::THRESHOLDS;
 use crate::checks::reading::read_as;
 use crate::checks::standing::{Left, Named, Standing, standing};
-use crate::checks::{Case, Grade, Judged, Threshold};
-use crate::diagnosis::{Amount, Error, Measured, Part, Rates, Reading, Size};
-use crate::evidence::{ArmEvidence, ImuEvidence, Of, PoseEvidence};
+use crate::checks::{Case, Grade, Judged};
+use crate::diagnosis::{Amount, Error, Measured, Part, Reading, Size};
+use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{
     Cause, Estimate, Evidence, Fault, Outcome, ReadAs, Severity, Subject, Unit, rounded,
 };
@@ -24,6 +26,10 @@ rule! {
     /// audit: kinematic parameters, a bent link, gear error, a tool that slipped in mid-run, another
     /// arm.
     ///
+    /// An IMU is held against FK, too: by what its orientation and its gyro leave beside what was found, by
+    /// the scale of its gyro (`gyro gain`, the share by which it reads too much or too little), and by the
+    /// value that its gyro never passes while the arm does (`gyro saturation`).
+    ///
     /// ## Why it matters
     /// A run passes only where this rule passes on every stream. It bounds what any correction of the
     /// named causes can reach, and it is the warning that the description may be of another arm.
@@ -40,6 +46,9 @@ rule! {
     /// where it needs an active TCP); `value` is then what the named model leaves of the positions as
     /// logged, and everything else is judged with the arm that fits.
     ///
+    /// Of a gyro, `scale` is the gain less 1 along x, y and z with its interval; `axes` are those that
+    /// saturate, `share` is that of the samples at the limit, `by_fk_rad_s` how fast the arm turned.
+    ///
     /// It is a finding where the error is three times what differs from sample to sample (an F of
     /// nine), or comes again with the posture; else it is open, and so is the run's verdict.
     ///
@@ -53,7 +62,7 @@ rule! {
     /// Slowly wandering noise of a tracker counts as an error that is left.
     MDL001 {
         name: "unexplained-residual",
-        grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),
+        grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle, imu::GAIN]),
         headline: true,
         needs_model: true,
         missing: "no joint states with a model",
@@ -117,7 +126,7 @@ fn judge_arm(case: &Case, named: &Named, arm: &ArmEvidence) -> Vec<Judged> {
             format!("nothing in this log could be held against {}; {RECORD}", arm.joints_topic);
         return vec![Judged::new(arm.subject(), Outcome::Inconclusive(why)).within(arm.span)];
     }
-    let imus = arm.imus.iter().map(|imu| judge_imu(&thresholds, imu));
+    let imus = arm.imus.iter().flat_map(|imu| imu::judge(case, &thresholds, imu));
     let judged = streams.iter().map(|held| {
         let wrong = arm.wrong_model.as_ref().filter(|wrong| wrong.topic == held.stream.topic());
         match wrong.filter(|_| held.subject.frame.is_none()) {
@@ -127,48 +136,6 @@ fn judge_arm(case: &Case, named: &Named, arm: &ArmEvidence) -> Vec<Judged> {
         }
     });
     judged.chain(imus).collect()
-}
-
-/// Whether an IMU turns as the arm does, by its orientation, which is a filter's and so judged from the
-/// second threshold on, by its gyro, and by the gravity that it feels.
-fn judge_imu(thresholds: &FrameThresholds, imu: &Of<ImuEvidence>) -> Judged {
-    /// A gyro that leaves a larger share of the arm's rate says something else.
-    const SHARE: f64 = 0.3;
-    /// Standard gravity, m/s², and by which share of it a healthy accelerometer's median may be off on
-    /// an arm that moves.
-    const GRAVITY: (f64, f64) = (9.81, 0.2);
-    let judged = |outcome| imu.judged(outcome);
-    let Some(proof) = &imu.proof else {
-        return judged(Outcome::Skipped("it does not turn with the arm".to_owned()));
-    };
-    let mut odd = Vec::new();
-    let angle = Threshold { warning: thresholds.angle.error, ..thresholds.angle };
-    let coarse = FrameThresholds { angle, ..*thresholds };
-    if let Some(left) = proof.turning.as_ref().and_then(|error| Left::beyond(error, &coarse)) {
-        let most = Unit::Radian.show(left.worst.amount.most);
-        odd.push(format!("its orientation is up to {most} off beside what was found"));
-    }
-    if let Some(Rates { scale, left, by_fk, noise }) = proof.rates
-        && left > SHARE * by_fk
-        && left > 2.0 * noise
-    {
-        odd.push(format!(
-            "its gyro turns {scale:.2} times as fast as the arm, and leaves {} of {}",
-            Unit::GyroRate.show(left),
-            Unit::GyroRate.show(by_fk)
-        ));
-    }
-    let (standard, share) = GRAVITY;
-    if let Some(felt) = proof.gravity_m_s2.filter(|felt| (felt / standard - 1.0).abs() > share) {
-        odd.push(format!("its accelerometer feels {felt:.2} m/s², where gravity is {standard}"));
-    }
-    if odd.is_empty() {
-        return judged(Outcome::sound());
-    }
-    judged(Outcome::Inconclusive(format!(
-        "{}; no finding accounts for that: check its units and axes",
-        odd.join("; ")
-    )))
 }
 
 fn judge(case: &Case, held: &Held, all: &[Held]) -> Judged {

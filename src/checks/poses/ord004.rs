@@ -1,7 +1,7 @@
 use crate::checks::decision::unseen;
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{JointUnit, UnitSlip};
-use crate::evidence::ArmEvidence;
+use crate::evidence::{ArmEvidence, ImuEvidence, Of};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::geometry::{AngleUnit, Slip};
 
@@ -12,7 +12,8 @@ rule! {
     /// The joint positions, or those of one joint, are degrees, and everything that reads them takes
     /// them for radians (REP 103). Of rotation numbers that were declared it is the declaration that
     /// names the wrong unit, either way. A bare array of which nothing is declared has no unit to
-    /// violate: what it was read as is said by ORD001.
+    /// violate: what it was read as is said by ORD001. Or the angular velocity of an IMU is in degrees a
+    /// second: then the other rules judge the IMU with it converted.
     ///
     /// ## Why it matters
     /// Forward kinematics of degrees read as radians is noise within the arm's reach: nothing built
@@ -21,10 +22,11 @@ rule! {
     ///
     /// ## Evidence
     /// What the stream leaves against forward kinematics as logged (`as_logged`) and as degrees
-    /// (`corrected`): metres for joint positions, radians for rotation numbers.
+    /// (`corrected`): metres for joint positions, radians for rotation numbers, radians a second for a
+    /// gyro, which is held unintegrated against the arm's angular rate.
     ///
     /// ## How to fix
-    /// Convert at the source, `np.deg2rad(q)`. For a stream that shall stay in degrees declare it:
+    /// Convert at the source, `np.deg2rad(q)`; of an IMU, `np.deg2rad(angular_velocity)`. For a stream that shall stay in degrees declare it:
     /// `--declare TOPIC=CONVENTION,deg`.
     ///
     /// ## When it misleads
@@ -74,7 +76,36 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
         let judged = judge(arm, subject, stream.diagnosis.degrees, Unit::Radian, taken);
         Some(judged.within(stream.span))
     });
-    joints.into_iter().map(|joints| joints.within(arm.span)).chain(numbers).collect()
+    let gyros = arm.imus.iter().filter_map(judge_gyro);
+    joints.into_iter().map(|joints| joints.within(arm.span)).chain(numbers).chain(gyros).collect()
+}
+
+/// The unit of a gyro; `None` of an IMU that does not turn with the arm, so that nothing tells.
+fn judge_gyro(imu: &Of<ImuEvidence>) -> Option<Judged> {
+    let Some(UnitSlip { as_logged, corrected }) = imu.diagnosis.numbers.degrees else {
+        let turns = imu.proof.as_ref()?.rates.is_some();
+        return turns.then(|| imu.judged(Outcome::sound()).within(imu.span));
+    };
+    let [before, after] = [as_logged, corrected].map(|left| Unit::GyroRate.show(left));
+    let topic = imu.topic();
+    let fault = Fault {
+        severity: Severity::Error,
+        cause: Cause::Other,
+        title: "gyro in degrees per second",
+        message: format!(
+            "angular velocity is in °/s where rad/s belong: residual {before} rms against the arm's \
+             rate as logged, {after} once read as °/s"
+        ),
+        evidence: Evidence {
+            effect: Some("whoever integrates it turns 57 times too far".to_owned()),
+            ..Evidence::default()
+        },
+        fix: format!("publish {topic} in rad/s: np.deg2rad(angular_velocity)"),
+    };
+    let [is, read_as] = [AngleUnit::Degree, AngleUnit::Radian].map(|unit| unit.symbol());
+    let judged = imu.judged(Outcome::faulty(fault)).within(imu.span);
+    let judged = judged.estimated(Estimate::slip("angle unit", is, read_as));
+    Some(judged.with_evidence("as_logged", as_logged).with_evidence("corrected", corrected))
 }
 
 /// What angles are taken for.

@@ -1,8 +1,8 @@
 use crate::checks::decision::unseen;
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{JointUnit, LengthSlip};
-use crate::evidence::{ArmEvidence, Of, PoseEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::diagnosis::{AccelSlip, JointUnit, LengthSlip};
+use crate::evidence::{ArmEvidence, ImuEvidence, Of, PoseEvidence};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit, rounded};
 use crate::geometry::{LengthScale, Slip};
 
 rule! {
@@ -12,7 +12,9 @@ rule! {
     /// The positions of a pose stream are in another unit than the metres that a message wants (REP 103):
     /// millimetres as pendants show them, centimetres, inches, tenths of a millimetre. Or the positions
     /// of a sliding joint are millimetres or centimetres. Of a stream that was declared it is the
-    /// declaration that names the wrong unit, either way.
+    /// declaration that names the wrong unit, either way. Or the linear acceleration of an IMU is in g,
+    /// thousandths of it or cm/s² where a message wants m/s²: then the other rules judge the IMU with it
+    /// converted.
     ///
     /// ## Why it matters
     /// The tip appears a thousand times too far out. What does not crash on that will scale it
@@ -22,7 +24,8 @@ rule! {
     /// The factor is estimated from the motion, with the frames that it may need left free. Where it is
     /// that of a usual unit to 2 %, that unit is named, else the metres of one number. What the positions
     /// leave against forward kinematics as metres is `as_logged_m`, in the unit found `corrected_m`. A unit
-    /// is named only where it explains the positions.
+    /// is named only where it explains the positions. Of an accelerometer, `felt` is the size of the
+    /// specific force in the logged numbers, the median at rest: 9.81 in m/s², 1 in g.
     ///
     /// ## How to fix
     /// Convert where the message is filled. A bare array of which nothing is declared has no unit to
@@ -69,7 +72,32 @@ fn check(case: &Case) -> Vec<Judged> {
         };
         stream.judged(outcome)
     });
-    judged.chain(case.evidence.robots.iter().flat_map(judge_joints)).collect()
+    let imus = case.evidence.imus().filter_map(|(_, imu)| judge_accelerometer(imu));
+    judged.chain(case.evidence.robots.iter().flat_map(judge_joints)).chain(imus).collect()
+}
+
+/// The unit of an accelerometer; `None` of one that feels nothing or motion alone.
+fn judge_accelerometer(imu: &Of<ImuEvidence>) -> Option<Judged> {
+    let Some(AccelSlip { unit, felt }) = imu.diagnosis.numbers.accel else {
+        let feels = imu.proof.as_ref()?.gravity_m_s2.is_some();
+        return feels.then(|| imu.judged(Outcome::sound()).within(imu.span));
+    };
+    let (topic, symbol) = (imu.topic(), unit.symbol());
+    let size = rounded(felt, 2);
+    let fault = Fault {
+        severity: Severity::Error,
+        cause: Cause::Other,
+        title: "accelerometer not in m/s²",
+        message: format!(
+            "linear acceleration is in {symbol} where m/s² belong: it reads {size} at rest, where \
+             gravity is 9.81 m/s²"
+        ),
+        evidence: Evidence::default(),
+        fix: format!("multiply the linear acceleration of {topic} by {}", unit.in_m_s2()),
+    };
+    let judged = imu.judged(Outcome::faulty(fault)).within(imu.span);
+    let judged = judged.estimated(Estimate::slip("acceleration unit", symbol, "m/s²"));
+    Some(judged.with_evidence("felt", felt))
 }
 
 /// The sliding joints whose positions are not metres.

@@ -1,5 +1,6 @@
 //! What is estimated on an IMU.
 
+use super::ImuNumbers;
 use crate::{LatencyCourse, ReadingEstimate, Seen, Unseen};
 use ground::geometry::{Pose, Rotation, Vec3};
 use ground::robot::Chain;
@@ -32,6 +33,91 @@ pub struct GyroBias {
     pub yaw_rate_rad_s: f64,
     /// Scale and misalignment, where the gyro surely has them; they are no part of the bias.
     pub shape: Option<GyroShape>,
+    /// How it changes within the run, where it surely does; `vector_rad_s` is then the larger of the two.
+    pub change: Option<BiasChange>,
+}
+
+/// A gyro's bias that is not one over the run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BiasChange {
+    /// How it goes from the one to the other.
+    pub course: BiasCourse,
+    /// The bias at the beginning, in the sensor's frame, rad/s.
+    pub before_rad_s: Vec3,
+    /// The bias that it comes to, likewise.
+    pub after_rad_s: Vec3,
+    /// The length of their difference, rad/s.
+    pub size_rad_s: Length,
+}
+
+/// How a gyro's bias goes from one value to another.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum BiasCourse {
+    /// At once.
+    Step {
+        /// When, s from the run's origin.
+        at_s: f64,
+        /// 95 % interval of that, s.
+        interval_s: [f64; 2],
+    },
+    /// Exponentially from the first sample on.
+    WarmUp {
+        /// In which it comes nearer by a factor of e, s.
+        time_constant_s: f64,
+    },
+}
+
+/// A gyro whose axes are not those of the orientation beside it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AxesTurn {
+    /// What takes rates in the gyro's axes to those of the orientation.
+    pub imu_from_gyro: Rotation,
+    /// Its angle, rad.
+    pub size_rad: Length,
+    /// Whether the accelerometer has the gyro's axes, and not the orientation's.
+    pub with_accel: bool,
+}
+
+/// Where the accelerometer feels up, as unit vectors.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Up {
+    /// In the world of the orientation.
+    pub in_world: Vec3,
+    /// In the arm's base, by FK and the mount that fits best.
+    pub in_base: Vec3,
+}
+
+/// An IMU that is turned in its mount within the run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MountChange {
+    /// When, s from the run's origin.
+    pub at_s: f64,
+    /// 95 % interval of that, s.
+    pub interval_s: [f64; 2],
+    /// `link_from_imu` from then on.
+    pub link_from_imu: Rotation,
+    /// By how much it is turned, rad.
+    pub size_rad: Length,
+}
+
+/// A yaw error that depends on where the IMU heads: hard and soft iron.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HeadingError {
+    /// Half of what it goes from its least to its most, over the headings of the run, rad.
+    pub amplitude_rad: Measured,
+    /// The axis of the IMU whose heading it is: 0 is x.
+    pub axis: usize,
+}
+
+/// A yaw that drifts at first and less and less.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct YawWarmUp {
+    /// In which the drift falls by a factor of e, s.
+    pub time_constant_s: f64,
+    /// How far it turns the yaw in all, rad; positive to the left.
+    pub turned_rad: Measured,
+    /// How fast it drifts at first beside the drift that stays, rad/s.
+    pub at_first_rad_s: Measured,
 }
 
 /// By what a gyro's rates differ from the true ones beside a bias and a rotation:
@@ -51,6 +137,10 @@ pub struct YawCourse {
     pub jumps: Vec<YawJump>,
     /// Density of its random walk, rad/√s, where it wanders.
     pub walk_rad_rt_s: Option<f64>,
+    /// What of it depends on the heading.
+    pub heading: Option<HeadingError>,
+    /// What of it settles from the beginning on.
+    pub warm_up: Option<YawWarmUp>,
 }
 
 /// A sudden change of yaw that stays.
@@ -79,10 +169,19 @@ pub struct ImuDiagnosis {
     pub yaw_course: YawCourse,
     /// The best-fitting `link_from_imu` rotation error against the log's frames, rad.
     pub mount_rad: Seen<Length>,
-    /// `link_from_imu` as it fits best.
+    /// `link_from_imu` as it fits best; where it changes, that at the beginning.
     pub link_from_imu: Option<Rotation>,
+    /// How the gyro's axes are turned against the orientation's, where both follow the arm and they surely
+    /// are.
+    pub axes_turn: Option<AxesTurn>,
+    /// How the mount changes within the run, where it surely does.
+    pub mount_change: Option<MountChange>,
+    /// How the numbers are written. All else is of the numbers as they should be.
+    pub numbers: ImuNumbers,
     /// Angle between gravity by the accelerometer and the vertical of the orientation, rad.
     pub tilt_rad: Seen<Length>,
+    /// Where the accelerometer feels up while the arm rests.
+    pub up: Option<Up>,
     /// Constant part of (gyro − rate by FK).
     pub gyro_bias: Seen<GyroBias>,
     /// Stamp (s from the origin), yaw of IMU against FK (rad), for the pictures.
@@ -114,7 +213,11 @@ impl ImuDiagnosis {
             yaw_course: YawCourse::default(),
             mount_rad: Err(why.clone()),
             link_from_imu: None,
+            axes_turn: None,
+            mount_change: None,
+            numbers: ImuNumbers::default(),
             tilt_rad: Err(why.clone()),
+            up: None,
             gyro_bias: Err(why.clone()),
             yaw_error: Vec::new(),
             headings: Vec::new(),

@@ -4,13 +4,17 @@
 //! as their noise over a sample's time. So the gyro is integrated over windows and held against how
 //! far FK turned between their ends (preintegration: Forster et al., "On-manifold preintegration",
 //! IEEE T-RO 2017, with its first-order derivatives). A window is as short as the joints' noise
-//! allows, since a short one tells more of latency and mount.
+//! allows, since a short one tells more of latency and mount. The bias may be another one from some
+//! moment on, or settle as the sensor warms up, and the IMU may slip in its mount: [`super::change`].
+
+mod changes;
 
 use super::super::constant::wahba;
 use super::super::course::{Lagging, course_of};
 use super::super::latency::median_period_s;
 use super::super::linear::Linear;
 use super::super::{GyroBias, GyroShape, LatencyCourse, Measured, Seen, Unseen};
+use super::found::{AxesTurn, BiasChange, BiasCourse, MountChange};
 use super::solve::{Model, Solved, lengths, solve};
 use super::{Clock, Delay, Link, NEED, SKEW_CHANCE, TURNS_RAD, explains, rms};
 use ground::geometry::{Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
@@ -23,6 +27,8 @@ const FLOOR_RAD_S: f64 = 1e-6;
 /// The shortest window, s, and the fewest samples in one.
 const WINDOW_S: f64 = 0.1;
 const WINDOW_PERIODS: f64 = 4.0;
+/// Changes within a run that are looked for: one of the bias and one of the mount.
+const MOST_CHANGES: usize = 2;
 /// Windows that are fitted.
 const FIT_WINDOWS: usize = 2500;
 /// Neighbouring windows share the error of FK at their common end with opposite signs. Where their
@@ -41,10 +47,28 @@ pub(super) struct GyroFit {
     pub latency_course: Seen<LatencyCourse>,
     pub mount_rad: Seen<Length>,
     pub link_from_imu: Rotation,
+    pub mount_change: Option<MountChange>,
+    solved: Solved,
+}
+
+impl GyroFit {
+    /// How the gyro's axes are turned against those of an orientation that is mounted as `link_from_imu`;
+    /// `None` where that cannot be told.
+    pub fn turned_against(&self, link_from_imu: &Rotation) -> Option<AxesTurn> {
+        let imu_from_gyro = link_from_imu.inverse() * self.link_from_imu;
+        let mount: Vec<usize> = GyroModel::MOUNT.collect();
+        let turned = rotvec_from_rotation(&imu_from_gyro);
+        let size_rad = self.solved.length(&mount, turned.as_slice()).ok()?;
+        Some(AxesTurn { imu_from_gyro, size_rad, with_accel: false })
+    }
 }
 
 impl Link<'_> {
     pub(super) fn fit_gyro(&self, lag_s: f64, moves: bool) -> Seen<GyroFit> {
+        let is_zero = self.stream.track.gyro.iter().all(|gyro| *gyro == Vec3::zeros());
+        if is_zero && self.turning_rad(&self.delay(lag_s)) > TURNS_RAD {
+            return Err(Unseen::NoGyro);
+        }
         let period_s = median_period_s(&self.stream.track.t_s);
         let mut window_s = WINDOW_S.max(WINDOW_PERIODS * period_s);
         let mut model = GyroModel {
@@ -55,6 +79,9 @@ impl Link<'_> {
             bias_rad_s: Vec3::zeros(),
             shape: Matrix3::zeros(),
             is_shaped: false,
+            course: None,
+            changed_rad_s: Vec3::zeros(),
+            slip: None,
         };
         if model.windows.len() < NEED {
             return Err(Unseen::TooFewSamples { have: model.windows.len(), need: NEED });
@@ -73,6 +100,17 @@ impl Link<'_> {
                 break;
             }
             model.windows = windows;
+            solved = solve(&mut model, &free);
+        }
+        for _ in 0..MOST_CHANGES {
+            let Some(changed) = model.changed(moves) else { break };
+            model = changed;
+            free.extend(
+                model.free_by_changes().filter(|column| !free.contains(column)).collect::<Vec<_>>(),
+            );
+            if moves {
+                clock = model.settle_delay(&free);
+            }
             solved = solve(&mut model, &free);
         }
         let mut shape = None;
@@ -101,6 +139,8 @@ impl Link<'_> {
             },
             mount_rad: model.mount(&solved),
             link_from_imu: model.link_from_imu,
+            mount_change: model.mount_change(&solved),
+            solved,
         })
     }
 
@@ -113,6 +153,9 @@ impl Link<'_> {
         let mut sweep = self.sweep();
         let mut correlation = Matrix3::zeros();
         for k in (0..track.t_s.len()).step_by(self.stride()) {
+            if self.numbers.saturates(&track.gyro[k]) {
+                continue;
+            }
             if let Some(moment) = self.at(track.t_s[k] - lag_s, &mut sweep) {
                 correlation += moment.rotation.inverse() * moment.rate * track.gyro[k].transpose();
             }
@@ -128,7 +171,7 @@ impl Link<'_> {
         let gap_s = GAP_PERIODS * median_period_s(t_s);
         let (mut windows, mut start) = (Vec::new(), 0);
         for k in 1..t_s.len() {
-            if t_s[k] - t_s[k - 1] > gap_s {
+            if t_s[k] - t_s[k - 1] > gap_s || self.numbers.saturates(&self.stream.track.gyro[k]) {
                 start = k;
             } else if t_s[k] - t_s[start] >= window_s {
                 windows.push(start..=k);
@@ -160,6 +203,13 @@ struct GyroModel<'a> {
     shape: Matrix3<f64>,
     /// Whether the shape is fitted, or was.
     is_shaped: bool,
+    /// How the bias changes, where it does.
+    course: Option<BiasCourse>,
+    /// By how much, rad/s: from the moment of a step on, or at the beginning of a decay.
+    changed_rad_s: Vec3,
+    /// The moment at which the IMU slips, with its interval, and by how much:
+    /// `link_from_imu after = link_from_imu · slip`.
+    slip: Option<(f64, [f64; 2], Rotation)>,
 }
 
 /// What the gyro says of one window.
@@ -181,7 +231,9 @@ impl<'a> GyroModel<'a> {
     const BIAS: std::ops::Range<usize> = 4..7;
     const SHAPE: std::ops::Range<usize> = 7..13;
     const SKEW: usize = 13;
-    const WIDTH: usize = 14;
+    const CHANGE: std::ops::Range<usize> = 14..17;
+    const SLIP: std::ops::Range<usize> = 17..20;
+    const WIDTH: usize = 20;
     /// Row and column of each entry of the shape.
     const ENTRIES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)];
 
@@ -198,12 +250,14 @@ impl<'a> GyroModel<'a> {
             Some(moment.rotation.inverse() * moment.rate)
         };
         let rows = (0..track.t_s.len()).step_by(self.link.stride());
+        let rows = rows.filter(|&k| !self.link.numbers.saturates(&track.gyro[k]));
         rows.filter_map(|k| {
             let truth_s = self.delay.truth_s(track.t_s[k]);
             let [before, rate, after] =
                 [-AROUND_S, 0.0, AROUND_S].map(|around_s| rate_at(truth_s + around_s));
             let change = (after? - before?) / (2.0 * AROUND_S);
-            let is = self.link_from_imu * (undo * (track.gyro[k] - self.bias_rad_s));
+            let at_s = track.t_s[k];
+            let is = self.mount_at(at_s) * (undo * (track.gyro[k] - self.bias_at(at_s)));
             Some(Lagging {
                 t_s: track.t_s[k],
                 left: [Vec3::zeros(), is - rate?],
@@ -217,7 +271,7 @@ impl<'a> GyroModel<'a> {
     fn turn(&self, window: &RangeInclusive<usize>) -> Turn {
         let track = self.link.stream.track;
         let undo = (Matrix3::identity() + self.shape).try_inverse().unwrap_or_default();
-        let rate = |k: usize| undo * (track.gyro[k] - self.bias_rad_s);
+        let rate = |k: usize| undo * (track.gyro[k] - self.bias_at(track.t_s[k]));
         let (first, last) = (*window.start(), *window.end());
         let mut turn = Turn {
             first_from_last: Rotation::identity(),
@@ -306,9 +360,27 @@ impl<'a> GyroModel<'a> {
 
     fn bias(&self, solved: &Solved, shape: Option<GyroShape>) -> Seen<GyroBias> {
         let bias: Vec<usize> = Self::BIAS.collect();
-        let length_rad_s = solved.length(&bias, self.bias_rad_s.as_slice())?;
-        let yaw_rate_rad_s = self.yaw_rate();
-        Ok(GyroBias { vector_rad_s: self.bias_rad_s, length_rad_s, yaw_rate_rad_s, shape })
+        let change: Option<Seen<BiasChange>> = self.course.map(|course| {
+            let all = self.bias_rad_s + self.changed_rad_s;
+            let (before_rad_s, after_rad_s) = match course {
+                BiasCourse::Step { .. } => (self.bias_rad_s, all),
+                BiasCourse::WarmUp { .. } => (all, self.bias_rad_s),
+            };
+            let columns: Vec<usize> = Self::CHANGE.collect();
+            let size_rad_s = solved.length(&columns, self.changed_rad_s.as_slice())?;
+            Ok(BiasChange { course, before_rad_s, after_rad_s, size_rad_s })
+        });
+        let change = change.transpose()?;
+        // Of a bias that changes the larger.
+        let larger =
+            |change: &BiasChange| match change.after_rad_s.norm() > change.before_rad_s.norm() {
+                true => change.after_rad_s,
+                false => change.before_rad_s,
+            };
+        let vector_rad_s = change.as_ref().map_or(self.bias_rad_s, larger);
+        let length_rad_s = solved.length(&bias, vector_rad_s.as_slice())?;
+        let yaw_rate_rad_s = self.yaw_rate(&vector_rad_s);
+        Ok(GyroBias { vector_rad_s, length_rad_s, yaw_rate_rad_s, shape, change })
     }
 
     fn mount(&self, solved: &Solved) -> Seen<Length> {
@@ -320,14 +392,14 @@ impl<'a> GyroModel<'a> {
     }
 
     /// Mean rate about the base's z that the bias would feign, rad/s.
-    fn yaw_rate(&self) -> f64 {
+    fn yaw_rate(&self, bias_rad_s: &Vec3) -> f64 {
         let mut sweep = self.link.sweep();
         let t_s = &self.link.stream.track.t_s;
         let (mut sum, mut count) = (0.0, 0.0);
         for window in &self.windows {
             let truth_s = self.delay.truth_s(t_s[*window.start()]);
             if let Some(moment) = self.link.at(truth_s, &mut sweep) {
-                sum += (moment.rotation * (self.link_from_imu * self.bias_rad_s)).z;
+                sum += (moment.rotation * (self.link_from_imu * bias_rad_s)).z;
                 count += 1.0;
             }
         }
@@ -336,9 +408,35 @@ impl<'a> GyroModel<'a> {
 }
 
 impl Model for GyroModel<'_> {
-    /// The residual is that of the mean rate over each window, in the sensor's frame at its end.
     fn linearize(&self) -> Linear {
+        self.linearized().0
+    }
+
+    fn apply(&mut self, delta: &DVector<f64>) {
+        let part = |first: usize| Vec3::new(delta[first], delta[first + 1], delta[first + 2]);
+        self.delay.latency_s += delta[Self::LATENCY];
+        self.delay.skew += delta[Self::SKEW];
+        self.link_from_imu *= rotation_from_rotvec(part(Self::MOUNT.start));
+        self.bias_rad_s += part(Self::BIAS.start);
+        self.changed_rad_s += part(Self::CHANGE.start);
+        if let Some((.., slip)) = &mut self.slip {
+            *slip *= rotation_from_rotvec(part(Self::SLIP.start));
+        }
+        for (parameter, (row, column)) in Self::SHAPE.zip(Self::ENTRIES) {
+            self.shape[(row, column)] += delta[parameter];
+            if row != column {
+                self.shape[(column, row)] += delta[parameter];
+            }
+        }
+    }
+}
+
+impl GyroModel<'_> {
+    /// The residuals, with the time of each. A residual is that of the mean rate over a window, in the
+    /// sensor's frame at its end.
+    fn linearized(&self) -> (Linear, Vec<f64>) {
         let mut linear = Linear::new(Self::WIDTH, &[FLOOR_RAD_S]);
+        let mut stamps = Vec::new();
         let mut sweep = self.link.sweep();
         let t_s = &self.link.stream.track.t_s;
         for window in &self.windows {
@@ -347,8 +445,15 @@ impl Model for GyroModel<'_> {
                 continue;
             };
             let turn = self.turn(window);
-            let by_fk = (first.rotation * self.link_from_imu).inverse()
-                * (last.rotation * self.link_from_imu);
+            let [from_s, to_s] = [*window.start(), *window.end()].map(|k| t_s[k]);
+            let slipped = self.slip.map(|(at_s, ..)| [from_s > at_s, to_s > at_s]);
+            if slipped.is_some_and(|[before, after]| before != after) {
+                continue;
+            }
+            let slipped = slipped.is_some_and(|[_, after]| after);
+            stamps.push(0.5 * (from_s + to_s));
+            let mount = self.mount_at(to_s);
+            let by_fk = (first.rotation * mount).inverse() * (last.rotation * mount);
             let last_from_first = by_fk.inverse();
             let per_s = 1.0 / turn.duration_s;
             let too_far = rotvec_from_rotation(&(last_from_first * turn.first_from_last));
@@ -363,29 +468,23 @@ impl Model for GyroModel<'_> {
             }
             for axis in 0..3 {
                 let unit = Vec3::ith(axis, 1.0);
-                let turned = (unit - last_from_first * unit) * per_s;
-                rows.set(0, Self::MOUNT.start + axis, turned.into());
+                let turned = |unit: Vec3| (unit - last_from_first * unit) * per_s;
+                let slip =
+                    self.slip.filter(|_| slipped).map_or(Rotation::identity(), |slip| slip.2);
+                // The mount is turned before the slip is.
+                rows.set(0, Self::MOUNT.start + axis, turned(slip.inverse() * unit).into());
                 let biased: Vec3 = turn.by_rate.column(axis) * per_s;
                 rows.set(0, Self::BIAS.start + axis, biased.into());
+                let share = 0.5 * (self.change_at(from_s) + self.change_at(to_s));
+                rows.set(0, Self::CHANGE.start + axis, (biased * share).into());
+                if slipped {
+                    rows.set(0, Self::SLIP.start + axis, turned(unit).into());
+                }
             }
             for (column, by_entry) in Self::SHAPE.zip(&turn.by_shape) {
                 rows.set(0, column, (by_entry * per_s).into());
             }
         }
-        linear
-    }
-
-    fn apply(&mut self, delta: &DVector<f64>) {
-        let part = |first: usize| Vec3::new(delta[first], delta[first + 1], delta[first + 2]);
-        self.delay.latency_s += delta[Self::LATENCY];
-        self.delay.skew += delta[Self::SKEW];
-        self.link_from_imu *= rotation_from_rotvec(part(Self::MOUNT.start));
-        self.bias_rad_s += part(Self::BIAS.start);
-        for (parameter, (row, column)) in Self::SHAPE.zip(Self::ENTRIES) {
-            self.shape[(row, column)] += delta[parameter];
-            if row != column {
-                self.shape[(column, row)] += delta[parameter];
-            }
-        }
+        (linear, stamps)
     }
 }

@@ -43,7 +43,9 @@ pub fn proof_of_imu(
     found: &ImuDiagnosis,
     most_lag_s: f64,
 ) -> Option<ImuProof> {
-    let link = Link::new(joints, stream);
+    let track = found.numbers.mended(stream.track);
+    let stream = &ImuStream { track: &track, ..*stream };
+    let link = Link::new(joints, stream, &found.numbers);
     let peak = link.peaks(most_lag_s).first().copied()?;
     if peak.correlation <= FOLLOWS {
         return None;
@@ -64,7 +66,7 @@ pub fn proof_of_imu(
     }
     (moments.len() >= NEED).then(|| ImuProof {
         turning: turning(stream, found, &moments),
-        rates: rates(&stream.track.gyro, &moments),
+        rates: rates(&link, &moments),
         gravity_m_s2: gravity(&stream.track.accel),
     })
 }
@@ -85,9 +87,14 @@ fn turning(
         let last = found.yaw_error.get(next.saturating_sub(1));
         last.map_or(0.0, |(_, yaw_rad)| *yaw_rad)
     };
+    let mount_at = |t_s: f64| match &found.mount_change {
+        Some(change) if t_s > change.at_s => change.link_from_imu,
+        _ => link_from_imu,
+    };
     let worlds: Vec<Rotation> = moments
         .iter()
         .map(|(row, base_from_link, _)| {
+            let link_from_imu = mount_at(track.t_s[*row]);
             let world = track.orientation[*row] * (base_from_link * link_from_imu).inverse();
             rotation_from_rotvec(Vec3::z() * -yaw_at(track.t_s[*row])) * world
         })
@@ -107,8 +114,11 @@ fn turning(
 
 /// What the gyro leaves of the arm's rates with the mount that suits it best; `None` where it says
 /// nothing.
-fn rates(gyro: &[Vec3], moments: &[(usize, Rotation, Vec3)]) -> Option<Rates> {
-    let n = moments.len() as f64;
+fn rates(link: &Link, moments: &[(usize, Rotation, Vec3)]) -> Option<Rates> {
+    let gyro = &link.stream.track.gyro;
+    let in_range = |moment: &&(usize, Rotation, Vec3)| !link.numbers.saturates(&gyro[moment.0]);
+    let moments: Vec<_> = moments.iter().filter(in_range).collect();
+    let n = moments.len().max(1) as f64;
     let mean = moments.iter().map(|(row, ..)| gyro[*row]).sum::<Vec3>() / n;
     let mean_rate = moments.iter().map(|(.., rate)| rate).sum::<Vec3>() / n;
     let pairs = || moments.iter().map(|(row, _, rate)| (gyro[*row] - mean, rate - mean_rate));

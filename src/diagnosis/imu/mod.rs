@@ -7,9 +7,11 @@
 //! carries the joint offsets found, since a wrist zero of 1° looks like 0.6 °/min of drift and 0.9°
 //! of mount error without them.
 
+mod change;
 mod found;
 mod gyro;
 mod held;
+mod numbers;
 mod orientation;
 mod solve;
 mod tilt;
@@ -20,11 +22,15 @@ use super::latency::{ArmSpeeds, Peak, angular_speed, by_lag, norms, peaks};
 use super::reread::rotations;
 use super::sampling::still_speeds;
 use super::{AxesSlip, Meant, Measured, Reading, Seen, Unseen};
-pub use found::{GyroBias, GyroShape, Heading, ImuDiagnosis, ImuStream, YawCourse, YawJump};
+pub use found::{
+    AxesTurn, BiasChange, BiasCourse, GyroBias, GyroShape, Heading, HeadingError, ImuDiagnosis,
+    ImuStream, MountChange, Up, YawCourse, YawJump, YawWarmUp,
+};
 pub use held::{ImuProof, Rates, proof_of_imu};
+pub use numbers::{AccelSlip, AccelUnit, Clipped, ImuNumbers};
 
 use ground::geometry::{Rotation, Vec3, angle_between};
-use ground::stream::JointTrack;
+use ground::stream::{ImuTrack, JointTrack};
 
 /// Samples of an IMU that are fitted.
 const FIT_SAMPLES: usize = 5000;
@@ -46,7 +52,19 @@ const TURNING_SAMPLES: usize = 300;
 /// Diagnoses one IMU against the joint states, which should be those corrected by
 /// [`JointDiagnosis::corrected_joints`](super::JointDiagnosis::corrected_joints).
 pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) -> ImuDiagnosis {
-    let link = Link::new(joints, stream);
+    let numbers = ImuNumbers::of(joints, stream, most_lag_s);
+    let track = numbers.mended(stream.track);
+    diagnose_mended(joints, &ImuStream { track: &track, ..*stream }, &numbers, most_lag_s)
+}
+
+/// The same of a stream whose `numbers` are mended.
+pub(super) fn diagnose_mended(
+    joints: &JointTrack,
+    stream: &ImuStream,
+    numbers: &ImuNumbers,
+    most_lag_s: f64,
+) -> ImuDiagnosis {
+    let link = Link::new(joints, stream, numbers);
     let peaks = link.peaks(most_lag_s);
     let moves = peaks.first().is_some_and(|peak| peak.correlation > FOLLOWS);
     let lag_s = peaks.first().filter(|_| moves).map_or(0.0, |peak| peak.lag_s);
@@ -82,7 +100,19 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
     };
     let turned = gyro.as_ref().ok().filter(|_| moves).map(|fit| fit.link_from_imu);
     let mount_by_gyro = gyro.as_ref().map_err(Clone::clone).and_then(|fit| fit.mount_rad.clone());
+    let changed = gyro.as_ref().ok().filter(|_| moves).and_then(|fit| fit.mount_change);
+    let axes_turn = match (&orientation, &gyro) {
+        (Ok(fit), Ok(gyro)) if moves => axes_turn(&link, lag_s, &fit.link_from_imu, gyro),
+        _ => None,
+    };
     let gyro_bias = gyro.and_then(|fit| fit.bias);
+    // Gravity is felt in the accelerometer's axes.
+    let turned_accel = axes_turn.filter(|turn| turn.with_accel).map(|turn| {
+        let accel = stream.track.accel.iter().map(|accel| turn.imu_from_gyro * accel).collect();
+        ImuTrack { accel, ..stream.track.clone() }
+    });
+    let felt = ImuStream { track: turned_accel.as_ref().unwrap_or(stream.track), ..*stream };
+    let link = Link::new(joints, &felt, numbers);
     let tilt_rad = link.tilt(lag_s);
     match orientation {
         Ok(fit) => ImuDiagnosis {
@@ -94,7 +124,11 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
             yaw_course: fit.course,
             mount_rad: fit.mount_rad,
             link_from_imu: Some(fit.link_from_imu),
+            axes_turn,
+            mount_change: fit.mount_change,
+            numbers: numbers.clone(),
             tilt_rad,
+            up: link.up(lag_s, &fit.link_from_imu),
             gyro_bias,
             yaw_error: fit.yaw_error,
             headings: fit.headings,
@@ -111,12 +145,32 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
                 _ => Err(why),
             },
             link_from_imu: turned,
+            axes_turn: None,
+            mount_change: changed,
+            numbers: numbers.clone(),
             tilt_rad,
+            up: None,
             gyro_bias,
             yaw_error: Vec::new(),
             headings: Vec::new(),
         },
     }
+}
+
+/// How the gyro's axes are turned against the orientation's, where they surely are.
+fn axes_turn(
+    link: &Link,
+    lag_s: f64,
+    link_from_imu: &Rotation,
+    gyro: &gyro::GyroFit,
+) -> Option<AxesTurn> {
+    /// The accelerometer points one way by so much more in the gyro's axes than in the orientation's.
+    const STEADIER: f64 = 0.05;
+    let turn = gyro.turned_against(link_from_imu)?;
+    let turn = Some(turn).filter(|turn| turn.size_rad.p_value < MOUNT_CHANCE)?;
+    let [by_gyro, by_imu] =
+        [gyro.link_from_imu, *link_from_imu].map(|mount| link.steadiness(lag_s, &mount));
+    Some(AxesTurn { with_accel: by_gyro > by_imu + STEADIER, ..turn })
 }
 
 /// How the speed at which an IMU turns correlates with its link's at each lag within ±`most_lag_s`:
@@ -147,7 +201,8 @@ pub fn reread_imu(
     reading: Reading,
     most_lag_s: f64,
 ) -> Option<Vec<Rotation>> {
-    let link = Link::new(joints, stream);
+    let numbers = ImuNumbers::default();
+    let link = Link::new(joints, stream, &numbers);
     let lag_s = link.peaks(most_lag_s).first().map_or(0.0, |peak| peak.lag_s);
     let mut sweep = link.sweep();
     let expected: Vec<Option<Rotation>> = stream
@@ -221,6 +276,7 @@ fn repeats(peaks: &[Peak]) -> Option<Vec<f64>> {
 struct Link<'a> {
     joints: &'a JointTrack,
     stream: &'a ImuStream<'a>,
+    numbers: &'a ImuNumbers,
     still: Vec<f64>,
     middle_s: f64,
 }
@@ -260,13 +316,13 @@ struct Sweep {
 }
 
 impl<'a> Link<'a> {
-    fn new(joints: &'a JointTrack, stream: &'a ImuStream<'a>) -> Self {
+    fn new(joints: &'a JointTrack, stream: &'a ImuStream<'a>, numbers: &'a ImuNumbers) -> Self {
         let t_s = &stream.track.t_s;
         let middle_s = match (t_s.first(), t_s.last()) {
             (Some(first), Some(last)) => 0.5 * (first + last),
             _ => 0.0,
         };
-        Self { joints, stream, still: still_speeds(joints), middle_s }
+        Self { joints, stream, numbers, still: still_speeds(joints), middle_s }
     }
 
     /// A latency without a skew.

@@ -1,6 +1,9 @@
 //! The orientation against FK:
 //! `world_from_imu(s) = Rz(yaw(s)) · world_from_base · FK(q(s − τ)) · link_from_imu`, where
-//! `yaw(s) = drift·(s − middle) + jumps before s + walk(s)`.
+//! `yaw(s) = drift·(s − middle) + jumps before s + walk(s)`, and beside these what hangs on the heading and
+//! what settles exponentially ([`forms`]). The mount may be another one from some moment on.
+
+mod forms;
 
 use super::super::constant::mean_rotation;
 use super::super::course::{Lagging, course_of};
@@ -8,15 +11,19 @@ use super::super::linear::Linear;
 use super::super::model::FLOOR_RAD;
 use super::super::reading::{After, Fit, Logged, Samples, nearest_truth, read_in_gravity};
 use super::super::{Heading, LatencyCourse, Measured, ReadingEstimate, Seen, Unseen, YawCourse};
+use super::found::MountChange;
 use super::solve::{Model, Solved, lengths, solve};
 use super::yaw::{self, Course};
 use super::{Clock, Delay, Link, MOUNT_CHANCE, NEED, SKEW_CHANCE, TURNS_RAD, explains, rms};
+use forms::Form;
 use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::Length;
 use nalgebra::DVector;
 use std::f64::consts::TAU;
 use std::ops::Range;
 
+/// The whole run, s.
+const EVER: Range<f64> = f64::NEG_INFINITY..f64::INFINITY;
 /// Samples that readings are tried on.
 const READING_SAMPLES: usize = 72;
 /// Times that a yaw's course is taken up and all is fitted anew.
@@ -33,17 +40,31 @@ pub(super) struct OrientationFit {
     pub latency_course: Seen<LatencyCourse>,
     pub mount_rad: Seen<Length>,
     pub link_from_imu: Rotation,
+    pub mount_change: Option<MountChange>,
     pub yaw_error: Vec<(f64, f64)>,
     pub headings: Vec<Heading>,
 }
 
 impl Link<'_> {
     pub(super) fn fit_orientation(&self, start: Delay, moves: bool) -> Seen<OrientationFit> {
-        let (reading, mut model) = self.orientation_model(start)?;
+        let (mut reading, mut model) = self.orientation_model(start)?;
         let mut settled = model.settle(moves);
+        if let Some(slipped) = settled.model.slipped(moves) {
+            let (from_s, to_s) = slipped.longer_side();
+            // What no one mount fits seems to be written in no way.
+            reading = self
+                .read(&slipped.delay, self.known_mount(), from_s..to_s)
+                .map_or(reading, |read| read.0);
+            model = slipped;
+            settled = model.settle(moves);
+        }
+        if let Some((shaped, of_it)) = settled.model.shaped(moves) {
+            (model, settled) = (shaped, of_it);
+        }
         let mut course = Course::default();
         for pass in 0..PASSES {
-            let last = std::mem::replace(&mut course, yaw::explain(&settled.model.yaw_error()));
+            let last =
+                std::mem::replace(&mut course, yaw::explain(&settled.model.yaw_beside_forms()));
             if course.is_steady() && last.is_steady() {
                 break;
             }
@@ -76,6 +97,7 @@ impl Link<'_> {
                 jump.size_rad = solved.one(column, fitted.size_rad).unwrap_or(jump.size_rad);
             }
         }
+        (course.parts.heading, course.parts.warm_up) = model.formed(&solved);
         Ok(OrientationFit {
             reading,
             clock,
@@ -87,6 +109,7 @@ impl Link<'_> {
             },
             mount_rad,
             link_from_imu: model.link_from_imu,
+            mount_change: model.mount_change(&solved),
             yaw_error: model.yaw_error(),
             headings: model.headings(),
         })
@@ -95,8 +118,16 @@ impl Link<'_> {
     /// The model from which the fit starts, with the branch of every sample chosen.
     fn orientation_model(&self, start: Delay) -> Seen<(ReadingEstimate, OrientationModel<'_>)> {
         let track = self.stream.track;
-        let known_mount = self.stream.link_from_imu.map(|pose| pose.rotation);
-        let (estimate, fit) = self.read(&start, known_mount)?;
+        let known_mount = self.known_mount();
+        let (estimate, fit) = match self.read(&start, known_mount, EVER) {
+            // An IMU that slips far has two mounts, and so one in either half.
+            Err(why) => [f64::NEG_INFINITY..self.middle_s, self.middle_s..f64::INFINITY]
+                .into_iter()
+                .filter_map(|half| self.read(&start, known_mount, half).ok())
+                .min_by(|a, b| a.0.best_rad.total_cmp(&b.0.best_rad))
+                .ok_or(why)?,
+            Ok(read) => read,
+        };
         let mut sweep = self.sweep();
         let mut buffer = Vec::new();
         let logged = Logged::Rotations(&track.orientation);
@@ -106,6 +137,8 @@ impl Link<'_> {
             truth: Vec::new(),
             jumps: Vec::new(),
             path_rad: Vec::new(),
+            forms: Vec::new(),
+            slip: None,
             delay: start,
             drift_rad_s: 0.0,
             world_from_base: fit.reference,
@@ -131,13 +164,25 @@ impl Link<'_> {
         Ok((estimate, model))
     }
 
-    /// Which convention the orientation is written in; the mount by the log's frames is taken off.
-    fn read(&self, start: &Delay, known_mount: Option<Rotation>) -> Seen<(ReadingEstimate, Fit)> {
+    /// How the IMU is turned in its link by the log's frames, where they say.
+    fn known_mount(&self) -> Option<Rotation> {
+        self.stream.link_from_imu.map(|pose| pose.rotation)
+    }
+
+    /// Which convention the orientation is written in then; the mount by the log's frames is taken off.
+    fn read(
+        &self,
+        start: &Delay,
+        known_mount: Option<Rotation>,
+        when_s: Range<f64>,
+    ) -> Seen<(ReadingEstimate, Fit)> {
         let track = self.stream.track;
-        let step = track.t_s.len().div_ceil(READING_SAMPLES).max(1);
+        let from = track.t_s.partition_point(|t_s| *t_s < when_s.start);
+        let to = track.t_s.partition_point(|t_s| *t_s < when_s.end).max(from);
+        let step = (to - from).div_ceil(READING_SAMPLES).max(1);
         let mut sweep = self.sweep();
         let (mut fk, mut logged, mut forces) = (Vec::new(), Vec::new(), Vec::new());
-        for k in (0..track.t_s.len()).step_by(step) {
+        for k in (from..to).step_by(step) {
             if let Some(moment) = self.at(start.truth_s(track.t_s[k]), &mut sweep) {
                 fk.push(moment.rotation * known_mount.unwrap_or_default());
                 logged.push(track.orientation[k]);
@@ -165,6 +210,11 @@ struct OrientationModel<'a> {
     jumps: Vec<Jump>,
     /// The way that the yaw wanders, a row each; empty where it does not.
     path_rad: Vec<f64>,
+    /// What else the yaw does.
+    forms: Vec<Form>,
+    /// The moment at which the IMU slips, with its interval, and by how much:
+    /// `link_from_imu after = link_from_imu · slip`.
+    slip: Option<(f64, [f64; 2], Rotation)>,
     delay: Delay,
     drift_rad_s: f64,
     world_from_base: Rotation,
@@ -192,8 +242,9 @@ impl<'a> OrientationModel<'a> {
     const WORLD: Range<usize> = 2..5;
     const MOUNT: Range<usize> = 5..8;
     const SKEW: usize = 8;
-    /// The columns from here on are those of the jumps.
-    const JUMPS: usize = 9;
+    const SLIP: Range<usize> = 9..12;
+    /// The columns from here on are those of the forms' parts, then those of the jumps.
+    const PARTS: usize = 12;
 
     /// Fits the model with mount and skew free, and again with the log's mount and without a skew
     /// where the free ones are surely no others.
@@ -209,6 +260,10 @@ impl<'a> OrientationModel<'a> {
         }
         if !walks {
             free.extend(self.jumps().map(|(column, _)| column));
+        }
+        free.extend(Self::PARTS..self.first_jump());
+        if self.slip.is_some() {
+            free.extend(Self::SLIP);
         }
         let all = free.len();
         let mut model = self.clone();
@@ -255,15 +310,16 @@ impl<'a> OrientationModel<'a> {
 
     /// Each jump with its column.
     fn jumps(&self) -> impl Iterator<Item = (usize, &Jump)> {
-        (Self::JUMPS..).zip(&self.jumps)
+        (self.first_jump()..).zip(&self.jumps)
     }
 
     /// What the yaw does at a row beside its drift, rad.
     fn beside_drift(&self, row: usize) -> f64 {
         let stamp = self.link.stream.track.t_s[self.rows[row]];
+        let formed: f64 = self.forms.iter().map(|form| form.at(row)).sum();
         let jumped = self.jumps.iter().filter(|jump| stamp > jump.at_s);
         let wandered = self.path_rad.get(row).copied().unwrap_or(0.0);
-        wandered + jumped.map(|jump| jump.size_rad).sum::<f64>()
+        formed + wandered + jumped.map(|jump| jump.size_rad).sum::<f64>()
     }
 
     /// Makes the world's rotation fit the mount by averaging.
@@ -278,7 +334,7 @@ impl<'a> OrientationModel<'a> {
             .filter_map(|(row, (&k, truth))| {
                 let moment = self.link.at(self.delay.truth_s(t_s[k]), &mut sweep)?;
                 let truth = rotation_from_rotvec(Vec3::z() * -self.beside_drift(row)) * truth;
-                Some(truth * (moment.rotation * self.link_from_imu).inverse())
+                Some(truth * (moment.rotation * self.mount_at(t_s[k])).inverse())
             })
             .collect();
         self.world_from_base = mean_rotation(&worlds);
@@ -304,6 +360,11 @@ impl<'a> OrientationModel<'a> {
 
     /// Stamp, and yaw of the IMU over that of the arm with the drift and all else left in.
     fn yaw_error(&self) -> Vec<(f64, f64)> {
+        Self { forms: Vec::new(), ..self.clone() }.yaw_beside_forms()
+    }
+
+    /// The same without what hangs on the heading and what settles.
+    fn yaw_beside_forms(&self) -> Vec<(f64, f64)> {
         let still =
             Self { drift_rad_s: 0.0, jumps: Vec::new(), path_rad: Vec::new(), ..self.clone() };
         let mut sweep = self.link.sweep();
@@ -330,7 +391,8 @@ impl<'a> OrientationModel<'a> {
             .zip(&self.truth)
             .filter_map(|(&k, truth)| {
                 let moment = self.link.at(self.delay.truth_s(t_s[k]), &mut sweep)?;
-                Some((t_s[k], *truth, self.world_from_base * moment.rotation * self.link_from_imu))
+                let by_fk = self.world_from_base * moment.rotation * self.mount_at(t_s[k]);
+                Some((t_s[k], *truth, by_fk))
             })
             .collect();
         let steepest = |axis: &Vec3| {
@@ -365,17 +427,45 @@ impl<'a> OrientationModel<'a> {
 
 impl Model for OrientationModel<'_> {
     fn linearize(&self) -> Linear {
-        let mut linear = Linear::new(Self::JUMPS + self.jumps.len(), &[FLOOR_RAD]);
+        self.linearized().0
+    }
+
+    fn apply(&mut self, delta: &DVector<f64>) {
+        let part = |first: usize| Vec3::new(delta[first], delta[first + 1], delta[first + 2]);
+        self.delay.latency_s += delta[Self::LATENCY];
+        self.delay.skew += delta[Self::SKEW];
+        self.drift_rad_s += delta[Self::DRIFT];
+        let first_jump = self.first_jump();
+        for (jump, step) in self.jumps.iter_mut().zip(delta.iter().skip(first_jump)) {
+            jump.size_rad += step;
+        }
+        let sizes = self.forms.iter_mut().flat_map(|form| &mut form.sizes_rad);
+        sizes.zip(delta.iter().skip(Self::PARTS)).for_each(|(size, step)| *size += step);
+        if let Some((.., slip)) = &mut self.slip {
+            *slip *= rotation_from_rotvec(part(Self::SLIP.start));
+        }
+        self.world_from_base = rotation_from_rotvec(part(Self::WORLD.start)) * self.world_from_base;
+        self.link_from_imu *= rotation_from_rotvec(part(Self::MOUNT.start));
+    }
+}
+
+impl OrientationModel<'_> {
+    /// The residuals, with the row of each.
+    fn linearized(&self) -> (Linear, Vec<usize>) {
+        let mut linear = Linear::new(self.first_jump() + self.jumps.len(), &[FLOOR_RAD]);
+        let mut kept = Vec::new();
         let mut sweep = self.link.sweep();
         for (row, (&k, truth)) in self.rows.iter().zip(&self.truth).enumerate() {
             let stamp = self.link.stream.track.t_s[k];
             let truth_s = self.delay.truth_s(stamp);
             let Some(moment) = self.link.at(truth_s, &mut sweep) else { continue };
+            kept.push(row);
             let since = stamp - self.link.middle_s;
             let yaw_rad = self.drift_rad_s * since + self.beside_drift(row);
             let drifted = rotation_from_rotvec(Vec3::z() * yaw_rad);
             let world = drifted * self.world_from_base;
-            let predicted = world * moment.rotation * self.link_from_imu;
+            let predicted = world * moment.rotation * self.mount_at(stamp);
+            let slip = self.slip.filter(|(at_s, ..)| stamp > *at_s).map(|slip| slip.2);
             let residual = rotvec_from_rotation(&(truth * predicted.inverse()));
             let mut rows = linear.push(&[residual.into()]);
             if moment.moving {
@@ -390,21 +480,17 @@ impl Model for OrientationModel<'_> {
             for axis in 0..3 {
                 let unit = Vec3::ith(axis, 1.0);
                 rows.set(0, Self::WORLD.start + axis, (drifted * unit).into());
-                rows.set(0, Self::MOUNT.start + axis, (predicted * unit).into());
+                let before_slip = slip.map_or(unit, |slip| slip.inverse() * unit);
+                rows.set(0, Self::MOUNT.start + axis, (predicted * before_slip).into());
+                if slip.is_some() {
+                    rows.set(0, Self::SLIP.start + axis, (predicted * unit).into());
+                }
+            }
+            let weights = self.forms.iter().flat_map(|form| &form.weights);
+            for (column, weight) in (Self::PARTS..).zip(weights) {
+                rows.set(0, column, (Vec3::z() * weight[row]).into());
             }
         }
-        linear
-    }
-
-    fn apply(&mut self, delta: &DVector<f64>) {
-        let part = |first: usize| Vec3::new(delta[first], delta[first + 1], delta[first + 2]);
-        self.delay.latency_s += delta[Self::LATENCY];
-        self.delay.skew += delta[Self::SKEW];
-        self.drift_rad_s += delta[Self::DRIFT];
-        for (jump, step) in self.jumps.iter_mut().zip(delta.iter().skip(Self::JUMPS)) {
-            jump.size_rad += step;
-        }
-        self.world_from_base = rotation_from_rotvec(part(Self::WORLD.start)) * self.world_from_base;
-        self.link_from_imu *= rotation_from_rotvec(part(Self::MOUNT.start));
+        (linear, kept)
     }
 }

@@ -93,6 +93,13 @@ impl Solved {
         Ok(Measured { value, std_error: variance.max(0.0).sqrt(), dof: self.dof })
     }
 
+    /// A sum of parameters, each times its entry of `along`, which the fit left at `value`.
+    pub fn along(&self, parameters: &[usize], along: &[f64], value: f64) -> Seen<Measured> {
+        let along = DVector::from_column_slice(along);
+        let variance = along.dot(&(self.block(parameters)? * &along));
+        Ok(Measured { value, std_error: variance.max(0.0).sqrt(), dof: self.dof })
+    }
+
     /// The length of a vector of parameters.
     pub fn length(&self, parameters: &[usize], vector: &[f64]) -> Seen<Length> {
         Ok(Length::of(vector, &self.block(parameters)?, self.dof))

@@ -2,7 +2,8 @@
 
 use super::super::{Seen, Unseen};
 use super::Link;
-use ground::geometry::Vec3;
+use super::found::Up;
+use ground::geometry::{Rotation, Vec3};
 use ground::stats::Length;
 use nalgebra::DMatrix;
 
@@ -15,6 +16,42 @@ const BLOCKS: usize = 10;
 const NEED: usize = 4 * BLOCKS;
 
 impl Link<'_> {
+    /// How much what the accelerometer feels points one way in the base, 0 to 1, with it turned in its link by
+    /// `link_from_accel`.
+    pub(super) fn steadiness(&self, lag_s: f64, link_from_accel: &Rotation) -> f64 {
+        let track = self.stream.track;
+        let mut sweep = self.sweep();
+        let (mut sum, mut sizes) = (Vec3::zeros(), f64::MIN_POSITIVE);
+        for k in (0..track.t_s.len()).step_by(self.stride()) {
+            if let Some(moment) = self.at(track.t_s[k] - lag_s, &mut sweep) {
+                sum += moment.rotation * (link_from_accel * track.accel[k]);
+                sizes += track.accel[k].norm();
+            }
+        }
+        sum.norm() / sizes
+    }
+
+    /// Where the accelerometer feels up while the arm rests, with the IMU turned in its link by
+    /// `link_from_imu`.
+    pub(super) fn up(&self, lag_s: f64, link_from_imu: &Rotation) -> Option<Up> {
+        let track = self.stream.track;
+        let mut sweep = self.sweep();
+        let (mut world, mut base, mut count) = (Vec3::zeros(), Vec3::zeros(), 0);
+        for k in (0..track.t_s.len()).step_by(self.stride()) {
+            let moment = self.at(track.t_s[k] - lag_s, &mut sweep);
+            if let Some(moment) = moment.filter(|moment| !moment.moving)
+                && let Some(orientation) = track.orientation.get(k)
+            {
+                world += orientation * track.accel[k];
+                base += moment.rotation * (link_from_imu * track.accel[k]);
+                count += 1;
+            }
+        }
+        let in_world = world.try_normalize(f64::MIN_POSITIVE)?;
+        let in_base = base.try_normalize(f64::MIN_POSITIVE)?;
+        (count >= NEED).then_some(Up { in_world, in_base })
+    }
+
     /// The IMU's lean against gravity, from the moments at which the arm rests.
     pub(super) fn tilt(&self, lag_s: f64) -> Seen<Length> {
         let track = self.stream.track;

@@ -319,7 +319,11 @@ impl Bins {
                 .collect(),
             false => Vec::new(),
         };
-        Course { drift_rad_s, parts: YawCourse { jumps, walk_rad_rt_s }, path }
+        Course {
+            drift_rad_s,
+            parts: YawCourse { jumps, walk_rad_rt_s, ..YawCourse::default() },
+            path,
+        }
     }
 }
 

@@ -1,0 +1,90 @@
+//! A gyro whose bias or mount is not one over the run.
+
+use super::super::change::{Asked, Better};
+use super::super::found::{BiasCourse, MountChange};
+use super::super::solve::Solved;
+use super::{FLOOR_RAD_S, GyroModel};
+use ground::geometry::{Rotation, Vec3, rotvec_from_rotation};
+
+impl GyroModel<'_> {
+    /// How much of the change of the bias acts at a moment, 0 to 1.
+    pub(super) fn change_at(&self, t_s: f64) -> f64 {
+        match self.course {
+            Some(BiasCourse::Step { at_s, .. }) => f64::from(u8::from(t_s > at_s)),
+            Some(BiasCourse::WarmUp { time_constant_s }) => {
+                let first_s = self.link.stream.track.t_s.first().copied().unwrap_or(t_s);
+                (-(t_s - first_s) / time_constant_s).exp()
+            }
+            None => 0.0,
+        }
+    }
+
+    pub(super) fn bias_at(&self, t_s: f64) -> Vec3 {
+        self.bias_rad_s + self.changed_rad_s * self.change_at(t_s)
+    }
+
+    /// `link_from_imu` at a moment.
+    pub(super) fn mount_at(&self, t_s: f64) -> Rotation {
+        match &self.slip {
+            Some((at_s, _, slip)) if t_s > *at_s => self.link_from_imu * slip,
+            _ => self.link_from_imu,
+        }
+    }
+
+    /// The model with the one change more that explains most, where one surely is there.
+    pub(super) fn changed(&self, moves: bool) -> Option<Self> {
+        /// A slip leaves at most this share of the squares that any other change leaves.
+        const CLEARLY: f64 = 0.8;
+        let shaped = Self { is_shaped: true, ..self.clone() };
+        let (linear, t_s) = shaped.linearized();
+        let mut base: Vec<usize> = Self::BIAS.chain(self.free_by_changes()).collect();
+        if moves {
+            base.extend(Self::MOUNT.chain(Self::SHAPE).chain([Self::LATENCY]));
+        }
+        let asked = Asked::of(&linear, t_s, &base, FLOOR_RAD_S);
+        let sure = |better: Option<Better>| better.filter(Better::is_sure);
+        let bias: Vec<usize> = Self::BIAS.collect();
+        let of_bias = |course: fn(&Better) -> BiasCourse, better: Option<Better>| {
+            let better = sure(better)?;
+            Some((better.squares, Self { course: Some(course(&better)), ..self.clone() }))
+        };
+        let is_constant = self.course.is_none();
+        let step = is_constant.then(|| of_bias(stepped, asked.step(&bias))).flatten();
+        let decay = is_constant.then(|| of_bias(warming, asked.decay(&bias))).flatten();
+        let mount: Vec<usize> = Self::MOUNT.collect();
+        let slip = (moves && self.slip.is_none()).then(|| sure(asked.step(&mount))).flatten();
+        let slip = slip.map(|slip| {
+            let slipped = Some((slip.at_s, slip.interval_s, Rotation::identity()));
+            (slip.squares, Self { slip: slipped, ..self.clone() })
+        });
+        let of_bias = [step, decay].into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0));
+        let rival = of_bias.as_ref().map_or(asked.squares, |(squares, _)| *squares);
+        match slip {
+            Some((squares, model)) if squares < CLEARLY * rival => Some(model),
+            _ => of_bias.map(|(_, model)| model),
+        }
+    }
+
+    /// The parameters that changes add.
+    pub(super) fn free_by_changes(&self) -> impl Iterator<Item = usize> + use<> {
+        let of_bias = self.course.is_some().then_some(Self::CHANGE);
+        let of_mount = self.slip.is_some().then_some(Self::SLIP);
+        of_bias.into_iter().chain(of_mount).flatten()
+    }
+
+    pub(super) fn mount_change(&self, solved: &Solved) -> Option<MountChange> {
+        let (at_s, interval_s, slip) = self.slip?;
+        let columns: Vec<usize> = Self::SLIP.collect();
+        let size_rad = solved.length(&columns, rotvec_from_rotation(&slip).as_slice()).ok()?;
+        let link_from_imu = self.link_from_imu * slip;
+        Some(MountChange { at_s, interval_s, link_from_imu, size_rad })
+    }
+}
+
+fn stepped(better: &Better) -> BiasCourse {
+    BiasCourse::Step { at_s: better.at_s, interval_s: better.interval_s }
+}
+
+fn warming(better: &Better) -> BiasCourse {
+    BiasCourse::WarmUp { time_constant_s: better.at_s }
+}

@@ -1,0 +1,238 @@
+//! What an orientation does beside drifting steadily, jumping and wandering: the IMU slips in its mount, its
+//! yaw error hangs on its heading, or settles exponentially as the sensor warms up.
+//!
+//! Hard and soft iron turn a compass by harmonics of its heading, one turn and two turns a turn (the
+//! semicircular and quadrantal deviations of a ship's compass).
+
+use super::super::super::Measured;
+use super::super::super::model::FLOOR_RAD;
+use super::super::change::{Asked, Better};
+use super::super::found::{HeadingError, MountChange, YawWarmUp};
+use super::super::solve::Solved;
+use super::super::yaw;
+use super::{OrientationModel, Settled};
+use ground::geometry::{Rotation, Vec3, rotvec_from_rotation};
+
+/// A part of the yaw error that is a sum of given courses, each of some size.
+#[derive(Clone)]
+pub(super) struct Form {
+    kind: Kind,
+    /// Each course, one number a row.
+    pub weights: Vec<Vec<f64>>,
+    pub sizes_rad: Vec<f64>,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    /// Harmonics of the heading of this axis of the IMU.
+    Heading(usize),
+    /// An exponential of this time constant, s.
+    WarmUp(f64),
+}
+
+impl Form {
+    fn of(kind: Kind, weights: Vec<Vec<f64>>) -> Self {
+        Self { kind, sizes_rad: vec![0.0; weights.len()], weights }
+    }
+
+    /// What it turns the yaw by at a row, rad.
+    pub fn at(&self, row: usize) -> f64 {
+        self.weights.iter().zip(&self.sizes_rad).map(|(weight, size)| weight[row] * size).sum()
+    }
+}
+
+impl<'a> OrientationModel<'a> {
+    /// The column of the first jump.
+    pub(super) fn first_jump(&self) -> usize {
+        Self::PARTS + self.forms.iter().map(|form| form.sizes_rad.len()).sum::<usize>()
+    }
+
+    /// `link_from_imu` at a moment.
+    pub(super) fn mount_at(&self, t_s: f64) -> Rotation {
+        match &self.slip {
+            Some((at_s, _, slip)) if t_s > *at_s => self.link_from_imu * slip,
+            _ => self.link_from_imu,
+        }
+    }
+
+    /// The parameters that are free without any change.
+    fn constant(moves: bool) -> Vec<usize> {
+        let moving = [Self::LATENCY, Self::SKEW].into_iter().filter(move |_| moves);
+        Self::WORLD.chain([Self::DRIFT]).chain(Self::MOUNT).chain(moving).collect()
+    }
+
+    fn stamps(&self, rows: &[usize]) -> Vec<f64> {
+        rows.iter().map(|&row| self.link.stream.track.t_s[self.rows[row]]).collect()
+    }
+
+    /// The model with a mount that slips, where one surely does: by which far less is left than by a world
+    /// that turns at once.
+    pub(super) fn slipped(&self, moves: bool) -> Option<Self> {
+        /// It leaves at most this share of the squares that nothing leaves, …
+        const LEFT: f64 = 0.6;
+        /// … and of those that a world which jumps leaves.
+        const CLEARLY: f64 = 0.8;
+        let (linear, rows) = self.linearized();
+        let asked = Asked::of(&linear, self.stamps(&rows), &Self::constant(moves), FLOOR_RAD);
+        let mount: Vec<usize> = Self::MOUNT.collect();
+        let slip = asked.step(&mount).filter(Better::is_sure)?;
+        if slip.squares > LEFT * asked.squares {
+            return None;
+        }
+        let world: Vec<usize> = Self::WORLD.collect();
+        let rivals = asked.step(&world).into_iter().chain(
+            self.headings_by_axis(&rows)
+                .into_iter()
+                .filter_map(|(_, weights)| asked.better(&Self::YAW, &weights)),
+        );
+        let rival = rivals.map(|rival| rival.squares).fold(f64::INFINITY, f64::min);
+        let slipped = Some((slip.at_s, slip.interval_s, Rotation::identity()));
+        (slip.squares < CLEARLY * rival).then(|| Self { slip: slipped, ..self.clone() })
+    }
+
+    /// The longer of the two sides of a slip, s.
+    pub(super) fn longer_side(&self) -> (f64, f64) {
+        match self.slip {
+            Some((at_s, ..)) if at_s > self.link.middle_s => (f64::NEG_INFINITY, at_s),
+            Some((at_s, ..)) => (at_s, f64::INFINITY),
+            None => (f64::NEG_INFINITY, f64::INFINITY),
+        }
+    }
+
+    pub(super) fn mount_change(&self, solved: &Solved) -> Option<MountChange> {
+        let (at_s, interval_s, slip) = self.slip?;
+        let columns: Vec<usize> = Self::SLIP.collect();
+        let size_rad = solved.length(&columns, rotvec_from_rotation(&slip).as_slice()).ok()?;
+        let link_from_imu = self.link_from_imu * slip;
+        Some(MountChange { at_s, interval_s, link_from_imu, size_rad })
+    }
+
+    /// A turn of the world about the vertical.
+    const YAW: [usize; 1] = [Self::WORLD.start + 2];
+
+    /// The model with what hangs on the heading, or with what settles, where that surely is there and
+    /// leaves nothing of a walk or of jumps that would be there without it.
+    pub(super) fn shaped(&self, moves: bool) -> Option<(Self, Settled<'a>)> {
+        /// It leaves at most this share of the squares, …
+        const LEFT: f64 = 0.5;
+        /// … of a jump's, …
+        const CLEARLY: f64 = 0.8;
+        /// … and of the walk.
+        const WALK_LEFT: f64 = 0.3;
+        let (linear, rows) = self.linearized();
+        let asked = Asked::of(&linear, self.stamps(&rows), &Self::constant(moves), FLOOR_RAD);
+        let sure = |better: Option<Better>| better.filter(Better::is_sure);
+        let headings = self.headings_by_axis(&rows).into_iter().filter_map(|(axis, weights)| {
+            let better = sure(asked.better(&Self::YAW, &weights))?;
+            Some((better.squares, Kind::Heading(axis)))
+        });
+        let decay = sure(asked.decay(&Self::YAW));
+        let decay = decay.map(|decay| (decay.squares, Kind::WarmUp(decay.at_s)));
+        let all = headings.chain(decay).min_by(|a, b| a.0.total_cmp(&b.0));
+        let (squares, kind) = all.filter(|(squares, _)| *squares < LEFT * asked.squares)?;
+        let jump = asked.step(&Self::YAW).map_or(f64::INFINITY, |jump| jump.squares);
+        if squares > CLEARLY * jump {
+            return None;
+        }
+        let before = yaw::explain(&self.yaw_beside_forms()).parts;
+        let mut model = self.with_form(kind);
+        let mut settled = model.settle(moves);
+        if matches!(kind, Kind::Heading(_)) {
+            // The headings are known better with what they did taken off.
+            model = Self { forms: Vec::new(), ..settled.model }.with_form(kind);
+            settled = model.settle(moves);
+        }
+        let after = yaw::explain(&settled.model.yaw_beside_forms()).parts;
+        let walk = before.walk_rad_rt_s.unwrap_or(f64::INFINITY);
+        let is_steady = after.walk_rad_rt_s.is_none_or(|left| left < WALK_LEFT * walk);
+        (is_steady && after.jumps.len() <= before.jumps.len()).then_some((model, settled))
+    }
+
+    fn with_form(&self, kind: Kind) -> Self {
+        let rows: Vec<usize> = (0..self.rows.len()).collect();
+        let weights = match kind {
+            Kind::Heading(axis) => self
+                .headings_by_axis(&rows)
+                .into_iter()
+                .find(|(own, _)| *own == axis)
+                .map(|(_, weights)| weights)
+                .unwrap_or_default(),
+            Kind::WarmUp(tau_s) => {
+                let t_s = self.stamps(&rows);
+                let first_s = t_s.first().copied().unwrap_or_default();
+                vec![t_s.iter().map(|t_s| (-(t_s - first_s) / tau_s).exp()).collect()]
+            }
+        };
+        let forms = self.forms.iter().cloned().chain([Form::of(kind, weights)]).collect();
+        Self { forms, ..self.clone() }
+    }
+
+    /// The harmonics of the heading of each axis of the IMU over some rows.
+    fn headings_by_axis(&self, rows: &[usize]) -> Vec<(usize, Vec<Vec<f64>>)> {
+        let t_s = self.stamps(rows);
+        let mut sweep = self.link.sweep();
+        let by_fk: Vec<Rotation> = t_s
+            .iter()
+            .map(|stamp| {
+                let moment = self.link.at(self.delay.truth_s(*stamp), &mut sweep);
+                let rotation = moment.map_or(Rotation::identity(), |moment| moment.rotation);
+                self.world_from_base * rotation * self.mount_at(*stamp)
+            })
+            .collect();
+        let heading = |axis: usize| -> Vec<f64> {
+            let points = by_fk.iter().map(|rotation| rotation * Vec3::ith(axis, 1.0));
+            points.map(|points| points.y.atan2(points.x)).collect()
+        };
+        let harmonics = |axis: usize| -> Vec<Vec<f64>> {
+            let heading = heading(axis);
+            let course = |of: fn(f64) -> f64| heading.iter().map(|one| of(*one)).collect();
+            vec![
+                course(f64::sin),
+                course(f64::cos),
+                course(|one| (2.0 * one).sin()),
+                course(|one| (2.0 * one).cos()),
+            ]
+        };
+        (0..3).map(|axis| (axis, harmonics(axis))).collect()
+    }
+
+    /// What hangs on the heading, and what settles.
+    pub(super) fn formed(&self, solved: &Solved) -> (Option<HeadingError>, Option<YawWarmUp>) {
+        let (mut heading, mut warm_up) = (None, None);
+        let mut column = Self::PARTS;
+        for form in &self.forms {
+            let columns: Vec<usize> = (column..column + form.sizes_rad.len()).collect();
+            column += columns.len();
+            match form.kind {
+                Kind::Heading(axis) => {
+                    let turned = (0..self.rows.len()).map(|row| (row, form.at(row)));
+                    let least = turned.clone().min_by(|a, b| a.1.total_cmp(&b.1));
+                    let most = turned.max_by(|a, b| a.1.total_cmp(&b.1));
+                    heading = least.zip(most).and_then(|(least, most)| {
+                        let half = |weight: &Vec<f64>| 0.5 * (weight[most.0] - weight[least.0]);
+                        let along: Vec<f64> = form.weights.iter().map(half).collect();
+                        let half = 0.5 * (most.1 - least.1);
+                        let amplitude_rad = solved.along(&columns, &along, half).ok()?;
+                        Some(HeadingError { amplitude_rad, axis })
+                    });
+                }
+                Kind::WarmUp(time_constant_s) => {
+                    let size = solved.one(columns[0], form.sizes_rad[0]);
+                    warm_up = size.ok().map(|size| {
+                        let times = |by: f64| Measured {
+                            value: size.value * by,
+                            std_error: size.std_error * by.abs(),
+                            ..size
+                        };
+                        YawWarmUp {
+                            time_constant_s,
+                            turned_rad: times(-1.0),
+                            at_first_rad_s: times(-1.0 / time_constant_s),
+                        }
+                    });
+                }
+            }
+        }
+        (heading, warm_up)
+    }
+}
