@@ -133,7 +133,7 @@ fn in_steps(told_t_s: &[f64], told: &[f64], done_t_s: &[f64], done: &[f64]) -> b
 fn columns(series: &PoseSeries) -> Vec<Vec<f64>> {
     const LENGTH_M: f64 = 0.3;
     let mut turned = Vec3::zeros();
-    let mut columns = vec![Vec::with_capacity(series.poses.len()); 6];
+    let mut columns: [Vec<f64>; 6] = Default::default();
     for (row, pose) in series.poses.iter().enumerate() {
         if let Some(before) = row.checked_sub(1).map(|before| &series.poses[before]) {
             turned += rotvec_from_rotation(&(pose.rotation * before.rotation.inverse()));
@@ -142,7 +142,7 @@ fn columns(series: &PoseSeries) -> Vec<Vec<f64>> {
         let both = pose.translation.vector.iter().chain(scaled.iter());
         columns.iter_mut().zip(both).for_each(|(column, value)| column.push(*value));
     }
-    columns
+    columns.to_vec()
 }
 
 fn follow(
