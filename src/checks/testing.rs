@@ -297,6 +297,7 @@ fn clean_stream() -> PoseDiagnosis {
             before_rad: 1e-5,
         }),
         nominal: false,
+        link_m: None,
         observability: None,
         top_speed_m_s: 0.8,
         aligned: Aligned::default(),

@@ -17,6 +17,7 @@ mod changes;
 mod constant;
 mod course;
 mod dh;
+mod drawing;
 mod explain;
 mod frames;
 mod handeye;
@@ -349,6 +350,9 @@ pub struct PoseDiagnosis {
     /// Whether what is left is that of nominal kinematics against a calibrated arm: at most 10 mm
     /// and 0.5°, and explained by small changes of many kinematic parameters.
     pub nominal: bool,
+    /// By how much each link of such an arm differs from the drawing, as a standard deviation, m; its
+    /// angles by 0.1° where that is 1 mm.
+    pub link_m: Option<f64>,
     /// What this log tells of each parameter of the model; `None` where nothing was fitted.
     pub observability: Option<Observability>,
     /// Largest speed of the tip by FK, m/s.

@@ -263,6 +263,14 @@ impl Sweep {
         &self.q
     }
 
+    /// What a joint's coordinate does to a point of the link at the last prediction, `lever` from its
+    /// origin: linear and angular, in the chain's base.
+    pub fn column(&self, joint: usize, lever: &Vec3) -> (Vec3, Vec3) {
+        let [x, y, z, rx, ry, rz] = self.jacobian[joint];
+        let angular = Vec3::new(rx, ry, rz);
+        (Vec3::new(x, y, z) + angular.cross(lever), angular)
+    }
+
     /// Linear and angular velocity of the link at the last prediction, in the chain's base.
     pub fn twist(&self) -> (Vec3, Vec3) {
         let mut twist = (Vec3::zeros(), Vec3::zeros());
@@ -392,9 +400,8 @@ impl Witness<'_> {
         // The chain's Jacobian is that of the link; the tool point adds the lever to it.
         let base_from_link = predicted.in_base.rotation * stream.tool.rotation.inverse();
         let lever = base_from_link * stream.tool.translation.vector;
-        for (i, column) in sweep.jacobian.iter().enumerate() {
-            let angular = Vec3::new(column[3], column[4], column[5]);
-            let linear = Vec3::new(column[0], column[1], column[2]) + angular.cross(&lever);
+        for i in 0..sweep.jacobian.len() {
+            let (linear, angular) = sweep.column(i, &lever);
             let (linear, angular) = (to_reference * linear, to_reference * angular);
             set(self.columns[i], linear, angular);
             if let Some(gain) = self.gain_of(self.columns[i]).filter(|&gain| gain < joints) {

@@ -19,14 +19,14 @@ use nalgebra::{DMatrix, DVector};
 /// No arm's calibration moves its tip by more, rms: 10 mm and 0.5°.
 pub(super) const MOST_M: f64 = 10e-3;
 pub(super) const MOST_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
-/// Less than this beyond the noise is no calibration's, rms: 0.3 mm.
-const LEAST_M: f64 = 0.3e-3;
+/// Less than this beyond the noise is no drawing's, rms: 0.05 mm.
+const LEAST_M: f64 = 0.05e-3;
 /// By how much calibrations usually change a link's frame in each direction: half a millimetre and
 /// 0.04° (as UR's factory calibrations do).
 const USUAL_M: f64 = 0.5e-3;
 const USUAL_RAD: f64 = 0.7e-3;
 /// What is not known before: frames and times that may be anything, m, rad or s.
-const ANYTHING: f64 = 0.1;
+pub(super) const ANYTHING: f64 = 0.1;
 /// Link frames change by no more than about this, m and rad: steps are damped at this scale.
 const SCALE: f64 = 0.01;
 /// Samples that are fitted.
@@ -37,21 +37,22 @@ const ROUNDS: usize = 4;
 /// Whether `witness` is of an arm that small changes of the link frames make of the model, rather
 /// than of one with the causes in `state`.
 ///
-/// `plain` is the stream's state without any cause but latency and large frames.
+/// `plain` is the stream's state without any cause but latency and large frames, `offsets` the joint
+/// zeros that stand out of what links make.
 pub(super) fn is_nominal(
     witness: &Witness,
     stream: usize,
     state: &State,
     plain: &StreamState,
+    offsets: &[f64],
 ) -> bool {
-    let none = vec![0.0; state.offsets.len()];
     let stride = witness.len().div_ceil(SAMPLES).max(1);
-    let as_recorded = witness.linearize(plain, &none, stride);
+    let as_recorded = witness.linearize(plain, offsets, stride);
     let rms_m = rms(&as_recorded.residual[0]);
     if rms_m > MOST_M || rms(&as_recorded.residual[1]) > MOST_RAD {
         return false;
     }
-    let calibration = Calibration::fit(witness, plain, stride);
+    let calibration = Calibration::fit(witness, plain, offsets, stride);
     let noise_m = 3f64.sqrt() * calibration.weights[0].noise.sigma;
     if rms_m.powi(2) - noise_m.powi(2) < LEAST_M.powi(2) {
         return false;
@@ -85,17 +86,16 @@ pub(super) fn calibrated(
     stride: usize,
 ) -> Vec<Vec<[f64; 3]>> {
     let few = witness.len().div_ceil(SAMPLES).max(1);
-    let calibration = Calibration::fit(witness, plain, few);
     let none = vec![0.0; witness.joints.dof];
+    let calibration = Calibration::fit(witness, plain, &none, few);
     let rows = (0..witness.len()).step_by(stride.max(1));
-    link_frames(witness, plain, &none, rows).after(calibration.step.as_slice())
+    link_frames(witness, plain, &none, rows, false).after(calibration.step.as_slice())
 }
 
 impl Calibration {
-    fn fit(witness: &Witness, plain: &StreamState, stride: usize) -> Self {
+    fn fit(witness: &Witness, plain: &StreamState, offsets: &[f64], stride: usize) -> Self {
         let rows = (0..witness.len()).step_by(stride);
-        let none = vec![0.0; witness.joints.dof];
-        let frames = link_frames(witness, plain, &none, rows);
+        let frames = link_frames(witness, plain, offsets, rows, false);
         let all: Vec<usize> = (0..frames.width).collect();
         let usual: Vec<f64> = all.iter().map(|&i| usual_change(i, witness, plain)).collect();
         let none = DVector::zeros(frames.width);
@@ -130,16 +130,20 @@ impl Calibration {
 /// By how much parameter `i` of [`link_frames`] usually differs from a drawing. What is free without
 /// any calibration, such as a tool that nobody named, is not known before.
 fn usual_change(i: usize, witness: &Witness, plain: &StreamState) -> f64 {
+    match i % 6 {
+        _ if is_anything(i, witness, plain) => ANYTHING,
+        0..3 => USUAL_M,
+        _ => USUAL_RAD,
+    }
+}
+
+/// Whether parameter `i` of [`link_frames`] may be anything, whatever the drawing is.
+pub(super) fn is_anything(i: usize, witness: &Witness, plain: &StreamState) -> bool {
     let joints = witness.columns.len();
-    let is_anything = match i / 6 {
+    match i / 6 {
         0 => !witness.reference_known || plain.reference != Pose::identity(),
         link if link == joints => plain.tool != Pose::identity(),
         link => link > joints,
-    };
-    match i % 6 {
-        _ if is_anything => ANYTHING,
-        0..3 => USUAL_M,
-        _ => USUAL_RAD,
     }
 }
 
@@ -161,15 +165,18 @@ fn price_of(step: &DVector<f64>, normal: &Normal, usual: &[f64]) -> f64 {
 }
 
 /// Some samples of a stream linearised about `plain` and `offsets`, in small changes of the reference
-/// and of every joint's child link frame, each six numbers, and in its latency.
+/// and of every joint's child link frame, each six numbers, in its latency, and `with_zeros` in the zero
+/// of every joint of the chain.
 pub(super) fn link_frames(
     witness: &Witness,
     plain: &StreamState,
     offsets: &[f64],
     rows: impl Iterator<Item = usize>,
+    with_zeros: bool,
 ) -> Linear {
     let (joints, blind) = (witness.columns.len(), witness.blind);
-    let width = 6 * (joints + 1) + 1;
+    let latency = 6 * (joints + 1);
+    let width = latency + 1 + if with_zeros { joints } else { 0 };
     let mut linear = Linear::new(width, &[FLOOR_M, FLOOR_RAD]);
     let mut sweep = Sweep::new(witness);
     let mut links = Vec::new();
@@ -192,8 +199,18 @@ pub(super) fn link_frames(
         }
         let (velocity, rate) =
             (plain.reference.rotation * velocity, plain.reference.rotation * rate);
-        rows.set(0, width - 1, blind.position((-velocity).into()));
-        rows.set(1, width - 1, blind.rotation((-rate).into()));
+        rows.set(0, latency, blind.position((-velocity).into()));
+        rows.set(1, latency, blind.rotation((-rate).into()));
+        let reference = plain.reference.rotation;
+        let base_from_link =
+            reference.inverse() * predicted.rotation * plain.tool.rotation.inverse();
+        let lever = base_from_link * plain.tool.translation.vector;
+        for joint in (0..joints).filter(|_| with_zeros) {
+            let (linear, angular) = sweep.column(joint, &lever);
+            let (linear, angular) = (reference * linear, reference * angular);
+            rows.set(0, latency + 1 + joint, blind.position(linear.into()));
+            rows.set(1, latency + 1 + joint, blind.rotation(angular.into()));
+        }
     }
     linear
 }

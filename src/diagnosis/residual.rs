@@ -100,7 +100,7 @@ fn in_common(witness: &Witness, stream: &StreamState, offsets: &[f64]) -> [Measu
     let rows: Vec<usize> = (0..witness.len()).step_by(stride).collect();
     let parts: Vec<Linear> = rows
         .chunks(rows.len().div_ceil(PARTS).max(1))
-        .map(|rows| link_frames(witness, stream, offsets, rows.iter().copied()))
+        .map(|rows| link_frames(witness, stream, offsets, rows.iter().copied(), false))
         .collect();
     let normals: Vec<Normal> = parts.iter().map(normal_of).collect();
     let foretold = |part: usize| {

@@ -2,7 +2,7 @@ use crate::checks::decision::{DEGREE, Decision, Threshold, decide, unseen};
 use crate::checks::poses::frm001;
 use crate::checks::twins::{estimate, twin_cause};
 use crate::checks::{Case, Grade, Judged, changes, standing};
-use crate::diagnosis::{FrameEstimate, JointOffset, Measured, Seen, Twin};
+use crate::diagnosis::{FrameEstimate, JointOffset, Measured, Seen, Twin, Unseen};
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Witness;
@@ -109,10 +109,16 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
         },
         (Decision::Pass, _) => Outcome::sound(),
         (_, Some(twin)) if !offset.chosen => not_told_from(arm, &twin),
+        (Decision::Fail(_), _) if arm.poses.iter().any(|s| s.diagnosis.nominal) => {
+            unseen(&Unseen::NominalKinematics, SETTLE)
+        }
         (Decision::Fail(_), _) => {
             let shown = threshold.unit.show_signed(measured);
             let why = format!("{shown} would fit, but what is found explains the log without it");
             Outcome::Inconclusive(format!("{why}; {SETTLE}"))
+        }
+        (Decision::Undecided(_), _) if arm.poses.iter().any(|s| s.diagnosis.nominal) => {
+            unseen(&Unseen::NominalKinematics, SETTLE)
         }
         (Decision::Undecided(why), _) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
     };

@@ -1,5 +1,6 @@
 //! The fit of all streams of an arm together, from the start that explains each one best.
 
+use crate::drawing::{Drawing, drawing};
 use crate::explain::{Approach, Cause, Explanation, Menu, best, explain};
 use crate::frames::starts;
 use crate::harmless::tools_first;
@@ -18,9 +19,9 @@ const FIT_SAMPLES: usize = 4000;
 pub(super) struct Fitted {
     pub(super) explanation: Explanation,
     pub(super) menu: Menu,
-    /// Whether the model is a drawing held against a calibrated arm, so that no single cause of
-    /// that size is named.
-    pub(super) nominal: bool,
+    /// What the joints' zeros are where the model is a drawing held against a calibrated arm, so that
+    /// no cause is named that small deviations of all links make.
+    pub(super) nominal: Option<Drawing>,
 }
 
 pub(super) fn fit(prepared: &[&Prepared], read: &Read, with_offsets: bool) -> Option<Fitted> {
@@ -41,12 +42,17 @@ pub(super) fn fit(prepared: &[&Prepared], read: &Read, with_offsets: bool) -> Op
     let explanation = tools_first(&witnesses, explanation, &menu, FIT_SAMPLES);
     let plain: Vec<StreamState> =
         (0..witnesses.len()).map(|s| without_small_causes(&explanation, s)).collect();
-    let nominal = with_offsets
-        && (0..witnesses.len()).any(|s| is_nominal(witnesses[s], s, &explanation.state, &plain[s]));
-    if !nominal {
-        return Some(Fitted { explanation, menu, nominal });
-    }
     let large = large_zeros(&explanation.state, read);
+    let most = (0..witnesses.len()).max_by_key(|&s| witnesses[s].len())?;
+    let is_open = with_offsets && leaves_room(&explanation);
+    let drawing = if is_open { drawing(witnesses[most], &plain[most], &large) } else { None };
+    let offsets = drawing.as_ref().map_or_else(|| large.clone(), |it| it.with_zeros(&large));
+    let is_of_calibrated =
+        |s: usize| is_nominal(witnesses[s], s, &explanation.state, &plain[s], &offsets);
+    if !is_open || !(0..witnesses.len()).any(is_of_calibrated) {
+        return Some(Fitted { explanation, menu, nominal: None });
+    }
+    let large = offsets;
     let kept = |cause: &Cause| match *cause {
         Cause::Zero(joint) => large[joint] != 0.0,
         Cause::Growth(_) => false,
@@ -58,7 +64,17 @@ pub(super) fn fit(prepared: &[&Prepared], read: &Read, with_offsets: bool) -> Op
     let menu = Menu { optional: menu.optional.into_iter().filter(kept).collect(), ..menu };
     let start = State { offsets: large, streams: plain };
     let explanation = explain(&witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
-    Some(Fitted { explanation, menu, nominal })
+    Some(Fitted { explanation, menu, nominal: drawing })
+}
+
+/// Whether what was chosen may be what small deviations of all links make: several causes, or one
+/// beside which something is left.
+fn leaves_room(explanation: &Explanation) -> bool {
+    /// Noise that inflates the variance of a mean by more may be what a wrong model leaves.
+    const MEMORY: f64 = 1.5;
+    let is_small = |cause: &&Cause| !matches!(cause, Cause::Skew(_) | Cause::Gain(_));
+    explanation.causes.iter().filter(is_small).count() > 1
+        || explanation.noise().iter().any(|noise| noise.inflation() > MEMORY)
 }
 
 /// The joint offsets that no calibration feigns, and what scales are found.

@@ -46,6 +46,7 @@ pub(super) fn no_diagnosis(why: Unseen) -> PoseDiagnosis {
         taken: Taken::default(),
         residual: Err(rests()),
         nominal: false,
+        link_m: None,
         observability: None,
         top_speed_m_s: 0.0,
         aligned: Aligned::default(),
@@ -112,7 +113,7 @@ pub(super) fn stream_diagnosis(
         with
     };
     let one = |cause: Cause| {
-        if fitted.nominal && matches!(cause, Cause::Growth(_)) {
+        if fitted.nominal.is_some() && matches!(cause, Cause::Growth(_)) {
             Err(Unseen::NominalKinematics)
         } else if is_hidden(fitted, cause, index) {
             Err(Unseen::NotExcited)
@@ -131,7 +132,7 @@ pub(super) fn stream_diagnosis(
         None => latency_s,
     };
     let frame = |cause: Cause| {
-        if fitted.nominal && !menu.all().contains(&cause) {
+        if fitted.nominal.is_some() && !menu.all().contains(&cause) {
             return Err(Unseen::NominalKinematics);
         }
         if is_hidden(fitted, cause, index) {
@@ -179,7 +180,8 @@ pub(super) fn stream_diagnosis(
         coded_s: None,
         taken: found.taken(),
         residual,
-        nominal: fitted.nominal,
+        nominal: fitted.nominal.is_some(),
+        link_m: fitted.nominal.as_ref().map(|drawing| drawing.link_m),
         observability: Some(observability),
         top_speed_m_s: placement.top_speed_m_s,
         aligned,

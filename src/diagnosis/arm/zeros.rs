@@ -39,8 +39,9 @@ pub(super) fn joint_offsets(
         .map(|joint| {
             let cause = Cause::Zero(joint);
             let chosen = explanation.causes.contains(&cause);
-            let offset = if fitted.nominal {
-                Err(Unseen::NominalKinematics)
+            let beside = fitted.nominal.as_ref().map(|drawing| drawing.zeros[joint]);
+            let offset = if let Some(zero) = beside {
+                zero.ok_or(Unseen::NominalKinematics)
             } else if !zeros.contains(&cause) {
                 Err(Unseen::NotExcited)
             } else if chosen {
