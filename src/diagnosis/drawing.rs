@@ -57,10 +57,10 @@ impl Drawing {
 pub(super) fn drawing(witness: &Witness, plain: &StreamState, offsets: &[f64]) -> Option<Drawing> {
     let stride = witness.len().div_ceil(SAMPLES).max(1);
     let mut offsets = offsets.to_vec();
-    let mut found: Option<(Drawing, Vec<f64>)> = None;
+    let (mut found, mut named) = (None, Vec::new());
     for _ in 0..ROUNDS {
         let model = Model::at(witness, plain, &offsets, stride)?;
-        let (chosen, link_m) = model.likeliest();
+        let (chosen, link_m) = model.likeliest(named);
         let posterior = model.posterior(&chosen, link_m)?;
         let mut next = offsets.clone();
         for &joint in &chosen {
@@ -82,14 +82,14 @@ pub(super) fn drawing(witness: &Witness, plain: &StreamState, offsets: &[f64]) -
         for joint in 0..witness.columns.len() {
             zeros[witness.columns[joint]] = zero(joint);
         }
-        let named = chosen.iter().map(|&joint| witness.columns[joint]).collect();
-        found = Some((Drawing { named, zeros, link_m }, next.clone()));
-        offsets = next;
+        let columns = chosen.iter().map(|&joint| witness.columns[joint]).collect();
+        found = Some(Drawing { named: columns, zeros, link_m });
+        (offsets, named) = (next, chosen);
         if moved < 1e-6 {
             break;
         }
     }
-    found.map(|(drawing, _)| drawing)
+    found
 }
 
 /// The log linearised in the link frames, the latency and the zeros.
@@ -212,9 +212,10 @@ impl Model {
             .unwrap_or((least, f64::NEG_INFINITY))
     }
 
-    /// The zeros that stand out of what the links make, and by how much these are off, m.
-    fn likeliest(&self) -> (Vec<usize>, f64) {
-        let mut chosen = Vec::new();
+    /// The zeros that stand out of what the links make, those of `named` among them, and by how much
+    /// links are off, m.
+    fn likeliest(&self, named: Vec<usize>) -> (Vec<usize>, f64) {
+        let mut chosen = named;
         let (mut link_m, mut evidence) = self.best_link(&chosen);
         while chosen.len() < MOST {
             let others = (0..self.joints).filter(|joint| !chosen.contains(joint));

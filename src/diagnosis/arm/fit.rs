@@ -61,7 +61,13 @@ pub(super) fn fit(prepared: &[&Prepared], read: &Read, with_offsets: bool) -> Op
         Cause::Reference(s) => plain[s].reference != Pose::identity(),
         Cause::Tool(s) => plain[s].tool != Pose::identity(),
     };
-    let menu = Menu { optional: menu.optional.into_iter().filter(kept).collect(), ..menu };
+    let is_named = |cause: &Cause| match *cause {
+        Cause::Zero(joint) => drawing.as_ref().is_some_and(|it| it.named.contains(&joint)),
+        _ => false,
+    };
+    let (named, optional): (Vec<Cause>, Vec<Cause>) =
+        menu.optional.into_iter().filter(kept).partition(is_named);
+    let menu = Menu { always: [menu.always, named].concat(), optional };
     let start = State { offsets: large, streams: plain };
     let explanation = explain(&witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
     Some(Fitted { explanation, menu, nominal: drawing })

@@ -38,8 +38,10 @@ pub(super) fn joint_offsets(
     (0..joints.dof)
         .map(|joint| {
             let cause = Cause::Zero(joint);
-            let chosen = explanation.causes.contains(&cause);
-            let beside = fitted.nominal.as_ref().map(|drawing| drawing.zeros[joint]);
+            let drawing = fitted.nominal.as_ref();
+            let chosen = explanation.causes.contains(&cause)
+                || drawing.is_some_and(|drawing| drawing.named.contains(&joint));
+            let beside = drawing.map(|drawing| drawing.zeros[joint]);
             let offset = if let Some(zero) = beside {
                 zero.ok_or(Unseen::NominalKinematics)
             } else if !zeros.contains(&cause) {
