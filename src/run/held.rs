@@ -76,11 +76,22 @@ pub(super) fn held(series: &[Series<'_>]) -> Vec<Held> {
         .filter(|series| matches!(series.values, Values::Joints(_)))
         .map(paces)
         .collect();
-    let joints = series.iter().filter(|series| matches!(series.values, Values::Joints(_)));
+    let is_of_joints = |series: &&Series<'_>| matches!(series.values, Values::Joints(_));
+    let of_joints: Vec<Option<Held>> = series
+        .par_iter()
+        .map(|series| Some(series).filter(is_of_joints).and_then(|own| of(own, &motion, &[])))
+        .collect();
+    // What is computed from joint states that are held has their stamps; of fresh ones it holds its own.
+    let held = series.iter().zip(&of_joints);
+    let held = held.filter(|(_, found)| found.as_ref().is_some_and(Held::is_taken_once));
     let mut stamps: Vec<Stamp> =
-        joints.flat_map(|series| series.rows.iter().map(|(stamp, _)| *stamp)).collect();
+        held.flat_map(|(series, _)| series.rows.iter().map(|(stamp, _)| *stamp)).collect();
     stamps.sort_unstable();
-    series.par_iter().filter_map(|series| of(series, &motion, &stamps)).collect()
+    let found = |(series, own): (&Series<'_>, Option<Held>)| match series.values {
+        Values::Joints(_) => own,
+        _ => of(series, &motion, &stamps),
+    };
+    series.par_iter().zip(of_joints).filter_map(found).collect()
 }
 
 /// Rows that follow each other with one value.

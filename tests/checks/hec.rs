@@ -244,7 +244,7 @@ fn a_tag_of_another_size_is_told_from_a_lens() {
         });
         the(&log.audited(), "HEC001", TARGET).clone()
     };
-    let factor = |finding: &Finding, key: &str| finding.evidence.more[key]["value"].as_f64();
+    let factor = |finding: &Finding, key: &str| finding.evidence.more.get(key)?["value"].as_f64();
     let tag = audited(1.1, None);
     let size = factor(&tag, "scale").expect("a size");
     assert!((size - 1.1).abs() < 5e-3 && factor(&tag, "depth_scale").is_none(), "{tag:?}");

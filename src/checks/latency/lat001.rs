@@ -127,7 +127,7 @@ fn judge_without_joints(case: &Case, target: &HandEyeEvidence) -> Option<Judged>
     let side = if latency.value > 0.0 { "late" } else { "early" };
     let why = format!(
         "{} {side} against {}, and without joint states of a known model nothing shows which of the two; \
-         name the arm with --robot",
+         record them, or name the arm with --robot",
         THRESHOLD.unit.show_measured(&size),
         target.hand,
     );

@@ -21,7 +21,7 @@ rule! {
     /// `repeated` of `rows` in motion repeat the row before; `rows_hz` is their rate and `values_hz` the
     /// true one, of new values. `mean_age_s` is how long a row's value had been there, in the mean. The
     /// estimate is the share of rows that repeat. The other rules take each value once: joint states, and
-    /// what is stamped with them, at the time they were new; other streams at the middle of the time that
+    /// what repeats with them, at the time they were new; other streams at the middle of the time that
     /// they are held, so that a latency (LAT001) holds the mean age.
     ///
     /// ## How to fix

@@ -96,7 +96,9 @@ pub(super) fn better_reading(
     if left.excess_m.value < CLOSES.0 && left.excess_rad.value < CLOSES.1 {
         return None;
     }
-    stretched(streams, as_logged, lag_s).or_else(|| otherwise(streams, as_logged, lag_s))
+    let found = [stretched(streams, as_logged, lag_s), otherwise(streams, as_logged, lag_s)];
+    let misfit = |one: &(TargetReading, Solution)| one.1.misfit_rad;
+    found.into_iter().flatten().min_by(|a, b| misfit(a).total_cmp(&misfit(b)))
 }
 
 /// The stretch of the positions under which the chain closes far better than `as_logged`.
@@ -105,7 +107,7 @@ fn stretched(
     as_logged: &Solution,
     lag_s: f64,
 ) -> Option<(TargetReading, Solution)> {
-    /// What is left beyond the noise is less than this share of what was.
+    /// What is left beyond the noise is less than this share of what was, and of what is left with it.
     const LESS: f64 = 0.5;
     let with = |stretch: Stretch| {
         let reading = TargetReading::Stretched(stretch);
@@ -117,7 +119,8 @@ fn stretched(
     let (_, first) = with(at(as_logged)?)?;
     let (reading, solution) = with(at(&first)?)?;
     let (left_m, was_m) = (solution.closure.excess_m.value, as_logged.closure.excess_m.value);
-    (left_m < LESS * was_m).then_some((reading, solution))
+    let closes = left_m < LESS * was_m && left_m < LESS * solution.closure.rms_m;
+    closes.then_some((reading, solution))
 }
 
 /// Another reading than a stretch.
