@@ -10,8 +10,10 @@ use ground::geometry::Vec3;
 /// Shake of a path, where it is strongest for a second and a half.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Shake {
-    /// Its rms above `FROM_HZ`, the noise floor taken off, m.
+    /// Its rms above `from_hz`, the noise floor taken off, m.
     pub rms_m: f64,
+    /// Where it is looked for, Hz: above the work of the arm.
+    pub from_hz: f64,
     /// Rms of the noise there: what all frequencies have alike, m.
     pub noise_m: f64,
     /// The least shake that stands out from that noise, m.
@@ -33,6 +35,12 @@ pub enum NoShake {
 
 /// Arms work below this frequency, Hz.
 pub const FROM_HZ: f64 = 10.0;
+/// What is slower is no shake, even where the arm works slower still, Hz.
+const LEAST_HZ: f64 = 4.0;
+/// Above where its work ends the arm moves by less, rms m.
+const WORK_ENDS_M: f64 = 0.1e-3;
+/// Below `FROM_HZ` shake is a tone: so much of it is in the bins about the strongest.
+const TONE: f64 = 0.7;
 /// Fewer samples a second leave next to nothing between `FROM_HZ` and half the rate.
 const SLOWEST_HZ: f64 = 25.0;
 /// Length of a window, s.
@@ -40,7 +48,9 @@ const WINDOW_S: f64 = 1.0;
 /// About so many positions are looked at, in blocks all over the run.
 const ENOUGH: usize = 60_000;
 
-/// The shake of a path that is sampled at `t_s` and is at `position_m` of a row, m.
+/// The shake of a path that is sampled at `t_s` and is at `position_m` of a row, m. Where it is known,
+/// `work_m` is where the arm was going at a row: then shake is also looked for between the frequency at
+/// which that ends and `FROM_HZ`.
 ///
 /// The run is cut into blocks of two windows of a second that overlap by half. Of each window a
 /// parabola is taken off, which is where the arm was going, and Hann's window put on; the power above
@@ -51,7 +61,11 @@ const ENOUGH: usize = 60_000;
 ///
 /// # Errors
 /// Where the samples are too slow, or nowhere even.
-pub fn shake(t_s: &[f64], mut position_m: impl FnMut(usize) -> Vec3) -> Result<Shake, NoShake> {
+pub fn shake(
+    t_s: &[f64],
+    mut position_m: impl FnMut(usize) -> Vec3,
+    work_m: Option<&dyn Fn(usize) -> Vec3>,
+) -> Result<Shake, NoShake> {
     let period_s = period(t_s).ok_or(NoShake::Uneven)?;
     let rate_hz = 1.0 / period_s;
     if rate_hz <= SLOWEST_HZ {
@@ -76,8 +90,10 @@ pub fn shake(t_s: &[f64], mut position_m: impl FnMut(usize) -> Vec3) -> Result<S
     for start in starts().step_by(stride).filter(|&start| is_even(start)) {
         let mut path: Vec<Vec3> = (start..start + block).map(&mut position_m).collect();
         take_step_off(&mut path);
-        let first = spectrum.shake(&path[..length], t_s[start + hop]);
-        let second = spectrum.shake(&path[hop..], t_s[start + length]);
+        let work = work_m.map(|at| (start..start + block).map(at).collect::<Vec<Vec3>>());
+        let work = |from: usize| Some(&work.as_ref()?[from..from + length]);
+        let first = spectrum.shake(&path[..length], work(0), t_s[start + hop]);
+        let second = spectrum.shake(&path[hop..], work(hop), t_s[start + length]);
         let least = if first.rms_m < second.rms_m { first } else { second };
         if strongest.is_none_or(|strongest| least.rms_m > strongest.rms_m) {
             strongest = Some(least);
@@ -92,6 +108,9 @@ fn period(t_s: &[f64]) -> Option<f64> {
     let period_s = median(&mut steps)?;
     (period_s > 0.0).then_some(period_s)
 }
+
+/// The median of the sum of three axes' powers in noise over its mean: χ² of six degrees.
+const MEDIAN: f64 = 0.891;
 
 /// What the power of windows of one length is made with.
 struct Spectrum {
@@ -110,12 +129,28 @@ impl Spectrum {
         Self { plan, taper, rate_hz }
     }
 
-    /// The shake in a window of a path whose middle is at `at_s`.
-    fn shake(&mut self, path: &[Vec3], at_s: f64) -> Shake {
-        /// The median of the sum of three axes' powers in noise over its mean: χ² of six degrees.
-        const MEDIAN: f64 = 0.891;
-        /// Deviations of the noise's power that chance does not reach.
-        const SIGMAS: f64 = 6.0;
+    /// The shake in a window of a path whose middle is at `at_s`, and of which `work` is where the arm
+    /// was going.
+    fn shake(&mut self, path: &[Vec3], work: Option<&[Vec3]>, at_s: f64) -> Shake {
+        let power = self.power(path);
+        let from = (FROM_HZ / self.bin_hz(path.len())).ceil() as usize;
+        let fast = self.band(&power, from, path.len(), at_s);
+        let Some(work) = work.map(|work| self.power(work)) else { return fast };
+        let ends = self.work_ends(&work, from, path.len());
+        let slow = self.band(&power, ends, path.len(), at_s);
+        let strongest = (slow.frequency_hz / self.bin_hz(path.len())).round() as usize;
+        let about = power.get(strongest.saturating_sub(2)..).unwrap_or_default();
+        let tone: f64 = about.iter().take(5).sum();
+        let is_tone = strongest < from && tone > TONE * slow.rms_m.powi(2);
+        if is_tone && slow.rms_m > fast.rms_m { slow } else { fast }
+    }
+
+    fn bin_hz(&self, length: usize) -> f64 {
+        self.rate_hz / length as f64
+    }
+
+    /// The power of a path at each frequency, of its three axes together, m².
+    fn power(&mut self, path: &[Vec3]) -> Vec<f64> {
         let length = path.len();
         let mut power = vec![0.0; length / 2 + 1];
         for axis in 0..3 {
@@ -124,14 +159,36 @@ impl Spectrum {
             values.iter_mut().zip(&self.taper).for_each(|(value, taper)| *value *= taper);
             let mut bins = self.plan.make_output_vec();
             if self.plan.process(&mut values, &mut bins).is_err() {
-                return Shake::default();
+                return vec![0.0; length / 2 + 1];
             }
             // Both signs of a frequency, so that all powers sum to the mean square (Parseval).
             let scale = 2.0 / (length as f64).powi(2);
             power.iter_mut().zip(&bins).for_each(|(power, bin)| *power += scale * bin.norm_sqr());
         }
-        let bin_hz = self.rate_hz / length as f64;
-        let from = (FROM_HZ / bin_hz).ceil() as usize;
+        power
+    }
+
+    /// The bin from which on the work of an arm has no power, at most `most`.
+    fn work_ends(&self, power: &[f64], most: usize, length: usize) -> usize {
+        let least = (LEAST_HZ / self.bin_hz(length)).ceil() as usize;
+        let mut fast = power.get(most..length.div_ceil(2)).unwrap_or_default().to_vec();
+        // Encoders have noise of their own.
+        let floor = median(&mut fast).unwrap_or(0.0) / MEDIAN;
+        let mut beyond = 0.0;
+        for bin in (least..most).rev() {
+            beyond += (power.get(bin).unwrap_or(&0.0) - 3.0 * floor).max(0.0);
+            if beyond > WORK_ENDS_M.powi(2) {
+                return bin + 1;
+            }
+        }
+        least
+    }
+
+    /// The shake of a window from the bin `from` on.
+    fn band(&self, power: &[f64], from: usize, length: usize, at_s: f64) -> Shake {
+        /// Deviations of the noise's power that chance does not reach.
+        const SIGMAS: f64 = 6.0;
+        let bin_hz = self.bin_hz(length);
         // Without the last bin, which has no other sign.
         let band = power.get(from..length.div_ceil(2)).unwrap_or_default();
         let Some((strongest, _)) = band.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)) else {
@@ -146,6 +203,7 @@ impl Spectrum {
         let is_shake = excess > by_chance && excess.is_finite();
         Shake {
             rms_m: if is_shake { excess.sqrt() } else { 0.0 },
+            from_hz: from as f64 * bin_hz,
             noise_m: (count * floor).sqrt(),
             resolved_m: by_chance.sqrt(),
             frequency_hz: (from + strongest) as f64 * bin_hz,
@@ -205,7 +263,11 @@ mod tests {
         let t_s: Vec<f64> =
             (0..(10.0 * rate_hz) as usize).map(|row| row as f64 / rate_hz).collect();
         let work = |t: f64| 0.5 * (0.8 * t).sin();
-        shake(&t_s, |row| Vec3::new(work(t_s[row]), beside(t_s[row], row), 0.3 * work(t_s[row])))
+        shake(
+            &t_s,
+            |row| Vec3::new(work(t_s[row]), beside(t_s[row], row), 0.3 * work(t_s[row])),
+            None,
+        )
     }
 
     fn noise(row: usize) -> f64 {
@@ -217,7 +279,7 @@ mod tests {
     #[test]
     fn stamps_a_nanosecond_apart_plan_nothing() {
         let t_s: Vec<f64> = (0..100).map(|k| f64::from(k) * 1e-9).collect();
-        assert_eq!(shake(&t_s, |_| Vec3::zeros()), Err(NoShake::Uneven));
+        assert_eq!(shake(&t_s, |_| Vec3::zeros(), None), Err(NoShake::Uneven));
     }
 
     #[test]
@@ -253,14 +315,27 @@ mod tests {
     }
 
     #[test]
+    fn a_slow_tone_is_shake_where_the_arm_was_not_going_there() {
+        let t_s: Vec<f64> = (0..1250).map(|row| f64::from(row) / 125.0).collect();
+        let work = |row: usize| Vec3::new(0.5 * (0.8 * t_s[row]).sin(), 0.0, 0.0);
+        let tone = |row: usize| Vec3::new(0.0, 2e-3 * (TAU * 7.0 * t_s[row]).sin(), 0.0);
+        let both = |row: usize| work(row) + tone(row);
+        let found = shake(&t_s, both, Some(&work)).expect("even");
+        assert!((found.rms_m - 2e-3 / 2f64.sqrt()).abs() < 1e-4, "{found:?}");
+        assert!((found.frequency_hz - 7.0).abs() < 1.1 && found.from_hz < 7.0, "{found:?}");
+        let found = shake(&t_s, both, Some(&both)).expect("even");
+        assert!(found.rms_m < 1e-4, "{found:?}");
+    }
+
+    #[test]
     fn slow_or_uneven_samples_do_not_tell() {
         let slow = shaken(20.0, |_, _| 0.0);
         let is_told = |rate_hz: f64| (rate_hz - 20.0).abs() < 1e-9;
         assert!(matches!(slow, Err(NoShake::Slow(rate_hz)) if is_told(rate_hz)), "{slow:?}");
-        assert_eq!(shake(&[], |_| Vec3::zeros()), Err(NoShake::Uneven));
+        assert_eq!(shake(&[], |_| Vec3::zeros(), None), Err(NoShake::Uneven));
         let ragged: Vec<f64> = (0..1000)
             .map(|row| f64::from(row) * 0.01 + if row % 50 < 25 { 0.0 } else { 0.3 })
             .collect();
-        assert_eq!(shake(&ragged, |_| Vec3::zeros()), Err(NoShake::Uneven));
+        assert_eq!(shake(&ragged, |_| Vec3::zeros(), None), Err(NoShake::Uneven));
     }
 }

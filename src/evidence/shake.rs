@@ -1,6 +1,6 @@
 //! What shakes the tip.
 
-use crate::diagnosis::{NoShake, PoseDiagnosis, Shake, shake};
+use crate::diagnosis::{Aligned, NoShake, PoseDiagnosis, Shake, shake};
 use crate::run::{Arm, JointSamples};
 use crate::stream::{JointTrack, PoseTrack};
 
@@ -14,14 +14,32 @@ pub struct ShakeEvidence {
 }
 
 /// The shake of the tip by a stream of poses, but for where its clock steps: the path does, too.
-pub(super) fn shake_of_poses(track: &PoseTrack, found: &PoseDiagnosis) -> Result<Shake, NoShake> {
+/// `joints` are the arm's joint states.
+pub(super) fn shake_of_poses(
+    track: &PoseTrack,
+    found: &PoseDiagnosis,
+    joints: &JointTrack,
+) -> Result<Shake, NoShake> {
+    /// Joint states farther apart do not tell where the arm was going so fast, s.
+    const APART_S: f64 = 0.04;
     /// Rows so near to a step are left out, s.
     const BESIDE_S: f64 = 0.1;
     let jumps = found.course.as_ref().map_or(&[][..], |course| course.jumps.as_slice());
     let is_clear = |t_s: f64| jumps.iter().all(|jump| (jump.at_s - t_s).abs() > BESIDE_S);
     let rows: Vec<usize> = (0..track.t_s.len()).filter(|&row| is_clear(track.t_s[row])).collect();
     let t_s: Vec<f64> = rows.iter().map(|&row| track.t_s[row]).collect();
-    shake(&t_s, |row| track.xyz[rows[row]])
+    let Aligned { t_s: known_s, fk_at_truth, .. } = &found.aligned;
+    // Where the stream would be by FK, at the nearest sample for which that is known.
+    let going = |row: usize| {
+        let after = known_s.partition_point(|known_s| *known_s < t_s[row]);
+        let nearest = after.min(known_s.len() - 1);
+        found.taken.back(&fk_at_truth[nearest]).translation.vector
+    };
+    // Few of the samples do not tell where the arm was going.
+    let span_s = joints.span().map_or(f64::INFINITY, |(first, last)| last - first);
+    let is_known =
+        2 * known_s.len() > t_s.len() && !found.strays() && span_s < APART_S * joints.len() as f64;
+    shake(&t_s, |row| track.xyz[rows[row]], if is_known { Some(&going) } else { None })
 }
 
 /// The shake of the tip by the joint states as they are, or where the joints do not share their stamps
@@ -38,8 +56,8 @@ pub(super) fn shake_of_joints(
     };
     match samples.first() {
         Some(first) if samples.iter().all(|other| other.is_beside(first)) => {
-            shake(&first.t_s, |row| tip(&|column| samples[column].position[row]))
+            shake(&first.t_s, |row| tip(&|column| samples[column].position[row]), None)
         }
-        _ => shake(&track.t_s, |row| tip(&|column| track.row(row)[column])),
+        _ => shake(&track.t_s, |row| tip(&|column| track.row(row)[column]), None),
     }
 }

@@ -11,7 +11,8 @@ rule! {
     /// ## What it means
     /// Above 10 Hz the path of the tool, by forward kinematics of the joint states or as a pose
     /// stream has it, holds more than noise does: this much, rms, in the second and a half where it
-    /// is most. Noise has the same power at all frequencies and is taken off; where the arm was going
+    /// is most. Of a pose stream the band begins where the motion of the joints ends, at 4 Hz at the
+    /// lowest: what the joints do not do is shake there too, if it is a tone. Noise has the same power at all frequencies and is taken off; where the arm was going
     /// is slower than that and is not in it.
     ///
     /// ## Why it matters
@@ -20,7 +21,7 @@ rule! {
     ///
     /// ## Evidence
     /// `frequency_hz` is the frequency that is strongest, `at_ns` says when, `noise_m` is the rms of
-    /// noise above 10 Hz there, and `resolved_m` the least shake that stands out from it. The
+    /// noise above `from_hz` there, and `resolved_m` the least shake that stands out from it. The
     /// estimate is the rms in metres.
     ///
     /// ## How to fix
@@ -89,6 +90,7 @@ fn judge(case: &Case, arm: &ArmEvidence, stream: &Of<ShakeEvidence>) -> Judged {
     judged(outcome)
         .estimated(Estimate::counted("shake", THRESHOLD.unit.symbol(), found.rms_m))
         .with_evidence("frequency_hz", found.frequency_hz)
+        .with_evidence("from_hz", found.from_hz)
         .with_evidence("at_ns", case.evidence.origin.shifted(found.at_s).to_string())
         .with_evidence("noise_m", found.noise_m)
         .with_evidence("resolved_m", found.resolved_m)
@@ -100,8 +102,9 @@ fn fault(case: &Case, stream: &Of<ShakeEvidence>, found: &Shake, severity: Sever
         severity,
         title: "the tool shakes",
         message: format!(
-            "the tool shakes by {} rms above 10 Hz, most at {:.0} Hz, at {}",
+            "the tool shakes by {} rms above {:.0} Hz, most at {:.0} Hz, at {}",
             THRESHOLD.unit.show(found.rms_m),
+            found.from_hz,
             found.frequency_hz,
             case.evidence.moment(case.evidence.origin.shifted(found.at_s)),
         ),
