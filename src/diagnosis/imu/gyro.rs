@@ -372,13 +372,15 @@ impl<'a> GyroModel<'a> {
         });
         let change = change.transpose()?;
         // Of a bias that changes the larger.
-        let larger =
-            |change: &BiasChange| match change.after_rad_s.norm() > change.before_rad_s.norm() {
-                true => change.after_rad_s,
-                false => change.before_rad_s,
-            };
-        let vector_rad_s = change.as_ref().map_or(self.bias_rad_s, larger);
-        let length_rad_s = solved.length(&bias, vector_rad_s.as_slice())?;
+        let constant = solved.length(&bias, self.bias_rad_s.as_slice())?;
+        let both = self.bias_rad_s + self.changed_rad_s;
+        let (vector_rad_s, length_rad_s) = match change {
+            Some(_) if both.norm() > self.bias_rad_s.norm() => {
+                let columns: Vec<usize> = Self::CHANGE.collect();
+                (both, solved.length_of_sum(&bias, &columns, both.as_slice())?)
+            }
+            _ => (self.bias_rad_s, constant),
+        };
         let yaw_rate_rad_s = self.yaw_rate(&vector_rad_s);
         Ok(GyroBias { vector_rad_s, length_rad_s, yaw_rate_rad_s, shape, change })
     }

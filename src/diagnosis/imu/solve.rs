@@ -105,6 +105,16 @@ impl Solved {
         Ok(Length::of(vector, &self.block(parameters)?, self.dof))
     }
 
+    /// The length of the sum of two vectors of parameters, which is `sum`.
+    pub fn length_of_sum(&self, one: &[usize], other: &[usize], sum: &[f64]) -> Seen<Length> {
+        let n = one.len();
+        let both = self.block(&[one, other].concat())?;
+        let covariance = DMatrix::from_fn(n, n, |i, j| {
+            both[(i, j)] + both[(i, n + j)] + both[(n + i, j)] + both[(n + i, n + j)]
+        });
+        Ok(Length::of(sum, &covariance, self.dof))
+    }
+
     /// Whether parameters as far from zero as `vector` have less than this `chance` of being truly
     /// zero.
     pub fn is_sure(&self, parameters: &[usize], vector: &[f64], chance: f64) -> bool {

@@ -33,7 +33,9 @@ impl GyroModel<'_> {
 
     /// The model with the one change more that explains most, where one surely is there.
     pub(super) fn changed(&self, moves: bool) -> Option<Self> {
-        /// A slip leaves at most this share of the squares that any other change leaves.
+        /// A slip leaves at most this share of the squares that nothing leaves, …
+        const LEFT: f64 = 0.5;
+        /// … and of those that any other change leaves.
         const CLEARLY: f64 = 0.8;
         let shaped = Self { is_shaped: true, ..self.clone() };
         let (linear, t_s) = shaped.linearized();
@@ -60,7 +62,11 @@ impl GyroModel<'_> {
         let of_bias = [step, decay].into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0));
         let rival = of_bias.as_ref().map_or(asked.squares, |(squares, _)| *squares);
         match slip {
-            Some((squares, model)) if squares < CLEARLY * rival => Some(model),
+            Some((squares, model))
+                if squares < CLEARLY * rival && squares < LEFT * asked.squares =>
+            {
+                Some(model)
+            }
             _ => of_bias.map(|(_, model)| model),
         }
     }

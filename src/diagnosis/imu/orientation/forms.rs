@@ -69,7 +69,7 @@ impl<'a> OrientationModel<'a> {
     /// that turns at once.
     pub(super) fn slipped(&self, moves: bool) -> Option<Self> {
         /// It leaves at most this share of the squares that nothing leaves, …
-        const LEFT: f64 = 0.6;
+        const LEFT: f64 = 0.3;
         /// … and of those that a world which jumps leaves.
         const CLEARLY: f64 = 0.8;
         let (linear, rows) = self.linearized();
