@@ -195,7 +195,7 @@ pub(super) fn arm_evidence(
     let mut poses = Vec::new();
     for (source, found) in arm.poses.iter().zip(streams) {
         let in_other_units = matches!(found.length, Ok(Some(_)));
-        let shake = shake_of_poses(&source.track, &found);
+        let shake = shake_of_poses(&source.track, &found, &arm.joints);
         shakes.push(of_arm(run, arm, source.stream, ShakeEvidence { in_other_units, shake }));
         let euler = euler(run, source, &found, &options.declared);
         poses.push(of_arm(run, arm, source.stream, of_poses(source, found, euler)));
