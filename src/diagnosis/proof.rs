@@ -212,31 +212,6 @@ fn by_calibration(
     Some(Series::new(&t_s, &fk, length, Some(angle)).error(&moves, false))
 }
 
-/// Whether what was found on a stream leaves more of it than its noise, in some part of the run.
-pub(super) fn leaves_much(found: &PoseDiagnosis) -> bool {
-    /// Less than this is left of a healthy stream, m and rad.
-    const LITTLE: [f64; 2] = [0.3e-3, 0.5e-3];
-    /// So many times the noise is more than noise.
-    const TIMES: f64 = 2.0;
-    let aligned = &found.aligned;
-    let does_not_follow = matches!(found.reading, Err(Unseen::DoesNotFollow(_)));
-    if does_not_follow || aligned.t_s.len() < NEED {
-        return does_not_follow
-            || found.unread().is_some_and(|why| matches!(why, Unseen::DoesNotFollow(_)));
-    }
-    let moves = vec![true; aligned.t_s.len()];
-    let has_rotation = found.reading.is_ok();
-    let series = Series::of(&aligned.t_s, &aligned.corrected, &aligned.fk_at_truth, has_rotation);
-    let error = series.error(&moves, true);
-    let is_much = |(size, least): (&Size, f64)| {
-        size.parts.iter().any(|Part { amount, .. }| {
-            let noise = amount.noise.map_or(0.0, |noise| noise.rms);
-            amount.rms > least.max(TIMES * noise)
-        })
-    };
-    std::iter::once(&error.length).chain(&error.angle).zip(LITTLE).any(is_much)
-}
-
 /// The samples of a stream beside FK when they were true, a stream being late by `lag_s`; only stamps
 /// and these two are filled.
 pub(super) fn beside_fk(joints: &JointTrack, stream: &PoseStream, lag_s: f64) -> Aligned {
@@ -284,7 +259,7 @@ pub(super) struct Series<'a> {
 }
 
 impl<'a> Series<'a> {
-    fn of(t_s: &'a [f64], poses: &[Pose], fk: &'a [Pose], has_rotation: bool) -> Self {
+    pub fn of(t_s: &'a [f64], poses: &[Pose], fk: &'a [Pose], has_rotation: bool) -> Self {
         let both = || poses.iter().zip(fk);
         let length = both().map(|(a, b)| a.translation.vector - b.translation.vector).collect();
         let turn =

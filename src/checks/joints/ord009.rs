@@ -28,6 +28,9 @@ rule! {
     /// where the numbers are of another kind than rad or m and have a zero of their own; the offset of
     /// any other joint is ZER001. `joints` lists the joints where the finding is on all of them.
     ///
+    /// `changes` lists when it is another from some moment on, with its amounts before and after;
+    /// the amount is then the size of the change (`from`, `to`, `change_ns`).
+    ///
     /// ## How to fix
     /// Multiply where the joint states are filled, or correct the driver's `direction`, gear ratio or
     /// encoder resolution. Where the numbers are right, it is the axis in the robot's description that

@@ -26,6 +26,13 @@ rule! {
     /// same to this log (the first joint's zero and the base's yaw, the last joint's and a twist of
     /// the tool, a rail's zero and a shift of the base) are in `indistinguishable`.
     ///
+    /// Where several causes, or what they leave, may be an inaccurate drawing, the deviations of all
+    /// links are estimated beside the zeros: a zero is then named where it stands out of what those make,
+    /// and its interval holds them.
+    ///
+    /// `changes` lists when it is another from some moment on, with its amounts before and after;
+    /// the amount is then the size of the change (`from`, `to`, `change_ns`).
+    ///
     /// `witness` says whose word the poses are (`controller`, `external`, `unknown`), `meaning` what
     /// the offset then says of the arm.
     ///
@@ -36,9 +43,7 @@ rule! {
     /// ## When it misleads
     /// A controller's own pose is computed from the same encoders: against it the rule says that
     /// this model or these joint states differ from the controller's, and a zero error of the
-    /// mechanics cannot show. For that an outside witness (tracker, camera, IMU) is needed. A
-    /// nominal model against a calibrated arm leaves millimetres that single joints may partly
-    /// explain. An offset that only one of several explanations needs is never a finding.
+    /// mechanics cannot show. For that an outside witness (tracker, camera, IMU) is needed. An offset that only one of several explanations needs is never a finding.
     ZER001 {
         name: "joint-zero",
         grade: Grade::From(&[ROTARY, PRISMATIC]),

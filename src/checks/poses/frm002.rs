@@ -23,6 +23,9 @@ rule! {
     /// the log names. The amount is the norm of its translation; the angle stands in `rotation`.
     /// The test is joint on all six numbers.
     ///
+    /// `changes` lists when it is another from some moment on, with its amounts before and after;
+    /// the amount is then the size of the change (`from`, `to`, `change_ns`).
+    ///
     /// ## How to fix
     /// Name the frame that the poses are in, or publish the static transform to it.
     ///

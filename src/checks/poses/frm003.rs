@@ -24,6 +24,9 @@ rule! {
     /// far it is from that (`pose` is `usual_from_other`) and when it is seen (`spans_ns`, the first from
     /// `change_ns` on, of `samples`); everything else is judged with all poses as those of the usual one.
     ///
+    /// `changes` lists when it is another from some moment on, with its amounts before and after;
+    /// the amount is then the size of the change (`from`, `to`, `change_ns`).
+    ///
     /// ## How to fix
     /// Set the controller's active TCP to the one meant, or name with `--tip` the link that the
     /// stream speaks of.

@@ -23,7 +23,7 @@ rule! {
     /// over each tenth of it. Where that reaches the thresholds, the amounts that other rules found must
     /// account for it: with them taken off, less than the thresholds may be left in every tenth, or no
     /// more than twice what differs from sample to sample. What is more than that has no name in this
-    /// audit: kinematic parameters, a bent link, gear error, a tool that slipped in mid-run, another
+    /// audit: kinematic parameters, a bent link, gear error, what changes slowly in mid-run, another
     /// arm.
     ///
     /// An IMU is held against FK, too: by what its orientation and its gyro leave beside what was found, by
@@ -48,6 +48,9 @@ rule! {
     ///
     /// Of a gyro, `scale` is the gain less 1 along x, y and z with its interval; `axes` are those that
     /// saturate, `share` is that of the samples at the limit, `by_fk_rad_s` how fast the arm turned.
+    ///
+    /// Of a drawing against a calibrated arm `link_m` is by how much each link is off, as a standard
+    /// deviation; angles by 0.1° where that is 1 mm.
     ///
     /// It is a finding where the error is three times what differs from sample to sample (an F of
     /// nine), or comes again with the posture; else it is open, and so is the run's verdict.
@@ -223,7 +226,7 @@ fn outcome(case: &Case, held: &Held, all: &[Held]) -> Outcome {
             as_logged()
         )),
         Standing::Small(left) => Outcome::faulty(small(case, left)),
-        Standing::Nominal(error) => Outcome::faulty(nominal(error)),
+        Standing::Nominal(error) => Outcome::faulty(nominal(error, held.stream.diagnosis.link_m)),
         Standing::Left(left) if held.is_astray() => Outcome::faulty(disagreement(held, left)),
         Standing::Left(left) => Outcome::faulty(unexplained(case, held, all, left)),
         Standing::Open(left, open) => Outcome::Inconclusive(why_open(case, left, open)),
@@ -295,13 +298,29 @@ fn small(case: &Case, left: &Left) -> Fault {
     }
 }
 
-fn nominal(error: &Error) -> Fault {
+/// A number by its first digit.
+fn round_to_one(value: f64) -> f64 {
+    let unit = 10f64.powf(value.abs().log10().floor());
+    (value / unit).round() * unit
+}
+
+fn nominal(error: &Error, link_m: Option<f64>) -> Fault {
+    let by = link_m.map_or(String::new(), |link_m| {
+        format!(": about {} a link", Unit::Metre.show(round_to_one(link_m)))
+    });
     Fault {
         cause: Cause::Model,
         severity: Severity::Info,
         title: "nominal kinematics",
-        message: format!("{} rms are left, as of a drawing against a calibrated arm", sizes(error)),
-        evidence: Evidence { effect_m: Some(error.length.whole.rms), ..Evidence::default() },
+        message: format!(
+            "{} rms are left, as of a drawing against a calibrated arm{by}",
+            sizes(error)
+        ),
+        evidence: Evidence {
+            effect_m: Some(error.length.whole.rms),
+            more: link_m.map(|link_m| ("link_m".to_owned(), link_m.into())).into_iter().collect(),
+            ..Evidence::default()
+        },
         fix: "use the arm's calibration; for a UR, calibration.yaml from the controller".to_owned(),
     }
 }

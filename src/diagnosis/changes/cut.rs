@@ -9,7 +9,7 @@ use crate::{ArmDiagnosis, PoseStream};
 use ground::stream::{JointTrack, PoseTrack};
 
 /// A part of the run has so many samples of some stream.
-const PART_SAMPLES: usize = 20;
+pub(super) const PART_SAMPLES: usize = 20;
 
 /// A run that may be cut. Times of cuts are those of the joint states.
 pub(super) struct Cut<'a> {

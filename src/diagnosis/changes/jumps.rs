@@ -16,7 +16,7 @@ const TIMES: f64 = 6.0;
 /// Jumps that are followed up.
 const MOST: usize = 8;
 /// A jump that is beside a larger one counts from this share of it on.
-const LEAST: f64 = 0.1;
+const LEAST: f64 = 0.2;
 /// A jump that shows over fewer samples as well, by this share, is dated by them.
 const FINER: f64 = 0.3;
 /// Jumps closer together are one, s.

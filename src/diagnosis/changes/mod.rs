@@ -14,16 +14,16 @@ mod jumps;
 mod told;
 
 use super::arm::diagnose_arm;
-use super::proof::leaves_much;
+use super::proof::{Part, Series, Size};
 use super::sampling::stream_lag_s;
 use super::{
-    ArmDiagnosis, FrameEstimate, JointDiagnosis, PoseDiagnosis, PoseStream, Reading, Seen,
+    ArmDiagnosis, FrameEstimate, JointDiagnosis, PoseDiagnosis, PoseStream, Reading, Seen, Unseen,
 };
 use ground::geometry::Pose;
 use ground::stats::Measured;
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
-use cut::{Cut, Span};
+use cut::{Cut, PART_SAMPLES, Span};
 pub use found::{AmountChange, Change, FrameChange, JointChange, JointPatch};
 
 /// With the changes undone at most this share is left of what was.
@@ -55,6 +55,10 @@ pub(super) fn without_changes(
     let parts = run.parts(&moments);
     let kept = (0..parts.len()).max_by_key(|&part| run.samples(parts[part]))?;
     let kept = (parts.len() > 1).then(|| Kept::of(&run, parts[kept]))?;
+    if left_m(&kept.found) > LEFT * left_m(found) {
+        // What is left there as well is no change.
+        return None;
+    }
     let others = parts.iter().filter(|part| **part != kept.span);
     let others: Vec<Other> = others.filter_map(|part| kept.other(&run, *part)).collect();
     let undone = kept.undone(&run, &others)?;
@@ -80,6 +84,31 @@ pub(super) fn without_changes(
     let is_told = !after.joints.changes.is_empty()
         || after.streams.iter().any(|after| after.changes() || jumps_in_time(after));
     is_told.then_some(after)
+}
+
+/// Whether what was found on a stream leaves more of it than its noise, in some part of the run.
+fn leaves_much(found: &PoseDiagnosis) -> bool {
+    /// Less than this is left of a healthy stream, m and rad.
+    const LITTLE: [f64; 2] = [0.3e-3, 0.5e-3];
+    /// So many times the noise is more than noise.
+    const TIMES: f64 = 2.0;
+    let aligned = &found.aligned;
+    let does_not_follow = matches!(found.reading, Err(Unseen::DoesNotFollow(_)));
+    if does_not_follow || aligned.t_s.len() < PART_SAMPLES {
+        return does_not_follow
+            || found.unread().is_some_and(|why| matches!(why, Unseen::DoesNotFollow(_)));
+    }
+    let moves = vec![true; aligned.t_s.len()];
+    let has_rotation = found.reading.is_ok();
+    let series = Series::of(&aligned.t_s, &aligned.corrected, &aligned.fk_at_truth, has_rotation);
+    let error = series.error(&moves, true);
+    let is_much = |(size, least): (&Size, f64)| {
+        size.parts.iter().any(|Part { amount, .. }| {
+            let noise = amount.noise.map_or(0.0, |noise| noise.rms);
+            amount.rms > least.max(TIMES * noise)
+        })
+    };
+    std::iter::once(&error.length).chain(&error.angle).zip(LITTLE).any(is_much)
 }
 
 /// Whether the latency of a stream surely jumps.
