@@ -25,7 +25,7 @@ const BODIES: usize = 4;
 /// The bodies that the poses of a stream alternate between.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Alternation {
-    /// The others than the usual one, which most poses are of.
+    /// The others than the usual one, which most poses are of, or the first ones.
     pub others: Vec<Other>,
     /// All samples.
     pub samples: usize,
@@ -238,13 +238,16 @@ impl Bodies {
         (comes_again && !is_short && (2..=BODIES).contains(&bodies.poses.len())).then_some(bodies)
     }
 
-    /// The body that most samples are of.
+    /// The body that most samples are of, or the first one where hardly fewer are of that.
     fn usual(&self) -> usize {
+        const HARDLY_FEWER: f64 = 0.8;
         let samples = |body: usize| {
             let own = self.stretches.iter().filter(|(.., of)| *of == body);
             own.map(|(from, to, _)| to - from).sum::<usize>()
         };
-        (0..self.poses.len()).max_by_key(|&body| samples(body)).unwrap_or(0)
+        let most = (0..self.poses.len()).max_by_key(|&body| samples(body)).unwrap_or(0);
+        let is_first = samples(0) as f64 >= HARDLY_FEWER * samples(most) as f64;
+        if is_first { 0 } else { most }
     }
 
     /// A body beside the usual one, by the mean of all jumps between the two, by inverse variance.
