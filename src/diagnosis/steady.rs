@@ -1,6 +1,7 @@
 //! Streams whose latency is not steady: what else is wrong with them is sought on the streams as they would
 //! be if it were.
 
+use super::bends::without_bends;
 use super::changes::without_changes;
 use super::{
     ArmDiagnosis, ImuDiagnosis, ImuStream, JointReading, LatencySteps, PoseDiagnosis, PoseStream,
@@ -66,8 +67,10 @@ pub fn diagnose_steadied(
         diagnose_arm(joints, &with_tracks(&streams, &tracks), most_lag_s)
     };
     let unsteadied = with_tracks(&streams, &tracks);
-    if let Some(unchanged) = without_changes(joints, &unsteadied, slides, &steady, most_lag_s) {
-        steady = unchanged;
+    let otherwise = without_changes(joints, &unsteadied, slides, &steady, most_lag_s)
+        .or_else(|| without_bends(joints, &unsteadied, slides, &steady, most_lag_s));
+    if let Some(otherwise) = otherwise {
+        steady = otherwise;
     }
     for (steady, course) in steady.streams.iter_mut().zip(courses) {
         steady.course = course;
