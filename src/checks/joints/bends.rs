@@ -5,7 +5,7 @@ use crate::checks::decision::{Threshold, decide};
 use crate::checks::frames::THRESHOLDS;
 use crate::checks::{Case, Judged, Rule};
 use crate::diagnosis::{JointBend, Measured};
-use crate::evidence::ArmEvidence;
+use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Estimate, Fault, Outcome, Severity, Unit};
 
 /// A way in which joints give, and how its rule words it.
@@ -34,6 +34,10 @@ impl Giving {
             arm.diagnosis.bends.iter().filter(|bend| (self.is_it)(bend)).collect();
         if own.is_empty() {
             let outcome = match left(arm) {
+                _ if !moves(arm) => {
+                    let why = "the arm hardly moves, or no pose could be held against it";
+                    Outcome::Inconclusive(format!("{why}; {}", self.settle))
+                }
                 None => Outcome::sound_because("nothing is left that would show it"),
                 Some(left) => Outcome::Inconclusive(format!("{left}; {}", self.settle)),
             };
@@ -53,6 +57,15 @@ impl Giving {
             &size,
         ))
     }
+}
+
+/// Whether some pose stream was held against the arm in motion.
+fn moves(arm: &ArmEvidence) -> bool {
+    let moves = |stream: &Of<PoseEvidence>| {
+        let is_told = stream.proof.as_ref().is_ok_and(|proof| !proof.at_rest);
+        is_told && stream.diagnosis.residual.is_ok()
+    };
+    arm.poses.iter().any(moves)
 }
 
 /// What is left of the arm's poses that may be of any joint, where it is more than a joint may give.

@@ -102,9 +102,6 @@ pub(super) fn without_bends(
     let most = if is_nominal { LEFT_OF_NOMINAL } else { LEFT };
     let (left, mut after) = best?;
     let is_read = after.joints.reading.as_ref().is_ok_and(JointReading::is_as_logged);
-    if std::env::var_os("BEND").is_some() {
-        eprintln!("before {before:?} left {left:?} {:?}", after.joints.bends);
-    }
     if !is_read || !left.is_within(most, &before) {
         return None;
     }
