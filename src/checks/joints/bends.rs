@@ -38,7 +38,7 @@ impl Giving {
                     let why = "the arm hardly moves, or no pose could be held against it";
                     Outcome::Inconclusive(format!("{why}; {}", self.settle))
                 }
-                None => Outcome::sound_because("nothing is left that would show it"),
+                None => Outcome::sound(),
                 Some(left) => Outcome::Inconclusive(format!("{left}; {}", self.settle)),
             };
             return vec![Judged::new(arm.subject(), outcome).within(arm.span)];
