@@ -35,10 +35,10 @@ pub(super) struct Named {
 impl Named {
     /// Asks them.
     pub fn of(case: &Case) -> Self {
-        const CODES: [&str; 17] = [
+        const CODES: [&str; 19] = [
             "FRM001", "FRM002", "FRM003", "LAT001", "LAT002", "LAT003", "ORD001", "ORD002",
             "ORD003", "ORD004", "ORD005", "ORD008", "ORD009", "ORD010", "ORD011", "ZER001",
-            "ZER002",
+            "ZER002", "ZER003", "MOT006",
         ];
         let rules = CODES.into_iter().filter_map(|code| find(code).ok());
         let judged = rules.flat_map(|rule| {
@@ -328,6 +328,8 @@ impl Causes {
             .iter()
             .filter_map(|change| Some(&arm.joints.get(change.column)?.name))
             .collect();
+        let bends = arm.diagnosis.bends.iter();
+        let bent = bends.filter_map(|bend| Some(&arm.joints.get(bend.column)?.name));
         let slips = arm.diagnosis.reading.iter().flat_map(|reading| &reading.slips);
         let read = slips.filter_map(|slip| Some(&arm.joints.get(slip.column)?.name));
         let of_joints = named
@@ -337,6 +339,7 @@ impl Causes {
             .chain(
                 changed.into_iter().flat_map(|joint| named.on(arm, joint, &["ORD009", "ZER001"])),
             )
+            .chain(bent.flat_map(|joint| named.on(arm, joint, &["MOT006", "ZER003"])))
             .chain(read.flat_map(|joint| named.on(arm, joint, &["ORD004", "ORD008", "ORD009"])));
         let of_joints: Vec<_> = of_joints.collect();
         let of_poses: Vec<_> = named.on(arm, stream.topic(), &poses).collect();

@@ -154,6 +154,7 @@ pub fn clean_run() -> RunEvidence {
             scales: Vec::new(),
             changes: Vec::new(),
             patches: Vec::new(),
+            bends: Vec::new(),
         },
         poses: vec![of(POSE, stream(true))],
         tf: Some(of(TF, stream(false))),

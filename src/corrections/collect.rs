@@ -174,6 +174,7 @@ impl Mending {
                 self.take_camera(source, finding, *in_hand, parent.as_ref(), pose)
             }
             Cause::Growth
+            | Cause::Bend
             | Cause::Model
             | Cause::Disagreement { .. }
             | Cause::UnsteadyLatency

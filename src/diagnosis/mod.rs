@@ -12,6 +12,7 @@ mod test_random;
 mod aligned;
 mod alternation;
 mod arm;
+mod bends;
 mod carried;
 mod changes;
 mod constant;
@@ -63,6 +64,7 @@ use ground::stream::PoseTrack;
 pub use aligned::{Aligned, Residuals};
 pub use alternation::{Alternation, Other, alternation};
 pub use arm::{diagnose_arm, diagnose_derived, follows, likely_lags};
+pub use bends::{BendShape, JointBend, Sag};
 pub use carried::{BaseTravel, CarrierLag, base_travel, carrier_lag};
 pub use changes::{AmountChange, Change, FrameChange, JointChange, JointPatch};
 pub use course::{LatencyCourse, LatencyJump};
@@ -442,4 +444,6 @@ pub struct JointDiagnosis {
     pub changes: Vec<JointChange>,
     /// What makes their positions those that they would be had nothing changed.
     pub patches: Vec<JointPatch>,
+    /// The joints that give, as none of the others do.
+    pub bends: Vec<JointBend>,
 }

@@ -1,6 +1,7 @@
 //! Streams whose latency is not steady: what else is wrong with them is sought on the streams as they would
 //! be if it were.
 
+use super::bends::without_bends;
 use super::changes::{jumps_in_time, without_changes};
 use super::imu::diagnose_mended;
 use super::{
@@ -68,9 +69,12 @@ pub fn diagnose_steadied(
     };
     let mut changed = false;
     let unsteadied = with_tracks(&streams, &tracks);
-    if let Some(unchanged) = without_changes(joints, &unsteadied, slides, &steady, most_lag_s) {
-        steady = unchanged;
-        changed = true;
+    let otherwise = without_changes(joints, &unsteadied, slides, &steady, most_lag_s);
+    changed |= otherwise.is_some();
+    let otherwise =
+        otherwise.or_else(|| without_bends(joints, &unsteadied, slides, &steady, most_lag_s));
+    if let Some(otherwise) = otherwise {
+        steady = otherwise;
     }
     for (steady, course) in steady.streams.iter_mut().zip(courses) {
         if !changed || !jumps_in_time(steady) {

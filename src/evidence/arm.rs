@@ -126,7 +126,7 @@ pub(super) fn arm_evidence(
     let arm = &run.arms[index];
     let joints_stream = arm.joint_facts.first().map_or(0, |facts| facts.stream);
     let ArmDiagnosis { joints: found, streams } = diagnosis.arm;
-    let mended = found.corrected_joints(&arm.joints, &arm.slides());
+    let mended = found.as_named().corrected_joints(&arm.joints, &arm.slides());
     let is_read = !matches!(found.reading, Err(Unseen::NotExcited));
     let most_lag_s = options.max_latency_s;
     let of_poses = |source: &PoseSource, found: PoseDiagnosis, euler| PoseEvidence {

@@ -15,6 +15,8 @@ pub enum Cause {
         /// Whether the joint slides.
         slides: bool,
     },
+    /// A joint gives: by how much hangs on its motion or on the arm's posture.
+    Bend,
     /// The positions of a joint are in another unit: rad or m for each.
     JointUnit(f64),
     /// Joints that have a scale of their own, in the order of the chain.

@@ -9,6 +9,7 @@
 //! own: a fault planted in one stream leaves the rest of the log as it was.
 
 mod cdr;
+mod gives;
 mod messages;
 mod motion;
 mod noise;
@@ -33,6 +34,7 @@ use crate::geometry::{Convention, Misreading, Pose, Vec3, pose, rotation_from_ro
 use crate::robot::{ChainError, Robot, catalogue};
 use crate::time::Stamp;
 
+pub use gives::{Gives, Giving};
 use messages::Topic;
 pub use motion::Motion;
 pub use noise::Noise;
@@ -112,6 +114,8 @@ pub struct Scenario {
     pub stop: Option<Stop>,
     /// What shakes, and how.
     pub shake: Option<Shake>,
+    /// The joints whose links are not where their encoders say.
+    pub gives: Vec<Gives>,
     /// The noise of the streams.
     pub noise: Noise,
     /// The joint states.
@@ -187,6 +191,7 @@ impl Scenario {
             speed: 1.2,
             stop: None,
             shake: None,
+            gives: Vec::new(),
             noise: Noise::default(),
             joints: JointStream {
                 timing: Timing::every(125.0, 0.0),

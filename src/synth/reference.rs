@@ -50,7 +50,7 @@ impl ReferenceStream {
 
     /// True joint positions as they were commanded.
     fn joints(&self, truth: &Truth, time_s: f64) -> Vec<f64> {
-        let (mut q, _) = truth.joints(time_s);
+        let (mut q, _) = truth.encoders(time_s);
         q.iter_mut().zip(&self.short_by).for_each(|(q, short)| *q += short);
         q
     }

@@ -75,8 +75,8 @@ fn joint_states(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let mut messages = Vec::new();
     for tick in ticks {
         let fresh = {
-            let (mut positions, _) = truth.joints(tick.time_s);
-            let (_, velocities) = truth.joints(tick.time_s - stream.velocity_late_s);
+            let (mut positions, _) = truth.encoders(tick.time_s);
+            let (_, velocities) = truth.encoders(tick.time_s - stream.velocity_late_s);
             add_noise(&mut positions, noise.next(), scenario.noise.joints);
             (stream.reported_positions(&positions, kinds), stream.reported_velocities(&velocities))
         };
@@ -193,7 +193,7 @@ fn published(
     let ticks = scenario.ticks(timing, transport);
     ticks
         .map(|tick| {
-            let (mut positions, _) = truth.joints(tick.time_s);
+            let (mut positions, _) = truth.encoders(tick.time_s);
             add_noise(&mut positions, noise.next(), scenario.noise.joints);
             let mut believed =
                 scenario.joints.reported_positions(&positions, truth.chain.joint_kinds());

@@ -2,6 +2,7 @@
 
 use std::f64::consts::TAU;
 
+use super::gives::Bends;
 use super::motion::Trajectory;
 use super::{Scenario, Shake, Stop, SynthError};
 use crate::geometry::{Pose, Vec3};
@@ -21,6 +22,7 @@ pub(super) struct Truth {
     trajectory: Trajectory,
     brake: Option<Brake>,
     shake: Option<Shake>,
+    bends: Bends,
 }
 
 /// A stop on the way that the arm takes.
@@ -70,11 +72,20 @@ impl Truth {
         let whole = robot.chain(robot.root(), tip)?;
         let trajectory = Trajectory::new(scenario, &chain);
         let brake = scenario.stop.as_ref().map(|stop| Brake::new(stop, &trajectory));
-        Ok(Self { chain, above, whole, trajectory, brake, shake: scenario.shake })
+        let shake = scenario.shake;
+        let bends = Bends::new(&scenario.gives, &trajectory, &chain, scenario.duration_s);
+        Ok(Self { chain, above, whole, trajectory, brake, shake, bends })
     }
 
-    /// Positions and velocities of the joints.
+    /// Positions and velocities of the joints, where their links are.
     pub(super) fn joints(&self, time_s: f64) -> (Vec<f64>, Vec<f64>) {
+        let (mut positions, mut velocities) = self.encoders(time_s);
+        self.bends.add(time_s, &mut positions, &mut velocities);
+        (positions, velocities)
+    }
+
+    /// Positions and velocities of the joints by their encoders.
+    pub(super) fn encoders(&self, time_s: f64) -> (Vec<f64>, Vec<f64>) {
         let unbraked = || (time_s, 1.0);
         let (along_s, rate) =
             self.brake.as_ref().map_or_else(unbraked, |brake| brake.along(time_s));

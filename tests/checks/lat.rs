@@ -12,6 +12,9 @@ use Expected::{BlamedOn, Skipped, Sound, Undecided};
 cases! {
     LAT001 a_late_pose: |log| log.run.pose.timing.latency_s = 0.015
         => error(Topic(POSE), Amount(0.015, 0.2e-3));
+    LAT001 play_is_no_latency: |log| {
+        crate::checks::mot::gives(log, &[(1, poseaudit::synth::Giving::Play, 1.0)]);
+    } => BlamedOn("MOT006");
     LAT001 an_early_pose: |log| log.run.pose.timing.latency_s = -0.006
         => warning(Topic(POSE), Amount(-0.006, 0.2e-3));
     LAT001 a_very_late_pose: |log| log.run.pose.timing.latency_s = 1.5

@@ -4,13 +4,15 @@ use std::f64::consts::TAU;
 
 use poseaudit::finding::{CheckRow, Status};
 use poseaudit::geometry::Convention;
-use poseaudit::synth::{COMMANDED_POSE, Commands, JOINT_STATES, Lines, Motion, POSE, Shake, Stop};
+use poseaudit::synth::{
+    COMMANDED_POSE, Commands, Gives, Giving, JOINT_STATES, Lines, Motion, POSE, Shake, Stop,
+};
 
 use crate::checks::case::On::{self, Joint};
-use crate::checks::case::What::{About, Amount, Frame};
+use crate::checks::case::What::{About, Amount, Degrees, Frame};
 use crate::checks::case::{Expected, Log, cases, error, info, the, warning};
 use crate::checks::recording::throw;
-use Expected::{BlamedOn, LeftOpenBy, Skipped, Sound};
+use Expected::{BlamedOn, LeftOpenBy, Skipped, Sound, Undecided};
 
 cases! {
     // The tip is 0.5096 m off the first joint's axis: 3 mrad are 1.529 mm, 1.081 mm rms.
@@ -77,6 +79,22 @@ cases! {
         log.run.pose.timing.rate_hz = 0.0;
         log.run.tf.timing.rate_hz = 0.0;
     } => Skipped("no joint states, tool poses or transforms");
+
+    MOT006 a_shoulder_with_play: |log| gives(log, &[(1, Giving::Play, 1.0)])
+        => error(Joint("shoulder_lift_joint"), Degrees(1.0, 0.03));
+    MOT006 an_elbow_with_some_play: |log| gives(log, &[(2, Giving::Play, 0.3)])
+        => warning(Joint("elbow_joint"), Degrees(0.3, 0.02));
+    MOT006 play_of_healthy_gears_is_sound: |log| gives(log, &[(1, Giving::Play, 0.05)]) => Sound;
+    MOT006 a_late_pose_is_no_play: |log| log.run.pose.timing.latency_s = 0.022
+        => BlamedOn("LAT001");
+    MOT006 a_joint_zero_is_no_play: |log| {
+        log.run.joints.zero_offsets = crate::checks::zer::zero(2, 0.6);
+    } => BlamedOn("ZER001");
+    MOT006 sag_is_no_play: |log| gives(log, &[(1, Giving::Sag, 0.6)]) => BlamedOn("ZER003");
+    MOT006 eccentric_gears_are_no_play: |log| gives(log, &[(1, Giving::Eccentric(2), 0.8)])
+        => BlamedOn("MDL001");
+    MOT006 an_arm_at_rest_shows_no_play: |log| log.run.motion = Motion::AtRest => Undecided("hardly moves");
+    MOT006 no_pose_beside_the_encoders: |log| log.run.pose.timing.rate_hz = 0.0 => Skipped("no pose stream");
 
     MOT004 a_line_that_is_bowed: |log| along(log, Lines { bow_m: 3e-3, ..Lines::default() })
         => warning(On::Topic(COMMANDED_POSE), Frame([3e-3, 0.2e-3], [0.0, 0.1]));
@@ -147,6 +165,54 @@ fn an_orientation_that_is_interpolated_by_its_numbers_is_told() {
     assert!(found.message.ends_with("as of euler:xyz interpolated"), "{}", found.message);
     assert_eq!(report.findings.len(), 1, "{}", crate::checks::case::summary(&report.findings));
     assert!(!report.findings.iter().any(|found| found.subject.label() == POSE));
+}
+
+/// Some joints give: each its place from the base, how, and by how much, degrees.
+pub fn gives(log: &mut Log, gives: &[(usize, Giving, f64)]) {
+    let of = |&(joint, how, degrees): &(usize, Giving, f64)| Gives {
+        joint,
+        how,
+        by_rad: degrees.to_radians(),
+    };
+    log.run.gives = gives.iter().map(of).collect();
+    log.run.duration_s = 15.0;
+    log.run.joints.timing.rate_hz = 125.0;
+    log.run.pose.timing.rate_hz = 50.0;
+}
+
+#[test]
+fn play_at_two_joints_is_told_from_sag_and_from_a_latency_beside_it() {
+    let report = Log::with(|log| {
+        gives(log, &[(1, Giving::Play, 0.8), (2, Giving::Sag, 0.7), (4, Giving::Play, 0.5)]);
+        log.run.pose.timing.latency_s = 0.015;
+    })
+    .audited();
+    let degrees = |code: &str, joint: &str| {
+        let value = the(&report, code, joint).estimate.as_ref().and_then(|it| it.value());
+        value.expect("a value").to_degrees()
+    };
+    for (code, joint, amount) in [
+        ("MOT006", "shoulder_lift_joint", 0.8),
+        ("MOT006", "wrist_2_joint", 0.5),
+        ("ZER003", "elbow_joint", 0.7),
+    ] {
+        let found = degrees(code, joint);
+        assert!((found - amount).abs() < 0.1 * amount, "{code} of {joint}: {found}");
+    }
+    let late = the(&report, "LAT001", POSE).estimate.as_ref().and_then(|it| it.value());
+    assert!((late.expect("a value") - 0.015).abs() < 1e-3, "{late:?}");
+    assert!(!report.findings.iter().any(|found| found.code == "ZER001"));
+}
+
+#[test]
+fn an_eccentric_gear_is_said_with_what_is_left() {
+    let log = Log::with(|log| gives(log, &[(1, Giving::Eccentric(2), 0.8)]));
+    let report = log.audited();
+    let message = &the(&report, "MDL001", POSE).message;
+    let said = "it goes with the angle of shoulder_lift_joint: eccentric gear or encoder, ±0.8";
+    assert!(message.contains(said), "{message}");
+    let joint_or_time = |code: &str| code.starts_with("ZER") || code.starts_with("LAT");
+    assert!(!report.findings.iter().any(|found| joint_or_time(found.code)));
 }
 
 /// The arm rests, and its first joint shakes.

@@ -1,11 +1,12 @@
 //! ZER: joint zeros.
 
 use poseaudit::robot::Robot;
-use poseaudit::synth::{Motion, POSE, Scenario, urdf_text};
+use poseaudit::synth::{Giving, Motion, POSE, Scenario, urdf_text};
 
 use crate::checks::case::On::{Joint, Topic};
 use crate::checks::case::What::{Amount, Degrees};
 use crate::checks::case::{Expected, Log, cases, error, the, warning};
+use crate::checks::mot::gives;
 use Expected::{BlamedOn, LeftOpenBy, Skipped, Sound, Undecided};
 
 cases! {
@@ -50,6 +51,23 @@ cases! {
     ZER001 no_pose: |log| log.run.pose.timing.rate_hz = 0.0 => Skipped("no pose stream");
     ZER001 an_arm_that_rests: |log| log.run.motion = Motion::AtRest => Undecided("");
     ZER001 one_joint_that_moves: |log| log.run.motion = Motion::OneJoint(1) => Undecided("");
+
+    ZER003 a_shoulder_that_sags: |log| gives(log, &[(1, Giving::Sag, 0.6)])
+        => error(Joint("shoulder_lift_joint"), Degrees(0.6, 0.06));
+    ZER003 an_elbow_that_sags_a_little: |log| gives(log, &[(2, Giving::Sag, 0.25)])
+        => warning(Joint("elbow_joint"), Degrees(0.25, 0.04));
+    ZER003 sag_of_healthy_gears_is_sound: |log| gives(log, &[(1, Giving::Sag, 0.03)]) => Sound;
+    ZER003 a_joint_zero_is_no_sag: |log| {
+        gives(log, &[]);
+        log.run.joints.zero_offsets = zero(1, 0.6);
+    } => BlamedOn("ZER001");
+    ZER003 play_is_no_sag: |log| gives(log, &[(1, Giving::Play, 1.0)]) => BlamedOn("MOT006");
+    ZER003 nominal_kinematics_are_no_sag: |log| crate::checks::mdl::calibrate(&mut log.run)
+        => BlamedOn("MDL001");
+    ZER003 an_arm_at_rest_shows_no_sag: |log| log.run.motion = Motion::AtRest => Undecided("hardly moves");
+    ZER003 no_pose_that_could_sag: |log| log.run.pose.timing.rate_hz = 0.0 => Skipped("no pose stream");
+
+    ZER001 sag_is_no_zero: |log| gives(log, &[(1, Giving::Sag, 0.6)]) => BlamedOn("ZER003");
 
     ZER002 positions_too_far_out: |log| log.run.pose.growth = 0.01
         => error(Topic(POSE), Amount(0.01, 0.1e-3));

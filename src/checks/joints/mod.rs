@@ -1,14 +1,25 @@
-//! Joints and the model that they move: order, scale, zeros, velocities, DH convention.
+//! Joints and the model that they move: order, scale, zeros, play, sag, velocities, DH convention.
 
+mod bends;
+pub(super) mod mot006;
 pub(super) mod ord005;
 pub(super) mod ord007;
 pub(super) mod ord009;
 pub(super) mod vel001;
 pub(super) mod zer001;
+pub(super) mod zer003;
 
 use super::Family;
 
 pub(super) static FAMILY: Family = Family {
-    examines: "Joints and the model that they move: order, scale, zeros, velocities, DH convention",
-    rules: &[&ord005::ORD005, &ord007::ORD007, &ord009::ORD009, &vel001::VEL001, &zer001::ZER001],
+    examines: "Joints and the model that they move: order, scale, zeros, play, sag, velocities, DH convention",
+    rules: &[
+        &ord005::ORD005,
+        &ord007::ORD007,
+        &ord009::ORD009,
+        &vel001::VEL001,
+        &zer001::ZER001,
+        &zer003::ZER003,
+        &mot006::MOT006,
+    ],
 };

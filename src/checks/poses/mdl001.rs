@@ -40,7 +40,9 @@ rule! {
     /// anything was taken off. `as_logged` is the error straight from FK, `left` what the findings
     /// leave of it, both as what 95 % stay below (`most_m`, `most_rad`) in the worst tenth of the run,
     /// with its times and the place of the tip there (`from_ns`, `to_ns`, `at_m`). `shared_by` names
-    /// the streams in which it is left at the same times. `candidates` are the nearest causes, each
+    /// the streams in which it is left at the same times. Where it goes with the angle of a joint once,
+    /// twice or three times a turn, as of an eccentric gear or encoder, the message names the joint and
+    /// by how much. `candidates` are the nearest causes, each
     /// with what it leaves. `fits` names an arm of the catalogue with the same joints that fits
     /// without a cause where the model that was named does not, and to how much (`misfit_m`; `tool_m`
     /// where it needs an active TCP); `value` is then what the named model leaves of the positions as
@@ -90,6 +92,8 @@ struct Held<'a> {
     stream: &'a Of<PoseEvidence>,
     subject: Subject,
     standing: Option<Standing>,
+    /// What it goes with, where that is known: see [`eccentricity`].
+    goes_with: String,
 }
 
 impl Held<'_> {
@@ -115,10 +119,14 @@ fn judge_arm(case: &Case, named: &Named, arm: &ArmEvidence) -> Vec<Judged> {
     let thresholds = case.thresholds.of_frames(&MDL001, THRESHOLDS);
     let held = |subject: Subject, stream| {
         let standing = standing(named, arm, stream, &thresholds, case.evidence.subjects());
-        Held { stream, subject, standing }
+        Held { stream, subject, standing, goes_with: eccentricity(arm) }
     };
     let poses = arm.poses.iter().map(|stream| held(stream.subject.clone(), stream));
-    let tf = arm.tf.iter().map(|tf| held(arm.frame(tf.topic(), &tf.tip), tf));
+    // What is reckoned from the joint states knows nothing of their eccentricity.
+    let tf = arm
+        .tf
+        .iter()
+        .map(|tf| Held { goes_with: String::new(), ..held(arm.frame(tf.topic(), &tf.tip), tf) });
     let streams: Vec<Held> = poses.chain(tf).collect();
     if streams.is_empty() && arm.imus.iter().all(|imu| imu.proof.is_none()) {
         if case.evidence.hand_eyes.iter().any(|eye| eye.robot.as_ref() == Some(&arm.name)) {
@@ -142,7 +150,7 @@ fn judge_arm(case: &Case, named: &Named, arm: &ArmEvidence) -> Vec<Judged> {
 }
 
 fn judge(case: &Case, held: &Held, all: &[Held]) -> Judged {
-    let Held { stream, subject, standing } = held;
+    let Held { stream, subject, standing, .. } = held;
     let proof = match &stream.proof {
         Ok(proof) => proof,
         Err(why) => return Judged::new(subject.clone(), unseen(why, SETTLE)).within(stream.span),
@@ -341,7 +349,8 @@ fn unexplained(case: &Case, held: &Held, all: &[Held], left: &Left) -> Fault {
     };
     evidence.more.insert("shared_by".to_owned(), sharing.into());
     let said = format!("{} rms are left{shared}", sizes(&left.error));
-    let message = format!("{said} when all that was found is taken off");
+    let goes_with = &held.goes_with;
+    let message = format!("{said} when all that was found is taken off{goes_with}");
     let fix = "use the arm's calibrated description, or see whether it is the right one; where it \
                begins at some time, see what happened to the tool, the frames or the joints then"
         .to_owned();
@@ -454,6 +463,9 @@ fn wrong_model(case: &Case, arm: &ArmEvidence, wrong: &WrongModel) -> Outcome {
         fix: format!("audit with --robot {is}: everything else here is judged with it"),
     })
 }
+
+mod eccentric;
+use eccentric::eccentricity;
 
 #[cfg(test)]
 mod tests;

@@ -8,6 +8,7 @@ mod zeros;
 
 use std::borrow::Cow;
 
+use super::bends::bend;
 use super::joints::{
     Left, Read, corrected, lies_on_arm, likely_readings, other_reading, read_joints,
 };
@@ -117,8 +118,9 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
         scales.retain(|scale| !is_one(scale.factor.value));
         reading.slips.retain(|slip| slip.unit != JointUnit::Scaled || !is_one(slip.factor));
     }
-    let (changes, patches) = (Vec::new(), Vec::new());
-    ArmDiagnosis { joints: JointDiagnosis { reading, offsets, scales, changes, patches }, streams }
+    let (changes, patches, bends) = (Vec::new(), Vec::new(), Vec::new());
+    let joints = JointDiagnosis { reading, offsets, scales, changes, patches, bends };
+    ArmDiagnosis { joints, streams }
 }
 
 /// A factor this near to 1 is none: over a turn it makes less than a tenth of a degree.
@@ -251,14 +253,24 @@ impl JointDiagnosis {
         own.filter_map(of).max_by(|a, b| a.by.value.abs().total_cmp(&b.by.value.abs()))
     }
 
-    /// The joint states as they should have been recorded: what changes in mid-run undone, names and
-    /// units as found, and the joint offsets of the smallest explanation added.
+    /// The same without what no rule names: eccentricity of more than gears usually have.
+    pub fn as_named(&self) -> Self {
+        let mut named = self.clone();
+        named.bends.retain(|bend| !bend.is_eccentric());
+        named
+    }
+
+    /// The joint states as they should have been recorded: what changes in mid-run undone, what gives in
+    /// the joints added, names and units as found, and the joint offsets of the smallest explanation added.
     ///
     /// `prismatic` says for each column of `joints` whether that joint slides.
     pub fn corrected_joints(&self, joints: &JointTrack, prismatic: &[bool]) -> JointTrack {
         let mut unchanged = Cow::Borrowed(joints);
         for patch in &self.patches {
             patch.apply(unchanged.to_mut());
+        }
+        if !self.bends.is_empty() {
+            bend(unchanged.to_mut(), &self.bends);
         }
         let mut track = match &self.reading {
             Ok(reading) => corrected(&unchanged, reading, prismatic),

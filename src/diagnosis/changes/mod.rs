@@ -87,7 +87,7 @@ pub(super) fn without_changes(
 }
 
 /// Whether what was found on a stream leaves more of it than its noise, in some part of the run.
-fn leaves_much(found: &PoseDiagnosis) -> bool {
+pub(super) fn leaves_much(found: &PoseDiagnosis) -> bool {
     /// Less than this is left of a healthy stream, m and rad.
     const LITTLE: [f64; 2] = [0.3e-3, 0.5e-3];
     /// So many times the noise is more than noise.

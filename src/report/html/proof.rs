@@ -100,7 +100,11 @@ impl Case<'_> {
                 proof.plots.extend(self.poses().map(position_over_time));
                 proof.plots.extend(self.poses().map(rotation_over_time));
             }
-            Cause::Changes | Cause::Model | Cause::Disagreement { .. } | Cause::OtherRobot(_) => {
+            Cause::Bend
+            | Cause::Changes
+            | Cause::Model
+            | Cause::Disagreement { .. }
+            | Cause::OtherRobot(_) => {
                 proof.plots.extend(self.poses().map(position_over_time));
                 proof.plots.extend(self.poses().map(rotation_over_time));
                 proof.plots.extend(self.poses().map(error_over_reach));

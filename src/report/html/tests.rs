@@ -30,6 +30,7 @@ fn finding(code: &'static str, topic: &str) -> Finding {
         "LAT003" => Cause::UnsteadyLatency,
         "YAW001" => Cause::YawDrift(measured),
         "MDL001" => Cause::Model,
+        "MOT006" | "ZER003" => Cause::Bend,
         "FRM004" => Cause::Frames,
         "TIM002" => Cause::Stamps,
         "LAT002" => Cause::Skew(measured),

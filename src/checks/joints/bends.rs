@@ -1,0 +1,91 @@
+//! What MOT006 and ZER003 share: an amount by which a joint gives, and that only a run tells in which
+//! something is left otherwise.
+
+use crate::checks::decision::{Threshold, decide};
+use crate::checks::frames::THRESHOLDS;
+use crate::checks::{Case, Judged, Rule};
+use crate::diagnosis::{JointBend, Measured};
+use crate::evidence::{ArmEvidence, Of, PoseEvidence};
+use crate::finding::{Estimate, Fault, Outcome, Severity, Unit};
+
+/// A way in which joints give, and how its rule words it.
+pub(super) struct Giving {
+    /// Name of the estimate.
+    pub name: &'static str,
+    /// From where it matters.
+    pub threshold: Threshold,
+    /// What would tell where it could not be had.
+    pub settle: &'static str,
+    /// Whether a bend is of this way.
+    pub is_it: fn(&JointBend) -> bool,
+    /// The fault.
+    pub fault: fn(&ArmEvidence, &JointBend, Severity) -> Fault,
+}
+
+impl Giving {
+    /// Judges every joint that gives in this way, or the arm where none does.
+    pub fn check(&self, rule: &Rule, case: &Case) -> Vec<Judged> {
+        let arms = case.evidence.robots.iter().filter(|arm| !arm.poses.is_empty());
+        arms.flat_map(|arm| self.judge_arm(rule, case, arm)).collect()
+    }
+
+    fn judge_arm(&self, rule: &Rule, case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
+        let own: Vec<&JointBend> =
+            arm.diagnosis.bends.iter().filter(|bend| (self.is_it)(bend)).collect();
+        if own.is_empty() {
+            let outcome = match left(arm) {
+                _ if !moves(arm) => {
+                    let why = "the arm hardly moves, or no pose could be held against it";
+                    Outcome::Inconclusive(format!("{why}; {}", self.settle))
+                }
+                None => Outcome::sound(),
+                Some(left) => Outcome::Inconclusive(format!("{left}; {}", self.settle)),
+            };
+            return vec![Judged::new(arm.subject(), outcome).within(arm.span)];
+        }
+        own.into_iter().map(|bend| self.judge(rule, case, arm, bend)).collect()
+    }
+
+    fn judge(&self, rule: &Rule, case: &Case, arm: &ArmEvidence, bend: &JointBend) -> Judged {
+        let threshold = case.thresholds.of(rule, self.threshold);
+        let size = Measured { value: bend.amount.value.abs(), ..bend.amount };
+        let outcome = decide(&size, &threshold, case.evidence.subjects())
+            .into_outcome(self.settle, |severity| (self.fault)(arm, bend, severity));
+        Judged::new(arm.joint(bend.column), outcome).within(arm.span).estimated(Estimate::amount(
+            self.name,
+            Unit::Radian,
+            &size,
+        ))
+    }
+}
+
+/// Whether some pose stream was held against the arm in motion.
+fn moves(arm: &ArmEvidence) -> bool {
+    let moves = |stream: &Of<PoseEvidence>| {
+        let is_told = stream.proof.as_ref().is_ok_and(|proof| !proof.at_rest);
+        is_told && stream.diagnosis.residual.is_ok()
+    };
+    arm.poses.iter().any(moves)
+}
+
+/// What is left of the arm's poses that may be of any joint, where it is more than a joint may give.
+fn left(arm: &ArmEvidence) -> Option<String> {
+    let streams = arm.poses.iter().map(|stream| &stream.diagnosis);
+    let left =
+        streams.filter(|found| !found.nominal).filter_map(|found| found.residual.as_ref().ok());
+    let most = left.fold((0.0_f64, 0.0_f64), |most, residual| {
+        (most.0.max(residual.excess_m.value), most.1.max(residual.excess_rad.value))
+    });
+    let is_much = most.0 > THRESHOLDS.length.warning || most.1 > THRESHOLDS.angle.warning;
+    is_much.then(|| {
+        let [length, angle] = [Unit::Metre.show(most.0), Unit::Radian.show(most.1)];
+        format!("{length} and {angle} are left that it does not explain (MDL001)")
+    })
+}
+
+/// By how much a turn of joint `column` moves the tip at full reach, m, and that in words.
+pub(super) fn effect(arm: &ArmEvidence, column: usize, turn_rad: f64) -> (f64, String) {
+    let lever_m = arm.diagnosis.offsets.get(column).map_or(0.0, |offset| offset.lever_m);
+    let effect_m = lever_m * turn_rad.abs();
+    (effect_m, format!("{} at full reach", Unit::Metre.show(effect_m)))
+}

@@ -1,0 +1,115 @@
+use super::bends::{Giving, effect};
+use crate::checks::decision::{DEGREE, Threshold};
+use crate::checks::{Case, Grade, Judged};
+use crate::diagnosis::{JointBend, Measured};
+use crate::evidence::ArmEvidence;
+use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
+
+rule! {
+    /// A joint has play.
+    ///
+    /// ## What it means
+    /// After each change of its direction the joint's encoder moves by the play before the link follows:
+    /// backlash of a gear, a loose coupling, a slack belt. The amount is the full play.
+    ///
+    /// ## Why it matters
+    /// The tool comes to another place from either side, by the play times the lever: 0.5° at the
+    /// shoulder of an arm of 0.85 m is 7 mm. Against poses it looks like a latency of some milliseconds,
+    /// which no shift of stamps mends.
+    ///
+    /// ## Evidence
+    /// Where the causes of the other rules leave more than noise, it is asked of each joint what goes with
+    /// the direction of its last motion (hysteresis), beside sag (ZER003) and eccentricity, with every
+    /// latency, zero and frame free. It is named where far less is left with it. Latency and zeros are
+    /// then judged with the play taken off. `leads` says that poses go before this joint's encoder: it is
+    /// on the side of the link, and the poses are reckoned from the motor's.
+    ///
+    /// ## How to fix
+    /// Adjust the gear's preload, or tighten the coupling or belt. Until then come to each target from the
+    /// same side.
+    ///
+    /// ## When it misleads
+    /// Dry friction that winds up a soft gear goes with direction too. A joint that is always loaded from
+    /// the same side has play that never shows. The controller's own poses show play only where the
+    /// controller has encoders on both sides.
+    MOT006 {
+        name: "backlash",
+        grade: Grade::From(&[THRESHOLD]),
+        headline: false,
+        needs_model: true,
+        missing: "no pose stream beside the joint states",
+        check: check,
+    }
+}
+
+const THRESHOLD: Threshold =
+    Threshold { unit: Unit::Radian, warning: 0.1 * DEGREE, error: 0.5 * DEGREE };
+
+const PLAY: Giving = Giving {
+    name: "play",
+    threshold: THRESHOLD,
+    settle: "move one joint after the other to and fro",
+    is_it: JointBend::is_play,
+    fault,
+};
+
+fn check(case: &Case) -> Vec<Judged> {
+    PLAY.check(&MOT006, case)
+}
+
+fn fault(arm: &ArmEvidence, bend: &JointBend, severity: Severity) -> Fault {
+    let size = Measured { value: bend.amount.value.abs(), ..bend.amount };
+    let leads = bend.amount.value < 0.0;
+    let (effect_m, moved) = effect(arm, bend.column, size.value);
+    let how = match leads {
+        true => "the poses go on before the encoder does",
+        false => "the link follows the encoder beyond it only",
+    };
+    let mut evidence =
+        Evidence { effect: Some(moved), effect_m: Some(effect_m), ..Evidence::default() };
+    evidence.more.insert("leads".to_owned(), leads.into());
+    Fault {
+        severity,
+        cause: Cause::Bend,
+        title: "joint has play",
+        message: format!("play of {}: {how}", Unit::Radian.show_measured(&size)),
+        evidence,
+        fix: "adjust the gear's preload, or tighten its coupling or belt; until then come to each \
+              target from the same side"
+            .to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{ask, clean_run, sure};
+    use crate::diagnosis::BendShape;
+    use crate::finding::Status;
+
+    #[test]
+    fn play_of_a_joint_is_a_finding_from_its_figure_on() {
+        for (amount, status) in
+            [(0.02, Status::Fail), (-0.003, Status::Fail), (0.0012, Status::Pass)]
+        {
+            let mut run = clean_run();
+            let play = JointBend { column: 1, amount: sure(amount), shape: BendShape::Play };
+            run.robots[0].diagnosis.bends.push(play);
+            let (rows, findings) = ask(&MOT006, &run);
+            assert_eq!(rows[0].status, status, "{rows:?}");
+            for finding in findings {
+                assert_eq!(finding.subject.joint.as_deref(), Some("lift"));
+                assert_eq!(finding.evidence.more["leads"], amount < 0.0);
+            }
+        }
+    }
+
+    #[test]
+    fn an_arm_that_leaves_nothing_has_none_and_one_that_does_may() {
+        let mut run = clean_run();
+        assert_eq!(ask(&MOT006, &run).0[0].status, Status::Pass);
+        let residual = run.robots[0].poses[0].diagnosis.residual.as_mut();
+        residual.expect("clean").excess_m.value = 3e-3;
+        assert_eq!(ask(&MOT006, &run).0[0].status, Status::Inconclusive);
+    }
+}

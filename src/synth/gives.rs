@@ -1,0 +1,106 @@
+//! Joints whose links are not where their encoders say: play, sag, eccentric gears.
+
+use super::motion::Trajectory;
+use crate::robot::Chain;
+
+/// A joint that gives: `q_true = q_reported + bend`. The pose stream and the IMU know where its link is,
+/// /tf follows the joint states.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Gives {
+    /// The joint, counted from the base.
+    pub joint: usize,
+    /// How.
+    pub how: Giving,
+    /// How much, rad: the full play, the largest sag, the amplitude of the eccentricity.
+    pub by_rad: f64,
+}
+
+/// How a joint gives.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Giving {
+    /// The link follows its encoder only when that has moved by the play.
+    Play,
+    /// The link hangs lower by as much as gravity turns at the joint.
+    Sag,
+    /// So many times a turn of the joint.
+    Eccentric(u32),
+}
+
+/// What the joints of a run give, over its time.
+pub(super) struct Bends {
+    joints: Vec<(usize, Vec<f64>)>,
+}
+
+impl Bends {
+    /// Times between which is interpolated, s, and how long before the run they begin.
+    const STEP_S: f64 = 1e-3;
+    const BEFORE_S: f64 = 1.0;
+
+    pub(super) fn new(
+        gives: &[Gives],
+        trajectory: &Trajectory,
+        chain: &Chain,
+        long_s: f64,
+    ) -> Self {
+        let rows =
+            if gives.is_empty() { 0 } else { (long_s + 2.0 * Self::BEFORE_S) as usize * 1000 };
+        let positions: Vec<Vec<f64>> = (0..rows)
+            .map(|row| trajectory.at(row as f64 * Self::STEP_S - Self::BEFORE_S).0)
+            .collect();
+        let bend = |gives: &Gives| {
+            let own = || positions.iter().map(|q| q[gives.joint]);
+            let bends: Vec<f64> = match gives.how {
+                Giving::Play => {
+                    let half = 0.5 * gives.by_rad;
+                    let mut link = positions.first().map_or(0.0, |q| q[gives.joint]);
+                    own()
+                        .map(|encoder| {
+                            link = f64::clamp(link, encoder - half, encoder + half);
+                            link - encoder
+                        })
+                        .collect()
+                }
+                Giving::Sag => {
+                    let torque = positions.iter().map(|q| torque(chain, q, gives.joint));
+                    let torque: Vec<f64> = torque.collect();
+                    let most = torque.iter().fold(0.0_f64, |most, torque| most.max(torque.abs()));
+                    torque.into_iter().map(|torque| gives.by_rad * torque / most).collect()
+                }
+                Giving::Eccentric(order) => {
+                    own().map(|q| gives.by_rad * (f64::from(order) * q + 0.7).sin()).collect()
+                }
+            };
+            (gives.joint, bends)
+        };
+        Self { joints: gives.iter().map(bend).collect() }
+    }
+
+    /// Adds them to positions and velocities of the encoders.
+    pub(super) fn add(&self, time_s: f64, positions: &mut [f64], velocities: &mut [f64]) {
+        for (joint, bends) in &self.joints {
+            let at = ((time_s + Self::BEFORE_S) / Self::STEP_S).max(0.0);
+            let row = (at as usize).min(bends.len().saturating_sub(2));
+            let rise = bends[row + 1] - bends[row];
+            positions[*joint] += bends[row] + (at - row as f64) * rise;
+            velocities[*joint] += rise / Self::STEP_S;
+        }
+    }
+}
+
+/// The torque of gravity about a joint, N·m per g, of links of 4, 3, 2, 2, 1, 1 and 1 kg in the middle between
+/// their joints and of a tool of 1 kg: how their height falls as the joint turns.
+fn torque(chain: &Chain, q: &[f64], joint: usize) -> f64 {
+    const KG: [f64; 7] = [4.0, 3.0, 2.0, 2.0, 1.0, 1.0, 1.0];
+    const STEP_RAD: f64 = 1e-5;
+    let moment = |by_rad: f64| -> f64 {
+        let mut q = q.to_vec();
+        q[joint] += by_rad;
+        let mut frames = Vec::new();
+        chain.joint_frames(&q, &mut frames);
+        frames.push(chain.forward(&q));
+        let heights: Vec<f64> = frames.iter().map(|frame| frame.translation.vector.z).collect();
+        let links = heights.windows(2).zip(KG).map(|(ends, kg)| kg * 0.5 * (ends[0] + ends[1]));
+        links.sum::<f64>() + heights[heights.len() - 1]
+    };
+    (moment(-STEP_RAD) - moment(STEP_RAD)) / (2.0 * STEP_RAD)
+}
