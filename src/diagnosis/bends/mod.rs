@@ -10,6 +10,7 @@
 mod found;
 mod gravity;
 mod search;
+mod system;
 
 use super::arm::diagnose_arm;
 use super::changes::leaves_much;

@@ -3,15 +3,12 @@
 
 use super::found::{BendShape, JointBend, Sag, play};
 use super::gravity::{Gravity, Masses, Postures};
+use super::system::{STREAM, System, linear};
 use super::{Run, Samples};
 use crate::explain::price;
-use crate::linear::{Linear, Normal, Weight};
-use crate::model::{FLOOR_M, FLOOR_RAD};
-use crate::robust::sandwich;
+use crate::linear::{Linear, Normal};
 use crate::{ArmDiagnosis, FrameEstimate, Seen};
-use ground::geometry::Vec3;
 use ground::stats::Measured;
-use nalgebra::{DMatrix, DVector};
 use std::sync::Arc;
 
 /// Play that is assumed while it is sought, rad; the shape hardly hangs on it.
@@ -24,6 +21,8 @@ const ORDERS: [u32; 3] = [1, 2, 3];
 const LEAST_TORQUE: f64 = 0.05;
 /// An amount is told from none by so many standard errors.
 const TOLD: f64 = 4.0;
+/// Standard error of a sag by masses that are guessed, as a share: others take so much more or less of it.
+const MASSES: f64 = 0.07;
 /// More than this is no bend, rad.
 const MOST_RAD: f64 = 0.1;
 /// Joints whose number ranges over less show no eccentricity, rad.
@@ -54,7 +53,7 @@ impl Term {
     }
 
     /// Number of coefficients.
-    fn width(&self) -> usize {
+    pub fn width(&self) -> usize {
         if matches!(self.kind, Kind::Eccentric(_)) { 2 } else { 1 }
     }
 
@@ -76,14 +75,10 @@ impl Term {
 
 /// What is free beside the bends.
 pub(super) struct Free {
-    zeros: Vec<bool>,
+    pub zeros: Vec<bool>,
     /// Of each stream: latency, growth, reference, tool.
-    streams: Vec<[bool; 4]>,
+    pub streams: Vec<[bool; 4]>,
 }
-
-/// Parameters of a stream beside its joints': latency, growth, reference and tool.
-const STREAM: usize = 14;
-const PARTS: [std::ops::Range<usize>; 4] = [0..1, 1..2, 2..8, 8..14];
 
 impl Free {
     /// All zeros, latencies and frames.
@@ -118,17 +113,6 @@ pub(super) struct Search<'a> {
     most_torque: Vec<f64>,
     /// Torques of each sample of each stream, one a joint.
     torques: Vec<Vec<Vec<f64>>>,
-}
-
-/// Least squares with some terms beside everything else.
-struct System {
-    linears: Vec<Linear>,
-    weights: Vec<Vec<Weight>>,
-    normal: Normal,
-    /// Columns of each stream's own parameters in the whole.
-    columns: Vec<Vec<usize>>,
-    /// Where the terms begin, and each of them.
-    starts: Vec<usize>,
 }
 
 impl<'a> Search<'a> {
@@ -322,88 +306,12 @@ impl<'a> Search<'a> {
                     BendShape::Eccentric { order, phase_rad: amount[1].atan2(amount[0]) }
                 }
             };
-            JointBend { column, amount: Measured { value: term.size(), std_error, dof }, shape }
+            let value = term.size();
+            let guessed = if term.kind == Kind::Sag { MASSES * value } else { 0.0 };
+            let std_error = std_error.hypot(guessed);
+            JointBend { column, amount: Measured { value, std_error, dof }, shape }
         };
         terms.iter().map(bend).collect()
-    }
-}
-
-impl System {
-    fn sum(&mut self) {
-        let width = self.columns.iter().flatten().max().map_or(0, |last| last + 1);
-        /// As the fit of the model damps its steps.
-        const SCALE: f64 = 0.02;
-        let mut normal = Normal::zeros(width);
-        for ((linear, weights), columns) in
-            self.linears.iter().zip(&self.weights).zip(&self.columns)
-        {
-            linear.accumulate(weights, columns, &mut normal);
-        }
-        for parameter in 0..width {
-            normal.matrix[(parameter, parameter)] += SCALE.powi(-2);
-        }
-        self.normal = normal;
-    }
-
-    fn weigh(&mut self, step: &DVector<f64>) {
-        let own = |columns: &[usize]| -> Vec<f64> { columns.iter().map(|&c| step[c]).collect() };
-        self.weights = self
-            .linears
-            .iter()
-            .zip(&self.columns)
-            .map(|(linear, columns)| linear.weights_after(&own(columns)))
-            .collect();
-        self.sum();
-    }
-
-    /// The parameters of some terms and of what is free beside them, ascending.
-    fn parameters(&self, terms: &[Term], set: &[usize], free: &Free) -> Vec<usize> {
-        let dof = free.zeros.len();
-        let own = dof + terms.iter().map(Term::width).sum::<usize>();
-        let zeros =
-            free.zeros.iter().enumerate().filter(|(_, free)| **free).map(|(joint, _)| joint);
-        let mut parameters: Vec<usize> = zeros.collect();
-        for &index in set {
-            parameters.extend((0..terms[index].width()).map(|i| self.starts[index] + i));
-        }
-        for (s, parts) in free.streams.iter().enumerate() {
-            for (part, _) in PARTS.into_iter().zip(parts).filter(|(_, free)| **free) {
-                parameters.extend(part.map(|parameter| own + s * STREAM + parameter));
-            }
-        }
-        parameters.sort_unstable();
-        parameters
-    }
-
-    fn step(&self, parameters: &[usize]) -> DVector<f64> {
-        let none = DVector::zeros(self.normal.right.len());
-        self.normal.step(&none, parameters)
-    }
-
-    fn cost(&self, parameters: &[usize]) -> f64 {
-        self.normal.cost_after(&self.step(parameters))
-    }
-
-    /// `Σ n·ln σ` of what is left.
-    fn noise(&self) -> f64 {
-        let of_stream = |(linear, weights): (&Linear, &Vec<Weight>)| {
-            let log = weights.iter().map(|weight| weight.noise.sigma.ln()).sum::<f64>();
-            linear.len() as f64 * log
-        };
-        self.linears.iter().zip(&self.weights).map(of_stream).sum()
-    }
-
-    fn covariance(&self, parameters: &[usize]) -> DMatrix<f64> {
-        let n = parameters.len();
-        let (mut information, mut scores) = (DMatrix::zeros(n, n), DMatrix::zeros(n, n));
-        for ((linear, weights), columns) in
-            self.linears.iter().zip(&self.weights).zip(&self.columns)
-        {
-            let targets: Vec<Option<usize>> =
-                columns.iter().map(|column| parameters.binary_search(column).ok()).collect();
-            linear.accumulate_covariance(weights, &targets, &mut information, &mut scores);
-        }
-        sandwich(&information, &scores)
     }
 }
 
@@ -452,56 +360,4 @@ fn torques(gravity: &Gravity, samples: &[Samples], dof: usize) -> Vec<Vec<Vec<f6
         torques
     };
     samples.iter().map(|samples| samples.q.iter().map(&mut of_sample).collect()).collect()
-}
-
-/// The residuals of a stream's samples and their derivatives, in the base, at the tip.
-fn linear(
-    samples: &Samples,
-    shapes: &[Vec<f64>],
-    terms: &[Term],
-    starts: &[usize],
-    own: usize,
-) -> Linear {
-    const POSITION: usize = 0;
-    const ROTATION: usize = 1;
-    let mut linear = Linear::new(own + STREAM, &[FLOOR_M, FLOOR_RAD]);
-    for (k, shapes) in shapes.iter().enumerate() {
-        let mut rows = linear.push(&samples.residual[k]);
-        let mut set = |column: usize, length: Vec3, angle: Vec3| {
-            rows.set(POSITION, column, length.into());
-            let angle = if samples.has_rotation { angle } else { Vec3::zeros() };
-            rows.set(ROTATION, column, angle.into());
-        };
-        let of_joint = |joint: usize| {
-            let [a, b, c, d, e, f] = samples.jacobian[k][joint];
-            (Vec3::new(a, b, c), Vec3::new(d, e, f))
-        };
-        let (mut v, mut w) = (Vec3::zeros(), Vec3::zeros());
-        for (joint, speed) in samples.qd[k].iter().enumerate() {
-            let (length, angle) = of_joint(joint);
-            set(joint, length, angle);
-            v += length * *speed;
-            w += angle * *speed;
-        }
-        let mut shapes = shapes.iter();
-        for (term, &start) in terms.iter().zip(starts) {
-            let (length, angle) = of_joint(term.column);
-            for (i, shape) in shapes.by_ref().take(term.width()).enumerate() {
-                set(start + i, length * *shape, angle * *shape);
-            }
-        }
-        let fk = &samples.fk[k];
-        let at = fk.translation.vector;
-        set(own, -v, -w);
-        set(own + 1, at, Vec3::zeros());
-        for axis in 0..3 {
-            let unit = Vec3::ith(axis, 1.0);
-            set(own + 2 + axis, unit, Vec3::zeros());
-            set(own + 5 + axis, unit.cross(&at), unit);
-            let tool = fk.rotation * unit;
-            set(own + 8 + axis, tool, Vec3::zeros());
-            set(own + 11 + axis, Vec3::zeros(), tool);
-        }
-    }
-    linear
 }
