@@ -128,6 +128,9 @@ pub(super) struct Left {
     pub parts: Vec<Part>,
 }
 
+/// Less that is left of a drawing is not worth a word, rms m.
+const DRAWN_M: f64 = 0.3e-3;
+
 /// How the error of a stream stands, as `thresholds` have it; `None` where there is none.
 pub(super) fn standing(
     named: &Named,
@@ -146,6 +149,7 @@ pub(super) fn standing(
         return Some(Standing::Noise);
     }
     if let Some(calibrated) = proof.calibrated.as_ref().filter(|_| found.nominal)
+        && explained.length.whole.rms > DRAWN_M
         && Left::of(calibrated, thresholds, near).is_none()
     {
         return Some(Standing::Nominal(explained.clone()));

@@ -219,6 +219,7 @@ cases! {
         log.run.pose.reference_from_stream = crate::checks::frm::far_off();
     } => BlamedOn("FRM002");
     ORD008 no_positions: |log| {
+        log.run.imu.timing.rate_hz = 0.0;
         log.run.pose.timing.rate_hz = 0.0;
         log.run.tf.timing.rate_hz = 0.0;
     } => Skipped("no pose stream");

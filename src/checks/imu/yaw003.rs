@@ -79,6 +79,10 @@ fn judge_axes(case: &Case, imu: &Of<ImuEvidence>) -> Option<Judged> {
     let turn = imu.diagnosis.axes_turn.as_ref()?;
     // Filters lean a little against their own gyro.
     let threshold = case.thresholds.of(&YAW003, THRESHOLD);
+    // Motion about one axis shows them about that axis alone.
+    if turn.size_rad.norm.half_width(0.95) > threshold.error {
+        return None;
+    }
     let coarse = Threshold { warning: threshold.error, ..threshold };
     let decision = decide_length(&turn.size_rad, &coarse, case.evidence.subjects());
     let Decision::Fail(severity) = decision else { return None };

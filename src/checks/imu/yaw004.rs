@@ -185,6 +185,7 @@ mod tests {
     #[test]
     fn a_step_says_from_what_to_what_and_when() {
         let mut run = clean_run();
+        run.start = Some(run.origin);
         let bias = run.robots[0].imus[0].diagnosis.gyro_bias.as_mut().unwrap();
         let course = BiasCourse::Step { at_s: 15.0, interval_s: [14.9, 15.1] };
         let (before_rad_s, after_rad_s) = (Vec3::zeros(), Vec3::new(0.0, 2.0 * DEGREE, 0.0));
