@@ -42,9 +42,11 @@ fn statuses(rule: &Rule, run: &RunEvidence, settings: &Settings) -> Vec<Status> 
 
 #[test]
 fn every_threshold_that_is_set_reaches_its_rule() {
-    // No joint slides there, no yaw jumps, nothing shakes and no gyro has a gain.
+    // No joint slides or gives there, no yaw jumps, nothing shakes and no gyro has a gain.
     let idle = [
         ("ZER001", Unit::Metre),
+        ("ZER003", Unit::Radian),
+        ("MOT006", Unit::Radian),
         ("YAW001", Unit::Radian),
         ("MOT001", Unit::Metre),
         ("MDL001", Unit::One),
