@@ -19,8 +19,10 @@ use nalgebra::{DMatrix, DVector};
 /// No arm's calibration moves its tip by more, rms: 10 mm and 0.5°.
 pub(super) const MOST_M: f64 = 10e-3;
 pub(super) const MOST_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
-/// Less than this beyond the noise is no drawing's, rms: 0.05 mm.
-const LEAST_M: f64 = 0.05e-3;
+/// Less than this beyond the noise is no drawing's that matters, rms, …
+const LEAST_M: f64 = 0.3e-3;
+/// … but for a joint zero whose interval it widens.
+const LEAST_BESIDE_M: f64 = 0.05e-3;
 /// By how much calibrations usually change a link's frame in each direction: half a millimetre and
 /// 0.04° (as UR's factory calibrations do).
 const USUAL_M: f64 = 0.5e-3;
@@ -54,7 +56,9 @@ pub(super) fn is_nominal(
     }
     let calibration = Calibration::fit(witness, plain, offsets, stride);
     let noise_m = 3f64.sqrt() * calibration.weights[0].noise.sigma;
-    if rms_m.powi(2) - noise_m.powi(2) < LEAST_M.powi(2) {
+    let is_named = offsets.iter().any(|offset| *offset != 0.0);
+    let least_m = if is_named { LEAST_BESIDE_M } else { LEAST_M };
+    if rms_m.powi(2) - noise_m.powi(2) < least_m.powi(2) {
         return false;
     }
     let explained = witness.linearize(&state.streams[stream], &state.offsets, stride);

@@ -2,7 +2,7 @@
 //! be if it were.
 
 use super::bends::without_bends;
-use super::changes::{jumps_in_time, without_changes};
+use super::changes::{jumps_in_time, left_m, without_changes};
 use super::imu::diagnose_mended;
 use super::{
     ArmDiagnosis, ImuDiagnosis, ImuNumbers, ImuStream, JointReading, LatencySteps, PoseDiagnosis,
@@ -10,6 +10,9 @@ use super::{
 };
 use ground::stream::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack};
 use rayon::prelude::*;
+
+/// A joint that gives before one that changes, where it leaves at most so many times as much.
+const AS_LITTLE: f64 = 1.5;
 
 /// The diagnosis of an arm's pose streams; where the latency of some is not steady, that of the
 /// streams as they would be if it were, so that no other cause is sought for what it does.
@@ -67,12 +70,20 @@ pub fn diagnose_steadied(
     } else {
         diagnose_arm(joints, &with_tracks(&streams, &tracks), most_lag_s)
     };
-    let mut changed = false;
     let unsteadied = with_tracks(&streams, &tracks);
-    let otherwise = without_changes(joints, &unsteadied, slides, &steady, most_lag_s);
-    changed |= otherwise.is_some();
-    let otherwise =
-        otherwise.or_else(|| without_bends(joints, &unsteadied, slides, &steady, most_lag_s));
+    let by_change = without_changes(joints, &unsteadied, slides, &steady, most_lag_s);
+    let by_bend = match &by_change {
+        // A joint with play that turns back once is as one whose zero changes there.
+        Some(changed) if changed.streams.iter().any(PoseDiagnosis::changes) => None,
+        _ => without_bends(joints, &unsteadied, slides, &steady, most_lag_s),
+    };
+    let (changed, otherwise) = match (by_change, by_bend) {
+        (Some(change), Some(bend)) => match left_m(&bend) <= AS_LITTLE * left_m(&change) {
+            true => (false, Some(bend)),
+            false => (true, Some(change)),
+        },
+        (change, bend) => (change.is_some(), change.or(bend)),
+    };
     if let Some(otherwise) = otherwise {
         steady = otherwise;
     }

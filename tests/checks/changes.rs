@@ -40,7 +40,7 @@ fn a_tool_that_slips_and_is_put_back_is_the_tools_alone() {
     .audited();
     assert_eq!(codes(&report), ["FRM003"].into(), "{}", summary(&report.findings));
     let apart_m = the(&report, "FRM003", POSE).estimate.as_ref().and_then(Estimate::value);
-    assert!(apart_m.is_some_and(|apart_m| (apart_m - 0.02).abs() < 2e-4), "{apart_m:?}");
+    assert!(apart_m.is_some_and(|apart_m| (apart_m - 0.02).abs() < 1e-3), "{apart_m:?}");
 }
 
 #[test]

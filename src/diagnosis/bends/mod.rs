@@ -85,14 +85,15 @@ pub(super) fn without_bends(
     let samples = run.samples(joints, found);
     let before = Left::of(found);
     let mut best: Option<(Left, ArmDiagnosis)> = None;
-    for terms in Search::new(&run, &samples, Masses::TRIED[0])?.terms() {
+    let (search, sets) = run.search(&samples)?;
+    for terms in sets {
         let is_eccentric = terms.iter().any(|term| matches!(term.kind, Kind::Eccentric(_)));
         // An eccentricity can be bent to many shapes: play and sag come before it.
         let enough = |(left, _): &(Left, ArmDiagnosis)| left.is_within(ENOUGH, &before);
         if is_eccentric && best.as_ref().is_some_and(enough) {
             break;
         }
-        let Some(after) = run.without(&samples, terms) else { continue };
+        let Some(after) = run.without(&search, terms) else { continue };
         let left = Left::of(&after);
         if best.as_ref().is_none_or(|(best, _)| left.is_within(LEFT, best)) {
             best = Some((left, after));
@@ -145,16 +146,24 @@ impl Left {
 }
 
 impl Run<'_> {
-    /// The diagnosis of the run with the bends that `terms` are taken off; `None` where they are none.
-    /// `samples` are what is left otherwise.
-    fn without(&self, samples: &[Samples], mut terms: Vec<Term>) -> Option<ArmDiagnosis> {
-        let sags = terms.iter().any(|term| term.kind == Kind::Sag);
-        let tried = if sags { &Masses::TRIED[..] } else { &Masses::TRIED[..1] };
-        let searches = tried.iter().filter_map(|&masses| {
+    /// What may give on `samples`, as few joints as explain most, and the search that found them: by the
+    /// masses that fit best where some joint sags.
+    fn search<'a>(&'a self, samples: &'a [Samples]) -> Option<(Search<'a>, Vec<Vec<Term>>)> {
+        let search = Search::new(self, samples, Masses::TRIED[0])?;
+        let sets = search.terms();
+        let sags = |set: &&Vec<Term>| set.iter().any(|term| term.kind == Kind::Sag);
+        let Some(first) = sets.iter().find(sags) else { return Some((search, sets)) };
+        let searches = Masses::TRIED.into_iter().filter_map(|masses| {
             let search = Search::new(self, samples, masses)?;
-            Some((search.left(&terms), search))
+            Some((search.left(first), search))
         });
         let search = searches.min_by(|a, b| a.0.total_cmp(&b.0))?.1;
+        let sets = search.terms();
+        Some((search, sets))
+    }
+
+    /// The diagnosis of the run with the bends that `terms` are taken off; `None` where they are none.
+    fn without(&self, search: &Search, mut terms: Vec<Term>) -> Option<ArmDiagnosis> {
         let free = Free::all(self);
         for _ in 0..ROUNDS {
             search.refine(&mut terms, &free, false);

@@ -117,7 +117,7 @@ pub(super) fn jumps_in_time(found: &PoseDiagnosis) -> bool {
 }
 
 /// All that is left of an arm's streams, an angle counting at 0.3 m; a metre where one was not read.
-fn left_m(found: &ArmDiagnosis) -> f64 {
+pub(super) fn left_m(found: &ArmDiagnosis) -> f64 {
     let left = |found: &PoseDiagnosis| match (&found.residual, &found.reading) {
         (Ok(residual), Ok(_)) => residual.together_m(),
         _ => 1.0,
