@@ -59,8 +59,9 @@ pub(super) fn without_changes(
         // What is left there as well is no change.
         return None;
     }
-    let others = parts.iter().filter(|part| **part != kept.span);
-    let others: Vec<Other> = others.filter_map(|part| kept.other(&run, *part)).collect();
+    let others = kept.others(&run, &parts, LEFT * left_m(found))?;
+    let mut parts: Vec<Span> = others.iter().map(|other| other.span).chain([kept.span]).collect();
+    parts.sort_by(|a, b| a.0.total_cmp(&b.0));
     let undone = kept.undone(&run, &others)?;
     let tracks = undone.tracks.iter().zip(streams);
     let changed: Vec<PoseStream> = tracks
@@ -145,8 +146,24 @@ impl Kept {
         Self { span, found: run.diagnose(span).1 }
     }
 
-    /// What another part says; `None` where it cannot be held against this one.
-    fn other(&self, run: &Cut, span: Span) -> Option<Other> {
+    /// What the other parts say, each of which leaves `most_m` at most; one that by itself leaves more
+    /// goes with the one before it. `None` where one leaves more all the same.
+    fn others(&self, run: &Cut, parts: &[Span], most_m: f64) -> Option<Vec<Other>> {
+        let leaves_little = |other: &Other| left_m(&other.beyond) <= most_m;
+        let mut others: Vec<Other> = Vec::new();
+        for &part in parts.iter().filter(|part| **part != self.span) {
+            let mut other = self.other(run, part);
+            if !leaves_little(&other) {
+                let before = others.pop_if(|before| before.span.1 == part.0)?;
+                other = self.other(run, (before.span.0, part.1));
+            }
+            others.push(Some(other).filter(leaves_little)?);
+        }
+        Some(others)
+    }
+
+    /// What another part says.
+    fn other(&self, run: &Cut, span: Span) -> Other {
         let (joints, alone) = run.diagnose(span);
         let joints = self.found.joints.corrected_joints(&joints, run.slides);
         let tracks: Vec<PoseTrack> = (0..run.streams.len())
@@ -162,7 +179,7 @@ impl Kept {
             .map(|stream| PoseStream { reference_known: true, ..stream })
             .collect();
         let beyond = diagnose_arm(&joints, &known, run.most_lag_s);
-        Some(Other { span, alone, beyond })
+        Other { span, alone, beyond }
     }
 
     /// Whether stream `s` is read otherwise in another part.
