@@ -29,6 +29,10 @@ pub use found::{AmountChange, Change, FrameChange, JointChange, JointPatch};
 /// With the changes undone at most this share is left of what was.
 const LEFT: f64 = 0.5;
 
+/// A part leaves at most so many times what the longest leaves, or this, m.
+const TIMES_LEFT: f64 = 4.0;
+const LITTLE_M: f64 = 1e-3;
+
 /// The diagnosis of an arm whose streams or joints change in mid-run, of the run as it would be had
 /// nothing changed; `None` where nothing does, or where that explains too little. `found` is what the
 /// whole run says.
@@ -59,7 +63,8 @@ pub(super) fn without_changes(
         // What is left there as well is no change.
         return None;
     }
-    let others = kept.others(&run, &parts, LEFT * left_m(found))?;
+    let most_m = (TIMES_LEFT * left_m(&kept.found)).max(LITTLE_M).min(LEFT * left_m(found));
+    let others = kept.others(&run, &parts, most_m)?;
     let mut parts: Vec<Span> = others.iter().map(|other| other.span).chain([kept.span]).collect();
     parts.sort_by(|a, b| a.0.total_cmp(&b.0));
     let undone = kept.undone(&run, &others)?;
