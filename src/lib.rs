@@ -1,7 +1,7 @@
 //! Audits robot-arm pose logs.
 //!
 //! poseaudit reads one recorded run of a robot arm, recomputes by forward kinematics where the arm
-//! must have been, and says which of the recorded poses, stamps and conventions cannot be right, by
+//! must have been, and finds wrong poses, timestamps and conventions, by
 //! how much, and how sure it is.
 //!
 //! ```no_run
@@ -44,7 +44,9 @@ pub use ground::{boundary, geometry, robot, stats, stream, time};
 pub use poseaudit_diagnosis as diagnosis;
 pub use poseaudit_log as log;
 
-pub use audit::{Audited, DEMO_LOG, Demo, Options, Planted, Policy, demo};
+pub use audit::{
+    Audited, Calibrated, DEMO_LOG, Demo, Options, Planted, Policy, Taken, calibrate, demo,
+};
 pub use report::compare;
 
 use std::path::PathBuf;

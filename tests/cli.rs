@@ -167,7 +167,8 @@ fn the_json_has_the_keys_of_the_contract_in_their_order() {
             "findings",
             // Beyond the contract, and behind all of it.
             "observability",
-            "workspace"
+            "workspace",
+            "plans"
         ]
     );
     assert_eq!(
@@ -265,7 +266,9 @@ fn a_pose_is_said_in_every_convention() {
         json(&poseaudit(&["pose", "-0.1 0 0.2 0 0 -90", "--from", "kuka", "--format", "json"]));
     assert_eq!(report["schema"], "poseaudit.pose/1");
     assert_eq!(report["read_as"]["convention"], "euler:ZYX");
-    assert_eq!(report["conventions"].as_array().map(Vec::len), Some(33));
+    assert_eq!(report["conventions"].as_array().map(Vec::len), Some(36));
+    let unity = &report["worlds"][0];
+    assert_eq!((&unity["who"], &unity["xyz_m"][1]), (&"Unity".into(), &0.0002.into()));
 }
 
 #[test]
@@ -289,6 +292,27 @@ fn two_poses_are_reconciled() {
     let best = &report["hypotheses"][0];
     assert_eq!(best["but"]["convention"], "euler:xyz");
     assert_eq!(best["tool"]["is"], "flange");
+    // Two poses need no options.
+    assert_eq!(stdout(&poseaudit(&["pose", call[2], call[4]])), stdout(&output));
+}
+
+#[test]
+fn what_is_left_of_two_poses_stands_first_and_nothing_reconciled_exits_with_1() {
+    let tool = ["pose", "p[0.3, 0.1, 0.5, 1.2, -1.7, 0.6]", "0.3 0.1 0.62 1.2 -1.7 0.6"];
+    let output = poseaudit(&[&tool[..], &["--but-as", "ur"]].concat());
+    assert_eq!(status(&output), 1, "{}", stderr(&output));
+    let said = stdout(&output);
+    assert!(said.starts_with("orientations agree, 120.0 mm along base z\n"), "{said}");
+    let nothing = ["pose", "0.3 0.1 0.5 0.5 0.5 0.5 0.5", "0.9 -0.1 0.2 0.1 0.7 0.1 0.7"];
+    let output = poseaudit(&[&nothing[..], &["--is-as", "ros", "--but-as", "ros"]].concat());
+    assert_eq!(status(&output), 1, "{}", stdout(&output));
+}
+
+#[test]
+fn numbers_need_no_quotes_and_one_pose_takes_no_word_of_two() {
+    let bare = ["pose", "0.3,", "0.1,", "-0.5", "0", "0", "0", "1", "--from", "ros"];
+    assert_eq!(status(&poseaudit(&bare)), 0, "{}", stderr(&poseaudit(&bare)));
+    assert_refused(&["pose", "0 0 1 0 0 0 1", "--robot", "ur5e"], 2, "--robot");
 }
 
 #[test]
@@ -302,6 +326,11 @@ fn what_is_no_pose_gets_one_line() {
     assert_refused(&["pose", "1 2 3", "--from", "euler:xxz"], 2, "--from");
     assert_refused(&["pose"], 2, "no pose was given");
     assert_refused(&["pose", "--pairs", "no/such.csv"], 2, "no/such.csv");
+}
+
+#[test]
+fn a_log_in_the_place_of_a_command_is_told_how_it_is_audited() {
+    assert_refused(&[FAULTY], 2, "audit it with `poseaudit audit fixtures/faulty.mcap`");
 }
 
 #[test]

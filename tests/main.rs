@@ -1,14 +1,17 @@
 //! What the program and the library do, from outside: one binary, as each links all that there is.
 
+mod calibrate;
 mod checks;
 mod cli;
 mod config;
+mod desk;
 mod docs;
 mod fixtures;
 mod fleet;
 mod fuzz;
 mod meta;
 mod outputs;
+mod plan;
 mod program;
 mod reports;
 mod robot;

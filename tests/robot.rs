@@ -702,3 +702,24 @@ fn a_hostile_urdf_neither_overflows_nor_hangs() {
     let error = Robot::from_urdf(&ring, "x").unwrap_err().to_string();
     assert!(error.contains("closes a loop"), "{error}");
 }
+
+#[test]
+fn arms_are_found_by_their_models_where_only_one_has_it() {
+    for (short, name) in [
+        ("fr3", Some("franka_fr3")),
+        ("xarm6", Some("ufactory_xarm6")),
+        ("iiwa14", Some("kuka_lbr_iiwa14")),
+        ("IRB120", Some("abb_irb120_3_58")),
+        ("gen3", Some("kinova_gen3_7dof")),
+        ("lrmate200id", Some("fanuc_lrmate200id")),
+        // Two arms each, or no model's name.
+        ("irb1200", None),
+        ("tm5", None),
+        ("700", None),
+        ("left", None),
+        ("", None),
+    ] {
+        let found = catalogue::find(short).map(|robot| robot.name.as_str());
+        assert_eq!(found, name, "{short}");
+    }
+}

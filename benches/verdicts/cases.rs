@@ -4,12 +4,13 @@ use std::fmt;
 
 use poseaudit::checks;
 use poseaudit::geometry::{pose, rotation_from_rotvec};
-use poseaudit::synth::{Motion, Noise, Scenario};
+use poseaudit::synth::{Motion, Noise, POSE, Scenario, Timing};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use std::f64::consts::PI;
 
 use crate::Options;
+use crate::backgrounds::Background;
 use crate::kinds::{
     KINDS, Kind, KindOf, Planted, SURE, TIMES, Truth, chain, choose, plant, unit_vector,
 };
@@ -20,6 +21,7 @@ pub struct Case {
     pub index: usize,
     pub arm: &'static str,
     pub scene: Scene,
+    pub background: Background,
     pub motion: &'static str,
     pub noise: &'static str,
     pub scenario: Scenario,
@@ -42,11 +44,26 @@ impl Case {
             options.scenes.is_empty()
                 || options.scenes.iter().any(|name| scene.name().starts_with(name.as_str()))
         };
-        let scenes: Vec<&Scene> = Scene::ALL.iter().filter(wanted).collect();
+        let backgrounds: Vec<Background> = Background::ALL
+            .into_iter()
+            .filter(|one| {
+                options.backgrounds.is_empty()
+                    || options.backgrounds.iter().any(|name| one.name().starts_with(name.as_str()))
+            })
+            .collect();
+        let fits = |scene: &&Scene| backgrounds.iter().any(|background| background.fits(**scene));
+        let scenes: Vec<&Scene> = Scene::ALL.iter().filter(wanted).filter(fits).collect();
         // Every other log is of one plain arm: readings and amounts are what most faults are about.
         let scene = match r.random_bool(0.4) && options.scenes.is_empty() {
             true => Scene::Plain,
             false => **choose(r, &scenes),
+        };
+        let backgrounds: Vec<Background> =
+            backgrounds.into_iter().filter(|background| background.fits(scene)).collect();
+        // Half of the logs are of an ideal arm, where there may be such.
+        let background = match r.random_bool(0.4) && options.backgrounds.is_empty() {
+            true => Background::Ideal,
+            false => *choose(r, &backgrounds),
         };
         let arms: Vec<&Arm> = ARMS
             .iter()
@@ -101,6 +118,7 @@ impl Case {
         let turn = r.random_range(0.0..0.5) * unit_vector(r);
         run.imu.tip_from_imu = pose([0.02, -0.01, 0.03], rotation_from_rotvec(turn));
         let other = scene.set(&mut run, r);
+        background.set(&mut run, r);
 
         let counts = options.faults.as_deref().unwrap_or(&[0, 1, 2, 0, 1, 4]);
         let count = counts[index % counts.len()];
@@ -108,6 +126,7 @@ impl Case {
             index,
             arm,
             scene,
+            background,
             motion,
             noise,
             scenario: run,
@@ -142,21 +161,28 @@ impl Case {
             .filter(|of| !self.is_senseless(of.kind))
             .collect();
         let mut taken: Vec<String> = Vec::new();
+        let mut chosen: Vec<(&KindOf, usize, f64)> = Vec::new();
         for _ in 0..40 {
-            if self.planted.len() == count || possible.is_empty() {
+            if chosen.len() == count || possible.is_empty() {
                 break;
             }
-            // By rule first, so that rules with many kinds are not all there is.
+            // By rule first, so that rules with many kinds are not all there is; on links that are off, zeros
+            // every other time.
             let mut codes: Vec<&str> = possible.iter().map(|of| of.codes[0]).collect();
             codes.dedup();
-            let code = *choose(r, &codes);
-            let kinds: Vec<&KindOf> =
-                possible.iter().copied().filter(|of| of.codes[0] == code).collect();
+            let of_links = self.background.moves_frames() && r.random_bool(0.5);
+            let kinds: Vec<&KindOf> = match possible.iter().find(|of| of.kind == Kind::Zero) {
+                Some(zero) if of_links => vec![zero],
+                _ => {
+                    let code = *choose(r, &codes);
+                    possible.iter().copied().filter(|of| of.codes[0] == code).collect()
+                }
+            };
             let of = *choose(r, &kinds);
             let mut slots: Vec<String> = of.slots.iter().map(|&slot| slot.to_owned()).collect();
             let dof = chain(&self.scenario).dof();
             let joint = r.random_range(0..dof);
-            if matches!(of.kind, Kind::Zero | Kind::Homed) {
+            if matches!(of.kind, Kind::Zero | Kind::Homed | Kind::ZeroChanges) {
                 slots.push(format!("joint {joint}"));
                 // The same by construction as a frame.
                 if joint == 0 {
@@ -167,6 +193,8 @@ impl Case {
                 }
             }
             let is_known = |slot: &String| match self.scene {
+                // A change says what it was before.
+                _ if of.kind.comes_later() => true,
                 Scene::TrackerWorld if slot == "reference" => false,
                 // What nobody named is most likely meant so.
                 scene => scene.names_tip() || slot != "tool",
@@ -179,11 +207,18 @@ impl Case {
                 1 => *choose(r, &TIMES),
                 _ => *choose(r, &TIMES[5..]),
             };
+            chosen.push((of, joint, times));
+        }
+        chosen.sort_by_key(|(of, ..)| of.kind.comes_later());
+        for (of, joint, times) in chosen {
             let planted = plant(&mut self.scenario, r, of, joint, times);
             if of.kind == Kind::WrongArm {
                 self.named_robot = brother(self.arm).map(str::to_owned);
             }
             self.planted.push(planted);
+            if of.kind == Kind::HeldPose {
+                self.planted.push(held_age(&self.scenario));
+            }
         }
     }
 
@@ -206,6 +241,8 @@ impl Case {
         /// A rate needs a minute, or has moved the latency by this, s.
         const MINUTE_S: f64 = 60.0;
         const MOVED_S: f64 = 2e-3;
+        /// Poses of less show no shake, Hz.
+        const SHOWN_HZ: f64 = 25.0;
         let is_long_enough = match (planted.kind, planted.truth) {
             (Kind::Skew, Truth::Amount(skew)) => {
                 let duration_s = self.scenario.duration_s;
@@ -214,10 +251,14 @@ impl Case {
             _ => true,
         };
         // Beside what no cause explains no other can be told for sure.
-        let has_no_cause = |kind: Kind| matches!(kind, Kind::ToolSlips | Kind::WrongArm);
+        let has_no_cause = |kind: Kind| kind == Kind::WrongArm;
         let is_told = has_no_cause(planted.kind)
             || !self.planted.iter().any(|other| has_no_cause(other.kind));
-        planted.times >= SURE && self.excited && is_long_enough && is_told
+        let is_seen = match planted.kind {
+            Kind::Shake => self.scenario.pose.timing.rate_hz >= SHOWN_HZ,
+            kind => self.background.shows(kind, planted.times),
+        };
+        planted.times >= SURE && self.excited && is_long_enough && is_told && is_seen
     }
 
     /// 125 Hz, the targets' rate.
@@ -227,15 +268,42 @@ impl Case {
     }
 }
 
+/// What the poses of a run are late by because they are held.
+fn held_age(run: &Scenario) -> Planted {
+    /// The first threshold of LAT001, s.
+    const THRESHOLD_S: f64 = 2e-3;
+    let age_s = held_age_s(run);
+    Planted {
+        kind: Kind::HeldAge,
+        codes: &["LAT001"],
+        also: &[],
+        subject: Some(format!("{}{}", run.namespace, POSE)),
+        times: age_s / THRESHOLD_S,
+        truth: Truth::Amount(age_s),
+    }
+}
+
+/// How old a pose is in the mean.
+fn held_age_s(run: &Scenario) -> f64 {
+    let Timing { rate_hz, new_hz, .. } = run.pose.timing;
+    let rows = (run.duration_s * rate_hz) as u32;
+    let ages = (0..rows).map(|row| {
+        let sent_s = f64::from(row) / rate_hz;
+        sent_s - (sent_s * new_hz + 1e-9).floor() / new_hz
+    });
+    ages.sum::<f64>() / f64::from(rows)
+}
+
 impl fmt::Display for Case {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let run = &self.scenario;
         write!(
             f,
-            "case {} {} {} {} {} joints {} Hz{} pose {} Hz {} s{}",
+            "case {} {} {} ({}) {} {} joints {} Hz{} pose {} Hz {} s{}",
             self.index,
             self.arm,
             self.scene.name(),
+            self.background.name(),
             self.motion,
             self.noise,
             run.joints.timing.rate_hz,

@@ -10,9 +10,11 @@ use poseaudit::geometry::{
     Misreading, Pose, QuaternionSlip, Vec3, misreading_classes, pose, rotation_from_rotvec,
 };
 use poseaudit::robot::{Chain, JointKind};
-use poseaudit::synth::{self, Coding, Scenario, SecondPublisher, ToolSlip};
+use poseaudit::synth::{self, Camera, Coding, Commands, Gives, Giving, Scenario, SecondPublisher};
 use rand::RngExt;
 use rand_pcg::Pcg64;
+
+use crate::backgrounds::loaded;
 
 /// The chain that the joint states are of.
 pub fn chain(run: &Scenario) -> Chain {
@@ -89,9 +91,63 @@ pub enum Kind {
     StuckPose,
     StuckJoints,
     ClockStep,
-    ToolSlips,
     SecondTfDiffers,
     WrongArm,
+    ToolChanges,
+    BaseChanges,
+    ZeroChanges,
+    ScaleChanges,
+    GrowthChanges,
+    OrderChanges,
+    UnitChanges,
+    Alternates,
+    LatencyStep,
+    LatencyRamp,
+    HeldAge,
+    Play,
+    Sag,
+    Shake,
+    VelocityScale,
+    VelocityLate,
+    CommandLate,
+    TagSize,
+    GyroDegrees,
+    AccelInG,
+    BiasSteps,
+    BiasWarmsUp,
+    ImuSlips,
+    YawWarmsUp,
+    YawByHeading,
+}
+
+impl Kind {
+    /// Whether something of it is another within the run though the run is one.
+    pub fn is_late(self) -> bool {
+        use Kind::*;
+        matches!(
+            self,
+            LatencyStep | LatencyRamp | ClockStep | StuckPose | StuckJoints | BiasWarmsUp
+        )
+    }
+
+    /// Whether it makes another run of it from some moment on: then it comes after all that is planted in the
+    /// whole of it.
+    pub fn comes_later(self) -> bool {
+        use Kind::*;
+        matches!(
+            self,
+            ToolChanges
+                | BaseChanges
+                | Alternates
+                | ZeroChanges
+                | ScaleChanges
+                | GrowthChanges
+                | OrderChanges
+                | UnitChanges
+                | BiasSteps
+                | ImuSlips
+        )
+    }
 }
 
 /// A kind of fault.
@@ -116,8 +172,17 @@ const fn kind(
 }
 
 /// All that concerns the stream of tool poses.
-const POSE: &[&str] =
-    &["pose time", "skew", "growth", "reference", "tool", "pose coding", "pose units", "pose rows"];
+const POSE: &[&str] = &[
+    "pose time",
+    "skew",
+    "growth",
+    "reference",
+    "tool",
+    "pose coding",
+    "pose units",
+    "pose rows",
+    "changes",
+];
 /// All that hangs on the joint states.
 const ALL: &[&str] = &[
     "pose time",
@@ -136,10 +201,15 @@ const ALL: &[&str] = &[
     "mount",
     "gyro",
     "imu coding",
+    "changes",
+    "gives",
+    "velocities",
+    "commands",
+    "target",
 ];
 
 /// Every kind of fault.
-pub const KINDS: [KindOf; 40] = [
+pub const KINDS: [KindOf; 63] = [
     kind(Kind::PoseLate, &["LAT001"], &[], &["pose time"]),
     kind(Kind::ImuLate, &["LAT001"], &[], &["imu time"]),
     kind(Kind::TfLate, &["LAT001"], &[], &["tf time"]),
@@ -182,9 +252,33 @@ pub const KINDS: [KindOf; 40] = [
     kind(Kind::StuckPose, &["TIM007"], &["TIM"], POSE),
     kind(Kind::StuckJoints, &["TIM007"], &["TIM", "LAT", "MDL", "MOT", "VEL"], ALL),
     kind(Kind::ClockStep, &["LAT003"], &["LAT001", "TIM"], POSE),
-    kind(Kind::ToolSlips, &["MDL001", "FRM003"], &["FRM003", "MDL001"], POSE),
     kind(Kind::SecondTfDiffers, &["FRM004"], &["FRM001", "TIM"], &["tf time", "tf"]),
     kind(Kind::WrongArm, &["MDL001"], &["FRM001"], ALL),
+    kind(Kind::ToolChanges, &["FRM003"], &[], &["tool", "changes"]),
+    kind(Kind::BaseChanges, &["FRM002"], &[], &["reference", "changes"]),
+    kind(Kind::ZeroChanges, &["ZER001"], &[], &["changes"]),
+    // The positions jump there.
+    kind(Kind::ScaleChanges, &["ORD009"], &["VEL", "MOT002", "MOT003"], ALL),
+    kind(Kind::GrowthChanges, &["ZER002"], &[], &["growth", "changes"]),
+    kind(Kind::OrderChanges, &["ORD002"], &[], &["pose coding", "changes"]),
+    kind(Kind::UnitChanges, &["ORD008"], &[], &["pose units", "growth", "changes"]),
+    kind(Kind::Alternates, &["FRM003"], &[], &["tool", "changes", "pose rows"]),
+    kind(Kind::LatencyStep, &["LAT003"], &["LAT001"], &["pose time", "skew", "changes"]),
+    kind(Kind::LatencyRamp, &["LAT003"], &["LAT001"], &["pose time", "skew", "changes"]),
+    kind(Kind::Play, &["MOT006"], &[], &["gives"]),
+    kind(Kind::Sag, &["ZER003"], &[], &["gives"]),
+    kind(Kind::Shake, &["MOT001"], &[], &["gives", "pose units"]),
+    kind(Kind::VelocityScale, &["VEL001"], &[], &["velocities", "joint numbers"]),
+    kind(Kind::VelocityLate, &["VEL001"], &[], &["velocities", "joint numbers"]),
+    kind(Kind::CommandLate, &["LAT004"], &[], &["commands", "tf time", "joint numbers"]),
+    kind(Kind::TagSize, &["HEC001"], &[], &["target", "joint numbers", "tf time"]),
+    kind(Kind::GyroDegrees, &["ORD004"], &[], &["gyro", "imu units"]),
+    kind(Kind::AccelInG, &["ORD008"], &[], &["imu units"]),
+    kind(Kind::BiasSteps, &["YAW004"], &[], &["gyro", "mount", "changes"]),
+    kind(Kind::BiasWarmsUp, &["YAW004"], &[], &["gyro", "mount"]),
+    kind(Kind::ImuSlips, &["YAW003"], &[], &["mount", "drift", "gyro", "changes"]),
+    kind(Kind::YawWarmsUp, &["YAW001"], &[], &["drift"]),
+    kind(Kind::YawByHeading, &["YAW001"], &[], &["drift"]),
 ];
 
 impl fmt::Display for Planted {
@@ -373,18 +467,6 @@ pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times
             run.pose.timing.step = Some((run.duration_s * r.random_range(0.3..0.7), by_s));
             is_there = true;
         }
-        Kind::ToolSlips => {
-            let from_s = run.duration_s * r.random_range(0.3..0.6);
-            let to_s = match r.random_bool(0.7) {
-                true => run.duration_s,
-                false => from_s + run.duration_s * 0.3,
-            };
-            let by_m = *choose(r, &[0.01, 0.04, 0.08]);
-            let tool_from_slipped =
-                pose((by_m * direction).into(), rotation_from_rotvec(Vec3::zeros()));
-            run.pose.slip = Some(ToolSlip { from_s, to_s, tool_from_slipped });
-            is_there = true;
-        }
         Kind::SecondTfDiffers => {
             let by = pose((*choose(r, &[3e-3, 5e-3, 0.02]) * direction).into(), Default::default());
             let mut timing = run.tf.timing.clone();
@@ -396,6 +478,9 @@ pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times
         Kind::WrongArm => {
             is_there = true;
         }
+        _ => {
+            return plant_lately(run, r, of, joint, times);
+        }
     }
     if is_there {
         times = f64::INFINITY;
@@ -405,6 +490,227 @@ pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times
         };
     }
     Planted { kind, codes: of.codes, also: of.also, subject, times, truth }
+}
+
+/// Plants what begins within the run, what bends, and what is of other streams than poses.
+fn plant_lately(
+    run: &mut Scenario,
+    r: &mut Pcg64,
+    of: &KindOf,
+    joint: usize,
+    times: f64,
+) -> Planted {
+    let kind = of.kind;
+    let sign = if r.random_bool(0.5) { 1.0 } else { -1.0 };
+    let thresholds = first_thresholds(of.codes[0]);
+    let amount = sign * times * thresholds.first().map_or(0.0, |threshold| threshold.1);
+    let direction = unit_vector(r);
+    let topic = |name: &str| Some(format!("{}{name}", run.namespace));
+    let [pose_topic, imu_topic, joints_topic] =
+        [synth::POSE, synth::IMU, synth::JOINT_STATES].map(topic);
+    let targets = topic(synth::TARGET);
+    let chain = chain(run);
+    let joint_name = |joint: usize| Some(chain.joint_names()[joint].clone());
+    let at_s = run.duration_s * r.random_range(0.3..0.7);
+    let (mut subject, mut times) = (pose_topic, times);
+    let truth = match kind {
+        Kind::ToolChanges | Kind::BaseChanges | Kind::Alternates => {
+            // Bodies on one tool are some way apart.
+            times = if kind == Kind::Alternates { times.max(20.0) } else { times };
+            let (length_m, angle_rad) = match r.random_range(0..3) {
+                0 => (times * 1e-3, 0.0),
+                1 if kind != Kind::Alternates => (0.0, times * 0.1 * DEGREE),
+                _ => (times * 1e-3, times * 0.1 * DEGREE),
+            };
+            let turn = rotation_from_rotvec(angle_rad * unit_vector(r));
+            let by: Pose = pose((length_m * direction).into(), turn);
+            let mut moved = run.clone();
+            match kind {
+                Kind::BaseChanges => moved.pose.reference_from_stream *= by,
+                _ => moved.pose.tip_from_stream *= by,
+            }
+            if kind == Kind::Alternates {
+                let usual = run.clone();
+                let mut at_s = run.duration_s * r.random_range(0.1..0.2);
+                while at_s < 0.9 * run.duration_s {
+                    let to_s = at_s + r.random_range(0.5..2.0);
+                    run.later.extend([(at_s, moved.clone()), (to_s, usual.clone())]);
+                    at_s = to_s + r.random_range(1.5..4.0);
+                }
+            } else {
+                run.later = vec![(at_s, moved)];
+            }
+            Truth::Frame { length_m, angle_rad }
+        }
+        Kind::ZeroChanges => {
+            let amount = match chain.joint_kinds()[joint] {
+                JointKind::Prismatic => sign * times * 0.2e-3,
+                _ => sign * times * 0.1 * DEGREE,
+            };
+            change(run, at_s, |run| {
+                run.joints.zero_offsets.resize(chain.dof(), 0.0);
+                run.joints.zero_offsets[joint] += amount;
+            });
+            subject = joint_name(joint);
+            Truth::Amount(amount)
+        }
+        Kind::ScaleChanges => {
+            let factor = *choose(r, &[-1.0, 2.0, 0.5, 1.1, 0.9]);
+            change(run, at_s, |run| {
+                run.joints.scales.resize(chain.dof(), 1.0);
+                run.joints.scales[joint] = factor;
+            });
+            subject = joint_name(joint);
+            times = f64::INFINITY;
+            // `q_true = factor · q_reported`, and 1 before.
+            Truth::Amount(1.0 / factor - 1.0)
+        }
+        Kind::GrowthChanges => {
+            change(run, at_s, |run| run.pose.growth += amount);
+            Truth::Amount(amount)
+        }
+        Kind::OrderChanges => {
+            let coding = Coding::Slipped(slip(r));
+            change(run, at_s, |run| run.pose.coding = coding);
+            times = f64::INFINITY;
+            Truth::There
+        }
+        Kind::UnitChanges => {
+            change(run, at_s, |run| run.pose.in_millimetres = true);
+            times = f64::INFINITY;
+            Truth::There
+        }
+        Kind::LatencyStep => {
+            run.pose.timing.ages = Some((at_s, at_s, amount));
+            Truth::Amount(amount)
+        }
+        Kind::LatencyRamp => {
+            let to_s = at_s + run.duration_s * r.random_range(0.1..0.25);
+            run.pose.timing.ages = Some((at_s, to_s, amount));
+            Truth::Amount(amount.abs())
+        }
+        Kind::Play | Kind::Sag => {
+            let (joint, how) = match kind {
+                Kind::Play => (joint, Giving::Play),
+                _ => (*choose(r, &loaded(run)), Giving::Sag),
+            };
+            run.gives.retain(|gives| gives.joint != joint);
+            run.gives.push(Gives { joint, how, by_rad: amount.abs() });
+            subject = joint_name(joint);
+            Truth::Amount(amount.abs())
+        }
+        Kind::Shake => {
+            let hz = r.random_range(5.0..0.4 * run.pose.timing.rate_hz.clamp(15.0, 50.0));
+            let [joint, _] = loaded(run);
+            // The rms of a sine at the lever that the arm has at home.
+            let mut home = run.home.clone();
+            home.resize(chain.dof(), 0.0);
+            let tip_at = |by_rad: f64| {
+                let mut q = home.clone();
+                q[joint] += by_rad;
+                chain.forward(&q).translation.vector
+            };
+            let lever_m = (tip_at(1e-4) - tip_at(-1e-4)).norm() / 2e-4;
+            let by_rad = 2_f64.sqrt() * amount.abs() / lever_m.max(0.05);
+            run.gives.retain(|gives| gives.joint != joint);
+            run.gives.push(Gives { joint, how: Giving::Vibrates(hz), by_rad });
+            Truth::There
+        }
+        Kind::VelocityScale => {
+            run.joints.with_velocity = true;
+            let factor = match r.random_bool(0.5) {
+                true => 1.0 + amount,
+                false => {
+                    times = f64::INFINITY;
+                    *choose(r, &[1_f64.to_degrees(), -1.0, 0.0, 60.0 / (2.0 * PI)])
+                }
+            };
+            if r.random_bool(0.5) {
+                run.joints.velocity_scales = vec![factor; chain.dof()];
+                subject = joints_topic;
+            } else {
+                run.joints.velocity_scales = vec![1.0; chain.dof()];
+                run.joints.velocity_scales[joint] = factor;
+                subject = joint_name(joint);
+            }
+            Truth::Amount((factor - 1.0).abs())
+        }
+        Kind::VelocityLate => {
+            run.joints.with_velocity = true;
+            run.joints.velocity_late_s = *choose(r, &[0.08, 0.12, 0.2]);
+            (subject, times) = (None, f64::INFINITY);
+            Truth::There
+        }
+        Kind::CommandLate => {
+            let timing = &mut run.reference.timing;
+            (timing.rate_hz, timing.latency_s) = (50.0, -amount.abs());
+            run.reference.commands = *choose(r, &[Commands::Joints, Commands::Poses]);
+            // Joints with one delay are one finding on their topic, else each is a finding.
+            subject = None;
+            Truth::Amount(amount.abs())
+        }
+        Kind::TagSize => {
+            if run.target.timing.rate_hz == 0.0 {
+                let camera = *choose(r, &[Camera::InHand, Camera::InBase]);
+                run.watch(camera).expect("a chain");
+            }
+            run.target.scale = *choose(r, &[0.5, 0.8, 0.9, 1.1, 1.25, 2.0]);
+            (subject, times) = (targets, f64::INFINITY);
+            Truth::There
+        }
+        Kind::GyroDegrees => {
+            run.imu.gyro_times = 1_f64.to_degrees();
+            (subject, times) = (imu_topic, f64::INFINITY);
+            Truth::There
+        }
+        Kind::AccelInG => {
+            run.imu.force_times = *choose(r, &[1.0, 1e3]) / 9.80665;
+            (subject, times) = (imu_topic, f64::INFINITY);
+            Truth::There
+        }
+        Kind::BiasSteps => {
+            change(run, at_s, |run| run.imu.gyro_bias_rad_s += amount.abs() * direction);
+            subject = imu_topic;
+            Truth::Amount(amount.abs())
+        }
+        Kind::BiasWarmsUp => {
+            times = times.max(5.0);
+            let by_rad_s = amount.abs().max(times * thresholds[0].1);
+            let tau_s = run.duration_s * r.random_range(0.1..0.25);
+            run.imu.gyro_warms_up = Some((by_rad_s * direction, tau_s));
+            subject = imu_topic;
+            Truth::There
+        }
+        Kind::ImuSlips => {
+            let turn = pose([0.0; 3], rotation_from_rotvec(amount.abs() * direction));
+            change(run, at_s, |run| run.imu.mount_error *= turn);
+            subject = imu_topic;
+            Truth::Amount(amount.abs())
+        }
+        Kind::YawWarmsUp => {
+            let by_rad = sign * times.max(2.0) * DEGREE;
+            let tau_s = run.duration_s * r.random_range(0.1..0.25);
+            run.imu.yaw_warms_up = Some((by_rad, tau_s));
+            (subject, times) = (imu_topic, f64::INFINITY);
+            Truth::There
+        }
+        _ => {
+            let by_rad = r.random_range(3.0..12.0) * DEGREE;
+            let mut phase = || r.random_range(0.0..2.0 * PI);
+            let phases = [phase(), phase()];
+            run.imu.yaw_by_heading = [(by_rad, phases[0]), (0.3 * by_rad, phases[1])];
+            (subject, times) = (imu_topic, f64::INFINITY);
+            Truth::There
+        }
+    };
+    Planted { kind, codes: of.codes, also: of.also, subject, times, truth }
+}
+
+/// Lets the run go on from a moment as `other` makes it.
+fn change(run: &mut Scenario, at_s: f64, other: impl Fn(&mut Scenario)) {
+    let mut later = run.clone();
+    other(&mut later);
+    run.later = vec![(at_s, later)];
 }
 
 /// The share of rows that repeat where each value is sent in so many, and how often that is the threshold.

@@ -11,10 +11,12 @@
 //! ```
 //!
 //! A case has a *scene* (how the cell's log is put together: rails, namespaces, folded joints, second
-//! publishers, hands that lead …; see `scenes.rs`) and *faults* (see `kinds.rs`). What is planted follows
+//! publishers, hands that lead …; see `scenes.rs`), a *background* (what real arms and sensors do that is no
+//! fault; see `backgrounds.rs`) and *faults* (see `kinds.rs`). What is planted follows
 //! the registry: a rule with a kind of fault takes part as soon as it is there. A seed makes other logs
 //! when a rule or a scene is added. Lost samples are not simulated.
 
+mod backgrounds;
 mod board;
 mod cases;
 mod judge;
@@ -60,7 +62,11 @@ pub struct Options {
     pub arms: Vec<String>,
     /// Scenes to choose from, by the beginning of their names.
     pub scenes: Vec<String>,
-    /// Whether to list every wrong outcome.
+    /// Backgrounds to choose from, by the beginning of their names.
+    pub backgrounds: Vec<String>,
+    /// After how long no further log is begun, s.
+    pub most_s: f64,
+    /// Whether to list every wrong outcome, as it comes and at the end.
     pub verbose: bool,
 }
 
@@ -78,6 +84,8 @@ impl Options {
             kinds: Vec::new(),
             arms: Vec::new(),
             scenes: Vec::new(),
+            backgrounds: Vec::new(),
+            most_s: f64::INFINITY,
             verbose: false,
         };
         let mut args = std::env::args().skip(1).filter(|arg| arg != "--bench");
@@ -97,6 +105,8 @@ impl Options {
                 "--kinds" => options.kinds = list(value()),
                 "--verbose" => options.verbose = true,
                 "--arms" => options.arms = list(value()),
+                "--minutes" => options.most_s = 60.0 * number::<f64>(&name, &value()),
+                "--backgrounds" => options.backgrounds = list(value()),
                 "--scenes" => options.scenes = list(value()),
                 _ => misuse(&name),
             }
@@ -112,7 +122,7 @@ fn number<T: std::str::FromStr>(name: &str, text: &str) -> T {
 fn misuse(name: &str) -> ! {
     eprintln!(
         "{name}: not understood; options are --logs N --seed N --threads N --keep DIR --only CASE \
-         --faults 0,1,2,4 --kinds LAT,ZER001 --arms ur5e,rail --scenes rail --verbose"
+         --faults 0,1,2,4 --kinds LAT,ZER001 --arms ur5e,rail --scenes rail --backgrounds links --minutes N --verbose"
     );
     std::process::exit(2)
 }
@@ -122,6 +132,7 @@ fn run(options: &Options) -> Board {
         Some(only) => vec![only],
         None => (0..options.logs).collect(),
     };
+    let started = Instant::now();
     let (next, board) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
     let dir = std::env::temp_dir().join(format!("poseaudit-verdicts-{}", std::process::id()));
     fs::create_dir_all(&dir).expect("a folder for the logs");
@@ -131,8 +142,16 @@ fn run(options: &Options) -> Board {
                 loop {
                     let at = next.fetch_add(1, Ordering::Relaxed);
                     let Some(&index) = cases.get(at) else { break };
+                    if started.elapsed().as_secs_f64() > options.most_s {
+                        break;
+                    }
                     let case = Case::new(options, index);
                     let outcome = outcome(&case, &dir, options);
+                    if let (true, Ok(verdict)) = (options.verbose, &outcome) {
+                        for (kind, what) in &verdict.wrongs {
+                            eprintln!("{kind}\n  {case}\n  {what}");
+                        }
+                    }
                     if at % 100 == 99 {
                         eprintln!("{} of {}", at + 1, cases.len());
                     }

@@ -129,29 +129,62 @@ impl Scene {
         use Kind::*;
         let of_imu = matches!(
             kind,
-            ImuLate | YawDrift | YawJump | Mount | GyroBias | ImuMisread | ImuWxyz | ImuTransposed
+            ImuLate
+                | YawDrift
+                | YawJump
+                | Mount
+                | GyroBias
+                | ImuMisread
+                | ImuWxyz
+                | ImuTransposed
+                | GyroDegrees
+                | AccelInG
+                | BiasSteps
+                | BiasWarmsUp
+                | ImuSlips
+                | YawWarmsUp
+                | YawByHeading
         );
         let of_tf = matches!(kind, TfLate | SecondTfDiffers | JointsLate);
-        let of_frames = matches!(kind, Reference | BaseTurned | OwnFrame | Axes);
+        let of_frames = matches!(kind, Reference | BaseTurned | OwnFrame | Axes | BaseChanges);
+        // Of an upright arm at the root, whose commands and target are its own.
+        let of_arm = matches!(kind, Play | Sag | Shake | CommandLate | TagSize);
         match self {
             Scene::Plain | Scene::Namespaced | Scene::Prefixed | Scene::Encoders => true,
+            _ if of_arm => {
+                matches!(self, Scene::TrackerWorld | Scene::TwoPublishers) && kind != TagSize
+            }
             Scene::TwoNamespaces => !of_tf && !of_imu && kind != WrongArm,
             Scene::TwoPrefixes => !of_imu && kind != WrongArm,
             Scene::RailApart | Scene::Waist => {
                 !of_imu && !matches!(kind, JointsLate | JointOrder | JointDegrees | WrongArm)
             }
-            Scene::Folded => !matches!(kind, JointDegrees | Geared | HeldJoints),
+            Scene::Folded => !matches!(kind, JointDegrees | Geared | HeldJoints | ScaleChanges),
             // A pose that is written otherwise in a frame that moves is another pose in the arm's.
             Scene::Driven => {
                 let of_poses = matches!(
                     kind,
-                    Inverted | Transposed | Growth | Misread | Wxyz | Millimetres | LengthUnit
+                    Inverted
+                        | Transposed
+                        | Growth
+                        | Misread
+                        | Wxyz
+                        | Millimetres
+                        | LengthUnit
+                        | ToolChanges
+                        | Alternates
+                        | GrowthChanges
+                        | OrderChanges
+                        | UnitChanges
                 );
                 !of_imu && !of_frames && !of_poses && !matches!(kind, JointsLate | WrongArm)
             }
             Scene::TwoPublishers => !of_tf && kind != WrongArm,
             // Where that world is, and how long the tool, nobody says.
-            Scene::TrackerWorld => !of_frames && !matches!(kind, Growth | WrongArm | Inverted),
+            Scene::TrackerWorld => {
+                (!of_frames || kind == BaseChanges)
+                    && !matches!(kind, Growth | GrowthChanges | WrongArm | Inverted)
+            }
             Scene::Led => kind != WrongArm,
             Scene::BareNumbers => of_imu || matches!(kind, Zero | TfLate),
             // Nothing but the arm's own words tells which it is.

@@ -203,6 +203,16 @@ class Workspace:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Plan:
+    """A motion that would settle some of what was left open, and the call that writes it."""
+
+    robot: str
+    purpose: str
+    codes: tuple[str, ...]
+    command: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class Report:
     """The report on one run."""
 
@@ -220,6 +230,7 @@ class Report:
     ignored: Rows[Ignored] = field(default_factory=lambda: Rows(Ignored, (), ()))
     observability: tuple[Mapping[str, Any], ...] = ()
     workspace: tuple[Workspace, ...] = ()
+    plans: tuple[Plan, ...] = ()
     open: str | None = None
     """The rules of `require` that could not conclude, as the program says it; not in the JSON."""
     json: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)

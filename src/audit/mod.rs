@@ -2,8 +2,10 @@
 
 #[cfg(test)]
 mod any_log;
+mod calibrate;
 mod demo;
 mod options;
+mod tables;
 
 use crate::checks::{EvaluatedPart, Evaluation, evaluate, merged};
 use crate::corrections::Given;
@@ -11,11 +13,12 @@ use crate::evidence::{ArmEvidence, Lost, RunEvidence, Undecodable, UndecodableTo
 use crate::log::Log;
 use crate::places::Places;
 use crate::report::{
-    Figures, FileRow, LogSummary, NoteRow, Report, Trouble, coverage, figures, joined, robots,
-    streams, tells_hand_eye,
+    Figures, FileRow, LogSummary, NoteRow, Report, Trouble, coverage, figures, joined, plans,
+    robots, streams, tells_hand_eye,
 };
 use crate::run::{Arm, Excerpts, Run, Segment, segments};
 
+pub use calibrate::{Calibrated, Taken, calibrate};
 pub use demo::{DEMO_LOG, Demo, Planted, demo};
 pub use options::{Options, Policy};
 
@@ -199,6 +202,14 @@ fn report(parts: &[Part], main: usize, mut read: Read, options: &Options) -> Rep
     let mut report =
         Report::new(read.summary, robots(&main.run), streams, evaluation, options.policy.fail_on);
     report.workspace = workspace;
+    report.plans = plans(
+        &main.run,
+        &main.evidence,
+        &report.checks,
+        &report.findings,
+        &options.run,
+        &options.logs,
+    );
     report.fails_open = options.policy.fail_on_inconclusive;
     match &main.run.no_arm {
         Some(error) if options.policy.rules.need_model() && !tells_hand_eye(&report.checks) => {

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use crate::checks::decision::{Decision, FrameThresholds, Threshold, decide, decide_frame};
 use crate::checks::frames::{pose_json, show};
 use crate::checks::{Case, Judged};
-use crate::diagnosis::{AmountChange, Change, FrameChange};
+use crate::diagnosis::{AmountChange, Change, FrameChange, Measured};
 use crate::evidence::ArmEvidence;
 use crate::finding::{
     Cause, Change as Changes, Estimate, Evidence, Fault, Outcome, Ruling, Severity, Span, Subject,
@@ -55,6 +55,14 @@ impl Told {
     }
 }
 
+/// An amount in words that is known as well as the change of it; `None` of one within the noise.
+fn beyond(unit: Unit, value: f64, by: &Measured) -> Option<String> {
+    /// Below this a change is not to be told from none, in standard errors.
+    const NOISE: f64 = 4.0;
+    let is_there = value.abs() > (NOISE * by.std_error).max(2.0 * unit.noise_floor());
+    is_there.then(|| unit.show_measured(&Measured { value, ..*by }))
+}
+
 fn moments<V, S>(case: &Case, change: &Change<V, S>) -> (Stamp, [Stamp; 2]) {
     let origin = case.evidence.origin;
     let at = |by_s: f64| origin.shifted(change.at_s + by_s);
@@ -82,8 +90,13 @@ pub fn frame(
             change_ci95_ns: Some(within),
         });
     let size = |pose: &Pose| {
-        let length = Unit::Metre.show(pose.translation.vector.norm());
-        format!("{length} and {}", Unit::Radian.show(pose.rotation.angle()))
+        let length = beyond(Unit::Metre, pose.translation.vector.norm(), &change.by.translation_m);
+        let angle = beyond(Unit::Radian, pose.rotation.angle(), &change.by.rotation_rad);
+        match (length, angle) {
+            (None, None) => "0".to_owned(),
+            (Some(one), None) | (None, Some(one)) => one,
+            (Some(length), Some(angle)) => format!("{length} and {angle}"),
+        }
     };
     let listed = |change: &FrameChange| {
         json!({
@@ -128,8 +141,8 @@ pub fn amount(
     });
     let told = Told {
         at: format!("at {}", case.evidence.moment(at)),
-        from: unit.show(change.from),
-        to: unit.show(change.to),
+        from: beyond(unit, change.from, &change.by).unwrap_or_else(|| "0".to_owned()),
+        to: beyond(unit, change.to, &change.by).unwrap_or_else(|| "0".to_owned()),
         by: unit.show_signed(&change.by),
         name,
         title,

@@ -104,7 +104,7 @@ pub fn decide_frame(
     let chance = (1.0 - FAIL_CONFIDENCE) / subjects.max(1) as f64;
     match severity {
         Some(severity) if frame.p_value <= chance => Decision::Fail(severity),
-        Some(_) => Decision::Undecided("it may as well be zero".to_owned()),
+        Some(_) => Decision::Undecided("not significantly different from zero".to_owned()),
         None => decide_both(length, angle, thresholds, subjects),
     }
 }
@@ -137,13 +137,13 @@ fn unsettled(measured: &Measured, threshold: &Threshold) -> String {
     let unit = threshold.unit;
     let half = unit.half_width(measured, PASS_CONFIDENCE);
     if !half.is_finite() || !measured.value.is_finite() {
-        return format!("it is not bounded, and ±{} is needed", unit.show(threshold.warning));
+        return format!("uncertainty not bounded, limit ±{}", unit.show(threshold.warning));
     }
     if half > threshold.warning {
         let (half, needed) = (unit.show(half), unit.show(threshold.warning));
-        return format!("it is known to ±{half} only, and ±{needed} is needed");
+        return format!("uncertainty ±{half} exceeds the limit of ±{needed}");
     }
-    format!("{} cannot be told from zero for sure", unit.show_measured(measured))
+    format!("{} is not significantly different from zero", unit.show_measured(measured))
 }
 
 /// The outcome where there is no estimate. `settle` names the motion or topic that would tell.
@@ -165,7 +165,7 @@ pub fn unseen(unseen: &Unseen, settle: &str) -> Outcome {
         Unseen::LittleRotation(span) => {
             format!("its orientation spans {} only", Unit::Radian.show(*span))
         }
-        Unseen::NotExcited => "this motion does not show it".to_owned(),
+        Unseen::NotExcited => "not observable in this motion".to_owned(),
         Unseen::NoGyro => return Outcome::Skipped("it carries no angular velocity".to_owned()),
         Unseen::NoOrientation => return Outcome::Skipped("it carries no orientation".to_owned()),
         Unseen::OrientationNotSet => {
@@ -180,12 +180,14 @@ pub fn unseen(unseen: &Unseen, settle: &str) -> Outcome {
         }
         Unseen::NominalKinematics => {
             return Outcome::Inconclusive(
-                "the model is a drawing held against a calibrated arm, and causes this small cannot \
-                 be told from that; use the arm's own calibration"
+                "nominal model against a calibrated arm: causes this small are within manufacturing \
+                 tolerance; use the arm's own calibration"
                     .to_owned(),
             );
         }
-        Unseen::RestsOn(what) => format!("it rests on {what}, which this log does not tell"),
+        Unseen::RestsOn(what) => {
+            format!("blocked: {what} must be known first, and this log does not determine that")
+        }
     };
     Outcome::Inconclusive(format!("{why}; {settle}"))
 }

@@ -109,7 +109,7 @@ fn named_instead(arm: &ArmEvidence, cause: &Alternative) -> Outcome {
     }
     let (code, joint) = (cause.code, cause.subject.label());
     Outcome::Indistinguishable(format!(
-        "it cannot be told from {code} on {joint}, which is named instead"
+        "indistinguishable from {code} on {joint}, which is named instead"
     ))
 }
 

@@ -5,11 +5,13 @@
 //! [`registry`]. Nothing here estimates anything or reads files.
 
 mod amount;
+mod calibration;
 mod changes;
 mod decision;
 mod frames;
 mod merge;
 mod observability;
+mod plan;
 mod proof;
 mod reading;
 mod settings;
@@ -30,12 +32,15 @@ use crate::finding::{
     Cause, CheckRow, Estimate, Finding, Ignored, Outcome, Ruling, Severity, Span, Status, Subject,
 };
 
+pub use calibration::Still;
+pub(crate) use calibration::{refusal, still};
 pub use decision::{Decision, FrameThresholds, Threshold, decide, decide_both, decide_frame};
 pub(crate) use joints::zer001::ZER001;
 pub(crate) use latency::lat001::LAT001;
 pub use merge::{Part as EvaluatedPart, merged};
 pub(crate) use observability::hidden_zero;
 pub use observability::{Blind, Part, StreamObservability};
+pub(crate) use plan::settled_by;
 pub(crate) use reading::read_as as reading_names;
 pub use settings::{Exemption, Selector, Settings, UnknownRule};
 pub use thresholds::{Limit, Thresholds};

@@ -33,7 +33,7 @@ pub(crate) fn hidden_zero(
     };
     let is_hidden = moved < far && checks.iter().any(is_open);
     is_hidden
-        .then(|| format!("{joint} moved by {} only: its zero cannot be told", unit.show(moved)))
+        .then(|| format!("{joint} moved by {} only: its zero is not observable", unit.show(moved)))
 }
 
 /// What one pose stream cannot show.
@@ -90,10 +90,8 @@ impl Blind {
     pub fn sentence(&self, topic: &str) -> String {
         let (causes, motion) = (self.causes(), &self.motion);
         match self.parts_by_cause().len() {
-            0 | 1 => format!("{causes} does not show in {topic}; {motion}"),
-            _ => format!(
-                "{causes} show in {topic} only together, not each alone; to tell them apart, {motion}"
-            ),
+            0 | 1 => format!("{causes} not observable in {topic}; {motion}"),
+            _ => format!("this motion cannot separate {causes} in {topic}; {motion}"),
         }
     }
 
@@ -349,14 +347,13 @@ mod tests {
     fn a_joint_that_stays_is_asked_to_move() {
         assert_eq!(
             sentence([1.0, 0.01, 1.0], &[Parameter::JointZero(1)]),
-            "zero of lift does not show in /pose; move lift by more than 30°, with the others in \
+            "zero of lift not observable in /pose; move lift by more than 30°, with the others in \
              two different poses"
         );
         let two = [Parameter::JointZero(0), Parameter::JointZero(1)];
         assert_eq!(
             sentence([0.02, 0.01, 1.0], &two),
-            "zeros of pan and lift show in /pose only together, not each alone; to tell them \
-             apart, move pan and lift by more than 30° each, at different times"
+            "this motion cannot separate zeros of pan and lift in /pose; move pan and lift by more than 30° each, at different times"
         );
     }
 
@@ -364,7 +361,10 @@ mod tests {
     fn axes_of_one_frame_are_one_cause() {
         let parameters = [Parameter::ToolTurn(0), Parameter::ToolShift(2), Parameter::JointZero(2)];
         let said = sentence([1.0; 3], &parameters);
-        assert!(said.starts_with("zero of elbow and tool frame show in /pose only"), "{said}");
+        assert!(
+            said.starts_with("this motion cannot separate zero of elbow and tool frame in /pose"),
+            "{said}"
+        );
     }
 
     #[test]

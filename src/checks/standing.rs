@@ -3,7 +3,9 @@
 
 use crate::checks::decision::{Decision, decide_both};
 use crate::checks::{Case, FrameThresholds, Judged, find};
-use crate::diagnosis::{Amount, Error, FrameEstimate, Part, PoseDiagnosis, Residual, Seen, Size};
+use crate::diagnosis::{
+    Amount, Error, FrameEstimate, Part, PoseDiagnosis, Proof, Residual, Seen, Size,
+};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Outcome, Ruling, Severity, Unit};
 use crate::run::{Apart, FlawKind};
@@ -187,8 +189,18 @@ pub(super) fn standing(
             Standing::Small(left)
         }
         Some(left) => Standing::Open(left, [causes.joints, causes.poses].concat()),
-        None => Standing::Accounted { is_named: causes.is_named },
+        None => match hidden_in_poses(proof, thresholds).filter(|_| !causes.is_named) {
+            Some(left) => Standing::Open(left, Vec::new()),
+            None => Standing::Accounted { is_named: causes.is_named },
+        },
     })
+}
+
+/// What was taken off the poses alone, where it is more than amounts that are each below a threshold make.
+/// Some rule must name it.
+fn hidden_in_poses(proof: &Proof, thresholds: &FrameThresholds) -> Option<Left> {
+    let left = Left::of(proof.beside_poses.as_ref()?, thresholds, NEAR)?;
+    (left.severity == Severity::Error).then_some(left)
 }
 
 /// Whether what is left of /tf is what degrees leave that are read as radians: such joints race through
@@ -256,6 +268,11 @@ impl Left {
         })
     }
 
+    /// Whether in its worst part it is surely more than what differs from sample to sample.
+    pub fn is_beyond_noise(&self) -> bool {
+        self.worst.amount.noise.is_some_and(|noise| self.worst.amount.rms >= BEYOND * noise.rms)
+    }
+
     /// Whether over the whole run the error reaches its threshold in the mean square too, and is in some part
     /// surely beyond measured noise.
     fn is_sure(&self, thresholds: &FrameThresholds) -> bool {
@@ -319,7 +336,7 @@ impl Causes {
             chosen(matches!(found.length, Ok(Some(_))), "ORD008"),
             chosen(matches!(found.axes, Ok(Some(_))), "ORD010"),
             chosen(!found.constant.is_empty(), "ORD011"),
-            chosen(found.growth_chosen, "ZER002"),
+            chosen(found.growth_chosen || !found.growth_changes.is_empty(), "ZER002"),
         ]
         .into_iter()
         .flatten()

@@ -304,6 +304,8 @@ fn clean_stream() -> PoseDiagnosis {
         aligned: Aligned::default(),
         reference_changes: Vec::new(),
         tool_changes: Vec::new(),
+        growth_changes: Vec::new(),
+        delays: None,
         coded_s: None,
         taken: Taken::default(),
     }
@@ -335,6 +337,7 @@ pub fn steady() -> LatencyCourse {
     LatencyCourse {
         swing_s: sure(0.0),
         is_unsteady: false,
+        shape: crate::diagnosis::LatencyShape::Steady,
         jumps: Vec::new(),
         levels: Vec::new(),
         windows: Vec::new(),

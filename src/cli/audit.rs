@@ -53,7 +53,7 @@ pub struct Args {
     /// Write tables as Parquet into this folder: aligned samples, reach map, findings, checks
     #[arg(long, value_name = "DIR")]
     parquet: Option<PathBuf>,
-    /// Write what mends the findings into this folder: offsets, latencies, code, frames, a patched model
+    /// Write corrections (offsets, latencies, frames, code, patched URDF) into this folder
     #[arg(long, value_name = "DIR")]
     fix: Option<PathBuf>,
 
@@ -61,7 +61,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE", conflicts_with = "fix")]
     corrections: Option<PathBuf>,
 
-    /// Exit with 1 also where one of these rules cannot conclude
+    /// Fail if one of these rules is inconclusive
     #[arg(long, value_name = "CODES", value_delimiter = ',')]
     require: Vec<Selector>,
 }
@@ -145,6 +145,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
             (audited.into_report(), unwritten)
         }
     };
+    let report = report.called(&asked_alone());
     // Whatever else could not be written, the report is not lost.
     args.reports.emit(&report)?;
     report.error.iter().chain(&unwritten).for_each(output::error);
@@ -161,4 +162,20 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
         return Ok(Outcome::Findings);
     }
     Ok(outcome)
+}
+
+/// The words of the call without what it writes, and where.
+fn asked_alone() -> Vec<String> {
+    const OUTPUTS: [&str; 6] = ["--format", "--output", "--fix", "--parquet", "--rrd", "--view"];
+    let mut words = std::env::args_os().skip(1).map(|word| word.display().to_string());
+    let mut asked = vec!["poseaudit".to_owned()];
+    while let Some(word) = words.next() {
+        let option = word.split('=').next().unwrap_or_default();
+        match OUTPUTS.contains(&option) {
+            false => asked.push(word),
+            true if option == word && option != "--view" => drop(words.next()),
+            true => {}
+        }
+    }
+    asked
 }

@@ -15,7 +15,7 @@ use super::how::FailOn;
 use super::progress::watched;
 use super::{Outcome, output};
 
-/// Compare two reports, or a log with the report that is its baseline: what appeared, went or grew
+/// Compare two reports, or a log with its baseline report: new, fixed and worse findings
 ///
 /// A log is audited with the default options first. Exit status: 0 no regression; 1 a finding at or
 /// above --fail-on that is new or has grown, a pass that is none any more, or a log that cannot be

@@ -6,7 +6,7 @@ use poseaudit::report::Trouble;
 
 use super::{Cli, Outcome, output};
 
-/// Print what completes commands and options in a shell
+/// Generate shell completions
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

@@ -73,7 +73,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     places.check()?;
     let robot = robot_of(&args.robot)
         .map_err(|error| Trouble { place: args.robot.clone(), ..Trouble::from(&error) })?;
-    let chain = chain(&robot, args)?;
+    let chain = chain(&robot, args.base.as_deref(), args.tip.as_deref())?;
     match (&args.file, &args.output) {
         (Some(file), Some(output)) => many(&chain, args, file, output)?,
         _ => one(&robot, &chain, args)?,
@@ -81,15 +81,20 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     Ok(Outcome::Clean)
 }
 
-fn chain(robot: &Robot, args: &Args) -> Result<Chain, Trouble> {
-    let link = |option: &str, given: &Option<String>, usual: &Option<String>| {
-        let name = given.as_ref().or(usual.as_ref());
+/// The chain between two links of a robot, its usual ones where none are named.
+pub(super) fn chain(
+    robot: &Robot,
+    base: Option<&str>,
+    tip: Option<&str>,
+) -> Result<Chain, Trouble> {
+    let link = |option: &str, given: Option<&str>, usual: &Option<String>| {
+        let name = given.or(usual.as_deref());
         name.map(|name| robot.link_or_nearest(name))
             .transpose()
             .map_err(|error| misuse(option, error.to_string(), "name a link of the model"))
     };
-    let base = link("--base", &args.base, &robot.default_base)?.unwrap_or_else(|| robot.root());
-    let tip = link("--tip", &args.tip, &robot.default_tip)?;
+    let base = link("--base", base, &robot.default_base)?.unwrap_or_else(|| robot.root());
+    let tip = link("--tip", tip, &robot.default_tip)?;
     let tip = tip.or_else(|| robot.leaf_links().last()).unwrap_or(base);
     robot.chain(base, tip).map_err(|error| {
         misuse("--tip", error.to_string(), "name two links with joints between them")

@@ -16,7 +16,8 @@ pub struct How {
     #[arg(long = "robot", value_name = "FILE|NAME")]
     robots: Vec<RobotSource>,
 
-    /// A UR's calibration, as ur_calibration extracts it; PREFIX=FILE with several arms
+    /// What `calibrate` wrote, or a UR's calibration as ur_calibration extracts it; PREFIX=FILE with
+    /// several arms
     #[arg(long = "calibration", value_name = "FILE")]
     calibrations: Vec<CalibrationSource>,
 
@@ -24,19 +25,19 @@ pub struct How {
     #[arg(long, value_name = "LINK")]
     base: Option<String>,
 
-    /// Link that the chain ends at, and whose poses the streams are
+    /// End link; the pose streams are assumed to be this link's pose
     #[arg(long, value_name = "LINK")]
     tip: Option<String>,
 
-    /// The settings of an audit: robot, topics, thresholds of rules, what is known and to be ignored
+    /// Config file (TOML): robot, topics, thresholds, ignored findings
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
 
-    /// Ask only these rules: codes, or the letters a family begins with
+    /// Run only these rules: codes or prefixes, as in LAT,ZER001
     #[arg(long, value_name = "CODES", value_delimiter = ',')]
     select: Vec<Selector>,
 
-    /// Do not ask these rules
+    /// Do not run these rules
     #[arg(long, value_name = "CODES", value_delimiter = ',')]
     ignore: Vec<Selector>,
 

@@ -11,7 +11,7 @@ use poseaudit::report::Trouble;
 use super::progress::watched;
 use super::{Outcome, misuse, output};
 
-/// Write a config from a log: what was found in it, and all else as comments
+/// Generate a commented config from a log
 ///
 /// `poseaudit audit LOG --config FILE` reads it.
 #[derive(Debug, clap::Args)]

@@ -3,6 +3,7 @@
 //! Reports go to stdout or to `--output`; messages go to stderr.
 
 mod audit;
+mod calibrate;
 mod compare;
 mod completions;
 mod demo;
@@ -15,6 +16,7 @@ mod info;
 mod init;
 mod man;
 mod output;
+mod plan;
 mod pose;
 mod progress;
 mod reports;
@@ -23,6 +25,9 @@ mod rules;
 mod tf;
 mod view;
 
+use std::path::PathBuf;
+
+use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
 use poseaudit::report::{Report, Trouble, TroubleKind, Verdict};
 
@@ -61,7 +66,7 @@ impl From<&Report> for Outcome {
     }
 }
 
-/// Says which of a robot arm's recorded poses, stamps and conventions cannot be right.
+/// Finds wrong poses, timestamps and conventions in a robot arm's recordings.
 ///
 /// Reads one recorded run, recomputes where the arm must have been, and names the cause, by how
 /// much, and how sure it is.
@@ -83,6 +88,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Audit(Box<audit::Args>),
+    Calibrate(Box<calibrate::Args>),
     Compare(compare::Args),
     Fleet(Box<fleet::Args>),
     Info(info::Args),
@@ -94,6 +100,7 @@ enum Command {
     Fk(fk::Args),
     Tf(tf::Args),
     Pose(Box<pose::Args>),
+    Plan(Box<plan::Args>),
     Completions(completions::Args),
     Man(man::Args),
 }
@@ -101,8 +108,9 @@ enum Command {
 /// Follows the command line. What is wrong with the call itself is said by `clap`, which ends the
 /// process with status 2.
 pub fn run() -> Outcome {
-    let result = match Cli::parse().command {
+    let result = Cli::try_parse().map_err(refused).and_then(|cli| match cli.command {
         Command::Audit(args) => audit::run(*args),
+        Command::Calibrate(args) => calibrate::run(*args),
         Command::Compare(args) => compare::run(&args),
         Command::Fleet(args) => fleet::run(*args),
         Command::Info(args) => info::run(&args),
@@ -114,13 +122,27 @@ pub fn run() -> Outcome {
         Command::Fk(args) => fk::run(&args),
         Command::Tf(args) => tf::run(&args),
         Command::Pose(args) => pose::run(&args),
+        Command::Plan(args) => plan::run(&args),
         Command::Completions(args) => completions::run(&args),
         Command::Man(args) => man::run(&args),
-    };
+    });
     result.unwrap_or_else(|trouble| {
         output::error(&trouble);
         trouble.kind.into()
     })
+}
+
+/// What is wrong where a log stands in the place of a command. All else is said by `clap`, which ends the
+/// process.
+fn refused(error: clap::Error) -> Trouble {
+    let first = std::env::args_os().nth(1).map(PathBuf::from);
+    match first.filter(|path| error.kind() == ErrorKind::InvalidSubcommand && path.exists()) {
+        Some(path) => {
+            let path = path.display().to_string();
+            misuse(&path, "it is no command", format!("audit it with `poseaudit audit {path}`"))
+        }
+        None => error.exit(),
+    }
 }
 
 /// Has the process leave no file behind that is not whole where it is interrupted or terminated.

@@ -23,11 +23,17 @@ pub enum Format {
 /// The option that names the file for an answer.
 pub const OUTPUT: &str = "--output";
 
+const WARNING: Style = AnsiColor::Yellow.on_default().bold();
 const ERROR: Style = AnsiColor::Red.on_default().bold();
 
 /// One line on stderr that says what is wrong.
 pub fn error(what: impl Display) {
     anstream::eprintln!("{ERROR}error:{ERROR:#} {}", tame(&what.to_string()));
+}
+
+/// One line on stderr that says what to heed.
+pub fn warning(what: impl Display) {
+    anstream::eprintln!("{WARNING}warning:{WARNING:#} {}", tame(&what.to_string()));
 }
 
 /// A table without lines around its cells.

@@ -8,8 +8,8 @@ use std::io::{self, Read};
 use std::path::PathBuf;
 
 use poseaudit::desk::{
-    Corrections, DeskError, FrameNames, Pair, Pasted, Question, Sheets, Style, pairs_from_csv,
-    paste, reconcile, sheet,
+    Corrections, DeskError, FrameNames, Pair, Pasted, Question, Sheets, Style, Verdict,
+    pairs_from_csv, paste, reconcile, sheet,
 };
 use poseaudit::places::Places;
 use poseaudit::report::Trouble;
@@ -22,9 +22,11 @@ use super::{Outcome, misuse, output};
 
 /// One pose in every convention, or what makes two poses agree
 ///
-/// A pose is 6 numbers (position and three of a rotation), 7 (and a quaternion), 12 or 16 (a matrix);
-/// a rotation alone is 3, 4 or 9. Or it is a UR's p[…], a URDF <origin …/>, a ROS message as YAML, what
-/// tf2_echo prints, or - for stdin. What is inferred is said; what cannot be is listed.
+/// A pose is 6 numbers (position and three of a rotation), 7 (and a quaternion, or axis and angle), 9 (and
+/// two columns of the matrix), 12 or 16 (a matrix); a rotation alone is 3, 4 or 9. Or it is a UR's p[…], a
+/// KUKA's {X …, A …}, a robtarget of RAPID, a FANUC's X = … W = …, a URDF <origin …/>, a ROS message as
+/// YAML, what tf2_echo prints, or - for stdin. What is inferred is said; what cannot be is listed. With two
+/// poses, A and B, it says what makes them agree, and exits with 1 where nothing does.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -32,13 +34,21 @@ Examples:
   poseaudit pose --from kuka \"243.69 -249.04 618.32 72.64 -12.78 149.49\"
   poseaudit pose \"p[0.1, -0.2, 0.3, 1.2, -1.7, 0.6]\"
   ros2 topic echo --once /tcp_pose | poseaudit pose -
-  poseaudit pose --is \"0.246 -0.249 0.619 0.170 0.472 -0.074 0.862\" \\
-                 --but \"243.69 -249.04 618.32 149.49 -12.78 72.64\"
+  poseaudit pose \"0.246 -0.249 0.619 0.170 0.472 -0.074 0.862\" \\
+                 \"243.69 -249.04 618.32 149.49 -12.78 72.64\"
   poseaudit pose --pairs poses.csv --is-as ros --but-as mm,deg --robot ur10e")]
 pub struct Args {
     /// The pose
     #[arg(value_name = "POSE", allow_hyphen_values = true)]
     pose: Option<String>,
+
+    /// A second pose, B, that should agree with it
+    #[arg(value_name = "OTHER", allow_hyphen_values = true)]
+    other: Option<String>,
+
+    /// The rest of a pose whose numbers have no quotes around them
+    #[arg(value_name = "NUMBERS", allow_negative_numbers = true, hide = true)]
+    rest: Vec<String>,
 
     /// Its convention: rotvec, euler:SEQ, quat:xyzw, quat:wxyz, matrix:rows, matrix:columns, or a
     /// maker's as kuka, fanuc, ur; units may follow, as in euler:ZYX,deg,mm
@@ -61,7 +71,7 @@ pub struct Args {
     #[arg(long, requires = "pose")]
     m: bool,
 
-    /// A pose that should agree with that of --but (repeatable, each with its --but)
+    /// Pose A, which should agree with B, that of --but (repeatable, each with its --but)
     #[arg(
         long,
         value_name = "POSE",
@@ -71,7 +81,7 @@ pub struct Args {
     )]
     is: Vec<String>,
 
-    /// The other pose
+    /// Pose B
     #[arg(long, value_name = "POSE", allow_hyphen_values = true, requires = "is")]
     but: Vec<String>,
 
@@ -79,24 +89,24 @@ pub struct Args {
     #[arg(long, value_name = "FILE", conflicts_with_all = ["pose", "is"])]
     pairs: Option<PathBuf>,
 
-    /// How the one side is coded, as --from; units alone will do
-    #[arg(long, value_name = "CONVENTION", conflicts_with = "pose")]
+    /// How A is coded, as --from; units alone will do
+    #[arg(long, value_name = "CONVENTION")]
     is_as: Option<String>,
 
-    /// How the other side is coded
-    #[arg(long, value_name = "CONVENTION", conflicts_with = "pose")]
+    /// How B is coded
+    #[arg(long, value_name = "CONVENTION")]
     but_as: Option<String>,
 
-    /// The frames of the one side, parent and child
-    #[arg(long, value_name = "PARENT,CHILD", conflicts_with = "pose")]
+    /// The frames of A, parent and child
+    #[arg(long, value_name = "PARENT,CHILD")]
     is_frames: Option<String>,
 
-    /// The frames of the other side
-    #[arg(long, value_name = "PARENT,CHILD", conflicts_with = "pose")]
+    /// The frames of B
+    #[arg(long, value_name = "PARENT,CHILD")]
     but_frames: Option<String>,
 
     /// The arm whose fixed frames may lie between the two: a URDF, a table, or a catalogue name
-    #[arg(long, value_name = "ROBOT", conflicts_with = "pose")]
+    #[arg(long, value_name = "ROBOT")]
     robot: Option<String>,
 
     /// How the answer is printed
@@ -105,15 +115,32 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
-    match (&args.pose, &args.pairs, args.is.is_empty()) {
-        (Some(pose), ..) => one(pose, args)?,
-        (None, None, true) => {
-            let remedy = "give a pose, --is with --but, or --pairs; see `poseaudit pose --help`";
-            return Err(misuse("pose", "no pose was given", remedy));
+    let poses = poses(args);
+    match (poses.as_slice(), &args.pairs, args.is.is_empty()) {
+        ([], None, true) => {
+            let remedy =
+                "give a pose, two that should agree, or --pairs; see `poseaudit pose --help`";
+            Err(misuse("pose", "no pose was given", remedy))
         }
-        _ => several(args)?,
+        ([pose], ..) => one(pose, args),
+        ([_, _], ..) => {
+            let [is, but] = [0, 1].map(|at| paste(&poses[at]).map_err(trouble("POSE")));
+            several(vec![Pair { is: is?, but: but? }], "POSE", args)
+        }
+        _ => {
+            let place = if args.pairs.is_some() { "--pairs" } else { "--is, --but" };
+            several(pairs(args)?, place, args)
+        }
     }
-    Ok(Outcome::Clean)
+}
+
+/// The poses that were given: one or two texts, or the numbers of one without quotes around them.
+fn poses(args: &Args) -> Vec<String> {
+    let first: Vec<String> = [&args.pose, &args.other].into_iter().flatten().cloned().collect();
+    match args.rest.is_empty() {
+        true => first,
+        false => vec![[first, args.rest.clone()].concat().join(" ")],
+    }
 }
 
 fn trouble(place: &str) -> impl Fn(DeskError) -> Trouble + '_ {
@@ -125,7 +152,17 @@ fn style(option: &str, given: Option<&str>) -> Result<Style, Trouble> {
     style.transpose().map(Option::unwrap_or_default).map_err(trouble(option))
 }
 
-fn one(pose: &str, args: &Args) -> Result<(), Trouble> {
+fn one(pose: &str, args: &Args) -> Result<Outcome, Trouble> {
+    let options = [
+        ("--is-as", &args.is_as),
+        ("--but-as", &args.but_as),
+        ("--is-frames", &args.is_frames),
+        ("--but-frames", &args.but_frames),
+        ("--robot", &args.robot),
+    ];
+    if let Some((option, _)) = options.iter().find(|(_, given)| given.is_some()) {
+        return Err(misuse(*option, "it says something of two poses", "give a second pose"));
+    }
     let mut text = pose.to_owned();
     if pose == "-" {
         text.clear();
@@ -145,11 +182,11 @@ fn one(pose: &str, args: &Args) -> Result<(), Trouble> {
         (Format::Text, Sheets::Several { candidates, notes }) => {
             write_candidates(candidates, notes, out)
         }
-    })
+    })?;
+    Ok(Outcome::Clean)
 }
 
-fn several(args: &Args) -> Result<(), Trouble> {
-    let pairs = pairs(args)?;
+fn several(pairs: Vec<Pair>, place: &str, args: &Args) -> Result<Outcome, Trouble> {
     let is: Vec<&Pasted> = pairs.iter().map(|pair| &pair.is).collect();
     let is = frame_names(&is, "--is-frames", args.is_frames.as_deref())?;
     let but: Vec<&Pasted> = pairs.iter().map(|pair| &pair.but).collect();
@@ -170,14 +207,14 @@ fn several(args: &Args) -> Result<(), Trouble> {
         frames: Corrections::of(robot.as_ref(), &is, &but),
         pairs,
     };
-    let place = if args.pairs.is_some() { "--pairs" } else { "--is, --but" };
     let answer = reconcile(&question).map_err(trouble(place))?;
     output::emit(None, |out| match args.format {
         Format::Text => write_answer(&answer, question.pairs.len(), out),
         Format::Json => {
             writeln!(out, "{:#}", answer_as_json(&answer, question.pairs.len()))
         }
-    })
+    })?;
+    Ok(if answer.verdict == Verdict::Open { Outcome::Findings } else { Outcome::Clean })
 }
 
 /// The frames that `option` gives, else those that the pasted texts name.

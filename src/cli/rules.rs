@@ -5,7 +5,7 @@ use poseaudit::report::Trouble;
 
 use super::{Outcome, output};
 
-/// List the rules, and from which thresholds they speak up
+/// List rules and their thresholds
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

@@ -27,12 +27,12 @@ pub(super) struct File {
     /// that fits.
     #[schemars(with = "Option<ByPrefix>")]
     pub robot: Option<Spanned<ByPrefix>>,
-    /// A UR's calibration, the YAML file that `ur_calibration` extracts; with several arms a table by
-    /// prefix. Default: what the log holds.
+    /// A calibration: the JSON that `calibrate` wrote, or of a UR the YAML that `ur_calibration` extracts;
+    /// with several arms a table by prefix. Default: what the log holds.
     pub calibration: Option<ByPrefix>,
     /// Link that the chain begins at. Default: the controller's base, else the root.
     pub base: Option<String>,
-    /// Link that the chain ends at, and whose poses the streams are. A tip that is named here is held
+    /// End link; the pose streams are assumed to be this link's pose. A tip that is named here is held
     /// against them: an offset from it is a fault (FRM003), and not the active TCP.
     pub tip: Option<String>,
     /// The time that places a sample. Default: `header`.

@@ -78,7 +78,11 @@ impl Template {
                 self.line("# With several arms a table: robot = { left_ = \"ur5e\", right_ = \"arm.urdf\" }");
             }
         }
-        self.unset("calibration", "\"calibration.yaml\"", "of a UR, as ur_calibration extracts it");
+        self.unset(
+            "calibration",
+            "\"calibration.yaml\"",
+            "as calibrate wrote it, or of a UR as ur_calibration extracts it",
+        );
     }
 
     fn robot(&mut self, RobotRow { name, source, base, tip, .. }: &RobotRow) {

@@ -75,10 +75,10 @@ impl Mending {
         for (name, what) in self.descriptions() {
             let _ = writeln!(text, "- `{name}`: {what}");
         }
-        text += "\nWhat else is in this folder is of an earlier call.\n";
+        text += "\nFiles not listed here are left over from an earlier run.\n";
         text += "\n## To try them\n\n";
         text += "`poseaudit audit LOG --corrections corrections.toml` applies them to the streams of the\n\
-                 log before it judges anything: what is mended is found no more.\n";
+                 log before it judges anything: corrected findings should disappear.\n";
         if !self.models.is_empty() {
             text += "A patched model, given with `--robot`, stands in the place of the joint offsets: take\n\
                      these out of `corrections.toml` then, and out of any driver. What the log's own /tf\n\

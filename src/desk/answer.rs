@@ -1,8 +1,8 @@
 //! What makes pairs of poses agree, as it is told.
 
 use super::form::Reading;
-use super::frames::FixedFrame;
-use crate::geometry::{Misreading, Pose, angle_between};
+use super::frames::{FixedFrame, worlds};
+use crate::geometry::{Axes, Convention, Misreading, Pose, Vec3, angle_between};
 
 /// What rounding and a nominal model may leave of poses that agree: rad and m.
 pub(super) const AGREES_RAD: f64 = 1.0 * std::f64::consts::PI / 180.0;
@@ -48,15 +48,40 @@ impl Inversion {
     }
 }
 
-/// What lies between the two poses at the tip.
+/// What lies between the two poses at one end.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Tool {
+pub enum End {
     /// Nothing.
     None,
-    /// Frames that are fixed to each other on known arms.
+    /// Frames that are fixed to each other: at the base `but_from_is`, at the tip `is_from_but`.
     Frames(FixedFrame),
-    /// A constant `is_from_but`, fitted to several pairs.
+    /// A constant transform of the same sense, fitted to several pairs.
     Fitted(Pose),
+}
+
+impl End {
+    /// The transform.
+    pub fn transform(&self) -> Pose {
+        match self {
+            Self::None => Pose::identity(),
+            Self::Frames(frames) => frames.transform,
+            Self::Fitted(transform) => *transform,
+        }
+    }
+
+    fn claim(&self, relation: &str, fitted: &str) -> Option<String> {
+        match self {
+            Self::None => None,
+            Self::Fitted(_) => Some(fitted.to_owned()),
+            Self::Frames(frames) => {
+                let FixedFrame { is, but, arms, .. } = frames;
+                Some(match frames.is_either_way() {
+                    true => format!("one is {relation} {is}, the other {relation} {but} ({arms})"),
+                    false => format!("A is {relation} {is}, B {relation} {but} ({arms})"),
+                })
+            }
+        }
+    }
 }
 
 /// What an explanation leaves, over all pairs.
@@ -114,28 +139,55 @@ impl Gap {
     }
 }
 
-/// A tool that would close what is left of one pair, which no one pair can confirm.
+/// What would close what is left of one pair, which no one pair can confirm.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WouldDo {
-    /// `is_from_but` after the explanation's own steps.
+    /// A tool: `is_from_but` after the explanation's own steps.
     pub tool: Pose,
+    /// Or an offset of the base: `but_from_is`.
+    pub base: Pose,
     /// Whether it is a translation alone, the rotations being explained.
     pub is_translation: bool,
 }
 
-/// An explanation of the difference.
+impl WouldDo {
+    /// How far apart the positions are, and along what: `150.0 mm along tool z`. `None` where the rotations
+    /// are apart, too.
+    pub fn apart(&self) -> Option<String> {
+        /// A distance is along an axis where so much of it is.
+        const ALONG: f64 = 0.995;
+        let shift = self.tool.translation.vector;
+        let along = |vector: Vec3, end: &str| {
+            let axis = vector.iamax();
+            let sign = if vector[axis] < 0.0 { "-" } else { "" };
+            let is_along = vector[axis].abs() >= ALONG * vector.norm();
+            is_along.then(|| format!("{end} {sign}{}", ["x", "y", "z"][axis]))
+        };
+        let ends = [along(shift, "tool"), along(self.base.translation.vector, "base")];
+        let ends: Vec<String> = ends.into_iter().flatten().collect();
+        let along = match ends.is_empty() {
+            true => "apart".to_owned(),
+            false => format!("along {}", ends.join(" or ")),
+        };
+        self.is_translation.then(|| format!("{:.1} mm {along}", 1e3 * shift.norm()))
+    }
+}
+
+/// An explanation of the difference: B is `base · axes(inversion(A)) · tip`.
 #[derive(Clone, Debug)]
 pub struct Hypothesis {
-    /// How the one side is read.
+    /// How the one side, A, is read.
     pub is: Reading,
-    /// How the other side is read.
+    /// How the other side, B, is read.
     pub but: Reading,
-    /// What of the one side is turned round first.
+    /// What of A is turned round first.
     pub inversion: Inversion,
+    /// The axes that B's whole world is written in, by those of A's.
+    pub axes: Axes,
     /// The frames at the base.
-    pub base: Option<FixedFrame>,
+    pub base: End,
     /// The frames at the tip.
-    pub tool: Tool,
+    pub tip: End,
     /// Three numbers that were read in two ways on the way to the two poses.
     pub misreading: Option<Misreading>,
     /// What is left.
@@ -144,6 +196,8 @@ pub struct Hypothesis {
     pub score: f64,
     /// Other readings that leave as much.
     pub equivalents: Vec<[Reading; 2]>,
+    /// Other names for the same change.
+    pub also: Vec<String>,
 }
 
 impl Hypothesis {
@@ -152,7 +206,9 @@ impl Hypothesis {
         let mut claims = Vec::new();
         if let Some(Misreading { is, read_as }) = self.misreading {
             claims.push(format!(
-                "three numbers that were taken as {is} in `is` were taken as {read_as} in `but`"
+                "A read three numbers as {}, B read the same numbers as {}",
+                spelt(is),
+                spelt(read_as)
             ));
         }
         match self.inversion {
@@ -160,28 +216,54 @@ impl Hypothesis {
             Inversion::Pose => claims
                 .push("one is the inverse of the other: parent and child are swapped".to_owned()),
             Inversion::Rotation => {
-                claims.push("the rotation of one is the transpose of the other's".to_owned())
+                claims.push("the rotation of one is the transpose of the other's".to_owned());
             }
         }
-        if let Some(base) = &self.base {
-            claims.push(match base.is_either_way() {
-                true => format!("one is in {}, the other in {} ({})", base.is, base.but, base.arms),
-                false => format!("`is` is in {}, `but` in {} ({})", base.is, base.but, base.arms),
-            });
-        }
-        match &self.tool {
-            Tool::None => {}
-            Tool::Frames(tip) if tip.is_either_way() => {
-                claims
-                    .push(format!("one is of {}, the other of {} ({})", tip.is, tip.but, tip.arms));
-            }
-            Tool::Frames(tip) => {
-                claims.push(format!("`is` is of {}, `but` of {} ({})", tip.is, tip.but, tip.arms));
-            }
-            Tool::Fitted(_) => claims.push("a constant tool lies between them".to_owned()),
-        }
+        claims.extend(said_of_axes(self.axes));
+        claims.extend(self.base.claim("in", "a constant offset of the base lies between them"));
+        claims.extend(self.tip.claim("of", "a constant tool lies between them"));
         claims
     }
+
+    /// Whether both sides can be read otherwise only in the same way: what differs between them is told.
+    pub(super) fn tells_the_change(&self) -> bool {
+        let is_alike = |[is, but]: &[Reading; 2]| is.form == but.form;
+        self.equivalents.is_empty()
+            || self.is.form == self.but.form && self.equivalents.iter().all(is_alike)
+    }
+
+    /// The pose that B should be where A is `is`.
+    pub(super) fn expected(&self, is: &Pose) -> Pose {
+        let axes = self.axes.of_pose(&self.inversion.of(is));
+        self.base.transform() * axes * self.tip.transform()
+    }
+}
+
+fn spelt(convention: Convention) -> String {
+    match convention {
+        Convention::RotVec => "a rotation vector".to_owned(),
+        Convention::RPY => "roll, pitch, yaw (euler:xyz)".to_owned(),
+        other => other.to_string(),
+    }
+}
+
+/// What other axes say, and whose they are.
+fn said_of_axes(axes: Axes) -> Option<String> {
+    if axes == Axes::STANDARD {
+        return None;
+    }
+    let [x, y, z] = axes.inverse().standard_names(false);
+    let whose = |axes: Axes| worlds().iter().find(|world| world.axes == axes);
+    let whose = match (whose(axes), whose(axes.inverse())) {
+        (Some(both), Some(_)) if axes == axes.inverse() => {
+            format!(" ({}, one of the two)", both.who)
+        }
+        (Some(but), _) => format!(" (B: {})", but.who),
+        (None, Some(is)) => format!(" (A: {})", is.who),
+        (None, None) => String::new(),
+    };
+    let hand = if axes.are_left_handed() { ", the other hand" } else { "" };
+    Some(format!("B's x, y, z are A's {x}, {y}, {z}, in world and body{hand}{whose}"))
 }
 
 /// How far the pairs are explained.
@@ -204,7 +286,7 @@ pub struct Answer {
     pub hypotheses: Vec<Hypothesis>,
     /// How many of them are as good as the first, with it; zero where none explains the pairs.
     pub as_good: usize,
-    /// A tool that would close what the first leaves of a single pair.
+    /// What would close what the first leaves of a single pair.
     pub would_do: Option<WouldDo>,
     /// How many ways to read the two rotations were tried.
     pub tried: usize,
@@ -212,15 +294,4 @@ pub struct Answer {
     pub by_chance: Option<f64>,
     /// What to look out for.
     pub notes: Vec<String>,
-}
-
-/// The pose that `but` should be where the one side is `is`.
-pub(super) fn expected(hypothesis: &Hypothesis, is: &Pose) -> Pose {
-    let base = hypothesis.base.as_ref().map_or(Pose::identity(), |base| base.transform);
-    let tool = match &hypothesis.tool {
-        Tool::None => Pose::identity(),
-        Tool::Frames(tip) => tip.transform,
-        Tool::Fitted(tool) => *tool,
-    };
-    base * hypothesis.inversion.of(is) * tool
 }

@@ -34,6 +34,8 @@ pub enum DeskError {
     LastRow { row: [f64; 4] },
     #[error("the quaternion's norm is {norm:.4} and not 1")]
     Norm { norm: f64 },
+    #[error("the axis of the rotation has the norm {norm:.4} and not 1")]
+    Axis { norm: f64 },
     #[error("it is not well-formed XML: {0}")]
     Xml(String),
     #[error("it is no YAML of a pose: {0}")]
@@ -53,15 +55,15 @@ impl DeskError {
     pub fn advice(&self) -> &'static str {
         match self {
             Self::Form { .. } => {
-                "use rotvec, euler:SEQ, quat:xyzw, quat:wxyz, matrix:rows, matrix:columns or a maker \
-                 such as kuka, with deg or rad, mm or m behind commas"
+                "use rotvec, euler:SEQ, quat:xyzw, quat:wxyz, matrix:rows, matrix:columns, axis-angle, \
+                 rot6d:columns, rot6d:rows or a maker such as kuka, with deg or rad, mm or m behind commas"
             }
             Self::Contradiction { .. } => "name one of deg and rad, one of mm and m",
             Self::Frame { .. } => "name links of the arm, with --robot those of your own",
             Self::Word { .. } => "give numbers, p[…], a URDF origin or a ROS message as YAML",
             Self::Count { .. } => {
-                "give 6 (position and three angles), 7 (and a quaternion), 12 or 16 (a matrix), or a \
-                 rotation alone as 3, 4 or 9"
+                "give 6 (position and three angles), 7 (and a quaternion), 9 (and two columns of the \
+                 matrix), 12 or 16 (a matrix), or a rotation alone as 3, 4 or 9"
             }
             Self::Beyond { .. } => "give lengths in m or mm and angles in rad or degrees",
             Self::CountOfForm { .. } => {
@@ -78,6 +80,7 @@ impl DeskError {
             Self::Norm { .. } => {
                 "see whether all four are of the quaternion, and divide them by it"
             }
+            Self::Axis { .. } => "give a unit vector, then the angle",
             Self::Xml(_) => "paste the whole <origin …/>",
             Self::Yaml(_) | Self::Lacks(_) => {
                 "paste position and orientation as the topic prints them"

@@ -5,8 +5,9 @@ use std::fmt;
 use std::str::FromStr;
 
 use crate::geometry::{
-    AngleUnit, Coding, Convention, LengthScale, Pose, Rotation, UnitError, Units, pose,
-    rotation_from_matrix_rows, rotation_from_xyzw, vendors, xyz_of, xyzw_from_rotation,
+    AngleUnit, Coding, Convention, LengthScale, Pose, Rotation, UnitError, Units, Vec3, pose,
+    rotation_from_matrix_rows, rotation_from_rotvec, rotation_from_xyzw, vendors, xyz_of,
+    xyzw_from_rotation,
 };
 
 use super::error::DeskError;
@@ -20,18 +21,33 @@ pub(super) const SAID_DEFECT: f64 = 1e-3;
 /// The margin to gimbal lock, rad, below which it is said: that of ORD006.
 pub(super) const LOCK_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 
-/// A length, in the unit as given, beyond which it is not in metres.
+/// Lengths, in the unit as given, beyond which they are not in metres, not in centimetres, and not in
+/// millimetres.
 const LONGEST_M: f64 = 10.0;
+const LONGEST_CM: f64 = 1e3;
+const LONGEST_MM: f64 = 1e4;
 
-/// An angle, in the unit as given, beyond which it is not in radians.
+/// Angles, in the unit as given, beyond which they are not in radians, and not in degrees.
 const WIDEST_RAD: f64 = 1.1 * TAU;
+const WIDEST_DEG: f64 = 1e3;
 
 /// Whether `count` numbers can be a pose, or a rotation alone, that is coded so.
 fn takes(form: Coding, count: usize) -> bool {
     match form {
         Coding::Three(_) => matches!(count, 3 | 6),
-        Coding::Xyzw | Coding::Wxyz => matches!(count, 4 | 7),
+        Coding::Xyzw | Coding::Wxyz | Coding::AxisAngle => matches!(count, 4 | 7),
         Coding::Rows | Coding::Columns => matches!(count, 9 | 12 | 16),
+        Coding::TwoColumns | Coding::TwoRows => matches!(count, 6 | 9),
+    }
+}
+
+/// Whether that many numbers in `form` hold a position.
+fn has_position(form: Coding, count: usize) -> bool {
+    match form {
+        Coding::Three(_) => count == 6,
+        Coding::Xyzw | Coding::Wxyz | Coding::AxisAngle => count == 7,
+        Coding::Rows | Coding::Columns => count > 9,
+        Coding::TwoColumns | Coding::TwoRows => count == 9,
     }
 }
 
@@ -127,8 +143,12 @@ impl Reading {
                 let q_xyzw = if form == Coding::Wxyz { [b, c, d, a] } else { four };
                 (xyz, unit_quaternion(q_xyzw)?)
             }
-            Coding::Rows | Coding::Columns => {
-                let (xyz, rows) = matrix(numbers, form == Coding::Columns)?;
+            Coding::AxisAngle => {
+                let (xyz, [x, y, z, angle]) = before_last::<4>(numbers);
+                (xyz, about([x, y, z], angle * self.angle.in_rad())?)
+            }
+            _ => {
+                let (xyz, rows) = matrix(form, numbers)?;
                 (xyz, orthonormal(rows)?)
             }
         };
@@ -149,11 +169,6 @@ impl fmt::Display for Reading {
     }
 }
 
-/// Whether that many numbers hold a position.
-pub(super) fn has_position(count: usize) -> bool {
-    matches!(count, 6 | 7 | 12 | 16)
-}
-
 /// The last `N` numbers, and the three before them or zeros.
 fn before_last<const N: usize>(numbers: &[f64]) -> ([f64; 3], [f64; N]) {
     let (xyz, last) = numbers.split_at(numbers.len() - N);
@@ -169,8 +184,24 @@ fn three(numbers: &[f64]) -> [f64; 3] {
     }
 }
 
-/// The position and the rows of the rotation in 9, 12 or 16 numbers.
-fn matrix(numbers: &[f64], by_column: bool) -> Result<([f64; 3], [[f64; 3]; 3]), DeskError> {
+/// The rotation about an axis, rad.
+fn about(axis: [f64; 3], angle: f64) -> Result<Rotation, DeskError> {
+    let axis = Vec3::from(axis);
+    match (axis.norm() - 1.0).abs() <= REFUSED_DEFECT {
+        true => Ok(rotation_from_rotvec(axis.normalize() * angle)),
+        false => Err(DeskError::Axis { norm: axis.norm() }),
+    }
+}
+
+/// The position and the rows of the rotation in the numbers of a matrix, or of two of its columns or rows.
+fn matrix(form: Coding, numbers: &[f64]) -> Result<([f64; 3], [[f64; 3]; 3]), DeskError> {
+    if matches!(form, Coding::TwoColumns | Coding::TwoRows) {
+        let (xyz, [a, b, c, d, e, f]) = before_last::<6>(numbers);
+        let (first, second) = (Vec3::new(a, b, c), Vec3::new(d, e, f));
+        let rows = [first, second, first.cross(&second)].map(Into::into);
+        return Ok((xyz, if form == Coding::TwoRows { rows } else { transposed(rows) }));
+    }
+    let by_column = form == Coding::Columns;
     let (width, height) = match numbers.len() {
         9 => (3, 3),
         12 => (4, 3),
@@ -192,6 +223,18 @@ fn matrix(numbers: &[f64], by_column: bool) -> Result<([f64; 3], [[f64; 3]; 3]),
         _ => [0.0; 3],
     };
     Ok((xyz, [0, 1, 2].map(|row| [0, 1, 2].map(|column| at(row, column)))))
+}
+
+/// Whether nine numbers are a matrix whose rows are orthonormal, and which mirrors.
+fn is_mirrored(numbers: &[f64]) -> bool {
+    let matrix = |numbers: &[f64]| matrix(Coding::Rows, numbers).ok().map(|(_, rows)| rows);
+    let mirrored = (numbers.len() == 9).then(|| numbers.iter().map(|c| -c).collect::<Vec<f64>>());
+    let rows = mirrored.and_then(|numbers| matrix(&numbers));
+    rows.is_some_and(|rows| orthonormal(rows).is_ok())
+}
+
+fn transposed(rows: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
+    [0, 1, 2].map(|column| rows.map(|row| row[column]))
 }
 
 fn orthonormal(rows: [[f64; 3]; 3]) -> Result<Rotation, DeskError> {
@@ -224,9 +267,9 @@ fn norm_of(q: [f64; 4]) -> f64 {
 /// minus 1; zero where nothing can be missed.
 pub(super) fn defect(form: Coding, numbers: &[f64]) -> f64 {
     match form {
-        Coding::Three(_) => 0.0,
+        Coding::Three(_) | Coding::AxisAngle => 0.0,
         Coding::Xyzw | Coding::Wxyz => (norm_of(before_last::<4>(numbers).1) - 1.0).abs(),
-        Coding::Rows | Coding::Columns => matrix(numbers, form == Coding::Columns)
+        _ => matrix(form, numbers)
             .ok()
             .and_then(|(_, rows)| rotation_from_matrix_rows(rows))
             .map_or(0.0, |(_, defect)| defect),
@@ -246,8 +289,8 @@ pub(super) fn gimbal_margin(reading: &Reading, numbers: &[f64]) -> Option<f64> {
 
 /// Every way in which `samples`, all of one length, can be read within `style`; the likeliest first.
 ///
-/// Lengths above 10 are millimetres, angles above 1.1 turns degrees; below, metres and radians come
-/// first and the others after them, as odd.
+/// Lengths above 10 are millimetres and above 10,000 micrometres, angles above 1.1 turns degrees and above
+/// 1,000 parts of them; below, metres and radians come first and the others after them, as odd.
 ///
 /// # Errors
 /// Where there is none; then why the likeliest is not.
@@ -256,19 +299,25 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
     let forms: Vec<Coding> = match (style.form, count) {
         (Some(form), _) => vec![form],
         (None, 3 | 6) => Convention::all().iter().map(|&three| Coding::Three(three)).collect(),
-        (None, 4 | 7) => vec![Coding::Xyzw, Coding::Wxyz],
-        (None, 9) => vec![Coding::Rows],
+        (None, 4 | 7) => vec![Coding::Xyzw, Coding::Wxyz, Coding::AxisAngle],
+        (None, 9) => vec![Coding::Rows, Coding::TwoColumns, Coding::TwoRows],
         (None, 12 | 16) => vec![Coding::Rows, Coding::Columns],
         _ => return Err(DeskError::Count { count }),
     };
     let mut found: Vec<Reading> = Vec::new();
     let mut refusal = None;
     for form in forms {
+        // What is a whole rotation is no other form of one.
+        let is_partial = matches!(form, Coding::AxisAngle | Coding::TwoColumns | Coding::TwoRows);
+        let is_whole = |known: &Reading| matches!(known.form, Coding::Xyzw | Coding::Rows);
+        if is_partial && (found.iter().any(is_whole) || samples.iter().all(|n| is_mirrored(n))) {
+            continue;
+        }
         let plain = Reading {
             form,
             length: LengthScale::METRE,
             angle: AngleUnit::Radian,
-            has_position: has_position(count),
+            has_position: has_position(form, count),
             has_odd_length: false,
             has_odd_angle: false,
         };
@@ -299,25 +348,18 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
         }
         let longest =
             poses.iter().flat_map(xyz_of).fold(0.0, |longest: f64, x| longest.max(x.abs()));
+        let widest = |angles: usize| {
+            let last = samples.iter().flat_map(|numbers| &numbers[numbers.len() - angles..]);
+            last.fold(0.0, |widest: f64, angle| widest.max(angle.abs()))
+        };
         let widest = match form {
-            Coding::Three(_) => samples
-                .iter()
-                .flat_map(|numbers| before_last::<3>(numbers).1)
-                .fold(0.0, |widest: f64, angle| widest.max(angle.abs())),
+            Coding::Three(_) => widest(3),
+            Coding::AxisAngle => widest(1),
             _ => 0.0,
         };
-        let lengths = match (style.units.length, longest) {
-            (Some(unit), _) => vec![(unit, false)],
-            (None, 0.0) => vec![(LengthScale::METRE, false)],
-            (None, longest) if longest > LONGEST_M => vec![(LengthScale::MILLIMETRE, false)],
-            (None, _) => vec![(LengthScale::METRE, false), (LengthScale::MILLIMETRE, true)],
-        };
-        let angles = match (style.units.angle, widest) {
-            (Some(unit), _) => vec![(unit, false)],
-            (None, 0.0) => vec![(AngleUnit::Radian, false)],
-            (None, widest) if widest > WIDEST_RAD => vec![(AngleUnit::Degree, false)],
-            (None, _) => vec![(AngleUnit::Radian, false), (AngleUnit::Degree, true)],
-        };
+        let lengths =
+            style.units.length.map_or_else(|| lengths(longest), |unit| vec![(unit, false)]);
+        let angles = style.units.angle.map_or_else(|| angles(widest), |unit| vec![(unit, false)]);
         for &(length, has_odd_length) in &lengths {
             for &(angle, has_odd_angle) in &angles {
                 found.push(Reading { length, angle, has_odd_length, has_odd_angle, ..plain });
@@ -331,5 +373,30 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
             found.sort_by_key(|reading| (reading.odd_units(), reading.form.usual_rank()));
             Ok(found)
         }
+    }
+}
+
+/// The units that lengths may be in, and whether each is odd for numbers of that size.
+fn lengths(longest: f64) -> Vec<(LengthScale, bool)> {
+    let [metre, millimetre] = [LengthScale::METRE, LengthScale::MILLIMETRE];
+    let [centimetre, micrometre] = [1e-2, 1e-6].map(LengthScale::of);
+    match longest {
+        0.0 => vec![(metre, false)],
+        longest if longest > LONGEST_MM => vec![(micrometre, false), (millimetre, true)],
+        longest if longest > LONGEST_CM => vec![(millimetre, false)],
+        longest if longest > LONGEST_M => vec![(millimetre, false), (centimetre, true)],
+        _ => vec![(metre, false), (millimetre, true), (centimetre, true)],
+    }
+}
+
+/// The units that angles may be in, and whether each is odd for numbers of that size.
+fn angles(widest: f64) -> Vec<(AngleUnit, bool)> {
+    match widest {
+        0.0 => vec![(AngleUnit::Radian, false)],
+        widest if widest > WIDEST_DEG => {
+            vec![(AngleUnit::TenthMillidegree, false), (AngleUnit::Millidegree, false)]
+        }
+        widest if widest > WIDEST_RAD => vec![(AngleUnit::Degree, false)],
+        _ => vec![(AngleUnit::Radian, false), (AngleUnit::Degree, true)],
     }
 }

@@ -1,11 +1,11 @@
-//! Fixed frames at the ends of an arm that two poses may differ by; those of usual arms are in
-//! `frames.toml`.
+//! Fixed frames at the ends of an arm that two poses may differ by, and the axes of other worlds; those of
+//! usual arms, cameras and engines are in `frames.toml`.
 
 use std::sync::LazyLock;
 
 use serde::Deserialize;
 
-use crate::geometry::{Pose, angle_between};
+use crate::geometry::{Axes, Pose, angle_between, pose};
 use crate::robot::{LinkId, Robot, catalogue, nearest};
 
 use super::error::DeskError;
@@ -56,6 +56,8 @@ fn meets(given: &str, frame: &str) -> bool {
 #[serde(deny_unknown_fields)]
 struct File {
     frames: Vec<Entry>,
+    turns: Vec<Turn>,
+    worlds: Vec<World>,
 }
 
 #[derive(Deserialize)]
@@ -68,6 +70,33 @@ struct Entry {
     to: String,
 }
 
+/// Two frames with one origin.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Turn {
+    ends: Vec<String>,
+    who: String,
+    from: String,
+    to: String,
+    /// The axes of `to` by those of `from`.
+    axes: String,
+}
+
+/// The axes that an engine, a tracker or a format writes its whole world in.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct World {
+    /// Whose it is.
+    pub who: String,
+    /// Its axes by those of ROS (REP 103).
+    #[serde(deserialize_with = "axes")]
+    pub axes: Axes,
+}
+
+fn axes<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Axes, D::Error> {
+    String::deserialize(from)?.parse().map_err(serde::de::Error::custom)
+}
+
 /// Two frames that stand fixed to each other at one end of usual arms.
 struct FixedPair {
     is_base: bool,
@@ -78,22 +107,43 @@ struct FixedPair {
     from_to: Pose,
 }
 
+static TABLE: LazyLock<File> = LazyLock::new(|| {
+    toml::from_str(include_str!("frames.toml")).expect("the embedded table is valid")
+});
+
+/// The worlds whose axes are known, the most usual first.
+pub(super) fn worlds() -> &'static [World] {
+    &TABLE.worlds
+}
+
 static PAIRS: LazyLock<Vec<FixedPair>> = LazyLock::new(|| {
-    let file: File =
-        toml::from_str(include_str!("frames.toml")).expect("the embedded table is valid");
-    let pairs = file.frames.into_iter().map(|frames| {
+    let pairs = TABLE.frames.iter().map(|frames| {
         let arm = catalogue::find(&frames.arm).expect("the embedded table names arms");
         let link = |name: &str| arm.link(name).expect("the embedded table names links");
         let from_to = arm.fixed_transform(link(&frames.from), link(&frames.to));
         FixedPair {
             is_base: frames.end == "base",
             from_to: from_to.expect("the frames of the embedded table are fixed"),
-            arms: frames.arms,
-            from: frames.from,
-            to: frames.to,
+            arms: frames.arms.clone(),
+            from: frames.from.clone(),
+            to: frames.to.clone(),
         }
     });
     pairs.collect()
+});
+
+static TURNS: LazyLock<Vec<FixedPair>> = LazyLock::new(|| {
+    let turned = |turn: &'static Turn| {
+        let axes: Axes = turn.axes.parse().expect("the embedded table names axes");
+        turn.ends.iter().map(move |end| FixedPair {
+            is_base: end == "base",
+            from_to: pose([0.0; 3], axes.conjugator().inverse()),
+            arms: turn.who.clone(),
+            from: turn.from.clone(),
+            to: turn.to.clone(),
+        })
+    };
+    TABLE.turns.iter().flat_map(turned).collect()
 });
 
 /// The frames of the two poses at one end, and the constant transform between them.
@@ -109,6 +159,8 @@ pub struct FixedFrame {
     pub transform: Pose,
     /// Whether the call named these two frames.
     pub is_named: bool,
+    /// Whether they are no frames of an arm: other axes of a world, a camera or a body.
+    pub is_turn: bool,
     /// Other frames that are as far apart, as `tool0 → flange of Universal Robots`.
     pub also: Vec<String>,
 }
@@ -144,17 +196,24 @@ impl Corrections {
                 if let Some(tip) = tip {
                     push_fixed_to(robot, tip, false, &mut found.tip);
                 }
+                found.push(&TURNS, true);
             }
             None => {
-                for pair in PAIRS.iter() {
-                    let end = if pair.is_base { &mut found.base } else { &mut found.tip };
-                    push_both(&pair.arms, [&pair.from, &pair.to], pair.from_to, pair.is_base, end);
-                }
+                found.push(&TURNS, true);
+                found.push(&PAIRS, false);
             }
         }
         settle(&mut found.base, [is.parent.as_deref(), but.parent.as_deref()]);
         settle(&mut found.tip, [is.child.as_deref(), but.child.as_deref()]);
         found
+    }
+
+    fn push(&mut self, pairs: &[FixedPair], is_turn: bool) {
+        for pair in pairs {
+            let end = if pair.is_base { &mut self.base } else { &mut self.tip };
+            let names = [pair.from.as_str(), &pair.to];
+            push_both(&pair.arms, names, pair.from_to, (pair.is_base, is_turn), end);
+        }
     }
 }
 
@@ -172,7 +231,7 @@ fn push_fixed_to(robot: &Robot, end: LinkId, is_base: bool, found: &mut Vec<Fixe
         for &to in &fixed[at + 1..] {
             if let Some(from_to) = robot.fixed_transform(from, to) {
                 let names = [from, to].map(|link| robot.link_name(link));
-                push_both(&robot.name, names, from_to, is_base, found);
+                push_both(&robot.name, names, from_to, (is_base, false), found);
             }
         }
     }
@@ -182,7 +241,7 @@ fn push_both(
     arms: &str,
     [from, to]: [&str; 2],
     from_to: Pose,
-    is_base: bool,
+    (is_base, is_turn): (bool, bool),
     found: &mut Vec<FixedFrame>,
 ) {
     // At the base `but_from_is`, at the tip `is_from_but`.
@@ -194,6 +253,7 @@ fn push_both(
             arms: arms.to_owned(),
             transform,
             is_named: false,
+            is_turn,
             also: Vec::new(),
         });
     }
@@ -210,8 +270,13 @@ fn settle(frames: &mut Vec<FixedFrame>, [is, but]: [Option<&str>; 2]) {
     let mut kept: Vec<FixedFrame> = Vec::new();
     for frame in frames.drain(..) {
         match kept.iter_mut().find(|known| is_same(&known.transform, &frame.transform)) {
+            // What is its own inverse is said one way.
+            Some(known) if known.is == frame.but && known.but == frame.is => {}
             Some(known) => {
-                known.also.push(format!("{} → {} ({})", frame.is, frame.but, frame.arms));
+                let told = |is: &str, but: &str| format!("{is} → {but} ({})", frame.arms);
+                if !known.also.contains(&told(&frame.but, &frame.is)) {
+                    known.also.push(told(&frame.is, &frame.but));
+                }
             }
             None if is_same(&frame.transform, &Pose::identity()) => {}
             None => kept.push(frame),
@@ -261,7 +326,7 @@ mod tests {
     #[test]
     fn without_an_arm_the_usual_frames_are_tried_both_ways() {
         let found = Corrections::of(None, &FrameNames::default(), &FrameNames::default());
-        assert_eq!(found.base.len(), 1);
+        assert_eq!(found.base.iter().filter(|base| !base.is_turn).count(), 1);
         let is_tried = |is: &str, but: &str, arms: &str| {
             found.tip.iter().any(|tip| {
                 (tip.is.as_str(), tip.but.as_str(), tip.arms.as_str()) == (is, but, arms)

@@ -5,8 +5,10 @@
 
 mod answer;
 mod error;
+mod fit;
 mod form;
 mod frames;
+mod labelled;
 mod pairs;
 mod paste;
 mod reconcile;
@@ -16,10 +18,10 @@ mod sheet;
 #[cfg(test)]
 mod tests;
 
-pub use answer::{Answer, Hypothesis, Inversion, Residual, Tool, Verdict, WouldDo};
+pub use answer::{Answer, End, Hypothesis, Inversion, Residual, Verdict, WouldDo};
 pub use error::DeskError;
 pub use form::{Reading, Style};
-pub use frames::{Corrections, FixedFrame, FrameNames};
+pub use frames::{Corrections, FixedFrame, FrameNames, World};
 pub use pairs::{Pair, pairs_from_csv};
 pub use paste::{Pasted, paste};
 pub use reconcile::{Question, reconcile};

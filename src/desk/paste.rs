@@ -1,12 +1,13 @@
-//! What a person pastes, taken apart: bare numbers, a UR literal, a URDF origin, a ROS message.
+//! What a person pastes, taken apart: bare numbers, a UR literal, a controller's text, a URDF origin, a ROS
+//! message.
 
 use serde_json::Value;
 
-use crate::geometry::Convention;
-use crate::geometry::{AngleUnit, Coding, LengthScale, Units};
+use crate::geometry::{AngleUnit, Coding, Convention, LengthScale, Units, vendors};
 
 use super::error::DeskError;
 use super::form::Style;
+use super::labelled::{groups, labelled};
 use crate::robot::xml_document;
 
 /// The numbers of a pose, and what the text around them says of them.
@@ -39,20 +40,61 @@ pub fn paste(text: &str) -> Result<Pasted, DeskError> {
     if ["position", "orientation", "translation", "rotation"].iter().any(|key| text.contains(key)) {
         return message(text);
     }
-    if let Some(numbers) =
-        text.strip_prefix('p').and_then(|rest| rest.trim_start().strip_prefix('['))
-    {
-        let numbers = bare(numbers)?;
-        let form = Coding::Three(Convention::RotVec);
-        return match numbers.len() {
-            6 => Ok(Pasted::new(numbers, si(form), "UR pose p[…]")),
-            count => Err(DeskError::CountOfForm { form, count }),
-        };
+    if let Some(pasted) = ur_literal(text)? {
+        return Ok(pasted);
+    }
+    if let Some(pasted) = nested(text) {
+        return Ok(pasted);
+    }
+    if let Some(pasted) = labelled(text)? {
+        return Ok(pasted);
     }
     let numbers = bare(text)?;
     match numbers.len() {
         3 | 4 | 6 | 7 | 9 | 12 | 16 => Ok(Pasted::new(numbers, Style::default(), "numbers")),
         count => Err(DeskError::Count { count }),
+    }
+}
+
+/// `p[…]`, alone or in a line of URScript.
+fn ur_literal(text: &str) -> Result<Option<Pasted>, DeskError> {
+    let begins = |(at, _): &(usize, &str)| {
+        !text[..*at].ends_with(|before: char| before.is_alphanumeric() || before == '_')
+    };
+    let literals: Vec<usize> =
+        text.match_indices("p[").filter(begins).map(|(at, _)| at + "p[".len()).collect();
+    let from = match literals.as_slice() {
+        [] => return Ok(None),
+        [from] => *from,
+        several => return Err(DeskError::Several(several.len())),
+    };
+    let inner = text[from..].split(']').next().unwrap_or_default();
+    let numbers = bare(inner)?;
+    let form = Coding::Three(Convention::RotVec);
+    match numbers.len() {
+        6 => Ok(Some(Pasted::new(numbers, si(form), "UR pose p[…]"))),
+        count => Err(DeskError::CountOfForm { form, count }),
+    }
+}
+
+/// A robtarget of RAPID, `[[x,y,z],[q1,q2,q3,q4],[…],[…]]`, or a point of VAL3, `{{x,y,z,rx,ry,rz},{…}}`.
+fn nested(text: &str) -> Option<Pasted> {
+    let of_maker = |numbers: Vec<f64>, maker: &str, kind: &'static str| {
+        let maker = vendors::find(maker)?;
+        let style = Style { form: Some(maker.coding), units: maker.units };
+        Some(Pasted::new(numbers, style, kind))
+    };
+    let square = groups(text, ['[', ']']);
+    let is_rapid = text.contains("robtarget") || text.contains("pose") || square.len() >= 3;
+    if let [xyz, wxyz, ..] = square.as_slice()
+        && (xyz.len(), wxyz.len()) == (3, 4)
+        && is_rapid
+    {
+        return of_maker([xyz.as_slice(), wxyz].concat(), "abb", "RAPID robtarget or pose");
+    }
+    match groups(text, ['{', '}']).as_slice() {
+        [six, _, ..] if six.len() == 6 => of_maker(six.clone(), "staubli", "VAL3 point"),
+        _ => None,
     }
 }
 
@@ -62,7 +104,7 @@ fn si(form: Coding) -> Style {
 }
 
 impl Pasted {
-    fn new(numbers: Vec<f64>, style: Style, kind: &'static str) -> Self {
+    pub(super) fn new(numbers: Vec<f64>, style: Style, kind: &'static str) -> Self {
         Self { numbers, style, kind, parent: None, child: None }
     }
 }
@@ -253,6 +295,58 @@ transforms:
     fn numbers_may_stand_in_brackets_and_with_a_true_minus() {
         let pasted = paste("[[0.1, −0.2; 0.3] (1, 0, 0, 0)]").unwrap();
         assert_eq!(pasted.numbers, [0.1, -0.2, 0.3, 1.0, 0.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn what_controllers_print_says_its_form_and_units() {
+        let coded = |maker: &str| vendors::find(maker).map(|maker| (maker.coding, maker.units));
+        let six = [600.0, -10.5, 200.0, 10.0, 20.0, -30.0];
+        for (text, maker) in [
+            ("{X 600.0, Y -10.5, Z 200.0, A 10.0, B 20.0, C -30.0}", "kuka"),
+            ("{E6POS: X 600, Y -10.5, Z 200, A 10, B 20, C -30, S 2, T 35, E1 0, E2 0}", "kuka"),
+            ("DECL E6POS XP1={X 600.0,Y -10.5,Z 200.0,A 10.0,B 20.0,C -30.0,S 2,T 35}", "kuka"),
+            (
+                "P[1]{\n GP1:\n UF : 0, UT : 1, CONFIG : 'NUT, 0, 0, 0',\n X = 600.000 mm, Y = -10.500 mm, \
+                 Z = 200.000 mm,\n W = 10.000 deg, P = 20.000 deg, R = -30.000 deg\n};",
+                "fanuc",
+            ),
+            ("{{600,-10.5,200,10,20,-30},{sfree,efree,wfree}}", "staubli"),
+            ("X:600 Y:-10.5 Z:200 O:10 A:20 T:-30", "kawasaki"),
+            ("X: 600.0 Y: -10.5 Z: 200.0 U: 10 V: 20 W: -30", "epson"),
+        ] {
+            let pasted = paste(text).unwrap();
+            assert_eq!(pasted.numbers, six, "{text}");
+            assert_eq!(
+                pasted.style.form.map(|form| (form, pasted.style.units)),
+                coded(maker),
+                "{text}"
+            );
+        }
+        let rapid = "CONST robtarget p10:=[[600,-10.5,200],[0.5,0.5,-0.5,0.5],[0,0,-1,0],[9E9,9E9,9E9,9E9,9E9,9E9]];";
+        let pasted = paste(rapid).unwrap();
+        assert_eq!(pasted.numbers, [600.0, -10.5, 200.0, 0.5, 0.5, -0.5, 0.5]);
+        assert_eq!(pasted.style.form, Some(Coding::Wxyz));
+        // Lists of Python are no RAPID.
+        assert_eq!(paste("[[0.6, 0, 0.2], [0, 0, 0, 1]]").unwrap().style, Style::default());
+        let script = paste("movel(p[0.1, -0.2, 0.3, 1.2, -1.7, 0.6], a=1.2, v=0.25)").unwrap();
+        assert_eq!(script.numbers, [0.1, -0.2, 0.3, 1.2, -1.7, 0.6]);
+        assert_eq!(paste("pose_trans(p[0,0,0,0,0,0], p[1,0,0,0,0,0])"), Err(DeskError::Several(2)));
+    }
+
+    #[test]
+    fn units_may_stand_behind_the_numbers() {
+        for text in [
+            "243.69mm -249.04mm 618.32mm 149.49° -12.78° 72.64°",
+            "243.69 mm, -249.04, 618.32, 149.49 deg, -12.78, 72.64",
+        ] {
+            let pasted = paste(text).unwrap();
+            assert_eq!(pasted.numbers, [243.69, -249.04, 618.32, 149.49, -12.78, 72.64], "{text}");
+            let units = pasted.style.units;
+            assert_eq!(units.length, Some(LengthScale::MILLIMETRE), "{text}");
+            assert_eq!(units.angle, Some(AngleUnit::Degree), "{text}");
+        }
+        let named = paste("x: 0.1 y: 0.2 z: 1e-3 qx: 0 qy: 0 qz: 0 qw: 1").unwrap();
+        assert_eq!((named.numbers[2], named.style.form), (1e-3, Some(Coding::Xyzw)));
     }
 
     #[test]

@@ -1,15 +1,13 @@
 //! What makes pairs of poses agree.
 //!
-//! Every reading of the one side against every reading of the other, over inversions and fixed frames:
-//! `but = base · is · tip`. What is left is judged together with how much was assumed, so that a simple
+//! Every reading of the one side against every reading of the other, over inversions, the axes of other
+//! worlds and fixed frames: `but = base · axes(is) · tip`. What is left is judged together with how much was assumed, so that a simple
 //! explanation wins over a longer one that leaves about as much.
 
-use super::answer::{
-    AGREES_RAD, Answer, Gap, Hypothesis, Residual, Tool, Verdict, WouldDo, expected,
-};
+use super::answer::{AGREES_RAD, Answer, End, Gap, Hypothesis, Residual, Verdict, WouldDo};
 use super::error::DeskError;
-use super::form::{LOCK_RAD, Reading, SAID_DEFECT, Style, defect, gimbal_margin, has_position};
-use super::frames::{Corrections, FixedFrame};
+use super::form::{LOCK_RAD, Reading, SAID_DEFECT, Style, defect, gimbal_margin};
+use super::frames::Corrections;
 use super::pairs::Pair;
 use super::search::{Candidate, Group, HOPELESS, SEARCHED, Search, groups};
 use crate::geometry::{Pose, angle_between};
@@ -45,10 +43,8 @@ pub fn reconcile(question: &Question) -> Result<Answer, DeskError> {
     };
     let is = side(&|pair| &pair.is, question.is)?;
     let but = side(&|pair| &pair.but, question.but)?;
-    let has_position = question
-        .pairs
-        .iter()
-        .all(|pair| has_position(pair.is.numbers.len()) && has_position(pair.but.numbers.len()));
+    let mut readings = is.iter().chain(&but).flat_map(|group| &group.readings);
+    let has_position = readings.all(|reading| reading.has_position);
     let step = count.div_ceil(SEARCHED);
     let mut search = Search {
         is,
@@ -67,14 +63,9 @@ pub fn reconcile(question: &Question) -> Result<Answer, DeskError> {
     }
     let mut answer = search.answer(count);
     if let Some(best) = answer.hypotheses.first() {
-        let mut notes = Vec::new();
-        for (side, reading) in [("is", best.is), ("but", best.but)] {
-            let numbers = question.pairs.iter().map(|pair| match side {
-                "is" => pair.is.numbers.as_slice(),
-                _ => pair.but.numbers.as_slice(),
-            });
-            notes.extend(flaws(side, &reading, numbers));
-        }
+        let is = question.pairs.iter().map(|pair| pair.is.numbers.as_slice());
+        let but = question.pairs.iter().map(|pair| pair.but.numbers.as_slice());
+        let notes = [flaws("A", &best.is, is), flaws("B", &best.but, but)].concat();
         answer.notes.extend(notes);
     }
     Ok(answer)
@@ -91,14 +82,14 @@ fn flaws<'a>(
     let missed = numbers.clone().map(|numbers| defect(reading.form, numbers)).fold(0.0, f64::max);
     if missed > SAID_DEFECT {
         notes.push(format!(
-            "`{side}` misses a rotation by {missed:.1e}: it was rounded, or is no rotation"
+            "{side} misses a rotation by {missed:.1e}: it was rounded, or is no rotation"
         ));
     }
     let margins_rad = numbers.filter_map(|numbers| gimbal_margin(reading, numbers));
     let margin_rad = margins_rad.fold(f64::INFINITY, f64::min);
     if margin_rad < LOCK_RAD {
         notes.push(format!(
-            "`{side}` comes within {:.2}° of gimbal lock of {}: its outer angles are hardly told apart",
+            "{side} comes within {:.2}° of gimbal lock of {}: its outer angles are hardly told apart",
             margin_rad.to_degrees(),
             reading.form
         ));
@@ -114,72 +105,73 @@ impl Search<'_> {
             found.into_iter().filter(|candidate| candidate.score <= self.best + HOPELESS).collect();
         // Stable: of equals the one that was tried first, which is the most usual.
         found.sort_by(|a, b| a.score.total_cmp(&b.score));
-        let mut told: Vec<(Candidate, Vec<[Reading; 2]>)> = Vec::new();
+        let mut told: Vec<Hypothesis> = Vec::new();
+        let mut first: Vec<Candidate> = Vec::new();
         for candidate in found {
-            let is_alike = |(known, _): &(Candidate, Vec<[Reading; 2]>)| {
-                let left = (known.residual.rotation_rad - candidate.residual.rotation_rad).abs();
-                let left_m = known.residual.position_m.zip(candidate.residual.position_m);
-                (known.inversion, known.base, known.tip, known.misreading.is_some())
-                    == (
-                        candidate.inversion,
-                        candidate.base,
-                        candidate.tip,
-                        candidate.misreading.is_some(),
-                    )
-                    && known.fitted.is_some() == candidate.fitted.is_some()
-                    && left < 1e-6
-                    && left_m.is_none_or(|(a, b)| (a - b).abs() < 1e-6)
-            };
+            let is_alike = |known: &Candidate| self.are_alike(known, &candidate);
             let readings =
                 [&self.is[candidate.is].readings[0], &self.but[candidate.but].readings[0]];
-            match told.iter().position(is_alike) {
+            match first.iter().position(is_alike) {
                 Some(at) => {
-                    let (known, equivalents) = &mut told[at];
-                    let is_new = (known.is, known.but) != (candidate.is, candidate.but);
-                    if is_new && candidate.misreading.is_none() {
-                        equivalents.push(readings.map(|reading| *reading));
+                    let is_same_reading =
+                        (first[at].is, first[at].but) == (candidate.is, candidate.but);
+                    let known = &mut told[at];
+                    match (is_same_reading, candidate.misreading) {
+                        (false, None) => known.equivalents.push(readings.map(|reading| *reading)),
+                        (true, None) => {
+                            let claims = self.hypothesis(&candidate).claims().join("; ");
+                            if !claims.is_empty() && claims != known.claims().join("; ") {
+                                known.also.push(claims);
+                            }
+                        }
+                        (_, Some(_)) => {}
                     }
                 }
-                None if told.len() < TOLD => told.push((candidate, Vec::new())),
+                None if told.len() < TOLD => {
+                    told.push(self.hypothesis(&candidate));
+                    first.push(candidate);
+                }
                 None => {}
             }
         }
-        let hypotheses: Vec<Hypothesis> =
-            told.into_iter().map(|(candidate, more)| self.hypothesis(candidate, more)).collect();
-        self.judged(hypotheses, count)
+        self.judged(told, count)
     }
 
-    fn hypothesis(&self, candidate: Candidate, more: Vec<[Reading; 2]>) -> Hypothesis {
+    /// Whether two explanations are one: the same change of the same numbers, or of numbers that are read
+    /// otherwise and leave as much.
+    fn are_alike(&self, known: &Candidate, other: &Candidate) -> bool {
+        if known.misreading.is_some() != other.misreading.is_some()
+            || !known.steps.are(&other.steps, self.frames)
+        {
+            return false;
+        }
+        let left = (known.residual.rotation_rad - other.residual.rotation_rad).abs();
+        let left_m = known.residual.position_m.zip(other.residual.position_m);
+        left < 1e-6 && left_m.is_none_or(|(a, b)| (a - b).abs() < 1e-6)
+    }
+
+    fn hypothesis(&self, candidate: &Candidate) -> Hypothesis {
         let [is, but] = [&self.is[candidate.is], &self.but[candidate.but]];
-        let frame =
-            |list: &[FixedFrame], place: usize| place.checked_sub(1).map(|at| list[at].clone());
         let mut equivalents: Vec<[Reading; 2]> = Vec::new();
         equivalents.extend(is.readings[1..].iter().map(|other| [*other, but.readings[0]]));
         equivalents.extend(but.readings[1..].iter().map(|other| [is.readings[0], *other]));
-        equivalents.extend(more);
-        let tool = match (candidate.fitted, frame(&self.frames.tip, candidate.tip)) {
-            (Some(tool), _) => Tool::Fitted(tool),
-            (None, Some(tip)) => Tool::Frames(tip),
-            (None, None) => Tool::None,
-        };
         let mut hypothesis = Hypothesis {
             is: is.readings[0],
             but: but.readings[0],
-            inversion: candidate.inversion,
-            base: frame(&self.frames.base, candidate.base),
-            tool,
+            inversion: candidate.steps.inversion,
+            axes: candidate.steps.axes,
+            base: candidate.steps.base.end(&self.frames.base),
+            tip: candidate.steps.tip.end(&self.frames.tip),
             misreading: candidate.misreading,
             residual: candidate.residual,
             score: candidate.score,
             equivalents,
+            also: Vec::new(),
         };
         if candidate.misreading.is_none() {
-            let gaps: Vec<Gap> = is
-                .poses
-                .iter()
-                .zip(&but.poses)
-                .map(|(is, but)| Gap::between(&expected(&hypothesis, is), but))
-                .collect();
+            let sides = is.poses.iter().zip(&but.poses);
+            let gap = |(is, but): (&Pose, &Pose)| Gap::between(&hypothesis.expected(is), but);
+            let gaps: Vec<Gap> = sides.map(gap).collect();
             hypothesis.residual = Residual::of(&gaps, self.has_position);
         }
         hypothesis
@@ -192,7 +184,7 @@ impl Search<'_> {
             other.residual.agrees() && best.is_some_and(|best| other.score < best.score + NO_BETTER)
         };
         let as_good = if explained { hypotheses.iter().filter(is_as_good).count() } else { 0 };
-        let is_alone = as_good == 1 && best.is_some_and(|best| best.equivalents.is_empty());
+        let is_alone = as_good == 1 && best.is_some_and(Hypothesis::tells_the_change);
         let verdict = match (explained, is_alone) {
             (false, _) => Verdict::Open,
             (true, true) => Verdict::Reconciled,
@@ -200,9 +192,10 @@ impl Search<'_> {
         };
         let would_do = best.filter(|best| count == 1 && !best.residual.agrees()).and_then(|best| {
             let [is, but] = [self.pose_of(&self.is, best.is)?, self.pose_of(&self.but, best.but)?];
-            let tool = expected(best, &is).inverse() * but;
+            let expected = best.expected(&is);
             let is_translation = best.residual.rotation_rad <= AGREES_RAD;
-            Some(WouldDo { tool, is_translation })
+            let [tool, base] = [expected.inverse() * but, but * expected.inverse()];
+            Some(WouldDo { tool, base, is_translation })
         });
         let by_chance = best.filter(|_| count == 1).map(|best| {
             // The share of all rotations within an angle of one: (θ − sin θ) / π.
@@ -210,8 +203,11 @@ impl Search<'_> {
             self.tried as f64 * (angle - angle.sin()) / std::f64::consts::PI
         });
         let mut notes = Vec::new();
-        let fits = matches!(best.map(|best| &best.tool), Some(Tool::Fitted(_)));
-        if fits
+        let is_fitted = |best: &Hypothesis| match (&best.base, &best.tip) {
+            (End::Fitted(_), End::Fitted(_)) => false,
+            (base, tip) => [base, tip].into_iter().any(|end| matches!(end, End::Fitted(_))),
+        };
+        if best.is_some_and(is_fitted)
             && let Some(spread_rad) = self.spread_rad()
             && spread_rad < 10_f64.to_radians()
         {

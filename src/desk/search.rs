@@ -1,13 +1,15 @@
-//! Every reading of the one side against every reading of the other, over inversions and fixed frames.
+//! Every reading of the one side against every reading of the other, over inversions, fixed frames and
+//! the axes of other worlds.
 
-use super::answer::{Gap, Inversion, Residual};
+use super::answer::{End, Gap, Inversion, Residual};
 use super::error::DeskError;
+use super::fit;
 use super::form::{Reading, Style, readings};
-use super::frames::{Corrections, FixedFrame};
+use super::frames::{Corrections, FixedFrame, worlds};
 use super::paste::Pasted;
 use crate::geometry::{
-    Coding, Misreading, Pose, Rotation, Vec3, angle_between, misreading_classes,
-    rotation_from_rotvec, rotvec_from_rotation, xyz_of,
+    Axes, Coding, Misreading, Pose, Rotation, angle_between, misreading_classes, pose,
+    rotation_from_rotvec,
 };
 
 // What an explanation pays for each thing that it assumes, in halvings of what is left.
@@ -16,7 +18,14 @@ const ODD_UNIT: f64 = 3.0;
 const FRAME: f64 = 1.5;
 const AGAINST_NAMES: f64 = 1.5;
 const MISREADING: f64 = 2.5;
-const FITTED_TOOL: f64 = 3.0;
+const FITTED: f64 = 3.0;
+const KNOWN_WORLD: f64 = 1.5;
+const OTHER_WORLD: f64 = 3.0;
+
+/// What is fitted and is so near to nothing, or to frames that are known, is no explanation of its own: rad
+/// and m.
+const NOTHING_RAD: f64 = 0.2 * std::f64::consts::PI / 180.0;
+const NOTHING_M: f64 = 0.002;
 
 /// Explanations that are this much worse than the best so far are dropped.
 pub(super) const HOPELESS: f64 = 8.0;
@@ -30,8 +39,9 @@ pub(super) const SEARCHED: usize = 32;
 /// How many explanations are kept while others are tried.
 const KEPT: usize = 4096;
 
-/// Poses by less than this apart, m and rad, are one.
+/// Poses by less than this apart, m and rad, are one; and so are changes of poses.
 const SAME: f64 = 1e-9;
+const SAME_CHANGE: f64 = 1e-6;
 
 /// Readings of one side that are the same poses.
 pub(super) struct Group {
@@ -49,16 +59,108 @@ impl Group {
     }
 }
 
+/// What stands at one end.
+#[derive(Clone, Copy)]
+pub(super) enum Place {
+    /// 0 for nothing, else one more than the place in the list of frames.
+    Listed(usize),
+    Fitted(Pose),
+}
+
+impl Place {
+    fn among(list: &[FixedFrame]) -> impl Iterator<Item = Self> + use<> {
+        (0..=list.len()).map(Self::Listed)
+    }
+
+    fn transform(self, list: &[FixedFrame]) -> Pose {
+        match self {
+            Self::Listed(0) => Pose::identity(),
+            Self::Listed(place) => list[place - 1].transform,
+            Self::Fitted(transform) => transform,
+        }
+    }
+
+    fn cost(self, list: &[FixedFrame]) -> f64 {
+        match self {
+            Self::Listed(0) if list.iter().any(|frame| frame.is_named) => AGAINST_NAMES,
+            Self::Listed(0) => 0.0,
+            Self::Listed(place) if list[place - 1].is_named => 0.0,
+            Self::Listed(_) => FRAME,
+            Self::Fitted(_) => FITTED,
+        }
+    }
+
+    pub(super) fn end(self, list: &[FixedFrame]) -> End {
+        match self {
+            Self::Listed(0) => End::None,
+            Self::Listed(place) => End::Frames(list[place - 1].clone()),
+            Self::Fitted(transform) => End::Fitted(transform),
+        }
+    }
+
+    /// A transform that was fitted, unless it is nothing or that of frames in the list.
+    fn fitted(transform: Pose, list: &[FixedFrame]) -> Option<Self> {
+        let is_near = |place: Self| {
+            let gap = Gap::between(&transform, &place.transform(list));
+            gap.rad < NOTHING_RAD && gap.m < NOTHING_M
+        };
+        (!Self::among(list).any(is_near)).then_some(Self::Fitted(transform))
+    }
+}
+
+/// What makes B of A.
+#[derive(Clone, Copy)]
+pub(super) struct Steps {
+    pub(super) inversion: Inversion,
+    pub(super) axes: Axes,
+    pub(super) base: Place,
+    pub(super) tip: Place,
+}
+
+impl Steps {
+    const NONE: Self = Self {
+        inversion: Inversion::None,
+        axes: Axes::STANDARD,
+        base: Place::Listed(0),
+        tip: Place::Listed(0),
+    };
+
+    fn of(&self, is: &Pose, frames: &Corrections) -> Pose {
+        let axes = self.axes.of_pose(&self.inversion.of(is));
+        self.base.transform(&frames.base) * axes * self.tip.transform(&frames.tip)
+    }
+
+    fn cost(&self, frames: &Corrections) -> f64 {
+        let is_known = |world: Axes| {
+            let known = worlds().iter().map(|known| known.axes);
+            world == Axes::STANDARD || known.into_iter().any(|known| known == world)
+        };
+        let axes = match self.axes {
+            Axes::STANDARD => 0.0,
+            axes if is_known(axes) || is_known(axes.inverse()) => KNOWN_WORLD,
+            _ => OTHER_WORLD,
+        };
+        let ends = self.base.cost(&frames.base) + self.tip.cost(&frames.tip);
+        self.inversion.cost() + axes + ends
+    }
+
+    /// Whether both make the same of any pose.
+    pub(super) fn are(&self, other: &Self, frames: &Corrections) -> bool {
+        let probes = [([0.3, -0.7, 0.5], [0.4, -0.9, 1.3]), ([-0.6, 0.2, 0.9], [-1.1, 0.5, 0.2])];
+        probes.into_iter().all(|(xyz, rotvec)| {
+            let probe = pose(xyz, rotation_from_rotvec(rotvec.into()));
+            let gap = Gap::between(&self.of(&probe, frames), &other.of(&probe, frames));
+            gap.rad < SAME_CHANGE && gap.m < SAME_CHANGE
+        })
+    }
+}
+
 /// An explanation as numbers, before it is told.
 #[derive(Clone, Copy)]
 pub(super) struct Candidate {
     pub(super) is: usize,
     pub(super) but: usize,
-    pub(super) inversion: Inversion,
-    /// 0 for none, else one more than the place in the list.
-    pub(super) base: usize,
-    pub(super) tip: usize,
-    pub(super) fitted: Option<Pose>,
+    pub(super) steps: Steps,
     pub(super) misreading: Option<Misreading>,
     pub(super) residual: Residual,
     pub(super) score: f64,
@@ -106,16 +208,7 @@ pub(super) fn groups(all: &[&Pasted], style: Style) -> Result<Vec<Group>, DeskEr
 }
 
 impl Search<'_> {
-    /// The transform of a place in a list of frames, and what it costs to assume it.
-    pub(super) fn frame(list: &[FixedFrame], place: usize) -> (Pose, f64) {
-        let is_named = list.iter().any(|frame| frame.is_named);
-        match place.checked_sub(1).map(|at| &list[at]) {
-            None => (Pose::identity(), if is_named { AGAINST_NAMES } else { 0.0 }),
-            Some(frame) => (frame.transform, if frame.is_named { 0.0 } else { FRAME }),
-        }
-    }
-
-    pub(super) fn push(&mut self, candidate: Candidate) {
+    fn push(&mut self, candidate: Candidate) {
         self.best = self.best.min(candidate.score);
         if candidate.score <= self.best + HOPELESS {
             self.found.push(candidate);
@@ -127,53 +220,59 @@ impl Search<'_> {
         }
     }
 
-    /// Every reading against every other, over inversions and fixed frames.
+    /// Every reading against every other, over inversions, fixed frames and axes.
     pub(super) fn plain(&mut self) {
-        let several = self.seen.len() > 1;
+        let frames = self.frames;
         for is in 0..self.is.len() {
             for inversion in Inversion::ALL {
-                for base in 0..=self.frames.base.len() {
-                    for tip in 0..=self.frames.tip.len() {
-                        let (base_pose, base_cost) = Self::frame(&self.frames.base, base);
-                        let (tip_pose, tip_cost) = Self::frame(&self.frames.tip, tip);
-                        let steps = self.is[is].cost + inversion.cost() + base_cost + tip_cost;
-                        let expected: Vec<Pose> = self
-                            .seen
-                            .iter()
-                            .map(|&at| base_pose * inversion.of(&self.is[is].poses[at]) * tip_pose)
-                            .collect();
-                        for but in 0..self.but.len() {
-                            let group = &self.but[but];
-                            if self.is[is].is_odd_with(group) {
-                                continue;
-                            }
-                            self.tried += 1;
-                            let gap = |(expected, &at): (&Pose, &usize)| {
-                                Gap::between(expected, &group.poses[at])
-                            };
-                            let first = gap((&expected[0], &self.seen[0]));
-                            if several && first.rad > HOPELESS_RAD {
-                                continue;
-                            }
-                            let gaps: Vec<Gap> = expected.iter().zip(&self.seen).map(gap).collect();
-                            let residual = Residual::of(&gaps, self.has_position);
-                            let score = residual.size() + steps + group.cost;
-                            self.push(Candidate {
-                                is,
-                                but,
-                                inversion,
-                                base,
-                                tip,
-                                fitted: None,
-                                misreading: None,
-                                residual,
-                                score,
-                            });
-                        }
+                for base in Place::among(&frames.base) {
+                    for tip in Place::among(&frames.tip) {
+                        self.try_steps(is, Steps { inversion, base, tip, ..Steps::NONE });
                     }
                 }
             }
+            for inversion in [Inversion::None, Inversion::Pose] {
+                for &axes in Axes::all().iter().filter(|axes| **axes != Axes::STANDARD) {
+                    self.try_steps(is, Steps { inversion, axes, ..Steps::NONE });
+                }
+            }
         }
+    }
+
+    /// What `steps` make of a reading, against every reading of the other side.
+    fn try_steps(&mut self, is: usize, steps: Steps) {
+        let several = self.seen.len() > 1;
+        let expected = self.expected(is, &steps);
+        for but in 0..self.but.len() {
+            let group = &self.but[but];
+            if self.is[is].is_odd_with(group) {
+                continue;
+            }
+            self.tried += 1;
+            if several
+                && angle_between(&expected[0].rotation, &group.poses[self.seen[0]].rotation)
+                    > HOPELESS_RAD
+            {
+                continue;
+            }
+            self.judge(is, but, steps, &expected);
+        }
+    }
+
+    /// What `steps` make of the poses of a reading.
+    fn expected(&self, is: usize, steps: &Steps) -> Vec<Pose> {
+        let poses = &self.is[is].poses;
+        self.seen.iter().map(|&at| steps.of(&poses[at], self.frames)).collect()
+    }
+
+    fn judge(&mut self, is: usize, but: usize, steps: Steps, expected: &[Pose]) {
+        let group = &self.but[but];
+        let gap = |(expected, &at): (&Pose, &usize)| Gap::between(expected, &group.poses[at]);
+        let gaps: Vec<Gap> = expected.iter().zip(&self.seen).map(gap).collect();
+        let residual = Residual::of(&gaps, self.has_position);
+        let cost = self.is[is].cost + group.cost + steps.cost(self.frames);
+        let score = residual.size() + cost;
+        self.push(Candidate { is, but, steps, misreading: None, residual, score });
     }
 
     /// Two rotations that were made of the same three numbers in two conventions, none of them bare
@@ -182,6 +281,11 @@ impl Search<'_> {
         if !is_settled(&self.is) || !is_settled(&self.but) {
             return;
         }
+        let frames = self.frames;
+        let of_arms = |base: &Place| match base {
+            Place::Listed(place @ 1..) => !frames.base[place - 1].is_turn,
+            _ => true,
+        };
         let mut truths: Vec<Rotation> = Vec::new();
         for but in 0..self.but.len() {
             for class in misreading_classes() {
@@ -199,38 +303,29 @@ impl Search<'_> {
                     if self.is[is].is_odd_with(&self.but[but]) {
                         continue;
                     }
-                    for base in 0..=self.frames.base.len() {
-                        let (base_pose, base_cost) = Self::frame(&self.frames.base, base);
-                        let (_, tip_cost) = Self::frame(&self.frames.tip, 0);
+                    for base in Place::among(&frames.base).filter(of_arms) {
+                        let steps = Steps { base, ..Steps::NONE };
+                        self.tried += candidates[0].len();
+                        let expected = self.expected(is, &steps);
+                        let gap = |((expected, truths), &at): ((&Pose, &Vec<Rotation>), &usize)| {
+                            let away = |truth| angle_between(truth, &expected.rotation);
+                            Gap {
+                                rad: truths.iter().map(away).fold(f64::INFINITY, f64::min),
+                                m: Gap::between(expected, &self.but[but].poses[at]).m,
+                            }
+                        };
+                        let sides = expected.iter().zip(&candidates).zip(&self.seen);
+                        let gaps: Vec<Gap> = sides.map(gap).collect();
+                        let residual = Residual::of(&gaps, self.has_position);
                         let cost = self.is[is].cost
                             + self.but[but].cost
-                            + base_cost
-                            + tip_cost
+                            + steps.cost(frames)
                             + MISREADING
                             + PER_RANK * f64::from(ranks);
-                        self.tried += candidates[0].len();
-                        let gaps: Vec<Gap> = self
-                            .seen
-                            .iter()
-                            .zip(&candidates)
-                            .map(|(&at, truths)| {
-                                let expected = base_pose * self.is[is].poses[at];
-                                let logged = &self.but[but].poses[at];
-                                let rad = truths
-                                    .iter()
-                                    .map(|truth| angle_between(truth, &expected.rotation))
-                                    .fold(f64::INFINITY, f64::min);
-                                Gap { rad, m: Gap::between(&expected, logged).m }
-                            })
-                            .collect();
-                        let residual = Residual::of(&gaps, self.has_position);
                         self.push(Candidate {
                             is,
                             but,
-                            inversion: Inversion::None,
-                            base,
-                            tip: 0,
-                            fitted: None,
+                            steps,
                             misreading: Some(misreading),
                             residual,
                             score: residual.size() + cost,
@@ -241,45 +336,51 @@ impl Search<'_> {
         }
     }
 
-    /// A constant tool that is not known beforehand.
+    /// A tool, an offset of the base, or both, that are constant and not known beforehand.
     pub(super) fn fitted(&mut self) {
+        let frames = self.frames;
+        let other_hand = Axes::all().iter().copied().find(|axes| axes.are_left_handed());
         for is in 0..self.is.len() {
             for inversion in [Inversion::None, Inversion::Pose] {
-                for base in 0..=self.frames.base.len() {
-                    let (base_pose, base_cost) = Self::frame(&self.frames.base, base);
-                    let before: Vec<Pose> = self
-                        .seen
-                        .iter()
-                        .map(|&at| base_pose * inversion.of(&self.is[is].poses[at]))
-                        .collect();
-                    for but in 0..self.but.len() {
-                        let group = &self.but[but];
-                        if self.is[is].is_odd_with(group) {
-                            continue;
-                        }
-                        let after: Vec<Pose> =
-                            self.seen.iter().map(|&at| group.poses[at]).collect();
-                        let Some(tool) = constant_tool(&before, &after) else { continue };
-                        let gaps: Vec<Gap> = before
-                            .iter()
-                            .zip(&after)
-                            .map(|(before, after)| Gap::between(&(before * tool), after))
-                            .collect();
-                        let residual = Residual::of(&gaps, self.has_position);
-                        let cost = self.is[is].cost + group.cost + inversion.cost() + base_cost;
-                        self.push(Candidate {
-                            is,
-                            but,
-                            inversion,
-                            base,
-                            tip: 0,
-                            fitted: Some(tool),
-                            misreading: None,
-                            residual,
-                            score: residual.size() + cost + FITTED_TOOL,
-                        });
-                    }
+                let inverted = Steps { inversion, ..Steps::NONE };
+                let known = worlds().iter().map(|world| Steps { axes: world.axes, ..inverted });
+                let bases = Place::among(&frames.base).map(|base| Steps { base, ..inverted });
+                for steps in bases.chain(known.clone()) {
+                    self.fit(is, steps, |before, after| {
+                        let tip = Place::fitted(fit::tip(before, after)?, &frames.tip)?;
+                        Some(Steps { tip, ..steps })
+                    });
                 }
+                let tips = Place::among(&frames.tip).map(|tip| Steps { tip, ..inverted });
+                for steps in tips.chain(known) {
+                    self.fit(is, steps, |before, after| {
+                        let base = Place::fitted(fit::base(before, after)?, &frames.base)?;
+                        Some(Steps { base, ..steps })
+                    });
+                }
+                for axes in [Some(Axes::STANDARD), other_hand].into_iter().flatten() {
+                    let steps = Steps { axes, ..inverted };
+                    self.fit(is, steps, |before, after| {
+                        let (base, tip) = fit::both(before, after)?;
+                        let base = Place::fitted(base, &frames.base)?;
+                        Some(Steps { base, tip: Place::fitted(tip, &frames.tip)?, ..steps })
+                    });
+                }
+            }
+        }
+    }
+
+    /// Fits what `with` adds to `steps` to every reading of the other side.
+    fn fit(&mut self, is: usize, steps: Steps, with: impl Fn(&[Pose], &[Pose]) -> Option<Steps>) {
+        let before = self.expected(is, &steps);
+        for but in 0..self.but.len() {
+            if self.is[is].is_odd_with(&self.but[but]) {
+                continue;
+            }
+            let after: Vec<Pose> = self.seen.iter().map(|&at| self.but[but].poses[at]).collect();
+            if let Some(steps) = with(&before, &after) {
+                let expected = self.expected(is, &steps);
+                self.judge(is, but, steps, &expected);
             }
         }
     }
@@ -290,21 +391,4 @@ fn is_settled(side: &[Group]) -> bool {
     let mut forms = side.iter().flat_map(|group| &group.readings).map(|reading| reading.form);
     let first = forms.next();
     !matches!(first, Some(Coding::Three(_))) || forms.all(|form| Some(form) == first)
-}
-
-/// The constant `before_from_after` that is nearest to all pairs.
-fn constant_tool(before: &[Pose], after: &[Pose]) -> Option<Pose> {
-    let tools: Vec<Pose> =
-        before.iter().zip(after).map(|(before, after)| before.inverse() * after).collect();
-    let mut rotation = tools.first()?.rotation;
-    for _ in 0..5 {
-        let mean = tools
-            .iter()
-            .map(|tool| rotvec_from_rotation(&(rotation.inverse() * tool.rotation)))
-            .sum::<Vec3>()
-            / tools.len() as f64;
-        rotation *= rotation_from_rotvec(mean);
-    }
-    let xyz = tools.iter().map(|tool| Vec3::from(xyz_of(tool))).sum::<Vec3>() / tools.len() as f64;
-    Some(crate::geometry::pose(xyz.into(), rotation))
 }

@@ -1,12 +1,13 @@
 //! One pose in every convention.
 
 use crate::geometry::{
-    AngleUnit, CodeLine, Coding, Convention, LengthScale, Pose, code_of_numbers,
+    AngleUnit, CodeLine, Coding, Convention, LengthScale, Pose, Rotation, Vec3, code_of_numbers,
     code_of_quaternion, xyzw_from_rotation,
 };
 
 use super::error::DeskError;
-use super::form::{LOCK_RAD, Reading, SAID_DEFECT, Style, defect, has_position, readings};
+use super::form::{LOCK_RAD, Reading, SAID_DEFECT, Style, defect, readings};
+use super::frames::worlds;
 use super::paste::Pasted;
 use crate::geometry::vendors::{LibraryName, Use, library_names, uses_of};
 
@@ -53,6 +54,8 @@ pub struct Sheet {
     pub has_position: bool,
     /// Quaternions, rotation vector, matrix, then Euler orders, the most usual first.
     pub rows: Vec<Row>,
+    /// The pose as other worlds have it, in their axes.
+    pub worlds: Vec<(&'static str, Pose)>,
     /// Lines of code from the numbers as given, where they are three.
     pub code_of_numbers: Vec<CodeLine>,
     /// Lines of code from the quaternion.
@@ -103,9 +106,12 @@ pub fn sheet(pasted: &Pasted, style: Style) -> Result<Sheets, DeskError> {
     let mut notes = Vec::new();
     let count = pasted.numbers.len();
     if let Some(first) = usual.first() {
-        notes.extend(unit_notes(first, known, count));
+        notes.extend(unit_notes(first, known));
     }
-    if count == 9 && known.form.is_none() {
+    if count == 9
+        && usual.first().is_some_and(|first| first.form == Coding::Rows)
+        && known.form.is_none()
+    {
         notes.push("rows were assumed; by columns it is --from matrix:columns".to_owned());
     }
     match usual.as_slice() {
@@ -124,18 +130,23 @@ pub fn sheet(pasted: &Pasted, style: Style) -> Result<Sheets, DeskError> {
     }
 }
 
-fn unit_notes(reading: &Reading, known: Style, count: usize) -> Vec<String> {
+fn unit_notes(reading: &Reading, known: Style) -> Vec<String> {
     let mut notes = Vec::new();
-    if has_position(count) && known.units.length.is_none() {
-        notes.push(match reading.length == LengthScale::METRE {
-            true => "metres: no length is above 10; --mm says otherwise".to_owned(),
-            false => "millimetres: a length is above 10; --m says otherwise".to_owned(),
+    if reading.has_position && known.units.length.is_none() {
+        let length = reading.length;
+        notes.push(match length {
+            LengthScale::METRE => "metres: no length is above 10; --mm says otherwise".to_owned(),
+            LengthScale::MILLIMETRE => {
+                "millimetres: a length is above 10; --m says otherwise".to_owned()
+            }
+            _ => format!("{}: a length is above 10,000; --mm says otherwise", length.words()),
         });
     }
     if reading.form.has_angles() && known.units.angle.is_none() {
         notes.push(match reading.angle {
             AngleUnit::Radian => "radians: no angle is above 6.9; --deg says otherwise".to_owned(),
             AngleUnit::Degree => "degrees: an angle is above 6.9; --rad says otherwise".to_owned(),
+            parts => format!("{}: an angle is above 1,000; --deg says otherwise", parts.words()),
         });
     }
     notes
@@ -146,7 +157,7 @@ fn one(reading: Reading, pasted: &Pasted, mut notes: Vec<String>) -> Result<Shee
     let missed = defect(reading.form, &pasted.numbers);
     if missed > SAID_DEFECT {
         notes.push(match reading.form {
-            Coding::Rows | Coding::Columns => {
+            form if form.is_matrix() => {
                 format!("the matrix is not quite orthonormal (max |RᵀR − I| {missed:.1e}); this is the nearest rotation")
             }
             _ => format!("the quaternion's norm is off 1 by {missed:.1e}; it was divided by it"),
@@ -160,8 +171,11 @@ fn one(reading: Reading, pasted: &Pasted, mut notes: Vec<String>) -> Result<Shee
     let mut rows = vec![
         Row::of(Coding::Xyzw, vec![x, y, z, w]),
         Row::of(Coding::Wxyz, vec![w, x, y, z]),
-        Row::of(Coding::Rows, by_rows),
+        Row::of(Coding::Rows, by_rows.clone()),
+        Row::of(Coding::TwoColumns, by_columns[..6].to_vec()),
+        Row::of(Coding::TwoRows, by_rows[..6].to_vec()),
         Row::of(Coding::Columns, by_columns),
+        Row::of(Coding::AxisAngle, axis_angle(rotation)),
     ];
     rows.extend(Convention::all().iter().map(|&convention| {
         let numbers = convention.numbers(rotation);
@@ -188,7 +202,11 @@ fn one(reading: Reading, pasted: &Pasted, mut notes: Vec<String>) -> Result<Shee
         _ => Vec::new(),
     };
     Ok(Sheet {
-        has_position: has_position(pasted.numbers.len()),
+        has_position: reading.has_position,
+        worlds: worlds()
+            .iter()
+            .map(|world| (world.who.as_str(), world.axes.of_pose(&pose)))
+            .collect(),
         code_of_numbers,
         code_of_quaternion: code_of_quaternion(xyzw_from_rotation(rotation).map(literal)),
         reading,
@@ -196,6 +214,12 @@ fn one(reading: Reading, pasted: &Pasted, mut notes: Vec<String>) -> Result<Shee
         rows,
         notes,
     })
+}
+
+/// The unit vector along the axis, and the angle, rad.
+fn axis_angle(rotation: &Rotation) -> Vec<f64> {
+    let axis = rotation.axis().map_or(Vec3::z(), |axis| axis.into_inner());
+    vec![axis.x, axis.y, axis.z, rotation.angle()]
 }
 
 /// A number to a billionth that every language takes for a float.
@@ -241,7 +265,7 @@ mod tests {
     fn a_pendants_pose_is_said_in_every_convention() {
         let sheet = one("243.69 -249.04 618.32 149.49 -12.78 72.64", "euler:xyz,deg,mm");
         assert_near(&xyz_of(&sheet.pose), &[0.24369, -0.24904, 0.61832], 1e-12);
-        assert_eq!(sheet.rows.len(), 4 + 29);
+        assert_eq!(sheet.rows.len(), 7 + 29);
         assert_near(
             &numbers(&sheet, "euler:ZYX"),
             &[72.64, -12.78, 149.49].map(f64::to_radians),
@@ -310,6 +334,6 @@ mod tests {
         assert!(nearest.angle() < 1e-12);
         let mirrored = refused("1 0 0  0 1 0  0 0 -1");
         assert_eq!(mirrored, DeskError::NoRotation { determinant: -1.0 });
-        assert!(matches!(refused("1 0 0 0.9"), DeskError::Norm { .. }));
+        assert!(matches!(refused("1 0.5 0 0.9"), DeskError::Norm { .. }));
     }
 }

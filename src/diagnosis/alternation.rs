@@ -7,10 +7,10 @@
 //! motion hardly anything; what jumps farther there than the poses elsewhere and than FK anywhere is a
 //! change, and the jumps from the first body on say which body it is.
 
-use super::PoseStream;
 use super::latency::median_period_s;
 use super::model::{pose_of_twist, twist_of};
 use super::sampling::as_rotations;
+use super::{LengthSlip, PoseDiagnosis, PoseStream};
 use ground::geometry::{Pose, Vec3, pose};
 use ground::stats::{Measured, quantile};
 use ground::stream::JointTrack;
@@ -44,6 +44,20 @@ pub struct Other {
     pub spans_s: Vec<[f64; 2]>,
     /// How many samples are of it.
     pub samples: usize,
+}
+
+impl Alternation {
+    /// The same with lengths in m, where the positions of the stream are in another unit.
+    pub fn in_m(&self, found: &PoseDiagnosis) -> Self {
+        let slip = found.length.as_ref().ok().and_then(Option::as_ref);
+        let factor = slip.map_or(1.0, LengthSlip::factor);
+        let mut scaled = self.clone();
+        for other in &mut scaled.others {
+            other.pose.translation.vector *= factor;
+            other.length_m = other.length_m.scaled(factor);
+        }
+        scaled
+    }
 }
 
 /// The bodies that the poses of `stream` alternate between, and all poses as those of the usual one; `None`
@@ -300,26 +314,9 @@ impl Bodies {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::test_motion::arm;
     use ground::geometry::{angle_between, rotation_from_rpy};
-    use ground::robot::{Chain, catalogue};
     use ground::stream::{Orientations, PoseTrack};
-
-    fn arm() -> (JointTrack, Chain) {
-        let robot = catalogue::find("ur5e").unwrap();
-        let link = |name| robot.link(name).unwrap();
-        let chain = robot.chain(link("base"), link("tool0")).unwrap();
-        let mut joints = JointTrack { dof: 6, ..Default::default() };
-        for row in 0..2500 {
-            let t_s = f64::from(row) * 0.008;
-            joints.t_s.push(t_s);
-            for joint in 0..6 {
-                let (rate, phase) = (0.7 + 0.23 * f64::from(joint), f64::from(joint));
-                joints.q.push(0.5 * (rate * t_s + phase).sin() - 0.6);
-                joints.qd.push(0.5 * rate * (rate * t_s + phase).cos());
-            }
-        }
-        (joints, chain)
-    }
 
     /// What a tracker says of a body that is another one where `other` says so, and in `moved` worlds.
     fn found(

@@ -274,26 +274,8 @@ fn some_of(rows: usize) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::test_motion::arm;
     use ground::geometry::rotation_from_rpy;
-    use ground::robot::catalogue;
-
-    /// Joints that move, and where FK puts the tool at a time.
-    fn arm() -> (JointTrack, ground::robot::Chain) {
-        let robot = catalogue::find("ur5e").unwrap();
-        let link = |name| robot.link(name).unwrap();
-        let chain = robot.chain(link("base"), link("tool0")).unwrap();
-        let mut joints = JointTrack { dof: 6, ..Default::default() };
-        for row in 0..2500 {
-            let t_s = f64::from(row) * 0.008;
-            joints.t_s.push(t_s);
-            for joint in 0..6 {
-                let (rate, phase) = (0.7 + 0.23 * f64::from(joint), f64::from(joint));
-                joints.q.push(0.5 * (rate * t_s + phase).sin() - 0.6);
-                joints.qd.push(0.5 * rate * (rate * t_s + phase).cos());
-            }
-        }
-        (joints, chain)
-    }
 
     fn odometry(t_s: f64) -> Pose {
         let turn = rotation_from_rpy([0.0, 0.0, 0.4 * (0.27 * t_s).sin()]);

@@ -15,18 +15,18 @@ use super::nominal::{ANYTHING, is_anything, link_frames};
 use nalgebra::{DMatrix, DVector};
 
 /// The angle that a link is off where it is off by a length, rad/m: 0.1° to 1 mm.
-const RAD_PER_M: f64 = 1.745;
+pub(super) const RAD_PER_M: f64 = 1.745;
 /// Deviations of a link that are tried, m: from the least to the most, each so many times the one before.
-const LINKS_M: (f64, f64, f64) = (1e-5, 3e-3, 1.6);
+pub(super) const LINKS_M: (f64, f64, f64) = (1e-5, 3e-3, 1.6);
 /// Size of a joint zero that is there, rad or m.
-const ZERO: f64 = 0.02;
+pub(super) const ZERO: f64 = 0.02;
 /// A zero is named where the log is so much likelier with it, as twice the log of the ratio: it was
 /// chosen among the joints.
 const SURE: f64 = 16.0;
 /// Zeros that are named at most.
 const MOST: usize = 4;
 /// Samples that are fitted.
-const SAMPLES: usize = 1000;
+pub(super) const SAMPLES: usize = 1000;
 /// Rounds of fitting: zeros of degrees curve.
 const ROUNDS: usize = 4;
 

@@ -151,6 +151,19 @@ impl Linear {
         (0..self.kinds()).map(of_kind).collect()
     }
 
+    /// Some of its samples, by their places.
+    pub fn part(&self, samples: &[usize]) -> Self {
+        let mut part = Self::new(self.width, &self.floor);
+        let each = 3 * self.kinds() * self.width;
+        for &sample in samples {
+            for (own, all) in part.residual.iter_mut().zip(&self.residual) {
+                own.push(all[sample]);
+            }
+            part.design.extend_from_slice(&self.design[sample * each..(sample + 1) * each]);
+        }
+        part
+    }
+
     /// Weights before anything is known: the spread of the residuals themselves, taken as white.
     pub fn first_weights(&self) -> Vec<Weight> {
         let of_kind = |(residual, &floor): (&Vec<[f64; 3]>, &f64)| Weight {
@@ -367,6 +380,11 @@ fn add_both(matrix: &mut DMatrix<f64>, row: usize, column: usize, value: f64) {
 }
 
 impl Weight {
+    /// The weights of some samples, by their places.
+    pub fn part(&self, samples: &[usize]) -> Self {
+        Self { noise: self.noise, robust: samples.iter().map(|&at| self.robust[at]).collect() }
+    }
+
     /// The weight of one residual component.
     fn of(&self, sample: usize) -> f64 {
         self.robust[sample] * self.level()

@@ -6,6 +6,8 @@
 #![warn(missing_docs, clippy::unwrap_used)]
 
 #[cfg(test)]
+mod test_motion;
+#[cfg(test)]
 #[path = "../ground/geometry/test_random.rs"]
 mod test_random;
 
@@ -13,6 +15,7 @@ mod aligned;
 mod alternation;
 mod arm;
 mod bends;
+mod calibration;
 mod carried;
 mod changes;
 mod constant;
@@ -37,6 +40,7 @@ mod nominal;
 mod observability;
 mod placement;
 mod placing;
+pub mod plan;
 mod prepare;
 mod proof;
 mod reading;
@@ -48,6 +52,7 @@ mod rival;
 mod robust;
 mod sampling;
 mod shake;
+mod skewed;
 mod steady;
 mod steps;
 mod trend;
@@ -65,9 +70,13 @@ pub use aligned::{Aligned, Residuals};
 pub use alternation::{Alternation, Other, alternation};
 pub use arm::{diagnose_arm, diagnose_derived, follows, likely_lags};
 pub use bends::{BendShape, JointBend, Sag};
+pub use calibration::{
+    ArmCalibration, CalibrationStream, LeftOver, LinkParameter, NoCalibration, StreamCalibration,
+    Uncertainty, Untold, calibrate_arm,
+};
 pub use carried::{BaseTravel, CarrierLag, base_travel, carrier_lag};
 pub use changes::{AmountChange, Change, FrameChange, JointChange, JointPatch};
-pub use course::{LatencyCourse, LatencyJump};
+pub use course::{LatencyCourse, LatencyJump, LatencyShape};
 pub use dh::{DhEstimate, DhStream, DhTold, Left, faults};
 pub use ground::stats::{Length, Measured};
 pub use handeye::{
@@ -83,7 +92,7 @@ pub use joints::{JointOffset, JointReading, JointScale, JointSlip, JointUnit, Tw
 pub use lag::{LatencyResidual, residual_by_latency};
 pub use latency::Peak;
 pub use model_fit::{ModelFit, Needs, Priced, Way, model_fit};
-pub use motion::{Abruptness, Excess, Series, abruptness, beyond_positions, beyond_speed};
+pub use motion::{Abruptness, Excess, Series, abruptness, beyond_positions, beyond_speed, rates};
 pub use observability::{BlindDirection, Observability, Parameter};
 pub use proof::{Amount, Error, Part, Proof, Short, Size, proof};
 pub use reference::{
@@ -94,11 +103,14 @@ pub use reread::{Meant, reread_poses};
 pub use response::Response;
 pub use rival::{is_seen_from_tool, position_misfit_m};
 pub use shake::{NoShake, Shake, shake};
+pub use skewed::SkewedDelays;
 pub use steady::{diagnose_imu_steadied, diagnose_steadied, steadied};
 pub use steps::LatencySteps;
 use steps::{imu_steps, pose_steps};
 pub use trend::{LEAST_RUNS, Step, Told, Trend, trend};
-pub use velocity::{VelocityDiagnosis, VelocitySamples, VelocityShape, diagnose_velocity};
+pub use velocity::{
+    VelocityDiagnosis, VelocitySamples, VelocityShape, diagnose_velocity, encoder_step,
+};
 pub use workspace::{
     APART_RAD, CELL_M, JOINT_APART, JointSpan, Place, ReachedPose, Workspace, centre_m, reach_m,
 };
@@ -323,8 +335,10 @@ pub struct PoseDiagnosis {
     pub constant: Vec<ConstantPart>,
     /// Rotation numbers in degrees (bare number streams).
     pub degrees: Option<UnitSlip>,
-    /// Latency against the joint states, s.
+    /// Latency against the joint states, s; the median where its delays are skewed.
     pub latency_s: Seen<Measured>,
+    /// Its delays, where they scatter to one side.
+    pub delays: Option<SkewedDelays>,
     /// Clock skew, s/s.
     pub skew: Seen<Measured>,
     /// Whether the smallest explanation of the log contains the skew.
@@ -344,6 +358,8 @@ pub struct PoseDiagnosis {
     pub reference_changes: Vec<FrameChange>,
     /// When its tool frame changes, and by how much.
     pub tool_changes: Vec<FrameChange>,
+    /// When the growth of its positions changes, and by how much, m/m.
+    pub growth_changes: Vec<AmountChange>,
     /// The part of the run in which its numbers are coded as `reading`, `length`, `axes`, `inverted` and
     /// `degrees` say, s from the run's origin by the joints' clock; `None` where they are throughout.
     pub coded_s: Option<(f64, f64)>,
@@ -395,8 +411,9 @@ impl Taken {
 impl PoseDiagnosis {
     /// Whether something of it changes in mid-run.
     pub fn changes(&self) -> bool {
-        let Self { reference_changes, tool_changes, coded_s, .. } = self;
-        !reference_changes.is_empty() || !tool_changes.is_empty() || coded_s.is_some()
+        let Self { reference_changes, tool_changes, growth_changes, coded_s, .. } = self;
+        let are_frames = !reference_changes.is_empty() || !tool_changes.is_empty();
+        are_frames || !growth_changes.is_empty() || coded_s.is_some()
     }
 
     /// Why the stream was not read. Where its orientations say nothing its positions still may.

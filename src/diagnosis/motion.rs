@@ -1,6 +1,9 @@
 //! What a joint's motion comes to, from its samples alone: how far it is beyond its limits, and how
 //! abruptly it changes its speed.
 
+#[cfg(test)]
+mod tests;
+
 use ground::stats::quantile;
 use std::borrow::Cow;
 
@@ -45,6 +48,19 @@ pub fn beyond_positions(t_s: &[f64], q: &[f64], limits: &Limits) -> Option<Exces
 pub fn beyond_speed(t_s: &[f64], qd: &[f64], limits: &Limits) -> Option<Excess> {
     let held = qd.windows(2).map(|pair| pair[0].abs().min(pair[1].abs()));
     beyond(t_s, held, limits.velocity?)
+}
+
+/// The rates of positions, each over at least `window_s` about its sample.
+pub fn rates(t_s: &[f64], q: &[f64], window_s: f64) -> Vec<f64> {
+    let rate = |row: usize| {
+        let half_s = 0.5 * window_s;
+        let first =
+            t_s.partition_point(|at_s| *at_s < t_s[row] - half_s).min(row.saturating_sub(1));
+        let last = t_s.partition_point(|at_s| *at_s <= t_s[row] + half_s).max(row + 2) - 1;
+        let last = last.min(t_s.len() - 1);
+        (q[last] - q[first]) / (t_s[last] - t_s[first])
+    };
+    (0..t_s.len().min(q.len())).map(rate).collect()
 }
 
 /// Values above a limit, each of which holds until the next sample, but no longer than a second.
@@ -374,116 +390,5 @@ impl Fit {
         let inside = beside.filter(|at| *at >= self.half && at + self.half < values.len());
         let change = inside.map(|at| (self.at(values, at) - here).abs()).fold(0.0, f64::max);
         change / (self.half as f64 * period_s)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    const RATE_HZ: f64 = 125.0;
-
-    /// Noise between ±1 that has no pattern; its deviation is 1/√3.
-    fn noise(row: usize) -> f64 {
-        let hash = (row as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-        let hash = (hash ^ (hash >> 31)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        (hash >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
-    }
-
-    fn times() -> Vec<f64> {
-        (0..1000).map(|row| row as f64 / RATE_HZ).collect()
-    }
-
-    /// At 1 rad/s for 4 s, then to rest at `acceleration`.
-    fn stop(t: f64, acceleration: f64) -> (f64, f64) {
-        let (end, length) = (4.0, 1.0 / acceleration);
-        match t - end {
-            past if past <= 0.0 => (t, 1.0),
-            past if past < length => {
-                (end + past - 0.5 * acceleration * past * past, 1.0 - acceleration * past)
-            }
-            _ => (end + 0.5 * length, 0.0),
-        }
-    }
-
-    #[test]
-    fn a_stop_is_found_in_positions_and_velocities() {
-        let t_s = times();
-        let (q, qd): (Vec<f64>, Vec<f64>) = t_s.iter().map(|&t| stop(t, 25.0)).unzip();
-        for (values, series) in [(q, Series::Positions), (qd, Series::Velocities)] {
-            let found = abruptness(&t_s, &values, series).expect("even samples");
-            assert!((found.acceleration - 25.0).abs() < 0.5, "{series:?}: {found:?}");
-            assert!((found.at_s - 4.02).abs() < 0.05 && found.jerk > 100.0, "{found:?}");
-        }
-    }
-
-    #[test]
-    fn noise_does_not_feign_a_stop() {
-        let t_s = times();
-        for size in [1e-5, 1e-2] {
-            let at = |row: usize| (0.5 * t_s[row]).sin() + size * noise(row);
-            let q: Vec<f64> = (0..t_s.len()).map(at).collect();
-            let found = abruptness(&t_s, &q, Series::Positions).expect("even samples");
-            assert!(found.acceleration - found.noise < 0.5, "{size}: {found:?}");
-            // 1e-2/√3 rad at 125 Hz hide 20 rad/s² over 0.1 s, 1e-5/√3 do not.
-            assert_eq!(found.resolved < 20.0, size < 1e-4, "{found:?}");
-        }
-    }
-
-    #[test]
-    fn noise_that_grows_with_speed_does_not_feign_a_stop() {
-        // Samples that are taken up to 0.2 ms beside their stamps, of a joint that swings fast once.
-        let t_s: Vec<f64> = (0..12_500).map(|row| row as f64 / 500.0).collect();
-        let angle =
-            |t: f64| 1.2 * (2.0 * t).sin() + 0.2 * (-(t - 12.0).powi(2)).exp() * (8.0 * t).sin();
-        let q: Vec<f64> =
-            t_s.iter().enumerate().map(|(row, t)| angle(t + 2e-4 * noise(row))).collect();
-        let found = abruptness(&t_s, &q, Series::Positions).expect("even samples");
-        assert!(found.acceleration - found.noise < 20.0, "{found:?}");
-    }
-
-    #[test]
-    fn values_that_are_sent_several_times_are_no_stops() {
-        let t_s: Vec<f64> = (0..4000).map(|row| row as f64 / 500.0).collect();
-        let at = |t: f64| ((t * RATE_HZ).floor() / RATE_HZ * 2.0).sin();
-        let qd: Vec<f64> = t_s.iter().map(|&t| at(t + 1e-6)).collect();
-        let found = abruptness(&t_s, &qd, Series::Velocities).expect("even samples");
-        assert!(found.acceleration < 2.1, "{found:?}");
-    }
-
-    #[test]
-    fn a_gap_is_no_stop_and_few_samples_tell_nothing() {
-        let mut t_s = times();
-        t_s[500..].iter_mut().for_each(|t| *t += 0.5);
-        let qd: Vec<f64> = t_s.iter().map(|&t| if t < 4.2 { 1.0 } else { 0.0 }).collect();
-        let found = abruptness(&t_s, &qd, Series::Velocities).expect("even samples");
-        assert!(found.acceleration < 1e-9, "{found:?}");
-        assert_eq!(abruptness(&t_s[..5], &qd[..5], Series::Velocities), None);
-        assert_eq!(abruptness(&[], &[], Series::Positions), None);
-    }
-
-    #[test]
-    fn positions_beyond_either_limit_are_timed() {
-        let t_s: Vec<f64> = (0..100).map(|row| row as f64 * 0.1).collect();
-        let q: Vec<f64> = t_s.iter().map(|t| 2.0 * (t - 5.0).clamp(-2.0, 1.0)).collect();
-        let limits = Limits { lower: Some(-3.5), upper: Some(1.9), velocity: None };
-        let found = beyond_positions(&t_s, &q, &limits).expect("both are exceeded");
-        assert_eq!((found.limit, found.value, found.at_s), (-3.5, -4.0, 0.0));
-        assert!((found.seconds - 3.3).abs() < 1e-9, "{found:?}");
-        let wide = Limits { lower: Some(-4.0), upper: None, velocity: None };
-        assert_eq!(beyond_positions(&t_s, &q, &wide), None);
-        assert_eq!(beyond_positions(&t_s, &[f64::NAN; 100], &limits), None);
-    }
-
-    #[test]
-    fn one_reading_of_speed_gone_wrong_is_no_excess() {
-        let t_s: Vec<f64> = (0..10).map(|row| row as f64 * 0.1).collect();
-        let limits = Limits { velocity: Some(2.0), ..Limits::default() };
-        let mut qd = vec![0.5; 10];
-        qd[4] = -9.0;
-        assert_eq!(beyond_speed(&t_s, &qd, &limits), None);
-        qd[5] = -2.2;
-        let found = beyond_speed(&t_s, &qd, &limits).expect("two in a row");
-        assert!((found.over() - 0.2).abs() < 1e-12 && found.at_s == t_s[4], "{found:?}");
     }
 }

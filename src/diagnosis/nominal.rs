@@ -25,8 +25,8 @@ const LEAST_M: f64 = 0.3e-3;
 const LEAST_BESIDE_M: f64 = 0.05e-3;
 /// By how much calibrations usually change a link's frame in each direction: half a millimetre and
 /// 0.04° (as UR's factory calibrations do).
-const USUAL_M: f64 = 0.5e-3;
-const USUAL_RAD: f64 = 0.7e-3;
+pub(super) const USUAL_M: f64 = 0.5e-3;
+pub(super) const USUAL_RAD: f64 = 0.7e-3;
 /// What is not known before: frames and times that may be anything, m, rad or s.
 pub(super) const ANYTHING: f64 = 0.1;
 /// Link frames change by no more than about this, m and rad: steps are damped at this scale.

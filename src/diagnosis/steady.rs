@@ -54,9 +54,9 @@ pub fn diagnose_steadied(
         }
     }
     let streams = with_tracks(streams, &unstepped);
-    let tracks: Vec<Option<PoseTrack>> =
+    let mut tracks: Vec<Option<PoseTrack>> =
         streams.iter().zip(&found.streams).map(|(stream, found)| steadied(stream, found)).collect();
-    let courses: Vec<_> = found
+    let mut courses: Vec<_> = found
         .streams
         .iter()
         .zip(&steps)
@@ -70,6 +70,31 @@ pub fn diagnose_steadied(
     } else {
         diagnose_arm(joints, &with_tracks(&streams, &tracks), most_lag_s)
     };
+    // What was found on stamps that are far off is not quite it.
+    let mut is_bettered = false;
+    for s in 0..streams.len() {
+        if steps[s].is_some() || tracks[s].is_none() {
+            continue;
+        }
+        let (Ok(course), Ok(rest)) = (&courses[s], &steady.streams[s].course) else { continue };
+        let better = course.clone().with(rest);
+        if better != *course {
+            let track = streams[s].track;
+            tracks[s] = Some(straightened(track, &better.straightened(&track.t_s)));
+            (courses[s], is_bettered) = (Ok(better), true);
+        }
+    }
+    if is_bettered {
+        steady = diagnose_arm(joints, &with_tracks(&streams, &tracks), most_lag_s);
+    }
+    // Those of large steps are told from the least level already.
+    for ((course, stream), steps) in courses.iter_mut().zip(&streams).zip(&steps) {
+        if let (Ok(unsteady), None) = (course.as_mut(), steps)
+            && unsteady.is_unsteady
+        {
+            *unsteady = unsteady.clone().beside_usual(&stream.track.t_s);
+        }
+    }
     let unsteadied = with_tracks(&streams, &tracks);
     let by_change = without_changes(joints, &unsteadied, slides, &steady, most_lag_s);
     let by_bend = match &by_change {

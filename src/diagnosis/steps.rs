@@ -4,7 +4,7 @@
 //! In windows of some seconds the stream follows the arm at one lag or another. Which of these lags it
 //! has at which time is the path of least difference of speeds, each step at a price (Viterbi 1967).
 
-use super::course::{LatencyCourse, LatencyJump};
+use super::course::{LatencyCourse, LatencyJump, LatencyShape};
 use super::latency::{ArmSpeeds, Speed, angular_speed, linear_speed, norms, peaks};
 use super::{ImuStream, Measured, PoseStream, Seen};
 use ground::stats::quantile;
@@ -333,6 +333,7 @@ impl LatencySteps {
         LatencyCourse {
             swing_s: largest.map_or(none, |jump| jump.size_s),
             is_unsteady: true,
+            shape: LatencyShape::Steps,
             levels: self.levels.iter().map(|(t_s, lag_s)| (*t_s, lag_s - self.kept_s())).collect(),
             windows: fine.map_or(Vec::new(), |fine| fine.windows.clone()),
             jumps,

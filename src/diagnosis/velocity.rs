@@ -57,6 +57,8 @@ pub enum VelocityShape {
 /// Below this relative error no cause is looked for, and a shift by half a sample is that of a
 /// difference of two samples.
 const SMALL: f64 = 0.02;
+/// An interval of so many usual ones is a gap.
+const GAP: f64 = 5.0;
 /// Longest delay that is looked for, s.
 const MOST_LAG_S: f64 = 0.5;
 
@@ -218,6 +220,21 @@ fn quantum(q: &[f64]) -> f64 {
     if steps.is_empty() { 0.0 } else { *steps.select_nth_unstable_by(at, f64::total_cmp).1 }
 }
 
+/// The step of an encoder whose positions are all whole numbers of it; 0 of positions that have no steps.
+pub fn encoder_step(q: &[f64]) -> f64 {
+    /// A whole number is one to this, of so many of the changes.
+    const WHOLE: f64 = 0.02;
+    const MOST: f64 = 0.95;
+    let step = quantum(q);
+    let changes = q.windows(2).map(|pair| (pair[1] - pair[0]) / step).filter(|by| *by != 0.0);
+    let (mut whole, mut all) = (0_usize, 0_usize);
+    for by in changes {
+        all += 1;
+        whole += usize::from((by - by.round()).abs() < WHOLE);
+    }
+    if step > 0.0 && whole as f64 > MOST * all as f64 { step } else { 0.0 }
+}
+
 /// The integral of velocities from the first sample on.
 struct Integral {
     /// By the cubic between samples, and by straight lines.
@@ -245,9 +262,18 @@ impl Integral {
             [0, 1].map(|kind| self.at.iter().map(|at| at[kind]).collect::<Vec<f64>>());
         let span = (t_s.first().copied().unwrap_or(0.0), t_s.last().copied().unwrap_or(0.0));
         let all = Changes::of(t_s, &[cubic, straight, q.to_vec()], span, window_s);
+        let gap_s = GAP * median_period_s(t_s);
+        let gaps: Vec<f64> =
+            t_s.windows(2).filter(|pair| pair[1] - pair[0] > gap_s).map(|pair| pair[0]).collect();
+        // What the velocity was in a gap nobody knows.
+        let is_whole = |window: &(f64, f64)| {
+            let next = gaps.partition_point(|gap_s| *gap_s < window.0);
+            gaps.get(next).is_none_or(|gap_s| *gap_s >= window.1)
+        };
         let mut changes = Changes { width: 1, ..Changes::default() };
         let (mut moved, mut square) = (Vec::new(), 0.0);
-        for (&window, by) in all.windows.iter().zip(&all.by) {
+        for (&window, by) in all.windows.iter().zip(&all.by).filter(|(window, _)| is_whole(window))
+        {
             changes.windows.push(window);
             changes.by.push([by[0], 0.0, 0.0, 0.0, 0.0, 0.0]);
             moved.push(by[2]);

@@ -153,7 +153,7 @@ pub(super) fn arm_evidence(
             .alternations
             .iter()
             .find(|(stream, _)| *stream == source.stream)
-            .map(|(_, alternation)| alternation.clone()),
+            .map(|(_, alternation)| alternation.in_m(&found)),
         diagnosis: found,
     };
     let imus = arm.imus.iter().zip(diagnosis.imus).map(|(source, diagnosis)| {

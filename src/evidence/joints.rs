@@ -4,7 +4,8 @@ use rayon::prelude::*;
 
 use crate::diagnosis::{
     Abruptness, Excess, JointDiagnosis, JointOffset, Seen, Series, VelocityDiagnosis,
-    VelocitySamples, abruptness, beyond_positions, beyond_speed, diagnose_velocity,
+    VelocitySamples, abruptness, beyond_positions, beyond_speed, diagnose_velocity, encoder_step,
+    rates,
 };
 use crate::robot::{JointKind, Limits};
 use crate::run::{Arm, JointMending, JointSamples, Run, Velocities};
@@ -75,6 +76,8 @@ pub(super) fn joint_evidence(
     samples: &JointSamples<'_>,
     track: &JointTrack,
 ) -> JointEvidence {
+    /// What a step of the encoder may be of a speed limit.
+    const STEP_SHARE: f64 = 0.02;
     let name = arm.joint_names[joint].clone();
     let model = arm.robot.joint(&name);
     let limits = model.map(|joint| joint.limits).unwrap_or_default();
@@ -97,7 +100,16 @@ pub(super) fn joint_evidence(
             Velocities::Derived => {
                 let JointTrack { t_s: times_s, dof, qd, .. } = track;
                 let qd: Vec<f64> = qd.iter().skip(joint).step_by(*dof).copied().collect();
-                (beyond_speed(times_s, &qd, &limits), abruptness(t_s, position, Series::Positions))
+                // One step of a coarse encoder from sample to sample is no speed.
+                let step = encoder_step(position);
+                let beyond = match limits.velocity.filter(|limit| step > 0.0 && *limit > 0.0) {
+                    Some(limit) => {
+                        let qd = rates(t_s, position, step / (STEP_SHARE * limit));
+                        beyond_speed(t_s, &qd, &limits)
+                    }
+                    None => beyond_speed(times_s, &qd, &limits),
+                };
+                (beyond, abruptness(t_s, position, Series::Positions))
             }
         };
     }

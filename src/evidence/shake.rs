@@ -1,6 +1,6 @@
 //! What shakes the tip.
 
-use crate::diagnosis::{Aligned, NoShake, PoseDiagnosis, Shake, shake};
+use crate::diagnosis::{Aligned, NoShake, PoseDiagnosis, Shake, encoder_step, shake};
 use crate::run::{Arm, JointSamples};
 use crate::stream::{JointTrack, PoseTrack};
 
@@ -49,15 +49,45 @@ pub(super) fn shake_of_joints(
     samples: &[JointSamples<'_>],
     track: &JointTrack,
 ) -> Result<Shake, NoShake> {
+    /// Steps make up to so many times their rms where they are most.
+    const BEYOND: f64 = 1.5;
     let mut q = vec![0.0; arm.columns.len()];
     let mut tip = |position: &dyn Fn(usize) -> f64| {
         q.iter_mut().zip(&arm.columns).for_each(|(q, &column)| *q = position(column));
         arm.chain.forward(&q).translation.vector
     };
-    match samples.first() {
+    let found = match samples.first() {
         Some(first) if samples.iter().all(|other| other.is_beside(first)) => {
             shake(&first.t_s, |row| tip(&|column| samples[column].position[row]), None)
         }
         _ => shake(&track.t_s, |row| tip(&|column| track.row(row)[column]), None),
+    }?;
+    // Steps of encoders are no white noise: a joint that goes evenly makes tones of them.
+    let hidden_m = BEYOND * by_encoders(arm, samples, track);
+    let rms_m = if found.rms_m < hidden_m { 0.0 } else { found.rms_m };
+    Ok(Shake { rms_m, resolved_m: found.resolved_m.max(hidden_m), ..found })
+}
+
+/// By how much the steps of the joints' encoders move the tip, rms, m.
+fn by_encoders(arm: &Arm, samples: &[JointSamples<'_>], track: &JointTrack) -> f64 {
+    /// Postures that are looked at.
+    const POSTURES: usize = 50;
+    let step = |column: &usize| samples.get(*column).map_or(0.0, |of| encoder_step(&of.position));
+    let steps: Vec<f64> = arm.columns.iter().map(step).collect();
+    if steps.iter().all(|step| *step == 0.0) {
+        return 0.0;
     }
+    let mut jacobian = vec![[0.0; 6]; arm.columns.len()];
+    let rows = (0..track.len()).step_by((track.len() / POSTURES).max(1));
+    let squares = rows.map(|row| {
+        let q: Vec<f64> = arm.columns.iter().map(|&column| track.row(row)[column]).collect();
+        arm.chain.forward_with_jacobian(&q, &mut jacobian);
+        let of_joint = |(column, step): (&[f64; 6], &f64)| {
+            // An error that is anything up to half a step either way.
+            (column[0].powi(2) + column[1].powi(2) + column[2].powi(2)) * step * step / 12.0
+        };
+        jacobian.iter().zip(&steps).map(of_joint).sum::<f64>()
+    });
+    let (sum, count) = squares.fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0));
+    f64::sqrt(sum / f64::max(count, 1.0))
 }

@@ -4,6 +4,7 @@
 //! first makes sure that no file which was read is lost. None of them touches what the report says is wrong,
 //! so that a report outlives an output that cannot be written.
 
+pub mod calibration;
 #[cfg(feature = "fix")]
 pub mod fix;
 #[cfg(feature = "recording")]

@@ -76,7 +76,7 @@ fn outcome(report: &Report, says: &Outline, row: &CheckRow, found: &[&Finding]) 
             status
         }
         (Status::Pass | Status::Fail, _) => TestCaseStatus::success(),
-        (Status::Inconclusive, _) => skipped(format!("could not tell: {reason}")),
+        (Status::Inconclusive, _) => skipped(format!("inconclusive: {reason}")),
         (Status::Skipped, _) => skipped(format!("skipped: {reason}")),
     }
 }

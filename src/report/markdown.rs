@@ -33,8 +33,8 @@ pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     let passed = lists.filter(|list| !list.is_empty()).chain(passed.remarks);
     folded("Passed", passed.collect(), false, out)?;
     // Where nothing is wrong but not all was told, that is what is to be read.
-    let open = [says.could_not_tell(), says.cannot_show()].concat();
-    folded("Could not tell", open, report.verdict == Verdict::Inconclusive, out)?;
+    let open = [says.could_not_tell(), says.cannot_show(), says.to_settle()].concat();
+    folded("Inconclusive", open, report.verdict == Verdict::Inconclusive, out)?;
     folded("Skipped", says.skipped(), false, out)
 }
 

@@ -15,6 +15,7 @@ pub mod junit;
 mod kept;
 pub mod markdown;
 pub(crate) mod outline;
+mod plans;
 mod rows;
 pub mod sarif;
 mod spark;
@@ -38,6 +39,8 @@ pub use figures::Figures;
 pub use file::write_whole;
 pub(crate) use file::{is_descriptor, replaceable};
 pub use format::{FORMATS, Format};
+pub use plans::PlanRow;
+pub(crate) use plans::plans;
 pub use rows::{RobotRow, StreamRow};
 pub(crate) use rows::{joined, robots, streams};
 pub(crate) use tame::quoted;
@@ -84,6 +87,12 @@ pub struct Report {
     /// Over which part of its ranges each arm moved.
     #[serde(default)]
     pub workspace: Vec<WorkspaceRow>,
+    /// The motions that would settle what was left open.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub plans: Vec<PlanRow>,
+    /// The call that made it, as a shell takes it.
+    #[serde(skip)]
+    call: Option<String>,
     /// The least severity that fails the run; `None` where nothing does.
     #[serde(skip)]
     fail_on: Option<Severity>,
@@ -204,6 +213,18 @@ impl Report {
         }
     }
 
+    /// The call that writes a recording of the same audit.
+    fn replay(&self) -> String {
+        format!("{} --rrd run.rrd", self.call.as_deref().unwrap_or("poseaudit audit …"))
+    }
+
+    /// Keeps the words of the call that made it.
+    pub fn called(mut self, words: &[String]) -> Self {
+        let words: Vec<String> = words.iter().map(|word| tame::shell_word(word)).collect();
+        self.call = Some(words.join(" "));
+        self
+    }
+
     /// The report on what a log holds, with nothing evaluated.
     pub fn of_log(log: LogSummary, robots: Vec<RobotRow>, streams: Vec<StreamRow>) -> Self {
         Self { log, robots, streams, ..Self::empty() }
@@ -237,7 +258,9 @@ impl Report {
             ignored: Vec::new(),
             observability: Vec::new(),
             workspace: Vec::new(),
+            plans: Vec::new(),
             fail_on: None,
+            call: None,
             fails_open: false,
             figures: None,
         }

@@ -31,12 +31,21 @@ impl<'a> Outline<'a> {
         Self { report, robots: report.robots.len() > 1 }
     }
 
-    /// The verdict's reason: `2 errors`, `nothing wrong`, what could not be told.
+    /// The verdict's reason: `2 errors`, `no problems found (46 checks passed)`, what was not decided.
     pub fn why(&self) -> String {
         match self.report.verdict {
-            Verdict::Pass if self.report.findings.is_empty() => "nothing wrong".to_owned(),
+            Verdict::Pass if self.report.findings.is_empty() => {
+                let count = |status: Status| {
+                    self.report.checks.iter().filter(|row| row.status == status).count()
+                };
+                let open = match count(Status::Inconclusive) {
+                    0 => String::new(),
+                    open => format!(", {open} inconclusive"),
+                };
+                format!("no problems found ({} checks passed{open})", count(Status::Pass))
+            }
             Verdict::Pass | Verdict::Fail => self.counts(),
-            Verdict::Inconclusive => format!("could not tell {}", self.undecided()),
+            Verdict::Inconclusive => format!("not decided: {}", self.undecided()),
         }
     }
 
@@ -96,7 +105,7 @@ impl<'a> Outline<'a> {
     /// The other causes that a log cannot tell from one, where there are some.
     fn cannot_be_told_from(&self, others: &[Alternative]) -> Option<String> {
         let others: Vec<String> = others.iter().map(|other| self.alternative(other)).collect();
-        (!others.is_empty()).then(|| format!("cannot be told from {}", others.join(", ")))
+        (!others.is_empty()).then(|| format!("equally likely: {}", others.join(", ")))
     }
 
     fn alternative(&self, other: &Alternative) -> String {
@@ -143,6 +152,17 @@ impl<'a> Outline<'a> {
         let groups = grouped_by(rows, |row| (row.code, row.reason.as_deref()));
         let lines = groups.into_iter().map(|((code, reason), rows)| {
             format!("{code} on {}: {}", self.subjects(&rows), reason.unwrap_or_default())
+        });
+        lines.collect()
+    }
+
+    /// The motions that would settle what could not be told: a line each, which ends in the call that writes
+    /// it.
+    pub fn to_settle(&self) -> Vec<String> {
+        let lines = self.report.plans.iter().map(|plan| {
+            let codes: Vec<&str> = plan.codes.iter().map(String::as_str).collect();
+            let of = if self.robots { format!(" of {}", plan.robot) } else { String::new() };
+            format!("{}{of}: {}", ranges(&codes).join(", "), plan.command)
         });
         lines.collect()
     }

@@ -48,7 +48,7 @@ fn of_pose(figures: &Figures, figure: &PoseFigure, explained: f64) -> Option<Str
         bars(figures.duration_s, figure.t_s.iter().copied().zip(errors.iter().copied()), 0.0)?;
     let (most, left) = (unit.show(most), unit.show(after[which]));
     Some(format!(
-        "{bars}  {}: up to {most} from FK as logged, {left} rms once explained",
+        "{bars}  {}: error up to {most} before, {left} rms after correction",
         figure.topic
     ))
 }

@@ -32,6 +32,15 @@ pub(crate) fn quoted(text: &str) -> String {
     escaped(&text, |c| turns(c) || c.is_control())
 }
 
+/// As a shell reads one word.
+pub fn shell_word(text: &str) -> String {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "/._-+:@%=,".contains(c);
+    match !text.is_empty() && text.chars().all(is_plain) {
+        true => text.to_owned(),
+        false => format!("'{}'", text.replace('\'', "'\\''")),
+    }
+}
+
 fn escaped(text: &str, is_escaped: impl Fn(char) -> bool) -> String {
     text.chars().fold(String::with_capacity(text.len()), |mut all, c| {
         match is_escaped(c) {

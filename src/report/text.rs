@@ -62,7 +62,7 @@ impl<'a> Page<'a> {
     fn write(&self, out: &mut dyn Write) -> io::Result<()> {
         self.header(out)?;
         self.verdict(out)?;
-        self.block(out, QUIET, "over time", spark::over_time(self.report))?;
+        self.block(out, QUIET, "error", spark::over_time(self.report))?;
         for finding in &self.report.findings {
             writeln!(out)?;
             self.finding(finding, out)?;
@@ -72,8 +72,9 @@ impl<'a> Page<'a> {
         }
         self.block(out, WARNING, "ignored", self.says.ignored())?;
         self.passed(out)?;
-        self.block(out, WARNING, "could not tell", self.says.could_not_tell())?;
-        self.block(out, WARNING, "cannot show", self.says.cannot_show())?;
+        self.block(out, WARNING, "inconclusive", self.says.could_not_tell())?;
+        self.block(out, WARNING, "not observable", self.says.cannot_show())?;
+        self.to_settle(out)?;
         let arms = self.report.workspace.iter().map(|arm| self.workspace(arm));
         self.block(out, QUIET, "workspace", arms.collect())?;
         self.block(out, QUIET, "skipped", self.says.skipped())?;
@@ -173,11 +174,21 @@ impl<'a> Page<'a> {
             return Ok(());
         };
         let explain = format!("poseaudit explain {}", first.code);
-        let replay = "poseaudit audit … --rrd run.rrd";
-        let width = replay.chars().count();
+        let replay = self.report.replay();
         writeln!(out)?;
-        writeln!(out, "{QUIET}{explain:<width$}    what it means, when it misleads{QUIET:#}")?;
-        writeln!(out, "{QUIET}{replay:<width$}    replay it in the viewer{QUIET:#}")
+        writeln!(out, "{QUIET}{explain}    what it means, when it misleads{QUIET:#}")?;
+        writeln!(out, "{QUIET}{}    replay it in the viewer{QUIET:#}", tame(&replay))
+    }
+
+    /// The calls that would settle what is open, each on a line of its own however long it is: it is to be
+    /// copied.
+    fn to_settle(&self, out: &mut dyn Write) -> io::Result<()> {
+        let lines = self.says.to_settle();
+        let labels = ["to settle"].into_iter().chain(std::iter::repeat(""));
+        labels.zip(lines).try_for_each(|(label, line)| {
+            let blanks = " ".repeat(LABEL.saturating_sub(label.chars().count()).max(1));
+            writeln!(out, "{WARNING}{label}{WARNING:#}{blanks}{}", tame(&line))
+        })
     }
 
     /// Writes lines of which the first has a label.

@@ -73,7 +73,7 @@ pub(crate) fn reached<'a>(run: &'a Run, findings: &[Finding]) -> Vec<ArmWorkspac
 }
 
 /// Whether the joint states of an arm are in another unit or order than they seem.
-fn is_misread(arm: &Arm, findings: &[Finding]) -> bool {
+pub(super) fn is_misread(arm: &Arm, findings: &[Finding]) -> bool {
     let is_of_arm =
         |found: &&Finding| found.subject.robot.as_ref().is_none_or(|robot| *robot == arm.name);
     findings.iter().filter(is_of_arm).any(|found| {

@@ -157,10 +157,10 @@ fn the_one_of(
         && next > 2.0 * misfit + APART_M
     {
         let found = format!(
-            "the catalogue: the closest of {} arms with these joint names, within {:.1} mm; the next is \
-             {:.1} mm off",
-            names.len(),
+            "the catalogue: matches /tf within {:.1} mm, the closest of {} arms with these joint names \
+             (next best {:.1} mm)",
             1e3 * misfit,
+            names.len(),
             1e3 * next
         );
         return Ok(take(best, found));

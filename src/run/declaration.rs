@@ -29,12 +29,12 @@ impl From<&str> for RobotSource {
     }
 }
 
-/// The calibration of a UR: `FILE`, or `PREFIX=FILE`.
+/// The calibration of an arm: `FILE`, or `PREFIX=FILE`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CalibrationSource {
     /// What the names of that arm's joints start with in the log, where several arms are in it.
     pub prefix: Option<String>,
-    /// Path of the YAML file that `ur_calibration` wrote.
+    /// Path of the JSON that `calibrate` wrote, or of the YAML of `ur_calibration`.
     pub file: PathBuf,
 }
 

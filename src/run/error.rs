@@ -124,7 +124,7 @@ impl RunError {
                 format!("no sample holds all joints of '{robot}' ({})", few(joints))
             }
             Self::NoModel { logged } => {
-                format!("there is no model of the robot with the joints {}", few(logged))
+                format!("no robot model matches the joints {}", few(logged))
             }
             Self::Ambiguous { arms } => {
                 format!(
@@ -194,7 +194,7 @@ impl RunError {
                 "pass --robot FILE with the arm's URDF, or --robot NAME of the catalogue, such as ur5e"
             }
             Self::Ambiguous { .. } => "pass --robot NAME with the one it is",
-            Self::UnknownJoints { .. } => "pass the --robot that was recorded",
+            Self::UnknownJoints { .. } => "joint names differ: pass the --robot that was recorded",
             Self::UnknownRobot { .. } => {
                 "pass a URDF or TOML file, or a name of the catalogue, such as ur5e"
             }

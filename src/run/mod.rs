@@ -21,6 +21,7 @@ mod error;
 mod excerpts;
 mod flaws;
 mod frozen;
+mod grid;
 mod held;
 mod joints;
 mod model;
@@ -272,10 +273,20 @@ impl Run {
         };
         settled.role = if is_pose { Role::Pose } else { Role::Unassigned };
         settled.reason = format!("{}; {verdict}", settled.reason);
-        if !is_pose {
+        if is_pose {
+            self.targets.retain(|target| target.stream != stream);
+            self.references.retain(|reference| reference.stream != stream);
+        } else {
             let reason = settled.reason.clone();
-            self.unassign(stream, reason);
+            self.settle_by_name(stream, reason);
         }
+    }
+
+    /// Makes candidate `stream`, which is no tool pose, what its name says.
+    pub(crate) fn settle_by_name(&mut self, stream: usize, reason: String) {
+        self.unassign(stream, reason);
+        let Some(settled) = self.streams.get_mut(stream) else { return };
+        settled.role = role::beside_arm(&settled.topic);
     }
 
     /// Makes candidate `stream` a command: it does by `lead_s` before the arm what the arm then does.

@@ -13,6 +13,7 @@ use crate::stream::PoseColumns;
 use crate::time::seconds;
 
 use super::apart::Apart;
+use super::grid::Grid;
 use super::rows::Rows;
 use super::series::{Series, Values};
 use super::trains::{FEWEST, NEARLY, SMOOTH, is_one, roughness, split, split_by};
@@ -102,7 +103,8 @@ fn of(series: &Series<'_>) -> Option<Publishers> {
     let rough = roughness(&(0..looked_at.len()).collect::<Vec<_>>(), &off);
     let again =
         looked_at.windows(2).filter(|two| series.values.is_same(two[0].1, two[1].1)).count();
-    let is_one = is_one(&stamped_s) || is_one(&received_s);
+    let is_ticking = || Grid::of(&stamped_s).is_some_and(|grid| grid.is_of_one_even_sender());
+    let is_one = is_one(&stamped_s) || is_one(&received_s) || is_ticking();
     // What repeats values is as rough as two that disagree.
     if is_one && (rough <= SMOOTH || again as f64 > NEARLY * looked_at.len() as f64) {
         return None;

@@ -2,6 +2,8 @@
 
 use crate::stream::Columns;
 
+use super::streams::Stream;
+
 /// The part that a stream plays in the audit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
@@ -95,6 +97,11 @@ pub(super) const SIGHTS: &[&str] = &[
     "object",
     "objects",
 ];
+
+/// Of these, those that trackers give a body on a tool as well.
+const BODIES: &[&str] = &["tag", "tags", "marker", "markers", "object", "objects"];
+/// Of [`GOALS`], those that trackers give a body on a tool as well.
+const AIMS: &[&str] = &["target", "targets"];
 
 /// Words of a camera's own frame.
 pub(super) const CAMERAS: &[&str] = &["camera", "cam", "optical", "rgb", "depth"];
@@ -200,6 +207,21 @@ pub(super) fn named_role(topic: &str) -> Role {
     pose_role(&unnamed).0
 }
 
+/// The role of a stream of poses that are not the tool's, by its topic alone.
+pub(super) fn beside_arm(topic: &str) -> Role {
+    match named_role(topic) {
+        role @ (Role::Target | Role::Reference) => role,
+        _ => Role::Unassigned,
+    }
+}
+
+/// Whether a stream plays a role, or plays it where the motion does not tell another than its name.
+pub(super) fn may_be(stream: &Stream, role: Role) -> bool {
+    let is_open = matches!(stream.role, Role::Candidate { .. })
+        && matches!(stream.columns, Some(Columns::Poses(_)));
+    stream.role == role || (is_open && beside_arm(&stream.topic) == role)
+}
+
 /// The role of a stream of poses with frames.
 pub(super) fn pose_role(pose: &PoseTopic<'_>) -> Verdict {
     let PoseTopic { topic, frame_id, child_frame_id, .. } = *pose;
@@ -207,10 +229,14 @@ pub(super) fn pose_role(pose: &PoseTopic<'_>) -> Verdict {
     if pose.is_declared {
         return (Role::Pose, "declared".to_owned());
     }
+    let is_of_camera = shared(&words(frame_id), CAMERAS).is_some();
+    if let Some(found) = open_role(&topic_words, pose.frame).filter(|_| !is_of_camera) {
+        return found;
+    }
     if let Some(word) = shared(&topic_words, SIGHTS) {
         return (Role::Target, format!("seen by a camera, by the word '{word}' in its name"));
     }
-    if pose.child != Place::MovingLink && shared(&words(frame_id), CAMERAS).is_some() {
+    if pose.child != Place::MovingLink && is_of_camera {
         return (Role::Target, format!("seen by a camera: it is in the frame '{frame_id}'"));
     }
     if let Some(word) = shared(&topic_words, GOALS) {
@@ -259,6 +285,24 @@ pub(super) fn pose_role(pose: &PoseTopic<'_>) -> Verdict {
             "neither its name nor its frames say whose pose it is".to_owned(),
         ),
     }
+}
+
+/// A role that a name only hints at: what a tracker calls a body on the tool is a camera's target or a goal
+/// elsewhere, and which it is the motion tells.
+fn open_role(topic_words: &[String], frame: Place) -> Option<Verdict> {
+    let is_only = |known: &[&'static str], open: &[&'static str]| {
+        let others = || known.iter().copied().filter(|word| !open.contains(word));
+        let has = |word: &str| topic_words.iter().any(|own| own == word);
+        shared(topic_words, open).filter(|_| !others().any(has))
+    };
+    let word = match (is_only(SIGHTS, BODIES), is_only(GOALS, AIMS), frame) {
+        (_, _, Place::Unnamed) => return None,
+        (Some(word), _, _) if shared(topic_words, GOALS).is_none() => word,
+        (_, Some(word), Place::Unknown) if shared(topic_words, SIGHTS).is_none() => word,
+        _ => return None,
+    };
+    let why = format!("the word '{word}' in its name may be a tracker's for a body on the tool");
+    Some((Role::Candidate { presumed: false }, why))
 }
 
 /// The role of a stream of bare numbers, `width` a row.
@@ -353,6 +397,12 @@ mod tests {
             ("/target_pose", ("camera", Unknown), none, Role::Target),
             ("/target_pose", base, none, Role::Reference),
             ("/aruco_single/pose", base, none, Role::Target),
+            ("/vicon/ee_marker/pose", ("vicon", Unknown), none, weak),
+            ("/tcp_target", ("mocap", Unknown), none, weak),
+            ("/wrist_tag", ("camera_optical", Unknown), none, Role::Target),
+            ("/aruco_marker/pose", ("world", Unknown), none, Role::Target),
+            ("/target/command", ("world", Unknown), none, Role::Reference),
+            ("/object_pose", none, none, Role::Target),
             ("/vision/pose", ("camera_color_optical_frame", MovingLink), none, Role::Target),
             ("/hand_pose", base, none, strong),
             ("/hand_pose", ("world", Tied), none, weak),

@@ -13,6 +13,8 @@ use crate::diagnosis::{
 use crate::run::{Arm, HandKind, HandSource, ImuSource, PoseSource, Role, Run, WhyNot};
 use crate::stream::{Orientations, PoseTrack};
 
+use super::role::beside_arm;
+
 /// Settles all of it.
 pub(super) fn settle(run: &mut Run, most_lag_s: f64) {
     settle_alternations(run);
@@ -214,6 +216,11 @@ fn settle_candidates(run: &mut Run, most_lag_s: f64) {
         if is_of_own_frame && is_seen {
             let reason = "it moves as what stands still and is seen from the tool".to_owned();
             run.unassign(candidate, reason);
+            continue;
+        }
+        if is_seen && beside_arm(&run.streams[candidate].topic) == Role::Target {
+            let reason = "it moves as what stands still and is seen from the tool".to_owned();
+            run.settle_by_name(candidate, reason);
             continue;
         }
         let lead_s = found

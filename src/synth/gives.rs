@@ -1,4 +1,6 @@
-//! Joints whose links are not where their encoders say: play, sag, eccentric gears.
+//! Joints whose links are not where their encoders say: play, sag, eccentric gears, vibration.
+
+use std::f64::consts::TAU;
 
 use super::motion::Trajectory;
 use crate::robot::Chain;
@@ -11,7 +13,7 @@ pub struct Gives {
     pub joint: usize,
     /// How.
     pub how: Giving,
-    /// How much, rad: the full play, the largest sag, the amplitude of the eccentricity.
+    /// How much, rad: the full play, the largest sag, the amplitude of the eccentricity or the vibration.
     pub by_rad: f64,
 }
 
@@ -24,6 +26,8 @@ pub enum Giving {
     Sag,
     /// So many times a turn of the joint.
     Eccentric(u32),
+    /// So many times a second: the link vibrates.
+    Vibrates(f64),
 }
 
 /// What the joints of a run give, over its time.
@@ -68,6 +72,10 @@ impl Bends {
                 }
                 Giving::Eccentric(order) => {
                     own().map(|q| gives.by_rad * (f64::from(order) * q + 0.7).sin()).collect()
+                }
+                Giving::Vibrates(hz) => {
+                    let time_s = (0..rows).map(|row| row as f64 * Self::STEP_S);
+                    time_s.map(|time_s| gives.by_rad * (TAU * hz * time_s).sin()).collect()
                 }
             };
             (gives.joint, bends)

@@ -110,6 +110,8 @@ pub struct Scenario {
     pub amplitude: f64,
     /// The largest speed of a joint, rad/s; a quarter of it in m/s where the joint slides.
     pub speed: f64,
+    /// How much longer than usual the arm rests at every fourth of its postures, s.
+    pub pause_s: f64,
     /// When the arm is stopped on its way, not to move again, and how hard.
     pub stop: Option<Stop>,
     /// What shakes, and how.
@@ -142,6 +144,12 @@ pub struct Scenario {
     pub drive: Option<Drive>,
     /// Whether the arm's URDF is in the log.
     pub description: bool,
+    /// The arm as it was built, where that is not `robot`, its drawing: the same links and joints. The pose
+    /// stream, the target and the IMU know it; /tf and the description are of the drawing.
+    pub built: Option<Robot>,
+    /// What is other from some moments on, s after the start, in their order: what streams say is then as of
+    /// this run. Motion, noise and stamps stay those of the first.
+    pub later: Vec<(f64, Scenario)>,
 }
 
 /// A stop amid the motion.
@@ -189,6 +197,7 @@ impl Scenario {
             home: Vec::new(),
             amplitude: 1.2,
             speed: 1.2,
+            pause_s: 0.0,
             stop: None,
             shake: None,
             gives: Vec::new(),
@@ -248,6 +257,11 @@ impl Scenario {
                 yaw_walk_rad_rt_s: 0.0,
                 gyro_bias_rad_s: Vec3::zeros(),
                 gyro_from_rate: Matrix3::identity(),
+                gyro_warms_up: None,
+                yaw_warms_up: None,
+                yaw_by_heading: [(0.0, 0.0); 2],
+                gyro_times: 1.0,
+                force_times: 1.0,
                 coding: Coding::Faithful,
             },
             target: TargetStream::none(),
@@ -257,6 +271,8 @@ impl Scenario {
             root: None,
             drive: None,
             description: true,
+            built: None,
+            later: Vec::new(),
         }
     }
 
@@ -283,6 +299,12 @@ impl Scenario {
         compression: Option<Compression>,
     ) -> Result<(), SynthError> {
         write(std::slice::from_ref(self), out, compression)
+    }
+
+    /// The run that says what streams are `time_s` after the start.
+    fn at(&self, time_s: f64) -> &Scenario {
+        let begun = self.later.partition_point(|(from_s, _)| *from_s <= time_s);
+        begun.checked_sub(1).map_or(self, |last| &self.later[last].1)
     }
 
     /// The name of a topic in the log.

@@ -127,6 +127,9 @@ impl Trajectory {
             }
             knots.push(Knot { time_s, q: q.clone() });
             time_s += random.random_range(0.15..0.5);
+            if knots.len() % 8 == 7 {
+                time_s += scenario.pause_s;
+            }
             knots.push(Knot { time_s, q });
         }
         Self::Knots(knots)

@@ -4,6 +4,8 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
+use crate::geometry::{Rotation, Vec3, rotation_from_rotvec};
+
 /// Standard deviations of the streams' noise.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Noise {
@@ -25,6 +27,12 @@ pub struct Noise {
     pub target_rad: f64,
     /// Correlation of each sample with the one before, from 0 (white) to below 1.
     pub correlation: f64,
+    /// Density of a random walk of the tool's position in each direction, m/√s, and of its rotation about each
+    /// axis, rad/√s.
+    pub pose_walk: (f64, f64),
+    /// From which distance on, m, the noise of the target and of the tool's pose grows, as that of a camera
+    /// does: with the square of the distance from the frame that they are in; 0 where it does not.
+    pub far_m: f64,
 }
 
 impl Noise {
@@ -39,7 +47,14 @@ impl Noise {
         target_m: 0.0,
         target_rad: 0.0,
         correlation: 0.0,
+        pose_walk: (0.0, 0.0),
+        far_m: 0.0,
     };
+
+    /// What noise is multiplied by at a distance from what sees it.
+    pub(super) fn at_distance(&self, distance_m: f64) -> f64 {
+        if self.far_m > 0.0 { (distance_m / self.far_m).powi(2).max(1.0) } else { 1.0 }
+    }
 }
 
 impl Default for Noise {
@@ -55,6 +70,8 @@ impl Default for Noise {
             target_m: 4e-4,
             target_rad: 1.5e-3,
             correlation: 0.0,
+            pose_walk: (0.0, 0.0),
+            far_m: 0.0,
         }
     }
 }
@@ -79,6 +96,7 @@ pub(super) enum Purpose {
     LeaderTransport,
     DriveTransport,
     SecondTfTransport,
+    PoseWalk,
 }
 
 /// The random numbers of `purpose`.
@@ -108,4 +126,16 @@ impl UnitNoise {
         }
         &self.last
     }
+}
+
+/// Adds noise of a standard deviation to values.
+pub(super) fn add_noise(values: &mut [f64], unit_noise: &[f64], sigma: f64) {
+    for (value, noise) in values.iter_mut().zip(unit_noise) {
+        *value += sigma * noise;
+    }
+}
+
+/// A rotation of a standard deviation about each axis, rad.
+pub(super) fn small_rotation(unit_noise: &[f64], sigma_rad: f64) -> Rotation {
+    rotation_from_rotvec(sigma_rad * Vec3::from_column_slice(unit_noise))
 }

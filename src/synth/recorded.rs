@@ -24,6 +24,11 @@ pub struct Timing {
     pub new_hz: f64,
     /// When the clock of the stamps steps, s after the start, and by how much, s.
     pub step: Option<(f64, f64)>,
+    /// From when to when what is sent becomes older, s after the start, and by how much, s: at once where both
+    /// are the same.
+    pub ages: Option<(f64, f64, f64)>,
+    /// From when to when nothing is recorded, s after the start.
+    pub gap_s: Option<(f64, f64)>,
 }
 
 /// The joint states.
@@ -154,6 +159,19 @@ pub struct ImuStream {
     /// What the gyro makes of true rates before the bias: 1 on the diagonal where the scale is right,
     /// 0 beside it where the axes are square.
     pub gyro_from_rate: Matrix3<f64>,
+    /// What the gyro reads beside that at the start, rad/s in its own frame, and the time constant with which it
+    /// settles, s.
+    pub gyro_warms_up: Option<(Vec3, f64)>,
+    /// By how much the logged yaw runs ahead of the true one in the end, rad, and the time constant with which
+    /// it gets there, s.
+    pub yaw_warms_up: Option<(f64, f64)>,
+    /// By how much the logged yaw is ahead, rad, as a sine of the heading of the IMU's x axis and as one of
+    /// twice that, each with its phase, rad: hard and soft iron.
+    pub yaw_by_heading: [(f64, f64); 2],
+    /// What rates are multiplied by before they are logged: 180/π where they are °/s.
+    pub gyro_times: f64,
+    /// What specific forces are multiplied by before they are logged: 1/9.80665 where they are in g.
+    pub force_times: f64,
     /// What became of the orientation on its way into the log.
     pub coding: Coding,
 }
@@ -187,6 +205,8 @@ impl Timing {
             stamped: true,
             new_hz: 0.0,
             step: None,
+            ages: None,
+            gap_s: None,
         }
     }
 }

@@ -3,7 +3,7 @@
 use rand::RngExt;
 
 use super::messages::{self, LoggedImu, LoggedPose, LoggedTransform, Topic};
-use super::noise::{Purpose, UnitNoise, random};
+use super::noise::{Purpose, UnitNoise, add_noise, random, small_rotation};
 use super::truth::{GRAVITY, Truth};
 use super::{
     Coding, IMU_FRAME, ImuStream, JointStream, PoseStream, Scenario, Timing, ToolSlip, urdf_text,
@@ -74,6 +74,7 @@ fn joint_states(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let (mut last, mut stuck) = (None, None);
     let mut messages = Vec::new();
     for tick in ticks {
+        let stream = &scenario.at(tick.time_s).joints;
         let fresh = {
             let (mut positions, _) = truth.encoders(tick.time_s);
             let (_, velocities) = truth.encoders(tick.time_s - stream.velocity_late_s);
@@ -107,11 +108,12 @@ fn joint_states(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
 }
 
 fn poses(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
-    let stream = &scenario.pose;
-    let stream_from_reference = stream.reference_from_stream.inverse();
-    let drive = scenario.drive.as_ref().filter(|drive| drive.frame_id == stream.frame_id);
+    let timing = &scenario.pose.timing;
+    let drive = scenario.drive.as_ref().filter(|drive| drive.frame_id == scenario.pose.frame_id);
     let mut noise = scenario.unit_noise(Purpose::PoseNoise, 6);
-    let ticks = scenario.ticks(&stream.timing, Purpose::PoseTransport);
+    let mut walk = UnitNoise::new(random(scenario.seed, Purpose::PoseWalk), 6, 0.0);
+    let mut wandered = [0.0; 6];
+    let ticks = scenario.ticks(timing, Purpose::PoseTransport);
     let (mut stuck, mut last): (Option<Pose>, Option<Pose>) = (None, None);
     ticks
         .enumerate()
@@ -120,15 +122,25 @@ fn poses(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
                 Some(drive) => drive.at(tick.time_s) * truth.first_from_tip(tick.time_s),
                 None => truth.base_from_tip(tick.time_s),
             };
+            let stream = &scenario.at(tick.time_s).pose;
+            let stream_from_reference = stream.reference_from_stream.inverse();
             let mut pose = stream_from_reference * reference_from_tip * stream.tip_from_stream;
             let slipped = |slip: &&ToolSlip| (slip.from_s..slip.to_s).contains(&tick.time_s);
             if let Some(slip) = stream.slip.as_ref().filter(slipped) {
                 pose *= slip.tool_from_slipped;
             }
+            let far = scenario.noise.at_distance(pose.translation.vector.norm());
             let noise = noise.next();
+            for (wandered, step) in wandered.iter_mut().zip(walk.next()) {
+                *wandered += step / timing.rate_hz.sqrt();
+            }
+            let (walk_m, walk_rad) = scenario.noise.pose_walk;
             pose.translation.vector *= 1.0 + stream.growth;
-            pose.translation.vector += scenario.noise.pose_m * Vec3::from_column_slice(&noise[..3]);
-            pose.rotation *= small_rotation(&noise[3..], scenario.noise.pose_rad);
+            pose.translation.vector +=
+                far * scenario.noise.pose_m * Vec3::from_column_slice(&noise[..3]);
+            pose.translation.vector += walk_m * Vec3::from_column_slice(&wandered[..3]);
+            pose.rotation *= small_rotation(&noise[3..], far * scenario.noise.pose_rad);
+            pose.rotation *= small_rotation(&wandered[3..], walk_rad);
             if !tick.is_new {
                 pose = last.unwrap_or(pose);
             }
@@ -195,8 +207,8 @@ fn published(
         .map(|tick| {
             let (mut positions, _) = truth.encoders(tick.time_s);
             add_noise(&mut positions, noise.next(), scenario.noise.joints);
-            let mut believed =
-                scenario.joints.reported_positions(&positions, truth.chain.joint_kinds());
+            let now = scenario.at(tick.time_s);
+            let mut believed = now.joints.reported_positions(&positions, truth.chain.joint_kinds());
             if let Some(last) = last.as_ref().filter(|_| !tick.is_new) {
                 believed.clone_from(last);
             }
@@ -211,7 +223,7 @@ fn published(
                         origin *= by;
                     }
                     let parent_from_child = origin * motion(joint, position);
-                    logged_transform(robot, joint, scenario.tf.coding.logged(&parent_from_child))
+                    logged_transform(robot, joint, now.tf.coding.logged(&parent_from_child))
                 })
                 .collect();
             tick.message(Topic::Tf, messages::tf_message(tick.stamp, &transforms))
@@ -221,7 +233,6 @@ fn published(
 
 fn imu_samples(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let stream = &scenario.imu;
-    let tip_from_imu = stream.tip_from_imu * stream.mount_error;
     let mut noise = scenario.unit_noise(Purpose::ImuNoise, 9);
     let mut walk = UnitNoise::new(random(scenario.seed, Purpose::ImuWalk), 1, 0.0);
     let step_rad = stream.yaw_walk_rad_rt_s / stream.timing.rate_hz.sqrt();
@@ -232,12 +243,17 @@ fn imu_samples(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
         .map(|tick| {
             let noise = noise.next();
             wandered_rad += step_rad * walk.next()[0];
+            let stream = &scenario.at(tick.time_s).imu;
+            let tip_from_imu = stream.tip_from_imu * stream.mount_error;
             let scaled =
                 |at: usize, sigma: f64| sigma * Vec3::from_column_slice(&noise[at..at + 3]);
             let base_from_imu = (truth.base_from_tip(tick.time_s) * tip_from_imu).rotation;
             let imu_from_base = base_from_imu.inverse();
             let acceleration = truth.acceleration(tick.time_s, &tip_from_imu);
-            let yaw_rad = stream.yaw_rad(tick.time_s) + wandered_rad;
+            let ahead = base_from_imu * Vec3::x();
+            let heading_rad = ahead.y.atan2(ahead.x) + stream.world_yaw_rad;
+            let yaw_rad =
+                stream.yaw_rad(tick.time_s) + stream.yaw_off_rad(heading_rad) + wandered_rad;
             let world_from_base = rotation_from_rotvec(Vec3::z() * yaw_rad);
             let world_from_imu = world_from_base
                 * base_from_imu
@@ -245,11 +261,14 @@ fn imu_samples(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
             let orientation = stream.coding.logged(&pose([0.0; 3], world_from_imu));
             let sample = LoggedImu {
                 orientation_xyzw: stream.with_orientation.then_some(orientation.xyzw),
-                gyro: stream.gyro_from_rate * (imu_from_base * truth.angular_velocity(tick.time_s))
-                    + stream.gyro_bias_rad_s
-                    + scaled(3, scenario.noise.gyro_rad_s),
-                specific_force: imu_from_base * (acceleration + GRAVITY * Vec3::z())
-                    + scaled(6, scenario.noise.accel_m_s2),
+                gyro: stream.gyro_times
+                    * (stream.gyro_from_rate
+                        * (imu_from_base * truth.angular_velocity(tick.time_s))
+                        + stream.bias_rad_s(tick.time_s)
+                        + scaled(3, scenario.noise.gyro_rad_s)),
+                specific_force: stream.force_times
+                    * (imu_from_base * (acceleration + GRAVITY * Vec3::z())
+                        + scaled(6, scenario.noise.accel_m_s2)),
             };
             let sample = last.filter(|_| !tick.is_new).unwrap_or(sample);
             last = Some(sample);
@@ -286,18 +305,22 @@ impl Scenario {
         let start = self.start;
         let mut received = start;
         let mut held = None;
-        (0..count).map(move |index| {
+        let ticks = (0..count).map(move |index| {
             let sent_s = phase_s + index as f64 / rate_hz;
             received = received.max(start.shifted(sent_s + random.random_range(TRANSPORT_S)));
             let stamp = timing.stamp(start, sent_s, self.duration_s / 2.0);
+            let age_s = timing.age_s(sent_s);
             if new_hz <= 0.0 {
-                return Tick { time_s: sent_s, is_new: true, stamp, received };
+                return (sent_s, Tick { time_s: sent_s - age_s, is_new: true, stamp, received });
             }
             // A hair more than a rounding error, so that whole numbers of periods stay whole.
             let number = ((sent_s - phase_s) * new_hz + 1e-9).floor();
             let is_new = held.replace(number) != Some(number);
-            Tick { time_s: phase_s + number / new_hz, is_new, stamp, received }
-        })
+            (sent_s, Tick { time_s: phase_s + number / new_hz - age_s, is_new, stamp, received })
+        });
+        let is_kept =
+            |sent_s: &f64| timing.gap_s.is_none_or(|(from, to)| !(from..to).contains(sent_s));
+        ticks.filter(move |(sent_s, _)| is_kept(sent_s)).map(|(_, tick)| tick)
     }
 
     /// A single moment of a stream, received 1 ms later.
@@ -314,6 +337,16 @@ impl Scenario {
 }
 
 impl Timing {
+    /// By how much older than at first is what is sent, s.
+    fn age_s(&self, sent_s: f64) -> f64 {
+        let Some((from_s, to_s, by_s)) = self.ages else { return 0.0 };
+        match sent_s {
+            sent_s if sent_s >= to_s => by_s,
+            sent_s if sent_s <= from_s => 0.0,
+            _ => by_s * (sent_s - from_s) / (to_s - from_s),
+        }
+    }
+
     /// The stamp of what is true `time_s` after `start`: the solution of
     /// `time = stamp − latency − skew · (stamp − middle)`.
     fn stamp(&self, start: Stamp, time_s: f64, middle_s: f64) -> Stamp {
@@ -393,7 +426,20 @@ impl ImuStream {
         let jumped = self.yaw_jumps.iter().filter(|(at_s, _)| time_s > *at_s);
         self.world_yaw_rad
             + self.yaw_drift_rad_s * time_s
+            + self.yaw_warms_up.map_or(0.0, |(by, tau_s)| by * (1.0 - (-time_s / tau_s).exp()))
             + jumped.map(|(_, size_rad)| size_rad).sum::<f64>()
+    }
+
+    /// By how much the logged yaw is ahead at a heading.
+    fn yaw_off_rad(&self, heading_rad: f64) -> f64 {
+        let [once, twice] = self.yaw_by_heading;
+        once.0 * (heading_rad + once.1).sin() + twice.0 * (2.0 * heading_rad + twice.1).sin()
+    }
+
+    /// What the gyro reads of no rate at all.
+    fn bias_rad_s(&self, time_s: f64) -> Vec3 {
+        let settling = self.gyro_warms_up.map(|(by, tau_s)| by * (-time_s / tau_s).exp());
+        self.gyro_bias_rad_s + settling.unwrap_or_default()
     }
 }
 
@@ -443,14 +489,4 @@ fn motion(joint: &Joint, position: f64) -> Pose {
         JointKind::Prismatic => pose(along.into(), Rotation::identity()),
         _ => pose([0.0; 3], rotation_from_rotvec(along)),
     }
-}
-
-fn add_noise(values: &mut [f64], unit_noise: &[f64], sigma: f64) {
-    for (value, noise) in values.iter_mut().zip(unit_noise) {
-        *value += sigma * noise;
-    }
-}
-
-pub(super) fn small_rotation(unit_noise: &[f64], sigma_rad: f64) -> Rotation {
-    rotation_from_rotvec(sigma_rad * Vec3::from_column_slice(unit_noise))
 }

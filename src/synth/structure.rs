@@ -7,8 +7,8 @@ use std::io::{Seek, Write};
 use mcap::Compression;
 
 use super::messages::{self, LoggedTransform, Topic};
-use super::noise::Purpose;
-use super::streams::{Message, small_rotation};
+use super::noise::{Purpose, small_rotation};
+use super::streams::Message;
 use super::truth::Truth;
 use super::{Coding, Scenario, SynthError, Timing, write};
 use crate::geometry::{Pose, Vec3, pose, rotation_from_rotvec};

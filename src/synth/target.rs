@@ -3,8 +3,8 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use super::messages::{self, LoggedTransform, Topic};
-use super::noise::Purpose;
-use super::streams::{Message, small_rotation};
+use super::noise::{Purpose, small_rotation};
+use super::streams::Message;
 use super::truth::Truth;
 use super::{Coding, Scenario, SynthError, Timing};
 use crate::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotation_from_rpy};
@@ -157,12 +157,14 @@ pub(super) fn sightings(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let ticks = scenario.ticks(&stream.timing, Purpose::TargetTransport);
     ticks
         .map(|tick| {
+            let stream = &scenario.at(tick.time_s).target;
             let base_from_tip = truth.base_from_tip(tick.time_s);
             let mut seen = stream.camera_from_target(&base_from_tip, tick.time_s);
             let noise = noise.next();
             let shift = Vec3::from_column_slice(&noise[..3]);
-            seen.translation.vector += scenario.noise.target_m * shift;
-            seen.rotation *= small_rotation(&noise[3..], scenario.noise.target_rad);
+            let far = scenario.noise.at_distance(seen.translation.vector.norm());
+            seen.translation.vector += far * scenario.noise.target_m * shift;
+            seen.rotation *= small_rotation(&noise[3..], far * scenario.noise.target_rad);
             seen.translation.vector *= stream.scale;
             let logged = stream.coding.logged(&stream.swapped(&seen));
             let parent = stream.frame_id.as_str();

@@ -1,5 +1,6 @@
 //! What is in a log, against the truth that it was made of.
 
+mod lately;
 mod motion;
 mod structure;
 

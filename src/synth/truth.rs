@@ -63,7 +63,7 @@ impl Brake {
 
 impl Truth {
     pub(super) fn new(scenario: &Scenario) -> Result<Self, SynthError> {
-        let robot = &scenario.robot;
+        let robot = scenario.built.as_ref().unwrap_or(&scenario.robot);
         let base = robot.link_or_nearest(&scenario.base)?;
         let tip = robot.link_or_nearest(&scenario.tip)?;
         let root = scenario.root.as_deref().map(|root| robot.link_or_nearest(root)).transpose()?;

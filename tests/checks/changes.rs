@@ -44,6 +44,20 @@ fn a_tool_that_slips_and_is_put_back_is_the_tools_alone() {
 }
 
 #[test]
+fn a_tool_that_slips_and_is_put_back_is_as_far_off_in_millimetres() {
+    let report = Log::with(|log| {
+        log.run.tf.timing.rate_hz = 0.0;
+        log.run.pose.in_millimetres = true;
+        let tool_from_slipped = Pose::translation(0.0, 0.0, 0.02);
+        log.run.pose.slip = Some(ToolSlip { from_s: FROM_S, to_s: 6.0, tool_from_slipped });
+    })
+    .audited();
+    assert_eq!(codes(&report), ["FRM003", "ORD008"].into(), "{}", summary(&report.findings));
+    let apart_m = the(&report, "FRM003", POSE).estimate.as_ref().and_then(Estimate::value);
+    assert!(apart_m.is_some_and(|apart_m| (apart_m - 0.02).abs() < 1e-3), "{apart_m:?}");
+}
+
+#[test]
 fn a_base_that_is_moved_is_named() {
     let report = edited(|messages| {
         let moved = pose([0.0, 0.012, 0.005], rotation_from_rotvec(Vec3::z() * 0.02));
@@ -60,6 +74,32 @@ fn a_joint_that_loses_its_zero_is_named_and_does_not_stop_there() {
         }
     });
     assert_change(&report, "ZER001", "elbow_joint", 0.8_f64.to_radians(), 1e-4);
+}
+
+#[test]
+fn positions_that_grow_from_then_on_are_named_with_their_growth() {
+    let report = edited(|messages| {
+        each_pose(later(messages), |logged| {
+            pose((1.01 * logged.translation.vector).into(), logged.rotation)
+        });
+    });
+    assert_change(&report, "ZER002", POSE, 0.01, 1e-4);
+}
+
+#[test]
+fn a_short_part_that_does_not_tell_how_it_is_coded_names_no_frame() {
+    let report = edited(|messages| {
+        let last_ns = messages.iter().map(|message| message.log_ns).max().unwrap_or(0);
+        let first = messages.partition_point(|message| message.log_ns < last_ns - 1_200_000_000);
+        each_pose_field(&mut messages[first..], |message, field| {
+            if let Field::Xyzw(at) = field {
+                let [x, y, z, w] = message.floats(at);
+                message.set_floats(at, &[w, x, y, z]);
+            }
+        });
+    });
+    let said = codes(&report);
+    assert!(!said.is_empty() && said.is_subset(&["MDL001", "ORD002"].into()), "{said:?}");
 }
 
 #[test]

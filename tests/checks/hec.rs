@@ -112,7 +112,7 @@ cases! {
         watched(log, Camera::InHand);
         log.run.target.swapped = Swapped::Position;
     } => BlamedOn("HEC003");
-    HEC001 no_target: |_| {} => Skipped("no target");
+    HEC001 no_target: |_| {} => Skipped("no camera-to-target poses");
     HEC001 a_target_of_another_motion: |log| {
         watched(log, Camera::InHand);
         log.edit = Some(|messages| crate::checks::yaw::reverse(messages, TARGET));
@@ -135,7 +135,7 @@ cases! {
         watched(log, Camera::InHand);
         (log.run.duration_s, log.run.amplitude) = (1.2, 0.1);
     } => Undecided("s only; record 10 s or more");
-    HEC002 no_target_to_turn: |_| {} => Skipped("no target");
+    HEC002 no_target_to_turn: |_| {} => Skipped("no camera-to-target poses");
 
     HEC003 body_axes_under_an_optical_frame: |log| {
         watched(log, Camera::InHand);
@@ -164,7 +164,7 @@ cases! {
         watched(log, Camera::InHand);
         log.run.target.mount_error = turned(5.0);
     } => BlamedOn("HEC001");
-    HEC003 no_target_with_axes: |_| {} => Skipped("no target");
+    HEC003 no_target_with_axes: |_| {} => Skipped("no camera-to-target poses");
     HEC003 no_word_of_the_axes: |log| {
         watched(log, Camera::InHand);
         log.run.target.frame_id = "cam".to_owned();

@@ -22,6 +22,7 @@ mod ord;
 mod recording;
 mod reports;
 mod tim;
+mod timing;
 mod vel;
 mod yaw;
 mod zer;

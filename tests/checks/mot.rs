@@ -47,6 +47,7 @@ cases! {
     MOT003 a_turn_that_is_hardly_too_many: |log| turn_too_many(log, 0.05)
         => info(Joint("wrist_3_joint"), About(0.05, 2e-3));
     MOT003 a_turn_within_the_limits_is_sound: |log| turn_too_many(log, -0.3) => Sound;
+    MOT003 a_step_of_an_encoder_is_no_speed: |log| coarse_encoders(log) => Sound;
     MOT003 joints_in_degrees_are_within_no_limits: |log| log.run.joints.in_degrees = true
         => LeftOpenBy("ORD004", "read them right first");
     MOT003 a_joint_zero_within_the_limits: |log| {
@@ -129,6 +130,23 @@ cases! {
         log.run.motion = Motion::PickAndPlace;
     } => Skipped("no way from stop to stop is straight");
     MOT004 no_commands: |_| {} => Skipped("no poses are commanded");
+}
+
+#[test]
+fn steps_of_an_encoder_may_hide_shake() {
+    let report = Log::with(coarse_encoders).audited();
+    let of_joints = |row: &&CheckRow| row.code == "MOT001" && row.subject.label() == JOINT_STATES;
+    let row = report.checks.iter().find(of_joints).expect("a row");
+    assert_eq!(row.status, Status::Inconclusive, "{row:?}");
+    assert!(row.reason.as_deref().is_some_and(|why| why.contains("hides shake")), "{row:?}");
+}
+
+/// Encoders of 9 bits a turn, read a thousand times a second: a step from sample to sample is 350°/s.
+fn coarse_encoders(log: &mut Log) {
+    (log.run.motion, log.run.amplitude) = (Motion::Continuous, 0.9);
+    log.run.joints.timing.rate_hz = 1000.0;
+    log.run.joints.quantum = TAU / 512.0;
+    log.run.joints.with_velocity = false;
 }
 
 #[test]

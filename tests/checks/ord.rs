@@ -170,7 +170,7 @@ cases! {
         log.options.policy.rules.ignore = vec!["TIM005".parse().expect("a rule")];
         log.edit = Some(|messages| as_euler(messages, Convention::RPY));
     } => Sound;
-    ORD006 no_bare_numbers: |_| {} => Skipped("three bare numbers");
+    ORD006 no_bare_numbers: |_| {} => Skipped("no stream is coded in Euler angles");
 
     ORD007 a_standard_table_that_says_modified: |log| by_table(log, "modified", [""; 2])
         => error(On::Robot, ReadAs("standard", "modified"));
@@ -189,8 +189,8 @@ cases! {
     } => BlamedOn("FRM002");
     ORD007 another_arms_table_is_no_convention: |log| {
         by_table(log, "standard", ["-0.425", "-0.365"]);
-    } => TakenBy("MDL001", "no DH table");
-    ORD007 a_urdf: |_| {} => Skipped("no DH table");
+    } => TakenBy("MDL001", "DH convention");
+    ORD007 a_urdf: |_| {} => Skipped("DH convention");
     ORD007 nothing_to_hold_the_table_against: |log| {
         by_table(log, "modified", [""; 2]);
         log.run.pose.timing.rate_hz = 0.0;

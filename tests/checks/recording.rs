@@ -30,7 +30,8 @@ pub fn write(run: &Scenario, edit: Option<fn(&mut Vec<Message>)>) -> Vec<u8> {
     encode(&messages)
 }
 
-fn read(bytes: &[u8]) -> Vec<Message> {
+/// The messages of a log.
+pub fn read(bytes: &[u8]) -> Vec<Message> {
     let messages = mcap::MessageStream::new(bytes).expect("a log");
     let message = |message: mcap::Message| {
         let schema = message.channel.schema.as_ref().expect("a schema");

@@ -9,5 +9,6 @@ mod markdown;
 mod sarif;
 mod shell;
 mod snapshots;
+mod words;
 
 use crate::program::{CLEAN, FAULTY, poseaudit, status, stderr, stdout};

@@ -12,9 +12,9 @@ rule! {
     /// A command and the pose that the arm comes to rest at differ.
     ///
     /// ## What it means
-    /// What shall be (a goal, a streamed pose, commanded joints) has stood still, the arm has come to
-    /// rest, latency and following error have died away, and the tip is still elsewhere. Commanded
-    /// joints go through forward kinematics.
+    /// The command (a goal, a streamed pose, commanded joints) is constant, the arm has settled, latency
+    /// and following error have died away, and the tip is still off target. Commanded joints go through
+    /// forward kinematics.
     ///
     /// ## Why it matters
     /// It is the error that a program sees at every pick and every place. Where the goal came from one
@@ -288,7 +288,7 @@ fn fault(
         cause: Cause::Other,
         severity,
         title: "command and rest differ",
-        message: format!("the arm rests {off} off what it was told, at {moment}{of}{stays}{guess}"),
+        message: format!("steady-state error {off}, at {moment}{of}{stays}{guess}"),
         evidence: Evidence {
             indistinguishable,
             effect_m: Some(nearest.estimate.translation_m.value),

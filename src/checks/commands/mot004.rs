@@ -216,7 +216,9 @@ fn swings(line: &Line, thresholds: &FrameThresholds) -> Outcome {
         cause: Cause::Other,
         severity: severity.unwrap_or(Severity::Info),
         title: "line's orientation is no slerp",
-        message: format!("the commanded orientation is {off} off the slerp of {turn}{as_if}"),
+        message: format!(
+            "the commanded orientation deviates {off} from the slerp over {turn}{as_if}"
+        ),
         evidence: Evidence::default(),
         fix: "interpolate rotations by slerp, in step with the positions".to_owned(),
     })

@@ -1,6 +1,6 @@
 use super::{hec002, hec003};
 use crate::checks::decision::{Decision, decide_both, decide_frame};
-use crate::checks::frames::show;
+use crate::checks::frames::{show, show_pose};
 use crate::checks::hand_eye::chain::{
     LEAST_SPAN, SETTLE, THRESHOLDS, does_not_follow, is_mount_decided, unseen, where_is,
     with_solution,
@@ -49,7 +49,7 @@ rule! {
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),
         headline: false,
         needs_model: false,
-        missing: "no target that a camera sees beside a hand's poses",
+        missing: "hand-eye: no camera-to-target poses in this log",
         check: check,
     }
 }
@@ -93,7 +93,7 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
             let doubt = || wrong_model(arm?, best.closure.excess_m.value);
             let outcome = match does_not_follow(found).or_else(doubt) {
                 Some(why) => Outcome::Inconclusive(why),
-                None => Outcome::faulty(open_chain(best, severity)),
+                None => Outcome::faulty(open_chain(facts, best, severity)),
             };
             (outcome, closure(best))
         }
@@ -108,7 +108,7 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
                 let estimate =
                     Estimate::frame("mount error", &error.translation_m, &error.rotation_rad);
                 let outcome = match decide_frame(error, &thresholds, subjects) {
-                    Decision::Pass => sound(best),
+                    Decision::Pass => sound(facts, best),
                     Decision::Undecided(why) => {
                         Outcome::Inconclusive(format!("the camera's mount: {why}; {SETTLE}"))
                     }
@@ -130,7 +130,7 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
                 };
                 (outcome, estimate)
             }
-            _ => (sound(best), closure(best)),
+            _ => (sound(facts, best), closure(best)),
         },
     };
     let judged = Judged::new(facts.subject(), outcome).estimated(estimate);
@@ -161,38 +161,58 @@ fn wrong_model(arm: &ArmEvidence, open_m: f64) -> Option<String> {
     if nominal_m > 0.0 && open_m < 3.0 * nominal_m {
         let left = Unit::Metre.show(nominal_m);
         return Some(format!(
-            "the model is a drawing held against a calibrated arm, which leaves {left} (MDL001); use \
-             the arm's own calibration"
+            "nominal model against a calibrated arm: {left} residual (MDL001); use the arm's own \
+             calibration"
         ));
     }
     standing::doubt(arm, open_m)
 }
 
 /// The chain closes: how well, and what else was found.
-fn sound(solution: &Solution) -> Outcome {
+fn sound(facts: &HandEyeEvidence, solution: &Solution) -> Outcome {
     let closure = &solution.closure;
     let (m, rad) = (Unit::Metre.show(closure.rms_m), Unit::Radian.show(closure.rms_rad));
-    Outcome::sound_because(format!("it closes to {m} and {rad} rms ({})", setting(solution)))
+    let camera = camera(facts, solution);
+    Outcome::sound_because(format!("closes to {m} and {rad} rms ({}); {camera}", setting(solution)))
+}
+
+/// Where the camera is, with the 95 % interval.
+fn camera(facts: &HandEyeEvidence, solution: &Solution) -> String {
+    let camera = &solution.camera;
+    let parent = facts.parent_of(solution.mount).unwrap_or_else(|| match solution.mount {
+        Mount::InHand => "hand".to_owned(),
+        Mount::InBase => "base".to_owned(),
+    });
+    let half = |unit: Unit, amount: &Measured, errors: [f64; 3]| {
+        let std_error = errors.into_iter().fold(0.0, f64::max);
+        match unit.half_width(&Measured { std_error, ..*amount }, 0.95) {
+            half if half.is_finite() => format!("±{}", unit.show(half)),
+            _ => "not bounded".to_owned(),
+        }
+    };
+    let length = half(Unit::Metre, &camera.distance_m, camera.translation_error_m);
+    let angle = half(Unit::Radian, &camera.angle_rad, camera.rotation_error_rad);
+    format!("{parent}→camera: {} ({length}, {angle})", show_pose(&camera.pose))
 }
 
 /// Where the camera is and how late the target, in words.
 fn setting(solution: &Solution) -> String {
     let mount = match is_mount_decided(solution) {
-        true => format!("camera {}", where_is(solution.mount)),
-        false => "camera in the hand or fixed, which this motion does not tell".to_owned(),
+        true => match solution.mount {
+            Mount::InHand => "eye-in-hand".to_owned(),
+            Mount::InBase => "eye-to-hand".to_owned(),
+        },
+        false => "eye-in-hand or eye-to-hand, not observable in this motion".to_owned(),
     };
     let offset = &solution.offset_s;
     let [least, most] = offset.interval(0.95);
     if least > 0.0 || most < 0.0 {
         return format!("{mount}, target {} late", Unit::Second.show_signed(offset));
     }
-    format!(
-        "{mount}, no time between hand and target beyond {}",
-        Unit::Second.show(most.max(-least))
-    )
+    format!("{mount}, time offset < {}", Unit::Second.show(most.max(-least)))
 }
 
-fn open_chain(solution: &Solution, severity: Severity) -> Fault {
+fn open_chain(facts: &HandEyeEvidence, solution: &Solution, severity: Severity) -> Fault {
     let closure = &solution.closure;
     let m = Unit::Metre.show_measured(&closure.excess_m);
     let rad = Unit::Radian.show_measured(&closure.excess_rad);
@@ -201,12 +221,14 @@ fn open_chain(solution: &Solution, severity: Severity) -> Fault {
         cause: Cause::Other,
         title: "hand-eye chain is open",
         message: format!(
-            "{m} and {rad} rms are left beyond the noise at the best pose of the camera ({})",
+            "hand-eye residual {m} and {rad} rms beyond the noise after the best fit ({}); {}",
             setting(solution),
+            camera(facts, solution),
         ),
         evidence: Evidence { effect_m: Some(closure.excess_m.value), ..Evidence::default() },
-        fix: "check the lens calibration, the target's size, and what may slip; calibrate anew"
-            .to_owned(),
+        fix:
+            "check the lens calibration, the target's size, and what may slip; then calibrate again"
+                .to_owned(),
     }
 }
 
@@ -222,7 +244,7 @@ fn misread(reading: &TargetReading, as_logged: &Solution, thresholds: &FrameThre
         severity: severity.unwrap_or(Severity::Warning),
         cause: Cause::Other,
         title: "target's poses are misread",
-        message: format!("{m} and {rad} rms are left as logged, and it closes if {words}"),
+        message: format!("hand-eye residual {m} and {rad} rms as logged; it closes if {words}"),
         evidence: Evidence { effect_m: Some(closure.rms_m), ..Evidence::default() },
         fix: match reading {
             TargetReading::Stretched(stretch) => stretch_fix(stretch),

@@ -39,7 +39,7 @@ rule! {
         grade: Grade::Fixed(Severity::Warning),
         headline: false,
         needs_model: false,
-        missing: "no target that a camera sees beside a hand's poses",
+        missing: "hand-eye: no camera-to-target poses in this log",
         check: check,
     }
 }
@@ -75,7 +75,10 @@ fn judge(case: &Case, facts: &HandEyeEvidence) -> Judged {
             Unit::Radian.show(diversity.spread_rad),
             match undetermined.as_slice() {
                 [] => String::new(),
-                some => format!("; the target's noise leaves the camera open {}", some.join(", ")),
+                some => format!(
+                    "; with the target's noise the camera cannot be determined {}",
+                    some.join(", ")
+                ),
             }
         )),
     };
@@ -98,14 +101,11 @@ fn fault(diversity: &Diversity, needed: [f64; 2], undetermined: &[String]) -> Fa
         format!("the hand turns by {span} in all, and {least_span} is needed")
     } else {
         let spread = Unit::Radian.show(diversity.spread_rad);
-        format!(
-            "the hand turns by {span}, but about axes within {spread} of one, and {least_spread} is \
-             needed"
-        )
+        format!("all rotations of the hand share one axis (spread {spread}, {least_spread} needed)")
     };
     let limits = match undetermined {
         [] => String::new(),
-        some => format!("; it leaves the camera open {}", some.join(", ")),
+        some => format!("; the camera cannot be determined {}", some.join(", ")),
     };
     Fault {
         cause: Cause::Other,

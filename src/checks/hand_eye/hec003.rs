@@ -38,7 +38,7 @@ rule! {
         grade: Grade::Fixed(Severity::Error),
         headline: false,
         needs_model: false,
-        missing: "no target that a camera sees beside a hand's poses",
+        missing: "hand-eye: no camera-to-target poses in this log",
         check: check,
     }
 }
@@ -106,7 +106,7 @@ fn forward(view: [f64; 3]) -> Option<CameraAxes> {
 /// The axes that a position's are to be read as: `(−y, −z, x)`.
 pub(super) fn axes_words(axes: &[(usize, f64); 3]) -> String {
     let named = axes.map(|(from, sign)| {
-        let sign = if sign < 0.0 { "−" } else { "" };
+        let sign = if sign < 0.0 { "-" } else { "" };
         format!("{sign}{}", ["x", "y", "z"][from % 3])
     });
     format!("read as ({})", named.join(", "))

@@ -195,7 +195,8 @@ fn drifts(imu: &Of<ImuEvidence>, drift: &Measured, severity: Severity) -> Fault 
             effect: Some(format!("{turned} over this run of {seconds:.1} s")),
             ..Evidence::default()
         },
-        fix: "use FK's yaw, or give the filter a heading reference".to_owned(),
+        fix: "take yaw from FK, or enable a magnetometer or another heading aid in the filter"
+            .to_owned(),
     }
 }
 
@@ -207,7 +208,7 @@ fn jumps(jump: &YawJump, severity: Severity) -> Fault {
         title: "IMU yaw jumps",
         message: format!("yaw jumps by {size} against the arm at +{:.2} s", jump.at_s),
         evidence: Evidence::default(),
-        fix: "use FK's yaw, or keep the magnetometer from steel and motors".to_owned(),
+        fix: "take yaw from FK, or keep the magnetometer from steel and motors".to_owned(),
     }
 }
 

@@ -174,14 +174,14 @@ fn sentences(mount: &Rotation, link: &str) -> Vec<String> {
     (0..AXES.len()).map(sentence).collect()
 }
 
-/// Where one axis of the IMU points: `along tool0 −y`, or between the two axes of the link that are
+/// Where one axis of the IMU points: `along tool0 -y`, or between the two axes of the link that are
 /// nearest.
 fn direction(mount: &Rotation, axis: usize, link: &str) -> String {
     let cosines = mount * Vec3::ith(axis, 1.0);
     let mut nearest = [0, 1, 2];
     nearest.sort_by(|&a, &b| cosines[b].abs().total_cmp(&cosines[a].abs()));
     let [first, second, _] = nearest.map(|own| {
-        let sign = if cosines[own] < 0.0 { "−" } else { "" };
+        let sign = if cosines[own] < 0.0 { "-" } else { "" };
         format!("{link} {sign}{}", AXES[own])
     });
     let off_rad = cosines[nearest[0]].abs().min(1.0).acos();
@@ -275,7 +275,7 @@ fn fault(
         severity,
         cause: found.map_or(Cause::Other, Cause::ImuMount),
         title: "IMU mounted otherwise",
-        message: format!("mounted {shown} off the log's frames{permuted}{axes}"),
+        message: format!("mounting differs from the log's frames by {shown}{permuted}{axes}"),
         evidence: Evidence::default(),
         fix: "correct the IMU's static transform, or its driver's axes".to_owned(),
     }
@@ -299,13 +299,13 @@ mod tests {
         assert_eq!(
             quarter,
             [
-                "imu x points along tool0 −y",
+                "imu x points along tool0 -y",
                 "imu y points along tool0 x",
                 "imu z points along tool0 z"
             ]
         );
         let tilted = sentences(&mount([0.0, 32.0, 0.0]), "tool0");
-        assert_eq!(tilted[0], "imu x points between tool0 x and tool0 −z, 32° off the first");
+        assert_eq!(tilted[0], "imu x points between tool0 x and tool0 -z, 32° off the first");
         assert_eq!(tilted[1], "imu y points along tool0 y");
         assert!(sentences(&mount([0.0, 9.0, 0.0]), "tool0")[0].ends_with("along tool0 x"));
     }
@@ -329,7 +329,7 @@ mod tests {
         let (_, findings) = ask(&YAW003, &run);
         assert_eq!(findings[0].severity, Severity::Error);
         let said = &findings[0].message;
-        assert!(said.ends_with("imu x points along tool0 y; y along tool0 −x; z along tool0 z"));
+        assert!(said.ends_with("imu x points along tool0 y; y along tool0 -x; z along tool0 z"));
         run.robots[0].imus[0].diagnosis.mount_rad = Err(Unseen::NoFrame);
         let (rows, _) = ask(&YAW003, &run);
         assert_eq!(rows[0].status, Status::Skipped);

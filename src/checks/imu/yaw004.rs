@@ -14,7 +14,7 @@ rule! {
     /// its norm.
     ///
     /// ## Why it matters
-    /// Whoever integrates it turns away at that rate: 0.1 °/s is 6° after a minute.
+    /// Integrating it drifts the heading at that rate: 0.1 °/s is 6° after a minute.
     ///
     /// ## Evidence
     /// The constant part of (gyro − angular rate by FK), fitted together with the IMU's latency and
@@ -161,7 +161,7 @@ fn fault(bias: &GyroBias, severity: Severity) -> Fault {
     let drift = Unit::RadianPerSecond.show(bias.yaw_rate_rad_s);
     let shown = THRESHOLD.unit.show_measured(&bias.length_rad_s.norm);
     let mut evidence = Evidence {
-        effect: Some(format!("yaw that is integrated from it drifts {drift}")),
+        effect: Some(format!("integrating it drifts yaw by {drift}")),
         ..Evidence::default()
     };
     evidence.more.insert("vector_rad_s".to_owned(), json!(vector));

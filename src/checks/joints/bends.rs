@@ -3,10 +3,10 @@
 
 use crate::checks::decision::{Threshold, decide};
 use crate::checks::frames::THRESHOLDS;
-use crate::checks::{Case, Judged, Rule};
+use crate::checks::{Case, Judged, Rule, changes};
 use crate::diagnosis::{JointBend, Measured};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
-use crate::finding::{Estimate, Fault, Outcome, Severity, Unit};
+use crate::finding::{Estimate, Fault, Outcome, Ruling, Severity, Unit};
 
 /// A way in which joints give, and how its rule words it.
 pub(super) struct Giving {
@@ -48,10 +48,20 @@ impl Giving {
 
     fn judge(&self, rule: &Rule, case: &Case, arm: &ArmEvidence, bend: &JointBend) -> Judged {
         let threshold = case.thresholds.of(rule, self.threshold);
+        let subject = arm.joint(bend.column);
+        if let Some(change) = &bend.change {
+            let (effect_m, _) = effect(arm, bend.column, change.by.value);
+            let title = "a joint gives by another amount from some moment on";
+            let (outcome, estimate) =
+                changes::amount(case, self.name, title, change, &threshold, effect_m);
+            if matches!(outcome, Outcome::Evaluated(Ruling::Faulty(_))) {
+                return Judged::new(subject, outcome).within(arm.span).estimated(estimate);
+            }
+        }
         let size = Measured { value: bend.amount.value.abs(), ..bend.amount };
         let outcome = decide(&size, &threshold, case.evidence.subjects())
             .into_outcome(self.settle, |severity| (self.fault)(arm, bend, severity));
-        Judged::new(arm.joint(bend.column), outcome).within(arm.span).estimated(Estimate::amount(
+        Judged::new(subject, outcome).within(arm.span).estimated(Estimate::amount(
             self.name,
             Unit::Radian,
             &size,

@@ -93,7 +93,8 @@ mod tests {
             [(0.02, Status::Fail), (-0.003, Status::Fail), (0.0012, Status::Pass)]
         {
             let mut run = clean_run();
-            let play = JointBend { column: 1, amount: sure(amount), shape: BendShape::Play };
+            let play =
+                JointBend { column: 1, amount: sure(amount), shape: BendShape::Play, change: None };
             run.robots[0].diagnosis.bends.push(play);
             let (rows, findings) = ask(&MOT006, &run);
             assert_eq!(rows[0].status, status, "{rows:?}");

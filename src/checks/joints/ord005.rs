@@ -60,11 +60,11 @@ fn judge(arm: &ArmEvidence) -> Judged {
                 cause: Cause::JointOrder { is: is.clone(), read_as: names.clone() },
                 title: "joint names and positions in different orders",
                 message: format!(
-                    "{swapped} positions stand under other joints' names, {before} off as logged"
+                    "{swapped} positions are published under other joints' names ({before} error at the tip)"
                 ),
                 evidence: Evidence {
                     effect: Some(format!(
-                        "{after} once paired rightly{}",
+                        "{after} after correction{}",
                         next.unwrap_or_default()
                     )),
                     effect_m: Some(slip.as_logged),

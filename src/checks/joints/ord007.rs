@@ -39,7 +39,7 @@ rule! {
         grade: Grade::Fixed(Severity::Error),
         headline: false,
         needs_model: true,
-        missing: "the model is no DH table",
+        missing: "DH convention: the model is a URDF",
         check: check,
     }
 }

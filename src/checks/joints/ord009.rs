@@ -136,7 +136,7 @@ fn fault(arm: &ArmEvidence, scale: &JointScale, joints: &[JointScale], left: &Un
     let who = if joints.len() > 1 { "all joints: " } else { "" };
     let offset = match scale.offset {
         offset if offset == 0.0 || !scale.is_coded() => String::new(),
-        offset if offset < 0.0 => format!(" − {:.5}", -offset),
+        offset if offset < 0.0 => format!(" - {:.5}", -offset),
         offset => format!(" + {offset:.5}"),
     };
     let (before, after) = (Unit::Metre.show(left.as_logged), Unit::Metre.show(left.corrected));

@@ -1,9 +1,11 @@
 use crate::checks::decision::{DEGREE, Decision, Threshold, decide, unseen};
+use crate::checks::frames::THRESHOLDS;
 use crate::checks::poses::frm001;
+use crate::checks::poses::mdl001::MDL001;
 use crate::checks::twins::{estimate, twin_cause};
 use crate::checks::{Case, Grade, Judged, changes, standing};
 use crate::diagnosis::{FrameEstimate, JointOffset, Measured, Seen, Twin, Unseen};
-use crate::evidence::ArmEvidence;
+use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Witness;
 
@@ -29,6 +31,9 @@ rule! {
     /// Where several causes, or what they leave, may be an inaccurate drawing, the deviations of all
     /// links are estimated beside the zeros: a zero is then named where it stands out of what those make,
     /// and its interval holds them.
+    ///
+    /// Beside an error that nothing explains (MDL001) a zero is named only where it moves the tip by thirty
+    /// times as much, and beside a tracker whose body this motion does not place, not at all.
     ///
     /// `changes` lists when it is another from some moment on, with its amounts before and after;
     /// the amount is then the size of the change (`from`, `to`, `change_ns`).
@@ -108,10 +113,15 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
                 "it rests on a latency that fits at several lags; {SETTLE}"
             ))
         }
-        (Decision::Fail(severity), _) if offset.chosen => match standing::doubt(arm, 0.0) {
-            Some(why) => Outcome::Inconclusive(why),
-            None => Outcome::faulty(fault(case, arm, joint, measured, severity)),
-        },
+        (Decision::Fail(severity), _) if offset.chosen => {
+            match standing::doubt(arm, 0.0)
+                .or_else(|| hidden_tool(arm))
+                .or_else(|| other_model(case, arm, offset))
+            {
+                Some(why) => Outcome::Inconclusive(why),
+                None => Outcome::faulty(fault(case, arm, joint, measured, severity)),
+            }
+        }
         (Decision::Pass, _) => Outcome::sound(),
         (_, Some(twin)) if !offset.chosen => not_told_from(arm, &twin),
         (Decision::Fail(_), _) if arm.poses.iter().any(|s| s.diagnosis.nominal) => {
@@ -130,11 +140,57 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
     Judged::new(subject, outcome).within(arm.span).estimated(estimate(threshold.unit, measured))
 }
 
+/// Why a zero may be what an unknown tool does: an outside witness follows a body of which this motion does
+/// not show where it sits, and more than noise is left.
+fn hidden_tool(arm: &ArmEvidence) -> Option<String> {
+    /// A tool whose place is known no better may be anywhere in the hand, m.
+    const UNKNOWN_M: f64 = 0.01;
+    /// More than this, m, is left of no healthy stream.
+    const LEFT_M: f64 = 0.3e-3;
+    let is_hidden = |stream: &&Of<PoseEvidence>| {
+        let diagnosis = &stream.diagnosis;
+        let is_anywhere =
+            diagnosis.tool.as_ref().is_ok_and(|tool| tool.translation_m.std_error > UNKNOWN_M);
+        let left = diagnosis.residual.as_ref().ok().map(|residual| &residual.excess_m);
+        let is_much = left.is_some_and(|left| left.value - left.half_width(0.95) > LEFT_M);
+        stream.witness != Witness::Controller && is_anywhere && is_much
+    };
+    let stream = arm.poses.iter().find(is_hidden)?;
+    let left = stream.diagnosis.residual.as_ref().ok()?.excess_m.value;
+    Some(format!(
+        "the tool of {} is not observable in this motion, and {} residual is unexplained; {SETTLE}",
+        stream.topic(),
+        Unit::Metre.show(left)
+    ))
+}
+
+/// Why a zero may be what another model does: of a stream more is left than MDL001 allows, and the zero moves
+/// the tip by no more than some multiple of that.
+fn other_model(case: &Case, arm: &ArmEvidence, offset: &JointOffset) -> Option<String> {
+    /// A zero that moves the tip by so many times what is left stands out of what links make.
+    const STANDS_OUT: f64 = 30.0;
+    let limits = case.thresholds.of_frames(&MDL001, THRESHOLDS);
+    let least = |amount: &Measured| amount.value - amount.half_width(0.95);
+    let unexplained = arm.poses.iter().filter(|stream| !stream.diagnosis.nominal);
+    let left = unexplained.filter_map(|stream| stream.diagnosis.residual.as_ref().ok());
+    let much = left.filter(|left| {
+        let is_long = least(&left.excess_m) > limits.length.warning;
+        let is_turned = least(&left.excess_rad) > limits.angle.warning;
+        (is_long || is_turned) && offset.effect_m < STANDS_OUT * left.excess_m.value
+    });
+    let left = much.max_by(|a, b| a.excess_m.value.total_cmp(&b.excess_m.value))?;
+    Some(format!(
+        "{} and {} residual is unexplained beside it (MDL001); use the arm's own calibration, or {SETTLE}",
+        Unit::Metre.show(left.excess_m.value),
+        Unit::Radian.show(left.excess_rad.value)
+    ))
+}
+
 fn not_told_from(arm: &ArmEvidence, twin: &str) -> Outcome {
     match standing::doubt(arm, 0.0) {
         Some(why) => Outcome::Inconclusive(why),
         None => Outcome::Indistinguishable(format!(
-            "it cannot be told from {twin}, which is named instead"
+            "indistinguishable from {twin}, which is named instead"
         )),
     }
 }
@@ -173,19 +229,19 @@ fn fault(
     let witness = arm.witness();
     evidence.more.insert("witness".to_owned(), witness.name().into());
     evidence.more.insert("meaning".to_owned(), meaning(witness).into());
-    let sign = if measured.value < 0.0 { "−" } else { "+" };
+    let sign = if measured.value < 0.0 { "-" } else { "+" };
     let (size, symbol, shown) = (measured.value.abs(), unit.symbol(), unit.show_signed(measured));
     let factor = arm.scale(joint).map_or(String::new(), |s| format!("{:.5} · ", s.factor.value));
     let (message, fix) = match witness {
         Witness::Controller => (
-            format!("this model or these joint states differ from the controller's by {shown}"),
+            format!("zero offset {shown} (controller's poses against FK of the joint states)"),
             format!(
-                "audit with the controller's model and calibration; by its poses \
+                "first audit with the robot's own calibration (--calibration FILE); if it stays, \
                  q = {factor}q_reported {sign} {size:.5} {symbol}"
             ),
         ),
         Witness::External | Witness::Unknown => (
-            format!("zero off by {shown}"),
+            format!("zero offset {shown}"),
             format!("q_true = {factor}q_reported {sign} {size:.5} {symbol}, or re-home the joint"),
         ),
     };
@@ -197,7 +253,7 @@ fn fault(
 fn meaning(witness: Witness) -> &'static str {
     match witness {
         Witness::Controller => {
-            "a physical zero error cannot show in this log: a tracker, camera or IMU would show it"
+            "the controller's poses use the same encoders, so that a mechanical zero error is invisible here: check with a tracker, a camera or an IMU"
         }
         Witness::External => "an outside witness saw it: the joint itself is off, or the model",
         Witness::Unknown => {
@@ -241,8 +297,8 @@ mod tests {
         let (_, findings) = ask(&ZER001, &run);
         let [finding] = findings.as_slice() else { panic!("{findings:?}") };
         assert_eq!(finding.subject.joint.as_deref(), Some("pan"));
-        assert_eq!(finding.message, "zero off by -0.573 ± 0.001°");
-        assert_eq!(finding.fix, "q_true = q_reported − 0.01000 rad, or re-home the joint");
+        assert_eq!(finding.message, "zero offset -0.573 ± 0.001°");
+        assert_eq!(finding.fix, "q_true = q_reported - 0.01000 rad, or re-home the joint");
         let twins = finding.evidence.indistinguishable.iter().map(|twin| twin.code);
         assert_eq!(twins.collect::<Vec<_>>(), ["FRM002"]);
         assert_eq!(finding.evidence.more["inherited_by"], serde_json::json!([TF]));
@@ -261,10 +317,13 @@ mod tests {
             (finding.message, finding.evidence.more["meaning"].as_str().unwrap().to_owned())
         };
         let (message, meaning) = said(Witness::Controller);
-        assert!(message.contains("differ from the controller's by -0.573"), "{message}");
-        assert!(meaning.contains("physical zero error cannot show"), "{meaning}");
+        assert!(message.contains("zero offset -0.573"), "{message}");
+        assert!(meaning.contains("mechanical zero error is invisible"), "{meaning}");
         let (message, meaning) = said(Witness::External);
-        assert!(message.starts_with("zero off") && meaning.contains("joint itself"), "{meaning}");
+        assert!(
+            message.starts_with("zero offset") && meaning.contains("joint itself"),
+            "{meaning}"
+        );
         let (_, meaning) = said(Witness::Unknown);
         assert!(meaning.contains("controller's own") && meaning.contains("tracker"), "{meaning}");
     }
@@ -275,6 +334,30 @@ mod tests {
         run.robots[0].diagnosis.offsets[0].offset = Ok(sure(-0.01));
         let (rows, findings) = ask(&ZER001, &run);
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
+    }
+
+    #[test]
+    fn beside_what_is_unexplained_a_zero_that_an_unknown_tool_or_model_may_make_is_open() {
+        let status = |tool_error_m: f64, left_m: f64, effect_m: f64| {
+            let mut run = clean_run();
+            let arm = &mut run.robots[0];
+            let pan = &mut arm.diagnosis.offsets[0];
+            (pan.offset, pan.chosen, pan.effect_m) = (Ok(sure(-0.01)), true, effect_m);
+            arm.poses[0].witness = Witness::External;
+            let stream = &mut arm.poses[0].diagnosis;
+            let mut tool = frame(0.0);
+            tool.translation_m.std_error = tool_error_m;
+            stream.tool = Ok(tool);
+            stream.residual.as_mut().expect("a residual").excess_m = sure(left_m);
+            ask(&ZER001, &run).0[0].status
+        };
+        assert_eq!(status(1e-4, 0.0, 0.01), Status::Fail);
+        // Where the tool sits is not known.
+        assert_eq!(status(1.0, 0.0, 0.01), Status::Fail);
+        assert_eq!(status(1.0, 0.8e-3, 0.01), Status::Inconclusive);
+        // More is left than MDL001 allows.
+        assert_eq!(status(1e-4, 2e-3, 0.01), Status::Inconclusive);
+        assert_eq!(status(1e-4, 2e-3, 0.2), Status::Fail);
     }
 
     #[test]

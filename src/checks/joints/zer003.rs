@@ -23,14 +23,17 @@ rule! {
     /// middle between joints and to go down outwards, at the ratio that fits best; only their ratios
     /// matter. It is named where far less is left with it. Zeros are then judged with the sag taken off.
     ///
+    /// A load that is taken up or put down in mid-run makes the sag another from then on: the amount is then
+    /// the size of the change (`from`, `to`, `change_ns`).
+    ///
     /// ## How to fix
     /// Tell the controller the payload and its centre of mass; where it has a compliance of its joints,
     /// enter that. Else correct targets by the sag of their posture.
     ///
     /// ## When it misleads
     /// An arm on a wall or a ceiling whose base frame is not upright has gravity elsewhere. In few postures
-    /// sag cannot be told from a zero. A base that tilts under the arm does nearly the same. A load that is
-    /// taken up in mid-run makes the sag another.
+    /// sag cannot be told from a zero. A base that tilts under the arm does nearly the same. Of two changes
+    /// of the load in one run neither is told.
     ZER003 {
         name: "sag",
         grade: Grade::From(&[THRESHOLD]),

@@ -1,8 +1,10 @@
 use std::collections::BTreeSet;
 
+use serde_json::json;
+
 use crate::checks::decision::{Decision, Threshold, decide, unseen};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{Measured, Seen};
+use crate::diagnosis::{Measured, Seen, SkewedDelays};
 use crate::evidence::{ArmEvidence, HandEyeEvidence, Of};
 use crate::finding::{
     Alternative, Cause, Estimate, Evidence, Fault, Outcome, Ruling, Severity, Subject, Unit,
@@ -33,9 +35,11 @@ rule! {
     ///
     /// ## When it misleads
     /// Motion that repeats itself fits at several lags, an arm at rest and a target that is seen at rest
-    /// only (stop and go) fit any lag; these are inconclusive and not guessed. A filter on the stream is a latency too. /tf of a
+    /// only (stop and go) fit any lag; these are inconclusive and not guessed. A filter on the stream is a latency too.
+    /// Delays that scatter to one side, as a transport's, have no one latency: the amount is then their
+    /// median, and `delays` has the mean, too. /tf of a
     /// robot_state_publisher copies the joint states' stamps, so it is no witness on whether they
-    /// are late. A stream on another clock (TIM003) is aligned by minimum delay first: then a
+    /// are late. Stamps that are cut to the tick of a coarse clock are early by half of it, which is said. A stream on another clock (TIM003) is aligned by minimum delay first: then a
     /// latency as large as the transport's delay cannot be seen.
     LAT001 {
         name: "latency",
@@ -58,6 +62,8 @@ struct Late<'a> {
     /// Whether its stamps are its own.
     independent: bool,
     latency: &'a Seen<Measured>,
+    /// Its delays where they are skewed: the latency is then their median.
+    delays: Option<&'a SkewedDelays>,
 }
 
 fn check(case: &Case) -> Vec<Judged> {
@@ -91,10 +97,12 @@ fn name_once(rows: &mut [Judged], apart_s: f64) {
 fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     let poses = arm.poses_and_tf().map(|stream| {
         let latency = &stream.diagnosis.latency_s;
-        stream.with(Late { independent: stream.independent, latency })
+        let delays = stream.diagnosis.delays.as_ref();
+        stream.with(Late { independent: stream.independent, latency, delays })
     });
     let imus = arm.imus.iter().map(|imu| {
-        imu.with(Late { independent: imu.independent, latency: &imu.diagnosis.latency_s })
+        let latency = &imu.diagnosis.latency_s;
+        imu.with(Late { independent: imu.independent, latency, delays: None })
     });
     let is_of_arm = |target: &&HandEyeEvidence| {
         target.hand_is_of_joints && target.robot.as_ref() == Some(&arm.name)
@@ -102,7 +110,7 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     let targets = case.evidence.hand_eyes.iter().filter(is_of_arm).map(|target| Of {
         subject: target.subject(),
         span: target.span,
-        found: Late { independent: true, latency: &target.diagnosis.latency_s },
+        found: Late { independent: true, latency: &target.diagnosis.latency_s, delays: None },
     });
     let streams: Vec<Of<Late>> = poses.chain(imus).chain(targets).collect();
     match joints_lateness(case, &streams) {
@@ -220,7 +228,7 @@ fn joints_late(
 
 /// A stream beside joint states that were found late: it is not to blame for that.
 fn beside_late_joints(case: &Case, arm: &ArmEvidence, stream: &Of<Late>) -> Judged {
-    let remark = format!("what it is off by is {}'s", arm.joints_topic);
+    let remark = format!("its apparent latency is explained by {}", arm.joints_topic);
     let outcome = match stream.latency {
         Ok(_) if stream.independent => Outcome::sound_because(remark),
         _ => return judge_stream(case, arm, stream, &[]),
@@ -252,7 +260,9 @@ fn judge_stream(case: &Case, arm: &ArmEvidence, stream: &Of<Late>, streams: &[Of
                     severity,
                     cause: Cause::Latency(*latency),
                     title: if latency.value > 0.0 { "stream is late" } else { "stream is early" },
-                    message: message(arm, latency),
+                    message: message(arm, latency)
+                        + &of_tick(case, arm, stream, latency)
+                        + &in_the_mean(stream),
                     evidence: Evidence {
                         indistinguishable,
                         effect,
@@ -260,14 +270,22 @@ fn judge_stream(case: &Case, arm: &ArmEvidence, stream: &Of<Late>, streams: &[Of
                         ..Evidence::default()
                     },
                     fix: format!(
-                        "stamp it when it is sampled, or shift {} by {}",
+                        "stamp at acquisition, not at publishing; or shift {} by {}",
                         stream.topic(),
                         shift(latency)
                     ),
                 })
             }
         };
-    stream.judged(outcome).estimated(Estimate::amount("latency", THRESHOLD.unit, latency))
+    let judged = stream.judged(outcome);
+    let judged = judged.estimated(Estimate::amount("latency", THRESHOLD.unit, latency));
+    match stream.delays {
+        Some(delays) => judged.with_evidence(
+            "delays",
+            json!({ "median_s": delays.median_s.value, "mean_s": delays.mean_s.value }),
+        ),
+        None => judged,
+    }
 }
 
 fn message(arm: &ArmEvidence, latency: &Measured) -> String {
@@ -276,9 +294,42 @@ fn message(arm: &ArmEvidence, latency: &Measured) -> String {
     format!("{} {side} against {}", THRESHOLD.unit.show_measured(&size), arm.joints_topic)
 }
 
+/// What is to be said of a latency that is the median of skewed delays.
+fn in_the_mean(stream: &Of<Late>) -> String {
+    let mean = |delays: &SkewedDelays| {
+        let mean = Measured { value: delays.mean_s.value.abs(), ..delays.mean_s };
+        let side = if delays.mean_s.value > 0.0 { "late" } else { "early" };
+        format!(
+            ", which is the median; its delays are skewed, {} {side} in the mean",
+            THRESHOLD.unit.show_measured(&mean)
+        )
+    };
+    stream.delays.map(mean).unwrap_or_default()
+}
+
+/// What is to be said of a latency that is no other than half the tick of a coarse clock to which stamps
+/// are cut: those of the stream, which is early by it then, or of the joint states.
+fn of_tick(case: &Case, arm: &ArmEvidence, stream: &Of<Late>, latency: &Measured) -> String {
+    /// What the latency may be beside it, in ticks.
+    const NEAR: f64 = 0.1;
+    let tick_s = |topic: &str| {
+        let own = case.evidence.rhythms.iter().filter(|rhythm| rhythm.topic() == topic);
+        own.into_iter().flat_map(|rhythm| &rhythm.parts).find_map(|part| part.tick_s)
+    };
+    let is_half = |tick_s: f64, side: f64| {
+        (latency.value - 0.5 * side * tick_s).abs() < NEAR * tick_s + 2.0 * latency.std_error
+    };
+    let cut = |topic: &str, side: f64| {
+        let tick_s = tick_s(topic).filter(|tick_s| is_half(*tick_s, side))?;
+        let tick = THRESHOLD.unit.show(tick_s);
+        Some(format!(": half the tick of {tick} that the stamps of {topic} are cut to"))
+    };
+    cut(stream.topic(), -1.0).or_else(|| cut(&arm.joints_topic, 1.0)).unwrap_or_default()
+}
+
 /// The shift that takes `latency` off, with its sign.
 fn shift(latency: &Measured) -> String {
-    let sign = if latency.value > 0.0 { "−" } else { "+" };
+    let sign = if latency.value > 0.0 { "-" } else { "+" };
     format!("{sign}{}", THRESHOLD.unit.show(latency.value.abs()))
 }
 
@@ -309,7 +360,7 @@ mod tests {
 
     fn stream<'a>(topic: &str, independent: bool, latency: &'a Seen<Measured>) -> Of<Late<'a>> {
         let subject = clean_run().robots[0].topic(topic);
-        Of { subject, span: None, found: Late { independent, latency } }
+        Of { subject, span: None, found: Late { independent, latency, delays: None } }
     }
 
     fn lateness(latencies: &[(bool, Seen<Measured>)]) -> Option<f64> {

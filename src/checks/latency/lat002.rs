@@ -108,7 +108,8 @@ fn fault(
             effect_m: Some(moved_s * arm.top_speed_m_s()),
             ..Evidence::default()
         },
-        fix: "discipline the two clocks (NTP, PTP), or stamp both streams on one host".to_owned(),
+        fix: "synchronise the two clocks (chrony, PTP), or stamp both streams on one host"
+            .to_owned(),
     }
 }
 

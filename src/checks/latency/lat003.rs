@@ -2,12 +2,12 @@ use serde_json::{Value, json};
 
 use crate::checks::decision::{Decision, Threshold, decide, unseen};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{LatencyCourse, LatencyJump, Seen};
+use crate::diagnosis::{LatencyCourse, LatencyJump, LatencyShape, Measured, Seen};
 use crate::evidence::{ArmEvidence, Of};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
-    /// The latency of a stream jumps or wanders within the run.
+    /// The latency of a stream jitters or drifts within the run.
     ///
     /// ## What it means
     /// The stream is not late by one amount: from some moment on it is later or earlier than before,
@@ -16,15 +16,19 @@ rule! {
     ///
     /// ## Why it matters
     /// No single number takes such a latency off: what was calibrated in the morning is wrong after
-    /// the jump, and poses scatter by speed times jump.
+    /// the jump, and poses scatter by speed times jump. A latency that goes with the load is worst where
+    /// the arm is fastest.
     ///
     /// ## Evidence
     /// Steps of more than a few hundredths of a second first, by which lag the stream's speed follows the
     /// arm's at which time; then the latency in windows of a second, from how the stream lies behind forward kinematics along
-    /// the motion; of an IMU by its orientation, or where it has none by its gyro. The estimate is the largest jump (positive where the stream is later from then
-    /// on), or from least to most where it wanders; `jumps` says when each was. The other rules judge
-    /// the stream with this taken off, at the latency that it has longest, or of large steps at the
-    /// least.
+    /// the motion; of an IMU by its orientation, or where it has none by its gyro. `kind` says what it is:
+    /// `step` (the estimate is the largest jump, positive where the stream is later from then on, and
+    /// `jumps` says when each was), `ramp` (from one level to another, with the sign; `ramp` says from when
+    /// to when), `load` (it grows with the speed of the joints or of the tool; the estimate is from the
+    /// least speed of the run to the highest) or `wander` (from least to most). One step and a ramp have
+    /// `from` and `to`. The other rules judge the stream with this taken off, at the latency that it has
+    /// longest, or of large steps at the least.
     ///
     /// ## How to fix
     /// Stamp a sample when it is taken. Slew clocks instead of setting them, and look at what began
@@ -55,6 +59,8 @@ struct Course<'a> {
     /// Whether its stamps are its own.
     independent: bool,
     course: &'a Seen<LatencyCourse>,
+    /// The latency with the course taken off.
+    latency: Option<&'a Measured>,
 }
 
 fn check(case: &Case) -> Vec<Judged> {
@@ -64,11 +70,13 @@ fn check(case: &Case) -> Vec<Judged> {
 fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     let poses = arm.poses_and_tf().map(|stream| {
         let course = &stream.diagnosis.course;
-        stream.with(Course { independent: stream.independent, course })
+        let latency = stream.diagnosis.latency_s.as_ref().ok();
+        stream.with(Course { independent: stream.independent, course, latency })
     });
     let imus = arm.imus.iter().map(|imu| {
         let course = &imu.diagnosis.latency_course;
-        imu.with(Course { independent: imu.independent, course })
+        let latency = imu.diagnosis.latency_s.as_ref().ok();
+        imu.with(Course { independent: imu.independent, course, latency })
     });
     let streams: Vec<Of<Course>> = poses.chain(imus).collect();
     let Some(course) = joints_course(case, &streams) else {
@@ -77,11 +85,11 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     let beside = |stream: &Of<Course>| match stream.course {
         Ok(course) if stream.independent => {
             let remark = format!("what it jumps by is {}'s", arm.joints_topic);
-            stream.judged(Outcome::sound_because(remark)).estimated(estimate(course))
+            stream.judged(Outcome::sound_because(remark)).estimated(estimate(case, course, None))
         }
         _ => judge(case, arm, stream),
     };
-    let found = Course { independent: true, course: &Ok(course) };
+    let found = Course { independent: true, course: &Ok(course), latency: None };
     let joints = Of { subject: arm.topic(&arm.joints_topic), span: Some(arm.span), found };
     std::iter::once(judge(case, arm, &joints)).chain(streams.iter().map(beside)).collect()
 }
@@ -124,15 +132,47 @@ fn joints_course(case: &Case, streams: &[Of<Course>]) -> Option<LatencyCourse> {
     shared.then(|| LatencyCourse {
         swing_s: surest.swing_s.scaled(-1.0),
         is_unsteady: true,
+        shape: LatencyShape::Steps,
         jumps: surest.jumps.iter().map(turned).collect(),
         levels: surest.levels.iter().map(|&(at_s, level_s)| (at_s, -level_s)).collect(),
         windows: surest.windows.iter().map(|&(t_s, one)| (t_s, one.scaled(-1.0))).collect(),
     })
 }
 
-fn estimate(course: &LatencyCourse) -> Estimate {
-    let name = if course.jumps.is_empty() { "latency swing" } else { "latency jump" };
-    Estimate::amount(name, THRESHOLD.unit, &course.swing_s)
+fn estimate(case: &Case, course: &LatencyCourse, latency: Option<&Measured>) -> Estimate {
+    let name = match course.shape {
+        LatencyShape::Steps => "latency jump",
+        LatencyShape::Ramp { .. } => "latency ramp",
+        LatencyShape::WithLoad => "latency with load",
+        LatencyShape::Steady | LatencyShape::Wander => "latency swing",
+    };
+    let estimate = Estimate::amount(name, THRESHOLD.unit, &course.swing_s);
+    match ends(course, latency) {
+        Some((from, to, [begin_s, end_s])) => {
+            let at = |at_s: f64| case.evidence.origin.shifted(at_s);
+            let change_ci95_ns = (begin_s < end_s).then(|| [at(begin_s), at(end_s)]);
+            estimate.changing(Change { from, to, change_ns: at(begin_s), change_ci95_ns })
+        }
+        None => estimate,
+    }
+}
+
+/// The latency before and after its one step or its ramp, s, and from when to when that is, s from the run's
+/// origin.
+fn ends(course: &LatencyCourse, latency: Option<&Measured>) -> Option<(f64, f64, [f64; 2])> {
+    let latency_s = latency?.value;
+    let level = |level: Option<&(f64, f64)>| Some(latency_s + level?.1);
+    match (course.shape, course.jumps.as_slice()) {
+        (LatencyShape::Steps, [jump]) => {
+            let ends = (level(course.levels.first())?, level(course.levels.last())?);
+            Some((ends.0, ends.1, [jump.at_s; 2]))
+        }
+        (LatencyShape::Ramp { from_s, to_s }, _) => {
+            let at = |t_s: f64| level(course.levels.iter().find(|(at_s, _)| *at_s == t_s));
+            Some((at(from_s)?, at(to_s)?, [from_s, to_s]))
+        }
+        _ => None,
+    }
 }
 
 fn judge(case: &Case, arm: &ArmEvidence, stream: &Of<Course>) -> Judged {
@@ -147,36 +187,71 @@ fn judge(case: &Case, arm: &ArmEvidence, stream: &Of<Course>) -> Judged {
     ) {
         Decision::Pass => Outcome::sound(),
         Decision::Fail(severity) if course.is_unsteady => {
-            Outcome::faulty(fault(case, arm, course, severity))
+            Outcome::faulty(fault(case, arm, course, stream.latency, severity))
         }
         Decision::Fail(_) => {
             let shown = THRESHOLD.unit.show(course.swing_s.value);
-            Outcome::Inconclusive(format!("it scatters by {shown}, as noise would; {SETTLE}"))
+            Outcome::Inconclusive(format!("{shown} scatter, within the noise; {SETTLE}"))
         }
         Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
     };
-    stream.judged(outcome).estimated(estimate(course))
+    stream.judged(outcome).estimated(estimate(case, course, stream.latency))
 }
 
-fn fault(case: &Case, arm: &ArmEvidence, course: &LatencyCourse, severity: Severity) -> Fault {
+fn fault(
+    case: &Case,
+    arm: &ArmEvidence,
+    course: &LatencyCourse,
+    latency: Option<&Measured>,
+    severity: Severity,
+) -> Fault {
     let swing = &course.swing_s;
     let at = |at_s: f64| case.evidence.moment(case.evidence.origin.shifted(at_s));
-    let (title, message) = match course.jumps.as_slice() {
-        [] => (
-            "latency wanders",
-            format!("latency wanders by {} within the run", THRESHOLD.unit.show_measured(swing)),
-        ),
-        [jump] => (
+    let show = |value: f64| THRESHOLD.unit.show(value);
+    let from_to = ends(course, latency)
+        .map(|(from, to, _)| format!(", from {} to {}", show(from), show(to)))
+        .unwrap_or_default();
+    let (kind, title, message) = match (course.shape, course.jumps.as_slice()) {
+        (_, [jump]) => (
+            "step",
             "latency jumps",
-            format!("latency jumps by {} at {}", THRESHOLD.unit.show_signed(swing), at(jump.at_s)),
+            format!(
+                "latency jumps by {} at {}{from_to}",
+                THRESHOLD.unit.show_signed(swing),
+                at(jump.at_s)
+            ),
         ),
-        jumps => (
+        (_, jumps @ [_, _, ..]) => (
+            "step",
             "latency jumps",
             format!(
                 "latency jumps {} times, by {} at most",
                 jumps.len(),
                 THRESHOLD.unit.show_signed(swing)
             ),
+        ),
+        (LatencyShape::Ramp { from_s, to_s }, _) => (
+            "ramp",
+            "latency drifts to another level",
+            format!(
+                "latency drifts by {} between {} and {}{from_to}",
+                THRESHOLD.unit.show_signed(swing),
+                at(from_s),
+                at(to_s)
+            ),
+        ),
+        (LatencyShape::WithLoad, _) => (
+            "load",
+            "latency goes with the load",
+            format!(
+                "latency goes with the speed of the arm: it is {} later at the highest than at the lowest",
+                THRESHOLD.unit.show_measured(swing)
+            ),
+        ),
+        _ => (
+            "wander",
+            "latency wanders",
+            format!("latency wanders by {} within the run", THRESHOLD.unit.show_measured(swing)),
         ),
     };
     let listed: Vec<Value> = course
@@ -193,14 +268,27 @@ fn fault(case: &Case, arm: &ArmEvidence, course: &LatencyCourse, severity: Sever
         effect_m: Some(effect_m),
         ..Evidence::default()
     };
+    evidence.more.insert("kind".to_owned(), kind.into());
     evidence.more.insert("jumps".to_owned(), listed.into());
+    if let LatencyShape::Ramp { from_s, to_s } = course.shape {
+        let [from_ns, to_ns] = [from_s, to_s].map(|at_s| case.evidence.origin.shifted(at_s));
+        let ramp = json!({ "from_ns": from_ns.to_string(), "to_ns": to_ns.to_string() });
+        evidence.more.insert("ramp".to_owned(), ramp);
+    }
     Fault {
         cause: Cause::UnsteadyLatency,
         severity,
         title,
         message,
         evidence,
-        fix: "stamp a sample when it is taken, and slew clocks instead of setting them".to_owned(),
+        fix: match course.shape {
+            LatencyShape::WithLoad => {
+                "look at what computes, queues or filters more the faster the arm moves, and stamp a \
+                 sample when it is taken"
+            }
+            _ => "stamp a sample when it is taken, and slew clocks instead of setting them",
+        }
+        .to_owned(),
     }
 }
 

@@ -6,7 +6,7 @@ use crate::evidence::{ArmEvidence, Of, ShakeEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
-    /// The tool shakes at frequencies at which arms do not work.
+    /// Tool vibration above the band of the motion.
     ///
     /// ## What it means
     /// Above 10 Hz the path of the tool, by forward kinematics of the joint states or as a pose
@@ -31,7 +31,8 @@ rule! {
     ///
     /// ## When it misleads
     /// Less than 25 samples a second show nothing of it, and what shakes faster than half the rate
-    /// shows at another frequency. Tools that vibrate by design, such as a sander, do so. A stop hard
+    /// shows at another frequency. Steps of coarse encoders (10 bits are 6 mrad) hide what is below one and
+    /// a half times what they move the tip by. Tools that vibrate by design, such as a sander, do so. A stop hard
     /// enough for MOT002 shakes for a moment, which is less than is looked at. A single step of the
     /// path, as of a tool that slips, is taken off, and where the latency jumps (LAT003) nothing is
     /// looked at.
@@ -100,16 +101,16 @@ fn fault(case: &Case, stream: &Of<ShakeEvidence>, found: &Shake, severity: Sever
     Fault {
         cause: Cause::Other,
         severity,
-        title: "the tool shakes",
+        title: "tool vibration",
         message: format!(
-            "the tool shakes by {} rms above {:.0} Hz, most at {:.0} Hz, at {}",
+            "tool vibration {} rms above {:.0} Hz, peak at {:.0} Hz, at {}",
             THRESHOLD.unit.show(found.rms_m),
             found.from_hz,
             found.frequency_hz,
             case.evidence.moment(case.evidence.origin.shifted(found.at_s)),
         ),
         evidence: Evidence { effect_m: Some(found.rms_m), ..Evidence::default() },
-        fix: format!("look for a dead band, a loose joint or a gain too high: {}", stream.topic()),
+        fix: format!("check servo dead band, loose joints and gains; seen in {}", stream.topic()),
     }
 }
 

@@ -90,10 +90,12 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
         Outcome::Inconclusive(format!("{seen}, but {noise}; {SETTLE}"))
     } else if resolved > limit {
         let hidden = match resolved.is_finite() {
-            true => format!("a stop within 0.1 s shows from {resolved:.0} {unit} on"),
+            true => format!(
+                "sampling is too coarse: only accelerations above {resolved:.0} {unit} would show"
+            ),
             false => "its samples are too far apart to show a stop within 0.1 s".to_owned(),
         };
-        Outcome::Inconclusive(format!("{hidden}, and {limit} {unit} is needed; {SETTLE}"))
+        Outcome::Inconclusive(format!("{hidden} (limit {limit} {unit}); {SETTLE}"))
     } else {
         Outcome::sound()
     };
@@ -145,7 +147,7 @@ fn fault(case: &Case, found: &Abruptness, limit: f64, unit: &str) -> Fault {
         severity: Severity::Warning,
         title: "abrupt stop or start",
         message: format!(
-            "it accelerates by {:.0} {unit} at {}, over {}, beyond {limit} {unit}",
+            "abrupt stop or start: {:.0} {unit} at {}, over {} (limit {limit} {unit})",
             found.acceleration,
             case.evidence.moment(case.evidence.origin.shifted(found.at_s)),
             Unit::Second.show(found.window_s),

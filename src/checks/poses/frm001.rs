@@ -14,8 +14,8 @@ rule! {
     /// LAT001).
     ///
     /// ## Why it matters
-    /// Everything that asks tf2 (planning, sensors, visualisation) lives in another robot than
-    /// everything that computes kinematics itself.
+    /// Everything that asks tf2 (planning, sensors, visualisation) uses other kinematics than nodes that
+    /// compute FK themselves.
     ///
     /// ## Evidence
     /// The constant offset where there is one, else the rms that is left beyond the noise.
@@ -117,7 +117,7 @@ fn outcome(found: Disagreement) -> Outcome {
         (Unit::Metre.show(found.length.value), Unit::Radian.show(found.angle.value));
     let severity = match found.decision {
         Decision::Pass => {
-            return Outcome::sound_because(format!("it agrees with FK ({length}, {angle})"));
+            return Outcome::sound_because(format!("matches FK ({length}, {angle})"));
         }
         Decision::Undecided(why) => return Outcome::Inconclusive(format!("{why}; {SETTLE}")),
         Decision::Fail(severity) => severity,

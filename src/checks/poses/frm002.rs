@@ -3,7 +3,7 @@ use crate::checks::frames::{self, End, THRESHOLDS, show, show_pose};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{FrameEstimate, Twin};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
-use crate::finding::{Cause, Evidence, Fault, Severity};
+use crate::finding::{Cause, Change, Evidence, Fault, Outcome, Ruling, Severity};
 use crate::geometry::{Pose, rotvec_from_rotation};
 
 rule! {
@@ -22,6 +22,9 @@ rule! {
     /// `pose` is `reference_from_stream`: apply it to a logged pose to have it in the frame that
     /// the log names. The amount is the norm of its translation; the angle stands in `rotation`.
     /// The test is joint on all six numbers.
+    ///
+    /// Where `frame_id` changes in mid-run and the poses are right under one name and not under the other,
+    /// the amount has `from`, `to` and `change_ns`, too.
     ///
     /// `changes` lists when it is another from some moment on, with its amounts before and after;
     /// the amount is then the size of the change (`from`, `to`, `change_ns`).
@@ -59,7 +62,44 @@ fn check(case: &Case) -> Vec<Judged> {
         is_twin: |twin, index| matches!(twin, Twin::Reference(stream, _) if *stream == index),
         fault,
     };
-    frames::judge(case, &reference)
+    frames::judge(case, &reference).into_iter().map(|judged| since_label(case, judged)).collect()
+}
+
+/// Says of poses that are off in the frame that their frame_id names for a part of the run when that part
+/// begins or ends, where under the frame_id of the other part they are right.
+fn since_label(case: &Case, mut judged: Judged) -> Judged {
+    let Outcome::Evaluated(Ruling::Faulty(fault)) = &mut judged.outcome else { return judged };
+    let subject = &judged.subject;
+    let arm = case.evidence.robots.iter().find(|arm| subject.robot.as_ref() == Some(&arm.name));
+    let parts = || {
+        let poses = arm.into_iter().flat_map(|arm| &arm.poses);
+        poses.filter(|stream| subject.topic.as_deref() == Some(stream.topic()))
+    };
+    let is_right = |stream: &Of<PoseEvidence>| {
+        let reference = &stream.diagnosis.reference;
+        stream.reference_known && reference.as_ref().is_ok_and(|frame| !frame.chosen)
+    };
+    let other =
+        parts().find(|other| Some(&other.reference) != subject.frame.as_ref() && is_right(other));
+    let spans = judged.span.zip(other.and_then(|other| other.span));
+    let (Some((own, its)), Some(other)) = (spans, other) else { return judged };
+    let (value, at) = match &judged.estimate {
+        Some(estimate) if its.end <= own.start => (estimate.value(), own.start),
+        Some(estimate) if own.end <= its.start => (estimate.value(), its.start),
+        _ => return judged,
+    };
+    let is_after = at == own.start;
+    let moment = case.evidence.moment(at);
+    let when = if is_after { format!("from {moment} on") } else { format!("until {moment}") };
+    let named = subject.frame.as_deref().unwrap_or_default();
+    fault.title = "reference frame is off for a part of the run";
+    fault.message =
+        format!("{when}, where frame_id is {named} and not {}: {}", other.reference, fault.message);
+    let value = value.unwrap_or(0.0);
+    let (from, to) = if is_after { (0.0, value) } else { (value, 0.0) };
+    let change = Change { from, to, change_ns: at, change_ci95_ns: None };
+    judged.estimate = judged.estimate.map(|estimate| estimate.changing(change));
+    judged
 }
 
 fn fault(

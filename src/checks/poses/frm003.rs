@@ -156,7 +156,9 @@ fn fault(
             effect_m: Some(frame.translation_m.value),
             ..Evidence::default()
         },
-        fix: format!("set the active TCP, or the tip, so that {tip}_from_stream is not {pose}"),
+        fix: format!(
+            "add a frame at {tip} + {pose} to the model and pass it as --tip, or set the controller's TCP to zero"
+        ),
     }
 }
 

@@ -31,8 +31,8 @@ rule! {
     /// value that its gyro never passes while the arm does (`gyro saturation`).
     ///
     /// ## Why it matters
-    /// A run passes only where this rule passes on every stream. It bounds what any correction of the
-    /// named causes can reach, and it is the warning that the description may be of another arm.
+    /// A run passes only where this rule passes on every stream. It is the best accuracy that correcting
+    /// the other findings can reach, and the warning that the description may be of another arm.
     ///
     /// ## Evidence
     /// `value` is the rms of position beyond the sample-to-sample noise, `rotation` that of
@@ -275,11 +275,12 @@ fn where_left(case: &Case, left: &Left) -> String {
 fn why_open(case: &Case, left: &Left, open: &[&str]) -> String {
     let (off, most) = (sizes(&left.error), where_left(case, left));
     let why = match (open, left.error.length.whole.noise) {
-        ([], Some(noise)) => format!(
+        ([], Some(noise)) if !left.is_beyond_noise() => format!(
             "no finding accounts for that, and it is not surely more than {} that differ from sample \
              to sample",
             Unit::Metre.show(noise.rms)
         ),
+        ([], Some(_)) => "no finding accounts for that".to_owned(),
         ([], None) => "no finding accounts for that, and samples this far apart do not tell its \
                        noise"
             .to_owned(),
@@ -321,7 +322,7 @@ fn nominal(error: &Error, link_m: Option<f64>) -> Fault {
         severity: Severity::Info,
         title: "nominal kinematics",
         message: format!(
-            "{} rms are left, as of a drawing against a calibrated arm{by}",
+            "residual {} rms, as of a nominal model against a calibrated arm{by}",
             sizes(error)
         ),
         evidence: Evidence {
@@ -345,12 +346,12 @@ fn unexplained(case: &Case, held: &Held, all: &[Held], left: &Left) -> Fault {
     };
     let shared = match sharing.as_slice() {
         [] => String::new(),
-        sharing => format!(", and so are they of {}", sharing.join(", ")),
+        sharing => format!(", and the same of {}", sharing.join(", ")),
     };
     evidence.more.insert("shared_by".to_owned(), sharing.into());
-    let said = format!("{} rms are left{shared}", sizes(&left.error));
+    let said = format!("unexplained residual {} rms{shared}", sizes(&left.error));
     let goes_with = &held.goes_with;
-    let message = format!("{said} when all that was found is taken off{goes_with}");
+    let message = format!("{said} after all other findings are corrected{goes_with}");
     let fix = "use the arm's calibrated description, or see whether it is the right one; where it \
                begins at some time, see what happened to the tool, the frames or the joints then"
         .to_owned();
@@ -456,8 +457,8 @@ fn wrong_model(case: &Case, arm: &ArmEvidence, wrong: &WrongModel) -> Outcome {
             .unwrap_or(Severity::Warning),
         title: "wrong robot model",
         message: format!(
-            "this log is of a {is}, which fits to {fits} {with}, {named}, which \
-             leaves {off}"
+            "wrong robot model: this log is of a {is} ({fits} {with}), {named} \
+             ({off})"
         ),
         evidence,
         fix: format!("audit with --robot {is}: everything else here is judged with it"),

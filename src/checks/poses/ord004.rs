@@ -6,7 +6,7 @@ use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subjec
 use crate::geometry::{AngleUnit, Slip};
 
 rule! {
-    /// Degrees stand where radians belong, or the other way round.
+    /// Degrees published as radians, or vice versa.
     ///
     /// ## What it means
     /// The joint positions, or those of one joint, are degrees, and everything that reads them takes

@@ -36,7 +36,7 @@ rule! {
         grade: Grade::Fixed(Severity::Warning),
         headline: false,
         needs_model: true,
-        missing: "no stream whose rotations are three bare numbers",
+        missing: "gimbal lock: no stream is coded in Euler angles",
         check: check,
     }
 }

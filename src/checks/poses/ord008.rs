@@ -6,7 +6,7 @@ use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit, 
 use crate::geometry::{LengthScale, Slip};
 
 rule! {
-    /// Millimetres, or another unit, stand where metres belong, or the other way round.
+    /// Millimetres, or another unit, published as metres, or vice versa.
     ///
     /// ## What it means
     /// The positions of a pose stream are in another unit than the metres that a message wants (REP 103):

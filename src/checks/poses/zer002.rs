@@ -1,7 +1,7 @@
 use crate::checks::amount::{Amount, Estimated};
 use crate::checks::decision::Threshold;
-use crate::checks::{Case, Grade, Judged, standing};
-use crate::diagnosis::{Measured, PoseDiagnosis};
+use crate::checks::{Case, Grade, Judged, changes, standing};
+use crate::diagnosis::{AmountChange, Measured, PoseDiagnosis};
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
 
@@ -19,7 +19,8 @@ rule! {
     /// ## Evidence
     /// The radial scale of the logged over the recomputed position, from the base's origin,
     /// minus 1, estimated together with everything else; it is named only where the joints' zeros
-    /// and the frames do not explain the log without it.
+    /// and the frames do not explain the log without it. Where it is another from some moment on,
+    /// `from`, `to` and `change_ns` say so.
     ///
     /// ## How to fix
     /// Look for a unit or scale factor in the driver, and for a description of another size or
@@ -49,6 +50,14 @@ const GROWTH: Amount = Amount {
 
 fn check(case: &Case) -> Vec<Judged> {
     let judged = case.evidence.poses().map(|(arm, stream)| {
+        if let Some(change) = AmountChange::largest(&stream.diagnosis.growth_changes) {
+            let threshold = case.thresholds.of(&ZER002, THRESHOLD);
+            let title = "growth with reach changes in mid-run";
+            let effect_m = change.by.value.abs() * arm.reach_m;
+            let (outcome, estimate) =
+                changes::amount(case, GROWTH.name, title, change, &threshold, effect_m);
+            return stream.judged(outcome).estimated(estimate);
+        }
         let growth = stream.with(Estimated {
             estimate: &stream.diagnosis.growth,
             is_chosen: stream.diagnosis.growth_chosen,

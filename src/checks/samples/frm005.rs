@@ -99,12 +99,14 @@ fn fault(case: &Case, worst: &Norms, severity: Severity) -> Fault {
     let shown = Unit::One.show(worst.largest);
     let when = worst.at.map_or(String::new(), |at| format!(" at {}", case.evidence.moment(at)));
     let half = match case.thresholds.of(&FRM005, THRESHOLD).severity(worst.median) {
-        Some(_) => format!("half of the samples by {} or more", Unit::One.show(worst.median)),
-        None => "most samples by less than that matters".to_owned(),
+        Some(_) => format!("median {}", Unit::One.show(worst.median)),
+        None => "most samples by less than the limit".to_owned(),
     };
     let (title, what) = match worst.written {
-        Written::Quaternion => ("quaternion is not of unit norm", "norms are off 1"),
-        Written::Matrix => ("matrix is not orthonormal", "matrices are off orthonormal"),
+        Written::Quaternion => {
+            ("quaternion is not of unit norm", "quaternion norms deviate from 1")
+        }
+        Written::Matrix => ("matrix is not orthonormal", "matrices deviate from orthonormal"),
     };
     Fault {
         cause: Cause::Other,

@@ -111,11 +111,11 @@ impl Said {
                 by: None,
                 numbers: Vec::new(),
                 message: format!(
-                    "frame '{child}' hangs below '{}' at once, on {on}",
+                    "frame '{child}' has two parents: '{}', on {on}",
                     parents.join("' and '")
                 ),
                 fix: format!(
-                    "publish '{child}' below one of them, the others' the other way round"
+                    "keep one of these transforms of '{child}'; publish the others inverted, or not at all"
                 ),
             },
             FlawKind::Cycle { frames } => Self {
@@ -126,8 +126,10 @@ impl Said {
                 by: None,
                 numbers: Vec::new(),
                 message: match frames.as_slice() {
-                    [only] => format!("frame '{only}' hangs below itself, on {on}"),
-                    several => format!("'{}' hang below each other, on {on}", several.join("', '")),
+                    [only] => format!("frame '{only}' is its own parent, on {on}"),
+                    several => {
+                        format!("'{}' are each other's parents, on {on}", several.join("', '"))
+                    }
                 },
                 fix: "publish one of these transforms the other way round, or not at all"
                     .to_owned(),

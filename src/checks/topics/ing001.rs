@@ -6,7 +6,7 @@ rule! {
     /// The log is damaged.
     ///
     /// ## What it means
-    /// A part of the file cannot be read. What can be read around it was read and is audited.
+    /// Part of the file is unreadable; the rest was audited.
     ///
     /// ## Why it matters
     /// Without an index nothing is lost but time. Where messages are lost, a verdict on the rest is

@@ -92,7 +92,7 @@ fn nothing(empty: &EmptyEvidence) -> Judged {
     let topic = empty.subject.label();
     let (message, fix) = match empty.messages {
         0 => (
-            "the topic is in the log and holds no message".to_owned(),
+            "topic recorded but empty".to_owned(),
             format!("see whether {topic} was published, with a compatible QoS"),
         ),
         messages => (

@@ -1,8 +1,8 @@
 //! Poses as JSON.
 
-use poseaudit::desk::{Answer, Hypothesis, Inversion, Reading, Sheets, Tool, Verdict};
+use poseaudit::desk::{Answer, End, Hypothesis, Inversion, Reading, Sheets, Verdict};
 use poseaudit::geometry::vendors::Use;
-use poseaudit::geometry::{Pose, xyz_of, xyzw_from_rotation};
+use poseaudit::geometry::{Axes, Pose, xyz_of, xyzw_from_rotation};
 use serde_json::{Value, json};
 
 fn pose_as_json(pose: &Pose) -> Value {
@@ -55,6 +55,9 @@ pub(super) fn sheets_as_json(sheets: &Sheets) -> Value {
                     "called": names.collect::<Vec<_>>(),
                 })
             });
+            let worlds = sheet.worlds.iter().map(|(who, pose)| {
+                json!({"who": who, "xyz_m": xyz_of(pose), "xyzw": xyzw_from_rotation(&pose.rotation)})
+            });
             let code = sheet.code_of_numbers.iter().chain(&sheet.code_of_quaternion);
             let code = code.map(|line| json!({"library": line.library, "line": line.line}));
             json!({
@@ -64,6 +67,7 @@ pub(super) fn sheets_as_json(sheets: &Sheets) -> Value {
                 "has_position": sheet.has_position,
                 "pose": pose_as_json(&sheet.pose),
                 "conventions": rows.collect::<Vec<_>>(),
+                "worlds": worlds.collect::<Vec<_>>(),
                 "code": code.collect::<Vec<_>>(),
             })
         }
@@ -83,7 +87,12 @@ pub(super) fn sheets_as_json(sheets: &Sheets) -> Value {
 pub(super) fn answer_as_json(answer: &Answer, pairs: usize) -> Value {
     let hypotheses: Vec<Value> = answer.hypotheses.iter().map(hypothesis_as_json).collect();
     let would_do = answer.would_do.as_ref().map(|would_do| {
-        json!({"is_from_but": pose_as_json(&would_do.tool), "is_translation": would_do.is_translation})
+        json!({
+            "is_from_but": pose_as_json(&would_do.tool),
+            "but_from_is": pose_as_json(&would_do.base),
+            "is_translation": would_do.is_translation,
+            "apart": would_do.apart(),
+        })
     });
     json!({
         "schema": "poseaudit.reconciled/1",
@@ -102,21 +111,23 @@ pub(super) fn answer_as_json(answer: &Answer, pairs: usize) -> Value {
     })
 }
 
+/// What stands at an end; `sense` says which way its transform goes.
+fn end_as_json(end: &End, sense: &str) -> Value {
+    let transform = pose_as_json(&end.transform());
+    match end {
+        End::None => Value::Null,
+        End::Frames(frames) => {
+            json!({"is": frames.is, "but": frames.but, "arms": frames.arms, "also": frames.also, sense: transform})
+        }
+        End::Fitted(_) => json!({"fitted": true, sense: transform}),
+    }
+}
+
 fn hypothesis_as_json(hypothesis: &Hypothesis) -> Value {
     let equivalents = hypothesis
         .equivalents
         .iter()
         .map(|[is, but]| json!({"is": reading_as_json(is), "but": reading_as_json(but)}));
-    let base = hypothesis.base.as_ref().map(|base| {
-        json!({"is": base.is, "but": base.but, "arms": base.arms, "but_from_is": pose_as_json(&base.transform)})
-    });
-    let tool = match &hypothesis.tool {
-        Tool::None => Value::Null,
-        Tool::Frames(tip) => {
-            json!({"is": tip.is, "but": tip.but, "arms": tip.arms, "also": tip.also, "is_from_but": pose_as_json(&tip.transform)})
-        }
-        Tool::Fitted(tool) => json!({"fitted": true, "is_from_but": pose_as_json(tool)}),
-    };
     let residual = &hypothesis.residual;
     json!({
         "is": reading_as_json(&hypothesis.is),
@@ -129,9 +140,11 @@ fn hypothesis_as_json(hypothesis: &Hypothesis) -> Value {
         "misreading": hypothesis.misreading.map(|misreading| {
             json!({"is": misreading.is.to_string(), "read_as": misreading.read_as.to_string()})
         }),
-        "base": base,
-        "tool": tool,
+        "axes": (hypothesis.axes != Axes::STANDARD).then(|| hypothesis.axes.to_string()),
+        "base": end_as_json(&hypothesis.base, "but_from_is"),
+        "tool": end_as_json(&hypothesis.tip, "is_from_but"),
         "claims": hypothesis.claims(),
+        "also": hypothesis.also,
         "residual": {
             "rotation_rad": residual.rotation_rad,
             "position_m": residual.position_m,

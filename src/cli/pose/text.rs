@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use poseaudit::desk::{
-    Answer, Candidate, Hypothesis, Pasted, Reading, Residual, Row, Sheet, Tool, Verdict,
+    Answer, Candidate, End, Hypothesis, Pasted, Reading, Residual, Row, Sheet, Verdict, WouldDo,
 };
 use poseaudit::finding::rounded;
 use poseaudit::geometry::vendors::{self, Use};
@@ -89,6 +89,11 @@ pub(super) fn write_sheet(sheet: &Sheet, pasted: &Pasted, out: &mut dyn Write) -
     if others.iter().any(|row| row.is_near_lock()) {
         writeln!(out, "! within 5° of gimbal lock")?;
     }
+    writeln!(out, "\nin the axes of others, m and x y z w")?;
+    for (who, pose) in &sheet.worlds {
+        let xyz = if sheet.has_position { listed(&xyz_of(pose), 4) } else { String::new() };
+        writeln!(out, "{who:32}{xyz}  {}", listed(&xyzw_from_rotation(&pose.rotation), 6))?;
+    }
     let of_numbers = format!("code, from {}", sheet.reading.form);
     for (title, lines) in [
         (of_numbers.as_str(), &sheet.code_of_numbers),
@@ -121,6 +126,11 @@ fn write_row(row: &Row, out: &mut dyn Write) -> io::Result<()> {
         }
         // Those of the rows, turned.
         Coding::Columns => vec!["   the same, column by column".to_owned()],
+        Coding::TwoColumns | Coding::TwoRows => vec![format!("   {}", listed(&row.numbers, 6))],
+        Coding::AxisAngle => {
+            let angle = row.numbers[3].to_degrees();
+            vec![format!("   {}{}°", listed(&row.numbers[..3], 6), rounded(angle, 4))]
+        }
     };
     if let (true, Some(margin_rad)) = (row.is_near_lock(), row.gimbal_margin_rad) {
         left.push(format!("   {:.2}° from gimbal lock", margin_rad.to_degrees()));
@@ -184,6 +194,10 @@ pub(super) fn write_answer(answer: &Answer, pairs: usize, out: &mut dyn Write) -
         Verdict::Ambiguous => "ambiguous",
         Verdict::Open => "not reconciled",
     };
+    let apart = answer.would_do.as_ref().and_then(WouldDo::apart);
+    if let Some(apart) = apart.filter(|_| answer.verdict == Verdict::Open) {
+        writeln!(out, "orientations agree, {apart}")?;
+    }
     if answer.hypotheses.is_empty() {
         writeln!(out, "{head:16}nothing that was tried comes near")?;
     }
@@ -215,27 +229,32 @@ fn write_hypothesis(
         done
     };
     line(out, &format!("{} left ({of})", left(&hypothesis.residual)))?;
-    for (side, reading) in [("is ", hypothesis.is), ("but", hypothesis.but)] {
+    for (side, reading) in [("A", hypothesis.is), ("B", hypothesis.but)] {
         let names = in_lines(&users(&uses_with_units(&reading)), USERS_WIDTH);
         let names = names.first().map_or(String::new(), |first| match names.len() {
             1 => first.clone(),
             _ => format!("{first} …"),
         });
-        line(out, format!("{side}  {:24}{names}", reading.to_string()).trim_end())?;
+        line(out, format!("{side}  {:25} {names}", reading.to_string()).trim_end())?;
     }
     for claim in &claims {
         line(out, claim)?;
     }
-    match &hypothesis.tool {
-        Tool::None => {}
-        Tool::Frames(frames) => {
-            let transform = frame_text(&frames.transform);
-            line(out, &format!("{} → {}: {transform}", frames.is, frames.but))?;
-            if !frames.also.is_empty() {
-                line(out, &format!("as far apart: {}", frames.also.join(", ")))?;
+    for (name, end) in [("base", &hypothesis.base), ("tool", &hypothesis.tip)] {
+        match end {
+            End::None => {}
+            End::Frames(frames) => {
+                let transform = frame_text(&frames.transform);
+                line(out, &format!("{} → {}: {transform}", frames.is, frames.but))?;
+                if !frames.also.is_empty() {
+                    line(out, &format!("as far apart: {}", frames.also.join(", ")))?;
+                }
             }
+            End::Fitted(transform) => line(out, &format!("{name}: {}", frame_text(transform)))?,
         }
-        Tool::Fitted(tool) => line(out, &format!("tool: {}", frame_text(tool)))?,
+    }
+    for also in &hypothesis.also {
+        line(out, &format!("the same as: {also}"))?;
     }
     if !hypothesis.equivalents.is_empty() {
         let names = equivalents(hypothesis);
@@ -254,8 +273,8 @@ fn equivalents(hypothesis: &Hypothesis) -> Vec<String> {
     let mut names: Vec<String> = Vec::new();
     for [is, but] in unlike {
         let name = match (is.form == hypothesis.is.form, but.form == hypothesis.but.form) {
-            (true, _) => format!("`but` as {}", but.form),
-            (_, true) => format!("`is` as {}", is.form),
+            (true, _) => format!("B as {}", but.form),
+            (_, true) => format!("A as {}", is.form),
             _ => format!("{} and {}", is.form, but.form),
         };
         if !names.contains(&name) {
@@ -272,19 +291,29 @@ fn equivalents(hypothesis: &Hypothesis) -> Vec<String> {
 
 /// An explanation on one line.
 fn in_short(hypothesis: &Hypothesis) -> String {
-    let mut parts = vec![format!("is {}; but {}", hypothesis.is, hypothesis.but)];
+    let mut parts = vec![format!("A {}; B {}", hypothesis.is, hypothesis.but)];
     parts.extend(hypothesis.claims());
     parts.join("; ")
 }
 
 fn write_cautions(answer: &Answer, out: &mut dyn Write) -> io::Result<()> {
     if let Some(would_do) = &answer.would_do {
-        let what = match would_do.is_translation {
-            true => "the rotations agree; this constant tool would do for the rest",
-            false => "this constant tool would do, as some tool does for any one pair",
-        };
-        writeln!(out, "\n{:16}{what}; several pairs would tell", "no claim")?;
+        match would_do.is_translation {
+            true => writeln!(
+                out,
+                "\n{:16}probably a TCP or a base offset; give a second pair with another orientation",
+                "to confirm"
+            )?,
+            false => writeln!(
+                out,
+                "\n{:16}a constant tool would do, as some tool does for any one pair: give more pairs",
+                "no claim"
+            )?,
+        }
         writeln!(out, "{:16}tool: {}", "", frame_text(&would_do.tool))?;
+        if would_do.is_translation {
+            writeln!(out, "{:16}base: {}", "", frame_text(&would_do.base))?;
+        }
     }
     if let Some(by_chance) = answer.by_chance.filter(|by_chance| *by_chance >= 0.01)
         && answer.verdict != Verdict::Open

@@ -13,7 +13,8 @@ use crate::sampling::SEARCH_SAMPLES;
 use ground::geometry::Pose;
 use rayon::prelude::*;
 
-const FIT_SAMPLES: usize = 4000;
+/// Samples of each stream that are fitted.
+pub(crate) const FIT_SAMPLES: usize = 4000;
 
 /// The fit of all streams together.
 pub(super) struct Fitted {

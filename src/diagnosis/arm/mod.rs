@@ -21,6 +21,7 @@ use super::{
     AmountChange, ArmDiagnosis, JointChange, JointDiagnosis, JointOffset, JointReading, JointScale,
     JointUnit, PoseDiagnosis, PoseStream, Residual, Seen, Unseen,
 };
+pub(super) use fit::FIT_SAMPLES;
 use fit::fit;
 use ground::geometry::Vec3;
 use ground::robot::JointKind;
@@ -250,7 +251,7 @@ impl JointDiagnosis {
         of: impl Fn(&JointChange) -> Option<&AmountChange>,
     ) -> Option<&AmountChange> {
         let own = self.changes.iter().filter(|change| change.column == column);
-        own.filter_map(of).max_by(|a, b| a.by.value.abs().total_cmp(&b.by.value.abs()))
+        AmountChange::largest(own.filter_map(of))
     }
 
     /// The same without what no rule names: eccentricity of more than gears usually have.

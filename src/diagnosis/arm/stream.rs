@@ -13,6 +13,7 @@ use crate::placement::Placement;
 use crate::prepare::Prepared;
 use crate::residual::residual;
 use crate::sampling::SEARCH_SAMPLES;
+use crate::skewed::{SkewedDelays, skewed_delays};
 use crate::{
     Aligned, AxesSlip, ConstantPart, LengthSlip, Measured, PoseDiagnosis, PoseStream, Residual,
     Seen, Taken, UnitSlip, Unseen,
@@ -33,6 +34,7 @@ pub(super) fn no_diagnosis(why: Unseen) -> PoseDiagnosis {
         constant: Vec::new(),
         degrees: None,
         latency_s: Err(rests()),
+        delays: None,
         skew: Err(rests()),
         skew_chosen: false,
         course: Err(rests()),
@@ -42,6 +44,7 @@ pub(super) fn no_diagnosis(why: Unseen) -> PoseDiagnosis {
         tool: Err(rests()),
         reference_changes: Vec::new(),
         tool_changes: Vec::new(),
+        growth_changes: Vec::new(),
         coded_s: None,
         taken: Taken::default(),
         residual: Err(rests()),
@@ -143,10 +146,20 @@ pub(super) fn stream_diagnosis(
     let aligned = align(recorded, stream, prepared, explanation, index);
     let (found, zeros) = (&explanation.state.streams[index], &explanation.state.offsets);
     let residual = residual(&aligned, &prepared.witness, found, zeros);
+    let delays = latency_s.as_ref().ok().and_then(|_| skewed_delays(&aligned, found.latency_s));
+    let latency_s = latency_s.map(|latency| match &delays {
+        Some(SkewedDelays { median_s, .. }) => {
+            Measured { std_error: median_s.std_error.hypot(stream.stamp_error_s), ..*median_s }
+        }
+        None => latency,
+    });
     let information = explanation.linear.information_of(index);
     let observability = Observability::of(&prepared.witness, found, zeros, &information);
     let course = match &latency_s {
-        Ok(_) => latency_course(&aligned, found.skew),
+        Ok(_) => {
+            let speed = |t_s: f64| joint_speed(recorded, t_s - found.latency_s);
+            latency_course(&aligned, found.skew, speed)
+        }
         Err(why) => Err(why.clone()),
     };
     let t_s = &prepared.witness.t_s;
@@ -164,6 +177,7 @@ pub(super) fn stream_diagnosis(
         constant: constant_parts(stream, prepared, &aligned),
         degrees: prepared.degrees,
         latency_s,
+        delays,
         skew: one(Cause::Skew(index)).map(|skew| Measured {
             // Stamps that are off by this much at either end feign a skew.
             std_error: skew.std_error.hypot(2.0 * stream.stamp_error_s / span_s),
@@ -177,6 +191,7 @@ pub(super) fn stream_diagnosis(
         tool: frame(Cause::Tool(index)),
         reference_changes: Vec::new(),
         tool_changes: Vec::new(),
+        growth_changes: Vec::new(),
         coded_s: None,
         taken: found.taken(),
         residual,
@@ -186,6 +201,13 @@ pub(super) fn stream_diagnosis(
         top_speed_m_s: placement.top_speed_m_s,
         aligned,
     }
+}
+
+/// How fast the joints move together at the sample before a time, rad/s.
+fn joint_speed(joints: &JointTrack, t_s: f64) -> f64 {
+    let row = joints.t_s.partition_point(|at_s| *at_s <= t_s).saturating_sub(1);
+    let rates = joints.qd.chunks_exact(joints.dof.max(1)).nth(row).unwrap_or_default();
+    rates.iter().map(|rate| rate * rate).sum::<f64>().sqrt()
 }
 
 /// Whether a frame or the growth of stream `index`, which nothing needs, may be there all the same,

@@ -1,6 +1,7 @@
 //! What is said of a joint that gives: play, sag, an eccentric gear.
 
 use super::gravity::{Gravity, Postures};
+use crate::AmountChange;
 use ground::stats::Measured;
 use ground::stream::JointTrack;
 use std::sync::Arc;
@@ -19,6 +20,9 @@ pub struct JointBend {
     pub amount: Measured,
     /// How it goes.
     pub shape: BendShape,
+    /// Its amount before and after a moment from which on it is another, as that of sag under another load,
+    /// rad; the joint states' clock.
+    pub change: Option<AmountChange>,
 }
 
 /// How the bend of a joint goes with its motion.
@@ -68,8 +72,13 @@ pub(crate) fn bend(joints: &mut JointTrack, bends: &[JointBend]) {
     let dof = joints.dof.max(1);
     let reported = joints.q.clone();
     let (mut torques, mut buffer) = (vec![0.0; dof], Postures::default());
-    for JointBend { column, amount, shape } in bends {
+    for JointBend { column, amount, shape, change } in bends {
         let (column, amount) = (*column, amount.value);
+        let amount_at = |t_s: f64| match change {
+            Some(change) if t_s < change.at_s => change.from,
+            Some(change) => change.to,
+            None => amount,
+        };
         let q = |row: usize| reported[row * dof + column];
         match shape {
             BendShape::Play => {
@@ -86,6 +95,7 @@ pub(crate) fn bend(joints: &mut JointTrack, bends: &[JointBend]) {
             BendShape::Sag(Sag { gravity, most_torque }) => {
                 for (row, positions) in reported.chunks_exact(dof).enumerate() {
                     gravity.torques(positions, &mut buffer, &mut torques);
+                    let amount = amount_at(joints.t_s[row]);
                     joints.q[row * dof + column] += amount * torques[column] / most_torque;
                 }
             }

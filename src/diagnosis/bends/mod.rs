@@ -85,18 +85,33 @@ pub(super) fn without_bends(
     let samples = run.samples(joints, found);
     let before = Left::of(found);
     let mut best: Option<(Left, ArmDiagnosis)> = None;
-    let (search, sets) = run.search(&samples)?;
-    for terms in sets {
+    let found_sets = run.search(&samples);
+    for (search, terms) in found_sets
+        .iter()
+        .flat_map(|(search, sets)| sets.iter().map(move |terms| (search, terms.clone())))
+    {
         let is_eccentric = terms.iter().any(|term| matches!(term.kind, Kind::Eccentric(_)));
         // An eccentricity can be bent to many shapes: play and sag come before it.
         let enough = |(left, _): &(Left, ArmDiagnosis)| left.is_within(ENOUGH, &before);
         if is_eccentric && best.as_ref().is_some_and(enough) {
             break;
         }
-        let Some(after) = run.without(&search, terms) else { continue };
+        let Some(after) = run.without(search, terms) else { continue };
         let left = Left::of(&after);
         if best.as_ref().is_none_or(|(best, _)| left.is_within(LEFT, best)) {
             best = Some((left, after));
+        }
+    }
+    let enough = |(left, _): &(Left, ArmDiagnosis)| left.is_within(ENOUGH, &before);
+    if !best.as_ref().is_some_and(enough) {
+        // Another load makes of one sag two.
+        let loaded = found_sets.as_ref().map(|(search, _)| (search, search.loaded()));
+        let loaded = loaded.filter(|(_, terms)| !terms.is_empty());
+        if let Some(after) = loaded.and_then(|(search, terms)| run.without(search, terms)) {
+            let left = Left::of(&after);
+            if best.as_ref().is_none_or(|(best, _)| left.is_within(LEFT, best)) {
+                best = Some((left, after));
+            }
         }
     }
     // What is left of a drawing is of many small causes, of which a few bends take off something too.

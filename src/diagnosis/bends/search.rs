@@ -7,7 +7,7 @@ use super::system::{STREAM, System, linear};
 use super::{Run, Samples};
 use crate::explain::price;
 use crate::linear::{Linear, Normal};
-use crate::{ArmDiagnosis, FrameEstimate, Seen};
+use crate::{ArmDiagnosis, Change, FrameEstimate, Seen};
 use ground::stats::Measured;
 use std::sync::Arc;
 
@@ -28,11 +28,17 @@ const MOST_RAD: f64 = 0.1;
 /// Joints whose number ranges over less show no eccentricity, rad.
 const LEAST_RANGE_RAD: f64 = 1.0;
 
+/// Moments at which another load is tried, and how much finer beside the best.
+const MOMENTS: usize = 12;
+const FINER: i32 = 4;
+
 /// How a joint may give.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Kind {
     Play,
     Sag,
+    /// Sag that is another from a time on, s: another load.
+    LoadedSag(f64),
     Eccentric(u32),
 }
 
@@ -41,7 +47,8 @@ pub(super) enum Kind {
 pub(super) struct Term {
     pub column: usize,
     pub kind: Kind,
-    /// The coefficients found so far: of eccentricity that of the sine and that of the cosine.
+    /// The coefficients found so far: of eccentricity that of the sine and that of the cosine, of sag that is
+    /// another from a time on before and after.
     pub amount: [f64; 2],
     pub std_error: f64,
     pub dof: f64,
@@ -54,13 +61,15 @@ impl Term {
 
     /// Number of coefficients.
     pub fn width(&self) -> usize {
-        if matches!(self.kind, Kind::Eccentric(_)) { 2 } else { 1 }
+        if matches!(self.kind, Kind::Eccentric(_) | Kind::LoadedSag(_)) { 2 } else { 1 }
     }
 
     /// The size, rad, with its sign where it has one.
     pub fn size(&self) -> f64 {
         match self.kind {
             Kind::Play | Kind::Sag => self.amount[0],
+            Kind::LoadedSag(_) if self.amount[1].abs() > self.amount[0].abs() => self.amount[1],
+            Kind::LoadedSag(_) => self.amount[0],
             Kind::Eccentric(_) => self.amount[0].hypot(self.amount[1]),
         }
     }
@@ -179,7 +188,7 @@ impl<'a> Search<'a> {
                     };
                     play(joints.len(), |row| joints.q[row * joints.dof + term.column], width)
                 }
-                Kind::Sag | Kind::Eccentric(_) => Vec::new(),
+                Kind::Sag | Kind::LoadedSag(_) | Kind::Eccentric(_) => Vec::new(),
             })
             .collect();
         let of_stream = |(samples, torques): (&Samples, &Vec<Vec<f64>>)| {
@@ -196,6 +205,11 @@ impl<'a> Search<'a> {
                         Kind::Sag => {
                             let most = self.most_torque[term.column];
                             values.push(torques[k][term.column] / most);
+                        }
+                        Kind::LoadedSag(from_s) => {
+                            let share = torques[k][term.column] / self.most_torque[term.column];
+                            let is_before = joints.t_s[samples.at[k].0] < from_s;
+                            values.extend(if is_before { [share, 0.0] } else { [0.0, share] });
                         }
                         Kind::Eccentric(order) => {
                             let (sin, cos) = (f64::from(order) * q).sin_cos();
@@ -264,6 +278,50 @@ impl<'a> Search<'a> {
         sets.filter(|set| !set.is_empty()).map(of).collect()
     }
 
+    /// The joints that sag by another amount from some time on, as few as explain most beside play, with
+    /// everything else free: under another load. None where one amount does nearly as well.
+    pub fn loaded(&self) -> Vec<Term> {
+        let free = Free::all(self.run);
+        let with = |kind: fn(f64) -> Kind, at_s: f64| -> Vec<Term> {
+            let plain = self.candidates().into_iter();
+            let sags = plain.filter(|term| term.kind == Kind::Sag);
+            sags.map(|term| Term { kind: kind(at_s), ..term }).collect()
+        };
+        let (Some(first), Some(last)) = (self.run.joints.t_s.first(), self.run.joints.t_s.last())
+        else {
+            return Vec::new();
+        };
+        let cost_at = |at_s: f64| self.left(&with(Kind::LoadedSag, at_s));
+        let length_s = last - first;
+        let rough = (1..MOMENTS).map(|at| first + length_s * at as f64 / MOMENTS as f64);
+        let best = |tried: &mut dyn Iterator<Item = f64>| {
+            let costs = tried.map(|at_s| (cost_at(at_s), at_s));
+            costs.min_by(|a, b| a.0.total_cmp(&b.0))
+        };
+        let Some((_, rough_s)) = best(&mut rough.into_iter()) else { return Vec::new() };
+        let near = (-FINER..=FINER).map(|step| rough_s + self.step_s() * f64::from(step));
+        let Some((_, at_s)) = best(&mut near.into_iter()) else { return Vec::new() };
+        let mut terms = with(Kind::LoadedSag, at_s);
+        terms.extend(self.candidates().into_iter().filter(|term| term.kind == Kind::Play));
+        let system = self.system(&terms, &free);
+        let cost = |set: &[usize]| system.cost(&system.parameters(&terms, set, &free));
+        let every: Vec<usize> = (0..terms.len()).collect();
+        let (plain, least) = (cost(&[]), cost(&every));
+        let price = price(system.normal.independent);
+        let worth =
+            |index: usize| (price * terms[index].width() as f64).max(SHARE * (plain - least));
+        let set = fewest(&every, plain, &cost, &worth);
+        let set: Vec<Term> = set.into_iter().map(|index| terms[index]).collect();
+        let is_loaded = set.iter().any(|term| matches!(term.kind, Kind::LoadedSag(_)));
+        if is_loaded { set } else { Vec::new() }
+    }
+
+    /// How finely the moment of another load is sought, s.
+    fn step_s(&self) -> f64 {
+        let (first, last) = self.run.joints.span().unwrap_or_default();
+        (last - first) / (MOMENTS as f64 * f64::from(FINER))
+    }
+
     /// `Σ n·ln σ` of what some terms leave, everything else free.
     pub fn left(&self, terms: &[Term]) -> f64 {
         self.system(terms, &Free::all(self.run)).noise()
@@ -298,7 +356,7 @@ impl<'a> Search<'a> {
             let Term { column, amount, std_error, dof, .. } = *term;
             let shape = match term.kind {
                 Kind::Play => BendShape::Play,
-                Kind::Sag => BendShape::Sag(Sag {
+                Kind::Sag | Kind::LoadedSag(_) => BendShape::Sag(Sag {
                     gravity: Arc::clone(&self.gravity),
                     most_torque: self.most_torque[column],
                 }),
@@ -307,9 +365,23 @@ impl<'a> Search<'a> {
                 }
             };
             let value = term.size();
-            let guessed = if term.kind == Kind::Sag { MASSES * value } else { 0.0 };
-            let std_error = std_error.hypot(guessed);
-            JointBend { column, amount: Measured { value, std_error, dof }, shape }
+            let is_sag = matches!(term.kind, Kind::Sag | Kind::LoadedSag(_));
+            let measured = |value: f64, share: f64| Measured {
+                value,
+                std_error: share * std_error.hypot(if is_sag { MASSES * value } else { 0.0 }),
+                dof,
+            };
+            let change = match term.kind {
+                Kind::LoadedSag(at_s) => Some(Change {
+                    at_s,
+                    within_s: self.step_s(),
+                    from: amount[0],
+                    to: amount[1],
+                    by: measured(amount[1] - amount[0], std::f64::consts::SQRT_2),
+                }),
+                _ => None,
+            };
+            JointBend { column, amount: measured(value, 1.0), shape, change }
         };
         terms.iter().map(bend).collect()
     }

@@ -24,6 +24,14 @@ pub type FrameChange = Change<Pose, FrameEstimate>;
 /// A change of a number.
 pub type AmountChange = Change<f64, Measured>;
 
+impl AmountChange {
+    /// The largest of some changes, where there is one.
+    pub fn largest<'a>(changes: impl IntoIterator<Item = &'a Self>) -> Option<&'a Self> {
+        let size = |change: &Self| change.by.value.abs();
+        changes.into_iter().max_by(|a, b| size(a).total_cmp(&size(b)))
+    }
+}
+
 /// A joint whose zero or scale changes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointChange {

@@ -14,7 +14,7 @@ mod jumps;
 mod told;
 
 use super::arm::diagnose_arm;
-use super::proof::{Part, Series, Size};
+use super::proof::{Part, Series, Size, beside_fk};
 use super::sampling::stream_lag_s;
 use super::{
     ArmDiagnosis, FrameEstimate, JointDiagnosis, PoseDiagnosis, PoseStream, Reading, Seen, Unseen,
@@ -84,12 +84,37 @@ pub(super) fn without_changes(
             kept.read_as(s, &others, after);
         }
     }
+    for ((after, track), stream) in after.streams.iter_mut().zip(&undone.tracks).zip(streams) {
+        if track.is_some() || !undone.patches.is_empty() {
+            as_recorded(joints, stream, after);
+        }
+    }
     let moment = |at_s: f64| moments.iter().find(|jump| jump.at_s == at_s);
     kept.tell(&run, &parts, &others, moment, &mut after);
     after.joints.patches = undone.patches;
     let is_told = !after.joints.changes.is_empty()
         || after.streams.iter().any(|after| after.changes() || jumps_in_time(after));
     is_told.then_some(after)
+}
+
+/// Puts what was logged and FK of the joint states as recorded beside the samples of a stream whose
+/// changes were undone.
+fn as_recorded(joints: &JointTrack, stream: &PoseStream, after: &mut PoseDiagnosis) {
+    let recorded = beside_fk(joints, stream, 0.0);
+    let aligned = &mut after.aligned;
+    for (row, t_s) in aligned.t_s.iter().enumerate() {
+        let next = recorded.t_s.partition_point(|at_s| at_s < t_s);
+        let nearest = [next.checked_sub(1), Some(next)].into_iter().flatten();
+        let away_s = |at: &usize| (recorded.t_s[*at] - t_s).abs();
+        let nearest = nearest.filter(|at| *at < recorded.t_s.len());
+        if let Some(at) = nearest.min_by(|a, b| away_s(a).total_cmp(&away_s(b))) {
+            aligned.fk[row] = recorded.fk[at];
+            aligned.logged[row].translation = recorded.logged[at].translation;
+            if matches!(stream.track.orientation, Orientations::Rotations(_)) {
+                aligned.logged[row].rotation = recorded.logged[at].rotation;
+            }
+        }
+    }
 }
 
 /// Whether what was found on a stream leaves more of it than its noise, in some part of the run.
@@ -154,7 +179,8 @@ impl Kept {
     /// What the other parts say, each of which leaves `most_m` at most; one that by itself leaves more
     /// goes with the one before it. `None` where one leaves more all the same.
     fn others(&self, run: &Cut, parts: &[Span], most_m: f64) -> Option<Vec<Other>> {
-        let leaves_little = |other: &Other| left_m(&other.beyond) <= most_m;
+        let leaves_little =
+            |other: &Other| left_m(&other.beyond) <= most_m && self.is_believed(other);
         let mut others: Vec<Other> = Vec::new();
         for &part in parts.iter().filter(|part| **part != self.span) {
             let mut other = self.other(run, part);
@@ -185,6 +211,24 @@ impl Kept {
             .collect();
         let beyond = diagnose_arm(&joints, &known, run.most_lag_s);
         Other { span, alone, beyond }
+    }
+
+    /// Whether what another part says of its streams may be believed: where it does not tell how its
+    /// numbers are coded, they are coded as here and no frame turns by much.
+    fn is_believed(&self, other: &Other) -> bool {
+        /// A turn that a misread rotation may make of a few postures, rad.
+        const MUCH_RAD: f64 = 0.1;
+        let streams =
+            self.found.streams.iter().zip(&other.alone.streams).zip(&other.beyond.streams);
+        streams.into_iter().all(|((own, alone), beyond)| {
+            let is_told = alone.reading.as_ref().is_ok_and(|reading| reading.is_told);
+            let is_little = |frame: &Seen<FrameEstimate>| {
+                !is_chosen(frame)
+                    || frame.as_ref().is_ok_and(|frame| frame.rotation_rad.value < MUCH_RAD)
+            };
+            let is_little = is_little(&beyond.tool) && is_little(&beyond.reference);
+            is_told || (reading_of(own) == reading_of(alone) && is_little)
+        })
     }
 
     /// Whether stream `s` is read otherwise in another part.
@@ -229,6 +273,7 @@ impl Kept {
                     let beyond = &other.beyond.streams[s];
                     self.is_reread(s, other)
                         || self.later_by(s, other).is_some()
+                        || beyond.growth_chosen
                         || is_chosen(&beyond.reference)
                         || is_chosen(&beyond.tool)
                 };

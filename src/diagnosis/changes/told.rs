@@ -24,34 +24,25 @@ impl Kept {
             let Some(jump) = moment(pair[1].0) else { continue };
             for (s, after) in after.streams.iter_mut().enumerate() {
                 let own = &self.found.streams[s];
-                let frames = |of: fn(&PoseDiagnosis) -> &Seen<FrameEstimate>| {
+                let at = (jump.at_s + run.lags[s], jump.within_s);
+                let frame = |of: fn(&PoseDiagnosis) -> &Seen<FrameEstimate>, is_free: bool| {
                     let of_part = |part: Option<&Other>| {
                         let found = part.and_then(|part| of(&part.beyond.streams[s]).as_ref().ok());
                         found.filter(|frame| frame.chosen).cloned()
                     };
-                    (of_part(before), of_part(next), of(own).as_ref().ok())
+                    let kept = of(own).as_ref().ok().filter(|own| own.chosen || is_free);
+                    frame_change(at, kept, of_part(before), of_part(next))
                 };
-                let at = (jump.at_s + run.lags[s], jump.within_s);
-                let known = run.streams[s].reference_known;
-                let base = |own: Option<&FrameEstimate>, is_free: bool| {
-                    own.filter(|own| own.chosen || is_free).cloned()
+                after.tool_changes.extend(frame(|found| &found.tool, false));
+                let is_free = !run.streams[s].reference_known;
+                after.reference_changes.extend(frame(|found| &found.reference, is_free));
+                let growth = |found: &PoseDiagnosis| {
+                    found.growth.as_ref().ok().filter(|_| found.growth_chosen).copied()
                 };
-                let (from, to, kept) = frames(|found| &found.tool);
-                after.tool_changes.extend(frame_change(
-                    at,
-                    base(kept, false),
-                    from,
-                    to,
-                    |kept, beyond| beyond * kept,
-                ));
-                let (from, to, kept) = frames(|found| &found.reference);
-                after.reference_changes.extend(frame_change(
-                    at,
-                    base(kept, !known),
-                    from,
-                    to,
-                    |kept, beyond| beyond * kept,
-                ));
+                let of_part = |part: Option<&Other>| growth(&part?.beyond.streams[s]);
+                let kept = growth(own);
+                let change = amount_change(at, kept.as_ref(), of_part(before), of_part(next), 0.0);
+                after.growth_changes.extend(change);
             }
             let at = (jump.at_s, jump.within_s);
             for (s, jumps) in latency_jumps.iter_mut().enumerate() {
@@ -100,19 +91,18 @@ impl Kept {
 }
 
 /// The change of a frame from the one part to the next: `kept` is the frame of the kept part, `from` and
-/// `to` what the parts have beyond it, and `total` what the two are together.
+/// `to` what the parts have beyond it.
 fn frame_change(
     (at_s, within_s): (f64, f64),
-    kept: Option<FrameEstimate>,
+    kept: Option<&FrameEstimate>,
     from: Option<FrameEstimate>,
     to: Option<FrameEstimate>,
-    total: impl Fn(Pose, Pose) -> Pose,
 ) -> Option<FrameChange> {
     let surest = to.as_ref().or(from.as_ref())?;
     let pose_of =
         |frame: &Option<FrameEstimate>| frame.as_ref().map_or_else(Pose::identity, |f| f.pose);
     let turn = pose_of(&from).inv_mul(&pose_of(&to));
-    let errors = [&kept, &from, &to].into_iter().flatten();
+    let errors = [kept, from.as_ref(), to.as_ref()].into_iter().flatten();
     let (length, angle) = errors.fold((0.0_f64, 0.0_f64), |(length, angle), frame| {
         (length.hypot(frame.translation_m.std_error), angle.hypot(frame.rotation_rad.std_error))
     });
@@ -132,8 +122,8 @@ fn frame_change(
     (!is_same).then(|| Change {
         at_s,
         within_s,
-        from: total(base, pose_of(&from)),
-        to: total(base, pose_of(&to)),
+        from: pose_of(&from) * base,
+        to: pose_of(&to) * base,
         by,
     })
 }

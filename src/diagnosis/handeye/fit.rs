@@ -5,9 +5,9 @@
 
 use super::super::linear::{Linear, Normal, Weight};
 use super::super::robust::sandwich;
-use super::series::Setting;
+use super::series::{PoseSeries, Setting};
 use super::start::{Start, together};
-use super::{CameraPose, FEWEST};
+use super::{CameraPose, FEWEST, Mount};
 use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::Measured;
 use ground::stats::median;
@@ -15,7 +15,7 @@ use nalgebra::DMatrix;
 
 /// Parameters: `X` shifted and turned in the camera's axes, `Y` shifted and turned in its parent's,
 /// and the offset.
-const WIDTH: usize = 13;
+pub(in super::super) const WIDTH: usize = 13;
 const OFFSET: usize = 12;
 const FLOOR: [f64; 2] = [1e-6, 1e-6];
 const ROUNDS: usize = 25;
@@ -140,6 +140,19 @@ impl State {
         }
         linear
     }
+}
+
+/// How what a camera in the hand sees of a target changes with each parameter, where the hand is at
+/// `hands` at the times `t_s`; the target is at `ahead` in the camera, m, at the first of them.
+pub(in super::super) fn design(t_s: &[f64], hands: Vec<Pose>, camera: Pose, ahead: Vec3) -> Linear {
+    let target = pose(ahead.into(), Default::default());
+    let constant = hands.first().copied().unwrap_or_default() * camera * target;
+    let series = PoseSeries { t_s: t_s.to_vec(), poses: hands };
+    // What is seen matters to residuals alone.
+    let targets = t_s.iter().map(|&t_s| (t_s, target));
+    let setting = Setting::new(&series, targets, Mount::InHand);
+    let state = State { camera, constant, offset_s: 0.0 };
+    state.linear(&setting, &vec![true; t_s.len()])
 }
 
 /// Refines `start`; `None` where fewer than [`FEWEST`] poses are left.

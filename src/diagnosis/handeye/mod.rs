@@ -30,6 +30,7 @@ use ground::stats::{Length, Measured};
 use closure::closure;
 use diversity::diversity;
 use fit::{Fit, fit};
+pub(super) use fit::{WIDTH, design};
 pub use reading::TargetReading;
 use reading::{ReadTarget, better_reading};
 pub use series::PoseSeries;
@@ -37,7 +38,7 @@ use series::Setting;
 pub use stretch::Stretch;
 
 /// Poses that the fit uses; more are thinned out evenly.
-const FIT_POSES: usize = 500;
+pub(super) const FIT_POSES: usize = 500;
 /// Poses of both streams that a fit needs at least.
 const FEWEST: usize = 12;
 

@@ -262,6 +262,7 @@ impl<'a> GyroModel<'a> {
                 t_s: track.t_s[k],
                 left: [Vec3::zeros(), is - rate?],
                 velocity: [Vec3::zeros(), change],
+                loads: [0.0; 2],
             })
         })
         .collect()

@@ -33,7 +33,7 @@ use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::stream::{ImuTrack, JointTrack};
 
 /// Samples of an IMU that are fitted.
-const FIT_SAMPLES: usize = 5000;
+pub(super) const FIT_SAMPLES: usize = 5000;
 /// Speeds correlate less than this where an IMU does not follow the arm.
 const FOLLOWS: f64 = 0.6;
 /// Samples without which nothing is fitted.

@@ -354,6 +354,7 @@ impl<'a> OrientationModel<'a> {
             t_s,
             left: [Vec3::zeros(), left],
             velocity: [Vec3::zeros(), rate],
+            loads: [0.0; 2],
         };
         moments.zip(left).map(lagging).collect()
     }

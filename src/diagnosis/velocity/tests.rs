@@ -55,3 +55,28 @@ fn a_difference_of_two_samples_is_a_rate() {
     let backward = found(0.0, |t| (position(0, t) - position(0, t - 0.01)) / 0.01);
     assert_eq!(backward.shape, VelocityShape::Rates, "{backward:?}");
 }
+
+#[test]
+fn what_is_in_a_gap_is_not_compared() {
+    // Small, fast motion beside the steps of the encoder, so that windows are long.
+    let at = |t: f64| 0.02 * (9.0 * t).sin();
+    let t_s: Vec<f64> = (0..1500).map(|row| f64::from(row) * 0.02).collect();
+    let t_s: Vec<f64> = t_s.into_iter().filter(|t| !(9.9..10.4).contains(t)).collect();
+    let q: Vec<f64> = t_s.iter().map(|&t| (at(t) / 5e-4).round() * 5e-4).collect();
+    let v: Vec<f64> = t_s.iter().map(|&t| 0.18 * (9.0 * t).cos()).collect();
+    let joint = VelocitySamples { t_s: &t_s, position: &q, velocity: &v };
+    let windows = Windows::of(&joint).expect("it moves");
+    assert!(windows.changes.windows.iter().all(|(from, to)| *to < 9.95 || *from > 10.3));
+    let found = diagnose_velocity(&[joint], 0).expect("it moves");
+    assert_eq!(found.shape, VelocityShape::Rates, "{found:?}");
+}
+
+#[test]
+fn an_encoder_has_steps_and_noise_has_none() {
+    let smooth: Vec<f64> = (0..3000).map(|row| position(0, f64::from(row) * 0.004)).collect();
+    let step = std::f64::consts::TAU / 1024.0;
+    let stepped: Vec<f64> = smooth.iter().map(|q| (q / step).round() * step).collect();
+    assert!((encoder_step(&stepped) - step).abs() < 1e-9);
+    assert_eq!(encoder_step(&smooth), 0.0);
+    assert_eq!(encoder_step(&[]), 0.0);
+}

@@ -114,7 +114,7 @@ impl Whose {
     pub fn arm_label(&self) -> String {
         let parts = [&self.site, &self.arm, &self.robot].into_iter().flatten();
         let parts: Vec<&str> = parts.map(String::as_str).collect();
-        if parts.is_empty() { "–".to_owned() } else { parts.join(" / ") }
+        if parts.is_empty() { "unknown arm".to_owned() } else { parts.join(" / ") }
     }
 
     /// What in the log is meant: joint, topic or frame; empty for the whole of it.

@@ -90,7 +90,7 @@ pub fn totals(report: &FleetReport) -> String {
         parts.push(format!("{} not audited", report.errors.len()));
     }
     if moving > 0 {
-        parts.push(format!("{moving} amounts move"));
+        parts.push(format!("{moving} {}", if moving == 1 { "trend" } else { "trends" }));
     }
     parts.join(", ")
 }
@@ -99,17 +99,17 @@ pub fn totals(report: &FleetReport) -> String {
 pub fn arm(row: &ArmRow) -> String {
     let fails: Vec<String> =
         row.fails.iter().map(|fail| format!("{} in {}", fail.code, fail.logs)).collect();
-    let fails = if fails.is_empty() { "nothing found".to_owned() } else { fails.join(", ") };
+    let fails = if fails.is_empty() { "no problems found".to_owned() } else { fails.join(", ") };
     format!("{}: {} logs, {} fail: {fails}", row.whose.arm_label(), row.logs, row.verdicts.fail)
 }
 
 /// In how many logs a finding is.
 pub fn how_often(row: &FindingRow) -> String {
     let of = row.logs + row.sound;
-    if row.sound == 0 {
-        format!("in {} logs", row.logs)
-    } else {
-        format!("in {} of {of} logs", row.logs)
+    match (row.logs, row.sound) {
+        (1, 0) => "in its only log".to_owned(),
+        (logs, 0) => format!("in all {logs} logs"),
+        (logs, _) => format!("in {logs} of {of} logs"),
     }
 }
 

@@ -1,6 +1,6 @@
 //! Coordinate axes that are named otherwise: exchanged, pointing the other way, mirrored.
 
-use super::{Rotation, Vec3, rotation_from_matrix_rows};
+use super::{Pose, Rotation, Vec3, rotation_from_matrix_rows};
 use std::fmt;
 use std::str::FromStr;
 use std::sync::LazyLock;
@@ -85,6 +85,23 @@ impl Axes {
         rotation_from_matrix_rows(rows).map_or_else(Rotation::identity, |(rotation, _)| rotation)
     }
 
+    /// The axes that undo these: what is written in them again is as it was.
+    pub fn inverse(self) -> Self {
+        let mut inverse = Self::STANDARD;
+        for axis in 0..3 {
+            inverse.along[self.along[axis]] = axis;
+            inverse.reversed[self.along[axis]] = self.reversed[axis];
+        }
+        inverse
+    }
+
+    /// A pose whose world and body are both written in these axes, from the standard one.
+    pub fn of_pose(self, standard: &Pose) -> Pose {
+        let turn = self.conjugator();
+        let xyz = self.of(standard.translation.vector);
+        Pose::from_parts(xyz.into(), turn * standard.rotation * turn.inverse())
+    }
+
     /// The vector part of a quaternion in these axes, by the signed names of its standard components, as in
     /// `[-y, z, x]`: what a reader must fill its x, y and z with to have the standard one.
     pub fn standard_names(self, is_vector_part: bool) -> [String; 3] {
@@ -131,6 +148,7 @@ mod tests {
         let v = Vec3::new(1.0, -2.0, 3.0);
         for axes in all {
             assert_eq!(axes.standard(axes.of(v)), v);
+            assert_eq!(axes.inverse().of(axes.of(v)), v);
             assert_eq!(axes.to_string().parse(), Ok(*axes));
         }
     }

@@ -21,29 +21,36 @@ pub enum Coding {
     Rows,
     /// The same column by column.
     Columns,
+    /// The first two columns of a matrix, as learned policies give rotations (Zhou et al., *On the
+    /// Continuity of Rotation Representations in Neural Networks*, CVPR 2019).
+    TwoColumns,
+    /// The first two rows of a matrix (PyTorch3D's `matrix_to_rotation_6d`).
+    TwoRows,
+    /// A unit vector along the axis, then the angle.
+    AxisAngle,
 }
 
 impl Coding {
-    /// The coding of that name that is no matrix: a matrix tells by its numbers how it lies, so nobody
-    /// declares it.
+    /// The coding of that name where it is three numbers or a quaternion: of the others the numbers tell
+    /// how they lie, so nobody declares them.
     ///
     /// # Errors
     /// Where there is none.
     pub fn declared(name: &str) -> Result<Self, ConventionError> {
         match name.parse()? {
-            Self::Rows | Self::Columns => Err(ConventionError::Unknown(name.to_owned())),
-            coding => Ok(coding),
+            coding @ (Self::Three(_) | Self::Xyzw | Self::Wxyz) => Ok(coding),
+            _ => Err(ConventionError::Unknown(name.to_owned())),
         }
     }
 
     /// Whether its numbers are angles.
     pub fn has_angles(self) -> bool {
-        matches!(self, Self::Three(_))
+        matches!(self, Self::Three(_) | Self::AxisAngle)
     }
 
-    /// Whether it is a matrix.
+    /// Whether it is a matrix, or two columns or rows of one.
     pub fn is_matrix(self) -> bool {
-        matches!(self, Self::Rows | Self::Columns)
+        matches!(self, Self::Rows | Self::Columns | Self::TwoColumns | Self::TwoRows)
     }
 
     /// How unusual it is, from 0.
@@ -51,7 +58,7 @@ impl Coding {
         match self {
             Self::Three(convention) => convention.usual_rank(),
             Self::Xyzw | Self::Rows => 0,
-            Self::Wxyz | Self::Columns => 1,
+            Self::Wxyz | Self::Columns | Self::TwoColumns | Self::TwoRows | Self::AxisAngle => 1,
         }
     }
 }
@@ -64,6 +71,9 @@ impl fmt::Display for Coding {
             Self::Wxyz => f.write_str("quat:wxyz"),
             Self::Rows => f.write_str("matrix:rows"),
             Self::Columns => f.write_str("matrix:columns"),
+            Self::TwoColumns => f.write_str("rot6d:columns"),
+            Self::TwoRows => f.write_str("rot6d:rows"),
+            Self::AxisAngle => f.write_str("axis-angle"),
         }
     }
 }
@@ -77,6 +87,9 @@ impl FromStr for Coding {
             "quat:wxyz" => Self::Wxyz,
             "matrix:rows" => Self::Rows,
             "matrix:columns" => Self::Columns,
+            "rot6d:columns" => Self::TwoColumns,
+            "rot6d:rows" => Self::TwoRows,
+            "axis-angle" => Self::AxisAngle,
             name => Self::Three(name.parse()?),
         })
     }

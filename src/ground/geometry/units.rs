@@ -112,22 +112,32 @@ pub enum AngleUnit {
     /// Degrees.
     #[serde(rename = "deg")]
     Degree,
+    /// Thousandths of a degree, as integers.
+    #[serde(rename = "0.001 deg")]
+    Millidegree,
+    /// Ten-thousandths of a degree, as integers.
+    #[serde(rename = "0.0001 deg")]
+    TenthMillidegree,
 }
 
 impl AngleUnit {
+    const ALL: [Self; 4] = [Self::Radian, Self::Degree, Self::Millidegree, Self::TenthMillidegree];
+
     /// How many radians it is.
     pub fn in_rad(self) -> f64 {
         match self {
             Self::Radian => 1.0,
             Self::Degree => 1_f64.to_radians(),
+            Self::Millidegree => 1e-3_f64.to_radians(),
+            Self::TenthMillidegree => 1e-4_f64.to_radians(),
         }
     }
 
-    /// The other one.
+    /// The one that it is taken for: degrees of radians, radians of all others.
     pub fn other(self) -> Self {
         match self {
             Self::Radian => Self::Degree,
-            Self::Degree => Self::Radian,
+            _ => Self::Radian,
         }
     }
 
@@ -136,6 +146,8 @@ impl AngleUnit {
         match self {
             Self::Radian => "rad",
             Self::Degree => "deg",
+            Self::Millidegree => "0.001 deg",
+            Self::TenthMillidegree => "0.0001 deg",
         }
     }
 
@@ -144,6 +156,8 @@ impl AngleUnit {
         match self {
             Self::Radian => "radians",
             Self::Degree => "degrees",
+            Self::Millidegree => "thousandths of a degree",
+            Self::TenthMillidegree => "ten-thousandths of a degree",
         }
     }
 }
@@ -176,7 +190,7 @@ impl Slip<LengthScale> {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(try_from = "String")]
 pub struct Units {
-    /// The unit of positions: metres or millimetres.
+    /// The unit of positions.
     pub length: Option<LengthScale>,
     /// The unit of angles.
     pub angle: Option<AngleUnit>,
@@ -185,7 +199,7 @@ pub struct Units {
 /// Why a word is not taken into [`Units`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum UnitError {
-    /// It is none of `m`, `mm`, `rad` and `deg`.
+    /// It is neither a unit of length nor one of angles.
     Unknown,
     /// Another unit of the same kind was named before.
     Contradiction,
@@ -197,12 +211,11 @@ impl Units {
     /// # Errors
     /// Where the word is no unit, or contradicts another one.
     pub fn take(&mut self, symbol: &str) -> Result<(), UnitError> {
-        let is_known = match symbol {
-            "m" => is_or_becomes(&mut self.length, LengthScale::METRE),
-            "mm" => is_or_becomes(&mut self.length, LengthScale::MILLIMETRE),
-            "rad" => is_or_becomes(&mut self.angle, AngleUnit::Radian),
-            "deg" => is_or_becomes(&mut self.angle, AngleUnit::Degree),
-            _ => return Err(UnitError::Unknown),
+        let angle = AngleUnit::ALL.into_iter().find(|unit| unit.symbol() == symbol);
+        let is_known = match (angle, symbol.parse()) {
+            (Some(angle), _) => is_or_becomes(&mut self.angle, angle),
+            (None, Ok(length)) => is_or_becomes(&mut self.length, length),
+            (None, Err(_)) => return Err(UnitError::Unknown),
         };
         is_known.then_some(()).ok_or(UnitError::Contradiction)
     }

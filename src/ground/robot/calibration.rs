@@ -1,4 +1,7 @@
-//! A UR's factory calibration: where its joints really are.
+//! A calibration: where the joints of an arm really are.
+//!
+//! Of any arm it may be the JSON that `poseaudit calibrate` writes, of which the joints are read: each
+//! with its name and its origin, xyz in m and roll, pitch, yaw in rad as in a URDF's `<origin>`.
 //!
 //! Universal Robots measures every arm and keeps what it found in the controller, whose own poses
 //! are by it. The ROS driver's `ur_calibration` extracts it as YAML, and `ur_description` puts each
@@ -6,6 +9,7 @@
 //! UniversalRobots/Universal_Robots_ROS2_Description): xyz in m and roll, pitch, yaw in rad as in a
 //! URDF's `<origin>`. Blocks are named after the link that the joint carries.
 
+use std::fmt::Write as _;
 use std::path::Path;
 
 use serde::Deserialize;
@@ -15,7 +19,7 @@ use super::error::{Problem, RobotError};
 use super::joint::MOST;
 use super::model::Robot;
 use super::without_bom;
-use crate::geometry::{Pose, angle_between, pose, rotation_from_rpy};
+use crate::geometry::{Convention, Pose, angle_between, pose, rotation_from_rpy, xyz_of};
 
 /// The joint whose origin each block is, in the order of [`Blocks`].
 const JOINTS: [&str; 6] = [
@@ -27,20 +31,40 @@ const JOINTS: [&str; 6] = [
     "wrist_3_joint",
 ];
 
+/// The blocks of the file, in the order of [`JOINTS`].
+const BLOCKS: [&str; 6] = ["shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"];
+
 /// No calibration moves a joint's origin by more than this, m and rad: it would be another arm's.
 const MOST_M: f64 = 0.05;
 const MOST_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 
-/// The origins of a UR's joints, as measured.
+/// The origins of an arm's joints, as measured.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Calibration {
     /// What it was read from.
     pub source: String,
     /// The controller's name of it, such as `calib_2327696229793275135`.
     pub hash: Option<String>,
-    /// `parent_from_joint` of each of [`JOINTS`], and the line of its block.
-    origins: [(Pose, usize); 6],
+    /// The joints, each with its `parent_from_joint` and the line of its block.
+    origins: Vec<(String, Pose, usize)>,
 }
+
+/// What `poseaudit calibrate` writes, as far as it is read back.
+#[derive(Deserialize)]
+struct Written {
+    schema: String,
+    joints: Vec<Spanned<WrittenJoint>>,
+}
+
+#[derive(Deserialize)]
+struct WrittenJoint {
+    name: String,
+    xyz: [f64; 3],
+    rpy: [f64; 3],
+}
+
+/// The schema of that file.
+pub const CALIBRATION_SCHEMA: &str = "poseaudit.calibration/1";
 
 #[derive(Deserialize)]
 struct File {
@@ -80,16 +104,23 @@ impl Calibration {
         Self::from_text(&text, &file)
     }
 
-    /// Reads the YAML of `ur_calibration`; `source` names it in errors.
+    /// Reads the YAML of `ur_calibration`, or the JSON of `poseaudit calibrate`; `source` names it in
+    /// errors.
     ///
     /// # Errors
     /// Where it is no YAML of that layout, lacks a block or one of its six numbers, or a number is
     /// none; with the line.
     pub fn from_text(text: &str, source: &str) -> Result<Self, RobotError> {
-        let file: File = serde_saphyr::from_str(without_bom(text)).map_err(|error| {
+        let refuse = |error: serde_saphyr::Error| {
             let what = error.without_snippet().to_string().lines().collect::<Vec<_>>().join(", ");
             RobotError::new(source, error.location().map(line), Problem::Calibration(what))
-        })?;
+        };
+        if without_bom(text).trim_start().starts_with('{') {
+            // JSON is YAML.
+            let written = serde_saphyr::from_str(without_bom(text)).map_err(refuse)?;
+            return Self::of_written(written, source);
+        }
+        let file: File = serde_saphyr::from_str(without_bom(text)).map_err(refuse)?;
         let Blocks { shoulder, upper_arm, forearm, wrist_1, wrist_2, wrist_3, hash } =
             file.kinematics;
         let blocks = [shoulder, upper_arm, forearm, wrist_1, wrist_2, wrist_3];
@@ -100,8 +131,30 @@ impl Calibration {
                 return Err(RobotError::new(source, line, Problem::NotFinite { element }));
             }
         }
-        let origins = blocks.map(|block| (block.value.origin(), line(block.referenced)));
-        Ok(Self { source: source.to_owned(), hash, origins })
+        let origins = blocks
+            .iter()
+            .zip(JOINTS)
+            .map(|(block, joint)| (joint.to_owned(), block.value.origin(), line(block.referenced)));
+        Ok(Self { source: source.to_owned(), hash, origins: origins.collect() })
+    }
+
+    fn of_written(written: Written, source: &str) -> Result<Self, RobotError> {
+        let refuse = |at, problem| Err(RobotError::new(source, at, problem));
+        if written.schema != CALIBRATION_SCHEMA || written.joints.is_empty() {
+            let what = format!("its schema is '{}', not '{CALIBRATION_SCHEMA}'", written.schema);
+            return refuse(None, Problem::Calibration(what));
+        }
+        let mut origins = Vec::with_capacity(written.joints.len());
+        for joint in written.joints {
+            let at = line(joint.referenced);
+            let WrittenJoint { name, xyz, rpy } = joint.value;
+            if xyz.iter().chain(&rpy).any(|number| number.is_nan() || number.abs() > MOST) {
+                let element = format!("joint '{name}'");
+                return refuse(Some(at), Problem::NotFinite { element });
+            }
+            origins.push((name, pose(xyz, rotation_from_rpy(rpy)), at));
+        }
+        Ok(Self { source: source.to_owned(), hash: None, origins })
     }
 
     /// What it was read from and the controller's name of it: `arm.yaml (calib_23…)`.
@@ -130,16 +183,39 @@ impl Block {
 }
 
 impl Robot {
-    /// What stands before the names of a UR's six joints in this robot, once for each UR in it.
-    pub fn ur_prefixes(&self) -> Vec<String> {
-        let firsts = self.joints().iter().filter_map(|joint| joint.name.strip_suffix(JOINTS[0]));
+    /// What stands before the names of the joints of `calibration` in this robot, once for each arm in
+    /// it that has them all.
+    pub fn prefixes_of(&self, calibration: &Calibration) -> Vec<String> {
+        let Some((first, ..)) = calibration.origins.first() else { return Vec::new() };
+        let firsts =
+            self.joints().iter().filter_map(|joint| joint.name.strip_suffix(first.as_str()));
         let has_all = |prefix: &&str| {
-            JOINTS.iter().all(|joint| self.joint(&format!("{prefix}{joint}")).is_some())
+            let mut joints = calibration.origins.iter();
+            joints.all(|(joint, ..)| self.joint(&format!("{prefix}{joint}")).is_some())
         };
         firsts.filter(has_all).map(str::to_owned).collect()
     }
 
-    /// The same robot with the origins of the UR joints that `prefix` stands before as `calibration`
+    /// The YAML of `ur_calibration` with the origins of the UR joints that `prefix` stands before, and
+    /// `hash` for the controller's name of it; `None` where this robot has no such joints.
+    pub fn ur_calibration(&self, prefix: &str, hash: &str) -> Option<String> {
+        let mut text = "kinematics:\n".to_owned();
+        for (block, joint) in BLOCKS.iter().zip(JOINTS) {
+            let origin = self.joint(&format!("{prefix}{joint}"))?.parent_from_joint;
+            let [x, y, z] = xyz_of(&origin);
+            let [roll, pitch, yaw] = Convention::RPY.numbers(&origin.rotation);
+            let _ = writeln!(text, "  {block}:");
+            let numbers =
+                [("x", x), ("y", y), ("z", z), ("roll", roll), ("pitch", pitch), ("yaw", yaw)];
+            for (name, number) in numbers {
+                let _ = writeln!(text, "    {name}: {number}");
+            }
+        }
+        let _ = writeln!(text, "  hash: {hash}");
+        Some(text)
+    }
+
+    /// The same robot with the origins of the joints that `prefix` stands before as `calibration`
     /// has them.
     ///
     /// # Errors
@@ -147,7 +223,7 @@ impl Robot {
     /// calibration is another arm's then, or the model has other frames than `ur_description`.
     pub fn calibrated(&self, prefix: &str, calibration: &Calibration) -> Result<Robot, RobotError> {
         let mut robot = self.clone();
-        for (joint, (origin, line)) in JOINTS.iter().zip(&calibration.origins) {
+        for (joint, origin, line) in &calibration.origins {
             let refuse = |problem| Err(RobotError::new(&calibration.source, Some(*line), problem));
             let joint = format!("{prefix}{joint}");
             let Some(nominal) = self.joint(&joint) else {
@@ -262,16 +338,51 @@ kinematics:
         let text = refusal(ur10e, "", NOMINAL);
         assert!(text.starts_with("arm.yaml:4: ") && text.contains("elbow_joint"), "{text}");
         let panda = catalogue::find("panda").unwrap();
-        assert!(panda.ur_prefixes().is_empty());
+        assert!(
+            panda.prefixes_of(&Calibration::from_text(NOMINAL, "arm.yaml").unwrap()).is_empty()
+        );
         assert!(refusal(panda, "", NOMINAL).contains("has no joint 'shoulder_pan_joint'"));
     }
 
     #[test]
     fn a_prefix_says_which_arm() {
         let left = ur5e().with_prefix_replaced("", "left_").unwrap();
-        assert_eq!(left.ur_prefixes(), ["left_"]);
         let calibration = Calibration::from_text(NOMINAL, "arm.yaml").unwrap();
+        assert_eq!(left.prefixes_of(&calibration), ["left_"]);
         assert!(left.calibrated("left_", &calibration).is_ok());
         assert!(left.calibrated("right_", &calibration).is_err());
+    }
+
+    #[test]
+    fn what_is_written_is_read_back() {
+        let robot = ur5e();
+        let text = robot.ur_calibration("", "calib_7").unwrap();
+        let calibration = Calibration::from_text(&text, "own.yaml").unwrap();
+        assert_eq!(calibration.hash.as_deref(), Some("calib_7"));
+        let back = robot.calibrated("", &calibration).unwrap();
+        let q = [0.3, -1.2, 0.9, -0.4, 1.1, 2.0];
+        let off = base_from_tool(&robot, &q).inverse() * base_from_tool(&back, &q);
+        assert!(off.translation.vector.norm() < 1e-12 && off.rotation.angle() < 1e-12);
+        assert!(catalogue::find("panda").unwrap().ur_calibration("", "calib_7").is_none());
+    }
+
+    #[test]
+    fn the_joints_of_our_own_file_are_taken() {
+        let json = r#"{"schema": "poseaudit.calibration/1", "arm": "ur5e", "joints": [
+            {"name": "elbow_joint", "parent": "a", "xyz": [-0.4251, 0.0, 0.0], "rpy": [0.0, 0.0, 0.0]}]}"#;
+        let calibration = Calibration::from_text(json, "calibration.json").unwrap();
+        assert_eq!(ur5e().prefixes_of(&calibration), [""]);
+        let origin = ur5e()
+            .calibrated("", &calibration)
+            .unwrap()
+            .joint("elbow_joint")
+            .unwrap()
+            .parent_from_joint;
+        assert!((origin.translation.vector.x + 0.4251).abs() < 1e-15);
+        let other = json.replace("poseaudit.calibration/1", "poseaudit.report/1");
+        assert!(error(&other).contains("poseaudit.report/1"), "{}", error(&other));
+        let far = json.replace("-0.4251", "-4.251");
+        let far = Calibration::from_text(&far, "calibration.json").unwrap();
+        assert!(ur5e().calibrated("", &far).is_err());
     }
 }

@@ -7,7 +7,9 @@
 mod calibration;
 pub mod catalogue;
 mod chain;
+mod deviate;
 mod dh;
+mod dh_write;
 mod error;
 mod joint;
 mod model;
@@ -17,11 +19,13 @@ mod patch;
 mod table;
 mod urdf;
 mod visuals;
+mod write;
 mod xml;
 
-pub use calibration::Calibration;
+pub use calibration::{CALIBRATION_SCHEMA, Calibration};
 pub use chain::Chain;
 pub use chain::turn_z_to;
+pub use deviate::LinkPath;
 pub use dh::{DhConvention, DhModel};
 pub use error::{ChainError, Problem, RobotError};
 pub use joint::{JointKind, Limits, Mimic};

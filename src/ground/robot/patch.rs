@@ -65,7 +65,10 @@ impl Robot {
         }
         let edits = match (own.dh.is_some(), is_xml(text)) {
             (true, _) => dh_edits(text, &own, offset_of)?,
-            (false, true) => urdf_edits(text, &own, offset_of)?,
+            (false, true) => urdf_edits(text, &own, |index| {
+                let joint = &own.joints()[index];
+                Some(joint.parent_from_joint * motion(joint.kind, &joint.axis, offset_of(index)?))
+            })?,
             (false, false) => return Err(NoPatch::Layout),
         };
         let patched = edited(text, edits);
@@ -74,6 +77,28 @@ impl Robot {
         for (index, (joint, read)) in joints.filter(|_| own.dh.is_none()) {
             let motion = motion(joint.kind, &joint.axis, offset_of(index).unwrap_or(0.0));
             if !is_same(&read.parent_from_joint, &(joint.parent_from_joint * motion)) {
+                return Err(NoPatch::NotPatched(joint.name.clone()));
+            }
+        }
+        Ok(patched)
+    }
+
+    /// The text of this robot, a URDF, with the origins of its joints where `to`, the same robot with
+    /// other origins, has them. Nothing else of the text changes.
+    ///
+    /// # Errors
+    /// Where there is no such text, or it cannot be changed so.
+    pub fn text_with_origins_of(&self, to: &Robot) -> Result<String, NoPatch> {
+        let text = self.text().ok_or(NoPatch::NoText)?;
+        if !is_xml(text) {
+            return Err(NoPatch::Layout);
+        }
+        let own = Robot::from_text(text, &self.source)?;
+        let after = |index: usize| to.joints().get(index).map(|joint| joint.parent_from_joint);
+        let patched = edited(text, urdf_edits(text, &own, after)?);
+        let read = Robot::from_text(&patched, &self.source)?;
+        for (joint, read) in to.joints().iter().zip(read.joints()) {
+            if !is_same(&read.parent_from_joint, &joint.parent_from_joint) {
                 return Err(NoPatch::NotPatched(joint.name.clone()));
             }
         }
@@ -137,13 +162,13 @@ fn edited(text: &str, mut edits: Vec<Edit>) -> String {
 }
 
 /// A number with twelve decimals at most, without zeros at the end.
-fn number(value: f64) -> String {
+pub(super) fn number(value: f64) -> String {
     let text = format!("{value:.12}");
     let text = text.trim_end_matches('0').trim_end_matches('.');
     if text == "-0" { "0".to_owned() } else { text.to_owned() }
 }
 
-fn numbers(values: impl IntoIterator<Item = f64>) -> String {
+pub(super) fn numbers(values: impl IntoIterator<Item = f64>) -> String {
     values.into_iter().map(number).collect::<Vec<_>>().join(" ")
 }
 
@@ -182,19 +207,18 @@ fn decimal(number: &str) -> String {
     if number.contains('.') { number.to_owned() } else { format!("{number}.0") }
 }
 
-/// The origins of the joints that have an offset.
+/// The origins of joints, where they come to be others.
 fn urdf_edits(
     text: &str,
     own: &Robot,
-    offset_of: impl Fn(usize) -> Option<f64>,
+    after: impl Fn(usize) -> Option<Pose>,
 ) -> Result<Vec<Edit>, NoPatch> {
     let document = document(text).map_err(|_| NoPatch::Layout)?;
     let nodes = document.root_element().children().filter(|node| node.has_tag_name("joint"));
     let mut edits = Vec::new();
     for (index, (joint, node)) in own.joints().iter().zip(nodes).enumerate() {
-        let Some(offset) = offset_of(index) else { continue };
+        let Some(after) = after(index) else { continue };
         let before = joint.parent_from_joint;
-        let after = before * motion(joint.kind, &joint.axis, offset);
         let is_element = |child: &Node| child.is_element() && child.tag_name().name() == "origin";
         let origin = node.children().find(is_element);
         let refuse = || NoPatch::NotPatched(joint.name.clone());

@@ -48,12 +48,21 @@ pub enum Shape {
 impl Robot {
     /// The visuals of the model's links, in the file's order. A model that is no URDF has none.
     pub fn visuals(&self) -> Vec<Visual> {
+        self.drawn("visual")
+    }
+
+    /// What stands for the model's links in collisions, likewise.
+    pub fn collisions(&self) -> Vec<Visual> {
+        self.drawn("collision")
+    }
+
+    fn drawn(&self, element: &'static str) -> Vec<Visual> {
         let document = self.text().map(document);
         let Some(Ok(document)) = document else { return Vec::new() };
         // Names may have been changed since it was read; the order has not.
         let links = named(document.root_element(), "link").zip(self.links());
         let visuals = links.flat_map(|(node, link)| {
-            named(node, "visual").filter_map(move |visual| visual_of(link, visual))
+            named(node, element).filter_map(move |visual| visual_of(link, visual))
         });
         visuals.collect()
     }
@@ -135,6 +144,17 @@ mod tests {
         let x = visuals[1].link_from_visual * nalgebra::Point3::new(1.0, 0.0, 0.0);
         assert!((x - nalgebra::Point3::new(0.0, 1.0, 0.5)).norm() < 1e-12, "{x}");
         assert_eq!(visuals[2].shape, Shape::Cylinder { radius_m: 0.05, length_m: 1.0 });
+    }
+
+    #[test]
+    fn what_stands_for_links_in_collisions_is_apart() {
+        let shapes: Vec<Shape> = Robot::from_urdf(URDF, "test")
+            .unwrap()
+            .collisions()
+            .into_iter()
+            .map(|collision| collision.shape)
+            .collect();
+        assert_eq!(shapes, [Shape::Sphere(1.0)]);
     }
 
     #[test]

@@ -42,6 +42,7 @@ fn markdown(replay: &Replay<'_>, meshes: &[String]) -> String {
     list(&mut page, "Ignored", says.ignored());
     list(&mut page, "Passed", passed);
     list(&mut page, "Could not tell", [says.could_not_tell(), says.cannot_show()].concat());
+    list(&mut page, "To settle it", says.to_settle());
     list(&mut page, "Skipped", says.skipped());
     let notes = report.log.notes.iter().map(|note| note.note.clone());
     list(&mut page, "Notes", notes.collect());

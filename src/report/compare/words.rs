@@ -23,13 +23,13 @@ impl Course {
     /// Its name in reports.
     const fn name(self) -> &'static str {
         match self {
-            Course::Appeared => "appeared",
-            Course::Grew => "grew",
+            Course::Appeared => "new",
+            Course::Grew => "worse",
             Course::Changed => "changed",
             Course::Same => "same",
-            Course::Shrank => "shrank",
-            Course::Untold => "untold",
-            Course::Gone => "gone",
+            Course::Shrank => "smaller",
+            Course::Untold => "inconclusive",
+            Course::Gone => "fixed",
         }
     }
 }
@@ -64,7 +64,7 @@ pub fn text(comparison: &Comparison, out: &mut dyn Write) -> io::Result<()> {
         writeln!(out)?;
     }
     for lost in &comparison.lost {
-        line(out, DOUBTFUL, "not told now", &comparison.lost_words(lost))?;
+        line(out, DOUBTFUL, "inconclusive", &comparison.lost_words(lost))?;
     }
     Ok(())
 }
@@ -95,7 +95,7 @@ pub fn markdown(comparison: &Comparison, out: &mut dyn Write) -> io::Result<()> 
         writeln!(out)?;
     }
     if !comparison.lost.is_empty() {
-        writeln!(out, "<details><summary>Passed, and is not told now</summary>\n")?;
+        writeln!(out, "<details><summary>Passed, and is inconclusive now</summary>\n")?;
         for lost in &comparison.lost {
             writeln!(out, "- {}", md::prose(&comparison.lost_words(lost)))?;
         }
@@ -105,7 +105,7 @@ pub fn markdown(comparison: &Comparison, out: &mut dyn Write) -> io::Result<()> 
 }
 
 impl Comparison {
-    /// `1 appeared, 2 gone`, and what else makes it worse.
+    /// `1 new, 2 fixed`, and what else makes it worse.
     fn why(&self) -> String {
         let courses = [
             Course::Appeared,
@@ -123,11 +123,11 @@ impl Comparison {
         let error = self.error.iter().map(|what| format!("the new log was not audited: {what}"));
         let lost = match self.lost.len() {
             0 => None,
-            1 => Some("1 check that passed tells nothing now".to_owned()),
-            many => Some(format!("{many} checks that passed tell nothing now")),
+            1 => Some("1 check that passed is inconclusive now".to_owned()),
+            many => Some(format!("{many} checks that passed are inconclusive now")),
         };
         let all: Vec<String> = error.chain(counts).chain(lost).collect();
-        if all.is_empty() { "nothing was wrong, nor is".to_owned() } else { all.join(", ") }
+        if all.is_empty() { "no problems before or now".to_owned() } else { all.join(", ") }
     }
 
     /// Whom a cause or a check is about, with its robot where several are spoken of.
@@ -161,9 +161,9 @@ impl Change {
             (_, Some(new)) => format!("{} {}", new.severity.name(), new.message),
             (Some(old), None) => {
                 let now = match (self.course, &self.reason) {
-                    (Course::Gone, _) => "passes now".to_owned(),
-                    (_, Some(reason)) => format!("cannot be told now: {reason}"),
-                    (_, None) => "cannot be told now".to_owned(),
+                    (Course::Gone, _) => "fixed".to_owned(),
+                    (_, Some(reason)) => format!("now inconclusive: {reason}"),
+                    (_, None) => "now inconclusive".to_owned(),
                 };
                 format!("{} {}; {now}", old.severity.name(), old.message)
             }

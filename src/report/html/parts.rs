@@ -183,8 +183,9 @@ impl Parts<'_> {
         }
         html! {
             (list("ignored", "Ignored", &self.outline.ignored()))
-            (list("open", "Could not tell", &self.outline.could_not_tell()))
-            (list("together", "Cannot show", &self.outline.cannot_show()))
+            (list("open", "Inconclusive", &self.outline.could_not_tell()))
+            (list("together", "Not observable", &self.outline.cannot_show()))
+            (list("settle", "To settle", &self.outline.to_settle()))
             (list("passed", "Passed", if self.report.checks.is_empty() { &[] } else { &all_passed }))
             (list("skipped", "Skipped", &self.outline.skipped()))
             (self.workspace())
@@ -249,7 +250,7 @@ impl Parts<'_> {
             footer {
                 @if let Some(first) = first {
                     p { code { "poseaudit explain " (first.code) } " what it means, when it misleads" }
-                    p { code { "poseaudit audit … --rrd run.rrd" } " replay it in the viewer" }
+                    p { code { (self.report.replay()) } " replay it in the viewer" }
                 }
                 p { "poseaudit " (env!("CARGO_PKG_VERSION")) ". Errors are against forward \
                      kinematics of the joint states; ± is half a 95 % interval." }

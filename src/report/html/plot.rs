@@ -118,8 +118,7 @@ impl Plot {
                 p .readout role="status" aria-live="polite" {}
                 @if rows < self.x.len() {
                     p .note {
-                        (rows) " of " (self.x.len()) " samples are drawn: those with the lowest and \
-                        the highest value of each stretch, so that no peak is lost."
+                        "min/max of " (self.x.len()) " samples, " (rows) " drawn"
                     }
                 }
                 details .values {
@@ -306,8 +305,8 @@ mod tests {
         let values = json["series"][0]["values"].as_array().expect("values");
         assert!(values.len() <= 1000 && values.contains(&json!(7.5)), "{}", values.len());
         assert_eq!(json["x"].as_array().map(Vec::len), Some(values.len()));
-        assert!(plot.markup("p", None, 1000).into_string().contains("of 100000 samples are drawn"));
-        assert!(!plot.markup("p", None, 200_000).into_string().contains("samples are drawn"));
+        assert!(plot.markup("p", None, 1000).into_string().contains("min/max of 100000 samples"));
+        assert!(!plot.markup("p", None, 200_000).into_string().contains("min/max of"));
     }
 
     #[test]

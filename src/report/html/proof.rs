@@ -300,7 +300,7 @@ impl Case<'_> {
             title: "Yaw over that of the arm",
             robot: imu.robot.clone(),
             of: imu.topic.clone(),
-            says: "A steady climb is a drift; a right IMU stays level.".to_owned(),
+            says: "A slope is drift; a good IMU stays flat.".to_owned(),
             x: t_s,
             x_label: "time, s",
             y_label: "°",
@@ -386,7 +386,7 @@ fn error_over_reach(pose: &PoseFigure) -> Plot {
     };
     let series = before_and_after([&sorted(&pose.before_m), &sorted(&pose.after_m)], 1e3);
     Plot {
-        title: "Position error over reach",
+        title: "Position error vs. reach",
         robot: pose.robot.clone(),
         of: pose.topic.clone(),
         says: "A wrong zero or length shows more the further the arm reaches.".to_owned(),
@@ -402,7 +402,7 @@ fn error_over_reach(pose: &PoseFigure) -> Plot {
 
 /// The two states of a stream; as logged only where the log ties its frame to the arm.
 fn before_and_after([before, after]: [&Vec<f64>; 2], factor: f64) -> Vec<Series> {
-    let states = [("as logged", Role::Before, before), ("explained", Role::After, after)];
+    let states = [("as logged", Role::Before, before), ("after correction", Role::After, after)];
     let drawn = states.into_iter().filter(|(.., values)| !values.is_empty());
     drawn
         .map(|(label, role, values)| Series {
@@ -482,7 +482,7 @@ fn readings(scores: &[ReadingScore]) -> Option<Bars> {
     });
     let bars: Vec<Bar> = bars.collect();
     (!bars.is_empty()).then(|| Bars {
-        title: "What each reading leaves".to_owned(),
+        title: "Residual under each rotation convention".to_owned(),
         says: "Angle to forward kinematics, rms, with the frames that the best reading needs."
             .to_owned(),
         bars,

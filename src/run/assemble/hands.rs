@@ -5,14 +5,15 @@ use crate::stream::{Columns, PoseTrack};
 use crate::time::Stamp;
 
 use super::super::poses;
-use super::super::role::Role;
+use super::super::role::{Role, may_be};
 use super::super::targets::{self, HandKind, HandSource, TargetSource};
 use super::assembly::Assembly;
 
 impl Assembly<'_> {
-    /// What cameras see, each with the hands that it may be held against.
+    /// What cameras see, each with the hands that it may be held against; with it what may be on the tool
+    /// as well, by its name alone.
     pub(super) fn targets(&self) -> Vec<TargetSource> {
-        let is_target = |&index: &usize| self.streams[index].role == Role::Target;
+        let is_target = |&index: &usize| may_be(&self.streams[index], Role::Target);
         (0..self.streams.len()).filter(is_target).filter_map(|index| self.target(index)).collect()
     }
 

@@ -1,7 +1,7 @@
 //! What shall be: commanded poses and joint positions, brought to the base and the tip of an arm.
 
 use crate::geometry::Pose;
-use crate::run::role::{Role, shared, words};
+use crate::run::role::{Role, may_be, shared, words};
 use crate::stream::{ArrayColumns, Columns, JointColumns, PoseTrack};
 
 use super::super::arm::{Anchor, Arm};
@@ -74,7 +74,7 @@ impl Assembly<'_> {
         let mut known_plans: Vec<&str> = Vec::new();
         let mut found = Vec::new();
         for (index, stream) in self.streams.iter().enumerate() {
-            if stream.role != Role::Reference {
+            if !may_be(stream, Role::Reference) {
                 continue;
             }
             let source = match &stream.columns {

@@ -11,7 +11,7 @@ use super::super::declaration::Declaration;
 use super::super::error::RunError;
 use super::super::frozen::{Frozen, take_frozen};
 use super::super::poses::{self, Stamped};
-use super::super::role::{Place, PoseTopic, Role, Verdict, array_role, pose_role};
+use super::super::role::{Place, PoseTopic, Role, Verdict, array_role, beside_arm, pose_role};
 use super::super::sources::Carrier;
 use super::super::sources::{ImuSource, PoseSource};
 use super::super::space::Claim;
@@ -119,13 +119,13 @@ impl Assembly<'_> {
                     if let (true, NoSource::Kinematics(what)) = (is_asked, &why) {
                         unaudited = Some(WhyNot::NoKinematics { what: what.clone() });
                     }
-                    (role, reason) = (Role::Unassigned, why.to_string());
+                    (role, reason) = (beside_arm(&stream.topic), why.to_string());
                 }
             }
             self.watched.push(index);
             self.frozen.extend(frozen);
         } else if matches!(role, Role::Candidate { .. }) {
-            role = Role::Unassigned;
+            role = beside_arm(&stream.topic);
             reason += ", and there is no arm that it could follow";
         }
         let rivals: Vec<Held> = match &source {

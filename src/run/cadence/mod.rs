@@ -5,6 +5,7 @@
 //! was the clock that stepped. Nothing is judged here: how large a hole is a gap, and how many lost
 //! rows are a fault, is for the rules to say.
 
+mod coarse;
 mod extent;
 mod intervals;
 mod motion;
@@ -17,8 +18,10 @@ use std::collections::HashMap;
 
 use rayon::prelude::*;
 
+use crate::stream::Columns;
 use crate::time::{Clock, Stamp, seconds};
 
+use self::coarse::Coarse;
 use self::extent::{Bounds, extent};
 use self::intervals::{Intervals, Pace};
 use self::motion::Motion;
@@ -48,6 +51,9 @@ pub struct Cadence {
     pub period_s: Option<f64>,
     /// Whether nearly all intervals are close to one, two, three … periods.
     pub is_regular: bool,
+    /// The tick of a coarse clock that its stamps are of, which hides when between two ticks a row came, s;
+    /// its rhythm is then that of the times of receipt, where these are finer.
+    pub tick_s: Option<f64>,
     /// Whether the header stamps can be judged: they are there and advance.
     pub stamped: bool,
     /// Stamps before one that was received earlier: each with the stamp before it, and how far it is
@@ -79,6 +85,32 @@ pub struct Rhythm {
     pub extent: Option<Extent>,
 }
 
+impl Rhythm {
+    /// Whether its topic has the poses of its body in other frames, too.
+    fn has_relabelled(&self, streams: &[Stream]) -> bool {
+        let own = &streams[self.stream];
+        streams.iter().any(|other| is_relabelled(own, other, streams))
+    }
+}
+
+impl Cadence {
+    /// Takes out the holes in which rows came elsewhere, at stamps in ascending order.
+    fn fill_holes(&mut self, came: &[Stamp]) {
+        self.holes.retain(|hole| {
+            let Stretch { start, end, .. } = hole.stretch;
+            let [from, to] = [start, end].map(|at| came.partition_point(|stamp| *stamp < at));
+            let between = came[from..to.max(from)].iter().copied();
+            let mut last = start;
+            let silences = between.chain([end]).map(|stamp| {
+                let silence_s = stamp.seconds_since(last);
+                last = stamp;
+                silence_s
+            });
+            2.0 * silences.fold(0.0, f64::max) > hole.stretch.seconds()
+        });
+    }
+}
+
 /// The rhythm of every stream that plays a part.
 pub(super) fn rhythms(
     streams: &[Stream],
@@ -106,7 +138,7 @@ pub(super) fn rhythms(
         }
         let bounds = parts
             .iter()
-            .filter(|part| part.wanted && is_expected(stream))
+            .filter(|part| part.wanted)
             .filter_map(|part| Bounds::of(part, timing.clocks.clock(index, part.piece)?))
             .reduce(Bounds::join);
         // Where several senders share a topic, the numbers may count the messages of all.
@@ -122,9 +154,32 @@ pub(super) fn rhythms(
     };
     let found: Vec<_> = streams.par_iter().enumerate().filter_map(rhythm).collect();
     let (mut rhythms, counted): (Vec<_>, Vec<_>) = found.into_iter().unzip();
-    let bounds: Vec<Option<Bounds>> = rhythms.iter().map(|(_, bounds)| *bounds).collect();
+    // What goes on under another frame_id has not ended.
+    let with_others = |(rhythm, own): &(Rhythm, Option<Bounds>)| {
+        let stream = &streams[rhythm.stream];
+        let others = rhythms.iter().filter(|(other, _)| {
+            other.stream != rhythm.stream && is_relabelled(stream, &streams[other.stream], streams)
+        });
+        let all = others.filter_map(|(_, bounds)| *bounds).chain(*own).reduce(Bounds::join);
+        all.filter(|_| is_expected(stream))
+    };
+    let bounds: Vec<Option<Bounds>> = rhythms.iter().map(with_others).collect();
     for (index, (rhythm, _)) in rhythms.iter_mut().enumerate() {
         rhythm.extent = extent(&bounds, index, &motion);
+        let own = &streams[rhythm.stream];
+        let came = || {
+            let others = streams.iter().enumerate().filter(|(other, _)| *other != rhythm.stream);
+            let others = others.filter(|(_, other)| is_relabelled(own, other, streams));
+            let mut came: Vec<Stamp> = others
+                .flat_map(|(other, _)| timing.clocks.rows(streams, other, 0))
+                .map(|(stamp, _)| stamp)
+                .collect();
+            came.sort_unstable();
+            came
+        };
+        if let (true, [only]) = (rhythm.has_relabelled(streams), rhythm.parts.as_mut_slice()) {
+            only.fill_holes(&came());
+        }
         if let [only] = rhythm.parts.as_mut_slice() {
             only.skipped = numbers::skipped(&counted, index);
         }
@@ -150,6 +205,15 @@ fn has_rhythm(stream: &Stream) -> bool {
 /// Whether a stream must be there from the first to the last of the run.
 fn is_expected(stream: &Stream) -> bool {
     matches!(stream.role, Role::Joints | Role::Pose | Role::Candidate { .. } | Role::Tf | Role::Imu)
+}
+
+/// Whether two streams are the poses of one body on one topic, in other frames.
+fn is_relabelled(stream: &Stream, other: &Stream, streams: &[Stream]) -> bool {
+    stream.topic == other.topic
+        && stream.child_frame_id == other.child_frame_id
+        && stream.frame_id != other.frame_id
+        && [stream, other].iter().all(|one| matches!(one.columns, Some(Columns::Poses(_))))
+        && !streams.iter().any(|tf| tf.role == Role::Tf && tf.topic == stream.topic)
 }
 
 /// Whether a stream is a transform that is looked at with the others of its TF topic.
@@ -181,11 +245,17 @@ impl Part<'_> {
         if !times.is_sorted() {
             times.sort_unstable();
         }
-        times.dedup_by_key(|(stamp, _)| *stamp);
+        let coarse = Coarse::of(&times);
+        match &coarse {
+            Some(Coarse { finer: Some(finer), .. }) => times.clone_from(finer),
+            _ => times.dedup_by_key(|(stamp, _)| *stamp),
+        }
         let pace = Pace::of(&times);
         cadence.period_s = pace.as_ref().map(|pace| pace.period_s);
+        cadence.tick_s = coarse.as_ref().map(|coarse| coarse.tick_s);
+        let is_blurred = coarse.is_some_and(|coarse| coarse.is_blurred);
         if let Some(pace) = &pace {
-            cadence.is_regular = pace.is_regular;
+            cadence.is_regular = pace.is_regular && !is_blurred;
             let intervals = Intervals { times: &times, pace, motion };
             cadence.holes = intervals.holes();
             cadence.bunched = intervals.bunched();

@@ -21,7 +21,10 @@ fn judged(as_logged_m: f64, left_m: f64, change: fn(&mut ArmEvidence)) -> (Check
 fn what_nothing_accounts_for_is_a_finding_beyond_noise_and_open_where_noise_is_not_known() {
     let (_, findings) = judged(0.03, 0.02, |_| ());
     assert_eq!(findings[0].severity, Severity::Error);
-    assert!(findings[0].message.starts_with("16 mm and 0° rms are left"), "{findings:?}");
+    assert!(
+        findings[0].message.starts_with("unexplained residual 16 mm and 0° rms"),
+        "{findings:?}"
+    );
     let (row, findings) = judged(0.03, 0.02, |arm| {
         let proof = arm.poses[0].proof.as_mut().expect("a proof");
         for error in [&mut proof.as_logged].into_iter().chain(&mut proof.left) {
@@ -43,6 +46,15 @@ fn what_is_found_accounts_for_its_amount_and_what_is_open_does_not() {
     });
     assert_eq!(row.status, Status::Inconclusive);
     assert!(row.reason.is_some_and(|why| why.contains("is open: LAT001")));
+}
+
+#[test]
+fn what_was_taken_off_poses_that_no_rule_names_is_no_pass() {
+    let (row, _) = judged(0.03, 1e-4, |arm| {
+        let proof = arm.poses[0].proof.as_mut().expect("a proof");
+        proof.beside_poses = Some(proof.as_logged.clone());
+    });
+    assert_ne!(row.status, Status::Pass, "{row:?}");
 }
 
 #[test]
@@ -104,8 +116,8 @@ fn an_arm_that_fits_where_the_named_one_does_not_is_the_finding() {
         tool_m: None,
     });
     let finding = ask(&MDL001, &run).1.remove(0);
-    assert!(finding.message.contains("fits to 20 µm without any cause"), "{}", finding.message);
-    assert!(finding.message.ends_with("which leaves 27.4 mm"), "{}", finding.message);
+    assert!(finding.message.contains("(20 µm without any cause)"), "{}", finding.message);
+    assert!(finding.message.ends_with("(27.4 mm)"), "{}", finding.message);
     assert_eq!(finding.severity, Severity::Error);
     assert_eq!(finding.evidence.more["fits"]["misfit_m"], 2e-5);
 }

@@ -65,10 +65,23 @@ pub fn names() -> impl Iterator<Item = &'static str> {
     entries().iter().map(|robot| robot.name.as_str())
 }
 
-/// The arm of that name or alias; case, `-` and spaces for `_` do not matter.
+/// The arm of that name or alias; case, `-` and spaces for `_` do not matter, nor does the maker, or what
+/// comes behind, where only one arm is left: `iiwa14` is `kuka_lbr_iiwa14`, `irb120` `abb_irb120_3_58`.
 pub fn find(name: &str) -> Option<&'static Robot> {
     let wanted = normalised(name);
-    entries().iter().find(|robot| robot.name == wanted || robot.aliases.contains(&wanted))
+    let is_called = |robot: &&Robot| robot.name == wanted || robot.aliases.contains(&wanted);
+    // A maker's name has one word or two, and a model's a letter first and a digit.
+    let is_model = wanted.starts_with(|first: char| first.is_ascii_alphabetic())
+        && wanted.contains(|c: char| c.is_ascii_digit());
+    let is_short_for = |robot: &&Robot| {
+        let makers = robot.name.match_indices('_').take(2);
+        let mut ends = makers.filter_map(|(at, _)| robot.name[at + 1..].strip_prefix(&wanted));
+        is_model && ends.any(|rest| rest.is_empty() || rest.starts_with('_'))
+    };
+    entries().iter().find(is_called).or_else(|| {
+        let mut short = entries().iter().filter(is_short_for);
+        short.next().filter(|_| short.next().is_none())
+    })
 }
 
 /// Up to three names or aliases that a misspelt or shortened `name` may mean, nearest first: those

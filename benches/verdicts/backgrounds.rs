@@ -1,0 +1,191 @@
+//! What real arms and sensors do that is no fault: beside every kind of fault, and alone.
+
+use std::f64::consts::{PI, TAU};
+
+use poseaudit::robot::Robot;
+use poseaudit::synth::{self, Camera, Gives, Giving, Scenario};
+use rand::RngExt;
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64;
+
+use crate::kinds::{DEGREE, Kind, chain, choose, unit_vector};
+use crate::scenes::Scene;
+
+/// What is not ideal in a log, below every threshold.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Background {
+    /// Nothing beside noise.
+    Ideal,
+    /// Encoders of 10 to 12 bits.
+    CoarseEncoders,
+    /// Play of up to 0.1° in a joint or two.
+    Backlash,
+    /// Sag of up to 0.05° in a joint or two.
+    Sag,
+    /// Links that are 0.05 to 0.2 mm off their drawing, and a tenth of a degree to each millimetre.
+    Links,
+    /// Links that are 1 mm off.
+    CoarseLinks,
+    /// A pose that walks at random, by a fifth of a millimetre in 20 s.
+    RandomWalk,
+    /// A camera that sees a target, with noise that grows with the distance.
+    Camera,
+    /// An IMU whose yaw, bias and walk are below their thresholds.
+    Mems,
+    /// Long rests, and half a second in which nothing is recorded.
+    Pauses,
+}
+
+impl Background {
+    pub const ALL: [Background; 10] = [
+        Background::Ideal,
+        Background::CoarseEncoders,
+        Background::Backlash,
+        Background::Sag,
+        Background::Links,
+        Background::CoarseLinks,
+        Background::RandomWalk,
+        Background::Camera,
+        Background::Mems,
+        Background::Pauses,
+    ];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Background::Ideal => "ideal",
+            Background::CoarseEncoders => "coarse encoders",
+            Background::Backlash => "backlash",
+            Background::Sag => "sag",
+            Background::Links => "links",
+            Background::CoarseLinks => "coarse links",
+            Background::RandomWalk => "random walk",
+            Background::Camera => "camera",
+            Background::Mems => "mems",
+            Background::Pauses => "pauses",
+        }
+    }
+
+    /// Whether the arm is not its drawing: what is estimated is held against a model that is a little wrong.
+    pub fn is_model_error(self) -> bool {
+        use Background::{Backlash, CoarseLinks, Links, Sag};
+        matches!(self, Links | CoarseLinks | Backlash | Sag)
+    }
+
+    /// Whether where the ends of the chain are is a matter of the drawing.
+    pub fn moves_frames(self) -> bool {
+        matches!(self, Background::Links | Background::CoarseLinks)
+    }
+
+    /// Findings that are right in this background whatever is planted.
+    pub fn allows(self, code: &str) -> bool {
+        // A millimetre of each link is several at the ends of the chain, which is true of the frames.
+        matches!(
+            (self, code),
+            (Background::Pauses, "TIM002") | (Background::CoarseLinks, "FRM002" | "FRM003")
+        )
+    }
+
+    /// Whether it makes sense in a scene: the arm stands upright, and what is logged is as it is measured.
+    pub fn fits(self, scene: Scene) -> bool {
+        use Scene::*;
+        let one_arm = matches!(scene, Plain | Namespaced | Prefixed | TwoPublishers | TrackerWorld);
+        match self {
+            Background::Ideal => true,
+            Background::Camera => matches!(scene, Plain | Namespaced),
+            _ => one_arm || scene == ActiveTcp,
+        }
+    }
+
+    /// Whether a fault of so many times its threshold stands out of it.
+    pub fn shows(self, kind: Kind, times: f64) -> bool {
+        use Kind::*;
+        /// A zero of 0.1° at such links is what the drawing leaves.
+        const OF_COARSE_LINKS: f64 = 20.0;
+        let of_links = matches!(kind, Zero | Growth | Reference | Tool | Play | Sag);
+        match self {
+            Background::CoarseLinks if of_links => times >= OF_COARSE_LINKS,
+            _ => true,
+        }
+    }
+
+    /// Puts it into a run.
+    pub fn set(self, run: &mut Scenario, r: &mut Pcg64) {
+        match self {
+            Background::Ideal => {}
+            Background::CoarseEncoders => {
+                run.joints.quantum = TAU / *choose(r, &[1024.0, 2048.0, 4096.0]);
+            }
+            Background::Backlash => give(run, r, |r| (Giving::Play, r.random_range(0.02..0.1))),
+            Background::Sag => give(run, r, |r| (Giving::Sag, r.random_range(0.01..0.05))),
+            Background::Links => run.built = Some(built(run, r.random_range(0.05e-3..0.2e-3), r)),
+            Background::CoarseLinks => run.built = Some(built(run, 1e-3, r)),
+            Background::RandomWalk => run.noise.pose_walk = (5e-5, 5e-5),
+            Background::Camera => {
+                run.watch(*choose(r, &[Camera::InHand, Camera::InBase])).expect("a chain");
+                (run.noise.target_m, run.noise.target_rad) = (2e-4, 7e-4);
+                run.noise.far_m = 0.8;
+            }
+            Background::Mems => {
+                let either = |r: &mut Pcg64| r.random_range(-1.0..1.0);
+                run.imu.yaw_drift_rad_s = 0.1 * either(r) * DEGREE / 60.0;
+                run.imu.gyro_bias_rad_s = 0.05 * DEGREE * unit_vector(r);
+                run.imu.yaw_walk_rad_rt_s = 0.002 * DEGREE;
+                run.imu.gyro_from_rate *= 1.0 + 0.01 * either(r);
+            }
+            Background::Pauses => {
+                run.pause_s = r.random_range(1.0..3.0);
+                run.duration_s += 10.0;
+                let from_s = run.duration_s * r.random_range(0.2..0.8);
+                let gap = Some((from_s, from_s + 0.5));
+                for timing in [
+                    &mut run.joints.timing,
+                    &mut run.pose.timing,
+                    &mut run.tf.timing,
+                    &mut run.imu.timing,
+                ] {
+                    timing.gap_s = gap;
+                }
+            }
+        }
+    }
+}
+
+/// Joints on which gravity pulls, of an upright arm: the second, and the next that turns about a level axis.
+pub fn loaded(run: &Scenario) -> [usize; 2] {
+    if chain(run).dof() == 7 { [1, 3] } else { [1, 2] }
+}
+
+/// Lets a joint or two give; how, and by how many degrees, says `how`.
+fn give(run: &mut Scenario, r: &mut Pcg64, how: impl Fn(&mut Pcg64) -> (Giving, f64)) {
+    let [first, second] = loaded(run);
+    for joint in [Some(first), Some(second).filter(|_| r.random_bool(0.5))].into_iter().flatten() {
+        let (how, by_deg) = how(r);
+        run.gives.push(Gives { joint, how, by_rad: by_deg * DEGREE });
+    }
+}
+
+/// The arm as it was built: every joint moved by `link_m` along and a tenth of a degree for each millimetre of
+/// it about each axis, as standard deviations.
+fn built(run: &Scenario, link_m: f64, r: &mut Pcg64) -> Robot {
+    let link_rad = link_m / 1e-3 * PI / 1800.0;
+    let text = synth::urdf_text(&run.robot);
+    let mut parts = text.split("<origin xyz=\"");
+    let mut altered = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        let (origin, rest) = part.split_once("\"/>").expect("the end of an origin");
+        let joint = rest.split_once("</joint>").map_or("", |(joint, _)| joint);
+        let (xyz, rpy) = origin.split_once("\" rpy=\"").expect("angles");
+        let mut off = |numbers: &str, sigma: f64| -> String {
+            let moves = joint.contains("<axis");
+            let off = numbers.split(' ').map(|number| {
+                let unit: f64 = StandardNormal.sample(r);
+                let number: f64 = number.parse().expect("a number");
+                (number + if moves { sigma * unit } else { 0.0 }).to_string()
+            });
+            off.collect::<Vec<_>>().join(" ")
+        };
+        let (xyz, rpy) = (off(xyz, link_m), off(rpy, link_rad));
+        altered += &format!("<origin xyz=\"{xyz}\" rpy=\"{rpy}\"/>{rest}");
+    }
+    Robot::from_urdf(&altered, "as built").expect("an arm that is a little other is an arm")
+}

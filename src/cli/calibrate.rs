@@ -1,0 +1,76 @@
+//! `poseaudit calibrate`.
+
+use std::path::PathBuf;
+
+use poseaudit::report::Trouble;
+use poseaudit::{Options, calibrate};
+
+use super::how::How;
+use super::output::{self, Format};
+use super::progress::watched;
+use super::{Outcome, misuse};
+
+/// Estimate the links of an arm from logs of it, and write its model anew
+///
+/// Each LOG is a run of its own; all are of one arm. A table of postures without stamps (CSV with columns
+/// of joints and of the pose measured there) is taken, too, with --robot. Poses of the arm's own controller
+/// give the controller's kinematics, those of a tracker the arm itself.
+///
+/// Exit status: 0 the files are written; 1 the logs do not carry a calibration, and nothing is written;
+/// 2 the call is wrong; 3 a log cannot be used; 70 the program itself failed.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  poseaudit calibrate run.mcap --out calibrated
+  poseaudit calibrate monday.mcap tuesday.mcap --robot my_arm.urdf --out calibrated
+  poseaudit calibrate postures.csv --robot ur10 --tip wrist_3_link --out calibrated --format json")]
+pub struct Args {
+    /// A log, or its URL (s3://, gs://, az://, https://), or a table of postures
+    #[arg(value_name = "LOG", required = true)]
+    logs: Vec<PathBuf>,
+
+    #[command(flatten)]
+    how: How,
+
+    /// Write robot.urdf, calibration.json and, of a UR, calibration.yaml into this folder
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+
+    /// Calibrate by the poses on this topic alone
+    #[arg(long, value_name = "TOPIC")]
+    topic: Option<String>,
+
+    /// How the report is printed
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    format: Format,
+}
+
+pub fn run(args: Args) -> Result<Outcome, Trouble> {
+    let Args { logs, how, out, topic, format } = args;
+    let with = |options: Options| Options { logs: logs.clone(), ..options };
+    // Before the config is read, so that nothing that is wrong with it comes before a file that would be lost.
+    let mut places = with(how.named()).places();
+    poseaudit::output::calibration::enter(&out, &mut places);
+    places.check()?;
+    if out.exists() && !out.is_dir() {
+        return Err(misuse(out.display().to_string(), "is no folder", "name a folder with --out"));
+    }
+    let (options, _) = how.options()?;
+    let options = with(options);
+    let found = watched(|progress| {
+        let mut options = options;
+        options.read.progress = Some(progress);
+        calibrate(&options, topic.as_deref())
+    })?;
+    let written = found.write(&out)?;
+    let files: Vec<String> =
+        written.iter().map(|name| out.join(name).display().to_string()).collect();
+    output::emit(None, |stdout| match format {
+        Format::Text => found.write_text(&files, stdout),
+        Format::Json => writeln!(stdout, "{:#}", found.json()),
+    })?;
+    Ok(match found.refused {
+        None => Outcome::Clean,
+        Some(_) => Outcome::Findings,
+    })
+}

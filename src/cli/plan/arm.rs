@@ -1,0 +1,78 @@
+//! The arm that a motion is of.
+
+use std::path::Path;
+
+use poseaudit::log::{self, ReadOptions};
+use poseaudit::report::Trouble;
+use poseaudit::robot::{Chain, JointKind, Robot};
+use poseaudit::run::{Run, RunOptions, robot_of};
+
+use super::super::{fk, misuse};
+use super::Args;
+
+/// An arm, and the chain of it that moves.
+pub struct Planning {
+    /// The model.
+    pub robot: Robot,
+    /// From base to tip.
+    pub chain: Chain,
+}
+
+impl Planning {
+    pub fn of(args: &Args) -> Result<Self, Trouble> {
+        let unread = match robot_of(&args.robot) {
+            Ok(robot) => {
+                let chain = fk::chain(&robot, args.base.as_deref(), args.tip.as_deref())?;
+                return Ok(Self { robot, chain });
+            }
+            Err(error) => Trouble { place: args.robot.clone(), ..Trouble::from(&error) },
+        };
+        let path = Path::new(&args.robot);
+        let is_there = path.exists() || log::local(path).is_none();
+        let opened = is_there.then(|| log::open(&[path.to_owned()], &ReadOptions::default()));
+        match opened {
+            Some(Ok(log)) => Self::of_log(log, args),
+            _ => Err(unread),
+        }
+    }
+
+    fn of_log(log: log::Log, args: &Args) -> Result<Self, Trouble> {
+        let options =
+            RunOptions { base: args.base.clone(), tip: args.tip.clone(), ..RunOptions::default() };
+        let run = Run::complete(log, &options, |_| Ok::<_, Trouble>(()))?;
+        if let Some(why) = &run.no_arm {
+            return Err(why.into());
+        }
+        let names: Vec<&str> = run.arms.iter().map(|arm| arm.name.as_str()).collect();
+        let listed = names.join(", ");
+        let found = match (&args.arm, run.arms.as_slice()) {
+            (None, [arm]) => Some(arm),
+            (Some(name), arms) => arms.iter().find(|arm| arm.name == *name),
+            _ => None,
+        };
+        let arm = found.ok_or_else(|| {
+            misuse("--arm", format!("the log has the arms {listed}"), "name one of them")
+        })?;
+        Ok(Self { robot: arm.robot.clone(), chain: arm.chain.clone() })
+    }
+
+    /// Whether joint `at` of the chain slides.
+    pub fn slides(&self, at: usize) -> bool {
+        self.chain.joint_kinds()[at] == JointKind::Prismatic
+    }
+
+    /// A posture in SI units.
+    pub fn posture(&self, given: &[f64], degrees: bool) -> Result<Vec<f64>, Trouble> {
+        let (found, wanted) = (given.len(), self.chain.dof());
+        if found != wanted {
+            let names = self.chain.joint_names().join(", ");
+            let what = format!("{found} joint positions were given, there are {wanted} joints");
+            return Err(misuse("--around", what, format!("give one for each of {names}")));
+        }
+        let in_si = |(at, &q): (usize, &f64)| match degrees && !self.slides(at) {
+            true => q.to_radians(),
+            false => q,
+        };
+        Ok(given.iter().enumerate().map(in_si).collect())
+    }
+}

@@ -1,0 +1,90 @@
+//! The names of what a motion shows.
+
+use poseaudit::diagnosis::plan::{Bound, Showable};
+use poseaudit::finding::Unit;
+
+use super::arm::Planning;
+use super::setup::Asked;
+
+/// What an amount is called.
+pub struct Label {
+    /// In JSON.
+    pub name: &'static str,
+    /// For people, beside the joint or the axis.
+    pub said: String,
+    /// The joint or the axis.
+    pub of: Option<String>,
+    pub unit: Unit,
+}
+
+impl Label {
+    pub fn of(planning: &Planning, asked: &Asked, shown: Showable) -> Self {
+        let joint = |joint: usize| Some(planning.chain.joint_names()[joint].clone());
+        let axis = |axis: usize| Some(["x", "y", "z"][axis % 3].to_owned());
+        let by_joint = |at: usize| if planning.slides(at) { Unit::Metre } else { Unit::Radian };
+        let links = Unit::Metre.show(asked.sensing.link_m);
+        let (name, said, of, unit) = match shown {
+            Showable::Zero(at) => {
+                ("zero", "zero, the arm as drawn".to_owned(), joint(at), by_joint(at))
+            }
+            Showable::ZeroBesideLinks(at) => {
+                let said = format!("zero, each link off by {links}");
+                ("zero_beside_links", said, joint(at), by_joint(at))
+            }
+            Showable::FkPosition { everywhere: false } => (
+                "fk_position_here",
+                "tip's position where it moves, rms".to_owned(),
+                None,
+                Unit::Metre,
+            ),
+            Showable::FkPosition { everywhere: true } => (
+                "fk_position_everywhere",
+                "tip's position everywhere, rms".to_owned(),
+                None,
+                Unit::Metre,
+            ),
+            Showable::FkRotation { everywhere: false } => (
+                "fk_rotation_here",
+                "tip's rotation where it moves, rms".to_owned(),
+                None,
+                Unit::Radian,
+            ),
+            Showable::FkRotation { everywhere: true } => (
+                "fk_rotation_everywhere",
+                "tip's rotation everywhere, rms".to_owned(),
+                None,
+                Unit::Radian,
+            ),
+            Showable::Latency => ("latency", "latency".to_owned(), None, Unit::Second),
+            Showable::CameraShift(at) => {
+                ("camera_position", "camera's position along".to_owned(), axis(at), Unit::Metre)
+            }
+            Showable::CameraTurn(at) => {
+                ("camera_rotation", "camera's rotation about".to_owned(), axis(at), Unit::Radian)
+            }
+            Showable::YawDrift => {
+                ("yaw_drift", "yaw drift".to_owned(), None, Unit::RadianPerSecond)
+            }
+            Showable::Tilt(at) => ("tilt", "tilt about".to_owned(), axis(at), Unit::Radian),
+        };
+        Self { name, said, of, unit }
+    }
+
+    /// As one text.
+    pub fn whole(&self) -> String {
+        match &self.of {
+            None => self.said.clone(),
+            Some(of) if self.name.starts_with("zero") => format!("{of}: {}", self.said),
+            Some(of) => format!("{} {of}", self.said),
+        }
+    }
+}
+
+/// What is limited, in words and in JSON.
+pub fn bound(bound: Bound) -> &'static str {
+    match bound {
+        Bound::Lower | Bound::Upper => "position",
+        Bound::Speed => "speed",
+        Bound::Acceleration => "acceleration",
+    }
+}

@@ -1,0 +1,101 @@
+//! A motion as a program of Universal Robots' arms.
+
+use std::io::{self, Write};
+
+use poseaudit::diagnosis::plan::Series;
+use poseaudit::report::Trouble;
+use poseaudit::robot::Chain;
+
+use super::super::misuse;
+use super::OBSTACLES;
+use super::arm::Planning;
+use super::setup::Asked;
+
+/// The joints of every arm of theirs, from base to tip.
+const JOINTS: [&str; 6] = [
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "elbow_joint",
+    "wrist_1_joint",
+    "wrist_2_joint",
+    "wrist_3_joint",
+];
+/// Time between two commands, s: a multiple of every controller's period.
+const STEP_S: f64 = 0.008;
+
+/// # Errors
+/// Where the chain is of another maker's arm.
+pub fn is_theirs(chain: &Chain) -> Result<(), Trouble> {
+    let names = chain.joint_names();
+    match names.len() == JOINTS.len() && names.iter().zip(JOINTS).all(|(a, b)| a.ends_with(b)) {
+        true => Ok(()),
+        false => Err(misuse(
+            "--format",
+            "only arms of Universal Robots run URScript, and this one's joints are others",
+            "write csv, json or yaml",
+        )),
+    }
+}
+
+/// The program: it computes the sines as it goes, and begins only where the arm stands in the posture that
+/// they begin in.
+pub fn program(
+    planning: &Planning,
+    asked: &Asked,
+    series: &Series,
+    out: &mut dyn Write,
+) -> io::Result<()> {
+    let rate = std::f64::consts::TAU / series.seconds;
+    let purpose = asked.purpose.name();
+    let around: Vec<String> = series.around.iter().map(|q| format!("{q:.9}")).collect();
+    writeln!(
+        out,
+        "# poseaudit plan: {}, {:.1} s, for {purpose}",
+        planning.robot.name,
+        series.length_s()
+    )?;
+    writeln!(out, "# {OBSTACLES}.")?;
+    writeln!(
+        out,
+        "# It begins only where the arm stands in its first posture. Angles are in rad."
+    )?;
+    writeln!(out, "def poseaudit_plan():")?;
+    writeln!(out, "  local first = [{}]", around.join(", "))?;
+    writeln!(out, "  def posture(t):")?;
+    for (joint, middle) in around.iter().enumerate() {
+        let own = joint * series.harmonics..(joint + 1) * series.harmonics;
+        let parts = series.sin[own.clone()].iter().zip(&series.cos[own]).enumerate();
+        write!(out, "    local q{joint} = {middle}")?;
+        for (k, (sin, cos)) in parts {
+            let rate = (k + 1) as f64 * rate;
+            write!(out, " {sin:+.9} * sin({rate:.9} * t) {cos:+.9} * cos({rate:.9} * t)")?;
+        }
+        writeln!(out)?;
+    }
+    writeln!(out, "    return [q0, q1, q2, q3, q4, q5]")?;
+    writeln!(out, "  end")?;
+    writeln!(out, "  local now = get_actual_joint_positions()")?;
+    writeln!(out, "  local j = 0")?;
+    writeln!(out, "  while (j < 6):")?;
+    writeln!(out, "    if (norm(now[j] - first[j]) > 0.01):")?;
+    writeln!(
+        out,
+        "      popup(\"Move the arm to the first posture, by hand: this program knows no way \
+         there.\", \"poseaudit plan\", False, True, blocking=True)"
+    )?;
+    writeln!(out, "      halt")?;
+    writeln!(out, "    end")?;
+    writeln!(out, "    j = j + 1")?;
+    writeln!(out, "  end")?;
+    writeln!(out, "  sleep({:.3})", series.rest_s)?;
+    writeln!(out, "  local t = 0.0")?;
+    writeln!(out, "  while (t < {:.3}):", series.seconds)?;
+    writeln!(out, "    servoj(posture(t), t={STEP_S}, lookahead_time=0.1, gain=300)")?;
+    writeln!(out, "    t = t + {STEP_S}")?;
+    writeln!(out, "  end")?;
+    writeln!(out, "  servoj(first, t=0.5, lookahead_time=0.1, gain=300)")?;
+    writeln!(out, "  stopj(1.0)")?;
+    writeln!(out, "  sleep({:.3})", series.rest_s)?;
+    writeln!(out, "end")?;
+    writeln!(out, "poseaudit_plan()")
+}

@@ -1,0 +1,143 @@
+//! Constant transforms between pairs of poses.
+
+use super::answer::AGREES_RAD;
+use crate::geometry::{
+    Pose, Rotation, Vec3, angle_between, rotation_from_matrix_rows, rotation_from_rotvec,
+    rotvec_from_rotation, xyz_of,
+};
+use nalgebra::{DMatrix, DVector, Matrix3};
+
+/// Pairs whose transforms are turned by more against each other have no constant one, rad.
+const HOPELESS_RAD: f64 = 20.0 * AGREES_RAD;
+
+/// Poses that a base and a tool can be fitted to: as many numbers as both have, and half as many again.
+const ENOUGH: usize = 3;
+
+/// Turns that are smaller, rad, tell no axis.
+const LEAST_TURN_RAD: f64 = 0.05;
+
+/// The constant `before_from_after` that is nearest to all pairs: `after = before · tip`.
+pub(super) fn tip(before: &[Pose], after: &[Pose]) -> Option<Pose> {
+    mean(before.iter().zip(after).map(|(before, after)| before.inverse() * after).collect())
+}
+
+/// The constant `after_from_before` that is nearest to all pairs: `after = base · before`.
+pub(super) fn base(before: &[Pose], after: &[Pose]) -> Option<Pose> {
+    mean(before.iter().zip(after).map(|(before, after)| after * before.inverse()).collect())
+}
+
+fn mean(poses: Vec<Pose>) -> Option<Pose> {
+    let mut rotation = poses.first()?.rotation;
+    if poses.iter().any(|pose| angle_between(&pose.rotation, &rotation) > HOPELESS_RAD) {
+        return None;
+    }
+    for _ in 0..5 {
+        let away = |pose: &Pose| rotvec_from_rotation(&(rotation.inverse() * pose.rotation));
+        let mean = poses.iter().map(away).sum::<Vec3>() / poses.len() as f64;
+        rotation *= rotation_from_rotvec(mean);
+    }
+    let xyz = poses.iter().map(|pose| Vec3::from(xyz_of(pose))).sum::<Vec3>() / poses.len() as f64;
+    Some(crate::geometry::pose(xyz.into(), rotation))
+}
+
+/// The base and the tip that are nearest to all pairs: `after = base · before · tip`. `None` of pairs that
+/// are too few, turn about one axis only, or have none.
+///
+/// The rotations from the turns between poses (Park and Martin, *Robot sensor calibration: solving
+/// AX = XB on the Euclidean group*, IEEE Trans. Robotics and Automation 10, 1994), the translations by
+/// least squares.
+pub(super) fn both(before: &[Pose], after: &[Pose]) -> Option<(Pose, Pose)> {
+    if before.len() < ENOUGH {
+        return None;
+    }
+    let turn = |poses: &[Pose], at: usize| {
+        rotvec_from_rotation(&(poses[0].rotation.inverse() * poses[at].rotation))
+    };
+    let mut moment = Matrix3::zeros();
+    let mut axes = Matrix3::zeros();
+    for at in 1..before.len() {
+        let [a, b] = [turn(before, at), turn(after, at)];
+        if (a.norm() - b.norm()).abs() > HOPELESS_RAD {
+            return None;
+        }
+        // A half turn may go either way.
+        if a.norm() > LEAST_TURN_RAD && a.norm() < std::f64::consts::PI - LEAST_TURN_RAD {
+            moment += a * b.transpose();
+            axes += a.normalize() * a.normalize().transpose();
+        }
+    }
+    let spread = axes.symmetric_eigenvalues();
+    let [_, second, _] = sorted([spread.x, spread.y, spread.z]);
+    if second < 0.05 {
+        return None;
+    }
+    let tip_rotation = nearest_rotation(moment)?;
+    let base_rotation = base(
+        &before.iter().map(|pose| turned(pose.rotation * tip_rotation)).collect::<Vec<_>>(),
+        &after.iter().map(|pose| turned(pose.rotation)).collect::<Vec<_>>(),
+    )?
+    .rotation;
+    // t_after = R_base t_before + R_base R_before t_tip + t_base.
+    let mut matrix = DMatrix::zeros(3 * before.len(), 6);
+    let mut right = DVector::zeros(3 * before.len());
+    for (at, (before, after)) in before.iter().zip(after).enumerate() {
+        let rotation = (base_rotation * before.rotation).to_rotation_matrix();
+        matrix.fixed_view_mut::<3, 3>(3 * at, 0).copy_from(rotation.matrix());
+        matrix.fixed_view_mut::<3, 3>(3 * at, 3).copy_from(&Matrix3::identity());
+        let left = after.translation.vector - base_rotation * before.translation.vector;
+        right.fixed_rows_mut::<3>(3 * at).copy_from(&left);
+    }
+    let found = matrix.svd(true, true).solve(&right, 1e-9).ok()?;
+    let part = |at: usize| [found[at], found[at + 1], found[at + 2]];
+    let [tip, base] = [(part(0), tip_rotation), (part(3), base_rotation)];
+    Some((crate::geometry::pose(base.0, base.1), crate::geometry::pose(tip.0, tip.1)))
+}
+
+fn turned(rotation: Rotation) -> Pose {
+    crate::geometry::pose([0.0; 3], rotation)
+}
+
+fn sorted(mut values: [f64; 3]) -> [f64; 3] {
+    values.sort_by(f64::total_cmp);
+    values
+}
+
+/// The rotation X with `a = X b` nearest to all, of the sum of `a bᵀ`.
+fn nearest_rotation(moment: Matrix3<f64>) -> Option<Rotation> {
+    let svd = moment.svd(true, true);
+    let (u, v_t) = (svd.u?, svd.v_t?);
+    let sign = Matrix3::from_diagonal(&Vec3::new(1.0, 1.0, (u * v_t).determinant().signum()));
+    let matrix = u * sign * v_t;
+    let rows = [0, 1, 2].map(|row| [0, 1, 2].map(|column| matrix[(row, column)]));
+    rotation_from_matrix_rows(rows).map(|(rotation, _)| rotation)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::pose;
+    use proptest::prelude::*;
+
+    fn poses() -> impl Strategy<Value = Vec<Pose>> {
+        let numbers = proptest::array::uniform6(-1.0..1.0_f64);
+        proptest::collection::vec(numbers, 6..12).prop_map(|all| {
+            let pose_of = |[x, y, z, a, b, c]: [f64; 6]| {
+                pose([x, y, z], rotation_from_rotvec(Vec3::new(a, b, c) * 1.5))
+            };
+            all.into_iter().map(pose_of).collect()
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn what_stands_at_both_ends_is_found(all in poses()) {
+            let (base_pose, tip_pose, before) = (all[0], all[1], &all[2..]);
+            let after: Vec<Pose> = before.iter().map(|is| base_pose * is * tip_pose).collect();
+            let Some((base, tip)) = both(before, &after) else { return Ok(()) };
+            for (found, planted) in [(base, base_pose), (tip, tip_pose)] {
+                prop_assert!(angle_between(&found.rotation, &planted.rotation) < 1e-6);
+                prop_assert!((found.translation.vector - planted.translation.vector).norm() < 1e-6);
+            }
+        }
+    }
+}

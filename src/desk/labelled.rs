@@ -1,0 +1,192 @@
+//! Poses whose numbers carry names or units, as controllers print them.
+
+use super::error::DeskError;
+use super::form::Style;
+use super::paste::Pasted;
+use crate::geometry::{AngleUnit, Coding, Convention, LengthScale, Units, vendors};
+
+/// What a text consists of.
+enum Token<'a> {
+    Number(f64),
+    Word(&'a str),
+    Mark(char),
+}
+
+/// The names of a rotation's numbers, and who prints them so.
+struct Names {
+    names: &'static [&'static str],
+    coding: Option<Coding>,
+    /// The maker's entry in the table of conventions, for its coding and units.
+    maker: Option<&'static str>,
+    kind: &'static str,
+}
+
+const NAMES: [Names; 8] = [
+    named(&["qx", "qy", "qz", "qw"], Some(Coding::Xyzw), None, "numbers with names"),
+    named(&["q1", "q2", "q3", "q4"], None, Some("abb"), "ABB's numbers with names"),
+    named(
+        &["roll", "pitch", "yaw"],
+        Some(Coding::Three(Convention::RPY)),
+        None,
+        "roll, pitch, yaw",
+    ),
+    named(&["a", "b", "c"], None, Some("kuka"), "X, Y, Z, A, B, C"),
+    named(&["w", "p", "r"], None, Some("fanuc"), "FANUC's X, Y, Z, W, P, R"),
+    named(&["u", "v", "w"], None, Some("epson"), "Epson's X, Y, Z, U, V, W"),
+    named(&["o", "a", "t"], None, Some("kawasaki"), "Kawasaki's X, Y, Z, O, A, T"),
+    named(&["rx", "ry", "rz"], None, None, "numbers with names"),
+];
+
+const fn named(
+    names: &'static [&'static str],
+    coding: Option<Coding>,
+    maker: Option<&'static str>,
+    kind: &'static str,
+) -> Names {
+    Names { names, coding, maker, kind }
+}
+
+/// The pose in `text`, where its numbers carry names or units; `None` where it has neither.
+///
+/// # Errors
+/// Where a name comes twice.
+pub(super) fn labelled(text: &str) -> Result<Option<Pasted>, DeskError> {
+    let tokens = tokens(text);
+    let units = units(&tokens);
+    let mut found: Vec<(String, f64)> = Vec::new();
+    let mut name = None;
+    for token in &tokens {
+        match token {
+            Token::Word(word) => name = Some(word.to_ascii_lowercase()),
+            Token::Mark('=' | ':') => {}
+            Token::Mark(_) => name = None,
+            Token::Number(number) => found.extend(name.take().map(|name| (name, *number))),
+        }
+    }
+    let value = |name: &str| found.iter().find(|(known, _)| known == name).map(|(_, value)| *value);
+    let values =
+        |names: &[&str]| names.iter().map(|name| value(name)).collect::<Option<Vec<f64>>>();
+    let rotation = NAMES.iter().find_map(|set| Some((set, values(set.names)?)));
+    let Some((set, rotation)) = rotation else { return Ok(with_units(&tokens, units)) };
+    let position = values(&["x", "y", "z"]).unwrap_or_default();
+    if let Some(twice) =
+        set.names.iter().find(|name| found.iter().filter(|(known, _)| known == *name).count() > 1)
+    {
+        let count = found.iter().filter(|(known, _)| known == twice).count();
+        return Err(DeskError::Several(count));
+    }
+    // Mitsubishi's A, B and C go by x, y and z: only KUKA writes braces around them.
+    let is_told = set.maker != Some("kuka") || text.contains('{');
+    let maker = set.maker.filter(|_| is_told).and_then(vendors::find);
+    let style = Style {
+        form: set.coding.or(maker.map(|maker| maker.coding)),
+        units: units.or(maker.map_or_else(Units::default, |maker| maker.units)),
+    };
+    Ok(Some(Pasted::new([position, rotation].concat(), style, set.kind)))
+}
+
+/// Numbers that carry units and nothing else.
+fn with_units(tokens: &[Token], units: Units) -> Option<Pasted> {
+    let words = tokens.iter().filter(|token| matches!(token, Token::Word(_))).count();
+    let of_units = tokens.iter().filter(|token| unit(token).is_some()).count();
+    if words == 0 || words != of_units {
+        return None;
+    }
+    let numbers = tokens.iter().filter_map(|token| match token {
+        Token::Number(number) => Some(*number),
+        _ => None,
+    });
+    let style = Style { form: None, units };
+    Some(Pasted::new(numbers.collect(), style, "numbers with units"))
+}
+
+/// The units that are written in the text; of several lengths or angles the first.
+fn units(tokens: &[Token]) -> Units {
+    let mut units = Units::default();
+    for found in tokens.iter().filter_map(unit) {
+        units = units.or(found);
+    }
+    units
+}
+
+fn unit(token: &Token) -> Option<Units> {
+    let Token::Word(word) = token else { return None };
+    let length = |length: LengthScale| Units { length: Some(length), angle: None };
+    let angle = |angle: AngleUnit| Units { length: None, angle: Some(angle) };
+    Some(match *word {
+        "m" => length(LengthScale::METRE),
+        "mm" => length(LengthScale::MILLIMETRE),
+        "cm" => length(LengthScale::of(1e-2)),
+        "µm" | "um" => length(LengthScale::of(1e-6)),
+        "in" | "inch" => length(LengthScale::of(0.0254)),
+        "rad" => angle(AngleUnit::Radian),
+        "deg" | "°" | "degree" | "degrees" => angle(AngleUnit::Degree),
+        _ => return None,
+    })
+}
+
+fn tokens(text: &str) -> Vec<Token<'_>> {
+    let mut tokens = Vec::new();
+    let mut rest = text.trim_start();
+    while let Some(first) = rest.chars().next() {
+        let begins_number = first.is_ascii_digit() || "+-.−".contains(first);
+        let length = match begins_number {
+            true => number_length(rest),
+            false => word_length(rest),
+        };
+        let (token, after) = rest.split_at(length.max(first.len_utf8()));
+        let number = begins_number.then(|| token.replace('−', "-").parse().ok()).flatten();
+        tokens.push(match number {
+            Some(number) => Token::Number(number),
+            None if length > 0 && !begins_number => Token::Word(token),
+            None => Token::Mark(first),
+        });
+        rest = after.trim_start();
+    }
+    tokens
+}
+
+/// How many bytes of `text` are one number, with its sign and exponent.
+fn number_length(text: &str) -> usize {
+    let mut last = ' ';
+    let mut chars = text.char_indices().peekable();
+    while let Some((at, c)) = chars.next() {
+        let is_sign = "+-−".contains(c) && (at == 0 || "eE".contains(last));
+        let next = chars.peek().map(|(_, next)| *next);
+        let is_exponent = "eE".contains(c)
+            && (last.is_ascii_digit() || last == '.')
+            && next.is_some_and(|next| next.is_ascii_digit() || "+-".contains(next));
+        if !(c.is_ascii_digit() || c == '.' || is_sign || is_exponent) {
+            return at;
+        }
+        last = c;
+    }
+    text.len()
+}
+
+fn word_length(text: &str) -> usize {
+    let is_of_word = |c: char| c.is_alphanumeric() || c == '_' || c == '°';
+    text.find(|c| !is_of_word(c)).unwrap_or(text.len())
+}
+
+/// The numbers of the first groups in brackets that hold no others, as RAPID and VAL3 nest them.
+pub(super) fn groups(text: &str, [open, close]: [char; 2]) -> Vec<Vec<f64>> {
+    let mut groups = Vec::new();
+    let mut inner = None;
+    for (at, c) in text.char_indices() {
+        if c == open {
+            inner = Some(at + c.len_utf8());
+        } else if c == close
+            && let Some(from) = inner.take()
+        {
+            let numbers = tokens(&text[from..at]).into_iter().map(|token| match token {
+                Token::Number(number) => Some(Some(number)),
+                Token::Mark(',') => Some(None),
+                _ => None,
+            });
+            let numbers: Option<Vec<Option<f64>>> = numbers.collect();
+            groups.push(numbers.unwrap_or_default().into_iter().flatten().collect());
+        }
+    }
+    groups
+}

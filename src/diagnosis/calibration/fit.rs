@@ -1,0 +1,436 @@
+//! Gauss–Newton from the drawing to the likeliest links.
+
+use super::observed::untold;
+use super::parameters::Parameters;
+use super::workspace::Workspace;
+use super::{ArmCalibration, CalibrationStream, LeftOver, NoCalibration, StreamCalibration};
+use crate::Measured;
+use crate::drawing::LINKS_M;
+use crate::linear::{Linear, Normal, Weight};
+use crate::model::{Blind, StreamState, ToolPart, Witness, pose_of_twist};
+use crate::nominal::link_frames;
+use ground::geometry::{Pose, Vec3};
+use ground::robot::{Chain, LinkPath, Robot};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+
+/// Samples of a stream that are fitted at most: more tell nothing more about an arm.
+const SAMPLES: usize = 20_000;
+/// Stretches of a stream, and how many folds they make, each of which is foretold by the others.
+const STRETCHES: usize = 50;
+const FOLDS: usize = 5;
+/// Rounds of fitting, and how small a step ends them, in standard deviations.
+const ROUNDS: usize = 12;
+const SETTLED: f64 = 1e-3;
+
+/// Where the fit stands.
+#[derive(Clone)]
+pub(super) struct State {
+    /// All parameters; those of streams are what was added to where they began.
+    pub values: DVector<f64>,
+    /// Latency, reference and tool of each stream.
+    pub streams: Vec<(f64, Pose, Pose)>,
+}
+
+/// A stream linearised, with weights by what is left of it.
+struct Piece {
+    linear: Linear,
+    weights: Vec<Weight>,
+}
+
+impl Piece {
+    /// The samples of a fold: every fifth stretch, from one or another on.
+    fn fold(&self, fold: usize) -> Vec<usize> {
+        let stretch = self.linear.len().div_ceil(STRETCHES).max(1);
+        (0..self.linear.len()).filter(|at| (at / stretch) % FOLDS == fold).collect()
+    }
+
+    /// That fold by itself.
+    fn part(&self, fold: usize) -> Self {
+        let samples = self.fold(fold);
+        let weights = self.weights.iter().map(|weight| weight.part(&samples)).collect();
+        Self { linear: self.linear.part(&samples), weights }
+    }
+
+    /// What is left by kind after a step of its own parameters.
+    fn after(&self, step: &DVector<f64>) -> Vec<Vec<[f64; 3]>> {
+        self.linear.after(step.as_slice())
+    }
+}
+
+/// A stream with what does not change from round to round.
+struct Source<'a> {
+    stream: &'a CalibrationStream<'a>,
+    xyz: Vec<Vec3>,
+    stride: usize,
+    columns: DMatrix<f64>,
+    still: Vec<f64>,
+}
+
+pub(super) fn fit(
+    robot: &Robot,
+    streams: &[CalibrationStream],
+    zeros: &[usize],
+) -> Result<ArmCalibration, NoCalibration> {
+    let paths: Option<Vec<LinkPath>> =
+        streams.iter().map(|stream| robot.link_path(stream.base, stream.tip)).collect();
+    let paths = paths.ok_or(NoCalibration::Chain)?;
+    let path = paths.first().ok_or(NoCalibration::TooFewSamples)?;
+    if paths.iter().any(|other| other.links != path.links) {
+        return Err(NoCalibration::OtherJoints);
+    }
+    let parameters = Parameters::of(path, streams, &paths, zeros.to_vec());
+    let sources: Vec<Source> = streams
+        .iter()
+        .enumerate()
+        .map(|(s, stream)| Source::of(stream, parameters.columns_of(s)))
+        .collect();
+    let system = System { robot, path, parameters: &parameters, sources: &sources };
+    let mut state = State {
+        values: DVector::zeros(parameters.width()),
+        streams: streams.iter().map(|one| (one.latency_s, one.reference, one.tool)).collect(),
+    };
+    let drawing = system.at(&state, false).ok_or(NoCalibration::TooFewSamples)?;
+    let before = system.with_drawing(&drawing);
+    let mut pieces = drawing;
+    let mut link_m = LINKS_M.0;
+    for round in 0..ROUNDS {
+        let whole = system.normal(&pieces);
+        link_m = system.best_link(&whole, &state);
+        let (step, cholesky) =
+            system.step(&whole, &state, link_m).ok_or(NoCalibration::Diverges)?;
+        let moved = (step.dot(&(cholesky.l() * cholesky.l().transpose() * &step))
+            / parameters.width() as f64)
+            .sqrt();
+        if !step.iter().all(|value| value.is_finite()) {
+            return Err(NoCalibration::Diverges);
+        }
+        system.advance(&mut state, &step);
+        pieces = system.at(&state, true).ok_or(NoCalibration::Diverges)?;
+        if moved < SETTLED && round > 1 {
+            break;
+        }
+    }
+    let whole = system.normal(&pieces);
+    let (_, cholesky) = system.step(&whole, &state, link_m).ok_or(NoCalibration::Diverges)?;
+    let prior = parameters.prior(link_m);
+    let inverse = cholesky.inverse();
+    // What was fitted to a sample takes part of its noise: residuals are the smaller by the share of the
+    // numbers that it took, and scores by its square (MacKinnon and White 1985, HC3, on average).
+    let fitted = (&inverse * &whole.matrix).trace();
+    let taken = (fitted / whole.independent.max(1.0)).clamp(0.0, 0.9);
+    let scores = system.scores(&pieces) / (1.0 - taken).powi(2);
+    let before_log = DMatrix::from_diagonal(&DVector::from_vec(prior));
+    let covariance = &inverse * (scores + before_log) * &inverse;
+    let held_out = system.held_out(&pieces, &state, link_m);
+    let dof = (whole.independent - fitted).max(3.0);
+    let calibrated = system.robot_at(&state);
+    let workspace = Workspace::of(&system, &state);
+    let shared = parameters.shared();
+    let reports = (0..sources.len()).map(|s| {
+        let own = parameters.own(s);
+        let (latency_s, reference, tool) = state.streams[s];
+        let last = parameters.of_stream(s).end;
+        let std_error = |at: usize| covariance[(at, at)].max(0.0).sqrt();
+        StreamCalibration {
+            samples: pieces[s].linear.len(),
+            latency_s: own.latency.then(|| Measured {
+                value: latency_s,
+                std_error: std_error(last - 1),
+                dof,
+            }),
+            reference: own.reference.then_some(reference),
+            tool: own.tool.then_some(tool),
+            before: before[s].0,
+            after: left(std::slice::from_ref(&pieces[s].linear.residual)),
+            held_out_before: before[s].1,
+            held_out_after: held_out[s],
+            noise: [0, 1].map(|kind| pieces[s].weights[kind].noise.sigma),
+            inflation: [0, 1].map(|kind| pieces[s].weights[kind].noise.inflation()),
+            spans: sources[s].spans(),
+        }
+    });
+    let reports = reports.collect();
+    let shared_covariance = covariance.view((0, 0), (shared, shared)).into_owned();
+    Ok(ArmCalibration {
+        links: path.links.clone(),
+        deviations: parameters.deviations(state.values.as_slice()),
+        link_m,
+        untold: untold(&whole.matrix, &parameters, link_m, &workspace),
+        expected: workspace.uncertainty(&shared_covariance),
+        drawing: workspace.uncertainty(&parameters.of_drawing(link_m)),
+        robot: calibrated,
+        parameters: parameters.links.clone(),
+        zeros: parameters.zeros.clone(),
+        values: state.values.iter().take(shared).copied().collect(),
+        covariance: shared_covariance,
+        dof,
+        streams: reports,
+    })
+}
+
+/// Root mean squares over some pieces of a stream, each by kind.
+fn left(pieces: &[Vec<Vec<[f64; 3]>>]) -> LeftOver {
+    let rms = |kind: usize| {
+        let all = || pieces.iter().flat_map(|piece| &piece[kind]);
+        let squares: f64 = all().flatten().map(|c| c * c).sum();
+        (squares / all().count().max(1) as f64).sqrt()
+    };
+    LeftOver { m: rms(0), rad: rms(1) }
+}
+
+impl<'a> Source<'a> {
+    fn of(stream: &'a CalibrationStream<'a>, columns: DMatrix<f64>) -> Self {
+        let stride = stream.t_s.len().div_ceil(SAMPLES).max(1);
+        let xyz = stream.poses.iter().map(|pose| pose.translation.vector).collect();
+        Self { stream, xyz, stride, columns, still: vec![0.0; stream.joints.dof] }
+    }
+
+    /// How far each joint of the chain moves while there are poses.
+    fn spans(&self) -> Vec<f64> {
+        let t_s = &self.stream.t_s;
+        let (Some(first), Some(last)) = (t_s.first(), t_s.last()) else { return Vec::new() };
+        let joints = self.stream.joints;
+        let span = |&column: &usize| {
+            let rows = (0..joints.len()).filter(|&row| (*first..=*last).contains(&joints.t_s[row]));
+            let range = rows.map(|row| joints.row(row)[column]);
+            let (low, high) = range.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), q| {
+                (low.min(q), high.max(q))
+            });
+            (high - low).max(0.0)
+        };
+        self.stream.columns.iter().map(span).collect()
+    }
+
+    pub(super) fn witness<'b>(&'b self, chain: &'b Chain) -> Witness<'b> {
+        let stream = self.stream;
+        let ends = stream.t_s.first().zip(stream.t_s.last());
+        Witness {
+            joints: stream.joints,
+            chain,
+            columns: &stream.columns,
+            gained: &[],
+            reference_known: !stream.reference_is_free,
+            still: &self.still,
+            t_s: stream.t_s.clone(),
+            xyz: self.xyz.clone(),
+            rotation: stream.poses.iter().map(|pose| pose.rotation).collect(),
+            blind: Blind { position: stream.blind, rotation: stream.rotation_is_blind },
+            tool_part: ToolPart::Whole,
+            middle_s: ends.map_or(0.0, |(first, last)| 0.5 * (first + last)),
+        }
+    }
+}
+
+/// The equations of all streams of an arm.
+pub(super) struct System<'a> {
+    pub robot: &'a Robot,
+    pub path: &'a LinkPath,
+    pub parameters: &'a Parameters,
+    sources: &'a [Source<'a>],
+}
+
+impl System<'_> {
+    /// The robot with the links of `state` in it, and no zero.
+    fn links_at(&self, state: &State) -> Robot {
+        let deviations = self.parameters.deviations(state.values.as_slice());
+        let deviations: Vec<Pose> = deviations.iter().map(|twist| pose_of_twist(twist)).collect();
+        self.robot.deviated(self.path, &deviations, &[])
+    }
+
+    /// The robot as `state` has it.
+    fn robot_at(&self, state: &State) -> Robot {
+        let deviations = self.parameters.deviations(state.values.as_slice());
+        let deviations: Vec<Pose> = deviations.iter().map(|twist| pose_of_twist(twist)).collect();
+        self.robot.deviated(self.path, &deviations, &self.zeros(state))
+    }
+
+    /// The zero of each joint of the chain.
+    fn zeros(&self, state: &State) -> Vec<f64> {
+        let mut zeros = vec![0.0; self.path.axes.len()];
+        for (at, &joint) in self.parameters.zeros.iter().enumerate() {
+            zeros[joint] = state.values[self.parameters.links.len() + at];
+        }
+        zeros
+    }
+
+    /// The chain of stream `s`, of the links of `state`.
+    pub fn chain(&self, s: usize, state: &State) -> Option<Chain> {
+        let stream = self.sources[s].stream;
+        self.links_at(state).chain(stream.base, stream.tip).ok()
+    }
+
+    /// All streams linearised about `state`, with weights by what is left there.
+    fn at(&self, state: &State, is_near: bool) -> Option<Vec<Piece>> {
+        let robot = self.links_at(state);
+        let zeros = self.zeros(state);
+        let of_stream = |(s, source): (usize, &Source)| {
+            let stream = source.stream;
+            let chain = robot.chain(stream.base, stream.tip).ok()?;
+            let witness = source.witness(&chain);
+            let plain = self.plain(s, state);
+            let mut offsets = vec![0.0; stream.joints.dof];
+            for (&column, zero) in stream.columns.iter().zip(&zeros) {
+                offsets[column] = *zero;
+            }
+            let rows = (0..witness.len()).step_by(source.stride);
+            let linear = link_frames(&witness, &plain, &offsets, rows, true);
+            if linear.len() < FOLDS {
+                return None;
+            }
+            let weights = match is_near {
+                true => linear.weights_after(&vec![0.0; linear.width]),
+                false => linear.first_weights(),
+            };
+            Some(Piece { linear, weights })
+        };
+        self.sources.iter().enumerate().map(of_stream).collect()
+    }
+
+    fn plain(&self, s: usize, state: &State) -> StreamState {
+        let (latency_s, reference, tool) = state.streams[s];
+        let skew = self.sources[s].stream.skew;
+        StreamState { reference, tool, skew, ..StreamState::at_latency(latency_s) }
+    }
+
+    /// The normal equations of all streams.
+    fn normal(&self, pieces: &[Piece]) -> Normal {
+        let mut normal = Normal::zeros(self.parameters.width());
+        for (source, piece) in self.sources.iter().zip(pieces) {
+            let all: Vec<usize> = (0..piece.linear.width).collect();
+            let mut own = Normal::zeros(piece.linear.width);
+            piece.linear.accumulate(&piece.weights, &all, &mut own);
+            normal.matrix += source.columns.transpose() * own.matrix * &source.columns;
+            normal.right += source.columns.transpose() * own.right;
+            normal.cost += own.cost;
+            normal.independent += own.independent;
+        }
+        normal
+    }
+
+    /// The covariance of the scores, for a sandwich.
+    fn scores(&self, pieces: &[Piece]) -> DMatrix<f64> {
+        let mut all = DMatrix::zeros(self.parameters.width(), self.parameters.width());
+        for (source, Piece { linear, weights }) in self.sources.iter().zip(pieces) {
+            let columns: Vec<Option<usize>> = (0..linear.width).map(Some).collect();
+            let mut information = DMatrix::zeros(linear.width, linear.width);
+            let mut scores = DMatrix::zeros(linear.width, linear.width);
+            linear.accumulate_covariance(weights, &columns, &mut information, &mut scores);
+            all += source.columns.transpose() * scores * &source.columns;
+        }
+        all
+    }
+
+    /// What was added to the parameters' beginnings, where a prior pulls them back to.
+    fn beside_prior(&self, state: &State) -> DVector<f64> {
+        let mut values = state.values.clone();
+        // Frames, latencies and zeros may be anything: their prior is wherever they stand.
+        values
+            .rows_mut(self.parameters.links.len(), values.len() - self.parameters.links.len())
+            .fill(0.0);
+        values
+    }
+
+    /// The step to the largest posterior where links are off by `link_m`, and the precision there.
+    fn step(
+        &self,
+        normal: &Normal,
+        state: &State,
+        link_m: f64,
+    ) -> Option<(DVector<f64>, Cholesky<f64, Dyn>)> {
+        let prior = DVector::from_vec(self.parameters.prior(link_m));
+        let precision = &normal.matrix + DMatrix::from_diagonal(&prior);
+        let cholesky = precision.cholesky()?;
+        let right = &normal.right - prior.component_mul(&self.beside_prior(state));
+        Some((cholesky.solve(&right), cholesky))
+    }
+
+    /// The size of the links' deviations under which the logs are likeliest.
+    fn best_link(&self, normal: &Normal, state: &State) -> f64 {
+        let (least, most, times) = LINKS_M;
+        let total = &normal.right + &normal.matrix * self.beside_prior(state);
+        let evidence = |link_m: f64| {
+            let prior = DVector::from_vec(self.parameters.prior(link_m));
+            let precision = &normal.matrix + DMatrix::from_diagonal(&prior);
+            let Some(cholesky) = precision.cholesky() else { return f64::NEG_INFINITY };
+            let log_det: f64 = cholesky.l_dirty().diagonal().iter().map(|x| 2.0 * x.ln()).sum();
+            total.dot(&cholesky.solve(&total)) - log_det
+                + prior.iter().map(|one| one.ln()).sum::<f64>()
+        };
+        let tried = std::iter::successors(Some(least), |link_m| Some(link_m * times));
+        let tried = tried
+            .take_while(|link_m| *link_m < 4.0 * most)
+            .map(|link_m| (link_m, evidence(link_m)));
+        tried.max_by(|a, b| a.1.total_cmp(&b.1)).map_or(least, |best| best.0)
+    }
+
+    fn advance(&self, state: &mut State, step: &DVector<f64>) {
+        // Frames that are a little off and a little more are so by the sum, to the product of both:
+        // the next step makes up for it.
+        state.values += step;
+        for (s, (latency_s, reference, tool)) in state.streams.iter_mut().enumerate() {
+            let own = self.parameters.own(s);
+            let mut part = step
+                .rows(self.parameters.of_stream(s).start, self.parameters.of_stream(s).len())
+                .into_iter()
+                .copied();
+            let mut twist = || -> Vec<f64> { part.by_ref().take(6).collect() };
+            if own.reference {
+                *reference *= pose_of_twist(&twist());
+            }
+            if own.tool {
+                let tip = self.last_from_tip(s);
+                *tool = tip.inverse() * pose_of_twist(&twist()) * tip * *tool;
+            }
+            if own.latency {
+                *latency_s += part.next().unwrap_or(0.0);
+            }
+        }
+    }
+
+    /// The tip of stream `s` in the last link, which no joint moves.
+    fn last_from_tip(&self, s: usize) -> Pose {
+        let stream = self.sources[s].stream;
+        let Ok(chain) = self.robot.chain(stream.base, stream.tip) else { return Pose::identity() };
+        let (q, mut frames) = (vec![0.0; chain.dof()], Vec::new());
+        chain.joint_frames(&q, &mut frames);
+        frames.last().map_or_else(Pose::identity, |last| last.inv_mul(&chain.forward(&q)))
+    }
+
+    /// What is left with the drawing's links once frames and latencies fit: of all, and of each fold when
+    /// they fit the others.
+    fn with_drawing(&self, pieces: &[Piece]) -> Vec<(LeftOver, LeftOver)> {
+        let own: Vec<usize> = (self.parameters.shared()..self.parameters.width()).collect();
+        let none = DVector::zeros(self.parameters.width());
+        let fitted = |normal: &Normal| normal.step(&none, &own);
+        let whole = fitted(&self.normal(pieces));
+        let folds = self.of_folds(pieces, fitted);
+        let of = |((source, piece), held_out): ((&Source, &Piece), LeftOver)| {
+            (left(&[piece.after(&(&source.columns * &whole))]), held_out)
+        };
+        self.sources.iter().zip(pieces).zip(folds).map(of).collect()
+    }
+
+    /// What is left of each fold, with everything fitted to the others.
+    fn held_out(&self, pieces: &[Piece], state: &State, link_m: f64) -> Vec<LeftOver> {
+        let none = || DVector::zeros(self.parameters.width());
+        let of = |kept: &Normal| self.step(kept, state, link_m).map_or_else(none, |(step, _)| step);
+        self.of_folds(pieces, of)
+    }
+
+    /// What is left of each stream where each fold takes the step that the equations of all others give.
+    fn of_folds(&self, pieces: &[Piece], step: impl Fn(&Normal) -> DVector<f64>) -> Vec<LeftOver> {
+        let whole = self.normal(pieces);
+        let mut all: Vec<Vec<_>> = pieces.iter().map(|_| Vec::new()).collect();
+        for fold in 0..FOLDS {
+            let parts: Vec<Piece> = pieces.iter().map(|piece| piece.part(fold)).collect();
+            let mut kept = self.normal(&parts);
+            kept.matrix = &whole.matrix - kept.matrix;
+            kept.right = &whole.right - kept.right;
+            let step = step(&kept);
+            for ((all, part), source) in all.iter_mut().zip(&parts).zip(self.sources) {
+                all.push(part.after(&(&source.columns * &step)));
+            }
+        }
+        all.iter().map(|folds| left(folds)).collect()
+    }
+}

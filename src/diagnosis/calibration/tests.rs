@@ -1,0 +1,302 @@
+//! Arms whose links are off by known amounts, and what is found of them.
+
+use super::*;
+use ground::geometry::{Vec3, angle_between, pose, rotation_from_rotvec};
+use ground::robot::catalogue;
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::parameters::told;
+use crate::model::pose_of_twist;
+
+const NOISE_M: f64 = 2e-5;
+const NOISE_RAD: f64 = 2e-5;
+const LATENCY_S: f64 = 0.012;
+
+struct Normal(rand_pcg::Pcg64);
+
+impl Normal {
+    fn next(&mut self) -> f64 {
+        StandardNormal.sample(&mut self.0)
+    }
+
+    fn triple(&mut self, scale: f64) -> Vec3 {
+        Vec3::new(scale * self.next(), scale * self.next(), scale * self.next())
+    }
+}
+
+/// An arm that is not its drawing, and a log of it.
+struct Case {
+    drawing: Robot,
+    truth: Robot,
+    /// What its links are off, as the parameters are numbered.
+    values: Vec<f64>,
+    base: LinkId,
+    tip: LinkId,
+    joints: JointTrack,
+    t_s: Vec<f64>,
+    poses: Vec<Pose>,
+}
+
+impl Case {
+    /// `seconds` of a UR5e whose links are off by `link_m` and 0.1° to 1 mm, and whose joints swing by
+    /// `amplitude` each.
+    fn new(seed: u64, link_m: f64, seconds: f64, amplitude: [f64; 6]) -> Self {
+        let mut normal = Normal(rand_pcg::Pcg64::seed_from_u64(seed));
+        let drawing = catalogue::find("ur5e").expect("it is in the catalogue").clone();
+        let [base, tip] = ["base", "tool0"].map(|name| drawing.link(name).expect("a link"));
+        let path = drawing.link_path(base, tip).expect("a path");
+        let mut values = Vec::new();
+        let deviations: Vec<Pose> = (0..path.links.len())
+            .map(|link| {
+                let mut twist = [0.0; 6];
+                for (first, scale) in [(0, link_m), (3, 1.745 * link_m)] {
+                    for direction in told(&path, link, first > 0) {
+                        let value = scale * normal.next();
+                        (0..3).for_each(|axis| twist[first + axis] += value * direction[axis]);
+                        values.push(value);
+                    }
+                }
+                pose_of_twist(&twist)
+            })
+            .collect();
+        let truth = drawing.deviated(&path, &deviations, &[]);
+        let mut joints = JointTrack { dof: 6, ..Default::default() };
+        let at = |joint: usize, t_s: f64| {
+            let (rate, phase) = (0.37 + 0.171 * joint as f64, 1.3 * joint as f64);
+            let turn = rate * t_s + phase;
+            let middle = [0.0, -1.4, 1.1, -0.8, -0.6, 0.2][joint];
+            (middle + amplitude[joint] * turn.sin(), amplitude[joint] * rate * turn.cos())
+        };
+        for row in 0..(125.0 * seconds) as usize {
+            let t_s = row as f64 / 125.0;
+            joints.t_s.push(t_s);
+            for joint in 0..6 {
+                let (q, qd) = at(joint, t_s);
+                joints.q.push(q);
+                joints.qd.push(qd);
+            }
+        }
+        let chain = truth.chain(base, tip).expect("a chain");
+        let (mut t_s, mut poses) = (Vec::new(), Vec::new());
+        for row in 4..(50.0 * seconds) as usize {
+            let stamp = row as f64 * 0.02;
+            let q: Vec<f64> = (0..6).map(|joint| at(joint, stamp - LATENCY_S).0).collect();
+            let exact = chain.forward(&q);
+            let mut logged = exact;
+            logged.translation.vector += normal.triple(NOISE_M);
+            logged.rotation = rotation_from_rotvec(normal.triple(NOISE_RAD)) * exact.rotation;
+            t_s.push(stamp);
+            poses.push(logged);
+        }
+        Self { drawing, truth, values, base, tip, joints, t_s, poses }
+    }
+
+    fn stream(&self) -> CalibrationStream<'_> {
+        CalibrationStream {
+            joints: &self.joints,
+            columns: (0..6).collect(),
+            base: self.base,
+            tip: self.tip,
+            t_s: self.t_s.clone(),
+            poses: self.poses.clone(),
+            blind: [false; 3],
+            rotation_is_blind: false,
+            latency_s: LATENCY_S + 1e-3,
+            latency_is_free: true,
+            skew: 0.0,
+            reference: Pose::identity(),
+            reference_is_free: false,
+            tool: Pose::identity(),
+            tool_is_free: false,
+        }
+    }
+
+    fn found(&self) -> ArmCalibration {
+        calibrate_arm(&self.drawing, &[self.stream()], &[]).expect("a calibration")
+    }
+
+    /// The log with the base anywhere, and the tool anything.
+    fn elsewhere(&self, world: &Pose, tool: &Pose) -> CalibrationStream<'_> {
+        CalibrationStream {
+            poses: self.poses.iter().map(|pose| world * pose * tool).collect(),
+            reference: *world,
+            reference_is_free: true,
+            tool: *tool,
+            tool_is_free: true,
+            ..self.stream()
+        }
+    }
+}
+
+/// How far FK of two arms is apart over postures anywhere, rms m and rad.
+fn apart(case: &Case, found: &Robot) -> (f64, f64) {
+    let chains =
+        [&case.truth, found].map(|robot| robot.chain(case.base, case.tip).expect("a chain"));
+    let (mut m, mut rad) = (0.0, 0.0);
+    for k in 0..400 {
+        let q: Vec<f64> = (0..6)
+            .map(|joint| 3.1 * (f64::from(k) * (1.1 + 0.37 * f64::from(joint))).sin())
+            .collect();
+        let [a, b] = chains.each_ref().map(|chain| chain.forward(&q));
+        m += (a.translation.vector - b.translation.vector).norm_squared();
+        rad += angle_between(&a.rotation, &b.rotation).powi(2);
+    }
+    ((m / 400.0).sqrt(), (rad / 400.0).sqrt())
+}
+
+const RICH: [f64; 6] = [1.9, 0.9, 1.3, 1.5, 1.6, 2.0];
+
+#[test]
+fn links_that_are_off_are_found_over_the_whole_workspace() {
+    for seed in 0..3 {
+        let case = Case::new(seed, 0.5e-3, 60.0, RICH);
+        let found = case.found();
+        let (before_m, _) = apart(&case, &case.drawing);
+        let (m, rad) = apart(&case, &found.robot);
+        assert!(before_m > 1e-3 && m < 5e-6 && rad.to_degrees() < 0.001, "{before_m} {m} {rad}");
+        // What is foretold of the error is about what it is.
+        assert!(
+            m < 2.5 * found.expected.m && m > 0.3 * found.expected.m,
+            "{m} {:?}",
+            found.expected
+        );
+        assert!((0.3e-3..0.9e-3).contains(&found.link_m), "{}", found.link_m);
+        let stream = &found.streams[0];
+        let noise_m = 3f64.sqrt() * NOISE_M;
+        assert!(stream.before.m > 5e-4 && (stream.after.m / noise_m - 1.0).abs() < 0.05);
+        assert!((stream.held_out_after.m / noise_m - 1.0).abs() < 0.1, "{stream:?}");
+        let latency = stream.latency_s.expect("it is free");
+        assert!((latency.value - LATENCY_S).abs() < 5.0 * latency.std_error + 1e-6, "{latency:?}");
+    }
+}
+
+#[test]
+fn intervals_hold_the_truth_as_often_as_they_say() {
+    let (mut inside, mut all) = (0, 0);
+    let (mut parameters_inside, mut parameters) = (0, 0);
+    for seed in 10..26 {
+        let case = Case::new(seed, 0.3e-3, 20.0, RICH);
+        let found = case.found();
+        for (at, truth) in case.values.iter().enumerate() {
+            let [low, high] = found.value(at).interval(0.95);
+            parameters_inside += usize::from((low..=high).contains(truth));
+            parameters += 1;
+        }
+        // Combinations that poses tell: FK at postures anywhere.
+        for k in 0..20 {
+            let q: Vec<f64> = (0..6)
+                .map(|joint| 2.9 * (f64::from(k) * 0.7 + 1.9 * f64::from(joint)).sin())
+                .collect();
+            let [truth, own] = [&case.truth, &found.robot]
+                .map(|robot| robot.chain(case.base, case.tip).expect("a chain").forward(&q));
+            let error = truth.translation.vector - own.translation.vector;
+            let spread = spread_at(&case, &found, &q);
+            inside += (0..3).filter(|&axis| error[axis].abs() < 1.96 * spread[axis]).count();
+            all += 3;
+        }
+    }
+    let share = inside as f64 / f64::from(all);
+    let of_parameters = parameters_inside as f64 / f64::from(parameters);
+    assert!((0.90..=0.99).contains(&share), "{share} {of_parameters}");
+    assert!((0.92..=0.98).contains(&of_parameters), "{share} {of_parameters}");
+}
+
+/// The standard error of the tip's position at `q`, by differences.
+fn spread_at(case: &Case, found: &ArmCalibration, q: &[f64]) -> [f64; 3] {
+    const STEP: f64 = 1e-6;
+    let path = case.drawing.link_path(case.base, case.tip).expect("a path");
+    let at = |values: &[f64]| {
+        let mut all = vec![[0.0; 6]; path.links.len()];
+        for (one, value) in found.parameters.iter().zip(values) {
+            let first = if one.turns { 3 } else { 0 };
+            (0..3).for_each(|axis| all[one.link][first + axis] += one.direction[axis] * value);
+        }
+        let deviations: Vec<Pose> = all.iter().map(|twist| pose_of_twist(twist)).collect();
+        let robot = case.drawing.deviated(&path, &deviations, &[]);
+        robot.chain(case.base, case.tip).expect("a chain").forward(q).translation.vector
+    };
+    let middle = at(&found.values);
+    let slopes: Vec<Vec3> = (0..found.values.len())
+        .map(|parameter| {
+            let mut values = found.values.clone();
+            values[parameter] += STEP;
+            (at(&values) - middle) / STEP
+        })
+        .collect();
+    std::array::from_fn(|axis| {
+        let slope =
+            nalgebra::DVector::from_iterator(slopes.len(), slopes.iter().map(|slope| slope[axis]));
+        slope.dot(&(&found.covariance * &slope)).sqrt()
+    })
+}
+
+#[test]
+fn another_place_of_the_base_and_another_tool_change_no_link() {
+    let case = Case::new(3, 0.4e-3, 30.0, RICH);
+    let tool = pose([0.05, 0.02, 0.2], rotation_from_rotvec(Vec3::new(-0.3, 0.8, 0.1)));
+    let far = pose([1.3, -0.4, 0.7], rotation_from_rotvec(Vec3::new(0.4, -1.1, 2.0)));
+    let places = [(Pose::identity(), tool), (far, tool), (far, Pose::identity())];
+    let found = places.map(|(world, tool)| {
+        calibrate_arm(&case.drawing, &[case.elsewhere(&world, &tool)], &[]).expect("a calibration")
+    });
+    let [a, b, c] = &found;
+    assert!(
+        a.parameters == b.parameters && a.parameters.iter().all(|one| (1..6).contains(&one.link))
+    );
+    for (at, ((x, y), z)) in a.values.iter().zip(&b.values).zip(&c.values).enumerate() {
+        let spread = a.value(at).std_error;
+        assert!((x - y).abs() < 0.02 * spread, "{at}: {x} {y} {spread}");
+        // On another tool the noise of rotations has another lever.
+        assert!((x - z).abs() < spread, "{at}: {x} {z} {spread}");
+    }
+}
+
+#[test]
+fn one_joint_that_moves_tells_hardly_more_than_the_drawing() {
+    let case = Case::new(4, 0.5e-3, 30.0, [0.0, 0.0, 1.2, 0.0, 0.0, 0.0]);
+    let found = case.found();
+    assert!(found.expected.m > 0.5 * found.drawing.m, "{:?} {:?}", found.expected, found.drawing);
+    let spans = &found.streams[0].spans;
+    assert!(spans[2] > 2.0 && spans.iter().filter(|span| **span < 1e-9).count() == 5, "{spans:?}");
+    assert!(!found.untold.is_empty());
+}
+
+#[test]
+fn several_logs_are_one_estimate() {
+    let [first, second] = [(); 2].map(|()| Case::new(5, 0.4e-3, 20.0, RICH));
+    let one = first.found();
+    let world = pose([0.4, 0.1, -0.2], rotation_from_rotvec(Vec3::new(0.0, 0.3, 1.0)));
+    let streams = [first.stream(), second.elsewhere(&world, &Pose::identity())];
+    let both = calibrate_arm(&first.drawing, &streams, &[]).expect("a calibration");
+    assert!(both.expected.m < one.expected.m, "{:?} {:?}", both.expected, one.expected);
+    assert!(both.streams[0].reference.is_none() && both.streams[1].reference.is_some());
+}
+
+#[test]
+fn outliers_cost_hardly_anything() {
+    let mut case = Case::new(6, 0.4e-3, 40.0, RICH);
+    let mut normal = Normal(rand_pcg::Pcg64::seed_from_u64(60));
+    for at in (0..case.poses.len()).step_by(25) {
+        case.poses[at].translation.vector += normal.triple(5e-3);
+    }
+    let (m, _) = apart(&case, &case.found().robot);
+    assert!(m < 8e-6, "{m}");
+}
+
+#[test]
+fn a_joint_zero_of_degrees_is_taken_into_the_origin() {
+    let case = Case::new(7, 0.2e-3, 40.0, RICH);
+    let mut off = case.joints.clone();
+    off.q.chunks_exact_mut(6).for_each(|row| row[2] -= 0.03);
+    let stream = CalibrationStream { joints: &off, ..case.stream() };
+    let found = calibrate_arm(&case.drawing, &[stream], &[2]).expect("a calibration");
+    let chains =
+        [&case.truth, &found.robot].map(|robot| robot.chain(case.base, case.tip).expect("a chain"));
+    let q = [0.3, -1.0, 0.9, -0.4, 1.1, 2.0];
+    let mut reported = q;
+    reported[2] -= 0.03;
+    let error =
+        chains[0].forward(&q).translation.vector - chains[1].forward(&reported).translation.vector;
+    assert!(error.norm() < 8e-6, "{error}");
+}

@@ -1,0 +1,114 @@
+//! What deviations of links do to the tip over the whole workspace, wherever the log's arm moved.
+
+use super::Uncertainty;
+use super::fit::{State, System};
+use crate::model::{Blind, StreamState, ToolPart, Witness};
+use crate::nominal::link_frames;
+use ground::geometry::{Rotation, Vec3};
+use ground::robot::{Chain, JointKind, Limits};
+use ground::stream::JointTrack;
+use nalgebra::{DMatrix, DVector};
+use rand::{RngExt, SeedableRng};
+
+/// Postures that stand for the workspace.
+const POSTURES: usize = 300;
+
+/// How the shared parameters move the tip at postures anywhere within the joints' limits, with what
+/// constant frames that are free make up for taken off.
+pub(super) struct Workspace {
+    /// Six rows a posture: position in m, rotation in rad.
+    effects: DMatrix<f64>,
+}
+
+impl Workspace {
+    pub fn of(system: &System, state: &State) -> Self {
+        let parameters = system.parameters;
+        let shared = parameters.shared();
+        let Some(chain) = system.chain(0, state) else {
+            return Self { effects: DMatrix::zeros(0, shared) };
+        };
+        let joints = postures(&chain);
+        let columns: Vec<usize> = (0..chain.dof()).collect();
+        let witness = Witness {
+            joints: &joints,
+            chain: &chain,
+            columns: &columns,
+            gained: &[],
+            reference_known: true,
+            still: &vec![0.0; chain.dof()],
+            t_s: joints.t_s.clone(),
+            xyz: vec![Vec3::zeros(); joints.len()],
+            rotation: vec![Rotation::identity(); joints.len()],
+            blind: Blind::default(),
+            tool_part: ToolPart::Whole,
+            middle_s: 0.0,
+        };
+        let plain = StreamState::at_latency(0.0);
+        let linear = link_frames(&witness, &plain, &vec![0.0; chain.dof()], 0..joints.len(), true);
+        let rows = 6 * linear.len();
+        let design = DMatrix::from_fn(rows, linear.width, |row, column| {
+            linear.row(row / 6, row % 6)[column]
+        });
+        let mut effects = &design * parameters.shared_columns(0);
+        let joints = system.path.axes.len();
+        let is_free = |link: usize| parameters.links.iter().all(|one| one.link != link);
+        let free: Vec<usize> = [0, joints]
+            .into_iter()
+            .filter(|&link| is_free(link))
+            .flat_map(|link| 6 * link..6 * link + 6)
+            .collect();
+        if !free.is_empty() {
+            let frames = design.select_columns(&free);
+            let normal = frames.transpose() * &frames;
+            if let Some(cholesky) = normal.cholesky() {
+                let taken = cholesky.solve(&(frames.transpose() * &effects));
+                effects -= frames * taken;
+            }
+        }
+        Self { effects }
+    }
+
+    /// How uncertain the tip is where the shared parameters have this covariance.
+    pub fn uncertainty(&self, covariance: &DMatrix<f64>) -> Uncertainty {
+        let spread = &self.effects * covariance;
+        let (mut m, mut rad) = (0.0, 0.0);
+        for row in 0..self.effects.nrows() {
+            let variance = spread.row(row).dot(&self.effects.row(row)).max(0.0);
+            *(if row % 6 < 3 { &mut m } else { &mut rad }) += variance;
+        }
+        let postures = (self.effects.nrows() / 6).max(1) as f64;
+        Uncertainty { m: (m / postures).sqrt(), rad: (rad / postures).sqrt() }
+    }
+
+    /// By how much a change of the shared parameters moves the tip, rms m.
+    pub fn effect_m(&self, change: &DVector<f64>) -> f64 {
+        self.uncertainty(&(change * change.transpose())).m
+    }
+}
+
+/// Postures all over the joints' ranges, the same for every call, each at rest.
+fn postures(chain: &Chain) -> JointTrack {
+    let mut rng = rand_pcg::Pcg64::seed_from_u64(24);
+    let range = |(limits, kind): (&Limits, &JointKind)| {
+        let usual = if *kind == JointKind::Prismatic { 0.5 } else { std::f64::consts::PI };
+        let low = limits.lower.unwrap_or(-usual).max(-usual);
+        let high = limits.upper.unwrap_or(usual).min(usual);
+        if low < high {
+            (low, high)
+        } else {
+            (limits.lower.unwrap_or(0.0), limits.upper.unwrap_or(0.0))
+        }
+    };
+    let ranges: Vec<(f64, f64)> =
+        chain.limits().iter().zip(chain.joint_kinds()).map(range).collect();
+    let mut q = Vec::with_capacity(POSTURES * ranges.len());
+    for _ in 0..POSTURES {
+        q.extend(ranges.iter().map(|(low, high)| low + (high - low) * rng.random::<f64>()));
+    }
+    JointTrack {
+        t_s: (0..POSTURES).map(|at| at as f64).collect(),
+        dof: ranges.len(),
+        qd: vec![0.0; q.len()],
+        q,
+    }
+}

@@ -1,0 +1,461 @@
+//! The shapes that the course of a latency may have beside jumps: with the load, or along straight pieces.
+
+use super::{LatencyCourse, LatencyShape, SURE, Sample, WINDOW_S, Window};
+use ground::stats::Measured;
+use nalgebra::{DMatrix, DVector};
+
+/// What is left of `samples` with a latency of `beyond_s` taken off and, in each window, a constant: an error
+/// of the model belongs to the posture. In units of the noise, squared and summed.
+pub(super) fn left_beside(samples: &[Sample], mut beyond_s: impl FnMut(usize) -> f64) -> f64 {
+    let mut row = 0;
+    of_windows(samples)
+        .map(|own| {
+            let (mut sum, mut square) = ([0.0; 6], 0.0);
+            for sample in own {
+                let delta_s = beyond_s(row);
+                row += 1;
+                let left: [f64; 6] =
+                    std::array::from_fn(|i| sample.residual[i] + delta_s * sample.velocity[i]);
+                for (sum, left) in sum.iter_mut().zip(left) {
+                    *sum += left;
+                    square += left * left;
+                }
+            }
+            square - sum.iter().map(|sum| sum * sum).sum::<f64>() / own.len() as f64
+        })
+        .sum()
+}
+
+fn of_windows(samples: &[Sample]) -> impl Iterator<Item = &[Sample]> {
+    let mut rest = samples;
+    std::iter::from_fn(move || {
+        let first = rest.first()?;
+        let length = rest.partition_point(|sample| sample.t_s < first.t_s + WINDOW_S);
+        let (own, after) = rest.split_at(length.max(1));
+        rest = after;
+        Some(own)
+    })
+}
+
+/// Sums of the least squares of `residual = c − (a + b·load)·velocity` with a constant c for each window:
+/// of the products of velocity, of velocity times load, and of the residual.
+#[derive(Clone, Copy, Default)]
+struct Sums {
+    matrix: [f64; 3],
+    right: [f64; 2],
+}
+
+impl Sums {
+    fn of(window: &[Sample], load: &[f64]) -> Self {
+        let n = window.len() as f64;
+        let mut mean = [[0.0; 6]; 3];
+        let row = |sample: &Sample, load: f64| -> [[f64; 6]; 3] {
+            [sample.velocity, sample.velocity.map(|v| v * load), sample.residual]
+        };
+        for (sample, load) in window.iter().zip(load) {
+            for (mean, own) in mean.iter_mut().flatten().zip(row(sample, *load).iter().flatten()) {
+                *mean += own / n;
+            }
+        }
+        let mut sums = Self::default();
+        for (sample, load) in window.iter().zip(load) {
+            let mut own = row(sample, *load);
+            for (own, mean) in own.iter_mut().flatten().zip(mean.iter().flatten()) {
+                *own -= mean;
+            }
+            let dot =
+                |a: usize, b: usize| own[a].iter().zip(&own[b]).map(|(a, b)| a * b).sum::<f64>();
+            let products = [dot(0, 0), dot(0, 1), dot(1, 1)];
+            sums.matrix.iter_mut().zip(products).for_each(|(sum, own)| *sum += own);
+            sums.right.iter_mut().zip([-dot(0, 2), -dot(1, 2)]).for_each(|(sum, own)| *sum += own);
+        }
+        sums
+    }
+
+    fn with(mut self, other: &Self, sign: f64) -> Self {
+        self.matrix.iter_mut().zip(other.matrix).for_each(|(sum, own)| *sum += sign * own);
+        self.right.iter_mut().zip(other.right).for_each(|(sum, own)| *sum += sign * own);
+        self
+    }
+
+    /// The constant and the slope.
+    fn solved(&self) -> Option<[f64; 2]> {
+        let ([aa, ab, bb], [a, b]) = (self.matrix, self.right);
+        let determinant = aa * bb - ab * ab;
+        (determinant > 1e-9 * aa * bb)
+            .then(|| [(a * bb - b * ab) / determinant, (aa * b - ab * a) / determinant])
+    }
+}
+
+/// A latency that goes with the load, which is the speed of the joints or of the tool, as it is or through
+/// a filter; `None` where it does not.
+pub(super) fn with_load(samples: &[Sample]) -> Option<LatencyCourse> {
+    /// Time constants of the filter, s.
+    const SLOW_S: [f64; 5] = [0.0, 0.05, 0.1, 0.2, 0.4];
+    /// With the load at most this share is left beyond what a constant and it leave together at best, which is
+    /// the noise.
+    const LEFT: f64 = 0.5;
+    let constant = left_beside(samples, {
+        let zero = vec![0.0; samples.len()];
+        let sums = windows_of(samples, &zero).fold(Sums::default(), |sum, own| sum.with(&own, 1.0));
+        let level_s = sums.right[0] / sums.matrix[0].max(f64::MIN_POSITIVE);
+        move |_| level_s
+    });
+    let noise = 3.0 * samples.len() as f64;
+    let fit = |kind: usize, slow_s: f64| {
+        let load = filtered(samples, kind, slow_s);
+        let windows: Vec<Sums> = windows_of(samples, &load).collect();
+        let all = windows.iter().fold(Sums::default(), |sum, own| sum.with(own, 1.0));
+        let [level_s, slope] = all.solved()?;
+        let left = left_beside(samples, |row| level_s + slope * load[row]);
+        Some((left, load, windows, all, [level_s, slope]))
+    };
+    let tried = [0, 1].into_iter().flat_map(|kind| SLOW_S.map(|slow_s| (kind, slow_s)));
+    let fits = tried.filter_map(|(kind, slow_s)| fit(kind, slow_s));
+    let (left, load, windows, all, [level_s, slope]) = fits.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    if left - noise > LEFT * (constant - noise) {
+        return None;
+    }
+    let size = windows.len().div_ceil(PARTS).max(1);
+    let without = windows.chunks(size).filter_map(|part| {
+        let rest = part.iter().fold(all, |sum, own| sum.with(own, -1.0));
+        Some(rest.solved()?[1])
+    });
+    let without: Vec<f64> = without.collect();
+    let parts = without.len() as f64;
+    let spread: f64 = without.iter().map(|one| (one - slope).powi(2)).sum();
+    let std_error = ((parts - 1.0).max(1.0) / parts * spread).sqrt();
+    let (least, most) = load
+        .iter()
+        .fold((f64::MAX, f64::MIN), |(least, most), load| (least.min(*load), most.max(*load)));
+    let range = most - least;
+    let swing_s = Measured { value: slope * range, std_error: std_error * range, dof: parts };
+    let is_certain = parts >= 4.0 && slope.abs() > CERTAIN * std_error;
+    is_certain.then(|| LatencyCourse {
+        swing_s,
+        is_unsteady: true,
+        shape: LatencyShape::WithLoad,
+        jumps: Vec::new(),
+        levels: samples
+            .iter()
+            .zip(&load)
+            .map(|(sample, load)| (sample.t_s, level_s + slope * load))
+            .collect(),
+        windows: Vec::new(),
+    })
+}
+
+fn windows_of<'a>(samples: &'a [Sample], load: &'a [f64]) -> impl Iterator<Item = Sums> + 'a {
+    let mut from = 0;
+    of_windows(samples).map(move |own| {
+        let to = from + own.len();
+        let sums = Sums::of(own, &load[from..to]);
+        from = to;
+        sums
+    })
+}
+
+/// The load at each sample through a low-pass of the first order.
+fn filtered(samples: &[Sample], kind: usize, slow_s: f64) -> Vec<f64> {
+    let mut state = samples.first().map_or(0.0, |sample| sample.loads[kind]);
+    let mut before_s = samples.first().map_or(0.0, |sample| sample.t_s);
+    samples
+        .iter()
+        .map(|sample| {
+            let step_s = sample.t_s - before_s;
+            before_s = sample.t_s;
+            let share = if slow_s > 0.0 { 1.0 - (-step_s / slow_s).exp() } else { 1.0 };
+            state += share * (sample.loads[kind] - state);
+            state
+        })
+        .collect()
+}
+
+/// The straight pieces that a latency goes along, from knot to knot; a ramp where it is level before and
+/// after one of them. The knots are sought on `windows` and the levels fitted to `samples`. `None` where few
+/// pieces do not tell it.
+pub(super) fn path(windows: &[Window], samples: &[Sample]) -> Option<LatencyCourse> {
+    /// Knots beside the first and the last.
+    const MOST: usize = 16;
+    /// Samples that the levels are fitted to.
+    const SAMPLES: usize = 6000;
+    let (first, last) = (windows.first()?, windows.last()?);
+    let mut knots = vec![first.t_s, last.t_s];
+    let of_windows = |knots: &[f64]| Some(solved(knots, window_sums(windows, knots))?.1);
+    let mut least = of_windows(&knots)?;
+    // A ramp in the middle of a run is hardly told by one knot.
+    if let Some((left, two)) = two_knots(windows, &knots, &of_windows)
+        && least - left > SURE * (left / windows.len() as f64).max(1.0)
+    {
+        (least, knots) = (left, two);
+    }
+    while knots.len() < (windows.len() / 2).min(MOST + 2) {
+        let tried = windows.iter().map(|window| window.t_s).filter(|t_s| !knots.contains(t_s));
+        let with = tried.filter_map(|t_s| {
+            let mut with = knots.clone();
+            with.push(t_s);
+            with.sort_by(f64::total_cmp);
+            Some((of_windows(&with)?, with))
+        });
+        let Some((_, mut with)) = with.min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
+        let better = shifted(&mut with, &[1.0, 0.5], &of_windows)?;
+        let free = (windows.len() as f64 - 2.0 * with.len() as f64).max(1.0);
+        if least - better < SURE * (better / free).max(1.0) {
+            break;
+        }
+        (least, knots) = (better, with);
+    }
+    let stride = samples.len().div_ceil(SAMPLES).max(1);
+    let thinned: Vec<Sample> = samples.iter().step_by(stride).copied().collect();
+    let of_samples = |knots: &[f64]| Some(solved(knots, total(&sample_sums(&thinned, knots)))?.1);
+    let mut least = shifted(&mut knots, &[0.5, 0.25, 0.1], &of_samples)?;
+    // What came first may be needless beside what came later.
+    loop {
+        let fewer = (1..knots.len() - 1).filter_map(|at| {
+            let mut fewer = knots.clone();
+            fewer.remove(at);
+            Some((of_samples(&fewer)?, fewer))
+        });
+        let Some((left, fewer)) = fewer.min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
+        if left - least > NEEDED * least.max(3.0 * thinned.len() as f64) {
+            break;
+        }
+        (least, knots) = (left, fewer);
+    }
+    let least = shifted(&mut knots, &[0.25, 0.1, 0.05], &of_samples);
+    let sums = sample_sums(&thinned, &knots);
+    let (level_s, _) = solved(&knots, total(&sums)).filter(|_| least.is_some())?;
+    let at = |knot: usize| level_s[knot];
+    let order = |a: &usize, b: &usize| at(*a).total_cmp(&at(*b));
+    let all = || 0..knots.len();
+    let (low, high) = (all().min_by(order)?, all().max_by(order)?);
+    let std_error = jackknife(&sums, |sums| {
+        let (level_s, _) = solved(&knots, sums)?;
+        Some(level_s[high] - level_s[low])
+    });
+    let (swing, from, to) = (at(high) - at(low), low.min(high), low.max(high));
+    let is_near = |knot: usize, other: usize| (at(knot) - at(other)).abs() < LEVEL * swing;
+    let (mut begin, mut end) = (from, to);
+    while begin + 1 < to && is_near(begin + 1, from) {
+        begin += 1;
+    }
+    while end > begin + 1 && is_near(end - 1, to) {
+        end -= 1;
+    }
+    let is_level = (0..begin).all(|knot| is_near(knot, from))
+        && (end..knots.len()).all(|knot| is_near(knot, to));
+    let (shape, value) = match is_level && end == begin + 1 {
+        true => (LatencyShape::Ramp { from_s: knots[begin], to_s: knots[end] }, at(to) - at(from)),
+        false => (LatencyShape::Wander, swing),
+    };
+    let swing_s = Measured { value, std_error, dof: PARTS as f64 };
+    (value.abs() > 0.5 * CERTAIN * std_error).then(|| LatencyCourse {
+        swing_s,
+        is_unsteady: true,
+        shape,
+        jumps: Vec::new(),
+        levels: knots.iter().copied().zip(level_s.iter().copied()).collect(),
+        windows: Vec::new(),
+    })
+}
+
+/// The two inner knots between `ends` that leave least, and what that is.
+fn two_knots(
+    windows: &[Window],
+    ends: &[f64],
+    left: &impl Fn(&[f64]) -> Option<f64>,
+) -> Option<(f64, Vec<f64>)> {
+    /// Times that are tried.
+    const TRIED: usize = 40;
+    let inner = windows.get(1..windows.len().saturating_sub(1))?;
+    let times: Vec<f64> =
+        inner.iter().step_by(inner.len().div_ceil(TRIED).max(1)).map(|one| one.t_s).collect();
+    let pairs =
+        times.iter().enumerate().flat_map(|(at, a)| times[at + 1..].iter().map(move |b| (*a, *b)));
+    let with = pairs.filter_map(|(a, b)| {
+        let knots = vec![ends[0], a, b, ends[1]];
+        Some((left(&knots)?, knots))
+    });
+    with.min_by(|a, b| a.0.total_cmp(&b.0))
+}
+
+/// The levels at knots of what `windows` found; `None` where they do not tell them all.
+pub(super) fn levels_at(knots: &[f64], windows: &[(f64, Measured)]) -> Option<Vec<f64>> {
+    let windows: Vec<Window> = windows
+        .iter()
+        .map(|(t_s, found)| Window {
+            t_s: *t_s,
+            delta_s: found.value,
+            std_error_s: found.std_error,
+        })
+        .collect();
+    let is_enough = knots.len() > 1 && windows.len() >= knots.len();
+    is_enough.then(|| solved(knots, window_sums(&windows, knots)))?.map(|(level_s, _)| level_s)
+}
+
+/// A knot that is off by less than this share of the swing is on the level beside it.
+const LEVEL: f64 = 0.12;
+/// A knot without which this share more is left is needed.
+const NEEDED: f64 = 0.01;
+/// Parts of the run each of which is left out in turn for the error (jackknife: Quenouille 1956).
+const PARTS: usize = 20;
+/// An amount is told from none by so many standard errors.
+const CERTAIN: f64 = 8.0;
+
+/// Normal equations for the levels at knots, and the sum of the squares.
+#[derive(Clone)]
+struct Normal {
+    matrix: DMatrix<f64>,
+    right: DVector<f64>,
+    square: f64,
+}
+
+impl Normal {
+    fn zeros(n: usize) -> Self {
+        Self { matrix: DMatrix::zeros(n, n), right: DVector::zeros(n), square: 0.0 }
+    }
+
+    fn add(&mut self, other: &Self, sign: f64) {
+        self.matrix += sign * &other.matrix;
+        self.right += sign * &other.right;
+        self.square += sign * other.square;
+    }
+}
+
+/// The two knots beside a time, each with its share there.
+fn hats(knots: &[f64], t_s: f64) -> [(usize, f64); 2] {
+    let after = knots.partition_point(|knot| *knot <= t_s).clamp(1, knots.len() - 1);
+    let part = ((t_s - knots[after - 1]) / (knots[after] - knots[after - 1])).clamp(0.0, 1.0);
+    [(after - 1, 1.0 - part), (after, part)]
+}
+
+/// The levels, and what they leave. Where nothing tells one, as while the arm rests, it is like those beside it.
+fn solved(knots: &[f64], sums: Normal) -> Option<(Vec<f64>, f64)> {
+    /// By this share of what is told of a level at the mean two that follow each other are tied.
+    const TIED: f64 = 1e-5;
+    let Normal { mut matrix, right, square } = sums;
+    debug_assert_eq!(right.len(), knots.len());
+    let plain = matrix.clone();
+    let tie = TIED * matrix.trace() / knots.len() as f64;
+    for knot in 1..knots.len() {
+        matrix[(knot - 1, knot - 1)] += tie;
+        matrix[(knot, knot)] += tie;
+        matrix[(knot - 1, knot)] -= tie;
+        matrix[(knot, knot - 1)] -= tie;
+    }
+    let level = matrix.cholesky()?.solve(&right);
+    let left = square - 2.0 * level.dot(&right) + level.dot(&(plain * &level));
+    Some((level.iter().copied().collect(), left))
+}
+
+fn window_sums(windows: &[Window], knots: &[f64]) -> Normal {
+    let mut sums = Normal::zeros(knots.len());
+    for window in windows {
+        sums.square += window.weight() * window.delta_s.powi(2);
+        for (row, a) in hats(knots, window.t_s) {
+            sums.right[row] += window.weight() * a * window.delta_s;
+            for (column, b) in hats(knots, window.t_s) {
+                sums.matrix[(row, column)] += window.weight() * a * b;
+            }
+        }
+    }
+    sums
+}
+
+/// Of `residual = c − level·velocity` in each window, with a constant c for each.
+fn sample_sums(samples: &[Sample], knots: &[f64]) -> Vec<Normal> {
+    let n = knots.len();
+    let of_window = |own: &[Sample]| {
+        let mut sums = Normal::zeros(n);
+        let (mut moved, mut left) = (vec![[0.0; 6]; n], [0.0; 6]);
+        let mut touched: Vec<usize> = Vec::new();
+        for sample in own {
+            let hats = hats(knots, sample.t_s);
+            let dot = |a: &[f64; 6], b: &[f64; 6]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+            let (vv, vr) =
+                (dot(&sample.velocity, &sample.velocity), dot(&sample.velocity, &sample.residual));
+            sums.square += dot(&sample.residual, &sample.residual);
+            left.iter_mut().zip(sample.residual).for_each(|(sum, own)| *sum += own);
+            for (row, a) in hats {
+                if !touched.contains(&row) {
+                    touched.push(row);
+                }
+                moved[row].iter_mut().zip(sample.velocity).for_each(|(sum, own)| *sum += a * own);
+                sums.right[row] -= a * vr;
+                for (column, b) in hats {
+                    sums.matrix[(row, column)] += a * b * vv;
+                }
+            }
+        }
+        let count = own.len().max(1) as f64;
+        let dot =
+            |a: &[f64; 6], b: &[f64; 6]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>() / count;
+        sums.square -= dot(&left, &left);
+        for &row in &touched {
+            sums.right[row] += dot(&moved[row], &left);
+            for &column in &touched {
+                sums.matrix[(row, column)] -= dot(&moved[row], &moved[column]);
+            }
+        }
+        sums
+    };
+    of_windows(samples).map(of_window).collect()
+}
+
+fn total(sums: &[Normal]) -> Normal {
+    let mut all = Normal::zeros(sums.first().map_or(0, |sums| sums.right.len()));
+    sums.iter().for_each(|own| all.add(own, 1.0));
+    all
+}
+
+/// The standard error of a number that is told by the sums of windows.
+fn jackknife(sums: &[Normal], of: impl Fn(Normal) -> Option<f64>) -> f64 {
+    let all = total(sums);
+    let parts = sums.chunks(sums.len().div_ceil(PARTS).max(1));
+    let without: Vec<f64> = parts
+        .filter_map(|part| {
+            let mut rest = all.clone();
+            part.iter().for_each(|own| rest.add(own, -1.0));
+            of(rest)
+        })
+        .collect();
+    let n = without.len() as f64;
+    if n < 4.0 {
+        return f64::INFINITY;
+    }
+    let mean = without.iter().sum::<f64>() / n;
+    let spread: f64 = without.iter().map(|one| (one - mean).powi(2)).sum();
+    ((n - 1.0) / n * spread).sqrt()
+}
+
+/// Moves every inner knot to where it leaves least, by ever smaller steps; what is left then.
+fn shifted(
+    knots: &mut [f64],
+    steps_s: &[f64],
+    left: &impl Fn(&[f64]) -> Option<f64>,
+) -> Option<f64> {
+    const APART_S: f64 = 0.2;
+    let mut best = left(knots)?;
+    for &step_s in steps_s {
+        for knot in 1..knots.len().saturating_sub(1) {
+            for by_s in [step_s, -step_s] {
+                // As far as it gets better.
+                loop {
+                    let before = knots[knot];
+                    knots[knot] += by_s;
+                    let is_between = knots[knot] > knots[knot - 1] + APART_S
+                        && knots[knot] < knots[knot + 1] - APART_S;
+                    let tried = is_between.then(|| left(knots)).flatten();
+                    match tried.filter(|tried| *tried < best) {
+                        Some(better) => best = better,
+                        None => {
+                            knots[knot] = before;
+                            break;
+                        }
+                    }
+                }
+            }
+        }
+    }
+    Some(best)
+}

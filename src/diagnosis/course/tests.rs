@@ -1,0 +1,138 @@
+use super::*;
+use ground::geometry::{pose, rotation_from_rotvec};
+
+fn truth(t_s: f64) -> Pose {
+    let swing = |rate: f64, phase: f64| (rate * t_s + phase).sin();
+    pose(
+        [0.3 * swing(1.7, 0.0), 0.25 * swing(2.3, 1.0), 0.2 * swing(1.1, 2.0)],
+        rotation_from_rotvec(Vec3::new(0.4 * swing(1.9, 0.3), 0.3 * swing(1.3, 0.7), 0.0)),
+    )
+}
+
+fn course_at(aligned: &Aligned, skew: f64) -> Seen<LatencyCourse> {
+    latency_course(aligned, skew, |_| 0.0)
+}
+
+/// How fast the tool moves, m/s.
+fn speed(t_s: f64) -> f64 {
+    let velocity = truth(t_s + 0.005).translation.vector - truth(t_s - 0.005).translation.vector;
+    velocity.norm() / 0.01
+}
+
+/// 20 s at 50 Hz, late by `beyond_s` more than was found, with noise and `bent` by a model error.
+fn aligned(beyond_s: impl Fn(f64) -> f64, noise_m: f64, bent_m: f64) -> Aligned {
+    let mut random = crate::test_random::Lcg::new();
+    let mut aligned = Aligned::default();
+    for row in 0..1000 {
+        let t_s = f64::from(row) * 0.02;
+        let mut logged = truth(t_s - beyond_s(t_s));
+        logged.translation.vector += Vec3::from(random.triple(noise_m));
+        logged.translation.vector += bent_m * truth(t_s).translation.vector.map(f64::sin);
+        aligned.t_s.push(t_s);
+        aligned.corrected.push(logged);
+        aligned.fk_at_truth.push(truth(t_s));
+    }
+    aligned
+}
+
+#[test]
+fn a_jump_is_found_with_its_moment_and_size() {
+    for (at_s, size_s) in [(7.3, 0.012), (12.41, -0.03)] {
+        let course = course_at(
+            &aligned(|t_s| if t_s < at_s { 0.001 } else { 0.001 + size_s }, 1e-4, 0.0),
+            0.0,
+        );
+        let course = course.expect("a course");
+        let [jump] = course.jumps.as_slice() else { panic!("{course:?}") };
+        assert!((jump.size_s.value - size_s).abs() < 1e-3, "{jump:?}");
+        assert!((jump.at_s - at_s).abs() < 0.2, "{jump:?}");
+        let t_s = [1.0, 2.0, 18.0, 19.0];
+        let straight = course.straightened(&t_s);
+        let apart = (straight[2].1 - straight[1].1) - (18.0 - 2.0);
+        assert!((apart + size_s).abs() < 1e-3, "{straight:?}");
+    }
+}
+
+#[test]
+fn a_latency_that_wanders_is_measured_from_least_to_most() {
+    let course = course_at(&aligned(|t_s| 0.01 * (0.6 * t_s).sin(), 1e-4, 0.0), 0.0);
+    let course = course.expect("a course");
+    assert!(course.is_unsteady, "{course:?}");
+    assert!((0.016..0.024).contains(&course.swing_s.value.abs()), "{course:?}");
+}
+
+#[test]
+fn noise_a_skew_and_a_bent_model_are_steady() {
+    for noise_m in [1e-6, 1e-4, 2e-3] {
+        let steady = course_at(&aligned(|_| 0.0, noise_m, 0.0), 0.0).expect("a course");
+        assert!(!steady.is_unsteady, "{steady:?}");
+    }
+    let skewed = course_at(&aligned(|t_s| 3e-4 * t_s, 1e-4, 0.0), 0.0).expect("a course");
+    assert!(!skewed.is_unsteady, "{skewed:?}");
+    let bent = course_at(&aligned(|_| 0.0, 1e-5, 0.01), 0.0).expect("a course");
+    assert!(!bent.is_unsteady, "{bent:?}");
+}
+
+#[test]
+fn an_arm_at_rest_tells_nothing() {
+    let mut still = aligned(|_| 0.0, 0.0, 0.0);
+    still.fk_at_truth.fill(truth(0.0));
+    assert!(course_at(&still, 0.0).is_err());
+    assert!(course_at(&Aligned::default(), 0.0).is_err());
+}
+
+#[test]
+fn a_ramp_is_told_with_its_ends() {
+    let late = |t_s: f64| 0.02 * ((t_s - 6.0) / 7.0).clamp(0.0, 1.0);
+    let found = course_at(&aligned(late, 1e-4, 0.0), 0.0).expect("a course");
+    let LatencyShape::Ramp { from_s, to_s } = found.shape else { panic!("{:?}", found.shape) };
+    assert!((from_s - 6.0).abs() < 1.0 && (to_s - 13.0).abs() < 1.0, "{from_s} {to_s}");
+    assert!((found.swing_s.value - 0.02).abs() < 1e-3, "{:?}", found.swing_s);
+    assert!(found.is_unsteady && found.jumps.is_empty());
+}
+
+/// Moves, and rests in between.
+fn stop_and_go(t_s: f64) -> Pose {
+    let (stop, part) = ((t_s / 2.0).floor(), (t_s / 2.0).fract());
+    let u = (part / 0.7).min(1.0);
+    let smooth = u.powi(3) * (10.0 - 15.0 * u + 6.0 * u * u);
+    let at = |stop: f64, axis: f64| 0.4 * (2.3 * stop + 1.7 * axis).sin();
+    let between = |axis: f64| at(stop, axis) + smooth * (at(stop + 1.0, axis) - at(stop, axis));
+    let turn = Vec3::new(between(3.0), between(4.0), between(5.0));
+    pose([between(0.0), between(1.0), between(2.0)], rotation_from_rotvec(turn))
+}
+
+#[test]
+fn a_ramp_is_told_of_an_arm_that_stops_and_goes() {
+    let mut random = crate::test_random::Lcg::new();
+    let mut found = Aligned::default();
+    for row in 0..3200 {
+        let t_s = f64::from(row) * 0.01;
+        let late = -0.015 + 0.025 * ((t_s - 12.0) / 8.0).clamp(0.0, 1.0);
+        let mut logged = stop_and_go(t_s - late);
+        logged.translation.vector += Vec3::from(random.triple(2e-5));
+        found.t_s.push(t_s);
+        found.corrected.push(logged);
+        found.fk_at_truth.push(stop_and_go(t_s));
+    }
+    let found = course_at(&found, 0.0).expect("a course");
+    let LatencyShape::Ramp { from_s, to_s } = found.shape else { panic!("{found:?}") };
+    assert!((from_s - 12.0).abs() < 1.5 && (to_s - 20.0).abs() < 1.5, "{from_s} {to_s}");
+    let off_s = (found.swing_s.value - 0.025).abs();
+    assert!(off_s < 1e-3, "{:?}", found.swing_s);
+}
+
+#[test]
+fn a_latency_that_goes_with_the_load_is_told_with_its_swing() {
+    let most = (0..1000).map(|row| speed(f64::from(row) * 0.02)).fold(0.0, f64::max);
+    let least = (0..1000).map(|row| speed(f64::from(row) * 0.02)).fold(f64::MAX, f64::min);
+    let late = |t_s: f64| 0.004 + 0.015 * speed(t_s) / most;
+    let found = latency_course(&aligned(late, 1e-4, 0.0), 0.0, speed).expect("a course");
+    assert_eq!(found.shape, LatencyShape::WithLoad);
+    let swing_s = 0.015 * (most - least) / most;
+    assert!((found.swing_s.value - swing_s).abs() < 1e-3, "{:?} {swing_s}", found.swing_s);
+    assert!(found.is_unsteady);
+    // What is as late at every speed goes with none.
+    let steady = latency_course(&aligned(|_| 0.006, 1e-4, 0.0), 0.0, speed).expect("a course");
+    assert_eq!((steady.shape, steady.is_unsteady), (LatencyShape::Steady, false));
+}

@@ -1,0 +1,170 @@
+//! The latency in windows of about a second.
+
+use super::{JUMPS, Lagging, SAMPLES, SURE, WINDOW_S};
+use ground::geometry::Vec3;
+use ground::stats::Measured;
+
+/// One window.
+#[derive(Clone, Copy)]
+pub(super) struct Window {
+    pub(super) t_s: f64,
+    pub(super) delta_s: f64,
+    pub(super) std_error_s: f64,
+}
+
+impl Window {
+    pub(super) fn weight(&self) -> f64 {
+        self.std_error_s.powi(-2)
+    }
+
+    pub(super) fn measured(&self) -> Measured {
+        Measured { value: self.delta_s, std_error: self.std_error_s, dof: f64::INFINITY }
+    }
+}
+
+/// The same, in units of the noise of each kind.
+#[derive(Clone, Copy)]
+pub(super) struct Sample {
+    pub(super) t_s: f64,
+    pub(super) residual: [f64; 6],
+    pub(super) velocity: [f64; 6],
+    pub(super) loads: [f64; 2],
+}
+
+pub(super) fn samples(lagging: &[Lagging]) -> Vec<Sample> {
+    let noise = [0, 1].map(|kind| {
+        let steps = lagging.windows(2).map(|pair| pair[1].left[kind] - pair[0].left[kind]);
+        let square: f64 = steps.map(|step| step.norm_squared()).sum();
+        // Below this a residual is arithmetic, m and rad.
+        (square / (6 * lagging.len().max(1)) as f64).sqrt().max(1e-6)
+    });
+    let scaled =
+        |parts: &[Vec3; 2]| std::array::from_fn(|at| parts[at / 3][at % 3] / noise[at / 3]);
+    let sample = |of: &Lagging| Sample {
+        t_s: of.t_s,
+        residual: scaled(&of.left),
+        velocity: scaled(&of.velocity),
+        loads: of.loads,
+    };
+    lagging.iter().map(sample).collect()
+}
+
+/// The windows in which the arm's velocity changes enough to tell.
+pub(super) fn windows(samples: &[Sample], components: usize) -> Vec<Window> {
+    let mut windows = Vec::new();
+    let mut rest = samples;
+    while let Some(first) = rest.first() {
+        let length = rest.partition_point(|sample| sample.t_s < first.t_s + WINDOW_S);
+        let (own, after) = rest.split_at(length.max(1));
+        windows.extend(window(own, components));
+        rest = after;
+    }
+    windows
+}
+
+/// The slope of residual over velocity by least squares, its error widened by what the residuals
+/// remember from sample to sample: `(1 + ρ)/(1 − ρ)`, and by how many windows' samples that leaves.
+pub(super) fn window(samples: &[Sample], components: usize) -> Option<Window> {
+    const REMEMBERED: f64 = 0.98;
+    let n = samples.len();
+    if n < SAMPLES {
+        return None;
+    }
+    let mean = |of: &dyn Fn(&Sample) -> [f64; 6]| {
+        let mut sum = [0.0; 6];
+        for sample in samples {
+            sum.iter_mut().zip(of(sample)).for_each(|(sum, value)| *sum += value / n as f64);
+        }
+        sum
+    };
+    let (mean_left, mean_v) = (mean(&|sample| sample.residual), mean(&|sample| sample.velocity));
+    let centred = |sample: &Sample| {
+        let left: [f64; 6] = std::array::from_fn(|i| sample.residual[i] - mean_left[i]);
+        let velocity: [f64; 6] = std::array::from_fn(|i| sample.velocity[i] - mean_v[i]);
+        (left, velocity)
+    };
+    let dot = |a: &[f64; 6], b: &[f64; 6]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let (mut information, mut product) = (0.0, 0.0);
+    for sample in samples {
+        let (left, velocity) = centred(sample);
+        information += dot(&velocity, &velocity);
+        product += dot(&velocity, &left);
+    }
+    if information <= 0.0 {
+        return None;
+    }
+    let delta_s = -product / information;
+    let left: Vec<[f64; 6]> = samples
+        .iter()
+        .map(|sample| {
+            let (left, velocity) = centred(sample);
+            std::array::from_fn(|i| left[i] + delta_s * velocity[i])
+        })
+        .collect();
+    let square: f64 = left.iter().map(|left| dot(left, left)).sum();
+    let lagged: f64 = left.windows(2).map(|pair| dot(&pair[0], &pair[1])).sum();
+    let rho = (lagged / square.max(f64::MIN_POSITIVE)).clamp(0.0, REMEMBERED);
+    // A slope, and the mean of each component, are taken from the samples.
+    let free = components * (n - 1) - 1;
+    let variance = square / free as f64 * (1.0 + rho) / (1.0 - rho);
+    // The rounding of stamps to nanoseconds and of positions is never beaten.
+    let std_error_s = (variance.max(1e-3) / information).sqrt().max(1e-6);
+    let t_s = samples.iter().map(|sample| sample.t_s).sum::<f64>() / n as f64;
+    std_error_s.is_finite().then_some(Window { t_s, delta_s, std_error_s })
+}
+
+/// χ² of the windows beside their best line.
+pub(super) fn chi2_beside_line(windows: &[Window]) -> f64 {
+    let weight: f64 = windows.iter().map(Window::weight).sum();
+    let mean = |of: &dyn Fn(&Window) -> f64| {
+        windows.iter().map(|window| window.weight() * of(window)).sum::<f64>() / weight
+    };
+    let (t, delta) = (mean(&|window| window.t_s), mean(&|window| window.delta_s));
+    let spread = mean(&|window| (window.t_s - t).powi(2));
+    let slope =
+        mean(&|window| (window.t_s - t) * (window.delta_s - delta)) / spread.max(f64::MIN_POSITIVE);
+    let beside = |window: &Window| window.delta_s - delta - slope * (window.t_s - t);
+    windows.iter().map(|window| window.weight() * beside(window).powi(2)).sum()
+}
+
+/// The level and its error of each part that `splits` cut the windows into, and χ² beside them.
+pub(super) fn levels(windows: &[Window], splits: &[usize]) -> (Vec<Measured>, f64) {
+    let ends = splits.iter().copied().chain([windows.len()]);
+    let starts = std::iter::once(0).chain(splits.iter().copied());
+    let mut chi2 = 0.0;
+    let levels = starts.zip(ends).map(|(start, end)| {
+        let part = &windows[start..end];
+        let weight: f64 = part.iter().map(Window::weight).sum();
+        let level = part.iter().map(|w| w.weight() * w.delta_s).sum::<f64>() / weight;
+        let own: f64 = part.iter().map(|w| w.weight() * (w.delta_s - level).powi(2)).sum();
+        chi2 += own;
+        let scatter = (own / (part.len().max(2) - 1) as f64).max(1.0);
+        let dof = windows.len() as f64;
+        Measured { value: level, std_error: (scatter / weight).sqrt(), dof }
+    });
+    let levels = levels.collect();
+    (levels, chi2)
+}
+
+/// Where the latency surely jumps: before these windows. The window in which it does so lies on
+/// neither level and is charged to both.
+pub(super) fn splits(windows: &[Window]) -> Vec<usize> {
+    let mut splits: Vec<usize> = Vec::new();
+    while splits.len() < JUMPS {
+        let before = levels(windows, &splits).1;
+        let with = |split: usize| {
+            let mut with = splits.clone();
+            with.push(split);
+            with.sort_unstable();
+            (levels(windows, &with).1, with)
+        };
+        let free = (1..windows.len()).filter(|split| !splits.contains(split));
+        let Some((after, best)) = free.map(with).min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
+        let left = (windows.len() as f64 - best.len() as f64 - 1.0).max(1.0);
+        if before - after < SURE * (after / left).max(1.0) {
+            break;
+        }
+        splits = best;
+    }
+    splits
+}

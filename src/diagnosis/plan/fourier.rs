@@ -1,0 +1,140 @@
+//! Motions as sums of sines over the whole time, which begin and end at rest.
+
+use super::Room;
+use ground::stream::JointTrack;
+use std::f64::consts::{PI, TAU};
+
+/// Samples for each turn of the fastest sine at which limits are held.
+const SAMPLES: usize = 16;
+
+/// `q_j(t) = around_j + Σ_k sin_jk·sin(kω(t − rest)) + cos_jk·cos(kω(t − rest))`, `ω = 2π / seconds`, with
+/// position `around_j` and neither speed nor acceleration at both ends, and at rest before and after.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Series {
+    /// The posture at both ends, rad or m.
+    pub around: Vec<f64>,
+    /// How long it moves, s.
+    pub seconds: f64,
+    /// How long it rests before it moves, and after, s.
+    pub rest_s: f64,
+    /// Sines a joint.
+    pub harmonics: usize,
+    /// The amplitudes of the sines, joint after joint, rad or m.
+    pub sin: Vec<f64>,
+    /// The amplitudes of the cosines, likewise.
+    pub cos: Vec<f64>,
+}
+
+impl Series {
+    /// A motion that rests.
+    pub(super) fn at_rest(around: &[f64], seconds: f64, rest_s: f64, harmonics: usize) -> Self {
+        let (around, none) = (around.to_vec(), vec![0.0; around.len() * harmonics]);
+        Self { around, seconds, rest_s, harmonics, sin: none.clone(), cos: none }
+    }
+
+    /// How long it lasts with its rests, s.
+    pub fn length_s(&self) -> f64 {
+        self.seconds + 2.0 * self.rest_s
+    }
+
+    /// Number of joints.
+    pub fn dof(&self) -> usize {
+        self.around.len()
+    }
+
+    /// Position, speed and acceleration of a joint.
+    pub fn at(&self, joint: usize, t_s: f64) -> [f64; 3] {
+        self.moving(joint, (t_s - self.rest_s).clamp(0.0, self.seconds))
+    }
+
+    /// The same, so long after it began to move.
+    fn moving(&self, joint: usize, t_s: f64) -> [f64; 3] {
+        let omega = TAU / self.seconds;
+        let own = joint * self.harmonics..(joint + 1) * self.harmonics;
+        let mut sum = [self.around[joint], 0.0, 0.0];
+        for (k, (a, b)) in self.sin[own.clone()].iter().zip(&self.cos[own]).enumerate() {
+            let rate = (k + 1) as f64 * omega;
+            let (sin, cos) = (rate * t_s).sin_cos();
+            sum[0] += a * sin + b * cos;
+            sum[1] += rate * (a * cos - b * sin);
+            sum[2] -= rate * rate * (a * sin + b * cos);
+        }
+        sum
+    }
+
+    /// Positions and speeds at `count` times from the first to the last, evenly.
+    pub fn track(&self, count: usize) -> JointTrack {
+        let last = count.max(2) - 1;
+        let mut track = JointTrack { dof: self.dof(), ..JointTrack::default() };
+        for row in 0..=last {
+            let t_s = self.length_s() * row as f64 / last as f64;
+            track.t_s.push(t_s);
+            for joint in 0..self.dof() {
+                let [q, qd, _] = self.at(joint, t_s);
+                track.q.push(q);
+                track.qd.push(qd);
+            }
+        }
+        track
+    }
+
+    /// Takes off a joint what keeps it from resting at both ends, and makes it as large as `share` of its
+    /// room allows.
+    ///
+    /// A sum of K sines that is at most m at N equal steps is nowhere above `m / cos(πK/N)` (Ehlich and
+    /// Zeller, "Schwankung von Polynomen zwischen Gitterpunkten", Mathematische Zeitschrift 86, 1964): so
+    /// limits hold between samples, too.
+    pub(super) fn fill(&mut self, joint: usize, room: &Room, share: f64) {
+        let own = joint * self.harmonics..(joint + 1) * self.harmonics;
+        // Speed at the ends is Σ k·sin_k, position Σ cos_k, acceleration Σ k²·cos_k.
+        take_off(&mut self.sin[own.clone()], &[|k| (k + 1) as f64]);
+        take_off(&mut self.cos[own.clone()], &[|_| 1.0, |k| ((k + 1) as f64).powi(2)]);
+        let count = SAMPLES * self.harmonics;
+        let between = (PI / SAMPLES as f64).cos().recip();
+        let mut most = [0.0_f64; 4];
+        for row in 0..count {
+            let [q, qd, qdd] = self.moving(joint, self.seconds * row as f64 / count as f64);
+            let off = q - self.around[joint];
+            most = [
+                most[0].max(off),
+                most[1].max(-off),
+                most[2].max(qd.abs()),
+                most[3].max(qdd.abs()),
+            ];
+        }
+        // Of a side the other one's overshoot counts, too: the bound is that of the absolute value.
+        let over = (between - 1.0) * most[0].max(most[1]);
+        let allowed = [
+            share * room.above / (most[0] + over),
+            share * room.below / (most[1] + over),
+            room.velocity / (between * most[2]),
+            room.acceleration / (between * most[3]),
+        ];
+        let factor = allowed.into_iter().fold(f64::INFINITY, f64::min);
+        let factor = if factor.is_finite() { factor * (1.0 - 1e-9) } else { 0.0 };
+        for value in self.sin[own.clone()].iter_mut().chain(&mut self.cos[own]) {
+            *value *= factor;
+        }
+    }
+}
+
+/// Takes the parts along some directions off a vector (Gram and Schmidt).
+fn take_off<const N: usize>(values: &mut [f64], directions: &[fn(usize) -> f64; N]) {
+    let mut taken: Vec<Vec<f64>> = Vec::new();
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    for direction in directions {
+        let mut own: Vec<f64> = (0..values.len()).map(direction).collect();
+        for other in &taken {
+            let along = dot(&own, other);
+            own.iter_mut().zip(other).for_each(|(value, other)| *value -= along * other);
+        }
+        let norm = dot(&own, &own).sqrt().max(f64::MIN_POSITIVE);
+        own.iter_mut().for_each(|value| *value /= norm);
+        taken.push(own);
+    }
+    // Twice: what rounding leaves the first time is gone the second.
+    for other in taken.iter().chain(&taken) {
+        let along = dot(values, other);
+        values.iter_mut().zip(other).for_each(|(value, other)| *value -= along * other);
+    }
+}

@@ -1,0 +1,125 @@
+//! Where a motion goes, and where that is beyond a limit.
+
+use ground::robot::Chain;
+use ground::stream::JointTrack;
+
+/// What of a joint is limited.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Bound {
+    /// Its lowest position.
+    Lower,
+    /// Its highest position.
+    Upper,
+    /// Its speed.
+    Speed,
+    /// Its acceleration.
+    Acceleration,
+}
+
+/// One limit that a motion is beyond.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Beyond {
+    /// The joint, in the chain's order.
+    pub joint: usize,
+    /// What of it.
+    pub bound: Bound,
+    /// When it is farthest beyond, s.
+    pub t_s: f64,
+    /// What it is then, in SI units.
+    pub value: f64,
+    /// The limit.
+    pub limit: f64,
+}
+
+/// How one joint moves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Extent {
+    /// Lowest position, rad or m.
+    pub low: f64,
+    /// Highest position, rad or m.
+    pub high: f64,
+    /// Highest speed, rad/s or m/s.
+    pub speed: f64,
+    /// Highest acceleration between samples, rad/s² or m/s².
+    pub acceleration: f64,
+}
+
+/// Speeds between samples by their positions and accelerations by their speeds, with the times of each.
+fn rates(motion: &JointTrack, joint: usize) -> impl Iterator<Item = (f64, f64, f64)> {
+    let (dof, last) = (motion.dof, motion.len().saturating_sub(1));
+    (0..last).map(move |row| {
+        let step_s = motion.t_s[row + 1] - motion.t_s[row];
+        let (a, b) = (row * dof + joint, (row + 1) * dof + joint);
+        let speed = (motion.q[b] - motion.q[a]) / step_s;
+        (motion.t_s[row], speed, (motion.qd[b] - motion.qd[a]) / step_s)
+    })
+}
+
+/// How each joint moves.
+pub fn extents(motion: &JointTrack) -> Vec<Extent> {
+    let column = |values: &'_ [f64], joint: usize| -> Vec<f64> {
+        values.iter().skip(joint).step_by(motion.dof).copied().collect()
+    };
+    let most = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, |a: f64, b| a.max(b.abs()));
+    let extent = |joint: usize| {
+        let q = column(&motion.q, joint);
+        let speeds = rates(motion, joint).map(|rate| rate.1);
+        Extent {
+            low: q.iter().copied().fold(f64::INFINITY, f64::min),
+            high: q.iter().copied().fold(f64::NEG_INFINITY, f64::max),
+            speed: most(&mut column(&motion.qd, joint).into_iter().chain(speeds)),
+            acceleration: most(&mut rates(motion, joint).map(|rate| rate.2)),
+        }
+    };
+    (0..motion.dof).map(extent).collect()
+}
+
+/// The limits that a motion of `chain` is beyond, each once, where it is farthest beyond. `speed` and
+/// `acceleration` are the highest of each joint.
+pub fn beyond(
+    chain: &Chain,
+    motion: &JointTrack,
+    speed: &[f64],
+    acceleration: &[f64],
+) -> Vec<Beyond> {
+    /// Rounding in a file is no transgression.
+    const SLACK: f64 = 1e-6;
+    /// Nor is what differences make of speeds that are rounded.
+    const DIFFERENCED: f64 = 1e-2;
+    let mut found = Vec::new();
+    for (joint, limits) in chain.limits().iter().enumerate() {
+        let mut hold = |bound: Bound,
+                        limit: f64,
+                        over: &mut dyn Iterator<Item = (f64, f64, f64)>| {
+            let worst = over.max_by(|a, b| a.2.total_cmp(&b.2));
+            if let Some((t_s, value, _)) = worst.filter(|worst| worst.2 > 0.0 || worst.2.is_nan()) {
+                found.push(Beyond { joint, bound, t_s, value, limit });
+            }
+        };
+        let positions = || {
+            let rows = motion.t_s.iter().copied().enumerate();
+            rows.map(move |(row, t_s)| (t_s, motion.q[row * motion.dof + joint]))
+        };
+        if let Some(lower) = limits.lower {
+            let over = |(t_s, q): (f64, f64)| (t_s, q, lower - q - SLACK);
+            hold(Bound::Lower, lower, &mut positions().map(over));
+        }
+        if let Some(upper) = limits.upper {
+            let over = |(t_s, q): (f64, f64)| (t_s, q, q - upper - SLACK);
+            hold(Bound::Upper, upper, &mut positions().map(over));
+        }
+        let most = speed[joint];
+        let logged = (0..motion.len()).map(|row| {
+            let speed = motion.qd[row * motion.dof + joint];
+            (motion.t_s[row], speed, speed.abs() - most * (1.0 + SLACK))
+        });
+        let between = rates(motion, joint)
+            .map(|(t_s, speed, _)| (t_s, speed, speed.abs() - most * (1.0 + DIFFERENCED)));
+        hold(Bound::Speed, most, &mut logged.chain(between));
+        let most = acceleration[joint];
+        let mut over = rates(motion, joint)
+            .map(|(t_s, _, rate)| (t_s, rate, rate.abs() - most * (1.0 + DIFFERENCED)));
+        hold(Bound::Acceleration, most, &mut over);
+    }
+    found
+}

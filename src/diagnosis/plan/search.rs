@@ -1,0 +1,222 @@
+//! The search for the motion whose information on what is asked is largest.
+
+use super::fourier::Series;
+use super::shown::{Promise, Sight};
+use super::{Nearness, Task};
+use ground::robot::Chain;
+use ground::stream::JointTrack;
+use rand::{RngExt, SeedableRng};
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64;
+
+/// The fastest sine, Hz: arms follow it, and poses that are some milliseconds late show it.
+const FASTEST_HZ: f64 = 0.3;
+/// Sines a joint: fewer leave no freedom, more cost time.
+const SINES: std::ops::RangeInclusive<usize> = 5..=18;
+/// How long a motion rests at either end, s, and the most of its time: what is told at rest only is told then.
+const REST_S: f64 = 2.0;
+const REST_SHARE: f64 = 0.05;
+/// Rows at which a motion is judged.
+const ROWS: usize = 160;
+/// Rows a second at which a motion keeps off what it should: while it is sought, and once it is found.
+const LOOKED_HZ: f64 = 10.0;
+const HELD_HZ: f64 = 50.0;
+/// Motions of random phases that are tried at first, and of which the one in the middle is compared with.
+const DRAWS: usize = 15;
+/// Steps of the search.
+const STEPS: usize = 1500;
+/// Shares of the room that are tried, where more of it brings the arm too near something.
+const SHARES: [f64; 8] = [1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05];
+
+/// A motion that was found.
+#[derive(Clone, Debug)]
+pub struct Planned {
+    /// The motion.
+    pub series: Series,
+    /// The share of the room that it keeps to.
+    pub share: f64,
+    /// What it shows.
+    pub promises: Vec<Promise>,
+    /// What one of random phases within the same limits shows: of several, the one in the middle.
+    pub random: Vec<Promise>,
+    /// What the same time shows in which one joint after the other goes to and fro.
+    pub one_by_one: Vec<Promise>,
+}
+
+/// Why there is no motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Infeasible {
+    /// No joint has any room.
+    NoRoom,
+    /// Whatever was tried came too near something; what, at the smallest share of the room.
+    TooNear(Option<Nearness>),
+    /// No motion shows what is asked.
+    NothingShown,
+}
+
+/// The motion at the rows at which it is judged; `None` where these are more than 2 s apart while it moves.
+pub fn sampled(motion: &JointTrack, chain: &Chain) -> Option<JointTrack> {
+    let (first, last) = motion.span()?;
+    let mut sampled = JointTrack { dof: chain.dof(), ..JointTrack::default() };
+    let (mut q, mut qd) = (vec![0.0; chain.dof()], vec![0.0; chain.dof()]);
+    let (mut cursor, rows) = (0, 2 * ROWS);
+    for row in 0..rows {
+        let t_s = first + (last - first) * row as f64 / (rows - 1) as f64;
+        if !motion.at(t_s.min(last), &mut cursor, &mut q, &mut qd) {
+            return None;
+        }
+        sampled.t_s.push(t_s);
+        sampled.q.extend_from_slice(&q);
+        sampled.qd.extend_from_slice(&qd);
+    }
+    Some(sampled)
+}
+
+/// The motion that shows most of what is asked.
+///
+/// # Errors
+/// Where there is none within the limits.
+pub fn plan(task: &Task) -> Result<Planned, Infeasible> {
+    let room = |room: &super::Room| room.above.min(room.below);
+    if !task.rooms.iter().any(|it| room(it) > 0.0 && it.velocity > 0.0 && it.acceleration > 0.0) {
+        return Err(Infeasible::NoRoom);
+    }
+    let rest_s = REST_S.min(REST_SHARE * task.seconds);
+    let seconds = task.seconds - 2.0 * rest_s;
+    let harmonics = (FASTEST_HZ * seconds).round() as usize;
+    let harmonics = harmonics.clamp(*SINES.start(), *SINES.end());
+    let search = Search { task, seconds, rest_s, harmonics };
+    let mut last = None;
+    for share in SHARES {
+        let mut random = Pcg64::seed_from_u64(task.seed);
+        let drawn = (0..DRAWS).map(|_| search.drawn(&mut random, share));
+        let mut draws: Vec<(f64, Series)> = Vec::new();
+        for series in drawn {
+            match search.offence(&series, LOOKED_HZ) {
+                None => draws.push((search.score(&series), series)),
+                offence => last = offence,
+            }
+        }
+        draws.retain(|(score, _)| score.is_finite());
+        draws.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let Some(middle) = draws.get(draws.len() / 2).cloned() else { continue };
+        let (_, series) = search.climbed(draws.swap_remove(0), share, &mut random);
+        let offence = search.offence(&series, HELD_HZ);
+        if offence.is_some() {
+            last = offence;
+            continue;
+        }
+        let promises = |motion: &JointTrack| {
+            let sight = Sight::of(task.chain, motion, task.purpose, &task.sensing);
+            sight.map_or_else(Vec::new, |sight| sight.promises(task.chain))
+        };
+        return Ok(Planned {
+            promises: promises(&series.track(2 * ROWS)),
+            random: promises(&middle.1.track(2 * ROWS)),
+            one_by_one: promises(&search.one_by_one(share, 2 * ROWS)),
+            series,
+            share,
+        });
+    }
+    match last {
+        None => Err(Infeasible::NothingShown),
+        near => Err(Infeasible::TooNear(near)),
+    }
+}
+
+struct Search<'a> {
+    task: &'a Task<'a>,
+    /// How long it moves, s.
+    seconds: f64,
+    rest_s: f64,
+    harmonics: usize,
+}
+
+impl Search<'_> {
+    /// A motion of random phases.
+    fn drawn(&self, random: &mut Pcg64, share: f64) -> Series {
+        let Self { task, seconds, rest_s, harmonics } = *self;
+        let mut series = Series::at_rest(task.around, seconds, rest_s, harmonics);
+        for joint in 0..series.dof() {
+            let falls = random.random_range(0.3..1.5);
+            for k in 0..self.harmonics {
+                let size = ((k + 1) as f64).powf(-falls);
+                let mut normal = || -> f64 { StandardNormal.sample(&mut *random) };
+                let at = joint * self.harmonics + k;
+                (series.sin[at], series.cos[at]) = (size * normal(), size * normal());
+            }
+            series.fill(joint, &self.task.rooms[joint], share);
+        }
+        series
+    }
+
+    /// What it comes too near, at so many rows a second.
+    fn offence(&self, series: &Series, rate_hz: f64) -> Option<Nearness> {
+        let track = series.track((series.length_s() * rate_hz).ceil() as usize + 1);
+        (0..track.len()).find_map(|row| self.task.keep.offence(self.task.chain, track.row(row)))
+    }
+
+    fn score(&self, series: &Series) -> f64 {
+        let track = series.track(ROWS);
+        let sight = Sight::of(self.task.chain, &track, self.task.purpose, &self.task.sensing);
+        sight.map_or(f64::INFINITY, |sight| sight.score())
+    }
+
+    /// Better motions by small changes of one joint at a time: each that is better is kept, and changes
+    /// grow where they often are (Rechenberg, *Evolutionsstrategie*, 1973).
+    fn climbed(&self, start: (f64, Series), share: f64, random: &mut Pcg64) -> (f64, Series) {
+        let (mut best, mut size) = (start, 0.5);
+        for _ in 0..STEPS {
+            let mut next = best.1.clone();
+            let joint = random.random_range(0..next.dof());
+            let own = joint * self.harmonics..(joint + 1) * self.harmonics;
+            let square = |values: &[f64]| values.iter().map(|value| value * value).sum::<f64>();
+            let squares = square(&next.sin[own.clone()]) + square(&next.cos[own.clone()]);
+            let typical = (squares / (2 * self.harmonics) as f64).sqrt();
+            for value in next.sin[own.clone()].iter_mut().chain(&mut next.cos[own]) {
+                let change: f64 = StandardNormal.sample(&mut *random);
+                *value += size * typical * change;
+            }
+            next.fill(joint, &self.task.rooms[joint], share);
+            let score = self.score(&next);
+            let is_better = score < best.0 && self.offence(&next, LOOKED_HZ).is_none();
+            size = (size * if is_better { 1.5 } else { 0.9 }).clamp(0.03, 2.0);
+            if is_better {
+                best = (score, next);
+            }
+        }
+        best
+    }
+
+    /// One joint after the other to and fro in its part of the time, as far and as fast as the limits
+    /// allow, from rest to rest.
+    fn one_by_one(&self, share: f64, rows: usize) -> JointTrack {
+        let dof = self.task.around.len();
+        let (seconds, whole_s) = (self.seconds / dof as f64, self.seconds + 2.0 * self.rest_s);
+        let series: Vec<Series> = (0..dof)
+            .map(|joint| {
+                let mut series = Series::at_rest(self.task.around, seconds, 0.0, 2);
+                // sin x − sin 2x / 2 begins and ends at rest.
+                (series.sin[2 * joint], series.sin[2 * joint + 1]) = (1.0, -0.5);
+                series.fill(joint, &self.task.rooms[joint], share);
+                series
+            })
+            .collect();
+        let mut track = JointTrack { dof, ..JointTrack::default() };
+        for row in 0..rows {
+            let t_s = whole_s * row as f64 / (rows - 1) as f64;
+            track.t_s.push(t_s);
+            let t_s = (t_s - self.rest_s).clamp(0.0, self.seconds);
+            let mover = ((t_s / seconds) as usize).min(dof - 1);
+            for (joint, series) in series.iter().enumerate() {
+                let [q, qd, _] = match joint == mover {
+                    true => series.at(joint, t_s - mover as f64 * seconds),
+                    false => [self.task.around[joint], 0.0, 0.0],
+                };
+                track.q.push(q);
+                track.qd.push(qd);
+            }
+        }
+        track
+    }
+}

@@ -1,0 +1,394 @@
+//! What a motion shows of what is asked, by the information matrix of the estimator that is asked.
+
+use super::{Purpose, Sensing};
+use crate::arm::FIT_SAMPLES;
+use crate::drawing::{self, RAD_PER_M, ZERO};
+use crate::handeye;
+use crate::imu;
+use crate::linear::Linear;
+use crate::model::{StreamState, ToolPart, Witness};
+use crate::nominal::{ANYTHING, USUAL_M, USUAL_RAD, link_frames};
+use crate::robust::pseudo_inverse;
+use ground::geometry::{Rotation, Vec3};
+use ground::robot::{Chain, JointKind};
+use ground::stream::JointTrack;
+use nalgebra::DMatrix;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use std::f64::consts::PI;
+
+/// Half of a 95 % interval, in standard deviations of normal noise.
+const HALF: f64 = 1.959_963_985;
+/// Postures all over the ranges of the joints at which a calibrated model is judged.
+const POSTURES: usize = 150;
+/// What is known no better than to this share of what was known before is not shown.
+const LEARNT: f64 = 0.5;
+/// What is not known before of a camera's or an IMU's mount and time, m, rad and s: this keeps a score
+/// finite where a motion shows nothing.
+const NOT_KNOWN: f64 = 1.0;
+
+/// An amount that a motion may show.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Showable {
+    /// The zero of a joint, in the chain's order, beside those of all others, rad or m.
+    Zero(usize),
+    /// The zero of a joint beside links that differ from the drawing, rad or m.
+    ZeroBesideLinks(usize),
+    /// The tip's position by the calibrated model, rms m, where the motion goes or `everywhere`.
+    FkPosition {
+        /// All over the ranges of the joints.
+        everywhere: bool,
+    },
+    /// The tip's rotation by it, rms rad.
+    FkRotation {
+        /// All over the ranges of the joints.
+        everywhere: bool,
+    },
+    /// The latency, s.
+    Latency,
+    /// The position of the camera along one of its axes (0 to 2), m.
+    CameraShift(usize),
+    /// The rotation of the camera about one of its axes, rad.
+    CameraTurn(usize),
+    /// The drift of the yaw, rad/s.
+    YawDrift,
+    /// The tilt of the IMU's world about x or y (0 or 1) of the base, rad.
+    Tilt(usize),
+}
+
+/// How well an amount is expected to be known.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Promise {
+    /// The amount.
+    pub of: Showable,
+    /// Half of its 95 % interval, of the tip's errors their root mean square; infinite where the motion does
+    /// not show it.
+    pub half: f64,
+}
+
+/// What is asked of some parameters: of which, with which standard deviation each was known before
+/// (infinite: not at all), and at which of them.
+struct Question {
+    parameters: Vec<usize>,
+    before: Vec<f64>,
+    asked: Vec<usize>,
+}
+
+impl Question {
+    /// The covariance of what is asked, infinite where the motion does not show it.
+    fn covariance(&self, information: &DMatrix<f64>) -> DMatrix<f64> {
+        let n = self.parameters.len();
+        let at = |i: usize, j: usize| information[(self.parameters[i], self.parameters[j])];
+        let mut precision = DMatrix::from_fn(n, n, at);
+        for (i, before) in self.before.iter().enumerate() {
+            precision[(i, i)] += before.powi(-2);
+        }
+        let covariance = match precision.clone().cholesky().map(|cholesky| cholesky.inverse()) {
+            Some(covariance) if self.before.iter().all(|before| before.is_finite()) => covariance,
+            _ => {
+                let (mut inverse, blind) = pseudo_inverse(&precision);
+                for (i, _) in blind.iter().enumerate().filter(|(_, share)| **share > 1e-3) {
+                    inverse[(i, i)] = f64::INFINITY;
+                }
+                inverse
+            }
+        };
+        covariance.select_rows(&self.asked).select_columns(&self.asked)
+    }
+
+    /// The log of the determinant of that: less is better.
+    fn score(&self, information: &DMatrix<f64>) -> f64 {
+        let known = Self {
+            before: self.before.iter().map(|before| before.min(NOT_KNOWN)).collect(),
+            parameters: self.parameters.clone(),
+            asked: self.asked.clone(),
+        };
+        let cholesky = known.covariance(information).cholesky();
+        cholesky.map_or(f64::INFINITY, |cholesky| {
+            cholesky.l_dirty().diagonal().iter().map(|x| 2.0 * x.ln()).sum()
+        })
+    }
+}
+
+/// A motion linearised, row by row, as the estimator that is asked linearises a log of it.
+pub(super) struct Sight<'a> {
+    sensing: &'a Sensing,
+    purpose: Purpose,
+    seconds: f64,
+    t_s: &'a [f64],
+    joints: usize,
+    linear: Linear,
+}
+
+impl<'a> Sight<'a> {
+    /// `None` where the joints' positions are not known between the rows of `motion`.
+    pub fn of(
+        chain: &Chain,
+        motion: &'a JointTrack,
+        purpose: Purpose,
+        sensing: &'a Sensing,
+    ) -> Option<Self> {
+        let linear = match purpose {
+            Purpose::HandEye => {
+                let hands = (0..motion.len()).map(|row| chain.forward(motion.row(row)));
+                let (camera, ahead) = (sensing.hand_from_camera, Vec3::z() * sensing.target_m);
+                handeye::design(&motion.t_s, hands.collect(), camera, ahead)
+            }
+            _ => linearised(chain, motion),
+        };
+        let seconds = motion.t_s.last()? - motion.t_s.first()?;
+        let t_s = &motion.t_s;
+        let joints = chain.dof();
+        (linear.len() == motion.len()).then_some(Self {
+            sensing,
+            purpose,
+            seconds,
+            t_s,
+            joints,
+            linear,
+        })
+    }
+
+    /// The information of a log of which the estimator takes `most` samples at most.
+    fn information(&self, most: usize) -> DMatrix<f64> {
+        let &Sensing { noise_m, noise_rad, rate_hz, .. } = self.sensing;
+        let mut weights = self.linear.even_weights();
+        weights[0].noise.sigma = if self.purpose == Purpose::Yaw { f64::INFINITY } else { noise_m };
+        weights[1].noise.sigma = noise_rad;
+        let logged = (self.seconds * rate_hz) as usize + 1;
+        let used = logged.div_ceil(logged.div_ceil(most).max(1));
+        let share = used as f64 / self.linear.len().max(1) as f64;
+        let information = self.linear.information(&weights);
+        match self.purpose {
+            Purpose::Yaw => self.with_drift(information, noise_rad) * share,
+            _ => information * share,
+        }
+    }
+
+    /// With a column more: the yaw's drift about the middle of the motion.
+    fn with_drift(&self, information: DMatrix<f64>, noise_rad: f64) -> DMatrix<f64> {
+        let (width, middle_s) = (information.ncols(), self.t_s[0] + 0.5 * self.seconds);
+        let mut with = information.resize(width + 1, width + 1, 0.0);
+        for sample in 0..self.linear.len() {
+            let since_s = self.t_s[sample] - middle_s;
+            for row in (3..6).map(|row| self.linear.row(sample, row)) {
+                let drift = row[YAW] * since_s / noise_rad.powi(2);
+                for (column, value) in row.iter().enumerate() {
+                    with[(width, column)] += drift * value;
+                    with[(column, width)] += drift * value;
+                }
+                with[(width, width)] += drift * row[YAW] * since_s;
+            }
+        }
+        with
+    }
+
+    fn links(&self) -> usize {
+        6 * (self.joints + 1)
+    }
+
+    fn latency(&self) -> usize {
+        self.links()
+    }
+
+    fn zero(&self, joint: usize) -> usize {
+        self.links() + 1 + joint
+    }
+
+    /// What is always free: the frame of the poses and the point that they are of, where these are
+    /// unknown.
+    fn frames(&self) -> Vec<usize> {
+        let last = self.links() - 6;
+        let outside = self.sensing.outside;
+        (0..6).chain(last..last + 6).filter(|_| outside).collect()
+    }
+
+    /// The links with what is known of them before, the latency, and the zeros of some joints, which are
+    /// asked.
+    fn beside_links(&self, zeros: &[usize], link: (f64, f64)) -> Question {
+        let frames = self.frames();
+        let before = |i: usize| match i % 6 {
+            _ if frames.contains(&i) => ANYTHING,
+            0..3 => link.0,
+            _ => link.1,
+        };
+        let links = (0..self.links()).map(|i| (i, before(i)));
+        let zeros = zeros.iter().map(|&joint| (self.zero(joint), ZERO));
+        let all = links.chain([(self.latency(), ANYTHING)]).chain(zeros);
+        let (parameters, before): (Vec<usize>, Vec<f64>) = all.unzip();
+        Question { asked: (self.links() + 1..parameters.len()).collect(), parameters, before }
+    }
+
+    /// Some parameters of which nothing is known before, the first `asked` of which are asked.
+    fn freely(parameters: Vec<usize>, asked: usize) -> Question {
+        let before = vec![f64::INFINITY; parameters.len()];
+        Question { parameters, before, asked: (0..asked).collect() }
+    }
+
+    fn link(&self) -> (f64, f64) {
+        (self.sensing.link_m, RAD_PER_M * self.sensing.link_m)
+    }
+
+    /// All zeros, beside latency and frames.
+    fn zeros(&self) -> Question {
+        let zeros = (0..self.joints).map(|joint| self.zero(joint));
+        let parameters = zeros.chain([self.latency()]).chain(self.frames()).collect();
+        Self::freely(parameters, self.joints)
+    }
+
+    fn calibration(&self) -> Question {
+        let links = self.beside_links(&[], (USUAL_M, USUAL_RAD));
+        Question { asked: (0..self.links()).collect(), ..links }
+    }
+
+    fn late(&self) -> Question {
+        let latency = std::iter::once(self.latency());
+        Self::freely(latency.chain(self.frames()).collect(), 1)
+    }
+
+    /// Drift and tilt, beside the yaw, the mount and the latency.
+    fn yaw(&self) -> Question {
+        let (drift, mount) = (self.linear.width, self.links() - 3);
+        let beside = [YAW, self.latency(), mount, mount + 1, mount + 2];
+        Self::freely([drift, TILT, TILT + 1].into_iter().chain(beside).collect(), 3)
+    }
+
+    fn camera() -> Question {
+        Self::freely((0..handeye::WIDTH).collect(), 6)
+    }
+
+    /// The log of the determinant of what is asked: less is better.
+    pub fn score(&self) -> f64 {
+        let all: Vec<usize> = (0..self.joints).collect();
+        let (question, most) = match self.purpose {
+            Purpose::Zeros if self.sensing.link_m > 0.0 => {
+                (self.beside_links(&all, self.link()), drawing::SAMPLES)
+            }
+            Purpose::Zeros => (self.zeros(), FIT_SAMPLES),
+            Purpose::Calibration => (self.calibration(), FIT_SAMPLES),
+            Purpose::Latency => (self.late(), FIT_SAMPLES),
+            Purpose::HandEye => (Self::camera(), handeye::FIT_POSES),
+            Purpose::Yaw => (self.yaw(), imu::FIT_SAMPLES),
+        };
+        question.score(&self.information(most))
+    }
+
+    /// How well what is asked is expected to be known.
+    pub fn promises(&self, chain: &Chain) -> Vec<Promise> {
+        let each = |question: &Question, most: usize, of: &dyn Fn(usize) -> Showable| {
+            let covariance = question.covariance(&self.information(most));
+            let half = |at: usize| match covariance[(at, at)].max(0.0).sqrt() {
+                error if error < LEARNT * question.before[question.asked[at]] => HALF * error,
+                _ => f64::INFINITY,
+            };
+            (0..question.asked.len()).map(|at| Promise { of: of(at), half: half(at) }).collect()
+        };
+        match self.purpose {
+            Purpose::Zeros => {
+                let mut all: Vec<Promise> = each(&self.zeros(), FIT_SAMPLES, &Showable::Zero);
+                let beside = (0..self.joints).filter(|_| self.sensing.link_m > 0.0);
+                let alone: Vec<Promise> = beside
+                    .flat_map(|joint| -> Vec<Promise> {
+                        let question = self.beside_links(&[joint], self.link());
+                        each(&question, drawing::SAMPLES, &|_| Showable::ZeroBesideLinks(joint))
+                    })
+                    .collect();
+                all.extend(alone);
+                all
+            }
+            Purpose::Calibration => self.calibrated(chain),
+            Purpose::Latency => each(&self.late(), FIT_SAMPLES, &|_| Showable::Latency),
+            Purpose::HandEye => each(&Self::camera(), handeye::FIT_POSES, &|at| match at {
+                0..3 => Showable::CameraShift(at),
+                _ => Showable::CameraTurn(at - 3),
+            }),
+            Purpose::Yaw => each(&self.yaw(), imu::FIT_SAMPLES, &|at| match at {
+                0 => Showable::YawDrift,
+                _ => Showable::Tilt(at - 1),
+            }),
+        }
+    }
+
+    /// How far the tip of a calibrated model is off, where the motion goes and everywhere.
+    fn calibrated(&self, chain: &Chain) -> Vec<Promise> {
+        let covariance = self.calibration().covariance(&self.information(FIT_SAMPLES));
+        let everywhere = all_over(chain);
+        let far = linearised(chain, &everywhere);
+        let rms = |linear: &Linear, kind: usize| {
+            let mut sum = 0.0;
+            for sample in 0..linear.len() {
+                for row in (3 * kind..3 * kind + 3).map(|row| linear.row(sample, row)) {
+                    let row = nalgebra::DVector::from_column_slice(&row[..self.links()]);
+                    sum += row.dot(&(&covariance * &row));
+                }
+            }
+            (sum / linear.len().max(1) as f64).max(0.0).sqrt()
+        };
+        let of = |everywhere: bool, linear: &Linear| {
+            [
+                Promise { of: Showable::FkPosition { everywhere }, half: rms(linear, 0) },
+                Promise { of: Showable::FkRotation { everywhere }, half: rms(linear, 1) },
+            ]
+        };
+        of(false, &self.linear).into_iter().chain(of(true, &far)).collect()
+    }
+}
+
+/// The turn of the world about z, and about x, among the link frames' parameters.
+const YAW: usize = 5;
+const TILT: usize = 3;
+
+/// How well a motion shows what is asked; `None` where it is not known between its rows.
+pub fn promises(
+    chain: &Chain,
+    motion: &JointTrack,
+    purpose: Purpose,
+    sensing: &Sensing,
+) -> Option<Vec<Promise>> {
+    Some(Sight::of(chain, motion, purpose, sensing)?.promises(chain))
+}
+
+/// The geometric mean of those that both motions show, of the one over the other, and of as many amounts.
+pub fn geometric_mean(one: &[Promise], other: &[Promise]) -> Option<f64> {
+    let both = one.iter().zip(other).map(|(one, other)| (one.half / other.half).ln());
+    let logs: Vec<f64> = both.filter(|log| log.is_finite()).collect();
+    (!logs.is_empty()).then(|| (logs.iter().sum::<f64>() / logs.len() as f64).exp())
+}
+
+/// Rows of a motion linearised in the link frames, the latency and the zeros.
+fn linearised(chain: &Chain, motion: &JointTrack) -> Linear {
+    let columns: Vec<usize> = (0..chain.dof()).collect();
+    let still = vec![0.0; chain.dof()];
+    let witness = Witness {
+        joints: motion,
+        chain,
+        columns: &columns,
+        gained: &[],
+        reference_known: true,
+        still: &still,
+        xyz: vec![Vec3::zeros(); motion.len()],
+        rotation: vec![Rotation::identity(); motion.len()],
+        blind: Default::default(),
+        tool_part: ToolPart::Whole,
+        middle_s: 0.0,
+        t_s: motion.t_s.clone(),
+    };
+    link_frames(&witness, &StreamState::at_latency(0.0), &still, 0..motion.len(), true)
+}
+
+/// Postures all over the ranges of the joints, a tenth of a second apart.
+fn all_over(chain: &Chain) -> JointTrack {
+    let mut random = Pcg64::seed_from_u64(1);
+    let mut track = JointTrack { dof: chain.dof(), ..JointTrack::default() };
+    for row in 0..POSTURES {
+        track.t_s.push(row as f64 * 0.1);
+        for (kind, limits) in chain.joint_kinds().iter().zip(chain.limits()) {
+            let most = if *kind == JointKind::Prismatic { 0.5 } else { PI };
+            let low = limits.lower.unwrap_or(-most).max(-most);
+            let high = limits.upper.unwrap_or(most).min(most).max(low);
+            track.q.push(low + (high - low) * random.random_range(0.0..1.0));
+            track.qd.push(0.0);
+        }
+    }
+    track
+}

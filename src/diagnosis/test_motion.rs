@@ -1,0 +1,22 @@
+//! A motion that tests share.
+
+use ground::robot::{Chain, catalogue};
+use ground::stream::JointTrack;
+
+/// 20 s of a UR5e each of whose joints swings at a rate of its own, and its chain from `base` to `tool0`.
+pub fn arm() -> (JointTrack, Chain) {
+    let robot = catalogue::find("ur5e").expect("it is in the catalogue");
+    let link = |name| robot.link(name).expect("a link");
+    let chain = robot.chain(link("base"), link("tool0")).expect("a chain");
+    let mut joints = JointTrack { dof: 6, ..Default::default() };
+    for row in 0..2500 {
+        let t_s = f64::from(row) * 0.008;
+        joints.t_s.push(t_s);
+        for joint in 0..6 {
+            let (rate, phase) = (0.7 + 0.23 * f64::from(joint), f64::from(joint));
+            joints.q.push(0.5 * (rate * t_s + phase).sin() - 0.6);
+            joints.qd.push(0.5 * rate * (rate * t_s + phase).cos());
+        }
+    }
+    (joints, chain)
+}

@@ -1,0 +1,221 @@
+//! Tables of postures: rows of joint positions and of the pose that was measured there, without stamps,
+//! as calibration cells make them. The rows' order is all there is of time.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+use csv::{ReaderBuilder, Trim};
+
+use super::{LogError, local};
+
+/// Larger tables are no calibration's, bytes and rows.
+const MAX_BYTES: u64 = 1 << 26;
+const MAX_ROWS: usize = 100_000;
+
+/// A table with a name for each column and numbers in each row.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PostureTable {
+    /// The names of the columns.
+    pub names: Vec<String>,
+    /// The rows, as long as the names.
+    pub rows: Vec<Vec<f64>>,
+    /// Rows that hold something else than finite numbers, by line.
+    pub dropped: Vec<usize>,
+    /// The columns of the position: x, y, z.
+    pub position: [usize; 3],
+    /// The columns of the rotation, if it has any.
+    pub rotation: RotationColumns,
+}
+
+/// The columns of a rotation.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum RotationColumns {
+    /// A quaternion's: x, y, z, w.
+    Quaternion([usize; 4]),
+    /// Three numbers, of whatever convention.
+    Numbers([usize; 3]),
+    /// None.
+    None,
+}
+
+/// What stands before x, y and z in the names of a position, and after.
+const POSITIONS: [&str; 13] = [
+    "",
+    "p",
+    "p_",
+    "pos_",
+    "pos",
+    "position_",
+    "position.",
+    "position.x.",
+    "t",
+    "t_",
+    "tcp_",
+    "tool_",
+    "translation_",
+];
+const QUATERNIONS: [&str; 7] =
+    ["q", "q_", "quat_", "quat", "orientation_", "orientation.", "rot_q"];
+const NUMBERS: [&str; 10] =
+    ["r", "r_", "rot_", "rot", "phi", "phi_", "euler_", "rotvec_", "o", "theta_"];
+const TRIPLES: [[&str; 3]; 4] =
+    [["roll", "pitch", "yaw"], ["a", "b", "c"], ["w", "p", "r"], ["alpha", "beta", "gamma"]];
+const SUFFIXES: [&str; 5] = ["", "1", "_1", "_m", "_mm"];
+
+/// The table at `path`; `None` where it is none of postures: a log, or without a position's columns.
+///
+/// # Errors
+/// Where the file cannot be opened.
+pub fn posture_table(path: &Path) -> Result<Option<PostureTable>, LogError> {
+    let Some(path) = local(path).filter(|path| path.is_file()) else { return Ok(None) };
+    let mut bytes = Vec::new();
+    let read = File::open(&path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes));
+    read.map_err(|source| LogError::Io { path, source })?;
+    Ok(of_bytes(&bytes))
+}
+
+fn of_bytes(bytes: &[u8]) -> Option<PostureTable> {
+    let is_text = std::str::from_utf8(bytes.get(..bytes.len().min(4096))?)
+        .map_or_else(|error| error.error_len().is_none(), |_| true);
+    if !is_text || bytes.len() as u64 > MAX_BYTES || super::looks_like_log(bytes) {
+        return None;
+    }
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    let first = bytes.split(|byte| *byte == b'\n').next()?;
+    let count = |sign: u8| first.iter().filter(|byte| **byte == sign).count();
+    let delimiter =
+        [b',', b';', b'\t', b' '].into_iter().max_by_key(|&sign| (count(sign), sign != b' '))?;
+    let mut reader = ReaderBuilder::new()
+        .delimiter(delimiter)
+        .trim(Trim::All)
+        .flexible(true)
+        .comment(Some(b'#'))
+        .from_reader(bytes);
+    let names: Vec<String> = reader.headers().ok()?.iter().map(str::to_owned).collect();
+    let (position, rotation) = columns(&names)?;
+    let (mut rows, mut dropped) = (Vec::new(), Vec::new());
+    for (at, record) in reader.records().enumerate().take(MAX_ROWS) {
+        let cells = record.ok().map(|record| -> Option<Vec<f64>> {
+            let decimal = |cell: &str| match delimiter {
+                b',' => cell.parse(),
+                _ => cell.replace(',', ".").parse(),
+            };
+            record
+                .iter()
+                .map(|cell| decimal(cell).ok().filter(|value: &f64| value.is_finite()))
+                .collect()
+        });
+        match cells.flatten().filter(|row| row.len() == names.len()) {
+            Some(row) => rows.push(row),
+            None => dropped.push(at + 2),
+        }
+    }
+    Some(PostureTable { names, rows, dropped, position, rotation })
+}
+
+/// The columns of position and rotation, by the usual names.
+fn columns(names: &[String]) -> Option<([usize; 3], RotationColumns)> {
+    let lower: Vec<String> = names.iter().map(|name| name.to_lowercase()).collect();
+    let at = |name: String| lower.iter().position(|own| *own == name);
+    let axes = |prefix: &str, suffix: &str| -> Option<[usize; 3]> {
+        let [x, y, z] = ["x", "y", "z"].map(|axis| at(format!("{prefix}{axis}{suffix}")));
+        Some([x?, y?, z?])
+    };
+    let with_suffix = |prefixes: &[&str]| {
+        prefixes.iter().find_map(|prefix| SUFFIXES.iter().find_map(|suffix| axes(prefix, suffix)))
+    };
+    let position = with_suffix(&POSITIONS)?;
+    let quaternion = QUATERNIONS.iter().find_map(|prefix| {
+        SUFFIXES.iter().find_map(|suffix| {
+            let [x, y, z] = axes(prefix, suffix)?;
+            Some([x, y, z, at(format!("{prefix}w{suffix}"))?])
+        })
+    });
+    let triple = || {
+        let named = |names: &[&str; 3], ending: &str| -> Option<[usize; 3]> {
+            let [a, b, c] = names.map(|name| at(format!("{name}{ending}")));
+            Some([a?, b?, c?])
+        };
+        let endings = ["", "1", "_1", "_deg", "_rad"];
+        let angles =
+            NUMBERS.iter().find_map(|prefix| endings.iter().find_map(|end| axes(prefix, end)));
+        angles.or_else(|| {
+            TRIPLES.iter().find_map(|names| endings.iter().find_map(|end| named(names, end)))
+        })
+    };
+    let rotation = match quaternion {
+        Some(columns) => RotationColumns::Quaternion(columns),
+        None => triple().map_or(RotationColumns::None, RotationColumns::Numbers),
+    };
+    Some((position, rotation))
+}
+
+impl PostureTable {
+    /// The columns of the joints of these names, else of joints by number: `q1`, `joint_1`, `J1` and so on,
+    /// from 0 or 1.
+    pub fn joints(&self, names: &[String]) -> Option<Vec<usize>> {
+        const NUMBERED: [&str; 12] = [
+            "q",
+            "q_",
+            "q[",
+            "j",
+            "j_",
+            "joint",
+            "joint_",
+            "joint_position_",
+            "theta",
+            "theta_",
+            "a",
+            "axis",
+        ];
+        let lower: Vec<String> = self.names.iter().map(|name| name.to_lowercase()).collect();
+        let all = |name: &dyn Fn(usize) -> String| -> Option<Vec<usize>> {
+            (0..names.len()).map(|joint| lower.iter().position(|own| *own == name(joint))).collect()
+        };
+        let by_name = all(&|joint| names[joint].to_lowercase());
+        let by_number = || {
+            NUMBERED.iter().find_map(|stem| {
+                [1, 0].iter().find_map(|first| {
+                    ["", "_deg", "_rad", "]"]
+                        .iter()
+                        .find_map(|ending| all(&|joint| format!("{stem}{}{ending}", joint + first)))
+                })
+            })
+        };
+        by_name.or_else(by_number)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(of: &[&str]) -> Vec<String> {
+        of.iter().map(|&name| name.to_owned()).collect()
+    }
+
+    #[test]
+    fn columns_are_told_by_their_names() {
+        let table =
+            of_bytes(b"q1,q2,x,y,z,rx,ry,rz\n1,2,3,4,5,6,7,8\n1,2,3,4,5,6,7\n1,2,3,nan,5,6,7,8\n")
+                .unwrap();
+        assert_eq!(table.position, [2, 3, 4]);
+        assert_eq!(table.rotation, RotationColumns::Numbers([5, 6, 7]));
+        assert_eq!(table.joints(&names(&["shoulder", "elbow"])), Some(vec![0, 1]));
+        assert_eq!((table.rows.len(), table.dropped.as_slice()), (1, [3, 4].as_slice()));
+        let table = of_bytes(b"X;Y;Z;qx;qy;qz;qw;elbow\n0,5;0;0;0;0;0;1;0,25\n").unwrap();
+        assert_eq!(table.rotation, RotationColumns::Quaternion([3, 4, 5, 6]));
+        assert_eq!(table.rows[0][7], 0.25);
+        assert_eq!(table.joints(&names(&["elbow"])), Some(vec![7]));
+        assert_eq!(table.joints(&names(&["elbow", "wrist"])), None);
+    }
+
+    #[test]
+    fn what_is_no_table_of_postures_is_none() {
+        for text in ["", "a,b\n1,2\n", "1,2,3\n", "timestamp,actual_q_0,x,y,z\n1,2,3,4,5\n", "\0\0"]
+        {
+            assert_eq!(of_bytes(text.as_bytes()), None, "{text:?}");
+        }
+    }
+}

@@ -1,0 +1,175 @@
+//! A calibration for programs: SI units, `a_from_b` maps coordinates in b to coordinates in a.
+
+use serde_json::{Value, json};
+
+use crate::audit::{Calibrated, Taken};
+use crate::diagnosis::{LeftOver, LinkParameter, StreamCalibration, Untold};
+use crate::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
+use crate::robot::CALIBRATION_SCHEMA;
+use crate::stats::Measured;
+
+impl Calibrated {
+    /// The calibration, with everything that it rests on.
+    pub fn json(&self) -> Value {
+        let found = &self.found;
+        let joints: Vec<Value> = self
+            .moved()
+            .map(|joint| {
+                let origin = &joint.parent_from_joint;
+                let (parent, child) = (found.robot.link_name(joint.parent), found.robot.link_name(joint.child));
+                let rpy = Convention::RPY.numbers(&origin.rotation);
+                json!({"name": joint.name, "parent": parent, "child": child, "xyz": xyz_of(origin), "rpy": rpy})
+            })
+            .collect();
+        let links: Vec<Value> = found
+            .links
+            .iter()
+            .zip(&found.deviations)
+            .enumerate()
+            .map(|(at, (link, deviation))| {
+                let errors = found.std_errors(at);
+                json!({
+                    "link": link,
+                    "xyz": deviation[..3], "rotation_vector": deviation[3..],
+                    "std_error_xyz": errors[..3], "std_error_rotation_vector": errors[3..],
+                })
+            })
+            .collect();
+        let names = self.parameter_names();
+        let parameters: Vec<Value> = names
+            .iter()
+            .enumerate()
+            .map(|(at, name)| {
+                let Measured { value, std_error, .. } = found.value(at);
+                let parameter = found.parameters.get(at);
+                json!({
+                    "name": name,
+                    "link": parameter.map(|one| &found.links[one.link]),
+                    "direction": parameter.map(|one| one.direction),
+                    "unit": if parameter.is_none_or(|one| one.turns) { "rad" } else { "m" },
+                    "value": value, "std_error": std_error, "ci95": found.value(at).interval(0.95),
+                })
+            })
+            .collect();
+        let covariance: Vec<Vec<f64>> =
+            found.covariance.row_iter().map(|row| row.iter().copied().collect()).collect();
+        let streams: Vec<Value> = self
+            .streams
+            .iter()
+            .zip(&found.streams)
+            .map(|(taken, stream)| of_stream(taken, stream))
+            .collect();
+        let untold: Vec<Value> =
+            found.untold.iter().map(|one| self.of_untold(one, &names)).collect();
+        let still: Vec<Value> = self
+            .still
+            .iter()
+            .map(|one| json!({"joint": one.joint, "moved": one.moved, "unit": if one.slides { "m" } else { "rad" }}))
+            .collect();
+        json!({
+            "schema": CALIBRATION_SCHEMA,
+            "tool": {"name": "poseaudit", "version": env!("CARGO_PKG_VERSION")},
+            "arm": self.drawing.name,
+            "model": self.drawing.source,
+            "written": self.refused.is_none(),
+            "refused": self.refused,
+            "witness": self.witness().name(),
+            "of": self.subject(),
+            "joints": joints,
+            "link_m": found.link_m,
+            "links": links,
+            "parameters": parameters,
+            "covariance": covariance,
+            "workspace": {"expected": left(&found.expected), "drawing": left(&found.drawing)},
+            "streams": streams,
+            "left_out": self.left_out,
+            "not_told": untold,
+            "moved_little": still,
+            "conventions": self.conventions(),
+        })
+    }
+
+    /// The names of the parameters, in their order.
+    pub(super) fn parameter_names(&self) -> Vec<String> {
+        let found = &self.found;
+        let links =
+            found.parameters.iter().map(|one| format!("{}.{}", found.links[one.link], axis(one)));
+        let zeros = found.zeros.iter().map(|&joint| format!("{}.zero", self.joints[joint]));
+        links.chain(zeros).collect()
+    }
+
+    fn of_untold(&self, untold: &Untold, names: &[String]) -> Value {
+        let parts: Vec<Value> = untold
+            .parts
+            .iter()
+            .map(|&(at, share)| json!({"parameter": names[at], "share": share}))
+            .collect();
+        json!({"parts": parts, "variance_left": untold.share, "effect_m": untold.effect_m})
+    }
+
+    /// What is fixed because no pose tells it.
+    pub(super) fn conventions(&self) -> Vec<String> {
+        let mut said = vec![
+            "what is about or along a joint's own axis stands in that joint's origin, not after it"
+                .to_owned(),
+        ];
+        let found = &self.found;
+        let has = |link: usize| found.parameters.iter().any(|one| one.link == link);
+        if !has(0) {
+            said.push(format!(
+                "the base frame, and with it the zero of {}: they are what the poses' own frame is, which is \
+                 free",
+                self.joints.first().map_or("the first joint", String::as_str)
+            ));
+        }
+        if !has(found.links.len() - 1) {
+            said.push(format!(
+                "the tool frame, and with it the zero of {}: what is measured on the tool is free",
+                self.joints.last().map_or("the last joint", String::as_str)
+            ));
+        }
+        said
+    }
+}
+
+/// How a program calls the direction of a parameter.
+fn axis(parameter: &LinkParameter) -> String {
+    let turn = if parameter.turns { "r" } else { "" };
+    let along = parameter.direction.iter().position(|part| part.abs() > 1.0 - 1e-9);
+    match along {
+        Some(along) => format!("{turn}{}", ["x", "y", "z"][along]),
+        None => {
+            let [x, y, z] = parameter.direction;
+            format!("{turn}({x:.3} {y:.3} {z:.3})")
+        }
+    }
+}
+
+fn left(of: &LeftOver) -> Value {
+    json!({"m": finite(of.m), "rad": finite(of.rad)})
+}
+
+fn finite(value: f64) -> Option<f64> {
+    value.is_finite().then_some(value)
+}
+
+fn frame(pose: &Option<Pose>) -> Option<Value> {
+    let pose = pose.as_ref()?;
+    Some(json!({"xyz": xyz_of(pose), "quaternion_xyzw": xyzw_from_rotation(&pose.rotation)}))
+}
+
+fn of_stream(taken: &Taken, stream: &StreamCalibration) -> Value {
+    let latency = stream
+        .latency_s
+        .map(|latency| json!({"value": latency.value, "ci95": latency.interval(0.95)}));
+    json!({
+        "log": taken.log.display().to_string(), "topic": taken.topic, "witness": taken.witness.name(),
+        "base": taken.base, "tip": taken.tip, "read_as": taken.reading, "samples": stream.samples,
+        "latency_s": latency, "stream_from_base": frame(&stream.reference),
+        "tip_from_tool": frame(&stream.tool),
+        "before": left(&stream.before), "after": left(&stream.after),
+        "held_out": {"before": left(&stream.held_out_before), "after": left(&stream.held_out_after)},
+        "noise": {"m": finite(stream.noise[0]), "rad": finite(stream.noise[1]), "inflation": stream.inflation},
+        "joints_moved": stream.spans,
+    })
+}

@@ -1,0 +1,115 @@
+//! The files of a calibration: the model patched, its numbers with their covariance, and the forms that
+//! others read.
+
+mod json;
+mod text;
+
+use std::fs;
+use std::path::Path;
+
+use crate::audit::Calibrated;
+use crate::places::Places;
+use crate::report::{Trouble, write_whole};
+use crate::robot::{Calibration, Robot, catalogue};
+
+/// The model with the deviations in it.
+const MODEL: &str = "robot.urdf";
+/// The numbers, as `--calibration` takes them.
+const NUMBERS: &str = "calibration.json";
+/// The form of `ur_calibration`.
+const UR: &str = "calibration.yaml";
+/// A DH table in the form of `--robot`.
+const DH: &str = "dh.toml";
+
+/// Enters the files that may be written into `folder`.
+pub fn enter(folder: &Path, places: &mut Places) {
+    places.writes_into("--out", folder, [MODEL, NUMBERS, UR, DH].map(str::to_owned));
+}
+
+impl Calibrated {
+    /// Writes the calibration into `folder`, which is made; each file whole. Nothing is written where the
+    /// logs do not carry a calibration. The names of the files.
+    ///
+    /// # Errors
+    /// Where one cannot be written, or would take the place of a file that was read.
+    pub fn write(&self, folder: &Path) -> Result<Vec<&'static str>, Trouble> {
+        if self.refused.is_some() {
+            return Ok(Vec::new());
+        }
+        let mut places = self.read.clone();
+        enter(folder, &mut places);
+        places.check()?;
+        let unwritable = |path: &Path, error: std::io::Error| {
+            let what = format!("cannot be written: {error}");
+            Trouble::unwritable(path, what, "name a folder that can be written to with --out")
+        };
+        fs::create_dir_all(folder).map_err(|error| unwritable(folder, error))?;
+        let files = self.files();
+        for (name, text) in &files {
+            let path = folder.join(name);
+            write_whole(&path, |staged| fs::write(staged, text))
+                .map_err(|error| unwritable(&path, error))?;
+        }
+        Ok(files.into_iter().map(|(name, _)| name).collect())
+    }
+
+    /// The files, each with its text.
+    fn files(&self) -> Vec<(&'static str, String)> {
+        let mut files = vec![(MODEL, self.urdf()), (NUMBERS, format!("{:#}\n", self.json()))];
+        files.extend(self.ur_yaml().map(|text| (UR, text)));
+        files.extend(self.dh_table().map(|text| (DH, text)));
+        files
+    }
+
+    /// The model's own URDF patched, else one of its kinematics alone.
+    fn urdf(&self) -> String {
+        let robot = &self.found.robot;
+        self.drawing.text_with_origins_of(robot).unwrap_or_else(|_| robot.to_urdf())
+    }
+
+    /// The joints whose origins the calibration gives, in the robot's order.
+    fn moved(&self) -> impl Iterator<Item = &crate::robot::Joint> {
+        let before = self.drawing.joints().iter();
+        let both = self.found.robot.joints().iter().zip(before);
+        both.filter(|(after, before)| after.parent_from_joint != before.parent_from_joint)
+            .map(|(after, _)| after)
+    }
+
+    /// The YAML of `ur_calibration`, of a UR whose model has the frames of `ur_description`: of others the
+    /// numbers are between other frames.
+    fn ur_yaml(&self) -> Option<String> {
+        let prefix = self.joints.first()?.strip_suffix("shoulder_pan_joint")?;
+        let text = self.drawing.ur_calibration(prefix, "")?;
+        let own = Calibration::from_text(&text, "").ok()?;
+        let parent = self.drawing.joint(self.joints.first()?)?.parent;
+        let is_as_described = self.drawing.link_name(parent).ends_with("base_link_inertia")
+            && catalogue::entries().iter().any(|ur| ur.calibrated("", &own).is_ok());
+        is_as_described.then(|| self.found.robot.ur_calibration(prefix, &self.hash()))?
+    }
+
+    /// A name of the numbers, in the form of a UR controller's.
+    fn hash(&self) -> String {
+        let numbers = self.found.robot.joints().iter().flat_map(|joint| {
+            let origin = joint.parent_from_joint;
+            let [x, y, z] = crate::geometry::xyz_of(&origin);
+            let [i, j, k, w] = crate::geometry::xyzw_from_rotation(&origin.rotation);
+            [x, y, z, i, j, k, w].map(f64::to_le_bytes)
+        });
+        let mut hasher = blake3::Hasher::new();
+        numbers.for_each(|bytes| {
+            hasher.update(&bytes);
+        });
+        let bytes = hasher.finalize();
+        let head: [u8; 8] = std::array::from_fn(|at| bytes.as_bytes()[at]);
+        format!("poseaudit_{}", u64::from_le_bytes(head))
+    }
+
+    /// A DH table, of a model that is one.
+    fn dh_table(&self) -> Option<String> {
+        let convention = self.drawing.dh.as_ref()?.convention;
+        let link = |name: &String| self.drawing.link(name);
+        let stream = self.streams.first()?;
+        let (base, tip) = (link(&stream.base)?, link(&stream.tip)?);
+        Robot::to_dh(&self.found.robot, base, tip, convention)
+    }
+}

@@ -1,0 +1,205 @@
+//! A calibration for people.
+
+use std::fmt::Write as _;
+use std::io;
+
+use crate::audit::Calibrated;
+use crate::diagnosis::LeftOver;
+use crate::finding::Unit;
+use crate::run::Witness;
+
+/// Directions that are not told are listed up to so many.
+const LISTED: usize = 6;
+/// What moves the tip by less over the whole workspace matters to nobody, m.
+const NOTHING_M: f64 = 1e-6;
+
+impl Calibrated {
+    /// Writes what was found, and the names of the `files` that were written of it.
+    ///
+    /// # Errors
+    /// If `out` cannot be written.
+    pub fn write_text(&self, files: &[String], out: &mut dyn io::Write) -> io::Result<()> {
+        out.write_all(self.text(files).as_bytes())
+    }
+
+    /// Of what the calibration is.
+    pub(super) fn subject(&self) -> &'static str {
+        match self.witness() {
+            Witness::Controller => {
+                "the controller's own kinematics: its poses follow from the same encoders, and say nothing \
+                 of where the arm really is"
+            }
+            Witness::External => "the arm itself, as an outside witness sees it",
+            Witness::Unknown => {
+                "whoever published the poses: the arm itself if that is an outside witness, the controller's \
+                 own kinematics if it is the controller"
+            }
+        }
+    }
+
+    fn text(&self, files: &[String]) -> String {
+        let found = &self.found;
+        let mut text = String::new();
+        let _ = match &self.refused {
+            None => writeln!(text, "CALIBRATED  {}: {}", self.drawing.name, self.subject()),
+            Some(why) => writeln!(text, "REFUSED     {}: {why}", self.drawing.name),
+        };
+        for (taken, stream) in self.streams.iter().zip(&found.streams) {
+            let reading =
+                taken.reading.as_ref().map_or_else(String::new, |it| format!(", read as {it}"));
+            let log = taken.log.display();
+            let _ = writeln!(
+                text,
+                "\n{log} {} ({}): {} poses of {} in {}{reading}",
+                taken.topic,
+                taken.witness.name(),
+                stream.samples,
+                taken.tip,
+                if stream.reference.is_some() { "a frame of its own" } else { &taken.base },
+            );
+            let line = |of: &LeftOver| match taken.rotation_is_blind() {
+                true => format!("{:.4} mm", 1e3 * of.m),
+                false => format!("{:.4} mm, {:.5}°", 1e3 * of.m, of.rad.to_degrees()),
+            };
+            let _ = writeln!(text, "  left by the drawing      {} rms", line(&stream.before));
+            let _ = writeln!(text, "  left by the calibration  {} rms", line(&stream.after));
+            let _ = writeln!(
+                text,
+                "  foretold of every fifth stretch by the others: {} by the drawing, {} by the calibration",
+                line(&stream.held_out_before),
+                line(&stream.held_out_after)
+            );
+            if stream.before.m <= 1.05 * stream.after.m {
+                text += "  the drawing leaves no more than the calibration: as far as this log tells, the arm is its drawing\n";
+            }
+            if let Some(latency) = stream.latency_s {
+                let _ = writeln!(text, "  latency {}", shown(Unit::Second, latency));
+            }
+        }
+        for why in &self.left_out {
+            let _ = writeln!(text, "\nleft out: {why}");
+        }
+        let _ = writeln!(
+            text,
+            "\nlinks differ from the drawing by {:.3} mm and {:.4}° each way (standard deviation)",
+            1e3 * found.link_m,
+            (0.1 / 1e-3) * found.link_m
+        );
+        let _ = writeln!(
+            text,
+            "FK over the whole workspace is known to {:.4} mm and {:.5}° rms; the drawing's is off by {:.3} mm \
+             and {:.4}°",
+            1e3 * found.expected.m,
+            found.expected.rad.to_degrees(),
+            1e3 * found.drawing.m,
+            found.drawing.rad.to_degrees()
+        );
+        let largest = self.largest();
+        if !largest.is_empty() {
+            text += "\nlargest deviations\n";
+        }
+        for (name, at) in largest {
+            let value = found.value(at);
+            let turns = found.parameters.get(at).is_none_or(|one| one.turns);
+            let shown = shown(if turns { Unit::Radian } else { Unit::Metre }, value);
+            let _ = writeln!(text, "  {name:<34} {shown}");
+        }
+        self.not_told(&mut text);
+        if files.iter().any(|file| file.ends_with("calibration.yaml")) {
+            let last = found.links.len() - 1;
+            let beyond = found.deviations[last].iter().zip(found.std_errors(last));
+            if beyond.clone().any(|(value, error)| value.abs() > 3.0 * error && error > 0.0) {
+                let [x, y, z, ..] = found.deviations[last];
+                let _ = writeln!(
+                    text,
+                    "\ncalibration.yaml ends at {}: what lies beyond it ({:.3} mm) stands in robot.urdf alone",
+                    found.links[last],
+                    1e3 * (x * x + y * y + z * z).sqrt()
+                );
+            }
+        }
+        match files {
+            [] => text += "\nnothing was written\n",
+            files => {
+                let _ = writeln!(text, "\nwritten: {}", files.join(", "));
+            }
+        }
+        text
+    }
+
+    /// The parameters that stand out most, the largest first.
+    fn largest(&self) -> Vec<(String, usize)> {
+        const SHOWN: usize = 8;
+        let found = &self.found;
+        let size = |at: usize| {
+            let scale =
+                if found.parameters.get(at).is_none_or(|one| one.turns) { 1.745 } else { 1.0 };
+            (found.values[at] / scale).abs()
+        };
+        let mut all: Vec<(String, usize)> = self.parameter_names().into_iter().zip(0..).collect();
+        all.retain(|(_, at)| {
+            found.value(*at).interval(0.95).iter().all(|end| *end > 0.0)
+                || found.value(*at).interval(0.95).iter().all(|end| *end < 0.0)
+        });
+        all.sort_by(|a, b| size(b.1).total_cmp(&size(a.1)));
+        all.truncate(SHOWN);
+        all
+    }
+
+    fn not_told(&self, text: &mut String) {
+        let found = &self.found;
+        let names = self.parameter_names();
+        text.push_str("\nfixed by convention, as no pose tells it\n");
+        for said in self.conventions() {
+            let _ = writeln!(text, "  {said}");
+        }
+        let (harmless, missing): (Vec<_>, Vec<_>) =
+            found.untold.iter().partition(|one| one.effect_m < NOTHING_M);
+        let list = |text: &mut String, of: &[&crate::diagnosis::Untold]| {
+            for one in of.iter().take(LISTED) {
+                let parts: Vec<&str> =
+                    one.parts.iter().take(4).map(|(at, _)| names[*at].as_str()).collect();
+                let _ = writeln!(
+                    text,
+                    "  {} together: {:.4} mm at the tip",
+                    parts.join(", "),
+                    1e3 * one.effect_m
+                );
+            }
+            if of.len() > LISTED {
+                let _ = writeln!(text, "  and {} more", of.len() - LISTED);
+            }
+        };
+        if !harmless.is_empty() {
+            text.push_str("\nleft as drawn, as it moves no pose (part of a frame that is free, or along parallel axes)\n");
+            list(text, &harmless);
+        }
+        if !missing.is_empty() {
+            text.push_str("\nleft as drawn, as not observable in this motion\n");
+            list(text, &missing);
+        }
+        if !self.still.is_empty() {
+            text.push_str("\nmotion that would show more\n");
+            for one in &self.still {
+                let _ = match one.slides {
+                    true => writeln!(
+                        text,
+                        "  slide {} through 0.2 m or more; it moved {:.3} m",
+                        one.joint, one.moved
+                    ),
+                    false => writeln!(
+                        text,
+                        "  turn {} through 90° or more, with the others in several postures; it moved {:.1}°",
+                        one.joint,
+                        one.moved.to_degrees()
+                    ),
+                };
+            }
+        }
+    }
+}
+
+fn shown(unit: Unit, value: crate::stats::Measured) -> String {
+    let [low, high] = value.interval(0.95);
+    unit.show_interval(value.value, 0.5 * (high - low), false)
+}

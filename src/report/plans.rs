@@ -1,0 +1,194 @@
+//! The calls of `poseaudit plan` that write the motions which would settle what was left open.
+
+use std::path::PathBuf;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::tame::shell_word;
+use super::workspace::is_misread;
+use crate::checks::settled_by;
+use crate::diagnosis::plan::Purpose;
+use crate::evidence::{ArmEvidence, RunEvidence};
+use crate::finding::{CheckRow, Finding, Word, word};
+use crate::robot::{Chain, JointKind, Robot};
+use crate::run::{Arm, Run, RunOptions, Witness, robot_of};
+
+/// One motion that would settle some of what was left open.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct PlanRow {
+    /// The arm that is to move.
+    pub robot: String,
+    /// What the motion shows: `zeros`, `calibration`, `latency`, `hand-eye` or `yaw`.
+    #[serde(deserialize_with = "word")]
+    pub purpose: Word,
+    /// The rules that it would let conclude.
+    pub codes: Vec<String>,
+    /// The call that writes it, around a posture that this log visited.
+    pub command: String,
+}
+
+/// The motions that would settle what `checks` left open, of each arm and for each purpose one. `logs` are the
+/// files that the run was read from.
+pub(crate) fn plans(
+    run: &Run,
+    evidence: &RunEvidence,
+    checks: &[CheckRow],
+    findings: &[Finding],
+    options: &RunOptions,
+    logs: &[PathBuf],
+) -> Vec<PlanRow> {
+    let mut plans: Vec<PlanRow> = Vec::new();
+    for arm in run.arms.iter().filter(|arm| !is_misread(arm, findings)) {
+        let own = evidence.robots.iter().find(|own| own.name == arm.name);
+        let is_drawing = own.is_some_and(|own| own.poses.iter().any(|it| it.diagnosis.nominal));
+        let own_witness = own.map(ArmEvidence::witness);
+        let is_its = |row: &&CheckRow| match &row.subject.robot {
+            Some(robot) => *robot == arm.name,
+            None => run.arms.len() == 1,
+        };
+        let open = checks.iter().filter(is_its);
+        let open = open.filter_map(|row| Some((row.code, settled_by(row, is_drawing)?)));
+        let open: Vec<(&'static str, Purpose)> = open.collect();
+        if open.is_empty() {
+            continue;
+        }
+        let Some(call) = call(run, arm, options, logs) else { continue };
+        for purpose in Purpose::ALL {
+            let own = open.iter().filter(|(_, settles)| *settles == purpose);
+            let mut codes: Vec<String> = own.map(|(code, _)| (*code).to_owned()).collect();
+            codes.dedup();
+            if !codes.is_empty() {
+                let (robot, name) = (arm.name.clone(), purpose.name());
+                // Neither the frame of an outside witness nor the point that it sees is known.
+                let is_outside = own_witness == Some(Witness::External) && purpose.is_of_poses();
+                let outside = if is_outside { " --outside" } else { "" };
+                let command = format!("{call} --for {name}{outside}");
+                plans.push(PlanRow { robot, purpose: name, codes, command });
+            }
+        }
+    }
+    plans
+}
+
+/// The call without its purpose; `None` where nothing that it can read has the arm's model, or the log
+/// visited no posture within the limits.
+fn call(run: &Run, arm: &Arm, options: &RunOptions, logs: &[PathBuf]) -> Option<String> {
+    let around: Vec<String> = posture(arm)?.iter().map(|q| shown(*q)).collect();
+    let around = around.join(",");
+    if let Some((model, robot)) = model(arm, options) {
+        // Links are named as in the log; their order is the model's.
+        let named = |name: &str| Some(robot.link_name(arm.robot.link(name)?).to_owned());
+        let base = named(arm.chain.base_name())?;
+        let tip = named(arm.chain.tip_name())?;
+        let usual_base = robot.default_base.as_deref().and_then(|name| robot.link(name));
+        let usual_base = robot.link_name(usual_base.unwrap_or_else(|| robot.root())).to_owned();
+        let usual_tip = robot.default_tip.as_deref().and_then(|name| robot.link(name));
+        let usual_tip = usual_tip.or_else(|| robot.leaf_links().last());
+        let base = if base == usual_base { String::new() } else { option("base", &base) };
+        let is_usual = usual_tip.is_some_and(|usual| robot.link_name(usual) == tip);
+        let tip = if is_usual { String::new() } else { option("tip", &tip) };
+        return Some(format!("poseaudit plan {}{base}{tip} --around={around}", shell_word(&model)));
+    }
+    let [log] = logs else { return None };
+    let own = |name: &str, given: &Option<String>| {
+        given.as_ref().map_or(String::new(), |given| option(name, given))
+    };
+    let (base, tip) = (own("base", &options.base), own("tip", &options.tip));
+    let which = if run.arms.len() > 1 { option("arm", &arm.name) } else { String::new() };
+    let log = shell_word(&log.display().to_string());
+    Some(format!("poseaudit plan {log}{which}{base}{tip} --around={around}"))
+}
+
+/// The model that `plan` can read by name or file, where the log's own is not the arm's.
+fn model(arm: &Arm, options: &RunOptions) -> Option<(String, Robot)> {
+    let given = options.robots.iter().find(|source| {
+        let is_its = |prefix: &String| arm.joint_names.iter().any(|name| name.starts_with(prefix));
+        source.prefix.as_ref().is_none_or(is_its)
+    });
+    let name = match given.filter(|_| arm.instead_of.is_none()) {
+        Some(given) => given.model.clone(),
+        None if arm.robot.text().is_none() => arm.robot.name.clone(),
+        None => return None,
+    };
+    Some((name.clone(), robot_of(&name).ok()?))
+}
+
+/// The posture of the joint states that is nearest to the middle of each joint's positions, within the
+/// limits; turns that the limits allow no room for are taken off.
+fn posture(arm: &Arm) -> Option<Vec<f64>> {
+    /// Samples that tell where the middle is.
+    const ENOUGH: usize = 20_000;
+    let (joints, columns) = (&arm.joints, &arm.columns);
+    let rows = || (0..joints.len()).step_by(joints.len().div_ceil(ENOUGH).max(1));
+    let middle = |&at: &usize| {
+        let mut own: Vec<f64> = rows().map(|row| joints.row(row)[at]).collect();
+        crate::stats::median(&mut own)
+    };
+    let middle: Vec<f64> = columns.iter().map(middle).collect::<Option<_>>()?;
+    let off = |row: usize| -> f64 {
+        let row = joints.row(row);
+        columns.iter().zip(&middle).map(|(&at, middle)| (row[at] - middle).powi(2)).sum()
+    };
+    let nearest = rows().min_by(|&a, &b| off(a).total_cmp(&off(b)))?;
+    let q: Vec<f64> = columns.iter().map(|&at| joints.row(nearest)[at]).collect();
+    within(&arm.chain, q)
+}
+
+fn within(chain: &Chain, mut q: Vec<f64>) -> Option<Vec<f64>> {
+    use std::f64::consts::TAU;
+    /// What is shown is rounded.
+    const ROUNDING: f64 = 1e-3;
+    for ((q, kind), limits) in q.iter_mut().zip(chain.joint_kinds()).zip(chain.limits()) {
+        let low = limits.lower.unwrap_or(f64::NEG_INFINITY) + ROUNDING;
+        let high = limits.upper.unwrap_or(f64::INFINITY) - ROUNDING;
+        if *kind != JointKind::Prismatic && *q > high {
+            *q -= TAU * ((*q - high) / TAU).ceil();
+        } else if *kind != JointKind::Prismatic && *q < low {
+            *q += TAU * ((low - *q) / TAU).ceil();
+        }
+        if !(low..=high).contains(q) {
+            return None;
+        }
+    }
+    Some(q)
+}
+
+fn shown(q: f64) -> String {
+    let text = format!("{:.3}", q);
+    let text = text.trim_end_matches('0').trim_end_matches('.');
+    if text == "-0" { "0".to_owned() } else { text.to_owned() }
+}
+
+fn option(name: &str, value: &str) -> String {
+    format!(" --{name} {}", shell_word(value))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::catalogue;
+    use std::f64::consts::TAU;
+
+    #[test]
+    fn a_posture_beyond_its_limits_is_turned_back_or_none() {
+        let robot = catalogue::find("ur5e").expect("it is in the catalogue");
+        let link = |name| robot.link(name).expect("a link");
+        let chain = robot.chain(link("base"), link("tool0")).expect("a chain");
+        let q = vec![TAU + 0.5, -1.0, 1.0, 0.0, 0.0, -TAU - 0.25];
+        let turned = within(&chain, q).expect("a posture");
+        assert!((turned[0] - 0.5).abs() < 1e-12 && (turned[5] + 0.25).abs() < 1e-12, "{turned:?}");
+        // The elbow has less than a turn: half a turn and a bit more is on its other side.
+        let folded = within(&chain, vec![0.0, 0.0, 3.5, 0.0, 0.0, 0.0]).expect("a posture");
+        assert!((folded[2] - 3.5 + TAU).abs() < 1e-12, "{folded:?}");
+        let at_its_end = vec![0.0, 0.0, std::f64::consts::PI, 0.0, 0.0, 0.0];
+        assert_eq!(within(&chain, at_its_end), None);
+    }
+
+    #[test]
+    fn numbers_are_short_and_words_are_one_to_a_shell() {
+        assert_eq!([0.0, -0.0001, 1.5, -1.5706, 2.0].map(shown), ["0", "0", "1.5", "-1.571", "2"]);
+        let quoted = ["run.mcap", "my run.mcap", "it's", "$(x)", ""].map(shell_word);
+        assert_eq!(quoted, ["run.mcap", "'my run.mcap'", "'it'\\''s'", "'$(x)'", "''"]);
+    }
+}

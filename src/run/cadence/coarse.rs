@@ -1,0 +1,69 @@
+//! Rows whose stamps are of a coarse clock.
+
+use crate::run::grid::Grid;
+use crate::stats::median;
+use crate::time::{Stamp, seconds};
+
+/// What a coarse clock leaves of a rhythm.
+pub(super) struct Coarse {
+    /// Its tick, s.
+    pub tick_s: f64,
+    /// The rows as they were received, each at a stamp between the ticks, where receipts are finer.
+    pub finer: Option<Vec<(Stamp, i64)>>,
+    /// Whether nothing tells which rows that could be between two ticks are lost.
+    pub is_blurred: bool,
+}
+
+impl Coarse {
+    /// Of rows in the order of their stamps, with the times of receipt; `None` where their rhythm is not
+    /// that of a coarse clock.
+    pub fn of(times: &[(Stamp, i64)]) -> Option<Self> {
+        let (begin, received) = *times.first()?;
+        let stamped_s: Vec<f64> = times.iter().map(|(at, _)| at.seconds_since(begin)).collect();
+        let grid = Grid::of(&stamped_s)?;
+        let since_s = |nanos: i64| seconds(nanos.saturating_sub(received));
+        let received_s: Vec<f64> = times.iter().map(|(_, nanos)| since_s(*nanos)).collect();
+        if is_of_whole_ticks(&received_s, grid.tick_s) {
+            return None;
+        }
+        let is_even = grid.is_of_one_even_sender();
+        if grid.hides_no_loss(&received_s) {
+            let mut delays: Vec<f64> = stamped_s
+                .iter()
+                .zip(&received_s)
+                .map(|(stamped, received)| received - stamped)
+                .collect();
+            let delay_s = median(&mut delays)?;
+            let at = |received_s: f64| begin.shifted(received_s - delay_s);
+            let mut finer: Vec<(Stamp, i64)> =
+                times.iter().map(|(_, nanos)| (at(since_s(*nanos)), *nanos)).collect();
+            finer.sort_unstable();
+            finer.dedup_by_key(|(stamp, _)| *stamp);
+            return Some(Self { tick_s: grid.tick_s, finer: Some(finer), is_blurred: false });
+        }
+        // Receipts by the same clock tell no more than the stamps.
+        let is_alike = || {
+            let other = Grid::of(&received_s);
+            other.is_some_and(|other| (other.tick_s - grid.tick_s).abs() < 0.01 * grid.tick_s)
+        };
+        let may_hide = grid.ticks.contains(&1) && grid.ticks.iter().any(|ticks| *ticks > 1);
+        is_even.then(|| Self {
+            tick_s: grid.tick_s,
+            finer: None,
+            is_blurred: may_hide && is_alike(),
+        })
+    }
+}
+
+/// Whether nearly all rows were received a whole number of ticks after the one before: such a rhythm loses
+/// nothing between the ticks.
+fn is_of_whole_ticks(received_s: &[f64], tick_s: f64) -> bool {
+    const NEARLY_ALL: f64 = 0.95;
+    const NEAR: f64 = 0.05;
+    let is_whole = |pair: &&[f64]| {
+        let ticks = (pair[1] - pair[0]) / tick_s;
+        ticks > 0.5 && (ticks - ticks.round()).abs() < NEAR
+    };
+    let whole = received_s.windows(2).filter(is_whole).count();
+    whole as f64 >= NEARLY_ALL * received_s.len().saturating_sub(1) as f64
+}

@@ -1,0 +1,149 @@
+//! Stamps of a coarse clock: multiples of a tick, such as the 15.6 ms of some Windows machines, which say when
+//! a row came to within a tick only.
+
+/// Ticks shorter than this do no harm, s.
+const LEAST_S: f64 = 2e-3;
+/// Nearly all intervals are multiples of the tick.
+const NEARLY_ALL: f64 = 0.98;
+
+/// Rows whose stamps are multiples of a tick.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Grid {
+    /// The tick, s.
+    pub tick_s: f64,
+    /// Ticks from each row to the next.
+    pub ticks: Vec<u32>,
+}
+
+impl Grid {
+    /// Of stamps in ascending order, s; `None` where they are multiples of no tick. An even stream without
+    /// a coarse clock has ticks, too: its period.
+    pub fn of(t_s: &[f64]) -> Option<Self> {
+        const FEWEST: usize = 50;
+        /// The shortest interval is so many ticks at most.
+        const MOST: u32 = 4;
+        /// Rounding of stamps, s.
+        const ROUNDING_S: f64 = 2e-5;
+        let intervals: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let mut some: Vec<f64> = intervals.iter().copied().filter(|dt| *dt > LEAST_S).collect();
+        some.sort_by(f64::total_cmp);
+        if intervals.len() < FEWEST {
+            return None;
+        }
+        let shortest_s = *some.get(some.len() / 50)?;
+        (1..=MOST).find_map(|parts| {
+            let rough_s = shortest_s / f64::from(parts);
+            let short = some.iter().filter(|dt| **dt < shortest_s + 0.5 * rough_s);
+            let (sum_s, count) = short.fold((0.0, 0), |(sum_s, count), dt| (sum_s + dt, count + 1));
+            let tick_s = sum_s / f64::from(count) / f64::from(parts);
+            let ticks = |dt: f64| (dt / tick_s).round();
+            let is_multiple =
+                |dt: &&f64| (**dt - ticks(**dt) * tick_s).abs() < ROUNDING_S.max(2e-3 * tick_s);
+            let fit = intervals.iter().filter(is_multiple).count();
+            let is_one = tick_s >= LEAST_S && fit as f64 >= NEARLY_ALL * intervals.len() as f64;
+            is_one.then(|| Self {
+                tick_s,
+                ticks: intervals.iter().map(|dt| ticks(*dt) as u32).collect(),
+            })
+        })
+    }
+
+    /// Whether the stamps are those that an even sender has by a clock with this tick whose period is no
+    /// multiple of it: over the same number of rows their ticks differ by one at most (a Sturmian
+    /// sequence; Lothaire, *Algebraic Combinatorics on Words*, ch. 2). What rows that are lost leave is not
+    /// so even. `false` of stamps that a tick makes no coarser.
+    pub fn is_of_one_even_sender(&self) -> bool {
+        /// In a window of this many ticks more or less than usual those of lost rows would vary.
+        const RARE: f64 = 4.0;
+        const HARDLY_ANY: f64 = 5e-3;
+        const NEARLY: f64 = 0.9;
+        let n = self.ticks.len();
+        let sum: u64 = self.ticks.iter().copied().map(u64::from).sum();
+        let mean = sum as f64 / n as f64;
+        let rare = (mean - mean.floor()).min(mean.ceil() - mean);
+        let window = (RARE / rare.max(HARDLY_ANY)).ceil() as usize;
+        if rare < HARDLY_ANY || n < 3 * window {
+            return false;
+        }
+        let sums: Vec<u64> = self
+            .ticks
+            .windows(window)
+            .map(|own| own.iter().copied().map(u64::from).sum())
+            .collect();
+        let usual = window as f64 * mean;
+        let even = sums.iter().filter(|sum| (**sum as f64 - usual).abs() < 1.0 + 1e-6).count();
+        even as f64 >= NEARLY * sums.len() as f64
+    }
+
+    /// Whether the times of receipt tell that the tick hides no loss: where stamps are more ticks apart than
+    /// usual fewer of them went by. `received_s` are those of the same rows, s.
+    pub fn hides_no_loss(&self, received_s: &[f64]) -> bool {
+        /// By so many ticks the stamps are further apart than the receipts.
+        const APART: f64 = 0.25;
+        /// And hardly further where they are not.
+        const HARDLY: f64 = 0.1;
+        const FEWEST: usize = 5;
+        let mut sorted = self.ticks.clone();
+        sorted.sort_unstable();
+        let usual = sorted[sorted.len() / 2];
+        let beyond = |is_long: bool| -> Vec<f64> {
+            let pairs = self.ticks.iter().zip(received_s.windows(2));
+            let of = pairs.filter(|(ticks, _)| (**ticks > usual) == is_long);
+            of.map(|(ticks, pair)| f64::from(*ticks) - (pair[1] - pair[0]) / self.tick_s).collect()
+        };
+        let [mut long, mut rest] = [beyond(true), beyond(false)];
+        long.len() >= FEWEST
+            && crate::stats::median(&mut long).is_some_and(|apart| apart > APART)
+            && crate::stats::median(&mut rest).is_some_and(|apart| apart < HARDLY)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 40 s at a period, by a clock with a tick, with every so many rows lost at random.
+    fn stamps(period_s: f64, tick_s: f64, lost: f64) -> (Vec<f64>, Vec<f64>) {
+        let mut state = 12_345_u64;
+        let mut random = || {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            (state >> 33) as f64 / (1_u64 << 31) as f64
+        };
+        let kept: Vec<f64> = (0..(40.0 / period_s) as usize)
+            .map(|row| 0.0031 + row as f64 * period_s)
+            .filter(|_| random() >= lost)
+            .collect();
+        let received = kept.iter().map(|t_s| t_s + 2e-3 * random()).collect();
+        (kept.iter().map(|t_s| (t_s / tick_s).floor() * tick_s).collect(), received)
+    }
+
+    #[test]
+    fn a_coarse_clock_is_told_from_lost_rows() {
+        for (period_s, tick_s) in
+            [(0.02, 0.015625), (0.0125, 0.01), (0.0188, 0.015625), (0.0211, 0.01), (0.011, 0.01)]
+        {
+            let (stamped, received) = stamps(period_s, tick_s, 0.0);
+            let grid = Grid::of(&stamped).expect("a tick");
+            assert!((grid.tick_s - tick_s).abs() < 1e-6, "{period_s} {tick_s}: {}", grid.tick_s);
+            assert!(grid.is_of_one_even_sender(), "{period_s} {tick_s}");
+            assert!(
+                period_s > 1.5 * tick_s || grid.hides_no_loss(&received),
+                "{period_s} {tick_s}"
+            );
+        }
+        for lost in [0.02, 0.08, 0.2, 0.4] {
+            let (stamped, received) = stamps(0.02, 0.02, lost);
+            let grid = Grid::of(&stamped).expect("its period");
+            assert!(!grid.is_of_one_even_sender() && !grid.hides_no_loss(&received), "{lost}");
+        }
+    }
+
+    #[test]
+    fn uneven_stamps_have_no_tick() {
+        let (_, received) = stamps(0.02, 0.02, 0.0);
+        assert_eq!(Grid::of(&received), None);
+        assert_eq!(Grid::of(&[0.0, 0.01]), None);
+    }
+}

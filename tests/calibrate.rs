@@ -1,0 +1,211 @@
+//! `poseaudit calibrate`, from outside: logs and tables in, files out, and these read again.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use poseaudit::geometry::{Convention, Pose, pose, rotation_from_rotvec, rotation_from_rpy};
+use poseaudit::robot::{Robot, catalogue};
+use serde_json::Value;
+use tempfile::TempDir;
+
+const CLEAN: &str = "fixtures/clean.mcap";
+
+fn poseaudit(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_poseaudit"))
+        .args(args)
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .output()
+        .expect("the binary runs")
+}
+
+fn path(folder: &TempDir, name: &str) -> String {
+    folder.path().join(name).display().to_string()
+}
+
+fn json(output: &Output) -> Value {
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{error}: {stderr}"))
+}
+
+/// A number in ±1, the same for the same seed.
+fn noise(seed: usize) -> f64 {
+    let mut state = (seed as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    state = (state ^ (state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    state = (state ^ (state >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    ((state ^ (state >> 31)) >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+}
+
+/// A UR10 whose links are off by up to half a millimetre and 0.05°.
+fn truth() -> Robot {
+    let drawing = catalogue::find("ur10").expect("it is in the catalogue");
+    let [base, tip] = ["base", "tool0"].map(|name| drawing.link(name).expect("a link"));
+    let links = drawing.link_path(base, tip).expect("a path");
+    let off = |link: usize| {
+        // A free base and a free tool take what is off before the first joint and beyond the last one,
+        // and with it what is along the last joint's axis.
+        let is_free = link == 0 || link == 6;
+        let at = |axis: usize| match is_free || (link == 5 && axis % 3 == 1) {
+            true => 0.0,
+            false => noise(1000 + 6 * link + axis),
+        };
+        let turn = [3, 4, 5].map(|axis| 9e-4 * at(axis));
+        pose([0, 1, 2].map(|axis| 5e-4 * at(axis)), rotation_from_rotvec(turn.into()))
+    };
+    let deviations: Vec<Pose> = (0..links.links.len()).map(off).collect();
+    drawing.deviated(&links, &deviations, &[])
+}
+
+/// A table of `rows` postures of that arm as a tracker sees a marker on its tool: in mm and in degrees of
+/// Euler angles about the moving z, y and x axes.
+fn table(rows: usize, moves: [bool; 6]) -> String {
+    let robot = truth();
+    let [base, tip] = ["base", "tool0"].map(|name| robot.link(name).expect("a link"));
+    let chain = robot.chain(base, tip).expect("a chain");
+    let world = pose([1.4, -0.3, 0.8], rotation_from_rpy([0.3, -0.2, 1.9]));
+    let tool = pose([0.03, -0.02, 0.11], rotation_from_rpy([-0.4, 0.5, 0.2]));
+    let mut text = "J1,J2,J3,J4,J5,J6,x,y,z,a,b,c\n".to_owned();
+    for row in 0..rows {
+        let q: Vec<f64> = (0..6)
+            .map(|joint| if moves[joint] { 2.2 * noise(6 * row + joint) } else { 0.7 })
+            .collect();
+        let seen = world * chain.forward(&q) * tool;
+        let wobble = |axis: usize| 2e-5 * noise(100_000 + 3 * row + axis);
+        let [x, y, z] = [0, 1, 2].map(|axis| 1e3 * (seen.translation.vector[axis] + wobble(axis)));
+        let [roll, pitch, yaw] = Convention::RPY.numbers(&seen.rotation);
+        let angles = [yaw, pitch, roll].map(f64::to_degrees);
+        let q: Vec<String> = q.iter().map(f64::to_string).collect();
+        let _ =
+            writeln!(text, "{},{x},{y},{z},{},{},{}", q.join(","), angles[0], angles[1], angles[2]);
+    }
+    text
+}
+
+/// How far FK of two robots is apart at postures anywhere, wherever their bases are: the difference of
+/// distances between the tips of two postures, rms m.
+fn apart_m(a: &Robot, b: &Robot) -> f64 {
+    let chain = |robot: &Robot| {
+        let [base, tip] = ["base", "tool0"].map(|name| robot.link(name).expect("a link"));
+        robot.chain(base, tip).expect("a chain")
+    };
+    let (a, b) = (chain(a), chain(b));
+    let posture =
+        |k: usize| -> Vec<f64> { (0..6).map(|joint| 3.0 * noise(7000 + 6 * k + joint)).collect() };
+    let squares: Vec<f64> = (0..200)
+        .map(|k| {
+            let (one, other) = (posture(2 * k), posture(2 * k + 1));
+            let between = |chain: &poseaudit::robot::Chain| {
+                (chain.forward(&one).translation.vector - chain.forward(&other).translation.vector)
+                    .norm()
+            };
+            (between(&a) - between(&b)).powi(2)
+        })
+        .collect();
+    (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+}
+
+#[test]
+fn what_is_written_of_a_log_is_read_again_and_audits_clean() {
+    let folder = TempDir::new().expect("a folder");
+    let out = path(&folder, "calibrated");
+    let found = json(&poseaudit(&["calibrate", CLEAN, "--out", &out, "--format", "json"]));
+    assert_eq!(found["schema"], "poseaudit.calibration/1");
+    assert_eq!(found["written"], true, "{}", found["refused"]);
+    let kept =
+        fs::read_to_string(folder.path().join("calibrated/calibration.json")).expect("a file");
+    assert_eq!(serde_json::from_str::<Value>(&kept).expect("JSON"), found);
+    let [width, rows] =
+        [&found["parameters"], &found["covariance"]].map(|of| of.as_array().expect("a list").len());
+    assert!(width == rows && width >= 24, "{width} {rows}");
+    for option in ["--robot", "--calibration", "--calibration"].iter().zip([
+        "robot.urdf",
+        "calibration.json",
+        "calibration.yaml",
+    ]) {
+        let file = path(&folder, &format!("calibrated/{}", option.1));
+        let audited = poseaudit(&["audit", CLEAN, option.0, &file, "--format", "json"]);
+        let report = json(&audited);
+        assert_eq!(report["verdict"], "pass", "{option:?}: {:?}", report["findings"]);
+    }
+    let text = poseaudit(&["calibrate", CLEAN, "--out", &out]);
+    let text = String::from_utf8_lossy(&text.stdout).into_owned();
+    assert!(
+        text.starts_with("CALIBRATED")
+            && text.contains("written: ")
+            && text.contains("over the whole workspace"),
+        "{text}"
+    );
+}
+
+#[test]
+fn a_table_without_stamps_gives_the_arm_whatever_its_units_and_its_convention() {
+    let folder = TempDir::new().expect("a folder");
+    let (log, out) = (path(&folder, "postures.csv"), path(&folder, "calibrated"));
+    fs::write(&log, table(120, [true; 6])).expect("a file");
+    let call = [
+        "calibrate",
+        &log,
+        "--robot",
+        "ur10",
+        "--base",
+        "base",
+        "--tip",
+        "tool0",
+        "--out",
+        &out,
+        "--format",
+        "json",
+    ];
+    let output = poseaudit(&call);
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stdout));
+    let found = json(&output);
+    let stream = &found["streams"][0];
+    assert_eq!(stream["read_as"], "euler:ZYX, in degrees");
+    assert!(stream["after"]["m"].as_f64().expect("a number") < 3e-5, "{stream}");
+    assert_eq!(found["witness"], "external");
+    let written =
+        Robot::from_file(Path::new(&path(&folder, "calibrated/robot.urdf"))).expect("a robot");
+    let (before, after) =
+        (apart_m(&truth(), catalogue::find("ur10").expect("ur10")), apart_m(&truth(), &written));
+    assert!(before > 5e-4 && after < 3e-5, "{before} {after}");
+}
+
+#[test]
+fn a_log_in_which_one_joint_moves_carries_no_calibration() {
+    let folder = TempDir::new().expect("a folder");
+    let (log, out) = (path(&folder, "postures.csv"), path(&folder, "calibrated"));
+    fs::write(&log, table(60, [false, false, true, false, false, false])).expect("a file");
+    let output = poseaudit(&[
+        "calibrate",
+        &log,
+        "--robot",
+        "ur10",
+        "--base",
+        "base",
+        "--tip",
+        "tool0",
+        "--out",
+        &out,
+    ]);
+    let text = String::from_utf8_lossy(&output.stdout).into_owned()
+        + &String::from_utf8_lossy(&output.stderr);
+    assert!(matches!(output.status.code(), Some(1 | 3)), "{text}");
+    assert!(!Path::new(&out).exists(), "{text}");
+}
+
+#[test]
+fn a_table_needs_a_model_and_no_file_that_is_read_is_written() {
+    let folder = TempDir::new().expect("a folder");
+    let log = path(&folder, "postures.csv");
+    fs::write(&log, table(20, [true; 6])).expect("a file");
+    let output = poseaudit(&["calibrate", &log, "--out", &path(&folder, "out")]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("--robot"));
+    let urdf = path(&folder, "robot.urdf");
+    fs::write(&urdf, catalogue::find("ur10").expect("ur10").to_urdf()).expect("a file");
+    let here = folder.path().display().to_string();
+    let output = poseaudit(&["calibrate", &log, "--robot", &urdf, "--out", &here]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("would be lost"));
+}

@@ -1,0 +1,248 @@
+//! What clocks, queues and names do to streams: ticks of coarse clocks, latencies that ramp or go with the
+//! load, delays that scatter to one side, frames and topics with other names.
+
+use std::collections::BTreeSet;
+
+use poseaudit::finding::{Estimate, Status};
+use poseaudit::geometry::Vec3;
+use poseaudit::report::Report;
+use poseaudit::synth::{Giving, JOINT_STATES, POSE, Scenario};
+
+use crate::checks::case::{Log, summary, the};
+use crate::checks::recording::{Field, Message, read};
+
+const SECOND_NS: f64 = 1e9;
+
+/// The report on 20 s of joint states at 125 Hz and poses at 50 Hz whose messages are edited.
+fn edited(edit: fn(&mut Vec<Message>)) -> Report {
+    Log::with(|log| {
+        rich(&mut log.run);
+        log.edit = Some(edit);
+    })
+    .audited()
+}
+
+fn rich(run: &mut Scenario) {
+    run.tf.timing.rate_hz = 0.0;
+    run.imu.timing.rate_hz = 0.0;
+    run.duration_s = 20.0;
+    run.joints.timing.rate_hz = 125.0;
+    run.pose.timing.rate_hz = 50.0;
+}
+
+fn codes(report: &Report) -> BTreeSet<&str> {
+    report.findings.iter().map(|finding| finding.code).collect()
+}
+
+fn amount(report: &Report, code: &str) -> (f64, f64) {
+    let estimate = the(report, code, POSE).estimate.as_ref().expect("an estimate");
+    (estimate.value().expect("an amount"), half_width(estimate))
+}
+
+fn half_width(estimate: &Estimate) -> f64 {
+    crate::checks::case::half_width(estimate).expect("an interval")
+}
+
+fn stamp_ns(message: &Message) -> i64 {
+    let stamps = message.fields().into_iter().filter_map(|field| match field {
+        Field::Stamp(at) => Some(at),
+        _ => None,
+    });
+    let at = stamps.into_iter().next().expect("a stamp");
+    let word = |at: usize| u32::from_le_bytes(message.cdr[at..at + 4].try_into().expect("a word"));
+    i64::from(word(at)) * 1_000_000_000 + i64::from(word(at + 4))
+}
+
+fn poses(messages: &mut [Message]) -> impl Iterator<Item = &mut Message> {
+    messages.iter_mut().filter(|message| message.topic == POSE)
+}
+
+/// Stamps the poses late by what `late_s` says of each: its number and the time since the first, s.
+fn delay(messages: &mut [Message], late_s: impl Fn(usize, f64) -> f64) {
+    let first_ns = poses(messages).map(|message| stamp_ns(message)).min().unwrap_or(0);
+    for (row, message) in poses(messages).enumerate() {
+        let since_s = (stamp_ns(message) - first_ns) as f64 / SECOND_NS;
+        message.shift((late_s(row, since_s) * SECOND_NS) as i64);
+    }
+    messages.sort_by_key(|message| message.log_ns);
+}
+
+/// Rounds the stamps of a topic to ticks, not the times of receipt.
+fn tick(messages: &mut [Message], topic: &str, tick_ns: i64) {
+    for message in messages.iter_mut().filter(|message| message.topic == topic) {
+        let stamp_ns = stamp_ns(message);
+        message.restamp((stamp_ns + tick_ns / 2).div_euclid(tick_ns) * tick_ns - stamp_ns);
+    }
+}
+
+/// Numbers from 0 to 1 that look random.
+fn random(row: usize) -> f64 {
+    let mixed = (row as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    let mixed = (mixed ^ (mixed >> 31)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    ((mixed ^ (mixed >> 27)) >> 11) as f64 / (1_u64 << 53) as f64
+}
+
+const TICK_NS: i64 = 15_625_000;
+
+#[test]
+fn stamps_of_a_coarse_clock_are_no_lost_samples() {
+    for report in [
+        edited(|messages| tick(messages, POSE, TICK_NS)),
+        edited(|messages| tick(messages, JOINT_STATES, 6_000_000)),
+    ] {
+        assert_eq!(codes(&report), BTreeSet::new(), "{}", summary(&report.findings));
+        let rows = report.checks.iter().filter(|row| row.code == "TIM002");
+        assert!(rows.into_iter().all(|row| row.status == Status::Pass), "{:?}", report.checks);
+    }
+}
+
+#[test]
+fn samples_that_are_lost_are_counted_beside_a_coarse_clock() {
+    let report = edited(|messages| {
+        tick(messages, POSE, TICK_NS);
+        let mut row = 0;
+        messages.retain(|message| {
+            row += 1;
+            message.topic != POSE || random(row) > 0.08
+        });
+    });
+    assert_eq!(codes(&report), ["TIM002"].into(), "{}", summary(&report.findings));
+    let estimate = the(&report, "TIM002", POSE).estimate.as_ref().and_then(Estimate::value);
+    assert!(estimate.is_some_and(|share| (share - 0.08).abs() < 0.03), "{estimate:?}");
+}
+
+#[test]
+fn stamps_that_are_cut_to_a_tick_are_early_by_half_of_it() {
+    let report = edited(|messages| {
+        tick(messages, POSE, TICK_NS);
+        poses(messages).for_each(|message| message.restamp(-TICK_NS / 2));
+    });
+    let (value, half) = amount(&report, "LAT001");
+    assert!((value + 0.5 * TICK_NS as f64 / SECOND_NS).abs() < 2.0 * half, "{value} ± {half}");
+    let message = &the(&report, "LAT001", POSE).message;
+    assert!(message.contains("half the tick of 15.6 ms"), "{message}");
+}
+
+#[test]
+fn a_latency_that_ramps_is_told_with_both_levels() {
+    let report = edited(|messages| {
+        delay(messages, |_, since_s| 0.004 + 0.02 * ((since_s - 6.0) / 6.0).clamp(0.0, 1.0));
+    });
+    let finding = the(&report, "LAT003", POSE);
+    assert_eq!(finding.evidence.more["kind"], "ramp", "{}", summary(&report.findings));
+    let (value, half) = amount(&report, "LAT003");
+    assert!((value - 0.02).abs() < 2.0 * half.max(1e-4), "{value} ± {half}");
+    let change = finding.estimate.as_ref().and_then(Estimate::change).expect("a change");
+    assert!((change.from - 0.004).abs() < 5e-4 && (change.to - 0.024).abs() < 5e-4, "{change:?}");
+}
+
+#[test]
+fn a_latency_that_goes_with_the_load_is_its_swing_and_nothing_else() {
+    let report = edited(|messages| {
+        let at = |message: &Message| {
+            let fields = message.fields().into_iter();
+            let xyz = fields.into_iter().find_map(|field| match field {
+                Field::Xyz(at, _) => Some(message.floats::<3>(at)),
+                _ => None,
+            });
+            (stamp_ns(message) as f64 / SECOND_NS, Vec3::from(xyz.expect("a position")))
+        };
+        let all: Vec<(f64, Vec3)> = poses(messages).map(|message| at(message)).collect();
+        let speed = |row: usize| {
+            let (before, after) = (all[row.saturating_sub(1)], all[(row + 1).min(all.len() - 1)]);
+            (after.1 - before.1).norm() / (after.0 - before.0)
+        };
+        let most = (0..all.len()).map(speed).fold(0.0, f64::max);
+        let late: Vec<f64> = (0..all.len()).map(|row| 0.003 + 0.02 * speed(row) / most).collect();
+        delay(messages, |row, _| late[row]);
+    });
+    let finding = the(&report, "LAT003", POSE);
+    assert_eq!(finding.evidence.more["kind"], "load", "{}", summary(&report.findings));
+    let (value, half) = amount(&report, "LAT003");
+    assert!((value - 0.02).abs() < 1e-3 && half < 1e-3, "{value} ± {half}");
+    assert!(
+        codes(&report).is_subset(&["LAT001", "LAT003"].into()),
+        "{}",
+        summary(&report.findings)
+    );
+}
+
+#[test]
+fn of_delays_that_scatter_to_one_side_the_median_is_told_and_the_mean() {
+    let report = edited(|messages| delay(messages, |row, _| 0.010 - 4e-3 * random(row).ln()));
+    let (value, half) = amount(&report, "LAT001");
+    let median_s = 0.010 + 4e-3 * 2.0_f64.ln();
+    assert!((value - median_s).abs() < 2.0 * half, "{value} ± {half} is not {median_s}");
+    let finding = the(&report, "LAT001", POSE);
+    assert!(finding.message.contains("the median"), "{}", finding.message);
+    let mean_s = finding.evidence.more["delays"]["mean_s"].as_f64();
+    assert!(mean_s.is_some_and(|mean_s| (mean_s - 0.014).abs() < 6e-4), "{mean_s:?}");
+}
+
+#[test]
+fn a_frame_id_that_changes_in_mid_run_is_no_stream_that_ends() {
+    let report = edited(|messages| {
+        let count = poses(messages).count();
+        for message in poses(messages).skip(count / 2) {
+            for field in message.fields() {
+                let Field::Stamp(at) = field else { continue };
+                message.cdr[at + 12] = b'x';
+            }
+        }
+    });
+    let said = codes(&report);
+    assert!(said.is_subset(&["FRM007"].into()), "{}", summary(&report.findings));
+}
+
+#[test]
+fn what_a_topic_is_called_does_not_make_a_target_of_a_tool() {
+    let report = edited(|messages| {
+        for message in poses(messages) {
+            message.topic = "/vicon/tool_marker".to_owned();
+        }
+    });
+    let found = report.streams.iter().find(|stream| stream.topic == "/vicon/tool_marker");
+    assert_eq!(found.map(|stream| stream.role), Some("pose"), "{:?}", report.streams);
+    assert_eq!(codes(&report), BTreeSet::new(), "{}", summary(&report.findings));
+}
+
+/// Under no load the shoulder sags by so much, degrees, and from [`LOADED_S`] on the poses are those of
+/// an arm that sags by the other.
+const SAGS: [f64; 2] = [0.15, 0.6];
+const LOADED_S: f64 = 9.0;
+
+fn sagging(run: &mut Scenario, degrees: f64) {
+    rich(run);
+    let by_rad = degrees.to_radians();
+    run.gives = vec![poseaudit::synth::Gives { joint: 1, how: Giving::Sag, by_rad }];
+}
+
+#[test]
+fn sag_under_a_load_that_is_taken_up_is_told_before_and_after() {
+    let report = Log::with(|log| {
+        sagging(&mut log.run, SAGS[0]);
+        log.edit = Some(|messages| {
+            let mut loaded = Log::sound().run;
+            sagging(&mut loaded, SAGS[1]);
+            let mut bytes = Vec::new();
+            loaded.write_mcap(std::io::Cursor::new(&mut bytes), None).expect("it is written");
+            let mut loaded = read(&bytes);
+            let start_ns = messages.iter().map(|message| message.log_ns).min().unwrap_or(0);
+            let from_ns = start_ns + (LOADED_S * SECOND_NS) as i64;
+            messages.retain(|message| message.topic != POSE || message.log_ns < from_ns);
+            loaded.retain(|message| message.topic == POSE && message.log_ns >= from_ns);
+            messages.extend(loaded);
+            messages.sort_by_key(|message| message.log_ns);
+        });
+    })
+    .audited();
+    assert_eq!(codes(&report), ["ZER003"].into(), "{}", summary(&report.findings));
+    let finding = the(&report, "ZER003", "shoulder_lift_joint");
+    let change = finding.estimate.as_ref().and_then(Estimate::change).expect("a change");
+    for (told, truth) in [(change.from, SAGS[0]), (change.to, SAGS[1])] {
+        assert!((told.to_degrees() - truth).abs() < 0.1, "{change:?}");
+    }
+    let start = report.log.start_ns.expect("a start");
+    let at_s = change.change_ns.seconds_since(start);
+    assert!((at_s - LOADED_S).abs() < 1.5, "{at_s} s");
+}

@@ -1,0 +1,75 @@
+//! Poses in two codings that other programs wrote: `riddles.csv`, by `make.py`.
+
+use poseaudit::desk::{
+    Answer, Corrections, FrameNames, Pair, Question, Style, Verdict, paste, reconcile,
+};
+use serde::Deserialize;
+
+/// A pose in two codings, and what must be said of them.
+#[derive(Debug, Deserialize)]
+struct Row {
+    riddle: String,
+    /// How B is read.
+    read: String,
+    /// What is claimed; nothing where it is empty.
+    claim: String,
+    /// From how many pairs on it is reconciled.
+    pairs: usize,
+    is: String,
+    but: String,
+}
+
+fn answer(rows: &[Row]) -> Answer {
+    let pasted = |text: &str| paste(text).expect("a pose");
+    let pair = |row: &Row| Pair { is: pasted(&row.is), but: pasted(&row.but) };
+    let names = FrameNames::default();
+    let question = Question {
+        pairs: rows.iter().map(pair).collect(),
+        is: Style::default(),
+        but: Style::default(),
+        frames: Corrections::of(None, &names, &names),
+    };
+    reconcile(&question).expect("poses")
+}
+
+/// What is wrong with what is said of the first `count` pairs.
+fn wrong(rows: &[Row], count: usize) -> Option<String> {
+    let row = &rows[0];
+    let answer = answer(&rows[..count]);
+    let best = &answer.hypotheses[0];
+    let claims = best.claims();
+    let is_claimed = match row.claim.as_str() {
+        "" => claims.is_empty() || row.riddle.starts_with("Eigen"),
+        claim => claims.iter().chain(&best.also).any(|said| said.contains(claim)),
+    };
+    let is_told = answer.verdict == Verdict::Reconciled && best.but.to_string() == row.read;
+    (!is_told || !is_claimed).then(|| {
+        format!("{} from {count}: {:?}, {}, {claims:?}", row.riddle, answer.verdict, best.but)
+    })
+}
+
+#[test]
+fn poses_of_other_programs_are_reconciled_and_named() {
+    let mut reader = csv::Reader::from_reader(include_str!("riddles.csv").as_bytes());
+    let rows: Vec<Row> = reader.deserialize().collect::<Result<_, _>>().expect("the table");
+    let wrong: Vec<String> = rows
+        .chunk_by(|a, b| a.riddle == b.riddle)
+        .flat_map(|riddle| {
+            let all = riddle.len();
+            let first = riddle[0].pairs;
+            [first, all].into_iter().filter_map(|count| wrong(riddle, count)).collect::<Vec<_>>()
+        })
+        .collect();
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn one_pair_claims_no_tool_and_no_base() {
+    let mut reader = csv::Reader::from_reader(include_str!("riddles.csv").as_bytes());
+    let rows: Vec<Row> = reader.deserialize().collect::<Result<_, _>>().expect("the table");
+    for riddle in rows.chunk_by(|a, b| a.riddle == b.riddle).filter(|riddle| riddle[0].pairs > 1) {
+        let answer = answer(&riddle[..1]);
+        assert_eq!(answer.verdict, Verdict::Open, "{}", riddle[0].riddle);
+        assert!(answer.would_do.is_some(), "{}", riddle[0].riddle);
+    }
+}

@@ -1,0 +1,160 @@
+//! `poseaudit plan`: the motion to record, from outside.
+
+use std::fs;
+use std::path::Path;
+
+use serde_json::Value;
+
+use crate::program::{poseaudit, status, stderr, stdout};
+
+const AROUND: &str = "--around=0,-1.57,1.57,-1.2,-1.57,0.3";
+
+fn planned(folder: &Path, name: &str, purpose: &str) -> (String, String) {
+    let path = folder.join(name).display().to_string();
+    let output = poseaudit(&[
+        "plan",
+        "ur5e",
+        AROUND,
+        "--for",
+        purpose,
+        "--seconds",
+        "20",
+        "--output",
+        &path,
+    ]);
+    assert_eq!(status(&output), 0, "{}", stderr(&output));
+    (path, stdout(&output).to_owned())
+}
+
+fn checked(path: &str, more: &[&str]) -> (i32, Value) {
+    let call = [&["plan", "ur5e", "--check", path, "--format", "json"], more].concat();
+    let output = poseaudit(&call);
+    let said = serde_json::from_slice(&output.stdout);
+    (status(&output), said.unwrap_or_else(|error| panic!("{error}: {}", stderr(&output))))
+}
+
+#[test]
+fn every_form_is_read_back_as_what_was_written() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let halves = ["csv", "json", "yaml"].map(|form| {
+        let (path, said) = planned(folder.path(), &format!("motion.{form}"), "latency");
+        assert!(said.contains("THIS MOTION KNOWS NO OBSTACLE"), "{said}");
+        let (status, checked) = checked(&path, &["--for", "latency"]);
+        assert_eq!(status, 0, "{checked}");
+        assert_eq!(checked["beyond"], Value::Array(Vec::new()));
+        assert_eq!(checked["too_near"], Value::Null);
+        checked["expected"][0]["half_95"].as_f64().expect("a number")
+    });
+    let text = fs::read_to_string(folder.path().join("motion.json")).expect("the plan");
+    let plan: Value = serde_json::from_str(&text).expect("JSON");
+    let promised = plan["expected"][0]["half_95"].as_f64().expect("a number");
+    for half in halves {
+        assert!((half / promised - 1.0).abs() < 0.02, "{half} {promised}");
+    }
+    assert!(plan["gain"]["over_random_phases"].as_f64() > Some(1.5), "{}", plan["gain"]);
+    assert!(plan["gain"]["over_one_joint_at_a_time"].as_f64() > Some(1.5), "{}", plan["gain"]);
+}
+
+#[test]
+fn the_same_call_writes_the_same_bytes() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let [one, other] = ["one.csv", "other.csv"]
+        .map(|name| fs::read(planned(folder.path(), name, "zeros").0).expect("a motion"));
+    assert_eq!(one, other);
+}
+
+#[test]
+fn a_motion_beyond_its_limits_is_named_with_the_joint_and_fails() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("fast.csv").display().to_string();
+    let mut text =
+        "t,shoulder_pan_joint,shoulder_lift_joint,elbow_joint,wrist_1_joint,wrist_2_joint,\
+                    wrist_3_joint\n"
+            .to_owned();
+    for row in 0..400 {
+        let t_s = f64::from(row) * 0.01;
+        let pan = 1.2 * (4.0 * t_s).sin();
+        text += &format!("{t_s},{pan},-1.57,1.57,-1.2,-1.57,0.3\n");
+    }
+    fs::write(&path, text).expect("a file");
+    let (status, said) = checked(&path, &[]);
+    assert_eq!(status, 1);
+    let beyond = said["beyond"].as_array().expect("a list");
+    let found: Vec<_> =
+        beyond.iter().map(|it| (it["joint"].as_str(), it["what"].as_str())).collect();
+    let pan = Some("shoulder_pan_joint");
+    assert_eq!(found, [(pan, Some("speed")), (pan, Some("acceleration"))]);
+    // The model's own limit of speed stands whatever is allowed.
+    assert_eq!(checked(&path, &["--acceleration", "25", "--speed", "3"]).0, 1);
+    let fold = poseaudit(&["plan", "ur5e", "--check", &path, "--floor", "0.5"]);
+    assert!(status == 1 && stdout(&fold).contains("TOO NEAR"), "{}", stdout(&fold));
+}
+
+#[test]
+fn what_cannot_be_planned_ends_in_one_line_with_2() {
+    for (call, part) in [
+        (&["plan", "ur5e", "--around", "0,-1.57,3.5,-1.2,-1.57,0"][..], "elbow_joint is at 3.5000"),
+        (&["plan", "ur5e", "--around", "0,0,0"], "there are 6 joints"),
+        (&["plan", "ur5e", AROUND, "--floor", "0.4"], "below the floor"),
+        (&["plan", "panda", "--around=0,0.4,0,-1.8,0,2.2,0.8", "--format", "urscript"], "URScript"),
+        (&["plan", "no_such_arm", AROUND], "no_such_arm"),
+        (&["plan", "ur5e", "--check", "Cargo.toml"], "Cargo.toml"),
+        (&["plan", "ur5e", "--check", "no/such.csv"], "no/such.csv"),
+    ] {
+        let output = poseaudit(call);
+        let line = stderr(&output).trim_end();
+        assert_eq!(status(&output), 2, "{call:?}: {line}");
+        assert!(
+            line.starts_with("error: ") && !line.contains('\n') && line.contains(part),
+            "{line}"
+        );
+    }
+}
+
+#[test]
+fn a_program_for_their_arms_begins_only_where_the_arm_stands() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (path, _) = planned(folder.path(), "zeros.script", "zeros");
+    let text = fs::read_to_string(path).expect("a program");
+    for part in
+        ["# THIS MOTION KNOWS NO OBSTACLE", "def poseaudit_plan():", "halt", "servoj(posture(t)"]
+    {
+        assert!(text.contains(part), "{part}");
+    }
+    let opened = ["def ", "while ", "if "]
+        .map(|word| text.lines().filter(|line| line.trim_start().starts_with(word)).count());
+    let closed = text.lines().filter(|line| line.trim() == "end").count();
+    assert_eq!(opened.iter().sum::<usize>(), closed);
+}
+
+#[test]
+fn what_an_audit_could_not_tell_ends_in_a_call_that_runs() {
+    let output = poseaudit(&["audit", "fixtures/few_views.mcap", "--fail-on", "never"]);
+    let text = stdout(&output).to_owned();
+    let calls: Vec<&str> =
+        text.lines().filter_map(|line| line.find("poseaudit plan").map(|at| &line[at..])).collect();
+    assert!(!calls.is_empty(), "{text}");
+    for (at, call) in calls.iter().enumerate() {
+        // Once for each arm and purpose.
+        assert!(!calls[..at].contains(call), "{text}");
+        let words: Vec<&str> = call.split(' ').skip(1).chain(["--seconds", "10"]).collect();
+        let output = poseaudit(&words);
+        assert_eq!(status(&output), 0, "{call}: {}", stderr(&output));
+        assert!(stdout(&output).contains("expected ± (95 %)"), "{call}");
+    }
+    let output = poseaudit(&["audit", "fixtures/few_views.mcap", "--format", "json"]);
+    let report: Value = serde_json::from_slice(&output.stdout).expect("a report");
+    let plans = report["plans"].as_array().expect("a list");
+    let commands: Vec<&str> = plans.iter().filter_map(|plan| plan["command"].as_str()).collect();
+    assert_eq!(commands, calls);
+    // What is named there is open, and nothing that is open and of the motion is left out.
+    for plan in plans {
+        for code in plan["codes"].as_array().expect("codes") {
+            let mut rows = report["checks"].as_array().expect("rows").iter();
+            assert!(
+                rows.any(|row| row["code"] == *code && row["status"] == "inconclusive"),
+                "{code}"
+            );
+        }
+    }
+}

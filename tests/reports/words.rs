@@ -1,0 +1,67 @@
+//! Words that reports once used and robot engineers do not: they are not to come back.
+
+use std::path::{Path, PathBuf};
+
+use poseaudit::report::Format;
+use poseaudit::{Options, audit};
+
+/// Phrases of no trade.
+const NOT_SAID: [&str; 22] = [
+    "differ from the controller's by",
+    "cannot be told",
+    "does not tell",
+    "are left beyond",
+    "are left when",
+    "taken off",
+    "leaves the camera open",
+    "is needed",
+    "does not show it",
+    "held against a calibrated",
+    "hangs below",
+    "are off 1",
+    "stand under",
+    "jumps or wanders",
+    "off what it was told",
+    "speak up",
+    "whose word",
+    "anew",
+    "mended",
+    "nothing wrong",
+    "as noise would",
+    "0 µm, 0°",
+];
+
+#[test]
+fn reports_on_the_fixtures_speak_the_language_of_the_trade() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures");
+    let entries = folder.read_dir().expect("the fixtures");
+    let mut logs: Vec<PathBuf> = entries.map(|entry| entry.expect("a file").path()).collect();
+    logs.retain(|path| path.extension().is_some_and(|extension| extension == "mcap"));
+    logs.sort();
+    assert!(logs.len() > 20, "{logs:?}");
+    let mut found = Vec::new();
+    for log in logs {
+        let report = audit(&Options { logs: vec![log.clone()], ..Options::default() });
+        let report = report.expect("a report").report;
+        for format in ["text", "html"].map(|name| Format::named(name).expect("a format")) {
+            let mut out = Vec::new();
+            format.write(&report, &mut out).expect("a report");
+            let text = String::from_utf8(out).expect("UTF-8");
+            let said = without_programs(&text);
+            for phrase in NOT_SAID.into_iter().filter(|phrase| said.contains(phrase)) {
+                let at = said.find(phrase).unwrap_or_default();
+                let near: String = said[at..].chars().take(60).collect();
+                found.push(format!("{}: {phrase:?} in {near:?}", log.display()));
+            }
+        }
+    }
+    assert!(found.is_empty(), "{}", found.join("\n"));
+}
+
+/// A page without its program and its data.
+fn without_programs(page: &str) -> String {
+    let mut parts = page.split("<script");
+    let first = parts.next().unwrap_or_default();
+    let others = parts.filter_map(|part| Some(part.split_once("</script>")?.1));
+    std::iter::once(first).chain(others).collect()
+}
