@@ -40,7 +40,7 @@ pub struct Args {
     file: Option<PathBuf>,
 
     /// Where the poses go: a file that ends in .csv or .parquet
-    #[arg(long, value_name = "FILE", requires = "file")]
+    #[arg(short, long, value_name = "FILE", requires = "file")]
     output: Option<PathBuf>,
 
     /// The link that the pose is in

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use super::declaration::JointName;
 use super::role::words;
 use super::space::{Claim, Space};
 use crate::robot::{LinkId, Robot, catalogue};
@@ -61,6 +62,8 @@ pub(super) struct Clues<'a> {
     pub descriptions: &'a [(String, String)],
     /// Calibrations of a UR, each with the name of where it was.
     pub calibrations: &'a [(String, String)],
+    /// What the caller says of joints that the model names otherwise.
+    pub joint_map: &'a [JointName],
     /// What tells this arm from others whose joints have the same names.
     pub space: &'a Space,
 }

@@ -99,6 +99,7 @@ impl ByPoses<'_> {
                 model: rank.model,
                 score: rank.score,
                 way,
+                spread_m,
                 as_is_m: fit.map_or(f64::INFINITY, ModelFit::as_is_m),
                 fits: way.left_m <= FITS_M.max(FITS_SHARE * spread_m),
                 topic: self.assembly.streams[stream].topic.clone(),
