@@ -64,6 +64,8 @@ class Options(How, total=False):
     """Folders that the meshes of the robot's URDF are sought below, for the recording."""
     parquet: Path | None
     """Folder for tables."""
+    write_baseline: Path | None
+    """File for the report as JSON, to hold later logs against."""
 
 
 class FleetOptions(How, total=False):

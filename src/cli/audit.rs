@@ -209,7 +209,14 @@ fn asked_alone() -> Vec<String> {
     const WITH_VALUE: [&str; 8] =
         ["--format", "--output", "-o", "--fix", "--parquet", "--rrd", BASELINE, "--color"];
     const ALONE: [&str; 6] = ["--view", "--statistics", "-q", "--quiet", "-v", "--verbose"];
-    let mut words = std::env::args_os().skip(1).map(|word| word.display().to_string());
+    let words = std::env::args_os().skip(1).map(|word| word.display().to_string());
+    let words: Vec<String> = words.collect();
+    // What is written to it in the end is an option.
+    let is_plain = |word: &String| word == "--" || !word.starts_with('-');
+    let logs =
+        words.iter().rposition(|word| word == "--").filter(|&at| words[at..].iter().all(is_plain));
+    let words = words.into_iter().enumerate().filter(|(at, _)| Some(*at) != logs);
+    let mut words = words.map(|(_, word)| word);
     let mut asked = vec!["poseaudit".to_owned()];
     while let Some(word) = words.next() {
         let option = word.split('=').next().unwrap_or_default();

@@ -18,10 +18,20 @@ const FEWEST: usize = 4;
 /// An arm whose joints are named otherwise must leave less than this share of the positions' extent.
 const FITS_SHARE: f64 = 0.02;
 
-/// The logged joints that may be one arm's, in an order that they may have along it.
+/// What parts of an arm are called, from the base on.
+const PARTS: [&[&str]; 6] = [
+    &["rail", "track", "gantry", "slide"],
+    &["base", "waist", "pan", "swing", "turret"],
+    &["shoulder"],
+    &["elbow"],
+    &["forearm"],
+    &["wrist", "hand", "flange", "tool"],
+];
+
+/// The logged joints that may be one arm's, in each order that they may have along it.
 #[derive(Clone, Debug, PartialEq)]
 struct Series {
-    joints: Vec<String>,
+    orders: Vec<Vec<String>>,
     /// Whether numbers in their names say the order.
     is_numbered: bool,
 }
@@ -79,10 +89,12 @@ pub(super) fn catalogued(clues: &Clues<'_>, judges: &Judges<'_>) -> Result<Vec<M
     let mut models = Vec::new();
     let mut question = None;
     for series in series(clues.joints) {
-        let ways = catalogue::entries().iter().filter_map(|robot| {
-            let path = path_of(robot).filter(|path| path.len() == series.joints.len())?;
-            way(robot, &path, &series.joints, series.is_numbered, clues)
-        });
+        let of_robot = |robot: &Robot| -> Vec<Match> {
+            let Some(path) = path_of(robot) else { return Vec::new() };
+            let orders = series.orders.iter().filter(|order| order.len() == path.len());
+            orders.filter_map(|order| way(robot, &path, order, series.is_numbered, clues)).collect()
+        };
+        let ways = catalogue::entries().iter().flat_map(of_robot);
         match proven(ways.collect(), judges) {
             Settled::One { way, why } => {
                 let found = format!(
@@ -97,7 +109,7 @@ pub(super) fn catalogued(clues: &Clues<'_>, judges: &Judges<'_>) -> Result<Vec<M
         }
     }
     match question {
-        Some(arms) if models.is_empty() => Err(RunError::SameMotion { arms }),
+        Some(arms) if models.is_empty() && !arms.is_empty() => Err(RunError::SameMotion { arms }),
         _ => Ok(models),
     }
 }
@@ -146,14 +158,16 @@ fn proven(ways: Vec<Match>, judges: &Judges<'_>) -> Settled {
             _ => Settled::Open { ways: Vec::new() },
         };
     };
-    let fit: Vec<&Standing> = ranking.standings.iter().filter(|one| is_sound(one)).collect();
-    let Some(best) = fit.first() else { return Settled::Open { ways: Vec::new() } };
-    let is_as_good = |other: &&&Standing| other.score <= best.score + ranking.apart;
-    let same: Vec<&&Standing> = fit.iter().filter(is_as_good).collect();
+    let Some(best) = ranking.standings.iter().find(|one| is_sound(one)) else {
+        return Settled::Open { ways: Vec::new() };
+    };
+    // Another one with a fault is as good an answer where it explains as much.
+    let is_as_good = |other: &&Standing| other.fits && other.score <= best.score + ranking.apart;
+    let same: Vec<&Standing> = ranking.standings.iter().filter(is_as_good).collect();
     if same.len() > 1 {
-        let label = |one: &&&Standing| ways[one.model].model.robot.name.clone();
+        let label = |one: &&Standing| ways[one.model].model.robot.name.clone();
         let is_one_robot = same.iter().all(|one| label(one) == label(&same[0]));
-        let shown = |one: &&&Standing| match is_one_robot {
+        let shown = |one: &&Standing| match is_one_robot {
             true => map_of(&ways[one.model].pairs),
             false => label(one),
         };
@@ -162,7 +176,8 @@ fn proven(ways: Vec<Match>, judges: &Judges<'_>) -> Settled {
     let next = ranking.standings.iter().find(|one| one.model != best.model);
     let why = match next {
         Some(next) => {
-            format!("{}; the next best of {} {}", fits(best), ways.len(), next.words())
+            let (count, name) = (ways.len(), &ways[next.model].model.robot.name);
+            format!("{}; the next best of {count}, {name}, to {}", fits(best), next.words())
         }
         None => fits(best),
     };
@@ -187,10 +202,12 @@ fn fits(one: &Standing) -> String {
 /// Every way to lay the arm of `robot` along a series.
 fn ways(robot: &Robot, series: &Series, clues: &Clues<'_>) -> Vec<Match> {
     let Some(path) = path_of(robot) else { return Vec::new() };
-    let whole = path.len() == series.joints.len();
-    let windows = series.joints.windows(path.len().max(1));
+    let windows = series.orders.iter().flat_map(|order| {
+        let is_numbered = series.is_numbered && path.len() == order.len();
+        order.windows(path.len().max(1)).map(move |window| (window, is_numbered))
+    });
     let ways =
-        windows.filter_map(|window| way(robot, &path, window, series.is_numbered && whole, clues));
+        windows.filter_map(|(window, is_numbered)| way(robot, &path, window, is_numbered, clues));
     ways.collect()
 }
 
@@ -226,7 +243,7 @@ fn own_names(robot: &Robot) -> Vec<String> {
 }
 
 /// The series among logged joints: those that are told apart by a number alone, in its order; where there
-/// are none, all of them in the order of the log.
+/// are none, all of them in the order of the log, or in that of the parts of an arm that they name.
 fn series(joints: &[String]) -> Vec<Series> {
     let arms: Vec<&String> =
         joints.iter().filter(|name| shared(&words(name), OTHER_JOINTS).is_none()).collect();
@@ -237,16 +254,32 @@ fn series(joints: &[String]) -> Vec<Series> {
         }
     }
     let numbered = families.into_values().filter(|family| family.len() >= FEWEST).map(|family| {
-        Series { joints: family.into_values().cloned().collect(), is_numbered: true }
+        Series { orders: vec![family.into_values().cloned().collect()], is_numbered: true }
     });
     let numbered: Vec<Series> = numbered.collect();
     match numbered.is_empty() {
         false => numbered,
         true if arms.len() < FEWEST => Vec::new(),
         true => {
-            vec![Series { joints: arms.into_iter().cloned().collect(), is_numbered: false }]
+            let logged: Vec<String> = arms.into_iter().cloned().collect();
+            let by_part = by_part(&logged).filter(|order| *order != logged);
+            let orders = std::iter::once(logged).chain(by_part).collect();
+            vec![Series { orders, is_numbered: false }]
         }
     }
+}
+
+/// Joints in the order of the parts of an arm that they name, those of one part by their names; `None` where
+/// one names none.
+fn by_part(joints: &[String]) -> Option<Vec<String>> {
+    let rank = |name: &String| {
+        let words = words(name);
+        PARTS.iter().position(|part| shared(&words, part).is_some())
+    };
+    let mut ranked: Vec<(usize, &String)> =
+        joints.iter().map(|name| Some((rank(name)?, name))).collect::<Option<_>>()?;
+    ranked.sort();
+    Some(ranked.into_iter().map(|(_, name)| name.clone()).collect())
 }
 
 /// The last number in a name, and what is before and after it.
@@ -286,16 +319,24 @@ mod tests {
     fn numbers_say_the_order_and_each_arm_has_a_series() {
         let logged = names("l3 l1 r2 l2 r1 r4 l4 r3 finger1 finger2 finger3 finger4");
         let found = series(&logged);
-        let joints: Vec<String> = found.iter().map(|series| series.joints.join(" ")).collect();
+        let joints: Vec<String> = found.iter().map(|series| series.orders[0].join(" ")).collect();
         assert_eq!(joints, ["l1 l2 l3 l4", "r1 r2 r3 r4"]);
         assert!(found.iter().all(|series| series.is_numbered));
     }
 
     #[test]
-    fn without_numbers_the_order_of_the_log_is_all_there_is() {
-        let logged = names("base shoulder elbow wrist_a wrist_b");
-        assert_eq!(series(&logged), [Series { joints: logged.clone(), is_numbered: false }]);
-        assert!(series(&logged[..3]).is_empty());
+    fn without_numbers_it_is_the_order_of_the_log_or_that_of_the_parts_of_an_arm() {
+        let logged = names("base elbow shoulder wrist_a wrist_b");
+        let by_part = names("base shoulder elbow wrist_a wrist_b");
+        let orders = |joints: &[String]| series(joints).pop().map(|series| series.orders);
+        assert_eq!(orders(&logged), Some(vec![logged.clone(), by_part.clone()]));
+        assert_eq!(orders(&by_part), Some(vec![by_part.clone()]));
+        let ur = names("elbow shoulder_lift shoulder_pan wrist_1 wrist_2 wrist_3");
+        let by_part = names("shoulder_pan shoulder_lift elbow wrist_1 wrist_2 wrist_3");
+        assert_eq!(orders(&ur), Some(vec![ur.clone(), by_part]));
+        let nameless = names("alpha beta gamma delta");
+        assert_eq!(orders(&nameless), Some(vec![nameless.clone()]));
+        assert_eq!(orders(&logged[..3]), None);
     }
 
     #[test]

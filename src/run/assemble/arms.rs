@@ -238,12 +238,20 @@ fn held_by(topics: &[JointTopic<'_>]) -> Vec<String> {
 fn tell_apart(arms: &mut [Arm]) {
     let is_double =
         |arms: &[Arm], arm: &Arm| arms.iter().filter(|other| other.name == arm.name).count() > 1;
-    let labels: [fn(&Arm) -> Option<String>; 2] =
-        [|arm| arm.space.label(), |arm| Some(arm.chain.tip_name().to_owned())];
+    let labels: [fn(&Arm) -> Option<String>; 3] = [
+        |arm| arm.space.label(),
+        |arm| Some(arm.chain.tip_name().to_owned()),
+        |arm| arm.joint_names.first().cloned(),
+    ];
     for label in labels {
         let doubles: Vec<bool> = arms.iter().map(|arm| is_double(arms, arm)).collect();
+        // What all of them have tells none apart.
+        let of_doubles = || arms.iter().zip(&doubles).filter(|(_, is_double)| **is_double);
+        let first = of_doubles().next().and_then(|(arm, _)| label(arm));
+        let shared =
+            first.filter(|first| of_doubles().all(|(arm, _)| label(arm).as_ref() == Some(first)));
         for (arm, _) in arms.iter_mut().zip(doubles).filter(|(_, is_double)| *is_double) {
-            if let Some(label) = label(arm) {
+            if let Some(label) = label(arm).filter(|label| Some(label) != shared.as_ref()) {
                 arm.name = format!("{} ({label})", arm.name);
             }
         }
