@@ -114,6 +114,15 @@ pub(super) fn catalogued(clues: &Clues<'_>, judges: &Judges<'_>) -> Result<Vec<M
     }
 }
 
+/// The arms of the catalogue with as many joints as are `logged`, in their order.
+pub(super) fn along(logged: &[String], clues: &Clues<'_>) -> Vec<Model> {
+    let models = catalogue::entries().iter().filter_map(|robot| {
+        let path = path_of(robot).filter(|path| path.len() == logged.len())?;
+        Some(way(robot, &path, logged, true, clues)?.model)
+    });
+    models.collect()
+}
+
 /// Which of several ways it is.
 enum Settled {
     /// This one, for this reason.
@@ -220,6 +229,7 @@ fn way(
 ) -> Option<Match> {
     let pairs: Vec<(String, String)> = logged.iter().cloned().zip(path.iter().cloned()).collect();
     let model = Model::new(renamed(robot, &pairs)?, String::new(), "", clues);
+    let model = Model { by_order: true, ..model };
     Some(Match { model, pairs, is_numbered })
 }
 

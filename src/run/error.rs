@@ -274,10 +274,12 @@ impl From<ChainError> for RunError {
 /// The first few of `names`, and how many more there are.
 fn few(names: &[String]) -> String {
     const SHOWN: usize = 8;
-    let shown = names.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
-    match names.len().checked_sub(SHOWN) {
-        None | Some(0) => shown,
-        Some(more) => format!("{shown} and {more} more"),
+    // One more takes no more room than to say so.
+    let count = if names.len() == SHOWN + 1 { names.len() } else { SHOWN };
+    let shown = names.iter().take(count).map(String::as_str).collect::<Vec<_>>().join(", ");
+    match names.len().saturating_sub(count) {
+        0 => shown,
+        more => format!("{shown} and {more} more"),
     }
 }
 

@@ -13,6 +13,7 @@ use crate::diagnosis::{ModelFit, Needs, PoseStream, Priced, model_fit};
 use crate::finding::Unit;
 use crate::robot::catalogue;
 use crate::run::arm::{Arm, Ends};
+use crate::run::by_order;
 use crate::run::catalogued::{Ranking, Standing};
 use crate::run::model::WrongModel;
 use crate::run::model::{Clues, Model};
@@ -130,9 +131,15 @@ impl ByPoses<'_> {
         let complete = candidates
             .iter()
             .filter(|other| other.names.is_complete() && other.names.joints == path.joints.len());
-        let rivals: Vec<Model> = complete
+        let named = complete
             .filter_map(|other| Some((other.renamed()?, &other.names.to_prefix)))
-            .map(|(robot, prefix)| Model::new(robot, String::new(), prefix, clues))
+            .map(|(robot, prefix)| Model::new(robot, String::new(), prefix, clues));
+        let candidates = match model.by_order {
+            true => by_order::along(&path.joints, clues),
+            false => named.collect(),
+        };
+        let rivals: Vec<Model> = candidates
+            .into_iter()
             .filter(|rival| {
                 self.only_path(rival)
                     .is_some_and(|path| path.joints.iter().collect::<BTreeSet<_>>() == joints)
