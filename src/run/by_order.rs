@@ -185,8 +185,10 @@ fn proven(ways: Vec<Match>, judges: &Judges<'_>) -> Settled {
     let next = ranking.standings.iter().find(|one| one.model != best.model);
     let why = match next {
         Some(next) => {
-            let (count, name) = (ways.len(), &ways[next.model].model.robot.name);
-            format!("{}; the next best of {count}, {name}, to {}", fits(best), next.words())
+            let name = |one: &Standing| ways[one.model].model.robot.name.as_str();
+            let other = if name(next) == name(best) { "in another order" } else { name(next) };
+            let (count, how) = (ways.len(), next.words());
+            format!("{}; the next best of {count}, {other}, to {how}", fits(best))
         }
         None => fits(best),
     };
