@@ -103,10 +103,15 @@ pub fn diagnose_steadied(
         _ => without_bends(joints, &unsteadied, slides, &steady, most_lag_s),
     };
     let (changed, otherwise) = match (by_change, by_bend) {
-        (Some(change), Some(bend)) => match left_m(&bend) <= AS_LITTLE * left_m(&change) {
-            true => (false, Some(bend)),
-            false => (true, Some(change)),
-        },
+        (Some(change), Some(bend)) => {
+            // A load that changes does so to one joint as a zero that changes, which is simpler.
+            let is_loaded = bend.joints.bends.iter().any(|bend| bend.change.is_some());
+            let most = if is_loaded { AS_LITTLE.recip() } else { AS_LITTLE };
+            match left_m(&bend) <= most * left_m(&change) {
+                true => (false, Some(bend)),
+                false => (true, Some(change)),
+            }
+        }
         (change, bend) => (change.is_some(), change.or(bend)),
     };
     if let Some(otherwise) = otherwise {

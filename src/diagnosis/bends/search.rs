@@ -22,7 +22,7 @@ const LEAST_TORQUE: f64 = 0.05;
 /// An amount is told from none by so many standard errors.
 const TOLD: f64 = 4.0;
 /// Standard error of a sag by masses that are guessed, as a share: others take so much more or less of it.
-const MASSES: f64 = 0.07;
+pub(super) const MASSES: f64 = 0.07;
 /// More than this is no bend, rad.
 const MOST_RAD: f64 = 0.1;
 /// Joints whose number ranges over less show no eccentricity, rad.
