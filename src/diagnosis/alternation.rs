@@ -77,6 +77,10 @@ pub fn alternation(joints: &JointTrack, stream: &PoseStream) -> Option<(Alternat
     if jumps.len() < 2 || jumps.len() * LEAST > poses.len() {
         return None;
     }
+    let jumps_s: Vec<f64> = jumps.iter().map(|jump| track.t_s[jump.row]).collect();
+    if is_play(joints, stream, &jumps_s) {
+        return None;
+    }
     let bodies = Bodies::of(&jumps, poses.len(), limits)?;
     let usual = bodies.usual();
     let mut mended = poses;
@@ -200,6 +204,42 @@ fn jumps(steps: &[Step], limits: Limits) -> Vec<Step> {
         own > 1.0 && about.filter(|other| other != at).all(|other| size(&steps[other]) < own)
     };
     (0..steps.len()).filter(is_jump).map(|at| steps[at]).collect()
+}
+
+/// Whether the poses jump whenever one joint turns back, and at no other time: its link crosses its play.
+fn is_play(joints: &JointTrack, stream: &PoseStream, jumps_s: &[f64]) -> bool {
+    /// What a joint turns back by at least, beyond the noise of an encoder, rad.
+    const LEAST_RAD: f64 = 5e-4;
+    /// By so much a jump and the turn may miss each other: the joint hardly moves about it, s.
+    const NEAR_S: f64 = 0.3;
+    let is_of = |&column: &usize| {
+        let turns_s = turns_s(joints, column, LEAST_RAD);
+        let near = |a: &[f64], b: f64| a.iter().any(|a| (a - b).abs() < NEAR_S);
+        // Where in the play the link is at first is anybody's guess.
+        let missed = jumps_s.iter().filter(|at_s| !near(&turns_s, **at_s)).count();
+        let meet = turns_s.iter().all(|at_s| near(jumps_s, *at_s));
+        !turns_s.is_empty() && missed <= 1 && meet
+    };
+    stream.columns.iter().any(is_of)
+}
+
+/// When a joint turns back by so much at least, s.
+fn turns_s(joints: &JointTrack, column: usize, least: f64) -> Vec<f64> {
+    let mut turns_s = Vec::new();
+    let (mut way, mut farthest) = (0.0, None);
+    for row in 0..joints.len() {
+        let q = joints.row(row)[column];
+        let farthest = farthest.get_or_insert(q);
+        let moved = q - *farthest;
+        if way * moved <= 0.0 && moved.abs() < least {
+            continue;
+        }
+        if way * moved < 0.0 {
+            turns_s.push(joints.t_s[row]);
+        }
+        (way, *farthest) = (moved.signum(), q);
+    }
+    turns_s
 }
 
 /// Which body the samples are of.

@@ -28,8 +28,8 @@ pub struct JointBend {
 /// How the bend of a joint goes with its motion.
 #[derive(Clone, Debug)]
 pub enum BendShape {
-    /// The link stays where it is until its encoder has moved by the play (hysteresis).
-    Play,
+    /// The link hangs back by half the play (hysteresis).
+    Play(Crossing),
     /// It goes with the torque of gravity.
     Sag(Sag),
     /// It goes as `sin(order · q + phase)`.
@@ -39,6 +39,28 @@ pub enum BendShape {
         /// Where it begins, rad.
         phase_rad: f64,
     },
+}
+
+/// How a joint that turns back crosses its play.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Crossing {
+    /// The link stays where it is until its encoder has moved by the play: it is held by friction.
+    Gradual,
+    /// The link goes from one end of the play to the other as soon as the joint turns back: it is
+    /// pushed, as by another gear or a load.
+    Sudden,
+}
+
+impl Crossing {
+    /// By how much the encoder moves while the link crosses, rad.
+    pub(super) fn width_rad(self, play_rad: f64) -> f64 {
+        /// Beyond the noise of an encoder.
+        const SUDDEN_RAD: f64 = 5e-4;
+        match self {
+            Self::Gradual => play_rad.abs(),
+            Self::Sudden => SUDDEN_RAD,
+        }
+    }
 }
 
 /// A joint that yields to the torque of gravity.
@@ -52,7 +74,7 @@ pub struct Sag {
 impl JointBend {
     /// Whether it is play.
     pub fn is_play(&self) -> bool {
-        matches!(self.shape, BendShape::Play)
+        matches!(self.shape, BendShape::Play(_))
     }
 
     /// Whether it is sag.
@@ -81,13 +103,13 @@ pub(crate) fn bend(joints: &mut JointTrack, bends: &[JointBend]) {
         };
         let q = |row: usize| reported[row * dof + column];
         match shape {
-            BendShape::Play => {
-                let behind = play(joints.len(), q, amount.abs());
+            BendShape::Play(crossing) => {
+                let behind = play(joints.len(), q, crossing.width_rad(amount));
                 for (row, behind) in behind.into_iter().enumerate() {
                     let at = row * dof + column;
                     joints.q[at] += behind * amount;
                     // In the middle of the play the link stands still.
-                    if behind.abs() < 0.499 && amount > 0.0 {
+                    if behind.abs() < 0.499 && amount > 0.0 && *crossing == Crossing::Gradual {
                         joints.qd[at] = 0.0;
                     }
                 }
