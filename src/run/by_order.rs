@@ -257,8 +257,8 @@ fn own_names(robot: &Robot) -> Vec<String> {
 /// The series among logged joints: those that are told apart by a number alone, in its order; where there
 /// are none, all of them in the order of the log, or in that of the parts of an arm that they name.
 fn series(joints: &[String]) -> Vec<Series> {
-    let arms: Vec<&String> =
-        joints.iter().filter(|name| shared(&words(name), OTHER_JOINTS).is_none()).collect();
+    let is_arms = |name: &&String| shared(&parts(name), OTHER_JOINTS).is_none();
+    let arms: Vec<&String> = joints.iter().filter(is_arms).collect();
     let mut families: BTreeMap<(&str, &str), BTreeMap<u64, &String>> = BTreeMap::new();
     for name in &arms {
         if let Some((before, number, after)) = numbered(name) {
@@ -285,13 +285,19 @@ fn series(joints: &[String]) -> Vec<Series> {
 /// one names none.
 fn by_part(joints: &[String]) -> Option<Vec<String>> {
     let rank = |name: &String| {
-        let words = words(name);
+        let words = parts(name);
         PARTS.iter().position(|part| shared(&words, part).is_some())
     };
     let mut ranked: Vec<(usize, &String)> =
         joints.iter().map(|name| Some((rank(name)?, name))).collect::<Option<_>>()?;
     ranked.sort();
     Some(ranked.into_iter().map(|(_, name)| name.clone()).collect())
+}
+
+/// The words of a name without the numbers behind them.
+fn parts(name: &str) -> Vec<String> {
+    let words = words(name).into_iter();
+    words.map(|word| word.trim_end_matches(|c: char| c.is_ascii_digit()).to_owned()).collect()
 }
 
 /// The last number in a name, and what is before and after it.
