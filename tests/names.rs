@@ -21,7 +21,7 @@ fn named(run: Scenario, name: impl Fn(usize) -> String) -> Scenario {
     let own = ["shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"];
     let renamed = run.robot.with_joints_renamed(|joint| {
         let at = own.iter().position(|own| joint == format!("{own}_joint"));
-        at.map_or(joint.to_owned(), |at| name(at))
+        at.map_or(joint.to_owned(), &name)
     });
     let mut run = Scenario { robot: renamed.expect("names of their own"), ..run };
     (run.description, run.tf.timing.rate_hz, run.tf.with_static) = (false, 0.0, false);
