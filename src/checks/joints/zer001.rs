@@ -6,7 +6,7 @@ use crate::checks::twins::{estimate, twin_cause};
 use crate::checks::{Case, Grade, Judged, changes, standing};
 use crate::diagnosis::{FrameEstimate, JointOffset, Measured, Seen, Twin, Unseen};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
-use crate::finding::{Alternative, Cause, Evidence, Fault, Outcome, Ruling, Severity, Unit};
+use crate::finding::{Cause, Evidence, Fault, Outcome, Ruling, Severity, Unit};
 use crate::run::Witness;
 
 rule! {
@@ -91,9 +91,7 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
         let (mut outcome, estimate) =
             changes::amount(case, "joint offset", title, change, &threshold, effect_m);
         if let Outcome::Evaluated(Ruling::Faulty(fault)) = &mut outcome {
-            // By how much a twin would change is not estimated.
             let twins = offset.twins.iter().map(|twin| twin_cause(arm, twin, threshold.unit));
-            let twins = twins.map(|twin| Alternative { estimate: None, ..twin });
             fault.evidence.indistinguishable.extend(twins);
         }
         return Judged::new(subject, outcome).within(arm.span).estimated(estimate);
