@@ -7,6 +7,7 @@
 //! motion hardly anything; what jumps farther there than the poses elsewhere and than FK anywhere is a
 //! change, and the jumps from the first body on say which body it is.
 
+use super::bends::ways;
 use super::latency::median_period_s;
 use super::model::{pose_of_twist, twist_of};
 use super::sampling::as_rotations;
@@ -44,6 +45,16 @@ pub struct Other {
     pub spans_s: Vec<[f64; 2]>,
     /// How many samples are of it.
     pub samples: usize,
+}
+
+impl Other {
+    /// Whether the jumps to it and back differ as those of no rigid body do: jitter of stamps makes such.
+    fn is_vague(&self) -> bool {
+        /// In standard errors, as a share.
+        const VAGUE: f64 = 0.1;
+        let is_vague = |of: &Measured| of.std_error.is_finite() && of.std_error > VAGUE * of.value;
+        is_vague(&self.length_m) && is_vague(&self.angle_rad)
+    }
 }
 
 impl Alternation {
@@ -97,6 +108,9 @@ pub fn alternation(joints: &JointTrack, stream: &PoseStream) -> Option<(Alternat
     }
     let samples = mended.len();
     let others: Vec<Other> = others.into_iter().map(|(_, other)| other).collect();
+    if others.iter().any(Other::is_vague) {
+        return None;
+    }
     Some((Alternation { others, samples }, mended))
 }
 
@@ -208,12 +222,12 @@ fn jumps(steps: &[Step], limits: Limits) -> Vec<Step> {
 
 /// Whether the poses jump whenever one joint turns back, and at no other time: its link crosses its play.
 fn is_play(joints: &JointTrack, stream: &PoseStream, jumps_s: &[f64]) -> bool {
-    /// What a joint turns back by at least, beyond the noise of an encoder, rad.
-    const LEAST_RAD: f64 = 5e-4;
     /// By so much a jump and the turn may miss each other: the joint hardly moves about it, s.
     const NEAR_S: f64 = 0.3;
     let is_of = |&column: &usize| {
-        let turns_s = turns_s(joints, column, LEAST_RAD);
+        let ways = ways(joints.len(), |row| joints.row(row)[column]);
+        let turns = (1..ways.len()).filter(|&row| ways[row - 1] * ways[row] < 0.0);
+        let turns_s: Vec<f64> = turns.map(|row| joints.t_s[row]).collect();
         let near = |a: &[f64], b: f64| a.iter().any(|a| (a - b).abs() < NEAR_S);
         // Where in the play the link is at first is anybody's guess.
         let missed = jumps_s.iter().filter(|at_s| !near(&turns_s, **at_s)).count();
@@ -221,25 +235,6 @@ fn is_play(joints: &JointTrack, stream: &PoseStream, jumps_s: &[f64]) -> bool {
         !turns_s.is_empty() && missed <= 1 && meet
     };
     stream.columns.iter().any(is_of)
-}
-
-/// When a joint turns back by so much at least, s.
-fn turns_s(joints: &JointTrack, column: usize, least: f64) -> Vec<f64> {
-    let mut turns_s = Vec::new();
-    let (mut way, mut farthest) = (0.0, None);
-    for row in 0..joints.len() {
-        let q = joints.row(row)[column];
-        let farthest = farthest.get_or_insert(q);
-        let moved = q - *farthest;
-        if way * moved <= 0.0 && moved.abs() < least {
-            continue;
-        }
-        if way * moved < 0.0 {
-            turns_s.push(joints.t_s[row]);
-        }
-        (way, *farthest) = (moved.signum(), q);
-    }
-    turns_s
 }
 
 /// Which body the samples are of.

@@ -52,13 +52,12 @@ pub enum Crossing {
 }
 
 impl Crossing {
-    /// By how much the encoder moves while the link crosses, rad.
-    pub(super) fn width_rad(self, play_rad: f64) -> f64 {
-        /// Beyond the noise of an encoder.
-        const SUDDEN_RAD: f64 = 5e-4;
+    /// How far the link of a joint with so much play is from its encoder, in plays from −½ to ½, at each of
+    /// `rows` positions of the encoder, from the middle on.
+    pub(super) fn behind(self, rows: usize, q: impl Fn(usize) -> f64, play_rad: f64) -> Vec<f64> {
         match self {
-            Self::Gradual => play_rad.abs(),
-            Self::Sudden => SUDDEN_RAD,
+            Self::Gradual => play(rows, q, play_rad.abs()),
+            Self::Sudden => ways(rows, q).into_iter().map(|way| -0.5 * way).collect(),
         }
     }
 }
@@ -104,7 +103,7 @@ pub(crate) fn bend(joints: &mut JointTrack, bends: &[JointBend]) {
         let q = |row: usize| reported[row * dof + column];
         match shape {
             BendShape::Play(crossing) => {
-                let behind = play(joints.len(), q, crossing.width_rad(amount));
+                let behind = crossing.behind(joints.len(), q, amount);
                 for (row, behind) in behind.into_iter().enumerate() {
                     let at = row * dof + column;
                     joints.q[at] += behind * amount;
@@ -134,9 +133,25 @@ pub(crate) fn bend(joints: &mut JointTrack, bends: &[JointBend]) {
     }
 }
 
-/// How far the link of a joint with so much play is from its encoder, in plays from −½ to ½, at each of
-/// `rows` positions of the encoder: the play operator of hysteresis, from the middle on.
-pub(super) fn play(rows: usize, q: impl Fn(usize) -> f64, play: f64) -> Vec<f64> {
+/// The way in which a joint moved last, 1 or −1, at each of `rows` positions; 0 before it moves.
+pub(crate) fn ways(rows: usize, q: impl Fn(usize) -> f64) -> Vec<f64> {
+    /// What a joint turns back by at least, beyond the noise of an encoder, rad.
+    const LEAST_RAD: f64 = 3e-4;
+    let (mut way, mut farthest) = (0.0, None);
+    (0..rows)
+        .map(|row| {
+            let farthest = farthest.get_or_insert_with(|| q(row));
+            let moved = q(row) - *farthest;
+            if way * moved > 0.0 || moved.abs() > LEAST_RAD {
+                (way, *farthest) = (moved.signum(), q(row));
+            }
+            way
+        })
+        .collect()
+}
+
+/// The play operator of hysteresis.
+fn play(rows: usize, q: impl Fn(usize) -> f64, play: f64) -> Vec<f64> {
     let mut behind = 0.0;
     let width = play.max(f64::MIN_POSITIVE);
     (0..rows)

@@ -25,8 +25,8 @@ use ground::stats::median;
 use ground::stream::JointTrack;
 
 use found::USUAL_RAD;
-pub(super) use found::bend;
 pub use found::{BendShape, Crossing, JointBend, Sag};
+pub(super) use found::{bend, ways};
 use gravity::Masses;
 pub(super) use rival::gives;
 use search::{Free, Kind, MASSES, Search, Term};

@@ -1,7 +1,7 @@
 //! Which joints give, and by how much: linear least squares on what one explanation of the run leaves,
 //! with everything that explanation may hold free beside them.
 
-use super::found::{BendShape, Crossing, JointBend, Sag, play};
+use super::found::{BendShape, Crossing, JointBend, Sag};
 use super::gravity::{Gravity, Masses, Postures};
 use super::system::{STREAM, System, linear};
 use super::{Run, Samples};
@@ -189,7 +189,7 @@ impl<'a> Search<'a> {
                         width => width,
                     };
                     let q = |row: usize| joints.q[row * joints.dof + term.column];
-                    play(joints.len(), q, crossing.width_rad(width))
+                    crossing.behind(joints.len(), q, width)
                 }
                 Kind::Sag | Kind::LoadedSag(_) | Kind::Eccentric(_) => Vec::new(),
             })
