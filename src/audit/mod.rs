@@ -202,6 +202,7 @@ fn report(parts: &[Part], main: usize, mut read: Read, options: &Options) -> Rep
     let mut report =
         Report::new(read.summary, robots(&main.run), streams, evaluation, options.policy.fail_on);
     report.workspace = workspace;
+    report.thresholds = options.policy.rules.thresholds.clone();
     report.plans = plans(
         &main.run,
         &main.evidence,

@@ -1,0 +1,149 @@
+//! What passed, with the amounts that a pass bounds.
+
+use super::{Outcomes, Outline, ranges};
+use crate::checks;
+use crate::finding::{CheckRow, Estimate, Status, Unit};
+use crate::report::amounts::of_unit;
+
+/// What passed.
+#[derive(Default)]
+pub(crate) struct Passed {
+    /// Rules that bound an amount.
+    pub bounds: Vec<Bound>,
+    /// Rules that passed on all that they were asked about and bound none, runs of codes as ranges.
+    pub whole: Vec<String>,
+    /// Rules that passed on some of it, with what.
+    pub parts: Vec<String>,
+    /// What was said of a pass.
+    pub remarks: Vec<String>,
+}
+
+/// An amount that a pass bounds.
+pub(crate) struct Bound {
+    /// The rule.
+    pub code: &'static str,
+    /// What is bounded.
+    pub name: &'static str,
+    /// The largest of it with its interval.
+    pub amount: String,
+    /// What it is held against; empty where the rule has no threshold.
+    pub limit: String,
+    /// Of how many the largest is said, where there are several.
+    pub of: Option<usize>,
+    /// What passed, where not all did.
+    pub on: Option<String>,
+}
+
+impl Bound {
+    /// `LAT001 latency on /tf: 0.01 ± 0.02 ms (largest of 2)`.
+    pub fn sentence(&self) -> String {
+        let on = self.on.as_ref().map_or(String::new(), |on| format!(" on {on}"));
+        let of = self.of.map_or(String::new(), |count| format!(" (largest of {count})"));
+        format!("{} {}{on} {}{of}", self.code, self.name, self.amount)
+    }
+}
+
+impl Passed {
+    /// The lists and sentences of it, a line each; `;` and commas part what stands in one.
+    pub fn lines(self) -> Vec<String> {
+        let bounds: Vec<String> = self.bounds.iter().map(Bound::sentence).collect();
+        let lists = [bounds.join("; "), self.whole.join(", "), self.parts.join("; ")].into_iter();
+        lists.filter(|list| !list.is_empty()).chain(self.remarks).collect()
+    }
+}
+
+impl Outline<'_> {
+    /// What passed; nothing of a log that could not be audited.
+    pub fn passed(&self) -> Passed {
+        let mut said = Passed::default();
+        if self.report.error.is_some() {
+            return said;
+        }
+        let mut whole = Vec::new();
+        for code in self.codes() {
+            let rows = Outcomes::of(self.rows(code));
+            if rows.plain.is_empty() {
+            } else if let Some(bound) = self.bound(code, &rows) {
+                said.bounds.push(bound);
+            } else if rows.is_all() {
+                whole.push(code);
+            } else {
+                said.parts.push(format!("{code}{}", self.on(&rows.plain)));
+            }
+            said.remarks.extend(rows.remarked.iter().filter_map(|row| {
+                Some(format!("{code}{}: {}", self.on(&[*row]), row.reason.as_ref()?))
+            }));
+        }
+        said.whole = ranges(&whole);
+        said
+    }
+
+    /// The largest amount among rows that passed; `None` where one of them has none.
+    fn bound(&self, code: &'static str, rows: &Outcomes<'_>) -> Option<Bound> {
+        let sizes: Option<Vec<(f64, &Estimate)>> =
+            rows.plain.iter().map(|row| Some((size(row)?, row.estimate.as_ref()?))).collect();
+        let sizes = sizes?;
+        let (_, largest) = sizes.iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let (name, units) = match largest {
+            Estimate::Amount { name, unit, .. } => (*name, vec![Unit::of(unit, name)?]),
+            Estimate::Frame { name, .. } => (*name, vec![Unit::Metre, Unit::Radian]),
+            _ => return None,
+        };
+        let limits = units.into_iter().filter_map(|unit| {
+            Some(unit.show(self.report.warns_from(checks::find(code).ok()?, unit)?))
+        });
+        Some(Bound {
+            code,
+            name,
+            amount: amount(largest)?,
+            limit: limits.collect::<Vec<_>>().join(", "),
+            of: (sizes.len() > 1).then_some(sizes.len()),
+            on: (!rows.is_all()).then(|| self.subjects(&rows.plain)),
+        })
+    }
+}
+
+impl<'a> Outcomes<'a> {
+    fn of(rows: impl Iterator<Item = &'a CheckRow>) -> Self {
+        let asked: Vec<&CheckRow> = rows.filter(|row| row.status != Status::Skipped).collect();
+        let passed = asked.iter().copied().filter(|row| row.status == Status::Pass);
+        let (plain, remarked) = passed.partition(|row| row.reason.is_none());
+        Self { plain, remarked, asked: asked.len() }
+    }
+
+    /// Whether nothing was asked that did not pass without a remark.
+    fn is_all(&self) -> bool {
+        self.plain.len() == self.asked
+    }
+}
+
+/// How much a row may be at most.
+fn size(row: &CheckRow) -> Option<f64> {
+    let (value, ci95) = match row.estimate.as_ref()? {
+        Estimate::Amount { value, ci95, .. } | Estimate::Frame { value, ci95, .. } => (*value, ci95),
+        _ => return None,
+    };
+    let ends = ci95.iter().flatten().map(|end| end.abs());
+    Some(ends.fold(value.abs(), f64::max)).filter(|size| size.is_finite())
+}
+
+/// An estimate that passed: nothing smaller than the noise floor is said to be zero.
+fn amount(estimate: &Estimate) -> Option<String> {
+    let shown = |symbol: &'static str, name: &str, value: f64, ci95: Option<[f64; 2]>| {
+        let unit = Unit::of(symbol, name)?;
+        let floor = unit.noise_floor().max(if unit == Unit::One { 1e-4 } else { 0.0 });
+        let is_least = ci95.is_none() && value.abs() < floor;
+        Some(match is_least {
+            true => format!("< {}", unit.show(floor)),
+            false => of_unit(symbol, name, value, ci95),
+        })
+    };
+    match estimate {
+        Estimate::Amount { name, value, unit, ci95, .. } => shown(unit, name, *value, *ci95),
+        Estimate::Frame { name, value, unit, ci95, rotation, .. } => {
+            let angle = shown(Unit::Radian.symbol(), name, rotation.value, rotation.ci95)?;
+            Some(format!("{}, {angle}", shown(unit, name, *value, *ci95)?))
+        }
+        _ => None,
+    }
+}
