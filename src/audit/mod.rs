@@ -136,11 +136,7 @@ impl Audited {
     pub fn with_figures(mut self) -> Self {
         let corrected =
             |arm: &Arm, of: &ArmEvidence| of.diagnosis.corrected_joints(&arm.joints, &arm.slides());
-        let is_told = |topic: &str| {
-            let mut findings = self.report.findings.iter();
-            findings.any(|found| found.subject.topic.as_deref() == Some(topic))
-        };
-        let drawn = figures(&self.run, &self.evidence, corrected, is_told);
+        let drawn = figures(&self.run, &self.evidence, corrected, &self.report.findings);
         self.report.figures = Some(Figures { of_longest_segment: self.is_part, ..drawn });
         self
     }

@@ -41,6 +41,7 @@ pub use merge::{Part as EvaluatedPart, merged};
 pub(crate) use observability::hidden_zero;
 pub use observability::{Blind, Part, StreamObservability};
 pub(crate) use plan::{is_behind_residual, recipe, settled_by};
+pub(crate) use poses::mdl001::MDL001;
 pub(crate) use reading::read_as as reading_names;
 pub use settings::{Exemption, Selector, Settings, UnknownRule};
 pub use thresholds::{Limit, Thresholds};
@@ -151,7 +152,7 @@ impl Rule {
 
     /// Whether a pass rests on each of its subjects, so that none may be open.
     pub fn is_proof(&self) -> bool {
-        self.code == poses::mdl001::MDL001.code
+        self.code == MDL001.code
     }
 
     /// The first line of its text, without the period.

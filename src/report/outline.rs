@@ -55,10 +55,13 @@ impl<'a> Outline<'a> {
         let passed = format!("{passed} {} passed", if passed == 1 { "check" } else { "checks" });
         let others = [
             (count(Status::Inconclusive), "inconclusive".to_owned()),
-            (self.report.ignored.len(), match self.report.ignored.len() {
-                1 => "finding ignored".to_owned(),
-                _ => "findings ignored".to_owned(),
-            }),
+            (
+                self.report.ignored.len(),
+                match self.report.ignored.len() {
+                    1 => "finding ignored".to_owned(),
+                    _ => "findings ignored".to_owned(),
+                },
+            ),
         ];
         let others = others.into_iter().filter(|(count, _)| *count > 0);
         let others = others.map(|(count, what)| format!(", {count} {what}"));
@@ -107,7 +110,8 @@ impl<'a> Outline<'a> {
         let mut rows = rows.to_vec();
         for robot in self.report.robots.iter().filter(|robot| robot.joints.len() > 1) {
             let is_its = |row: &&CheckRow| is_joint_of(&row.subject, robot);
-            let joints: BTreeSet<&str> = rows.iter().filter(|row| is_its(row)).map(|row| row.subject.label()).collect();
+            let joints: BTreeSet<&str> =
+                rows.iter().filter(|row| is_its(row)).map(|row| row.subject.label()).collect();
             if joints.len() == robot.joints.len() {
                 let of = if self.robots { format!(" of {}", robot.name) } else { String::new() };
                 said.push(format!("all {} joints{of}", joints.len()));

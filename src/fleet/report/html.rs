@@ -116,9 +116,8 @@ fn plot(row: &TrendRow) -> Plot {
         x_label: "days",
         y_label,
         series: std::iter::once(amounts).chain(line).collect(),
-        from_zero: false,
-        mark: None,
         style: Style::Curve,
+        ..Plot::default()
     }
 }
 

@@ -8,6 +8,7 @@
 mod bars;
 mod frames;
 mod parts;
+mod plane;
 mod plot;
 mod proof;
 #[cfg(test)]

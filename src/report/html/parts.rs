@@ -147,6 +147,7 @@ impl Parts<'_> {
                     @for (plot, drawn) in proof.plots.iter().enumerate() {
                         (drawn.markup(&plot_id(index, plot), topic, self.rows))
                     }
+                    @for plane in &proof.planes { (plane.markup()) }
                     @for bars in &proof.bars { (bars.markup()) }
                 }
             }

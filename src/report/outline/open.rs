@@ -28,12 +28,12 @@ impl<'a> Settles<'a> {
         }
     }
 
-    /// What to do, which of a motion stands under all that asks for one.
-    const fn words(self) -> &'a str {
+    /// Why what it settles is open, where that is one and the same.
+    const fn words(self) -> &'static str {
         match self {
             Settles::Motion => "not observable in this motion",
             Settles::Residual => "blocked by the unexplained residual (MDL001); fix that first",
-            Settles::Said(settle) => settle,
+            Settles::Said(_) => "",
         }
     }
 }
@@ -43,7 +43,11 @@ impl Outline<'_> {
     pub fn could_not_tell(&self) -> Vec<String> {
         let groups = grouped_by(self.open(), Settles::of);
         let lines = groups.into_iter().map(|(settles, rows)| {
-            format!("{}: {}", settles.words(), self.items(settles, &rows).join("; "))
+            let items = self.items(settles, &rows).join("; ");
+            match settles {
+                Settles::Said(settle) => format!("{items}; {settle}"),
+                Settles::Motion | Settles::Residual => format!("{}: {items}", settles.words()),
+            }
         });
         lines.collect()
     }
@@ -74,7 +78,7 @@ impl Outline<'_> {
             }
         }
         let said = items.into_iter().map(|(codes, on, why)| {
-            let why = why.map_or(String::new(), |why| format!(" ({why})"));
+            let why = why.map_or(String::new(), |why| format!(": {why}"));
             format!("{}{on}{why}", ranges(&codes).join(", "))
         });
         said.collect()
@@ -134,7 +138,11 @@ impl Outline<'_> {
 fn why<'a>(settles: Settles<'_>, row: &'a CheckRow) -> Option<&'a str> {
     match settles {
         Settles::Motion | Settles::Residual => None,
-        Settles::Said(_) => row.reason.as_deref()?.rsplit_once("; ").map(|(why, _)| why),
+        // What has no remedy of its own is its own.
+        Settles::Said(settle) => {
+            let reason = row.reason.as_deref()?;
+            Some(reason.strip_suffix(settle)?.trim_end_matches("; ")).filter(|why| !why.is_empty())
+        }
     }
 }
 

@@ -59,30 +59,38 @@ impl Outline<'_> {
         if self.report.error.is_some() {
             return said;
         }
-        let mut whole = Vec::new();
+        let (mut whole, mut parts) = (Vec::new(), Vec::<(Vec<&str>, String)>::new());
         for code in self.codes() {
             let rows = Outcomes::of(self.rows(code));
-            if rows.plain.is_empty() {
-            } else if let Some(bound) = self.bound(code, &rows) {
-                said.bounds.push(bound);
-            } else if rows.is_all() {
+            let (bounded, plain): (Vec<&CheckRow>, Vec<&CheckRow>) =
+                rows.plain.iter().copied().partition(|row| size(row).is_some());
+            let bound = self.bound(code, &bounded, rows.asked);
+            let unbounded = if bound.is_some() { plain } else { rows.plain };
+            said.bounds.extend(bound);
+            if unbounded.len() == rows.asked && rows.asked > 0 {
                 whole.push(code);
-            } else {
-                said.parts.push(format!("{code}{}", self.on(&rows.plain)));
+            } else if !unbounded.is_empty() {
+                let on = self.on(&unbounded);
+                match parts.last_mut().filter(|(_, known)| *known == on) {
+                    Some((codes, _)) => codes.push(code),
+                    None => parts.push((vec![code], on)),
+                }
             }
             said.remarks.extend(rows.remarked.iter().filter_map(|row| {
                 Some(format!("{code}{}: {}", self.on(&[*row]), row.reason.as_ref()?))
             }));
         }
+        let parts =
+            parts.into_iter().map(|(codes, on)| format!("{}{on}", ranges(&codes).join(", ")));
+        said.parts = parts.collect();
         said.whole = ranges(&whole);
         said
     }
 
-    /// The largest amount among rows that passed; `None` where one of them has none.
-    fn bound(&self, code: &'static str, rows: &Outcomes<'_>) -> Option<Bound> {
-        let sizes: Option<Vec<(f64, &Estimate)>> =
-            rows.plain.iter().map(|row| Some((size(row)?, row.estimate.as_ref()?))).collect();
-        let sizes = sizes?;
+    /// The largest amount among rows that passed, of so many that were asked; `None` where none has one.
+    fn bound(&self, code: &'static str, rows: &[&CheckRow], asked: usize) -> Option<Bound> {
+        let sizes: Vec<(f64, &Estimate)> =
+            rows.iter().filter_map(|row| Some((size(row)?, row.estimate.as_ref()?))).collect();
         let (_, largest) = sizes.iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
         let (name, units) = match largest {
             Estimate::Amount { name, unit, .. } => (*name, vec![Unit::of(unit, name)?]),
@@ -98,7 +106,7 @@ impl Outline<'_> {
             amount: amount(largest)?,
             limit: limits.collect::<Vec<_>>().join(", "),
             of: (sizes.len() > 1).then_some(sizes.len()),
-            on: (!rows.is_all()).then(|| self.subjects(&rows.plain)),
+            on: (rows.len() < asked).then(|| self.subjects(rows)),
         })
     }
 }
@@ -110,17 +118,14 @@ impl<'a> Outcomes<'a> {
         let (plain, remarked) = passed.partition(|row| row.reason.is_none());
         Self { plain, remarked, asked: asked.len() }
     }
-
-    /// Whether nothing was asked that did not pass without a remark.
-    fn is_all(&self) -> bool {
-        self.plain.len() == self.asked
-    }
 }
 
 /// How much a row may be at most.
 fn size(row: &CheckRow) -> Option<f64> {
     let (value, ci95) = match row.estimate.as_ref()? {
-        Estimate::Amount { value, ci95, .. } | Estimate::Frame { value, ci95, .. } => (*value, ci95),
+        Estimate::Amount { value, ci95, .. } | Estimate::Frame { value, ci95, .. } => {
+            (*value, ci95)
+        }
         _ => return None,
     };
     let ends = ci95.iter().flatten().map(|end| end.abs());
