@@ -58,6 +58,8 @@ class Options(How, total=False):
     """Folder for what would mend the findings."""
     rrd: Path | None
     """File for a recording for the Rerun viewer."""
+    mcap: Path | None
+    """File for the findings as messages that Foxglove shows."""
     mesh_root: Path | Sequence[Path] | None
     """Folders that the meshes of the robot's URDF are sought below, for the recording."""
     parquet: Path | None

@@ -134,11 +134,16 @@ impl Audited {
 
     /// With [`Report::figures`], what the pictures of the report show.
     pub fn with_figures(mut self) -> Self {
+        self.report.figures = Some(self.figures());
+        self
+    }
+
+    /// What the pictures of the report show.
+    pub(crate) fn figures(&self) -> Figures {
         let corrected =
             |arm: &Arm, of: &ArmEvidence| of.diagnosis.corrected_joints(&arm.joints, &arm.slides());
         let drawn = figures(&self.run, &self.evidence, corrected, &self.report.findings);
-        self.report.figures = Some(Figures { of_longest_segment: self.is_part, ..drawn });
-        self
+        Figures { of_longest_segment: self.is_part, ..drawn }
     }
 
     /// The report alone. To give back the columns of a long log takes as long as to write the report on it:

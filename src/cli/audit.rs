@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use poseaudit::checks::Selector;
 use poseaudit::output::replay::Recording;
-use poseaudit::output::{fix, tables};
+use poseaudit::output::{fix, foxglove, tables};
 use poseaudit::report::{Report, Trouble};
 use poseaudit::{Audited, Options};
 
@@ -42,6 +42,10 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     rrd: Option<PathBuf>,
 
+    /// Write the findings as messages that Foxglove shows beside the log
+    #[arg(long, value_name = "FILE")]
+    mcap: Option<PathBuf>,
+
     /// Open the recording in the Rerun viewer, which must be on the path
     #[arg(long)]
     view: bool,
@@ -74,6 +78,9 @@ fn asked(args: &Args, how: Options) -> Result<Options, Trouble> {
     if let Some(recording) = args.recording() {
         recording.enter(&mut places);
     }
+    if let Some(path) = &args.mcap {
+        foxglove::enter(path, &mut places);
+    }
     if let Some(folder) = &args.parquet {
         tables::enter(folder, &mut places);
     }
@@ -94,9 +101,10 @@ impl Args {
     /// Writes what was asked for beside the report; what could not be.
     fn write_outputs(&self, audited: &mut Audited) -> Vec<Trouble> {
         let recorded = self.recording().map(|recording| audited.record(&recording));
+        let messages = self.mcap.as_deref().map(|path| audited.write_foxglove(path));
         let tables = self.parquet.as_deref().map(|folder| audited.write_tables(folder));
         let fixes = self.fix.as_deref().map(|folder| audited.write_fixes(folder));
-        [recorded, tables, fixes].into_iter().flatten().filter_map(Result::err).collect()
+        [recorded, messages, tables, fixes].into_iter().flatten().filter_map(Result::err).collect()
     }
 }
 
@@ -166,7 +174,8 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
 
 /// The words of the call without what it writes, and where.
 fn asked_alone() -> Vec<String> {
-    const OUTPUTS: [&str; 6] = ["--format", "--output", "--fix", "--parquet", "--rrd", "--view"];
+    const OUTPUTS: [&str; 7] =
+        ["--format", "--output", "--fix", "--mcap", "--parquet", "--rrd", "--view"];
     let mut words = std::env::args_os().skip(1).map(|word| word.display().to_string());
     let mut asked = vec!["poseaudit".to_owned()];
     while let Some(word) = words.next() {

@@ -42,6 +42,8 @@ pub enum Own {
         each: Vec<[f64; 3]>,
         /// From where the target is seen, rad about two axes across the mean view.
         views: Vec<[f64; 2]>,
+        /// Where the target is in the camera's frame, m.
+        seen: Vec<[f64; 3]>,
     },
     /// A commanded line: way along it in m, distance in m and angle in rad from it.
     Line {

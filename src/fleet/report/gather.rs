@@ -8,7 +8,9 @@ use polars::prelude::{DataFrame, PolarsResult};
 use serde_json::Value;
 
 use super::trends::{Point, Series};
-use super::{ArmRow, ErrorRow, FindingRow, LogCounts, Question, RuleCount, Whose, calendar};
+use super::{
+    ArmRow, ErrorRow, FindingRow, LogCounts, LogRow, Question, RuleCount, Whose, calendar,
+};
 use crate::finding::Severity;
 use crate::fleet::engine::Verdicts;
 use crate::fleet::store::{Status, Store, StoreError, Table};
@@ -18,6 +20,7 @@ use crate::report::Verdict;
 pub struct Gathered {
     pub logs: LogCounts,
     pub arms: Vec<ArmRow>,
+    pub rows: Vec<LogRow>,
     pub findings: Vec<FindingRow>,
     pub series: Vec<Series>,
     pub errors: Vec<ErrorRow>,
@@ -81,6 +84,7 @@ pub fn gather(store: &Store, question: &Question) -> Result<Gathered, StoreError
     Ok(Gathered {
         logs: log_counts(store, &logs, question, set_aside)?,
         arms: arms(&logs, question, &found),
+        rows: log_rows(&logs, question, &found),
         findings: finding_rows(found, &asked),
         series: series.into_values().collect(),
         errors: errors.into_iter().collect(),
@@ -343,6 +347,41 @@ fn finding_rows(found: BTreeMap<Cause, Found>, asked: &BTreeMap<Cause, usize>) -
     let mut rows: Vec<FindingRow> = rows.collect();
     rows.sort_by_key(|row| Reverse((row.severity, row.logs)));
     rows
+}
+
+/// The logs, the latest first.
+fn log_rows(
+    logs: &BTreeMap<String, Log>,
+    question: &Question,
+    found: &BTreeMap<Cause, Found>,
+) -> Vec<LogRow> {
+    let mut codes: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
+    for ((code, _), found) in found.iter().filter(|(_, it)| it.severity > Severity::Info) {
+        for (_, path) in found.logs.keys() {
+            codes.entry(path.as_str()).or_default().insert(code.as_str());
+        }
+    }
+    let row = |log: &Log| LogRow {
+        path: log.path.clone(),
+        whose: Whose {
+            site: log.site.clone(),
+            arm: log.arm.clone(),
+            robot: log.robots.clone(),
+            ..Whose::default()
+        },
+        status: log.status,
+        verdict: log.verdict,
+        start_ns: log.start_ns.map(|start_ns| start_ns.to_string()),
+        codes: codes
+            .get(log.path.as_str())
+            .into_iter()
+            .flatten()
+            .map(|&it| it.to_owned())
+            .collect(),
+    };
+    let mut counted: Vec<&Log> = logs.values().filter(|log| question.counts(log)).collect();
+    counted.sort_by(|a, b| b.start_ns.cmp(&a.start_ns).then_with(|| a.path.cmp(&b.path)));
+    counted.into_iter().map(row).collect()
 }
 
 /// The arms, by site and name.

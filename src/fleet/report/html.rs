@@ -1,6 +1,7 @@
 //! The report as one page for a browser: what moves with its plot, what is found where, the arms, all
 //! other trends.
 
+use std::collections::BTreeSet;
 use std::io::{self, Write};
 
 use maud::{Markup, html};
@@ -8,7 +9,7 @@ use serde_json::{Map, Value};
 
 use super::text::{head, how_often, totals};
 use super::{Course, FindingRow, FleetReport, TrendRow, calendar};
-use crate::report::html::{Plot, Role, Series, Style, shell};
+use crate::report::html::{Plot, Role, Series, Style, percent, shell};
 use crate::time::seconds;
 
 /// No more plots are drawn than this.
@@ -58,7 +59,9 @@ fn page(report: &FleetReport) -> Markup {
                 @for (id, row, plot) in &moving { (article(id, row, plot)) }
             }
             (findings(report))
+            (matrix(report))
             (arms(report))
+            (logs(report))
             (errors(report))
             (trends(report))
             @if !others.is_empty() {
@@ -178,6 +181,51 @@ fn arms(report: &FleetReport) -> Markup {
                 td { (row.verdicts.fail) }
                 td { (row.verdicts.inconclusive) }
                 td .words { (fails.collect::<Vec<_>>().join(", ")) }
+            }
+        }
+    })
+}
+
+/// In how many logs of each arm each rule found something.
+fn matrix(report: &FleetReport) -> Markup {
+    let codes: BTreeSet<&str> =
+        report.arms.iter().flat_map(|arm| &arm.fails).map(|fail| fail.code.as_str()).collect();
+    if codes.is_empty() {
+        return Markup::default();
+    }
+    let heads: Vec<&str> = std::iter::once("arm").chain(codes.iter().copied()).collect();
+    table("matrix", "Arms and rules", &heads, &report.arms, |arm| {
+        let logs =
+            |code: &str| arm.fails.iter().find(|fail| fail.code == code).map(|fail| fail.logs);
+        html! {
+            tr {
+                th scope="row" { (arm.whose.arm_label()) }
+                @for code in &codes {
+                    @match logs(code) {
+                        Some(count) => {
+                            td .cell style={ "--share:" (percent(count as f64 / arm.logs.max(1) as f64)) } {
+                                (count) span .quiet { " of " (arm.logs) }
+                            }
+                        }
+                        None => { td .quiet { "–" } }
+                    }
+                }
+            }
+        }
+    })
+}
+
+fn logs(report: &FleetReport) -> Markup {
+    let heads = ["begins", "log", "arm", "", "found"];
+    table("logs", "Logs", &heads, &report.rows, |row| {
+        let start_ns = row.start_ns.as_ref().and_then(|start| start.parse().ok());
+        html! {
+            tr {
+                td { @if let Some(start_ns) = start_ns { (calendar::day(start_ns)) } }
+                th scope="row" .words { (row.path) }
+                td { (row.whose.arm_label()) }
+                td { @match row.verdict { Some(verdict) => { (verdict) } None => { (row.status.name()) } } }
+                td { (row.codes.join(", ")) }
             }
         }
     })

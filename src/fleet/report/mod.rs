@@ -13,6 +13,7 @@ use super::engine::{Statuses, Verdicts};
 use super::store::{Status, Store, StoreError};
 use crate::checks::Selector;
 use crate::finding::Severity;
+use crate::report::Verdict;
 
 pub use calendar::{Day, day};
 pub use html::write as write_html;
@@ -48,6 +49,9 @@ pub struct FleetReport {
     pub logs: LogCounts,
     /// The arms.
     pub arms: Vec<ArmRow>,
+    /// Each log, the latest first.
+    #[serde(rename = "runs")]
+    pub rows: Vec<LogRow>,
     /// What is found, a row a rule and subject, the most frequent of the gravest first.
     pub findings: Vec<FindingRow>,
     /// How amounts moved; what moves stands first.
@@ -138,6 +142,24 @@ pub struct ArmRow {
     pub fails: Vec<RuleCount>,
 }
 
+/// One log.
+#[derive(Clone, Debug, Serialize)]
+pub struct LogRow {
+    /// Its path.
+    pub path: String,
+    /// Site, arm and robots.
+    #[serde(flatten)]
+    pub whose: Whose,
+    /// How its audit ended.
+    pub status: Status,
+    /// What its report says, where warnings fail a run.
+    pub verdict: Option<Verdict>,
+    /// First stamp, as a decimal string.
+    pub start_ns: Option<String>,
+    /// The rules that found a warning or an error in it.
+    pub codes: Vec<String>,
+}
+
 /// In how many logs a rule found something.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct RuleCount {
@@ -204,6 +226,7 @@ impl FleetReport {
             failing,
             logs: gathered.logs,
             arms: gathered.arms,
+            rows: gathered.rows,
             findings: gathered.findings,
             trends,
             errors: gathered.errors,

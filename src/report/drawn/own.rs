@@ -101,8 +101,10 @@ impl<'a> Found<'a> {
             stream.topic == found.topic && stream.child_frame_id == found.target
         };
         let series = run.targets.iter().find(is_seen).map(|it| PoseSeries::of_track(&it.track));
-        let views = series.flatten().map_or_else(Vec::new, |series| views(&series.poses));
-        Some(Own::HandEye { each: each.collect(), views })
+        let poses = series.flatten().map_or_else(Vec::new, |series| series.poses);
+        let step = poses.len().div_ceil(MOST_POINTS).max(1);
+        let seen = poses.iter().step_by(step).map(|pose| pose.translation.vector.into());
+        Some(Own::HandEye { each: each.collect(), views: views(&poses), seen: seen.collect() })
     }
 
     /// What was found on the commands that the finding is about, with their content.

@@ -60,6 +60,17 @@
     ctx.strokeStyle = ctx.fillStyle = colour("limit");
     ctx.lineWidth = 1.25 * ratio;
     ctx.font = `600 ${11 * ratio}px system-ui, sans-serif`;
+    // Readable over what is drawn.
+    const say = (text, x, y) => {
+      ctx.save();
+      ctx.setLineDash([]);
+      ctx.strokeStyle = colour("paper");
+      ctx.lineWidth = 4 * ratio;
+      ctx.lineJoin = "round";
+      ctx.strokeText(text, x, y);
+      ctx.fillText(text, x, y);
+      ctx.restore();
+    };
     spec.limits.forEach(({ at, along, label }) => {
       const place = plot.valToPos(at, along ? "x" : "y", true);
       const top = bbox.top, left = bbox.left, right = left + bbox.width;
@@ -67,7 +78,7 @@
       if (isOut) {
         if (label && !along && place < top) {
           ctx.textAlign = "right";
-          ctx.fillText(`${label} ↑`, right - 4 * ratio, top + 12 * ratio);
+          say(`${label} ↑`, right - 4 * ratio, top + 12 * ratio);
         }
         return;
       }
@@ -80,8 +91,8 @@
       if (!label) return;
       ctx.textAlign = along ? "left" : "right";
       const isHigh = !along && place < top + 16 * ratio;
-      if (along) ctx.fillText(label, place + 4 * ratio, top + bbox.height - 6 * ratio);
-      else ctx.fillText(label, right - 4 * ratio, place + (isHigh ? 12 : -4) * ratio);
+      if (along) say(label, place + 4 * ratio, top + bbox.height - 22 * ratio);
+      else say(label, right - 4 * ratio, place + (isHigh ? 12 : -4) * ratio);
     });
     ctx.restore();
   };
@@ -138,7 +149,7 @@
       legend: { markers: { fill: (plot, at) => (at ? colour(spec.series[at - 1].role) : "none"), width: 0 } },
       axes: [
         { ...axis, label: spec.x_label, labelSize: 18, labelFont: axis.font, size: 28, gap: 3 },
-        { ...axis, size: 46, gap: 3 },
+        { ...axis, size: 46, gap: 3, values: (_, splits) => splits.map((at) => (at == null ? "" : `${+at.toPrecision(6)}`)) },
       ],
       series: [
         { label: spec.x_label, value: (_, value) => shown(value) },

@@ -6,7 +6,8 @@ use maud::{Markup, html};
 
 use super::bars::percent;
 use super::proof::Proof;
-use super::{frames, plot_id, timeline};
+use super::{frames, plot_id, rule, timeline};
+use crate::checks::{self, Rule};
 use crate::finding::Finding;
 use crate::report::outline::{Bound, Outline, Passed};
 use crate::report::{JointCoverage, Report, WorkspaceRow};
@@ -134,8 +135,16 @@ impl Parts<'_> {
                 @for line in self.outline.about(finding) { p .effect { (line) } }
                 p .fix { strong { "Fix" } " " (finding.fix) }
                 (self.proof(index, proof))
+                @if let Some(rule) = self.rule_first_at(index) { (rule::folded(rule)) }
             }
         }
+    }
+
+    /// The rule of a finding, where no finding before it is of the same.
+    fn rule_first_at(&self, index: usize) -> Option<&'static Rule> {
+        let code = self.report.findings[index].code;
+        let is_first = !self.report.findings[..index].iter().any(|other| other.code == code);
+        checks::find(code).ok().filter(|_| is_first)
     }
 
     fn proof(&self, index: usize, proof: &Proof) -> Markup {

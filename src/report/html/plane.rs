@@ -168,12 +168,10 @@ impl Arrow {
             let y = to[1] - head * (unit[1] + side * 0.5 * unit[0]);
             format!("{},{}", px(x), px(y))
         };
-        let beyond = [to[0] + 9.0 * unit[0], to[1] + 9.0 * unit[1] + 4.0];
-        let anchor = match unit[0] {
-            right if right > 0.5 => "start",
-            left if left < -0.5 => "end",
-            _ => "middle",
-        };
+        // Beside the head, so that arrows over each other keep theirs.
+        let is_left = unit[0] < -0.3;
+        let beyond = [to[0] + if is_left { -8.0 } else { 8.0 }, to[1] + 9.0 * unit[1] + 4.0];
+        let anchor = if is_left { "end" } else { "start" };
         html! {
             g .(self.role.name()) {
                 line .arrow x1=(px(from[0])) y1=(px(from[1])) x2=(px(to[0])) y2=(px(to[1])) {}

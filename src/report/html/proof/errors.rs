@@ -2,7 +2,7 @@
 
 use super::{Case, both_signs, one_sided};
 use crate::checks::MDL001;
-use crate::finding::{Estimate, Unit};
+use crate::finding::{Cause, Estimate, Unit};
 use crate::report::figures::{CoursePoint, PoseFigure};
 use crate::report::html::plane::{Dot, Plane};
 use crate::report::html::plot::{Mark, Plot, Role, Series, Style};
@@ -71,7 +71,25 @@ impl Case<'_> {
 
     pub(super) fn course(&self, [robot, topic]: [&str; 2], points: &[CoursePoint]) -> Plot {
         let limits = both_signs(self.own_limit(Unit::Second), Unit::Second, 1e3);
-        Plot { limits, ..course([robot, topic], points) }
+        let mut plot = Plot { limits, ..course([robot, topic], points) };
+        let ([first, .., last], Cause::Skew(skew)) = (plot.x.as_slice(), &self.finding.cause)
+        else {
+            return plot;
+        };
+        let middle = 0.5 * (first + last);
+        let found = ("found".to_owned(), Role::Beside, skew.value);
+        let limit = self.own_limit(Unit::SecondPerSecond).map(|limit| {
+            (format!("limit {}", Unit::SecondPerSecond.show(limit)), Role::Limit, limit)
+        });
+        let lines = [found].into_iter().chain(limit).map(|(label, role, slope)| Series {
+            label,
+            role,
+            values: plot.x.iter().map(|t_s| slope * (t_s - middle) * 1e3).collect(),
+            half_widths: Vec::new(),
+        });
+        plot.series = std::mem::take(&mut plot.series).into_iter().chain(lines).collect();
+        plot.style = Style::Time;
+        plot
     }
 }
 

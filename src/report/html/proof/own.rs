@@ -15,15 +15,18 @@ impl Case<'_> {
                 Own::Shake { spectrum, trace } => {
                     proof.plots.extend([self.spectrum(spectrum), self.trace(trace)]);
                 }
-                Own::HandEye { each, views } => {
+                Own::HandEye { each, views, .. } => {
                     let [distance, angle] = self.closures(each);
                     proof.plots.extend([distance, angle]);
                     proof.planes.push(seen_from(views));
                 }
                 Own::Line { tip, command } => {
-                    proof.plots.push(self.beside_line(tip, Unit::Metre));
-                    proof.plots.push(self.beside_line(tip, Unit::Radian));
-                    proof.plots.push(self.command(command));
+                    let plots = [
+                        self.beside_line(tip, Unit::Metre),
+                        self.beside_line(tip, Unit::Radian),
+                        self.command(command),
+                    ];
+                    proof.plots.extend(plots.into_iter().filter(is_near_its_limit));
                 }
                 Own::Rests(gaps) => proof.planes.extend(self.rests(gaps)),
                 Own::Norms(rows) => proof.plots.push(self.norms(rows)),
@@ -291,6 +294,13 @@ impl Case<'_> {
             _ => String::new(),
         }
     }
+}
+
+/// Whether a plot shows a tenth of its limit or more.
+fn is_near_its_limit(plot: &Plot) -> bool {
+    let values = plot.series.iter().flat_map(|series| &series.values);
+    let most = values.map(|value| value.abs()).fold(0.0, f64::max);
+    plot.limits.iter().all(|limit| most >= 0.1 * limit.at)
 }
 
 fn series(label: &str, role: Role, values: impl Iterator<Item = f64>) -> Series {
