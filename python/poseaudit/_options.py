@@ -79,12 +79,14 @@ class FleetOptions(How, total=False):
     """What it may take of memory, as in `2GiB`."""
     retry: bool | None
     """Try again what took too much, or made the audit fail."""
+    pages: bool | None
+    """Keep the HTML report of each log."""
     identity: Literal["content", "file"] | None
     """What tells that a log is done."""
 
 
 #: The options that take no value.
-_SWITCHES = ("retry", "verify")
+_SWITCHES = ("pages", "retry", "verify")
 
 
 def names(kind: type[How]) -> list[str]:

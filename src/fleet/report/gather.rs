@@ -84,7 +84,7 @@ pub fn gather(store: &Store, question: &Question) -> Result<Gathered, StoreError
     Ok(Gathered {
         logs: log_counts(store, &logs, question, set_aside)?,
         arms: arms(&logs, question, &found),
-        rows: log_rows(&logs, question, &found),
+        rows: log_rows(store, &logs, question, &found),
         findings: finding_rows(found, &asked),
         series: series.into_values().collect(),
         errors: errors.into_iter().collect(),
@@ -351,6 +351,7 @@ fn finding_rows(found: BTreeMap<Cause, Found>, asked: &BTreeMap<Cause, usize>) -
 
 /// The logs, the latest first.
 fn log_rows(
+    store: &Store,
     logs: &BTreeMap<String, Log>,
     question: &Question,
     found: &BTreeMap<Cause, Found>,
@@ -361,7 +362,8 @@ fn log_rows(
             codes.entry(path.as_str()).or_default().insert(code.as_str());
         }
     }
-    let row = |log: &Log| LogRow {
+    let row = |(key, log): &(&String, &Log)| LogRow {
+        page: store.page(key).canonicalize().ok(),
         path: log.path.clone(),
         whose: Whose {
             site: log.site.clone(),
@@ -379,9 +381,10 @@ fn log_rows(
             .map(|&it| it.to_owned())
             .collect(),
     };
-    let mut counted: Vec<&Log> = logs.values().filter(|log| question.counts(log)).collect();
-    counted.sort_by(|a, b| b.start_ns.cmp(&a.start_ns).then_with(|| a.path.cmp(&b.path)));
-    counted.into_iter().map(row).collect()
+    let mut counted: Vec<(&String, &Log)> =
+        logs.iter().filter(|(_, log)| question.counts(log)).collect();
+    counted.sort_by(|(_, a), (_, b)| b.start_ns.cmp(&a.start_ns).then_with(|| a.path.cmp(&b.path)));
+    counted.iter().map(row).collect()
 }
 
 /// The arms, by site and name.

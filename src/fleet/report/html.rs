@@ -3,12 +3,15 @@
 
 use std::collections::BTreeSet;
 use std::io::{self, Write};
+use std::path::Path;
 
 use maud::{Markup, html};
+use percent_encoding::utf8_percent_encode;
 use serde_json::{Map, Value};
 
 use super::text::{head, how_often, totals};
 use super::{Course, FindingRow, FleetReport, TrendRow, calendar};
+use crate::log::ESCAPED;
 use crate::report::html::{Plot, Role, Series, Style, percent, shell};
 use crate::time::seconds;
 
@@ -215,6 +218,13 @@ fn matrix(report: &FleetReport) -> Markup {
     })
 }
 
+/// A file as a link: from the page's folder, or from the root.
+fn link(page: &Path) -> String {
+    let page = page.display().to_string();
+    let path = utf8_percent_encode(&page, ESCAPED);
+    if page.starts_with('/') { format!("file://{path}") } else { path.to_string() }
+}
+
 fn logs(report: &FleetReport) -> Markup {
     let heads = ["begins", "log", "arm", "", "found"];
     table("logs", "Logs", &heads, &report.rows, |row| {
@@ -222,7 +232,12 @@ fn logs(report: &FleetReport) -> Markup {
         html! {
             tr {
                 td { @if let Some(start_ns) = start_ns { (calendar::day(start_ns)) } }
-                th scope="row" .words { (row.path) }
+                th scope="row" .words {
+                    @match &row.page {
+                        Some(page) => { a href=(link(page)) { (row.path) } }
+                        None => { (row.path) }
+                    }
+                }
                 td { (row.whose.arm_label()) }
                 td { @match row.verdict { Some(verdict) => { (verdict) } None => { (row.status.name()) } } }
                 td { (row.codes.join(", ")) }

@@ -7,6 +7,8 @@ mod html;
 mod text;
 mod trends;
 
+use std::path::{Path, PathBuf};
+
 use serde::Serialize;
 
 use super::engine::{Statuses, Verdicts};
@@ -156,6 +158,9 @@ pub struct LogRow {
     pub verdict: Option<Verdict>,
     /// First stamp, as a decimal string.
     pub start_ns: Option<String>,
+    /// Its report as a page, where that was kept.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub page: Option<PathBuf>,
     /// The rules that found a warning or an error in it.
     pub codes: Vec<String>,
 }
@@ -208,6 +213,17 @@ pub struct ErrorRow {
 }
 
 impl FleetReport {
+    /// The same with pages named from `folder`, where that holds them.
+    pub fn linked_from(mut self, folder: &Path) -> Self {
+        let Ok(folder) = folder.canonicalize() else { return self };
+        for page in self.rows.iter_mut().filter_map(|row| row.page.as_mut()) {
+            if let Ok(below) = page.strip_prefix(&folder) {
+                *page = below.to_owned();
+            }
+        }
+        self
+    }
+
     /// The report on what `store` holds.
     ///
     /// # Errors

@@ -137,10 +137,11 @@ fn amount(estimate: &Estimate) -> Option<String> {
     let shown = |symbol: &'static str, name: &str, value: f64, ci95: Option<[f64; 2]>| {
         let unit = Unit::of(symbol, name)?;
         let floor = unit.noise_floor().max(if unit == Unit::One { 1e-4 } else { 0.0 });
-        let is_least = ci95.is_none() && value.abs() < floor;
-        Some(match is_least {
-            true => format!("< {}", unit.show(floor)),
-            false => of_unit(symbol, name, value, ci95),
+        Some(match ci95 {
+            // Below its noise, whatever that is.
+            None if value == 0.0 => "none detected".to_owned(),
+            None if value.abs() < floor => format!("< {}", unit.show(floor)),
+            _ => of_unit(symbol, name, value, ci95),
         })
     };
     match estimate {
