@@ -140,7 +140,9 @@ impl<'a> Page<'a> {
     fn passed(&self, out: &mut dyn Write) -> io::Result<()> {
         let passed = self.says.passed();
         let bounds: Vec<String> = passed.bounds.iter().map(Bound::sentence).collect();
-        let lists = self.lists(&bounds, "; ").into_iter().chain(self.lists(&passed.whole, ", "));
+        // Where nobody wraps lines, each is one, which grep finds.
+        let bounds = if self.columns.is_some() { self.lists(&bounds, "; ") } else { bounds };
+        let lists = bounds.into_iter().chain(self.lists(&passed.whole, ", "));
         let texts = lists.chain(self.lists(&passed.parts, "; ")).chain(passed.remarks);
         self.block(out, GOOD, "passed", texts.collect())
     }

@@ -119,13 +119,13 @@ fn proof(replay: &Replay<'_>, blueprint: &Blueprint<'_>) -> Result<Part, ReplayC
     /// Pictures under the verdict.
     const UNDER_VERDICT: usize = 1;
     let mut parts = vec![blueprint.view::<TextDocumentView>("report", &page::report())?];
-    parts.extend(pictures(replay, 0, blueprint)?.into_iter().take(UNDER_VERDICT));
+    parts.extend(pictures(replay, 0, UNDER_VERDICT, blueprint)?);
     let shares = [4.0, 3.0].into_iter().cycle().take(parts.len()).collect::<Vec<f32>>();
     let mut tabs = vec![blueprint.page(&replay.report.verdict.to_string(), &parts, &shares)?];
     for (index, finding) in replay.report.findings.iter().take(MOST_TABS).enumerate() {
         let mut parts =
             vec![blueprint.view::<TextDocumentView>("what is wrong", &findings::page(index))?];
-        parts.extend(pictures(replay, index, blueprint)?);
+        parts.extend(pictures(replay, index, usize::MAX, blueprint)?);
         let mut shares = vec![3.0; parts.len()];
         shares[0] = 4.0;
         tabs.push(blueprint.page(finding.code, &parts, &shares)?);
@@ -152,24 +152,27 @@ fn proof(replay: &Replay<'_>, blueprint: &Blueprint<'_>) -> Result<Part, ReplayC
     blueprint.tabs(&tabs, 0)
 }
 
-/// What proves the finding with this index: its own pictures, else the errors of its stream.
+/// At most so many pictures of what proves the finding with this index: its own, else the errors of its
+/// stream. What is made must be shown.
 fn pictures(
     replay: &Replay<'_>,
     index: usize,
+    most: usize,
     blueprint: &Blueprint<'_>,
 ) -> Result<Vec<Part>, ReplayCause> {
     let Some(finding) = replay.report.findings.get(index) else { return Ok(Vec::new()) };
-    let own = proofs::views(replay.report, index).into_iter().map(|view| match view.kind {
-        Kind::Series => plot(view.title, &view.path, blueprint),
-        Kind::Bars => blueprint.view::<BarChartView>(view.title, &view.path),
-        Kind::Space => blueprint.view::<Spatial3DView>(view.title, &view.path),
-    });
-    let own = own.collect::<Result<Vec<Part>, ReplayCause>>()?;
+    let own = proofs::views(replay.report, index);
     if !own.is_empty() {
-        return Ok(own);
+        let own = own.into_iter().take(most).map(|view| match view.kind {
+            Kind::Series => plot(view.title, &view.path, blueprint),
+            Kind::Bars => blueprint.view::<BarChartView>(view.title, &view.path),
+            Kind::Space => blueprint.view::<Spatial3DView>(view.title, &view.path),
+        });
+        return own.collect();
     }
     let plots = replay.arm_of(finding).map(|arm| plots_of(finding, arm)).unwrap_or_default();
-    plots.into_iter().map(|(title, series)| plot(&title, &series, blueprint)).collect()
+    let plots = plots.into_iter().take(most);
+    plots.map(|(title, series)| plot(&title, &series, blueprint)).collect()
 }
 
 /// What proves a finding, with its title: the errors of its stream, the rotation first where that is

@@ -44,11 +44,12 @@ impl Bound {
 }
 
 impl Passed {
-    /// The lists and sentences of it, a line each; `;` and commas part what stands in one.
+    /// All of it: a line for each amount, then the lists and what was said.
     pub fn lines(self) -> Vec<String> {
         let bounds: Vec<String> = self.bounds.iter().map(Bound::sentence).collect();
-        let lists = [bounds.join("; "), self.whole.join(", "), self.parts.join("; ")].into_iter();
-        lists.filter(|list| !list.is_empty()).chain(self.remarks).collect()
+        let lists = [self.whole.join(", "), self.parts.join("; ")].into_iter();
+        let lists = lists.filter(|list| !list.is_empty());
+        bounds.into_iter().chain(lists).chain(self.remarks).collect()
     }
 }
 
