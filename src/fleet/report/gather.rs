@@ -41,6 +41,12 @@ struct Log {
 }
 
 impl Log {
+    /// Site, arm and robots.
+    fn whose(&self) -> Whose {
+        let (site, arm, robot) = (self.site.clone(), self.arm.clone(), self.robots.clone());
+        Whose { site, arm, robot, ..Whose::default() }
+    }
+
     /// When it begins, where that is a time of the calendar.
     fn dated_ns(&self) -> Option<i64> {
         self.start_ns.filter(|&start_ns| start_ns >= calendar::FIRST_NS)
@@ -365,12 +371,7 @@ fn log_rows(
     let row = |(key, log): &(&String, &Log)| LogRow {
         page: store.page(key).canonicalize().ok(),
         path: log.path.clone(),
-        whose: Whose {
-            site: log.site.clone(),
-            arm: log.arm.clone(),
-            robot: log.robots.clone(),
-            ..Whose::default()
-        },
+        whose: log.whose(),
         status: log.status,
         verdict: log.verdict,
         start_ns: log.start_ns.map(|start_ns| start_ns.to_string()),
@@ -398,12 +399,7 @@ fn arms(
     for log in logs.values().filter(|log| question.counts(log)) {
         let name = (log.site.clone(), log.arm.clone(), log.robots.clone());
         let arm = arms.entry(name).or_insert_with(|| ArmRow {
-            whose: Whose {
-                site: log.site.clone(),
-                arm: log.arm.clone(),
-                robot: log.robots.clone(),
-                ..Whose::default()
-            },
+            whose: log.whose(),
             logs: 0,
             verdicts: Verdicts::default(),
             fails: Vec::new(),
