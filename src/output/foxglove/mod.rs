@@ -11,8 +11,8 @@
 mod schema;
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::fs;
+use std::io::Cursor;
 use std::path::Path;
 
 use mcap::records::MessageHeader;
@@ -49,11 +49,11 @@ impl Audited {
         let mut places = self.read.clone();
         enter(path, &mut places);
         places.check()?;
-        let messages = messages(self);
-        write_whole(path, |staged| write(&messages, staged)).map_err(|error| {
-            let remedy = "name a file that can be written with --mcap";
-            Trouble::unwritable(path, error.to_string(), remedy)
-        })
+        let remedy = "name a file that can be written with --mcap";
+        let unwritable = |what: String| Trouble::unwritable(path, what, remedy);
+        let bytes = written(&messages(self)).map_err(|error| unwritable(error.to_string()))?;
+        let write = |staged: &Path| fs::write(staged, &bytes);
+        write_whole(path, write).map_err(|error| unwritable(error.to_string()))
     }
 }
 
@@ -197,13 +197,14 @@ fn label(pose: &Pose, text: &str) -> Value {
     })
 }
 
-fn write(messages: &[Message], staged: &Path) -> Result<(), McapError> {
+/// The messages as a file.
+fn written(messages: &[Message]) -> Result<Vec<u8>, McapError> {
     let options = WriteOptions::new()
         .profile("")
         .library("poseaudit")
         .compression(Some(Compression::Zstd))
         .compression_threads(0);
-    let mut writer = options.create(BufWriter::new(File::create(staged)?))?;
+    let mut writer = options.create(Cursor::new(Vec::new()))?;
     let mut channels = BTreeMap::new();
     for (topic, name, schema) in [
         (LOG_TOPIC, "foxglove.Log", schema::log()),
@@ -224,5 +225,5 @@ fn write(messages: &[Message], staged: &Path) -> Result<(), McapError> {
         writer.write_to_known_channel(&header, message.content.to_string().as_bytes())?;
     }
     writer.finish()?;
-    Ok(writer.into_inner().flush().map_err(McapError::from)?)
+    Ok(writer.into_inner().into_inner())
 }
