@@ -180,7 +180,7 @@ impl Case<'_> {
         let rows: Vec<Whisker> = rows.collect();
         let differ = rows.iter().any(|row| row.amount.is_some() && !row.is_fault);
         (!rows.is_empty()).then(|| Whiskers {
-            title: if differ { "Compared with the others" } else { "Amount" }.to_owned(),
+            title: if differ { "Compared with the other streams" } else { "Amount" }.to_owned(),
             says: "With 95 % intervals; dashed: the limit.".to_owned(),
             rows,
         })
