@@ -14,7 +14,8 @@ fn audited(name: &str) -> Audited {
 fn written(format: &str, report: &Report) -> String {
     let mut out = Vec::new();
     Format::named(format).expect("a format").write(report, &mut out).expect("a report");
-    String::from_utf8(out).expect("UTF-8")
+    // Without the styles of a terminal.
+    anstream::adapter::strip_str(&String::from_utf8(out).expect("UTF-8")).to_string()
 }
 
 /// The lines of a text under a label, without it.
