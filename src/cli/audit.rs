@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use poseaudit::checks::Selector;
 use poseaudit::output::replay::Recording;
-use poseaudit::output::{fix, tables};
+use poseaudit::output::{fix, foxglove, tables};
 use poseaudit::report::{Format, Report, Trouble};
 use poseaudit::{Audited, Options};
 
@@ -47,6 +47,10 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     rrd: Option<PathBuf>,
 
+    /// Write the findings as messages that Foxglove shows beside the log
+    #[arg(long, value_name = "FILE")]
+    mcap: Option<PathBuf>,
+
     /// Open the recording in the Rerun viewer, which must be on the path
     #[arg(long)]
     view: bool,
@@ -87,6 +91,9 @@ fn asked(args: &Args, how: Options) -> Result<Options, Trouble> {
     if let Some(recording) = args.recording() {
         recording.enter(&mut places);
     }
+    if let Some(path) = &args.mcap {
+        foxglove::enter(path, &mut places);
+    }
     if let Some(folder) = &args.parquet {
         tables::enter(folder, &mut places);
     }
@@ -109,9 +116,10 @@ impl Args {
     fn write_outputs(&self, audited: &mut Audited) -> Vec<Trouble> {
         let recorded = self.rrd.as_deref().zip(self.recording());
         let recorded = recorded.map(|(path, recording)| (path, audited.record(&recording)));
+        let messages = self.mcap.as_deref().map(|path| (path, audited.write_foxglove(path)));
         let tables = self.parquet.as_deref().map(|folder| (folder, audited.write_tables(folder)));
         let fixes = self.fix.as_deref().map(|folder| (folder, audited.write_fixes(folder)));
-        let outputs = [recorded, tables, fixes].into_iter().flatten();
+        let outputs = [recorded, messages, tables, fixes].into_iter().flatten();
         let unwritten = outputs.filter_map(|(path, done)| done.map(|()| say::wrote(path)).err());
         unwritten.collect()
     }
@@ -206,8 +214,17 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
 
 /// The words of the call without what it writes, where, and what is said meanwhile.
 fn asked_alone() -> Vec<String> {
-    const WITH_VALUE: [&str; 8] =
-        ["--format", "--output", "-o", "--fix", "--parquet", "--rrd", BASELINE, "--color"];
+    const WITH_VALUE: [&str; 9] = [
+        "--format",
+        "--output",
+        "-o",
+        "--fix",
+        "--mcap",
+        "--parquet",
+        "--rrd",
+        BASELINE,
+        "--color",
+    ];
     const ALONE: [&str; 6] = ["--view", "--statistics", "-q", "--quiet", "-v", "--verbose"];
     let words = std::env::args_os().skip(1).map(|word| word.display().to_string());
     let words: Vec<String> = words.collect();

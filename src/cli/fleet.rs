@@ -83,6 +83,10 @@ pub struct Args {
     #[arg(long)]
     retry: bool,
 
+    /// Keep the HTML report of each log that this call audits in DIR/pages; the fleet's page links them
+    #[arg(long)]
+    pages: bool,
+
     /// List the logs that have no row yet, one a line, and audit none: for engines that hand them out
     #[arg(long)]
     pending: bool,
@@ -156,7 +160,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     let (options, _) = args.how.clone().options()?;
     let out = args.out.clone().unwrap_or_default();
     if let Some(log) = &args.worker {
-        return work(log, &options, &Store::create(&out)?);
+        return work(log, &options, &Store::create(&out)?, args.pages);
     }
     let sources = sources(&args.sources, io::stdin().lock())?;
     places(&args, &options, &out, &sources).check()?;
@@ -260,8 +264,8 @@ fn worker(log: &Path) -> io::Result<process::Command> {
     Ok(command)
 }
 
-fn work(log: &Path, options: &Options, store: &Store) -> Result<Outcome, Trouble> {
-    serve(log, options, store).map_err(|error| {
+fn work(log: &Path, options: &Options, store: &Store, paged: bool) -> Result<Outcome, Trouble> {
+    serve(log, options, store, paged).map_err(|error| {
         misuse("--worker", error.to_string(), "leave this option to the program itself")
     })?;
     Ok(Outcome::Clean)

@@ -1,6 +1,6 @@
 //! `poseaudit fleet report`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 use poseaudit::checks::Selector;
@@ -85,6 +85,12 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
         select: args.select,
     };
     let report = FleetReport::of(&store, &question)?;
+    // Of stdout nobody knows where it leads.
+    let report = match args.output.as_deref().map(|path| path.parent()) {
+        Some(Some(folder)) if !folder.as_os_str().is_empty() => report.linked_from(folder),
+        Some(_) => report.linked_from(Path::new(".")),
+        None => report,
+    };
     output::emit(args.output.as_deref(), |out| match args.format {
         Format::Text => write_text(&report, out),
         Format::Html => write_html(&report, out),

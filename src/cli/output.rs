@@ -2,7 +2,7 @@
 
 use std::fmt::Display;
 use std::fs::File;
-use std::io::{self, Write};
+use std::io::{self, IsTerminal, Write};
 use std::path::Path;
 
 use anstream::{AutoStream, StripStream};
@@ -51,10 +51,17 @@ pub fn table<'a>(header: impl IntoIterator<Item = &'a str>) -> Table {
     table
 }
 
-/// How wide the terminal is that stdout leads to, if it leads to one.
+/// How wide the terminal is that stdout leads to, if it leads to one: as `COLUMNS` says, else as it says.
+/// A pipe and a file have no width: there each statement stays one line, which grep finds whole.
 pub fn columns() -> Option<usize> {
-    let (width, _) = terminal_size::terminal_size_of(io::stdout())?;
-    Some(usize::from(width.0))
+    /// Of a terminal that does not say.
+    const USUAL: usize = 100;
+    if !io::stdout().is_terminal() {
+        return None;
+    }
+    let set = std::env::var("COLUMNS").ok().and_then(|text| text.parse().ok());
+    let own = || terminal_size::terminal_size_of(io::stdout()).map(|(width, _)| width.0.into());
+    set.filter(|&columns: &usize| columns > 0).or_else(own).or(Some(USUAL))
 }
 
 /// Hands what `write` writes to the file at `path`, whose parents are made, else to stdout. Characters that

@@ -8,7 +8,7 @@ use crate::checks::hand_eye::chain::{
 use crate::checks::{Case, FrameThresholds, Grade, Judged, standing};
 use crate::diagnosis::{Measured, Mount, Solution, Stretch, TargetReading};
 use crate::evidence::{ArmEvidence, HandEyeEvidence, Of, PoseEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
 rule! {
     /// A hand-eye chain does not close.
@@ -221,7 +221,7 @@ fn open_chain(facts: &HandEyeEvidence, solution: &Solution, severity: Severity) 
     let rad = Unit::Radian.show_measured(&closure.excess_rad);
     Fault {
         severity,
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::HandEye),
         title: "hand-eye chain does not close",
         message: format!(
             "hand-eye residual {m} and {rad} rms beyond the noise after the best fit ({}); {}",
@@ -245,7 +245,7 @@ fn misread(reading: &TargetReading, as_logged: &Solution, thresholds: &FrameThre
         .max(thresholds.angle.severity(closure.excess_rad.value));
     Fault {
         severity: severity.unwrap_or(Severity::Warning),
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::HandEye),
         title: "target poses misread",
         message: format!("hand-eye residual {m} and {rad} rms as logged; it closes if {words}"),
         evidence: Evidence { effect_m: Some(closure.rms_m), ..Evidence::default() },
@@ -263,7 +263,7 @@ fn other_mount(logged: Mount) -> Fault {
     };
     Fault {
         severity: Severity::Error,
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::HandEye),
         title: "camera mount differs from the frames",
         message: format!(
             "the log's frames have the camera {}, and the chain closes only with it {} or with the \

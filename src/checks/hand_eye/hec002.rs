@@ -6,7 +6,7 @@ use crate::checks::hand_eye::chain::{
 use crate::checks::{Case, FrameThresholds, Grade, Judged};
 use crate::diagnosis::{CameraPose, Diversity, Measured};
 use crate::evidence::HandEyeEvidence;
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
 rule! {
     /// A hand turns too little to solve hand and eye.
@@ -108,7 +108,7 @@ fn fault(diversity: &Diversity, needed: [f64; 2], undetermined: &[String]) -> Fa
         some => format!("; the camera cannot be determined {}", some.join(", ")),
     };
     Fault {
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::HandEye),
         severity: Severity::Warning,
         title: "too little rotation",
         message: message + &limits,

@@ -2,7 +2,7 @@ use crate::checks::motion::mot003::doubt_of_joint;
 use crate::checks::{Case, Grade, Judged, Limit};
 use crate::diagnosis::Abruptness;
 use crate::evidence::{ArmEvidence, JointEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
 rule! {
     /// A joint stops, or starts, abruptly.
@@ -128,7 +128,7 @@ const BEYOND_ARMS: f64 = 1e4;
 fn fault(case: &Case, found: &Abruptness, limit: f64, unit: &str) -> Fault {
     if found.acceleration >= BEYOND_ARMS {
         return Fault {
-            cause: Cause::Other,
+            cause: Cause::Seen(Sight::Joint),
             severity: Severity::Warning,
             title: "impossible acceleration",
             message: format!(
@@ -142,7 +142,7 @@ fn fault(case: &Case, found: &Abruptness, limit: f64, unit: &str) -> Fault {
         };
     }
     Fault {
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::Joint),
         severity: Severity::Warning,
         title: "abrupt stop or start",
         message: format!(

@@ -2,7 +2,7 @@ use crate::checks::frames::{self, End, THRESHOLDS, show, show_pose};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{FrameEstimate, Other, Twin};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 use crate::run::Witness;
 
 rule! {
@@ -105,7 +105,7 @@ fn alternates(case: &Case, arm: &ArmEvidence, stream: &Of<PoseEvidence>, other: 
     let effect_m = length.value + angle.value * length.value;
     let fault = Fault {
         severity,
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::Stream),
         title: "tool frame alternates",
         message: format!(
             "{:.0} % of the poses are of a second body, {} and {} from the first ({}{more}): {what}",
