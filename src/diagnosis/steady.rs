@@ -98,8 +98,11 @@ pub fn diagnose_steadied(
     let unsteadied = with_tracks(&streams, &tracks);
     let by_change = without_changes(joints, &unsteadied, slides, &steady, most_lag_s);
     let by_bend = match &by_change {
-        // A joint with play that turns back once is as one whose zero changes there.
-        Some(changed) if changed.streams.iter().any(PoseDiagnosis::changes) => None,
+        // A joint with play that turns back once is as one whose zero changes there; one that does so often is
+        // as many changes.
+        Some(changed) if changed.streams.iter().any(PoseDiagnosis::changes) && is_once(changed) => {
+            None
+        }
         _ => without_bends(joints, &unsteadied, slides, &steady, most_lag_s),
     };
     let (changed, otherwise) = match (by_change, by_bend) {
@@ -123,6 +126,15 @@ pub fn diagnose_steadied(
         }
     }
     steady
+}
+
+/// Whether no amount of a stream changes more than once.
+fn is_once(changed: &ArmDiagnosis) -> bool {
+    changed.streams.iter().all(|found| {
+        let PoseDiagnosis { reference_changes, tool_changes, growth_changes, .. } = found;
+        let most = reference_changes.len().max(tool_changes.len()).max(growth_changes.len());
+        most <= 1
+    })
 }
 
 /// Streams with other tracks, where there are such.
