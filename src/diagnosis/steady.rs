@@ -2,7 +2,7 @@
 //! be if it were.
 
 use super::bends::without_bends;
-use super::changes::{jumps_in_time, left_m, without_changes};
+use super::changes::{jumps_in_time, leaves_slowly, left_m, without_changes};
 use super::imu::diagnose_mended;
 use super::{
     ArmDiagnosis, ImuDiagnosis, ImuNumbers, ImuStream, JointReading, LatencySteps, PoseDiagnosis,
@@ -96,25 +96,17 @@ pub fn diagnose_steadied(
         }
     }
     let unsteadied = with_tracks(&streams, &tracks);
-    let by_change = without_changes(joints, &unsteadied, slides, &steady, most_lag_s);
-    let by_bend = match &by_change {
-        // A joint with play that turns back once is as one whose zero changes there; one that does so often is
-        // as many changes.
-        Some(changed) if changed.streams.iter().any(PoseDiagnosis::changes) && is_once(changed) => {
-            None
-        }
-        _ => without_bends(joints, &unsteadied, slides, &steady, most_lag_s),
-    };
+    let by_bend = without_bends(joints, &unsteadied, slides, &steady, most_lag_s);
+    let gives = |found: &&ArmDiagnosis| !found.joints.bends.is_empty();
+    let explains = |bent: &ArmDiagnosis| !bent.streams.iter().any(leaves_slowly);
+    // A joint with play that turns back often is as one whose zero changes as often.
+    let most = if by_bend.as_ref().filter(gives).is_some_and(explains) { 1 } else { usize::MAX };
+    let by_change = without_changes(joints, &unsteadied, slides, &steady, most_lag_s, most);
     let (changed, otherwise) = match (by_change, by_bend) {
-        (Some(change), Some(bend)) => {
-            // A load that changes does so to one joint as a zero that changes, which is simpler.
-            let is_loaded = bend.joints.bends.iter().any(|bend| bend.change.is_some());
-            let most = if is_loaded { AS_LITTLE.recip() } else { AS_LITTLE };
-            match left_m(&bend) <= most * left_m(&change) {
-                true => (false, Some(bend)),
-                false => (true, Some(change)),
-            }
-        }
+        (Some(change), Some(bend)) => match is_bend(&bend, &change) {
+            true => (false, Some(bend)),
+            false => (true, Some(change)),
+        },
         (change, bend) => (change.is_some(), change.or(bend)),
     };
     if let Some(otherwise) = otherwise {
@@ -128,13 +120,21 @@ pub fn diagnose_steadied(
     steady
 }
 
-/// Whether no amount of a stream changes more than once.
-fn is_once(changed: &ArmDiagnosis) -> bool {
-    changed.streams.iter().all(|found| {
+/// Whether joints that give come before what changes.
+fn is_bend(bend: &ArmDiagnosis, change: &ArmDiagnosis) -> bool {
+    let is_once = |found: &PoseDiagnosis| {
         let PoseDiagnosis { reference_changes, tool_changes, growth_changes, .. } = found;
         let most = reference_changes.len().max(tool_changes.len()).max(growth_changes.len());
-        most <= 1
-    })
+        found.changes() && most <= 1
+    };
+    // A joint with play that turns back once is as one whose zero changes there.
+    if bend.joints.bends.is_empty() || change.streams.iter().any(is_once) {
+        return false;
+    }
+    // A load that changes does so to one joint as a zero that changes, which is simpler.
+    let is_loaded = bend.joints.bends.iter().any(|bend| bend.change.is_some());
+    let most = if is_loaded { AS_LITTLE.recip() } else { AS_LITTLE };
+    left_m(bend) <= most * left_m(change)
 }
 
 /// Streams with other tracks, where there are such.

@@ -152,7 +152,7 @@ fn degrees_in_the_wrong_order_and_late() {
 fn an_arm_that_sags_does_so_beside_positions_in_the_wrong_order() {
     let report = Log::with(|log| {
         log.run.joints.number_order = Some(vec![2, 1, 0, 3, 4, 5]);
-        crate::checks::mot::gives(log, &[(1, poseaudit::synth::Giving::Sag, 0.6)]);
+        crate::checks::mot::gives(log, &[(1, synth::Giving::Sag, 0.6)]);
     })
     .audited();
     let found: Vec<&str> = report.findings.iter().map(|finding| finding.code).collect();

@@ -28,9 +28,8 @@ use coding::same_coding;
 use cut::{Cut, PART_SAMPLES, Span};
 pub use found::{AmountChange, Change, CodedParts, FrameChange, JointChange, JointPatch};
 use jumps::{Jump, of_joints};
-pub(super) use weigh::gain;
-use weigh::{is_worth, leaves_slowly};
-pub(super) use weigh::{jumps_in_time, leaves_much, left_m};
+use weigh::is_worth;
+pub(super) use weigh::{gain, jumps_in_time, leaves_much, leaves_slowly, left_m};
 
 /// A part leaves at most so many times what the longest leaves, or this, m.
 const TIMES_LEFT: f64 = 4.0;
@@ -42,13 +41,14 @@ const NEARLY_ALL: f64 = 0.97;
 
 /// The diagnosis of an arm whose streams or joints change in mid-run, of the run as it would be had
 /// nothing changed; `None` where nothing does, or where that explains too little. `found` is what the
-/// whole run says.
+/// whole run says, and it changes at `most` moments.
 pub(super) fn without_changes(
     joints: &JointTrack,
     streams: &[PoseStream],
     slides: &[bool],
     found: &ArmDiagnosis,
     most_lag_s: f64,
+    most: usize,
 ) -> Option<ArmDiagnosis> {
     let jumps = of_joints(joints);
     if jumps.is_empty() && !found.streams.iter().any(leaves_slowly) {
@@ -63,7 +63,13 @@ pub(super) fn without_changes(
         })
         .collect();
     let run = Cut { joints, streams, slides, lags: &lags, most_lag_s };
-    let all = run.moments(found, jumps);
+    let mut all = run.moments(found, jumps);
+    if all.len() > most {
+        all.retain(|jump| jump.over_s == 0.0);
+        all.sort_by(|a, b| b.times.total_cmp(&a.times));
+        all.truncate(most);
+        all.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+    }
     // What jumps between two samples before what needs more to be seen.
     let sharp: Vec<Jump> = all.iter().filter(|jump| jump.over_s == 0.0).copied().collect();
     let is_both = !sharp.is_empty() && sharp.len() < all.len();

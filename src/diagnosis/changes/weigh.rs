@@ -63,7 +63,7 @@ fn of_streams(found: &ArmDiagnosis, of: impl Fn(&Residual) -> f64) -> f64 {
 
 /// Whether what was found on a stream leaves more of it than its noise, or a mean in some part of the run that
 /// noise does not have.
-pub(super) fn leaves_slowly(found: &PoseDiagnosis) -> bool {
+pub(crate) fn leaves_slowly(found: &PoseDiagnosis) -> bool {
     /// Parts of the run.
     const PARTS: usize = 10;
     /// A mean is told from none by so many standard errors.
