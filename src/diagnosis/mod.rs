@@ -69,7 +69,7 @@ use ground::stream::PoseTrack;
 pub use aligned::{Aligned, Residuals};
 pub use alternation::{Alternation, Other, alternation};
 pub use arm::{diagnose_arm, diagnose_derived, follows, likely_lags};
-pub use bends::{BendShape, JointBend, Sag};
+pub use bends::{BendShape, Crossing, JointBend, Sag};
 pub use calibration::{
     ArmCalibration, CalibrationStream, LeftOver, LinkParameter, NoCalibration, StreamCalibration,
     Uncertainty, Untold, calibrate_arm,

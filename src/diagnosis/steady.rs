@@ -1,8 +1,8 @@
 //! Streams whose latency is not steady: what else is wrong with them is sought on the streams as they would
 //! be if it were.
 
-use super::bends::without_bends;
-use super::changes::{jumps_in_time, leaves_slowly, left_m, without_changes};
+use super::bends::{gives, without_bends};
+use super::changes::{jumps_in_time, leaves_slowly, without_changes};
 use super::imu::diagnose_mended;
 use super::{
     ArmDiagnosis, ImuDiagnosis, ImuNumbers, ImuStream, JointReading, LatencySteps, PoseDiagnosis,
@@ -10,9 +10,6 @@ use super::{
 };
 use ground::stream::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack};
 use rayon::prelude::*;
-
-/// A joint that gives before one that changes, where it leaves at most so many times as much.
-const AS_LITTLE: f64 = 1.5;
 
 /// The diagnosis of an arm's pose streams; where the latency of some is not steady, that of the
 /// streams as they would be if it were, so that no other cause is sought for what it does.
@@ -97,13 +94,14 @@ pub fn diagnose_steadied(
     }
     let unsteadied = with_tracks(&streams, &tracks);
     let by_bend = without_bends(joints, &unsteadied, slides, &steady, most_lag_s);
-    let gives = |found: &&ArmDiagnosis| !found.joints.bends.is_empty();
-    let explains = |bent: &ArmDiagnosis| !bent.streams.iter().any(leaves_slowly);
-    // A joint with play that turns back often is as one whose zero changes as often.
-    let most = if by_bend.as_ref().filter(gives).is_some_and(explains) { 1 } else { usize::MAX };
+    let is_enough = |bent: &ArmDiagnosis| {
+        !bent.joints.bends.is_empty() && !bent.streams.iter().any(leaves_slowly)
+    };
+    // A joint with play that turns back a few times is as one whose zero, or a frame, changes there.
+    let most = if by_bend.as_ref().is_some_and(is_enough) { 1 } else { usize::MAX };
     let by_change = without_changes(joints, &unsteadied, slides, &steady, most_lag_s, most);
     let (changed, otherwise) = match (by_change, by_bend) {
-        (Some(change), Some(bend)) => match is_bend(&bend, &change) {
+        (Some(change), Some(bend)) => match gives(&bend, &change) {
             true => (false, Some(bend)),
             false => (true, Some(change)),
         },
@@ -118,23 +116,6 @@ pub fn diagnose_steadied(
         }
     }
     steady
-}
-
-/// Whether joints that give come before what changes.
-fn is_bend(bend: &ArmDiagnosis, change: &ArmDiagnosis) -> bool {
-    let is_once = |found: &PoseDiagnosis| {
-        let PoseDiagnosis { reference_changes, tool_changes, growth_changes, .. } = found;
-        let most = reference_changes.len().max(tool_changes.len()).max(growth_changes.len());
-        found.changes() && most <= 1
-    };
-    // A joint with play that turns back once is as one whose zero changes there.
-    if bend.joints.bends.is_empty() || change.streams.iter().any(is_once) {
-        return false;
-    }
-    // A load that changes does so to one joint as a zero that changes, which is simpler.
-    let is_loaded = bend.joints.bends.iter().any(|bend| bend.change.is_some());
-    let most = if is_loaded { AS_LITTLE.recip() } else { AS_LITTLE };
-    left_m(bend) <= most * left_m(change)
 }
 
 /// Streams with other tracks, where there are such.

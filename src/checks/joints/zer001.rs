@@ -6,7 +6,7 @@ use crate::checks::twins::{estimate, twin_cause};
 use crate::checks::{Case, Grade, Judged, changes, standing};
 use crate::diagnosis::{FrameEstimate, JointOffset, Measured, Seen, Twin, Unseen};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
-use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Evidence, Fault, Outcome, Ruling, Severity, Unit};
 use crate::run::Witness;
 
 rule! {
@@ -88,8 +88,12 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
     if let Some(change) = arm.diagnosis.zero_change(joint) {
         let effect_m = offset.lever_m * change.by.value.abs();
         let title = "joint zero changes in mid-run";
-        let (outcome, estimate) =
+        let (mut outcome, estimate) =
             changes::amount(case, "joint offset", title, change, &threshold, effect_m);
+        if let Outcome::Evaluated(Ruling::Faulty(fault)) = &mut outcome {
+            let twins = offset.twins.iter().map(|twin| twin_cause(arm, twin, threshold.unit));
+            fault.evidence.indistinguishable.extend(twins);
+        }
         return Judged::new(subject, outcome).within(arm.span).estimated(estimate);
     }
     let measured = match &offset.offset {

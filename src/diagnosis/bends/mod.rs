@@ -9,6 +9,7 @@
 
 mod found;
 mod gravity;
+mod rival;
 mod search;
 mod system;
 
@@ -24,9 +25,10 @@ use ground::stats::median;
 use ground::stream::JointTrack;
 
 use found::USUAL_RAD;
-pub(super) use found::bend;
-pub use found::{BendShape, JointBend, Sag};
+pub use found::{BendShape, Crossing, JointBend, Sag};
+pub(super) use found::{bend, ways};
 use gravity::Masses;
+pub(super) use rival::gives;
 use search::{Free, Kind, MASSES, Search, Term};
 
 /// Samples of a stream that are looked at.
