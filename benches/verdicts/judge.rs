@@ -165,8 +165,11 @@ pub fn judge(case: &Case, report: &Report) -> Verdict {
     }
     // A hand that hardly turns shows no camera.
     let is_still = |code: &str| code == "HEC002" && !case.excited;
-    let allowed =
-        |code: &str| case.scene.allows(code) || case.background.allows(code) || is_still(code);
+    let allowed = |code: &str| {
+        case.scene.allows(code)
+            || case.background.allows(code, &case.scenario, case.excited)
+            || is_still(code)
+    };
     for finding in &findings {
         let is_its = |planted: &Planted| {
             is_about(planted, finding.code, &finding.subject)

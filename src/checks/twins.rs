@@ -29,6 +29,7 @@ pub fn twin_cause(arm: &ArmEvidence, twin: &Twin, unit: Unit) -> Alternative {
         Twin::Tool(stream, value) => {
             ("FRM003", arm.topic(topic(stream)), "tool frame", value, unit)
         }
+        Twin::Sag(joint, value) => ("ZER003", arm.joint(joint), "sag", value, unit),
     };
     let estimate = Estimate::counted(name, unit.symbol(), value);
     Alternative { code, subject, estimate: Some(estimate) }

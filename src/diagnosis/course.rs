@@ -12,7 +12,7 @@ mod windows;
 
 use super::{Aligned, Measured, Seen, Unseen};
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
-use shapes::{left_beside, levels_at, path, with_load};
+use shapes::{BENT_PARAMETERS, bent_chi2, left_beside, levels_at, path, with_load};
 use windows::{Sample, Window, chi2_beside_line, levels, samples, splits, windows};
 
 /// Length of a window, s.
@@ -212,7 +212,12 @@ pub(super) fn course_of(lagging: &[Lagging], kinds: usize, skew: f64) -> Seen<La
     let free = (windows.len() - 2) as f64;
     let seen: Vec<(f64, Measured)> = windows.iter().map(|w| (w.t_s, w.measured())).collect();
     let loaded = with_load(&samples);
-    if steady <= UNSTEADY * free && loaded.is_none() {
+    // A ramp in mid-run is much like a steady growth, whose rest is small beside what the windows know.
+    let is_bent = bent_chi2(&windows).is_some_and(|bent| {
+        let left = (windows.len() as f64 - BENT_PARAMETERS).max(1.0);
+        steady - bent > SURE * (bent / left).max(1.0)
+    });
+    if steady <= UNSTEADY * free && !is_bent && loaded.is_none() {
         return Ok(LatencyCourse { windows: seen, ..steady_course(&windows, typical_s) });
     }
     let splits = splits(&windows);
@@ -321,8 +326,10 @@ fn steady_course(windows: &[Window], typical_s: f64) -> LatencyCourse {
     let mean = windows.iter().map(|w| w.weight() * w.delta_s).sum::<f64>() / weight;
     let scatter = windows.iter().map(|w| (w.delta_s - mean).powi(2) - w.std_error_s.powi(2));
     let scatter = (scatter.sum::<f64>() / windows.len() as f64).max(0.0).sqrt();
+    // Windows that scatter by more than they say know less than they say (Birge 1932).
+    let std_error = typical_s.hypot(scatter);
     LatencyCourse {
-        swing_s: Measured { value: scatter, std_error: typical_s, dof: windows.len() as f64 },
+        swing_s: Measured { value: scatter, std_error, dof: windows.len() as f64 },
         is_unsteady: false,
         shape: LatencyShape::Steady,
         jumps: Vec::new(),

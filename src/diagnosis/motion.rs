@@ -127,15 +127,8 @@ const BLOCK: usize = 512;
 /// one counts that is the surest beyond noise (Savitzky and Golay 1964). Windows with gaps, or over
 /// stamps that do not come evenly, are left out. `None` of too few even samples.
 ///
-/// `breaks` are the times at which the numbers are known to jump, as where a zero is lost: no window goes over
-/// one. `step` is what positions are whole numbers of, 0 where they are not: each is off by up to half of it.
-pub fn abruptness(
-    t_s: &[f64],
-    values: &[f64],
-    series: Series,
-    breaks: &[f64],
-    step: f64,
-) -> Option<Abruptness> {
+/// `step` is what positions are whole numbers of, 0 where they are not: each is off by up to half of it.
+pub fn abruptness(t_s: &[f64], values: &[f64], series: Series, step: f64) -> Option<Abruptness> {
     let (t_s, values) = without_repeats(t_s, values);
     let (t_s, values) = (t_s.as_ref(), values.as_ref());
     let rows = values.len();
@@ -147,8 +140,7 @@ pub fn abruptness(
     let mut uneven = vec![0_u32; rows];
     for row in 1..rows {
         let interval = (t_s[row] - t_s[row - 1]) / period_s;
-        let is_whole = breaks.iter().all(|at_s| !(t_s[row - 1]..=t_s[row]).contains(at_s));
-        let is_even = (0.5..1.5).contains(&interval) && values[row].is_finite() && is_whole;
+        let is_even = (0.5..1.5).contains(&interval) && values[row].is_finite();
         uneven[row] = uneven[row - 1] + u32::from(!is_even);
     }
     let noise = noise_of(values, series);

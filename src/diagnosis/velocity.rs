@@ -61,6 +61,8 @@ pub enum VelocityShape {
 const SMALL: f64 = 0.02;
 /// An interval of so many usual ones is a gap.
 const GAP: f64 = 5.0;
+/// An interval that reaches to its end is so many standard errors wide to either side.
+const STD_ERRORS: f64 = 1.9;
 /// Longest delay that is looked for, s.
 const MOST_LAG_S: f64 = 0.5;
 
@@ -99,7 +101,10 @@ pub fn diagnose_velocity(
     // The noise is known to a half of its square; windows that overlap count once.
     let count = (0.5 * compared).max(1.0);
     let variance = 4.0 * square * by_noise / count + (0.5 * by_noise).powi(2);
-    let std_error = 0.5 * ((square + 2.0 * variance.sqrt()).sqrt() - value);
+    let [most, least] =
+        [1.0, -1.0].map(|sign| (square + sign * 2.0 * variance.sqrt()).max(0.0).sqrt());
+    // Where the square may be none, the root may be, too.
+    let std_error = (most - value).max(value - least) / STD_ERRORS;
     let shape = match value < SMALL {
         true => VelocityShape::Rates,
         false => shape(joints, index, &windows, &curve, by_noise * rate_square),

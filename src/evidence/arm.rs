@@ -184,8 +184,7 @@ pub(super) fn arm_evidence(
         None => (samples, Cow::Borrowed(&arm.joints)),
     };
     let joints: Vec<usize> = (0..arm.joint_names.len()).collect();
-    let joint =
-        |&joint: &usize| joint_evidence(run, arm, joint, &samples[joint], &track, &breaks[joint]);
+    let joint = |&joint: &usize| joint_evidence(run, arm, joint, &samples[joint], &track);
     let mut joints: Vec<JointEvidence> = joints.par_iter().map(joint).collect();
     for (index, (joint, velocity)) in joints.iter_mut().zip(velocities).enumerate() {
         joint.velocity = velocity;

@@ -68,14 +68,13 @@ pub(super) fn mending(arm: &Arm, found: &JointDiagnosis) -> Option<JointMending>
     Some(mending)
 }
 
-/// A joint, and what it does by all of its samples; its positions are others from each of `breaks` on.
+/// A joint, and what it does by all of its samples.
 pub(super) fn joint_evidence(
     run: &Run,
     arm: &Arm,
     joint: usize,
     samples: &JointSamples<'_>,
     track: &JointTrack,
-    breaks: &[f64],
 ) -> JointEvidence {
     /// What a step of the encoder may be of a speed limit.
     const STEP_SHARE: f64 = 0.02;
@@ -96,7 +95,7 @@ pub(super) fn joint_evidence(
         (motion.speeds, motion.abruptness) = match source.velocities {
             Velocities::Logged | Velocities::Near => (
                 beyond_speed(t_s, velocity, &limits),
-                abruptness(t_s, velocity, Series::Velocities, breaks, 0.0),
+                abruptness(t_s, velocity, Series::Velocities, 0.0),
             ),
             Velocities::Derived => {
                 let JointTrack { t_s: times_s, dof, qd, .. } = track;
@@ -110,7 +109,7 @@ pub(super) fn joint_evidence(
                     }
                     None => beyond_speed(times_s, &qd, &limits),
                 };
-                (beyond, abruptness(t_s, position, Series::Positions, breaks, step))
+                (beyond, abruptness(t_s, position, Series::Positions, step))
             }
         };
     }

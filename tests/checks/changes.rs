@@ -3,9 +3,11 @@
 use std::collections::BTreeSet;
 
 use poseaudit::finding::{Estimate, Finding};
-use poseaudit::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotation_from_xyzw};
+use poseaudit::geometry::{
+    Pose, QuaternionSlip, Vec3, pose, rotation_from_rotvec, rotation_from_xyzw,
+};
 use poseaudit::report::Report;
-use poseaudit::synth::{JOINT_STATES, POSE, ToolSlip};
+use poseaudit::synth::{Coding, JOINT_STATES, POSE, ToolSlip};
 use serde_json::Value;
 
 use crate::checks::case::{Log, summary, the};
@@ -112,14 +114,7 @@ fn numbers_that_are_coded_otherwise_from_then_on_are_named_for_that_part() {
             }
         });
     });
-    let millimetres = edited(|messages| {
-        each_pose_field(later(messages), |message, field| {
-            if let Field::Xyz(at, _) = field {
-                let xyz: [f64; 3] = message.floats(at);
-                message.set_floats(at, &xyz.map(|metres| 1e3 * metres));
-            }
-        });
-    });
+    let millimetres = edited(in_millimetres_later);
     for (code, report) in [("ORD002", wxyz), ("ORD008", millimetres)] {
         assert_eq!(codes(&report), [code].into(), "{}", summary(&report.findings));
         let finding = the(&report, code, POSE);
@@ -127,6 +122,42 @@ fn numbers_that_are_coded_otherwise_from_then_on_are_named_for_that_part() {
         assert_eq!(changes.as_array().map(Vec::len), Some(1), "{changes}");
         assert_near_s(seconds(&report, &changes[0]), FROM_S);
     }
+}
+
+#[test]
+fn a_clock_that_runs_fast_does_so_beside_a_unit_that_changes() {
+    let report = Log::with(|log| {
+        log.run.tf.timing.rate_hz = 0.0;
+        log.run.pose.timing.skew = 1e-3;
+        log.edit = Some(in_millimetres_later);
+    })
+    .audited();
+    assert_eq!(codes(&report), ["LAT002", "ORD008"].into(), "{}", summary(&report.findings));
+    let skew = the(&report, "LAT002", POSE).estimate.as_ref().and_then(Estimate::value);
+    assert!(skew.is_some_and(|skew| (skew - 1e-3).abs() < 2e-5), "{skew:?}");
+}
+
+#[test]
+fn a_unit_that_changes_does_so_beside_components_that_are_in_the_wrong_order() {
+    let report = Log::with(|log| {
+        log.run.tf.timing.rate_hz = 0.0;
+        log.run.pose.coding = Coding::Slipped(QuaternionSlip::WxyzReadAsXyzw);
+        log.edit = Some(in_millimetres_later);
+    })
+    .audited();
+    assert_eq!(codes(&report), ["ORD002", "ORD008"].into(), "{}", summary(&report.findings));
+    let changes = |code| the(&report, code, POSE).evidence.more.get("change_ns").cloned();
+    assert_eq!(changes("ORD002"), None);
+    assert!(changes("ORD008").is_some());
+}
+
+fn in_millimetres_later(messages: &mut Vec<Message>) {
+    each_pose_field(later(messages), |message, field| {
+        if let Field::Xyz(at, _) = field {
+            let xyz: [f64; 3] = message.floats(at);
+            message.set_floats(at, &xyz.map(|metres| 1e3 * metres));
+        }
+    });
 }
 
 #[test]

@@ -149,6 +149,18 @@ fn degrees_in_the_wrong_order_and_late() {
 }
 
 #[test]
+fn an_arm_that_sags_does_so_beside_positions_in_the_wrong_order() {
+    let report = Log::with(|log| {
+        log.run.joints.number_order = Some(vec![2, 1, 0, 3, 4, 5]);
+        crate::checks::mot::gives(log, &[(1, synth::Giving::Sag, 0.6)]);
+    })
+    .audited();
+    let found: Vec<&str> = report.findings.iter().map(|finding| finding.code).collect();
+    assert_eq!(found, ["ORD005", "ZER003"], "found:\n{}", summary(&report.findings));
+    Degrees(0.6, 0.06).assert_is(the(&report, "ZER003", "shoulder_lift_joint").estimate.as_ref());
+}
+
+#[test]
 fn a_turned_base_a_tool_and_a_joint_zero() {
     let report = Log::with(|log| {
         log.options.run.tip = Some("tool0".to_owned());

@@ -281,6 +281,7 @@ fn named_instead(arm: &ArmEvidence, offset: &JointOffset) -> Option<String> {
         Twin::Tool(stream, _) => {
             arm.poses.get(stream).is_some_and(|stream| chosen(&stream.diagnosis.tool))
         }
+        Twin::Sag(..) => false,
     })?;
     let cause = twin_cause(arm, named, Unit::Radian);
     Some(format!("{} on {}", cause.code, cause.subject.label()))

@@ -14,11 +14,11 @@ mod search;
 mod system;
 
 use super::arm::diagnose_arm;
-use super::changes::{as_recorded, leaves_much};
+use super::changes::{as_recorded, gain, leaves_much};
 use super::joints::corrected;
 use super::sampling::stream_lag_s;
 use super::{
-    Aligned, ArmDiagnosis, JointReading, JointScale, PoseDiagnosis, PoseStream, Residuals,
+    Aligned, ArmDiagnosis, JointReading, JointScale, PoseDiagnosis, PoseStream, Residuals, Twin,
 };
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use ground::stats::median;
@@ -41,6 +41,8 @@ const ENOUGH: f64 = 0.15;
 const LEFT_OF_NOMINAL: f64 = 0.25;
 /// An amount that moves by less is settled, rad.
 const SETTLED_RAD: f64 = 2e-5;
+/// A smaller zero is not asked whether it is a sag, rad.
+const LEAST_ZERO_RAD: f64 = 1e-3;
 /// How often an amount is bettered on what the explanation with it leaves.
 const ROUNDS: usize = 3;
 
@@ -83,17 +85,25 @@ pub(super) fn without_bends(
         && found.joints.patches.is_empty()
         && joints.len() > 1
         && !found.streams.iter().any(PoseDiagnosis::strays);
-    if !may_give || !found.streams.iter().any(leaves_much) {
+    if !may_give {
         return None;
     }
+    let is_much = found.streams.iter().any(leaves_much);
+    let without = |run: Run, found: &ArmDiagnosis| match is_much {
+        true => run.unbent(found),
+        false => run.sags_like_zeros(found),
+    };
     let reading = match &found.joints.reading {
         Ok(reading) if !reading.is_as_logged() => reading,
         // Joints that are read in no way are taken as they are logged.
-        _ => return Run { joints, streams, slides, most_lag_s }.unbent(found),
+        _ => return without(Run { joints, streams, slides, most_lag_s }, found),
     };
+    if !is_much && !found.joints.offsets.iter().any(|offset| offset.chosen) {
+        return None;
+    }
     let read = corrected(joints, reading, slides);
     let run = Run { joints: &read, streams, slides, most_lag_s };
-    let mut after = run.unbent(&diagnose_arm(&read, streams, most_lag_s))?;
+    let mut after = without(run, &diagnose_arm(&read, streams, most_lag_s))?;
     after.joints.reading.clone_from(&found.joints.reading);
     after.joints.scales.clone_from(&found.joints.scales);
     for ((stream, found), after) in streams.iter().zip(&found.streams).zip(&mut after.streams) {
@@ -194,6 +204,47 @@ impl Run<'_> {
         Some(after)
     }
 
+    /// The diagnosis of a run where joints may sag whose zeros are off by what is `found`: with a sag in the
+    /// place of a zero where that is surely likelier, and where it is nearly as likely with the sag beside
+    /// the zero as what cannot be told from it. `None` of neither.
+    fn sags_like_zeros(&self, found: &ArmDiagnosis) -> Option<ArmDiagnosis> {
+        /// As twice the log of the likelihoods' ratio: for another cause in the place of one, and how much less
+        /// likely one may be that cannot be told.
+        const SURE: f64 = 16.0;
+        const CLOSE: f64 = 12.0;
+        let is_plain = found.joints.reading.as_ref().is_ok_and(JointReading::is_as_logged);
+        let is_nominal = found.streams.iter().any(|found| found.nominal);
+        let offsets = found.joints.offsets.iter().enumerate();
+        let zeros: Vec<(usize, f64)> = offsets
+            .filter(|(_, offset)| offset.chosen)
+            .filter_map(|(column, offset)| Some((column, offset.offset.as_ref().ok()?.value)))
+            .filter(|(column, zero)| !self.slides[*column] && zero.abs() > LEAST_ZERO_RAD)
+            .collect();
+        if !is_plain || zeros.is_empty() {
+            return None;
+        }
+        let samples = self.samples(self.joints, found);
+        let search = Search::new(self, &samples, Masses::TRIED[0])?;
+        let mut beside: Option<ArmDiagnosis> = None;
+        for (column, zero) in zeros {
+            let term = search.sag_like(column, zero);
+            let Some(after) = term.and_then(|term| self.settled(&search, vec![term])) else {
+                continue;
+            };
+            let is_other = after.joints.offsets.get(column).is_some_and(|offset| offset.chosen);
+            let sag = after.joints.bends.first().map_or(0.0, |bend| bend.amount.value);
+            let (gain, _) = gain(found, &after);
+            if !is_other && gain > SURE && !is_nominal {
+                return Some(after);
+            }
+            if !is_other && gain > -CLOSE {
+                let found = beside.get_or_insert_with(|| found.clone());
+                found.joints.offsets[column].twins.push(Twin::Sag(column, sag));
+            }
+        }
+        beside
+    }
+
     /// What may give on `samples`, as few joints as explain most, and the search that found them: by the
     /// masses that fit best where some joint sags.
     fn search<'a>(&'a self, samples: &'a [Samples]) -> Option<(Search<'a>, Vec<Vec<Term>>)> {
@@ -216,6 +267,11 @@ impl Run<'_> {
         for _ in 0..ROUNDS {
             search.refine(&mut terms, &free, false);
         }
+        self.settled(search, terms)
+    }
+
+    /// The same, from the amounts that `terms` have.
+    fn settled(&self, search: &Search, mut terms: Vec<Term>) -> Option<ArmDiagnosis> {
         let mut after = self.bent(&search.bends(&terms))?;
         for _ in 0..ROUNDS {
             // What the explanation needs no more is not free beside the bends.

@@ -16,6 +16,9 @@ const AS_LITTLE_WITH_FEWER: f64 = 3.0;
 
 /// Whether joints give, as `bend` says, rather than that something changes, as `change` does.
 pub(crate) fn gives(bend: &ArmDiagnosis, change: &ArmDiagnosis) -> bool {
+    if bend.joints.bends.is_empty() {
+        return false;
+    }
     let (own, other) = (causes(bend), causes(change));
     // A load that changes does so to one joint as a zero that changes, which is simpler.
     let is_loaded = bend.joints.bends.iter().any(|bend| bend.change.is_some());

@@ -147,6 +147,18 @@ impl<'a> Search<'a> {
         Search { run: self.run, samples, gravity, most_torque, torques }
     }
 
+    /// The sag of a joint that moves it by as much in the mean as a zero of `offset_rad` does; `None` where
+    /// gravity does not pull on it that way.
+    pub fn sag_like(&self, column: usize, offset_rad: f64) -> Option<Term> {
+        let term = |term: &Term| term.column == column && term.kind == Kind::Sag;
+        let term = self.candidates().into_iter().find(term)?;
+        let torques = || self.torques.iter().flatten().map(|torques| torques[column]);
+        let count = torques().count().max(1) as f64;
+        let mean = torques().sum::<f64>() / count / self.most_torque[column];
+        let amount = [offset_rad / mean, 0.0];
+        (amount[0] > 0.0 && amount[0] < MOST_RAD).then_some(Term { amount, ..term })
+    }
+
     /// Everything that may give.
     fn candidates(&self) -> Vec<Term> {
         let dof = self.run.joints.dof;

@@ -25,14 +25,14 @@ pub(super) struct Cut<'a> {
 pub(super) type Span = (f64, f64);
 
 impl Cut<'_> {
-    /// When streams jump, by the clock of the joint states.
-    pub fn moments(&self, found: &ArmDiagnosis) -> Vec<Jump> {
+    /// When streams jump, or the joint states do, by the clock of the joint states.
+    pub fn moments(&self, found: &ArmDiagnosis, of_joints: Vec<Jump>) -> Vec<Jump> {
         let of_stream = |s: usize| {
             let aligned = &found.streams[s].aligned;
             let jumps = jumps(self.joints, &self.streams[s], aligned, self.lags[s]).into_iter();
             jumps.map(move |jump| Jump { at_s: jump.at_s - self.lags[s], ..jump })
         };
-        strongest((0..self.streams.len()).flat_map(of_stream).collect())
+        strongest((0..self.streams.len()).flat_map(of_stream).chain(of_joints).collect())
     }
 
     /// The parts between `moments` that are long enough; a shorter one goes with the one before it.

@@ -10,7 +10,7 @@ use ground::stream::JointTrack;
 
 /// Samples on either side of a moment whose means are compared: one where a jump is large, more where
 /// it hides in the noise.
-const SIDES: [usize; 3] = [1, 5, 25];
+const SIDES: [usize; 4] = [1, 5, 25, 125];
 /// A jump is so many times what the motion makes there.
 const TIMES: f64 = 6.0;
 /// Jumps that are followed up.
@@ -70,8 +70,6 @@ pub(super) fn jumps(
 /// The jumps of a path by itself, whatever the arm does: from one sample to the next by more than from those
 /// before and to those after.
 fn of_path(t_s: &[f64], poses: &[Pose]) -> Vec<Jump> {
-    /// What nearly all samples are beside the line through their neighbours.
-    const NEARLY_ALL: f64 = 0.95;
     /// Below this a step is arithmetic, m.
     const FLOOR_M: f64 = 1e-5;
     let step = |row: usize| -> [Vec3; 2] {
@@ -79,27 +77,50 @@ fn of_path(t_s: &[f64], poses: &[Pose]) -> Vec<Jump> {
         let turn = rotvec_from_rotation(&(b.rotation * a.rotation.inverse()));
         [b.translation.vector - a.translation.vector, turn * ARM_M]
     };
-    let rows: Vec<usize> = (2..poses.len().saturating_sub(1)).collect();
-    let beside = |&row: &usize| -> [f64; 2] {
-        let [before, own, after] = [step(row - 1), step(row), step(row + 1)];
-        std::array::from_fn(|kind| (own[kind] - 0.5 * (before[kind] + after[kind])).norm())
-    };
-    let all: Vec<[f64; 2]> = rows.iter().map(beside).collect();
+    let steps: Vec<[Vec3; 2]> = (1..poses.len()).map(step).collect();
     let of_kind = |kind: usize| {
-        let mut sizes: Vec<f64> = all.iter().map(|sizes| sizes[kind]).collect();
-        let usual = quantile(&mut sizes, NEARLY_ALL).unwrap_or(0.0) + FLOOR_M;
-        let jump = move |(&row, sizes): (&usize, &[f64; 2])| {
-            let times = sizes[kind] / usual;
-            (times > TIMES).then(|| Jump {
-                at_s: 0.5 * (t_s[row - 1] + t_s[row]),
-                within_s: 0.5 * (t_s[row] - t_s[row - 1]),
-                times,
-                over_s: 0.0,
-            })
+        let beside = |at: usize| {
+            (steps[at][kind] - 0.5 * (steps[at - 1][kind] + steps[at + 1][kind])).norm()
         };
-        rows.iter().zip(&all).filter_map(jump).collect::<Vec<Jump>>()
+        let sizes = (1..steps.len().saturating_sub(1)).map(beside).collect();
+        of_sizes(t_s, sizes, FLOOR_M)
     };
     [of_kind(0), of_kind(1)].concat()
+}
+
+/// The jumps of the joint states by themselves, as where a zero is lost: of each joint from one sample to the
+/// next by more than from those before and to those after.
+pub(super) fn of_joints(joints: &JointTrack) -> Vec<Jump> {
+    /// Less is no change that matters, rad or m.
+    const LEAST: f64 = 1e-3;
+    let rows = joints.len();
+    let q = |row: usize, column: usize| joints.q[row * joints.dof + column];
+    let of_joint = |column: usize| {
+        let step = |row: usize| q(row, column) - q(row - 1, column);
+        let beside = |row: usize| (step(row) - 0.5 * (step(row - 1) + step(row + 1))).abs();
+        let sizes: Vec<f64> = (2..rows.saturating_sub(1)).map(beside).collect();
+        of_sizes(&joints.t_s, sizes, LEAST / TIMES)
+    };
+    strongest((0..joints.dof).flat_map(of_joint).collect())
+}
+
+/// The jumps of what differs by so much from the line through its neighbours, from the second step on. Below
+/// `floor` a difference is none.
+fn of_sizes(t_s: &[f64], sizes: Vec<f64>, floor: f64) -> Vec<Jump> {
+    /// What nearly all samples are beside the line through their neighbours.
+    const NEARLY_ALL: f64 = 0.95;
+    let usual = quantile(&mut sizes.clone(), NEARLY_ALL).unwrap_or(0.0) + floor;
+    let jump = |(at, size): (usize, f64)| {
+        let (before_s, after_s) = (t_s[at + 1], t_s[at + 2]);
+        let times = size / usual;
+        (times > TIMES).then(|| Jump {
+            at_s: 0.5 * (before_s + after_s),
+            within_s: 0.5 * (after_s - before_s),
+            times,
+            over_s: 0.0,
+        })
+    };
+    sizes.into_iter().enumerate().filter_map(jump).collect()
 }
 
 /// The longest gaps of a stream, in which anything may happen.
@@ -184,10 +205,10 @@ fn of_sides(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose], side: usize) -> Vec<
     let still = steps.iter().zip(&moves).filter(|(_, moved)| **moved <= usual);
     let mut still: Vec<f64> = still.map(|(step, _)| *step).collect();
     let fast = steps.iter().zip(&moves).filter(|(_, moved)| **moved > usual.max(1e-9));
-    let mut slopes: Vec<f64> = fast.map(|(step, moved)| step / moved).collect();
-    let (Some(still), slope) = (median(&mut still), median(&mut slopes).unwrap_or(0.0)) else {
-        return Vec::new();
-    };
+    let Some(still) = median(&mut still) else { return Vec::new() };
+    // What noise makes, motion does not.
+    let mut slopes: Vec<f64> = fast.map(|(step, moved)| (step - still).max(0.0) / moved).collect();
+    let slope = median(&mut slopes).unwrap_or(0.0);
     // Below this a step is arithmetic, m.
     const FLOOR_M: f64 = 1e-5;
     let jump = |(index, &row): (usize, &usize)| {

@@ -8,6 +8,7 @@
 //! (after Chow 1960). That is undone, and everything else is sought on the run as it would be had
 //! nothing changed. Only if far less is left then was it a change.
 
+mod coding;
 mod cut;
 mod found;
 mod jumps;
@@ -18,33 +19,39 @@ use super::arm::diagnose_arm;
 use super::bends::without_bends;
 use super::proof::beside_fk;
 use super::sampling::stream_lag_s;
-use super::{
-    ArmDiagnosis, FrameEstimate, JointDiagnosis, PoseDiagnosis, PoseStream, Reading, Seen,
-};
+use super::{ArmDiagnosis, FrameEstimate, JointDiagnosis, PoseDiagnosis, PoseStream, Seen};
 use ground::geometry::Pose;
 use ground::stats::Measured;
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
+use coding::same_coding;
 use cut::{Cut, PART_SAMPLES, Span};
 pub use found::{AmountChange, Change, CodedParts, FrameChange, JointChange, JointPatch};
-use weigh::{LEFT, is_worth, leaves_slowly};
-pub(super) use weigh::{jumps_in_time, leaves_much, left_m};
+use jumps::{Jump, of_joints};
+use weigh::is_worth;
+pub(super) use weigh::{gain, jumps_in_time, leaves_much, leaves_slowly, left_m};
 
 /// A part leaves at most so many times what the longest leaves, or this, m.
 const TIMES_LEFT: f64 = 4.0;
 const LITTLE_M: f64 = 1e-3;
+/// Parts that leave so many times what another does may be of one noise.
+const NOT_ALIKE: f64 = 2.0;
+/// A part that leaves this share of what the whole run leaves, or more, leaves the same.
+const NEARLY_ALL: f64 = 0.97;
 
 /// The diagnosis of an arm whose streams or joints change in mid-run, of the run as it would be had
 /// nothing changed; `None` where nothing does, or where that explains too little. `found` is what the
-/// whole run says.
+/// whole run says, and it changes at `most` moments.
 pub(super) fn without_changes(
     joints: &JointTrack,
     streams: &[PoseStream],
     slides: &[bool],
     found: &ArmDiagnosis,
     most_lag_s: f64,
+    most: usize,
 ) -> Option<ArmDiagnosis> {
-    if !found.streams.iter().any(leaves_slowly) {
+    let jumps = of_joints(joints);
+    if jumps.is_empty() && !found.streams.iter().any(leaves_slowly) {
         return None;
     }
     let lags: Vec<f64> = streams
@@ -56,19 +63,42 @@ pub(super) fn without_changes(
         })
         .collect();
     let run = Cut { joints, streams, slides, lags: &lags, most_lag_s };
-    let moments = run.moments(found);
-    let parts = run.parts(&moments);
+    let mut all = run.moments(found, jumps);
+    if all.len() > most {
+        all.retain(|jump| jump.over_s == 0.0);
+        all.sort_by(|a, b| b.times.total_cmp(&a.times));
+        all.truncate(most);
+        all.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+    }
+    // What jumps between two samples before what needs more to be seen.
+    let sharp: Vec<Jump> = all.iter().filter(|jump| jump.over_s == 0.0).copied().collect();
+    let is_both = !sharp.is_empty() && sharp.len() < all.len();
+    let by_sharp = if is_both { without_jumps(&run, &sharp, found) } else { None };
+    match by_sharp {
+        Some(after) if !after.streams.iter().any(leaves_slowly) => Some(after),
+        by_sharp => match (without_jumps(&run, &all, found), by_sharp) {
+            (Some(all), Some(sharp)) if left_m(&sharp) <= left_m(&all) => Some(sharp),
+            (all, sharp) => all.or(sharp),
+        },
+    }
+}
+
+/// The diagnosis of a run that changes at some of `moments`, as it would be had nothing changed.
+fn without_jumps(run: &Cut, moments: &[Jump], found: &ArmDiagnosis) -> Option<ArmDiagnosis> {
+    let Cut { joints, streams, slides, most_lag_s, .. } = *run;
+    let parts = run.parts(moments);
     let kept = (0..parts.len()).max_by_key(|&part| run.samples(parts[part]))?;
-    let kept = (parts.len() > 1).then(|| Kept::of(&run, parts[kept]))?;
-    if left_m(&kept.found) > LEFT * left_m(found) {
+    let kept = (parts.len() > 1).then(|| Kept::of(run, parts[kept]))?;
+    let left = left_m(&kept.found);
+    if left > NEARLY_ALL * left_m(found) {
         // What is left there as well is no change.
         return None;
     }
-    let most_m = (TIMES_LEFT * left_m(&kept.found)).max(LITTLE_M).min(LEFT * left_m(found));
-    let others = kept.others(&run, &parts, most_m)?;
+    let most_m = (TIMES_LEFT * left).max(LITTLE_M).min(left_m(found).max(NOT_ALIKE * left));
+    let others = kept.others(run, &parts, most_m)?;
     let mut parts: Vec<Span> = others.iter().map(|other| other.span).chain([kept.span]).collect();
     parts.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let undone = kept.undone(&run, &others)?;
+    let undone = kept.undone(run, &others)?;
     let tracks = undone.tracks.iter().zip(streams);
     let changed: Vec<PoseStream> = tracks
         .map(|(track, stream)| PoseStream {
@@ -93,7 +123,7 @@ pub(super) fn without_changes(
         }
     }
     let moment = |at_s: f64| moments.iter().find(|jump| jump.at_s == at_s);
-    kept.tell(&run, &parts, &others, moment, &mut after);
+    kept.tell(run, &parts, &others, moment, &mut after);
     after.joints.patches = undone.patches;
     let is_told = !after.joints.changes.is_empty()
         || after.streams.iter().any(|after| after.changes() || jumps_in_time(after));
@@ -137,6 +167,18 @@ pub(super) fn as_recorded(joints: &JointTrack, stream: &PoseStream, after: &mut 
     }
 }
 
+/// Whether the last of `others` and the one after it, taken together, leave what each does by itself.
+fn is_as_good(run: &Cut, both: &Other, others: &[Other], after: &Other) -> bool {
+    /// A share, and this, m.
+    const NEARLY: f64 = 1.03;
+    const ARITHMETIC_M: f64 = 1e-5;
+    let apart = || others.last().into_iter().chain([after]);
+    let samples = |other: &Other| run.samples(other.span) as f64;
+    let all: f64 = apart().map(samples).sum();
+    let squares: f64 = apart().map(|other| samples(other) * left_m(&other.beyond).powi(2)).sum();
+    left_m(&both.beyond) <= NEARLY * (squares / all.max(1.0)).sqrt() + ARITHMETIC_M
+}
+
 /// The part of the run against which the others are held.
 struct Kept {
     span: Span,
@@ -169,7 +211,19 @@ impl Kept {
                 let before = others.pop_if(|before| before.span.1 == part.0)?;
                 other = self.other(run, (before.span.0, part.1));
             }
-            others.push(Some(other).filter(leaves_little)?);
+            let other = Some(other).filter(leaves_little)?;
+            // Two that are other in the same way are one.
+            let before = others.last().filter(|before| before.span.1 == part.0);
+            let both = before.map(|before| self.other(run, (before.span.0, part.1)));
+            let is_one =
+                |both: &Other| leaves_little(both) && is_as_good(run, both, &others, &other);
+            match both.filter(is_one) {
+                Some(both) => {
+                    others.pop();
+                    others.push(both);
+                }
+                None => others.push(other),
+            }
         }
         Some(others)
     }
@@ -302,37 +356,6 @@ impl Kept {
             all
         })
     }
-
-    /// Says of the diagnosis of a stream whose poses were read anew how its numbers are coded: what of that
-    /// is other in another part, as in the part where it is not as logged.
-    fn read_as(&self, s: usize, others: &[Other], after: &mut PoseDiagnosis) {
-        let own = &self.found.streams[s];
-        let first = others.iter().find(|other| self.is_reread(s, other));
-        let part = |is_same: Same, is_as_logged: fn(&PoseDiagnosis) -> bool| {
-            let its =
-                &first.filter(|first| !is_same(own, &first.alone.streams[s]))?.alone.streams[s];
-            if !is_as_logged(own) {
-                return Some((own, self.span));
-            }
-            let alike = others.iter().filter(|other| is_same(its, &other.alone.streams[s]));
-            alike.map(|other| other.span).reduce(|a, b| (a.0, b.1)).map(|span| (its, span))
-        };
-        let rotation = part(same_rotation, reads_rotation_as_logged);
-        let degrees = part(same_degrees, |found| found.degrees.is_none());
-        let length = part(same_length, |found| !matches!(found.length, Ok(Some(_))));
-        let axes = part(same_axes, |found| !matches!(found.axes, Ok(Some(_))));
-        let by =
-            |part: &Option<(&'_ PoseDiagnosis, Span)>| part.map_or(own, |(found, _)| found).clone();
-        let PoseDiagnosis { reading, inverted, .. } = by(&rotation);
-        (after.reading, after.inverted) = (reading, inverted);
-        after.degrees = by(&degrees).degrees;
-        after.length = by(&length).length;
-        after.axes = by(&axes).axes;
-        after.constant.clone_from(&own.constant);
-        let [rotation, degrees, length, axes] =
-            [rotation, degrees, length, axes].map(|part| part.map(|(_, span)| span));
-        after.coded = CodedParts { rotation, degrees, length, axes };
-    }
 }
 
 /// A run as it would be had nothing changed.
@@ -392,42 +415,6 @@ fn joint_map(kept: &JointDiagnosis, beyond: &JointDiagnosis, run: &Cut) -> Vec<(
         factor.is_finite() && offset.is_finite() && !is_one
     };
     (0..dof).map(map).filter(is_other).collect()
-}
-
-/// Whether something of the coding of two streams is the same.
-type Same = fn(&PoseDiagnosis, &PoseDiagnosis) -> bool;
-
-fn same_rotation(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
-    let of = |found: &PoseDiagnosis| {
-        let best = found.reading.as_ref().ok().map(|reading| reading.best);
-        let other = best.filter(|best| !matches!(best, Reading::AsLogged));
-        (other.map(|best| format!("{best:?}")), found.inverted)
-    };
-    of(a) == of(b)
-}
-
-fn same_degrees(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
-    a.degrees.is_some() == b.degrees.is_some()
-}
-
-fn same_length(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
-    let of = |found: &PoseDiagnosis| Some(found.length.as_ref().ok()?.as_ref()?.factor());
-    of(a) == of(b)
-}
-
-fn same_axes(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
-    let of = |found: &PoseDiagnosis| found.axes.as_ref().ok().copied().flatten();
-    of(a) == of(b)
-}
-
-/// Whether the numbers of two streams are coded in the same way.
-fn same_coding(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
-    let all: [Same; 4] = [same_rotation, same_degrees, same_length, same_axes];
-    all.into_iter().all(|same| same(a, b))
-}
-
-fn reads_rotation_as_logged(found: &PoseDiagnosis) -> bool {
-    !found.inverted && found.reading.as_ref().is_ok_and(|reading| reading.best.is_as_logged())
 }
 
 fn is_chosen(frame: &Seen<FrameEstimate>) -> bool {

@@ -5,13 +5,13 @@ use crate::explain::price;
 use crate::model::{FLOOR_M, FLOOR_RAD};
 use crate::noise::Noise;
 use crate::proof::{Part, Series, Size};
-use crate::{Aligned, ArmDiagnosis, PoseDiagnosis, Unseen};
+use crate::{Aligned, ArmDiagnosis, PoseDiagnosis, Residual, Unseen};
 use ground::geometry::{Vec3, rotvec_from_rotation};
 
-/// With the changes undone at most this share is left of what was; more where they are worth it all the same.
-pub(super) const LEFT: f64 = 0.85;
-/// Where so little is left nothing else is asked.
-const LITTLE_LEFT: f64 = 0.5;
+/// With changes undone at most this share is left of what was, …
+const HALF: f64 = 0.5;
+/// … or this, where it is small beside the noise.
+const MOST_OF_IT: f64 = 0.95;
 /// Less than this is left of a healthy stream, m and rad.
 const LITTLE: [f64; 2] = [0.3e-3, 0.5e-3];
 
@@ -45,16 +45,25 @@ pub(crate) fn jumps_in_time(found: &PoseDiagnosis) -> bool {
 
 /// All that is left of an arm's streams, an angle counting at 0.3 m; a metre where one was not read.
 pub(crate) fn left_m(found: &ArmDiagnosis) -> f64 {
-    let left = |found: &PoseDiagnosis| match (&found.residual, &found.reading) {
-        (Ok(residual), Ok(_)) => residual.together_m(),
-        _ => 1.0,
+    of_streams(found, Residual::together_m)
+}
+
+/// The same beyond what differs from sample to sample.
+fn excess_m(found: &ArmDiagnosis) -> f64 {
+    of_streams(found, |left| left.excess_m.value.hypot(0.3 * left.excess_rad.value))
+}
+
+fn of_streams(found: &ArmDiagnosis, of: impl Fn(&Residual) -> f64) -> f64 {
+    let of_stream = |found: &PoseDiagnosis| match (&found.residual, &found.reading) {
+        (Err(_), _) | (_, Err(Unseen::DoesNotFollow(_))) => 1.0,
+        (Ok(residual), _) => of(residual),
     };
-    found.streams.iter().map(left).sum()
+    found.streams.iter().map(of_stream).sum()
 }
 
 /// Whether what was found on a stream leaves more of it than its noise, or a mean in some part of the run that
 /// noise does not have.
-pub(super) fn leaves_slowly(found: &PoseDiagnosis) -> bool {
+pub(crate) fn leaves_slowly(found: &PoseDiagnosis) -> bool {
     /// Parts of the run.
     const PARTS: usize = 10;
     /// A mean is told from none by so many standard errors.
@@ -94,17 +103,23 @@ fn left(aligned: &Aligned) -> [Vec<[f64; 3]>; 2] {
 }
 
 /// Whether changes that are told by so many `parameters` are worth it: they leave half at most, or the log is
-/// so much likelier with them as these cost (after Chow 1960, with the price that causes have and the memory of
-/// the noise that they leave, so that what a wrong model leaves counts as few samples).
+/// so much likelier with them as these cost (after Chow 1960, with the price that causes have).
 pub(super) fn is_worth(before: &ArmDiagnosis, after: &ArmDiagnosis, parameters: usize) -> bool {
-    /// More memory is that of a motion, samples.
-    const MEMORY: f64 = 200.0;
-    if left_m(after) <= LITTLE_LEFT * left_m(before) {
+    let [was, is] = [before, after].map(left_m);
+    if is <= HALF * was {
         return true;
     }
-    if left_m(after) > LEFT * left_m(before) {
-        return false;
-    }
+    let (gain, independent) = gain(before, after);
+    let is_less = is <= MOST_OF_IT * was || excess_m(after) <= HALF * excess_m(before);
+    is_less && gain > price(independent) * parameters as f64
+}
+
+/// How much likelier a log is after one diagnosis than after another, as twice the log of the likelihoods' ratio,
+/// and its independent samples. They count with the memory of the noise that is left, so that what a wrong
+/// model leaves counts as few.
+pub(crate) fn gain(before: &ArmDiagnosis, after: &ArmDiagnosis) -> (f64, f64) {
+    /// More memory is that of a motion, samples.
+    const MEMORY: f64 = 200.0;
     let (mut gain, mut independent) = (0.0, 0.0);
     for (before, after) in before.streams.iter().zip(&after.streams) {
         let pairs = left(&before.aligned).into_iter().zip(left(&after.aligned));
@@ -117,5 +132,5 @@ pub(super) fn is_worth(before: &ArmDiagnosis, after: &ArmDiagnosis, parameters: 
             gain += 2.0 * samples * (was.sigma / is.sigma).ln();
         }
     }
-    gain > price(independent) * parameters as f64
+    (gain, independent)
 }

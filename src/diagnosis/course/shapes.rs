@@ -259,6 +259,16 @@ pub(super) fn path(windows: &[Window], samples: &[Sample]) -> Option<LatencyCour
     })
 }
 
+/// The numbers of a path of three pieces: its levels and where its inner knots are.
+pub(super) const BENT_PARAMETERS: f64 = 6.0;
+
+/// χ² of the windows beside the best path of three straight pieces.
+pub(super) fn bent_chi2(windows: &[Window]) -> Option<f64> {
+    let ends = [windows.first()?.t_s, windows.last()?.t_s];
+    let left = |knots: &[f64]| Some(solved(knots, window_sums(windows, knots))?.1);
+    Some(two_knots(windows, &ends, &left)?.0)
+}
+
 /// The two inner knots between `ends` that leave least, and what that is.
 fn two_knots(
     windows: &[Window],

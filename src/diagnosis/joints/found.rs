@@ -120,4 +120,6 @@ pub enum Twin {
     Reference(usize, f64),
     /// Rotation or shift of the tool frame of pose stream `usize`: amount in rad or m.
     Tool(usize, f64),
+    /// Sag of a joint (index in the chain): the largest over the run, rad.
+    Sag(usize, f64),
 }

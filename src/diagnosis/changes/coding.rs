@@ -1,0 +1,74 @@
+//! How the numbers of a stream are coded in one part of the run and in another.
+
+use super::cut::Span;
+use super::{CodedParts, Kept, Other};
+use crate::{PoseDiagnosis, Reading};
+
+impl Kept {
+    /// Says of the diagnosis of a stream whose poses were read anew how its numbers are coded: what of that
+    /// is other in another part, as in the part where it is not as logged.
+    pub(super) fn read_as(&self, s: usize, others: &[Other], after: &mut PoseDiagnosis) {
+        let own = &self.found.streams[s];
+        let first = others.iter().find(|other| self.is_reread(s, other));
+        let part = |is_same: Same, is_as_logged: fn(&PoseDiagnosis) -> bool| {
+            let its =
+                &first.filter(|first| !is_same(own, &first.alone.streams[s]))?.alone.streams[s];
+            if !is_as_logged(own) {
+                return Some((own, self.span));
+            }
+            let alike = others.iter().filter(|other| is_same(its, &other.alone.streams[s]));
+            alike.map(|other| other.span).reduce(|a, b| (a.0, b.1)).map(|span| (its, span))
+        };
+        let rotation = part(same_rotation, reads_rotation_as_logged);
+        let degrees = part(same_degrees, |found| found.degrees.is_none());
+        let length = part(same_length, |found| !matches!(found.length, Ok(Some(_))));
+        let axes = part(same_axes, |found| !matches!(found.axes, Ok(Some(_))));
+        let [of_rotation, of_degrees, of_length, of_axes] = [rotation, degrees, length, axes]
+            .map(|part: Option<(&PoseDiagnosis, Span)>| part.map_or(own, |(found, _)| found));
+        after.reading.clone_from(&of_rotation.reading);
+        after.inverted = of_rotation.inverted;
+        after.degrees = of_degrees.degrees;
+        after.length.clone_from(&of_length.length);
+        after.axes.clone_from(&of_axes.axes);
+        after.constant.clone_from(&own.constant);
+        let [rotation, degrees, length, axes] =
+            [rotation, degrees, length, axes].map(|part| part.map(|(_, span)| span));
+        after.coded = CodedParts { rotation, degrees, length, axes };
+    }
+}
+
+/// Whether something of the coding of two streams is the same.
+type Same = fn(&PoseDiagnosis, &PoseDiagnosis) -> bool;
+
+fn same_rotation(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
+    let of = |found: &PoseDiagnosis| {
+        let best = found.reading.as_ref().ok().map(|reading| reading.best);
+        let other = best.filter(|best| !matches!(best, Reading::AsLogged));
+        (other.map(|best| format!("{best:?}")), found.inverted)
+    };
+    of(a) == of(b)
+}
+
+fn same_degrees(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
+    a.degrees.is_some() == b.degrees.is_some()
+}
+
+fn same_length(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
+    let of = |found: &PoseDiagnosis| Some(found.length.as_ref().ok()?.as_ref()?.factor());
+    of(a) == of(b)
+}
+
+fn same_axes(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
+    let of = |found: &PoseDiagnosis| found.axes.as_ref().ok().copied().flatten();
+    of(a) == of(b)
+}
+
+/// Whether the numbers of two streams are coded in the same way.
+pub(super) fn same_coding(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
+    let all: [Same; 4] = [same_rotation, same_degrees, same_length, same_axes];
+    all.into_iter().all(|same| same(a, b))
+}
+
+fn reads_rotation_as_logged(found: &PoseDiagnosis) -> bool {
+    !found.inverted && found.reading.as_ref().is_ok_and(|reading| reading.best.is_as_logged())
+}
