@@ -20,7 +20,9 @@ rule! {
     /// ## Evidence
     /// Where the causes of the other rules leave more than noise, it is asked of each joint what goes with
     /// the direction of its last motion (hysteresis), beside sag (ZER003) and eccentricity, with every
-    /// latency, zero and frame free. It is named where far less is left with it. Latency and zeros are
+    /// latency, zero and frame free: whether the link waits while its encoder crosses the play, or is
+    /// pushed through it as the joint turns back. It is named where far less is left with it, and before
+    /// zeros or frames that change in mid-run where it needs fewer of them. Latency and zeros are
     /// then judged with the play taken off. `leads` says that poses go before this joint's encoder: it is
     /// on the side of the link, and the poses are reckoned from the motor's.
     ///
