@@ -58,6 +58,11 @@ const CALLS: &[Call] = &[
         file: None,
     },
     Call {
+        args: "audit READS --corrections corrections.toml --mcap OUT",
+        inputs: OF_AUDIT,
+        file: None,
+    },
+    Call {
         args: "audit READS --corrections corrections.toml --parquet OUT",
         inputs: OF_AUDIT,
         file: Some("findings.parquet"),
@@ -171,8 +176,9 @@ fn assert_unwritten(output: &Output, part: &str, call: &[String]) {
 /// Asserts the same of a call whose output could not be written: a report that goes to stdout is there.
 #[track_caller]
 fn assert_only_unwritten(output: &Output, part: &str, call: &[String]) {
-    let is_beside =
-        ["--rrd", "--parquet", "--fix"].iter().any(|beside| call.iter().any(|arg| arg == beside));
+    let is_beside = ["--rrd", "--mcap", "--parquet", "--fix"]
+        .iter()
+        .any(|beside| call.iter().any(|arg| arg == beside));
     if !is_beside {
         return assert_refused(output, part, call);
     }
@@ -317,6 +323,7 @@ const WRITERS: &[&str] = &[
     "audit LOG --select ING --output OUT/new",
     "audit LOG --select ING --format json --format html --output OUT",
     "audit LOG --select ING --rrd OUT/new",
+    "audit LOG --select ING --mcap OUT/new",
     "audit LOG --select ING --parquet OUT",
     "audit LOG --select ING --fix OUT",
     "compare LOG LOG --output OUT/new",

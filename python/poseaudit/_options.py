@@ -23,6 +23,8 @@ class How(TypedDict, total=False):
     """URDF, table or catalogue name; `{prefix: file}` with several arms."""
     calibration: Of | None
     """A UR's calibration; `{prefix: file}` with several arms."""
+    joint_map: Texts | Mapping[str, str] | None
+    """Joints that the log and the model name otherwise: `{log: model}`."""
     base: str | None
     """Link that the chain begins at."""
     tip: str | None
@@ -58,10 +60,14 @@ class Options(How, total=False):
     """Folder for what would mend the findings."""
     rrd: Path | None
     """File for a recording for the Rerun viewer."""
+    mcap: Path | None
+    """File for the findings as messages that Foxglove shows."""
     mesh_root: Path | Sequence[Path] | None
     """Folders that the meshes of the robot's URDF are sought below, for the recording."""
     parquet: Path | None
     """Folder for tables."""
+    write_baseline: Path | None
+    """File for the report as JSON, to hold later logs against."""
 
 
 class FleetOptions(How, total=False):
@@ -77,12 +83,14 @@ class FleetOptions(How, total=False):
     """What it may take of memory, as in `2GiB`."""
     retry: bool | None
     """Try again what took too much, or made the audit fail."""
+    pages: bool | None
+    """Keep the HTML report of each log."""
     identity: Literal["content", "file"] | None
     """What tells that a log is done."""
 
 
 #: The options that take no value.
-_SWITCHES = ("retry", "verify")
+_SWITCHES = ("pages", "retry", "verify")
 
 
 def names(kind: type[How]) -> list[str]:

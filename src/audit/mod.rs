@@ -134,15 +134,16 @@ impl Audited {
 
     /// With [`Report::figures`], what the pictures of the report show.
     pub fn with_figures(mut self) -> Self {
+        self.report.figures = Some(self.figures());
+        self
+    }
+
+    /// What the pictures of the report show.
+    pub(crate) fn figures(&self) -> Figures {
         let corrected =
             |arm: &Arm, of: &ArmEvidence| of.diagnosis.corrected_joints(&arm.joints, &arm.slides());
-        let is_told = |topic: &str| {
-            let mut findings = self.report.findings.iter();
-            findings.any(|found| found.subject.topic.as_deref() == Some(topic))
-        };
-        let drawn = figures(&self.run, &self.evidence, corrected, is_told);
-        self.report.figures = Some(Figures { of_longest_segment: self.is_part, ..drawn });
-        self
+        let drawn = figures(&self.run, &self.evidence, corrected, &self.report.findings);
+        Figures { of_longest_segment: self.is_part, ..drawn }
     }
 
     /// The report alone. To give back the columns of a long log takes as long as to write the report on it:
@@ -202,6 +203,7 @@ fn report(parts: &[Part], main: usize, mut read: Read, options: &Options) -> Rep
     let mut report =
         Report::new(read.summary, robots(&main.run), streams, evaluation, options.policy.fail_on);
     report.workspace = workspace;
+    report.thresholds = options.policy.rules.thresholds.clone();
     report.plans = plans(
         &main.run,
         &main.evidence,

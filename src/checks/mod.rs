@@ -40,7 +40,8 @@ pub(crate) use latency::lat001::LAT001;
 pub use merge::{Part as EvaluatedPart, merged};
 pub(crate) use observability::hidden_zero;
 pub use observability::{Blind, Part, StreamObservability};
-pub(crate) use plan::settled_by;
+pub(crate) use plan::{is_behind_residual, recipe, settled_by};
+pub(crate) use poses::mdl001::MDL001;
 pub(crate) use reading::read_as as reading_names;
 pub use settings::{Exemption, Selector, Settings, UnknownRule};
 pub use thresholds::{Limit, Thresholds};
@@ -151,7 +152,7 @@ impl Rule {
 
     /// Whether a pass rests on each of its subjects, so that none may be open.
     pub fn is_proof(&self) -> bool {
-        self.code == poses::mdl001::MDL001.code
+        self.code == MDL001.code
     }
 
     /// The first line of its text, without the period.
@@ -175,6 +176,14 @@ impl Grade {
         match self {
             Grade::Fixed(_) => &[],
             Grade::From(thresholds) => thresholds,
+        }
+    }
+
+    /// The gravest that it can be.
+    pub fn most(&self) -> Severity {
+        match self {
+            Grade::Fixed(severity) => *severity,
+            Grade::From(_) => Severity::Error,
         }
     }
 }
@@ -287,11 +296,17 @@ pub fn evaluate(evidence: &RunEvidence, settings: &Settings) -> Evaluation {
     evaluation
 }
 
-/// Puts the gravest finding first, then what moves the arm's tip most.
+/// Puts a wrong model first, from which other findings may follow, then the gravest, then what moves the
+/// arm's tip most.
 fn rank(findings: &mut [Finding]) {
     findings.sort_by(|a, b| {
         let effect = |finding: &Finding| finding.evidence.effect_m.unwrap_or(0.0);
-        b.severity.cmp(&a.severity).then(effect(b).total_cmp(&effect(a)))
+        let is_model = |finding: &Finding| {
+            finding.severity > Severity::Info
+                && matches!(finding.cause, Cause::OtherRobot(_) | Cause::Dh(_))
+        };
+        let by_model = is_model(b).cmp(&is_model(a));
+        by_model.then(b.severity.cmp(&a.severity)).then(effect(b).total_cmp(&effect(a)))
     });
 }
 

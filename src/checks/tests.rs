@@ -126,6 +126,23 @@ fn findings_stand_by_gravity_and_then_by_effect() {
 }
 
 #[test]
+fn a_wrong_model_stands_before_what_may_follow_from_it() {
+    let mut run = testing::clean_run();
+    run.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.5));
+    let mut findings = evaluate(&run, &Settings::default()).findings;
+    let mut model = findings[0].clone();
+    (model.code, model.severity) = ("MDL001", Severity::Warning);
+    model.cause = Cause::OtherRobot("ur10e".to_owned());
+    findings.push(model);
+    rank(&mut findings);
+    let said: Vec<_> = findings.iter().map(|one| one.code).collect();
+    assert_eq!(said, ["MDL001", "LAT001"]);
+    findings[0].severity = Severity::Info;
+    rank(&mut findings);
+    assert_eq!(findings[0].code, "LAT001");
+}
+
+#[test]
 fn a_run_of_which_nothing_is_known_passes_nothing_that_needs_a_model() {
     let no_robot = "no joint states in this log";
     let run = RunEvidence { no_robot: Some(no_robot.to_owned()), ..RunEvidence::default() };

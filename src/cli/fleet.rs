@@ -1,5 +1,6 @@
 //! `poseaudit fleet`.
 
+use std::ffi::OsString;
 use std::io::{self, Write};
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
@@ -82,6 +83,10 @@ pub struct Args {
     #[arg(long)]
     retry: bool,
 
+    /// Keep the HTML report of each log that this call audits in DIR/pages; the fleet's page links them
+    #[arg(long)]
+    pages: bool,
+
     /// List the logs that have no row yet, one a line, and audit none: for engines that hand them out
     #[arg(long)]
     pending: bool,
@@ -95,7 +100,7 @@ pub struct Args {
     format: Format,
 
     /// Write the summary to this file instead of stdout
-    #[arg(long, value_name = "PATH")]
+    #[arg(short, long, value_name = "PATH")]
     output: Option<PathBuf>,
 
     /// Audit this one log, as stdin says: what this program calls itself with
@@ -151,10 +156,11 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     if let Some(Command::Report(args)) = args.command.take() {
         return fleet_report::run(args);
     }
+    args.how.find_config(&args.sources)?;
     let (options, _) = args.how.clone().options()?;
     let out = args.out.clone().unwrap_or_default();
     if let Some(log) = &args.worker {
-        return work(log, &options, &Store::create(&out)?);
+        return work(log, &options, &Store::create(&out)?, args.pages);
     }
     let sources = sources(&args.sources, io::stdin().lock())?;
     places(&args, &options, &out, &sources).check()?;
@@ -251,14 +257,15 @@ fn audit(
 /// This very call, for one log.
 fn worker(log: &Path) -> io::Result<process::Command> {
     let mut command = process::Command::new(std::env::current_exe()?);
-    // The name of the program, and that of the command.
-    let mut args = std::env::args_os().skip(1);
-    command.args(args.next()).arg("--worker").arg(log).args(args);
+    // Before the name of the command only what all commands take may stand.
+    let args: Vec<OsString> = std::env::args_os().skip(1).collect();
+    let name = args.iter().position(|word| word == "fleet").map_or(0, |at| at + 1);
+    command.args(&args[..name]).arg("--worker").arg(log).args(&args[name..]);
     Ok(command)
 }
 
-fn work(log: &Path, options: &Options, store: &Store) -> Result<Outcome, Trouble> {
-    serve(log, options, store).map_err(|error| {
+fn work(log: &Path, options: &Options, store: &Store, paged: bool) -> Result<Outcome, Trouble> {
+    serve(log, options, store, paged).map_err(|error| {
         misuse("--worker", error.to_string(), "leave this option to the program itself")
     })?;
     Ok(Outcome::Clean)

@@ -1,15 +1,15 @@
 //! `poseaudit fleet report`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 use poseaudit::checks::Selector;
+use poseaudit::config::FailOn;
 use poseaudit::fleet::report::{Day, FleetReport, Question, write_html, write_text};
 use poseaudit::fleet::{Store, Template};
 use poseaudit::places::Places;
 use poseaudit::report::Trouble;
 
-use super::how::FailOn;
 use super::{Outcome, misuse, output};
 
 /// Say what the logs of a fleet tell together: which arms fail which rules, and what moves over time
@@ -32,11 +32,11 @@ pub struct Args {
     format: Format,
 
     /// Write it to this file instead of stdout
-    #[arg(long, value_name = "PATH")]
+    #[arg(short, long, value_name = "PATH")]
     output: Option<PathBuf>,
 
-    /// Exit with 1 from findings of this severity
-    #[arg(long, value_enum, value_name = "SEVERITY", default_value_t = FailOn::Warning)]
+    /// Exit with 1 from findings of this severity, or also where a verdict is open
+    #[arg(long, value_enum, value_name = "SEVERITY", default_value = "warning")]
     fail_on: FailOn,
 
     /// Findings of logs from before this day, in UTC, do not count; trends see all logs
@@ -78,12 +78,19 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
     };
     let question = Question {
         fail_on: args.fail_on.into(),
+        fails_open: args.fail_on == FailOn::Inconclusive,
         since_ns: args.since.map(Day::start_ns),
         template: args.labels_from,
         settings: args.settings,
         select: args.select,
     };
     let report = FleetReport::of(&store, &question)?;
+    // Of stdout nobody knows where it leads.
+    let report = match args.output.as_deref().map(|path| path.parent()) {
+        Some(Some(folder)) if !folder.as_os_str().is_empty() => report.linked_from(folder),
+        Some(_) => report.linked_from(Path::new(".")),
+        None => report,
+    };
     output::emit(args.output.as_deref(), |out| match args.format {
         Format::Text => write_text(&report, out),
         Format::Html => write_html(&report, out),

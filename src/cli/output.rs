@@ -2,7 +2,7 @@
 
 use std::fmt::Display;
 use std::fs::File;
-use std::io::{self, Write};
+use std::io::{self, IsTerminal, Write};
 use std::path::Path;
 
 use anstream::{AutoStream, StripStream};
@@ -10,6 +10,8 @@ use anstyle::{AnsiColor, Style};
 use clap::ValueEnum;
 use comfy_table::{Table, presets};
 use poseaudit::report::{Trouble, tame, upright, write_whole};
+
+use super::say;
 
 /// How an answer that is no report is printed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -33,6 +35,9 @@ pub fn error(what: impl Display) {
 
 /// One line on stderr that says what to heed.
 pub fn warning(what: impl Display) {
+    if say::is_quiet() {
+        return;
+    }
     anstream::eprintln!("{WARNING}warning:{WARNING:#} {}", tame(&what.to_string()));
 }
 
@@ -46,10 +51,17 @@ pub fn table<'a>(header: impl IntoIterator<Item = &'a str>) -> Table {
     table
 }
 
-/// How wide the terminal is that stdout leads to, if it leads to one.
+/// How wide the terminal is that stdout leads to, if it leads to one: as `COLUMNS` says, else as it says.
+/// A pipe and a file have no width: there each statement stays one line, which grep finds whole.
 pub fn columns() -> Option<usize> {
-    let (width, _) = terminal_size::terminal_size_of(io::stdout())?;
-    Some(usize::from(width.0))
+    /// Of a terminal that does not say.
+    const USUAL: usize = 100;
+    if !io::stdout().is_terminal() {
+        return None;
+    }
+    let set = std::env::var("COLUMNS").ok().and_then(|text| text.parse().ok());
+    let own = || terminal_size::terminal_size_of(io::stdout()).map(|(width, _)| width.0.into());
+    set.filter(|&columns: &usize| columns > 0).or_else(own).or(Some(USUAL))
 }
 
 /// Hands what `write` writes to the file at `path`, whose parents are made, else to stdout. Characters that
@@ -98,5 +110,7 @@ fn to_stdout(text: &[u8]) -> io::Result<()> {
 }
 
 fn to_file(path: &Path, text: &[u8]) -> io::Result<()> {
-    write_whole(path, |staged| StripStream::new(File::create(staged)?).write_all(text))
+    write_whole(path, |staged| StripStream::new(File::create(staged)?).write_all(text))?;
+    say::wrote(path);
+    Ok(())
 }

@@ -184,6 +184,7 @@ impl Mending {
             | Cause::YawJump
             | Cause::Frames
             | Cause::Stamps
+            | Cause::Seen(_)
             | Cause::Other => Err(finding.fix.clone()),
         }
     }

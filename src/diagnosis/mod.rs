@@ -102,7 +102,7 @@ pub use reference::{
 pub use reread::{Meant, reread_poses};
 pub use response::Response;
 pub use rival::{is_seen_from_tool, position_misfit_m};
-pub use shake::{NoShake, Shake, shake};
+pub use shake::{NoShake, Shake, ShakeSeen, shake, shake_seen};
 pub use skewed::SkewedDelays;
 pub use steady::{diagnose_imu_steadied, diagnose_steadied, steadied};
 pub use steps::LatencySteps;

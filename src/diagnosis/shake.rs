@@ -102,6 +102,46 @@ pub fn shake(
     strongest.ok_or(NoShake::Uneven)
 }
 
+/// What a path does about the moment when it shakes most.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ShakeSeen {
+    /// Frequency in Hz, and the rms of all axes there, m.
+    pub spectrum: Vec<[f64; 2]>,
+    /// Time in s, and where the path is along the axis on which it moves most, m, beside the parabola that
+    /// fits best.
+    pub trace: Vec<[f64; 2]>,
+}
+
+/// The second about `at_s` of a path, as [`shake`] looks at it; `None` where its samples are not even there.
+pub fn shake_seen(
+    t_s: &[f64],
+    mut position_m: impl FnMut(usize) -> Vec3,
+    at_s: f64,
+) -> Option<ShakeSeen> {
+    let period_s = period(t_s)?;
+    let length = (WINDOW_S / period_s).round() as usize;
+    let middle = t_s.partition_point(|t_s| *t_s < at_s);
+    let start = middle.saturating_sub(length / 2);
+    let times = t_s.get(start..start + length)?;
+    if length < 8 || times[length - 1] - times[0] > 1.5 * WINDOW_S {
+        return None;
+    }
+    let path: Vec<Vec3> = (start..start + length).map(&mut position_m).collect();
+    let power = Spectrum::new(length, 1.0 / period_s).power(&path);
+    let bin_hz = 1.0 / (period_s * length as f64);
+    let spectrum = power.iter().enumerate().skip(1);
+    let spectrum = spectrum.map(|(bin, power)| [bin as f64 * bin_hz, power.sqrt()]);
+    let axes = [0, 1, 2].map(|axis| {
+        let mut values: Vec<f64> = path.iter().map(|point| point[axis]).collect();
+        take_parabola_off(&mut values);
+        values
+    });
+    let size = |values: &Vec<f64>| values.iter().map(|value| value * value).sum::<f64>();
+    let most = axes.into_iter().max_by(|a, b| size(a).total_cmp(&size(b)))?;
+    let trace = times.iter().zip(most).map(|(&t_s, value)| [t_s, value]);
+    Some(ShakeSeen { spectrum: spectrum.collect(), trace: trace.collect() })
+}
+
 /// The median time between samples, s.
 fn period(t_s: &[f64]) -> Option<f64> {
     let mut steps: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -289,6 +329,18 @@ mod tests {
             assert!((found.rms_m - 1e-3 / 2f64.sqrt()).abs() < 3e-5, "{rate_hz}: {found:?}");
             assert!((found.frequency_hz - 17.0).abs() < 1.1, "{found:?}");
         }
+    }
+
+    #[test]
+    fn what_is_seen_of_a_tone_is_its_line_and_its_swing() {
+        let t_s: Vec<f64> = (0..500).map(|row| f64::from(row) / 100.0).collect();
+        let tone = |row: usize| Vec3::new(0.0, 2e-3 * (TAU * 17.0 * t_s[row]).sin(), 1.0);
+        let seen = shake_seen(&t_s, tone, 2.5).expect("even");
+        let strongest = seen.spectrum.iter().max_by(|a, b| a[1].total_cmp(&b[1]));
+        assert!(strongest.is_some_and(|line| (line[0] - 17.0).abs() < 1.1), "{strongest:?}");
+        let swing = seen.trace.iter().map(|at| at[1].abs()).fold(0.0, f64::max);
+        assert!((swing - 2e-3).abs() < 2e-4 && seen.trace.len() == 100, "{swing}");
+        assert_eq!(shake_seen(&t_s, tone, 9.0), None);
     }
 
     #[test]

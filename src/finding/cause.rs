@@ -96,9 +96,36 @@ pub enum Cause {
     Frames,
     /// Stamps or rates are not what they should be.
     Stamps,
+    /// A fault that no file mends, by what shows it.
+    Seen(Sight),
     /// A fault that no file mends and that its amount shows.
     #[default]
     Other,
+}
+
+/// What shows a fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sight {
+    /// The spectrum of a path, and the path where it shakes most.
+    Shake,
+    /// What a camera sees against the hand.
+    HandEye,
+    /// The tip beside a commanded line.
+    Line,
+    /// Goals and where the arm came to rest.
+    Rest,
+    /// The norms of rotations.
+    Norm,
+    /// The axes of an IMU in its link.
+    ImuAxes,
+    /// A gyro while the arm rests.
+    Gyro,
+    /// Where an accelerometer feels up while the arm rests.
+    Tilt,
+    /// A joint's positions and speeds.
+    Joint,
+    /// The errors of a stream, and when it was there.
+    Stream,
 }
 
 /// A joint whose positions must be scaled: `q_true = factor · q_reported + offset`.

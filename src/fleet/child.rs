@@ -160,11 +160,11 @@ fn signal(_: ExitStatus) -> Option<i32> {
 }
 
 /// What the process of one log does: takes its task from stdin, audits the log at `path` as `options`
-/// say, writes its rows into `store`, and tells how that ended on stdout.
+/// say, writes its rows into `store`, with `paged` its page, too, and tells how that ended on stdout.
 ///
 /// # Errors
 /// If no task comes, or nobody takes the answer.
-pub fn serve(path: &Path, options: &Options, store: &Store) -> io::Result<()> {
+pub fn serve(path: &Path, options: &Options, store: &Store, paged: bool) -> io::Result<()> {
     let mut stdin = BufReader::new(io::stdin());
     let mut line = String::new();
     stdin.read_line(&mut line)?;
@@ -177,7 +177,7 @@ pub fn serve(path: &Path, options: &Options, store: &Store) -> io::Result<()> {
     if let Some(bytes) = memory_bytes {
         limit_memory(bytes)?;
     }
-    let told = match settle(path, &task, options, store) {
+    let told = match settle(path, &task, options, store, paged) {
         Ok((answer, what)) => Told::Answer(answer, what),
         Err(error) => Told::Fault(error.to_string()),
     };

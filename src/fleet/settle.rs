@@ -1,5 +1,7 @@
 //! What an audit makes of one log's rows.
 
+use std::fs::File;
+use std::io::BufWriter;
 use std::path::Path;
 
 use polars::prelude::PolarsError;
@@ -8,11 +10,11 @@ use super::store::{Row, Status, Store, StoreError, Tables, found};
 use super::task::{Answer, Task};
 use crate::boundary::caught;
 use crate::finding::Severity;
-use crate::report::{Report, Trouble, TroubleKind};
+use crate::report::{Report, Trouble, TroubleKind, html, write_whole};
 use crate::{Audited, Options, audit};
 
 /// Audits the log at `path` as `options` say, and puts its rows into `store`. A panic is caught, and
-/// becomes its row. Returns also what kept it from being audited.
+/// becomes its row. Returns also what kept it from being audited. With `paged` its report is kept as a page, too.
 ///
 /// # Errors
 /// Where its rows cannot be written.
@@ -21,11 +23,19 @@ pub fn settle(
     task: &Task,
     options: &Options,
     store: &Store,
+    paged: bool,
 ) -> Result<(Answer, Option<String>), StoreError> {
     let mut options = Options { logs: vec![path.to_owned()], ..options.clone() };
     options.policy.fail_on = Some(Severity::Warning);
-    let ((answer, tables), trouble) = match caught(|| audit(&options).map(Audited::into_report)) {
-        Ok(Ok(report)) => (of_report(task, &report), report.error),
+    let pictured = |it: Audited| if paged { it.with_figures() } else { it };
+    let audited = caught(|| audit(&options).map(|audited| pictured(audited).into_report()));
+    let ((answer, tables), trouble) = match audited {
+        Ok(Ok(report)) => {
+            if paged {
+                write_page(&store.page(&task.key), &report)?;
+            }
+            (of_report(task, &report), report.error)
+        }
         Ok(Err(trouble)) => {
             let status = or_out_of_memory(Status::NotAudited, &trouble);
             (of_trouble(task, status, &trouble), Some(trouble))
@@ -39,6 +49,11 @@ pub fn settle(
     let tables = tables.map_err(|source| StoreError::Content { path: path.to_owned(), source })?;
     store.commit(&task.key, tables)?;
     Ok((answer, trouble.map(|trouble| trouble.what)))
+}
+
+fn write_page(path: &Path, report: &Report) -> Result<(), StoreError> {
+    let write = |staged: &Path| html::write(report, &mut BufWriter::new(File::create(staged)?));
+    write_whole(path, write).map_err(|source| StoreError::File { path: path.to_owned(), source })
 }
 
 /// `status`, unless it was memory that was missing.

@@ -7,6 +7,7 @@
 pub mod calibration;
 #[cfg(feature = "fix")]
 pub mod fix;
+pub mod foxglove;
 #[cfg(feature = "recording")]
 pub mod replay;
 #[cfg(feature = "tables")]

@@ -1,5 +1,7 @@
 //! Joins a run and what was estimated on it to the series behind a report's pictures.
 
+mod own;
+
 use rayon::prelude::*;
 
 use super::figures::{
@@ -12,6 +14,7 @@ use crate::diagnosis::{
     turning_by_latency,
 };
 use crate::evidence::{ArmEvidence, ImuEvidence, Of, PoseEvidence, RunEvidence, frame_of_several};
+use crate::finding::Finding;
 use crate::run::{Arm, Edge, EdgeKind, ImuSource, PoseSource, Rhythm, Run, Stream};
 use crate::stream::JointTrack;
 use crate::time::Stamp;
@@ -22,19 +25,25 @@ const MOST_SILENCES: usize = 60;
 /// Streams of poses of an arm that are drawn though no finding is about them.
 const DRAWN: usize = 16;
 
-/// The series behind the pictures of a run. `corrected` gives an arm's joint states as they should
-/// have been recorded, `is_told` whether a finding is about a topic.
+/// The series behind the pictures of a run and of what was found on it. `corrected` gives an arm's joint
+/// states as they should have been recorded.
 pub(crate) fn figures(
     run: &Run,
     facts: &RunEvidence,
     corrected: impl Fn(&Arm, &ArmEvidence) -> JointTrack,
-    is_told: impl Fn(&str) -> bool + Sync,
+    findings: &[Finding],
 ) -> Figures {
+    let is_told = |topic: &str| {
+        let mut findings = findings.iter();
+        findings.any(|found| found.subject.topic.as_deref() == Some(topic))
+    };
     let clock = Clock { run, start: run.span.map_or(run.origin, |(start, _)| start) };
     let mut figures = Figures {
         duration_s: run.span.map_or(0.0, |(start, end)| end.seconds_since(start)),
         timeline: timeline(&clock),
         frames: frames(run),
+        own: own::figures(&clock, facts, findings),
+        start: Some(clock.start),
         ..Figures::default()
     };
     for (arm, facts) in run.arms.iter().zip(&facts.robots) {
@@ -107,6 +116,7 @@ fn pose(
         after_m: after.m,
         after_rad: after.rad,
         reach_m: aligned.reach_m(),
+        at_m: aligned.fk.iter().map(|fk| fk.translation.vector.into()).collect(),
         left_by_latency: valley.map(|at| [at.latency_s, at.rms_m, at.rms_rad]).collect(),
         latency_course: clock.course(&found.course),
         readings: scores(&found.reading),

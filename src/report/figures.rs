@@ -3,6 +3,8 @@
 //! Filled where a format draws them, from what plots, tables and the recording read too; see
 //! [`Audited::with_figures`](crate::Audited::with_figures).
 
+use crate::time::Stamp;
+
 /// What the pictures of a report show.
 #[derive(Clone, Debug, Default)]
 pub struct Figures {
@@ -14,10 +16,89 @@ pub struct Figures {
     pub poses: Vec<PoseFigure>,
     /// The IMUs.
     pub imus: Vec<ImuFigure>,
+    /// The pictures of single findings, with the place of the finding in the report.
+    pub own: Vec<(usize, Own)>,
+    /// First stamp of the run, from which times count.
+    pub start: Option<Stamp>,
     /// When each stream was there.
     pub timeline: Vec<TimelineRow>,
     /// The transforms of the log and the still ones of its models.
     pub frames: Vec<FrameEdge>,
+}
+
+/// The picture of one finding's own.
+#[derive(Clone, Debug)]
+pub enum Own {
+    /// A path that shakes: its spectrum in Hz and rms m, and the path in s and m.
+    Shake {
+        /// Frequency and rms.
+        spectrum: Vec<[f64; 2]>,
+        /// Time and place along the axis that moves most.
+        trace: Vec<[f64; 2]>,
+    },
+    /// What a camera sees against a hand.
+    HandEye {
+        /// Time, distance in m and angle in rad that the chain is open by, of each view.
+        each: Vec<[f64; 3]>,
+        /// From where the target is seen, rad about two axes across the mean view.
+        views: Vec<[f64; 2]>,
+        /// Where the target is in the camera's frame, m.
+        seen: Vec<[f64; 3]>,
+    },
+    /// A commanded line: way along it in m, distance in m and angle in rad from it.
+    Line {
+        /// The tip by FK, from the line through its own ends.
+        tip: Vec<[f64; 3]>,
+        /// The command.
+        command: Vec<[f64; 3]>,
+    },
+    /// Where the arm came to rest, against each goal: both m in the base.
+    Rests(Vec<[[f64; 3]; 2]>),
+    /// Time and by how much a rotation is none.
+    Norms(Vec<[f64; 2]>),
+    /// The columns of the rotations from an IMU to its link.
+    ImuAxes {
+        /// The link.
+        link: String,
+        /// As the motion has it.
+        found: [[f64; 3]; 3],
+        /// As the log's frames have it.
+        logged: Option<[[f64; 3]; 3]>,
+    },
+    /// Time and the three rates of a gyro, rad/s.
+    Gyro {
+        /// The rates.
+        rates: Vec<[f64; 4]>,
+        /// Whether they are of rests alone.
+        at_rest: bool,
+        /// The bias found.
+        bias: Option<[f64; 3]>,
+    },
+    /// Where up is by the accelerometer in the world of the orientation: its x and y as angles, rad.
+    Tilt(Vec<[f64; 2]>),
+    /// A joint.
+    Joint(JointFigure),
+}
+
+/// One joint, in rad or m.
+#[derive(Clone, Debug, Default)]
+pub struct JointFigure {
+    /// The joint.
+    pub joint: String,
+    /// Whether it slides.
+    pub slides: bool,
+    /// Times, s.
+    pub t_s: Vec<f64>,
+    /// Positions.
+    pub position: Vec<f64>,
+    /// Velocities as recorded; empty where there are none.
+    pub velocity: Vec<f64>,
+    /// The rates of the positions.
+    pub rate: Vec<f64>,
+    /// Limits of the position.
+    pub limits: [Option<f64>; 2],
+    /// Limit of the speed.
+    pub top_speed: Option<f64>,
 }
 
 /// Errors of one pose stream. The columns have an entry a sample; those `before` are empty where the
@@ -42,6 +123,8 @@ pub struct PoseFigure {
     pub after_rad: Vec<f64>,
     /// Distance of FK from the origin of the reference frame, m.
     pub reach_m: Vec<f64>,
+    /// The tip by FK in the reference frame, m.
+    pub at_m: Vec<[f64; 3]>,
     /// What is left at latencies around the one found: latency in s, rms m, rms rad.
     pub left_by_latency: Vec<[f64; 3]>,
     /// Its latency over the run.

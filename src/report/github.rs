@@ -29,9 +29,7 @@ pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     }
     let verdict = format!("poseaudit: {}", report.verdict);
     let ignored = says.ignored().into_iter().map(|known| format!("ignored: {known}")).collect();
-    let settle = says.to_settle().into_iter().map(|line| format!("to settle {line}")).collect();
-    let lines =
-        [vec![says.why()], ignored, says.could_not_tell(), says.cannot_show(), settle].concat();
+    let lines = [vec![says.why()], says.open_lines(), ignored].concat();
     command(out, "notice", file.as_deref(), &verdict, &lines.join("\n"))
 }
 

@@ -27,14 +27,10 @@ pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     }
     header(report, &says, out)?;
     findings(report, &says, out)?;
-    folded("Ignored", says.ignored(), true, out)?;
-    let passed = says.passed();
-    let lists = [passed.whole.join(", "), passed.parts.join("; ")].into_iter();
-    let passed = lists.filter(|list| !list.is_empty()).chain(passed.remarks);
-    folded("Passed", passed.collect(), false, out)?;
     // Where nothing is wrong but not all was told, that is what is to be read.
-    let open = [says.could_not_tell(), says.cannot_show(), says.to_settle()].concat();
-    folded("Inconclusive", open, report.verdict == Verdict::Inconclusive, out)?;
+    folded("Inconclusive", says.open_lines(), report.verdict == Verdict::Inconclusive, out)?;
+    folded("Ignored", says.ignored(), true, out)?;
+    folded("Passed", says.passed().lines(), false, out)?;
     folded("Skipped", says.skipped(), false, out)
 }
 

@@ -30,8 +30,8 @@ use std::path::{Path, PathBuf};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::checks::{self, Evaluation, Rule, StreamObservability};
-use crate::finding::{CheckRow, Finding, Ignored, Severity, Status, Word, word};
+use crate::checks::{self, Evaluation, Rule, StreamObservability, Thresholds};
+use crate::finding::{CheckRow, Finding, Ignored, Severity, Status, Unit, Word, word};
 use crate::time::Stamp;
 
 pub(crate) use drawn::figures;
@@ -40,7 +40,7 @@ pub use file::write_whole;
 pub(crate) use file::{is_descriptor, replaceable};
 pub use format::{FORMATS, Format};
 pub use plans::PlanRow;
-pub(crate) use plans::plans;
+pub(crate) use plans::{PlanOf, plan_around, plans};
 pub use rows::{RobotRow, StreamRow};
 pub(crate) use rows::{joined, robots, streams};
 pub(crate) use tame::quoted;
@@ -102,6 +102,9 @@ pub struct Report {
     /// What its pictures show, where they were asked for.
     #[serde(skip)]
     pub figures: Option<Figures>,
+    /// The amounts that the caller set instead of the rules' own.
+    #[serde(skip)]
+    pub(crate) thresholds: Thresholds,
 }
 
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
@@ -215,7 +218,12 @@ impl Report {
 
     /// The call that writes a recording of the same audit.
     fn replay(&self) -> String {
-        format!("{} --rrd run.rrd", self.call.as_deref().unwrap_or("poseaudit audit …"))
+        let call = self.call.clone().unwrap_or_else(|| {
+            let logs = self.log.files.iter().map(|file| file.path.display().to_string());
+            let logs: Vec<String> = logs.map(|log| tame::shell_word(&log)).collect();
+            format!("poseaudit audit {}", logs.join(" "))
+        });
+        format!("{call} --rrd run.rrd")
     }
 
     /// Keeps the words of the call that made it.
@@ -263,7 +271,14 @@ impl Report {
             call: None,
             fails_open: false,
             figures: None,
+            thresholds: Thresholds::default(),
         }
+    }
+
+    /// From which amount in `unit` a rule warns; `None` where it judges none in that unit.
+    pub(crate) fn warns_from(&self, rule: &Rule, unit: Unit) -> Option<f64> {
+        let own = rule.grade.thresholds().iter().find(|threshold| threshold.unit == unit)?;
+        Some(self.thresholds.of(rule, *own).warning)
     }
 
     /// Whether a finding of this severity fails the run.

@@ -1,11 +1,16 @@
 //! What a report says in words, as every format for people says it.
 
+mod open;
+mod passed;
+
 use std::collections::BTreeSet;
 
-use super::{Report, Verdict, undecided};
+use super::{Report, RobotRow, Verdict, undecided};
 use crate::finding::{
     Alternative, CheckRow, Estimate, Finding, Ignored, Severity, Status, Subject, Unit,
 };
+
+pub(crate) use passed::{Bound, Passed};
 
 /// The words of one report.
 pub(crate) struct Outline<'a> {
@@ -14,15 +19,14 @@ pub(crate) struct Outline<'a> {
     robots: bool,
 }
 
-/// What passed.
-#[derive(Default)]
-pub(crate) struct Passed {
-    /// Rules that passed on all that they were asked about, runs of codes as ranges.
-    pub whole: Vec<String>,
-    /// Rules that passed on some of it, with what.
-    pub parts: Vec<String>,
-    /// What was said of a pass.
-    pub remarks: Vec<String>,
+/// The rows of one rule.
+struct Outcomes<'a> {
+    /// Those that passed, …
+    plain: Vec<&'a CheckRow>,
+    /// … and those of which that had to be explained.
+    remarked: Vec<&'a CheckRow>,
+    /// How many there are, without those that were skipped.
+    asked: usize,
 }
 
 impl<'a> Outline<'a> {
@@ -31,22 +35,37 @@ impl<'a> Outline<'a> {
         Self { report, robots: report.robots.len() > 1 }
     }
 
-    /// The verdict's reason: `2 errors`, `no problems found (46 checks passed)`, what was not decided.
+    /// The verdict's reason and how many checks ended how: `2 errors; 46 checks passed, 3 inconclusive`.
     pub fn why(&self) -> String {
+        let counts = self.checks_counted();
         match self.report.verdict {
             Verdict::Pass if self.report.findings.is_empty() => {
-                let count = |status: Status| {
-                    self.report.checks.iter().filter(|row| row.status == status).count()
-                };
-                let open = match count(Status::Inconclusive) {
-                    0 => String::new(),
-                    open => format!(", {open} inconclusive"),
-                };
-                format!("no problems found ({} checks passed{open})", count(Status::Pass))
+                format!("no problems found ({counts})")
             }
-            Verdict::Pass | Verdict::Fail => self.counts(),
-            Verdict::Inconclusive => format!("not decided: {}", self.undecided()),
+            Verdict::Pass | Verdict::Fail => format!("{}; {counts}", self.counts()),
+            Verdict::Inconclusive => format!("not decided: {}; {counts}", self.undecided()),
         }
+    }
+
+    /// `46 checks passed, 3 inconclusive, 1 finding ignored`.
+    fn checks_counted(&self) -> String {
+        let count =
+            |status: Status| self.report.checks.iter().filter(|row| row.status == status).count();
+        let passed = count(Status::Pass);
+        let passed = format!("{passed} {} passed", if passed == 1 { "check" } else { "checks" });
+        let others = [
+            (count(Status::Inconclusive), "inconclusive".to_owned()),
+            (
+                self.report.ignored.len(),
+                match self.report.ignored.len() {
+                    1 => "finding ignored".to_owned(),
+                    _ => "findings ignored".to_owned(),
+                },
+            ),
+        ];
+        let others = others.into_iter().filter(|(count, _)| *count > 0);
+        let others = others.map(|(count, what)| format!(", {count} {what}"));
+        format!("{passed}{}", others.collect::<String>())
     }
 
     /// `3 errors, 1 warning`.
@@ -85,9 +104,30 @@ impl<'a> Outline<'a> {
         subject.label_among(self.robots)
     }
 
+    /// What several checks are about; all joints of an arm are said together.
     fn subjects(&self, rows: &[&CheckRow]) -> String {
-        let subjects = rows.iter().map(|row| self.subject(&row.subject));
-        subjects.collect::<Vec<_>>().join(", ")
+        let mut said = Vec::new();
+        let mut rows = rows.to_vec();
+        for robot in self.report.robots.iter().filter(|robot| robot.joints.len() > 1) {
+            let is_its = |row: &&CheckRow| is_joint_of(&row.subject, robot);
+            let joints: BTreeSet<&str> =
+                rows.iter().filter(|row| is_its(row)).map(|row| row.subject.label()).collect();
+            if joints.len() == robot.joints.len() {
+                let of = if self.robots { format!(" of {}", robot.name) } else { String::new() };
+                said.push(format!("all {} joints{of}", joints.len()));
+                rows.retain(|row| !is_its(row));
+            }
+        }
+        said.extend(rows.iter().map(|row| self.subject(&row.subject)));
+        said.join(", ")
+    }
+
+    /// ` on /pose, /tf`; nothing of what is about the whole run.
+    fn on(&self, rows: &[&CheckRow]) -> String {
+        match self.subjects(rows) {
+            none if none.is_empty() => String::new(),
+            subjects => format!(" on {subjects}"),
+        }
     }
 
     /// What stands under a finding's message, a line each: what the fault does, what the amount
@@ -119,52 +159,6 @@ impl<'a> Outline<'a> {
             _ => String::new(),
         };
         format!("{} on {}{amount}", other.code, self.subject(&other.subject))
-    }
-
-    /// What passed.
-    pub fn passed(&self) -> Passed {
-        let (mut whole, mut said) = (Vec::new(), Passed::default());
-        for code in self.codes() {
-            let asked = self.rows(code).filter(|row| row.status != Status::Skipped);
-            let passed: Vec<&CheckRow> =
-                self.rows(code).filter(|row| row.status == Status::Pass).collect();
-            if passed.is_empty() {
-                continue;
-            }
-            let (plain, remarked): (Vec<&CheckRow>, Vec<&CheckRow>) =
-                passed.iter().copied().partition(|row| row.reason.is_none());
-            if plain.len() == asked.count() {
-                whole.push(code);
-            } else if !plain.is_empty() {
-                said.parts.push(format!("{code} on {}", self.subjects(&plain)));
-            }
-            said.remarks.extend(remarked.iter().filter_map(|row| {
-                Some(format!("{code} on {}: {}", self.subject(&row.subject), row.reason.as_ref()?))
-            }));
-        }
-        said.whole = ranges(&whole);
-        said
-    }
-
-    /// What could not be told, a line for each rule and reason.
-    pub fn could_not_tell(&self) -> Vec<String> {
-        let rows = self.report.checks.iter().filter(|row| row.status == Status::Inconclusive);
-        let groups = grouped_by(rows, |row| (row.code, row.reason.as_deref()));
-        let lines = groups.into_iter().map(|((code, reason), rows)| {
-            format!("{code} on {}: {}", self.subjects(&rows), reason.unwrap_or_default())
-        });
-        lines.collect()
-    }
-
-    /// The motions that would settle what could not be told: a line each, which ends in the call that writes
-    /// it.
-    pub fn to_settle(&self) -> Vec<String> {
-        let lines = self.report.plans.iter().map(|plan| {
-            let codes: Vec<&str> = plan.codes.iter().map(String::as_str).collect();
-            let of = if self.robots { format!(" of {}", plan.robot) } else { String::new() };
-            format!("{}{of}: {}", ranges(&codes).join(", "), plan.command)
-        });
-        lines.collect()
     }
 
     /// What the motion shows only together, a line for what would be told apart together.
@@ -214,6 +208,11 @@ impl<'a> Outline<'a> {
         codes.dedup();
         codes
     }
+}
+
+fn is_joint_of(subject: &Subject, robot: &RobotRow) -> bool {
+    subject.robot.as_ref() == Some(&robot.name)
+        && subject.joint.as_ref().is_some_and(|joint| robot.joints.contains(joint))
 }
 
 /// A count with its digits in groups of three.

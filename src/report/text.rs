@@ -9,18 +9,15 @@ use std::io::{self, Write};
 use anstyle::{AnsiColor, Style};
 use textwrap::{Options, WordSeparator, WordSplitter, WrapAlgorithm};
 
-use super::outline::Outline;
+use super::outline::{Bound, Outline};
 use super::{JointCoverage, Report, Verdict, WorkspaceRow, spark, tame};
 use crate::finding::{Finding, Severity};
 
 /// Width of the column of labels.
 const LABEL: usize = 16;
 
-/// Lists are broken before this column, wherever the report goes.
-const WIDTH: usize = 100;
-
 /// Lines on a terminal are at least and at most so wide.
-const NARROWEST: usize = 80;
+const NARROWEST: usize = 60;
 const WIDEST: usize = 120;
 
 const ERROR: Style = AnsiColor::Red.on_default().bold();
@@ -62,7 +59,7 @@ impl<'a> Page<'a> {
     fn write(&self, out: &mut dyn Write) -> io::Result<()> {
         self.header(out)?;
         self.verdict(out)?;
-        self.block(out, QUIET, "error", spark::over_time(self.report))?;
+        self.block(out, QUIET, "over time", spark::over_time(self.report))?;
         for finding in &self.report.findings {
             writeln!(out)?;
             self.finding(finding, out)?;
@@ -70,11 +67,14 @@ impl<'a> Page<'a> {
         if !self.report.checks.is_empty() {
             writeln!(out)?;
         }
+        self.block(out, WARNING, "inconclusive", self.says.could_not_tell())?;
+        self.block(out, WARNING, "", self.says.cannot_show())?;
+        self.block(out, WARNING, "to settle", self.says.recipe().into_iter().collect())?;
+        for plan in self.says.plans() {
+            self.call(out, "", plan)?;
+        }
         self.block(out, WARNING, "ignored", self.says.ignored())?;
         self.passed(out)?;
-        self.block(out, WARNING, "inconclusive", self.says.could_not_tell())?;
-        self.block(out, WARNING, "not observable", self.says.cannot_show())?;
-        self.to_settle(out)?;
         let arms = self.report.workspace.iter().map(|arm| self.workspace(arm));
         self.block(out, QUIET, "workspace", arms.collect())?;
         self.block(out, QUIET, "skipped", self.says.skipped())?;
@@ -139,7 +139,10 @@ impl<'a> Page<'a> {
 
     fn passed(&self, out: &mut dyn Write) -> io::Result<()> {
         let passed = self.says.passed();
-        let lists = self.lists(&passed.whole, ", ").into_iter();
+        let bounds: Vec<String> = passed.bounds.iter().map(Bound::sentence).collect();
+        // Where nobody wraps lines, each is one, which grep finds.
+        let bounds = if self.columns.is_some() { self.lists(&bounds, "; ") } else { bounds };
+        let lists = bounds.into_iter().chain(self.lists(&passed.whole, ", "));
         let texts = lists.chain(self.lists(&passed.parts, "; ")).chain(passed.remarks);
         self.block(out, GOOD, "passed", texts.collect())
     }
@@ -169,26 +172,20 @@ impl<'a> Page<'a> {
         }
     }
 
+    /// What to call next.
     fn hints(&self, out: &mut dyn Write) -> io::Result<()> {
         let Some(first) = self.report.findings.first() else {
             return Ok(());
         };
-        let explain = format!("poseaudit explain {}", first.code);
-        let replay = self.report.replay();
         writeln!(out)?;
-        writeln!(out, "{QUIET}{explain}    what it means, when it misleads{QUIET:#}")?;
-        writeln!(out, "{QUIET}{}    replay it in the viewer{QUIET:#}", tame(&replay))
+        self.call(out, "explain", &format!("poseaudit explain {}", first.code))?;
+        self.call(out, "replay", &self.report.replay())
     }
 
-    /// The calls that would settle what is open, each on a line of its own however long it is: it is to be
-    /// copied.
-    fn to_settle(&self, out: &mut dyn Write) -> io::Result<()> {
-        let lines = self.says.to_settle();
-        let labels = ["to settle"].into_iter().chain(std::iter::repeat(""));
-        labels.zip(lines).try_for_each(|(label, line)| {
-            let blanks = " ".repeat(LABEL.saturating_sub(label.chars().count()).max(1));
-            writeln!(out, "{WARNING}{label}{WARNING:#}{blanks}{}", tame(&line))
-        })
+    /// A call, on a line of its own however long it is: it is to be copied.
+    fn call(&self, out: &mut dyn Write, label: &str, call: &str) -> io::Result<()> {
+        let blanks = " ".repeat(LABEL.saturating_sub(label.chars().count()).max(1));
+        writeln!(out, "{QUIET}{label}{QUIET:#}{blanks}{}", tame(call))
     }
 
     /// Writes lines of which the first has a label.
@@ -229,9 +226,9 @@ impl<'a> Page<'a> {
         textwrap::wrap(text, options).iter().try_for_each(|line| writeln!(out, "{line}"))
     }
 
-    /// `items` joined by `separator`, broken into lines that fit beside the labels.
+    /// `items` joined by `separator`, on a terminal broken into lines that fit beside the labels.
     fn lists(&self, items: &[String], separator: &str) -> Vec<String> {
-        let width = self.columns.unwrap_or(WIDTH);
+        let width = self.columns.unwrap_or(usize::MAX);
         let mut lines: Vec<String> = Vec::new();
         for item in items {
             match lines.last_mut() {
@@ -276,7 +273,7 @@ mod tests {
             |text: &str| -> Vec<String> { text.split_whitespace().map(str::to_owned).collect() };
         let whole = text(None);
         assert_eq!(whole.lines().count(), 2);
-        for columns in [80, 97, 120] {
+        for columns in [72, 97, 120] {
             let broken = text(Some(columns));
             assert!(broken.lines().count() > 6, "{broken}");
             assert!(broken.lines().all(|line| display_width(line) <= columns), "{broken}");

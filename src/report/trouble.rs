@@ -55,6 +55,7 @@ impl From<&RunError> for Trouble {
             | RunError::NoSamples { .. }
             | RunError::NoModel { .. }
             | RunError::Ambiguous { .. }
+            | RunError::SameMotion { .. }
             | RunError::UnknownJoints { .. }
             | RunError::MissingJoints { .. } => TroubleKind::Log,
             RunError::UnknownRobot { .. }
@@ -63,6 +64,7 @@ impl From<&RunError> for Trouble {
             | RunError::CalibrationOf { .. }
             | RunError::UnknownLink { .. }
             | RunError::Chain(_)
+            | RunError::JointMap { .. }
             | RunError::Declared { .. } => TroubleKind::Call,
         };
         let remedy = error.remedy().to_owned();

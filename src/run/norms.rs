@@ -7,6 +7,7 @@ use crate::stats::median;
 use crate::stream::{ArrayColumns, Columns, ImuColumns, PoseColumns};
 use crate::time::Stamp;
 
+use super::Run;
 use super::poses::Layout;
 use super::streams::{Clocks, Stream};
 
@@ -56,6 +57,22 @@ pub(super) fn norms(streams: &[Stream], clocks: &Clocks) -> Vec<Norms> {
         norms.collect::<Vec<_>>()
     };
     streams.par_iter().enumerate().flat_map_iter(of).collect()
+}
+
+impl Run {
+    /// Stamp and defect of each rotation of a stream, or of one transform of it.
+    pub fn norm_defects(&self, norms: &Norms) -> Vec<(Stamp, f64)> {
+        let Some(stream) = self.streams.get(norms.stream) else { return Vec::new() };
+        let Some(clock) = self.clocks.iter().find(|clock| clock.stream == norms.stream) else {
+            return Vec::new();
+        };
+        let times = stream.times();
+        let pieces = pieces(stream).into_iter().zip(times);
+        let mut own = pieces.filter(|((frame, ..), _)| *frame == norms.frame);
+        let Some(((_, _, rows, defect), times)) = own.next() else { return Vec::new() };
+        let row = |row: usize| Some((clock.stamp_of(times, row)?, defect(row)));
+        (0..rows).filter_map(row).filter(|(_, defect)| defect.is_finite()).collect()
+    }
 }
 
 /// The defect of a row, NaN where no rotation was set.

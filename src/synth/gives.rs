@@ -22,6 +22,8 @@ pub struct Gives {
 pub enum Giving {
     /// The link follows its encoder only when that has moved by the play.
     Play,
+    /// The link goes through its play at once as the joint turns back: it is pushed.
+    PushedPlay,
     /// The link hangs lower by as much as gravity turns at the joint.
     Sag,
     /// So many times a turn of the joint.
@@ -61,6 +63,23 @@ impl Bends {
                         .map(|encoder| {
                             link = f64::clamp(link, encoder - half, encoder + half);
                             link - encoder
+                        })
+                        .collect()
+                }
+                Giving::PushedPlay => {
+                    /// How long the link takes.
+                    const CROSSING_S: f64 = 0.05;
+                    let most = gives.by_rad * Self::STEP_S / CROSSING_S;
+                    let mut before = positions.first().map_or(0.0, |q| q[gives.joint]);
+                    let (mut end, mut behind) = (0.0, 0.0);
+                    own()
+                        .map(|encoder| {
+                            if encoder != before {
+                                end = 0.5 * gives.by_rad * (before - encoder).signum();
+                            }
+                            before = encoder;
+                            behind += f64::clamp(end - behind, -most, most);
+                            behind
                         })
                         .collect()
                 }

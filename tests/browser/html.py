@@ -65,7 +65,16 @@ def check(browser, address: str) -> None:
         readout = plot.locator("xpath=..").locator(".readout").inner_text()
         assert any(c.isdigit() for c in readout.partition(": ")[2]), f"no value for the keyboard: {readout!r}"
         assert plot.locator("xpath=..").locator("details table tbody tr").count() > 1, "no table behind a plot"
-    levels = [int(h.evaluate("h => h.tagName[1]")) for h in page.locator("h1, h2, h3").all()]
+    for plane in page.locator("svg.plane").all():
+        assert plane.get_attribute("aria-label"), "a plane has no name"
+        outside = plane.evaluate(
+            """svg => [...svg.querySelectorAll("circle.dot, line, text")].filter(part => {
+                 const [a, b] = [part.getBoundingClientRect(), svg.getBoundingClientRect()];
+                 return a.left < b.left - 1 || a.right > b.right + 1 || a.top < b.top - 1 || a.bottom > b.bottom + 1;
+               }).map(part => part.outerHTML)"""
+        )
+        assert not outside, f"clipped: {outside[:3]}"
+    levels = [int(h.evaluate("h => h.tagName[1]")) for h in page.locator("h1, h2, h3, details[open] h4").all()]
     assert levels[0] == 1 and all(b - a <= 1 for a, b in zip(levels, levels[1:])), f"headings: {levels}"
     assert page.locator("main").count() == 1
     # On paper every plot is there, on light ground.
@@ -151,7 +160,8 @@ def main() -> None:
         browser = launched(playwright)
         folder = Path(folder)
         demo = report(program, ["demo", "demo"], folder)
-        logs = ["clean.mcap", "faulty.mcap"]
+        # With pictures of every kind.
+        logs = ["clean.mcap", "faulty.mcap", "shake.mcap", "line.mcap", "goal.mcap", "slipped_target.mcap", "stop.mcap"]
         others = [report(program, ["audit", str(FIXTURES / log)], folder) for log in logs]
         many = fleet(program, folder)
         for address in [demo, *others, many]:

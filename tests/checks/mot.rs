@@ -85,6 +85,10 @@ cases! {
         => error(Joint("shoulder_lift_joint"), Degrees(1.0, 0.03));
     MOT006 an_elbow_with_some_play: |log| gives(log, &[(2, Giving::Play, 0.3)])
         => warning(Joint("elbow_joint"), Degrees(0.3, 0.02));
+    MOT006 a_shoulder_that_is_pushed_through_its_play: |log| gives(log, &[(1, Giving::PushedPlay, 1.0)])
+        => error(Joint("shoulder_lift_joint"), Degrees(1.0, 0.01));
+    MOT006 a_wrist_that_is_pushed_through_its_play: |log| gives(log, &[(3, Giving::PushedPlay, 0.3)])
+        => warning(Joint("wrist_1_joint"), Degrees(0.3, 0.01));
     MOT006 play_of_healthy_gears_is_sound: |log| gives(log, &[(1, Giving::Play, 0.05)]) => Sound;
     MOT006 a_late_pose_is_no_play: |log| log.run.pose.timing.latency_s = 0.022
         => BlamedOn("LAT001");
@@ -124,12 +128,12 @@ cases! {
     MOT004 goals_are_no_lines: |log| {
         along(log, Lines::default());
         log.run.reference.commands = Commands::Goals;
-    } => Skipped("goals, and not streamed");
+    } => Skipped("goals, not a streamed path");
     MOT004 arcs_are_no_lines: |log| {
         along(log, Lines::default());
         log.run.motion = Motion::PickAndPlace;
-    } => Skipped("no way from stop to stop is straight");
-    MOT004 no_commands: |_| {} => Skipped("no poses are commanded");
+    } => Skipped("no commanded path in this log is straight");
+    MOT004 no_commands: |_| {} => Skipped("no commanded poses");
 }
 
 #[test]

@@ -19,6 +19,7 @@ struct Report {
     failing: bool,
     logs: Logs,
     arms: Vec<Arm>,
+    runs: Vec<Log>,
     findings: Vec<Found>,
     trends: Vec<Trend>,
     errors: Vec<Failed>,
@@ -88,6 +89,21 @@ struct Arm {
 struct Fails {
     code: String,
     logs: usize,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(dead_code, reason = "the test reads it as a tool would, whole")]
+struct Log {
+    path: String,
+    site: Option<String>,
+    arm: Option<String>,
+    robot: Option<String>,
+    status: String,
+    verdict: Option<String>,
+    start_ns: Option<String>,
+    page: Option<std::path::PathBuf>,
+    codes: Vec<String>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -276,5 +292,31 @@ fn html(folder: &Path, out: &str) -> Result<()> {
     let text = std::fs::read_to_string(&page)?;
     assert!(text.contains("default-src 'none'") && text.contains("data-plot=\"trend-1\""));
     assert!(text.contains("elbow_joint") && !text.contains("<script src"), "{}", text.len());
+    Ok(())
+}
+
+#[test]
+fn pages_that_were_asked_for_are_linked_from_the_fleets() -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    let out = folder.path().join("results").display().to_string();
+    let logs = ["clean", "faulty"]
+        .map(|name| format!("{}/fixtures/{name}.mcap", env!("CARGO_MANIFEST_DIR")));
+    let output = fleet(&[&logs[0], "--out", &out]).output()?;
+    assert_eq!(status(&output), Some(0));
+    let output = fleet(&[&logs[0], &logs[1], "--out", &out, "--pages"]).output()?;
+    assert_eq!(status(&output), Some(1));
+    let page = folder.path().join("fleet.html");
+    let written = page.display().to_string();
+    let output = fleet(&["report", &out, "--format", "html", "--output", &written]).output()?;
+    assert_eq!(status(&output), Some(1));
+    let text = std::fs::read_to_string(&page)?;
+    let links: Vec<&str> = text.split("href=\"results/pages/").skip(1).collect();
+    // The other was done before.
+    assert_eq!(links.len(), 1, "{text}");
+    let name = links[0].split('"').next().context("a name")?;
+    let of_log = std::fs::read_to_string(folder.path().join("results/pages").join(name))?;
+    assert!(of_log.contains("ZER001") && of_log.contains("Zero offsets of all joints"));
+    let matrix = text.split("id=\"matrix\"").nth(1).context("a matrix")?;
+    assert!(matrix.contains("LAT001") && matrix.contains("1<span class=\"quiet\"> of 2</span>"));
     Ok(())
 }

@@ -6,6 +6,7 @@ mod compare;
 mod formats;
 mod junit;
 mod markdown;
+mod order;
 mod sarif;
 mod shell;
 mod snapshots;

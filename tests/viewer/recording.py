@@ -175,6 +175,12 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
         check(recorded(program, folder), folder)
+        # What is drawn of a finding alone: bars and a trace.
+        shake = folder / "shake.rrd"
+        subprocess.run([program, "audit", FIXTURES / "shake.mcap", "--rrd", shake], stdout=subprocess.DEVNULL)
+        with Viewer(shake, folder) as viewer:
+            viewer.picture(lambda image: lacking(image, PARTS))
+            assert not viewer.complaints(), f"{shake.name}: the viewer complains: {viewer.complaints()}"
         importers = folder / "importers"
         importers.mkdir()
         importer = shutil.which("rerun-importer-poseaudit", path=program.parent)

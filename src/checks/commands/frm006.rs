@@ -6,7 +6,9 @@ use crate::checks::frames::{THRESHOLDS, pose_json, show};
 use crate::checks::{Case, FrameThresholds, Grade, Judged};
 use crate::diagnosis::{Constancy, FrameEstimate, Measured, ReferenceDiagnosis, RestGap};
 use crate::evidence::{ArmEvidence, Of, ReferenceEvidence, WitnessKind};
-use crate::finding::{Alternative, Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{
+    Alternative, Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit,
+};
 
 rule! {
     /// A command and the pose that the arm comes to rest at differ.
@@ -285,7 +287,7 @@ fn fault(
     let moment = case.evidence.moment(case.evidence.origin.shifted(nearest.gap.from_s));
     let of = if rests == 1 { String::new() } else { format!(", at {beyond} of {rests} rests") };
     Outcome::faulty(Fault {
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::Rest),
         severity,
         title: "command and rest differ",
         message: format!("steady-state error {off}, at {moment}{of}{stays}{guess}"),

@@ -4,7 +4,7 @@ use crate::checks::together::{alike, listed, prefix, subject};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{CommandDelay, Measured, NoDelay, Response};
 use crate::evidence::{ArmEvidence, Of, ReferenceEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
 rule! {
     /// From command to state it takes long.
@@ -164,7 +164,7 @@ fn named(
     };
     let fault = Fault {
         severity,
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::Stream),
         title: if is_early { "state leads its command" } else { "state follows its command late" },
         message: format!("{who}{} (limit {limit})", words(of, response)),
         evidence: Evidence::default(),

@@ -5,7 +5,7 @@ use crate::checks::decision::{DEGREE, Decision, FrameThresholds, Threshold, deci
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Line, LineWitness, Measured};
 use crate::evidence::{ArmEvidence, Of, ReferenceEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
 rule! {
     /// A commanded straight line is not straight, or its orientation is not a slerp.
@@ -43,7 +43,7 @@ rule! {
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),
         headline: false,
         needs_model: true,
-        missing: "no commanded line in this log: no poses are commanded",
+        missing: "line accuracy: no commanded poses in this log",
         check: check,
     }
 }
@@ -100,8 +100,8 @@ fn judge(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence>) -> J
     let commanded = lines.iter().max_by(|a, b| a.command_rad.total_cmp(&b.command_rad));
     let Some(commanded) = commanded else {
         let why = match found.is_streamed {
-            true => "no commanded line in this log: no way from stop to stop is straight",
-            false => "no commanded line in this log: the commands are goals, and not streamed",
+            true => "line accuracy: no commanded path in this log is straight",
+            false => "line accuracy: the commands in this log are goals, not a streamed path",
         };
         return judged(Outcome::Skipped(why.to_owned()));
     };
@@ -176,7 +176,7 @@ fn leaves(case: &Case, line: &Line, measured: &LineWitness, lines: usize) -> Out
         }
         Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
         Decision::Fail(severity) => Outcome::faulty(Fault {
-            cause: Cause::Other,
+            cause: Cause::Seen(Sight::Line),
             severity,
             title: "commanded line is not straight",
             message: format!(
@@ -213,7 +213,7 @@ fn swings(line: &Line, thresholds: &FrameThresholds) -> Outcome {
         ),
     };
     Outcome::faulty(Fault {
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::Line),
         severity: severity.unwrap_or(Severity::Info),
         title: "line's orientation is no slerp",
         message: format!(
@@ -240,7 +240,7 @@ fn with_distance(
     };
     match decide(case, &off_line, measured, lines) {
         Decision::Fail(severity) => Outcome::faulty(Fault {
-            cause: Cause::Other,
+            cause: Cause::Seen(Sight::Line),
             severity: severity.max(fault.severity),
             message: format!("{}, and the tip is {distance} off the line", fault.message),
             ..*fault

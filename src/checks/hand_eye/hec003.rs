@@ -3,7 +3,7 @@ use crate::checks::hand_eye::chain::{does_not_follow, unseen};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::TargetReading;
 use crate::evidence::HandEyeEvidence;
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, rounded};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, rounded};
 use crate::geometry::{Rotation, Vec3, angle_between, rotation_from_rpy};
 use crate::run::CameraAxes;
 
@@ -200,7 +200,7 @@ fn fault(facts: &HandEyeEvidence, swap: &Swap) -> Fault {
         ),
     };
     Fault {
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::HandEye),
         severity: Severity::Error,
         title: "camera axes are swapped",
         message,

@@ -2,7 +2,7 @@ use crate::checks::decision::{DEGREE, Threshold, decide_length, unseen};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Length, Up};
 use crate::evidence::{ImuEvidence, Of};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
 rule! {
     /// The roll and pitch of an IMU disagree with gravity.
@@ -114,7 +114,7 @@ fn fault(tilt: &Length, up: Option<&Up>, severity: Severity) -> Fault {
     let shown = THRESHOLD.unit.show_measured(&tilt.norm);
     if let Some((title, message, fix)) = up.and_then(world) {
         return Fault {
-            cause: Cause::Other,
+            cause: Cause::Seen(Sight::Tilt),
             severity,
             title,
             message: format!("{message}: roll and pitch are {shown} off gravity"),
@@ -123,7 +123,7 @@ fn fault(tilt: &Length, up: Option<&Up>, severity: Severity) -> Fault {
         };
     }
     Fault {
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::Tilt),
         severity,
         title: "IMU leans",
         message: format!("roll and pitch are {shown} off gravity"),

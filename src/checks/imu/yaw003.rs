@@ -2,7 +2,7 @@ use crate::checks::decision::{DEGREE, Decision, Threshold, decide_length, unseen
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Length, MountChange};
 use crate::evidence::{ImuEvidence, Of};
-use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 use crate::geometry::{Rotation, Vec3, angle_between, xyzw_from_rotation};
 use serde_json::{Value, json};
 
@@ -61,7 +61,7 @@ fn check(case: &Case) -> Vec<Judged> {
 fn judge_axes(case: &Case, imu: &Of<ImuEvidence>) -> Option<Judged> {
     let fault = |severity, message: String, fix: String| Fault {
         severity,
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::ImuAxes),
         title: "gyro axes are not the IMU's",
         message,
         evidence: Evidence::default(),
@@ -246,7 +246,7 @@ fn slipped(
     };
     Fault {
         severity,
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::ImuAxes),
         title: "IMU slips in its mount",
         message: format!("the IMU's mount turns by {size} at {at}{against}"),
         evidence: Evidence::default(),
@@ -273,7 +273,7 @@ fn fault(
         .map_or(String::new(), |order| format!(": the IMU's x, y, z are the frame's {order}"));
     Fault {
         severity,
-        cause: found.map_or(Cause::Other, Cause::ImuMount),
+        cause: found.map_or(Cause::Seen(Sight::ImuAxes), Cause::ImuMount),
         title: "IMU mounted otherwise",
         message: format!("mounting differs from the log's frames by {shown}{permuted}{axes}"),
         evidence: Evidence::default(),

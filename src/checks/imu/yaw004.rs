@@ -4,7 +4,7 @@ use crate::checks::decision::{DEGREE, Decision, Threshold, decide_length, unseen
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{BiasChange, BiasCourse, GyroBias, GyroShape, Measured};
 use crate::evidence::{ImuEvidence, Of};
-use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Severity, Unit};
+use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Severity, Sight, Unit};
 
 rule! {
     /// A gyro has a bias.
@@ -147,7 +147,14 @@ fn changed(case: &Case, change: &BiasChange, severity: Severity) -> Fault {
             ),
         ),
     };
-    Fault { severity, cause: Cause::Other, title, message, evidence: Evidence::default(), fix }
+    Fault {
+        severity,
+        cause: Cause::Seen(Sight::Gyro),
+        title,
+        message,
+        evidence: Evidence::default(),
+        fix,
+    }
 }
 
 /// A number with its interval, as evidence.
@@ -167,7 +174,7 @@ fn fault(bias: &GyroBias, severity: Severity) -> Fault {
     evidence.more.insert("vector_rad_s".to_owned(), json!(vector));
     evidence.more.insert("yaw_rate_rad_s".to_owned(), json!(bias.yaw_rate_rad_s));
     Fault {
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::Gyro),
         severity,
         title: "gyro bias",
         message: format!("gyro reads {shown} at rest"),

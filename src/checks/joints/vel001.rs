@@ -3,7 +3,7 @@ use crate::checks::together::{alike, listed, prefix, subject};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Response, Unseen, VelocityDiagnosis, VelocityShape};
 use crate::evidence::{ArmEvidence, JointEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
 rule! {
     /// Recorded velocities are not the rates of the recorded positions.
@@ -171,7 +171,7 @@ fn named(
     let (what, fix) = words(arm, *worst, found);
     let fault = Fault {
         severity: *severity,
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::Joint),
         title: match found.shape {
             VelocityShape::Zero => "velocities are zero in motion",
             VelocityShape::Filtered(_) => "velocities are late or filtered",

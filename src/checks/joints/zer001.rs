@@ -65,7 +65,7 @@ const ROTARY: Threshold =
 const PRISMATIC: Threshold = Threshold { unit: Unit::Metre, warning: 0.2e-3, error: 1e-3 };
 
 /// What would tell where an offset could not be had.
-const SETTLE: &str = "move this joint by 30° or more, and the others at other times";
+const SETTLE: &str = "move each joint by 30° or more, one after another";
 
 fn check(case: &Case) -> Vec<Judged> {
     case.evidence.robots.iter().flat_map(|arm| judge_arm(case, arm)).collect()

@@ -3,7 +3,7 @@ use crate::checks::motion::mot003::doubt;
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{NoShake, Shake};
 use crate::evidence::{ArmEvidence, Of, ShakeEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
 rule! {
     /// Tool vibration above the band of the motion.
@@ -99,7 +99,7 @@ fn judge(case: &Case, arm: &ArmEvidence, stream: &Of<ShakeEvidence>) -> Judged {
 
 fn fault(case: &Case, stream: &Of<ShakeEvidence>, found: &Shake, severity: Severity) -> Fault {
     Fault {
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::Shake),
         severity,
         title: "tool vibration",
         message: format!(

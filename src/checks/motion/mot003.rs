@@ -3,7 +3,7 @@ use serde_json::{Value, json};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Excess, Unseen};
 use crate::evidence::{ArmEvidence, JointEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
 rule! {
     /// A joint goes beyond its position or speed limits.
@@ -128,7 +128,7 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
     let unit = arm.joint_unit(index);
     let told: Vec<String> = broken.iter().map(|broken| tell(case, broken, unit)).collect();
     let fault = Fault {
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::Joint),
         severity: worst.severity,
         title: "joint limit exceeded",
         message: told.join("; "),

@@ -2,7 +2,7 @@ use crate::checks::decision::unseen;
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{JointUnit, UnitSlip};
 use crate::evidence::{ArmEvidence, ImuEvidence, Of};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Subject, Unit};
 use crate::geometry::{AngleUnit, Slip};
 
 rule! {
@@ -90,7 +90,7 @@ fn judge_gyro(imu: &Of<ImuEvidence>) -> Option<Judged> {
     let topic = imu.topic();
     let fault = Fault {
         severity: Severity::Error,
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::Stream),
         title: "gyro in degrees per second",
         message: format!(
             "angular velocity is in °/s where rad/s belong: residual {before} rms against the arm's \

@@ -3,7 +3,7 @@ use serde_json::{Value, json};
 use crate::checks::decision::DEGREE;
 use crate::checks::{Case, Grade, Judged, Limit};
 use crate::evidence::{ArmEvidence, EulerEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Span, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Span, Unit};
 
 rule! {
     /// An Euler-coded stream works near gimbal lock.
@@ -117,7 +117,7 @@ fn judge(case: &Case, arm: &ArmEvidence, topic: &str, coded: &EulerEvidence) -> 
     let outcome = match longest {
         None => Outcome::sound(),
         Some(longest) => Outcome::faulty(Fault {
-            cause: Cause::Other,
+            cause: Cause::Seen(Sight::Stream),
             severity: Severity::Warning,
             title: "Euler angles near gimbal lock",
             message: format!(

@@ -2,7 +2,7 @@ use crate::checks::decision::unseen;
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{AccelSlip, JointUnit, LengthSlip};
 use crate::evidence::{ArmEvidence, ImuEvidence, Of, PoseEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit, rounded};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit, rounded};
 use crate::geometry::{LengthScale, Slip};
 
 rule! {
@@ -86,7 +86,7 @@ fn judge_accelerometer(imu: &Of<ImuEvidence>) -> Option<Judged> {
     let size = rounded(felt, 2);
     let fault = Fault {
         severity: Severity::Error,
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::Stream),
         title: "accelerometer not in m/s²",
         message: format!(
             "linear acceleration is in {symbol} where m/s² belong: it reads {size} at rest, where \

@@ -2,7 +2,7 @@ use crate::checks::decision::unseen;
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::ConstantPart;
 use crate::evidence::{Of, PoseEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit, rounded};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit, rounded};
 
 rule! {
     /// A coordinate never changes while the arm moves it.
@@ -73,7 +73,7 @@ fn fault(stream: &Of<PoseEvidence>, parts: &[ConstantPart], most_m: f64) -> Faul
         .collect();
     let names: Vec<String> = parts.iter().map(|part| part.coordinate.to_string()).collect();
     Fault {
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::Stream),
         severity: Severity::Error,
         title: "a coordinate never changes",
         message: said.join("; "),

@@ -3,7 +3,7 @@ use serde_json::{Value, json};
 use crate::checks::decision::Threshold;
 use crate::checks::{Case, Grade, Judged};
 use crate::evidence::Of;
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Subject, Unit};
 use crate::run::{Norms, Written};
 
 rule! {
@@ -109,7 +109,7 @@ fn fault(case: &Case, worst: &Norms, severity: Severity) -> Fault {
         Written::Matrix => ("matrix is not orthonormal", "matrices deviate from orthonormal"),
     };
     Fault {
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::Norm),
         severity,
         title,
         message: format!("{what} by up to {shown}{when}, {half}"),

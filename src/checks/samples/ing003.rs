@@ -1,6 +1,6 @@
 use crate::checks::{Case, Grade, Judged};
 use crate::evidence::{Of, UnusableEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight};
 
 rule! {
     /// Samples hold numbers that nothing can have.
@@ -66,7 +66,7 @@ fn judge(stream: &Of<UnusableEvidence>) -> Judged {
         of(unset, "have no orientation, while the others have: of these the positions are audited"),
     ];
     let fault = Fault {
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::Stream),
         severity: if are_few { Severity::Info } else { Severity::Warning },
         title: "samples hold no usable numbers",
         message: said.into_iter().flatten().collect::<Vec<_>>().join("; "),

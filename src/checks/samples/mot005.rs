@@ -2,7 +2,7 @@ use serde_json::{Value, json};
 
 use crate::checks::{Case, Grade, Judged};
 use crate::evidence::{Of, StrayEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Subject, Unit};
 use crate::run::{FEWEST_SAMPLES, Strays};
 
 rule! {
@@ -126,7 +126,7 @@ fn fault(
         (if count == 1 { "sample jumps" } else { "samples jump" }, stream.subject.label());
     let most = if count == 1 { "" } else { "up to " };
     Fault {
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::Stream),
         severity: Severity::Warning,
         title: "samples jump away and back",
         message: format!(

@@ -2,7 +2,7 @@ use serde_json::{Value, json};
 
 use crate::checks::{Case, Grade, Judged};
 use crate::evidence::Of;
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 use crate::run::Frozen;
 
 rule! {
@@ -69,7 +69,7 @@ fn judge(case: &Case, stream: &Of<Vec<Frozen>>) -> Judged {
     };
     let topic = stream.subject.label();
     let outcome = Outcome::faulty(Fault {
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::Stream),
         severity: Severity::Error,
         title: "stream stands still while the arm moves",
         message: format!(

@@ -1,7 +1,7 @@
 use crate::checks::decision::Threshold;
 use crate::checks::{Case, Grade, Judged};
 use crate::evidence::{HeldEvidence, Of};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 use crate::run::Held;
 
 rule! {
@@ -76,7 +76,7 @@ fn fault(stream: &Of<HeldEvidence>, held: &Held, severity: Severity) -> Fault {
         _ => String::new(),
     };
     Fault {
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::Stream),
         severity: if stream.is_latched { Severity::Info } else { severity },
         title: "rows repeat old values",
         message: format!(

@@ -2,7 +2,7 @@ use serde_json::{Value, json};
 
 use crate::checks::{Case, Grade, Judged};
 use crate::evidence::Of;
-use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Sight, Unit};
 use crate::run::WhyNot;
 
 rule! {
@@ -58,7 +58,7 @@ fn judge(stream: &Of<Vec<WhyNot>>) -> Vec<Judged> {
     let of = |why: &WhyNot| {
         let Words { why: name, title, message, fix, evidence } = words(why);
         let fault = Fault {
-            cause: Cause::Other,
+            cause: Cause::Seen(Sight::Stream),
             severity: Severity::Warning,
             title,
             message,

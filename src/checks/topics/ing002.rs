@@ -1,6 +1,6 @@
 use crate::checks::{Case, Grade, Judged};
 use crate::evidence::{Undecodable, UndecodableTopic};
-use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Subject};
+use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Sight, Subject};
 
 rule! {
     /// A topic that the audit wants cannot be decoded.
@@ -52,7 +52,7 @@ fn judge(topic: &UndecodableTopic) -> Judged {
         ),
     };
     let fault = Fault {
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::Stream),
         severity: Severity::Warning,
         title: "topic cannot be decoded",
         message,

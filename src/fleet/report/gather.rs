@@ -8,7 +8,9 @@ use polars::prelude::{DataFrame, PolarsResult};
 use serde_json::Value;
 
 use super::trends::{Point, Series};
-use super::{ArmRow, ErrorRow, FindingRow, LogCounts, Question, RuleCount, Whose, calendar};
+use super::{
+    ArmRow, ErrorRow, FindingRow, LogCounts, LogRow, Question, RuleCount, Whose, calendar,
+};
 use crate::finding::Severity;
 use crate::fleet::engine::Verdicts;
 use crate::fleet::store::{Status, Store, StoreError, Table};
@@ -18,6 +20,7 @@ use crate::report::Verdict;
 pub struct Gathered {
     pub logs: LogCounts,
     pub arms: Vec<ArmRow>,
+    pub rows: Vec<LogRow>,
     pub findings: Vec<FindingRow>,
     pub series: Vec<Series>,
     pub errors: Vec<ErrorRow>,
@@ -38,6 +41,12 @@ struct Log {
 }
 
 impl Log {
+    /// Site, arm and robots.
+    fn whose(&self) -> Whose {
+        let (site, arm, robot) = (self.site.clone(), self.arm.clone(), self.robots.clone());
+        Whose { site, arm, robot, ..Whose::default() }
+    }
+
     /// When it begins, where that is a time of the calendar.
     fn dated_ns(&self) -> Option<i64> {
         self.start_ns.filter(|&start_ns| start_ns >= calendar::FIRST_NS)
@@ -81,6 +90,7 @@ pub fn gather(store: &Store, question: &Question) -> Result<Gathered, StoreError
     Ok(Gathered {
         logs: log_counts(store, &logs, question, set_aside)?,
         arms: arms(&logs, question, &found),
+        rows: log_rows(store, &logs, question, &found),
         findings: finding_rows(found, &asked),
         series: series.into_values().collect(),
         errors: errors.into_iter().collect(),
@@ -345,6 +355,39 @@ fn finding_rows(found: BTreeMap<Cause, Found>, asked: &BTreeMap<Cause, usize>) -
     rows
 }
 
+/// The logs, the latest first.
+fn log_rows(
+    store: &Store,
+    logs: &BTreeMap<String, Log>,
+    question: &Question,
+    found: &BTreeMap<Cause, Found>,
+) -> Vec<LogRow> {
+    let mut codes: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
+    for ((code, _), found) in found.iter().filter(|(_, it)| it.severity > Severity::Info) {
+        for (_, path) in found.logs.keys() {
+            codes.entry(path.as_str()).or_default().insert(code.as_str());
+        }
+    }
+    let row = |(key, log): &(&String, &Log)| LogRow {
+        page: store.page(key).canonicalize().ok(),
+        path: log.path.clone(),
+        whose: log.whose(),
+        status: log.status,
+        verdict: log.verdict,
+        start_ns: log.start_ns.map(|start_ns| start_ns.to_string()),
+        codes: codes
+            .get(log.path.as_str())
+            .into_iter()
+            .flatten()
+            .map(|&it| it.to_owned())
+            .collect(),
+    };
+    let mut counted: Vec<(&String, &Log)> =
+        logs.iter().filter(|(_, log)| question.counts(log)).collect();
+    counted.sort_by(|(_, a), (_, b)| b.start_ns.cmp(&a.start_ns).then_with(|| a.path.cmp(&b.path)));
+    counted.iter().map(row).collect()
+}
+
 /// The arms, by site and name.
 fn arms(
     logs: &BTreeMap<String, Log>,
@@ -356,12 +399,7 @@ fn arms(
     for log in logs.values().filter(|log| question.counts(log)) {
         let name = (log.site.clone(), log.arm.clone(), log.robots.clone());
         let arm = arms.entry(name).or_insert_with(|| ArmRow {
-            whose: Whose {
-                site: log.site.clone(),
-                arm: log.arm.clone(),
-                robot: log.robots.clone(),
-                ..Whose::default()
-            },
+            whose: log.whose(),
             logs: 0,
             verdicts: Verdicts::default(),
             fails: Vec::new(),

@@ -1,14 +1,18 @@
 //! The report as one page for a browser: what moves with its plot, what is found where, the arms, all
 //! other trends.
 
+use std::collections::BTreeSet;
 use std::io::{self, Write};
+use std::path::Path;
 
 use maud::{Markup, html};
+use percent_encoding::utf8_percent_encode;
 use serde_json::{Map, Value};
 
 use super::text::{head, how_often, totals};
 use super::{Course, FindingRow, FleetReport, TrendRow, calendar};
-use crate::report::html::{Plot, Role, Series, Style, shell};
+use crate::log::ESCAPED;
+use crate::report::html::{Plot, Role, Series, Style, percent, shell};
 use crate::time::seconds;
 
 /// No more plots are drawn than this.
@@ -58,7 +62,9 @@ fn page(report: &FleetReport) -> Markup {
                 @for (id, row, plot) in &moving { (article(id, row, plot)) }
             }
             (findings(report))
+            (matrix(report))
             (arms(report))
+            (logs(report))
             (errors(report))
             (trends(report))
             @if !others.is_empty() {
@@ -116,9 +122,8 @@ fn plot(row: &TrendRow) -> Plot {
         x_label: "days",
         y_label,
         series: std::iter::once(amounts).chain(line).collect(),
-        from_zero: false,
-        mark: None,
         style: Style::Curve,
+        ..Plot::default()
     }
 }
 
@@ -179,6 +184,63 @@ fn arms(report: &FleetReport) -> Markup {
                 td { (row.verdicts.fail) }
                 td { (row.verdicts.inconclusive) }
                 td .words { (fails.collect::<Vec<_>>().join(", ")) }
+            }
+        }
+    })
+}
+
+/// In how many logs of each arm each rule found something.
+fn matrix(report: &FleetReport) -> Markup {
+    let codes: BTreeSet<&str> =
+        report.arms.iter().flat_map(|arm| &arm.fails).map(|fail| fail.code.as_str()).collect();
+    if codes.is_empty() {
+        return Markup::default();
+    }
+    let heads: Vec<&str> = std::iter::once("arm").chain(codes.iter().copied()).collect();
+    table("matrix", "Arms and rules", &heads, &report.arms, |arm| {
+        let logs =
+            |code: &str| arm.fails.iter().find(|fail| fail.code == code).map(|fail| fail.logs);
+        html! {
+            tr {
+                th scope="row" { (arm.whose.arm_label()) }
+                @for code in &codes {
+                    @match logs(code) {
+                        Some(count) => {
+                            td .cell style={ "--share:" (percent(count as f64 / arm.logs.max(1) as f64)) } {
+                                (count) span .quiet { " of " (arm.logs) }
+                            }
+                        }
+                        None => { td .quiet { "–" } }
+                    }
+                }
+            }
+        }
+    })
+}
+
+/// A file as a link: from the page's folder, or from the root.
+fn link(page: &Path) -> String {
+    let page = page.display().to_string();
+    let path = utf8_percent_encode(&page, ESCAPED);
+    if page.starts_with('/') { format!("file://{path}") } else { path.to_string() }
+}
+
+fn logs(report: &FleetReport) -> Markup {
+    let heads = ["begins", "log", "arm", "", "found"];
+    table("logs", "Logs", &heads, &report.rows, |row| {
+        let start_ns = row.start_ns.as_ref().and_then(|start| start.parse().ok());
+        html! {
+            tr {
+                td { @if let Some(start_ns) = start_ns { (calendar::day(start_ns)) } }
+                th scope="row" .words {
+                    @match &row.page {
+                        Some(page) => { a href=(link(page)) { (row.path) } }
+                        None => { (row.path) }
+                    }
+                }
+                td { (row.whose.arm_label()) }
+                td { @match row.verdict { Some(verdict) => { (verdict) } None => { (row.status.name()) } } }
+                td { (row.codes.join(", ")) }
             }
         }
     })

@@ -7,12 +7,15 @@ mod html;
 mod text;
 mod trends;
 
+use std::path::{Path, PathBuf};
+
 use serde::Serialize;
 
 use super::engine::{Statuses, Verdicts};
 use super::store::{Status, Store, StoreError};
 use crate::checks::Selector;
 use crate::finding::Severity;
+use crate::report::Verdict;
 
 pub use calendar::{Day, day};
 pub use html::write as write_html;
@@ -27,6 +30,8 @@ pub const SCHEMA: &str = "poseaudit.fleet/1";
 pub struct Question {
     /// Findings of this severity fail it; `None`: none does.
     pub fail_on: Option<Severity>,
+    /// Whether a verdict that is inconclusive fails it, too.
+    pub fails_open: bool,
     /// Findings of runs before this time do not count, ns since 1970. Trends see all runs.
     pub since_ns: Option<i64>,
     /// What paths say they are of, in place of the labels that rows have.
@@ -48,6 +53,9 @@ pub struct FleetReport {
     pub logs: LogCounts,
     /// The arms.
     pub arms: Vec<ArmRow>,
+    /// Each log, the latest first.
+    #[serde(rename = "runs")]
+    pub rows: Vec<LogRow>,
     /// What is found, a row a rule and subject, the most frequent of the gravest first.
     pub findings: Vec<FindingRow>,
     /// How amounts moved; what moves stands first.
@@ -138,6 +146,27 @@ pub struct ArmRow {
     pub fails: Vec<RuleCount>,
 }
 
+/// One log.
+#[derive(Clone, Debug, Serialize)]
+pub struct LogRow {
+    /// Its path.
+    pub path: String,
+    /// Site, arm and robots.
+    #[serde(flatten)]
+    pub whose: Whose,
+    /// How its audit ended.
+    pub status: Status,
+    /// What its report says, where warnings fail a run.
+    pub verdict: Option<Verdict>,
+    /// First stamp, as a decimal string.
+    pub start_ns: Option<String>,
+    /// Its report as a page, where that was kept.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub page: Option<PathBuf>,
+    /// The rules that found a warning or an error in it.
+    pub codes: Vec<String>,
+}
+
 /// In how many logs a rule found something.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct RuleCount {
@@ -186,6 +215,17 @@ pub struct ErrorRow {
 }
 
 impl FleetReport {
+    /// The same with pages named from `folder`, where that holds them.
+    pub fn linked_from(mut self, folder: &Path) -> Self {
+        let Ok(folder) = folder.canonicalize() else { return self };
+        for page in self.rows.iter_mut().filter_map(|row| row.page.as_mut()) {
+            if let Ok(below) = page.strip_prefix(&folder) {
+                *page = below.to_owned();
+            }
+        }
+        self
+    }
+
     /// The report on what `store` holds.
     ///
     /// # Errors
@@ -197,6 +237,7 @@ impl FleetReport {
         let moves = trends.iter().any(|row| row.course.is_moving());
         let failing = gathered.findings.iter().any(|row| fails(row.severity))
             || (moves && fails(Severity::Warning))
+            || (question.fails_open && gathered.logs.verdicts.inconclusive > 0)
             || (!gathered.errors.is_empty() && question.fail_on.is_some());
         Ok(Self {
             schema: SCHEMA,
@@ -204,6 +245,7 @@ impl FleetReport {
             failing,
             logs: gathered.logs,
             arms: gathered.arms,
+            rows: gathered.rows,
             findings: gathered.findings,
             trends,
             errors: gathered.errors,

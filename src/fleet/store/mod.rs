@@ -48,6 +48,8 @@ pub const TABLES: [Table; 5] =
 
 /// The folder of what settings of a hash are.
 const SETTINGS: &str = "settings";
+/// Folder of the pages of logs.
+const PAGES: &str = "pages";
 
 impl Table {
     /// Its name, which is that of its folder.
@@ -154,13 +156,18 @@ impl Store {
     /// The folders below `folder` that it keeps its files in.
     pub fn folders(folder: &Path) -> Vec<PathBuf> {
         let tables = TABLES.into_iter().chain([Table::Sources]).map(Table::name);
-        tables.chain([SETTINGS]).map(|name| folder.join(name)).collect()
+        tables.chain([SETTINGS, PAGES]).map(|name| folder.join(name)).collect()
     }
 
     /// The store that is in `folder`; `None` where there is none.
     pub fn open(folder: &Path) -> Option<Self> {
         let folder = Folder(folder.to_owned());
         folder.of(Table::Runs).is_dir().then_some(Self { folder })
+    }
+
+    /// Where the page of the log with this key is, if it was asked for.
+    pub fn page(&self, key: &str) -> PathBuf {
+        self.path().join(PAGES).join(format!("{key}.html"))
     }
 
     /// Where it is.

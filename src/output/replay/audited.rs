@@ -26,6 +26,10 @@ impl Audited {
         let mut places = self.read.clone();
         recording.enter(&mut places);
         places.check()?;
+        let is_pictured = self.report.figures.is_some();
+        if !is_pictured {
+            self.report.figures = Some(self.figures());
+        }
         let Self { report, run, evidence, .. } = self;
         let arms = run.arms.iter().zip(&evidence.robots);
         let replay = Replay {
@@ -35,7 +39,11 @@ impl Audited {
             report,
         };
         let path = &recording.path;
-        let notes = write(recording, &replay).map_err(|error| {
+        let written = write(recording, &replay);
+        if !is_pictured {
+            report.figures = None;
+        }
+        let notes = written.map_err(|error| {
             let remedy = "name a file that can be written with --rrd";
             Trouble::unwritable(path, error.cause.to_string(), remedy)
         })?;

@@ -1,14 +1,16 @@
 //! The findings on the time line: as lines of a log, as spans, and each as a page.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use re_log_types::EntityPath;
+use re_sdk_types::AnyValues;
 use re_sdk_types::archetypes::{StateChange, StateConfiguration, TextDocument, TextLog};
 use re_sdk_types::components::{MediaType, Text, TextLogLevel};
 
 use super::moments::Moments;
 use super::tape::{Tape, entity};
-use super::{Replay, ReplayArm, ReplayCause};
+use super::{Replay, ReplayArm, ReplayCause, layout, proofs};
 use crate::finding::{Finding, Severity};
 use crate::report::markdown::{code, prose};
 use crate::report::outline::Outline;
@@ -37,6 +39,7 @@ pub(super) fn page(index: usize) -> EntityPath {
 /// Adds each finding at the first stamp of what it is about, its span, and its page.
 pub(super) fn write(tape: &Tape, replay: &Replay<'_>) -> Result<(), ReplayCause> {
     let says = Outline::of(replay.report);
+    let mut on: BTreeMap<EntityPath, (Vec<Text>, Vec<Text>)> = BTreeMap::new();
     for (index, finding) in replay.report.findings.iter().enumerate() {
         let (start, end) = replay.span_of(finding);
         let subject = says.subject(&finding.subject);
@@ -44,11 +47,48 @@ pub(super) fn write(tape: &Tape, replay: &Replay<'_>) -> Result<(), ReplayCause>
             .with_level(level(finding.severity));
         // Lines of different levels cannot be of one column.
         tape.columns(&log(), &moments(tape, replay, finding, &[start]), line.columns([1])?)?;
-        let text = TextDocument::new(markdown(finding, &says)).with_media_type(MediaType::MARKDOWN);
+        let links = links(replay, index);
+        let text = format!("{}{}", markdown(finding, &says), linked(&links));
+        let text = TextDocument::new(text).with_media_type(MediaType::MARKDOWN);
         tape.still(&page(index), &text)?;
+        for (_, entity) in links {
+            let said = format!("{}{}", heading(finding, &subject), finding.message);
+            let (all, pages) = on.entry(entity).or_default();
+            all.push(Text::from(said));
+            pages.push(Text::from(recording_url(&page(index))));
+        }
         span(tape, replay, index, [start, end])?;
     }
+    // What is selected says which findings it shows.
+    for (entity, (all, pages)) in on {
+        let back = AnyValues::default()
+            .with_component::<Text>("findings", all)
+            .with_component::<Text>("finding_pages", pages);
+        tape.still(&entity, &back)?;
+    }
     Ok(())
+}
+
+/// What shows a finding, by what it is called: its span, its own pictures, and its stream or joint.
+fn links(replay: &Replay<'_>, index: usize) -> Vec<(String, EntityPath)> {
+    let finding = &replay.report.findings[index];
+    let own = proofs::views(replay.report, index).into_iter();
+    let own = own.map(|view| (view.title.to_owned(), view.path));
+    let plots =
+        replay.arm_of(finding).map(|arm| layout::plots_of(finding, arm)).unwrap_or_default();
+    std::iter::once(("when".to_owned(), lane(index, finding))).chain(own).chain(plots).collect()
+}
+
+/// A line of links that the viewer follows.
+fn linked(links: &[(String, EntityPath)]) -> String {
+    let links =
+        links.iter().map(|(title, path)| format!("[{}]({})", prose(title), recording_url(path)));
+    format!("\nSelect: {}\n", links.collect::<Vec<_>>().join(" · "))
+}
+
+/// An entity as the viewer's links name it.
+fn recording_url(path: &EntityPath) -> String {
+    format!("recording://{}", path.to_string().trim_start_matches('/'))
 }
 
 /// `LAT001 /tcp/pose: `.
@@ -60,7 +100,12 @@ fn heading(finding: &Finding, subject: &str) -> String {
 }
 
 /// When `stamps` of a finding are, by the joint states of its arm.
-fn moments(tape: &Tape, replay: &Replay<'_>, finding: &Finding, stamps: &[Stamp]) -> Moments {
+pub(super) fn moments(
+    tape: &Tape,
+    replay: &Replay<'_>,
+    finding: &Finding,
+    stamps: &[Stamp],
+) -> Moments {
     match replay.arm_of(finding) {
         Some(arm) => of_arm(tape, arm, stamps),
         None => {

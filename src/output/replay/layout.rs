@@ -10,13 +10,14 @@ use re_sdk_types::blueprint::components::{
 };
 use re_sdk_types::blueprint::datatypes::{TextLogColumn, TextLogColumnKind};
 use re_sdk_types::blueprint::views::{
-    Spatial3DView, StateTimelineView, TextDocumentView, TextLogView, TimeSeriesView,
+    BarChartView, Spatial3DView, StateTimelineView, TextDocumentView, TextLogView, TimeSeriesView,
 };
 use re_sdk_types::components::Color;
 use re_sdk_types::datatypes;
 
 use super::blueprint::{Blueprint, Part};
 use super::plots::{self, Quantity};
+use super::proofs::{self, Kind};
 use super::reel::Reel;
 use super::{Replay, ReplayArm, ReplayCause, ReplayImu, findings, page, scene, tape, tools};
 use crate::finding::Finding;
@@ -112,18 +113,21 @@ fn scene(arm: &ReplayArm<'_>, blueprint: &Blueprint<'_>) -> Result<Part, ReplayC
     Ok(view)
 }
 
-/// A tab for each finding, then one with all errors of each arm, then the report.
+/// The verdict with what proves the worst finding, a tab for each finding, then one with all errors of each
+/// arm.
 fn proof(replay: &Replay<'_>, blueprint: &Blueprint<'_>) -> Result<Part, ReplayCause> {
-    let mut tabs = Vec::new();
+    /// Pictures under the verdict.
+    const UNDER_VERDICT: usize = 1;
+    let mut parts = vec![blueprint.view::<TextDocumentView>("report", &page::report())?];
+    parts.extend(pictures(replay, 0, UNDER_VERDICT, blueprint)?);
+    let shares = [4.0, 3.0].into_iter().cycle().take(parts.len()).collect::<Vec<f32>>();
+    let mut tabs = vec![blueprint.page(&replay.report.verdict.to_string(), &parts, &shares)?];
     for (index, finding) in replay.report.findings.iter().take(MOST_TABS).enumerate() {
-        let text = blueprint.view::<TextDocumentView>("what is wrong", &findings::page(index))?;
-        let (mut parts, mut shares) = (vec![text], vec![4.0]);
-        for (title, series) in
-            replay.arm_of(finding).map(|it| plots_of(finding, it)).unwrap_or_default()
-        {
-            parts.push(plot(&title, &series, blueprint)?);
-            shares.push(3.0);
-        }
+        let mut parts =
+            vec![blueprint.view::<TextDocumentView>("what is wrong", &findings::page(index))?];
+        parts.extend(pictures(replay, index, usize::MAX, blueprint)?);
+        let mut shares = vec![3.0; parts.len()];
+        shares[0] = 4.0;
         tabs.push(blueprint.page(finding.code, &parts, &shares)?);
     }
     for arm in &replay.arms {
@@ -145,13 +149,35 @@ fn proof(replay: &Replay<'_>, blueprint: &Blueprint<'_>) -> Result<Part, ReplayC
             tabs.push(blueprint.page(&name, &plots, &vec![1.0; plots.len()])?);
         }
     }
-    tabs.push(blueprint.view::<TextDocumentView>("report", &page::report())?);
     blueprint.tabs(&tabs, 0)
+}
+
+/// At most so many pictures of what proves the finding with this index: its own, else the errors of its
+/// stream. What is made must be shown.
+fn pictures(
+    replay: &Replay<'_>,
+    index: usize,
+    most: usize,
+    blueprint: &Blueprint<'_>,
+) -> Result<Vec<Part>, ReplayCause> {
+    let Some(finding) = replay.report.findings.get(index) else { return Ok(Vec::new()) };
+    let own = proofs::views(replay.report, index);
+    if !own.is_empty() {
+        let own = own.into_iter().take(most).map(|view| match view.kind {
+            Kind::Series => plot(view.title, &view.path, blueprint),
+            Kind::Bars => blueprint.view::<BarChartView>(view.title, &view.path),
+            Kind::Space => blueprint.view::<Spatial3DView>(view.title, &view.path),
+        });
+        return own.collect();
+    }
+    let plots = replay.arm_of(finding).map(|arm| plots_of(finding, arm)).unwrap_or_default();
+    let plots = plots.into_iter().take(most);
+    plots.map(|(title, series)| plot(&title, &series, blueprint)).collect()
 }
 
 /// What proves a finding, with its title: the errors of its stream, the rotation first where that is
 /// what is wrong; the yaw of its IMU; the joint and what its zero does to all streams.
-fn plots_of(finding: &Finding, arm: &ReplayArm<'_>) -> Vec<(String, EntityPath)> {
+pub(super) fn plots_of(finding: &Finding, arm: &ReplayArm<'_>) -> Vec<(String, EntityPath)> {
     let topic = finding.subject.topic.as_deref().unwrap_or_default();
     let titled = |quantity: Quantity, path| (quantity.title().to_owned(), path);
     if arm.streams.iter().any(|stream| stream.topic == topic) {

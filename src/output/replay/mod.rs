@@ -10,9 +10,10 @@
 //! | `/arms/NAME/links/LINK` | frame of a link by FK, with its name and its visuals |
 //! | `/arms/NAME/tip` | the tool by FK |
 //! | `/arms/NAME/TOPIC/…` | a stream's tool `as_logged` and `as_explained`, their trails, and the `error` from FK |
-//! | `/errors/NAME/{position_mm,rotation_deg}/TOPIC/…` | distance from FK, before and after |
+//! | `/errors/NAME/{position_mm,rotation_deg}/TOPIC/…` | distance from FK, before and after, and the limit |
 //! | `/errors/NAME/yaw_deg/TOPIC` | yaw of an IMU against FK |
 //! | `/joints/NAME/JOINT` | a joint's position, as it should have been recorded |
+//! | `/proof/NN/…` | what proves finding NN and no other picture shows: a spectrum, a target's views, axes |
 //! | `/findings/…`, `/spans/…` | the findings on the time line, as lines of a log, pages, and spans |
 //! | `/report` | the report as a page |
 //!
@@ -28,6 +29,7 @@ mod mesh;
 mod moments;
 mod page;
 mod plots;
+mod proofs;
 mod reel;
 mod scene;
 mod tape;
@@ -322,8 +324,9 @@ fn messages(
     let mut meshes = Vec::new();
     for arm in &replay.arms {
         meshes.extend(draw_arm(&tape, arm, &wanted.mesh_roots)?);
-        plots::draw(&tape, arm)?;
+        plots::draw(&tape, arm, replay.report)?;
     }
+    proofs::draw(&tape, replay)?;
     findings::write(&tape, replay)?;
     page::write(&tape, replay, &meshes)?;
     let notes = if wanted.mesh_roots.is_empty() { Vec::new() } else { meshes };

@@ -36,13 +36,9 @@ fn markdown(replay: &Replay<'_>, meshes: &[String]) -> String {
     for finding in &report.findings {
         page.push_str(&findings::markdown(finding, &says));
     }
-    let passed = says.passed();
-    let lists = [passed.whole.join(", "), passed.parts.join("; ")].into_iter();
-    let passed = lists.filter(|list| !list.is_empty()).chain(passed.remarks).collect();
+    list(&mut page, "Inconclusive", says.open_lines());
     list(&mut page, "Ignored", says.ignored());
-    list(&mut page, "Passed", passed);
-    list(&mut page, "Could not tell", [says.could_not_tell(), says.cannot_show()].concat());
-    list(&mut page, "To settle it", says.to_settle());
+    list(&mut page, "Passed", says.passed().lines());
     list(&mut page, "Skipped", says.skipped());
     let notes = report.log.notes.iter().map(|note| note.note.clone());
     list(&mut page, "Notes", notes.collect());

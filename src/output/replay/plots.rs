@@ -1,12 +1,14 @@
 //! Errors over time, in the units that people read.
 
 use re_log_types::EntityPath;
-use re_sdk_types::archetypes::{Scalars, SeriesLines};
 
 use super::tape::{Tape, entity};
 use super::{
-    MOST_ROWS, Receipts, ReplayArm, ReplayCause, ReplayImu, ReplayStream, State, StreamKind,
+    MOST_ROWS, Receipts, ReplayArm, ReplayCause, ReplayImu, ReplayStream, State, StreamKind, proofs,
 };
+use crate::checks::MDL001;
+use crate::finding::Unit;
+use crate::report::Report;
 use crate::robot::JointKind;
 use crate::stats::thin;
 use crate::time::Stamp;
@@ -59,11 +61,13 @@ impl Quantity {
     }
 }
 
-/// Adds the positions of an arm's joints, the errors of its streams and the yaw of its IMUs.
-pub(super) fn draw(tape: &Tape, arm: &ReplayArm<'_>) -> Result<(), ReplayCause> {
+/// Adds the positions of an arm's joints, the errors of its streams with their limits, and the yaw of its
+/// IMUs.
+pub(super) fn draw(tape: &Tape, arm: &ReplayArm<'_>, report: &Report) -> Result<(), ReplayCause> {
     joints(tape, arm)?;
     for stream in &arm.streams {
         residuals(tape, arm, stream)?;
+        limits(tape, arm, stream, report)?;
     }
     for imu in &arm.imus {
         yaw(tape, arm, imu)?;
@@ -123,6 +127,28 @@ fn residuals(
     Ok(())
 }
 
+/// From where on a residual is one (MDL001), as a line over the time of a stream.
+fn limits(
+    tape: &Tape,
+    arm: &ReplayArm<'_>,
+    stream: &ReplayStream<'_>,
+    report: &Report,
+) -> Result<(), ReplayCause> {
+    let [Some(first), Some(last)] = [stream.aligned.t_s.first(), stream.aligned.t_s.last()] else {
+        return Ok(());
+    };
+    let stamps = [first, last].map(|&t_s| tape.stamp(t_s));
+    let moments = tape.moments(arm, &stream.received, stamps.into_iter());
+    for (quantity, unit) in [(Quantity::Position, Unit::Metre), (Quantity::Rotation, Unit::Radian)]
+    {
+        let Some(limit) = report.warns_from(&MDL001, unit) else { continue };
+        let path = quantity.of_topic(arm.name, stream.topic).join(&entity(&["limit"]));
+        let label = format!("limit {}", unit.show(limit));
+        proofs::limit(tape, &path, &moments, &label, limit * quantity.factor())?;
+    }
+    Ok(())
+}
+
 fn yaw(tape: &Tape, arm: &ReplayArm<'_>, imu: &ReplayImu<'_>) -> Result<(), ReplayCause> {
     let series = Series {
         path: entity(&[ERRORS, arm.name, Quantity::Yaw.name(), imu.topic]),
@@ -160,11 +186,7 @@ impl Series {
         let rows = thin::extremes(&[values], MOST_ROWS);
         let moments = tape.moments(arm, received, rows.iter().map(|&row| stamps[row]));
         let shown = rows.iter().map(|&row| values[row] * self.factor);
-        let style = SeriesLines::new()
-            .with_names([self.label.as_str()])
-            .with_colors([self.rgb])
-            .with_widths([self.width]);
-        tape.still(&self.path, &style)?;
-        tape.columns(&self.path, &moments, Scalars::new(shown).columns_of_unit_batches()?)
+        let shown: Vec<f64> = shown.collect();
+        proofs::line(tape, &self.path, (&self.label, self.rgb, self.width), &moments, &shown)
     }
 }

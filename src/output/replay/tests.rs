@@ -3,13 +3,16 @@ use std::fs;
 use re_chunk::{Chunk, EntityPath, TimelineName};
 use re_log_types::{LogMsg, StoreKind};
 use re_sdk_types::ComponentDescriptor;
-use re_sdk_types::archetypes::{Asset3D, Capsules3D, StateChange, TextDocument, Transform3D};
-use re_sdk_types::components::Text;
+use re_sdk_types::archetypes::{
+    Asset3D, BarChart, Capsules3D, Scalars, StateChange, TextDocument, Transform3D,
+};
+use re_sdk_types::components::{Scalar, Text};
 
 use super::tape::entity;
 use super::*;
 use crate::diagnosis::Aligned;
 use crate::finding::{Cause, Evidence, Severity, Subject};
+use crate::report::figures::{Figures, Own};
 use crate::report::{Trouble, TroubleKind, Verdict};
 use crate::robot::catalogue;
 
@@ -175,6 +178,43 @@ fn a_recording_is_written_with_its_folder() -> Outcome {
     write(&Recording::from(again.clone()), &replay(vec![second], &report))?;
     assert!(bytes == fs::read(&again)?, "the same recording has other bytes");
     assert!(notes.is_empty(), "{notes:?}");
+    Ok(())
+}
+
+#[test]
+fn a_finding_has_its_own_proof_with_its_limit_and_links() -> Outcome {
+    let robot = catalogue::find("ur5e").unwrap();
+    let chain = chain(robot);
+    let (recorded, aligned) = motion(&chain, 50);
+    let mut arm = arm(robot, &chain, &recorded);
+    arm.streams = vec![stream(&aligned, StreamKind::Pose)];
+    // Of a sound stream nothing is magnified.
+    assert_eq!(tools::magnified(&arm), 1.0);
+    let shake = Finding { code: "MOT001", ..finding() };
+    let mut report = report(Verdict::Fail, vec![shake]);
+    let (spectrum, trace) = (vec![[10.0, 1e-3], [12.0, 2e-3]], vec![[0.1, 1e-3], [0.2, -1e-3]]);
+    report.figures = Some(Figures {
+        own: vec![(0, Own::Shake { spectrum, trace })],
+        start: Some(ORIGIN),
+        ..Figures::default()
+    });
+    let seen = Seen::of(&replay(vec![arm], &report), &Recording::default())?;
+    let bars = seen.with(&["proof/01/spectrum"], &BarChart::descriptor_values());
+    assert!(bars.is_some());
+    let value = |path: &str| -> Vec<f64> {
+        let scalars = Scalars::descriptor_scalars();
+        let chunk = seen.with(&[path], &scalars).expect(path);
+        let values = (0..chunk.num_rows())
+            .filter_map(|row| chunk.component_batch::<Scalar>(scalars.component, row)?.ok());
+        values.flatten().map(|value| value.0.0).collect()
+    };
+    assert_eq!(value("proof/01/trace/tip"), [1.0, -1.0]);
+    // In mm: of the shake its own limit, of the stream that of a residual.
+    assert_eq!(value("proof/01/trace/limit_0"), [0.5, 0.5]);
+    assert_eq!(value("errors/ur5e/position_mm/tcp/pose/limit"), [1.0, 1.0]);
+    let page = seen.text(&["findings", "page_1"]);
+    assert!(page.contains("(recording://proof/01/spectrum)"), "{page}");
+    assert!(page.contains("(recording://spans/01-MOT001)"), "{page}");
     Ok(())
 }
 

@@ -171,10 +171,16 @@ fn errors(
 pub(super) fn magnified(arm: &ReplayArm<'_>) -> f64 {
     /// The longest arrow, as a part of the arm's reach.
     const LONGEST: f64 = 0.25;
+    /// Errors from which on they are.
+    const WORTH_M: f64 = 1e-3;
     let measured =
         arm.streams.iter().filter(|it| it.kind == StreamKind::Pose && it.reference_known);
     let errors = measured.flat_map(|stream| stream.aligned.before().m);
     let longest_m = errors.fold(0.0, f64::max);
+    // Of a sound run there is nothing to see.
+    if longest_m < WORTH_M {
+        return 1.0;
+    }
     most_times(longest_m, LONGEST * arm.chain.max_reach_m())
 }
 

@@ -71,6 +71,8 @@ pub struct Whisker {
     pub amount: Option<(f64, Option<[f64; 2]>, Unit)>,
     /// Whether the audit finds fault with it.
     pub is_fault: bool,
+    /// From which size it would, in the unit of the amount.
+    pub limit: Option<f64>,
 }
 
 impl Whiskers {
@@ -86,7 +88,7 @@ impl Whiskers {
                                 th scope="row" { (row.label) }
                                 @match row.amount {
                                     Some((value, interval, unit)) => {
-                                        td .bar { (self.track(value, interval, unit)) }
+                                        td .bar { (self.track(row, value, interval, unit)) }
                                         td .number { (unit.show_signed_within(value, interval)) }
                                     }
                                     None => { td .bar {} td .number { "not told" } }
@@ -99,13 +101,16 @@ impl Whiskers {
         }
     }
 
-    fn track(&self, value: f64, interval: Option<[f64; 2]>, unit: Unit) -> Markup {
+    fn track(&self, row: &Whisker, value: f64, interval: Option<[f64; 2]>, unit: Unit) -> Markup {
         let full = self.full(unit);
         let place = |at: f64| percent(0.5 + 0.5 * (at / full).clamp(-1.0, 1.0));
         let [low, high] = interval.unwrap_or([value, value]);
         let width = 0.5 * ((high / full).clamp(-1.0, 1.0) - (low / full).clamp(-1.0, 1.0));
         html! {
             i .zero {}
+            @for at in row.limit.iter().flat_map(|limit| [-limit, *limit]).filter(|at| at.abs() <= full) {
+                i .limit title={ "limit " (unit.show(at.abs())) } style={ "left:" (place(at)) } {}
+            }
             i .whisker style={ "left:" (place(low)) ";width:" (percent(width)) } {}
             i .dot style={ "left:" (place(value)) } {}
         }

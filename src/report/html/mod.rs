@@ -8,8 +8,10 @@
 mod bars;
 mod frames;
 mod parts;
+mod plane;
 mod plot;
 mod proof;
+mod rule;
 #[cfg(test)]
 mod tests;
 mod timeline;
@@ -21,6 +23,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
 
+pub(crate) use self::bars::percent;
 use self::parts::Parts;
 pub(crate) use self::plot::{Plot, Role, Series, Style};
 use self::proof::{Proof, proofs};

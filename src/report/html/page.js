@@ -51,6 +51,52 @@
     ctx.restore();
   };
 
+  // The limits, across the plot; one that is far off is said and not drawn.
+  const drawLimits = (plot, spec) => {
+    const { ctx, bbox } = plot;
+    const ratio = devicePixelRatio || 1;
+    ctx.save();
+    clip(plot);
+    ctx.strokeStyle = ctx.fillStyle = colour("limit");
+    ctx.lineWidth = 1.25 * ratio;
+    ctx.font = `600 ${11 * ratio}px system-ui, sans-serif`;
+    // Readable over what is drawn.
+    const say = (text, x, y) => {
+      ctx.save();
+      ctx.setLineDash([]);
+      ctx.strokeStyle = colour("paper");
+      ctx.lineWidth = 4 * ratio;
+      ctx.lineJoin = "round";
+      ctx.strokeText(text, x, y);
+      ctx.fillText(text, x, y);
+      ctx.restore();
+    };
+    spec.limits.forEach(({ at, along, label }) => {
+      const place = plot.valToPos(at, along ? "x" : "y", true);
+      const top = bbox.top, left = bbox.left, right = left + bbox.width;
+      const isOut = along ? place < left || place > right : place < top || place > top + bbox.height;
+      if (isOut) {
+        if (label && !along && place < top) {
+          ctx.textAlign = "right";
+          say(`${label} ↑`, right - 4 * ratio, top + 12 * ratio);
+        }
+        return;
+      }
+      ctx.setLineDash([6 * ratio, 4 * ratio]);
+      ctx.beginPath();
+      ctx.moveTo(along ? place : left, along ? top : place);
+      ctx.lineTo(along ? place : right, along ? top + bbox.height : place);
+      ctx.stroke();
+      ctx.setLineDash([]);
+      if (!label) return;
+      ctx.textAlign = along ? "left" : "right";
+      const isHigh = !along && place < top + 16 * ratio;
+      if (along) say(label, place + 4 * ratio, top + bbox.height - 22 * ratio);
+      else say(label, right - 4 * ratio, place + (isHigh ? 12 : -4) * ratio);
+    });
+    ctx.restore();
+  };
+
   // The interval of each value.
   const drawIntervals = (plot, spec) => {
     const { ctx } = plot;
@@ -83,6 +129,13 @@
     const reach = halves.length ? Math.max(...halves) : 0;
     const range = (_, low, high) => {
       if (low == null) return [0, 1];
+      // A limit that is not far off is shown.
+      const size = Math.max(Math.abs(low), Math.abs(high));
+      spec.limits.forEach(({ at, along }) => {
+        if (along || Math.abs(at) > 4 * size) return;
+        high = Math.max(high, at);
+        low = Math.min(low, at);
+      });
       if (spec.zero) return [0, high > 0 ? high * 1.05 : 1];
       const room = (high - low) * 0.08 + Math.min(reach, 4 * (high - low)) || 1;
       return [low - room, high + room];
@@ -96,7 +149,7 @@
       legend: { markers: { fill: (plot, at) => (at ? colour(spec.series[at - 1].role) : "none"), width: 0 } },
       axes: [
         { ...axis, label: spec.x_label, labelSize: 18, labelFont: axis.font, size: 28, gap: 3 },
-        { ...axis, size: 46, gap: 3 },
+        { ...axis, size: 46, gap: 3, values: (_, splits) => splits.map((at) => (at == null ? "" : `${+at.toPrecision(6)}`)) },
       ],
       series: [
         { label: spec.x_label, value: (_, value) => shown(value) },
@@ -104,7 +157,7 @@
           label,
           stroke: () => colour(role),
           width: role === "before" ? 1 : 1.75,
-          dash: role === "beside" ? [5, 4] : undefined,
+          dash: role === "beside" ? [5, 4] : role === "limit" ? [2, 3] : undefined,
           paths: spec.points ? () => null : undefined,
           points: {
             // Where there is room, uPlot shows those of lines by itself.
@@ -118,7 +171,7 @@
       ],
       hooks: {
         drawAxes: [(plot) => spec.mark && drawMark(plot, spec.mark, !spec.zero)],
-        draw: [(plot) => drawIntervals(plot, spec)],
+        draw: [(plot) => drawIntervals(plot, spec), (plot) => drawLimits(plot, spec)],
       },
     };
   };

@@ -6,9 +6,10 @@ use maud::{Markup, html};
 
 use super::bars::percent;
 use super::proof::Proof;
-use super::{frames, plot_id, timeline};
+use super::{frames, plot_id, rule, timeline};
+use crate::checks::{self, Rule};
 use crate::finding::Finding;
-use crate::report::outline::Outline;
+use crate::report::outline::{Bound, Outline, Passed};
 use crate::report::{JointCoverage, Report, WorkspaceRow};
 
 /// The parts of one page.
@@ -50,7 +51,7 @@ impl Parts<'_> {
                         dd { (file.path.display()) @if let Some(fetched) = file.fetched() { ", " (fetched) } }
                     }
                     @if let Some(extent) = self.outline.extent() {
-                        dt { "holds" }
+                        dt { "recording" }
                         dd { (extent) }
                     }
                     @for robot in &self.report.robots {
@@ -134,8 +135,16 @@ impl Parts<'_> {
                 @for line in self.outline.about(finding) { p .effect { (line) } }
                 p .fix { strong { "Fix" } " " (finding.fix) }
                 (self.proof(index, proof))
+                @if let Some(rule) = self.rule_first_at(index) { (rule::folded(rule)) }
             }
         }
+    }
+
+    /// The rule of a finding, where no finding before it is of the same.
+    fn rule_first_at(&self, index: usize) -> Option<&'static Rule> {
+        let code = self.report.findings[index].code;
+        let is_first = !self.report.findings[..index].iter().any(|other| other.code == code);
+        checks::find(code).ok().filter(|_| is_first)
     }
 
     fn proof(&self, index: usize, proof: &Proof) -> Markup {
@@ -147,6 +156,7 @@ impl Parts<'_> {
                     @for (plot, drawn) in proof.plots.iter().enumerate() {
                         (drawn.markup(&plot_id(index, plot), topic, self.rows))
                     }
+                    @for plane in &proof.planes { (plane.markup()) }
                     @for bars in &proof.bars { (bars.markup()) }
                 }
             }
@@ -170,10 +180,6 @@ impl Parts<'_> {
 
     /// What passed, what could not be told and the rest.
     pub fn rest(&self) -> Markup {
-        let passed = self.outline.passed();
-        let whole = passed.whole.join(", ");
-        let on_parts = passed.parts.into_iter().chain(passed.remarks);
-        let all_passed: Vec<String> = once(whole).chain(on_parts).collect();
         let figures = self.report.figures.as_ref();
         let notes = self.report.log.notes.iter();
         let mut notes: Vec<String> =
@@ -182,11 +188,9 @@ impl Parts<'_> {
             notes.push("the pictures are of the longest segment".to_owned());
         }
         html! {
+            (self.open())
             (list("ignored", "Ignored", &self.outline.ignored()))
-            (list("open", "Inconclusive", &self.outline.could_not_tell()))
-            (list("together", "Not observable", &self.outline.cannot_show()))
-            (list("settle", "To settle", &self.outline.to_settle()))
-            (list("passed", "Passed", if self.report.checks.is_empty() { &[] } else { &all_passed }))
+            (self.passed())
             (list("skipped", "Skipped", &self.outline.skipped()))
             (self.workspace())
             @if let Some(figures) = figures {
@@ -195,6 +199,59 @@ impl Parts<'_> {
             }
             (self.streams())
             (list("notes", "Notes", &notes))
+        }
+    }
+
+    /// What could not be decided, what would settle it, and behind that the reason of each.
+    fn open(&self) -> Markup {
+        let groups = self.outline.could_not_tell();
+        html! {
+            @if !groups.is_empty() {
+                section #open .list aria-labelledby="open-title" {
+                    h2 #open-title { "Inconclusive" }
+                    ul {
+                        @for line in groups.iter().chain(&self.outline.cannot_show()) {
+                            li { (coded(line)) }
+                        }
+                    }
+                    @if let Some(recipe) = self.outline.recipe() {
+                        p .fix { strong { "To settle" } " " (recipe) }
+                        @for plan in self.outline.plans() { pre .call tabindex="0" { (plan) } }
+                    }
+                    details .values {
+                        summary { "Reasons" }
+                        ul { @for line in self.outline.reasons() { li { (coded(&line)) } } }
+                    }
+                }
+            }
+        }
+    }
+
+    /// What passed: the amounts that are bounded, then the rest.
+    fn passed(&self) -> Markup {
+        let Passed { bounds, whole, parts, remarks } = self.outline.passed();
+        let whole = whole.join(", ");
+        let lines: Vec<String> = once(whole).chain(parts).chain(remarks).collect();
+        html! {
+            @if !bounds.is_empty() || lines.iter().any(|line| !line.is_empty()) {
+                section #passed .list aria-labelledby="passed-title" {
+                    h2 #passed-title { "Passed" }
+                    @if !bounds.is_empty() {
+                        div .scroll tabindex="0" role="region" aria-labelledby="passed-title" {
+                            table {
+                                thead {
+                                    tr {
+                                        th scope="col" { "rule" } th scope="col" { "what" }
+                                        th scope="col" { "largest, ± 95 %" } th scope="col" { "limit" }
+                                    }
+                                }
+                                tbody { @for bound in &bounds { (row(bound)) } }
+                            }
+                        }
+                    }
+                    ul { @for line in &lines { @if !line.is_empty() { li { (coded(line)) } } } }
+                }
+            }
         }
     }
 
@@ -249,12 +306,29 @@ impl Parts<'_> {
         html! {
             footer {
                 @if let Some(first) = first {
-                    p { code { "poseaudit explain " (first.code) } " what it means, when it misleads" }
-                    p { code { (self.report.replay()) } " replay it in the viewer" }
+                    p { "What " (first.code) " means, when it misleads:" }
+                    pre .call tabindex="0" { "poseaudit explain " (first.code) }
+                    p { "Replay it in the Rerun viewer:" }
+                    pre .call tabindex="0" { (self.report.replay()) }
                 }
                 p { "poseaudit " (env!("CARGO_PKG_VERSION")) ". Errors are against forward \
                      kinematics of the joint states; ± is half a 95 % interval." }
             }
+        }
+    }
+}
+
+fn row(bound: &Bound) -> Markup {
+    html! {
+        tr {
+            th scope="row" { code { (bound.code) } }
+            td {
+                (bound.name)
+                @if let Some(on) = &bound.on { " " span .quiet { "on " (on) } }
+                @if let Some(count) = bound.of { " " span .quiet { "of " (count) } }
+            }
+            td { (bound.amount) }
+            td { (bound.limit) }
         }
     }
 }

@@ -31,8 +31,21 @@ pub struct Plot {
     pub from_zero: bool,
     /// A place on the axis that is marked.
     pub mark: Option<Mark>,
+    /// Limits that values are held against.
+    pub limits: Vec<Limit>,
     /// How the points are drawn.
     pub style: Style,
+}
+
+/// A limit, drawn across the plot.
+#[derive(Clone, Debug)]
+pub struct Limit {
+    /// Where, in the unit of its axis.
+    pub at: f64,
+    /// Whether it is on the axis along which the plot goes.
+    pub is_along: bool,
+    /// What stands beside it; nothing where another says it.
+    pub label: String,
 }
 
 /// One series of a plot; as many values as the plot has places.
@@ -59,15 +72,18 @@ pub enum Role {
     Amount,
     /// What an amount is held against, or a line through it.
     Beside,
+    /// A limit that is no constant.
+    Limit,
 }
 
 impl Role {
-    const fn name(self) -> &'static str {
+    pub const fn name(self) -> &'static str {
         match self {
             Role::Before => "before",
             Role::After => "after",
             Role::Amount => "amount",
             Role::Beside => "beside",
+            Role::Limit => "limit",
         }
     }
 }
@@ -164,6 +180,10 @@ impl Plot {
             .mark
             .as_ref()
             .map(|mark| json!({ "at": mark.at, "interval": mark.interval, "label": mark.label }));
+        let limits = self
+            .limits
+            .iter()
+            .map(|limit| json!({ "at": limit.at, "along": limit.is_along, "label": limit.label }));
         json!({
             "x": x,
             "x_label": self.x_label,
@@ -171,6 +191,7 @@ impl Plot {
             "zero": self.from_zero,
             "points": self.style == Style::Points,
             "mark": mark,
+            "limits": limits.collect::<Vec<_>>(),
             "series": series.collect::<Vec<_>>(),
         })
     }

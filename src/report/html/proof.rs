@@ -2,13 +2,17 @@
 
 use std::collections::BTreeMap;
 
+mod errors;
+mod own;
+
 use super::bars::{Bar, Bars, Whisker, Whiskers};
-use super::plot::{Mark, Plot, Role, Series, Style};
-use crate::checks::{LAT001, ZER001};
-use crate::finding::{Cause, CheckRow, Estimate, Finding, Status, Unit};
+use super::plane::Plane;
+use super::plot::{Limit, Mark, Plot, Role, Series, Style};
+use crate::checks::{self, LAT001, Rule, ZER001};
+use crate::finding::{Cause, CheckRow, Estimate, Finding, Sight, Status, Unit};
 use crate::geometry::RotationSlip;
 use crate::report::Report;
-use crate::report::figures::{CoursePoint, Figures, ImuFigure, PoseFigure, ReadingScore};
+use crate::report::figures::{Figures, ImuFigure, PoseFigure, ReadingScore};
 
 /// Streams that one finding shows; of a joint or a whole arm there may be many.
 const MOST_STREAMS: usize = 3;
@@ -18,6 +22,8 @@ const MOST_STREAMS: usize = 3;
 pub struct Proof {
     /// Its pictures.
     pub plots: Vec<Plot>,
+    /// Its pictures of planes.
+    pub planes: Vec<Plane>,
     /// Its bars.
     pub bars: Vec<Bars>,
     /// Its amounts with their intervals.
@@ -32,6 +38,7 @@ impl Proof {
     /// Whether nothing shows the finding.
     pub fn is_empty(&self) -> bool {
         self.plots.is_empty()
+            && self.planes.is_empty()
             && self.bars.is_empty()
             && self.whiskers.is_empty()
             && self.shown_by.is_empty()
@@ -48,9 +55,9 @@ pub fn proofs(report: &Report) -> Vec<Proof> {
     let findings = report.findings.iter().enumerate();
     findings
         .map(|(index, finding)| {
-            let mut proof = Case { report, figures, finding }.proof();
+            let mut proof = Case { report, figures, finding, index }.proof();
             let plots = std::mem::take(&mut proof.plots);
-            for plot in plots.into_iter().filter(|plot| !plot.is_empty()) {
+            for plot in plots {
                 let key = (plot.title, plot.robot.clone(), plot.of.clone());
                 match first_in.get(&key) {
                     Some(&first) if first == index => {}
@@ -71,6 +78,8 @@ struct Case<'a> {
     report: &'a Report,
     figures: &'a Figures,
     finding: &'a Finding,
+    /// The place of the finding in the report.
+    index: usize,
 }
 
 impl Case<'_> {
@@ -78,11 +87,11 @@ impl Case<'_> {
         let mut proof = Proof::default();
         match &self.finding.cause {
             Cause::Rotation(_) | Cause::Bare { .. } => {
-                proof.plots.extend(self.poses().map(rotation_over_time));
+                proof.plots.extend(self.poses().map(|pose| self.rotation_over_time(pose)));
                 let is_whole =
                     |slip| matches!(slip, RotationSlip::Transposed | RotationSlip::Inverted);
                 if matches!(self.finding.cause, Cause::Rotation(slip) if is_whole(slip)) {
-                    proof.plots.extend(self.poses().map(position_over_time));
+                    proof.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
                 }
                 let of_poses = self.poses().map(|pose| readings(&pose.readings));
                 let of_imus = self.imus().map(|imu| readings(&imu.readings));
@@ -95,40 +104,45 @@ impl Case<'_> {
             | Cause::JointOrder { .. }
             | Cause::Dh(_)
             | Cause::TfDisagrees
+            | Cause::Axes { .. }
             | Cause::Reference(_)
             | Cause::Tool(_) => {
-                proof.plots.extend(self.poses().map(position_over_time));
-                proof.plots.extend(self.poses().map(rotation_over_time));
+                proof.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
+                proof.plots.extend(self.poses().map(|pose| self.rotation_over_time(pose)));
             }
             Cause::Bend
             | Cause::Changes
             | Cause::Model
             | Cause::Disagreement { .. }
             | Cause::OtherRobot(_) => {
-                proof.plots.extend(self.poses().map(position_over_time));
-                proof.plots.extend(self.poses().map(rotation_over_time));
-                proof.plots.extend(self.poses().map(error_over_reach));
+                proof.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
+                proof.plots.extend(self.poses().map(|pose| self.rotation_over_time(pose)));
+                proof.plots.extend(self.poses().map(errors::over_reach));
+                proof.planes.extend(self.poses().flat_map(errors::over_workspace));
             }
             Cause::JointZero { .. } => {
                 proof.whiskers.extend(self.offsets());
-                proof.plots.extend(self.poses().map(position_over_time));
-                proof.plots.extend(self.poses().map(error_over_reach));
+                proof.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
+                proof.plots.extend(self.poses().map(errors::over_reach));
+                proof.planes.extend(self.poses().flat_map(errors::over_workspace));
             }
             Cause::Growth => {
-                proof.plots.extend(self.poses().map(error_over_reach));
-                proof.plots.extend(self.poses().map(position_over_time));
+                proof.plots.extend(self.poses().map(errors::over_reach));
+                proof.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
+                proof.planes.extend(self.poses().flat_map(errors::over_workspace));
             }
             Cause::Latency(_) => {
                 proof.plots.extend(self.poses().map(|pose| self.valley(pose)));
                 proof.plots.extend(self.imus().map(|imu| self.correlation(imu)));
-                proof.plots.extend(self.poses().map(position_over_time));
+                proof.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
             }
             Cause::Skew(_) | Cause::UnsteadyLatency => {
                 let of_poses = self
                     .poses()
-                    .map(|pose| course([&pose.robot, &pose.topic], &pose.latency_course));
-                let of_imus =
-                    self.imus().map(|imu| course([&imu.robot, &imu.topic], &imu.latency_course));
+                    .map(|pose| self.course([&pose.robot, &pose.topic], &pose.latency_course));
+                let of_imus = self
+                    .imus()
+                    .map(|imu| self.course([&imu.robot, &imu.topic], &imu.latency_course));
                 proof.plots.extend(of_poses.chain(of_imus));
             }
             Cause::YawDrift(_) | Cause::YawJump => {
@@ -137,21 +151,37 @@ impl Case<'_> {
             }
             Cause::Frames => proof.part = Some(("frames", "the tree of frames")),
             Cause::Stamps => proof.part = Some(("timeline", "when each stream was there")),
-            Cause::Axes { .. } | Cause::ImuMount(_) | Cause::CameraMount { .. } | Cause::Other => {
-                proof.whiskers.extend(self.amounts())
+            Cause::Seen(Sight::Stream) => {
+                proof.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
+                proof.plots.extend(self.poses().map(|pose| self.rotation_over_time(pose)));
+                proof.plots.extend(self.imus().map(|imu| self.yaw_error(imu)));
             }
+            Cause::ImuMount(_) | Cause::CameraMount { .. } | Cause::Seen(_) => {
+                self.add_own(&mut proof);
+                proof.whiskers.extend(self.amounts());
+            }
+            Cause::Other => proof.whiskers.extend(self.amounts()),
+        }
+        proof.plots.retain(|plot| !plot.is_empty());
+        proof.planes.retain(|plane| !plane.is_empty());
+        if proof.is_empty() && !self.figures.timeline.is_empty() {
+            proof.part = Some(("timeline", "when each stream was there"));
         }
         proof
     }
 
     /// What the rule found on everything of this robot that it was asked about.
     fn amounts(&self) -> Option<Whiskers> {
-        let rows: Vec<Whisker> = self.checks(self.finding.code).flat_map(whiskers).collect();
+        let rule = checks::find(self.finding.code).ok()?;
+        let rows = self.checks(self.finding.code).flat_map(whiskers).map(|row| {
+            let unit = row.amount.map(|(.., unit)| unit);
+            Whisker { limit: unit.and_then(|unit| self.report.warns_from(rule, unit)), ..row }
+        });
+        let rows: Vec<Whisker> = rows.collect();
         let differ = rows.iter().any(|row| row.amount.is_some() && !row.is_fault);
         (!rows.is_empty()).then(|| Whiskers {
-            title: if differ { "Beside the others that were looked at" } else { "What was found" }
-                .to_owned(),
-            says: "With their 95 % intervals, where they have one.".to_owned(),
+            title: if differ { "Compared with the other streams" } else { "Amount" }.to_owned(),
+            says: "With 95 % intervals; dashed: the limit.".to_owned(),
             rows,
         })
     }
@@ -212,36 +242,34 @@ impl Case<'_> {
             if in_place { (2, 1f64.to_degrees(), "rms °") } else { (1, 1e3, "rms mm") };
         let mark = self.latency_mark(&pose.topic);
         Plot {
-            title: "What is left at each latency",
+            title: "Residual vs. assumed latency",
             robot: pose.robot.clone(),
             of: pose.topic.clone(),
-            says: "The rest of the error, all else taken off, if the stream were late by so much: \
-                   the bottom of the valley is the latency."
-                .to_owned(),
+            says: "Other causes already corrected; the minimum is the latency.".to_owned(),
             x: pose.left_by_latency.iter().map(|at| at[0] * 1e3).collect(),
             x_label: "latency, ms",
             y_label: unit,
             series: vec![Series {
-                label: "left".to_owned(),
+                label: "residual".to_owned(),
                 role: Role::Amount,
                 values: pose.left_by_latency.iter().map(|at| at[part] * factor).collect(),
                 half_widths: Vec::new(),
             }],
             from_zero: true,
             mark,
+            limits: self.limits_along(&LAT001, Unit::Second, 1e3),
             style: Style::Curve,
         }
     }
 
     fn correlation(&self, imu: &ImuFigure) -> Plot {
         Plot {
-            title: "How it follows the arm at each latency",
+            title: "Correlation vs. assumed latency",
             robot: imu.robot.clone(),
             of: imu.topic.clone(),
-            says:
-                "Correlation of its speed of turning with forward kinematics, if it were late by \
-                   so much: the peak is near the latency, which a finer fit gives."
-                    .to_owned(),
+            says: "Turning speed against forward kinematics; the peak is near the latency, which a finer \
+                   fit gives."
+                .to_owned(),
             x: imu.correlation_by_latency.iter().map(|at| at[0] * 1e3).collect(),
             x_label: "latency, ms",
             y_label: "correlation",
@@ -253,8 +281,21 @@ impl Case<'_> {
             }],
             from_zero: false,
             mark: self.latency_mark(&imu.topic),
+            limits: self.limits_along(&LAT001, Unit::Second, 1e3),
             style: Style::Curve,
         }
+    }
+
+    /// From where on the finding's own rule warns, of amounts in this unit.
+    fn own_limit(&self, unit: Unit) -> Option<f64> {
+        self.report.warns_from(checks::find(self.finding.code).ok()?, unit)
+    }
+
+    /// The limits of a rule on amounts of either sign, along the axis of a plot; `factor` leads from SI to
+    /// the axis.
+    fn limits_along(&self, rule: &Rule, unit: Unit, factor: f64) -> Vec<Limit> {
+        let limits = both_signs(self.report.warns_from(rule, unit), unit, factor);
+        limits.into_iter().map(|limit| Limit { is_along: true, ..limit }).collect()
     }
 
     /// The zero offsets of all joints of the robot.
@@ -262,19 +303,21 @@ impl Case<'_> {
         let rows = self.checks(ZER001.code).map(|row| {
             let joint = row.subject.label().to_owned();
             let Some(Estimate::Amount { value, ci95, unit, .. }) = &row.estimate else {
-                return Whisker { label: joint, amount: None, is_fault: false };
+                return Whisker { label: joint, amount: None, is_fault: false, limit: None };
             };
             let unit = if *unit == Unit::Metre.symbol() { Unit::Metre } else { Unit::Radian };
             Whisker {
                 label: joint,
                 amount: Some((*value, *ci95, unit)),
                 is_fault: row.status == Status::Fail,
+                limit: self.report.warns_from(&ZER001, unit),
             }
         });
         let rows: Vec<Whisker> = rows.collect();
         (rows.len() > 1).then(|| Whiskers {
             title: "Zero offsets of all joints".to_owned(),
-            says: "With their 95 % intervals; q_true = q_reported + offset.".to_owned(),
+            says: "With 95 % intervals; dashed: the limit; q_true = q_reported + offset."
+                .to_owned(),
             rows,
         })
     }
@@ -296,8 +339,19 @@ impl Case<'_> {
                 half_widths: Vec::new(),
             });
         }
+        if let (Some(rate), [first, .., last]) =
+            (self.own_limit(Unit::RadianPerSecond), t_s.as_slice())
+        {
+            let middle = 0.5 * (first + last);
+            series.push(Series {
+                label: format!("limit {}", Unit::RadianPerSecond.show(rate)),
+                role: Role::Limit,
+                values: t_s.iter().map(|t_s| (rate * (t_s - middle)).to_degrees()).collect(),
+                half_widths: Vec::new(),
+            });
+        }
         Plot {
-            title: "Yaw over that of the arm",
+            title: "IMU yaw − FK yaw",
             robot: imu.robot.clone(),
             of: imu.topic.clone(),
             says: "A slope is drift; a good IMU stays flat.".to_owned(),
@@ -310,6 +364,24 @@ impl Case<'_> {
     }
 }
 
+/// A limit on amounts of either sign; `factor` leads from SI to the axis.
+fn both_signs(limit: Option<f64>, unit: Unit, factor: f64) -> Vec<Limit> {
+    let label = limit.map_or(String::new(), |limit| format!("limit ±{}", unit.show(limit)));
+    let ends =
+        limit.into_iter().flat_map(|limit| [(-limit, String::new()), (limit, label.clone())]);
+    ends.map(|(at, label)| Limit { at: at * factor, is_along: false, label }).collect()
+}
+
+/// A limit on a size; `factor` leads from SI to the axis.
+fn one_sided(limit: Option<f64>, unit: Unit, factor: f64) -> Vec<Limit> {
+    let limit = limit.map(|limit| Limit {
+        at: limit * factor,
+        is_along: false,
+        label: format!("limit {}", unit.show(limit)),
+    });
+    limit.into_iter().collect()
+}
+
 /// The amount of a check: of a frame, its length and its angle.
 fn whiskers(row: &CheckRow) -> Vec<Whisker> {
     let label = row.subject.label();
@@ -319,6 +391,7 @@ fn whiskers(row: &CheckRow) -> Vec<Whisker> {
             label: label.collect::<Vec<_>>().join(", "),
             amount: Some((value, ci95, Unit::of(symbol, name)?)),
             is_fault: row.status == Status::Fail,
+            limit: None,
         })
     };
     let radian = Unit::Radian.symbol();
@@ -336,117 +409,6 @@ fn whiskers(row: &CheckRow) -> Vec<Whisker> {
     amounts.into_iter().flatten().collect()
 }
 
-fn position_over_time(pose: &PoseFigure) -> Plot {
-    over_time(
-        pose,
-        "Position error over time",
-        "Distance of the logged position from forward kinematics",
-        ("mm", 1e3),
-        [&pose.before_m, &pose.after_m],
-    )
-}
-
-fn rotation_over_time(pose: &PoseFigure) -> Plot {
-    over_time(
-        pose,
-        "Rotation error over time",
-        "Angle of the logged orientation to forward kinematics",
-        ("°", 1f64.to_degrees()),
-        [&pose.before_rad, &pose.after_rad],
-    )
-}
-
-fn over_time(
-    pose: &PoseFigure,
-    title: &'static str,
-    what: &str,
-    (unit, factor): (&'static str, f64),
-    series: [&Vec<f64>; 2],
-) -> Plot {
-    let series = before_and_after(series, factor);
-    Plot {
-        title,
-        robot: pose.robot.clone(),
-        of: pose.topic.clone(),
-        says: format!("{what}: {}.", most(&series, unit)),
-        x: pose.t_s.clone(),
-        x_label: "time, s",
-        y_label: unit,
-        series,
-        from_zero: true,
-        ..Plot::default()
-    }
-}
-
-fn error_over_reach(pose: &PoseFigure) -> Plot {
-    let mut rows: Vec<usize> = (0..pose.reach_m.len()).collect();
-    rows.sort_by(|&a, &b| pose.reach_m[a].total_cmp(&pose.reach_m[b]));
-    let sorted = |values: &Vec<f64>| -> Vec<f64> {
-        rows.iter().filter_map(|&row| values.get(row).copied()).collect()
-    };
-    let series = before_and_after([&sorted(&pose.before_m), &sorted(&pose.after_m)], 1e3);
-    Plot {
-        title: "Position error vs. reach",
-        robot: pose.robot.clone(),
-        of: pose.topic.clone(),
-        says: "A wrong zero or length shows more the further the arm reaches.".to_owned(),
-        x: sorted(&pose.reach_m),
-        x_label: "distance from the base, m",
-        y_label: "mm",
-        series,
-        from_zero: true,
-        style: Style::Points,
-        mark: None,
-    }
-}
-
-/// The two states of a stream; as logged only where the log ties its frame to the arm.
-fn before_and_after([before, after]: [&Vec<f64>; 2], factor: f64) -> Vec<Series> {
-    let states = [("as logged", Role::Before, before), ("after correction", Role::After, after)];
-    let drawn = states.into_iter().filter(|(.., values)| !values.is_empty());
-    drawn
-        .map(|(label, role, values)| Series {
-            label: label.to_owned(),
-            role,
-            values: values.iter().map(|value| value * factor).collect(),
-            half_widths: Vec::new(),
-        })
-        .collect()
-}
-
-/// `up to 24 mm as logged, up to 0.1 mm explained`.
-fn most(series: &[Series], unit: &str) -> String {
-    let parts = series.iter().map(|series| {
-        let finite = series.values.iter().copied().filter(|value| value.is_finite());
-        let most = finite.fold(0.0, f64::max);
-        let decimals = if most >= 10.0 { 1 } else { 3 };
-        let space = if unit == "°" { "" } else { " " };
-        format!("up to {most:.decimals$}{space}{unit} {}", series.label)
-    });
-    parts.collect::<Vec<_>>().join(", ")
-}
-
-fn course([robot, topic]: [&str; 2], points: &[CoursePoint]) -> Plot {
-    Plot {
-        title: "Latency over time",
-        robot: robot.to_owned(),
-        of: topic.to_owned(),
-        says: "In windows of a second with their 95 % intervals, beyond that of the whole run."
-            .to_owned(),
-        x: points.iter().map(|point| point.t_s).collect(),
-        x_label: "time, s",
-        y_label: "ms",
-        series: vec![Series {
-            label: "latency".to_owned(),
-            role: Role::Amount,
-            values: points.iter().map(|point| point.beyond_s * 1e3).collect(),
-            half_widths: points.iter().map(|point| point.half_width_s * 1e3).collect(),
-        }],
-        style: Style::Points,
-        ..Plot::default()
-    }
-}
-
 fn headings(imu: &ImuFigure) -> Plot {
     let series = [(1, "IMU", Role::Before), (2, "FK", Role::Beside)];
     let series = series.map(|(part, label, role)| Series {
@@ -456,7 +418,7 @@ fn headings(imu: &ImuFigure) -> Plot {
         half_widths: Vec::new(),
     });
     Plot {
-        title: "Heading by the IMU and by the arm",
+        title: "Heading by the IMU and by FK",
         robot: imu.robot.clone(),
         of: imu.topic.clone(),
         says: "Where one axis of the sensor points about the vertical.".to_owned(),

@@ -8,7 +8,7 @@ use crate::checks::standing::Left;
 use crate::checks::{Case, Judged, Threshold};
 use crate::diagnosis::{Clipped, Measured, Rates};
 use crate::evidence::{ImuEvidence, Of};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
 /// The gain of a gyro less 1, and the share of its samples that saturate: data sheets of MEMS gyros allow
 /// three percent.
@@ -82,7 +82,7 @@ fn saturates(imu: &Of<ImuEvidence>, clipped: &Clipped, threshold: &Threshold) ->
     let percent = 100.0 * share;
     let fault = Fault {
         severity: threshold.severity(*share).unwrap_or(Severity::Warning),
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::Stream),
         title: "gyro saturates",
         message: format!(
             "gyro saturates at {limit} on {on} while the arm turns at up to {by_fk} ({percent:.1} % of \
@@ -141,7 +141,7 @@ fn reads(
     let by: Vec<String> = scale.iter().map(|one| format!("{:.4}", 1.0 + one.value)).collect();
     Fault {
         severity,
-        cause: Cause::Other,
+        cause: Cause::Seen(Sight::Stream),
         title: "gyro gain",
         message: format!(
             "gyro gain {gain:.3} on {on}: it reads {percent} % too {much} against the \

@@ -1,0 +1,229 @@
+//! The findings as an MCAP file that Foxglove opens beside the log: lines of a log, and what is off in the
+//! scene, both in JSON.
+//!
+//! | topic | schema | what it is |
+//! |---|---|---|
+//! | `/poseaudit/log` | `foxglove.Log` | the verdict, and each finding when it begins |
+//! | `/poseaudit/scene` | `foxglove.SceneUpdate` | where a stream's tool is logged and where FK has it, with the findings on that stream |
+//!
+//! Frames are those that the log names, so that the scene lies in the log's own tree.
+
+mod schema;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::Cursor;
+use std::path::Path;
+
+use mcap::records::MessageHeader;
+use mcap::{Compression, McapError, WriteOptions};
+use serde_json::{Value, json};
+
+use crate::audit::Audited;
+use crate::evidence::{Of, PoseEvidence};
+use crate::finding::{Finding, Severity};
+use crate::geometry::Pose;
+use crate::places::Places;
+use crate::report::outline::Outline;
+use crate::report::{Report, Trouble, write_whole};
+use crate::stats::thin;
+use crate::time::Stamp;
+
+/// Scenes of one stream.
+const MOST_SCENES: usize = 2_000;
+
+const LOG_TOPIC: &str = "/poseaudit/log";
+const SCENE_TOPIC: &str = "/poseaudit/scene";
+
+/// Enters the file that is written.
+pub fn enter(path: &Path, places: &mut Places) {
+    places.writes("--mcap", path);
+}
+
+impl Audited {
+    /// Writes the findings as messages that Foxglove shows.
+    ///
+    /// # Errors
+    /// Where the file cannot be written, or would take the place of a file that was read.
+    pub fn write_foxglove(&self, path: &Path) -> Result<(), Trouble> {
+        let mut places = self.read.clone();
+        enter(path, &mut places);
+        places.check()?;
+        let remedy = "name a file that can be written with --mcap";
+        let unwritable = |what: String| Trouble::unwritable(path, what, remedy);
+        let bytes = written(&messages(self)).map_err(|error| unwritable(error.to_string()))?;
+        let write = |staged: &Path| fs::write(staged, &bytes);
+        write_whole(path, write).map_err(|error| unwritable(error.to_string()))
+    }
+}
+
+/// A message and when it is.
+struct Message {
+    topic: &'static str,
+    at: Stamp,
+    content: Value,
+}
+
+fn messages(audited: &Audited) -> Vec<Message> {
+    let Audited { report, run, evidence, .. } = audited;
+    let (start, end) = run.span.unwrap_or((run.origin, run.origin));
+    let says = Outline::of(report);
+    let verdict = format!("{}: {}", report.verdict, says.why());
+    let mut messages = vec![log(start, 2, "verdict", &verdict)];
+    messages.extend(report.findings.iter().map(|finding| line(finding, &says, start)));
+    let streams = evidence.robots.iter().flat_map(|arm| &arm.poses);
+    for stream in streams.filter(|stream| stream.reference_known) {
+        messages.extend(scenes(stream, report, run.origin));
+    }
+    messages.retain(|message| (start..=end).contains(&message.at));
+    messages.sort_by_key(|message| (message.at, message.topic));
+    messages
+}
+
+/// A finding as a line of a log, at its first stamp.
+fn line(finding: &Finding, says: &Outline<'_>, start: Stamp) -> Message {
+    let level = match finding.severity {
+        Severity::Info => 2,
+        Severity::Warning => 3,
+        Severity::Error => 4,
+    };
+    let subject = says.subject(&finding.subject);
+    let about = says.about(finding).into_iter().map(|line| format!("\n{line}"));
+    let about: String = about.collect();
+    let text =
+        format!("{} {subject}: {}{about}\nfix: {}", finding.code, finding.message, finding.fix);
+    log(finding.start_ns.unwrap_or(start).max(start), level, finding.code, &text)
+}
+
+fn log(at: Stamp, level: u8, code: &str, text: &str) -> Message {
+    let content = json!({
+        "timestamp": time(at),
+        "level": level,
+        "message": text,
+        "name": "poseaudit",
+        "file": code,
+        "line": 0,
+    });
+    Message { topic: LOG_TOPIC, at, content }
+}
+
+/// Where the tool of a stream is logged and where it should be, over time; nothing of a stream of which
+/// nothing is found.
+fn scenes(stream: &Of<PoseEvidence>, report: &Report, origin: Stamp) -> Vec<Message> {
+    let topic = stream.topic();
+    let is_on = |finding: &&Finding| finding.subject.topic.as_deref() == Some(topic);
+    let found: Vec<&Finding> = report.findings.iter().filter(is_on).collect();
+    let Some(first) = found.first() else { return Vec::new() };
+    let metadata: Vec<Value> =
+        found.iter().map(|it| json!({ "key": it.code, "value": it.message })).collect();
+    let aligned = &stream.diagnosis.aligned;
+    let scene = |row: usize| {
+        let at = origin.shifted(aligned.t_s[row]);
+        let (logged, fk) = (&aligned.logged[row], &aligned.fk[row]);
+        let entity = json!({
+            "timestamp": time(at),
+            "frame_id": stream.reference,
+            "id": topic,
+            "lifetime": { "sec": 0, "nsec": 0 },
+            "frame_locked": true,
+            "metadata": metadata,
+            "arrows": [],
+            "cubes": [],
+            "spheres": [ball(fk, FK_RGB), ball(logged, LOGGED_RGB)],
+            "cylinders": [],
+            "lines": [between(fk, logged)],
+            "triangles": [],
+            "texts": [label(logged, &format!("{} {}", first.code, first.message))],
+            "models": [],
+        });
+        let content = json!({ "deletions": [], "entities": [entity] });
+        Message { topic: SCENE_TOPIC, at, content }
+    };
+    thin::evenly(aligned.t_s.len(), MOST_SCENES).into_iter().map(scene).collect()
+}
+
+const FK_RGB: [f64; 3] = [0.24, 0.78, 0.43];
+const LOGGED_RGB: [f64; 3] = [0.94, 0.31, 0.24];
+
+fn time(at: Stamp) -> Value {
+    const SECOND: i64 = 1_000_000_000;
+    json!({ "sec": at.nanos().div_euclid(SECOND), "nsec": at.nanos().rem_euclid(SECOND) })
+}
+
+fn point(pose: &Pose) -> Value {
+    let at = pose.translation.vector;
+    json!({ "x": at.x, "y": at.y, "z": at.z })
+}
+
+fn turned() -> Value {
+    json!({ "x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0 })
+}
+
+fn colour([r, g, b]: [f64; 3]) -> Value {
+    json!({ "r": r, "g": g, "b": b, "a": 1.0 })
+}
+
+fn ball(pose: &Pose, rgb: [f64; 3]) -> Value {
+    /// Diameter, m.
+    const SIZE: f64 = 0.02;
+    json!({
+        "pose": { "position": point(pose), "orientation": turned() },
+        "size": { "x": SIZE, "y": SIZE, "z": SIZE },
+        "color": colour(rgb),
+    })
+}
+
+fn between(from: &Pose, to: &Pose) -> Value {
+    json!({
+        "type": 0,
+        "pose": { "position": { "x": 0.0, "y": 0.0, "z": 0.0 }, "orientation": turned() },
+        "thickness": 3.0,
+        "scale_invariant": true,
+        "points": [point(from), point(to)],
+        "color": colour(LOGGED_RGB),
+        "colors": [],
+        "indices": [],
+    })
+}
+
+fn label(pose: &Pose, text: &str) -> Value {
+    json!({
+        "pose": { "position": point(pose), "orientation": turned() },
+        "billboard": true,
+        "font_size": 14.0,
+        "scale_invariant": true,
+        "color": colour([1.0; 3]),
+        "text": text,
+    })
+}
+
+/// The messages as a file.
+fn written(messages: &[Message]) -> Result<Vec<u8>, McapError> {
+    let options = WriteOptions::new()
+        .profile("")
+        .library("poseaudit")
+        .compression(Some(Compression::Zstd))
+        .compression_threads(0);
+    let mut writer = options.create(Cursor::new(Vec::new()))?;
+    let mut channels = BTreeMap::new();
+    for (topic, name, schema) in [
+        (LOG_TOPIC, "foxglove.Log", schema::log()),
+        (SCENE_TOPIC, "foxglove.SceneUpdate", schema::scene()),
+    ] {
+        let schema = writer.add_schema(name, "jsonschema", schema.to_string().as_bytes())?;
+        let channel = writer.add_channel(schema, topic, "json", &BTreeMap::new())?;
+        channels.insert(topic, channel);
+    }
+    for (sequence, message) in messages.iter().enumerate() {
+        let at = message.at.nanos().cast_unsigned();
+        let header = MessageHeader {
+            channel_id: channels[message.topic],
+            sequence: sequence as u32,
+            log_time: at,
+            publish_time: at,
+        };
+        writer.write_to_known_channel(&header, message.content.to_string().as_bytes())?;
+    }
+    writer.finish()?;
+    Ok(writer.into_inner().into_inner())
+}

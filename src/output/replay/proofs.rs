@@ -1,0 +1,255 @@
+//! What proves single findings: spectra, traces, views of a target, axes, rests; and the limits.
+
+use re_log_types::EntityPath;
+use re_sdk_types::archetypes::{Arrows3D, BarChart, Points3D, Scalars, SeriesLines};
+
+use super::moments::Moments;
+use super::tape::{Tape, entity};
+use super::{Replay, ReplayCause, findings};
+use crate::checks;
+use crate::finding::{Finding, Unit};
+use crate::report::Report;
+use crate::report::figures::Own;
+use crate::time::Stamp;
+
+const LIMIT_RGB: [u8; 3] = [230, 180, 80];
+const RGB: [[u8; 3]; 3] = [[240, 80, 60], [60, 200, 110], [110, 170, 240]];
+
+/// A view that proves a finding.
+pub(super) struct View {
+    pub title: &'static str,
+    pub path: EntityPath,
+    pub kind: Kind,
+}
+
+/// What a view is.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Kind {
+    Series,
+    Bars,
+    Space,
+}
+
+/// The entity of a picture of the finding with this index.
+fn path(index: usize, name: &str) -> EntityPath {
+    entity(&["proof", &format!("{:02}", index + 1), name])
+}
+
+/// The views of the finding with this index that are its own.
+pub(super) fn views(report: &Report, index: usize) -> Vec<View> {
+    let own = report.figures.iter().flat_map(|figures| &figures.own);
+    let own = own.filter(|(of, _)| *of == index);
+    let view = |name: &str, title, kind| View { title, path: path(index, name), kind };
+    let views = own.flat_map(|(_, own)| match own {
+        Own::Shake { .. } => vec![
+            view("spectrum", "spectrum, mm rms over Hz", Kind::Bars),
+            view("trace", "where it shakes most, mm", Kind::Series),
+        ],
+        Own::HandEye { .. } => vec![
+            view("distance", "residual of each view, mm", Kind::Series),
+            view("views", "the target as the camera sees it", Kind::Space),
+        ],
+        Own::Rests(_) => vec![view("rests", "goals and rests", Kind::Space)],
+        Own::Norms(_) => vec![view("norms", "deviation from a rotation", Kind::Series)],
+        Own::ImuAxes { .. } => vec![view("axes", "axes of the IMU in its link", Kind::Space)],
+        Own::Gyro { .. } => vec![view("gyro", "gyro, °/s", Kind::Series)],
+        Own::Joint(_) => vec![view("speed", "joint speed", Kind::Series)],
+        Own::Line { .. } | Own::Tilt(_) => Vec::new(),
+    });
+    views.collect()
+}
+
+/// Adds what the views show.
+pub(super) fn draw(tape: &Tape, replay: &Replay<'_>) -> Result<(), ReplayCause> {
+    let Some(figures) = &replay.report.figures else { return Ok(()) };
+    let start = figures.start.unwrap_or(replay.span.0);
+    for (index, own) in &figures.own {
+        let Some(finding) = replay.report.findings.get(*index) else { continue };
+        let shown = Shown { tape, replay, finding, index: *index, start };
+        shown.draw(own)?;
+    }
+    Ok(())
+}
+
+/// A finding whose picture is drawn.
+struct Shown<'a> {
+    tape: &'a Tape,
+    replay: &'a Replay<'a>,
+    finding: &'a Finding,
+    index: usize,
+    start: Stamp,
+}
+
+impl Shown<'_> {
+    fn draw(&self, own: &Own) -> Result<(), ReplayCause> {
+        let f32s = |at: &[f64; 3]| at.map(|part| part as f32);
+        match own {
+            Own::Shake { spectrum, trace } => {
+                let [hz, mm]: [Vec<f64>; 2] =
+                    [0, 1].map(|part| spectrum.iter().map(|at| at[part]).collect());
+                let mm: Vec<f64> = mm.iter().map(|rms_m| rms_m * 1e3).collect();
+                let bars = BarChart::new(mm).with_abscissa(hz).with_color(RGB[2]);
+                self.tape.still(&path(self.index, "spectrum"), &bars)?;
+                let rows = || trace.iter().map(|at| (at[0], at[1] * 1e3));
+                self.line("trace", "tip", "tip, mm", RGB[0], rows())?;
+                self.limits("trace", Unit::Metre, 1e3, true, rows())
+            }
+            Own::HandEye { each, seen, .. } => {
+                let rows = || each.iter().map(|at| (at[0], at[1] * 1e3));
+                self.line("distance", "view", "residual, mm", RGB[0], rows())?;
+                self.limits("distance", Unit::Metre, 1e3, false, rows())?;
+                let root = path(self.index, "views");
+                let target =
+                    Points3D::new(seen.iter().map(f32s)).with_colors([RGB[2]]).with_radii([0.004]);
+                self.tape.still(&root.join(&entity(&["target"])), &target)?;
+                let length = seen.iter().map(|at| at[2].abs()).fold(0.0, f64::max).max(0.1) * 0.3;
+                self.axes(&root.join(&entity(&["camera"])), &unit_axes(length), "camera ")
+            }
+            Own::Rests(gaps) => {
+                let root = path(self.index, "rests");
+                let points = |part: usize, rgb| {
+                    Points3D::new(gaps.iter().map(|gap| f32s(&gap[part])))
+                        .with_colors([rgb])
+                        .with_radii([0.004])
+                };
+                self.tape.still(&root.join(&entity(&["goals"])), &points(0, RGB[1]))?;
+                self.tape.still(&root.join(&entity(&["rests"])), &points(1, RGB[0]))
+            }
+            Own::Norms(rows) => {
+                let rows = || rows.iter().map(|at| (at[0], at[1]));
+                self.line("norms", "deviation", "deviation", RGB[0], rows())?;
+                self.limits("norms", Unit::One, 1.0, false, rows())
+            }
+            Own::ImuAxes { link, found, logged } => {
+                let root = path(self.index, "axes");
+                self.axes(&root.join(&entity(&["link"])), &unit_axes(1.0), &format!("{link} "))?;
+                let scaled =
+                    |axes: &[[f64; 3]; 3], size: f64| axes.map(|axis| axis.map(|part| part * size));
+                if let Some(logged) = logged {
+                    self.axes(&root.join(&entity(&["logged"])), &scaled(logged, 0.8), "logged ")?;
+                }
+                self.axes(&root.join(&entity(&["found"])), &scaled(found, 0.6), "by motion ")
+            }
+            Own::Gyro { rates, .. } => {
+                for (part, name) in ["x", "y", "z"].into_iter().enumerate() {
+                    let rows = rates.iter().map(|at| (at[0], at[part + 1].to_degrees()));
+                    self.line("gyro", name, name, RGB[part], rows)?;
+                }
+                let rows = rates.iter().map(|at| (at[0], 0.0));
+                self.limits("gyro", Unit::GyroRate, 1f64.to_degrees(), true, rows)
+            }
+            Own::Joint(joint) => {
+                let factor = if joint.slides { 1e3 } else { 1f64.to_degrees() };
+                let rows = |values: &[f64]| -> Vec<(f64, f64)> {
+                    joint
+                        .t_s
+                        .iter()
+                        .zip(values)
+                        .map(|(&t_s, value)| (t_s, value * factor))
+                        .collect()
+                };
+                self.line(
+                    "speed",
+                    "recorded",
+                    "recorded",
+                    RGB[0],
+                    rows(&joint.velocity).into_iter(),
+                )?;
+                self.line(
+                    "speed",
+                    "by_positions",
+                    "by positions",
+                    RGB[1],
+                    rows(&joint.rate).into_iter(),
+                )?;
+                let ends =
+                    joint.top_speed.iter().flat_map(|limit| [limit * factor, -limit * factor]);
+                let span = rows(&joint.rate);
+                for (at, limit) in ends.enumerate() {
+                    let rows =
+                        span.first().into_iter().chain(span.last()).map(|row| (row.0, limit));
+                    self.line("speed", &format!("limit_{at}"), "limit", LIMIT_RGB, rows)?;
+                }
+                Ok(())
+            }
+            Own::Line { .. } | Own::Tilt(_) => Ok(()),
+        }
+    }
+
+    fn line(
+        &self,
+        view: &str,
+        name: &str,
+        label: &str,
+        rgb: [u8; 3],
+        rows: impl Iterator<Item = (f64, f64)>,
+    ) -> Result<(), ReplayCause> {
+        let (stamps, values): (Vec<Stamp>, Vec<f64>) =
+            rows.map(|(t_s, value)| (self.start.shifted(t_s), value)).unzip();
+        let path = path(self.index, view).join(&entity(&[name]));
+        let moments = findings::moments(self.tape, self.replay, self.finding, &stamps);
+        line(self.tape, &path, (label, rgb, 1.5), &moments, &values)
+    }
+
+    /// The limit of the finding's rule on amounts in this unit, over the time of `rows`.
+    fn limits(
+        &self,
+        view: &str,
+        unit: Unit,
+        factor: f64,
+        both_signs: bool,
+        rows: impl Iterator<Item = (f64, f64)>,
+    ) -> Result<(), ReplayCause> {
+        let rule = checks::find(self.finding.code).ok();
+        let Some(limit) = rule.and_then(|rule| self.replay.report.warns_from(rule, unit)) else {
+            return Ok(());
+        };
+        let times: Vec<f64> = rows.map(|row| row.0).collect();
+        let ends = || times.first().into_iter().chain(times.last());
+        let label = format!("limit {}", unit.show(limit));
+        let signs: &[f64] = if both_signs { &[1.0, -1.0] } else { &[1.0] };
+        for (at, sign) in signs.iter().enumerate() {
+            let rows = ends().map(|&t_s| (t_s, sign * limit * factor));
+            self.line(view, &format!("limit_{at}"), &label, LIMIT_RGB, rows)?;
+        }
+        Ok(())
+    }
+
+    /// Three arrows from the origin.
+    fn axes(&self, path: &EntityPath, axes: &[[f64; 3]; 3], name: &str) -> Result<(), ReplayCause> {
+        let arrows = Arrows3D::from_vectors(axes.map(|axis| axis.map(|part| part as f32)))
+            .with_origins([[0.0f32; 3]])
+            .with_colors([[230, 70, 60], [70, 190, 90], [80, 130, 240]])
+            .with_labels(["x", "y", "z"].map(|axis| format!("{name}{axis}")))
+            .with_show_labels(true);
+        self.tape.still(path, &arrows)
+    }
+}
+
+fn unit_axes(length: f64) -> [[f64; 3]; 3] {
+    [[length, 0.0, 0.0], [0.0, length, 0.0], [0.0, 0.0, length]]
+}
+
+/// Adds a line of a plot: its name, colour and width.
+pub(super) fn line(
+    tape: &Tape,
+    path: &EntityPath,
+    (label, rgb, width): (&str, [u8; 3], f32),
+    moments: &Moments,
+    values: &[f64],
+) -> Result<(), ReplayCause> {
+    let style = SeriesLines::new().with_names([label]).with_colors([rgb]).with_widths([width]);
+    tape.still(path, &style)?;
+    tape.columns(path, moments, Scalars::new(values.iter().copied()).columns_of_unit_batches()?)
+}
+
+/// Adds a limit to a plot, from the first to the last of two moments.
+pub(super) fn limit(
+    tape: &Tape,
+    path: &EntityPath,
+    moments: &Moments,
+    label: &str,
+    value: f64,
+) -> Result<(), ReplayCause> {
+    line(tape, path, (label, LIMIT_RGB, 1.5), moments, &[value; 2])
+}

@@ -1,0 +1,329 @@
+//! The series behind the pictures of single findings.
+
+use super::Clock;
+use crate::diagnosis::{PoseSeries, ReferenceDiagnosis, rates, shake_seen};
+use crate::evidence::{ArmEvidence, HandEyeEvidence, ImuEvidence, Of, RunEvidence};
+use crate::finding::{Cause, Finding, Sight, Subject};
+use crate::geometry::{
+    Pose, Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation,
+};
+use crate::report::figures::{JointFigure, Own};
+use crate::run::{Arm, ImuSource, ReferenceContent, TargetSource};
+use crate::stream::JointTrack;
+
+/// Points of a plane that are drawn.
+const MOST_POINTS: usize = 400;
+/// Joints that are no faster rest, rad/s or m/s.
+const RESTS: f64 = 5e-3;
+
+/// The pictures of the findings that have one of their own, with their places among them.
+pub(super) fn figures(
+    clock: &Clock,
+    facts: &RunEvidence,
+    findings: &[Finding],
+) -> Vec<(usize, Own)> {
+    let figure = |(index, finding): (usize, &Finding)| {
+        let sight = match finding.cause {
+            Cause::Seen(sight) => sight,
+            Cause::ImuMount(_) => Sight::ImuAxes,
+            Cause::CameraMount { .. } => Sight::HandEye,
+            _ => return None,
+        };
+        let found = Found { clock, facts, subject: &finding.subject };
+        Some((index, found.figure(sight)?))
+    };
+    findings.iter().enumerate().filter_map(figure).collect()
+}
+
+/// What a finding is about.
+struct Found<'a> {
+    clock: &'a Clock<'a>,
+    facts: &'a RunEvidence,
+    subject: &'a Subject,
+}
+
+impl<'a> Found<'a> {
+    fn figure(&self, sight: Sight) -> Option<Own> {
+        match sight {
+            Sight::Shake => self.shake(),
+            Sight::HandEye => self.hand_eye(),
+            Sight::Line => self.line(),
+            Sight::Rest => self.rests(),
+            Sight::Norm => self.norms(),
+            Sight::ImuAxes => self.imu_axes(),
+            Sight::Gyro => self.gyro(),
+            Sight::Tilt => self.tilt(),
+            Sight::Joint => self.joint().map(Own::Joint),
+            Sight::Stream => None,
+        }
+    }
+
+    fn arm(&self) -> Option<(&'a Arm, &'a ArmEvidence)> {
+        let arms = self.clock.run.arms.iter().zip(&self.facts.robots);
+        let is_its = |name: &str| self.subject.robot.as_deref().is_none_or(|robot| robot == name);
+        arms.into_iter().find(|(_, facts)| is_its(&facts.name))
+    }
+
+    fn topic(&self) -> &'a str {
+        self.subject.topic.as_deref().unwrap_or_default()
+    }
+
+    fn shake(&self) -> Option<Own> {
+        let (arm, facts) = self.arm()?;
+        let own = facts.shakes.iter().find(|shake| shake.subject == *self.subject)?;
+        let at_s = own.shake.as_ref().ok()?.at_s;
+        let mut streams = arm.poses.iter().zip(&facts.poses);
+        let seen = match streams.find(|(_, of)| of.topic() == self.topic()) {
+            Some((source, _)) => {
+                let track = &source.track;
+                shake_seen(&track.t_s, |row| track.xyz[row], at_s)
+            }
+            None => {
+                let track = &arm.joints;
+                let tip = |row: usize| tip(arm, track, row).translation.vector;
+                shake_seen(&track.t_s, tip, at_s)
+            }
+        }?;
+        let trace = seen.trace.into_iter().map(|[t_s, m]| [self.clock.of_origin_s(t_s), m]);
+        Some(Own::Shake { spectrum: seen.spectrum, trace: trace.collect() })
+    }
+
+    fn hand_eye(&self) -> Option<Own> {
+        let is_its = |of: &&HandEyeEvidence| of.topic == self.topic();
+        let mut own = self.facts.hand_eyes.iter().filter(is_its);
+        let found = own.clone().find(|of| of.subject() == *self.subject).or_else(|| own.next())?;
+        let best = found.diagnosis.best();
+        let each = best.map_or(&[][..], |best| best.closure.each.as_slice());
+        let each = each.iter().map(|&(t_s, m, rad)| [self.clock.of_origin_s(t_s), m, rad]);
+        let run = self.clock.run;
+        let is_seen = |target: &&TargetSource| {
+            let stream = &run.streams[target.stream];
+            stream.topic == found.topic && stream.child_frame_id == found.target
+        };
+        let series = run.targets.iter().find(is_seen).map(|it| PoseSeries::of_track(&it.track));
+        let poses = series.flatten().map_or_else(Vec::new, |series| series.poses);
+        let step = poses.len().div_ceil(MOST_POINTS).max(1);
+        let seen = poses.iter().step_by(step).map(|pose| pose.translation.vector.into());
+        Some(Own::HandEye { each: each.collect(), views: views(&poses), seen: seen.collect() })
+    }
+
+    /// What was found on the commands that the finding is about, with their content.
+    fn commands(&self) -> Option<(&'a ReferenceContent, &'a ReferenceDiagnosis)> {
+        let (_, facts) = self.arm()?;
+        let own = facts.references.iter().find(|of| of.topic() == self.topic())?;
+        let run = self.clock.run;
+        let is_its = |source: &&crate::run::ReferenceSource| {
+            run.streams[source.stream].topic == self.topic()
+        };
+        let source = run.references.iter().find(is_its)?;
+        Some((source.content.as_ref().ok()?, own.diagnosis.as_ref().ok()?.as_ref().ok()?))
+    }
+
+    /// The line that is off most.
+    fn line(&self) -> Option<Own> {
+        /// The tip comes to the end of a line so much later, s.
+        const LATER_S: f64 = 0.5;
+        let (arm, _) = self.arm()?;
+        let (content, found) = self.commands()?;
+        let size = |line: &crate::diagnosis::Line| {
+            let witnesses = line.witnesses.iter().flatten();
+            let off_m = witnesses.map(|by| by.distance_m.norm.value).fold(0.0, f64::max);
+            off_m.max(0.1 * line.command_rad)
+        };
+        let line = found.lines.iter().max_by(|a, b| size(a).total_cmp(&size(b)))?;
+        let by_kinematics = PoseSeries::by_kinematics(&arm.joints, &arm.chain, &arm.columns);
+        let tip = beside_chord(&by_kinematics, line.from_s, line.to_s + LATER_S);
+        let command = match content {
+            ReferenceContent::Poses { track, .. } => PoseSeries::of_track(track),
+            ReferenceContent::Joints { .. } => None,
+        };
+        let command = command.map(|series| beside_chord(&series, line.from_s, line.to_s));
+        Some(Own::Line { tip, command: command.unwrap_or_default() })
+    }
+
+    fn rests(&self) -> Option<Own> {
+        let (_, found) = self.commands()?;
+        let gaps = found.gaps.iter().find(|gaps| !gaps.is_empty())?;
+        let both = |pose: &Pose| -> [f64; 3] { pose.translation.vector.into() };
+        Some(Own::Rests(
+            gaps.iter().map(|gap| [both(&gap.commanded), both(&gap.measured)]).collect(),
+        ))
+    }
+
+    fn norms(&self) -> Option<Own> {
+        let mut own = self.facts.norms.iter().filter(|of| of.topic() == self.topic());
+        let parts = own.next()?;
+        let worst = parts.iter().max_by(|a, b| a.largest.total_cmp(&b.largest))?;
+        let rows = self.clock.run.norm_defects(worst).into_iter();
+        Some(Own::Norms(rows.map(|(at, off)| [self.clock.of_stamp_s(at), off]).collect()))
+    }
+
+    fn imu(&self) -> Option<(&'a Arm, &'a ImuSource, &'a Of<ImuEvidence>)> {
+        let (arm, facts) = self.arm()?;
+        let mut imus = arm.imus.iter().zip(&facts.imus);
+        imus.find(|(_, of)| of.topic() == self.topic()).map(|(source, of)| (arm, source, of))
+    }
+
+    fn imu_axes(&self) -> Option<Own> {
+        let (_, _, of) = self.imu()?;
+        let columns = |rotation: Rotation| {
+            [0, 1, 2].map(|axis| <[f64; 3]>::from(rotation * Vec3::ith(axis, 1.0)))
+        };
+        Some(Own::ImuAxes {
+            link: of.link.clone(),
+            found: columns(of.diagnosis.link_from_imu?),
+            logged: of.link_from_imu.map(columns),
+        })
+    }
+
+    fn gyro(&self) -> Option<Own> {
+        /// So many samples show what a gyro does at rest.
+        const ENOUGH: usize = 20;
+        let (arm, source, of) = self.imu()?;
+        let track = &source.track;
+        let rate = |row: usize| {
+            let [x, y, z] = <[f64; 3]>::from(track.gyro[row]);
+            [self.clock.of_origin_s(track.t_s[row]), x, y, z]
+        };
+        let rows = 0..track.t_s.len().min(track.gyro.len());
+        let resting = at_rest(&arm.joints, &track.t_s);
+        let rests: Vec<[f64; 4]> = rows.clone().filter(|&row| resting[row]).map(rate).collect();
+        let at_rest = rests.len() >= ENOUGH;
+        let rates = if at_rest { rests } else { rows.map(rate).collect() };
+        let bias = of.diagnosis.gyro_bias.as_ref().ok().map(|bias| bias.vector_rad_s.into());
+        Some(Own::Gyro { rates, at_rest, bias })
+    }
+
+    fn tilt(&self) -> Option<Own> {
+        let (arm, source, _) = self.imu()?;
+        let track = &source.track;
+        let resting = at_rest(&arm.joints, &track.t_s);
+        let rows = 0..track.t_s.len().min(track.accel.len()).min(track.orientation.len());
+        let rows: Vec<usize> = rows.filter(|&row| resting[row]).collect();
+        let up = |&row: &usize| {
+            let up = (track.orientation[row] * track.accel[row]).try_normalize(1e-9)?;
+            Some([up.x.asin(), up.y.asin()])
+        };
+        let step = rows.len().div_ceil(MOST_POINTS).max(1);
+        Some(Own::Tilt(rows.iter().step_by(step).filter_map(up).collect()))
+    }
+
+    /// The joint that the finding is on, else the first of the arm.
+    fn joint(&self) -> Option<JointFigure> {
+        /// Over which positions are differentiated, s.
+        const WINDOW_S: f64 = 0.05;
+        let (arm, facts) = self.arm()?;
+        let named = |name: &str| self.subject.joint.as_deref() == Some(name);
+        let at = facts.joints.iter().position(|joint| named(&joint.name)).unwrap_or(0);
+        let (joint, &column) = (facts.joints.get(at)?, arm.columns.get(at)?);
+        let samples = self.clock.run.joint_samples(&arm.joint_facts);
+        let own = samples.get(column)?;
+        let has_velocity = own.velocity.iter().any(|velocity| velocity.is_finite());
+        Some(JointFigure {
+            joint: joint.name.clone(),
+            slides: joint.prismatic,
+            t_s: own.t_s.iter().map(|&t_s| self.clock.of_origin_s(t_s)).collect(),
+            position: own.position.to_vec(),
+            velocity: if has_velocity { own.velocity.to_vec() } else { Vec::new() },
+            rate: rates(&own.t_s, &own.position, WINDOW_S),
+            limits: [joint.limits.lower, joint.limits.upper],
+            top_speed: joint.limits.velocity,
+        })
+    }
+}
+
+/// The tip of an arm by its joint states.
+fn tip(arm: &Arm, track: &JointTrack, row: usize) -> Pose {
+    let q: Vec<f64> = arm.columns.iter().map(|&column| track.row(row)[column]).collect();
+    arm.chain.forward(&q)
+}
+
+/// Whether the arm rests at each of these times.
+fn at_rest(joints: &JointTrack, t_s: &[f64]) -> Vec<bool> {
+    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+    let rests = |&t_s: &f64| {
+        joints.at(t_s, &mut cursor, &mut q, &mut qd) && qd.iter().all(|speed| speed.abs() < RESTS)
+    };
+    t_s.iter().map(rests).collect()
+}
+
+/// From where a target is seen, as angles about two axes across the mean view.
+fn views(camera_from_target: &[Pose]) -> Vec<[f64; 2]> {
+    let step = camera_from_target.len().div_ceil(MOST_POINTS).max(1);
+    let seen = camera_from_target.iter().step_by(step);
+    let seen: Vec<Vec3> =
+        seen.filter_map(|pose| pose.inverse().translation.vector.try_normalize(1e-9)).collect();
+    let Some(mean) = seen.iter().sum::<Vec3>().try_normalize(1e-9) else { return Vec::new() };
+    let first = Vec3::ith(mean.iamin(), 1.0).cross(&mean).normalize();
+    let second = mean.cross(&first);
+    let place = |view: &Vec3| {
+        let across = view - mean * view.dot(&mean);
+        let angle = view.dot(&mean).clamp(-1.0, 1.0).acos();
+        let unit = across.try_normalize(1e-12).unwrap_or_default();
+        [angle * unit.dot(&first), angle * unit.dot(&second)]
+    };
+    seen.iter().map(place).collect()
+}
+
+/// The poses between two times beside the straight line, and the even turn, between their own ends: way
+/// along the line in m, distance in m and angle in rad.
+fn beside_chord(series: &PoseSeries, from_s: f64, to_s: f64) -> Vec<[f64; 3]> {
+    let first = series.t_s.partition_point(|t_s| *t_s < from_s);
+    let last = series.t_s.partition_point(|t_s| *t_s <= to_s);
+    let poses = series.poses.get(first..last).unwrap_or_default();
+    let (Some(from), Some(to)) = (poses.first(), poses.last()) else { return Vec::new() };
+    let chord = to.translation.vector - from.translation.vector;
+    let length = chord.norm().max(f64::MIN_POSITIVE);
+    let turn = rotvec_from_rotation(&(from.rotation.inverse() * to.rotation));
+    let place = |pose: &Pose| {
+        let since = pose.translation.vector - from.translation.vector;
+        let along = since.dot(&chord) / length;
+        let part = (along / length).clamp(0.0, 1.0);
+        let even = from.rotation * rotation_from_rotvec(turn * part);
+        let off = (since - chord * (along / length)).norm();
+        [along, off, angle_between(&pose.rotation, &even)]
+    };
+    let mut rows: Vec<[f64; 3]> = poses.iter().map(place).collect();
+    rows.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    rows
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::pose;
+
+    #[test]
+    fn a_bow_shows_beside_its_chord_and_a_straight_way_does_not() {
+        let way = |bow_m: f64| PoseSeries {
+            t_s: (0..=10).map(f64::from).collect(),
+            poses: (0..=10)
+                .map(|at| {
+                    let part = f64::from(at) / 10.0;
+                    let off = bow_m * 4.0 * part * (1.0 - part);
+                    let turned = rotation_from_rotvec(Vec3::new(0.0, 0.0, part));
+                    pose(Vec3::new(0.5 * part, off, 0.2).into(), turned)
+                })
+                .collect(),
+        };
+        let most =
+            |rows: &[[f64; 3]], part: usize| rows.iter().map(|row| row[part]).fold(0.0, f64::max);
+        let bowed = beside_chord(&way(0.01), 0.0, 10.0);
+        assert!((most(&bowed, 1) - 0.01).abs() < 1e-9 && most(&bowed, 2) < 1e-7, "{bowed:?}");
+        assert!((most(&bowed, 0) - 0.5).abs() < 1e-12 && bowed.len() == 11);
+        assert!(most(&beside_chord(&way(0.0), 0.0, 10.0), 1) < 1e-12);
+        assert!(beside_chord(&way(0.0), 20.0, 30.0).is_empty());
+    }
+
+    #[test]
+    fn views_lie_about_their_mean_by_the_angles_between_them() {
+        let from = |angle: f64| {
+            let target_from_camera =
+                pose(Vec3::new(angle.sin(), 0.0, angle.cos()).into(), Rotation::identity());
+            target_from_camera.inverse()
+        };
+        let seen = views(&[from(-0.3), from(0.3)]);
+        let apart = ((seen[0][0] - seen[1][0]).powi(2) + (seen[0][1] - seen[1][1]).powi(2)).sqrt();
+        assert!((apart - 0.6).abs() < 1e-9, "{seen:?}");
+    }
+}

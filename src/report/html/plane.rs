@@ -1,0 +1,228 @@
+//! Pictures of places and directions in a plane, drawn here: they need no script.
+
+use maud::{Markup, html};
+
+use super::plot::Role;
+
+/// A picture of a plane with one scale on both axes.
+#[derive(Clone, Debug, Default)]
+pub struct Plane {
+    /// What it shows, in a few words.
+    pub title: String,
+    /// What to look for, in a sentence; read out in the place of the picture.
+    pub says: String,
+    /// Names and units of the axes; none are drawn where they are empty.
+    pub axes: [&'static str; 2],
+    /// The points.
+    pub dots: Vec<Dot>,
+    /// Lines with a head at their end.
+    pub arrows: Vec<Arrow>,
+    /// A limit around the origin: its radius in the axes' unit, and in words.
+    pub limit: Option<(f64, String)>,
+}
+
+/// A point.
+#[derive(Clone, Debug)]
+pub struct Dot {
+    /// Where.
+    pub at: [f64; 2],
+    /// Its size, 0 to 1.
+    pub size: f64,
+    /// What it stands for.
+    pub role: Role,
+}
+
+/// An arrow.
+#[derive(Clone, Debug)]
+pub struct Arrow {
+    /// From where.
+    pub from: [f64; 2],
+    /// Where its head is.
+    pub to: [f64; 2],
+    /// What stands at its head.
+    pub label: String,
+    /// What it stands for.
+    pub role: Role,
+}
+
+const WIDTH: f64 = 420.0;
+const HEIGHT: f64 = 320.0;
+/// Around what is drawn, for the axes and their numbers: left, right, top and bottom.
+const ROOM: [f64; 4] = [52.0, 14.0, 12.0, 40.0];
+
+/// From the units of the axes to the picture.
+struct Scale {
+    middle: [f64; 2],
+    per_unit: f64,
+}
+
+impl Scale {
+    fn of(plane: &Plane) -> Option<Self> {
+        let ends = plane.arrows.iter().flat_map(|arrow| [arrow.from, arrow.to]);
+        let round = plane.limit.iter().flat_map(|(radius, _)| [[*radius; 2], [-radius; 2]]);
+        let all = plane.dots.iter().map(|dot| dot.at).chain(ends);
+        let drawn: Vec<[f64; 2]> = all.filter(|at| at.iter().all(|at| at.is_finite())).collect();
+        let first = *drawn.first()?;
+        let (low, high) = drawn.into_iter().chain(round).fold((first, first), |(low, high), at| {
+            let both =
+                |pick: fn(f64, f64) -> f64, a: [f64; 2]| [pick(a[0], at[0]), pick(a[1], at[1])];
+            (both(f64::min, low), both(f64::max, high))
+        });
+        let inner = [WIDTH - ROOM[0] - ROOM[1], HEIGHT - ROOM[2] - ROOM[3]];
+        let spans = [high[0] - low[0], high[1] - low[1]];
+        let per_unit = [0, 1].map(|axis| inner[axis] / (1.16 * spans[axis]).max(1e-12));
+        let per_unit = per_unit[0].min(per_unit[1]);
+        Some(Self { middle: [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])], per_unit })
+    }
+
+    /// Right and down in the picture.
+    fn place(&self, at: [f64; 2]) -> [f64; 2] {
+        let centre = [
+            ROOM[0] + 0.5 * (WIDTH - ROOM[0] - ROOM[1]),
+            ROOM[2] + 0.5 * (HEIGHT - ROOM[2] - ROOM[3]),
+        ];
+        [
+            centre[0] + (at[0] - self.middle[0]) * self.per_unit,
+            centre[1] - (at[1] - self.middle[1]) * self.per_unit,
+        ]
+    }
+
+    /// Round places of one axis that lie in the picture.
+    fn ticks(&self, axis: usize) -> Vec<f64> {
+        let inner = if axis == 0 { WIDTH - ROOM[0] - ROOM[1] } else { HEIGHT - ROOM[2] - ROOM[3] };
+        let half = 0.5 * inner / self.per_unit;
+        // About 70 px apart.
+        let raw = 70.0 / self.per_unit;
+        let power = 10f64.powf(raw.log10().floor());
+        let step = [1.0, 2.0, 5.0, 10.0].map(|times| times * power);
+        let step = step.into_iter().find(|step| *step >= raw).unwrap_or(raw);
+        let first = ((self.middle[axis] - half) / step).ceil() as i64;
+        let last = ((self.middle[axis] + half) / step).floor() as i64;
+        (first..=last).take(20).map(|at| at as f64 * step).collect()
+    }
+}
+
+impl Plane {
+    /// Whether there is anything to draw.
+    pub fn is_empty(&self) -> bool {
+        self.dots.is_empty() && self.arrows.is_empty()
+    }
+
+    /// The picture.
+    pub fn markup(&self) -> Markup {
+        let Some(scale) = Scale::of(self) else { return Markup::default() };
+        html! {
+            figure .picture {
+                figcaption { strong { (self.title) } span .says { (self.says) } }
+                svg .plane viewBox={ "0 0 " (WIDTH) " " (HEIGHT) } role="img"
+                    aria-label={ (self.title) ". " (self.says) } {
+                    @if !self.axes[0].is_empty() { (self.grid(&scale)) }
+                    @if let Some((radius, words)) = &self.limit {
+                        @let [x, y] = scale.place([0.0, 0.0]);
+                        circle .limit cx=(px(x)) cy=(px(y)) r=(px(radius * scale.per_unit)) {}
+                        @let [x, y] = scale.place([0.0, *radius]);
+                        text .limit x=(px(x)) y=(px(y - 4.0)) text-anchor="middle" { (words) }
+                    }
+                    @for dot in &self.dots {
+                        @let [x, y] = scale.place(dot.at);
+                        circle .dot .(dot.role.name()) cx=(px(x)) cy=(px(y)) r=(px(1.5 + 5.5 * dot.size)) {}
+                    }
+                    @for arrow in &self.arrows { (arrow.markup(&scale)) }
+                }
+            }
+        }
+    }
+
+    fn grid(&self, scale: &Scale) -> Markup {
+        let bottom = HEIGHT - ROOM[3];
+        html! {
+            @for tick in scale.ticks(0) {
+                @let [x, _] = scale.place([tick, 0.0]);
+                line .grid x1=(px(x)) x2=(px(x)) y1=(px(ROOM[2])) y2=(px(bottom)) {}
+                text x=(px(x)) y=(px(bottom + 14.0)) text-anchor="middle" { (number(tick)) }
+            }
+            @for tick in scale.ticks(1) {
+                @let [_, y] = scale.place([0.0, tick]);
+                line .grid x1=(px(ROOM[0])) x2=(px(WIDTH - ROOM[1])) y1=(px(y)) y2=(px(y)) {}
+                text x=(px(ROOM[0] - 5.0)) y=(px(y + 4.0)) text-anchor="end" { (number(tick)) }
+            }
+            text x=(px(0.5 * (ROOM[0] + WIDTH - ROOM[1]))) y=(px(HEIGHT - 6.0)) text-anchor="middle" {
+                (self.axes[0])
+            }
+            text text-anchor="middle" transform={
+                "translate(12 " (px(0.5 * (ROOM[2] + bottom))) ") rotate(-90)"
+            } { (self.axes[1]) }
+        }
+    }
+}
+
+impl Arrow {
+    fn markup(&self, scale: &Scale) -> Markup {
+        let (from, to) = (scale.place(self.from), scale.place(self.to));
+        let along = [to[0] - from[0], to[1] - from[1]];
+        let length = along[0].hypot(along[1]).max(1e-9);
+        let unit = along.map(|part| part / length);
+        let head = 7.0_f64.min(0.4 * length);
+        let wing = |side: f64| {
+            let x = to[0] - head * (unit[0] - side * 0.5 * unit[1]);
+            let y = to[1] - head * (unit[1] + side * 0.5 * unit[0]);
+            format!("{},{}", px(x), px(y))
+        };
+        // Beside the head, so that arrows over each other keep theirs.
+        let is_left = unit[0] < -0.3;
+        let beyond = [to[0] + if is_left { -8.0 } else { 8.0 }, to[1] + 9.0 * unit[1] + 4.0];
+        let anchor = if is_left { "end" } else { "start" };
+        html! {
+            g .(self.role.name()) {
+                line .arrow x1=(px(from[0])) y1=(px(from[1])) x2=(px(to[0])) y2=(px(to[1])) {}
+                polygon points={ (px(to[0])) "," (px(to[1])) " " (wing(1.0)) " " (wing(-1.0)) } {}
+                @if !self.label.is_empty() {
+                    text x=(px(beyond[0])) y=(px(beyond[1])) text-anchor=(anchor) { (self.label) }
+                }
+            }
+        }
+    }
+}
+
+/// A place in the picture to a tenth.
+fn px(at: f64) -> String {
+    format!("{at:.1}")
+}
+
+/// A number on an axis.
+fn number(tick: f64) -> String {
+    let shown = format!("{tick:.4}");
+    let shown = shown.trim_end_matches('0').trim_end_matches('.');
+    if shown == "-0" { "0".to_owned() } else { shown.to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_of_a_plane_lies_within_its_picture_on_one_scale() {
+        let dot = |x: f64, y: f64| Dot { at: [x, y], size: 1.0, role: Role::Amount };
+        let plane = Plane {
+            dots: vec![dot(-400.0, 3.0), dot(900.0, 80.0), dot(0.0, -20.0)],
+            limit: Some((100.0, "limit".to_owned())),
+            axes: ["x, mm", "y, mm"],
+            ..Plane::default()
+        };
+        let scale = Scale::of(&plane).expect("a scale");
+        for at in plane.dots.iter().map(|dot| dot.at).chain([[0.0, 100.0], [0.0, -100.0]]) {
+            let [x, y] = scale.place(at);
+            assert!((ROOM[0]..=WIDTH - ROOM[1]).contains(&x), "{x}");
+            assert!((ROOM[2]..=HEIGHT - ROOM[3]).contains(&y), "{y}");
+        }
+        let [a, b] = [scale.place([0.0, 0.0]), scale.place([10.0, 10.0])];
+        assert!(((b[0] - a[0]) - (a[1] - b[1])).abs() < 1e-9);
+        assert!((2..=9).contains(&scale.ticks(0).len()), "{:?}", scale.ticks(0));
+        assert!(Plane::default().markup().into_string().is_empty());
+    }
+
+    #[test]
+    fn numbers_on_axes_are_short() {
+        assert_eq!([0.5, -0.0, 200.0, 0.25].map(number), ["0.5", "0", "200", "0.25"]);
+    }
+}

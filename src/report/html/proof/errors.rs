@@ -1,0 +1,194 @@
+//! The errors of pose streams: over time, over reach and over the workspace.
+
+use super::{Case, both_signs, one_sided};
+use crate::checks::MDL001;
+use crate::finding::{Cause, Estimate, Unit};
+use crate::report::figures::{CoursePoint, PoseFigure};
+use crate::report::html::plane::{Dot, Plane};
+use crate::report::html::plot::{Mark, Plot, Role, Series, Style};
+use crate::time::Stamp;
+
+impl Case<'_> {
+    pub(super) fn position_over_time(&self, pose: &PoseFigure) -> Plot {
+        self.over_time(
+            pose,
+            "Position error over time",
+            "Distance of the logged position from forward kinematics",
+            (Unit::Metre, "mm", 1e3),
+            [&pose.before_m, &pose.after_m],
+        )
+    }
+
+    pub(super) fn rotation_over_time(&self, pose: &PoseFigure) -> Plot {
+        self.over_time(
+            pose,
+            "Rotation error over time",
+            "Angle of the logged orientation to forward kinematics",
+            (Unit::Radian, "°", 1f64.to_degrees()),
+            [&pose.before_rad, &pose.after_rad],
+        )
+    }
+
+    fn over_time(
+        &self,
+        pose: &PoseFigure,
+        title: &'static str,
+        what: &str,
+        (si, unit, factor): (Unit, &'static str, f64),
+        series: [&Vec<f64>; 2],
+    ) -> Plot {
+        let series = before_and_after(series, factor);
+        Plot {
+            title,
+            robot: pose.robot.clone(),
+            of: pose.topic.clone(),
+            says: format!("{what}: {}.", most(&series, unit)),
+            x: pose.t_s.clone(),
+            x_label: "time, s",
+            y_label: unit,
+            series,
+            from_zero: true,
+            mark: self.change(),
+            limits: one_sided(self.report.warns_from(&MDL001, si), si, factor),
+            ..Plot::default()
+        }
+    }
+
+    /// When it changes, where it does within the run.
+    fn change(&self) -> Option<Mark> {
+        let change = match self.finding.estimate.as_ref()? {
+            Estimate::Amount { change, .. } | Estimate::Frame { change, .. } => change.as_ref()?,
+            _ => return None,
+        };
+        let start = self.figures.start?;
+        let since = |stamp: Stamp| stamp.seconds_since(start);
+        Some(Mark {
+            at: since(change.change_ns),
+            interval: change.change_ci95_ns.map(|ends| ends.map(since)),
+            label: "changes".to_owned(),
+        })
+    }
+
+    pub(super) fn course(&self, [robot, topic]: [&str; 2], points: &[CoursePoint]) -> Plot {
+        let limits = both_signs(self.own_limit(Unit::Second), Unit::Second, 1e3);
+        let mut plot = Plot { limits, ..course([robot, topic], points) };
+        let ([first, .., last], Cause::Skew(skew)) = (plot.x.as_slice(), &self.finding.cause)
+        else {
+            return plot;
+        };
+        let middle = 0.5 * (first + last);
+        let found = ("found".to_owned(), Role::Beside, skew.value);
+        let limit = self.own_limit(Unit::SecondPerSecond).map(|limit| {
+            (format!("limit {}", Unit::SecondPerSecond.show(limit)), Role::Limit, limit)
+        });
+        let lines = [found].into_iter().chain(limit).map(|(label, role, slope)| Series {
+            label,
+            role,
+            values: plot.x.iter().map(|t_s| slope * (t_s - middle) * 1e3).collect(),
+            half_widths: Vec::new(),
+        });
+        plot.series = std::mem::take(&mut plot.series).into_iter().chain(lines).collect();
+        plot.style = Style::Time;
+        plot
+    }
+}
+
+pub(super) fn over_reach(pose: &PoseFigure) -> Plot {
+    let mut rows: Vec<usize> = (0..pose.reach_m.len()).collect();
+    rows.sort_by(|&a, &b| pose.reach_m[a].total_cmp(&pose.reach_m[b]));
+    let sorted = |values: &Vec<f64>| -> Vec<f64> {
+        rows.iter().filter_map(|&row| values.get(row).copied()).collect()
+    };
+    let series = before_and_after([&sorted(&pose.before_m), &sorted(&pose.after_m)], 1e3);
+    Plot {
+        title: "Position error vs. reach",
+        robot: pose.robot.clone(),
+        of: pose.topic.clone(),
+        says: "A wrong zero or length shows more the further the arm reaches.".to_owned(),
+        x: sorted(&pose.reach_m),
+        x_label: "distance from the base, m",
+        y_label: "mm",
+        series,
+        from_zero: true,
+        style: Style::Points,
+        ..Plot::default()
+    }
+}
+
+/// The two states of a stream; as logged only where the log ties its frame to the arm.
+fn before_and_after([before, after]: [&Vec<f64>; 2], factor: f64) -> Vec<Series> {
+    let states = [("as logged", Role::Before, before), ("after correction", Role::After, after)];
+    let drawn = states.into_iter().filter(|(.., values)| !values.is_empty());
+    drawn
+        .map(|(label, role, values)| Series {
+            label: label.to_owned(),
+            role,
+            values: values.iter().map(|value| value * factor).collect(),
+            half_widths: Vec::new(),
+        })
+        .collect()
+}
+
+/// `up to 24 mm as logged, up to 0.1 mm explained`.
+fn most(series: &[Series], unit: &str) -> String {
+    let parts = series.iter().map(|series| {
+        let finite = series.values.iter().copied().filter(|value| value.is_finite());
+        let most = finite.fold(0.0, f64::max);
+        let decimals = if most >= 10.0 { 1 } else { 3 };
+        let space = if unit == "°" { "" } else { " " };
+        format!("up to {most:.decimals$}{space}{unit} {}", series.label)
+    });
+    parts.collect::<Vec<_>>().join(", ")
+}
+
+fn course([robot, topic]: [&str; 2], points: &[CoursePoint]) -> Plot {
+    Plot {
+        title: "Latency over time",
+        robot: robot.to_owned(),
+        of: topic.to_owned(),
+        says: "In windows of a second with their 95 % intervals, beyond that of the whole run."
+            .to_owned(),
+        x: points.iter().map(|point| point.t_s).collect(),
+        x_label: "time, s",
+        y_label: "ms",
+        series: vec![Series {
+            label: "latency".to_owned(),
+            role: Role::Amount,
+            values: points.iter().map(|point| point.beyond_s * 1e3).collect(),
+            half_widths: points.iter().map(|point| point.half_width_s * 1e3).collect(),
+        }],
+        style: Style::Points,
+        ..Plot::default()
+    }
+}
+
+/// The position errors of a stream over the workspace, from above and from the side.
+pub(super) fn over_workspace(pose: &PoseFigure) -> Vec<Plane> {
+    /// Places that are drawn.
+    const MOST: usize = 300;
+    let errors = if pose.before_m.is_empty() { &pose.after_m } else { &pose.before_m };
+    let what = if pose.before_m.is_empty() { "after correction" } else { "as logged" };
+    let step = pose.at_m.len().div_ceil(MOST).max(1);
+    let rows = || (0..pose.at_m.len().min(errors.len())).step_by(step);
+    let most = rows().map(|row| errors[row]).filter(|m| m.is_finite()).fold(0.0, f64::max);
+    let view = |title: &str, axes: [usize; 2], labels: [&'static str; 2]| Plane {
+        title: format!("Position error {title}"),
+        says: format!("Radius ∝ error {what}, largest {}; {}.", Unit::Metre.show(most), pose.topic),
+        axes: labels,
+        dots: rows()
+            .map(|row| Dot {
+                at: axes.map(|axis| pose.at_m[row][axis]),
+                size: if most > 0.0 { errors[row] / most } else { 0.0 },
+                role: Role::Before,
+            })
+            .collect(),
+        ..Plane::default()
+    };
+    if most <= 0.0 {
+        return Vec::new();
+    }
+    vec![
+        view("from above", [0, 1], ["x, m", "y, m"]),
+        view("from the side", [0, 2], ["x, m", "z, m"]),
+    ]
+}

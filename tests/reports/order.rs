@@ -1,0 +1,143 @@
+//! What stands where in a report, and the pictures and messages of findings.
+
+use std::collections::BTreeMap;
+
+use poseaudit::report::{Format, Report, Trouble, TroubleKind};
+use poseaudit::{Audited, Options, audit};
+use serde_json::Value;
+
+fn audited(name: &str) -> Audited {
+    let log = format!("{}/fixtures/{name}.mcap", env!("CARGO_MANIFEST_DIR"));
+    audit(&Options { logs: vec![log.into()], ..Options::default() }).expect("a report")
+}
+
+fn written(format: &str, report: &Report) -> String {
+    let mut out = Vec::new();
+    Format::named(format).expect("a format").write(report, &mut out).expect("a report");
+    // Without the styles of a terminal.
+    anstream::adapter::strip_str(&String::from_utf8(out).expect("UTF-8")).to_string()
+}
+
+/// The lines of a text under a label, without it.
+fn block<'a>(text: &'a str, label: &str) -> Vec<&'a str> {
+    let mut lines = text.lines().skip_while(|line| !line.starts_with(label));
+    let first = lines.next().map(|line| line[label.len()..].trim_start());
+    first.into_iter().chain(lines.take_while(|line| line.starts_with(' ')).map(str::trim)).collect()
+}
+
+#[test]
+fn an_arm_at_rest_asks_for_one_motion_in_a_few_lines() {
+    let text = written("text", &audited("shake").report);
+    let open = block(&text, "inconclusive");
+    assert!((1..=4).contains(&open.len()), "{open:#?}");
+    assert!(open[0].starts_with("not observable in this motion: ") && open[0].contains("ZER001"));
+    assert!(open[0].contains("all 6 joints"), "{open:#?}");
+    let settle = block(&text, "to settle");
+    assert_eq!(settle.len(), 2, "{settle:#?}");
+    assert!(settle[0].starts_with("record 60 s with each joint by 30° or more"), "{settle:#?}");
+    // It can be pasted as it stands.
+    assert!(settle[1].starts_with("poseaudit plan ") && settle[1].contains(" --for "));
+    let label = |name: &str| text.find(&format!("\n{name}")).expect(name);
+    assert!(
+        label("warning MOT001") < label("inconclusive") && label("inconclusive") < label("passed")
+    );
+}
+
+#[test]
+fn a_pass_says_what_it_bounds() {
+    let audited = audited("clean");
+    let text = written("text", &audited.report);
+    let passed = block(&text, "passed").join("; ");
+    for bound in ["LAT001 latency ", "ZER001 joint zero offset ", "FRM003 tool frame "] {
+        let amount = passed.split(bound).nth(1).and_then(|rest| rest.split(';').next());
+        assert!(amount.is_some_and(|amount| amount.contains(" ± ")), "{bound}: {passed}");
+    }
+    let page = written("html", &audited.report);
+    assert!(
+        page.contains("largest, ± 95 %") && page.contains("<td>2 ms</td>"),
+        "no limit beside it"
+    );
+}
+
+#[test]
+fn a_log_that_could_not_be_audited_passes_nothing() {
+    let trouble = Trouble {
+        kind: TroubleKind::Log,
+        what: "nothing can be audited".to_owned(),
+        place: "run.mcap".to_owned(),
+        remedy: "record the joint states".to_owned(),
+    };
+    let report = audited("clean").report.with_trouble(trouble);
+    for format in ["text", "html", "markdown"] {
+        let said = written(format, &report).to_lowercase();
+        assert!(said.contains("no audit") && !said.contains("passed"), "{format}: {said}");
+    }
+}
+
+#[test]
+fn findings_have_their_own_pictures_with_their_limits() {
+    for (log, titles, limit) in [
+        ("shake", &["Spectrum of the tip's path", "The path where it shakes most"][..], "0.5 mm"),
+        ("line", &["Deviation from the commanded line"], "1 mm"),
+        ("goal", &["Rests around their goals", "Goals and rests"], "1 mm"),
+        ("slipped_target", &["Hand-eye residual of each view", "Directions of the views"], "2 mm"),
+        ("stop", &["Joint speed", "Joint position"], ""),
+    ] {
+        let page = written("html", &audited(log).with_figures().report);
+        for title in titles {
+            assert!(page.contains(title), "{log}: {title}");
+        }
+        let said = [format!("limit {limit}"), format!("limit ±{limit}")];
+        assert!(limit.is_empty() || said.iter().any(|said| page.contains(said)), "{log}: {limit}");
+        assert!(!page.contains("No picture"), "{log}");
+    }
+}
+
+#[test]
+fn foxglove_gets_every_finding_and_where_the_tool_is_off() {
+    let audited = audited("faulty");
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("findings.mcap");
+    audited.write_foxglove(&path).expect("a file");
+    let bytes = std::fs::read(&path).expect("the file");
+    let mut by_schema: BTreeMap<String, Vec<(u64, Value)>> = BTreeMap::new();
+    for message in mcap::MessageStream::new(&bytes).expect("an MCAP") {
+        let message = message.expect("a message");
+        let schema = message.channel.schema.clone().expect("a schema");
+        assert_eq!(
+            (schema.encoding.as_str(), &*message.channel.message_encoding),
+            ("jsonschema", "json")
+        );
+        let content: Value = serde_json::from_slice(&message.data).expect("JSON");
+        let schema_of: Value = serde_json::from_slice(&schema.data).expect("a schema");
+        let fields = schema_of["properties"].as_object().expect("fields");
+        assert!(content.as_object().expect("an object").keys().all(|key| fields.contains_key(key)));
+        by_schema.entry(schema.name.clone()).or_default().push((message.log_time, content));
+    }
+    let lines = &by_schema["foxglove.Log"];
+    assert_eq!(lines.len(), audited.report.findings.len() + 1);
+    assert!(lines[0].1["message"].as_str().is_some_and(|text| text.starts_with("FAIL: ")));
+    for finding in &audited.report.findings {
+        let said = lines.iter().find(|(_, line)| line["file"] == finding.code).expect(finding.code);
+        assert!(said.1["message"].as_str().is_some_and(|text| text.contains(&finding.message)));
+    }
+    let scenes = &by_schema["foxglove.SceneUpdate"];
+    let error_m = |scene: &Value| {
+        let at = |ball: usize, axis: &str| {
+            scene["entities"][0]["spheres"][ball]["pose"]["position"][axis]
+                .as_f64()
+                .expect("a number")
+        };
+        ["x", "y", "z"].map(|axis| (at(1, axis) - at(0, axis)).powi(2)).iter().sum::<f64>().sqrt()
+    };
+    // 15 ms at up to 0.66 m/s, and a zero that is off.
+    let most_m = scenes.iter().map(|(_, scene)| error_m(scene)).fold(0.0, f64::max);
+    assert!((5e-3..40e-3).contains(&most_m), "{most_m}");
+    for (at, scene) in scenes {
+        let stamp = &scene["entities"][0]["timestamp"];
+        let [sec, nsec] = ["sec", "nsec"].map(|part| stamp[part].as_u64().expect("a time"));
+        assert_eq!(sec * 1_000_000_000 + nsec, *at);
+        assert_eq!(scene["entities"][0]["frame_id"], "base");
+        assert_eq!(scene["entities"][0]["metadata"][0]["key"], "LAT001");
+    }
+}
