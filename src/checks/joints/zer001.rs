@@ -49,6 +49,7 @@ rule! {
     /// A controller's own pose is computed from the same encoders: against it the rule says that
     /// this model or these joint states differ from the controller's, and a zero error of the
     /// mechanics cannot show. For that an outside witness (tracker, camera, IMU) is needed. An offset that only one of several explanations needs is never a finding.
+    /// In few postures gravity bends a joint as a zero offset does: then `indistinguishable` lists ZER003.
     ZER001 {
         name: "joint-zero",
         grade: Grade::From(&[ROTARY, PRISMATIC]),

@@ -10,7 +10,7 @@ use ground::stream::JointTrack;
 
 /// Samples on either side of a moment whose means are compared: one where a jump is large, more where
 /// it hides in the noise.
-const SIDES: [usize; 4] = [1, 5, 25, 125];
+const SIDES: [usize; 3] = [1, 5, 25];
 /// A jump is so many times what the motion makes there.
 const TIMES: f64 = 6.0;
 /// Jumps that are followed up.
@@ -205,10 +205,10 @@ fn of_sides(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose], side: usize) -> Vec<
     let still = steps.iter().zip(&moves).filter(|(_, moved)| **moved <= usual);
     let mut still: Vec<f64> = still.map(|(step, _)| *step).collect();
     let fast = steps.iter().zip(&moves).filter(|(_, moved)| **moved > usual.max(1e-9));
-    let Some(still) = median(&mut still) else { return Vec::new() };
-    // What noise makes, motion does not.
-    let mut slopes: Vec<f64> = fast.map(|(step, moved)| (step - still).max(0.0) / moved).collect();
-    let slope = median(&mut slopes).unwrap_or(0.0);
+    let mut slopes: Vec<f64> = fast.map(|(step, moved)| step / moved).collect();
+    let (Some(still), slope) = (median(&mut still), median(&mut slopes).unwrap_or(0.0)) else {
+        return Vec::new();
+    };
     // Below this a step is arithmetic, m.
     const FLOOR_M: f64 = 1e-5;
     let jump = |(index, &row): (usize, &usize)| {
