@@ -147,7 +147,7 @@ fn of_path(path: &Path, found: &mut Vec<Source>) {
         return;
     }
     if !path.is_dir() || is_recording(path) {
-        found.push(Source::at(absolute(path)));
+        found.extend(episodes_of(path));
         return;
     }
     let is_shown = |entry: &DirEntry| {
@@ -165,10 +165,27 @@ fn of_path(path: &Path, found: &mut Vec<Source>) {
         if is_folder && is_recording(entry.path()) {
             entries.skip_current_dir();
             found.push(Source::at(absolute(entry.path())));
-        } else if !is_folder && is_log(entry.path()) {
-            found.push(Source::at(absolute(entry.path())));
+        } else if !is_folder && is_log(entry.path()) && !is_metadata(entry.path()) {
+            found.extend(episodes_of(entry.path()));
         }
     }
+}
+
+/// A file of tables as its episodes, each a log of its own; any other file as itself.
+fn episodes_of(path: &Path) -> Vec<Source> {
+    let path = absolute(path);
+    let names = log::episodes(&path);
+    let episode = |name: &String| Source::at(format!("{}#{name}", path.display()).into());
+    match names.is_empty() {
+        true => vec![Source::at(path)],
+        false => names.iter().map(episode).collect(),
+    }
+}
+
+/// Whether a file is one of a dataset's metadata, which LeRobot keeps as tables, too.
+fn is_metadata(path: &Path) -> bool {
+    let is_meta = |folder: &Path| folder.ends_with("meta") && folder.join("info.json").is_file();
+    path.ancestors().skip(1).take(3).any(is_meta)
 }
 
 fn absolute(path: &Path) -> PathBuf {

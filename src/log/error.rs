@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 use super::{Log, RemoteFault, SourceName};
 
 /// What can be read.
-const EXPECTED: &str = "an MCAP file, a ROS 1 bag, a rosbag2 bag or an RTDE CSV";
+const EXPECTED: &str =
+    "an MCAP file, a ROS 1 bag, a rosbag2 bag, or a table: CSV, NPY, NPZ, Parquet, HDF5, LeRobot";
 
 /// Why nothing could be read from the files given.
 #[derive(Debug, thiserror::Error)]
@@ -90,6 +91,14 @@ pub enum LogError {
         url: PathBuf,
         /// Why not.
         fault: RemoteFault,
+    },
+    /// A table of which nothing says what its columns are.
+    #[error("{}: {what}; say it in [columns] of the config", path.display())]
+    Columns {
+        /// The path as given.
+        path: PathBuf,
+        /// What is not known.
+        what: String,
     },
     /// The files are logs, but no message can be read from them.
     #[error("{}: no messages can be read: {cause}", path.display())]

@@ -29,6 +29,13 @@ pub enum RunError {
         /// The arms.
         arms: Vec<String>,
     },
+    /// A table does not name its joints, and no arm of the catalogue or more than one fits its poses.
+    Numbered {
+        /// How many there are.
+        joints: usize,
+        /// The arms that fit.
+        arms: Vec<String>,
+    },
     /// The model's joints are not those of the log.
     UnknownJoints {
         /// The model.
@@ -106,6 +113,7 @@ impl RunError {
             | Self::NoSamples { .. }
             | Self::NoModel { .. }
             | Self::Ambiguous { .. }
+            | Self::Numbered { .. }
             | Self::UnknownJoints { .. }
             | Self::Robot(_) => false,
         }
@@ -133,6 +141,16 @@ impl RunError {
                     few(arms)
                 )
             }
+            Self::Numbered { joints, arms } if arms.is_empty() => {
+                format!(
+                    "the table does not name its {joints} joints, and no arm of the catalogue fits its poses"
+                )
+            }
+            Self::Numbered { joints, arms } => format!(
+                "the table does not name its {joints} joints, and {} arms of the catalogue fit its poses: {}",
+                arms.len(),
+                few(arms)
+            ),
             Self::UnknownJoints { robot, logged, modelled, .. } if modelled.is_empty() => {
                 format!("'{robot}' has no joint that moves: the log has {}", few(logged))
             }
@@ -172,9 +190,10 @@ impl RunError {
     /// Where it is wrong: a file with its line, a topic, an option.
     pub fn place(&self) -> String {
         match self {
-            Self::NoJointStates { .. } | Self::NoModel { .. } | Self::Ambiguous { .. } => {
-                "the log".to_owned()
-            }
+            Self::NoJointStates { .. }
+            | Self::NoModel { .. }
+            | Self::Ambiguous { .. }
+            | Self::Numbered { .. } => "the log".to_owned(),
             Self::NoSamples { .. } | Self::MissingJoints { .. } => "joint states".to_owned(),
             Self::UnknownJoints { source, .. } | Self::UnknownLink { source, .. } => source.clone(),
             Self::UnknownRobot { .. } => "--robot".to_owned(),
@@ -188,12 +207,17 @@ impl RunError {
     /// What the reader of the message can do, as a short clause.
     pub fn remedy(&self) -> &'static str {
         match self {
-            Self::NoJointStates { .. } => "record the topic /joint_states (sensor_msgs/JointState)",
+            Self::NoJointStates { .. } => {
+                "record the topic /joint_states (sensor_msgs/JointState), or name a table's columns in [columns] of the \
+                 config"
+            }
             Self::NoSamples { .. } => "record the joint states of the whole arm",
             Self::NoModel { .. } => {
                 "pass --robot FILE with the arm's URDF, or --robot NAME of the catalogue, such as ur5e"
             }
-            Self::Ambiguous { .. } => "pass --robot NAME with the one it is",
+            Self::Ambiguous { .. } | Self::Numbered { .. } => {
+                "pass --robot NAME with the one it is"
+            }
             Self::UnknownJoints { .. } => "joint names differ: pass the --robot that was recorded",
             Self::UnknownRobot { .. } => {
                 "pass a URDF or TOML file, or a name of the catalogue, such as ur5e"

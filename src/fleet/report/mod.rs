@@ -4,6 +4,7 @@
 mod calendar;
 mod gather;
 mod html;
+mod markdown;
 mod text;
 mod trends;
 
@@ -16,6 +17,7 @@ use crate::finding::Severity;
 
 pub use calendar::{Day, day};
 pub use html::write as write_html;
+pub use markdown::write as write_markdown;
 pub use text::write as write_text;
 pub use trends::{Course, Moved, Point, TrendRow};
 

@@ -30,6 +30,8 @@ pub(super) struct Said<'a> {
     /// Text of each description and calibration in the log, after the name of where it was.
     pub descriptions: &'a [(String, String)],
     pub logged_calibrations: &'a [(String, String)],
+    /// The type of the robot, as metadata say it.
+    pub robot_type: Option<&'a str>,
 }
 
 impl Assembly<'_> {
@@ -113,6 +115,7 @@ impl Assembly<'_> {
             descriptions: &descriptions,
             calibrations: said.logged_calibrations,
             space,
+            robot_type: said.robot_type,
         };
         let poses = ByPoses { assembly: self, group, tree };
         let judges = Judges {

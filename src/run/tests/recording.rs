@@ -128,6 +128,7 @@ impl Recording {
             columns: Some(columns),
             undecodable: None,
             useless: None,
+            read_as: None,
             span: None,
         };
         Log {
