@@ -210,7 +210,9 @@ fn is_log(path: &Path) -> bool {
     let is_file = fs::metadata(path).is_ok_and(|metadata| metadata.is_file());
     let mut head = Vec::new();
     let read = |head: &mut Vec<u8>| File::open(path)?.take(log::HEAD_BYTES).read_to_end(head);
-    is_file && read(&mut head).is_ok() && log::looks_like_log(&head)
+    // Tables as Parquet are anybody's, a fleet's own results too: in a folder those of a dataset are logs.
+    let is_anybodys = |head: &[u8]| head.starts_with(b"PAR1") && !log::is_in_dataset(path);
+    is_file && read(&mut head).is_ok() && log::looks_like_log(&head) && !is_anybodys(&head)
 }
 
 /// Whether a name ends as those of logs do.
@@ -252,6 +254,24 @@ mod tests {
         let found = sources(&[named], io::empty()).expect("logs");
         let expected = ["a/bag", "a/empty.mcap", "a/nameless", "a/robot.csv"];
         assert_eq!(names(&found, folder.path()), expected);
+        Ok(())
+    }
+
+    #[test]
+    fn of_parquet_in_a_folder_the_data_of_a_dataset_are_logs() -> io::Result<()> {
+        let folder = tempfile::tempdir()?;
+        let at = |name: &str| folder.path().join(name);
+        for (folder, file) in [
+            ("set/data/chunk-000", "episode_000000.parquet"),
+            ("set/meta/episodes/chunk-000", "file-000.parquet"),
+            ("results", "rows.parquet"),
+        ] {
+            fs::create_dir_all(at(folder))?;
+            fs::write(at(folder).join(file), b"PAR1")?;
+        }
+        fs::write(at("set/meta/info.json"), "{}")?;
+        let found = sources(&[folder.path().display().to_string()], io::empty()).expect("logs");
+        assert_eq!(names(&found, folder.path()), ["set/data/chunk-000/episode_000000.parquet"]);
         Ok(())
     }
 

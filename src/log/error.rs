@@ -100,6 +100,17 @@ pub enum LogError {
         /// What is not known.
         what: String,
     },
+    /// A dataset of more episodes than one audit takes.
+    #[error(
+        "{}: holds more than {most} episodes; name one as FILE#EPISODE, or audit each with `poseaudit fleet`",
+        path.display()
+    )]
+    Episodes {
+        /// The path as given.
+        path: PathBuf,
+        /// How many an audit takes.
+        most: usize,
+    },
     /// The files are logs, but no message can be read from them.
     #[error("{}: no messages can be read: {cause}", path.display())]
     NoMessages {

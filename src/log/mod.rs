@@ -51,7 +51,7 @@ pub use self::postures::{PostureTable, RotationColumns, posture_table};
 pub use self::progress::Progress;
 pub use self::reading::open;
 pub use self::remote::{Listed, RemoteFault, is_url, list, normal};
-pub use self::tables::{ColumnSelector, ColumnSettings, episode_of, episodes};
+pub use self::tables::{ColumnSelector, ColumnSettings, episode_of, episodes, is_in_dataset};
 
 /// The local file that `path` names, itself or as a `file://` URL; `None` for an object in a store.
 pub fn local(path: &Path) -> Option<PathBuf> {

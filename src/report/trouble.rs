@@ -116,6 +116,11 @@ impl From<LogError> for Trouble {
             LogError::Columns { path, what } => {
                 (path, what, "say it in [columns] of the config (docs/datasets.md)")
             }
+            LogError::Episodes { path, most } => (
+                path,
+                format!("it holds more than {most} episodes"),
+                "name one as FILE#EPISODE, or audit each with `poseaudit fleet`",
+            ),
             LogError::NoMessages { path, cause } => {
                 (path, format!("no messages can be read: {cause}"), "record again")
             }

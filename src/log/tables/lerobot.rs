@@ -15,6 +15,8 @@ use crate::LogError;
 use crate::files::Input;
 
 const INFO: &str = "meta/info.json";
+/// Folders above `data/chunk-000/file-000.parquet` that are looked at.
+const DEEP: usize = 4;
 /// Largest `info.json` that is read.
 const MOST_BYTES: u64 = 16 << 20;
 /// Most data files of a dataset that are one audit.
@@ -61,6 +63,11 @@ pub(crate) fn is_dataset(folder: &Path) -> bool {
     folder.join(INFO).is_file()
 }
 
+/// Whether a file is one of such a dataset's.
+pub fn is_in_dataset(file: &Path) -> bool {
+    file.ancestors().skip(1).take(DEEP).any(is_dataset)
+}
+
 /// The data files of the dataset in `folder`.
 ///
 /// # Errors
@@ -90,8 +97,6 @@ pub(crate) fn files_of(folder: &Path) -> Result<Vec<Input>, LogError> {
 
 /// The dataset that a file is of: that of the nearest folder above with `meta/info.json`.
 pub(super) fn above(path: &Path) -> Option<Dataset> {
-    /// `data/chunk-000/file-000.parquet`.
-    const DEEP: usize = 4;
     let folder = path.ancestors().skip(1).take(DEEP).find(|folder| is_dataset(folder))?;
     dataset(&folder.join(INFO))
 }

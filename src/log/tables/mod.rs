@@ -33,11 +33,14 @@ pub use self::settings::{ColumnSelector, ColumnSettings};
 
 pub(super) use self::csv::{first_line, has_time};
 pub(super) use self::hdf5::MAGIC as HDF5_MAGIC;
+pub use self::lerobot::is_in_dataset;
 pub(super) use self::lerobot::{files_of, is_dataset};
 pub(super) use self::npy::MAGIC as NPY_MAGIC;
 
 /// Most numbers that a table may hold, of all its columns.
 const MOST_NUMBERS: usize = 1 << 28;
+/// Most episodes that are one audit.
+const MOST_EPISODES: usize = 100;
 /// Most columns of a table that are looked at.
 const MOST_COLUMNS: usize = 2000;
 /// Most numbers a row of one column; more is an image.
@@ -91,6 +94,8 @@ impl Kind {
 #[derive(Default)]
 pub(super) struct Tables {
     streams: BTreeMap<String, Stream>,
+    /// Episodes read.
+    episodes: usize,
     /// The last time of receipt that was made up, ns.
     until: Option<i64>,
     told: bool,
@@ -158,6 +163,10 @@ impl Tables {
             }
         }
         let count = episodes.len();
+        self.episodes += count;
+        if self.episodes > MOST_EPISODES {
+            return Err(LogError::Episodes { path: path.to_owned(), most: MOST_EPISODES });
+        }
         if let Some(dataset) = dataset.filter(|_| kind == Kind::Parquet) {
             for (_, table) in &mut episodes {
                 dataset.describe(table);
