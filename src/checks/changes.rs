@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use crate::checks::decision::{Decision, FrameThresholds, Threshold, decide, decide_frame};
 use crate::checks::frames::{pose_json, show};
 use crate::checks::{Case, Judged};
-use crate::diagnosis::{AmountChange, Change, FrameChange, Measured};
+use crate::diagnosis::{AmountChange, Change, CodedParts, FrameChange, Measured};
 use crate::evidence::ArmEvidence;
 use crate::finding::{
     Cause, Change as Changes, Estimate, Evidence, Fault, Outcome, Ruling, Severity, Span, Subject,
@@ -164,25 +164,23 @@ fn outcome(decision: Decision, told: Told) -> Outcome {
 
 /// A finding on how a stream's numbers are coded, told of the part of the run in which they are.
 pub fn of_part(case: &Case, mut judged: Judged) -> Judged {
-    let is_coding = |cause: &Cause| {
-        matches!(
-            cause,
-            Cause::Rotation(_) | Cause::AngleUnit(_) | Cause::LengthUnit(_) | Cause::Axes { .. }
-        )
-    };
-    let of_stream = |subject: &Subject| {
+    let coded_s = |subject: &Subject, cause: &Cause| {
         let mut streams = case.evidence.poses_and_tf();
         let topic = subject.topic.as_deref()?;
         let (_, stream) = streams.find(|(arm, stream)| {
             stream.topic() == topic && subject.robot.as_ref().is_none_or(|name| *name == arm.name)
         })?;
-        stream.diagnosis.coded_s
+        let CodedParts { rotation, degrees, length, axes } = stream.diagnosis.coded;
+        match cause {
+            Cause::Rotation(_) => rotation,
+            Cause::AngleUnit(_) => degrees,
+            Cause::LengthUnit(_) => length,
+            Cause::Axes { .. } => axes,
+            _ => None,
+        }
     };
     let Outcome::Evaluated(Ruling::Faulty(fault)) = &mut judged.outcome else { return judged };
-    let Some((from_s, to_s)) = of_stream(&judged.subject).filter(|_| is_coding(&fault.cause))
-    else {
-        return judged;
-    };
+    let Some((from_s, to_s)) = coded_s(&judged.subject, &fault.cause) else { return judged };
     let at = |at_s: f64| Some(case.evidence.origin.shifted(at_s)).filter(|_| at_s.is_finite());
     let (from, to) = (at(from_s), at(to_s));
     let when = match (from, to) {

@@ -4,11 +4,11 @@ use std::sync::LazyLock;
 
 use crate::checks::{Case, Rule, Thresholds, evaluate};
 use crate::diagnosis::{
-    Abruptness, Aligned, Amount, CommandDelay, DhEstimate, DhStream, Error, FrameEstimate,
-    GyroBias, ImuDiagnosis, ImuNumbers, ImuProof, JointDiagnosis, JointOffset, JointReading,
-    LatencyCourse, Left, Length, Line, LineWitness, Measured, Part, PoseDiagnosis, Proof, Reading,
-    ReadingEstimate, ReferenceDiagnosis, Residual, Response, RestGap, Shake, Short, Size, Taken,
-    VelocityDiagnosis, VelocityShape, YawCourse,
+    Abruptness, Aligned, Amount, CodedParts, CommandDelay, DhEstimate, DhStream, Error,
+    FrameEstimate, GyroBias, ImuDiagnosis, ImuNumbers, ImuProof, JointDiagnosis, JointOffset,
+    JointReading, LatencyCourse, Left, Length, Line, LineWitness, Measured, Part, PoseDiagnosis,
+    Proof, Reading, ReadingEstimate, ReferenceDiagnosis, Residual, Response, RestGap, Shake, Short,
+    Size, Taken, VelocityDiagnosis, VelocityShape, YawCourse,
 };
 use crate::evidence::{
     ArmEvidence, DhEvidence, EulerEvidence, ImuEvidence, JointEvidence, JointMotion, Of,
@@ -307,7 +307,7 @@ fn clean_stream() -> PoseDiagnosis {
         tool_changes: Vec::new(),
         growth_changes: Vec::new(),
         delays: None,
-        coded_s: None,
+        coded: CodedParts::default(),
         taken: Taken::default(),
     }
 }

@@ -37,6 +37,11 @@ impl Aligned {
         Residuals::between(&self.corrected, &self.fk_at_truth)
     }
 
+    /// The middle of its stamps, s from the run's origin; 0 of no samples.
+    pub(super) fn middle_s(&self) -> f64 {
+        0.5 * (self.t_s.first().unwrap_or(&0.0) + self.t_s.last().unwrap_or(&0.0))
+    }
+
     /// Distance of FK's position as recorded from the origin of the reference frame, m.
     pub fn reach_m(&self) -> Vec<f64> {
         self.fk.iter().map(|fk| fk.translation.vector.norm()).collect()

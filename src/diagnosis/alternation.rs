@@ -7,6 +7,7 @@
 //! motion hardly anything; what jumps farther there than the poses elsewhere and than FK anywhere is a
 //! change, and the jumps from the first body on say which body it is.
 
+use super::bends::ways;
 use super::latency::median_period_s;
 use super::model::{pose_of_twist, twist_of};
 use super::sampling::as_rotations;
@@ -75,6 +76,10 @@ pub fn alternation(joints: &JointTrack, stream: &PoseStream) -> Option<(Alternat
     let limits = limits(joints, stream, period_s, &steps)?;
     let jumps = jumps(&steps, limits);
     if jumps.len() < 2 || jumps.len() * LEAST > poses.len() {
+        return None;
+    }
+    let jumps_s: Vec<f64> = jumps.iter().map(|jump| track.t_s[jump.row]).collect();
+    if is_play(joints, stream, &jumps_s) {
         return None;
     }
     let bodies = Bodies::of(&jumps, poses.len(), limits)?;
@@ -200,6 +205,23 @@ fn jumps(steps: &[Step], limits: Limits) -> Vec<Step> {
         own > 1.0 && about.filter(|other| other != at).all(|other| size(&steps[other]) < own)
     };
     (0..steps.len()).filter(is_jump).map(|at| steps[at]).collect()
+}
+
+/// Whether the poses jump whenever one joint turns back, and at no other time: its link crosses its play.
+fn is_play(joints: &JointTrack, stream: &PoseStream, jumps_s: &[f64]) -> bool {
+    /// By so much a jump and the turn may miss each other: the joint hardly moves about it, s.
+    const NEAR_S: f64 = 0.3;
+    let is_of = |&column: &usize| {
+        let ways = ways(joints.len(), |row| joints.row(row)[column]);
+        let turns = (1..ways.len()).filter(|&row| ways[row - 1] * ways[row] < 0.0);
+        let turns_s: Vec<f64> = turns.map(|row| joints.t_s[row]).collect();
+        let near = |a: &[f64], b: f64| a.iter().any(|a| (a - b).abs() < NEAR_S);
+        // Where in the play the link is at first is anybody's guess.
+        let missed = jumps_s.iter().filter(|at_s| !near(&turns_s, **at_s)).count();
+        let meet = turns_s.iter().all(|at_s| near(jumps_s, *at_s));
+        !turns_s.is_empty() && missed <= 1 && meet
+    };
+    stream.columns.iter().any(is_of)
 }
 
 /// Which body the samples are of.

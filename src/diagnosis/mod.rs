@@ -69,13 +69,13 @@ use ground::stream::PoseTrack;
 pub use aligned::{Aligned, Residuals};
 pub use alternation::{Alternation, Other, alternation};
 pub use arm::{diagnose_arm, diagnose_derived, follows, likely_lags};
-pub use bends::{BendShape, JointBend, Sag};
+pub use bends::{BendShape, Crossing, JointBend, Sag};
 pub use calibration::{
     ArmCalibration, CalibrationStream, LeftOver, LinkParameter, NoCalibration, StreamCalibration,
     Uncertainty, Untold, calibrate_arm,
 };
 pub use carried::{BaseTravel, CarrierLag, base_travel, carrier_lag};
-pub use changes::{AmountChange, Change, FrameChange, JointChange, JointPatch};
+pub use changes::{AmountChange, Change, CodedParts, FrameChange, JointChange, JointPatch};
 pub use course::{LatencyCourse, LatencyJump, LatencyShape};
 pub use dh::{DhEstimate, DhStream, DhTold, Left, faults};
 pub use ground::stats::{Length, Measured};
@@ -360,9 +360,9 @@ pub struct PoseDiagnosis {
     pub tool_changes: Vec<FrameChange>,
     /// When the growth of its positions changes, and by how much, m/m.
     pub growth_changes: Vec<AmountChange>,
-    /// The part of the run in which its numbers are coded as `reading`, `length`, `axes`, `inverted` and
-    /// `degrees` say, s from the run's origin by the joints' clock; `None` where they are throughout.
-    pub coded_s: Option<(f64, f64)>,
+    /// The parts of the run in which its numbers are coded as `reading`, `length`, `axes`, `inverted` and
+    /// `degrees` say.
+    pub coded: CodedParts,
     /// What is left.
     pub residual: Seen<Residual>,
     /// Whether what is left is that of nominal kinematics against a calibrated arm: at most 10 mm
@@ -411,9 +411,9 @@ impl Taken {
 impl PoseDiagnosis {
     /// Whether something of it changes in mid-run.
     pub fn changes(&self) -> bool {
-        let Self { reference_changes, tool_changes, growth_changes, coded_s, .. } = self;
+        let Self { reference_changes, tool_changes, growth_changes, coded, .. } = self;
         let are_frames = !reference_changes.is_empty() || !tool_changes.is_empty();
-        are_frames || !growth_changes.is_empty() || coded_s.is_some()
+        are_frames || !growth_changes.is_empty() || *coded != CodedParts::default()
     }
 
     /// Why the stream was not read. Where its orientations say nothing its positions still may.

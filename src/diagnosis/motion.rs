@@ -126,7 +126,16 @@ const BLOCK: usize = 512;
 /// fits best over windows from 3 to 33 samples; each window says how much noise makes of it, and the
 /// one counts that is the surest beyond noise (Savitzky and Golay 1964). Windows with gaps, or over
 /// stamps that do not come evenly, are left out. `None` of too few even samples.
-pub fn abruptness(t_s: &[f64], values: &[f64], series: Series) -> Option<Abruptness> {
+///
+/// `breaks` are the times at which the numbers are known to jump, as where a zero is lost: no window goes over
+/// one. `step` is what positions are whole numbers of, 0 where they are not: each is off by up to half of it.
+pub fn abruptness(
+    t_s: &[f64],
+    values: &[f64],
+    series: Series,
+    breaks: &[f64],
+    step: f64,
+) -> Option<Abruptness> {
     let (t_s, values) = without_repeats(t_s, values);
     let (t_s, values) = (t_s.as_ref(), values.as_ref());
     let rows = values.len();
@@ -138,7 +147,8 @@ pub fn abruptness(t_s: &[f64], values: &[f64], series: Series) -> Option<Abruptn
     let mut uneven = vec![0_u32; rows];
     for row in 1..rows {
         let interval = (t_s[row] - t_s[row - 1]) / period_s;
-        let is_even = (0.5..1.5).contains(&interval) && values[row].is_finite();
+        let is_whole = breaks.iter().all(|at_s| !(t_s[row - 1]..=t_s[row]).contains(at_s));
+        let is_even = (0.5..1.5).contains(&interval) && values[row].is_finite() && is_whole;
         uneven[row] = uneven[row - 1] + u32::from(!is_even);
     }
     let noise = noise_of(values, series);
@@ -146,7 +156,8 @@ pub fn abruptness(t_s: &[f64], values: &[f64], series: Series) -> Option<Abruptn
     let mut resolved = f64::INFINITY;
     for half in HALVES {
         let fit = Fit::new(half, period_s, series);
-        let floor_of = |noise: f64| SIGMAS * noise * fit.gain();
+        let by_steps = 0.5 * step * fit.most();
+        let floor_of = |noise: f64| (SIGMAS * noise * fit.gain()).max(by_steps);
         let floor = floor_of(noise.all);
         let window_s = 2.0 * half as f64 * period_s;
         if window_s <= BRIEF_S {
@@ -331,6 +342,11 @@ impl Fit {
     /// What it makes of noise of unit deviation.
     fn gain(&self) -> f64 {
         self.weights.iter().map(|weight| weight * weight).sum::<f64>().sqrt()
+    }
+
+    /// The most that it makes of errors of 1 at most.
+    fn most(&self) -> f64 {
+        self.weights.iter().map(|weight| weight.abs()).sum()
     }
 
     /// The acceleration at `row`, which lies no nearer to an end than half a window.

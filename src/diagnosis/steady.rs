@@ -1,8 +1,8 @@
 //! Streams whose latency is not steady: what else is wrong with them is sought on the streams as they would
 //! be if it were.
 
-use super::bends::without_bends;
-use super::changes::{jumps_in_time, left_m, without_changes};
+use super::bends::{gives, without_bends};
+use super::changes::{jumps_in_time, without_changes};
 use super::imu::diagnose_mended;
 use super::{
     ArmDiagnosis, ImuDiagnosis, ImuNumbers, ImuStream, JointReading, LatencySteps, PoseDiagnosis,
@@ -10,9 +10,6 @@ use super::{
 };
 use ground::stream::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack};
 use rayon::prelude::*;
-
-/// A joint that gives before one that changes, where it leaves at most so many times as much.
-const AS_LITTLE: f64 = 1.5;
 
 /// The diagnosis of an arm's pose streams; where the latency of some is not steady, that of the
 /// streams as they would be if it were, so that no other cause is sought for what it does.
@@ -97,13 +94,10 @@ pub fn diagnose_steadied(
     }
     let unsteadied = with_tracks(&streams, &tracks);
     let by_change = without_changes(joints, &unsteadied, slides, &steady, most_lag_s);
-    let by_bend = match &by_change {
-        // A joint with play that turns back once is as one whose zero changes there.
-        Some(changed) if changed.streams.iter().any(PoseDiagnosis::changes) => None,
-        _ => without_bends(joints, &unsteadied, slides, &steady, most_lag_s),
-    };
+    // A joint with play that turns back a few times is as one whose zero, or a frame, changes there.
+    let by_bend = without_bends(joints, &unsteadied, slides, &steady, most_lag_s);
     let (changed, otherwise) = match (by_change, by_bend) {
-        (Some(change), Some(bend)) => match left_m(&bend) <= AS_LITTLE * left_m(&change) {
+        (Some(change), Some(bend)) => match gives(&bend, &change) {
             true => (false, Some(bend)),
             false => (true, Some(change)),
         },

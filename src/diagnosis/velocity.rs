@@ -19,6 +19,8 @@ pub struct VelocitySamples<'a> {
     pub position: &'a [f64],
     /// Velocities as recorded, rad/s or m/s; NaN where there are none.
     pub velocity: &'a [f64],
+    /// When positions are known to jump, s: no window goes over one.
+    pub breaks: &'a [f64],
 }
 
 /// The velocities of a joint against the rates of its positions.
@@ -178,7 +180,7 @@ impl Windows {
         }
         let mut window_s = LENGTHS_S.0.max(4.0 * median_period_s(&t_s));
         loop {
-            let (changes, moved, between) = integral.windows(&t_s, &q, window_s);
+            let (changes, moved, between) = integral.windows(&t_s, &q, joint.breaks, window_s);
             noise.between = between;
             let square = mean_square(&moved);
             let is_clear = noise.of_window(window_s, square) <= LITTLE * LITTLE * square;
@@ -257,15 +259,23 @@ impl Integral {
 
     /// The changes of the integral over windows, those of the position, and the variance of what is not
     /// known between samples.
-    fn windows(&self, t_s: &[f64], q: &[f64], window_s: f64) -> (Changes, Vec<f64>, f64) {
+    fn windows(
+        &self,
+        t_s: &[f64],
+        q: &[f64],
+        breaks: &[f64],
+        window_s: f64,
+    ) -> (Changes, Vec<f64>, f64) {
         let [cubic, straight] =
             [0, 1].map(|kind| self.at.iter().map(|at| at[kind]).collect::<Vec<f64>>());
         let span = (t_s.first().copied().unwrap_or(0.0), t_s.last().copied().unwrap_or(0.0));
         let all = Changes::of(t_s, &[cubic, straight, q.to_vec()], span, window_s);
         let gap_s = GAP * median_period_s(t_s);
-        let gaps: Vec<f64> =
-            t_s.windows(2).filter(|pair| pair[1] - pair[0] > gap_s).map(|pair| pair[0]).collect();
-        // What the velocity was in a gap nobody knows.
+        // What the velocity was in a gap nobody knows, nor what the position is over a break.
+        let is_gap = |pair: &&[f64]| {
+            pair[1] - pair[0] > gap_s || breaks.iter().any(|at| (pair[0]..=pair[1]).contains(at))
+        };
+        let gaps: Vec<f64> = t_s.windows(2).filter(is_gap).map(|pair| pair[0]).collect();
         let is_whole = |window: &(f64, f64)| {
             let next = gaps.partition_point(|gap_s| *gap_s < window.0);
             gaps.get(next).is_none_or(|gap_s| *gap_s >= window.1)

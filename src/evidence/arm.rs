@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::commands::{ReferenceEvidence, references};
 use super::estimate::{DhEvidence, Diagnosis};
-use super::joints::{JointEvidence, joint_evidence, mending, velocities};
+use super::joints::{JointEvidence, breaks, joint_evidence, mending, velocities};
 use super::poses::{Declared, ImuEvidence, PoseEvidence, euler};
 use super::shake::{ShakeEvidence, shake_of_joints, shake_of_poses};
 use super::{Of, of_arm, span_in};
@@ -176,7 +176,8 @@ pub(super) fn arm_evidence(
         of_arm(run, arm, source.stream, found)
     });
     let samples = run.joint_samples(&arm.joint_facts);
-    let velocities = velocities(&samples);
+    let breaks = breaks(&found, arm.joint_names.len());
+    let velocities = velocities(&samples, &breaks);
     let mended_by = mending(arm, &found);
     let really = arm.recorded.as_ref().map(|(_, mending)| mending).or(mended_by.as_ref()).cloned();
     let samples = match &arm.recorded {
@@ -190,7 +191,8 @@ pub(super) fn arm_evidence(
         None => (samples, Cow::Borrowed(&arm.joints)),
     };
     let joints: Vec<usize> = (0..arm.joint_names.len()).collect();
-    let joint = |&joint: &usize| joint_evidence(run, arm, joint, &samples[joint], &track);
+    let joint =
+        |&joint: &usize| joint_evidence(run, arm, joint, &samples[joint], &track, &breaks[joint]);
     let mut joints: Vec<JointEvidence> = joints.par_iter().map(joint).collect();
     for (index, (joint, velocity)) in joints.iter_mut().zip(velocities).enumerate() {
         joint.velocity = velocity;

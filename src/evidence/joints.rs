@@ -68,13 +68,14 @@ pub(super) fn mending(arm: &Arm, found: &JointDiagnosis) -> Option<JointMending>
     Some(mending)
 }
 
-/// A joint, and what it does by all of its samples.
+/// A joint, and what it does by all of its samples; its positions are others from each of `breaks` on.
 pub(super) fn joint_evidence(
     run: &Run,
     arm: &Arm,
     joint: usize,
     samples: &JointSamples<'_>,
     track: &JointTrack,
+    breaks: &[f64],
 ) -> JointEvidence {
     /// What a step of the encoder may be of a speed limit.
     const STEP_SHARE: f64 = 0.02;
@@ -95,7 +96,7 @@ pub(super) fn joint_evidence(
         (motion.speeds, motion.abruptness) = match source.velocities {
             Velocities::Logged | Velocities::Near => (
                 beyond_speed(t_s, velocity, &limits),
-                abruptness(t_s, velocity, Series::Velocities),
+                abruptness(t_s, velocity, Series::Velocities, breaks, 0.0),
             ),
             Velocities::Derived => {
                 let JointTrack { t_s: times_s, dof, qd, .. } = track;
@@ -109,7 +110,7 @@ pub(super) fn joint_evidence(
                     }
                     None => beyond_speed(times_s, &qd, &limits),
                 };
-                (beyond, abruptness(t_s, position, Series::Positions))
+                (beyond, abruptness(t_s, position, Series::Positions, breaks, step))
             }
         };
     }
@@ -117,11 +118,34 @@ pub(super) fn joint_evidence(
     JointEvidence { name, prismatic, limits, motion, velocity: None, really: None }
 }
 
-/// The velocities of each joint against its positions, both as recorded; `None` of one that has none.
-pub(super) fn velocities(recorded: &[JointSamples<'_>]) -> Vec<Option<Seen<VelocityDiagnosis>>> {
+/// The times from which on the positions of each of so many joints are others than before, as one whose zero is
+/// lost.
+pub(super) fn breaks(found: &JointDiagnosis, joints: usize) -> Vec<Vec<f64>> {
+    let mut breaks = vec![Vec::new(); joints];
+    for change in &found.changes {
+        let both = [&change.zero, &change.factor].into_iter().flatten();
+        if let Some(own) = breaks.get_mut(change.column) {
+            own.extend(both.map(|change| change.at_s));
+        }
+    }
+    breaks
+}
+
+/// The velocities of each joint against its positions, both as recorded; `None` of one that has none. The
+/// positions are others from each of `breaks` on.
+pub(super) fn velocities(
+    recorded: &[JointSamples<'_>],
+    breaks: &[Vec<f64>],
+) -> Vec<Option<Seen<VelocityDiagnosis>>> {
     let samples: Vec<VelocitySamples<'_>> = recorded
         .iter()
-        .map(|JointSamples { t_s, position, velocity }| VelocitySamples { t_s, position, velocity })
+        .zip(breaks)
+        .map(|(JointSamples { t_s, position, velocity }, breaks)| VelocitySamples {
+            t_s,
+            position,
+            velocity,
+            breaks,
+        })
         .collect();
     let of = |joint: usize| {
         let has_any = samples[joint].velocity.iter().any(|velocity| velocity.is_finite());

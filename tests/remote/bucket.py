@@ -3,13 +3,15 @@
 
     python3 tests/remote/bucket.py target/debug/poseaudit
 
-Needs `moto[s3]` and `flask-cors`. What is said of a log in the bucket must be what is said of the local file, of a
-log of images little may be fetched, a listing must hold what is there, and each way to be wrong gets its
-line and its exit status. The plain tests (tests/remote/main.rs) hold the rest, without Python.
+Needs `moto[s3]` and `flask-cors`. What is said of a log in the bucket must be what is said of the local
+file, of a log of images little may be fetched, a listing must hold what is there, and each way to be
+wrong gets its line and its exit status. The plain tests (tests/remote/main.rs) hold the rest, without
+Python.
 """
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -36,10 +38,10 @@ def run(program: str, endpoint: str, *arguments: str) -> tuple[int, str, str]:
 
 
 def told(program: str, endpoint: str, log: str) -> tuple[int, dict, int | None]:
-    """The report but for the log's name and how much of it was fetched."""
+    """The report but for the log's name, quoted in the calls it ends with, and how much of it was fetched."""
     status, out, err = run(program, endpoint, "audit", log, "--format", "json")
     assert status in (0, 1), f"{log}: {err}"
-    report = json.loads(out.replace(log, "LOG"))
+    report = json.loads(out.replace(shlex.quote(log), "LOG").replace(log, "LOG"))
     fetched = [file.pop("fetched_bytes", None) for file in report["log"]["files"]]
     return status, report, fetched[0]
 
@@ -61,7 +63,10 @@ def main(program: str) -> None:
     logs += [Path(log) for log in sys.argv[2:]]
     for log in logs:
         client.upload_file(str(log), BUCKET, f"cell 7/{log.name}")
-        here, there = told(program, endpoint, str(log)), told(program, endpoint, f"s3://{BUCKET}/cell 7/{log.name}")
+        here, there = (
+            told(program, endpoint, str(log)),
+            told(program, endpoint, f"s3://{BUCKET}/cell 7/{log.name}"),
+        )
         assert here[2] is None and here[:2] == there[:2], f"{log}: the report on the object is another"
         size = log.stat().st_size
         print(f"{log.name}: {there[2]} of {size} bytes fetched ({100 * there[2] / size:.1f} %)")

@@ -84,7 +84,7 @@ fn fault(arm: &ArmEvidence, bend: &JointBend, severity: Severity) -> Fault {
 mod tests {
     use super::*;
     use crate::checks::testing::{ask, clean_run, sure};
-    use crate::diagnosis::BendShape;
+    use crate::diagnosis::{BendShape, Crossing};
     use crate::finding::Status;
 
     #[test]
@@ -93,8 +93,12 @@ mod tests {
             [(0.02, Status::Fail), (-0.003, Status::Fail), (0.0012, Status::Pass)]
         {
             let mut run = clean_run();
-            let play =
-                JointBend { column: 1, amount: sure(amount), shape: BendShape::Play, change: None };
+            let play = JointBend {
+                column: 1,
+                amount: sure(amount),
+                shape: BendShape::Play(Crossing::Gradual),
+                change: None,
+            };
             run.robots[0].diagnosis.bends.push(play);
             let (rows, findings) = ask(&MOT006, &run);
             assert_eq!(rows[0].status, status, "{rows:?}");

@@ -261,8 +261,8 @@ impl JointDiagnosis {
         named
     }
 
-    /// The joint states as they should have been recorded: what changes in mid-run undone, what gives in
-    /// the joints added, names and units as found, and the joint offsets of the smallest explanation added.
+    /// The joint states as they should have been recorded: what changes in mid-run undone, names and units as
+    /// found, what gives in the joints added, and the joint offsets of the smallest explanation added.
     ///
     /// `prismatic` says for each column of `joints` whether that joint slides.
     pub fn corrected_joints(&self, joints: &JointTrack, prismatic: &[bool]) -> JointTrack {
@@ -270,13 +270,13 @@ impl JointDiagnosis {
         for patch in &self.patches {
             patch.apply(unchanged.to_mut());
         }
-        if !self.bends.is_empty() {
-            bend(unchanged.to_mut(), &self.bends);
-        }
         let mut track = match &self.reading {
             Ok(reading) => corrected(&unchanged, reading, prismatic),
             Err(_) => unchanged.into_owned(),
         };
+        if !self.bends.is_empty() {
+            bend(&mut track, &self.bends);
+        }
         let offset = |offset: &JointOffset| match &offset.offset {
             Ok(measured) if offset.chosen => measured.value,
             _ => 0.0,

@@ -15,8 +15,8 @@ use crate::residual::residual;
 use crate::sampling::SEARCH_SAMPLES;
 use crate::skewed::{SkewedDelays, skewed_delays};
 use crate::{
-    Aligned, AxesSlip, ConstantPart, LengthSlip, Measured, PoseDiagnosis, PoseStream, Residual,
-    Seen, Taken, UnitSlip, Unseen,
+    Aligned, AxesSlip, CodedParts, ConstantPart, LengthSlip, Measured, PoseDiagnosis, PoseStream,
+    Residual, Seen, Taken, UnitSlip, Unseen,
 };
 use ground::geometry::LengthScale;
 use ground::stream::JointTrack;
@@ -45,7 +45,7 @@ pub(super) fn no_diagnosis(why: Unseen) -> PoseDiagnosis {
         reference_changes: Vec::new(),
         tool_changes: Vec::new(),
         growth_changes: Vec::new(),
-        coded_s: None,
+        coded: CodedParts::default(),
         taken: Taken::default(),
         residual: Err(rests()),
         nominal: false,
@@ -192,7 +192,7 @@ pub(super) fn stream_diagnosis(
         reference_changes: Vec::new(),
         tool_changes: Vec::new(),
         growth_changes: Vec::new(),
-        coded_s: None,
+        coded: CodedParts::default(),
         taken: found.taken(),
         residual,
         nominal: fitted.nominal.is_some(),

@@ -28,8 +28,8 @@ pub struct JointBend {
 /// How the bend of a joint goes with its motion.
 #[derive(Clone, Debug)]
 pub enum BendShape {
-    /// The link stays where it is until its encoder has moved by the play (hysteresis).
-    Play,
+    /// The link hangs back by half the play (hysteresis).
+    Play(Crossing),
     /// It goes with the torque of gravity.
     Sag(Sag),
     /// It goes as `sin(order · q + phase)`.
@@ -39,6 +39,27 @@ pub enum BendShape {
         /// Where it begins, rad.
         phase_rad: f64,
     },
+}
+
+/// How a joint that turns back crosses its play.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Crossing {
+    /// The link stays where it is until its encoder has moved by the play: it is held by friction.
+    Gradual,
+    /// The link goes from one end of the play to the other as soon as the joint turns back: it is
+    /// pushed, as by another gear or a load.
+    Sudden,
+}
+
+impl Crossing {
+    /// How far the link of a joint with so much play is from its encoder, in plays from −½ to ½, at each of
+    /// `rows` positions of the encoder, from the middle on.
+    pub(super) fn behind(self, rows: usize, q: impl Fn(usize) -> f64, play_rad: f64) -> Vec<f64> {
+        match self {
+            Self::Gradual => play(rows, q, play_rad.abs()),
+            Self::Sudden => ways(rows, q).into_iter().map(|way| -0.5 * way).collect(),
+        }
+    }
 }
 
 /// A joint that yields to the torque of gravity.
@@ -52,7 +73,7 @@ pub struct Sag {
 impl JointBend {
     /// Whether it is play.
     pub fn is_play(&self) -> bool {
-        matches!(self.shape, BendShape::Play)
+        matches!(self.shape, BendShape::Play(_))
     }
 
     /// Whether it is sag.
@@ -81,13 +102,13 @@ pub(crate) fn bend(joints: &mut JointTrack, bends: &[JointBend]) {
         };
         let q = |row: usize| reported[row * dof + column];
         match shape {
-            BendShape::Play => {
-                let behind = play(joints.len(), q, amount.abs());
+            BendShape::Play(crossing) => {
+                let behind = crossing.behind(joints.len(), q, amount);
                 for (row, behind) in behind.into_iter().enumerate() {
                     let at = row * dof + column;
                     joints.q[at] += behind * amount;
                     // In the middle of the play the link stands still.
-                    if behind.abs() < 0.499 && amount > 0.0 {
+                    if behind.abs() < 0.499 && amount > 0.0 && *crossing == Crossing::Gradual {
                         joints.qd[at] = 0.0;
                     }
                 }
@@ -112,9 +133,25 @@ pub(crate) fn bend(joints: &mut JointTrack, bends: &[JointBend]) {
     }
 }
 
-/// How far the link of a joint with so much play is from its encoder, in plays from −½ to ½, at each of
-/// `rows` positions of the encoder: the play operator of hysteresis, from the middle on.
-pub(super) fn play(rows: usize, q: impl Fn(usize) -> f64, play: f64) -> Vec<f64> {
+/// The way in which a joint moved last, 1 or −1, at each of `rows` positions; 0 before it moves.
+pub(crate) fn ways(rows: usize, q: impl Fn(usize) -> f64) -> Vec<f64> {
+    /// What a joint turns back by at least, beyond the noise of an encoder, rad.
+    const LEAST_RAD: f64 = 3e-4;
+    let (mut way, mut farthest) = (0.0, None);
+    (0..rows)
+        .map(|row| {
+            let farthest = farthest.get_or_insert_with(|| q(row));
+            let moved = q(row) - *farthest;
+            if way * moved > 0.0 || moved.abs() > LEAST_RAD {
+                (way, *farthest) = (moved.signum(), q(row));
+            }
+            way
+        })
+        .collect()
+}
+
+/// The play operator of hysteresis.
+fn play(rows: usize, q: impl Fn(usize) -> f64, play: f64) -> Vec<f64> {
     let mut behind = 0.0;
     let width = play.max(f64::MIN_POSITIVE);
     (0..rows)

@@ -9,22 +9,27 @@
 
 mod found;
 mod gravity;
+mod rival;
 mod search;
 mod system;
 
 use super::arm::diagnose_arm;
-use super::changes::leaves_much;
+use super::changes::{as_recorded, leaves_much};
+use super::joints::corrected;
 use super::sampling::stream_lag_s;
-use super::{Aligned, ArmDiagnosis, JointReading, PoseDiagnosis, PoseStream, Residuals};
+use super::{
+    Aligned, ArmDiagnosis, JointReading, JointScale, PoseDiagnosis, PoseStream, Residuals,
+};
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use ground::stats::median;
 use ground::stream::JointTrack;
 
 use found::USUAL_RAD;
-pub(super) use found::bend;
-pub use found::{BendShape, JointBend, Sag};
+pub use found::{BendShape, Crossing, JointBend, Sag};
+pub(super) use found::{bend, ways};
 use gravity::Masses;
-use search::{Free, Kind, Search, Term};
+pub(super) use rival::gives;
+use search::{Free, Kind, MASSES, Search, Term};
 
 /// Samples of a stream that are looked at.
 const SAMPLES: usize = 2000;
@@ -73,57 +78,29 @@ pub(super) fn without_bends(
     found: &ArmDiagnosis,
     most_lag_s: f64,
 ) -> Option<ArmDiagnosis> {
-    // Joints that are read in no way are taken as they are logged.
-    let is_plain = found.joints.reading.as_ref().map_or(true, JointReading::is_as_logged)
-        && found.joints.scales.is_empty()
-        && found.joints.patches.is_empty();
-    let may_give = is_plain && joints.len() > 1 && !found.streams.iter().any(PoseDiagnosis::strays);
+    let is_coded = found.joints.scales.iter().any(JointScale::is_coded);
+    let may_give = !is_coded
+        && found.joints.patches.is_empty()
+        && joints.len() > 1
+        && !found.streams.iter().any(PoseDiagnosis::strays);
     if !may_give || !found.streams.iter().any(leaves_much) {
         return None;
     }
-    let run = Run { joints, streams, slides, most_lag_s };
-    let samples = run.samples(joints, found);
-    let before = Left::of(found);
-    let mut best: Option<(Left, ArmDiagnosis)> = None;
-    let found_sets = run.search(&samples);
-    for (search, terms) in found_sets
-        .iter()
-        .flat_map(|(search, sets)| sets.iter().map(move |terms| (search, terms.clone())))
-    {
-        let is_eccentric = terms.iter().any(|term| matches!(term.kind, Kind::Eccentric(_)));
-        // An eccentricity can be bent to many shapes: play and sag come before it.
-        let enough = |(left, _): &(Left, ArmDiagnosis)| left.is_within(ENOUGH, &before);
-        if is_eccentric && best.as_ref().is_some_and(enough) {
-            break;
+    let reading = match &found.joints.reading {
+        Ok(reading) if !reading.is_as_logged() => reading,
+        // Joints that are read in no way are taken as they are logged.
+        _ => return Run { joints, streams, slides, most_lag_s }.unbent(found),
+    };
+    let read = corrected(joints, reading, slides);
+    let run = Run { joints: &read, streams, slides, most_lag_s };
+    let mut after = run.unbent(&diagnose_arm(&read, streams, most_lag_s))?;
+    after.joints.reading.clone_from(&found.joints.reading);
+    after.joints.scales.clone_from(&found.joints.scales);
+    for ((stream, found), after) in streams.iter().zip(&found.streams).zip(&mut after.streams) {
+        as_recorded(joints, stream, after);
+        if let (Ok(after), Ok(found)) = (&mut after.residual, &found.residual) {
+            (after.before_m, after.before_rad) = (found.before_m, found.before_rad);
         }
-        let Some(after) = run.without(search, terms) else { continue };
-        let left = Left::of(&after);
-        if best.as_ref().is_none_or(|(best, _)| left.is_within(LEFT, best)) {
-            best = Some((left, after));
-        }
-    }
-    let enough = |(left, _): &(Left, ArmDiagnosis)| left.is_within(ENOUGH, &before);
-    if !best.as_ref().is_some_and(enough) {
-        // Another load makes of one sag two.
-        let loaded = found_sets.as_ref().map(|(search, _)| (search, search.loaded()));
-        let loaded = loaded.filter(|(_, terms)| !terms.is_empty());
-        if let Some(after) = loaded.and_then(|(search, terms)| run.without(search, terms)) {
-            let left = Left::of(&after);
-            if best.as_ref().is_none_or(|(best, _)| left.is_within(LEFT, best)) {
-                best = Some((left, after));
-            }
-        }
-    }
-    // What is left of a drawing is of many small causes, of which a few bends take off something too.
-    let is_nominal = found.streams.iter().any(|found| found.nominal);
-    let most = if is_nominal { LEFT_OF_NOMINAL } else { LEFT };
-    let (left, mut after) = best?;
-    let is_read = after.joints.reading.as_ref().is_ok_and(JointReading::is_as_logged);
-    if !is_read || !left.is_within(most, &before) {
-        return None;
-    }
-    if after.joints.bends.iter().any(JointBend::is_eccentric) {
-        run.leave_unnamed(&mut after);
     }
     Some(after)
 }
@@ -161,6 +138,62 @@ impl Left {
 }
 
 impl Run<'_> {
+    /// The diagnosis of a run of which `found` is what it says otherwise, as it would be if no joint gave;
+    /// `None` where none does, or where that explains too little.
+    fn unbent(&self, found: &ArmDiagnosis) -> Option<ArmDiagnosis> {
+        let samples = self.samples(self.joints, found);
+        let before = Left::of(found);
+        let mut best: Option<(Left, ArmDiagnosis)> = None;
+        let found_sets = self.search(&samples);
+        for (search, terms) in found_sets
+            .iter()
+            .flat_map(|(search, sets)| sets.iter().map(move |terms| (search, terms.clone())))
+        {
+            let is_eccentric = terms.iter().any(|term| matches!(term.kind, Kind::Eccentric(_)));
+            // An eccentricity can be bent to many shapes: play and sag come before it.
+            let enough = |(left, _): &(Left, ArmDiagnosis)| left.is_within(ENOUGH, &before);
+            if is_eccentric && best.as_ref().is_some_and(enough) {
+                break;
+            }
+            let Some(after) = self.without(search, terms) else { continue };
+            let left = Left::of(&after);
+            if best.as_ref().is_none_or(|(best, _)| left.is_within(LEFT, best)) {
+                best = Some((left, after));
+            }
+        }
+        let enough = |(left, _): &(Left, ArmDiagnosis)| left.is_within(ENOUGH, &before);
+        if !best.as_ref().is_some_and(enough) {
+            // Another load makes of one sag two.
+            let loaded = found_sets.as_ref().map(|(search, _)| (search, search.loaded()));
+            let loaded = loaded.filter(|(_, terms)| !terms.is_empty());
+            if let Some(after) = loaded.and_then(|(search, terms)| self.without(search, terms)) {
+                let left = Left::of(&after);
+                if best.as_ref().is_none_or(|(best, _)| left.is_within(LEFT, best)) {
+                    best = Some((left, after));
+                }
+            }
+        }
+        // What is left of a drawing is of many small causes, of which a few bends take off something too.
+        let is_nominal = found.streams.iter().any(|found| found.nominal);
+        let most = if is_nominal { LEFT_OF_NOMINAL } else { LEFT };
+        let (left, mut after) = best?;
+        let is_read = after.joints.reading.as_ref().is_ok_and(JointReading::is_as_logged);
+        if !is_read || !left.is_within(most, &before) {
+            return None;
+        }
+        if after.joints.bends.iter().any(JointBend::is_eccentric) {
+            self.leave_unnamed(&mut after);
+        }
+        // Other masses than those that are guessed make something of a sag that a zero makes, too.
+        for bend in after.joints.bends.iter().filter(|bend| bend.is_sag()) {
+            let offset = after.joints.offsets.get_mut(bend.column);
+            if let Some(Ok(offset)) = offset.map(|offset| &mut offset.offset) {
+                offset.std_error = offset.std_error.hypot(MASSES * bend.amount.value);
+            }
+        }
+        Some(after)
+    }
+
     /// What may give on `samples`, as few joints as explain most, and the search that found them: by the
     /// masses that fit best where some joint sags.
     fn search<'a>(&'a self, samples: &'a [Samples]) -> Option<(Search<'a>, Vec<Vec<Term>>)> {
@@ -230,8 +263,7 @@ impl Run<'_> {
         };
         let skew = found.skew.as_ref().ok().filter(|_| found.skew_chosen);
         let skew = skew.map_or(0.0, |skew| skew.value);
-        let t_s = &found.aligned.t_s;
-        let middle_s = 0.5 * (t_s.first().unwrap_or(&0.0) + t_s.last().unwrap_or(&0.0));
+        let middle_s = found.aligned.middle_s();
         move |t_s| t_s - lag_s - skew * (t_s - middle_s)
     }
 

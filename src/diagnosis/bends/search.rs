@@ -1,7 +1,7 @@
 //! Which joints give, and by how much: linear least squares on what one explanation of the run leaves,
 //! with everything that explanation may hold free beside them.
 
-use super::found::{BendShape, JointBend, Sag, play};
+use super::found::{BendShape, Crossing, JointBend, Sag};
 use super::gravity::{Gravity, Masses, Postures};
 use super::system::{STREAM, System, linear};
 use super::{Run, Samples};
@@ -22,7 +22,7 @@ const LEAST_TORQUE: f64 = 0.05;
 /// An amount is told from none by so many standard errors.
 const TOLD: f64 = 4.0;
 /// Standard error of a sag by masses that are guessed, as a share: others take so much more or less of it.
-const MASSES: f64 = 0.07;
+pub(super) const MASSES: f64 = 0.07;
 /// More than this is no bend, rad.
 const MOST_RAD: f64 = 0.1;
 /// Joints whose number ranges over less show no eccentricity, rad.
@@ -35,7 +35,7 @@ const FINER: i32 = 4;
 /// How a joint may give.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Kind {
-    Play,
+    Play(Crossing),
     Sag,
     /// Sag that is another from a time on, s: another load.
     LoadedSag(f64),
@@ -67,7 +67,7 @@ impl Term {
     /// The size, rad, with its sign where it has one.
     pub fn size(&self) -> f64 {
         match self.kind {
-            Kind::Play | Kind::Sag => self.amount[0],
+            Kind::Play(_) | Kind::Sag => self.amount[0],
             Kind::LoadedSag(_) if self.amount[1].abs() > self.amount[0].abs() => self.amount[1],
             Kind::LoadedSag(_) => self.amount[0],
             Kind::Eccentric(_) => self.amount[0].hypot(self.amount[1]),
@@ -77,7 +77,7 @@ impl Term {
     /// Whether it is one, and told from none.
     fn holds(&self) -> bool {
         let size = self.size();
-        let is_way = size > 0.0 || self.kind == Kind::Play;
+        let is_way = size > 0.0 || matches!(self.kind, Kind::Play(_));
         is_way && size.abs() > TOLD * self.std_error && size.abs() < MOST_RAD
     }
 }
@@ -160,7 +160,9 @@ impl<'a> Search<'a> {
             let turns = high - low > LEAST_RANGE_RAD;
             let moves = high - low > 0.05;
             let orders = ORDERS.iter().map(|&order| Kind::Eccentric(order));
-            let kinds = std::iter::once(Kind::Play)
+            let kinds = [Crossing::Gradual, Crossing::Sudden]
+                .into_iter()
+                .map(Kind::Play)
                 .chain(sags.then_some(Kind::Sag))
                 .chain(orders.filter(move |_| turns));
             kinds
@@ -181,12 +183,13 @@ impl<'a> Search<'a> {
         let behind: Vec<Vec<f64>> = terms
             .iter()
             .map(|term| match term.kind {
-                Kind::Play => {
+                Kind::Play(crossing) => {
                     let width = match term.amount[0].abs() {
                         0.0 => FIRST_PLAY_RAD,
                         width => width,
                     };
-                    play(joints.len(), |row| joints.q[row * joints.dof + term.column], width)
+                    let q = |row: usize| joints.q[row * joints.dof + term.column];
+                    crossing.behind(joints.len(), q, width)
                 }
                 Kind::Sag | Kind::LoadedSag(_) | Kind::Eccentric(_) => Vec::new(),
             })
@@ -197,7 +200,7 @@ impl<'a> Search<'a> {
                 for (term, behind) in terms.iter().zip(&behind) {
                     let q = samples.q[k][term.column];
                     match term.kind {
-                        Kind::Play => {
+                        Kind::Play(_) => {
                             let (row, part) = samples.at[k];
                             let next = (row + 1).min(behind.len() - 1);
                             values.push(behind[row] * (1.0 - part) + behind[next] * part);
@@ -302,7 +305,9 @@ impl<'a> Search<'a> {
         let near = (-FINER..=FINER).map(|step| rough_s + self.step_s() * f64::from(step));
         let Some((_, at_s)) = best(&mut near.into_iter()) else { return Vec::new() };
         let mut terms = with(Kind::LoadedSag, at_s);
-        terms.extend(self.candidates().into_iter().filter(|term| term.kind == Kind::Play));
+        terms.extend(
+            self.candidates().into_iter().filter(|term| matches!(term.kind, Kind::Play(_))),
+        );
         let system = self.system(&terms, &free);
         let cost = |set: &[usize]| system.cost(&system.parameters(&terms, set, &free));
         let every: Vec<usize> = (0..terms.len()).collect();
@@ -355,7 +360,7 @@ impl<'a> Search<'a> {
         let bend = |term: &Term| {
             let Term { column, amount, std_error, dof, .. } = *term;
             let shape = match term.kind {
-                Kind::Play => BendShape::Play,
+                Kind::Play(crossing) => BendShape::Play(crossing),
                 Kind::Sag | Kind::LoadedSag(_) => BendShape::Sag(Sag {
                     gravity: Arc::clone(&self.gravity),
                     most_torque: self.most_torque[column],

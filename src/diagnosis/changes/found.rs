@@ -57,3 +57,17 @@ pub struct JointPatch {
     /// … and this is added, rad or m.
     pub offset: f64,
 }
+
+/// The parts of the run in which a stream's numbers are coded as its diagnosis says, s from the run's origin by
+/// the joints' clock; `None` of what is coded so throughout.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct CodedParts {
+    /// Its rotations: convention, order of components, inverse.
+    pub rotation: Option<(f64, f64)>,
+    /// The unit of its angles.
+    pub degrees: Option<(f64, f64)>,
+    /// The unit of its positions.
+    pub length: Option<(f64, f64)>,
+    /// Its axes.
+    pub axes: Option<(f64, f64)>,
+}

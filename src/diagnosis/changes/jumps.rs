@@ -5,7 +5,7 @@ use crate::latency::median_period_s;
 use crate::proof::beside_fk;
 use crate::{Aligned, PoseStream};
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
-use ground::stats::median;
+use ground::stats::{median, quantile};
 use ground::stream::JointTrack;
 
 /// Samples on either side of a moment whose means are compared: one where a jump is large, more where
@@ -62,8 +62,44 @@ pub(super) fn jumps(
         in_tool.iter().map(|pose| turn(pose).map(|axis| axis * ARM_M)).collect();
     found.extend(of_series(&raw.t_s, &at, &raw.fk));
     found.extend(of_series(&raw.t_s, &turned, &raw.fk));
+    found.extend(of_path(&raw.t_s, &raw.logged));
     found.extend(gaps(&stream.track.t_s));
     strongest(found)
+}
+
+/// The jumps of a path by itself, whatever the arm does: from one sample to the next by more than from those
+/// before and to those after.
+fn of_path(t_s: &[f64], poses: &[Pose]) -> Vec<Jump> {
+    /// What nearly all samples are beside the line through their neighbours.
+    const NEARLY_ALL: f64 = 0.95;
+    /// Below this a step is arithmetic, m.
+    const FLOOR_M: f64 = 1e-5;
+    let step = |row: usize| -> [Vec3; 2] {
+        let (a, b) = (&poses[row - 1], &poses[row]);
+        let turn = rotvec_from_rotation(&(b.rotation * a.rotation.inverse()));
+        [b.translation.vector - a.translation.vector, turn * ARM_M]
+    };
+    let rows: Vec<usize> = (2..poses.len().saturating_sub(1)).collect();
+    let beside = |&row: &usize| -> [f64; 2] {
+        let [before, own, after] = [step(row - 1), step(row), step(row + 1)];
+        std::array::from_fn(|kind| (own[kind] - 0.5 * (before[kind] + after[kind])).norm())
+    };
+    let all: Vec<[f64; 2]> = rows.iter().map(beside).collect();
+    let of_kind = |kind: usize| {
+        let mut sizes: Vec<f64> = all.iter().map(|sizes| sizes[kind]).collect();
+        let usual = quantile(&mut sizes, NEARLY_ALL).unwrap_or(0.0) + FLOOR_M;
+        let jump = move |(&row, sizes): (&usize, &[f64; 2])| {
+            let times = sizes[kind] / usual;
+            (times > TIMES).then(|| Jump {
+                at_s: 0.5 * (t_s[row - 1] + t_s[row]),
+                within_s: 0.5 * (t_s[row] - t_s[row - 1]),
+                times,
+                over_s: 0.0,
+            })
+        };
+        rows.iter().zip(&all).filter_map(jump).collect::<Vec<Jump>>()
+    };
+    [of_kind(0), of_kind(1)].concat()
 }
 
 /// The longest gaps of a stream, in which anything may happen.

@@ -12,22 +12,23 @@ mod cut;
 mod found;
 mod jumps;
 mod told;
+mod weigh;
 
 use super::arm::diagnose_arm;
-use super::proof::{Part, Series, Size, beside_fk};
+use super::bends::without_bends;
+use super::proof::beside_fk;
 use super::sampling::stream_lag_s;
 use super::{
-    ArmDiagnosis, FrameEstimate, JointDiagnosis, PoseDiagnosis, PoseStream, Reading, Seen, Unseen,
+    ArmDiagnosis, FrameEstimate, JointDiagnosis, PoseDiagnosis, PoseStream, Reading, Seen,
 };
 use ground::geometry::Pose;
 use ground::stats::Measured;
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
 use cut::{Cut, PART_SAMPLES, Span};
-pub use found::{AmountChange, Change, FrameChange, JointChange, JointPatch};
-
-/// With the changes undone at most this share is left of what was.
-const LEFT: f64 = 0.5;
+pub use found::{AmountChange, Change, CodedParts, FrameChange, JointChange, JointPatch};
+use weigh::{LEFT, is_worth, leaves_slowly};
+pub(super) use weigh::{jumps_in_time, leaves_much, left_m};
 
 /// A part leaves at most so many times what the longest leaves, or this, m.
 const TIMES_LEFT: f64 = 4.0;
@@ -43,7 +44,7 @@ pub(super) fn without_changes(
     found: &ArmDiagnosis,
     most_lag_s: f64,
 ) -> Option<ArmDiagnosis> {
-    if !found.streams.iter().any(leaves_much) {
+    if !found.streams.iter().any(leaves_slowly) {
         return None;
     }
     let lags: Vec<f64> = streams
@@ -76,9 +77,11 @@ pub(super) fn without_changes(
         })
         .collect();
     let mut after = diagnose_arm(&undone.joints, &changed, most_lag_s);
-    if left_m(&after) > LEFT * left_m(found) {
-        return None;
+    // What gives goes on giving, whatever changes.
+    if let Some(bent) = without_bends(&undone.joints, &changed, slides, &after, most_lag_s) {
+        after = bent;
     }
+    let weighed = after.clone();
     for (s, after) in after.streams.iter_mut().enumerate() {
         if undone.tracks[s].is_some() {
             kept.read_as(s, &others, after);
@@ -94,12 +97,29 @@ pub(super) fn without_changes(
     after.joints.patches = undone.patches;
     let is_told = !after.joints.changes.is_empty()
         || after.streams.iter().any(|after| after.changes() || jumps_in_time(after));
-    is_told.then_some(after)
+    (is_told && is_worth(found, &weighed, parameters(&after, parts.len()))).then_some(after)
+}
+
+/// How many numbers say what changes in a run of so many parts.
+fn parameters(after: &ArmDiagnosis, parts: usize) -> usize {
+    let of_stream = |found: &PoseDiagnosis| {
+        let frames = found.tool_changes.len() + found.reference_changes.len();
+        let times = found.course.as_ref().map_or(0, |course| course.jumps.len());
+        let CodedParts { rotation, degrees, length, axes } = found.coded;
+        let coded = [rotation, degrees, length, axes].into_iter().flatten().count();
+        6 * frames + found.growth_changes.len() + times + coded
+    };
+    let of_joints =
+        after.joints.changes.iter().map(|change| {
+            usize::from(change.zero.is_some()) + usize::from(change.factor.is_some())
+        });
+    let moments = parts.saturating_sub(1);
+    moments + of_joints.sum::<usize>() + after.streams.iter().map(of_stream).sum::<usize>()
 }
 
 /// Puts what was logged and FK of the joint states as recorded beside the samples of a stream whose
 /// changes were undone.
-fn as_recorded(joints: &JointTrack, stream: &PoseStream, after: &mut PoseDiagnosis) {
+pub(super) fn as_recorded(joints: &JointTrack, stream: &PoseStream, after: &mut PoseDiagnosis) {
     let recorded = beside_fk(joints, stream, 0.0);
     let aligned = &mut after.aligned;
     for (row, t_s) in aligned.t_s.iter().enumerate() {
@@ -115,45 +135,6 @@ fn as_recorded(joints: &JointTrack, stream: &PoseStream, after: &mut PoseDiagnos
             }
         }
     }
-}
-
-/// Whether what was found on a stream leaves more of it than its noise, in some part of the run.
-pub(super) fn leaves_much(found: &PoseDiagnosis) -> bool {
-    /// Less than this is left of a healthy stream, m and rad.
-    const LITTLE: [f64; 2] = [0.3e-3, 0.5e-3];
-    /// So many times the noise is more than noise.
-    const TIMES: f64 = 2.0;
-    let aligned = &found.aligned;
-    let does_not_follow = matches!(found.reading, Err(Unseen::DoesNotFollow(_)));
-    if does_not_follow || aligned.t_s.len() < PART_SAMPLES {
-        return does_not_follow
-            || found.unread().is_some_and(|why| matches!(why, Unseen::DoesNotFollow(_)));
-    }
-    let moves = vec![true; aligned.t_s.len()];
-    let has_rotation = found.reading.is_ok();
-    let series = Series::of(&aligned.t_s, &aligned.corrected, &aligned.fk_at_truth, has_rotation);
-    let error = series.error(&moves, true);
-    let is_much = |(size, least): (&Size, f64)| {
-        size.parts.iter().any(|Part { amount, .. }| {
-            let noise = amount.noise.map_or(0.0, |noise| noise.rms);
-            amount.rms > least.max(TIMES * noise)
-        })
-    };
-    std::iter::once(&error.length).chain(&error.angle).zip(LITTLE).any(is_much)
-}
-
-/// Whether the latency of a stream surely jumps.
-pub(super) fn jumps_in_time(found: &PoseDiagnosis) -> bool {
-    found.course.as_ref().is_ok_and(|course| course.is_unsteady && !course.jumps.is_empty())
-}
-
-/// All that is left of an arm's streams, an angle counting at 0.3 m; a metre where one was not read.
-pub(super) fn left_m(found: &ArmDiagnosis) -> f64 {
-    let left = |found: &PoseDiagnosis| match (&found.residual, &found.reading) {
-        (Ok(residual), Ok(_)) => residual.together_m(),
-        _ => 1.0,
-    };
-    found.streams.iter().map(left).sum()
 }
 
 /// The part of the run against which the others are held.
@@ -227,7 +208,7 @@ impl Kept {
                     || frame.as_ref().is_ok_and(|frame| frame.rotation_rad.value < MUCH_RAD)
             };
             let is_little = is_little(&beyond.tool) && is_little(&beyond.reference);
-            is_told || (reading_of(own) == reading_of(alone) && is_little)
+            is_told || (same_coding(own, alone) && is_little)
         })
     }
 
@@ -235,18 +216,21 @@ impl Kept {
     fn is_reread(&self, s: usize, other: &Other) -> bool {
         let (own, its) = (&self.found.streams[s], &other.alone.streams[s]);
         let told = own.reading.is_ok() && its.reading.as_ref().is_ok_and(|its| its.is_told);
-        told && reading_of(own) != reading_of(its)
+        told && !same_coding(own, its)
     }
 
-    /// By how much a stream is later in another part, s, where it surely is.
+    /// By how much a stream is later in another part than the latency of this one, going on as it does here,
+    /// would have it, s, where it surely is.
     fn later_by(&self, s: usize, other: &Other) -> Option<Measured> {
         /// Less is left to the course of the latency, s.
         const LEAST_S: f64 = 1e-3;
         const SURE: f64 = 6.0;
-        let own = self.found.streams[s].latency_s.as_ref().ok()?;
-        let its = other.beyond.streams[s].latency_s.as_ref().ok()?;
-        let std_error = its.std_error.hypot(own.std_error);
-        let by = Measured { value: its.value - own.value, std_error, ..*its };
+        let (here, there) = (&self.found.streams[s], &other.beyond.streams[s]);
+        let (own, its) = (here.latency_s.as_ref().ok()?, there.latency_s.as_ref().ok()?);
+        let apart_s = there.aligned.middle_s() - here.aligned.middle_s();
+        let grown = here.skew.as_ref().map_or(own.scaled(0.0), |skew| skew.scaled(apart_s));
+        let std_error = its.std_error.hypot(own.std_error).hypot(grown.std_error);
+        let by = Measured { value: its.value - own.value - grown.value, std_error, ..*its };
         (by.value.abs() > LEAST_S.max(SURE * std_error)).then_some(by)
     }
 
@@ -319,33 +303,35 @@ impl Kept {
         })
     }
 
-    /// Says of the diagnosis of a stream whose poses were read anew how its numbers are coded: as in
-    /// this part, or where that is as logged as in the part in which they are not.
+    /// Says of the diagnosis of a stream whose poses were read anew how its numbers are coded: what of that
+    /// is other in another part, as in the part where it is not as logged.
     fn read_as(&self, s: usize, others: &[Other], after: &mut PoseDiagnosis) {
         let own = &self.found.streams[s];
-        let misread = others.iter().find(|other| self.is_reread(s, other));
-        let by = match misread.filter(|_| is_as_logged(own)) {
-            Some(first) => {
-                let reading = reading_of(&first.alone.streams[s]);
-                let same = others.iter().filter(|other| {
-                    other.span == first.span
-                        || (self.is_reread(s, other)
-                            && reading_of(&other.alone.streams[s]) == reading)
-                });
-                after.coded_s = same.map(|other| other.span).reduce(|a, b| (a.0, b.1));
-                &first.alone.streams[s]
+        let first = others.iter().find(|other| self.is_reread(s, other));
+        let part = |is_same: Same, is_as_logged: fn(&PoseDiagnosis) -> bool| {
+            let its =
+                &first.filter(|first| !is_same(own, &first.alone.streams[s]))?.alone.streams[s];
+            if !is_as_logged(own) {
+                return Some((own, self.span));
             }
-            None => {
-                after.coded_s = misread.map(|_| self.span);
-                own
-            }
+            let alike = others.iter().filter(|other| is_same(its, &other.alone.streams[s]));
+            alike.map(|other| other.span).reduce(|a, b| (a.0, b.1)).map(|span| (its, span))
         };
-        after.reading.clone_from(&by.reading);
-        after.length.clone_from(&by.length);
-        after.axes.clone_from(&by.axes);
-        after.degrees = by.degrees;
-        after.inverted = by.inverted;
-        after.constant.clone_from(&by.constant);
+        let rotation = part(same_rotation, reads_rotation_as_logged);
+        let degrees = part(same_degrees, |found| found.degrees.is_none());
+        let length = part(same_length, |found| !matches!(found.length, Ok(Some(_))));
+        let axes = part(same_axes, |found| !matches!(found.axes, Ok(Some(_))));
+        let by =
+            |part: &Option<(&'_ PoseDiagnosis, Span)>| part.map_or(own, |(found, _)| found).clone();
+        let PoseDiagnosis { reading, inverted, .. } = by(&rotation);
+        (after.reading, after.inverted) = (reading, inverted);
+        after.degrees = by(&degrees).degrees;
+        after.length = by(&length).length;
+        after.axes = by(&axes).axes;
+        after.constant.clone_from(&own.constant);
+        let [rotation, degrees, length, axes] =
+            [rotation, degrees, length, axes].map(|part| part.map(|(_, span)| span));
+        after.coded = CodedParts { rotation, degrees, length, axes };
     }
 }
 
@@ -408,23 +394,40 @@ fn joint_map(kept: &JointDiagnosis, beyond: &JointDiagnosis, run: &Cut) -> Vec<(
     (0..dof).map(map).filter(is_other).collect()
 }
 
-/// How the numbers of a stream are coded.
-fn reading_of(found: &PoseDiagnosis) -> (Option<String>, bool, bool, String) {
-    let reading = found.reading.as_ref().ok().and_then(|reading| match &reading.best {
-        Reading::AsLogged => None,
-        other => Some(format!("{other:?}")),
-    });
-    let length = found.length.as_ref().ok().copied().flatten().map(|slip| slip.factor());
-    (reading, found.inverted, found.degrees.is_some(), format!("{length:?} {:?}", found.axes))
+/// Whether something of the coding of two streams is the same.
+type Same = fn(&PoseDiagnosis, &PoseDiagnosis) -> bool;
+
+fn same_rotation(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
+    let of = |found: &PoseDiagnosis| {
+        let best = found.reading.as_ref().ok().map(|reading| reading.best);
+        let other = best.filter(|best| !matches!(best, Reading::AsLogged));
+        (other.map(|best| format!("{best:?}")), found.inverted)
+    };
+    of(a) == of(b)
 }
 
-fn is_as_logged(found: &PoseDiagnosis) -> bool {
-    let as_logged = found.reading.as_ref().is_ok_and(|reading| reading.best.is_as_logged());
-    as_logged
-        && !found.inverted
-        && found.degrees.is_none()
-        && !matches!(found.length, Ok(Some(_)))
-        && !matches!(found.axes, Ok(Some(_)))
+fn same_degrees(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
+    a.degrees.is_some() == b.degrees.is_some()
+}
+
+fn same_length(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
+    let of = |found: &PoseDiagnosis| Some(found.length.as_ref().ok()?.as_ref()?.factor());
+    of(a) == of(b)
+}
+
+fn same_axes(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
+    let of = |found: &PoseDiagnosis| found.axes.as_ref().ok().copied().flatten();
+    of(a) == of(b)
+}
+
+/// Whether the numbers of two streams are coded in the same way.
+fn same_coding(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
+    let all: [Same; 4] = [same_rotation, same_degrees, same_length, same_axes];
+    all.into_iter().all(|same| same(a, b))
+}
+
+fn reads_rotation_as_logged(found: &PoseDiagnosis) -> bool {
+    !found.inverted && found.reading.as_ref().is_ok_and(|reading| reading.best.is_as_logged())
 }
 
 fn is_chosen(frame: &Seen<FrameEstimate>) -> bool {

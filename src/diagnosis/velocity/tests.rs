@@ -17,7 +17,12 @@ fn found(quantum: f64, velocity: impl Fn(f64) -> f64) -> VelocityDiagnosis {
     let of = |joint: usize| t_s.iter().map(|&t| stepped(position(joint, t))).collect::<Vec<f64>>();
     let positions = [of(0), of(1)];
     let own: Vec<f64> = t_s.iter().map(|&t| velocity(t)).collect();
-    let joint = |at: usize| VelocitySamples { t_s: &t_s, position: &positions[at], velocity: &own };
+    let joint = |at: usize| VelocitySamples {
+        t_s: &t_s,
+        position: &positions[at],
+        velocity: &own,
+        breaks: &[],
+    };
     diagnose_velocity(&[joint(0), joint(1)], 0).expect("it moves")
 }
 
@@ -64,7 +69,7 @@ fn what_is_in_a_gap_is_not_compared() {
     let t_s: Vec<f64> = t_s.into_iter().filter(|t| !(9.9..10.4).contains(t)).collect();
     let q: Vec<f64> = t_s.iter().map(|&t| (at(t) / 5e-4).round() * 5e-4).collect();
     let v: Vec<f64> = t_s.iter().map(|&t| 0.18 * (9.0 * t).cos()).collect();
-    let joint = VelocitySamples { t_s: &t_s, position: &q, velocity: &v };
+    let joint = VelocitySamples { t_s: &t_s, position: &q, velocity: &v, breaks: &[] };
     let windows = Windows::of(&joint).expect("it moves");
     assert!(windows.changes.windows.iter().all(|(from, to)| *to < 9.95 || *from > 10.3));
     let found = diagnose_velocity(&[joint], 0).expect("it moves");
