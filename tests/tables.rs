@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
-use poseaudit::finding::Finding;
+use poseaudit::finding::{Finding, Status};
 use poseaudit::geometry::{Convention, Pose, xyzw_from_rotation};
 use poseaudit::log::ColumnSettings;
 use poseaudit::report::{Report, Trouble, Verdict};
@@ -176,7 +176,8 @@ fn a_unit_that_no_pose_shows_is_left_open() {
     );
     let limits = report.checks.iter().filter(|row| row.code.starts_with("MOT003"));
     assert!(
-        limits.clone().count() == JOINTS && limits.clone().all(|row| row.status == "inconclusive")
+        limits.clone().count() == JOINTS
+            && limits.clone().all(|row| row.status == Status::Inconclusive)
     );
 }
 

@@ -229,5 +229,8 @@ fn rate_in(value: &Value) -> Option<f64> {
 
 fn worded(error: &hdf5_reader::error::Error) -> Refusal {
     let text = error.to_string();
-    format!("the HDF5 file cannot be read: {}", text.lines().next().unwrap_or_default())
+    let line = text.lines().next().unwrap_or_default();
+    // h5py's own LZF, and what plugins bring.
+    let advice = if line.contains("unsupported filter") { "; write it with gzip" } else { "" };
+    format!("the HDF5 file cannot be read: {line}{advice}")
 }

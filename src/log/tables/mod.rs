@@ -143,7 +143,7 @@ impl Tables {
             Kind::Npy => npy::npy(bytes),
             Kind::Npz => npy::npz(bytes),
             Kind::Csv => csv::read(bytes, losses),
-            Kind::Parquet => parquet::read(owned(place, bytes), dataset.as_ref()),
+            Kind::Parquet => parquet::read(owned(place, bytes), dataset.as_ref(), wanted),
             Kind::Hdf5 => hdf5::read(owned(place, bytes), wanted, losses),
         };
         let mut episodes = match read {

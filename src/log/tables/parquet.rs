@@ -3,6 +3,8 @@
 //! Values are read leaf by leaf with their levels, so that what wrote the file does not matter: pyarrow's
 //! fixed lists and Hugging Face's sequences are the same there.
 
+use std::ops::Range;
+
 use ::bytes::Bytes;
 use ::parquet::basic::Type;
 use ::parquet::column::reader::{ColumnReader, ColumnReaderImpl};
@@ -26,16 +28,28 @@ struct Leaf {
     values: Vec<f64>,
 }
 
-/// The episodes of a file: by `episode_index`, where it has that column.
+/// The episodes of a file: by `episode_index`, where it has that column. Of one that is `wanted` only its rows
+/// are decoded.
 pub(super) fn read(
     bytes: Bytes,
     dataset: Option<&Dataset>,
+    wanted: Option<&str>,
 ) -> Result<Vec<(String, Table)>, Refusal> {
     let reader = SerializedFileReader::new(bytes).map_err(|error| worded(&error))?;
     let metadata = reader.metadata();
     let schema = metadata.file_metadata().schema_descr_ptr();
     let mut leaves = Vec::new();
     let mut budget = MOST_NUMBERS;
+    let rows = match wanted {
+        Some(wanted) => {
+            let index = index(&reader)?;
+            let number: Option<f64> = wanted.parse().ok();
+            let is_its = |value: &f64| Some(*value) == number;
+            let Some(first) = index.iter().position(is_its) else { return Ok(Vec::new()) };
+            first..first + index[first..].iter().take_while(|value| is_its(value)).count()
+        }
+        None => 0..usize::MAX,
+    };
     for at in 0..schema.num_columns().min(MOST_COLUMNS) {
         let column = schema.column(at);
         let kind = match column.physical_type() {
@@ -56,15 +70,9 @@ pub(super) fn read(
         if column.max_rep_level() > 1 || !is_wanted {
             continue;
         }
-        let mut lengths = Lengths::default();
-        let mut values = Vec::new();
-        for group in 0..reader.num_row_groups() {
-            let group = reader.get_row_group(group).map_err(|error| worded(&error))?;
-            let column = group.get_column_reader(at).map_err(|error| worded(&error))?;
-            let read = leaf(column, is_list, &mut lengths, &mut values, budget);
-            read.map_err(|what| format!("column '{name}': {what}"))?;
-        }
-        lengths.end();
+        let mut of = Numbers { is_list, budget, rows: rows.clone(), ..Numbers::default() };
+        of.read(&reader, at).map_err(|what| format!("column '{name}': {what}"))?;
+        let Numbers { lengths, values, .. } = of;
         budget = budget.saturating_sub(values.len());
         // A list of other lengths from row to row is no vector.
         let Some(width) = lengths.width().filter(|width| *width <= MOST_WIDE) else { continue };
@@ -81,20 +89,19 @@ pub(super) fn read(
 /// The names of the episodes of a file.
 pub(super) fn episodes_in(bytes: Bytes) -> Result<Vec<String>, Refusal> {
     let reader = SerializedFileReader::new(bytes).map_err(|error| worded(&error))?;
+    let mut index = index(&reader)?;
+    index.dedup();
+    Ok(index.iter().map(f64::to_string).collect())
+}
+
+/// The episode of each row; empty where no column says it.
+fn index(reader: &SerializedFileReader<Bytes>) -> Result<Vec<f64>, Refusal> {
     let schema = reader.metadata().file_metadata().schema_descr_ptr();
-    let Some(at) =
-        (0..schema.num_columns()).find(|&at| schema.column(at).path().string() == EPISODE)
-    else {
-        return Ok(Vec::new());
-    };
-    let (mut lengths, mut values) = (Lengths::default(), Vec::new());
-    for group in 0..reader.num_row_groups() {
-        let group = reader.get_row_group(group).map_err(|error| worded(&error))?;
-        let column = group.get_column_reader(at).map_err(|error| worded(&error))?;
-        leaf(column, false, &mut lengths, &mut values, MOST_NUMBERS)?;
-    }
-    values.dedup();
-    Ok(values.iter().map(f64::to_string).collect())
+    let is_it = |at: &usize| schema.column(*at).path().string() == EPISODE;
+    let Some(at) = (0..schema.num_columns()).find(is_it) else { return Ok(Vec::new()) };
+    let mut of = Numbers { budget: MOST_NUMBERS, rows: 0..usize::MAX, ..Numbers::default() };
+    of.read(reader, at)?;
+    Ok(of.values)
 }
 
 /// The rows of each episode; the whole where there is no column of them.
@@ -157,73 +164,86 @@ impl Lengths {
     }
 }
 
-fn leaf(
-    column: ColumnReader,
+/// The numbers of a leaf in some rows; NaN where there is none.
+#[derive(Default)]
+struct Numbers {
     is_list: bool,
-    lengths: &mut Lengths,
-    values: &mut Vec<f64>,
     budget: usize,
-) -> Result<(), String> {
-    match column {
-        ColumnReader::BoolColumnReader(column) => {
-            numbers(column, is_list, lengths, values, budget, |value| f64::from(u8::from(value)))
-        }
-        ColumnReader::Int32ColumnReader(column) => {
-            numbers(column, is_list, lengths, values, budget, f64::from)
-        }
-        ColumnReader::Int64ColumnReader(column) => {
-            numbers(column, is_list, lengths, values, budget, |value| value as f64)
-        }
-        ColumnReader::FloatColumnReader(column) => {
-            numbers(column, is_list, lengths, values, budget, f64::from)
-        }
-        ColumnReader::DoubleColumnReader(column) => {
-            numbers(column, is_list, lengths, values, budget, |value| value)
-        }
-        _ => Err("it holds no numbers".to_owned()),
-    }
+    /// The rows of the file that are read.
+    rows: Range<usize>,
+    lengths: Lengths,
+    values: Vec<f64>,
 }
 
-/// Appends the numbers of a leaf in one row group; NaN where there is none.
-fn numbers<T: DataType>(
-    mut column: ColumnReaderImpl<T>,
-    is_list: bool,
-    lengths: &mut Lengths,
-    values: &mut Vec<f64>,
-    budget: usize,
-    number: impl Fn(T::T) -> f64,
-) -> Result<(), String> {
-    let (mut found, mut definitions, mut repetitions) = (Vec::new(), Vec::new(), Vec::new());
-    loop {
-        (found.clear(), definitions.clear(), repetitions.clear());
-        let (records, _, levels) = column
-            .read_records(BATCH, Some(&mut definitions), Some(&mut repetitions), &mut found)
-            .map_err(|error| worded(&error))?;
-        if records == 0 {
-            return Ok(());
+impl Numbers {
+    /// Reads column `at` of all row groups that have any of the rows.
+    fn read(&mut self, reader: &SerializedFileReader<Bytes>, at: usize) -> Result<(), Refusal> {
+        let mut first = 0;
+        for group in 0..reader.num_row_groups() {
+            let group = reader.get_row_group(group).map_err(|error| worded(&error))?;
+            let count = usize::try_from(group.metadata().num_rows()).unwrap_or(0);
+            let own = self.rows.start.max(first)..self.rows.end.min(first + count);
+            if !own.is_empty() {
+                let column = group.get_column_reader(at).map_err(|error| worded(&error))?;
+                self.column(column, own.start - first..own.end - first)?;
+            }
+            first += count;
         }
-        if values.len() + levels > budget {
-            return Err(format!("it has more than {budget} numbers"));
-        }
-        let most = definitions.iter().copied().max().unwrap_or(0);
-        let is_all = definitions.is_empty() || found.len() == levels;
-        let mut own = found.drain(..);
-        for level in 0..levels {
-            lengths.count(!is_list || repetitions.get(level).is_none_or(|level| *level == 0));
-            let is_there = is_all || definitions[level] == most;
-            values.push(own.next_if(is_there).map_or(f64::NAN, &number));
+        self.lengths.end();
+        Ok(())
+    }
+
+    fn column(&mut self, column: ColumnReader, rows: Range<usize>) -> Result<(), Refusal> {
+        match column {
+            ColumnReader::BoolColumnReader(column) => {
+                self.append(column, rows, |value| f64::from(u8::from(value)))
+            }
+            ColumnReader::Int32ColumnReader(column) => self.append(column, rows, f64::from),
+            ColumnReader::Int64ColumnReader(column) => {
+                self.append(column, rows, |value| value as f64)
+            }
+            ColumnReader::FloatColumnReader(column) => self.append(column, rows, f64::from),
+            ColumnReader::DoubleColumnReader(column) => self.append(column, rows, |value| value),
+            _ => Err("it holds no numbers".to_owned()),
         }
     }
-}
 
-trait NextIf: Iterator + Sized {
-    /// The next where there is one.
-    fn next_if(&mut self, is_there: bool) -> Option<Self::Item> {
-        if is_there { self.next() } else { None }
+    fn append<T: DataType>(
+        &mut self,
+        mut column: ColumnReaderImpl<T>,
+        rows: Range<usize>,
+        number: impl Fn(T::T) -> f64,
+    ) -> Result<(), Refusal> {
+        let (mut found, mut definitions, mut repetitions) = (Vec::new(), Vec::new(), Vec::new());
+        column.skip_records(rows.start).map_err(|error| worded(&error))?;
+        let mut left = rows.len();
+        while left > 0 {
+            (found.clear(), definitions.clear(), repetitions.clear());
+            let most = BATCH.min(left);
+            let (records, _, levels) = column
+                .read_records(most, Some(&mut definitions), Some(&mut repetitions), &mut found)
+                .map_err(|error| worded(&error))?;
+            if records == 0 {
+                return Ok(());
+            }
+            left -= records.min(left);
+            if self.values.len() + levels > self.budget {
+                return Err(format!("it has more than {} numbers", self.budget));
+            }
+            let most = definitions.iter().copied().max().unwrap_or(0);
+            let is_all = definitions.is_empty() || found.len() == levels;
+            let mut own = found.drain(..);
+            for level in 0..levels {
+                let starts = repetitions.get(level).is_none_or(|level| *level == 0);
+                self.lengths.count(!self.is_list || starts);
+                let is_there = is_all || definitions[level] == most;
+                let value = if is_there { own.next() } else { None };
+                self.values.push(value.map_or(f64::NAN, &number));
+            }
+        }
+        Ok(())
     }
 }
-
-impl<I: Iterator> NextIf for I {}
 
 fn worded(error: &ParquetError) -> Refusal {
     let text = error.to_string();
