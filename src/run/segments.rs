@@ -280,6 +280,8 @@ mod tests {
             span: None,
             losses: Vec::new(),
             notes: Vec::new(),
+            contradictions: None,
+            robot_type: None,
         }
     }
 

@@ -27,8 +27,8 @@ pub fn write(report: &FleetReport, out: &mut dyn Write) -> io::Result<()> {
     if !report.errors.is_empty() {
         writeln!(out, "\n| not audited | why |\n|---|---|")?;
     }
-    let errors = report.errors.iter().take(MOST_ROWS);
-    errors.map(|row| writeln!(out, "| {} | {} |", code(&row.path), prose(&row.what))).collect()
+    let mut errors = report.errors.iter().take(MOST_ROWS);
+    errors.try_for_each(|row| writeln!(out, "| {} | {} |", code(&row.path), prose(&row.what)))
 }
 
 fn finding(row: &FindingRow, out: &mut dyn Write) -> io::Result<()> {

@@ -22,7 +22,7 @@ pub(crate) fn first_line(bytes: &[u8]) -> bool {
     let cells: Vec<&[u8]> = rtde::cells(row, delimiter).collect();
     let is_number = |cell: &&[u8]| rtde::number(cell, delimiter != b',').is_some();
     let numbers = cells.iter().filter(|cell| is_number(cell)).count();
-    names.len() > 2 && !names.iter().any(|name| is_number(&name)) && 2 * numbers > names.len()
+    names.len() > 2 && !names.iter().any(is_number) && 2 * numbers > names.len()
         // The last cell of a row may be cut off where only a beginning was read.
         && cells.len() <= names.len()
 }

@@ -209,15 +209,13 @@ pub(super) fn is_stem_of_joints(stem: &[String]) -> bool {
 
 /// What of a stem tells one arm from another: `left`, `right` and the like; empty for plain words.
 pub(super) fn side(stem: &[String]) -> String {
-    let own = stem.iter().map(String::as_str);
-    own.filter(|word| ["left", "right", "l", "r"].contains(word)).next().map_or(
-        String::new(),
-        |side| match side {
-            "l" => "left_".to_owned(),
-            "r" => "right_".to_owned(),
-            side => format!("{side}_"),
-        },
-    )
+    let mut own = stem.iter().map(String::as_str);
+    match own.find(|word| ["left", "right", "l", "r"].contains(word)) {
+        Some("l") => "left_".to_owned(),
+        Some("r") => "right_".to_owned(),
+        Some(side) => format!("{side}_"),
+        None => String::new(),
+    }
 }
 
 /// Whether the words of a stem are those that everybody uses, beside a side.

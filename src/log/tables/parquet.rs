@@ -107,7 +107,7 @@ fn index(reader: &SerializedFileReader<Bytes>) -> Result<Vec<f64>, Refusal> {
 /// The rows of each episode; the whole where there is no column of them.
 fn episodes(leaves: &[Leaf], rows: usize) -> Vec<(String, Table)> {
     let index = leaves.iter().find(|leaf| leaf.name == EPISODE && leaf.width == 1);
-    let mut spans: Vec<(String, std::ops::Range<usize>)> = Vec::new();
+    let mut spans: Vec<(String, Range<usize>)> = Vec::new();
     match index {
         Some(index) => {
             for row in 0..rows {
@@ -120,7 +120,7 @@ fn episodes(leaves: &[Leaf], rows: usize) -> Vec<(String, Table)> {
         }
         None => spans.push(("0".to_owned(), 0..rows)),
     }
-    let table = |span: std::ops::Range<usize>| Table {
+    let table = |span: Range<usize>| Table {
         rows: span.len(),
         columns: leaves
             .iter()
@@ -218,7 +218,9 @@ impl Numbers {
         column.skip_records(rows.start).map_err(|error| worded(&error))?;
         let mut left = rows.len();
         while left > 0 {
-            (found.clear(), definitions.clear(), repetitions.clear());
+            found.clear();
+            definitions.clear();
+            repetitions.clear();
             let most = BATCH.min(left);
             let (records, _, levels) = column
                 .read_records(most, Some(&mut definitions), Some(&mut repetitions), &mut found)
@@ -236,7 +238,7 @@ impl Numbers {
             for level in 0..levels {
                 let starts = repetitions.get(level).is_none_or(|level| *level == 0);
                 self.lengths.count(!self.is_list || starts);
-                let is_there = is_all || definitions[level] == most;
+                let is_there = is_all || definitions.get(level) == Some(&most);
                 let value = if is_there { own.next() } else { None };
                 self.values.push(value.map_or(f64::NAN, &number));
             }

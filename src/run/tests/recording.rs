@@ -138,6 +138,8 @@ impl Recording {
             messages: 0,
             span: None,
             notes: Vec::new(),
+            contradictions: None,
+            robot_type: None,
             losses: Vec::new(),
         }
     }
