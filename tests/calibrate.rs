@@ -3,21 +3,21 @@
 use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
 
 use poseaudit::geometry::{Convention, Pose, pose, rotation_from_rotvec, rotation_from_rpy};
 use poseaudit::robot::{Robot, catalogue};
 use serde_json::Value;
 use tempfile::TempDir;
 
+use crate::program::poseaudit;
+
 const CLEAN: &str = "fixtures/clean.mcap";
 
-fn poseaudit(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_poseaudit"))
-        .args(args)
-        .current_dir(env!("CARGO_MANIFEST_DIR"))
-        .output()
-        .expect("the binary runs")
+/// What `calibrate` says of a table of postures of that UR10.
+fn of_table(log: &str, out: &str) -> Output {
+    const ARM: [&str; 6] = ["--robot", "ur10", "--base", "base", "--tip", "tool0"];
+    poseaudit(&[&["calibrate", log, "--out", out, "--format", "json"], &ARM[..]].concat())
 }
 
 fn path(folder: &TempDir, name: &str) -> String {
@@ -112,6 +112,7 @@ fn what_is_written_of_a_log_is_read_again_and_audits_clean() {
     let found = json(&poseaudit(&["calibrate", CLEAN, "--out", &out, "--format", "json"]));
     assert_eq!(found["schema"], "poseaudit.calibration/1");
     assert_eq!(found["written"], true, "{}", found["refused"]);
+    assert_eq!(found["converged"], true, "{}", found["last_step"]);
     let kept =
         fs::read_to_string(folder.path().join("calibrated/calibration.json")).expect("a file");
     assert_eq!(serde_json::from_str::<Value>(&kept).expect("JSON"), found);
@@ -143,21 +144,7 @@ fn a_table_without_stamps_gives_the_arm_whatever_its_units_and_its_convention() 
     let folder = TempDir::new().expect("a folder");
     let (log, out) = (path(&folder, "postures.csv"), path(&folder, "calibrated"));
     fs::write(&log, table(120, [true; 6])).expect("a file");
-    let call = [
-        "calibrate",
-        &log,
-        "--robot",
-        "ur10",
-        "--base",
-        "base",
-        "--tip",
-        "tool0",
-        "--out",
-        &out,
-        "--format",
-        "json",
-    ];
-    let output = poseaudit(&call);
+    let output = of_table(&log, &out);
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stdout));
     let found = json(&output);
     let stream = &found["streams"][0];
@@ -176,22 +163,16 @@ fn a_log_in_which_one_joint_moves_carries_no_calibration() {
     let folder = TempDir::new().expect("a folder");
     let (log, out) = (path(&folder, "postures.csv"), path(&folder, "calibrated"));
     fs::write(&log, table(60, [false, false, true, false, false, false])).expect("a file");
-    let output = poseaudit(&[
-        "calibrate",
-        &log,
-        "--robot",
-        "ur10",
-        "--base",
-        "base",
-        "--tip",
-        "tool0",
-        "--out",
-        &out,
-    ]);
+    let output = of_table(&log, &out);
     let text = String::from_utf8_lossy(&output.stdout).into_owned()
         + &String::from_utf8_lossy(&output.stderr);
     assert!(matches!(output.status.code(), Some(1 | 3)), "{text}");
     assert!(!Path::new(&out).exists(), "{text}");
+    if output.status.code() == Some(1) {
+        let plan = json(&output)["plan"].as_str().expect("a call").to_owned();
+        assert!(plan.starts_with("poseaudit plan ur10 ") && plan.contains(" --around="), "{plan}");
+        assert!(plan.ends_with(" --for calibration --outside"), "{plan}");
+    }
 }
 
 #[test]

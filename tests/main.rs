@@ -10,6 +10,8 @@ mod fixtures;
 mod fleet;
 mod fuzz;
 mod meta;
+mod names;
+mod options;
 mod outputs;
 mod plan;
 mod program;

@@ -11,6 +11,8 @@ The work is done by the binary `poseaudit`, which comes with this package; `pyth
 """
 
 from ._audit import audit
+from ._compare import Comparison, compare
+from ._desk import fk, pose
 from ._errors import CallError, LogError, PoseauditError, ProgramError, ReportError
 from ._fleet import Failure, Fleet, fleet
 from ._frame import Rows
@@ -38,6 +40,7 @@ from ._report import (
 __all__ = [
     "CallError",
     "Check",
+    "Comparison",
     "Estimate",
     "Failure",
     "File",
@@ -64,5 +67,8 @@ __all__ = [
     "Trouble",
     "Workspace",
     "audit",
+    "compare",
+    "fk",
     "fleet",
+    "pose",
 ]

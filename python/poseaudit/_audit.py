@@ -1,13 +1,18 @@
-"""`audit`: one run, one report."""
+"""`audit`: one run, one report; and what is had of the same run again: its page, its samples."""
 
 from __future__ import annotations
 
+import html
 import os
+import tempfile
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 from . import _binary
 from ._errors import CallError, LogError, ProgramError
+from ._frame import read_parquet
 from ._options import Options, arguments
 from ._report import Report
 
@@ -15,6 +20,8 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 _FINDINGS, _MISUSE, _UNUSABLE = 1, 2, 3
+#: Options that write files, or that decide how the call ends: not asked again.
+_ONCE = ("fix", "rrd", "mesh_root", "parquet", "write_baseline", "require")
 
 
 def audit(
@@ -33,18 +40,52 @@ def audit(
     paths = [path] if isinstance(path, (str, os.PathLike)) else list(path)
     if not paths:
         raise TypeError("audit(): no log: name one file, or the files of one run")
-    call = [
-        "audit",
-        "--format=json",
-        *arguments("audit", options, Options),
-        "--",
-        *(os.fspath(one) for one in paths),
-    ]
-    done = _binary.run(call)
+    logs = tuple(os.path.abspath(one) if os.path.lexists(one) else os.fspath(one) for one in paths)
+    asked = arguments("audit", options, Options)
+    again = arguments("audit", {name: one for name, one in options.items() if name not in _ONCE}, Options)
+    with tempfile.TemporaryDirectory(prefix="poseaudit-") as folder:
+        status, said = _called([*asked, "--format=json", "--format=text", f"--output={folder}"], paths)
+        text = Path(folder, "report.txt").read_text(encoding="utf-8")
+        report = Report.from_json(Path(folder, "report.json").read_bytes())
+    report = report.of_run(text=text, run=_Run(tuple(again), logs))
+    if status == _FINDINGS and report.ok:
+        return report.left_open(_binary.trouble_in(said))
+    return report
+
+
+def _called(options: Sequence[str], paths: Sequence[str | os.PathLike[str]]) -> tuple[int, str]:
+    """Audits; the exit status and what was said on stderr. Raises where that gives no report."""
+    done = _binary.run(["audit", "--quiet", *options, "--", *(os.fspath(one) for one in paths)])
     if done.returncode not in (0, _FINDINGS):
         error = {_MISUSE: CallError, _UNUSABLE: LogError}.get(done.returncode, ProgramError)
         raise error(_binary.trouble_in(done.stderr))
-    report = Report.from_json(done.stdout)
-    if done.returncode == _FINDINGS and report.ok:
-        return report.left_open(_binary.trouble_in(done.stderr))
-    return report
+    return done.returncode, done.stderr
+
+
+@dataclass(frozen=True)
+class _Run:
+    """A run that was audited: its options and its logs."""
+
+    options: tuple[str, ...]
+    logs: tuple[str, ...]
+
+    def html(self) -> str:
+        """The report with its pictures as one page."""
+        with tempfile.TemporaryDirectory(prefix="poseaudit-") as folder:
+            page = Path(folder, "report.html")
+            _called([*self.options, "--format=html", f"--output={page}"], self.logs)
+            return page.read_text(encoding="utf-8")
+
+    def samples(self, library: Literal["polars", "pandas"]) -> Any:
+        """The samples of the pose streams beside forward kinematics, as a frame."""
+        with tempfile.TemporaryDirectory(prefix="poseaudit-") as folder:
+            _called([*self.options, f"--parquet={folder}"], self.logs)
+            return read_parquet(Path(folder, "aligned.parquet"), library)
+
+
+def in_frame(page: str, height_px: int = 720) -> str:
+    """A whole page inside of another one."""
+    return (
+        f'<iframe srcdoc="{html.escape(page)}" style="width:100%;height:{height_px}px;border:0"'
+        ' title="poseaudit report"></iframe>'
+    )

@@ -10,7 +10,7 @@ import sysconfig
 from collections.abc import Sequence
 from pathlib import Path
 
-from ._errors import ProgramError
+from ._errors import CallError, ProgramError
 
 #: Names another binary than the one in the wheel, for those who build it themselves.
 OVERRIDE = "POSEAUDIT_BIN"
@@ -70,6 +70,15 @@ def run(
             f"{binary}: it was ended by {_signal_name(-done.returncode)}; see the system's log"
         )
     return done
+
+
+def answer(arguments: Sequence[str], *, may_find: bool = False) -> str:
+    """What the binary prints. Status 1 is an answer where it `may_find` something; any other is raised."""
+    done = run(arguments)
+    if done.returncode == 0 or (may_find and done.returncode == 1):
+        return done.stdout
+    error = CallError if done.returncode == 2 else ProgramError
+    raise error(trouble_in(done.stderr))
 
 
 def _signal_name(number: int) -> str:

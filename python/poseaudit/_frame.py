@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
 
 if TYPE_CHECKING:
@@ -93,6 +94,20 @@ class Rows(tuple[Row, ...]):
 
     def _by_column(self) -> dict[str, list[Any]]:
         return {name: [row.get(name) for row in self._cells] for name in self._columns}
+
+
+def read_parquet(path: Path, library: Literal["polars", "pandas"]) -> Any:
+    """A table that the program wrote, as a frame of that library, which must be installed."""
+    if library == "polars":
+        import polars
+
+        # Not mapped: the file may go.
+        return polars.read_parquet(path, memory_map=False)
+    if library == "pandas":
+        import pandas
+
+        return pandas.read_parquet(path)
+    raise ValueError(f"{library!r}: there are frames of 'polars' and 'pandas'")
 
 
 def _flat(row: Mapping[str, Any]) -> dict[str, object]:

@@ -23,6 +23,8 @@ class How(TypedDict, total=False):
     """URDF, table or catalogue name; `{prefix: file}` with several arms."""
     calibration: Of | None
     """A UR's calibration; `{prefix: file}` with several arms."""
+    joint_map: Texts | Mapping[str, str] | None
+    """Joints that the log and the model name otherwise: `{log: model}`."""
     base: str | None
     """Link that the chain begins at."""
     tip: str | None
@@ -62,6 +64,8 @@ class Options(How, total=False):
     """Folders that the meshes of the robot's URDF are sought below, for the recording."""
     parquet: Path | None
     """Folder for tables."""
+    write_baseline: Path | None
+    """File for the report as JSON, to hold later logs against."""
 
 
 class FleetOptions(How, total=False):

@@ -9,11 +9,15 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 from ._decode import decode
 from ._errors import ReportError
 from ._frame import Rows
+
+if TYPE_CHECKING:
+    import pandas
+    import polars
 
 SCHEMA = "poseaudit.report/1"
 
@@ -212,7 +216,7 @@ class Plan:
     command: str
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Report:
     """The report on one run."""
 
@@ -235,6 +239,55 @@ class Report:
     """The rules of `require` that could not conclude, as the program says it; not in the JSON."""
     json: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
     """The whole report as it came."""
+    text: str = field(default="", repr=False, compare=False)
+    """The report for a terminal, as `str()` gives it; empty where it was read from JSON."""
+    run: Any = field(default=None, repr=False, compare=False)
+    """What `html()` and `samples()` are had of: the run that was audited."""
+
+    def __repr__(self) -> str:
+        codes = ", ".join(dict.fromkeys(finding.code for finding in self.findings))
+        found = f"{len(self.findings)} findings ({codes})" if codes else "no findings"
+        logs = ", ".join(file.path for file in self.log.files)
+        return f"<poseaudit.Report {self.verdict}: {found}, {logs}>"
+
+    def __str__(self) -> str:
+        return self.text or "\n".join(
+            [self.verdict, *(f"{one.severity} {one.code} {one.message}" for one in self.findings)]
+        )
+
+    def html(self) -> str:
+        """The report as one page with its pictures, which opens in any browser.
+
+        The log is read again. Raises `ReportError` for a report that was read from JSON.
+        """
+        return str(self._again("html").html())
+
+    def _repr_html_(self) -> str | None:
+        """The page, in a notebook; none of a report that was read from JSON."""
+        from ._audit import in_frame
+
+        return None if self.run is None else in_frame(self.html())
+
+    @overload
+    def samples(self, library: Literal["polars"] = "polars") -> polars.DataFrame: ...
+    @overload
+    def samples(self, library: Literal["pandas"]) -> pandas.DataFrame: ...
+    def samples(self, library: Literal["polars", "pandas"] = "polars") -> Any:
+        """The samples of the pose streams as logged, by forward kinematics and corrected, a row each, with
+        the columns of `aligned.parquet` (docs/tables.md). The log is read again.
+
+        Raises `ReportError` for a report that was read from JSON.
+        """
+        return self._again("samples").samples(library)
+
+    def _again(self, what: str) -> Any:
+        if self.run is None:
+            raise ReportError(f"{what}: the report was read from JSON; audit the log for it")
+        return self.run
+
+    def of_run(self, *, text: str, run: object) -> Report:
+        """This report, with its text and the run that it is of."""
+        return replace(self, text=text, run=run)
 
     @property
     def ok(self) -> bool:
@@ -262,4 +315,4 @@ class Report:
                 f"the report: schema {schema!r}, not {SCHEMA!r}; install the version that wrote it"
             )
         # What is no key of the report is not read from it.
-        return decode(cls, {**value, "open": None, "json": value}, "the report")
+        return decode(cls, {**value, "open": None, "json": value, "text": "", "run": None}, "the report")

@@ -12,9 +12,9 @@ use crate::evidence::{ArmEvidence, Lost, PoseEvidence, RunEvidence};
 use crate::geometry::Pose;
 use crate::log;
 use crate::places::Places;
-use crate::report::{Trouble, TroubleKind};
+use crate::report::{PlanOf, Trouble, TroubleKind, plan_around};
 use crate::robot::Robot;
-use crate::run::{Arm, PoseSource, Run, Witness};
+use crate::run::{Arm, PoseSource, Run, Witness, robot_of};
 use crate::stream::JointTrack;
 
 /// Frames that are off by more than this are no link's deviation, m and rad.
@@ -65,6 +65,8 @@ pub struct Calibrated {
     pub found: ArmCalibration,
     /// The joints that moved little.
     pub still: Vec<Still>,
+    /// The call that writes a motion which would tell more.
+    pub plan: Option<String>,
     /// Why no file is written, where the logs do not carry one.
     pub refused: Option<String>,
     /// What was read.
@@ -157,7 +159,27 @@ pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<Calibrated, T
     let still = still(&drawing, &joints, &found);
     let refused = refusal(&found, &still);
     let read = options.places();
-    Ok(Calibrated { drawing, joints, streams, left_out, found, still, refused, read })
+    let plan = streams.first().and_then(|stream| plan(options, &drawing, stream));
+    Ok(Calibrated { drawing, joints, streams, left_out, found, still, plan, refused, read })
+}
+
+/// The call of `plan` for a motion around where the arm of `stream` worked.
+fn plan(options: &Options, drawing: &Robot, stream: &Taken) -> Option<String> {
+    let [base, tip] = [&stream.base, &stream.tip].map(|name| drawing.link(name));
+    let chain = drawing.chain(base?, tip?).ok()?;
+    let given = options.run.robots.first().map(|given| given.model.clone());
+    let name = given.or_else(|| drawing.text().is_none().then(|| drawing.name.clone()));
+    let call = plan_around(&PlanOf {
+        robot: drawing,
+        chain: &chain,
+        joints: &stream.joints,
+        columns: &stream.columns,
+        model: name.and_then(|name| Some((name.clone(), robot_of(&name).ok()?))),
+        log: &stream.log,
+        in_log: String::new(),
+    })?;
+    let outside = if stream.witness == Witness::External { " --outside" } else { "" };
+    Some(format!("{call} --for calibration{outside}"))
 }
 
 /// Whether two models are of one arm: the same joints with the same origins.

@@ -111,6 +111,7 @@ mod tests {
             links: Vec::new(),
             deviations: Vec::new(),
             link_m: 3e-4,
+            unsettled: None,
             parameters: Vec::new(),
             zeros: Vec::new(),
             values: Vec::new(),

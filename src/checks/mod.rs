@@ -182,6 +182,14 @@ impl Grade {
             Grade::From(thresholds) => thresholds,
         }
     }
+
+    /// The gravest that it can be.
+    pub fn most(&self) -> Severity {
+        match self {
+            Grade::Fixed(severity) => *severity,
+            Grade::From(_) => Severity::Error,
+        }
+    }
 }
 
 impl fmt::Display for Grade {

@@ -5,12 +5,15 @@ use std::path::PathBuf;
 use poseaudit::checks::Selector;
 use poseaudit::output::replay::Recording;
 use poseaudit::output::{fix, tables};
-use poseaudit::report::{Report, Trouble};
+use poseaudit::report::{Format, Report, Trouble};
 use poseaudit::{Audited, Options};
 
 use super::how::{How, first};
 use super::progress::watched;
-use super::{Outcome, misuse, output, reports, view};
+use super::{Outcome, misuse, output, reports, say, statistics, view};
+
+/// The option that names the file for a baseline.
+const BASELINE: &str = "--write-baseline";
 
 /// Audit one recorded run: what is wrong with its poses, by how much, and how sure that is
 ///
@@ -24,6 +27,8 @@ Examples:
   poseaudit audit run.mcap --robot my_arm.urdf --tip tool0 --fail-on error
   poseaudit audit run.mcap --format json --format sarif --format junit --output reports
   poseaudit audit run.mcap --fix mend
+  poseaudit audit run.mcap --write-baseline baseline.json
+  poseaudit audit run.mcap --config auto --statistics -q
   poseaudit audit run.mcap --rrd run.rrd --mesh-root ~/ws/install/ur_description/share
   poseaudit audit s3://bucket/cell7/run.mcap
   poseaudit audit run_0.mcap run_1.mcap --select LAT,ZER001 --require LAT001")]
@@ -61,6 +66,14 @@ pub struct Args {
     #[arg(long, value_name = "FILE", conflicts_with = "fix")]
     corrections: Option<PathBuf>,
 
+    /// Write the report as JSON into this file, too: what `compare` holds later logs against
+    #[arg(long, value_name = "FILE")]
+    write_baseline: Option<PathBuf>,
+
+    /// Print how many findings each rule has, in the place of the report
+    #[arg(long)]
+    statistics: bool,
+
     /// Fail if one of these rules is inconclusive
     #[arg(long, value_name = "CODES", value_delimiter = ',')]
     require: Vec<Selector>,
@@ -80,6 +93,7 @@ fn asked(args: &Args, how: Options) -> Result<Options, Trouble> {
     if let Some(folder) = &args.fix {
         fix::enter(folder, &options.run.robots, &mut places);
     }
+    args.write_baseline.iter().for_each(|path| places.writes(BASELINE, path));
     args.reports.enter(&mut places);
     places.check()?;
     Ok(options)
@@ -93,10 +107,31 @@ impl Args {
 
     /// Writes what was asked for beside the report; what could not be.
     fn write_outputs(&self, audited: &mut Audited) -> Vec<Trouble> {
-        let recorded = self.recording().map(|recording| audited.record(&recording));
-        let tables = self.parquet.as_deref().map(|folder| audited.write_tables(folder));
-        let fixes = self.fix.as_deref().map(|folder| audited.write_fixes(folder));
-        [recorded, tables, fixes].into_iter().flatten().filter_map(Result::err).collect()
+        let recorded = self.rrd.as_deref().zip(self.recording());
+        let recorded = recorded.map(|(path, recording)| (path, audited.record(&recording)));
+        let tables = self.parquet.as_deref().map(|folder| (folder, audited.write_tables(folder)));
+        let fixes = self.fix.as_deref().map(|folder| (folder, audited.write_fixes(folder)));
+        let outputs = [recorded, tables, fixes].into_iter().flatten();
+        let unwritten = outputs.filter_map(|(path, done)| done.map(|()| say::wrote(path)).err());
+        unwritten.collect()
+    }
+
+    /// Writes the report, or the counts of what is found, and the baseline.
+    fn emit(&self, report: &Report) -> Result<(), Trouble> {
+        let written = match self.statistics {
+            true => statistics::emit(report, &self.reports),
+            false => self.reports.emit(report),
+        };
+        let kept = match (&self.write_baseline, Format::named("json")) {
+            (Some(path), _) if report.error.is_some() => {
+                let what = "not written: a log that could not be audited is no baseline";
+                Err(misuse(path.display().to_string(), what, "see the error of the audit"))
+            }
+            (Some(path), Some(format)) => reports::emit(format, report, Some(path)),
+            _ => Ok(()),
+        };
+        // One that cannot be written keeps no other from it.
+        written.and(kept)
     }
 }
 
@@ -116,6 +151,10 @@ fn meshes_can_be_drawn(args: &Args) -> Result<(), Trouble> {
 
 pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     args.reports.can_be_followed()?;
+    if args.statistics {
+        statistics::can_be_followed(&args.reports)?;
+    }
+    args.how.find_config(&args.logs)?;
     meshes_can_be_drawn(&args)?;
     // Before the config is read, so that no report on what is wrong with it takes the place of a file.
     asked(&args, args.how.named())?;
@@ -147,8 +186,9 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     };
     let report = report.called(&asked_alone());
     // Whatever else could not be written, the report is not lost.
-    args.reports.emit(&report)?;
+    let emitted = args.emit(&report);
     report.error.iter().chain(&unwritten).for_each(output::error);
+    emitted?;
     if let Some(trouble) = unwritten.first() {
         return Ok(trouble.kind.into());
     }
@@ -164,17 +204,27 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     Ok(outcome)
 }
 
-/// The words of the call without what it writes, and where.
+/// The words of the call without what it writes, where, and what is said meanwhile.
 fn asked_alone() -> Vec<String> {
-    const OUTPUTS: [&str; 6] = ["--format", "--output", "--fix", "--parquet", "--rrd", "--view"];
-    let mut words = std::env::args_os().skip(1).map(|word| word.display().to_string());
+    const WITH_VALUE: [&str; 8] =
+        ["--format", "--output", "-o", "--fix", "--parquet", "--rrd", BASELINE, "--color"];
+    const ALONE: [&str; 6] = ["--view", "--statistics", "-q", "--quiet", "-v", "--verbose"];
+    let words = std::env::args_os().skip(1).map(|word| word.display().to_string());
+    let words: Vec<String> = words.collect();
+    // What is written to it in the end is an option.
+    let is_plain = |word: &String| word == "--" || !word.starts_with('-');
+    let logs =
+        words.iter().rposition(|word| word == "--").filter(|&at| words[at..].iter().all(is_plain));
+    let words = words.into_iter().enumerate().filter(|(at, _)| Some(*at) != logs);
+    let mut words = words.map(|(_, word)| word);
     let mut asked = vec!["poseaudit".to_owned()];
     while let Some(word) = words.next() {
         let option = word.split('=').next().unwrap_or_default();
-        match OUTPUTS.contains(&option) {
-            false => asked.push(word),
-            true if option == word && option != "--view" => drop(words.next()),
-            true => {}
+        let is_joined = word.starts_with("-o") && word.len() > 2;
+        if WITH_VALUE.contains(&word.as_str()) {
+            words.next();
+        } else if !is_joined && !ALONE.contains(&option) && !WITH_VALUE.contains(&option) {
+            asked.push(word);
         }
     }
     asked

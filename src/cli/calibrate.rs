@@ -8,7 +8,7 @@ use poseaudit::{Options, calibrate};
 use super::how::How;
 use super::output::{self, Format};
 use super::progress::watched;
-use super::{Outcome, misuse};
+use super::{Outcome, misuse, say};
 
 /// Estimate the links of an arm from logs of it, and write its model anew
 ///
@@ -46,7 +46,8 @@ pub struct Args {
 }
 
 pub fn run(args: Args) -> Result<Outcome, Trouble> {
-    let Args { logs, how, out, topic, format } = args;
+    let Args { logs, mut how, out, topic, format } = args;
+    how.find_config(&logs)?;
     let with = |options: Options| Options { logs: logs.clone(), ..options };
     // Before the config is read, so that nothing that is wrong with it comes before a file that would be lost.
     let mut places = with(how.named()).places();
@@ -63,8 +64,9 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
         calibrate(&options, topic.as_deref())
     })?;
     let written = found.write(&out)?;
-    let files: Vec<String> =
-        written.iter().map(|name| out.join(name).display().to_string()).collect();
+    let files: Vec<PathBuf> = written.iter().map(|name| out.join(name)).collect();
+    files.iter().for_each(|file| say::wrote(file));
+    let files: Vec<String> = files.iter().map(|file| file.display().to_string()).collect();
     output::emit(None, |stdout| match format {
         Format::Text => found.write_text(&files, stdout),
         Format::Json => writeln!(stdout, "{:#}", found.json()),

@@ -8,26 +8,27 @@ use clap::ValueEnum;
 use poseaudit::Options;
 use poseaudit::compare::{compare, markdown, text};
 use poseaudit::log::{self, LogError, ReadOptions};
-use poseaudit::places::Places;
-use poseaudit::report::{Report, Trouble, TroubleKind};
+use poseaudit::report::{Report, Trouble, TroubleKind, Verdict};
 
-use super::how::FailOn;
+use super::how::How;
 use super::progress::watched;
 use super::{Outcome, output};
 
-/// Compare two reports, or a log with its baseline report: new, fixed and worse findings
+/// Compare two reports or logs, or a log with its baseline: new, fixed and worse findings
 ///
-/// A log is audited with the default options first. Exit status: 0 no regression; 1 a finding at or
-/// above --fail-on that is new or has grown, a pass that is none any more, or a log that cannot be
-/// audited any more; 2 the call is wrong.
+/// A log is audited first, with the options of `audit`; a report is taken as it is. Exit status: 0 no
+/// regression; 1 a finding at or above --fail-on that is new or has grown, a pass that is none any more, a
+/// log that cannot be audited any more or, with --fail-on inconclusive, that verdict of the new one; 2 the
+/// call is wrong.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   poseaudit compare baseline.json today.json
   poseaudit compare baseline.json run.mcap --fail-on error
-  poseaudit compare baseline.json run.mcap --format markdown --output comment.md")]
+  poseaudit compare monday.mcap tuesday.mcap --robot my_arm.urdf --select ZER,LAT
+  poseaudit compare baseline.json run.mcap --format markdown -o comment.md")]
 pub struct Args {
-    /// The baseline: a report that --format json wrote, or a log
+    /// The baseline: a report that --write-baseline or --format json wrote, or a log
     #[arg(value_name = "OLD")]
     old: PathBuf,
 
@@ -35,17 +36,16 @@ pub struct Args {
     #[arg(value_name = "NEW")]
     new: PathBuf,
 
+    #[command(flatten)]
+    how: How,
+
     /// How it is printed
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
 
     /// Write it to this file instead of stdout
-    #[arg(long, value_name = "PATH")]
+    #[arg(short, long, value_name = "PATH")]
     output: Option<PathBuf>,
-
-    /// Exit with 1 from findings of this severity
-    #[arg(long, value_enum, value_name = "SEVERITY", default_value_t = FailOn::Warning)]
-    fail_on: FailOn,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -58,14 +58,17 @@ enum Format {
     Markdown,
 }
 
-pub fn run(args: &Args) -> Result<Outcome, Trouble> {
-    let mut places = Places::default();
-    places.reads_log(&args.old);
-    places.reads_log(&args.new);
+pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
+    let sides = [&args.old, &args.new];
+    let logs: Vec<&PathBuf> = sides.into_iter().filter(|path| !is_json(path)).collect();
+    args.how.find_config(&logs)?;
+    let mut places = args.how.named().places();
+    sides.into_iter().for_each(|path| places.reads_log(path));
     args.output.iter().for_each(|path| places.writes(output::OUTPUT, path));
     places.check()?;
-    let (old, new) = (kept(&args.old, Side::Old)?, kept(&args.new, Side::New)?);
-    let comparison = compare(&old, &new, args.fail_on.into());
+    let (how, _) = args.how.options()?;
+    let (old, new) = (kept(&args.old, Side::Old, &how)?, kept(&args.new, Side::New, &how)?);
+    let comparison = compare(&old, &new, how.policy.fail_on);
     output::emit(args.output.as_deref(), |out| match args.format {
         Format::Text => text(&comparison, out),
         Format::Markdown => markdown(&comparison, out),
@@ -74,7 +77,8 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
             writeln!(out)
         }
     })?;
-    Ok(if comparison.regression { Outcome::Findings } else { Outcome::Clean })
+    let is_open = how.policy.fail_on_inconclusive && new.verdict == Verdict::Inconclusive;
+    Ok(if comparison.regression || is_open { Outcome::Findings } else { Outcome::Clean })
 }
 
 /// Which of the two a file is.
@@ -86,13 +90,13 @@ enum Side {
 
 /// The report at `path`, or that on the log there. Of a new log that cannot be read it says so, which
 /// is worse than any baseline.
-fn kept(path: &Path, side: Side) -> Result<Report, Trouble> {
+fn kept(path: &Path, side: Side, how: &Options) -> Result<Report, Trouble> {
     if is_json(path) {
         return Report::from_file(path);
     }
     let audited = watched(|progress| {
-        let read = ReadOptions { progress: Some(progress), ..ReadOptions::default() };
-        poseaudit::audit(&Options { logs: vec![path.to_owned()], read, ..Options::default() })
+        let read = ReadOptions { progress: Some(progress), ..how.read.clone() };
+        poseaudit::audit(&Options { logs: vec![path.to_owned()], read, ..how.clone() })
     });
     match audited {
         Err(trouble) if side == Side::New && trouble.kind == TroubleKind::Log && is_log(path) => {

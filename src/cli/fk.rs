@@ -12,7 +12,7 @@ use poseaudit::run::robot_of;
 use serde_json::json;
 
 use super::output::Format;
-use super::{Outcome, misuse, output};
+use super::{Outcome, misuse, output, say};
 
 /// Forward kinematics: the pose of one link in another, for one configuration or a file of them
 #[derive(Debug, clap::Args)]
@@ -40,7 +40,7 @@ pub struct Args {
     file: Option<PathBuf>,
 
     /// Where the poses go: a file that ends in .csv or .parquet
-    #[arg(long, value_name = "FILE", requires = "file")]
+    #[arg(short, long, value_name = "FILE", requires = "file")]
     output: Option<PathBuf>,
 
     /// The link that the pose is in
@@ -126,7 +126,9 @@ fn many(chain: &Chain, args: &Args, file: &Path, output: &Path) -> Result<(), Tr
     let written = kinematics_frame(chain, &q, &poses)
         .map_err(|error| TableError { path: output.to_owned(), cause: error.to_string() })
         .and_then(|mut frame| write_frame(output, &mut frame));
-    written.map_err(|error| trouble("--output", error))
+    written.map_err(|error| trouble("--output", error))?;
+    say::wrote(output);
+    Ok(())
 }
 
 fn one(robot: &Robot, chain: &Chain, args: &Args) -> Result<(), Trouble> {

@@ -1,5 +1,6 @@
 //! `poseaudit fleet`.
 
+use std::ffi::OsString;
 use std::io::{self, Write};
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
@@ -95,7 +96,7 @@ pub struct Args {
     format: Format,
 
     /// Write the summary to this file instead of stdout
-    #[arg(long, value_name = "PATH")]
+    #[arg(short, long, value_name = "PATH")]
     output: Option<PathBuf>,
 
     /// Audit this one log, as stdin says: what this program calls itself with
@@ -151,6 +152,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     if let Some(Command::Report(args)) = args.command.take() {
         return fleet_report::run(args);
     }
+    args.how.find_config(&args.sources)?;
     let (options, _) = args.how.clone().options()?;
     let out = args.out.clone().unwrap_or_default();
     if let Some(log) = &args.worker {
@@ -251,9 +253,10 @@ fn audit(
 /// This very call, for one log.
 fn worker(log: &Path) -> io::Result<process::Command> {
     let mut command = process::Command::new(std::env::current_exe()?);
-    // The name of the program, and that of the command.
-    let mut args = std::env::args_os().skip(1);
-    command.args(args.next()).arg("--worker").arg(log).args(args);
+    // Before the name of the command only what all commands take may stand.
+    let args: Vec<OsString> = std::env::args_os().skip(1).collect();
+    let name = args.iter().position(|word| word == "fleet").map_or(0, |at| at + 1);
+    command.args(&args[..name]).arg("--worker").arg(log).args(&args[name..]);
     Ok(command)
 }
 

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use poseaudit::checks::Selector;
+use poseaudit::config::FailOn;
 use poseaudit::fleet::report::{
     Day, FleetReport, Question, write_html, write_markdown, write_text,
 };
@@ -11,7 +12,6 @@ use poseaudit::fleet::{Store, Template};
 use poseaudit::places::Places;
 use poseaudit::report::Trouble;
 
-use super::how::FailOn;
 use super::{Outcome, misuse, output};
 
 /// Say what the logs of a fleet tell together: which arms fail which rules, and what moves over time
@@ -34,11 +34,11 @@ pub struct Args {
     format: Format,
 
     /// Write it to this file instead of stdout
-    #[arg(long, value_name = "PATH")]
+    #[arg(short, long, value_name = "PATH")]
     output: Option<PathBuf>,
 
-    /// Exit with 1 from findings of this severity
-    #[arg(long, value_enum, value_name = "SEVERITY", default_value_t = FailOn::Warning)]
+    /// Exit with 1 from findings of this severity, or also where a verdict is open
+    #[arg(long, value_enum, value_name = "SEVERITY", default_value = "warning")]
     fail_on: FailOn,
 
     /// Findings of logs from before this day, in UTC, do not count; trends see all logs
@@ -82,6 +82,7 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
     };
     let question = Question {
         fail_on: args.fail_on.into(),
+        fails_open: args.fail_on == FailOn::Inconclusive,
         since_ns: args.since.map(Day::start_ns),
         template: args.labels_from,
         settings: args.settings,

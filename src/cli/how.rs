@@ -1,13 +1,17 @@
 //! How a log is audited, as every command that audits with options takes it.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use clap::ValueEnum;
 use poseaudit::checks::Selector;
-use poseaudit::config::{self, ClockName, Config};
-use poseaudit::finding::Severity;
+use poseaudit::config::{self, ClockName, Config, FILE_NAME};
+use poseaudit::log::is_url;
 use poseaudit::report::Trouble;
-use poseaudit::run::{CalibrationSource, Declaration, RobotSource, RunOptions};
+use poseaudit::run::{CalibrationSource, Declaration, JointName, RobotSource, RunOptions};
+
+use super::{misuse, say};
+
+/// In the place of a config: it is looked for.
+const AUTO: &str = "auto";
 
 /// The options that say so.
 #[derive(Clone, Debug, clap::Args)]
@@ -21,6 +25,10 @@ pub struct How {
     #[arg(long = "calibration", value_name = "FILE")]
     calibrations: Vec<CalibrationSource>,
 
+    /// Joints that the log and the model name otherwise [default: matched by name, else by order]
+    #[arg(long, value_name = "LOG=MODEL", value_delimiter = ',')]
+    joint_map: Vec<JointName>,
+
     /// Link that the chain begins at
     #[arg(long, value_name = "LINK")]
     base: Option<String>,
@@ -29,8 +37,9 @@ pub struct How {
     #[arg(long, value_name = "LINK")]
     tip: Option<String>,
 
-    /// Config file (TOML): robot, topics, thresholds, ignored findings
-    #[arg(long, value_name = "FILE")]
+    /// Config file (TOML): robot, topics, thresholds, ignored findings; auto: the poseaudit.toml in the
+    /// folder of the log, or in the nearest above it
+    #[arg(long, value_name = "FILE|auto")]
     config: Option<PathBuf>,
 
     /// Run only these rules: codes or prefixes, as in LAT,ZER001
@@ -67,27 +76,6 @@ pub struct How {
     declare: Vec<Declaration>,
 }
 
-/// What fails a comparison or a report, which have no open verdict.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum FailOn {
-    /// Errors
-    Error,
-    /// Warnings and errors
-    Warning,
-    /// Nothing
-    Never,
-}
-
-impl From<FailOn> for Option<Severity> {
-    fn from(fail_on: FailOn) -> Self {
-        match fail_on {
-            FailOn::Error => Some(Severity::Error),
-            FailOn::Warning => Some(Severity::Warning),
-            FailOn::Never => None,
-        }
-    }
-}
-
 pub fn positive_seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(seconds) if seconds > 0.0 && seconds.is_finite() => Ok(seconds),
@@ -96,6 +84,45 @@ pub fn positive_seconds(text: &str) -> Result<f64, String> {
 }
 
 impl How {
+    /// Takes the config that is nearest to the logs where the command line says `--config auto`.
+    ///
+    /// # Errors
+    /// Where there is none, or not one for all logs.
+    pub fn find_config(&mut self, logs: &[impl AsRef<Path>]) -> Result<(), Trouble> {
+        if self.config.as_deref() != Some(Path::new(AUTO)) {
+            return Ok(());
+        }
+        let refused = |what: String| {
+            let remedy =
+                format!("name the file with --config {FILE_NAME}, or leave the option out");
+            Err(misuse("--config auto", what, remedy))
+        };
+        let mut found: Vec<PathBuf> = Vec::new();
+        for log in logs.iter().map(AsRef::as_ref) {
+            if is_url(log) || log == Path::new("-") {
+                return refused(format!("{} is in no folder", log.display()));
+            }
+            match Config::nearest_to(&before_wildcards(log)) {
+                Some(file) if found.contains(&file) => {}
+                Some(file) => found.push(file),
+                None => {
+                    let place = log.display();
+                    return refused(format!("there is no {FILE_NAME} beside {place} or above it"));
+                }
+            }
+        }
+        match found.as_slice() {
+            [file] => say::detail("config", || file.display().to_string()),
+            [first, second, ..] => {
+                let (first, second) = (first.display(), second.display());
+                return refused(format!("the logs have several: {first} and {second}"));
+            }
+            [] => {}
+        }
+        self.config = found.pop();
+        Ok(())
+    }
+
     /// The files that the command line names, before the config is read.
     pub fn named(&self) -> poseaudit::Options {
         poseaudit::Options {
@@ -125,6 +152,9 @@ impl How {
         if !self.calibrations.is_empty() {
             run.calibrations = self.calibrations;
         }
+        if !self.joint_map.is_empty() {
+            run.joint_map = self.joint_map;
+        }
         run.base = self.base.or(run.base.take());
         run.tip = self.tip.or(run.tip.take());
         run.stamp = self.stamp.map_or(run.stamp, Into::into);
@@ -143,6 +173,17 @@ impl How {
         options.read.verify = self.verify;
         options.read.max_unpacked_gib = self.max_unpacked;
         Ok((options, required))
+    }
+}
+
+/// The folders of a pattern that are named in full.
+fn before_wildcards(pattern: &Path) -> PathBuf {
+    let is_plain = |part: &std::path::Component<'_>| {
+        !part.as_os_str().to_string_lossy().contains(['*', '?', '[', '{'])
+    };
+    match pattern.exists() {
+        true => pattern.to_owned(),
+        false => pattern.components().take_while(is_plain).collect(),
     }
 }
 

@@ -25,7 +25,7 @@ pub struct Args {
     logs: Vec<PathBuf>,
 
     /// Write to this file, which must not exist, instead of stdout
-    #[arg(long, value_name = "FILE")]
+    #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
 
     /// Write the JSON schema of a config, for editors, instead

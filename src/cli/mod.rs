@@ -22,6 +22,8 @@ mod progress;
 mod reports;
 mod robots;
 mod rules;
+mod say;
+mod statistics;
 mod tf;
 mod view;
 
@@ -81,6 +83,9 @@ Examples:
   poseaudit explain LAT001"
 )]
 struct Cli {
+    #[command(flatten)]
+    say: say::Say,
+
     #[command(subcommand)]
     command: Command,
 }
@@ -89,7 +94,7 @@ struct Cli {
 enum Command {
     Audit(Box<audit::Args>),
     Calibrate(Box<calibrate::Args>),
-    Compare(compare::Args),
+    Compare(Box<compare::Args>),
     Fleet(Box<fleet::Args>),
     Info(info::Args),
     Init(init::Args),
@@ -108,10 +113,21 @@ enum Command {
 /// Follows the command line. What is wrong with the call itself is said by `clap`, which ends the
 /// process with status 2.
 pub fn run() -> Outcome {
-    let result = Cli::try_parse().map_err(refused).and_then(|cli| match cli.command {
+    let result = Cli::try_parse().map_err(refused).and_then(|cli| {
+        cli.say.apply();
+        follow(cli.command)
+    });
+    result.unwrap_or_else(|trouble| {
+        output::error(&trouble);
+        trouble.kind.into()
+    })
+}
+
+fn follow(command: Command) -> Result<Outcome, Trouble> {
+    match command {
         Command::Audit(args) => audit::run(*args),
         Command::Calibrate(args) => calibrate::run(*args),
-        Command::Compare(args) => compare::run(&args),
+        Command::Compare(args) => compare::run(*args),
         Command::Fleet(args) => fleet::run(*args),
         Command::Info(args) => info::run(&args),
         Command::Init(args) => init::run(args),
@@ -125,11 +141,7 @@ pub fn run() -> Outcome {
         Command::Plan(args) => plan::run(&args),
         Command::Completions(args) => completions::run(&args),
         Command::Man(args) => man::run(&args),
-    });
-    result.unwrap_or_else(|trouble| {
-        output::error(&trouble);
-        trouble.kind.into()
-    })
+    }
 }
 
 /// What is wrong where a log stands in the place of a command. All else is said by `clap`, which ends the

@@ -11,6 +11,8 @@ use clap::ValueEnum;
 use comfy_table::{Table, presets};
 use poseaudit::report::{Trouble, tame, upright, write_whole};
 
+use super::say;
+
 /// How an answer that is no report is printed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Format {
@@ -33,6 +35,9 @@ pub fn error(what: impl Display) {
 
 /// One line on stderr that says what to heed.
 pub fn warning(what: impl Display) {
+    if say::is_quiet() {
+        return;
+    }
     anstream::eprintln!("{WARNING}warning:{WARNING:#} {}", tame(&what.to_string()));
 }
 
@@ -98,5 +103,7 @@ fn to_stdout(text: &[u8]) -> io::Result<()> {
 }
 
 fn to_file(path: &Path, text: &[u8]) -> io::Result<()> {
-    write_whole(path, |staged| StripStream::new(File::create(staged)?).write_all(text))
+    write_whole(path, |staged| StripStream::new(File::create(staged)?).write_all(text))?;
+    say::wrote(path);
+    Ok(())
 }

@@ -127,7 +127,7 @@ pub struct Args {
     format: Option<Format>,
 
     /// Where it is written
-    #[arg(long, value_name = "FILE")]
+    #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
 
     /// Look at the motion in this file instead: the joints' positions over time as CSV, as JSON or as a

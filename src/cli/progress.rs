@@ -6,9 +6,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{HumanBytes, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use poseaudit::fleet::Course;
 use poseaudit::log::Progress;
+
+use super::say;
 
 /// Nobody needs a bar for what is done sooner.
 const PATIENCE: Duration = Duration::from_secs(1);
@@ -18,8 +20,8 @@ const REDRAW: Duration = Duration::from_millis(100);
 /// somebody watches.
 pub fn watched<T>(work: impl FnOnce(Arc<Progress>) -> T) -> T {
     let progress = Arc::new(Progress::default());
-    if !io::stderr().is_terminal() {
-        return work(progress);
+    if say::is_quiet() || !io::stderr().is_terminal() {
+        return timed(progress, work);
     }
     let (done, waits) = mpsc::channel::<()>();
     let watcher = thread::Builder::new().spawn({
@@ -35,10 +37,20 @@ pub fn watched<T>(work: impl FnOnce(Arc<Progress>) -> T) -> T {
             bar.finish_and_clear();
         }
     });
-    let result = work(progress);
+    let result = timed(progress, work);
     drop(done);
     // A watcher that failed, or that the system did not start, has nothing to say about the work.
     let _ = watcher.map(thread::JoinHandle::join);
+    result
+}
+
+/// Does `work` and says to who asked how long it took.
+fn timed<T>(progress: Arc<Progress>, work: impl FnOnce(Arc<Progress>) -> T) -> T {
+    let began = Instant::now();
+    let result = work(Arc::clone(&progress));
+    say::detail("read", || {
+        format!("{}, {:.2} s", HumanBytes(progress.read()), began.elapsed().as_secs_f64())
+    });
     result
 }
 
@@ -69,7 +81,7 @@ pub struct Logs {
 impl Logs {
     /// Of so many logs.
     pub fn new(total: usize) -> Self {
-        let bar = io::stderr().is_terminal().then(|| {
+        let bar = (!say::is_quiet() && io::stderr().is_terminal()).then(|| {
             let template = "{bar:30} {pos} of {len} logs, {per_sec}, {eta} left";
             let style = ProgressStyle::with_template(template);
             let target = ProgressDrawTarget::stderr();
@@ -87,7 +99,7 @@ impl Logs {
             return;
         }
         let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
-        if told.elapsed() < LINE_EVERY {
+        if say::is_quiet() || told.elapsed() < LINE_EVERY {
             return;
         }
         *told = Instant::now();

@@ -22,7 +22,7 @@ pub struct Reports {
     formats: Vec<&'static Format>,
 
     /// Write the report to this file instead of stdout; of several formats, into this folder
-    #[arg(long, value_name = "PATH")]
+    #[arg(short, long, value_name = "PATH")]
     output: Option<PathBuf>,
 }
 
@@ -74,6 +74,11 @@ impl Reports {
             }
             (output, _) => output.iter().for_each(|path| places.writes(OUTPUT, path)),
         }
+    }
+
+    /// The place and the format of the only one.
+    pub fn only(&self) -> Option<(&'static Format, Option<&Path>)> {
+        <[_; 1]>::try_from(self.each()).ok().map(|[format]| (format, self.output.as_deref()))
     }
 
     /// Whether the report is to tell what kept it from saying more; a text alone leaves that to

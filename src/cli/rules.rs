@@ -1,22 +1,69 @@
 //! `poseaudit rules`.
 
-use poseaudit::checks;
+use poseaudit::checks::{self, Rule};
 use poseaudit::report::Trouble;
+use serde_json::{Value, json};
 
+use super::output::Format;
 use super::{Outcome, output};
 
 /// List rules and their thresholds
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  poseaudit rules")]
-pub struct Args {}
+  poseaudit rules
+  poseaudit rules --format json")]
+pub struct Args {
+    /// How they are listed
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    format: Format,
+}
 
-pub fn run(_: &Args) -> Result<Outcome, Trouble> {
-    let mut table = output::table(["code", "name", "severity", "what is wrong"]);
-    for rule in checks::registry() {
-        table.add_row([rule.code, rule.name, &rule.grade.to_string(), rule.summary()]);
-    }
-    output::emit(None, |out| writeln!(out, "{}", table.trim_fmt()))?;
+pub fn run(args: &Args) -> Result<Outcome, Trouble> {
+    let rules = checks::registry();
+    output::emit(None, |out| match args.format {
+        Format::Json => {
+            let rules: Vec<Value> = rules.iter().map(|rule| as_json(rule)).collect();
+            serde_json::to_writer_pretty(&mut *out, &rules)?;
+            writeln!(out)
+        }
+        Format::Text => {
+            let mut table = output::table(["code", "name", "severity", "what is wrong"]);
+            for rule in rules {
+                table.add_row([rule.code, rule.name, &rule.grade.to_string(), rule.summary()]);
+            }
+            writeln!(out, "{}", table.trim_fmt())
+        }
+    })?;
     Ok(Outcome::Clean)
+}
+
+/// A rule in SI units, its text in Markdown.
+fn as_json(rule: &Rule) -> Value {
+    let thresholds = rule.grade.thresholds().iter().map(|threshold| {
+        json!({
+            "unit": threshold.unit.symbol(),
+            "warning": threshold.warning,
+            "error": threshold.error,
+        })
+    });
+    let limits = rule.limits.iter().map(|limit| {
+        json!({
+            "key": limit.key,
+            "unit": limit.unit.symbol(),
+            "value": limit.value,
+            "what": limit.what,
+        })
+    });
+    json!({
+        "code": rule.code,
+        "name": rule.name,
+        "summary": rule.summary(),
+        "severity": rule.grade.most().name(),
+        "thresholds": thresholds.collect::<Vec<_>>(),
+        "limits": limits.collect::<Vec<_>>(),
+        "headline": rule.headline,
+        "needs_model": rule.needs_model,
+        "doc": rule.doc(),
+    })
 }

@@ -31,6 +31,10 @@ pub(super) struct File {
     /// A calibration: the JSON that `calibrate` wrote, or of a UR the YAML that `ur_calibration` extracts;
     /// with several arms a table by prefix. Default: what the log holds.
     pub calibration: Option<ByPrefix>,
+    /// Joints that the log and the model name otherwise: the model's name by the log's. Default: names are
+    /// matched, and where they differ, the order of the joints.
+    #[serde(default)]
+    pub joint_map: BTreeMap<String, String>,
     /// Link that the chain begins at. Default: the controller's base, else the root.
     pub base: Option<String>,
     /// End link; the pose streams are assumed to be this link's pose. A tip that is named here is held

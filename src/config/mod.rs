@@ -1,8 +1,8 @@
 //! The config of an audit, `poseaudit.toml`: what is known of a robot and its topics, and from where
 //! on what is wrong counts.
 //!
-//! An audit reads the file that the caller names and looks for none: the same call gives the same
-//! report wherever it is made.
+//! An audit reads the file that the caller names and looks for none, so that the same call gives the same
+//! report wherever it is made; with `--config auto` it takes the file of the usual name nearest to the log.
 
 mod file;
 mod quantity;
@@ -21,7 +21,9 @@ use crate::finding::Subject;
 use crate::log::ReadOptions;
 use crate::report::Trouble;
 use crate::robot::catalogue;
-use crate::run::{CalibrationSource, Declaration, RobotSource, RunOptions, TopicSettings};
+use crate::run::{
+    CalibrationSource, Declaration, JointName, RobotSource, RunOptions, TopicSettings,
+};
 
 use self::file::{ByPrefix, File, Ignore, Stream};
 
@@ -50,6 +52,14 @@ impl Config {
         Self::from_text(text, path)
     }
 
+    /// The file of the usual name in the folder of `log`, or that is one, else in the nearest folder above.
+    pub fn nearest_to(log: &Path) -> Option<PathBuf> {
+        let parent = || log.parent().filter(|parent| *parent != Path::new(""));
+        let folder = if log.is_dir() { log } else { parent().unwrap_or(Path::new(".")) };
+        let folder = folder.canonicalize().ok()?;
+        folder.ancestors().map(|folder| folder.join(FILE_NAME)).find(|file| file.is_file())
+    }
+
     /// Reads the text of the file at `path`.
     ///
     /// # Errors
@@ -67,6 +77,7 @@ impl Config {
         let mut run = RunOptions {
             robots: self.robots(),
             calibrations: self.calibrations(),
+            joint_map: self.joint_map(),
             base: base.clone(),
             tip: tip.clone(),
             declared: self.declarations(),
@@ -151,6 +162,15 @@ impl Config {
             file: self.beside(file),
         };
         all.map(source).collect()
+    }
+
+    fn joint_map(&self) -> Vec<JointName> {
+        let names = self.file.joint_map.iter();
+        let name = |(logged, modelled): (&String, &String)| JointName {
+            logged: logged.clone(),
+            modelled: modelled.clone(),
+        };
+        names.map(name).collect()
     }
 
     fn declarations(&self) -> Vec<Declaration> {

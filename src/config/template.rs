@@ -84,6 +84,11 @@ impl Template {
             "\"calibration.yaml\"",
             "as calibrate wrote it, or of a UR as ur_calibration extracts it",
         );
+        self.unset(
+            "joint_map",
+            "{ iiwa_joint_1 = \"lbr_A1\" }",
+            "joints that the log and the model name otherwise",
+        );
     }
 
     fn robot(&mut self, RobotRow { name, source, base, tip, .. }: &RobotRow) {

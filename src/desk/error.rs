@@ -12,7 +12,7 @@ pub enum DeskError {
     Contradiction { unit: String },
     #[error("`{name}` is no link of an arm{}", did_you_mean(nearest))]
     Frame { name: String, nearest: Option<String> },
-    #[error("`{word}` is no number")]
+    #[error("`{word}` is not a number")]
     Word { word: String },
     #[error("{count} numbers are no pose")]
     Count { count: usize },

@@ -84,7 +84,7 @@ mod tests {
     fn a_wrong_row_is_named() {
         let error =
             pairs_from_csv("is,but\n\"1 2 3\",\"1 2 3\"\n\"1 2 3\",\"1 x 3\"\n").unwrap_err();
-        assert_eq!(error.to_string(), "row 3: `x` is no number");
+        assert_eq!(error.to_string(), "row 3: `x` is not a number");
         let error = pairs_from_csv("1,2,3\n").unwrap_err();
         assert_eq!(error.to_string(), "row 1: it has 3 columns");
         assert_eq!(pairs_from_csv("is,but\n"), Err(DeskError::NoPairs));

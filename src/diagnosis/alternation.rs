@@ -47,6 +47,16 @@ pub struct Other {
     pub samples: usize,
 }
 
+impl Other {
+    /// Whether the jumps to it and back differ as those of no rigid body do: jitter of stamps makes such.
+    fn is_vague(&self) -> bool {
+        /// In standard errors, as a share.
+        const VAGUE: f64 = 0.1;
+        let is_vague = |of: &Measured| of.std_error.is_finite() && of.std_error > VAGUE * of.value;
+        is_vague(&self.length_m) && is_vague(&self.angle_rad)
+    }
+}
+
 impl Alternation {
     /// The same with lengths in m, where the positions of the stream are in another unit.
     pub fn in_m(&self, found: &PoseDiagnosis) -> Self {
@@ -98,6 +108,9 @@ pub fn alternation(joints: &JointTrack, stream: &PoseStream) -> Option<(Alternat
     }
     let samples = mended.len();
     let others: Vec<Other> = others.into_iter().map(|(_, other)| other).collect();
+    if others.iter().any(Other::is_vague) {
+        return None;
+    }
     Some((Alternation { others, samples }, mended))
 }
 

@@ -62,8 +62,9 @@ pub fn trend(told: &[Told]) -> Option<Trend> {
     let origin_s = told.iter().map(|one| one.time_s).sum::<f64>() / told.len() as f64;
     let times_s: Vec<f64> = told.iter().map(|one| one.time_s - origin_s).collect();
     let line = Fit::of(&told, &times_s)?;
-    let step =
-        step(&told).filter(|(_, fit)| fit.log_likelihood > line.log_likelihood + STEP_LIKELIER);
+    let step = step(&told)
+        .filter(|(_, fit)| fit.log_likelihood > line.log_likelihood + STEP_LIKELIER)
+        .filter(|(between_s, fit)| rests_on_no_run(&told, between_s[1], fit.slope.value));
     Some(Trend {
         rate_per_s: line.slope,
         level: line.level,
@@ -93,6 +94,19 @@ fn step(told: &[Told]) -> Option<([f64; 2], Fit)> {
         }
     }
     best
+}
+
+/// Whether a step by `by` before the runs from `after_s` on is there without any one of the runs, too: one
+/// run that is off is no step.
+fn rests_on_no_run(told: &[Told], after_s: f64, by: f64) -> bool {
+    /// So much of it must be left.
+    const LEFT: f64 = 0.5;
+    (0..told.len()).all(|out| {
+        let rest: Vec<Told> = [&told[..out], &told[out + 1..]].concat();
+        let side: Vec<f64> =
+            rest.iter().map(|one| f64::from(u8::from(one.time_s >= after_s))).collect();
+        Fit::of(&rest, &side).is_some_and(|fit| fit.slope.value / by >= LEFT)
+    })
 }
 
 /// `value = level + slope · (x − middle)`.
@@ -228,6 +242,22 @@ mod tests {
             let sloped = trend(&runs(20, 0.1, seed, |day| 0.2 * day)).expect("a trend");
             assert_eq!(sloped.step, None);
         }
+    }
+
+    #[test]
+    fn one_run_that_is_off_is_no_step() {
+        for (seed, at) in [1, 2, 10, 17, 18].into_iter().enumerate() {
+            let mut told = runs(20, 0.1, seed as u64, |_| 0.0);
+            told[at].value += 4.0;
+            assert_eq!(trend(&told).expect("a trend").step, None, "run {at} of 20");
+        }
+    }
+
+    #[test]
+    fn a_step_before_the_last_two_runs_is_one() {
+        let stepped = trend(&runs(12, 0.1, 3, |day| if day < 10.0 { 0.0 } else { -4.0 }));
+        let step = stepped.expect("a trend").step.expect("a step");
+        assert!((-4.5..-3.5).contains(&step.by.value), "{step:?}");
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! What shakes the tip.
 
 use crate::diagnosis::{Aligned, NoShake, PoseDiagnosis, Shake, encoder_step, shake};
+use crate::geometry::Pose;
 use crate::run::{Arm, JointSamples};
 use crate::stream::{JointTrack, PoseTrack};
 
@@ -24,11 +25,17 @@ pub(super) fn shake_of_poses(
     const APART_S: f64 = 0.04;
     /// Rows so near to a step are left out, s.
     const BESIDE_S: f64 = 0.1;
+    let Aligned { t_s: known_s, corrected, fk_at_truth, .. } = &found.aligned;
+    if found.inverted {
+        // The arm as the tool sees it shakes by the tool's turns too.
+        let at = |poses: &[Pose], row: usize| found.taken.back(&poses[row]).translation.vector;
+        let going = |row: usize| at(fk_at_truth, row);
+        return shake(known_s, |row| at(corrected, row), Some(&going));
+    }
     let jumps = found.course.as_ref().map_or(&[][..], |course| course.jumps.as_slice());
     let is_clear = |t_s: f64| jumps.iter().all(|jump| (jump.at_s - t_s).abs() > BESIDE_S);
     let rows: Vec<usize> = (0..track.t_s.len()).filter(|&row| is_clear(track.t_s[row])).collect();
     let t_s: Vec<f64> = rows.iter().map(|&row| track.t_s[row]).collect();
-    let Aligned { t_s: known_s, fk_at_truth, .. } = &found.aligned;
     // Where the stream would be by FK, at the nearest sample for which that is known.
     let going = |row: usize| {
         let after = known_s.partition_point(|known_s| *known_s < t_s[row]);

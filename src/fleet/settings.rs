@@ -59,6 +59,7 @@ impl AuditSettings {
         let said = json!({
             "robots": run.robots.iter().map(robot).collect::<Result<Vec<_>, _>>()?,
             "calibrations": run.calibrations.iter().map(calibration).collect::<Result<Vec<_>, _>>()?,
+            "joint_map": run.joint_map.iter().map(|of| (&of.logged, &of.modelled)).collect::<Vec<_>>(),
             "base": run.base,
             "tip": run.tip,
             "stamp": format!("{:?}", run.stamp),

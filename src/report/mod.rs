@@ -40,7 +40,7 @@ pub use file::write_whole;
 pub(crate) use file::{is_descriptor, replaceable};
 pub use format::{FORMATS, Format};
 pub use plans::PlanRow;
-pub(crate) use plans::plans;
+pub(crate) use plans::{PlanOf, plan_around, plans};
 pub use rows::{RobotRow, StreamRow};
 pub(crate) use rows::{joined, robots, streams};
 pub(crate) use tame::quoted;

@@ -1,6 +1,6 @@
 //! The calls of `poseaudit plan` that write the motions which would settle what was left open.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -13,6 +13,7 @@ use crate::evidence::{ArmEvidence, RunEvidence};
 use crate::finding::{CheckRow, Finding, Word, word};
 use crate::robot::{Chain, JointKind, Robot};
 use crate::run::{Arm, Run, RunOptions, Witness, robot_of};
+use crate::stream::JointTrack;
 
 /// One motion that would settle some of what was left open.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -74,30 +75,62 @@ pub(crate) fn plans(
 /// The call without its purpose; `None` where nothing that it can read has the arm's model, or the log
 /// visited no posture within the limits.
 fn call(run: &Run, arm: &Arm, options: &RunOptions, logs: &[PathBuf]) -> Option<String> {
-    let around: Vec<String> = posture(arm)?.iter().map(|q| shown(*q)).collect();
-    let around = around.join(",");
-    if let Some((model, robot)) = model(arm, options) {
-        // Links are named as in the log; their order is the model's.
-        let named = |name: &str| Some(robot.link_name(arm.robot.link(name)?).to_owned());
-        let base = named(arm.chain.base_name())?;
-        let tip = named(arm.chain.tip_name())?;
-        let usual_base = robot.default_base.as_deref().and_then(|name| robot.link(name));
-        let usual_base = robot.link_name(usual_base.unwrap_or_else(|| robot.root())).to_owned();
-        let usual_tip = robot.default_tip.as_deref().and_then(|name| robot.link(name));
-        let usual_tip = usual_tip.or_else(|| robot.leaf_links().last());
-        let base = if base == usual_base { String::new() } else { option("base", &base) };
-        let is_usual = usual_tip.is_some_and(|usual| robot.link_name(usual) == tip);
-        let tip = if is_usual { String::new() } else { option("tip", &tip) };
-        return Some(format!("poseaudit plan {}{base}{tip} --around={around}", shell_word(&model)));
-    }
-    let [log] = logs else { return None };
     let own = |name: &str, given: &Option<String>| {
         given.as_ref().map_or(String::new(), |given| option(name, given))
     };
     let (base, tip) = (own("base", &options.base), own("tip", &options.tip));
     let which = if run.arms.len() > 1 { option("arm", &arm.name) } else { String::new() };
-    let log = shell_word(&log.display().to_string());
-    Some(format!("poseaudit plan {log}{which}{base}{tip} --around={around}"))
+    let of = PlanOf {
+        robot: &arm.robot,
+        chain: &arm.chain,
+        joints: &arm.joints,
+        columns: &arm.columns,
+        model: model(arm, options),
+        log: logs.first()?,
+        in_log: format!("{which}{base}{tip}"),
+    };
+    plan_around(&of).filter(|_| of.model.is_some() || logs.len() == 1)
+}
+
+/// What a motion is to be planned around.
+pub(crate) struct PlanOf<'a> {
+    /// The arm, as the log names its links.
+    pub robot: &'a Robot,
+    /// Its chain.
+    pub chain: &'a Chain,
+    /// Its joint states.
+    pub joints: &'a JointTrack,
+    /// For each joint of the chain, its column in them.
+    pub columns: &'a [usize],
+    /// What `plan` reads it from by name or file, and what it then is; else the log.
+    pub model: Option<(String, Robot)>,
+    /// The log.
+    pub log: &'a Path,
+    /// The options that tell which arm of the log it is.
+    pub in_log: String,
+}
+
+/// The call of `plan` around a posture that the joint states visited; `None` where they visited none within
+/// the limits.
+pub(crate) fn plan_around(of: &PlanOf<'_>) -> Option<String> {
+    let around: Vec<String> =
+        posture(of.joints, of.columns, of.chain)?.iter().map(|q| shown(*q)).collect();
+    let around = around.join(",");
+    let Some((model, robot)) = &of.model else {
+        let log = shell_word(&of.log.display().to_string());
+        return Some(format!("poseaudit plan {log}{} --around={around}", of.in_log));
+    };
+    // Links are named as in the log; their order is the model's.
+    let named = |name: &str| Some(robot.link_name(of.robot.link(name)?).to_owned());
+    let (base, tip) = (named(of.chain.base_name())?, named(of.chain.tip_name())?);
+    let usual_base = robot.default_base.as_deref().and_then(|name| robot.link(name));
+    let usual_base = robot.link_name(usual_base.unwrap_or_else(|| robot.root()));
+    let usual_tip = robot.default_tip.as_deref().and_then(|name| robot.link(name));
+    let usual_tip = usual_tip.or_else(|| robot.leaf_links().last());
+    let base = if base == usual_base { String::new() } else { option("base", &base) };
+    let is_usual = usual_tip.is_some_and(|usual| robot.link_name(usual) == tip);
+    let tip = if is_usual { String::new() } else { option("tip", &tip) };
+    Some(format!("poseaudit plan {}{base}{tip} --around={around}", shell_word(model)))
 }
 
 /// The model that `plan` can read by name or file, where the log's own is not the arm's.
@@ -116,10 +149,9 @@ fn model(arm: &Arm, options: &RunOptions) -> Option<(String, Robot)> {
 
 /// The posture of the joint states that is nearest to the middle of each joint's positions, within the
 /// limits; turns that the limits allow no room for are taken off.
-fn posture(arm: &Arm) -> Option<Vec<f64>> {
+fn posture(joints: &JointTrack, columns: &[usize], chain: &Chain) -> Option<Vec<f64>> {
     /// Samples that tell where the middle is.
     const ENOUGH: usize = 20_000;
-    let (joints, columns) = (&arm.joints, &arm.columns);
     let rows = || (0..joints.len()).step_by(joints.len().div_ceil(ENOUGH).max(1));
     let middle = |&at: &usize| {
         let mut own: Vec<f64> = rows().map(|row| joints.row(row)[at]).collect();
@@ -132,7 +164,7 @@ fn posture(arm: &Arm) -> Option<Vec<f64>> {
     };
     let nearest = rows().min_by(|&a, &b| off(a).total_cmp(&off(b)))?;
     let q: Vec<f64> = columns.iter().map(|&at| joints.row(nearest)[at]).collect();
-    within(&arm.chain, q)
+    within(chain, q)
 }
 
 fn within(chain: &Chain, mut q: Vec<f64>) -> Option<Vec<f64>> {

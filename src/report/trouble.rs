@@ -56,6 +56,7 @@ impl From<&RunError> for Trouble {
             | RunError::NoModel { .. }
             | RunError::Ambiguous { .. }
             | RunError::Numbered { .. }
+            | RunError::SameMotion { .. }
             | RunError::UnknownJoints { .. }
             | RunError::MissingJoints { .. } => TroubleKind::Log,
             RunError::UnknownRobot { .. }
@@ -64,6 +65,7 @@ impl From<&RunError> for Trouble {
             | RunError::CalibrationOf { .. }
             | RunError::UnknownLink { .. }
             | RunError::Chain(_)
+            | RunError::JointMap { .. }
             | RunError::Declared { .. } => TroubleKind::Call,
         };
         let remedy = error.remedy().to_owned();

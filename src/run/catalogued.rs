@@ -2,8 +2,9 @@
 
 use crate::diagnosis::{Needs, Way};
 use crate::finding::Unit;
-use crate::robot::catalogue;
+use crate::robot::{Robot, catalogue};
 
+use super::by_order;
 use super::error::RunError;
 use super::model::{Clues, Model};
 use super::numbered;
@@ -32,6 +33,8 @@ pub(super) struct Standing {
     pub score: f64,
     /// The way in which it fits best.
     pub way: Way,
+    /// Rms distance of the positions from their mean, m.
+    pub spread_m: f64,
     /// What it leaves of the positions as logged, m.
     pub as_is_m: f64,
     /// Whether that way is near enough to be this arm's.
@@ -168,6 +171,29 @@ fn of_numbers(clues: &Clues<'_>, judges: &Judges<'_>) -> Result<Vec<Model>, RunE
     Ok(vec![Model { found, ..models[best.model].clone() }])
 }
 
+/// The arms of the catalogue that have the joints which the caller maps those of the log to, each map's the
+/// one that needs the fewest causes.
+pub(super) fn mapped_from_catalogue(
+    maps: &[Vec<(String, String)>],
+    clues: &Clues<'_>,
+    judges: &Judges<'_>,
+) -> Result<Vec<Model>, RunError> {
+    let each = maps.iter().map(|map| {
+        let has_all = |robot: &&Robot| map.iter().all(|(_, name)| robot.joint(name).is_some());
+        let renamed = catalogue::entries().iter().filter(has_all).filter_map(|robot| {
+            Some(Model::new(by_order::renamed(robot, map)?, String::new(), "", clues))
+        });
+        let equals: Vec<Model> = renamed.collect();
+        if equals.is_empty() {
+            let names: Vec<&str> = map.iter().map(|(_, name)| name.as_str()).collect();
+            let what = format!("no arm of the catalogue has the joints {}", names.join(", "));
+            return Err(RunError::JointMap { what });
+        }
+        the_one_of(equals, false, judges)
+    });
+    Ok(each.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
+}
+
 /// The one of catalogue arms with the same joint names that the log is of.
 fn the_one_of(
     equals: Vec<Model>,
@@ -252,6 +278,7 @@ mod tests {
             calibrations: &[],
             space: &space,
             robot_type: None,
+            joint_map: &[],
         };
         from_catalogue(&clues, judges)
     }
@@ -264,7 +291,7 @@ mod tests {
         let tool_m = Vec3::new(0.0, 0.0, 0.15);
         let way = Way { needs, misread: false, left_m, tool_m };
         let topic = "actual_TCP_pose".to_owned();
-        Standing { model, score, way, as_is_m: left_m, fits: left_m < 3e-3, topic }
+        Standing { model, score, way, spread_m: 0.3, as_is_m: left_m, fits: left_m < 3e-3, topic }
     }
 
     #[test]

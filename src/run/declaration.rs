@@ -45,6 +45,28 @@ impl From<&str> for CalibrationSource {
     }
 }
 
+/// A joint that the log and the model name otherwise: `LOG=MODEL`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct JointName {
+    /// Its name in the log.
+    pub logged: String,
+    /// Its name in the model.
+    pub modelled: String,
+}
+
+impl FromStr for JointName {
+    type Err = &'static str;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        match text.split_once('=') {
+            Some((logged, modelled)) if !logged.is_empty() && !modelled.is_empty() => {
+                Ok(Self { logged: logged.to_owned(), modelled: modelled.to_owned() })
+            }
+            _ => Err("expected LOG=MODEL, as in iiwa_joint_1=lbr_A1"),
+        }
+    }
+}
+
 /// What stands before and after the `=`, where a prefix does.
 fn after_prefix(text: &str) -> (Option<String>, &str) {
     match text.split_once('=') {

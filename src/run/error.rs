@@ -46,6 +46,18 @@ pub enum RunError {
         logged: Vec<String>,
         /// Joints of the model.
         modelled: Vec<String>,
+        /// Options that would match them, of which the log does not say which it is.
+        ways: Vec<String>,
+    },
+    /// Several catalogue arms, under other joint names, fit the log as well.
+    SameMotion {
+        /// The arms.
+        arms: Vec<String>,
+    },
+    /// A `--joint-map` cannot be followed.
+    JointMap {
+        /// What is wrong with it.
+        what: String,
     },
     /// A `--robot` is neither a file nor an arm of the catalogue.
     UnknownRobot {
@@ -108,12 +120,14 @@ impl RunError {
             | Self::UnknownLink { .. }
             | Self::Chain(_)
             | Self::MissingJoints { .. }
+            | Self::JointMap { .. }
             | Self::Declared { .. } => true,
             Self::NoJointStates { .. }
             | Self::NoSamples { .. }
             | Self::NoModel { .. }
             | Self::Ambiguous { .. }
             | Self::Numbered { .. }
+            | Self::SameMotion { .. }
             | Self::UnknownJoints { .. }
             | Self::Robot(_) => false,
         }
@@ -154,11 +168,21 @@ impl RunError {
             Self::UnknownJoints { robot, logged, modelled, .. } if modelled.is_empty() => {
                 format!("'{robot}' has no joint that moves: the log has {}", few(logged))
             }
-            Self::UnknownJoints { robot, logged, modelled, .. } => format!(
-                "'{robot}' has none of the logged joints: the log has {}, the model has {}",
-                few(logged),
-                few(modelled)
+            Self::UnknownJoints { robot, logged, modelled, ways, .. } => {
+                let said = match ways.as_slice() {
+                    [] => String::new(),
+                    [way] => format!("; in their order the poses do not fit ({way})"),
+                    ways => format!("; {} ways fit as well: {}", ways.len(), ways.join(" or ")),
+                };
+                let (logged, modelled) = (few(logged), few(modelled));
+                format!("joint names differ: the log has {logged}, {robot} has {modelled}{said}")
+            }
+            Self::SameMotion { arms } => format!(
+                "the joints have names of no arm of the catalogue, and in their order {} arms fit as well: {}",
+                arms.len(),
+                few(arms)
             ),
+            Self::JointMap { what } => what.clone(),
             Self::UnknownRobot { name, nearest } => {
                 format!(
                     "'{name}' is neither a file nor an arm of the catalogue{}",
@@ -193,7 +217,9 @@ impl RunError {
             Self::NoJointStates { .. }
             | Self::NoModel { .. }
             | Self::Ambiguous { .. }
-            | Self::Numbered { .. } => "the log".to_owned(),
+            | Self::Numbered { .. }
+            | Self::SameMotion { .. } => "the log".to_owned(),
+            Self::JointMap { .. } => "--joint-map".to_owned(),
             Self::NoSamples { .. } | Self::MissingJoints { .. } => "joint states".to_owned(),
             Self::UnknownJoints { source, .. } | Self::UnknownLink { source, .. } => source.clone(),
             Self::UnknownRobot { .. } => "--robot".to_owned(),
@@ -215,10 +241,15 @@ impl RunError {
             Self::NoModel { .. } => {
                 "pass --robot FILE with the arm's URDF, or --robot NAME of the catalogue, such as ur5e"
             }
-            Self::Ambiguous { .. } | Self::Numbered { .. } => {
+            Self::Ambiguous { .. } | Self::Numbered { .. } | Self::SameMotion { .. } => {
                 "pass --robot NAME with the one it is"
             }
-            Self::UnknownJoints { .. } => "joint names differ: pass the --robot that was recorded",
+            Self::JointMap { .. } => {
+                "write --joint-map LOG=MODEL,… with names of the log and of the model"
+            }
+            Self::UnknownJoints { .. } => {
+                "say which is which with --joint-map LOG=MODEL,…, or pass the --robot that was recorded"
+            }
             Self::UnknownRobot { .. } => {
                 "pass a URDF or TOML file, or a name of the catalogue, such as ur5e"
             }
@@ -265,10 +296,12 @@ impl From<ChainError> for RunError {
 /// The first few of `names`, and how many more there are.
 fn few(names: &[String]) -> String {
     const SHOWN: usize = 8;
-    let shown = names.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
-    match names.len().checked_sub(SHOWN) {
-        None | Some(0) => shown,
-        Some(more) => format!("{shown} and {more} more"),
+    // One more takes no more room than to say so.
+    let count = if names.len() == SHOWN + 1 { names.len() } else { SHOWN };
+    let shown = names.iter().take(count).map(String::as_str).collect::<Vec<_>>().join(", ");
+    match names.len().saturating_sub(count) {
+        0 => shown,
+        more => format!("{shown} and {more} more"),
     }
 }
 

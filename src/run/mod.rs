@@ -11,6 +11,7 @@
 mod apart;
 mod arm;
 mod assemble;
+mod by_order;
 mod cadence;
 mod carrier;
 mod catalogued;
@@ -68,7 +69,7 @@ pub use assemble::{ReferenceContent, ReferenceSource};
 pub use cadence::{Cadence, Extent, Hole, Rhythm, Stretch};
 pub use clock::{Alignment, Epoch, HeaderStamps, StreamClock};
 pub use contest::{Claimant, Contest};
-pub use declaration::{CalibrationSource, Declaration, DeclarationError, RobotSource};
+pub use declaration::{CalibrationSource, Declaration, DeclarationError, JointName, RobotSource};
 pub use error::RunError;
 pub use excerpts::Excerpts;
 pub use flaws::{Between, Flaw, FlawKind};
@@ -118,6 +119,8 @@ pub struct RunOptions {
     pub stamp: Clock,
     /// Stamps further than this off the other streams', s, are of another clock.
     pub max_latency_s: f64,
+    /// What the model calls joints that the log names otherwise.
+    pub joint_map: Vec<JointName>,
     /// How the caller says that single streams are coded.
     pub declared: Vec<Declaration>,
     /// What else the caller says of single topics.
@@ -129,6 +132,7 @@ impl Default for RunOptions {
         Self {
             robots: Vec::new(),
             calibrations: Vec::new(),
+            joint_map: Vec::new(),
             base: None,
             tip: None,
             stamp: Clock::Header,

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use super::declaration::JointName;
 use super::role::words;
 use super::space::{Claim, Space};
 use crate::robot::{LinkId, Robot, catalogue};
@@ -19,6 +20,8 @@ pub(super) struct Model {
     pub controller_base: Option<LinkId>,
     /// The link whose pose the controller reports, if the robot has it.
     pub controller_tip: Option<LinkId>,
+    /// Whether its joints are matched to the log's by their order, the names being others.
+    pub by_order: bool,
     /// The model that was named, where this one takes its place.
     pub instead_of: Option<WrongModel>,
 }
@@ -47,7 +50,8 @@ impl Model {
         };
         let controller_base = link(&robot.controller_base, known.0);
         let controller_tip = link(&robot.controller_tip, known.1);
-        Self { robot, found, frames, controller_base, controller_tip, instead_of: None }
+        let (by_order, instead_of) = (false, None);
+        Self { robot, found, frames, controller_base, controller_tip, by_order, instead_of }
     }
 }
 
@@ -61,6 +65,8 @@ pub(super) struct Clues<'a> {
     pub descriptions: &'a [(String, String)],
     /// Calibrations of a UR, each with the name of where it was.
     pub calibrations: &'a [(String, String)],
+    /// What the caller says of joints that the model names otherwise.
+    pub joint_map: &'a [JointName],
     /// What tells this arm from others whose joints have the same names.
     pub space: &'a Space,
     /// The type of the robot, as metadata say it.

@@ -3,10 +3,11 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use crate::robot::{Calibration, Robot, catalogue};
+use crate::robot::{Calibration, Robot, catalogue, nearest};
 
-use super::catalogued::{Judges, from_catalogue};
-use super::declaration::{CalibrationSource, RobotSource};
+use super::by_order;
+use super::catalogued::{Judges, from_catalogue, mapped_from_catalogue};
+use super::declaration::{CalibrationSource, JointName, RobotSource};
 use super::error::RunError;
 use super::model::{Clues, Model};
 use super::numbered;
@@ -146,7 +147,7 @@ pub(super) fn models(
 ) -> Result<Vec<Model>, RunError> {
     if !given.is_empty() {
         let alone = given.len() == 1;
-        let models = given.iter().map(|given| of_given(given, alone, clues));
+        let models = given.iter().map(|given| of_given(given, alone, clues, judges));
         if !clues.space.is_one_of_several() {
             return models.collect::<Result<Vec<_>, _>>().map(|models| models.concat());
         }
@@ -168,9 +169,10 @@ pub(super) fn models(
         let is_its = |joint: &&String| space.claim([joint.as_str()]) == Claim::Own;
         let own: Vec<String> = clues.joints.iter().filter(is_its).cloned().collect();
         let joints = if own.is_empty() { clues.joints.to_vec() } else { own };
-        let models = Robot::from_text(text, place)
-            .map_err(RunError::from)
-            .and_then(|robot| named(&robot, clues, joints, true, &found));
+        let models = Robot::from_text(text, place).map_err(RunError::from).and_then(|robot| {
+            let given = (&robot, joints.as_slice(), true);
+            called(given, clues, judges, &found)
+        });
         match models {
             Ok(models) => {
                 let is_new =
@@ -184,7 +186,14 @@ pub(super) fn models(
     if !described.is_empty() {
         return Ok(described);
     }
-    let mut catalogued = from_catalogue(clues, judges)?;
+    let maps = maps(clues.joint_map, clues.joints);
+    let mut catalogued = match maps.is_empty() {
+        true => from_catalogue(clues, judges)?,
+        false => mapped_from_catalogue(&maps, clues, judges)?,
+    };
+    if catalogued.is_empty() {
+        catalogued = by_order::catalogued(clues, judges)?;
+    }
     if catalogued.is_empty() {
         let none = || RunError::NoModel { logged: clues.joints.to_vec() };
         return Err(refusal.unwrap_or_else(none));
@@ -197,7 +206,12 @@ pub(super) fn models(
     Ok(catalogued)
 }
 
-fn of_given(given: &Given, alone: bool, clues: &Clues<'_>) -> Result<Vec<Model>, RunError> {
+fn of_given(
+    given: &Given,
+    alone: bool,
+    clues: &Clues<'_>,
+    judges: &Judges<'_>,
+) -> Result<Vec<Model>, RunError> {
     let is_of_space =
         given.prefix.as_deref().is_some_and(|prefix| clues.space.claim([prefix]) == Claim::Own);
     let fits = |name: &&String| {
@@ -205,7 +219,55 @@ fn of_given(given: &Given, alone: bool, clues: &Clues<'_>) -> Result<Vec<Model>,
     };
     let joints: Vec<String> = clues.joints.iter().filter(fits).cloned().collect();
     let may_repeat = alone && given.prefix.is_none();
-    named(&given.robot, clues, joints, may_repeat, "--robot")
+    called((&given.robot, &joints, may_repeat), clues, judges, "--robot")
+}
+
+/// The robot of the first, with its names matched to those of the second: as the caller maps them, else as
+/// they are spelt, else by their order.
+fn called(
+    (robot, joints, may_repeat): (&Robot, &[String], bool),
+    clues: &Clues<'_>,
+    judges: &Judges<'_>,
+    found: &str,
+) -> Result<Vec<Model>, RunError> {
+    let maps = maps(clues.joint_map, joints);
+    if !maps.is_empty() {
+        let found = format!("{found}, joints as --joint-map says");
+        let mapped = maps.iter().map(|map| {
+            let lacking = map.iter().find(|(_, modelled)| robot.joint(modelled).is_none());
+            if let Some((_, name)) = lacking {
+                let near = nearest(name, robot.joints().iter().map(|joint| joint.name.as_str()));
+                let near = near.first().map_or(String::new(), |near| format!("; is it '{near}'?"));
+                let what = format!("'{name}' is no joint of {}{near}", robot.name);
+                return Err(RunError::JointMap { what });
+            }
+            let what = format!("two joints of {} would have one name", robot.name);
+            let renamed = by_order::renamed(robot, map).ok_or(RunError::JointMap { what })?;
+            named(&renamed, clues, joints.to_vec(), false, &found)
+        });
+        return mapped.collect::<Result<Vec<_>, _>>().map(|models| models.concat());
+    }
+    match named(robot, clues, joints.to_vec(), may_repeat, found) {
+        Err(RunError::UnknownJoints { .. }) => {
+            by_order::matched(robot, joints, clues, judges, found)
+        }
+        models => models,
+    }
+}
+
+/// What the caller says of `joints`, log before model; where one joint of the model is several in the log,
+/// a map for each arm.
+fn maps(said: &[JointName], joints: &[String]) -> Vec<Vec<(String, String)>> {
+    let mut maps: Vec<Vec<(String, String)>> = Vec::new();
+    for JointName { logged, modelled } in said.iter().filter(|said| joints.contains(&said.logged)) {
+        let lacks = |map: &&mut Vec<(String, String)>| map.iter().all(|pair| pair.1 != *modelled);
+        let pair = (logged.clone(), modelled.clone());
+        match maps.iter_mut().find(lacks) {
+            Some(map) => map.push(pair),
+            None => maps.push(vec![pair]),
+        }
+    }
+    maps
 }
 
 /// `robot` under the names among `joints` that fit best and, if it `may_repeat`, once more for each
@@ -251,6 +313,7 @@ fn named(
             source: robot.source.clone(),
             logged: clues.joints.to_vec(),
             modelled: own.map(|joint| joint.name.clone()).collect(),
+            ways: Vec::new(),
         });
     }
     Ok(models)
@@ -337,6 +400,7 @@ mod tests {
             calibrations: &[],
             space: &ALONE,
             robot_type: None,
+            joint_map: &[],
         }
     }
 

@@ -55,6 +55,12 @@ impl Role {
 /// A role, and why in words.
 pub(super) type Verdict = (Role, String);
 
+/// Words of joints that are no arm's.
+pub(super) const OTHER_JOINTS: &[&str] = &[
+    "finger", "fingers", "thumb", "gripper", "hand", "jaw", "knuckle", "wheel", "wheels", "caster",
+    "steering", "head", "neck", "camera", "leg", "hip", "knee", "ankle", "toe",
+];
+
 /// Words of topics that carry what shall be, not what is.
 const GOALS: &[&str] = &[
     "goal",

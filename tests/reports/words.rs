@@ -6,7 +6,7 @@ use poseaudit::report::Format;
 use poseaudit::{Options, audit};
 
 /// Phrases of no trade.
-const NOT_SAID: [&str; 22] = [
+const NOT_SAID: [&str; 27] = [
     "differ from the controller's by",
     "cannot be told",
     "does not tell",
@@ -25,6 +25,11 @@ const NOT_SAID: [&str; 22] = [
     "speak up",
     "whose word",
     "anew",
+    "could not tell",
+    "the hand turns",
+    "no commanded line",
+    "others at other times",
+    "were looked at",
     "mended",
     "nothing wrong",
     "as noise would",

@@ -43,7 +43,7 @@ rule! {
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),
         headline: false,
         needs_model: true,
-        missing: "no commanded line in this log: no poses are commanded",
+        missing: "line accuracy: no commanded poses in this log",
         check: check,
     }
 }
@@ -100,8 +100,8 @@ fn judge(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence>) -> J
     let commanded = lines.iter().max_by(|a, b| a.command_rad.total_cmp(&b.command_rad));
     let Some(commanded) = commanded else {
         let why = match found.is_streamed {
-            true => "no commanded line in this log: no way from stop to stop is straight",
-            false => "no commanded line in this log: the commands are goals, and not streamed",
+            true => "line accuracy: no commanded path in this log is straight",
+            false => "line accuracy: the commands in this log are goals, not a streamed path",
         };
         return judged(Outcome::Skipped(why.to_owned()));
     };

@@ -38,7 +38,7 @@ rule! {
     ///
     /// ## How to fix
     /// Correct what `reading` names. Else calibrate the camera's lens, give the detector the right
-    /// size of the target, see that nothing slips, and calibrate hand to eye anew.
+    /// size of the target, see that nothing slips, and repeat the hand-eye calibration.
     ///
     /// ## When it misleads
     /// A detector's errors go with the view and do not average out: a few millimetres at a metre are
@@ -119,8 +119,11 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
                             parent: facts.parent_of(best.mount),
                             pose: best.camera.pose,
                         },
-                        title: "camera is not where frames say",
-                        message: format!("the camera is {} off the log's frames", show(error)),
+                        title: "camera mount error",
+                        message: format!(
+                            "the camera is {} from where the log's frames put it",
+                            show(error)
+                        ),
                         evidence: Evidence {
                             effect_m: Some(error.translation_m.value),
                             ..Evidence::default()
@@ -219,7 +222,7 @@ fn open_chain(facts: &HandEyeEvidence, solution: &Solution, severity: Severity) 
     Fault {
         severity,
         cause: Cause::Other,
-        title: "hand-eye chain is open",
+        title: "hand-eye chain does not close",
         message: format!(
             "hand-eye residual {m} and {rad} rms beyond the noise after the best fit ({}); {}",
             setting(solution),
@@ -227,7 +230,7 @@ fn open_chain(facts: &HandEyeEvidence, solution: &Solution, severity: Severity) 
         ),
         evidence: Evidence { effect_m: Some(closure.excess_m.value), ..Evidence::default() },
         fix:
-            "check the lens calibration, the target's size, and what may slip; then calibrate again"
+            "check lens calibration, target size and anything that may slip; then repeat the hand-eye calibration"
                 .to_owned(),
     }
 }
@@ -243,12 +246,12 @@ fn misread(reading: &TargetReading, as_logged: &Solution, thresholds: &FrameThre
     Fault {
         severity: severity.unwrap_or(Severity::Warning),
         cause: Cause::Other,
-        title: "target's poses are misread",
+        title: "target poses misread",
         message: format!("hand-eye residual {m} and {rad} rms as logged; it closes if {words}"),
         evidence: Evidence { effect_m: Some(closure.rms_m), ..Evidence::default() },
         fix: match reading {
             TargetReading::Stretched(stretch) => stretch_fix(stretch),
-            _ => "correct how the detector's rotation is written".to_owned(),
+            _ => "correct how the detector writes its rotation".to_owned(),
         },
     }
 }
@@ -261,7 +264,7 @@ fn other_mount(logged: Mount) -> Fault {
     Fault {
         severity: Severity::Error,
         cause: Cause::Other,
-        title: "camera is mounted otherwise",
+        title: "camera mount differs from the frames",
         message: format!(
             "the log's frames have the camera {}, and the chain closes only with it {} or with the \
              target's poses inverted",
@@ -278,7 +281,7 @@ fn other_mount(logged: Mount) -> Fault {
 /// How the target's poses must be read, in words.
 fn reading_words(reading: &TargetReading) -> String {
     match reading {
-        TargetReading::AsLogged => "they are read as logged".to_owned(),
+        TargetReading::AsLogged => "read as logged".to_owned(),
         TargetReading::Axes(axes) => {
             format!("its positions are {}", hec003::axes_words(axes))
         }

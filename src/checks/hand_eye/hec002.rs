@@ -70,7 +70,7 @@ fn judge(case: &Case, facts: &HandEyeEvidence) -> Judged {
         )),
         _ if is_poor => Outcome::faulty(fault(diversity, needed, &undetermined)),
         _ => Outcome::sound_because(format!(
-            "the hand turns by {}, about axes within {}{}",
+            "the hand rotates by {}, about axes spread over {}{}",
             Unit::Radian.show(diversity.span_rad),
             Unit::Radian.show(diversity.spread_rad),
             match undetermined.as_slice() {
@@ -98,10 +98,10 @@ fn fault(diversity: &Diversity, needed: [f64; 2], undetermined: &[String]) -> Fa
     let [least_span, least_spread] = needed.map(|angle| Unit::Radian.show(angle));
     let span = Unit::Radian.show(diversity.span_rad);
     let message = if diversity.span_rad < needed[0] {
-        format!("the hand turns by {span} in all, and {least_span} is needed")
+        format!("the hand rotates by {span} only (need {least_span})")
     } else {
         let spread = Unit::Radian.show(diversity.spread_rad);
-        format!("all rotations of the hand share one axis (spread {spread}, {least_spread} needed)")
+        format!("all rotations of the hand share one axis (spread {spread}, need {least_spread})")
     };
     let limits = match undetermined {
         [] => String::new(),

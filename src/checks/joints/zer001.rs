@@ -6,7 +6,7 @@ use crate::checks::twins::{estimate, twin_cause};
 use crate::checks::{Case, Grade, Judged, changes, standing};
 use crate::diagnosis::{FrameEstimate, JointOffset, Measured, Seen, Twin, Unseen};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
-use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Evidence, Fault, Outcome, Ruling, Severity, Unit};
 use crate::run::Witness;
 
 rule! {
@@ -64,7 +64,7 @@ const ROTARY: Threshold =
 const PRISMATIC: Threshold = Threshold { unit: Unit::Metre, warning: 0.2e-3, error: 1e-3 };
 
 /// What would tell where an offset could not be had.
-const SETTLE: &str = "move this joint by 30° or more, and the others at other times";
+const SETTLE: &str = "move each joint by 30° or more, one after another";
 
 fn check(case: &Case) -> Vec<Judged> {
     case.evidence.robots.iter().flat_map(|arm| judge_arm(case, arm)).collect()
@@ -88,8 +88,12 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
     if let Some(change) = arm.diagnosis.zero_change(joint) {
         let effect_m = offset.lever_m * change.by.value.abs();
         let title = "joint zero changes in mid-run";
-        let (outcome, estimate) =
+        let (mut outcome, estimate) =
             changes::amount(case, "joint offset", title, change, &threshold, effect_m);
+        if let Outcome::Evaluated(Ruling::Faulty(fault)) = &mut outcome {
+            let twins = offset.twins.iter().map(|twin| twin_cause(arm, twin, threshold.unit));
+            fault.evidence.indistinguishable.extend(twins);
+        }
         return Judged::new(subject, outcome).within(arm.span).estimated(estimate);
     }
     let measured = match &offset.offset {

@@ -50,14 +50,14 @@ const TURNING: Limit = Limit {
     key: "turning",
     unit: Unit::RadianPerSecondSquared,
     value: 20.0,
-    what: "the acceleration of a joint that turns from which on it is abrupt",
+    what: "the acceleration from which a joint that turns stops abruptly",
 };
 /// The same where a joint slides.
 const SLIDING: Limit = Limit {
     key: "sliding",
     unit: Unit::MetrePerSecondSquared,
     value: 5.0,
-    what: "the acceleration of a joint that slides from which on it is abrupt",
+    what: "the acceleration from which a joint that slides stops abruptly",
 };
 /// What would tell.
 const SETTLE: &str = "log joint velocities at 100 Hz or more, evenly stamped";
@@ -93,7 +93,7 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
             true => format!(
                 "sampling is too coarse: only accelerations above {resolved:.0} {unit} would show"
             ),
-            false => "its samples are too far apart to show a stop within 0.1 s".to_owned(),
+            false => "samples are more than 50 ms apart: no abrupt stop would show".to_owned(),
         };
         Outcome::Inconclusive(format!("{hidden} (limit {limit} {unit}); {SETTLE}"))
     } else {
@@ -130,15 +130,14 @@ fn fault(case: &Case, found: &Abruptness, limit: f64, unit: &str) -> Fault {
         return Fault {
             cause: Cause::Other,
             severity: Severity::Warning,
-            title: "its numbers leap as no joint does",
+            title: "impossible acceleration",
             message: format!(
-                "an acceleration of {:.0e} {unit} at {}: no arm does that, so that its positions or their \
-                 stamps are wrong there",
+                "{:.0e} {unit} at {}: no arm accelerates like that; the positions or their stamps are wrong there",
                 found.acceleration,
                 case.evidence.moment(case.evidence.origin.shifted(found.at_s)),
             ),
             evidence: Evidence::default(),
-            fix: "look at the joint's positions there: a unit, a turn too many, a second publisher, stamps"
+            fix: "check the joint's positions there for a unit change, a turn too many, a second publisher or wrong stamps"
                 .to_owned(),
         };
     }
@@ -153,7 +152,7 @@ fn fault(case: &Case, found: &Abruptness, limit: f64, unit: &str) -> Fault {
             Unit::Second.show(found.window_s),
         ),
         evidence: Evidence::default(),
-        fix: "bound acceleration and jerk of the commands, and look for a protective stop there"
+        fix: "limit acceleration and jerk of the commands; check for a protective stop there"
             .to_owned(),
     }
 }

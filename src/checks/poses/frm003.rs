@@ -93,13 +93,13 @@ fn alternates(case: &Case, arm: &ArmEvidence, stream: &Of<PoseEvidence>, other: 
     };
     let (what, fix) = match stream.witness {
         Witness::External => (
-            "the tracker takes another marker or a turned constellation for the body",
+            "the tracker mistakes another marker, or a rotated constellation, for the body",
             "make the constellation of markers asymmetric and keep bodies apart; leave out the poses of \
              these times",
         ),
         _ => (
             "another tool frame is active",
-            "keep one active TCP, or write the frame of each pose into its header",
+            "keep one active TCP, or put the frame of each pose into its header",
         ),
     };
     let effect_m = length.value + angle.value * length.value;
@@ -108,7 +108,7 @@ fn alternates(case: &Case, arm: &ArmEvidence, stream: &Of<PoseEvidence>, other: 
         cause: Cause::Other,
         title: "tool frame alternates",
         message: format!(
-            "{:.0} % of its poses are of a second body, {} and {} from the first, from {}{more}: {what}",
+            "{:.0} % of the poses are of a second body, {} and {} from the first ({}{more}): {what}",
             100.0 * other.samples as f64 / samples.max(1) as f64,
             Unit::Metre.show_measured(length),
             Unit::Radian.show_measured(angle),
@@ -149,15 +149,16 @@ fn fault(
     Fault {
         severity,
         cause: Cause::Tool(frame.pose),
-        title: "tool frame is off",
-        message: format!("poses are {} off from {tip}{guess}", show(frame)),
+        title: "tool frame offset",
+        message: format!("poses are {} from {tip}{guess}", show(frame)),
         evidence: Evidence {
             effect: Some(format!("{offset} at the tip, turning with the wrist")),
             effect_m: Some(frame.translation_m.value),
             ..Evidence::default()
         },
         fix: format!(
-            "add a frame at {tip} + {pose} to the model and pass it as --tip, or set the controller's TCP to zero"
+            "the stream reports a TCP at {tip} + {pose}: add that frame to the model and pass it as --tip, or set the \
+             controller's TCP to zero"
         ),
     }
 }

@@ -330,7 +330,9 @@ fn nominal(error: &Error, link_m: Option<f64>) -> Fault {
             more: link_m.map(|link_m| ("link_m".to_owned(), link_m.into())).into_iter().collect(),
             ..Evidence::default()
         },
-        fix: "use the arm's calibration; for a UR, calibration.yaml from the controller".to_owned(),
+        fix: "use the arm's calibration (of a UR, calibration.yaml from the controller), or estimate it from logs \
+              with `poseaudit calibrate`"
+            .to_owned(),
     }
 }
 

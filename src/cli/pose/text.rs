@@ -195,7 +195,8 @@ pub(super) fn write_answer(answer: &Answer, pairs: usize, out: &mut dyn Write) -
         Verdict::Open => "not reconciled",
     };
     let apart = answer.would_do.as_ref().and_then(WouldDo::apart);
-    if let Some(apart) = apart.filter(|_| answer.verdict == Verdict::Open) {
+    let apart = apart.filter(|_| answer.verdict == Verdict::Open);
+    if let Some(apart) = &apart {
         writeln!(out, "orientations agree, {apart}")?;
     }
     if answer.hypotheses.is_empty() {
@@ -206,6 +207,10 @@ pub(super) fn write_answer(answer: &Answer, pairs: usize, out: &mut dyn Write) -
         if at < answer.as_good.max(1) {
             write_hypothesis(if at == 0 { head } else { "or as well" }, hypothesis, &of, out)?;
             continue;
+        }
+        // What remains is told: a reading that explains less of it is none.
+        if apart.is_some() {
+            break;
         }
         let label = if hypothesis.residual.agrees() { "the longer way" } else { "worse" };
         let name = if label == last { "" } else { label };

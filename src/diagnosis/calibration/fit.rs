@@ -92,7 +92,7 @@ pub(super) fn fit(
     let drawing = system.at(&state, false).ok_or(NoCalibration::TooFewSamples)?;
     let before = system.with_drawing(&drawing);
     let mut pieces = drawing;
-    let mut link_m = LINKS_M.0;
+    let (mut link_m, mut unsettled) = (LINKS_M.0, None);
     for round in 0..ROUNDS {
         let whole = system.normal(&pieces);
         link_m = system.best_link(&whole, &state);
@@ -106,7 +106,8 @@ pub(super) fn fit(
         }
         system.advance(&mut state, &step);
         pieces = system.at(&state, true).ok_or(NoCalibration::Diverges)?;
-        if moved < SETTLED && round > 1 {
+        unsettled = (moved >= SETTLED).then_some(moved);
+        if unsettled.is_none() && round > 1 {
             break;
         }
     }
@@ -155,6 +156,7 @@ pub(super) fn fit(
         links: path.links.clone(),
         deviations: parameters.deviations(state.values.as_slice()),
         link_m,
+        unsettled,
         untold: untold(&whole.matrix, &parameters, link_m, &workspace),
         expected: workspace.uncertainty(&shared_covariance),
         drawing: workspace.uncertainty(&parameters.of_drawing(link_m)),

@@ -143,6 +143,8 @@ pub struct ArmCalibration {
     pub streams: Vec<StreamCalibration>,
     /// What the logs do not tell.
     pub untold: Vec<Untold>,
+    /// How far the last round of fitting moved the numbers, rms standard deviations; none where they settled.
+    pub unsettled: Option<f64>,
     /// How well FK of the robot is known over the whole workspace.
     pub expected: Uncertainty,
     /// How well FK of the drawing is, by the size of the deviations.

@@ -3,7 +3,7 @@
 use super::cut::{Cut, Span};
 use super::jumps::Jump;
 use super::{AmountChange, Change, FrameChange, JointChange, Kept, Other};
-use crate::{ArmDiagnosis, FrameEstimate, LatencyCourse, LatencyJump, PoseDiagnosis, Seen};
+use crate::{ArmDiagnosis, FrameEstimate, LatencyCourse, LatencyJump, PoseDiagnosis, Seen, Twin};
 use ground::geometry::Pose;
 use ground::stats::Measured;
 
@@ -73,6 +73,17 @@ impl Kept {
                 if zero.is_some() || factor.is_some() {
                     after.joints.changes.push(JointChange { column, zero, factor });
                 }
+            }
+        }
+        if let [stream] = run.streams {
+            let joints = &mut after.joints;
+            for change in joints.changes.iter().filter(|change| change.zero.is_some()) {
+                let by = change.zero.as_ref().map_or(0.0, |zero| zero.by.value.abs());
+                let is_at = |end: Option<&usize>| end == Some(&change.column);
+                // Alone, a stream sees the first joint turn as its base does, and the last one as its tool.
+                let base = is_at(stream.columns.first()).then_some(Twin::Reference(0, by));
+                let tool = is_at(stream.columns.last()).then_some(Twin::Tool(0, by));
+                joints.offsets[change.column].twins = base.into_iter().chain(tool).collect();
             }
         }
         for (s, jumps) in latency_jumps.into_iter().enumerate() {

@@ -40,16 +40,16 @@ fn free(chain: &Chain, q: &[f64]) -> Keep {
     Keep::around(chain, q, Body { radius_m }, 0.01, None, None)
 }
 
-fn planned(
-    chain: &Chain,
-    q: &[f64],
-    rooms: &[Room],
-    purpose: Purpose,
-    sensing: Sensing,
-) -> Planned {
-    let (keep, seconds) = (free(chain, q), 30.0);
-    let task = Task { chain, around: q, rooms, seconds, purpose, sensing, keep: &keep, seed: 1 };
-    plan(&task).unwrap()
+/// A task of 20 s around [`UR`], with room on all sides.
+fn task<'a>(chain: &'a Chain, keep: &'a Keep, purpose: Purpose) -> Task<'a> {
+    let (around, rooms, sensing) = (&UR, &[ROOM; 6], sensing());
+    Task { chain, around, rooms, seconds: 20.0, purpose, sensing, keep, seed: 1 }
+}
+
+fn planned(chain: &Chain, purpose: Purpose, outside: bool) -> Planned {
+    let keep = free(chain, &UR);
+    let sensing = Sensing { outside, ..sensing() };
+    plan(&Task { seconds: 30.0, sensing, ..task(chain, &keep, purpose) }).unwrap()
 }
 
 /// The room that is left of 0.4 rad, and of as many limits.
@@ -158,17 +158,7 @@ fn it_is_the_same_for_the_same_seed_and_another_for_another() {
     let chain = ur5e();
     let of = |seed: u64| {
         let keep = free(&chain, &UR);
-        let task = Task {
-            chain: &chain,
-            around: &UR,
-            rooms: &[ROOM; 6],
-            seconds: 20.0,
-            purpose: Purpose::Latency,
-            sensing: sensing(),
-            keep: &keep,
-            seed,
-        };
-        plan(&task).unwrap().series
+        plan(&Task { seed, ..task(&chain, &keep, Purpose::Latency) }).unwrap().series
     };
     assert_eq!(of(3), of(3));
     assert_ne!(of(3), of(4));
@@ -185,8 +175,7 @@ fn it_shows_more_than_random_phases_and_than_one_joint_at_a_time() {
         (Purpose::HandEye, false, 1.2, 2.0),
         (Purpose::Yaw, false, 1.2, 1.5),
     ] {
-        let seen_by = Sensing { outside, ..sensing() };
-        let found = planned(&chain, &UR, &[ROOM; 6], purpose, seen_by);
+        let found = planned(&chain, purpose, outside);
         let gains = [&found.random, &found.one_by_one]
             .map(|other| geometric_mean(other, &found.promises).unwrap());
         assert!(gains[0] > over_random && gains[1] > over_one, "{purpose:?} {outside} {gains:?}");
@@ -195,8 +184,7 @@ fn it_shows_more_than_random_phases_and_than_one_joint_at_a_time() {
 
 #[test]
 fn what_no_motion_shows_is_promised_to_nobody() {
-    let found =
-        planned(&ur5e(), &UR, &[ROOM; 6], Purpose::Zeros, Sensing { outside: true, ..sensing() });
+    let found = planned(&ur5e(), Purpose::Zeros, true);
     let zero = |joint: usize| found.promises[joint].half;
     // As one with the tracker's frame, and with the marker's turn.
     assert!(zero(0).is_infinite() && zero(5).is_infinite());
@@ -211,17 +199,8 @@ fn a_posture_at_its_limits_has_no_room_and_one_that_folds_is_too_near() {
     let chain = ur5e();
     let none = Room { below: 0.0, above: 0.0, velocity: 1.0, acceleration: 1.0 };
     let keep = free(&chain, &UR);
-    let task = Task {
-        chain: &chain,
-        around: &UR,
-        rooms: &[none; 6],
-        seconds: 20.0,
-        purpose: Purpose::Zeros,
-        sensing: sensing(),
-        keep: &keep,
-        seed: 1,
-    };
-    assert_eq!(plan(&task).unwrap_err(), Infeasible::NoRoom);
+    let none = Task { rooms: &[none; 6], ..task(&chain, &keep, Purpose::Zeros) };
+    assert_eq!(plan(&none).unwrap_err(), Infeasible::NoRoom);
     // Stretched out above a floor a hair below the lowest part: every motion dips.
     let flat = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
     let keep = Keep::around(
@@ -232,8 +211,8 @@ fn a_posture_at_its_limits_has_no_room_and_one_that_folds_is_too_near() {
         Some(chain.forward(&flat).translation.vector.z - 0.021),
         None,
     );
-    let task = Task { around: &flat, rooms: &[ROOM; 6], keep: &keep, ..task };
-    assert!(matches!(plan(&task), Err(Infeasible::TooNear(Some(Nearness::Floor(..))))));
+    let dipping = Task { around: &flat, ..task(&chain, &keep, Purpose::Zeros) };
+    assert!(matches!(plan(&dipping), Err(Infeasible::TooNear(Some(Nearness::Floor(..))))));
 }
 
 /// The poses of a motion, with noise.
@@ -273,35 +252,29 @@ fn empty() -> PoseTrack {
 fn promises_are_kept() {
     const RUNS: u64 = 16;
     let chain = ur5e();
-    let seconds = 20.0;
     let keep = free(&chain, &UR);
-    let task = Task {
-        chain: &chain,
-        around: &UR,
-        rooms: &[ROOM; 6],
-        seconds,
-        purpose: Purpose::Zeros,
-        sensing: Sensing { rate_hz: 50.0, ..sensing() },
-        keep: &keep,
-        seed: 1,
-    };
+    let sensing = Sensing { rate_hz: 50.0, ..sensing() };
+    let task = Task { sensing, ..task(&chain, &keep, Purpose::Zeros) };
     let zeros = plan(&task).unwrap();
     let motion = zeros.series.track(1001);
     let late = shown(&chain, &motion, Purpose::Latency, &task.sensing).unwrap()[0].half;
     let truth = [0.0, 0.004, -0.006, 0.005, 0.0, 0.0];
     let columns: Vec<usize> = (0..6).collect();
-    let (mut halves, mut squares) = (vec![0.0; 7], vec![0.0; 7]);
-    for seed in 0..RUNS {
-        let track = logged(&chain, &motion, 0.02, &[0.0; 6], seed);
+    let diagnosed = |track: &PoseTrack| {
         let stream = PoseStream {
-            track: &track,
+            track,
             chain: &chain,
             columns: &columns,
             reference_known: true,
             stamp_error_s: 0.0,
             stamps_copied: false,
         };
-        let found = diagnose_arm(&motion, &[stream], 1.0);
+        diagnose_arm(&motion, &[stream], 1.0)
+    };
+    let (mut halves, mut squares) = (vec![0.0; 7], vec![0.0; 7]);
+    for seed in 0..RUNS {
+        let track = logged(&chain, &motion, 0.02, &[0.0; 6], seed);
+        let found = diagnosed(&track);
         let latency = found.streams[0].latency_s.clone().unwrap();
         let offsets = found.joints.offsets.iter().map(|offset| offset.offset.clone().unwrap());
         for (at, measured) in offsets.chain([latency]).enumerate() {
@@ -323,15 +296,7 @@ fn promises_are_kept() {
     assert!((mean - 1.0).abs() < 0.25, "{seen:?}");
     // With zeros that are off, and named, those are known at least as well.
     let track = logged(&chain, &motion, 0.02, &truth, 99);
-    let stream = PoseStream {
-        track: &track,
-        chain: &chain,
-        columns: &columns,
-        reference_known: true,
-        stamp_error_s: 0.0,
-        stamps_copied: false,
-    };
-    let found = diagnose_arm(&motion, &[stream], 1.0);
+    let found = diagnosed(&track);
     for joint in [1, 2, 3] {
         let offset = found.joints.offsets[joint].offset.clone().unwrap();
         let promised = zeros.promises[joint].half;

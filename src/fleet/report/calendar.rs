@@ -19,6 +19,19 @@ pub fn day(stamp_ns: i64) -> String {
     Offset::UTC.to_datetime(time).date().to_string()
 }
 
+/// Two stamps in UTC: as days, of one day with the time, of one minute with the second.
+pub fn apart(from_ns: i64, to_ns: i64) -> [String; 2] {
+    let at = |stamp_ns: i64| {
+        let time = Timestamp::from_nanosecond(stamp_ns.into()).unwrap_or_default();
+        Offset::UTC.to_datetime(time)
+    };
+    let both = [at(from_ns), at(to_ns)];
+    let shown = |form: &str| both.map(|time| time.strftime(form).to_string());
+    let shortest = ["%Y-%m-%d", "%Y-%m-%d %H:%M UTC"].into_iter().map(shown);
+    let told = shortest.into_iter().find(|[from, to]| from != to);
+    told.unwrap_or_else(|| shown("%Y-%m-%d %H:%M:%S UTC"))
+}
+
 /// A day of the Gregorian calendar, in UTC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Day {
@@ -61,6 +74,14 @@ mod tests {
             assert_eq!(day(seconds * NANOS_PER_SECOND), text);
             let start_ns = text.parse::<Day>().expect("a day").start_ns();
             assert_eq!(start_ns, (seconds * NANOS_PER_SECOND).div_euclid(DAY_NS) * DAY_NS);
+        }
+        let start_ns = 1_780_000_000 * NANOS_PER_SECOND;
+        for (later_s, [from, to]) in [
+            (86_400, ["2026-05-28", "2026-05-29"]),
+            (3_600, ["2026-05-28 20:26 UTC", "2026-05-28 21:26 UTC"]),
+            (5, ["2026-05-28 20:26:40 UTC", "2026-05-28 20:26:45 UTC"]),
+        ] {
+            assert_eq!(apart(start_ns, start_ns + later_s * NANOS_PER_SECOND), [from, to]);
         }
         for text in ["2026-02-29", "2026-13-01", "28.5.2026", "2026-5-1", "0-0-0"] {
             assert!(text.parse::<Day>().is_err(), "{text}");

@@ -29,6 +29,8 @@ pub const SCHEMA: &str = "poseaudit.fleet/1";
 pub struct Question {
     /// Findings of this severity fail it; `None`: none does.
     pub fail_on: Option<Severity>,
+    /// Whether a verdict that is inconclusive fails it, too.
+    pub fails_open: bool,
     /// Findings of runs before this time do not count, ns since 1970. Trends see all runs.
     pub since_ns: Option<i64>,
     /// What paths say they are of, in place of the labels that rows have.
@@ -199,6 +201,7 @@ impl FleetReport {
         let moves = trends.iter().any(|row| row.course.is_moving());
         let failing = gathered.findings.iter().any(|row| fails(row.severity))
             || (moves && fails(Severity::Warning))
+            || (question.fails_open && gathered.logs.verdicts.inconclusive > 0)
             || (!gathered.errors.is_empty() && question.fail_on.is_some());
         Ok(Self {
             schema: SCHEMA,

@@ -230,6 +230,13 @@ impl TrendRow {
         self.unit_of().show_signed_within(moved.value, Some(moved.ci95))
     }
 
+    /// The name of the log that begins nearest to a time.
+    fn log_at(&self, stamp_ns: i64) -> &str {
+        let nearest = self.points.iter().min_by_key(|point| point.start_ns.abs_diff(stamp_ns));
+        let path = nearest.map_or("", |point| point.path.as_str());
+        path.rsplit('/').next().unwrap_or(path)
+    }
+
     /// A rate as people take it in: what a day brings is mostly too little for the digits shown.
     fn shown_rate(&self, rate: &Moved) -> String {
         const DAYS: f64 = 30.0;
@@ -262,8 +269,10 @@ impl TrendRow {
             }
             (Course::Stepped, _, Some(step)) => {
                 let between = self.step_between_ns.as_ref().map(|ends| {
-                    let days = ends.each_ref().map(|end| calendar::day(end.parse().unwrap_or(0)));
-                    format!(" between {} and {}", days[0], days[1])
+                    let ends_ns: [i64; 2] = ends.each_ref().map(|end| end.parse().unwrap_or(0));
+                    let [from, to] = calendar::apart(ends_ns[0], ends_ns[1]);
+                    let [before, after] = ends_ns.map(|end_ns| self.log_at(end_ns));
+                    format!(" between {before} ({from}) and {after} ({to})")
                 });
                 format!("{}{}", self.shown(step), between.unwrap_or_default())
             }

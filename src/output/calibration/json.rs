@@ -85,6 +85,9 @@ impl Calibrated {
             "left_out": self.left_out,
             "not_told": untold,
             "moved_little": still,
+            "plan": self.plan,
+            "converged": found.unsettled.is_none(),
+            "last_step": found.unsettled,
             "conventions": self.conventions(),
         })
     }

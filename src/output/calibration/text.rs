@@ -79,6 +79,13 @@ impl Calibrated {
         for why in &self.left_out {
             let _ = writeln!(text, "\nleft out: {why}");
         }
+        if let Some(moved) = found.unsettled {
+            let _ = writeln!(
+                text,
+                "\nnot converged: the last round of the fit still moved the numbers by {moved:.3} standard deviations \
+                 rms; see what `poseaudit audit` says of the logs"
+            );
+        }
         let _ = writeln!(
             text,
             "\nlinks differ from the drawing by {:.3} mm and {:.4}° each way (standard deviation)",
@@ -194,6 +201,9 @@ impl Calibrated {
                         one.moved.to_degrees()
                     ),
                 };
+            }
+            if let Some(plan) = &self.plan {
+                let _ = writeln!(text, "  {plan}");
             }
         }
     }

@@ -149,9 +149,9 @@ impl Case<'_> {
         let rows: Vec<Whisker> = self.checks(self.finding.code).flat_map(whiskers).collect();
         let differ = rows.iter().any(|row| row.amount.is_some() && !row.is_fault);
         (!rows.is_empty()).then(|| Whiskers {
-            title: if differ { "Beside the others that were looked at" } else { "What was found" }
+            title: if differ { "Compared with the other streams" } else { "What was found" }
                 .to_owned(),
-            says: "With their 95 % intervals, where they have one.".to_owned(),
+            says: "Bars are 95 % intervals.".to_owned(),
             rows,
         })
     }

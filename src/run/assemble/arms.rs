@@ -3,15 +3,17 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
+use crate::robot::nearest;
 use crate::stream::{Columns, JointColumn};
 
 use super::super::arm::{Arm, Ends};
 use super::super::catalogued::Judges;
+use super::super::declaration::JointName;
 use super::super::error::RunError;
 use super::super::joints::JointTopic;
 use super::super::model::Clues;
 use super::super::models::{self, Given, GivenCalibration};
-use super::super::role::{Role, shared, words};
+use super::super::role::{OTHER_JOINTS, Role, shared, words};
 use super::super::skeleton;
 use super::super::space::{Claim, Space};
 use super::super::streams::Stream;
@@ -46,6 +48,14 @@ impl Assembly<'_> {
             return Err(RunError::NoJointStates {
                 commands: commands.map(|stream| stream.topic.clone()).collect(),
             });
+        }
+        let joints = held_by(&topics);
+        let is_missing = |said: &&JointName| !joints.contains(&said.logged);
+        if let Some(said) = self.options.joint_map.iter().find(is_missing) {
+            let near = nearest(&said.logged, joints.iter().map(String::as_str));
+            let near = near.first().map_or(String::new(), |near| format!("; is it '{near}'?"));
+            let what = format!("the log has no joint '{}'{near}", said.logged);
+            return Err(RunError::JointMap { what });
         }
         let groups = groups(&self.streams, topics);
         let is_alone = groups.len() == 1;
@@ -114,6 +124,7 @@ impl Assembly<'_> {
             frames: &frames,
             descriptions: &descriptions,
             calibrations: said.logged_calibrations,
+            joint_map: &self.options.joint_map,
             space,
             robot_type: said.robot_type,
         };
@@ -203,17 +214,13 @@ impl Assembly<'_> {
 fn are_of_an_arm(joints: &[&JointColumn]) -> bool {
     const FEWEST: usize = 4;
     const MOVES: f64 = 0.02;
-    const OTHER: &[&str] = &[
-        "finger", "fingers", "thumb", "gripper", "hand", "jaw", "knuckle", "wheel", "wheels",
-        "caster", "steering", "head", "neck", "camera", "leg", "hip", "knee", "ankle", "toe",
-    ];
     let moves = |joint: &JointColumn| {
         let finite = joint.position.iter().copied().filter(|q| q.is_finite());
         let (low, high) = finite
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), q| (low.min(q), high.max(q)));
         high - low > MOVES
     };
-    let is_arms = |joint: &JointColumn| shared(&words(&joint.name), OTHER).is_none();
+    let is_arms = |joint: &JointColumn| shared(&words(&joint.name), OTHER_JOINTS).is_none();
     joints.iter().filter(|joint| moves(joint) && is_arms(joint)).count() >= FEWEST
 }
 
@@ -234,12 +241,20 @@ fn held_by(topics: &[JointTopic<'_>]) -> Vec<String> {
 fn tell_apart(arms: &mut [Arm]) {
     let is_double =
         |arms: &[Arm], arm: &Arm| arms.iter().filter(|other| other.name == arm.name).count() > 1;
-    let labels: [fn(&Arm) -> Option<String>; 2] =
-        [|arm| arm.space.label(), |arm| Some(arm.chain.tip_name().to_owned())];
+    let labels: [fn(&Arm) -> Option<String>; 3] = [
+        |arm| arm.space.label(),
+        |arm| Some(arm.chain.tip_name().to_owned()),
+        |arm| arm.joint_names.first().cloned(),
+    ];
     for label in labels {
         let doubles: Vec<bool> = arms.iter().map(|arm| is_double(arms, arm)).collect();
+        // What all of them have tells none apart.
+        let of_doubles = || arms.iter().zip(&doubles).filter(|(_, is_double)| **is_double);
+        let first = of_doubles().next().and_then(|(arm, _)| label(arm));
+        let shared =
+            first.filter(|first| of_doubles().all(|(arm, _)| label(arm).as_ref() == Some(first)));
         for (arm, _) in arms.iter_mut().zip(doubles).filter(|(_, is_double)| *is_double) {
-            if let Some(label) = label(arm) {
+            if let Some(label) = label(arm).filter(|label| Some(label) != shared.as_ref()) {
                 arm.name = format!("{} ({label})", arm.name);
             }
         }

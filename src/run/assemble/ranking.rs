@@ -13,6 +13,7 @@ use crate::diagnosis::{ModelFit, Needs, PoseStream, Priced, model_fit};
 use crate::finding::Unit;
 use crate::robot::catalogue;
 use crate::run::arm::{Arm, Ends};
+use crate::run::by_order;
 use crate::run::catalogued::{Ranking, Standing};
 use crate::run::model::WrongModel;
 use crate::run::model::{Clues, Model};
@@ -99,6 +100,7 @@ impl ByPoses<'_> {
                 model: rank.model,
                 score: rank.score,
                 way,
+                spread_m,
                 as_is_m: fit.map_or(f64::INFINITY, ModelFit::as_is_m),
                 fits: way.left_m <= FITS_M.max(FITS_SHARE * spread_m),
                 topic: self.assembly.streams[stream].topic.clone(),
@@ -129,9 +131,15 @@ impl ByPoses<'_> {
         let complete = candidates
             .iter()
             .filter(|other| other.names.is_complete() && other.names.joints == path.joints.len());
-        let rivals: Vec<Model> = complete
+        let named = complete
             .filter_map(|other| Some((other.renamed()?, &other.names.to_prefix)))
-            .map(|(robot, prefix)| Model::new(robot, String::new(), prefix, clues))
+            .map(|(robot, prefix)| Model::new(robot, String::new(), prefix, clues));
+        let candidates = match model.by_order {
+            true => by_order::along(&path.joints, clues),
+            false => named.collect(),
+        };
+        let rivals: Vec<Model> = candidates
+            .into_iter()
             .filter(|rival| {
                 self.only_path(rival)
                     .is_some_and(|path| path.joints.iter().collect::<BTreeSet<_>>() == joints)

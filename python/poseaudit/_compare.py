@@ -1,0 +1,73 @@
+"""`compare`: two runs, or two reports."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from . import _binary
+from ._options import How, arguments
+from ._report import Report
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """Two reports side by side."""
+
+    regression: bool
+    """Whether the new one is worse."""
+    verdicts: tuple[str, str]
+    """Old and new."""
+    causes: tuple[Mapping[str, Any], ...]
+    """Every cause: its `course` (`appeared`, `grew`, `changed`, `same`, `shrank`, `untold`, `gone`),
+    `code`, `subject`, and the findings `old` and `new`; what makes it a regression first."""
+    lost: tuple[Mapping[str, Any], ...]
+    """Checks that passed and are inconclusive now."""
+    text: str = field(repr=False)
+    """For a terminal, as `str()` gives it."""
+
+    def __str__(self) -> str:
+        return self.text
+
+
+def compare(
+    old: Report | str | os.PathLike[str],
+    new: Report | str | os.PathLike[str],
+    **options: Unpack[How],
+) -> Comparison:
+    """Compares two runs: reports, kept reports (JSON) or logs, which are audited with the options of `audit`.
+
+    Raises `CallError` where the call is wrong, `ProgramError` where the binary is missing or died. A new log
+    that cannot be audited is a regression.
+    """
+    said = arguments("compare", options, How)
+    with tempfile.TemporaryDirectory(prefix="poseaudit-") as folder:
+        sides = [_kept(side, Path(folder, name)) for side, name in ((old, "old.json"), (new, "new.json"))]
+        text, value = (
+            _binary.answer(["compare", "--quiet", f"--format={form}", *said, "--", *sides], may_find=True)
+            for form in ("text", "json")
+        )
+    found = json.loads(value)
+    return Comparison(
+        regression=found["regression"],
+        verdicts=(found["verdicts"][0], found["verdicts"][1]),
+        causes=tuple(found["causes"]),
+        lost=tuple(found["lost"]),
+        text=text,
+    )
+
+
+def _kept(side: Report | str | os.PathLike[str], place: Path) -> str:
+    """The path of a log or report; of a report in memory `place`, where it is written."""
+    if not isinstance(side, Report):
+        return os.fspath(side)
+    place.write_text(json.dumps(side.json), encoding="utf-8")
+    return str(place)

@@ -1,0 +1,94 @@
+//! What is said on stderr beside errors, and in which colours anything is printed.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicU8, Ordering};
+
+use anstream::ColorChoice;
+use anstyle::Style;
+use clap::ValueEnum;
+use poseaudit::report::tame;
+
+/// The options of every command that say so.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub struct Say {
+    /// Only the result and errors: no progress, warnings or names of written files on stderr
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    quiet: bool,
+
+    /// Say on stderr, too, which files are read, how much and how long that takes
+    #[arg(short, long, global = true)]
+    verbose: bool,
+
+    /// When to use colours; auto: on a terminal, unless NO_COLOR is set, or where CLICOLOR_FORCE is
+    #[arg(long, global = true, value_enum, value_name = "WHEN", default_value_t = Colour::Auto)]
+    color: Colour,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Colour {
+    /// On a terminal
+    Auto,
+    /// Everywhere but in files
+    Always,
+    /// Nowhere
+    Never,
+}
+
+/// How much is said.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[repr(u8)]
+enum Level {
+    Quiet,
+    Usual,
+    Verbose,
+}
+
+static LEVEL: AtomicU8 = AtomicU8::new(Level::Usual as u8);
+
+const LABEL: Style = Style::new().dimmed();
+
+impl Say {
+    /// Holds for all that the process prints from now on.
+    pub fn apply(self) {
+        let level = match (self.quiet, self.verbose) {
+            (true, _) => Level::Quiet,
+            (_, true) => Level::Verbose,
+            _ => Level::Usual,
+        };
+        LEVEL.store(level as u8, Ordering::Relaxed);
+        match self.color {
+            Colour::Auto => ColorChoice::Auto,
+            Colour::Always => ColorChoice::Always,
+            Colour::Never => ColorChoice::Never,
+        }
+        .write_global();
+    }
+}
+
+fn is_said(level: Level) -> bool {
+    LEVEL.load(Ordering::Relaxed) >= level as u8
+}
+
+/// Whether nothing but errors goes to stderr.
+pub fn is_quiet() -> bool {
+    !is_said(Level::Usual)
+}
+
+/// One line on stderr that says what was written where.
+pub fn wrote(path: &Path) {
+    // A device or a pipe keeps nothing.
+    if is_said(Level::Usual) && (path.is_file() || path.is_dir()) {
+        line("wrote", &path.display().to_string());
+    }
+}
+
+/// One line on stderr for who asked for more.
+pub fn detail(label: &str, what: impl FnOnce() -> String) {
+    if is_said(Level::Verbose) {
+        line(label, &what());
+    }
+}
+
+fn line(label: &str, what: &str) {
+    anstream::eprintln!("{LABEL}{label}{LABEL:#} {}", tame(what));
+}

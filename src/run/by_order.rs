@@ -1,0 +1,367 @@
+//! Arms whose joints the log names otherwise than their model does: matched by order and kinematics.
+//!
+//! Which joint is which is asked of the numbers in the logged names, else of their order in the log; which
+//! of several ways, or of several arms, of the streams of poses. What these do not settle is a question to
+//! the caller (`--joint-map`), not a guess.
+
+use std::collections::BTreeMap;
+
+use super::catalogued::{Judges, Standing};
+use super::error::RunError;
+use super::model::{Clues, Model};
+use super::role::{OTHER_JOINTS, shared, words};
+use super::skeleton;
+use crate::robot::{Robot, catalogue};
+
+/// Arms have at least so many joints.
+const FEWEST: usize = 4;
+/// An arm whose joints are named otherwise must leave less than this share of the positions' extent.
+const FITS_SHARE: f64 = 0.02;
+
+/// What parts of an arm are called, from the base on.
+const PARTS: [&[&str]; 6] = [
+    &["rail", "track", "gantry", "slide"],
+    &["base", "waist", "pan", "swing", "turret"],
+    &["shoulder"],
+    &["elbow"],
+    &["forearm"],
+    &["wrist", "hand", "flange", "tool"],
+];
+
+/// The logged joints that may be one arm's, in each order that they may have along it.
+#[derive(Clone, Debug, PartialEq)]
+struct Series {
+    orders: Vec<Vec<String>>,
+    /// Whether numbers in their names say the order.
+    is_numbered: bool,
+}
+
+/// One way to match a model.
+struct Match {
+    model: Model,
+    /// The joints of the model beside those of the log.
+    pairs: Vec<(String, String)>,
+    is_numbered: bool,
+}
+
+/// `robot` under the names of the log, once for each series of joints that is one of its arms.
+///
+/// # Errors
+/// Where no series has as many joints as the arm, or several ways to match it are as good.
+pub(super) fn matched(
+    robot: &Robot,
+    joints: &[String],
+    clues: &Clues<'_>,
+    judges: &Judges<'_>,
+    found: &str,
+) -> Result<Vec<Model>, RunError> {
+    let mut models = Vec::new();
+    let mut question = None;
+    for series in series(joints) {
+        let ways = ways(robot, &series, clues);
+        match settled(ways, judges) {
+            Settled::One { way, why } => models.push(Model {
+                found: format!("{found}, joints matched by order ({}; {why})", shown(&way.pairs)),
+                ..way.model
+            }),
+            Settled::Open { ways } => question = question.or(Some(ways)),
+            Settled::None => {}
+        }
+    }
+    match (models.is_empty(), question) {
+        (false, _) => Ok(models),
+        (true, question) => Err(RunError::UnknownJoints {
+            robot: robot.name.clone(),
+            source: robot.source.clone(),
+            logged: clues.joints.to_vec(),
+            modelled: path_of(robot).unwrap_or_else(|| own_names(robot)),
+            ways: question.unwrap_or_default(),
+        }),
+    }
+}
+
+/// The arms of the catalogue that series of logged joints are, matched by order, each where no other arm
+/// fits the streams of poses as well.
+///
+/// # Errors
+/// Where several arms fit as well.
+pub(super) fn catalogued(clues: &Clues<'_>, judges: &Judges<'_>) -> Result<Vec<Model>, RunError> {
+    let mut models = Vec::new();
+    let mut question = None;
+    for series in series(clues.joints) {
+        let of_robot = |robot: &Robot| -> Vec<Match> {
+            let Some(path) = path_of(robot) else { return Vec::new() };
+            let orders = series.orders.iter().filter(|order| order.len() == path.len());
+            orders.filter_map(|order| way(robot, &path, order, series.is_numbered, clues)).collect()
+        };
+        let ways = catalogue::entries().iter().flat_map(of_robot);
+        match proven(ways.collect(), judges) {
+            Settled::One { way, why } => {
+                let found = format!(
+                    "the catalogue, whose {} alone fits with its joints in the order of the log's ({}; {why})",
+                    way.model.robot.name,
+                    shown(&way.pairs),
+                );
+                models.push(Model { found, ..way.model });
+            }
+            Settled::Open { ways } => question = question.or(Some(ways)),
+            Settled::None => {}
+        }
+    }
+    match question {
+        Some(arms) if models.is_empty() && !arms.is_empty() => Err(RunError::SameMotion { arms }),
+        _ => Ok(models),
+    }
+}
+
+/// The arms of the catalogue with as many joints as are `logged`, in their order.
+pub(super) fn along(logged: &[String], clues: &Clues<'_>) -> Vec<Model> {
+    let models = catalogue::entries().iter().filter_map(|robot| {
+        let path = path_of(robot).filter(|path| path.len() == logged.len())?;
+        Some(way(robot, &path, logged, true, clues)?.model)
+    });
+    models.collect()
+}
+
+/// Which of several ways it is.
+enum Settled {
+    /// This one, for this reason.
+    One {
+        way: Box<Match>,
+        why: String,
+    },
+    /// One of these.
+    Open {
+        ways: Vec<String>,
+    },
+    None,
+}
+
+/// The way to match a model that was named: the one that the poses prove, else the only one that numbers
+/// say, where no pose contradicts it.
+fn settled(ways: Vec<Match>, judges: &Judges<'_>) -> Settled {
+    let is_only = ways.len() == 1 && ways[0].is_numbered;
+    if !is_only {
+        return proven(ways, judges);
+    }
+    let ranking = (judges.by_poses)(&[&ways[0].model]);
+    let best = ranking.as_ref().and_then(|ranking| ranking.standings.first());
+    let why = match best {
+        None => Some("by their numbers: no stream of poses confirms it".to_owned()),
+        Some(best) if best.fits => Some(fits(best)),
+        Some(_) => None,
+    };
+    match (why, ways.into_iter().next()) {
+        (Some(why), Some(way)) => Settled::One { way: Box::new(way), why },
+        (None, Some(way)) => Settled::Open { ways: vec![map_of(&way.pairs)] },
+        _ => Settled::None,
+    }
+}
+
+/// The way that fits the streams of poses without a fault, where no other one does as well.
+fn proven(ways: Vec<Match>, judges: &Judges<'_>) -> Settled {
+    let models: Vec<&Model> = ways.iter().map(|way| &way.model).collect();
+    let Some(ranking) = (judges.by_poses)(&models) else {
+        return match ways.as_slice() {
+            [] => Settled::None,
+            _ => Settled::Open { ways: Vec::new() },
+        };
+    };
+    let Some(best) = ranking.standings.iter().find(|one| is_sound(one)) else {
+        return Settled::Open { ways: Vec::new() };
+    };
+    // Another one with a fault is as good an answer where it explains as much.
+    let is_as_good = |other: &&Standing| other.fits && other.score <= best.score + ranking.apart;
+    let same: Vec<&Standing> = ranking.standings.iter().filter(is_as_good).collect();
+    if same.len() > 1 {
+        let label = |one: &&Standing| ways[one.model].model.robot.name.clone();
+        let is_one_robot = same.iter().all(|one| label(one) == label(&same[0]));
+        let shown = |one: &&Standing| match is_one_robot {
+            true => map_of(&ways[one.model].pairs),
+            false => label(one),
+        };
+        return Settled::Open { ways: same.iter().map(shown).collect() };
+    }
+    let next = ranking.standings.iter().find(|one| one.model != best.model);
+    let why = match next {
+        Some(next) => {
+            let name = |one: &Standing| ways[one.model].model.robot.name.as_str();
+            let other = if name(next) == name(best) { "in another order" } else { name(next) };
+            let (count, how) = (ways.len(), next.words());
+            format!("{}; the next best of {count}, {other}, to {how}", fits(best))
+        }
+        None => fits(best),
+    };
+    match ways.into_iter().nth(best.model) {
+        Some(way) => Settled::One { way: Box::new(way), why },
+        None => Settled::None,
+    }
+}
+
+/// Whether a model fits so that chance and faults are out of the question.
+fn is_sound(one: &Standing) -> bool {
+    one.fits
+        && one.way.needs.is_harmless()
+        && !one.way.misread
+        && one.way.left_m < FITS_SHARE * one.spread_m
+}
+
+fn fits(one: &Standing) -> String {
+    format!("{} fits to {}", one.topic, one.words())
+}
+
+/// Every way to lay the arm of `robot` along a series.
+fn ways(robot: &Robot, series: &Series, clues: &Clues<'_>) -> Vec<Match> {
+    let Some(path) = path_of(robot) else { return Vec::new() };
+    let windows = series.orders.iter().flat_map(|order| {
+        let is_numbered = series.is_numbered && path.len() == order.len();
+        order.windows(path.len().max(1)).map(move |window| (window, is_numbered))
+    });
+    let ways =
+        windows.filter_map(|(window, is_numbered)| way(robot, &path, window, is_numbered, clues));
+    ways.collect()
+}
+
+fn way(
+    robot: &Robot,
+    path: &[String],
+    logged: &[String],
+    is_numbered: bool,
+    clues: &Clues<'_>,
+) -> Option<Match> {
+    let pairs: Vec<(String, String)> = logged.iter().cloned().zip(path.iter().cloned()).collect();
+    let model = Model::new(renamed(robot, &pairs)?, String::new(), "", clues);
+    let model = Model { by_order: true, ..model };
+    Some(Match { model, pairs, is_numbered })
+}
+
+/// `robot` with the joints on the right of `pairs` called what is on the left.
+pub(super) fn renamed(robot: &Robot, pairs: &[(String, String)]) -> Option<Robot> {
+    robot.with_joints_renamed(|name| {
+        let pair = pairs.iter().find(|(_, modelled)| modelled == name);
+        pair.map_or(name, |(logged, _)| logged).to_owned()
+    })
+}
+
+/// The joints of the one arm of `robot`, from base to tip.
+fn path_of(robot: &Robot) -> Option<Vec<String>> {
+    let paths = skeleton::arms(robot, |_| true);
+    <[_; 1]>::try_from(paths).ok().map(|[path]| path.joints)
+}
+
+fn own_names(robot: &Robot) -> Vec<String> {
+    let own = robot.joints().iter().filter(|joint| skeleton::is_own(joint));
+    own.map(|joint| joint.name.clone()).collect()
+}
+
+/// The series among logged joints: those that are told apart by a number alone, in its order; where there
+/// are none, all of them in the order of the log, or in that of the parts of an arm that they name.
+fn series(joints: &[String]) -> Vec<Series> {
+    let is_arms = |name: &&String| shared(&parts(name), OTHER_JOINTS).is_none();
+    let arms: Vec<&String> = joints.iter().filter(is_arms).collect();
+    let mut families: BTreeMap<(&str, &str), BTreeMap<u64, &String>> = BTreeMap::new();
+    for name in &arms {
+        if let Some((before, number, after)) = numbered(name) {
+            families.entry((before, after)).or_default().insert(number, name);
+        }
+    }
+    let numbered = families.into_values().filter(|family| family.len() >= FEWEST).map(|family| {
+        Series { orders: vec![family.into_values().cloned().collect()], is_numbered: true }
+    });
+    let numbered: Vec<Series> = numbered.collect();
+    match numbered.is_empty() {
+        false => numbered,
+        true if arms.len() < FEWEST => Vec::new(),
+        true => {
+            let logged: Vec<String> = arms.into_iter().cloned().collect();
+            let by_part = by_part(&logged).filter(|order| *order != logged);
+            let orders = std::iter::once(logged).chain(by_part).collect();
+            vec![Series { orders, is_numbered: false }]
+        }
+    }
+}
+
+/// Joints in the order of the parts of an arm that they name, those of one part by their names; `None` where
+/// one names none.
+fn by_part(joints: &[String]) -> Option<Vec<String>> {
+    let rank = |name: &String| {
+        let words = parts(name);
+        PARTS.iter().position(|part| shared(&words, part).is_some())
+    };
+    let mut ranked: Vec<(usize, &String)> =
+        joints.iter().map(|name| Some((rank(name)?, name))).collect::<Option<_>>()?;
+    ranked.sort();
+    Some(ranked.into_iter().map(|(_, name)| name.clone()).collect())
+}
+
+/// The words of a name without the numbers behind them.
+fn parts(name: &str) -> Vec<String> {
+    let words = words(name).into_iter();
+    words.map(|word| word.trim_end_matches(|c: char| c.is_ascii_digit()).to_owned()).collect()
+}
+
+/// The last number in a name, and what is before and after it.
+fn numbered(name: &str) -> Option<(&str, u64, &str)> {
+    let end = name.rfind(|c: char| c.is_ascii_digit())? + 1;
+    let start = name[..end]
+        .rfind(|c: char| !c.is_ascii_digit())
+        .map_or(0, |at| at + name[at..].chars().next().map_or(1, char::len_utf8));
+    Some((&name[..start], name[start..end].parse().ok()?, &name[end..]))
+}
+
+/// How joints are matched, in short: `a1…a7 are lbr_A1…lbr_A7`.
+fn shown(pairs: &[(String, String)]) -> String {
+    let ends = |name: fn(&(String, String)) -> &String| match pairs {
+        [first, .., last] => format!("{}…{}", name(first), name(last)),
+        _ => pairs.iter().map(name).cloned().collect(),
+    };
+    format!("{} are {}", ends(|pair| &pair.0), ends(|pair| &pair.1))
+}
+
+/// The option that would say so.
+fn map_of(pairs: &[(String, String)]) -> String {
+    let pairs: Vec<String> =
+        pairs.iter().map(|(logged, modelled)| format!("{logged}={modelled}")).collect();
+    format!("--joint-map {}", pairs.join(","))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(text: &str) -> Vec<String> {
+        text.split_whitespace().map(str::to_owned).collect()
+    }
+
+    #[test]
+    fn numbers_say_the_order_and_each_arm_has_a_series() {
+        let logged = names("l3 l1 r2 l2 r1 r4 l4 r3 finger1 finger2 finger3 finger4");
+        let found = series(&logged);
+        let joints: Vec<String> = found.iter().map(|series| series.orders[0].join(" ")).collect();
+        assert_eq!(joints, ["l1 l2 l3 l4", "r1 r2 r3 r4"]);
+        assert!(found.iter().all(|series| series.is_numbered));
+    }
+
+    #[test]
+    fn without_numbers_it_is_the_order_of_the_log_or_that_of_the_parts_of_an_arm() {
+        let logged = names("base elbow shoulder wrist_a wrist_b");
+        let by_part = names("base shoulder elbow wrist_a wrist_b");
+        let orders = |joints: &[String]| series(joints).pop().map(|series| series.orders);
+        assert_eq!(orders(&logged), Some(vec![logged.clone(), by_part.clone()]));
+        assert_eq!(orders(&by_part), Some(vec![by_part.clone()]));
+        let ur = names("elbow shoulder_lift shoulder_pan wrist_1 wrist_2 wrist_3");
+        let by_part = names("shoulder_pan shoulder_lift elbow wrist_1 wrist_2 wrist_3");
+        assert_eq!(orders(&ur), Some(vec![ur.clone(), by_part]));
+        let nameless = names("alpha beta gamma delta");
+        assert_eq!(orders(&nameless), Some(vec![nameless.clone()]));
+        assert_eq!(orders(&logged[..3]), None);
+    }
+
+    #[test]
+    fn the_last_number_counts() {
+        assert_eq!(numbered("arm2_joint10_pos"), Some(("arm2_joint", 10, "_pos")));
+        assert_eq!(numbered("7"), Some(("", 7, "")));
+        assert_eq!(numbered("gelenk_ä3"), Some(("gelenk_ä", 3, "")));
+        assert_eq!(numbered("elbow"), None);
+    }
+}
