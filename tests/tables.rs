@@ -205,6 +205,26 @@ fn a_table_that_fits_no_arm_is_a_question() {
 }
 
 #[test]
+fn metadata_that_the_stamps_contradict_are_a_finding() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/log/tables/fixtures");
+    let status = |report: &Report| {
+        let row = report.checks.iter().find(|row| row.code == "META001").expect("it is asked");
+        row.status
+    };
+    let of = |file: &str| {
+        report(&folder.join(file), Some("ur5e"), ColumnSettings::default()).expect("a report")
+    };
+    // Its stamps step at the 25 rows a second that it declares.
+    assert_eq!(status(&of("chunked_latest.h5")), Status::Pass);
+    let wrong = of("wrong_rate.h5");
+    assert_eq!(status(&wrong), Status::Fail);
+    let finding = wrong.findings.iter().find(|finding| finding.code == "META001");
+    let message = finding.map(|finding| finding.message.as_str()).unwrap_or_default();
+    assert!(message.contains("declare 40 frames") && message.contains("25.0000"), "{message}");
+    assert_eq!(status(&audited(&CLEAN, None)), Status::Skipped);
+}
+
+#[test]
 fn columns_without_names_can_be_said() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("run.npy");

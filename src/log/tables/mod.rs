@@ -221,6 +221,9 @@ impl Tables {
         if !std::mem::replace(&mut self.told, true) {
             intake.note(path, clock.said.clone());
         }
+        if table.rate_hz.is_some() {
+            intake.declared(None);
+        }
         if let Some(what) = clock.contradiction(table) {
             intake.contradiction(path, what);
         }
