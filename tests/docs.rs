@@ -50,7 +50,8 @@ fn every_symptom_has_the_answer_that_is_promised() {
 }
 
 fn is_code(word: &str) -> bool {
-    word.len() == 6 && word[3..].bytes().all(|byte| byte.is_ascii_digit())
+    let letters = word.trim_end_matches(|c: char| c.is_ascii_digit());
+    matches!(letters.len(), 3 | 4) && word.len() == letters.len() + 3
 }
 
 fn is_finding(line: &str, code: &str) -> bool {

@@ -17,4 +17,5 @@ mod plan;
 mod program;
 mod reports;
 mod robot;
+mod tables;
 mod viewer;

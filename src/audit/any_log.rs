@@ -288,6 +288,7 @@ impl AnyLog {
                 columns: Some(columns),
                 undecodable: None,
                 useless: None,
+                read_as: None,
                 span: None,
             });
         };
@@ -368,6 +369,8 @@ impl AnyLog {
             span: None,
             notes: Vec::new(),
             losses: Vec::new(),
+            contradictions: None,
+            robot_type: None,
         };
         let end = |index: usize| {
             let link = self.ends[index].as_ref()?;

@@ -74,7 +74,11 @@ impl Read {
                 end_ns: log.span.map(|span| span.1),
                 duration_s: log.span.map(|(start, end)| end.seconds_since(start)),
             },
-            lost: Lost { losses: log.losses.clone(), undecodable: undecodable.collect() },
+            lost: Lost {
+                losses: log.losses.clone(),
+                undecodable: undecodable.collect(),
+                contradictions: log.contradictions.clone(),
+            },
         }
     }
 }

@@ -150,6 +150,11 @@ impl Rule {
         lines.collect::<Vec<_>>().join("\n")
     }
 
+    /// The letters that its family begins with.
+    pub fn family(&self) -> &'static str {
+        self.code.trim_end_matches(|c: char| c.is_ascii_digit())
+    }
+
     /// Whether a pass rests on each of its subjects, so that none may be open.
     pub fn is_proof(&self) -> bool {
         self.code == MDL001.code

@@ -172,6 +172,7 @@ pub fn clean_run() -> RunEvidence {
                 diagnosis: imu,
             },
         )],
+        taken_for_degrees: false,
         references: vec![of(COMMANDS, commands())],
     };
     let frozen = of(POSE, Vec::new());

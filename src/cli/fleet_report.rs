@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use poseaudit::checks::Selector;
 use poseaudit::config::FailOn;
-use poseaudit::fleet::report::{Day, FleetReport, Question, write_html, write_text};
+use poseaudit::fleet::report::{
+    Day, FleetReport, Question, write_html, write_markdown, write_text,
+};
 use poseaudit::fleet::{Store, Template};
 use poseaudit::places::Places;
 use poseaudit::report::Trouble;
@@ -64,6 +66,8 @@ enum Format {
     Json,
     /// For people: one page with its plots, which opens in any browser
     Html,
+    /// For the page of a dataset
+    Markdown,
 }
 
 pub fn run(args: Args) -> Result<Outcome, Trouble> {
@@ -94,6 +98,7 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
     output::emit(args.output.as_deref(), |out| match args.format {
         Format::Text => write_text(&report, out),
         Format::Html => write_html(&report, out),
+        Format::Markdown => write_markdown(&report, out),
         Format::Json => {
             serde_json::to_writer_pretty(&mut *out, &report)?;
             writeln!(out)

@@ -12,6 +12,7 @@ use super::rules::Rules;
 use crate::checks::Selector;
 use crate::finding::{Severity, Unit};
 use crate::geometry::{Coding, Units, vendors};
+use crate::log::{ColumnSelector, ColumnSettings};
 use crate::robot::nearest;
 use crate::run::{SaidRole, Witness};
 use crate::time::Clock;
@@ -56,6 +57,9 @@ pub(super) struct File {
     #[serde(default)]
     #[schemars(with = "Vec<Ignore>")]
     pub ignore: Vec<Spanned<Ignore>>,
+    /// What the columns of a table hold, where their names do not say it.
+    #[serde(default)]
+    pub columns: Columns,
     /// What is known of topics, by their names.
     #[serde(default)]
     #[schemars(with = "BTreeMap<String, Stream>")]
@@ -84,6 +88,70 @@ impl ByPrefix {
                 each.iter().map(|(prefix, one)| (Some(prefix.as_str()), one.as_str())).collect()
             }
         }
+    }
+}
+
+/// What the columns of a table hold. A column is named as `poseaudit info` lists it; `NAME[FIRST:END]` is a
+/// part of one.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Columns {
+    /// The column of the time.
+    pub time: Option<String>,
+    /// Rows a second, where no column holds times.
+    pub rate_hz: Option<Rate>,
+    /// Joint positions, in the order of the model's joints.
+    #[serde(default)]
+    pub joints: Selection,
+    /// Commanded joint positions, likewise.
+    #[serde(default)]
+    pub joint_commands: Selection,
+    /// The measured pose of the tool: position, then rotation. 3, 6, 7, 12 or 16 numbers.
+    #[serde(default)]
+    pub pose: Selection,
+    /// The commanded pose of the tool.
+    #[serde(default)]
+    pub pose_commands: Selection,
+}
+
+impl Columns {
+    pub fn settings(&self) -> ColumnSettings {
+        ColumnSettings {
+            time: self.time.clone(),
+            rate_hz: self.rate_hz.map(|rate| rate.0),
+            joints: self.joints.0.clone(),
+            joint_commands: self.joint_commands.0.clone(),
+            pose: self.pose.0.clone(),
+            pose_commands: self.pose_commands.0.clone(),
+        }
+    }
+}
+
+/// One selector of columns, or several.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema)]
+#[serde(try_from = "OneOrMore")]
+#[schemars(with = "OneOrMore")]
+pub(super) struct Selection(pub Vec<ColumnSelector>);
+
+/// One text, or several.
+#[derive(Deserialize, JsonSchema)]
+#[serde(untagged, expecting = "expected the name of a column, or a list of such")]
+pub(super) enum OneOrMore {
+    /// One.
+    One(String),
+    /// Several.
+    More(Vec<String>),
+}
+
+impl TryFrom<OneOrMore> for Selection {
+    type Error = String;
+
+    fn try_from(said: OneOrMore) -> Result<Self, String> {
+        let texts = match said {
+            OneOrMore::One(text) => vec![text],
+            OneOrMore::More(texts) => texts,
+        };
+        texts.iter().map(|text| text.parse()).collect::<Result<_, _>>().map(Self)
     }
 }
 
@@ -179,7 +247,7 @@ impl TryFrom<String> for Reason {
 /// A rule's code, or the letters that a family begins with.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(try_from = "String")]
-#[schemars(with = "String", extend("pattern" = "^[A-Za-z]{1,3}[0-9]{0,3}$"))]
+#[schemars(with = "String", extend("pattern" = "^[A-Za-z]{1,4}[0-9]{0,3}$"))]
 pub(super) struct Code(pub Selector);
 
 impl TryFrom<String> for Code {

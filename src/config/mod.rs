@@ -18,6 +18,7 @@ use std::path::{Path, PathBuf};
 use crate::audit::{Options, Policy};
 use crate::checks::{Exemption, Selector};
 use crate::finding::Subject;
+use crate::log::ReadOptions;
 use crate::report::Trouble;
 use crate::robot::catalogue;
 use crate::run::{
@@ -97,7 +98,8 @@ impl Config {
         policy.rules.select = self.file.select.iter().map(|code| code.0.clone()).collect();
         policy.rules.exemptions = self.exemptions();
         self.file.rules.apply(&mut policy.rules);
-        Options { run, policy, config: Some(self.path.clone()), ..Options::default() }
+        let read = ReadOptions { columns: self.file.columns.settings(), ..ReadOptions::default() };
+        Options { read, run, policy, config: Some(self.path.clone()), ..Options::default() }
     }
 
     /// The rules that must conclude.

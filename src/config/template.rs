@@ -19,6 +19,7 @@ pub fn template(report: &Report) -> String {
     out.head(report);
     out.robots(&report.robots);
     out.options();
+    out.columns(report);
     out.streams(report);
     out.ignores();
     out.rules();
@@ -113,6 +114,27 @@ impl Template {
             "rules that must conclude; default: none",
         );
         self.unset("select", "[\"LAT\", \"ZER001\"]", "ask only these rules; default: all");
+    }
+
+    /// What the columns of a table may be said to be.
+    fn columns(&mut self, report: &Report) {
+        const TABLES: [&str; 5] = ["csv", "npy", "npz", "parquet", "hdf5"];
+        if !report.log.files.iter().any(|file| TABLES.contains(&file.container)) {
+            return;
+        }
+        let of = |role: SaidRole| {
+            let own = report.streams.iter().find(|stream| stream.role == role.name());
+            own.map_or_else(|| "NAME[0:6]".to_owned(), |stream| stream.topic.clone())
+        };
+        self.line("\n# What the columns hold, where their names do not say it.\n# [columns]");
+        self.unset("time", "\"timestamp\"", "or rate_hz = 50, where no column holds times");
+        self.unset(
+            "joints",
+            &quoted(&of(SaidRole::Joints)),
+            "or a list of columns, in the model's order",
+        );
+        self.unset("pose", &quoted(&of(SaidRole::Pose)), "position, then rotation");
+        self.unset("joint_commands", &quoted(&of(SaidRole::Reference)), "or pose_commands");
     }
 
     fn streams(&mut self, report: &Report) {

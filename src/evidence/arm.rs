@@ -44,6 +44,8 @@ pub struct ArmEvidence {
     pub shakes: Vec<Of<ShakeEvidence>>,
     /// The IMUs on the arm.
     pub imus: Vec<Of<ImuEvidence>>,
+    /// Whether its joint positions were taken for degrees, by their size.
+    pub taken_for_degrees: bool,
     /// What the arm was told.
     pub references: Vec<Of<ReferenceEvidence>>,
 }
@@ -105,6 +107,11 @@ impl ArmEvidence {
     /// The scale of a joint that has a wrong one.
     pub fn scale(&self, index: usize) -> Option<&JointScale> {
         self.diagnosis.scales.iter().find(|scale| scale.column == index)
+    }
+
+    /// Whether its joint positions were taken for degrees, and no pose shows that they are.
+    pub fn unit_is_open(&self) -> bool {
+        self.taken_for_degrees && self.diagnosis.reading.is_err()
     }
 
     /// The unit of a joint's positions.
@@ -201,6 +208,10 @@ pub(super) fn arm_evidence(
         let euler = euler(run, source, &found, &options.declared);
         poses.push(of_arm(run, arm, source.stream, of_poses(source, found, euler)));
     }
+    let taken_for_degrees = matches!(
+        run.streams.get(joints_stream).and_then(|stream| stream.columns.as_ref()),
+        Some(Columns::Joints(joints)) if joints.taken_for_degrees
+    );
     let tf = arm.tf.as_ref().ok().zip(diagnosis.tf);
     let tf =
         tf.map(|(source, found)| of_arm(run, arm, source.stream, of_poses(source, found, None)));
@@ -212,6 +223,7 @@ pub(super) fn arm_evidence(
         reach_m: arm.chain.max_reach_m(),
         wrong_model: arm.instead_of.clone(),
         dh: diagnosis.dh,
+        taken_for_degrees,
         diagnosis: found,
         references: references(run, index, &poses, most_lag_s),
         poses,

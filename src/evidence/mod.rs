@@ -15,7 +15,7 @@ mod topics;
 use std::ops::{Deref, DerefMut};
 
 use crate::finding::{Span, Subject};
-use crate::log::{self, Loss};
+use crate::log::{self, Loss, Note};
 use crate::run::{Arm, Frozen, Norms, Run, RunOptions, Unaudited, WhyNot};
 use crate::time::Stamp;
 
@@ -73,6 +73,8 @@ pub struct RunEvidence {
     pub losses: Vec<Loss>,
     /// Topics that the audit wants and that could not be decoded.
     pub undecodable: Vec<UndecodableTopic>,
+    /// What metadata declare and the numbers are not; `None` where nothing is declared.
+    pub contradictions: Option<Vec<Note>>,
 }
 
 impl RunEvidence {
@@ -110,6 +112,7 @@ impl RunEvidence {
             simulated: run.has_clock_topic,
             losses: lost.losses.clone(),
             undecodable: topics::undecodable(run, &lost.undecodable),
+            contradictions: lost.contradictions.clone(),
         }
     }
 
@@ -194,6 +197,8 @@ pub struct Lost {
     pub losses: Vec<Loss>,
     /// Topics that the audit wants and that could not be decoded.
     pub undecodable: Vec<UndecodableTopic>,
+    /// What metadata declare and the numbers are not; `None` where nothing is declared.
+    pub contradictions: Option<Vec<Note>>,
 }
 
 /// What was found on the stream `index`.

@@ -8,7 +8,7 @@ use std::time::UNIX_EPOCH;
 use blake3::Hasher;
 use walkdir::WalkDir;
 
-use crate::log::Listed;
+use crate::log::{Listed, episode_of};
 
 /// What stands for the content of a log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -81,9 +81,10 @@ impl Content {
     /// # Errors
     /// Where it cannot be read.
     pub fn of(path: &Path, stand: Stand, identity: Identity) -> io::Result<Self> {
-        let id = match identity {
-            Identity::File => format!("file:{}", stand.name(path)),
-            Identity::Content => format!("blake3:{}", hash(path)?),
+        // To hash a file anew for each of its episodes would take their number of times as long.
+        let id = match (identity, episode_of(path)) {
+            (Identity::Content, (_, None)) => format!("blake3:{}", hash(path)?),
+            (Identity::File, _) | (_, (_, Some(_))) => format!("file:{}", stand.name(path)),
         };
         Ok(Self { id, stand })
     }
@@ -132,6 +133,7 @@ fn hash(path: &Path) -> io::Result<String> {
 
 /// The files of a log, in the order of their paths.
 fn files(path: &Path) -> io::Result<Vec<PathBuf>> {
+    let (path, _) = &episode_of(path);
     if !path.is_dir() {
         return Ok(vec![path.to_owned()]);
     }

@@ -147,7 +147,7 @@ fn of_path(path: &Path, found: &mut Vec<Source>) {
         return;
     }
     if !path.is_dir() || is_recording(path) {
-        found.push(Source::at(absolute(path)));
+        found.extend(episodes_of(path));
         return;
     }
     let is_shown = |entry: &DirEntry| {
@@ -165,10 +165,27 @@ fn of_path(path: &Path, found: &mut Vec<Source>) {
         if is_folder && is_recording(entry.path()) {
             entries.skip_current_dir();
             found.push(Source::at(absolute(entry.path())));
-        } else if !is_folder && is_log(entry.path()) {
-            found.push(Source::at(absolute(entry.path())));
+        } else if !is_folder && is_log(entry.path()) && !is_metadata(entry.path()) {
+            found.extend(episodes_of(entry.path()));
         }
     }
+}
+
+/// A file of tables as its episodes, each a log of its own; any other file as itself.
+fn episodes_of(path: &Path) -> Vec<Source> {
+    let path = absolute(path);
+    let names = log::episodes(&path);
+    let episode = |name: &String| Source::at(format!("{}#{name}", path.display()).into());
+    match names.is_empty() {
+        true => vec![Source::at(path)],
+        false => names.iter().map(episode).collect(),
+    }
+}
+
+/// Whether a file is one of a dataset's metadata, which LeRobot keeps as tables, too.
+fn is_metadata(path: &Path) -> bool {
+    let is_meta = |folder: &Path| folder.ends_with("meta") && folder.join("info.json").is_file();
+    path.ancestors().skip(1).take(3).any(is_meta)
 }
 
 fn absolute(path: &Path) -> PathBuf {
@@ -193,7 +210,9 @@ fn is_log(path: &Path) -> bool {
     let is_file = fs::metadata(path).is_ok_and(|metadata| metadata.is_file());
     let mut head = Vec::new();
     let read = |head: &mut Vec<u8>| File::open(path)?.take(log::HEAD_BYTES).read_to_end(head);
-    is_file && read(&mut head).is_ok() && log::looks_like_log(&head)
+    // Tables as Parquet are anybody's, a fleet's own results too: in a folder those of a dataset are logs.
+    let is_anybodys = |head: &[u8]| head.starts_with(b"PAR1") && !log::is_in_dataset(path);
+    is_file && read(&mut head).is_ok() && log::looks_like_log(&head) && !is_anybodys(&head)
 }
 
 /// Whether a name ends as those of logs do.
@@ -235,6 +254,24 @@ mod tests {
         let found = sources(&[named], io::empty()).expect("logs");
         let expected = ["a/bag", "a/empty.mcap", "a/nameless", "a/robot.csv"];
         assert_eq!(names(&found, folder.path()), expected);
+        Ok(())
+    }
+
+    #[test]
+    fn of_parquet_in_a_folder_the_data_of_a_dataset_are_logs() -> io::Result<()> {
+        let folder = tempfile::tempdir()?;
+        let at = |name: &str| folder.path().join(name);
+        for (folder, file) in [
+            ("set/data/chunk-000", "episode_000000.parquet"),
+            ("set/meta/episodes/chunk-000", "file-000.parquet"),
+            ("results", "rows.parquet"),
+        ] {
+            fs::create_dir_all(at(folder))?;
+            fs::write(at(folder).join(file), b"PAR1")?;
+        }
+        fs::write(at("set/meta/info.json"), "{}")?;
+        let found = sources(&[folder.path().display().to_string()], io::empty()).expect("logs");
+        assert_eq!(names(&found, folder.path()), ["set/data/chunk-000/episode_000000.parquet"]);
         Ok(())
     }
 

@@ -22,6 +22,10 @@ pub struct Log {
     pub losses: Vec<Loss>,
     /// What a reader of a report should know of the files, and is no damage.
     pub notes: Vec<Note>,
+    /// What is declared of the files and their numbers are not; `None` where nothing is declared.
+    pub contradictions: Option<Vec<Note>>,
+    /// The type of the robot, as metadata say it.
+    pub robot_type: Option<String>,
 }
 
 impl Log {
@@ -59,6 +63,16 @@ pub enum Container {
     RosBag2Mcap,
     /// What Universal Robots' RTDE client writes.
     RtdeCsv,
+    /// Any other table as text.
+    Csv,
+    /// An array of NumPy.
+    Npy,
+    /// An archive of such arrays.
+    Npz,
+    /// A Parquet file, of a LeRobot dataset or any other.
+    Parquet,
+    /// An HDF5 file.
+    Hdf5,
 }
 
 impl Container {
@@ -70,6 +84,11 @@ impl Container {
             Container::RosBag2Sqlite => "rosbag2-sqlite",
             Container::RosBag2Mcap => "rosbag2-mcap",
             Container::RtdeCsv => "rtde-csv",
+            Container::Csv => "csv",
+            Container::Npy => "npy",
+            Container::Npz => "npz",
+            Container::Parquet => "parquet",
+            Container::Hdf5 => "hdf5",
         }
     }
 }
@@ -122,6 +141,8 @@ pub struct Topic {
     pub undecodable: Option<Undecodable>,
     /// Why there are no columns, where its messages could be decoded and are of no use.
     pub useless: Option<String>,
+    /// How its columns were told, where no schema says it: of a table.
+    pub read_as: Option<String>,
     /// First and last log time; `None` without messages.
     pub span: Option<(Stamp, Stamp)>,
 }

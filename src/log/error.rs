@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 use super::{Log, RemoteFault, SourceName};
 
 /// What can be read.
-const EXPECTED: &str = "an MCAP file, a ROS 1 bag, a rosbag2 bag or an RTDE CSV";
+const EXPECTED: &str =
+    "an MCAP file, a ROS 1 bag, a rosbag2 bag, or a table: CSV, NPY, NPZ, Parquet, HDF5, LeRobot";
 
 /// Why nothing could be read from the files given.
 #[derive(Debug, thiserror::Error)]
@@ -90,6 +91,25 @@ pub enum LogError {
         url: PathBuf,
         /// Why not.
         fault: RemoteFault,
+    },
+    /// A table of which nothing says what its columns are.
+    #[error("{}: {what}; say it in [columns] of the config", path.display())]
+    Columns {
+        /// The path as given.
+        path: PathBuf,
+        /// What is not known.
+        what: String,
+    },
+    /// A dataset of more episodes than one audit takes.
+    #[error(
+        "{}: holds more than {most} episodes; name one as FILE#EPISODE, or audit each with `poseaudit fleet`",
+        path.display()
+    )]
+    Episodes {
+        /// The path as given.
+        path: PathBuf,
+        /// How many an audit takes.
+        most: usize,
     },
     /// The files are logs, but no message can be read from them.
     #[error("{}: no messages can be read: {cause}", path.display())]

@@ -19,12 +19,14 @@ pub(super) struct Input {
     pub(super) in_bag: bool,
     /// How many messages the folder's `metadata.yaml` says it has.
     pub(super) recorded: Option<u64>,
+    /// The only episode of it that is wanted, by its name.
+    pub(super) episode: Option<String>,
 }
 
 impl Input {
     /// A local file that stands alone.
     pub(super) fn local(path: PathBuf) -> Self {
-        Self { path, address: None, in_bag: false, recorded: None }
+        Self { path, address: None, in_bag: false, recorded: None, episode: None }
     }
 
     /// A file of a rosbag2 folder that nothing is said of.

@@ -50,6 +50,8 @@ pub(super) struct Intake {
     descriptions: Vec<Description>,
     losses: Vec<Loss>,
     notes: Vec<Note>,
+    contradictions: Option<Vec<Note>>,
+    robot_type: Option<String>,
     /// The files that were begun.
     files: Vec<PathBuf>,
     /// What the compressed parts of the file begun last may unpack to.
@@ -140,6 +142,7 @@ impl Intake {
                 builder: None,
                 columns: None,
                 undecodable: None,
+                read_as: None,
                 spans: Vec::new(),
                 waiting: Vec::new(),
             });
@@ -217,6 +220,26 @@ impl Intake {
         self.topics[topic].columns = Some(columns);
     }
 
+    /// Says how the columns of a channel were told.
+    pub(super) fn read_as(&mut self, channel: ChannelId, how: String) {
+        let topic = self.channels[channel.0].topic;
+        self.topics[topic].read_as = Some(how);
+    }
+
+    /// Takes down what is declared of `file` and its numbers are not; once, of however many episodes.
+    pub(super) fn contradiction(&mut self, file: &Path, what: String) {
+        let known = self.contradictions.get_or_insert_default();
+        if known.len() < MAX_NOTES && known.iter().all(|known| known.what != what) {
+            known.push(Note { file: file.to_owned(), what });
+        }
+    }
+
+    /// Takes over that metadata were read, and the type of the robot that they name.
+    pub(super) fn declared(&mut self, robot: Option<&str>) {
+        self.contradictions.get_or_insert_default();
+        self.robot_type = self.robot_type.take().or_else(|| robot.map(str::to_owned));
+    }
+
     /// Messages taken so far.
     pub(super) fn messages(&self) -> u64 {
         self.messages
@@ -269,6 +292,8 @@ impl Intake {
             messages: self.messages,
             losses: self.losses,
             notes: self.notes,
+            contradictions: self.contradictions,
+            robot_type: self.robot_type,
         }
     }
 

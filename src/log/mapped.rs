@@ -44,6 +44,12 @@ fn worth_reading(_: &File, bytes: u64) -> usize {
 /// A file in memory.
 pub(super) struct Mapped(Mmap);
 
+impl AsRef<[u8]> for Mapped {
+    fn as_ref(&self) -> &[u8] {
+        self.bytes()
+    }
+}
+
 impl Mapped {
     /// Maps a file into memory, or says in one line why it cannot be read.
     pub(super) fn open(path: &Path) -> Result<Self, LogError> {

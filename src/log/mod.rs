@@ -32,6 +32,7 @@ mod rtde;
 mod seeds;
 mod sniff;
 mod spans;
+mod tables;
 #[cfg(test)]
 mod testing;
 mod topic;
@@ -50,6 +51,7 @@ pub use self::postures::{PostureTable, RotationColumns, posture_table};
 pub use self::progress::Progress;
 pub use self::reading::open;
 pub use self::remote::{Listed, RemoteFault, is_url, list, normal};
+pub use self::tables::{ColumnSelector, ColumnSettings, episode_of, episodes, is_in_dataset};
 
 /// The local file that `path` names, itself or as a `file://` URL; `None` for an object in a store.
 pub fn local(path: &Path) -> Option<PathBuf> {
@@ -62,5 +64,10 @@ pub const HEAD_BYTES: u64 = 4096;
 
 /// Whether a file that begins with `head` may be a log: of a zstd archive only reading it tells.
 pub fn looks_like_log(head: &[u8]) -> bool {
-    !matches!(sniff::kind(head), sniff::Kind::Known { .. } | sniff::Kind::Unknown { .. })
+    match sniff::kind(head) {
+        sniff::Kind::Known { .. } | sniff::Kind::Unknown { .. } => false,
+        // Without times it may be anything.
+        sniff::Kind::Table(tables::Kind::Csv) => tables::has_time(head),
+        _ => true,
+    }
 }

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::progress::Progress;
+use super::tables::ColumnSettings;
 
 /// How to read.
 #[derive(Clone, Debug, Default)]
@@ -12,6 +13,8 @@ pub struct ReadOptions {
     /// What the compressed parts of a file may unpack to, GiB, where that is more than would be unpacked
     /// otherwise.
     pub max_unpacked_gib: Option<u32>,
+    /// What the caller says of the columns of tables.
+    pub columns: ColumnSettings,
     /// Kept up to date while the files are read.
     pub progress: Option<Arc<Progress>>,
 }

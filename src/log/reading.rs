@@ -13,6 +13,7 @@ use super::options::ReadOptions;
 use super::ranges::Present;
 use super::remote::{Address, Fetched};
 use super::sniff::Kind;
+use super::tables::{self, Tables};
 use super::unpack::{Allowance, Unpacked};
 use super::{LogError, RemoteFault, mcap, remote, rosbag1, rosbag2, rtde, sniff, unpack};
 use ground::boundary::Staged;
@@ -28,6 +29,7 @@ use ground::boundary::Staged;
 pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
     let mut intake = Intake::default();
     let mut rtde = rtde::Recording::default();
+    let mut tables = Tables::default();
     let inputs = inputs(paths, &mut intake)?;
     refuse_repeats(&inputs)?;
     if let Some(progress) = &options.progress {
@@ -38,10 +40,12 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
         let mut reading = Reading {
             path: &input.path,
             in_bag: input.in_bag,
+            episode: input.episode.as_deref(),
             options: options.clone(),
             losses: Losses::of(&input.path),
             intake: &mut intake,
             rtde: &mut rtde,
+            tables: &mut tables,
             present: Present::Whole,
         };
         let read = reading.file(input);
@@ -64,6 +68,7 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
         }
     }
     rtde.hand_over(&mut intake);
+    tables.hand_over(&mut intake);
     let log = intake.finish(files);
     if log.messages == 0 {
         return Err(LogError::no_messages(&log));
@@ -77,14 +82,19 @@ fn inputs(paths: &[PathBuf], intake: &mut Intake) -> Result<Vec<Input>, LogError
     for path in paths {
         let named = remote::local(path);
         let path = named.as_ref().unwrap_or(path);
+        let (path, episode) = tables::episode_of(path);
+        let path = &path;
+        let before = inputs.len();
         match Address::of(path)? {
             Some(address) => {
                 let path = address.shown();
                 inputs.push(Input { address: Some(address), ..Input::local(path) });
             }
+            None if tables::is_dataset(path) => inputs.extend(tables::files_of(path)?),
             None if path.is_dir() => inputs.extend(rosbag2::files_of(path, intake)?),
             None => inputs.push(Input::local(path.clone())),
         }
+        inputs[before..].iter_mut().for_each(|input| input.episode.clone_from(&episode));
     }
     Ok(inputs)
 }
@@ -93,10 +103,13 @@ fn inputs(paths: &[PathBuf], intake: &mut Intake) -> Result<Vec<Input>, LogError
 struct Reading<'a> {
     path: &'a Path,
     in_bag: bool,
+    /// The only episode that is wanted.
+    episode: Option<&'a str>,
     options: ReadOptions,
     losses: Losses,
     intake: &'a mut Intake,
     rtde: &'a mut rtde::Recording,
+    tables: &'a mut Tables,
     /// What of the file is there.
     present: Present,
 }
@@ -188,7 +201,7 @@ impl Reading<'_> {
         bytes: &[u8],
         opened: impl FnOnce(),
     ) -> Result<(Container, Crc), LogError> {
-        let Self { options, losses, intake, rtde, present, .. } = self;
+        let Self { options, losses, intake, rtde, tables, present, episode, .. } = self;
         let path = || self.path.to_owned();
         let absent = |Absent(byte)| {
             let fault = RemoteFault::Contradiction { byte: byte as u64 };
@@ -211,6 +224,11 @@ impl Reading<'_> {
             Kind::Rtde => {
                 rtde.read(self.path, bytes, options, losses, intake);
                 (Container::RtdeCsv, Crc::None)
+            }
+            Kind::Table(kind) => {
+                let places = (self.path, place);
+                tables.read(kind, places, bytes, (&options.columns, *episode), losses, intake)?;
+                (kind.container(), Crc::None)
             }
             Kind::Zstd => {
                 let (looks, instead) = ("a zstd archive within another", "unpack it first");
@@ -250,7 +268,7 @@ mod tests {
 
     #[test]
     fn what_is_no_log_is_told_from_its_bytes() {
-        let text = refusal("run.mcap", b"time,x,y\n0.0,1.0,2.0\n");
+        let text = refusal("run.mcap", b"name,of,what\nis,not,known\n");
         assert!(text.contains("FILE: not a robot log: it looks like text"), "{text}");
         let sqlite = refusal("run.mcap", b"SQLite format 3\0\x10\0");
         assert!(sqlite.contains("the database cannot be opened: "), "{sqlite}");

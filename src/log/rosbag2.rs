@@ -131,7 +131,13 @@ fn listed(folder: &Path, information: &Information, losses: &mut Losses) -> Vec<
         let unpacked = path.with_extension("");
         let is_packed = path.extension() == Some(OsStr::new("zstd"));
         if path.is_file() {
-            inputs.push(Input { path, address: None, in_bag: true, recorded: recorded(name) });
+            inputs.push(Input {
+                path,
+                address: None,
+                in_bag: true,
+                recorded: recorded(name),
+                episode: None,
+            });
         } else if is_packed && unpacked.is_file() {
             // The recorder was ended before it had packed its last file, or somebody unpacked it.
             inputs.push(Input {
@@ -139,6 +145,7 @@ fn listed(folder: &Path, information: &Information, losses: &mut Losses) -> Vec<
                 address: None,
                 in_bag: true,
                 recorded: recorded(name),
+                episode: None,
             });
         } else {
             let what = format!("lists `{}`, which is not there", excerpt(&name.to_string_lossy()));

@@ -17,13 +17,14 @@ use csv::{ByteRecord, ReaderBuilder};
 use super::decode::Format;
 use super::intake::{ChannelId, Intake};
 use super::losses::Losses;
+use super::tables;
 use super::topic::{Message, Place};
 use super::{Extent, ReadOptions};
-use ground::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times, usable};
+use ground::stream::{Columns, JointColumn, JointColumns, Times, usable};
 use ground::time;
 
 /// The joints of every UR arm, in the controller's order.
-const JOINTS: [&str; 6] = [
+pub(super) const JOINTS: [&str; 6] = [
     "shoulder_pan_joint",
     "shoulder_lift_joint",
     "elbow_joint",
@@ -114,12 +115,12 @@ fn header_line(bytes: &[u8]) -> &[u8] {
 }
 
 /// What stands between the names; a space where nothing else does.
-fn delimiter(header: &[u8]) -> u8 {
+pub(super) fn delimiter(header: &[u8]) -> u8 {
     let mut usual = [b';', b',', b'\t'].into_iter();
     usual.find(|delimiter| header.contains(delimiter)).unwrap_or(b' ')
 }
 
-fn cells(line: &[u8], delimiter: u8) -> impl Iterator<Item = &[u8]> {
+pub(super) fn cells(line: &[u8], delimiter: u8) -> impl Iterator<Item = &[u8]> {
     line.split(move |&byte| byte == delimiter).map(bare)
 }
 
@@ -136,7 +137,7 @@ fn part(name: &[u8]) -> Option<(&str, usize)> {
 }
 
 /// The number in a cell; with `decimal_comma`, `1,5` is one and a half.
-fn number(cell: &[u8], decimal_comma: bool) -> Option<f64> {
+pub(super) fn number(cell: &[u8], decimal_comma: bool) -> Option<f64> {
     let cell = std::str::from_utf8(bare(cell)).ok()?;
     if decimal_comma && cell.contains(',') {
         return cell.replace(',', ".").parse().ok();
@@ -340,7 +341,9 @@ impl Recording {
                     let velocities = place.and_then(|place| self.samples[place].as_ref());
                     Columns::Joints(samples.joints(velocities))
                 }
-                Meaning::Numbers => Columns::Array(samples.array(vector.width)),
+                Meaning::Numbers => {
+                    Columns::Array(tables::array(&samples.stamps, vector.width, &samples.values))
+                }
                 Meaning::Velocities => continue,
             };
             intake.columns(samples.channel, columns);
@@ -444,20 +447,6 @@ impl Samples {
             unusable.for_each(|joint| joints.drop_value(joint));
         }
         joints
-    }
-
-    /// Bare numbers, `width` a row.
-    fn array(&self, width: usize) -> ArrayColumns {
-        let mut array = ArrayColumns { width, ..ArrayColumns::default() };
-        for (&stamp, row) in self.stamps.iter().zip(self.rows(width)) {
-            if row.iter().all(|value| usable(*value)) {
-                array.times.push(stamp, stamp, stamp);
-                array.values.extend_from_slice(row);
-            } else {
-                array.not_finite += 1;
-            }
-        }
-        array
     }
 
     fn rows(&self, width: usize) -> impl Iterator<Item = &[f64]> {

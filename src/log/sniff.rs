@@ -1,6 +1,7 @@
 //! What a file is, told from its first bytes.
 
 use super::rtde;
+use super::tables::{self, HDF5_MAGIC, NPY_MAGIC};
 use super::unpack::ZSTD_MAGIC;
 
 /// What the first bytes of a file say.
@@ -16,6 +17,8 @@ pub(super) enum Kind {
     Zstd,
     /// A table whose first line names RTDE fields.
     Rtde,
+    /// A table of numbers.
+    Table(tables::Kind),
     /// A kind of file that is known, but not read here.
     Known {
         /// What it is, with its article.
@@ -39,10 +42,9 @@ const KNOWN: &[(&[u8], &str, &str)] = &[
     (b"\x89MCAP", "an MCAP file of another version than 0", "write it as MCAP version 0"),
     (b"ULog\x01\x12\x35", "a PX4 ULog", TO_MCAP),
     (b"RRF", "a Rerun recording", "give the log that it was made from"),
-    (b"PAR1", "a Parquet file", "give the log that it was made from"),
     (b"\x04\x22\x4d\x18", "an lz4 archive", UNPACK),
     (b"\x1f\x8b", "a gzip archive", UNPACK),
-    (b"PK\x03\x04", "a zip archive", UNPACK),
+    (ZIP_MAGIC, "a zip archive", UNPACK),
 ];
 
 /// Magic bytes of the kinds that are read, besides MCAP.
@@ -50,7 +52,14 @@ const READ: &[(&[u8], Kind)] = &[
     (b"#ROSBAG V2.0\n", Kind::RosBag1),
     (b"SQLite format 3\0", Kind::Sqlite),
     (ZSTD_MAGIC, Kind::Zstd),
+    (b"PAR1", Kind::Table(tables::Kind::Parquet)),
+    (HDF5_MAGIC, Kind::Table(tables::Kind::Hdf5)),
+    (NPY_MAGIC, Kind::Table(tables::Kind::Npy)),
 ];
+
+const ZIP_MAGIC: &[u8] = b"PK\x03\x04";
+/// Where the name of the first member of a zip archive stands.
+const ZIP_NAME: usize = 30;
 
 /// How many bytes are looked at to tell text from binary data.
 const GLANCE: usize = 4096;
@@ -66,6 +75,9 @@ pub(super) fn kind(bytes: &[u8]) -> Kind {
     if mcap::MAGIC.starts_with(bytes) {
         return Kind::Unknown { looks: "an MCAP file that was cut off within its first 8 bytes" };
     }
+    if is_npz(bytes) {
+        return Kind::Table(tables::Kind::Npz);
+    }
     let known = KNOWN.iter().find(|(magic, ..)| bytes.starts_with(magic));
     if let Some(&(_, looks, instead)) = known {
         return Kind::Known { looks, instead };
@@ -76,6 +88,7 @@ pub(super) fn kind(bytes: &[u8]) -> Kind {
     } else if is_text(glance) {
         match rtde::first_line(bytes) {
             rtde::FirstLine::Names => return Kind::Rtde,
+            _ if tables::first_line(bytes) => return Kind::Table(tables::Kind::Csv),
             rtde::FirstLine::Numbers => "a table of numbers without a first line that names them",
             rtde::FirstLine::Other => "text",
         }
@@ -83,6 +96,13 @@ pub(super) fn kind(bytes: &[u8]) -> Kind {
         "unknown binary data"
     };
     Kind::Unknown { looks }
+}
+
+/// Whether a zip archive is one of NumPy's, by the name of its first member.
+fn is_npz(bytes: &[u8]) -> bool {
+    let length = bytes.get(26..28).map(|two| usize::from(two[0]) | usize::from(two[1]) << 8);
+    let name = length.and_then(|length| bytes.get(ZIP_NAME..ZIP_NAME + length));
+    bytes.starts_with(ZIP_MAGIC) && name.is_some_and(|name| name.ends_with(b".npy"))
 }
 
 /// Whether `bytes` read as UTF-8 text, of which the last character may be cut.

@@ -82,6 +82,8 @@ pub(super) struct TopicIntake {
     /// Rows that were not decoded from messages.
     pub(super) columns: Option<Columns>,
     pub(super) undecodable: Option<Undecodable>,
+    /// How its columns were told.
+    pub(super) read_as: Option<String>,
     /// The files that hold it, by their number, and the span in each.
     pub(super) spans: Vec<(usize, Span)>,
     /// Which messages of a batch are its own: the channel's place, and the message's.
@@ -151,6 +153,7 @@ impl TopicIntake {
             // Told once, for the whole of the messages.
             undecodable: undecodable.clone().filter(|_| part.is_empty()),
             useless: useless.clone(),
+            read_as: self.read_as.clone(),
             span,
         };
         parts.into_iter().map(topic).collect()

@@ -77,7 +77,7 @@ fn descriptor(rule: &Rule) -> Value {
         "fullDescription": said(&format!("{}. Speaks up: {}.", rule.summary(), rule.grade)),
         "help": { "text": plain.join("\n"), "markdown": doc },
         "defaultConfiguration": { "level": level(gravest) },
-        "properties": { "tags": ["robotics", &rule.code[..3]] },
+        "properties": { "tags": ["robotics", rule.family()] },
     })
 }
 

@@ -55,6 +55,7 @@ impl From<&RunError> for Trouble {
             | RunError::NoSamples { .. }
             | RunError::NoModel { .. }
             | RunError::Ambiguous { .. }
+            | RunError::Numbered { .. }
             | RunError::SameMotion { .. }
             | RunError::UnknownJoints { .. }
             | RunError::MissingJoints { .. } => TroubleKind::Log,
@@ -112,7 +113,15 @@ impl From<LogError> for Trouble {
             LogError::NotALog { path, looks } => (
                 path,
                 format!("not a robot log: it looks like {looks}"),
-                "name an MCAP file, a bag or an RTDE CSV",
+                "name an MCAP file, a bag or a table (CSV, NPY, NPZ, Parquet, HDF5)",
+            ),
+            LogError::Columns { path, what } => {
+                (path, what, "say it in [columns] of the config (docs/datasets.md)")
+            }
+            LogError::Episodes { path, most } => (
+                path,
+                format!("it holds more than {most} episodes"),
+                "name one as FILE#EPISODE, or audit each with `poseaudit fleet`",
             ),
             LogError::NoMessages { path, cause } => {
                 (path, format!("no messages can be read: {cause}"), "record again")

@@ -23,6 +23,7 @@ use super::error::RunError;
 use super::flaws::flaws;
 use super::models;
 use super::norms::norms;
+use super::numbered;
 use super::role::Role;
 use super::settle::settle;
 use super::space::Space;
@@ -66,7 +67,9 @@ impl Run {
         let given = models::given(&options.robots)?;
         let calibrations = models::given_calibrations(&options.calibrations)?;
         let has_clock_topic = log.has_clock();
-        let mut streams = split(log.topics);
+        let mut topics_of_log = log.topics;
+        numbered::name(&mut topics_of_log, &models::for_numbers(&given, log.robot_type.as_deref()));
+        let mut streams = split(topics_of_log);
         for declared in &options.declared {
             // What a config expects and the log does not have is a finding.
             let by_config = options.topics.iter().any(|said| said.is_of(&declared.topic));
@@ -108,6 +111,7 @@ impl Run {
             calibrations,
             descriptions: &descriptions,
             logged_calibrations: &logged_calibrations,
+            robot_type: log.robot_type.as_deref(),
         };
         let no_arm = match assembly.find_arms(&said) {
             Ok(()) => None,
@@ -122,6 +126,7 @@ impl Run {
         }
         assembly.name_joints();
         unfold::say(&mut assembly.streams, &folded);
+        say_columns(&mut assembly.streams);
         let (targets, references) = (assembly.targets(), assembly.references());
         let Assembly { streams, timing, tf, arms, unaudited, contests, frozen, watched, .. } =
             assembly;
@@ -154,6 +159,15 @@ impl Run {
             no_arm,
             unreadable,
         })
+    }
+}
+
+/// Says of every stream of a table how its columns were told.
+fn say_columns(streams: &mut [Stream]) {
+    for stream in streams {
+        if let Some(read_as) = &stream.read_as {
+            stream.reason += &format!("; {read_as}");
+        }
     }
 }
 

@@ -7,6 +7,7 @@ use crate::robot::{Robot, catalogue};
 use super::by_order;
 use super::error::RunError;
 use super::model::{Clues, Model};
+use super::numbered;
 
 /// What tells arms with the same joint names apart.
 pub(super) struct Judges<'a> {
@@ -60,13 +61,13 @@ impl Standing {
 
 impl Ranking {
     /// How the best was told from the others, in words.
-    fn words(&self, names: &[&str]) -> String {
+    fn words(&self, names: &[&str], alike: &str) -> String {
         let [best, others @ ..] = self.standings.as_slice() else { return String::new() };
         let least = self.standings.iter().map(|one| one.score).fold(f64::INFINITY, f64::min);
         let (same, further): (Vec<&Standing>, Vec<&Standing>) =
             others.iter().partition(|other| other.score <= least + self.apart);
         let mut words = format!(
-            "the catalogue: of {} arms with these joint names it needs the fewest causes: {} fits to {}",
+            "the catalogue: of {} arms with {alike} it needs the fewest causes: {} fits to {}",
             names.len(),
             best.topic,
             best.words()
@@ -96,6 +97,9 @@ pub(super) fn from_catalogue(
     judges: &Judges<'_>,
 ) -> Result<Vec<Model>, RunError> {
     let mut joints = clues.joints.to_vec();
+    if numbered::is_numbered(&joints) {
+        return of_numbers(clues, judges);
+    }
     let mut models: Vec<Model> = Vec::new();
     loop {
         let found = catalogue::candidates_for(&joints);
@@ -112,7 +116,9 @@ pub(super) fn from_catalogue(
             return Ok(models);
         }
         let is_stranger = found[0].names.strangeness > 0;
-        match the_one_of(equals, is_stranger, judges) {
+        match the_one_of(equals, is_stranger, judges)
+            .or_else(|error| by_type(&found, clues).ok_or(error))
+        {
             Ok(Some(model)) => {
                 joints.retain(|joint| model.robot.joint(joint).is_none());
                 models.push(model);
@@ -122,6 +128,47 @@ pub(super) fn from_catalogue(
             Err(error) => return Err(error),
         }
     }
+}
+
+/// The arm of several that metadata name, where nothing else tells.
+fn by_type(found: &[catalogue::Candidate], clues: &Clues<'_>) -> Option<Option<Model>> {
+    let robot_type = clues.robot_type?;
+    let named = numbered::of_type(robot_type)?;
+    let candidate = found.iter().find(|candidate| candidate.robot.name == named.name)?;
+    let how = format!("the catalogue, by the robot type '{robot_type}' of the metadata");
+    Some(Some(Model::new(candidate.renamed()?, how, &candidate.names.to_prefix, clues)))
+}
+
+/// The arm of the catalogue that joints without names are of: the only one that fits the poses.
+fn of_numbers(clues: &Clues<'_>, judges: &Judges<'_>) -> Result<Vec<Model>, RunError> {
+    let models = numbered::candidates(clues);
+    let names: Vec<&str> = models.iter().map(|model| model.robot.name.as_str()).collect();
+    let vendor = |at: usize| models[at].robot.provenance.as_ref().map(|of| of.vendor.clone());
+    let ranking = (judges.by_poses)(&models.iter().collect::<Vec<_>>());
+    let Some((ranking, best)) =
+        ranking.as_ref().and_then(|ranking| Some((ranking, ranking.standings.first()?)))
+    else {
+        return Err(RunError::Numbered { joints: clues.joints.len(), arms: Vec::new() });
+    };
+    let others = ranking
+        .standings
+        .iter()
+        .skip(1)
+        .filter(|other| other.fits && other.score <= best.score + ranking.apart);
+    let same: Vec<usize> = others.map(|other| other.model).collect();
+    // A wrong arm may come near: one that nothing names must fit as a drawing does.
+    const FITS_M: f64 = 5e-4;
+    let fits = best.fits && best.way.left_m < FITS_M;
+    if !fits || same.iter().any(|other| vendor(*other) != vendor(best.model)) {
+        let arms = if fits {
+            std::iter::once(best.model).chain(same).map(|at| names[at].to_owned()).collect()
+        } else {
+            Vec::new()
+        };
+        return Err(RunError::Numbered { joints: clues.joints.len(), arms });
+    }
+    let found = ranking.words(&names, "as many joints");
+    Ok(vec![Model { found, ..models[best.model].clone() }])
 }
 
 /// The arms of the catalogue that have the joints which the caller maps those of the log to, each map's the
@@ -197,7 +244,7 @@ fn the_one_of(
     match ranking.as_ref().and_then(|ranking| Some((ranking, ranking.standings.first()?))) {
         // Names such as joint_1 are anybody's: an arm that does not fit is not this maker's.
         Some((ranking, best)) if best.fits || is_one_makers => {
-            Ok(take(best.model, ranking.words(&names)))
+            Ok(take(best.model, ranking.words(&names, "these joint names")))
         }
         Some(_) if is_stranger => Ok(None),
         _ => Err(RunError::Ambiguous { arms: names.into_iter().map(str::to_owned).collect() }),
@@ -230,6 +277,7 @@ mod tests {
             descriptions: &[],
             calibrations: &[],
             space: &space,
+            robot_type: None,
             joint_map: &[],
         };
         from_catalogue(&clues, judges)

@@ -29,6 +29,13 @@ pub enum RunError {
         /// The arms.
         arms: Vec<String>,
     },
+    /// A table does not name its joints, and no arm of the catalogue or more than one fits its poses.
+    Numbered {
+        /// How many there are.
+        joints: usize,
+        /// The arms that fit.
+        arms: Vec<String>,
+    },
     /// The model's joints are not those of the log.
     UnknownJoints {
         /// The model.
@@ -119,6 +126,7 @@ impl RunError {
             | Self::NoSamples { .. }
             | Self::NoModel { .. }
             | Self::Ambiguous { .. }
+            | Self::Numbered { .. }
             | Self::SameMotion { .. }
             | Self::UnknownJoints { .. }
             | Self::Robot(_) => false,
@@ -147,6 +155,16 @@ impl RunError {
                     few(arms)
                 )
             }
+            Self::Numbered { joints, arms } if arms.is_empty() => {
+                format!(
+                    "the table does not name its {joints} joints, and no arm of the catalogue fits its poses"
+                )
+            }
+            Self::Numbered { joints, arms } => format!(
+                "the table does not name its {joints} joints, and {} arms of the catalogue fit its poses: {}",
+                arms.len(),
+                few(arms)
+            ),
             Self::UnknownJoints { robot, logged, modelled, .. } if modelled.is_empty() => {
                 format!("'{robot}' has no joint that moves: the log has {}", few(logged))
             }
@@ -199,6 +217,7 @@ impl RunError {
             Self::NoJointStates { .. }
             | Self::NoModel { .. }
             | Self::Ambiguous { .. }
+            | Self::Numbered { .. }
             | Self::SameMotion { .. } => "the log".to_owned(),
             Self::JointMap { .. } => "--joint-map".to_owned(),
             Self::NoSamples { .. } | Self::MissingJoints { .. } => "joint states".to_owned(),
@@ -214,12 +233,15 @@ impl RunError {
     /// What the reader of the message can do, as a short clause.
     pub fn remedy(&self) -> &'static str {
         match self {
-            Self::NoJointStates { .. } => "record the topic /joint_states (sensor_msgs/JointState)",
+            Self::NoJointStates { .. } => {
+                "record the topic /joint_states (sensor_msgs/JointState), or name a table's columns in [columns] of the \
+                 config"
+            }
             Self::NoSamples { .. } => "record the joint states of the whole arm",
             Self::NoModel { .. } => {
                 "pass --robot FILE with the arm's URDF, or --robot NAME of the catalogue, such as ur5e"
             }
-            Self::Ambiguous { .. } | Self::SameMotion { .. } => {
+            Self::Ambiguous { .. } | Self::Numbered { .. } | Self::SameMotion { .. } => {
                 "pass --robot NAME with the one it is"
             }
             Self::JointMap { .. } => {

@@ -221,6 +221,7 @@ mod tests {
             columns: Some(Columns::Joints(columns)),
             undecodable: None,
             useless: None,
+            read_as: None,
             span: None,
         }]);
         let clocks = Clocks::settle(&streams, crate::time::Clock::Header, 5.0);

@@ -28,6 +28,7 @@ mod joints;
 mod model;
 mod models;
 mod norms;
+mod numbered;
 mod poses;
 mod publishers;
 mod role;

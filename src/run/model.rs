@@ -69,6 +69,8 @@ pub(super) struct Clues<'a> {
     pub joint_map: &'a [JointName],
     /// What tells this arm from others whose joints have the same names.
     pub space: &'a Space,
+    /// The type of the robot, as metadata say it.
+    pub robot_type: Option<&'a str>,
 }
 
 /// The base and tip that controllers of catalogue arms with the joints of `robot` report in, each

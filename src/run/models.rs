@@ -10,6 +10,7 @@ use super::catalogued::{Judges, from_catalogue, mapped_from_catalogue};
 use super::declaration::{CalibrationSource, JointName, RobotSource};
 use super::error::RunError;
 use super::model::{Clues, Model};
+use super::numbered;
 use super::skeleton::is_own;
 use super::space::{Claim, Space};
 
@@ -35,6 +36,22 @@ pub(super) fn given(sources: &[RobotSource]) -> Result<Vec<Given>, RunError> {
         .iter()
         .map(|source| Ok(Given { robot: robot_of(&source.model)?, prefix: source.prefix.clone() }))
         .collect()
+}
+
+/// The models that may name the joints of a table that only counts them, each with its prefix: the caller's,
+/// else the arm of the catalogue that metadata name.
+pub(super) fn for_numbers<'a>(
+    given: &'a [Given],
+    robot_type: Option<&str>,
+) -> Vec<(&'a Robot, Option<&'a str>)> {
+    if given.is_empty() {
+        return robot_type
+            .and_then(numbered::of_type)
+            .map(|robot| (robot, None))
+            .into_iter()
+            .collect();
+    }
+    given.iter().map(|given| (&given.robot, given.prefix.as_deref())).collect()
 }
 
 /// Reads the calibrations that the caller named.
@@ -376,8 +393,15 @@ mod tests {
 
     fn no_clues() -> Clues<'static> {
         let (joints, frames) = (&[], const { &BTreeSet::new() });
-        let joint_map = &[];
-        Clues { joints, frames, descriptions: &[], calibrations: &[], space: &ALONE, joint_map }
+        Clues {
+            joints,
+            frames,
+            descriptions: &[],
+            calibrations: &[],
+            space: &ALONE,
+            robot_type: None,
+            joint_map: &[],
+        }
     }
 
     const NOBODY: Judges<'static> = Judges { by_transforms: &|_| None, by_poses: &|_| None };

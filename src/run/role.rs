@@ -187,7 +187,7 @@ pub(super) struct PoseTopic<'a> {
 pub(super) fn plain_role(topic: &str, columns: &Columns) -> Option<Verdict> {
     let words = words(topic);
     let verdict = match columns {
-        Columns::Joints(_) => match shared(&words, GOALS) {
+        Columns::Joints(_) => match goal(topic, &words) {
             Some(word) => (Role::Reference, format!("joint commands, by the word '{word}'")),
             None => (Role::Joints, "joint states".to_owned()),
         },
@@ -318,7 +318,7 @@ pub(super) fn array_role(topic: &str, width: usize, is_declared: bool) -> Verdic
     if is_declared && is_pose_width {
         return (Role::Pose, "declared".to_owned());
     }
-    if let Some(word) = shared(&topic_words, GOALS) {
+    if let Some(word) = goal(topic, &topic_words) {
         return (Role::Reference, format!("what shall be, by the word '{word}' in its name"));
     }
     if let Some(word) = shared(&topic_words, NO_POSE) {
@@ -328,6 +328,13 @@ pub(super) fn array_role(topic: &str, width: usize, is_declared: bool) -> Verdic
         return (Role::Ignored, format!("{width} numbers a row are no pose (6, 7, 12 or 16 are)"));
     }
     (Role::Candidate { presumed: false }, format!("{width} numbers a row may be a pose"))
+}
+
+/// The word of a topic that says that it carries what shall be. Columns of tables say so in other words.
+fn goal(topic: &str, words: &[String]) -> Option<&'static str> {
+    const OF_COLUMNS: &[&str] = &["action", "actions", "rsol", "asol"];
+    let is_column = !topic.starts_with('/');
+    shared(words, GOALS).or_else(|| shared(words, OF_COLUMNS).filter(|_| is_column))
 }
 
 /// Whether a frame's name says that it is a camera's, or something that a camera sees.

@@ -70,6 +70,8 @@ fn without_topics(log: &Log) -> Log {
         span: log.span,
         losses: log.losses.clone(),
         notes: log.notes.clone(),
+        contradictions: log.contradictions.clone(),
+        robot_type: log.robot_type.clone(),
     }
 }
 
@@ -220,6 +222,10 @@ fn part_of(topic: &Topic, restarts: &[Restart], segment: usize) -> Topic {
     let mut columns = topic.columns.clone();
     if let Some(columns) = &mut columns {
         columns.retain(&rows);
+        if topic.read_as.is_some() {
+            // Nobody received the rows of a table: what was made up put its episodes one after another.
+            columns.times_mut().into_iter().for_each(|times| times.log.clone_from(&times.header));
+        }
     }
     Topic {
         // A topic of the run is not empty because a segment of it is.
@@ -248,6 +254,7 @@ mod tests {
             columns: Some(columns),
             undecodable: None,
             useless: None,
+            read_as: None,
             span: None,
         }
     }
@@ -273,6 +280,8 @@ mod tests {
             span: None,
             losses: Vec::new(),
             notes: Vec::new(),
+            contradictions: None,
+            robot_type: None,
         }
     }
 

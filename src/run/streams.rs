@@ -48,6 +48,8 @@ pub struct Stream {
     /// Whether an audit would want it, by its type and name, and it holds no message, or none with
     /// finite numbers.
     pub is_empty: bool,
+    /// How its columns were told, of a table.
+    pub read_as: Option<String>,
     /// What it held, as logged.
     pub columns: Option<Columns>,
 }
@@ -108,6 +110,7 @@ impl Stream {
             child_frame_id: self.child_frame_id.clone(),
             reference: self.reference.clone(),
             link: self.link.clone(),
+            read_as: self.read_as.clone(),
             columns: None,
             ..*self
         }
@@ -133,6 +136,9 @@ fn leave_joints_to_named(streams: &mut [Stream]) {
     };
     for index in 0..streams.len() {
         let Some(count) = joints(&streams[index], true) else { continue };
+        if streams[index].read_as.is_some() {
+            continue;
+        }
         let named = streams.iter().find(|stream| joints(stream, false) >= Some(count));
         if let Some(topic) = named.map(|stream| stream.topic.clone()) {
             streams[index].role = Role::Ignored;
@@ -161,6 +167,7 @@ fn of_topic(topic: Topic) -> Vec<Stream> {
         start: topic.span.map(|(start, _)| start),
         end: topic.span.map(|(_, end)| end),
         is_empty: false,
+        read_as: topic.read_as,
         columns: None,
     };
     if topic.messages == 0 && topic.columns.as_ref().is_some_and(|held| is_wanted(&stream, held)) {

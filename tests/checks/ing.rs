@@ -92,7 +92,7 @@ cases! {
     ING003 a_sample_that_jumps_is_usable: |log| {
         log.edit = Some(|messages| throw(messages, POSE, &[100], [0.5, 0.0, 0.0]));
     } => BlamedOn("MOT005");
-    ING002 a_text_file: |log| log.damage = Some(|bytes| *bytes = b"t,x,y\n0,1,2\n".to_vec())
+    ING002 a_text_file: |log| log.damage = Some(|bytes| *bytes = b"to,do\nor,not\n".to_vec())
         => Refused("text");
 }
 

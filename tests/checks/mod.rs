@@ -55,7 +55,7 @@ const CASES: &[&[Case]] = &[
 #[test]
 fn every_rule_has_a_case_of_every_kind() {
     let cases = || CASES.iter().copied().flatten();
-    for rule in registry() {
+    for rule in registry().iter().filter(|rule| !OF_DATASETS.contains(&rule.code)) {
         let kinds: BTreeSet<&str> = cases()
             .filter(|case| case.code == rule.code)
             .map(|case| case.expected.kind())
@@ -71,7 +71,10 @@ fn every_rule_has_a_case_of_every_kind() {
 }
 
 /// Rules about what is not in every log, nor in the sound one.
-const WITHOUT_INPUT: &[&str] = &["FRM006", "LAT004", "MOT004", "ORD006", "ORD007"];
+const WITHOUT_INPUT: &[&str] = &["FRM006", "LAT004", "META001", "MOT004", "ORD006", "ORD007"];
+
+/// Rules about tables, whose cases are in `tests/tables.rs`.
+const OF_DATASETS: &[&str] = &["META001"];
 
 #[test]
 fn a_sound_log_passes_every_rule_on_every_subject() {

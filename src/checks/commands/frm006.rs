@@ -3,6 +3,7 @@ use serde_json::{Value, json};
 use crate::checks::commands::witness::{self, following_json, witness_name, witnesses_differ};
 use crate::checks::decision::{Decision, decide_frame};
 use crate::checks::frames::{THRESHOLDS, pose_json, show};
+use crate::checks::motion::mot003::UNIT_IS_OPEN;
 use crate::checks::{Case, FrameThresholds, Grade, Judged};
 use crate::diagnosis::{Constancy, FrameEstimate, Measured, ReferenceDiagnosis, RestGap};
 use crate::evidence::{ArmEvidence, Of, ReferenceEvidence, WitnessKind};
@@ -133,6 +134,12 @@ fn judge(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence>) -> J
     let Some(nearest) = all.iter().min_by(|a, b| size(a.gap).total_cmp(&size(b.gap))) else {
         return with_commands(judged(Outcome::Inconclusive(not_reached(found))));
     };
+    if arm.unit_is_open() {
+        return with_commands(judged(Outcome::Inconclusive(format!(
+            "{}{UNIT_IS_OPEN}",
+            joint_gaps(arm, nearest.gap)
+        ))));
+    }
     let gaps = &found.gaps[nearest.witness];
     let name = witness_name(reference, nearest.witness);
     let outcome = match &nearest.decision {
@@ -323,6 +330,17 @@ fn worst_joint(arm: &ArmEvidence, gap: &RestGap) -> Option<String> {
         gap.joints.iter().max_by(|a, b| a.1.value.abs().total_cmp(&b.1.value.abs()))?;
     let name = &arm.joints.get(*joint)?.name;
     Some(format!("{name} stays {} off", arm.joint_unit(*joint).show_signed(off)))
+}
+
+/// By how much the joint that is farthest off stays off, in the numbers of the log, where these were taken for
+/// degrees.
+fn joint_gaps(arm: &ArmEvidence, gap: &RestGap) -> String {
+    let worst = gap.joints.iter().max_by(|a, b| a.1.value.abs().total_cmp(&b.1.value.abs()));
+    let joint =
+        worst.and_then(|(joint, off)| Some((arm.joints.get(*joint)?, off.value.to_degrees())));
+    joint.map_or(String::new(), |(joint, off)| {
+        format!("{} stays {off:.2} of its numbers off its command at rest; ", joint.name)
+    })
 }
 
 fn joints_json(arm: &ArmEvidence, joints: &[(usize, Measured)]) -> Value {

@@ -1,6 +1,6 @@
 use crate::checks::decision::unseen;
 use crate::checks::{Case, Grade, Judged, Threshold, changes};
-use crate::diagnosis::{JointScale, UnitSlip};
+use crate::diagnosis::{JointScale, Measured, UnitSlip};
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, JointScaling, Outcome, Severity, Unit};
 use serde_json::json;
@@ -83,7 +83,7 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
         let fault = fault(arm, scale, joints, &left);
         Judged::new(subject, Outcome::faulty(fault))
             .within(arm.span)
-            .estimated(Estimate::amount("joint scale", Unit::One, &scale.factor))
+            .estimated(Estimate::amount("joint scale", Unit::One, &as_logged(arm, scale.factor)))
             .with_evidence(
                 "offset",
                 if scale.is_coded() { json!(scale.offset) } else { json!(null) },
@@ -119,6 +119,14 @@ fn changing(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     judged.collect()
 }
 
+/// What takes the numbers of the log to rad, where these were taken for degrees on the way.
+fn as_logged(arm: &ArmEvidence, factor: Measured) -> Measured {
+    match arm.taken_for_degrees {
+        true => factor.scaled(1f64.to_radians()),
+        false => factor,
+    }
+}
+
 /// Whether two joints have the same factor.
 fn is_same(a: &JointScale, b: &JointScale) -> bool {
     let apart = (a.factor.value - b.factor.value).abs();
@@ -127,7 +135,7 @@ fn is_same(a: &JointScale, b: &JointScale) -> bool {
 }
 
 fn fault(arm: &ArmEvidence, scale: &JointScale, joints: &[JointScale], left: &UnitSlip) -> Fault {
-    let factor = scale.factor.value;
+    let factor = as_logged(arm, scale.factor).value;
     let (title, what) = if near(factor, -1.0) {
         ("joint is reversed", "the positions have the wrong sign".to_owned())
     } else {
@@ -167,7 +175,7 @@ fn scaling(arm: &ArmEvidence, scale: &JointScale) -> Option<JointScaling> {
 
 /// What a factor looks like, in words.
 fn kind(arm: &ArmEvidence, scale: &JointScale) -> String {
-    let factor = scale.factor.value.abs();
+    let factor = as_logged(arm, scale.factor).value.abs();
     let reversed = if scale.factor.value < 0.0 { ", counted backwards" } else { "" };
     let ticks = TAU / factor;
     let bits = ticks.log2().round();
@@ -183,7 +191,10 @@ fn kind(arm: &ArmEvidence, scale: &JointScale) -> String {
     if is_share(100.0) {
         return format!("the positions are a percentage of the range{reversed}");
     }
-    format!("the joint moves {} times what its positions say", shown(scale.factor.value))
+    format!(
+        "the joint moves {} times what its positions say",
+        shown(as_logged(arm, scale.factor).value)
+    )
 }
 
 /// Whether a number is another one for all that a log can show.

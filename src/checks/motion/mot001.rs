@@ -1,5 +1,5 @@
 use crate::checks::decision::Threshold;
-use crate::checks::motion::mot003::doubt;
+use crate::checks::motion::mot003::motion_doubt;
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{NoShake, Shake};
 use crate::evidence::{ArmEvidence, Of, ShakeEvidence};
@@ -60,7 +60,7 @@ fn check(case: &Case) -> Vec<Judged> {
 fn judge(case: &Case, arm: &ArmEvidence, stream: &Of<ShakeEvidence>) -> Judged {
     let judged = |outcome| stream.judged(outcome);
     let why = match stream.topic() == arm.joints_topic {
-        true => doubt(arm),
+        true => motion_doubt(arm),
         false => stream.in_other_units.then(|| "its unit is not metres (ORD008)".to_owned()),
     };
     if let Some(why) = why {

@@ -70,8 +70,18 @@ pub(in crate::checks) fn doubt_of_joint(arm: &ArmEvidence, joint: usize) -> Opti
     let changes = arm.diagnosis.changes.iter().any(|change| change.column == joint);
     let why =
         "its numbers leap where its zero or scale changes (ZER001, ORD009), and nobody moved there";
-    doubt(arm).or_else(|| changes.then(|| why.to_owned()))
+    motion_doubt(arm).or_else(|| changes.then(|| why.to_owned()))
 }
+
+/// Why the numbers of the joint states are no motion in known units, where they are not.
+pub(in crate::checks) fn motion_doubt(arm: &ArmEvidence) -> Option<String> {
+    let open = || arm.unit_is_open().then(|| UNIT_IS_OPEN.to_owned());
+    doubt(arm).or_else(open)
+}
+
+/// What is said where only the size of joint positions speaks for their unit.
+pub(in crate::checks) const UNIT_IS_OPEN: &str = "the joint positions are too large for rad, and no pose shows whether they are degrees, ticks or shares of \
+     the range; log the tool's pose too";
 
 fn doubt_of(arm: &ArmEvidence) -> Option<&'static str> {
     let why = match &arm.diagnosis.reading {

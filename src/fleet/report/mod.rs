@@ -4,6 +4,7 @@
 mod calendar;
 mod gather;
 mod html;
+mod markdown;
 mod text;
 mod trends;
 
@@ -19,6 +20,7 @@ use crate::report::Verdict;
 
 pub use calendar::{Day, day};
 pub use html::write as write_html;
+pub use markdown::write as write_markdown;
 pub use text::write as write_text;
 pub use trends::{Course, Moved, Point, TrendRow};
 

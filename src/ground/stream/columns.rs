@@ -129,6 +129,8 @@ pub struct JointColumns {
     pub unusable: Vec<u64>,
     /// Whether the type carries no names, so that those here are the driver's usual ones.
     pub unnamed: bool,
+    /// Whether the positions were taken for degrees, by nothing but their size, and are rad here.
+    pub taken_for_degrees: bool,
 }
 
 /// Poses with quaternions: PoseStamped, Odometry, TransformStamped, one (parent, child) of /tf.

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use super::super::{Container, Extent, Log, LogError, ReadOptions, open};
 use super::*;
+use ground::stream::ArrayColumns;
 
 /// A header of numbered columns.
 fn names(vectors: &[(&str, usize)], delimiter: &str) -> String {

@@ -32,6 +32,8 @@ pub(super) struct Said<'a> {
     /// Text of each description and calibration in the log, after the name of where it was.
     pub descriptions: &'a [(String, String)],
     pub logged_calibrations: &'a [(String, String)],
+    /// The type of the robot, as metadata say it.
+    pub robot_type: Option<&'a str>,
 }
 
 impl Assembly<'_> {
@@ -124,6 +126,7 @@ impl Assembly<'_> {
             calibrations: said.logged_calibrations,
             joint_map: &self.options.joint_map,
             space,
+            robot_type: said.robot_type,
         };
         let poses = ByPoses { assembly: self, group, tree };
         let judges = Judges {

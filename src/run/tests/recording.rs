@@ -128,6 +128,7 @@ impl Recording {
             columns: Some(columns),
             undecodable: None,
             useless: None,
+            read_as: None,
             span: None,
         };
         Log {
@@ -137,6 +138,8 @@ impl Recording {
             messages: 0,
             span: None,
             notes: Vec::new(),
+            contradictions: None,
+            robot_type: None,
             losses: Vec::new(),
         }
     }

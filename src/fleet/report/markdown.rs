@@ -1,0 +1,47 @@
+//! The report as Markdown: a card for the page of a dataset.
+
+use std::io::{self, Write};
+
+use super::text::{arm, head, how_often, totals};
+use super::{FindingRow, FleetReport};
+use crate::report::markdown::{code, prose};
+
+/// No more rows are shown; JSON and HTML have more.
+const MOST_ROWS: usize = 20;
+
+/// Writes the card.
+///
+/// # Errors
+/// If `out` cannot be written.
+pub fn write(report: &FleetReport, out: &mut dyn Write) -> io::Result<()> {
+    let word = if report.failing { "FAIL" } else { "PASS" };
+    writeln!(out, "## Pose audit: {word}\n\n{}\n", prose(&totals(report)))?;
+    for (label, said) in head(report) {
+        writeln!(out, "- {label}: {}", prose(&said))?;
+    }
+    report.arms.iter().try_for_each(|row| writeln!(out, "- {}", prose(&arm(row))))?;
+    if !report.findings.is_empty() {
+        writeln!(out, "\n| severity | rule | subject | found | last in |\n|---|---|---|---|---|")?;
+    }
+    report.findings.iter().take(MOST_ROWS).try_for_each(|row| finding(row, out))?;
+    if !report.errors.is_empty() {
+        writeln!(out, "\n| not audited | why |\n|---|---|")?;
+    }
+    let mut errors = report.errors.iter().take(MOST_ROWS);
+    errors.try_for_each(|row| writeln!(out, "| {} | {} |", code(&row.path), prose(&row.what)))
+}
+
+fn finding(row: &FindingRow, out: &mut dyn Write) -> io::Result<()> {
+    let (severity, often) = (row.severity.name(), how_often(row));
+    let subject =
+        if row.whose.part().is_empty() { row.whose.arm_label() } else { row.whose.part() };
+    let found = format!("{}, {often}: {}", row.title, row.message);
+    writeln!(
+        out,
+        "| {severity} | {} | {} | {} | {} |",
+        row.code,
+        prose(&subject),
+        prose(&found),
+        code(&row.path)
+    )
+}

@@ -1,0 +1,236 @@
+//! HDF5, as h5py writes it: data sets of numbers, by their paths. The groups of an episode each
+//! (`data/demo_0` of robomimic and LIBERO) are tables of their own.
+
+use ::bytes::Bytes;
+use hdf5_reader::group::Group;
+use hdf5_reader::{Attribute, Dataset, Datatype, Hdf5File, OpenOptions};
+use serde_json::Value;
+
+use super::{Column, MOST_COLUMNS, MOST_NUMBERS, MOST_WIDE, Refusal, Table};
+use crate::Extent;
+use crate::losses::Losses;
+
+pub(crate) const MAGIC: &[u8] = b"\x89HDF\r\n\x1a\n";
+/// Numbers that a byte of the file may unpack to, and those that any file may hold.
+const MOST_PACKED: usize = 1000;
+const MOST_SMALL: usize = 1 << 20;
+/// Groups within groups that are looked at.
+const DEEP: usize = 8;
+/// Names of groups of episodes, before their number.
+const EPISODES: &[&str] = &["demo", "episode", "ep", "traj", "trajectory"];
+/// Names of rates, in attributes.
+const RATES: &[&str] = &["fps", "control_freq", "control_frequency", "frequency", "rate_hz", "hz"];
+
+/// The episodes of a file; the only one that is `wanted`, if one is.
+pub(super) fn read(
+    bytes: Bytes,
+    wanted: Option<&str>,
+    losses: &mut Losses,
+) -> Result<Vec<(String, Table)>, Refusal> {
+    let (home, episodes, rate_hz) = opened(bytes)?;
+    let names = match episodes.is_empty() {
+        true => vec![None],
+        false => episodes.into_iter().map(Some).collect(),
+    };
+    let mut budget = MOST_NUMBERS;
+    let mut found = Vec::new();
+    for name in names {
+        let label = name.clone().unwrap_or_else(|| "0".to_owned());
+        if wanted.is_some_and(|wanted| *wanted != label) {
+            continue;
+        }
+        let group = match &name {
+            Some(name) => home.group(name).map_err(|error| worded(&error))?,
+            None => home.clone(),
+        };
+        let mut walk = Walk { columns: Vec::new(), budget, refused: None };
+        walk.descend(&group, "", 0);
+        budget = walk.budget;
+        if let (Some(what), true) = (walk.refused, found.is_empty()) {
+            losses.add_unplaced(Extent::Messages, None, what);
+        }
+        let rows = rows_of(&walk.columns);
+        walk.columns.retain(|column| column.values.len() == rows * column.width);
+        let rate_hz = rate_of(&group).or(rate_hz);
+        found.push((label, Table { rows, columns: walk.columns, rate_hz }));
+    }
+    Ok(found)
+}
+
+/// The names of the episodes of a file.
+pub(super) fn episodes_in(bytes: Bytes) -> Result<Vec<String>, Refusal> {
+    opened(bytes).map(|(_, episodes, _)| episodes)
+}
+
+/// The group that holds the episodes, their names, and the rate that the file declares.
+fn opened(bytes: Bytes) -> Result<(Group, Vec<String>, Option<f64>), Refusal> {
+    let most = MOST_NUMBERS.min(MOST_PACKED.saturating_mul(bytes.len()).max(MOST_SMALL));
+    let options =
+        OpenOptions::default().with_max_read_bytes(8 * most).with_max_chunk_bytes(1 << 30);
+    let file = Hdf5File::from_owner(bytes, options).map_err(|error| worded(&error))?;
+    let root = file.root_group().map_err(|error| worded(&error))?;
+    let rate_hz = rate_of(&root);
+    let episodes = episode_groups(&root);
+    if let (true, Ok(data)) = (episodes.is_empty(), root.group("data")) {
+        let own = episode_groups(&data);
+        if !own.is_empty() {
+            let rate_hz = rate_hz.or_else(|| rate_of(&data));
+            return Ok((data, own, rate_hz));
+        }
+    }
+    Ok((root, episodes, rate_hz))
+}
+
+/// The groups of episodes in a group, in the order of their numbers.
+fn episode_groups(group: &Group) -> Vec<String> {
+    let Ok((groups, _)) = group.member_names() else { return Vec::new() };
+    let numbered = groups.into_iter().filter_map(|name| {
+        let digits = name.trim_start_matches(|c: char| !c.is_ascii_digit());
+        let stem = name[..name.len() - digits.len()].trim_end_matches(['_', '-']).to_lowercase();
+        let number: u64 = digits.parse().ok()?;
+        (stem.is_empty() || EPISODES.contains(&stem.as_str())).then_some((number, name))
+    });
+    let mut numbered: Vec<(u64, String)> = numbered.collect();
+    numbered.sort();
+    numbered.into_iter().map(|(_, name)| name).collect()
+}
+
+/// The number of rows that most columns have.
+fn rows_of(columns: &[Column]) -> usize {
+    let rows = |column: &Column| column.values.len() / column.width;
+    let count = |of: usize| columns.iter().filter(|column| rows(column) == of).count();
+    columns.iter().map(rows).max_by_key(|&of| (count(of), of)).unwrap_or(0)
+}
+
+/// A walk over the groups of a file.
+struct Walk {
+    columns: Vec<Column>,
+    budget: usize,
+    /// Why the first data set that could not be read could not.
+    refused: Option<String>,
+}
+
+impl Walk {
+    fn descend(&mut self, group: &Group, path: &str, depth: usize) {
+        let (groups, datasets) = match group.members() {
+            Ok(members) => members,
+            Err(error) => {
+                self.refused.get_or_insert_with(|| format!("group '/{path}': {}", worded(&error)));
+                return;
+            }
+        };
+        let below = |name: &str| {
+            let name = name.rsplit('/').next().unwrap_or(name);
+            if path.is_empty() { name.to_owned() } else { format!("{path}/{name}") }
+        };
+        for dataset in datasets {
+            if self.columns.len() == MOST_COLUMNS {
+                return;
+            }
+            self.dataset(&dataset, below(dataset.name()));
+        }
+        if depth < DEEP {
+            for group in groups {
+                self.descend(&group, &below(group.name()), depth + 1);
+            }
+        }
+    }
+
+    /// Takes a data set of numbers: a row each, of one number or of a few.
+    fn dataset(&mut self, dataset: &Dataset, name: String) {
+        let Some(kind) = kind_of(dataset.dtype()) else { return };
+        let [rows, inner @ ..] = dataset.shape() else { return };
+        // Whole numbers in more than two dimensions are images.
+        if inner.len() > 1 && !kind.starts_with("float") {
+            return;
+        }
+        let width = inner.iter().try_fold(1_u64, |all, side| all.checked_mul(*side));
+        let Some(width) = width.filter(|width| (1..=MOST_WIDE as u64).contains(width)) else {
+            return;
+        };
+        let Some(count) = rows.checked_mul(width).filter(|count| *count > 0) else { return };
+        if count > self.budget as u64 {
+            self.refused
+                .get_or_insert_with(|| format!("'{name}' declares {rows} rows of {width} numbers"));
+            return;
+        }
+        match values(dataset) {
+            Ok(values) => {
+                self.budget -= count as usize;
+                self.columns.push(Column {
+                    name,
+                    kind,
+                    width: width as usize,
+                    parts: Vec::new(),
+                    values,
+                });
+            }
+            Err(error) => {
+                self.refused.get_or_insert_with(|| format!("'{name}': {}", worded(&error)));
+            }
+        }
+    }
+}
+
+/// The numbers of a data set, whatever their type.
+fn values(dataset: &Dataset) -> Result<Vec<f64>, hdf5_reader::error::Error> {
+    macro_rules! read {
+        ($kind:ty) => {
+            dataset
+                .read_array::<$kind>()
+                .map(|array| array.into_iter().map(|value| value as f64).collect())
+        };
+    }
+    match dataset.dtype() {
+        Datatype::FloatingPoint { size: 4, .. } => read!(f32),
+        Datatype::FixedPoint { size: 1, signed: true, .. } => read!(i8),
+        Datatype::FixedPoint { size: 1, signed: false, .. } => read!(u8),
+        Datatype::FixedPoint { size: 2, signed: true, .. } => read!(i16),
+        Datatype::FixedPoint { size: 2, signed: false, .. } => read!(u16),
+        Datatype::FixedPoint { size: 4, signed: true, .. } => read!(i32),
+        Datatype::FixedPoint { size: 4, signed: false, .. } => read!(u32),
+        Datatype::FixedPoint { size: 8, signed: true, .. } => read!(i64),
+        Datatype::FixedPoint { size: 8, signed: false, .. } => read!(u64),
+        _ => read!(f64),
+    }
+}
+
+fn kind_of(datatype: &Datatype) -> Option<String> {
+    match datatype {
+        Datatype::FloatingPoint { size: size @ (4 | 8), .. } => Some(format!("float{}", 8 * size)),
+        Datatype::FixedPoint { size: size @ (1 | 2 | 4 | 8), signed, .. } => {
+            let sign = if *signed { "" } else { "u" };
+            Some(format!("{sign}int{}", 8 * size))
+        }
+        _ => None,
+    }
+}
+
+/// The rate in the attributes of a group: a number, or one in robomimic's `env_args`.
+fn rate_of(group: &Group) -> Option<f64> {
+    let attributes = group.attributes().ok()?;
+    let plain = |attribute: &Attribute| {
+        RATES.contains(&attribute.name.as_str()).then(|| attribute.read_as_f64().ok()).flatten()
+    };
+    let in_text = |attribute: &Attribute| {
+        let text =
+            (attribute.name == "env_args").then(|| attribute.read_string().ok()).flatten()?;
+        rate_in(&serde_json::from_str(&text).ok()?)
+    };
+    let rate = attributes.iter().find_map(plain).or_else(|| attributes.iter().find_map(in_text))?;
+    (rate.is_finite() && rate > 0.0).then_some(rate)
+}
+
+fn rate_in(value: &Value) -> Option<f64> {
+    let all = value.as_object()?;
+    let own = RATES.iter().find_map(|name| all.get(*name)?.as_f64());
+    own.or_else(|| all.values().find_map(rate_in))
+}
+
+fn worded(error: &hdf5_reader::error::Error) -> Refusal {
+    let text = error.to_string();
+    let line = text.lines().next().unwrap_or_default();
+    // h5py's own LZF, and what plugins bring.
+    let advice = if line.contains("unsupported filter") { "; write it with gzip" } else { "" };
+    format!("the HDF5 file cannot be read: {line}{advice}")
+}

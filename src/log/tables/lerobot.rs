@@ -1,0 +1,173 @@
+//! LeRobot datasets, v2 and v3: a folder with `meta/info.json` and `data/*/*.parquet`.
+//!
+//! Of the metadata are used the rate, the names of the features' numbers and the robot's type. What is in
+//! `data` is read as it is there; videos are not.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use serde_json::Value;
+
+use super::Table;
+use crate::LogError;
+use crate::files::Input;
+
+const INFO: &str = "meta/info.json";
+/// Folders above `data/chunk-000/file-000.parquet` that are looked at.
+const DEEP: usize = 4;
+/// Largest `info.json` that is read.
+const MOST_BYTES: u64 = 16 << 20;
+/// Most data files of a dataset that are one audit.
+const MOST_FILES: usize = 100;
+
+/// What a dataset says of itself.
+#[derive(Clone, Debug)]
+pub(super) struct Dataset {
+    rate_hz: Option<f64>,
+    pub robot: Option<String>,
+    features: BTreeMap<String, Feature>,
+}
+
+#[derive(Clone, Debug)]
+struct Feature {
+    dtype: String,
+    /// The numbers of a row, as declared.
+    width: Option<usize>,
+    names: Vec<String>,
+}
+
+#[derive(Deserialize)]
+struct Info {
+    #[serde(default)]
+    fps: Option<f64>,
+    #[serde(default)]
+    robot_type: Option<String>,
+    #[serde(default)]
+    features: BTreeMap<String, RawFeature>,
+}
+
+#[derive(Deserialize)]
+struct RawFeature {
+    #[serde(default)]
+    dtype: String,
+    #[serde(default)]
+    shape: Vec<u64>,
+    #[serde(default)]
+    names: Value,
+}
+
+/// Whether a folder is such a dataset.
+pub(crate) fn is_dataset(folder: &Path) -> bool {
+    folder.join(INFO).is_file()
+}
+
+/// Whether a file is one of such a dataset's.
+pub fn is_in_dataset(file: &Path) -> bool {
+    file.ancestors().skip(1).take(DEEP).any(is_dataset)
+}
+
+/// The data files of the dataset in `folder`.
+///
+/// # Errors
+/// Where it has none, or more than one audit takes.
+pub(crate) fn files_of(folder: &Path) -> Result<Vec<Input>, LogError> {
+    let refused = |cause| LogError::Directory { path: folder.to_owned(), cause };
+    let mut files = Vec::new();
+    let chunks = fs::read_dir(folder.join("data"))
+        .map_err(|source| LogError::io(&folder.join("data"), source))?;
+    for chunk in chunks.filter_map(Result::ok) {
+        let inside = fs::read_dir(chunk.path()).into_iter().flatten().filter_map(Result::ok);
+        files.extend(
+            inside
+                .map(|entry| entry.path())
+                .filter(|path| path.extension().is_some_and(|end| end == "parquet")),
+        );
+    }
+    files.sort();
+    match files.len() {
+        0 => Err(refused("of a dataset without data files")),
+        1..=MOST_FILES => Ok(files.into_iter().map(Input::of_bag).collect()),
+        _ => Err(refused(
+            "of a dataset with more than 100 data files: `poseaudit fleet` audits each episode",
+        )),
+    }
+}
+
+/// The dataset that a file is of: that of the nearest folder above with `meta/info.json`.
+pub(super) fn above(path: &Path) -> Option<Dataset> {
+    let folder = path.ancestors().skip(1).take(DEEP).find(|folder| is_dataset(folder))?;
+    dataset(&folder.join(INFO))
+}
+
+fn dataset(path: &PathBuf) -> Option<Dataset> {
+    let is_small = fs::metadata(path).is_ok_and(|metadata| metadata.len() <= MOST_BYTES);
+    let text = is_small.then(|| fs::read_to_string(path).ok()).flatten()?;
+    let Info { fps, robot_type, features } = serde_json::from_str(&text).ok()?;
+    let features = features.into_iter().map(|(name, RawFeature { dtype, shape, names })| {
+        let width = shape.iter().try_fold(1_u64, |all, side| all.checked_mul(*side));
+        let width =
+            width.and_then(|width| usize::try_from(width).ok()).filter(|_| !shape.is_empty());
+        (name, Feature { dtype, width, names: names_of(&names) })
+    });
+    Some(Dataset {
+        rate_hz: fps.filter(|fps| fps.is_finite() && *fps > 0.0),
+        robot: robot_type.filter(|robot| !robot.is_empty()),
+        features: features.collect(),
+    })
+}
+
+/// The names in a list, or in the lists of a table such as `{"motors": […]}`.
+fn names_of(value: &Value) -> Vec<String> {
+    match value {
+        Value::String(name) => vec![name.clone()],
+        Value::Array(all) => all.iter().flat_map(names_of).collect(),
+        Value::Object(all) => all.values().flat_map(names_of).collect(),
+        _ => Vec::new(),
+    }
+}
+
+impl Dataset {
+    /// Whether a column holds numbers, as declared: no image.
+    pub fn is_numeric(&self, column: &str) -> bool {
+        let of =
+            |feature: &Feature| !["image", "video", "string"].contains(&feature.dtype.as_str());
+        self.features.get(column).is_none_or(of)
+    }
+
+    /// Takes over what is declared of a table.
+    pub fn describe(&self, table: &mut Table) {
+        table.rate_hz = self.rate_hz;
+        for column in &mut table.columns {
+            let Some(feature) = self.features.get(&column.name) else { continue };
+            if feature.names.len() == column.width && column.width > 1 {
+                column.parts.clone_from(&feature.names);
+            }
+        }
+    }
+
+    /// What is declared and the numbers are not.
+    pub fn contradictions(&self, episodes: &[(String, Table)]) -> Vec<String> {
+        let Some((_, table)) = episodes.first() else { return Vec::new() };
+        let mut found = Vec::new();
+        for (name, feature) in &self.features {
+            let column = table.columns.iter().find(|column| column.name == *name);
+            let Some(column) = column else { continue };
+            if let Some(width) = feature.width.filter(|width| *width != column.width) {
+                found.push(format!(
+                    "`{name}` is declared with {width} numbers a row and has {}",
+                    column.width
+                ));
+            }
+            let named = feature.names.len();
+            if named > 1 && named != column.width {
+                found.push(format!(
+                    "`{name}` has {} numbers a row, and {named} names are declared",
+                    column.width
+                ));
+            }
+        }
+        found
+    }
+}

@@ -1,0 +1,254 @@
+//! Parquet: columns of numbers, and lists of as many numbers in every row.
+//!
+//! Values are read leaf by leaf with their levels, so that what wrote the file does not matter: pyarrow's
+//! fixed lists and Hugging Face's sequences are the same there.
+
+use std::ops::Range;
+
+use ::bytes::Bytes;
+use ::parquet::basic::Type;
+use ::parquet::column::reader::{ColumnReader, ColumnReaderImpl};
+use ::parquet::data_type::DataType;
+use ::parquet::errors::ParquetError;
+use ::parquet::file::reader::{FileReader, SerializedFileReader};
+
+use super::lerobot::Dataset;
+use super::{Column, MOST_COLUMNS, MOST_NUMBERS, MOST_WIDE, Refusal, Table};
+
+/// The column that tells the episodes of a dataset apart.
+const EPISODE: &str = "episode_index";
+/// Records that are decoded at once.
+const BATCH: usize = 1 << 14;
+
+/// The numbers of one leaf: as many in each row.
+struct Leaf {
+    name: String,
+    kind: &'static str,
+    width: usize,
+    values: Vec<f64>,
+}
+
+/// The episodes of a file: by `episode_index`, where it has that column. Of one that is `wanted` only its rows
+/// are decoded.
+pub(super) fn read(
+    bytes: Bytes,
+    dataset: Option<&Dataset>,
+    wanted: Option<&str>,
+) -> Result<Vec<(String, Table)>, Refusal> {
+    let reader = SerializedFileReader::new(bytes).map_err(|error| worded(&error))?;
+    let metadata = reader.metadata();
+    let schema = metadata.file_metadata().schema_descr_ptr();
+    let mut leaves = Vec::new();
+    let mut budget = MOST_NUMBERS;
+    let rows = match wanted {
+        Some(wanted) => {
+            let index = index(&reader)?;
+            let number: Option<f64> = wanted.parse().ok();
+            let is_its = |value: &f64| Some(*value) == number;
+            let Some(first) = index.iter().position(is_its) else { return Ok(Vec::new()) };
+            first..first + index[first..].iter().take_while(|value| is_its(value)).count()
+        }
+        None => 0..usize::MAX,
+    };
+    for at in 0..schema.num_columns().min(MOST_COLUMNS) {
+        let column = schema.column(at);
+        let kind = match column.physical_type() {
+            Type::BOOLEAN => "bool",
+            Type::INT32 => "int32",
+            Type::INT64 => "int64",
+            Type::FLOAT => "float32",
+            Type::DOUBLE => "float64",
+            _ => continue,
+        };
+        // The parts of a list's path that the format adds are no name.
+        let path = column.path();
+        let parts = path.parts();
+        let is_list = column.max_rep_level() == 1;
+        let named = if is_list { parts.len().saturating_sub(2).max(1) } else { parts.len() };
+        let name = parts[..named].join(".");
+        let is_wanted = dataset.is_none_or(|dataset| dataset.is_numeric(&name));
+        if column.max_rep_level() > 1 || !is_wanted {
+            continue;
+        }
+        let mut of = Numbers { is_list, budget, rows: rows.clone(), ..Numbers::default() };
+        of.read(&reader, at).map_err(|what| format!("column '{name}': {what}"))?;
+        let Numbers { lengths, values, .. } = of;
+        budget = budget.saturating_sub(values.len());
+        // A list of other lengths from row to row is no vector.
+        let Some(width) = lengths.width().filter(|width| *width <= MOST_WIDE) else { continue };
+        leaves.push(Leaf { name, kind, width, values });
+    }
+    let rows = leaves.iter().map(|leaf| leaf.values.len() / leaf.width).max().unwrap_or(0);
+    leaves.retain(|leaf| leaf.values.len() == rows * leaf.width);
+    if leaves.is_empty() || rows == 0 {
+        return Err("it holds no column of numbers".to_owned());
+    }
+    Ok(episodes(&leaves, rows))
+}
+
+/// The names of the episodes of a file.
+pub(super) fn episodes_in(bytes: Bytes) -> Result<Vec<String>, Refusal> {
+    let reader = SerializedFileReader::new(bytes).map_err(|error| worded(&error))?;
+    let mut index = index(&reader)?;
+    index.dedup();
+    Ok(index.iter().map(f64::to_string).collect())
+}
+
+/// The episode of each row; empty where no column says it.
+fn index(reader: &SerializedFileReader<Bytes>) -> Result<Vec<f64>, Refusal> {
+    let schema = reader.metadata().file_metadata().schema_descr_ptr();
+    let is_it = |at: &usize| schema.column(*at).path().string() == EPISODE;
+    let Some(at) = (0..schema.num_columns()).find(is_it) else { return Ok(Vec::new()) };
+    let mut of = Numbers { budget: MOST_NUMBERS, rows: 0..usize::MAX, ..Numbers::default() };
+    of.read(reader, at)?;
+    Ok(of.values)
+}
+
+/// The rows of each episode; the whole where there is no column of them.
+fn episodes(leaves: &[Leaf], rows: usize) -> Vec<(String, Table)> {
+    let index = leaves.iter().find(|leaf| leaf.name == EPISODE && leaf.width == 1);
+    let mut spans: Vec<(String, Range<usize>)> = Vec::new();
+    match index {
+        Some(index) => {
+            for row in 0..rows {
+                let name = format!("{}", index.values[row]);
+                match spans.last_mut().filter(|(last, _)| *last == name) {
+                    Some((_, span)) => span.end = row + 1,
+                    None => spans.push((name, row..row + 1)),
+                }
+            }
+        }
+        None => spans.push(("0".to_owned(), 0..rows)),
+    }
+    let table = |span: Range<usize>| Table {
+        rows: span.len(),
+        columns: leaves
+            .iter()
+            .map(|leaf| Column {
+                name: leaf.name.clone(),
+                kind: leaf.kind.to_owned(),
+                width: leaf.width,
+                parts: Vec::new(),
+                values: leaf.values[span.start * leaf.width..span.end * leaf.width].to_vec(),
+            })
+            .collect(),
+        rate_hz: None,
+    };
+    spans.into_iter().map(|(name, span)| (name, table(span))).collect()
+}
+
+/// How many numbers the rows of a leaf have.
+#[derive(Default)]
+struct Lengths {
+    open: Option<usize>,
+    all: Option<usize>,
+    differ: bool,
+}
+
+impl Lengths {
+    /// Counts a number; whether it is the first of its row.
+    fn count(&mut self, is_first: bool) {
+        if is_first {
+            self.end();
+        }
+        *self.open.get_or_insert(0) += 1;
+    }
+
+    fn end(&mut self) {
+        let Some(length) = self.open.take() else { return };
+        self.differ |= *self.all.get_or_insert(length) != length;
+    }
+
+    fn width(&self) -> Option<usize> {
+        self.all.filter(|_| !self.differ)
+    }
+}
+
+/// The numbers of a leaf in some rows; NaN where there is none.
+#[derive(Default)]
+struct Numbers {
+    is_list: bool,
+    budget: usize,
+    /// The rows of the file that are read.
+    rows: Range<usize>,
+    lengths: Lengths,
+    values: Vec<f64>,
+}
+
+impl Numbers {
+    /// Reads column `at` of all row groups that have any of the rows.
+    fn read(&mut self, reader: &SerializedFileReader<Bytes>, at: usize) -> Result<(), Refusal> {
+        let mut first = 0;
+        for group in 0..reader.num_row_groups() {
+            let group = reader.get_row_group(group).map_err(|error| worded(&error))?;
+            let count = usize::try_from(group.metadata().num_rows()).unwrap_or(0);
+            let own = self.rows.start.max(first)..self.rows.end.min(first + count);
+            if !own.is_empty() {
+                let column = group.get_column_reader(at).map_err(|error| worded(&error))?;
+                self.column(column, own.start - first..own.end - first)?;
+            }
+            first += count;
+        }
+        self.lengths.end();
+        Ok(())
+    }
+
+    fn column(&mut self, column: ColumnReader, rows: Range<usize>) -> Result<(), Refusal> {
+        match column {
+            ColumnReader::BoolColumnReader(column) => {
+                self.append(column, rows, |value| f64::from(u8::from(value)))
+            }
+            ColumnReader::Int32ColumnReader(column) => self.append(column, rows, f64::from),
+            ColumnReader::Int64ColumnReader(column) => {
+                self.append(column, rows, |value| value as f64)
+            }
+            ColumnReader::FloatColumnReader(column) => self.append(column, rows, f64::from),
+            ColumnReader::DoubleColumnReader(column) => self.append(column, rows, |value| value),
+            _ => Err("it holds no numbers".to_owned()),
+        }
+    }
+
+    fn append<T: DataType>(
+        &mut self,
+        mut column: ColumnReaderImpl<T>,
+        rows: Range<usize>,
+        number: impl Fn(T::T) -> f64,
+    ) -> Result<(), Refusal> {
+        let (mut found, mut definitions, mut repetitions) = (Vec::new(), Vec::new(), Vec::new());
+        column.skip_records(rows.start).map_err(|error| worded(&error))?;
+        let mut left = rows.len();
+        while left > 0 {
+            found.clear();
+            definitions.clear();
+            repetitions.clear();
+            let most = BATCH.min(left);
+            let (records, _, levels) = column
+                .read_records(most, Some(&mut definitions), Some(&mut repetitions), &mut found)
+                .map_err(|error| worded(&error))?;
+            if records == 0 {
+                return Ok(());
+            }
+            left -= records.min(left);
+            if self.values.len() + levels > self.budget {
+                return Err(format!("it has more than {} numbers", self.budget));
+            }
+            let most = definitions.iter().copied().max().unwrap_or(0);
+            let is_all = definitions.is_empty() || found.len() == levels;
+            let mut own = found.drain(..);
+            for level in 0..levels {
+                let starts = repetitions.get(level).is_none_or(|level| *level == 0);
+                self.lengths.count(!self.is_list || starts);
+                let is_there = is_all || definitions.get(level) == Some(&most);
+                let value = if is_there { own.next() } else { None };
+                self.values.push(value.map_or(f64::NAN, &number));
+            }
+        }
+        Ok(())
+    }
+}
+
+fn worded(error: &ParquetError) -> Refusal {
+    let text = error.to_string();
+    let line = text.lines().next().unwrap_or_default();
+    format!("the Parquet file cannot be read: {line}")
+}

@@ -1,0 +1,381 @@
+//! Tables as bytes: made by the writers of their formats, cut, and declared otherwise than they are.
+
+use std::fs;
+use std::path::Path;
+use std::sync::Arc;
+
+use ::parquet::basic::Compression;
+use ::parquet::data_type::{DoubleType, FloatType, Int64Type};
+use ::parquet::file::properties::WriterProperties;
+use ::parquet::file::writer::SerializedFileWriter;
+use ::parquet::schema::parser::parse_message_type;
+
+use crate::{ColumnSettings, Log, LogError, ReadOptions, Topic, open};
+use ground::stream::Columns;
+use ground::time::NANOS_PER_SECOND;
+
+const CHUNKED: &[u8] = include_bytes!("fixtures/chunked_latest.h5");
+const EPISODES: &[u8] = include_bytes!("fixtures/episodes_earliest.h5");
+
+/// Reads `bytes`, of whatever name.
+fn read(bytes: &[u8], columns: ColumnSettings) -> Result<Log, LogError> {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("table");
+    fs::write(&path, bytes).expect("a file");
+    open(&[path], &ReadOptions { columns, ..ReadOptions::default() })
+}
+
+fn plain(bytes: &[u8]) -> Log {
+    read(bytes, ColumnSettings::default()).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn refusal(bytes: &[u8]) -> String {
+    let line = read(bytes, ColumnSettings::default()).expect_err("refused").to_string();
+    assert!(!line.contains('\n'), "{line}");
+    line
+}
+
+fn topic<'a>(log: &'a Log, name: &str) -> &'a Topic {
+    let names: Vec<&str> = log.topics.iter().map(|topic| topic.name.as_str()).collect();
+    log.topics
+        .iter()
+        .find(|topic| topic.name == name)
+        .unwrap_or_else(|| panic!("{name} of {names:?}"))
+}
+
+/// Names of the joints, and each row's positions.
+fn joints(log: &Log, name: &str) -> (Vec<String>, Vec<Vec<f64>>) {
+    let Some(Columns::Joints(joints)) = &topic(log, name).columns else {
+        panic!("no joints: {name}")
+    };
+    let rows = (0..joints.times.len())
+        .map(|row| joints.joints.iter().map(|it| it.position[row]).collect());
+    (joints.joints.iter().map(|joint| joint.name.clone()).collect(), rows.collect())
+}
+
+fn array(log: &Log, name: &str) -> (usize, Vec<f64>) {
+    let Some(Columns::Array(array)) = &topic(log, name).columns else {
+        panic!("no numbers: {name}")
+    };
+    (array.width, array.values.clone())
+}
+
+fn stamps(log: &Log, name: &str) -> Vec<i64> {
+    topic(log, name).columns.as_ref().expect("columns").times()[0].header.clone()
+}
+
+/// An NPY array: its kind and shape as NumPy writes them, and its bytes.
+fn npy(header: &str, data: &[u8]) -> Vec<u8> {
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.as_bytes());
+    bytes.extend(data);
+    bytes
+}
+
+/// Rows of a time and six joints, as records of NumPy.
+fn records(rows: usize) -> Vec<u8> {
+    let header = format!(
+        "{{'descr': [('t', '<f8'), ('q', '>f4', (6,))], 'fortran_order': False, 'shape': ({rows},), }}\n"
+    );
+    let mut data = Vec::new();
+    for row in 0..rows {
+        data.extend((0.01 * row as f64).to_le_bytes());
+        (0..6).for_each(|joint| data.extend((0.01 * (row * joint) as f32).to_be_bytes()));
+    }
+    npy(&header, &data)
+}
+
+#[test]
+fn records_of_numpy_are_joints_and_times() {
+    let log = plain(&records(30));
+    let (names, rows) = joints(&log, "q");
+    assert_eq!(names, ["q1", "q2", "q3", "q4", "q5", "q6"]);
+    assert_eq!(rows[4], [0, 4, 8, 12, 16, 20].map(|q| f64::from(0.01 * q as f32)));
+    // A stamp of 0 is none.
+    assert_eq!(stamps(&log, "q")[..2], [NANOS_PER_SECOND, NANOS_PER_SECOND + 10_000_000]);
+    assert!(topic(&log, "q").read_as.as_ref().is_some_and(|why| why.contains("by the name")));
+}
+
+#[test]
+fn columns_first_and_rows_first_are_the_same_array() {
+    let by_rows: Vec<u8> = (0..6).flat_map(|n| (n as f64).to_le_bytes()).collect();
+    let by_columns: Vec<u8> =
+        [0, 3, 1, 4, 2, 5].iter().flat_map(|n| f64::from(*n).to_le_bytes()).collect();
+    let read = |order: &str, data: &[u8]| {
+        let header = format!("{{'descr': '<f8', 'fortran_order': {order}, 'shape': (2, 3), }}\n");
+        super::npy::npy(&npy(&header, data)).expect("an array")[0].1.columns[0].values.clone()
+    };
+    assert_eq!(read("False", &by_rows), read("True", &by_columns));
+}
+
+#[test]
+fn what_a_header_declares_and_is_not_there_is_one_line() {
+    let whole = records(30);
+    for end in [4, 9, 40, whole.len() - 1] {
+        refusal(&whole[..end]);
+    }
+    let billion = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000, 7), }\n";
+    assert!(
+        refusal(&npy(billion, &[0; 80])).contains("1000000000 rows"),
+        "{}",
+        refusal(&npy(billion, &[0; 80]))
+    );
+    let objects = "{'descr': '|O', 'fortran_order': False, 'shape': (3,), }\n";
+    assert!(refusal(&npy(objects, &[0; 80])).contains("Python objects"));
+    let empty = "{'descr': '<f8', 'fortran_order': False, 'shape': (0, 7), }\n";
+    refusal(&npy(empty, &[]));
+}
+
+/// A Parquet file with a list of seven numbers, a time and an episode in each row; `widths` are those of the
+/// lists.
+fn parquet(
+    rows: usize,
+    episodes: usize,
+    compression: Compression,
+    widths: impl Fn(usize) -> usize,
+) -> Vec<u8> {
+    let schema = "message rows {
+        optional group observation.state (LIST) { repeated group list { optional float element; } }
+        required double timestamp; required int64 episode_index; optional binary image; }";
+    let schema = Arc::new(parse_message_type(schema).expect("a schema"));
+    let properties = Arc::new(WriterProperties::builder().set_compression(compression).build());
+    let mut bytes = Vec::new();
+    let mut file = SerializedFileWriter::new(&mut bytes, schema, properties).expect("a writer");
+    for episode in 0..episodes {
+        let mut group = file.next_row_group().expect("a group");
+        let mut states = group.next_column().expect("a column").expect("another");
+        let (mut values, mut definitions, mut repetitions) = (Vec::new(), Vec::new(), Vec::new());
+        for row in 0..rows {
+            for part in 0..widths(row) {
+                // One number is missing.
+                let is_there = (row, part) != (3, 2);
+                values.extend(is_there.then_some((row * 10 + part) as f32));
+                definitions.push(if is_there { 3 } else { 2 });
+                repetitions.push(i16::from(part > 0));
+            }
+        }
+        let written = states.typed::<FloatType>().write_batch(
+            &values,
+            Some(&definitions),
+            Some(&repetitions),
+        );
+        written.expect("lists");
+        states.close().expect("a column");
+        let mut times = group.next_column().expect("a column").expect("another");
+        let stamps: Vec<f64> = (0..rows).map(|row| row as f64 / 30.0).collect();
+        times.typed::<DoubleType>().write_batch(&stamps, None, None).expect("times");
+        times.close().expect("a column");
+        let mut index = group.next_column().expect("a column").expect("another");
+        index
+            .typed::<Int64Type>()
+            .write_batch(&vec![episode as i64; rows], None, None)
+            .expect("episodes");
+        index.close().expect("a column");
+        let mut images = group.next_column().expect("a column").expect("another");
+        images
+            .typed::<::parquet::data_type::ByteArrayType>()
+            .write_batch(&[], Some(&vec![0; rows]), None)
+            .expect("none");
+        images.close().expect("a column");
+        group.close().expect("a group");
+    }
+    file.close().expect("a file");
+    bytes
+}
+
+#[test]
+fn lists_of_parquet_are_vectors_in_any_compression() {
+    for compression in
+        [Compression::UNCOMPRESSED, Compression::SNAPPY, Compression::ZSTD(Default::default())]
+    {
+        let bytes = parquet(50, 1, compression, |_| 7);
+        let (width, values) = array(&plain(&bytes), "observation.state");
+        // The row without one of its numbers is left out.
+        assert_eq!((width, values.len()), (7, 49 * 7));
+        assert_eq!(values[7..9], [10.0, 11.0]);
+        assert_eq!(values[3 * 7], 40.0);
+    }
+    let ragged = parquet(50, 1, Compression::SNAPPY, |row| 6 + row % 2);
+    assert!(refusal(&ragged).contains("no numbers beside its times"), "{}", refusal(&ragged));
+}
+
+#[test]
+fn episodes_follow_each_other_and_one_can_be_asked_for() {
+    let bytes = parquet(60, 3, Compression::SNAPPY, |_| 7);
+    let log = plain(&bytes);
+    let (header, received) = {
+        let times = topic(&log, "observation.state").columns.as_ref().expect("columns").times()[0];
+        (times.header.clone(), times.log.clone())
+    };
+    assert_eq!(header.len(), 3 * 59);
+    assert_eq!(header.iter().filter(|stamp| **stamp == NANOS_PER_SECOND).count(), 3);
+    assert!(received.is_sorted_by(|a, b| a < b));
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("run#1.parquet");
+    fs::write(&path, &bytes).expect("a file");
+    let of = |episode: &str| {
+        let named = Path::new(&format!("{}#{episode}", path.display())).to_owned();
+        open(&[named], &ReadOptions::default())
+    };
+    assert_eq!(stamps(&of("2").expect("an episode"), "observation.state").len(), 59);
+    let missing = of("9").expect_err("no such episode").to_string();
+    assert!(missing.contains("no episode '9'"), "{missing}");
+    assert_eq!(super::episodes(&path), ["0", "1", "2"]);
+}
+
+#[test]
+fn damaged_parquet_is_one_line() {
+    let whole = parquet(50, 2, Compression::SNAPPY, |_| 7);
+    for end in [4, 12, 100, whole.len() / 2, whole.len() - 1] {
+        refusal(&whole[..end]);
+    }
+    // Whatever byte is wrong, nothing panics.
+    for at in (0..whole.len()).step_by(7) {
+        let mut bytes = whole.clone();
+        bytes[at] ^= 0x5a;
+        let _ = read(&bytes, ColumnSettings::default());
+    }
+}
+
+#[test]
+fn chunked_hdf5_with_filters_is_read_and_images_are_not() {
+    let log = plain(CHUNKED);
+    let (names, rows) = joints(&log, "observation/joint_positions");
+    assert_eq!((names.len(), rows.len()), (6, 40));
+    assert_eq!(rows[39][5], f64::from(39.0_f32 * 6.0 * 1e-3));
+    assert_eq!(stamps(&log, "observation/joint_positions")[1], 1_700_000_000_040_000_000);
+    assert!(log.topics.iter().all(|topic| !topic.name.contains("image")));
+    assert_eq!(log.losses, []);
+}
+
+#[test]
+fn episodes_of_hdf5_are_in_the_order_of_their_numbers() {
+    let log = plain(EPISODES);
+    let (_, rows) = joints(&log, "obs/robot0_joint_pos");
+    assert_eq!(
+        rows.iter().map(|row| row[0]).collect::<Vec<_>>(),
+        [vec![0.0; 20], vec![1.0; 21], vec![10.0; 30]].concat()
+    );
+    assert_eq!(
+        array(&log, "obs/robot0_eef_pos"),
+        (7, [1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0].repeat(71))
+    );
+    // The rate is in robomimic's `env_args`.
+    let stamps = stamps(&log, "obs/robot0_joint_pos");
+    assert_eq!(stamps[1] - stamps[0], NANOS_PER_SECOND / 20);
+}
+
+#[test]
+fn damaged_hdf5_is_one_line() {
+    for whole in [CHUNKED, EPISODES] {
+        for end in [9, 64, 512, whole.len() / 2] {
+            let _ =
+                read(&whole[..end], ColumnSettings::default()).map_err(|error| error.to_string());
+        }
+        for at in (0..whole.len()).step_by(11) {
+            let mut bytes = whole.to_vec();
+            bytes[at] ^= 0xff;
+            let _ = read(&bytes, ColumnSettings::default());
+        }
+    }
+}
+
+#[test]
+fn csv_finds_poses_joints_and_the_finest_time() {
+    let mut text =
+        "Timestamp,IPOC,X_RIst,Y_RIst,Z_RIst,A_RIst,B_RIst,C_RIst,A1,A2,A3,A4,A5,A6,Delay\n"
+            .to_owned();
+    for row in 0..40 {
+        let joints = "0.5,".repeat(6);
+        text += &format!(
+            "2024-09-24 14:05:{:02},{},1279.5,{row},977.3,80.4,60.3,116.8,{joints}0\n",
+            row / 20,
+            1000 + 12 * row
+        );
+    }
+    let log = plain(text.as_bytes());
+    assert_eq!(array(&log, "rist").0, 6);
+    assert_eq!(joints(&log, "a").0.len(), 6);
+    let stamps = stamps(&log, "rist");
+    assert_eq!(stamps[1] - stamps[0], 12_000_000);
+    assert!(
+        log.notes.iter().any(|note| note.what.contains("IPOC") && note.what.contains("made grid"))
+    );
+}
+
+#[test]
+fn rows_of_csv_that_are_none_are_counted() {
+    let mut text = "t;q1;q2;q3;q4\n".to_owned();
+    (0..20).for_each(|row| {
+        text += &format!("0,{row:02};1,5;{};3;4\n", if row == 0 { "nan" } else { "2" })
+    });
+    text += "0,20;1;2\n0,21;1;2;3;4";
+    let log = plain(text.as_bytes());
+    let (_, rows) = joints(&log, "q");
+    assert_eq!((rows.len(), rows[0][0]), (21, 1.5));
+    assert!(rows[0][1].is_nan());
+    assert_eq!(log.losses.len(), 1, "{:?}", log.losses);
+}
+
+#[test]
+fn what_names_do_not_say_is_asked_and_can_be_said() {
+    let header = "{'descr': '<f8', 'fortran_order': False, 'shape': (30, 13), }\n";
+    let data: Vec<u8> = (0..30 * 13).flat_map(|n| (1e-3 * f64::from(n)).to_le_bytes()).collect();
+    let bytes = npy(header, &data);
+    let asked = refusal(&bytes);
+    assert!(asked.contains("no column holds times") && asked.contains("[columns]"), "{asked}");
+    let said = ColumnSettings {
+        rate_hz: Some(50.0),
+        joints: vec!["array[0:6]".parse().expect("a selector")],
+        pose: vec!["array[6:13]".parse().expect("a selector")],
+        ..ColumnSettings::default()
+    };
+    let log = read(&bytes, said).expect("a log");
+    assert_eq!(joints(&log, "joints").0.len(), 6);
+    assert_eq!(array(&log, "pose").0, 7);
+    let wrong = ColumnSettings {
+        rate_hz: Some(50.0),
+        pose: vec!["array[6:19]".parse().expect("a selector")],
+        ..ColumnSettings::default()
+    };
+    let refused = read(&bytes, wrong).expect_err("too far").to_string();
+    assert!(refused.contains("has 13 numbers a row"), "{refused}");
+}
+
+#[test]
+fn joints_beyond_two_turns_are_taken_for_degrees() {
+    let mut text = "time,q1,q2,q3,q4,q5,q6\n".to_owned();
+    (0..30).for_each(|row| text += &format!("{},90,-45,0,10,20,{row}\n", 0.02 * f64::from(row)));
+    let log = plain(text.as_bytes());
+    let (_, rows) = joints(&log, "q");
+    assert!((rows[0][0] - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
+    assert!(topic(&log, "q").read_as.as_ref().is_some_and(|why| why.contains("taken for degrees")));
+}
+
+#[test]
+fn metadata_of_lerobot_name_the_numbers_and_are_held_to_them() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (meta, chunk) = (folder.path().join("meta"), folder.path().join("data/chunk-000"));
+    fs::create_dir_all(&meta).and_then(|()| fs::create_dir_all(&chunk)).expect("folders");
+    let names = r#"["x", "y", "z", "qx", "qy", "qz", "qw"]"#;
+    let info = |fps: u32, shape: u32| {
+        format!(
+            r#"{{"fps": {fps}, "robot_type": "so101_follower", "features": {{"observation.state":
+               {{"dtype": "float32", "shape": [{shape}], "names": {{"motors": {names}}}}}}}}}"#
+        )
+    };
+    fs::write(chunk.join("file-000.parquet"), parquet(60, 2, Compression::SNAPPY, |_| 7))
+        .expect("data");
+    fs::write(meta.join("info.json"), info(30, 7)).expect("metadata");
+    let of = || open(&[folder.path().to_owned()], &ReadOptions::default()).expect("a log");
+    let log = of();
+    assert_eq!(array(&log, "observation.state").0, 7);
+    assert_eq!(log.robot_type.as_deref(), Some("so101_follower"));
+    assert_eq!(log.contradictions, Some(Vec::new()));
+    fs::write(meta.join("info.json"), info(50, 6)).expect("metadata");
+    let found: Vec<String> =
+        of().contradictions.into_iter().flatten().map(|note| note.what).collect();
+    assert_eq!(found.len(), 2, "{found:?}");
+    assert!(found[0].contains("6 numbers") && found[1].contains("50 frames a second"), "{found:?}");
+}

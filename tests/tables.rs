@@ -1,0 +1,254 @@
+//! Tables of joints and poses: what a table holds is found as well as in a log with messages.
+
+use std::f64::consts::TAU;
+use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
+
+use poseaudit::finding::{Finding, Status};
+use poseaudit::geometry::{Convention, Pose, xyzw_from_rotation};
+use poseaudit::log::ColumnSettings;
+use poseaudit::report::{Report, Trouble, Verdict};
+use poseaudit::robot::{Chain, catalogue};
+use poseaudit::run::RunOptions;
+use poseaudit::{Options, audit};
+
+const JOINTS: usize = 6;
+const ROWS: usize = 1500;
+const STEP_S: f64 = 0.02;
+
+/// A run of a UR5e as the rows of a table.
+#[derive(Clone, Copy)]
+struct Table {
+    /// How late the poses are, s.
+    late_s: f64,
+    /// What is added to the elbow as logged, rad.
+    elbow: f64,
+    /// What joint positions are multiplied with.
+    unit: f64,
+    /// Whether rotations are logged as roll, pitch, yaw.
+    rpy: bool,
+    /// Whether there are poses at all.
+    poses: bool,
+}
+
+const CLEAN: Table = Table { late_s: 0.0, elbow: 0.0, unit: 1.0, rpy: false, poses: true };
+
+fn ur5e() -> Chain {
+    let robot = catalogue::find("ur5e").expect("in the catalogue");
+    let link =
+        |name: &Option<String>| robot.link(name.as_deref().expect("a link")).expect("a link");
+    robot.chain(link(&robot.controller_base), link(&robot.default_tip)).expect("a chain")
+}
+
+/// Joint positions at a time: each moves at a rate of its own, as no other does.
+fn q(t_s: f64) -> [f64; JOINTS] {
+    const RATES: [f64; JOINTS] = [0.11, 0.17, 0.23, 0.31, 0.37, 0.43];
+    std::array::from_fn(|joint| {
+        let turn = TAU * RATES[joint] * t_s;
+        [-0.4, -1.3, 1.4, -1.2, -1.0, 0.3][joint] + 0.5 * turn.sin() + 0.2 * (2.3 * turn).cos()
+    })
+}
+
+impl Table {
+    fn rows(&self) -> Vec<Vec<f64>> {
+        let chain = ur5e();
+        let row = |row: usize| {
+            let t_s = row as f64 * STEP_S;
+            let mut logged = q(t_s);
+            logged[2] += self.elbow;
+            let mut numbers = vec![t_s];
+            numbers.extend(logged.map(|q| q * self.unit));
+            let pose: Pose = chain.forward(&q(t_s - self.late_s));
+            if self.poses {
+                // Half of what a controller's poses are rounded to.
+                let noise = 1e-5 * ((row * 7919 % 13) as f64 - 6.0) / 6.0;
+                numbers.extend(pose.translation.vector.iter().map(|length| length + noise));
+                match self.rpy {
+                    true => numbers.extend(Convention::RPY.numbers(&pose.rotation)),
+                    false => numbers.extend(xyzw_from_rotation(&pose.rotation)),
+                }
+            }
+            numbers
+        };
+        (0..ROWS).map(row).collect()
+    }
+
+    fn csv(&self, joint: &str, folder: &Path) -> std::path::PathBuf {
+        let mut text = "time".to_owned();
+        (1..=JOINTS).for_each(|number| write!(text, ",{joint}{number}").expect("text"));
+        let pose = if self.rpy { ",x,y,z,roll,pitch,yaw" } else { ",x,y,z,qx,qy,qz,qw" };
+        text += if self.poses { pose } else { "" };
+        for row in self.rows() {
+            let cells: Vec<String> = row.iter().map(|number| format!("{number:.9}")).collect();
+            write!(text, "\n{}", cells.join(",")).expect("text");
+        }
+        text.push('\n');
+        let path = folder.join("run.csv");
+        fs::write(&path, text).expect("a file");
+        path
+    }
+}
+
+fn audited(table: &Table, robot: Option<&str>) -> Report {
+    let folder = tempfile::tempdir().expect("a folder");
+    report(&table.csv("q", folder.path()), robot, ColumnSettings::default()).expect("a report")
+}
+
+fn report(path: &Path, robot: Option<&str>, columns: ColumnSettings) -> Result<Report, Trouble> {
+    let run =
+        RunOptions { robots: robot.into_iter().map(Into::into).collect(), ..RunOptions::default() };
+    let mut options = Options { logs: vec![path.to_owned()], run, ..Options::default() };
+    options.read.columns = columns;
+    audit(&options).map(poseaudit::Audited::into_report)
+}
+
+fn amount(report: &Report, code: &str) -> f64 {
+    let found: Vec<&Finding> =
+        report.findings.iter().filter(|finding| finding.code == code).collect();
+    let [only] = found.as_slice() else { panic!("{code} in {:?}", report.findings) };
+    only.estimate.as_ref().and_then(|estimate| estimate.value()).expect("an amount")
+}
+
+fn causes(report: &Report) -> Vec<&str> {
+    let above = report
+        .findings
+        .iter()
+        .filter(|finding| finding.severity > poseaudit::finding::Severity::Info);
+    above.map(|finding| finding.code).collect()
+}
+
+#[test]
+fn a_sound_table_passes_and_its_arm_is_found() {
+    let report = audited(&CLEAN, None);
+    assert_eq!(
+        (report.verdict, causes(&report)),
+        (Verdict::Pass, Vec::new()),
+        "{:?}",
+        report.findings
+    );
+    assert_eq!(report.robots[0].name, "ur5e");
+}
+
+#[test]
+fn planted_faults_are_named_with_their_amounts() {
+    for rpy in [false, true] {
+        let late = audited(&Table { late_s: 0.06, rpy, ..CLEAN }, Some("ur5e"));
+        assert_eq!(causes(&late), ["LAT001"]);
+        assert!((amount(&late, "LAT001") - 0.06).abs() < 5e-4, "{}", amount(&late, "LAT001"));
+        let zero = audited(&Table { elbow: -0.5_f64.to_radians(), rpy, ..CLEAN }, Some("ur5e"));
+        assert_eq!(causes(&zero), ["ZER001"]);
+        assert!(
+            (amount(&zero, "ZER001").to_degrees() - 0.5).abs() < 0.01,
+            "{}",
+            amount(&zero, "ZER001")
+        );
+    }
+}
+
+#[test]
+fn degrees_are_read_as_such_and_said() {
+    let degrees =
+        Table { unit: 1_f64.to_degrees(), elbow: -0.5_f64.to_radians(), rpy: true, ..CLEAN };
+    for robot in [None, Some("ur5e")] {
+        let report = audited(&degrees, robot);
+        assert_eq!(causes(&report), ["ZER001"], "{:?}", report.findings);
+        let joints = report.streams.iter().find(|stream| stream.role == "joints").expect("joints");
+        assert!(joints.reason.contains("taken for degrees"), "{}", joints.reason);
+    }
+}
+
+#[test]
+fn shares_of_the_range_are_no_degrees() {
+    let shares = Table { unit: 100.0 / 3.0, ..CLEAN };
+    let report = audited(&shares, Some("ur5e"));
+    assert_eq!(causes(&report), ["ORD009"], "{:?}", report.findings);
+}
+
+#[test]
+fn a_unit_that_no_pose_shows_is_left_open() {
+    let report = audited(&Table { unit: 40.0, poses: false, ..CLEAN }, Some("ur5e"));
+    assert_eq!(
+        (causes(&report), report.verdict),
+        (Vec::new(), Verdict::Inconclusive),
+        "{:?}",
+        report.findings
+    );
+    let limits = report.checks.iter().filter(|row| row.code.starts_with("MOT003"));
+    assert!(
+        limits.clone().count() == JOINTS
+            && limits.clone().all(|row| row.status == Status::Inconclusive)
+    );
+}
+
+#[test]
+fn a_table_that_fits_no_arm_is_a_question() {
+    // An arm whose poses are 1.3 times as far out is none of the catalogue.
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut text = "time,q1,q2,q3,q4,q5,q6,x,y,z,qx,qy,qz,qw\n".to_owned();
+    for row in CLEAN.rows() {
+        let scaled = row
+            .iter()
+            .enumerate()
+            .map(|(at, number)| if (7..10).contains(&at) { 1.3 * number } else { *number });
+        let cells: Vec<String> = scaled.map(|number| format!("{number:.9}")).collect();
+        writeln!(text, "{}", cells.join(",")).expect("text");
+    }
+    let path = folder.path().join("run.csv");
+    fs::write(&path, text).expect("a file");
+    let report = report(&path, None, ColumnSettings::default()).expect("a report");
+    let error = report.error.as_ref().expect("a question");
+    assert!(
+        error.what.contains("does not name its 6 joints") && error.remedy.contains("--robot"),
+        "{error:?}"
+    );
+}
+
+#[test]
+fn metadata_that_the_stamps_contradict_are_a_finding() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/log/tables/fixtures");
+    let status = |report: &Report| {
+        let row = report.checks.iter().find(|row| row.code == "META001").expect("it is asked");
+        row.status
+    };
+    let of = |file: &str| {
+        report(&folder.join(file), Some("ur5e"), ColumnSettings::default()).expect("a report")
+    };
+    // Its stamps step at the 25 rows a second that it declares.
+    assert_eq!(status(&of("chunked_latest.h5")), Status::Pass);
+    let wrong = of("wrong_rate.h5");
+    assert_eq!(status(&wrong), Status::Fail);
+    let finding = wrong.findings.iter().find(|finding| finding.code == "META001");
+    let message = finding.map(|finding| finding.message.as_str()).unwrap_or_default();
+    assert!(message.contains("declare 40 frames") && message.contains("25.0000"), "{message}");
+    assert_eq!(status(&audited(&CLEAN, None)), Status::Skipped);
+}
+
+#[test]
+fn columns_without_names_can_be_said() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("run.npy");
+    let rows = CLEAN.rows();
+    let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({ROWS}, 14), }}\n");
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.as_bytes());
+    rows.iter().flatten().for_each(|number| bytes.extend(number.to_le_bytes()));
+    fs::write(&path, bytes).expect("a file");
+    let select = |text: &str| vec![text.parse().expect("a selector")];
+    let said = ColumnSettings {
+        rate_hz: Some(1.0 / STEP_S),
+        joints: select("array[1:7]"),
+        pose: select("array[7:14]"),
+        ..ColumnSettings::default()
+    };
+    let found = report(&path, Some("ur5e"), said).expect("a report");
+    assert_eq!(
+        (found.verdict, causes(&found)),
+        (Verdict::Pass, Vec::new()),
+        "{:?}",
+        found.findings
+    );
+    let asked = report(&path, Some("ur5e"), ColumnSettings::default()).expect_err("a question");
+    assert!(asked.what.contains("no column holds times"), "{asked:?}");
+}
