@@ -52,7 +52,8 @@ fn noise_does_not_feign_a_stop() {
 #[test]
 fn steps_of_an_encoder_do_not_feign_a_stop() {
     let (t_s, step) = (times(), 6e-3);
-    let q: Vec<f64> = t_s.iter().map(|t| ((0.5 * t).sin() / step).round() * step).collect();
+    let swing = |t: f64| 0.3 * (-(t - 10.0).powi(2)).exp();
+    let q: Vec<f64> = t_s.iter().map(|t| (swing(*t) / step).round() * step).collect();
     let found = |step: f64| abruptness(&t_s, &q, Series::Positions, step).expect("even samples");
     let excess = |step: f64| found(step).acceleration - found(step).noise;
     assert!(excess(step) < 20.0 && excess(0.0) > 20.0, "{} {}", excess(step), excess(0.0));
