@@ -114,7 +114,7 @@ fn numbers_that_are_coded_otherwise_from_then_on_are_named_for_that_part() {
             }
         });
     });
-    let millimetres = edited(in_millimetres_later);
+    let millimetres = edited(|messages| in_millimetres_later(messages));
     for (code, report) in [("ORD002", wxyz), ("ORD008", millimetres)] {
         assert_eq!(codes(&report), [code].into(), "{}", summary(&report.findings));
         let finding = the(&report, code, POSE);
@@ -129,7 +129,7 @@ fn a_clock_that_runs_fast_does_so_beside_a_unit_that_changes() {
     let report = Log::with(|log| {
         log.run.tf.timing.rate_hz = 0.0;
         log.run.pose.timing.skew = 1e-3;
-        log.edit = Some(in_millimetres_later);
+        log.edit = Some(|messages| in_millimetres_later(messages));
     })
     .audited();
     assert_eq!(codes(&report), ["LAT002", "ORD008"].into(), "{}", summary(&report.findings));
@@ -142,7 +142,7 @@ fn a_unit_that_changes_does_so_beside_components_that_are_in_the_wrong_order() {
     let report = Log::with(|log| {
         log.run.tf.timing.rate_hz = 0.0;
         log.run.pose.coding = Coding::Slipped(QuaternionSlip::WxyzReadAsXyzw);
-        log.edit = Some(in_millimetres_later);
+        log.edit = Some(|messages| in_millimetres_later(messages));
     })
     .audited();
     assert_eq!(codes(&report), ["ORD002", "ORD008"].into(), "{}", summary(&report.findings));
@@ -151,7 +151,7 @@ fn a_unit_that_changes_does_so_beside_components_that_are_in_the_wrong_order() {
     assert!(changes("ORD008").is_some());
 }
 
-fn in_millimetres_later(messages: &mut Vec<Message>) {
+fn in_millimetres_later(messages: &mut [Message]) {
     each_pose_field(later(messages), |message, field| {
         if let Field::Xyz(at, _) = field {
             let xyz: [f64; 3] = message.floats(at);

@@ -113,7 +113,7 @@ fn of_sizes(t_s: &[f64], sizes: Vec<f64>, floor: f64) -> Vec<Jump> {
     let jump = |(at, size): (usize, f64)| {
         let (before_s, after_s) = (t_s[at + 1], t_s[at + 2]);
         let times = size / usual;
-        (times > TIMES).then(|| Jump {
+        (times > TIMES).then_some(Jump {
             at_s: 0.5 * (before_s + after_s),
             within_s: 0.5 * (after_s - before_s),
             times,
