@@ -21,7 +21,6 @@ use super::cadence::rhythms;
 use super::declaration::Declaration;
 use super::error::RunError;
 use super::flaws::flaws;
-use super::models;
 use super::norms::norms;
 use super::numbered;
 use super::role::Role;
@@ -33,6 +32,7 @@ use super::timing::Timing;
 use super::topics;
 use super::unfold::{self, unfold};
 use super::{Run, RunOptions};
+use super::{calibrations, models};
 
 use arms::{Said, joint_topics};
 use assembly::{Assembly, is_topic};
@@ -65,7 +65,7 @@ impl Run {
     /// [`Run::no_arm`].
     pub fn assemble(log: Log, options: &RunOptions) -> Result<Run, RunError> {
         let given = models::given(&options.robots)?;
-        let calibrations = models::given_calibrations(&options.calibrations)?;
+        let calibrations = calibrations::given(&options.calibrations)?;
         let has_clock_topic = log.has_clock();
         let mut topics_of_log = log.topics;
         numbered::name(&mut topics_of_log, &models::for_numbers(&given, log.robot_type.as_deref()));

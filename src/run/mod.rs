@@ -13,6 +13,7 @@ mod arm;
 mod assemble;
 mod by_order;
 mod cadence;
+mod calibrations;
 mod carrier;
 mod catalogued;
 mod clock;

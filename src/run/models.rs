@@ -3,11 +3,11 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use crate::robot::{Calibration, Robot, catalogue, nearest};
+use crate::robot::{Robot, catalogue, nearest};
 
 use super::by_order;
 use super::catalogued::{Judges, from_catalogue, mapped_from_catalogue};
-use super::declaration::{CalibrationSource, JointName, RobotSource};
+use super::declaration::{JointName, RobotSource};
 use super::error::RunError;
 use super::model::{Clues, Model};
 use super::numbered;
@@ -18,12 +18,6 @@ use super::space::{Claim, Space};
 /// joint states are.
 pub(super) struct Given {
     robot: Robot,
-    prefix: Option<String>,
-}
-
-/// A calibration that the caller named, and what the joints of its arm start with in the log.
-pub(super) struct GivenCalibration {
-    calibration: Calibration,
     prefix: Option<String>,
 }
 
@@ -52,71 +46,6 @@ pub(super) fn for_numbers<'a>(
             .collect();
     }
     given.iter().map(|given| (&given.robot, given.prefix.as_deref())).collect()
-}
-
-/// Reads the calibrations that the caller named.
-///
-/// # Errors
-/// Where one is no calibration.
-pub(super) fn given_calibrations(
-    sources: &[CalibrationSource],
-) -> Result<Vec<GivenCalibration>, RunError> {
-    let read = |source: &CalibrationSource| {
-        let calibration = Calibration::from_file(&source.file).map_err(RunError::Calibration)?;
-        Ok(GivenCalibration { calibration, prefix: source.prefix.clone() })
-    };
-    sources.iter().map(read).collect()
-}
-
-/// Lays the calibrations that the caller `given` over the models or, where there are none, those
-/// that the log holds.
-///
-/// # Errors
-/// Where one of the caller's is of no arm of the log, or could be of several. What travelled in the
-/// log is left out then, and that is said.
-pub(super) fn calibrate(
-    models: &mut [Model],
-    given: &[GivenCalibration],
-    clues: &Clues<'_>,
-) -> Result<(), RunError> {
-    for GivenCalibration { calibration, prefix } in given {
-        overlay(models, calibration, prefix.as_deref())?;
-    }
-    if !given.is_empty() {
-        return Ok(());
-    }
-    for (place, text) in clues.calibrations {
-        let read = Calibration::from_text(text, place).map_err(RunError::Calibration);
-        if let Err(error) = read.and_then(|calibration| overlay(models, &calibration, None)) {
-            for model in models.iter_mut() {
-                model.found += &format!("; a calibration in the log is left out: {}", error.what());
-            }
-        }
-    }
-    Ok(())
-}
-
-/// Lays `calibration` over the one arm that has its joints, whose names start with `prefix`.
-fn overlay(
-    models: &mut [Model],
-    calibration: &Calibration,
-    prefix: Option<&str>,
-) -> Result<(), RunError> {
-    let urs = models.iter().enumerate().flat_map(|(model, of)| {
-        of.robot.prefixes_of(calibration).into_iter().map(move |prefix| (model, prefix))
-    });
-    let meant = |(_, of): &(usize, String)| prefix.is_none_or(|prefix| of.starts_with(prefix));
-    let urs: Vec<(usize, String)> = urs.filter(meant).collect();
-    let [(model, prefix)] = urs.as_slice() else {
-        return Err(RunError::CalibrationOf {
-            source: calibration.source.clone(),
-            prefixes: urs.into_iter().map(|(_, prefix)| prefix).collect(),
-        });
-    };
-    let model = &mut models[*model];
-    model.robot = model.robot.calibrated(prefix, calibration).map_err(RunError::Calibration)?;
-    model.found += &format!(", with the calibration {}", calibration.label());
-    Ok(())
 }
 
 /// The robot of a URDF or TOML file, or of a name in the catalogue.
@@ -378,7 +307,9 @@ fn same_joints(a: &Model, b: &Model) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use super::super::calibrations::{GivenCalibration, overlay_all};
     use super::*;
+    use crate::robot::Calibration;
 
     const UR: [&str; 6] = [
         "shoulder_pan_joint",
@@ -515,7 +446,7 @@ kinematics:
         let found = [("arm.yaml".to_owned(), CALIBRATION.to_owned())];
         let clues = Clues { joints: &joints, calibrations: &found, ..no_clues() };
         let mut models = models(&given(&["ur5e".into()]).unwrap(), &clues, &NOBODY).unwrap();
-        calibrate(&mut models, &[], &clues).unwrap();
+        overlay_all(&mut models, &[], &clues).unwrap();
         assert_eq!(height_of_shoulder(&models[0], ""), 0.1627);
         assert!(models[0].found.ends_with("with the calibration arm.yaml (calib_1)"));
     }
@@ -526,7 +457,7 @@ kinematics:
         let found = [("arm.yaml".to_owned(), CALIBRATION.to_owned())];
         let clues = Clues { joints: &joints, calibrations: &found, ..no_clues() };
         let mut models = models(&given(&["ur10e".into()]).unwrap(), &clues, &NOBODY).unwrap();
-        calibrate(&mut models, &[], &clues).unwrap();
+        overlay_all(&mut models, &[], &clues).unwrap();
         assert_eq!(height_of_shoulder(&models[0], ""), 0.1807);
         assert!(models[0].found.contains("is left out"), "{}", models[0].found);
     }
@@ -541,13 +472,13 @@ kinematics:
             [GivenCalibration { calibration: calibration(), prefix }]
         };
         let mut models = both();
-        calibrate(&mut models, &named(Some("right_")), &no_clues()).unwrap();
+        overlay_all(&mut models, &named(Some("right_")), &no_clues()).unwrap();
         assert_eq!(height_of_shoulder(&models[0], "left_"), 0.1625);
         assert_eq!(height_of_shoulder(&models[1], "right_"), 0.1627);
-        let error = calibrate(&mut both(), &named(None), &no_clues()).unwrap_err().to_string();
+        let error = overlay_all(&mut both(), &named(None), &no_clues()).unwrap_err().to_string();
         assert!(error.contains("'left_', 'right_'") && error.contains("PREFIX="), "{error}");
         let error =
-            calibrate(&mut both(), &named(Some("x_")), &no_clues()).unwrap_err().to_string();
+            overlay_all(&mut both(), &named(Some("x_")), &no_clues()).unwrap_err().to_string();
         assert!(error.starts_with("arm.yaml: no arm of the log"), "{error}");
     }
 }

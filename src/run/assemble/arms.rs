@@ -7,12 +7,13 @@ use crate::robot::nearest;
 use crate::stream::{Columns, JointColumn};
 
 use super::super::arm::{Arm, Ends};
+use super::super::calibrations::{self, GivenCalibration};
 use super::super::catalogued::Judges;
 use super::super::declaration::JointName;
 use super::super::error::RunError;
 use super::super::joints::JointTopic;
 use super::super::model::Clues;
-use super::super::models::{self, Given, GivenCalibration};
+use super::super::models::{self, Given};
 use super::super::role::{OTHER_JOINTS, Role, shared, words};
 use super::super::skeleton;
 use super::super::space::{Claim, Space};
@@ -134,7 +135,7 @@ impl Assembly<'_> {
             by_poses: &|models| poses.ranking(models),
         };
         let mut models = models::models(&said.given, &clues, &judges)?;
-        models::calibrate(&mut models, &said.calibrations, &clues)?;
+        calibrations::overlay_all(&mut models, &said.calibrations, &clues)?;
         for model in &mut models {
             if let Some(rival) = poses.rival(model, &clues) {
                 *model = rival;

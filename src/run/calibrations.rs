@@ -1,0 +1,76 @@
+//! Calibrations of arms: the caller's, else those in the log, laid over the models.
+
+use crate::robot::Calibration;
+
+use super::declaration::CalibrationSource;
+use super::error::RunError;
+use super::model::{Clues, Model};
+
+/// A calibration that the caller named, and what the joints of its arm start with in the log.
+pub(super) struct GivenCalibration {
+    pub(super) calibration: Calibration,
+    pub(super) prefix: Option<String>,
+}
+
+/// Reads the calibrations that the caller named.
+///
+/// # Errors
+/// Where one is no calibration.
+pub(super) fn given(sources: &[CalibrationSource]) -> Result<Vec<GivenCalibration>, RunError> {
+    let read = |source: &CalibrationSource| {
+        let calibration = Calibration::from_file(&source.file).map_err(RunError::Calibration)?;
+        Ok(GivenCalibration { calibration, prefix: source.prefix.clone() })
+    };
+    sources.iter().map(read).collect()
+}
+
+/// Lays the calibrations that the caller `given` over the models or, where there are none, those
+/// that the log holds.
+///
+/// # Errors
+/// Where one of the caller's is of no arm of the log, or could be of several. What travelled in the
+/// log is left out then, and that is said.
+pub(super) fn overlay_all(
+    models: &mut [Model],
+    given: &[GivenCalibration],
+    clues: &Clues<'_>,
+) -> Result<(), RunError> {
+    for GivenCalibration { calibration, prefix } in given {
+        overlay(models, calibration, prefix.as_deref())?;
+    }
+    if !given.is_empty() {
+        return Ok(());
+    }
+    for (place, text) in clues.calibrations {
+        let read = Calibration::from_text(text, place).map_err(RunError::Calibration);
+        if let Err(error) = read.and_then(|calibration| overlay(models, &calibration, None)) {
+            for model in models.iter_mut() {
+                model.found += &format!("; a calibration in the log is left out: {}", error.what());
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Lays `calibration` over the one arm that has its joints, whose names start with `prefix`.
+fn overlay(
+    models: &mut [Model],
+    calibration: &Calibration,
+    prefix: Option<&str>,
+) -> Result<(), RunError> {
+    let urs = models.iter().enumerate().flat_map(|(model, of)| {
+        of.robot.prefixes_of(calibration).into_iter().map(move |prefix| (model, prefix))
+    });
+    let meant = |(_, of): &(usize, String)| prefix.is_none_or(|prefix| of.starts_with(prefix));
+    let urs: Vec<(usize, String)> = urs.filter(meant).collect();
+    let [(model, prefix)] = urs.as_slice() else {
+        return Err(RunError::CalibrationOf {
+            source: calibration.source.clone(),
+            prefixes: urs.into_iter().map(|(_, prefix)| prefix).collect(),
+        });
+    };
+    let model = &mut models[*model];
+    model.robot = model.robot.calibrated(prefix, calibration).map_err(RunError::Calibration)?;
+    model.found += &format!(", with the calibration {}", calibration.label());
+    Ok(())
+}
