@@ -83,7 +83,9 @@ impl Kept {
                 // Alone, a stream sees the first joint turn as its base does, and the last one as its tool.
                 let base = is_at(stream.columns.first()).then_some(Twin::Reference(0, by));
                 let tool = is_at(stream.columns.last()).then_some(Twin::Tool(0, by));
-                joints.offsets[change.column].twins = base.into_iter().chain(tool).collect();
+                if let Some(offset) = joints.offsets.get_mut(change.column) {
+                    offset.twins = base.into_iter().chain(tool).collect();
+                }
             }
         }
         for (s, jumps) in latency_jumps.into_iter().enumerate() {
