@@ -118,7 +118,8 @@ impl Template {
 
     /// What the columns of a table may be said to be.
     fn columns(&mut self, report: &Report) {
-        const TABLES: [&str; 5] = ["csv", "npy", "npz", "parquet", "hdf5"];
+        const TABLES: [&str; 8] =
+            ["csv", "npy", "npz", "parquet", "hdf5", "zarr", "tfrecord", "kuka-rsi"];
         if !report.log.files.iter().any(|file| TABLES.contains(&file.container)) {
             return;
         }

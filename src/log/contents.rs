@@ -73,6 +73,12 @@ pub enum Container {
     Parquet,
     /// An HDF5 file.
     Hdf5,
+    /// A Zarr store, as a folder or a zip archive.
+    Zarr,
+    /// Records of TensorFlow examples.
+    TfRecord,
+    /// Packets of KUKA's Robot Sensor Interface.
+    Rsi,
 }
 
 impl Container {
@@ -89,6 +95,9 @@ impl Container {
             Container::Npz => "npz",
             Container::Parquet => "parquet",
             Container::Hdf5 => "hdf5",
+            Container::Zarr => "zarr",
+            Container::TfRecord => "tfrecord",
+            Container::Rsi => "kuka-rsi",
         }
     }
 }

@@ -51,7 +51,9 @@ pub use self::postures::{PostureTable, RotationColumns, posture_table};
 pub use self::progress::Progress;
 pub use self::reading::open;
 pub use self::remote::{Listed, RemoteFault, is_url, list, normal};
-pub use self::tables::{ColumnSelector, ColumnSettings, episode_of, episodes, is_in_dataset};
+pub use self::tables::{
+    ColumnSelector, ColumnSettings, episode_of, episodes, files_of_store, is_in_dataset, is_store,
+};
 
 /// The local file that `path` names, itself or as a `file://` URL; `None` for an object in a store.
 pub fn local(path: &Path) -> Option<PathBuf> {

@@ -18,20 +18,20 @@ const INFO: &str = "meta/info.json";
 /// Folders above `data/chunk-000/file-000.parquet` that are looked at.
 const DEEP: usize = 4;
 /// Largest `info.json` that is read.
-const MOST_BYTES: u64 = 16 << 20;
+pub(super) const MOST_BYTES: u64 = 16 << 20;
 /// Most data files of a dataset that are one audit.
 const MOST_FILES: usize = 100;
 
 /// What a dataset says of itself.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Dataset {
     rate_hz: Option<f64>,
     pub robot: Option<String>,
-    features: BTreeMap<String, Feature>,
+    pub features: BTreeMap<String, Feature>,
 }
 
-#[derive(Clone, Debug)]
-struct Feature {
+#[derive(Clone, Debug, Default)]
+pub(super) struct Feature {
     dtype: String,
     /// The numbers of a row, as declared.
     width: Option<usize>,
@@ -128,6 +128,13 @@ fn names_of(value: &Value) -> Vec<String> {
     }
 }
 
+impl Feature {
+    /// Of numbers, of which no more is said.
+    pub fn of_width(width: Option<usize>) -> Self {
+        Self { width, ..Self::default() }
+    }
+}
+
 impl Dataset {
     /// Whether a column holds numbers, as declared: no image.
     pub fn is_numeric(&self, column: &str) -> bool {
@@ -136,9 +143,14 @@ impl Dataset {
         self.features.get(column).is_none_or(of)
     }
 
+    /// The numbers of a row of a column, as declared.
+    pub fn width(&self, column: &str) -> Option<usize> {
+        self.features.get(column)?.width
+    }
+
     /// Takes over what is declared of a table.
     pub fn describe(&self, table: &mut Table) {
-        table.rate_hz = self.rate_hz;
+        table.rate_hz = self.rate_hz.or(table.rate_hz);
         for column in &mut table.columns {
             let Some(feature) = self.features.get(&column.name) else { continue };
             if feature.names.len() == column.width && column.width > 1 {

@@ -13,7 +13,7 @@ use ::parquet::errors::ParquetError;
 use ::parquet::file::reader::{FileReader, SerializedFileReader};
 
 use super::lerobot::Dataset;
-use super::{Column, MOST_COLUMNS, MOST_NUMBERS, MOST_WIDE, Refusal, Table};
+use super::{Column, Episodes, MOST_COLUMNS, MOST_NUMBERS, MOST_WIDE, Refusal, Table};
 
 /// The column that tells the episodes of a dataset apart.
 const EPISODE: &str = "episode_index";
@@ -34,7 +34,7 @@ pub(super) fn read(
     bytes: Bytes,
     dataset: Option<&Dataset>,
     wanted: Option<&str>,
-) -> Result<Vec<(String, Table)>, Refusal> {
+) -> Result<Episodes, Refusal> {
     let reader = SerializedFileReader::new(bytes).map_err(|error| worded(&error))?;
     let metadata = reader.metadata();
     let schema = metadata.file_metadata().schema_descr_ptr();
@@ -105,7 +105,7 @@ fn index(reader: &SerializedFileReader<Bytes>) -> Result<Vec<f64>, Refusal> {
 }
 
 /// The rows of each episode; the whole where there is no column of them.
-fn episodes(leaves: &[Leaf], rows: usize) -> Vec<(String, Table)> {
+fn episodes(leaves: &[Leaf], rows: usize) -> Episodes {
     let index = leaves.iter().find(|leaf| leaf.name == EPISODE && leaf.width == 1);
     let mut spans: Vec<(String, Range<usize>)> = Vec::new();
     match index {
