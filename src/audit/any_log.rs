@@ -370,6 +370,7 @@ impl AnyLog {
             notes: Vec::new(),
             losses: Vec::new(),
             contradictions: None,
+            repeats: None,
             robot_type: None,
         };
         let end = |index: usize| {

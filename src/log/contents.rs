@@ -24,6 +24,8 @@ pub struct Log {
     pub notes: Vec<Note>,
     /// What is declared of the files and their numbers are not; `None` where nothing is declared.
     pub contradictions: Option<Vec<Note>>,
+    /// What in tables repeats in every row; `None` where there are no tables.
+    pub repeats: Option<Vec<Repeat>>,
     /// The type of the robot, as metadata say it.
     pub robot_type: Option<String>,
 }
@@ -198,6 +200,17 @@ pub struct Note {
     pub file: PathBuf,
     /// What to know, in one line.
     pub what: String,
+}
+
+/// Columns of a table that hold what others hold in every row, to the bit, or never change.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Repeat {
+    /// The topic that the columns are.
+    pub topic: String,
+    /// The joint, where it is one number of several.
+    pub number: Option<String>,
+    /// The topic or the joint that it repeats; `None` where it is one value throughout.
+    pub of: Option<String>,
 }
 
 /// What a [`Loss`] took.

@@ -11,7 +11,7 @@ use super::losses::Losses;
 use super::spans::{Span, gaps, join, overlaps};
 use super::topic::{Channel, Decoding, Message, TopicIntake, saturating, take_down};
 use super::unpack::{Allowance, Unpacker};
-use super::{Description, Extent, Log, LogFile, Loss, Note, Topic};
+use super::{Description, Extent, Log, LogFile, Loss, Note, Repeat, Topic};
 use ground::stream::Columns;
 use ground::time::Stamp;
 
@@ -51,6 +51,7 @@ pub(super) struct Intake {
     losses: Vec<Loss>,
     notes: Vec<Note>,
     contradictions: Option<Vec<Note>>,
+    repeats: Option<Vec<Repeat>>,
     robot_type: Option<String>,
     /// The files that were begun.
     files: Vec<PathBuf>,
@@ -234,6 +235,11 @@ impl Intake {
         }
     }
 
+    /// Takes over what repeats in tables.
+    pub(super) fn repeats(&mut self, found: Vec<Repeat>) {
+        self.repeats.get_or_insert_default().extend(found);
+    }
+
     /// Takes over that metadata were read, and the type of the robot that they name.
     pub(super) fn declared(&mut self, robot: Option<&str>) {
         self.contradictions.get_or_insert_default();
@@ -293,6 +299,7 @@ impl Intake {
             losses: self.losses,
             notes: self.notes,
             contradictions: self.contradictions,
+            repeats: self.repeats,
             robot_type: self.robot_type,
         }
     }

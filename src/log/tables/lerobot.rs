@@ -36,6 +36,8 @@ pub(super) struct Feature {
     /// The numbers of a row, as declared.
     width: Option<usize>,
     names: Vec<String>,
+    /// The numbers of each kind that a description counts.
+    pub counted: Vec<usize>,
 }
 
 #[derive(Deserialize)]
@@ -109,7 +111,7 @@ fn dataset(path: &PathBuf) -> Option<Dataset> {
         let width = shape.iter().try_fold(1_u64, |all, side| all.checked_mul(*side));
         let width =
             width.and_then(|width| usize::try_from(width).ok()).filter(|_| !shape.is_empty());
-        (name, Feature { dtype, width, names: names_of(&names) })
+        (name, Feature { dtype, names: names_of(&names), ..Feature::of_width(width) })
     });
     Some(Dataset {
         rate_hz: fps.filter(|fps| fps.is_finite() && *fps > 0.0),
@@ -169,6 +171,16 @@ impl Dataset {
             if let Some(width) = feature.width.filter(|width| *width != column.width) {
                 found.push(format!(
                     "`{name}` is declared with {width} numbers a row and has {}",
+                    column.width
+                ));
+            }
+            let counted: usize =
+                feature.counted.iter().fold(0, |all, own| all.saturating_add(*own));
+            if counted > 0 && counted != column.width {
+                let counts: Vec<String> = feature.counted.iter().map(usize::to_string).collect();
+                found.push(format!(
+                    "`{name}` is described as {} = {counted} numbers a row and has {}",
+                    counts.join(" + "),
                     column.width
                 ));
             }

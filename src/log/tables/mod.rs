@@ -12,6 +12,7 @@ mod meaning;
 mod names;
 mod npy;
 mod parquet;
+mod repeats;
 mod rlds;
 mod rsi;
 mod settings;
@@ -122,6 +123,7 @@ pub(super) struct Tables {
     /// The last time of receipt that was made up, ns.
     until: Option<i64>,
     told: bool,
+    repeats: repeats::Repeats,
 }
 
 /// A topic that is made of columns.
@@ -259,6 +261,7 @@ impl Tables {
         if table.rate_hz.is_some() {
             intake.declared(None);
         }
+        self.repeats.count(&found);
         if let Some(what) = clock.contradiction(table) {
             intake.contradiction(path, what);
         }
@@ -296,6 +299,9 @@ impl Tables {
 
     /// Hands the columns of all tables to `intake`.
     pub(super) fn hand_over(self, intake: &mut Intake) {
+        if self.told {
+            intake.repeats(self.repeats.in_all());
+        }
         for Stream { channel, columns } in self.streams.into_values() {
             intake.columns(channel, columns);
         }

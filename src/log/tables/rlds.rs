@@ -22,6 +22,16 @@ pub(super) fn beside(path: &Path) -> Option<Dataset> {
     Some(dataset)
 }
 
+/// The numbers that a description counts, as in `[7x joint angles, 2x gripper position]`; none where it counts
+/// nothing.
+fn counts(description: &str) -> Vec<usize> {
+    let inside = description.split_once('[').and_then(|(_, rest)| rest.split_once(']'));
+    let parts = inside.map_or("", |(inside, _)| inside).split(',');
+    let counts: Option<Vec<usize>> =
+        parts.map(|part| part.trim().split_once("x ")?.0.parse().ok()).collect();
+    counts.unwrap_or_default()
+}
+
 /// Takes the tensors of a feature and of those in it.
 fn descend(feature: &Value, path: &str, deep: usize, dataset: &mut Dataset) {
     if let Some(shape) = feature.get("tensor").map(|tensor| tensor.get("shape")) {
@@ -31,7 +41,10 @@ fn descend(feature: &Value, path: &str, deep: usize, dataset: &mut Dataset) {
         let mut width = sides.map(|side| side.and_then(|side| usize::try_from(side).ok()));
         let width = width.try_fold(1_usize, |all, side| all.checked_mul(side?));
         if let Some(name) = path.strip_prefix(STEPS) {
-            dataset.features.insert(name.to_owned(), Feature::of_width(width));
+            let said = feature.get("description").and_then(Value::as_str).unwrap_or_default();
+            let mut own = Feature::of_width(width);
+            own.counted = counts(said);
+            dataset.features.insert(name.to_owned(), own);
         }
     }
     // The steps of an episode are a sequence of features.

@@ -139,6 +139,7 @@ impl Recording {
             span: None,
             notes: Vec::new(),
             contradictions: None,
+            repeats: None,
             robot_type: None,
             losses: Vec::new(),
         }

@@ -160,8 +160,8 @@ fn what_features_declare_is_held_against_the_records() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("set-train.tfrecord-00000-of-00001");
     fs::write(&path, RECORDS).expect("a file");
-    let declared = |joints: &str| {
-        let tensor = |width: &str| json!({"tensor": {"shape": {"dimensions": [width]}}});
+    let declared = |joints: &str, said: &str| {
+        let tensor = |width: &str| json!({"tensor": {"shape": {"dimensions": [width]}}, "description": said});
         let of = |features| json!({"featuresDict": {"features": features}});
         let observation = of(json!({"joint_positions": tensor(joints), "tcp_pose": tensor("7")}));
         let steps = json!({"sequence": {"feature": of(json!({"observation": observation}))}});
@@ -170,9 +170,16 @@ fn what_features_declare_is_held_against_the_records() {
         let log = of_folder(&path).expect("a log");
         log.contradictions.into_iter().flatten().map(|note| note.what).collect::<Vec<_>>()
     };
-    assert_eq!(declared("6"), Vec::<String>::new());
-    let found = declared("7");
+    assert_eq!(declared("6", "Robot [state]"), Vec::<String>::new());
+    let found = declared("7", "");
     assert!(found.len() == 1 && found[0].contains("with 7 numbers a row and has 6"), "{found:?}");
+    // As the template of RLDS datasets has it.
+    let found =
+        declared("6", "Robot state, consists of [7x robot joint angles, 2x gripper position].");
+    assert!(
+        found.len() == 2 && found[0].contains("7 + 2 = 9 numbers a row and has 6"),
+        "{found:?}"
+    );
     let named = Path::new(&format!("{}#1", path.display())).to_owned();
     assert_eq!(of_folder(&named).expect("an episode").messages % 30, 0);
 }
