@@ -23,7 +23,7 @@ struct Columnwise {
 /// The module that corrects the columns of the files of `report`; `None` where they are no dataset, or nothing
 /// that a loader can mend was found.
 pub(super) fn module(report: &Report, run: &Run, corrections: &Corrections) -> Option<String> {
-    let is_dataset = |container: &str| WHOLE_COLUMNS.iter().any(|whole| *whole == container);
+    let is_dataset = |container: &str| WHOLE_COLUMNS.contains(&container);
     if !report.log.files.iter().all(|file| is_dataset(file.container)) {
         return None;
     }

@@ -245,11 +245,14 @@ fn new_keys(part: &Part<'_>, seen: &mut HashSet<String>) -> PolarsResult<Vec<Opt
     Ok(keys)
 }
 
+/// When a log begins, which episode it is, and its path.
+type LogPlace = (Option<i64>, Option<usize>, String);
+
 /// What is found on a subject.
 struct Found {
     severity: Severity,
     /// The logs it is found in, by their beginnings, their numbers as episodes and their paths, with title and message of each.
-    logs: BTreeMap<(Option<i64>, Option<usize>, String), (String, String)>,
+    logs: BTreeMap<LogPlace, (String, String)>,
 }
 
 /// A rule and whom it is about.
@@ -517,7 +520,7 @@ mod tests {
     #[test]
     fn title_and_message_are_of_one_log() {
         let words = |name: &str| (format!("title of {name}"), format!("message of {name}"));
-        let logs = ["a", "b"].map(|name| ((Some(1), name.to_owned()), words(name)));
+        let logs = ["a", "b"].map(|name| ((Some(1), None, name.to_owned()), words(name)));
         let found = Found { severity: Severity::Warning, logs: logs.into() };
         let cause = ("LAT001".to_owned(), Whose::default());
         let rows = finding_rows([(cause, found)].into(), &BTreeMap::new());

@@ -131,6 +131,7 @@ fn opened(at: At) -> Result<Contents, Refusal> {
 
 /// The rows of each episode.
 fn episodes(ends: Option<&[f64]>, rows: usize) -> Result<Vec<Range<usize>>, Refusal> {
+    let whole = [rows as f64];
     let mut first = 0;
     let mut span = |end: &f64| {
         let span = first..*end as usize;
@@ -138,5 +139,5 @@ fn episodes(ends: Option<&[f64]>, rows: usize) -> Result<Vec<Range<usize>>, Refu
         let is_sound = span.start < span.end && span.end <= rows;
         is_sound.then_some(span).ok_or_else(|| format!("'{ENDS}' does not rise"))
     };
-    ends.map_or_else(|| Ok(vec![0..rows]), |ends| ends.iter().map(&mut span).collect())
+    ends.unwrap_or(&whole).iter().map(&mut span).collect()
 }
