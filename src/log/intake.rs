@@ -195,8 +195,8 @@ impl Intake {
     /// What it takes to read messages of the channels that are known now beside others; `None` where there
     /// are very many.
     pub(super) fn known(&self) -> Option<Known> {
-        /// Beyond so many channels it takes long to say which they are.
-        const MANY: usize = 1 << 12;
+        /// Beyond so many channels it takes longer to say which they are than to read a small chunk.
+        const MANY: usize = 1 << 9;
         (self.channels.len() <= MANY).then(|| {
             let topics = self.topics.iter().map(|topic| topic.taken.blank()).collect();
             Known::new(topics, self.channels.clone(), self.files.len())
