@@ -135,7 +135,7 @@ mod tests {
             let width = if (150..170).contains(&n) { 6 } else { 7 };
             log.message(array, n, &Cdr::little().u32(0).list(&vec![at; width]).done());
             log.message(text, n, &Cdr::little().text(&format!("text {}", n % 90)).done());
-            log.message(image, n, &vec![n as u8; 40]);
+            log.message(image, n, &[n as u8; 40]);
             log.message(broken, n, &[0, 1, 0, 0]);
             if n % 50 == 7 {
                 log.message(joints, n, &[0, 1, 0, 0, 9]);

@@ -116,9 +116,7 @@ impl Poses {
     /// The key of each group, in their order.
     fn keys(&self) -> Vec<&str> {
         let mut keys = vec![""; self.groups.len()];
-        for (key, &group) in &self.by_frames {
-            keys[group] = key;
-        }
+        self.by_frames.iter().for_each(|(key, &group)| keys[group] = key.as_str());
         keys
     }
 
