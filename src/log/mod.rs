@@ -20,6 +20,7 @@ mod mapped;
 mod mcap;
 mod name;
 mod options;
+mod part;
 mod postures;
 mod progress;
 mod ranges;
