@@ -29,7 +29,6 @@ mod joints;
 mod model;
 mod models;
 mod norms;
-mod numbered;
 mod poses;
 mod publishers;
 mod role;
