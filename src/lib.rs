@@ -78,8 +78,10 @@ pub fn audit(options: &Options) -> Result<Audited, Trouble> {
 /// # Errors
 /// Where the log cannot be read.
 pub fn info(logs: &[PathBuf], how: &ReadOptions) -> Result<Report, Trouble> {
-    let log = log::open(logs, how)?;
+    let mut log = log::open(logs, how)?;
+    let options = RunOptions::default();
+    run::tell_columns(&mut log, &options);
     let read = audit::Read::of(&log);
-    let run = Run::complete(log, &RunOptions::default(), |_| Ok::<_, Trouble>(()))?;
+    let run = Run::complete(log, &options, |_| Ok::<_, Trouble>(()))?;
     Ok(audit::summary(&run, read))
 }

@@ -289,6 +289,7 @@ impl AnyLog {
                 undecodable: None,
                 useless: None,
                 read_as: None,
+                cells: Vec::new(),
                 span: None,
             });
         };
@@ -371,6 +372,7 @@ impl AnyLog {
             losses: Vec::new(),
             contradictions: None,
             robot_type: None,
+            question: None,
         };
         let end = |index: usize| {
             let link = self.ends[index].as_ref()?;

@@ -11,7 +11,7 @@ use super::losses::Losses;
 use super::spans::{Span, gaps, join, overlaps};
 use super::topic::{Channel, Decoding, Message, TopicIntake, saturating, take_down};
 use super::unpack::{Allowance, Unpacker};
-use super::{Description, Extent, Log, LogFile, Loss, Note, Topic};
+use super::{Description, Extent, Log, LogFile, Loss, Note, TableCell, Topic};
 use ground::stream::Columns;
 use ground::time::Stamp;
 
@@ -143,6 +143,7 @@ impl Intake {
                 columns: None,
                 undecodable: None,
                 read_as: None,
+                cells: Vec::new(),
                 spans: Vec::new(),
                 waiting: Vec::new(),
             });
@@ -220,10 +221,10 @@ impl Intake {
         self.topics[topic].columns = Some(columns);
     }
 
-    /// Says how the columns of a channel were told.
-    pub(super) fn read_as(&mut self, channel: ChannelId, how: String) {
-        let topic = self.channels[channel.0].topic;
-        self.topics[topic].read_as = Some(how);
+    /// Says how the columns of a channel were told, and which of a table they are.
+    pub(super) fn read_as(&mut self, channel: ChannelId, how: String, cells: Vec<TableCell>) {
+        let topic = &mut self.topics[self.channels[channel.0].topic];
+        (topic.read_as, topic.cells) = (Some(how), cells);
     }
 
     /// Takes down what is declared of `file` and its numbers are not; once, of however many episodes.
@@ -294,6 +295,7 @@ impl Intake {
             notes: self.notes,
             contradictions: self.contradictions,
             robot_type: self.robot_type,
+            question: None,
         }
     }
 

@@ -41,7 +41,7 @@ mod unpack;
 use std::path::{Path, PathBuf};
 
 pub use self::contents::{
-    Container, Crc, Description, Extent, Log, LogFile, Loss, Note, Topic, Undecodable,
+    Container, Crc, Description, Extent, Log, LogFile, Loss, Note, TableCell, Topic, Undecodable,
 };
 pub use self::error::LogError;
 pub use self::name::ESCAPED;

@@ -7,7 +7,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use super::decode::{Builder, MAX_FRAMES, Plan, Row, RowTimes};
 use super::spans::{Span, join};
 use super::unpack::ZSTD_MAGIC;
-use super::{Topic, Undecodable};
+use super::{TableCell, Topic, Undecodable};
 use ground::stream::Columns;
 use ground::time::Stamp;
 
@@ -84,6 +84,8 @@ pub(super) struct TopicIntake {
     pub(super) undecodable: Option<Undecodable>,
     /// How its columns were told.
     pub(super) read_as: Option<String>,
+    /// Which numbers of a table it is made of.
+    pub(super) cells: Vec<TableCell>,
     /// The files that hold it, by their number, and the span in each.
     pub(super) spans: Vec<(usize, Span)>,
     /// Which messages of a batch are its own: the channel's place, and the message's.
@@ -154,6 +156,7 @@ impl TopicIntake {
             undecodable: undecodable.clone().filter(|_| part.is_empty()),
             useless: useless.clone(),
             read_as: self.read_as.clone(),
+            cells: self.cells.clone(),
             span,
         };
         parts.into_iter().map(topic).collect()

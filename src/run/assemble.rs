@@ -113,6 +113,7 @@ impl Run {
             descriptions: &descriptions,
             logged_calibrations: &logged_calibrations,
             robot_type: log.robot_type.as_deref(),
+            question: log.question,
         };
         let no_arm = match assembly.find_arms(&said) {
             Ok(()) => None,

@@ -18,7 +18,7 @@ use crate::robot::{Robot, catalogue};
 use crate::stream::{Columns, JointColumn, JointColumns};
 
 /// The encoding of topics that are made of a table's columns.
-const TABLE: &str = "table";
+pub(super) const TABLE: &str = "table";
 
 /// Arms have at least so many joints.
 const FEWEST: usize = 4;

@@ -270,7 +270,7 @@ mod tests {
 
     fn standing(model: usize, needs: Needs, left_m: f64, score: f64) -> Standing {
         let tool_m = Vec3::new(0.0, 0.0, 0.15);
-        let way = Way { needs, misread: false, left_m, tool_m };
+        let way = Way { needs, misread: false, left_m, tool_m, lag_s: 0.0 };
         let topic = "actual_TCP_pose".to_owned();
         Standing { model, score, way, spread_m: 0.3, as_is_m: left_m, fits: left_m < 3e-3, topic }
     }

@@ -72,6 +72,7 @@ fn without_topics(log: &Log) -> Log {
         notes: log.notes.clone(),
         contradictions: log.contradictions.clone(),
         robot_type: log.robot_type.clone(),
+        question: log.question.clone(),
     }
 }
 
@@ -255,6 +256,7 @@ mod tests {
             undecodable: None,
             useless: None,
             read_as: None,
+            cells: Vec::new(),
             span: None,
         }
     }
@@ -282,6 +284,7 @@ mod tests {
             notes: Vec::new(),
             contradictions: None,
             robot_type: None,
+            question: None,
         }
     }
 

@@ -6,8 +6,9 @@ use std::collections::BTreeMap;
 use super::clock::Clock;
 use super::names::{self, Axis, Part};
 use super::{Column, ColumnSelector, ColumnSettings, Found, Refusal, Table, array, positions};
+use crate::TableCell;
 use crate::rtde::JOINTS as UR_JOINTS;
-use ground::stream::{Columns, JointColumn, JointColumns, Times, usable};
+use ground::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times, usable};
 
 /// Joints that an arm has, at least and at most, and its gripper with it.
 const JOINTS: std::ops::RangeInclusive<usize> = 4..=8;
@@ -29,7 +30,7 @@ enum Meaning {
     Pose,
     /// A position alone.
     Position,
-    /// Bare numbers.
+    /// Bare numbers, or a single one.
     Numbers,
     /// Of no use.
     Nothing,
@@ -54,8 +55,10 @@ pub(super) fn of(
     let mut groups = said(table, settings)?;
     let is_taken =
         |groups: &[Group], cell: &Cell| groups.iter().any(|group| group.cells.contains(cell));
+    let is_clock = |cell: &Cell| clock.cell == Some((cell.column, cell.part));
     let is_open = |at: usize, column: &Column| {
-        clock.column != Some(at) && !COUNTERS.contains(&column.name.as_str()) && column.width > 0
+        let is_stamp = column.width == 1 && clock.cell == Some((at, 0));
+        !is_stamp && !COUNTERS.contains(&column.name.as_str()) && column.width > 0
     };
     let open: Vec<usize> =
         (0..table.columns.len()).filter(|&at| is_open(at, &table.columns[at])).collect();
@@ -67,11 +70,17 @@ pub(super) fn of(
     let by_name = named_groups(table, &named);
     groups.extend(by_name);
     for column in open {
-        let all = || (0..table.columns[column].width).map(|part| Cell { column, part });
-        if all().any(|cell| is_taken(&groups, &cell)) {
-            continue;
+        let all = (0..table.columns[column].width).map(|part| Cell { column, part });
+        let free: Vec<Cell> =
+            all.filter(|cell| !is_taken(&groups, cell) && !is_clock(cell)).collect();
+        match free.len() {
+            0 => {}
+            count if count == table.columns[column].width => {
+                groups.push(whole(&table.columns[column], free));
+            }
+            _ if settings.says_all() => {}
+            _ => groups.push(rest(&table.columns[column], free)),
         }
-        groups.push(whole(&table.columns[column], all().collect()));
     }
     join_parts(table, &mut groups);
     distinct(&mut groups);
@@ -95,14 +104,32 @@ fn name(table: &Table, cell: Cell) -> &str {
     column.parts.get(cell.part).unwrap_or(&column.name)
 }
 
+/// The same as a config has it, which names columns and numbers of them.
+fn table_cell(table: &Table, Cell { column, part }: Cell) -> TableCell {
+    let Column { name, width, .. } = &table.columns[column];
+    let name = if *width == 1 { name.clone() } else { format!("{name}[{part}]") };
+    TableCell { at: (column, part), name }
+}
+
 /// The topic that a cell of a column with named numbers belongs to; empty where each number is a column.
 fn home(table: &Table, cell: Cell) -> &str {
     let column = &table.columns[cell.column];
     if column.parts.is_empty() { "" } else { &column.name }
 }
 
-/// What the caller says.
+/// What the caller says, of the one arm or of each.
 fn said(table: &Table, settings: &ColumnSettings) -> Result<Vec<Group>, Refusal> {
+    let mut groups = said_of_arm(table, settings)?;
+    for (arm, settings) in &settings.arms {
+        let own = said_of_arm(table, settings)
+            .map_err(|what| what.replacen("columns.", &format!("columns.arm.{arm}."), 1))?;
+        let named = |group: Group| Group { topic: format!("{arm}/{}", group.topic), ..group };
+        groups.extend(own.into_iter().map(named));
+    }
+    Ok(groups)
+}
+
+fn said_of_arm(table: &Table, settings: &ColumnSettings) -> Result<Vec<Group>, Refusal> {
     let mut groups = Vec::new();
     let topics = [
         ("joints", &settings.joints),
@@ -284,11 +311,9 @@ fn whole(column: &Column, cells: Vec<Cell>) -> Group {
     let words = names::words(&column.name);
     let by_name = |what: &str| format!("{what}, by the name of the column");
     let (meaning, why) = match column.width {
-        1 => (Meaning::Nothing, "a single number".to_owned()),
-        _ if names::is_other(&words) || names::is_gripper(&words) => (
-            Meaning::Nothing,
-            "neither joint positions nor a pose, by the name of the column".to_owned(),
-        ),
+        _ if names::is_other(&words) || names::is_gripper(&words) => {
+            (Meaning::Nothing, "neither joint positions nor a pose, by its name".to_owned())
+        }
         6 if names::words(&column.name).ends_with(&["actual".into(), "q".into()])
             || names::words(&column.name).ends_with(&["target".into(), "q".into()]) =>
         {
@@ -304,6 +329,7 @@ fn whole(column: &Column, cells: Vec<Cell>) -> Group {
         3 if names::part(&column.name, 3).is_some_and(|(_, part)| part == Part::Position) => {
             (Meaning::Position, by_name("a position"))
         }
+        1 => (Meaning::Numbers, "its name does not say what it is".to_owned()),
         width => (
             Meaning::Numbers,
             format!(
@@ -312,6 +338,12 @@ fn whole(column: &Column, cells: Vec<Cell>) -> Group {
         ),
     };
     Group { topic: column.name.clone(), cells, meaning, why }
+}
+
+/// What is left of a column of which some numbers are told.
+fn rest(column: &Column, cells: Vec<Cell>) -> Group {
+    let why = format!("its name does not say what these {} numbers are", cells.len());
+    Group { topic: column.name.clone(), cells, meaning: Meaning::Numbers, why }
 }
 
 /// Joins a position in one column and the rotation of the same name in another.
@@ -414,13 +446,16 @@ impl Group {
                 }
                 Some(Columns::Joints(joints))
             }
-            Meaning::Pose | Meaning::Numbers => {
-                Some(Columns::Array(array(&stamps, cells.len(), &values())))
+            Meaning::Pose => Some(Columns::Array(array(&stamps, cells.len(), &values()))),
+            Meaning::Numbers => {
+                let array = array(&stamps, cells.len(), &values());
+                Some(Columns::Array(ArrayColumns { unnamed: true, ..array }))
             }
             Meaning::Position => Some(Columns::Poses(vec![positions(&stamps, &values())])),
             Meaning::Nothing => None,
         };
-        Found { topic, kind, why, columns, rows: stamps.len() as u64 }
+        let cells = cells.iter().map(|&cell| table_cell(table, cell)).collect();
+        Found { topic, kind, why, cells, columns, rows: stamps.len() as u64 }
     }
 }
 

@@ -25,7 +25,7 @@ use super::decode::Format;
 use super::intake::{ChannelId, Intake};
 use super::losses::Losses;
 use super::mapped::Mapped;
-use super::{Container, Extent, LogError};
+use super::{Container, Extent, LogError, TableCell};
 use ground::stream::{ArrayColumns, Columns, JointColumns, PoseColumns, Times, usable};
 use ground::time::NANOS_PER_SECOND;
 
@@ -112,6 +112,7 @@ pub(super) struct Found {
     pub topic: String,
     pub kind: String,
     pub why: String,
+    pub cells: Vec<TableCell>,
     pub columns: Option<Columns>,
     pub rows: u64,
 }
@@ -227,12 +228,12 @@ impl Tables {
         if let Some(what) = clock.contradiction(table) {
             intake.contradiction(path, what);
         }
-        for Found { topic, kind, why, columns, rows } in found {
+        for Found { topic, kind, why, cells, columns, rows } in found {
             let format =
                 Format { encoding: "table", type_name: &kind, schema_encoding: "", schema: &[] };
             let Some(channel) = intake.channel(&topic, format) else { continue };
             intake.count(channel, rows, (span[0], span[1]));
-            intake.read_as(channel, why);
+            intake.read_as(channel, why, cells);
             let Some(mut columns) = columns else { continue };
             for times in columns.times_mut() {
                 times.log.iter_mut().for_each(|received| *received += shift);

@@ -129,6 +129,7 @@ impl Recording {
             undecodable: None,
             useless: None,
             read_as: None,
+            cells: Vec::new(),
             span: None,
         };
         Log {
@@ -140,6 +141,7 @@ impl Recording {
             notes: Vec::new(),
             contradictions: None,
             robot_type: None,
+            question: None,
             losses: Vec::new(),
         }
     }
