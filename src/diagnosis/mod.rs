@@ -77,7 +77,7 @@ pub use calibration::{
 };
 pub use carried::{BaseTravel, CarrierLag, base_travel, carrier_lag};
 pub use changes::{AmountChange, Change, CodedParts, FrameChange, JointChange, JointPatch};
-pub use columns::{Conduct, Mapping, Sheet, Shift, Wanted};
+pub use columns::{Block, Conduct, JointNumbers, Mapping, Sheet, Shift, Wanted};
 pub use course::{LatencyCourse, LatencyJump, LatencyShape};
 pub use dh::{DhEstimate, DhStream, DhTold, Left, faults};
 pub use ground::stats::{Length, Measured};

@@ -1,11 +1,13 @@
 //! What the columns of a table hold, by the caller's word, else by their names. What neither says is left
 //! as bare numbers.
 
+mod said;
+
 use std::collections::BTreeMap;
 
 use super::clock::Clock;
 use super::names::{self, Axis, Part};
-use super::{Column, ColumnSelector, ColumnSettings, Found, Refusal, Table, array, positions};
+use super::{Column, ColumnSettings, Found, Refusal, Table, array, positions};
 use crate::TableCell;
 use crate::rtde::JOINTS as UR_JOINTS;
 use ground::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times, usable};
@@ -52,7 +54,7 @@ pub(super) fn of(
     clock: &Clock,
     settings: &ColumnSettings,
 ) -> Result<Vec<Found>, Refusal> {
-    let mut groups = said(table, settings)?;
+    let mut groups = said::said(table, settings)?;
     let is_taken =
         |groups: &[Group], cell: &Cell| groups.iter().any(|group| group.cells.contains(cell));
     let is_clock = |cell: &Cell| clock.cell == Some((cell.column, cell.part));
@@ -91,6 +93,29 @@ pub(super) fn of(
 /// Two turns: a joint whose positions go beyond these logs no rad.
 const TWO_TURNS: f64 = 4.0 * std::f64::consts::PI;
 
+/// Words of names that say that numbers are rad.
+const RADIANS: &[&str] = &["rad", "rads", "radian", "radians"];
+
+/// Why joints whose numbers are too large for rad are no degrees either, where the numbers say so by
+/// themselves.
+fn no_degrees(table: &Table, cells: &[Cell], most: f64) -> Option<String> {
+    /// More than two turns in degrees, the ends of shares of a range, and joints that must reach one.
+    const TURNS: f64 = 720.0;
+    const END: f64 = 100.0;
+    const REACH: usize = 2;
+    if most > TURNS {
+        return Some(
+            "degrees do not go so far either: ticks of an encoder, or another unit".to_owned(),
+        );
+    }
+    let reaches = |cell: &&Cell| {
+        let column = &table.columns[cell.column];
+        column.values.iter().skip(cell.part).step_by(column.width).any(|value| value.abs() == END)
+    };
+    let is_share = most == END && cells.iter().filter(reaches).count() >= REACH;
+    is_share.then(|| "several end at exactly 100, as shares of a range do".to_owned())
+}
+
 /// The cells of a column whose numbers have names: of one number the column's.
 fn cells(table: &Table, column: usize) -> Vec<Cell> {
     let of = &table.columns[column];
@@ -115,69 +140,6 @@ fn table_cell(table: &Table, Cell { column, part }: Cell) -> TableCell {
 fn home(table: &Table, cell: Cell) -> &str {
     let column = &table.columns[cell.column];
     if column.parts.is_empty() { "" } else { &column.name }
-}
-
-/// What the caller says, of the one arm or of each.
-fn said(table: &Table, settings: &ColumnSettings) -> Result<Vec<Group>, Refusal> {
-    let mut groups = said_of_arm(table, settings)?;
-    for (arm, settings) in &settings.arms {
-        let own = said_of_arm(table, settings)
-            .map_err(|what| what.replacen("columns.", &format!("columns.arm.{arm}."), 1))?;
-        let named = |group: Group| Group { topic: format!("{arm}/{}", group.topic), ..group };
-        groups.extend(own.into_iter().map(named));
-    }
-    Ok(groups)
-}
-
-fn said_of_arm(table: &Table, settings: &ColumnSettings) -> Result<Vec<Group>, Refusal> {
-    let mut groups = Vec::new();
-    let topics = [
-        ("joints", &settings.joints),
-        ("joint_commands", &settings.joint_commands),
-        ("pose", &settings.pose),
-        ("pose_commands", &settings.pose_commands),
-    ];
-    for (key, selectors) in topics {
-        let mut all = Vec::new();
-        for selector in selectors {
-            all.extend(
-                selected(table, selector).map_err(|what| format!("`columns.{key}`: {what}"))?,
-            );
-        }
-        if all.is_empty() {
-            continue;
-        }
-        let meaning = match (key, all.len()) {
-            ("joints" | "joint_commands", count) => Meaning::Joints {
-                names: (1..=count).map(|number| format!("q{number}")).collect(),
-                unnamed: true,
-            },
-            (_, 3) => Meaning::Position,
-            (_, 6 | 7 | 12 | 16) => Meaning::Pose,
-            (_, count) => {
-                return Err(format!(
-                    "`columns.{key}` selects {count} numbers; a pose has 3, 6, 7, 12 or 16"
-                ));
-            }
-        };
-        let why = format!("`columns.{key}` of the config");
-        groups.push(Group { topic: key.to_owned(), cells: all, meaning, why });
-    }
-    Ok(groups)
-}
-
-fn selected(table: &Table, selector: &ColumnSelector) -> Result<Vec<Cell>, String> {
-    let ColumnSelector { column: name, range } = selector;
-    let column = table.columns.iter().position(|column| column.name == *name);
-    let column = column.ok_or_else(|| format!("it has no column '{name}'"))?;
-    let width = table.columns[column].width;
-    let (first, end) = range.unwrap_or((0, width));
-    if end > width {
-        return Err(format!(
-            "'{name}' has {width} numbers a row, and [{first}:{end}] is asked for"
-        ));
-    }
-    Ok((first..end).map(|part| Cell { column, part }).collect())
 }
 
 /// Poses and joints among cells that have names.
@@ -418,6 +380,7 @@ impl Group {
     /// are taken for degrees, states and commands alike.
     fn found(self, table: &Table, clock: &Clock, most: f64) -> Found {
         let Self { topic, cells, meaning, mut why } = self;
+        let mut contradiction = None;
         let kind = cells.first().map_or("", |cell| &table.columns[cell.column].kind);
         let kind =
             if cells.len() == 1 { kind.to_owned() } else { format!("{kind}[{}]", cells.len()) };
@@ -440,6 +403,20 @@ impl Group {
                 let mut joints = joints(&stamps, &names, &values(), unnamed);
                 if most > TWO_TURNS {
                     why += &format!("; taken for degrees: rad do not go up to {most:.1}");
+                    if let Some(what) = no_degrees(table, &cells, most) {
+                        why += &format!(", but {what}");
+                    }
+                    let says_rad = |cell: &&Cell| {
+                        names::words(name(table, **cell))
+                            .iter()
+                            .any(|word| RADIANS.contains(&word.as_str()))
+                    };
+                    contradiction = cells.iter().find(says_rad).map(|&cell| {
+                        let name = name(table, cell);
+                        format!(
+                            "the name '{name}' says rad, and joint positions go up to {most:.1}"
+                        )
+                    });
                     joints.taken_for_degrees = true;
                     let all = joints.joints.iter_mut().flat_map(|joint| &mut joint.position);
                     all.for_each(|position| *position = position.to_radians());
@@ -455,7 +432,7 @@ impl Group {
             Meaning::Nothing => None,
         };
         let cells = cells.iter().map(|&cell| table_cell(table, cell)).collect();
-        Found { topic, kind, why, cells, columns, rows: stamps.len() as u64 }
+        Found { topic, kind, why, cells, contradiction, columns, rows: stamps.len() as u64 }
     }
 }
 

@@ -113,6 +113,8 @@ pub(super) struct Found {
     pub kind: String,
     pub why: String,
     pub cells: Vec<TableCell>,
+    /// What its names say that its numbers are not.
+    pub contradiction: Option<String>,
     pub columns: Option<Columns>,
     pub rows: u64,
 }
@@ -228,7 +230,10 @@ impl Tables {
         if let Some(what) = clock.contradiction(table) {
             intake.contradiction(path, what);
         }
-        for Found { topic, kind, why, cells, columns, rows } in found {
+        for Found { topic, kind, why, cells, contradiction, columns, rows } in found {
+            if let Some(what) = contradiction {
+                intake.contradiction(path, what);
+            }
             let format =
                 Format { encoding: "table", type_name: &kind, schema_encoding: "", schema: &[] };
             let Some(channel) = intake.channel(&topic, format) else { continue };

@@ -4,11 +4,12 @@
 //! A way to take them that is not the only one is a question, with the lines for the config that settle it.
 
 mod cells;
+mod contradictions;
 mod roles;
 mod topics;
 
-use crate::diagnosis::{Mapping, Wanted};
-use crate::log::Log;
+use crate::diagnosis::{Block, Mapping, Wanted};
+use crate::log::{Log, Note};
 use crate::robot::{Chain, Robot, catalogue};
 
 use super::RunOptions;
@@ -42,6 +43,7 @@ const MOVES_M: f64 = 0.02;
 /// Makes joints, poses and commands of the columns of tables whose names do not say what they are, where their
 /// numbers do.
 pub fn tell_columns(log: &mut Log, options: &RunOptions) {
+    contradictions::find(log);
     if !log.topics.iter().any(is_open) {
         return;
     }
@@ -51,6 +53,9 @@ pub fn tell_columns(log: &mut Log, options: &RunOptions) {
     let search = Search::new(&cells, options, log.robot_type.as_deref());
     let told = search.told(log);
     topics::rewrite(log, &search, &told);
+    if let (Some(what), Some(file)) = (&told.question, log.files.first()) {
+        log.notes.push(Note { file: file.path.clone(), what: what.clone() });
+    }
     log.question = told.question;
 }
 
@@ -58,8 +63,6 @@ pub fn tell_columns(log: &mut Log, options: &RunOptions) {
 struct Search<'a> {
     cells: &'a Cells,
     arms: Vec<Candidate>,
-    /// Whether the caller or metadata name them.
-    are_named: bool,
     most_lag_s: f64,
 }
 
@@ -68,8 +71,7 @@ impl<'a> Search<'a> {
         let given = models::given(&options.robots).unwrap_or_default();
         let named: Vec<&Robot> =
             models::for_numbers(&given, robot_type).into_iter().map(|(robot, _)| robot).collect();
-        let are_named = !named.is_empty();
-        let robots = if are_named { named } else { catalogue::entries().iter().collect() };
+        let robots = if named.is_empty() { catalogue::entries().iter().collect() } else { named };
         let arms = robots.into_iter().flat_map(|robot| {
             let paths = skeleton::arms(robot, |_| true).into_iter();
             paths.filter_map(|path| {
@@ -79,7 +81,7 @@ impl<'a> Search<'a> {
                 is_whole.then(|| Candidate { name: robot.name.clone(), chain })
             })
         });
-        Self { cells, arms: arms.collect(), are_named, most_lag_s: options.max_latency_s.min(1.0) }
+        Self { cells, arms: arms.collect(), most_lag_s: options.max_latency_s.min(1.0) }
     }
 
     fn chains(&self) -> Vec<&Chain> {
@@ -136,8 +138,8 @@ impl<'a> Search<'a> {
                 break;
             }
         }
-        if told.arms.is_empty() && told.question.is_none() && !are_joints_known && self.are_named {
-            told.question = self.by_limits(position);
+        if told.arms.is_empty() && told.question.is_none() && !are_joints_known {
+            told.question = self.by_width();
         }
         told
     }
@@ -179,14 +181,10 @@ impl<'a> Search<'a> {
     /// Whether the joints of two ways say the same, one after the other.
     fn are_commands(&self, one: &Mapping, other: &Mapping) -> bool {
         let apart = one.joints.iter().all(|at| !other.joints.contains(at));
-        let factor = |it: &Mapping| if it.degrees { 1_f64.to_radians() } else { 1.0 };
         apart
+            && one.unit == other.unit
             && one.joints.len() == other.joints.len()
-            && self
-                .cells
-                .sheet
-                .shift((&one.joints, factor(one)), (&other.joints, factor(other)))
-                .is_some()
+            && self.cells.sheet.shift(&one.joints, &other.joints).is_some()
     }
 
     fn names(&self, columns: &[usize]) -> Vec<String> {
@@ -235,25 +233,61 @@ impl<'a> Search<'a> {
         format!("the columns may be two things: {}, or {}", way(best), way(rival))
     }
 
-    /// The question which columns are the joints of the arm that was named, where no position tells it.
-    fn by_limits(&self, position: Option<[usize; 3]>) -> Option<String> {
-        const SHOWN: usize = 2;
-        let blocks = |arm: &Candidate| self.cells.sheet.blocks(&arm.chain, &[]);
-        let mut all = self.arms.iter().map(|arm| (arm, blocks(arm)));
-        let (arm, blocks) = all.find(|(_, blocks)| !blocks.is_empty())?;
-        let which = if position.is_some() { "the pose" } else { "no columns, as a pose," };
-        let ways = blocks.iter().take(SHOWN).map(|(joints, _)| self.line("joints", joints));
-        let more = match blocks.len().saturating_sub(SHOWN) {
-            0 => String::new(),
-            more => format!(" (and {more} more)"),
+    /// The question which numbers are joints, where no position tells it: those of a row that has as many as an
+    /// arm has joints, or two arms, with grippers or without.
+    fn by_width(&self) -> Option<String> {
+        let sheet = &self.cells.sheet;
+        let chains = self.chains();
+        let wanted = Wanted {
+            chains: &chains,
+            joints: None,
+            position: None,
+            taken: &[],
+            most_lag_s: self.most_lag_s,
         };
+        let mut ways: Vec<String> = Vec::new();
+        let mut first = 0;
+        while first < self.cells.numbers.len() && ways.is_empty() {
+            let home = sheet.home(first);
+            let width =
+                (first..self.cells.numbers.len()).take_while(|&at| sheet.home(at) == home).count();
+            for (arm, chain) in chains.iter().enumerate() {
+                let dof = chain.dof();
+                let blocks = || -> Vec<Block> { sheet.blocks(&wanted, arm) };
+                let is_block = |blocks: &[Block], from: usize| {
+                    blocks.iter().any(|block| block.joints.iter().copied().eq(from..from + dof))
+                };
+                let each = match width {
+                    width if width == dof || width == dof + 1 => vec![first],
+                    width if width == 2 * dof => vec![first, first + dof],
+                    width if width == 2 * (dof + 1) => vec![first, first + dof + 1],
+                    _ => continue,
+                };
+                let blocks = blocks();
+                if !each.iter().all(|&from| is_block(&blocks, from)) {
+                    continue;
+                }
+                let line =
+                    |from: usize| self.line("joints", &(from..from + dof).collect::<Vec<usize>>());
+                let way = match each.as_slice() {
+                    [only] => format!("[columns] {}", line(*only)),
+                    [left, right, ..] => format!(
+                        "[columns.arm.left] {} and [columns.arm.right] {}",
+                        line(*left),
+                        line(*right)
+                    ),
+                    [] => continue,
+                };
+                if !ways.contains(&way) {
+                    ways.push(way);
+                }
+            }
+            first += width;
+        }
+        let ways = (!ways.is_empty()).then(|| ways.join(", or "))?;
         Some(format!(
-            "{} blocks of {} columns are within the limits of {}, and {which} follow{} them: [columns] {}{more}",
-            blocks.len(),
-            arm.chain.dof(),
-            arm.name,
-            if position.is_some() { "s none of" } else { "" },
-            ways.collect::<Vec<_>>().join(", or ")
+            "no columns are a pose that FK of the others follows, so that nothing tells which are the joints: if they \
+             are, write {ways}"
         ))
     }
 }

@@ -1,6 +1,6 @@
 //! Which of several columns that say the same are the measured ones, and what stands beside them.
 
-use crate::diagnosis::{Mapping, Shift, Wanted};
+use crate::diagnosis::{Block, JointNumbers, Mapping, Shift, Wanted};
 use crate::finding::Unit;
 
 use super::Search;
@@ -8,7 +8,7 @@ use super::Search;
 /// The columns of one arm, and why they are.
 pub(super) struct Taken {
     pub joints: Vec<usize>,
-    pub degrees: bool,
+    pub unit: JointNumbers,
     pub joints_why: String,
     /// Position, then rotation.
     pub pose: Vec<usize>,
@@ -36,6 +36,9 @@ struct Same {
     shift: Shift,
 }
 
+/// A position that says the same as another by that shift.
+type Later = ([usize; 3], Shift);
+
 impl Same {
     fn is_copy(&self) -> bool {
         self.shift.left < 1e-9 && self.shift.later_s == 0.0
@@ -57,42 +60,35 @@ impl Search<'_> {
         mappings: &[Mapping],
         wanted: &Wanted,
     ) -> Result<Taken, String> {
-        let chain = wanted.chains[best.arm];
         let sheet = &self.cells.sheet;
-        let factor = |degrees: bool| if degrees { 1_f64.to_radians() } else { 1.0 };
         let mut others = Vec::new();
-        let mut family: Vec<(bool, Same)> = Vec::new();
+        let mut family: Vec<Same> = Vec::new();
         if wanted.joints.is_none() {
-            for (columns, degrees) in sheet.blocks(chain, wanted.taken) {
+            for Block { joints: columns, unit, .. } in sheet.blocks(wanted, best.arm) {
                 let is_apart = |joints: &[usize]| columns.iter().all(|at| !joints.contains(at));
-                if !is_apart(&best.joints)
-                    || !family.iter().all(|(_, same)| is_apart(&same.columns))
-                {
+                if !is_apart(&best.joints) || !family.iter().all(|same| is_apart(&same.columns)) {
                     continue;
                 }
-                let own = (best.joints.as_slice(), factor(best.degrees));
-                if let Some(shift) = sheet.shift(own, (&columns, factor(degrees))) {
-                    family.push((degrees, Same { columns, shift }));
-                }
+                let shift = sheet.shift(&best.joints, &columns).filter(|_| unit == best.unit);
+                family.extend(shift.map(|shift| Same { columns, shift }));
             }
         }
         let name = |columns: &[usize]| self.said(columns);
         let mut mapping = best.clone();
-        let (copies, family): (Vec<_>, Vec<_>) =
-            family.into_iter().partition(|(_, same)| same.is_copy());
-        for (_, copy) in copies {
+        let (copies, family): (Vec<_>, Vec<_>) = family.into_iter().partition(Same::is_copy);
+        for copy in copies {
             others.push((copy.columns, format!("the same numbers as {}", name(&best.joints))));
         }
         // The last of those that say the same is what was measured.
         let still_s = LEADS_S.max(0.3 * sheet.step_s());
-        let mut ends: Vec<(f64, bool, Vec<usize>)> = family
+        let mut ends: Vec<(f64, Vec<usize>)> = family
             .into_iter()
-            .map(|(degrees, same)| (same.shift.later_s, degrees, same.columns))
-            .chain([(0.0, best.degrees, best.joints.clone())])
+            .map(|same| (same.shift.later_s, same.columns))
+            .chain([(0.0, best.joints.clone())])
             .collect();
         ends.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let (last_s, degrees, joints) = ends[0].clone();
-        if let Some((next_s, _, next)) = ends.get(1).filter(|next| last_s - next.0 < still_s) {
+        let (last_s, joints) = ends[0].clone();
+        if let Some((next_s, next)) = ends.get(1).filter(|next| last_s - next.0 < still_s) {
             return Err(format!(
                 "{} and {} say the same within {:.0} ms, and nothing tells which is measured: [columns] {}, or {}",
                 name(&joints),
@@ -103,7 +99,7 @@ impl Search<'_> {
             ));
         }
         let lead_s = ends.iter().map(|end| last_s - end.0).fold(0.0, f64::max);
-        let joint_commands = ends.pop().filter(|_| !ends.is_empty()).map(|(at_s, _, columns)| {
+        let joint_commands = ends.pop().filter(|_| !ends.is_empty()).map(|(at_s, columns)| {
             let why = format!(
                 "joint commands: they say what {} do {:.0} ms earlier",
                 name(&joints),
@@ -112,18 +108,18 @@ impl Search<'_> {
             (columns, why)
         });
         if joints != mapping.joints {
-            mapping = self.refitted(&joints, degrees, best, wanted).unwrap_or(mapping);
-            (mapping.joints, mapping.degrees) = (joints, degrees);
+            mapping = self.refitted(&joints, best, wanted).unwrap_or(mapping);
+            mapping.joints = joints;
             mapping.lag_s = best.lag_s - last_s;
         }
-        for (_, _, columns) in ends.into_iter().skip(1) {
+        for (_, columns) in ends.into_iter().skip(1) {
             others.push((columns, format!("they say what {} do, earlier", name(&mapping.joints))));
         }
         let mut pose_commands = None;
         let (mut position, mut lag_s) = (mapping.position, mapping.lag_s);
         let (same, points) = match wanted.position {
             Some(_) => Default::default(),
-            None => self.further_positions(&mapping, mappings, wanted),
+            None => self.further_positions((best, &mapping), mappings, wanted),
         };
         for (other, shift) in same {
             match shift {
@@ -170,7 +166,7 @@ impl Search<'_> {
             (self.with_rotation(&command, wanted).0, why)
         });
         let arm = &self.arms[best.arm].name;
-        let unit = if mapping.degrees { "degrees" } else { "rad" };
+        let unit = mapping.unit.words();
         let next = rival.map_or(String::new(), |rival| {
             format!(
                 "; the next way, {} with {}, leaves {}",
@@ -188,7 +184,7 @@ impl Search<'_> {
         );
         Ok(Taken {
             joints: mapping.joints.clone(),
-            degrees: mapping.degrees,
+            unit: mapping.unit,
             joints_why: fits.clone(),
             pose,
             pose_why: format!("{fits}; {rotation}"),
@@ -203,24 +199,24 @@ impl Search<'_> {
     /// points of the same tool.
     fn further_positions(
         &self,
-        mapping: &Mapping,
+        (best, mapping): (&Mapping, &Mapping),
         mappings: &[Mapping],
         wanted: &Wanted,
-    ) -> (Vec<([usize; 3], Shift)>, Vec<[usize; 3]>) {
+    ) -> (Vec<Later>, Vec<[usize; 3]>) {
         let sheet = &self.cells.sheet;
         let mut known: Vec<usize> = [mapping.joints.as_slice(), &mapping.position].concat();
         known.extend(wanted.taken);
         let mut same = Vec::new();
         for other in sheet.positions(&known) {
             let is_new = other.iter().all(|at| !known.contains(at));
-            let shift = sheet.shift((&mapping.position, 1.0), (&other, 1.0));
+            let shift = sheet.shift(&mapping.position, &other);
             if let Some(shift) = shift.filter(|_| is_new) {
                 known.extend(other);
                 same.push((other, shift));
             }
         }
         let mut points = Vec::new();
-        for other in mappings.iter().filter(|other| other.fits() && other.arm == mapping.arm) {
+        for other in mappings.iter().filter(|other| other.fits() && other.joints == best.joints) {
             if other.position.iter().all(|at| !known.contains(at)) {
                 known.extend(other.position);
                 points.push(other.position);
@@ -230,14 +226,8 @@ impl Search<'_> {
     }
 
     /// The way with other joints of the same arm and the same position.
-    fn refitted(
-        &self,
-        joints: &[usize],
-        degrees: bool,
-        best: &Mapping,
-        wanted: &Wanted,
-    ) -> Option<Mapping> {
-        if degrees {
+    fn refitted(&self, joints: &[usize], best: &Mapping, wanted: &Wanted) -> Option<Mapping> {
+        if best.unit != JointNumbers::Radians {
             return None;
         }
         let joints = [joints.to_vec()];

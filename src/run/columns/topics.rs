@@ -1,7 +1,7 @@
 //! The topics of a table once it is told what its columns are.
 
-use crate::diagnosis::Conduct;
-use crate::log::{Log, Topic};
+use crate::diagnosis::{Conduct, JointNumbers};
+use crate::log::{Log, TableCell, Topic};
 use crate::stream::{ArrayColumns, Columns, JointColumn, JointColumns, PoseColumns};
 
 use super::cells::{is_open, selectors};
@@ -47,28 +47,29 @@ pub(super) fn rewrite(log: &mut Log, search: &Search<'_>, told: &Told) {
         if left.is_empty() {
             continue;
         }
-        let said: Vec<String> =
-            left.iter().map(|&part| search.conduct((index, part), &used, &others)).collect();
-        for (at, &part) in left.iter().enumerate() {
-            let cell = topic.cells[part].clone();
-            let name = if is_whole && count > 1 { topic.name.clone() } else { cell.name.clone() };
-            let cells = if is_whole { topic.cells.clone() } else { vec![cell] };
-            let useless = match is_whole && count > 1 {
-                true => format!("{count} numbers that are neither joints nor a pose of the arm"),
-                false => said[at].clone(),
+        let mut runs: Vec<(Vec<usize>, String)> = Vec::new();
+        for part in left {
+            let said = match is_whole && count > 1 {
+                true => "neither joints nor a pose of the arm".to_owned(),
+                false => search.conduct((index, part), &used, &others),
             };
+            match runs.last_mut() {
+                Some((run, last)) if *last == said && run.last() == Some(&(part - 1)) => {
+                    run.push(part)
+                }
+                _ => runs.push((vec![part], said)),
+            }
+        }
+        for (run, said) in runs {
+            let cells: Vec<TableCell> = run.iter().map(|&part| topic.cells[part].clone()).collect();
+            let names: Vec<String> = cells.iter().map(|cell| cell.name.clone()).collect();
             topics.push(Topic {
-                name,
+                name: selectors(&names).concat(),
+                type_name: kind(&topic, run.len()),
                 cells,
-                columns: None,
-                useless: Some(useless),
-                read_as: None,
-                type_name: kind(&topic, if is_whole { count } else { 1 }),
+                useless: Some(said),
                 ..topic_like(&topic)
             });
-            if is_whole {
-                break;
-            }
         }
     }
     topics.extend(made);
@@ -123,7 +124,7 @@ fn of_arm(log: &Log, search: &Search<'_>, arm: &Taken, prefix: &str) -> Vec<Topi
     let is_open = |columns: &[usize]| {
         columns.iter().all(|&at| search.cells.numbers[at].known == super::Known::Open)
     };
-    let joints = |columns: &[usize]| joints(array(log, search, columns), arm.degrees);
+    let joints = |columns: &[usize]| joints(array(log, search, columns), arm.unit);
     if is_open(&arm.joints) {
         topics.push(topic("joints", &arm.joints, &arm.joints_why, joints(&arm.joints)));
     }
@@ -175,7 +176,9 @@ fn array(log: &Log, search: &Search<'_>, columns: &[usize]) -> ArrayColumns {
     made
 }
 
-fn joints(array: ArrayColumns, degrees: bool) -> Columns {
+fn joints(array: ArrayColumns, unit: JointNumbers) -> Columns {
+    // What is neither rad nor degrees the audit tells of them (ORD009).
+    let degrees = unit != JointNumbers::Radians;
     let column = |joint: usize| {
         let numbers = array.values.iter().skip(joint).step_by(array.width);
         JointColumn {

@@ -7,15 +7,24 @@
 
 use std::f64::consts::PI;
 
-use nalgebra::{DMatrix, DVector};
+mod likeness;
+mod linear;
+mod numbers;
+mod turning;
+
+pub use likeness::{Conduct, Shift};
+pub use numbers::JointNumbers;
+
+use linear::{centred, left_of, liveliest};
+use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use super::PoseStream;
 use super::model_fit::tool_fit;
 use super::placement::metres_by_size;
 use super::placing::spread;
-use ground::geometry::{Convention, Rotation, Vec3, angle_between, rotation_from_xyzw};
-use ground::robot::{Chain, JointKind};
+use ground::geometry::Vec3;
+use ground::robot::Chain;
 use ground::stream::{JointTrack, Orientations, PoseTrack, sample_noise};
 
 /// Rows that are looked at, and no more of them a second than this.
@@ -81,8 +90,8 @@ pub struct Mapping {
     pub arm: usize,
     /// The columns of its joints, from base to tip.
     pub joints: Vec<usize>,
-    /// Whether these are degrees.
-    pub degrees: bool,
+    /// How their numbers are read.
+    pub unit: JointNumbers,
     /// The columns of the position.
     pub position: [usize; 3],
     /// What FK leaves of the position, rms m, and how far that spreads.
@@ -101,27 +110,26 @@ impl Mapping {
         self.left_m <= FITS_M.max(FITS_SHARE * self.spread_m)
     }
 
+    fn block(&self) -> Block {
+        Block { joints: self.joints.clone(), unit: self.unit, arm: self.arm }
+    }
+
     /// Whether it takes the same columns for the same.
     pub fn is_same(&self, other: &Self) -> bool {
-        let of = |it: &Self| (it.joints.clone(), it.degrees, it.position);
-        of(self) == of(other)
+        let of = |it: &Self| (it.joints.clone(), it.position);
+        of(self) == of(other) && self.unit == other.unit
     }
 }
 
-/// How some columns say what others do.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Shift {
-    /// By how much they say it later, s.
-    pub later_s: f64,
-    /// What differs beside that, as a share of the spread.
-    pub left: f64,
-}
-
 /// A block of columns that may be joints of an arm.
-struct Block {
-    joints: Vec<usize>,
-    degrees: bool,
-    arm: usize,
+#[derive(Clone)]
+pub struct Block {
+    /// The columns.
+    pub joints: Vec<usize>,
+    /// How their numbers are read.
+    pub unit: JointNumbers,
+    /// The arm, by its place.
+    pub arm: usize,
 }
 
 impl Sheet {
@@ -168,11 +176,7 @@ impl Sheet {
             if !all.iter().any(Mapping::fits) {
                 all.sort_by(|a, b| a.left_m.total_cmp(&b.left_m));
                 all.truncate(WITH_ZERO);
-                let anew = |it: &Mapping| {
-                    let block =
-                        Block { joints: it.joints.clone(), degrees: it.degrees, arm: it.arm };
-                    self.fit(wanted, &block, it.position, true)
-                };
+                let anew = |it: &Mapping| self.fit(wanted, &it.block(), it.position, true);
                 all = all.par_iter().filter_map(anew).collect();
             }
             all.sort_by(|a, b| a.left_m.total_cmp(&b.left_m));
@@ -189,8 +193,9 @@ impl Sheet {
         Vec::new()
     }
 
-    /// The blocks that may be joints of `arm` by their numbers: smooth, and within its limits.
-    pub fn blocks(&self, chain: &Chain, taken: &[usize]) -> Vec<(Vec<usize>, bool)> {
+    /// The blocks that may be joints of an arm by their numbers: smooth, and within its limits.
+    pub fn blocks(&self, wanted: &Wanted, arm: usize) -> Vec<Block> {
+        let chain = wanted.chains[arm];
         let dof = chain.dof();
         let mut homes: Vec<usize> = self.homes.clone();
         homes.sort_unstable();
@@ -204,45 +209,47 @@ impl Sheet {
                 let wide = (dof - 1) * stride + 1;
                 for window in own.windows(wide) {
                     let joints: Vec<usize> = window.iter().copied().step_by(stride).collect();
-                    if joints.iter().any(|column| taken.contains(column)) {
+                    if joints.iter().any(|column| wanted.taken.contains(column)) {
                         continue;
                     }
-                    if let Some(degrees) = self.unit(&joints, chain) {
-                        blocks.push((joints, degrees));
-                    }
+                    let most = self.most(&joints);
+                    let units = JointNumbers::of_size(most, wanted.chains.len() <= FEW_ARMS);
+                    let may_be = |unit: &JointNumbers| self.may_be(&joints, *unit, chain);
+                    let units = units.into_iter().filter(may_be);
+                    let of = |unit| Block { joints: joints.clone(), unit, arm };
+                    blocks.extend(units.map(of));
                 }
             }
         }
         blocks
     }
 
-    /// Whether columns are degrees, as joints of an arm; `None` where they are no joints of it.
-    fn unit(&self, joints: &[usize], chain: &Chain) -> Option<bool> {
-        let turning =
-            || (0..joints.len()).filter(|&at| chain.joint_kinds()[at] != JointKind::Prismatic);
-        let most = turning()
-            .map(|at| self.range(joints[at]))
-            .fold(0.0, |most: f64, [low, high]| most.max(low.abs()).max(high.abs()));
-        let degrees = most > TWO_TURNS;
+    /// The largest number of some columns.
+    fn most(&self, columns: &[usize]) -> f64 {
+        let ends = columns.iter().flat_map(|&column| self.range(column));
+        ends.map(f64::abs).fold(0.0, f64::max)
+    }
+
+    /// Whether columns may be joints of an arm, read so.
+    fn may_be(&self, joints: &[usize], unit: JointNumbers, chain: &Chain) -> bool {
         let mut moving = 0;
         for (at, &column) in joints.iter().enumerate() {
-            let slides = chain.joint_kinds()[at] == JointKind::Prismatic;
-            let factor = if degrees && !slides { 1_f64.to_radians() } else { 1.0 };
-            let [low, high] = self.range(column).map(|end| factor * end);
+            let (factor, zero) = unit.read(chain, at);
+            let [low, high] = self.range(column).map(|end| factor * end + zero);
             let limits = chain.limits()[at];
             let is_beyond = low < limits.lower.unwrap_or(-TWO_TURNS) - BEYOND
                 || high > limits.upper.unwrap_or(TWO_TURNS) + BEYOND;
             if is_beyond || !(high - low).is_finite() {
-                return None;
+                return false;
             }
             if high - low > MOVES {
                 moving += 1;
                 if factor * sample_noise(&self.columns[column]) > NOISY * (high - low) {
-                    return None;
+                    return false;
                 }
             }
         }
-        (moving >= MOVING).then_some(degrees)
+        moving >= MOVING
     }
 
     fn range(&self, column: usize) -> [f64; 2] {
@@ -292,15 +299,13 @@ impl Sheet {
             .chains
             .iter()
             .enumerate()
-            .flat_map(|(arm, chain)| {
-                let blocks = match wanted.joints {
-                    Some(joints) if joints[arm].len() == chain.dof() => {
-                        vec![(joints[arm].clone(), false)]
-                    }
-                    Some(_) => Vec::new(),
-                    None => self.blocks(chain, wanted.taken),
-                };
-                blocks.into_iter().map(move |(joints, degrees)| Block { joints, degrees, arm })
+            .flat_map(|(arm, chain)| match wanted.joints {
+                Some(joints) if joints[arm].len() == chain.dof() => {
+                    let (joints, unit) = (joints[arm].clone(), JointNumbers::Radians);
+                    vec![Block { joints, unit, arm }]
+                }
+                Some(_) => Vec::new(),
+                None => self.blocks(wanted, arm),
             })
             .collect();
         let tried: Vec<(&Block, f64)> = blocks
@@ -330,28 +335,17 @@ impl Sheet {
             tried.par_iter().enumerate().flat_map_iter(of).collect();
         near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let mut kept: Vec<(Block, [usize; 3])> = Vec::new();
-        let (mut ways, mut counts): (Vec<(&[usize], [usize; 3])>, Vec<usize>) =
-            (Vec::new(), Vec::new());
+        let mut ways = 0;
         for (_, at, position) in near {
             let block = tried[at].0;
-            let way = (block.joints.as_slice(), position);
-            let known = ways.iter().position(|other| *other == way);
-            let way = match known {
-                Some(way) => way,
-                None if ways.len() == MOST_FITS => continue,
-                None => {
-                    ways.push(way);
-                    counts.push(0);
-                    ways.len() - 1
-                }
+            let is_its = |(kept, other): &&(Block, [usize; 3])| {
+                kept.joints == block.joints && *other == position
             };
-            let is_new = |(kept, at): &(Block, [usize; 3])| {
-                kept.arm != block.arm || kept.joints != block.joints || *at != position
-            };
-            if counts[way] < MOST_ARMS && kept.iter().all(is_new) {
-                counts[way] += 1;
-                let (joints, degrees, arm) = (block.joints.clone(), block.degrees, block.arm);
-                kept.push((Block { joints, degrees, arm }, position));
+            let arms: Vec<usize> = kept.iter().filter(is_its).map(|(kept, _)| kept.arm).collect();
+            let is_room = if arms.is_empty() { ways < MOST_FITS } else { arms.len() < MOST_ARMS };
+            if is_room && !arms.contains(&block.arm) {
+                ways += usize::from(arms.is_empty());
+                kept.push((block.clone(), position));
             }
         }
         kept
@@ -392,7 +386,8 @@ impl Sheet {
         let at = |(joint, &column): (usize, &usize)| {
             let values = &self.columns[column];
             let q = values[after - 1] + share * (values[after] - values[after - 1]);
-            factor(block.degrees, chain.joint_kinds()[joint]) * q
+            let (factor, zero) = block.unit.read(chain, joint);
+            factor * q + zero
         };
         block.joints.iter().enumerate().map(at).collect()
     }
@@ -422,7 +417,7 @@ impl Sheet {
         Some(Mapping {
             arm: block.arm,
             joints: block.joints.clone(),
-            degrees: block.degrees,
+            unit: block.unit,
             position,
             left_m: way.left_m,
             spread_m: metres * spread(&track.xyz),
@@ -447,241 +442,14 @@ impl Sheet {
         let (mut q, mut qd) = (vec![0.0; rows * dof], vec![0.0; rows * dof]);
         for (joint, &column) in block.joints.iter().enumerate() {
             let values = &self.columns[column];
-            let factor = factor(block.degrees, chain.joint_kinds()[joint]);
+            let (factor, zero) = block.unit.read(chain, joint);
             for row in 0..rows {
                 let (before, after) = (row.saturating_sub(1), (row + 1).min(rows - 1));
                 let h = self.t_s[after] - self.t_s[before];
-                q[row * dof + joint] = factor * values[row];
+                q[row * dof + joint] = factor * values[row] + zero;
                 qd[row * dof + joint] = factor * (values[after] - values[before]) / h;
             }
         }
         JointTrack { t_s: self.t_s.clone(), dof, q, qd }
     }
-
-    /// How `others` say what `columns` do, where they do: each is multiplied by its factor.
-    pub fn shift(&self, columns: (&[usize], f64), others: (&[usize], f64)) -> Option<Shift> {
-        /// The longest, s, and what differs of columns that are the same, as a share of the spread.
-        const LONGEST_S: f64 = 1.0;
-        const SAME: f64 = 0.2;
-        let rows = self.t_s.len();
-        let step_s = (self.t_s.last()? - self.t_s.first()?) / (rows.max(2) - 1) as f64;
-        let most = ((LONGEST_S / step_s) as usize).min(rows / 4) as i64;
-        let series = |(columns, factor): (&[usize], f64)| -> Vec<Vec<f64>> {
-            let own = columns.iter().map(|&column| {
-                let values = &self.columns[column];
-                let mean = values.iter().sum::<f64>() / rows as f64;
-                values.iter().map(|value| factor * (value - mean)).collect()
-            });
-            own.collect()
-        };
-        let (these, those) = (series(columns), series(others));
-        let power =
-            |series: &[f64]| series.iter().map(|value| value * value).sum::<f64>() / rows as f64;
-        let moving: Vec<usize> = (0..these.len()).filter(|&at| power(&these[at]) > 1e-8).collect();
-        let left = |by: i64| -> f64 {
-            let share = |&at: &usize| {
-                let (first, end) = (by.max(0) as usize, (rows as i64 + by.min(0)) as usize);
-                let apart = (first..end)
-                    .map(|row| (those[at][row] - these[at][(row as i64 - by) as usize]).powi(2));
-                apart.sum::<f64>() / (end - first) as f64 / power(&these[at])
-            };
-            moving.iter().map(share).fold(0.0, f64::max)
-        };
-        let best = (-most..=most).map(|by| (left(by), by)).min_by(|a, b| a.0.total_cmp(&b.0))?;
-        let (least, by) = best;
-        if moving.len() < MOVING.min(columns.0.len()) || least.sqrt() > SAME {
-            return None;
-        }
-        let (before, after) = (left(by - 1), left(by + 1));
-        let bend = before - 2.0 * least + after;
-        let between = if bend > 0.0 { 0.5 * (before - after) / bend } else { 0.0 };
-        let between = if least == 0.0 { 0.0 } else { between.clamp(-0.5, 0.5) };
-        Some(Shift { later_s: (by as f64 + between) * step_s, left: least.sqrt() })
-    }
-
-    /// Whether columns are the rotation of the tool: 3 numbers by some convention, 4 of a quaternion in any
-    /// order, or 9 of a matrix. `None` where the tool hardly turns. Angles between poses tell it, which depend
-    /// on no frame, no tool and no order of components.
-    pub fn turns_with(&self, mapping: &Mapping, chain: &Chain, columns: &[usize]) -> Option<bool> {
-        /// Rows that are compared, what may differ, rad, and how far the tool must turn, rad.
-        const ROWS: usize = 60;
-        const APART_RAD: f64 = 0.05;
-        const TURNS_RAD: f64 = 0.2;
-        let all = self.few_rows();
-        let rows: Vec<usize> =
-            all.iter().copied().step_by(all.len().div_ceil(ROWS).max(1)).collect();
-        let (joints, degrees, arm) = (mapping.joints.clone(), mapping.degrees, mapping.arm);
-        let block = Block { joints, degrees, arm };
-        let fk: Vec<Rotation> = rows
-            .iter()
-            .map(|&row| {
-                let q = self.joints_at(&block, chain, self.t_s[row] - mapping.lag_s);
-                chain.forward(&q).rotation
-            })
-            .collect();
-        let pairs: Vec<(usize, usize)> =
-            (1..rows.len()).flat_map(|at| [(0, at), (at - 1, at), (at / 2, at)]).collect();
-        let rms = |angle: &dyn Fn(usize, usize) -> f64, other: &dyn Fn(usize, usize) -> f64| {
-            let apart = pairs.iter().map(|&(a, b)| (angle(a, b) - other(a, b)).powi(2));
-            (apart.sum::<f64>() / pairs.len().max(1) as f64).sqrt()
-        };
-        let expected = |a: usize, b: usize| angle_between(&fk[a], &fk[b]);
-        let turns_rad = rms(&expected, &|_, _| 0.0);
-        if turns_rad < TURNS_RAD {
-            return None;
-        }
-        let number = |row: usize, at: usize| self.columns[columns[at]][rows[row]];
-        let most = APART_RAD.min(0.15 * turns_rad);
-        let is_it = |all: Option<Vec<Rotation>>| {
-            all.is_some_and(|all| rms(&expected, &|a, b| angle_between(&all[a], &all[b])) < most)
-        };
-        let norms_are_one = |of: usize| {
-            let norm =
-                |row: usize| (0..columns.len()).map(|at| number(row, at).powi(2)).sum::<f64>();
-            (0..rows.len()).all(|row| (norm(row) / of as f64 - 1.0).abs() < 0.02)
-        };
-        Some(match columns.len() {
-            3 => [1.0, 1_f64.to_radians()].into_iter().any(|unit| {
-                Convention::all().iter().any(|convention| {
-                    let read =
-                        |row| convention.rotation([0, 1, 2].map(|at| unit * number(row, at)));
-                    is_it(Some((0..rows.len()).map(read).collect()))
-                })
-            }),
-            4 if norms_are_one(1) => {
-                let read = |row| rotation_from_xyzw([0, 1, 2, 3].map(|at| number(row, at)));
-                is_it((0..rows.len()).map(read).collect())
-            }
-            9 if norms_are_one(3) => {
-                let angle = |a: usize, b: usize| {
-                    let trace: f64 = (0..9).map(|at| number(a, at) * number(b, at)).sum();
-                    (0.5 * (trace - 1.0)).clamp(-1.0, 1.0).acos()
-                };
-                rms(&expected, &angle) < most
-            }
-            _ => false,
-        })
-    }
-}
-
-fn factor(degrees: bool, kind: JointKind) -> f64 {
-    if degrees && kind != JointKind::Prismatic { 1_f64.to_radians() } else { 1.0 }
-}
-
-/// Where the rows begin that move most.
-fn liveliest(rows: &[usize], columns: &[Vec<f64>]) -> usize {
-    let spreads: Vec<f64> = columns
-        .iter()
-        .map(|values| {
-            let (low, high) = values
-                .iter()
-                .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
-            high - low
-        })
-        .collect();
-    let step = |pair: &[usize]| -> f64 {
-        let of = |(values, spread): (&Vec<f64>, &f64)| {
-            let step = (values[pair[1]] - values[pair[0]]).abs() / spread;
-            if step.is_finite() { step } else { 0.0 }
-        };
-        columns.iter().zip(&spreads).map(of).sum()
-    };
-    let mut sums = vec![0.0];
-    for pair in rows.windows(2) {
-        sums.push(sums.last().copied().unwrap_or(0.0) + step(pair));
-    }
-    let starts = (0..rows.len() - MOST_ROWS).step_by(MOST_ROWS / 10);
-    let moved = |start: &usize| sums[start + MOST_ROWS - 1] - sums[*start];
-    starts.max_by(|a, b| moved(a).total_cmp(&moved(b))).unwrap_or(0)
-}
-
-fn centred(mut matrix: DMatrix<f64>) -> DMatrix<f64> {
-    for mut column in matrix.column_iter_mut() {
-        let mean = column.mean();
-        column.add_scalar_mut(-mean);
-    }
-    matrix
-}
-
-/// The squares that `design` leaves of each column of `logged`, as of so many rows as are not fitted.
-fn left_of(design: &DMatrix<f64>, logged: &DMatrix<f64>) -> DVector<f64> {
-    const RIDGE: f64 = 1e-9;
-    let mut normal = design.transpose() * design;
-    let ridge = RIDGE * normal.trace().max(f64::MIN_POSITIVE);
-    (0..normal.nrows()).for_each(|at| normal[(at, at)] += ridge);
-    let right = design.transpose() * logged;
-    let own = |column: usize| logged.column(column).norm_squared();
-    let free = (logged.nrows() as f64 / (logged.nrows() as f64 - 13.0)).max(1.0);
-    match normal.cholesky() {
-        Some(factor) => {
-            let solved = factor.l().solve_lower_triangular(&right).unwrap_or(right * 0.0);
-            DVector::from_fn(logged.ncols(), |column, _| {
-                free * (own(column) - solved.column(column).norm_squared()).max(0.0)
-            })
-        }
-        None => DVector::from_fn(logged.ncols(), |column, _| own(column)),
-    }
-}
-
-/// What a column that is neither joint nor pose does.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Conduct {
-    /// It never changes.
-    Constant,
-    /// It takes two values.
-    TwoLevels,
-    /// It says what that column says, by a shift.
-    As(usize, Shift),
-    /// It is the rate of that column.
-    RateOf(usize),
-    /// It follows none.
-    Own,
-}
-
-impl Sheet {
-    /// What a column does beside some others.
-    pub fn conduct(&self, column: usize, beside: &[usize]) -> Conduct {
-        /// Rates correlate by this at least.
-        const RATE: f64 = 0.95;
-        let values = &self.columns[column];
-        let [low, high] = self.range(column);
-        if low == high {
-            return Conduct::Constant;
-        }
-        let near = 0.02 * (high - low);
-        if values.iter().all(|value| value - low < near || high - value < near) {
-            return Conduct::TwoLevels;
-        }
-        let same = beside
-            .iter()
-            .filter_map(|&other| Some((other, self.shift((&[other], 1.0), (&[column], 1.0))?)));
-        if let Some((other, shift)) = same.min_by(|a, b| a.1.left.total_cmp(&b.1.left)) {
-            return Conduct::As(other, shift);
-        }
-        let rate = |other: usize| -> f64 {
-            let own = &self.columns[other];
-            let rows = 1..own.len().saturating_sub(1);
-            let pairs = rows.map(|row| {
-                let h = self.t_s[row + 1] - self.t_s[row - 1];
-                (values[row], (own[row + 1] - own[row - 1]) / h)
-            });
-            correlation(&pairs.collect::<Vec<_>>())
-        };
-        let best = beside.iter().map(|&other| (rate(other), other));
-        match best.max_by(|a, b| a.0.total_cmp(&b.0)) {
-            Some((correlation, other)) if correlation > RATE => Conduct::RateOf(other),
-            _ => Conduct::Own,
-        }
-    }
-}
-
-fn correlation(pairs: &[(f64, f64)]) -> f64 {
-    let n = pairs.len().max(1) as f64;
-    let (a, b) = pairs.iter().fold((0.0, 0.0), |(a, b), pair| (a + pair.0 / n, b + pair.1 / n));
-    let sums = pairs.iter().fold([0.0; 3], |[aa, bb, ab], pair| {
-        let (x, y) = (pair.0 - a, pair.1 - b);
-        [aa + x * x, bb + y * y, ab + x * y]
-    });
-    let size = (sums[0] * sums[1]).sqrt();
-    if size > 0.0 { sums[2] / size } else { 0.0 }
 }
