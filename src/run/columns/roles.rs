@@ -266,8 +266,7 @@ impl Search<'_> {
             // A matrix by rows or by columns, with its last row or without.
             let by_rows = y == x + 4;
             let from = if by_rows { first - 3 } else { first - 12 };
-            let rotation =
-                if by_rows { [0, 1, 2, 4, 5, 6, 8, 9, 10] } else { [0, 1, 2, 4, 5, 6, 8, 9, 10] };
+            let rotation = [0, 1, 2, 4, 5, 6, 8, 9, 10];
             let counts: &[usize] = if by_rows { &[16, 12] } else { &[16] };
             let whole = counts.iter().find_map(|&count| {
                 let all = usize::try_from(from).ok()?..usize::try_from(from).ok()? + count;
