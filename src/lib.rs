@@ -75,7 +75,8 @@ pub fn audit(options: &Options) -> Result<Audited, Trouble> {
 /// # Errors
 /// Where the log cannot be read.
 pub fn info(options: &Options) -> Result<Report, Trouble> {
-    let log = log::open(&options.logs, &options.read)?;
+    let mut log = log::open(&options.logs, &options.read)?;
+    run::tell_columns(&mut log, &options.run);
     let read = audit::Read::of(&log);
     let run = Run::complete(log, &options.run, |_| Ok::<_, Trouble>(()))?;
     Ok(audit::summary(&run, read))

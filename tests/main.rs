@@ -3,6 +3,7 @@
 mod calibrate;
 mod checks;
 mod cli;
+mod columns;
 mod config;
 mod desk;
 mod docs;

@@ -289,6 +289,7 @@ impl AnyLog {
                 undecodable: None,
                 useless: None,
                 read_as: None,
+                cells: Vec::new(),
                 span: None,
             });
         };
@@ -372,6 +373,7 @@ impl AnyLog {
             contradictions: None,
             repeats: None,
             robot_type: None,
+            question: None,
         };
         let end = |index: usize| {
             let link = self.ends[index].as_ref()?;

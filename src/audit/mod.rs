@@ -16,7 +16,7 @@ use crate::report::{
     Figures, FileRow, LogSummary, NoteRow, Report, Trouble, coverage, figures, joined, plans,
     robots, streams, tells_hand_eye,
 };
-use crate::run::{Arm, Excerpts, Run, Segment, segments};
+use crate::run::{Arm, Excerpts, Run, Segment, segments, tell_columns};
 
 pub use calibrate::{Calibrated, Taken, calibrate};
 pub use demo::{DEMO_LOG, Demo, Planted, demo};
@@ -106,10 +106,11 @@ impl Audited {
     /// Audits `log`, each of its segments as a run of its own. A segment that cannot be audited is left out,
     /// unless it is the longest.
     pub(crate) fn of(
-        log: Log,
+        mut log: Log,
         options: &Options,
         given: Option<Given<'_>>,
     ) -> Result<Self, Trouble> {
+        tell_columns(&mut log, &options.run);
         let mut read = Read::of(&log);
         if let Some(given) = &given {
             read.note_corrections(given);

@@ -112,10 +112,41 @@ pub(super) struct Columns {
     /// The commanded pose of the tool.
     #[serde(default)]
     pub pose_commands: Selection,
+    /// The same of each arm by its name, where there are several.
+    #[serde(default)]
+    pub arm: BTreeMap<String, ArmColumns>,
+}
+
+/// What the columns hold of one of several arms.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ArmColumns {
+    /// Joint positions, in the order of the model's joints.
+    #[serde(default)]
+    pub joints: Selection,
+    /// Commanded joint positions, likewise.
+    #[serde(default)]
+    pub joint_commands: Selection,
+    /// The measured pose of the tool: position, then rotation. 3, 6, 7, 12 or 16 numbers.
+    #[serde(default)]
+    pub pose: Selection,
+    /// The commanded pose of the tool.
+    #[serde(default)]
+    pub pose_commands: Selection,
 }
 
 impl Columns {
     pub fn settings(&self) -> ColumnSettings {
+        let of_arm = |(name, arm): (&String, &ArmColumns)| {
+            let settings = ColumnSettings {
+                joints: arm.joints.0.clone(),
+                joint_commands: arm.joint_commands.0.clone(),
+                pose: arm.pose.0.clone(),
+                pose_commands: arm.pose_commands.0.clone(),
+                ..ColumnSettings::default()
+            };
+            (name.clone(), settings)
+        };
         ColumnSettings {
             time: self.time.clone(),
             rate_hz: self.rate_hz.map(|rate| rate.0),
@@ -123,6 +154,7 @@ impl Columns {
             joint_commands: self.joint_commands.0.clone(),
             pose: self.pose.0.clone(),
             pose_commands: self.pose_commands.0.clone(),
+            arms: self.arm.iter().map(of_arm).collect(),
         }
     }
 }

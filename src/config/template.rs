@@ -26,6 +26,9 @@ pub fn template(report: &Report) -> String {
     out.0
 }
 
+/// What `[columns]` may say.
+const COLUMN_KEYS: [&str; 4] = ["joints", "joint_commands", "pose", "pose_commands"];
+
 #[derive(Default)]
 struct Template(String);
 
@@ -118,24 +121,35 @@ impl Template {
 
     /// What the columns of a table may be said to be.
     fn columns(&mut self, report: &Report) {
-        const TABLES: [&str; 8] =
-            ["csv", "npy", "npz", "parquet", "hdf5", "zarr", "tfrecord", "kuka-rsi"];
-        if !report.log.files.iter().any(|file| TABLES.contains(&file.container)) {
+        let told = || report.streams.iter().filter(|stream| !stream.columns.is_empty());
+        if told().next().is_none() {
             return;
         }
-        let of = |role: SaidRole| {
-            let own = report.streams.iter().find(|stream| stream.role == role.name());
-            own.map_or_else(|| "NAME[0:6]".to_owned(), |stream| stream.topic.clone())
-        };
-        self.line("\n# What the columns hold, where their names do not say it.\n# [columns]");
+        self.line("\n# What the columns hold. What names say is a comment.\n[columns]");
         self.unset("time", "\"timestamp\"", "or rate_hz = 50, where no column holds times");
-        self.unset(
-            "joints",
-            &quoted(&of(SaidRole::Joints)),
-            "or a list of columns, in the model's order",
-        );
-        self.unset("pose", &quoted(&of(SaidRole::Pose)), "position, then rotation");
-        self.unset("joint_commands", &quoted(&of(SaidRole::Reference)), "or pose_commands");
+        let mut last = "";
+        for stream in told() {
+            let (arm, key) = stream.topic.rsplit_once('/').unwrap_or(("", &stream.topic));
+            let value = match stream.columns.as_slice() {
+                [only] => quoted(only),
+                several => {
+                    let all: Vec<String> = several.iter().map(|name| quoted(name)).collect();
+                    format!("[{}]", all.join(", "))
+                }
+            };
+            let by_names = ["by name", "by the name"].iter().any(|by| stream.reason.contains(by));
+            if COLUMN_KEYS.contains(&key) && !by_names {
+                if arm != last {
+                    let _ = writeln!(self.0, "\n[columns.arm.{}]", quoted(arm));
+                    last = arm;
+                }
+                self.set(key, &value, "");
+            } else if stream.role == SaidRole::Joints.name() {
+                self.unset("joints", &value, "by their names");
+            } else if stream.role == SaidRole::Pose.name() {
+                self.unset("pose", &value, "by their names");
+            }
+        }
     }
 
     fn streams(&mut self, report: &Report) {

@@ -18,6 +18,7 @@ mod bends;
 mod calibration;
 mod carried;
 mod changes;
+mod columns;
 mod constant;
 mod course;
 mod dh;
@@ -76,6 +77,7 @@ pub use calibration::{
 };
 pub use carried::{BaseTravel, CarrierLag, base_travel, carrier_lag};
 pub use changes::{AmountChange, Change, CodedParts, FrameChange, JointChange, JointPatch};
+pub use columns::{Block, Conduct, JointNumbers, Mapping, Sheet, Shift, Wanted};
 pub use course::{LatencyCourse, LatencyJump, LatencyShape};
 pub use dh::{DhEstimate, DhStream, DhTold, Left, faults};
 pub use ground::stats::{Length, Measured};

@@ -71,6 +71,8 @@ pub struct Way {
     pub left_m: f64,
     /// The tool's offset in the link's frame, m.
     pub tool_m: Vec3,
+    /// The latency of the stream, s.
+    pub lag_s: f64,
 }
 
 /// How a model fits a stream.
@@ -140,6 +142,26 @@ pub fn model_fit(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> O
         fit.ways.extend(sight.misread_ways());
     }
     Some(fit)
+}
+
+/// How the model fits with a tool, its frame free where that is not known, and `with_zero` with that of one
+/// joint; none where the joints cover too few samples.
+pub(super) fn tool_fit(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    most_lag_s: f64,
+    with_zero: bool,
+) -> Option<Way> {
+    let scale = metres_by_size(joints, stream);
+    let zeros = (0..stream.chain.dof()).map(|joint| Needs::Zero { joint, tool: true });
+    let needs: Vec<Needs> = if with_zero { zeros.collect() } else { vec![Needs::Tool] };
+    let sights = lags(joints, stream, most_lag_s).into_iter();
+    let sights = sights.filter_map(|lag_s| Sight::of(joints, stream, scale, lag_s));
+    let ways = sights.flat_map(|sight| {
+        let ways = needs.iter().filter_map(|needs| sight.way(*needs));
+        ways.collect::<Vec<_>>()
+    });
+    ways.min_by(|a, b| a.left_m.total_cmp(&b.left_m))
 }
 
 /// Latencies at which the stream moves as the joints do, and none.
@@ -283,7 +305,13 @@ impl<'a> Sight<'a> {
         }
         let found = starts.into_iter().map(|start| self.solve(start, &free));
         let (left_m, guess) = found.min_by(|a, b| a.0.total_cmp(&b.0))?;
-        left_m.is_finite().then_some(Way { needs, misread: false, left_m, tool_m: guess.tool })
+        left_m.is_finite().then_some(Way {
+            needs,
+            misread: false,
+            left_m,
+            tool_m: guess.tool,
+            lag_s: guess.lag_s,
+        })
     }
 
     /// Gauss–Newton on the numbers `free`: latency, joint zeros, reference frame, tool, in this order.

@@ -28,6 +28,8 @@ pub struct Log {
     pub repeats: Option<Vec<Repeat>>,
     /// The type of the robot, as metadata say it.
     pub robot_type: Option<String>,
+    /// What the columns of a table leave open, to be asked where no arm is found.
+    pub question: Option<String>,
 }
 
 impl Log {
@@ -154,8 +156,19 @@ pub struct Topic {
     pub useless: Option<String>,
     /// How its columns were told, where no schema says it: of a table.
     pub read_as: Option<String>,
+    /// Which numbers of a table it is made of, in its order.
+    pub cells: Vec<TableCell>,
     /// First and last log time; `None` without messages.
     pub span: Option<(Stamp, Stamp)>,
+}
+
+/// One number of a table's rows.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct TableCell {
+    /// Its column among those of the table, and its place in a row of that.
+    pub at: (usize, usize),
+    /// What `[columns]` of a config calls it.
+    pub name: String,
 }
 
 /// Messages of one topic that could not be decoded.

@@ -13,7 +13,7 @@ use super::part::{Known, Part};
 use super::spans::{Span, gaps, join, overlaps};
 use super::topic::{Channel, Decoding, Message, Taken, TopicIntake, saturating, take_down};
 use super::unpack::{Allowance, Unpacker};
-use super::{Description, Extent, Log, LogFile, Loss, Note, Repeat, Topic};
+use super::{Description, Extent, Log, LogFile, Loss, Note, Repeat, TableCell, Topic};
 use ground::stream::Columns;
 use ground::time::Stamp;
 
@@ -139,6 +139,7 @@ impl Intake {
                 taken: Taken::default(),
                 columns: None,
                 read_as: None,
+                cells: Vec::new(),
                 waiting: Vec::new(),
             });
             self.topics.len() - 1
@@ -240,10 +241,10 @@ impl Intake {
         self.topics[topic].columns = Some(columns);
     }
 
-    /// Says how the columns of a channel were told.
-    pub(super) fn read_as(&mut self, channel: ChannelId, how: String) {
-        let topic = self.channels[channel.0].topic;
-        self.topics[topic].read_as = Some(how);
+    /// Says how the columns of a channel were told, and which of a table they are.
+    pub(super) fn read_as(&mut self, channel: ChannelId, how: String, cells: Vec<TableCell>) {
+        let topic = &mut self.topics[self.channels[channel.0].topic];
+        (topic.read_as, topic.cells) = (Some(how), cells);
     }
 
     /// Takes down what is declared of `file` and its numbers are not; once, of however many episodes.
@@ -320,6 +321,7 @@ impl Intake {
             contradictions: self.contradictions,
             repeats: self.repeats,
             robot_type: self.robot_type,
+            question: None,
         }
     }
 

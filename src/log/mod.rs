@@ -42,7 +42,8 @@ mod unpack;
 use std::path::{Path, PathBuf};
 
 pub use self::contents::{
-    Container, Crc, Description, Extent, Log, LogFile, Loss, Note, Repeat, Topic, Undecodable,
+    Container, Crc, Description, Extent, Log, LogFile, Loss, Note, Repeat, TableCell, Topic,
+    Undecodable,
 };
 pub use self::error::LogError;
 pub use self::name::ESCAPED;

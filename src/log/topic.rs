@@ -8,7 +8,7 @@ use std::sync::Arc;
 use super::decode::{Builder, MAX_FRAMES, Plan, Row, RowTimes};
 use super::spans::{Span, join};
 use super::unpack::ZSTD_MAGIC;
-use super::{Topic, Undecodable};
+use super::{TableCell, Topic, Undecodable};
 use ground::stream::Columns;
 use ground::time::Stamp;
 
@@ -81,6 +81,8 @@ pub(super) struct TopicIntake {
     pub(super) columns: Option<Columns>,
     /// How its columns were told.
     pub(super) read_as: Option<String>,
+    /// Which numbers of a table it is made of.
+    pub(super) cells: Vec<TableCell>,
     /// Which messages of a batch are its own: the channel's place, and the message's.
     pub(super) waiting: Vec<(usize, usize)>,
 }
@@ -216,6 +218,7 @@ impl TopicIntake {
             undecodable: undecodable.clone().filter(|_| part.is_empty()),
             useless: useless.clone(),
             read_as: self.read_as.clone(),
+            cells: self.cells.clone(),
             span,
         };
         parts.into_iter().map(topic).collect()

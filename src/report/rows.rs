@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::finding::{Word, maybe_word, word};
-use crate::run::{Arm, Run, Witness};
+use crate::run::{Arm, Run, Witness, selectors};
 use crate::time::Stamp;
 
 /// One arm.
@@ -60,6 +60,9 @@ pub struct StreamRow {
     /// Last stamp.
     #[schemars(with = "Option<String>")]
     pub end_ns: Option<Stamp>,
+    /// The columns of a table that it is made of, as `[columns]` of a config names them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub columns: Vec<String>,
 }
 
 /// One row for each stream of the segments.
@@ -115,6 +118,7 @@ pub(crate) fn streams(run: &Run) -> Vec<StreamRow> {
         rate_hz: stream.rate_hz,
         start_ns: stream.start,
         end_ns: stream.end,
+        columns: selectors(&stream.cells),
     });
     rows.collect()
 }

@@ -17,12 +17,12 @@ use crate::stream::Columns;
 use crate::time::Stamp;
 
 use super::arm::Arm;
+use super::by_order;
 use super::cadence::rhythms;
 use super::declaration::Declaration;
 use super::error::RunError;
 use super::flaws::flaws;
 use super::norms::norms;
-use super::numbered;
 use super::role::Role;
 use super::settle::settle;
 use super::space::Space;
@@ -68,7 +68,8 @@ impl Run {
         let calibrations = calibrations::given(&options.calibrations)?;
         let has_clock_topic = log.has_clock();
         let mut topics_of_log = log.topics;
-        numbered::name(&mut topics_of_log, &models::for_numbers(&given, log.robot_type.as_deref()));
+        let robots = models::for_numbers(&given, log.robot_type.as_deref());
+        by_order::name_counted(&mut topics_of_log, &robots);
         let mut streams = split(topics_of_log);
         for declared in &options.declared {
             // What a config expects and the log does not have is a finding.
@@ -112,6 +113,7 @@ impl Run {
             descriptions: &descriptions,
             logged_calibrations: &logged_calibrations,
             robot_type: log.robot_type.as_deref(),
+            question: log.question,
         };
         let no_arm = match assembly.find_arms(&said) {
             Ok(()) => None,

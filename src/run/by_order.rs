@@ -1,17 +1,24 @@
-//! Arms whose joints the log names otherwise than their model does: matched by order and kinematics.
+//! Arms whose joints the log names otherwise than their model does, or only counts: matched by order and
+//! kinematics.
 //!
 //! Which joint is which is asked of the numbers in the logged names, else of their order in the log; which
 //! of several ways, or of several arms, of the streams of poses. What these do not settle is a question to
-//! the caller (`--joint-map`), not a guess.
+//! the caller (`--joint-map`, `--robot`), not a guess. The joints that a table counts are the model's in its
+//! order: they get its names.
 
 use std::collections::BTreeMap;
 
-use super::catalogued::{Judges, Standing};
+use super::catalogued::{Judges, Ranking, Standing};
 use super::error::RunError;
 use super::model::{Clues, Model};
 use super::role::{OTHER_JOINTS, shared, words};
 use super::skeleton;
+use crate::log::Topic;
 use crate::robot::{Robot, catalogue};
+use crate::stream::{Columns, JointColumn, JointColumns};
+
+/// The encoding of topics that are made of a table's columns.
+pub(super) const TABLE: &str = "table";
 
 /// Arms have at least so many joints.
 const FEWEST: usize = 4;
@@ -114,13 +121,73 @@ pub(super) fn catalogued(clues: &Clues<'_>, judges: &Judges<'_>) -> Result<Vec<M
     }
 }
 
-/// The arms of the catalogue with as many joints as are `logged`, in their order.
+/// The arms of the catalogue with as many joints as are `logged`, in their order. Where a table only counts
+/// them the last may be a gripper.
 pub(super) fn along(logged: &[String], clues: &Clues<'_>) -> Vec<Model> {
+    let arms = logged.len() - usize::from(is_counted(logged));
     let models = catalogue::entries().iter().filter_map(|robot| {
-        let path = path_of(robot).filter(|path| path.len() == logged.len())?;
+        let path = path_of(robot).filter(|path| (arms..=logged.len()).contains(&path.len()))?;
         Some(way(robot, &path, logged, true, clues)?.model)
     });
     models.collect()
+}
+
+/// Names the joints that tables only count after those of `robots`, of which each may be for names with a
+/// prefix.
+pub(super) fn name_counted(topics: &mut [Topic], robots: &[(&Robot, Option<&str>)]) {
+    for topic in topics.iter_mut().filter(|topic| topic.encoding == TABLE) {
+        let Some(Columns::Joints(joints)) = &mut topic.columns else { continue };
+        let Some(side) = side_of(joints) else { continue };
+        let fits = |prefix: &Option<&str>| {
+            prefix.is_none_or(|prefix| prefix.trim_end_matches('_') == side)
+        };
+        let Some((robot, _)) = robots.iter().find(|(_, prefix)| fits(prefix)) else { continue };
+        let path = path_of(robot).filter(|path| path.len() <= joints.joints.len());
+        for (joint, own) in joints.joints.iter_mut().zip(path.unwrap_or_default()) {
+            joint.name = own;
+        }
+    }
+}
+
+/// The side in names such as `left_q1`, empty in `q1`; `None` where joints have names of their own.
+fn side_of(joints: &JointColumns) -> Option<String> {
+    let first = joints.joints.first().filter(|_| joints.unnamed)?;
+    let side = first.name.strip_suffix("q1")?;
+    let is_its = |(at, joint): (usize, &JointColumn)| joint.name == format!("{side}q{}", at + 1);
+    let is_counted = joints.joints.iter().enumerate().all(is_its);
+    is_counted.then(|| side.trim_end_matches('_').to_owned())
+}
+
+/// Whether all joints are those of a table that only counts them.
+pub(super) fn is_counted(joints: &[String]) -> bool {
+    let is_it = |(at, name): (usize, &String)| *name == format!("q{}", at + 1);
+    joints.len() >= FEWEST && joints.iter().enumerate().all(is_it)
+}
+
+/// The arm of the catalogue that counted joints are of: the only one that fits the poses.
+///
+/// # Errors
+/// Where none does, or arms of several makers.
+pub(super) fn counted(clues: &Clues<'_>, judges: &Judges<'_>) -> Result<Vec<Model>, RunError> {
+    /// A wrong arm may come near: one that nothing names must fit as a drawing does, m.
+    const FITS_M: f64 = 5e-4;
+    let models = along(clues.joints, clues);
+    let names: Vec<&str> = models.iter().map(|model| model.robot.name.as_str()).collect();
+    let vendor = |at: usize| models[at].robot.provenance.as_ref().map(|of| of.vendor.clone());
+    let ranking = (judges.by_poses)(&models.iter().collect::<Vec<_>>());
+    let same = ranking.as_ref().map(Ranking::same).unwrap_or_default();
+    let open = |arms| RunError::Numbered { joints: clues.joints.len(), arms };
+    match (&ranking, same.as_slice()) {
+        (Some(ranking), [best, rest @ ..]) if best.fits && best.way.left_m < FITS_M => {
+            if rest.iter().any(|other| vendor(other.model) != vendor(best.model)) {
+                let arms = same.iter().map(|one| names[one.model].to_owned()).collect();
+                return Err(open(arms));
+            }
+            let found = ranking.words(&names, "as many joints");
+            Ok(vec![Model { found, ..models[best.model].clone() }])
+        }
+        _ => Err(open(Vec::new())),
+    }
 }
 
 /// Which of several ways it is.

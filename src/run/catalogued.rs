@@ -7,7 +7,6 @@ use crate::robot::{Robot, catalogue};
 use super::by_order;
 use super::error::RunError;
 use super::model::{Clues, Model};
-use super::numbered;
 
 /// What tells arms with the same joint names apart.
 pub(super) struct Judges<'a> {
@@ -60,8 +59,16 @@ impl Standing {
 }
 
 impl Ranking {
+    /// The best, and those that fit and cannot be told from it.
+    pub fn same(&self) -> Vec<&Standing> {
+        let Some(best) = self.standings.first() else { return Vec::new() };
+        let others = self.standings.iter().skip(1);
+        let is_same = |other: &&Standing| other.fits && other.score <= best.score + self.apart;
+        std::iter::once(best).chain(others.filter(is_same)).collect()
+    }
+
     /// How the best was told from the others, in words.
-    fn words(&self, names: &[&str], alike: &str) -> String {
+    pub fn words(&self, names: &[&str], alike: &str) -> String {
         let [best, others @ ..] = self.standings.as_slice() else { return String::new() };
         let least = self.standings.iter().map(|one| one.score).fold(f64::INFINITY, f64::min);
         let (same, further): (Vec<&Standing>, Vec<&Standing>) =
@@ -97,8 +104,8 @@ pub(super) fn from_catalogue(
     judges: &Judges<'_>,
 ) -> Result<Vec<Model>, RunError> {
     let mut joints = clues.joints.to_vec();
-    if numbered::is_numbered(&joints) {
-        return of_numbers(clues, judges);
+    if by_order::is_counted(&joints) {
+        return by_order::counted(clues, judges);
     }
     let mut models: Vec<Model> = Vec::new();
     loop {
@@ -133,42 +140,16 @@ pub(super) fn from_catalogue(
 /// The arm of several that metadata name, where nothing else tells.
 fn by_type(found: &[catalogue::Candidate], clues: &Clues<'_>) -> Option<Option<Model>> {
     let robot_type = clues.robot_type?;
-    let named = numbered::of_type(robot_type)?;
+    let named = of_type(robot_type)?;
     let candidate = found.iter().find(|candidate| candidate.robot.name == named.name)?;
     let how = format!("the catalogue, by the robot type '{robot_type}' of the metadata");
     Some(Some(Model::new(candidate.renamed()?, how, &candidate.names.to_prefix, clues)))
 }
 
-/// The arm of the catalogue that joints without names are of: the only one that fits the poses.
-fn of_numbers(clues: &Clues<'_>, judges: &Judges<'_>) -> Result<Vec<Model>, RunError> {
-    let models = numbered::candidates(clues);
-    let names: Vec<&str> = models.iter().map(|model| model.robot.name.as_str()).collect();
-    let vendor = |at: usize| models[at].robot.provenance.as_ref().map(|of| of.vendor.clone());
-    let ranking = (judges.by_poses)(&models.iter().collect::<Vec<_>>());
-    let Some((ranking, best)) =
-        ranking.as_ref().and_then(|ranking| Some((ranking, ranking.standings.first()?)))
-    else {
-        return Err(RunError::Numbered { joints: clues.joints.len(), arms: Vec::new() });
-    };
-    let others = ranking
-        .standings
-        .iter()
-        .skip(1)
-        .filter(|other| other.fits && other.score <= best.score + ranking.apart);
-    let same: Vec<usize> = others.map(|other| other.model).collect();
-    // A wrong arm may come near: one that nothing names must fit as a drawing does.
-    const FITS_M: f64 = 5e-4;
-    let fits = best.fits && best.way.left_m < FITS_M;
-    if !fits || same.iter().any(|other| vendor(*other) != vendor(best.model)) {
-        let arms = if fits {
-            std::iter::once(best.model).chain(same).map(|at| names[at].to_owned()).collect()
-        } else {
-            Vec::new()
-        };
-        return Err(RunError::Numbered { joints: clues.joints.len(), arms });
-    }
-    let found = ranking.words(&names, "as many joints");
-    Ok(vec![Model { found, ..models[best.model].clone() }])
+/// The arm of the catalogue that metadata name: `so101_follower` is a `so101`.
+pub(super) fn of_type(robot_type: &str) -> Option<&'static Robot> {
+    let words: Vec<&str> = robot_type.split(['_', '-', ' ']).collect();
+    (1..=words.len()).rev().find_map(|count| catalogue::find(&words[..count].join("_")))
 }
 
 /// The arms of the catalogue that have the joints which the caller maps those of the log to, each map's the
@@ -289,7 +270,7 @@ mod tests {
 
     fn standing(model: usize, needs: Needs, left_m: f64, score: f64) -> Standing {
         let tool_m = Vec3::new(0.0, 0.0, 0.15);
-        let way = Way { needs, misread: false, left_m, tool_m };
+        let way = Way { needs, misread: false, left_m, tool_m, lag_s: 0.0 };
         let topic = "actual_TCP_pose".to_owned();
         Standing { model, score, way, spread_m: 0.3, as_is_m: left_m, fits: left_m < 3e-3, topic }
     }

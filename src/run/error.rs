@@ -11,6 +11,8 @@ pub enum RunError {
     NoJointStates {
         /// JointState topics that hold commands, not states.
         commands: Vec<String>,
+        /// What the columns of a table leave open.
+        question: Option<String>,
     },
     /// The joint states hold no finite sample of the joints that the arm needs.
     NoSamples {
@@ -136,10 +138,11 @@ impl RunError {
     /// What is wrong.
     pub fn what(&self) -> String {
         match self {
-            Self::NoJointStates { commands } if commands.is_empty() => {
+            Self::NoJointStates { question: Some(question), .. } => question.clone(),
+            Self::NoJointStates { commands, .. } if commands.is_empty() => {
                 "the log has no joint states".to_owned()
             }
-            Self::NoJointStates { commands } => {
+            Self::NoJointStates { commands, .. } => {
                 format!("the log has joint commands ({}) but no joint states", few(commands))
             }
             Self::NoSamples { robot, joints } => {
@@ -233,6 +236,9 @@ impl RunError {
     /// What the reader of the message can do, as a short clause.
     pub fn remedy(&self) -> &'static str {
         match self {
+            Self::NoJointStates { question: Some(_), .. } => {
+                "say it in the config of --config, or name the arm with --robot"
+            }
             Self::NoJointStates { .. } => {
                 "record the topic /joint_states (sensor_msgs/JointState), or name a table's columns in [columns] of the \
                  config"

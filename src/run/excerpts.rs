@@ -222,6 +222,7 @@ mod tests {
             undecodable: None,
             useless: None,
             read_as: None,
+            cells: Vec::new(),
             span: None,
         }]);
         let clocks = Clocks::settle(&streams, crate::time::Clock::Header, 5.0);

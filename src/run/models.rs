@@ -6,11 +6,10 @@ use std::path::Path;
 use crate::robot::{Robot, catalogue, nearest};
 
 use super::by_order;
-use super::catalogued::{Judges, from_catalogue, mapped_from_catalogue};
+use super::catalogued::{Judges, from_catalogue, mapped_from_catalogue, of_type};
 use super::declaration::{JointName, RobotSource};
 use super::error::RunError;
 use super::model::{Clues, Model};
-use super::numbered;
 use super::skeleton::is_own;
 use super::space::{Claim, Space};
 
@@ -39,11 +38,7 @@ pub(super) fn for_numbers<'a>(
     robot_type: Option<&str>,
 ) -> Vec<(&'a Robot, Option<&'a str>)> {
     if given.is_empty() {
-        return robot_type
-            .and_then(numbered::of_type)
-            .map(|robot| (robot, None))
-            .into_iter()
-            .collect();
+        return robot_type.and_then(of_type).map(|robot| (robot, None)).into_iter().collect();
     }
     given.iter().map(|given| (&given.robot, given.prefix.as_deref())).collect()
 }

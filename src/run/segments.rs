@@ -73,6 +73,7 @@ fn without_topics(log: &Log) -> Log {
         contradictions: log.contradictions.clone(),
         repeats: log.repeats.clone(),
         robot_type: log.robot_type.clone(),
+        question: log.question.clone(),
     }
 }
 
@@ -256,6 +257,7 @@ mod tests {
             undecodable: None,
             useless: None,
             read_as: None,
+            cells: Vec::new(),
             span: None,
         }
     }
@@ -284,6 +286,7 @@ mod tests {
             contradictions: None,
             repeats: None,
             robot_type: None,
+            question: None,
         }
     }
 

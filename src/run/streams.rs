@@ -50,6 +50,8 @@ pub struct Stream {
     pub is_empty: bool,
     /// How its columns were told, of a table.
     pub read_as: Option<String>,
+    /// Which numbers of a table it is made of, as `[columns]` of a config names them.
+    pub cells: Vec<String>,
     /// What it held, as logged.
     pub columns: Option<Columns>,
 }
@@ -111,6 +113,7 @@ impl Stream {
             reference: self.reference.clone(),
             link: self.link.clone(),
             read_as: self.read_as.clone(),
+            cells: self.cells.clone(),
             columns: None,
             ..*self
         }
@@ -168,6 +171,7 @@ fn of_topic(topic: Topic) -> Vec<Stream> {
         end: topic.span.map(|(_, end)| end),
         is_empty: false,
         read_as: topic.read_as,
+        cells: topic.cells.into_iter().map(|cell| cell.name).collect(),
         columns: None,
     };
     if topic.messages == 0 && topic.columns.as_ref().is_some_and(|held| is_wanted(&stream, held)) {

@@ -7,7 +7,8 @@ rule! {
     ///
     /// ## What it means
     /// What a dataset declares of its columns (the rate, how many numbers a row has, their names) is not
-    /// what the file holds.
+    /// what the file holds; or the name of a column says rad or joint position, and its numbers go beyond two
+    /// turns or hold a unit quaternion in each row.
     ///
     /// ## Why it matters
     /// Loaders believe the metadata. A wrong rate scales every velocity and every latency; a name too few
@@ -17,12 +18,13 @@ rule! {
     /// One finding for each contradiction, with the file; the message has the declared and the measured value.
     ///
     /// ## How to fix
-    /// Correct `meta/info.json`, or write the dataset again with the features it declares.
+    /// Correct `meta/info.json` or the name, or write the dataset again with the features it declares.
     ///
     /// ## When it misleads
     /// Rates are compared with the median step of the stamps, where the stamps are a column: stamps that the
-    /// recorder made from the declared rate agree with it whatever the true rate was. Units and meanings are
-    /// not compared here: joints in degrees are ORD004's, a pose that follows no arm is FRM007's.
+    /// recorder made from the declared rate agree with it whatever the true rate was. Other
+    /// units and meanings are not compared here: joints in degrees are ORD004's, a pose that follows no arm is
+    /// FRM007's.
     META001 {
         name: "contradicted-metadata",
         grade: Grade::Fixed(Severity::Warning),

@@ -195,6 +195,8 @@ pub struct ArrayColumns {
     pub width: usize,
     /// Row-major values, `width` a row.
     pub values: Vec<f64>,
+    /// Whether nothing says what the numbers are, as of a table whose names say nothing.
+    pub unnamed: bool,
     /// Messages dropped because their length was not `width` (the first message's).
     pub wrong_length: u64,
     /// Rows dropped because a value is not [`usable`].

@@ -43,8 +43,8 @@ const OTHERS: &[&str] = &[
 pub(super) struct Clock {
     /// Of every row, ns; `None` where it has none.
     pub stamps: Vec<Option<i64>>,
-    /// The column that they were read from.
-    pub column: Option<usize>,
+    /// The column that they were read from, and the number of its rows.
+    pub cell: Option<(usize, usize)>,
     /// How they came about, in one line.
     pub said: String,
     /// The median of their steps, s.
@@ -68,13 +68,15 @@ pub(super) fn is_time(name: &str) -> bool {
 /// Where nothing says when its rows were, or several columns say it differently.
 pub(super) fn of(table: &Table, settings: &ColumnSettings) -> Result<Clock, Refusal> {
     if let Some(name) = &settings.time {
-        let at = table.columns.iter().position(|column| column.name == *name);
-        let at =
-            at.ok_or_else(|| format!("`columns.time` names '{name}', which is no column of it"))?;
-        let column = &table.columns[at];
-        return timed(at, column).ok_or_else(|| {
-            format!("`columns.time` names '{name}', whose numbers are no times: they must rise")
-        });
+        let cell = cell_of(table, name)
+            .ok_or_else(|| format!("`columns.time` names '{name}', which is no column of it"))?;
+        let column = &table.columns[cell.0];
+        let values = column.values.iter().skip(cell.1).step_by(column.width).copied().collect();
+        let kind = column.kind.clone();
+        let own = Column { name: name.clone(), kind, width: 1, values, ..Column::default() };
+        return timed(cell.0, &own).map(|clock| Clock { cell: Some(cell), ..clock }).ok_or_else(
+            || format!("`columns.time` names '{name}', whose numbers are no times: they must rise"),
+        );
     }
     if let Some(rate_hz) = settings.rate_hz {
         return Ok(made(table, rate_hz, "as `columns.rate_hz` says"));
@@ -83,14 +85,91 @@ pub(super) fn of(table: &Table, settings: &ColumnSettings) -> Result<Clock, Refu
     let candidates = candidates.filter(|(_, column)| column.width == 1 && is_time(&column.name));
     let clocks = candidates.filter_map(|(at, column)| timed(at, column));
     // The finest is the one of this table: a stamp in whole seconds repeats.
-    let best = clocks.min_by_key(|clock| (clock.repeats(), clock.column));
+    let best = clocks.min_by_key(|clock| (clock.repeats(), clock.cell));
     match (best, table.rate_hz) {
         (Some(clock), _) => Ok(clock),
         (None, Some(rate_hz)) => Ok(made(table, rate_hz, "as the metadata say")),
-        (None, None) => {
-            Err("no column holds times, and no metadata the rate (`time` or `rate_hz`)".to_owned())
+        (None, None) => by_numbers(table),
+    }
+}
+
+/// The stamps in the one column whose numbers are times though its name does not say so: they rise by even
+/// steps. Copies of them in another unit or from another zero are the same.
+fn by_numbers(table: &Table) -> Result<Clock, Refusal> {
+    let mut found: Vec<(String, Clock, Column)> = Vec::new();
+    for (at, column) in table.columns.iter().enumerate() {
+        for part in 0..column.width {
+            let values = column.values.iter().skip(part).step_by(column.width).copied().collect();
+            let kind = column.kind.clone();
+            let own = Column { kind, width: 1, values, ..Column::default() };
+            let Some(clock) = timed(at, &own).filter(|_| rises_evenly(&own.values)) else {
+                continue;
+            };
+            let name = match column.width {
+                1 => column.name.clone(),
+                _ => format!("{}[{part}]", column.name),
+            };
+            let is_known = found.iter().any(|(_, _, other)| is_line(&other.values, &own.values));
+            if !is_known {
+                found.push((name, Clock { cell: Some((at, part)), ..clock }, own));
+            }
         }
     }
+    match found.as_mut_slice() {
+        [] => {
+            Err("no column holds times, and no metadata the rate (`time` or `rate_hz`)".to_owned())
+        }
+        [(name, ..)] => {
+            let name = std::mem::take(name);
+            let (_, clock, _) = found.swap_remove(0);
+            let said = clock.said.replacen("''", &format!("'{name}', by its numbers"), 1);
+            Ok(Clock { said, ..clock })
+        }
+        several => {
+            let names: Vec<String> =
+                several.iter().map(|(name, ..)| format!("time = \"{name}\"")).collect();
+            Err(format!(
+                "{} columns rise as times do, and no name says which is one: {}",
+                names.len(),
+                names.join(", or ")
+            ))
+        }
+    }
+}
+
+/// Whether numbers rise at each step, and nearly always by about as much.
+fn rises_evenly(values: &[f64]) -> bool {
+    /// Steps in a hundred that are of the usual size, and what that is.
+    const USUAL: usize = 90;
+    const SIZE: std::ops::RangeInclusive<f64> = 0.5..=2.0;
+    let steps: Vec<f64> = values.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let Some(step) = median(&mut steps.clone()) else { return false };
+    let usual = steps.iter().filter(|own| SIZE.contains(&(**own / step))).count();
+    steps.iter().all(|own| *own > 0.0) && 100 * usual >= USUAL * steps.len()
+}
+
+/// Whether one column is a line in another, as two clocks are that do not drift.
+fn is_line(one: &[f64], other: &[f64]) -> bool {
+    const LEFT: f64 = 1e-4;
+    let (Some(first), Some(last)) = (one.first().zip(other.first()), one.last().zip(other.last()))
+    else {
+        return false;
+    };
+    let slope = (last.1 - first.1) / (last.0 - first.0);
+    let span = (last.1 - first.1).abs();
+    let mut pairs = one.iter().zip(other);
+    pairs.all(|(a, b)| (first.1 + slope * (a - first.0) - b).abs() <= LEFT * span)
+}
+
+/// The column of a name, or the one number of its rows that `NAME[AT]` is.
+fn cell_of(table: &Table, name: &str) -> Option<(usize, usize)> {
+    let column = |name: &str| table.columns.iter().position(|column| column.name == name);
+    if let Some(at) = column(name) {
+        return Some((at, 0));
+    }
+    let (vector, part) = name.strip_suffix(']')?.rsplit_once('[')?;
+    let (at, part) = (column(vector)?, part.parse().ok()?);
+    (part < table.columns[at].width).then_some((at, part))
 }
 
 /// Stamps made of a rate.
@@ -99,7 +178,7 @@ fn made(table: &Table, rate_hz: f64, by: &str) -> Clock {
     let stamp = |row: usize| Some(NANOS_PER_SECOND + (row as f64 * step_ns).round() as i64);
     Clock {
         stamps: (0..table.rows).map(stamp).collect(),
-        column: None,
+        cell: None,
         said: format!(
             "its stamps are made: {rate_hz} rows a second, {by}; latencies are those between its columns"
         ),
@@ -158,7 +237,7 @@ fn timed(at: usize, column: &Column) -> Option<Clock> {
     }
     Some(Clock {
         stamps: values.iter().map(|value| nanos(*value)).collect(),
-        column: Some(at),
+        cell: Some((at, 0)),
         said,
         step_s,
     })
@@ -208,7 +287,7 @@ impl Clock {
         /// Of the rate that is declared.
         const OFF: f64 = 0.02;
         let (rate_hz, own_hz) = (table.rate_hz?, 1.0 / self.step_s);
-        ((own_hz / rate_hz - 1.0).abs() > OFF && self.column.is_some()).then(|| {
+        ((own_hz / rate_hz - 1.0).abs() > OFF && self.cell.is_some()).then(|| {
             format!("the metadata declare {rate_hz} frames a second; the stamps step at {own_hz:.4} a second")
         })
     }

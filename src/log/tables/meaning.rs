@@ -1,13 +1,16 @@
 //! What the columns of a table hold, by the caller's word, else by their names. What neither says is left
 //! as bare numbers.
 
+mod said;
+
 use std::collections::BTreeMap;
 
 use super::clock::Clock;
 use super::names::{self, Axis, Part};
-use super::{Column, ColumnSelector, ColumnSettings, Found, Refusal, Table, array, positions};
+use super::{Column, ColumnSettings, Found, Refusal, Table, array, positions};
+use crate::TableCell;
 use crate::rtde::JOINTS as UR_JOINTS;
-use ground::stream::{Columns, JointColumn, JointColumns, Times, usable};
+use ground::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times, usable};
 
 /// Joints that an arm has, at least and at most, and its gripper with it.
 const JOINTS: std::ops::RangeInclusive<usize> = 4..=8;
@@ -29,7 +32,7 @@ enum Meaning {
     Pose,
     /// A position alone.
     Position,
-    /// Bare numbers.
+    /// Bare numbers, or a single one.
     Numbers,
     /// Of no use.
     Nothing,
@@ -51,11 +54,13 @@ pub(super) fn of(
     clock: &Clock,
     settings: &ColumnSettings,
 ) -> Result<Vec<Found>, Refusal> {
-    let mut groups = said(table, settings)?;
+    let mut groups = said::said(table, settings)?;
     let is_taken =
         |groups: &[Group], cell: &Cell| groups.iter().any(|group| group.cells.contains(cell));
+    let is_clock = |cell: &Cell| clock.cell == Some((cell.column, cell.part));
     let is_open = |at: usize, column: &Column| {
-        clock.column != Some(at) && !COUNTERS.contains(&column.name.as_str()) && column.width > 0
+        let is_stamp = column.width == 1 && clock.cell == Some((at, 0));
+        !is_stamp && !COUNTERS.contains(&column.name.as_str()) && column.width > 0
     };
     let open: Vec<usize> =
         (0..table.columns.len()).filter(|&at| is_open(at, &table.columns[at])).collect();
@@ -67,11 +72,17 @@ pub(super) fn of(
     let by_name = named_groups(table, &named);
     groups.extend(by_name);
     for column in open {
-        let all = || (0..table.columns[column].width).map(|part| Cell { column, part });
-        if all().any(|cell| is_taken(&groups, &cell)) {
-            continue;
+        let all = (0..table.columns[column].width).map(|part| Cell { column, part });
+        let free: Vec<Cell> =
+            all.filter(|cell| !is_taken(&groups, cell) && !is_clock(cell)).collect();
+        match free.len() {
+            0 => {}
+            count if count == table.columns[column].width => {
+                groups.push(whole(&table.columns[column], free));
+            }
+            _ if settings.says_all() => {}
+            _ => groups.push(rest(&table.columns[column], free)),
         }
-        groups.push(whole(&table.columns[column], all().collect()));
     }
     join_parts(table, &mut groups);
     distinct(&mut groups);
@@ -81,6 +92,29 @@ pub(super) fn of(
 
 /// Two turns: a joint whose positions go beyond these logs no rad.
 const TWO_TURNS: f64 = 4.0 * std::f64::consts::PI;
+
+/// Words of names that say that numbers are rad.
+const RADIANS: &[&str] = &["rad", "rads", "radian", "radians"];
+
+/// Why joints whose numbers are too large for rad are no degrees either, where the numbers say so by
+/// themselves.
+fn no_degrees(table: &Table, cells: &[Cell], most: f64) -> Option<String> {
+    /// More than two turns in degrees, the ends of shares of a range, and joints that must reach one.
+    const TURNS: f64 = 720.0;
+    const END: f64 = 100.0;
+    const REACH: usize = 2;
+    if most > TURNS {
+        return Some(
+            "degrees do not go so far either: ticks of an encoder, or another unit".to_owned(),
+        );
+    }
+    let reaches = |cell: &&Cell| {
+        let column = &table.columns[cell.column];
+        column.values.iter().skip(cell.part).step_by(column.width).any(|value| value.abs() == END)
+    };
+    let is_share = most == END && cells.iter().filter(reaches).count() >= REACH;
+    is_share.then(|| "several end at exactly 100, as shares of a range do".to_owned())
+}
 
 /// The cells of a column whose numbers have names: of one number the column's.
 fn cells(table: &Table, column: usize) -> Vec<Cell> {
@@ -95,62 +129,17 @@ fn name(table: &Table, cell: Cell) -> &str {
     column.parts.get(cell.part).unwrap_or(&column.name)
 }
 
+/// The same as a config has it, which names columns and numbers of them.
+fn table_cell(table: &Table, Cell { column, part }: Cell) -> TableCell {
+    let Column { name, width, .. } = &table.columns[column];
+    let name = if *width == 1 { name.clone() } else { format!("{name}[{part}]") };
+    TableCell { at: (column, part), name }
+}
+
 /// The topic that a cell of a column with named numbers belongs to; empty where each number is a column.
 fn home(table: &Table, cell: Cell) -> &str {
     let column = &table.columns[cell.column];
     if column.parts.is_empty() { "" } else { &column.name }
-}
-
-/// What the caller says.
-fn said(table: &Table, settings: &ColumnSettings) -> Result<Vec<Group>, Refusal> {
-    let mut groups = Vec::new();
-    let topics = [
-        ("joints", &settings.joints),
-        ("joint_commands", &settings.joint_commands),
-        ("pose", &settings.pose),
-        ("pose_commands", &settings.pose_commands),
-    ];
-    for (key, selectors) in topics {
-        let mut all = Vec::new();
-        for selector in selectors {
-            all.extend(
-                selected(table, selector).map_err(|what| format!("`columns.{key}`: {what}"))?,
-            );
-        }
-        if all.is_empty() {
-            continue;
-        }
-        let meaning = match (key, all.len()) {
-            ("joints" | "joint_commands", count) => Meaning::Joints {
-                names: (1..=count).map(|number| format!("q{number}")).collect(),
-                unnamed: true,
-            },
-            (_, 3) => Meaning::Position,
-            (_, 6 | 7 | 12 | 16) => Meaning::Pose,
-            (_, count) => {
-                return Err(format!(
-                    "`columns.{key}` selects {count} numbers; a pose has 3, 6, 7, 12 or 16"
-                ));
-            }
-        };
-        let why = format!("`columns.{key}` of the config");
-        groups.push(Group { topic: key.to_owned(), cells: all, meaning, why });
-    }
-    Ok(groups)
-}
-
-fn selected(table: &Table, selector: &ColumnSelector) -> Result<Vec<Cell>, String> {
-    let ColumnSelector { column: name, range } = selector;
-    let column = table.columns.iter().position(|column| column.name == *name);
-    let column = column.ok_or_else(|| format!("it has no column '{name}'"))?;
-    let width = table.columns[column].width;
-    let (first, end) = range.unwrap_or((0, width));
-    if end > width {
-        return Err(format!(
-            "'{name}' has {width} numbers a row, and [{first}:{end}] is asked for"
-        ));
-    }
-    Ok((first..end).map(|part| Cell { column, part }).collect())
 }
 
 /// Poses and joints among cells that have names.
@@ -284,11 +273,9 @@ fn whole(column: &Column, cells: Vec<Cell>) -> Group {
     let words = names::words(&column.name);
     let by_name = |what: &str| format!("{what}, by the name of the column");
     let (meaning, why) = match column.width {
-        1 => (Meaning::Nothing, "a single number".to_owned()),
-        _ if names::is_other(&words) || names::is_gripper(&words) => (
-            Meaning::Nothing,
-            "neither joint positions nor a pose, by the name of the column".to_owned(),
-        ),
+        _ if names::is_other(&words) || names::is_gripper(&words) => {
+            (Meaning::Nothing, "neither joint positions nor a pose, by its name".to_owned())
+        }
         6 if names::words(&column.name).ends_with(&["actual".into(), "q".into()])
             || names::words(&column.name).ends_with(&["target".into(), "q".into()]) =>
         {
@@ -304,6 +291,7 @@ fn whole(column: &Column, cells: Vec<Cell>) -> Group {
         3 if names::part(&column.name, 3).is_some_and(|(_, part)| part == Part::Position) => {
             (Meaning::Position, by_name("a position"))
         }
+        1 => (Meaning::Numbers, "its name does not say what it is".to_owned()),
         width => (
             Meaning::Numbers,
             format!(
@@ -312,6 +300,12 @@ fn whole(column: &Column, cells: Vec<Cell>) -> Group {
         ),
     };
     Group { topic: column.name.clone(), cells, meaning, why }
+}
+
+/// What is left of a column of which some numbers are told.
+fn rest(column: &Column, cells: Vec<Cell>) -> Group {
+    let why = format!("its name does not say what these {} numbers are", cells.len());
+    Group { topic: column.name.clone(), cells, meaning: Meaning::Numbers, why }
 }
 
 /// Joins a position in one column and the rotation of the same name in another.
@@ -386,6 +380,7 @@ impl Group {
     /// are taken for degrees, states and commands alike.
     fn found(self, table: &Table, clock: &Clock, most: f64) -> Found {
         let Self { topic, cells, meaning, mut why } = self;
+        let mut contradiction = None;
         let kind = cells.first().map_or("", |cell| &table.columns[cell.column].kind);
         let kind =
             if cells.len() == 1 { kind.to_owned() } else { format!("{kind}[{}]", cells.len()) };
@@ -408,19 +403,36 @@ impl Group {
                 let mut joints = joints(&stamps, &names, &values(), unnamed);
                 if most > TWO_TURNS {
                     why += &format!("; taken for degrees: rad do not go up to {most:.1}");
+                    if let Some(what) = no_degrees(table, &cells, most) {
+                        why += &format!(", but {what}");
+                    }
+                    let says_rad = |cell: &&Cell| {
+                        names::words(name(table, **cell))
+                            .iter()
+                            .any(|word| RADIANS.contains(&word.as_str()))
+                    };
+                    contradiction = cells.iter().find(says_rad).map(|&cell| {
+                        let name = name(table, cell);
+                        format!(
+                            "the name '{name}' says rad, and joint positions go up to {most:.1}"
+                        )
+                    });
                     joints.taken_for_degrees = true;
                     let all = joints.joints.iter_mut().flat_map(|joint| &mut joint.position);
                     all.for_each(|position| *position = position.to_radians());
                 }
                 Some(Columns::Joints(joints))
             }
-            Meaning::Pose | Meaning::Numbers => {
-                Some(Columns::Array(array(&stamps, cells.len(), &values())))
+            Meaning::Pose => Some(Columns::Array(array(&stamps, cells.len(), &values()))),
+            Meaning::Numbers => {
+                let array = array(&stamps, cells.len(), &values());
+                Some(Columns::Array(ArrayColumns { unnamed: true, ..array }))
             }
             Meaning::Position => Some(Columns::Poses(vec![positions(&stamps, &values())])),
             Meaning::Nothing => None,
         };
-        Found { topic, kind, why, columns, rows: stamps.len() as u64 }
+        let cells = cells.iter().map(|&cell| table_cell(table, cell)).collect();
+        Found { topic, kind, why, cells, contradiction, columns, rows: stamps.len() as u64 }
     }
 }
 

@@ -31,7 +31,7 @@ use super::decode::Format;
 use super::intake::{ChannelId, Intake};
 use super::losses::Losses;
 use super::mapped::Mapped;
-use super::{Container, Extent, LogError};
+use super::{Container, Extent, LogError, TableCell};
 use ground::stream::{ArrayColumns, Columns, JointColumns, PoseColumns, Times, usable};
 use ground::time::NANOS_PER_SECOND;
 
@@ -137,6 +137,9 @@ pub(super) struct Found {
     pub topic: String,
     pub kind: String,
     pub why: String,
+    pub cells: Vec<TableCell>,
+    /// What its names say that its numbers are not.
+    pub contradiction: Option<String>,
     pub columns: Option<Columns>,
     pub rows: u64,
 }
@@ -265,12 +268,15 @@ impl Tables {
         if let Some(what) = clock.contradiction(table) {
             intake.contradiction(path, what);
         }
-        for Found { topic, kind, why, columns, rows } in found {
+        for Found { topic, kind, why, cells, contradiction, columns, rows } in found {
+            if let Some(what) = contradiction {
+                intake.contradiction(path, what);
+            }
             let format =
                 Format { encoding: "table", type_name: &kind, schema_encoding: "", schema: &[] };
             let Some(channel) = intake.channel(&topic, format) else { continue };
             intake.count(channel, rows, (span[0], span[1]));
-            intake.read_as(channel, why);
+            intake.read_as(channel, why, cells);
             let Some(mut columns) = columns else { continue };
             for times in columns.times_mut() {
                 times.log.iter_mut().for_each(|received| *received += shift);

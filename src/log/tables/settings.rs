@@ -15,6 +15,16 @@ pub struct ColumnSettings {
     pub pose: Vec<ColumnSelector>,
     /// The commanded pose of the tool.
     pub pose_commands: Vec<ColumnSelector>,
+    /// The same of each arm by its name, where there are several. A time or rate is of the whole table.
+    pub arms: Vec<(String, ColumnSettings)>,
+}
+
+impl ColumnSettings {
+    /// Whether it says where joints and poses are, so that nothing is sought.
+    pub(super) fn says_all(&self) -> bool {
+        let says = |of: &Self| !of.joints.is_empty() && !of.pose.is_empty();
+        says(self) || (!self.arms.is_empty() && self.arms.iter().all(|(_, arm)| says(arm)))
+    }
 }
 
 /// Some numbers of one column: all, or those from `first` up to `end`.

@@ -206,6 +206,7 @@ fn hostile_names_stay_text() {
         rate_hz: None,
         start_ns: None,
         end_ns: None,
+        columns: Vec::new(),
     };
     report.streams = vec![row(HOSTILE)];
     let page = written(&report);

@@ -35,6 +35,8 @@ pub(super) struct Said<'a> {
     pub logged_calibrations: &'a [(String, String)],
     /// The type of the robot, as metadata say it.
     pub robot_type: Option<&'a str>,
+    /// What the columns of a table leave open.
+    pub question: Option<String>,
 }
 
 impl Assembly<'_> {
@@ -48,6 +50,7 @@ impl Assembly<'_> {
             let commands = self.streams.iter().filter(is_command);
             return Err(RunError::NoJointStates {
                 commands: commands.map(|stream| stream.topic.clone()).collect(),
+                question: said.question.clone(),
             });
         }
         let joints = held_by(&topics);

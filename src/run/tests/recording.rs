@@ -129,6 +129,7 @@ impl Recording {
             undecodable: None,
             useless: None,
             read_as: None,
+            cells: Vec::new(),
             span: None,
         };
         Log {
@@ -141,6 +142,7 @@ impl Recording {
             contradictions: None,
             repeats: None,
             robot_type: None,
+            question: None,
             losses: Vec::new(),
         }
     }

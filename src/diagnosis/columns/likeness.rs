@@ -1,0 +1,115 @@
+//! Which columns say what others do, and when.
+
+use super::{MOVING, Sheet};
+
+/// How some columns say what others do.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shift {
+    /// By how much they say it later, s.
+    pub later_s: f64,
+    /// What differs beside that, as a share of the spread.
+    pub left: f64,
+}
+
+/// What a column that is neither joint nor pose does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Conduct {
+    /// It never changes.
+    Constant,
+    /// It takes two values.
+    TwoLevels,
+    /// It says what that column says, by a shift.
+    As(usize, Shift),
+    /// It is the rate of that column.
+    RateOf(usize),
+    /// It follows none.
+    Own,
+}
+
+impl Sheet {
+    /// How `others` say what `columns` do, where they do.
+    pub fn shift(&self, columns: &[usize], others: &[usize]) -> Option<Shift> {
+        /// The longest, s, and what differs of columns that are the same, as a share of the spread.
+        const LONGEST_S: f64 = 1.0;
+        const SAME: f64 = 0.2;
+        let rows = self.t_s.len();
+        let step_s = (self.t_s.last()? - self.t_s.first()?) / (rows.max(2) - 1) as f64;
+        let most = ((LONGEST_S / step_s) as usize).min(rows / 4) as i64;
+        let series = |columns: &[usize]| -> Vec<Vec<f64>> {
+            let own = columns.iter().map(|&column| {
+                let values = &self.columns[column];
+                let mean = values.iter().sum::<f64>() / rows as f64;
+                values.iter().map(|value| value - mean).collect()
+            });
+            own.collect()
+        };
+        let (these, those) = (series(columns), series(others));
+        let power =
+            |series: &[f64]| series.iter().map(|value| value * value).sum::<f64>() / rows as f64;
+        let moving: Vec<usize> = (0..these.len()).filter(|&at| power(&these[at]) > 1e-8).collect();
+        let left = |by: i64| -> f64 {
+            let share = |&at: &usize| {
+                let (first, end) = (by.max(0) as usize, (rows as i64 + by.min(0)) as usize);
+                let apart = (first..end)
+                    .map(|row| (those[at][row] - these[at][(row as i64 - by) as usize]).powi(2));
+                apart.sum::<f64>() / (end - first) as f64 / power(&these[at])
+            };
+            moving.iter().map(share).fold(0.0, f64::max)
+        };
+        let best = (-most..=most).map(|by| (left(by), by)).min_by(|a, b| a.0.total_cmp(&b.0))?;
+        let (least, by) = best;
+        if moving.len() < MOVING.min(columns.len()) || least.sqrt() > SAME {
+            return None;
+        }
+        let (before, after) = (left(by - 1), left(by + 1));
+        let bend = before - 2.0 * least + after;
+        let between = if bend > 0.0 { 0.5 * (before - after) / bend } else { 0.0 };
+        let between = if least == 0.0 { 0.0 } else { between.clamp(-0.5, 0.5) };
+        Some(Shift { later_s: (by as f64 + between) * step_s, left: least.sqrt() })
+    }
+
+    /// What a column does beside some others.
+    pub fn conduct(&self, column: usize, beside: &[usize]) -> Conduct {
+        /// Rates correlate by this at least.
+        const RATE: f64 = 0.95;
+        let values = &self.columns[column];
+        let [low, high] = self.range(column);
+        if low == high {
+            return Conduct::Constant;
+        }
+        let near = 0.02 * (high - low);
+        if values.iter().all(|value| value - low < near || high - value < near) {
+            return Conduct::TwoLevels;
+        }
+        let same =
+            beside.iter().filter_map(|&other| Some((other, self.shift(&[other], &[column])?)));
+        if let Some((other, shift)) = same.min_by(|a, b| a.1.left.total_cmp(&b.1.left)) {
+            return Conduct::As(other, shift);
+        }
+        let rate = |other: usize| -> f64 {
+            let own = &self.columns[other];
+            let rows = 1..own.len().saturating_sub(1);
+            let pairs = rows.map(|row| {
+                let h = self.t_s[row + 1] - self.t_s[row - 1];
+                (values[row], (own[row + 1] - own[row - 1]) / h)
+            });
+            correlation(&pairs.collect::<Vec<_>>())
+        };
+        let best = beside.iter().map(|&other| (rate(other), other));
+        match best.max_by(|a, b| a.0.total_cmp(&b.0)) {
+            Some((correlation, other)) if correlation > RATE => Conduct::RateOf(other),
+            _ => Conduct::Own,
+        }
+    }
+}
+
+fn correlation(pairs: &[(f64, f64)]) -> f64 {
+    let n = pairs.len().max(1) as f64;
+    let (a, b) = pairs.iter().fold((0.0, 0.0), |(a, b), pair| (a + pair.0 / n, b + pair.1 / n));
+    let sums = pairs.iter().fold([0.0; 3], |[aa, bb, ab], pair| {
+        let (x, y) = (pair.0 - a, pair.1 - b);
+        [aa + x * x, bb + y * y, ab + x * y]
+    });
+    let size = (sums[0] * sums[1]).sqrt();
+    if size > 0.0 { sums[2] / size } else { 0.0 }
+}

@@ -1,0 +1,61 @@
+//! Linear fits of columns, and which rows tell most.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::MOST_ROWS;
+
+/// Where the rows begin that move most.
+pub(super) fn liveliest(rows: &[usize], columns: &[Vec<f64>]) -> usize {
+    let spreads: Vec<f64> = columns
+        .iter()
+        .map(|values| {
+            let (low, high) = values
+                .iter()
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
+            high - low
+        })
+        .collect();
+    let step = |pair: &[usize]| -> f64 {
+        let of = |(values, spread): (&Vec<f64>, &f64)| {
+            let step = (values[pair[1]] - values[pair[0]]).abs() / spread;
+            if step.is_finite() { step } else { 0.0 }
+        };
+        columns.iter().zip(&spreads).map(of).sum()
+    };
+    let mut sums = vec![0.0];
+    for pair in rows.windows(2) {
+        sums.push(sums.last().copied().unwrap_or(0.0) + step(pair));
+    }
+    let starts = (0..rows.len() - MOST_ROWS).step_by(MOST_ROWS / 10);
+    let moved = |start: &usize| sums[start + MOST_ROWS - 1] - sums[*start];
+    starts.max_by(|a, b| moved(a).total_cmp(&moved(b))).unwrap_or(0)
+}
+
+/// A matrix with the mean of each column taken off.
+pub(super) fn centred(mut matrix: DMatrix<f64>) -> DMatrix<f64> {
+    for mut column in matrix.column_iter_mut() {
+        let mean = column.mean();
+        column.add_scalar_mut(-mean);
+    }
+    matrix
+}
+
+/// The squares that `design` leaves of each column of `logged`, as of so many rows as are not fitted.
+pub(super) fn left_of(design: &DMatrix<f64>, logged: &DMatrix<f64>) -> DVector<f64> {
+    const RIDGE: f64 = 1e-9;
+    let mut normal = design.transpose() * design;
+    let ridge = RIDGE * normal.trace().max(f64::MIN_POSITIVE);
+    (0..normal.nrows()).for_each(|at| normal[(at, at)] += ridge);
+    let right = design.transpose() * logged;
+    let own = |column: usize| logged.column(column).norm_squared();
+    let free = (logged.nrows() as f64 / (logged.nrows() as f64 - 13.0)).max(1.0);
+    match normal.cholesky() {
+        Some(factor) => {
+            let solved = factor.l().solve_lower_triangular(&right).unwrap_or(right * 0.0);
+            DVector::from_fn(logged.ncols(), |column, _| {
+                free * (own(column) - solved.column(column).norm_squared()).max(0.0)
+            })
+        }
+        None => DVector::from_fn(logged.ncols(), |column, _| own(column)),
+    }
+}

@@ -1,0 +1,455 @@
+//! Which columns of a table are the joints of an arm and which the position of its tool.
+//!
+//! A point on the tool is linear in FK's position and rotation, whatever the frame, the unit and the tool:
+//! `p = s·(R_b·(x + R·t)) + p_b`. So every block of columns that may be an arm's joints is held against all
+//! other columns at once, by linear least squares. What comes near is then fitted as any stream is, with
+//! latency, frame and tool free.
+
+use std::f64::consts::PI;
+
+mod likeness;
+mod linear;
+mod numbers;
+mod turning;
+
+pub use likeness::{Conduct, Shift};
+pub use numbers::JointNumbers;
+
+use linear::{centred, left_of, liveliest};
+use nalgebra::DMatrix;
+use rayon::prelude::*;
+
+use super::PoseStream;
+use super::model_fit::tool_fit;
+use super::placement::metres_by_size;
+use super::placing::spread;
+use ground::geometry::Vec3;
+use ground::robot::Chain;
+use ground::stream::{JointTrack, Orientations, PoseTrack, sample_noise};
+
+/// Rows that are looked at, and no more of them a second than this.
+const MOST_ROWS: usize = 6000;
+const MOST_HZ: f64 = 110.0;
+/// Rows of the linear fits.
+const FEW_ROWS: usize = 150;
+/// Blocks that leave a larger share of the position's extent in the linear fit are not fitted.
+const NEAR: f64 = 0.4;
+/// Blocks that are fitted, and arms for each.
+const MOST_FITS: usize = 12;
+const MOST_ARMS: usize = 2;
+/// Latencies at which blocks are sought, s: first without, then where nothing was near.
+const LAGS_S: [&[f64]; 2] = [&[0.0], &[-0.4, -0.2, -0.1, 0.1, 0.2, 0.4]];
+/// Arms of which a log may be that are also tried with latencies.
+const FEW_ARMS: usize = 4;
+/// Columns beyond these are not looked at.
+const MOST_COLUMNS: usize = 128;
+/// A position that a polynomial of time describes up to this share of its extent tells nothing: whatever moves
+/// so smoothly follows anything.
+const PLAIN: f64 = 0.05;
+const DEGREE: i32 = 6;
+/// Two turns: beyond them numbers are no rad, and beyond this many degrees no degrees.
+const TWO_TURNS: f64 = 4.0 * PI;
+/// A joint may stand so far beyond its limits, rad or m.
+const BEYOND: f64 = 0.2;
+/// A column moves that spreads by more, rad or m.
+const MOVES: f64 = 0.01;
+/// Joints of a block that must move.
+const MOVING: usize = 3;
+/// Noise from row to row beside the spread of a column that is a motion.
+const NOISY: f64 = 0.2;
+/// A position follows an arm where FK leaves no more, m, or this share of its extent.
+const FITS_M: f64 = 3e-3;
+const FITS_SHARE: f64 = 0.01;
+
+/// The numbers of a table, by columns.
+pub struct Sheet {
+    t_s: Vec<f64>,
+    columns: Vec<Vec<f64>>,
+    /// The array that each column is of: no block reaches from one into another.
+    homes: Vec<usize>,
+}
+
+/// What is sought.
+pub struct Wanted<'a> {
+    /// The arms that it may be.
+    pub chains: &'a [&'a Chain],
+    /// The columns of the joints as each of the arms has them, where they are known; these are rad.
+    pub joints: Option<&'a [Vec<usize>]>,
+    /// The columns of the position, where they are known.
+    pub position: Option<[usize; 3]>,
+    /// Columns that are something else.
+    pub taken: &'a [usize],
+    /// The longest latency, s.
+    pub most_lag_s: f64,
+}
+
+/// A way to take columns for joints and position.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mapping {
+    /// The arm, by its place.
+    pub arm: usize,
+    /// The columns of its joints, from base to tip.
+    pub joints: Vec<usize>,
+    /// How their numbers are read.
+    pub unit: JointNumbers,
+    /// The columns of the position.
+    pub position: [usize; 3],
+    /// What FK leaves of the position, rms m, and how far that spreads.
+    pub left_m: f64,
+    /// Rms distance of the positions from their mean, m.
+    pub spread_m: f64,
+    /// How far the point is from the arm's tip, m.
+    pub tool_m: f64,
+    /// By how much the position is late, s.
+    pub lag_s: f64,
+}
+
+impl Mapping {
+    /// Whether FK and the position agree.
+    pub fn fits(&self) -> bool {
+        self.left_m <= FITS_M.max(FITS_SHARE * self.spread_m)
+    }
+
+    fn block(&self) -> Block {
+        Block { joints: self.joints.clone(), unit: self.unit, arm: self.arm }
+    }
+
+    /// Whether it takes the same columns for the same.
+    pub fn is_same(&self, other: &Self) -> bool {
+        let of = |it: &Self| (it.joints.clone(), it.position);
+        of(self) == of(other) && self.unit == other.unit
+    }
+}
+
+/// A block of columns that may be joints of an arm.
+#[derive(Clone)]
+pub struct Block {
+    /// The columns.
+    pub joints: Vec<usize>,
+    /// How their numbers are read.
+    pub unit: JointNumbers,
+    /// The arm, by its place.
+    pub arm: usize,
+}
+
+impl Sheet {
+    /// Rows at times that rise; of many as many as tell, where they move most.
+    pub fn new(t_s: Vec<f64>, columns: Vec<Vec<f64>>, homes: Vec<usize>) -> Self {
+        let span_s = t_s.last().zip(t_s.first()).map_or(0.0, |(last, first)| last - first);
+        let rate_hz = t_s.len() as f64 / span_s.max(f64::MIN_POSITIVE);
+        let step = (rate_hz / MOST_HZ).ceil().max(1.0) as usize;
+        let rows: Vec<usize> = (0..t_s.len()).step_by(step).collect();
+        let first = rows.len().saturating_sub(MOST_ROWS);
+        let first = if first == 0 { 0 } else { liveliest(&rows, &columns) };
+        let rows = &rows[first..(first + MOST_ROWS).min(rows.len())];
+        let pick = |values: &Vec<f64>| rows.iter().map(|&row| values[row]).collect();
+        Self { t_s: pick(&t_s), columns: columns.iter().map(pick).collect(), homes }
+    }
+
+    /// The time between two rows, s.
+    pub fn step_s(&self) -> f64 {
+        let span_s =
+            self.t_s.last().zip(self.t_s.first()).map_or(0.0, |(last, first)| last - first);
+        span_s / (self.t_s.len().max(2) - 1) as f64
+    }
+
+    /// The array that a column is of.
+    pub fn home(&self, column: usize) -> usize {
+        self.homes[column]
+    }
+
+    /// Whether a column is that number in each row.
+    pub fn is_always(&self, column: usize, value: f64) -> bool {
+        self.columns[column].iter().all(|own| *own == value)
+    }
+
+    /// The ways to take columns for the joints of one of the arms and the position of its tool, of those that
+    /// come nearest; what FK leaves least of first.
+    pub fn mappings(&self, wanted: &Wanted) -> Vec<Mapping> {
+        /// Ways that are tried with the zero of a joint, where none fits without.
+        const WITH_ZERO: usize = 4;
+        let of =
+            |(block, position): &(Block, [usize; 3])| self.fit(wanted, block, *position, false);
+        for lags_s in &LAGS_S[..if wanted.chains.len() > FEW_ARMS { 1 } else { 2 }] {
+            let near = self.near(wanted, lags_s);
+            let mut all: Vec<Mapping> = near.par_iter().filter_map(of).collect();
+            if !all.iter().any(Mapping::fits) {
+                all.sort_by(|a, b| a.left_m.total_cmp(&b.left_m));
+                all.truncate(WITH_ZERO);
+                let anew = |it: &Mapping| self.fit(wanted, &it.block(), it.position, true);
+                all = all.par_iter().filter_map(anew).collect();
+            }
+            all.sort_by(|a, b| a.left_m.total_cmp(&b.left_m));
+            let mut mappings: Vec<Mapping> = Vec::new();
+            for mapping in all {
+                if !mappings.iter().any(|other| other.is_same(&mapping)) {
+                    mappings.push(mapping);
+                }
+            }
+            if mappings.iter().any(Mapping::fits) {
+                return mappings;
+            }
+        }
+        Vec::new()
+    }
+
+    /// The blocks that may be joints of an arm by their numbers: smooth, and within its limits.
+    pub fn blocks(&self, wanted: &Wanted, arm: usize) -> Vec<Block> {
+        let chain = wanted.chains[arm];
+        let dof = chain.dof();
+        let mut homes: Vec<usize> = self.homes.clone();
+        homes.sort_unstable();
+        homes.dedup();
+        let mut blocks = Vec::new();
+        for home in homes {
+            let own: Vec<usize> =
+                (0..self.columns.len()).filter(|&column| self.homes[column] == home).collect();
+            // Positions may stand beside their velocities and efforts, joint by joint.
+            for stride in 1..=3 {
+                let wide = (dof - 1) * stride + 1;
+                for window in own.windows(wide) {
+                    let joints: Vec<usize> = window.iter().copied().step_by(stride).collect();
+                    if joints.iter().any(|column| wanted.taken.contains(column)) {
+                        continue;
+                    }
+                    let most = self.most(&joints);
+                    let units = JointNumbers::of_size(most, wanted.chains.len() <= FEW_ARMS);
+                    let may_be = |unit: &JointNumbers| self.may_be(&joints, *unit, chain);
+                    let units = units.into_iter().filter(may_be);
+                    let of = |unit| Block { joints: joints.clone(), unit, arm };
+                    blocks.extend(units.map(of));
+                }
+            }
+        }
+        blocks
+    }
+
+    /// The largest number of some columns.
+    fn most(&self, columns: &[usize]) -> f64 {
+        let ends = columns.iter().flat_map(|&column| self.range(column));
+        ends.map(f64::abs).fold(0.0, f64::max)
+    }
+
+    /// Whether columns may be joints of an arm, read so.
+    fn may_be(&self, joints: &[usize], unit: JointNumbers, chain: &Chain) -> bool {
+        let mut moving = 0;
+        for (at, &column) in joints.iter().enumerate() {
+            let (factor, zero) = unit.read(chain, at);
+            let [low, high] = self.range(column).map(|end| factor * end + zero);
+            let limits = chain.limits()[at];
+            let is_beyond = low < limits.lower.unwrap_or(-TWO_TURNS) - BEYOND
+                || high > limits.upper.unwrap_or(TWO_TURNS) + BEYOND;
+            if is_beyond || !(high - low).is_finite() {
+                return false;
+            }
+            if high - low > MOVES {
+                moving += 1;
+                if factor * sample_noise(&self.columns[column]) > NOISY * (high - low) {
+                    return false;
+                }
+            }
+        }
+        moving >= MOVING
+    }
+
+    fn range(&self, column: usize) -> [f64; 2] {
+        let ends = [f64::INFINITY, f64::NEG_INFINITY];
+        self.columns[column].iter().fold(ends, |[low, high], &q| [low.min(q), high.max(q)])
+    }
+
+    /// The triples of columns that may be a position.
+    pub fn positions(&self, taken: &[usize]) -> Vec<[usize; 3]> {
+        let count = self.columns.len();
+        // Of a matrix, row by row, every fourth number is of the position.
+        let triples = [1, 4].into_iter().flat_map(|stride| {
+            (0..count.saturating_sub(2 * stride)).map(move |at| [at, at + stride, at + 2 * stride])
+        });
+        let fits = |triple: &[usize; 3]| {
+            triple.iter().all(|column| !taken.contains(column))
+                && self.homes[triple[0]] == self.homes[triple[2]]
+                && (triple[0]..triple[2]).all(|at| self.homes[at] == self.homes[triple[0]])
+        };
+        triples.filter(fits).collect()
+    }
+
+    /// Blocks and positions that come near by a linear fit, the nearest first.
+    fn near(&self, wanted: &Wanted, lags_s: &[f64]) -> Vec<(Block, [usize; 3])> {
+        let rows = self.few_rows();
+        if rows.len() < FEW_ROWS / 3 || self.columns.len() > MOST_COLUMNS {
+            return Vec::new();
+        }
+        let logged = DMatrix::from_fn(rows.len(), self.columns.len(), |row, column| {
+            self.columns[column][rows[row]]
+        });
+        let logged = centred(logged);
+        let span_s = self.t_s[rows[rows.len() - 1]] - self.t_s[rows[0]];
+        let plain = DMatrix::from_fn(rows.len(), DEGREE as usize, |row, power| {
+            ((self.t_s[rows[row]] - self.t_s[rows[0]]) / span_s - 0.5).powi(1 + power as i32)
+        });
+        let plain = left_of(&centred(plain), &logged);
+        let mut positions = match wanted.position {
+            Some(position) => vec![position],
+            None => self.positions(wanted.taken),
+        };
+        positions.retain(|position| {
+            let own: f64 = position.iter().map(|&c| logged.column(c).norm_squared()).sum();
+            position.iter().map(|&c| plain[c]).sum::<f64>() > PLAIN.powi(2) * own
+        });
+        let blocks: Vec<Block> = wanted
+            .chains
+            .iter()
+            .enumerate()
+            .flat_map(|(arm, chain)| match wanted.joints {
+                Some(joints) if joints[arm].len() == chain.dof() => {
+                    let (joints, unit) = (joints[arm].clone(), JointNumbers::Radians);
+                    vec![Block { joints, unit, arm }]
+                }
+                Some(_) => Vec::new(),
+                None => self.blocks(wanted, arm),
+            })
+            .collect();
+        let tried: Vec<(&Block, f64)> = blocks
+            .iter()
+            .flat_map(|block| lags_s.iter().map(move |&lag_s| (block, lag_s)))
+            .collect();
+        let of = |(at, &(block, lag_s)): (usize, &(&Block, f64))| {
+            let chain = wanted.chains[block.arm];
+            let design = self.design(block, chain, &rows, lag_s);
+            let left = left_of(&design, &logged);
+            let shares = positions.iter().filter_map(|position| {
+                if position.iter().any(|column| block.joints.contains(column)) {
+                    return None;
+                }
+                let own: f64 = position.iter().map(|&c| logged.column(c).norm_squared()).sum();
+                let left: f64 = position.iter().map(|&c| left[c]).sum();
+                let moving = position
+                    .iter()
+                    .filter(|&&c| logged.column(c).norm_squared() > 1e-4 * own)
+                    .count();
+                let share = (left / own).max(0.0).sqrt();
+                (own > 0.0 && moving > 1 && share < NEAR).then_some((share, at, *position))
+            });
+            shares.collect::<Vec<_>>()
+        };
+        let mut near: Vec<(f64, usize, [usize; 3])> =
+            tried.par_iter().enumerate().flat_map_iter(of).collect();
+        near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let mut kept: Vec<(Block, [usize; 3])> = Vec::new();
+        let mut ways = 0;
+        for (_, at, position) in near {
+            let block = tried[at].0;
+            let is_its = |(kept, other): &&(Block, [usize; 3])| {
+                kept.joints == block.joints && *other == position
+            };
+            let arms: Vec<usize> = kept.iter().filter(is_its).map(|(kept, _)| kept.arm).collect();
+            let is_room = if arms.is_empty() { ways < MOST_FITS } else { arms.len() < MOST_ARMS };
+            if is_room && !arms.contains(&block.arm) {
+                ways += usize::from(arms.is_empty());
+                kept.push((block.clone(), position));
+            }
+        }
+        kept
+    }
+
+    /// Some rows, none so near to an end that a latency leads beyond it.
+    fn few_rows(&self) -> Vec<usize> {
+        let longest_s = LAGS_S[1].iter().copied().fold(0.0, f64::max);
+        let (Some(first), Some(last)) = (self.t_s.first(), self.t_s.last()) else {
+            return Vec::new();
+        };
+        let margin_s = longest_s.min(0.1 * (last - first));
+        let inner = self.t_s.iter().enumerate();
+        let inner = inner.filter(|(_, t_s)| (first + margin_s..last - margin_s).contains(t_s));
+        let inner: Vec<usize> = inner.map(|(row, _)| row).collect();
+        let count = FEW_ROWS.min(inner.len());
+        (0..count).map(|at| inner[at * inner.len() / count]).collect()
+    }
+
+    /// FK's position and rotation at some rows, centred.
+    fn design(&self, block: &Block, chain: &Chain, rows: &[usize], lag_s: f64) -> DMatrix<f64> {
+        const NUMBERS: usize = 12;
+        let mut design = DMatrix::zeros(rows.len(), NUMBERS);
+        for (at, &row) in rows.iter().enumerate() {
+            let pose = chain.forward(&self.joints_at(block, chain, self.t_s[row] - lag_s));
+            let turn = pose.rotation.to_rotation_matrix();
+            let numbers = pose.translation.vector.iter().chain(turn.matrix().iter());
+            numbers.enumerate().for_each(|(column, number)| design[(at, column)] = *number);
+        }
+        centred(design)
+    }
+
+    /// Positions of the joints at a time, between rows along a line.
+    fn joints_at(&self, block: &Block, chain: &Chain, t_s: f64) -> Vec<f64> {
+        let after = self.t_s.partition_point(|t| *t < t_s).clamp(1, self.t_s.len() - 1);
+        let (before_s, after_s) = (self.t_s[after - 1], self.t_s[after]);
+        let share = ((t_s - before_s) / (after_s - before_s)).clamp(0.0, 1.0);
+        let at = |(joint, &column): (usize, &usize)| {
+            let values = &self.columns[column];
+            let q = values[after - 1] + share * (values[after] - values[after - 1]);
+            let (factor, zero) = block.unit.read(chain, joint);
+            factor * q + zero
+        };
+        block.joints.iter().enumerate().map(at).collect()
+    }
+
+    /// The block as joints of its arm, and the position as that of its tool.
+    fn fit(
+        &self,
+        wanted: &Wanted,
+        block: &Block,
+        position: [usize; 3],
+        with_zero: bool,
+    ) -> Option<Mapping> {
+        let chain = wanted.chains[block.arm];
+        let joints = self.track(block, chain);
+        let track = self.position(position);
+        let columns: Vec<usize> = (0..chain.dof()).collect();
+        let stream = PoseStream {
+            track: &track,
+            chain,
+            columns: &columns,
+            reference_known: false,
+            stamp_error_s: 0.0,
+            stamps_copied: false,
+        };
+        let way = tool_fit(&joints, &stream, wanted.most_lag_s, with_zero)?;
+        let metres = metres_by_size(&joints, &stream);
+        Some(Mapping {
+            arm: block.arm,
+            joints: block.joints.clone(),
+            unit: block.unit,
+            position,
+            left_m: way.left_m,
+            spread_m: metres * spread(&track.xyz),
+            tool_m: way.tool_m.norm(),
+            lag_s: way.lag_s,
+        })
+    }
+
+    fn position(&self, columns: [usize; 3]) -> PoseTrack {
+        let xyz = |row: usize| Vec3::from(columns.map(|column| self.columns[column][row]));
+        PoseTrack {
+            t_s: self.t_s.clone(),
+            xyz: (0..self.t_s.len()).map(xyz).collect(),
+            orientation: Orientations::Unset(self.t_s.len()),
+            declared: None,
+        }
+    }
+
+    fn track(&self, block: &Block, chain: &Chain) -> JointTrack {
+        let rows = self.t_s.len();
+        let dof = block.joints.len();
+        let (mut q, mut qd) = (vec![0.0; rows * dof], vec![0.0; rows * dof]);
+        for (joint, &column) in block.joints.iter().enumerate() {
+            let values = &self.columns[column];
+            let (factor, zero) = block.unit.read(chain, joint);
+            for row in 0..rows {
+                let (before, after) = (row.saturating_sub(1), (row + 1).min(rows - 1));
+                let h = self.t_s[after] - self.t_s[before];
+                q[row * dof + joint] = factor * values[row] + zero;
+                qd[row * dof + joint] = factor * (values[after] - values[before]) / h;
+            }
+        }
+        JointTrack { t_s: self.t_s.clone(), dof, q, qd }
+    }
+}

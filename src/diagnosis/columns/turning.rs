@@ -1,0 +1,80 @@
+//! Which columns are the rotation of a tool.
+
+use super::{MOVES, MOVING, Mapping, Sheet};
+use ground::geometry::{Convention, Rotation, angle_between, rotation_from_xyzw};
+use ground::robot::Chain;
+
+impl Sheet {
+    /// Whether columns are the rotation of the tool: 3 numbers by some convention, 4 of a quaternion in any
+    /// order, or 9 of a matrix. `None` where the tool hardly turns. Angles between poses tell it, which depend
+    /// on no frame, no tool and no order of components.
+    pub fn turns_with(&self, mapping: &Mapping, chain: &Chain, columns: &[usize]) -> Option<bool> {
+        /// Rows that are compared, what may differ, rad, and how far the tool must turn, rad.
+        const ROWS: usize = 60;
+        const APART_RAD: f64 = 0.05;
+        const TURNS_RAD: f64 = 0.2;
+        let all = self.few_rows();
+        let rows: Vec<usize> =
+            all.iter().copied().step_by(all.len().div_ceil(ROWS).max(1)).collect();
+        let block = mapping.block();
+        let fk: Vec<Rotation> = rows
+            .iter()
+            .map(|&row| {
+                let q = self.joints_at(&block, chain, self.t_s[row] - mapping.lag_s);
+                chain.forward(&q).rotation
+            })
+            .collect();
+        let pairs: Vec<(usize, usize)> =
+            (1..rows.len()).flat_map(|at| [(0, at), (at - 1, at), (at / 2, at)]).collect();
+        let rms = |angle: &dyn Fn(usize, usize) -> f64, other: &dyn Fn(usize, usize) -> f64| {
+            let apart = pairs.iter().map(|&(a, b)| (angle(a, b) - other(a, b)).powi(2));
+            (apart.sum::<f64>() / pairs.len().max(1) as f64).sqrt()
+        };
+        let expected = |a: usize, b: usize| angle_between(&fk[a], &fk[b]);
+        let turns_rad = rms(&expected, &|_, _| 0.0);
+        if turns_rad < TURNS_RAD {
+            return None;
+        }
+        let number = |row: usize, at: usize| self.columns[columns[at]][rows[row]];
+        let most = APART_RAD.min(0.15 * turns_rad);
+        let is_it = |all: Option<Vec<Rotation>>| {
+            all.is_some_and(|all| rms(&expected, &|a, b| angle_between(&all[a], &all[b])) < most)
+        };
+        let norms_are_one = |of: usize| {
+            let norm =
+                |row: usize| (0..columns.len()).map(|at| number(row, at).powi(2)).sum::<f64>();
+            (0..rows.len()).all(|row| (norm(row) / of as f64 - 1.0).abs() < 0.02)
+        };
+        Some(match columns.len() {
+            3 => [1.0, 1_f64.to_radians()].into_iter().any(|unit| {
+                Convention::all().iter().any(|convention| {
+                    let read =
+                        |row| convention.rotation([0, 1, 2].map(|at| unit * number(row, at)));
+                    is_it(Some((0..rows.len()).map(read).collect()))
+                })
+            }),
+            4 if norms_are_one(1) => {
+                let read = |row| rotation_from_xyzw([0, 1, 2, 3].map(|at| number(row, at)));
+                is_it((0..rows.len()).map(read).collect())
+            }
+            9 if norms_are_one(3) => {
+                let angle = |a: usize, b: usize| {
+                    let trace: f64 = (0..9).map(|at| number(a, at) * number(b, at)).sum();
+                    (0.5 * (trace - 1.0)).clamp(-1.0, 1.0).acos()
+                };
+                rms(&expected, &angle) < most
+            }
+            _ => false,
+        })
+    }
+
+    /// Whether four columns are a unit quaternion in each row, and turn.
+    pub fn is_quaternion(&self, columns: [usize; 4]) -> bool {
+        let norm = |row: usize| {
+            columns.map(|column| self.columns[column][row].powi(2)).iter().sum::<f64>()
+        };
+        let moves = |&column: &usize| self.range(column)[1] - self.range(column)[0] > MOVES;
+        (0..self.t_s.len()).all(|row| (norm(row) - 1.0).abs() < 1e-3)
+            && columns.iter().filter(|column| moves(column)).count() >= MOVING
+    }
+}

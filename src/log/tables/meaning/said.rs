@@ -1,0 +1,67 @@
+//! The columns that the caller names.
+
+use super::{Cell, Group, Meaning};
+use crate::tables::{ColumnSelector, ColumnSettings, Refusal, Table};
+
+/// What the caller says, of the one arm or of each.
+pub(super) fn said(table: &Table, settings: &ColumnSettings) -> Result<Vec<Group>, Refusal> {
+    let mut groups = said_of_arm(table, settings)?;
+    for (arm, settings) in &settings.arms {
+        let own = said_of_arm(table, settings)
+            .map_err(|what| what.replacen("columns.", &format!("columns.arm.{arm}."), 1))?;
+        let named = |group: Group| Group { topic: format!("{arm}/{}", group.topic), ..group };
+        groups.extend(own.into_iter().map(named));
+    }
+    Ok(groups)
+}
+
+fn said_of_arm(table: &Table, settings: &ColumnSettings) -> Result<Vec<Group>, Refusal> {
+    let mut groups = Vec::new();
+    let topics = [
+        ("joints", &settings.joints),
+        ("joint_commands", &settings.joint_commands),
+        ("pose", &settings.pose),
+        ("pose_commands", &settings.pose_commands),
+    ];
+    for (key, selectors) in topics {
+        let mut all = Vec::new();
+        for selector in selectors {
+            all.extend(
+                selected(table, selector).map_err(|what| format!("`columns.{key}`: {what}"))?,
+            );
+        }
+        if all.is_empty() {
+            continue;
+        }
+        let meaning = match (key, all.len()) {
+            ("joints" | "joint_commands", count) => Meaning::Joints {
+                names: (1..=count).map(|number| format!("q{number}")).collect(),
+                unnamed: true,
+            },
+            (_, 3) => Meaning::Position,
+            (_, 6 | 7 | 12 | 16) => Meaning::Pose,
+            (_, count) => {
+                return Err(format!(
+                    "`columns.{key}` selects {count} numbers; a pose has 3, 6, 7, 12 or 16"
+                ));
+            }
+        };
+        let why = format!("`columns.{key}` of the config");
+        groups.push(Group { topic: key.to_owned(), cells: all, meaning, why });
+    }
+    Ok(groups)
+}
+
+fn selected(table: &Table, selector: &ColumnSelector) -> Result<Vec<Cell>, String> {
+    let ColumnSelector { column: name, range } = selector;
+    let column = table.columns.iter().position(|column| column.name == *name);
+    let column = column.ok_or_else(|| format!("it has no column '{name}'"))?;
+    let width = table.columns[column].width;
+    let (first, end) = range.unwrap_or((0, width));
+    if end > width {
+        return Err(format!(
+            "'{name}' has {width} numbers a row, and [{first}:{end}] is asked for"
+        ));
+    }
+    Ok((first..end).map(|part| Cell { column, part }).collect())
+}

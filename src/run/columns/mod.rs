@@ -1,0 +1,293 @@
+//! What the columns of a table are by their numbers, where their names do not say it: the joints of an arm
+//! and the pose of its tool, which FK ties together, and commands, which say the same earlier.
+//!
+//! A way to take them that is not the only one is a question, with the lines for the config that settle it.
+
+mod cells;
+mod contradictions;
+mod roles;
+mod topics;
+
+use crate::diagnosis::{Block, Mapping, Wanted};
+use crate::log::{Log, Note};
+use crate::robot::{Chain, Robot, catalogue};
+
+use super::RunOptions;
+use super::{models, skeleton};
+pub use cells::selectors;
+use cells::{Cells, Known, is_open};
+use roles::Taken;
+
+/// An arm that the table may be of.
+struct Candidate {
+    name: String,
+    chain: Chain,
+}
+
+/// What the numbers say.
+#[derive(Default)]
+struct Told {
+    arms: Vec<Taken>,
+    /// What they leave open, and what settles it.
+    question: Option<String>,
+}
+
+/// Another way must leave so many times what the best does, and that is never taken for less, m.
+const APART: f64 = 4.0;
+const FLOOR_M: f64 = 5e-5;
+/// Arms that a table may be of.
+const MOST_ARMS: usize = 2;
+/// A tool that moves less tells nothing, m.
+const MOVES_M: f64 = 0.02;
+
+/// Makes joints, poses and commands of the columns of tables whose names do not say what they are, where their
+/// numbers do.
+pub fn tell_columns(log: &mut Log, options: &RunOptions) {
+    contradictions::find(log);
+    if !log.topics.iter().any(is_open) {
+        return;
+    }
+    let Some(cells) = Cells::of(&log.topics).filter(Cells::is_asked) else {
+        return topics::leave_singles(log);
+    };
+    let search = Search::new(&cells, options, log.robot_type.as_deref());
+    let told = search.told(log);
+    topics::rewrite(log, &search, &told);
+    if let (Some(what), Some(file)) = (&told.question, log.files.first()) {
+        log.notes.push(Note { file: file.path.clone(), what: what.clone() });
+    }
+    log.question = told.question;
+}
+
+/// One table, and the arms that it may be of.
+struct Search<'a> {
+    cells: &'a Cells,
+    arms: Vec<Candidate>,
+    most_lag_s: f64,
+}
+
+impl<'a> Search<'a> {
+    fn new(cells: &'a Cells, options: &RunOptions, robot_type: Option<&str>) -> Self {
+        let given = models::given(&options.robots).unwrap_or_default();
+        let named: Vec<&Robot> =
+            models::for_numbers(&given, robot_type).into_iter().map(|(robot, _)| robot).collect();
+        let robots = if named.is_empty() { catalogue::entries().iter().collect() } else { named };
+        let arms = robots.into_iter().flat_map(|robot| {
+            let paths = skeleton::arms(robot, |_| true).into_iter();
+            paths.filter_map(|path| {
+                let tip = skeleton::tip(robot, path.end, robot.controller_tip.as_deref());
+                let chain = robot.chain(path.base, tip).ok()?;
+                let is_whole = chain.joint_names() == path.joints;
+                is_whole.then(|| Candidate { name: robot.name.clone(), chain })
+            })
+        });
+        Self { cells, arms: arms.collect(), most_lag_s: options.max_latency_s.min(1.0) }
+    }
+
+    fn chains(&self) -> Vec<&Chain> {
+        self.arms.iter().map(|arm| &arm.chain).collect()
+    }
+
+    fn told(&self, log: &Log) -> Told {
+        let mut told = Told::default();
+        let joints = self.known_joints(log);
+        let position = self.cells.of_kind(Known::Position);
+        let position = <[usize; 3]>::try_from(position.get(..3).unwrap_or_default()).ok();
+        let are_joints_known = !self.cells.of_kind(Known::Joint).is_empty();
+        let mut taken: Vec<usize> =
+            if are_joints_known { self.cells.of_kind(Known::Joint) } else { Vec::new() };
+        while told.arms.len() < MOST_ARMS {
+            let chains = self.chains();
+            let wanted = Wanted {
+                chains: &chains,
+                joints: joints.as_deref(),
+                position,
+                taken: &taken,
+                most_lag_s: self.most_lag_s,
+            };
+            let mappings = self.cells.sheet.mappings(&wanted);
+            let Some(best) = mappings.first().filter(|best| best.fits() && best.spread_m > MOVES_M)
+            else {
+                break;
+            };
+            // Of several points on the tool the one nearest to the tip.
+            const NEARER_M: f64 = 0.01;
+            let is_point = |other: &&Mapping| {
+                other.fits() && other.joints == best.joints && other.tool_m + NEARER_M < best.tool_m
+            };
+            let points = mappings.iter().filter(is_point);
+            let best = points.min_by(|a, b| a.tool_m.total_cmp(&b.tool_m)).unwrap_or(best);
+            let others = mappings.iter().filter(|other| !other.is_same(best));
+            let rival = others.into_iter().find(|other| self.conflict(best, other));
+            let limit_m = APART * best.left_m.max(FLOOR_M);
+            if let Some(rival) = rival.filter(|rival| rival.left_m < limit_m) {
+                told.question = Some(self.either(best, rival));
+                break;
+            }
+            match self.taken(best, rival, &mappings, &wanted) {
+                Ok(arm) => {
+                    taken.extend(arm.all());
+                    told.arms.push(arm);
+                }
+                Err(question) => {
+                    told.question = Some(question);
+                    break;
+                }
+            }
+            if are_joints_known || position.is_some() {
+                break;
+            }
+        }
+        if told.arms.is_empty() && told.question.is_none() && !are_joints_known {
+            told.question = self.by_width();
+        }
+        told
+    }
+
+    /// The columns of the joints that names tell, as each arm has them; none where they tell none.
+    fn known_joints(&self, log: &Log) -> Option<Vec<Vec<usize>>> {
+        let known = self.cells.of_kind(Known::Joint);
+        let first = self.cells.numbers.get(*known.first()?)?.at.0;
+        let Some(crate::stream::Columns::Joints(joints)) = &log.topics[first].columns else {
+            return None;
+        };
+        let place = |part: usize| {
+            known.iter().copied().find(|&at| self.cells.numbers[at].at == (first, part))
+        };
+        let of_arm = |arm: &Candidate| -> Vec<usize> {
+            let names = arm.chain.joint_names();
+            let part = |(at, name): (usize, &String)| match joints.unnamed {
+                true => place(at),
+                false => place(
+                    joints.joints.iter().position(|joint| joint.name.ends_with(name.as_str()))?,
+                ),
+            };
+            names.iter().enumerate().map(part).collect::<Option<_>>().unwrap_or_default()
+        };
+        Some(self.arms.iter().map(of_arm).collect())
+    }
+
+    /// Whether two ways cannot both be so: they share columns, and are not one arm's with two points or with
+    /// commands.
+    fn conflict(&self, one: &Mapping, other: &Mapping) -> bool {
+        let share = |a: &[usize], b: &[usize]| a.iter().any(|at| b.contains(at));
+        let is_one_arm = one.joints == other.joints || self.are_commands(one, other);
+        let is_one_point = one.position == other.position;
+        let all = |it: &Mapping| [it.joints.as_slice(), &it.position].concat();
+        share(&all(one), &all(other))
+            && !(is_one_arm && (is_one_point || !share(&one.position, &other.position)))
+    }
+
+    /// Whether the joints of two ways say the same, one after the other.
+    fn are_commands(&self, one: &Mapping, other: &Mapping) -> bool {
+        let apart = one.joints.iter().all(|at| !other.joints.contains(at));
+        apart
+            && one.unit == other.unit
+            && one.joints.len() == other.joints.len()
+            && self.cells.sheet.shift(&one.joints, &other.joints).is_some()
+    }
+
+    fn names(&self, columns: &[usize]) -> Vec<String> {
+        let names: Vec<String> =
+            columns.iter().map(|&at| self.cells.numbers[at].cell.name.clone()).collect();
+        selectors(&names)
+    }
+
+    /// Columns in a sentence.
+    fn said(&self, columns: &[usize]) -> String {
+        match self.names(columns).as_slice() {
+            [only] => only.clone(),
+            [first, .., last] => format!("{first}…{last}"),
+            [] => String::new(),
+        }
+    }
+
+    /// A line of `[columns]`.
+    fn line(&self, key: &str, columns: &[usize]) -> String {
+        let quoted: Vec<String> =
+            self.names(columns).iter().map(|name| format!("\"{name}\"")).collect();
+        match quoted.as_slice() {
+            [only] => format!("{key} = {only}"),
+            several => format!("{key} = [{}]", several.join(", ")),
+        }
+    }
+
+    fn lines(&self, mapping: &Mapping) -> String {
+        let (joints, pose) =
+            (self.line("joints", &mapping.joints), self.line("pose", &mapping.position));
+        format!("{joints}; {pose}")
+    }
+
+    /// The question between two ways.
+    fn either(&self, best: &Mapping, rival: &Mapping) -> String {
+        let way = |it: &Mapping| {
+            format!(
+                "{} as joints of {} leave {} of {} ([columns] {})",
+                self.said(&it.joints),
+                self.arms[it.arm].name,
+                crate::finding::Unit::Metre.show(it.left_m),
+                self.said(&it.position),
+                self.lines(it)
+            )
+        };
+        format!("the columns may be two things: {}, or {}", way(best), way(rival))
+    }
+
+    /// The question which numbers are joints, where no position tells it: those of a row that has as many as an
+    /// arm has joints, or two arms, with grippers or without.
+    fn by_width(&self) -> Option<String> {
+        let sheet = &self.cells.sheet;
+        let chains = self.chains();
+        let wanted = Wanted {
+            chains: &chains,
+            joints: None,
+            position: None,
+            taken: &[],
+            most_lag_s: self.most_lag_s,
+        };
+        let mut ways: Vec<String> = Vec::new();
+        let mut first = 0;
+        while first < self.cells.numbers.len() && ways.is_empty() {
+            let home = sheet.home(first);
+            let width =
+                (first..self.cells.numbers.len()).take_while(|&at| sheet.home(at) == home).count();
+            for (arm, chain) in chains.iter().enumerate() {
+                let dof = chain.dof();
+                let blocks = || -> Vec<Block> { sheet.blocks(&wanted, arm) };
+                let is_block = |blocks: &[Block], from: usize| {
+                    blocks.iter().any(|block| block.joints.iter().copied().eq(from..from + dof))
+                };
+                let each = match width {
+                    width if width == dof || width == dof + 1 => vec![first],
+                    width if width == 2 * dof => vec![first, first + dof],
+                    width if width == 2 * (dof + 1) => vec![first, first + dof + 1],
+                    _ => continue,
+                };
+                let blocks = blocks();
+                if !each.iter().all(|&from| is_block(&blocks, from)) {
+                    continue;
+                }
+                let line =
+                    |from: usize| self.line("joints", &(from..from + dof).collect::<Vec<usize>>());
+                let way = match each.as_slice() {
+                    [only] => format!("[columns] {}", line(*only)),
+                    [left, right, ..] => format!(
+                        "[columns.arm.left] {} and [columns.arm.right] {}",
+                        line(*left),
+                        line(*right)
+                    ),
+                    [] => continue,
+                };
+                if !ways.contains(&way) {
+                    ways.push(way);
+                }
+            }
+            first += width;
+        }
+        let ways = (!ways.is_empty()).then(|| ways.join(", or "))?;
+        Some(format!(
+            "no columns are a pose that FK of the others follows, so that nothing tells which are the joints: if they \
+             are, write {ways}"
+        ))
+    }
+}

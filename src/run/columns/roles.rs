@@ -1,0 +1,314 @@
+//! Which of several columns that say the same are the measured ones, and what stands beside them.
+
+use crate::diagnosis::{Block, JointNumbers, Mapping, Shift, Wanted};
+use crate::finding::Unit;
+
+use super::Search;
+
+/// The columns of one arm, and why they are.
+pub(super) struct Taken {
+    pub joints: Vec<usize>,
+    pub unit: JointNumbers,
+    pub joints_why: String,
+    /// Position, then rotation.
+    pub pose: Vec<usize>,
+    pub pose_why: String,
+    /// Whether the pose is what shall be.
+    pub is_pose_command: bool,
+    pub joint_commands: Option<(Vec<usize>, String)>,
+    pub pose_commands: Option<(Vec<usize>, String)>,
+    /// What says the same at the same time, or of another point.
+    pub others: Vec<(Vec<usize>, String)>,
+}
+
+impl Taken {
+    /// All its columns.
+    pub fn all(&self) -> Vec<usize> {
+        let commands = [&self.joint_commands, &self.pose_commands].into_iter().flatten();
+        let further = commands.chain(&self.others).flat_map(|(columns, _)| columns.iter().copied());
+        self.joints.iter().chain(&self.pose).copied().chain(further).collect()
+    }
+}
+
+/// Columns that say the same as others by that shift.
+struct Same {
+    columns: Vec<usize>,
+    shift: Shift,
+}
+
+/// A position that says the same as another by that shift.
+type Later = ([usize; 3], Shift);
+
+impl Same {
+    fn is_copy(&self) -> bool {
+        self.shift.left < 1e-9 && self.shift.later_s == 0.0
+    }
+}
+
+/// A command leads by this at least, s, where poses tell it from a measurement.
+const LEADS_S: f64 = 0.02;
+
+impl Search<'_> {
+    /// The arm that `best` is of, with all that belongs to it; `rival` is the next way to take its columns.
+    ///
+    /// # Errors
+    /// The question which of several columns are the measured ones.
+    pub(super) fn taken(
+        &self,
+        best: &Mapping,
+        rival: Option<&Mapping>,
+        mappings: &[Mapping],
+        wanted: &Wanted,
+    ) -> Result<Taken, String> {
+        let sheet = &self.cells.sheet;
+        let mut others = Vec::new();
+        let mut family: Vec<Same> = Vec::new();
+        if wanted.joints.is_none() {
+            for Block { joints: columns, unit, .. } in sheet.blocks(wanted, best.arm) {
+                let is_apart = |joints: &[usize]| columns.iter().all(|at| !joints.contains(at));
+                if !is_apart(&best.joints) || !family.iter().all(|same| is_apart(&same.columns)) {
+                    continue;
+                }
+                let shift = sheet.shift(&best.joints, &columns).filter(|_| unit == best.unit);
+                family.extend(shift.map(|shift| Same { columns, shift }));
+            }
+        }
+        let name = |columns: &[usize]| self.said(columns);
+        let mut mapping = best.clone();
+        let (copies, family): (Vec<_>, Vec<_>) = family.into_iter().partition(Same::is_copy);
+        for copy in copies {
+            others.push((copy.columns, format!("the same numbers as {}", name(&best.joints))));
+        }
+        // The last of those that say the same is what was measured.
+        let still_s = LEADS_S.max(0.3 * sheet.step_s());
+        let mut ends: Vec<(f64, Vec<usize>)> = family
+            .into_iter()
+            .map(|same| (same.shift.later_s, same.columns))
+            .chain([(0.0, best.joints.clone())])
+            .collect();
+        ends.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let (last_s, joints) = ends[0].clone();
+        if let Some((next_s, next)) = ends.get(1).filter(|next| last_s - next.0 < still_s) {
+            return Err(format!(
+                "{} and {} say the same within {:.0} ms, and nothing tells which is measured: [columns] {}, or {}",
+                name(&joints),
+                name(next),
+                1e3 * (last_s - next_s).max(0.001),
+                self.line("joints", &joints),
+                self.line("joints", next)
+            ));
+        }
+        let lead_s = ends.iter().map(|end| last_s - end.0).fold(0.0, f64::max);
+        let joint_commands = ends.pop().filter(|_| !ends.is_empty()).map(|(at_s, columns)| {
+            let why = format!(
+                "joint commands: they say what {} do {:.0} ms earlier",
+                name(&joints),
+                1e3 * (last_s - at_s)
+            );
+            (columns, why)
+        });
+        if joints != mapping.joints {
+            mapping = self.refitted(&joints, best, wanted).unwrap_or(mapping);
+            mapping.joints = joints;
+            mapping.lag_s = best.lag_s - last_s;
+        }
+        for (_, columns) in ends.into_iter().skip(1) {
+            others.push((columns, format!("they say what {} do, earlier", name(&mapping.joints))));
+        }
+        let mut pose_commands = None;
+        let (mut position, mut lag_s) = (mapping.position, mapping.lag_s);
+        let (same, points) = match wanted.position {
+            Some(_) => Default::default(),
+            None => self.further_positions((best, &mapping), mappings, wanted),
+        };
+        for (other, shift) in same {
+            match shift {
+                shift if shift.left < 1e-9 && shift.later_s == 0.0 => {
+                    others
+                        .push((other.to_vec(), format!("the same numbers as {}", name(&position))));
+                }
+                shift if shift.later_s > still_s => {
+                    pose_commands = Some((position, shift.later_s));
+                    (position, lag_s) = (other, lag_s + shift.later_s);
+                }
+                shift if shift.later_s < -still_s => {
+                    pose_commands = Some((other, -shift.later_s));
+                }
+                _ => {
+                    return Err(format!(
+                        "{} and {} say the same position, and nothing tells which is measured: [columns] {}, or {}",
+                        name(&position),
+                        name(&other),
+                        self.line("pose", &position),
+                        self.line("pose", &other)
+                    ));
+                }
+            }
+        }
+        for other in points {
+            let why = "a position that follows the arm at another point of the tool".to_owned();
+            others.push((other.to_vec(), why));
+        }
+        mapping.position = position;
+        mapping.lag_s = lag_s;
+        let is_pose_command = pose_commands.is_none()
+            && joint_commands.is_some()
+            && lag_s < -LEADS_S
+            && (lag_s + lead_s).abs() < 0.25 * lead_s;
+        let (pose, rotation) = self.with_rotation(&mapping, wanted);
+        let pose_commands = pose_commands.map(|(position, lead_s)| {
+            let command = Mapping { position, lag_s: mapping.lag_s - lead_s, ..mapping.clone() };
+            let why = format!(
+                "pose commands: they say what {} do {:.0} ms earlier",
+                name(&mapping.position),
+                1e3 * lead_s
+            );
+            (self.with_rotation(&command, wanted).0, why)
+        });
+        let arm = &self.arms[best.arm].name;
+        let unit = mapping.unit.words();
+        let next = rival.map_or(String::new(), |rival| {
+            format!(
+                "; the next way, {} with {}, leaves {}",
+                name(&rival.joints),
+                name(&rival.position),
+                Unit::Metre.show(rival.left_m)
+            )
+        });
+        let fits = format!(
+            "FK of {arm} with {} in {unit} moves as {} do, to within {} of {}{next}",
+            name(&mapping.joints),
+            name(&mapping.position),
+            Unit::Metre.show(mapping.left_m),
+            Unit::Metre.show(mapping.spread_m)
+        );
+        Ok(Taken {
+            joints: mapping.joints.clone(),
+            unit: mapping.unit,
+            joints_why: fits.clone(),
+            pose,
+            pose_why: format!("{fits}; {rotation}"),
+            is_pose_command,
+            joint_commands,
+            pose_commands,
+            others,
+        })
+    }
+
+    /// The positions beside that of `mapping` that say the same by a shift, with that, and those of other
+    /// points of the same tool.
+    fn further_positions(
+        &self,
+        (best, mapping): (&Mapping, &Mapping),
+        mappings: &[Mapping],
+        wanted: &Wanted,
+    ) -> (Vec<Later>, Vec<[usize; 3]>) {
+        let sheet = &self.cells.sheet;
+        let mut known: Vec<usize> = [mapping.joints.as_slice(), &mapping.position].concat();
+        known.extend(wanted.taken);
+        let mut same = Vec::new();
+        for other in sheet.positions(&known) {
+            let is_new = other.iter().all(|at| !known.contains(at));
+            let shift = sheet.shift(&mapping.position, &other);
+            if let Some(shift) = shift.filter(|_| is_new) {
+                known.extend(other);
+                same.push((other, shift));
+            }
+        }
+        let mut points = Vec::new();
+        for other in mappings.iter().filter(|other| other.fits() && other.joints == best.joints) {
+            if other.position.iter().all(|at| !known.contains(at)) {
+                known.extend(other.position);
+                points.push(other.position);
+            }
+        }
+        (same, points)
+    }
+
+    /// The way with other joints of the same arm and the same position.
+    fn refitted(&self, joints: &[usize], best: &Mapping, wanted: &Wanted) -> Option<Mapping> {
+        if best.unit != JointNumbers::Radians {
+            return None;
+        }
+        let joints = [joints.to_vec()];
+        let wanted = Wanted {
+            chains: &wanted.chains[best.arm..=best.arm],
+            joints: Some(&joints),
+            position: Some(best.position),
+            taken: &[],
+            most_lag_s: wanted.most_lag_s,
+        };
+        let found = self.cells.sheet.mappings(&wanted).into_iter().next()?;
+        Some(Mapping { arm: best.arm, ..found })
+    }
+
+    /// The columns of a position with those of its rotation, and how these were told.
+    fn with_rotation(&self, mapping: &Mapping, wanted: &Wanted) -> (Vec<usize>, String) {
+        let numbers = &self.cells.numbers;
+        let [x, y, z] = mapping.position;
+        let home = self.cells.sheet.home(x);
+        let is_free = |at: usize| {
+            self.cells.sheet.home(at) == home
+                && !mapping.joints.contains(&at)
+                && !wanted.taken.contains(&at)
+        };
+        let block = |from: isize, columns: &[usize]| -> Option<Vec<usize>> {
+            let from = usize::try_from(from).ok()?;
+            let all: Vec<usize> = columns.iter().map(|at| from + at).collect();
+            all.iter().all(|at| *at < numbers.len() && is_free(*at)).then_some(all)
+        };
+        let sheet = &self.cells.sheet;
+        let turns =
+            |columns: &[usize]| sheet.turns_with(mapping, wanted.chains[mapping.arm], columns);
+        let first = x as isize;
+        let sixteen: [usize; 16] = std::array::from_fn(|at| at);
+        if y == x + 4 || y == x + 1 {
+            // A matrix by rows or by columns, with its last row or without.
+            let by_rows = y == x + 4;
+            let from = if by_rows { first - 3 } else { first - 12 };
+            let rotation = [0, 1, 2, 4, 5, 6, 8, 9, 10];
+            let counts: &[usize] = if by_rows { &[16, 12] } else { &[16] };
+            let whole = counts.iter().find_map(|&count| {
+                let all = usize::try_from(from).ok()?..usize::try_from(from).ok()? + count;
+                let fits = all.clone().all(|at| at < numbers.len() && sheet.home(at) == home);
+                let is_last =
+                    count == 12 || self.is_last_row(&all.clone().collect::<Vec<_>>(), by_rows);
+                (fits && is_last && !all.clone().any(|at| mapping.joints.contains(&at)))
+                    .then(|| all.collect::<Vec<usize>>())
+            });
+            if let Some(whole) = whole
+                && let Some(columns) = block(from, &rotation)
+                && turns(&columns) == Some(true)
+            {
+                return (whole, "a matrix, whose rotation turns as FK does".to_owned());
+            }
+        }
+        if y != x + 1 || z != x + 2 {
+            return (mapping.position.to_vec(), "no rotation beside it".to_owned());
+        }
+        let mut is_at_rest = false;
+        for (from, count) in [(first + 3, 4), (first - 4, 4), (first + 3, 3), (first - 3, 3)] {
+            let Some(columns) = block(from, &sixteen[..count]) else { continue };
+            match turns(&columns) {
+                Some(true) => {
+                    let said = format!("{} turn as FK does", self.said(&columns));
+                    return ([mapping.position.as_slice(), &columns].concat(), said);
+                }
+                Some(false) => {}
+                None => is_at_rest = true,
+            }
+        }
+        let said = match is_at_rest {
+            true => "the tool turns too little to tell its rotation",
+            false => "no columns beside it turn as FK does",
+        };
+        (mapping.position.to_vec(), said.to_owned())
+    }
+
+    /// Whether the last row of a matrix of 16 numbers is that of a pose.
+    fn is_last_row(&self, all: &[usize], by_rows: bool) -> bool {
+        let at = if by_rows { [12, 13, 14, 15] } else { [3, 7, 11, 15] };
+        let wanted = [0.0, 0.0, 0.0, 1.0];
+        at.iter().zip(wanted).all(|(&at, value)| self.cells.sheet.is_always(all[at], value))
+    }
+}

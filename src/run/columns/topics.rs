@@ -1,0 +1,246 @@
+//! The topics of a table once it is told what its columns are.
+
+use crate::diagnosis::{Conduct, JointNumbers};
+use crate::log::{Log, TableCell, Topic};
+use crate::stream::{ArrayColumns, Columns, JointColumn, JointColumns, PoseColumns};
+
+use super::cells::{is_open, selectors};
+use super::roles::Taken;
+use super::{Search, Told};
+
+/// What arms are called where a table holds two and names neither.
+const SIDES: [&str; 2] = ["first/", "second/"];
+
+/// Puts the topics of what was told in the place of bare numbers. What is left of these is said.
+pub(super) fn rewrite(log: &mut Log, search: &Search<'_>, told: &Told) {
+    let made: Vec<Topic> = told
+        .arms
+        .iter()
+        .zip(SIDES)
+        .flat_map(|(arm, side)| {
+            let prefix = if told.arms.len() > 1 { side } else { "" };
+            of_arm(log, search, arm, prefix)
+        })
+        .collect();
+    let used: Vec<usize> = told.arms.iter().flat_map(Taken::all).collect();
+    let others: Vec<&(Vec<usize>, String)> = told.arms.iter().flat_map(|arm| &arm.others).collect();
+    let has_pose = told.arms.iter().any(|arm| !arm.pose.is_empty());
+    let mut topics = Vec::with_capacity(log.topics.len());
+    for (index, topic) in std::mem::take(&mut log.topics).into_iter().enumerate() {
+        let is_used = |part: usize| {
+            let at = search.cells.numbers.iter().position(|number| number.at == (index, part));
+            at.is_some_and(|at| used.contains(&at))
+        };
+        let count = topic.cells.len();
+        let is_whole = (0..count).all(|part| !is_used(part));
+        if !is_open(&topic) || (is_whole && count > 1 && !has_pose) {
+            topics.push(topic);
+            continue;
+        }
+        let left: Vec<usize> = (0..count)
+            .filter(|&part| {
+                let at = search.cells.numbers.iter().position(|number| number.at == (index, part));
+                !is_used(part)
+                    || others.iter().any(|(columns, _)| at.is_some_and(|at| columns.contains(&at)))
+            })
+            .collect();
+        if left.is_empty() {
+            continue;
+        }
+        let mut runs: Vec<(Vec<usize>, String)> = Vec::new();
+        for part in left {
+            let said = match is_whole && count > 1 {
+                true => "neither joints nor a pose of the arm".to_owned(),
+                false => search.conduct((index, part), &used, &others),
+            };
+            match runs.last_mut() {
+                Some((run, last)) if *last == said && run.last() == Some(&(part - 1)) => {
+                    run.push(part)
+                }
+                _ => runs.push((vec![part], said)),
+            }
+        }
+        for (run, said) in runs {
+            let cells: Vec<TableCell> = run.iter().map(|&part| topic.cells[part].clone()).collect();
+            let names: Vec<String> = cells.iter().map(|cell| cell.name.clone()).collect();
+            topics.push(Topic {
+                name: selectors(&names).concat(),
+                type_name: kind(&topic, run.len()),
+                cells,
+                useless: Some(said),
+                ..topic_like(&topic)
+            });
+        }
+    }
+    topics.extend(made);
+    topics.sort_by(|a, b| (&a.name, &a.type_name).cmp(&(&b.name, &b.type_name)));
+    log.topics = topics;
+}
+
+/// Leaves the single numbers of a table whose names tell all that is asked.
+pub(super) fn leave_singles(log: &mut Log) {
+    for topic in log.topics.iter_mut().filter(|topic| is_open(topic) && topic.cells.len() == 1) {
+        topic.columns = None;
+        topic.useless = topic.read_as.take();
+    }
+}
+
+/// A topic of the same table without its numbers.
+fn topic_like(topic: &Topic) -> Topic {
+    Topic {
+        name: topic.name.clone(),
+        type_name: topic.type_name.clone(),
+        encoding: topic.encoding.clone(),
+        messages: topic.messages,
+        columns: None,
+        undecodable: None,
+        useless: None,
+        read_as: None,
+        cells: Vec::new(),
+        span: topic.span,
+    }
+}
+
+fn kind(topic: &Topic, count: usize) -> String {
+    let one = topic.type_name.split('[').next().unwrap_or_default();
+    if count == 1 { one.to_owned() } else { format!("{one}[{count}]") }
+}
+
+/// The topics of one arm.
+fn of_arm(log: &Log, search: &Search<'_>, arm: &Taken, prefix: &str) -> Vec<Topic> {
+    let topic = |name: &str, columns: &[usize], why: &str, made: Columns| {
+        let numbers = &search.cells.numbers;
+        let like = &log.topics[numbers[columns[0]].at.0];
+        Topic {
+            name: format!("{prefix}{name}"),
+            type_name: kind(like, columns.len()),
+            cells: columns.iter().map(|&at| numbers[at].cell.clone()).collect(),
+            read_as: Some(why.to_owned()),
+            columns: Some(made),
+            ..topic_like(like)
+        }
+    };
+    let mut topics = Vec::new();
+    let is_open = |columns: &[usize]| {
+        columns.iter().all(|&at| search.cells.numbers[at].known == super::Known::Open)
+    };
+    let joints = |columns: &[usize]| joints(array(log, search, columns), arm.unit);
+    if is_open(&arm.joints) {
+        topics.push(topic("joints", &arm.joints, &arm.joints_why, joints(&arm.joints)));
+    }
+    if let Some((columns, why)) = &arm.joint_commands {
+        topics.push(topic("joint_commands", columns, why, joints(columns)));
+    }
+    let pose = |columns: &[usize]| match array(log, search, columns) {
+        position if position.width == 3 => Columns::Poses(vec![positions(position)]),
+        numbers => Columns::Array(numbers),
+    };
+    if is_open(&arm.pose) && !arm.pose.is_empty() {
+        let name = if arm.is_pose_command { "pose_commands" } else { "pose" };
+        topics.push(topic(name, &arm.pose, &arm.pose_why, pose(&arm.pose)));
+    }
+    if let Some((columns, why)) = &arm.pose_commands {
+        topics.push(topic("pose_commands", columns, why, pose(columns)));
+    }
+    topics
+}
+
+/// Some numbers of one table, in the rows that hold all of them.
+fn array(log: &Log, search: &Search<'_>, columns: &[usize]) -> ArrayColumns {
+    let of = |&column: &usize| {
+        let (topic, part) = search.cells.numbers[column].at;
+        match &log.topics[topic].columns {
+            Some(Columns::Array(array)) => Some((array, part)),
+            _ => None,
+        }
+    };
+    let all: Vec<(&ArrayColumns, usize)> = columns.iter().filter_map(of).collect();
+    let mut made = ArrayColumns { width: columns.len(), ..ArrayColumns::default() };
+    let Some((first, _)) = all.first() else { return made };
+    let mut places: Vec<usize> = vec![0; all.len()];
+    for (row, (&header, &received)) in first.times.header.iter().zip(&first.times.log).enumerate() {
+        places[0] = row;
+        let found = all.iter().zip(&mut places).all(|((array, _), place)| {
+            while array.times.log.get(*place).is_some_and(|other| *other < received) {
+                *place += 1;
+            }
+            array.times.log.get(*place) == Some(&received)
+        });
+        if found {
+            made.times.push(header, received, received);
+            made.values
+                .extend(all.iter().zip(&places).map(|((array, part), at)| array.row(*at)[*part]));
+        }
+    }
+    made.not_finite = all.iter().map(|(array, _)| array.not_finite).max().unwrap_or(0);
+    made
+}
+
+fn joints(array: ArrayColumns, unit: JointNumbers) -> Columns {
+    // What is neither rad nor degrees the audit tells of them (ORD009).
+    let degrees = unit != JointNumbers::Radians;
+    let column = |joint: usize| {
+        let numbers = array.values.iter().skip(joint).step_by(array.width);
+        JointColumn {
+            name: format!("q{}", joint + 1),
+            position: numbers.map(|q| if degrees { q.to_radians() } else { *q }).collect(),
+            velocity: vec![f64::NAN; array.times.len()],
+        }
+    };
+    Columns::Joints(JointColumns {
+        joints: (0..array.width).map(column).collect(),
+        times: array.times.clone(),
+        not_finite: array.not_finite,
+        unnamed: true,
+        taken_for_degrees: degrees,
+        ..JointColumns::default()
+    })
+}
+
+/// Positions without orientations.
+fn positions(array: ArrayColumns) -> PoseColumns {
+    PoseColumns {
+        xyz: array.values.chunks_exact(3).map(|row| [row[0], row[1], row[2]]).collect(),
+        q_xyzw: vec![[0.0; 4]; array.times.len()],
+        not_finite: array.not_finite,
+        times: array.times,
+        ..PoseColumns::default()
+    }
+}
+
+impl Search<'_> {
+    /// What a number of a topic does that is neither a joint nor of the pose.
+    fn conduct(
+        &self,
+        number: (usize, usize),
+        used: &[usize],
+        others: &[&(Vec<usize>, String)],
+    ) -> String {
+        let at = self.cells.numbers.iter().position(|other| other.at == number);
+        let Some(at) = at else { return "its name does not say what it is".to_owned() };
+        if let Some((_, why)) = others.iter().find(|(columns, _)| columns.contains(&at)) {
+            return why.clone();
+        }
+        let name = |at: usize| selectors(&[self.cells.numbers[at].cell.name.clone()]).concat();
+        match self.cells.sheet.conduct(at, used) {
+            Conduct::Constant => "it never changes".to_owned(),
+            Conduct::TwoLevels => "it takes two values, as a gripper or a switch".to_owned(),
+            Conduct::As(other, shift) if shift.later_s == 0.0 => {
+                format!("it says what {} does", name(other))
+            }
+            Conduct::As(other, shift) => {
+                let when = if shift.later_s > 0.0 { "later" } else { "earlier" };
+                format!(
+                    "it says what {} does, {:.0} ms {when}",
+                    name(other),
+                    1e3 * shift.later_s.abs()
+                )
+            }
+            Conduct::RateOf(other) => format!("the rate of {}", name(other)),
+            Conduct::Own if used.is_empty() => "its name does not say what it is".to_owned(),
+            Conduct::Own => {
+                "it is neither a joint nor of the pose: it follows no column of them".to_owned()
+            }
+        }
+    }
+}
